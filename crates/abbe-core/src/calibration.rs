@@ -1,0 +1,251 @@
+//! Calibrations: the result of an estimate, and the reader and writer of its file.
+//!
+//! `calibration.json` is a stable format that others read: its number stands in the key `abbe_calibration`, its schema
+//! in `docs/schemas/calibration.schema.json`. A calibration is self-contained: pose predictions and compensation need
+//! nothing else.
+
+use serde::{Deserialize, Serialize};
+use serde_json::Value;
+
+use crate::error::{Error, Result};
+use crate::unit::Unit;
+
+/// The number of the file format.
+pub const CALIBRATION_FORMAT: u32 = 1;
+
+/// What an estimate found out about a machine and its artefacts.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct Calibration {
+    /// Number of the format, [`CALIBRATION_FORMAT`].
+    pub abbe_calibration: u32,
+    /// Name of the estimate.
+    pub estimate: String,
+    /// The model, resolved.
+    pub model: ModelRecord,
+    /// Every parameter of the model, estimated or not.
+    pub parameters: Vec<Estimated>,
+    /// Every own unknown of the artefacts, as `<stage>.<own name>`.
+    pub artefacts: Vec<Estimated>,
+    /// Covariance of everything that was estimated.
+    pub covariance: Covariance,
+    /// Rows that the robust estimate leaves out or blames.
+    pub outliers: Vec<Outlier>,
+    /// How the fit went.
+    pub fit: FitReport,
+}
+
+/// Plugin and settings from which the model is built again.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct ModelRecord {
+    /// Name of the model plugin.
+    pub plugin: String,
+    /// Its resolved settings.
+    pub settings: Value,
+}
+
+/// What a value of a calibration is worth.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum Status {
+    /// Estimated from the data.
+    Estimated,
+    /// Not estimated: taken as it is.
+    Fixed,
+    /// Not estimated, but its uncertainty is taken into account.
+    Considered,
+    /// The data cannot separate it from others; the value is one of many.
+    Confounded,
+}
+
+/// A parameter with its value.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct Estimated {
+    /// Name.
+    pub name: String,
+    /// Value in `unit`.
+    pub value: f64,
+    /// Unit, e.g. `mm/rad^2`.
+    pub unit: String,
+    /// Standard uncertainty in `unit`.
+    pub standard_uncertainty: f64,
+    /// What the value is worth.
+    pub status: Status,
+}
+
+/// Covariance of the estimated values, in the units of the parameters.
+#[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
+pub struct Covariance {
+    /// Names, in the order of rows and columns.
+    pub order: Vec<String>,
+    /// The full symmetric matrix.
+    pub rows: Vec<Vec<f64>>,
+}
+
+/// A row that does not go with the others.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct Outlier {
+    /// Artefact stage.
+    pub stage: String,
+    /// File that the row stands in.
+    pub file: String,
+    /// Line in the file.
+    pub line: usize,
+    /// Number of the data row in the file, from 1.
+    pub row: usize,
+    /// Its residual (the largest of its equations) in µm (µrad for angles).
+    pub residual_um: f64,
+    /// The weight that it was left with, 0 to 1.
+    pub weight: f64,
+}
+
+/// How an iteration ended.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum Termination {
+    /// The last step was below the tolerance.
+    Converged,
+    /// No step made the residuals smaller, and the last one was not small.
+    NoProgress,
+    /// The limit of iterations was reached.
+    IterationLimit,
+}
+
+/// How the fit went.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct FitReport {
+    /// Number of equations used.
+    pub observations: usize,
+    /// Number of unknowns.
+    pub unknowns: usize,
+    /// Numerical rank.
+    pub rank: usize,
+    /// Condition number of the weighted Jacobian with columns of norm 1, at contact points; without a lost direction.
+    pub condition: f64,
+    /// Degrees of freedom.
+    pub degrees_of_freedom: usize,
+    /// A-posteriori factor: weighted residual RMS over what the standard uncertainties promise; dimensionless.
+    pub sigma: f64,
+    /// Iterations.
+    pub iterations: usize,
+    /// How they ended.
+    pub termination: Termination,
+    /// Largest absolute residual (without outliers), µm.
+    pub residual_max_um: f64,
+    /// Mean absolute residual, µm.
+    pub residual_mean_abs_um: f64,
+    /// Root mean square of the residuals, µm.
+    pub residual_rms_um: f64,
+    /// What the data cannot determine.
+    pub null_space: Vec<NullVector>,
+}
+
+/// A direction in which the data do not change.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct NullVector {
+    /// Singular value relative to the largest, columns normalised.
+    pub singular_value: f64,
+    /// The change of the unknowns in that direction, parameter units; the one with the largest effect is 1.
+    pub combination: Vec<Combination>,
+}
+
+/// One unknown of a [`NullVector`].
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct Combination {
+    /// Name.
+    pub name: String,
+    /// Change in parameter units.
+    pub coefficient: f64,
+}
+
+impl NullVector {
+    /// One sentence for people: which unknowns cannot be told apart.
+    pub fn describe(&self) -> String {
+        let names: Vec<&str> = self.combination.iter().map(|part| part.name.as_str()).collect();
+        match names.as_slice() {
+            [] => "a direction without a name is lost".to_owned(),
+            [one] => format!("{one} has no effect on these measurements"),
+            [one, other] => format!("{one} and {other} cannot be told apart by these measurements"),
+            [..] => {
+                let shown: Vec<String> = self
+                    .combination
+                    .iter()
+                    .take(8)
+                    .map(|part| format!("{} {:+.4e}", part.name, part.coefficient))
+                    .collect();
+                let rest = names.len().saturating_sub(8);
+                let more = if rest > 0 { format!(" and {rest} more") } else { String::new() };
+                format!(
+                    "these measurements do not change when all of these change together: {}{more}",
+                    shown.join(", ")
+                )
+            }
+        }
+    }
+}
+
+/// What a problem can determine.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct Identifiability {
+    /// Number of equations.
+    pub observations: usize,
+    /// Number of unknowns.
+    pub unknowns: usize,
+    /// Numerical rank.
+    pub rank: usize,
+    /// Condition number, columns of norm 1, of what is determined.
+    pub condition: f64,
+    /// What is not.
+    pub null_space: Vec<NullVector>,
+}
+
+impl Calibration {
+    /// Reads a calibration file.
+    ///
+    /// Fails on text that is not JSON, on another format number, on missing parts, units that are not known, values
+    /// that are not finite and a covariance whose shape does not match its names.
+    pub fn from_json(text: &str) -> Result<Self> {
+        let value: Value =
+            serde_json::from_str(text).map_err(|error| Error::data(format!("this is not a JSON file: {error}")))?;
+        match value.get("abbe_calibration").and_then(Value::as_u64) {
+            Some(number) if number == u64::from(CALIBRATION_FORMAT) => {}
+            Some(number) => {
+                return Err(Error::data(format!(
+                    "calibration format {number} was found, this program reads format {CALIBRATION_FORMAT}"
+                )));
+            }
+            None => {
+                return Err(Error::data("this is not a calibration: the key `abbe_calibration` is missing"));
+            }
+        }
+        let calibration: Self = serde_json::from_value(value)
+            .map_err(|error| Error::data(format!("this calibration is broken: {error}")))?;
+        calibration.check()?;
+        Ok(calibration)
+    }
+
+    fn check(&self) -> Result<()> {
+        for estimated in self.parameters.iter().chain(&self.artefacts) {
+            estimated.unit.parse::<Unit>().map_err(|error| Error::data(format!("`{}`: {error}", estimated.name)))?;
+            if !(estimated.value.is_finite() && estimated.standard_uncertainty >= 0.0) {
+                return Err(Error::data(format!("`{}` has no finite value and uncertainty", estimated.name)));
+            }
+        }
+        let size = self.covariance.order.len();
+        if self.covariance.rows.len() != size || self.covariance.rows.iter().any(|row| row.len() != size) {
+            return Err(Error::data(format!("the covariance is not {size} x {size} as its names promise")));
+        }
+        Ok(())
+    }
+
+    /// The text of the calibration file. The same calibration gives the same bytes.
+    pub fn to_json(&self) -> Result<String> {
+        serde_json::to_string_pretty(self)
+            .map(|text| text + "\n")
+            .map_err(|error| Error::data(format!("the calibration cannot be written: {error}")))
+    }
+
+    /// Any value of the calibration, of the machine or of an artefact.
+    pub fn get(&self, name: &str) -> Option<&Estimated> {
+        self.parameters.iter().chain(&self.artefacts).find(|estimated| estimated.name == name)
+    }
+}

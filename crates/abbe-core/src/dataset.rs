@@ -1,0 +1,128 @@
+//! Data sets: named columns, one row a measurement.
+
+use std::path::{Path, PathBuf};
+
+use crate::error::{Error, Result};
+use crate::unit::Quantity;
+
+/// The name of a column, as found in a file's header.
+#[derive(Debug, Clone, PartialEq)]
+pub struct ColumnHeader {
+    /// Name without its unit: `X` of `X_mm`.
+    pub name: String,
+    /// Name as written in the file.
+    pub header: String,
+    /// What it is a quantity of.
+    pub quantity: Quantity,
+}
+
+impl ColumnHeader {
+    /// Reads name and unit off a header cell.
+    pub fn parse(header: &str) -> Self {
+        let (name, quantity, _) = Quantity::of_column(header);
+        Self { name: name.to_owned(), header: header.to_owned(), quantity }
+    }
+}
+
+/// The cells of a column.
+#[derive(Debug, Clone, PartialEq)]
+pub enum Values {
+    /// Numbers in the unit used in memory.
+    Numbers(Vec<f64>),
+    /// Identifiers.
+    Labels(Vec<String>),
+}
+
+/// A column: header and cells.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Column {
+    /// Name and unit.
+    pub header: ColumnHeader,
+    /// One cell a row.
+    pub values: Values,
+}
+
+/// Where a row was read, so that messages and results can point at it.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct RowOrigin {
+    /// Index into [`Dataset::files`].
+    pub file: usize,
+    /// Line in that file, from 1.
+    pub line: usize,
+    /// Number of the data row in that file, from 1; header and comments are not counted.
+    pub row: usize,
+}
+
+/// Measurements as they come from ingest: named columns with units, one row a measurement.
+#[derive(Debug, Clone, PartialEq, Default)]
+pub struct Dataset {
+    /// The columns, all of the same length.
+    pub columns: Vec<Column>,
+    /// Where each row stands.
+    pub origins: Vec<RowOrigin>,
+    /// The files that the rows come from.
+    pub files: Vec<PathBuf>,
+}
+
+impl Dataset {
+    /// Number of rows.
+    pub fn rows(&self) -> usize {
+        self.origins.len()
+    }
+
+    /// The headers of all columns.
+    pub fn headers(&self) -> Vec<ColumnHeader> {
+        self.columns.iter().map(|column| column.header.clone()).collect()
+    }
+
+    /// The column of that name (without unit).
+    pub fn column(&self, name: &str) -> Option<&Column> {
+        self.columns.iter().find(|column| column.header.name == name)
+    }
+
+    /// The numbers of a column.
+    pub fn numbers(&self, name: &str) -> Option<&[f64]> {
+        match &self.column(name)?.values {
+            Values::Numbers(numbers) => Some(numbers),
+            Values::Labels(_) => None,
+        }
+    }
+
+    /// The labels of a column.
+    pub fn labels(&self, name: &str) -> Option<&[String]> {
+        match &self.column(name)?.values {
+            Values::Labels(labels) => Some(labels),
+            Values::Numbers(_) => None,
+        }
+    }
+
+    /// The labels of a column that has to be there.
+    pub fn required_labels(&self, name: &str) -> Result<&[String]> {
+        self.labels(name).ok_or_else(|| missing_column(self.files.first(), name, &self.headers()))
+    }
+
+    /// The numbers of a column that has to be there.
+    pub fn required_numbers(&self, name: &str) -> Result<&[f64]> {
+        self.numbers(name).ok_or_else(|| missing_column(self.files.first(), name, &self.headers()))
+    }
+
+    /// An error that points at a row.
+    pub fn error_at(&self, row: usize, message: impl Into<String>) -> Error {
+        let origin = self.origins[row];
+        Error::data(message).at(&self.files[origin.file], origin.line, None)
+    }
+}
+
+/// The error for a column that is not there, with the nearest that is.
+pub(crate) fn missing_column(file: Option<&PathBuf>, name: &str, headers: &[ColumnHeader]) -> Error {
+    let error = Error::usage(format!("there is no column `{name}`; the columns are {}", list(headers)))
+        .suggest(name, headers.iter().map(|header| header.header.as_str()));
+    match file {
+        Some(file) => error.at(Path::new(file), 1, None),
+        None => error,
+    }
+}
+
+fn list(headers: &[ColumnHeader]) -> String {
+    headers.iter().map(|header| format!("`{}`", header.header)).collect::<Vec<_>>().join(", ")
+}

@@ -1,0 +1,135 @@
+//! The one error type of the project: what is wrong, where, what was expected, what to do.
+
+use std::fmt;
+use std::path::{Path, PathBuf};
+
+use crate::settings::PathItem;
+
+/// Shorthand of this crate's results.
+pub type Result<T, E = Error> = std::result::Result<T, E>;
+
+/// Who can put the error right, which decides the exit status.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Class {
+    /// Wrong use, or anything that can be found without reading data rows: exit status 2.
+    Use,
+    /// Only the data or the run show it: exit status 1.
+    Data,
+}
+
+/// A place in a file; lines and columns count from 1.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct Place {
+    /// The file.
+    pub file: PathBuf,
+    /// Line, where one line is to blame.
+    pub line: Option<usize>,
+    /// Column (character) in the line.
+    pub column: Option<usize>,
+}
+
+/// What is wrong, where, and what to do about it.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Error {
+    /// Whose fault it is.
+    pub class: Class,
+    /// What is wrong and what was expected, in one sentence.
+    pub message: String,
+    /// What to do, or the nearest valid spelling.
+    pub help: Option<String>,
+    /// Where in which file.
+    pub place: Option<Place>,
+    /// The stage of the recipe that is concerned.
+    pub stage: Option<String>,
+    /// The setting of that stage that is concerned; the recipe turns it into a place.
+    pub setting: Vec<PathItem>,
+}
+
+impl Error {
+    fn new(class: Class, message: impl Into<String>) -> Self {
+        Self { class, message: message.into(), help: None, place: None, stage: None, setting: Vec::new() }
+    }
+
+    /// Wrong use of the recipe or of the command.
+    pub fn usage(message: impl Into<String>) -> Self {
+        Self::new(Class::Use, message)
+    }
+
+    /// Wrong or insufficient data.
+    pub fn data(message: impl Into<String>) -> Self {
+        Self::new(Class::Data, message)
+    }
+
+    /// Adds what to do.
+    pub fn help(mut self, help: impl Into<String>) -> Self {
+        self.help = Some(help.into());
+        self
+    }
+
+    /// Adds a suggestion if one of `candidates` is close to `given`.
+    pub fn suggest<'a>(mut self, given: &str, candidates: impl IntoIterator<Item = &'a str>) -> Self {
+        if let Some(near) = nearest(given, candidates) {
+            self.help = Some(format!("did you mean `{near}`?"));
+        }
+        self
+    }
+
+    /// Adds the file.
+    pub fn in_file(mut self, file: &Path) -> Self {
+        self.place = Some(Place { file: file.to_owned(), line: None, column: None });
+        self
+    }
+
+    /// Adds file, line and, if one is to blame, column.
+    pub fn at(mut self, file: &Path, line: usize, column: Option<usize>) -> Self {
+        self.place = Some(Place { file: file.to_owned(), line: Some(line), column });
+        self
+    }
+
+    /// Names the setting that is to blame.
+    pub fn setting(mut self, name: &str) -> Self {
+        self.setting = vec![PathItem::Key(name.to_owned())];
+        self
+    }
+
+    /// Names the stage, unless one is named already.
+    pub fn stage(mut self, stage: &str) -> Self {
+        self.stage.get_or_insert_with(|| stage.to_owned());
+        self
+    }
+}
+
+impl fmt::Display for Error {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        if let Some(place) = &self.place {
+            write!(f, "{}", place.file.display())?;
+            if let Some(line) = place.line {
+                write!(f, ":{line}")?;
+            }
+            if let Some(column) = place.column {
+                write!(f, ":{column}")?;
+            }
+            write!(f, ": ")?;
+        }
+        if let Some(stage) = &self.stage {
+            write!(f, "stage `{stage}`: ")?;
+        }
+        write!(f, "{}", self.message)?;
+        if let Some(help) = &self.help {
+            write!(f, " ({help})")?;
+        }
+        Ok(())
+    }
+}
+
+impl std::error::Error for Error {}
+
+/// The candidate that `given` most probably meant, if any is near.
+pub fn nearest<'a>(given: &str, candidates: impl IntoIterator<Item = &'a str>) -> Option<&'a str> {
+    candidates
+        .into_iter()
+        .map(|candidate| (strsim::damerau_levenshtein(&given.to_lowercase(), &candidate.to_lowercase()), candidate))
+        .filter(|(distance, candidate)| *distance <= 1 + candidate.chars().count().min(given.chars().count()) / 4)
+        .min()
+        .map(|(_, candidate)| candidate)
+}

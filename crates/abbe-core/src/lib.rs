@@ -1,0 +1,45 @@
+//! The vocabulary of Abbe: units, data sets, kinematic models, observations, problems, calibrations, verdicts, the six
+//! stage traits and the registry of plugins.
+//!
+//! Everything else in the project speaks through the types of this crate, so it stays small.
+//!
+//! **Architecture invariant:** this crate does no I/O, knows no plugin, no topology, no artefact and no controller by
+//! name, and uses no numerics library beyond nalgebra.
+//!
+//! In memory every quantity is in mm, rad, s, °C or N. Columns and settings say their unit in their name.
+
+mod calibration;
+mod dataset;
+mod error;
+mod model;
+mod observations;
+mod pattern;
+mod pose_table;
+mod problem;
+mod registry;
+mod settings;
+mod stage;
+mod unit;
+mod verdict;
+
+pub use calibration::{
+    CALIBRATION_FORMAT, Calibration, Combination, Covariance, Estimated, FitReport, Identifiability, ModelRecord,
+    NullVector, Outlier, Status, Termination,
+};
+pub use dataset::{Column, ColumnHeader, Dataset, RowOrigin, Values};
+pub use error::{Class, Error, Place, Result, nearest};
+pub use model::{
+    Absent, Axis, AxisKind, Branch, ErrorFunction, KinematicModel, Parameter, Poses, StatusColumn, Variable,
+};
+pub use observations::{Contact, Equations, Feature, KnownInput, Observations, PoseValues, Row, Target};
+pub use pattern::matches;
+pub use pose_table::{ColumnNaming, PoseTable, plain_naming, pose_columns};
+pub use problem::{Block, ObservationSet, Owner, Problem, Unknown};
+pub use registry::{Build, Constructor, Context, Kind, Origin, Plugin, Provider, Registry};
+pub use settings::{Label, PathItem, SettingsError, from_settings, path_text, schema_of};
+pub use stage::{Artefact, Estimate, Export, ExportedFile, Fit, Ingest, InputFile, Model, Validate};
+pub use unit::{Quantity, Unit};
+pub use verdict::{Figure, Findings, Verdict};
+
+/// Re-exported so that a plugin registers with the very version that the registry collects.
+pub use inventory;

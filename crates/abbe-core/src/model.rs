@@ -1,0 +1,171 @@
+//! What a kinematic model offers: axes, status columns, parameters, and tool poses with derivatives in batches.
+
+use serde_json::Value;
+
+use crate::error::Result;
+use crate::unit::{Quantity, Unit};
+
+/// Linear or rotary.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum AxisKind {
+    /// Commands in mm.
+    Linear,
+    /// Commands in rad.
+    Rotary,
+}
+
+/// The side of the bed on which an axis sits.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Branch {
+    /// Between bed and tool.
+    Tool,
+    /// Between bed and workpiece.
+    Workpiece,
+}
+
+/// An axis of the machine.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Axis {
+    /// Name, as in the columns of data files.
+    pub name: String,
+    /// Linear or rotary.
+    pub kind: AxisKind,
+    /// Side of the bed.
+    pub branch: Branch,
+    /// +1 or -1: the sense in which the body that the axis carries moves along its direction for a positive command.
+    pub sense: f64,
+    /// Unit direction, machine frame.
+    pub direction: [f64; 3],
+    /// Range of commands in mm or rad, if known.
+    pub range: Option<[f64; 2]>,
+    /// Indexed and not interpolated (a spindle).
+    pub indexed: bool,
+    /// Index of the command among [`KinematicModel::status`].
+    pub status: usize,
+}
+
+/// What happens when the data have no column for a status.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub enum Absent {
+    /// It is an error.
+    Refused,
+    /// This value is taken for every row; NaN means that the status is unknown and what depends on it has no effect.
+    Taken(f64),
+}
+
+/// A column of the status of a pose that a model takes.
+#[derive(Debug, Clone, PartialEq)]
+pub struct StatusColumn {
+    /// Name without unit: `X`, `dir_X`, `time`, `day`, `stylus`.
+    pub name: String,
+    /// Its quantity; `Label` with `levels`.
+    pub quantity: Quantity,
+    /// For labels: the known ones, passed to the model as their index; an unknown one as NaN.
+    pub levels: Vec<String>,
+    /// What an absent column means.
+    pub absent: Absent,
+}
+
+/// A parameter or an unknown: name and unit. Its nominal value is zero.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Parameter {
+    /// Name as in the conventions, e.g. `EXX[1]`.
+    pub name: String,
+    /// Unit of its value.
+    pub unit: Unit,
+}
+
+/// What a derivative is taken with respect to.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Variable {
+    /// Index into [`KinematicModel::parameters`].
+    Parameter(usize),
+    /// The command of an axis: index into [`KinematicModel::axes`].
+    Command(usize),
+}
+
+/// Tool poses relative to the workpiece, and their derivatives, for a batch of statuses.
+///
+/// Derivatives are stored pose by pose, in the order of the variables asked for.
+#[derive(Debug, Clone, Default, PartialEq)]
+pub struct Poses {
+    /// Tip position in the table frame, mm.
+    pub positions: Vec<[f64; 3]>,
+    /// Tool orientation in the table frame as unit quaternion w, x, y, z; empty unless asked for.
+    pub orientations: Vec<[f64; 4]>,
+    /// d(position)/d(variable): poses x variables.
+    pub position_derivatives: Vec<[f64; 3]>,
+    /// d(rotation vector, table frame)/d(variable): poses x variables; empty unless orientations were asked for.
+    pub rotation_derivatives: Vec<[f64; 3]>,
+}
+
+impl Poses {
+    /// Makes room for `poses` poses with derivatives to `variables` variables; everything is zero afterwards.
+    pub fn reset(&mut self, poses: usize, variables: usize, orientation: bool) {
+        fn zero<const N: usize>(list: &mut Vec<[f64; N]>, length: usize) {
+            list.clear();
+            list.resize(length, [0.0; N]);
+        }
+        let turned = usize::from(orientation);
+        zero(&mut self.positions, poses);
+        zero(&mut self.orientations, poses * turned);
+        zero(&mut self.position_derivatives, poses * variables);
+        zero(&mut self.rotation_derivatives, poses * variables * turned);
+    }
+}
+
+/// A motion error of an axis: a linear combination of parameters, for those who sample or compensate it.
+#[derive(Debug, Clone, PartialEq)]
+pub struct ErrorFunction {
+    /// ISO 230-1 symbol, e.g. `EYX`.
+    pub symbol: String,
+    /// Index of the moving axis.
+    pub axis: usize,
+    /// 0..6: x, y, z, a, b, c.
+    pub component: usize,
+    /// Length or angle.
+    pub quantity: Quantity,
+}
+
+/// A machine: where its tool is relative to its workpiece, given axis positions, status and parameters.
+///
+/// Implementations are immutable and may be called from several threads at once.
+pub trait KinematicModel: Send + Sync {
+    /// The axes, in the order of the structural loop.
+    fn axes(&self) -> &[Axis];
+
+    /// The status columns that a pose of this model is made of; the row of a batch has them in this order.
+    fn status(&self) -> &[StatusColumn];
+
+    /// Every parameter that exists in this model.
+    fn parameters(&self) -> &[Parameter];
+
+    /// Effective stylus radius in mm.
+    fn stylus_radius(&self) -> f64;
+
+    /// Poses and derivatives for a batch.
+    ///
+    /// `statuses` is rows x [`status`](Self::status), row by row; `values` has one value a parameter; derivatives are
+    /// given for the `wanted` variables only; orientations (and their derivatives) only if `orientation` is set.
+    fn evaluate(
+        &self,
+        statuses: &[f64],
+        values: &[f64],
+        wanted: &[Variable],
+        orientation: bool,
+        out: &mut Poses,
+    ) -> Result<()>;
+
+    /// Settings from which the same plugin builds this very model again, without any data.
+    fn settings(&self) -> Value;
+
+    /// The motion errors that this model can tell one by one; none by default.
+    fn error_functions(&self) -> Vec<ErrorFunction> {
+        Vec::new()
+    }
+
+    /// The value of a motion error at a status as a linear combination: (parameter index, factor).
+    fn error_terms(&self, _function: &ErrorFunction, _status: &[f64]) -> Vec<(usize, f64)> {
+        Vec::new()
+    }
+}

@@ -1,0 +1,157 @@
+//! What an artefact makes of a data set: rows of equations that tie poses, own unknowns and known inputs.
+
+use std::sync::Arc;
+
+use crate::dataset::Dataset;
+use crate::model::Parameter;
+use crate::pose_table::PoseTable;
+
+/// A named number that is not estimated but whose uncertainty all rows that use it share.
+#[derive(Debug, Clone, PartialEq)]
+pub struct KnownInput {
+    /// Own name, e.g. `length`.
+    pub parameter: Parameter,
+    /// Its value.
+    pub value: f64,
+    /// Its standard uncertainty.
+    pub standard_uncertainty: f64,
+}
+
+/// One measurement: which poses it ties in which equations, and the data row that it comes from.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct Row {
+    /// First of its poses in [`Observations::poses`].
+    pub first_pose: usize,
+    /// How many poses it ties: none (a calibrated distance between features), one or several.
+    pub poses: usize,
+    /// First of its equations.
+    pub first_equation: usize,
+    /// How many equations it gives.
+    pub equations: usize,
+    /// The row of the data set; none if it is a constraint that was not measured here.
+    pub data_row: Option<usize>,
+}
+
+/// What gives way until the equations of a row hold, when the row is really measured.
+#[derive(Debug, Clone, PartialEq)]
+pub enum Contact {
+    /// The linear axes of all its poses move, by as little as possible, until the probe triggers.
+    LinearAxes,
+    /// The reading in this column (without unit) takes up the difference; nothing moves.
+    Reading(String),
+}
+
+/// A feature of an artefact in the table frame: nominal place plus what is estimated of it.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Feature {
+    /// Its label.
+    pub label: String,
+    /// Nominal point, mm.
+    pub point: [f64; 3],
+    /// The own unknowns that shift it: (index of the unknown, unit direction).
+    pub shifts: Vec<(usize, [f64; 3])>,
+}
+
+/// Where the tip is sent to measure a feature.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Target {
+    /// Label of the feature.
+    pub feature: String,
+    /// Nominal tip position, table frame, mm.
+    pub tip: [f64; 3],
+    /// Unit direction of approach, table frame; none where any will do.
+    pub approach: Option<[f64; 3]>,
+}
+
+/// Poses of some rows, one after another in the order of the rows.
+#[derive(Debug, Clone, Copy)]
+pub struct PoseValues<'a> {
+    /// Tip positions in the table frame, mm.
+    pub positions: &'a [[f64; 3]],
+    /// Tool orientations as unit quaternions w, x, y, z; empty unless the observations ask for them.
+    pub orientations: &'a [[f64; 4]],
+}
+
+/// Residuals and derivatives as an artefact writes them, equation by equation.
+#[derive(Debug, Clone, Default)]
+pub struct Equations {
+    pub(crate) residuals: Vec<f64>,
+    pub(crate) by_position: Vec<[f64; 3]>,
+    pub(crate) by_rotation: Vec<[f64; 3]>,
+    pub(crate) by_own: Vec<(usize, usize, f64)>,
+    pub(crate) by_input: Vec<(usize, usize, f64)>,
+}
+
+impl Equations {
+    pub(crate) fn clear(&mut self) {
+        self.residuals.clear();
+        self.by_position.clear();
+        self.by_rotation.clear();
+        self.by_own.clear();
+        self.by_input.clear();
+    }
+
+    /// Starts the next equation with its residual, left side of the observation equation, in mm or rad.
+    pub fn equation(&mut self, residual: f64) {
+        self.residuals.push(residual);
+    }
+
+    /// Derivative of the current equation to the tip position of the next pose of its row: once for every pose.
+    pub fn position(&mut self, derivative: [f64; 3]) {
+        self.by_position.push(derivative);
+    }
+
+    /// Derivative of the current equation to the rotation vector of the next pose: once for every pose, and only if
+    /// the observations ask for orientations.
+    pub fn rotation(&mut self, derivative: [f64; 3]) {
+        self.by_rotation.push(derivative);
+    }
+
+    /// Derivative of the current equation to an own unknown.
+    pub fn own(&mut self, unknown: usize, derivative: f64) {
+        self.by_own.push((self.residuals.len() - 1, unknown, derivative));
+    }
+
+    /// Derivative of the current equation to a known input.
+    pub fn input(&mut self, input: usize, derivative: f64) {
+        self.by_input.push((self.residuals.len() - 1, input, derivative));
+    }
+}
+
+/// The observations that an artefact made of a data set. Immutable; used from several threads at once.
+pub trait Observations: Send + Sync {
+    /// The data set.
+    fn data(&self) -> &Arc<Dataset>;
+
+    /// The rows, each with its poses and equations.
+    fn rows(&self) -> &[Row];
+
+    /// The statuses of all poses.
+    fn poses(&self) -> &PoseTable;
+
+    /// Own unknowns, with own names (`facet[7].d`).
+    fn unknowns(&self) -> &[Parameter];
+
+    /// Known inputs.
+    fn inputs(&self) -> &[KnownInput];
+
+    /// Standard uncertainty of every equation, mm or rad.
+    fn standard_uncertainties(&self) -> &[f64];
+
+    /// Whether the equations depend on tool orientations.
+    fn needs_orientation(&self) -> bool {
+        false
+    }
+
+    /// Residuals and derivatives of some rows, in the order of `rows`; `poses` has their poses one after another.
+    fn evaluate(&self, rows: &[usize], poses: PoseValues<'_>, own: &[f64], inputs: &[f64], out: &mut Equations);
+
+    /// The features in the table frame, for those who compare or draw them.
+    fn features(&self) -> Vec<Feature>;
+
+    /// What gives way when a row is really measured.
+    fn contact(&self) -> Contact;
+
+    /// The column (without unit) in which pose `pose` of a row records a status; none if it is not recorded.
+    fn recorded(&self, pose: usize, status: usize) -> Option<&str>;
+}

@@ -1,0 +1,248 @@
+//! The registry: every plugin, built in or loaded, under its kind and name.
+
+use std::borrow::Cow;
+use std::fmt;
+use std::path::{Path, PathBuf};
+use std::sync::Arc;
+
+use serde_json::Value;
+
+use crate::error::{Error, Result, nearest};
+use crate::settings::SettingsError;
+use crate::stage::{Artefact, Estimate, Export, Ingest, Model, Validate};
+
+/// The six kinds of stage, in the order in which data flow.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash)]
+pub enum Kind {
+    /// Files to data sets.
+    Ingest,
+    /// Data sets to observations.
+    Artefact,
+    /// Machine description to kinematic model.
+    Model,
+    /// Problem to calibration.
+    Estimate,
+    /// Calibration to verdict.
+    Validate,
+    /// Calibration to files.
+    Export,
+}
+
+impl Kind {
+    /// All kinds.
+    pub const ALL: [Self; 6] =
+        [Self::Ingest, Self::Artefact, Self::Model, Self::Estimate, Self::Validate, Self::Export];
+
+    /// The key that declares a stage of this kind in a recipe.
+    pub fn key(self) -> &'static str {
+        match self {
+            Self::Ingest => "ingest",
+            Self::Artefact => "artefact",
+            Self::Model => "model",
+            Self::Estimate => "estimate",
+            Self::Validate => "validate",
+            Self::Export => "export",
+        }
+    }
+}
+
+impl fmt::Display for Kind {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str(self.key())
+    }
+}
+
+/// What a stage is told besides its settings when it is built.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct Context {
+    /// Folder that relative paths in the settings start from.
+    pub base: PathBuf,
+}
+
+impl Context {
+    /// A path of the settings as it can be opened.
+    pub fn path(&self, path: &str) -> PathBuf {
+        self.base.join(Path::new(path))
+    }
+}
+
+/// Builds a stage from its settings.
+pub enum Constructor<T: ?Sized> {
+    /// Of a built-in plugin.
+    Static(fn(&Value, &Context) -> Result<Box<T>, SettingsError>),
+    /// Of a loaded one.
+    Dynamic(Arc<dyn Fn(&Value, &Context) -> Result<Box<T>, SettingsError> + Send + Sync>),
+}
+
+impl<T: ?Sized> Constructor<T> {
+    /// Builds the stage.
+    pub fn build(&self, settings: &Value, context: &Context) -> Result<Box<T>, SettingsError> {
+        match self {
+            Self::Static(build) => build(settings, context),
+            Self::Dynamic(build) => build(settings, context),
+        }
+    }
+}
+
+/// The constructor of a plugin, which also says its kind.
+pub enum Build {
+    /// An ingest plugin.
+    Ingest(Constructor<dyn Ingest>),
+    /// An artefact plugin.
+    Artefact(Constructor<dyn Artefact>),
+    /// A model plugin.
+    Model(Constructor<dyn Model>),
+    /// An estimator.
+    Estimate(Constructor<dyn Estimate>),
+    /// A validator.
+    Validate(Constructor<dyn Validate>),
+    /// An exporter.
+    Export(Constructor<dyn Export>),
+}
+
+/// A JSON value that a plugin provides.
+pub enum Provider {
+    /// Made when asked for.
+    Static(fn() -> Value),
+    /// Handed over when the plugin was loaded.
+    Value(Value),
+}
+
+impl Provider {
+    /// The value.
+    pub fn get(&self) -> Value {
+        match self {
+            Self::Static(make) => make(),
+            Self::Value(value) => value.clone(),
+        }
+    }
+}
+
+/// Where a plugin comes from.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub enum Origin {
+    /// Linked into the program.
+    BuiltIn,
+    /// Loaded from a library.
+    Library {
+        /// Its file.
+        file: PathBuf,
+        /// SHA-256 of the file.
+        sha256: String,
+    },
+}
+
+/// One record of the registry, the same for built-in and for loaded plugins.
+pub struct Plugin {
+    /// The name that recipes use.
+    pub name: Cow<'static, str>,
+    /// One line that says what it does.
+    pub about: Cow<'static, str>,
+    /// Where it comes from.
+    pub origin: Origin,
+    /// JSON Schema of its settings.
+    pub schema: Provider,
+    /// Settings that it can be built from.
+    pub example: Provider,
+    /// Its constructor.
+    pub build: Build,
+}
+
+impl Plugin {
+    /// A built-in plugin, for `inventory::submit!`.
+    pub const fn built_in(
+        name: &'static str,
+        about: &'static str,
+        schema: fn() -> Value,
+        example: fn() -> Value,
+        build: Build,
+    ) -> Self {
+        Self {
+            name: Cow::Borrowed(name),
+            about: Cow::Borrowed(about),
+            origin: Origin::BuiltIn,
+            schema: Provider::Static(schema),
+            example: Provider::Static(example),
+            build,
+        }
+    }
+
+    /// Its kind.
+    pub fn kind(&self) -> Kind {
+        match self.build {
+            Build::Ingest(_) => Kind::Ingest,
+            Build::Artefact(_) => Kind::Artefact,
+            Build::Model(_) => Kind::Model,
+            Build::Estimate(_) => Kind::Estimate,
+            Build::Validate(_) => Kind::Validate,
+            Build::Export(_) => Kind::Export,
+        }
+    }
+}
+
+inventory::collect!(Plugin);
+
+/// All plugins that a run can use, sorted by kind and name.
+pub struct Registry {
+    plugins: Vec<Entry>,
+}
+
+enum Entry {
+    BuiltIn(&'static Plugin),
+    Loaded(Plugin),
+}
+
+impl Entry {
+    fn plugin(&self) -> &Plugin {
+        match self {
+            Self::BuiltIn(plugin) => plugin,
+            Self::Loaded(plugin) => plugin,
+        }
+    }
+}
+
+impl Registry {
+    /// The plugins linked into the program; two of the same kind and name are refused.
+    pub fn built_in() -> Result<Self> {
+        let mut registry = Self { plugins: Vec::new() };
+        for plugin in inventory::iter::<Plugin> {
+            registry.insert(Entry::BuiltIn(plugin))?;
+        }
+        Ok(registry)
+    }
+
+    /// Adds a loaded plugin; a name that is taken is refused.
+    pub fn add(&mut self, plugin: Plugin) -> Result<()> {
+        self.insert(Entry::Loaded(plugin))
+    }
+
+    fn insert(&mut self, entry: Entry) -> Result<()> {
+        let order = |plugin: &Plugin| (plugin.kind(), plugin.name.to_string());
+        let key = order(entry.plugin());
+        match self.plugins.binary_search_by_key(&key, |other| order(other.plugin())) {
+            Ok(_) => Err(Error::usage(format!("there are two {} plugins named `{}`", key.0, key.1))),
+            Err(place) => {
+                self.plugins.insert(place, entry);
+                Ok(())
+            }
+        }
+    }
+
+    /// All plugins, sorted.
+    pub fn iter(&self) -> impl Iterator<Item = &Plugin> {
+        self.plugins.iter().map(Entry::plugin)
+    }
+
+    /// The plugin of that kind and name, or an error with the nearest one.
+    pub fn find(&self, kind: Kind, name: &str) -> Result<&Plugin, SettingsError> {
+        self.iter().find(|plugin| plugin.kind() == kind && plugin.name == name).ok_or_else(|| {
+            let names: Vec<&str> =
+                self.iter().filter(|plugin| plugin.kind() == kind).map(|plugin| plugin.name.as_ref()).collect();
+            let error = SettingsError::new(kind.key(), format!("there is no {kind} plugin `{name}`"));
+            match nearest(name, names.iter().copied()) {
+                Some(near) => error.help(format!("did you mean `{near}`?")),
+                None => error.help(format!("there are: {}", names.join(", "))),
+            }
+        })
+    }
+}

@@ -1,0 +1,286 @@
+//! Settings of stages: JSON in, a typed struct out, and errors that say which setting is wrong.
+
+use std::fmt;
+
+use schemars::JsonSchema;
+use serde::de::{self, DeserializeOwned, IntoDeserializer};
+use serde::{Deserialize, Deserializer, Serialize};
+use serde_json::Value;
+
+use crate::error::nearest;
+
+/// One step on the way to a setting: a key of a map or an index of a list.
+#[derive(Debug, Clone, PartialEq, Eq, PartialOrd, Ord)]
+pub enum PathItem {
+    /// Key of a map.
+    Key(String),
+    /// Index of a list, from 0.
+    Index(usize),
+}
+
+/// A path as people write it: `errors[2].degrees`.
+pub fn path_text(path: &[PathItem]) -> String {
+    let mut text = String::new();
+    for item in path {
+        match item {
+            PathItem::Key(key) if text.is_empty() => text.push_str(key),
+            PathItem::Key(key) => text.push_str(&format!(".{key}")),
+            PathItem::Index(index) => text.push_str(&format!("[{index}]")),
+        }
+    }
+    text
+}
+
+/// A setting that is wrong.
+#[derive(Debug, Clone, PartialEq)]
+pub struct SettingsError {
+    /// Where the wrong setting stands.
+    pub path: Vec<PathItem>,
+    /// The key itself is wrong, not its value.
+    pub key: bool,
+    /// What is wrong and what was expected.
+    pub message: String,
+    /// What to do.
+    pub help: Option<String>,
+}
+
+impl SettingsError {
+    /// A wrong value of the setting `name` (empty: of the whole).
+    pub fn new(name: &str, message: impl Into<String>) -> Self {
+        let path = if name.is_empty() { Vec::new() } else { vec![PathItem::Key(name.to_owned())] };
+        Self { path, key: false, message: message.into(), help: None }
+    }
+
+    /// Adds what to do.
+    pub fn help(mut self, help: impl Into<String>) -> Self {
+        self.help = Some(help.into());
+        self
+    }
+
+    /// Adds the nearest valid spelling if there is one, else the list of what is allowed.
+    pub fn suggest<'a>(mut self, given: &str, candidates: impl IntoIterator<Item = &'a str>) -> Self {
+        let candidates: Vec<&str> = candidates.into_iter().collect();
+        self.help = match nearest(given, candidates.iter().copied()) {
+            Some(near) => Some(format!("did you mean `{near}`?")),
+            None if candidates.is_empty() => None,
+            None => Some(format!("possible are: {}", candidates.join(", "))),
+        };
+        self
+    }
+
+    /// Puts the path under another one.
+    pub fn under(mut self, prefix: impl IntoIterator<Item = PathItem>) -> Self {
+        let mut path: Vec<PathItem> = prefix.into_iter().collect();
+        path.append(&mut self.path);
+        self.path = path;
+        self
+    }
+}
+
+impl fmt::Display for SettingsError {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        if !self.path.is_empty() {
+            write!(f, "{}: ", path_text(&self.path))?;
+        }
+        write!(f, "{}", self.message)?;
+        match &self.help {
+            Some(help) => write!(f, " ({help})"),
+            None => Ok(()),
+        }
+    }
+}
+
+impl std::error::Error for SettingsError {}
+
+impl de::Error for SettingsError {
+    fn custom<T: fmt::Display>(message: T) -> Self {
+        Self::new("", message.to_string())
+    }
+
+    fn unknown_field(field: &str, expected: &'static [&'static str]) -> Self {
+        let mut error = Self::new("", format!("unknown setting `{field}`")).suggest(field, expected.iter().copied());
+        error.key = true;
+        error
+    }
+
+    fn missing_field(field: &'static str) -> Self {
+        Self::new("", format!("the setting `{field}` is missing"))
+    }
+
+    fn unknown_variant(variant: &str, expected: &'static [&'static str]) -> Self {
+        Self::new("", format!("unknown choice `{variant}`")).suggest(variant, expected.iter().copied())
+    }
+}
+
+/// Reads typed settings; a wrong one is reported with its path, an unknown one with the nearest valid spelling.
+pub fn from_settings<T: DeserializeOwned>(settings: &Value) -> Result<T, SettingsError> {
+    serde_path_to_error::deserialize(Json(settings)).map_err(|error| {
+        let mut path: Vec<PathItem> = error
+            .path()
+            .iter()
+            .filter_map(|segment| match segment {
+                serde_path_to_error::Segment::Map { key } => Some(PathItem::Key(key.clone())),
+                serde_path_to_error::Segment::Seq { index } => Some(PathItem::Index(*index)),
+                _ => None,
+            })
+            .collect();
+        let mut inner = error.into_inner();
+        path.append(&mut inner.path);
+        inner.path = path;
+        inner
+    })
+}
+
+/// The JSON Schema of a settings type, as a plain value.
+pub fn schema_of<T: JsonSchema>() -> Value {
+    schemars::generate::SchemaSettings::draft2020_12()
+        .with(|settings| settings.inline_subschemas = true)
+        .into_generator()
+        .into_root_schema_for::<T>()
+        .to_value()
+}
+
+/// An identifier in a recipe: text, or a number taken as text (`feature: 7` and `feature: "7"` are the same).
+#[derive(Debug, Clone, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize)]
+pub struct Label(pub String);
+
+impl<'de> Deserialize<'de> for Label {
+    fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
+        match Value::deserialize(deserializer)? {
+            Value::String(text) => Ok(Self(text)),
+            Value::Number(number) => Ok(Self(number.to_string())),
+            other => Err(de::Error::custom(format!("a name or a number was expected, not {}", kind_of(&other)))),
+        }
+    }
+}
+
+impl JsonSchema for Label {
+    fn schema_name() -> std::borrow::Cow<'static, str> {
+        "Label".into()
+    }
+
+    fn json_schema(_: &mut schemars::SchemaGenerator) -> schemars::Schema {
+        schemars::json_schema!({ "type": ["string", "number"] })
+    }
+}
+
+fn kind_of(value: &Value) -> &'static str {
+    match value {
+        Value::Null => "nothing",
+        Value::Bool(_) => "true or false",
+        Value::Number(_) => "a number",
+        Value::String(_) => "text",
+        Value::Array(_) => "a list",
+        Value::Object(_) => "a map",
+    }
+}
+
+/// Deserialises a JSON value with our own error type, which keeps what serde tells about unknown names.
+struct Json<'a>(&'a Value);
+
+impl<'a> IntoDeserializer<'a, SettingsError> for Json<'a> {
+    type Deserializer = Self;
+
+    fn into_deserializer(self) -> Self {
+        self
+    }
+}
+
+impl<'de> Deserializer<'de> for Json<'de> {
+    type Error = SettingsError;
+
+    fn deserialize_any<V: de::Visitor<'de>>(self, visitor: V) -> Result<V::Value, SettingsError> {
+        match self.0 {
+            Value::Null => visitor.visit_unit(),
+            Value::Bool(value) => visitor.visit_bool(*value),
+            Value::Number(number) => match (number.as_u64(), number.as_i64(), number.as_f64()) {
+                (Some(value), _, _) => visitor.visit_u64(value),
+                (_, Some(value), _) => visitor.visit_i64(value),
+                (_, _, value) => visitor.visit_f64(value.unwrap_or(f64::NAN)),
+            },
+            Value::String(text) => visitor.visit_borrowed_str(text),
+            Value::Array(items) => visitor.visit_seq(de::value::SeqDeserializer::new(items.iter().map(Json))),
+            Value::Object(map) => visitor
+                .visit_map(de::value::MapDeserializer::new(map.iter().map(|(key, value)| (key.as_str(), Json(value))))),
+        }
+    }
+
+    fn deserialize_option<V: de::Visitor<'de>>(self, visitor: V) -> Result<V::Value, SettingsError> {
+        if self.0.is_null() { visitor.visit_none() } else { visitor.visit_some(self) }
+    }
+
+    fn deserialize_newtype_struct<V: de::Visitor<'de>>(
+        self,
+        _: &'static str,
+        visitor: V,
+    ) -> Result<V::Value, SettingsError> {
+        visitor.visit_newtype_struct(self)
+    }
+
+    fn deserialize_enum<V: de::Visitor<'de>>(
+        self,
+        name: &'static str,
+        variants: &'static [&'static str],
+        visitor: V,
+    ) -> Result<V::Value, SettingsError> {
+        match self.0 {
+            Value::String(text) => visitor.visit_enum(de::value::StrDeserializer::new(text)),
+            Value::Object(map) if map.len() == 1 => visitor.visit_enum(de::value::MapAccessDeserializer::new(
+                de::value::MapDeserializer::new(map.iter().map(|(key, value)| (key.as_str(), Json(value)))),
+            )),
+            other => Err(SettingsError::new(
+                "",
+                format!("one of {} was expected for {name}, not {}", variants.join(", "), kind_of(other)),
+            )),
+        }
+    }
+
+    serde::forward_to_deserialize_any! {
+        bool i8 i16 i32 i64 i128 u8 u16 u32 u64 u128 f32 f64 char str string bytes byte_buf unit unit_struct seq tuple
+        tuple_struct map struct identifier ignored_any
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use serde_json::json;
+    use std::collections::BTreeMap;
+
+    #[derive(Debug, Deserialize)]
+    #[serde(deny_unknown_fields)]
+    #[allow(dead_code, reason = "only what the deserialiser says is looked at")]
+    struct Example {
+        name: String,
+        degrees: Vec<u8>,
+        #[serde(default)]
+        styli: BTreeMap<u32, f64>,
+        #[serde(default)]
+        on: Option<Choice>,
+    }
+
+    #[derive(Debug, Deserialize)]
+    #[serde(rename_all = "kebab-case")]
+    enum Choice {
+        Drop,
+        MinimumNorm,
+    }
+
+    #[test]
+    fn wrong_settings_are_named() {
+        let cases = [
+            (json!({ "name": "a", "degree": [1] }), "degree: unknown setting `degree` (did you mean `degrees`?)"),
+            (json!({ "name": "a" }), "the setting `degrees` is missing"),
+            (json!({ "name": "a", "degrees": [1, "two"] }), "degrees[1]: invalid type: string \"two\", expected u8"),
+            (
+                json!({ "name": "a", "degrees": [], "on": "minimum" }),
+                "on: unknown choice `minimum` (possible are: drop, minimum-norm)",
+            ),
+        ];
+        for (settings, expected) in cases {
+            assert_eq!(from_settings::<Example>(&settings).unwrap_err().to_string(), expected);
+        }
+        let good = from_settings::<Example>(&json!({ "name": "a", "degrees": [1], "styli": { "2": 1 }, "on": "drop" }));
+        assert!(good.is_ok(), "{good:?}");
+    }
+}

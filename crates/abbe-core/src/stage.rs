@@ -1,0 +1,114 @@
+//! The six kinds of stage.
+//!
+//! A stage is built from its settings without touching the environment; `inputs` says which files it will read, so
+//! that missing ones are found before anything runs.
+
+use std::path::PathBuf;
+use std::sync::Arc;
+
+use crate::calibration::{Calibration, Identifiability};
+use crate::dataset::{ColumnHeader, Dataset};
+use crate::error::Result;
+use crate::model::KinematicModel;
+use crate::observations::{Observations, Target};
+use crate::problem::Problem;
+use crate::verdict::Findings;
+
+/// A file that a stage reads.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct InputFile {
+    /// The setting that names it.
+    pub setting: &'static str,
+    /// Where it is.
+    pub path: PathBuf,
+}
+
+/// Measurements from files or another source.
+pub trait Ingest: Send + Sync {
+    /// The files that it reads.
+    fn inputs(&self) -> Vec<InputFile>;
+
+    /// The columns, without reading rows.
+    fn headers(&self) -> Result<Vec<ColumnHeader>>;
+
+    /// The data set.
+    fn read(&self) -> Result<Dataset>;
+}
+
+/// Observations of an artefact from a data set.
+pub trait Artefact: Send + Sync {
+    /// The files that it reads.
+    fn inputs(&self) -> Vec<InputFile>;
+
+    /// Whether a data set with these columns, measured on this machine, can be used; `file` is for the message.
+    fn check(&self, headers: &[ColumnHeader], file: Option<&PathBuf>, model: &dyn KinematicModel) -> Result<()>;
+
+    /// Makes the observations; rows of features that this artefact does not know are left to others.
+    fn observe(&self, data: &Arc<Dataset>, model: &dyn KinematicModel) -> Result<Arc<dyn Observations>>;
+
+    /// The nominal programme: where the tip is sent for each feature.
+    fn targets(&self, stylus_radius: f64) -> Result<Vec<Target>>;
+}
+
+/// A machine description.
+pub trait Model: Send + Sync {
+    /// The files that it reads.
+    fn inputs(&self) -> Vec<InputFile>;
+
+    /// The kinematic model. What depends on the data (the time scale of a drift) is settled from `data`; without data
+    /// it has to be in the settings, or the model is good for checking names only.
+    fn build(&self, data: &[&Dataset]) -> Result<Arc<dyn KinematicModel>>;
+}
+
+/// A solver of problems.
+pub trait Estimate: Send + Sync {
+    /// Solves the problem.
+    fn estimate(&self, problem: &Problem) -> Result<Calibration>;
+
+    /// What the problem can determine, judged at the contact points of its start values, without solving it.
+    fn identify(&self, problem: &Problem) -> Result<Identifiability>;
+}
+
+/// An estimate with everything needed to question it or to do it again on other rows.
+pub struct Fit {
+    /// Name of the estimate.
+    pub name: String,
+    /// What was solved.
+    pub problem: Arc<Problem>,
+    /// What solved it.
+    pub estimator: Arc<dyn Estimate>,
+    /// The result.
+    pub calibration: Calibration,
+}
+
+/// A judge of calibrations.
+pub trait Validate: Send + Sync {
+    /// The files that it reads.
+    fn inputs(&self) -> Vec<InputFile>;
+
+    /// The observations that its settings name: (setting, stage).
+    fn observations(&self) -> Vec<(&'static str, String)> {
+        Vec::new()
+    }
+
+    /// Figures and limits for the given fits; `data` are the data sets of the stages under `from`, if any.
+    fn validate(&self, fits: &[&Fit], data: &[&Dataset]) -> Result<Findings>;
+}
+
+/// A file to be written, whole or not at all.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct ExportedFile {
+    /// Its name inside the folder of the run.
+    pub name: String,
+    /// Its content.
+    pub content: Vec<u8>,
+}
+
+/// A writer of what others take: controllers, spreadsheets.
+pub trait Export: Send + Sync {
+    /// The files that it reads.
+    fn inputs(&self) -> Vec<InputFile>;
+
+    /// The files for a calibration; `model` is the calibration's own.
+    fn export(&self, calibration: &Calibration, model: &dyn KinematicModel) -> Result<Vec<ExportedFile>>;
+}

@@ -1,0 +1,86 @@
+//! What a validator found: figures, their limits, pass or fail.
+
+use serde::{Deserialize, Serialize};
+
+/// One figure of a verdict.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct Figure {
+    /// The estimate that the figure is about, where there are several.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub of: Option<String>,
+    /// What the figure is, e.g. `max` or `rms[group=5]`.
+    pub name: String,
+    /// Its value; a figure that could not be computed is null and fails its limit.
+    pub value: Option<f64>,
+    /// Unit of value and limit.
+    pub unit: String,
+    /// The largest admissible value.
+    #[serde(default)]
+    pub limit: Option<f64>,
+    /// A detail that a summary for people leaves out (one of many of its kind).
+    #[serde(default, skip_serializing_if = "std::ops::Not::not")]
+    pub detail: bool,
+}
+
+impl Figure {
+    /// A figure of one estimate, without a limit.
+    pub fn new(of: &str, name: impl Into<String>, value: f64, unit: &str) -> Self {
+        Self {
+            of: Some(of.to_owned()),
+            name: name.into(),
+            value: value.is_finite().then_some(value),
+            unit: unit.to_owned(),
+            limit: None,
+            detail: false,
+        }
+    }
+
+    /// Marks it as a detail.
+    pub fn detail(mut self) -> Self {
+        self.detail = true;
+        self
+    }
+
+    /// Whether the figure keeps its limit; without a limit it does.
+    pub fn passes(&self) -> bool {
+        self.limit.is_none_or(|limit| self.value.is_some_and(|value| value <= limit))
+    }
+}
+
+/// What a validator hands back.
+#[derive(Debug, Clone, PartialEq, Default)]
+pub struct Findings {
+    /// The figures, most important first.
+    pub figures: Vec<Figure>,
+    /// What people should be told besides: sentences.
+    pub remarks: Vec<String>,
+}
+
+/// The verdict of one validate stage, as it stands in `verdicts.json`.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct Verdict {
+    /// Name of the stage.
+    pub stage: String,
+    /// Name of its plugin.
+    pub plugin: String,
+    /// Whether every figure keeps its limit.
+    pub pass: bool,
+    /// The figures.
+    pub figures: Vec<Figure>,
+    /// What people should be told besides.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub remarks: Vec<String>,
+}
+
+impl Verdict {
+    /// Judges findings: they pass if every figure keeps its limit.
+    pub fn new(stage: &str, plugin: &str, findings: Findings) -> Self {
+        Self {
+            stage: stage.to_owned(),
+            plugin: plugin.to_owned(),
+            pass: findings.figures.iter().all(Figure::passes),
+            figures: findings.figures,
+            remarks: findings.remarks,
+        }
+    }
+}

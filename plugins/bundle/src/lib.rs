@@ -1,0 +1,13 @@
+//! The one list of plugins that the stock binary links.
+//!
+//! A plugin crate that nothing names is left out by the linker, and its registration with it; naming it here is what
+//! makes it part of Abbe. A new built-in plugin is a new folder under `plugins/` and one line below.
+
+use abbe_balls as _;
+use abbe_exporters as _;
+use abbe_facets as _;
+use abbe_gauss_newton as _;
+use abbe_ingest as _;
+use abbe_length as _;
+use abbe_serial_chain as _;
+use abbe_validators as _;
