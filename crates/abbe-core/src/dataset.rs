@@ -1,6 +1,6 @@
 //! Data sets: named columns, one row a measurement.
 
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 
 use crate::error::{Error, Result};
 use crate::unit::Quantity;
@@ -118,7 +118,7 @@ pub(crate) fn missing_column(file: Option<&PathBuf>, name: &str, headers: &[Colu
     let error = Error::usage(format!("there is no column `{name}`; the columns are {}", list(headers)))
         .suggest(name, headers.iter().map(|header| header.header.as_str()));
     match file {
-        Some(file) => error.at(Path::new(file), 1, None),
+        Some(file) => error.in_file(file),
         None => error,
     }
 }

@@ -31,9 +31,9 @@ pub use error::{Class, Error, Place, Result, nearest};
 pub use model::{
     Absent, Axis, AxisKind, Branch, ErrorFunction, KinematicModel, Parameter, Poses, StatusColumn, Variable,
 };
-pub use observations::{Contact, Equations, Feature, KnownInput, Observations, PoseValues, Row, Target};
+pub use observations::{Contact, Equations, Feature, KnownInput, Layout, Observations, PoseValues, Row, Target};
 pub use pattern::matches;
-pub use pose_table::{ColumnNaming, PoseTable, plain_naming, pose_columns};
+pub use pose_table::{ColumnNaming, PoseTable, StatusSource, plain_naming, pose_columns};
 pub use problem::{Block, ObservationSet, Owner, Problem, Unknown};
 pub use registry::{Build, Constructor, Context, Kind, Origin, Plugin, Provider, Registry};
 pub use settings::{Label, PathItem, SettingsError, from_settings, path_text, schema_of};

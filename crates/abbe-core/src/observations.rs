@@ -3,8 +3,9 @@
 use std::sync::Arc;
 
 use crate::dataset::Dataset;
-use crate::model::Parameter;
-use crate::pose_table::PoseTable;
+use crate::error::Result;
+use crate::model::{KinematicModel, Parameter};
+use crate::pose_table::{ColumnNaming, PoseTable, StatusSource, pose_columns};
 
 /// A named number that is not estimated but whose uncertainty all rows that use it share.
 #[derive(Debug, Clone, PartialEq)]
@@ -20,7 +21,7 @@ pub struct KnownInput {
 /// One measurement: which poses it ties in which equations, and the data row that it comes from.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Row {
-    /// First of its poses in [`Observations::poses`].
+    /// First of its poses in [`Layout::poses`].
     pub first_pose: usize,
     /// How many poses it ties: none (a calibrated distance between features), one or several.
     pub poses: usize,
@@ -118,25 +119,81 @@ impl Equations {
     }
 }
 
+/// The rows of some observations: the part that is alike for all artefacts.
+#[derive(Debug, Clone)]
+pub struct Layout {
+    /// The data set.
+    pub data: Arc<Dataset>,
+    /// The rows, each with its poses and equations.
+    pub rows: Vec<Row>,
+    /// The statuses of all poses.
+    pub poses: PoseTable,
+    /// Standard uncertainty of every equation, mm or rad.
+    pub standard_uncertainties: Vec<f64>,
+    sources: Vec<Vec<StatusSource>>,
+}
+
+impl Layout {
+    /// A layout without rows for a data set whose rows have one pose for each of `namings`.
+    ///
+    /// Fails as [`pose_columns`] does.
+    pub fn new(data: &Arc<Dataset>, model: &dyn KinematicModel, namings: &[ColumnNaming<'_>]) -> Result<Self> {
+        let headers = data.headers();
+        let sources = namings.iter().map(|naming| pose_columns(&headers, data.files.first(), model, naming));
+        Ok(Self {
+            data: data.clone(),
+            rows: Vec::new(),
+            poses: PoseTable::new(model),
+            standard_uncertainties: Vec::new(),
+            sources: sources.collect::<Result<_>>()?,
+        })
+    }
+
+    /// Adds a measured row: one equation for each of `standard_uncertainties`.
+    pub fn push(&mut self, model: &dyn KinematicModel, data_row: usize, standard_uncertainties: &[f64]) -> Result<()> {
+        let first_pose = self.poses.len();
+        for sources in &self.sources {
+            self.poses.push(&self.data, data_row, model, sources)?;
+        }
+        self.add(first_pose, self.sources.len(), Some(data_row), standard_uncertainties);
+        Ok(())
+    }
+
+    /// Adds a constraint without poses: something known of the artefact that was not measured here.
+    pub fn push_constraint(&mut self, standard_uncertainties: &[f64]) {
+        self.add(self.poses.len(), 0, None, standard_uncertainties);
+    }
+
+    fn add(&mut self, first_pose: usize, poses: usize, data_row: Option<usize>, standard_uncertainties: &[f64]) {
+        let (first_equation, equations) = (self.standard_uncertainties.len(), standard_uncertainties.len());
+        self.standard_uncertainties.extend_from_slice(standard_uncertainties);
+        self.rows.push(Row { first_pose, poses, first_equation, equations, data_row });
+    }
+
+    /// The column (without unit) in which pose `pose` of a row records a status; none if it is not recorded.
+    pub fn recorded(&self, pose: usize, status: usize) -> Option<&str> {
+        match self.sources.get(pose)?.get(status)? {
+            StatusSource::Column(name) => Some(name),
+            StatusSource::Taken(_) => None,
+        }
+    }
+}
+
 /// The observations that an artefact made of a data set. Immutable; used from several threads at once.
 pub trait Observations: Send + Sync {
-    /// The data set.
-    fn data(&self) -> &Arc<Dataset>;
-
-    /// The rows, each with its poses and equations.
-    fn rows(&self) -> &[Row];
-
-    /// The statuses of all poses.
-    fn poses(&self) -> &PoseTable;
+    /// The data set, the rows with their poses and equations, and how uncertain each equation is.
+    fn layout(&self) -> &Layout;
 
     /// Own unknowns, with own names (`facet[7].d`).
     fn unknowns(&self) -> &[Parameter];
 
+    /// Start values of the own unknowns; zero unless said otherwise.
+    fn start(&self) -> Vec<f64> {
+        vec![0.0; self.unknowns().len()]
+    }
+
     /// Known inputs.
     fn inputs(&self) -> &[KnownInput];
-
-    /// Standard uncertainty of every equation, mm or rad.
-    fn standard_uncertainties(&self) -> &[f64];
 
     /// Whether the equations depend on tool orientations.
     fn needs_orientation(&self) -> bool {
@@ -151,7 +208,4 @@ pub trait Observations: Send + Sync {
 
     /// What gives way when a row is really measured.
     fn contact(&self) -> Contact;
-
-    /// The column (without unit) in which pose `pose` of a row records a status; none if it is not recorded.
-    fn recorded(&self, pose: usize, status: usize) -> Option<&str>;
 }

@@ -4,7 +4,7 @@ use std::path::PathBuf;
 
 use crate::dataset::{ColumnHeader, Dataset, Values, missing_column};
 use crate::error::{Error, Result};
-use crate::model::{Absent, AxisKind, KinematicModel, StatusColumn};
+use crate::model::{Absent, Axis, AxisKind, KinematicModel, StatusColumn};
 use crate::unit::Quantity;
 
 /// Statuses of poses, row by row, in the column order of the model that they were gathered for.
@@ -14,15 +14,25 @@ pub struct PoseTable {
     values: Vec<f64>,
 }
 
-/// Which column (without unit) holds a status: the names to try, the first that is there is taken.
-pub type ColumnNaming<'a> = &'a dyn Fn(&StatusColumn) -> Vec<String>;
+/// Which column (without unit) holds a status, given the axis whose command it is, if it is one: the names to try (the
+/// first that is there is taken) and what it means if none is there.
+pub type ColumnNaming<'a> = &'a dyn Fn(&StatusColumn, Option<&Axis>) -> (Vec<String>, Absent);
 
 /// Columns are named as the statuses are.
-pub fn plain_naming(status: &StatusColumn) -> Vec<String> {
-    vec![status.name.clone()]
+pub fn plain_naming(status: &StatusColumn, _: Option<&Axis>) -> (Vec<String>, Absent) {
+    (vec![status.name.clone()], status.absent)
 }
 
-/// Finds the column of every status of the model among `headers`; `None` where it is absent and may be.
+/// A status and the column that holds it; `Absent::Taken` where there is none.
+#[derive(Debug, Clone, PartialEq)]
+pub enum StatusSource {
+    /// Name of the column, without unit.
+    Column(String),
+    /// The value taken for every row.
+    Taken(f64),
+}
+
+/// Finds the column of every status of the model among `headers`.
 ///
 /// Fails for an axis without a column, a column without unit and a column with the unit of another quantity.
 pub fn pose_columns(
@@ -30,17 +40,20 @@ pub fn pose_columns(
     file: Option<&PathBuf>,
     model: &dyn KinematicModel,
     naming: ColumnNaming<'_>,
-) -> Result<Vec<Option<String>>> {
+) -> Result<Vec<StatusSource>> {
+    let place = |error: Error| match file {
+        Some(file) => error.in_file(file),
+        None => error,
+    };
     let mut columns = Vec::new();
-    for status in model.status() {
-        let names = naming(status);
+    for (index, status) in model.status().iter().enumerate() {
+        let axis = model.axes().iter().find(|axis| axis.status == index);
+        let (names, absent) = naming(status, axis);
         let found = names.iter().find_map(|name| headers.iter().find(|header| header.name == *name));
-        let place = |error: Error| match file {
-            Some(file) => error.at(file, 1, None),
-            None => error,
-        };
-        match (found, status.absent) {
-            (Some(header), _) if header.quantity == status.quantity => columns.push(Some(header.name.clone())),
+        match (found, absent) {
+            (Some(header), _) if header.quantity == status.quantity => {
+                columns.push(StatusSource::Column(header.name.clone()));
+            }
             (Some(header), _) if header.quantity == Quantity::Label => {
                 let written = format!("{}{}", header.name, status.quantity.usual_suffix());
                 return Err(place(
@@ -49,20 +62,19 @@ pub fn pose_columns(
                 ));
             }
             (Some(header), _) => {
-                let axis = model.axes().iter().find(|axis| axis.name == status.name);
                 let what = match axis.map(|axis| axis.kind) {
                     Some(AxisKind::Linear) => format!("{} is a linear axis, a length", status.name),
                     Some(AxisKind::Rotary) => format!("{} is a rotary axis, an angle", status.name),
-                    None => format!("{} is in {}", status.name, status.quantity.symbol()),
+                    None => format!("`{}` is in {}; that", status.name, status.quantity.symbol()),
                 };
                 return Err(place(Error::usage(format!(
                     "the column `{}` has the wrong unit: {what} was expected",
                     header.header
                 ))));
             }
-            (None, Absent::Taken(_)) => columns.push(None),
+            (None, Absent::Taken(value)) => columns.push(StatusSource::Taken(value)),
             (None, Absent::Refused) => {
-                let name = format!("{}{}", names[0], status.quantity.usual_suffix());
+                let name = format!("{}{}", names.first().unwrap_or(&status.name), status.quantity.usual_suffix());
                 return Err(missing_column(file, &name, headers));
             }
         }
@@ -82,15 +94,16 @@ impl PoseTable {
         data: &Dataset,
         row: usize,
         model: &dyn KinematicModel,
-        columns: &[Option<String>],
+        columns: &[StatusSource],
     ) -> Result<()> {
-        for (status, column) in model.status().iter().zip(columns) {
-            let value = match (column, status.absent) {
-                (None, Absent::Taken(value)) => value,
-                (None, Absent::Refused) => {
-                    return Err(missing_column(data.files.first(), &status.name, &data.headers()));
-                }
-                (Some(name), _) => match data.column(name).map(|column| &column.values) {
+        for (status, source) in model.status().iter().zip(columns) {
+            let value = match source {
+                StatusSource::Taken(value) => *value,
+                StatusSource::Column(name) => match data.column(name).map(|column| &column.values) {
+                    Some(Values::Numbers(numbers)) if status.name.starts_with("dir_") && numbers[row].abs() != 1.0 => {
+                        let message = format!("`{name}` is {}; +1 or -1 was expected", numbers[row]);
+                        return Err(data.error_at(row, message));
+                    }
                     Some(Values::Numbers(numbers)) => numbers[row],
                     Some(Values::Labels(labels)) => {
                         status.levels.iter().position(|level| *level == labels[row]).map_or(f64::NAN, |i| i as f64)
@@ -98,12 +111,6 @@ impl PoseTable {
                     None => return Err(missing_column(data.files.first(), name, &data.headers())),
                 },
             };
-            if status.name.starts_with("dir_") && ![-1.0, 0.0, 1.0].contains(&value) {
-                return Err(data.error_at(
-                    row,
-                    format!("`{}` is {value}; +1 or -1 was expected", column.as_deref().unwrap_or("")),
-                ));
-            }
             self.values.push(value);
         }
         Ok(())

@@ -42,20 +42,20 @@ impl ObservationSet {
     pub fn new(name: &str, observations: Arc<dyn Observations>) -> Self {
         Self {
             name: name.to_owned(),
-            rows: (0..observations.rows().len()).collect(),
+            rows: (0..observations.layout().rows.len()).collect(),
             inputs: observations.inputs().iter().map(|input| input.value).collect(),
-            own: vec![0.0; observations.unknowns().len()],
+            own: observations.start(),
             moved: None,
             observations,
         }
     }
 
     fn poses(&self) -> &PoseTable {
-        self.moved.as_deref().unwrap_or_else(|| self.observations.poses())
+        self.moved.as_deref().unwrap_or_else(|| &self.observations.layout().poses)
     }
 
     fn equations(&self, rows: &[usize]) -> usize {
-        rows.iter().map(|&row| self.observations.rows()[row].equations).sum()
+        rows.iter().map(|&row| self.observations.layout().rows[row].equations).sum()
     }
 }
 
@@ -243,8 +243,8 @@ impl Problem {
     pub fn standard_uncertainties(&self) -> Vec<f64> {
         let mut all = Vec::with_capacity(self.equations());
         for set in &self.sets {
-            let uncertainties = set.observations.standard_uncertainties();
-            for row in set.rows.iter().map(|&row| &set.observations.rows()[row]) {
+            let uncertainties = &set.observations.layout().standard_uncertainties;
+            for row in set.rows.iter().map(|&row| &set.observations.layout().rows[row]) {
                 all.extend_from_slice(&uncertainties[row.first_equation..row.first_equation + row.equations]);
             }
         }
@@ -256,7 +256,7 @@ impl Problem {
         let mut all = Vec::with_capacity(self.equations());
         for (index, set) in self.sets.iter().enumerate() {
             for &row in &set.rows {
-                all.extend(std::iter::repeat_n((index, row), set.observations.rows()[row].equations));
+                all.extend(std::iter::repeat_n((index, row), set.observations.layout().rows[row].equations));
             }
         }
         all
@@ -265,8 +265,8 @@ impl Problem {
     /// Where a row was read.
     pub fn origin(&self, set: usize, row: usize) -> Option<(&std::path::Path, RowOrigin)> {
         let observations = &self.sets[set].observations;
-        let data = observations.data();
-        let origin = data.origins[observations.rows()[row].data_row?];
+        let data = &observations.layout().data;
+        let origin = data.origins[observations.layout().rows[row].data_row?];
         Some((&data.files[origin.file], origin))
     }
 
@@ -337,7 +337,7 @@ impl Problem {
         let set = &self.sets[set];
         let orientation = set.observations.needs_orientation();
         work.statuses.clear();
-        for row in rows.iter().map(|&row| &set.observations.rows()[row]) {
+        for row in rows.iter().map(|&row| &set.observations.layout().rows[row]) {
             for pose in row.first_pose..row.first_pose + row.poses {
                 work.statuses.extend_from_slice(set.poses().row(pose));
             }
@@ -424,7 +424,7 @@ impl Workspace {
         mut add: impl FnMut(usize, &[[f64; 3]], &[f64; 3]),
     ) {
         let (mut equation, mut weight, mut first_pose) = (0, 0, 0);
-        for row in rows.iter().map(|&row| &set.observations.rows()[row]) {
+        for row in rows.iter().map(|&row| &set.observations.layout().rows[row]) {
             for _ in 0..row.equations {
                 for pose in first_pose..first_pose + row.poses {
                     let range = pose * variables..(pose + 1) * variables;
@@ -462,7 +462,7 @@ impl Workspace {
             return 0.0; // Orientations are not touched into place by linear axes.
         }
         let (mut equation, mut entry, mut largest) = (0, 0, 0.0_f64);
-        for row in rows.iter().map(|&row| &set.observations.rows()[row]) {
+        for row in rows.iter().map(|&row| &set.observations.layout().rows[row]) {
             let free = row.poses * count;
             let gradient = DMatrix::from_row_slice(
                 row.equations,

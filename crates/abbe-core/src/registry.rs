@@ -66,12 +66,15 @@ impl Context {
     }
 }
 
+/// The function that a loaded plugin is built with.
+type DynamicBuild<T> = dyn Fn(&Value, &Context) -> Result<Box<T>, SettingsError> + Send + Sync;
+
 /// Builds a stage from its settings.
 pub enum Constructor<T: ?Sized> {
     /// Of a built-in plugin.
     Static(fn(&Value, &Context) -> Result<Box<T>, SettingsError>),
     /// Of a loaded one.
-    Dynamic(Arc<dyn Fn(&Value, &Context) -> Result<Box<T>, SettingsError> + Send + Sync>),
+    Dynamic(Arc<DynamicBuild<T>>),
 }
 
 impl<T: ?Sized> Constructor<T> {
@@ -189,7 +192,7 @@ pub struct Registry {
 
 enum Entry {
     BuiltIn(&'static Plugin),
-    Loaded(Plugin),
+    Loaded(Box<Plugin>),
 }
 
 impl Entry {
@@ -213,7 +216,7 @@ impl Registry {
 
     /// Adds a loaded plugin; a name that is taken is refused.
     pub fn add(&mut self, plugin: Plugin) -> Result<()> {
-        self.insert(Entry::Loaded(plugin))
+        self.insert(Entry::Loaded(Box::new(plugin)))
     }
 
     fn insert(&mut self, entry: Entry) -> Result<()> {

@@ -46,7 +46,7 @@ impl Quantity {
     /// Splits a column name such as `X_mm` into its base name, its quantity and the factor to the unit in memory.
     ///
     /// Names without a unit are labels, except the dimensionless numbers that the conventions list (`dir_*`, `meas_*`,
-    /// components of normals and quaternions).
+    /// components of unit vectors and quaternions).
     pub fn of_column(header: &str) -> (&str, Self, f64) {
         for (suffix, quantity, factor) in SUFFIXES {
             if let Some(base) = header.strip_suffix(suffix)
@@ -56,7 +56,7 @@ impl Quantity {
             }
         }
         let number = ["dir_", "dir1_", "dir2_", "meas_"].iter().any(|prefix| header.starts_with(prefix))
-            || ["nx", "ny", "nz", "qw", "qx", "qy", "qz"].contains(&header);
+            || ["nx", "ny", "nz", "qw", "qx", "qy", "qz", "ux", "uy", "uz", "vx", "vy", "vz"].contains(&header);
         (header, if number { Self::Ratio } else { Self::Label }, 1.0)
     }
 

@@ -1,1 +1,337 @@
-//! Placeholder.
+//! Recipes in YAML: a checked graph of stages, errors that point at line and column, and a JSON Schema for editors.
+//!
+//! **Architecture invariant:** no other crate knows YAML, and this one reads nothing but recipes and the YAML files
+//! that the `file` settings of model stages name. No stage is built here: its settings go on as JSON values, and what
+//! its plugin says about them comes back to be given its place ([`Recipe::settings_error`]).
+
+mod document;
+mod graph;
+mod schema;
+mod sets;
+#[cfg(test)]
+mod tests;
+
+use std::collections::BTreeMap;
+use std::path::{Path, PathBuf};
+
+use abbe_core::{Error, Kind, PathItem, Place, Plugin, Registry, SettingsError, nearest, path_text};
+use serde_json::{Map, Value};
+
+use document::{At, Document, Node};
+pub use schema::schema;
+use sets::Sets;
+
+/// The version of recipes that this program reads.
+const VERSION: u64 = 1;
+
+/// A recipe whose references are right; the settings of its stages are still to be judged by the plugins.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Recipe {
+    /// The file.
+    pub path: PathBuf,
+    /// Its folder, where relative paths start.
+    pub base: PathBuf,
+    /// Its text.
+    pub text: String,
+    /// Title for people.
+    pub name: String,
+    /// Name of the file without extension, which names the folder of results.
+    pub id: String,
+    /// The stages, each after those that it refers to.
+    pub stages: Vec<Stage>,
+    /// Libraries with more plugins.
+    pub libraries: Vec<Library>,
+    document: Document,
+    origins: BTreeMap<String, Origin>,
+}
+
+/// One stage.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Stage {
+    /// Its name.
+    pub name: String,
+    /// Its kind.
+    pub kind: Kind,
+    /// The plugin that does the work.
+    pub plugin: String,
+    /// The plugin's settings, an object: sets are expanded, a model's file is merged in.
+    pub settings: Value,
+    /// The names of stages under each reference key, as in the recipe.
+    pub references: BTreeMap<String, Vec<String>>,
+    /// The YAML files that were merged in.
+    pub files: Vec<PathBuf>,
+}
+
+impl Stage {
+    /// The stages named under `key`; none if there is no such key.
+    pub fn reference(&self, key: &str) -> &[String] {
+        self.references.get(key).map_or(&[], Vec::as_slice)
+    }
+}
+
+/// A library with plugins that a recipe asks for.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct Library {
+    /// Its file, as it can be opened.
+    pub path: PathBuf,
+    /// The SHA-256 that the file has to have, as written.
+    pub sha256: Option<String>,
+    /// Where the recipe names it.
+    pub place: Option<Place>,
+}
+
+/// Where settings come from that do not stand in the recipe as the plugin sees them.
+#[derive(Debug, Clone, PartialEq)]
+struct Origin {
+    /// The file of a model.
+    file: Option<Document>,
+    /// The way in the recipe to each of the expanded `parameters`.
+    parameters: Vec<Vec<PathItem>>,
+}
+
+/// A stage whose kind and plugin are known.
+struct Head<'a> {
+    name: &'a str,
+    node: Node<'a>,
+    plugin: &'a Plugin,
+}
+
+impl Recipe {
+    /// Reads a recipe and the YAML files that its models name.
+    ///
+    /// Fails with the place, what was expected and the nearest valid spelling on anything that can be wrong in a recipe
+    /// apart from the plugins' own settings.
+    pub fn read(path: &Path, registry: &Registry) -> Result<Self, Error> {
+        Self::parse(path, &read_text(path)?, registry)
+    }
+
+    /// Like [`Recipe::read`], of a text that is to be treated as the file at `path`.
+    pub fn parse(path: &Path, text: &str, registry: &Registry) -> Result<Self, Error> {
+        let document = Document::parse(path, text)?;
+        let base = path.parent().unwrap_or(Path::new("")).to_owned();
+        let id = path.file_stem().map_or_else(|| "recipe".into(), |stem| stem.to_string_lossy().into_owned());
+        let root = document.root();
+        check_top(&root)?;
+        let name = root.get("name").map(|node| node.text()).transpose()?.unwrap_or(&id).to_owned();
+        let libraries = libraries(&root, &base)?;
+        let sets = Sets::read(&root)?;
+        let heads = heads(&root, registry)?;
+        let mut ready = Vec::new();
+        let mut nodes = Vec::new();
+        let mut origins = BTreeMap::new();
+        for head in &heads {
+            let (stage, origin, named) = head.read(&heads, &sets, &base).map_err(|error| error.stage(head.name))?;
+            ready.push(Some(stage));
+            nodes.push(named);
+            origins.insert(head.name.to_owned(), origin);
+        }
+        let stages = graph::order(&heads, &nodes)?.into_iter().filter_map(|index| ready[index].take()).collect();
+        Ok(Self { path: path.to_owned(), base, text: text.to_owned(), name, id, stages, libraries, document, origins })
+    }
+
+    /// The libraries that a recipe asks for. Nothing else of it is checked: its stages may need their plugins.
+    pub fn libraries(path: &Path, text: &str) -> Result<Vec<Library>, Error> {
+        libraries(&Document::parse(path, text)?.root(), path.parent().unwrap_or(Path::new("")))
+    }
+
+    /// Gives an error that names a stage (and a setting) its file, line and column, unless it has a place.
+    pub fn locate(&self, error: Error) -> Error {
+        match (&error.place, error.stage.clone()) {
+            (None, Some(stage)) => {
+                let setting = error.setting.clone();
+                self.place(error, &stage, &setting, At::Value)
+            }
+            _ => error,
+        }
+    }
+
+    /// What a plugin says about the settings of a stage, with its place: the wrong key, the wrong value or, if a
+    /// setting is missing, the name of the stage.
+    pub fn settings_error(&self, stage: &str, error: SettingsError) -> Error {
+        let at = if error.key { At::Key } else { At::Value };
+        let message = match path_text(&error.path) {
+            name if error.key || name.is_empty() => error.message.clone(),
+            name => format!("{name}: {}", error.message),
+        };
+        let mut located = self.place(Error::usage(message).stage(stage), stage, &error.path, at);
+        located.help = self.reference_near(stage, &error).or(error.help);
+        located.setting = error.path;
+        located
+    }
+
+    /// The nearest key that a plugin cannot suggest, since the recipe takes it away before the plugin sees it.
+    fn reference_near(&self, stage: &str, error: &SettingsError) -> Option<String> {
+        let ([PathItem::Key(key)], true) = (error.path.as_slice(), error.key) else { return None };
+        let kind = self.stages.iter().find(|other| other.name == stage)?.kind;
+        let file = (kind == Kind::Model).then_some("file");
+        let near = nearest(key, graph::references(kind).iter().map(|reference| reference.key).chain(file))?;
+        Some(format!("did you mean `{near}`?"))
+    }
+
+    fn place(&self, error: Error, stage: &str, setting: &[PathItem], at: At) -> Error {
+        let Some(origin) = self.origins.get(stage) else { return error.in_file(&self.path) };
+        if let [PathItem::Key(key), PathItem::Index(index), ..] = setting
+            && key == "parameters"
+            && let Some(path) = origin.parameters.get(*index)
+        {
+            return self.document.locate(error, path, at);
+        }
+        let path = [&[PathItem::Key("stages".to_owned()), PathItem::Key(stage.to_owned())], setting].concat();
+        let known = self.document.known(&path);
+        // A map of the recipe is merged with that of the file; anything else, and all in a list, replaces the file's.
+        let merged = known < path.len()
+            && path[..known].iter().all(|item| matches!(item, PathItem::Key(_)))
+            && self.document.get(&path[..known]).is_some_and(Value::is_object);
+        match &origin.file {
+            Some(file) if merged && file.known(setting) + 2 > known => file.locate(error, setting, at),
+            _ if known <= 2 => self.document.locate(error, &path[..2], At::Key),
+            _ => self.document.locate(error, &path, at),
+        }
+    }
+}
+
+fn read_text(path: &Path) -> Result<String, Error> {
+    std::fs::read_to_string(path).map_err(|error| {
+        let message = match error.kind() {
+            std::io::ErrorKind::NotFound => format!("the file `{}` does not exist", path.display()),
+            _ => format!("the file `{}` cannot be read: {error}", path.display()),
+        };
+        Error::usage(message)
+    })
+}
+
+/// The version first: what other versions look like is not for this one to judge.
+fn check_top(root: &Node<'_>) -> Result<(), Error> {
+    root.map()?;
+    let expected = format!("this program reads recipes of version {VERSION}");
+    let Some(version) = root.get("abbe") else {
+        return Err(root.missing(&["abbe"], format!("the key `abbe` is missing: {expected}, `abbe: {VERSION}`")));
+    };
+    if version.value.as_u64() != Some(VERSION) {
+        return Err(version.error(At::Value, format!("{expected}, not {}", version.value)));
+    }
+    root.only(&["abbe", "name", "sets", "plugins", "stages"])
+}
+
+fn libraries(root: &Node<'_>, base: &Path) -> Result<Vec<Library>, Error> {
+    let Some(plugins) = root.get("plugins") else { return Ok(Vec::new()) };
+    let library = |node: Node<'_>| {
+        node.only(&["path", "sha256"])?;
+        let missing = || node.missing(&["path"], "`path` is missing: the file of the library");
+        let path = node.get("path").ok_or_else(missing)?;
+        let sha256 = node.get("sha256").map(|pin| pin.text().map(str::to_owned)).transpose()?;
+        Ok(Library { path: base.join(path.text()?), sha256, place: path.error(At::Value, "").place })
+    };
+    plugins.list()?.into_iter().map(library).collect()
+}
+
+fn heads<'a>(root: &Node<'a>, registry: &'a Registry) -> Result<Vec<Head<'a>>, Error> {
+    let Some(stages) = root.get("stages") else { return Err(root.error(At::Value, "the key `stages` is missing")) };
+    let heads: Result<Vec<_>, Error> = stages
+        .map()?
+        .into_iter()
+        .map(|(name, node)| {
+            if name.is_empty() || !name.chars().all(|c| c.is_alphanumeric() || c == '-' || c == '_') {
+                let message = format!("`{name}` cannot name a stage: letters, digits, `-` and `_` were expected");
+                return Err(node.error(At::Key, message));
+            }
+            let plugin = plugin(&node, registry).map_err(|error| error.stage(name))?;
+            Ok(Head { name, node, plugin })
+        })
+        .collect();
+    heads.and_then(|heads| match heads.is_empty() {
+        true => Err(stages.error(At::Value, "stages: at least one stage was expected")),
+        false => Ok(heads),
+    })
+}
+
+/// The plugin that the one kind key of a stage names.
+fn plugin<'a>(stage: &Node<'_>, registry: &'a Registry) -> Result<&'a Plugin, Error> {
+    let keys = stage.map()?;
+    let kinds: Vec<_> = keys
+        .iter()
+        .filter_map(|(key, node)| Some((Kind::ALL.into_iter().find(|kind| kind.key() == *key)?, node)))
+        .collect();
+    match kinds.as_slice() {
+        [(kind, node)] => registry.find(*kind, node.text()?).map_err(|error| {
+            let refused = node.error(At::Value, error.message);
+            if let Some(help) = error.help { refused.help(help) } else { refused }
+        }),
+        [] => {
+            let all = Kind::ALL.map(Kind::key);
+            Err(stage.missing(&all, format!("one of the keys {} was expected: the kind of the stage", all.join(", "))))
+        }
+        [(first, _), (second, node), ..] => {
+            Err(node.error(At::Key, format!("a stage is of one kind; this one has `{first}` and `{second}`")))
+        }
+    }
+}
+
+impl<'a> Head<'a> {
+    /// The stage, where its settings come from, and the places of its references.
+    fn read(&self, heads: &[Self], sets: &Sets<'a>, base: &Path) -> Result<(Stage, Origin, Vec<Node<'a>>), Error> {
+        let kind = self.plugin.kind();
+        let mut references = BTreeMap::new();
+        let mut nodes = Vec::new();
+        for reference in graph::references(kind) {
+            let named = reference.read(self, heads)?;
+            let names: Vec<String> = named.iter().filter_map(|node| node.value.as_str()).map(str::to_owned).collect();
+            if !names.is_empty() {
+                references.insert(reference.key.to_owned(), names);
+            }
+            nodes.extend(named);
+        }
+        let mut settings = Map::new();
+        let mut origin = Origin { file: None, parameters: Vec::new() };
+        for (key, node) in self.node.map()? {
+            if key == kind.key() || graph::references(kind).iter().any(|reference| reference.key == key) {
+                continue;
+            }
+            if kind == Kind::Model && key == "file" {
+                origin.file = Some(read_description(&node, base)?);
+            } else if kind == Kind::Estimate && key == "parameters" && node.value.is_array() {
+                let patterns = sets.expand(None, node.list()?)?;
+                settings.insert(key.to_owned(), patterns.iter().map(|pattern| pattern.value.clone()).collect());
+                origin.parameters = patterns.into_iter().map(|pattern| pattern.path).collect();
+            } else {
+                settings.insert(key.to_owned(), node.value.clone());
+            }
+        }
+        let mut settings = Value::Object(settings);
+        if let Some(Value::Object(mut described)) = origin.file.as_ref().map(|file| file.value.clone()) {
+            if let Some(known) = self.plugin.schema.get().get("properties") {
+                described.retain(|key, _| known.get(key).is_some()); // the rest are notes
+            }
+            settings = merge(Value::Object(described), settings);
+        }
+        let files = origin.file.iter().map(|file| file.file.clone()).collect();
+        let (name, plugin) = (self.name.to_owned(), self.plugin.name.to_string());
+        Ok((Stage { name, kind, plugin, settings, references, files }, origin, nodes))
+    }
+}
+
+/// The machine description that a `file` setting names.
+fn read_description(node: &Node<'_>, base: &Path) -> Result<Document, Error> {
+    let path = base.join(node.text()?);
+    let text = read_text(&path).map_err(|error| node.error(At::Value, error.message))?;
+    let document = Document::parse(&path, &text)?;
+    document.root().map()?;
+    Ok(document)
+}
+
+/// Maps are merged, anything else of `over` replaces what is `under` it.
+fn merge(under: Value, over: Value) -> Value {
+    match (under, over) {
+        (Value::Object(mut under), Value::Object(over)) => {
+            for (key, value) in over {
+                let value = match under.get_mut(&key) {
+                    Some(old) => merge(old.take(), value),
+                    None => value,
+                };
+                under.insert(key, value);
+            }
+            Value::Object(under)
+        }
+        (_, over) => over,
+    }
+}

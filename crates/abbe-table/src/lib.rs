@@ -1,1 +1,128 @@
-//! Placeholder.
+//! Reads CSV tables whose column names carry units.
+//!
+//! The format: UTF-8 (a byte order mark is tolerated), comma, one header row, `.` as decimal point. Lines that begin
+//! with `#` are comments, blank lines are skipped, white space around cells does not count, and lines may end in CRLF.
+//! A cell may be quoted, but stays on its line. What a column holds follows from its name
+//! ([`abbe_core::Quantity::of_column`]); numbers are converted to the unit used in memory.
+
+mod parse;
+
+use std::collections::BTreeMap;
+use std::fs::{self, File};
+use std::io::{self, BufReader};
+use std::path::{Path, PathBuf};
+
+use abbe_core::{Column, ColumnHeader, Dataset, Error, Quantity, Result, Values};
+
+pub use parse::number;
+
+/// Reads the columns of a file, not its rows.
+pub fn read_headers(path: &Path) -> Result<Vec<ColumnHeader>> {
+    let file = File::open(path).map_err(|error| unreadable(path, &error))?;
+    parse::headers(path, BufReader::new(file))
+}
+
+/// Reads a file.
+pub fn read(path: &Path) -> Result<Dataset> {
+    parse::dataset(path, &fs::read(path).map_err(|error| unreadable(path, &error))?)
+}
+
+fn unreadable(path: &Path, error: &io::Error) -> Error {
+    let message = match error.kind() {
+        io::ErrorKind::NotFound => "there is no such file".to_owned(),
+        _ => format!("the file cannot be read: {error}"),
+    };
+    Error::usage(message).in_file(path)
+}
+
+/// A column without rows.
+pub fn empty_column(header: ColumnHeader) -> Column {
+    let values = match header.quantity {
+        Quantity::Label => Values::Labels(Vec::new()),
+        _ => Values::Numbers(Vec::new()),
+    };
+    Column { header, values }
+}
+
+/// The labels of a column (named without unit) that has to be there.
+pub fn labels<'a>(data: &'a Dataset, name: &str) -> Result<&'a [String]> {
+    match data.column(name) {
+        Some(Column { header, values: Values::Numbers(_) }) => {
+            Err(wrong_column(data, format!("the column `{}` holds numbers; labels were expected", header.header)))
+        }
+        _ => data.required_labels(name),
+    }
+}
+
+/// The numbers of a column (named without unit) that has to be there and of that quantity.
+pub fn numbers<'a>(data: &'a Dataset, name: &str, quantity: Quantity) -> Result<&'a [f64]> {
+    let expected = format!("{name}{}", quantity.usual_suffix());
+    match data.column(name).map(|column| &column.header) {
+        // No column is named with its unit, so this gives the error that lists those that are there.
+        None => data.required_numbers(&expected),
+        Some(header) if header.quantity == quantity => data.required_numbers(name),
+        Some(header) if header.quantity == Quantity::Label => {
+            Err(wrong_column(data, format!("the column `{}` does not say its unit", header.header))
+                .help(format!("write its unit into its name: `{expected}`")))
+        }
+        Some(header) => {
+            let message =
+                format!("the column `{}` has the wrong unit; {} was expected", header.header, quantity.symbol());
+            Err(wrong_column(data, message))
+        }
+    }
+}
+
+/// Checks that columns (named without unit) are among those of a file, with the right quantity, before its rows are read.
+pub fn require(headers: &[ColumnHeader], file: Option<&PathBuf>, columns: &[(&str, Quantity)]) -> Result<()> {
+    let data = Dataset {
+        columns: headers.iter().cloned().map(empty_column).collect(),
+        origins: Vec::new(),
+        files: file.into_iter().cloned().collect(),
+    };
+    for (name, quantity) in columns {
+        match quantity {
+            Quantity::Label => labels(&data, name).map(drop)?,
+            _ => numbers(&data, name, *quantity).map(drop)?,
+        }
+    }
+    Ok(())
+}
+
+fn wrong_column(data: &Dataset, message: String) -> Error {
+    let error = Error::usage(message);
+    match data.files.first() {
+        Some(file) => error.in_file(file),
+        None => error,
+    }
+}
+
+/// The row of each label of a column in which no label may occur twice.
+pub fn unique_labels<'a>(data: &'a Dataset, name: &str) -> Result<BTreeMap<&'a str, usize>> {
+    let mut rows = BTreeMap::new();
+    for (row, label) in labels(data, name)?.iter().enumerate() {
+        if let Some(first) = rows.insert(label.as_str(), row) {
+            let line = data.origins[first].line;
+            return Err(data.error_at(row, format!("{name} `{label}` is in line {line} already")));
+        }
+    }
+    Ok(rows)
+}
+
+/// The points that three columns of lengths hold (`["x", "y", "z"]`), mm, one a row.
+pub fn points(data: &Dataset, names: [&str; 3]) -> Result<Vec<[f64; 3]>> {
+    triples(data, names, Quantity::Length)
+}
+
+/// The vectors that three dimensionless columns hold (`["nx", "ny", "nz"]`), one a row, as written.
+pub fn vectors(data: &Dataset, names: [&str; 3]) -> Result<Vec<[f64; 3]>> {
+    triples(data, names, Quantity::Ratio)
+}
+
+fn triples(data: &Dataset, [x, y, z]: [&str; 3], quantity: Quantity) -> Result<Vec<[f64; 3]>> {
+    let (x, y, z) = (numbers(data, x, quantity)?, numbers(data, y, quantity)?, numbers(data, z, quantity)?);
+    Ok(x.iter().zip(y).zip(z).map(|((&x, &y), &z)| [x, y, z]).collect())
+}
+
+#[cfg(test)]
+mod tests;

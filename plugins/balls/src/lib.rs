@@ -1,1 +1,355 @@
-//! Placeholder.
+//! Artefact plugin `balls`: balls touched with the machine's probe, or their centres fitted already.
+//!
+//! Equations: one touch `|p - P - c| - R - r = 0`; a fitted centre `p - P - c = 0` (three equations); a calibrated
+//! distance between two balls `|P2 + c2 - P1 - c1| - L = 0`. p is the tip and P the nominal centre in the table frame, c
+//! the ball's own offset, R its radius, r the effective stylus radius.
+
+use std::collections::BTreeMap;
+use std::path::PathBuf;
+use std::sync::Arc;
+
+use abbe_core::{
+    Artefact, Build, ColumnHeader, Constructor, Contact, Context, Dataset, Equations, Error, Feature, InputFile,
+    KinematicModel, KnownInput, Label, Layout, Observations, Parameter, PathItem, Plugin, PoseValues, Quantity, Result,
+    SettingsError, Target, Unit, inventory, plain_naming, pose_columns,
+};
+use nalgebra::Vector3;
+use schemars::JsonSchema;
+use serde::{Deserialize, Serialize};
+use serde_json::{Value, json};
+
+inventory::submit! {
+    Plugin::built_in(
+        "balls",
+        "touches on balls or their fitted centres, with calibrated distances between balls",
+        abbe_core::schema_of::<Settings>,
+        example,
+        Build::Artefact(Constructor::Static(build)),
+    )
+}
+
+/// Settings of the balls.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+struct Settings {
+    /// CSV file of the nominal balls: feature, x_mm, y_mm, z_mm, diameter_mm in the table frame.
+    nominal: String,
+    /// Standard uncertainty of one touch, or of each coordinate of a centre.
+    standard_uncertainty_um: f64,
+    /// What a data row is.
+    #[serde(default)]
+    rows: Rows,
+    /// Whether the radius of every ball is known or estimated (`ball[1].radius`, its deviation from nominal).
+    #[serde(default)]
+    radius: Radius,
+    /// Calibrated distances between centres.
+    #[serde(default)]
+    distances: Vec<Distance>,
+    /// Standard uncertainty of the effective stylus radius, shared by all touches.
+    #[serde(default)]
+    stylus_radius_standard_uncertainty_um: f64,
+}
+
+/// What a data row is.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize, JsonSchema)]
+#[serde(rename_all = "kebab-case")]
+enum Rows {
+    /// One touch.
+    #[default]
+    Touches,
+    /// The machine position with the tip at the centre of a ball.
+    Centres,
+}
+
+/// What is known of the radius.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize, JsonSchema)]
+#[serde(rename_all = "kebab-case")]
+enum Radius {
+    /// It is that of the nominal file.
+    #[default]
+    Known,
+    /// It is estimated.
+    Estimated,
+}
+
+/// A calibrated distance.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+struct Distance {
+    /// The two balls.
+    between: [Label; 2],
+    /// Distance of their centres.
+    length_mm: f64,
+    /// Its standard uncertainty.
+    standard_uncertainty_um: f64,
+}
+
+fn example() -> Value {
+    json!({
+        "nominal": "balls.csv",
+        "standard_uncertainty_um": 1.0,
+        "distances": [{ "between": [1, 2], "length_mm": 304.6686, "standard_uncertainty_um": 0.5 }],
+    })
+}
+
+fn build(settings: &Value, context: &Context) -> Result<Box<dyn Artefact>, SettingsError> {
+    let settings: Settings = abbe_core::from_settings(settings)?;
+    if !(settings.standard_uncertainty_um > 0.0 && settings.standard_uncertainty_um.is_finite()) {
+        return Err(SettingsError::new("standard_uncertainty_um", "a positive number was expected"));
+    }
+    for (index, distance) in settings.distances.iter().enumerate() {
+        let at = |error: SettingsError| error.under([PathItem::Key("distances".to_owned()), PathItem::Index(index)]);
+        if !(distance.length_mm > 0.0 && distance.length_mm.is_finite()) {
+            return Err(at(SettingsError::new("length_mm", "a positive length was expected")));
+        }
+        if !(distance.standard_uncertainty_um > 0.0 && distance.standard_uncertainty_um.is_finite()) {
+            return Err(at(SettingsError::new("standard_uncertainty_um", "a positive number was expected")));
+        }
+        if distance.between[0] == distance.between[1] {
+            return Err(at(SettingsError::new("between", "two different balls were expected")));
+        }
+    }
+    Ok(Box::new(Balls { nominal: context.path(&settings.nominal), settings }))
+}
+
+struct Balls {
+    nominal: PathBuf,
+    settings: Settings,
+}
+
+/// A nominal ball, table frame.
+#[derive(Debug, Clone, PartialEq)]
+struct Ball {
+    label: String,
+    centre: Vector3<f64>,
+    radius: f64,
+}
+
+impl Balls {
+    fn read_nominal(&self) -> Result<Vec<Ball>> {
+        let table = abbe_table::read(&self.nominal)?;
+        abbe_table::unique_labels(&table, "feature")?;
+        let labels = abbe_table::labels(&table, "feature")?;
+        let points = abbe_table::points(&table, ["x", "y", "z"])?;
+        let diameters = abbe_table::numbers(&table, "diameter", Quantity::Length)?;
+        let rows = labels.iter().zip(points).zip(diameters).enumerate();
+        rows.map(|(row, ((label, point), diameter))| {
+            if *diameter <= 0.0 {
+                return Err(table.error_at(row, format!("ball {label} has the diameter {diameter} mm")));
+            }
+            Ok(Ball { label: label.clone(), centre: Vector3::from(point), radius: diameter / 2.0 })
+        })
+        .collect()
+    }
+
+    /// The ball of every data row: by the column `feature`, or the only ball there is.
+    fn ball_of_rows(&self, data: &Dataset, nominal: &[Ball]) -> Result<Vec<Option<usize>>> {
+        if data.column("feature").is_none() && nominal.len() == 1 {
+            return Ok(vec![Some(0); data.rows()]);
+        }
+        let by_label: BTreeMap<&str, usize> =
+            nominal.iter().enumerate().map(|(index, ball)| (ball.label.as_str(), index)).collect();
+        Ok(abbe_table::labels(data, "feature")?.iter().map(|label| by_label.get(label.as_str()).copied()).collect())
+    }
+}
+
+impl Artefact for Balls {
+    fn inputs(&self) -> Vec<InputFile> {
+        vec![InputFile { setting: "nominal", path: self.nominal.clone() }]
+    }
+
+    fn check(&self, headers: &[ColumnHeader], file: Option<&PathBuf>, model: &dyn KinematicModel) -> Result<()> {
+        pose_columns(headers, file, model, &plain_naming)?;
+        let nominal = abbe_table::read_headers(&self.nominal)?;
+        let columns = [
+            ("feature", Quantity::Label),
+            ("x", Quantity::Length),
+            ("y", Quantity::Length),
+            ("z", Quantity::Length),
+            ("diameter", Quantity::Length),
+        ];
+        abbe_table::require(&nominal, Some(&self.nominal), &columns)
+    }
+
+    fn observe(&self, data: &Arc<Dataset>, model: &dyn KinematicModel) -> Result<Arc<dyn Observations>> {
+        let nominal = self.read_nominal()?;
+        let mut layout = Layout::new(data, model, &[&plain_naming])?;
+        let uncertainty = self.settings.standard_uncertainty_um * 1e-3;
+        let uncertainties = match self.settings.rows {
+            Rows::Touches => vec![uncertainty],
+            Rows::Centres => vec![uncertainty; 3],
+        };
+        let mut touched = Vec::new();
+        for (row, ball) in self.ball_of_rows(data, &nominal)?.into_iter().enumerate() {
+            if let Some(ball) = ball {
+                layout.push(model, row, &uncertainties)?;
+                touched.push(ball);
+            }
+        }
+        if touched.is_empty() {
+            let error = Error::data(format!("no row touches a ball of {}", self.nominal.display()));
+            return Err(error.help("`feature` in the data and in the nominal file have to agree"));
+        }
+        let mut kept = touched.clone();
+        kept.sort_unstable();
+        kept.dedup();
+        let ball_of_row = touched.iter().map(|ball| kept.binary_search(ball).unwrap_or_default()).collect();
+        let balls: Vec<Ball> = kept.iter().map(|&ball| nominal[ball].clone()).collect();
+
+        let mut unknowns = Vec::new();
+        let estimated = self.settings.radius == Radius::Estimated;
+        for ball in &balls {
+            for own in ["x", "y", "z", "radius"].iter().take(if estimated { 4 } else { 3 }) {
+                unknowns.push(Parameter { name: format!("ball[{}].{own}", ball.label), unit: Unit::MM });
+            }
+        }
+        let mut inputs = vec![KnownInput {
+            parameter: Parameter { name: "stylus_radius".to_owned(), unit: Unit::MM },
+            value: model.stylus_radius(),
+            standard_uncertainty: self.settings.stylus_radius_standard_uncertainty_um * 1e-3,
+        }];
+        let mut distances = Vec::new();
+        for distance in &self.settings.distances {
+            let find = |label: &Label| {
+                balls.iter().position(|ball| ball.label == label.0).ok_or_else(|| {
+                    Error::data(format!("`distances` names ball {}, which was not touched", label.0))
+                        .setting("distances")
+                        .suggest(&label.0, balls.iter().map(|ball| ball.label.as_str()))
+                })
+            };
+            let [from, to] = &distance.between;
+            distances.push((find(from)?, find(to)?));
+            layout.push_constraint(&[distance.standard_uncertainty_um * 1e-3]);
+            inputs.push(KnownInput {
+                parameter: Parameter { name: format!("length[{}-{}]", from.0, to.0), unit: Unit::MM },
+                value: distance.length_mm,
+                standard_uncertainty: 0.0, // It is the uncertainty of the equation that uses it.
+            });
+        }
+        let rows = self.settings.rows;
+        Ok(Arc::new(Touches { layout, unknowns, inputs, balls, ball_of_row, distances, rows, estimated }))
+    }
+
+    fn targets(&self, stylus_radius: f64) -> Result<Vec<Target>> {
+        // Four touches on the equator and one on the pole, the usual pattern (Rahman 2016, section 2.3.3.6).
+        let diagonal = std::f64::consts::FRAC_1_SQRT_2;
+        let outward = [(1.0, 1.0, 0.0), (-1.0, 1.0, 0.0), (-1.0, -1.0, 0.0), (1.0, -1.0, 0.0), (0.0, 0.0, 1.0)]
+            .map(|(x, y, z): (f64, f64, f64)| Vector3::new(diagonal * x, diagonal * y, z));
+        let mut targets = Vec::new();
+        for ball in self.read_nominal()? {
+            let centre = Target { feature: ball.label.clone(), tip: ball.centre.into(), approach: None };
+            match self.settings.rows {
+                Rows::Centres => targets.push(centre),
+                Rows::Touches => targets.extend(outward.iter().map(|normal| Target {
+                    feature: ball.label.clone(),
+                    tip: (ball.centre + (ball.radius + stylus_radius) * normal).into(),
+                    approach: Some((-normal).into()),
+                })),
+            }
+        }
+        Ok(targets)
+    }
+}
+
+/// Touches on balls.
+struct Touches {
+    layout: Layout,
+    unknowns: Vec<Parameter>,
+    inputs: Vec<KnownInput>,
+    balls: Vec<Ball>,
+    ball_of_row: Vec<usize>,
+    distances: Vec<(usize, usize)>,
+    rows: Rows,
+    estimated: bool,
+}
+
+impl Touches {
+    /// Index of the first unknown of a ball.
+    fn first_own(&self, ball: usize) -> usize {
+        ball * if self.estimated { 4 } else { 3 }
+    }
+
+    fn centre(&self, ball: usize, own: &[f64]) -> Vector3<f64> {
+        let first = self.first_own(ball);
+        self.balls[ball].centre + Vector3::new(own[first], own[first + 1], own[first + 2])
+    }
+
+    /// Derivatives to the offsets of a ball's centre.
+    fn by_centre(&self, ball: usize, derivative: Vector3<f64>, out: &mut Equations) {
+        for (axis, value) in derivative.iter().enumerate() {
+            out.own(self.first_own(ball) + axis, *value);
+        }
+    }
+}
+
+impl Observations for Touches {
+    fn layout(&self) -> &Layout {
+        &self.layout
+    }
+
+    fn unknowns(&self) -> &[Parameter] {
+        &self.unknowns
+    }
+
+    fn inputs(&self) -> &[KnownInput] {
+        &self.inputs
+    }
+
+    fn evaluate(&self, rows: &[usize], poses: PoseValues<'_>, own: &[f64], inputs: &[f64], out: &mut Equations) {
+        let mut positions = poses.positions.iter();
+        for &row in rows {
+            let Some(&ball) = self.ball_of_row.get(row) else {
+                let distance = row - self.ball_of_row.len();
+                let (from, to) = self.distances[distance];
+                let between = self.centre(to, own) - self.centre(from, own);
+                out.equation(between.norm() - inputs[1 + distance]);
+                self.by_centre(to, between.normalize(), out);
+                self.by_centre(from, -between.normalize(), out);
+                out.input(1 + distance, -1.0);
+                continue;
+            };
+            let Some(position) = positions.next() else { return };
+            let from_centre = Vector3::from(*position) - self.centre(ball, own);
+            match self.rows {
+                Rows::Touches => {
+                    let radius = if self.estimated { own[self.first_own(ball) + 3] } else { 0.0 };
+                    let normal = from_centre.normalize();
+                    out.equation(from_centre.norm() - self.balls[ball].radius - radius - inputs[0]);
+                    out.position(normal.into());
+                    self.by_centre(ball, -normal, out);
+                    if self.estimated {
+                        out.own(self.first_own(ball) + 3, -1.0);
+                    }
+                    out.input(0, -1.0);
+                }
+                Rows::Centres => {
+                    for axis in 0..3 {
+                        let mut unit = [0.0; 3];
+                        unit[axis] = 1.0;
+                        out.equation(from_centre[axis]);
+                        out.position(unit);
+                        out.own(self.first_own(ball) + axis, -1.0);
+                    }
+                }
+            }
+        }
+    }
+
+    fn features(&self) -> Vec<Feature> {
+        let balls = self.balls.iter().enumerate();
+        balls
+            .map(|(index, ball)| {
+                let first = self.first_own(index);
+                Feature {
+                    label: ball.label.clone(),
+                    point: ball.centre.into(),
+                    shifts: vec![(first, [1.0, 0.0, 0.0]), (first + 1, [0.0, 1.0, 0.0]), (first + 2, [0.0, 0.0, 1.0])],
+                }
+            })
+            .collect()
+    }
+
+    fn contact(&self) -> Contact {
+        Contact::LinearAxes
+    }
+}

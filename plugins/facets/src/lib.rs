@@ -1,1 +1,200 @@
-//! Placeholder.
+//! Artefact plugin `facets`: plane patches, known nominally by a point and a normal, touched with the machine's probe.
+//!
+//! Equation (Rahman & Mayer 2015): `n . (p - P) - d - r = 0`, with the tip p and the nominal point P in the table frame,
+//! the outward unit normal n, the facet's own offset d along it and the effective stylus radius r.
+
+use std::collections::BTreeMap;
+use std::path::PathBuf;
+use std::sync::Arc;
+
+use abbe_core::{
+    Artefact, Build, ColumnHeader, Constructor, Contact, Context, Dataset, Equations, Error, Feature, InputFile,
+    KinematicModel, KnownInput, Layout, Observations, Parameter, Plugin, PoseValues, Quantity, Result, SettingsError,
+    Target, Unit, inventory, plain_naming, pose_columns,
+};
+use nalgebra::Vector3;
+use schemars::JsonSchema;
+use serde::{Deserialize, Serialize};
+use serde_json::{Value, json};
+
+inventory::submit! {
+    Plugin::built_in(
+        "facets",
+        "touches on plane facets that are known nominally: a machine table, a fixture, a part",
+        abbe_core::schema_of::<Settings>,
+        example,
+        Build::Artefact(Constructor::Static(build)),
+    )
+}
+
+/// Settings of the facets.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+struct Settings {
+    /// CSV file of the nominal facets: feature, x_mm, y_mm, z_mm, nx, ny, nz in the table frame.
+    nominal: String,
+    /// Standard uncertainty of one touch along the normal.
+    standard_uncertainty_um: f64,
+    /// Standard uncertainty of the effective stylus radius, shared by all touches.
+    #[serde(default)]
+    stylus_radius_standard_uncertainty_um: f64,
+}
+
+fn example() -> Value {
+    json!({ "nominal": "facets.csv", "standard_uncertainty_um": 1.6 })
+}
+
+fn build(settings: &Value, context: &Context) -> Result<Box<dyn Artefact>, SettingsError> {
+    let settings: Settings = abbe_core::from_settings(settings)?;
+    if !(settings.standard_uncertainty_um > 0.0 && settings.standard_uncertainty_um.is_finite()) {
+        return Err(SettingsError::new("standard_uncertainty_um", "a positive number was expected"));
+    }
+    Ok(Box::new(Facets { nominal: context.path(&settings.nominal), settings }))
+}
+
+struct Facets {
+    nominal: PathBuf,
+    settings: Settings,
+}
+
+/// A nominal facet, table frame.
+#[derive(Debug, Clone, PartialEq)]
+struct Facet {
+    label: String,
+    point: Vector3<f64>,
+    normal: Vector3<f64>,
+}
+
+impl Facets {
+    fn read_nominal(&self) -> Result<Vec<Facet>> {
+        let table = abbe_table::read(&self.nominal)?;
+        abbe_table::unique_labels(&table, "feature")?;
+        let labels = abbe_table::labels(&table, "feature")?;
+        let points = abbe_table::points(&table, ["x", "y", "z"])?;
+        let normals = abbe_table::vectors(&table, ["nx", "ny", "nz"])?;
+        let rows = labels.iter().zip(points).zip(normals).enumerate();
+        rows.map(|(row, ((label, point), normal))| {
+            let (label, point, normal) = (label.clone(), Vector3::from(point), Vector3::from(normal));
+            // Files round their normals; one that is far from a unit vector is a mistake and not a rounding.
+            if (normal.norm() - 1.0).abs() > 1e-2 {
+                let message = format!("the normal of facet {label} has length {:.4}; 1 was expected", normal.norm());
+                return Err(table.error_at(row, message).help("nx, ny, nz are the outward unit normal"));
+            }
+            Ok(Facet { label, point, normal: normal.normalize() })
+        })
+        .collect()
+    }
+}
+
+impl Artefact for Facets {
+    fn inputs(&self) -> Vec<InputFile> {
+        vec![InputFile { setting: "nominal", path: self.nominal.clone() }]
+    }
+
+    fn check(&self, headers: &[ColumnHeader], file: Option<&PathBuf>, model: &dyn KinematicModel) -> Result<()> {
+        pose_columns(headers, file, model, &plain_naming)?;
+        abbe_table::require(headers, file, &[("feature", Quantity::Label)])?;
+        let nominal = abbe_table::read_headers(&self.nominal)?;
+        let columns = [
+            ("feature", Quantity::Label),
+            ("x", Quantity::Length),
+            ("y", Quantity::Length),
+            ("z", Quantity::Length),
+            ("nx", Quantity::Ratio),
+            ("ny", Quantity::Ratio),
+            ("nz", Quantity::Ratio),
+        ];
+        abbe_table::require(&nominal, Some(&self.nominal), &columns)
+    }
+
+    fn observe(&self, data: &Arc<Dataset>, model: &dyn KinematicModel) -> Result<Arc<dyn Observations>> {
+        let nominal = self.read_nominal()?;
+        let by_label: BTreeMap<&str, usize> =
+            nominal.iter().enumerate().map(|(index, facet)| (facet.label.as_str(), index)).collect();
+        let mut layout = Layout::new(data, model, &[&plain_naming])?;
+        let uncertainty = self.settings.standard_uncertainty_um * 1e-3;
+        let mut touched = Vec::new();
+        for (row, label) in abbe_table::labels(data, "feature")?.iter().enumerate() {
+            if let Some(&facet) = by_label.get(label.as_str()) {
+                layout.push(model, row, &[uncertainty])?;
+                touched.push(facet);
+            }
+        }
+        if touched.is_empty() {
+            let error = Error::data(format!("no row touches a facet of {}", self.nominal.display()));
+            return Err(error.help("`feature` in the data and in the nominal file have to agree"));
+        }
+        // A facet that was never touched is no unknown.
+        let mut kept = touched.clone();
+        kept.sort_unstable();
+        kept.dedup();
+        let facet_of_row = touched.iter().map(|facet| kept.binary_search(facet).unwrap_or_default()).collect();
+        let facets: Vec<Facet> = kept.iter().map(|&facet| nominal[facet].clone()).collect();
+        let unknowns =
+            facets.iter().map(|facet| Parameter { name: format!("facet[{}].d", facet.label), unit: Unit::MM });
+        let radius = KnownInput {
+            parameter: Parameter { name: "stylus_radius".to_owned(), unit: Unit::MM },
+            value: model.stylus_radius(),
+            standard_uncertainty: self.settings.stylus_radius_standard_uncertainty_um * 1e-3,
+        };
+        Ok(Arc::new(Touches { layout, unknowns: unknowns.collect(), inputs: vec![radius], facets, facet_of_row }))
+    }
+
+    fn targets(&self, stylus_radius: f64) -> Result<Vec<Target>> {
+        let targets = self.read_nominal()?.into_iter().map(|facet| Target {
+            tip: (facet.point + stylus_radius * facet.normal).into(),
+            approach: Some((-facet.normal).into()),
+            feature: facet.label,
+        });
+        Ok(targets.collect())
+    }
+}
+
+/// Touches on facets.
+struct Touches {
+    layout: Layout,
+    unknowns: Vec<Parameter>,
+    inputs: Vec<KnownInput>,
+    facets: Vec<Facet>,
+    facet_of_row: Vec<usize>,
+}
+
+impl Observations for Touches {
+    fn layout(&self) -> &Layout {
+        &self.layout
+    }
+
+    fn unknowns(&self) -> &[Parameter] {
+        &self.unknowns
+    }
+
+    fn inputs(&self) -> &[KnownInput] {
+        &self.inputs
+    }
+
+    fn evaluate(&self, rows: &[usize], poses: PoseValues<'_>, own: &[f64], inputs: &[f64], out: &mut Equations) {
+        for (&row, position) in rows.iter().zip(poses.positions) {
+            let index = self.facet_of_row[row];
+            let Facet { point, normal, .. } = &self.facets[index];
+            out.equation(normal.dot(&(Vector3::from(*position) - point)) - own[index] - inputs[0]);
+            out.position((*normal).into());
+            out.own(index, -1.0);
+            out.input(0, -1.0);
+        }
+    }
+
+    fn features(&self) -> Vec<Feature> {
+        let facets = self.facets.iter().enumerate();
+        facets
+            .map(|(index, facet)| Feature {
+                label: facet.label.clone(),
+                point: facet.point.into(),
+                shifts: vec![(index, facet.normal.into())],
+            })
+            .collect()
+    }
+
+    fn contact(&self) -> Contact {
+        Contact::LinearAxes
+    }
+}

@@ -1,0 +1,288 @@
+//! Orthogonal factorisation of a least squares problem that comes in rows, and what it tells.
+
+use faer::Mat;
+use faer::linalg::solvers::{Qr, Svd};
+
+/// Memory that the buffer of rows may take, in numbers; small problems are factorised in one go.
+const BUFFER: usize = 1 << 21;
+
+/// Takes rows `[J | r]` of a least squares problem and keeps nothing but their triangular factor.
+///
+/// Rows are collected in a buffer; a full buffer is factorised together with the factor so far. The result is that of one
+/// QR of all rows, at the memory of the buffer.
+pub struct Accumulator {
+    unknowns: usize,
+    capacity: usize,
+    buffer: Mat<f64>,
+    filled: usize,
+    rows: usize,
+}
+
+impl Accumulator {
+    /// For `unknowns` unknowns and about `rows` rows.
+    pub fn new(unknowns: usize, rows: usize) -> Self {
+        let width = unknowns + 1;
+        let capacity = rows.clamp(1, (BUFFER / width).max(3 * width)) + width;
+        Self { unknowns, capacity, buffer: Mat::zeros(capacity, width), filled: 0, rows: 0 }
+    }
+
+    /// Adds one row, multiplied by `weight` (the square root of its statistical weight).
+    pub fn push(&mut self, derivatives: &[f64], residual: f64, weight: f64) {
+        if self.filled == self.capacity {
+            self.compress();
+        }
+        let row = self.filled;
+        for (column, derivative) in derivatives.iter().enumerate() {
+            self.buffer[(row, column)] = derivative * weight;
+        }
+        self.buffer[(row, self.unknowns)] = residual * weight;
+        self.filled += 1;
+        self.rows += 1;
+    }
+
+    /// Replaces the rows in the buffer by their triangular factor.
+    fn compress(&mut self) {
+        let factor = Qr::new(self.buffer.get(..self.filled, ..));
+        let triangle = factor.thin_R();
+        let height = triangle.nrows();
+        for column in 0..triangle.ncols() {
+            for row in 0..height {
+                self.buffer[(row, column)] = if row <= column { triangle[(row, column)] } else { 0.0 };
+            }
+        }
+        self.filled = height;
+    }
+
+    /// The factor of all rows.
+    pub fn finish(mut self) -> Factor {
+        self.compress();
+        let n = self.unknowns;
+        let mut triangle = Mat::zeros(n, n);
+        let mut right = vec![0.0; n];
+        let entry = |row: usize, column: usize| if row < self.filled { self.buffer[(row, column)] } else { 0.0 };
+        for column in 0..n {
+            for row in 0..=column {
+                triangle[(row, column)] = entry(row, column);
+            }
+            right[column] = entry(column, n);
+        }
+        let rest = entry(n, n);
+        let norms = (0..n).map(|column| norm((0..=column).map(|row| triangle[(row, column)]))).collect();
+        Factor { triangle, right, norms, rest: rest * rest, rows: self.rows }
+    }
+}
+
+fn norm(values: impl Iterator<Item = f64>) -> f64 {
+    values.map(|value| value * value).sum::<f64>().sqrt()
+}
+
+/// Triangular factor of `[J | r]`: `J = Q R`, with `Q^T r` and the sum of squares that no step can take away.
+#[derive(Debug, Clone)]
+pub struct Factor {
+    triangle: Mat<f64>,
+    right: Vec<f64>,
+    norms: Vec<f64>,
+    rest: f64,
+    rows: usize,
+}
+
+impl Factor {
+    /// Number of unknowns.
+    pub fn unknowns(&self) -> usize {
+        self.norms.len()
+    }
+
+    /// Number of rows that went in.
+    pub fn rows(&self) -> usize {
+        self.rows
+    }
+
+    /// Norm of every column of J; the measure of what one unit of the unknown does to all rows.
+    pub fn norms(&self) -> &[f64] {
+        &self.norms
+    }
+
+    /// Sum of squares of r.
+    pub fn cost(&self) -> f64 {
+        self.rest + self.right.iter().map(|value| value * value).sum::<f64>()
+    }
+
+    /// Sum of squares of r that remains after the full step.
+    pub fn remaining_cost(&self) -> f64 {
+        self.rest
+    }
+
+    /// The Gauss-Newton step `-R^-1 Q^T r` of a problem of full rank; None if R is singular.
+    pub fn step(&self) -> Option<Vec<f64>> {
+        let n = self.unknowns();
+        let mut step: Vec<f64> = self.right.iter().map(|value| -value).collect();
+        for row in (0..n).rev() {
+            let pivot = self.triangle[(row, row)];
+            if pivot == 0.0 {
+                return None;
+            }
+            step[row] /= pivot;
+            for above in 0..row {
+                step[above] -= self.triangle[(above, row)] * step[row];
+            }
+        }
+        step.iter().all(|value| value.is_finite()).then_some(step)
+    }
+
+    /// `j (J^T J)^-1 j^T` of a row j of a problem of full rank: its leverage if the row took part with weight 1.
+    pub fn leverage(&self, row: &[f64]) -> f64 {
+        let mut solved: Vec<f64> = row.to_vec();
+        for i in 0..self.unknowns() {
+            let mut value = solved[i];
+            for (k, before) in solved[..i].iter().enumerate() {
+                value -= self.triangle[(k, i)] * before;
+            }
+            let pivot = self.triangle[(i, i)];
+            solved[i] = if pivot == 0.0 { 0.0 } else { value / pivot };
+        }
+        solved.iter().map(|value| value * value).sum()
+    }
+
+    /// Singular values and vectors of J with its columns scaled to norm 1.
+    ///
+    /// Scaling makes the result independent of units: without it an unknown in mm/mm^3 would pass for lost beside one in
+    /// mm. A column of zeros stays one and shows as a singular value of zero.
+    pub fn spectrum(&self) -> Spectrum {
+        let n = self.unknowns();
+        let scale: Vec<f64> = self.norms.iter().map(|&norm| if norm > 0.0 { 1.0 / norm } else { 1.0 }).collect();
+        let scaled = Mat::from_fn(n, n, |row, column| self.triangle[(row, column)] * scale[column]);
+        let not_finite = || Spectrum {
+            singular_values: vec![f64::NAN; n],
+            vectors: Mat::zeros(n, n),
+            right: vec![f64::NAN; n],
+            scale: scale.clone(),
+        };
+        if n == 0 || !scaled.norm_l2().is_finite() {
+            return not_finite();
+        }
+        let Ok(svd) = Svd::new(scaled.as_ref()) else { return not_finite() };
+        let singular_values = (0..n).map(|i| svd.S().column_vector()[i]).collect();
+        let right = (0..n).map(|i| (0..n).map(|row| svd.U()[(row, i)] * self.right[row]).sum()).collect();
+        Spectrum { singular_values, vectors: svd.V().to_owned(), right, scale }
+    }
+}
+
+/// Singular value decomposition of a scaled problem.
+#[derive(Debug, Clone)]
+pub struct Spectrum {
+    singular_values: Vec<f64>,
+    vectors: Mat<f64>,
+    right: Vec<f64>,
+    scale: Vec<f64>,
+}
+
+impl Spectrum {
+    /// Singular values, the largest first.
+    pub fn singular_values(&self) -> &[f64] {
+        &self.singular_values
+    }
+
+    /// Number of singular values above `tolerance` times the largest.
+    pub fn rank(&self, tolerance: f64) -> usize {
+        let largest = self.singular_values.first().copied().unwrap_or(0.0);
+        self.singular_values.iter().filter(|&&value| value > tolerance * largest && value > 0.0).count()
+    }
+
+    /// Ratio of the largest to the smallest of the first `rank` singular values.
+    pub fn condition(&self, rank: usize) -> f64 {
+        match (self.singular_values.first(), rank.checked_sub(1).and_then(|last| self.singular_values.get(last))) {
+            (Some(largest), Some(smallest)) => largest / smallest,
+            _ => 1.0,
+        }
+    }
+
+    /// The least squares step within the first `rank` singular directions: of all steps with the same effect the
+    /// shortest, unknowns measured by their effect.
+    pub fn step(&self, rank: usize) -> Vec<f64> {
+        let coefficients: Vec<f64> = (0..rank).map(|k| -self.right[k] / self.singular_values[k]).collect();
+        let sum = |row: usize| -> f64 { (0..rank).map(|k| self.vectors[(row, k)] * coefficients[k]).sum() };
+        (0..self.scale.len()).map(|row| self.scale[row] * sum(row)).collect()
+    }
+
+    /// Covariance `(J^T J)^-1` within the first `rank` singular directions, in the units of the unknowns, row by row.
+    pub fn covariance(&self, rank: usize) -> Vec<Vec<f64>> {
+        let n = self.scale.len();
+        let half = Mat::from_fn(n, rank, |row, k| self.scale[row] * self.vectors[(row, k)] / self.singular_values[k]);
+        let covariance = &half * half.transpose();
+        (0..n).map(|row| (0..n).map(|column| covariance[(row.min(column), row.max(column))]).collect()).collect()
+    }
+
+    /// A basis of what is lost beyond `rank`, as sparse as elimination makes it: the relative singular value and the
+    /// direction in scaled unknowns, its largest entry 1, what is below `1e-7` set to zero.
+    ///
+    /// Multiply by [`scale`](Self::scale) for parameter units.
+    pub fn null_basis(&self, rank: usize) -> Vec<(f64, Vec<f64>)> {
+        let n = self.scale.len();
+        let mut basis: Vec<Vec<f64>> = (rank..n).map(|k| (0..n).map(|row| self.vectors[(row, k)]).collect()).collect();
+        // Reduced row echelon form with pivoting: each vector owns an unknown that no other has.
+        let mut pivots: Vec<usize> = Vec::new();
+        for index in 0..basis.len() {
+            let free = |column: &usize| !pivots.contains(column);
+            let (mut row, mut column) = (index, 0);
+            for candidate in index..basis.len() {
+                for j in (0..n).filter(free) {
+                    if basis[candidate][j].abs() > basis[row][column].abs() || pivots.contains(&column) {
+                        (row, column) = (candidate, j);
+                    }
+                }
+            }
+            basis.swap(index, row);
+            let pivot = basis[index][column];
+            basis[index].iter_mut().for_each(|value| *value /= pivot);
+            let own = basis[index].clone();
+            for (other, vector) in basis.iter_mut().enumerate() {
+                let factor = vector[column];
+                if other != index && factor != 0.0 {
+                    vector.iter_mut().zip(&own).for_each(|(value, own)| *value -= factor * own);
+                }
+            }
+            pivots.push(column);
+        }
+        let largest = self.singular_values.first().copied().unwrap_or(1.0).max(f64::MIN_POSITIVE);
+        let lost = self.singular_values[rank..].iter().map(|value| value / largest);
+        let mut named: Vec<(f64, Vec<f64>)> = lost.zip(basis).collect();
+        for (_, vector) in &mut named {
+            let peak = vector.iter().copied().max_by(|a, b| a.abs().total_cmp(&b.abs())).unwrap_or(1.0);
+            for value in vector.iter_mut() {
+                *value /= peak;
+                if value.abs() < 1e-7 {
+                    *value = 0.0;
+                }
+            }
+        }
+        named
+    }
+
+    /// One unknown for every lost direction such that the others are determined without them: greedily those that
+    /// take part most.
+    pub fn dependent(&self, rank: usize) -> Vec<usize> {
+        let n = self.scale.len();
+        let mut lost: Vec<Vec<f64>> = (0..n).map(|row| (rank..n).map(|k| self.vectors[(row, k)]).collect()).collect();
+        let mut chosen = Vec::new();
+        for _ in rank..n {
+            let size = |row: &Vec<f64>| row.iter().map(|value| value * value).sum::<f64>();
+            let best =
+                (0..n).filter(|row| !chosen.contains(row)).max_by(|&a, &b| size(&lost[a]).total_cmp(&size(&lost[b])));
+            let Some(best) = best else { break };
+            let length = size(&lost[best]).sqrt().max(f64::MIN_POSITIVE);
+            let direction: Vec<f64> = lost[best].iter().map(|value| value / length).collect();
+            for row in &mut lost {
+                let along: f64 = row.iter().zip(&direction).map(|(value, direction)| value * direction).sum();
+                row.iter_mut().zip(&direction).for_each(|(value, direction)| *value -= along * direction);
+            }
+            chosen.push(best);
+        }
+        chosen.sort_unstable();
+        chosen
+    }
+
+    /// What scales each unknown of a scaled direction to its own unit.
+    pub fn scale(&self) -> &[f64] {
+        &self.scale
+    }
+}

@@ -1,0 +1,258 @@
+//! YAML text as JSON values that know their place in the text.
+
+use std::collections::BTreeMap;
+use std::path::{Path, PathBuf};
+
+use abbe_core::{Error, PathItem, path_text};
+use saphyr_parser::{Event, Marker, Parser, ScalarStyle};
+use serde_json::Value;
+
+/// Line and column, from 1.
+type Mark = (usize, usize);
+
+/// Nesting that no recipe needs; it bounds the work that a hostile file can make.
+const DEEPEST: usize = 64;
+
+/// Where a value stands, and its key; in a list both are the same.
+#[derive(Debug, Clone, Copy, PartialEq)]
+struct Marks {
+    key: Mark,
+    value: Mark,
+}
+
+/// Which of the two a message points at.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(crate) enum At {
+    Key,
+    Value,
+}
+
+/// One YAML file.
+#[derive(Debug, Clone, PartialEq)]
+pub(crate) struct Document {
+    pub file: PathBuf,
+    pub value: Value,
+    places: BTreeMap<Vec<PathItem>, Marks>,
+}
+
+impl Document {
+    /// Two parsers read the text: one knows the places, the other the types. Both have to accept it.
+    pub fn parse(file: &Path, text: &str) -> Result<Self, Error> {
+        let places = places(text).map_err(|refusal| {
+            let error = Error::usage(refusal.message).at(file, refusal.mark.0, Some(refusal.mark.1));
+            if refusal.at_sign { error.help("a text that starts with @ needs quotes: \"@S1\"") } else { error }
+        })?;
+        let value = serde_yaml::from_str(text).map_err(|error| {
+            let message = error.to_string();
+            let (line, column) = error.location().map_or((1, 1), |place| (place.line(), place.column()));
+            Error::usage(message.split(" at line ").next().unwrap_or_default()).at(file, line, Some(column))
+        })?;
+        Ok(Self { file: file.to_owned(), value, places })
+    }
+
+    /// The root, to read from.
+    pub fn root(&self) -> Node<'_> {
+        Node { document: self, path: Vec::new(), value: &self.value }
+    }
+
+    /// The length of the longest beginning of `path` that has a place; below an alias places are missing.
+    pub fn known(&self, path: &[PathItem]) -> usize {
+        (0..=path.len()).rev().find(|&length| self.places.contains_key(&path[..length])).unwrap_or(0)
+    }
+
+    /// The value at `path`.
+    pub fn get(&self, path: &[PathItem]) -> Option<&Value> {
+        path.iter().try_fold(&self.value, |value, item| match item {
+            PathItem::Key(key) => value.get(key),
+            PathItem::Index(index) => value.get(index),
+        })
+    }
+
+    /// Puts an error at `path`, or at what encloses it where that has no place of its own.
+    pub fn locate(&self, error: Error, path: &[PathItem], at: At) -> Error {
+        let known = self.known(path);
+        let (line, column) = match self.places.get(&path[..known]) {
+            Some(marks) if at == At::Key && known == path.len() => marks.key,
+            Some(marks) => marks.value,
+            None => (1, 1),
+        };
+        error.at(&self.file, line, Some(column))
+    }
+}
+
+/// A value in a document, with the way to it.
+#[derive(Debug, Clone)]
+pub(crate) struct Node<'a> {
+    document: &'a Document,
+    pub path: Vec<PathItem>,
+    pub value: &'a Value,
+}
+
+impl<'a> Node<'a> {
+    fn child(&self, item: PathItem, value: &'a Value) -> Self {
+        let mut path = self.path.clone();
+        path.push(item);
+        Self { document: self.document, path, value }
+    }
+
+    /// An error about this value or its key.
+    pub fn error(&self, at: At, message: impl Into<String>) -> Error {
+        self.document.locate(Error::usage(message), &self.path, at)
+    }
+
+    fn wrong_type(&self, expected: &str) -> Error {
+        let found = match self.value {
+            Value::Null => "nothing",
+            Value::Bool(_) => "true or false",
+            Value::Number(_) => "a number",
+            Value::String(_) => "text",
+            Value::Array(_) => "a list",
+            Value::Object(_) => "a map",
+        };
+        let message = format!("{expected} was expected, not {found}");
+        let last_key = self.path.iter().rposition(|item| matches!(item, PathItem::Key(_))).unwrap_or(0);
+        let name = path_text(&self.path[last_key..]);
+        self.error(At::Value, if name.is_empty() { message } else { format!("{name}: {message}") })
+    }
+
+    /// The value as text.
+    pub fn text(&self) -> Result<&'a str, Error> {
+        self.value.as_str().ok_or_else(|| self.wrong_type("text"))
+    }
+
+    /// The entries of a map.
+    pub fn map(&self) -> Result<Vec<(&'a str, Self)>, Error> {
+        let map = self.value.as_object().ok_or_else(|| self.wrong_type("a map"))?;
+        Ok(map.iter().map(|(key, value)| (key.as_str(), self.child(PathItem::Key(key.clone()), value))).collect())
+    }
+
+    /// The entries of a list.
+    pub fn list(&self) -> Result<Vec<Self>, Error> {
+        let list = self.value.as_array().ok_or_else(|| self.wrong_type("a list"))?;
+        Ok(list.iter().enumerate().map(|(index, value)| self.child(PathItem::Index(index), value)).collect())
+    }
+
+    /// The entry of a map, if this is a map and has it.
+    pub fn get(&self, key: &str) -> Option<Self> {
+        self.value.get(key).map(|value| self.child(PathItem::Key(key.to_owned()), value))
+    }
+
+    /// Refuses keys of a map other than `known`.
+    pub fn only(&self, known: &[&str]) -> Result<(), Error> {
+        match self.map()?.into_iter().find(|(key, _)| !known.contains(key)) {
+            Some((key, node)) => {
+                let error = node.error(At::Key, format!("unknown key `{key}`"));
+                Err(error.help(format!("possible are: {}", known.join(", "))).suggest(key, known.iter().copied()))
+            }
+            None => Ok(()),
+        }
+    }
+
+    /// An error about a missing key, placed at the misspelt key if there is one that is near.
+    pub fn missing(&self, keys: &[&str], message: impl Into<String>) -> Error {
+        let near = self.value.as_object().into_iter().flatten().find_map(|(key, value)| {
+            let near = abbe_core::nearest(key, keys.iter().copied())?;
+            Some((self.child(PathItem::Key(key.clone()), value), near))
+        });
+        match near {
+            Some((node, near)) => node.error(At::Key, message).help(format!("did you mean `{near}`?")),
+            None => self.error(At::Key, message),
+        }
+    }
+}
+
+struct Refusal {
+    mark: Mark,
+    message: String,
+    at_sign: bool,
+}
+
+/// A map or a list that is being read.
+enum Frame {
+    /// The key that waits for its value.
+    Map(Option<Mark>),
+    /// The index that comes next.
+    List(usize),
+}
+
+/// The place of every key and value; refuses what a recipe cannot mean.
+fn places(text: &str) -> Result<BTreeMap<Vec<PathItem>, Marks>, Refusal> {
+    let mark_of = |marker: Marker| (marker.line(), marker.col() + 1);
+    let refuse = |mark, message: String| Err(Refusal { mark, message, at_sign: false });
+    let mut places = BTreeMap::new();
+    let (mut frames, mut path) = (Vec::new(), Vec::new());
+    let mut documents = 0;
+    let mut parser = Parser::new_from_str(text);
+    while let Some(event) = parser.next_event() {
+        let (event, span) = event.map_err(|error| Refusal {
+            mark: mark_of(*error.marker()),
+            message: format!("this is not YAML: {}", error.info()),
+            at_sign: error.info().contains("`@'"),
+        })?;
+        let mark = mark_of(span.start);
+        match &event {
+            Event::DocumentStart(_) if documents > 0 => {
+                return refuse(mark, "a second YAML document starts here; one was expected".to_owned());
+            }
+            Event::DocumentStart(_) => documents += 1,
+            Event::MappingEnd | Event::SequenceEnd => {
+                frames.pop();
+                close(&mut frames, &mut path);
+            }
+            Event::Scalar(_, _, _, Some(tag))
+            | Event::SequenceStart(_, Some(tag))
+            | Event::MappingStart(_, Some(tag)) => {
+                return refuse(mark, format!("the tag `{tag}` was found; recipes have no tags"));
+            }
+            Event::Alias(_) | Event::Scalar(..) | Event::SequenceStart(..) | Event::MappingStart(..) => {
+                let mut key = mark;
+                match frames.last_mut() {
+                    Some(Frame::Map(waiting @ None)) => {
+                        let Event::Scalar(text, ..) = event else {
+                            return refuse(mark, "a key has to be text or a number".to_owned());
+                        };
+                        *waiting = Some(mark);
+                        path.push(PathItem::Key(text.to_string()));
+                        if places.contains_key(&path) {
+                            return refuse(mark, format!("the key `{text}` stands here a second time"));
+                        }
+                        continue;
+                    }
+                    Some(Frame::Map(Some(waiting))) => key = *waiting,
+                    Some(Frame::List(next)) => {
+                        path.push(PathItem::Index(*next));
+                        *next += 1;
+                    }
+                    None => {}
+                }
+                places.insert(path.clone(), Marks { key, value: mark });
+                match event {
+                    Event::SequenceStart(..) | Event::MappingStart(..) if frames.len() == DEEPEST => {
+                        return refuse(mark, format!("lists and maps are more than {DEEPEST} deep here"));
+                    }
+                    Event::SequenceStart(..) => frames.push(Frame::List(0)),
+                    Event::MappingStart(..) => frames.push(Frame::Map(None)),
+                    Event::Scalar(text, ScalarStyle::Plain, ..) if is_not_finite(&text) => {
+                        return refuse(mark, format!("{}: a finite number was expected, not {text}", path_text(&path)));
+                    }
+                    _ => close(&mut frames, &mut path),
+                }
+            }
+            _ => {}
+        }
+    }
+    Ok(places)
+}
+
+/// A value has ended: its container goes on.
+fn close(frames: &mut [Frame], path: &mut Vec<PathItem>) {
+    path.pop();
+    if let Some(Frame::Map(waiting)) = frames.last_mut() {
+        *waiting = None;
+    }
+}
+
+/// Whether YAML means infinity or "not a number"; JSON values would make `null` of both.
+fn is_not_finite(text: &str) -> bool {
+    matches!(text.trim_start_matches(['+', '-']), ".inf" | ".Inf" | ".INF" | ".nan" | ".NaN" | ".NAN")
+}

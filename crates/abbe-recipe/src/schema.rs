@@ -1,0 +1,84 @@
+//! The JSON Schema of recipes, for editors.
+
+use abbe_core::{Kind, Plugin, Registry};
+use serde_json::{Map, Value, json};
+
+use crate::graph::references;
+
+/// The JSON Schema (2020-12) of the recipes that the plugins of the registry can run.
+pub fn schema(registry: &Registry) -> Value {
+    let stages: Vec<Value> = registry.iter().map(stage).collect();
+    json!({
+        "$schema": "https://json-schema.org/draft/2020-12/schema",
+        "title": "Recipe of Abbe",
+        "type": "object",
+        "properties": {
+            "abbe": { "const": crate::VERSION, "description": "Version of the recipe's format" },
+            "name": { "type": "string", "description": "Title for people" },
+            "sets": {
+                "description": "Named sets of parameter patterns; \"@S1\" includes the set S1",
+                "type": "object",
+                "additionalProperties": { "type": "array", "items": { "type": "string" } },
+            },
+            "plugins": {
+                "description": "Libraries with more plugins",
+                "type": "array",
+                "items": {
+                    "type": "object",
+                    "properties": { "path": { "type": "string" }, "sha256": { "type": "string" } },
+                    "required": ["path"],
+                    "additionalProperties": false,
+                },
+            },
+            "stages": {
+                "type": "object",
+                "minProperties": 1,
+                "propertyNames": { "pattern": "^[\\p{L}\\p{N}_-]+$" },
+                "additionalProperties": { "oneOf": stages },
+            },
+        },
+        "required": ["abbe", "stages"],
+        "additionalProperties": false,
+    })
+}
+
+/// The plugin's own schema of its settings, with the keys that the recipe adds to them.
+fn stage(plugin: &Plugin) -> Value {
+    let kind = plugin.kind();
+    let mut settings = match plugin.schema.get() {
+        Value::Object(settings) => settings,
+        _ => Map::new(), // `true`: whatever the plugin takes
+    };
+    let mut properties = Map::new();
+    properties.insert(kind.key().to_owned(), json!({ "const": plugin.name, "description": plugin.about }));
+    let mut required = vec![json!(kind.key())];
+    for reference in references(kind) {
+        let list = json!({ "type": "array", "items": { "type": "string" }, "uniqueItems": true });
+        let one = json!({ "type": "string" });
+        let name = if reference.many { json!({ "oneOf": [one, list] }) } else { one };
+        properties.insert(reference.key.to_owned(), name);
+        if reference.required {
+            required.push(json!(reference.key));
+        }
+    }
+    if kind == Kind::Model {
+        let description = "YAML file whose settings hold where this stage says nothing else";
+        properties.insert("file".to_owned(), json!({ "type": "string", "description": description }));
+    } else if let Some(Value::Array(own)) = settings.get("required") {
+        required.extend(own.iter().cloned()); // those of a model may stand in its file
+    }
+    if let Some(Value::Object(own)) = settings.remove("properties") {
+        properties.extend(own.into_iter().filter(|(key, _)| !properties.contains_key(key)).collect::<Vec<_>>());
+    }
+    settings.shift_remove("$schema");
+    if settings.contains_key("$defs") {
+        // References such as `#/$defs/X` start from the nearest identifier.
+        settings.insert("$id".to_owned(), json!(format!("urn:abbe:{kind}:{}", plugin.name)));
+    }
+    settings.insert("title".to_owned(), json!(plugin.name));
+    settings.insert("description".to_owned(), json!(plugin.about));
+    settings.insert("type".to_owned(), json!("object"));
+    settings.insert("properties".to_owned(), Value::Object(properties));
+    settings.insert("required".to_owned(), Value::Array(required));
+    Value::Object(settings)
+}

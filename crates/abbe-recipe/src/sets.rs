@@ -1,0 +1,63 @@
+//! Named sets of parameter patterns, which can include each other.
+
+use std::collections::{BTreeMap, BTreeSet};
+
+use abbe_core::Error;
+
+use crate::document::{At, Node};
+
+/// The sets of a recipe; none refers to an unknown one or, by whatever way, to itself.
+pub(crate) struct Sets<'a>(BTreeMap<&'a str, Vec<Node<'a>>>);
+
+impl<'a> Sets<'a> {
+    /// Reads the top-level `sets`.
+    pub fn read(root: &Node<'a>) -> Result<Self, Error> {
+        let mut sets = Self(BTreeMap::new());
+        let entries = root.get("sets").map_or_else(|| Ok(Vec::new()), |node| node.map())?;
+        for (name, set) in &entries {
+            let patterns = set.list()?;
+            patterns.iter().try_for_each(|pattern| pattern.text().map(drop))?;
+            sets.0.insert(name, patterns);
+        }
+        for (name, _) in entries {
+            sets.expand(Some(name), sets.0[name].clone())?;
+        }
+        Ok(sets)
+    }
+
+    /// The patterns of a list (that of the set `name`, if it is one) with sets in place of their names, each once.
+    pub fn expand(&self, name: Option<&'a str>, list: Vec<Node<'a>>) -> Result<Vec<Node<'a>>, Error> {
+        let mut expanded = Vec::new();
+        let mut seen = BTreeSet::new();
+        let mut open = vec![(name, list.into_iter())];
+        while let Some((_, nodes)) = open.last_mut() {
+            let Some(node) = nodes.next() else {
+                open.pop();
+                continue;
+            };
+            let Some(text) = node.value.as_str() else {
+                expanded.push(node); // not a pattern: the plugin will say so
+                continue;
+            };
+            let Some(other) = text.strip_prefix('@') else {
+                if seen.insert(text) {
+                    expanded.push(node);
+                }
+                continue;
+            };
+            let Some(set) = self.0.get(other) else {
+                let error = node.error(At::Value, format!("there is no set `{other}`"));
+                return Err(error.suggest(other, self.0.keys().copied()));
+            };
+            if let Some(start) = open.iter().position(|(name, _)| *name == Some(other)) {
+                let names: Vec<&str> = open[start..].iter().filter_map(|(name, _)| *name).chain([other]).collect();
+                let circle = names.join(" -> ");
+                return Err(node.error(At::Value, format!("the sets include each other in a circle: {circle}")));
+            }
+            if seen.insert(text) {
+                open.push((Some(other), set.clone().into_iter()));
+            }
+        }
+        Ok(expanded)
+    }
+}

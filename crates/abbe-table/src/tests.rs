@@ -1,0 +1,165 @@
+use std::io::Cursor;
+use std::path::{Path, PathBuf};
+
+use abbe_core::{Class, Dataset, Error, Quantity, Values};
+use proptest::prelude::*;
+
+use crate::{parse, points, read, read_headers, unique_labels, vectors};
+
+fn table(text: &str) -> Result<Dataset, Error> {
+    parse::dataset(Path::new("t.csv"), text.as_bytes())
+}
+
+/// `read` and `read_headers` as one would use them, and what has to hold between the two.
+fn parsed(bytes: &[u8]) -> Result<Dataset, Error> {
+    let path = Path::new("t.csv");
+    let headers = parse::headers(path, Cursor::new(bytes));
+    let data = parse::dataset(path, bytes);
+    match (&headers, &data) {
+        (headers, Ok(data)) => assert_eq!(headers.as_ref(), Ok(&data.headers())),
+        (Ok(_), Err(error)) => assert_eq!(error.class, Class::Data, "{error}: the header was found good"),
+        (Err(_), Err(_)) => {}
+    }
+    data
+}
+
+#[test]
+fn what_is_wrong_is_said_with_its_place() {
+    let cases: &[(&[u8], &str)] = &[
+        (b"", "Data: t.csv: the file is empty"),
+        (b"\xef\xbb\xbf# nothing\n\n", "Data: t.csv: the file is empty"),
+        (b"X_mm\n", "Data: t.csv: the file has no data rows"),
+        (b"X_mm,Y_mm,X_mm\n1,2,3\n", "Use: t.csv:1:11: there are two columns `X_mm`"),
+        (b"# note\nX_mm, X_deg\n1,2\n", "Use: t.csv:2:7: the columns `X_mm` and `X_deg` are both named `X`"),
+        (b"X_mm,,Y_mm\n1,2,3\n", "Use: t.csv:1:6: a column has no name"),
+        (b"X_mm,Y_mm,\n1,2,3\n", "Use: t.csv:1:11: a column has no name"),
+        (b"X_mm,\"Y_mm\n1,2\n", "Use: t.csv:1:6: a quotation mark is not closed in its line"),
+        (b"X_mm,Y_mm\n1\n", "Data: t.csv:2: the row has 1 cell; 2 were expected"),
+        (b"X_mm,Y_mm\n1,2\n# note\n\n1,2,3\n", "Data: t.csv:5: the row has 3 cells; 2 were expected"),
+        (b"f,X_mm\n\"a,\"\"b\",\"12,5\"\n", "Data: t.csv:2:9: `X_mm` is `12,5`; a number was expected"),
+        (b"f,X_mm\r\n\r\n\xc3\xa9,  one\r\n", "Data: t.csv:3:5: `X_mm` is `one`; a number was expected"),
+        (b"f,X_mm\na,nan\n", "Data: t.csv:2:3: `X_mm` is `nan`, which is not a finite number"),
+        (b"f,X_mm\na,-1e999\n", "Data: t.csv:2:3: `X_mm` is `-1e999`, which is not a finite number"),
+        (b"X_mm,f\n ,a\n", "Data: t.csv:2:2: `X_mm` is empty; a number was expected"),
+        (b"f,dir_X\na,+\n", "Data: t.csv:2:3: `dir_X` is `+`; a number was expected"),
+        (b"f,X_mm\na,1\n\"b,2\nc,3\n", "Data: t.csv:3:1: a quotation mark is not closed in its line"),
+        (b"f,X_mm\n\xc3\xa9\xff,1\n", "Data: t.csv:2:2: the file is not text in UTF-8"),
+    ];
+    for (bytes, expected) in cases {
+        let error = parsed(bytes).unwrap_err();
+        assert_eq!(format!("{:?}: {error}", error.class), *expected);
+    }
+}
+
+#[test]
+fn units_places_and_labels_are_read() {
+    let bytes = b"\xef\xbb\xbf# made by hand\r\n\r\nfeature , X_mm,d_um,C_deg,dir_X\r\n\
+        07, +1.5 ,2,180,-1\r\n  \r\n# a comment, \"open\r\n\"a,b\",1e3,.5,-90,1";
+    let data = parsed(bytes).unwrap();
+    assert_eq!(data.labels("feature"), Some(&["07".to_owned(), "a,b".to_owned()][..]));
+    assert_eq!(data.numbers("X"), Some(&[1.5, 1000.0][..]));
+    assert_eq!(data.numbers("d"), Some(&[0.002, 0.0005][..]));
+    assert_eq!(data.numbers("C"), Some(&[180f64.to_radians(), -90f64.to_radians()][..]));
+    assert_eq!(data.numbers("dir_X"), Some(&[-1.0, 1.0][..]));
+    assert_eq!(data.origins.iter().map(|origin| (origin.line, origin.row)).collect::<Vec<_>>(), [(4, 1), (7, 2)]);
+    assert_eq!(data.files, [PathBuf::from("t.csv")]);
+}
+
+#[test]
+fn files_are_read() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("t.csv");
+    let missing = format!("{}: there is no such file", path.display());
+    for error in [read(&path).unwrap_err(), read_headers(&path).unwrap_err()] {
+        assert_eq!((error.class, error.to_string()), (Class::Use, missing.clone()));
+    }
+    assert_eq!(read(folder.path()).unwrap_err().class, Class::Use);
+    assert_eq!(read_headers(folder.path()).unwrap_err().class, Class::Use);
+    // A row that is wrong does not matter for the header.
+    std::fs::write(&path, b"# note\nfeature,x_mm\n1,\xff\n").unwrap();
+    assert_eq!(read_headers(&path).unwrap().len(), 2);
+    assert_eq!(read(&path).unwrap_err().class, Class::Data);
+}
+
+#[test]
+fn features_have_points_and_normals() {
+    let data = table("feature,x_mm,y_um,z_mm,nx,ny,nz\n7,1,2,3,0,0,1\n8,4,5,6,1,0,0\n").unwrap();
+    assert_eq!(unique_labels(&data, "feature").unwrap().into_iter().collect::<Vec<_>>(), [("7", 0), ("8", 1)]);
+    assert_eq!(points(&data, ["x", "y", "z"]).unwrap(), [[1.0, 0.002, 3.0], [4.0, 0.005, 6.0]]);
+    assert_eq!(vectors(&data, ["nx", "ny", "nz"]).unwrap(), [[0.0, 0.0, 1.0], [1.0, 0.0, 0.0]]);
+
+    let cases = [
+        ("feature,x_mm,y_mm,z_mm\n7,1,2,3\n# note\n7,1,2,3\n", "t.csv:4: feature `7` is in line 2 already"),
+        (
+            "featur,x_mm,y_mm,z_mm\n7,1,2,3\n",
+            "t.csv:1: there is no column `feature`; the columns are `featur`, `x_mm`, `y_mm`, `z_mm` (did you mean \
+             `featur`?)",
+        ),
+        ("feature_mm,x_mm,y_mm,z_mm\n7,1,2,3\n", "t.csv: the column `feature_mm` holds numbers; labels were expected"),
+        (
+            "feature,x_mm,y_mm,z\n7,1,2,3\n",
+            "t.csv: the column `z` does not say its unit (write its unit into its name: `z_mm`)",
+        ),
+        ("feature,x_mm,y_deg,z_mm\n7,1,2,3\n", "t.csv: the column `y_deg` has the wrong unit; mm was expected"),
+        (
+            "feature,x_mm,y_mm\n7,1,2\n",
+            "t.csv:1: there is no column `z_mm`; the columns are `feature`, `x_mm`, `y_mm` (did you mean `x_mm`?)",
+        ),
+    ];
+    for (text, expected) in cases {
+        let data = table(text).unwrap();
+        let found = unique_labels(&data, "feature").and_then(|_| points(&data, ["x", "y", "z"]));
+        assert_eq!(found.unwrap_err().to_string(), expected);
+    }
+}
+
+fn finite() -> impl Strategy<Value = f64> {
+    use prop::num::f64::{NEGATIVE, NORMAL, POSITIVE, SUBNORMAL, ZERO};
+    POSITIVE | NEGATIVE | NORMAL | SUBNORMAL | ZERO
+}
+
+const VALID: &[u8] =
+    b"\xef\xbb\xbf# c\r\nfeature,X_mm,\"C_deg\",dir_X\n1,1.5,-90,+1\n\n# d\n\"2,\"\"x\",1e-3, 7 ,-1\r\n";
+
+proptest! {
+    #[test]
+    fn numbers_round_trip(rows in prop::collection::vec((finite(), finite()), 1..20)) {
+        let mut text = "X_mm,a_rad\n".to_owned();
+        rows.iter().for_each(|(x, a)| text.push_str(&format!("{x},{a:e}\n")));
+        let data = parsed(text.as_bytes()).unwrap();
+        prop_assert_eq!(data.numbers("X").unwrap(), rows.iter().map(|row| row.0).collect::<Vec<_>>());
+        prop_assert_eq!(data.numbers("a").unwrap(), rows.iter().map(|row| row.1).collect::<Vec<_>>());
+    }
+
+    #[test]
+    fn random_bytes_do_no_harm(bytes in prop::collection::vec(any::<u8>(), 0..200)) {
+        let _ = parsed(&bytes);
+    }
+
+    #[test]
+    fn random_tables_do_no_harm(text in "(\u{feff}|[#,\"\r\n \u{a0}éxX1.+_-]|_mm|_deg|1e9|nan){0,60}") {
+        let _ = parsed(text.as_bytes());
+    }
+
+    #[test]
+    fn random_changes_do_no_harm(
+        changes in prop::collection::vec((any::<prop::sample::Index>(), 0usize..4, any::<u8>()), 1..6),
+    ) {
+        let mut bytes = VALID.to_vec();
+        for (place, removed, inserted) in changes {
+            let at = place.index(bytes.len() + 1);
+            let end = (at + removed).min(bytes.len());
+            bytes.splice(at..end, (removed < 3).then_some(inserted));
+        }
+        if let Ok(data) = parsed(&bytes) {
+            for column in &data.columns {
+                let rows = match &column.values {
+                    Values::Numbers(numbers) => numbers.len(),
+                    Values::Labels(labels) => labels.len(),
+                };
+                prop_assert_eq!(rows, data.rows());
+                prop_assert_eq!(column.header.quantity == Quantity::Label, matches!(column.values, Values::Labels(_)));
+            }
+        }
+    }
+}

@@ -1,0 +1,281 @@
+use std::fs;
+use std::path::Path;
+
+use abbe_core::{Class, Context, Dataset, Ingest, Values, path_text};
+use proptest::prelude::*;
+use serde_json::{Value, json};
+
+use crate::{build, example};
+
+type Files<'a> = &'a [(&'a str, &'a str)];
+
+fn stage(folder: &Path, settings: &Value) -> Result<Box<dyn Ingest>, String> {
+    build(settings, &Context { base: folder.to_owned() }).map_err(|error| format!("settings: {error}"))
+}
+
+/// Reads `files` with `settings`; what is wrong is told with class and setting, and paths without the folder.
+fn read(files: Files<'_>, settings: &Value) -> Result<Dataset, String> {
+    let folder = tempfile::tempdir().unwrap();
+    for (name, text) in files {
+        let path = folder.path().join(name);
+        fs::create_dir_all(path.parent().unwrap()).unwrap();
+        fs::write(path, text).unwrap();
+    }
+    let stage = stage(folder.path(), settings)?;
+    let (headers, data) = (stage.headers(), stage.read());
+    match (&headers, &data) {
+        (headers, Ok(data)) => assert_eq!(headers.as_ref(), Ok(&data.headers())),
+        (headers, Err(error)) if error.class == Class::Use => assert_eq!(headers.as_ref(), Err(error)),
+        (headers, Err(_)) => assert!(headers.is_ok(), "{headers:?}"),
+    }
+    data.map_err(|error| {
+        let setting = if error.setting.is_empty() { String::new() } else { format!(" {}", path_text(&error.setting)) };
+        let text = format!("{:?}{setting}: {error}", error.class);
+        text.replace(&format!("{}{}", folder.path().display(), std::path::MAIN_SEPARATOR), "")
+    })
+}
+
+fn names(data: &Dataset) -> String {
+    data.columns.iter().map(|column| column.header.header.as_str()).collect::<Vec<_>>().join(" ")
+}
+
+/// The cells of a data set row by row, to be compared with text.
+fn rows(data: &Dataset) -> Vec<String> {
+    let cell = |values: &Values, row: usize| match values {
+        Values::Numbers(numbers) => numbers[row].to_string(),
+        Values::Labels(labels) => labels[row].clone(),
+    };
+    let row = |row| data.columns.iter().map(|column| cell(&column.values, row)).collect::<Vec<_>>().join(" ");
+    (0..data.rows()).map(row).collect()
+}
+
+fn check(files: Files<'_>, settings: Value, columns: &str, expected: &[&str]) {
+    let data = read(files, &settings).unwrap();
+    assert_eq!(names(&data), columns, "{settings}");
+    assert_eq!(rows(&data), expected, "{settings}");
+}
+
+fn check_error(files: Files<'_>, settings: Value, expected: &str) {
+    assert_eq!(read(files, &settings).unwrap_err(), expected, "{settings}");
+}
+
+const TOUCHES: (&str, &str) = ("touches.csv", "feature,X_mm\n1,0.5\n2,1.5\n3,2.5\n");
+const BARS: [(&str, &str); 4] = [
+    ("bar-10.csv", "X_mm,point\n3,a\n"),
+    ("bar-2.csv", "# note\npoint,X_mm\na,1\n\nb,2\n"),
+    (".bar-3.csv", "left by an editor"),
+    ("measurements.csv", "measurement,file,stylus,tip_um\nm1,bar-2.csv,1,5\nm2,bar-10,2,6\nm3,bar-11,2,6\n"),
+];
+
+#[test]
+fn rows_and_columns_are_what_the_settings_say() {
+    let touches = &[TOUCHES];
+    check(
+        touches,
+        json!({ "path": "touches.csv" }),
+        "feature X_mm file",
+        &["1 0.5 touches", "2 1.5 touches", "3 2.5 touches"],
+    );
+    check(
+        touches,
+        json!({ "path": ["touches.csv"], "constants": { "stylus": 2, "bar": "long one", "d_um": 500, "dir_X": -1 } }),
+        "feature X_mm file bar d_um dir_X stylus",
+        &["1 0.5 touches long one 0.5 -1 2", "2 1.5 touches long one 0.5 -1 2", "3 2.5 touches long one 0.5 -1 2"],
+    );
+    check(
+        touches,
+        json!({ "path": "touches.csv", "ignore": { "feature": [1, "3"] } }),
+        "feature X_mm file",
+        &["2 1.5 touches"],
+    );
+    check(
+        touches,
+        json!({ "path": "t*.csv", "keep": { "feature": [1, 3], "file": ["touches"] }, "ignore": { "feature": [3] } }),
+        "feature X_mm file",
+        &["1 0.5 touches"],
+    );
+    check(&BARS, json!({ "path": "bar-*" }), "point X_mm file", &["a 1 bar-2", "b 2 bar-2", "a 3 bar-10"]);
+    check(&BARS, json!({ "path": "bar-?.csv" }), "point X_mm file", &["a 1 bar-2", "b 2 bar-2"]);
+    check(
+        &BARS,
+        json!({ "path": ["bar-10.csv", "bar-2.csv"] }),
+        "X_mm point file",
+        &["3 a bar-10", "1 a bar-2", "2 b bar-2"],
+    );
+    check(
+        &BARS,
+        json!({
+            "path": "bar-*.csv",
+            "join": { "table": "measurements.csv", "on": "file" },
+            "keep": { "stylus": [2], "measurement": ["m2"] }
+        }),
+        "point X_mm file measurement stylus tip_um",
+        &["a 3 bar-10 m2 2 0.006"],
+    );
+    check(
+        &[("a/t.csv", "file,X_mm\np,1\n"), ("b/t.csv", "file,X_mm\nq,2\n"), ("n.csv", "file,u\np,5\nq,6\n")],
+        json!({ "path": ["a/*.csv", "b/t.csv"], "join": { "table": "n.csv", "on": "file" } }),
+        "file X_mm u",
+        &["p 1 5", "q 2 6"],
+    );
+}
+
+#[test]
+fn rows_keep_their_places() {
+    let data = read(&BARS, &json!({ "path": "bar-*.csv", "keep": { "point": ["b"], "file": ["bar-2"] } })).unwrap();
+    assert_eq!((data.origins[0].line, data.origins[0].row), (5, 2));
+    assert!(data.error_at(0, "x").to_string().ends_with("bar-2.csv:5: x"));
+    let data = read(&BARS, &json!({ "path": "bar-*.csv", "keep": { "file": ["bar-10"] } })).unwrap();
+    assert!(data.error_at(0, "x").to_string().ends_with("bar-10.csv:2: x"));
+}
+
+#[test]
+fn what_is_wrong_is_said_with_its_place() {
+    let touches = &[TOUCHES];
+    let with_path = |key: &str, value: Value| json!({ "path": "touches.csv", key: value });
+    let cases: Vec<(Files<'_>, Value, &str)> = vec![
+        (touches, json!({ "path": 5 }), "settings: path: a path or a list of paths was expected"),
+        (touches, json!({ "path": [] }), "settings: path: at least one file was expected"),
+        (touches, json!({ "paths": "touches.csv" }), "settings: paths: unknown setting `paths` (did you mean `path`?)"),
+        (
+            touches,
+            json!({ "path": "run-*/touches.csv" }),
+            "settings: path: `*` and `?` may stand in the name of a file, not of a folder as in `run-*/touches.csv`",
+        ),
+        (touches, json!({ "path": "touch.csv" }), "Use: touch.csv: there is no such file"),
+        (touches, json!({ "path": "bar-*.csv" }), "Use path: no file matches `bar-*.csv`"),
+        (touches, json!({ "path": "nowhere/bar-*.csv" }), "Use path: no file matches `nowhere/bar-*.csv`"),
+        (
+            touches,
+            json!({ "path": ["touches.csv", "t*.csv"] }),
+            "Use path: `touches.csv` and `touches.csv` would both be `touches` in the column `file`",
+        ),
+        (
+            &[("a.csv", "feature,X_mm\n1,x\n")],
+            json!({ "path": "a.csv" }),
+            "Data: a.csv:2:3: `X_mm` is `x`; a number was expected",
+        ),
+        (
+            &[TOUCHES, ("u.csv", "feature,X_mm,day\n1,2,3\n")],
+            json!({ "path": ["touches.csv", "u.csv"] }),
+            "Use: touches.csv: there is no column `day`, which `u.csv` has",
+        ),
+        (
+            &[TOUCHES, ("u.csv", "feature,X_um\n1,2\n")],
+            json!({ "path": ["touches.csv", "u.csv"] }),
+            "Use: u.csv: there is no column `X_mm`, which `touches.csv` has",
+        ),
+        (touches, with_path("constants", json!({ "X_um": 1 })), "Use constants.X_um: there is a column `X_mm` already"),
+        (
+            touches,
+            with_path("constants", json!({ "file": "a" })),
+            "Use constants.file: there is a column `file` already",
+        ),
+        (
+            touches,
+            with_path("constants", json!({ "Y_mm": "far" })),
+            "settings: constants.Y_mm: `Y_mm` is `far`; a number was expected",
+        ),
+        (touches, with_path("constants", json!({ "": 1 })), "settings: constants: a column needs a name"),
+        (
+            touches,
+            with_path("constants", json!({ "Y_mm": [1] })),
+            "settings: constants.Y_mm: a name or a number was expected, not a list",
+        ),
+        (
+            touches,
+            with_path("ignore", json!({ "feature": [1, 99] })),
+            "Data ignore.feature[1]: `ignore` names feature 99, which is in no row",
+        ),
+        (
+            touches,
+            with_path("keep", json!({ "featur": [1] })),
+            "Use keep.featur: there is no column `featur`; the columns are `feature`, `X_mm`, `file` (did you mean \
+             `feature`?)",
+        ),
+        (
+            touches,
+            with_path("ignore", json!({ "X": [0.5] })),
+            "Use ignore.X: the column `X_mm` holds numbers; labels were expected",
+        ),
+        (
+            touches,
+            with_path("ignore", json!({ "feature": [1, 2, 3] })),
+            "Data: no row is left after `ignore` and `keep`",
+        ),
+        (touches, with_path("join", json!({ "table": "t.csv", "on": "feature" })), "Use: t.csv: there is no such file"),
+        (
+            &[TOUCHES, ("t.csv", "feature,u\n1,5\n2,6\n")],
+            with_path("join", json!({ "table": "t.csv", "on": "feature" })),
+            "Data: touches.csv:4: feature `3` is not in the table `t.csv`",
+        ),
+        (
+            &[TOUCHES, ("t.csv", "feature,u\n1,5\n2,6\n3,7\n1,5\n")],
+            with_path("join", json!({ "table": "t.csv", "on": "feature" })),
+            "Data: t.csv:5: feature `1` is in line 2 already",
+        ),
+        (
+            &[TOUCHES, ("t.csv", "feature,X_um\n1,5\n2,6\n3,7\n")],
+            with_path("join", json!({ "table": "t.csv", "on": "feature" })),
+            "Use: t.csv: the column `X_mm` is in the data already",
+        ),
+        (
+            &[TOUCHES, ("t.csv", "point,u\n1,5\n")],
+            with_path("join", json!({ "table": "t.csv", "on": "point" })),
+            "Use join.on: there is no column `point`; the columns are `feature`, `X_mm`, `file`",
+        ),
+        (
+            &[TOUCHES, ("t.csv", "point,u\n1,5\n")],
+            with_path("join", json!({ "table": "t.csv", "on": "feature" })),
+            "Use: t.csv:1: there is no column `feature`; the columns are `point`, `u`",
+        ),
+    ];
+    for (files, settings, expected) in cases {
+        check_error(files, settings, expected);
+    }
+}
+
+#[test]
+fn inputs_are_listed_without_reading_them() {
+    let folder = tempfile::tempdir().unwrap();
+    for name in ["bar-10.csv", "bar-9.csv", "other.csv"] {
+        fs::write(folder.path().join(name), "").unwrap();
+    }
+    let settings =
+        json!({ "path": ["bar-*.csv", "gone-*.csv", "one.csv"], "join": { "table": "m.csv", "on": "file" } });
+    let inputs = stage(folder.path(), &settings).unwrap().inputs();
+    let found: Vec<_> = inputs
+        .iter()
+        .map(|input| (input.setting, input.path.strip_prefix(folder.path()).unwrap().to_str().unwrap()))
+        .collect();
+    let expected = ["bar-9.csv", "bar-10.csv", "gone-*.csv", "one.csv"].map(|name| ("path", name));
+    assert_eq!(found, [&expected[..], &[("join", "m.csv")]].concat());
+}
+
+#[test]
+fn the_example_builds() {
+    assert!(stage(Path::new("nowhere"), &example()).is_ok());
+}
+
+proptest! {
+    #![proptest_config(ProptestConfig::with_cases(32))]
+
+    #[test]
+    fn splitting_a_file_changes_nothing_but_the_file(
+        numbers in prop::collection::vec(-1e3..1e3f64, 2..20),
+        place in any::<prop::sample::Index>(),
+    ) {
+        let cut = 1 + place.index(numbers.len() - 1);
+        let lines: Vec<String> = numbers.iter().enumerate().map(|(i, x)| format!("{i},{x},{x}\n")).collect();
+        let file = |lines: &[String]| format!("touch,X_mm,C_deg\n{}", lines.concat());
+        let settings = json!({ "path": "t*.csv", "constants": { "stylus": 1 } });
+        let whole = read(&[("t1.csv", &file(&lines))], &settings).unwrap();
+        let split = read(&[("t1.csv", &file(&lines[..cut])), ("t2.csv", &file(&lines[cut..]))], &settings).unwrap();
+        prop_assert_eq!(whole.headers(), split.headers());
+        for (one, other) in whole.columns.iter().zip(&split.columns).filter(|(one, _)| one.header.name != "file") {
+            prop_assert_eq!(one, other);
+        }
+        let file = |row: usize| if row < cut { "t1" } else { "t2" };
+        prop_assert_eq!(split.labels("file").unwrap(), (0..numbers.len()).map(file).collect::<Vec<_>>());
+    }
+}
