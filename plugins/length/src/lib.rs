@@ -8,8 +8,8 @@ use std::sync::Arc;
 
 use abbe_core::{
     Absent, Artefact, Axis, AxisKind, Build, ColumnHeader, Constructor, Contact, Context, Dataset, Equations, Error,
-    Feature, InputFile, KinematicModel, KnownInput, Layout, Observations, Parameter, Plugin, PoseValues, Poses, Result,
-    SettingsError, StatusColumn, Target, Unit, inventory, pose_columns,
+    Feature, InputFile, KinematicModel, KnownInput, Layout, Observations, Parameter, Plugin, PoseValues, Poses,
+    Quantity, Result, SettingsError, StatusColumn, Target, Unit, inventory, pose_columns,
 };
 use nalgebra::Vector3;
 use schemars::JsonSchema;

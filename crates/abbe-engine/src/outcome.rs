@@ -1,0 +1,177 @@
+//! The results of a run, and how they get on disk: whole or not at all.
+
+use std::fs;
+use std::io::{self, Read};
+use std::path::{Path, PathBuf};
+use std::time::{Duration, SystemTime, UNIX_EPOCH};
+
+use abbe_core::{Error, ExportedFile, Fit, Kind, Result, Verdict};
+use serde::Serialize;
+use sha2::{Digest, Sha256};
+
+/// Everything that a run found, in memory.
+pub struct Outcome {
+    /// Name of the recipe, which names the folder.
+    pub recipe: String,
+    /// The estimates.
+    pub fits: Vec<Fit>,
+    /// The verdicts.
+    pub verdicts: Vec<Verdict>,
+    /// Exported files by stage.
+    pub exports: Vec<(String, Vec<ExportedFile>)>,
+    pub(crate) files: Vec<PathBuf>,
+    pub(crate) plugins: Vec<(Kind, String)>,
+    pub(crate) started: SystemTime,
+    pub(crate) duration: Duration,
+}
+
+/// `run.json`: what was run on what.
+#[derive(Debug, Serialize)]
+struct RunRecord {
+    abbe_run: u32,
+    version: &'static str,
+    recipe: String,
+    inputs: Vec<InputRecord>,
+    plugins: Vec<PluginRecord>,
+    started_unix_s: u64,
+    duration_s: f64,
+}
+
+#[derive(Debug, Serialize)]
+struct InputRecord {
+    file: String,
+    sha256: String,
+}
+
+#[derive(Debug, PartialEq, Serialize)]
+struct PluginRecord {
+    kind: &'static str,
+    name: String,
+    origin: &'static str,
+    version: &'static str,
+}
+
+impl Outcome {
+    /// Whether every verdict passes.
+    pub fn passes(&self) -> bool {
+        self.verdicts.iter().all(|verdict| verdict.pass)
+    }
+
+    /// Writes the results into `<out>/<recipe>/`, replacing what an earlier run left there; gives that folder.
+    ///
+    /// Files are written into a temporary folder beside it, which takes its place in the end: whoever looks finds the
+    /// results of one run, whole, or none.
+    pub fn write(&self, out: &Path) -> Result<PathBuf> {
+        let unwritable = |error: io::Error| unwritable(out, &error);
+        let staging = staging(out)?;
+        let write = |name: &str, content: &[u8]| -> Result<()> {
+            let path = staging.path().join(name);
+            if let Some(folder) = path.parent() {
+                fs::create_dir_all(folder).map_err(unwritable)?;
+            }
+            fs::write(path, content).map_err(unwritable)
+        };
+        for fit in &self.fits {
+            write(&format!("{}.calibration.json", fit.name), fit.calibration.to_json()?.as_bytes())?;
+        }
+        write("verdicts.json", json(&self.verdicts)?.as_bytes())?;
+        for (stage, files) in &self.exports {
+            for file in files {
+                write(&format!("{stage}/{}", file.name), &file.content)?;
+            }
+        }
+        write("run.json", json(&self.record()?)?.as_bytes())?;
+
+        let target = out.join(&self.recipe);
+        let staged = staging.keep();
+        if target.exists() {
+            // Two renames, so that the old results are gone only once the new ones are complete.
+            let old = staged.with_extension("old");
+            fs::rename(&target, &old).map_err(unwritable)?;
+            fs::rename(&staged, &target).map_err(unwritable)?;
+            fs::remove_dir_all(&old).map_err(unwritable)?;
+        } else {
+            fs::rename(&staged, &target).map_err(unwritable)?;
+        }
+        Ok(target)
+    }
+
+    fn record(&self) -> Result<RunRecord> {
+        let mut inputs: Vec<InputRecord> = Vec::new();
+        for file in &self.files {
+            let name = file.display().to_string();
+            if inputs.iter().all(|input| input.file != name) {
+                inputs.push(InputRecord { file: name, sha256: sha256(file)? });
+            }
+        }
+        let mut plugins = Vec::new();
+        for (kind, name) in &self.plugins {
+            let record = PluginRecord {
+                kind: kind.key(),
+                name: name.clone(),
+                origin: "built-in",
+                version: env!("CARGO_PKG_VERSION"),
+            };
+            if !plugins.contains(&record) {
+                plugins.push(record);
+            }
+        }
+        Ok(RunRecord {
+            abbe_run: 1,
+            version: env!("CARGO_PKG_VERSION"),
+            recipe: self.recipe.clone(),
+            inputs,
+            plugins,
+            started_unix_s: self.started.duration_since(UNIX_EPOCH).map_or(0, |since| since.as_secs()),
+            duration_s: self.duration.as_secs_f64(),
+        })
+    }
+
+    /// Fails early if results could not be written to `out` in the end.
+    pub fn can_write(out: &Path) -> Result<()> {
+        staging(out).map(drop)
+    }
+}
+
+/// What the names of temporary folders begin with.
+const STAGING: &str = ".abbe-partial-";
+
+/// A temporary folder in `out`; what an interrupted run left there is removed.
+fn staging(out: &Path) -> Result<tempfile::TempDir> {
+    let unwritable = |error: io::Error| unwritable(out, &error);
+    fs::create_dir_all(out).map_err(unwritable)?;
+    for entry in fs::read_dir(out).map_err(unwritable)?.flatten() {
+        let stale = entry.metadata().and_then(|data| data.modified()).ok();
+        let age = stale.and_then(|modified| modified.elapsed().ok()).unwrap_or_default();
+        // A minute leaves another run on the same folder in peace: writing takes far less.
+        if entry.file_name().to_string_lossy().starts_with(STAGING) && age > Duration::from_secs(60) {
+            fs::remove_dir_all(entry.path()).map_err(unwritable)?;
+        }
+    }
+    tempfile::Builder::new().prefix(STAGING).tempdir_in(out).map_err(unwritable)
+}
+
+fn unwritable(out: &Path, error: &io::Error) -> Error {
+    Error::data(format!("the results cannot be written to {}: {error}", out.display()))
+        .help("name another folder with `--out`")
+}
+
+fn json<T: Serialize>(value: &T) -> Result<String> {
+    serde_json::to_string_pretty(value)
+        .map(|text| text + "\n")
+        .map_err(|error| Error::data(format!("a result cannot be written: {error}")))
+}
+
+fn sha256(file: &Path) -> Result<String> {
+    let unreadable = |error: io::Error| Error::data(format!("the file cannot be read: {error}")).in_file(file);
+    let mut reader = fs::File::open(file).map_err(unreadable)?;
+    let mut digest = Sha256::new();
+    let mut buffer = [0; 1 << 16];
+    loop {
+        match reader.read(&mut buffer).map_err(unreadable)? {
+            0 => break,
+            count => digest.update(&buffer[..count]),
+        }
+    }
+    Ok(digest.finalize().iter().map(|byte| format!("{byte:02x}")).collect())
+}

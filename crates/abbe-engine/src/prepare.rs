@@ -1,0 +1,201 @@
+//! From a recipe to built stages, with all checks that need no data rows.
+
+use std::collections::BTreeMap;
+use std::path::{Path, PathBuf};
+use std::sync::Arc;
+
+use abbe_core::{
+    Artefact, Build, ColumnHeader, Constructor, Context, Error, Estimate, Export, Ingest, InputFile, Kind, Model,
+    Plugin, Registry, Result, SettingsError, Validate,
+};
+use abbe_recipe::{Recipe, Stage};
+use serde_json::Value;
+
+/// The stages of a recipe, built and checked as far as that goes without data rows.
+pub struct Prepared {
+    /// The recipe.
+    pub recipe: Recipe,
+    pub(crate) ingests: BTreeMap<String, Box<dyn Ingest>>,
+    pub(crate) artefacts: BTreeMap<String, Box<dyn Artefact>>,
+    pub(crate) models: BTreeMap<String, Box<dyn Model>>,
+    pub(crate) estimators: BTreeMap<String, Estimator>,
+    pub(crate) validators: BTreeMap<String, Box<dyn Validate>>,
+    pub(crate) exporters: BTreeMap<String, Box<dyn Export>>,
+    /// Every file that the recipe reads, itself first.
+    pub(crate) files: Vec<PathBuf>,
+}
+
+/// An estimator and the patterns that choose its unknowns.
+pub(crate) struct Estimator {
+    pub(crate) estimator: Arc<dyn Estimate>,
+    pub(crate) parameters: Vec<String>,
+}
+
+/// Reads a recipe, builds its stages and checks them.
+///
+/// Fails with [`abbe_core::Class::Use`] on everything that is wrong with the recipe, the files that it names and their
+/// headers.
+pub fn prepare(path: &Path, registry: &Registry) -> Result<Prepared> {
+    let recipe = Recipe::read(path, registry)?;
+    if let Some(library) = recipe.libraries.first() {
+        let mut error = Error::usage(format!("{}: this program cannot load plugin libraries", library.path.display()));
+        error.place = library.place.clone();
+        return Err(error);
+    }
+    let mut prepared = Prepared {
+        ingests: BTreeMap::new(),
+        artefacts: BTreeMap::new(),
+        models: BTreeMap::new(),
+        estimators: BTreeMap::new(),
+        validators: BTreeMap::new(),
+        exporters: BTreeMap::new(),
+        files: vec![path.to_owned()],
+        recipe,
+    };
+    let context = Context { base: prepared.recipe.base.clone() };
+    for stage in prepared.recipe.stages.clone() {
+        let inputs = prepared.build(&stage, registry, &context)?;
+        prepared.files.extend(stage.files.iter().cloned());
+        for InputFile { setting, path } in inputs {
+            if !path.is_file() {
+                let error = Error::usage(format!("there is no file {}", path.display())).setting(setting);
+                return Err(prepared.recipe.locate(error.stage(&stage.name)));
+            }
+            prepared.files.push(path);
+        }
+    }
+    prepared.files.dedup();
+    for stage in &prepared.recipe.stages {
+        prepared.check_stage(stage).map_err(|error| prepared.recipe.locate(error.stage(&stage.name)))?;
+    }
+    Ok(prepared)
+}
+
+impl Prepared {
+    /// Builds one stage; gives the files that it reads.
+    fn build(&mut self, stage: &Stage, registry: &Registry, context: &Context) -> Result<Vec<InputFile>> {
+        let wrong = |error: SettingsError| self.recipe.settings_error(&stage.name, error);
+        let plugin = registry.find(stage.kind, &stage.plugin).map_err(wrong)?;
+        let mut settings = stage.settings.clone();
+        let patterns = match (stage.kind, settings.as_object_mut()) {
+            (Kind::Estimate, Some(map)) => patterns(map.remove("parameters")).map_err(wrong)?,
+            _ => Vec::new(),
+        };
+        let name = stage.name.clone();
+        match &plugin.build {
+            Build::Ingest(constructor) => {
+                let built = constructor.build(&settings, context).map_err(wrong)?;
+                let inputs = built.inputs();
+                self.ingests.insert(name, built);
+                Ok(inputs)
+            }
+            Build::Artefact(constructor) => {
+                let built = constructor.build(&settings, context).map_err(wrong)?;
+                let inputs = built.inputs();
+                self.artefacts.insert(name, built);
+                Ok(inputs)
+            }
+            Build::Model(constructor) => {
+                let built = constructor.build(&settings, context).map_err(wrong)?;
+                let inputs = built.inputs();
+                self.models.insert(name, built);
+                Ok(inputs)
+            }
+            Build::Estimate(constructor) => {
+                let estimator = Arc::from(constructor.build(&settings, context).map_err(wrong)?);
+                self.estimators.insert(name, Estimator { estimator, parameters: patterns });
+                Ok(Vec::new())
+            }
+            Build::Validate(constructor) => {
+                let built = constructor.build(&settings, context).map_err(wrong)?;
+                let inputs = built.inputs();
+                self.validators.insert(name, built);
+                Ok(inputs)
+            }
+            Build::Export(constructor) => {
+                let built = constructor.build(&settings, context).map_err(wrong)?;
+                let inputs = built.inputs();
+                self.exporters.insert(name, built);
+                Ok(inputs)
+            }
+        }
+    }
+
+    /// Checks what stages say of each other: columns against the machine, observations that a validator names.
+    fn check_stage(&self, stage: &Stage) -> Result<()> {
+        match stage.kind {
+            Kind::Ingest => self.headers(&stage.name).map(drop),
+            Kind::Estimate => {
+                let model =
+                    self.model(stage)?.build(&[]).map_err(|error| error.stage(&stage.reference("machine")[0]))?;
+                for name in stage.reference("observations") {
+                    let (ingest, artefact) = self.artefact(name)?;
+                    let (headers, files) = (self.headers(ingest)?, self.ingests[ingest].inputs());
+                    let file = files.first().map(|file| &file.path);
+                    artefact.check(&headers, file, model.as_ref()).map_err(|error| error.stage(name))?;
+                }
+                Ok(())
+            }
+            Kind::Validate => {
+                for (setting, name) in self.validators[&stage.name].observations() {
+                    for fit in stage.reference("of") {
+                        let observed = self.recipe_stage(fit)?.reference("observations");
+                        if !observed.contains(&name) {
+                            return Err(Error::usage(format!("`{name}` is not among the observations of `{fit}`"))
+                                .setting(setting)
+                                .suggest(&name, observed.iter().map(String::as_str)));
+                        }
+                    }
+                }
+                Ok(())
+            }
+            Kind::Artefact | Kind::Model | Kind::Export => Ok(()),
+        }
+    }
+
+    fn headers(&self, ingest: &str) -> Result<Vec<ColumnHeader>> {
+        self.ingests[ingest].headers().map_err(|error| error.stage(ingest))
+    }
+
+    pub(crate) fn recipe_stage(&self, name: &str) -> Result<&Stage> {
+        let stages = &self.recipe.stages;
+        stages
+            .iter()
+            .find(|stage| stage.name == name)
+            .ok_or_else(|| Error::usage(format!("there is no stage `{name}`")))
+    }
+
+    /// The ingest stage that an artefact takes its rows from, and the artefact.
+    pub(crate) fn artefact(&self, name: &str) -> Result<(&str, &dyn Artefact)> {
+        let from = &self.recipe_stage(name)?.reference("from")[0];
+        Ok((from, self.artefacts[name].as_ref()))
+    }
+
+    /// The model that an estimate uses.
+    pub(crate) fn model(&self, estimate: &Stage) -> Result<&dyn Model> {
+        Ok(self.models[&estimate.reference("machine")[0]].as_ref())
+    }
+
+    /// Stages of one kind, in the order in which they can run.
+    pub(crate) fn stages(&self, kind: Kind) -> impl Iterator<Item = &Stage> {
+        self.recipe.stages.iter().filter(move |stage| stage.kind == kind)
+    }
+}
+
+/// The patterns under `parameters` of an estimate.
+fn patterns(setting: Option<Value>) -> Result<Vec<String>, SettingsError> {
+    let missing = || SettingsError::new("", "the setting `parameters` is missing").help("name what is to be estimated");
+    let list = setting.ok_or_else(missing)?;
+    abbe_core::from_settings(&list).map_err(|error| error.under([abbe_core::PathItem::Key("parameters".to_owned())]))
+}
+
+/// Builds a plugin of the kind model from the settings that a calibration keeps.
+pub(crate) fn build_model(plugin: &Plugin, settings: &Value) -> Result<Box<dyn Model>> {
+    let build: &Constructor<dyn Model> = match &plugin.build {
+        Build::Model(constructor) => constructor,
+        _ => return Err(Error::data(format!("`{}` is no model plugin", plugin.name))),
+    };
+    build
+        .build(settings, &Context { base: PathBuf::new() })
+        .map_err(|error| Error::data(format!("the model of this calibration cannot be built: {error}")))
+}

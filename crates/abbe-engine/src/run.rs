@@ -1,0 +1,201 @@
+//! Runs the graph: data sets, then estimates, validators and exporters.
+
+use std::collections::{BTreeMap, BTreeSet};
+use std::sync::Arc;
+use std::time::{Instant, SystemTime};
+
+use abbe_core::{
+    Calibration, Dataset, Error, Fit, Identifiability, Kind, KinematicModel, ObservationSet, Problem, Registry, Result,
+    Verdict,
+};
+use abbe_recipe::Stage;
+
+use crate::outcome::Outcome;
+use crate::prepare::{Prepared, build_model};
+
+/// What is going on.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub enum Event<'a> {
+    /// A stage starts; `done` of `all` stages are through.
+    Started {
+        /// Its name.
+        stage: &'a str,
+        /// Its kind.
+        kind: Kind,
+        /// Stages that are through.
+        done: usize,
+        /// All stages that have something to do.
+        all: usize,
+    },
+}
+
+/// What a planned fit can determine.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Planned {
+    /// Name of the estimate.
+    pub estimate: String,
+    /// What it can determine.
+    pub identifiability: Identifiability,
+}
+
+type Datasets = BTreeMap<String, Arc<Dataset>>;
+
+impl Prepared {
+    /// Everything but the fits: data, problems, and what the fits can determine at nominal contact points.
+    pub fn check(&self) -> Result<Vec<Planned>> {
+        let data = self.read(&mut |_| {})?;
+        let mut taken = Taken::default();
+        let mut planned = Vec::new();
+        for stage in self.stages(Kind::Estimate) {
+            let problem = self.located(stage, self.problem(stage, &data, &mut taken))?;
+            let identifiability = self.estimators[&stage.name].estimator.identify(&problem);
+            let identifiability = self.located(stage, identifiability)?;
+            planned.push(Planned { estimate: stage.name.clone(), identifiability });
+        }
+        self.nothing_left_over(&data, &taken)?;
+        Ok(planned)
+    }
+
+    /// Runs the recipe; `tell` hears what is going on.
+    pub fn run(&self, tell: &mut dyn FnMut(Event<'_>)) -> Result<Outcome> {
+        let (started, clock) = (SystemTime::now(), Instant::now());
+        let data = self.read(tell)?;
+        let mut taken = Taken::default();
+        let mut problems = Vec::new();
+        for stage in self.stages(Kind::Estimate) {
+            problems.push(self.located(stage, self.problem(stage, &data, &mut taken))?);
+        }
+        // Before the first fit, so that a feature that nobody knows does not cost a long run.
+        self.nothing_left_over(&data, &taken)?;
+        let mut fits: Vec<Fit> = Vec::new();
+        for (stage, problem) in self.stages(Kind::Estimate).zip(problems) {
+            self.started(stage, tell);
+            let estimator = self.estimators[&stage.name].estimator.clone();
+            let problem = start(stage, problem, &fits);
+            tracing::info!("{}: {} equations, {} unknowns", stage.name, problem.equations(), problem.unknowns.len());
+            let calibration = self.located(stage, estimator.estimate(&problem))?;
+            fits.push(Fit { name: stage.name.clone(), problem: Arc::new(problem), estimator, calibration });
+        }
+        let mut verdicts = Vec::new();
+        for stage in self.stages(Kind::Validate) {
+            self.started(stage, tell);
+            let judged: Vec<&Fit> = named(stage.reference("of"), &fits);
+            let evidence: Vec<&Dataset> = stage.reference("from").iter().map(|name| data[name].as_ref()).collect();
+            let findings = self.located(stage, self.validators[&stage.name].validate(&judged, &evidence))?;
+            verdicts.push(Verdict::new(&stage.name, &stage.plugin, findings));
+        }
+        let mut exports = Vec::new();
+        for stage in self.stages(Kind::Export) {
+            self.started(stage, tell);
+            for fit in named(stage.reference("of"), &fits) {
+                let exporter = &self.exporters[&stage.name];
+                let files = self.located(stage, exporter.export(&fit.calibration, fit.problem.model.as_ref()))?;
+                exports.push((stage.name.clone(), files));
+            }
+        }
+        Ok(Outcome {
+            recipe: self.recipe.id.clone(),
+            fits,
+            verdicts,
+            exports,
+            files: self.files.clone(),
+            plugins: self.recipe.stages.iter().map(|stage| (stage.kind, stage.plugin.clone())).collect(),
+            started,
+            duration: clock.elapsed(),
+        })
+    }
+
+    /// Errors of a stage get its name and place.
+    fn located<T>(&self, stage: &Stage, result: Result<T>) -> Result<T> {
+        result.map_err(|error| self.recipe.locate(error.stage(&stage.name)))
+    }
+
+    fn started(&self, stage: &Stage, tell: &mut dyn FnMut(Event<'_>)) {
+        let works = |stage: &&Stage| !matches!(stage.kind, Kind::Artefact | Kind::Model);
+        let working: Vec<&Stage> = self.recipe.stages.iter().filter(works).collect();
+        let done = working.iter().position(|other| other.name == stage.name).unwrap_or(0);
+        tell(Event::Started { stage: &stage.name, kind: stage.kind, done, all: working.len() });
+    }
+
+    fn read(&self, tell: &mut dyn FnMut(Event<'_>)) -> Result<Datasets> {
+        let mut data = BTreeMap::new();
+        for stage in self.stages(Kind::Ingest) {
+            self.started(stage, tell);
+            let read = self.located(stage, self.ingests[&stage.name].read())?;
+            data.insert(stage.name.clone(), Arc::new(read));
+        }
+        Ok(data)
+    }
+
+    /// Model and observations of an estimate.
+    fn problem(&self, stage: &Stage, data: &Datasets, taken: &mut Taken) -> Result<Problem> {
+        let names = stage.reference("observations");
+        let mut used: Vec<&Dataset> = Vec::new();
+        let mut ingests: Vec<&str> = Vec::new();
+        for name in names {
+            let (ingest, _) = self.artefact(name)?;
+            if !ingests.contains(&ingest) {
+                ingests.push(ingest);
+                used.push(data[ingest].as_ref());
+            }
+        }
+        let machine = &stage.reference("machine")[0];
+        let model = self.model(stage)?.build(&used).map_err(|error| error.stage(machine))?;
+        let mut sets = Vec::new();
+        for name in names {
+            let (ingest, artefact) = self.artefact(name)?;
+            let observations = artefact.observe(&data[ingest], model.as_ref()).map_err(|error| error.stage(name))?;
+            let rows = observations.layout().rows.iter().filter_map(|row| row.data_row);
+            taken.entry(ingest.to_owned()).or_default().extend(rows);
+            sets.push(ObservationSet::new(name, observations));
+        }
+        let plugin = &self.recipe_stage(machine)?.plugin;
+        Problem::new(&stage.name, plugin, model, sets, &self.estimators[&stage.name].parameters)
+    }
+
+    /// Refuses rows that no artefact took: a feature without nominal geometry must not vanish silently.
+    fn nothing_left_over(&self, data: &Datasets, taken: &Taken) -> Result<()> {
+        for (ingest, rows) in taken {
+            let data = &data[ingest];
+            let Some(row) = (0..data.rows()).find(|row| !rows.contains(row)) else { continue };
+            let (feature, ignore) = match data.labels("feature") {
+                Some(labels) => (
+                    format!("feature {} is taken by no artefact", labels[row]),
+                    format!("; or leave it out by `ignore: {{ feature: [{}] }}` in stage `{ingest}`", labels[row]),
+                ),
+                None => ("this row is taken by no artefact".to_owned(), String::new()),
+            };
+            return Err(data
+                .error_at(row, feature)
+                .stage(ingest)
+                .help(format!("add it to the nominal geometry of an artefact that is observed{ignore}")));
+        }
+        Ok(())
+    }
+}
+
+/// Rows of each data set that some artefact took.
+type Taken = BTreeMap<String, BTreeSet<usize>>;
+
+/// The start values of a problem: those of an earlier estimate, if it names one.
+fn start(stage: &Stage, problem: Problem, fits: &[Fit]) -> Problem {
+    match named(stage.reference("start"), fits).first() {
+        Some(fit) => {
+            let x = problem.values_of(&fit.calibration);
+            problem.at(&x)
+        }
+        None => problem,
+    }
+}
+
+fn named<'a>(names: &[String], fits: &'a [Fit]) -> Vec<&'a Fit> {
+    names.iter().filter_map(|name| fits.iter().find(|fit| fit.name == *name)).collect()
+}
+
+/// The model of a calibration, built from its own settings alone.
+pub fn model_of(calibration: &Calibration, registry: &Registry) -> Result<Arc<dyn KinematicModel>> {
+    let plugin = registry
+        .find(Kind::Model, &calibration.model.plugin)
+        .map_err(|error| Error::data(format!("the model of this calibration: {error}")))?;
+    build_model(plugin, &calibration.model.settings)?.build(&[])
+}

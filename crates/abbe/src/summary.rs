@@ -1,0 +1,233 @@
+//! What a run found, as people and as machines read it.
+
+use std::path::Path;
+
+use abbe_core::{Estimated, Figure, Fit, NullVector, Owner, Status, Unit, Verdict};
+use abbe_engine::{Outcome, Planned};
+use abbe_recipe::Recipe;
+use serde_json::{Value, json};
+
+use crate::number::{short, with_uncertainty};
+use crate::table;
+
+/// The summary of a run for a terminal.
+pub fn text(name: &str, outcome: &Outcome, folder: &Path) -> String {
+    let mut parts = vec![format!("{name}\n")];
+    if !outcome.fits.is_empty() {
+        parts.push(section("Estimated parameters, with standard uncertainties", &parameters(&outcome.fits)));
+        parts.push(section("Fits", &fits(&outcome.fits)));
+        parts.extend(outliers(&outcome.fits));
+        parts.extend(lost(&outcome.fits));
+    }
+    parts.extend(outcome.verdicts.iter().map(verdict));
+    parts.push(format!("Results: {}\n", folder.display()));
+    parts.join("\n")
+}
+
+fn section(title: &str, body: &str) -> String {
+    format!("{title}\n{body}")
+}
+
+/// One line a parameter, one column a fit.
+fn parameters(fits: &[Fit]) -> String {
+    let mut names: Vec<(&str, &str)> = Vec::new();
+    for fit in fits {
+        for estimated in fit.calibration.parameters.iter().filter(|estimated| estimated.status != Status::Fixed) {
+            if !names.iter().any(|(name, _)| *name == estimated.name) {
+                names.push((&estimated.name, &estimated.unit));
+            }
+        }
+    }
+    let mut header = vec![String::new(), String::new()];
+    header.extend(fits.iter().map(|fit| fit.name.clone()));
+    let mut rows = vec![header];
+    for (name, unit) in names {
+        let (symbol, factor) = unit.parse::<Unit>().map_or((unit.to_owned(), 1.0), Unit::for_people);
+        let mut row = vec![name.to_owned(), symbol];
+        row.extend(fits.iter().map(|fit| {
+            let found = fit.calibration.parameters.iter().find(|estimated| estimated.name == name);
+            found.map_or(String::new(), |estimated| cell(estimated, factor))
+        }));
+        rows.push(row);
+    }
+    let mut own = vec!["artefacts".to_owned(), "unknowns".to_owned()];
+    own.extend(
+        fits.iter().map(|fit| {
+            fit.problem.unknowns.iter().filter(|unknown| unknown.owner != Owner::Machine).count().to_string()
+        }),
+    );
+    rows.push(own);
+    table::text(&rows, &columns(fits.len(), 2))
+}
+
+fn cell(estimated: &Estimated, factor: f64) -> String {
+    let value = with_uncertainty(estimated.value * factor, estimated.standard_uncertainty * factor);
+    match estimated.status {
+        Status::Fixed => String::new(),
+        Status::Estimated => value,
+        Status::Considered => format!("({value})"),
+        Status::Confounded => format!("{value} ?"),
+    }
+}
+
+fn columns(count: usize, first: usize) -> Vec<usize> {
+    (first..first + count).collect()
+}
+
+fn fits(fits: &[Fit]) -> String {
+    type Figure = (&'static str, fn(&Fit) -> String);
+    let figures: [Figure; 9] = [
+        ("equations", |fit| fit.calibration.fit.observations.to_string()),
+        ("unknowns", |fit| fit.calibration.fit.unknowns.to_string()),
+        ("rank", |fit| fit.calibration.fit.rank.to_string()),
+        ("condition", |fit| short(fit.calibration.fit.condition)),
+        ("sigma", |fit| short(fit.calibration.fit.sigma)),
+        ("residual, largest µm", |fit| short(fit.calibration.fit.residual_max_um)),
+        ("residual, mean size µm", |fit| short(fit.calibration.fit.residual_mean_abs_um)),
+        ("residual, RMS µm", |fit| short(fit.calibration.fit.residual_rms_um)),
+        ("outliers", |fit| fit.calibration.outliers.len().to_string()),
+    ];
+    let mut header = vec![String::new()];
+    header.extend(fits.iter().map(|fit| fit.name.clone()));
+    let mut rows = vec![header];
+    for (name, figure) in figures {
+        let mut row = vec![name.to_owned()];
+        row.extend(fits.iter().map(figure));
+        rows.push(row);
+    }
+    table::text(&rows, &columns(fits.len(), 1))
+}
+
+fn outliers(fits: &[Fit]) -> Option<String> {
+    let mut text = String::new();
+    for fit in fits {
+        for outlier in &fit.calibration.outliers {
+            text.push_str(&format!(
+                "  {}: {} row {} ({}:{}) is {:.1} µm off, weight {:.2}\n",
+                fit.name, outlier.stage, outlier.row, outlier.file, outlier.line, outlier.residual_um, outlier.weight
+            ));
+        }
+    }
+    (!text.is_empty()).then(|| section("Outliers", &text))
+}
+
+fn lost(fits: &[Fit]) -> Option<String> {
+    let lines = fits.iter().flat_map(|fit| {
+        fit.calibration.fit.null_space.iter().map(|vector| format!("  {}: {}\n", fit.name, vector.describe()))
+    });
+    let text: String = lines.collect();
+    (!text.is_empty()).then(|| section("Not determined", &text))
+}
+
+fn verdict(verdict: &Verdict) -> String {
+    let judged = verdict.figures.iter().any(|figure| figure.limit.is_some());
+    let result = match (judged, verdict.pass) {
+        (false, _) => "no limit set",
+        (true, true) => "PASS",
+        (true, false) => "FAIL",
+    };
+    let mut text = section(&format!("{} ({}): {result}", verdict.stage, verdict.plugin), &figures(&verdict.figures));
+    for remark in &verdict.remarks {
+        text.push_str(&format!("  {remark}\n"));
+    }
+    text
+}
+
+/// One line a figure, one column an estimate; details are left to `verdicts.json`.
+fn figures(figures: &[Figure]) -> String {
+    let shown: Vec<&Figure> = figures.iter().filter(|figure| !figure.detail).collect();
+    let mut estimates: Vec<&Option<String>> = Vec::new();
+    let mut names: Vec<(&str, &str)> = Vec::new();
+    for figure in &shown {
+        if !estimates.contains(&&figure.of) {
+            estimates.push(&figure.of);
+        }
+        if !names.contains(&(&figure.name, &figure.unit)) {
+            names.push((&figure.name, &figure.unit));
+        }
+    }
+    let mut header = vec![String::new()];
+    header.extend(estimates.iter().map(|of| of.as_deref().unwrap_or_default().to_owned()));
+    let limited = shown.iter().any(|figure| figure.limit.is_some());
+    if limited {
+        header.push("limit".to_owned());
+    }
+    let mut rows = vec![header];
+    for (name, unit) in names {
+        let of_name = || shown.iter().filter(|figure| figure.name == name && figure.unit == unit);
+        let unit = match unit {
+            "1" => String::new(),
+            "um" => " µm".to_owned(),
+            "urad" => " µrad".to_owned(),
+            other => format!(" {other}"),
+        };
+        let mut row = vec![format!("{name}{unit}")];
+        row.extend(estimates.iter().map(|of| {
+            let Some(figure) = of_name().find(|figure| figure.of == **of) else { return String::new() };
+            let mark = if figure.passes() { "" } else { " !" };
+            let value = figure.value.map_or_else(|| "none".to_owned(), |value| counted(value, &figure.unit));
+            format!("{value}{mark}")
+        }));
+        if limited {
+            let limit = of_name().find_map(|figure| figure.limit);
+            row.push(limit.map_or_else(String::new, short));
+        }
+        rows.push(row);
+    }
+    table::text(&rows, &columns(estimates.len() + usize::from(limited), 1))
+}
+
+fn counted(value: f64, unit: &str) -> String {
+    if unit == "1" && value.fract() == 0.0 && value.abs() < 1e9 { format!("{value:.0}") } else { short(value) }
+}
+
+/// The summary of a run for machines.
+pub fn json(outcome: &Outcome, folder: &Path) -> Value {
+    let estimates = outcome.fits.iter().map(|fit| {
+        json!({
+            "estimate": fit.name,
+            "calibration": folder.join(format!("{}.calibration.json", fit.name)).display().to_string(),
+            "fit": fit.calibration.fit,
+            "outliers": fit.calibration.outliers,
+        })
+    });
+    json!({
+        "results": folder.display().to_string(),
+        "pass": outcome.passes(),
+        "estimates": estimates.collect::<Vec<_>>(),
+        "verdicts": outcome.verdicts,
+    })
+}
+
+/// What the planned fits can determine, for a terminal.
+pub fn planned_text(recipe: &Recipe, planned: &[Planned]) -> String {
+    let mut rows = vec![["", "equations", "unknowns", "rank", "condition"].map(str::to_owned).to_vec()];
+    for planned in planned {
+        let found = &planned.identifiability;
+        rows.push(vec![
+            planned.estimate.clone(),
+            found.observations.to_string(),
+            found.unknowns.to_string(),
+            found.rank.to_string(),
+            short(found.condition),
+        ]);
+    }
+    let mut text = format!("{}: {} stages\n\n", recipe.name, recipe.stages.len());
+    text.push_str(&section("Planned fits, judged at nominal contact", &table::text(&rows, &columns(4, 1))));
+    let lines = planned.iter().flat_map(|planned| {
+        let lost = planned.identifiability.null_space.iter().map(NullVector::describe);
+        lost.map(|lost| format!("  {}: {lost}\n", planned.estimate))
+    });
+    let lost: String = lines.collect();
+    if !lost.is_empty() {
+        text.push_str(&format!("\n{}", section("Not determined", &lost)));
+    }
+    text
+}
+
+/// What the planned fits can determine, for machines.
+pub fn planned_json(planned: &[Planned]) -> Value {
+    let planned =
+        planned.iter().map(|planned| json!({ "estimate": planned.estimate, "planned": planned.identifiability }));
+    json!({ "estimates": planned.collect::<Vec<_>>() })
+}
