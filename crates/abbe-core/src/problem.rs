@@ -17,8 +17,8 @@ use crate::pattern::matches;
 use crate::pose_table::PoseTable;
 use crate::unit::Unit;
 
-/// Rows that are evaluated together; bounds the memory that derivatives take.
-const CHUNK: usize = 256;
+/// Rows that are evaluated together: enough to amortise a call, few enough for their derivatives to stay in the cache.
+const CHUNK: usize = 64;
 
 /// The observations of one artefact stage, with the rows that take part.
 #[derive(Clone)]
@@ -369,11 +369,11 @@ impl Problem {
             let mut poses = moved.sets[set].poses().clone();
             for chunk in self.sets[set].rows.chunks(CHUNK) {
                 moved.sets[set].moved = Some(Arc::new(poses.clone()));
-                // Newton's iteration; contact is missed by tenths of a millimetre, so a few steps reach the last digit.
+                // Newton's iteration converges quadratically: a step below 1e-5 mm leaves nothing that a double holds.
                 for _ in 0..8 {
                     moved.evaluate(set, chunk, &wanted, &mut work)?;
                     let table = Arc::make_mut(moved.sets[set].moved.get_or_insert_default());
-                    if work.step_to_contact(&self.sets[set], chunk, &linear, table) < 1e-11 {
+                    if work.step_to_contact(&self.sets[set], chunk, &linear, table) < 1e-5 {
                         break;
                     }
                 }

@@ -18,17 +18,11 @@ pub struct Prepared {
     pub(crate) ingests: BTreeMap<String, Box<dyn Ingest>>,
     pub(crate) artefacts: BTreeMap<String, Box<dyn Artefact>>,
     pub(crate) models: BTreeMap<String, Box<dyn Model>>,
-    pub(crate) estimators: BTreeMap<String, Estimator>,
+    pub(crate) estimators: BTreeMap<String, Arc<dyn Estimate>>,
     pub(crate) validators: BTreeMap<String, Box<dyn Validate>>,
     pub(crate) exporters: BTreeMap<String, Box<dyn Export>>,
     /// Every file that the recipe reads, itself first.
     pub(crate) files: Vec<PathBuf>,
-}
-
-/// An estimator and the patterns that choose its unknowns.
-pub(crate) struct Estimator {
-    pub(crate) estimator: Arc<dyn Estimate>,
-    pub(crate) parameters: Vec<String>,
 }
 
 /// Reads a recipe, builds its stages and checks them.
@@ -76,44 +70,40 @@ impl Prepared {
     fn build(&mut self, stage: &Stage, registry: &Registry, context: &Context) -> Result<Vec<InputFile>> {
         let wrong = |error: SettingsError| self.recipe.settings_error(&stage.name, error);
         let plugin = registry.find(stage.kind, &stage.plugin).map_err(wrong)?;
-        let mut settings = stage.settings.clone();
-        let patterns = match (stage.kind, settings.as_object_mut()) {
-            (Kind::Estimate, Some(map)) => patterns(map.remove("parameters")).map_err(wrong)?,
-            _ => Vec::new(),
-        };
+        let settings = &stage.settings;
         let name = stage.name.clone();
         match &plugin.build {
             Build::Ingest(constructor) => {
-                let built = constructor.build(&settings, context).map_err(wrong)?;
+                let built = constructor.build(settings, context).map_err(wrong)?;
                 let inputs = built.inputs();
                 self.ingests.insert(name, built);
                 Ok(inputs)
             }
             Build::Artefact(constructor) => {
-                let built = constructor.build(&settings, context).map_err(wrong)?;
+                let built = constructor.build(settings, context).map_err(wrong)?;
                 let inputs = built.inputs();
                 self.artefacts.insert(name, built);
                 Ok(inputs)
             }
             Build::Model(constructor) => {
-                let built = constructor.build(&settings, context).map_err(wrong)?;
+                let built = constructor.build(settings, context).map_err(wrong)?;
                 let inputs = built.inputs();
                 self.models.insert(name, built);
                 Ok(inputs)
             }
             Build::Estimate(constructor) => {
-                let estimator = Arc::from(constructor.build(&settings, context).map_err(wrong)?);
-                self.estimators.insert(name, Estimator { estimator, parameters: patterns });
+                let estimator = Arc::from(constructor.build(settings, context).map_err(wrong)?);
+                self.estimators.insert(name, estimator);
                 Ok(Vec::new())
             }
             Build::Validate(constructor) => {
-                let built = constructor.build(&settings, context).map_err(wrong)?;
+                let built = constructor.build(settings, context).map_err(wrong)?;
                 let inputs = built.inputs();
                 self.validators.insert(name, built);
                 Ok(inputs)
             }
             Build::Export(constructor) => {
-                let built = constructor.build(&settings, context).map_err(wrong)?;
+                let built = constructor.build(settings, context).map_err(wrong)?;
                 let inputs = built.inputs();
                 self.exporters.insert(name, built);
                 Ok(inputs)
@@ -180,13 +170,6 @@ impl Prepared {
     pub(crate) fn stages(&self, kind: Kind) -> impl Iterator<Item = &Stage> {
         self.recipe.stages.iter().filter(move |stage| stage.kind == kind)
     }
-}
-
-/// The patterns under `parameters` of an estimate.
-fn patterns(setting: Option<Value>) -> Result<Vec<String>, SettingsError> {
-    let missing = || SettingsError::new("", "the setting `parameters` is missing").help("name what is to be estimated");
-    let list = setting.ok_or_else(missing)?;
-    abbe_core::from_settings(&list).map_err(|error| error.under([abbe_core::PathItem::Key("parameters".to_owned())]))
 }
 
 /// Builds a plugin of the kind model from the settings that a calibration keeps.

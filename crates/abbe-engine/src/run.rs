@@ -48,7 +48,7 @@ impl Prepared {
         let mut planned = Vec::new();
         for stage in self.stages(Kind::Estimate) {
             let problem = self.located(stage, self.problem(stage, &data, &mut taken))?;
-            let identifiability = self.estimators[&stage.name].estimator.identify(&problem);
+            let identifiability = self.estimators[&stage.name].identify(&problem);
             let identifiability = self.located(stage, identifiability)?;
             planned.push(Planned { estimate: stage.name.clone(), identifiability });
         }
@@ -70,7 +70,7 @@ impl Prepared {
         let mut fits: Vec<Fit> = Vec::new();
         for (stage, problem) in self.stages(Kind::Estimate).zip(problems) {
             self.started(stage, tell);
-            let estimator = self.estimators[&stage.name].estimator.clone();
+            let estimator = self.estimators[&stage.name].clone();
             let problem = start(stage, problem, &fits);
             tracing::info!("{}: {} equations, {} unknowns", stage.name, problem.equations(), problem.unknowns.len());
             let calibration = self.located(stage, estimator.estimate(&problem))?;
@@ -150,7 +150,7 @@ impl Prepared {
             sets.push(ObservationSet::new(name, observations));
         }
         let plugin = &self.recipe_stage(machine)?.plugin;
-        Problem::new(&stage.name, plugin, model, sets, &self.estimators[&stage.name].parameters)
+        Problem::new(&stage.name, plugin, model, sets, &stage.parameters)
     }
 
     /// Refuses rows that no artefact took: a feature without nominal geometry must not vanish silently.

@@ -90,7 +90,7 @@ pub struct Evaluation {
     pub rotation: Matrix3<f64>,
     /// d(position)/d(error) of every slot.
     pub by_error: Vec<[Vector3<f64>; 6]>,
-    /// d(rotation vector, table frame)/d(error) of every slot.
+    /// d(rotation vector, table frame)/d(error) of every slot; empty unless asked for.
     pub turn_by_error: Vec<[Vector3<f64>; 6]>,
     /// d(position)/d(command) of every axis, its motion errors held.
     pub by_command: Vec<Vector3<f64>>,
@@ -130,11 +130,15 @@ impl Frame {
         self.origin += before * Vector3::new(errors[0], errors[1], errors[2]);
         let mut directions = [column(0), column(1), column(2), column(0), column(1), column(2)];
         if errors[3..] != [0.0; 3] {
-            let about_z = before * Rotation3::from_axis_angle(&Vector3::z_axis(), errors[5]).matrix();
-            let about_y = about_z * Rotation3::from_axis_angle(&Vector3::y_axis(), errors[4]).matrix();
-            directions[4] = about_z.column(1).into_owned();
-            directions[3] = about_y.column(0).into_owned();
-            self.rotation = about_y * Rotation3::from_axis_angle(&Vector3::x_axis(), errors[3]).matrix();
+            let [(sin_a, cos_a), (sin_b, cos_b), (sin_c, cos_c)] = [errors[3], errors[4], errors[5]].map(f64::sin_cos);
+            // The frame after Rz, then after Ry, then after Rx; each step turns two columns.
+            let [x, y, z] = [column(0), column(1), column(2)];
+            let (about_z_x, about_z_y) = (x * cos_c + y * sin_c, y * cos_c - x * sin_c);
+            let (about_y_x, about_y_z) = (about_z_x * cos_b - z * sin_b, z * cos_b + about_z_x * sin_b);
+            let (about_x_y, about_x_z) = (about_z_y * cos_a + about_y_z * sin_a, about_y_z * cos_a - about_z_y * sin_a);
+            directions[4] = about_z_y;
+            directions[3] = about_y_x;
+            self.rotation = Matrix3::from_columns(&[about_y_x, about_x_y, about_x_z]);
         }
         Slot { directions, origin: self.origin, sign: self.sign }
     }
@@ -219,8 +223,9 @@ impl Chain {
     }
 
     /// The exact pose at `commands` (mm or rad, one an axis) under `errors` (one entry a slot) with all derivatives at
-    /// these errors. `tip` is the nominal tip in the last frame of the tool branch, mm.
-    pub fn evaluate(&self, commands: &[f64], errors: &[Errors], tip: &Vector3<f64>, out: &mut Evaluation) {
+    /// these errors, those of the rotation only if `turns` is set. `tip` is the nominal tip in the last frame of the tool
+    /// branch, mm.
+    pub fn evaluate(&self, commands: &[f64], errors: &[Errors], tip: &Vector3<f64>, turns: bool, out: &mut Evaluation) {
         out.slots.resize(self.slots(), Slot::default());
         out.motions.resize(self.axes.len(), (Vector3::zeros(), Vector3::zeros()));
         let mut workpiece = Frame::bed(-1.0);
@@ -240,11 +245,12 @@ impl Chain {
             let seen = to_table * slot.sign;
             let lever = tool.origin - slot.origin;
             let [x, y, z, a, b, c] = slot.directions;
-            let shift = |direction: Vector3<f64>| seen * direction;
-            let turn = |axis: Vector3<f64>| seen * axis.cross(&lever);
-            out.by_error.push([shift(x), shift(y), shift(z), turn(a), turn(b), turn(c)]);
-            let still = Vector3::zeros();
-            out.turn_by_error.push([still, still, still, shift(a), shift(b), shift(c)]);
+            let turned = [a, b, c].map(|axis| seen * axis.cross(&lever));
+            out.by_error.push([seen * x, seen * y, seen * z, turned[0], turned[1], turned[2]]);
+            if turns {
+                let still = Vector3::zeros();
+                out.turn_by_error.push([still, still, still, seen * a, seen * b, seen * c]);
+            }
         }
         out.by_command.clear();
         out.turn_by_command.clear();
@@ -265,7 +271,7 @@ impl Chain {
     /// The difference to [`evaluate`](Self::evaluate) is what linearising costs; it shrinks with the square of the errors.
     pub fn first_order(&self, commands: &[f64], errors: &[Errors], tip: &Vector3<f64>) -> Vector3<f64> {
         let mut nominal = Evaluation::default();
-        self.evaluate(commands, &vec![[0.0; 6]; self.slots()], tip, &mut nominal);
+        self.evaluate(commands, &vec![[0.0; 6]; self.slots()], tip, false, &mut nominal);
         let tool = nominal.slots[self.tool_slot()];
         let frame_of = |slot: &Slot| Matrix3::from_columns(&slot.directions[..3]);
         let to_tool = frame_of(&tool).transpose();
@@ -283,5 +289,59 @@ impl Chain {
             sum += propagation * Vector6::new(a, b, c, x, y, z) * slot.sign;
         }
         nominal.position + nominal.rotation * sum.fixed_rows::<3>(3)
+    }
+
+    /// The pose to first order in the errors, with the derivatives of that very pose: what [`evaluate`](Self::evaluate) is
+    /// replaced by to see what linearising costs.
+    ///
+    /// The position is that of [`first_order`](Self::first_order); the tool turns by the sum of the errors' turns.
+    pub fn evaluate_first_order(&self, commands: &[f64], errors: &[Errors], tip: &Vector3<f64>, out: &mut Evaluation) {
+        self.evaluate(commands, &vec![[0.0; 6]; self.slots()], tip, true, out);
+        let (mut shift, mut turn) = (Vector3::zeros(), Vector3::zeros());
+        let mut by_command = vec![(Vector3::zeros(), Vector3::zeros()); self.axes.len()];
+        for slot in 0..self.slots() {
+            for (component, &error) in errors[slot].iter().enumerate().filter(|(_, error)| **error != 0.0) {
+                let by_error = out.by_error[slot][component] * error;
+                let turn_by_error = out.turn_by_error[slot][component] * error;
+                shift += by_error;
+                turn += turn_by_error;
+                // Of two motions, the one nearer to the workpiece carries the effect of the other along.
+                for (axis, (shift, turn)) in by_command.iter_mut().enumerate() {
+                    if self.is_beyond(slot, axis) {
+                        *shift += out.turn_by_command[axis].cross(&by_error);
+                        *turn += out.turn_by_command[axis].cross(&turn_by_error);
+                    } else {
+                        *shift += turn_by_error.cross(&out.by_command[axis]);
+                    }
+                }
+            }
+        }
+        // A rotation vector that is not zero: its derivative is not that of the rotation, but Bortz's matrix away from it.
+        let angle = turn.norm();
+        let (half, rest) = match angle > 1e-4 {
+            true => ((1.0 - angle.cos()) / angle.powi(2), (angle - angle.sin()) / angle.powi(3)),
+            false => (0.5 - angle.powi(2) / 24.0, 1.0 / 6.0 - angle.powi(2) / 120.0),
+        };
+        let seen = |by: Vector3<f64>| by + turn.cross(&by) * half + turn.cross(&turn.cross(&by)) * rest;
+        let turned = Rotation3::new(turn);
+        out.position += shift;
+        out.rotation = turned.matrix() * out.rotation;
+        for derivative in out.turn_by_error.iter_mut().flatten() {
+            *derivative = seen(*derivative);
+        }
+        for (axis, (shift, turn)) in by_command.into_iter().enumerate() {
+            out.by_command[axis] += shift;
+            out.turn_by_command[axis] = turned * out.turn_by_command[axis] + seen(turn);
+        }
+    }
+
+    /// Whether errors of a slot act beyond the motion of an axis, looking from the workpiece.
+    fn is_beyond(&self, slot: usize, axis: usize) -> bool {
+        let of = slot / 2;
+        if slot >= self.workpiece_slot() || of != axis {
+            return slot == self.tool_slot() || (slot != self.workpiece_slot() && of > axis);
+        }
+        let outside = slot == self.motion_slot(axis) && self.axes[axis].error_frame == ErrorFrame::Moving;
+        outside == (self.axes[axis].branch == Branch::Tool)
     }
 }

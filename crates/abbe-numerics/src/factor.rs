@@ -143,73 +143,133 @@ impl Factor {
         solved.iter().map(|value| value * value).sum()
     }
 
-    /// Singular values and vectors of J with its columns scaled to norm 1.
+    /// What makes every column of J a column of norm 1; a column of zeros is left as it is.
+    fn scale(&self) -> Vec<f64> {
+        self.norms.iter().map(|&norm| if norm > 0.0 { 1.0 / norm } else { 1.0 }).collect()
+    }
+
+    fn scaled(&self, scale: &[f64]) -> Mat<f64> {
+        Mat::from_fn(scale.len(), scale.len(), |row, column| self.triangle[(row, column)] * scale[column])
+    }
+
+    /// Singular values of J with its columns scaled to norm 1, the largest first; NaN if J is not finite.
     ///
     /// Scaling makes the result independent of units: without it an unknown in mm/mm^3 would pass for lost beside one in
     /// mm. A column of zeros stays one and shows as a singular value of zero.
+    pub fn singular_values(&self) -> SingularValues {
+        let scaled = self.scaled(&self.scale());
+        let values = if scaled.norm_l2().is_finite() { scaled.singular_values().ok() } else { None };
+        SingularValues(values.unwrap_or_else(|| vec![f64::NAN; self.unknowns()]))
+    }
+
+    /// Singular values and vectors of J with its columns scaled to norm 1.
     pub fn spectrum(&self) -> Spectrum {
         let n = self.unknowns();
-        let scale: Vec<f64> = self.norms.iter().map(|&norm| if norm > 0.0 { 1.0 / norm } else { 1.0 }).collect();
-        let scaled = Mat::from_fn(n, n, |row, column| self.triangle[(row, column)] * scale[column]);
-        let not_finite = || Spectrum {
-            singular_values: vec![f64::NAN; n],
-            vectors: Mat::zeros(n, n),
-            right: vec![f64::NAN; n],
-            scale: scale.clone(),
+        let scale = self.scale();
+        let scaled = self.scaled(&scale);
+        let svd = if scaled.norm_l2().is_finite() { Svd::new(scaled.as_ref()).ok() } else { None };
+        let Some(svd) = svd else {
+            let singular_values = SingularValues(vec![f64::NAN; n]);
+            return Spectrum { singular_values, vectors: Mat::zeros(n, n), right: vec![f64::NAN; n], scale };
         };
-        if n == 0 || !scaled.norm_l2().is_finite() {
-            return not_finite();
-        }
-        let Ok(svd) = Svd::new(scaled.as_ref()) else { return not_finite() };
-        let singular_values = (0..n).map(|i| svd.S().column_vector()[i]).collect();
+        let singular_values = SingularValues((0..n).map(|i| svd.S().column_vector()[i]).collect());
         let right = (0..n).map(|i| (0..n).map(|row| svd.U()[(row, i)] * self.right[row]).sum()).collect();
         Spectrum { singular_values, vectors: svd.V().to_owned(), right, scale }
+    }
+
+    /// Whether the rank is full for certain: the norm of the inverse bounds the smallest singular value. Much cheaper than
+    /// [`singular_values`](Self::singular_values), which decide where this says no.
+    pub fn is_surely_full_rank(&self, tolerance: f64) -> bool {
+        let n = self.unknowns();
+        let scaled = self.scaled(&self.scale());
+        if (0..n).any(|i| scaled[(i, i)] == 0.0) {
+            return false;
+        }
+        // Columns have norm 1, so the largest singular value is at most the root of their number.
+        self.inverse(&scaled).norm_l2() * (n as f64).sqrt() < 1.0 / tolerance
+    }
+
+    fn inverse(&self, triangle: &Mat<f64>) -> Mat<f64> {
+        let mut inverse = Mat::<f64>::identity(triangle.nrows(), triangle.ncols());
+        let (upper, unknown) = (triangle.as_ref(), inverse.as_mut());
+        faer::linalg::triangular_solve::solve_upper_triangular_in_place(upper, unknown, faer::Par::Seq);
+        inverse
+    }
+
+    /// Covariance `(J^T J)^-1` of a problem of full rank, in the units of the unknowns, row by row.
+    pub fn covariance(&self) -> Vec<Vec<f64>> {
+        let scale = self.scale();
+        let inverse = self.inverse(&self.scaled(&scale));
+        gram(&inverse, &scale)
+    }
+}
+
+/// `D A A^T D` with the diagonal D, symmetric to the last bit.
+fn gram(half: &Mat<f64>, scale: &[f64]) -> Vec<Vec<f64>> {
+    let product = half * half.transpose();
+    let entry = |row: usize, column: usize| product[(row.min(column), row.max(column))] * scale[row] * scale[column];
+    (0..scale.len()).map(|row| (0..scale.len()).map(|column| entry(row, column)).collect()).collect()
+}
+
+/// Singular values of a problem with columns of norm 1.
+#[derive(Debug, Clone, PartialEq)]
+pub struct SingularValues(Vec<f64>);
+
+impl SingularValues {
+    /// The values, the largest first.
+    pub fn values(&self) -> &[f64] {
+        &self.0
+    }
+
+    /// Number of singular values above `tolerance` times the largest.
+    pub fn rank(&self, tolerance: f64) -> usize {
+        let largest = self.0.first().copied().unwrap_or(0.0);
+        self.0.iter().filter(|&&value| value > tolerance * largest && value > 0.0).count()
+    }
+
+    /// Ratio of the largest to the smallest of the first `rank` singular values.
+    pub fn condition(&self, rank: usize) -> f64 {
+        match (self.0.first(), rank.checked_sub(1).and_then(|last| self.0.get(last))) {
+            (Some(largest), Some(smallest)) => largest / smallest,
+            _ => 1.0,
+        }
     }
 }
 
 /// Singular value decomposition of a scaled problem.
 #[derive(Debug, Clone)]
 pub struct Spectrum {
-    singular_values: Vec<f64>,
+    singular_values: SingularValues,
     vectors: Mat<f64>,
     right: Vec<f64>,
     scale: Vec<f64>,
 }
 
 impl Spectrum {
-    /// Singular values, the largest first.
-    pub fn singular_values(&self) -> &[f64] {
+    /// The singular values.
+    pub fn singular_values(&self) -> &SingularValues {
         &self.singular_values
-    }
-
-    /// Number of singular values above `tolerance` times the largest.
-    pub fn rank(&self, tolerance: f64) -> usize {
-        let largest = self.singular_values.first().copied().unwrap_or(0.0);
-        self.singular_values.iter().filter(|&&value| value > tolerance * largest && value > 0.0).count()
-    }
-
-    /// Ratio of the largest to the smallest of the first `rank` singular values.
-    pub fn condition(&self, rank: usize) -> f64 {
-        match (self.singular_values.first(), rank.checked_sub(1).and_then(|last| self.singular_values.get(last))) {
-            (Some(largest), Some(smallest)) => largest / smallest,
-            _ => 1.0,
-        }
     }
 
     /// The least squares step within the first `rank` singular directions: of all steps with the same effect the
     /// shortest, unknowns measured by their effect.
     pub fn step(&self, rank: usize) -> Vec<f64> {
-        let coefficients: Vec<f64> = (0..rank).map(|k| -self.right[k] / self.singular_values[k]).collect();
+        let coefficients: Vec<f64> = (0..rank).map(|k| -self.right[k] / self.singular_values.0[k]).collect();
         let sum = |row: usize| -> f64 { (0..rank).map(|k| self.vectors[(row, k)] * coefficients[k]).sum() };
         (0..self.scale.len()).map(|row| self.scale[row] * sum(row)).collect()
     }
 
+    /// `j (J^T J)^-1 j^T` of a row j within the first `rank` singular directions, see [`Factor::leverage`].
+    pub fn leverage(&self, row: &[f64], rank: usize) -> f64 {
+        let scaled: Vec<f64> = row.iter().zip(&self.scale).map(|(value, scale)| value * scale).collect();
+        let along = |k: usize| scaled.iter().enumerate().map(|(i, value)| value * self.vectors[(i, k)]).sum::<f64>();
+        (0..rank).map(|k| (along(k) / self.singular_values.0[k]).powi(2)).sum()
+    }
+
     /// Covariance `(J^T J)^-1` within the first `rank` singular directions, in the units of the unknowns, row by row.
     pub fn covariance(&self, rank: usize) -> Vec<Vec<f64>> {
-        let n = self.scale.len();
-        let half = Mat::from_fn(n, rank, |row, k| self.scale[row] * self.vectors[(row, k)] / self.singular_values[k]);
-        let covariance = &half * half.transpose();
-        (0..n).map(|row| (0..n).map(|column| covariance[(row.min(column), row.max(column))]).collect()).collect()
+        let half = Mat::from_fn(self.scale.len(), rank, |row, k| self.vectors[(row, k)] / self.singular_values.0[k]);
+        gram(&half, &self.scale)
     }
 
     /// A basis of what is lost beyond `rank`, as sparse as elimination makes it: the relative singular value and the
@@ -243,8 +303,8 @@ impl Spectrum {
             }
             pivots.push(column);
         }
-        let largest = self.singular_values.first().copied().unwrap_or(1.0).max(f64::MIN_POSITIVE);
-        let lost = self.singular_values[rank..].iter().map(|value| value / largest);
+        let largest = self.singular_values.0.first().copied().unwrap_or(1.0).max(f64::MIN_POSITIVE);
+        let lost = self.singular_values.0[rank..].iter().map(|value| value / largest);
         let mut named: Vec<(f64, Vec<f64>)> = lost.zip(basis).collect();
         for (_, vector) in &mut named {
             let peak = vector.iter().copied().max_by(|a, b| a.abs().total_cmp(&b.abs())).unwrap_or(1.0);

@@ -90,21 +90,28 @@ pub fn solve<P: LeastSquares + ?Sized>(problem: &P, start: &[f64], options: &Opt
     };
     let mut weights = vec![1.0; problem.rows()];
     let mut studentised = Vec::new();
-    for phase in phases {
+    let mut last_size = if end == End::Converged { 0.0 } else { f64::INFINITY };
+    'phases: for phase in phases {
         end = End::IterationLimit;
         for _ in 0..options.iterations {
             let factor = factorise(problem, &x, Some(&weights))?;
-            studentised = studentised_residuals(problem, &x, &weights, &factor)?;
+            studentised = studentised_residuals(problem, &x, &weights, &factor, options.rank)?;
             let spread = scale(&studentised);
             let before = std::mem::take(&mut weights);
             weights = studentised.iter().map(|size| phase.weight(size / spread)).collect();
             let changed = weights.iter().zip(&before).map(|(now, before)| (now - before).abs()).fold(0.0, f64::max);
-            if changed < 1e-9 {
+            // Weights also stay where nothing is weighed down; the unknowns have to stay too.
+            if changed < 1e-9 && last_size < SMALL {
                 end = End::Converged;
                 break;
             }
-            let single = Options { iterations: 1, ..*options };
-            (x, _, _) = minimise(problem, x, Some(&weights), &single)?;
+            let factor = factorise(problem, &x, Some(&weights))?;
+            let Some((step, size)) = step_of(&factor, options.rank) else {
+                end = End::NoProgress;
+                break 'phases;
+            };
+            add(&mut x, &step, 1.0);
+            last_size = size;
             iterations += 1;
         }
     }
@@ -118,14 +125,34 @@ fn studentised_residuals<P: LeastSquares + ?Sized>(
     x: &[f64],
     weights: &[f64],
     factor: &Factor,
+    rank: usize,
 ) -> Result<Vec<f64>, P::Error> {
     let unknowns = problem.unknowns();
+    let spectrum = (rank < unknowns).then(|| factor.spectrum());
+    let leverage = |row: &[f64]| match &spectrum {
+        Some(spectrum) => spectrum.leverage(row, rank),
+        None => factor.leverage(row),
+    };
     let (mut residuals, mut leverages) = (Vec::new(), Vec::new());
     problem.linearise(x, &mut |_, block, derivatives| {
         residuals.extend_from_slice(block);
-        leverages.extend(derivatives.chunks_exact(unknowns.max(1)).map(|row| factor.leverage(row)));
+        leverages.extend(derivatives.chunks_exact(unknowns.max(1)).map(leverage));
     })?;
     Ok(studentise(&residuals, weights, &leverages))
+}
+
+/// Steps below this many standard uncertainties are as good as none.
+const SMALL: f64 = 1e-3;
+
+/// The step within the first `rank` singular directions, and by how many standard uncertainties it moves the rows; None
+/// if there are fewer directions than that.
+fn step_of(factor: &Factor, rank: usize) -> Option<(Vec<f64>, f64)> {
+    let step = match factor.step().filter(|_| rank == factor.unknowns()) {
+        Some(step) => step,
+        None => factor.spectrum().step(rank),
+    };
+    let size = step.iter().zip(factor.norms()).map(|(step, norm)| (step * norm).abs()).fold(0.0, f64::max);
+    step.iter().all(|value| value.is_finite()).then_some((step, size))
 }
 
 type Minimum = (Vec<f64>, End, usize);
@@ -139,14 +166,10 @@ fn minimise<P: LeastSquares + ?Sized>(
     let mut factor = factorise(problem, &x, weights)?;
     let mut last_size = f64::INFINITY;
     for iteration in 1..=options.iterations {
-        let step = match factor.step().filter(|_| options.rank == factor.unknowns()) {
-            Some(step) => step,
-            None => factor.spectrum().step(options.rank),
-        };
-        let size = step.iter().zip(factor.norms()).map(|(step, norm)| (step * norm).abs()).fold(0.0, f64::max);
+        let Some((step, size)) = step_of(&factor, options.rank) else { return Ok((x, End::NoProgress, iteration)) };
         // Once steps are small they shrink fast, unless rounding is all that is left of them.
-        let rounding = size < 1e-3 && size > 0.5 * last_size;
-        if size <= options.tolerance || rounding || options.iterations == 1 {
+        let rounding = size < SMALL && size > 0.5 * last_size;
+        if size <= options.tolerance || rounding {
             add(&mut x, &step, 1.0);
             return Ok((x, End::Converged, iteration));
         }
@@ -164,7 +187,7 @@ fn minimise<P: LeastSquares + ?Sized>(
             part *= 0.5;
             if part < 1e-6 {
                 // Nothing below helps: this is as low as rounding allows, or the model is not smooth here.
-                let end = if size < 1e-3 { End::Converged } else { End::NoProgress };
+                let end = if size < SMALL { End::Converged } else { End::NoProgress };
                 return Ok((x, end, iteration));
             }
         }

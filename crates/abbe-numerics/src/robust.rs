@@ -71,7 +71,7 @@ const LEAST_SCALE: f64 = 1e-2;
 
 /// Scale of studentised residuals that outliers do not move: 1.4826 times the median absolute value.
 pub(crate) fn scale(sizes: &[f64]) -> f64 {
-    let mut sizes: Vec<f64> = sizes.iter().filter(|size| **size > 0.0).map(|size| size.abs()).collect();
+    let mut sizes: Vec<f64> = sizes.iter().map(|size| size.abs()).filter(|size| *size > 0.0).collect();
     if sizes.is_empty() {
         return LEAST_SCALE;
     }
@@ -114,5 +114,8 @@ mod tests {
         sizes.extend([1e6; 10]);
         assert!((scale(&sizes) / clean - 1.0).abs() < 0.15);
         assert_eq!(scale(&[]), LEAST_SCALE);
+        // Signs do not matter, and residuals on one side are no different from those on both.
+        let mixed: Vec<f64> = (1..=99).map(|i| f64::from(i) / if i > 50 { 100.0 } else { -100.0 }).collect();
+        assert_eq!(scale(&mixed), clean);
     }
 }

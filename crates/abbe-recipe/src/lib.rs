@@ -54,8 +54,10 @@ pub struct Stage {
     pub kind: Kind,
     /// The plugin that does the work.
     pub plugin: String,
-    /// The plugin's settings, an object: sets are expanded, a model's file is merged in.
+    /// The plugin's settings, an object; a model's file is merged in.
     pub settings: Value,
+    /// What an estimate estimates: patterns of names, sets expanded. Empty for other kinds.
+    pub parameters: Vec<String>,
     /// The names of stages under each reference key, as in the recipe.
     pub references: BTreeMap<String, Vec<String>>,
     /// The YAML files that were merged in.
@@ -282,6 +284,7 @@ impl<'a> Head<'a> {
             nodes.extend(named);
         }
         let mut settings = Map::new();
+        let mut parameters = Vec::new();
         let mut origin = Origin { file: None, parameters: Vec::new() };
         for (key, node) in self.node.map()? {
             if key == kind.key() || graph::references(kind).iter().any(|reference| reference.key == key) {
@@ -289,24 +292,45 @@ impl<'a> Head<'a> {
             }
             if kind == Kind::Model && key == "file" {
                 origin.file = Some(read_description(&node, base)?);
-            } else if kind == Kind::Estimate && key == "parameters" && node.value.is_array() {
+            } else if kind == Kind::Estimate && key == "parameters" {
                 let patterns = sets.expand(None, node.list()?)?;
-                settings.insert(key.to_owned(), patterns.iter().map(|pattern| pattern.value.clone()).collect());
+                parameters = patterns.iter().filter_map(|pattern| pattern.value.as_str()).map(str::to_owned).collect();
                 origin.parameters = patterns.into_iter().map(|pattern| pattern.path).collect();
             } else {
                 settings.insert(key.to_owned(), node.value.clone());
             }
         }
+        if kind == Kind::Estimate && parameters.is_empty() {
+            return Err(self.node.error(At::Key, "the setting `parameters` is missing: what is to be estimated?"));
+        }
         let mut settings = Value::Object(settings);
-        if let Some(Value::Object(mut described)) = origin.file.as_ref().map(|file| file.value.clone()) {
-            if let Some(known) = self.plugin.schema.get().get("properties") {
-                described.retain(|key, _| known.get(key).is_some()); // the rest are notes
-            }
-            settings = merge(Value::Object(described), settings);
+        if let Some(file) = &origin.file {
+            settings = merge(Value::Object(self.described(file)?), settings);
         }
         let files = origin.file.iter().map(|file| file.file.clone()).collect();
         let (name, plugin) = (self.name.to_owned(), self.plugin.name.to_string());
-        Ok((Stage { name, kind, plugin, settings, references, files }, origin, nodes))
+        Ok((Stage { name, kind, plugin, settings, parameters, references, files }, origin, nodes))
+    }
+
+    /// The settings in the file of a model. Keys that the plugin does not know are notes, unless they look like a
+    /// misspelt setting: that one would be missing without a word.
+    fn described(&self, file: &Document) -> Result<Map<String, Value>, Error> {
+        let schema = self.plugin.schema.get();
+        let known = schema.get("properties").and_then(Value::as_object);
+        let mut described = Map::new();
+        let root = file.root();
+        for (key, node) in root.map()? {
+            let Some(known) = known.filter(|known| !known.contains_key(key)) else {
+                described.insert(key.to_owned(), node.value.clone());
+                continue;
+            };
+            let absent = known.keys().map(String::as_str).filter(|setting| root.get(setting).is_none());
+            if let Some(near) = nearest(key, absent) {
+                let error = node.error(At::Key, format!("`{key}` is no setting of `{}`", self.plugin.name));
+                return Err(error.help(format!("did you mean `{near}`? a note needs another name")));
+            }
+        }
+        Ok(described)
     }
 }
 

@@ -61,6 +61,13 @@ fn stage(plugin: &Plugin) -> Value {
             required.push(json!(reference.key));
         }
     }
+    if kind == Kind::Estimate {
+        let description = "What is estimated: names, patterns with ? and *, sets as \"@S1\"";
+        let patterns =
+            json!({ "type": "array", "items": { "type": "string" }, "minItems": 1, "description": description });
+        properties.insert("parameters".to_owned(), patterns);
+        required.push(json!("parameters"));
+    }
     if kind == Kind::Model {
         let description = "YAML file whose settings hold where this stage says nothing else";
         properties.insert("file".to_owned(), json!({ "type": "string", "description": description }));

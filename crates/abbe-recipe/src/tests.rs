@@ -27,7 +27,7 @@ stages:
     machine: hu40t
     observations: [table, bar]
     parameters: [dzt, "@S2", "bar.*"]
-  fit-2: { estimate: gauss-newton, machine: hu40t, observations: table, known: fit-1, parameters: [] }
+  fit-2: { estimate: gauss-newton, machine: hu40t, observations: table, known: fit-1, parameters: [dyt] }
   residuals: { validate: residuals, of: [fit-1, fit-2], from: touches }
 "#;
 
@@ -58,7 +58,7 @@ fn registry() -> Registry {
     ];
     for (kind, name) in names.iter().flat_map(|(kind, names)| names.map(|name| (*kind, name))) {
         let schema = || {
-            let names = ["path", "nominal", "chain", "errors", "tool_mm", "parameters", "step_mm"];
+            let names = ["path", "nominal", "chain", "errors", "tool_mm", "step_mm"];
             let properties: Map<String, Value> = names.map(|name| (name.to_owned(), json!(true))).into_iter().collect();
             json!({ "$schema": "x", "properties": properties, "additionalProperties": false })
         };
@@ -70,7 +70,12 @@ fn registry() -> Registry {
 /// A folder with a machine description, a broken one and a recipe's path.
 fn folder() -> (tempfile::TempDir, PathBuf) {
     let folder = tempfile::tempdir().unwrap();
-    for (name, text) in [("machine.yaml", MACHINE), ("broken.yaml", "chain:\n  b: [1\n"), ("list.yaml", "- 1\n")] {
+    for (name, text) in [
+        ("machine.yaml", MACHINE),
+        ("broken.yaml", "chain:\n  b: [1\n"),
+        ("list.yaml", "- 1\n"),
+        ("misspelt.yaml", "tol_mm: 80\n"),
+    ] {
         std::fs::write(folder.path().join(name), text).unwrap();
     }
     let path = folder.path().join("r.yaml");
@@ -94,6 +99,16 @@ fn wrong_recipes_are_refused_with_place_and_help() {
         (GOOD, "- 1\n", "r.yaml:1:1: a map was expected, not a list"),
         (GOOD, "abbe: 1\nstages: {}", "r.yaml:2:9: stages: at least one stage was expected"),
         (GOOD, "abbe: 1", "r.yaml:1:1: the key `stages` is missing"),
+        (
+            ", parameters: [dyt]",
+            "",
+            "r.yaml:24:3: stage `fit-2`: the setting `parameters` is missing: what is to be estimated?",
+        ),
+        (
+            "file: machine.yaml",
+            "file: misspelt.yaml",
+            "misspelt.yaml:1:1: stage `hu40t`: `tol_mm` is no setting of `chain` (did you mean `tool_mm`? a note needs another name)",
+        ),
         ("[dxt, dyt]", "[dxt, dyt", "r.yaml:5:5: this is not YAML: illegal placement of ':' indicator"),
         (
             "[\"@S1\"",
@@ -251,7 +266,9 @@ fn a_good_recipe_is_read() {
     assert_eq!((stage("cnc").kind, stage("cnc").plugin.as_str()), (Kind::Export, "linuxcnc"));
     assert_eq!(stage("cnc").settings, json!({ "step_mm": 20 }));
     assert_eq!(stage("bar").settings, json!({ "nominal": { "2": "x" } }));
-    assert_eq!(stage("fit-1").settings, json!({ "parameters": ["dzt", "dxt", "dyt", "EXX", "bar.*"] }));
+    assert_eq!(stage("fit-1").settings, json!({}));
+    assert_eq!(stage("fit-1").parameters, ["dzt", "dxt", "dyt", "EXX", "bar.*"]);
+    assert_eq!(stage("cnc").parameters, [""; 0]);
     assert_eq!(stage("fit-1").reference("observations"), ["table", "bar"]);
     assert_eq!(stage("fit-2").reference("observations"), ["table"]);
     assert_eq!(stage("fit-1").reference("known"), [""; 0]);

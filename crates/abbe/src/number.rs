@@ -6,14 +6,14 @@ pub fn with_uncertainty(value: f64, uncertainty: f64) -> String {
         return short(value);
     }
     let decimals = 1 - uncertainty.log10().floor() as i32;
-    if (0..=6).contains(&decimals) {
+    if (0..=9).contains(&decimals) {
         let decimals = decimals as usize;
         return format!("{value:.decimals$} ± {uncertainty:.decimals$}");
     }
     if decimals < 0 && value.abs() < 1e6 && uncertainty < 1e6 {
         return format!("{value:.0} ± {uncertainty:.0}");
     }
-    format!("{value:.3e} ± {uncertainty:.1e}")
+    format!("{} ± {uncertainty:.1e}", short(value))
 }
 
 /// A number to four significant digits.
@@ -39,7 +39,7 @@ mod tests {
             (-9.3123, 0.4123, "-9.31 ± 0.41"),
             (304.668_612, 0.000_93, "304.66861 ± 0.00093"),
             (1234.5, 120.0, "1234 ± 120"),
-            (3.2e-9, 1.5e-9, "3.200e-9 ± 1.5e-9"),
+            (3.2e-9, 1.5e-11, "3.200e-9 ± 1.5e-11"),
             (2.0, 0.0, "2.000"),
         ];
         for (value, uncertainty, expected) in cases {

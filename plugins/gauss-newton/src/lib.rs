@@ -234,8 +234,21 @@ fn factor(problem: &Problem, x: &[f64], weights: Option<&[f64]>) -> Result<Facto
     Ok(accumulator.finish())
 }
 
-fn identifiability(problem: &Problem, factor: &Factor, spectrum: &Spectrum, tolerance: f64) -> Identifiability {
-    let rank = spectrum.rank(tolerance);
+fn identifiability(problem: &Problem, factor: &Factor, tolerance: f64) -> Identifiability {
+    let singular_values = factor.singular_values();
+    let rank = singular_values.rank(tolerance);
+    let null_space = if rank < factor.unknowns() { null_space(problem, &factor.spectrum(), rank) } else { Vec::new() };
+    Identifiability {
+        observations: factor.rows(),
+        unknowns: problem.unknowns.len(),
+        rank,
+        condition: singular_values.condition(rank),
+        null_space,
+    }
+}
+
+/// The lost directions with the names and in the units of the unknowns, those with the largest effect first.
+fn null_space(problem: &Problem, spectrum: &Spectrum, rank: usize) -> Vec<NullVector> {
     let null_space = spectrum.null_basis(rank).into_iter().map(|(singular_value, direction)| {
         let mut parts: Vec<(f64, Combination)> = Vec::new();
         for (unknown, (&effect, &scale)) in problem.unknowns.iter().zip(direction.iter().zip(spectrum.scale())) {
@@ -252,13 +265,7 @@ fn identifiability(problem: &Problem, factor: &Factor, spectrum: &Spectrum, tole
         });
         NullVector { singular_value, combination: combination.collect() }
     });
-    Identifiability {
-        observations: factor.rows(),
-        unknowns: problem.unknowns.len(),
-        rank,
-        condition: spectrum.condition(rank),
-        null_space: null_space.collect(),
-    }
+    null_space.collect()
 }
 
 /// The error for data that cannot determine what was chosen.
@@ -306,23 +313,23 @@ impl GaussNewton {
         let kept: Option<Vec<f64>> = (solution.robust.as_ref())
             .map(|robust| robust.weights.iter().map(|weight| f64::from(*weight > 0.0)).collect());
         let factor = factor(&at_contact, &solution.x, kept.as_deref())?;
-        let spectrum = factor.spectrum();
-        let mut found = identifiability(problem, &factor, &spectrum, self.settings.rank_tolerance);
-        match lost {
+        let mut found = identifiability(problem, &factor, self.settings.rank_tolerance);
+        let covariance = match lost {
             None if found.rank < rank => return Err(confounded(&found)),
-            None => {}
-            // Second order must not make look determined at the solution what is not at the start.
+            None => factor.covariance(),
             Some(lost) => {
-                (found.rank, found.null_space, found.condition) = (rank, lost.null_space, spectrum.condition(rank))
+                // Second order must not make look determined at the solution what is not at the start.
+                let condition = factor.singular_values().condition(rank);
+                found = Identifiability { observations: found.observations, condition, ..lost };
+                factor.spectrum().covariance(rank)
             }
-        }
+        };
         let residuals = problem.residuals(&solution.x)?;
         let spread = Spread::new(problem, &residuals, solution.robust.as_ref(), self.robust(), rank);
         let scale =
             if self.settings.trust_uncertainties || spread.degrees_of_freedom == 0 { 1.0 } else { spread.sigma };
-        let covariance: Vec<Vec<f64>> = (spectrum.covariance(rank).into_iter())
-            .map(|row| row.into_iter().map(|value| value * scale * scale).collect())
-            .collect();
+        let covariance: Vec<Vec<f64>> =
+            covariance.into_iter().map(|row| row.into_iter().map(|value| value * scale * scale).collect()).collect();
         let outliers = match (&solution.robust, self.robust()) {
             (Some(report), Some(robust)) => outliers(problem, &residuals, report, robust),
             _ => Vec::new(),
@@ -353,7 +360,11 @@ impl GaussNewton {
 impl Estimate for GaussNewton {
     fn estimate(&self, problem: &Problem) -> Result<Calibration> {
         Self::check(problem)?;
-        let found = self.identify(problem)?;
+        let factor = factor_at_contact(problem, &problem.start())?;
+        if factor.is_surely_full_rank(self.settings.rank_tolerance) {
+            return self.solve(problem, None);
+        }
+        let found = identifiability(problem, &factor, self.settings.rank_tolerance);
         if found.rank == found.unknowns {
             return self.solve(problem, None);
         }
@@ -361,8 +372,7 @@ impl Estimate for GaussNewton {
             OnConfounded::Error => Err(confounded(&found)),
             OnConfounded::MinimumNorm => self.solve(problem, Some(found)),
             OnConfounded::Drop => {
-                let spectrum = factor_at_contact(problem, &problem.start())?.spectrum();
-                let dropped = spectrum.dependent(found.rank);
+                let dropped = factor.spectrum().dependent(found.rank);
                 let names: Vec<&str> = dropped.iter().map(|&index| problem.unknowns[index].name.as_str()).collect();
                 tracing::warn!("{}: left at their start values: {}", problem.name, names.join(", "));
                 let reduced = problem.without(|unknown| names.contains(&unknown.name.as_str()));
@@ -381,7 +391,7 @@ impl Estimate for GaussNewton {
 
     fn identify(&self, problem: &Problem) -> Result<Identifiability> {
         let factor = factor_at_contact(problem, &problem.start())?;
-        Ok(identifiability(problem, &factor, &factor.spectrum(), self.settings.rank_tolerance))
+        Ok(identifiability(problem, &factor, self.settings.rank_tolerance))
     }
 }
 

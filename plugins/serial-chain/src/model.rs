@@ -168,7 +168,6 @@ impl KinematicModel for SerialChain {
         let poses = statuses.len() / width.max(1);
         out.reset(poses, wanted.len(), orientation);
         let mut work = self.work();
-        let nominal = vec![[0.0; 6]; self.chain.slots()];
         let moved = wanted.iter().any(|variable| matches!(variable, Variable::Command(_)));
         for (index, status) in statuses.chunks_exact(width).enumerate() {
             self.functions_at(status, &mut work.values, moved.then_some(&mut work.slopes[..]));
@@ -181,22 +180,24 @@ impl KinematicModel for SerialChain {
             work.commands.copy_from_slice(&status[..self.axes.len()]);
             let tip = self.tip(status)?;
             if self.first_order {
-                self.chain.evaluate(&work.commands, &nominal, tip, &mut work.pose);
-                work.pose.position = self.chain.first_order(&work.commands, &work.errors, tip);
+                self.chain.evaluate_first_order(&work.commands, &work.errors, tip, &mut work.pose);
             } else {
-                self.chain.evaluate(&work.commands, &work.errors, tip, &mut work.pose);
+                self.chain.evaluate(&work.commands, &work.errors, tip, orientation, &mut work.pose);
             }
             out.positions[index] = work.pose.position.into();
             let range = index * wanted.len()..(index + 1) * wanted.len();
-            for (out, variable) in out.position_derivatives[range.clone()].iter_mut().zip(wanted) {
-                *out = self.derivative(*variable, values, &work, &work.pose.by_error, &work.pose.by_command).into();
-            }
+            let pose = &work.pose;
+            self.derivatives(
+                wanted,
+                values,
+                &work,
+                (&pose.by_error, &pose.by_command),
+                &mut out.position_derivatives[range.clone()],
+            );
             if orientation {
-                out.orientations[index] = work.pose.quaternion();
-                let (by_error, by_command) = (&work.pose.turn_by_error, &work.pose.turn_by_command);
-                for (out, variable) in out.rotation_derivatives[range].iter_mut().zip(wanted) {
-                    *out = self.derivative(*variable, values, &work, by_error, by_command).into();
-                }
+                out.orientations[index] = pose.quaternion();
+                let turns = (&pose.turn_by_error[..], &pose.turn_by_command[..]);
+                self.derivatives(wanted, values, &work, turns, &mut out.rotation_derivatives[range]);
             }
         }
         Ok(())
@@ -232,33 +233,42 @@ impl KinematicModel for SerialChain {
     }
 }
 
+/// Derivatives of position or rotation to the errors of every slot, and to the command of every axis.
+type ByErrorAndCommand<'a> = (&'a [[Vector3<f64>; 6]], &'a [Vector3<f64>]);
+
 impl SerialChain {
-    /// Derivative of position or rotation, whichever `by_error` and `by_command` are of, to one variable.
-    fn derivative(
+    /// Derivatives of position or rotation, whichever `by` has, to the wanted variables.
+    fn derivatives(
         &self,
-        variable: Variable,
+        wanted: &[Variable],
         values: &[f64],
         work: &Work,
-        by_error: &[[Vector3<f64>; 6]],
-        by_command: &[Vector3<f64>],
-    ) -> Vector3<f64> {
-        match variable {
-            Variable::Parameter(index) => {
-                let place = self.places[index];
-                by_error[place.slot][place.component] * work.values[place.function]
-            }
-            Variable::Command(axis) => {
-                let mut total = by_command[axis];
-                for basis in self.bases.iter().filter(|basis| basis.moves_with == Some(axis)) {
-                    for (place, value) in self.places.iter().zip(values) {
-                        if *value != 0.0 && (basis.first..basis.first + basis.count).contains(&place.function) {
-                            total += by_error[place.slot][place.component] * (value * work.slopes[place.function]);
-                        }
-                    }
+        by: ByErrorAndCommand<'_>,
+        out: &mut [[f64; 3]],
+    ) {
+        for (out, variable) in out.iter_mut().zip(wanted) {
+            *out = match variable {
+                Variable::Parameter(index) => {
+                    let place = self.places[*index];
+                    by.0[place.slot][place.component] * work.values[place.function]
                 }
-                total
+                Variable::Command(axis) => self.by_command(*axis, values, work, by),
+            }
+            .into();
+        }
+    }
+
+    /// The motion itself, and the motion errors that change on the way.
+    fn by_command(&self, axis: usize, values: &[f64], work: &Work, by: ByErrorAndCommand<'_>) -> Vector3<f64> {
+        let mut total = by.1[axis];
+        for basis in self.bases.iter().filter(|basis| basis.moves_with == Some(axis)) {
+            for (place, value) in self.places.iter().zip(values) {
+                if *value != 0.0 && (basis.first..basis.first + basis.count).contains(&place.function) {
+                    total += by.0[place.slot][place.component] * (value * work.slopes[place.function]);
+                }
             }
         }
+        total
     }
 }
 
@@ -404,9 +414,15 @@ impl Builder {
         Ok(())
     }
 
-    /// The status column of that name, added if it is new.
+    /// The status column of that name, added if it is new; labels that are new to it are added to it.
     fn status(&mut self, name: String, quantity: Quantity, levels: Vec<String>, absent: f64) -> usize {
         if let Some(index) = self.status.iter().position(|status| status.name == name) {
+            let known = &mut self.status[index].levels;
+            for level in levels {
+                if !known.contains(&level) {
+                    known.push(level);
+                }
+            }
             return index;
         }
         self.status.push(StatusColumn { name, quantity, levels, absent: Absent::Taken(absent) });
@@ -458,19 +474,23 @@ impl Builder {
                 vec![Box::new(OrdinaryPolynomial { degrees: polynomial.degrees.clone() })]
             }
             Declaration::Backlash(_) => vec![Box::new(Reversal)],
-            Declaration::Drift(drift) => drift
-                .time_s
-                .iter()
-                .enumerate()
-                .map(|(index, (label, time))| {
+            Declaration::Drift(drift) => {
+                // The labels are shared by all drifts of the column, whichever of its series each of them has.
+                let labels = drift.per.column().map(|column| {
+                    let levels = drift.time_s.keys().cloned().collect();
+                    let status = self.status(column.to_owned(), Quantity::Label, levels, f64::NAN);
+                    self.status[status].levels.clone()
+                });
+                let series = drift.time_s.iter().map(|(label, time)| {
                     Box::new(LegendreInTime {
                         degrees: drift.degrees.clone(),
                         time: *time,
-                        series: (drift.per != Per::DataSet).then_some(index),
+                        series: labels.as_ref().and_then(|labels| labels.iter().position(|known| known == label)),
                         prefix: drift.per.prefix(label),
                     }) as Box<dyn Functions>
-                })
-                .collect(),
+                });
+                series.collect()
+            }
         };
         let mut bases = Vec::new();
         for functions in functions {

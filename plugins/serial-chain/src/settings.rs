@@ -18,8 +18,7 @@ pub struct Settings {
     pub chain: String,
     /// Nominal tool length: the tip is at (0, 0, -length) of the last tool-branch frame.
     pub tool_length_mm: f64,
-    /// Effective stylus radius.
-    #[serde(default)]
+    /// Effective stylus radius; 0 if nothing is touched.
     pub stylus_radius_mm: f64,
     /// Constant offset of the probe before the tool length.
     #[serde(default, skip_serializing_if = "Option::is_none")]

@@ -1,0 +1,9 @@
+//! Proves `Chain` against an independent implementation of the conventions, its derivatives against differences, its
+//! first-order form against the exact one, and that predictions do not depend on where the machine origin is.
+
+mod derivatives;
+mod exact;
+mod first_order;
+mod oracle;
+mod origin;
+mod subject;

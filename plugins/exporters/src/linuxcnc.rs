@@ -1,0 +1,395 @@
+//! Exporter `linuxcnc`: screw compensation files, one an axis, and the lines of the INI file that name them.
+//!
+//! A file is read by `sscanf("%lf %lf %lf")` line by line up to the first that does not match, so it has neither header nor
+//! comment; at most 256 points, positions increasing. LinuxCNC interpolates the trim linearly, adds it to the motor's
+//! command and keeps it beyond both ends.
+
+use abbe_core::{
+    Axis, AxisKind, Build, Calibration, Constructor, Context, Error, ErrorFunction, Export, ExportedFile, InputFile,
+    KinematicModel, PathItem, Plugin, Result, SettingsError, inventory,
+};
+use schemars::JsonSchema;
+use serde::{Deserialize, Deserializer};
+use serde_json::{Value, json};
+
+use crate::sampling::{Ranges, Steps, Values, check, check_axes, fixed, points, position_unit, status};
+
+inventory::submit! {
+    Plugin::built_in(
+        "linuxcnc",
+        "screw compensation files of LinuxCNC from the positioning errors",
+        abbe_core::schema_of::<Settings>,
+        example,
+        Build::Export(Constructor::Static(build)),
+    )
+}
+
+/// Settings of the compensation files.
+#[derive(Debug, Clone, PartialEq, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+struct Settings {
+    /// Distance of points along linear axes.
+    #[serde(default = "default_step_mm")]
+    step_mm: f64,
+    /// Distance of points along rotary axes.
+    #[serde(default = "default_step_deg")]
+    step_deg: f64,
+    /// `COMP_FILE_TYPE`: 0 writes the positions that are really reached, 1 the trims that correct them.
+    #[serde(default, rename = "type")]
+    kind: FileType,
+    /// The axes to compensate; all that have a positioning error unless said otherwise, spindles excepted.
+    #[serde(default)]
+    axes: Option<Vec<String>>,
+    /// Ranges by axis, where they are not those of the machine.
+    #[serde(default)]
+    ranges: Ranges,
+}
+
+/// What the columns of the file are.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+enum FileType {
+    /// Actual positions.
+    #[default]
+    Positions,
+    /// Trims.
+    Trims,
+}
+
+impl<'de> Deserialize<'de> for FileType {
+    fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
+        match Value::deserialize(deserializer)?.as_u64() {
+            Some(0) => Ok(Self::Positions),
+            Some(1) => Ok(Self::Trims),
+            _ => Err(serde::de::Error::custom("0 (actual positions) or 1 (trims) was expected")),
+        }
+    }
+}
+
+impl JsonSchema for FileType {
+    fn schema_name() -> std::borrow::Cow<'static, str> {
+        "FileType".into()
+    }
+
+    fn json_schema(_: &mut schemars::SchemaGenerator) -> schemars::Schema {
+        schemars::json_schema!({ "enum": [0, 1] })
+    }
+}
+
+fn default_step_mm() -> f64 {
+    20.0
+}
+
+fn default_step_deg() -> f64 {
+    10.0
+}
+
+/// Most points of a file, `EMCMOT_COMP_SIZE`.
+const MOST: usize = 256;
+
+fn example() -> Value {
+    json!({ "step_mm": 20, "step_deg": 10, "type": 0, "axes": ["X", "Y"] })
+}
+
+fn build(settings: &Value, _: &Context) -> Result<Box<dyn Export>, SettingsError> {
+    let settings: Settings = abbe_core::from_settings(settings)?;
+    check(&settings.ranges, settings.steps())?;
+    if settings.axes.as_ref().is_some_and(Vec::is_empty) {
+        return Err(SettingsError::new("axes", "at least one axis was expected"));
+    }
+    Ok(Box::new(LinuxCnc { settings }))
+}
+
+impl Settings {
+    fn steps(&self) -> Steps {
+        Steps { mm: self.step_mm, deg: self.step_deg }
+    }
+}
+
+struct LinuxCnc {
+    settings: Settings,
+}
+
+/// The errors of an axis that move it along (or about) its own direction, with their part in it.
+fn along<'a>(index: usize, axis: &Axis, functions: &'a [ErrorFunction]) -> Vec<(f64, &'a ErrorFunction)> {
+    let first = match axis.kind {
+        AxisKind::Linear => 0,
+        AxisKind::Rotary => 3,
+    };
+    let own = functions.iter().filter(|function| function.axis == index);
+    own.filter_map(|function| {
+        let part = axis.direction.get(function.component.checked_sub(first)?)?;
+        (part.abs() > 1e-12).then_some((*part, function))
+    })
+    .collect()
+}
+
+impl Export for LinuxCnc {
+    fn inputs(&self) -> Vec<InputFile> {
+        Vec::new()
+    }
+
+    fn export(&self, calibration: &Calibration, model: &dyn KinematicModel) -> Result<Vec<ExportedFile>> {
+        check_axes(&self.settings.ranges, model)?;
+        let functions = model.error_functions();
+        let values = Values::new(calibration, model);
+        let mut files = Vec::new();
+        let mut ini = INI_HEADER.to_owned();
+        for index in self.axes(model, &functions)? {
+            let axis = &model.axes()[index];
+            let (unit, factor) = position_unit(axis);
+            let points = points(axis, &self.settings.ranges, self.settings.steps(), MOST)?;
+            let mut text = String::new();
+            for point in &points {
+                let [forward, reverse] = [1.0, -1.0].map(|direction| {
+                    let status = status(model, axis, point / factor, direction);
+                    let parts = along(index, axis, &functions);
+                    let error: f64 =
+                        parts.iter().map(|(part, function)| part * values.value(model, function, &status)).sum();
+                    // A positive command moves the body by its sense, and the body is what is off.
+                    axis.sense * error * factor
+                });
+                let [forward, reverse] = match self.settings.kind {
+                    FileType::Positions => [point + forward, point + reverse],
+                    FileType::Trims => [-forward, -reverse],
+                };
+                text.push_str(&format!("{point} {} {}\n", fixed(forward), fixed(reverse)));
+            }
+            let name = format!("{}.comp", axis.name.to_lowercase());
+            ini.push_str(&format!(
+                "\n# Axis {}: {} points from {} to {} {unit}; n is the number of its joint.\n[JOINT_n]\nCOMP_FILE = \
+                 {name}\nCOMP_FILE_TYPE = {}\n",
+                axis.name,
+                points.len(),
+                points.first().copied().unwrap_or_default(),
+                points.last().copied().unwrap_or_default(),
+                self.settings.kind as u8
+            ));
+            files.push(ExportedFile { name, content: text.into_bytes() });
+        }
+        files.push(ExportedFile { name: "linuxcnc.ini".to_owned(), content: ini.into_bytes() });
+        Ok(files)
+    }
+}
+
+const INI_HEADER: &str = "\
+# Lines for the INI file of LinuxCNC: copy each pair into the section of the joint that drives the axis.
+# Positions in the files are in mm and degrees: LINEAR_UNITS = mm, ANGULAR_UNITS = degree.
+# BACKLASH of a joint is ignored when COMP_FILE is present; the files contain the reversal.
+# Beyond the ends of a file its last correction stays; a rotary axis does not wrap around.
+";
+
+impl LinuxCnc {
+    /// The axes to compensate.
+    fn axes(&self, model: &dyn KinematicModel, functions: &[ErrorFunction]) -> Result<Vec<usize>> {
+        let positions = |index: usize| !along(index, &model.axes()[index], functions).is_empty();
+        let Some(names) = &self.settings.axes else {
+            let all = 0..model.axes().len();
+            let axes: Vec<usize> = all.filter(|&index| !model.axes()[index].indexed && positions(index)).collect();
+            if axes.is_empty() {
+                return Err(Error::usage("no axis of the model has a positioning error to compensate")
+                    .help("list some under `errors` of the model, e.g. `{ polynomial: [EXX], degrees: [1, 2, 3] }`"));
+            }
+            return Ok(axes);
+        };
+        let mut axes = Vec::new();
+        for (place, name) in names.iter().enumerate() {
+            let found = model.axes().iter().position(|axis| axis.name == *name);
+            let mut error = match found {
+                None => Error::usage(format!("the machine has no axis {name}"))
+                    .suggest(name, model.axes().iter().map(|axis| axis.name.as_str())),
+                Some(index) if axes.contains(&index) => Error::usage(format!("axis {name} is listed twice")),
+                Some(index) if positions(index) => {
+                    axes.push(index);
+                    continue;
+                }
+                Some(_) => Error::usage(format!("axis {name} has no positioning error in the model")),
+            };
+            error.setting = vec![PathItem::Key("axes".to_owned()), PathItem::Index(place)];
+            return Err(error);
+        }
+        Ok(axes)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::testing::{calibration, chain, key_error};
+    use abbe_core::Poses;
+
+    /// The trims that LinuxCNC makes of a file: (nominal, forward, reverse).
+    fn load(text: &str, kind: u64) -> Vec<[f64; 3]> {
+        let mut table: Vec<[f64; 3]> = Vec::new();
+        for line in text.lines() {
+            let cells: Vec<f64> = line.split_whitespace().map_while(|cell| cell.parse().ok()).collect();
+            let &[nominal, forward, reverse] = cells.as_slice() else { break };
+            assert!(table.last().is_none_or(|last| last[0] < nominal), "{nominal} does not increase");
+            let trims = if kind == 0 { [nominal - forward, nominal - reverse] } else { [forward, reverse] };
+            table.push([nominal, trims[0], trims[1]]);
+        }
+        assert_eq!(table.len(), text.lines().count());
+        assert!(table.len() <= 256);
+        table
+    }
+
+    fn trim(table: &[[f64; 3]], position: f64, direction: f64) -> f64 {
+        let column = if direction > 0.0 { 1 } else { 2 };
+        let (first, last) = (table.first().unwrap(), table.last().unwrap());
+        if position <= first[0] {
+            return first[column];
+        }
+        if position >= last[0] {
+            return last[column];
+        }
+        let after = table.iter().position(|row| row[0] > position).unwrap();
+        let (a, b) = (table[after - 1], table[after]);
+        a[column] + (position - a[0]) / (b[0] - a[0]) * (b[column] - a[column])
+    }
+
+    fn tip(model: &dyn KinematicModel, status: &[f64], values: &[f64]) -> [f64; 3] {
+        let mut poses = Poses::default();
+        model.evaluate(status, values, &[], false, &mut poses).unwrap();
+        poses.positions[0]
+    }
+
+    /// Loads the exported file as LinuxCNC does and checks that the machine then is where it was told to be.
+    #[test]
+    fn compensated_positions_are_right() {
+        let root = std::f64::consts::FRAC_1_SQRT_2;
+        let linear = |name: &str| {
+            json!([{ "polynomial": [format!("E{name}{name}")], "degrees": [1, 2, 3] },
+                { "backlash": [format!("E{name}{name}")] }])
+        };
+        let tilted = json!([{ "polynomial": ["EBB", "ECB"], "degrees": [1, 2] }, { "backlash": ["EBB", "ECB"] }]);
+        let range = json!({ "range_mm": [-300, 300] });
+        let cases = [
+            ("w b X Y Z t", "X", json!({ "X": range }), linear("X")),
+            ("w X' b Y Z t", "X", json!({ "X": range }), linear("X")),
+            ("w X' b Y Z t", "X", json!({ "X": { "range_mm": [-300, 300], "reverse": true } }), linear("X")),
+            ("w b X Y Z t", "Y", json!({ "Y": { "range_mm": [-300, 300], "reverse": true } }), linear("Y")),
+            (
+                "w B' b X Y Z t",
+                "B",
+                json!({ "B": { "range_deg": [-120, 120], "direction": [0, root, root],
+                "point_mm": [10, 20, 30] } }),
+                tilted.clone(),
+            ),
+            ("w b X Y Z B t", "B", json!({ "B": { "range_deg": [-120, 120], "direction": [0, root, root] } }), tilted),
+        ];
+        for (loop_, name, axes, errors) in cases {
+            let model = chain(loop_, axes, errors);
+            let axis = model.axes().iter().find(|axis| axis.name == name).unwrap();
+            let (_, factor) = position_unit(axis);
+            let mut values = Vec::new();
+            for parameter in model.parameters() {
+                let size = match parameter.name.get(3..) {
+                    Some("[1]") if parameter.name.starts_with('E') => 3e-5,
+                    Some("[2]") if axis.kind == AxisKind::Linear => 2e-8,
+                    Some("[2]") => 2e-5,
+                    Some("[3]") => 5e-11,
+                    Some("[b]") => 4e-5,
+                    _ => 0.0,
+                };
+                // Equal about Y and Z: the tilted axis has errors along it only, as others are not for this file.
+                values.push((parameter.name.clone(), size));
+            }
+            let named: Vec<(&str, f64)> = values.iter().map(|(name, value)| (name.as_str(), *value)).collect();
+            let calibration = calibration(model.as_ref(), &named);
+            let values: Vec<f64> = values.iter().map(|(_, value)| *value).collect();
+            let zero = vec![0.0; values.len()];
+            for kind in [0, 1] {
+                let stage =
+                    build(&json!({ "type": kind, "step_mm": 75, "step_deg": 40 }), &Context { base: "".into() });
+                let files = stage.unwrap().export(&calibration, model.as_ref()).unwrap();
+                assert_eq!(files.len(), 2);
+                assert_eq!(files[0].name, format!("{}.comp", name.to_lowercase()));
+                let table = load(std::str::from_utf8(&files[0].content).unwrap(), kind);
+                assert!(table.iter().any(|row| row[1].abs() > 1e-3));
+                for row in &table {
+                    for direction in [1.0, -1.0] {
+                        let command = (row[0] + trim(&table, row[0], direction)) / factor;
+                        let wanted =
+                            tip(model.as_ref(), &status(model.as_ref(), axis, row[0] / factor, direction), &zero);
+                        let raw = status(model.as_ref(), axis, row[0] / factor, direction);
+                        let off = distance(tip(model.as_ref(), &raw, &values), wanted);
+                        let found = tip(model.as_ref(), &status(model.as_ref(), axis, command, direction), &values);
+                        let left = distance(found, wanted);
+                        // Second order: the error at the corrected command instead of at the point.
+                        assert!(left < 1e-5, "{loop_} {name} type {kind} at {}: {left} of {off}", row[0]);
+                    }
+                }
+            }
+        }
+    }
+
+    fn distance(a: [f64; 3], b: [f64; 3]) -> f64 {
+        a.iter().zip(&b).map(|(a, b)| (a - b).powi(2)).sum::<f64>().sqrt()
+    }
+
+    #[test]
+    fn the_files_of_a_backlash() {
+        let axes = json!({ "X": { "range_mm": [-10, 10] }, "B": { "range_deg": [0, 30] } });
+        let errors = json!([{ "backlash": ["EXX", "EBB"] }, { "polynomial": ["EXX"], "degrees": [1] }]);
+        let model = chain("w B' b X Y Z (S) t", axes, errors);
+        let values = [("EXX[b]", 0.002), ("EXX[1]", 1e-4), ("EBB[b]", (0.001_f64).to_radians())];
+        let calibration = calibration(model.as_ref(), &values);
+        let stage = build(&json!({ "step_mm": 10, "step_deg": 20 }), &Context { base: "".into() }).unwrap();
+        let files = stage.export(&calibration, model.as_ref()).unwrap();
+        let found: Vec<(&str, &str)> =
+            files.iter().map(|file| (file.name.as_str(), std::str::from_utf8(&file.content).unwrap())).collect();
+        // B carries the workpiece: its body moves the other way, so its reversal shows with the other sign.
+        let expected_ini = format!(
+            "{INI_HEADER}\n# Axis B: 3 points from 0 to 30 deg; n is the number of its joint.\n[JOINT_n]\nCOMP_FILE = \
+             b.comp\nCOMP_FILE_TYPE = 0\n\n# Axis X: 3 points from -10 to 10 mm; n is the number of its joint.\n\
+             [JOINT_n]\nCOMP_FILE = x.comp\nCOMP_FILE_TYPE = 0\n"
+        );
+        assert_eq!(
+            found,
+            [
+                ("b.comp", "0 -0.001000 0.001000\n20 19.999000 20.001000\n30 29.999000 30.001000\n"),
+                ("x.comp", "-10 -9.999000 -10.003000\n0 0.002000 -0.002000\n10 10.003000 9.999000\n"),
+                ("linuxcnc.ini", expected_ini.as_str()),
+            ]
+        );
+    }
+
+    #[test]
+    fn errors_point_at_the_setting() {
+        let errors = json!([{ "polynomial": ["EXX", "EYX"], "degrees": [1] }]);
+        let cases = [
+            (json!({ "axes": ["Y"] }), "axes[0]: axis Y has no positioning error in the model"),
+            (json!({ "axes": ["X", "X"] }), "axes[1]: axis X is listed twice"),
+            (json!({ "axes": ["x"] }), "axes[0]: the machine has no axis x (did you mean `X`?)"),
+            (
+                json!({ "step_mm": 1 }),
+                "step_mm: axis X from -300 to 300 mm every 1 mm has 601 points; at most 256 fit (2.36 mm is the smallest \
+                 step that fits)",
+            ),
+        ];
+        let model = chain("w b X Y Z t", json!({ "X": { "range_mm": [-300, 300] } }), errors);
+        for (settings, expected) in cases {
+            let stage = build(&settings, &Context { base: "".into() }).unwrap();
+            assert_eq!(key_error(stage.export(&calibration(model.as_ref(), &[]), model.as_ref())), expected);
+        }
+        let bare = chain("w b X Y Z t", json!({}), json!([{ "polynomial": ["EYX"], "degrees": [1] }]));
+        let stage = build(&json!({}), &Context { base: "".into() }).unwrap();
+        assert_eq!(
+            key_error(stage.export(&calibration(bare.as_ref(), &[]), bare.as_ref())),
+            ": no axis of the model has a positioning error to compensate (list some under `errors` of the model, e.g. \
+             `{ polynomial: [EXX], degrees: [1, 2, 3] }`)"
+        );
+        let refused = [
+            (json!({ "type": 2 }), "type: 0 (actual positions) or 1 (trims) was expected"),
+            (json!({ "axes": [] }), "axes: at least one axis was expected"),
+            (
+                json!({ "step": 2 }),
+                "step: unknown setting `step` (possible are: step_mm, step_deg, type, axes, ranges)",
+            ),
+        ];
+        for (settings, expected) in refused {
+            let found = build(&settings, &Context { base: "".into() }).err().unwrap().to_string();
+            assert_eq!(found, expected);
+        }
+        assert!(build(&example(), &Context { base: "".into() }).is_ok());
+    }
+}

@@ -1,0 +1,63 @@
+//! Machines and calibrations for tests.
+
+use std::sync::Arc;
+
+use abbe_core::{
+    Build, CALIBRATION_FORMAT, Calibration, Context, Covariance, Error, Estimated, FitReport, Kind, KinematicModel,
+    ModelRecord, Registry, Status, Termination, path_text,
+};
+use abbe_serial_chain as _;
+use serde_json::{Value, json};
+
+/// A serial chain with a tool of 100 mm.
+pub fn chain(structure: &str, axes: Value, errors: Value) -> Arc<dyn KinematicModel> {
+    let settings =
+        json!({ "chain": structure, "tool_length_mm": 100, "stylus_radius_mm": 0, "axes": axes, "errors": errors });
+    let registry = Registry::built_in().unwrap();
+    let Build::Model(plugin) = &registry.find(Kind::Model, "serial-chain").unwrap().build else { unreachable!() };
+    plugin.build(&settings, &Context { base: "".into() }).unwrap().build(&[]).unwrap()
+}
+
+/// A calibration with some values, the others zero, without covariance.
+pub fn calibration(model: &dyn KinematicModel, values: &[(&str, f64)]) -> Calibration {
+    for (name, _) in values {
+        assert!(model.parameters().iter().any(|parameter| parameter.name == *name), "{name}");
+    }
+    let value = |name: &str| values.iter().find(|(other, _)| *other == name).map_or(0.0, |(_, value)| *value);
+    let parameters = model.parameters().iter().map(|parameter| Estimated {
+        name: parameter.name.clone(),
+        value: value(&parameter.name),
+        unit: parameter.unit.to_string(),
+        standard_uncertainty: 0.0,
+        status: Status::Fixed,
+    });
+    Calibration {
+        abbe_calibration: CALIBRATION_FORMAT,
+        estimate: "fit".to_owned(),
+        model: ModelRecord { plugin: "serial-chain".to_owned(), settings: model.settings() },
+        parameters: parameters.collect(),
+        artefacts: Vec::new(),
+        covariance: Covariance::default(),
+        outliers: Vec::new(),
+        fit: FitReport {
+            observations: 0,
+            unknowns: 0,
+            rank: 0,
+            condition: 1.0,
+            degrees_of_freedom: 0,
+            sigma: 1.0,
+            iterations: 0,
+            termination: Termination::Converged,
+            residual_max_um: 0.0,
+            residual_mean_abs_um: 0.0,
+            residual_rms_um: 0.0,
+            null_space: Vec::new(),
+        },
+    }
+}
+
+/// The text of an error after the setting that it points at.
+pub fn key_error<T>(result: Result<T, Error>) -> String {
+    let error = result.err().unwrap();
+    format!("{}: {error}", path_text(&error.setting))
+}

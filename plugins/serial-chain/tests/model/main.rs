@@ -1,0 +1,11 @@
+//! Proves the model that the plugin builds: its parameters act as the conventions name them, its derivatives are those
+//! of its poses, and as many of its parameters can be identified as the kinematics of such machines allow.
+
+mod counting;
+mod derivatives;
+mod drift;
+mod fit;
+#[path = "../../../../crates/abbe-kinematics/tests/chains/oracle.rs"]
+mod oracle;
+mod subject;
+mod values;

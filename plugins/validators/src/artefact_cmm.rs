@@ -1,0 +1,157 @@
+//! Validator `artefact-cmm`: the estimated artefact against the same artefact measured on a CMM (Rahman & Mayer 2015,
+//! Table 4-7 of Rahman 2016).
+
+use std::path::PathBuf;
+
+use abbe_core::{
+    Build, Constructor, Context, Dataset, Error, Feature, Figure, Findings, Fit, InputFile, Owner, Plugin, Result,
+    SettingsError, Validate, inventory,
+};
+use schemars::JsonSchema;
+use serde::Deserialize;
+use serde_json::{Value, json};
+
+use crate::cmm::{Cmm, Rigid, best_motion, rank_remark};
+use crate::figures::{Limits, ONE, Sample, UM, check_limits, set_limits};
+use crate::folds::set_of;
+
+inventory::submit! {
+    Plugin::built_in(
+        "artefact-cmm",
+        "the estimated artefact against the same artefact measured on a CMM",
+        abbe_core::schema_of::<Settings>,
+        example,
+        Build::Validate(Constructor::Static(build)),
+    )
+}
+
+/// Settings of the comparison.
+#[derive(Debug, Clone, PartialEq, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+struct Settings {
+    /// The artefact stage whose features the CMM measured.
+    features: String,
+    /// CSV file of the CMM: feature, x_mm, y_mm, z_mm and for facets nx, ny, nz and the measured offset d_um along it;
+    /// for balls the point is the measured centre.
+    cmm: String,
+    /// Largest admissible values: `max_absolute_um`, `standard_deviation_um`, `range_um`.
+    #[serde(default)]
+    limits: Limits,
+}
+
+fn example() -> Value {
+    json!({ "features": "table", "cmm": "facets-cmm.csv", "limits": { "standard_deviation_um": 5 } })
+}
+
+fn build(settings: &Value, context: &Context) -> Result<Box<dyn Validate>, SettingsError> {
+    let settings: Settings = abbe_core::from_settings(settings)?;
+    // Figures with a sign have no limit: a large negative one would keep it.
+    check_limits(&settings.limits, &["max_absolute_um", "standard_deviation_um", "range_um"])?;
+    Ok(Box::new(ArtefactCmm { cmm: context.path(&settings.cmm), settings }))
+}
+
+struct ArtefactCmm {
+    cmm: PathBuf,
+    settings: Settings,
+}
+
+impl Validate for ArtefactCmm {
+    fn inputs(&self) -> Vec<InputFile> {
+        vec![InputFile { setting: "cmm", path: self.cmm.clone() }]
+    }
+
+    fn observations(&self) -> Vec<(&'static str, String)> {
+        vec![("features", self.settings.features.clone())]
+    }
+
+    fn validate(&self, fits: &[&Fit], _: &[&Dataset]) -> Result<Findings> {
+        let cmm = Cmm::read(&self.cmm)?;
+        let mut findings = Findings::default();
+        for fit in fits {
+            self.judge(fit, &cmm, &mut findings)?;
+        }
+        set_limits(&self.settings.limits, &mut findings.figures);
+        Ok(findings)
+    }
+}
+
+impl ArtefactCmm {
+    fn judge(&self, fit: &Fit, cmm: &Cmm, findings: &mut Findings) -> Result<()> {
+        let set = set_of(fit, "features", &self.settings.features)?;
+        let values = fit.problem.starting_from(&fit.calibration).sets.swap_remove(set).own;
+        let estimated = |own: usize| {
+            fit.problem.unknowns.iter().any(|unknown| unknown.owner == Owner::Set(set) && unknown.index == own)
+        };
+        let mut features = fit.problem.sets[set].observations.features();
+        features.retain(|feature: &Feature| feature.shifts.iter().all(|(own, _)| estimated(*own)));
+        if features.is_empty() {
+            return Err(Error::usage(format!("{} estimates no feature of `{}`", fit.name, self.settings.features))
+                .setting("features"));
+        }
+        let matched = cmm.matched(&features)?;
+        findings.remarks.extend(matched.left_out.iter().map(|text| format!("{}: {text}", fit.name)));
+
+        let rigid = Rigid::of(&matched.shifts);
+        let effects: Vec<_> = matched.shifts.iter().map(|shift| rigid.effect(shift)).collect();
+        let raw: Vec<f64> = matched.shifts.iter().map(|shift| values[shift.own] - shift.measured).collect();
+        let (motion, rank) = best_motion(&effects, &raw);
+        findings.remarks.extend(rank_remark(&fit.name, rank));
+        let left = raw.iter().zip(&effects).map(|(raw, effect)| (raw - effect.dot(&motion)) * 1e3);
+        let left = Sample(left.collect());
+        findings.figures.extend([
+            Figure::new(&fit.name, "max", left.max(), UM),
+            Figure::new(&fit.name, "min", left.min(), UM),
+            Figure::new(&fit.name, "max absolute", left.max_absolute(), UM),
+            Figure::new(&fit.name, "mean", left.mean(), UM),
+            Figure::new(&fit.name, "standard deviation", left.standard_deviation(), UM),
+            Figure::new(&fit.name, "range", left.max() - left.min(), UM),
+            Figure::new(&fit.name, "features", matched.features as f64, ONE),
+        ]);
+        Ok(())
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::testing::{UPWARDS, check, judge};
+
+    #[test]
+    fn what_a_rigid_motion_cannot_explain_remains() {
+        let touches = [("a", "1", 0.0, 0.0), ("b", "1", 0.0, 0.0), ("c", "1", 0.0, 0.0), ("d", "1", 0.0, 0.0)];
+        let (folder, fit) = crate::testing::fit(&UPWARDS, &touches, false);
+        // A height of 5, a slope of 3 along x, and a twist of 2 that no rigid motion makes.
+        let cmm = "feature,x_mm,y_mm,z_mm,nx,ny,nz,d_um\na,100,100,50,0,0,1,10\nb,-100,100,50,0,0,1,0\n\
+                   c,-100,-100,50,0,0,1,4\nd,100,-100,50,0,0,1,6\ne,0,0,0,0,0,1,6\n";
+        std::fs::write(folder.path().join("cmm.csv"), cmm).unwrap();
+        let settings = json!({ "features": "table", "cmm": "cmm.csv", "limits": { "range_um": 3 } });
+        let found = judge("artefact-cmm", folder.path(), &settings, &fit).unwrap();
+        check(
+            &found,
+            &[
+                ("max", 2.0),
+                ("min", -2.0),
+                ("max absolute", 2.0),
+                ("mean", 0.0),
+                ("standard deviation", (16.0_f64 / 3.0).sqrt()),
+                ("range", 4.0),
+                ("features", 4.0),
+            ],
+        );
+        assert_eq!(
+            found.remarks,
+            [
+                "fit: not estimated and left out: e",
+                "fit: the features tell only 3 of the 6 motions between the frames of machine and CMM; of those that fit \
+                 equally well the smallest was taken"
+            ]
+        );
+        assert_eq!(found.figures.iter().filter(|figure| !figure.passes()).count(), 1);
+        let signed = json!({ "features": "table", "cmm": "cmm.csv", "limits": { "max_um": 3 } });
+        assert_eq!(
+            judge("artefact-cmm", folder.path(), &signed, &fit).unwrap_err(),
+            "limits.max_um: there is no figure `max_um` to limit (possible are: max_absolute_um, standard_deviation_um, \
+             range_um)"
+        );
+    }
+}

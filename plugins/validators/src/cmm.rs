@@ -1,0 +1,292 @@
+//! Artefacts measured on a CMM, and the rigid motion between its frame and the machine's.
+
+use std::path::{Path, PathBuf};
+
+use abbe_core::{Dataset, Error, Feature, Quantity, Result};
+use nalgebra::{DMatrix, DVector, Vector3, Vector6};
+
+/// How far nominal points (mm) and normals of the CMM file may be from those of the artefact.
+const AGREEMENT: f64 = 1e-3;
+
+/// What a CMM found of the features of an artefact.
+pub struct Cmm {
+    path: PathBuf,
+    table: Dataset,
+    labels: Vec<String>,
+    /// Nominal points of facets, measured centres of balls, mm.
+    points: Vec<Vector3<f64>>,
+    /// Normals and offsets along them, for facets.
+    offsets: Option<(Vec<Vector3<f64>>, Vec<f64>)>,
+}
+
+/// How far a feature is off its nominal place, measured on the CMM, in one of the directions in which it can be off.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Shift {
+    /// Index of the artefact's own unknown for it.
+    pub own: usize,
+    /// Nominal point of the feature, mm.
+    pub point: Vector3<f64>,
+    /// Unit direction.
+    pub direction: Vector3<f64>,
+    /// Measured shift, mm.
+    pub measured: f64,
+}
+
+/// The features that both sides have.
+pub struct Matched {
+    /// Number of features.
+    pub features: usize,
+    /// Their shifts.
+    pub shifts: Vec<Shift>,
+    /// What was left out and why, for people.
+    pub left_out: Vec<String>,
+}
+
+impl Cmm {
+    /// Reads a CMM file: `feature`, `x_mm`, `y_mm`, `z_mm` and for facets `nx`, `ny`, `nz`, `d_um`.
+    pub fn read(path: &Path) -> Result<Self> {
+        let table = abbe_table::read(path)?;
+        abbe_table::unique_labels(&table, "feature")?;
+        let labels = abbe_table::labels(&table, "feature")?.to_vec();
+        let points = abbe_table::points(&table, ["x", "y", "z"])?.into_iter().map(Vector3::from).collect();
+        let facets = ["nx", "ny", "nz", "d"].iter().any(|name| table.column(name).is_some());
+        let offsets = if facets {
+            let mut normals = Vec::new();
+            for (row, normal) in abbe_table::vectors(&table, ["nx", "ny", "nz"])?.into_iter().enumerate() {
+                let normal = Vector3::from(normal);
+                if (normal.norm() - 1.0).abs() > 1e-2 {
+                    let message = format!("the normal has length {:.4}; 1 was expected", normal.norm());
+                    return Err(table.error_at(row, message));
+                }
+                normals.push(normal.normalize());
+            }
+            match table.column("d") {
+                None => {
+                    let message = "there is no column `d_um`, the measured offset along the normal";
+                    return Err(Error::usage(message).in_file(path));
+                }
+                Some(_) => Some((normals, abbe_table::numbers(&table, "d", Quantity::Length)?.to_vec())),
+            }
+        } else {
+            None
+        };
+        Ok(Self { path: path.to_owned(), table, labels, points, offsets })
+    }
+
+    /// The shifts of the features that both the file and the artefact have.
+    pub fn matched(&self, features: &[Feature]) -> Result<Matched> {
+        let mut matched = Matched { features: 0, shifts: Vec::new(), left_out: Vec::new() };
+        let mut absent = Vec::new();
+        for feature in features {
+            match self.labels.iter().position(|label| *label == feature.label) {
+                Some(row) => {
+                    matched.features += 1;
+                    matched.shifts.extend(self.shifts(row, feature)?);
+                }
+                None => absent.push(feature.label.as_str()),
+            }
+        }
+        if matched.features == 0 {
+            return Err(Error::data("no feature of this file is one of the artefact's").in_file(&self.path));
+        }
+        let unknown = self.labels.iter().filter(|label| features.iter().all(|feature| feature.label != **label));
+        let unknown: Vec<&str> = unknown.map(String::as_str).collect();
+        if !unknown.is_empty() {
+            matched.left_out.push(format!("not estimated and left out: {}", unknown.join(", ")));
+        }
+        if !absent.is_empty() {
+            matched.left_out.push(format!("not in the CMM file and left out: {}", absent.join(", ")));
+        }
+        Ok(matched)
+    }
+
+    /// The shifts of the feature in a row, after a check that both sides mean the same feature.
+    fn shifts(&self, row: usize, feature: &Feature) -> Result<Vec<Shift>> {
+        let point = Vector3::from(feature.point);
+        let label = &feature.label;
+        let Some((normals, offsets)) = &self.offsets else {
+            let shift = |&(own, direction): &(usize, [f64; 3])| {
+                let direction = Vector3::from(direction);
+                Shift { own, point, direction, measured: direction.dot(&(self.points[row] - point)) }
+            };
+            return Ok(feature.shifts.iter().map(shift).collect());
+        };
+        let wrong = |message: String| Err(self.table.error_at(row, message));
+        let &[(own, direction)] = feature.shifts.as_slice() else {
+            return wrong(format!(
+                "an offset along a normal does not tell where feature {label} is, which can be off in {} directions; \
+                 its measured centre was expected",
+                feature.shifts.len()
+            ));
+        };
+        let direction = Vector3::from(direction);
+        if (self.points[row] - point).norm() > AGREEMENT {
+            return wrong(format!(
+                "the nominal point of feature {label} is {:.4} mm away from the artefact's",
+                (self.points[row] - point).norm()
+            ));
+        }
+        if (normals[row] - direction).norm() > AGREEMENT {
+            return wrong(format!(
+                "the normal of feature {label} is {:.4} rad off the artefact's",
+                normals[row].angle(&direction)
+            ));
+        }
+        Ok(vec![Shift { own, point, direction, measured: offsets[row] }])
+    }
+}
+
+/// Small rigid motions of an artefact, `t + w x P`. Turns are measured by the way that they move points at the artefact's
+/// own size, so that all six unknowns are lengths and the shortest motion means something.
+pub struct Rigid {
+    origin: Vector3<f64>,
+    size: f64,
+}
+
+impl Rigid {
+    /// The motions of an artefact with these shifts.
+    pub fn of(shifts: &[Shift]) -> Self {
+        let count = shifts.len().max(1) as f64;
+        let origin = shifts.iter().map(|shift| shift.point).sum::<Vector3<f64>>() / count;
+        let squares: f64 = shifts.iter().map(|shift| (shift.point - origin).norm_squared()).sum();
+        let size = (squares / count).sqrt();
+        Self { origin, size: if size > 0.0 { size } else { 1.0 } }
+    }
+
+    /// What the six motions do to a feature in the direction of its shift.
+    pub fn effect(&self, shift: &Shift) -> Vector6<f64> {
+        let turn = (shift.point - self.origin).cross(&shift.direction) / self.size;
+        let along = shift.direction;
+        Vector6::new(along.x, along.y, along.z, turn.x, turn.y, turn.z)
+    }
+}
+
+/// The least squares solution of `effects * motion = values`, of all such the shortest, and how many of the six motions
+/// the effects tell.
+pub fn best_motion(effects: &[Vector6<f64>], values: &[f64]) -> (Vector6<f64>, usize) {
+    let finite = effects.iter().flat_map(|effect| effect.iter()).chain(values).all(|value| value.is_finite());
+    if effects.is_empty() || !finite {
+        return (Vector6::zeros(), 0);
+    }
+    let svd = DMatrix::from_fn(effects.len(), 6, |row, column| effects[row][column]).svd(true, true);
+    let tolerance = 1e-6 * svd.singular_values.max();
+    let rank = svd.rank(tolerance);
+    let motion = svd.solve(&DVector::from_column_slice(values), tolerance);
+    (motion.map_or_else(|_| Vector6::zeros(), |motion| Vector6::from_iterator(motion.iter().copied())), rank)
+}
+
+/// What to tell people about a motion that is not determined.
+pub fn rank_remark(fit: &str, rank: usize) -> Option<String> {
+    (rank < 6).then(|| {
+        format!(
+            "{fit}: the features tell only {rank} of the 6 motions between the frames of machine and CMM; of those that \
+             fit equally well the smallest was taken"
+        )
+    })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use std::fs;
+
+    fn matched(text: &str, features: &[Feature]) -> Result<Matched, String> {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("cmm.csv");
+        fs::write(&path, text).unwrap();
+        let found = Cmm::read(&path).and_then(|cmm| cmm.matched(features));
+        found.map_err(|error| error.to_string().replace(&format!("{}/", folder.path().display()), ""))
+    }
+
+    fn facet(label: &str) -> Feature {
+        Feature { label: label.to_owned(), point: [1.0, 2.0, 3.0], shifts: vec![(4, [0.0, 0.0, 1.0])] }
+    }
+
+    fn ball() -> Feature {
+        let shifts = vec![(0, [1.0, 0.0, 0.0]), (1, [0.0, 1.0, 0.0]), (2, [0.0, 0.0, 1.0])];
+        Feature { label: "1".to_owned(), point: [1.0, 2.0, 3.0], shifts }
+    }
+
+    #[test]
+    fn shifts_of_facets_and_balls() {
+        let facets = "feature,x_mm,y_mm,z_mm,nx,ny,nz,d_um\n7,1,2,3,0,0,1,12.5\n8,1,2,3,0,0,1,1\n";
+        let found = matched(facets, &[facet("7"), facet("9")]).unwrap();
+        let [shift] = found.shifts.as_slice() else { panic!("{:?}", found.shifts) };
+        assert_eq!((found.features, shift.own, shift.measured), (1, 4, 0.0125));
+        assert_eq!(found.left_out, ["not estimated and left out: 8", "not in the CMM file and left out: 9"]);
+        let found = matched("feature,x_mm,y_mm,z_mm\n1,1.5,2,2\n", &[ball()]).unwrap();
+        assert_eq!(found.shifts.iter().map(|shift| shift.measured).collect::<Vec<_>>(), [0.5, 0.0, -1.0]);
+    }
+
+    #[test]
+    fn files_that_mean_something_else_are_refused() {
+        let header = "feature,x_mm,y_mm,z_mm,nx,ny,nz,d_um\n";
+        let cases = [
+            (
+                format!("{header}5,1,2,3,0,0,1,0\n"),
+                facet("7"),
+                "cmm.csv: no feature of this file is one of the artefact's",
+            ),
+            (
+                format!("{header}7,1,2.1,3,0,0,1,0\n"),
+                facet("7"),
+                "cmm.csv:2: the nominal point of feature 7 is 0.1000 mm away from the artefact's",
+            ),
+            (
+                format!("{header}7,1,2,3,0,0.6,0.8,0\n"),
+                facet("7"),
+                "cmm.csv:2: the normal of feature 7 is 0.6435 rad off the artefact's",
+            ),
+            (
+                format!("{header}7,1,2,3,0,0,2,0\n"),
+                facet("7"),
+                "cmm.csv:2: the normal has length 2.0000; 1 was expected",
+            ),
+            (
+                format!("{header}1,1,2,3,0,0,1,0\n"),
+                ball(),
+                "cmm.csv:2: an offset along a normal does not tell where feature 1 is, which can be off in 3 directions; \
+                 its measured centre was expected",
+            ),
+            (
+                format!("{header}7,1,2,3,0,0,1,0\n7,1,2,3,0,0,1,0\n"),
+                facet("7"),
+                "cmm.csv:3: feature `7` is in line 2 already",
+            ),
+            (
+                "feature,x_mm,y_mm,z_mm,nx,ny,nz\n7,1,2,3,0,0,1\n".to_owned(),
+                facet("7"),
+                "cmm.csv: there is no column `d_um`, the measured offset along the normal",
+            ),
+        ];
+        for (text, feature, expected) in cases {
+            assert_eq!(matched(&text, &[feature]).err().unwrap(), expected);
+        }
+    }
+
+    #[test]
+    fn a_rigid_motion_is_found() {
+        // Nine facets of a cube, moved by t and w.
+        let (t, w) = (Vector3::new(0.01, -0.02, 0.03), Vector3::new(1e-4, 2e-4, -1e-4));
+        let mut shifts = Vec::new();
+        for axis in 0..3 {
+            for (u, v) in [(50.0, 20.0), (-40.0, 30.0), (10.0, -60.0)] {
+                let mut point = Vector3::repeat(100.0);
+                point[(axis + 1) % 3] = u;
+                point[(axis + 2) % 3] = v;
+                let direction = Vector3::ith(axis, 1.0);
+                let measured = direction.dot(&(t + w.cross(&point)));
+                shifts.push(Shift { own: shifts.len(), point, direction, measured });
+            }
+        }
+        let rigid = Rigid::of(&shifts);
+        let effects: Vec<Vector6<f64>> = shifts.iter().map(|shift| rigid.effect(shift)).collect();
+        let values: Vec<f64> = shifts.iter().map(|shift| shift.measured).collect();
+        let (motion, rank) = best_motion(&effects, &values);
+        assert_eq!(rank, 6);
+        for (effect, value) in effects.iter().zip(&values) {
+            assert!((effect.dot(&motion) - value).abs() < 1e-14);
+        }
+        assert!((motion.fixed_rows::<3>(3) / rigid.size - w).norm() < 1e-14);
+    }
+}

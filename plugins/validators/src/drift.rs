@@ -1,0 +1,249 @@
+//! Whether residuals follow time: the test for a drift that the model leaves out.
+//!
+//! A drift of a tool set-up parameter p adds to every residual a polynomial in time times dr/dp. The part of it that the
+//! fit's own unknowns cannot imitate is regressed on the residuals, and an F test says what chance would do as well.
+
+use std::collections::BTreeSet;
+
+use abbe_core::{Fit, Owner, Problem, Quantity, Result, Unknown};
+use abbe_numerics::f_test;
+use nalgebra::{DMatrix, DVector, DVectorView};
+
+/// Tool set-up parameters that may drift.
+const PARAMETERS: [&str; 3] = ["dxt", "dyt", "dzt"];
+/// Highest degree in time.
+pub const DEGREES: usize = 4;
+/// Residuals of this part of their standard uncertainty are rounding; it may well follow time, but means nothing.
+const ROUNDING: f64 = 1e-3;
+
+/// What a drift of one parameter would explain.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Drift {
+    /// The parameter.
+    pub parameter: &'static str,
+    /// Number of terms in time that the model does not have yet.
+    pub terms: usize,
+    /// Part of the residuals' sum of squares that they would explain.
+    pub share: f64,
+    /// Probability of such a part without any drift.
+    pub p: f64,
+    /// RMS of what would remain, over what the standard uncertainties promise.
+    pub sigma: f64,
+}
+
+/// Tests every tool set-up parameter; none where no row has a time or nothing is left to explain.
+pub fn test(fit: &Fit, left_out: &BTreeSet<(usize, usize)>) -> Result<Vec<Drift>> {
+    let problem = &fit.problem;
+    let rows = problem.equation_rows();
+    let Some(times) = scaled_times(problem, &rows) else { return Ok(Vec::new()) };
+    // The derivatives to the parameters are needed whether the fit estimates them or not.
+    let mut extended = Problem::clone(problem);
+    let mut tested: Vec<(&'static str, usize)> = Vec::new();
+    for name in PARAMETERS {
+        let parameters = problem.model.parameters();
+        let Some(index) = parameters.iter().position(|parameter| parameter.name == name) else { continue };
+        let known = extended.unknowns.iter().position(|unknown| unknown.name == name);
+        tested.push((name, known.unwrap_or(extended.unknowns.len())));
+        if known.is_none() {
+            let unit = parameters[index].unit;
+            extended.unknowns.push(Unknown { name: name.to_owned(), unit, owner: Owner::Machine, index });
+        }
+    }
+    let (own, width) = (problem.unknowns.len(), extended.unknowns.len());
+    let uncertainties = problem.standard_uncertainties();
+    let mut triangle = Triangle::new(own + DEGREES * tested.len() + 1);
+    let mut count = 0;
+    extended.linearise(&extended.values_of(&fit.calibration), |block| {
+        for (row, residual) in block.residuals.iter().enumerate() {
+            let equation = block.first + row;
+            if left_out.contains(&rows[equation]) {
+                continue;
+            }
+            let line = &block.jacobian[row * width..(row + 1) * width];
+            let mut entries = line[..own].to_vec();
+            for (_, column) in &tested {
+                entries.extend(legendre(times[equation]).map(|value| value * line[*column]));
+            }
+            entries.push(*residual);
+            triangle.push(entries.into_iter().map(|entry| entry / uncertainties[equation]));
+            count += 1;
+        }
+    })?;
+    Ok(judge(triangle.finish(), own, count, &tested))
+}
+
+/// The test on the triangular factor of `[J | candidates | r]`, whose columns have the same inner products.
+fn judge(factor: DMatrix<f64>, own: usize, rows: usize, tested: &[(&'static str, usize)]) -> Vec<Drift> {
+    if factor.iter().any(|entry| !entry.is_finite()) {
+        return Vec::new();
+    }
+    let jacobian = basis(factor.columns(0, own).column_iter(), 1e-10);
+    let rest = orthogonal(factor.column(factor.ncols() - 1), &jacobian);
+    let freedom = rows.saturating_sub(jacobian.ncols());
+    let squares = rest.norm_squared();
+    if freedom == 0 || squares <= ROUNDING * ROUNDING * freedom as f64 {
+        return Vec::new();
+    }
+    let mut found = Vec::new();
+    for (index, (parameter, _)) in tested.iter().enumerate() {
+        let candidates = (0..DEGREES).map(|degree| factor.column(own + index * DEGREES + degree));
+        // What the fit has already is nothing but rounding after projection.
+        let new: Vec<DVector<f64>> = candidates
+            .map(|candidate| (orthogonal(candidate, &jacobian), candidate.norm()))
+            .filter(|(part, norm)| part.norm() > 1e-6 * norm)
+            .map(|(part, _)| part)
+            .collect();
+        let block = basis(new.iter().map(DVector::as_view), 1e-6);
+        let terms = block.ncols();
+        if terms == 0 || freedom <= terms {
+            continue;
+        }
+        let explained = (block.transpose() * &rest).norm_squared().min(squares);
+        let unexplained = ((squares - explained) / (freedom - terms) as f64).max(f64::MIN_POSITIVE);
+        let ratio = (explained / terms as f64 / unexplained).min(f64::MAX);
+        if let Some(p) = f_test(ratio, terms, freedom - terms) {
+            found.push(Drift { parameter, terms, share: explained / squares, p, sigma: unexplained.sqrt() });
+        }
+    }
+    found
+}
+
+/// Orthonormal basis of what columns span; columns are scaled to norm 1, and a direction whose singular value is below
+/// `tolerance` times the largest is none.
+fn basis<'a>(columns: impl Iterator<Item = DVectorView<'a, f64>>, tolerance: f64) -> DMatrix<f64> {
+    let columns: Vec<DVector<f64>> =
+        columns.filter(|column| column.norm() > 0.0).map(|column| column / column.norm()).collect();
+    let Some(height) = columns.first().map(DVector::len) else { return DMatrix::zeros(0, 0) };
+    let svd = DMatrix::from_columns(&columns).svd(true, false);
+    let rank = svd.singular_values.iter().filter(|value| **value > tolerance * svd.singular_values[0]).count();
+    svd.u.map_or_else(|| DMatrix::zeros(height, 0), |u| u.columns(0, rank).into_owned())
+}
+
+/// The part of a column that is orthogonal to a basis.
+fn orthogonal(column: DVectorView<'_, f64>, basis: &DMatrix<f64>) -> DVector<f64> {
+    let mut part = column.into_owned();
+    if basis.ncols() == 0 {
+        return part;
+    }
+    // Twice, because the first pass leaves rounding of the size of what it takes away.
+    for _ in 0..2 {
+        part -= basis * (basis.transpose() * &part);
+    }
+    part
+}
+
+/// Time of every equation's row, scaled to -1..1 over all rows that have one; NaN for those without.
+fn scaled_times(problem: &Problem, rows: &[(usize, usize)]) -> Option<Vec<f64>> {
+    let of_set: Vec<Option<&[f64]>> = (problem.sets.iter())
+        .map(|set| {
+            let data = &set.observations.layout().data;
+            data.column("time").filter(|column| column.header.quantity == Quantity::Time)?;
+            data.numbers("time")
+        })
+        .collect();
+    let time = |&(set, row): &(usize, usize)| {
+        let data_row = problem.sets[set].observations.layout().rows[row].data_row?;
+        Some(of_set[set]?[data_row])
+    };
+    let times: Vec<f64> = rows.iter().map(|row| time(row).unwrap_or(f64::NAN)).collect();
+    // f64::min and f64::max pass over NaN.
+    let first = times.iter().copied().fold(f64::INFINITY, f64::min);
+    let last = times.iter().copied().fold(f64::NEG_INFINITY, f64::max);
+    (last > first).then(|| times.iter().map(|time| 2.0 * (time - first) / (last - first) - 1.0).collect())
+}
+
+/// Legendre polynomials of degree 1 to [`DEGREES`]; zero without a time.
+fn legendre(t: f64) -> [f64; DEGREES] {
+    if t.is_nan() {
+        return [0.0; DEGREES];
+    }
+    let square = t * t;
+    [t, 1.5 * square - 0.5, (2.5 * square - 1.5) * t, (35.0 * square * square - 30.0 * square + 3.0) / 8.0]
+}
+
+/// Keeps nothing of a tall matrix but its triangular factor.
+struct Triangle {
+    width: usize,
+    rows: Vec<f64>,
+}
+
+impl Triangle {
+    fn new(width: usize) -> Self {
+        Self { width, rows: Vec::new() }
+    }
+
+    fn push(&mut self, row: impl Iterator<Item = f64>) {
+        self.rows.extend(row);
+        if self.rows.len() >= 8 * self.width * self.width.max(64) {
+            let factor = self.factor();
+            self.rows = factor.transpose().as_slice().to_vec();
+        }
+    }
+
+    fn factor(&self) -> DMatrix<f64> {
+        DMatrix::from_row_slice(self.rows.len() / self.width, self.width, &self.rows).qr().r()
+    }
+
+    fn finish(self) -> DMatrix<f64> {
+        self.factor()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_factor_of_many_rows_keeps_inner_products() {
+        let mut triangle = Triangle::new(3);
+        let (mut one, mut two) = (0.0, 0.0);
+        for i in 0..5000 {
+            let t = f64::from(i) / 5000.0;
+            let row = [1.0, t.sin(), (7.0 * t).cos()];
+            one += row[1] * row[2];
+            two += row[0] * row[1];
+            triangle.push(row.into_iter());
+        }
+        let factor = triangle.finish();
+        assert!((factor.column(1).dot(&factor.column(2)) - one).abs() < 1e-9);
+        assert!((factor.column(0).dot(&factor.column(1)) - two).abs() < 1e-9);
+    }
+
+    #[test]
+    fn polynomials_are_orthogonal() {
+        let count = 20_000;
+        let mut sums = [[0.0; DEGREES]; DEGREES];
+        for i in 0..count {
+            let values = legendre((f64::from(2 * i + 1)) / f64::from(count) - 1.0);
+            for (row, a) in values.iter().enumerate() {
+                for (column, b) in values.iter().enumerate() {
+                    sums[row][column] += a * b * 2.0 / f64::from(count);
+                }
+            }
+        }
+        for (row, line) in sums.iter().enumerate() {
+            for (column, sum) in line.iter().enumerate() {
+                let expected = if row == column { 2.0 / (2.0 * (row as f64 + 1.0) + 1.0) } else { 0.0 };
+                assert!((sum - expected).abs() < 1e-6, "{row} {column}");
+            }
+        }
+    }
+
+    #[test]
+    fn the_test_is_that_of_a_regression_on_what_the_fit_leaves() {
+        // J = constant; candidate = t; residual = 1 + 2 t + e with e orthogonal to both: explained and rest are known.
+        let t = [-3.0, -1.0, 1.0, 3.0];
+        let e = [1.0, -1.0, -1.0, 1.0];
+        let mut matrix = DMatrix::zeros(4, 2 + DEGREES);
+        for row in 0..4 {
+            matrix[(row, 0)] = 1.0;
+            matrix[(row, 1)] = t[row];
+            matrix[(row, 1 + DEGREES)] = 1.0 + 2.0 * t[row] + e[row];
+        }
+        let found = judge(matrix, 1, 4, &[("dzt", 0)]);
+        let [drift] = found.as_slice() else { panic!("{found:?}") };
+        assert_eq!((drift.parameter, drift.terms), ("dzt", 1));
+        assert!((drift.share - 80.0 / 84.0).abs() < 1e-12);
+        assert!((drift.p - f_test(80.0 / (4.0 / 2.0), 1, 2).unwrap()).abs() < 1e-12);
+    }
+}

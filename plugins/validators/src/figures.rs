@@ -1,0 +1,172 @@
+//! What all validators share: limits, statistics, outliers.
+
+use std::collections::{BTreeMap, BTreeSet};
+
+use abbe_core::{Calibration, Figure, PathItem, Problem, SettingsError};
+
+/// Largest admissible values by [`key`].
+pub type Limits = BTreeMap<String, f64>;
+
+/// Unit of lengths in figures.
+pub const UM: &str = "um";
+/// Unit of numbers without one.
+pub const ONE: &str = "1";
+
+/// How `limits` calls a figure: `max_um`, `standard_deviation_um`, `rank`.
+pub fn key(name: &str, unit: &str) -> String {
+    let name = name.replace(' ', "_");
+    if unit == ONE { name } else { format!("{name}_{unit}") }
+}
+
+/// Refuses limits for anything but these keys.
+pub fn check_limits(limits: &Limits, keys: &[&str]) -> Result<(), SettingsError> {
+    for (key, limit) in limits {
+        let at = [PathItem::Key("limits".to_owned())];
+        if !keys.contains(&key.as_str()) {
+            let mut error = SettingsError::new(key, format!("there is no figure `{key}` to limit"));
+            error.key = true;
+            return Err(error.suggest(key, keys.iter().copied()).under(at));
+        }
+        if !limit.is_finite() {
+            return Err(SettingsError::new(key, "a finite number was expected").under(at));
+        }
+    }
+    Ok(())
+}
+
+/// Sets the limits of the main figures.
+pub fn set_limits(limits: &Limits, figures: &mut [Figure]) {
+    for figure in figures.iter_mut().filter(|figure| !figure.detail) {
+        figure.limit = limits.get(&key(&figure.name, &figure.unit)).copied();
+    }
+}
+
+/// Numbers to be summed up; what an empty one cannot tell is NaN.
+#[derive(Debug, Clone, Default)]
+pub struct Sample(pub Vec<f64>);
+
+impl Sample {
+    fn mean_of(&self, value: impl Fn(f64) -> f64) -> f64 {
+        self.0.iter().map(|&number| value(number)).sum::<f64>() / self.0.len() as f64
+    }
+
+    /// The value that beats all others; NaN if one is NaN.
+    fn best(&self, beats: impl Fn(f64, f64) -> bool) -> f64 {
+        let better = |a: f64, b: f64| if b.is_nan() || beats(b, a) { b } else { a };
+        self.0.iter().copied().reduce(better).unwrap_or(f64::NAN)
+    }
+
+    /// Largest value.
+    pub fn max(&self) -> f64 {
+        self.best(|a, b| a > b)
+    }
+
+    /// Smallest value.
+    pub fn min(&self) -> f64 {
+        self.best(|a, b| a < b)
+    }
+
+    /// Largest absolute value.
+    pub fn max_absolute(&self) -> f64 {
+        self.best(|a, b| a.abs() > b.abs()).abs()
+    }
+
+    /// Mean.
+    pub fn mean(&self) -> f64 {
+        self.mean_of(|value| value)
+    }
+
+    /// Mean absolute value.
+    pub fn mean_absolute(&self) -> f64 {
+        self.mean_of(f64::abs)
+    }
+
+    /// Root mean square.
+    pub fn rms(&self) -> f64 {
+        self.mean_of(|value| value * value).sqrt()
+    }
+
+    /// Standard deviation, divided by n - 1.
+    pub fn standard_deviation(&self) -> f64 {
+        let mean = self.mean();
+        let squares: f64 = self.0.iter().map(|value| (value - mean).powi(2)).sum();
+        (squares / (self.0.len() as f64 - 1.0)).sqrt()
+    }
+}
+
+/// Samples by label, in the order in which the labels appear first.
+#[derive(Debug, Clone, Default)]
+pub struct Groups {
+    index: BTreeMap<String, usize>,
+    samples: Vec<(String, Sample)>,
+}
+
+impl Groups {
+    /// Adds a value.
+    pub fn push(&mut self, label: &str, value: f64) {
+        let index = match self.index.get(label) {
+            Some(&index) => index,
+            None => {
+                self.index.insert(label.to_owned(), self.samples.len());
+                self.samples.push((label.to_owned(), Sample::default()));
+                self.samples.len() - 1
+            }
+        };
+        self.samples[index].1.0.push(value);
+    }
+
+    /// Labels and samples.
+    pub fn iter(&self) -> impl Iterator<Item = &(String, Sample)> {
+        self.samples.iter()
+    }
+}
+
+/// The (set, row) of the rows that a calibration lists as outliers.
+pub fn outliers(problem: &Problem, calibration: &Calibration) -> BTreeSet<(usize, usize)> {
+    let listed = calibration.outliers.iter();
+    let listed: BTreeSet<(&str, &str, usize)> =
+        listed.map(|outlier| (outlier.stage.as_str(), outlier.file.as_str(), outlier.row)).collect();
+    let mut found = BTreeSet::new();
+    for (index, set) in problem.sets.iter().enumerate() {
+        for &row in &set.rows {
+            if let Some((file, origin)) = problem.origin(index, row)
+                && listed.contains(&(set.name.as_str(), file.display().to_string().as_str(), origin.row))
+            {
+                found.insert((index, row));
+            }
+        }
+    }
+    found
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn statistics_of_a_few_numbers() {
+        let sample = Sample(vec![1.0, -4.0, 3.0]);
+        assert_eq!((sample.max(), sample.min(), sample.max_absolute(), sample.mean()), (3.0, -4.0, 4.0, 0.0));
+        assert_eq!(sample.mean_absolute(), 8.0 / 3.0);
+        assert!((sample.rms() - (26.0_f64 / 3.0).sqrt()).abs() < 1e-15);
+        assert!((sample.standard_deviation() - 13.0_f64.sqrt()).abs() < 1e-15);
+        assert!(Sample(vec![1.0, f64::NAN, 2.0]).max().is_nan());
+        assert!(Sample::default().max().is_nan() && Sample(vec![1.0]).standard_deviation().is_nan());
+    }
+
+    #[test]
+    fn limits_that_do_not_exist_are_refused() {
+        let cases = [
+            ("max_um", 1.0, ""),
+            ("max_umm", 1.0, "limits.max_umm: there is no figure `max_umm` to limit (did you mean `max_um`?)"),
+            ("sigma", 1.0, "limits.sigma: there is no figure `sigma` to limit (possible are: max_um, rank)"),
+            ("rank", f64::NAN, "limits.rank: a finite number was expected"),
+        ];
+        for (key, limit, expected) in cases {
+            let limits = Limits::from([(key.to_owned(), limit)]);
+            let found =
+                check_limits(&limits, &["max_um", "rank"]).map_or_else(|error| error.to_string(), |()| String::new());
+            assert_eq!(found, expected);
+        }
+    }
+}

@@ -1,0 +1,202 @@
+//! Rows held out in folds, and the fits on what is left.
+
+use std::collections::{BTreeMap, BTreeSet};
+
+use abbe_core::{Calibration, Error, Fit, Label, Owner, PathItem, Problem, Result, SettingsError, Unknown};
+use schemars::JsonSchema;
+use serde::Deserialize;
+
+/// Which rows are held out together.
+#[derive(Debug, Clone, PartialEq, Deserialize, JsonSchema)]
+#[serde(untagged, expecting = "a number of folds or a list of lists of labels was expected")]
+pub enum Folds {
+    /// The labels in the order in which they appear are dealt out to this many folds.
+    Number(usize),
+    /// The labels of every fold.
+    Labels(Vec<Vec<Label>>),
+}
+
+impl Folds {
+    /// Refuses what no data can make right.
+    pub fn check(&self) -> Result<(), SettingsError> {
+        match self {
+            Self::Number(number) if *number < 2 => {
+                Err(SettingsError::new("folds", format!("{number} folds hold out nothing or everything"))
+                    .help("write 2 or more, or the labels to hold out: `[[5, 8]]`"))
+            }
+            Self::Number(_) => Ok(()),
+            Self::Labels(folds) if folds.is_empty() => {
+                Err(SettingsError::new("folds", "at least one fold was expected"))
+            }
+            Self::Labels(folds) => {
+                let mut seen = BTreeSet::new();
+                for (index, labels) in folds.iter().enumerate() {
+                    let at = [PathItem::Key("folds".to_owned()), PathItem::Index(index)];
+                    if labels.is_empty() {
+                        return Err(SettingsError::new("", "a fold without labels holds out nothing").under(at));
+                    }
+                    if let Some(twice) = labels.iter().find(|label| !seen.insert(*label)) {
+                        let message = format!("the label {} is listed twice", twice.0);
+                        return Err(SettingsError::new("", message).under(at));
+                    }
+                }
+                Ok(())
+            }
+        }
+    }
+
+    /// The folds of the rows of a set by the labels of `column`.
+    pub fn split(&self, problem: &Problem, set: usize, column: &str) -> Result<Vec<Fold>> {
+        let set = &problem.sets[set];
+        let layout = set.observations.layout();
+        let labels = abbe_table::labels(&layout.data, column).map_err(|error| error.setting("column"))?;
+        let mut order: Vec<&str> = Vec::new();
+        let mut rows: BTreeMap<&str, Vec<usize>> = BTreeMap::new();
+        for &row in &set.rows {
+            if let Some(data_row) = layout.rows[row].data_row {
+                let of_label = rows.entry(labels[data_row].as_str()).or_default();
+                if of_label.is_empty() {
+                    order.push(&labels[data_row]);
+                }
+                of_label.push(row);
+            }
+        }
+        let of_folds: Vec<Vec<&str>> = match self {
+            Self::Number(number) if *number > order.len() => {
+                return Err(Error::data(format!(
+                    "{number} folds were asked for, but `{column}` has {} different labels in `{}`",
+                    order.len(),
+                    set.name
+                ))
+                .setting("folds"));
+            }
+            Self::Number(number) => {
+                (0..*number).map(|fold| order.iter().skip(fold).step_by(*number).copied().collect()).collect()
+            }
+            Self::Labels(folds) => {
+                folds.iter().map(|labels| labels.iter().map(|label| label.0.as_str()).collect()).collect()
+            }
+        };
+        let mut folds = Vec::new();
+        for labels in of_folds {
+            let mut held = Vec::new();
+            for label in &labels {
+                let found = rows.get(label).ok_or_else(|| {
+                    Error::data(format!("no row of `{}` has the {column} {label}", set.name))
+                        .suggest(label, order.iter().copied())
+                        .setting("folds")
+                })?;
+                held.extend_from_slice(found);
+            }
+            held.sort_unstable();
+            if held.len() == rows.values().map(Vec::len).sum::<usize>() {
+                return Err(Error::data(format!(
+                    "the fold with {column} {} holds out every row of `{}`: nothing is left to estimate from",
+                    labels.join(", "),
+                    set.name
+                ))
+                .setting("folds"));
+            }
+            folds.push(Fold { labels: labels.into_iter().map(str::to_owned).collect(), rows: held });
+        }
+        Ok(folds)
+    }
+}
+
+/// The column of labels unless the settings name one.
+pub fn default_column() -> String {
+    "group".to_owned()
+}
+
+/// Rows of one set that are held out together.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Fold {
+    /// Their labels.
+    pub labels: Vec<String>,
+    /// Their indices.
+    pub rows: Vec<usize>,
+}
+
+/// A fit without the rows of a fold.
+pub struct Trained {
+    /// Its result.
+    pub calibration: Calibration,
+    /// Unknowns of the full fit that no row touches any more.
+    pub lost: Vec<Unknown>,
+}
+
+impl Fold {
+    /// Estimates again, by the estimator of the fit, without the rows of this fold.
+    pub fn train(&self, fit: &Fit, set: usize) -> Result<Trained> {
+        let rows = fit.problem.sets[set].rows.iter().copied();
+        let training = fit.problem.with_rows(set, rows.filter(|row| self.rows.binary_search(row).is_err()).collect());
+        let count = training.unknowns.len();
+        let mut touched = vec![false; count];
+        training.linearise(&training.values_of(&fit.calibration), |block| {
+            for line in block.jacobian.chunks_exact(count.max(1)) {
+                touched.iter_mut().zip(line).for_each(|(touched, derivative)| *touched |= *derivative != 0.0);
+            }
+        })?;
+        let lost = training.unknowns.iter().zip(touched).filter(|(_, touched)| !touched);
+        let lost: Vec<Unknown> = lost.map(|(unknown, _)| unknown.clone()).collect();
+        let calibration = fit.estimator.estimate(&training.without(|unknown| lost.contains(unknown)));
+        let calibration = calibration.map_err(|mut error| {
+            error.message = format!("{} without {}: {}", fit.name, self.labels.join(", "), error.message);
+            error
+        })?;
+        Ok(Trained { calibration, lost })
+    }
+}
+
+/// The index of the observations of a stage in a fit.
+pub fn set_of(fit: &Fit, setting: &str, stage: &str) -> Result<usize> {
+    let names = || fit.problem.sets.iter().map(|set| set.name.as_str());
+    names().position(|name| name == stage).ok_or_else(|| {
+        Error::usage(format!("{} does not observe `{stage}`", fit.name)).suggest(stage, names()).setting(setting)
+    })
+}
+
+/// A problem with the values of a calibration, reduced to some rows of one set, whose unknowns are these.
+pub fn reduced(
+    problem: &Problem,
+    calibration: &Calibration,
+    set: usize,
+    rows: Vec<usize>,
+    unknowns: Vec<Unknown>,
+) -> Problem {
+    let mut reduced = problem.starting_from(calibration);
+    reduced.sets.iter_mut().for_each(|other| other.rows.clear());
+    reduced.sets[set].rows = rows;
+    reduced.unknowns = unknowns;
+    reduced
+}
+
+/// For every row of a [`reduced`] problem, which of its unknowns the row's equations contain.
+pub fn contained(problem: &Problem) -> Result<Vec<BTreeSet<usize>>> {
+    let count = problem.unknowns.len();
+    let mut found: Vec<BTreeSet<usize>> = Vec::new();
+    let (rows, mut last) = (problem.equation_rows(), None);
+    problem.linearise(&problem.start(), |block| {
+        for equation in 0..block.residuals.len() {
+            let row = rows[block.first + equation];
+            if last != Some(row) {
+                found.push(BTreeSet::new());
+                last = Some(row);
+            }
+            let line = &block.jacobian[equation * count..(equation + 1) * count];
+            let columns = line.iter().enumerate().filter(|(_, derivative)| **derivative != 0.0);
+            if let Some(row) = found.last_mut() {
+                row.extend(columns.map(|(column, _)| column));
+            }
+        }
+    })?;
+    Ok(found)
+}
+
+/// An own unknown of a set.
+pub fn own_unknown(problem: &Problem, set: usize, index: usize) -> Unknown {
+    let observations = &problem.sets[set];
+    let parameter = &observations.observations.unknowns()[index];
+    let name = format!("{}.{}", observations.name, parameter.name);
+    Unknown { name, unit: parameter.unit, owner: Owner::Set(set), index }
+}

@@ -1,0 +1,218 @@
+//! Validator `hold-out`: how well a fit predicts rows that it has not seen.
+
+use abbe_core::{
+    Build, Constructor, Context, Dataset, Figure, Findings, Fit, InputFile, Plugin, Result, SettingsError, Validate,
+    inventory,
+};
+use schemars::JsonSchema;
+use serde::Deserialize;
+use serde_json::{Value, json};
+
+use crate::figures::{Groups, Limits, ONE, Sample, UM, check_limits, outliers, set_limits};
+use crate::folds::{Folds, contained, default_column, reduced, set_of};
+
+inventory::submit! {
+    Plugin::built_in(
+        "hold-out",
+        "estimates again without some rows and predicts them",
+        abbe_core::schema_of::<Settings>,
+        example,
+        Build::Validate(Constructor::Static(build)),
+    )
+}
+
+/// Settings of the hold-out.
+#[derive(Debug, Clone, PartialEq, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+struct Settings {
+    /// The artefact stage whose rows are held out; the rows of all others always train.
+    rows: String,
+    /// The column whose labels make up the folds.
+    #[serde(default = "default_column")]
+    column: String,
+    /// A number of folds, or for each fold the labels that are held out together.
+    folds: Folds,
+    /// Largest admissible values: `max_um`, `mean_um`, `rms_um`, `outliers`.
+    #[serde(default)]
+    limits: Limits,
+}
+
+fn example() -> Value {
+    json!({ "rows": "table", "column": "group", "folds": [[5, 8, 10], [16, 19]], "limits": { "rms_um": 5 } })
+}
+
+fn build(settings: &Value, _: &Context) -> Result<Box<dyn Validate>, SettingsError> {
+    let settings: Settings = abbe_core::from_settings(settings)?;
+    settings.folds.check()?;
+    check_limits(&settings.limits, &["max_um", "mean_um", "rms_um", "outliers"])?;
+    Ok(Box::new(HoldOut { settings }))
+}
+
+struct HoldOut {
+    settings: Settings,
+}
+
+impl Validate for HoldOut {
+    fn inputs(&self) -> Vec<InputFile> {
+        Vec::new()
+    }
+
+    fn observations(&self) -> Vec<(&'static str, String)> {
+        vec![("rows", self.settings.rows.clone())]
+    }
+
+    fn validate(&self, fits: &[&Fit], _: &[&Dataset]) -> Result<Findings> {
+        let mut findings = Findings::default();
+        for fit in fits {
+            self.judge(fit, &mut findings)?;
+        }
+        set_limits(&self.settings.limits, &mut findings.figures);
+        Ok(findings)
+    }
+}
+
+impl HoldOut {
+    fn judge(&self, fit: &Fit, findings: &mut Findings) -> Result<()> {
+        let (problem, column) = (&fit.problem, &self.settings.column);
+        let set = set_of(fit, "rows", &self.settings.rows)?;
+        let folds = self.settings.folds.split(problem, set, column)?;
+        let layout = problem.sets[set].observations.layout();
+        let labels = abbe_table::labels(&layout.data, column)?;
+        let left_out = outliers(problem, &fit.calibration);
+        let (mut all, mut groups) = (Sample::default(), Groups::default());
+        let (mut predicted, mut skipped) = (0_usize, 0_usize);
+        for fold in &folds {
+            let trained = fold.train(fit, set)?;
+            let good = fold.rows.iter().copied().filter(|row| !left_out.contains(&(set, *row)));
+            let good: Vec<usize> = good.collect();
+            skipped += fold.rows.len() - good.len();
+            let held = reduced(problem, &trained.calibration, set, good, trained.lost);
+            let lost = contained(&held)?;
+            let mut missing: Vec<usize> = lost.iter().flatten().copied().collect();
+            missing.sort_unstable();
+            missing.dedup();
+            let rows = held.sets[set].rows.iter().zip(&lost);
+            let rows: Vec<usize> = rows.filter(|(_, lost)| lost.is_empty()).map(|(row, _)| *row).collect();
+            if !missing.is_empty() {
+                let names: Vec<&str> = missing.iter().map(|&column| held.unknowns[column].name.as_str()).collect();
+                findings.remarks.push(format!(
+                    "{}: {} rows with {column} {} were not predicted, because only they tell {}",
+                    fit.name,
+                    lost.len() - rows.len(),
+                    fold.labels.join(", "),
+                    names.join(", ")
+                ));
+            }
+            predicted += rows.len();
+            let held = reduced(problem, &trained.calibration, set, rows, Vec::new());
+            for (residual, (_, row)) in held.residuals(&[])?.iter().zip(held.equation_rows()) {
+                all.0.push(residual * 1e3);
+                if let Some(data_row) = layout.rows[row].data_row {
+                    groups.push(&labels[data_row], residual * 1e3);
+                }
+            }
+        }
+        findings.figures.extend([
+            Figure::new(&fit.name, "max", all.max_absolute(), UM),
+            Figure::new(&fit.name, "mean", all.mean_absolute(), UM),
+            Figure::new(&fit.name, "rms", all.rms(), UM),
+            Figure::new(&fit.name, "predicted", predicted as f64, ONE),
+            Figure::new(&fit.name, "outliers", skipped as f64, ONE),
+        ]);
+        findings.figures.extend(groups.iter().map(|(label, sample)| {
+            Figure::new(&fit.name, format!("rms[{column}={label}]"), sample.rms(), UM).detail()
+        }));
+        Ok(())
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::testing::{Touch, UPWARDS, check, judge};
+
+    const TOUCHES: [Touch; 7] = [
+        ("a", "1", 0.0, 0.0),
+        ("a", "2", 0.0, 1.0),
+        ("a", "3", 0.0, 5.0),
+        ("b", "1", 0.0, 0.0),
+        ("b", "2", 0.0, 0.0),
+        ("c", "3", 0.0, 0.0),
+        ("c", "3", 0.0, 0.0),
+    ];
+
+    #[test]
+    fn predictions_are_made_without_what_is_predicted() {
+        let (folder, fit) = crate::testing::fit(&UPWARDS, &TOUCHES, false);
+        let found = judge("hold-out", folder.path(), &json!({ "rows": "table", "folds": 3 }), &fit).unwrap();
+        // Each touch on a minus the mean of the other two: -3, -1.5, 4.5. Facet c is touched in group 3 only.
+        check(
+            &found,
+            &[
+                ("max", 4.5),
+                ("mean", 9.0 / 5.0),
+                ("rms", ((9.0 + 2.25 + 20.25) / 5.0_f64).sqrt()),
+                ("predicted", 5.0),
+                ("outliers", 0.0),
+                ("rms[group=1]", 4.5_f64.sqrt()),
+                ("rms[group=3]", 4.5),
+            ],
+        );
+        assert_eq!(
+            found.remarks,
+            ["fit: 2 rows with group 3 were not predicted, because only they tell table.facet[c].d"]
+        );
+        let together = json!({ "rows": "table", "folds": [[1, 2]] });
+        let found = judge("hold-out", folder.path(), &together, &fit).unwrap();
+        check(&found, &[("max", 5.0), ("predicted", 2.0), ("rms", 20.5_f64.sqrt())]);
+        // Two folds deal out round-robin: 1 and 3, 2.
+        let found = judge("hold-out", folder.path(), &json!({ "rows": "table", "folds": 2 }), &fit).unwrap();
+        check(&found, &[("rms[group=2]", (1.5_f64 * 1.5 / 2.0).sqrt()), ("rms[group=3]", 4.0)]);
+    }
+
+    #[test]
+    fn folds_that_make_no_sense_are_refused() {
+        let (folder, fit) = crate::testing::fit(&UPWARDS, &TOUCHES, false);
+        let cases = [
+            (
+                json!({ "rows": "table", "folds": 1 }),
+                "folds: 1 folds hold out nothing or everything (write 2 or more, or \
+                the labels to hold out: `[[5, 8]]`)",
+            ),
+            (json!({ "rows": "table", "folds": [] }), "folds: at least one fold was expected"),
+            (json!({ "rows": "table", "folds": [[1], []] }), "folds[1]: a fold without labels holds out nothing"),
+            (json!({ "rows": "table", "folds": [[1], [2, 1]] }), "folds[1]: the label 1 is listed twice"),
+            (
+                json!({ "rows": "table", "folds": "many" }),
+                "folds: a number of folds or a list of lists of labels was \
+                expected",
+            ),
+            (json!({ "rows": "table" }), "the setting `folds` is missing"),
+            (
+                json!({ "rows": "table", "folds": 4 }),
+                "folds: 4 folds were asked for, but `group` has 3 different labels in \
+                `table`",
+            ),
+            (json!({ "rows": "table", "folds": [[1], [99]] }), "folds: no row of `table` has the group 99"),
+            (
+                json!({ "rows": "table", "folds": [[1, 2, 3]] }),
+                "folds: the fold with group 1, 2, 3 holds out every row of \
+                `table`: nothing is left to estimate from",
+            ),
+            (json!({ "rows": "tabel", "folds": 2 }), "rows: fit does not observe `tabel` (did you mean `table`?)"),
+            (
+                json!({ "rows": "table", "folds": 2, "column": "time" }),
+                "column: touches.csv: the column `time_s` holds \
+                numbers; labels were expected",
+            ),
+            (
+                json!({ "rows": "table", "folds": 2, "column": "grop" }),
+                "column: touches.csv: there is no column `grop`; the \
+                columns are `feature`, `group`, `time_s`, `X_mm`, `Y_mm`, `Z_mm` (did you mean `group`?)",
+            ),
+        ];
+        for (settings, expected) in cases {
+            assert_eq!(judge("hold-out", folder.path(), &settings, &fit).unwrap_err(), expected);
+        }
+    }
+}

@@ -1,0 +1,264 @@
+//! Validator `residuals`: how well a fit explains what it was estimated from, where it does worst, and whether what is
+//! left follows time.
+
+use std::collections::BTreeSet;
+
+use abbe_core::{
+    Build, Constructor, Context, Dataset, Error, Figure, Findings, Fit, InputFile, PathItem, Plugin, Problem, Result,
+    SettingsError, Validate, Values, inventory,
+};
+use schemars::JsonSchema;
+use serde::Deserialize;
+use serde_json::{Value, json};
+
+use crate::drift::{self, DEGREES};
+use crate::figures::{Groups, Limits, ONE, Sample, UM, check_limits, outliers, set_limits};
+
+inventory::submit! {
+    Plugin::built_in(
+        "residuals",
+        "residuals of a fit by indexation and feature, and whether they follow time",
+        abbe_core::schema_of::<Settings>,
+        example,
+        Build::Validate(Constructor::Static(build)),
+    )
+}
+
+/// Settings of the residuals.
+#[derive(Debug, Clone, PartialEq, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+struct Settings {
+    /// Label columns for whose labels the residuals are summed up; `group` and `feature` where the data have them unless
+    /// said otherwise.
+    #[serde(default)]
+    by: Option<Vec<String>>,
+    /// Largest admissible values: `max_um`, `mean_um`, `rms_um`, `outliers`.
+    #[serde(default)]
+    limits: Limits,
+}
+
+fn example() -> Value {
+    json!({ "by": ["group", "feature"], "limits": { "max_um": 30, "mean_um": 5 } })
+}
+
+fn build(settings: &Value, _: &Context) -> Result<Box<dyn Validate>, SettingsError> {
+    let settings: Settings = abbe_core::from_settings(settings)?;
+    check_limits(&settings.limits, &["max_um", "mean_um", "rms_um", "outliers"])?;
+    Ok(Box::new(Residuals { settings }))
+}
+
+struct Residuals {
+    settings: Settings,
+}
+
+impl Validate for Residuals {
+    fn inputs(&self) -> Vec<InputFile> {
+        Vec::new()
+    }
+
+    fn validate(&self, fits: &[&Fit], _: &[&Dataset]) -> Result<Findings> {
+        let mut findings = Findings::default();
+        for fit in fits {
+            self.judge(fit, &mut findings)?;
+        }
+        set_limits(&self.settings.limits, &mut findings.figures);
+        Ok(findings)
+    }
+}
+
+impl Residuals {
+    fn judge(&self, fit: &Fit, findings: &mut Findings) -> Result<()> {
+        let problem = &fit.problem;
+        let left_out = outliers(problem, &fit.calibration);
+        let residuals = problem.residuals(&problem.values_of(&fit.calibration))?;
+        let kept: Vec<((usize, usize), f64)> = (problem.equation_rows().into_iter().zip(&residuals))
+            .filter(|(row, _)| !left_out.contains(row))
+            .map(|(row, residual)| (row, residual * 1e3))
+            .collect();
+        let all = Sample(kept.iter().map(|(_, residual)| *residual).collect());
+        findings.figures.extend([
+            Figure::new(&fit.name, "max", all.max_absolute(), UM),
+            Figure::new(&fit.name, "mean", all.mean_absolute(), UM),
+            Figure::new(&fit.name, "rms", all.rms(), UM),
+            Figure::new(&fit.name, "outliers", left_out.len() as f64, ONE),
+        ]);
+        let mut worst = Vec::new();
+        for column in self.columns(problem)? {
+            let groups = group(problem, &kept, &column);
+            for (label, sample) in groups.iter() {
+                let figure =
+                    |name: &str, value| Figure::new(&fit.name, format!("{name}[{column}={label}]"), value, UM).detail();
+                findings.figures.extend([figure("rms", sample.rms()), figure("max", sample.max_absolute())]);
+            }
+            if let Some((label, sample)) = groups.iter().max_by(|(_, a), (_, b)| a.rms().total_cmp(&b.rms())) {
+                worst.push(format!("{column} {label} ({:.1} µm)", sample.rms()));
+            }
+        }
+        if !worst.is_empty() {
+            findings.remarks.push(format!("{}: largest rms: {}", fit.name, worst.join(", ")));
+        }
+        follow_time(fit, &left_out, findings)
+    }
+
+    /// The columns to sum up by. One that is asked for has to exist somewhere.
+    fn columns(&self, problem: &Problem) -> Result<Vec<String>> {
+        let Some(by) = &self.settings.by else { return Ok(vec!["group".to_owned(), "feature".to_owned()]) };
+        for (index, name) in by.iter().enumerate() {
+            let columns = || problem.sets.iter().flat_map(|set| &set.observations.layout().data.columns);
+            let of_labels = || columns().filter(|column| matches!(column.values, Values::Labels(_)));
+            if !of_labels().any(|column| column.header.name == *name) {
+                let mut error = Error::usage(format!("no observed data set has a column of labels `{name}`"))
+                    .suggest(name, of_labels().map(|column| column.header.name.as_str()));
+                error.setting = vec![PathItem::Key("by".to_owned()), PathItem::Index(index)];
+                return Err(error);
+            }
+        }
+        Ok(by.clone())
+    }
+}
+
+/// The residuals by the labels of a column; rows without it are in no group.
+fn group(problem: &Problem, residuals: &[((usize, usize), f64)], column: &str) -> Groups {
+    let mut groups = Groups::default();
+    for &((set, row), residual) in residuals {
+        let layout = problem.sets[set].observations.layout();
+        if let (Some(labels), Some(data_row)) = (layout.data.labels(column), layout.rows[row].data_row) {
+            groups.push(&labels[data_row], residual);
+        }
+    }
+    groups
+}
+
+/// Reports the test for drift, and says what to do about one.
+fn follow_time(fit: &Fit, left_out: &BTreeSet<(usize, usize)>, findings: &mut Findings) -> Result<()> {
+    let drifts = drift::test(fit, left_out)?;
+    for drift in &drifts {
+        let name = format!("drift_p[{}]", drift.parameter);
+        findings.figures.push(Figure::new(&fit.name, name, drift.p, ONE).detail());
+    }
+    let Some(first) = drifts.iter().min_by(|a, b| a.p.total_cmp(&b.p)) else { return Ok(()) };
+    // Each parameter is another chance of a small p.
+    if first.p * drifts.len() as f64 >= 1e-3 {
+        return Ok(());
+    }
+    let (name, parameter) = (&fit.name, first.parameter);
+    let p = if first.p > 0.0 { format!("p = {:.0e}", first.p) } else { "p < 1e-300".to_owned() };
+    let terms = if first.terms == 1 { "1 term".to_owned() } else { format!("{} terms", first.terms) };
+    let prefix = format!("{parameter}[");
+    let modelled = fit.problem.model.parameters().iter().filter(|other| other.name.starts_with(&prefix)).count();
+    let estimated = fit.problem.unknowns.iter().filter(|other| other.name.starts_with(&prefix)).count();
+    let mut advice = if modelled == 0 {
+        let degrees: Vec<String> = (1..=DEGREES).map(|degree| degree.to_string()).collect();
+        format!(
+            "add `{{ drift: [{parameter}], degrees: [{}] }}` to the errors of the model and `{parameter}[t?]` to the \
+             parameters",
+            degrees.join(", ")
+        )
+    } else if estimated < modelled {
+        format!("add all terms of the drift of {parameter} to the parameters")
+    } else {
+        format!("let the drift of {parameter} in the model have more `degrees`")
+    };
+    // Errors that the model lacks change with the indexations, and these with time.
+    if first.sigma > 3.0 {
+        advice = format!(
+            "but {:.0} times the stated uncertainty would remain, so look first for other errors that the model lacks",
+            first.sigma
+        );
+    }
+    findings.remarks.push(format!(
+        "the residuals of {name} follow time: a drift of {parameter} ({terms}) would explain {:.0} % of their sum of \
+         squares ({p}); {advice}",
+        100.0 * first.share
+    ));
+    Ok(())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::testing::{Touch, UPWARDS, check, judge};
+
+    #[test]
+    fn figures_of_a_mean() {
+        // The offset of a is 1 µm, that of b 0: residuals -1, 0, 1 and -2, 2.
+        let touches: [Touch; 5] = [
+            ("a", "1", 0.0, 0.0),
+            ("a", "1", 0.0, 1.0),
+            ("a", "2", 0.0, 2.0),
+            ("b", "2", 0.0, -2.0),
+            ("b", "3", 0.0, 2.0),
+        ];
+        let (folder, fit) = crate::testing::fit(&UPWARDS, &touches, false);
+        let found = judge("residuals", folder.path(), &json!({ "limits": { "max_um": 1.5, "mean_um": 1.5 } }), &fit);
+        let found = found.unwrap();
+        check(
+            &found,
+            &[
+                ("max", 2.0),
+                ("mean", 1.2),
+                ("rms", 2.0_f64.sqrt()),
+                ("outliers", 0.0),
+                ("rms[group=1]", 0.5_f64.sqrt()),
+                ("max[group=2]", 2.0),
+                ("rms[feature=b]", 2.0),
+            ],
+        );
+        assert_eq!(found.remarks, ["fit: largest rms: group 3 (2.0 µm), feature b (2.0 µm)"]);
+        let failed: Vec<&str> =
+            found.figures.iter().filter(|figure| !figure.passes()).map(|figure| figure.name.as_str()).collect();
+        assert_eq!(failed, ["max"]);
+        assert_eq!(
+            judge("residuals", folder.path(), &json!({ "by": ["group", "featur"] }), &fit).unwrap_err(),
+            "by[1]: no observed data set has a column of labels `featur` (did you mean `feature`?)"
+        );
+        assert_eq!(
+            judge("residuals", folder.path(), &json!({ "limits": { "rms_mm": 1 } }), &fit).unwrap_err(),
+            "limits.rms_mm: there is no figure `rms_mm` to limit (did you mean `rms_um`?)"
+        );
+    }
+
+    /// Touches in turn on all facets for an hour, with noise and whatever `beside` it adds.
+    fn series(beside: impl Fn(f64) -> f64) -> Vec<Touch> {
+        (0..120)
+            .map(|i| {
+                let t = f64::from(i) / 119.0;
+                let noise = (f64::from(i * i) * 1.7).sin() * 1.5;
+                (UPWARDS[i as usize % 4].0, "1", 3600.0 * t, noise + beside(t))
+            })
+            .collect()
+    }
+
+    #[test]
+    fn a_drift_is_found_and_noise_is_none() {
+        let (folder, fit) = crate::testing::fit(&UPWARDS, &series(|t| 4.0 * t * t), false);
+        let found = judge("residuals", folder.path(), &json!({}), &fit).unwrap();
+        let remark = found.remarks.last().unwrap();
+        assert!(
+            remark.starts_with("the residuals of fit follow time: a drift of dzt (4 terms) would explain"),
+            "{remark}"
+        );
+        assert!(remark.ends_with(
+            "; add `{ drift: [dzt], degrees: [1, 2, 3, 4] }` to the errors of the model and `dzt[t?]` to the parameters"
+        ));
+        let drifts: Vec<&Figure> = found.figures.iter().filter(|figure| figure.name.starts_with("drift")).collect();
+        // Facets that look upwards see nothing of dxt and dyt.
+        assert_eq!(drifts.iter().map(|figure| figure.name.as_str()).collect::<Vec<_>>(), ["drift_p[dzt]"]);
+        assert!(drifts[0].value.unwrap() < 1e-6);
+
+        let (folder, fit) = crate::testing::fit(&UPWARDS, &series(|_| 0.0), false);
+        let found = judge("residuals", folder.path(), &json!({}), &fit).unwrap();
+        assert_eq!(found.remarks.len(), 1, "{:?}", found.remarks);
+        assert!(crate::testing::figure(&found, "drift_p[dzt]") > 1e-2);
+    }
+
+    #[test]
+    fn outliers_are_counted_and_left_out() {
+        let mut touches = series(|_| 0.0);
+        touches[7].3 += 50.0;
+        let (folder, fit) = crate::testing::fit(&UPWARDS, &touches, true);
+        let found = judge("residuals", folder.path(), &json!({ "limits": { "max_um": 5 } }), &fit).unwrap();
+        check(&found, &[("outliers", 1.0)]);
+        assert!(found.figures.iter().all(Figure::passes), "{found:?}");
+    }
+}
