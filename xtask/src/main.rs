@@ -1,1 +1,152 @@
-fn main() {}
+//! Chores of the project.
+//!
+//! - `cargo xtask ci`: everything the gate asks for, the same on every machine.
+//! - `cargo xtask bench [--save]`: run the benchmarks, compare with (or write) `benches/baseline.json`.
+//! - `cargo xtask schema`: write the schemas in `docs/schemas` that follow from the code.
+
+use std::collections::BTreeMap;
+use std::fs;
+use std::path::{Path, PathBuf};
+use std::process::{Command, ExitCode};
+
+use serde_json::{Value, json};
+
+type Outcome<T = ()> = Result<T, String>;
+
+fn main() -> ExitCode {
+    let arguments: Vec<String> = std::env::args().skip(1).collect();
+    let arguments: Vec<&str> = arguments.iter().map(String::as_str).collect();
+    let outcome = match arguments.as_slice() {
+        ["ci"] => ci(),
+        ["bench"] => bench(false),
+        ["bench", "--save"] => bench(true),
+        ["schema"] => schema(),
+        _ => Err("usage: cargo xtask ci | bench [--save] | schema".to_owned()),
+    };
+    match outcome {
+        Ok(()) => ExitCode::SUCCESS,
+        Err(message) => {
+            eprintln!("xtask: {message}");
+            ExitCode::FAILURE
+        }
+    }
+}
+
+fn root() -> PathBuf {
+    Path::new(env!("CARGO_MANIFEST_DIR")).join("..")
+}
+
+fn cargo(arguments: &[&str]) -> Command {
+    let mut command = Command::new(std::env::var_os("CARGO").unwrap_or_else(|| "cargo".into()));
+    command.args(arguments).current_dir(root());
+    command
+}
+
+fn run(mut command: Command) -> Outcome {
+    println!("$ {command:?}");
+    match command.status() {
+        Ok(status) if status.success() => Ok(()),
+        Ok(status) => Err(format!("{command:?} ended with {status}")),
+        Err(error) => Err(format!("{command:?} cannot be run: {error}")),
+    }
+}
+
+fn ci() -> Outcome {
+    run(cargo(&["fmt", "--all", "--check"]))?;
+    borders()?;
+    run(cargo(&["clippy", "--workspace", "--all-targets", "--locked", "--", "-D", "warnings"]))?;
+    let mut docs = cargo(&["doc", "--workspace", "--no-deps", "--locked", "--quiet"]);
+    docs.env("RUSTDOCFLAGS", "-D warnings");
+    run(docs)?;
+    let mut test = cargo(&["test", "--workspace", "--locked"]);
+    test.env("INSTA_UPDATE", "no");
+    run(test)
+}
+
+/// Which workspace crates a crate may depend on: arrows point one way, see docs/architecture.md.
+const BORDERS: [(&str, &[&str]); 7] = [
+    ("abbe-core", &[]),
+    ("abbe-kinematics", &["abbe-core"]),
+    ("abbe-errors", &["abbe-core"]),
+    ("abbe-numerics", &[]),
+    ("abbe-table", &["abbe-core"]),
+    ("abbe-recipe", &["abbe-core"]),
+    ("abbe-engine", &["abbe-core", "abbe-recipe"]),
+];
+
+/// Checks the borders between the crates of the workspace.
+fn borders() -> Outcome {
+    let output = cargo(&["metadata", "--format-version", "1", "--no-deps", "--locked"])
+        .output()
+        .map_err(|error| format!("cargo metadata cannot be run: {error}"))?;
+    let metadata: Value = serde_json::from_slice(&output.stdout).map_err(|error| format!("cargo metadata: {error}"))?;
+    let packages = metadata["packages"].as_array().ok_or("cargo metadata names no packages")?;
+    let mut wrong = Vec::new();
+    for package in packages {
+        let name = package["name"].as_str().unwrap_or_default();
+        let plugin = package["manifest_path"].as_str().is_some_and(|path| path.contains("/plugins/"));
+        let dependencies = package["dependencies"].as_array().into_iter().flatten();
+        for dependency in dependencies.filter(|dependency| dependency["kind"].is_null()) {
+            let on = dependency["name"].as_str().unwrap_or_default();
+            if !on.starts_with("abbe") {
+                continue;
+            }
+            let allowed = match BORDERS.iter().find(|(crate_name, _)| *crate_name == name) {
+                Some((_, allowed)) => allowed.contains(&on),
+                // A plugin knows crates, but no other plugin; the bundle knows the plugins and nothing else.
+                None if plugin && name != "abbe-bundle" => BORDERS.iter().any(|(crate_name, _)| *crate_name == on),
+                None => true,
+            };
+            if !allowed {
+                wrong.push(format!("{name} must not depend on {on}"));
+            }
+        }
+    }
+    if wrong.is_empty() { Ok(()) } else { Err(wrong.join("; ")) }
+}
+
+/// The benchmark that tells how fast the machine is.
+const UNIT: &str = "matrix_product_256";
+
+/// Runs the benchmarks and compares them, as multiples of a matrix product measured in the same run, with the baseline.
+fn bench(save: bool) -> Outcome {
+    run(cargo(&["bench", "--package", "abbe-benches", "--locked"]))?;
+    let mut seconds = BTreeMap::new();
+    let folder = root().join("target/criterion");
+    let entries = fs::read_dir(&folder).map_err(|error| format!("{}: {error}", folder.display()))?;
+    for entry in entries.flatten() {
+        let Ok(text) = fs::read_to_string(entry.path().join("new/estimates.json")) else { continue };
+        let estimates: Value = serde_json::from_str(&text).map_err(|error| error.to_string())?;
+        if let Some(nanoseconds) = estimates["median"]["point_estimate"].as_f64() {
+            seconds.insert(entry.file_name().to_string_lossy().into_owned(), nanoseconds * 1e-9);
+        }
+    }
+    let unit = *seconds.get(UNIT).ok_or_else(|| format!("the benchmark {UNIT} was not run"))?;
+    let file = root().join("benches/baseline.json");
+    if save {
+        let ratios: BTreeMap<&String, f64> =
+            seconds.iter().map(|(name, time)| (name, (time / unit * 100.0).round() / 100.0)).collect();
+        let text = serde_json::to_string_pretty(&json!({ "unit": UNIT, "ratios": ratios })).map_err(|error| error.to_string())?;
+        return fs::write(&file, text + "\n").map_err(|error| format!("{}: {error}", file.display()));
+    }
+    let text = fs::read_to_string(&file).map_err(|error| format!("{}: {error}", file.display()))?;
+    let baseline: Value = serde_json::from_str(&text).map_err(|error| error.to_string())?;
+    println!("{:<28} {:>10} {:>12} {:>12}", "benchmark", "ms", "ratio", "baseline");
+    for (name, time) in &seconds {
+        let ratio = baseline["ratios"][name].as_f64().map_or("none".to_owned(), |ratio| format!("{ratio:.2}"));
+        println!("{name:<28} {:>10.3} {:>12.2} {ratio:>12}", time * 1e3, time / unit);
+    }
+    Ok(())
+}
+
+/// Writes what follows from the code: the schema of recipes.
+fn schema() -> Outcome {
+    let output = cargo(&["run", "--quiet", "--release", "--bin", "abbe", "--", "schema"])
+        .output()
+        .map_err(|error| format!("abbe cannot be run: {error}"))?;
+    if !output.status.success() {
+        return Err(String::from_utf8_lossy(&output.stderr).into_owned());
+    }
+    let file = root().join("docs/schemas/recipe.schema.json");
+    fs::write(&file, output.stdout).map_err(|error| format!("{}: {error}", file.display()))
+}

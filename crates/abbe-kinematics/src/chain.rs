@@ -299,8 +299,8 @@ impl Chain {
         self.evaluate(commands, &vec![[0.0; 6]; self.slots()], tip, true, out);
         let (mut shift, mut turn) = (Vector3::zeros(), Vector3::zeros());
         let mut by_command = vec![(Vector3::zeros(), Vector3::zeros()); self.axes.len()];
-        for slot in 0..self.slots() {
-            for (component, &error) in errors[slot].iter().enumerate().filter(|(_, error)| **error != 0.0) {
+        for (slot, errors) in errors.iter().enumerate() {
+            for (component, &error) in errors.iter().enumerate().filter(|(_, error)| **error != 0.0) {
                 let by_error = out.by_error[slot][component] * error;
                 let turn_by_error = out.turn_by_error[slot][component] * error;
                 shift += by_error;

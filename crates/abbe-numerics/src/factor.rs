@@ -129,6 +129,12 @@ impl Factor {
         step.iter().all(|value| value.is_finite()).then_some(step)
     }
 
+    /// Norm of `J x`: by how much x moves all rows together.
+    pub fn effect(&self, x: &[f64]) -> f64 {
+        let n = self.unknowns();
+        norm((0..n).map(|row| (row..n).map(|column| self.triangle[(row, column)] * x[column]).sum()))
+    }
+
     /// `j (J^T J)^-1 j^T` of a row j of a problem of full rank: its leverage if the row took part with weight 1.
     pub fn leverage(&self, row: &[f64]) -> f64 {
         let mut solved: Vec<f64> = row.to_vec();

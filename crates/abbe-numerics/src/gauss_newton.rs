@@ -3,6 +3,9 @@
 use crate::factor::{Accumulator, Factor};
 use crate::robust::{Loss, Robust, RobustReport, scale, studentise};
 
+/// Takes rows: index of the first, residuals, derivatives row by row.
+pub type Sink<'a> = &'a mut dyn FnMut(usize, &[f64], &[f64]);
+
 /// A least squares problem in weighted residuals. Rows come in blocks, always in the same order.
 pub trait LeastSquares {
     /// What can go wrong in an evaluation.
@@ -16,7 +19,7 @@ pub trait LeastSquares {
 
     /// Calls `sink` with (first row, residuals, derivatives row by row) for all rows, both divided by the standard
     /// uncertainty of the row.
-    fn linearise(&self, x: &[f64], sink: &mut dyn FnMut(usize, &[f64], &[f64])) -> Result<(), Self::Error>;
+    fn linearise(&self, x: &[f64], sink: Sink<'_>) -> Result<(), Self::Error>;
 
     /// The residuals alone, divided by the standard uncertainty of the row.
     fn residuals(&self, x: &[f64]) -> Result<Vec<f64>, Self::Error>;
@@ -90,7 +93,6 @@ pub fn solve<P: LeastSquares + ?Sized>(problem: &P, start: &[f64], options: &Opt
     };
     let mut weights = vec![1.0; problem.rows()];
     let mut studentised = Vec::new();
-    let mut last_size = if end == End::Converged { 0.0 } else { f64::INFINITY };
     'phases: for phase in phases {
         end = End::IterationLimit;
         for _ in 0..options.iterations {
@@ -100,19 +102,18 @@ pub fn solve<P: LeastSquares + ?Sized>(problem: &P, start: &[f64], options: &Opt
             let before = std::mem::take(&mut weights);
             weights = studentised.iter().map(|size| phase.weight(size / spread)).collect();
             let changed = weights.iter().zip(&before).map(|(now, before)| (now - before).abs()).fold(0.0, f64::max);
-            // Weights also stay where nothing is weighed down; the unknowns have to stay too.
-            if changed < 1e-9 && last_size < SMALL {
+            // With step control and to the end: where the rows hardly determine a direction, single steps go astray.
+            let (settled, ended, used) = minimise(problem, x, Some(&weights), options)?;
+            x = settled;
+            iterations += used;
+            if ended != End::Converged {
+                end = ended;
+                break 'phases;
+            }
+            if changed < SETTLED {
                 end = End::Converged;
                 break;
             }
-            let factor = factorise(problem, &x, Some(&weights))?;
-            let Some((step, size)) = step_of(&factor, options.rank) else {
-                end = End::NoProgress;
-                break 'phases;
-            };
-            add(&mut x, &step, 1.0);
-            last_size = size;
-            iterations += 1;
         }
     }
     let spread = scale(&studentised);
@@ -155,6 +156,10 @@ fn step_of(factor: &Factor, rank: usize) -> Option<(Vec<f64>, f64)> {
     step.iter().all(|value| value.is_finite()).then_some((step, size))
 }
 
+/// Robust weights that change by less than this have settled: what is left moves estimates by less than a millionth of
+/// their uncertainty.
+const SETTLED: f64 = 1e-6;
+
 type Minimum = (Vec<f64>, End, usize);
 
 fn minimise<P: LeastSquares + ?Sized>(
@@ -180,14 +185,16 @@ fn minimise<P: LeastSquares + ?Sized>(
             let mut trial = x.clone();
             add(&mut trial, &step, part);
             let trial_factor = factorise(problem, &trial, weights)?;
-            if trial_factor.cost() <= cost * (1.0 + 1e-12) + f64::MIN_POSITIVE {
+            let differentiable = trial_factor.norms().iter().all(|norm| norm.is_finite());
+            if differentiable && trial_factor.cost() <= cost * (1.0 + 1e-12) + f64::MIN_POSITIVE {
                 (x, factor) = (trial, trial_factor);
                 break;
             }
             part *= 0.5;
             if part < 1e-6 {
-                // Nothing below helps: this is as low as rounding allows, or the model is not smooth here.
-                let end = if size < SMALL { End::Converged } else { End::NoProgress };
+                // Nothing below helps: this is as low as rounding allows, or the model is not smooth here. Where the
+                // condition is bad, rounding leaves steps of large parts that together do nothing.
+                let end = if size < SMALL || factor.effect(&step) < SMALL { End::Converged } else { End::NoProgress };
                 return Ok((x, end, iteration));
             }
         }

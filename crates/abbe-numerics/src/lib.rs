@@ -10,6 +10,6 @@ mod robust;
 mod significance;
 
 pub use factor::{Accumulator, Factor, SingularValues, Spectrum};
-pub use gauss_newton::{End, LeastSquares, Options, Solution, solve};
+pub use gauss_newton::{End, LeastSquares, Options, Sink, Solution, solve};
 pub use robust::{Loss, Robust, RobustReport};
 pub use significance::{f_test, two_sided_normal};

@@ -118,7 +118,7 @@ pub fn points(axis: &Axis, ranges: &Ranges, steps: Steps, most: usize) -> Result
     };
     // A last interval of nothing but rounding is none.
     let intervals = ((to - from) / step - 1e-9).ceil().max(1.0);
-    if !(intervals < most as f64) {
+    if intervals.is_nan() || intervals >= most as f64 {
         return Err(Error::usage(format!(
             "axis {name} from {from} to {to} {unit} every {step} {unit} has {} points; at most {most} fit",
             intervals + 1.0

@@ -454,11 +454,8 @@ impl Builder {
             }
             for candidate in listed {
                 // Errors of the same axis share their functions.
-                if !shared.contains_key(&candidate.axis) {
-                    let bases = self.bases_of(declaration, candidate.axis);
-                    shared.insert(candidate.axis, bases);
-                }
-                for basis in shared[&candidate.axis].clone() {
+                let bases = shared.entry(candidate.axis).or_insert_with(|| self.bases_of(declaration, candidate.axis));
+                for basis in bases.clone() {
                     self.add(&candidate, basis).map_err(|error| error.under(at.clone()))?;
                 }
             }

@@ -9,6 +9,7 @@ use serde::Deserialize;
 use serde_json::{Value, json};
 
 use crate::figures::{Limits, ONE, UM, check_limits, set_limits};
+use crate::folds::not_converged;
 
 inventory::submit! {
     Plugin::built_in(
@@ -66,7 +67,8 @@ impl Validate for Compare {
             figures.extend(cells.map(|(name, value, unit)| Figure::new(&fit.name, name, value, unit)));
         }
         set_limits(&self.settings.limits, &mut figures);
-        Ok(Findings { figures, remarks: Vec::new() })
+        let remarks = fits.iter().filter_map(|fit| not_converged(&fit.name, &fit.calibration)).collect();
+        Ok(Findings { figures, remarks })
     }
 }
 

@@ -69,7 +69,8 @@ pub fn test(fit: &Fit, left_out: &BTreeSet<(usize, usize)>) -> Result<Vec<Drift>
             count += 1;
         }
     })?;
-    Ok(judge(triangle.finish(), own, count, &tested))
+    // Without rows there is no factor.
+    Ok(if count == 0 { Vec::new() } else { judge(triangle.finish(), own, count, &tested) })
 }
 
 /// The test on the triangular factor of `[J | candidates | r]`, whose columns have the same inner products.

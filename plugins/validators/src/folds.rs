@@ -2,7 +2,9 @@
 
 use std::collections::{BTreeMap, BTreeSet};
 
-use abbe_core::{Calibration, Error, Fit, Label, Owner, PathItem, Problem, Result, SettingsError, Unknown};
+use abbe_core::{
+    Calibration, Error, Fit, Label, Owner, PathItem, Problem, Result, SettingsError, Termination, Unknown,
+};
 use schemars::JsonSchema;
 use serde::Deserialize;
 
@@ -123,6 +125,8 @@ pub struct Trained {
     pub calibration: Calibration,
     /// Unknowns of the full fit that no row touches any more.
     pub lost: Vec<Unknown>,
+    /// What people should be told: that the iteration did not converge.
+    pub remark: Option<String>,
 }
 
 impl Fold {
@@ -140,12 +144,20 @@ impl Fold {
         let lost = training.unknowns.iter().zip(touched).filter(|(_, touched)| !touched);
         let lost: Vec<Unknown> = lost.map(|(unknown, _)| unknown.clone()).collect();
         let calibration = fit.estimator.estimate(&training.without(|unknown| lost.contains(unknown)));
+        let name = format!("{} without {}", fit.name, self.labels.join(", "));
         let calibration = calibration.map_err(|mut error| {
-            error.message = format!("{} without {}: {}", fit.name, self.labels.join(", "), error.message);
+            error.message = format!("{name}: {}", error.message);
             error
         })?;
-        Ok(Trained { calibration, lost })
+        let remark = not_converged(&name, &calibration);
+        Ok(Trained { calibration, lost, remark })
     }
+}
+
+/// What to tell people about an iteration that did not converge: its figures mean little.
+pub fn not_converged(name: &str, calibration: &Calibration) -> Option<String> {
+    (calibration.fit.termination != Termination::Converged)
+        .then(|| format!("{name} did not converge within {} iterations", calibration.fit.iterations))
 }
 
 /// The index of the observations of a stage in a fit.

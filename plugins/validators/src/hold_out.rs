@@ -83,6 +83,7 @@ impl HoldOut {
         let (mut predicted, mut skipped) = (0_usize, 0_usize);
         for fold in &folds {
             let trained = fold.train(fit, set)?;
+            findings.remarks.extend(trained.remark);
             let good = fold.rows.iter().copied().filter(|row| !left_out.contains(&(set, *row)));
             let good: Vec<usize> = good.collect();
             skipped += fold.rows.len() - good.len();

@@ -14,7 +14,7 @@ use serde_json::{Value, json};
 
 use crate::cmm::{Cmm, Rigid, Shift, best_motion, rank_remark};
 use crate::figures::{Limits, ONE, Sample, UM, check_limits, outliers, set_limits};
-use crate::folds::{Folds, contained, default_column, own_unknown, reduced, set_of};
+use crate::folds::{Folds, Trained, contained, default_column, own_unknown, reduced, set_of};
 
 inventory::submit! {
     Plugin::built_in(
@@ -89,6 +89,7 @@ struct Part {
     calibration: Calibration,
     lost: Vec<Unknown>,
     rows: Vec<usize>,
+    remark: Option<String>,
 }
 
 impl TipCmm {
@@ -108,6 +109,7 @@ impl TipCmm {
         let (mut skipped, mut unpredicted) = (0_usize, 0_usize);
         let mut cases = Vec::new();
         for part in self.parts(fit, set)? {
+            findings.remarks.extend(part.remark);
             let mut rows = part.rows;
             rows.retain(|&row| layout.rows[row].poses > 0);
             let before = rows.len();
@@ -151,13 +153,13 @@ impl TipCmm {
     fn parts(&self, fit: &Fit, set: usize) -> Result<Vec<Part>> {
         let Some(folds) = &self.settings.folds else {
             let rows = fit.problem.sets[set].rows.clone();
-            return Ok(vec![Part { calibration: fit.calibration.clone(), lost: Vec::new(), rows }]);
+            return Ok(vec![Part { calibration: fit.calibration.clone(), lost: Vec::new(), rows, remark: None }]);
         };
         let folds = folds.split(&fit.problem, set, &self.settings.column)?.into_iter();
         folds
             .map(|fold| {
-                let trained = fold.train(fit, set)?;
-                Ok(Part { calibration: trained.calibration, lost: trained.lost, rows: fold.rows })
+                let Trained { calibration, lost, remark } = fold.train(fit, set)?;
+                Ok(Part { calibration, lost, rows: fold.rows, remark })
             })
             .collect()
     }
@@ -177,7 +179,7 @@ fn place(cases: &[Problem], shifts: &[Shift]) -> Result<(Sample, usize)> {
         let mut effects = Vec::new();
         for case in cases {
             case.linearise(&own, |block| {
-                for (line, residual) in block.jacobian.chunks_exact(shifts.len()).zip(block.residuals) {
+                for (line, residual) in block.jacobian.chunks_exact(shifts.len().max(1)).zip(block.residuals) {
                     effects.push(line.iter().zip(&by_shift).map(|(derivative, effect)| effect * *derivative).sum());
                     residuals.push(*residual);
                 }

@@ -4,6 +4,8 @@
 mod derivatives;
 mod exact;
 mod first_order;
+// The tests of `serial-chain` use it too, and other parts of it.
+#[allow(dead_code)]
 mod oracle;
 mod origin;
 mod subject;

@@ -6,6 +6,7 @@ mod derivatives;
 mod drift;
 mod fit;
 #[path = "../../../../crates/abbe-kinematics/tests/chains/oracle.rs"]
+#[allow(dead_code)]
 mod oracle;
 mod subject;
 mod values;

@@ -1,0 +1,156 @@
+//! Proves that a factor accumulated in many small pieces is that of one QR, and what it says by the definitions: norms,
+//! costs, step, leverage, covariance.
+
+use abbe_numerics::{Accumulator, Factor};
+
+use crate::problems::{Linear, Random, dot, line, norm};
+
+fn close(a: f64, b: f64, scale: f64) -> f64 {
+    (a - b).abs() / scale
+}
+
+/// Largest relative difference of everything that two factors say.
+fn difference(a: &Factor, b: &Factor, row: &[f64]) -> f64 {
+    assert_eq!((a.rows(), a.unknowns()), (b.rows(), b.unknowns()));
+    let (step_a, step_b) = (a.step().expect("full rank"), b.step().expect("full rank"));
+    let (cov_a, cov_b) = (a.covariance().concat(), b.covariance().concat());
+    let lists = |a: &[f64], b: &[f64]| {
+        let size = norm(a);
+        a.iter().zip(b).map(|(a, b)| close(*a, *b, size)).fold(0.0, f64::max)
+    };
+    [
+        lists(&step_a, &step_b),
+        lists(a.norms(), b.norms()),
+        lists(&cov_a, &cov_b),
+        lists(a.singular_values().values(), b.singular_values().values()),
+        close(a.cost(), b.cost(), a.cost()),
+        close(a.remaining_cost(), b.remaining_cost(), a.cost()),
+        close(a.leverage(row), b.leverage(row), a.leverage(row)),
+    ]
+    .into_iter()
+    .fold(0.0, f64::max)
+}
+
+#[test]
+fn pieces_are_as_good_as_one() {
+    let mut worst = 0.0_f64;
+    for seed in 0..20 {
+        let random = &mut Random::new(seed);
+        let unknowns = 1 + random.below(9);
+        let problem = Linear::random(random, 30 + 20 * unknowns, unknowns);
+        let whole = problem.factor(problem.rows.len());
+        // Room for one row more than the factor itself: every row is a piece of its own.
+        for hint in [0, 1, 2, 7, 40] {
+            worst = worst.max(difference(&whole, &problem.factor(hint), &problem.rows[0]));
+        }
+    }
+    println!("largest difference: {worst:.1e}");
+    assert!(worst < 1e-12, "{worst:e}");
+}
+
+#[test]
+fn a_factor_says_what_its_rows_say() {
+    let mut worst = [0.0_f64; 6];
+    for seed in 0..20 {
+        let random = &mut Random::new(100 + seed);
+        let n = 1 + random.below(8);
+        let problem = Linear::random(random, 25 + 10 * n, n);
+        let factor = problem.factor(3);
+        let step = factor.step().expect("full rank");
+        let (r, all): (&[f64], Vec<Vec<f64>>) = (&problem.residuals, (0..n).map(|k| problem.column(k)).collect());
+        let after: Vec<f64> = problem.apply(&step).iter().zip(r).map(|(by, r)| r + by).collect();
+        let mut note = |index: usize, value: f64| worst[index] = worst[index].max(value);
+        note(0, close(factor.cost(), dot(r, r), dot(r, r)));
+        note(1, close(factor.remaining_cost(), dot(&after, &after), dot(r, r)));
+        for (column, length) in all.iter().zip(factor.norms()) {
+            note(0, close(*length, norm(column), norm(column)));
+            // The residuals that remain are at right angles to every column.
+            note(2, dot(column, &after).abs() / norm(column) / norm(r));
+        }
+        // (J^T J)^-1 times J^T J, and the sum of all leverages, which is the number of unknowns.
+        for (row, covariances) in factor.covariance().iter().enumerate() {
+            for column in 0..n {
+                let product: f64 = (0..n).map(|k| covariances[k] * dot(&all[k], &all[column])).sum();
+                note(3, (product - f64::from(u8::from(row == column))).abs());
+            }
+        }
+        note(4, (problem.rows.iter().map(|row| factor.leverage(row)).sum::<f64>() - n as f64).abs());
+        note(5, close(factor.effect(&step), norm(&problem.apply(&step)), norm(r)));
+        let spectrum = factor.spectrum();
+        for (full, of_spectrum) in step.iter().zip(spectrum.step(n)) {
+            note(5, close(*full, of_spectrum, norm(&step)));
+        }
+        for (full, of_spectrum) in factor.covariance().concat().iter().zip(spectrum.covariance(n).concat()) {
+            note(5, close(*full, of_spectrum, norm(&factor.covariance().concat())));
+        }
+        let leverages = problem.rows.iter().map(|row| (factor.leverage(row), spectrum.leverage(row, n)));
+        leverages.for_each(|(full, of_spectrum)| note(5, close(full, of_spectrum, 1.0)));
+        assert_eq!(factor.singular_values().values().len(), n);
+        let values = factor.singular_values();
+        for (a, b) in values.values().iter().zip(spectrum.singular_values().values()) {
+            note(5, close(*a, *b, values.values()[0]));
+        }
+        // Columns of norm 1: the squares of their singular values add up to their number.
+        note(5, close(dot(values.values(), values.values()), n as f64, n as f64));
+    }
+    println!("largest deviations: {}", worst.map(|value| format!("{value:.0e}")).join(" "));
+    assert!(worst.iter().all(|&deviation| deviation < 1e-12), "{worst:?}");
+}
+
+#[test]
+fn the_covariance_of_a_line_is_the_one_of_the_textbook() {
+    let x: Vec<f64> = (0..25).map(|i| 3.0 + 0.7 * f64::from(i) + f64::from(i * i % 7)).collect();
+    let y: Vec<f64> = x.iter().map(|x| 2.0 - 0.5 * x + (5.0 * x).sin()).collect();
+    let factor = line(&x, &y).factor(4);
+    let m = x.len() as f64;
+    let (mean_x, mean_y) = (x.iter().sum::<f64>() / m, y.iter().sum::<f64>() / m);
+    let sxx: f64 = x.iter().map(|x| (x - mean_x).powi(2)).sum();
+    let sxy: f64 = x.iter().zip(&y).map(|(x, y)| (x - mean_x) * (y - mean_y)).sum();
+    let slope = sxy / sxx;
+    let step = factor.step().expect("full rank");
+    assert!((step[1] - slope).abs() < 1e-13 && (step[0] - (mean_y - slope * mean_x)).abs() < 1e-12);
+    let textbook = [[1.0 / m + mean_x * mean_x / sxx, -mean_x / sxx], [-mean_x / sxx, 1.0 / sxx]];
+    for covariance in [factor.covariance(), factor.spectrum().covariance(2)] {
+        for (row, expected) in covariance.iter().zip(&textbook) {
+            for (value, expected) in row.iter().zip(expected) {
+                assert!((value / expected - 1.0).abs() < 1e-12, "{value} {expected}");
+            }
+        }
+    }
+    let leverage = 1.0 / m + (x[3] - mean_x).powi(2) / sxx;
+    assert!((factor.leverage(&[1.0, x[3]]) - leverage).abs() < 1e-13);
+}
+
+#[test]
+fn a_weight_counts_as_often_as_its_square() {
+    let random = &mut Random::new(1);
+    let problem = Linear::random(random, 20, 3);
+    let (mut weighted, mut repeated) = (Accumulator::new(3, 20), Accumulator::new(3, 20));
+    for (index, (row, residual)) in problem.rows.iter().zip(&problem.residuals).enumerate() {
+        let times = 1 + index % 3;
+        weighted.push(row, *residual, (times as f64).sqrt());
+        (0..times).for_each(|_| repeated.push(row, *residual, 1.0));
+    }
+    let (weighted, repeated) = (weighted.finish(), repeated.finish());
+    let steps = weighted.step().into_iter().zip(repeated.step());
+    for (a, b) in steps.flat_map(|(a, b)| a.into_iter().zip(b)) {
+        assert!((a - b).abs() < 1e-13);
+    }
+    assert!((weighted.cost() - repeated.cost()).abs() < 1e-12);
+}
+
+#[test]
+fn too_few_rows_are_a_singular_problem() {
+    let random = &mut Random::new(2);
+    let problem = Linear::random(random, 2, 5);
+    let factor = problem.factor(1);
+    assert_eq!((factor.rows(), factor.singular_values().rank(1e-12), factor.step()), (2, 2, None));
+    assert!((factor.cost() - dot(&problem.residuals, &problem.residuals)).abs() < 1e-14);
+    // What can be taken away is: two rows, and more unknowns than that.
+    let step = factor.spectrum().step(2);
+    for (by, residual) in problem.apply(&step).iter().zip(&problem.residuals) {
+        assert!((by + residual).abs() < 1e-13);
+    }
+    let empty = Accumulator::new(3, 0).finish();
+    assert_eq!((empty.rows(), empty.cost(), empty.singular_values().rank(1e-12)), (0, 0.0, 0));
+}

@@ -1,0 +1,9 @@
+//! Proves the accumulated factorisation, rank, null space and covariance against closed forms and definitions, the
+//! iteration and its robust weights on problems with known answers, and coefficients against NIST's certified ones.
+
+mod accumulate;
+mod nist;
+mod problems;
+mod robust;
+mod solve;
+mod spectrum;

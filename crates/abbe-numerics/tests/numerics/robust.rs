@@ -1,0 +1,182 @@
+//! Proves that robust weights find planted gross errors, also on one side and where directions are lost, give the
+//! estimate of the clean rows, and report what the a-posteriori sigma is made of.
+
+use abbe_numerics::{End, Options, Robust, Solution, solve};
+
+use crate::problems::{Given, Linear, Random, given, norm};
+
+/// Rows in units of their standard uncertainty with some gross errors, all positive; which ones; the clean rows.
+struct Planted {
+    all: Linear,
+    wrong: Vec<bool>,
+    clean: Linear,
+    truth: Vec<f64>,
+}
+
+/// Every `every`-th of `rows` rows is wrong by `least` to twice as many standard uncertainties.
+fn planted(seed: u64, rows: usize, every: usize, least: f64) -> Planted {
+    let random = &mut Random::new(seed);
+    let truth = vec![30.0, -20.0, 10.0, 5.0];
+    let mut all = Linear::random(random, rows, truth.len());
+    let values = all.apply(&truth);
+    let mut wrong = Vec::new();
+    for (index, (residual, value)) in all.residuals.iter_mut().zip(values).enumerate() {
+        wrong.push(index % every == 0);
+        let gross = if index % every == 0 { least * (1.5 + 0.5 * random.signed()) } else { 0.0 };
+        *residual = -(value + random.normal() + gross);
+    }
+    let kept = || (0..rows).filter(|&row| !wrong[row]);
+    let clean = Linear {
+        rows: kept().map(|row| all.rows[row].clone()).collect(),
+        residuals: kept().map(|row| all.residuals[row]).collect(),
+    };
+    Planted { all, wrong, clean, truth }
+}
+
+fn estimate(problem: &Linear, robust: Option<Robust>, rank: usize) -> Solution {
+    let options = Options { iterations: 100, tolerance: 1e-9, rank, robust };
+    let Ok(solution) = solve(&given(problem), &vec![0.0; problem.unknowns()], &options);
+    solution
+}
+
+/// Largest difference of two estimates in standard uncertainties of the clean rows.
+fn apart(a: &[f64], b: &[f64], clean: &Linear) -> f64 {
+    let covariance = clean.factor(clean.rows.len()).covariance();
+    (0..a.len()).map(|k| (a[k] - b[k]).abs() / covariance[k][k].sqrt()).fold(0.0, f64::max)
+}
+
+/// Huber's sigma from weights and studentised residuals, in units of the stated uncertainties.
+fn sigma(problem: &Linear, found: &Solution, robust: Robust) -> f64 {
+    let report = found.robust.as_ref().expect("a report");
+    let residuals: Vec<f64> = problem.apply(&found.x).iter().zip(&problem.residuals).map(|(by, r)| by + r).collect();
+    let (m, n) = (residuals.len() as f64, found.x.len() as f64);
+    let slopes: Vec<f64> = report.studentised.iter().map(|&t| robust.influence_slope(t)).collect();
+    let mean = slopes.iter().sum::<f64>() / m;
+    let variance = slopes.iter().map(|slope| (slope - mean).powi(2)).sum::<f64>() / m;
+    let influences: Vec<f64> = residuals.iter().zip(&report.weights).map(|(r, w)| r * w).collect();
+    (1.0 + n / m * variance / mean.powi(2)) / mean * norm(&influences) / (m - n).sqrt()
+}
+
+#[test]
+fn gross_errors_are_found_and_left_out() {
+    let (mut farthest, mut sigmas) = (0.0_f64, (f64::INFINITY, 0.0_f64));
+    // From one in ten to three in ten, all on one side.
+    for (seed, every, least) in [(0, 10, 15.0), (1, 10, 200.0), (2, 5, 50.0), (3, 4, 30.0), (4, 3, 100.0)] {
+        let case = planted(seed, 300, every, least);
+        let found = estimate(&case.all, Some(Robust::TUKEY), 4);
+        assert_eq!(found.end, End::Converged);
+        let report = found.robust.as_ref().expect("a report");
+        for (row, &wrong) in case.wrong.iter().enumerate() {
+            let called = report.studentised[row].abs() >= Robust::TUKEY.outlier_at;
+            assert_eq!((called, report.weights[row] == 0.0), (wrong, wrong), "seed {seed}, row {row}");
+            assert!((report.weights[row] - Robust::TUKEY.weight(report.studentised[row])).abs() < 1e-12);
+        }
+        let clean = estimate(&case.clean, None, 4);
+        farthest = farthest.max(apart(&found.x, &clean.x, &case.clean));
+        // Plain least squares is nowhere near, or the case would prove nothing.
+        assert!(apart(&estimate(&case.all, None, 4).x, &clean.x, &case.clean) > 1.0);
+        assert!(apart(&found.x, &case.truth, &case.clean) < 4.0);
+        let kept: Vec<usize> = (0..300).filter(|&row| report.weights[row] > 0.0).collect();
+        assert_eq!(kept.len(), case.clean.rows.len());
+        let inner = Solution {
+            robust: Some(abbe_numerics::RobustReport {
+                weights: kept.iter().map(|&row| report.weights[row]).collect(),
+                studentised: kept.iter().map(|&row| report.studentised[row]).collect(),
+            }),
+            ..found.clone()
+        };
+        let sigma = sigma(&case.clean, &inner, Robust::TUKEY);
+        sigmas = (sigmas.0.min(sigma), sigmas.1.max(sigma));
+    }
+    println!("{farthest:.2} standard uncertainties from the clean estimate, sigma {:.3} to {:.3}", sigmas.0, sigmas.1);
+    assert!(farthest < 0.6, "{farthest}");
+    assert!(sigmas.0 > 0.85 && sigmas.1 < 1.15, "{sigmas:?}");
+}
+
+#[test]
+fn huber_bounds_what_gross_errors_do() {
+    let case = planted(5, 300, 20, 1e4);
+    let found = estimate(&case.all, Some(Robust::HUBER), 4);
+    assert_eq!(found.end, End::Converged);
+    let clean = estimate(&case.clean, None, 4);
+    assert!(apart(&found.x, &clean.x, &case.clean) < 1.5);
+    let report = found.robust.as_ref().expect("a report");
+    for (row, &wrong) in case.wrong.iter().enumerate() {
+        assert_eq!(report.studentised[row].abs() > 100.0, wrong);
+        assert!(report.weights[row] > 0.0 && (report.weights[row] < 0.01) == wrong);
+    }
+    let sigma = sigma(&case.all, &found, Robust::HUBER);
+    assert!((0.85..1.2).contains(&sigma), "{sigma}");
+}
+
+#[test]
+fn gross_errors_are_found_where_directions_are_lost() {
+    let mut case = planted(6, 300, 6, 40.0);
+    // The first unknown once more: only the sum of the two is determined.
+    for row in &mut case.all.rows {
+        row.push(0.1 * row[0]);
+    }
+    let found = estimate(&case.all, Some(Robust::TUKEY), 4);
+    assert_eq!(found.end, End::Converged);
+    let report = found.robust.as_ref().expect("a report");
+    for (row, &wrong) in case.wrong.iter().enumerate() {
+        assert_eq!(report.weights[row] == 0.0, wrong, "row {row}: {}", report.studentised[row]);
+    }
+    let sum = [found.x[0] + 0.1 * found.x[4], found.x[1], found.x[2], found.x[3]];
+    assert!(apart(&sum, &estimate(&case.clean, None, 4).x, &case.clean) < 0.6);
+    // Shared alike, each in its own unit.
+    assert!((found.x[0] / (0.1 * found.x[4]) - 1.0).abs() < 1e-9, "{:?}", found.x);
+}
+
+#[test]
+fn exact_rows_have_no_outliers() {
+    let mut case = planted(7, 60, 10, 1.0);
+    case.all.residuals = case.all.apply(&case.truth).iter().map(|value| -value).collect();
+    let found = estimate(&case.all, Some(Robust::TUKEY), 4);
+    assert_eq!(found.end, End::Converged);
+    let report = found.robust.as_ref().expect("a report");
+    assert!(report.weights.iter().all(|&weight| weight > 1.0 - 1e-12));
+    for (found, truth) in found.x.iter().zip(&case.truth) {
+        assert!((found - truth).abs() < 1e-12);
+    }
+}
+
+#[test]
+fn a_robust_estimate_that_has_not_arrived_does_not_say_so() {
+    // Two points and two unknowns: residuals have no size and all weights stay at 1, however far away the minimum is.
+    let problem = Given {
+        unknowns: 2,
+        rows: 2,
+        at: |x: &[f64]| {
+            let model = |t: f64| x[0] * (x[1] * t).exp();
+            let row = |t: f64| vec![(x[1] * t).exp(), t * model(t)];
+            (vec![model(1.0) - 400.0, model(2.0) - 9000.0], vec![row(1.0), row(2.0)])
+        },
+    };
+    let options = Options { iterations: 1, tolerance: 1e-9, rank: 2, robust: Some(Robust::HUBER) };
+    let Ok(short) = solve(&problem, &[1.0, 1.0], &options);
+    assert_eq!(short.end, End::IterationLimit);
+    let Ok(long) = solve(&problem, &[1.0, 1.0], &Options { iterations: 50, ..options });
+    assert_eq!(long.end, End::Converged);
+    let slope = (9000.0_f64 / 400.0).ln();
+    assert!((long.x[1] - slope).abs() < 1e-10 && (long.x[0] - 400.0 / slope.exp()).abs() < 1e-8, "{:?}", long.x);
+}
+
+#[test]
+fn the_order_of_rows_does_not_matter() {
+    let case = planted(8, 200, 8, 20.0);
+    let random = &mut Random::new(9);
+    let first = estimate(&case.all, Some(Robust::TUKEY), 4);
+    let mut order: Vec<usize> = (0..200).collect();
+    for _ in 0..4 {
+        random.shuffle(&mut order);
+        let shuffled = Linear {
+            rows: order.iter().map(|&row| case.all.rows[row].clone()).collect(),
+            residuals: order.iter().map(|&row| case.all.residuals[row]).collect(),
+        };
+        let again = estimate(&shuffled, Some(Robust::TUKEY), 4);
+        for (value, first) in again.x.iter().zip(&first.x) {
+            assert!((value / first - 1.0).abs() < 1e-9, "{value} {first}");
+        }
+    }
+}

@@ -1,0 +1,170 @@
+//! Proves the iteration on problems with known minima: it converges, halves steps that overshoot, says how it ended,
+//! takes the shortest way where directions are lost, and does not care about the order of rows.
+
+use abbe_numerics::{End, Options, Solution, solve};
+
+use crate::problems::{Given, Linear, Linearised, Random, dot, given, norm};
+
+const FULL: Options = Options { iterations: 50, tolerance: 1e-10, rank: 2, robust: None };
+
+/// `a exp(b t)` through points.
+fn exponential(t: &[f64], y: &[f64]) -> Given<impl Fn(&[f64]) -> Linearised> {
+    let points: Vec<(f64, f64)> = t.iter().copied().zip(y.iter().copied()).collect();
+    let at = move |x: &[f64]| {
+        let model = |t: f64| x[0] * (x[1] * t).exp();
+        let rows = points.iter().map(|(t, _)| vec![(x[1] * t).exp(), t * model(*t)]).collect();
+        (points.iter().map(|(t, y)| model(*t) - y).collect(), rows)
+    };
+    Given { unknowns: 2, rows: t.len(), at }
+}
+
+fn times(count: usize) -> Vec<f64> {
+    (0..count).map(|i| 2.0 * i as f64 / count as f64 - 1.0).collect()
+}
+
+fn run<F: Fn(&[f64]) -> Linearised>(problem: &Given<F>, start: &[f64], options: &Options) -> Solution {
+    let Ok(solution) = solve(problem, start, options);
+    solution
+}
+
+#[test]
+fn exact_data_give_the_truth() {
+    let t = times(30);
+    let y: Vec<f64> = t.iter().map(|t| 2.5 * (0.7 * t).exp()).collect();
+    let found = run(&exponential(&t, &y), &[2.0, 0.3], &FULL);
+    assert_eq!(found.end, End::Converged);
+    assert!((found.x[0] - 2.5).abs() < 1e-14 && (found.x[1] - 0.7).abs() < 1e-14, "{:?}", found.x);
+    assert!(found.iterations <= 6, "{}", found.iterations);
+}
+
+#[test]
+fn noisy_data_end_where_the_gradient_vanishes() {
+    let random = &mut Random::new(1);
+    let t = times(60);
+    let y: Vec<f64> = t.iter().map(|t| 2.5 * (0.7 * t).exp() + 0.1 * random.normal()).collect();
+    let problem = exponential(&t, &y);
+    let found = run(&problem, &[1.0, 0.0], &FULL);
+    assert_eq!(found.end, End::Converged);
+    let (residuals, rows) = (problem.at)(&found.x);
+    for column in 0..2 {
+        let column: Vec<f64> = rows.iter().map(|row| row[column]).collect();
+        let gradient = dot(&column, &residuals) / norm(&column) / norm(&residuals);
+        assert!(gradient.abs() < 1e-10, "{gradient:e}");
+    }
+}
+
+#[test]
+fn steps_that_overshoot_are_halved() {
+    // Newton's iteration on the arc tangent runs away from beyond 1.39; both unknowns start there.
+    let problem = Given {
+        unknowns: 2,
+        rows: 2,
+        at: |x: &[f64]| {
+            let slope = |x: f64| 1.0 / (1.0 + x * x);
+            (vec![x[0].atan(), (x[1] - 1.0).atan()], vec![vec![slope(x[0]), 0.0], vec![0.0, slope(x[1] - 1.0)]])
+        },
+    };
+    let found = run(&problem, &[5.0, -7.0], &FULL);
+    assert_eq!(found.end, End::Converged);
+    assert!(found.x[0].abs() < 1e-12 && (found.x[1] - 1.0).abs() < 1e-12, "{:?}", found.x);
+}
+
+#[test]
+fn steps_into_what_is_not_finite_are_halved() {
+    // The first full step leads to a negative argument of the square root, the next one to where it has no derivative.
+    let problem =
+        Given { unknowns: 1, rows: 1, at: |x: &[f64]| (vec![x[0].sqrt() - 0.5], vec![vec![0.5 / x[0].sqrt()]]) };
+    let found = run(&problem, &[4.0], &Options { rank: 1, ..FULL });
+    assert_eq!(found.end, End::Converged);
+    assert!((found.x[0] - 0.25).abs() < 1e-14, "{:?}", found.x);
+}
+
+#[test]
+fn a_direction_that_does_not_lead_down_is_no_progress() {
+    let problem = Given { unknowns: 1, rows: 1, at: |x: &[f64]| (vec![x[0] - 3.0], vec![vec![-1.0]]) };
+    let found = run(&problem, &[1.0], &Options { rank: 1, ..FULL });
+    assert_eq!((found.end, found.x), (End::NoProgress, vec![1.0]));
+    // Neither does one along an unknown that has no effect, if it counts as determined.
+    let problem = Given { unknowns: 2, rows: 2, at: |x: &[f64]| (vec![x[0] - 3.0; 2], vec![vec![1.0, 0.0]; 2]) };
+    let found = run(&problem, &[1.0, 2.0], &FULL);
+    assert_eq!((found.end, found.x), (End::NoProgress, vec![1.0, 2.0]));
+}
+
+#[test]
+fn running_out_of_iterations_is_said() {
+    let t = times(30);
+    let y: Vec<f64> = t.iter().map(|t| 2.5 * (0.7 * t).exp()).collect();
+    let problem = exponential(&t, &y);
+    let mut costs = Vec::new();
+    for iterations in [1, 2, 3] {
+        let found = run(&problem, &[1.0, -1.0], &Options { iterations, ..FULL });
+        assert_eq!((found.end, found.iterations), (End::IterationLimit, iterations));
+        costs.push(norm(&(problem.at)(&found.x).0));
+    }
+    assert!(costs.is_sorted_by(|before, after| after < before), "{costs:?}");
+    // One step is not let run away either.
+    let problem =
+        Given { unknowns: 1, rows: 1, at: |x: &[f64]| (vec![x[0].atan()], vec![vec![1.0 / (1.0 + x[0] * x[0])]]) };
+    let found = run(&problem, &[5.0], &Options { iterations: 1, rank: 1, ..FULL });
+    assert_eq!(found.end, End::IterationLimit);
+    assert!(found.x[0].abs() < 5.0, "{:?}", found.x);
+}
+
+#[test]
+fn a_linear_problem_takes_one_step() {
+    let problem = Linear::random(&mut Random::new(2), 50, 2);
+    let found = run(&given(&problem), &[0.0; 2], &FULL);
+    let step = problem.factor(50).step().expect("full rank");
+    assert!(found.iterations <= 2 && found.end == End::Converged);
+    for (found, step) in found.x.iter().zip(&step) {
+        assert!((found - step).abs() < 1e-14);
+    }
+}
+
+#[test]
+fn lost_directions_are_gone_the_shortest_way() {
+    // Only the product of 2 a and exp(b) counts beside c; effects are shared where the problem is linear.
+    let t = times(40);
+    let mut linear = Linear { rows: Vec::new(), residuals: Vec::new() };
+    for t in &t {
+        linear.rows.push(vec![1.0, 100.0, *t]);
+        linear.residuals.push(-(4.0 + 3.0 * t));
+    }
+    let found = run(&given(&linear), &[0.0; 3], &FULL);
+    assert_eq!(found.end, End::Converged);
+    // The effect 4 is shared alike, each in its own unit.
+    for (found, expected) in found.x.iter().zip([2.0, 0.02, 3.0]) {
+        assert!((found - expected).abs() < 1e-13, "{:?}", found);
+    }
+    let truth: Vec<f64> = t.iter().map(|t| 3.0 * (0.5 * t).exp()).collect();
+    let problem = Given {
+        unknowns: 3,
+        rows: t.len(),
+        at: |x: &[f64]| {
+            let model = |t: f64| x[0] * x[1] * (x[2] * t).exp();
+            let rows = t.iter().map(|&t| vec![model(t) / x[0], model(t) / x[1], t * model(t)]).collect();
+            (t.iter().zip(&truth).map(|(&t, y)| model(t) - y).collect(), rows)
+        },
+    };
+    let found = run(&problem, &[1.0, 2.0, 0.1], &FULL);
+    assert_eq!(found.end, End::Converged);
+    assert!((found.x[0] * found.x[1] - 3.0).abs() < 1e-13 && (found.x[2] - 0.5).abs() < 1e-13, "{:?}", found.x);
+}
+
+#[test]
+fn the_order_of_rows_does_not_matter() {
+    let random = &mut Random::new(3);
+    let t = times(200);
+    let mut points: Vec<(f64, f64)> = t.iter().map(|t| (*t, 2.5 * (0.7 * t).exp() + 0.05 * random.normal())).collect();
+    let mut answers = Vec::new();
+    for _ in 0..5 {
+        let (t, y): (Vec<f64>, Vec<f64>) = points.iter().copied().unzip();
+        answers.push(run(&exponential(&t, &y), &[1.0, 0.0], &FULL).x);
+        random.shuffle(&mut points);
+    }
+    for answer in &answers[1..] {
+        for (value, first) in answer.iter().zip(&answers[0]) {
+            assert!((value / first - 1.0).abs() < 1e-9);
+        }
+    }
+}
