@@ -9,4 +9,4 @@ mod run;
 
 pub use outcome::Outcome;
 pub use prepare::{Prepared, prepare};
-pub use run::{Event, Planned, model_of};
+pub use run::{Event, Listener, Planned, model_of};

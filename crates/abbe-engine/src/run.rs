@@ -1,7 +1,8 @@
 //! Runs the graph: data sets, then estimates, validators and exporters.
 
 use std::collections::{BTreeMap, BTreeSet};
-use std::sync::Arc;
+use std::sync::atomic::{AtomicUsize, Ordering};
+use std::sync::{Arc, Mutex, PoisonError};
 use std::time::{Instant, SystemTime};
 
 use abbe_core::{
@@ -38,12 +39,15 @@ pub struct Planned {
     pub identifiability: Identifiability,
 }
 
+/// Hears what is going on, from any thread.
+pub type Listener<'a> = dyn Fn(Event<'_>) + Sync + 'a;
+
 type Datasets = BTreeMap<String, Arc<Dataset>>;
 
 impl Prepared {
     /// Everything but the fits: data, problems, and what the fits can determine at nominal contact points.
     pub fn check(&self) -> Result<Vec<Planned>> {
-        let data = self.read(&mut |_| {})?;
+        let data = self.read(&|_| {})?;
         let mut taken = Taken::default();
         let mut planned = Vec::new();
         for stage in self.stages(Kind::Estimate) {
@@ -56,34 +60,38 @@ impl Prepared {
         Ok(planned)
     }
 
-    /// Runs the recipe; `tell` hears what is going on.
-    pub fn run(&self, tell: &mut dyn FnMut(Event<'_>)) -> Result<Outcome> {
+    /// Runs the recipe; `tell` hears what is going on. Stages that do not wait for each other run at the same time.
+    pub fn run(&self, tell: &Listener<'_>) -> Result<Outcome> {
         let (started, clock) = (SystemTime::now(), Instant::now());
         let data = self.read(tell)?;
         let mut taken = Taken::default();
-        let mut problems = Vec::new();
+        let mut problems = BTreeMap::new();
         for stage in self.stages(Kind::Estimate) {
-            problems.push(self.located(stage, self.problem(stage, &data, &mut taken))?);
+            problems.insert(&stage.name, self.located(stage, self.problem(stage, &data, &mut taken))?);
         }
         // Before the first fit, so that a feature that nobody knows does not cost a long run.
         self.nothing_left_over(&data, &taken)?;
         let mut fits: Vec<Fit> = Vec::new();
-        for (stage, problem) in self.stages(Kind::Estimate).zip(problems) {
-            self.started(stage, tell);
-            let estimator = self.estimators[&stage.name].clone();
-            let problem = start(stage, problem, &fits);
-            tracing::info!("{}: {} equations, {} unknowns", stage.name, problem.equations(), problem.unknowns.len());
-            let calibration = self.located(stage, estimator.estimate(&problem))?;
-            fits.push(Fit { name: stage.name.clone(), problem: Arc::new(problem), estimator, calibration });
+        let mut waiting: Vec<&Stage> = self.stages(Kind::Estimate).collect();
+        while !waiting.is_empty() {
+            let finished =
+                |stage: &&Stage| named(stage.reference("start"), &fits).len() == stage.reference("start").len();
+            let ready: Vec<&Stage> = waiting.iter().copied().filter(finished).collect();
+            waiting.retain(|stage| !ready.iter().any(|ready| ready.name == stage.name));
+            let done = in_parallel(&ready, |stage| {
+                self.started(stage, tell);
+                self.fit(stage, start(stage, problems[&stage.name].clone(), &fits))
+            });
+            fits.extend(done?);
         }
-        let mut verdicts = Vec::new();
-        for stage in self.stages(Kind::Validate) {
+        let stages: Vec<&Stage> = self.stages(Kind::Validate).collect();
+        let verdicts = in_parallel(&stages, |stage| {
             self.started(stage, tell);
             let judged: Vec<&Fit> = named(stage.reference("of"), &fits);
             let evidence: Vec<&Dataset> = stage.reference("from").iter().map(|name| data[name].as_ref()).collect();
             let findings = self.located(stage, self.validators[&stage.name].validate(&judged, &evidence))?;
-            verdicts.push(Verdict::new(&stage.name, &stage.plugin, findings));
-        }
+            Ok(Verdict::new(&stage.name, &stage.plugin, findings))
+        })?;
         let mut exports = Vec::new();
         for stage in self.stages(Kind::Export) {
             self.started(stage, tell);
@@ -105,19 +113,26 @@ impl Prepared {
         })
     }
 
+    fn fit(&self, stage: &Stage, problem: Problem) -> Result<Fit> {
+        let estimator = self.estimators[&stage.name].clone();
+        tracing::info!("{}: {} equations, {} unknowns", stage.name, problem.equations(), problem.unknowns.len());
+        let calibration = self.located(stage, estimator.estimate(&problem))?;
+        Ok(Fit { name: stage.name.clone(), problem: Arc::new(problem), estimator, calibration })
+    }
+
     /// Errors of a stage get its name and place.
     fn located<T>(&self, stage: &Stage, result: Result<T>) -> Result<T> {
         result.map_err(|error| self.recipe.locate(error.stage(&stage.name)))
     }
 
-    fn started(&self, stage: &Stage, tell: &mut dyn FnMut(Event<'_>)) {
+    fn started(&self, stage: &Stage, tell: &Listener<'_>) {
         let works = |stage: &&Stage| !matches!(stage.kind, Kind::Artefact | Kind::Model);
         let working: Vec<&Stage> = self.recipe.stages.iter().filter(works).collect();
         let done = working.iter().position(|other| other.name == stage.name).unwrap_or(0);
         tell(Event::Started { stage: &stage.name, kind: stage.kind, done, all: working.len() });
     }
 
-    fn read(&self, tell: &mut dyn FnMut(Event<'_>)) -> Result<Datasets> {
+    fn read(&self, tell: &Listener<'_>) -> Result<Datasets> {
         let mut data = BTreeMap::new();
         for stage in self.stages(Kind::Ingest) {
             self.started(stage, tell);
@@ -190,6 +205,28 @@ fn start(stage: &Stage, problem: Problem, fits: &[Fit]) -> Problem {
 
 fn named<'a>(names: &[String], fits: &'a [Fit]) -> Vec<&'a Fit> {
     names.iter().filter_map(|name| fits.iter().find(|fit| fit.name == *name)).collect()
+}
+
+/// Applies `work` to all items on as many threads as there are cores; results come in the order of the items, and of
+/// several errors the first.
+fn in_parallel<T: Sync, R: Send>(items: &[T], work: impl Fn(&T) -> Result<R> + Sync) -> Result<Vec<R>> {
+    let threads = std::thread::available_parallelism().map_or(1, usize::from).min(items.len());
+    let next = AtomicUsize::new(0);
+    let results: Vec<Mutex<Option<Result<R>>>> = items.iter().map(|_| Mutex::new(None)).collect();
+    std::thread::scope(|scope| {
+        for _ in 0..threads {
+            scope.spawn(|| {
+                while let Some((item, result)) = {
+                    let index = next.fetch_add(1, Ordering::Relaxed);
+                    items.get(index).zip(results.get(index))
+                } {
+                    *result.lock().unwrap_or_else(PoisonError::into_inner) = Some(work(item));
+                }
+            });
+        }
+    });
+    let taken = results.into_iter().filter_map(|result| result.into_inner().unwrap_or_else(PoisonError::into_inner));
+    taken.collect()
 }
 
 /// The model of a calibration, built from its own settings alone.

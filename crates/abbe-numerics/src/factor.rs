@@ -1,7 +1,7 @@
 //! Orthogonal factorisation of a least squares problem that comes in rows, and what it tells.
 
-use faer::Mat;
 use faer::linalg::solvers::{Qr, Svd};
+use faer::{Mat, MatRef};
 
 /// Memory that the buffer of rows may take, in numbers; small problems are factorised in one go.
 const BUFFER: usize = 1 << 21;
@@ -135,18 +135,14 @@ impl Factor {
         norm((0..n).map(|row| (row..n).map(|column| self.triangle[(row, column)] * x[column]).sum()))
     }
 
-    /// `j (J^T J)^-1 j^T` of a row j of a problem of full rank: its leverage if the row took part with weight 1.
-    pub fn leverage(&self, row: &[f64]) -> f64 {
-        let mut solved: Vec<f64> = row.to_vec();
-        for i in 0..self.unknowns() {
-            let mut value = solved[i];
-            for (k, before) in solved[..i].iter().enumerate() {
-                value -= self.triangle[(k, i)] * before;
-            }
-            let pivot = self.triangle[(i, i)];
-            solved[i] = if pivot == 0.0 { 0.0 } else { value / pivot };
+    /// The root of the covariance within the first `rank` singular directions.
+    pub fn whitener(&self, rank: usize) -> Whitener {
+        if rank < self.unknowns() {
+            return self.spectrum().whitener(rank);
         }
-        solved.iter().map(|value| value * value).sum()
+        let scale = self.scale();
+        let inverse = self.inverse(&self.scaled(&scale));
+        Whitener(Mat::from_fn(scale.len(), scale.len(), |row, column| scale[row] * inverse[(row, column)]))
     }
 
     /// What makes every column of J a column of norm 1; a column of zeros is left as it is.
@@ -201,20 +197,30 @@ impl Factor {
         faer::linalg::triangular_solve::solve_upper_triangular_in_place(upper, unknown, faer::Par::Seq);
         inverse
     }
-
-    /// Covariance `(J^T J)^-1` of a problem of full rank, in the units of the unknowns, row by row.
-    pub fn covariance(&self) -> Vec<Vec<f64>> {
-        let scale = self.scale();
-        let inverse = self.inverse(&self.scaled(&scale));
-        gram(&inverse, &scale)
-    }
 }
 
-/// `D A A^T D` with the diagonal D, symmetric to the last bit.
-fn gram(half: &Mat<f64>, scale: &[f64]) -> Vec<Vec<f64>> {
-    let product = half * half.transpose();
-    let entry = |row: usize, column: usize| product[(row.min(column), row.max(column))] * scale[row] * scale[column];
-    (0..scale.len()).map(|row| (0..scale.len()).map(|column| entry(row, column)).collect()).collect()
+/// A matrix A with `A A^T = (J^T J)^-1`, unknowns x directions.
+#[derive(Debug, Clone)]
+pub struct Whitener(Mat<f64>);
+
+impl Whitener {
+    /// Covariance `(J^T J)^-1` in the units of the unknowns, row by row, symmetric to the last bit.
+    pub fn covariance(&self) -> Vec<Vec<f64>> {
+        let product = &self.0 * self.0.transpose();
+        let entry = |row: usize, column: usize| product[(row.min(column), row.max(column))];
+        let n = self.0.nrows();
+        (0..n).map(|row| (0..n).map(|column| entry(row, column)).collect()).collect()
+    }
+
+    /// `j (J^T J)^-1 j^T` of rows j that come one after another: their leverage, had they taken part with weight 1.
+    pub fn leverages(&self, rows: &[f64]) -> Vec<f64> {
+        let n = self.0.nrows();
+        if n == 0 {
+            return Vec::new();
+        }
+        let white = MatRef::from_row_major_slice(rows, rows.len() / n, n) * &self.0;
+        (0..white.nrows()).map(|row| (0..white.ncols()).map(|k| white[(row, k)] * white[(row, k)]).sum()).collect()
+    }
 }
 
 /// Singular values of a problem with columns of norm 1.
@@ -265,17 +271,10 @@ impl Spectrum {
         (0..self.scale.len()).map(|row| self.scale[row] * sum(row)).collect()
     }
 
-    /// `j (J^T J)^-1 j^T` of a row j within the first `rank` singular directions, see [`Factor::leverage`].
-    pub fn leverage(&self, row: &[f64], rank: usize) -> f64 {
-        let scaled: Vec<f64> = row.iter().zip(&self.scale).map(|(value, scale)| value * scale).collect();
-        let along = |k: usize| scaled.iter().enumerate().map(|(i, value)| value * self.vectors[(i, k)]).sum::<f64>();
-        (0..rank).map(|k| (along(k) / self.singular_values.0[k]).powi(2)).sum()
-    }
-
-    /// Covariance `(J^T J)^-1` within the first `rank` singular directions, in the units of the unknowns, row by row.
-    pub fn covariance(&self, rank: usize) -> Vec<Vec<f64>> {
-        let half = Mat::from_fn(self.scale.len(), rank, |row, k| self.vectors[(row, k)] / self.singular_values.0[k]);
-        gram(&half, &self.scale)
+    /// The root of the covariance within the first `rank` singular directions.
+    pub fn whitener(&self, rank: usize) -> Whitener {
+        let entry = |row: usize, k: usize| self.scale[row] * self.vectors[(row, k)] / self.singular_values.0[k];
+        Whitener(Mat::from_fn(self.scale.len(), rank, entry))
     }
 
     /// A basis of what is lost beyond `rank`, as sparse as elimination makes it: the relative singular value and the

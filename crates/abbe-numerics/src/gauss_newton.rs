@@ -30,7 +30,7 @@ pub trait LeastSquares {
 pub struct Options {
     /// Most iterations.
     pub iterations: usize,
-    /// Converged when no unknown's step moves the rows by more than this many standard uncertainties.
+    /// Converged when a step moves all rows together by less than this many standard uncertainties.
     pub tolerance: f64,
     /// Number of directions to move in: the rank.
     pub rank: usize,
@@ -84,83 +84,87 @@ pub(crate) fn factorise<P: LeastSquares + ?Sized>(
 /// Every step is that of the linearised problem, columns scaled, within its first `rank` singular directions, and is
 /// halved while it does not make the sum of squares smaller.
 pub fn solve<P: LeastSquares + ?Sized>(problem: &P, start: &[f64], options: &Options) -> Result<Solution, P::Error> {
-    let (mut x, mut end, mut iterations) = minimise(problem, start.to_vec(), None, options)?;
-    let Some(robust) = options.robust else { return Ok(Solution { x, iterations, end, robust: None }) };
+    let mut minimum = minimise(problem, start.to_vec(), None, options)?;
+    let mut iterations = minimum.iterations;
+    let Some(robust) = options.robust else {
+        return Ok(Solution { x: minimum.x, iterations, end: minimum.end, robust: None });
+    };
     // Huber's loss has one minimum and takes the estimate near enough for Tukey's, which has many.
-    let phases: &[Robust] = match robust.loss {
-        Loss::Huber => &[robust],
-        Loss::Tukey => &[Robust::HUBER, robust],
+    let phases: &[(Robust, usize)] = match robust.loss {
+        Loss::Huber => &[(robust, options.iterations)],
+        Loss::Tukey => &[(Robust::HUBER, 5), (robust, options.iterations)],
     };
     let mut weights = vec![1.0; problem.rows()];
     let mut studentised = Vec::new();
-    'phases: for phase in phases {
-        end = End::IterationLimit;
-        for _ in 0..options.iterations {
-            let factor = factorise(problem, &x, Some(&weights))?;
-            studentised = studentised_residuals(problem, &x, &weights, &factor, options.rank)?;
+    let mut settled = false;
+    for (phase, rounds) in phases {
+        settled = false;
+        for _ in 0..*rounds {
+            studentised = studentised_residuals(problem, &minimum, &weights, options.rank)?;
             let spread = scale(&studentised);
             let before = std::mem::take(&mut weights);
             weights = studentised.iter().map(|size| phase.weight(size / spread)).collect();
             let changed = weights.iter().zip(&before).map(|(now, before)| (now - before).abs()).fold(0.0, f64::max);
-            // With step control and to the end: where the rows hardly determine a direction, single steps go astray.
-            let (settled, ended, used) = minimise(problem, x, Some(&weights), options)?;
-            x = settled;
-            iterations += used;
-            if ended != End::Converged {
-                end = ended;
-                break 'phases;
-            }
-            if changed < SETTLED {
-                end = End::Converged;
+            settled = changed < SETTLED;
+            // With step control: where the rows hardly determine a direction, bare steps go astray.
+            let tolerance = if settled { options.tolerance } else { SMALL };
+            minimum = minimise(problem, minimum.x, Some(&weights), &Options { tolerance, ..*options })?;
+            iterations += minimum.iterations;
+            if settled || minimum.end == End::NoProgress {
                 break;
             }
         }
     }
+    if !settled && minimum.end == End::Converged {
+        minimum.end = End::IterationLimit;
+    }
     let spread = scale(&studentised);
     studentised.iter_mut().for_each(|size| *size /= spread);
-    Ok(Solution { x, iterations, end, robust: Some(RobustReport { weights, studentised }) })
+    Ok(Solution { x: minimum.x, iterations, end: minimum.end, robust: Some(RobustReport { weights, studentised }) })
 }
 
+/// Residuals at a minimum over their own standard deviations.
 fn studentised_residuals<P: LeastSquares + ?Sized>(
     problem: &P,
-    x: &[f64],
+    minimum: &Minimum,
     weights: &[f64],
-    factor: &Factor,
     rank: usize,
 ) -> Result<Vec<f64>, P::Error> {
-    let unknowns = problem.unknowns();
-    let spectrum = (rank < unknowns).then(|| factor.spectrum());
-    let leverage = |row: &[f64]| match &spectrum {
-        Some(spectrum) => spectrum.leverage(row, rank),
-        None => factor.leverage(row),
-    };
+    let whitener = minimum.factor.whitener(rank);
     let (mut residuals, mut leverages) = (Vec::new(), Vec::new());
-    problem.linearise(x, &mut |_, block, derivatives| {
+    problem.linearise(&minimum.x, &mut |_, block, derivatives| {
         residuals.extend_from_slice(block);
-        leverages.extend(derivatives.chunks_exact(unknowns.max(1)).map(leverage));
+        leverages.extend(whitener.leverages(derivatives));
     })?;
     Ok(studentise(&residuals, weights, &leverages))
 }
 
-/// Steps below this many standard uncertainties are as good as none.
+/// Steps that move all rows together by less than this many standard uncertainties are as good as none.
 const SMALL: f64 = 1e-3;
 
-/// The step within the first `rank` singular directions, and by how many standard uncertainties it moves the rows; None
-/// if there are fewer directions than that.
+/// Robust weights that change by less than this have settled: what is left moves no estimate by more than about this part
+/// of its uncertainty.
+const SETTLED: f64 = 1e-4;
+
+/// Where an iteration ended.
+struct Minimum {
+    x: Vec<f64>,
+    end: End,
+    iterations: usize,
+    /// The factor at x, or one small step before it.
+    factor: Factor,
+}
+
+/// The step within the first `rank` singular directions, and by how many standard uncertainties it moves all rows
+/// together; None if there are fewer directions than that.
 fn step_of(factor: &Factor, rank: usize) -> Option<(Vec<f64>, f64)> {
     let step = match factor.step().filter(|_| rank == factor.unknowns()) {
         Some(step) => step,
         None => factor.spectrum().step(rank),
     };
-    let size = step.iter().zip(factor.norms()).map(|(step, norm)| (step * norm).abs()).fold(0.0, f64::max);
-    step.iter().all(|value| value.is_finite()).then_some((step, size))
+    let size = factor.effect(&step);
+    (size.is_finite() && step.iter().all(|value| value.is_finite())).then_some((step, size))
 }
-
-/// Robust weights that change by less than this have settled: what is left moves estimates by less than a millionth of
-/// their uncertainty.
-const SETTLED: f64 = 1e-6;
-
-type Minimum = (Vec<f64>, End, usize);
 
 fn minimise<P: LeastSquares + ?Sized>(
     problem: &P,
@@ -170,13 +174,15 @@ fn minimise<P: LeastSquares + ?Sized>(
 ) -> Result<Minimum, P::Error> {
     let mut factor = factorise(problem, &x, weights)?;
     let mut last_size = f64::INFINITY;
-    for iteration in 1..=options.iterations {
-        let Some((step, size)) = step_of(&factor, options.rank) else { return Ok((x, End::NoProgress, iteration)) };
+    for iterations in 1..=options.iterations {
+        let Some((step, size)) = step_of(&factor, options.rank) else {
+            return Ok(Minimum { x, end: End::NoProgress, iterations, factor });
+        };
         // Once steps are small they shrink fast, unless rounding is all that is left of them.
         let rounding = size < SMALL && size > 0.5 * last_size;
         if size <= options.tolerance || rounding {
             add(&mut x, &step, 1.0);
-            return Ok((x, End::Converged, iteration));
+            return Ok(Minimum { x, end: End::Converged, iterations, factor });
         }
         last_size = size;
         let cost = factor.cost();
@@ -192,14 +198,13 @@ fn minimise<P: LeastSquares + ?Sized>(
             }
             part *= 0.5;
             if part < 1e-6 {
-                // Nothing below helps: this is as low as rounding allows, or the model is not smooth here. Where the
-                // condition is bad, rounding leaves steps of large parts that together do nothing.
-                let end = if size < SMALL || factor.effect(&step) < SMALL { End::Converged } else { End::NoProgress };
-                return Ok((x, end, iteration));
+                // Nothing below helps: this is as low as rounding allows, or the model is not smooth here.
+                let end = if size < SMALL { End::Converged } else { End::NoProgress };
+                return Ok(Minimum { x, end, iterations, factor });
             }
         }
     }
-    Ok((x, End::IterationLimit, options.iterations))
+    Ok(Minimum { x, end: End::IterationLimit, iterations: options.iterations, factor })
 }
 
 fn add(x: &mut [f64], step: &[f64], part: f64) {

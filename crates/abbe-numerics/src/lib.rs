@@ -9,7 +9,7 @@ mod gauss_newton;
 mod robust;
 mod significance;
 
-pub use factor::{Accumulator, Factor, SingularValues, Spectrum};
+pub use factor::{Accumulator, Factor, SingularValues, Spectrum, Whitener};
 pub use gauss_newton::{End, LeastSquares, Options, Sink, Solution, solve};
 pub use robust::{Loss, Robust, RobustReport};
 pub use significance::{f_test, two_sided_normal};

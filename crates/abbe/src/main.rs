@@ -96,7 +96,7 @@ fn dispatch(command: Command) -> Result<(String, u8)> {
             let prepared = prepare(&recipe, &registry)?;
             Outcome::can_write(&out)?;
             let bar = ProgressBar::new(0).with_style(style());
-            let outcome = prepared.run(&mut |event| show(&bar, event))?;
+            let outcome = prepared.run(&|event| show(&bar, event))?;
             bar.finish_and_clear();
             let folder = outcome.write(&out)?;
             let status = if outcome.passes() { 0 } else { 3 };

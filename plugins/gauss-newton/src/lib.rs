@@ -302,7 +302,7 @@ impl GaussNewton {
 
     fn solve(&self, problem: &Problem, lost: Option<Identifiability>) -> Result<Calibration> {
         let rank = lost.as_ref().map_or(problem.unknowns.len(), |lost| lost.rank);
-        let options = Options { iterations: self.settings.iterations, tolerance: 1e-7, rank, robust: self.robust() };
+        let options = Options { iterations: self.settings.iterations, tolerance: 1e-9, rank, robust: self.robust() };
         let solution = solve(&Weighted::new(problem), &problem.start(), &options)?;
         if solution.end == End::NoProgress {
             return Err(Error::data("the iteration does not converge: no step makes the residuals smaller")
@@ -316,12 +316,12 @@ impl GaussNewton {
         let mut found = identifiability(problem, &factor, self.settings.rank_tolerance);
         let covariance = match lost {
             None if found.rank < rank => return Err(confounded(&found)),
-            None => factor.covariance(),
+            None => factor.whitener(rank).covariance(),
             Some(lost) => {
                 // Second order must not make look determined at the solution what is not at the start.
                 let condition = factor.singular_values().condition(rank);
                 found = Identifiability { observations: found.observations, condition, ..lost };
-                factor.spectrum().covariance(rank)
+                factor.whitener(rank).covariance()
             }
         };
         let residuals = problem.residuals(&solution.x)?;

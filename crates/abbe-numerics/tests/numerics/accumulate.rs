@@ -1,9 +1,13 @@
 //! Proves that a factor accumulated in many small pieces is that of one QR, and what it says by the definitions: norms,
 //! costs, step, leverage, covariance.
 
-use abbe_numerics::{Accumulator, Factor};
+use abbe_numerics::{Accumulator, Factor, Whitener};
 
 use crate::problems::{Linear, Random, dot, line, norm};
+
+fn of_full_rank(factor: &Factor) -> Whitener {
+    factor.whitener(factor.unknowns())
+}
 
 fn close(a: f64, b: f64, scale: f64) -> f64 {
     (a - b).abs() / scale
@@ -13,7 +17,7 @@ fn close(a: f64, b: f64, scale: f64) -> f64 {
 fn difference(a: &Factor, b: &Factor, row: &[f64]) -> f64 {
     assert_eq!((a.rows(), a.unknowns()), (b.rows(), b.unknowns()));
     let (step_a, step_b) = (a.step().expect("full rank"), b.step().expect("full rank"));
-    let (cov_a, cov_b) = (a.covariance().concat(), b.covariance().concat());
+    let (cov_a, cov_b) = (of_full_rank(a).covariance().concat(), of_full_rank(b).covariance().concat());
     let lists = |a: &[f64], b: &[f64]| {
         let size = norm(a);
         a.iter().zip(b).map(|(a, b)| close(*a, *b, size)).fold(0.0, f64::max)
@@ -25,7 +29,7 @@ fn difference(a: &Factor, b: &Factor, row: &[f64]) -> f64 {
         lists(a.singular_values().values(), b.singular_values().values()),
         close(a.cost(), b.cost(), a.cost()),
         close(a.remaining_cost(), b.remaining_cost(), a.cost()),
-        close(a.leverage(row), b.leverage(row), a.leverage(row)),
+        lists(&of_full_rank(a).leverages(row), &of_full_rank(b).leverages(row)),
     ]
     .into_iter()
     .fold(0.0, f64::max)
@@ -68,23 +72,28 @@ fn a_factor_says_what_its_rows_say() {
             note(2, dot(column, &after).abs() / norm(column) / norm(r));
         }
         // (J^T J)^-1 times J^T J, and the sum of all leverages, which is the number of unknowns.
-        for (row, covariances) in factor.covariance().iter().enumerate() {
+        for (row, covariances) in of_full_rank(&factor).covariance().iter().enumerate() {
             for column in 0..n {
                 let product: f64 = (0..n).map(|k| covariances[k] * dot(&all[k], &all[column])).sum();
                 note(3, (product - f64::from(u8::from(row == column))).abs());
             }
         }
-        note(4, (problem.rows.iter().map(|row| factor.leverage(row)).sum::<f64>() - n as f64).abs());
+        note(4, (of_full_rank(&factor).leverages(&problem.rows.concat()).iter().sum::<f64>() - n as f64).abs());
         note(5, close(factor.effect(&step), norm(&problem.apply(&step)), norm(r)));
         let spectrum = factor.spectrum();
         for (full, of_spectrum) in step.iter().zip(spectrum.step(n)) {
             note(5, close(*full, of_spectrum, norm(&step)));
         }
-        for (full, of_spectrum) in factor.covariance().concat().iter().zip(spectrum.covariance(n).concat()) {
-            note(5, close(*full, of_spectrum, norm(&factor.covariance().concat())));
+        for (full, of_spectrum) in
+            of_full_rank(&factor).covariance().concat().iter().zip(spectrum.whitener(n).covariance().concat())
+        {
+            note(5, close(*full, of_spectrum, norm(&of_full_rank(&factor).covariance().concat())));
         }
-        let leverages = problem.rows.iter().map(|row| (factor.leverage(row), spectrum.leverage(row, n)));
-        leverages.for_each(|(full, of_spectrum)| note(5, close(full, of_spectrum, 1.0)));
+        let (full, of_spectrum) = (of_full_rank(&factor), spectrum.whitener(n));
+        let rows = problem.rows.concat();
+        for (full, of_spectrum) in full.leverages(&rows).iter().zip(of_spectrum.leverages(&rows)) {
+            note(5, close(*full, of_spectrum, 1.0));
+        }
         assert_eq!(factor.singular_values().values().len(), n);
         let values = factor.singular_values();
         for (a, b) in values.values().iter().zip(spectrum.singular_values().values()) {
@@ -110,7 +119,7 @@ fn the_covariance_of_a_line_is_the_one_of_the_textbook() {
     let step = factor.step().expect("full rank");
     assert!((step[1] - slope).abs() < 1e-13 && (step[0] - (mean_y - slope * mean_x)).abs() < 1e-12);
     let textbook = [[1.0 / m + mean_x * mean_x / sxx, -mean_x / sxx], [-mean_x / sxx, 1.0 / sxx]];
-    for covariance in [factor.covariance(), factor.spectrum().covariance(2)] {
+    for covariance in [of_full_rank(&factor).covariance(), factor.spectrum().whitener(2).covariance()] {
         for (row, expected) in covariance.iter().zip(&textbook) {
             for (value, expected) in row.iter().zip(expected) {
                 assert!((value / expected - 1.0).abs() < 1e-12, "{value} {expected}");
@@ -118,7 +127,7 @@ fn the_covariance_of_a_line_is_the_one_of_the_textbook() {
         }
     }
     let leverage = 1.0 / m + (x[3] - mean_x).powi(2) / sxx;
-    assert!((factor.leverage(&[1.0, x[3]]) - leverage).abs() < 1e-13);
+    assert!((of_full_rank(&factor).leverages(&[1.0, x[3]])[0] - leverage).abs() < 1e-13);
 }
 
 #[test]
