@@ -34,7 +34,7 @@ pub use model::{
 pub use observations::{Contact, Equations, Feature, KnownInput, Layout, Observations, PoseValues, Row, Target};
 pub use pattern::matches;
 pub use pose_table::{ColumnNaming, PoseTable, StatusSource, plain_naming, pose_columns};
-pub use problem::{Block, ObservationSet, Owner, Problem, Unknown};
+pub use problem::{Block, Known, ObservationSet, Owner, Problem, Unknown};
 pub use registry::{Build, Constructor, Context, Kind, Origin, Plugin, Provider, Registry};
 pub use settings::{Label, PathItem, SettingsError, from_settings, path_text, schema_of};
 pub use stage::{Artefact, Estimate, Export, ExportedFile, Fit, Ingest, InputFile, Model, Validate};

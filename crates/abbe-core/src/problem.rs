@@ -92,6 +92,15 @@ pub struct Block<'a> {
     pub jacobian: &'a [f64],
 }
 
+/// What an earlier calibration knows of a problem: values that are not estimated again, with their covariance.
+#[derive(Debug, Clone, Default, PartialEq)]
+pub struct Known {
+    /// The parameters.
+    pub unknowns: Vec<Unknown>,
+    /// Their covariance, in their units.
+    pub covariance: Vec<Vec<f64>>,
+}
+
 /// Model, observations, unknowns and rows: what an estimator solves.
 #[derive(Clone)]
 pub struct Problem {
@@ -107,6 +116,8 @@ pub struct Problem {
     pub unknowns: Vec<Unknown>,
     /// Start or fixed value of every model parameter.
     pub machine: Vec<f64>,
+    /// What is considered: not estimated, but its uncertainty counts.
+    pub known: Known,
 }
 
 impl Problem {
@@ -170,6 +181,7 @@ impl Problem {
             sets,
             unknowns: candidates,
             machine,
+            known: Known::default(),
         })
     }
 
@@ -208,6 +220,28 @@ impl Problem {
                 }
             }
         }
+        problem
+    }
+
+    /// The same problem with what a calibration knows: its values hold, those that are chosen here start from them, and the
+    /// covariance of the others counts.
+    pub fn knowing(&self, calibration: &Calibration) -> Self {
+        let mut problem = self.starting_from(calibration);
+        let everything =
+            Self::new(&self.name, &self.model_plugin, self.model.clone(), self.sets.clone(), &["*".to_owned()]);
+        let candidates = everything.map_or_else(|_| Vec::new(), |everything| everything.unknowns);
+        let order = &calibration.covariance.order;
+        let mut places = Vec::new();
+        for unknown in candidates {
+            let chosen = self.unknowns.iter().any(|chosen| chosen.name == unknown.name);
+            if let Some(place) = order.iter().position(|name| *name == unknown.name).filter(|_| !chosen) {
+                problem.known.unknowns.push(unknown);
+                places.push(place);
+            }
+        }
+        let rows = &calibration.covariance.rows;
+        let entry = |row: usize| places.iter().map(|&column| rows[row][column]).collect();
+        problem.known.covariance = places.iter().map(|&row| entry(row)).collect();
         problem
     }
 

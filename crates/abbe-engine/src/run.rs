@@ -74,8 +74,8 @@ impl Prepared {
         let mut fits: Vec<Fit> = Vec::new();
         let mut waiting: Vec<&Stage> = self.stages(Kind::Estimate).collect();
         while !waiting.is_empty() {
-            let finished =
-                |stage: &&Stage| named(stage.reference("start"), &fits).len() == stage.reference("start").len();
+            let done = |name: &String| fits.iter().any(|fit| fit.name == *name);
+            let finished = |stage: &&Stage| ["start", "known"].iter().all(|key| stage.reference(key).iter().all(done));
             let ready: Vec<&Stage> = waiting.iter().copied().filter(finished).collect();
             waiting.retain(|stage| !ready.iter().any(|ready| ready.name == stage.name));
             let done = in_parallel(&ready, |stage| {
@@ -192,15 +192,12 @@ impl Prepared {
 /// Rows of each data set that some artefact took.
 type Taken = BTreeMap<String, BTreeSet<usize>>;
 
-/// The start values of a problem: those of an earlier estimate, if it names one.
+/// The problem with what it takes over from earlier estimates: start values, or values that are known.
 fn start(stage: &Stage, problem: Problem, fits: &[Fit]) -> Problem {
-    match named(stage.reference("start"), fits).first() {
-        Some(fit) => {
-            let x = problem.values_of(&fit.calibration);
-            problem.at(&x)
-        }
-        None => problem,
-    }
+    let known = named(stage.reference("known"), fits);
+    let problem = known.iter().fold(problem, |problem, fit| problem.knowing(&fit.calibration));
+    let start = named(stage.reference("start"), fits);
+    start.iter().fold(problem, |problem, fit| problem.at(&problem.values_of(&fit.calibration)))
 }
 
 fn named<'a>(names: &[String], fits: &'a [Fit]) -> Vec<&'a Fit> {

@@ -135,6 +135,16 @@ impl Factor {
         norm((0..n).map(|row| (row..n).map(|column| self.triangle[(row, column)] * x[column]).sum()))
     }
 
+    /// How the least squares values of the first `first` unknowns answer to the others: `-R11^-1 R12`, first x others.
+    /// The first unknowns have to be of full rank by themselves.
+    pub fn sensitivity(&self, first: usize) -> Vec<Vec<f64>> {
+        let others = self.unknowns() - first;
+        let mut solved = Mat::from_fn(first, others, |row, column| -self.triangle[(row, first + column)]);
+        let own = self.triangle.get(..first, ..first);
+        faer::linalg::triangular_solve::solve_upper_triangular_in_place(own, solved.as_mut(), faer::Par::Seq);
+        (0..first).map(|row| (0..others).map(|column| solved[(row, column)]).collect()).collect()
+    }
+
     /// The root of the covariance within the first `rank` singular directions.
     pub fn whitener(&self, rank: usize) -> Whitener {
         if rank < self.unknowns() {

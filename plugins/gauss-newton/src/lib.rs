@@ -7,7 +7,7 @@
 use abbe_core::{
     Build, CALIBRATION_FORMAT, Calibration, Combination, Constructor, Context, Covariance, Error, Estimate, Estimated,
     FitReport, Identifiability, NullVector, Outlier, Owner, Plugin, Problem, Result, SettingsError, Status,
-    Termination, inventory,
+    Termination, Unknown, inventory,
 };
 use abbe_numerics::{Accumulator, End, Factor, LeastSquares, Loss, Options, Robust, RobustReport, Spectrum, solve};
 use schemars::JsonSchema;
@@ -328,8 +328,9 @@ impl GaussNewton {
         let spread = Spread::new(problem, &residuals, solution.robust.as_ref(), self.robust(), rank);
         let scale =
             if self.settings.trust_uncertainties || spread.degrees_of_freedom == 0 { 1.0 } else { spread.sigma };
-        let covariance: Vec<Vec<f64>> =
+        let mut covariance: Vec<Vec<f64>> =
             covariance.into_iter().map(|row| row.into_iter().map(|value| value * scale * scale).collect()).collect();
+        consider(&at_contact, &solution.x, kept.as_deref(), &mut covariance)?;
         let outliers = match (&solution.robust, self.robust()) {
             (Some(report), Some(robust)) => outliers(problem, &residuals, report, robust),
             _ => Vec::new(),
@@ -370,6 +371,10 @@ impl Estimate for GaussNewton {
         }
         match self.settings.on_confounded {
             OnConfounded::Error => Err(confounded(&found)),
+            OnConfounded::MinimumNorm if !problem.known.unknowns.is_empty() => {
+                let error = Error::usage("a minimum-norm solution has no definite answer to what `known` takes over");
+                Err(error.help("use `on_confounded: drop`").setting("on_confounded"))
+            }
             OnConfounded::MinimumNorm => self.solve(problem, Some(found)),
             OnConfounded::Drop => {
                 let dropped = factor.spectrum().dependent(found.rank);
@@ -393,6 +398,34 @@ impl Estimate for GaussNewton {
         let factor = factor_at_contact(problem, &problem.start())?;
         Ok(identifiability(problem, &factor, self.settings.rank_tolerance))
     }
+}
+
+/// Adds what the uncertainty of known parameters does to the estimates, `G K G^T` with their covariance K and the answer
+/// G of the estimates to them; appends the known ones themselves.
+fn consider(problem: &Problem, x: &[f64], kept: Option<&[f64]>, covariance: &mut Vec<Vec<f64>>) -> Result<()> {
+    let known = &problem.known;
+    let (own, others) = (problem.unknowns.len(), known.unknowns.len());
+    if others == 0 {
+        return Ok(());
+    }
+    let mut extended = problem.at(x);
+    extended.unknowns.extend(known.unknowns.iter().cloned());
+    let answer = factor(&extended, &extended.start(), kept)?.sensitivity(own);
+    let times = |row: &[f64], column: usize| -> f64 {
+        row.iter().zip(&known.covariance).map(|(answer, line)| answer * line[column]).sum()
+    };
+    let cross: Vec<Vec<f64>> =
+        answer.iter().map(|row| (0..others).map(|column| times(row, column)).collect()).collect();
+    for row in 0..own {
+        for column in 0..own {
+            covariance[row][column] += cross[row].iter().zip(&answer[column]).map(|(a, b)| a * b).sum::<f64>();
+        }
+        covariance[row].extend(&cross[row]);
+    }
+    for (column, line) in known.covariance.iter().enumerate() {
+        covariance.push(cross.iter().map(|row| row[column]).chain(line.iter().copied()).collect());
+    }
+    Ok(())
 }
 
 /// How the residuals scatter.
@@ -491,13 +524,17 @@ fn calibration(
 ) -> Calibration {
     let lost = |name: &str| fit.null_space.iter().any(|vector| vector.combination.iter().any(|part| part.name == name));
     let estimated = |owner: Owner, index: usize, name: String, unit: abbe_core::Unit, fixed: f64| {
-        let chosen = problem.unknowns.iter().position(|unknown| unknown.owner == owner && unknown.index == index);
-        let (value, standard_uncertainty, status) = match chosen {
-            Some(column) => {
+        let here = |unknown: &Unknown| unknown.owner == owner && unknown.index == index;
+        let uncertainty = |column: usize| covariance[column][column].max(0.0).sqrt();
+        let chosen = problem.unknowns.iter().position(here);
+        let considered = problem.known.unknowns.iter().position(here);
+        let (value, standard_uncertainty, status) = match (chosen, considered) {
+            (Some(column), _) => {
                 let status = if lost(&name) { Status::Confounded } else { Status::Estimated };
-                (x[column], covariance[column][column].max(0.0).sqrt(), status)
+                (x[column], uncertainty(column), status)
             }
-            None => (fixed, 0.0, Status::Fixed),
+            (None, Some(known)) => (fixed, uncertainty(problem.unknowns.len() + known), Status::Considered),
+            (None, None) => (fixed, 0.0, Status::Fixed),
         };
         Estimated { name, value, unit: unit.to_string(), standard_uncertainty, status }
     };
@@ -519,7 +556,7 @@ fn calibration(
         parameters: parameters.collect(),
         artefacts,
         covariance: Covariance {
-            order: problem.unknowns.iter().map(|unknown| unknown.name.clone()).collect(),
+            order: problem.unknowns.iter().chain(&problem.known.unknowns).map(|unknown| unknown.name.clone()).collect(),
             rows: covariance,
         },
         outliers,
