@@ -126,7 +126,8 @@ fn bench(save: bool) -> Outcome {
     if save {
         let ratios: BTreeMap<&String, f64> =
             seconds.iter().map(|(name, time)| (name, (time / unit * 100.0).round() / 100.0)).collect();
-        let text = serde_json::to_string_pretty(&json!({ "unit": UNIT, "ratios": ratios })).map_err(|error| error.to_string())?;
+        let text = serde_json::to_string_pretty(&json!({ "unit": UNIT, "ratios": ratios }))
+            .map_err(|error| error.to_string())?;
         return fs::write(&file, text + "\n").map_err(|error| format!("{}: {error}", file.display()));
     }
     let text = fs::read_to_string(&file).map_err(|error| format!("{}: {error}", file.display()))?;

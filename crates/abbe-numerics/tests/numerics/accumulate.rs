@@ -163,3 +163,31 @@ fn too_few_rows_are_a_singular_problem() {
     let empty = Accumulator::new(3, 0).finish();
     assert_eq!((empty.rows(), empty.cost(), empty.singular_values().rank(1e-12)), (0, 0.0, 0));
 }
+
+/// Two ways to the same end: shift a known unknown and solve again for the others, or ask for their sensitivity.
+#[test]
+fn the_sensitivity_is_what_shifting_a_known_unknown_does() {
+    let mut worst = 0.0_f64;
+    for seed in 0..20 {
+        let mut random = Random::new(900 + seed);
+        let (own, others) = (2 + random.below(5), 1 + random.below(3));
+        let problem = Linear::random(&mut random, 40, own + others);
+        let factor = problem.factor(40);
+        let reduced = |shift: Option<usize>| {
+            let mut reduced = problem.clone();
+            for (row, residual) in reduced.rows.iter_mut().zip(&mut reduced.residuals) {
+                *residual += shift.map_or(0.0, |known| row[own + known]);
+                row.truncate(own);
+            }
+            reduced.factor(40).step().expect("full rank")
+        };
+        let before = reduced(None);
+        let sensitivity = factor.sensitivity(own);
+        for known in 0..others {
+            for (unknown, (after, before)) in reduced(Some(known)).iter().zip(&before).enumerate() {
+                worst = worst.max((after - before - sensitivity[unknown][known]).abs());
+            }
+        }
+    }
+    assert!(worst < 1e-12, "{worst}");
+}
