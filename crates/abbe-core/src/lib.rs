@@ -36,7 +36,7 @@ pub use pattern::matches;
 pub use pose_table::{ColumnNaming, PoseTable, StatusSource, plain_naming, pose_columns};
 pub use problem::{Block, Known, ObservationSet, Owner, Problem, Unknown};
 pub use registry::{Build, Constructor, Context, Kind, Origin, Plugin, Provider, Registry};
-pub use settings::{Label, PathItem, SettingsError, from_settings, path_text, schema_of};
+pub use settings::{Label, PathItem, SettingsError, from_settings, path_text, positive, schema_of};
 pub use stage::{Artefact, Estimate, Export, ExportedFile, Fit, Ingest, InputFile, Model, Validate};
 pub use unit::{Quantity, Unit};
 pub use verdict::{Figure, Findings, Verdict};

@@ -131,6 +131,14 @@ pub fn from_settings<T: DeserializeOwned>(settings: &Value) -> Result<T, Setting
     })
 }
 
+/// Refuses a setting that is not a positive finite number.
+pub fn positive(name: &str, value: f64) -> Result<f64, SettingsError> {
+    match value > 0.0 && value.is_finite() {
+        true => Ok(value),
+        false => Err(SettingsError::new(name, format!("{value}: a positive number was expected"))),
+    }
+}
+
 /// The JSON Schema of a settings type, as a plain value.
 pub fn schema_of<T: JsonSchema>() -> Value {
     schemars::generate::SchemaSettings::draft2020_12()

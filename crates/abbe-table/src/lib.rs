@@ -109,6 +109,31 @@ pub fn unique_labels<'a>(data: &'a Dataset, name: &str) -> Result<BTreeMap<&'a s
     Ok(rows)
 }
 
+/// Which rows touch which features.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct Touched {
+    /// Rows that touch a feature, with its index in `features`.
+    pub rows: Vec<(usize, usize)>,
+    /// The nominal features that are touched, ascending.
+    pub features: Vec<usize>,
+}
+
+/// Sorts rows by the nominal feature that each touches, none for rows of other artefacts. A feature that nobody touched is
+/// left out.
+pub fn touched(of_rows: &[Option<usize>], nominal: &Path) -> Result<Touched> {
+    let mut features: Vec<usize> = of_rows.iter().flatten().copied().collect();
+    features.sort_unstable();
+    features.dedup();
+    if features.is_empty() {
+        let error = Error::data(format!("no row touches a feature of {}", nominal.display()));
+        return Err(error.help("`feature` in the data and in the nominal file have to agree"));
+    }
+    let place = |feature: usize| features.binary_search(&feature).ok();
+    let rows = of_rows.iter().enumerate();
+    let rows = rows.filter_map(|(row, feature)| feature.and_then(place).map(|place| (row, place))).collect();
+    Ok(Touched { rows, features })
+}
+
 /// The points that three columns of lengths hold (`["x", "y", "z"]`), mm, one a row.
 pub fn points(data: &Dataset, names: [&str; 3]) -> Result<Vec<[f64; 3]>> {
     triples(data, names, Quantity::Length)

@@ -11,7 +11,7 @@ use std::sync::Arc;
 use abbe_core::{
     Artefact, Build, ColumnHeader, Constructor, Contact, Context, Dataset, Equations, Error, Feature, InputFile,
     KinematicModel, KnownInput, Label, Layout, Observations, Parameter, PathItem, Plugin, PoseValues, Quantity, Result,
-    SettingsError, Target, Unit, inventory, plain_naming, pose_columns,
+    SettingsError, Target, Unit, inventory, plain_naming, pose_columns, positive,
 };
 use nalgebra::Vector3;
 use schemars::JsonSchema;
@@ -94,17 +94,11 @@ fn example() -> Value {
 
 fn build(settings: &Value, context: &Context) -> Result<Box<dyn Artefact>, SettingsError> {
     let settings: Settings = abbe_core::from_settings(settings)?;
-    if !(settings.standard_uncertainty_um > 0.0 && settings.standard_uncertainty_um.is_finite()) {
-        return Err(SettingsError::new("standard_uncertainty_um", "a positive number was expected"));
-    }
+    positive("standard_uncertainty_um", settings.standard_uncertainty_um)?;
     for (index, distance) in settings.distances.iter().enumerate() {
         let at = |error: SettingsError| error.under([PathItem::Key("distances".to_owned()), PathItem::Index(index)]);
-        if !(distance.length_mm > 0.0 && distance.length_mm.is_finite()) {
-            return Err(at(SettingsError::new("length_mm", "a positive length was expected")));
-        }
-        if !(distance.standard_uncertainty_um > 0.0 && distance.standard_uncertainty_um.is_finite()) {
-            return Err(at(SettingsError::new("standard_uncertainty_um", "a positive number was expected")));
-        }
+        positive("length_mm", distance.length_mm).map_err(at)?;
+        positive("standard_uncertainty_um", distance.standard_uncertainty_um).map_err(at)?;
         if distance.between[0] == distance.between[1] {
             return Err(at(SettingsError::new("between", "two different balls were expected")));
         }
@@ -179,22 +173,13 @@ impl Artefact for Balls {
             Rows::Touches => vec![uncertainty],
             Rows::Centres => vec![uncertainty; 3],
         };
-        let mut touched = Vec::new();
-        for (row, ball) in self.ball_of_rows(data, &nominal)?.into_iter().enumerate() {
-            if let Some(ball) = ball {
-                layout.push(model, row, &uncertainties)?;
-                touched.push(ball);
-            }
+        let of_rows = self.ball_of_rows(data, &nominal)?;
+        let touched = abbe_table::touched(&of_rows, &self.nominal)?;
+        for (row, _) in &touched.rows {
+            layout.push(model, *row, &uncertainties)?;
         }
-        if touched.is_empty() {
-            let error = Error::data(format!("no row touches a ball of {}", self.nominal.display()));
-            return Err(error.help("`feature` in the data and in the nominal file have to agree"));
-        }
-        let mut kept = touched.clone();
-        kept.sort_unstable();
-        kept.dedup();
-        let ball_of_row = touched.iter().map(|ball| kept.binary_search(ball).unwrap_or_default()).collect();
-        let balls: Vec<Ball> = kept.iter().map(|&ball| nominal[ball].clone()).collect();
+        let ball_of_row = touched.rows.iter().map(|(_, ball)| *ball).collect();
+        let balls: Vec<Ball> = touched.features.iter().map(|&ball| nominal[ball].clone()).collect();
 
         let mut unknowns = Vec::new();
         let estimated = self.settings.radius == Radius::Estimated;

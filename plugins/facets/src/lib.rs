@@ -10,7 +10,7 @@ use std::sync::Arc;
 use abbe_core::{
     Artefact, Build, ColumnHeader, Constructor, Contact, Context, Dataset, Equations, Error, Feature, InputFile,
     KinematicModel, KnownInput, Layout, Observations, Parameter, Plugin, PoseValues, Quantity, Result, SettingsError,
-    Target, Unit, inventory, plain_naming, pose_columns,
+    Target, Unit, inventory, plain_naming, pose_columns, positive,
 };
 use nalgebra::Vector3;
 use schemars::JsonSchema;
@@ -46,9 +46,7 @@ fn example() -> Value {
 
 fn build(settings: &Value, context: &Context) -> Result<Box<dyn Artefact>, SettingsError> {
     let settings: Settings = abbe_core::from_settings(settings)?;
-    if !(settings.standard_uncertainty_um > 0.0 && settings.standard_uncertainty_um.is_finite()) {
-        return Err(SettingsError::new("standard_uncertainty_um", "a positive number was expected"));
-    }
+    positive("standard_uncertainty_um", settings.standard_uncertainty_um)?;
     Ok(Box::new(Facets { nominal: context.path(&settings.nominal), settings }))
 }
 
@@ -113,23 +111,14 @@ impl Artefact for Facets {
             nominal.iter().enumerate().map(|(index, facet)| (facet.label.as_str(), index)).collect();
         let mut layout = Layout::new(data, model, &[&plain_naming])?;
         let uncertainty = self.settings.standard_uncertainty_um * 1e-3;
-        let mut touched = Vec::new();
-        for (row, label) in abbe_table::labels(data, "feature")?.iter().enumerate() {
-            if let Some(&facet) = by_label.get(label.as_str()) {
-                layout.push(model, row, &[uncertainty])?;
-                touched.push(facet);
-            }
+        let labels = abbe_table::labels(data, "feature")?.iter();
+        let of_rows: Vec<Option<usize>> = labels.map(|label| by_label.get(label.as_str()).copied()).collect();
+        let touched = abbe_table::touched(&of_rows, &self.nominal)?;
+        for (row, _) in &touched.rows {
+            layout.push(model, *row, &[uncertainty])?;
         }
-        if touched.is_empty() {
-            let error = Error::data(format!("no row touches a facet of {}", self.nominal.display()));
-            return Err(error.help("`feature` in the data and in the nominal file have to agree"));
-        }
-        // A facet that was never touched is no unknown.
-        let mut kept = touched.clone();
-        kept.sort_unstable();
-        kept.dedup();
-        let facet_of_row = touched.iter().map(|facet| kept.binary_search(facet).unwrap_or_default()).collect();
-        let facets: Vec<Facet> = kept.iter().map(|&facet| nominal[facet].clone()).collect();
+        let facet_of_row = touched.rows.iter().map(|(_, facet)| *facet).collect();
+        let facets: Vec<Facet> = touched.features.iter().map(|&facet| nominal[facet].clone()).collect();
         let unknowns =
             facets.iter().map(|facet| Parameter { name: format!("facet[{}].d", facet.label), unit: Unit::MM });
         let radius = KnownInput {

@@ -9,7 +9,7 @@ use std::sync::Arc;
 use abbe_core::{
     Absent, Artefact, Axis, AxisKind, Build, ColumnHeader, Constructor, Contact, Context, Dataset, Equations, Error,
     Feature, InputFile, KinematicModel, KnownInput, Layout, Observations, Parameter, Plugin, PoseValues, Poses,
-    Quantity, Result, SettingsError, StatusColumn, Target, Unit, inventory, pose_columns,
+    Quantity, Result, SettingsError, StatusColumn, Target, Unit, inventory, pose_columns, positive,
 };
 use nalgebra::Vector3;
 use schemars::JsonSchema;
@@ -58,9 +58,7 @@ fn example() -> Value {
 
 fn build(settings: &Value, _: &Context) -> Result<Box<dyn Artefact>, SettingsError> {
     let settings: Settings = abbe_core::from_settings(settings)?;
-    if !(settings.standard_uncertainty_um > 0.0 && settings.standard_uncertainty_um.is_finite()) {
-        return Err(SettingsError::new("standard_uncertainty_um", "a positive number was expected"));
-    }
+    positive("standard_uncertainty_um", settings.standard_uncertainty_um)?;
     Ok(Box::new(Lengths { settings }))
 }
 
