@@ -8,7 +8,7 @@ use std::path::PathBuf;
 use std::sync::Arc;
 
 use abbe_core::{
-    Artefact, Build, ColumnHeader, Constructor, Contact, Context, Dataset, Equations, Error, Feature, InputFile,
+    Artefact, Build, ColumnHeader, Constructor, Contact, Context, Dataset, Equations, Feature, InputFile,
     KinematicModel, KnownInput, Layout, Observations, Parameter, Plugin, PoseValues, Quantity, Result, SettingsError,
     Target, Unit, inventory, plain_naming, pose_columns, positive,
 };

@@ -184,8 +184,8 @@ fn the_sensitivity_is_what_shifting_a_known_unknown_does() {
         let before = reduced(None);
         let sensitivity = factor.sensitivity(own);
         for known in 0..others {
-            for (unknown, (after, before)) in reduced(Some(known)).iter().zip(&before).enumerate() {
-                worst = worst.max((after - before - sensitivity[unknown][known]).abs());
+            for ((after, before), answer) in reduced(Some(known)).iter().zip(&before).zip(&sensitivity) {
+                worst = worst.max((after - before - answer[known]).abs());
             }
         }
     }
