@@ -155,31 +155,49 @@ pub struct Combination {
     pub name: String,
     /// Change in parameter units.
     pub coefficient: f64,
+    /// The unit.
+    pub unit: String,
 }
 
 impl NullVector {
-    /// One sentence for people: which unknowns cannot be told apart.
+    /// One sentence for people: which unknowns cannot be told apart, and the sizes that cancel each other.
     pub fn describe(&self) -> String {
         let names: Vec<&str> = self.combination.iter().map(|part| part.name.as_str()).collect();
         match names.as_slice() {
             [] => "a direction without a name is lost".to_owned(),
             [one] => format!("{one} has no effect on these measurements"),
-            [one, other] => format!("{one} and {other} cannot be told apart by these measurements"),
-            [..] => {
-                let shown: Vec<String> = self
-                    .combination
-                    .iter()
-                    .take(8)
-                    .map(|part| format!("{} {:+.4e}", part.name, part.coefficient))
-                    .collect();
-                let rest = names.len().saturating_sub(8);
-                let more = if rest > 0 { format!(" and {rest} more") } else { String::new() };
-                format!(
-                    "these measurements do not change when all of these change together: {}{more}",
-                    shown.join(", ")
-                )
+            [one, other] => {
+                format!("{one} and {other} cannot be told apart by these measurements ({})", self.changes())
             }
+            [..] => format!("these measurements do not change when all of these do: {}", self.changes()),
         }
+    }
+
+    /// The changes in the units that people read, the first one unit large.
+    fn changes(&self) -> String {
+        const SHOWN: usize = 8;
+        let for_people = |part: &Combination| part.unit.parse().map_or((part.unit.clone(), 1.0), Unit::for_people);
+        let first = self.combination.first().map_or(1.0, |part| part.coefficient * for_people(part).1);
+        let changes = self.combination.iter().take(SHOWN).map(|part| {
+            let (symbol, factor) = for_people(part);
+            let change = part.coefficient * factor / first;
+            // Four digits, without an exponent where people read none.
+            match change.abs() {
+                size if (1e-3..1e5).contains(&size) => {
+                    let decimals = (3 - size.log10().floor() as i32).clamp(0, 6) as usize;
+                    let text = format!("{change:+.decimals$}");
+                    let text =
+                        if text.contains('.') { text.trim_end_matches('0').trim_end_matches('.') } else { &text };
+                    format!("{} {text} {symbol}", part.name)
+                }
+                _ => format!("{} {change:+.3e} {symbol}", part.name),
+            }
+        });
+        let more = match self.combination.len().saturating_sub(SHOWN) {
+            0 => String::new(),
+            rest => format!(" and {rest} more"),
+        };
+        changes.collect::<Vec<_>>().join(", ") + &more
     }
 }
 

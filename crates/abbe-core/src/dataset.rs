@@ -2,7 +2,7 @@
 
 use std::path::PathBuf;
 
-use crate::error::{Error, Result};
+use crate::error::{Error, Result, nearest};
 use crate::unit::Quantity;
 
 /// The name of a column, as found in a file's header.
@@ -115,8 +115,17 @@ impl Dataset {
 
 /// The error for a column that is not there, with the nearest that is.
 pub(crate) fn missing_column(file: Option<&PathBuf>, name: &str, headers: &[ColumnHeader]) -> Error {
-    let error = Error::usage(format!("there is no column `{name}`; the columns are {}", list(headers)))
-        .suggest(name, headers.iter().map(|header| header.header.as_str()));
+    let (base, ..) = Quantity::of_column(name);
+    let near = nearest(base, headers.iter().map(|header| header.name.as_str()));
+    let near = near.and_then(|near| headers.iter().find(|header| header.name == near));
+    let mut error = Error::usage(format!("there is no column `{name}`; the columns are {}", list(headers)));
+    if let [only] = headers
+        && let Some(other) = [';', '\t'].into_iter().find(|other| only.header.contains(*other))
+    {
+        error = error.help(format!("the cells seem to be separated by {other:?}; commas were expected"));
+    } else if let Some(near) = near {
+        error = error.help(format!("did you mean `{}`?", near.header));
+    }
     match file {
         Some(file) => error.in_file(file),
         None => error,

@@ -203,6 +203,12 @@ pub trait Observations: Send + Sync {
     /// Residuals and derivatives of some rows, in the order of `rows`; `poses` has their poses one after another.
     fn evaluate(&self, rows: &[usize], poses: PoseValues<'_>, own: &[f64], inputs: &[f64], out: &mut Equations);
 
+    /// Where the tip of a row's pose is in nominal contact, table frame, given where it is by the model: on the feature as
+    /// estimated, without the sideways offset with which it was met. None where contact does not fix the tip.
+    fn contact_tip(&self, _row: usize, _tip: [f64; 3], _own: &[f64], _inputs: &[f64]) -> Option<[f64; 3]> {
+        None
+    }
+
     /// The features in the table frame, for those who compare or draw them.
     fn features(&self) -> Vec<Feature>;
 

@@ -36,7 +36,8 @@ mod tests {
             ("*", "", true),
             ("?", "", false),
             ("dzt[t?]", "dzt[t12]", false),
-            ("*[t*]", "dzt[day2.t1]", true),
+            ("*[t*]", "dzt[day2.t1]", false),
+            ("dzt[*t?]", "dzt[day2.t1]", true),
             ("", "x", false),
         ];
         for (pattern, name, expected) in cases {

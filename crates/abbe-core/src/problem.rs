@@ -383,11 +383,11 @@ impl Problem {
         Ok(())
     }
 
-    /// The same problem with every touched row moved to where, by the model at `x`, contact really is: the linear axes
-    /// move by as little as possible until the row's equations hold.
+    /// The same problem with every touched row moved to where, by the model at `x`, nominal contact is: the linear axes
+    /// bring the tip to [`Observations::contact_tip`], or move by as little as possible until the row's equations hold.
     ///
-    /// Rank and condition are judged there. At recorded positions residuals act as if they were information: each lifts
-    /// the singular values that are really zero.
+    /// Rank and condition are judged there. At recorded positions the residuals, and the offsets with which features are
+    /// met beside their points, act as if they were information: they lift the singular values that are really zero.
     pub fn at_contact(&self, x: &[f64]) -> Result<Self> {
         let mut moved = self.at(x);
         let linear: Vec<(Variable, usize)> = (self.model.axes().iter().enumerate())
@@ -404,10 +404,11 @@ impl Problem {
             for chunk in self.sets[set].rows.chunks(CHUNK) {
                 moved.sets[set].moved = Some(Arc::new(poses.clone()));
                 // Newton's iteration converges quadratically: a step below 1e-5 mm leaves nothing that a double holds.
+                let moved_set = moved.sets[set].clone();
                 for _ in 0..8 {
                     moved.evaluate(set, chunk, &wanted, &mut work)?;
                     let table = Arc::make_mut(moved.sets[set].moved.get_or_insert_default());
-                    if work.step_to_contact(&self.sets[set], chunk, &linear, table) < 1e-5 {
+                    if work.step_to_contact(&moved_set, chunk, &linear, table) < 1e-5 {
                         break;
                     }
                 }
@@ -495,27 +496,40 @@ impl Workspace {
         if !self.equations.by_rotation.is_empty() {
             return 0.0; // Orientations are not touched into place by linear axes.
         }
-        let (mut equation, mut entry, mut largest) = (0, 0, 0.0_f64);
-        for row in rows.iter().map(|&row| &set.observations.layout().rows[row]) {
+        let (mut equation, mut entry, mut pose, mut largest) = (0, 0, 0, 0.0_f64);
+        for &index in rows {
+            let row = &set.observations.layout().rows[index];
             let free = row.poses * count;
-            let gradient = DMatrix::from_row_slice(
-                row.equations,
-                free,
-                &gradients[entry * count..entry * count + row.equations * free],
-            );
-            let residual = DVector::from_column_slice(&self.equations.residuals[equation..equation + row.equations]);
+            let tip = (row.poses == 1).then(|| self.poses.positions[pose]);
+            let contact =
+                tip.and_then(|tip| Some((tip, set.observations.contact_tip(index, tip, &set.own, &set.inputs)?)));
+            let (gradient, residual) = match contact {
+                Some((tip, contact)) => (
+                    DMatrix::from_fn(3, count, |axis, k| self.poses.position_derivatives[pose * count + k][axis]),
+                    DVector::from_fn(3, |axis, _| tip[axis] - contact[axis]),
+                ),
+                None => (
+                    DMatrix::from_row_slice(
+                        row.equations,
+                        free,
+                        &gradients[entry * count..entry * count + row.equations * free],
+                    ),
+                    DVector::from_column_slice(&self.equations.residuals[equation..equation + row.equations]),
+                ),
+            };
             equation += row.equations;
             entry += row.equations * row.poses;
+            pose += row.poses;
             if free == 0 {
                 continue;
             }
             let Ok(step) = gradient.svd(true, true).solve(&-residual, 1e-6) else {
                 continue;
             };
-            for pose in 0..row.poses {
+            for end in 0..row.poses {
                 for (k, (_, status)) in linear.iter().enumerate() {
-                    let step = step[pose * count + k];
-                    table.row_mut(row.first_pose + pose)[*status] += step;
+                    let step = step[end * count + k];
+                    table.row_mut(row.first_pose + end)[*status] += step;
                     largest = largest.max(step.abs());
                 }
             }

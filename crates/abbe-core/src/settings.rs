@@ -97,6 +97,14 @@ impl de::Error for SettingsError {
         Self::new("", message.to_string())
     }
 
+    fn invalid_type(unexpected: de::Unexpected<'_>, expected: &dyn de::Expected) -> Self {
+        Self::new("", format!("{} was found; {} was expected", found(unexpected), in_words(&expected.to_string())))
+    }
+
+    fn invalid_value(unexpected: de::Unexpected<'_>, expected: &dyn de::Expected) -> Self {
+        Self::invalid_type(unexpected, expected)
+    }
+
     fn unknown_field(field: &str, expected: &'static [&'static str]) -> Self {
         let mut error = Self::new("", format!("unknown setting `{field}`")).suggest(field, expected.iter().copied());
         error.key = true;
@@ -109,6 +117,36 @@ impl de::Error for SettingsError {
 
     fn unknown_variant(variant: &str, expected: &'static [&'static str]) -> Self {
         Self::new("", format!("unknown choice `{variant}`")).suggest(variant, expected.iter().copied())
+    }
+}
+
+/// What was found, in the words of people who write recipes.
+fn found(unexpected: de::Unexpected<'_>) -> String {
+    match unexpected {
+        de::Unexpected::Str(text) => format!("the text `{text}`"),
+        de::Unexpected::Unsigned(number) => format!("the number {number}"),
+        de::Unexpected::Signed(number) => format!("the number {number}"),
+        de::Unexpected::Float(number) => format!("the number {number}"),
+        de::Unexpected::Bool(value) => format!("`{value}`"),
+        de::Unexpected::Unit => "nothing".to_owned(),
+        de::Unexpected::Seq => "a list".to_owned(),
+        de::Unexpected::Map => "a map".to_owned(),
+        other => other.to_string(),
+    }
+}
+
+/// What was expected, in the words of people who write recipes.
+fn in_words(expected: &str) -> String {
+    match expected {
+        "f64" | "f32" => "a number".to_owned(),
+        "u8" | "u16" | "u32" | "u64" | "usize" => "a whole number, not negative,".to_owned(),
+        "i8" | "i16" | "i32" | "i64" | "isize" => "a whole number".to_owned(),
+        "a boolean" => "true or false".to_owned(),
+        "a string" => "a text".to_owned(),
+        "a sequence" => "a list".to_owned(),
+        other if other.starts_with("struct ") => "a map of settings".to_owned(),
+        other if other.starts_with("an array of length") => other.replace("an array of length", "a list of"),
+        other => other.to_owned(),
     }
 }
 
@@ -227,7 +265,7 @@ impl<'de> Deserializer<'de> for Json<'de> {
 
     fn deserialize_enum<V: de::Visitor<'de>>(
         self,
-        name: &'static str,
+        _: &'static str,
         variants: &'static [&'static str],
         visitor: V,
     ) -> Result<V::Value, SettingsError> {
@@ -238,7 +276,7 @@ impl<'de> Deserializer<'de> for Json<'de> {
             )),
             other => Err(SettingsError::new(
                 "",
-                format!("one of {} was expected for {name}, not {}", variants.join(", "), kind_of(other)),
+                format!("one of {} was expected, not {}", variants.join(", "), kind_of(other)),
             )),
         }
     }
@@ -262,7 +300,7 @@ mod tests {
         name: String,
         degrees: Vec<u8>,
         #[serde(default)]
-        styli: BTreeMap<u32, f64>,
+        styli: BTreeMap<String, f64>,
         #[serde(default)]
         on: Option<Choice>,
     }
@@ -279,7 +317,10 @@ mod tests {
         let cases = [
             (json!({ "name": "a", "degree": [1] }), "degree: unknown setting `degree` (did you mean `degrees`?)"),
             (json!({ "name": "a" }), "the setting `degrees` is missing"),
-            (json!({ "name": "a", "degrees": [1, "two"] }), "degrees[1]: invalid type: string \"two\", expected u8"),
+            (
+                json!({ "name": "a", "degrees": [1, "two"] }),
+                "degrees[1]: the text `two` was found; a whole number, not negative, was expected",
+            ),
             (
                 json!({ "name": "a", "degrees": [], "on": "minimum" }),
                 "on: unknown choice `minimum` (possible are: drop, minimum-norm)",

@@ -67,6 +67,11 @@ pub trait Estimate: Send + Sync {
 
     /// What the problem can determine, judged at the contact points of its start values, without solving it.
     fn identify(&self, problem: &Problem) -> Result<Identifiability>;
+
+    /// Whether it would solve a problem that can determine this much.
+    fn accepts(&self, found: &Identifiability) -> bool {
+        found.rank == found.unknowns
+    }
 }
 
 /// An estimate with everything needed to question it or to do it again on other rows.

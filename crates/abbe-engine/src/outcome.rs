@@ -63,6 +63,7 @@ impl Outcome {
     /// results of one run, whole, or none.
     pub fn write(&self, out: &Path) -> Result<PathBuf> {
         let unwritable = |error: io::Error| unwritable(out, &error);
+        is_ours(&out.join(&self.recipe))?;
         let staging = staging(out)?;
         let write = |name: &str, content: &[u8]| -> Result<()> {
             let path = staging.path().join(name);
@@ -127,10 +128,22 @@ impl Outcome {
         })
     }
 
-    /// Fails early if results could not be written to `out` in the end.
-    pub fn can_write(out: &Path) -> Result<()> {
+    /// Fails early if the results of a recipe could not be written to `out` in the end.
+    pub fn can_write(out: &Path, recipe: &str) -> Result<()> {
+        is_ours(&out.join(recipe))?;
         staging(out).map(drop)
     }
+}
+
+/// Refuses to replace anything but the results of an earlier run.
+fn is_ours(target: &Path) -> Result<()> {
+    let empty = || fs::read_dir(target).is_ok_and(|mut entries| entries.next().is_none());
+    let run = || fs::read_to_string(target.join("run.json")).is_ok_and(|text| text.contains("\"abbe_run\""));
+    if !target.exists() || (target.is_dir() && (run() || empty())) {
+        return Ok(());
+    }
+    Err(Error::data(format!("{} is there already and holds no results of a run", target.display()))
+        .help("move it away, or name another folder with `--out`"))
 }
 
 /// What the names of temporary folders begin with.

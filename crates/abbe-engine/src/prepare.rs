@@ -52,7 +52,8 @@ pub fn prepare(path: &Path, registry: &Registry) -> Result<Prepared> {
         prepared.files.extend(stage.files.iter().cloned());
         for InputFile { setting, path } in inputs {
             if !path.is_file() {
-                let error = Error::usage(format!("there is no file {}", path.display())).setting(setting);
+                let what = if path.is_dir() { "is a folder; a file was expected" } else { "does not exist" };
+                let error = Error::usage(format!("{} {what}", path.display())).setting(setting);
                 return Err(prepared.recipe.locate(error.stage(&stage.name)));
             }
             prepared.files.push(path);

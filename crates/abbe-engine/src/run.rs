@@ -37,6 +37,8 @@ pub struct Planned {
     pub estimate: String,
     /// What it can determine.
     pub identifiability: Identifiability,
+    /// Whether its estimator goes on with that.
+    pub accepted: bool,
 }
 
 /// Hears what is going on, from any thread.
@@ -52,9 +54,10 @@ impl Prepared {
         let mut planned = Vec::new();
         for stage in self.stages(Kind::Estimate) {
             let problem = self.located(stage, self.problem(stage, &data, &mut taken))?;
-            let identifiability = self.estimators[&stage.name].identify(&problem);
-            let identifiability = self.located(stage, identifiability)?;
-            planned.push(Planned { estimate: stage.name.clone(), identifiability });
+            let estimator = &self.estimators[&stage.name];
+            let identifiability = self.located(stage, estimator.identify(&problem))?;
+            let accepted = estimator.accepts(&identifiability);
+            planned.push(Planned { estimate: stage.name.clone(), identifiability, accepted });
         }
         self.nothing_left_over(&data, &taken)?;
         Ok(planned)

@@ -74,7 +74,7 @@ impl FromStr for StructuralLoop {
     type Err = ChainError;
 
     fn from_str(text: &str) -> Result<Self, ChainError> {
-        let wrong = |message: String| ChainError(format!("chain `{text}`: {message}"));
+        let wrong = |message: String| ChainError(format!("`{text}`: {message}"));
         let error = |message: String| Err(wrong(message));
         let mut rest = text.trim();
         let Some(after) = rest.strip_prefix('w') else {
@@ -172,22 +172,22 @@ mod tests {
             ("w X' Y' b Z (C1) t", Ok("w X' Y' b Z (C1) t")),
             (
                 "w X' Y' Z t",
-                Err("chain `w X' Y' Z t`: it has no bed; write `b` (or `f`) between workpiece side and tool side"),
+                Err("`w X' Y' Z t`: it has no bed; write `b` (or `f`) between workpiece side and tool side"),
             ),
             (
                 "w b X' t",
                 Err(
-                    "chain `w b X' t`: the prime of X' says that it carries the workpiece, but it stands on the tool side of the bed",
+                    "`w b X' t`: the prime of X' says that it carries the workpiece, but it stands on the tool side of the bed",
                 ),
             ),
-            ("X b t", Err("chain `X b t`: it has to begin with the workpiece `w`")),
-            ("w b X", Err("chain `w b X`: it has to end with the tool `t`")),
-            ("w b b t", Err("chain `w b b t`: it has two beds (`b` or `f`); one was expected")),
-            ("w b X X t", Err("chain `w b X X t`: axis X stands in it twice; number them, e.g. C1 and C2")),
-            ("w b Q t", Err("chain `w b Q t`: `Q` is no axis; known are X Y Z U V W (linear) and A B C S (rotary)")),
-            ("w b (S t", Err("chain `w b (S t`: the parenthesis of the spindle S is not closed")),
-            ("w b C0 t", Err("chain `w b C0 t`: `C0`: axis numbers start from 1")),
-            ("w b X t t", Err("chain `w b X t t`: nothing may follow the tool `t`, but `t` does")),
+            ("X b t", Err("`X b t`: it has to begin with the workpiece `w`")),
+            ("w b X", Err("`w b X`: it has to end with the tool `t`")),
+            ("w b b t", Err("`w b b t`: it has two beds (`b` or `f`); one was expected")),
+            ("w b X X t", Err("`w b X X t`: axis X stands in it twice; number them, e.g. C1 and C2")),
+            ("w b Q t", Err("`w b Q t`: `Q` is no axis; known are X Y Z U V W (linear) and A B C S (rotary)")),
+            ("w b (S t", Err("`w b (S t`: the parenthesis of the spindle S is not closed")),
+            ("w b C0 t", Err("`w b C0 t`: `C0`: axis numbers start from 1")),
+            ("w b X t t", Err("`w b X t t`: nothing may follow the tool `t`, but `t` does")),
         ];
         for (text, expected) in cases {
             let read = text.parse::<StructuralLoop>();

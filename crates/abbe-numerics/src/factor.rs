@@ -288,7 +288,7 @@ impl Spectrum {
     }
 
     /// A basis of what is lost beyond `rank`, as sparse as elimination makes it: the relative singular value and the
-    /// direction in scaled unknowns, its largest entry 1, what is below `1e-7` set to zero.
+    /// direction in scaled unknowns, its largest entry 1, what is below `1e-5` set to zero.
     ///
     /// Multiply by [`scale`](Self::scale) for parameter units.
     pub fn null_basis(&self, rank: usize) -> Vec<(f64, Vec<f64>)> {
@@ -325,7 +325,7 @@ impl Spectrum {
             let peak = vector.iter().copied().max_by(|a, b| a.abs().total_cmp(&b.abs())).unwrap_or(1.0);
             for value in vector.iter_mut() {
                 *value /= peak;
-                if value.abs() < 1e-7 {
+                if value.abs() < 1e-5 {
                     *value = 0.0;
                 }
             }

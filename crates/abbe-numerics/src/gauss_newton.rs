@@ -91,8 +91,8 @@ pub fn solve<P: LeastSquares + ?Sized>(problem: &P, start: &[f64], options: &Opt
     };
     // Huber's loss has one minimum and takes the estimate near enough for Tukey's, which has many.
     let phases: &[(Robust, usize)] = match robust.loss {
-        Loss::Huber => &[(robust, options.iterations)],
-        Loss::Tukey => &[(Robust::HUBER, 5), (robust, options.iterations)],
+        Loss::Huber => &[(robust, ROUNDS)],
+        Loss::Tukey => &[(Robust::HUBER, 5), (robust, ROUNDS)],
     };
     let mut weights = vec![1.0; problem.rows()];
     let mut studentised = Vec::new();
@@ -145,6 +145,9 @@ const SMALL: f64 = 1e-3;
 /// Robust weights that change by less than this have settled: what is left moves no estimate by more than about this part
 /// of its uncertainty.
 const SETTLED: f64 = 1e-4;
+
+/// Most rounds of robust weights: they settle slowly where a row is about to be left out.
+const ROUNDS: usize = 200;
 
 /// Where an iteration ended.
 struct Minimum {

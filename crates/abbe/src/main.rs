@@ -13,7 +13,7 @@ use std::path::PathBuf;
 use std::process::ExitCode;
 
 use abbe_core::{Class, Error, Origin, Registry, Result};
-use abbe_engine::{Event, Outcome, Planned, prepare};
+use abbe_engine::{Event, Outcome, prepare};
 use clap::{Parser, Subcommand};
 use indicatif::{ProgressBar, ProgressStyle};
 use serde_json::{Value, json};
@@ -72,7 +72,10 @@ fn main() -> ExitCode {
             Ok(()) => ExitCode::from(status),
             // Whoever reads our output has seen enough.
             Err(error) if error.kind() == io::ErrorKind::BrokenPipe => ExitCode::from(status),
-            Err(_) => ExitCode::from(1),
+            Err(error) => {
+                eprintln!("the output cannot be written: {error}");
+                ExitCode::from(1)
+            }
         },
         Err(error) => {
             if machine {
@@ -94,7 +97,7 @@ fn dispatch(command: Command) -> Result<(String, u8)> {
     match command {
         Command::Run { recipe, out, json } => {
             let prepared = prepare(&recipe, &registry)?;
-            Outcome::can_write(&out)?;
+            Outcome::can_write(&out, &prepared.recipe.id)?;
             let bar = ProgressBar::new(0).with_style(style());
             let outcome = prepared.run(&|event| show(&bar, event))?;
             bar.finish_and_clear();
@@ -109,8 +112,7 @@ fn dispatch(command: Command) -> Result<(String, u8)> {
         Command::Check { recipe, json } => {
             let prepared = prepare(&recipe, &registry)?;
             let planned = prepared.check()?;
-            let determined = |planned: &Planned| planned.identifiability.rank == planned.identifiability.unknowns;
-            let status = if planned.iter().all(determined) { 0 } else { 1 };
+            let status = if planned.iter().all(|planned| planned.accepted) { 0 } else { 1 };
             let text = match json {
                 true => pretty(&summary::planned_json(&planned))?,
                 false => summary::planned_text(&prepared.recipe, &planned),

@@ -18,6 +18,7 @@ pub fn text(name: &str, outcome: &Outcome, folder: &Path) -> String {
         parts.push(section("Fits", &fits(&outcome.fits)));
         parts.extend(outliers(&outcome.fits));
         parts.extend(lost(&outcome.fits));
+        parts.extend(unlikely(&outcome.fits));
     }
     parts.extend(outcome.verdicts.iter().map(verdict));
     parts.push(format!("Results: {}\n", folder.display()));
@@ -57,7 +58,16 @@ fn parameters(fits: &[Fit]) -> String {
         }),
     );
     rows.push(own);
-    table::text(&rows, &columns(fits.len(), 2))
+    let mut text = table::text(&rows, &columns(fits.len(), 2));
+    let has =
+        |status| fits.iter().any(|fit| fit.calibration.parameters.iter().any(|estimated| estimated.status == status));
+    if has(Status::Confounded) {
+        text.push_str("  ? the data cannot separate this value from others; see below\n");
+    }
+    if has(Status::Considered) {
+        text.push_str("  (in parentheses) known from an earlier estimate; its uncertainty counts\n");
+    }
+    text
 }
 
 fn cell(estimated: &Estimated, factor: f64) -> String {
@@ -117,6 +127,23 @@ fn lost(fits: &[Fit]) -> Option<String> {
     });
     let text: String = lines.collect();
     (!text.is_empty()).then(|| section("Not determined", &text))
+}
+
+/// A scatter from which a fit is not believed: stated uncertainties are rarely off by more.
+const UNLIKELY: f64 = 5.0;
+
+fn unlikely(fits: &[Fit]) -> Option<String> {
+    let fits = fits.iter().filter(|fit| fit.calibration.fit.sigma > UNLIKELY);
+    let lines = fits.map(|fit| {
+        format!(
+            "  {}: the residuals scatter {} times as much as the stated uncertainties promise: the model lacks errors, or units, \
+             signs or uncertainties are wrong\n",
+            fit.name,
+            short(fit.calibration.fit.sigma)
+        )
+    });
+    let text: String = lines.collect();
+    (!text.is_empty()).then(|| section("Hard to believe", &text))
 }
 
 fn verdict(verdict: &Verdict) -> String {
@@ -228,6 +255,6 @@ pub fn planned_text(recipe: &Recipe, planned: &[Planned]) -> String {
 /// What the planned fits can determine, for machines.
 pub fn planned_json(planned: &[Planned]) -> Value {
     let planned =
-        planned.iter().map(|planned| json!({ "estimate": planned.estimate, "planned": planned.identifiability }));
+        planned.iter().map(|planned| json!({ "estimate": planned.estimate, "planned": planned.identifiability, "accepted": planned.accepted }));
     json!({ "estimates": planned.collect::<Vec<_>>() })
 }

@@ -320,6 +320,18 @@ impl Observations for Touches {
         }
     }
 
+    fn contact_tip(&self, row: usize, tip: [f64; 3], own: &[f64], inputs: &[f64]) -> Option<[f64; 3]> {
+        let ball = *self.ball_of_row.get(row)?;
+        let centre = self.centre(ball, own);
+        let outward = (Vector3::from(tip) - centre).try_normalize(0.0)?;
+        let distance = match self.rows {
+            Rows::Touches if self.estimated => self.balls[ball].radius + own[self.first_own(ball) + 3] + inputs[0],
+            Rows::Touches => self.balls[ball].radius + inputs[0],
+            Rows::Centres => 0.0,
+        };
+        Some((centre + distance * outward).into())
+    }
+
     fn features(&self) -> Vec<Feature> {
         let balls = self.balls.iter().enumerate();
         balls

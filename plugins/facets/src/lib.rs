@@ -172,6 +172,12 @@ impl Observations for Touches {
         }
     }
 
+    fn contact_tip(&self, row: usize, _: [f64; 3], own: &[f64], inputs: &[f64]) -> Option<[f64; 3]> {
+        let index = self.facet_of_row[row];
+        let Facet { point, normal, .. } = &self.facets[index];
+        Some((point + (own[index] + inputs[0]) * normal).into())
+    }
+
     fn features(&self) -> Vec<Feature> {
         let facets = self.facets.iter().enumerate();
         facets

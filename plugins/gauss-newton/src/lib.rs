@@ -253,7 +253,11 @@ fn null_space(problem: &Problem, spectrum: &Spectrum, rank: usize) -> Vec<NullVe
         let mut parts: Vec<(f64, Combination)> = Vec::new();
         for (unknown, (&effect, &scale)) in problem.unknowns.iter().zip(direction.iter().zip(spectrum.scale())) {
             if effect != 0.0 {
-                let combination = Combination { name: unknown.name.clone(), coefficient: effect * scale };
+                let combination = Combination {
+                    name: unknown.name.clone(),
+                    coefficient: effect * scale,
+                    unit: unknown.unit.to_string(),
+                };
                 parts.push((effect.abs(), combination));
             }
         }
@@ -272,10 +276,10 @@ fn null_space(problem: &Problem, spectrum: &Spectrum, rank: usize) -> Vec<NullVe
 fn confounded(found: &Identifiability) -> Error {
     let lost: Vec<String> = found.null_space.iter().map(NullVector::describe).collect();
     Error::data(format!(
-        "the data determine {} of {} unknowns: {}",
+        "the data determine {} of {} unknowns:\n- {}",
         found.rank,
         found.unknowns,
-        lost.join("; ")
+        lost.join("\n- ")
     ))
     .help("leave one of each combination out of `parameters`, add measurements that tell them apart, or set `on_confounded`")
 }
@@ -304,9 +308,15 @@ impl GaussNewton {
         let rank = lost.as_ref().map_or(problem.unknowns.len(), |lost| lost.rank);
         let options = Options { iterations: self.settings.iterations, tolerance: 1e-9, rank, robust: self.robust() };
         let solution = solve(&Weighted::new(problem), &problem.start(), &options)?;
-        if solution.end == End::NoProgress {
-            return Err(Error::data("the iteration does not converge: no step makes the residuals smaller")
-                .help("check units, signs and features of the data, or start from a calibration (`start`)"));
+        let failed = match solution.end {
+            End::Converged => None,
+            End::NoProgress => Some("no step makes the residuals smaller".to_owned()),
+            End::IterationLimit => Some(format!("after {} iterations it still moves", solution.iterations)),
+        };
+        if let Some(failed) = failed {
+            return Err(Error::data(format!("the iteration does not converge: {failed}")).help(
+                "check units, signs and features of the data, choose fewer parameters, or `start` from a calibration",
+            ));
         }
         let at_contact = problem.at_contact(&solution.x)?;
         // What is left out by its weight does not inform; what is weighed down still does.
@@ -335,11 +345,6 @@ impl GaussNewton {
             (Some(report), Some(robust)) => outliers(problem, &residuals, report, robust),
             _ => Vec::new(),
         };
-        let termination = match solution.end {
-            End::Converged => Termination::Converged,
-            End::NoProgress => Termination::NoProgress,
-            End::IterationLimit => Termination::IterationLimit,
-        };
         let fit = FitReport {
             observations: spread.used,
             unknowns: problem.unknowns.len(),
@@ -348,7 +353,7 @@ impl GaussNewton {
             degrees_of_freedom: spread.degrees_of_freedom,
             sigma: spread.sigma,
             iterations: solution.iterations,
-            termination,
+            termination: Termination::Converged,
             residual_max_um: spread.max * 1e3,
             residual_mean_abs_um: spread.mean_abs * 1e3,
             residual_rms_um: spread.rms * 1e3,
@@ -382,8 +387,11 @@ impl Estimate for GaussNewton {
                 tracing::warn!("{}: left at their start values: {}", problem.name, names.join(", "));
                 let reduced = problem.without(|unknown| names.contains(&unknown.name.as_str()));
                 let mut calibration = self.solve(&reduced, None)?;
+                // Whoever shares a lost direction has a value only as long as those left behind have theirs.
+                let parts = found.null_space.iter().flat_map(|vector| &vector.combination);
+                let shared: Vec<&str> = parts.map(|part| part.name.as_str()).collect();
                 for estimated in calibration.parameters.iter_mut().chain(&mut calibration.artefacts) {
-                    if names.contains(&estimated.name.as_str()) {
+                    if shared.contains(&estimated.name.as_str()) || names.contains(&estimated.name.as_str()) {
                         estimated.status = Status::Confounded;
                     }
                 }
@@ -392,6 +400,10 @@ impl Estimate for GaussNewton {
                 Ok(calibration)
             }
         }
+    }
+
+    fn accepts(&self, found: &Identifiability) -> bool {
+        found.rank == found.unknowns || self.settings.on_confounded != OnConfounded::Error
     }
 
     fn identify(&self, problem: &Problem) -> Result<Identifiability> {

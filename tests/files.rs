@@ -1,0 +1,145 @@
+//! The files of a run: their schemas, and that a calibration stands on its own.
+
+use abbe_core::{Calibration, Poses, Problem};
+use abbe_engine::model_of;
+use serde_json::{Value, json};
+
+use crate::plugins::valid;
+use crate::support::{Variant, json_file, read, recipes, registry, root, temporary};
+
+fn schema(name: &str) -> Value {
+    json_file(&root().join(format!("docs/schemas/{name}.schema.json")))
+}
+
+#[test]
+fn results_are_as_their_schemas_say_and_calibrations_stand_on_their_own() {
+    for (recipe, file) in recipes() {
+        let outcome = Variant::of(&file).run();
+        let out = temporary();
+        let folder = outcome.write(out.path()).unwrap_or_else(|error| panic!("{error}"));
+        valid(&recipe, &schema("verdicts"), &json_file(&folder.join("verdicts.json")));
+        valid(&recipe, &schema("run"), &json_file(&folder.join("run.json")));
+        assert!(!outcome.fits.is_empty(), "{recipe} has no estimate");
+        for fit in &outcome.fits {
+            let what = format!("{recipe}: {}", fit.name);
+            let file = folder.join(format!("{}.calibration.json", fit.name));
+            valid(&what, &schema("calibration"), &json_file(&file));
+            let read = Calibration::from_json(&read(&file)).unwrap_or_else(|error| panic!("{what}: {error}"));
+            assert!(read == fit.calibration, "{what} is read as something else than what was written");
+
+            let model = model_of(&read, &registry()).unwrap_or_else(|error| panic!("{what}: {error}"));
+            assert_eq!(model.parameters(), fit.problem.model.parameters(), "{what}");
+            assert_eq!(model.status(), fit.problem.model.status(), "{what}");
+            let values: Vec<f64> = read.parameters.iter().map(|parameter| parameter.value).collect();
+            for set in &fit.problem.sets {
+                let table = &set.observations.layout().poses;
+                let statuses: Vec<f64> = (0..table.len()).flat_map(|pose| table.row(pose).to_vec()).collect();
+                let tips = |model: &dyn abbe_core::KinematicModel| {
+                    let mut poses = Poses::default();
+                    let evaluated = model.evaluate(&statuses, &values, &[], true, &mut poses);
+                    evaluated.unwrap_or_else(|error| panic!("{what}: {error}"));
+                    assert_eq!(poses.positions.len(), table.len());
+                    poses
+                };
+                assert!(tips(model.as_ref()) == tips(fit.problem.model.as_ref()), "{what}: {} differs", set.name);
+            }
+            let rebuilt = Problem { model, ..Problem::clone(&fit.problem) };
+            let residuals = rebuilt.residuals(&rebuilt.values_of(&read)).unwrap_or_else(|error| panic!("{error}"));
+            let outliers: Vec<usize> = read.outliers.iter().map(|outlier| outlier.line).collect();
+            let kept: Vec<f64> = (residuals.iter().zip(rebuilt.equation_rows()))
+                .filter(|(_, (set, row))| {
+                    let origin = rebuilt.origin(*set, *row).map(|(_, origin)| origin.line);
+                    let blamed = read.outliers.iter().any(|outlier| outlier.stage == rebuilt.sets[*set].name);
+                    !(blamed && origin.is_some_and(|line| outliers.contains(&line)))
+                })
+                .map(|(residual, _)| residual * 1e3)
+                .collect();
+            assert_eq!(kept.len(), read.fit.observations, "{what}");
+            let rms = (kept.iter().map(|residual| residual * residual).sum::<f64>() / kept.len() as f64).sqrt();
+            let told = read.fit.residual_rms_um;
+            assert!((rms - told).abs() <= 1e-12 + 1e-9 * told, "{what}: {rms} µm, the file says {told} µm");
+        }
+    }
+}
+
+/// A calibration of one parameter and one artefact.
+fn small() -> Value {
+    let estimated = |name: &str| json!({ "name": name, "value": 0.1, "unit": "mm", "standard_uncertainty": 0.01, "status": "estimated" });
+    json!({
+        "abbe_calibration": 1,
+        "estimate": "fit",
+        "model": {
+            "plugin": "serial-chain",
+            "settings": { "chain": "w b Z t", "tool_length_mm": 100.0, "stylus_radius_mm": 3.0 },
+        },
+        "parameters": [estimated("dzt")],
+        "artefacts": [estimated("table.facet[1].d")],
+        "covariance": { "order": ["dzt", "table.facet[1].d"], "rows": [[1e-4, 0.0], [0.0, 1e-4]] },
+        "outliers": [],
+        "fit": {
+            "observations": 3, "unknowns": 2, "rank": 2, "condition": 1.0, "degrees_of_freedom": 1, "sigma": 1.0,
+            "iterations": 2, "termination": "converged",
+            "residual_max_um": 1.0, "residual_mean_abs_um": 1.0, "residual_rms_um": 1.0, "null_space": [],
+        },
+    })
+}
+
+#[test]
+fn broken_calibrations_are_refused_with_a_reason() {
+    let text = |change: fn(&mut Value)| {
+        let mut calibration = small();
+        change(&mut calibration);
+        calibration.to_string()
+    };
+    assert!(Calibration::from_json(&text(|_| {})).is_ok());
+    valid("the small calibration", &schema("calibration"), &small());
+    let cases: Vec<(&str, String)> = vec![
+        ("not_json", "abbe".to_owned()),
+        ("half_a_file", small().to_string().split_at(200).0.to_owned()),
+        ("another_json", "[1, 2]".to_owned()),
+        ("no_format", text(|it| drop(it.as_object_mut().expect("a map").remove("abbe_calibration")))),
+        ("later_format", text(|it| it["abbe_calibration"] = json!(2))),
+        ("no_covariance", text(|it| drop(it.as_object_mut().expect("a map").remove("covariance")))),
+        ("no_value", text(|it| drop(it["parameters"][0].as_object_mut().expect("a map").remove("value")))),
+        ("nan", small().to_string().replacen("0.1,", "NaN,", 1)),
+        ("null_value", text(|it| it["parameters"][0]["value"] = Value::Null)),
+        ("text_value", text(|it| it["parameters"][0]["value"] = json!("0.1"))),
+        ("negative_uncertainty", text(|it| it["artefacts"][0]["standard_uncertainty"] = json!(-0.01))),
+        ("unknown_unit", text(|it| it["parameters"][0]["unit"] = json!("furlong"))),
+        ("unknown_status", text(|it| it["parameters"][0]["status"] = json!("guessed"))),
+        ("covariance_too_small", text(|it| it["covariance"]["rows"] = json!([[1e-4]]))),
+        ("covariance_not_square", text(|it| it["covariance"]["rows"] = json!([[1e-4, 0.0], [0.0]]))),
+        ("covariance_of_nobody", text(|it| it["covariance"]["order"][1] = json!("EXX[1]"))),
+        ("covariance_not_symmetric", text(|it| it["covariance"]["rows"][0][1] = json!(1.0))),
+        ("two_of_one_name", text(|it| it["artefacts"][0]["name"] = json!("dzt"))),
+    ];
+    let mut said = String::new();
+    for (case, text) in &cases {
+        match Calibration::from_json(text) {
+            Err(error) => said.push_str(&format!("{case}: {error}\n")),
+            Ok(_) => said.push_str(&format!("{case}: TAKEN\n")),
+        }
+    }
+    insta::assert_snapshot!("broken_calibrations", said);
+    assert!(!said.contains("TAKEN"), "{said}");
+}
+
+#[test]
+fn a_calibration_of_a_model_that_cannot_be_built_is_refused() {
+    let cases: [fn(&mut Value); 3] = [
+        |it| it["model"]["plugin"] = json!("serial-chian"),
+        |it| it["model"]["settings"]["chain"] = json!("w Z t"),
+        |it| it["model"]["settings"]["tool_length_mm"] = json!("long"),
+    ];
+    let mut said = String::new();
+    for change in cases {
+        let mut calibration = small();
+        change(&mut calibration);
+        let calibration = Calibration::from_json(&calibration.to_string()).unwrap_or_else(|error| panic!("{error}"));
+        match model_of(&calibration, &registry()) {
+            Err(error) => said.push_str(&format!("{error}\n")),
+            Ok(_) => panic!("{:?} was built", calibration.model),
+        }
+    }
+    insta::assert_snapshot!("models_that_cannot_be_built", said);
+}

@@ -1,0 +1,78 @@
+//! A run that is killed leaves nothing that looks like a result: the folder of results is absent, or whole.
+
+use std::fs;
+use std::hint::black_box;
+use std::process::Stdio;
+
+use crate::support::{Small, program, tree};
+
+/// How often a run is killed, each time a little later.
+const KILLS: u32 = 40;
+
+#[test]
+fn an_interrupted_run_leaves_whole_results_or_none() {
+    let small = Small::new();
+    assert_eq!(small.abbe(&["run", "recipe.yaml", "--out", "whole"]).status, 0);
+    let whole = tree(&small.path("whole/recipe"));
+    assert!(whole.len() >= 5, "{whole:?}");
+
+    let found = kill_many(&small, |out| {
+        let _ = out;
+    });
+    for (kill, files) in found.iter().enumerate() {
+        assert!(files.is_empty() || *files == whole, "kill {kill}: {files:?}");
+    }
+    // The first one is killed before it can do anything: otherwise this test would only watch runs that went through.
+    assert!(found.iter().any(Vec::is_empty), "no run was interrupted");
+}
+
+#[test]
+fn an_interrupted_run_leaves_older_results_whole() {
+    let small = Small::new();
+    assert_eq!(small.abbe(&["run", "recipe.yaml", "--out", "whole"]).status, 0);
+    let whole = tree(&small.path("whole/recipe"));
+    let found = kill_many(&small, |out| {
+        assert_eq!(small.abbe(&["run", "recipe.yaml", "--out", out]).status, 0);
+    });
+    for (kill, files) in found.iter().enumerate() {
+        assert_eq!(*files, whole, "kill {kill}");
+    }
+}
+
+/// Prepares a folder of results, starts a run that writes into it, kills it, and lists what is in the folder then; many
+/// times, after more and more looks at the folder.
+fn kill_many(small: &Small, prepare: impl Fn(&str)) -> Vec<Vec<std::path::PathBuf>> {
+    (0..KILLS)
+        .map(|kill| {
+            let out = format!("out-{kill}");
+            prepare(&out);
+            let mut run = program(small.folder.path(), &["run", "recipe.yaml", "--out", &out])
+                .stdout(Stdio::null())
+                .stderr(Stdio::null())
+                .spawn()
+                .expect("the program starts");
+            // Half of the runs are killed after some looks; the others when they have written some of their files.
+            let mut looks = 0;
+            while run.try_wait().expect("a run can be asked").is_none() {
+                looks += 1;
+                let partial = partial_files(&small.path(&out));
+                let now = if kill % 2 == 0 { looks > kill * 40 } else { partial > (kill as usize / 2) % 8 };
+                if now {
+                    break;
+                }
+            }
+            // It may have ended by itself in the meantime.
+            let _ = run.kill();
+            run.wait().expect("a killed run ends");
+            let results = small.path(&out).join("recipe");
+            if results.exists() { tree(&results) } else { Vec::new() }
+        })
+        .collect()
+}
+
+/// How many files are being written.
+fn partial_files(out: &std::path::Path) -> usize {
+    let entries = fs::read_dir(out).into_iter().flatten().flatten();
+    let partial = entries.filter(|entry| entry.file_name().to_string_lossy().starts_with('.'));
+    partial.map(|entry| black_box(fs::read_dir(entry.path()).into_iter().flatten().count())).sum()
+}

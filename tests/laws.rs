@@ -1,0 +1,166 @@
+//! What must not change an estimate: the order of rows, the names of features, how data are spread over files, where the
+//! tool length ends and the tool offset begins. And what must not change at all: a second run.
+
+use abbe_core::Calibration;
+use serde_json::{Value, json};
+
+use crate::support::{Small, Variant, abbe, fit, read, recipes, root, temporary, tree, values, write};
+
+const FITS: [&str; 2] = ["fit-S3", "fit-S4r"];
+const DATA: [&str; 2] = ["exact", "realistic"];
+
+fn base(data: &str) -> Variant {
+    Variant::tango(data).only(&FITS)
+}
+
+/// A change of the data: reads files that the recipe names, writes changed ones, and lets the recipe read those.
+type Change = fn(Variant, &Small) -> Variant;
+
+/// Compares all estimates after a change with those before, to 1e-9 in their own units; `name` tells what a parameter is
+/// called afterwards.
+fn check(change: Change, name: fn(&str) -> String) {
+    for data in DATA {
+        let small = Small::new();
+        let changed = change(base(data), &small).run();
+        let before = base(data).run();
+        for estimate in FITS {
+            let [old, new] = [&before, &changed].map(|outcome| &fit(outcome, estimate).calibration);
+            compare(&format!("{data} {estimate}"), old, new, name);
+        }
+    }
+}
+
+fn compare(what: &str, old: &Calibration, new: &Calibration, name: fn(&str) -> String) {
+    assert_eq!(values(old).count(), values(new).count(), "{what}");
+    for was in values(old) {
+        let now = new.get(&name(&was.name)).unwrap_or_else(|| panic!("{what}: {} is gone", was.name));
+        assert_eq!((&now.unit, now.status), (&was.unit, was.status), "{what}: {}", was.name);
+        let off = (now.value - was.value).abs();
+        assert!(off <= 1e-9, "{what}: {} moved by {off:e} {}", was.name, was.unit);
+    }
+    let rows = |calibration: &Calibration| calibration.outliers.len();
+    assert_eq!(rows(new), rows(old), "{what}");
+}
+
+/// Header and rows of the file that a stage reads.
+fn rows(recipe: &Variant, stage: &str, setting: &str) -> (String, Vec<String>) {
+    let text = read(&recipe.path(stage, setting));
+    let mut lines = text.lines().map(str::to_owned);
+    (lines.next().expect("a header"), lines.collect())
+}
+
+fn write_rows(small: &Small, name: &str, header: &str, rows: &[String]) -> Value {
+    let path = small.path(name);
+    write(&path, &format!("{header}\n{}\n", rows.join("\n")));
+    json!(path)
+}
+
+#[test]
+fn the_order_of_rows_does_not_matter() {
+    check(
+        |recipe, small| {
+            let (header, mut rows) = rows(&recipe, "touches", "path");
+            let before = rows.clone();
+            // A shuffle by a linear congruential generator: the same on every machine.
+            let mut state: u64 = 20_260_101;
+            for last in (1..rows.len()).rev() {
+                state = state.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);
+                rows.swap(last, (state >> 33) as usize % (last + 1));
+            }
+            assert_ne!(rows, before);
+            let path = write_rows(small, "shuffled.csv", &header, &rows);
+            recipe.set("touches", "path", path)
+        },
+        str::to_owned,
+    );
+}
+
+/// The new name of a feature.
+fn renamed(feature: &str) -> String {
+    format!("side {feature} of the table")
+}
+
+#[test]
+fn the_names_of_features_do_not_matter() {
+    check(
+        |recipe, small| {
+            let (header, mut touches) = rows(&recipe, "touches", "path");
+            for row in &mut touches {
+                let cells: Vec<&str> = row.split(',').collect();
+                *row = [&[cells[0], &renamed(cells[1])], &cells[2..]].concat().join(",");
+            }
+            let touches = write_rows(small, "touches.csv", &header, &touches);
+            let (header, mut facets) = rows(&recipe, "table", "nominal");
+            for row in &mut facets {
+                let (feature, rest) = row.split_once(',').expect("a feature");
+                *row = format!("{},{rest}", renamed(feature));
+            }
+            let facets = write_rows(small, "facets.csv", &header, &facets);
+            let ignored = json!({ "feature": [renamed("1"), renamed("2")] });
+            recipe.set("touches", "path", touches).set("touches", "ignore", ignored).set("table", "nominal", facets)
+        },
+        |name| match name.strip_prefix("table.facet[").and_then(|rest| rest.strip_suffix("].d")) {
+            Some(feature) => format!("table.facet[{}].d", renamed(feature)),
+            None => name.to_owned(),
+        },
+    );
+}
+
+#[test]
+fn how_data_are_spread_over_files_does_not_matter() {
+    check(
+        |recipe, small| {
+            let (header, rows) = rows(&recipe, "touches", "path");
+            let (morning, evening) = rows.split_at(150);
+            let files = [("morning.csv", morning), ("evening.csv", evening)];
+            let files = files.map(|(name, rows)| write_rows(small, name, &header, rows));
+            recipe.set("touches", "path", json!(files))
+        },
+        str::to_owned,
+    );
+}
+
+#[test]
+fn where_the_tool_length_ends_and_the_offset_begins_does_not_matter() {
+    let (before, length) = (base("exact").run(), 300.0);
+    let shorter = base("exact").set("hu40t", "tool_length_mm", json!(length)).run();
+    for estimate in FITS {
+        let [old, new] = [&before, &shorter].map(|outcome| &fit(outcome, estimate).calibration);
+        for was in values(old) {
+            let now = new.get(&was.name).expect("the same unknowns").value;
+            let expected = if was.name == "dzt" { was.value + length - 326.674 } else { was.value };
+            assert!((now - expected).abs() <= 1e-9, "{estimate}: {} {now}, not {expected}", was.name);
+        }
+    }
+}
+
+#[test]
+fn a_second_run_gives_the_same_bytes() {
+    for (name, recipe) in recipes() {
+        let [one, other] = [(), ()].map(|()| {
+            let out = temporary();
+            let arguments = ["run".as_ref(), recipe.as_os_str(), "--out".as_ref(), out.path().as_os_str()];
+            assert_eq!(abbe(&root(), &arguments).status, 0, "{name}");
+            out
+        });
+        let [one, other] = [one.path().join(&name), other.path().join(&name)];
+        assert_eq!(tree(&one), tree(&other), "{name}");
+        for file in tree(&one) {
+            let [mut first, mut second] = [one.join(&file), other.join(&file)].map(|path| read(&path));
+            if file.as_os_str() == "run.json" {
+                (first, second) = (without_times(&first), without_times(&second));
+            }
+            assert!(first == second, "{name}: {} differs", file.display());
+        }
+    }
+}
+
+/// `run.json` without when the run was and how long it took.
+fn without_times(text: &str) -> String {
+    let mut record: Value = serde_json::from_str(text).expect("run.json");
+    let map = record.as_object_mut().expect("an object");
+    for time in ["started_unix_s", "duration_s"] {
+        assert!(map.remove(time).is_some_and(|value| value.is_number()), "{time}");
+    }
+    record.to_string()
+}

@@ -1,0 +1,12 @@
+//! Abbe as a whole: every recipe as a snapshot, the command line driven as a user drives it, and what must be true of
+//! the results whatever the code looks like inside.
+
+mod errors;
+mod files;
+mod first_order;
+mod interrupted;
+mod laws;
+mod plugins;
+mod recipes;
+mod support;
+mod truth;

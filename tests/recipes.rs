@@ -1,0 +1,233 @@
+//! Every recipe of the repository: what `run` and `check` print, and what stands in the calibrations.
+//!
+//! Numbers are rounded so that they hold on other machines: to three digits in the summary, and in calibrations to what
+//! the data tell. In recipes without noise (`*-exact`) what is only rounding is blotted out.
+
+use std::fmt::Write;
+use std::path::Path;
+
+use abbe_core::{Calibration, Estimated};
+
+use crate::support::{Printed, abbe, effect, files_in, read, recipes, root, temporary, values};
+
+/// A recipe whose residuals are nothing but rounding.
+fn is_exact(recipe: &str) -> bool {
+    recipe.ends_with("-exact")
+}
+
+#[test]
+fn every_recipe_runs_and_says_what_it_found() {
+    for (recipe, file) in recipes() {
+        let out = temporary();
+        let file = file.strip_prefix(root()).expect("a recipe of the workspace").to_owned();
+        let printed = abbe(&root(), &[Path::new("run"), &file, Path::new("--out"), out.path()]);
+        assert_eq!((printed.status, printed.stderr.as_str()), (0, ""), "{recipe}");
+        let summary = printed.stdout.replace(&out.path().display().to_string(), "<out>");
+        insta::assert_snapshot!(format!("{recipe}__run"), rounded(&summary, is_exact(&recipe)));
+
+        let results = out.path().join(&recipe);
+        let mut calibrations = 0;
+        for file in files_in(&results) {
+            let name = file.file_name().expect("a name").to_string_lossy().into_owned();
+            let Some(estimate) = name.strip_suffix(".calibration.json") else { continue };
+            let calibration = Calibration::from_json(&read(&file)).unwrap_or_else(|error| panic!("{name}: {error}"));
+            insta::assert_snapshot!(format!("{recipe}__{estimate}"), told(&calibration, is_exact(&recipe)));
+            calibrations += 1;
+        }
+        assert!(calibrations > 0, "{recipe} leaves no calibration");
+    }
+}
+
+#[test]
+fn every_recipe_can_be_checked() {
+    for (recipe, file) in recipes() {
+        let file = file.strip_prefix(root()).expect("a recipe of the workspace").to_owned();
+        let Printed { status, stdout, stderr } = abbe(&root(), &[Path::new("check"), &file]);
+        assert_eq!((status, stderr.as_str()), (0, ""), "{recipe}");
+        insta::assert_snapshot!(format!("{recipe}__check"), rounded(&stdout, false));
+    }
+}
+
+/// A calibration without its covariance, rounded to what the data tell: values to a hundredth of their standard
+/// uncertainty, or to what the truth comes back to where there is no noise, and to four digits at most.
+fn told(calibration: &Calibration, exact: bool) -> String {
+    let fit = &calibration.fit;
+    let mut text = format!(
+        "{} by {}: {} equations, {} unknowns, rank {}, {} degrees of freedom, {:?}\n",
+        calibration.estimate,
+        calibration.model.plugin,
+        fit.observations,
+        fit.unknowns,
+        fit.rank,
+        fit.degrees_of_freedom,
+        fit.termination,
+    );
+    for vector in &fit.null_space {
+        writeln!(text, "lost: {}", vector.describe()).expect("text");
+    }
+    for outlier in &calibration.outliers {
+        writeln!(
+            text,
+            "outlier: {} row {}, {}:{}, {:.0} µm, weight {:.1}",
+            outlier.stage, outlier.row, outlier.file, outlier.line, outlier.residual_um, outlier.weight
+        )
+        .expect("text");
+    }
+    // Without noise a fit with a complete model leaves rounding only; its uncertainties are rounding, too.
+    let noise = exact && fit.residual_max_um < 1e-3;
+    for estimated in values(calibration) {
+        let Estimated { name, value, unit, standard_uncertainty, status } = estimated;
+        let status = serde_json::to_value(status).expect("a status is text");
+        let status = status.as_str().expect("a status is text");
+        let step = if noise { tolerance(unit) } else { ten_to(standard_uncertainty * 0.01) };
+        let value = if noise { untied(*value, step) } else { to_step(*value, step) };
+        write!(text, "{name:<22}{unit:<12}{status:<12}{value:>11.3e}").expect("text");
+        if !noise && *standard_uncertainty > 0.0 {
+            write!(text, " ± {standard_uncertainty:.1e}").expect("text");
+        }
+        text.push('\n');
+    }
+    text
+}
+
+/// The power of ten above what the ill-conditioned fit of exact data returns the truth to: 1e-3 µm or 1e-2 µrad at the end
+/// of the travel.
+fn tolerance(unit: &str) -> f64 {
+    let (angle, factor) = effect(unit);
+    10.0 * ten_to(if angle { 1e-8 } else { 1e-6 } / factor)
+}
+
+/// The power of ten at or below a number.
+fn ten_to(number: f64) -> f64 {
+    if number > 0.0 { 10_f64.powf(number.log10().floor()) } else { 0.0 }
+}
+
+/// The multiple of `step` that is nearest; never minus zero.
+fn to_step(value: f64, step: f64) -> f64 {
+    let rounded = if step > 0.0 { (value / step).round() * step } else { value };
+    if rounded == 0.0 { 0.0 } else { rounded }
+}
+
+/// The nearest multiple of `step` for a value that is right up to rounding: true values have four digits, and one that ends
+/// in 5 would fall to this side or that.
+fn untied(value: f64, step: f64) -> f64 {
+    to_step(value + 0.05 * step.copysign(value), step)
+}
+
+/// The text with every decimal number rounded to three digits and put in the same place.
+///
+/// A value with its uncertainty is left as the program rounds it. Where there is no noise, what is below 0.01 is shown as
+/// `~`, and so is a value that its own tiny uncertainty covers; blanks are pressed together there, because the width of
+/// rounding varies.
+fn rounded(text: &str, exact: bool) -> String {
+    let mut lines = Vec::new();
+    for line in text.lines() {
+        // Where residuals are rounding it is chance which indexation has the largest.
+        let line = if exact && line.contains("(0.0 µm)") { "  <where rounding is largest>" } else { line };
+        let mut new = String::new();
+        let mut rest = line;
+        while let Some(start) = rest.find(|c: char| c.is_ascii_digit()) {
+            let (mut before, mut from) = rest.split_at(start);
+            // Digits of a name: `EXX[1]`, `fit-S4`, `touches.csv:68`.
+            let named = before.ends_with(|c: char| c.is_alphabetic() || "[/_".contains(c));
+            if let Some(blank) = before.strip_suffix('-')
+                && blank.ends_with([' ', '('])
+            {
+                (before, from) = rest.split_at(start - 1);
+            }
+            new.push_str(before);
+            let (number, mut after) = from.split_at(number(from));
+            let mut was = number.to_owned();
+            let mut short = if named { was.clone() } else { shorter(number, exact) };
+            if let Some(pair) = after.strip_prefix(" ± ") {
+                let (uncertainty, behind) = pair.split_at(self::number(pair));
+                was = format!("{number} ± {uncertainty}");
+                short = if exact { told_by(number, uncertainty) } else { was.clone() };
+                after = behind;
+            }
+            if before.ends_with("  ") {
+                new.push_str(&" ".repeat(was.chars().count().saturating_sub(short.chars().count())));
+            }
+            new.push_str(&short);
+            rest = after;
+        }
+        new.push_str(rest);
+        lines.push(if exact { pressed(&new) } else { new.trim_end().to_owned() });
+    }
+    lines.join("\n") + "\n"
+}
+
+/// Length of the number that a text begins with.
+fn number(text: &str) -> usize {
+    let bytes = text.as_bytes();
+    let digits = |from: usize| bytes[from..].iter().take_while(|byte| byte.is_ascii_digit()).count();
+    let sign = usize::from(bytes.first() == Some(&b'-'));
+    let mut length = sign + digits(sign);
+    if bytes.get(length) == Some(&b'.') && digits(length + 1) > 0 {
+        length += 1 + digits(length + 1);
+    }
+    if bytes.get(length) == Some(&b'e') {
+        let sign = usize::from(bytes.get(length + 1) == Some(&b'-'));
+        if digits(length + 1 + sign) > 0 {
+            length += 1 + sign + digits(length + 1 + sign);
+        }
+    }
+    length
+}
+
+/// A number in a text to three significant digits; `~` if it is rounding in a recipe without noise.
+fn shorter(number: &str, exact: bool) -> String {
+    let value: f64 = number.parse().expect("a number");
+    match number.chars().filter(char::is_ascii_digit).count() {
+        _ if !number.contains(['.', 'e']) => number.to_owned(),
+        _ if exact && value.abs() < 0.01 => "~".to_owned(),
+        digits if digits <= 3 || number.contains('e') => number.to_owned(),
+        _ => three(value, to_step),
+    }
+}
+
+/// A value with its uncertainty in a recipe without noise: what of both is not rounding.
+fn told_by(number: &str, uncertainty: &str) -> String {
+    let [value, size]: [f64; 2] = [number, uncertainty].map(|text| text.parse().expect("a number"));
+    match size < 0.01 {
+        true if value.abs() < 10.0 * size => "~ ± ~".to_owned(),
+        true => format!("{} ± ~", three(value, untied)),
+        false => format!("{number} ± {uncertainty}"),
+    }
+}
+
+/// A number to three significant digits.
+fn three(value: f64, round: fn(f64, f64) -> f64) -> String {
+    let magnitude = if value == 0.0 { 0 } else { value.abs().log10().floor() as i32 };
+    let decimals = (2 - magnitude).max(0) as usize;
+    format!("{:.decimals$}", round(value, 10_f64.powi(magnitude - 2)))
+}
+
+/// The indentation, and of all other runs of blanks two.
+fn pressed(line: &str) -> String {
+    let indentation = line.len() - line.trim_start().len();
+    let mut new = line[..indentation].to_owned();
+    let words: Vec<&str> = line.trim().split("  ").map(str::trim).filter(|word| !word.is_empty()).collect();
+    new.push_str(&words.join("  "));
+    new
+}
+
+#[test]
+fn rounding_keeps_what_is_told_and_drops_the_rest() {
+    let cases = [
+        ("  dxt   µm   61.12 ± 3.11", false, "  dxt   µm   61.12 ± 3.11"),
+        ("  max µm   116.04   -4.3257", false, "  max µm      116     -4.33"),
+        ("  EXX[1] in fit-S4r, row 67 (a.csv:68)", false, "  EXX[1] in fit-S4r, row 67 (a.csv:68)"),
+        ("  (p = 2e-45), rank 29, group 11 (6.2 µm)", false, "  (p = 2e-45), rank 29, group 11 (6.2 µm)"),
+        ("  row 288 is -121.31 µm off", false, "  row 288 is -121 µm off"),
+        ("  EXY[3]   µm/m³   188.500004 ± 0.000038", true, "  EXY[3]  µm/m³  189 ± ~"),
+        ("  EXY[3]   µm/m³   188.499998 ± 0.000043", true, "  EXY[3]  µm/m³  189 ± ~"),
+        ("  rms µm   6.954e-7   2.2567", true, "  rms µm  ~  2.26"),
+        ("  EZZ[2]   µm/m²   0.00016 ± 0.00046", true, "  EZZ[2]  µm/m²  ~ ± ~"),
+        ("  EXX[1]   µm/m   -8.6400027 ± 0.0000040", true, "  EXX[1]  µm/m  -8.64 ± ~"),
+        ("  fit-S4r: largest rms: group 27 (0.0 µm)", true, "  <where rounding is largest>"),
+    ];
+    for (text, exact, expected) in cases {
+        assert_eq!(rounded(text, exact), format!("{expected}\n"));
+    }
+}
