@@ -130,7 +130,6 @@ fn settings() {
             ("no_parameters", &[Replace(RECIPE, r#"parameters: ["@tool", "table.*"]"#, "parameters: []")]),
             ("unknown_limit", &[Replace(RECIPE, "max_um: 1000", "maximum_um: 1000")]),
             ("limit_without_unit", &[Replace(RECIPE, "max_um: 1000", "max: 1000")]),
-            ("unknown_label_in_folds", &[Replace(RECIPE, "[[2], [3]]", "[[2], [33]]")]),
             ("unknown_column_of_folds", &[Replace(RECIPE, "column: group", "column: grup")]),
             ("step_of_zero", &[Replace(RECIPE, "step_mm: 100", "step_mm: 0")]),
         ],
@@ -144,7 +143,7 @@ fn the_machine() {
         &[
             ("chain_without_bed", &[Replace(MACHINE, "X' b Z", "X' Z")]),
             ("prime_and_branch_disagree", &[Replace(MACHINE, "X' b Z Y", "X' b Z' Y")]),
-            ("no_prime_before_the_bed", &[Replace(MACHINE, "w C' B' X'", "w C' B' X'' ")]),
+            ("prime_twice", &[Replace(MACHINE, "w C' B' X'", "w C' B' X'' ")]),
             ("axis_twice", &[Replace(MACHINE, "b Z Y", "b Z Z")]),
             ("unknown_axis_in_chain", &[Replace(MACHINE, "b Z Y", "b Z Q")]),
             ("axis_that_the_chain_has_not", &[Replace(MACHINE, "  Y: {", "  V: {")]),
@@ -181,12 +180,6 @@ fn files_and_their_headers() {
             ("column_of_the_wrong_unit", &[Cell(TOUCHES, 0, 5, "B_mm")]),
             ("column_twice", &[Cell(TOUCHES, 0, 3, "X_mm")]),
             ("same_column_in_two_units", &[Cell(TOUCHES, 0, 3, "X_um")]),
-            (
-                "backlash_without_direction",
-                &[Cell(TOUCHES, 0, 8, "way_X"), Replace(RECIPE, "EX0C, \"", "\"EXX[b]\", \"")],
-            ),
-            ("file_is_empty", &[Write(TOUCHES, "")]),
-            ("nominal_file_is_empty", &[Write(FACETS, "")]),
         ],
     );
 }
@@ -196,6 +189,8 @@ fn rows_of_data() {
     check_all(
         1,
         &[
+            ("file_is_empty", &[Write(TOUCHES, "")]),
+            ("nominal_file_is_empty", &[Write(FACETS, "")]),
             ("no_data_rows", &[Rows(TOUCHES, 0)]),
             ("no_nominal_rows", &[Rows(FACETS, 0)]),
             ("text_in_a_column_of_numbers", &[Cell(TOUCHES, 12, 3, "high")]),
@@ -204,6 +199,7 @@ fn rows_of_data() {
             ("empty_cell", &[Cell(TOUCHES, 12, 3, "")]),
             ("decimal_comma", &[Cell(TOUCHES, 12, 3, "1,5")]),
             ("direction_is_neither", &[Cell(TOUCHES, 12, 8, "2"), Replace(RECIPE, "EX0C, \"", "\"EXX[b]\", \"")]),
+            ("unknown_label_in_folds", &[Replace(RECIPE, "[[2], [3]]", "[[2], [33]]")]),
             ("feature_without_nominal", &[Cell(TOUCHES, 12, 1, "77")]),
             ("feature_twice_in_the_nominal_file", &[Cell(FACETS, 2, 0, "3")]),
             ("zero_normal", &[Cell(FACETS, 1, 4, "0"), Cell(FACETS, 1, 5, "0"), Cell(FACETS, 1, 6, "0")]),
@@ -243,8 +239,14 @@ fn what_the_data_cannot_tell() {
                     Replace(RECIPE, "observations: [table, bar]", "observations: [table]"),
                 ],
             ),
+            ("two_that_cannot_be_told_apart", &[Replace(RECIPE, "EX0C, \"", "dzt, daw, \"")]),
+            ("too_few_iterations", &[Replace(RECIPE, "start: rough", "iterations: 1")]),
             ("parameter_without_effect", &[Replace(RECIPE, "EX0C, \"", "dbt, \"")]),
-            ("two_that_cannot_be_told_apart", &[Replace(RECIPE, "EX0C, \"", "dxw, dyw, dzw, \"")]),
+            (
+                "backlash_without_direction",
+                &[Cell(TOUCHES, 0, 8, "way_X"), Replace(RECIPE, "EX0C, \"", "\"EXX[b]\", \"")],
+            ),
+            ("placement_of_the_workpiece", &[Replace(RECIPE, "EX0C, \"", "dxw, dyw, dzw, \"")]),
         ],
     );
 }
@@ -252,6 +254,14 @@ fn what_the_data_cannot_tell() {
 #[test]
 fn results_that_cannot_be_written() {
     check("output_folder_is_a_file", 1, &[Write("out", "not a folder")]);
+
+    // What is not ours is not replaced.
+    let small = Small::new();
+    small.write("out/recipe/diary.txt", "Dear diary");
+    let printed = small.abbe(&["run", RECIPE, "--out", "out"]);
+    assert_eq!((printed.status, printed.stdout.as_str()), (1, ""));
+    insta::assert_snapshot!("folder_of_results_holds_something_else", printed.stderr);
+    assert_eq!(small.read("out/recipe/diary.txt"), "Dear diary");
 }
 
 #[test]

@@ -16,9 +16,7 @@ fn an_interrupted_run_leaves_whole_results_or_none() {
     let whole = tree(&small.path("whole/recipe"));
     assert!(whole.len() >= 5, "{whole:?}");
 
-    let found = kill_many(&small, |out| {
-        let _ = out;
-    });
+    let found = kill_many(&small, |_| {});
     for (kill, files) in found.iter().enumerate() {
         assert!(files.is_empty() || *files == whole, "kill {kill}: {files:?}");
     }
@@ -37,6 +35,21 @@ fn an_interrupted_run_leaves_older_results_whole() {
     for (kill, files) in found.iter().enumerate() {
         assert_eq!(*files, whole, "kill {kill}");
     }
+}
+
+#[test]
+fn what_an_interrupted_run_left_is_cleared_away_by_a_later_one() {
+    let small = Small::new();
+    let [old, young] = [".abbe-partial-old", ".abbe-partial-young"].map(|name| small.path("out").join(name));
+    for folder in [&old, &young] {
+        fs::create_dir_all(folder).expect("a folder");
+        fs::write(folder.join("verdicts.json"), "[").expect("a file");
+    }
+    let long_ago = std::time::SystemTime::UNIX_EPOCH;
+    fs::File::open(&old).and_then(|folder| folder.set_modified(long_ago)).expect("a time");
+    assert_eq!(small.abbe(&["run", "recipe.yaml", "--out", "out"]).status, 0);
+    // The young one may be that of a run which is still going on.
+    assert_eq!((old.exists(), young.exists()), (false, true));
 }
 
 /// Prepares a folder of results, starts a run that writes into it, kills it, and lists what is in the folder then; many

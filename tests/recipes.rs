@@ -203,13 +203,10 @@ fn three(value: f64, round: fn(f64, f64) -> f64) -> String {
     format!("{:.decimals$}", round(value, 10_f64.powi(magnitude - 2)))
 }
 
-/// The indentation, and of all other runs of blanks two.
+/// The words of a line with two blanks wherever there are more, also before the first.
 fn pressed(line: &str) -> String {
-    let indentation = line.len() - line.trim_start().len();
-    let mut new = line[..indentation].to_owned();
-    let words: Vec<&str> = line.trim().split("  ").map(str::trim).filter(|word| !word.is_empty()).collect();
-    new.push_str(&words.join("  "));
-    new
+    let words: Vec<&str> = line.split("  ").map(str::trim).filter(|word| !word.is_empty()).collect();
+    format!("{}{}", if line.starts_with("  ") { "  " } else { "" }, words.join("  "))
 }
 
 #[test]
