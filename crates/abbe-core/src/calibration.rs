@@ -4,6 +4,8 @@
 //! in `docs/schemas/calibration.schema.json`. A calibration is self-contained: pose predictions and compensation need
 //! nothing else.
 
+use std::collections::BTreeSet;
+
 use serde::{Deserialize, Serialize};
 use serde_json::Value;
 
@@ -242,15 +244,29 @@ impl Calibration {
     }
 
     fn check(&self) -> Result<()> {
+        let mut names = BTreeSet::new();
         for estimated in self.parameters.iter().chain(&self.artefacts) {
-            estimated.unit.parse::<Unit>().map_err(|error| Error::data(format!("`{}`: {error}", estimated.name)))?;
+            let name = &estimated.name;
+            estimated.unit.parse::<Unit>().map_err(|error| Error::data(format!("`{name}`: {error}")))?;
             if !(estimated.value.is_finite() && estimated.standard_uncertainty >= 0.0) {
-                return Err(Error::data(format!("`{}` has no finite value and uncertainty", estimated.name)));
+                return Err(Error::data(format!("`{name}` has no finite value with an uncertainty of at least zero")));
+            }
+            if !names.insert(name) {
+                return Err(Error::data(format!("`{name}` stands here twice")));
             }
         }
-        let size = self.covariance.order.len();
-        if self.covariance.rows.len() != size || self.covariance.rows.iter().any(|row| row.len() != size) {
+        let Covariance { order, rows } = &self.covariance;
+        if let Some(unknown) = order.iter().find(|name| !names.contains(name)) {
+            return Err(Error::data(format!("the covariance names `{unknown}`, which is no parameter")));
+        }
+        let size = order.len();
+        if rows.len() != size || rows.iter().any(|row| row.len() != size) {
             return Err(Error::data(format!("the covariance is not {size} x {size} as its names promise")));
+        }
+        let entries = || (0..size).flat_map(|row| (0..row).map(move |column| (row, column)));
+        if let Some((row, column)) = entries().find(|&(row, column)| rows[row][column] != rows[column][row]) {
+            let (one, other) = (&order[row], &order[column]);
+            return Err(Error::data(format!("the covariance of `{one}` and `{other}` is not symmetric")));
         }
         Ok(())
     }

@@ -19,7 +19,7 @@ pub struct Outcome {
     pub verdicts: Vec<Verdict>,
     /// Exported files by stage.
     pub exports: Vec<(String, Vec<ExportedFile>)>,
-    pub(crate) files: Vec<PathBuf>,
+    pub(crate) inputs: Vec<InputRecord>,
     pub(crate) plugins: Vec<(Kind, String)>,
     pub(crate) started: SystemTime,
     pub(crate) duration: Duration,
@@ -37,10 +37,23 @@ struct RunRecord {
     duration_s: f64,
 }
 
-#[derive(Debug, Serialize)]
-struct InputRecord {
+/// A file that a run reads.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub(crate) struct InputRecord {
     file: String,
     sha256: String,
+}
+
+/// What is read, each file once. Taken before the run, so that it tells what the run was started on.
+pub(crate) fn input_records(files: &[PathBuf]) -> Result<Vec<InputRecord>> {
+    let mut records: Vec<InputRecord> = Vec::new();
+    for path in files {
+        let file = path.display().to_string();
+        if records.iter().all(|record| record.file != file) {
+            records.push(InputRecord { file, sha256: sha256(path)? });
+        }
+    }
+    Ok(records)
 }
 
 #[derive(Debug, PartialEq, Serialize)]
@@ -81,30 +94,15 @@ impl Outcome {
                 write(&format!("{stage}/{}", file.name), &file.content)?;
             }
         }
-        write("run.json", json(&self.record()?)?.as_bytes())?;
+        write("run.json", json(&self.record())?.as_bytes())?;
 
         let target = out.join(&self.recipe);
         let staged = staging.keep();
-        if target.exists() {
-            // Two renames, so that the old results are gone only once the new ones are complete.
-            let old = staged.with_extension("old");
-            fs::rename(&target, &old).map_err(unwritable)?;
-            fs::rename(&staged, &target).map_err(unwritable)?;
-            fs::remove_dir_all(&old).map_err(unwritable)?;
-        } else {
-            fs::rename(&staged, &target).map_err(unwritable)?;
-        }
+        replace(&staged, &target).map_err(unwritable)?;
         Ok(target)
     }
 
-    fn record(&self) -> Result<RunRecord> {
-        let mut inputs: Vec<InputRecord> = Vec::new();
-        for file in &self.files {
-            let name = file.display().to_string();
-            if inputs.iter().all(|input| input.file != name) {
-                inputs.push(InputRecord { file: name, sha256: sha256(file)? });
-            }
-        }
+    fn record(&self) -> RunRecord {
         let mut plugins = Vec::new();
         for (kind, name) in &self.plugins {
             let record = PluginRecord {
@@ -117,15 +115,15 @@ impl Outcome {
                 plugins.push(record);
             }
         }
-        Ok(RunRecord {
+        RunRecord {
             abbe_run: 1,
             version: env!("CARGO_PKG_VERSION"),
             recipe: self.recipe.clone(),
-            inputs,
+            inputs: self.inputs.clone(),
             plugins,
             started_unix_s: self.started.duration_since(UNIX_EPOCH).map_or(0, |since| since.as_secs()),
             duration_s: self.duration.as_secs_f64(),
-        })
+        }
     }
 
     /// Fails early if the results of a recipe could not be written to `out` in the end.
@@ -144,6 +142,28 @@ fn is_ours(target: &Path) -> Result<()> {
     }
     Err(Error::data(format!("{} is there already and holds no results of a run", target.display()))
         .help("move it away, or name another folder with `--out`"))
+}
+
+/// Puts a folder in the place of another one, or where nothing is.
+///
+/// Where the system can exchange two folders in one step, whoever looks finds the old one or the new one, whenever the
+/// program is stopped.
+fn replace(staged: &Path, target: &Path) -> io::Result<()> {
+    if !target.exists() {
+        return fs::rename(staged, target);
+    }
+    #[cfg(target_os = "linux")]
+    {
+        use rustix::fs::{CWD, RenameFlags, renameat_with};
+        if renameat_with(CWD, staged, CWD, target, RenameFlags::EXCHANGE).is_ok() {
+            return fs::remove_dir_all(staged);
+        }
+    }
+    // Two renames, so that the old results are gone only once the new ones are complete.
+    let old = staged.with_extension("old");
+    fs::rename(target, &old)?;
+    fs::rename(staged, target)?;
+    fs::remove_dir_all(&old)
 }
 
 /// What the names of temporary folders begin with.

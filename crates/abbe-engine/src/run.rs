@@ -11,7 +11,7 @@ use abbe_core::{
 };
 use abbe_recipe::Stage;
 
-use crate::outcome::Outcome;
+use crate::outcome::{Outcome, input_records};
 use crate::prepare::{Prepared, build_model};
 
 /// What is going on.
@@ -66,6 +66,7 @@ impl Prepared {
     /// Runs the recipe; `tell` hears what is going on. Stages that do not wait for each other run at the same time.
     pub fn run(&self, tell: &Listener<'_>) -> Result<Outcome> {
         let (started, clock) = (SystemTime::now(), Instant::now());
+        let inputs = input_records(&self.files)?;
         let data = self.read(tell)?;
         let mut taken = Taken::default();
         let mut problems = BTreeMap::new();
@@ -109,7 +110,7 @@ impl Prepared {
             fits,
             verdicts,
             exports,
-            files: self.files.clone(),
+            inputs,
             plugins: self.recipe.stages.iter().map(|stage| (stage.kind, stage.plugin.clone())).collect(),
             started,
             duration: clock.elapsed(),

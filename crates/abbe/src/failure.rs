@@ -73,7 +73,14 @@ fn span_at(text: &str, line: usize, column: Option<usize>) -> SourceSpan {
     let content = text[start..].lines().next().unwrap_or("");
     let Some(column) = column else { return (start, content.len()).into() };
     let from = content.char_indices().nth(column.saturating_sub(1)).map_or(content.len(), |(index, _)| index);
-    let word = content[from..].find([' ', ',', ':', '}', ']']).unwrap_or(content.len() - from);
+    let rest = &content[from..];
+    let word = match rest.chars().next() {
+        // A quoted text, to the closing quote; anything else to the end of the word.
+        Some(quote @ ('"' | '\'')) => rest[1..].find(quote).map(|end| end + 2),
+        Some('[' | '{') => Some(1),
+        _ => rest.find([' ', ',', ':', '}', ']']),
+    }
+    .unwrap_or(rest.len());
     (start + from, word.max(1).min(content.len() - from)).into()
 }
 

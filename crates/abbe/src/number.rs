@@ -8,12 +8,22 @@ pub fn with_uncertainty(value: f64, uncertainty: f64) -> String {
     let decimals = 1 - uncertainty.log10().floor() as i32;
     if (0..=9).contains(&decimals) {
         let decimals = decimals as usize;
-        return format!("{value:.decimals$} ± {uncertainty:.decimals$}");
+        return format!("{} ± {uncertainty:.decimals$}", unsigned_zero(format!("{value:.decimals$}")));
     }
-    if decimals < 0 && value.abs() < 1e6 && uncertainty < 1e6 {
-        return format!("{value:.0} ± {uncertainty:.0}");
+    if decimals < 0 && value.abs() < 1e7 && uncertainty < 1e7 {
+        let step = 10_f64.powi(-decimals);
+        let rounded = |value: f64| unsigned_zero(format!("{:.0}", (value / step).round() * step));
+        return format!("{} ± {}", rounded(value), rounded(uncertainty));
     }
-    format!("{} ± {uncertainty:.1e}", short(value))
+    format!("{value:.3e} ± {uncertainty:.1e}")
+}
+
+/// Zero has no sign.
+fn unsigned_zero(text: String) -> String {
+    match text.strip_prefix('-') {
+        Some(rest) if rest.chars().all(|c| c == '0' || c == '.') => rest.to_owned(),
+        _ => text,
+    }
 }
 
 /// A number to four significant digits.
@@ -22,7 +32,7 @@ pub fn short(value: f64) -> String {
         return "0".to_owned();
     }
     let magnitude = value.abs().log10().floor() as i32;
-    if (-4..6).contains(&magnitude) {
+    if (-4..5).contains(&magnitude) {
         let decimals = (3 - magnitude).max(0) as usize;
         return format!("{value:.decimals$}");
     }
@@ -38,7 +48,9 @@ mod tests {
         let cases = [
             (-9.3123, 0.4123, "-9.31 ± 0.41"),
             (304.668_612, 0.000_93, "304.66861 ± 0.00093"),
-            (1234.5, 120.0, "1234 ± 120"),
+            (1234.5, 123.0, "1230 ± 120"),
+            (67.3, 4099.0, "100 ± 4100"),
+            (-0.001, 1.2, "0.0 ± 1.2"),
             (3.2e-9, 1.5e-11, "3.200e-9 ± 1.5e-11"),
             (2.0, 0.0, "2.000"),
         ];
@@ -46,7 +58,7 @@ mod tests {
             assert_eq!(with_uncertainty(value, uncertainty), expected);
         }
         assert_eq!(short(0.0), "0");
-        assert_eq!(short(1.0e5), "100000");
+        assert_eq!(short(1.0276e5), "1.028e5");
         assert_eq!(short(4.2345), "4.234");
     }
 }

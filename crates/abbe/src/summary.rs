@@ -2,7 +2,7 @@
 
 use std::path::Path;
 
-use abbe_core::{Estimated, Figure, Fit, NullVector, Owner, Status, Unit, Verdict};
+use abbe_core::{Estimated, Figure, Fit, NullVector, Outlier, Owner, Status, Unit, Verdict};
 use abbe_engine::{Outcome, Planned};
 use abbe_recipe::Recipe;
 use serde_json::{Value, json};
@@ -108,17 +108,26 @@ fn fits(fits: &[Fit]) -> String {
     table::text(&rows, &columns(fits.len(), 1))
 }
 
+/// One line a row, whichever fits list it.
 fn outliers(fits: &[Fit]) -> Option<String> {
-    let mut text = String::new();
+    let mut rows: Vec<(&Outlier, Vec<String>)> = Vec::new();
     for fit in fits {
         for outlier in &fit.calibration.outliers {
-            text.push_str(&format!(
-                "  {}: {} row {} ({}:{}) is {:.1} µm off, weight {:.2}\n",
-                fit.name, outlier.stage, outlier.row, outlier.file, outlier.line, outlier.residual_um, outlier.weight
-            ));
+            let off = format!("{:.1} µm in {}", outlier.residual_um, fit.name);
+            let same = |other: &Outlier| {
+                (&other.stage, &other.file, other.row) == (&outlier.stage, &outlier.file, outlier.row)
+            };
+            match rows.iter_mut().find(|(other, _)| same(other)) {
+                Some((_, listed)) => listed.push(off),
+                None => rows.push((outlier, vec![off])),
+            }
         }
     }
-    (!text.is_empty()).then(|| section("Outliers", &text))
+    let lines = rows.iter().map(|(outlier, listed)| {
+        format!("  {} row {} ({}:{}): {}\n", outlier.stage, outlier.row, outlier.file, outlier.line, listed.join(", "))
+    });
+    let text: String = lines.collect();
+    (!text.is_empty()).then(|| section("Outliers, off by", &text))
 }
 
 fn lost(fits: &[Fit]) -> Option<String> {

@@ -281,7 +281,7 @@ fn confounded(found: &Identifiability) -> Error {
         found.unknowns,
         lost.join("\n- ")
     ))
-    .help("leave one of each combination out of `parameters`, add measurements that tell them apart, or set `on_confounded`")
+    .help("leave what has no effect and one of each combination out of `parameters`, add measurements that tell them apart, or set `on_confounded`")
 }
 
 impl GaussNewton {
@@ -311,7 +311,9 @@ impl GaussNewton {
         let failed = match solution.end {
             End::Converged => None,
             End::NoProgress => Some("no step makes the residuals smaller".to_owned()),
-            End::IterationLimit => Some(format!("after {} iterations it still moves", solution.iterations)),
+            End::IterationLimit => {
+                Some(format!("it still moves at the limit of {} iterations", self.settings.iterations))
+            }
         };
         if let Some(failed) = failed {
             return Err(Error::data(format!("the iteration does not converge: {failed}")).help(
@@ -429,10 +431,14 @@ fn consider(problem: &Problem, x: &[f64], kept: Option<&[f64]>, covariance: &mut
     let cross: Vec<Vec<f64>> =
         answer.iter().map(|row| (0..others).map(|column| times(row, column)).collect()).collect();
     for row in 0..own {
-        for column in 0..own {
-            covariance[row][column] += cross[row].iter().zip(&answer[column]).map(|(a, b)| a * b).sum::<f64>();
+        for column in 0..=row {
+            let added: f64 = cross[row].iter().zip(&answer[column]).map(|(a, b)| a * b).sum();
+            covariance[row][column] += added;
+            covariance[column][row] = covariance[row][column];
         }
-        covariance[row].extend(&cross[row]);
+    }
+    for (row, cross) in covariance.iter_mut().zip(&cross) {
+        row.extend(cross);
     }
     for (column, line) in known.covariance.iter().enumerate() {
         covariance.push(cross.iter().map(|row| row[column]).chain(line.iter().copied()).collect());
