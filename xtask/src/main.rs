@@ -6,8 +6,9 @@
 
 use std::collections::BTreeMap;
 use std::fs;
+use std::io::{BufRead, BufReader};
 use std::path::{Path, PathBuf};
-use std::process::{Command, ExitCode};
+use std::process::{Command, ExitCode, Stdio};
 
 use serde_json::{Value, json};
 
@@ -58,9 +59,30 @@ fn ci() -> Outcome {
     let mut docs = cargo(&["doc", "--workspace", "--no-deps", "--locked", "--quiet"]);
     docs.env("RUSTDOCFLAGS", "-D warnings");
     run(docs)?;
-    let mut test = cargo(&["test", "--workspace", "--locked"]);
-    test.env("INSTA_UPDATE", "no");
-    run(test)
+    tests()
+}
+
+/// Runs all tests, and closes with how many there were.
+fn tests() -> Outcome {
+    let mut command = cargo(&["test", "--workspace", "--locked", "--no-fail-fast"]);
+    command.env("INSTA_UPDATE", "no").stdout(Stdio::piped());
+    println!("$ {command:?}");
+    let mut child = command.spawn().map_err(|error| format!("cargo test cannot be run: {error}"))?;
+    let (mut passed, mut failed) = (0, 0);
+    for line in BufReader::new(child.stdout.take().ok_or("cargo test has no output")?).lines().map_while(Result::ok) {
+        println!("{line}");
+        let count = |what: &str| -> usize {
+            let before = line.split(what).next().unwrap_or_default();
+            before.rsplit(' ').next().and_then(|number| number.parse().ok()).unwrap_or(0)
+        };
+        if line.starts_with("test result:") {
+            passed += count(" passed;");
+            failed += count(" failed;");
+        }
+    }
+    let status = child.wait().map_err(|error| format!("cargo test: {error}"))?;
+    println!("{passed} passed, {failed} failed");
+    if status.success() && passed > 0 { Ok(()) } else { Err(format!("cargo test ended with {status}")) }
 }
 
 /// Which workspace crates a crate may depend on: arrows point one way, see docs/architecture.md.

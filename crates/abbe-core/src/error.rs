@@ -130,7 +130,7 @@ pub fn nearest<'a>(given: &str, candidates: impl IntoIterator<Item = &'a str>) -
         .into_iter()
         .map(|candidate| (strsim::damerau_levenshtein(&given.to_lowercase(), &candidate.to_lowercase()), candidate))
         // Names of one or two letters are all near each other: for those only the case may differ.
-        .filter(|(distance, candidate)| *distance <= candidate.chars().count().min(given.chars().count()) / 3)
+        .filter(|(distance, candidate)| *distance <= candidate.chars().count().max(given.chars().count()) / 3)
         .min()
         .map(|(_, candidate)| candidate)
 }

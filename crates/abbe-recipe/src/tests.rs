@@ -145,7 +145,7 @@ fn wrong_recipes_are_refused_with_place_and_help() {
         ("[dxt, dyt]", "[dxt, 5]", "r.yaml:4:13: S1[1]: text was expected, not a number"),
         ("[dxt, dyt]", "[dxt, \"@S22\"]", "r.yaml:4:13: there is no set `S22` (did you mean `S2`?)"),
         ("[dxt, dyt]", "[dxt, \"@S2\"]", "r.yaml:5:8: the sets include each other in a circle: S1 -> S2 -> S1"),
-        ("\"@S2\"", "\"@2S\"", "r.yaml:23:23: stage `fit-1`: there is no set `2S` (did you mean `S2`?)"),
+        ("\"@S2\"", "\"@2S\"", "r.yaml:23:23: stage `fit-1`: there is no set `2S`"),
         ("path: vendor", "pth: vendor", "r.yaml:7:7: unknown key `pth` (did you mean `path`?)"),
         ("{ path: vendor/libhexapod.so, sha256: 0f }", "{}", "r.yaml:7:5: `path` is missing: the file of the library"),
         ("cnc:", "c.nc:", "r.yaml:9:3: `c.nc` cannot name a stage: letters, digits, `-` and `_` were expected"),

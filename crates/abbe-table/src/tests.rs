@@ -92,7 +92,7 @@ fn features_have_points_and_normals() {
         ("feature,x_mm,y_mm,z_mm\n7,1,2,3\n# note\n7,1,2,3\n", "t.csv:4: feature `7` is in line 2 already"),
         (
             "featur,x_mm,y_mm,z_mm\n7,1,2,3\n",
-            "t.csv:1: there is no column `feature`; the columns are `featur`, `x_mm`, `y_mm`, `z_mm` (did you mean \
+            "t.csv: there is no column `feature`; the columns are `featur`, `x_mm`, `y_mm`, `z_mm` (did you mean \
              `featur`?)",
         ),
         ("feature_mm,x_mm,y_mm,z_mm\n7,1,2,3\n", "t.csv: the column `feature_mm` holds numbers; labels were expected"),
@@ -103,7 +103,7 @@ fn features_have_points_and_normals() {
         ("feature,x_mm,y_deg,z_mm\n7,1,2,3\n", "t.csv: the column `y_deg` has the wrong unit; mm was expected"),
         (
             "feature,x_mm,y_mm\n7,1,2\n",
-            "t.csv:1: there is no column `z_mm`; the columns are `feature`, `x_mm`, `y_mm` (did you mean `x_mm`?)",
+            "t.csv: there is no column `z_mm`; the columns are `feature`, `x_mm`, `y_mm` (did you mean `x_mm`?)",
         ),
     ];
     for (text, expected) in cases {

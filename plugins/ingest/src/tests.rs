@@ -227,7 +227,7 @@ fn what_is_wrong_is_said_with_its_place() {
         (
             &[TOUCHES, ("t.csv", "point,u\n1,5\n")],
             with_path("join", json!({ "table": "t.csv", "on": "feature" })),
-            "Use: t.csv:1: there is no column `feature`; the columns are `point`, `u`",
+            "Use: t.csv: there is no column `feature`; the columns are `point`, `u`",
         ),
     ];
     for (files, settings, expected) in cases {
