@@ -38,7 +38,7 @@ fn tango(criterion: &mut Criterion) {
 
 criterion_group! {
     name = benches;
-    config = Criterion::default().sample_size(20).without_plots();
+    config = Criterion::default().sample_size(20).warm_up_time(std::time::Duration::from_secs(1)).without_plots();
     targets = product, tango
 }
 criterion_main!(benches);
