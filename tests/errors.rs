@@ -142,6 +142,7 @@ fn the_machine() {
         2,
         &[
             ("chain_without_bed", &[Replace(MACHINE, "X' b Z", "X' Z")]),
+            ("chain_without_axes", &[Replace(MACHINE, "w C' B' X' b Z Y (S) t", "w b t")]),
             ("prime_and_branch_disagree", &[Replace(MACHINE, "X' b Z Y", "X' b Z' Y")]),
             ("prime_twice", &[Replace(MACHINE, "w C' B' X'", "w C' B' X'' ")]),
             ("axis_twice", &[Replace(MACHINE, "b Z Y", "b Z Z")]),

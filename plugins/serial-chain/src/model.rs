@@ -64,6 +64,9 @@ impl SerialChain {
             .chain
             .parse()
             .map_err(|error: abbe_kinematics::ChainError| SettingsError::new("chain", error.0))?;
+        if named.axes.is_empty() {
+            return Err(SettingsError::new("chain", "a machine needs at least one axis between workpiece and tool"));
+        }
         for name in settings.axes.keys() {
             if !named.axes.iter().any(|axis| axis.name == *name) {
                 let error = SettingsError::new("", format!("the chain has no axis {name}"))
