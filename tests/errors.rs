@@ -200,6 +200,10 @@ fn rows_of_data() {
             ("empty_cell", &[Cell(TOUCHES, 12, 3, "")]),
             ("decimal_comma", &[Cell(TOUCHES, 12, 3, "1,5")]),
             ("direction_is_neither", &[Cell(TOUCHES, 12, 8, "2"), Replace(RECIPE, "EX0C, \"", "\"EXX[b]\", \"")]),
+            (
+                "axis_moves_that_the_chain_has_not",
+                &[Replace(MACHINE, "Y (S) t", "Y t"), Replace(MACHINE, "  S: {", "# S: {"), Cell(TOUCHES, 12, 7, "90")],
+            ),
             ("unknown_label_in_folds", &[Replace(RECIPE, "[[2], [3]]", "[[2], [33]]")]),
             ("feature_without_nominal", &[Cell(TOUCHES, 12, 1, "77")]),
             ("feature_twice_in_the_nominal_file", &[Cell(FACETS, 2, 0, "3")]),

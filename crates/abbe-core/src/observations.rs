@@ -6,6 +6,7 @@ use crate::dataset::Dataset;
 use crate::error::Result;
 use crate::model::{KinematicModel, Parameter};
 use crate::pose_table::{ColumnNaming, PoseTable, StatusSource, pose_columns};
+use crate::unit::Quantity;
 
 /// A named number that is not estimated but whose uncertainty all rows that use it share.
 #[derive(Debug, Clone, PartialEq)]
@@ -140,12 +141,14 @@ impl Layout {
     pub fn new(data: &Arc<Dataset>, model: &dyn KinematicModel, namings: &[ColumnNaming<'_>]) -> Result<Self> {
         let headers = data.headers();
         let sources = namings.iter().map(|naming| pose_columns(&headers, data.files.first(), model, naming));
+        let sources = sources.collect::<Result<Vec<_>>>()?;
+        unknown_axis(data, &sources)?;
         Ok(Self {
             data: data.clone(),
             rows: Vec::new(),
             poses: PoseTable::new(model),
             standard_uncertainties: Vec::new(),
-            sources: sources.collect::<Result<_>>()?,
+            sources,
         })
     }
 
@@ -177,6 +180,29 @@ impl Layout {
             StatusSource::Taken(_) => None,
         }
     }
+}
+
+/// Refuses data in which an axis moves that the model does not have: its motion would be lost without a word.
+fn unknown_axis(data: &Dataset, sources: &[Vec<StatusSource>]) -> Result<()> {
+    for column in &data.columns {
+        let name = &column.header.name;
+        let letter = name.trim_end_matches(|c: char| c.is_ascii_digit());
+        let of_axis = match column.header.quantity {
+            Quantity::Length => ["X", "Y", "Z", "U", "V", "W"].contains(&letter),
+            Quantity::Angle => ["A", "B", "C", "S"].contains(&letter),
+            _ => false,
+        };
+        let used = || sources.iter().flatten().any(|source| *source == StatusSource::Column(name.clone()));
+        if !of_axis || used() {
+            continue;
+        }
+        let numbers = data.numbers(name).unwrap_or_default();
+        if let Some(row) = numbers.iter().position(|number| *number != numbers[0]) {
+            let message = format!("`{}` changes here, but the machine has no axis {name}", column.header.header);
+            return Err(data.error_at(row, message).help("add the axis to the chain, or take the column out"));
+        }
+    }
+    Ok(())
 }
 
 /// The observations that an artefact made of a data set. Immutable; used from several threads at once.
