@@ -8,5 +8,7 @@ mod interrupted;
 mod laws;
 mod plugins;
 mod recipes;
+mod simulate;
 mod support;
 mod truth;
+mod uncertainty;

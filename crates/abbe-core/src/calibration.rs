@@ -34,6 +34,12 @@ pub struct Calibration {
     pub outliers: Vec<Outlier>,
     /// How the fit went.
     pub fit: FitReport,
+    /// How the uncertainties come about, and what they cover.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub uncertainty: Option<UncertaintyBudget>,
+    /// What a Monte Carlo calculation found, if the estimate is one.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub monte_carlo: Option<MonteCarlo>,
 }
 
 /// Plugin and settings from which the model is built again.
@@ -139,6 +145,9 @@ pub struct FitReport {
     pub residual_rms_um: f64,
     /// What the data cannot determine.
     pub null_space: Vec<NullVector>,
+    /// The combinations that they determine worst, the weakest first.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub weakest: Vec<NullVector>,
 }
 
 /// A direction in which the data do not change.
@@ -148,6 +157,9 @@ pub struct NullVector {
     pub singular_value: f64,
     /// The change of the unknowns in that direction, parameter units; the one with the largest effect is 1.
     pub combination: Vec<Combination>,
+    /// Measurements that would tell the change: sentences.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub separated_by: Vec<String>,
 }
 
 /// One unknown of a [`NullVector`].
@@ -175,8 +187,14 @@ impl NullVector {
         }
     }
 
+    /// The same with the measurement that separates them best, where one is known.
+    pub fn advise(&self) -> String {
+        let lost = self.describe();
+        self.separated_by.first().map_or(lost.clone(), |measurement| format!("{lost}; {measurement}"))
+    }
+
     /// The changes in the units that people read, the first one unit large.
-    fn changes(&self) -> String {
+    pub fn changes(&self) -> String {
         const SHOWN: usize = 8;
         let for_people = |part: &Combination| part.unit.parse().map_or((part.unit.clone(), 1.0), Unit::for_people);
         let first = self.combination.first().map_or(1.0, |part| part.coefficient * for_people(part).1);
@@ -216,6 +234,128 @@ pub struct Identifiability {
     pub condition: f64,
     /// What is not.
     pub null_space: Vec<NullVector>,
+    /// The combinations that are determined worst, the weakest first.
+    pub weakest: Vec<NullVector>,
+    /// The uncertainties that the stated ones of the inputs promise; none where a direction is lost.
+    pub uncertainty: Option<UncertaintyBudget>,
+}
+
+/// How the uncertainties of the estimates come about and what they cover (GUM; JCGM 102).
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct UncertaintyBudget {
+    /// Probability that the intervals and regions cover.
+    pub coverage_probability: f64,
+    /// The a-posteriori factor by which the stated uncertainties of rows were multiplied; 1 if they are trusted.
+    pub scale: f64,
+    /// All estimated machine parameters together.
+    pub joint: JointCoverage,
+    /// One entry an estimated parameter.
+    pub parameters: Vec<ParameterBudget>,
+    /// Pairs that are hardly told apart: absolute correlation above 0.95.
+    pub correlations: Vec<Correlated>,
+}
+
+/// Coverage of several quantities together (JCGM 102:2011, 6.5).
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct JointCoverage {
+    /// Number of quantities: the estimated machine parameters.
+    pub quantities: usize,
+    /// Factor of the ellipsoid that covers them jointly.
+    pub ellipsoid_factor: f64,
+    /// Factor on every standard uncertainty, so that all intervals hold together.
+    pub rectangle_factor: f64,
+}
+
+/// The uncertainty of one estimated parameter, in its unit.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct ParameterBudget {
+    /// Name.
+    pub name: String,
+    /// Unit.
+    pub unit: String,
+    /// Standard uncertainty.
+    pub standard_uncertainty: f64,
+    /// Standard uncertainty with the stated uncertainties of rows as they are, without the a-posteriori factor.
+    pub stated_standard_uncertainty: f64,
+    /// Effective degrees of freedom (Welch-Satterthwaite); none if they are infinite.
+    pub degrees_of_freedom: Option<f64>,
+    /// Coverage factor of this quantity alone.
+    pub coverage_factor: f64,
+    /// Expanded uncertainty: coverage factor times standard uncertainty.
+    pub expanded_uncertainty: f64,
+    /// What it is made of, the largest first; squares add up.
+    pub contributions: Vec<Contribution>,
+}
+
+/// The part of a standard uncertainty that comes from one input.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct Contribution {
+    /// The input: an artefact stage (the scatter of its rows), a known input, an earlier estimate.
+    pub input: String,
+    /// The standard uncertainty that it alone gives.
+    pub standard_uncertainty: f64,
+}
+
+/// Two estimates with a large correlation.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct Correlated {
+    /// One.
+    pub one: String,
+    /// The other.
+    pub other: String,
+    /// Their correlation coefficient.
+    pub correlation: f64,
+}
+
+/// What a Monte Carlo calculation found (JCGM 101; JCGM 102).
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct MonteCarlo {
+    /// Number of trials.
+    pub trials: usize,
+    /// Seed of the random numbers.
+    pub seed: u64,
+    /// Whether the figures reached the stated number of digits; none if a fixed number of trials was asked for.
+    pub stable: Option<bool>,
+    /// Trials whose estimate did not converge; they do not count.
+    pub failed: usize,
+    /// Probability that the intervals cover.
+    pub coverage_probability: f64,
+    /// What was varied, in words.
+    pub inputs: Vec<String>,
+    /// One entry an estimated parameter.
+    pub parameters: Vec<SimulatedParameter>,
+}
+
+/// The distribution of one parameter, in its unit.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct SimulatedParameter {
+    /// Name.
+    pub name: String,
+    /// Unit.
+    pub unit: String,
+    /// Mean of the trials.
+    pub mean: f64,
+    /// Their standard deviation.
+    pub standard_uncertainty: f64,
+    /// Probabilistically symmetric coverage interval: low and high end.
+    pub symmetric_interval: [f64; 2],
+    /// Shortest coverage interval.
+    pub shortest_interval: [f64; 2],
+    /// The comparison with the interval of the GUM uncertainty framework (JCGM 101:2008, clause 8).
+    pub gum: GumComparison,
+}
+
+/// Whether the GUM interval of an estimate agrees with that of the Monte Carlo calculation.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct GumComparison {
+    /// Estimate plus and minus the expanded uncertainty.
+    pub interval: [f64; 2],
+    /// Absolute differences of the low and of the high ends.
+    pub differences: [f64; 2],
+    /// The numerical tolerance that both have to keep.
+    pub tolerance: f64,
+    /// Whether both keep it.
+    pub validated: bool,
 }
 
 impl Calibration {

@@ -9,35 +9,46 @@
 //! In memory every quantity is in mm, rad, s, °C or N. Columns and settings say their unit in their name.
 
 mod calibration;
+mod contact;
 mod dataset;
 mod error;
+mod input_uncertainty;
 mod model;
 mod observations;
+mod parallel;
 mod pattern;
 mod pose_table;
+mod probing;
 mod problem;
 mod registry;
 mod settings;
 mod stage;
+mod uncertainty;
 mod unit;
 mod verdict;
 
 pub use calibration::{
-    CALIBRATION_FORMAT, Calibration, Combination, Covariance, Estimated, FitReport, Identifiability, ModelRecord,
-    NullVector, Outlier, Status, Termination,
+    CALIBRATION_FORMAT, Calibration, Combination, Contribution, Correlated, Covariance, Estimated, FitReport,
+    GumComparison, Identifiability, JointCoverage, ModelRecord, MonteCarlo, NullVector, Outlier, ParameterBudget,
+    SimulatedParameter, Status, Termination, UncertaintyBudget,
 };
+pub use contact::Variation;
 pub use dataset::{Column, ColumnHeader, Dataset, RowOrigin, Values};
 pub use error::{Class, Error, Place, Result, nearest};
+pub use input_uncertainty::{InputUncertainty, PooledRepeats, RowUncertainty, SharedError};
 pub use model::{
     Absent, Axis, AxisKind, Branch, ErrorFunction, KinematicModel, Parameter, Poses, StatusColumn, Variable,
 };
 pub use observations::{Contact, Equations, Feature, KnownInput, Layout, Observations, PoseValues, Row, Target};
+pub use parallel::in_parallel;
 pub use pattern::matches;
 pub use pose_table::{ColumnNaming, PoseTable, StatusSource, plain_naming, pose_columns};
-pub use problem::{Block, Known, ObservationSet, Owner, Problem, Unknown};
+pub use probing::Lobing;
+pub use problem::{Block, Considered, Input, ObservationSet, Owner, Problem, Scatter, Unknown};
 pub use registry::{Build, Constructor, Context, Kind, Origin, Plugin, Provider, Registry};
-pub use settings::{Label, PathItem, SettingsError, from_settings, path_text, positive, schema_of};
+pub use settings::{Label, PathItem, SettingsError, from_settings, not_negative, path_text, positive, schema_of};
 pub use stage::{Artefact, Estimate, Export, ExportedFile, Fit, Ingest, InputFile, Model, Validate};
+pub use uncertainty::{CovarianceBlock, EquationUncertainty, Pooled};
 pub use unit::{Quantity, Unit};
 pub use verdict::{Figure, Findings, Verdict};
 

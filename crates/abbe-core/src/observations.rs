@@ -17,6 +17,9 @@ pub struct KnownInput {
     pub value: f64,
     /// Its standard uncertainty.
     pub standard_uncertainty: f64,
+    /// It is the machine's and not the artefact's (the stylus radius): the same for all artefacts that have one of this
+    /// name.
+    pub shared: bool,
 }
 
 /// One measurement: which poses it ties in which equations, and the data row that it comes from.

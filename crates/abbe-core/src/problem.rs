@@ -6,19 +6,18 @@
 use std::ops::Range;
 use std::sync::Arc;
 
-use nalgebra::{DMatrix, DVector};
-
 use crate::calibration::{Calibration, ModelRecord};
 use crate::dataset::RowOrigin;
 use crate::error::{Error, Result};
-use crate::model::{AxisKind, KinematicModel, Poses, Variable};
-use crate::observations::{Contact, Equations, Observations, PoseValues};
+use crate::model::{KinematicModel, Poses, Variable};
+use crate::observations::{Equations, Observations, PoseValues};
 use crate::pattern::matches;
 use crate::pose_table::PoseTable;
+use crate::uncertainty::{CovarianceBlock, EquationUncertainty, Pooled};
 use crate::unit::Unit;
 
 /// Rows that are evaluated together: enough to amortise a call, few enough for their derivatives to stay in the cache.
-const CHUNK: usize = 64;
+pub(crate) const CHUNK: usize = 64;
 
 /// The observations of one artefact stage, with the rows that take part.
 #[derive(Clone)]
@@ -33,25 +32,55 @@ pub struct ObservationSet {
     pub inputs: Vec<f64>,
     /// Start or fixed values of the own unknowns.
     pub own: Vec<f64>,
+    /// How uncertain the equations are, in the order of the layout.
+    pub uncertainty: Arc<EquationUncertainty>,
     /// Statuses that stand in for the recorded ones.
-    moved: Option<Arc<PoseTable>>,
+    pub(crate) moved: Option<Arc<PoseTable>>,
+    /// What is added to the residuals, in the order of the layout.
+    pub(crate) disturbances: Option<Arc<Vec<f64>>>,
 }
 
 impl ObservationSet {
-    /// All rows of some observations, with their nominal inputs, own unknowns at zero.
+    /// All rows of some observations, with their nominal inputs, own unknowns at their start values and equations as
+    /// uncertain as the artefact says, independent of one another.
     pub fn new(name: &str, observations: Arc<dyn Observations>) -> Self {
+        let standard = observations.layout().standard_uncertainties.clone();
         Self {
             name: name.to_owned(),
             rows: (0..observations.layout().rows.len()).collect(),
             inputs: observations.inputs().iter().map(|input| input.value).collect(),
             own: observations.start(),
+            uncertainty: Arc::new(EquationUncertainty::independent(standard)),
             moved: None,
+            disturbances: None,
             observations,
         }
     }
 
-    fn poses(&self) -> &PoseTable {
+    /// The statuses of all poses: recorded, or where contact was found.
+    pub fn poses(&self) -> &PoseTable {
         self.moved.as_deref().unwrap_or_else(|| &self.observations.layout().poses)
+    }
+
+    /// Makes these the statuses of all poses, in the order of the layout, instead of the recorded ones.
+    pub fn move_to(&mut self, poses: PoseTable) {
+        self.moved = Some(Arc::new(poses));
+    }
+
+    /// What is added to the residuals of the equations, in the order of the layout; none if nothing is.
+    pub fn disturbances(&self) -> Option<&[f64]> {
+        self.disturbances.as_ref().map(|disturbances| disturbances.as_slice())
+    }
+
+    /// The same observations with other statuses of all poses.
+    pub fn with_poses(&self, poses: PoseTable) -> Self {
+        Self { moved: Some(Arc::new(poses)), ..self.clone() }
+    }
+
+    /// The equations of the rows that take part, in the order of the layout.
+    fn taken(&self) -> Vec<usize> {
+        let rows = self.rows.iter().map(|&row| self.observations.layout().rows[row]);
+        rows.flat_map(|row| row.first_equation..row.first_equation + row.equations).collect()
     }
 
     fn equations(&self, rows: &[usize]) -> usize {
@@ -66,6 +95,8 @@ pub enum Owner {
     Machine,
     /// An own unknown of the observation set with this index.
     Set(usize),
+    /// A known input of the problem ([`Problem::inputs`]); never estimated.
+    Input,
 }
 
 /// Something to be estimated.
@@ -92,13 +123,71 @@ pub struct Block<'a> {
     pub jacobian: &'a [f64],
 }
 
-/// What an earlier calibration knows of a problem: values that are not estimated again, with their covariance.
+/// A known input of a problem, with everybody who uses it.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Input {
+    /// Name in results: `bar.reference_error`, or `stylus_radius` where it is the machine's.
+    pub name: String,
+    /// Its standard uncertainty, in the unit of its value.
+    pub standard_uncertainty: f64,
+    /// (set, index among the known inputs of its observations).
+    pub users: Vec<(usize, usize)>,
+}
+
+impl Input {
+    /// Its value.
+    pub fn value(&self, sets: &[ObservationSet]) -> f64 {
+        let (set, input) = self.users[0];
+        sets[set].inputs[input]
+    }
+}
+
+/// What is not estimated but whose uncertainty counts: known inputs, and what an earlier calibration knows.
 #[derive(Debug, Clone, Default, PartialEq)]
-pub struct Known {
+pub struct Considered {
     /// The parameters.
     pub unknowns: Vec<Unknown>,
     /// Their covariance, in their units.
     pub covariance: Vec<Vec<f64>>,
+    /// For each the name under which budgets list its contribution: its own, or that of the earlier estimate.
+    pub sources: Vec<String>,
+}
+
+impl Considered {
+    /// Those inputs (of this problem alone, so independent of all others) that `taken` takes, and what is left.
+    fn split(&self, taken: impl Fn(&Unknown) -> bool) -> (Vec<Unknown>, Self) {
+        let is_taken = |unknown: &Unknown| unknown.owner == Owner::Input && taken(unknown);
+        let stays: Vec<usize> = (0..self.unknowns.len()).filter(|&index| !is_taken(&self.unknowns[index])).collect();
+        let rest = Self {
+            unknowns: stays.iter().map(|&index| self.unknowns[index].clone()).collect(),
+            covariance: stays
+                .iter()
+                .map(|&row| stays.iter().map(|&column| self.covariance[row][column]).collect())
+                .collect(),
+            sources: stays.iter().map(|&index| self.sources[index].clone()).collect(),
+        };
+        (self.unknowns.iter().filter(|unknown| is_taken(unknown)).cloned().collect(), rest)
+    }
+
+    /// Adds parameters that are correlated with each other, but not with those that are there.
+    fn extend(&mut self, unknowns: Vec<Unknown>, covariance: &[Vec<f64>], source: impl Fn(&Unknown) -> String) {
+        let (before, more) = (self.unknowns.len(), unknowns.len());
+        self.covariance.iter_mut().for_each(|row| row.extend(std::iter::repeat_n(0.0, more)));
+        for row in covariance {
+            self.covariance.push([&vec![0.0; before], row.as_slice()].concat());
+        }
+        self.sources.extend(unknowns.iter().map(source));
+        self.unknowns.extend(unknowns);
+    }
+}
+
+/// The scatter of repeats of some sets of a problem that were repeated together.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Scatter {
+    /// The sets.
+    pub sets: Vec<usize>,
+    /// The scatter over all equations of the problem, zero where other sets are.
+    pub pooled: Pooled,
 }
 
 /// Model, observations, unknowns and rows: what an estimator solves.
@@ -116,8 +205,10 @@ pub struct Problem {
     pub unknowns: Vec<Unknown>,
     /// Start or fixed value of every model parameter.
     pub machine: Vec<f64>,
+    /// The known inputs of all sets; those of the machine stand here once.
+    pub inputs: Vec<Input>,
     /// What is considered: not estimated, but its uncertainty counts.
-    pub known: Known,
+    pub considered: Considered,
 }
 
 impl Problem {
@@ -174,6 +265,7 @@ impl Problem {
         let mut chosen = chosen.into_iter();
         candidates.retain(|_| chosen.next() == Some(true));
         let machine = vec![0.0; model.parameters().len()];
+        let (inputs, considered) = inputs(&sets)?;
         Ok(Self {
             name: name.to_owned(),
             model,
@@ -181,7 +273,8 @@ impl Problem {
             sets,
             unknowns: candidates,
             machine,
-            known: Known::default(),
+            inputs,
+            considered,
         })
     }
 
@@ -229,20 +322,57 @@ impl Problem {
         let mut problem = self.starting_from(calibration);
         let everything =
             Self::new(&self.name, &self.model_plugin, self.model.clone(), self.sets.clone(), &["*".to_owned()]);
-        let candidates = everything.map_or_else(|_| Vec::new(), |everything| everything.unknowns);
+        let mut candidates = everything.map_or_else(|_| Vec::new(), |everything| everything.unknowns);
+        // An input that both use: what the earlier estimate owes to it, it owes to it here.
+        let (shared, others) = problem.considered.split(|unknown| calibration.get(&unknown.name).is_some());
+        candidates.extend(shared);
+        problem.considered = others;
         let order = &calibration.covariance.order;
-        let mut places = Vec::new();
+        let (mut known, mut places) = (Vec::new(), Vec::new());
         for unknown in candidates {
             let chosen = self.unknowns.iter().any(|chosen| chosen.name == unknown.name);
             if let Some(place) = order.iter().position(|name| *name == unknown.name).filter(|_| !chosen) {
-                problem.known.unknowns.push(unknown);
+                known.push(unknown);
                 places.push(place);
             }
         }
         let rows = &calibration.covariance.rows;
         let entry = |row: usize| places.iter().map(|&column| rows[row][column]).collect();
-        problem.known.covariance = places.iter().map(|&row| entry(row)).collect();
+        let covariance: Vec<Vec<f64>> = places.iter().map(|&row| entry(row)).collect();
+        problem.considered.extend(known, &covariance, |_| calibration.estimate.clone());
         problem
+    }
+
+    /// The same problem with other errors of its readings: `disturbances`, one for every equation of the problem, are added
+    /// to its residuals.
+    pub fn disturbed(&self, disturbances: &[f64]) -> Self {
+        let mut problem = self.clone();
+        let mut rest = disturbances;
+        for set in &mut problem.sets {
+            let taken = set.taken();
+            let (own, others) = rest.split_at(taken.len());
+            rest = others;
+            let mut all = vec![0.0; set.uncertainty.standard.len()];
+            if let Some(before) = &set.disturbances {
+                all.copy_from_slice(before);
+            }
+            taken.into_iter().zip(own).for_each(|(equation, disturbance)| all[equation] += disturbance);
+            set.disturbances = Some(Arc::new(all));
+        }
+        problem
+    }
+
+    /// Adds `change` to the value of something that is not estimated.
+    pub fn shift(&mut self, unknown: &Unknown, change: f64) {
+        match unknown.owner {
+            Owner::Machine => self.machine[unknown.index] += change,
+            Owner::Set(set) => self.sets[set].own[unknown.index] += change,
+            Owner::Input => {
+                for &(set, input) in &self.inputs[unknown.index].users {
+                    self.sets[set].inputs[input] += change;
+                }
+            }
+        }
     }
 
     /// Number of equations.
@@ -257,6 +387,7 @@ impl Problem {
             .map(|unknown| match unknown.owner {
                 Owner::Machine => self.machine[unknown.index],
                 Owner::Set(set) => self.sets[set].own[unknown.index],
+                Owner::Input => self.inputs[unknown.index].value(&self.sets),
             })
             .collect()
     }
@@ -268,6 +399,11 @@ impl Problem {
             match unknown.owner {
                 Owner::Machine => problem.machine[unknown.index] = value,
                 Owner::Set(set) => problem.sets[set].own[unknown.index] = value,
+                Owner::Input => {
+                    for &(set, input) in &self.inputs[unknown.index].users {
+                        problem.sets[set].inputs[input] = value;
+                    }
+                }
             }
         }
         problem
@@ -275,11 +411,43 @@ impl Problem {
 
     /// Standard uncertainty of every equation, mm or rad.
     pub fn standard_uncertainties(&self) -> Vec<f64> {
-        let mut all = Vec::with_capacity(self.equations());
-        for set in &self.sets {
-            let uncertainties = &set.observations.layout().standard_uncertainties;
-            for row in set.rows.iter().map(|&row| &set.observations.layout().rows[row]) {
-                all.extend_from_slice(&uncertainties[row.first_equation..row.first_equation + row.equations]);
+        let sets = self.sets.iter();
+        sets.flat_map(|set| set.taken().into_iter().map(|equation| set.uncertainty.standard[equation])).collect()
+    }
+
+    /// Equations of the problem that are correlated.
+    pub fn covariance_blocks(&self) -> Vec<CovarianceBlock> {
+        let mut all = Vec::new();
+        for (set, range) in self.sets.iter().zip(self.equation_ranges()) {
+            if set.uncertainty.blocks.is_empty() {
+                continue;
+            }
+            all.extend(set.uncertainty.of(&set.taken()).blocks.into_iter().map(|mut block| {
+                block.equations.iter_mut().for_each(|equation| *equation += range.start);
+                block
+            }));
+        }
+        all
+    }
+
+    /// The scatter of repeats. Sets with the same repetitions were repeated together: they share the deviations.
+    pub fn scatters(&self) -> Vec<Scatter> {
+        let mut all: Vec<Scatter> = Vec::new();
+        let equations = self.equations();
+        for (index, (set, range)) in self.sets.iter().zip(self.equation_ranges()).enumerate() {
+            let Some(pooled) = set.uncertainty.of(&set.taken()).pooled else { continue };
+            let same = |scatter: &&mut Scatter| {
+                (&scatter.pooled.by, &scatter.pooled.repetitions) == (&pooled.by, &pooled.repetitions)
+            };
+            if all.iter_mut().find(same).is_none() {
+                let deviations = vec![vec![0.0; equations]; pooled.repetitions.len()];
+                all.push(Scatter { sets: Vec::new(), pooled: Pooled { deviations, ..pooled.clone() } });
+            }
+            if let Some(scatter) = all.iter_mut().find(same) {
+                scatter.sets.push(index);
+                for (line, own) in scatter.pooled.deviations.iter_mut().zip(&pooled.deviations) {
+                    line[range.clone()].copy_from_slice(own);
+                }
             }
         }
         all
@@ -338,9 +506,13 @@ impl Problem {
         let mut jacobian = Vec::new();
         for (index, set) in at.sets.iter().enumerate() {
             let mut own_columns = vec![None; set.own.len()];
+            let mut input_columns = vec![None; set.inputs.len()];
             for (column, unknown) in self.unknowns.iter().enumerate() {
                 if unknown.owner == Owner::Set(index) {
                     own_columns[unknown.index] = Some(column);
+                } else if unknown.owner == Owner::Input {
+                    let users = self.inputs[unknown.index].users.iter().filter(|user| user.0 == index);
+                    users.for_each(|user| input_columns[user.1] = Some(column));
                 }
             }
             for rows in set.rows.chunks(CHUNK) {
@@ -354,8 +526,10 @@ impl Problem {
                         line[column] += dot(derivative, weight);
                     }
                 });
-                for &(equation, own, derivative) in &work.equations.by_own {
-                    if let Some(column) = own_columns[own] {
+                let own = work.equations.by_own.iter().map(|by| (by, &own_columns));
+                let inputs = work.equations.by_input.iter().map(|by| (by, &input_columns));
+                for (&(equation, index, derivative), columns) in own.chain(inputs) {
+                    if let Some(column) = columns[index] {
                         jacobian[equation * count + column] += derivative;
                     }
                 }
@@ -367,7 +541,7 @@ impl Problem {
     }
 
     /// Evaluates poses and equations of some rows of a set at the problem's own values.
-    fn evaluate(&self, set: usize, rows: &[usize], wanted: &[Variable], work: &mut Workspace) -> Result<()> {
+    pub(crate) fn evaluate(&self, set: usize, rows: &[usize], wanted: &[Variable], work: &mut Workspace) -> Result<()> {
         let set = &self.sets[set];
         let orientation = set.observations.needs_orientation();
         work.statuses.clear();
@@ -380,43 +554,12 @@ impl Problem {
         work.equations.clear();
         let poses = PoseValues { positions: &work.poses.positions, orientations: &work.poses.orientations };
         set.observations.evaluate(rows, poses, &set.own, &set.inputs, &mut work.equations);
-        Ok(())
-    }
-
-    /// The same problem with every touched row moved to where, by the model at `x`, nominal contact is: the linear axes
-    /// bring the tip to [`Observations::contact_tip`], or move by as little as possible until the row's equations hold.
-    ///
-    /// Rank and condition are judged there. At recorded positions the residuals, and the offsets with which features are
-    /// met beside their points, act as if they were information: they lift the singular values that are really zero.
-    pub fn at_contact(&self, x: &[f64]) -> Result<Self> {
-        let mut moved = self.at(x);
-        let linear: Vec<(Variable, usize)> = (self.model.axes().iter().enumerate())
-            .filter(|(_, axis)| axis.kind == AxisKind::Linear)
-            .map(|(index, axis)| (Variable::Command(index), axis.status))
-            .collect();
-        let wanted: Vec<Variable> = linear.iter().map(|(variable, _)| *variable).collect();
-        let mut work = Workspace::default();
-        for set in 0..moved.sets.len() {
-            if moved.sets[set].observations.contact() != Contact::LinearAxes || linear.is_empty() {
-                continue;
-            }
-            let mut poses = moved.sets[set].poses().clone();
-            for chunk in self.sets[set].rows.chunks(CHUNK) {
-                moved.sets[set].moved = Some(Arc::new(poses.clone()));
-                // Newton's iteration converges quadratically: a step below 1e-5 mm leaves nothing that a double holds.
-                let moved_set = moved.sets[set].clone();
-                for _ in 0..8 {
-                    moved.evaluate(set, chunk, &wanted, &mut work)?;
-                    let table = Arc::make_mut(moved.sets[set].moved.get_or_insert_default());
-                    if work.step_to_contact(&moved_set, chunk, &linear, table) < 1e-5 {
-                        break;
-                    }
-                }
-                poses = moved.sets[set].poses().clone();
-            }
-            moved.sets[set].moved = Some(Arc::new(poses));
+        if let Some(disturbances) = &set.disturbances {
+            let equations = rows.iter().map(|&row| set.observations.layout().rows[row]);
+            let equations = equations.flat_map(|row| row.first_equation..row.first_equation + row.equations);
+            work.equations.residuals.iter_mut().zip(equations).for_each(|(value, at)| *value += disturbances[at]);
         }
-        Ok(moved)
+        Ok(())
     }
 
     /// The estimated values of a calibration in the order of this problem's unknowns; start values where it has none.
@@ -440,18 +583,52 @@ impl Problem {
     }
 }
 
+/// The known inputs of some sets, and those of them that are uncertain.
+fn inputs(sets: &[ObservationSet]) -> Result<(Vec<Input>, Considered)> {
+    let mut inputs: Vec<Input> = Vec::new();
+    let (mut uncertain, mut variances) = (Vec::new(), Vec::new());
+    for (set, observations) in sets.iter().enumerate() {
+        for (index, input) in observations.observations.inputs().iter().enumerate() {
+            let own = &input.parameter.name;
+            let name = if input.shared { own.clone() } else { format!("{}.{own}", observations.name) };
+            if let Some(same) = inputs.iter_mut().find(|other| other.name == name) {
+                if same.standard_uncertainty != input.standard_uncertainty {
+                    return Err(Error::usage(format!(
+                        "`{name}` is one quantity of the machine, but `{}` and `{}` give it different standard uncertainties",
+                        sets[same.users[0].0].name, observations.name
+                    ))
+                    .help("state the same one in both"));
+                }
+                same.users.push((set, index));
+                continue;
+            }
+            if input.standard_uncertainty > 0.0 {
+                let unit = input.parameter.unit;
+                uncertain.push(Unknown { name: name.clone(), unit, owner: Owner::Input, index: inputs.len() });
+                variances.push(input.standard_uncertainty.powi(2));
+            }
+            inputs.push(Input { name, standard_uncertainty: input.standard_uncertainty, users: vec![(set, index)] });
+        }
+    }
+    let mut covariance = vec![vec![0.0; variances.len()]; variances.len()];
+    variances.iter().enumerate().for_each(|(index, variance): (usize, &f64)| covariance[index][index] = *variance);
+    let mut considered = Considered::default();
+    considered.extend(uncertain, &covariance, |unknown| unknown.name.clone());
+    Ok((inputs, considered))
+}
+
 /// Buffers of an evaluation.
 #[derive(Default)]
-struct Workspace {
+pub(crate) struct Workspace {
     statuses: Vec<f64>,
-    poses: Poses,
-    equations: Equations,
+    pub(crate) poses: Poses,
+    pub(crate) equations: Equations,
 }
 
 impl Workspace {
     /// Calls `add` with (equation, derivatives of a pose to the variables, d(residual)/d(that pose)) for every equation
     /// and pose; once for positions and, where they are needed, once for rotations.
-    fn chain(
+    pub(crate) fn chain(
         &self,
         set: &ObservationSet,
         rows: &[usize],
@@ -474,70 +651,8 @@ impl Workspace {
             first_pose += row.poses;
         }
     }
-
-    /// Moves the linear axes of every row by the smallest step that makes its linearised equations hold; returns the
-    /// largest step in mm.
-    fn step_to_contact(
-        &self,
-        set: &ObservationSet,
-        rows: &[usize],
-        linear: &[(Variable, usize)],
-        table: &mut PoseTable,
-    ) -> f64 {
-        let count = linear.len();
-        let mut gradients = vec![0.0; self.equations.by_position.len() * count];
-        let mut entry = 0;
-        self.chain(set, rows, count, |_, derivatives, weight| {
-            for (k, derivative) in derivatives.iter().enumerate() {
-                gradients[entry * count + k] = dot(derivative, weight);
-            }
-            entry += 1;
-        });
-        if !self.equations.by_rotation.is_empty() {
-            return 0.0; // Orientations are not touched into place by linear axes.
-        }
-        let (mut equation, mut entry, mut pose, mut largest) = (0, 0, 0, 0.0_f64);
-        for &index in rows {
-            let row = &set.observations.layout().rows[index];
-            let free = row.poses * count;
-            let tip = (row.poses == 1).then(|| self.poses.positions[pose]);
-            let contact =
-                tip.and_then(|tip| Some((tip, set.observations.contact_tip(index, tip, &set.own, &set.inputs)?)));
-            let (gradient, residual) = match contact {
-                Some((tip, contact)) => (
-                    DMatrix::from_fn(3, count, |axis, k| self.poses.position_derivatives[pose * count + k][axis]),
-                    DVector::from_fn(3, |axis, _| tip[axis] - contact[axis]),
-                ),
-                None => (
-                    DMatrix::from_row_slice(
-                        row.equations,
-                        free,
-                        &gradients[entry * count..entry * count + row.equations * free],
-                    ),
-                    DVector::from_column_slice(&self.equations.residuals[equation..equation + row.equations]),
-                ),
-            };
-            equation += row.equations;
-            entry += row.equations * row.poses;
-            pose += row.poses;
-            if free == 0 {
-                continue;
-            }
-            let Ok(step) = gradient.svd(true, true).solve(&-residual, 1e-6) else {
-                continue;
-            };
-            for end in 0..row.poses {
-                for (k, (_, status)) in linear.iter().enumerate() {
-                    let step = step[end * count + k];
-                    table.row_mut(row.first_pose + end)[*status] += step;
-                    largest = largest.max(step.abs());
-                }
-            }
-        }
-        largest
-    }
 }
 
-fn dot(a: &[f64; 3], b: &[f64; 3]) -> f64 {
+pub(crate) fn dot(a: &[f64; 3], b: &[f64; 3]) -> f64 {
     a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
 }

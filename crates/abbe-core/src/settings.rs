@@ -177,6 +177,14 @@ pub fn positive(name: &str, value: f64) -> Result<f64, SettingsError> {
     }
 }
 
+/// Refuses a setting that is negative or not finite.
+pub fn not_negative(name: &str, value: f64) -> Result<f64, SettingsError> {
+    match value >= 0.0 && value.is_finite() {
+        true => Ok(value),
+        false => Err(SettingsError::new(name, format!("{value}: a number that is not negative was expected"))),
+    }
+}
+
 /// The JSON Schema of a settings type, as a plain value.
 pub fn schema_of<T: JsonSchema>() -> Value {
     schemars::generate::SchemaSettings::draft2020_12()

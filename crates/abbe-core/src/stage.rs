@@ -8,7 +8,7 @@ use std::sync::Arc;
 
 use crate::calibration::{Calibration, Identifiability};
 use crate::dataset::{ColumnHeader, Dataset};
-use crate::error::Result;
+use crate::error::{Error, Result};
 use crate::model::KinematicModel;
 use crate::observations::{Observations, Target};
 use crate::problem::Problem;
@@ -64,6 +64,21 @@ pub trait Model: Send + Sync {
 pub trait Estimate: Send + Sync {
     /// Solves the problem.
     fn estimate(&self, problem: &Problem) -> Result<Calibration>;
+
+    /// Solves the problem and explains the result: what its uncertainties are made of, what is determined worst.
+    fn explain(&self, problem: &Problem) -> Result<Calibration> {
+        self.estimate(problem)
+    }
+
+    /// The values of the unknowns alone, starting from values that are almost right: what is asked ten thousand times.
+    fn values(&self, problem: &Problem) -> Result<Vec<f64>> {
+        self.estimate(problem).map(|calibration| problem.values_of(&calibration))
+    }
+
+    /// A new look at an earlier estimate, which the recipe names under `of`.
+    fn reconsider(&self, _fit: &Fit) -> Result<Calibration> {
+        Err(Error::usage("this estimator makes its own estimate; it takes no other one by `of`").setting("of"))
+    }
 
     /// What the problem can determine, judged at the contact points of its start values, without solving it.
     fn identify(&self, problem: &Problem) -> Result<Identifiability>;

@@ -170,7 +170,7 @@ fn replace(staged: &Path, target: &Path) -> io::Result<()> {
 const STAGING: &str = ".abbe-partial-";
 
 /// A temporary folder in `out`; what an interrupted run left there is removed.
-fn staging(out: &Path) -> Result<tempfile::TempDir> {
+pub(crate) fn staging(out: &Path) -> Result<tempfile::TempDir> {
     let unwritable = |error: io::Error| unwritable(out, &error);
     fs::create_dir_all(out).map_err(unwritable)?;
     for entry in fs::read_dir(out).map_err(unwritable)?.flatten() {
@@ -184,7 +184,7 @@ fn staging(out: &Path) -> Result<tempfile::TempDir> {
     tempfile::Builder::new().prefix(STAGING).tempdir_in(out).map_err(unwritable)
 }
 
-fn unwritable(out: &Path, error: &io::Error) -> Error {
+pub(crate) fn unwritable(out: &Path, error: &io::Error) -> Error {
     Error::data(format!("the results cannot be written to {}: {error}", out.display()))
         .help("name another folder with `--out`")
 }

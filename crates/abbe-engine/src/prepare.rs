@@ -11,12 +11,15 @@ use abbe_core::{
 use abbe_recipe::{Recipe, Stage};
 use serde_json::Value;
 
+use crate::uncertainty::RowsOf;
+
 /// The stages of a recipe, built and checked as far as that goes without data rows.
 pub struct Prepared {
     /// The recipe.
     pub recipe: Recipe,
     pub(crate) ingests: BTreeMap<String, Box<dyn Ingest>>,
     pub(crate) artefacts: BTreeMap<String, Box<dyn Artefact>>,
+    pub(crate) rows: BTreeMap<String, RowsOf>,
     pub(crate) models: BTreeMap<String, Box<dyn Model>>,
     pub(crate) estimators: BTreeMap<String, Arc<dyn Estimate>>,
     pub(crate) validators: BTreeMap<String, Box<dyn Validate>>,
@@ -39,6 +42,7 @@ pub fn prepare(path: &Path, registry: &Registry) -> Result<Prepared> {
     let mut prepared = Prepared {
         ingests: BTreeMap::new(),
         artefacts: BTreeMap::new(),
+        rows: BTreeMap::new(),
         models: BTreeMap::new(),
         estimators: BTreeMap::new(),
         validators: BTreeMap::new(),
@@ -82,8 +86,11 @@ impl Prepared {
             }
             Build::Artefact(constructor) => {
                 let built = constructor.build(settings, context).map_err(wrong)?;
-                let inputs = built.inputs();
-                self.artefacts.insert(name, built);
+                let rows = RowsOf::new(stage, &context.base).map_err(wrong)?;
+                let mut inputs = built.inputs();
+                inputs.extend(rows.input().map(|path| InputFile { setting: "uncertainty", path: path.clone() }));
+                self.artefacts.insert(name.clone(), built);
+                self.rows.insert(name, rows);
                 Ok(inputs)
             }
             Build::Model(constructor) => {
@@ -116,21 +123,25 @@ impl Prepared {
     fn check_stage(&self, stage: &Stage) -> Result<()> {
         match stage.kind {
             Kind::Ingest => self.headers(&stage.name).map(drop),
+            Kind::Estimate if !stage.reference("of").is_empty() => Ok(()),
             Kind::Estimate => {
                 let model =
                     self.model(stage)?.build(&[]).map_err(|error| error.stage(&stage.reference("machine")[0]))?;
                 for name in stage.reference("observations") {
-                    let (ingest, artefact) = self.artefact(name)?;
-                    let (headers, files) = (self.headers(ingest)?, self.ingests[ingest].inputs());
-                    let file = files.first().map(|file| &file.path);
-                    artefact.check(&headers, file, model.as_ref()).map_err(|error| error.stage(name))?;
+                    let (from, artefact) = self.artefact(name)?;
+                    let repeats = self.repeats(name)?;
+                    for ingest in std::iter::once(from).chain(repeats) {
+                        let (headers, files) = (self.headers(ingest)?, self.ingests[ingest].inputs());
+                        let file = files.first().map(|file| &file.path);
+                        artefact.check(&headers, file, model.as_ref()).map_err(|error| error.stage(name))?;
+                    }
                 }
                 Ok(())
             }
             Kind::Validate => {
                 for (setting, name) in self.validators[&stage.name].observations() {
                     for fit in stage.reference("of") {
-                        let observed = self.recipe_stage(fit)?.reference("observations");
+                        let observed = self.own_estimate(fit)?.reference("observations");
                         if !observed.contains(&name) {
                             return Err(Error::usage(format!("`{name}` is not among the observations of `{fit}`"))
                                 .setting(setting)
@@ -160,6 +171,20 @@ impl Prepared {
     pub(crate) fn artefact(&self, name: &str) -> Result<(&str, &dyn Artefact)> {
         let from = &self.recipe_stage(name)?.reference("from")[0];
         Ok((from, self.artefacts[name].as_ref()))
+    }
+
+    /// The ingest stage with the repeats of an artefact's rows.
+    pub(crate) fn repeats(&self, artefact: &str) -> Result<Option<&str>> {
+        Ok(self.recipe_stage(artefact)?.reference("repeats").first().map(String::as_str))
+    }
+
+    /// The estimate with machine and observations of its own that an estimate is, or goes back to.
+    pub(crate) fn own_estimate(&self, name: &str) -> Result<&Stage> {
+        let stage = self.recipe_stage(name)?;
+        match stage.reference("of").first() {
+            Some(of) if stage.kind == Kind::Estimate => self.own_estimate(of),
+            _ => Ok(stage),
+        }
     }
 
     /// The model that an estimate uses.

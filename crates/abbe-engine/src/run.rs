@@ -1,13 +1,12 @@
 //! Runs the graph: data sets, then estimates, validators and exporters.
 
 use std::collections::{BTreeMap, BTreeSet};
-use std::sync::atomic::{AtomicUsize, Ordering};
-use std::sync::{Arc, Mutex, PoisonError};
+use std::sync::Arc;
 use std::time::{Instant, SystemTime};
 
 use abbe_core::{
-    Calibration, Dataset, Error, Fit, Identifiability, Kind, KinematicModel, ObservationSet, Problem, Registry, Result,
-    Verdict,
+    Calibration, Dataset, Error, Fit, Identifiability, Kind, KinematicModel, Owner, Problem, Registry, Result, Verdict,
+    in_parallel,
 };
 use abbe_recipe::Stage;
 
@@ -39,6 +38,8 @@ pub struct Planned {
     pub identifiability: Identifiability,
     /// Whether its estimator goes on with that.
     pub accepted: bool,
+    /// The machine parameters that it estimates.
+    pub machine: Vec<String>,
 }
 
 /// Hears what is going on, from any thread.
@@ -52,12 +53,14 @@ impl Prepared {
         let data = self.read(&|_| {})?;
         let mut taken = Taken::default();
         let mut planned = Vec::new();
-        for stage in self.stages(Kind::Estimate) {
+        for stage in self.stages(Kind::Estimate).filter(has_problem) {
             let problem = self.located(stage, self.problem(stage, &data, &mut taken))?;
             let estimator = &self.estimators[&stage.name];
             let identifiability = self.located(stage, estimator.identify(&problem))?;
             let accepted = estimator.accepts(&identifiability);
-            planned.push(Planned { estimate: stage.name.clone(), identifiability, accepted });
+            let own = problem.unknowns.iter().filter(|unknown| unknown.owner == Owner::Machine);
+            let machine = own.map(|unknown| unknown.name.clone()).collect();
+            planned.push(Planned { estimate: stage.name.clone(), identifiability, accepted, machine });
         }
         self.nothing_left_over(&data, &taken)?;
         Ok(planned)
@@ -70,7 +73,7 @@ impl Prepared {
         let data = self.read(tell)?;
         let mut taken = Taken::default();
         let mut problems = BTreeMap::new();
-        for stage in self.stages(Kind::Estimate) {
+        for stage in self.stages(Kind::Estimate).filter(has_problem) {
             problems.insert(&stage.name, self.located(stage, self.problem(stage, &data, &mut taken))?);
         }
         // Before the first fit, so that a feature that nobody knows does not cost a long run.
@@ -79,23 +82,28 @@ impl Prepared {
         let mut waiting: Vec<&Stage> = self.stages(Kind::Estimate).collect();
         while !waiting.is_empty() {
             let done = |name: &String| fits.iter().any(|fit| fit.name == *name);
-            let finished = |stage: &&Stage| ["start", "known"].iter().all(|key| stage.reference(key).iter().all(done));
+            let finished =
+                |stage: &&Stage| ["start", "known", "of"].iter().all(|key| stage.reference(key).iter().all(done));
             let ready: Vec<&Stage> = waiting.iter().copied().filter(finished).collect();
             waiting.retain(|stage| !ready.iter().any(|ready| ready.name == stage.name));
-            let done = in_parallel(&ready, |stage| {
+            let done = in_parallel(&ready, None, |stage| {
                 self.started(stage, tell);
-                self.fit(stage, start(stage, problems[&stage.name].clone(), &fits))
+                match problems.get(&stage.name) {
+                    Some(problem) => self.fit(stage, start(stage, problem.clone(), &fits)),
+                    None => self.fit_anew(stage, &fits),
+                }
             });
-            fits.extend(done?);
+            fits.extend(done.into_iter().collect::<Result<Vec<Fit>>>()?);
         }
         let stages: Vec<&Stage> = self.stages(Kind::Validate).collect();
-        let verdicts = in_parallel(&stages, |stage| {
+        let verdicts = in_parallel(&stages, None, |stage| {
             self.started(stage, tell);
             let judged: Vec<&Fit> = named(stage.reference("of"), &fits);
             let evidence: Vec<&Dataset> = stage.reference("from").iter().map(|name| data[name].as_ref()).collect();
             let findings = self.located(stage, self.validators[&stage.name].validate(&judged, &evidence))?;
             Ok(Verdict::new(&stage.name, &stage.plugin, findings))
-        })?;
+        });
+        let verdicts = verdicts.into_iter().collect::<Result<Vec<Verdict>>>()?;
         let mut exports = Vec::new();
         for stage in self.stages(Kind::Export) {
             self.started(stage, tell);
@@ -120,12 +128,22 @@ impl Prepared {
     fn fit(&self, stage: &Stage, problem: Problem) -> Result<Fit> {
         let estimator = self.estimators[&stage.name].clone();
         tracing::info!("{}: {} equations, {} unknowns", stage.name, problem.equations(), problem.unknowns.len());
-        let calibration = self.located(stage, estimator.estimate(&problem))?;
+        let calibration = self.located(stage, estimator.explain(&problem))?;
         Ok(Fit { name: stage.name.clone(), problem: Arc::new(problem), estimator, calibration })
     }
 
+    /// A new look at an earlier estimate: the same problem, which its own estimator solves on other rows.
+    fn fit_anew(&self, stage: &Stage, fits: &[Fit]) -> Result<Fit> {
+        let of = named(stage.reference("of"), fits);
+        let fit = of.first().ok_or_else(|| Error::usage("the estimate under `of` is not there").stage(&stage.name))?;
+        let mut calibration = self.located(stage, self.estimators[&stage.name].reconsider(fit))?;
+        calibration.estimate = stage.name.clone();
+        let (problem, estimator) = (fit.problem.clone(), fit.estimator.clone());
+        Ok(Fit { name: stage.name.clone(), problem, estimator, calibration })
+    }
+
     /// Errors of a stage get its name and place.
-    fn located<T>(&self, stage: &Stage, result: Result<T>) -> Result<T> {
+    pub(crate) fn located<T>(&self, stage: &Stage, result: Result<T>) -> Result<T> {
         result.map_err(|error| self.recipe.locate(error.stage(&stage.name)))
     }
 
@@ -166,7 +184,10 @@ impl Prepared {
             let observations = artefact.observe(&data[ingest], model.as_ref()).map_err(|error| error.stage(name))?;
             let rows = observations.layout().rows.iter().filter_map(|row| row.data_row);
             taken.entry(ingest.to_owned()).or_default().extend(rows);
-            sets.push(ObservationSet::new(name, observations));
+            let repeats = self.repeats(name)?.map(|repeats| artefact.observe(&data[repeats], model.as_ref()));
+            let repeats = repeats.transpose().map_err(|error| error.stage(name))?;
+            let set = self.rows[name].set(name, observations, repeats, &model);
+            sets.push(set.map_err(|error| error.stage(name))?);
         }
         let plugin = &self.recipe_stage(machine)?.plugin;
         Problem::new(&stage.name, plugin, model, sets, &stage.parameters)
@@ -193,6 +214,11 @@ impl Prepared {
     }
 }
 
+/// Whether an estimate has a machine and observations of its own.
+pub(crate) fn has_problem(stage: &&Stage) -> bool {
+    stage.reference("of").is_empty()
+}
+
 /// Rows of each data set that some artefact took.
 type Taken = BTreeMap<String, BTreeSet<usize>>;
 
@@ -206,28 +232,6 @@ fn start(stage: &Stage, problem: Problem, fits: &[Fit]) -> Problem {
 
 fn named<'a>(names: &[String], fits: &'a [Fit]) -> Vec<&'a Fit> {
     names.iter().filter_map(|name| fits.iter().find(|fit| fit.name == *name)).collect()
-}
-
-/// Applies `work` to all items on as many threads as there are cores; results come in the order of the items, and of
-/// several errors the first.
-fn in_parallel<T: Sync, R: Send>(items: &[T], work: impl Fn(&T) -> Result<R> + Sync) -> Result<Vec<R>> {
-    let threads = std::thread::available_parallelism().map_or(1, usize::from).min(items.len());
-    let next = AtomicUsize::new(0);
-    let results: Vec<Mutex<Option<Result<R>>>> = items.iter().map(|_| Mutex::new(None)).collect();
-    std::thread::scope(|scope| {
-        for _ in 0..threads {
-            scope.spawn(|| {
-                while let Some((item, result)) = {
-                    let index = next.fetch_add(1, Ordering::Relaxed);
-                    items.get(index).zip(results.get(index))
-                } {
-                    *result.lock().unwrap_or_else(PoisonError::into_inner) = Some(work(item));
-                }
-            });
-        }
-    });
-    let taken = results.into_iter().filter_map(|result| result.into_inner().unwrap_or_else(PoisonError::into_inner));
-    taken.collect()
 }
 
 /// The model of a calibration, built from its own settings alone.

@@ -135,16 +135,6 @@ impl Factor {
         norm((0..n).map(|row| (row..n).map(|column| self.triangle[(row, column)] * x[column]).sum()))
     }
 
-    /// How the least squares values of the first `first` unknowns answer to the others: `-R11^-1 R12`, first x others.
-    /// The first unknowns have to be of full rank by themselves.
-    pub fn sensitivity(&self, first: usize) -> Vec<Vec<f64>> {
-        let others = self.unknowns() - first;
-        let mut solved = Mat::from_fn(first, others, |row, column| -self.triangle[(row, first + column)]);
-        let own = self.triangle.get(..first, ..first);
-        faer::linalg::triangular_solve::solve_upper_triangular_in_place(own, solved.as_mut(), faer::Par::Seq);
-        (0..first).map(|row| (0..others).map(|column| solved[(row, column)]).collect()).collect()
-    }
-
     /// The root of the covariance within the first `rank` singular directions.
     pub fn whitener(&self, rank: usize) -> Whitener {
         if rank < self.unknowns() {
@@ -214,6 +204,25 @@ impl Factor {
 pub struct Whitener(Mat<f64>);
 
 impl Whitener {
+    /// How the least squares values answer to more columns K of the same rows, `-A A^T J^T K`, unknowns x columns.
+    ///
+    /// `extended` is the factor of `[J K | r]`; a change of the residuals by `K k` changes the values by the answer times k.
+    pub fn answer(&self, extended: &Factor) -> Vec<Vec<f64>> {
+        let n = self.0.nrows();
+        let own = extended.triangle.get(..n, ..n);
+        let others = extended.triangle.get(..n, n..);
+        let answer = &self.0 * ((own * &self.0).transpose() * others);
+        (0..n).map(|row| (0..answer.ncols()).map(|column| -answer[(row, column)]).collect()).collect()
+    }
+
+    /// The part of the covariance that comes from some of the rows, `A A^T S^T S A A^T` with the factor S of those rows;
+    /// symmetric to the last bit. The parts of all rows together are the covariance.
+    pub fn part(&self, of_rows: &Factor) -> Vec<Vec<f64>> {
+        let n = self.0.nrows();
+        let root = &self.0 * (of_rows.triangle.get(..n, ..n) * &self.0).transpose();
+        Self(root).covariance()
+    }
+
     /// Covariance `(J^T J)^-1` in the units of the unknowns, row by row, symmetric to the last bit.
     pub fn covariance(&self) -> Vec<Vec<f64>> {
         let product = &self.0 * self.0.transpose();
@@ -271,6 +280,11 @@ impl Spectrum {
     /// The singular values.
     pub fn singular_values(&self) -> &SingularValues {
         &self.singular_values
+    }
+
+    /// The direction of the k-th singular value in scaled unknowns, of norm 1.
+    pub fn direction(&self, k: usize) -> Vec<f64> {
+        (0..self.scale.len()).map(|row| self.vectors[(row, k)]).collect()
     }
 
     /// The least squares step within the first `rank` singular directions: of all steps with the same effect the

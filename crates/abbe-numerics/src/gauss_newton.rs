@@ -6,7 +6,7 @@ use crate::robust::{Loss, Robust, RobustReport, scale, studentise};
 /// Takes rows: index of the first, residuals, derivatives row by row.
 pub type Sink<'a> = &'a mut dyn FnMut(usize, &[f64], &[f64]);
 
-/// A least squares problem in weighted residuals. Rows come in blocks, always in the same order.
+/// A least squares problem in weighted residuals. Rows come in blocks, each row once, always in the same order.
 pub trait LeastSquares {
     /// What can go wrong in an evaluation.
     type Error;
@@ -131,10 +131,12 @@ fn studentised_residuals<P: LeastSquares + ?Sized>(
     rank: usize,
 ) -> Result<Vec<f64>, P::Error> {
     let whitener = minimum.factor.whitener(rank);
-    let (mut residuals, mut leverages) = (Vec::new(), Vec::new());
-    problem.linearise(&minimum.x, &mut |_, block, derivatives| {
-        residuals.extend_from_slice(block);
-        leverages.extend(whitener.leverages(derivatives));
+    let mut residuals = vec![0.0; problem.rows()];
+    let mut leverages = vec![0.0; problem.rows()];
+    problem.linearise(&minimum.x, &mut |first, block, derivatives| {
+        let rows = first..first + block.len();
+        residuals[rows.clone()].copy_from_slice(block);
+        leverages[rows].copy_from_slice(&whitener.leverages(derivatives));
     })?;
     Ok(studentise(&residuals, weights, &leverages))
 }

@@ -23,12 +23,14 @@ const fn reference(key: &'static str, kind: Kind, required: bool, many: bool) ->
 
 /// The reference keys of a kind of stage.
 pub(crate) fn references(kind: Kind) -> &'static [Reference] {
-    const ARTEFACT: &[Reference] = &[reference("from", Kind::Ingest, true, false)];
+    const ARTEFACT: &[Reference] =
+        &[reference("from", Kind::Ingest, true, false), reference("repeats", Kind::Ingest, false, false)];
     const ESTIMATE: &[Reference] = &[
         reference("machine", Kind::Model, true, false),
         reference("observations", Kind::Artefact, true, true),
         reference("known", Kind::Estimate, false, false),
         reference("start", Kind::Estimate, false, false),
+        reference("of", Kind::Estimate, false, false),
     ];
     const VALIDATE: &[Reference] =
         &[reference("of", Kind::Estimate, true, true), reference("from", Kind::Ingest, false, true)];
@@ -41,6 +43,9 @@ pub(crate) fn references(kind: Kind) -> &'static [Reference] {
         Kind::Export => EXPORT,
     }
 }
+
+/// The key of an estimate that looks at another one anew, and takes machine, observations and parameters from it.
+pub(crate) const ANEW: &str = "of";
 
 impl Reference {
     fn takes(&self) -> String {
@@ -56,7 +61,8 @@ impl Reference {
     pub fn read<'a>(&self, stage: &Head<'a>, heads: &[Head<'a>]) -> Result<Vec<Node<'a>>, Error> {
         let Some(node) = stage.node.get(self.key) else {
             let missing = || stage.node.missing(&[self.key], format!("`{}` is missing: {}", self.key, self.takes()));
-            return if self.required { Err(missing()) } else { Ok(Vec::new()) };
+            let inherits = stage.plugin.kind() == Kind::Estimate && stage.node.get(ANEW).is_some();
+            return if self.required && !inherits { Err(missing()) } else { Ok(Vec::new()) };
         };
         let names = if node.value.is_array() { node.list()? } else { vec![node.clone()] };
         if names.is_empty() && self.required || names.len() > 1 && !self.many {

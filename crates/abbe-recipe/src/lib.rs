@@ -21,6 +21,9 @@ use document::{At, Document, Node};
 pub use schema::schema;
 use sets::Sets;
 
+/// The keys of an artefact stage that are the same for all artefact plugins ([`abbe_core::InputUncertainty`]).
+const INPUT_UNCERTAINTY: [&str; 2] = ["uncertainty", "pooled"];
+
 /// The version of recipes that this program reads.
 const VERSION: u64 = 1;
 
@@ -56,8 +59,11 @@ pub struct Stage {
     pub plugin: String,
     /// The plugin's settings, an object; a model's file is merged in.
     pub settings: Value,
-    /// What an estimate estimates: patterns of names, sets expanded. Empty for other kinds.
+    /// What an estimate estimates: patterns of names, sets expanded. Empty for other kinds, and for an estimate that looks at
+    /// another one anew.
     pub parameters: Vec<String>,
+    /// What is said of the uncertainty of an artefact's rows, an object; the same for all artefact plugins.
+    pub input_uncertainty: Value,
     /// The names of stages under each reference key, as in the recipe.
     pub references: BTreeMap<String, Vec<String>>,
     /// The YAML files that were merged in.
@@ -284,6 +290,7 @@ impl<'a> Head<'a> {
             nodes.extend(named);
         }
         let mut settings = Map::new();
+        let mut input_uncertainty = Map::new();
         let mut parameters = Vec::new();
         let mut origin = Origin { file: None, parameters: Vec::new() };
         for (key, node) in self.node.map()? {
@@ -296,11 +303,21 @@ impl<'a> Head<'a> {
                 let patterns = sets.expand(None, node.list()?)?;
                 parameters = patterns.iter().filter_map(|pattern| pattern.value.as_str()).map(str::to_owned).collect();
                 origin.parameters = patterns.into_iter().map(|pattern| pattern.path).collect();
+            } else if kind == Kind::Artefact && INPUT_UNCERTAINTY.contains(&key) {
+                input_uncertainty.insert(key.to_owned(), node.value.clone());
             } else {
                 settings.insert(key.to_owned(), node.value.clone());
             }
         }
-        if kind == Kind::Estimate && parameters.is_empty() {
+        let anew = self.node.get(graph::ANEW).is_some();
+        if kind == Kind::Estimate && anew {
+            for key in ["machine", "observations", "parameters", "known", "start"] {
+                if let Some(node) = self.node.get(key) {
+                    let message = format!("`{key}` comes from the estimate that `{}` names", graph::ANEW);
+                    return Err(node.error(At::Key, message));
+                }
+            }
+        } else if kind == Kind::Estimate && parameters.is_empty() {
             return Err(self.node.error(At::Key, "the setting `parameters` is missing: what is to be estimated?"));
         }
         let mut settings = Value::Object(settings);
@@ -309,7 +326,8 @@ impl<'a> Head<'a> {
         }
         let files = origin.file.iter().map(|file| file.file.clone()).collect();
         let (name, plugin) = (self.name.to_owned(), self.plugin.name.to_string());
-        Ok((Stage { name, kind, plugin, settings, parameters, references, files }, origin, nodes))
+        let input_uncertainty = Value::Object(input_uncertainty);
+        Ok((Stage { name, kind, plugin, settings, parameters, input_uncertainty, references, files }, origin, nodes))
     }
 
     /// The settings in the file of a model. Keys that the plugin does not know are notes, unless they look like a

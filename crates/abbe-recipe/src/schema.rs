@@ -1,9 +1,9 @@
 //! The JSON Schema of recipes, for editors.
 
-use abbe_core::{Kind, Plugin, Registry};
+use abbe_core::{InputUncertainty, Kind, Plugin, Registry};
 use serde_json::{Map, Value, json};
 
-use crate::graph::references;
+use crate::graph::{ANEW, references};
 
 /// The JSON Schema (2020-12) of the recipes that the plugins of the registry can run.
 pub fn schema(registry: &Registry) -> Value {
@@ -57,16 +57,24 @@ fn stage(plugin: &Plugin) -> Value {
         let one = json!({ "type": "string" });
         let name = if reference.many { json!({ "oneOf": [one, list] }) } else { one };
         properties.insert(reference.key.to_owned(), name);
-        if reference.required {
+        if reference.required && kind != Kind::Estimate {
             required.push(json!(reference.key));
         }
+    }
+    if kind == Kind::Artefact
+        && let Value::Object(common) = abbe_core::schema_of::<InputUncertainty>()
+        && let Some(Value::Object(common)) = common.get("properties")
+    {
+        properties.extend(common.clone());
     }
     if kind == Kind::Estimate {
         let description = "What is estimated: names, patterns with ? and *, sets as \"@S1\"";
         let patterns =
             json!({ "type": "array", "items": { "type": "string" }, "minItems": 1, "description": description });
         properties.insert("parameters".to_owned(), patterns);
-        required.push(json!("parameters"));
+        // An estimate of its own, or a new look at another one.
+        let own = json!({ "required": ["machine", "observations", "parameters"] });
+        settings.insert("anyOf".to_owned(), json!([own, { "required": [ANEW] }]));
     }
     if kind == Kind::Model {
         let description = "YAML file whose settings hold where this stage says nothing else";

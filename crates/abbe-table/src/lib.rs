@@ -6,6 +6,7 @@
 //! ([`abbe_core::Quantity::of_column`]); numbers are converted to the unit used in memory.
 
 mod parse;
+mod rewrite;
 
 use std::collections::BTreeMap;
 use std::fs::{self, File};
@@ -15,6 +16,7 @@ use std::path::{Path, PathBuf};
 use abbe_core::{Column, ColumnHeader, Dataset, Error, Quantity, Result, Values};
 
 pub use parse::number;
+pub use rewrite::{Cells, with_cells};
 
 /// Reads the columns of a file, not its rows.
 pub fn read_headers(path: &Path) -> Result<Vec<ColumnHeader>> {

@@ -69,6 +69,24 @@ pub fn number(header: &str, cell: &str) -> Result<f64, String> {
     }
 }
 
+/// The cells of one line, as they stand there.
+pub(crate) fn cells(path: &Path, line: &str) -> Result<Vec<String>> {
+    let mut reader = csv::ReaderBuilder::new().has_headers(false).flexible(true).from_reader(line.as_bytes());
+    let mut record = csv::StringRecord::new();
+    reader.read_record(&mut record).map_err(|error| Error::data(error.to_string()).in_file(path))?;
+    Ok(record.iter().map(str::to_owned).collect())
+}
+
+/// A line with these cells, quoted where they have to be.
+pub(crate) fn line(path: &Path, cells: &[String]) -> Result<String> {
+    let wrong = |message: String| Error::data(message).in_file(path);
+    let mut writer = csv::WriterBuilder::new().terminator(csv::Terminator::Any(b'\n')).from_writer(Vec::new());
+    writer.write_record(cells).map_err(|error| wrong(error.to_string()))?;
+    let bytes = writer.into_inner().map_err(|error| wrong(error.to_string()))?;
+    let text = String::from_utf8(bytes).map_err(|error| wrong(error.to_string()))?;
+    Ok(text.trim_end_matches('\n').to_owned())
+}
+
 fn empty(path: &Path) -> Error {
     Error::data("the file is empty").in_file(path)
 }

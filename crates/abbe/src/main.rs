@@ -1,4 +1,4 @@
-//! The command line of Abbe: `run`, `check`, `plugins`, `schema`.
+//! The command line of Abbe: `run`, `check`, `simulate`, `plugins`, `schema`.
 //!
 //! Exit status: 0 all verdicts pass; 1 what only the data or the run show; 2 wrong use, or anything that can be found
 //! without reading data rows; 3 a verdict failed.
@@ -7,13 +7,14 @@ mod failure;
 mod number;
 mod summary;
 mod table;
+mod trust;
 
 use std::io::{self, Write};
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 
 use abbe_core::{Class, Error, Origin, Registry, Result};
-use abbe_engine::{Event, Outcome, prepare};
+use abbe_engine::{Event, Outcome, Simulated, prepare};
 use clap::{Parser, Subcommand};
 use indicatif::{ProgressBar, ProgressStyle};
 use serde_json::{Value, json};
@@ -51,6 +52,23 @@ enum Command {
         /// Print the findings as JSON.
         #[arg(long)]
         json: bool,
+    },
+    /// Measure the programme of a recipe on a virtual machine, and write a folder in which the same recipe runs.
+    Simulate {
+        /// The recipe.
+        recipe: PathBuf,
+        /// JSON file with the true values and the noise.
+        #[arg(long)]
+        truth: PathBuf,
+        /// Seed of the random numbers: the same seed gives the same data.
+        #[arg(long)]
+        seed: u64,
+        /// Folder that is written; it must not exist or be empty.
+        #[arg(long)]
+        out: PathBuf,
+        /// The model stage that is simulated, where the estimates use several.
+        #[arg(long)]
+        machine: Option<String>,
     },
     /// List the plugins.
     Plugins {
@@ -119,12 +137,32 @@ fn dispatch(command: Command) -> Result<(String, u8)> {
             };
             Ok((text, status))
         }
+        Command::Simulate { recipe, truth, seed, out, machine } => {
+            let prepared = prepare(&recipe, &registry)?;
+            Simulated::can_write(&out)?;
+            let simulated = prepared.simulate(&truth, seed, machine.as_deref())?;
+            simulated.write(&out)?;
+            Ok((simulated_text(&simulated, &out), 0))
+        }
         Command::Plugins { json } => match json {
             true => Ok((pretty(&plugins_json(&registry))?, 0)),
             false => Ok((plugins_text(&registry), 0)),
         },
         Command::Schema => Ok((pretty(&abbe_recipe::schema(&registry))?, 0)),
     }
+}
+
+/// What was simulated, and how to go on.
+fn simulated_text(simulated: &Simulated, out: &Path) -> String {
+    let mut text = "Simulated\n".to_owned();
+    for file in &simulated.data {
+        text.push_str(&format!("  {}: {} rows measured, {} copied\n", file.file.display(), file.measured, file.copied));
+    }
+    text.push_str("\nVaried\n");
+    simulated.varied.iter().for_each(|line| text.push_str(&format!("  {line}\n")));
+    let recipe = out.join(&simulated.recipe);
+    text.push_str(&format!("\nWritten: {}\nGo on with: abbe run {}\n", out.display(), recipe.display()));
+    text
 }
 
 /// Progress on a terminal; nothing in a pipe.

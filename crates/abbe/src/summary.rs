@@ -9,6 +9,7 @@ use serde_json::{Value, json};
 
 use crate::number::{short, with_uncertainty};
 use crate::table;
+use crate::trust;
 
 /// The summary of a run for a terminal.
 pub fn text(name: &str, outcome: &Outcome, folder: &Path) -> String {
@@ -18,6 +19,7 @@ pub fn text(name: &str, outcome: &Outcome, folder: &Path) -> String {
         parts.push(section("Fits", &fits(&outcome.fits)));
         parts.extend(outliers(&outcome.fits));
         parts.extend(lost(&outcome.fits));
+        parts.extend(correlated(&outcome.fits));
         parts.extend(unlikely(&outcome.fits));
     }
     parts.extend(outcome.verdicts.iter().map(verdict));
@@ -132,10 +134,18 @@ fn outliers(fits: &[Fit]) -> Option<String> {
 
 fn lost(fits: &[Fit]) -> Option<String> {
     let lines = fits.iter().flat_map(|fit| {
-        fit.calibration.fit.null_space.iter().map(|vector| format!("  {}: {}\n", fit.name, vector.describe()))
+        fit.calibration.fit.null_space.iter().map(|vector| format!("  {}: {}\n", fit.name, vector.advise()))
     });
     let text: String = lines.collect();
     (!text.is_empty()).then(|| section("Not determined", &text))
+}
+
+fn correlated(fits: &[Fit]) -> Option<String> {
+    let budgets = fits.iter().filter_map(|fit| Some((&fit.name, fit.calibration.uncertainty.as_ref()?)));
+    let lines = budgets.map(|(name, budget)| (name, trust::correlations(budget)));
+    let text: String =
+        lines.filter(|(_, pairs)| !pairs.is_empty()).map(|(name, pairs)| format!("  {name}: {pairs}\n")).collect();
+    (!text.is_empty()).then(|| section("Hardly told apart, correlation above 0.95", &text))
 }
 
 /// A scatter from which a fit is not believed: stated uncertainties are rarely off by more.
@@ -251,12 +261,27 @@ pub fn planned_text(recipe: &Recipe, planned: &[Planned]) -> String {
     let mut text = format!("{}: {} stages\n\n", recipe.name, recipe.stages.len());
     text.push_str(&section("Planned fits, judged at nominal contact", &table::text(&rows, &columns(4, 1))));
     let lines = planned.iter().flat_map(|planned| {
-        let lost = planned.identifiability.null_space.iter().map(NullVector::describe);
+        let lost = planned.identifiability.null_space.iter().map(NullVector::advise);
         lost.map(|lost| format!("  {}: {lost}\n", planned.estimate))
     });
     let lost: String = lines.collect();
     if !lost.is_empty() {
         text.push_str(&format!("\n{}", section("Not determined", &lost)));
+    }
+    for planned in planned {
+        let (name, found) = (&planned.estimate, &planned.identifiability);
+        let title = format!("{name}: what is determined worst (singular value, the largest being 1)");
+        text.push_str(&format!("\n{}", section(&title, &trust::weakest(&found.weakest))));
+        let Some(budget) = &found.uncertainty else { continue };
+        let pairs = trust::correlations(budget);
+        if !pairs.is_empty() {
+            text.push_str(&format!("\n{name}: hardly told apart, correlation above 0.95\n  {pairs}\n"));
+        }
+        let machine = |parameter: &str| planned.machine.iter().any(|own| own == parameter);
+        let percent = budget.coverage_probability * 100.0;
+        let title =
+            format!("{name}: expanded uncertainty ({percent} %) from the stated ones, and where its square comes from");
+        text.push_str(&format!("\n{}", section(&title, &trust::budget(budget, machine))));
     }
     text
 }

@@ -192,6 +192,7 @@ impl Artefact for Balls {
             parameter: Parameter { name: "stylus_radius".to_owned(), unit: Unit::MM },
             value: model.stylus_radius(),
             standard_uncertainty: self.settings.stylus_radius_standard_uncertainty_um * 1e-3,
+            shared: true,
         }];
         let mut distances = Vec::new();
         for distance in &self.settings.distances {
@@ -209,6 +210,7 @@ impl Artefact for Balls {
                 parameter: Parameter { name: format!("length[{}-{}]", from.0, to.0), unit: Unit::MM },
                 value: distance.length_mm,
                 standard_uncertainty: 0.0, // It is the uncertainty of the equation that uses it.
+                shared: false,
             });
         }
         let rows = self.settings.rows;

@@ -7,11 +7,12 @@ use abbe_core::{
     Build, Calibration, Constructor, Context, Error, ErrorFunction, Export, ExportedFile, InputFile, KinematicModel,
     Plugin, Quantity, Result, SettingsError, inventory,
 };
+use abbe_volumetric::{Ranges, Steps, check_axes, position_unit};
 use schemars::JsonSchema;
 use serde::Deserialize;
 use serde_json::{Value, json};
 
-use crate::sampling::{Ranges, Steps, Values, check, check_axes, fixed, points, position_unit, status};
+use crate::sampling::{RANGES, Values, check, fixed, points, status};
 
 inventory::submit! {
     Plugin::built_in(
@@ -75,7 +76,7 @@ impl Export for ErrorTable {
     }
 
     fn export(&self, calibration: &Calibration, model: &dyn KinematicModel) -> Result<Vec<ExportedFile>> {
-        check_axes(&self.settings.ranges, model)?;
+        check_axes(&self.settings.ranges, RANGES, model)?;
         let functions = model.error_functions();
         if functions.is_empty() {
             return Err(Error::usage("the model has no motion errors to tabulate")

@@ -8,11 +8,12 @@ use abbe_core::{
     Axis, AxisKind, Build, Calibration, Constructor, Context, Error, ErrorFunction, Export, ExportedFile, InputFile,
     KinematicModel, PathItem, Plugin, Result, SettingsError, inventory,
 };
+use abbe_volumetric::{Ranges, Steps, check_axes, position_unit};
 use schemars::JsonSchema;
 use serde::{Deserialize, Deserializer};
 use serde_json::{Value, json};
 
-use crate::sampling::{Ranges, Steps, Values, check, check_axes, fixed, points, position_unit, status};
+use crate::sampling::{RANGES, Values, check, fixed, points, status};
 
 inventory::submit! {
     Plugin::built_in(
@@ -129,7 +130,7 @@ impl Export for LinuxCnc {
     }
 
     fn export(&self, calibration: &Calibration, model: &dyn KinematicModel) -> Result<Vec<ExportedFile>> {
-        check_axes(&self.settings.ranges, model)?;
+        check_axes(&self.settings.ranges, RANGES, model)?;
         let functions = model.error_functions();
         let values = Values::new(calibration, model);
         let mut files = Vec::new();

@@ -2,10 +2,7 @@
 
 use std::sync::Arc;
 
-use abbe_core::{
-    Build, CALIBRATION_FORMAT, Calibration, Context, Covariance, Error, Estimated, FitReport, Kind, KinematicModel,
-    ModelRecord, Registry, Status, Termination, path_text,
-};
+use abbe_core::{Build, CALIBRATION_FORMAT, Calibration, Context, Error, Kind, KinematicModel, Registry, path_text};
 use abbe_serial_chain as _;
 use serde_json::{Value, json};
 
@@ -24,36 +21,25 @@ pub fn calibration(model: &dyn KinematicModel, values: &[(&str, f64)]) -> Calibr
         assert!(model.parameters().iter().any(|parameter| parameter.name == *name), "{name}");
     }
     let value = |name: &str| values.iter().find(|(other, _)| *other == name).map_or(0.0, |(_, value)| *value);
-    let parameters = model.parameters().iter().map(|parameter| Estimated {
-        name: parameter.name.clone(),
-        value: value(&parameter.name),
-        unit: parameter.unit.to_string(),
-        standard_uncertainty: 0.0,
-        status: Status::Fixed,
+    let parameters = model.parameters().iter().map(|parameter| {
+        let (value, unit) = (value(&parameter.name), parameter.unit.to_string());
+        json!({ "name": parameter.name, "value": value, "unit": unit, "standard_uncertainty": 0, "status": "fixed" })
     });
-    Calibration {
-        abbe_calibration: CALIBRATION_FORMAT,
-        estimate: "fit".to_owned(),
-        model: ModelRecord { plugin: "serial-chain".to_owned(), settings: model.settings() },
-        parameters: parameters.collect(),
-        artefacts: Vec::new(),
-        covariance: Covariance::default(),
-        outliers: Vec::new(),
-        fit: FitReport {
-            observations: 0,
-            unknowns: 0,
-            rank: 0,
-            condition: 1.0,
-            degrees_of_freedom: 0,
-            sigma: 1.0,
-            iterations: 0,
-            termination: Termination::Converged,
-            residual_max_um: 0.0,
-            residual_mean_abs_um: 0.0,
-            residual_rms_um: 0.0,
-            null_space: Vec::new(),
-        },
-    }
+    let text = json!({
+        "abbe_calibration": CALIBRATION_FORMAT,
+        "estimate": "fit",
+        "model": { "plugin": "serial-chain", "settings": model.settings() },
+        "parameters": parameters.collect::<Vec<_>>(),
+        "artefacts": [],
+        "covariance": { "order": [], "rows": [] },
+        "outliers": [],
+        "fit": {
+            "observations": 0, "unknowns": 0, "rank": 0, "condition": 1, "degrees_of_freedom": 0, "sigma": 1,
+            "iterations": 0, "termination": "converged", "residual_max_um": 0, "residual_mean_abs_um": 0,
+            "residual_rms_um": 0, "null_space": []
+        }
+    });
+    Calibration::from_json(&text.to_string()).unwrap()
 }
 
 /// The text of an error after the setting that it points at.

@@ -125,6 +125,7 @@ impl Artefact for Facets {
             parameter: Parameter { name: "stylus_radius".to_owned(), unit: Unit::MM },
             value: model.stylus_radius(),
             standard_uncertainty: self.settings.stylus_radius_standard_uncertainty_um * 1e-3,
+            shared: true,
         };
         Ok(Arc::new(Touches { layout, unknowns: unknowns.collect(), inputs: vec![radius], facets, facet_of_row }))
     }

@@ -4,15 +4,24 @@
 //! of the start values, before anything is solved, and again at the solution; a direction that they cannot determine is an
 //! error, unless `on_confounded` says what to do with it.
 
+mod covariance;
+mod identifiability;
+mod result;
+mod weighted;
+
 use abbe_core::{
-    Build, CALIBRATION_FORMAT, Calibration, Combination, Constructor, Context, Covariance, Error, Estimate, Estimated,
-    FitReport, Identifiability, NullVector, Outlier, Owner, Plugin, Problem, Result, SettingsError, Status,
-    Termination, Unknown, inventory,
+    Build, Calibration, Constructor, Context, Error, Estimate, FitReport, Identifiability, Plugin, Problem, Result,
+    SettingsError, Status, Termination, inventory,
 };
-use abbe_numerics::{Accumulator, End, Factor, LeastSquares, Loss, Options, Robust, RobustReport, Spectrum, solve};
+use abbe_numerics::{End, Factor, LeastSquares, Loss, Options, Robust, Solution, solve};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use serde_json::{Value, json};
+
+use covariance::{Place, Propagation};
+use identifiability::{confounded, identifiability, separated, weakest};
+use result::{Spread, calibration, outliers};
+use weighted::Weighted;
 
 inventory::submit! {
     Plugin::built_in(
@@ -40,9 +49,16 @@ struct Settings {
     /// Take the stated standard uncertainties as they are, without the a-posteriori factor of the residuals.
     #[serde(default)]
     trust_uncertainties: bool,
+    /// Probability that expanded uncertainties cover.
+    #[serde(default = "default_probability")]
+    coverage_probability: f64,
     /// Most iterations.
     #[serde(default = "default_iterations")]
     iterations: usize,
+}
+
+fn default_probability() -> f64 {
+    0.95
 }
 
 fn default_tolerance() -> f64 {
@@ -139,6 +155,9 @@ fn build(settings: &Value, _: &Context) -> Result<Box<dyn Estimate>, SettingsErr
     if !(settings.rank_tolerance > 0.0 && settings.rank_tolerance < 1.0) {
         return Err(SettingsError::new("rank_tolerance", "a number between 0 and 1 was expected"));
     }
+    if !(settings.coverage_probability > 0.0 && settings.coverage_probability < 1.0) {
+        return Err(SettingsError::new("coverage_probability", "a number between 0 and 1 was expected"));
+    }
     if settings.iterations == 0 {
         return Err(SettingsError::new("iterations", "at least one iteration is needed"));
     }
@@ -153,135 +172,6 @@ fn build(settings: &Value, _: &Context) -> Result<Box<dyn Estimate>, SettingsErr
 /// The estimator.
 struct GaussNewton {
     settings: Settings,
-}
-
-/// A problem in residuals over their standard uncertainties.
-struct Weighted<'a> {
-    problem: &'a Problem,
-    uncertainties: Vec<f64>,
-}
-
-impl<'a> Weighted<'a> {
-    fn new(problem: &'a Problem) -> Self {
-        Self { problem, uncertainties: problem.standard_uncertainties() }
-    }
-}
-
-impl LeastSquares for Weighted<'_> {
-    type Error = Error;
-
-    fn unknowns(&self) -> usize {
-        self.problem.unknowns.len()
-    }
-
-    fn rows(&self) -> usize {
-        self.uncertainties.len()
-    }
-
-    fn linearise(&self, x: &[f64], sink: &mut dyn FnMut(usize, &[f64], &[f64])) -> Result<()> {
-        let count = self.unknowns();
-        let (mut residuals, mut derivatives) = (Vec::new(), Vec::new());
-        let mut broken = None;
-        self.problem.linearise(x, |block| {
-            residuals.clear();
-            derivatives.clear();
-            for (row, residual) in block.residuals.iter().enumerate() {
-                let uncertainty = self.uncertainties[block.first + row];
-                let line = &block.jacobian[row * count..(row + 1) * count];
-                residuals.push(residual / uncertainty);
-                derivatives.extend(line.iter().map(|derivative| derivative / uncertainty));
-                if !(residual.is_finite() && line.iter().all(|derivative| derivative.is_finite())) {
-                    broken.get_or_insert(block.first + row);
-                }
-            }
-            sink(block.first, &residuals, &derivatives);
-        })?;
-        broken.map_or(Ok(()), |equation| Err(not_finite(self.problem, equation)))
-    }
-
-    fn residuals(&self, x: &[f64]) -> Result<Vec<f64>> {
-        let residuals = self.problem.residuals(x)?;
-        Ok(residuals.iter().zip(&self.uncertainties).map(|(residual, uncertainty)| residual / uncertainty).collect())
-    }
-}
-
-/// The error for an equation without a finite value: a pose or an artefact where the geometry is singular.
-fn not_finite(problem: &Problem, equation: usize) -> Error {
-    let (set, row) = problem.equation_rows()[equation];
-    let error = Error::data("the equation of this row has no finite value; its geometry is singular")
-        .stage(&problem.sets[set].name);
-    match problem.origin(set, row) {
-        Some((file, origin)) => error.at(file, origin.line, None),
-        None => error,
-    }
-}
-
-/// The factor of a problem at its own contact points.
-fn factor_at_contact(problem: &Problem, x: &[f64]) -> Result<Factor> {
-    factor(&problem.at_contact(x)?, x, None)
-}
-
-fn factor(problem: &Problem, x: &[f64], weights: Option<&[f64]>) -> Result<Factor> {
-    let weighted = Weighted::new(problem);
-    let count = weighted.unknowns();
-    let mut accumulator = Accumulator::new(count, weighted.rows());
-    weighted.linearise(x, &mut |first, residuals, derivatives| {
-        for (row, residual) in residuals.iter().enumerate() {
-            let weight = weights.map_or(1.0, |weights| weights[first + row].sqrt());
-            accumulator.push(&derivatives[row * count..(row + 1) * count], *residual, weight);
-        }
-    })?;
-    Ok(accumulator.finish())
-}
-
-fn identifiability(problem: &Problem, factor: &Factor, tolerance: f64) -> Identifiability {
-    let singular_values = factor.singular_values();
-    let rank = singular_values.rank(tolerance);
-    let null_space = if rank < factor.unknowns() { null_space(problem, &factor.spectrum(), rank) } else { Vec::new() };
-    Identifiability {
-        observations: factor.rows(),
-        unknowns: problem.unknowns.len(),
-        rank,
-        condition: singular_values.condition(rank),
-        null_space,
-    }
-}
-
-/// The lost directions with the names and in the units of the unknowns, those with the largest effect first.
-fn null_space(problem: &Problem, spectrum: &Spectrum, rank: usize) -> Vec<NullVector> {
-    let null_space = spectrum.null_basis(rank).into_iter().map(|(singular_value, direction)| {
-        let mut parts: Vec<(f64, Combination)> = Vec::new();
-        for (unknown, (&effect, &scale)) in problem.unknowns.iter().zip(direction.iter().zip(spectrum.scale())) {
-            if effect != 0.0 {
-                let combination = Combination {
-                    name: unknown.name.clone(),
-                    coefficient: effect * scale,
-                    unit: unknown.unit.to_string(),
-                };
-                parts.push((effect.abs(), combination));
-            }
-        }
-        parts.sort_by(|a, b| b.0.total_cmp(&a.0));
-        let unit = parts.first().map_or(1.0, |(_, largest)| largest.coefficient);
-        let combination = parts.into_iter().map(|(_, mut part)| {
-            part.coefficient /= unit;
-            part
-        });
-        NullVector { singular_value, combination: combination.collect() }
-    });
-    null_space.collect()
-}
-
-/// The error for data that cannot determine what was chosen.
-fn confounded(found: &Identifiability) -> Error {
-    let lost: Vec<String> = found.null_space.iter().map(NullVector::describe).collect();
-    Error::data(format!(
-        "the data determine {} of {} unknowns:\n- {}",
-        found.rank,
-        found.unknowns,
-        lost.join("\n- ")
-    ))
-    .help("leave what has no effect and one of each combination out of `parameters`, add measurements that tell them apart, or set `on_confounded`")
 }
 
 impl GaussNewton {
@@ -304,45 +194,48 @@ impl GaussNewton {
         Ok(())
     }
 
-    fn solve(&self, problem: &Problem, lost: Option<Identifiability>) -> Result<Calibration> {
-        let rank = lost.as_ref().map_or(problem.unknowns.len(), |lost| lost.rank);
-        let options = Options { iterations: self.settings.iterations, tolerance: 1e-9, rank, robust: self.robust() };
-        let solution = solve(&Weighted::new(problem), &problem.start(), &options)?;
+    fn options(&self, rank: usize, tolerance: f64) -> Options {
+        Options { iterations: self.settings.iterations, tolerance, rank, robust: self.robust() }
+    }
+
+    /// The values of the unknowns; fails where the iteration does not converge.
+    fn iterate(&self, weighted: &Weighted<'_>, start: &[f64], options: &Options) -> Result<Solution> {
+        let solution = solve(weighted, start, options)?;
         let failed = match solution.end {
-            End::Converged => None,
-            End::NoProgress => Some("no step makes the residuals smaller".to_owned()),
-            End::IterationLimit => {
-                Some(format!("it still moves at the limit of {} iterations", self.settings.iterations))
-            }
+            End::Converged => return Ok(solution),
+            End::NoProgress => "no step makes the residuals smaller".to_owned(),
+            End::IterationLimit => format!("it still moves at the limit of {} iterations", self.settings.iterations),
         };
-        if let Some(failed) = failed {
-            return Err(Error::data(format!("the iteration does not converge: {failed}")).help(
-                "check units, signs and features of the data, choose fewer parameters, or `start` from a calibration",
-            ));
-        }
+        Err(Error::data(format!("the iteration does not converge: {failed}")).help(
+            "check units, signs and features of the data, choose fewer parameters, or `start` from a calibration",
+        ))
+    }
+
+    fn solve(&self, problem: &Problem, lost: Option<Identifiability>, explained: bool) -> Result<Calibration> {
+        let rank = lost.as_ref().map_or(problem.unknowns.len(), |lost| lost.rank);
+        let weighted = self.weighted(problem)?;
+        let solution = self.iterate(&weighted, &problem.start(), &self.options(rank, 1e-9))?;
         let at_contact = problem.at_contact(&solution.x)?;
         // What is left out by its weight does not inform; what is weighed down still does.
         let kept: Option<Vec<f64>> = (solution.robust.as_ref())
             .map(|robust| robust.weights.iter().map(|weight| f64::from(*weight > 0.0)).collect());
-        let factor = factor(&at_contact, &solution.x, kept.as_deref())?;
+        let factor = Weighted::new(&at_contact)?.factor(&solution.x, kept.as_deref())?;
         let mut found = identifiability(problem, &factor, self.settings.rank_tolerance);
-        let covariance = match lost {
-            None if found.rank < rank => return Err(confounded(&found)),
-            None => factor.whitener(rank).covariance(),
+        match lost {
+            None if found.rank < rank => return Err(confounded(&separated(problem, &solution.x, found))),
+            None => {}
             Some(lost) => {
                 // Second order must not make look determined at the solution what is not at the start.
                 let condition = factor.singular_values().condition(rank);
                 found = Identifiability { observations: found.observations, condition, ..lost };
-                factor.whitener(rank).covariance()
             }
-        };
+        }
         let residuals = problem.residuals(&solution.x)?;
-        let spread = Spread::new(problem, &residuals, solution.robust.as_ref(), self.robust(), rank);
-        let scale =
-            if self.settings.trust_uncertainties || spread.degrees_of_freedom == 0 { 1.0 } else { spread.sigma };
-        let mut covariance: Vec<Vec<f64>> =
-            covariance.into_iter().map(|row| row.into_iter().map(|value| value * scale * scale).collect()).collect();
-        consider(&at_contact, &solution.x, kept.as_deref(), &mut covariance)?;
+        let in_uncertainties = weighted.residuals(&solution.x)?;
+        let spread = Spread::new(&residuals, &in_uncertainties, solution.robust.as_ref(), self.robust(), rank);
+        let place =
+            Place { problem: &at_contact, x: &solution.x, kept: kept.as_deref(), factor: &factor, rank: found.rank };
+        let propagation = Propagation::new(&place, self.scale(&spread), explained)?;
         let outliers = match (&solution.robust, self.robust()) {
             (Some(report), Some(robust)) => outliers(problem, &residuals, report, robust),
             _ => Vec::new(),
@@ -360,35 +253,52 @@ impl GaussNewton {
             residual_mean_abs_um: spread.mean_abs * 1e3,
             residual_rms_um: spread.rms * 1e3,
             null_space: found.null_space,
+            weakest: if explained { weakest(problem, &factor.spectrum(), found.rank) } else { Vec::new() },
         };
-        Ok(calibration(problem, &solution.x, covariance, outliers, fit))
+        let mut calibration = calibration(problem, &solution.x, propagation.covariance(problem), outliers, fit);
+        calibration.uncertainty = explained.then(|| propagation.budget(problem, self.settings.coverage_probability));
+        Ok(calibration)
     }
-}
 
-impl Estimate for GaussNewton {
-    fn estimate(&self, problem: &Problem) -> Result<Calibration> {
+    /// The a-posteriori factor on stated uncertainties, and its degrees of freedom.
+    fn scale(&self, spread: &Spread) -> (f64, f64) {
+        match self.settings.trust_uncertainties || spread.degrees_of_freedom == 0 {
+            true => (1.0, f64::INFINITY),
+            false => (spread.sigma, spread.degrees_of_freedom as f64),
+        }
+    }
+
+    /// The rows of a problem; robust weights need rows that stand for themselves.
+    fn weighted<'a>(&self, problem: &'a Problem) -> Result<Weighted<'a>> {
+        let weighted = Weighted::new(problem)?;
+        if weighted.is_correlated() && self.settings.robust.is_some() {
+            let error = Error::usage("robust weights need rows that are independent, and these are given a covariance");
+            return Err(error.help("leave out `robust`, or the covariance under `uncertainty` of the artefacts"));
+        }
+        Ok(weighted)
+    }
+
+    fn estimate(&self, problem: &Problem, explained: bool) -> Result<Calibration> {
         Self::check(problem)?;
         let factor = factor_at_contact(problem, &problem.start())?;
         if factor.is_surely_full_rank(self.settings.rank_tolerance) {
-            return self.solve(problem, None);
+            return self.solve(problem, None, explained);
         }
         let found = identifiability(problem, &factor, self.settings.rank_tolerance);
         if found.rank == found.unknowns {
-            return self.solve(problem, None);
+            return self.solve(problem, None, explained);
         }
+        let wanted = explained || self.settings.on_confounded == OnConfounded::Error;
+        let found = if wanted { separated(problem, &problem.start(), found) } else { found };
         match self.settings.on_confounded {
             OnConfounded::Error => Err(confounded(&found)),
-            OnConfounded::MinimumNorm if !problem.known.unknowns.is_empty() => {
-                let error = Error::usage("a minimum-norm solution has no definite answer to what `known` takes over");
-                Err(error.help("use `on_confounded: drop`").setting("on_confounded"))
-            }
-            OnConfounded::MinimumNorm => self.solve(problem, Some(found)),
+            OnConfounded::MinimumNorm => self.solve(problem, Some(found), explained),
             OnConfounded::Drop => {
                 let dropped = factor.spectrum().dependent(found.rank);
                 let names: Vec<&str> = dropped.iter().map(|&index| problem.unknowns[index].name.as_str()).collect();
                 tracing::warn!("{}: left at their start values: {}", problem.name, names.join(", "));
                 let reduced = problem.without(|unknown| names.contains(&unknown.name.as_str()));
-                let mut calibration = self.solve(&reduced, None)?;
+                let mut calibration = self.solve(&reduced, None, explained)?;
                 // Whoever shares a lost direction has a value only as long as those left behind have theirs.
                 let parts = found.null_space.iter().flat_map(|vector| &vector.combination);
                 let shared: Vec<&str> = parts.map(|part| part.name.as_str()).collect();
@@ -403,181 +313,42 @@ impl Estimate for GaussNewton {
             }
         }
     }
+}
+
+impl Estimate for GaussNewton {
+    fn estimate(&self, problem: &Problem) -> Result<Calibration> {
+        self.estimate(problem, false)
+    }
+
+    fn explain(&self, problem: &Problem) -> Result<Calibration> {
+        self.estimate(problem, true)
+    }
+
+    fn values(&self, problem: &Problem) -> Result<Vec<f64>> {
+        // Near the solution: what is left after this step is its square.
+        let options = self.options(problem.unknowns.len(), 1e-6);
+        Ok(self.iterate(&self.weighted(problem)?, &problem.start(), &options)?.x)
+    }
 
     fn accepts(&self, found: &Identifiability) -> bool {
         found.rank == found.unknowns || self.settings.on_confounded != OnConfounded::Error
     }
 
     fn identify(&self, problem: &Problem) -> Result<Identifiability> {
-        let factor = factor_at_contact(problem, &problem.start())?;
-        Ok(identifiability(problem, &factor, self.settings.rank_tolerance))
+        let (x, at_contact) = (problem.start(), problem.at_contact(&problem.start())?);
+        let factor = Weighted::new(&at_contact)?.factor(&x, None)?;
+        let mut found = separated(problem, &x, identifiability(problem, &factor, self.settings.rank_tolerance));
+        found.weakest = weakest(problem, &factor.spectrum(), found.rank);
+        if found.rank == found.unknowns {
+            let place = Place { problem: &at_contact, x: &x, kept: None, factor: &factor, rank: found.rank };
+            let propagation = Propagation::new(&place, (1.0, f64::INFINITY), true)?;
+            found.uncertainty = Some(propagation.budget(problem, self.settings.coverage_probability));
+        }
+        Ok(found)
     }
 }
 
-/// Adds what the uncertainty of known parameters does to the estimates, `G K G^T` with their covariance K and the answer
-/// G of the estimates to them; appends the known ones themselves.
-fn consider(problem: &Problem, x: &[f64], kept: Option<&[f64]>, covariance: &mut Vec<Vec<f64>>) -> Result<()> {
-    let known = &problem.known;
-    let (own, others) = (problem.unknowns.len(), known.unknowns.len());
-    if others == 0 {
-        return Ok(());
-    }
-    let mut extended = problem.at(x);
-    extended.unknowns.extend(known.unknowns.iter().cloned());
-    let answer = factor(&extended, &extended.start(), kept)?.sensitivity(own);
-    let times = |row: &[f64], column: usize| -> f64 {
-        row.iter().zip(&known.covariance).map(|(answer, line)| answer * line[column]).sum()
-    };
-    let cross: Vec<Vec<f64>> =
-        answer.iter().map(|row| (0..others).map(|column| times(row, column)).collect()).collect();
-    for row in 0..own {
-        for column in 0..=row {
-            let added: f64 = cross[row].iter().zip(&answer[column]).map(|(a, b)| a * b).sum();
-            covariance[row][column] += added;
-            covariance[column][row] = covariance[row][column];
-        }
-    }
-    for (row, cross) in covariance.iter_mut().zip(&cross) {
-        row.extend(cross);
-    }
-    for (column, line) in known.covariance.iter().enumerate() {
-        covariance.push(cross.iter().map(|row| row[column]).chain(line.iter().copied()).collect());
-    }
-    Ok(())
-}
-
-/// How the residuals scatter.
-struct Spread {
-    used: usize,
-    degrees_of_freedom: usize,
-    sigma: f64,
-    max: f64,
-    mean_abs: f64,
-    rms: f64,
-}
-
-impl Spread {
-    /// Of the rows that are not left out by their weight. The a-posteriori factor of a robust estimate is that of Huber
-    /// (1981, section 7.6): the mean square of the influence over the square of its mean slope, with his correction for
-    /// the number of unknowns.
-    fn new(
-        problem: &Problem,
-        residuals: &[f64],
-        report: Option<&RobustReport>,
-        robust: Option<Robust>,
-        rank: usize,
-    ) -> Self {
-        let uncertainties = problem.standard_uncertainties();
-        let used: Vec<usize> =
-            (0..residuals.len()).filter(|&row| report.is_none_or(|report| report.weights[row] > 0.0)).collect();
-        let count = used.len();
-        let degrees_of_freedom = count.saturating_sub(rank);
-        let free = degrees_of_freedom.max(1) as f64;
-        let influence = |row: usize| {
-            let weight = report.map_or(1.0, |report| report.weights[row]);
-            (weight * residuals[row] / uncertainties[row]).powi(2)
-        };
-        let mean_square = used.iter().map(|&row| influence(row)).sum::<f64>() / free;
-        let correction = match (report, robust) {
-            (Some(report), Some(robust)) if count > 0 => {
-                let slopes: Vec<f64> =
-                    used.iter().map(|&row| robust.influence_slope(report.studentised[row])).collect();
-                let mean = slopes.iter().sum::<f64>() / count as f64;
-                let variance = slopes.iter().map(|slope| (slope - mean).powi(2)).sum::<f64>() / count as f64;
-                (1.0 + rank as f64 / count as f64 * variance / mean.powi(2)) / mean
-            }
-            _ => 1.0,
-        };
-        let sizes = || used.iter().map(|&row| residuals[row].abs());
-        let mean = |sum: f64| if count > 0 { sum / count as f64 } else { 0.0 };
-        Self {
-            used: count,
-            degrees_of_freedom,
-            sigma: mean_square.sqrt() * correction,
-            max: sizes().fold(0.0, f64::max),
-            mean_abs: mean(sizes().sum()),
-            rms: mean(sizes().map(|size| size * size).sum()).sqrt(),
-        }
-    }
-}
-
-/// The rows with an equation beyond the limit, largest first.
-fn outliers(problem: &Problem, residuals: &[f64], report: &RobustReport, robust: Robust) -> Vec<Outlier> {
-    let mut found: Vec<Outlier> = Vec::new();
-    let mut last = None;
-    for (equation, (set, row)) in problem.equation_rows().into_iter().enumerate() {
-        if report.studentised[equation].abs() < robust.outlier_at {
-            continue;
-        }
-        let residual_um = residuals[equation] * 1e3;
-        if last == Some((set, row))
-            && let Some(same) = found.last_mut()
-        {
-            if residual_um.abs() > same.residual_um.abs() {
-                same.residual_um = residual_um;
-            }
-            same.weight = same.weight.min(report.weights[equation]);
-            continue;
-        }
-        last = Some((set, row));
-        let origin = problem.origin(set, row);
-        found.push(Outlier {
-            stage: problem.sets[set].name.clone(),
-            file: origin.map_or_else(String::new, |(file, _)| file.display().to_string()),
-            line: origin.map_or(0, |(_, origin)| origin.line),
-            row: origin.map_or(0, |(_, origin)| origin.row),
-            residual_um,
-            weight: report.weights[equation],
-        });
-    }
-    found
-}
-
-fn calibration(
-    problem: &Problem,
-    x: &[f64],
-    covariance: Vec<Vec<f64>>,
-    outliers: Vec<Outlier>,
-    fit: FitReport,
-) -> Calibration {
-    let lost = |name: &str| fit.null_space.iter().any(|vector| vector.combination.iter().any(|part| part.name == name));
-    let estimated = |owner: Owner, index: usize, name: String, unit: abbe_core::Unit, fixed: f64| {
-        let here = |unknown: &Unknown| unknown.owner == owner && unknown.index == index;
-        let uncertainty = |column: usize| covariance[column][column].max(0.0).sqrt();
-        let chosen = problem.unknowns.iter().position(here);
-        let considered = problem.known.unknowns.iter().position(here);
-        let (value, standard_uncertainty, status) = match (chosen, considered) {
-            (Some(column), _) => {
-                let status = if lost(&name) { Status::Confounded } else { Status::Estimated };
-                (x[column], uncertainty(column), status)
-            }
-            (None, Some(known)) => (fixed, uncertainty(problem.unknowns.len() + known), Status::Considered),
-            (None, None) => (fixed, 0.0, Status::Fixed),
-        };
-        Estimated { name, value, unit: unit.to_string(), standard_uncertainty, status }
-    };
-    let parameters = problem.model.parameters().iter().enumerate();
-    let parameters = parameters.map(|(index, parameter)| {
-        estimated(Owner::Machine, index, parameter.name.clone(), parameter.unit, problem.machine[index])
-    });
-    let mut artefacts = Vec::new();
-    for (set, observations) in problem.sets.iter().enumerate() {
-        for (index, own) in observations.observations.unknowns().iter().enumerate() {
-            let name = format!("{}.{}", observations.name, own.name);
-            artefacts.push(estimated(Owner::Set(set), index, name, own.unit, observations.own[index]));
-        }
-    }
-    Calibration {
-        abbe_calibration: CALIBRATION_FORMAT,
-        estimate: problem.name.clone(),
-        model: problem.model_record(),
-        parameters: parameters.collect(),
-        artefacts,
-        covariance: Covariance {
-            order: problem.unknowns.iter().chain(&problem.known.unknowns).map(|unknown| unknown.name.clone()).collect(),
-            rows: covariance,
-        },
-        outliers,
-        fit,
-    }
+/// The factor of a problem at its own contact points.
+fn factor_at_contact(problem: &Problem, x: &[f64]) -> Result<Factor> {
+    Weighted::new(&problem.at_contact(x)?)?.factor(x, None)
 }

@@ -1,15 +1,17 @@
 //! Artefact plugin `length`: lengths between two poses, calibrated or not.
 //!
-//! Equation: `|p2 - p1| - L = 0` with the tip positions of both ends in the table frame. L is the reference of the row, a
-//! known input, or an unknown of the artefact. One calibrated length is what gives a self-calibration its scale.
+//! Equation: `|p2 - p1| - L = 0` with the tip positions of both ends in the table frame. L is an unknown of the artefact, or
+//! the reference of the row, off by the error of its bar's calibration and expanded by `a (T - 20 °C)`; error, coefficient
+//! and temperature are known inputs that all rows share. One calibrated length gives a self-calibration its scale.
 
 use std::path::PathBuf;
 use std::sync::Arc;
 
 use abbe_core::{
     Absent, Artefact, Axis, AxisKind, Build, ColumnHeader, Constructor, Contact, Context, Dataset, Equations, Error,
-    Feature, InputFile, KinematicModel, KnownInput, Layout, Observations, Parameter, Plugin, PoseValues, Poses,
-    Quantity, Result, SettingsError, StatusColumn, Target, Unit, inventory, pose_columns, positive,
+    Feature, InputFile, KinematicModel, KnownInput, Layout, Observations, Parameter, PathItem, Plugin, PoseValues,
+    Poses, Quantity, Result, SettingsError, StatusColumn, Target, Unit, inventory, not_negative, pose_columns,
+    positive,
 };
 use nalgebra::Vector3;
 use schemars::JsonSchema;
@@ -39,7 +41,31 @@ struct Settings {
     /// Standard uncertainty of the calibration of the known length, shared by all rows.
     #[serde(default)]
     reference_standard_uncertainty_um: f64,
+    /// Thermal expansion of the known length; without it the references hold at the temperature of the measurement.
+    #[serde(default)]
+    expansion: Option<Expansion>,
 }
+
+/// Linear thermal expansion from 20 °C (ISO 1).
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+#[allow(non_snake_case, reason = "units are written as in column names")]
+struct Expansion {
+    /// Coefficient of linear thermal expansion.
+    coefficient_per_K: f64,
+    /// Its standard uncertainty, shared by all rows.
+    #[serde(default)]
+    standard_uncertainty_per_K: f64,
+    /// Temperature of the artefact where the data have no column `T_degC`.
+    #[serde(default)]
+    temperature_degC: Option<f64>,
+    /// Standard uncertainty of the temperature, shared by all rows.
+    #[serde(default)]
+    temperature_standard_uncertainty_K: f64,
+}
+
+/// The reference temperature of all lengths, °C (ISO 1).
+const REFERENCE_TEMPERATURE: f64 = 20.0;
 
 /// What is known of the length.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize, JsonSchema)]
@@ -59,6 +85,19 @@ fn example() -> Value {
 fn build(settings: &Value, _: &Context) -> Result<Box<dyn Artefact>, SettingsError> {
     let settings: Settings = abbe_core::from_settings(settings)?;
     positive("standard_uncertainty_um", settings.standard_uncertainty_um)?;
+    not_negative("reference_standard_uncertainty_um", settings.reference_standard_uncertainty_um)?;
+    if let Some(expansion) = &settings.expansion {
+        let under = |error: SettingsError| error.under([PathItem::Key("expansion".to_owned())]);
+        for (name, value) in [
+            ("standard_uncertainty_per_K", expansion.standard_uncertainty_per_K),
+            ("temperature_standard_uncertainty_K", expansion.temperature_standard_uncertainty_K),
+        ] {
+            not_negative(name, value).map_err(under)?;
+        }
+        if settings.length == Length::Estimated {
+            return Err(SettingsError::new("expansion", "a length that is estimated has no reference to expand"));
+        }
+    }
     Ok(Box::new(Lengths { settings }))
 }
 
@@ -117,15 +156,12 @@ impl Artefact for Lengths {
             inputs: Vec::new(),
             references,
             own: Vec::new(),
+            calibrations: Vec::new(),
+            excess: None,
         };
         match self.settings.length {
             Length::Estimated => lengths.estimate(model)?,
-            Length::Known => lengths.inputs.push(KnownInput {
-                // Added to the reference of every row: zero unless the calibration is off.
-                parameter: Parameter { name: "reference_error".to_owned(), unit: Unit::MM },
-                value: 0.0,
-                standard_uncertainty: self.settings.reference_standard_uncertainty_um * 1e-3,
-            }),
+            Length::Known => lengths.know(&self.settings)?,
         }
         Ok(Arc::new(lengths))
     }
@@ -145,9 +181,81 @@ struct Measured {
     references: Vec<f64>,
     /// The unknown of every row, if lengths are estimated.
     own: Vec<usize>,
+    /// The known input of every row that is the error of its calibration, if lengths are known.
+    calibrations: Vec<usize>,
+    /// Index of the expansion coefficient (the error of the temperature follows it), and for every row the temperature
+    /// above the reference temperature, K.
+    excess: Option<(usize, Vec<f64>)>,
+}
+
+/// The name of an own quantity of the bar of a row.
+fn of_bar(bars: Option<&[String]>, row: usize, own: &str) -> String {
+    bars.map_or(own.to_owned(), |bars| format!("bar[{}].{own}", bars[row]))
 }
 
 impl Measured {
+    /// Makes the lengths known, each but for the error of its bar's calibration and for its expansion.
+    fn know(&mut self, settings: &Settings) -> Result<()> {
+        let data = self.layout.data.clone();
+        let bars = data.labels("bar");
+        for row in 0..data.rows() {
+            let name = of_bar(bars, row, "reference_error");
+            let known = self.inputs.iter().position(|input| input.parameter.name == name).unwrap_or_else(|| {
+                self.inputs.push(KnownInput {
+                    // Added to the reference: zero unless the calibration is off.
+                    parameter: Parameter { name, unit: Unit::MM },
+                    value: 0.0,
+                    standard_uncertainty: settings.reference_standard_uncertainty_um * 1e-3,
+                    shared: false,
+                });
+                self.inputs.len() - 1
+            });
+            self.calibrations.push(known);
+        }
+        let Some(expansion) = &settings.expansion else { return Ok(()) };
+        let temperatures = match (data.column("T"), expansion.temperature_degC) {
+            (Some(_), _) => data.required_numbers("T")?.to_vec(),
+            (None, Some(temperature)) => vec![temperature; data.rows()],
+            (None, None) => {
+                let error = Error::usage("the temperature of the lengths is not known");
+                return Err(error
+                    .help("add a column `T_degC`, or `temperature_degC` under `expansion`")
+                    .setting("expansion"));
+            }
+        };
+        let excess = temperatures.iter().map(|temperature| temperature - REFERENCE_TEMPERATURE).collect();
+        self.excess = Some((self.inputs.len(), excess));
+        let known = |name: &str, of, value, standard_uncertainty| KnownInput {
+            parameter: Parameter { name: name.to_owned(), unit: Unit { of, per: None } },
+            value,
+            standard_uncertainty,
+            shared: false,
+        };
+        self.inputs.extend([
+            known(
+                "expansion_coefficient",
+                Quantity::PerTemperature,
+                expansion.coefficient_per_K,
+                expansion.standard_uncertainty_per_K,
+            ),
+            known("temperature_error", Quantity::Temperature, 0.0, expansion.temperature_standard_uncertainty_K),
+        ]);
+        Ok(())
+    }
+
+    /// The known length of a row, and its derivatives to known inputs.
+    fn reference(&self, row: usize, inputs: &[f64]) -> (f64, Vec<(usize, f64)>) {
+        let (calibration, nominal) = (self.calibrations[row], self.references[row]);
+        let mut length = nominal + inputs[calibration];
+        let mut derivatives = vec![(calibration, 1.0)];
+        if let Some((first, excess)) = &self.excess {
+            let (coefficient, excess) = (inputs[*first], excess[row] + inputs[first + 1]);
+            length += nominal * coefficient * excess;
+            derivatives.extend([(*first, nominal * excess), (first + 1, nominal * coefficient)]);
+        }
+        (length, derivatives)
+    }
+
     /// Makes the lengths unknown, starting from what the nominal machine measures.
     fn estimate(&mut self, model: &dyn KinematicModel) -> Result<()> {
         let data = self.layout.data.clone();
@@ -156,7 +264,7 @@ impl Measured {
         let mut poses = Poses::default();
         let nominal = vec![0.0; model.parameters().len()];
         for (row, layout) in self.layout.rows.iter().enumerate() {
-            let name = bars.map_or("length".to_owned(), |bars| format!("bar[{}].length", bars[row]));
+            let name = of_bar(bars, row, "length");
             let own = self.unknowns.iter().position(|unknown| unknown.name == name).unwrap_or_else(|| {
                 self.unknowns.push(Parameter { name, unit: Unit::MM });
                 self.start.push(0.0);
@@ -204,8 +312,9 @@ impl Observations for Measured {
                     out.own(unknown, -1.0);
                 }
                 None => {
-                    out.equation(between.norm() - self.references[row] - inputs[0]);
-                    out.input(0, -1.0);
+                    let (length, derivatives) = self.reference(row, inputs);
+                    out.equation(between.norm() - length);
+                    derivatives.iter().for_each(|&(input, derivative)| out.input(input, -derivative));
                 }
             }
             out.position((-direction).into());

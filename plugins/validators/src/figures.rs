@@ -9,6 +9,8 @@ pub type Limits = BTreeMap<String, f64>;
 
 /// Unit of lengths in figures.
 pub const UM: &str = "um";
+/// Unit of angles in figures.
+pub const URAD: &str = "urad";
 /// Unit of numbers without one.
 pub const ONE: &str = "1";
 

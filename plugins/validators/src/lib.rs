@@ -1,15 +1,19 @@
-//! Validators: residuals and their dependence on time, comparison of fits, hold-out, comparison with a CMM.
+//! Validators: residuals and their dependence on time, comparison of fits, hold-out, comparison with a CMM, limits of
+//! uncertainty, consistency of calibrations, repeatability.
 //!
-//! Every figure is about one fit. Rows that the fit lists as outliers do not count in statistics but are counted.
+//! Every figure is about one fit, unless it is about a data set. Rows that the fit lists as outliers do not count in statistics but are counted.
 
 mod artefact_cmm;
 mod cmm;
 mod compare;
+mod consistency;
 mod drift;
 mod figures;
 mod folds;
 mod hold_out;
+mod repeatability;
 mod residuals;
 #[cfg(test)]
 mod testing;
 mod tip_cmm;
+mod uncertainty;

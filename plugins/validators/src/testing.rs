@@ -92,12 +92,15 @@ pub fn judge(name: &str, folder: &Path, settings: &Value, fit: &Fit) -> Result<F
     })
 }
 
-/// The value of a figure.
+/// The value of a figure of the fit.
 pub fn figure(findings: &Findings, name: &str) -> f64 {
-    let found = findings.figures.iter().find(|figure| figure.name == name);
-    let found = found.unwrap_or_else(|| panic!("no figure {name} in {findings:?}"));
-    assert_eq!(found.of.as_deref(), Some("fit"));
-    found.value.unwrap_or(f64::NAN)
+    figure_of(findings, "fit", name)
+}
+
+/// The value of a figure of a fit of some name.
+pub fn figure_of(findings: &Findings, of: &str, name: &str) -> f64 {
+    let found = findings.figures.iter().find(|figure| figure.of.as_deref() == Some(of) && figure.name == name);
+    found.unwrap_or_else(|| panic!("no figure {name} of {of} in {findings:?}")).value.unwrap_or(f64::NAN)
 }
 
 /// Checks figures to a picometre.
@@ -122,6 +125,18 @@ mod every_validator {
                 plugin.name.as_ref()
             })
             .collect();
-        assert_eq!(names, ["artefact-cmm", "compare", "hold-out", "residuals", "tip-cmm"]);
+        assert_eq!(
+            names,
+            [
+                "artefact-cmm",
+                "compare",
+                "consistency",
+                "hold-out",
+                "repeatability",
+                "residuals",
+                "tip-cmm",
+                "uncertainty"
+            ]
+        );
     }
 }

@@ -164,9 +164,9 @@ fn too_few_rows_are_a_singular_problem() {
     assert_eq!((empty.rows(), empty.cost(), empty.singular_values().rank(1e-12)), (0, 0.0, 0));
 }
 
-/// Two ways to the same end: shift a known unknown and solve again for the others, or ask for their sensitivity.
+/// Two ways to the same end: shift a known unknown and solve again for the others, or ask for their answer.
 #[test]
-fn the_sensitivity_is_what_shifting_a_known_unknown_does() {
+fn the_answer_is_what_shifting_a_known_unknown_does() {
     let mut worst = 0.0_f64;
     for seed in 0..20 {
         let mut random = Random::new(900 + seed);
@@ -179,15 +179,40 @@ fn the_sensitivity_is_what_shifting_a_known_unknown_does() {
                 *residual += shift.map_or(0.0, |known| row[own + known]);
                 row.truncate(own);
             }
-            reduced.factor(40).step().expect("full rank")
+            reduced.factor(40)
         };
-        let before = reduced(None);
-        let sensitivity = factor.sensitivity(own);
+        let step = |factor: Factor| factor.step().expect("full rank");
+        let whitener = reduced(None).whitener(own);
+        let (before, answers) = (step(reduced(None)), whitener.answer(&factor));
         for known in 0..others {
-            for ((after, before), answer) in reduced(Some(known)).iter().zip(&before).zip(&sensitivity) {
+            for ((after, before), answer) in step(reduced(Some(known))).iter().zip(&before).zip(&answers) {
                 worst = worst.max((after - before - answer[known]).abs());
             }
         }
     }
     assert!(worst < 1e-12, "{worst}");
+}
+
+/// The covariance splits into what comes from each of several groups of rows.
+#[test]
+fn the_parts_of_all_rows_are_the_covariance() {
+    for seed in 0..20 {
+        let mut random = Random::new(1900 + seed);
+        let count = 2 + random.below(5);
+        let problem = Linear::random(&mut random, 40, count);
+        let whitener = problem.factor(40).whitener(count);
+        let group = |first: usize, last: usize| {
+            let mut group = problem.clone();
+            group.rows = problem.rows[first..last].to_vec();
+            group.residuals = problem.residuals[first..last].to_vec();
+            whitener.part(&group.factor(40))
+        };
+        let (one, other) = (group(0, 3), group(3, 40));
+        for (row, line) in whitener.covariance().iter().enumerate() {
+            for (column, whole) in line.iter().enumerate() {
+                let size = (whitener.covariance()[row][row] * whitener.covariance()[column][column]).sqrt();
+                assert!((one[row][column] + other[row][column] - whole).abs() < 1e-11 * size, "{row} {column}");
+            }
+        }
+    }
 }

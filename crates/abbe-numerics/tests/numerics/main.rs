@@ -2,6 +2,8 @@
 //! iteration and its robust weights on problems with known answers, and coefficients against NIST's certified ones.
 
 mod accumulate;
+mod coverage;
+mod monte_carlo;
 mod nist;
 mod problems;
 mod robust;

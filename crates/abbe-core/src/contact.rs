@@ -1,0 +1,287 @@
+//! Contact: where the linear axes stand when the tip meets the artefact.
+
+use std::sync::Arc;
+
+use nalgebra::{DMatrix, DVector};
+
+use crate::error::{Error, Result};
+use crate::model::{AxisKind, KinematicModel, Variable};
+use crate::observations::{Contact, Row};
+use crate::problem::{CHUNK, ObservationSet, Problem, Workspace, dot};
+
+/// Steps after which the search for a contact ends. Newton's iteration converges quadratically: it needs three or four.
+const STEPS: usize = 20;
+
+/// How well the equations of a measured row hold, mm (rad), and the part of the largest coordinate that a double holds for
+/// certain, which is more on machines of more than a metre.
+const TOLERANCE: (f64, f64) = (1e-11, 1e-14);
+
+/// Commands whose effect on the equations of a row is smaller than this, in mm/mm, do not move the tip along them.
+const NO_EFFECT: f64 = 1e-6;
+
+/// What is added to a parameter of the model, row by row, while a problem is measured: a drift.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Variation {
+    /// Index of the parameter.
+    pub parameter: usize,
+    /// What is added to it, in its unit; one for every row that takes part, set by set.
+    pub values: Vec<f64>,
+}
+
+/// The linear axes of a model.
+struct LinearAxes {
+    /// Their commands.
+    commands: Vec<Variable>,
+    /// Where their commands stand in a status.
+    statuses: Vec<usize>,
+}
+
+impl LinearAxes {
+    fn of(model: &dyn KinematicModel) -> Self {
+        let axes = model.axes().iter().enumerate().filter(|(_, axis)| axis.kind == AxisKind::Linear);
+        let (commands, statuses) = axes.map(|(index, axis)| (Variable::Command(index), axis.status)).unzip();
+        Self { commands, statuses }
+    }
+
+    fn count(&self) -> usize {
+        self.commands.len()
+    }
+}
+
+/// Where a row is to be brought.
+#[derive(Clone, Copy)]
+enum Goal<'a> {
+    /// Nominal contact: the tip of the feature, or equations that hold.
+    Contact,
+    /// These values of its equations, one after another for the rows of the chunk.
+    Residuals(&'a [f64]),
+}
+
+impl Problem {
+    /// The same problem with every touched row moved to where, by the model at `x`, nominal contact is: the linear axes
+    /// bring the tip to [`Observations::contact_tip`](crate::Observations::contact_tip), or move by as little as possible
+    /// until the row's equations hold.
+    ///
+    /// Rank and condition are judged there. At recorded positions the residuals, and the offsets with which features are
+    /// met beside their points, act as if they were information: they lift the singular values that are really zero.
+    pub fn at_contact(&self, x: &[f64]) -> Result<Self> {
+        let mut moved = self.at(x);
+        let linear = LinearAxes::of(self.model.as_ref());
+        let mut work = Workspace::default();
+        for set in 0..moved.sets.len() {
+            if moved.sets[set].observations.contact() != Contact::LinearAxes || linear.count() == 0 {
+                continue;
+            }
+            for chunk in self.sets[set].rows.chunks(CHUNK) {
+                // Newton's iteration converges quadratically: a step below 1e-5 mm leaves nothing that a double holds.
+                for _ in 0..8 {
+                    moved.evaluate(set, chunk, &linear.commands, &mut work)?;
+                    if moved.sets[set].step(chunk, &linear, &work, Goal::Contact) < 1e-5 {
+                        break;
+                    }
+                }
+            }
+        }
+        Ok(moved)
+    }
+
+    /// The same problem as it is measured if its own values are the truth: the linear axes of every touched row move from
+    /// where they are, by as little as possible, until each of its equations (the exact one) equals its error; where a
+    /// reading gives way, the reading makes up for the difference.
+    ///
+    /// `errors` has one value for every equation, mm or rad; constraints keep their residuals. `variations` change parameters of the model from row to row. Fails, with the place of the row, if the axes
+    /// cannot make the equations equal their errors to 1e-11 mm.
+    pub fn measured(&self, errors: &[f64], variations: &[Variation]) -> Result<Self> {
+        let mut moved = self.clone();
+        let linear = LinearAxes::of(self.model.as_ref());
+        let mut work = Workspace::default();
+        // Rows on one chunk share the parameters of the model.
+        let size = if variations.is_empty() { CHUNK } else { 1 };
+        let (mut first_row, mut first_equation) = (0, 0);
+        for set in 0..moved.sets.len() {
+            for chunk in self.sets[set].rows.chunks(size) {
+                let equations: usize = chunk.iter().map(|&row| moved.sets[set].row(row).equations).sum();
+                let errors = &errors[first_equation..first_equation + equations];
+                moved.vary(&self.machine, variations, first_row);
+                match moved.sets[set].observations.contact() {
+                    Contact::LinearAxes => moved.touch(set, chunk, &linear, errors, &mut work)?,
+                    Contact::Reading(_) => moved.read(set, chunk, errors, &mut work)?,
+                }
+                first_row += chunk.len();
+                first_equation += equations;
+            }
+        }
+        moved.machine.copy_from_slice(&self.machine);
+        Ok(moved)
+    }
+
+    /// Sets the parameters to what they are on a row, counted over all sets.
+    fn vary(&mut self, machine: &[f64], variations: &[Variation], row: usize) {
+        for Variation { parameter, .. } in variations {
+            self.machine[*parameter] = machine[*parameter];
+        }
+        for Variation { parameter, values } in variations {
+            self.machine[*parameter] += values[row];
+        }
+    }
+
+    /// Moves some rows of a set until their equations equal `errors`.
+    fn touch(
+        &mut self,
+        set: usize,
+        rows: &[usize],
+        linear: &LinearAxes,
+        errors: &[f64],
+        work: &mut Workspace,
+    ) -> Result<()> {
+        for step in 0..=STEPS {
+            self.evaluate(set, rows, &linear.commands, work)?;
+            let Some((row, off)) = self.sets[set].not_yet(rows, work, errors) else { return Ok(()) };
+            if step == STEPS {
+                return Err(self.unreachable(set, row, off));
+            }
+            self.sets[set].step(rows, linear, work, Goal::Residuals(errors));
+        }
+        Ok(())
+    }
+
+    /// Changes the readings of some rows of a set so that their equations equal `errors`.
+    fn read(&mut self, set: usize, rows: &[usize], errors: &[f64], work: &mut Workspace) -> Result<()> {
+        self.evaluate(set, rows, &[], work)?;
+        let set = &mut self.sets[set];
+        let layout = set.observations.layout();
+        let none = || Arc::new(vec![0.0; layout.standard_uncertainties.len()]);
+        let disturbances = Arc::make_mut(set.disturbances.get_or_insert_with(none));
+        let equations = rows.iter().map(|&row| layout.rows[row]).flat_map(|row| {
+            let equations = row.first_equation..row.first_equation + row.equations;
+            equations.map(move |equation| (equation, row.poses > 0))
+        });
+        for (((equation, measured), residual), error) in equations.zip(&work.equations.residuals).zip(errors) {
+            if measured {
+                disturbances[equation] += error - residual;
+            }
+        }
+        Ok(())
+    }
+
+    fn unreachable(&self, set: usize, row: usize, off: f64) -> Error {
+        let feature = &self.sets[set].name;
+        let off = if off.is_finite() {
+            format!("its equation stays off by {off:.3e} mm")
+        } else {
+            "it leaves all bounds".to_owned()
+        };
+        let error = Error::data(format!("the tip cannot reach `{feature}` in this row by its linear axes: {off}"))
+            .help("the linear axes have to be able to move along the measured direction; are the values of the truth in mm and rad?");
+        match self.origin(set, row) {
+            Some((file, origin)) => error.at(file, origin.line, None),
+            None => error,
+        }
+    }
+}
+
+impl ObservationSet {
+    fn row(&self, row: usize) -> Row {
+        self.observations.layout().rows[row]
+    }
+
+    /// The first row whose equations are not equal to `errors` yet, and by how much they differ.
+    fn not_yet(&self, rows: &[usize], work: &Workspace, errors: &[f64]) -> Option<(usize, f64)> {
+        let (mut equation, mut pose) = (0, 0);
+        for &index in rows {
+            let row = self.row(index);
+            let tips = &work.poses.positions[pose..pose + row.poses];
+            let size = tips.iter().flatten().fold(0.0_f64, |size, coordinate| size.max(coordinate.abs()));
+            let equations = equation..equation + row.equations;
+            let off = (work.equations.residuals[equations.clone()].iter().zip(&errors[equations]))
+                .map(|(residual, error)| (residual - error).abs())
+                .find(|off| off.is_nan() || *off > TOLERANCE.0.max(TOLERANCE.1 * size));
+            if let Some(off) = off.filter(|_| row.poses > 0) {
+                return Some((index, off));
+            }
+            equation += row.equations;
+            pose += row.poses;
+        }
+        None
+    }
+
+    /// Moves the linear axes of every row by the smallest step that brings its linearised equations to the goal; returns
+    /// the largest step in mm. `work` holds the evaluation of these rows with derivatives to the linear axes.
+    fn step(&mut self, rows: &[usize], linear: &LinearAxes, work: &Workspace, goal: Goal<'_>) -> f64 {
+        if !work.equations.by_rotation.is_empty() {
+            return 0.0; // Orientations are not touched into place by linear axes.
+        }
+        let count = linear.count();
+        let gradients = work.gradients(self, rows, count);
+        let (mut equation, mut entry, mut pose, mut largest) = (0, 0, 0, 0.0_f64);
+        let mut steps: Vec<f64> = Vec::new();
+        for &index in rows {
+            let row = self.row(index);
+            let equations = equation..equation + row.equations;
+            let gradient = &gradients[entry * count..(entry + row.equations * row.poses) * count];
+            let residuals = &work.equations.residuals[equations.clone()];
+            let contact = match goal {
+                Goal::Contact if row.poses == 1 => self.contact_step(index, pose, work, count),
+                _ => None,
+            };
+            let step = contact.or_else(|| match goal {
+                Goal::Contact => smallest_step(gradient, residuals, &vec![0.0; row.equations]),
+                Goal::Residuals(errors) => smallest_step(gradient, residuals, &errors[equations]),
+            });
+            steps.extend(step.unwrap_or_else(|| vec![0.0; row.poses * count]));
+            equation += row.equations;
+            entry += row.equations * row.poses;
+            pose += row.poses;
+        }
+        let (layout, mut steps) = (self.observations.layout(), steps.chunks_exact(count.max(1)));
+        let table = Arc::make_mut(self.moved.get_or_insert_with(|| Arc::new(layout.poses.clone())));
+        for row in rows.iter().map(|&row| layout.rows[row]) {
+            for pose in row.first_pose..row.first_pose + row.poses {
+                for (&status, step) in linear.statuses.iter().zip(steps.next().unwrap_or(&[])) {
+                    table.row_mut(pose)[status] += step;
+                    largest = largest.max(step.abs());
+                }
+            }
+        }
+        largest
+    }
+
+    /// The step that brings the tip of a row with one pose to nominal contact, where that is known.
+    fn contact_step(&self, row: usize, pose: usize, work: &Workspace, count: usize) -> Option<Vec<f64>> {
+        let tip = work.poses.positions[pose];
+        let contact = self.observations.contact_tip(row, tip, &self.own, &self.inputs)?;
+        let derivatives = &work.poses.position_derivatives[pose * count..(pose + 1) * count];
+        let gradient: Vec<f64> = (0..3).flat_map(|axis| derivatives.iter().map(move |by| by[axis])).collect();
+        smallest_step(&gradient, &tip, &contact)
+    }
+}
+
+/// The smallest step after which linearised `values` equal `wanted`, or come as close as they can; `gradient` is values x
+/// variables, row by row. None if nothing can be solved.
+fn smallest_step(gradient: &[f64], values: &[f64], wanted: &[f64]) -> Option<Vec<f64>> {
+    if gradient.is_empty() {
+        return None;
+    }
+    if let ([value], [wanted]) = (values, wanted) {
+        let square: f64 = gradient.iter().map(|slope| slope * slope).sum();
+        let factor = (square > NO_EFFECT * NO_EFFECT).then_some((wanted - value) / square)?;
+        return Some(gradient.iter().map(|slope| slope * factor).collect());
+    }
+    let gradient = DMatrix::from_row_slice(values.len(), gradient.len() / values.len(), gradient);
+    let missing = DVector::from_iterator(values.len(), wanted.iter().zip(values).map(|(wanted, value)| wanted - value));
+    // A singular value decomposition of what is not finite would not end.
+    let finite = gradient.iter().chain(&missing).all(|value| value.is_finite());
+    let step = finite.then(|| gradient.svd(true, true).solve(&missing, NO_EFFECT))?.ok()?;
+    Some(step.as_slice().to_vec())
+}
+
+impl Workspace {
+    /// Derivatives of every equation to the linear axes of every pose of its row: equations x poses x axes.
+    fn gradients(&self, set: &ObservationSet, rows: &[usize], count: usize) -> Vec<f64> {
+        let mut gradients = Vec::with_capacity(self.equations.by_position.len() * count);
+        self.chain(set, rows, count, |_, derivatives, weight| {
+            gradients.extend(derivatives.iter().map(|derivative| dot(derivative, weight)));
+        });
+        gradients
+    }
+}

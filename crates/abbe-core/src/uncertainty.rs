@@ -1,0 +1,181 @@
+//! How uncertain the equations of some observations are, each for itself and together.
+
+use nalgebra::DMatrix;
+
+use crate::error::{Error, Result};
+
+/// Covariance of some equations with one another.
+#[derive(Debug, Clone, PartialEq)]
+pub struct CovarianceBlock {
+    /// Indices of the equations, ascending.
+    pub equations: Vec<usize>,
+    /// Their covariance, mm² (rad²), positive definite.
+    pub covariance: DMatrix<f64>,
+}
+
+impl CovarianceBlock {
+    /// A block for `equations`, in any order; fails unless the matrix is finite, of their number, symmetric and positive
+    /// definite. `name` says whose covariance it is, for messages.
+    pub fn new(name: &str, equations: &[usize], covariance: &DMatrix<f64>) -> Result<Self> {
+        let size = equations.len();
+        let (rows, columns) = covariance.shape();
+        if (rows, columns) != (size, size) {
+            return Err(Error::data(format!(
+                "the covariance of {name} has {rows} rows and {columns} columns; {size} x {size} was expected"
+            )));
+        }
+        if covariance.iter().any(|value| !value.is_finite()) {
+            return Err(Error::data(format!("the covariance of {name} has an entry that is no finite number")));
+        }
+        for row in 0..size {
+            if covariance[(row, row)] <= 0.0 {
+                let message = format!(
+                    "the covariance of {name} has the variance {} in row {}; a positive number was expected",
+                    covariance[(row, row)],
+                    row + 1
+                );
+                return Err(Error::data(message));
+            }
+            for column in 0..row {
+                let (one, other) = (covariance[(row, column)], covariance[(column, row)]);
+                let size = (covariance[(row, row)] * covariance[(column, column)]).abs().sqrt();
+                if (one - other).abs() > 1e-9 * size {
+                    return Err(Error::data(format!(
+                        "the covariance of {name} is not symmetric: rows {} and {} have {other} one way and {one} the other",
+                        column + 1,
+                        row + 1
+                    )));
+                }
+            }
+        }
+        let mut order: Vec<usize> = (0..size).collect();
+        order.sort_by_key(|&index| equations[index]);
+        let sorted = DMatrix::from_fn(size, size, |row, column| {
+            let (row, column) = (order[row.max(column)], order[row.min(column)]);
+            covariance[(row, column)]
+        });
+        let block = Self { equations: order.iter().map(|&index| equations[index]).collect(), covariance: sorted };
+        let broken = || {
+            Error::data(format!("the covariance of {name} is singular or has negative eigenvalues"))
+                .help("a covariance is positive definite: no correlation of one, no combination without variance")
+        };
+        block.lower().map(|_| block.clone()).ok_or_else(broken)
+    }
+
+    /// The lower triangle L with `L L^T` = covariance; None where the matrix is numerically not positive definite.
+    pub fn lower(&self) -> Option<DMatrix<f64>> {
+        let size = self.covariance.nrows();
+        let scale: Vec<f64> = (0..size).map(|row| self.covariance[(row, row)].sqrt()).collect();
+        let correlation =
+            DMatrix::from_fn(size, size, |row, column| self.covariance[(row, column)] / scale[row] / scale[column]);
+        let mut lower = correlation.cholesky()?.unpack();
+        // Of a correlation matrix: what is left of a variance of one once the rows above are known.
+        if (0..size).any(|row| lower[(row, row)] < 1e-6) {
+            return None;
+        }
+        scale.iter().enumerate().for_each(|(row, scale): (usize, &f64)| lower.row_mut(row).scale_mut(*scale));
+        Some(lower)
+    }
+}
+
+/// What repeats of the same measurements scatter by, pooled over groups (Rahman 2016, section 5.6).
+///
+/// The covariance of the equations is the sum of the outer products of the deviations over the degrees of freedom. It is
+/// of low rank (there are more rows than repeats), so that it propagates to estimates but gives no weights.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Pooled {
+    /// The column whose groups are pooled.
+    pub by: String,
+    /// Labels of the repetitions.
+    pub repetitions: Vec<String>,
+    /// For every repetition the deviation of every equation from the mean of its group, mm (rad).
+    pub deviations: Vec<Vec<f64>>,
+    /// Number of repetitions less the number of groups.
+    pub degrees_of_freedom: usize,
+}
+
+/// How uncertain the equations of some observations, or of a problem, are.
+#[derive(Debug, Clone, PartialEq, Default)]
+pub struct EquationUncertainty {
+    /// Standard uncertainty of every equation, mm (rad).
+    pub standard: Vec<f64>,
+    /// Equations that are correlated; blocks do not overlap, all other equations are independent.
+    pub blocks: Vec<CovarianceBlock>,
+    /// The scatter of repeats; what has one propagates it instead of standard uncertainties, which are weights then.
+    pub pooled: Option<Pooled>,
+}
+
+impl EquationUncertainty {
+    /// Independent equations.
+    pub fn independent(standard: Vec<f64>) -> Self {
+        Self { standard, ..Self::default() }
+    }
+
+    /// That of some of the equations, ascending, which are numbered anew.
+    pub fn of(&self, equations: &[usize]) -> Self {
+        let mut place = vec![None; self.standard.len()];
+        for (new, &old) in equations.iter().enumerate() {
+            place[old] = Some(new);
+        }
+        let mut blocks = Vec::new();
+        for block in &self.blocks {
+            let kept: Vec<(usize, usize)> = (block.equations.iter().enumerate())
+                .filter_map(|(index, &equation)| Some((index, place[equation]?)))
+                .collect();
+            if kept.is_empty() {
+                continue;
+            }
+            let covariance =
+                DMatrix::from_fn(kept.len(), kept.len(), |row, column| block.covariance[(kept[row].0, kept[column].0)]);
+            blocks.push(CovarianceBlock { equations: kept.iter().map(|kept| kept.1).collect(), covariance });
+        }
+        let pick = |values: &Vec<f64>| equations.iter().map(|&equation| values[equation]).collect();
+        let pooled = self
+            .pooled
+            .as_ref()
+            .map(|pooled| Pooled { deviations: pooled.deviations.iter().map(pick).collect(), ..pooled.clone() });
+        Self { standard: pick(&self.standard), blocks, pooled }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn block(equations: &[usize], entries: &[f64]) -> Result<CovarianceBlock> {
+        let size = (entries.len() as f64).sqrt() as usize;
+        CovarianceBlock::new("the rows", equations, &DMatrix::from_row_slice(size, entries.len() / size, entries))
+    }
+
+    #[test]
+    fn matrices_that_are_no_covariance_are_refused() {
+        let cases: [(&[f64], &str); 6] = [
+            (&[1.0, 0.5, 0.4, 1.0], "is not symmetric: rows 1 and 2 have 0.5 one way and 0.4 the other"),
+            (&[1.0, 1.0, 1.0, 1.0], "is singular or has negative eigenvalues"),
+            (&[1.0, 2.0, 2.0, 1.0], "is singular or has negative eigenvalues"),
+            (&[-1.0, 0.0, 0.0, 1.0], "has the variance -1 in row 1; a positive number was expected"),
+            (&[1.0, f64::NAN, f64::NAN, 1.0], "has an entry that is no finite number"),
+            (&[1.0], "has 1 rows and 1 columns; 2 x 2 was expected"),
+        ];
+        for (entries, expected) in cases {
+            let message = block(&[0, 1], entries).unwrap_err().message;
+            assert!(message.starts_with("the covariance of the rows") && message.ends_with(expected), "{message}");
+        }
+    }
+
+    #[test]
+    fn blocks_follow_their_equations() {
+        let uncertainty = EquationUncertainty {
+            standard: vec![1.0, 2.0, 3.0],
+            blocks: vec![block(&[2, 0], &[9.0, 1.5, 1.5, 1.0]).unwrap()],
+            pooled: None,
+        };
+        assert_eq!(uncertainty.blocks[0].equations, [0, 2]);
+        assert_eq!(uncertainty.blocks[0].covariance, DMatrix::from_row_slice(2, 2, &[1.0, 1.5, 1.5, 9.0]));
+        let lower = uncertainty.blocks[0].lower().unwrap();
+        assert!((&lower * lower.transpose() - &uncertainty.blocks[0].covariance).amax() < 1e-14);
+        let some = uncertainty.of(&[1, 2]);
+        assert_eq!((some.standard, some.blocks[0].equations.clone()), (vec![2.0, 3.0], vec![1]));
+        assert_eq!(some.blocks[0].covariance[(0, 0)], 9.0);
+    }
+}

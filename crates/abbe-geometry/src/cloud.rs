@@ -1,0 +1,78 @@
+//! Points made ready for a fit: checked, centred, scaled, with their principal directions.
+
+use nalgebra::{DMatrix, DVector, SVector};
+
+use crate::error::FitError;
+
+/// Points that spread less than this part of their largest extent in some direction count as flat there.
+const FLAT: f64 = 1e-10;
+
+/// Roundings of coordinates that may add up in a spread.
+const ROUNDINGS: f64 = 8.0;
+
+/// Centred and scaled points.
+pub struct Cloud<const D: usize> {
+    /// Mean of the points.
+    pub centroid: SVector<f64, D>,
+    /// Root mean square distance from the centroid.
+    pub scale: f64,
+    /// The points less the centroid, over the scale.
+    pub points: Vec<SVector<f64, D>>,
+    /// Directions of the largest to the smallest spread.
+    pub directions: Vec<SVector<f64, D>>,
+    /// Spread in these directions, relative to the largest.
+    spreads: Vec<f64>,
+    /// What rounding of the coordinates does to a relative spread.
+    rounding: f64,
+}
+
+impl<const D: usize> Cloud<D> {
+    /// Fails for fewer points than `needed`, coordinates that are not finite and points that all coincide.
+    pub fn of(shape: &'static str, needed: usize, points: &[SVector<f64, D>]) -> Result<Self, FitError> {
+        if points.len() < needed {
+            return Err(FitError::TooFew { shape, needed, found: points.len() });
+        }
+        if let Some(point) = points.iter().position(|point| point.iter().any(|value| !value.is_finite())) {
+            return Err(FitError::NotFinite { point });
+        }
+        // From one of the points, so that a sum of many coordinates that are far from the origin loses nothing.
+        let count = points.len() as f64;
+        let centroid = points[0] + points.iter().map(|point| point - points[0]).sum::<SVector<f64, D>>() / count;
+        let centred: Vec<SVector<f64, D>> = points.iter().map(|point| point - centroid).collect();
+        let scale = (centred.iter().map(SVector::norm_squared).sum::<f64>() / count).sqrt();
+        let far = points.iter().map(SVector::amax).fold(0.0, f64::max);
+        if scale <= ROUNDINGS * f64::EPSILON * far || !scale.is_normal() {
+            return Err(FitError::Undetermined { shape, because: "they coincide" });
+        }
+        let points: Vec<SVector<f64, D>> = centred.iter().map(|point| point / scale).collect();
+        let (singular_values, directions) = right_singular(&points);
+        let spreads = singular_values.iter().map(|value| value / singular_values[0]).collect();
+        let directions = directions.iter().map(|direction| SVector::from_column_slice(direction.as_slice())).collect();
+        let rounding = ROUNDINGS * f64::EPSILON * far / scale;
+        Ok(Self { centroid, scale, points, directions, spreads, rounding })
+    }
+
+    /// Whether the points do not spread in the direction with this index.
+    pub fn is_flat(&self, direction: usize) -> bool {
+        self.spreads[direction] <= FLAT.max(self.rounding)
+    }
+
+    /// Whether the points spread in the two most extended directions alike, so that neither stands out.
+    pub fn is_round(&self) -> bool {
+        1.0 - self.spreads[1] <= FLAT.max(self.rounding)
+    }
+
+    /// Turns a place among the scaled points into one of the space of the points.
+    pub fn place(&self, scaled: SVector<f64, D>) -> SVector<f64, D> {
+        self.centroid + scaled * self.scale
+    }
+}
+
+/// Singular values and right singular vectors of a matrix with these rows, the largest first. Rows of zeros fill up what
+/// is missing to a full set of vectors.
+pub fn right_singular<const D: usize>(rows: &[SVector<f64, D>]) -> (Vec<f64>, Vec<DVector<f64>>) {
+    let matrix = DMatrix::from_fn(rows.len().max(D), D, |row, column| rows.get(row).map_or(0.0, |row| row[column]));
+    let svd = matrix.qr().r().svd(false, true);
+    let vectors = svd.v_t.map(|vectors| vectors.row_iter().map(|vector| vector.transpose()).collect());
+    (svd.singular_values.as_slice().to_vec(), vectors.unwrap_or_default())
+}

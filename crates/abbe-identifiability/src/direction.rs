@@ -1,0 +1,148 @@
+//! A lost direction, and what hypothetical measurements see of it.
+
+use abbe_core::{NullVector, Owner, Poses, Problem, Result, Unknown, Variable};
+use nalgebra::Vector3;
+
+use crate::Measured;
+
+/// Derivatives below this, in mm or rad per unit of the unknown, are what rounding leaves of zero.
+const ZERO: f64 = 1e-9;
+
+/// How much a measurement sees of a direction.
+#[derive(Debug, Clone, Copy, Default)]
+pub struct Effect {
+    /// The largest change of a residual along the direction.
+    pub change: f64,
+    /// The largest change by what moves the tip, the place of a new feature included.
+    pub moved: f64,
+    /// The largest change by one of the unknowns alone.
+    pub single: f64,
+}
+
+impl Effect {
+    /// The change relative to that by one of the unknowns alone; zero where none has an effect.
+    pub fn relative(&self) -> f64 {
+        if self.single > 0.0 { self.change / self.single } else { 0.0 }
+    }
+}
+
+/// A change of unknowns.
+pub struct Direction<'a> {
+    problem: &'a Problem,
+    /// The unknowns, and by how much each changes in its unit.
+    members: Vec<(Unknown, f64)>,
+}
+
+impl<'a> Direction<'a> {
+    pub fn new(problem: &'a Problem, vector: &NullVector) -> Result<Self> {
+        let mut members = Vec::new();
+        for part in &vector.combination {
+            let unknown = problem.unknowns.iter().find(|unknown| unknown.name == part.name);
+            let unknown = unknown.ok_or_else(|| {
+                abbe_core::Error::data(format!("`{}` is no unknown of `{}`", part.name, problem.name))
+            })?;
+            members.push((unknown.clone(), part.coefficient));
+        }
+        Ok(Self { problem, members })
+    }
+
+    /// What a measurement sees of the direction.
+    pub fn effect(&self, measured: &Measured) -> Result<Effect> {
+        match measured {
+            Measured::Rows(problem) => self.on_rows(problem),
+            Measured::Point(statuses) => {
+                let field = self.field(statuses)?;
+                let mean = field.changes.iter().sum::<Vector3<f64>>() / field.changes.len().max(1) as f64;
+                let change = field.changes.iter().map(|change| (change - mean).norm()).fold(0.0, f64::max);
+                Ok(Effect { change, ..field.effect() })
+            }
+            Measured::Length(ends, along) => {
+                let field = self.field(ends)?;
+                let change = (field.changes[1] - field.changes[0]).dot(&Vector3::from(*along)).abs();
+                Ok(Effect { change, ..field.effect() })
+            }
+        }
+    }
+
+    /// Residuals, as multiples of their standard uncertainties.
+    fn on_rows(&self, problem: &Problem) -> Result<Effect> {
+        let mut problem = problem.clone();
+        problem.unknowns = self.members.iter().map(|(unknown, _)| unknown.clone()).collect();
+        let (uncertainties, start) = (problem.standard_uncertainties(), problem.start());
+        let mut effect = Effect::default();
+        problem.linearise(&start, |block| {
+            let rows = block.jacobian.chunks_exact(self.members.len().max(1));
+            for (row, uncertainty) in rows.zip(&uncertainties[block.first..]) {
+                let parts = row.iter().zip(&self.members).map(|(by, (_, change))| clean(*by) * change / uncertainty);
+                let parts: Vec<f64> = parts.collect();
+                effect.change = effect.change.max(parts.iter().sum::<f64>().abs());
+                effect.single = parts.iter().fold(effect.single, |single, part| single.max(part.abs()));
+            }
+        })?;
+        Ok(effect)
+    }
+
+    /// How the tip moves at some statuses.
+    fn field(&self, statuses: &[Vec<f64>]) -> Result<Field> {
+        let of_machine = self.members.iter().filter(|(unknown, _)| unknown.owner == Owner::Machine);
+        let (wanted, changes): (Vec<Variable>, Vec<f64>) =
+            of_machine.map(|(unknown, change)| (Variable::Parameter(unknown.index), change)).unzip();
+        let mut poses = Poses::default();
+        self.problem.model.evaluate(&statuses.concat(), &self.problem.machine, &wanted, false, &mut poses)?;
+        let mut field = Field { changes: vec![Vector3::zeros(); statuses.len()], single: 0.0 };
+        let count = wanted.len().max(1);
+        for (sum, derivatives) in field.changes.iter_mut().zip(poses.position_derivatives.chunks_exact(count)) {
+            for (derivative, change) in derivatives.iter().zip(&changes) {
+                let part = Vector3::from(derivative.map(clean)) * *change;
+                field.single = field.single.max(part.norm());
+                *sum += part;
+            }
+        }
+        Ok(field)
+    }
+
+    /// What to do if no measurement separates the direction, given whether it moves the tip anywhere.
+    pub fn without_measurement(&self, moves: bool) -> String {
+        let alone = self.members.len() == 1;
+        if self.members.iter().all(|(unknown, _)| unknown.owner != Owner::Machine) {
+            return format!("touch {} from more directions or at more indexations", listed_features(&self.members));
+        }
+        match (alone, moves) {
+            (true, false) => "leave it out: it does nothing to the tip, no touch can tell it",
+            (false, false) => "leave one out: they do the same to the tip everywhere, no touch can tell them apart",
+            (_, true) => {
+                "touch features whose places on the table are known, or leave one out: everything on the table moves alike"
+            }
+        }
+        .to_owned()
+    }
+}
+
+fn clean(derivative: f64) -> f64 {
+    if derivative.abs() < ZERO { 0.0 } else { derivative }
+}
+
+/// How the tip moves along a direction.
+struct Field {
+    changes: Vec<Vector3<f64>>,
+    single: f64,
+}
+
+impl Field {
+    fn effect(&self) -> Effect {
+        let moved = self.changes.iter().map(Vector3::norm).fold(0.0, f64::max);
+        Effect { change: 0.0, moved, single: self.single }
+    }
+}
+
+/// Whose the unknowns are: `table.ball[3]` for `table.ball[3].x`.
+fn listed_features(members: &[(Unknown, f64)]) -> String {
+    let mut features: Vec<String> = Vec::new();
+    for (unknown, _) in members {
+        let feature = unknown.name.rsplit_once('.').map_or(unknown.name.as_str(), |(feature, _)| feature);
+        if !features.iter().any(|known| known == feature) {
+            features.push(feature.to_owned());
+        }
+    }
+    crate::listed(&features)
+}

@@ -1,0 +1,152 @@
+//! Which measurements tell apart what recorded ones cannot.
+//!
+//! A lost direction is a change of parameters that no recorded row sees. Here it is tried on measurements that were not made:
+//! the features that are touched at other positions of an axis, from the other direction of approach or with another
+//! stylus; a feature elsewhere; a calibrated length. A measurement separates the direction if the change shows in it, other
+//! than as a place of the new feature. All of it is judged by the derivatives of the model and of the observation equations,
+//! as rank is, so it holds for any chain and any artefact.
+
+mod direction;
+mod places;
+mod reach;
+mod statuses;
+
+use abbe_core::{NullVector, Problem, Result};
+
+use direction::{Direction, Effect};
+use places::{places, recorded_statuses};
+use statuses::statuses;
+
+/// Ratio of the change along a lost direction to the largest change by one of its unknowns alone, from which a measurement
+/// sees the direction. What is lost leaves about 1e-12, dimensionless.
+const SEEN: f64 = 1e-6;
+
+/// The same ratio below which a measurement sees the direction too weakly to be told before others.
+const WEAK: f64 = 1e-3;
+
+/// Part of the largest such ratio from which a trial is as good as the one that has it.
+const ALIKE: f64 = 0.2;
+
+/// Most measurements that are told for one direction.
+const TOLD: usize = 3;
+
+/// Most rows of a set that are tried at other statuses.
+const ROWS: usize = 60;
+
+/// A measurement that was not made.
+struct Trial {
+    /// Trials of one group differ in where they measure; one of them is told.
+    group: Group,
+    /// What to do.
+    sentence: String,
+    /// What it would measure.
+    measured: Measured,
+}
+
+/// What is new in a measurement, the easiest first.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
+enum Group {
+    /// A status (its index) that never varies takes another value.
+    Constant(usize),
+    /// A status (its index) that varies takes a further value.
+    Further(usize),
+    /// A feature elsewhere.
+    Place,
+    /// A length that is known.
+    Length,
+}
+
+/// What a trial measures.
+enum Measured {
+    /// The rows of a problem.
+    Rows(Box<Problem>),
+    /// A point that is fixed on the table but not known there: the statuses at which the tip is on it.
+    Point(Vec<Vec<f64>>),
+    /// A length on the table along a unit vector of the table frame: the statuses at both ends.
+    Length([Vec<f64>; 2], [f64; 3]),
+}
+
+/// The measurements that can be tried on a machine, beside those that were made.
+pub struct Trials {
+    /// The recorded rows (not all of many) at contact, with the unknowns at their values.
+    recorded: Problem,
+    trials: Vec<Trial>,
+}
+
+impl Trials {
+    /// The trials for a problem whose unknowns have the values `x`. Rows are moved to nominal contact.
+    pub fn new(problem: &Problem, x: &[f64]) -> Result<Self> {
+        let recorded = thinned(problem).at_contact(x)?;
+        let mut trials = statuses(problem, &recorded)?;
+        trials.extend(places(problem, &recorded)?);
+        Ok(Self { recorded, trials })
+    }
+
+    /// Sentences that tell which measurements separate a lost direction, the best first, at most three; what to do instead
+    /// if none does. Fails on a direction whose unknowns are not those of the problem.
+    pub fn separating(&self, vector: &NullVector) -> Result<Vec<String>> {
+        let direction = Direction::new(&self.recorded, vector)?;
+        let lost = direction.effect(&Measured::Rows(Box::new(self.recorded.clone())))?;
+        // A direction is as exact as its smallest entries: what the recorded rows see of it tells nothing.
+        let seen = SEEN.max(10.0 * lost.relative());
+        let mut effects = Vec::with_capacity(self.trials.len());
+        for trial in &self.trials {
+            effects.push(direction.effect(&trial.measured)?);
+        }
+        let found = self.best(&effects, seen);
+        if found.is_empty() {
+            effects.push(direction.effect(&Measured::Point(recorded_statuses(&self.recorded)))?);
+            let moves = effects.iter().any(|effect| effect.moved > seen * effect.single);
+            return Ok(vec![direction.without_measurement(moves)]);
+        }
+        Ok(found)
+    }
+
+    /// The sentence of one trial of every group that sees the direction, the best first.
+    fn best(&self, effects: &[Effect], seen: f64) -> Vec<String> {
+        let mut groups: Vec<Group> = self.trials.iter().map(|trial| trial.group).collect();
+        groups.sort();
+        groups.dedup();
+        let mut found: Vec<(bool, &str)> = Vec::new();
+        for group in groups {
+            let trials = || self.trials.iter().zip(effects).filter(|(trial, _)| trial.group == group);
+            let largest = trials().map(|(_, effect)| effect.relative()).fold(0.0, f64::max);
+            // Of those that see it in the same order of size, the one that stands first is the simplest.
+            let simplest = trials().find(|(_, effect)| largest > seen && effect.relative() >= ALIKE * largest);
+            found.extend(simplest.map(|(trial, _)| (largest < WEAK, trial.sentence.as_str())));
+        }
+        found.sort_by_key(|(weak, _)| *weak);
+        found.into_iter().take(TOLD).map(|(_, sentence)| sentence.to_owned()).collect()
+    }
+}
+
+/// Sentences that tell which measurements separate a lost direction of a problem whose unknowns have the values `x`.
+///
+/// For one direction; see [`Trials`] for several.
+pub fn separating_measurements(problem: &Problem, x: &[f64], vector: &NullVector) -> Result<Vec<String>> {
+    Trials::new(problem, x)?.separating(vector)
+}
+
+/// The problem with few rows of every set, evenly spread but in no step with any order of features.
+fn thinned(problem: &Problem) -> Problem {
+    const GOLDEN: f64 = 0.618_033_988_749_894_9;
+    let mut problem = problem.clone();
+    for set in &mut problem.sets {
+        let rows = &set.rows;
+        if rows.len() > ROWS {
+            let mut kept: Vec<usize> =
+                (0..ROWS).map(|k| rows[((k as f64 * GOLDEN).fract() * rows.len() as f64) as usize]).collect();
+            kept.sort_unstable();
+            kept.dedup();
+            set.rows = kept;
+        }
+    }
+    problem
+}
+
+/// Numbers of a list for people: `0°, 90°`, at most six of them.
+fn listed(numbers: &[String]) -> String {
+    const SHOWN: usize = 6;
+    let shown = numbers.iter().take(SHOWN).cloned().collect::<Vec<_>>().join(", ");
+    if numbers.len() > SHOWN { format!("{shown}, ...") } else { shown }
+}

@@ -1,0 +1,75 @@
+//! Where the linear axes have to stand for the tip to be at a point.
+
+use abbe_core::{AxisKind, Poses, Problem, Result, Variable};
+use nalgebra::{DMatrix, DVector};
+
+/// Distance from a point at which the tip is on it, mm.
+const ON: f64 = 1e-6;
+
+/// Most steps of Newton's iteration; with linear axes it ends after two or three.
+const STEPS: usize = 8;
+
+/// Moves linear axes until tips are at points of the table frame.
+pub struct Reach<'a> {
+    problem: &'a Problem,
+    wanted: Vec<Variable>,
+    /// Status and range of every linear axis that moves.
+    linear: Vec<(usize, Option<[f64; 2]>)>,
+}
+
+impl<'a> Reach<'a> {
+    /// For the model of a problem at its own values; the axis with the status `held` does not move.
+    pub fn new(problem: &'a Problem, held: Option<usize>) -> Self {
+        let axes = problem.model.axes().iter().enumerate();
+        let linear = axes.filter(|(_, axis)| axis.kind == AxisKind::Linear && Some(axis.status) != held);
+        let (wanted, linear) =
+            linear.map(|(index, axis)| (Variable::Command(index), (axis.status, axis.range))).unzip();
+        Self { problem, wanted, linear }
+    }
+
+    fn evaluate(&self, statuses: &[Vec<f64>], wanted: &[Variable]) -> Result<Poses> {
+        let mut poses = Poses::default();
+        self.problem.model.evaluate(&statuses.concat(), &self.problem.machine, wanted, false, &mut poses)?;
+        Ok(poses)
+    }
+
+    /// Tip positions, table frame, mm.
+    pub fn tips(&self, statuses: &[Vec<f64>]) -> Result<Vec<[f64; 3]>> {
+        Ok(self.evaluate(statuses, &[])?.positions)
+    }
+
+    /// The statuses with the tips at `points`; none where linear axes within their ranges do not bring it there.
+    pub fn at(&self, mut statuses: Vec<Vec<f64>>, points: &[[f64; 3]]) -> Result<Vec<Option<Vec<f64>>>> {
+        let mut distances = vec![f64::INFINITY; statuses.len()];
+        for _ in 0..STEPS {
+            let poses = self.evaluate(&statuses, &self.wanted)?;
+            for (pose, status) in statuses.iter_mut().enumerate() {
+                let off = DVector::from_fn(3, |axis, _| points[pose][axis] - poses.positions[pose][axis]);
+                distances[pose] = off.norm();
+                self.step(&poses, pose, &off, status);
+            }
+            if distances.iter().all(|distance| *distance < ON) {
+                break;
+            }
+        }
+        let found = statuses.into_iter().zip(distances);
+        Ok(found.map(|(status, distance)| (distance < ON && self.in_range(&status)).then_some(status)).collect())
+    }
+
+    /// The shortest step of the linear axes that takes a tip nearest to where it has to go.
+    fn step(&self, poses: &Poses, pose: usize, off: &DVector<f64>, status: &mut [f64]) {
+        let count = self.linear.len();
+        if count == 0 {
+            return;
+        }
+        let derivatives =
+            DMatrix::from_fn(3, count, |axis, column| poses.position_derivatives[pose * count + column][axis]);
+        if let Ok(step) = derivatives.svd(true, true).solve(off, 1e-6) {
+            self.linear.iter().zip(step.iter()).for_each(|((axis, _), step)| status[*axis] += step);
+        }
+    }
+
+    fn in_range(&self, status: &[f64]) -> bool {
+        self.linear.iter().all(|(axis, range)| range.is_none_or(|[from, to]| (from..=to).contains(&status[*axis])))
+    }
+}

@@ -1,0 +1,194 @@
+//! Trials of the recorded rows at other statuses: other positions of an axis, the other direction of approach, another
+//! stylus.
+
+use abbe_core::{Axis, AxisKind, ObservationSet, PoseTable, Problem, Quantity, Result, StatusColumn};
+
+use crate::reach::Reach;
+use crate::{Group, Measured, Trial, listed};
+
+/// Positions that are tried, degrees: of a rotary axis and of one that is indexed.
+const ROTARY: [f64; 7] = [90.0, -90.0, 60.0, -60.0, 30.0, -30.0, 0.0];
+const INDEXED: [f64; 3] = [90.0, 180.0, 0.0];
+
+/// Shifts of a linear axis that never moves, mm.
+const SHIFTS: [f64; 4] = [100.0, -100.0, 20.0, -20.0];
+
+/// Times that are tried beside a single one, s.
+const TIMES: [f64; 2] = [0.0, 3600.0];
+
+/// A value that a status could have had, with what to do to have it.
+struct Alternative {
+    value: f64,
+    sentence: String,
+}
+
+/// A trial for every other value of every status.
+pub fn statuses(problem: &Problem, recorded: &Problem) -> Result<Vec<Trial>> {
+    let mut trials = Vec::new();
+    for (index, status) in problem.model.status().iter().enumerate() {
+        let axis = problem.model.axes().iter().find(|axis| axis.status == index);
+        let values = values(problem, index, status);
+        let group = if values.len() > 1 { Group::Further(index) } else { Group::Constant(index) };
+        for Alternative { value, sentence } in alternatives(status, axis, &values) {
+            if let Some(rows) = at_status(recorded, index, value)? {
+                trials.push(Trial { group, sentence, measured: Measured::Rows(Box::new(rows)) });
+            }
+        }
+    }
+    Ok(trials)
+}
+
+/// The values that a status has in the rows, ascending; none where it is not known.
+fn values(problem: &Problem, index: usize, status: &StatusColumn) -> Vec<f64> {
+    let poses = problem.sets.iter().flat_map(|set| poses_of(set).map(|pose| set.poses().row(pose)[index]));
+    let unknown = |value: &f64| value.is_nan() || (is_direction(status) && *value == 0.0);
+    let mut values: Vec<f64> = poses.filter(|value| !unknown(value)).collect();
+    values.sort_by(f64::total_cmp);
+    values.dedup_by(|a, b| (*a - *b).abs() < 1e-9);
+    values
+}
+
+/// The poses of the rows that take part.
+fn poses_of(set: &ObservationSet) -> impl Iterator<Item = usize> + '_ {
+    let rows = set.rows.iter().map(|&row| set.observations.layout().rows[row]);
+    rows.flat_map(|row| row.first_pose..row.first_pose + row.poses)
+}
+
+/// Directions of approach are named so in all data.
+fn is_direction(status: &StatusColumn) -> bool {
+    status.name.starts_with("dir_")
+}
+
+fn alternatives(status: &StatusColumn, axis: Option<&Axis>, values: &[f64]) -> Vec<Alternative> {
+    match axis {
+        Some(axis) if axis.kind == AxisKind::Rotary => rotary(axis, values),
+        Some(axis) => linear(axis, values),
+        None if is_direction(status) => approach(status, values),
+        None if status.quantity == Quantity::Label => levels(status, values),
+        None => other(status, values),
+    }
+}
+
+fn rotary(axis: &Axis, values: &[f64]) -> Vec<Alternative> {
+    let grid = if axis.indexed { INDEXED.as_slice() } else { ROTARY.as_slice() };
+    let in_range = |value: f64| axis.range.is_none_or(|[from, to]| value >= from - 1e-9 && value <= to + 1e-9);
+    let is_new = |value: f64| values.iter().all(|known| (value - known).abs() > 1f64.to_radians());
+    let name = if axis.indexed { format!("the spindle {}", axis.name) } else { axis.name.clone() };
+    let known: Vec<String> = values.iter().map(|value| degrees(*value)).collect();
+    let tried = grid.iter().map(|degrees| degrees.to_radians()).filter(|value| in_range(*value) && is_new(*value));
+    tried
+        .map(|value| Alternative {
+            value,
+            sentence: match known.as_slice() {
+                [] => format!("measure with {name} at several positions"),
+                [one] => format!("measure with {name} at other positions: it stands at {one} in all rows"),
+                _ => format!(
+                    "measure with {name} at further positions, for instance {}: the rows have {}",
+                    degrees(value),
+                    listed(&known)
+                ),
+            },
+        })
+        .collect()
+}
+
+fn degrees(value: f64) -> String {
+    // Adding zero takes the sign from a negative zero.
+    format!("{}°", (value.to_degrees() * 1e3).round() / 1e3 + 0.0)
+}
+
+/// Linear axes move with every touch; one that never does stands beside those that do.
+fn linear(axis: &Axis, values: &[f64]) -> Vec<Alternative> {
+    let &[value] = values else { return Vec::new() };
+    let sentence =
+        format!("measure with {} at other positions: it stands at {:.3} mm in all rows", axis.name, value + 0.0);
+    let tried = SHIFTS.iter().map(|shift| value + shift);
+    let in_range = |value: &f64| axis.range.is_none_or(|[from, to]| (from..=to).contains(value));
+    tried.filter(in_range).map(|value| Alternative { value, sentence: sentence.clone() }).collect()
+}
+
+fn approach(status: &StatusColumn, values: &[f64]) -> Vec<Alternative> {
+    let name = &status.name;
+    let axis = name.trim_start_matches("dir_");
+    match values {
+        [] => [1.0, -1.0]
+            .map(|value| Alternative {
+                value,
+                sentence: format!("approach in both directions of {axis} and record `{name}`: no row has it"),
+            })
+            .into(),
+        [value] => vec![Alternative {
+            value: -value,
+            sentence: format!("approach in both directions of {axis}: all rows have {name} = {value:+}"),
+        }],
+        _ => Vec::new(),
+    }
+}
+
+fn levels(status: &StatusColumn, values: &[f64]) -> Vec<Alternative> {
+    let name = &status.name;
+    let label = |value: f64| status.levels.get(value as usize).cloned().unwrap_or_default();
+    let known = listed(&values.iter().map(|value| label(*value)).collect::<Vec<_>>());
+    let new = (0..status.levels.len()).map(|level| level as f64).filter(|level| !values.contains(level));
+    new.map(|value| Alternative {
+        value,
+        sentence: match values {
+            [] => format!("record `{name}`: no row has it"),
+            _ => format!("measure with {name} {} as well: the rows have {known}", label(value)),
+        },
+    })
+    .collect()
+}
+
+/// Time and what else a model depends on.
+fn other(status: &StatusColumn, values: &[f64]) -> Vec<Alternative> {
+    let name = &status.name;
+    let sentence = match values {
+        [] => format!("record `{name}`: no row has it"),
+        [_] => format!("spread the measurement over other values of {name}: all rows have the same"),
+        _ => return Vec::new(),
+    };
+    let first = values.first().copied().unwrap_or(0.0);
+    TIMES.map(|shift| Alternative { value: first + shift, sentence: sentence.clone() }).into()
+}
+
+/// The rows with a status at another value and their tips where they were; none if no row gets there.
+fn at_status(recorded: &Problem, status: usize, value: f64) -> Result<Option<Problem>> {
+    let reach = Reach::new(recorded, Some(status));
+    let mut moved = recorded.clone();
+    for set in &mut moved.sets {
+        let mut poses = set.poses().clone();
+        let touched: Vec<usize> = poses_of(set).collect();
+        let reached = carried(&reach, &mut poses, &touched, (status, value))?;
+        let layout = set.observations.layout();
+        set.rows.retain(|&row| {
+            let row = layout.rows[row];
+            row.poses > 0 && (row.first_pose..row.first_pose + row.poses).all(|pose| reached.contains(&pose))
+        });
+        *set = set.with_poses(poses);
+    }
+    Ok((moved.equations() > 0).then_some(moved))
+}
+
+/// Gives a status of some poses another value and brings their tips back; tells where that succeeds.
+fn carried(
+    reach: &Reach<'_>,
+    poses: &mut PoseTable,
+    touched: &[usize],
+    (status, value): (usize, f64),
+) -> Result<Vec<usize>> {
+    if touched.is_empty() {
+        return Ok(Vec::new());
+    }
+    let mut statuses: Vec<Vec<f64>> = touched.iter().map(|&pose| poses.row(pose).to_vec()).collect();
+    let tips = reach.tips(&statuses)?;
+    statuses.iter_mut().for_each(|pose| pose[status] = value);
+    let mut reached = Vec::new();
+    for (&pose, found) in touched.iter().zip(reach.at(statuses, &tips)?) {
+        if let Some(found) = found {
+            poses.row_mut(pose).copy_from_slice(&found);
+            reached.push(pose);
+        }
+    }
+    Ok(reached)
+}

@@ -1,0 +1,159 @@
+//! Coverage factors: how many standard uncertainties an interval or a region takes to hold a quantity, or several at
+//! once, with a stated probability.
+
+use statrs::distribution::{Binomial, ChiSquared, ContinuousCDF, DiscreteCDF, FisherSnedecor, Normal, StudentsT};
+
+/// Degrees of freedom beyond which Student's quantile is the normal one with corrections.
+///
+/// The corrections leave out what is of the order of `1 / dof^4`, less than 1e-12 here; inversion of the distribution
+/// is as good up to here and has four digits left at 1e6.
+const NEARLY_NORMAL: f64 = 1e4;
+
+/// Half width of the interval that holds one quantity with `probability`, in standard uncertainties: the two-sided
+/// quantile of Student's distribution (JCGM 100:2008, G.3). Infinite degrees of freedom mean the normal distribution.
+///
+/// Degrees of freedom need not be whole. NaN unless `0 < probability < 1` and `degrees_of_freedom > 0`.
+pub fn coverage_factor(probability: f64, degrees_of_freedom: f64) -> f64 {
+    if !is_probability(probability) || degrees_of_freedom.is_nan() || degrees_of_freedom <= 0.0 {
+        return f64::NAN;
+    }
+    // The quantile of the lower tail: a tail of 1e-12 is exact where 1 - 1e-12 has lost digits.
+    let tail = (1.0 - probability) / 2.0;
+    let normal = -Normal::standard().inverse_cdf(tail);
+    if degrees_of_freedom > NEARLY_NORMAL {
+        return nearly_normal(normal, degrees_of_freedom);
+    }
+    StudentsT::new(0.0, 1.0, degrees_of_freedom).map_or(f64::NAN, |student| -student.inverse_cdf(tail))
+}
+
+/// Student's quantile from the normal one of the same probability (Abramowitz & Stegun 1964, 26.7.5).
+fn nearly_normal(normal: f64, degrees_of_freedom: f64) -> f64 {
+    let square = normal * normal;
+    let first = (square + 1.0) / 4.0;
+    let second = ((5.0 * square + 16.0) * square + 3.0) / 96.0;
+    let third = (((3.0 * square + 19.0) * square + 17.0) * square - 15.0) / 384.0;
+    normal + normal * (first + (second + third / degrees_of_freedom) / degrees_of_freedom) / degrees_of_freedom
+}
+
+/// Size of the hyper-ellipsoid that holds `quantities` normal quantities together with `probability`, in standard
+/// uncertainties: the square root of a quantile of chi-squared (JCGM 102:2011, 6.5.2.3 and Table 1).
+///
+/// The ellipsoid is `(y - y0)^T U^-1 (y - y0) <= k^2` with the covariance U. One quantity gives the factor of an
+/// interval. NaN unless `quantities > 0` and `0 < probability < 1`.
+pub fn joint_coverage_factor(quantities: usize, probability: f64) -> f64 {
+    chi_squared_quantile(probability, quantities as f64).sqrt()
+}
+
+/// Half width of the sides of a hyper-rectangle that holds `quantities` normal quantities together with at least
+/// `probability`, in the standard uncertainty of each, whatever their correlations (JCGM 102:2011, 6.5.3).
+///
+/// Each quantity may leave its interval with `(1 - probability) / quantities`: by Bonferroni's inequality one or more
+/// leave with no more than the sum. NaN unless `quantities > 0` and `0 < probability < 1`.
+pub fn rectangular_coverage_factor(quantities: usize, probability: f64) -> f64 {
+    if quantities == 0 || !is_probability(probability) {
+        return f64::NAN;
+    }
+    -Normal::standard().inverse_cdf((1.0 - probability) / (2.0 * quantities as f64))
+}
+
+/// The value that a chi-squared quantity stays below with `probability`, good to 1e-9 plus as many digits of the value:
+/// enough for all but the lower tail of one degree of freedom or less.
+///
+/// NaN unless `0 < probability < 1` and `degrees_of_freedom` is positive and finite.
+pub fn chi_squared_quantile(probability: f64, degrees_of_freedom: f64) -> f64 {
+    match chi_squared(degrees_of_freedom) {
+        Some(distribution) if is_probability(probability) => distribution.inverse_cdf(probability),
+        _ => f64::NAN,
+    }
+}
+
+/// Probability that a chi-squared quantity is at least `value` by chance.
+///
+/// NaN if `value` is NaN or `degrees_of_freedom` is not positive and finite.
+pub fn chi_squared_upper_tail(value: f64, degrees_of_freedom: f64) -> f64 {
+    match chi_squared(degrees_of_freedom) {
+        Some(_) if value == f64::INFINITY => 0.0,
+        Some(distribution) if !value.is_nan() => distribution.sf(value.max(0.0)),
+        _ => f64::NAN,
+    }
+}
+
+/// Quantile of Hotelling's T², the squared distance of `quantities` quantities whose covariance was found with these degrees of
+/// freedom: `q f / (f - q + 1)` times that of F with q and f - q + 1 (Hotelling 1931); chi-squared where f is infinite. NaN
+/// with fewer degrees of freedom than quantities.
+pub fn hotelling_quantile(probability: f64, quantities: usize, degrees_of_freedom: f64) -> f64 {
+    let (q, rest) = (quantities as f64, degrees_of_freedom - quantities as f64 + 1.0);
+    if degrees_of_freedom.is_infinite() {
+        return chi_squared_quantile(probability, q);
+    }
+    match FisherSnedecor::new(q, rest) {
+        Ok(distribution) if (0.0..1.0).contains(&probability) => {
+            q * degrees_of_freedom / rest * distribution.inverse_cdf(probability)
+        }
+        _ => f64::NAN,
+    }
+}
+
+/// Probability that Hotelling's T² is at least `value`; see [`hotelling_quantile`].
+pub fn hotelling_upper_tail(value: f64, quantities: usize, degrees_of_freedom: f64) -> f64 {
+    let (q, rest) = (quantities as f64, degrees_of_freedom - quantities as f64 + 1.0);
+    if degrees_of_freedom.is_infinite() {
+        return chi_squared_upper_tail(value, q);
+    }
+    FisherSnedecor::new(q, rest)
+        .map_or(f64::NAN, |distribution| distribution.sf(value.max(0.0) * rest / (q * degrees_of_freedom)))
+}
+
+/// The smallest central band of counts (both ends included) that the number of successes in `trials` independent
+/// trials stays in with at least `confidence`, when each succeeds with `probability`: neither the counts below the band
+/// nor those above have more than `(1 - confidence) / 2`.
+///
+/// All counts, if `probability` is not in 0..=1 or `confidence` not in 0..1: then nothing is known.
+pub fn binomial_band(trials: usize, probability: f64, confidence: f64) -> (usize, usize) {
+    let Ok(distribution) = Binomial::new(probability, trials as u64) else { return (0, trials) };
+    if !(0.0..1.0).contains(&confidence) {
+        return (0, trials);
+    }
+    // A tail that is met exactly is none too much, also when the last digits of its sum say so.
+    let tail = (1.0 - confidence) / 2.0 * (1.0 + 1e-12);
+    // Low is the first count up to which there is more than the tail, high the first beyond which there is no more.
+    let low = first(trials, |count| distribution.cdf(count as u64) > tail);
+    let high = first(trials, |count| distribution.sf(count as u64) <= tail);
+    (low, high.max(low))
+}
+
+/// The first of `0..=last` that is `reached`, given that all after it are too; `last` if there is none.
+fn first(last: usize, reached: impl Fn(usize) -> bool) -> usize {
+    let (mut low, mut high) = (0, last);
+    while low < high {
+        let middle = low + (high - low) / 2;
+        if reached(middle) {
+            high = middle;
+        } else {
+            low = middle + 1;
+        }
+    }
+    low
+}
+
+/// Degrees of freedom of a sum of independent parts by the formula of Welch and Satterthwaite (JCGM 100:2008, G.4.1),
+/// of the variance that each part contributes (sensitivities included, all in the same unit) and its degrees of
+/// freedom.
+///
+/// Infinite where no part that contributes has finite degrees of freedom; not rounded down to a whole number.
+pub fn effective_degrees_of_freedom(parts: &[(f64, f64)]) -> f64 {
+    let total: f64 = parts.iter().map(|(variance, _)| variance).sum();
+    // Shares of the total, because the square of a variance in mm^2 may be as small as 1e-40.
+    let contributing = parts.iter().filter(|(variance, _)| *variance != 0.0);
+    let weighed = contributing.map(|(variance, degrees_of_freedom)| (variance / total).powi(2) / degrees_of_freedom);
+    // Not `sum`, which is -0 where there is nothing to add.
+    1.0 / weighed.fold(0.0, |sum, part| sum + part)
+}
+
+fn is_probability(probability: f64) -> bool {
+    probability > 0.0 && probability < 1.0
+}
+
+fn chi_squared(degrees_of_freedom: f64) -> Option<ChiSquared> {
+    degrees_of_freedom.is_finite().then(|| ChiSquared::new(degrees_of_freedom).ok()).flatten()
+}

@@ -1,0 +1,106 @@
+//! From a programme of measurement to what a machine with errors records.
+
+use abbe_core::{Contact, ObservationSet, Problem, Result};
+
+use crate::noise::Noise;
+use crate::truth::Truth;
+
+/// The same problem as if it had been measured on the machine `truth`: the statuses of its rows are those at which the
+/// erroneous tip meets the erroneous artefact, its readings what is read there.
+///
+/// The rows of the problem are the programme: features, rotary axes, directions and times are theirs; of the linear axes
+/// they need to say no more than roughly where to start. Nothing else changes: start values, known inputs and uncertainties
+/// stay what they are, so that an estimator can solve the result at once. The same `seed` gives the same numbers; those of a
+/// row depend on the seed, the index of its set and its index in the set's layout alone.
+///
+/// Fails for a truth that is no number or that nothing here knows, and for a row in which the linear axes cannot bring the
+/// tip to the artefact.
+pub fn measure(problem: &Problem, truth: &Truth, seed: u64) -> Result<Problem> {
+    truth.check()?;
+    let machine = truth.of(&nominal(problem).at_contact(&[])?)?;
+    let errors = truth.noise.errors(&machine, seed)?;
+    let mut measured = machine.measured(&errors, &truth.noise.variations(&machine)?)?;
+    measured.machine.clone_from(&problem.machine);
+    for (set, of) in measured.sets.iter_mut().zip(&problem.sets) {
+        set.own.clone_from(&of.own);
+        set.inputs.clone_from(&of.inputs);
+    }
+    Ok(recorded(measured, &truth.noise))
+}
+
+/// The problem with a perfect machine, nominal artefacts and nominal inputs.
+fn nominal(problem: &Problem) -> Problem {
+    let mut nominal = problem.clone();
+    nominal.machine.fill(0.0);
+    for set in &mut nominal.sets {
+        set.own = set.observations.start();
+        set.inputs = set.observations.inputs().iter().map(|input| input.value).collect();
+    }
+    nominal
+}
+
+/// The problem with positions and readings rounded as the machine and the instrument round them.
+fn recorded(mut problem: Problem, noise: &Noise) -> Problem {
+    let resolution = noise.resolution_mm;
+    if resolution <= 0.0 {
+        return problem;
+    }
+    let axes = problem.model.axes().iter().filter(|axis| axis.kind == abbe_core::AxisKind::Linear);
+    let statuses: Vec<usize> = axes.map(|axis| axis.status).collect();
+    let mut by_rounding = Vec::new();
+    for set in &mut problem.sets {
+        match set.observations.contact() {
+            Contact::LinearAxes => {
+                round_positions(set, &statuses, resolution);
+                by_rounding.extend(rows_of(set).flat_map(|row| std::iter::repeat_n(0.0, row.equations)));
+            }
+            Contact::Reading(column) => {
+                let readings = readings(set, &column);
+                let changes = readings.iter().map(|reading| match reading {
+                    // The residual has the reading with a minus sign.
+                    Some(reading) => reading - round(*reading, resolution),
+                    None => 0.0,
+                });
+                by_rounding.extend(changes);
+            }
+        }
+    }
+    if by_rounding.iter().all(|change| *change == 0.0) { problem } else { problem.disturbed(&by_rounding) }
+}
+
+fn rows_of(set: &ObservationSet) -> impl Iterator<Item = abbe_core::Row> {
+    set.rows.iter().map(|&row| set.observations.layout().rows[row])
+}
+
+fn round_positions(set: &mut ObservationSet, statuses: &[usize], resolution: f64) {
+    let mut poses = set.poses().clone();
+    for pose in rows_of(set).flat_map(|row| row.first_pose..row.first_pose + row.poses) {
+        let status = poses.row_mut(pose);
+        statuses.iter().for_each(|&axis| status[axis] = round(status[axis], resolution));
+    }
+    set.move_to(poses);
+}
+
+/// What is read in every equation of a set, mm; none where nothing is, or an angle.
+fn readings(set: &ObservationSet, column: &str) -> Vec<Option<f64>> {
+    let recorded = if is_length(set, column) { set.observations.layout().data.numbers(column) } else { None };
+    let disturbances = set.disturbances();
+    let mut all = Vec::new();
+    for row in rows_of(set) {
+        for equation in row.first_equation..row.first_equation + row.equations {
+            let reading = recorded.zip(row.data_row).map(|(recorded, row)| recorded[row]);
+            all.push(reading.map(|reading| reading - disturbances.map_or(0.0, |all| all[equation])));
+        }
+    }
+    all
+}
+
+/// Whether a column of a set holds lengths.
+pub(crate) fn is_length(set: &ObservationSet, column: &str) -> bool {
+    let column = set.observations.layout().data.column(column);
+    column.is_some_and(|column| column.header.quantity == abbe_core::Quantity::Length)
+}
+
+fn round(value: f64, resolution: f64) -> f64 {
+    (value / resolution).round() * resolution
+}

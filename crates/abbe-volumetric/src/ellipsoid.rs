@@ -1,0 +1,121 @@
+//! Principal components of a covariance and the region that holds a position with some probability.
+
+use abbe_core::{Error, Result};
+use abbe_numerics::chi_squared_quantile;
+use nalgebra::{Matrix3, Vector3};
+
+/// Eigenvalues below this part of the largest are zero.
+const ZERO: f64 = 1e-12;
+
+/// The ellipsoid that holds a position of normal distribution with some probability (Soons 1993, equations A.5 to A.15;
+/// the right side of A.14 and A.15 is the quantile of chi-squared).
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Ellipsoid {
+    /// Principal directions, that of the largest uncertainty first; unit vectors whose largest component is positive.
+    pub directions: [[f64; 3]; 3],
+    /// Standard uncertainty along each, in the unit of the position.
+    pub standard_uncertainties: [f64; 3],
+    /// Number of directions with an uncertainty: the degrees of freedom of chi-squared. The position is exact in the others.
+    pub nonzero: usize,
+    /// Half lengths of the axes of the ellipsoid; along one or two directions it is an interval or an ellipse.
+    pub semi_axes: [f64; 3],
+}
+
+impl Ellipsoid {
+    /// The ellipsoid of a covariance (square of the position's unit) for a probability between 0 and 1.
+    ///
+    /// Fails on a covariance or a probability that is none.
+    pub fn of(covariance: &[[f64; 3]; 3], probability: f64) -> Result<Self> {
+        if covariance.iter().flatten().any(|entry| !entry.is_finite()) {
+            return Err(Error::data("the covariance of a position has an entry that is no finite number"));
+        }
+        if !(probability > 0.0 && probability < 1.0) {
+            return Err(Error::usage(format!("{probability} is no probability between 0 and 1")));
+        }
+        let eigen = Matrix3::from_fn(|row, column| covariance[row][column]).symmetric_eigen();
+        let mut order = [0, 1, 2];
+        order.sort_by(|&a, &b| eigen.eigenvalues[b].total_cmp(&eigen.eigenvalues[a]));
+        let largest = eigen.eigenvalues[order[0]];
+        let variances = order.map(|index| eigen.eigenvalues[index]);
+        let variances = variances.map(|variance| if variance > ZERO * largest { variance } else { 0.0 });
+        let nonzero = variances.iter().filter(|variance| **variance > 0.0).count();
+        let quantile = if nonzero == 0 { 0.0 } else { chi_squared_quantile(probability, nonzero as f64) };
+        Ok(Self {
+            directions: order.map(|index| with_sign(eigen.eigenvectors.column(index).into_owned()).into()),
+            standard_uncertainties: variances.map(f64::sqrt),
+            nonzero,
+            semi_axes: variances.map(|variance| (quantile * variance).sqrt()),
+        })
+    }
+}
+
+/// The direction with its largest component positive; of equal ones the first counts.
+fn with_sign(direction: Vector3<f64>) -> Vector3<f64> {
+    let largest = direction.amax() * (1.0 - 1e-9);
+    let first = direction.iter().find(|component| component.abs() >= largest);
+    let signed = if first.is_some_and(|component| *component < 0.0) { -direction } else { direction };
+    // No minus before zero.
+    signed.map(|component| component + 0.0)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn rotated(variances: [f64; 3], axis: Vector3<f64>, angle: f64) -> [[f64; 3]; 3] {
+        let turn = nalgebra::Rotation3::new(axis.normalize() * angle).into_inner();
+        let covariance = turn * Matrix3::from_diagonal(&Vector3::from(variances)) * turn.transpose();
+        [0, 1, 2].map(|row| [0, 1, 2].map(|column| covariance[(row, column)]))
+    }
+
+    fn close(found: [f64; 3], expected: [f64; 3]) {
+        for (found, expected) in found.iter().zip(expected) {
+            assert!((found - expected).abs() < 1e-12 * expected.abs().max(1e-3), "{found}, expected {expected}");
+        }
+    }
+
+    /// Quantiles of chi-squared at 0.95 for 1, 2, 3 degrees of freedom: 1.959964², -2 ln 0.05, 7.814728.
+    #[test]
+    fn zero_eigenvalues_take_degrees_of_freedom() {
+        let (one, two, three) = (1.959963984540054_f64, (-2.0 * 0.05_f64.ln()).sqrt(), 7.814727903251179_f64.sqrt());
+        let cases = [
+            ([4e-6, 9e-6, 1e-6], 3, three, [3e-3, 2e-3, 1e-3]),
+            ([4e-6, 9e-6, 0.0], 2, two, [3e-3, 2e-3, 0.0]),
+            ([4e-6, 9e-6, 1e-18], 2, two, [3e-3, 2e-3, 0.0]),
+            ([0.0, 9e-6, 0.0], 1, one, [3e-3, 0.0, 0.0]),
+            ([0.0, 0.0, 0.0], 0, 0.0, [0.0, 0.0, 0.0]),
+        ];
+        for (variances, nonzero, factor, expected) in cases {
+            for angle in [0.0, 0.7, 2.0] {
+                let covariance = rotated(variances, Vector3::new(1.0, 2.0, -0.5), angle);
+                let found = Ellipsoid::of(&covariance, 0.95).unwrap();
+                assert_eq!(found.nonzero, nonzero, "{variances:?} at {angle}");
+                close(found.standard_uncertainties, expected);
+                let scaled = expected.map(|uncertainty| uncertainty * factor);
+                for (found, expected) in found.semi_axes.iter().zip(scaled) {
+                    assert!((found - expected).abs() < 1e-9 * expected.max(1e-3), "{found}, expected {expected}");
+                }
+            }
+        }
+    }
+
+    #[test]
+    fn directions_are_unit_vectors_with_a_sign() {
+        let found = Ellipsoid::of(&[[2.0, -1.0, 0.0], [-1.0, 2.0, 0.0], [0.0, 0.0, 0.5]], 0.95).unwrap();
+        let half = std::f64::consts::FRAC_1_SQRT_2;
+        close(found.directions[0], [half, -half, 0.0]);
+        close(found.directions[1], [half, half, 0.0]);
+        close(found.directions[2], [0.0, 0.0, 1.0]);
+        close(found.standard_uncertainties, [3.0_f64.sqrt(), 1.0, half]);
+    }
+
+    #[test]
+    fn what_is_no_covariance_is_refused() {
+        let message = |covariance, probability| Ellipsoid::of(&covariance, probability).unwrap_err().message;
+        assert_eq!(
+            message([[f64::NAN; 3]; 3], 0.95),
+            "the covariance of a position has an entry that is no finite number"
+        );
+        assert_eq!(message([[0.0; 3]; 3], 1.0), "1 is no probability between 0 and 1");
+    }
+}

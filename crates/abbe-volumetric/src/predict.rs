@@ -1,0 +1,180 @@
+//! The volumetric error of poses and its covariance.
+
+use abbe_core::{Calibration, Error, KinematicModel, Poses, Result, Variable};
+use nalgebra::DMatrix;
+
+/// Poses that are evaluated together, so that nobody holds the derivatives of all of them.
+const CHUNK: usize = 64;
+
+/// The volumetric error of a pose.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Volumetric {
+    /// Actual tip minus nominal tip, table frame, mm.
+    pub mean: [f64; 3],
+    /// Its covariance, mm².
+    pub covariance: [[f64; 3]; 3],
+}
+
+impl Volumetric {
+    /// Size of the error, mm.
+    pub fn size(&self) -> f64 {
+        self.mean.iter().map(|component| component * component).sum::<f64>().sqrt()
+    }
+}
+
+/// The volumetric error of a batch of poses: `statuses` is rows x [`status`](KinematicModel::status), row by row.
+///
+/// The error is the tip with the values of the calibration minus the tip with all parameters zero. Its covariance is
+/// `F C F^T` (Soons 1993, equation A.4), with F the derivatives of the tip to those parameters of the machine that the
+/// covariance of the calibration names, at its values, and C their covariance; unknowns of artefacts take no part.
+/// Values that the calibration does not have are zero.
+///
+/// Fails if `statuses` has no whole number of rows, or where the model fails.
+pub fn predict(model: &dyn KinematicModel, calibration: &Calibration, statuses: &[f64]) -> Result<Vec<Volumetric>> {
+    let width = model.status().len().max(1);
+    if !statuses.len().is_multiple_of(width) {
+        return Err(Error::usage(format!("{} numbers are no poses of {width} statuses each", statuses.len())));
+    }
+    let values: Vec<f64> = (model.parameters().iter())
+        .map(|parameter| calibration.get(&parameter.name).map_or(0.0, |known| known.value))
+        .collect();
+    let zero = vec![0.0; values.len()];
+    let (wanted, covariance) = machine_covariance(model, calibration);
+    let (mut actual, mut nominal) = (Poses::default(), Poses::default());
+    let mut errors = Vec::with_capacity(statuses.len() / width);
+    for chunk in statuses.chunks(width * CHUNK) {
+        model.evaluate(chunk, &values, &wanted, false, &mut actual)?;
+        model.evaluate(chunk, &zero, &[], false, &mut nominal)?;
+        let poses = actual.positions.len();
+        // One column for each component of each pose: F^T and C F^T.
+        let derivatives = DMatrix::from_fn(wanted.len(), 3 * poses, |parameter, column| {
+            actual.position_derivatives[column / 3 * wanted.len() + parameter][column % 3]
+        });
+        let weighted = &covariance * &derivatives;
+        for pose in 0..poses {
+            let mean = [0, 1, 2].map(|axis| actual.positions[pose][axis] - nominal.positions[pose][axis]);
+            let entry = |row: usize, column: usize| {
+                derivatives.column(3 * pose + row.max(column)).dot(&weighted.column(3 * pose + row.min(column)))
+            };
+            let covariance = [0, 1, 2].map(|row| [0, 1, 2].map(|column| entry(row, column)));
+            errors.push(Volumetric { mean, covariance });
+        }
+    }
+    Ok(errors)
+}
+
+/// The parameters of the model that a calibration has a covariance of, and that covariance.
+fn machine_covariance(model: &dyn KinematicModel, calibration: &Calibration) -> (Vec<Variable>, DMatrix<f64>) {
+    let order = &calibration.covariance.order;
+    let (wanted, places): (Vec<Variable>, Vec<usize>) = (model.parameters().iter().enumerate())
+        .filter_map(|(index, parameter)| {
+            let place = order.iter().position(|name| *name == parameter.name)?;
+            Some((Variable::Parameter(index), place))
+        })
+        .unzip();
+    let rows = &calibration.covariance.rows;
+    let size = places.len();
+    (wanted, DMatrix::from_fn(size, size, |row, column| rows[places[row]][places[column]]))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::testing::{calibration, chain};
+    use serde_json::json;
+
+    /// Values and factors of covariances of some parameters: two unknown causes move several of them together.
+    const PARAMETERS: [(&str, f64, [f64; 2]); 6] = [
+        ("EC0Y", 3e-5, [2e-6, 1e-6]),
+        ("EA0B", -4e-5, [0.0, 3e-6]),
+        ("EXX[1]", 2e-5, [1e-6, -2e-6]),
+        ("EXX[b]", 2e-3, [4e-4, 0.0]),
+        ("EYB[1]", 5e-3, [1e-3, -1e-3]),
+        ("dzt", 0.2, [5e-4, 2e-3]),
+    ];
+
+    fn model() -> std::sync::Arc<dyn KinematicModel> {
+        let errors = json!([{ "location": ["EC0Y", "EA0B"] }, { "polynomial": ["EXX", "EYB"], "degrees": [1] },
+            { "backlash": ["EXX"] }]);
+        chain("w B' b X Y Z t", json!({}), errors)
+    }
+
+    fn known() -> Calibration {
+        let values: Vec<(&str, f64)> = PARAMETERS.iter().map(|(name, value, _)| (*name, *value)).collect();
+        let mut calibration = calibration(&values);
+        // In another order than the model's, with an unknown of an artefact in between.
+        let order: Vec<Option<usize>> = vec![Some(5), Some(0), None, Some(3), Some(1), Some(4), Some(2)];
+        let name = |index: &Option<usize>| index.map_or("table.ball[1].x", |index| PARAMETERS[index].0).to_owned();
+        let effect = |index: &Option<usize>, cause: usize| index.map_or(1.0, |index| PARAMETERS[index].2[cause]);
+        let entry = |a: &Option<usize>, b: &Option<usize>| (0..2).map(|k| effect(a, k) * effect(b, k)).sum();
+        calibration.covariance.order = order.iter().map(name).collect();
+        calibration.covariance.rows = order.iter().map(|a| order.iter().map(|b| entry(a, b)).collect()).collect();
+        calibration
+    }
+
+    /// 150 poses all over the place, both directions.
+    fn statuses(model: &dyn KinematicModel) -> Vec<f64> {
+        let names: Vec<&str> = model.status().iter().map(|column| column.name.as_str()).collect();
+        assert_eq!(names, ["B", "X", "Y", "Z", "dir_X"]);
+        let pose = |i: usize| {
+            let t = i as f64;
+            [(t * 0.7).sin() * 2.0, (t * 1.3).sin() * 400.0, (t * 2.1).sin() * 300.0, (t * 0.3).cos() * 200.0]
+                .into_iter()
+                .chain([if i.is_multiple_of(2) { 1.0 } else { -1.0 }])
+        };
+        (0..150).flat_map(pose).collect()
+    }
+
+    fn tips(model: &dyn KinematicModel, statuses: &[f64], values: &[(&str, f64)]) -> Vec<[f64; 3]> {
+        let value = |name: &str| values.iter().find(|(other, _)| *other == name).map_or(0.0, |(_, value)| *value);
+        let values: Vec<f64> = model.parameters().iter().map(|parameter| value(&parameter.name)).collect();
+        let mut poses = Poses::default();
+        model.evaluate(statuses, &values, &[], false, &mut poses).unwrap();
+        poses.positions
+    }
+
+    /// The two causes, moved by hand, give the covariance: sum of the outer products of what they do to the tip.
+    #[test]
+    fn covariance_is_that_of_the_causes() {
+        let (model, calibration) = (model(), known());
+        let statuses = statuses(model.as_ref());
+        let found = predict(model.as_ref(), &calibration, &statuses).unwrap();
+        assert_eq!(found.len(), 150);
+        let moved = |cause: usize, by: f64| {
+            let values = PARAMETERS
+                .map(|(name, value, causes)| (name, value + if cause < 2 { by * causes[cause] } else { 0.0 }));
+            tips(model.as_ref(), &statuses, &values)
+        };
+        let (actual, nominal) = (moved(2, 0.0), tips(model.as_ref(), &statuses, &[]));
+        let effects = [0, 1].map(|cause| (moved(cause, 1.0), moved(cause, -1.0)));
+        for (pose, found) in found.iter().enumerate() {
+            for row in 0..3 {
+                assert_eq!(found.mean[row], actual[pose][row] - nominal[pose][row]);
+                for column in 0..3 {
+                    let product = |(up, down): &(Vec<[f64; 3]>, Vec<[f64; 3]>)| {
+                        (up[pose][row] - down[pose][row]) * (up[pose][column] - down[pose][column]) / 4.0
+                    };
+                    let expected: f64 = effects.iter().map(product).sum();
+                    let difference = (found.covariance[row][column] - expected).abs();
+                    // Entries are of the order of 1e-6 mm².
+                    assert!(difference < 1e-12, "pose {pose}, {row} {column}: {difference}");
+                    assert_eq!(found.covariance[row][column], found.covariance[column][row]);
+                }
+            }
+            assert!((found.size().powi(2) - found.mean.iter().map(|x| x * x).sum::<f64>()).abs() < 1e-15);
+        }
+    }
+
+    #[test]
+    fn without_a_covariance_there_is_none() {
+        let model = model();
+        let found = predict(model.as_ref(), &calibration(&[("dzt", 0.5)]), &[0.0, 10.0, 20.0, 30.0, 1.0]).unwrap();
+        assert_eq!(found[0].covariance, [[0.0; 3]; 3]);
+        assert_eq!(found[0].mean, [0.0, 0.0, 0.5]);
+        assert_eq!(
+            predict(model.as_ref(), &known(), &[0.0; 6]).unwrap_err().message,
+            "6 numbers are no poses of 5 statuses each"
+        );
+        assert_eq!(predict(model.as_ref(), &known(), &[]).unwrap(), []);
+    }
+}

@@ -1,0 +1,237 @@
+//! The covariance of the estimates by the law of propagation (JCGM 100, JCGM 102:2011, eq. 3), input by input.
+//!
+//! Rows that are independent, or correlated by a covariance that is also their weight, give `(J^T W J)^-1` times the square
+//! of the a-posteriori factor. What does not weigh is propagated through the answer `G = -(J^T W J)^-1 J^T W K` of the
+//! estimates: the scatter of repeats (K = their deviations) and what is considered (K = derivatives to known inputs and to
+//! parameters of an earlier estimate), as in Rahman (2016), eq. 8-3.
+
+use abbe_core::{
+    Contribution, Correlated, JointCoverage, Owner, ParameterBudget, Problem, Result, Scatter, UncertaintyBudget,
+};
+use abbe_numerics::{
+    Factor, coverage_factor, effective_degrees_of_freedom, joint_coverage_factor, rectangular_coverage_factor,
+};
+
+use crate::weighted::Weighted;
+
+/// Correlations above this are listed.
+const STRONG: f64 = 0.95;
+
+/// Contributions below this part of a standard uncertainty are rounding.
+const NOTHING: f64 = 1e-6;
+
+/// What one independent input does to the estimates.
+struct Part {
+    /// Its name in budgets.
+    input: String,
+    /// Covariance of the unknowns.
+    covariance: Vec<Vec<f64>>,
+    /// Whether the a-posteriori factor applies: the uncertainty of rows was stated, not found by repeats.
+    stated: bool,
+    /// Degrees of freedom of what was found by repeats.
+    degrees_of_freedom: f64,
+}
+
+/// The covariance of the unknowns, and how it comes about.
+pub struct Propagation {
+    parts: Vec<Part>,
+    /// Covariance of unknowns (rows) with what is considered (columns).
+    cross: Vec<Vec<f64>>,
+    /// The a-posteriori factor.
+    scale: f64,
+    /// Its degrees of freedom; infinite if stated uncertainties are trusted.
+    degrees_of_freedom: f64,
+}
+
+/// Where a covariance is to be propagated.
+pub struct Place<'a> {
+    /// The problem at its contact points.
+    pub problem: &'a Problem,
+    /// The unknowns.
+    pub x: &'a [f64],
+    /// Rows that take part, 0 or 1.
+    pub kept: Option<&'a [f64]>,
+    /// Factor of all rows there.
+    pub factor: &'a Factor,
+    /// Number of directions that are determined.
+    pub rank: usize,
+}
+
+impl Propagation {
+    /// Propagates all inputs; `split`: every artefact by itself.
+    pub fn new(place: &Place<'_>, (scale, degrees_of_freedom): (f64, f64), split: bool) -> Result<Self> {
+        let Place { problem, x, kept, factor, rank } = *place;
+        let whitener = factor.whitener(rank);
+        let scatters = problem.scatters();
+        let repeated = |set: usize| scatters.iter().any(|scatter| scatter.sets.contains(&set));
+        let mut parts = Vec::new();
+        let stated = |input: String, covariance| Part { input, covariance, stated: true, degrees_of_freedom };
+        if !split && scatters.is_empty() {
+            parts.push(stated("rows".to_owned(), whitener.covariance()));
+        } else {
+            let ranges = problem.equation_ranges();
+            let factors = Weighted::new(problem)?.factors(x, kept, &ranges)?;
+            for (index, (set, factor)) in problem.sets.iter().zip(&factors).enumerate() {
+                if !repeated(index) {
+                    parts.push(stated(set.name.clone(), whitener.part(factor)));
+                }
+            }
+        }
+        let cross = answers(place, &whitener, &scatters, &mut parts)?;
+        Ok(Self { parts, cross, scale, degrees_of_freedom })
+    }
+
+    fn factor_of(&self, part: &Part) -> f64 {
+        if part.stated { self.scale * self.scale } else { 1.0 }
+    }
+
+    /// The covariance of the unknowns, followed by what is considered.
+    pub fn covariance(&self, problem: &Problem) -> Vec<Vec<f64>> {
+        let own = problem.unknowns.len();
+        let mut covariance = vec![vec![0.0; own]; own];
+        for part in &self.parts {
+            let factor = self.factor_of(part);
+            for (row, line) in covariance.iter_mut().zip(&part.covariance) {
+                row.iter_mut().zip(line).for_each(|(value, part)| *value += factor * part);
+            }
+        }
+        for (row, cross) in covariance.iter_mut().zip(&self.cross) {
+            row.extend(cross);
+        }
+        for (column, line) in problem.considered.covariance.iter().enumerate() {
+            covariance.push(self.cross.iter().map(|row| row[column]).chain(line.iter().copied()).collect());
+        }
+        covariance
+    }
+
+    /// How the uncertainty of every unknown comes about.
+    pub fn budget(&self, problem: &Problem, probability: f64) -> UncertaintyBudget {
+        let machine = problem.unknowns.iter().filter(|unknown| unknown.owner == Owner::Machine).count();
+        let parameters = problem.unknowns.iter().enumerate().map(|(index, unknown)| {
+            let variance = |part: &Part| part.covariance[index][index].max(0.0);
+            let parts: Vec<(f64, &Part)> =
+                self.parts.iter().map(|part| (self.factor_of(part) * variance(part), part)).collect();
+            let standard_uncertainty = parts.iter().map(|(variance, _)| variance).sum::<f64>().sqrt();
+            let of_rows = parts.iter().filter(|(_, part)| part.stated).map(|(variance, _)| variance).sum::<f64>();
+            let mut freedom = vec![(of_rows, self.degrees_of_freedom)];
+            freedom.extend(
+                parts
+                    .iter()
+                    .filter(|(_, part)| !part.stated)
+                    .map(|(variance, part)| (*variance, part.degrees_of_freedom)),
+            );
+            let freedom = effective_degrees_of_freedom(&freedom);
+            let coverage_factor = coverage_factor(probability, freedom);
+            let mut contributions: Vec<Contribution> = parts
+                .iter()
+                .filter(|(variance, _)| variance.sqrt() > NOTHING * standard_uncertainty)
+                .map(|(variance, part)| Contribution {
+                    input: part.input.clone(),
+                    standard_uncertainty: variance.sqrt(),
+                })
+                .collect();
+            contributions.sort_by(|a, b| b.standard_uncertainty.total_cmp(&a.standard_uncertainty));
+            ParameterBudget {
+                name: unknown.name.clone(),
+                unit: unknown.unit.to_string(),
+                standard_uncertainty,
+                stated_standard_uncertainty: self.parts.iter().map(variance).sum::<f64>().sqrt(),
+                degrees_of_freedom: freedom.is_finite().then_some(freedom),
+                coverage_factor,
+                expanded_uncertainty: coverage_factor * standard_uncertainty,
+                contributions,
+            }
+        });
+        UncertaintyBudget {
+            coverage_probability: probability,
+            scale: self.scale,
+            joint: JointCoverage {
+                quantities: machine,
+                ellipsoid_factor: joint_coverage_factor(machine.max(1), probability),
+                rectangle_factor: rectangular_coverage_factor(machine.max(1), probability),
+            },
+            parameters: parameters.collect(),
+            correlations: correlations(problem, &self.covariance(problem)),
+        }
+    }
+}
+
+/// Adds what repeats and known inputs do; gives the covariance of the unknowns with what is considered.
+fn answers(
+    place: &Place<'_>,
+    whitener: &abbe_numerics::Whitener,
+    scatters: &[Scatter],
+    parts: &mut Vec<Part>,
+) -> Result<Vec<Vec<f64>>> {
+    let Place { problem, x, kept, .. } = *place;
+    let (own, considered) = (problem.unknowns.len(), &problem.considered);
+    if considered.unknowns.is_empty() && scatters.is_empty() {
+        return Ok(vec![Vec::new(); own]);
+    }
+    let mut extended = problem.at(x);
+    extended.unknowns.extend(considered.unknowns.iter().cloned());
+    let columns: Vec<Vec<f64>> = scatters.iter().flat_map(|scatter| scatter.pooled.deviations.clone()).collect();
+    let answer = whitener.answer(&Weighted::with_columns(&extended, &columns)?.factor(&extended.start(), kept)?);
+    let mut first = considered.unknowns.len();
+    for scatter in scatters {
+        let (pooled, repetitions) = (&scatter.pooled, scatter.pooled.repetitions.len());
+        let degrees_of_freedom = pooled.degrees_of_freedom as f64;
+        let names: Vec<&str> = scatter.sets.iter().map(|&set| problem.sets[set].name.as_str()).collect();
+        let root: Vec<&[f64]> = answer.iter().map(|row| &row[first..first + repetitions]).collect();
+        parts.push(Part {
+            input: format!("{} (repeats pooled by {})", names.join(", "), pooled.by),
+            covariance: symmetric(own, |row, column| dot(root[row], root[column]) / degrees_of_freedom),
+            stated: false,
+            degrees_of_freedom,
+        });
+        first += repetitions;
+    }
+    let mut sources: Vec<&String> = Vec::new();
+    for source in &considered.sources {
+        if !sources.contains(&source) {
+            sources.push(source);
+        }
+    }
+    let mut cross = vec![vec![0.0; considered.unknowns.len()]; own];
+    for source in sources {
+        let members: Vec<usize> =
+            (0..considered.sources.len()).filter(|&index| considered.sources[index] == *source).collect();
+        let spread = |row: &[f64], column: usize| -> f64 {
+            members.iter().map(|&member| row[member] * considered.covariance[member][column]).sum()
+        };
+        let of_source: Vec<Vec<f64>> =
+            answer.iter().map(|row| members.iter().map(|&column| spread(row, column)).collect()).collect();
+        for (row, of_source) in cross.iter_mut().zip(&of_source) {
+            members.iter().zip(of_source).for_each(|(&member, value)| row[member] += value);
+        }
+        let own_answer = |row: usize| -> Vec<f64> { members.iter().map(|&member| answer[row][member]).collect() };
+        let covariance = symmetric(own, |row, column| dot(&of_source[row], &own_answer(column)));
+        let degrees_of_freedom = f64::INFINITY;
+        parts.push(Part { input: source.clone(), covariance, stated: false, degrees_of_freedom });
+    }
+    Ok(cross)
+}
+
+/// A symmetric matrix from the entries of its lower triangle.
+fn symmetric(size: usize, entry: impl Fn(usize, usize) -> f64) -> Vec<Vec<f64>> {
+    (0..size).map(|row| (0..size).map(|column| entry(row.max(column), row.min(column))).collect()).collect()
+}
+
+fn dot(a: &[f64], b: &[f64]) -> f64 {
+    a.iter().zip(b).map(|(a, b)| a * b).sum()
+}
+
+/// Pairs of unknowns with an absolute correlation above [`STRONG`], the strongest first.
+fn correlations(problem: &Problem, covariance: &[Vec<f64>]) -> Vec<Correlated> {
+    let mut pairs = Vec::new();
+    for (row, one) in problem.unknowns.iter().enumerate() {
+        for (column, other) in problem.unknowns.iter().enumerate().take(row) {
+            let correlation = covariance[row][column] / (covariance[row][row] * covariance[column][column]).sqrt();
+            if correlation.abs() > STRONG {
+                pairs.push(Correlated { one: other.name.clone(), other: one.name.clone(), correlation });
+            }
+        }
+    }
+    pairs.sort_by(|a, b| b.correlation.abs().total_cmp(&a.correlation.abs()));
+    pairs
+}

@@ -1,0 +1,155 @@
+//! From a solution to a calibration: scatter of the residuals, outliers, values with their uncertainties.
+
+use abbe_core::{
+    CALIBRATION_FORMAT, Calibration, Covariance, Estimated, FitReport, Outlier, Owner, Problem, Status, Unknown,
+};
+use abbe_numerics::{Robust, RobustReport};
+
+/// How the residuals scatter.
+pub struct Spread {
+    pub used: usize,
+    pub degrees_of_freedom: usize,
+    pub sigma: f64,
+    pub max: f64,
+    pub mean_abs: f64,
+    pub rms: f64,
+}
+
+impl Spread {
+    /// Of the rows that are not left out by their weight. The a-posteriori factor of a robust estimate is that of Huber
+    /// (1981, section 7.6): the mean square of the influence over the square of its mean slope, with his correction for
+    /// the number of unknowns.
+    ///
+    /// `weighted` are the residuals in units of their uncertainties, uncorrelated.
+    pub fn new(
+        residuals: &[f64],
+        weighted: &[f64],
+        report: Option<&RobustReport>,
+        robust: Option<Robust>,
+        rank: usize,
+    ) -> Self {
+        let used: Vec<usize> =
+            (0..residuals.len()).filter(|&row| report.is_none_or(|report| report.weights[row] > 0.0)).collect();
+        let count = used.len();
+        let degrees_of_freedom = count.saturating_sub(rank);
+        let free = degrees_of_freedom.max(1) as f64;
+        let influence = |row: usize| {
+            let weight = report.map_or(1.0, |report| report.weights[row]);
+            (weight * weighted[row]).powi(2)
+        };
+        let mean_square = used.iter().map(|&row| influence(row)).sum::<f64>() / free;
+        let correction = match (report, robust) {
+            (Some(report), Some(robust)) if count > 0 => {
+                let slopes: Vec<f64> =
+                    used.iter().map(|&row| robust.influence_slope(report.studentised[row])).collect();
+                let mean = slopes.iter().sum::<f64>() / count as f64;
+                let variance = slopes.iter().map(|slope| (slope - mean).powi(2)).sum::<f64>() / count as f64;
+                (1.0 + rank as f64 / count as f64 * variance / mean.powi(2)) / mean
+            }
+            _ => 1.0,
+        };
+        let sizes = || used.iter().map(|&row| residuals[row].abs());
+        let mean = |sum: f64| if count > 0 { sum / count as f64 } else { 0.0 };
+        Self {
+            used: count,
+            degrees_of_freedom,
+            sigma: mean_square.sqrt() * correction,
+            max: sizes().fold(0.0, f64::max),
+            mean_abs: mean(sizes().sum()),
+            rms: mean(sizes().map(|size| size * size).sum()).sqrt(),
+        }
+    }
+}
+
+/// The rows with an equation beyond the limit, largest first.
+pub fn outliers(problem: &Problem, residuals: &[f64], report: &RobustReport, robust: Robust) -> Vec<Outlier> {
+    let mut found: Vec<Outlier> = Vec::new();
+    let mut last = None;
+    for (equation, (set, row)) in problem.equation_rows().into_iter().enumerate() {
+        if report.studentised[equation].abs() < robust.outlier_at {
+            continue;
+        }
+        let residual_um = residuals[equation] * 1e3;
+        if last == Some((set, row))
+            && let Some(same) = found.last_mut()
+        {
+            if residual_um.abs() > same.residual_um.abs() {
+                same.residual_um = residual_um;
+            }
+            same.weight = same.weight.min(report.weights[equation]);
+            continue;
+        }
+        last = Some((set, row));
+        let origin = problem.origin(set, row);
+        found.push(Outlier {
+            stage: problem.sets[set].name.clone(),
+            file: origin.map_or_else(String::new, |(file, _)| file.display().to_string()),
+            line: origin.map_or(0, |(_, origin)| origin.line),
+            row: origin.map_or(0, |(_, origin)| origin.row),
+            residual_um,
+            weight: report.weights[equation],
+        });
+    }
+    found
+}
+
+pub fn calibration(
+    problem: &Problem,
+    x: &[f64],
+    covariance: Vec<Vec<f64>>,
+    outliers: Vec<Outlier>,
+    fit: FitReport,
+) -> Calibration {
+    let considered = &problem.considered.unknowns;
+    let lost = |name: &str| fit.null_space.iter().any(|vector| vector.combination.iter().any(|part| part.name == name));
+    let estimated = |owner: Owner, index: usize, name: String, unit: abbe_core::Unit, fixed: f64| {
+        let here = |unknown: &Unknown| unknown.owner == owner && unknown.index == index;
+        let uncertainty = |column: usize| covariance[column][column].max(0.0).sqrt();
+        let chosen = problem.unknowns.iter().position(here);
+        let known = considered.iter().position(here);
+        let (value, standard_uncertainty, status) = match (chosen, known) {
+            (Some(column), _) => {
+                let status = if lost(&name) { Status::Confounded } else { Status::Estimated };
+                (x[column], uncertainty(column), status)
+            }
+            (None, Some(known)) => (fixed, uncertainty(problem.unknowns.len() + known), Status::Considered),
+            (None, None) => (fixed, 0.0, Status::Fixed),
+        };
+        Estimated { name, value, unit: unit.to_string(), standard_uncertainty, status }
+    };
+    let parameters = problem.model.parameters().iter().enumerate();
+    let parameters = parameters.map(|(index, parameter)| {
+        estimated(Owner::Machine, index, parameter.name.clone(), parameter.unit, problem.machine[index])
+    });
+    let mut artefacts = Vec::new();
+    for (set, observations) in problem.sets.iter().enumerate() {
+        for (index, own) in observations.observations.unknowns().iter().enumerate() {
+            let name = format!("{}.{}", observations.name, own.name);
+            artefacts.push(estimated(Owner::Set(set), index, name, own.unit, observations.own[index]));
+        }
+    }
+    for unknown in considered.iter().filter(|unknown| unknown.owner == Owner::Input) {
+        let value = problem.inputs[unknown.index].value(&problem.sets);
+        artefacts.push(estimated(Owner::Input, unknown.index, unknown.name.clone(), unknown.unit, value));
+    }
+    Calibration {
+        abbe_calibration: CALIBRATION_FORMAT,
+        estimate: problem.name.clone(),
+        model: problem.model_record(),
+        parameters: parameters.collect(),
+        artefacts,
+        covariance: Covariance {
+            order: problem
+                .unknowns
+                .iter()
+                .chain(&problem.considered.unknowns)
+                .map(|unknown| unknown.name.clone())
+                .collect(),
+            rows: covariance,
+        },
+        outliers,
+        fit,
+        uncertainty: None,
+        monte_carlo: None,
+    }
+}

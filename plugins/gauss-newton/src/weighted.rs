@@ -1,0 +1,183 @@
+//! A problem as rows that are independent and of unit variance: residuals over their standard uncertainties, correlated
+//! ones combined until they are uncorrelated.
+
+use abbe_core::{CovarianceBlock, Error, Problem, Result};
+use abbe_numerics::{Accumulator, Factor, LeastSquares};
+
+/// A problem in weighted rows.
+pub struct Weighted<'a> {
+    problem: &'a Problem,
+    uncertainties: Vec<f64>,
+    blocks: Vec<Correlated>,
+    /// Block and place in it of every equation; empty without blocks.
+    place: Vec<Option<(usize, usize)>>,
+    /// More columns: what is added to all residuals by one unit of something.
+    columns: &'a [Vec<f64>],
+}
+
+/// Equations that are correlated.
+struct Correlated {
+    equations: Vec<usize>,
+    /// The lower triangle L of their covariance `L L^T`, row by row.
+    lower: Vec<Vec<f64>>,
+}
+
+impl Correlated {
+    fn new(block: &CovarianceBlock) -> Result<Self> {
+        let broken = || Error::data("the covariance of some rows is singular");
+        let lower = block.lower().ok_or_else(broken)?;
+        let size = block.equations.len();
+        let row = |row: usize| (0..=row).map(|column| lower[(row, column)]).collect();
+        Ok(Self { equations: block.equations.clone(), lower: (0..size).map(row).collect() })
+    }
+
+    /// `L^-1` times rows of `width` numbers.
+    fn whiten(&self, rows: &mut [f64], width: usize) {
+        for (row, lower) in self.lower.iter().enumerate() {
+            let (above, own) = rows.split_at_mut(row * width);
+            let own = &mut own[..width];
+            for (factor, above) in lower.iter().zip(above.chunks_exact(width)) {
+                own.iter_mut().zip(above).for_each(|(value, above)| *value -= factor * above);
+            }
+            own.iter_mut().for_each(|value| *value /= lower[row]);
+        }
+    }
+}
+
+impl<'a> Weighted<'a> {
+    /// The rows of a problem.
+    pub fn new(problem: &'a Problem) -> Result<Self> {
+        Self::with_columns(problem, &[])
+    }
+
+    /// The rows of a problem with more columns after those of its unknowns, each with one number for every equation.
+    pub fn with_columns(problem: &'a Problem, columns: &'a [Vec<f64>]) -> Result<Self> {
+        let uncertainties = problem.standard_uncertainties();
+        let blocks = problem.covariance_blocks().iter().map(Correlated::new).collect::<Result<Vec<_>>>()?;
+        let mut place = if blocks.is_empty() { Vec::new() } else { vec![None; uncertainties.len()] };
+        for (index, block) in blocks.iter().enumerate() {
+            block.equations.iter().enumerate().for_each(|(row, &equation)| place[equation] = Some((index, row)));
+        }
+        Ok(Self { problem, uncertainties, blocks, place, columns })
+    }
+
+    /// Whether rows are combinations of several equations.
+    pub fn is_correlated(&self) -> bool {
+        !self.blocks.is_empty()
+    }
+
+    /// The factor at x; rows with the given statistical weights, all 1 if there are none.
+    pub fn factor(&self, x: &[f64], weights: Option<&[f64]>) -> Result<Factor> {
+        let all = 0..self.rows();
+        let mut factors = self.factors(x, weights, std::slice::from_ref(&all))?;
+        factors.pop().ok_or_else(|| Error::data("there are no rows"))
+    }
+
+    /// The factors of some ranges of rows.
+    pub fn factors(
+        &self,
+        x: &[f64],
+        weights: Option<&[f64]>,
+        ranges: &[std::ops::Range<usize>],
+    ) -> Result<Vec<Factor>> {
+        let count = self.unknowns();
+        let mut accumulators: Vec<Accumulator> =
+            ranges.iter().map(|range| Accumulator::new(count, range.len())).collect();
+        self.linearise(x, &mut |first, residuals, derivatives| {
+            for (row, residual) in residuals.iter().enumerate() {
+                let weight = weights.map_or(1.0, |weights| weights[first + row].sqrt());
+                let line = &derivatives[row * count..(row + 1) * count];
+                for (range, accumulator) in ranges.iter().zip(&mut accumulators) {
+                    if range.contains(&(first + row)) {
+                        accumulator.push(line, *residual, weight);
+                    }
+                }
+            }
+        })?;
+        Ok(accumulators.into_iter().map(Accumulator::finish).collect())
+    }
+}
+
+impl LeastSquares for Weighted<'_> {
+    type Error = Error;
+
+    fn unknowns(&self) -> usize {
+        self.problem.unknowns.len() + self.columns.len()
+    }
+
+    fn rows(&self) -> usize {
+        self.uncertainties.len()
+    }
+
+    fn linearise(&self, x: &[f64], sink: &mut dyn FnMut(usize, &[f64], &[f64])) -> Result<()> {
+        let (own, count) = (self.problem.unknowns.len(), self.unknowns());
+        let (mut residuals, mut derivatives) = (Vec::new(), Vec::new());
+        // Rows of correlated blocks wait until all of their block are there: derivatives and, last, the residual.
+        let width = count + 1;
+        let mut waiting: Vec<Vec<f64>> =
+            self.blocks.iter().map(|block| vec![0.0; block.equations.len() * width]).collect();
+        let mut broken = None;
+        self.problem.linearise(x, |block| {
+            for (row, residual) in block.residuals.iter().enumerate() {
+                let equation = block.first + row;
+                let line = &block.jacobian[row * own..(row + 1) * own];
+                if !(residual.is_finite() && line.iter().all(|derivative| derivative.is_finite())) {
+                    broken.get_or_insert(equation);
+                }
+                let values = line.iter().copied().chain(self.columns.iter().map(|column| column[equation]));
+                if let Some((block, place)) = self.place.get(equation).copied().flatten() {
+                    let waiting = &mut waiting[block][place * width..(place + 1) * width];
+                    waiting.iter_mut().zip(values.chain([*residual])).for_each(|(waiting, value)| *waiting = value);
+                    if !residuals.is_empty() {
+                        sink(equation - residuals.len(), &residuals, &derivatives);
+                        residuals.clear();
+                        derivatives.clear();
+                    }
+                } else {
+                    let uncertainty = self.uncertainties[equation];
+                    residuals.push(residual / uncertainty);
+                    derivatives.extend(values.map(|derivative| derivative / uncertainty));
+                }
+            }
+            if !residuals.is_empty() {
+                sink(block.first + block.residuals.len() - residuals.len(), &residuals, &derivatives);
+                residuals.clear();
+                derivatives.clear();
+            }
+        })?;
+        if let Some(equation) = broken {
+            return Err(not_finite(self.problem, equation));
+        }
+        for (block, rows) in self.blocks.iter().zip(&mut waiting) {
+            block.whiten(rows, width);
+            for (&equation, row) in block.equations.iter().zip(rows.chunks_exact(width)) {
+                sink(equation, &row[count..], &row[..count]);
+            }
+        }
+        Ok(())
+    }
+
+    fn residuals(&self, x: &[f64]) -> Result<Vec<f64>> {
+        let mut residuals = self.problem.residuals(x)?;
+        for block in &self.blocks {
+            let mut own: Vec<f64> = block.equations.iter().map(|&equation| residuals[equation]).collect();
+            block.whiten(&mut own, 1);
+            // Undone by the division below, which all rows go through.
+            for (&equation, value) in block.equations.iter().zip(own) {
+                residuals[equation] = value * self.uncertainties[equation];
+            }
+        }
+        Ok(residuals.iter().zip(&self.uncertainties).map(|(residual, uncertainty)| residual / uncertainty).collect())
+    }
+}
+
+/// The error for an equation without a finite value: a pose or an artefact where the geometry is singular.
+fn not_finite(problem: &Problem, equation: usize) -> Error {
+    let (set, row) = problem.equation_rows()[equation];
+    let error = Error::data("the equation of this row has no finite value; its geometry is singular")
+        .stage(&problem.sets[set].name);
+    match problem.origin(set, row) {
+        Some((file, origin)) => error.at(file, origin.line, None),
+        None => error,
+    }
+}

@@ -1,0 +1,214 @@
+//! Estimator plugin `monte-carlo`: propagates the distributions of the inputs through another estimate (JCGM 101:2008, JCGM
+//! 102:2011).
+//!
+//! Every trial draws the errors of all rows, the known inputs, what an earlier estimate knows and, on request, what is
+//! neglected, and lets the estimator of the other estimate solve the problem in full. Trial k draws from its own stream of
+//! random numbers, so that the results do not depend on the number of threads. What is kept of the trials does not grow with
+//! their number.
+
+mod draws;
+mod settings;
+
+use abbe_core::{
+    Build, Calibration, Constructor, Context, Covariance, Error, Estimate, Fit, GumComparison, Identifiability,
+    MonteCarlo, Plugin, Problem, Result, SettingsError, SimulatedParameter, in_parallel, inventory,
+};
+use abbe_numerics::{Adaptive, Generator, Trials, gum_agrees, least_trials, numerical_tolerance};
+use serde_json::{Value, json};
+
+use draws::Draws;
+use settings::Settings;
+
+inventory::submit! {
+    Plugin::built_in(
+        "monte-carlo",
+        "propagates distributions of rows and inputs through another estimate, with full fits",
+        abbe_core::schema_of::<Settings>,
+        example,
+        Build::Estimate(Constructor::Static(build)),
+    )
+}
+
+fn example() -> Value {
+    json!({
+        "trials": 10000,
+        "seed": 1,
+        "vary": [{ "parameters": ["E?X[2]"], "distribution": "uniform", "at_end_of_travel_um": 2 }],
+        "lobing": [{ "artefact": "table", "amplitude_um": 0.3 }],
+    })
+}
+
+fn build(settings: &Value, _: &Context) -> Result<Box<dyn Estimate>, SettingsError> {
+    let settings: Settings = abbe_core::from_settings(settings)?;
+    settings.check()?;
+    Ok(Box::new(Propagation { settings }))
+}
+
+/// The estimator.
+struct Propagation {
+    settings: Settings,
+}
+
+/// Trials that are solved before their results are taken up: few enough to keep, many enough to share.
+const CHUNK: usize = 512;
+
+/// Part of the trials that may fail before the distribution is not believed.
+const MAY_FAIL: f64 = 0.01;
+
+impl Estimate for Propagation {
+    fn estimate(&self, _: &Problem) -> Result<Calibration> {
+        Err(of_is_missing())
+    }
+
+    fn identify(&self, _: &Problem) -> Result<Identifiability> {
+        Err(of_is_missing())
+    }
+
+    fn reconsider(&self, fit: &Fit) -> Result<Calibration> {
+        if let Some(lost) = fit.calibration.fit.null_space.first() {
+            let message = format!("`{}` does not determine all it estimates: {}", fit.name, lost.describe());
+            return Err(Error::data(message).help("propagate an estimate of what the data determine").setting("of"));
+        }
+        let draws = Draws::new(&self.settings, fit)?;
+        let mut found = Found { trials: Trials::new(draws.quantities()), failed: 0, stable: None };
+        match &self.settings.adaptive {
+            None => self.solve(&draws, fit, self.settings.trials, &mut found, None)?,
+            Some(adaptive) => {
+                let mut stop = Adaptive::new(adaptive.digits, self.settings.coverage_probability, adaptive.most);
+                while !stop.finished() {
+                    let mut batch = Trials::new(draws.quantities());
+                    self.solve(&draws, fit, stop.batch(), &mut found, Some(&mut batch))?;
+                    stop.push_batch(&batch);
+                }
+                found.stable = Some(stop.stable());
+                if !stop.stable() {
+                    tracing::warn!("{}: not stable after {} trials", fit.name, found.trials.count());
+                }
+            }
+        }
+        Ok(self.calibration(fit, &draws, &found))
+    }
+}
+
+fn of_is_missing() -> Error {
+    Error::usage("`of` is missing: the estimate whose uncertainty is to be found by trials")
+        .help("write `of: fit` with the name of another estimate; machine, observations and parameters are its")
+}
+
+/// What the trials gave.
+struct Found {
+    trials: Trials,
+    failed: usize,
+    stable: Option<bool>,
+}
+
+impl Propagation {
+    /// Adds `count` trials, in the order of their numbers.
+    fn solve(
+        &self,
+        draws: &Draws<'_>,
+        fit: &Fit,
+        count: usize,
+        found: &mut Found,
+        mut batch: Option<&mut Trials>,
+    ) -> Result<()> {
+        let first = found.trials.count() + found.failed;
+        let numbers: Vec<u64> = (first as u64..(first + count) as u64).collect();
+        let mut last_failure = None;
+        for chunk in numbers.chunks(CHUNK) {
+            let results = in_parallel(chunk, self.settings.threads, |&number| {
+                let mut generator = Generator::new(self.settings.seed, number);
+                let drawn = draws.draw(&mut generator);
+                fit.estimator.values(&drawn.problem).map(|values| [values, drawn.considered].concat())
+            });
+            for result in results {
+                match result {
+                    Ok(values) => {
+                        found.trials.push(&values);
+                        if let Some(batch) = batch.as_deref_mut() {
+                            batch.push(&values);
+                        }
+                    }
+                    Err(error) => {
+                        found.failed += 1;
+                        last_failure = Some(error);
+                    }
+                }
+            }
+        }
+        match last_failure {
+            Some(error) if found.failed as f64 > MAY_FAIL * (first + count) as f64 => Err(Error {
+                message: format!("{} of {} trials failed, the last: {}", found.failed, first + count, error.message),
+                ..error
+            }),
+            _ => Ok(()),
+        }
+    }
+
+    fn calibration(&self, fit: &Fit, draws: &Draws<'_>, found: &Found) -> Calibration {
+        let trials = &found.trials;
+        let probability = self.settings.coverage_probability;
+        let (mean, covariance) = (trials.mean(), trials.covariance());
+        let mut calibration = fit.calibration.clone();
+        let unknowns = &fit.problem.unknowns;
+        let order: Vec<String> =
+            unknowns.iter().chain(&fit.problem.considered.unknowns).map(|unknown| unknown.name.clone()).collect();
+        for (index, name) in order.iter().enumerate().take(unknowns.len()) {
+            let values = calibration.parameters.iter_mut().chain(&mut calibration.artefacts);
+            values
+                .filter(|estimated| estimated.name == *name)
+                .for_each(|estimated| estimated.standard_uncertainty = covariance[index][index].sqrt());
+        }
+        let parameters = unknowns.iter().enumerate().map(|(index, unknown)| {
+            let estimate = calibration.get(&unknown.name).map_or(f64::NAN, |estimated| estimated.value);
+            let symmetric = trials.symmetric_interval(index, probability);
+            let shortest = trials.shortest_interval(index, probability);
+            let standard_uncertainty = covariance[index][index].sqrt();
+            let budget = fit.calibration.uncertainty.as_ref();
+            let budget = budget.and_then(|budget| budget.parameters.iter().find(|part| part.name == unknown.name));
+            let expanded = budget.map_or(f64::NAN, |budget| budget.expanded_uncertainty);
+            let tolerance = numerical_tolerance(standard_uncertainty, self.settings.digits);
+            let agreement = gum_agrees(estimate, expanded, symmetric, tolerance);
+            SimulatedParameter {
+                name: unknown.name.clone(),
+                unit: unknown.unit.to_string(),
+                mean: mean[index],
+                standard_uncertainty,
+                symmetric_interval: [symmetric.low, symmetric.high],
+                shortest_interval: [shortest.low, shortest.high],
+                gum: GumComparison {
+                    interval: [estimate - expanded, estimate + expanded],
+                    differences: [agreement.low_difference, agreement.high_difference],
+                    tolerance,
+                    validated: agreement.agrees,
+                },
+            }
+        });
+        calibration.monte_carlo = Some(MonteCarlo {
+            trials: trials.count(),
+            seed: self.settings.seed,
+            stable: found.stable,
+            failed: found.failed,
+            coverage_probability: probability,
+            inputs: draws.described(),
+            parameters: parameters.collect(),
+        });
+        calibration.covariance = Covariance { order, rows: covariance };
+        calibration.uncertainty = None;
+        calibration
+    }
+}
+
+/// Refuses a number of trials that cannot tell an interval of that probability.
+fn enough(trials: usize, probability: f64) -> Result<(), String> {
+    let least = least_trials(probability);
+    if trials >= least {
+        return Ok(());
+    }
+    Err(format!(
+        "{trials} trials are too few for intervals of probability {probability}: at least {least} are needed (JCGM 101, 7.9.4)"
+    ))
+}
+
+#[cfg(test)]
+mod tests;

@@ -1,0 +1,428 @@
+//! Validator `consistency`: whether calibrations from independent data agree within their uncertainties.
+//!
+//! The difference d of the parameters that two fits have estimated has the covariance `C = C1 + C2`, and `d^T C^-1 d` is a
+//! chi-squared quantity whose degrees of freedom are the number of nonzero eigenvalues of C (as in Soons 1993, equations
+//! A.11 to A.15).
+
+use std::collections::BTreeSet;
+use std::path::Path;
+
+use abbe_core::{
+    Build, Constructor, Context, Dataset, Error, Estimated, Figure, Findings, Fit, InputFile, PathItem, Plugin,
+    Problem, Result, SettingsError, Status, Validate, inventory, matches,
+};
+use abbe_numerics::{hotelling_quantile, hotelling_upper_tail};
+use nalgebra::{DMatrix, DVector};
+use schemars::JsonSchema;
+use serde::Deserialize;
+use serde_json::{Value, json};
+
+use crate::figures::ONE;
+
+inventory::submit! {
+    Plugin::built_in(
+        "consistency",
+        "agreement of calibrations from independent data within their uncertainties",
+        abbe_core::schema_of::<Settings>,
+        example,
+        Build::Validate(Constructor::Static(build)),
+    )
+}
+
+/// Settings of the comparison.
+#[derive(Debug, Clone, PartialEq, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+struct Settings {
+    /// Names or patterns of the machine parameters to compare; all that both fits have estimated unless said otherwise.
+    #[serde(default)]
+    parameters: Option<Vec<String>>,
+    /// Probability of failing calibrations that do agree.
+    #[serde(default = "default_significance")]
+    significance: f64,
+}
+
+fn default_significance() -> f64 {
+    0.05
+}
+
+fn example() -> Value {
+    json!({ "parameters": ["E*"], "significance": 0.05 })
+}
+
+fn build(settings: &Value, _: &Context) -> Result<Box<dyn Validate>, SettingsError> {
+    let settings: Settings = abbe_core::from_settings(settings)?;
+    if !(settings.significance > 0.0 && settings.significance < 1.0) {
+        return Err(SettingsError::new("significance", "a number between 0 and 1 was expected"));
+    }
+    Ok(Box::new(Consistency { settings }))
+}
+
+/// Eigenvalues of the covariance scaled to unit diagonal below this part of the largest are zero.
+const ZERO: f64 = 1e-12;
+
+struct Consistency {
+    settings: Settings,
+}
+
+impl Validate for Consistency {
+    fn inputs(&self) -> Vec<InputFile> {
+        Vec::new()
+    }
+
+    fn validate(&self, fits: &[&Fit], _: &[&Dataset]) -> Result<Findings> {
+        let Some((first, others)) = fits.split_first().filter(|(_, others)| !others.is_empty()) else {
+            return Err(
+                Error::usage("two estimates or more were expected: they are compared with the first").setting("of")
+            );
+        };
+        let mut findings = Findings::default();
+        for other in others {
+            self.judge(first, other, &mut findings)?;
+        }
+        Ok(findings)
+    }
+}
+
+impl Consistency {
+    fn judge(&self, first: &Fit, other: &Fit, findings: &mut Findings) -> Result<()> {
+        let common = self.common(first, other, findings)?;
+        let difference = Difference::new(first, other, &common);
+        let Test { chi_squared, degrees_of_freedom, exact } = difference.test();
+        let known_by = freedom(&[first, other], &common);
+        let probability = match degrees_of_freedom {
+            _ if chi_squared.is_infinite() => 0.0,
+            0 => 1.0,
+            quantities => hotelling_upper_tail(chi_squared, quantities, known_by),
+        };
+        let mut main = Figure::new(&other.name, "chi-squared", chi_squared, ONE);
+        main.limit = Some(match degrees_of_freedom {
+            0 => 0.0,
+            quantities => hotelling_quantile(1.0 - self.settings.significance, quantities, known_by),
+        })
+        .filter(|limit| limit.is_finite());
+        let main_is_open = main.limit.is_none();
+        let normalised = difference.normalised();
+        let largest = normalised.iter().copied().enumerate().max_by(|a, b| a.1.abs().total_cmp(&b.1.abs()));
+        let (worst, largest) = largest.unwrap_or_default();
+        findings.figures.extend([
+            main,
+            Figure::new(&other.name, "degrees of freedom", degrees_of_freedom as f64, ONE),
+            Figure::new(&other.name, "probability", probability, ONE),
+            Figure::new(&other.name, "largest normalised difference", largest.abs(), ONE),
+        ]);
+        let between = format!("{} against {}", other.name, first.name);
+        findings.remarks.push(format!(
+            "{between}: {} differs most, by {largest:+.1} of its standard uncertainties",
+            common[worst].0.name
+        ));
+        if main_is_open {
+            findings.remarks.push(format!(
+                "{between}: no verdict, because {degrees_of_freedom} parameters cannot be compared by a covariance that was found \
+                 with {known_by:.0} degrees of freedom; compare fewer `parameters`"
+            ));
+        }
+        if exact {
+            findings.remarks.push(format!(
+                "{between}: they differ in a direction in which neither of them has an uncertainty, so that \
+                 chi-squared is infinite"
+            ));
+        }
+        let shared: Vec<String> =
+            files(&first.problem).intersection(&files(&other.problem)).map(|file| file.display().to_string()).collect();
+        if !shared.is_empty() {
+            findings.remarks.push(format!(
+                "{between}: both use rows of {}; the test takes their data as independent",
+                shared.join(", ")
+            ));
+        }
+        Ok(())
+    }
+
+    /// The parameters to compare, as the first and the other fit have them.
+    fn common<'a>(
+        &self,
+        first: &'a Fit,
+        other: &'a Fit,
+        findings: &mut Findings,
+    ) -> Result<Vec<(&'a Estimated, &'a Estimated)>> {
+        let own = |parameter: &Estimated| parameter.status != Status::Fixed && parameter.status != Status::Considered;
+        let pairs = (first.calibration.parameters.iter()).filter_map(|one| {
+            let two = other.calibration.parameters.iter().find(|two| two.name == one.name)?;
+            (own(one) && own(two)).then_some((one, two))
+        });
+        let mut common: Vec<(&Estimated, &Estimated)> = pairs.collect();
+        if let Some(patterns) = &self.settings.parameters {
+            for (index, pattern) in patterns.iter().enumerate() {
+                if !common.iter().any(|(one, _)| matches(pattern, &one.name)) {
+                    let message = format!(
+                        "`{pattern}` matches no parameter that {} and {} both estimated",
+                        first.name, other.name
+                    );
+                    let names = common.iter().map(|(one, _)| one.name.as_str());
+                    let mut error = Error::usage(message).suggest(pattern, names);
+                    error.setting = vec![PathItem::Key("parameters".to_owned()), PathItem::Index(index)];
+                    return Err(error);
+                }
+            }
+            common.retain(|(one, _)| patterns.iter().any(|pattern| matches(pattern, &one.name)));
+        }
+        if let Some((one, two)) = common.iter().find(|(one, two)| one.unit != two.unit) {
+            return Err(Error::data(format!(
+                "`{}` is in {} in {} and in {} in {}: the models differ",
+                one.name, one.unit, first.name, two.unit, other.name
+            )));
+        }
+        let confounded = |(one, two): &(&Estimated, &Estimated)| [one.status, two.status].contains(&Status::Confounded);
+        let lost: Vec<&str> = common.iter().filter(|pair| confounded(pair)).map(|(one, _)| one.name.as_str()).collect();
+        if !lost.is_empty() {
+            findings.remarks.push(format!(
+                "{} against {}: not compared, because the data of one cannot separate them: {}",
+                other.name,
+                first.name,
+                lost.join(", ")
+            ));
+        }
+        common.retain(|pair| !confounded(pair));
+        if common.is_empty() {
+            let message = format!("{} and {} estimated no parameter of the machine in common", first.name, other.name);
+            return Err(Error::data(message));
+        }
+        Ok(common)
+    }
+}
+
+/// The smallest degrees of freedom with which the uncertainty of one of the parameters was found; infinite where all of them
+/// were stated.
+fn freedom(fits: &[&Fit], common: &[(&Estimated, &Estimated)]) -> f64 {
+    let budgets = fits.iter().filter_map(|fit| fit.calibration.uncertainty.as_ref());
+    budgets
+        .flat_map(|budget| &budget.parameters)
+        .filter(|parameter| common.iter().any(|(one, _)| one.name == parameter.name))
+        .filter_map(|parameter| parameter.degrees_of_freedom)
+        .fold(f64::INFINITY, f64::min)
+}
+
+/// The files that the rows of a problem come from.
+fn files(problem: &Problem) -> BTreeSet<&Path> {
+    let rows = problem.sets.iter().enumerate().flat_map(|(index, set)| set.rows.iter().map(move |row| (index, *row)));
+    rows.filter_map(|(set, row)| Some(problem.origin(set, row)?.0)).collect()
+}
+
+/// The difference of two calibrations in some parameters.
+struct Difference {
+    /// Other less first, parameter units.
+    values: Vec<f64>,
+    /// Its covariance, the sum of both.
+    covariance: DMatrix<f64>,
+}
+
+/// What chance says to a difference.
+struct Test {
+    /// Infinite, if there is a difference without uncertainty.
+    chi_squared: f64,
+    degrees_of_freedom: usize,
+    /// There is a difference without uncertainty.
+    exact: bool,
+}
+
+impl Difference {
+    fn new(first: &Fit, other: &Fit, common: &[(&Estimated, &Estimated)]) -> Self {
+        let size = common.len();
+        let of = |fit: &Fit| {
+            let covariance = &fit.calibration.covariance;
+            let place = |name: &str| covariance.order.iter().position(|other| other == name);
+            let places: Vec<Option<usize>> = common.iter().map(|(one, _)| place(&one.name)).collect();
+            DMatrix::from_fn(size, size, |row, column| match (places[row], places[column]) {
+                (Some(row), Some(column)) => covariance.rows[row][column],
+                _ => 0.0,
+            })
+        };
+        let values = common.iter().map(|(one, two)| {
+            let difference = two.value - one.value;
+            // What rounding leaves of equal values is no difference.
+            if difference.abs() > 1e-12 * one.value.abs().max(two.value.abs()) { difference } else { 0.0 }
+        });
+        Self { values: values.collect(), covariance: of(first) + of(other) }
+    }
+
+    /// The differences in their standard uncertainties; infinite where there is no uncertainty.
+    fn normalised(&self) -> Vec<f64> {
+        let normalised = |(index, value): (usize, &f64)| match (*value, self.covariance[(index, index)]) {
+            (0.0, _) => 0.0,
+            (value, variance) => value / variance.max(0.0).sqrt(),
+        };
+        self.values.iter().enumerate().map(normalised).collect()
+    }
+
+    /// Chi-squared with the pseudo-inverse of the covariance, scaled to unit diagonal.
+    fn test(&self) -> Test {
+        let normalised = self.normalised();
+        let certain: Vec<usize> =
+            (0..self.values.len()).filter(|&index| self.covariance[(index, index)] <= 0.0).collect();
+        let uncertain: Vec<usize> = (0..self.values.len()).filter(|index| !certain.contains(index)).collect();
+        let mut exact = certain.iter().any(|&index| normalised[index] != 0.0);
+        let size = uncertain.len();
+        let correlation = DMatrix::from_fn(size, size, |row, column| {
+            let (row, column) = (uncertain[row], uncertain[column]);
+            self.covariance[(row, column)] / (self.covariance[(row, row)] * self.covariance[(column, column)]).sqrt()
+        });
+        let difference = DVector::from_iterator(size, uncertain.iter().map(|&index| normalised[index]));
+        let (mut chi_squared, mut degrees_of_freedom) = (0.0, 0);
+        if size > 0 {
+            let eigen = correlation.symmetric_eigen();
+            let zero = ZERO * eigen.eigenvalues.max();
+            for (value, vector) in eigen.eigenvalues.iter().zip(eigen.eigenvectors.column_iter()) {
+                let along = vector.dot(&difference).powi(2);
+                if *value > zero {
+                    chi_squared += along / value;
+                    degrees_of_freedom += 1;
+                } else {
+                    // Ten times what the largest variance that counts as zero would let expect.
+                    exact |= along > 100.0 * zero;
+                }
+            }
+        }
+        Test { chi_squared: if exact { f64::INFINITY } else { chi_squared }, degrees_of_freedom, exact }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::testing::{UPWARDS, figure_of, validator};
+    use tempfile::TempDir;
+
+    type Known<'a> = (&'a [(&'a str, f64)], &'a [&'a [f64]]);
+
+    /// A fit with some values of the machine, µm, and their covariance, µm².
+    fn fit(name: &str, (values, covariance): Known) -> (TempDir, Fit) {
+        let (folder, mut fit) = crate::testing::fit(&UPWARDS, &[("a", "1", 0.0, 0.0), ("a", "1", 0.0, 2.0)], false);
+        fit.name = name.to_owned();
+        let calibration = &mut fit.calibration;
+        for parameter in &mut calibration.parameters {
+            if let Some((_, value)) = values.iter().find(|(name, _)| *name == parameter.name) {
+                parameter.value = value * 1e-3;
+                parameter.status = Status::Estimated;
+            }
+        }
+        calibration.covariance.order = values.iter().map(|(name, _)| (*name).to_owned()).collect();
+        calibration.covariance.rows =
+            covariance.iter().map(|row| row.iter().map(|entry| entry * 1e-6).collect()).collect();
+        (folder, fit)
+    }
+
+    fn judge(settings: &Value, fits: &[&Fit]) -> Result<Findings, String> {
+        let found = validator("consistency", Path::new(""), settings)?.validate(fits, &[]);
+        found.map_err(|error| format!("{}: {error}", abbe_core::path_text(&error.setting)))
+    }
+
+    const FIRST: Known =
+        (&[("dxt", 1.0), ("dyt", 2.0), ("dzt", 5.0)], &[&[2.0, 0.5, 0.0], &[0.5, 1.0, 0.0], &[0.0, 0.0, 9.0]]);
+
+    #[test]
+    fn chi_squared_by_hand() {
+        let (_a, first) = fit("a", FIRST);
+        let (_b, other) = fit("b", (&[("dyt", 5.0), ("dxt", 2.0)], &[&[3.0, 1.5], &[1.5, 2.0]]));
+        let found = judge(&json!({}), &[&first, &other]).unwrap();
+        // d = (1, 3), C = (4, 2; 2, 4): d^T C^-1 d = (4 - 12 + 36) / 12; Q(7/3; 2) = exp(-7/6).
+        let value = |name: &str| figure_of(&found, "b", name);
+        assert!((value("chi-squared") - 28.0 / 12.0).abs() < 1e-12);
+        assert_eq!(value("degrees of freedom"), 2.0);
+        assert!((value("probability") - (-14.0_f64 / 12.0).exp()).abs() < 1e-9);
+        assert!((value("largest normalised difference") - 1.5).abs() < 1e-12);
+        let main = &found.figures[0];
+        assert!((main.limit.unwrap() + 2.0 * 0.05_f64.ln()).abs() < 1e-6);
+        assert!(main.passes());
+        assert_eq!(found.remarks, ["b against a: dyt differs most, by +1.5 of its standard uncertainties"]);
+        // At a significance of one half the limit is 2 ln 2.
+        let found = judge(&json!({ "significance": 0.5 }), &[&first, &other]).unwrap();
+        assert!(!found.figures[0].passes());
+        let found = judge(&json!({ "parameters": ["dx?"] }), &[&first, &other, &first]).unwrap();
+        assert!((figure_of(&found, "b", "chi-squared") - 0.25).abs() < 1e-12);
+        assert_eq!(figure_of(&found, "a", "chi-squared"), 0.0);
+        assert!(found.remarks.iter().any(|remark| remark.starts_with("a against a: both use rows of ")));
+    }
+
+    #[test]
+    fn directions_without_uncertainty() {
+        let (_a, first) =
+            fit("a", (&[("dxt", 0.0), ("dyt", 0.0), ("dzt", 3.0)], &[&[1.0, 1.0, 0.0], &[1.0, 1.0, 0.0], &[0.0; 3]]));
+        let cases = [
+            // Both move together, as they have to.
+            ([2.0, 2.0, 3.0], Some(2.0), 0.157_299_207),
+            // The difference of the two is exact and is not zero.
+            ([2.0, 1.9, 3.0], None, 0.0),
+            // dzt is exact in both.
+            ([2.0, 2.0, 3.1], None, 0.0),
+        ];
+        for ([x, y, z], chi_squared, probability) in cases {
+            let rows: &[&[f64]] = &[&[1.0, 1.0, 0.0], &[1.0, 1.0, 0.0], &[0.0; 3]];
+            let (_b, other) = fit("b", (&[("dxt", x), ("dyt", y), ("dzt", z)], rows));
+            let found = judge(&json!({}), &[&first, &other]).unwrap();
+            let main = &found.figures[0];
+            assert_eq!(main.value.map(|value| (value * 1e9).round() / 1e9), chi_squared);
+            assert_eq!((main.passes(), figure_of(&found, "b", "degrees of freedom")), (chi_squared.is_some(), 1.0));
+            assert!((figure_of(&found, "b", "probability") - probability).abs() < 1e-8);
+            assert_eq!(found.remarks.len(), if chi_squared.is_some() { 1 } else { 2 });
+        }
+    }
+
+    /// Calibrations whose differences are drawn from their covariance fail as often as they are allowed to.
+    #[test]
+    fn true_agreement_fails_at_the_significance() {
+        let mut state = 7_u64;
+        let mut uniform = || {
+            state = state.wrapping_mul(6364136223846793005).wrapping_add(1442695040888963407);
+            ((state >> 11) as f64 + 0.5) / (1_u64 << 53) as f64
+        };
+        let mut normal = || (-2.0 * uniform().ln()).sqrt() * (std::f64::consts::TAU * uniform()).cos();
+        let (_a, mut first) = fit("a", FIRST);
+        let (_b, mut other) = fit("b", FIRST);
+        let mut failed = 0;
+        for _ in 0..2000 {
+            for fit in [&mut first, &mut other] {
+                // The root of the covariance: 2 = 1.414², 0.5 = 1.414 * 0.354, 1 = 0.354² + 0.935².
+                let (one, two, three) = (normal(), normal(), normal());
+                let root = 0.875_f64.sqrt();
+                let drawn = [2.0_f64.sqrt() * one, one / 8.0_f64.sqrt() + root * two, 3.0 * three];
+                for (name, value) in ["dxt", "dyt", "dzt"].into_iter().zip(drawn) {
+                    let parameters = &mut fit.calibration.parameters;
+                    parameters.iter_mut().find(|parameter| parameter.name == name).unwrap().value = value * 1e-3;
+                }
+            }
+            let found = judge(&json!({ "significance": 0.1 }), &[&first, &other]).unwrap();
+            failed += usize::from(!found.figures[0].passes());
+        }
+        // 200 expected, standard deviation 13.4.
+        assert!((150..250).contains(&failed), "{failed}");
+    }
+
+    #[test]
+    fn what_cannot_be_compared_is_refused() {
+        let (_a, first) = fit("a", FIRST);
+        let (_b, mut other) = fit("b", (&[("dxt", 2.0)], &[&[1.0]]));
+        let cases = [
+            (
+                json!({ "parameters": ["dzt"] }),
+                "parameters[0]: `dzt` matches no parameter that a and b both estimated (did you mean `dxt`?)",
+            ),
+            (json!({ "significance": 5 }), "significance: a number between 0 and 1 was expected"),
+        ];
+        for (settings, expected) in cases {
+            assert_eq!(judge(&settings, &[&first, &other]).unwrap_err(), expected);
+        }
+        assert_eq!(
+            judge(&json!({}), &[&first]).unwrap_err(),
+            "of: two estimates or more were expected: they are compared with the first"
+        );
+        for parameter in &mut other.calibration.parameters {
+            if parameter.name == "dxt" {
+                parameter.status = Status::Confounded;
+            }
+        }
+        assert_eq!(
+            judge(&json!({}), &[&first, &other]).unwrap_err(),
+            ": a and b estimated no parameter of the machine in common"
+        );
+    }
+}

@@ -1,0 +1,603 @@
+//! Validator `repeatability`: how much of the scatter of repeated measurements is repeatability, how much is the surface
+//! and how much is drift (Rahman 2016, equations 4-9 to 4-16 and 7-1 to 7-4).
+//!
+//! Every point is measured in every cycle. Windows of a few successive measurements of one point know neither the surface
+//! nor much of the drift; means of a point over all cycles show the surface, means of a cycle over all points the drift.
+
+use std::collections::{BTreeMap, BTreeSet};
+
+use abbe_core::{
+    Build, Constructor, Context, Dataset, Error, Figure, Findings, Fit, InputFile, PathItem, Plugin, Quantity, Result,
+    SettingsError, Validate, inventory,
+};
+use schemars::JsonSchema;
+use serde::Deserialize;
+use serde_json::{Value, json};
+
+use crate::figures::{Limits, ONE, Sample, UM, URAD, check_limits, key, outliers, set_limits};
+use crate::folds::set_of;
+
+inventory::submit! {
+    Plugin::built_in(
+        "repeatability",
+        "repeatability, surface and drift in repeated measurements of the same points",
+        abbe_core::schema_of::<Settings>,
+        example,
+        Build::Validate(Constructor::Static(build)),
+    )
+}
+
+/// Settings of the repeatability.
+#[derive(Debug, Clone, PartialEq, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+struct Settings {
+    /// The artefact stage whose residuals in the fit under `of` are the measurements.
+    #[serde(default)]
+    rows: Option<String>,
+    /// The column (without unit) of the data set under `from` that holds the measurements, lengths or angles.
+    #[serde(default)]
+    value: Option<String>,
+    /// The column whose labels are the points.
+    #[serde(default = "default_point")]
+    point: String,
+    /// The column whose labels are the cycles, in the order of their numbers, or of their rows if they are no numbers;
+    /// without it the first measurement of each point makes the first cycle, and so on.
+    #[serde(default)]
+    cycle: Option<String>,
+    /// A column for whose labels everything is done separately: directions of probing.
+    #[serde(default)]
+    direction: Option<String>,
+    /// Number of successive measurements of a point that drift does not reach.
+    #[serde(default = "default_window")]
+    window: usize,
+    /// Largest admissible values: `repeatability_um`, `pooled_repeatability_um`, `surface_standard_deviation_um`,
+    /// `surface_range_um`, `drift_standard_deviation_um`, `drift_range_um`, `total_standard_deviation_um`,
+    /// `total_range_um`, or the same in `_urad`; `outliers`.
+    #[serde(default)]
+    limits: Limits,
+}
+
+fn default_point() -> String {
+    "feature".to_owned()
+}
+
+fn default_window() -> usize {
+    5
+}
+
+/// The figures, in the order of [`Variability::values`].
+const FIGURES: [&str; 8] = [
+    "repeatability",
+    "pooled repeatability",
+    "surface standard deviation",
+    "surface range",
+    "drift standard deviation",
+    "drift range",
+    "total standard deviation",
+    "total range",
+];
+
+/// The first figure of drift.
+const DRIFT: usize = 4;
+
+/// The keys of limits for measurements in a unit.
+fn keys(unit: &str) -> Vec<String> {
+    FIGURES.iter().map(|name| key(name, unit)).chain(["outliers".to_owned()]).collect()
+}
+
+fn example() -> Value {
+    json!({ "rows": "table", "point": "feature", "cycle": "cycle", "window": 5, "limits": { "repeatability_um": 1 } })
+}
+
+fn build(settings: &Value, _: &Context) -> Result<Box<dyn Validate>, SettingsError> {
+    let settings: Settings = abbe_core::from_settings(settings)?;
+    if settings.rows.is_some() == settings.value.is_some() {
+        let message = "either `rows`, an artefact stage, or `value`, a column of the data under `from`, was expected";
+        return Err(SettingsError::new("", message));
+    }
+    if settings.window < 2 {
+        return Err(SettingsError::new("window", "a window needs 2 measurements or more"));
+    }
+    let keys: Vec<String> = [UM, URAD].into_iter().flat_map(keys).collect();
+    check_limits(&settings.limits, &keys.iter().map(String::as_str).collect::<Vec<_>>())?;
+    Ok(Box::new(Repeatability { settings }))
+}
+
+struct Repeatability {
+    settings: Settings,
+}
+
+impl Validate for Repeatability {
+    fn inputs(&self) -> Vec<InputFile> {
+        Vec::new()
+    }
+
+    fn observations(&self) -> Vec<(&'static str, String)> {
+        self.settings.rows.iter().map(|rows| ("rows", rows.clone())).collect()
+    }
+
+    fn validate(&self, fits: &[&Fit], data: &[&Dataset]) -> Result<Findings> {
+        let mut findings = Findings::default();
+        match (&self.settings.rows, &self.settings.value, data) {
+            (_, Some(value), [data]) => self.judge_column(data, value, &mut findings)?,
+            (_, Some(_), _) => {
+                let message = format!("`value` is a column of one ingest stage under `from`, not of {}", data.len());
+                return Err(Error::usage(message).setting("value"));
+            }
+            (Some(rows), _, []) => {
+                for fit in fits {
+                    self.judge_residuals(fit, rows, &mut findings)?;
+                }
+            }
+            _ => {
+                let error = Error::usage("the residuals of `rows` need no data under `from`");
+                return Err(error.help("say which column holds the measurements with `value` instead").setting("rows"));
+            }
+        }
+        Ok(findings)
+    }
+}
+
+/// A measurement of a point.
+struct Reading {
+    /// Row of the data set.
+    row: usize,
+    /// In the unit of figures.
+    value: f64,
+}
+
+impl Repeatability {
+    /// The deviations of an artefact's rows, along the normal of what they touch, without outliers.
+    fn judge_residuals(&self, fit: &Fit, rows: &str, findings: &mut Findings) -> Result<()> {
+        let problem = &fit.problem;
+        let set = set_of(fit, "rows", rows)?;
+        let layout = problem.sets[set].observations.layout();
+        if let Some(row) = problem.sets[set].rows.iter().find(|&&row| {
+            let row = &layout.rows[row];
+            row.data_row.is_some() && row.equations != 1
+        }) {
+            let message = format!("the rows of `{rows}` have {} equations each", layout.rows[*row].equations);
+            let error = Error::usage(message).help("repeatability is that of one number a row");
+            return Err(error.setting("rows"));
+        }
+        let left_out = outliers(problem, &fit.calibration);
+        let residuals = problem.residuals(&problem.values_of(&fit.calibration))?;
+        let of_set = problem.equation_rows().into_iter().zip(residuals).filter(|((of, _), _)| *of == set);
+        let kept = of_set.filter(|(row, _)| !left_out.contains(row));
+        let readings: Vec<Reading> = kept
+            .filter_map(|((_, row), value)| Some(Reading { row: layout.rows[row].data_row?, value: value * 1e3 }))
+            .collect();
+        let skipped = left_out.iter().filter(|(of, _)| *of == set).count();
+        self.judge(Some(&fit.name), &layout.data, &readings, UM, findings)?;
+        let mut figure = Figure::new(&fit.name, "outliers", skipped as f64, ONE);
+        figure.limit = self.settings.limits.get("outliers").copied();
+        findings.figures.push(figure);
+        Ok(())
+    }
+
+    /// The readings in a column.
+    fn judge_column(&self, data: &Dataset, name: &str, findings: &mut Findings) -> Result<()> {
+        let numbers = data.required_numbers(name).map_err(|error| error.setting("value"))?;
+        let (unit, factor) = match data.column(name).map(|column| column.header.quantity) {
+            Some(Quantity::Length) => (UM, 1e3),
+            Some(Quantity::Angle) => (URAD, 1e6),
+            _ => {
+                let message = format!("the column `{name}` holds neither lengths nor angles");
+                return Err(Error::usage(message).setting("value"));
+            }
+        };
+        let readings = numbers.iter().enumerate().map(|(row, value)| Reading { row, value: value * factor });
+        self.judge(None, data, &readings.collect::<Vec<_>>(), unit, findings)
+    }
+
+    /// Figures of readings: the largest of all directions, and of each as details.
+    fn judge(
+        &self,
+        of: Option<&str>,
+        data: &Dataset,
+        readings: &[Reading],
+        unit: &str,
+        findings: &mut Findings,
+    ) -> Result<()> {
+        let keys = keys(unit);
+        if let Some(other) = self.settings.limits.keys().find(|limit| !keys.contains(limit)) {
+            let mut error = Error::usage(format!("the measurements are in {unit}, `{other}` limits nothing"));
+            error.setting = vec![PathItem::Key("limits".to_owned()), PathItem::Key(other.clone())];
+            return Err(error);
+        }
+        let start = findings.figures.len();
+        let new = |name: String, value: f64, unit: &str| {
+            let figure = Figure::new(of.unwrap_or_default(), name, value, unit);
+            Figure { of: of.map(str::to_owned), ..figure }
+        };
+        let mut found = Vec::new();
+        for (label, series) in self.series(data, readings)? {
+            let variability = series.variability(self.settings.window);
+            let name = of.map_or(String::new(), |of| format!("{of}: "));
+            let place = label.as_ref().map_or(String::new(), |label| format!(" in direction {label}"));
+            if variability.repeats == 0 {
+                return Err(Error::data(format!("{name}no {} is measured twice{place}", self.settings.point)));
+            }
+            if !variability.single.is_empty() {
+                let (single, point) = (variability.single.join(", "), &self.settings.point);
+                findings.remarks.push(format!("{name}{point} measured once only{place}, no repeatability: {single}"));
+            }
+            if variability.values[DRIFT].is_nan() {
+                let point = &self.settings.point;
+                findings.remarks.push(format!("{name}no {point} is measured in all cycles{place}: no drift is told"));
+            }
+            found.push((label, variability));
+        }
+        for (index, name) in FIGURES.into_iter().enumerate() {
+            let values = found.iter().map(|(_, variability)| variability.values[index]).collect();
+            findings.figures.push(new(name.to_owned(), Sample(values).max(), unit));
+        }
+        let readings = found.iter().map(|(_, variability)| variability.readings).sum::<usize>();
+        findings.figures.push(new("measurements".to_owned(), readings as f64, ONE));
+        for (label, variability) in &found {
+            let Some(label) = label else { continue };
+            let details = FIGURES.into_iter().zip(variability.values);
+            findings.figures.extend(details.map(|(name, value)| new(format!("{name}[{label}]"), value, unit).detail()));
+        }
+        set_limits(&self.settings.limits, &mut findings.figures[start..]);
+        Ok(())
+    }
+
+    /// The readings of every direction by point and cycle; a single direction without a label if none is asked for.
+    fn series<'a>(&self, data: &'a Dataset, readings: &[Reading]) -> Result<Vec<(Option<&'a str>, Series<'a>)>> {
+        let labels = |name: &str, setting: &str| abbe_table::labels(data, name).map_err(|error| error.setting(setting));
+        let points = labels(&self.settings.point, "point")?;
+        let directions = self.settings.direction.as_deref().map(|name| labels(name, "direction")).transpose()?;
+        let cycles = self.settings.cycle.as_deref().map(|name| labels(name, "cycle")).transpose()?;
+        let order = cycles.map(ordered);
+        let mut all: Vec<(Option<&str>, Series)> = Vec::new();
+        for reading in readings {
+            let direction = directions.map(|labels| labels[reading.row].as_str());
+            let index = all.iter().position(|(other, _)| *other == direction).unwrap_or_else(|| {
+                all.push((direction, Series::default()));
+                all.len() - 1
+            });
+            let point = all[index].1.point(&points[reading.row]);
+            let cycle = match (cycles, &order) {
+                (Some(labels), Some(order)) => order[labels[reading.row].as_str()],
+                _ => point.len(),
+            };
+            if point.insert(cycle, reading.value).is_some() {
+                let (name, point) = (&self.settings.point, &points[reading.row]);
+                let cycle = cycles.map_or("", |labels| labels[reading.row].as_str());
+                return Err(data
+                    .error_at(reading.row, format!("{name} {point} is measured twice in cycle {cycle}"))
+                    .setting("cycle"));
+            }
+        }
+        Ok(all)
+    }
+}
+
+/// The place of every label: by number if all are numbers, else as they appear.
+fn ordered(labels: &[String]) -> BTreeMap<&str, usize> {
+    let mut seen = BTreeSet::new();
+    let mut different: Vec<&str> = labels.iter().map(String::as_str).filter(|label| seen.insert(*label)).collect();
+    let numbers: Option<Vec<f64>> = different.iter().map(|label| label.parse().ok()).collect();
+    if let Some(numbers) = numbers {
+        let mut numbered: Vec<(f64, &str)> = numbers.into_iter().zip(different).collect();
+        numbered.sort_by(|a, b| a.0.total_cmp(&b.0));
+        different = numbered.into_iter().map(|(_, label)| label).collect();
+    }
+    different.into_iter().enumerate().map(|(place, label)| (label, place)).collect()
+}
+
+/// The measurements of every point by cycle, points in the order in which they appear.
+#[derive(Default)]
+struct Series<'a> {
+    index: BTreeMap<&'a str, usize>,
+    points: Vec<(&'a str, BTreeMap<usize, f64>)>,
+}
+
+/// What a series says.
+struct Variability {
+    /// As [`FIGURES`]; NaN where there is nothing to tell it from.
+    values: [f64; 8],
+    readings: usize,
+    /// Measurements that repeat an earlier one of their point.
+    repeats: usize,
+    /// Points that are measured once only.
+    single: Vec<String>,
+}
+
+impl<'a> Series<'a> {
+    fn point(&mut self, label: &'a str) -> &mut BTreeMap<usize, f64> {
+        let index = *self.index.entry(label).or_insert_with(|| {
+            self.points.push((label, BTreeMap::new()));
+            self.points.len() - 1
+        });
+        &mut self.points[index].1
+    }
+
+    fn variability(&self, window: usize) -> Variability {
+        let points: Vec<Sample> =
+            self.points.iter().map(|(_, cycles)| Sample(cycles.values().copied().collect())).collect();
+        let all = Sample(points.iter().flat_map(|point| point.0.iter().copied()).collect());
+        let within: Vec<Pooled> = points.iter().map(|point| Pooled::of_windows(point, window)).collect();
+        let repeated = within.iter().filter(|pooled| pooled.degrees_of_freedom > 0);
+        let repeatability = Sample(repeated.map(Pooled::standard_deviation).collect()).max();
+        let pooled = within.iter().fold(Pooled::default(), |sum, point| sum.and(point)).standard_deviation();
+        let surface = Sample(points.iter().map(Sample::mean).collect());
+        let drift = self.cycle_means();
+        let single = self.points.iter().filter(|(_, cycles)| cycles.len() == 1);
+        Variability {
+            values: [
+                repeatability,
+                pooled,
+                surface.standard_deviation(),
+                range(&surface),
+                drift.standard_deviation(),
+                range(&drift),
+                all.standard_deviation(),
+                range(&all),
+            ],
+            readings: all.0.len(),
+            repeats: all.0.len() - points.len(),
+            single: single.map(|(label, _)| (*label).to_owned()).collect(),
+        }
+    }
+
+    /// Means of the cycles over the points that are measured in all of them (equation 4-16).
+    fn cycle_means(&self) -> Sample {
+        let points = || self.points.iter().map(|(_, point)| point);
+        let cycles: BTreeSet<usize> = points().flat_map(|point| point.keys().copied()).collect();
+        let complete: Vec<&BTreeMap<usize, f64>> = points().filter(|point| point.len() == cycles.len()).collect();
+        let mean = |cycle| Sample(complete.iter().map(|point| point[cycle]).collect()).mean();
+        Sample(cycles.iter().map(mean).collect())
+    }
+}
+
+/// Largest less smallest of several values.
+fn range(sample: &Sample) -> f64 {
+    if sample.0.len() < 2 { f64::NAN } else { sample.max() - sample.min() }
+}
+
+/// A variance from several samples (equations 4-12 and 7-1).
+#[derive(Debug, Clone, Copy, Default)]
+struct Pooled {
+    squares: f64,
+    degrees_of_freedom: usize,
+}
+
+impl Pooled {
+    /// Of windows of successive values; the last one may be shorter.
+    fn of_windows(sample: &Sample, window: usize) -> Self {
+        let windows = sample.0.chunks(window).map(|values| {
+            let mean = Sample(values.to_vec()).mean();
+            let squares = values.iter().map(|value| (value - mean).powi(2)).sum();
+            Self { squares, degrees_of_freedom: values.len() - 1 }
+        });
+        windows.fold(Self::default(), |sum, window| sum.and(&window))
+    }
+
+    fn and(self, other: &Self) -> Self {
+        Self {
+            squares: self.squares + other.squares,
+            degrees_of_freedom: self.degrees_of_freedom + other.degrees_of_freedom,
+        }
+    }
+
+    fn standard_deviation(&self) -> f64 {
+        (self.squares / self.degrees_of_freedom as f64).sqrt()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::testing::{Touch, UPWARDS, check, judge, validator};
+    use std::path::Path;
+
+    fn data(text: &str) -> (tempfile::TempDir, Dataset) {
+        let folder = tempfile::tempdir().unwrap();
+        let file = folder.path().join("repeats.csv");
+        std::fs::write(&file, text).unwrap();
+        (folder, abbe_table::read(&file).unwrap())
+    }
+
+    fn judged(settings: &Value, text: &str) -> Result<Findings, String> {
+        let (folder, data) = data(text);
+        let found = validator("repeatability", Path::new(""), settings)?.validate(&[], &[&data]);
+        found.map_err(|error| {
+            let text = error.to_string().replace(&format!("{}/", folder.path().display()), "");
+            format!("{}: {text}", abbe_core::path_text(&error.setting))
+        })
+    }
+
+    /// The figures in the order of their names, NaN where there is none.
+    fn values(findings: &Findings, label: Option<&str>) -> Vec<f64> {
+        let value = |name: &str| {
+            let name = label.map_or(name.to_owned(), |label| format!("{name}[{label}]"));
+            let found = findings.figures.iter().find(|figure| figure.name == name).unwrap();
+            assert_eq!((&found.of, found.unit.as_str(), found.detail), (&None, "um", label.is_some()));
+            found.value.unwrap_or(f64::NAN)
+        };
+        FIGURES.iter().map(|name| value(name)).collect()
+    }
+
+    fn close(found: &[f64], expected: &[f64]) {
+        assert_eq!(found.len(), expected.len());
+        for ((found, expected), name) in found.iter().zip(expected).zip(FIGURES) {
+            let same = (found - expected).abs() < 1e-9 || found.is_nan() && expected.is_nan();
+            assert!(same, "{name}: {found}, expected {expected}");
+        }
+    }
+
+    /// Point a: 0 2 | 4 8 | 6, point b: 1 1 | 3 3 | 12, in micrometres; windows of 2, the last one of a single value.
+    #[test]
+    fn closed_forms() {
+        let text = "feature,cycle,d_um\na,1,0\nb,1,1\na,2,2\nb,2,1\na,3,4\nb,3,3\na,10,6\na,4,8\nb,4,3\nb,10,12\n";
+        let settings = json!({ "value": "d", "cycle": "cycle", "window": 2, "limits": { "repeatability_um": 2 } });
+        let found = judged(&settings, text).unwrap();
+        // Squares within windows: a 2 + 8, b 0 + 0, two degrees of freedom each; means 4 and 4.
+        // Cycle means: 0.5, 1.5, 3.5, 5.5, 9: mean 4, squares 12.25 + 6.25 + 0.25 + 2.25 + 25 = 46.
+        // All: mean 4, squares 16 + 4 + 0 + 16 + 4 + 9 + 9 + 1 + 1 + 64 = 124.
+        let expected = [5.0_f64.sqrt(), 2.5_f64.sqrt(), 0.0, 0.0, 11.5_f64.sqrt(), 8.5, (124.0 / 9.0_f64).sqrt(), 12.0];
+        close(&values(&found, None), &expected);
+        let failed: Vec<&str> =
+            found.figures.iter().filter(|figure| !figure.passes()).map(|figure| figure.name.as_str()).collect();
+        assert_eq!(failed, ["repeatability"]);
+        assert!(found.remarks.is_empty());
+        // A last window of two counts with one degree of freedom: 0 2 4 | 8 6 and 1 1 3 | 3 12.
+        let settings = json!({ "value": "d", "cycle": "cycle", "window": 3 });
+        let (a, b) = (8.0 + 2.0, 8.0 / 3.0 + 40.5);
+        let found = values(&judged(&settings, text).unwrap(), None);
+        close(&found[..2], &[(b / 3.0_f64).sqrt(), ((a + b) / 6.0_f64).sqrt()]);
+    }
+
+    #[test]
+    fn directions_and_missing_measurements() {
+        // In Z point b is not measured in the second cycle and c only once; without a column the rows make the cycles.
+        let text = "feature,cycle,k,d_um\na,1,X,0\na,2,X,3\na,1,Z,0\nb,1,Z,5\nc,1,Z,7\na,2,Z,1\na,3,Z,2\nb,3,Z,7\n";
+        let settings = json!({ "value": "d", "cycle": "cycle", "direction": "k" });
+        let found = judged(&settings, text).unwrap();
+        let nan = f64::NAN;
+        let x = [4.5_f64.sqrt(), 4.5_f64.sqrt(), nan, nan, 4.5_f64.sqrt(), 3.0, 4.5_f64.sqrt(), 3.0];
+        close(&values(&found, Some("X")), &x);
+        // Point means 1, 6, 7; only a is measured in all cycles: 0, 1, 2. All: mean 11/3, squares 128 - 6 * 121/9.
+        let total = ((128.0 - 242.0 / 3.0) / 5.0_f64).sqrt();
+        let surface = ((86.0 - 196.0 / 3.0) / 2.0_f64).sqrt();
+        let z = [2.0_f64.sqrt(), (4.0 / 3.0_f64).sqrt(), surface, 6.0, 1.0, 2.0, total, 7.0];
+        close(&values(&found, Some("Z")), &z);
+        // The main figures are the largest of both; what one of them does not have, nobody has.
+        let largest: Vec<f64> = x.iter().zip(z).map(|(x, z)| if x.is_nan() { nan } else { x.max(z) }).collect();
+        close(&values(&found, None), &largest);
+        assert_eq!(found.remarks, ["feature measured once only in direction Z, no repeatability: c"]);
+        // Without a point that is measured in all cycles there is no drift.
+        let found = judged(&settings, "feature,cycle,k,d_um\na,1,X,0\na,2,X,3\nb,3,X,0\n").unwrap();
+        assert!(values(&found, None)[DRIFT].is_nan());
+        assert_eq!(found.remarks[1], "no feature is measured in all cycles in direction X: no drift is told");
+        // By rows the second measurement of b belongs to the second cycle, so nobody has all three but a.
+        close(
+            &values(&judged(&json!({ "value": "d", "direction": "k" }), text).unwrap(), Some("Z"))[4..6],
+            &[1.0, 2.0],
+        );
+    }
+
+    /// A surface of 2 µm, a slow drift of 10 µm and noise of 0.6 µm are told apart.
+    #[test]
+    fn simulated_parts_are_found() {
+        let mut state = 3_u64;
+        let mut uniform = || {
+            state = state.wrapping_mul(6364136223846793005).wrapping_add(1442695040888963407);
+            ((state >> 11) as f64 + 0.5) / (1_u64 << 53) as f64
+        };
+        let mut normal = || (-2.0 * uniform().ln()).sqrt() * (std::f64::consts::TAU * uniform()).cos();
+        let surface: Vec<f64> = (0..25).map(|_| 2.0 * normal()).collect();
+        let mut text = "feature,d_urad\n".to_owned();
+        for cycle in 0..100 {
+            for (point, surface) in surface.iter().enumerate() {
+                let drift = 10.0 * (-f64::from(cycle) / 30.0).exp();
+                text.push_str(&format!("{point},{}\n", surface + drift + 0.6 * normal()));
+            }
+        }
+        let found = judged(&json!({ "value": "d", "limits": { "repeatability_urad": 1 } }), &text).unwrap();
+        let value = |name: &str| {
+            let figure = found.figures.iter().find(|figure| figure.name == name).unwrap();
+            assert_eq!(figure.unit, if name == "measurements" { "1" } else { "urad" });
+            figure.value.unwrap()
+        };
+        assert_eq!(value("measurements"), 2500.0);
+        // The drift inside a window of five, 0.33 µrad a cycle at first, adds a little.
+        assert!((value("pooled repeatability") - 0.62).abs() < 0.03);
+        assert!(value("repeatability") > value("pooled repeatability") && value("repeatability") < 0.8);
+        let of_surface = Sample(surface);
+        assert!((value("surface standard deviation") - of_surface.standard_deviation()).abs() < 0.05);
+        assert!((value("surface range") - range(&of_surface)).abs() < 0.3);
+        assert!((value("drift range") - 10.0 * (1.0 - (-3.3_f64).exp())).abs() < 0.5);
+    }
+
+    #[test]
+    fn residuals_of_a_fit() {
+        // The offsets take the means 1 and 0: residuals of b are free of them as those of a are.
+        let touches: [Touch; 7] = [
+            ("a", "1", 0.0, 0.0),
+            ("b", "1", 0.0, -1.0),
+            ("a", "2", 0.0, 2.0),
+            ("b", "2", 0.0, 1.0),
+            ("c", "1", 0.0, 4.0),
+            ("a", "3", 0.0, 1.0),
+            ("b", "3", 0.0, 0.0),
+        ];
+        let (folder, fit) = crate::testing::fit(&UPWARDS, &touches, false);
+        let settings = json!({ "rows": "table", "cycle": "group", "limits": { "outliers": 0, "drift_range_um": 1 } });
+        let found = judge("repeatability", folder.path(), &settings, &fit).unwrap();
+        check(
+            &found,
+            &[
+                ("repeatability", 1.0),
+                ("pooled repeatability", 1.0),
+                ("surface range", 0.0),
+                ("drift range", 2.0),
+                ("drift standard deviation", 1.0),
+                ("total range", 2.0),
+                ("measurements", 7.0),
+                ("outliers", 0.0),
+            ],
+        );
+        assert_eq!(found.figures.iter().filter(|figure| !figure.passes()).count(), 1);
+        assert_eq!(found.remarks, ["fit: feature measured once only, no repeatability: c"]);
+        assert_eq!(
+            judge("repeatability", folder.path(), &json!({ "rows": "table", "cycle": "feature" }), &fit).unwrap_err(),
+            "cycle: touches.csv:4: feature a is measured twice in cycle a"
+        );
+        assert_eq!(
+            judge("repeatability", folder.path(), &json!({ "rows": "tabel" }), &fit).unwrap_err(),
+            "rows: fit does not observe `tabel` (did you mean `table`?)"
+        );
+        assert_eq!(
+            judge("repeatability", folder.path(), &json!({ "value": "d" }), &fit).unwrap_err(),
+            "value: `value` is a column of one ingest stage under `from`, not of 0"
+        );
+    }
+
+    #[test]
+    fn settings_and_data_that_make_no_sense_are_refused() {
+        let once = "feature,d_um,t_s\na,1,0\nb,2,0\n";
+        let either =
+            "either `rows`, an artefact stage, or `value`, a column of the data under `from`, was expected".to_owned();
+        let columns = "the columns are `feature`, `d_um`, `t_s`";
+        let cases = [
+            (json!({}), either.clone()),
+            (json!({ "rows": "table", "value": "d" }), either),
+            (json!({ "value": "d", "window": 1 }), "window: a window needs 2 measurements or more".into()),
+            (
+                json!({ "value": "d", "limits": { "repeatability": 1 } }),
+                "limits.repeatability: there is no figure `repeatability` to limit (did you mean `repeatability_um`?)"
+                    .into(),
+            ),
+            (
+                json!({ "value": "d", "limits": { "surface_range_urad": 1 } }),
+                "limits.surface_range_urad: the measurements are in um, `surface_range_urad` limits nothing".into(),
+            ),
+            (json!({ "value": "d" }), ": no feature is measured twice".into()),
+            (
+                json!({ "value": "e" }),
+                format!("value: repeats.csv: there is no column `e`; {columns}"),
+            ),
+            (json!({ "value": "t" }), "value: the column `t` holds neither lengths nor angles".into()),
+            (
+                json!({ "value": "d", "point": "grid" }),
+                format!("point: repeats.csv: there is no column `grid`; {columns}"),
+            ),
+            (
+                json!({ "value": "d", "cycle": "t" }),
+                "cycle: repeats.csv: the column `t_s` holds numbers; labels were expected".into(),
+            ),
+            (
+                json!({ "rows": "table" }),
+                "rows: the residuals of `rows` need no data under `from` (say which column holds the measurements with \
+                 `value` instead)"
+                    .into(),
+            ),
+        ];
+        for (settings, expected) in cases {
+            assert_eq!(judged(&settings, once).unwrap_err(), expected, "{settings}");
+        }
+    }
+}

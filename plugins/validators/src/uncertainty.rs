@@ -1,0 +1,503 @@
+//! Validator `uncertainty`: whether parameters and the tip anywhere in the workspace are known well enough.
+
+use std::collections::BTreeMap;
+
+use abbe_core::{
+    Build, Calibration, Constructor, Context, Dataset, Error, Estimated, Figure, Findings, Fit, InputFile, PathItem,
+    Plugin, Result, SettingsError, Status, Unit, Validate, inventory, matches, positive,
+};
+use abbe_volumetric::{Ellipsoid, Grid, predict, within};
+use schemars::JsonSchema;
+use serde::Deserialize;
+use serde_json::{Value, json};
+
+use crate::figures::{ONE, Sample, UM};
+
+inventory::submit! {
+    Plugin::built_in(
+        "uncertainty",
+        "limits of the uncertainty of parameters and of the tip over the workspace",
+        abbe_core::schema_of::<Settings>,
+        example,
+        Build::Validate(Constructor::Static(build)),
+    )
+}
+
+/// Settings of the uncertainties.
+#[derive(Debug, Clone, PartialEq, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+struct Settings {
+    /// Parameters that have to be known well enough.
+    #[serde(default)]
+    parameters: Vec<Entry>,
+    /// Expanded uncertainty over standard uncertainty, for limits `expanded_..`; without it the expanded uncertainty is that
+    /// of the calibration (of trials half the symmetric interval), or twice the standard one if it has none.
+    #[serde(default)]
+    coverage_factor: Option<f64>,
+    /// The tip over the workspace.
+    #[serde(default)]
+    volumetric: Option<Workspace>,
+}
+
+/// Parameters with one limit for each of them.
+#[derive(Debug, Clone, PartialEq, Deserialize, JsonSchema)]
+struct Entry {
+    /// Names or patterns of estimated parameters, of the machine or of artefacts.
+    names: Vec<String>,
+    /// One limit: `standard_uncertainty_` or `expanded_` and the unit in which people read the parameters, e.g.
+    /// `expanded_um`, `expanded_urad`, `standard_uncertainty_um_per_m`.
+    #[serde(flatten)]
+    limit: BTreeMap<String, f64>,
+}
+
+/// The tip over the workspace.
+#[derive(Debug, Clone, PartialEq, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+struct Workspace {
+    /// The poses.
+    grid: Grid,
+    /// Probability with which the ellipsoid of a pose holds its error.
+    #[serde(default = "default_probability")]
+    probability: f64,
+    /// Largest admissible semi-axis of the ellipsoid of any pose.
+    #[serde(default)]
+    expanded_um: Option<f64>,
+}
+
+fn default_probability() -> f64 {
+    0.95
+}
+
+fn example() -> Value {
+    json!({
+        "parameters": [
+            { "names": ["E?0?"], "expanded_urad": 10 },
+            { "names": ["EXX[1]", "EYY[1]"], "standard_uncertainty_um_per_m": 2 }
+        ],
+        "volumetric": { "grid": { "points": 5 }, "expanded_um": 10 }
+    })
+}
+
+fn build(settings: &Value, _: &Context) -> Result<Box<dyn Validate>, SettingsError> {
+    let settings: Settings = abbe_core::from_settings(settings)?;
+    settings.coverage_factor.map_or(Ok(0.0), |factor| positive("coverage_factor", factor))?;
+    if settings.parameters.is_empty() && settings.volumetric.is_none() {
+        return Err(SettingsError::new("", "`parameters` or `volumetric` were expected: nothing is judged"));
+    }
+    for (index, entry) in settings.parameters.iter().enumerate() {
+        entry.check().map_err(|error| error.under([key("parameters"), PathItem::Index(index)]))?;
+    }
+    if let Some(workspace) = &settings.volumetric {
+        workspace.check().map_err(|error| error.under([key("volumetric")]))?;
+    }
+    Ok(Box::new(Uncertainty { settings }))
+}
+
+fn key(name: &str) -> PathItem {
+    PathItem::Key(name.to_owned())
+}
+
+/// What a limit is about.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+enum Measure {
+    Standard,
+    Expanded,
+}
+
+impl Measure {
+    const ALL: [Self; 2] = [Self::Standard, Self::Expanded];
+
+    /// How limits and figures begin.
+    fn name(self) -> &'static str {
+        match self {
+            Self::Standard => "standard_uncertainty",
+            Self::Expanded => "expanded",
+        }
+    }
+}
+
+impl Entry {
+    fn check(&self) -> Result<(), SettingsError> {
+        if self.names.is_empty() {
+            return Err(SettingsError::new("names", "at least one name was expected"));
+        }
+        let example = "write one, e.g. `expanded_um: 5` or `standard_uncertainty_urad: 2`";
+        if self.limit.len() != 1 {
+            return Err(SettingsError::new("", format!("{} limits; one was expected", self.limit.len())).help(example));
+        }
+        for (setting, limit) in &self.limit {
+            if !Measure::ALL.iter().any(|measure| setting.starts_with(measure.name())) {
+                let mut error = SettingsError::new(setting, format!("unknown setting `{setting}`")).help(example);
+                error.key = true;
+                return Err(error);
+            }
+            positive(setting, *limit)?;
+        }
+        Ok(())
+    }
+
+    /// The limit: its setting, what it is about, its value.
+    fn limit(&self) -> Option<(&str, Measure, f64)> {
+        let (setting, limit) = self.limit.iter().next()?;
+        let measure = Measure::ALL.into_iter().find(|measure| setting.starts_with(measure.name()))?;
+        Some((setting, measure, *limit))
+    }
+
+    /// The parameters that it is about; fails for a name that matches none with an uncertainty.
+    fn matched<'a>(&self, fit: &'a Fit) -> Result<Vec<&'a Estimated>> {
+        let calibration = &fit.calibration;
+        let candidates: Vec<&Estimated> = (calibration.parameters.iter().chain(&calibration.artefacts))
+            .filter(|parameter| parameter.status != Status::Fixed)
+            .collect();
+        for (index, pattern) in self.names.iter().enumerate() {
+            if !candidates.iter().any(|parameter| matches(pattern, &parameter.name)) {
+                let names = candidates.iter().map(|parameter| parameter.name.as_str());
+                let mut error = Error::usage(format!("`{pattern}` matches no estimated parameter of {}", fit.name))
+                    .suggest(pattern, names);
+                error.setting = vec![key("names"), PathItem::Index(index)];
+                return Err(error);
+            }
+        }
+        let named = |parameter: &&Estimated| self.names.iter().any(|pattern| matches(pattern, &parameter.name));
+        Ok(candidates.into_iter().filter(named).collect())
+    }
+}
+
+impl Workspace {
+    fn check(&self) -> Result<(), SettingsError> {
+        self.grid.check().map_err(|error| error.under([key("grid")]))?;
+        if !(self.probability > 0.0 && self.probability < 1.0) {
+            return Err(SettingsError::new("probability", "a number between 0 and 1 was expected"));
+        }
+        self.expanded_um.map_or(Ok(()), |limit| positive("expanded_um", limit).map(drop))
+    }
+}
+
+struct Uncertainty {
+    settings: Settings,
+}
+
+impl Validate for Uncertainty {
+    fn inputs(&self) -> Vec<InputFile> {
+        Vec::new()
+    }
+
+    fn validate(&self, fits: &[&Fit], _: &[&Dataset]) -> Result<Findings> {
+        let mut findings = Findings::default();
+        for fit in fits {
+            for (index, entry) in self.settings.parameters.iter().enumerate() {
+                self.judge_parameters(fit, entry, &mut findings).map_err(|mut error| {
+                    error.setting.splice(0..0, [key("parameters"), PathItem::Index(index)]);
+                    error
+                })?;
+            }
+            if let Some(workspace) = &self.settings.volumetric {
+                judge_workspace(fit, workspace, &mut findings)?;
+            }
+        }
+        Ok(findings)
+    }
+}
+
+impl Uncertainty {
+    /// The expanded uncertainty of a parameter, in its unit.
+    fn expanded(&self, fit: &Fit, parameter: &Estimated) -> f64 {
+        if let Some(factor) = self.settings.coverage_factor {
+            return factor * parameter.standard_uncertainty;
+        }
+        let calibration = &fit.calibration;
+        let simulated = calibration.monte_carlo.iter().flat_map(|found| &found.parameters);
+        let simulated = simulated.filter(|found| found.name == parameter.name).map(|found| {
+            let [low, high] = found.symmetric_interval;
+            (high - low) / 2.0
+        });
+        let budget = calibration.uncertainty.iter().flat_map(|budget| &budget.parameters);
+        let budget = budget.filter(|part| part.name == parameter.name).map(|part| part.expanded_uncertainty);
+        simulated.chain(budget).next().unwrap_or(2.0 * parameter.standard_uncertainty)
+    }
+
+    /// The largest uncertainty of several parameters, with those of all as details.
+    fn judge_parameters(&self, fit: &Fit, entry: &Entry, findings: &mut Findings) -> Result<()> {
+        let Some((setting, measure, limit)) = entry.limit() else { return Ok(()) };
+        let parameters = entry.matched(fit)?;
+        let (mut details, mut symbol): (Vec<Figure>, _) = (Vec::new(), String::new());
+        for parameter in &parameters {
+            let to_people;
+            (symbol, to_people) = for_people(parameter)?;
+            if setting != format!("{}{}", measure.name(), suffix(&symbol)) {
+                let message = format!("`{}` is in {symbol}, `{setting}` is not its limit", parameter.name);
+                let error = Error::usage(message).help(format!("write `{}{}`", measure.name(), suffix(&symbol)));
+                return Err(error.setting(setting));
+            }
+            // Where the data cannot separate it from others, its uncertainty means nothing.
+            let confounded = parameter.status == Status::Confounded;
+            let value = match measure {
+                _ if confounded => f64::NAN,
+                Measure::Standard => parameter.standard_uncertainty,
+                Measure::Expanded => self.expanded(fit, parameter),
+            } * to_people;
+            details.push(figure(fit, measure, &parameter.name, value, &ascii(&symbol), limit));
+            if confounded {
+                findings.remarks.push(format!(
+                    "{}: {} has no uncertainty: the data cannot separate it from others",
+                    fit.name, parameter.name
+                ));
+            }
+        }
+        if let [_, _, ..] = details.as_slice() {
+            let uncertainties = details.iter().map(|figure| figure.value.unwrap_or(f64::NAN)).collect();
+            let largest = Sample(uncertainties).max();
+            let names = entry.names.join(", ");
+            if let Some(worst) = details.iter().position(|figure| figure.value == Some(largest)) {
+                findings.remarks.push(format!(
+                    "{}: {names}: the largest is that of {} ({largest:.3} {symbol})",
+                    fit.name, parameters[worst].name
+                ));
+            }
+            findings.figures.push(figure(fit, measure, &names, largest, &ascii(&symbol), limit));
+            details.iter_mut().for_each(|figure| figure.detail = true);
+        }
+        findings.figures.extend(details);
+        Ok(())
+    }
+}
+
+fn figure(fit: &Fit, measure: Measure, name: &str, value: f64, unit: &str, limit: f64) -> Figure {
+    let mut figure = Figure::new(&fit.name, format!("{}[{name}]", measure.name().replace('_', " ")), value, unit);
+    figure.limit = Some(limit);
+    figure
+}
+
+/// The unit in which people read a parameter, and the factor from memory's.
+fn for_people(parameter: &Estimated) -> Result<(String, f64)> {
+    let unit: Unit = parameter.unit.parse().map_err(Error::data)?;
+    Ok(unit.for_people())
+}
+
+/// A unit in letters of ASCII, as figures have it.
+fn ascii(symbol: &str) -> String {
+    let letters = symbol.chars().map(|letter| match letter {
+        'µ' => 'u',
+        '²' => '2',
+        '³' => '3',
+        '⁴'..='⁹' => char::from_digit(letter as u32 - '⁰' as u32, 10).unwrap_or(letter),
+        other => other,
+    });
+    letters.collect()
+}
+
+/// The unit as it ends a setting: `_um_per_m2`.
+fn suffix(symbol: &str) -> String {
+    if symbol == ONE { String::new() } else { format!("_{}", ascii(symbol).replace('/', "_per_")) }
+}
+
+/// Error and uncertainty of the tip over the workspace. The uncertainty of a pose is the longest semi-axis of its
+/// ellipsoid.
+fn judge_workspace(fit: &Fit, workspace: &Workspace, findings: &mut Findings) -> Result<()> {
+    let model = fit.problem.model.as_ref();
+    let statuses = workspace.grid.statuses(model).map_err(|error| within(error, &["volumetric", "grid"]))?;
+    let errors = predict(model, &fit.calibration, &statuses)?;
+    let semi_axis =
+        |covariance| Ellipsoid::of(covariance, workspace.probability).map(|ellipsoid| ellipsoid.semi_axes[0] * 1e3);
+    let expanded = errors.iter().map(|error| semi_axis(&error.covariance)).collect::<Result<Vec<f64>>>()?;
+    let (sizes, expanded) = (Sample(errors.iter().map(|error| error.size() * 1e3).collect()), Sample(expanded));
+    let figure = |name: &str, value, unit| Figure::new(&fit.name, format!("volumetric {name}"), value, unit);
+    let mut largest = figure("expanded max", expanded.max(), UM);
+    largest.limit = workspace.expanded_um;
+    findings.figures.extend([
+        figure("error max", sizes.max(), UM),
+        figure("error mean", sizes.mean(), UM),
+        largest,
+        figure("expanded mean", expanded.mean(), UM),
+        figure("poses", errors.len() as f64, ONE),
+    ]);
+    findings.remarks.extend(left_out(&fit.name, &fit.calibration));
+    Ok(())
+}
+
+/// Parameters whose part in the volumetric uncertainty nobody knows.
+fn left_out(name: &str, calibration: &Calibration) -> Option<String> {
+    let confounded = calibration.parameters.iter().filter(|parameter| parameter.status == Status::Confounded);
+    let confounded: Vec<&str> = confounded.map(|parameter| parameter.name.as_str()).collect();
+    (!confounded.is_empty()).then(|| {
+        format!(
+            "{name}: the volumetric uncertainty leaves out what the data cannot separate: {}",
+            confounded.join(", ")
+        )
+    })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::testing::{UPWARDS, check, judge};
+    use tempfile::TempDir;
+
+    /// A fit whose machine has uncertain tool offsets and a rotation of the tool; two touches on facet a, one on b.
+    fn fit() -> (TempDir, Fit) {
+        let (folder, mut fit) = crate::testing::fit(&UPWARDS, &[("a", "1", 0.0, 0.0), ("a", "1", 0.0, 2.0)], false);
+        let known = [("dxt", 0.3, 2e-3), ("dyt", 0.4, 1e-3), ("dct", 0.0, 5e-6)];
+        let calibration = &mut fit.calibration;
+        for parameter in &mut calibration.parameters {
+            if let Some((_, value, uncertainty)) = known.iter().find(|(name, ..)| *name == parameter.name) {
+                (parameter.value, parameter.standard_uncertainty) = (*value, *uncertainty);
+                parameter.status = Status::Estimated;
+            }
+        }
+        calibration.covariance.order = known.map(|(name, ..)| name.to_owned()).to_vec();
+        let row = |row: usize| (0..3).map(|column| if row == column { known[row].2.powi(2) } else { 0.0 }).collect();
+        calibration.covariance.rows = (0..3).map(row).collect();
+        (folder, fit)
+    }
+
+    #[test]
+    fn parameters_against_their_limits() {
+        let (folder, fit) = fit();
+        let settings = json!({ "parameters": [
+            { "names": ["d?t"], "expanded_um": 3 },
+            { "names": ["dct"], "standard_uncertainty_urad": 5 },
+            { "names": ["table.facet[a].d"], "standard_uncertainty_um": 1.1 }
+        ] });
+        // The rotation is in another unit than the offsets.
+        assert_eq!(
+            judge("uncertainty", folder.path(), &settings, &fit).unwrap_err(),
+            "parameters[0].expanded_um: `dct` is in µrad, `expanded_um` is not its limit (write `expanded_urad`)"
+        );
+        let mut settings = settings;
+        settings["parameters"][0]["names"] = json!(["dxt", "dyt"]);
+        let found = judge("uncertainty", folder.path(), &settings, &fit).unwrap();
+        // Residuals of -1 and 1 µm with one degree of freedom: 1.414 µm, over the root of two touches.
+        check(
+            &found,
+            &[
+                ("expanded[dxt, dyt]", 4.0),
+                ("expanded[dxt]", 4.0),
+                ("expanded[dyt]", 2.0),
+                ("standard uncertainty[dct]", 5.0),
+                ("standard uncertainty[table.facet[a].d]", 1.0),
+            ],
+        );
+        let failed: Vec<&str> =
+            found.figures.iter().filter(|figure| !figure.passes()).map(|figure| figure.name.as_str()).collect();
+        assert_eq!(failed, ["expanded[dxt, dyt]", "expanded[dxt]"]);
+        assert_eq!(found.remarks, ["fit: dxt, dyt: the largest is that of dxt (4.000 µm)"]);
+        settings["coverage_factor"] = json!(3);
+        check(&judge("uncertainty", folder.path(), &settings, &fit).unwrap(), &[("expanded[dyt]", 3.0)]);
+    }
+
+    #[test]
+    fn what_is_confounded_fails() {
+        let (folder, mut fit) = fit();
+        fit.calibration.parameters.iter_mut().find(|parameter| parameter.name == "dyt").unwrap().status =
+            Status::Confounded;
+        let settings = json!({ "parameters": [{ "names": ["dxt", "dyt"], "expanded_um": 30 }],
+            "volumetric": { "grid": { "poses": [{}] }, "expanded_um": 30 } });
+        let found = judge("uncertainty", folder.path(), &settings, &fit).unwrap();
+        let failed: Vec<(&str, Option<f64>)> = (found.figures.iter())
+            .filter(|figure| !figure.passes())
+            .map(|figure| (figure.name.as_str(), figure.value))
+            .collect();
+        assert_eq!(failed, [("expanded[dxt, dyt]", None), ("expanded[dyt]", None)]);
+        assert_eq!(
+            found.remarks,
+            [
+                "fit: dyt has no uncertainty: the data cannot separate it from others",
+                "fit: the volumetric uncertainty leaves out what the data cannot separate: dyt"
+            ]
+        );
+    }
+
+    #[test]
+    fn the_tip_over_the_workspace() {
+        let (folder, fit) = fit();
+        let grid = json!({ "points": { "X": 3 }, "axes": { "X": { "from_mm": -100, "to_mm": 100 } } });
+        let settings = json!({ "volumetric": { "grid": grid, "expanded_um": 4.8 } });
+        let found = judge("uncertainty", folder.path(), &settings, &fit).unwrap();
+        // Two directions are uncertain, by 2 and 1 µm, and a rotation about the tool's own axis moves nothing.
+        let semi_axis = (-2.0 * 0.05_f64.ln()).sqrt() * 2.0;
+        check(
+            &found,
+            &[
+                ("volumetric error max", 500.0),
+                ("volumetric error mean", 500.0),
+                ("volumetric expanded max", semi_axis),
+                ("volumetric expanded mean", semi_axis),
+                ("volumetric poses", 3.0),
+            ],
+        );
+        assert_eq!(found.figures.iter().filter(|figure| !figure.passes()).count(), 1);
+    }
+
+    #[test]
+    fn settings_that_make_no_sense_are_refused() {
+        let (folder, fit) = fit();
+        let cases = [
+            (json!({}), "`parameters` or `volumetric` were expected: nothing is judged"),
+            (
+                json!({ "parameters": [{ "names": ["dxt"] }] }),
+                "parameters[0]: 0 limits; one was expected (write one, e.g. `expanded_um: 5` or \
+                 `standard_uncertainty_urad: 2`)",
+            ),
+            (
+                json!({ "parameters": [{ "names": ["dxt"], "max_um": 2 }] }),
+                "parameters[0].max_um: unknown setting `max_um` (write one, e.g. `expanded_um: 5` or \
+                 `standard_uncertainty_urad: 2`)",
+            ),
+            (
+                json!({ "parameters": [{ "names": [], "expanded_um": 2 }] }),
+                "parameters[0].names: at least one name was expected",
+            ),
+            (
+                json!({ "parameters": [{ "names": ["dxt"], "expanded_um": -2 }] }),
+                "parameters[0].expanded_um: -2: a positive number was expected",
+            ),
+            (
+                json!({ "parameters": [{ "names": ["dxt", "dxtt"], "expanded_um": 2 }] }),
+                "parameters[0].names[1]: `dxtt` matches no estimated parameter of fit (did you mean `dxt`?)",
+            ),
+            (
+                json!({ "parameters": [{ "names": ["dxt"], "expanded_mm": 2 }] }),
+                "parameters[0].expanded_mm: `dxt` is in µm, `expanded_mm` is not its limit (write `expanded_um`)",
+            ),
+            (
+                json!({ "volumetric": { "grid": { "points": 3 } } }),
+                "volumetric.grid.axes: the range of axis X is not known (write `axes: { X: { from_mm: .., to_mm: .. } }` \
+                 here, or `range_mm` into the machine description; or hold the axis: `at: { X_mm: 0 }`)",
+            ),
+            (
+                json!({ "volumetric": { "grid": {} } }),
+                "volumetric.grid: `points`, `step_mm` with `step_deg`, or `poses` were expected",
+            ),
+            (
+                json!({ "volumetric": { "grid": { "points": 3 }, "probability": 95 } }),
+                "volumetric.probability: a number between 0 and 1 was expected",
+            ),
+        ];
+        for (settings, expected) in cases {
+            assert_eq!(judge("uncertainty", folder.path(), &settings, &fit).unwrap_err(), expected);
+        }
+    }
+
+    #[test]
+    fn limits_end_with_the_unit_of_people() {
+        let cases = [
+            ("mm", "_um", 1e3),
+            ("rad", "_urad", 1e6),
+            ("mm/mm", "_um_per_m", 1e6),
+            ("rad/mm^2", "_urad_per_m2", 1e12),
+            ("mm/rad^4", "_um_per_rad4", 1e3),
+            ("1", "", 1.0),
+        ];
+        for (unit, expected, factor) in cases {
+            let parameter = Estimated {
+                name: "p".to_owned(),
+                value: 0.0,
+                unit: unit.to_owned(),
+                standard_uncertainty: 0.0,
+                status: Status::Estimated,
+            };
+            let (symbol, found) = for_people(&parameter).unwrap();
+            assert_eq!((suffix(&symbol).as_str(), found), (expected, factor));
+        }
+    }
+}

@@ -1,0 +1,485 @@
+//! The virtual machine: what it measures gives the truth back, and differs from it by the stated noise and nothing else.
+
+use std::collections::BTreeMap;
+use std::fs;
+use std::path::{Path, PathBuf};
+use std::sync::{Arc, OnceLock};
+
+use abbe_core::{Lobing, Problem};
+use abbe_engine::prepare;
+use abbe_simulation::{Drift, Noise, Outliers, RandomOutliers, Sigma, Truth, measure};
+use serde_json::{Value, json};
+
+use crate::support::{
+    Printed, Small, Variant, abbe, effect, fit, json_file, read, registry, root, temporary, tree, write,
+};
+
+/// The truth behind `pipelines/data/tango-hu40t/<data>`, as its file has it.
+fn truth_file(data: &str) -> Value {
+    json_file(&root().join(format!("tests/truth/tango-hu40t-{data}.json")))
+}
+
+/// The truth without the balls, which the recipes of the repository do not observe, and without noise.
+fn truth() -> Truth {
+    let file = truth_file("exact");
+    let parameters = file["parameters"].as_object().expect("parameters").iter();
+    let parameters = parameters.filter(|(name, _)| !name.starts_with("ball["));
+    Truth {
+        parameters: parameters.map(|(name, value)| (name.clone(), value.as_f64().expect("a number"))).collect(),
+        noise: Noise::default(),
+    }
+}
+
+fn with(noise: Noise) -> Truth {
+    Truth { noise, ..truth() }
+}
+
+/// The touches of the TANGO test and its bar, as a problem with the true values as its own.
+fn tango() -> &'static Problem {
+    static PROBLEM: OnceLock<Problem> = OnceLock::new();
+    PROBLEM.get_or_init(|| {
+        let outcome = Variant::tango("exact").only(&["fit-S1"]).run();
+        at_truth(&fit(&outcome, "fit-S1").problem)
+    })
+}
+
+fn at_truth(problem: &Arc<Problem>) -> Problem {
+    let (mut at, truth) = (problem.as_ref().clone(), truth().parameters);
+    let value = |name: &str| truth.get(name).copied().unwrap_or(0.0);
+    for (parameter, own) in problem.model.parameters().iter().zip(&mut at.machine) {
+        *own = value(&parameter.name);
+    }
+    for set in &mut at.sets {
+        let names = set.observations.clone();
+        names.unknowns().iter().zip(&mut set.own).for_each(|(parameter, own)| *own = value(&parameter.name));
+    }
+    at
+}
+
+/// The residuals at the true values.
+fn residuals(problem: &Problem) -> Vec<f64> {
+    problem.without(|_| true).residuals(&[]).expect("residuals")
+}
+
+fn simulated(truth: &Truth, seed: u64) -> Problem {
+    measure(tango(), truth, seed).unwrap_or_else(|error| panic!("{error}"))
+}
+
+fn largest(values: &[f64]) -> f64 {
+    values.iter().fold(0.0_f64, |largest, value| largest.max(value.abs()))
+}
+
+/// A truth file in a folder.
+fn truth_in(folder: &Path, truth: &Value) -> String {
+    let file = folder.join("the-truth.json");
+    write(&file, &truth.to_string());
+    file.to_str().expect("paths are UTF-8").to_owned()
+}
+
+/// Simulates a variant of a recipe in this process; gives the recipe that was written.
+fn simulate(variant: &Variant, truth: &Value, seed: u64, out: &Path) -> PathBuf {
+    let folder = temporary();
+    let truth = truth_in(folder.path(), truth);
+    let prepared = prepare(&variant.write(folder.path()), &registry()).unwrap_or_else(|error| panic!("{error}"));
+    let simulated = prepared.simulate(Path::new(&truth), seed, None).unwrap_or_else(|error| panic!("{error}"));
+    simulated.write(out).unwrap_or_else(|error| panic!("{error}"));
+    out.join(&simulated.recipe)
+}
+
+/// Runs a recipe that was written, in this process.
+fn run(recipe: &Path) -> abbe_engine::Outcome {
+    let outcome = prepare(recipe, &registry()).and_then(|prepared| prepared.run(&|_| {}));
+    outcome.unwrap_or_else(|error| panic!("{error}"))
+}
+
+fn without_balls(mut truth: Value) -> Value {
+    truth["parameters"].as_object_mut().expect("parameters").retain(|name, _| !name.starts_with("ball["));
+    truth
+}
+
+#[test]
+fn exact_simulation_gives_the_truth_back() {
+    let folder = temporary();
+    let mut truth = without_balls(truth_file("exact"));
+    truth["noise"] = json!({});
+    let recipe = simulate(&Variant::tango("exact").only(&["fit-S4r"]), &truth, 1, &folder.path().join("sim"));
+    let outcome = run(&recipe);
+    let calibration = &fit(&outcome, "fit-S4r").calibration;
+    for (name, value) in truth["parameters"].as_object().expect("parameters") {
+        let name = if name.starts_with("facet[") { format!("table.{name}") } else { name.clone() };
+        let estimated = calibration.get(&name).expect("a value");
+        let (is_angle, factor) = effect(&estimated.unit);
+        let off = (estimated.value - value.as_f64().expect("a number")).abs() * factor;
+        assert!(off < if is_angle { 1e-10 } else { 1e-8 }, "{name} is off by {off:e}");
+    }
+}
+
+#[test]
+fn the_equations_hold_exactly_where_the_tip_touches() {
+    assert!(largest(&residuals(&simulated(&truth(), 1))) < 2e-11);
+}
+
+#[test]
+fn the_data_set_is_measured_again() {
+    // It was simulated by another program, which keeps the tip beside its points a little differently.
+    let (own, again) = (tango(), simulated(&truth(), 1));
+    assert!(largest(&residuals(own)) < 3e-9);
+    for (own, again) in own.sets.iter().zip(&again.sets) {
+        for pose in 0..own.poses().len() {
+            for (own, again) in own.poses().row(pose).iter().zip(again.poses().row(pose)) {
+                assert!((own - again).abs() < 2e-4 || own.is_nan(), "pose {pose}: {own} {again}");
+            }
+        }
+    }
+}
+
+#[test]
+fn nominal_positions_are_enough_to_start_from() {
+    let mut programme = tango().clone();
+    programme.machine.fill(0.0);
+    programme.sets.iter_mut().for_each(|set| set.own.fill(0.0));
+    let nominal = programme.at_contact(&[]).expect("nominal contact");
+    let measured = measure(&nominal, &truth(), 1).expect("a measurement");
+    assert_eq!(measured.machine, nominal.machine);
+    let mut at = tango().clone();
+    at.sets.iter_mut().zip(&measured.sets).for_each(|(at, measured)| at.move_to(measured.poses().clone()));
+    assert!(largest(&residuals(&at)) < 2e-11);
+}
+
+#[test]
+fn residuals_at_the_truth_scatter_as_stated() {
+    let noise = Noise {
+        probing_sigma_mm: Sigma::All(0.0006),
+        surface_sigma_mm: Sigma::ByStage(BTreeMap::from([("table".to_owned(), 0.0015)])),
+        ..Noise::default()
+    };
+    let truth = with(noise);
+    let (mut touches, mut bars) = (Vec::new(), Vec::new());
+    for seed in 0..60 {
+        let mut all = residuals(&simulated(&truth, seed));
+        bars.extend(all.split_off(383));
+        touches.extend(all);
+    }
+    for (values, sigma) in [(touches, 0.0006_f64.hypot(0.0015)), (bars, 0.0006)] {
+        let count = values.len() as f64;
+        let mean = values.iter().sum::<f64>() / count;
+        let square = values.iter().map(|value| value * value).sum::<f64>() / count;
+        let kurtosis = values.iter().map(|value| value.powi(4)).sum::<f64>() / count / square.powi(2);
+        assert!(mean.abs() < 4.0 * sigma / count.sqrt(), "{mean}");
+        assert!((square / sigma.powi(2) - 1.0).abs() < 4.0 * (2.0 / count).sqrt(), "{square}");
+        assert!((kurtosis - 3.0).abs() < 4.0 * (24.0 / count).sqrt(), "{kurtosis}");
+    }
+}
+
+#[test]
+fn what_a_row_gets_does_not_depend_on_other_rows() {
+    let truth = with(Noise { probing_sigma_mm: Sigma::All(0.001), ..Noise::default() });
+    let some = tango().with_rows(0, vec![7, 100, 250]);
+    let (all, some) = (residuals(&simulated(&truth, 5)), residuals(&measure(&some, &truth, 5).expect("rows")));
+    for (all, some) in [all[7], all[100], all[250], all[383]].into_iter().zip(some) {
+        assert!((all - some).abs() < 2e-11, "{all} {some}");
+    }
+}
+
+#[test]
+fn positions_are_rounded_to_the_resolution() {
+    let measured = simulated(&with(Noise { resolution_mm: 0.0005, ..Noise::default() }), 1);
+    for set in &measured.sets {
+        for pose in 0..set.poses().len() {
+            for axis in measured.model.axes().iter().filter(|axis| axis.kind == abbe_core::AxisKind::Linear) {
+                let steps = set.poses().row(pose)[axis.status] / 0.0005;
+                assert!((steps - steps.round()).abs() < 1e-6, "{steps}");
+            }
+        }
+    }
+    let off = largest(&residuals(&measured));
+    assert!(off > 1e-4 && off < 0.00025 * 3.0_f64.sqrt() * 2.0, "{off}");
+}
+
+#[test]
+fn outliers_are_added_outwards() {
+    let listed = BTreeMap::from([("114".to_owned(), 0.0392), ("331".to_owned(), -0.1094)]);
+    let measured = simulated(&with(Noise { outliers: Outliers { listed, random: None }, ..Noise::default() }), 1);
+    for (equation, residual) in residuals(&measured).into_iter().enumerate() {
+        let (set, row) = measured.equation_rows()[equation];
+        let touch = (set == 0).then(|| measured.origin(set, row).expect("a row of a file").1.row);
+        let expected = match touch {
+            Some(114) => 0.0392,
+            Some(331) => -0.1094,
+            _ => 0.0,
+        };
+        assert!((residual - expected).abs() < 2e-11, "{touch:?}: {residual}");
+    }
+    let random = Some(RandomOutliers { fraction: 0.1, size_mm: 0.05 });
+    let outliers = Outliers { random, ..Outliers::default() };
+    let hit: Vec<f64> = residuals(&simulated(&with(Noise { outliers, ..Noise::default() }), 1));
+    let (out, inside) = (hit.iter().filter(|r| **r > 0.049).count(), hit.iter().filter(|r| **r < -0.049).count());
+    assert!((25..=52).contains(&(out + inside)) && out > 8 && inside > 8, "{out} {inside}");
+}
+
+#[test]
+fn drift_moves_the_parameter_in_time() {
+    let drift = Drift { parameter: "dzt".to_owned(), size_mm: -0.008, tau_s: 3000.0, wave: Some((7800.0, 2.6)) };
+    let noise = Noise { drift: BTreeMap::from([(String::new(), drift.clone())]), ..Noise::default() };
+    let measured = simulated(&with(noise.clone()), 1);
+    assert_eq!(drift.at(0.0), 0.0);
+    let dzt = measured.model.parameters().iter().position(|parameter| parameter.name == "dzt").expect("dzt");
+    let layout = measured.sets[0].observations.layout();
+    let times = layout.data.numbers("time").expect("times");
+    let mut moved = 0.0_f64;
+    for row in [0, 100, 200, 382] {
+        let mut at = measured.with_rows(0, vec![row]);
+        moved = moved.max(residuals(&at)[0].abs());
+        at.machine[dzt] += drift.at(times[layout.rows[row].data_row.expect("a data row")]);
+        assert!(residuals(&at)[0].abs() < 2e-11);
+    }
+    assert!(moved > 1e-3, "{moved}");
+    // The bar has no time.
+    assert!(residuals(&measured)[383].abs() < 2e-11);
+    // By file; a name that is nowhere is an error.
+    let of = |file: &str| with(Noise { drift: BTreeMap::from([(file.to_owned(), drift.clone())]), ..Noise::default() });
+    assert_eq!(simulated(&of("touches"), 1).sets[0].poses(), measured.sets[0].poses());
+    let error = measure(tango(), &of("touches-s9"), 1).err().expect("an error").to_string();
+    assert_eq!(error, "noise.drift: no row drifts (no data file with a column `time_s` is named `touches-s9`)");
+}
+
+#[test]
+fn lobing_follows_the_direction_of_approach() {
+    let lobing = Lobing { amplitude: 0.001, lobes: 3, phase: 0.3 };
+    let measured = simulated(&with(Noise { lobing: Some(lobing), ..Noise::default() }), 1);
+    let directions = measured.contact_directions().expect("directions");
+    let found = residuals(&measured);
+    for (residual, direction) in found.iter().zip(&directions) {
+        let expected = direction.map_or(0.0, |[x, y, z]| lobing.at([-x, -y, -z]));
+        assert!((residual - expected).abs() < 1e-9, "{residual} {expected}");
+    }
+    assert!(largest(&found) > 0.0009);
+}
+
+#[test]
+fn simulated_outliers_are_found_again() {
+    let folder = temporary();
+    let truth = without_balls(truth_file("realistic"));
+    let recipe = simulate(&Variant::tango("realistic").only(&["fit-S4r"]), &truth, 7, &folder.path().join("sim"));
+    let outcome = run(&recipe);
+    let rows: Vec<usize> = fit(&outcome, "fit-S4r").calibration.outliers.iter().map(|outlier| outlier.row).collect();
+    let gross = [67, 114, 288, 331];
+    assert!(gross.iter().all(|row| rows.contains(row)), "{rows:?}");
+    assert!(fit(&outcome, "fit-S4r").calibration.fit.sigma < 1.2);
+}
+
+#[test]
+fn facets_and_balls_of_one_file_are_measured_together() {
+    let data = root().join("pipelines/data/tango-hu40t/exact");
+    let path = |name: &str| data.join(name).to_str().expect("paths are UTF-8").to_owned();
+    let mut variant = Variant::tango("exact").only(&["fit-S3"]).set("touches", "ignore", json!({}));
+    let balls =
+        json!({ "artefact": "balls", "from": "touches", "nominal": path("balls.csv"), "standard_uncertainty_um": 1 });
+    variant.0["stages"]["spheres"] = balls;
+    let mut variant = variant.set("fit-S3", "observations", json!(["table", "spheres", "bar"]));
+    variant.stage("fit-S3")["parameters"].as_array_mut().expect("patterns").push(json!("spheres.*"));
+    let folder = temporary();
+    // The whole file, balls and all; motion errors left out, since this fit has none.
+    let mut truth = truth_file("exact");
+    truth["parameters"].as_object_mut().expect("parameters").retain(|name, _| {
+        !name.starts_with('E') || name.contains('0') || ["EXX[1]", "EYY[1]", "EZZ[1]"].contains(&name.as_str())
+    });
+    truth["noise"] = json!({});
+    let recipe = simulate(&variant, &truth, 1, &folder.path().join("sim"));
+    let touches = read(&tree_file(&folder.path().join("sim"), "touches.csv"));
+    assert!(touches.starts_with("# simulated: the-truth.json, seed 1\n"), "{}", &touches[..60]);
+    let outcome = run(&recipe);
+    let calibration = &fit(&outcome, "fit-S3").calibration;
+    for name in ["ball[1].x", "ball[2].y", "ball[2].z"] {
+        let expected = truth["parameters"][name].as_f64().expect("a number");
+        let found = calibration.get(&format!("spheres.{name}")).expect("a value").value;
+        assert!((found - expected).abs() < 1e-8, "{name}: {found} {expected}");
+    }
+}
+
+fn tree_file(folder: &Path, name: &str) -> PathBuf {
+    folder.join(tree(folder).into_iter().find(|file| file.ends_with(name)).expect("the file"))
+}
+
+/// A truth of the small recipe.
+const SMALL_TRUTH: &str = r#"{
+  "parameters": { "EX0C": -0.02, "EXX[1]": 1e-5, "EXX[b]": 0.001, "facet[3].d": 0.03, "stylus_radius": 3.001 },
+  "calibrated": { "bar.length": 304.6686 },
+  "noise": {
+    "probing_sigma_mm": 0.001, "drift": { "component": "dzt(t), tool", "range_mm": 0.002, "tau_s": 900, "formula": "..." },
+    "lobing": { "amplitude_mm": 0.0002 }, "outliers": { "5": 0.03 }, "resolution_mm": 0.0001
+  }
+}"#;
+
+fn simulate_small(small: &Small, more: &[&str]) -> Printed {
+    small.abbe(&[&["simulate", "recipe.yaml", "--truth", "truth.json"], more].concat())
+}
+
+#[test]
+fn the_folder_runs_by_itself_and_the_seed_makes_the_bytes() {
+    let small = Small::new();
+    small.write("truth.json", SMALL_TRUTH);
+    for (seed, out) in [("1", "a"), ("1", "b"), ("2", "c")] {
+        let printed = simulate_small(&small, &["--seed", seed, "--out", out]);
+        assert_eq!((printed.status, printed.stderr.as_str()), (0, ""));
+        if out == "a" {
+            insta::assert_snapshot!("simulated", printed.stdout);
+        }
+    }
+    let files = tree(&small.path("a"));
+    assert_eq!(files, tree(&small.path("b")));
+    for file in &files {
+        let content = |out: &str| fs::read(small.path(out).join(file)).expect("a file");
+        assert_eq!(content("a"), content("b"), "{}", file.display());
+        let random = ["data/touches.csv", "data/lengths.csv"].contains(&file.to_str().expect("UTF-8"));
+        assert_eq!(content("a") != content("c"), random, "{}", file.display());
+    }
+    assert_eq!(small.read("a/recipe.yaml"), small.read("recipe.yaml"));
+    assert_eq!(small.read("a/truth.json"), SMALL_TRUTH);
+    // All columns and rows but the linear axes stay, with the decimals of the resolution.
+    let (before, after) = (small.read("data/touches.csv"), small.read("a/data/touches.csv"));
+    let after = after.strip_prefix("# simulated: truth.json, seed 1\n").expect("the comment");
+    assert_eq!(before.lines().count(), after.lines().count());
+    for (before, after) in before.lines().zip(after.lines()).skip(1) {
+        for (column, (before, after)) in before.split(',').zip(after.split(',')).enumerate() {
+            let simulated = (2..5).contains(&column);
+            assert!(simulated || before == after, "{before} {after}");
+            assert!(!simulated || after.split_once('.').is_some_and(|(_, decimals)| decimals.len() == 4), "{after}");
+        }
+    }
+    let printed = abbe(&small.path("a"), &["run", "recipe.yaml"]);
+    assert_eq!((printed.status, printed.stderr.as_str()), (0, ""));
+}
+
+#[test]
+fn paths_that_lead_out_of_the_folder_are_taken_along() {
+    let small = Small::new();
+    small.write("truth.json", SMALL_TRUTH);
+    let text = small.read("recipe.yaml");
+    let absolute = small.path("data/lengths.csv");
+    let text = text.replace("data/lengths.csv", absolute.to_str().expect("UTF-8"));
+    let text = text.replace(" data/", " ../data/").replace("../data/touches.csv", "../data/../data/./touches.csv");
+    small.write("deep/recipe.yaml", &text);
+    let printed =
+        small.abbe(&["simulate", "deep/recipe.yaml", "--truth", "truth.json", "--seed", "1", "--out", "new/sim"]);
+    assert_eq!((printed.status, printed.stderr.as_str()), (0, ""));
+    assert!(!small.read("new/sim/recipe.yaml").contains(".."));
+    for folder in ["data", "deep"] {
+        fs::remove_dir_all(small.path(folder)).expect("the folder was there");
+    }
+    let printed = small.abbe(&["run", "new/sim/recipe.yaml"]);
+    assert_eq!((printed.status, printed.stderr.as_str()), (0, ""));
+}
+
+#[test]
+fn what_is_not_simulated_is_told() {
+    let small = Small::new();
+    small.write(
+        "truth.json",
+        r#"{ "parameters": { "EA0S": 0.0 }, "noise": { "probing_sigma": 1, "servo_ripple_um": 0.9, "drift": null,
+            "lobing": "0.2 um cos(3 phi)", "outliers": { "999": 1.0 }, "outliers_note": "mm", "resolution_mm": 0 } }"#,
+    );
+    let printed = simulate_small(&small, &["--seed", "1", "--out", "sim"]);
+    assert_eq!(printed.status, 0);
+    insta::assert_snapshot!("simulate_warnings", printed.stderr);
+}
+
+#[test]
+fn bad_input_is_one_clear_error() {
+    let two_machines = |small: &Small| {
+        let text = small.read("recipe.yaml");
+        let (before, after) = text.split_once("  rough:\n").expect("the estimate");
+        let machine = "  other: { model: serial-chain, file: data/machine.yaml, errors: [{ location: [EA0B] }] }\n";
+        let estimate =
+            "  third: { estimate: gauss-newton, machine: other, observations: [table], parameters: [dxt] }\n";
+        small.write("recipe.yaml", &format!("{before}{machine}{estimate}  rough:\n{after}"));
+    };
+    let mut told = String::new();
+    let mut case = |name: &str, truth: &str, more: &[&str], status: i32, change: &dyn Fn(&Small)| {
+        let small = Small::new();
+        if !truth.is_empty() {
+            small.write("truth.json", truth);
+        }
+        small.write("full/note.txt", "kept");
+        change(&small);
+        let arguments = if more.is_empty() { &["--seed", "1", "--out", "sim"] } else { more };
+        let printed = simulate_small(&small, arguments);
+        assert_eq!((printed.status, printed.stdout.as_str()), (status, ""), "{name}: {}", printed.stderr);
+        assert!(!small.path("sim").exists(), "{name}: something was written");
+        let left = fs::read_dir(small.folder.path()).expect("the folder").flatten();
+        let partial = left.filter(|entry| entry.file_name().to_string_lossy().starts_with(".abbe")).count();
+        assert_eq!((partial, small.read("full/note.txt").as_str()), (0, "kept"), "{name}");
+        told.push_str(&format!("-- {name}\n{}\n", printed.stderr));
+    };
+    let none: &dyn Fn(&Small) = &|_| {};
+    case("no truth file", "", &[], 2, none);
+    case("not JSON", "{ \"parameters\": { \"EX0C\": NaN } }", &[], 2, none);
+    case("too large", "{ \"parameters\": { \"EX0C\": 1e999 } }", &[], 2, none);
+    case("no parameters", "{ \"noise\": {} }", &[], 2, none);
+    case("text for a number", "{ \"parameters\": { \"EX0C\": \"0.1\" } }", &[], 2, none);
+    case("unknown name", "{ \"parameters\": { \"EX0S\": 0.1 } }", &[], 2, none);
+    case("unknown name far from all", "{ \"parameters\": { \"length[a-b]\": 0.1 } }", &[], 2, none);
+    case("negative noise", "{ \"parameters\": {}, \"noise\": { \"probing_sigma_mm\": -1 } }", &[], 2, none);
+    case(
+        "noise of no stage",
+        "{ \"parameters\": {}, \"noise\": { \"probing_sigma_mm\": { \"tabel\": 1 } } }",
+        &[],
+        2,
+        none,
+    );
+    case(
+        "drift of nothing",
+        "{ \"parameters\": {}, \"noise\": { \"drift\": { \"component\": \"dzt(t)\", \"tau_s\": 9 } } }",
+        &[],
+        2,
+        none,
+    );
+    case(
+        "drift without time constant",
+        "{ \"parameters\": {}, \"noise\": { \"drift\": { \"component\": \"dzt(t)\", \"gain_mm\": 0.1, \"tau_s\": 0 } } }",
+        &[],
+        2,
+        none,
+    );
+    case(
+        "drift of an unknown parameter",
+        "{ \"parameters\": {}, \"noise\": { \"drift\": { \"parameter\": \"dtz\", \"gain_mm\": 0.1, \"tau_s\": 9 } } }",
+        &[],
+        2,
+        none,
+    );
+    case(
+        "outliers by half",
+        "{ \"parameters\": {}, \"noise\": { \"outliers\": { \"fraction\": 0.1 } } }",
+        &[],
+        2,
+        none,
+    );
+    case("the folder is not empty", SMALL_TRUTH, &["--seed", "1", "--out", "full"], 1, none);
+    case(
+        "contact cannot be reached",
+        "{ \"parameters\": { \"EXX[1]\": 1, \"EYY[1]\": -1, \"EZZ[1]\": -1 } }",
+        &[],
+        1,
+        none,
+    );
+    case("several machines", SMALL_TRUTH, &[], 2, &two_machines);
+    case("no such machine", SMALL_TRUTH, &["--seed", "1", "--out", "sim", "--machine", "machin"], 2, none);
+    insta::assert_snapshot!("simulate_errors", told);
+}
+
+#[test]
+fn one_of_several_machines_is_chosen_by_name() {
+    let small = Small::new();
+    let text = small.read("recipe.yaml");
+    let (before, after) = text.split_once("  rough:\n").expect("the estimate");
+    let machine = "  other: { model: serial-chain, file: data/machine.yaml, errors: [{ location: [EA0B] }] }\n";
+    let estimate = "  third: { estimate: gauss-newton, machine: other, observations: [table], parameters: [dxt] }\n";
+    small.write("recipe.yaml", &format!("{before}{machine}{estimate}  rough:\n{after}"));
+    small.write("truth.json", r#"{ "parameters": { "EA0B": 1e-5, "dzt": 0.01 } }"#);
+    let printed = simulate_small(&small, &["--seed", "1", "--out", "sim", "--machine", "other"]);
+    assert_eq!((printed.status, printed.stderr.as_str()), (0, ""));
+    // The other machine alone observes the bar, whose file stays as it is.
+    assert_eq!(small.read("sim/data/lengths.csv"), small.read("data/lengths.csv"));
+    assert!(small.read("sim/data/touches.csv").starts_with("# simulated"));
+}

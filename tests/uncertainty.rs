@@ -1,0 +1,257 @@
+//! How far to trust results: pooled repeats against what the data were simulated with, known inputs against closed forms,
+//! covariances stated in different ways, and what goes wrong with them.
+
+use abbe_core::{Calibration, ParameterBudget};
+use serde_json::{Value, json};
+
+use crate::support::{Small, Variant, fit, json_file, recipes, root, write};
+
+fn repeated() -> Variant {
+    Variant::of(&recipes()["tango-uncertainty"])
+}
+
+fn budget<'a>(calibration: &'a Calibration, name: &str) -> &'a ParameterBudget {
+    let budget = calibration.uncertainty.as_ref().expect("an estimate has a budget");
+    budget.parameters.iter().find(|parameter| parameter.name == name).unwrap_or_else(|| panic!("no budget of {name}"))
+}
+
+/// The part of a standard uncertainty that comes from the inputs whose name begins so.
+fn part(budget: &ParameterBudget, input: &str) -> f64 {
+    let parts = budget.contributions.iter().filter(|part| part.input.starts_with(input));
+    parts.map(|part| part.standard_uncertainty.powi(2)).sum::<f64>().sqrt()
+}
+
+/// Values of every (day, cycle), and the sum of squared deviations from the mean of those with the same `by`.
+fn pooled(values: &[(u64, u64, f64)], by: &str) -> (f64, usize) {
+    let key = |value: &(u64, u64, f64)| if by == "day" { value.0 } else { value.1 };
+    let mut groups: Vec<u64> = values.iter().map(key).collect();
+    groups.sort_unstable();
+    groups.dedup();
+    let mut sum = 0.0;
+    for group in &groups {
+        let own: Vec<f64> = values.iter().filter(|value| key(value) == *group).map(|value| value.2).collect();
+        let mean = own.iter().sum::<f64>() / own.len() as f64;
+        sum += own.iter().map(|value| (value - mean).powi(2)).sum::<f64>();
+    }
+    (sum, values.len() - groups.len())
+}
+
+#[test]
+fn pooled_repeats_give_the_variances_that_were_put_in() {
+    let truth = json_file(&root().join("tests/truth/tango-hu40t-repeats.json"));
+    let outcome = repeated().only(&["stated", "by-cycle", "by-day"]).run();
+    let cycles = truth["per_cycle"].as_array().expect("cycles");
+    // 0.6 um of probing, 1.5 um of surface and the rounding of three axes to 0.1 um stand for the 1.6 um that the recipe states.
+    let noise = (0.6_f64.powi(2) + 1.5_f64.powi(2) + 0.01 / 12.0) / 1.6_f64.powi(2);
+    let mut worst = 0.0_f64;
+    for by in ["cycle", "day"] {
+        let calibration = &fit(&outcome, &format!("by-{by}")).calibration;
+        for name in truth["estimated"].as_array().expect("names").iter().filter_map(Value::as_str) {
+            let true_values: Vec<(u64, u64, f64)> = cycles
+                .iter()
+                .map(|cycle| {
+                    let value = cycle["parameters"][name].as_f64().expect("a number");
+                    (cycle["day"].as_u64().expect("a day"), cycle["cycle"].as_u64().expect("a cycle"), value)
+                })
+                .collect();
+            let (squares, freedom) = pooled(&true_values, by);
+            assert_eq!(freedom, if by == "cycle" { 16 } else { 15 });
+            let stated = budget(&fit(&outcome, "stated").calibration, name);
+            let variance = noise * part(stated, "table").powi(2) + part(stated, "bar").powi(2);
+            let found = part(budget(calibration, name), &format!("table-by-{by}, bar-by-{by}")).powi(2);
+            // Given what the machine really did, only the noise is a matter of chance.
+            let freedom = freedom as f64;
+            let expected = squares / freedom + variance;
+            let deviation = (4.0 * squares * variance + 2.0 * freedom * variance * variance).sqrt() / freedom;
+            worst = worst.max((found - expected).abs() / deviation);
+            assert!((found - expected).abs() < 4.0 * deviation, "{name} by {by}: {found:e}, expected {expected:e}");
+        }
+    }
+    assert!(worst > 0.5, "40 figures agree too well to be a matter of chance: {worst}");
+}
+
+#[test]
+fn pooled_repeats_propagate_to_the_scatter_of_single_estimates() {
+    let all = repeated().only(&["stated", "by-cycle", "by-day"]);
+    let outcome = all.run();
+    let names: Vec<String> =
+        fit(&outcome, "stated").problem.unknowns.iter().map(|unknown| unknown.name.clone()).collect();
+    let machine = |name: &&String| !name.starts_with("table.");
+    let mut single: Vec<(u64, u64, Calibration)> = Vec::new();
+    for day in 1..=5 {
+        for cycle in 1..=4 {
+            let keep = json!({ "day": [day], "cycle": [cycle] });
+            let one = repeated().only(&["stated"]).set("touches", "keep", keep.clone()).set("lengths", "keep", keep);
+            single.push((day, cycle, fit(&one.run(), "stated").calibration.clone()));
+        }
+    }
+    for by in ["cycle", "day"] {
+        for name in names.iter().filter(machine) {
+            let values: Vec<(u64, u64, f64)> = single
+                .iter()
+                .map(|(day, cycle, calibration)| (*day, *cycle, calibration.get(name).expect("estimated").value))
+                .collect();
+            let (squares, freedom) = pooled(&values, by);
+            let scatter = (squares / freedom as f64).sqrt();
+            let propagated = part(budget(&fit(&outcome, &format!("by-{by}")).calibration, name), "table-by");
+            assert!((propagated / scatter - 1.0).abs() < 2e-3, "{name} by {by}: {propagated:e}, {scatter:e}");
+        }
+    }
+}
+
+#[test]
+fn a_shared_input_acts_as_its_closed_form_says() {
+    let outcome = repeated().only(&["stated"]).run();
+    let calibration = &fit(&outcome, "stated").calibration;
+    // The bar is the only length: if it is longer by a part, everything is, so that the scale of every axis is.
+    for name in ["EXX[1]", "EYY[1]", "EZZ[1]"] {
+        let found = part(budget(calibration, name), "bar.reference_error");
+        assert!((found / (0.4e-3 / 304.6686) - 1.0).abs() < 1e-3, "{name}: {found:e}");
+    }
+    // A larger stylus makes all facets lie lower by as much, and the bar tells nothing of it.
+    let radius = part(budget(calibration, "table.facet[3].d"), "stylus_radius");
+    assert!((radius / 0.5e-3 - 1.0).abs() < 1e-6, "{radius:e}");
+    let considered = calibration.get("stylus_radius").expect("known inputs are listed");
+    assert_eq!((considered.value, considered.standard_uncertainty), (3.0, 0.5e-3));
+    for parameter in &calibration.uncertainty.as_ref().expect("a budget").parameters {
+        let sum = parameter.contributions.iter().map(|part| part.standard_uncertainty.powi(2)).sum::<f64>().sqrt();
+        assert!((sum / parameter.standard_uncertainty - 1.0).abs() < 1e-9, "{}", parameter.name);
+        let told = calibration.get(&parameter.name).expect("an estimated parameter").standard_uncertainty;
+        assert!((told / parameter.standard_uncertainty - 1.0).abs() < 1e-9, "{}", parameter.name);
+        let expanded = parameter.expanded_uncertainty / parameter.standard_uncertainty;
+        assert!((expanded - 1.959_964).abs() < 1e-5, "stated uncertainties are trusted: {expanded}");
+    }
+}
+
+/// The small recipe with settings of the table's rows.
+fn with(settings: &Value) -> (Small, String) {
+    let small = Small::new();
+    let more: String =
+        settings.as_object().expect("settings").iter().map(|(key, value)| format!("{key}: {value}, ")).collect();
+    let recipe =
+        small.read("recipe.yaml").replace("nominal: data/facets.csv, ", &format!("nominal: data/facets.csv, {more}"));
+    small.write("recipe.yaml", &recipe);
+    let printed = small.abbe(&["run", "recipe.yaml"]);
+    let told = if printed.status == 0 { String::new() } else { format!("{}: {}", printed.status, printed.stderr) };
+    (small, told)
+}
+
+fn result(settings: &Value) -> Calibration {
+    let (small, told) = with(settings);
+    assert_eq!(told, "");
+    Calibration::from_json(&small.read("out/recipe/fine.calibration.json")).expect("a calibration")
+}
+
+/// Largest difference of values and standard uncertainties, in standard uncertainties.
+fn difference(one: &Calibration, other: &Calibration) -> f64 {
+    let pairs = one.parameters.iter().chain(&one.artefacts).zip(other.parameters.iter().chain(&other.artefacts));
+    pairs
+        .filter(|(one, _)| one.standard_uncertainty > 0.0)
+        .map(|(one, other)| {
+            let value = (one.value - other.value).abs() / one.standard_uncertainty;
+            value.max((one.standard_uncertainty / other.standard_uncertainty - 1.0).abs())
+        })
+        .fold(0.0, f64::max)
+}
+
+/// A covariance file of the small recipe's touches.
+fn matrix(small: &Small, entry: impl Fn(&str, &str) -> f64) -> String {
+    let touches = small.read("data/touches.csv");
+    let rows: Vec<Vec<&str>> = touches.lines().skip(1).map(|line| line.split(',').collect()).collect();
+    let header: Vec<String> = rows.iter().map(|row| format!("{}_um2", row[0])).collect();
+    let mut text = format!("touch,{}\n", header.join(","));
+    for (index, row) in rows.iter().enumerate() {
+        let line: Vec<String> = (rows.iter().enumerate())
+            .map(|(other, column)| {
+                let own = if index == other { 1.6 * 1.6 } else { 0.0 };
+                (own + entry(row[1], column[1])).to_string()
+            })
+            .collect();
+        text.push_str(&format!("{},{}\n", row[0], line.join(",")));
+    }
+    text
+}
+
+#[test]
+fn the_same_covariance_stated_in_different_ways_gives_the_same_result() {
+    let folder = crate::support::temporary();
+    let file = folder.path().join("covariance.csv");
+    let small = Small::new();
+    let plain = result(&json!({}));
+
+    write(&file, &matrix(&small, |_, _| 0.0));
+    let independent = result(&json!({ "uncertainty": { "covariance": file } }));
+    assert!(difference(&plain, &independent) < 1e-6);
+    let by = json!({ "uncertainty": { "by": "feature", "standard_um": { "3": 1.6, "4": 1.6 } } });
+    assert!(difference(&plain, &result(&by)) == 0.0);
+    assert!(difference(&plain, &result(&json!({ "uncertainty": { "directions_um": [1.6] } }))) == 0.0);
+
+    write(&file, &matrix(&small, |one, other| if one == other { 9.0 } else { 0.0 }));
+    let full = result(&json!({ "uncertainty": { "covariance": file } }));
+    let shared = json!({ "uncertainty": { "shared": [{ "by": "feature", "standard_uncertainty_um": 3.0 }] } });
+    let shared = result(&shared);
+    assert!(difference(&full, &shared) < 1e-6, "{}", difference(&full, &shared));
+    // What all touches of a facet share is its offset: nothing else becomes less certain, the offsets do. (Exact data leave
+    // no scatter of their own, so that only stated uncertainties are compared.)
+    let stated = |calibration: &Calibration, name: &str| budget(calibration, name).stated_standard_uncertainty;
+    assert!((stated(&shared, "EXX[1]") / stated(&plain, "EXX[1]") - 1.0).abs() < 1e-6);
+    let offset = "table.facet[5].d";
+    let expected = (stated(&plain, offset).powi(2) + 3e-3_f64.powi(2)).sqrt();
+    assert!((stated(&shared, offset) / expected - 1.0).abs() < 1e-6);
+}
+
+#[test]
+fn uncertainties_that_are_none_are_refused() {
+    let folder = crate::support::temporary();
+    let file = folder.path().join("covariance.csv");
+    let small = Small::new();
+    let touches = |change: &dyn Fn(String) -> String| {
+        write(&file, &change(matrix(&small, |_, _| 0.0)));
+        let (_, told) = with(&json!({ "uncertainty": { "covariance": file } }));
+        told.replace(&format!("{}/", folder.path().display()), "")
+    };
+    let singular = matrix(&small, |one, other| if one == other { 1.0 } else { 0.0 }).replace("3.5600000000000005", "1");
+    let mut messages = vec![
+        touches(&|_| singular.clone()),
+        touches(&|text| text.replacen("2.5600000000000005", "-2.56", 1)),
+        touches(&|text| text.replacen("2.5600000000000005,0,0", "2.5600000000000005,0.5,0", 1)),
+        touches(&|text| text.lines().take(40).collect::<Vec<_>>().join("\n") + "\n"),
+        touches(&|text| text.replacen("2.5600000000000005", "two", 1)),
+        touches(&|text| text.replacen("2_um2", "2_mm", 1)),
+        touches(&|_| String::new()),
+    ];
+    for settings in [
+        json!({ "uncertainty": { "covariance": "missing.csv" } }),
+        json!({ "uncertainty": { "colum": "u" } }),
+        json!({ "uncertainty": { "column": "u" } }),
+        json!({ "uncertainty": { "column": "u", "directions_um": [1] } }),
+        json!({ "uncertainty": { "by": "feature" } }),
+        json!({ "uncertainty": { "by": "feature", "standard_um": { "99": 1.0 } } }),
+        json!({ "uncertainty": { "by": "feature", "standard_um": { "3": -1.0 } } }),
+        json!({ "uncertainty": { "directions_um": [1, 1, 1] } }),
+        json!({ "uncertainty": { "row_covariance_um2": [[1, 2], [2, 1]] } }),
+        json!({ "uncertainty": { "row_covariance_um2": [[1, 0], [0, 1]] } }),
+        json!({ "uncertainty": { "shared": [{ "by": "grup", "standard_uncertainty_um": 1 }] } }),
+        json!({ "uncertainty": { "shared": [{ "by": "group", "standard_uncertainty_um": 0 }] } }),
+        json!({ "pooled": { "by": "cycle" } }),
+        json!({ "repeats": "touches" }),
+    ] {
+        messages.push(with(&settings).1);
+    }
+    // Every touch is its own day: nothing was repeated.
+    let days = |text: &str, rows_a_day: usize| {
+        let mut lines = text.lines().enumerate();
+        let header = format!("{},day\n", lines.next().expect("a header").1);
+        header + &lines.map(|(line, text)| format!("{text},{}\n", line / rows_a_day)).collect::<String>()
+    };
+    for (rows_a_day, by) in [(usize::MAX, "day"), (21, "day"), (usize::MAX, "cycle")] {
+        let small = Small::new();
+        small.write("data/touches.csv", &days(&small.read("data/touches.csv"), rows_a_day));
+        let nominal = "nominal: data/facets.csv,";
+        let recipe = small.read("recipe.yaml").replace(nominal, &format!("{nominal} pooled: {{ by: {by} }},"));
+        small.write("recipe.yaml", &recipe);
+        let printed = small.abbe(&["run", "recipe.yaml"]);
+        messages.push(format!("{}: {}", printed.status, printed.stderr));
+    }
+    insta::assert_snapshot!(messages.join("\n"));
+}
