@@ -2,7 +2,7 @@
 
 use std::sync::Arc;
 
-use nalgebra::{DMatrix, DVector};
+use nalgebra::{DMatrix, DVector, Matrix3, Vector3};
 
 use crate::error::{Error, Result};
 use crate::model::{AxisKind, KinematicModel, Variable};
@@ -267,12 +267,29 @@ fn smallest_step(gradient: &[f64], values: &[f64], wanted: &[f64]) -> Option<Vec
         let factor = (square > NO_EFFECT * NO_EFFECT).then_some((wanted - value) / square)?;
         return Some(gradient.iter().map(|slope| slope * factor).collect());
     }
+    if let Some(step) = smallest_step_of_three(gradient, values, wanted) {
+        return Some(step);
+    }
     let gradient = DMatrix::from_row_slice(values.len(), gradient.len() / values.len(), gradient);
     let missing = DVector::from_iterator(values.len(), wanted.iter().zip(values).map(|(wanted, value)| wanted - value));
     // A singular value decomposition of what is not finite would not end.
     let finite = gradient.iter().chain(&missing).all(|value| value.is_finite());
     let step = finite.then(|| gradient.svd(true, true).solve(&missing, NO_EFFECT))?.ok()?;
     Some(step.as_slice().to_vec())
+}
+
+/// [`smallest_step`] to three values by normal equations, which is all that most rows need; none if they are too close to
+/// singular for that.
+fn smallest_step_of_three(gradient: &[f64], values: &[f64], wanted: &[f64]) -> Option<Vec<f64>> {
+    let ([a, b, c], [x, y, z]) = (values, wanted) else { return None };
+    let rows: Vec<&[f64]> = gradient.chunks_exact(gradient.len() / 3).collect();
+    let product = |i: usize, j: usize| rows[i].iter().zip(rows[j]).map(|(one, other)| one * other).sum::<f64>();
+    let normal = Matrix3::from_fn(product);
+    if normal.determinant() <= 1e-3 * (normal.trace() / 3.0).powi(3) {
+        return None;
+    }
+    let factors = normal.try_inverse()? * Vector3::new(x - a, y - b, z - c);
+    Some((0..rows[0].len()).map(|k| (0..3).map(|i| factors[i] * rows[i][k]).sum()).collect())
 }
 
 impl Workspace {

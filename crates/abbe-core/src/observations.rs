@@ -134,6 +134,8 @@ pub struct Layout {
     pub poses: PoseTable,
     /// Standard uncertainty of every equation, mm or rad.
     pub standard_uncertainties: Vec<f64>,
+    /// Rows of the data set that went into rows beside the one that each names: touches into a centre.
+    pub merged: Vec<usize>,
     sources: Vec<Vec<StatusSource>>,
 }
 
@@ -151,6 +153,7 @@ impl Layout {
             rows: Vec::new(),
             poses: PoseTable::new(model),
             standard_uncertainties: Vec::new(),
+            merged: Vec::new(),
             sources,
         })
     }

@@ -183,7 +183,8 @@ impl Prepared {
             let (ingest, artefact) = self.artefact(name)?;
             let observations = artefact.observe(&data[ingest], model.as_ref()).map_err(|error| error.stage(name))?;
             let rows = observations.layout().rows.iter().filter_map(|row| row.data_row);
-            taken.entry(ingest.to_owned()).or_default().extend(rows);
+            let merged = observations.layout().merged.iter().copied();
+            taken.entry(ingest.to_owned()).or_default().extend(rows.chain(merged));
             let repeats = self.repeats(name)?.map(|repeats| artefact.observe(&data[repeats], model.as_ref()));
             let repeats = repeats.transpose().map_err(|error| error.stage(name))?;
             let set = self.rows[name].set(name, observations, repeats, &model);

@@ -127,11 +127,24 @@ impl Prepared {
         let used: Vec<&Dataset> = data.values().map(AsRef::as_ref).collect();
         let model = self.located(stage, self.models[machine].build(&used))?;
         let mut claimed = BTreeSet::new();
-        let mut sets = Vec::new();
+        let (mut sets, mut combined) = (Vec::new(), Vec::new());
         for (artefact, from) in sources {
             let observe = |artefact: &Stage| self.artefacts[&artefact.name].observe(&data[from], model.as_ref());
             let observations = self.located(artefact, observe(artefact))?;
-            sets.push(unclaimed(&artefact.name, observations, &mut claimed));
+            match observations.layout().merged.is_empty() {
+                true => sets.push(unclaimed(&artefact.name, observations, &mut claimed)),
+                false => combined.push((artefact, observations)),
+            }
+        }
+        for (artefact, observations) in combined {
+            // What is recorded are the single touches: they have to be measured by an artefact that takes them as such.
+            if !unclaimed(&artefact.name, observations, &mut claimed).rows.is_empty() {
+                let error =
+                    Error::usage("its rows combine several recorded ones, which cannot be told from the combination");
+                let error =
+                    error.help("observe an artefact in another estimate that takes the recorded rows one by one");
+                return self.located(artefact, Err(error));
+            }
         }
         // Nothing is estimated here: neither unknowns nor the uncertainty of inputs matter.
         Ok(Problem {

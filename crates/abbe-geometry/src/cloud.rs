@@ -45,7 +45,7 @@ impl<const D: usize> Cloud<D> {
             return Err(FitError::Undetermined { shape, because: "they coincide" });
         }
         let points: Vec<SVector<f64, D>> = centred.iter().map(|point| point / scale).collect();
-        let (singular_values, directions) = right_singular(&points);
+        let (singular_values, directions) = right_singular(points.len(), D, |row, column| points[row][column]);
         let spreads = singular_values.iter().map(|value| value / singular_values[0]).collect();
         let directions = directions.iter().map(|direction| SVector::from_column_slice(direction.as_slice())).collect();
         let rounding = ROUNDINGS * f64::EPSILON * far / scale;
@@ -68,11 +68,15 @@ impl<const D: usize> Cloud<D> {
     }
 }
 
-/// Singular values and right singular vectors of a matrix with these rows, the largest first. Rows of zeros fill up what
-/// is missing to a full set of vectors.
-pub fn right_singular<const D: usize>(rows: &[SVector<f64, D>]) -> (Vec<f64>, Vec<DVector<f64>>) {
-    let matrix = DMatrix::from_fn(rows.len().max(D), D, |row, column| rows.get(row).map_or(0.0, |row| row[column]));
-    let svd = matrix.qr().r().svd(false, true);
+/// Singular values and right singular vectors of a matrix, the largest first. Rows of zeros fill up what is missing to a
+/// full set of vectors.
+pub fn right_singular(
+    rows: usize,
+    columns: usize,
+    entry: impl Fn(usize, usize) -> f64,
+) -> (Vec<f64>, Vec<DVector<f64>>) {
+    let filled = |row, column| if row < rows { entry(row, column) } else { 0.0 };
+    let svd = DMatrix::from_fn(rows.max(columns), columns, filled).qr().r().svd(false, true);
     let vectors = svd.v_t.map(|vectors| vectors.row_iter().map(|vector| vector.transpose()).collect());
     (svd.singular_values.as_slice().to_vec(), vectors.unwrap_or_default())
 }

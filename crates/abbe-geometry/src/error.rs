@@ -41,3 +41,14 @@ impl fmt::Display for FitError {
 }
 
 impl std::error::Error for FitError {}
+
+impl FitError {
+    /// The same for the shape that was really asked for.
+    pub(crate) fn of(self, asked: &'static str) -> Self {
+        match self {
+            Self::TooFew { needed, found, .. } => Self::TooFew { shape: asked, needed, found },
+            Self::Undetermined { because, .. } => Self::Undetermined { shape: asked, because },
+            other => other,
+        }
+    }
+}

@@ -62,7 +62,8 @@ impl<T: Distances> LeastSquares for Weighted<'_, T> {
 
 /// The parameters with the smallest sum of squared distances, for points that spread by about 1.
 pub fn minimise<T: Distances>(shape: &'static str, distances: &T, start: &[f64]) -> Result<Vec<f64>, FitError> {
-    let options = Options { iterations: 200, tolerance: 1e-15 / UNIT, rank: distances.parameters(), robust: None };
+    let options =
+        Options { iterations: 200, tolerance: 1e-15 / UNIT, rank: distances.parameters(), robust: None, near: false };
     let Ok(solution) = solve(&Weighted(distances), start, &options);
     match solution.end {
         End::Converged => Ok(solution.x),

@@ -15,9 +15,11 @@ mod fitted;
 mod flat;
 mod iteration;
 mod round;
+mod spatial;
 
 pub use cylinder::{Cylinder, cylinder};
 pub use error::FitError;
 pub use fitted::Fitted;
 pub use flat::{Line, Plane, across, line, plane};
-pub use round::{Circle, CircleInPlane, PlaneCircle, Round, Sphere, circle, plane_circle, sphere};
+pub use round::{Circle, Round, Sphere, circle, sphere};
+pub use spatial::{SpatialCircle, SpatialFit, spatial_circle};

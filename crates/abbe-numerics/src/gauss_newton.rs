@@ -36,6 +36,8 @@ pub struct Options {
     pub rank: usize,
     /// Robust weights.
     pub robust: Option<Robust>,
+    /// The start is almost the solution: robust weights are found from there, without the way that leads to it from afar.
+    pub near: bool,
 }
 
 /// How the iteration ended.
@@ -84,15 +86,21 @@ pub(crate) fn factorise<P: LeastSquares + ?Sized>(
 /// Every step is that of the linearised problem, columns scaled, within its first `rank` singular directions, and is
 /// halved while it does not make the sum of squares smaller.
 pub fn solve<P: LeastSquares + ?Sized>(problem: &P, start: &[f64], options: &Options) -> Result<Solution, P::Error> {
-    let mut minimum = minimise(problem, start.to_vec(), None, options)?;
-    let mut iterations = minimum.iterations;
     let Some(robust) = options.robust else {
-        return Ok(Solution { x: minimum.x, iterations, end: minimum.end, robust: None });
+        let minimum = minimise(problem, start.to_vec(), None, options)?;
+        return Ok(Solution { x: minimum.x, iterations: minimum.iterations, end: minimum.end, robust: None });
     };
+    let mut minimum = match options.near {
+        false => minimise(problem, start.to_vec(), None, options)?,
+        true => {
+            Minimum { x: start.to_vec(), end: End::Converged, iterations: 0, factor: factorise(problem, start, None)? }
+        }
+    };
+    let mut iterations = minimum.iterations;
     // Huber's loss has one minimum and takes the estimate near enough for Tukey's, which has many.
     let phases: &[(Robust, usize)] = match robust.loss {
-        Loss::Huber => &[(robust, ROUNDS)],
-        Loss::Tukey => &[(Robust::HUBER, 5), (robust, ROUNDS)],
+        Loss::Tukey if !options.near => &[(Robust::HUBER, 5), (robust, ROUNDS)],
+        _ => &[(robust, ROUNDS)],
     };
     let mut weights = vec![1.0; problem.rows()];
     let mut studentised = Vec::new();
@@ -105,7 +113,7 @@ pub fn solve<P: LeastSquares + ?Sized>(problem: &P, start: &[f64], options: &Opt
             let before = std::mem::take(&mut weights);
             weights = studentised.iter().map(|size| phase.weight(size / spread)).collect();
             let changed = weights.iter().zip(&before).map(|(now, before)| (now - before).abs()).fold(0.0, f64::max);
-            settled = changed < SETTLED;
+            settled = changed < if options.near { NEARLY_SETTLED } else { SETTLED };
             // With step control: where the rows hardly determine a direction, bare steps go astray.
             let tolerance = if settled { options.tolerance } else { SMALL };
             minimum = minimise(problem, minimum.x, Some(&weights), &Options { tolerance, ..*options })?;
@@ -147,6 +155,9 @@ const SMALL: f64 = 1e-3;
 /// Robust weights that change by less than this have settled: what is left moves no estimate by more than about this part
 /// of its uncertainty.
 const SETTLED: f64 = 1e-4;
+
+/// The same for an estimate that is one of thousands.
+const NEARLY_SETTLED: f64 = 1e-3;
 
 /// Most rounds of robust weights: they settle slowly where a row is about to be left out.
 const ROUNDS: usize = 200;

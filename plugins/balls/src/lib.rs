@@ -4,6 +4,8 @@
 //! distance between two balls `|P2 + c2 - P1 - c1| - L = 0`. p is the tip and P the nominal centre in the table frame, c
 //! the ball's own offset, R its radius, r the effective stylus radius.
 
+mod centres;
+
 use std::collections::BTreeMap;
 use std::path::PathBuf;
 use std::sync::Arc;
@@ -11,7 +13,7 @@ use std::sync::Arc;
 use abbe_core::{
     Artefact, Build, ColumnHeader, Constructor, Contact, Context, Dataset, Equations, Error, Feature, InputFile,
     KinematicModel, KnownInput, Label, Layout, Observations, Parameter, PathItem, Plugin, PoseValues, Quantity, Result,
-    SettingsError, Target, Unit, inventory, plain_naming, pose_columns, positive,
+    SettingsError, Target, Unit, inventory, not_negative, plain_naming, pose_columns, positive,
 };
 use nalgebra::Vector3;
 use schemars::JsonSchema;
@@ -39,6 +41,10 @@ struct Settings {
     /// What a data row is.
     #[serde(default)]
     rows: Rows,
+    /// Fit the centre of every ball first, from its touches with the same label in this column (the indexation), and let
+    /// centres take part instead of touches.
+    #[serde(default)]
+    centres_by: Option<String>,
     /// Whether the radius of every ball is known or estimated (`ball[1].radius`, its deviation from nominal).
     #[serde(default)]
     radius: Radius,
@@ -95,6 +101,14 @@ fn example() -> Value {
 fn build(settings: &Value, context: &Context) -> Result<Box<dyn Artefact>, SettingsError> {
     let settings: Settings = abbe_core::from_settings(settings)?;
     positive("standard_uncertainty_um", settings.standard_uncertainty_um)?;
+    not_negative("stylus_radius_standard_uncertainty_um", settings.stylus_radius_standard_uncertainty_um)?;
+    if settings.centres_by.is_some() && settings.rows == Rows::Centres {
+        return Err(SettingsError::new("centres_by", "the rows are centres already"));
+    }
+    if settings.centres_by.is_some() && settings.radius == Radius::Estimated {
+        return Err(SettingsError::new("centres_by", "centres are fitted with known radii; they cannot tell radii")
+            .help("leave out `centres_by`, or `radius: estimated`"));
+    }
     for (index, distance) in settings.distances.iter().enumerate() {
         let at = |error: SettingsError| error.under([PathItem::Key("distances".to_owned()), PathItem::Index(index)]);
         positive("length_mm", distance.length_mm).map_err(at)?;
@@ -147,6 +161,27 @@ impl Balls {
     }
 }
 
+impl Balls {
+    /// Data rows as they are, with the ball of each.
+    fn rows(
+        &self,
+        data: &Arc<Dataset>,
+        model: &dyn KinematicModel,
+        touched: &[(usize, usize)],
+        uncertainty: f64,
+    ) -> Result<(Layout, Vec<usize>)> {
+        let mut layout = Layout::new(data, model, &[&plain_naming])?;
+        let uncertainties = match self.settings.rows {
+            Rows::Touches => vec![uncertainty],
+            Rows::Centres => vec![uncertainty; 3],
+        };
+        for (row, _) in touched {
+            layout.push(model, *row, &uncertainties)?;
+        }
+        Ok((layout, touched.iter().map(|(_, ball)| *ball).collect()))
+    }
+}
+
 impl Artefact for Balls {
     fn inputs(&self) -> Vec<InputFile> {
         vec![InputFile { setting: "nominal", path: self.nominal.clone() }]
@@ -167,19 +202,14 @@ impl Artefact for Balls {
 
     fn observe(&self, data: &Arc<Dataset>, model: &dyn KinematicModel) -> Result<Arc<dyn Observations>> {
         let nominal = self.read_nominal()?;
-        let mut layout = Layout::new(data, model, &[&plain_naming])?;
         let uncertainty = self.settings.standard_uncertainty_um * 1e-3;
-        let uncertainties = match self.settings.rows {
-            Rows::Touches => vec![uncertainty],
-            Rows::Centres => vec![uncertainty; 3],
-        };
         let of_rows = self.ball_of_rows(data, &nominal)?;
         let touched = abbe_table::touched(&of_rows, &self.nominal)?;
-        for (row, _) in &touched.rows {
-            layout.push(model, *row, &uncertainties)?;
-        }
-        let ball_of_row = touched.rows.iter().map(|(_, ball)| *ball).collect();
         let balls: Vec<Ball> = touched.features.iter().map(|&ball| nominal[ball].clone()).collect();
+        let (mut layout, ball_of_row) = match &self.settings.centres_by {
+            Some(by) => centres::of_touches(data, model, &touched.rows, &balls, by, uncertainty)?,
+            None => self.rows(data, model, &touched.rows, uncertainty)?,
+        };
 
         let mut unknowns = Vec::new();
         let estimated = self.settings.radius == Radius::Estimated;
@@ -213,7 +243,7 @@ impl Artefact for Balls {
                 shared: false,
             });
         }
-        let rows = self.settings.rows;
+        let rows = if self.settings.centres_by.is_some() { Rows::Centres } else { self.settings.rows };
         Ok(Arc::new(Touches { layout, unknowns, inputs, balls, ball_of_row, distances, rows, estimated }))
     }
 

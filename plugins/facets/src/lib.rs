@@ -1,16 +1,20 @@
-//! Artefact plugin `facets`: plane patches, known nominally by a point and a normal, touched with the machine's probe.
+//! Artefact plugin `facets`: plane or curved patches, known nominally by a point and a normal, touched with the machine's probe.
 //!
 //! Equation (Rahman & Mayer 2015): `n . (p - P) - d - r = 0`, with the tip p and the nominal point P in the table frame,
 //! the outward unit normal n, the facet's own offset d along it and the effective stylus radius r.
+//!
+//! A facet may lie on a cylinder or a sphere of radius R (negative if it is hollow) instead: then a touch beside the nominal
+//! point meets the surface lower, and the equation is that of the distance from the axis or the centre,
+//! `sign(R) |p - C| - R - d - r = 0` with `C = P - R n` and, for a cylinder, without the part of p - C along the axis.
 
 use std::collections::BTreeMap;
 use std::path::PathBuf;
 use std::sync::Arc;
 
 use abbe_core::{
-    Artefact, Build, ColumnHeader, Constructor, Contact, Context, Dataset, Equations, Feature, InputFile,
-    KinematicModel, KnownInput, Layout, Observations, Parameter, Plugin, PoseValues, Quantity, Result, SettingsError,
-    Target, Unit, inventory, plain_naming, pose_columns, positive,
+    Artefact, Build, ColumnHeader, Constructor, Contact, Context, Dataset, Equations, Error, Feature, InputFile,
+    KinematicModel, KnownInput, Label, Layout, Observations, Parameter, PathItem, Plugin, PoseValues, Quantity, Result,
+    SettingsError, Target, Unit, inventory, not_negative, plain_naming, pose_columns, positive,
 };
 use nalgebra::Vector3;
 use schemars::JsonSchema;
@@ -38,6 +42,23 @@ struct Settings {
     /// Standard uncertainty of the effective stylus radius, shared by all touches.
     #[serde(default)]
     stylus_radius_standard_uncertainty_um: f64,
+    /// Facets on curved surfaces; all others are plane.
+    #[serde(default)]
+    curved: Vec<Curved>,
+}
+
+/// Facets on the same kind of curved surface.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+struct Curved {
+    /// Their labels; all facets of the nominal file unless some are named.
+    #[serde(default)]
+    features: Vec<Label>,
+    /// Radius of the surface at the facet, negative if it is hollow.
+    radius_mm: f64,
+    /// Direction of the axis of a cylinder, table frame; without it the surface is a sphere.
+    #[serde(default)]
+    axis: Option<[f64; 3]>,
 }
 
 fn example() -> Value {
@@ -47,6 +68,16 @@ fn example() -> Value {
 fn build(settings: &Value, context: &Context) -> Result<Box<dyn Artefact>, SettingsError> {
     let settings: Settings = abbe_core::from_settings(settings)?;
     positive("standard_uncertainty_um", settings.standard_uncertainty_um)?;
+    not_negative("stylus_radius_standard_uncertainty_um", settings.stylus_radius_standard_uncertainty_um)?;
+    for (index, curved) in settings.curved.iter().enumerate() {
+        let at = |error: SettingsError| error.under([PathItem::Key("curved".to_owned()), PathItem::Index(index)]);
+        if !(curved.radius_mm.is_finite() && curved.radius_mm != 0.0) {
+            return Err(at(SettingsError::new("radius_mm", "a radius that is not zero was expected")));
+        }
+        if curved.axis.is_some_and(|axis| Vector3::from(axis).try_normalize(1e-9).is_none()) {
+            return Err(at(SettingsError::new("axis", "a direction was expected: x, y, z, not all zero")));
+        }
+    }
     Ok(Box::new(Facets { nominal: context.path(&settings.nominal), settings }))
 }
 
@@ -61,9 +92,67 @@ struct Facet {
     label: String,
     point: Vector3<f64>,
     normal: Vector3<f64>,
+    curved: Option<Surface>,
 }
 
+/// A curved surface at a facet.
+#[derive(Debug, Clone, PartialEq)]
+struct Surface {
+    /// Radius, mm; negative if it is hollow.
+    radius: f64,
+    /// Unit direction of the axis; none for a sphere.
+    axis: Option<Vector3<f64>>,
+}
+
+impl Facet {
+    /// The distance of a tip from the nominal surface, positive outwards, and its derivative to the tip.
+    fn distance(&self, tip: Vector3<f64>) -> (f64, Vector3<f64>) {
+        let from_point = tip - self.point;
+        let Some(Surface { radius, axis }) = &self.curved else { return (self.normal.dot(&from_point), self.normal) };
+        let from_centre = from_point + *radius * self.normal;
+        let across = axis.map_or(from_centre, |axis| from_centre - from_centre.dot(&axis) * axis);
+        let outward = radius.signum() * across.normalize();
+        (radius.signum() * across.norm() - radius, outward)
+    }
+}
+
+/// Facets whose axis is further from perpendicular to the normal than this (sine) do not lie on their cylinder.
+const SKEW: f64 = 1e-3;
+
 impl Facets {
+    /// The curved surface of a facet; fails for a cylinder that does not have this normal.
+    fn surface(&self, label: &str, normal: Vector3<f64>) -> Result<Option<Surface>, String> {
+        let of_facet =
+            |curved: &&Curved| curved.features.is_empty() || curved.features.iter().any(|feature| feature.0 == label);
+        let Some(curved) = self.settings.curved.iter().find(of_facet) else { return Ok(None) };
+        let axis = curved.axis.map(|axis| Vector3::from(axis).normalize());
+        match axis.map(|axis| axis.dot(&normal).abs()) {
+            Some(skew) if skew > SKEW => {
+                Err(format!("the normal of facet {label} is not perpendicular to the axis of its cylinder"))
+            }
+            _ => Ok(Some(Surface { radius: curved.radius_mm, axis })),
+        }
+    }
+
+    /// Refuses curved facets that the nominal file does not have.
+    fn known(&self, nominal: &[Facet]) -> Result<()> {
+        for (index, curved) in self.settings.curved.iter().enumerate() {
+            for (place, Label(label)) in curved.features.iter().enumerate() {
+                if !nominal.iter().any(|facet| facet.label == *label) {
+                    let mut error = Error::usage(format!("the nominal file has no facet {label}"));
+                    error.setting = vec![
+                        PathItem::Key("curved".to_owned()),
+                        PathItem::Index(index),
+                        PathItem::Key("features".to_owned()),
+                        PathItem::Index(place),
+                    ];
+                    return Err(error);
+                }
+            }
+        }
+        Ok(())
+    }
+
     fn read_nominal(&self) -> Result<Vec<Facet>> {
         let table = abbe_table::read(&self.nominal)?;
         abbe_table::unique_labels(&table, "feature")?;
@@ -78,7 +167,9 @@ impl Facets {
                 let message = format!("the normal of facet {label} has length {:.4}; 1 was expected", normal.norm());
                 return Err(table.error_at(row, message).help("nx, ny, nz are the outward unit normal"));
             }
-            Ok(Facet { label, point, normal: normal.normalize() })
+            let normal = normal.normalize();
+            let curved = self.surface(&label, normal).map_err(|message| table.error_at(row, message))?;
+            Ok(Facet { label, point, normal, curved })
         })
         .collect()
     }
@@ -107,6 +198,7 @@ impl Artefact for Facets {
 
     fn observe(&self, data: &Arc<Dataset>, model: &dyn KinematicModel) -> Result<Arc<dyn Observations>> {
         let nominal = self.read_nominal()?;
+        self.known(&nominal)?;
         let by_label: BTreeMap<&str, usize> =
             nominal.iter().enumerate().map(|(index, facet)| (facet.label.as_str(), index)).collect();
         let mut layout = Layout::new(data, model, &[&plain_naming])?;
@@ -165,9 +257,9 @@ impl Observations for Touches {
     fn evaluate(&self, rows: &[usize], poses: PoseValues<'_>, own: &[f64], inputs: &[f64], out: &mut Equations) {
         for (&row, position) in rows.iter().zip(poses.positions) {
             let index = self.facet_of_row[row];
-            let Facet { point, normal, .. } = &self.facets[index];
-            out.equation(normal.dot(&(Vector3::from(*position) - point)) - own[index] - inputs[0]);
-            out.position((*normal).into());
+            let (distance, outward) = self.facets[index].distance(Vector3::from(*position));
+            out.equation(distance - own[index] - inputs[0]);
+            out.position(outward.into());
             out.own(index, -1.0);
             out.input(0, -1.0);
         }

@@ -232,6 +232,7 @@ fn correlations(problem: &Problem, covariance: &[Vec<f64>]) -> Vec<Correlated> {
             }
         }
     }
-    pairs.sort_by(|a, b| b.correlation.abs().total_cmp(&a.correlation.abs()));
+    let size = |pair: &Correlated| (pair.correlation.abs() * 1e6).round();
+    pairs.sort_by(|a, b| size(b).total_cmp(&size(a)));
     pairs
 }

@@ -51,7 +51,9 @@ fn named(problem: &Problem, spectrum: &Spectrum, singular_value: f64, direction:
             parts.push((effect.abs(), combination));
         }
     }
-    parts.sort_by(|a, b| b.0.total_cmp(&a.0));
+    // Effects that differ by rounding only stay in the order of the unknowns, on any machine.
+    let size = |part: &(f64, Combination)| (part.0 / largest * 1e6).round();
+    parts.sort_by(|a, b| size(b).total_cmp(&size(a)));
     let unit = parts.first().map_or(1.0, |(_, largest)| largest.coefficient);
     let combination = parts.into_iter().map(|(_, mut part)| {
         part.coefficient /= unit;

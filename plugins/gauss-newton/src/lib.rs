@@ -194,8 +194,8 @@ impl GaussNewton {
         Ok(())
     }
 
-    fn options(&self, rank: usize, tolerance: f64) -> Options {
-        Options { iterations: self.settings.iterations, tolerance, rank, robust: self.robust() }
+    fn options(&self, rank: usize, tolerance: f64, near: bool) -> Options {
+        Options { iterations: self.settings.iterations, tolerance, rank, robust: self.robust(), near }
     }
 
     /// The values of the unknowns; fails where the iteration does not converge.
@@ -214,7 +214,7 @@ impl GaussNewton {
     fn solve(&self, problem: &Problem, lost: Option<Identifiability>, explained: bool) -> Result<Calibration> {
         let rank = lost.as_ref().map_or(problem.unknowns.len(), |lost| lost.rank);
         let weighted = self.weighted(problem)?;
-        let solution = self.iterate(&weighted, &problem.start(), &self.options(rank, 1e-9))?;
+        let solution = self.iterate(&weighted, &problem.start(), &self.options(rank, 1e-9, false))?;
         let at_contact = problem.at_contact(&solution.x)?;
         // What is left out by its weight does not inform; what is weighed down still does.
         let kept: Option<Vec<f64>> = (solution.robust.as_ref())
@@ -326,7 +326,7 @@ impl Estimate for GaussNewton {
 
     fn values(&self, problem: &Problem) -> Result<Vec<f64>> {
         // Near the solution: what is left after this step is its square.
-        let options = self.options(problem.unknowns.len(), 1e-6);
+        let options = self.options(problem.unknowns.len(), 1e-6, true);
         Ok(self.iterate(&self.weighted(problem)?, &problem.start(), &options)?.x)
     }
 

@@ -7,6 +7,8 @@ use abbe_core::{Calibration, Figure, PathItem, Problem, SettingsError};
 /// Largest admissible values by [`key`].
 pub type Limits = BTreeMap<String, f64>;
 
+/// Unit of coordinates and sizes in figures.
+pub const MM: &str = "mm";
 /// Unit of lengths in figures.
 pub const UM: &str = "um";
 /// Unit of angles in figures.
@@ -18,6 +20,23 @@ pub const ONE: &str = "1";
 pub fn key(name: &str, unit: &str) -> String {
     let name = name.replace(' ', "_");
     if unit == ONE { name } else { format!("{name}_{unit}") }
+}
+
+/// A unit in letters of ASCII, as figures have it.
+pub fn ascii(symbol: &str) -> String {
+    let letters = symbol.chars().map(|letter| match letter {
+        'µ' => 'u',
+        '²' => '2',
+        '³' => '3',
+        '⁴'..='⁹' => char::from_digit(letter as u32 - '⁰' as u32, 10).unwrap_or(letter),
+        other => other,
+    });
+    letters.collect()
+}
+
+/// The unit as it ends a setting: `_um_per_m2`.
+pub fn suffix(symbol: &str) -> String {
+    if symbol == ONE { String::new() } else { format!("_{}", ascii(symbol).replace('/', "_per_")) }
 }
 
 /// Refuses limits for anything but these keys.

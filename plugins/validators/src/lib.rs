@@ -1,5 +1,5 @@
 //! Validators: residuals and their dependence on time, comparison of fits, hold-out, comparison with a CMM, limits of
-//! uncertainty, consistency of calibrations, repeatability.
+//! uncertainty, consistency of calibrations, repeatability, the machine as a measuring machine.
 //!
 //! Every figure is about one fit, unless it is about a data set. Rows that the fit lists as outliers do not count in statistics but are counted.
 
@@ -11,8 +11,11 @@ mod drift;
 mod figures;
 mod folds;
 mod hold_out;
+mod one_at_a_time;
 mod repeatability;
 mod residuals;
+mod sphere_touches;
+mod sphericity;
 #[cfg(test)]
 mod testing;
 mod tip_cmm;

@@ -11,7 +11,7 @@ use schemars::JsonSchema;
 use serde::Deserialize;
 use serde_json::{Value, json};
 
-use crate::figures::{ONE, Sample, UM};
+use crate::figures::{ONE, Sample, UM, ascii, suffix};
 
 inventory::submit! {
     Plugin::built_in(
@@ -272,23 +272,6 @@ fn figure(fit: &Fit, measure: Measure, name: &str, value: f64, unit: &str, limit
 fn for_people(parameter: &Estimated) -> Result<(String, f64)> {
     let unit: Unit = parameter.unit.parse().map_err(Error::data)?;
     Ok(unit.for_people())
-}
-
-/// A unit in letters of ASCII, as figures have it.
-fn ascii(symbol: &str) -> String {
-    let letters = symbol.chars().map(|letter| match letter {
-        'µ' => 'u',
-        '²' => '2',
-        '³' => '3',
-        '⁴'..='⁹' => char::from_digit(letter as u32 - '⁰' as u32, 10).unwrap_or(letter),
-        other => other,
-    });
-    letters.collect()
-}
-
-/// The unit as it ends a setting: `_um_per_m2`.
-fn suffix(symbol: &str) -> String {
-    if symbol == ONE { String::new() } else { format!("_{}", ascii(symbol).replace('/', "_per_")) }
 }
 
 /// Error and uncertainty of the tip over the workspace. The uncertainty of a pose is the longest semi-axis of its

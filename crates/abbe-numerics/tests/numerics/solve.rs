@@ -5,7 +5,7 @@ use abbe_numerics::{End, Options, Solution, solve};
 
 use crate::problems::{Given, Linear, Linearised, Random, dot, given, norm};
 
-const FULL: Options = Options { iterations: 50, tolerance: 1e-10, rank: 2, robust: None };
+const FULL: Options = Options { iterations: 50, tolerance: 1e-10, rank: 2, robust: None, near: false };
 
 /// `a exp(b t)` through points.
 fn exponential(t: &[f64], y: &[f64]) -> Given<impl Fn(&[f64]) -> Linearised> {

@@ -1,0 +1,216 @@
+//! Rows that are read and not touched, and rows that cannot be reached: on a machine with a single axis.
+
+use std::collections::BTreeMap;
+use std::path::PathBuf;
+use std::sync::Arc;
+
+use abbe_core::{
+    Absent, Axis, AxisKind, Branch, Column, ColumnHeader, Contact, Dataset, Equations, Feature, KinematicModel,
+    KnownInput, Layout, ObservationSet, Observations, Parameter, PoseValues, Poses, Problem, Quantity, Result,
+    RowOrigin, StatusColumn, Unit, Values, Variable, plain_naming,
+};
+use abbe_simulation::{Noise, Sigma, Truth, measure};
+use serde_json::Value;
+
+/// The tip is at (X (1 + EXX[1]) + dxt, 0, 0).
+struct Rail {
+    axes: Vec<Axis>,
+    status: Vec<StatusColumn>,
+    parameters: Vec<Parameter>,
+}
+
+impl Rail {
+    fn new() -> Self {
+        let axis = Axis {
+            name: "X".to_owned(),
+            kind: AxisKind::Linear,
+            branch: Branch::Tool,
+            sense: 1.0,
+            direction: [1.0, 0.0, 0.0],
+            range: None,
+            indexed: false,
+            status: 0,
+        };
+        let status = StatusColumn {
+            name: "X".to_owned(),
+            quantity: Quantity::Length,
+            levels: Vec::new(),
+            absent: Absent::Refused,
+        };
+        let gain = Parameter { name: "EXX[1]".to_owned(), unit: Unit::per(Quantity::Length, Quantity::Length, 1) };
+        let tool = Parameter { name: "dxt".to_owned(), unit: Unit::MM };
+        Self { axes: vec![axis], status: vec![status], parameters: vec![gain, tool] }
+    }
+}
+
+impl KinematicModel for Rail {
+    fn axes(&self) -> &[Axis] {
+        &self.axes
+    }
+
+    fn status(&self) -> &[StatusColumn] {
+        &self.status
+    }
+
+    fn parameters(&self) -> &[Parameter] {
+        &self.parameters
+    }
+
+    fn stylus_radius(&self) -> f64 {
+        0.0
+    }
+
+    fn evaluate(
+        &self,
+        statuses: &[f64],
+        values: &[f64],
+        wanted: &[Variable],
+        orientation: bool,
+        out: &mut Poses,
+    ) -> Result<()> {
+        out.reset(statuses.len(), wanted.len(), orientation);
+        for (pose, x) in statuses.iter().enumerate() {
+            out.positions[pose] = [x * (1.0 + values[0]) + values[1], 0.0, 0.0];
+            for (k, variable) in wanted.iter().enumerate() {
+                let slope = match variable {
+                    Variable::Command(_) => 1.0 + values[0],
+                    Variable::Parameter(0) => *x,
+                    Variable::Parameter(_) => 1.0,
+                };
+                out.position_derivatives[pose * wanted.len() + k] = [slope, 0.0, 0.0];
+            }
+        }
+        Ok(())
+    }
+
+    fn settings(&self) -> Value {
+        Value::Null
+    }
+}
+
+/// `p[axis] - (zero + reading) = 0`; without a column of readings the axis moves instead.
+struct Dial {
+    layout: Layout,
+    axis: usize,
+    column: Option<&'static str>,
+    unknowns: Vec<Parameter>,
+}
+
+impl Observations for Dial {
+    fn layout(&self) -> &Layout {
+        &self.layout
+    }
+
+    fn unknowns(&self) -> &[Parameter] {
+        &self.unknowns
+    }
+
+    fn inputs(&self) -> &[KnownInput] {
+        &[]
+    }
+
+    fn evaluate(&self, rows: &[usize], poses: PoseValues<'_>, own: &[f64], _: &[f64], out: &mut Equations) {
+        for (&row, tip) in rows.iter().zip(poses.positions) {
+            let reading = self.column.and_then(|column| self.layout.data.numbers(column)).map_or(0.0, |all| all[row]);
+            out.equation(tip[self.axis] - own[0] - reading);
+            let mut unit = [0.0; 3];
+            unit[self.axis] = 1.0;
+            out.position(unit);
+            out.own(0, -1.0);
+        }
+    }
+
+    fn features(&self) -> Vec<Feature> {
+        Vec::new()
+    }
+
+    fn contact(&self) -> Contact {
+        self.column.map_or(Contact::LinearAxes, |column| Contact::Reading(column.to_owned()))
+    }
+}
+
+fn problem(header: &str, axis: usize, column: Option<&'static str>) -> Problem {
+    let cells = |header: &str, numbers: [f64; 3]| Column {
+        header: ColumnHeader::parse(header),
+        values: Values::Numbers(numbers.to_vec()),
+    };
+    let data = Arc::new(Dataset {
+        columns: vec![cells("X_mm", [10.0, 20.0, 30.0]), cells(header, [10.0, 20.5, 30.0])],
+        origins: (0..3).map(|row| RowOrigin { file: 0, line: row + 2, row: row + 1 }).collect(),
+        files: vec![PathBuf::from("dial.csv")],
+    });
+    let model: Arc<dyn KinematicModel> = Arc::new(Rail::new());
+    let mut layout = Layout::new(&data, model.as_ref(), &[&plain_naming]).unwrap();
+    (0..3).for_each(|row| layout.push(model.as_ref(), row, &[1e-3]).unwrap());
+    let unknowns = vec![Parameter { name: "zero".to_owned(), unit: Unit::MM }];
+    let set = ObservationSet::new("dial", Arc::new(Dial { layout, axis, column, unknowns }));
+    Problem::new("fit", "rail", model, vec![set], &["*".to_owned()]).unwrap()
+}
+
+fn truth(noise: Noise) -> Truth {
+    let parameters = [("EXX[1]", 1e-3), ("dxt", 0.123456), ("dial.zero", -0.5)];
+    Truth { parameters: parameters.map(|(name, value)| (name.to_owned(), value)).into(), noise }
+}
+
+/// EXX[1], dxt, zero.
+const TRUE: [f64; 3] = [1e-3, 0.123456, -0.5];
+
+#[test]
+fn a_reading_makes_up_for_the_difference() {
+    let programme = problem("reading_um", 0, Some("reading"));
+    let measured = measure(&programme, &truth(Noise::default()), 1).unwrap();
+    assert_eq!(measured.sets[0].poses(), programme.sets[0].poses());
+    assert_eq!(measured.start(), programme.start());
+    assert!(measured.residuals(&TRUE).unwrap().iter().all(|residual| residual.abs() < 1e-14));
+    // What is read is the recorded reading without what is added to the residual.
+    let read: Vec<f64> = [10.0, 20.5, 30.0]
+        .iter()
+        .zip(measured.sets[0].disturbances().unwrap())
+        .map(|(recorded, disturbance)| recorded - disturbance)
+        .collect();
+    for (read, x) in read.iter().zip([10.0, 20.0, 30.0]) {
+        assert!((read - (x * 1.001 + 0.123456 + 0.5)).abs() < 1e-12, "{read}");
+    }
+}
+
+#[test]
+fn readings_have_noise_and_resolution() {
+    let programme = problem("reading_um", 0, Some("reading"));
+    let noise = Noise { probing_sigma_mm: Sigma::All(0.01), resolution_mm: 0.001, ..Noise::default() };
+    let measured = measure(&programme, &truth(noise), 1).unwrap();
+    let off = measured.residuals(&TRUE).unwrap();
+    assert!(off.iter().all(|residual| residual.abs() < 0.05) && off.iter().any(|residual| residual.abs() > 1e-3));
+    for (recorded, disturbance) in [10.0, 20.5, 30.0].iter().zip(measured.sets[0].disturbances().unwrap()) {
+        let steps = (recorded - disturbance) / 0.001;
+        assert!((steps - steps.round()).abs() < 1e-6, "{steps}");
+    }
+}
+
+#[test]
+fn angles_that_are_read_have_no_noise_in_mm() {
+    let programme = problem("tilt_urad", 0, Some("tilt"));
+    let noise = Noise { probing_sigma_mm: Sigma::All(0.01), resolution_mm: 0.001, ..Noise::default() };
+    let measured = measure(&programme, &truth(noise), 1).unwrap();
+    assert!(measured.residuals(&TRUE).unwrap().iter().all(|residual| residual.abs() < 1e-14));
+}
+
+#[test]
+fn the_axis_moves_where_there_is_no_reading() {
+    let programme = problem("note_mm", 0, None);
+    let measured = measure(&programme, &truth(Noise::default()), 1).unwrap();
+    assert!(measured.residuals(&TRUE).unwrap().iter().all(|residual| residual.abs() < 1e-11));
+    assert!((measured.sets[0].poses().row(0)[0] - (-0.5 - 0.123456) / 1.001).abs() < 1e-10);
+}
+
+#[test]
+fn what_the_axis_cannot_reach_is_an_error_with_its_place() {
+    let error = measure(&problem("note_mm", 2, None), &truth(Noise::default()), 1).err().unwrap().to_string();
+    assert!(error.starts_with("dial.csv:2: the tip cannot reach `dial` in this row by its linear axes: "), "{error}");
+}
+
+#[test]
+fn values_that_are_no_numbers_are_refused() {
+    let wrong = |name: &str| Truth { parameters: BTreeMap::from([(name.to_owned(), f64::NAN)]), ..Truth::default() };
+    let error = measure(&problem("note_mm", 0, None), &wrong("dxt"), 1).err().unwrap().to_string();
+    assert_eq!(error, "parameters.dxt: NaN: a finite number was expected");
+}

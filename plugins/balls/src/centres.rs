@@ -1,0 +1,139 @@
+//! From touches to centres: the least squares sphere of known radius through the touches of a ball at one indexation.
+
+use std::collections::BTreeMap;
+use std::sync::Arc;
+
+use abbe_core::{AxisKind, Dataset, Error, KinematicModel, Layout, Poses, Result, Variable, plain_naming};
+use nalgebra::{Matrix3, Vector3};
+
+use crate::Ball;
+
+/// The touches of one ball at one indexation.
+struct Group {
+    ball: usize,
+    /// Rows of the layout of touches.
+    rows: Vec<usize>,
+}
+
+/// A centre in the table frame, by the nominal machine.
+struct Centre {
+    centre: Vector3<f64>,
+    /// What one unit of every touch's standard uncertainty makes of its coordinates.
+    spread: [f64; 3],
+}
+
+/// A layout with one row for every ball and label of the column `by`: the pose at which the tip of the nominal machine is at
+/// the centre of the touches. Gives the ball of every row as well.
+///
+/// Correlations of a centre's coordinates are left out; touches along the coordinate axes and their diagonals have none.
+/// Fails for touches of one centre at different rotary positions, and where they do not determine it.
+pub fn of_touches(
+    data: &Arc<Dataset>,
+    model: &dyn KinematicModel,
+    touched: &[(usize, usize)],
+    balls: &[Ball],
+    by: &str,
+    uncertainty: f64,
+) -> Result<(Layout, Vec<usize>)> {
+    let labels = abbe_table::labels(data, by).map_err(|error| error.setting("centres_by"))?;
+    let mut touches = Layout::new(data, model, &[&plain_naming])?;
+    for (row, _) in touched {
+        touches.push(model, *row, &[uncertainty])?;
+    }
+    let mut index: BTreeMap<(usize, &str), usize> = BTreeMap::new();
+    let mut groups: Vec<Group> = Vec::new();
+    for (row, (data_row, ball)) in touched.iter().enumerate() {
+        let place = *index.entry((*ball, &labels[*data_row])).or_insert_with(|| {
+            groups.push(Group { ball: *ball, rows: Vec::new() });
+            groups.len() - 1
+        });
+        groups[place].rows.push(row);
+    }
+    let mut layout = Layout::new(data, model, &[&plain_naming])?;
+    for group in &groups {
+        let first = touched[group.rows[0]].0;
+        let wrong = |message: String| data.error_at(first, message);
+        let status = mean_status(&touches, model, group).map_err(wrong)?;
+        let tips = tips(&touches, model, group)?;
+        let ball = &balls[group.ball];
+        let centre = centre(&tips, ball.centre, ball.radius + model.stylus_radius()).ok_or_else(|| {
+            wrong(format!(
+                "{} touches of ball {} with {by} {} do not determine its centre",
+                tips.len(),
+                ball.label,
+                labels[first]
+            ))
+            .help("three touches or more in different directions are needed")
+        })?;
+        layout.push(model, first, &centre.spread.map(|spread| spread * uncertainty))?;
+        layout.merged.extend(group.rows[1..].iter().map(|&row| touched[row].0));
+        let pose = layout.poses.len() - 1;
+        layout.poses.row_mut(pose).copy_from_slice(&reach(model, status, centre.centre)?);
+    }
+    Ok((layout, groups.iter().map(|group| group.ball).collect()))
+}
+
+/// The mean of the statuses of a group; those of rotary axes have to be the same.
+fn mean_status(touches: &Layout, model: &dyn KinematicModel, group: &Group) -> Result<Vec<f64>, String> {
+    let rows: Vec<&[f64]> = group.rows.iter().map(|&row| touches.poses.row(row)).collect();
+    for axis in model.axes().iter().filter(|axis| axis.kind == AxisKind::Rotary) {
+        if rows.iter().any(|row| (row[axis.status] - rows[0][axis.status]).abs() > 1e-9) {
+            return Err(format!("touches of one centre are to be made at one position of {}", axis.name));
+        }
+    }
+    let mean = |column: usize| rows.iter().map(|row| row[column]).sum::<f64>() / rows.len() as f64;
+    Ok((0..rows[0].len()).map(mean).collect())
+}
+
+/// Where the tips of a group are by the nominal machine, table frame.
+fn tips(touches: &Layout, model: &dyn KinematicModel, group: &Group) -> Result<Vec<Vector3<f64>>> {
+    let statuses: Vec<f64> = group.rows.iter().flat_map(|&row| touches.poses.row(row).to_vec()).collect();
+    let mut poses = Poses::default();
+    model.evaluate(&statuses, &vec![0.0; model.parameters().len()], &[], false, &mut poses)?;
+    Ok(poses.positions.iter().map(|position| Vector3::from(*position)).collect())
+}
+
+/// The least squares sphere of a given radius through tips, from a start near it; none if they do not determine it.
+fn centre(tips: &[Vector3<f64>], start: Vector3<f64>, radius: f64) -> Option<Centre> {
+    let mut centre = start;
+    for _ in 0..50 {
+        let (mut normal, mut right) = (Matrix3::zeros(), Vector3::zeros());
+        for tip in tips {
+            let direction = (tip - centre).try_normalize(0.0)?;
+            normal += direction * direction.transpose();
+            right += direction * ((tip - centre).norm() - radius);
+        }
+        // Directions within some degrees of a plane leave the rest to chance.
+        if normal.symmetric_eigenvalues().min() < 1e-2 {
+            return None;
+        }
+        let inverse = normal.try_inverse()?;
+        let step = inverse * right;
+        centre += step;
+        if step.norm() < 1e-12 * (1.0 + centre.norm()) {
+            return Some(Centre { centre, spread: [0, 1, 2].map(|axis| inverse[(axis, axis)].sqrt()) });
+        }
+    }
+    None
+}
+
+/// The status at which the tip of the nominal machine is at a point of the table frame, by its linear axes.
+fn reach(model: &dyn KinematicModel, mut status: Vec<f64>, point: Vector3<f64>) -> Result<Vec<f64>> {
+    let linear = model.axes().iter().enumerate().filter(|(_, axis)| axis.kind == AxisKind::Linear);
+    let (commands, columns): (Vec<Variable>, Vec<usize>) =
+        linear.map(|(index, axis)| (Variable::Command(index), axis.status)).unzip();
+    let nominal = vec![0.0; model.parameters().len()];
+    let mut poses = Poses::default();
+    for _ in 0..20 {
+        model.evaluate(&status, &nominal, &commands, false, &mut poses)?;
+        let off = point - Vector3::from(poses.positions[0]);
+        if off.norm() < 1e-11 * (1.0 + point.norm()) {
+            return Ok(status);
+        }
+        let moves = nalgebra::DMatrix::from_fn(3, commands.len(), |row, k| poses.position_derivatives[k][row]);
+        let step = moves.svd(true, true).solve(&nalgebra::DVector::from_column_slice(off.as_slice()), 1e-9);
+        let step = step.map_err(|message| Error::data(format!("a centre cannot be reached: {message}")))?;
+        columns.iter().zip(step.iter()).for_each(|(&column, step)| status[column] += step);
+    }
+    Err(Error::data("the linear axes cannot bring the tip to the centre of a ball"))
+}
