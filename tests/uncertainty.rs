@@ -1,7 +1,7 @@
 //! How far to trust results: pooled repeats against what the data were simulated with, known inputs against closed forms,
 //! covariances stated in different ways, and what goes wrong with them.
 
-use abbe_core::{Calibration, ParameterBudget};
+use abbe_core::{Calibration, Lobing, ParameterBudget};
 use serde_json::{Value, json};
 
 use crate::support::{Small, Variant, fit, json_file, recipes, root, write};
@@ -121,6 +121,61 @@ fn a_shared_input_acts_as_its_closed_form_says() {
         let expanded = parameter.expanded_uncertainty / parameter.standard_uncertainty;
         assert!((expanded - 1.959_964).abs() < 1e-5, "stated uncertainties are trusted: {expanded}");
     }
+}
+
+#[test]
+fn thermal_expansion_acts_as_its_closed_form_says() {
+    let expansion = json!({
+        "coefficient_per_K": 11.5e-6,
+        "standard_uncertainty_per_K": 1e-6,
+        "temperature_degC": 22.0,
+        "temperature_standard_uncertainty_K": 0.1,
+    });
+    let cold = repeated().only(&["stated"]).run();
+    let warm = repeated().only(&["stated"]).set("bar", "expansion", expansion).run();
+    let of = |outcome, name: &str| fit(outcome, "stated").calibration.get(name).expect("estimated").value;
+    // The bar is longer by 23 um/m than its reference, so that the relative motions are: X carries the table.
+    for (name, sign) in [("EXX[1]", -1.0), ("EYY[1]", 1.0), ("EZZ[1]", 1.0)] {
+        let change = of(&warm, name) - of(&cold, name);
+        assert!((change / (sign * 23e-6) - 1.0).abs() < 2e-3, "{name}: {change:e}");
+        let budget = budget(&fit(&warm, "stated").calibration, name);
+        assert!((part(budget, "bar.expansion_coefficient") / 2e-6 - 1.0).abs() < 2e-3, "{budget:?}");
+        assert!((part(budget, "bar.temperature_error") / 1.15e-6 - 1.0).abs() < 2e-3, "{budget:?}");
+    }
+}
+
+#[test]
+fn lobing_of_the_probe_adds_its_share_to_trials() {
+    let mut recipe = repeated().only(&["stated", "trials"]);
+    recipe.0["stages"]["with"] = json!({
+        "estimate": "monte-carlo", "of": "stated", "trials": 3000,
+        "lobing": [{ "artefact": "table", "amplitude_um": 2.0, "lobes": 3 }],
+    });
+    recipe = recipe.set("trials", "trials", json!(3000));
+    let outcome = recipe.run();
+    let stated = fit(&outcome, "stated");
+    let problem = stated.problem.at(&stated.problem.values_of(&stated.calibration));
+    let directions = problem.contact_directions().expect("directions");
+    let answers: Vec<Vec<f64>> = [0.0, std::f64::consts::FRAC_PI_2]
+        .map(|phase| {
+            let lobing = Lobing { amplitude: 2e-3, lobes: 3, phase };
+            let errors: Vec<f64> =
+                directions.iter().map(|direction| direction.map_or(0.0, |direction| lobing.at(direction))).collect();
+            stated.estimator.values(&problem.disturbed(&errors)).expect("an estimate")
+        })
+        .into();
+    for (index, unknown) in problem.unknowns.iter().enumerate().take(20) {
+        let deviation =
+            |name: &str| fit(&outcome, name).calibration.get(&unknown.name).expect("estimated").standard_uncertainty;
+        let value = stated.calibration.get(&unknown.name).expect("estimated").value;
+        // Any phase is as likely as another: half the square of either answer.
+        let share = answers.iter().map(|answer| (answer[index] - value).powi(2)).sum::<f64>() / 2.0;
+        let expected = (deviation("trials").powi(2) + share).sqrt();
+        // Two standard deviations from 3000 trials, each to 1.3 %.
+        assert!((deviation("with") / expected - 1.0).abs() < 0.08, "{}", unknown.name);
+    }
+    let largest = |name: &str| fit(&outcome, name).calibration.get("EXX[b]").expect("estimated").standard_uncertainty;
+    assert!(largest("with") > 1.05 * largest("trials"), "lobing has no effect on EXX[b]");
 }
 
 /// The small recipe with settings of the table's rows.

@@ -4,6 +4,7 @@ use std::fs;
 use std::path::Path;
 use std::sync::Arc;
 
+use abbe_balls as _;
 use abbe_core::{
     Build, Context, Error, Findings, Fit, Kind, ObservationSet, Plugin, Problem, Registry, Validate, path_text,
 };
@@ -42,30 +43,35 @@ pub fn validator(name: &str, folder: &Path, settings: &Value) -> Result<Box<dyn 
 
 /// The fit of the facets' offsets to touches, robust on request.
 pub fn fit(facets: &[Facet], touches: &[Touch], robust: bool) -> (TempDir, Fit) {
-    let folder = tempfile::tempdir().unwrap();
-    let context = Context { base: folder.path().to_owned() };
     let mut nominal = "feature,x_mm,y_mm,z_mm,nx,ny,nz\n".to_owned();
     for (label, [x, y, z], [nx, ny, nz]) in facets {
         nominal.push_str(&format!("{label},{x},{y},{z},{nx},{ny},{nz}\n"));
     }
-    fs::write(folder.path().join("facets.csv"), nominal).unwrap();
     let mut rows = "feature,group,time_s,X_mm,Y_mm,Z_mm\n".to_owned();
     for (label, group, time, offset) in touches {
         let (_, point, normal) = facets.iter().find(|(other, _, _)| other == label).unwrap();
         let [x, y, z] = [0, 1, 2].map(|axis| point[axis] + (3.0 + offset * 1e-3) * normal[axis]);
         rows.push_str(&format!("{label},{group},{time},{x},{y},{}\n", z + 100.0));
     }
-    let file = folder.path().join("touches.csv");
-    fs::write(&file, rows).unwrap();
-
     let machine = json!({ "chain": "w b X Y Z t", "tool_length_mm": 100, "stylus_radius_mm": 3 });
+    fit_to("facets", &nominal, &rows, &machine, robust)
+}
+
+/// The fit of an artefact's own unknowns to touches on it, with a machine that has no errors, robust on request. `nominal`
+/// and `touches` are files.
+pub fn fit_to(artefact: &str, nominal: &str, touches: &str, machine: &Value, robust: bool) -> (TempDir, Fit) {
+    let folder = tempfile::tempdir().unwrap();
+    let context = Context { base: folder.path().to_owned() };
+    fs::write(folder.path().join("nominal.csv"), nominal).unwrap();
+    let file = folder.path().join("touches.csv");
+    fs::write(&file, touches).unwrap();
     let model = plugin(Kind::Model, "serial-chain", |plugin| match &plugin.build {
-        Build::Model(constructor) => constructor.build(&machine, &context).unwrap().build(&[]).ok(),
+        Build::Model(constructor) => constructor.build(machine, &context).unwrap().build(&[]).ok(),
         _ => None,
     });
-    let settings = json!({ "nominal": "facets.csv", "standard_uncertainty_um": 1 });
+    let settings = json!({ "nominal": "nominal.csv", "standard_uncertainty_um": 1 });
     let data = Arc::new(abbe_table::read(&file).unwrap());
-    let observations = plugin(Kind::Artefact, "facets", |plugin| match &plugin.build {
+    let observations = plugin(Kind::Artefact, artefact, |plugin| match &plugin.build {
         Build::Artefact(constructor) => {
             Some(constructor.build(&settings, &context).unwrap().observe(&data, model.as_ref()).unwrap())
         }
@@ -134,6 +140,7 @@ mod every_validator {
                 "hold-out",
                 "repeatability",
                 "residuals",
+                "sphericity",
                 "tip-cmm",
                 "uncertainty"
             ]

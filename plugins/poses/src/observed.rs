@@ -1,0 +1,268 @@
+//! The equations of observed poses and their derivatives.
+
+use abbe_core::{Contact, Equations, Feature, KnownInput, Layout, Observations, Parameter, PoseValues, Unit};
+use nalgebra::{Isometry3, Matrix3, Matrix6, Translation3, UnitQuaternion, Vector3, Vector6};
+
+use crate::start::Start;
+use crate::{Observer, Pose, tools};
+
+/// Unknowns of a frame: where its origin is, mm, and how it is turned from its start orientation, rad.
+const OF_A_FRAME: [(&str, Unit); 6] =
+    [("x", Unit::MM), ("y", Unit::MM), ("z", Unit::MM), ("a", Unit::RAD), ("b", Unit::RAD), ("c", Unit::RAD)];
+
+/// Observed poses.
+pub struct Observed {
+    layout: Layout,
+    /// The observed pose of every row.
+    observed: Vec<Isometry3<f64>>,
+    pose: Pose,
+    observer: Observer,
+    start: Start,
+    unknowns: Vec<Parameter>,
+}
+
+/// A frame at some values of its unknowns.
+struct Placed {
+    /// Its pose in the frame that it is fixed to.
+    pose: Isometry3<f64>,
+    /// d(small rotation, axes of that frame)/d(a, b, c).
+    turn: Matrix3<f64>,
+}
+
+impl Placed {
+    /// A frame that is not estimated.
+    fn fixed(pose: Isometry3<f64>) -> Self {
+        Self { pose, turn: Matrix3::zeros() }
+    }
+
+    /// A frame at its unknowns x, y, z, a, b, c: a, b, c are the rotation vector on top of the start orientation.
+    fn at(start: &Isometry3<f64>, own: &[f64]) -> Self {
+        let turn = Vector3::new(own[3], own[4], own[5]);
+        let rotation = UnitQuaternion::from_scaled_axis(turn) * start.rotation;
+        let pose = Isometry3::from_parts(Translation3::new(own[0], own[1], own[2]), rotation);
+        Self { pose, turn: rotation_by_vector(&turn) }
+    }
+}
+
+/// The residuals of a row with their derivatives, 6 x 6: position in mm, then orientation in rad.
+struct Row {
+    residuals: Vector6<f64>,
+    by_tool: Matrix6<f64>,
+    by_target: Matrix6<f64>,
+    by_observer: Matrix6<f64>,
+}
+
+impl Row {
+    /// The row that observed this, with the tool at `tool` in the table frame; `pose` says what was observed.
+    fn new(pose: Pose, observed: &Isometry3<f64>, tool: &Isometry3<f64>, target: &Placed, observer: &Placed) -> Self {
+        let in_table = tool * observer.pose;
+        let (seeing, seen) = match pose {
+            Pose::TargetInObserver => (&in_table, &target.pose),
+            Pose::ObserverInTarget => (&target.pose, &in_table),
+        };
+        let predicted = seeing.inverse() * seen;
+        let turn = (observed.rotation * predicted.rotation.inverse()).scaled_axis();
+        let position = observed.translation.vector - predicted.translation.vector;
+
+        // How the residuals follow small motions of both frames: shift of the origin and turn about it, table axes.
+        let to_seeing = matrix(&seeing.rotation).transpose();
+        let between = (seen.translation.vector - seeing.translation.vector).cross_matrix();
+        let turned = vector_by_rotation(&turn) * to_seeing;
+        let by_seen = blocks([-to_seeing, Matrix3::zeros(), -turned]);
+        let by_seeing = blocks([to_seeing, -to_seeing * between, turned]);
+        let (by_target, by_observer) = match pose {
+            Pose::TargetInObserver => (by_seen, by_seeing),
+            Pose::ObserverInTarget => (by_seeing, by_seen),
+        };
+
+        let (tool_rotation, identity) = (matrix(&tool.rotation), Matrix3::identity());
+        let arm = (in_table.translation.vector - tool.translation.vector).cross_matrix();
+        Self {
+            residuals: Vector6::new(position.x, position.y, position.z, turn.x, turn.y, turn.z),
+            by_tool: by_observer * blocks([identity, -arm, identity]),
+            by_target: by_target * blocks([identity, Matrix3::zeros(), target.turn]),
+            by_observer: by_observer * blocks([tool_rotation, Matrix3::zeros(), tool_rotation * observer.turn]),
+        }
+    }
+}
+
+impl Observed {
+    /// Observations from what was observed in every row of the layout.
+    pub fn new(layout: Layout, observed: Vec<Isometry3<f64>>, pose: Pose, observer: Observer, start: Start) -> Self {
+        let frames: &[&str] = if observer == Observer::Estimated { &["target", "observer"] } else { &["target"] };
+        let own = frames.iter().flat_map(|frame| OF_A_FRAME.map(|(own, unit)| (format!("{frame}.{own}"), unit)));
+        let unknowns = own.map(|(name, unit)| Parameter { name, unit }).collect();
+        Self { layout, observed, pose, observer, start, unknowns }
+    }
+}
+
+impl Observations for Observed {
+    fn layout(&self) -> &Layout {
+        &self.layout
+    }
+
+    fn unknowns(&self) -> &[Parameter] {
+        &self.unknowns
+    }
+
+    fn start(&self) -> Vec<f64> {
+        let frames = [self.start.target, self.start.observer].map(|frame| {
+            let [x, y, z] = frame.translation.vector.into();
+            [x, y, z, 0.0, 0.0, 0.0]
+        });
+        frames.into_iter().flatten().take(self.unknowns.len()).collect()
+    }
+
+    fn inputs(&self) -> &[KnownInput] {
+        &[]
+    }
+
+    fn needs_orientation(&self) -> bool {
+        true
+    }
+
+    fn evaluate(&self, rows: &[usize], poses: PoseValues<'_>, own: &[f64], _: &[f64], out: &mut Equations) {
+        let (of_target, of_observer) = own.split_at(OF_A_FRAME.len());
+        let target = Placed::at(&self.start.target, of_target);
+        let observer = match self.observer {
+            Observer::Estimated => Placed::at(&self.start.observer, of_observer),
+            Observer::AtTool => Placed::fixed(self.start.observer),
+        };
+        for (&row, tool) in rows.iter().zip(tools(poses)) {
+            let row = Row::new(self.pose, &self.observed[row], &tool, &target, &observer);
+            for (equation, residual) in row.residuals.iter().enumerate() {
+                let by = |matrix: &Matrix6<f64>, first: usize| [0, 1, 2].map(|i| matrix[(equation, first + i)]);
+                out.equation(*residual);
+                out.position(by(&row.by_tool, 0));
+                out.rotation(by(&row.by_tool, 3));
+                let columns = row.by_target.row(equation).into_owned();
+                let others = row.by_observer.row(equation).into_owned();
+                let own = columns.iter().chain(&others).take(self.unknowns.len());
+                own.enumerate().for_each(|(unknown, derivative)| out.own(unknown, *derivative));
+            }
+        }
+    }
+
+    fn features(&self) -> Vec<Feature> {
+        // The target has no nominal place that it could be compared with.
+        Vec::new()
+    }
+
+    fn contact(&self) -> Contact {
+        // Nothing moves: all six readings take up the difference. No column holds them together, so that those who write
+        // readings refuse instead of writing one of six.
+        Contact::Reading("pose of the target".to_owned())
+    }
+}
+
+fn matrix(rotation: &UnitQuaternion<f64>) -> Matrix3<f64> {
+    rotation.to_rotation_matrix().into_inner()
+}
+
+/// Blocks of derivatives: of position by shift, of position by turn, of orientation by turn (a shift turns nothing).
+fn blocks([shift, lever, turn]: [Matrix3<f64>; 3]) -> Matrix6<f64> {
+    let mut all = Matrix6::zeros();
+    all.fixed_view_mut::<3, 3>(0, 0).copy_from(&shift);
+    all.fixed_view_mut::<3, 3>(0, 3).copy_from(&lever);
+    all.fixed_view_mut::<3, 3>(3, 3).copy_from(&turn);
+    all
+}
+
+/// Below this angle, rad, series of angles are taken for what would lose its digits.
+const SMALL: f64 = 1e-3;
+
+/// The small rotation, axes of the fixed frame, that follows a change of a rotation vector: its left Jacobian
+/// (Barfoot, State Estimation for Robotics, 2017, chapter 7).
+fn rotation_by_vector(vector: &Vector3<f64>) -> Matrix3<f64> {
+    let (angle, cross) = (vector.norm(), vector.cross_matrix());
+    let (half, rest) = match angle < SMALL {
+        true => (0.5 - angle.powi(2) / 24.0, 1.0 / 6.0 - angle.powi(2) / 120.0),
+        false => ((1.0 - angle.cos()) / angle.powi(2), (angle - angle.sin()) / angle.powi(3)),
+    };
+    Matrix3::identity() + cross * half + cross * cross * rest
+}
+
+/// The change of a rotation vector that follows a small rotation which acts before it: the inverse of its right Jacobian
+/// (Barfoot 2017, chapter 7).
+fn vector_by_rotation(vector: &Vector3<f64>) -> Matrix3<f64> {
+    let (angle, cross) = (vector.norm(), vector.cross_matrix());
+    let rest = match angle < SMALL {
+        true => 1.0 / 12.0 + angle.powi(2) / 720.0,
+        false => (1.0 - angle / 2.0 / (angle / 2.0).tan()) / angle.powi(2),
+    };
+    Matrix3::identity() + cross * 0.5 + cross * cross * rest
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::tests::Random;
+
+    /// Whatever is moved by small motions: shift and turn (fixed axes) of the tool, or the unknowns of a frame.
+    fn residuals(pose: Pose, observed: &Isometry3<f64>, steps: &[f64], frames: &[Isometry3<f64>; 3]) -> Row {
+        let [tool, target, observer] = frames;
+        let shift = Translation3::new(steps[0], steps[1], steps[2]);
+        let turn = UnitQuaternion::from_scaled_axis(Vector3::new(steps[3], steps[4], steps[5]));
+        let position = Translation3::from(shift.vector + tool.translation.vector);
+        let tool = Isometry3::from_parts(position, turn * tool.rotation);
+        let (target, observer) = (Placed::at(target, &steps[6..12]), Placed::at(observer, &steps[12..]));
+        Row::new(pose, observed, &tool, &target, &observer)
+    }
+
+    #[test]
+    fn derivatives_are_those_of_differences() {
+        let mut random = Random(1);
+        for trial in 0..200 {
+            let pose = if trial % 2 == 0 { Pose::TargetInObserver } else { Pose::ObserverInTarget };
+            let frames = [(); 3].map(|()| random.pose(500.0));
+            let mut at: Vec<f64> = (0..18).map(|_| random.number()).collect();
+            at[..6].fill(0.0);
+            // Every fourth observation is all wrong; the others are off by 1e-6 to 0.1 rad.
+            let exact = residuals(pose, &Isometry3::identity(), &at, &frames);
+            let [x, y, z] = [0, 1, 2].map(|i| -exact.residuals[i]);
+            let off = Vector3::from([(); 3].map(|()| random.number())) * 10_f64.powi(-1 - trial % 6);
+            let [tool, target, observer] = &frames;
+            let placed = (Placed::at(target, &at[6..12]), Placed::at(observer, &at[12..]));
+            let in_table = tool * placed.1.pose;
+            let predicted = match pose {
+                Pose::TargetInObserver => in_table.inverse() * placed.0.pose,
+                Pose::ObserverInTarget => placed.0.pose.inverse() * in_table,
+            };
+            assert!((predicted.translation.vector - Vector3::new(x, y, z)).norm() < 1e-9);
+            let rotation = UnitQuaternion::from_scaled_axis(off) * predicted.rotation;
+            let mut observed = Isometry3::from_parts(Translation3::new(x, y + 0.1, z), rotation);
+            if trial % 4 == 3 {
+                observed = random.pose(500.0);
+            }
+            let here = residuals(pose, &observed, &at, &frames);
+            if trial % 4 != 3 {
+                assert!((here.residuals - Vector6::new(0.0, 0.1, 0.0, off.x, off.y, off.z)).norm() < 1e-9);
+            }
+            if here.residuals.fixed_rows::<3>(3).norm() > 3.0 {
+                continue; // A rotation vector near pi jumps to its opposite.
+            }
+            let by = [here.by_tool, here.by_target, here.by_observer];
+            for unknown in 0..18 {
+                let step = if unknown % 6 < 3 { 1e-2 } else { 1e-5 };
+                let difference = [1.0, -1.0].map(|sign| {
+                    let mut moved = at.clone();
+                    moved[unknown] += sign * step;
+                    residuals(pose, &observed, &moved, &frames).residuals
+                });
+                let expected = (difference[0] - difference[1]) / (2.0 * step);
+                let found = by[unknown / 6].column(unknown % 6).into_owned();
+                let error = (found - expected).norm();
+                assert!(error < 1e-6 * (1.0 + expected.norm()), "trial {trial}, {unknown}: {found} {expected}");
+            }
+        }
+    }
+
+    #[test]
+    fn series_of_small_angles_join_the_closed_forms() {
+        for function in [rotation_by_vector, vector_by_rotation] {
+            let direction = Vector3::new(1.0, -2.0, 2.0) / 3.0;
+            let jump = function(&(direction * SMALL * 0.999_999)) - function(&(direction * SMALL * 1.000_001));
+            assert!(jump.norm() < 3e-9, "{jump}");
+        }
+    }
+}
