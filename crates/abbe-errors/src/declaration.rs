@@ -1,48 +1,87 @@
 //! What a recipe says under `errors`, one line a family: `{ polynomial: [EXX, EYX], degrees: [1, 2, 3] }`.
 
-use abbe_core::{Quantity, SettingsError, from_settings, schema_of};
+use abbe_core::{SettingsError, from_settings, schema_of};
 use serde::Serialize;
 use serde_json::{Value, json};
 
-use crate::families::{Backlash, Drift, Fourier, Location, Polynomial, Spline};
+use crate::families::{
+    BSpline, Backlash, Chebyshev, Drift, Family, Fourier, Legendre, Load, Location, Periodic, Piecewise, Polynomial,
+    Product, Spline,
+};
 
-/// One line under `errors`.
-#[derive(Debug, Clone, PartialEq, Serialize)]
-#[serde(untagged)]
-pub enum Declaration {
-    /// See [`Location`].
-    Location(Location),
-    /// See [`Polynomial`].
-    Polynomial(Polynomial),
-    /// See [`Backlash`].
-    Backlash(Backlash),
-    /// See [`Drift`].
-    Drift(Drift),
-    /// See [`Spline`].
-    Spline(Spline),
-    /// See [`Fourier`].
-    Fourier(Fourier),
+/// Makes the enum of all families from a list of their keys and types.
+macro_rules! families {
+    ($($key:literal => $name:ident),+ $(,)?) => {
+        /// One line under `errors`.
+        #[derive(Debug, Clone, PartialEq, Serialize)]
+        #[serde(untagged)]
+        pub enum Declaration {
+            $(#[doc = concat!("See [`", stringify!($name), "`].")] $name($name),)+
+        }
+
+        impl Declaration {
+            const FAMILIES: &'static [&'static str] = &[$($key),+];
+
+            /// Reads the settings of the family with this key.
+            fn read_as(key: &str, settings: &Value) -> Result<Self, SettingsError> {
+                match key {
+                    $($key => Ok(Self::$name(from_settings(settings)?)),)+
+                    other => Err(SettingsError::new(other, "this names no error family")),
+                }
+            }
+
+            /// The key of the family, which holds its symbols.
+            pub fn key(&self) -> &'static str {
+                match self {
+                    $(Self::$name(_) => $key,)+
+                }
+            }
+
+            /// What the line declares.
+            pub fn family(&self) -> &dyn Family {
+                match self {
+                    $(Self::$name(family) => family,)+
+                }
+            }
+
+            /// JSON Schema of a line.
+            pub fn schema() -> Value {
+                json!({ "anyOf": [$(schema_of::<$name>()),+] })
+            }
+        }
+    };
+}
+
+families! {
+    "location" => Location,
+    "polynomial" => Polynomial,
+    "piecewise" => Piecewise,
+    "legendre" => Legendre,
+    "chebyshev" => Chebyshev,
+    "spline" => Spline,
+    "b-spline" => BSpline,
+    "fourier" => Fourier,
+    "periodic" => Periodic,
+    "product" => Product,
+    "load" => Load,
+    "backlash" => Backlash,
+    "drift" => Drift,
 }
 
 impl Declaration {
-    const FAMILIES: [&'static str; 6] = ["location", "polynomial", "backlash", "drift", "spline", "fourier"];
-
     /// Reads one line; the family is the key that names one.
     pub fn read(settings: &Value) -> Result<Self, SettingsError> {
         let Some(map) = settings.as_object() else {
             return Err(SettingsError::new("", "a family such as `{ polynomial: [EXX], degrees: [1] }` was expected"));
         };
-        let named: Vec<&str> = Self::FAMILIES.into_iter().filter(|family| map.contains_key(*family)).collect();
+        let named: Vec<&str> =
+            Self::FAMILIES.iter().copied().filter(|family| map.contains_key(*family)).collect();
         let declaration = match named.as_slice() {
-            ["location"] => Self::Location(from_settings(settings)?),
-            ["polynomial"] => Self::Polynomial(from_settings(settings)?),
-            ["backlash"] => Self::Backlash(from_settings(settings)?),
-            ["drift"] => Self::Drift(from_settings(settings)?),
-            ["spline"] => Self::Spline(from_settings(settings)?),
-            ["fourier"] => Self::Fourier(from_settings(settings)?),
+            [family] => Self::read_as(family, settings)?,
             [] => {
                 let given = map.keys().next().map_or("", String::as_str);
-                let mut error = SettingsError::new(given, "this names no error family").suggest(given, Self::FAMILIES);
+                let known = Self::FAMILIES.iter().copied();
+                let mut error = SettingsError::new(given, "this names no error family").suggest(given, known);
                 error.key = true;
                 return Err(error);
             }
@@ -54,67 +93,8 @@ impl Declaration {
                 .help("give each family a line of its own"));
             }
         };
-        declaration.check()?;
+        declaration.family().check()?;
         Ok(declaration)
-    }
-
-    fn check(&self) -> Result<(), SettingsError> {
-        match self {
-            Self::Polynomial(polynomial) => polynomial.check(),
-            Self::Drift(drift) => drift.check(),
-            Self::Spline(spline) => spline.check(),
-            Self::Fourier(fourier) => fourier.check(),
-            Self::Location(_) | Self::Backlash(_) => Ok(()),
-        }
-    }
-
-    /// Checks that the family can be one of an axis whose commands are of this quantity.
-    pub fn check_axis(&self, command: Quantity) -> Result<(), SettingsError> {
-        match self {
-            Self::Spline(spline) => spline.check_axis(command),
-            Self::Fourier(fourier) => fourier.check_axis(command),
-            Self::Location(_) | Self::Polynomial(_) | Self::Backlash(_) | Self::Drift(_) => Ok(()),
-        }
-    }
-
-    /// Patterns of coefficients that are zero by definition and no parameters (setting `zero`).
-    pub fn zero(&self) -> &[String] {
-        match self {
-            Self::Spline(spline) => &spline.zero,
-            _ => &[],
-        }
-    }
-
-    /// The key of the family, which holds its symbols.
-    pub fn family(&self) -> &'static str {
-        match self {
-            Self::Location(_) => "location",
-            Self::Polynomial(_) => "polynomial",
-            Self::Backlash(_) => "backlash",
-            Self::Drift(_) => "drift",
-            Self::Spline(_) => "spline",
-            Self::Fourier(_) => "fourier",
-        }
-    }
-
-    /// The symbols (or patterns) that the line lists.
-    pub fn symbols(&self) -> &[String] {
-        match self {
-            Self::Location(location) => &location.location,
-            Self::Polynomial(polynomial) => &polynomial.polynomial,
-            Self::Backlash(backlash) => &backlash.backlash,
-            Self::Drift(drift) => &drift.drift,
-            Self::Spline(spline) => &spline.spline,
-            Self::Fourier(fourier) => &fourier.fourier,
-        }
-    }
-
-    /// JSON Schema of a line.
-    pub fn schema() -> Value {
-        json!({ "anyOf": [
-            schema_of::<Location>(), schema_of::<Polynomial>(), schema_of::<Backlash>(), schema_of::<Drift>(),
-            schema_of::<Spline>(), schema_of::<Fourier>()
-        ] })
     }
 }
 
@@ -148,6 +128,48 @@ mod tests {
             (json!({ "spline": ["EXX"] }), "a spline needs `knots_mm` (or `knots_deg` of a rotary axis)"),
             (json!({ "fourier": ["EXC"], "orders": [0] }), "orders[0]: order 0: 1 to 99 was expected"),
             (
+                json!({ "piecewise": ["EXX"], "degree": 2, "continuity": 2, "knots_mm": [50] }),
+                "continuity: pieces of degree 2 that continue 2 times have no knots: 0 to 1 was expected",
+            ),
+            (
+                json!({ "piecewise": ["EXX"], "degree": 2, "continuity": 1, "knots_mm": [] }),
+                "knots_mm: a piecewise polynomial has 1 knots at least; 0 are given",
+            ),
+            (
+                json!({ "legendre": ["EXX"], "degrees": [1], "range_mm": [5, 5] }),
+                "range_mm: a range is two numbers, the smaller one first",
+            ),
+            (
+                json!({ "polynomial": ["EYX"], "degrees": [2, 1], "without_line": true }),
+                "degrees[1]: degree 1 is nothing but a line, which `without_line` takes off",
+            ),
+            (
+                json!({ "chebyshev": ["EYX"], "degrees": [2], "without_line": true, "without_once_per_turn": true }),
+                "without_once_per_turn: there is `without_line` already",
+            ),
+            (
+                json!({ "b-spline": ["EXX"], "degree": 0, "knots_mm": [1] }),
+                "degree: degree 0: 1 to 5 was expected",
+            ),
+            (
+                json!({ "periodic": ["EXX"], "wavelength_mm": 0, "functions": 3 }),
+                "wavelength_mm: a wavelength is positive; 0 is not",
+            ),
+            (
+                json!({ "periodic": ["EXX"], "functions": 3 }),
+                "a periodic error needs `wavelength_mm` (or `wavelength_deg` of a rotary axis)",
+            ),
+            (
+                json!({ "periodic": ["EXX"], "wavelength_mm": 1, "functions": 1 }),
+                "functions: 1 functions: 2 to 99 was expected",
+            ),
+            (json!({ "product": ["EXX"], "of": [] }), "of: a product of 0 axes: 1 to 9 was expected"),
+            (json!({ "load": ["EAX"], "reference_N": -1, "degree": 1 }), "reference_N: a positive force was expected"),
+            (
+                json!({ "load": ["EAX"], "reference_N": 1, "degree": 1, "knots_mm": [5] }),
+                "knots need a `continuity`",
+            ),
+            (
                 json!({ "location": ["EA0B"], "backlash": ["EXX"] }),
                 "backlash: two families in one line: location, backlash (give each family a line of its own)",
             ),
@@ -165,6 +187,16 @@ mod tests {
             json!({ "location": ["EA0B"] }),
             json!({ "polynomial": ["E?X"], "degrees": [1, 3] }),
             json!({ "backlash": ["EXX"] }),
+            json!({ "backlash": ["EXX"], "degrees": [1] }),
+            json!({ "piecewise": ["EYX"], "degree": 2, "continuity": 1, "knots_mm": [50.0, 100.0], "without_line": true }),
+            json!({ "legendre": ["EXX"], "degrees": [1, 2], "range_mm": [-250.0, 250.0] }),
+            json!({ "chebyshev": ["EXC"], "degrees": [2], "range_deg": [-90.0, 90.0], "without_once_per_turn": true }),
+            json!({ "b-spline": ["EXX"], "degree": 3, "knots_mm": [0.0], "range_mm": [-1.0, 2.0], "zero": ["EXX[bs0]"] }),
+            json!({ "periodic": ["EXX"], "wavelength_mm": 0.635, "functions": 3, "estimate_wavelength": true }),
+            json!({ "product": ["EAY"], "of": ["X", "Y"] }),
+            json!({ "load": ["EA0B"], "reference_N": 4900.0 }),
+            json!({ "load": ["EAX"], "reference_N": 4900.0, "guideway_distance_mm": 375.0, "degree": 2, "continuity": 1,
+                    "knots_mm": [350.0] }),
             json!({ "spline": ["EXX"], "knots_mm": { "from": -250.0, "to": 250.0, "step": 50.0 }, "zero": ["EXX[spl5]"] }),
             json!({ "spline": ["EXB"], "knots_deg": [0.0, 10.0, 50.0] }),
             json!({ "fourier": ["EXC"], "orders": [2, 3] }),

@@ -1,9 +1,10 @@
 //! Constants: errors of location and set-up parameters.
 
+use abbe_core::SettingsError;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-use super::{Argument, Functions, Term};
+use super::{Argument, Family, Functions, Group, Subject, Term};
 
 /// Constant errors of the location of axes.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
@@ -13,13 +14,27 @@ pub struct Location {
     pub location: Vec<String>,
 }
 
+impl Family for Location {
+    fn symbols(&self) -> &[String] {
+        &self.location
+    }
+
+    fn group(&self) -> Group {
+        Group::Location
+    }
+
+    fn functions(&self, _: &Subject<'_>) -> Result<Vec<Box<dyn Functions>>, SettingsError> {
+        Ok(vec![Box::new(Constant)])
+    }
+}
+
 /// A constant: location errors and set-up parameters.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Constant;
 
 impl Functions for Constant {
-    fn arguments(&self) -> &'static [Argument] {
-        &[]
+    fn arguments(&self) -> Vec<Argument> {
+        Vec::new()
     }
 
     fn terms(&self) -> Vec<Term> {
@@ -36,8 +51,8 @@ impl Functions for Constant {
 pub struct StylusIs(pub usize);
 
 impl Functions for StylusIs {
-    fn arguments(&self) -> &'static [Argument] {
-        &[Argument::Stylus]
+    fn arguments(&self) -> Vec<Argument> {
+        vec![Argument::Stylus]
     }
 
     fn terms(&self) -> Vec<Term> {

@@ -6,7 +6,8 @@ use abbe_core::SettingsError;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-use super::{Argument, Functions, Term, whole_numbers};
+use super::travel::legendre;
+use super::{Argument, Family, Functions, Group, Subject, Term, whole_numbers};
 
 /// Slow drift of set-up parameters: Legendre polynomials in the time scaled to -1..1, `dzt[t1]`, `dzt[t2]`, ...
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
@@ -61,9 +62,30 @@ impl Per {
     }
 }
 
-impl Drift {
-    pub(crate) fn check(&self) -> Result<(), SettingsError> {
+impl Family for Drift {
+    fn symbols(&self) -> &[String] {
+        &self.drift
+    }
+
+    fn group(&self) -> Group {
+        Group::SetUp
+    }
+
+    fn check(&self) -> Result<(), SettingsError> {
         whole_numbers("degrees", "degree", &self.degrees, 1..=9)
+    }
+
+    fn functions(&self, subject: &Subject<'_>) -> Result<Vec<Box<dyn Functions>>, SettingsError> {
+        let several = self.per.column().is_some();
+        let series = self.time_s.iter().map(|(label, time)| {
+            Box::new(LegendreInTime {
+                degrees: self.degrees.clone(),
+                time: *time,
+                series: subject.labels.iter().position(|known| several && known == label),
+                prefix: self.per.prefix(label),
+            }) as Box<dyn Functions>
+        });
+        Ok(series.collect())
     }
 }
 
@@ -81,8 +103,8 @@ pub struct LegendreInTime {
 }
 
 impl Functions for LegendreInTime {
-    fn arguments(&self) -> &'static [Argument] {
-        if self.series.is_some() { &[Argument::Time, Argument::Series] } else { &[Argument::Time] }
+    fn arguments(&self) -> Vec<Argument> {
+        std::iter::once(Argument::Time).chain(self.series.map(|_| Argument::Series)).collect()
     }
 
     fn terms(&self) -> Vec<Term> {
@@ -97,19 +119,9 @@ impl Functions for LegendreInTime {
         let [from, to] = self.time;
         let scaled = if to > from { (2.0 * arguments[0] - from - to) / (to - from) } else { 0.0 };
         for (value, &degree) in out.iter_mut().zip(&self.degrees) {
-            *value = legendre(degree, scaled);
+            *value = legendre(degree, scaled).0;
         }
     }
-}
-
-/// The Legendre polynomial of a degree by Bonnet's recursion.
-fn legendre(degree: u8, x: f64) -> f64 {
-    let (mut before, mut current) = (1.0, x);
-    for n in 1..degree {
-        let n = f64::from(n);
-        (before, current) = (current, ((2.0 * n + 1.0) * x * current - n * before) / (n + 1.0));
-    }
-    if degree == 0 { 1.0 } else { current }
 }
 
 #[cfg(test)]

@@ -4,7 +4,7 @@ use abbe_core::{Quantity, SettingsError};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-use super::{Argument, Functions, Term, whole_numbers};
+use super::{Argument, Family, Functions, Subject, Term, whole_numbers};
 
 /// Fourier series of the angle of a rotary axis: `EXC[cos2]`, `EXC[sin2]`, ... in the unit of the error.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
@@ -16,16 +16,20 @@ pub struct Fourier {
     pub orders: Vec<u8>,
 }
 
-impl Fourier {
-    pub(crate) fn check(&self) -> Result<(), SettingsError> {
+impl Family for Fourier {
+    fn symbols(&self) -> &[String] {
+        &self.fourier
+    }
+
+    fn check(&self) -> Result<(), SettingsError> {
         whole_numbers("orders", "order", &self.orders, 1..=99)
     }
 
-    pub(crate) fn check_axis(&self, command: Quantity) -> Result<(), SettingsError> {
-        match command {
-            Quantity::Angle => Ok(()),
-            _ => Err(SettingsError::new("fourier", "a Fourier series is one of the angle of a rotary axis")),
+    fn functions(&self, subject: &Subject<'_>) -> Result<Vec<Box<dyn Functions>>, SettingsError> {
+        if subject.command != Quantity::Angle {
+            return Err(SettingsError::new("fourier", "a Fourier series is one of the angle of a rotary axis"));
         }
+        Ok(vec![Box::new(FourierSeries { orders: self.orders.clone() })])
     }
 }
 
@@ -37,8 +41,8 @@ pub struct FourierSeries {
 }
 
 impl Functions for FourierSeries {
-    fn arguments(&self) -> &'static [Argument] {
-        &[Argument::Command]
+    fn arguments(&self) -> Vec<Argument> {
+        vec![Argument::Command]
     }
 
     fn terms(&self) -> Vec<Term> {
@@ -53,7 +57,7 @@ impl Functions for FourierSeries {
         }
     }
 
-    fn slopes(&self, arguments: &[f64], out: &mut [f64]) {
+    fn slopes(&self, _: usize, arguments: &[f64], out: &mut [f64]) {
         for (pair, &order) in out.chunks_exact_mut(2).zip(&self.orders) {
             let order = f64::from(order);
             let (sin, cos) = (order * arguments[0]).sin_cos();

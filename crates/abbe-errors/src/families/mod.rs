@@ -1,29 +1,47 @@
 //! The families, one file each: what a line under `errors` says, and the functions that it becomes.
 
+mod b_spline;
 mod constant;
 mod drift;
 mod fourier;
+mod knots;
+mod load;
+mod orthogonal;
+mod periodic;
+mod piecewise;
 mod polynomial;
+mod product;
 mod reversal;
 mod spline;
+mod travel;
 
 use std::fmt::Debug;
 use std::ops::RangeInclusive;
 
-use abbe_core::{PathItem, Quantity, SettingsError};
+use abbe_core::{PathItem, Quantity, SettingsError, Unit};
 
+pub use b_spline::{BSpline, BSplines};
 pub use constant::{Constant, Location, StylusIs};
 pub use drift::{Drift, LegendreInTime, Per};
 pub use fourier::{Fourier, FourierSeries};
+pub use knots::{EvenKnots, Knots};
+pub use load::{Load, LocationUnderLoad, UnderLoad};
+pub use orthogonal::{Chebyshev, Legendre, Orthogonal, OrthogonalPolynomial};
+pub use periodic::{Periodic, PeriodicPieces};
+pub use piecewise::{Piecewise, PiecewisePolynomial};
 pub use polynomial::{OrdinaryPolynomial, Polynomial};
+pub use product::{CrossCoupling, Product};
 pub use reversal::{Backlash, Reversal};
-pub use spline::{EvenKnots, Knots, NaturalSpline, Spline};
+pub use spline::{NaturalSpline, Spline};
+pub use travel::{Trend, Without};
 
 /// What a function is a function of; a model knows where it finds it.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
+#[derive(Debug, Clone, PartialEq)]
 pub enum Argument {
     /// The command of the moving axis, mm or rad.
     Command,
+    /// The command of another axis, by its name.
+    CommandOf(String),
     /// The direction of the last approach of the moving axis: +1, -1, or 0 where it is not known.
     Direction,
     /// Time in s; NaN where it is not known.
@@ -32,6 +50,13 @@ pub enum Argument {
     Series,
     /// The stylus, as the index of its label.
     Stylus,
+    /// Weight of the workpiece, N.
+    Load,
+    /// Where the load sits along z of the table, from its centre, mm.
+    LoadZ,
+    /// A parameter of the function itself in the unit of the command, one for each error: suffix of its name and nominal
+    /// value.
+    Shape(String, f64),
 }
 
 /// One function of a family: what its name says in the bracket, and what its coefficient is per.
@@ -39,25 +64,27 @@ pub enum Argument {
 pub struct Term {
     /// `[2]`, `[b]`, `[t1]`; empty for a constant.
     pub suffix: String,
-    /// The power of the unit of the command in the denominator of the coefficient's unit.
+    /// The power in the denominator of the coefficient's unit.
     pub power: u8,
+    /// What the power is one of; none if of the command of the moving axis.
+    pub per: Option<Quantity>,
 }
 
 impl Term {
     fn new(suffix: impl Into<String>, power: u8) -> Self {
-        Self { suffix: suffix.into(), power }
+        Self { suffix: suffix.into(), power, per: None }
     }
 
     /// Unit of the coefficient of an error of quantity `of` on an axis whose commands are of quantity `command`.
-    pub fn unit(&self, of: Quantity, command: Quantity) -> abbe_core::Unit {
-        abbe_core::Unit::per(of, command, self.power)
+    pub fn unit(&self, of: Quantity, command: Quantity) -> Unit {
+        Unit::per(of, self.per.unwrap_or(command), self.power)
     }
 }
 
 /// Functions of the status whose linear combination is an error.
 pub trait Functions: Send + Sync + Debug {
     /// What they are functions of; `values` and `slopes` take the arguments in this order.
-    fn arguments(&self) -> &'static [Argument];
+    fn arguments(&self) -> Vec<Argument>;
 
     /// The functions.
     fn terms(&self) -> Vec<Term>;
@@ -65,10 +92,72 @@ pub trait Functions: Send + Sync + Debug {
     /// The value of every function.
     fn values(&self, arguments: &[f64], out: &mut [f64]);
 
-    /// The derivative of every function to the first argument; zero for those that do not change smoothly.
-    fn slopes(&self, _arguments: &[f64], out: &mut [f64]) {
+    /// The derivative of every function to the argument with the number `by`; zero for those that do not change smoothly.
+    fn slopes(&self, _by: usize, _arguments: &[f64], out: &mut [f64]) {
         out.fill(0.0);
     }
+
+    /// The commands of the moving axis for which they are meant; all if there is none.
+    fn range(&self) -> Option<[f64; 2]> {
+        None
+    }
+
+    /// Commands between which they are smooth.
+    fn breaks(&self) -> &[f64] {
+        &[]
+    }
+}
+
+/// Which errors a family may be one of.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Group {
+    /// Errors of the location of axes.
+    Location,
+    /// Errors of the motion of axes.
+    Motion,
+    /// Errors of location and of motion.
+    LocationOrMotion,
+    /// Set-up parameters of tool and workpiece.
+    SetUp,
+}
+
+/// What a family is told of the error for which it makes functions.
+#[derive(Debug, Clone, Copy)]
+pub struct Subject<'a> {
+    /// Whether it is an error of location.
+    pub location: bool,
+    /// Quantity of the commands of its axis.
+    pub command: Quantity,
+    /// Travel of its axis, mm or rad, if known.
+    pub range: Option<[f64; 2]>,
+    /// The axes of the machine, with the quantities of their commands.
+    pub axes: &'a [(String, Quantity)],
+    /// Labels of the series of a drift, in the order of their indices.
+    pub labels: &'a [String],
+}
+
+/// One line under `errors`.
+pub trait Family {
+    /// The symbols (or patterns) that the line lists.
+    fn symbols(&self) -> &[String];
+
+    /// Which errors the symbols are looked for among.
+    fn group(&self) -> Group {
+        Group::Motion
+    }
+
+    /// Patterns of coefficients that are zero by definition and no parameters (setting `zero`).
+    fn zero(&self) -> &[String] {
+        &[]
+    }
+
+    /// Checks what can be wrong whatever the machine is.
+    fn check(&self) -> Result<(), SettingsError> {
+        Ok(())
+    }
+
+    /// The functions for an error; fails if the family cannot be one of it.
+    fn functions(&self, subject: &Subject<'_>) -> Result<Vec<Box<dyn Functions>>, SettingsError>;
 }
 
 /// Checks a list of degrees or orders: not empty, within `allowed`, each once.
@@ -91,9 +180,31 @@ fn whole_numbers(setting: &str, one: &str, given: &[u8], allowed: RangeInclusive
     Ok(())
 }
 
+/// Refuses a setting in mm for a rotary axis and one in degrees for a linear one; `(setting, what)` without unit.
+fn suits((setting, what): (&str, &str), subject: &Subject<'_>, mm: bool, deg: bool) -> Result<(), SettingsError> {
+    let wrong = |given: &str, axis: &str, unit: &str| {
+        let verb = if what.ends_with('s') { "are" } else { "is made of" };
+        let right = if given == "mm" { "deg" } else { "mm" };
+        let message = format!("the {what} of a {axis} axis {verb} {unit}: `{setting}_{right}`");
+        Err(SettingsError::new(&format!("{setting}_{given}"), message))
+    };
+    match subject.command {
+        Quantity::Angle if mm => wrong("mm", "rotary", "angles"),
+        Quantity::Length if deg => wrong("deg", "linear", "lengths"),
+        _ => Ok(()),
+    }
+}
+
 #[cfg(test)]
 mod testing {
-    use super::Functions;
+    use abbe_core::Quantity;
+
+    use super::{Functions, Subject};
+
+    /// A linear axis X beside Y and C.
+    pub fn on_axis(command: Quantity, range: Option<[f64; 2]>) -> Subject<'static> {
+        Subject { location: false, command, range, axes: &[], labels: &[] }
+    }
 
     pub fn values(functions: &dyn Functions, arguments: &[f64]) -> Vec<f64> {
         let mut out = vec![f64::NAN; functions.terms().len()];
@@ -102,15 +213,33 @@ mod testing {
     }
 
     pub fn slopes(functions: &dyn Functions, arguments: &[f64]) -> Vec<f64> {
+        slopes_by(functions, 0, arguments)
+    }
+
+    pub fn slopes_by(functions: &dyn Functions, by: usize, arguments: &[f64]) -> Vec<f64> {
         let mut out = vec![f64::NAN; functions.terms().len()];
-        functions.slopes(arguments, &mut out);
+        functions.slopes(by, arguments, &mut out);
         out
+    }
+
+    pub fn names(functions: &dyn Functions) -> Vec<String> {
+        functions.terms().into_iter().map(|term| term.suffix).collect()
     }
 
     /// Slopes against central differences.
     pub fn slopes_agree(functions: &dyn Functions, at: f64, step: f64, tolerance: f64) {
-        let (above, below) = (values(functions, &[at + step]), values(functions, &[at - step]));
-        for ((above, below), slope) in above.iter().zip(&below).zip(slopes(functions, &[at])) {
+        slopes_agree_by(functions, 0, &[at], step, tolerance);
+    }
+
+    /// Slopes to an argument against central differences.
+    pub fn slopes_agree_by(functions: &dyn Functions, by: usize, arguments: &[f64], step: f64, tolerance: f64) {
+        let moved = |step: f64| {
+            let mut arguments = arguments.to_vec();
+            arguments[by] += step;
+            values(functions, &arguments)
+        };
+        let (above, below) = (moved(step), moved(-step));
+        for ((above, below), slope) in above.iter().zip(&below).zip(slopes_by(functions, by, arguments)) {
             let difference = (above - below) / (2.0 * step);
             assert!((difference - slope).abs() <= tolerance * slope.abs().max(1.0), "{difference} {slope}");
         }

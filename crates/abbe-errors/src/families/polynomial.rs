@@ -4,7 +4,8 @@ use abbe_core::SettingsError;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-use super::{Argument, Functions, Term, whole_numbers};
+use super::travel::Travel;
+use super::{Argument, Family, Functions, Subject, Term, whole_numbers};
 
 /// Ordinary polynomials of the axis command: `EXX[1]`, `EXX[2]`, ... in the unit of the error per power of mm or rad.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
@@ -14,11 +15,45 @@ pub struct Polynomial {
     pub polynomial: Vec<String>,
     /// The degrees, 0 to 9.
     pub degrees: Vec<u8>,
+    /// Travel of a linear axis over which `without_line` holds; that of the axis unless given.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub range_mm: Option<[f64; 2]>,
+    /// Travel of a rotary axis over which `without_once_per_turn` holds; that of the axis unless given.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub range_deg: Option<[f64; 2]>,
+    /// Straightness: every function without its least-squares line over the travel.
+    #[serde(default, skip_serializing_if = "std::ops::Not::not")]
+    pub without_line: bool,
+    /// Errors of a rotary axis: every function without its once-per-turn part.
+    #[serde(default, skip_serializing_if = "std::ops::Not::not")]
+    pub without_once_per_turn: bool,
 }
 
 impl Polynomial {
-    pub(crate) fn check(&self) -> Result<(), SettingsError> {
-        whole_numbers("degrees", "degree", &self.degrees, 0..=9)
+    fn travel(&self) -> Travel {
+        Travel {
+            range_mm: self.range_mm,
+            range_deg: self.range_deg,
+            without_line: self.without_line,
+            without_once_per_turn: self.without_once_per_turn,
+        }
+    }
+}
+
+impl Family for Polynomial {
+    fn symbols(&self) -> &[String] {
+        &self.polynomial
+    }
+
+    fn check(&self) -> Result<(), SettingsError> {
+        whole_numbers("degrees", "degree", &self.degrees, 0..=9)?;
+        self.travel().check()?;
+        self.travel().leaves("degrees", &self.degrees)
+    }
+
+    fn functions(&self, subject: &Subject<'_>) -> Result<Vec<Box<dyn Functions>>, SettingsError> {
+        let functions = OrdinaryPolynomial { degrees: self.degrees.clone() };
+        Ok(vec![self.travel().without(Box::new(functions), subject)?])
     }
 }
 
@@ -30,8 +65,8 @@ pub struct OrdinaryPolynomial {
 }
 
 impl Functions for OrdinaryPolynomial {
-    fn arguments(&self) -> &'static [Argument] {
-        &[Argument::Command]
+    fn arguments(&self) -> Vec<Argument> {
+        vec![Argument::Command]
     }
 
     fn terms(&self) -> Vec<Term> {
@@ -44,7 +79,7 @@ impl Functions for OrdinaryPolynomial {
         }
     }
 
-    fn slopes(&self, arguments: &[f64], out: &mut [f64]) {
+    fn slopes(&self, _: usize, arguments: &[f64], out: &mut [f64]) {
         for (slope, &degree) in out.iter_mut().zip(&self.degrees) {
             let degree = i32::from(degree);
             *slope = if degree == 0 { 0.0 } else { f64::from(degree) * arguments[0].powi(degree - 1) };

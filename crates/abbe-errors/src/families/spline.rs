@@ -1,10 +1,11 @@
 //! Natural cubic splines through values at knots.
 
-use abbe_core::{PathItem, Quantity, SettingsError};
+use abbe_core::SettingsError;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-use super::{Argument, Functions, Term};
+use super::knots::{Knots, knots};
+use super::{Argument, Family, Functions, Subject, Term, suits};
 
 /// Natural cubic splines through values at knots, `EXX[spl0]`, `EXX[spl1]`, ... in the unit of the error; straight beyond the
 /// first and the last knot.
@@ -24,118 +25,26 @@ pub struct Spline {
     pub zero: Vec<String>,
 }
 
-/// Commands at which a spline has its knots.
-#[derive(Debug, Clone, PartialEq, Serialize, JsonSchema)]
-#[serde(untagged)]
-pub enum Knots {
-    /// One by one, increasing.
-    Listed(Vec<f64>),
-    /// At equal distances.
-    Even(EvenKnots),
-}
-
-/// Knots at equal distances.
-#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize, JsonSchema)]
-#[serde(deny_unknown_fields)]
-pub struct EvenKnots {
-    /// The first knot.
-    pub from: f64,
-    /// The last knot.
-    pub to: f64,
-    /// From each to the next.
-    pub step: f64,
-}
-
-impl<'de> Deserialize<'de> for Knots {
-    fn deserialize<D: serde::Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
-        // Told apart here, because an untagged enum could not say what is wrong in either form.
-        match serde_json::Value::deserialize(deserializer)? {
-            map @ serde_json::Value::Object(_) => abbe_core::from_settings(&map).map(Self::Even),
-            list => abbe_core::from_settings(&list).map(Self::Listed),
-        }
-        .map_err(serde::de::Error::custom)
-    }
-}
-
 /// A natural spline has the second derivative as an unknown at inner knots only; with two knots it would be a line.
 const FEWEST: usize = 3;
 
-/// More knots than this are a slip of the pen: a step in the wrong unit.
-const MOST: f64 = 1000.0;
-
-impl Knots {
-    /// The knots in their own unit.
-    fn places(&self) -> Result<Vec<f64>, SettingsError> {
-        let places = match self {
-            Self::Listed(places) => places.clone(),
-            Self::Even(even) => even.places()?,
-        };
-        if places.len() < FEWEST {
-            let message = format!("a spline has {FEWEST} knots at least; {} are given", places.len());
-            return Err(SettingsError::new("", message));
-        }
-        match places.windows(2).position(|pair| !(pair[0] < pair[1] && pair[1].is_finite())) {
-            None => Ok(places),
-            Some(index) => {
-                Err(SettingsError::new("", format!("knots have to increase; {} does not", places[index + 1]))
-                    .under([PathItem::Index(index + 1)]))
-            }
-        }
-    }
-}
-
-impl EvenKnots {
-    fn places(self) -> Result<Vec<f64>, SettingsError> {
-        let Self { from, to, step } = self;
-        let intervals = (to - from) / step;
-        if !(step > 0.0 && intervals > 0.0 && intervals < MOST) {
-            let message = format!(
-                "knots from {from} to {to} in steps of {step}: a smaller `from`, a larger `to` and a positive `step` were expected"
-            );
-            return Err(SettingsError::new("", message));
-        }
-        if (intervals - intervals.round()).abs() > 1e-9 * intervals {
-            let message = format!("the step {step} does not divide the way from {from} to {to}");
-            return Err(SettingsError::new("step", message));
-        }
-        let last = intervals.round();
-        // Both ends are exact.
-        Ok((0..=last as usize).map(|k| (from * (last - k as f64) + to * k as f64) / last).collect())
-    }
-}
-
-impl Spline {
-    pub(crate) fn check(&self) -> Result<(), SettingsError> {
-        self.knots().map(|_| ())
+impl Family for Spline {
+    fn symbols(&self) -> &[String] {
+        &self.spline
     }
 
-    pub(crate) fn check_axis(&self, command: Quantity) -> Result<(), SettingsError> {
-        match (command, &self.knots_mm, &self.knots_deg) {
-            (Quantity::Angle, Some(_), _) => {
-                Err(SettingsError::new("knots_mm", "the knots of a rotary axis are angles: `knots_deg`"))
-            }
-            (Quantity::Length, _, Some(_)) => {
-                Err(SettingsError::new("knots_deg", "the knots of a linear axis are lengths: `knots_mm`"))
-            }
-            _ => Ok(()),
-        }
+    fn zero(&self) -> &[String] {
+        &self.zero
     }
 
-    /// The knots, mm or rad.
-    pub fn knots(&self) -> Result<Vec<f64>, SettingsError> {
-        let under = |name: &str| {
-            let name = PathItem::Key(name.to_owned());
-            move |error: SettingsError| error.under([name])
-        };
-        match (&self.knots_mm, &self.knots_deg) {
-            (Some(knots), None) => knots.places().map_err(under("knots_mm")),
-            (None, Some(knots)) => {
-                let places = knots.places().map_err(under("knots_deg"))?;
-                Ok(places.into_iter().map(f64::to_radians).collect())
-            }
-            (Some(_), Some(_)) => Err(SettingsError::new("knots_deg", "there is `knots_mm` already")),
-            (None, None) => Err(SettingsError::new("", "a spline needs `knots_mm` (or `knots_deg` of a rotary axis)")),
-        }
+    fn check(&self) -> Result<(), SettingsError> {
+        knots("a spline", &self.knots_mm, &self.knots_deg, FEWEST).map(|_| ())
+    }
+
+    fn functions(&self, subject: &Subject<'_>) -> Result<Vec<Box<dyn Functions>>, SettingsError> {
+        suits(("knots", "knots"), subject, self.knots_mm.is_some(), self.knots_deg.is_some())?;
+        let knots = knots("a spline", &self.knots_mm, &self.knots_deg, FEWEST)?;
+        Ok(vec![Box::new(NaturalSpline::new(knots))])
     }
 }
 
@@ -201,8 +110,8 @@ impl NaturalSpline {
 }
 
 impl Functions for NaturalSpline {
-    fn arguments(&self) -> &'static [Argument] {
-        &[Argument::Command]
+    fn arguments(&self) -> Vec<Argument> {
+        vec![Argument::Command]
     }
 
     fn terms(&self) -> Vec<Term> {
@@ -224,7 +133,7 @@ impl Functions for NaturalSpline {
         self.combine(interval, [left, right], bends, out);
     }
 
-    fn slopes(&self, arguments: &[f64], out: &mut [f64]) {
+    fn slopes(&self, _: usize, arguments: &[f64], out: &mut [f64]) {
         let interval = self.interval(arguments[0]);
         let (from, to) = (self.knots[interval], self.knots[interval + 1]);
         let (width, command) = (to - from, self.beyond(arguments[0]).unwrap_or(arguments[0]));

@@ -1,0 +1,197 @@
+//! Piecewise polynomials in truncated powers.
+
+use std::ops::RangeInclusive;
+
+use abbe_core::{Quantity, SettingsError};
+use schemars::JsonSchema;
+use serde::{Deserialize, Serialize};
+
+use super::knots::{Knots, knots, within};
+use super::travel::Travel;
+use super::{Argument, Family, Functions, Subject, Term, suits};
+
+/// Piecewise polynomials (Soons 1993, eq. 3.2): powers `EXX[1]`, `EXX[2]` of the command up to the degree, and
+/// `EXX[pp3,2]`, the square of the way beyond knot 3 and zero before it. There is no constant.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct Piecewise {
+    /// Motion errors by ISO 230-1 symbol, e.g. EXX; `?` and `*` are wildcards.
+    pub piecewise: Vec<String>,
+    /// Degree of the pieces, 1 to 9.
+    pub degree: u8,
+    /// What is continuous at knots: 0 the value, 1 the slope too.
+    pub continuity: u8,
+    /// Inner knots of errors of a linear axis.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub knots_mm: Option<Knots>,
+    /// Inner knots of errors of a rotary axis.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub knots_deg: Option<Knots>,
+    /// Travel of a linear axis; that of the axis unless given.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub range_mm: Option<[f64; 2]>,
+    /// Travel of a rotary axis; that of the axis unless given.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub range_deg: Option<[f64; 2]>,
+    /// Straightness: every function without its least-squares line over the travel.
+    #[serde(default, skip_serializing_if = "std::ops::Not::not")]
+    pub without_line: bool,
+    /// Errors of a rotary axis: every function without its once-per-turn part.
+    #[serde(default, skip_serializing_if = "std::ops::Not::not")]
+    pub without_once_per_turn: bool,
+}
+
+impl Piecewise {
+    fn travel(&self) -> Travel {
+        Travel {
+            range_mm: self.range_mm,
+            range_deg: self.range_deg,
+            without_line: self.without_line,
+            without_once_per_turn: self.without_once_per_turn,
+        }
+    }
+}
+
+impl Family for Piecewise {
+    fn symbols(&self) -> &[String] {
+        &self.piecewise
+    }
+
+    fn check(&self) -> Result<(), SettingsError> {
+        check(self.degree, self.continuity)?;
+        knots("a piecewise polynomial", &self.knots_mm, &self.knots_deg, 1)?;
+        self.travel().check()
+    }
+
+    fn functions(&self, subject: &Subject<'_>) -> Result<Vec<Box<dyn Functions>>, SettingsError> {
+        suits(("knots", "knots"), subject, self.knots_mm.is_some(), self.knots_deg.is_some())?;
+        let knots = knots("a piecewise polynomial", &self.knots_mm, &self.knots_deg, 1)?;
+        let range = self.travel().range(subject)?;
+        if let Some(range) = range {
+            within(&knots, range, subject.command == Quantity::Angle)?;
+        }
+        // A line without its line is nothing.
+        let powers = if self.without_line { 2..=self.degree } else { 1..=self.degree };
+        let functions = PiecewisePolynomial::new(knots, powers, self.continuity, range);
+        Ok(vec![self.travel().without(Box::new(functions), subject)?])
+    }
+}
+
+pub(super) fn check(degree: u8, continuity: u8) -> Result<(), SettingsError> {
+    if !(1..=9).contains(&degree) {
+        return Err(SettingsError::new("degree", format!("degree {degree}: 1 to 9 was expected")));
+    }
+    if continuity >= degree {
+        let message = format!("pieces of degree {degree} that continue {continuity} times have no knots: 0 to {} was expected", degree - 1);
+        return Err(SettingsError::new("continuity", message));
+    }
+    Ok(())
+}
+
+/// Powers `q^n` of the command, and truncated ones: `(q - t)^n` beyond a knot t, zero before it.
+#[derive(Debug, Clone, PartialEq)]
+pub struct PiecewisePolynomial {
+    knots: Vec<f64>,
+    powers: RangeInclusive<u8>,
+    truncated: RangeInclusive<u8>,
+    range: Option<[f64; 2]>,
+}
+
+impl PiecewisePolynomial {
+    /// Powers of the command, truncated powers from `continuity` + 1 to the largest of them at every knot, and the travel.
+    pub fn new(knots: Vec<f64>, powers: RangeInclusive<u8>, continuity: u8, range: Option<[f64; 2]>) -> Self {
+        let truncated = continuity + 1..=*powers.end();
+        Self { knots, powers, truncated, range }
+    }
+
+    /// What the bracket says, with the power.
+    pub(super) fn names(&self) -> impl Iterator<Item = (String, u8)> {
+        let powers = self.powers.clone().map(|power| (power.to_string(), power));
+        let truncated = (1..=self.knots.len())
+            .flat_map(|knot| self.truncated.clone().map(move |power| (format!("pp{knot},{power}"), power)));
+        powers.chain(truncated)
+    }
+
+    /// Calls with the way from the origin or the knot, the power, and the function.
+    fn each(&self, command: f64, out: &mut [f64], of: impl Fn(f64, i32) -> f64) {
+        let powers = self.powers.clone().map(|power| (command, power));
+        let truncated = self.knots.iter().flat_map(|knot| self.truncated.clone().map(move |power| (command - knot, power)));
+        let beyond = truncated.map(|(way, power)| (way.max(0.0), power));
+        for (out, (way, power)) in out.iter_mut().zip(powers.chain(beyond)) {
+            *out = of(way, i32::from(power));
+        }
+    }
+}
+
+impl Functions for PiecewisePolynomial {
+    fn arguments(&self) -> Vec<Argument> {
+        vec![Argument::Command]
+    }
+
+    fn terms(&self) -> Vec<Term> {
+        self.names().map(|(name, power)| Term::new(format!("[{name}]"), power)).collect()
+    }
+
+    fn values(&self, arguments: &[f64], out: &mut [f64]) {
+        self.each(arguments[0], out, f64::powi);
+    }
+
+    fn slopes(&self, _: usize, arguments: &[f64], out: &mut [f64]) {
+        self.each(arguments[0], out, |way, power| f64::from(power) * way.powi(power - 1));
+        // The slope of a truncated line jumps at its knot, from zero.
+        if *self.truncated.start() == 1 {
+            let before = self.powers.clone().count();
+            let step = self.truncated.clone().count();
+            for (out, knot) in out[before..].iter_mut().step_by(step).zip(&self.knots) {
+                *out = f64::from(arguments[0] > *knot);
+            }
+        }
+    }
+
+    fn range(&self) -> Option<[f64; 2]> {
+        self.range
+    }
+
+    fn breaks(&self) -> &[f64] {
+        &self.knots
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use proptest::prelude::*;
+
+    use super::*;
+    use crate::families::testing::{names, slopes, slopes_agree, values};
+
+    #[test]
+    fn values_by_hand() {
+        let pieces = PiecewisePolynomial::new(vec![50.0, 100.0], 1..=2, 1, None);
+        assert_eq!(names(&pieces), ["[1]", "[2]", "[pp1,2]", "[pp2,2]"]);
+        assert_eq!(values(&pieces, &[80.0]), [80.0, 6400.0, 900.0, 0.0]);
+        assert_eq!(slopes(&pieces, &[110.0]), [1.0, 220.0, 120.0, 20.0]);
+        let kinked = PiecewisePolynomial::new(vec![50.0], 1..=2, 0, None);
+        assert_eq!(names(&kinked), ["[1]", "[2]", "[pp1,1]", "[pp1,2]"]);
+        assert_eq!(slopes(&kinked, &[40.0]), [1.0, 80.0, 0.0, 0.0]);
+        assert_eq!(slopes(&kinked, &[60.0]), [1.0, 120.0, 1.0, 20.0]);
+    }
+
+    proptest! {
+        #[test]
+        fn values_and_slopes_do_not_jump_at_knots(knot in -200.0..200.0_f64, degree in 2u8..5) {
+            let pieces = PiecewisePolynomial::new(vec![knot, knot + 10.0], 1..=degree, 1, None);
+            let near = 1e-9;
+            for of in [values, slopes] {
+                let (left, right) = (of(&pieces, &[knot - near]), of(&pieces, &[knot + near]));
+                for (left, right) in left.iter().zip(right) {
+                    prop_assert!((left - right).abs() < 1e-6 * left.abs().max(1.0), "{left} {right}");
+                }
+            }
+        }
+
+        #[test]
+        fn slopes_are_those_of_the_values(at in -5.0..5.0_f64, degree in 2u8..5) {
+            slopes_agree(&PiecewisePolynomial::new(vec![-2.5, 1.0], 1..=degree, 1, None), at, 1e-6, 1e-5);
+        }
+    }
+}
