@@ -66,7 +66,8 @@ pub struct StatusColumn {
     pub absent: Absent,
 }
 
-/// A parameter or an unknown: name and unit. Its nominal value is zero.
+/// A parameter or an unknown: name and unit. Its nominal value is zero, unless a model says otherwise
+/// ([`KinematicModel::nominal`]).
 #[derive(Debug, Clone, PartialEq)]
 pub struct Parameter {
     /// Name as in the conventions, e.g. `EXX[1]`.
@@ -114,7 +115,7 @@ impl Poses {
     }
 }
 
-/// A motion error of an axis: a linear combination of parameters, for those who sample or compensate it.
+/// A motion error of an axis, for those who sample or compensate it.
 #[derive(Debug, Clone, PartialEq)]
 pub struct ErrorFunction {
     /// ISO 230-1 symbol, e.g. `EYX`.
@@ -125,6 +126,15 @@ pub struct ErrorFunction {
     pub component: usize,
     /// Length or angle.
     pub quantity: Quantity,
+}
+
+/// The value of a motion error at a status, and how it depends on parameters.
+#[derive(Debug, Clone, Default, PartialEq)]
+pub struct MotionError {
+    /// Its value, mm or rad.
+    pub value: f64,
+    /// Derivatives to parameters: (index, derivative). Of a coefficient that is the function that it multiplies.
+    pub derivatives: Vec<(usize, f64)>,
 }
 
 /// A machine: where its tool is relative to its workpiece, given axis positions, status and parameters.
@@ -139,6 +149,11 @@ pub trait KinematicModel: Send + Sync {
 
     /// Every parameter that exists in this model.
     fn parameters(&self) -> &[Parameter];
+
+    /// Nominal value of every parameter: zero, apart from those that shape a function, such as a wavelength.
+    fn nominal(&self) -> Vec<f64> {
+        vec![0.0; self.parameters().len()]
+    }
 
     /// Effective stylus radius in mm.
     fn stylus_radius(&self) -> f64;
@@ -164,8 +179,10 @@ pub trait KinematicModel: Send + Sync {
         Vec::new()
     }
 
-    /// The value of a motion error at a status as a linear combination: (parameter index, factor).
-    fn error_terms(&self, _function: &ErrorFunction, _status: &[f64]) -> Vec<(usize, f64)> {
-        Vec::new()
+    /// A motion error at a status; `values` has one value a parameter.
+    ///
+    /// Fails where the status is outside the range of the error's functions.
+    fn motion_error(&self, _function: &ErrorFunction, _values: &[f64], _status: &[f64]) -> Result<MotionError> {
+        Ok(MotionError::default())
     }
 }

@@ -264,7 +264,7 @@ impl Problem {
         }
         let mut chosen = chosen.into_iter();
         candidates.retain(|_| chosen.next() == Some(true));
-        let machine = vec![0.0; model.parameters().len()];
+        let machine = model.nominal();
         let (inputs, considered) = inputs(&sets)?;
         Ok(Self {
             name: name.to_owned(),

@@ -149,7 +149,7 @@ impl Prepared {
         // Nothing is estimated here: neither unknowns nor the uncertainty of inputs matter.
         Ok(Problem {
             name: machine.to_owned(),
-            machine: vec![0.0; model.parameters().len()],
+            machine: model.nominal(),
             model,
             model_plugin: stage.plugin.clone(),
             sets,

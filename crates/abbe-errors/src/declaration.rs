@@ -74,8 +74,7 @@ impl Declaration {
         let Some(map) = settings.as_object() else {
             return Err(SettingsError::new("", "a family such as `{ polynomial: [EXX], degrees: [1] }` was expected"));
         };
-        let named: Vec<&str> =
-            Self::FAMILIES.iter().copied().filter(|family| map.contains_key(*family)).collect();
+        let named: Vec<&str> = Self::FAMILIES.iter().copied().filter(|family| map.contains_key(*family)).collect();
         let declaration = match named.as_slice() {
             [family] => Self::read_as(family, settings)?,
             [] => {
@@ -147,10 +146,7 @@ mod tests {
                 json!({ "chebyshev": ["EYX"], "degrees": [2], "without_line": true, "without_once_per_turn": true }),
                 "without_once_per_turn: there is `without_line` already",
             ),
-            (
-                json!({ "b-spline": ["EXX"], "degree": 0, "knots_mm": [1] }),
-                "degree: degree 0: 1 to 5 was expected",
-            ),
+            (json!({ "b-spline": ["EXX"], "degree": 0, "knots_mm": [1] }), "degree: degree 0: 1 to 5 was expected"),
             (
                 json!({ "periodic": ["EXX"], "wavelength_mm": 0, "functions": 3 }),
                 "wavelength_mm: a wavelength is positive; 0 is not",
@@ -165,10 +161,7 @@ mod tests {
             ),
             (json!({ "product": ["EXX"], "of": [] }), "of: a product of 0 axes: 1 to 9 was expected"),
             (json!({ "load": ["EAX"], "reference_N": -1, "degree": 1 }), "reference_N: a positive force was expected"),
-            (
-                json!({ "load": ["EAX"], "reference_N": 1, "degree": 1, "knots_mm": [5] }),
-                "knots need a `continuity`",
-            ),
+            (json!({ "load": ["EAX"], "reference_N": 1, "degree": 1, "knots_mm": [5] }), "knots need a `continuity`"),
             (
                 json!({ "location": ["EA0B"], "backlash": ["EXX"] }),
                 "backlash: two families in one line: location, backlash (give each family a line of its own)",

@@ -27,7 +27,7 @@ impl Volumetric {
 /// The error is the tip with the values of the calibration minus the tip with all parameters zero. Its covariance is
 /// `F C F^T` (Soons 1993, equation A.4), with F the derivatives of the tip to those parameters of the machine that the
 /// covariance of the calibration names, at its values, and C their covariance; unknowns of artefacts take no part.
-/// Values that the calibration does not have are zero.
+/// Values that the calibration does not have are nominal.
 ///
 /// Fails if `statuses` has no whole number of rows, or where the model fails.
 pub fn predict(model: &dyn KinematicModel, calibration: &Calibration, statuses: &[f64]) -> Result<Vec<Volumetric>> {
@@ -35,10 +35,10 @@ pub fn predict(model: &dyn KinematicModel, calibration: &Calibration, statuses: 
     if !statuses.len().is_multiple_of(width) {
         return Err(Error::usage(format!("{} numbers are no poses of {width} statuses each", statuses.len())));
     }
-    let values: Vec<f64> = (model.parameters().iter())
-        .map(|parameter| calibration.get(&parameter.name).map_or(0.0, |known| known.value))
+    let zero = model.nominal();
+    let values: Vec<f64> = (model.parameters().iter().zip(&zero))
+        .map(|(parameter, nominal)| calibration.get(&parameter.name).map_or(*nominal, |known| known.value))
         .collect();
-    let zero = vec![0.0; values.len()];
     let (wanted, covariance) = machine_covariance(model, calibration);
     let (mut actual, mut nominal) = (Poses::default(), Poses::default());
     let mut errors = Vec::with_capacity(statuses.len() / width);

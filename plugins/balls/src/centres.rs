@@ -89,7 +89,7 @@ fn mean_status(touches: &Layout, model: &dyn KinematicModel, group: &Group) -> R
 fn tips(touches: &Layout, model: &dyn KinematicModel, group: &Group) -> Result<Vec<Vector3<f64>>> {
     let statuses: Vec<f64> = group.rows.iter().flat_map(|&row| touches.poses.row(row).to_vec()).collect();
     let mut poses = Poses::default();
-    model.evaluate(&statuses, &vec![0.0; model.parameters().len()], &[], false, &mut poses)?;
+    model.evaluate(&statuses, &model.nominal(), &[], false, &mut poses)?;
     Ok(poses.positions.iter().map(|position| Vector3::from(*position)).collect())
 }
 
@@ -122,7 +122,7 @@ fn reach(model: &dyn KinematicModel, mut status: Vec<f64>, point: Vector3<f64>) 
     let linear = model.axes().iter().enumerate().filter(|(_, axis)| axis.kind == AxisKind::Linear);
     let (commands, columns): (Vec<Variable>, Vec<usize>) =
         linear.map(|(index, axis)| (Variable::Command(index), axis.status)).unzip();
-    let nominal = vec![0.0; model.parameters().len()];
+    let nominal = model.nominal();
     let mut poses = Poses::default();
     for _ in 0..20 {
         model.evaluate(&status, &nominal, &commands, false, &mut poses)?;

@@ -103,8 +103,7 @@ impl Export for ErrorTable {
                     let status = status(model, axis, point / factor, direction);
                     for function in &of_axis {
                         let (_, factor) = value_unit(function);
-                        let value = values.value(model, function, &status);
-                        let uncertainty = values.standard_uncertainty(model, function, &status);
+                        let (value, uncertainty) = values.motion_error(model, function, &status)?;
                         text.push_str(&format!(",{},{}", fixed(value * factor), fixed(uncertainty * factor)));
                     }
                     text.push('\n');

@@ -141,14 +141,16 @@ impl Export for LinuxCnc {
             let points = points(axis, &self.settings.ranges, self.settings.steps(), MOST)?;
             let mut text = String::new();
             for point in &points {
-                let [forward, reverse] = [1.0, -1.0].map(|direction| {
+                let at = |direction: f64| -> Result<f64> {
                     let status = status(model, axis, point / factor, direction);
-                    let parts = along(index, axis, &functions);
-                    let error: f64 =
-                        parts.iter().map(|(part, function)| part * values.value(model, function, &status)).sum();
+                    let mut error = 0.0;
+                    for (part, function) in along(index, axis, &functions) {
+                        error += part * values.motion_error(model, function, &status)?.0;
+                    }
                     // A positive command moves the body by its sense, and the body is what is off.
-                    axis.sense * error * factor
-                });
+                    Ok(axis.sense * error * factor)
+                };
+                let [forward, reverse] = [at(1.0)?, at(-1.0)?];
                 let [forward, reverse] = match self.settings.kind {
                     FileType::Positions => [point + forward, point + reverse],
                     FileType::Trims => [-forward, -reverse],

@@ -51,29 +51,34 @@ impl<'a> Values<'a> {
             calibration.covariance.order.iter().enumerate().map(|(row, name)| (name.as_str(), row)).collect();
         let parameters = model.parameters().iter().map(|parameter| parameter.name.as_str());
         Self {
-            values: parameters.clone().map(|name| known.get(name).copied().unwrap_or(0.0)).collect(),
+            values: parameters
+                .clone()
+                .zip(model.nominal())
+                .map(|(name, nominal)| known.get(name).copied().unwrap_or(nominal))
+                .collect(),
             covariance: &calibration.covariance.rows,
             rows: parameters.map(|name| order.get(name).copied()).collect(),
         }
     }
 
-    /// The value of a motion error at a status.
-    pub fn value(&self, model: &dyn KinematicModel, function: &ErrorFunction, status: &[f64]) -> f64 {
-        model.error_terms(function, status).iter().map(|&(parameter, factor)| factor * self.values[parameter]).sum()
-    }
-
-    /// Its standard uncertainty; parameters that were not estimated have none.
-    pub fn standard_uncertainty(&self, model: &dyn KinematicModel, function: &ErrorFunction, status: &[f64]) -> f64 {
-        let terms = model.error_terms(function, status);
+    /// A motion error at a status, with its standard uncertainty; parameters that were not estimated have none.
+    pub fn motion_error(
+        &self,
+        model: &dyn KinematicModel,
+        function: &ErrorFunction,
+        status: &[f64],
+    ) -> Result<(f64, f64)> {
+        let error = model.motion_error(function, &self.values, status)?;
+        let terms = error.derivatives.iter();
         let terms: Vec<(usize, f64)> =
-            terms.iter().filter_map(|&(parameter, factor)| Some((self.rows[parameter]?, factor))).collect();
+            terms.filter_map(|&(parameter, factor)| Some((self.rows[parameter]?, factor))).collect();
         let mut variance = 0.0;
         for (row, a) in &terms {
             for (column, b) in &terms {
                 variance += a * b * self.covariance[*row][*column];
             }
         }
-        variance.max(0.0).sqrt()
+        Ok((error.value, variance.max(0.0).sqrt()))
     }
 }
 

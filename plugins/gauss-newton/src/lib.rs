@@ -278,13 +278,40 @@ impl GaussNewton {
         Ok(weighted)
     }
 
+    /// The problem with start values from which more unknowns have an effect than from its own, with its factor; None if
+    /// there are none.
+    ///
+    /// A wavelength has no effect as long as the amplitudes that go with it are zero: those come first, without it.
+    fn started(&self, problem: &Problem, factor: &Factor) -> Result<Option<(Problem, Factor)>> {
+        let idle = |factor: &Factor| -> Vec<String> {
+            let idle = problem.unknowns.iter().zip(factor.norms()).filter(|(_, norm)| **norm == 0.0);
+            idle.map(|(unknown, _)| unknown.name.clone()).collect()
+        };
+        let first = idle(factor);
+        let reduced = problem.without(|unknown| first.contains(&unknown.name));
+        if first.is_empty() || reduced.unknowns.is_empty() {
+            return Ok(None);
+        }
+        let of_reduced = factor_at_contact(&reduced, &reduced.start())?;
+        let rank = of_reduced.singular_values().rank(self.settings.rank_tolerance);
+        let options = self.options(rank, 1e-3, false);
+        let Ok(solution) = self.iterate(&self.weighted(&reduced)?, &reduced.start(), &options) else {
+            return Ok(None);
+        };
+        let started = Problem { unknowns: problem.unknowns.clone(), ..reduced.at(&solution.x) };
+        let factor = factor_at_contact(&started, &started.start())?;
+        Ok((idle(&factor).len() < first.len()).then_some((started, factor)))
+    }
+
     fn estimate(&self, problem: &Problem, explained: bool) -> Result<Calibration> {
         Self::check(problem)?;
         let factor = factor_at_contact(problem, &problem.start())?;
+        let started = self.started(problem, &factor)?;
+        let (problem, factor) = started.as_ref().map_or((problem, &factor), |(problem, factor)| (problem, factor));
         if factor.is_surely_full_rank(self.settings.rank_tolerance) {
             return self.solve(problem, None, explained);
         }
-        let found = identifiability(problem, &factor, self.settings.rank_tolerance);
+        let found = identifiability(problem, factor, self.settings.rank_tolerance);
         if found.rank == found.unknowns {
             return self.solve(problem, None, explained);
         }
@@ -335,12 +362,14 @@ impl Estimate for GaussNewton {
     }
 
     fn identify(&self, problem: &Problem) -> Result<Identifiability> {
+        let factor = factor_at_contact(problem, &problem.start())?;
+        let started = self.started(problem, &factor)?;
+        let (problem, factor) = started.as_ref().map_or((problem, &factor), |(problem, factor)| (problem, factor));
         let (x, at_contact) = (problem.start(), problem.at_contact(&problem.start())?);
-        let factor = Weighted::new(&at_contact)?.factor(&x, None)?;
-        let mut found = separated(problem, &x, identifiability(problem, &factor, self.settings.rank_tolerance));
+        let mut found = separated(problem, &x, identifiability(problem, factor, self.settings.rank_tolerance));
         found.weakest = weakest(problem, &factor.spectrum(), found.rank);
         if found.rank == found.unknowns {
-            let place = Place { problem: &at_contact, x: &x, kept: None, factor: &factor, rank: found.rank };
+            let place = Place { problem: &at_contact, x: &x, kept: None, factor, rank: found.rank };
             let propagation = Propagation::new(&place, (1.0, f64::INFINITY), true)?;
             found.uncertainty = Some(propagation.budget(problem, self.settings.coverage_probability));
         }

@@ -262,7 +262,7 @@ impl Measured {
         let bars = data.labels("bar");
         let mut counts: Vec<f64> = Vec::new();
         let mut poses = Poses::default();
-        let nominal = vec![0.0; model.parameters().len()];
+        let nominal = model.nominal();
         for (row, layout) in self.layout.rows.iter().enumerate() {
             let name = of_bar(bars, row, "length");
             let own = self.unknowns.iter().position(|unknown| unknown.name == name).unwrap_or_else(|| {

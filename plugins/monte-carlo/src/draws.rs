@@ -356,7 +356,7 @@ impl Neglected {
             let other = if quantity == Quantity::Length { "at_end_of_travel_urad" } else { "at_end_of_travel_um" };
             return Err(Error::usage(format!("{} has the unit {}; use `{other}`", unknown.name, unknown.unit)));
         }
-        let largest = largest_factor(unknown.index, problem);
+        let largest = largest_factor(unknown.index, problem)?;
         match largest > 0.0 {
             true => Ok(size / largest),
             false if unknown.unit.per.is_none() => Ok(size),
@@ -367,21 +367,21 @@ impl Neglected {
 }
 
 /// The largest factor with which a parameter takes part in its motion error at the recorded statuses.
-fn largest_factor(parameter: usize, problem: &Problem) -> f64 {
+fn largest_factor(parameter: usize, problem: &Problem) -> Result<f64> {
     let functions = problem.model.error_functions();
     let mut largest = 0.0_f64;
     for set in &problem.sets {
         for row in set.rows.iter().map(|&row| set.observations.layout().rows[row]) {
             for pose in row.first_pose..row.first_pose + row.poses {
                 for function in &functions {
-                    let terms = problem.model.error_terms(function, set.poses().row(pose));
-                    let own = terms.iter().filter(|(index, _)| *index == parameter);
+                    let error = problem.model.motion_error(function, &problem.machine, set.poses().row(pose))?;
+                    let own = error.derivatives.iter().filter(|(index, _)| *index == parameter);
                     largest = own.fold(largest, |largest, (_, factor)| largest.max(factor.abs()));
                 }
             }
         }
     }
-    largest
+    Ok(largest)
 }
 
 impl Pretravel {

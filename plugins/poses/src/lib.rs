@@ -155,7 +155,7 @@ fn read(data: &Dataset) -> Result<Vec<Isometry3<f64>>> {
 /// Where the nominal machine has the tool at every pose, table frame.
 fn nominal_tools(layout: &Layout, model: &dyn KinematicModel) -> Result<Vec<Isometry3<f64>>> {
     let statuses: Vec<f64> = (0..layout.poses.len()).flat_map(|pose| layout.poses.row(pose)).copied().collect();
-    let nominal = vec![0.0; model.parameters().len()];
+    let nominal = model.nominal();
     let mut poses = abbe_core::Poses::default();
     model.evaluate(&statuses, &nominal, &[], true, &mut poses)?;
     Ok(tools(PoseValues { positions: &poses.positions, orientations: &poses.orientations }).collect())

@@ -118,7 +118,7 @@ impl<'a> Programme<'a> {
         let (commands, places): (Vec<Variable>, Vec<usize>) =
             axes.map(|(index, axis)| (Variable::Command(index), axis.status)).unzip();
         let mut poses = Poses::default();
-        let nominal = vec![0.0; model.parameters().len()];
+        let nominal = model.nominal();
         model.evaluate(&touches.statuses, &nominal, &commands, false, &mut poses)?;
         let tips: Vec<Vector3<f64>> = poses.positions.iter().map(|tip| Vector3::from(*tip)).collect();
         let measured = touches.through(&tips)?.shape;
@@ -140,7 +140,7 @@ impl<'a> Programme<'a> {
 
     /// The tips by the nominal model if the machine really has this error.
     pub fn measured_with(&self, error: &SingleError) -> Result<Vec<Vector3<f64>>> {
-        let nominal = vec![0.0; self.model.parameters().len()];
+        let nominal = self.model.nominal();
         let mut real = nominal.clone();
         real[error.index] = error.value;
         tips(self.model, &self.touched(&real)?, &nominal)

@@ -97,7 +97,7 @@ impl Validate for Sphericity {
         for fit in fits {
             let (touches, skipped) = self.touches(fit, data)?;
             let model = fit.problem.model.as_ref();
-            let zero = vec![0.0; model.parameters().len()];
+            let zero = model.nominal();
             let mut of_nominal = Form::all(&touches, model, &zero)?.figures(NOMINAL, model.stylus_radius());
             if !nominal.contains(&of_nominal) {
                 nominal.push(of_nominal.clone());

@@ -5,7 +5,7 @@ use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 use super::knots::{Knots, knots, within};
-use super::travel::{Trend, Travel, Without};
+use super::travel::Travel;
 use super::{Argument, Family, Functions, Subject, Term, suits};
 
 /// B-splines over the travel: `EXX[bs0]`, `EXX[bs1]`, ... in the unit of the error, each different from zero on a few pieces only.
@@ -173,6 +173,7 @@ mod tests {
 
     use super::*;
     use crate::families::testing::{names, slopes, slopes_agree, values};
+    use crate::families::{Trend, Without};
 
     #[test]
     fn values_by_hand() {

@@ -102,7 +102,9 @@ pub(crate) fn knots(
             Ok(places.into_iter().map(f64::to_radians).collect())
         }
         (Some(_), Some(_)) => Err(SettingsError::new("knots_deg", "there is `knots_mm` already")),
-        (None, None) => Err(SettingsError::new("", format!("{what} needs `knots_mm` (or `knots_deg` of a rotary axis)"))),
+        (None, None) => {
+            Err(SettingsError::new("", format!("{what} needs `knots_mm` (or `knots_deg` of a rotary axis)")))
+        }
     }
 }
 

@@ -86,7 +86,9 @@ impl Family for Load {
 
     fn functions(&self, subject: &Subject<'_>) -> Result<Vec<Box<dyn Functions>>, SettingsError> {
         Ok(vec![match (subject.location, self.degree) {
-            (true, None) if self.guideway_distance_mm.is_none() => Box::new(LocationUnderLoad { reference: self.reference_n }),
+            (true, None) if self.guideway_distance_mm.is_none() => {
+                Box::new(LocationUnderLoad { reference: self.reference_n })
+            }
             (true, None) => {
                 let message = "a location error under load has a term of its own for the place of the load";
                 return Err(SettingsError::new("guideway_distance_mm", message));

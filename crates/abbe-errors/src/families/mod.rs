@@ -197,14 +197,7 @@ fn suits((setting, what): (&str, &str), subject: &Subject<'_>, mm: bool, deg: bo
 
 #[cfg(test)]
 mod testing {
-    use abbe_core::Quantity;
-
-    use super::{Functions, Subject};
-
-    /// A linear axis X beside Y and C.
-    pub fn on_axis(command: Quantity, range: Option<[f64; 2]>) -> Subject<'static> {
-        Subject { location: false, command, range, axes: &[], labels: &[] }
-    }
+    use super::Functions;
 
     pub fn values(functions: &dyn Functions, arguments: &[f64]) -> Vec<f64> {
         let mut out = vec![f64::NAN; functions.terms().len()];

@@ -82,7 +82,10 @@ pub(super) fn check(degree: u8, continuity: u8) -> Result<(), SettingsError> {
         return Err(SettingsError::new("degree", format!("degree {degree}: 1 to 9 was expected")));
     }
     if continuity >= degree {
-        let message = format!("pieces of degree {degree} that continue {continuity} times have no knots: 0 to {} was expected", degree - 1);
+        let message = format!(
+            "pieces of degree {degree} that continue {continuity} times have no knots: 0 to {} was expected",
+            degree - 1
+        );
         return Err(SettingsError::new("continuity", message));
     }
     Ok(())
@@ -115,7 +118,8 @@ impl PiecewisePolynomial {
     /// Calls with the way from the origin or the knot, the power, and the function.
     fn each(&self, command: f64, out: &mut [f64], of: impl Fn(f64, i32) -> f64) {
         let powers = self.powers.clone().map(|power| (command, power));
-        let truncated = self.knots.iter().flat_map(|knot| self.truncated.clone().map(move |power| (command - knot, power)));
+        let truncated =
+            self.knots.iter().flat_map(|knot| self.truncated.clone().map(move |power| (command - knot, power)));
         let beyond = truncated.map(|(way, power)| (way.max(0.0), power));
         for (out, (way, power)) in out.iter_mut().zip(powers.chain(beyond)) {
             *out = of(way, i32::from(power));

@@ -34,18 +34,48 @@ fn commanded(model: &dyn KinematicModel, statuses: &[f64], axis: usize, by: f64)
     moved
 }
 
-/// Adds a spline for every axis and a Fourier series for every rotary one.
+/// Adds families that have a shape: for every axis all those that it can have.
 fn with_shapes(settings: &mut serde_json::Value, names: &[&str]) {
     let Some(errors) = settings["errors"].as_array_mut() else { return };
+    let rotary = |name: &str| name.starts_with(['A', 'B', 'C']);
     for name in names {
         let symbols = [format!("EX{name}"), format!("EB{name}")];
-        if name.starts_with(['A', 'B', 'C']) {
-            errors.push(
-                json!({ "spline": symbols, "knots_deg": [-100, -30, 40, 90], "zero": [format!("EX{name}[spl0]")] }),
-            );
+        let range = if rotary(name) { json!([-120, 120]) } else { json!([-420, 420]) };
+        let knots = if rotary(name) { json!([-100, -30, 40, 90]) } else { json!([-260, -10, 190, 330]) };
+        let unit = if rotary(name) { "deg" } else { "mm" };
+        let (in_range, in_knots, wave) =
+            (format!("range_{unit}"), format!("knots_{unit}"), format!("wavelength_{unit}"));
+        let without = if rotary(name) { "without_once_per_turn" } else { "without_line" };
+        let straight = [format!("EY{name}"), format!("EZ{name}")];
+        errors.push(json!({ "spline": symbols, (&in_knots): knots, "zero": [format!("EX{name}[spl0]")] }));
+        errors.push(json!({ "b-spline": symbols, "degree": 3, (&in_knots): knots, (&in_range): range }));
+        errors.push(json!({ "legendre": symbols, "degrees": [1, 4], (&in_range): range }));
+        errors.push(json!({ "chebyshev": straight, "degrees": [2, 5], (&in_range): range, (without): true }));
+        errors.push(json!({
+            "periodic": symbols, (&wave): 47.5, "functions": 3, "estimate_wavelength": true,
+        }));
+        let load = json!({
+            "load": symbols, "reference_N": 4900, "guideway_distance_mm": 375, "degree": 3, "continuity": 2, (&in_knots): knots,
+        });
+        errors.push(load);
+        errors.push(json!({ "load": [format!("EA0{name}")], "reference_N": 4900 }));
+        let alike: Vec<&&str> = names.iter().filter(|other| rotary(other) == rotary(name)).collect();
+        errors.push(json!({ "product": straight, "of": [alike[0], alike[alike.len() - 1], name] }));
+        if rotary(name) {
             errors.push(json!({ "fourier": symbols, "orders": [1, 3] }));
-        } else {
-            errors.push(json!({ "spline": symbols, "knots_mm": { "from": -300, "to": 300, "step": 200 } }));
+        }
+    }
+    // The polynomials of the machine have the names of the ordinary ones here: these are in the way.
+    errors.retain(|line| line.get("polynomial").is_none() && line.get("backlash").is_none());
+    let patterns: Vec<String> = names.iter().map(|name| format!("E?{name}")).collect();
+    let of = |wanted: bool| -> Vec<&String> {
+        names.iter().zip(&patterns).filter(|(name, _)| rotary(name) == wanted).map(|(_, pattern)| pattern).collect()
+    };
+    errors.push(json!({ "backlash": patterns, "degrees": [1, 3] }));
+    for (rotary, unit, knots) in [(true, "deg", [-50, 20]), (false, "mm", [-150, 120])] {
+        if !of(rotary).is_empty() {
+            let knots_setting = format!("knots_{unit}");
+            errors.push(json!({ "piecewise": of(rotary), "degree": 3, "continuity": 2, (knots_setting): knots }));
         }
     }
 }
@@ -78,6 +108,9 @@ fn worst(seeds: std::ops::Range<u64>, evaluation: &str, mm: f64, rad: f64) -> [f
                 Variable::Parameter(parameter) => {
                     // A step with an effect of half a millimetre or a milliradian; both are within the model's curvature.
                     let step = (0.5 / largest[0].max(1e-6)).min(1e-3 / largest[1].max(1e-6));
+                    // A wavelength bends what it shapes long before that.
+                    let shape = model.nominal()[parameter];
+                    let step = if shape == 0.0 { step } else { step.min(1e-5 * shape) };
                     differences(step, |by| {
                         let mut values = values.clone();
                         values[parameter] += by;
@@ -85,7 +118,8 @@ fn worst(seeds: std::ops::Range<u64>, evaluation: &str, mm: f64, rad: f64) -> [f
                     })
                 }
                 Variable::Command(axis) => {
-                    let step = if model.axes()[axis].kind == AxisKind::Linear { 0.5 } else { 1e-3 };
+                    // Small, because second derivatives jump at knots.
+                    let step = if model.axes()[axis].kind == AxisKind::Linear { 1e-4 } else { 1e-6 };
                     differences(step, |by| {
                         subject::poses(&*model, &commanded(&*model, &statuses, axis, by), &values, &[])
                     })
@@ -178,4 +212,96 @@ fn values_that_are_zero_by_definition_are_no_parameters() {
         let error = subject::refused(&settings);
         assert!(error.contains(expected), "{error}");
     }
+}
+
+#[test]
+fn motion_errors_have_the_derivatives_that_they_tell() {
+    let mut worst = 0.0_f64;
+    for seed in 0..6 {
+        let random = &mut Random::new(seed);
+        let (_, names, mut settings) = subject::random(random, "exact");
+        with_shapes(&mut settings, &names);
+        let model = subject::model(&settings, &[]);
+        let row = subject::statuses(&*model, random, 1);
+        let values = subject::parameter_values(&*model, random, 0.2, 5e-4);
+        for function in model.error_functions() {
+            let at = |values: &[f64]| model.motion_error(&function, values, &row).expect("within all ranges");
+            for (parameter, derivative) in at(&values).derivatives {
+                let step = if values[parameter] == 0.0 { 1e-3 } else { 1e-6 * values[parameter].abs() };
+                let [above, below] = [step, -step].map(|by| {
+                    let mut values = values.clone();
+                    values[parameter] += by;
+                    at(&values).value
+                });
+                let difference = (above - below) / (2.0 * step);
+                worst =
+                    worst.max((difference - derivative).abs() / derivative.abs().max(1e-3 / values[parameter].abs()));
+            }
+        }
+    }
+    assert!(worst < 1e-6, "{worst:e}");
+}
+
+#[test]
+fn what_a_family_cannot_be_is_refused() {
+    let refused = |line: serde_json::Value| {
+        subject::refused(&json!({
+            "chain": "w C b Y X t", "tool_length_mm": 100, "stylus_radius_mm": 0, "axes": { "X": { "range_mm": [0, 200] } },
+            "errors": [line],
+        }))
+    };
+    let cases = [
+        (
+            json!({ "legendre": ["EXY"], "degrees": [1] }),
+            "errors[0]: a Legendre polynomial needs the travel: `range_mm` here or of the axis",
+        ),
+        (
+            json!({ "polynomial": ["EXC"], "degrees": [2], "range_deg": [0, 9], "without_line": true }),
+            "errors[0].without_line: this is for errors of a linear axis",
+        ),
+        (
+            json!({ "piecewise": ["EYX"], "degree": 2, "continuity": 1, "knots_mm": [50, 250] }),
+            "errors[0].knots_mm[1]: the knot 250 is not between 0 and 200, the ends of the range",
+        ),
+        (
+            json!({ "legendre": ["EXC"], "degrees": [1], "range_mm": [0, 1] }),
+            "errors[0].range_mm: the range of a rotary axis is made of angles: `range_deg`",
+        ),
+        (json!({ "product": ["EAY"], "of": ["X", "Z"] }), "errors[0].of[1]: the chain has no axis Z"),
+        (
+            json!({ "product": ["EAY"], "of": ["X", "C"] }),
+            "errors[0].of[1]: a product is one of linear axes, or one of rotary axes",
+        ),
+        (
+            json!({ "load": ["EA0X"], "reference_N": 9, "degree": 1 }),
+            "errors[0].degree: a location error does not change with the command",
+        ),
+        (json!({ "load": ["EAX"], "reference_N": 9 }), "errors[0]: a motion error under load needs a `degree`"),
+    ];
+    for (line, expected) in cases {
+        let error = refused(line);
+        assert!(error.contains(expected), "{error}\n{expected}");
+    }
+}
+
+#[test]
+fn commands_outside_the_range_are_refused_where_they_matter() {
+    let model = subject::model(
+        &json!({
+            "chain": "w b Y X t", "tool_length_mm": 100, "stylus_radius_mm": 0,
+            "errors": [{ "legendre": ["EXX"], "degrees": [1, 2], "range_mm": [0, 200] }],
+        }),
+        &[],
+    );
+    let index = model.parameters().iter().position(|parameter| parameter.name == "EXX[leg1]").expect("a parameter");
+    let x = model.axes().iter().find(|axis| axis.name == "X").expect("an axis").status;
+    let at = |place: f64, wanted: &[Variable]| {
+        let mut row = vec![0.0; model.status().len()];
+        row[x] = place;
+        model.evaluate(&row, &model.nominal(), wanted, false, &mut Poses::default())
+    };
+    // An error that is neither there nor wanted is no matter; a command at the very end is none either.
+    assert!(at(300.0, &[]).is_ok() && at(201.0, &[Variable::Parameter(index)]).is_ok());
+    let error = at(300.0, &[Variable::Parameter(index)]).expect_err("beyond the range").to_string();
+    assert!(error.contains("X stands at 300 mm, beyond the range of EXX: 0 to 200 mm"), "{error}");
 }

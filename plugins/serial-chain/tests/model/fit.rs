@@ -2,7 +2,8 @@
 //! the set is closed under moving it.
 
 use abbe_core::{Poses, Variable};
-use abbe_numerics::Accumulator;
+use abbe_core::KinematicModel;
+use abbe_numerics::{Accumulator, End, LeastSquares, Options, solve};
 use nalgebra::Vector3;
 use serde_json::{Value, json};
 
@@ -73,4 +74,92 @@ fn residuals_of_a_fit_do_not_depend_on_the_origin() {
     }
     println!("largest change of a residual: {farthest:.1e} of the largest");
     assert!(farthest < 1e-10, "{farthest:e}");
+}
+
+/// Readings of the position error of X, as a problem in some of the model's parameters.
+struct Positioning<'a> {
+    model: &'a dyn KinematicModel,
+    statuses: Vec<f64>,
+    readings: Vec<f64>,
+    /// Values of all parameters; those of `unknowns` give way to x.
+    values: Vec<f64>,
+    unknowns: Vec<usize>,
+}
+
+impl Positioning<'_> {
+    fn poses(&self, x: &[f64]) -> Poses {
+        let mut values = self.values.clone();
+        self.unknowns.iter().zip(x).for_each(|(&unknown, value)| values[unknown] = *value);
+        let wanted: Vec<Variable> = self.unknowns.iter().copied().map(Variable::Parameter).collect();
+        let mut poses = Poses::default();
+        self.model.evaluate(&self.statuses, &values, &wanted, false, &mut poses).expect("poses");
+        poses
+    }
+
+    fn residuals_of(&self, poses: &Poses) -> Vec<f64> {
+        // In units of 0.1 um.
+        poses.positions.iter().zip(&self.readings).map(|(tip, reading)| (tip[0] - reading) / 1e-4).collect()
+    }
+}
+
+impl LeastSquares for Positioning<'_> {
+    type Error = std::convert::Infallible;
+
+    fn unknowns(&self) -> usize {
+        self.unknowns.len()
+    }
+
+    fn rows(&self) -> usize {
+        self.readings.len()
+    }
+
+    fn linearise(&self, x: &[f64], sink: &mut dyn FnMut(usize, &[f64], &[f64])) -> Result<(), Self::Error> {
+        let poses = self.poses(x);
+        let derivatives: Vec<f64> = poses.position_derivatives.iter().map(|by| by[0] / 1e-4).collect();
+        sink(0, &self.residuals_of(&poses), &derivatives);
+        Ok(())
+    }
+
+    fn residuals(&self, x: &[f64]) -> Result<Vec<f64>, Self::Error> {
+        Ok(self.residuals_of(&self.poses(x)))
+    }
+}
+
+#[test]
+fn a_wavelength_is_found_from_the_nominal_pitch() {
+    // 1100 periods over the travel, on a pitch that is 25 nm longer than the nominal one (Soons 1993, section 3.2.4).
+    let settings = json!({
+        "chain": "w b X t", "tool_length_mm": 100.0, "stylus_radius_mm": 0.0,
+        "errors": [
+            { "polynomial": ["EXX"], "degrees": [1, 2] },
+            { "periodic": ["EXX"], "wavelength_mm": 0.635, "functions": 3, "estimate_wavelength": true },
+        ],
+    });
+    let model = subject::model(&settings, &[]);
+    let named = |name: &str| model.parameters().iter().position(|it| it.name == name).expect("a parameter");
+    let names = ["EXX[1]", "EXX[2]", "EXX[per0.635:1]", "EXX[per0.635:2]", "EXX[per0.635:3]"].map(named);
+    let wavelength = named("EXX[per0.635].wavelength");
+    let mut truth = model.nominal();
+    assert_eq!(truth[wavelength], 0.635);
+    names.iter().zip([1.1e-5, 2.7e-8, 0.057, -0.011, -0.038]).for_each(|(&name, value)| truth[name] = value);
+    truth[wavelength] = 0.635025;
+    let coarse = (0..=233).map(|step| 3.0 * f64::from(step));
+    let statuses: Vec<f64> = coarse.chain((0..1000).map(|step| 0.025 * f64::from(step))).collect();
+    let mut poses = Poses::default();
+    model.evaluate(&statuses, &truth, &[], false, &mut poses).expect("poses");
+    let readings = poses.positions.iter().map(|tip| tip[0]).collect();
+    let mut problem =
+        Positioning { model: &*model, statuses, readings, values: model.nominal(), unknowns: names.to_vec() };
+    let options = |rank| Options { iterations: 60, tolerance: 1e-9, rank, robust: None, near: false };
+    let Ok(amplitudes) = solve(&problem, &[0.0; 5], &options(5));
+    assert_eq!(amplitudes.end, End::Converged);
+    problem.unknowns.push(wavelength);
+    let Ok(all) = solve(&problem, &[&amplitudes.x[..], &[0.635]].concat(), &options(6));
+    let off = (all.x[5] - 0.635025).abs();
+    println!("wavelength off by {off:.1e} mm after {} iterations", all.iterations);
+    assert_eq!(all.end, End::Converged);
+    assert!(off < 1e-11, "{off:e}");
+    for (found, name) in all.x.iter().zip(names) {
+        assert!((found / truth[name] - 1.0).abs() < 1e-6, "{found} {}", truth[name]);
+    }
 }

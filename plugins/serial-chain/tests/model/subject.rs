@@ -83,6 +83,8 @@ pub fn statuses(model: &dyn KinematicModel, random: &mut Random, count: usize) -
                 Some(AxisKind::Rotary) => 2.0 * random.signed(),
                 None if status.name.starts_with("dir_") => [1.0, -1.0, 0.0][random.below(3)],
                 None if status.quantity == Quantity::Label => random.below(status.levels.len()) as f64,
+                None if status.quantity == Quantity::Force => 5000.0 * random.signed().abs(),
+                None if status.quantity == Quantity::Length => 300.0 * random.signed(),
                 None => 1800.0 + 1800.0 * random.signed(),
             });
         }
@@ -106,5 +108,12 @@ pub fn parameter_values(model: &dyn KinematicModel, random: &mut Random, mm: f64
             None => effect,
         }
     };
-    model.parameters().iter().map(|parameter| size(parameter) * random.signed()).collect()
+    let parameters = model.parameters().iter().zip(model.nominal());
+    parameters
+        .map(|(parameter, nominal)| match nominal == 0.0 {
+            true => size(parameter) * random.signed(),
+            // A shape, such as a wavelength.
+            false => nominal * (1.0 + 1e-3 * random.signed()),
+        })
+        .collect()
 }

@@ -133,8 +133,9 @@ fn motion_errors_are_the_linear_combinations_that_the_model_tells() {
         let functions = model.error_functions();
         assert_eq!(functions.len(), 6 * names.len());
         for function in functions {
-            let terms = model.error_terms(&function, &row);
-            let sum: f64 = terms.iter().map(|(parameter, factor)| values[*parameter] * factor).sum();
+            let error = model.motion_error(&function, &values, &row).expect("within all ranges");
+            let sum: f64 = error.derivatives.iter().map(|(parameter, factor)| values[*parameter] * factor).sum();
+            assert!((sum - error.value).abs() <= 1e-15, "{sum} {}", error.value);
             let expected = errors.motion[function.axis][function.component];
             worst = worst.max((sum - expected).abs() / expected.abs().max(1e-6));
             assert!(function.symbol.ends_with(names[function.axis]), "{}", function.symbol);

@@ -1,0 +1,427 @@
+//! Puts a serial chain together: statuses, bases of functions, parameters.
+
+use std::collections::BTreeMap;
+
+use abbe_core::{
+    Absent, Axis, AxisKind, Dataset, Parameter, PathItem, Quantity, SettingsError, StatusColumn, Unit, Values, matches,
+};
+use abbe_errors::{Argument, Constant, Declaration, Drift, Functions, Group, Per, StylusIs, Subject};
+use abbe_kinematics::{Chain, ChainAxis, ErrorFrame, NamedAxis, StructuralLoop};
+use nalgebra::Vector3;
+use serde_json::Value;
+
+use crate::model::{Basis, Place, Range, Role, SerialChain, Source};
+use crate::settings::{self, Evaluation, Settings};
+
+/// Letters of the six components of an error, in the order of slots.
+pub(crate) const COMPONENTS: [char; 6] = ['X', 'Y', 'Z', 'A', 'B', 'C'];
+const TOOL_SET_UP: [&str; 6] = ["dxt", "dyt", "dzt", "dat", "dbt", "dct"];
+const WORKPIECE_SET_UP: [&str; 6] = ["dxw", "dyw", "dzw", "daw", "dbw", "dcw"];
+
+/// Collects statuses, bases and parameters.
+pub(crate) struct Builder {
+    chain: Chain,
+    axes: Vec<Axis>,
+    status: Vec<StatusColumn>,
+    parameters: Vec<Parameter>,
+    nominal: Vec<f64>,
+    roles: Vec<Role>,
+    bases: Vec<Basis>,
+    functions: usize,
+    tips: Vec<Vector3<f64>>,
+    stylus_status: Option<usize>,
+    candidates: Vec<(Group, Candidate)>,
+}
+
+/// An error that a family may list.
+#[derive(Debug, Clone)]
+struct Candidate {
+    symbol: String,
+    slot: usize,
+    component: usize,
+    axis: Option<usize>,
+}
+
+impl Builder {
+    pub fn new(chain: Chain, named: &StructuralLoop, settings: &Settings) -> Result<Self, SettingsError> {
+        let mut axes = Vec::new();
+        let mut status = Vec::new();
+        for (index, (axis, named)) in chain.axes().iter().zip(&named.axes).enumerate() {
+            let given = settings.axes.get(&axis.name).cloned().unwrap_or_default();
+            let quantity = match axis.kind {
+                AxisKind::Linear => Quantity::Length,
+                AxisKind::Rotary => Quantity::Angle,
+            };
+            axes.push(Axis {
+                name: axis.name.clone(),
+                kind: axis.kind,
+                branch: axis.branch,
+                sense: axis.sense(),
+                direction: axis.direction.into(),
+                range: given.range_mm.or(given.range_deg.map(|range| range.map(f64::to_radians))),
+                indexed: named.indexed,
+                status: index,
+            });
+            // A spindle that the data do not mention was not turned.
+            let absent = if named.indexed { Absent::Taken(0.0) } else { Absent::Refused };
+            status.push(StatusColumn { name: axis.name.clone(), quantity, levels: Vec::new(), absent });
+        }
+        let mut candidates = Vec::new();
+        for (index, axis) in axes.iter().enumerate() {
+            for (component, letter) in COMPONENTS.iter().enumerate() {
+                let mut add = |group, symbol, slot| {
+                    candidates.push((group, Candidate { symbol, slot, component, axis: Some(index) }));
+                };
+                add(Group::Location, format!("E{letter}0{}", axis.name), chain.location_slot(index));
+                add(Group::Motion, format!("E{letter}{}", axis.name), chain.motion_slot(index));
+            }
+        }
+        for (symbols, slot) in [(TOOL_SET_UP, chain.tool_slot()), (WORKPIECE_SET_UP, chain.workpiece_slot())] {
+            for (component, symbol) in symbols.iter().enumerate() {
+                let candidate = Candidate { symbol: (*symbol).to_owned(), slot, component, axis: None };
+                candidates.push((Group::SetUp, candidate));
+            }
+        }
+        Ok(Self {
+            chain,
+            axes,
+            status,
+            parameters: Vec::new(),
+            nominal: Vec::new(),
+            roles: Vec::new(),
+            bases: Vec::new(),
+            functions: 0,
+            tips: Vec::new(),
+            stylus_status: None,
+            candidates,
+        })
+    }
+
+    /// Set-up parameters of tool, workpiece and further styli: these always exist.
+    pub fn set_up(&mut self, settings: &Settings) -> Result<(), SettingsError> {
+        let offset = Vector3::from(settings.probe_offset_mm.unwrap_or_default());
+        self.tips.push(offset - Vector3::new(0.0, 0.0, settings.tool_length_mm));
+        if settings.styli.contains_key("1") {
+            return Err(SettingsError::new("", "stylus 1 is the tool itself; number further styli from 2")
+                .under([key("styli"), key("1")]));
+        }
+        if !settings.styli.is_empty() {
+            let levels = std::iter::once("1").chain(settings.styli.keys().map(String::as_str));
+            let levels = levels.map(str::to_owned).collect();
+            self.stylus_status = Some(self.status.len());
+            let status =
+                StatusColumn { name: "stylus".into(), quantity: Quantity::Label, levels, absent: Absent::Taken(0.0) };
+            self.status.push(status);
+        }
+        let set_up: Vec<Candidate> = self.among(Group::SetUp).cloned().collect();
+        for candidate in set_up {
+            // The offsets of the tip are stylus 1's own where there are several.
+            let of_stylus = candidate.slot == self.chain.tool_slot() && candidate.component < 3;
+            let first = match self.stylus_status {
+                Some(stylus) if of_stylus => self.basis(Box::new(StylusIs(0)), vec![Source::Status(stylus)], None),
+                _ => self.basis(Box::new(Constant), Vec::new(), None),
+            };
+            self.add(&candidate, first, &[])?;
+        }
+        for (index, (number, stylus)) in settings.styli.iter().enumerate() {
+            self.tips.push(Vector3::from(stylus.tip_mm));
+            for (component, letter) in ["x", "y", "z"].iter().enumerate() {
+                let symbol = format!("stylus[{number}].{letter}");
+                let candidate = Candidate { symbol, slot: self.chain.tool_slot(), component, axis: None };
+                let arguments = self.stylus_status.map(Source::Status).into_iter().collect();
+                let first = self.basis(Box::new(StylusIs(index + 1)), arguments, None);
+                self.add(&candidate, first, &[])?;
+            }
+        }
+        Ok(())
+    }
+
+    /// The errors of a group.
+    fn among(&self, group: Group) -> impl Iterator<Item = &Candidate> {
+        let belongs = move |own: Group| match group {
+            Group::LocationOrMotion => own != Group::SetUp,
+            other => own == other,
+        };
+        self.candidates.iter().filter(move |(own, _)| belongs(*own)).map(|(_, candidate)| candidate)
+    }
+
+    /// Adds functions of some arguments; gives the index of the basis.
+    fn basis(&mut self, functions: Box<dyn Functions>, arguments: Vec<Source>, range: Option<Range>) -> usize {
+        let count = functions.terms().len();
+        let first = self.functions;
+        self.bases.push(Basis { functions, arguments, first, count, range, coefficients: Vec::new() });
+        self.functions += count;
+        self.bases.len() - 1
+    }
+
+    /// Adds the parameters of an error on a basis, apart from those that are zero by definition.
+    fn add(&mut self, candidate: &Candidate, basis: usize, zero: &[String]) -> Result<(), SettingsError> {
+        let of = quantity_of(candidate.component);
+        let command = candidate.axis.map_or(Quantity::Ratio, |axis| self.status[axis].quantity);
+        for (index, term) in self.bases[basis].functions.terms().iter().enumerate() {
+            let name = format!("{}{}", candidate.symbol, term.suffix);
+            if zero.iter().any(|pattern| matches(pattern, &name)) {
+                continue;
+            }
+            let function = self.bases[basis].first + index;
+            let place = Place { slot: candidate.slot, component: candidate.component, function, basis };
+            let parameter = self.parameter(name, term.unit(of, command), 0.0, Role::Coefficient(place))?;
+            self.bases[basis].coefficients.push((parameter, place));
+        }
+        Ok(())
+    }
+
+    fn parameter(&mut self, name: String, unit: Unit, nominal: f64, role: Role) -> Result<usize, SettingsError> {
+        if self.parameters.iter().any(|parameter| parameter.name == name) {
+            return Err(SettingsError::new("", format!("`{name}` is declared twice")));
+        }
+        self.parameters.push(Parameter { name, unit });
+        self.nominal.push(nominal);
+        self.roles.push(role);
+        Ok(self.parameters.len() - 1)
+    }
+
+    /// The status column of that name, added if it is new; labels that are new to it are added to it.
+    fn status(&mut self, name: String, quantity: Quantity, levels: Vec<String>, absent: f64) -> usize {
+        if let Some(index) = self.status.iter().position(|status| status.name == name) {
+            let known = &mut self.status[index].levels;
+            for level in levels {
+                if !known.contains(&level) {
+                    known.push(level);
+                }
+            }
+            return index;
+        }
+        self.status.push(StatusColumn { name, quantity, levels, absent: Absent::Taken(absent) });
+        self.status.len() - 1
+    }
+
+    /// Adds what one line under `errors` declares.
+    pub fn declare(&mut self, declaration: &Declaration) -> Result<(), SettingsError> {
+        let family = declaration.family();
+        let labels = self.labels(declaration);
+        let mut shared: BTreeMap<(Option<usize>, bool), Vec<usize>> = BTreeMap::new();
+        let mut names: Vec<String> = Vec::new();
+        for (index, pattern) in family.symbols().iter().enumerate() {
+            let at = [key(declaration.key()), PathItem::Index(index)];
+            for candidate in self.listed(pattern, family.group()).map_err(|error| error.under(at.clone()))? {
+                let location = candidate.axis.is_some_and(|axis| candidate.slot == self.chain.location_slot(axis));
+                // Errors of the same axis share their functions, unless these have a shape of their own.
+                let bases = match shared.get(&(candidate.axis, location)) {
+                    Some(bases) => bases.clone(),
+                    None => self.bases_of(declaration, &candidate, location, &labels)?,
+                };
+                let mut shaped = false;
+                for &basis in &bases {
+                    self.add(&candidate, basis, family.zero()).map_err(|error| error.under(at.clone()))?;
+                    let functions = &self.bases[basis].functions;
+                    names.extend(functions.terms().iter().map(|term| format!("{}{}", candidate.symbol, term.suffix)));
+                    shaped |= functions.arguments().iter().any(|argument| matches!(argument, Argument::Shape(..)));
+                }
+                if !shaped {
+                    shared.insert((candidate.axis, location), bases);
+                }
+            }
+        }
+        for (index, pattern) in family.zero().iter().enumerate() {
+            if !names.iter().any(|name| matches(pattern, name)) {
+                let error = SettingsError::new("", format!("`{pattern}` is no coefficient of this line"))
+                    .suggest(pattern, names.iter().map(String::as_str));
+                return Err(error.under([key("zero"), PathItem::Index(index)]));
+            }
+        }
+        Ok(())
+    }
+
+    /// The errors that a pattern lists; it is wrong if there are none.
+    fn listed(&self, pattern: &str, group: Group) -> Result<Vec<Candidate>, SettingsError> {
+        let listed: Vec<Candidate> =
+            self.among(group).filter(|candidate| matches(pattern, &candidate.symbol)).cloned().collect();
+        if !listed.is_empty() {
+            return Ok(listed);
+        }
+        let what = match group {
+            Group::Location => "location",
+            Group::Motion => "motion",
+            Group::LocationOrMotion => "location or motion",
+            Group::SetUp => "set-up",
+        };
+        let symbols = self.among(group).map(|candidate| candidate.symbol.as_str());
+        let near = abbe_core::nearest(pattern, symbols).map(|near| format!("did you mean `{near}`?"));
+        let error = SettingsError::new("", format!("`{pattern}` is no {what} error of this chain"));
+        Err(match near {
+            Some(near) => error.help(near),
+            None => error,
+        })
+    }
+
+    /// The labels of a drift's column. All drifts of the column share them, whichever of its series each of them has.
+    fn labels(&mut self, declaration: &Declaration) -> Vec<String> {
+        let Declaration::Drift(drift) = declaration else { return Vec::new() };
+        let Some(column) = drift.per.column() else { return Vec::new() };
+        let levels = drift.time_s.keys().cloned().collect();
+        let status = self.status(column.to_owned(), Quantity::Label, levels, f64::NAN);
+        self.status[status].levels.clone()
+    }
+
+    /// The bases of a declaration for an error, with the parameters that shape them.
+    fn bases_of(
+        &mut self,
+        declaration: &Declaration,
+        candidate: &Candidate,
+        location: bool,
+        labels: &[String],
+    ) -> Result<Vec<usize>, SettingsError> {
+        let axes: Vec<_> =
+            (self.axes.iter()).map(|axis| (axis.name.clone(), self.status[axis.status].quantity)).collect();
+        let axis = candidate.axis.map(|axis| &self.axes[axis]);
+        let subject = Subject {
+            location,
+            command: axis.map_or(Quantity::Ratio, |axis| self.status[axis.status].quantity),
+            range: axis.and_then(|axis| axis.range),
+            axes: &axes,
+            labels,
+        };
+        let mut bases = Vec::new();
+        for functions in declaration.family().functions(&subject)? {
+            let mut arguments = Vec::new();
+            let basis = self.bases.len();
+            for argument in functions.arguments() {
+                arguments.push(match argument {
+                    Argument::Shape(suffix, nominal) => {
+                        let unit = Unit::per(subject.command, Quantity::Ratio, 0);
+                        let name = format!("{}{suffix}", candidate.symbol);
+                        Source::Parameter(self.parameter(name, unit, nominal, Role::Shape(basis))?)
+                    }
+                    other => Source::Status(self.argument(other, candidate.axis, declaration)),
+                });
+            }
+            let ends = functions.range();
+            let range =
+                ends.zip(candidate.axis).map(|(ends, axis)| Range { axis, ends, error: candidate.symbol.clone() });
+            bases.push(self.basis(functions, arguments, range));
+        }
+        Ok(bases)
+    }
+
+    /// The status that an argument of a function is.
+    fn argument(&mut self, argument: Argument, axis: Option<usize>, declaration: &Declaration) -> usize {
+        match (argument, axis, declaration) {
+            (Argument::Command, Some(axis), _) => axis,
+            (Argument::CommandOf(name), axis, _) => {
+                self.axes.iter().position(|axis| axis.name == name).or(axis).unwrap_or(0)
+            }
+            (Argument::Direction, Some(axis), _) => {
+                let name = format!("dir_{}", self.axes[axis].name);
+                self.status(name, Quantity::Ratio, Vec::new(), 0.0)
+            }
+            (Argument::Load, ..) => self.status("load".to_owned(), Quantity::Force, Vec::new(), 0.0),
+            (Argument::LoadZ, ..) => self.status("load_z".to_owned(), Quantity::Length, Vec::new(), 0.0),
+            (Argument::Series, _, Declaration::Drift(drift)) if drift.per.column().is_some() => {
+                let column = drift.per.column().unwrap_or_default();
+                self.status(column.to_owned(), Quantity::Label, Vec::new(), f64::NAN)
+            }
+            _ => self.status("time".to_owned(), Quantity::Time, Vec::new(), f64::NAN),
+        }
+    }
+
+    pub fn finish(self, settings: &Settings, resolved: Value) -> SerialChain {
+        SerialChain {
+            chain: self.chain,
+            axes: self.axes,
+            status: self.status,
+            parameters: self.parameters,
+            nominal: self.nominal,
+            roles: self.roles,
+            bases: self.bases,
+            functions: self.functions,
+            tips: self.tips,
+            stylus_status: self.stylus_status,
+            stylus_radius: settings.stylus_radius_mm,
+            first_order: settings.evaluation == Evaluation::FirstOrder,
+            resolved,
+        }
+    }
+}
+
+pub(crate) fn quantity_of(component: usize) -> Quantity {
+    if component < 3 { Quantity::Length } else { Quantity::Angle }
+}
+
+pub(crate) fn key(name: &str) -> PathItem {
+    PathItem::Key(name.to_owned())
+}
+
+pub(crate) fn finite(setting: &str, value: f64) -> Result<(), SettingsError> {
+    if value.is_finite() { Ok(()) } else { Err(SettingsError::new(setting, "a finite number was expected")) }
+}
+
+/// Nominal geometry of one axis.
+pub(crate) fn chain_axis(named: &NamedAxis, settings: &Settings) -> Result<ChainAxis, SettingsError> {
+    let given = settings.axes.get(&named.name).cloned().unwrap_or_default();
+    let at = |setting: &str, message: String| {
+        Err(SettingsError::new(setting, message).under([key("axes"), key(&named.name)]))
+    };
+    let kind = named.kind();
+    let (fits, wrong, right) = match kind {
+        AxisKind::Linear => (given.range_mm, given.range_deg.map(|_| "range_deg"), "a length: `range_mm`"),
+        AxisKind::Rotary => (given.range_deg, given.range_mm.map(|_| "range_mm"), "an angle: `range_deg`"),
+    };
+    if let Some(wrong) = wrong {
+        return at(wrong, format!("the range of axis {} is {right}", named.name));
+    }
+    if let Some([from, to]) = fits
+        && !(from.is_finite() && to.is_finite() && from < to)
+    {
+        let setting = if kind == AxisKind::Linear { "range_mm" } else { "range_deg" };
+        return at(setting, "a range is two numbers, the smaller one first".to_owned());
+    }
+    let direction = Vector3::from(given.direction.unwrap_or(named.direction()));
+    if !(direction.norm() > 1e-6 && direction.norm().is_finite()) {
+        return at("direction", "a direction is three numbers that are not all zero".to_owned());
+    }
+    let point = Vector3::from(given.point_mm.unwrap_or_default());
+    if !point.norm().is_finite() {
+        return at("point_mm", "three finite numbers were expected".to_owned());
+    }
+    let error_frame = match given.error_frame.unwrap_or(settings.error_frame) {
+        settings::ErrorFrame::Moving => ErrorFrame::Moving,
+        settings::ErrorFrame::Fixed => ErrorFrame::Fixed,
+    };
+    let name = named.name.clone();
+    Ok(ChainAxis { name, kind, branch: named.branch, direction, point, reverse: given.reverse, error_frame })
+}
+
+/// First and last time of every series of a drift: those of the settings, else those of the data. The scale so stays
+/// the same in folds and subsets of the rows.
+pub(crate) fn settle_time(drift: &mut Drift, data: &[&Dataset]) -> Result<(), SettingsError> {
+    if drift.time_s.is_empty() {
+        for data in data {
+            let Some(times) = data.numbers("time") else { continue };
+            let labels = drift.per.column().and_then(|column| data.column(column)).map(|column| &column.values);
+            for (row, &time) in times.iter().enumerate() {
+                let label = match (drift.per, labels) {
+                    (Per::DataSet, _) => "",
+                    (_, Some(Values::Labels(labels))) => &labels[row],
+                    _ => continue,
+                };
+                let range = drift.time_s.entry(label.to_owned()).or_insert([time, time]);
+                *range = [range[0].min(time), range[1].max(time)];
+            }
+        }
+        if drift.time_s.is_empty() && !data.is_empty() {
+            let columns = drift.per.column().map_or(String::new(), |column| format!(" and `{column}`"));
+            return Err(SettingsError::new("drift", format!("no data set has the columns `time_s`{columns}")));
+        }
+    }
+    if drift.time_s.is_empty() && drift.per == Per::DataSet {
+        drift.time_s.insert(String::new(), [0.0, 1.0]);
+    }
+    match drift.time_s.iter().find(|(_, range)| !data.is_empty() && range[0] >= range[1]) {
+        None => Ok(()),
+        Some((label, range)) => Err(SettingsError::new(
+            "drift",
+            format!("the series `{label}` has the single time {} s; a drift needs a span of time", range[0]),
+        )),
+    }
+}
