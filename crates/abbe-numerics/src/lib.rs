@@ -8,7 +8,9 @@
 mod coverage;
 mod factor;
 mod gauss_newton;
+mod linear;
 mod monte_carlo;
+mod regression;
 mod robust;
 mod sampling;
 mod significance;
@@ -19,7 +21,9 @@ pub use coverage::{
 };
 pub use factor::{Accumulator, Factor, SingularValues, Spectrum, Whitener};
 pub use gauss_newton::{End, LeastSquares, Options, Sink, Solution, solve};
+pub use linear::{Design, LinearFit, fit_linear};
 pub use monte_carlo::{Adaptive, Agreement, Interval, Trials, gum_agrees, least_trials, numerical_tolerance};
+pub use regression::{Direction, Influence, Selection, SelectionStep, stepwise, unit_length};
 pub use robust::{Loss, Robust, RobustReport};
 pub use sampling::Generator;
 pub use significance::{f_test, two_sided_normal};

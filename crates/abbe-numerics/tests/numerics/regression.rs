@@ -1,0 +1,102 @@
+//! Proves diagnostics against numbers found by hand and against their definitions by leaving rows out, and the selection of
+//! terms on data that are made of some of them.
+
+use abbe_numerics::{Design, Direction, Influence, LinearFit, coverage_factor, fit_linear, stepwise, unit_length};
+
+use crate::problems::{Linear, Random};
+
+fn line(y: &[f64]) -> LinearFit {
+    let rows: Vec<Vec<f64>> = (1..=y.len()).map(|x| vec![1.0, x as f64]).collect();
+    fit_linear(&Design::new(&rows), y).expect("full rank")
+}
+
+fn close(found: &[f64], expected: &[f64]) {
+    for (found, expected) in found.iter().zip(expected) {
+        assert!((found - expected).abs() < 1e-12, "{found} {expected}");
+    }
+}
+
+#[test]
+fn a_line_by_hand() {
+    // x = 1..5: leverages 1/5 + (x - 3)^2 / 10; slope 1.2, residuals 0.2, 0, -0.2, -0.4, 0.4 with variance 0.4 / 3.
+    let fit = line(&[1.0, 2.0, 3.0, 4.0, 6.0]);
+    close(&fit.values, &[-0.4, 1.2]);
+    close(&fit.residuals, &[0.2, 0.0, -0.2, -0.4, 0.4]);
+    close(&fit.leverages, &[0.6, 0.3, 0.2, 0.3, 0.6]);
+    let influence = Influence::new(&fit);
+    assert!((influence.studentised[4] - 3.0_f64.sqrt()).abs() < 1e-12);
+    assert!((influence.cook[4] - 2.25).abs() < 1e-12, "{}", influence.cook[4]);
+    // Without the last row the others are on a line.
+    assert!(influence.deleted[4] > 1e6, "{}", influence.deleted[4]);
+    // At the mean the band is s / sqrt(5) wide, times Student's 3.182 of three degrees of freedom.
+    let (value, uncertainty) = fit.at(&[1.0, 3.0]);
+    close(&[value, uncertainty], &[3.2, (0.4_f64 / 15.0).sqrt()]);
+    assert!((coverage_factor(0.95, fit.degrees_of_freedom() as f64) - 3.182_446).abs() < 1e-6);
+}
+
+#[test]
+fn influence_is_what_leaving_a_row_out_does() {
+    let random = &mut Random::new(3);
+    for _ in 0..10 {
+        let Linear { rows, residuals } = Linear::random(random, 12, 3);
+        let fit = fit_linear(&Design::new(&rows), &residuals).expect("full rank");
+        let influence = Influence::new(&fit);
+        for out in 0..rows.len() {
+            let kept = |index: &usize| *index != out;
+            let others: Vec<Vec<f64>> = (0..rows.len()).filter(kept).map(|row| rows[row].clone()).collect();
+            let right: Vec<f64> = (0..rows.len()).filter(kept).map(|row| residuals[row]).collect();
+            let without = fit_linear(&Design::new(&others), &right).expect("full rank");
+            let moved: f64 = rows.iter().map(|row| (fit.at(row).0 - without.at(row).0).powi(2)).sum();
+            assert!((influence.cook[out] - moved / (3.0 * fit.variance())).abs() < 1e-10);
+            // The prediction error of the row over its standard deviation, both without it.
+            let (value, uncertainty) = without.at(&rows[out]);
+            let deleted = (residuals[out] - value) / (without.variance() + uncertainty * uncertainty).sqrt();
+            assert!((influence.deleted[out] - deleted).abs() < 1e-9 * deleted.abs().max(1.0), "{deleted}");
+        }
+    }
+}
+
+#[test]
+fn selection_finds_the_terms_that_made_the_data() {
+    let random = &mut Random::new(5);
+    let terms: Vec<Vec<f64>> = (0..8).map(|_| (0..60).map(|_| random.signed()).collect()).collect();
+    let noise: Vec<f64> = (0..60).map(|_| 0.05 * random.normal()).collect();
+    let right: Vec<f64> = (0..60).map(|row| 1.5 * terms[2][row] - 0.8 * terms[5][row] + noise[row]).collect();
+    for direction in [Direction::Forward, Direction::Backward, Direction::Both] {
+        let selection = stepwise(&terms, &right, &[], 1e-4, direction).expect("separable terms");
+        assert_eq!(selection.kept, [2, 5], "{direction:?}");
+        let kept = stepwise(&terms, &right, &[0], 1e-4, direction).expect("separable terms").kept;
+        assert_eq!(kept, [0, 2, 5], "{direction:?}");
+    }
+    // The strongest comes first.
+    let forward = stepwise(&terms, &right, &[], 1e-4, Direction::Forward).expect("separable terms");
+    assert_eq!(forward.steps[0].term, 2);
+    assert!(forward.steps.iter().all(|step| step.entered && step.probability < 1e-4));
+    // A term that others make superfluous goes out again: the sum of two others is the best single one.
+    let sum: Vec<f64> = (0..60).map(|row| terms[2][row] + terms[5][row]).collect();
+    let both: Vec<f64> = sum.iter().zip(&noise).map(|(sum, noise)| sum + noise).collect();
+    let near: Vec<f64> = (0..60).map(|row| sum[row] + 0.3 * terms[7][row]).collect();
+    let candidates = vec![terms[2].clone(), terms[5].clone(), near];
+    let selection = stepwise(&candidates, &both, &[], 1e-4, Direction::Both).expect("separable terms");
+    assert_eq!(selection.kept, [0, 1], "{:?}", selection.steps);
+    assert_eq!(selection.steps[0].term, 2);
+    assert!(selection.steps.iter().any(|step| step.term == 2 && !step.entered));
+    // Noise alone keeps nothing at a strict level.
+    assert!(stepwise(&terms, &noise, &[], 1e-6, Direction::Both).expect("separable terms").kept.is_empty());
+}
+
+#[test]
+fn columns_of_unit_length_give_correlations() {
+    let scaled = unit_length(&[1.0, 2.0, 3.0]).expect("it varies");
+    close(&scaled, &[-0.5_f64.sqrt(), 0.0, 0.5_f64.sqrt()]);
+    assert_eq!(unit_length(&[7.1, 7.1, 7.1]), None);
+}
+
+#[test]
+fn columns_that_follow_from_others_are_told() {
+    let rows: Vec<Vec<f64>> = (0..9).map(|row| vec![1.0, f64::from(row), 3.0 + 2.0 * f64::from(row)]).collect();
+    assert!(fit_linear(&Design::new(&rows), &[1.0; 9]).is_none());
+    assert!(fit_linear(&Design::new(&rows[..2]), &[1.0; 2]).is_none());
+    let zero = fit_linear(&Design::new(&[vec![1.0], vec![2.0]]), &[0.0; 2]).expect("a solution");
+    assert_eq!(zero.values, [0.0]);
+}
