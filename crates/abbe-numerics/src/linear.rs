@@ -140,7 +140,14 @@ pub fn fit_linear(design: &Design, right: &[f64]) -> Option<LinearFit> {
     x.iter().all(|value| value.is_finite()).then(|| finish(x, residuals, last_correction, &q, &r, &scale))
 }
 
-fn finish(values: Vec<f64>, residuals: Vec<f64>, last_correction: f64, q: &Mat<f64>, r: &Mat<f64>, scale: &[f64]) -> LinearFit {
+fn finish(
+    values: Vec<f64>,
+    residuals: Vec<f64>,
+    last_correction: f64,
+    q: &Mat<f64>,
+    r: &Mat<f64>,
+    scale: &[f64],
+) -> LinearFit {
     let n = values.len();
     let unit = |column: usize| (0..n).map(|row| f64::from(row == column)).collect();
     let columns: Vec<Vec<f64>> = (0..n).map(|column| solve_upper(r, unit(column))).collect();

@@ -247,6 +247,22 @@ mod tests {
     }
 
     #[test]
+    fn the_line_of_a_straightness_is_that_of_its_terms() {
+        // Straightness of a milling machine over 0..700 mm: constant and slope follow from the other three terms (they were found
+        // independently from the integrals of eq. 3.8).
+        let range = [0.0, 700.0];
+        let without = Without::new(pieces(&[350.0, 550.0], 2, range), Trend::Line, range);
+        let coefficients = [-3.75411e-8, -7.35588e-8, 2.49098e-7];
+        for q in [0.0, 123.0, 400.0, 700.0] {
+            let found: f64 = values(&without, &[q]).iter().zip(coefficients).map(|(value, by)| value * by).sum();
+            let beyond = |knot: f64| (q - knot).max(0.0).powi(2);
+            let shape = coefficients[0] * q * q + coefficients[1] * beyond(350.0) + coefficients[2] * beyond(550.0);
+            let expected = shape - 0.004271145683673469 + 3.2869566034985423e-5 * q;
+            assert!((found - expected).abs() < 1e-15, "{found} {expected}");
+        }
+    }
+
+    #[test]
     fn the_rule_is_exact_for_its_degree() {
         let integral: f64 = gauss_legendre().iter().map(|(x, weight)| weight * x.powi(22)).sum();
         assert!((integral - 2.0 / 23.0).abs() < 1e-15);

@@ -42,7 +42,13 @@ impl Formula<'_> {
     fn sum(&mut self) -> Dual {
         let mut total = self.product();
         loop {
-            let sign = if self.take("+") { 1.0 } else if self.take("-") { -1.0 } else { return total };
+            let sign = if self.take("+") {
+                1.0
+            } else if self.take("-") {
+                -1.0
+            } else {
+                return total;
+            };
             let other = self.product();
             let value = total.0 + sign * other.0;
             total = total.combine(&other, value, 1.0, sign);
@@ -186,11 +192,13 @@ fn it_ends_at_the_certified_values_or_says_that_it_does_not() {
             match solution.end {
                 End::Converged if digits >= 6.0 => solved += 1,
                 End::Converged => wrong.push(format!("{name} {start}: {digits:.1}")),
-                _ => {}
+                // The second starts are near enough for all.
+                _ => assert_eq!(start, "start_1", "{name}"),
             }
         }
     }
     println!("solved: {solved} of 54");
     assert!(wrong.is_empty(), "converged elsewhere: {wrong:?}");
-    assert!(solved >= 40, "{solved}");
+    // BoxBOD, Eckerle4, MGH09, MGH10, MGH17 and Rat43 start where full or halved steps of Gauss and Newton lead astray.
+    assert!(solved >= 48, "{solved}");
 }

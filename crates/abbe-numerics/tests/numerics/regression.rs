@@ -72,10 +72,9 @@ fn selection_finds_the_terms_that_made_the_data() {
     let forward = stepwise(&terms, &right, &[], 1e-4, Direction::Forward).expect("separable terms");
     assert_eq!(forward.steps[0].term, 2);
     assert!(forward.steps.iter().all(|step| step.entered && step.probability < 1e-4));
-    // A term that others make superfluous goes out again: the sum of two others is the best single one.
-    let sum: Vec<f64> = (0..60).map(|row| terms[2][row] + terms[5][row]).collect();
-    let both: Vec<f64> = sum.iter().zip(&noise).map(|(sum, noise)| sum + noise).collect();
-    let near: Vec<f64> = (0..60).map(|row| sum[row] + 0.3 * terms[7][row]).collect();
+    // A term that others make superfluous goes out again: a mixture of two others is the best single one.
+    let both: Vec<f64> = (0..60).map(|row| terms[2][row] + terms[5][row] + noise[row]).collect();
+    let near: Vec<f64> = (0..60).map(|row| terms[2][row] + 0.6 * terms[5][row] + 0.2 * terms[7][row]).collect();
     let candidates = vec![terms[2].clone(), terms[5].clone(), near];
     let selection = stepwise(&candidates, &both, &[], 1e-4, Direction::Both).expect("separable terms");
     assert_eq!(selection.kept, [0, 1], "{:?}", selection.steps);

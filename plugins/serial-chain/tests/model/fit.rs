@@ -1,8 +1,8 @@
 //! Proves that a linear fit of all location and set-up errors leaves the same residuals wherever the machine origin is:
 //! the set is closed under moving it.
 
-use abbe_core::{Poses, Variable};
 use abbe_core::KinematicModel;
+use abbe_core::{Poses, Variable};
 use abbe_numerics::{Accumulator, End, LeastSquares, Options, solve};
 use nalgebra::Vector3;
 use serde_json::{Value, json};
