@@ -96,8 +96,8 @@ pub fn fit_linear(design: &Design, right: &[f64]) -> Option<LinearFit> {
     let scaled = Mat::from_fn(m, n, |row, column| design.entries[(row, column)] / scale[column]);
     let factor = Qr::new(scaled.as_ref());
     let (q, r) = (factor.compute_thin_Q(), factor.thin_R().to_owned());
-    let negligible = |k: usize| !(r[(k, k)].abs() > f64::EPSILON * n as f64);
-    if (0..n).any(negligible) {
+    let counts = |k: usize| r[(k, k)].abs() > f64::EPSILON * n as f64;
+    if !(0..n).all(counts) {
         return None;
     }
     let (mut x, mut residuals) = (vec![0.0; n], vec![0.0; m]);

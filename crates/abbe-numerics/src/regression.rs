@@ -98,7 +98,7 @@ pub fn stepwise(
     let probability = |with: f64, without: f64, count: usize| -> Option<f64> {
         let freedom = right.len().checked_sub(count).filter(|freedom| *freedom > 0)?;
         let f = (without - with) / (with / freedom as f64);
-        if f.is_finite() { f_test(f, 1, freedom) } else { Some(f64::from(!(without > with))) }
+        if f.is_finite() { f_test(f, 1, freedom) } else { Some(if without > with { 0.0 } else { 1.0 }) }
     };
     let mut own = cost(&kept)?;
     let mut steps: Vec<SelectionStep> = Vec::new();

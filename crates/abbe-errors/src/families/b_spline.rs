@@ -112,10 +112,10 @@ impl BSplines {
         values[0] = 1.0;
         for order in 1..=degree {
             let mut saved = 0.0;
-            for r in 0..order {
+            for (r, value) in values[..order].iter_mut().enumerate() {
                 let (right, left) = (self.knots[piece + r + 1], self.knots[piece + 1 + r - order]);
-                let part = values[r] / (right - left);
-                values[r] = saved + (right - command) * part;
+                let part = *value / (right - left);
+                *value = saved + (right - command) * part;
                 saved = (command - left) * part;
             }
             values[order] = saved;

@@ -173,7 +173,7 @@ mod tests {
 
     proptest! {
         #[test]
-        fn chebyshev_polynomials_are_cosines(degree in 0u8..10, angle in 0.0..3.14_f64) {
+        fn chebyshev_polynomials_are_cosines(degree in 0u8..10, angle in 0.0..3.0_f64) {
             let value = values(&polynomial(Orthogonal::Chebyshev, &[degree]), &[200.0 * angle.cos() - 50.0])[0];
             prop_assert!((value - (f64::from(degree) * angle).cos()).abs() < 1e-11);
         }
