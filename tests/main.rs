@@ -9,6 +9,7 @@ mod interrupted;
 mod laws;
 mod methods;
 mod plugins;
+mod poses;
 mod recipes;
 mod simulate;
 mod sphere;

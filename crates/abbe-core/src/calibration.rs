@@ -137,12 +137,21 @@ pub struct FitReport {
     pub iterations: usize,
     /// How they ended.
     pub termination: Termination,
-    /// Largest absolute residual (without outliers), µm.
+    /// Largest absolute residual of lengths (without outliers), µm.
     pub residual_max_um: f64,
-    /// Mean absolute residual, µm.
+    /// Mean absolute residual of lengths, µm.
     pub residual_mean_abs_um: f64,
-    /// Root mean square of the residuals, µm.
+    /// Root mean square of the residuals of lengths, µm.
     pub residual_rms_um: f64,
+    /// Largest absolute residual of angles, µrad; none if no angle was observed.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub residual_max_urad: Option<f64>,
+    /// Mean absolute residual of angles, µrad.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub residual_mean_abs_urad: Option<f64>,
+    /// Root mean square of the residuals of angles, µrad.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub residual_rms_urad: Option<f64>,
     /// What the data cannot determine.
     pub null_space: Vec<NullVector>,
     /// The combinations that they determine worst, the weakest first.

@@ -227,6 +227,11 @@ pub trait Observations: Send + Sync {
     /// Known inputs.
     fn inputs(&self) -> &[KnownInput];
 
+    /// What an equation of a row is an equation of: lengths (mm) or angles (rad).
+    fn quantity(&self, _row: usize, _equation: usize) -> Quantity {
+        Quantity::Length
+    }
+
     /// Whether the equations depend on tool orientations.
     fn needs_orientation(&self) -> bool {
         false

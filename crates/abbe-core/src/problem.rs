@@ -14,7 +14,7 @@ use crate::observations::{Equations, Observations, PoseValues};
 use crate::pattern::matches;
 use crate::pose_table::PoseTable;
 use crate::uncertainty::{CovarianceBlock, EquationUncertainty, Pooled};
-use crate::unit::Unit;
+use crate::unit::{Quantity, Unit};
 
 /// Rows that are evaluated together: enough to amortise a call, few enough for their derivatives to stay in the cache.
 pub(crate) const CHUNK: usize = 64;
@@ -459,6 +459,18 @@ impl Problem {
         for (index, set) in self.sets.iter().enumerate() {
             for &row in &set.rows {
                 all.extend(std::iter::repeat_n((index, row), set.observations.layout().rows[row].equations));
+            }
+        }
+        all
+    }
+
+    /// What each equation is an equation of, lengths or angles, in the order of the equations.
+    pub fn quantities(&self) -> Vec<Quantity> {
+        let mut all = Vec::with_capacity(self.equations());
+        for ObservationSet { observations, rows, .. } in &self.sets {
+            for &row in rows {
+                let equations = 0..observations.layout().rows[row].equations;
+                all.extend(equations.map(|equation| observations.quantity(row, equation)));
             }
         }
         all

@@ -88,7 +88,7 @@ fn columns(count: usize, first: usize) -> Vec<usize> {
 
 fn fits(fits: &[Fit]) -> String {
     type Figure = (&'static str, fn(&Fit) -> String);
-    let figures: [Figure; 9] = [
+    let figures: [Figure; 12] = [
         ("equations", |fit| fit.calibration.fit.observations.to_string()),
         ("unknowns", |fit| fit.calibration.fit.unknowns.to_string()),
         ("rank", |fit| fit.calibration.fit.rank.to_string()),
@@ -97,6 +97,9 @@ fn fits(fits: &[Fit]) -> String {
         ("residual, largest µm", |fit| short(fit.calibration.fit.residual_max_um)),
         ("residual, mean size µm", |fit| short(fit.calibration.fit.residual_mean_abs_um)),
         ("residual, RMS µm", |fit| short(fit.calibration.fit.residual_rms_um)),
+        ("residual, largest µrad", |fit| if_any(fit.calibration.fit.residual_max_urad)),
+        ("residual, mean size µrad", |fit| if_any(fit.calibration.fit.residual_mean_abs_urad)),
+        ("residual, RMS µrad", |fit| if_any(fit.calibration.fit.residual_rms_urad)),
         ("outliers", |fit| fit.calibration.outliers.len().to_string()),
     ];
     let mut header = vec![String::new()];
@@ -105,9 +108,17 @@ fn fits(fits: &[Fit]) -> String {
     for (name, figure) in figures {
         let mut row = vec![name.to_owned()];
         row.extend(fits.iter().map(figure));
-        rows.push(row);
+        // Most fits observe no angle.
+        if row[1..].iter().any(|cell| !cell.is_empty()) {
+            rows.push(row);
+        }
     }
     table::text(&rows, &columns(fits.len(), 1))
+}
+
+/// A figure that not every fit has.
+fn if_any(value: Option<f64>) -> String {
+    value.map_or(String::new(), short)
 }
 
 /// One line a row, whichever fits list it.

@@ -232,7 +232,14 @@ impl GaussNewton {
         }
         let residuals = problem.residuals(&solution.x)?;
         let in_uncertainties = weighted.residuals(&solution.x)?;
-        let spread = Spread::new(&residuals, &in_uncertainties, solution.robust.as_ref(), self.robust(), rank);
+        let spread = Spread::new(
+            &residuals,
+            &problem.quantities(),
+            &in_uncertainties,
+            solution.robust.as_ref(),
+            self.robust(),
+            rank,
+        );
         let place =
             Place { problem: &at_contact, x: &solution.x, kept: kept.as_deref(), factor: &factor, rank: found.rank };
         let propagation = Propagation::new(&place, self.scale(&spread), explained)?;
@@ -240,6 +247,7 @@ impl GaussNewton {
             (Some(report), Some(robust)) => outliers(problem, &residuals, report, robust),
             _ => Vec::new(),
         };
+        let angles = Some(&spread.angles).filter(|angles| angles.count > 0);
         let fit = FitReport {
             observations: spread.used,
             unknowns: problem.unknowns.len(),
@@ -249,9 +257,12 @@ impl GaussNewton {
             sigma: spread.sigma,
             iterations: solution.iterations,
             termination: Termination::Converged,
-            residual_max_um: spread.max * 1e3,
-            residual_mean_abs_um: spread.mean_abs * 1e3,
-            residual_rms_um: spread.rms * 1e3,
+            residual_max_um: spread.lengths.max * 1e3,
+            residual_mean_abs_um: spread.lengths.mean_abs * 1e3,
+            residual_rms_um: spread.lengths.rms * 1e3,
+            residual_max_urad: angles.map(|angles| angles.max * 1e6),
+            residual_mean_abs_urad: angles.map(|angles| angles.mean_abs * 1e6),
+            residual_rms_urad: angles.map(|angles| angles.rms * 1e6),
             null_space: found.null_space,
             weakest: if explained { weakest(problem, &factor.spectrum(), found.rank) } else { Vec::new() },
         };

@@ -1,7 +1,8 @@
 //! From a solution to a calibration: scatter of the residuals, outliers, values with their uncertainties.
 
 use abbe_core::{
-    CALIBRATION_FORMAT, Calibration, Covariance, Estimated, FitReport, Outlier, Owner, Problem, Status, Unknown,
+    CALIBRATION_FORMAT, Calibration, Covariance, Estimated, FitReport, Outlier, Owner, Problem, Quantity, Status,
+    Unknown,
 };
 use abbe_numerics::{Robust, RobustReport};
 
@@ -10,9 +11,29 @@ pub struct Spread {
     pub used: usize,
     pub degrees_of_freedom: usize,
     pub sigma: f64,
+    pub lengths: Sizes,
+    pub angles: Sizes,
+}
+
+/// How large residuals are, mm or rad; zero where there are none.
+pub struct Sizes {
+    pub count: usize,
     pub max: f64,
     pub mean_abs: f64,
     pub rms: f64,
+}
+
+impl Sizes {
+    fn of(residuals: &[f64]) -> Self {
+        let sizes = || residuals.iter().map(|residual| residual.abs());
+        let mean = |sum: f64| sum / residuals.len().max(1) as f64;
+        Self {
+            count: residuals.len(),
+            max: sizes().fold(0.0, f64::max),
+            mean_abs: mean(sizes().sum()),
+            rms: mean(sizes().map(|size| size * size).sum()).sqrt(),
+        }
+    }
 }
 
 impl Spread {
@@ -20,9 +41,10 @@ impl Spread {
     /// (1981, section 7.6): the mean square of the influence over the square of its mean slope, with his correction for
     /// the number of unknowns.
     ///
-    /// `weighted` are the residuals in units of their uncertainties, uncorrelated.
+    /// `quantities` says which residuals are lengths and which angles; `weighted` are the residuals in units of their uncertainties, uncorrelated.
     pub fn new(
         residuals: &[f64],
+        quantities: &[Quantity],
         weighted: &[f64],
         report: Option<&RobustReport>,
         robust: Option<Robust>,
@@ -48,15 +70,15 @@ impl Spread {
             }
             _ => 1.0,
         };
-        let sizes = || used.iter().map(|&row| residuals[row].abs());
-        let mean = |sum: f64| if count > 0 { sum / count as f64 } else { 0.0 };
+        let (angles, lengths): (Vec<usize>, Vec<usize>) =
+            used.iter().partition(|&&row| quantities[row] == Quantity::Angle);
+        let sizes = |rows: &[usize]| Sizes::of(&rows.iter().map(|&row| residuals[row]).collect::<Vec<_>>());
         Self {
             used: count,
             degrees_of_freedom,
             sigma: mean_square.sqrt() * correction,
-            max: sizes().fold(0.0, f64::max),
-            mean_abs: mean(sizes().sum()),
-            rms: mean(sizes().map(|size| size * size).sum()).sqrt(),
+            lengths: sizes(&lengths),
+            angles: sizes(&angles),
         }
     }
 }
@@ -64,12 +86,12 @@ impl Spread {
 /// The rows with an equation beyond the limit, largest first.
 pub fn outliers(problem: &Problem, residuals: &[f64], report: &RobustReport, robust: Robust) -> Vec<Outlier> {
     let mut found: Vec<Outlier> = Vec::new();
-    let mut last = None;
+    let (mut last, quantities) = (None, problem.quantities());
     for (equation, (set, row)) in problem.equation_rows().into_iter().enumerate() {
         if report.studentised[equation].abs() < robust.outlier_at {
             continue;
         }
-        let residual_um = residuals[equation] * 1e3;
+        let residual_um = residuals[equation] * if quantities[equation] == Quantity::Angle { 1e6 } else { 1e3 };
         if last == Some((set, row))
             && let Some(same) = found.last_mut()
         {

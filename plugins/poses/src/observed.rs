@@ -1,6 +1,6 @@
 //! The equations of observed poses and their derivatives.
 
-use abbe_core::{Contact, Equations, Feature, KnownInput, Layout, Observations, Parameter, PoseValues, Unit};
+use abbe_core::{Contact, Equations, Feature, KnownInput, Layout, Observations, Parameter, PoseValues, Quantity, Unit};
 use nalgebra::{Isometry3, Matrix3, Matrix6, Translation3, UnitQuaternion, Vector3, Vector6};
 
 use crate::start::Start;
@@ -115,6 +115,10 @@ impl Observations for Observed {
 
     fn inputs(&self) -> &[KnownInput] {
         &[]
+    }
+
+    fn quantity(&self, _: usize, equation: usize) -> Quantity {
+        if equation < 3 { Quantity::Length } else { Quantity::Angle }
     }
 
     fn needs_orientation(&self) -> bool {

@@ -164,11 +164,16 @@ impl Repeatability {
         let residuals = problem.residuals(&problem.values_of(&fit.calibration))?;
         let of_set = problem.equation_rows().into_iter().zip(residuals).filter(|((of, _), _)| *of == set);
         let kept = of_set.filter(|(row, _)| !left_out.contains(row));
+        let angles = problem.sets[set]
+            .rows
+            .iter()
+            .any(|&row| problem.sets[set].observations.quantity(row, 0) == Quantity::Angle);
+        let (unit, factor) = if angles { (URAD, 1e6) } else { (UM, 1e3) };
         let readings: Vec<Reading> = kept
-            .filter_map(|((_, row), value)| Some(Reading { row: layout.rows[row].data_row?, value: value * 1e3 }))
+            .filter_map(|((_, row), value)| Some(Reading { row: layout.rows[row].data_row?, value: value * factor }))
             .collect();
         let skipped = left_out.iter().filter(|(of, _)| *of == set).count();
-        self.judge(Some(&fit.name), &layout.data, &readings, UM, findings)?;
+        self.judge(Some(&fit.name), &layout.data, &readings, unit, findings)?;
         let mut figure = Figure::new(&fit.name, "outliers", skipped as f64, ONE);
         figure.limit = self.settings.limits.get("outliers").copied();
         findings.figures.push(figure);
