@@ -18,6 +18,9 @@ pub(crate) struct Average {
     /// Columns of labels that have to agree. What a series measures twice are two rows: its first row with the same labels is
     /// averaged with the first ones of the others, its second with their second ones. All other columns of labels are left out.
     by: Vec<String>,
+    /// Of what a series measures several times take the first row only.
+    #[serde(default)]
+    first_only: bool,
 }
 
 impl Average {
@@ -38,12 +41,15 @@ impl Average {
         for row in 0..data.rows() {
             let point: Vec<&str> = by.iter().map(|labels| labels[row].as_str()).collect();
             let time = times.entry((point.clone(), &series[row])).or_insert(0);
+            if self.first_only && *time > 0 {
+                continue;
+            }
             let place = *places.entry((point, *time)).or_insert_with(|| {
                 groups.push(Vec::new());
                 groups.len() - 1
             });
-            *time += 1;
             groups[place].push(row);
+            *time += 1;
         }
         let mut columns = Vec::new();
         for Column { header, values } in &data.columns {
