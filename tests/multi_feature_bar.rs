@@ -104,7 +104,9 @@ fn parts_of_the_design_that_are_left_out_are_missed() {
             .only(&["fit-bar"])
             .set("bar-runs", "ignore", ignored.clone())
             .set("fit-bar", "parameters", parameters)
-            .set("fit-bar", "on_confounded", json!("minimum-norm"));
+            .set("fit-bar", "on_confounded", json!("minimum-norm"))
+            // That the points lie 5 um beside a line is no information that one can use.
+            .set("fit-bar", "rank_tolerance", json!(1e-5));
         let outcome = variant.run();
         let report = &fit(&outcome, "fit-bar").calibration.fit;
         assert_eq!((report.unknowns, report.rank), (unknowns, rank), "{ignored}");
@@ -204,6 +206,7 @@ fn motion_errors_that_are_left_in_spoil_the_location_errors() {
         .fold(0.0, f64::max);
     assert!(worst > 4.0, "{worst}");
     // What the bar does not know for certain counts in the known fit.
-    let considered = fit(outcome, "fit-sphere-known").calibration.parameters.iter();
-    assert_eq!(considered.filter(|known| known.status == Status::Considered).count(), 174);
+    let known = fit(outcome, "fit-sphere-known").calibration.parameters.iter();
+    let considered = known.filter(|known| known.status == Status::Considered && known.name.starts_with('E'));
+    assert_eq!(considered.count(), 174);
 }

@@ -201,3 +201,38 @@ fn distances(these: &Positions, those: &Positions) -> Sample {
     };
     Sample(these.iter().zip(those).map(distance).collect())
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::testing::{UPWARDS, check, judge};
+
+    #[test]
+    fn positions_are_compared_with_those_of_nominal_contact() {
+        let touches = [("a", "1", 0.0, 0.0), ("a", "1", 0.0, 2.0), ("b", "1", 0.0, 0.0), ("b", "1", 0.0, 4.0)];
+        let (folder, fit) = crate::testing::fit(&UPWARDS, &touches, false);
+        let judged = |settings: &Value| judge("geometric-bias", folder.path(), settings, &fit);
+        // Facets lie 1 and 2 um too high.
+        let settings = json!({ "rows": fit.problem.sets[0].name, "within_um": 1.5, "limits": { "residue_max_um": 1 } });
+        let found = judged(&settings).unwrap();
+        check(
+            &found,
+            &[
+                ("bias mean", 1.5),
+                ("bias max", 4.0),
+                ("residue mean", 1.5),
+                ("residue max", 2.0),
+                ("characterised", 0.0),
+                ("rows", 4.0),
+                ("rows within", 2.0),
+            ],
+        );
+        assert_eq!(found.figures.iter().filter(|figure| !figure.passes()).count(), 1);
+        let first = judged(&json!({ "rows": fit.problem.sets[0].name, "first_of": "feature" })).unwrap();
+        assert_eq!(first.figures.iter().find(|figure| figure.name == "rows").unwrap().value, Some(2.0));
+        let wrong = judged(&json!({ "rows": fit.problem.sets[0].name, "compensated": ["EXX*"] })).unwrap_err();
+        assert!(wrong.contains("`EXX*` matches no parameter of the machine"), "{wrong}");
+        let column = judged(&json!({ "rows": fit.problem.sets[0].name, "first_of": "config" })).unwrap_err();
+        assert!(column.contains("there is no column `config`"), "{column}");
+    }
+}

@@ -254,3 +254,44 @@ impl Convention {
         }
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::testing::{UPWARDS, check, judge};
+
+    #[test]
+    fn sums_are_written_as_people_do() {
+        let name = |unknown: &usize| ["dxw", "dyw"][*unknown].to_owned();
+        let cases = [
+            (vec![(0, -96.0), (1, 148.0)], "-96 dxw + 148 dyw"),
+            (vec![(0, 1.0 - 1e-14), (1, -1.0)], "dxw - dyw"),
+            (vec![(1, -0.012_345)], "-0.01234 dyw"),
+            (vec![(0, 12_345.6)], "12346 dxw"),
+        ];
+        for (parts, expected) in cases {
+            assert_eq!(sum(&parts, name), expected);
+        }
+    }
+
+    /// Facets that all look upwards: their heights are three shifts and tilts of the workpiece and one more.
+    #[test]
+    fn one_of_those_that_do_the_same_is_kept() {
+        let touches = ["a", "b", "c", "d"].map(|facet| (facet, "1", 0.0, 0.0));
+        let (folder, fit) = crate::testing::fit(&UPWARDS, &touches, false);
+        let set = fit.problem.sets[0].name.clone();
+        let judged = |settings: &Value| judge("minimal-set", folder.path(), settings, &fit);
+        let own = judged(&json!({ "limits": { "left_out": 0 } })).unwrap();
+        check(&own, &[("candidates", 4.0), ("rank", 4.0), ("left out", 0.0), ("condition", 1.0)]);
+        let with_offsets = judged(&json!({ "candidates": [format!("{set}.*"), "dzt", "dxt"] })).unwrap();
+        let told = with_offsets.remarks.join("\n");
+        // Offsets are new in every set-up: they are kept rather than a facet.
+        assert!(told.contains("no effect: dxt"), "{told}");
+        assert!(told.contains(&format!("{set}.facet[d].d = -dzt - {set}.facet[a].d")), "{told}");
+        let prefer = json!({ "candidates": [format!("{set}.*"), "dzt"], "prefer": [format!("{set}.*")] });
+        let told = judged(&prefer).unwrap().remarks.join("\n");
+        assert!(told.contains(&format!("dzt = -{set}.facet[a].d")), "{told}");
+        let wrong = judged(&json!({ "prefer": ["dxw"] })).unwrap_err();
+        assert!(wrong.contains("`dxw` matches no candidate"), "{wrong}");
+    }
+}
