@@ -8,6 +8,7 @@ mod first_order;
 mod interrupted;
 mod laws;
 mod methods;
+mod multi_feature_bar;
 mod plugins;
 mod poses;
 mod recipes;

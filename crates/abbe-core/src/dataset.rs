@@ -62,6 +62,8 @@ pub struct Dataset {
     pub origins: Vec<RowOrigin>,
     /// The files that the rows come from.
     pub files: Vec<PathBuf>,
+    /// Rows are means of several rows of the files; each has the origin of the first.
+    pub averaged: bool,
 }
 
 impl Dataset {

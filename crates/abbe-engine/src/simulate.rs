@@ -131,7 +131,7 @@ impl Prepared {
         for (artefact, from) in sources {
             let observe = |artefact: &Stage| self.artefacts[&artefact.name].observe(&data[from], model.as_ref());
             let observations = self.located(artefact, observe(artefact))?;
-            match observations.layout().merged.is_empty() {
+            match observations.layout().merged.is_empty() && !data[from].averaged {
                 true => sets.push(unclaimed(&artefact.name, observations, &mut claimed)),
                 false => combined.push((artefact, observations)),
             }

@@ -1,90 +1,10 @@
 //! What a recipe says under `errors`, one line a family: `{ polynomial: [EXX, EYX], degrees: [1, 2, 3] }`.
 
-use std::collections::BTreeMap;
-
-use abbe_core::{SettingsError, from_settings, schema_of};
-use schemars::JsonSchema;
-use serde::{Deserialize, Serialize};
+use abbe_core::{Quantity, SettingsError, from_settings, schema_of};
+use serde::Serialize;
 use serde_json::{Value, json};
 
-/// Constant errors of the location of axes.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
-#[serde(deny_unknown_fields)]
-pub struct Location {
-    /// Location errors by ISO 230-1 symbol, e.g. EA0B; `?` and `*` are wildcards.
-    pub location: Vec<String>,
-}
-
-/// Ordinary polynomials of the axis command: `EXX[1]`, `EXX[2]`, ... in the unit of the error per power of mm or rad.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
-#[serde(deny_unknown_fields)]
-pub struct Polynomial {
-    /// Motion errors by ISO 230-1 symbol, e.g. EYX; `?` and `*` are wildcards.
-    pub polynomial: Vec<String>,
-    /// The degrees, 0 to 9.
-    pub degrees: Vec<u8>,
-}
-
-/// Reversal errors: `EXX[b]` is half the reversal value, added after a positive approach and taken off after a negative one.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
-#[serde(deny_unknown_fields)]
-pub struct Backlash {
-    /// Motion errors by ISO 230-1 symbol, e.g. EXX; `?` and `*` are wildcards.
-    pub backlash: Vec<String>,
-}
-
-/// Slow drift of set-up parameters: Legendre polynomials in the time scaled to -1..1, `dzt[t1]`, `dzt[t2]`, ...
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
-#[serde(deny_unknown_fields)]
-pub struct Drift {
-    /// Set-up parameters, e.g. dzt.
-    pub drift: Vec<String>,
-    /// The degrees, from 1 to 9; the constant part is the set-up parameter itself.
-    pub degrees: Vec<u8>,
-    /// What has a drift of its own.
-    #[serde(default)]
-    pub per: Per,
-    /// First and last time in s of each series; found in the data unless given.
-    #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
-    pub time_s: BTreeMap<String, [f64; 2]>,
-}
-
-/// What has a drift of its own.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize, JsonSchema)]
-#[serde(rename_all = "kebab-case")]
-pub enum Per {
-    /// One drift over all rows that have a time.
-    #[default]
-    DataSet,
-    /// One for each file (column `file`).
-    File,
-    /// One for each day (column `day`).
-    Day,
-    /// One for each cycle (column `cycle`).
-    Cycle,
-}
-
-impl Per {
-    /// The label column that tells the series apart.
-    pub fn column(self) -> Option<&'static str> {
-        match self {
-            Self::DataSet => None,
-            Self::File => Some("file"),
-            Self::Day => Some("day"),
-            Self::Cycle => Some("cycle"),
-        }
-    }
-
-    /// What the names of a series' terms begin with inside the bracket: `day2.` of `dzt[day2.t1]`.
-    pub fn prefix(self, label: &str) -> String {
-        match self {
-            Self::DataSet => String::new(),
-            Self::File => format!("{label}."),
-            Self::Day => format!("day{label}."),
-            Self::Cycle => format!("cycle{label}."),
-        }
-    }
-}
+use crate::families::{Backlash, Drift, Fourier, Location, Polynomial, Spline};
 
 /// One line under `errors`.
 #[derive(Debug, Clone, PartialEq, Serialize)]
@@ -98,10 +18,14 @@ pub enum Declaration {
     Backlash(Backlash),
     /// See [`Drift`].
     Drift(Drift),
+    /// See [`Spline`].
+    Spline(Spline),
+    /// See [`Fourier`].
+    Fourier(Fourier),
 }
 
 impl Declaration {
-    const FAMILIES: [&'static str; 4] = ["location", "polynomial", "backlash", "drift"];
+    const FAMILIES: [&'static str; 6] = ["location", "polynomial", "backlash", "drift", "spline", "fourier"];
 
     /// Reads one line; the family is the key that names one.
     pub fn read(settings: &Value) -> Result<Self, SettingsError> {
@@ -114,6 +38,8 @@ impl Declaration {
             ["polynomial"] => Self::Polynomial(from_settings(settings)?),
             ["backlash"] => Self::Backlash(from_settings(settings)?),
             ["drift"] => Self::Drift(from_settings(settings)?),
+            ["spline"] => Self::Spline(from_settings(settings)?),
+            ["fourier"] => Self::Fourier(from_settings(settings)?),
             [] => {
                 let given = map.keys().next().map_or("", String::as_str);
                 let mut error = SettingsError::new(given, "this names no error family").suggest(given, Self::FAMILIES);
@@ -133,27 +59,30 @@ impl Declaration {
     }
 
     fn check(&self) -> Result<(), SettingsError> {
-        let (degrees, least) = match self {
-            Self::Polynomial(polynomial) => (&polynomial.degrees, 0),
-            Self::Drift(drift) => (&drift.degrees, 1),
-            Self::Location(_) | Self::Backlash(_) => return Ok(()),
-        };
-        if degrees.is_empty() {
-            return Err(SettingsError::new("degrees", "at least one degree was expected"));
+        match self {
+            Self::Polynomial(polynomial) => polynomial.check(),
+            Self::Drift(drift) => drift.check(),
+            Self::Spline(spline) => spline.check(),
+            Self::Fourier(fourier) => fourier.check(),
+            Self::Location(_) | Self::Backlash(_) => Ok(()),
         }
-        for (index, degree) in degrees.iter().enumerate() {
-            let at = |message: String| {
-                SettingsError::new("", message)
-                    .under([abbe_core::PathItem::Key("degrees".to_owned()), abbe_core::PathItem::Index(index)])
-            };
-            if !(least..=9).contains(degree) {
-                return Err(at(format!("degree {degree}: {least} to 9 was expected")));
-            }
-            if degrees[..index].contains(degree) {
-                return Err(at(format!("degree {degree} stands here twice")));
-            }
+    }
+
+    /// Checks that the family can be one of an axis whose commands are of this quantity.
+    pub fn check_axis(&self, command: Quantity) -> Result<(), SettingsError> {
+        match self {
+            Self::Spline(spline) => spline.check_axis(command),
+            Self::Fourier(fourier) => fourier.check_axis(command),
+            Self::Location(_) | Self::Polynomial(_) | Self::Backlash(_) | Self::Drift(_) => Ok(()),
         }
-        Ok(())
+    }
+
+    /// Patterns of coefficients that are zero by definition and no parameters (setting `zero`).
+    pub fn zero(&self) -> &[String] {
+        match self {
+            Self::Spline(spline) => &spline.zero,
+            _ => &[],
+        }
     }
 
     /// The key of the family, which holds its symbols.
@@ -163,6 +92,8 @@ impl Declaration {
             Self::Polynomial(_) => "polynomial",
             Self::Backlash(_) => "backlash",
             Self::Drift(_) => "drift",
+            Self::Spline(_) => "spline",
+            Self::Fourier(_) => "fourier",
         }
     }
 
@@ -173,13 +104,16 @@ impl Declaration {
             Self::Polynomial(polynomial) => &polynomial.polynomial,
             Self::Backlash(backlash) => &backlash.backlash,
             Self::Drift(drift) => &drift.drift,
+            Self::Spline(spline) => &spline.spline,
+            Self::Fourier(fourier) => &fourier.fourier,
         }
     }
 
     /// JSON Schema of a line.
     pub fn schema() -> Value {
         json!({ "anyOf": [
-            schema_of::<Location>(), schema_of::<Polynomial>(), schema_of::<Backlash>(), schema_of::<Drift>()
+            schema_of::<Location>(), schema_of::<Polynomial>(), schema_of::<Backlash>(), schema_of::<Drift>(),
+            schema_of::<Spline>(), schema_of::<Fourier>()
         ] })
     }
 }
@@ -201,6 +135,18 @@ mod tests {
                 json!({ "drift": ["dzt"], "degrees": [1], "per": "dya" }),
                 "per: unknown choice `dya` (did you mean `day`?)",
             ),
+            (json!({ "spline": ["EXX"], "knots_mm": [0, 50, 50] }), "knots_mm[2]: knots have to increase; 50 does not"),
+            (json!({ "spline": ["EXX"], "knots_mm": [0, 50] }), "knots_mm: a spline has 3 knots at least; 2 are given"),
+            (
+                json!({ "spline": ["EXX"], "knots_mm": { "from": 0, "to": 500, "step": 60 } }),
+                "knots_mm.step: the step 60 does not divide the way from 0 to 500",
+            ),
+            (
+                json!({ "spline": ["EXX"], "knots_mm": { "from": 0, "to": 500, "step": -50 } }),
+                "knots_mm: knots from 0 to 500 in steps of -50: a smaller `from`, a larger `to` and a positive `step` were expected",
+            ),
+            (json!({ "spline": ["EXX"] }), "a spline needs `knots_mm` (or `knots_deg` of a rotary axis)"),
+            (json!({ "fourier": ["EXC"], "orders": [0] }), "orders[0]: order 0: 1 to 99 was expected"),
             (
                 json!({ "location": ["EA0B"], "backlash": ["EXX"] }),
                 "backlash: two families in one line: location, backlash (give each family a line of its own)",
@@ -219,6 +165,9 @@ mod tests {
             json!({ "location": ["EA0B"] }),
             json!({ "polynomial": ["E?X"], "degrees": [1, 3] }),
             json!({ "backlash": ["EXX"] }),
+            json!({ "spline": ["EXX"], "knots_mm": { "from": -250.0, "to": 250.0, "step": 50.0 }, "zero": ["EXX[spl5]"] }),
+            json!({ "spline": ["EXB"], "knots_deg": [0.0, 10.0, 50.0] }),
+            json!({ "fourier": ["EXC"], "orders": [2, 3] }),
             json!({ "drift": ["dzt"], "degrees": [1], "per": "day", "time_s": { "1": [0.0, 9.5] } }),
         ] {
             let declaration = Declaration::read(&line).expect("valid");

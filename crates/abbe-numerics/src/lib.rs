@@ -11,6 +11,7 @@ mod gauss_newton;
 mod monte_carlo;
 mod robust;
 mod sampling;
+mod selection;
 mod significance;
 
 pub use coverage::{
@@ -22,4 +23,5 @@ pub use gauss_newton::{End, LeastSquares, Options, Sink, Solution, solve};
 pub use monte_carlo::{Adaptive, Agreement, Interval, Trials, gum_agrees, least_trials, numerical_tolerance};
 pub use robust::{Loss, Robust, RobustReport};
 pub use sampling::Generator;
+pub use selection::{LeftOut, Selection};
 pub use significance::{f_test, two_sided_normal};

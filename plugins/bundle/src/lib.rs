@@ -4,6 +4,7 @@
 //! makes it part of Abbe. A new built-in plugin is a new folder under `plugins/` and one line below.
 
 use abbe_balls as _;
+use abbe_calibrated_points as _;
 use abbe_exporters as _;
 use abbe_facets as _;
 use abbe_gauss_newton as _;

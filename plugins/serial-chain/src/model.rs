@@ -7,7 +7,8 @@ use abbe_core::{
     Result, SettingsError, StatusColumn, Unit, Values, Variable, matches,
 };
 use abbe_errors::{
-    Argument, Constant, Declaration, Drift, Functions, LegendreInTime, OrdinaryPolynomial, Per, Reversal, StylusIs,
+    Argument, Constant, Declaration, Drift, FourierSeries, Functions, LegendreInTime, NaturalSpline,
+    OrdinaryPolynomial, Per, Reversal, StylusIs,
 };
 use abbe_kinematics::{Chain, ChainAxis, ErrorFrame, Errors, Evaluation as Pose, NamedAxis, StructuralLoop};
 use nalgebra::Vector3;
@@ -376,7 +377,7 @@ impl Builder {
                 Some(stylus) if of_stylus => self.basis(Box::new(StylusIs(0)), vec![stylus], None),
                 _ => self.basis(Box::new(Constant), Vec::new(), None),
             };
-            self.add(&candidate, first)?;
+            self.add(&candidate, first, &[])?;
         }
         for (index, (number, stylus)) in settings.styli.iter().enumerate() {
             self.tips.push(Vector3::from(stylus.tip_mm));
@@ -385,7 +386,7 @@ impl Builder {
                 let candidate = Candidate { symbol, slot: self.chain.tool_slot(), component, axis: None };
                 let arguments = self.stylus_status.into_iter().collect();
                 let first = self.basis(Box::new(StylusIs(index + 1)), arguments, None);
-                self.add(&candidate, first)?;
+                self.add(&candidate, first, &[])?;
             }
         }
         Ok(())
@@ -399,13 +400,16 @@ impl Builder {
         self.bases.len() - 1
     }
 
-    /// Adds the parameters of an error on a basis.
-    fn add(&mut self, candidate: &Candidate, basis: usize) -> Result<(), SettingsError> {
+    /// Adds the parameters of an error on a basis, apart from those that are zero by definition.
+    fn add(&mut self, candidate: &Candidate, basis: usize, zero: &[String]) -> Result<(), SettingsError> {
         let of = quantity_of(candidate.component);
         let command = candidate.axis.map_or(Quantity::Ratio, |axis| self.status[axis].quantity);
         let basis = &self.bases[basis];
         for (index, term) in basis.functions.terms().iter().enumerate() {
             let name = format!("{}{}", candidate.symbol, term.suffix);
+            if zero.iter().any(|pattern| matches(pattern, &name)) {
+                continue;
+            }
             if self.parameters.iter().any(|parameter| parameter.name == name) {
                 return Err(SettingsError::new("", format!("`{name}` is declared twice")));
             }
@@ -436,10 +440,14 @@ impl Builder {
     fn declare(&mut self, declaration: &Declaration) -> Result<(), SettingsError> {
         let group = match declaration {
             Declaration::Location(_) => "location",
-            Declaration::Polynomial(_) | Declaration::Backlash(_) => "motion",
+            Declaration::Polynomial(_)
+            | Declaration::Backlash(_)
+            | Declaration::Spline(_)
+            | Declaration::Fourier(_) => "motion",
             Declaration::Drift(_) => "set-up",
         };
         let mut shared: BTreeMap<Option<usize>, Vec<usize>> = BTreeMap::new();
+        let mut names: Vec<String> = Vec::new();
         for (index, pattern) in declaration.symbols().iter().enumerate() {
             let at = [key(declaration.family()), PathItem::Index(index)];
             let candidates = &self.candidates[group];
@@ -456,24 +464,42 @@ impl Builder {
                 });
             }
             for candidate in listed {
-                // Errors of the same axis share their functions.
-                let bases = shared.entry(candidate.axis).or_insert_with(|| self.bases_of(declaration, candidate.axis));
-                for basis in bases.clone() {
-                    self.add(&candidate, basis).map_err(|error| error.under(at.clone()))?;
+                if let Some(axis) = candidate.axis {
+                    declaration.check_axis(self.status[axis].quantity)?;
                 }
+                // Errors of the same axis share their functions.
+                let bases = match shared.get(&candidate.axis) {
+                    Some(bases) => bases.clone(),
+                    None => self.bases_of(declaration, candidate.axis)?,
+                };
+                for &basis in &bases {
+                    self.add(&candidate, basis, declaration.zero()).map_err(|error| error.under(at.clone()))?;
+                    let terms = self.bases[basis].functions.terms().into_iter();
+                    names.extend(terms.map(|term| format!("{}{}", candidate.symbol, term.suffix)));
+                }
+                shared.insert(candidate.axis, bases);
+            }
+        }
+        for (index, pattern) in declaration.zero().iter().enumerate() {
+            if !names.iter().any(|name| matches(pattern, name)) {
+                let error = SettingsError::new("", format!("`{pattern}` is no coefficient of this line"))
+                    .suggest(pattern, names.iter().map(String::as_str));
+                return Err(error.under([key("zero"), PathItem::Index(index)]));
             }
         }
         Ok(())
     }
 
     /// The bases of a declaration for an axis (or a set-up parameter).
-    fn bases_of(&mut self, declaration: &Declaration, axis: Option<usize>) -> Vec<usize> {
+    fn bases_of(&mut self, declaration: &Declaration, axis: Option<usize>) -> Result<Vec<usize>, SettingsError> {
         let functions: Vec<Box<dyn Functions>> = match declaration {
             Declaration::Location(_) => vec![Box::new(Constant)],
             Declaration::Polynomial(polynomial) => {
                 vec![Box::new(OrdinaryPolynomial { degrees: polynomial.degrees.clone() })]
             }
             Declaration::Backlash(_) => vec![Box::new(Reversal)],
+            Declaration::Spline(spline) => vec![Box::new(NaturalSpline::new(spline.knots()?))],
+            Declaration::Fourier(fourier) => vec![Box::new(FourierSeries { orders: fourier.orders.clone() })],
             Declaration::Drift(drift) => {
                 // The labels are shared by all drifts of the column, whichever of its series each of them has.
                 let labels = drift.per.column().map(|column| {
@@ -499,7 +525,7 @@ impl Builder {
             let moves_with = functions.arguments().first().filter(|first| **first == Argument::Command).and(axis);
             bases.push(self.basis(functions, arguments, moves_with));
         }
-        bases
+        Ok(bases)
     }
 
     /// The status that an argument of a function is.

@@ -3,6 +3,7 @@
 
 use abbe_core::{AxisKind, KinematicModel, Poses, Variable};
 use nalgebra::{Quaternion, UnitQuaternion, Vector3};
+use serde_json::json;
 
 use crate::oracle::{Random, rotation_vector};
 use crate::subject;
@@ -33,12 +34,29 @@ fn commanded(model: &dyn KinematicModel, statuses: &[f64], axis: usize, by: f64)
     moved
 }
 
+/// Adds a spline for every axis and a Fourier series for every rotary one.
+fn with_shapes(settings: &mut serde_json::Value, names: &[&str]) {
+    let Some(errors) = settings["errors"].as_array_mut() else { return };
+    for name in names {
+        let symbols = [format!("EX{name}"), format!("EB{name}")];
+        if name.starts_with(['A', 'B', 'C']) {
+            errors.push(
+                json!({ "spline": symbols, "knots_deg": [-100, -30, 40, 90], "zero": [format!("EX{name}[spl0]")] }),
+            );
+            errors.push(json!({ "fourier": symbols, "orders": [1, 3] }));
+        } else {
+            errors.push(json!({ "spline": symbols, "knots_mm": { "from": -300, "to": 300, "step": 200 } }));
+        }
+    }
+}
+
 /// The largest deviation of a derivative, relative to the largest one to the same variable, positions and rotations.
 fn worst(seeds: std::ops::Range<u64>, evaluation: &str, mm: f64, rad: f64) -> [f64; 2] {
     let mut worst = [0.0_f64; 2];
     for seed in seeds {
         let random = &mut Random::new(seed);
-        let (_, _, settings) = subject::random(random, evaluation);
+        let (_, names, mut settings) = subject::random(random, evaluation);
+        with_shapes(&mut settings, &names);
         let model = subject::model(&settings, &[]);
         let statuses = subject::statuses(&*model, random, if seed % 4 == 0 { 3 } else { 1 });
         let values = subject::parameter_values(&*model, random, mm, rad);
@@ -127,4 +145,37 @@ fn first_order_models_miss_exact_ones_by_the_square() {
     }
     println!("largest deviation of the ratio from 4: {:.2} %", 100.0 * farthest);
     assert!(farthest < 0.1, "{farthest}");
+}
+
+#[test]
+fn values_that_are_zero_by_definition_are_no_parameters() {
+    let settings = |zero: &str, family: serde_json::Value| {
+        let mut errors = json!([{ "spline": ["EXX", "EYX"], "knots_mm": [0, 50, 100, 200], "zero": [zero] }]);
+        errors.as_array_mut().expect("a list").push(family);
+        json!({ "chain": "w C b X t", "tool_length_mm": 100, "stylus_radius_mm": 0, "errors": errors })
+    };
+    let fourier = json!({ "fourier": ["EXC"], "orders": [2] });
+    let model = subject::model(&settings("EYX[spl?]", fourier.clone()), &[]);
+    let names: Vec<&str> = model.parameters().iter().map(|parameter| parameter.name.as_str()).collect();
+    let motion: Vec<&&str> = names.iter().filter(|name| name.starts_with('E')).collect();
+    assert_eq!(motion, ["EXX[spl0]", "EXX[spl1]", "EXX[spl2]", "EXX[spl3]", "EXC[cos2]", "EXC[sin2]"].each_ref());
+    // What is no coefficient of the line is named, and so are families that an axis cannot have.
+    let cases = [
+        (
+            settings("EXX[spl4]", fourier.clone()),
+            "`EXX[spl4]` is no coefficient of this line (did you mean `EXX[spl0]`?)",
+        ),
+        (
+            settings("EXX[spl0]", json!({ "fourier": ["EXX"], "orders": [2] })),
+            "a Fourier series is one of the angle of a rotary axis",
+        ),
+        (
+            settings("EXX[spl0]", json!({ "spline": ["EXC"], "knots_mm": [0, 50, 100] })),
+            "the knots of a rotary axis are angles: `knots_deg`",
+        ),
+    ];
+    for (settings, expected) in cases {
+        let error = subject::refused(&settings);
+        assert!(error.contains(expected), "{error}");
+    }
 }

@@ -9,11 +9,19 @@ use serde_json::{Value, json};
 use crate::oracle::{Machine, Random};
 
 pub fn model(settings: &Value, data: &[&Dataset]) -> Arc<dyn KinematicModel> {
+    stage(settings).expect("valid settings").build(data).expect("a model")
+}
+
+/// The message for settings that are refused.
+pub fn refused(settings: &Value) -> String {
+    stage(settings).err().expect("an error").to_string()
+}
+
+fn stage(settings: &Value) -> Result<Box<dyn abbe_core::Model>, abbe_core::SettingsError> {
     let registry = Registry::built_in().expect("plugins of different names");
     let plugin = registry.find(Kind::Model, "serial-chain").expect("the plugin");
     let Build::Model(constructor) = &plugin.build else { panic!("a model plugin builds models") };
-    let stage = constructor.build(settings, &Context { base: ".".into() }).expect("valid settings");
-    stage.build(data).expect("a model")
+    constructor.build(settings, &Context { base: ".".into() })
 }
 
 /// All letters that an axis of its kind may have, in an order that takes part in making machines random.

@@ -1,0 +1,88 @@
+//! Fourier series of the angle of a rotary axis.
+
+use abbe_core::{Quantity, SettingsError};
+use schemars::JsonSchema;
+use serde::{Deserialize, Serialize};
+
+use super::{Argument, Functions, Term, whole_numbers};
+
+/// Fourier series of the angle of a rotary axis: `EXC[cos2]`, `EXC[sin2]`, ... in the unit of the error.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct Fourier {
+    /// Motion errors of rotary axes by ISO 230-1 symbol, e.g. EXC; `?` and `*` are wildcards.
+    pub fourier: Vec<String>,
+    /// The orders, from 1; order 2 is twice per turn.
+    pub orders: Vec<u8>,
+}
+
+impl Fourier {
+    pub(crate) fn check(&self) -> Result<(), SettingsError> {
+        whole_numbers("orders", "order", &self.orders, 1..=99)
+    }
+
+    pub(crate) fn check_axis(&self, command: Quantity) -> Result<(), SettingsError> {
+        match command {
+            Quantity::Angle => Ok(()),
+            _ => Err(SettingsError::new("fourier", "a Fourier series is one of the angle of a rotary axis")),
+        }
+    }
+}
+
+/// `cos(N q)` and `sin(N q)` of the axis command.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct FourierSeries {
+    /// The orders N.
+    pub orders: Vec<u8>,
+}
+
+impl Functions for FourierSeries {
+    fn arguments(&self) -> &'static [Argument] {
+        &[Argument::Command]
+    }
+
+    fn terms(&self) -> Vec<Term> {
+        let names = self.orders.iter().flat_map(|order| [format!("[cos{order}]"), format!("[sin{order}]")]);
+        names.map(|name| Term::new(name, 0)).collect()
+    }
+
+    fn values(&self, arguments: &[f64], out: &mut [f64]) {
+        for (pair, &order) in out.chunks_exact_mut(2).zip(&self.orders) {
+            let (sin, cos) = (f64::from(order) * arguments[0]).sin_cos();
+            pair.copy_from_slice(&[cos, sin]);
+        }
+    }
+
+    fn slopes(&self, arguments: &[f64], out: &mut [f64]) {
+        for (pair, &order) in out.chunks_exact_mut(2).zip(&self.orders) {
+            let order = f64::from(order);
+            let (sin, cos) = (order * arguments[0]).sin_cos();
+            pair.copy_from_slice(&[-order * sin, order * cos]);
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::families::testing::{slopes_agree, values};
+
+    #[test]
+    fn values_and_names() {
+        let series = FourierSeries { orders: vec![2, 3] };
+        let names: Vec<String> = series.terms().into_iter().map(|term| term.suffix).collect();
+        assert_eq!(names, ["[cos2]", "[sin2]", "[cos3]", "[sin3]"]);
+        let at = std::f64::consts::FRAC_PI_4;
+        let root = std::f64::consts::FRAC_1_SQRT_2;
+        for (value, expected) in values(&series, &[at]).iter().zip([0.0, 1.0, -root, root]) {
+            assert!((value - expected).abs() < 1e-15, "{value} {expected}");
+        }
+    }
+
+    proptest::proptest! {
+        #[test]
+        fn slopes_are_those_of_the_values(at in -7.0..7.0_f64, orders in proptest::collection::vec(1u8..=9, 1..4)) {
+            slopes_agree(&FourierSeries { orders }, at, 1e-5, 1e-7);
+        }
+    }
+}
