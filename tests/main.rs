@@ -7,6 +7,7 @@ mod files;
 mod first_order;
 mod interrupted;
 mod laws;
+mod libraries;
 mod methods;
 mod plugins;
 mod recipes;

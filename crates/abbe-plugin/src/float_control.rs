@@ -1,6 +1,8 @@
 //! The floating-point state of a thread: a library may change how numbers are rounded, or that tiny ones are zero.
 #![allow(unsafe_code, reason = "reads and writes a control register; every block says why it is sound")]
 
+use std::sync::atomic::{AtomicBool, Ordering};
+
 /// Rounding, traps and the treatment of subnormal numbers; the flags of past operations are left out.
 pub(crate) fn state() -> u64 {
     #[cfg(target_arch = "x86_64")]
@@ -39,11 +41,21 @@ fn set(state: u64) {
     let _ = state;
 }
 
+/// Whether a library has changed the state in this process.
+static CHANGED: AtomicBool = AtomicBool::new(false);
+
+/// Whether a library has changed the state in this process; it was put back.
+#[cfg(all(feature = "host", unix))]
+pub(crate) fn changed() -> bool {
+    CHANGED.load(Ordering::Relaxed)
+}
+
 /// Runs `work` and puts the state back if it changed.
 pub(crate) fn kept<T>(work: impl FnOnce() -> T) -> T {
     let before = state();
     let result = work();
     if state() != before {
+        CHANGED.store(true, Ordering::Relaxed);
         set(before);
     }
     result

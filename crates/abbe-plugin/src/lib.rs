@@ -10,6 +10,8 @@
 
 pub mod abi;
 mod border;
+#[cfg(feature = "host")]
+pub mod check;
 mod float_control;
 #[cfg(all(feature = "host", unix))]
 mod isolation;

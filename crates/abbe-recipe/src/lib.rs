@@ -84,7 +84,7 @@ impl Stage {
 }
 
 /// A library with plugins that a recipe asks for.
-#[derive(Debug, Clone, PartialEq, Eq)]
+#[derive(Debug, Clone, PartialEq)]
 pub struct Library {
     /// Its file, as it can be opened.
     pub path: PathBuf,
