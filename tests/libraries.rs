@@ -6,12 +6,12 @@ use std::process::Command;
 use std::sync::OnceLock;
 use std::time::Duration;
 
-use abbe_core::{Class, Registry};
+use abbe_core::{Calibration, Class, Registry};
 use abbe_engine::{Outcome, prepare};
-use abbe_plugin::{Library, Limits};
+use abbe_plugin::{Library, Limits, abi};
 use serde_json::{Value, json};
 
-use crate::support::{Printed, Variant, abbe, fit, recipes, root, temporary, values, write};
+use crate::support::{Printed, Small, Variant, abbe, files_in, fit, json_file, read, root, temporary, values, write};
 
 /// A library of the workspace, built with other settings for optimisation and panics than the program.
 fn cargo_library(package: &str) -> PathBuf {
@@ -110,30 +110,17 @@ fn same(expected: &Outcome, found: &Outcome) {
     }
 }
 
-/// All six kinds: ingest, facets, lengths, chain, estimate, hold-out, exporter.
+/// All six kinds: every validator and exporter of the recipe on its second fit.
 fn six_kinds() -> Variant {
     let recipe = Variant::tango("exact");
-    let exporter = recipe.0["stages"].as_object().expect("stages").iter().find(|(_, stage)| stage.get("export").is_some());
-    let mut kept = vec!["fit-S2"];
-    let of = |kind: &str| {
-        let stages = recipe.0["stages"].as_object().expect("stages");
-        stages.iter().filter(|(_, stage)| stage.get(kind).is_some()).map(|(name, _)| name.clone()).collect::<Vec<_>>()
-    };
-    let (exports, validators) = (of("export"), of("validate"));
-    assert!(exporter.is_some() && !validators.is_empty());
-    kept.extend(exports.iter().chain(&validators).map(String::as_str));
-    let mut recipe = recipe.only(&kept);
-    let stages = recipe.0["stages"].as_object_mut().expect("stages");
-    stages.retain(|name, stage| {
-        // What judges or writes another fit judges and writes this one.
-        let wants = |kind: &str| stage.get(kind).is_some();
-        !(wants("validate") || wants("export")) || !name.is_empty()
-    });
-    for stage in stages.values_mut() {
-        if stage.get("export").is_some() {
+    let stages = recipe.0["stages"].as_object().expect("stages").iter();
+    let of_fits = stages.filter(|(_, stage)| ["validate", "export"].iter().any(|kind| stage.get(kind).is_some()));
+    let mut kept: Vec<String> = of_fits.map(|(name, _)| name.clone()).collect();
+    kept.push("fit-S2".to_owned());
+    let mut recipe = recipe.only(&kept.iter().map(String::as_str).collect::<Vec<_>>());
+    for stage in recipe.0["stages"].as_object_mut().expect("stages").values_mut() {
+        if stage.get("of").is_some() {
             stage["of"] = json!("fit-S2");
-        } else if stage.get("validate").is_some() {
-            stage["of"] = if stage["of"].is_array() { json!(["fit-S2"]) } else { json!("fit-S2") };
         }
     }
     recipe
@@ -362,7 +349,7 @@ fn a_pinned_library_is_loaded_only_with_its_hash() {
     let sha256 = abbe_plugin::load(&good, None).expect("it loads").sha256;
     let printed = run(json!({ "path": "libbad.so", "sha256": sha256 }), &[]);
     assert_eq!(printed.status, 0, "{}", printed.stderr);
-    let record = crate::support::json_file(&folder.path().join("out/recipe/run.json"));
+    let record = json_file(&folder.path().join("out/recipe/run.json"));
     let model = record["plugins"].as_array().expect("plugins").iter().find(|plugin| plugin["name"] == "bad-model");
     let model = model.expect("the model is in the record");
     assert_eq!((&model["sha256"], &model["version"]), (&json!(sha256), &json!("0.1.0")));
@@ -401,14 +388,15 @@ fn the_conformance_kit_finds_what_is_wrong() {
         ("leak", "leaks", "poses: 10,000 of them leave"),
         ("rounding", "surroundings", "the floating-point state of the thread was changed"),
         ("directory", "surroundings", "changes the working directory"),
-        ("hang", "empty-batch", "no end within 5 s"),
+        ("hang", "empty-batch", "no end within 1 s"),
         ("abort", "threads", "signal: 6 (SIGABRT)"),
         ("nan", "derivatives", "gave positions that are not finite numbers"),
     ];
     for (mode, test, expected) in cases {
         let folder = temporary();
         let library = bad(folder.path(), "bad", &[&format!("-DMODE=\"{mode}\"")]);
-        let arguments = ["plugin", "check", &library.to_string_lossy(), "--time-limit", "5", "--json"].map(str::to_owned);
+        let limit = if mode == "hang" { "1" } else { "60" };
+        let arguments = ["plugin", "check", &library.to_string_lossy(), "--time-limit", limit, "--json"].map(str::to_owned);
         let printed = abbe(folder.path(), &arguments);
         assert_eq!(printed.status, 1, "{mode}: {}{}", printed.stdout, printed.stderr);
         let report: Value = serde_json::from_str(&printed.stdout).expect("JSON");
@@ -418,16 +406,193 @@ fn the_conformance_kit_finds_what_is_wrong() {
     }
 }
 
-#[test]
-fn the_hexapod_is_calibrated_end_to_end() {
+/// The recipe of the hexapod on data of a virtual machine with this noise: estimate minus truth and standard uncertainty of
+/// every parameter.
+fn hexapod(noise: Value, isolate: bool) -> Vec<(String, f64, f64)> {
     let folder = temporary();
     let source = root().join("plugins/vendor-hexapod/recipe");
-    for name in ["hexapod.yaml", "machine.yaml", "balls.csv", "centres.csv", "truth.json"] {
-        fs::copy(source.join(name), folder.path().join(name)).expect("the recipe of the example");
+    for file in files_in(&source) {
+        fs::copy(&file, folder.path().join(file.file_name().expect("a name"))).expect("the recipe of the example");
     }
-    let library = cargo_library("abbe-vendor-hexapod");
-    fs::copy(&library, folder.path().join("libhexapod.so")).expect("the library");
-    let printed = abbe(folder.path(), &["simulate", "hexapod.yaml", "--truth", "truth.json", "--seed", "1", "--out", "simulated", "--plugin", "libhexapod.so"]);
+    fs::copy(cargo_library("abbe-vendor-hexapod"), folder.path().join("libhexapod.so")).expect("the library");
+    if isolate {
+        let recipe = read(&folder.path().join("hexapod.yaml"));
+        let isolated = recipe.replace("path: libhexapod.so }", "path: libhexapod.so, isolate: true }");
+        assert_ne!(recipe, isolated);
+        write(&folder.path().join("hexapod.yaml"), &isolated);
+    }
+    let mut truth = json_file(&folder.path().join("truth.json"));
+    truth["noise"] = noise;
+    write(&folder.path().join("truth.json"), &truth.to_string());
+    let simulate = ["simulate", "hexapod.yaml", "--truth", "truth.json", "--seed", "1", "--out", "simulated"];
+    for arguments in [&simulate[..], &["check", "simulated/hexapod.yaml"], &["run", "simulated/hexapod.yaml"]] {
+        let printed = abbe(folder.path(), arguments);
+        assert_eq!(printed.status, 0, "{arguments:?}: {}{}", printed.stdout, printed.stderr);
+    }
+    let calibration = Calibration::from_json(&read(&folder.path().join("out/hexapod/fit.calibration.json")));
+    let calibration = calibration.expect("a calibration");
+    assert_eq!((calibration.fit.rank, calibration.fit.unknowns), (39, 39));
+    let truth = truth["parameters"].as_object().expect("parameters");
+    assert_eq!(truth.len(), 39);
+    let found = truth.iter().map(|(name, value)| {
+        let found = calibration.get(name).unwrap_or_else(|| panic!("{name} is not estimated"));
+        (name.clone(), found.value - value.as_f64().expect("a number"), found.standard_uncertainty)
+    });
+    found.collect()
+}
+
+#[test]
+fn the_hexapod_is_calibrated_end_to_end() {
+    let exact = hexapod(json!({}), false);
+    for (name, off, _) in &exact {
+        assert!(off.abs() < 1e-9, "{name} is off by {off} mm");
+    }
+    assert_eq!(exact, hexapod(json!({}), true), "isolated");
+    for (name, off, uncertainty) in hexapod(json!({ "probing_sigma_mm": 1e-3 }), false) {
+        assert!(uncertainty > 1e-5 && off.abs() < 4.0 * uncertainty, "{name} is off by {off} mm, {uncertainty} is stated");
+    }
+}
+
+/// C assertions that structures of the header are as the program has them.
+macro_rules! layouts {
+    ($($structure:ident { $($field:ident),* $(,)? })*) => {{
+        let mut text = String::new();
+        $(
+            let size = size_of::<abi::$structure>();
+            text.push_str(&format!("_Static_assert(sizeof({0}) == {size}, \"{0}\");\n", stringify!($structure)));
+            $(
+                let offset = std::mem::offset_of!(abi::$structure, $field);
+                let (name, field) = (stringify!($structure), stringify!($field));
+                text.push_str(&format!("_Static_assert(offsetof({name}, {field}) == {offset}, \"{name}.{field}\");\n"));
+            )*
+        )*
+        text
+    }};
+}
+
+#[test]
+fn the_header_is_that_of_the_program() {
+    let mut text = "#include <stddef.h>\n#include \"abbe_plugin.h\"\n".to_owned();
+    text.push_str(&layouts! {
+        AbbeText { data, length }
+        AbbeObject { table, handle }
+        AbbeTable { size, retain, release, call, poses, equations }
+        AbbeQuestion { size, text, objects, object_count }
+        AbbeReply { size, context, text, object }
+        AbbeVariable { kind, index }
+        AbbePoses {
+            size, statuses, status_count, values, value_count, wanted, wanted_count, pose_count, positions, orientations,
+            position_derivatives, rotation_derivatives,
+        }
+        AbbeRows { size, rows, row_count, positions, orientations, pose_count, own, own_count, inputs, input_count }
+        AbbeEquations { size, context, equation, position, rotation, own, input }
+        AbbePlugin { size, kind, name, about, schema, example, create }
+        AbbeLibrary { abi_major, abi_minor, size, name, version, plugins, plugin_count }
+        AbbeHost { abi_major, abi_minor, size, log }
+    });
+    // Every constant and every structure of the source.
+    let source = read(&root().join("crates/abbe-plugin/src/abi.rs"));
+    let constants = source.lines().filter_map(|line| line.strip_prefix("pub const ABBE_")?.split_once(": u32 = "));
+    let constants: Vec<(&str, &str)> = constants.collect();
+    assert!(constants.len() > 30, "{constants:?}");
+    for (name, value) in constants {
+        let value = value.trim_end_matches(';');
+        text.push_str(&format!("_Static_assert(ABBE_{name} == {value}, \"ABBE_{name}\");\n"));
+    }
+    for structure in source.lines().filter_map(|line| line.strip_prefix("pub struct ")) {
+        let name = structure.trim_end_matches(" {");
+        assert!(text.contains(&format!("sizeof({name})")), "{name} is not compared");
+    }
+    let folder = temporary();
+    let file = folder.path().join("header.c");
+    write(&file, &text);
+    for (compiler, language) in [("cc", "c"), ("c++", "c++")] {
+        let mut command = Command::new(compiler);
+        command.args(["-fsyntax-only", "-Wall", "-Wextra", "-Werror", "-x", language]);
+        command.arg("-I").arg(root().join("crates/abbe-plugin/include"));
+        if language == "c++" {
+            command.arg("-D_Static_assert=static_assert");
+        }
+        let checked = command.arg(&file).output().expect("the compiler runs");
+        assert!(checked.status.success(), "{language}: {}", String::from_utf8_lossy(&checked.stderr));
+    }
+}
+
+#[test]
+fn zz_temporary_timing() {
+    let outcome = Variant::tango("exact").only(&["fit-S4"]).run();
+    let fit = fit(&outcome, "fit-S4");
+    let through = |library: Library| {
+        let plugin = library.plugins.iter().find(|plugin| plugin.name == "serial-chain").expect("it is there");
+        let abbe_core::Build::Model(model) = &plugin.build else { panic!("no model") };
+        let built = model.build(&fit.problem.model.settings(), &abbe_core::Context { base: PathBuf::new() });
+        let model = built.expect("it is built").build(&[]).expect("it is built");
+        abbe_core::Problem { model, ..fit.problem.as_ref().clone() }
+    };
+    let library = PathBuf::from("/tmp/target-plugin/debug/libabbe_stock_library.so");
+    let dynamic = through(abbe_plugin::load(&library, None).expect("loads"));
+    let isolated = through(abbe_plugin::isolated(&library, None, &limits(60.0)).expect("loads"));
+    for _ in 0..3 {
+        for (name, problem) in [("built in", fit.problem.as_ref()), ("dynamic", &dynamic), ("isolated", &isolated)] {
+            let start = std::time::Instant::now();
+            for _ in 0..10 {
+                fit.estimator.estimate(problem).expect("a fit");
+            }
+            eprintln!("{name}: {:.2} ms", start.elapsed().as_secs_f64() * 100.0);
+        }
+    }
+}
+
+/// Builds a crate outside of the workspace, as a vendor does, from what the page for vendors says.
+fn from_the_page(folder: &Path, edit: impl Fn(&str) -> String) -> PathBuf {
+    let page = read(&root().join("docs/vendor-plugins.md"));
+    let block = |language: &str| {
+        let start = page.split(&format!("```{language}\n")).nth(1).expect("the page has such a block");
+        start.split("```").next().expect("the block ends").to_owned()
+    };
+    let (manifest, source) = (block("toml"), block("rust"));
+    assert!(source.lines().filter(|line| !line.trim().is_empty()).count() < 30, "fewer than 30 lines are promised");
+    let sdk = root().join("crates/abbe-plugin");
+    let manifest = manifest.replace("../abbe/crates/abbe-plugin", &sdk.to_string_lossy());
+    let package = "[package]\nname = \"vendor-list\"\nversion = \"1.2.3\"\nedition = \"2024\"\n\n";
+    write(&folder.join("Cargo.toml"), &format!("{package}{manifest}\n[workspace]\n"));
+    write(&folder.join("src/lib.rs"), &edit(&source));
+    fs::copy(root().join("Cargo.lock"), folder.join("Cargo.lock")).expect("the versions of the workspace");
+    let program = Path::new(env!("CARGO_BIN_EXE_abbe-under-test"));
+    let target = program.ancestors().nth(2).expect("the program is in <target>/<profile>").join("vendor");
+    let mut command = Command::new(env!("CARGO"));
+    command.args(["build", "--offline", "--quiet", "--target-dir"]).arg(&target).current_dir(folder);
+    let built = command.output().expect("cargo runs");
+    assert!(built.status.success(), "{}", String::from_utf8_lossy(&built.stderr));
+    let name = format!("{}vendor_list{}", std::env::consts::DLL_PREFIX, std::env::consts::DLL_SUFFIX);
+    let library = folder.join(&name);
+    fs::copy(target.join("debug").join(&name), &library).expect("the library");
+    library
+}
+
+#[test]
+fn what_the_page_for_vendors_says_works_and_a_panic_is_an_error() {
+    let vendor = temporary();
+    let small = Small::new();
+    let recipe = crate::support::SMALL.replace("written: { export: error-table, of: fine, step_mm: 100, step_deg: 30 }", "written: { export: vendor-list, of: fine }");
+    assert_ne!(recipe, crate::support::SMALL);
+    small.write("recipe.yaml", &recipe);
+    let library = from_the_page(vendor.path(), str::to_owned);
+    let run = |library: &Path, more: &[&str]| {
+        small.abbe(&[&["run", "recipe.yaml", "--plugin", &*library.to_string_lossy()], more].concat())
+    };
+    let printed = run(&library, &[]);
     assert_eq!(printed.status, 0, "{}", printed.stderr);
-    let _ = recipes;
+    assert!(small.read("out/recipe/written/list.txt").contains("EXX[1] "));
+    let checked = small.abbe(&["plugin", "check", &library.to_string_lossy()]);
+    assert_eq!(checked.status, 0, "{}", checked.stdout);
+
+    let panics = |source: &str| source.replace("        let lines", "        assert!(calibration.parameters.is_empty(), \"a bug of the vendor\");\n        let lines");
+    let library = from_the_page(vendor.path(), panics);
+    for more in [&[][..], &["--isolate-plugins"]] {
+        let printed = run(&library, more);
+        let text = printed.stderr.replace(['│', '×'], " ").split_whitespace().collect::<Vec<_>>().join(" ");
+        assert_eq!(printed.status, 1, "{text}");
+        assert!(text.contains("the plugin `vendor-list` of") && text.contains("panicked: a bug of the vendor"), "{text}");
+    }
 }

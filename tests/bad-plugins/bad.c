@@ -26,10 +26,12 @@ static int is(const Bad *bad, const char *mode)
 static uint32_t poses(void *handle, const AbbePoses *batch, const AbbeReply *reply)
 {
     const Bad *bad = handle;
+    int *volatile nowhere = (int *)16;
+    static void *volatile lost;
     if (is(bad, "abort"))
         abort();
     if (is(bad, "crash"))
-        *(volatile int *)16 = 1;
+        *nowhere = 1;
     if (is(bad, "exit"))
         exit(0);
     if (is(bad, "hang"))
@@ -45,8 +47,10 @@ static uint32_t poses(void *handle, const AbbePoses *batch, const AbbeReply *rep
         say(reply, "\xff\xfe\xfd");
         return ABBE_FAILED;
     }
-    if (is(bad, "leak"))
-        memset(malloc(200), 1, 200);
+    if (is(bad, "leak")) {
+        lost = malloc(200);
+        memset(lost, 1, 200);
+    }
     if (is(bad, "directory") && chdir("/") != 0)
         return ABBE_FAILED;
 #if defined(__x86_64__)
@@ -177,6 +181,7 @@ const AbbeLibrary *abbe_plugin(const AbbeHost *host)
 {
     (void)host;
     (void)create;
+    (void)MODEL;
 #ifdef LIBRARY_CRASHES
     abort();
 #endif

@@ -56,6 +56,7 @@ pub fn prepare(path: &Path, registry: &Registry) -> Result<Prepared> {
         plugins: Vec::new(),
         recipe,
     };
+    prepared.files.extend(prepared.recipe.libraries.iter().map(|library| library.path.clone()));
     let context = Context { base: prepared.recipe.base.clone() };
     for stage in prepared.recipe.stages.clone() {
         let inputs = prepared.build(&stage, registry, &context)?;

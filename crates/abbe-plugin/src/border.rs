@@ -309,6 +309,7 @@ pub(crate) struct Foreign {
 /// A table as far as the other side has it.
 #[derive(Clone, Copy)]
 struct Functions {
+    retain: Option<unsafe extern "C" fn(*mut c_void)>,
     release: Option<unsafe extern "C" fn(*mut c_void)>,
     call: Option<unsafe extern "C" fn(*mut c_void, u32, *const AbbeQuestion, *const AbbeReply) -> u32>,
     poses: Option<unsafe extern "C" fn(*mut c_void, *const AbbePoses, *const AbbeReply) -> u32>,
@@ -354,16 +355,19 @@ unsafe fn take(object: AbbeObject, who: &str, lent: bool) -> Result<Transit, Fai
     let (table, retain) = unsafe {
         let (table, size) = (object.table, (*object.table).size);
         let functions = Functions {
+            retain: field!(table, size, AbbeTable, retain),
             release: field!(table, size, AbbeTable, release),
             call: field!(table, size, AbbeTable, call),
             poses: field!(table, size, AbbeTable, poses),
             equations: field!(table, size, AbbeTable, equations),
         };
-        (functions, field!(table, size, AbbeTable, retain))
+        (functions, functions.retain)
     };
-    if lent && let Some(retain) = retain {
+    match retain {
         // SAFETY: the handle is held during the call that lent it.
-        unsafe { retain(object.handle) };
+        Some(retain) if lent => unsafe { retain(object.handle) },
+        None if lent => return Err(Failure::of(who, "lends an object that cannot be kept")),
+        _ => {}
     }
     Ok(Transit::Remote(Arc::new(Foreign { object, table, who: who.to_owned() })))
 }
@@ -552,8 +556,9 @@ impl Peer for Foreign {
         let lent: Vec<AbbeObject> = (objects.iter().zip(&behind))
             .map(|(object, behind)| {
                 match behind.as_ref().and_then(|peer| peer.as_any().downcast_ref::<Self>()) {
-                    Some(foreign) => foreign.object,
-                    None => AbbeObject { table: &TABLE, handle: Arc::as_ptr(object).cast_mut().cast() },
+                    // What cannot be kept goes as one of ours, which can.
+                    Some(foreign) if foreign.table.retain.is_some() => foreign.object,
+                    _ => AbbeObject { table: &TABLE, handle: Arc::as_ptr(object).cast_mut().cast() },
                 }
             })
             .collect();
