@@ -41,6 +41,10 @@ static uint32_t poses(void *handle, const AbbePoses *batch, const AbbeReply *rep
         say(reply, "the vendor says no");
         return ABBE_FAILED;
     }
+    if (batch->orientations && !is(bad, "orientation")) {
+        say(reply, "this machine gives no orientations");
+        return ABBE_FAILED;
+    }
     if (is(bad, "status"))
         return 77;
     if (is(bad, "not-utf8")) {
@@ -63,13 +67,13 @@ static uint32_t poses(void *handle, const AbbePoses *batch, const AbbeReply *rep
     for (uint64_t pose = 0; pose < batch->pose_count + beyond; pose++)
         for (int i = 0; i < 3; i++) {
             double q = pose < batch->pose_count ? batch->statuses[3 * pose + i] : 0;
-            batch->positions[3 * pose + i] = is(bad, "nan") ? NAN : q;
+            batch->positions[3 * pose + i] = is(bad, "nan") ? NAN : q * (1 + batch->values[i]);
         }
     for (uint64_t pose = 0; pose < batch->pose_count; pose++)
         for (uint64_t k = 0; k < batch->wanted_count; k++) {
             double *out = batch->position_derivatives + 3 * (pose * batch->wanted_count + k);
             uint32_t i = batch->wanted[k].index;
-            out[i] = batch->wanted[k].kind == 1 ? 1 : is(bad, "slope") ? 2 : batch->statuses[3 * pose + i];
+            out[i] = batch->wanted[k].kind == 1 ? 1 + batch->values[i] : is(bad, "slope") ? 2 : batch->statuses[3 * pose + i];
         }
     static _Atomic uint64_t turn;
     if (is(bad, "random") && batch->pose_count > 0)

@@ -7,12 +7,16 @@ use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::ptr::NonNull;
 use std::sync::Arc;
 
-use abbe_core::{Context, Equations, Plugin, PoseValues, Poses, PosesMut, Variable};
+use abbe_core::{Equations, PoseValues, Poses, PosesMut, Variable};
+#[cfg(feature = "sdk")]
+use abbe_core::{Context, Plugin};
 
 use crate::abi::*;
 use crate::float_control;
 use crate::peer::{Answer, Failure, Known, Peer, Transit};
-use crate::served::{Served, create};
+use crate::served::Served;
+#[cfg(feature = "sdk")]
+use crate::served::create;
 
 /// The longest text that is taken for one, bytes: more is a wild length.
 const LONGEST: u64 = 1 << 32;
@@ -285,6 +289,7 @@ unsafe fn write_equations(out: &Equations, sink: &AbbeEquations) -> Result<(), F
 ///
 /// # Safety
 /// The texts and `reply` are valid during the call.
+#[cfg(feature = "sdk")]
 pub(crate) unsafe fn create_for(plugin: &Plugin, settings: AbbeText, base: AbbeText, reply: *const AbbeReply) -> u32 {
     // SAFETY: as this function asks for.
     unsafe {

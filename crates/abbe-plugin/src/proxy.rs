@@ -163,7 +163,11 @@ impl KinematicModel for Machine {
         peer.poses(statuses, values, wanted, out).map_err(|failure| failure.error(peer.who()))?;
         finite(peer, "positions", out.positions.as_flattened())?;
         finite(peer, "derivatives", out.position_derivatives.as_flattened())?;
-        finite(peer, "orientations", out.orientations.as_flattened())?;
+        let norm = |turn: &[f64; 4]| turn.iter().map(|part| part * part).sum::<f64>();
+        // A comparison that NaN fails too.
+        if !out.orientations.iter().all(|turn| (norm(turn) - 1.0).abs() < 1e-6) {
+            return Err(Error::data(format!("{} gave orientations that are no unit quaternions", peer.who())));
+        }
         finite(peer, "derivatives of orientations", out.rotation_derivatives.as_flattened())
     }
 
