@@ -307,7 +307,10 @@ fn wrong_libraries_are_refused() {
         (bad(at, "null", &["-DLIBRARY_GIVES_NULL"]), "gives no table: it refuses to work with this program"),
         (bad(at, "create", &["-DLIBRARY_WITHOUT_CREATE"]), "has a plugin `bad-model` without a function `create`"),
         (bad(at, "plugin", &["-DLIBRARY_WITH_NULL_PLUGIN"]), "has a null pointer in its list of plugins"),
-        (bad(at, "letters", &["-DNAME=\"bad name\""]), "has a plugin `bad name`: letters, digits, `-` and `_` were expected"),
+        (
+            bad(at, "letters", &["-DNAME=\"bad name\""]),
+            "has a plugin `bad name`: letters, digits, `-` and `_` were expected",
+        ),
     ];
     for (file, expected) in cases {
         for error in [abbe_plugin::load(&file, None).err(), abbe_plugin::isolated(&file, None, &limits(10.0)).err()] {
@@ -322,8 +325,12 @@ fn wrong_libraries_are_refused() {
 
     let taken = bad(at, "taken", &["-DNAME=\"serial-chain\""]);
     let mut registry = Registry::built_in().expect("plugins");
-    let error = abbe_plugin::load(&taken, None).expect("it loads").register(&mut registry).expect_err("the name is taken");
-    assert!(error.message.contains("has a model plugin `serial-chain`, and there is one of that name already"), "{error}");
+    let error =
+        abbe_plugin::load(&taken, None).expect("it loads").register(&mut registry).expect_err("the name is taken");
+    assert!(
+        error.message.contains("has a model plugin `serial-chain`, and there is one of that name already"),
+        "{error}"
+    );
 }
 
 #[test]
@@ -367,7 +374,10 @@ fn libraries_are_listed_with_origin_and_version() {
     let printed = abbe(folder.path(), &["plugins", "--plugin", &library.to_string_lossy()]);
     assert_eq!(printed.status, 0, "{}", printed.stderr);
     let line = printed.stdout.lines().find(|line| line.contains("bad-model")).expect("the plugin is listed");
-    assert!(line.contains("0.1.0") && line.contains("libbad.so") && line.contains("three axes that misbehave"), "{line}");
+    assert!(
+        line.contains("0.1.0") && line.contains("libbad.so") && line.contains("three axes that misbehave"),
+        "{line}"
+    );
 }
 
 #[test]
@@ -402,7 +412,8 @@ fn the_conformance_kit_finds_what_is_wrong() {
         let folder = temporary();
         let library = bad(folder.path(), "bad", &[&format!("-DMODE=\"{mode}\"")]);
         let limit = if mode == "hang" { "1" } else { "60" };
-        let arguments = ["plugin", "check", &library.to_string_lossy(), "--time-limit", limit, "--json"].map(str::to_owned);
+        let arguments =
+            ["plugin", "check", &library.to_string_lossy(), "--time-limit", limit, "--json"].map(str::to_owned);
         let printed = abbe(folder.path(), &arguments);
         assert_eq!(printed.status, 1, "{mode}: {}{}", printed.stdout, printed.stderr);
         let report: Value = serde_json::from_str(&printed.stdout).expect("JSON");
@@ -455,7 +466,10 @@ fn the_hexapod_is_calibrated_end_to_end() {
     }
     assert_eq!(exact, hexapod(json!({}), true), "isolated");
     for (name, off, uncertainty) in hexapod(json!({ "probing_sigma_mm": 1e-3 }), false) {
-        assert!(uncertainty > 1e-5 && off.abs() < 4.0 * uncertainty, "{name} is off by {off} mm, {uncertainty} is stated");
+        assert!(
+            uncertainty > 1e-5 && off.abs() < 4.0 * uncertainty,
+            "{name} is off by {off} mm, {uncertainty} is stated"
+        );
     }
 }
 
@@ -524,31 +538,6 @@ fn the_header_is_that_of_the_program() {
     }
 }
 
-#[test]
-fn zz_temporary_timing() {
-    let outcome = Variant::tango("exact").only(&["fit-S4"]).run();
-    let fit = fit(&outcome, "fit-S4");
-    let through = |library: Library| {
-        let plugin = library.plugins.iter().find(|plugin| plugin.name == "serial-chain").expect("it is there");
-        let abbe_core::Build::Model(model) = &plugin.build else { panic!("no model") };
-        let built = model.build(&fit.problem.model.settings(), &abbe_core::Context { base: PathBuf::new() });
-        let model = built.expect("it is built").build(&[]).expect("it is built");
-        abbe_core::Problem { model, ..fit.problem.as_ref().clone() }
-    };
-    let library = PathBuf::from("/tmp/target-plugin/debug/libabbe_stock_library.so");
-    let dynamic = through(abbe_plugin::load(&library, None).expect("loads"));
-    let isolated = through(abbe_plugin::isolated(&library, None, &limits(60.0)).expect("loads"));
-    for _ in 0..3 {
-        for (name, problem) in [("built in", fit.problem.as_ref()), ("dynamic", &dynamic), ("isolated", &isolated)] {
-            let start = std::time::Instant::now();
-            for _ in 0..10 {
-                fit.estimator.estimate(problem).expect("a fit");
-            }
-            eprintln!("{name}: {:.2} ms", start.elapsed().as_secs_f64() * 100.0);
-        }
-    }
-}
-
 /// Builds a crate outside of the workspace, as a vendor does, from what the page for vendors says.
 fn from_the_page(folder: &Path, edit: impl Fn(&str) -> String) -> PathBuf {
     let page = read(&root().join("docs/vendor-plugins.md"));
@@ -579,7 +568,10 @@ fn from_the_page(folder: &Path, edit: impl Fn(&str) -> String) -> PathBuf {
 fn what_the_page_for_vendors_says_works_and_a_panic_is_an_error() {
     let vendor = temporary();
     let small = Small::new();
-    let recipe = crate::support::SMALL.replace("written: { export: error-table, of: fine, step_mm: 100, step_deg: 30 }", "written: { export: vendor-list, of: fine }");
+    let recipe = crate::support::SMALL.replace(
+        "written: { export: error-table, of: fine, step_mm: 100, step_deg: 30 }",
+        "written: { export: vendor-list, of: fine }",
+    );
     assert_ne!(recipe, crate::support::SMALL);
     small.write("recipe.yaml", &recipe);
     let library = from_the_page(vendor.path(), str::to_owned);
@@ -592,12 +584,20 @@ fn what_the_page_for_vendors_says_works_and_a_panic_is_an_error() {
     let checked = small.abbe(&["plugin", "check", &library.to_string_lossy()]);
     assert_eq!(checked.status, 0, "{}", checked.stdout);
 
-    let panics = |source: &str| source.replace("        let lines", "        assert!(calibration.parameters.is_empty(), \"a bug of the vendor\");\n        let lines");
+    let panics = |source: &str| {
+        source.replace(
+            "        let lines",
+            "        assert!(calibration.parameters.is_empty(), \"a bug of the vendor\");\n        let lines",
+        )
+    };
     let library = from_the_page(vendor.path(), panics);
     for more in [&[][..], &["--isolate-plugins"]] {
         let printed = run(&library, more);
         let text = printed.stderr.replace(['│', '×'], " ").split_whitespace().collect::<Vec<_>>().join(" ");
         assert_eq!(printed.status, 1, "{text}");
-        assert!(text.contains("the plugin `vendor-list` of") && text.contains("panicked: a bug of the vendor"), "{text}");
+        assert!(
+            text.contains("the plugin `vendor-list` of") && text.contains("panicked: a bug of the vendor"),
+            "{text}"
+        );
     }
 }

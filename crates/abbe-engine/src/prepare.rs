@@ -37,8 +37,9 @@ pub struct Prepared {
 /// headers.
 pub fn prepare(path: &Path, registry: &Registry) -> Result<Prepared> {
     let recipe = Recipe::read(path, registry)?;
-    let loaded =
-        |library: &&Library| registry.iter().any(|plugin| matches!(&plugin.origin, Origin::Library { file, .. } if *file == library.path));
+    let loaded = |library: &&Library| {
+        registry.iter().any(|plugin| matches!(&plugin.origin, Origin::Library { file, .. } if *file == library.path))
+    };
     if let Some(library) = recipe.libraries.iter().find(|library| !loaded(library)) {
         let mut error = Error::usage(format!("the plugin library {} has not been loaded", library.path.display()));
         error.place = library.place.clone();

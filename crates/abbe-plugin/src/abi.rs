@@ -126,9 +126,8 @@ pub struct AbbeTable {
         ) -> u32,
     >,
     /// Of machines: poses and derivatives of a batch.
-    pub poses: Option<
-        unsafe extern "C" fn(handle: *mut c_void, batch: *const AbbePoses, reply: *const AbbeReply) -> u32,
-    >,
+    pub poses:
+        Option<unsafe extern "C" fn(handle: *mut c_void, batch: *const AbbePoses, reply: *const AbbeReply) -> u32>,
     /// Of observations: residuals and derivatives of some rows.
     pub equations: Option<
         unsafe extern "C" fn(

@@ -7,9 +7,9 @@ use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::ptr::NonNull;
 use std::sync::Arc;
 
-use abbe_core::{Equations, PoseValues, Poses, PosesMut, Variable};
 #[cfg(feature = "sdk")]
 use abbe_core::{Context, Plugin};
+use abbe_core::{Equations, PoseValues, Poses, PosesMut, Variable};
 
 use crate::abi::*;
 use crate::float_control;
@@ -330,11 +330,7 @@ unsafe impl Sync for Foreign {}
 /// Reads a field of a table of the other side, if the table is long enough to have it and it is not null.
 macro_rules! field {
     ($table:expr, $size:expr, $type:ty, $field:ident) => {
-        if std::mem::offset_of!($type, $field) + size_of::<usize>() <= $size as usize {
-            (*$table).$field
-        } else {
-            None
-        }
+        if std::mem::offset_of!($type, $field) + size_of::<usize>() <= $size as usize { (*$table).$field } else { None }
     };
 }
 
@@ -486,7 +482,9 @@ pub(crate) unsafe fn read_library(entry: AbbeEntry, host: &'static AbbeHost) -> 
         }
         let (major, size) = ((*library).abi_major, (*library).size);
         if major != ABBE_ABI_MAJOR {
-            return Err(format!("speaks version {major} of the plugin interface, this program speaks version {ABBE_ABI_MAJOR}"));
+            return Err(format!(
+                "speaks version {major} of the plugin interface, this program speaks version {ABBE_ABI_MAJOR}"
+            ));
         }
         if size < size_of::<AbbeLibrary>() as u64 {
             return Err(format!("gives a table of {size} bytes; at least {} were expected", size_of::<AbbeLibrary>()));
@@ -496,7 +494,8 @@ pub(crate) unsafe fn read_library(entry: AbbeEntry, host: &'static AbbeHost) -> 
         if library.plugin_count == 0 || library.plugin_count > MOST_PLUGINS {
             return Err(format!("says that it has {} plugins", library.plugin_count));
         }
-        let records = slice(library.plugins, library.plugin_count).map_err(|_| "gives no list of plugins".to_owned())?;
+        let records =
+            slice(library.plugins, library.plugin_count).map_err(|_| "gives no list of plugins".to_owned())?;
         let plugins = records.iter().map(|&record| read_plugin(record)).collect::<Result<_, _>>()?;
         Ok(LibraryText { name, version, plugins })
     }

@@ -25,8 +25,16 @@ struct Test {
 
 const TESTS: [Test; 9] = [
     Test { name: "abi", asks: "the library loads and speaks this version of the interface", run: |_, _| {} },
-    Test { name: "names", asks: "names, versions and descriptions are in order and taken by nobody", run: promises::names },
-    Test { name: "settings", asks: "the example builds, unknown and wrong settings are refused", run: promises::settings },
+    Test {
+        name: "names",
+        asks: "names, versions and descriptions are in order and taken by nobody",
+        run: promises::names,
+    },
+    Test {
+        name: "settings",
+        asks: "the example builds, unknown and wrong settings are refused",
+        run: promises::settings,
+    },
     Test { name: "derivatives", asks: "derivatives are those of the poses", run: derivatives::derivatives },
     Test { name: "not-a-number", asks: "numbers that are none do no harm", run: promises::not_a_number },
     Test { name: "empty-batch", asks: "no poses give no poses", run: promises::empty_batch },

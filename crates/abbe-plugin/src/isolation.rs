@@ -136,9 +136,8 @@ impl Connection {
                 let [statuses, values, wanted] = wire::split(numbers, lengths)?;
                 let wanted: Vec<Variable> = wanted.iter().copied().map(wire::variable).collect();
                 let mut out = Poses::default();
-                self.object(object)?.machine(|machine| {
-                    Ok(machine.evaluate(statuses, values, &wanted, orientation, &mut out)?)
-                })?;
+                self.object(object)?
+                    .machine(|machine| Ok(machine.evaluate(statuses, values, &wanted, orientation, &mut out)?))?;
                 let lists = wire::poses_lists(&out);
                 Ok((Frame::Numbers { lengths: lists.iter().map(Vec::len).collect() }, lists))
             }
@@ -279,8 +278,7 @@ impl Peer for Remote {
         out: &mut Equations,
     ) -> Result<(), Failure> {
         let rows: Vec<f64> = rows.iter().map(|&row| row as f64).collect();
-        let lists =
-            [&rows, poses.positions.as_flattened(), poses.orientations.as_flattened(), known.own, known.inputs];
+        let lists = [&rows, poses.positions.as_flattened(), poses.orientations.as_flattened(), known.own, known.inputs];
         let question = Frame::Equations { object: self.object, lengths: lists.map(<[f64]>::len) };
         let (answer, numbers) = self.connection.ask(&question, &lists)?;
         wire::read_equations(&answer, &numbers, out).map_err(|what| Failure::of(&self.who, what))
@@ -345,8 +343,7 @@ struct Listed {
 fn in_a_process(path: PathBuf, sha256: String, limits: Limits, kind: u32, name: String) -> Create {
     Arc::new(move |settings, base, who| {
         let connection = start(&path, &sha256, &limits, who)?;
-        let question =
-            Frame::Create { kind, name: name.clone(), settings: settings.to_owned(), base: base.to_owned() };
+        let question = Frame::Create { kind, name: name.clone(), settings: settings.to_owned(), base: base.to_owned() };
         match connection.ask(&question, &[])?.0 {
             Frame::Answer { objects, .. } => {
                 let object = objects.into_iter().next().ok_or_else(|| Failure::of(who, "gave no stage"))?;
@@ -379,7 +376,9 @@ pub fn serve(path: &Path, sha256: &str) -> Result<()> {
                 continue;
             }
             (_, Err(error)) => Err(Failure::from(error.clone())),
-            (Frame::List, Ok(library)) => Ok((Frame::Answer { text: listed(library), objects: Vec::new() }, Vec::new())),
+            (Frame::List, Ok(library)) => {
+                Ok((Frame::Answer { text: listed(library), objects: Vec::new() }, Vec::new()))
+            }
             (Frame::Create { kind, name, settings, base }, Ok(library)) => {
                 created(library, kind, &name, &settings, base).map(|stage| {
                     let objects = vec![connection.give(&Arc::new(stage))];
@@ -407,8 +406,7 @@ fn listed(library: &Library) -> String {
         schema: plugin.schema.get().to_string(),
         example: plugin.example.get().to_string(),
     });
-    let listed =
-        Listed { name: library.name.clone(), version: library.version.clone(), plugins: plugins.collect() };
+    let listed = Listed { name: library.name.clone(), version: library.version.clone(), plugins: plugins.collect() };
     serde_json::to_string(&listed).unwrap_or_default()
 }
 

@@ -7,9 +7,7 @@ use std::io::{self, Read};
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
-use abbe_core::{
-    Build, Constructor, Context, Error, Kind, Origin, Plugin, Provider, Registry, Result, SettingsError,
-};
+use abbe_core::{Build, Constructor, Context, Error, Kind, Origin, Plugin, Provider, Registry, Result, SettingsError};
 use serde_json::Value;
 use sha2::{Digest, Sha256};
 
@@ -63,15 +61,14 @@ pub(crate) fn hashed(path: &Path, pin: Option<&str>) -> Result<Hashed> {
         _ => Error::usage(format!("the plugin library {} cannot be read: {error}", path.display())),
     };
     let mut file = File::open(path).map_err(unreadable)?;
-    let mut digest = Sha256::new();
-    let mut buffer = [0; 1 << 16];
-    loop {
-        match file.read(&mut buffer).map_err(unreadable)? {
-            0 => break,
-            count => digest.update(&buffer[..count]),
-        }
+    let mut bytes = Vec::new();
+    file.read_to_end(&mut bytes).map_err(unreadable)?;
+    if truncated(&bytes) {
+        let message =
+            format!("the plugin library {} cannot be loaded: the file is shorter than it says", path.display());
+        return Err(Error::usage(message).help("it was not copied completely"));
     }
-    let sha256: String = digest.finalize().iter().map(|byte| format!("{byte:02x}")).collect();
+    let sha256: String = Sha256::digest(&bytes).iter().map(|byte| format!("{byte:02x}")).collect();
     match pin {
         Some(pin) if !pin.eq_ignore_ascii_case(&sha256) => {
             let message = format!("the plugin library {} has another SHA-256 than it is pinned to", path.display());
@@ -79,6 +76,31 @@ pub(crate) fn hashed(path: &Path, pin: Option<&str>) -> Result<Hashed> {
         }
         _ => Ok(Hashed { file, sha256 }),
     }
+}
+
+/// Whether a 64-bit little-endian ELF file ends before its segments or its table of sections do: the system's loader maps such a
+/// file and the program dies where it is read.
+fn truncated(bytes: &[u8]) -> bool {
+    if !bytes.starts_with(b"\x7fELF\x02\x01") {
+        return false;
+    }
+    let number = |at: u64, size: u64| -> Option<u64> {
+        let end = at.checked_add(size)?;
+        let field = bytes.get(usize::try_from(at).ok()?..usize::try_from(end).ok()?)?;
+        Some(field.iter().rev().fold(0, |all, byte| all << 8 | u64::from(*byte)))
+    };
+    let fits = |start: u64, size: u64| start.checked_add(size).is_some_and(|end| end <= bytes.len() as u64);
+    let whole = || -> Option<bool> {
+        let (segments, sections) = (number(0x20, 8)?, number(0x28, 8)?);
+        let sections_fit = fits(sections, number(0x3a, 2)? * number(0x3c, 2)?);
+        let (size, count) = (number(0x36, 2)?, number(0x38, 2)?);
+        let segment = |index: u64| {
+            let at = segments.checked_add(index * size)?;
+            Some(fits(number(at + 8, 8)?, number(at + 32, 8)?))
+        };
+        Some(sections_fit && (0..count).all(|index| segment(index) == Some(true)))
+    };
+    whole() != Some(true)
 }
 
 /// Loads a library into this program, unless its hash is not `pin`.
@@ -173,7 +195,8 @@ impl About {
             return Err(format!("does not say in one line what its plugin `{name}` does"));
         }
         let json = |what: &str, text: &str| -> Result<Value, String> {
-            serde_json::from_str(text).map_err(|error| format!("has a plugin `{name}` whose {what} is no JSON: {error}"))
+            serde_json::from_str(text)
+                .map_err(|error| format!("has a plugin `{name}` whose {what} is no JSON: {error}"))
         };
         let (schema, example) = (json("schema", &self.schema)?, json("example", &self.example)?);
         let library = path.file_name().unwrap_or(path.as_os_str()).to_string_lossy();
@@ -193,7 +216,8 @@ impl About {
 fn build(kind: Kind, create: Create, who: String) -> Build {
     let peer = move |settings: &Value, context: &Context| -> Result<Arc<dyn Peer>, SettingsError> {
         let base = context.base.to_str();
-        let base = base.ok_or_else(|| SettingsError::new("", "the folder of the recipe has a name that is not UTF-8"))?;
+        let base =
+            base.ok_or_else(|| SettingsError::new("", "the folder of the recipe has a name that is not UTF-8"))?;
         match create(&settings.to_string(), base, &who).map_err(|failure| failure.settings_error(&who))? {
             Transit::Remote(peer) => Ok(peer),
             Transit::Local(_) => Err(SettingsError::new("", format!("{who} gave one of the program's own objects"))),

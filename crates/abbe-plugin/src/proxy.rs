@@ -112,7 +112,10 @@ fn check_machine(text: &MachineText) -> Result<(), String> {
         return Err("describes a machine whose poses have no status".to_owned());
     }
     if let Some(axis) = text.axes.iter().find(|axis| axis.status >= text.status.len()) {
-        return Err(format!("describes a machine whose axis {} has status {}, which is not there", axis.name, axis.status));
+        return Err(format!(
+            "describes a machine whose axis {} has status {}, which is not there",
+            axis.name, axis.status
+        ));
     }
     if let Some(function) = text.error_functions.iter().find(|f| f.axis >= text.axes.len() || f.component >= 6) {
         return Err(format!("describes a machine whose error {} is of no axis or component", function.symbol));
@@ -122,7 +125,9 @@ fn check_machine(text: &MachineText) -> Result<(), String> {
     }
     let mut names = BTreeSet::new();
     match text.parameters.iter().find(|parameter| parameter.name.is_empty() || !names.insert(&parameter.name)) {
-        Some(parameter) => Err(format!("describes a machine with two parameters `{}`, or one without a name", parameter.name)),
+        Some(parameter) => {
+            Err(format!("describes a machine with two parameters `{}`, or one without a name", parameter.name))
+        }
         None => Ok(()),
     }
 }
@@ -197,10 +202,7 @@ struct Observed {
 }
 
 /// The observations that came over, made of the data set `given`.
-pub(crate) fn observations(
-    object: &Transit,
-    given: Option<&Arc<Dataset>>,
-) -> Result<Arc<dyn Observations>, Failure> {
+pub(crate) fn observations(object: &Transit, given: Option<&Arc<Dataset>>) -> Result<Arc<dyn Observations>, Failure> {
     match object {
         Transit::Local(served) => match served.as_ref() {
             Served::Observations(observations, _) => Ok(observations.clone()),
@@ -227,7 +229,9 @@ fn check_observations(text: &ObservationsText) -> Result<(), String> {
             && row.first_equation.checked_add(row.equations).is_some_and(|end| end <= equations)
             && row.data_row.is_none_or(|data_row| data_row < layout.data.rows());
         if !inside {
-            return Err(format!("gives observations whose row {index} names a pose, equation or data row that is not there"));
+            return Err(format!(
+                "gives observations whose row {index} names a pose, equation or data row that is not there"
+            ));
         }
     }
     if layout.standard_uncertainties.iter().any(|value| !(*value > 0.0 && value.is_finite())) {
@@ -314,22 +318,26 @@ impl Observed {
     fn check(&self, rows: &[usize], given: &Equations) -> Result<()> {
         let peer = self.peer.as_ref();
         let rows = || rows.iter().map(|&row| self.text.layout.rows[row]);
-        let (equations, poses): (usize, usize) = (
-            rows().map(|row| row.equations).sum(),
-            rows().map(|row| row.equations * row.poses).sum(),
-        );
+        let (equations, poses): (usize, usize) =
+            (rows().map(|row| row.equations).sum(), rows().map(|row| row.equations * row.poses).sum());
         let turned = if self.text.needs_orientation { poses } else { 0 };
         let found = (given.residuals().len(), given.by_position().len(), given.by_rotation().len());
         if found != (equations, poses, turned) {
             return Err(Error::data(format!(
                 "{} gave {} equations with {} derivatives to positions and {} to rotations; {equations}, {poses} and {turned} were expected",
-                peer.who(), found.0, found.1, found.2
+                peer.who(),
+                found.0,
+                found.1,
+                found.2
             )));
         }
         let outside = given.by_own().iter().any(|by| by.1 >= self.text.unknowns.len())
             || given.by_input().iter().any(|by| by.1 >= self.text.inputs.len());
         if outside {
-            return Err(Error::data(format!("{} gave a derivative to an unknown or input that is not there", peer.who())));
+            return Err(Error::data(format!(
+                "{} gave a derivative to an unknown or input that is not there",
+                peer.who()
+            )));
         }
         finite(peer, "residuals", given.residuals())?;
         finite(peer, "derivatives", given.by_position().as_flattened())?;
@@ -394,7 +402,12 @@ impl Estimate for Estimator {
         let values: Vec<f64> = self.ask(ABBE_VALUES, problem)?;
         match values.len() == problem.unknowns.len() {
             true => Ok(values),
-            false => Err(Error::data(format!("{} gave {} values for {} unknowns", self.peer.who(), values.len(), problem.unknowns.len()))),
+            false => Err(Error::data(format!(
+                "{} gave {} values for {} unknowns",
+                self.peer.who(),
+                values.len(),
+                problem.unknowns.len()
+            ))),
         }
     }
 
@@ -478,7 +491,8 @@ impl Artefact for Stage {
         let observed = observations(&object, Some(data)).map_err(|failure| failure.error(peer.who()))?;
         let (poses, width) = (&observed.layout().poses, model.status().len());
         if !poses.is_empty() && poses.row(0).len() != width {
-            let message = format!("{} gave poses of {} statuses; the machine has {width}", peer.who(), poses.row(0).len());
+            let message =
+                format!("{} gave poses of {} statuses; the machine has {width}", peer.who(), poses.row(0).len());
             return Err(Error::data(message));
         }
         Ok(observed)

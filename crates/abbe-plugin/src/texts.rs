@@ -4,8 +4,8 @@ use std::path::PathBuf;
 use std::sync::Arc;
 
 use abbe_core::{
-    Axis, Calibration, ColumnHeader, Considered, Contact, Dataset, ErrorFunction, EquationUncertainty, ExportedFile,
-    Feature, Fit, Input, InputFile, KnownInput, KinematicModel, Layout, ObservationSet, Observations, Parameter,
+    Axis, Calibration, ColumnHeader, Considered, Contact, Dataset, EquationUncertainty, ErrorFunction, ExportedFile,
+    Feature, Fit, Input, InputFile, KinematicModel, KnownInput, Layout, ObservationSet, Observations, Parameter,
     PoseTable, Problem, StatusColumn, Unknown,
 };
 use serde::{Deserialize, Serialize};
@@ -177,7 +177,9 @@ fn put(objects: &mut Vec<Arc<Served>>, object: Served) -> usize {
 }
 
 fn get<'a>(objects: &'a [Transit], index: usize) -> Result<&'a Transit, Failure> {
-    objects.get(index).ok_or_else(|| Failure::of("the other side", format!("names object {index}, which it does not give")))
+    objects
+        .get(index)
+        .ok_or_else(|| Failure::of("the other side", format!("names object {index}, which it does not give")))
 }
 
 impl ProblemText {

@@ -247,7 +247,9 @@ fn digest(node: &Node<'_>) -> Result<String, Error> {
     let text = node.text()?;
     match text.len() == 64 && text.chars().all(|c| c.is_ascii_hexdigit()) {
         true => Ok(text.to_owned()),
-        false => Err(node.error(At::Value, "sha256: 64 hexadecimal digits were expected").help("`sha256sum` prints them")),
+        false => {
+            Err(node.error(At::Value, "sha256: 64 hexadecimal digits were expected").help("`sha256sum` prints them"))
+        }
     }
 }
 
@@ -255,10 +257,9 @@ fn digest(node: &Node<'_>) -> Result<String, Error> {
 fn isolation(node: &Node<'_>) -> Result<Option<f64>, Error> {
     let isolate = match node.get("isolate") {
         None => false,
-        Some(isolate) => isolate
-            .value
-            .as_bool()
-            .ok_or_else(|| isolate.error(At::Value, "isolate: true or false was expected"))?,
+        Some(isolate) => {
+            isolate.value.as_bool().ok_or_else(|| isolate.error(At::Value, "isolate: true or false was expected"))?
+        }
     };
     let Some(limit) = node.get("time_limit_s") else { return Ok(isolate.then_some(TIME_LIMIT_S)) };
     match limit.value.as_f64().filter(|limit| *limit > 0.0 && *limit <= LONGEST_LIMIT_S) {
@@ -266,7 +267,10 @@ fn isolation(node: &Node<'_>) -> Result<Option<f64>, Error> {
             Err(limit.error(At::Key, "`time_limit_s` holds for plugins that are isolated").help("add `isolate: true`"))
         }
         Some(limit) => Ok(Some(limit)),
-        None => Err(limit.error(At::Value, format!("time_limit_s: a number above 0, at most {LONGEST_LIMIT_S}, was expected"))),
+        None => {
+            Err(limit
+                .error(At::Value, format!("time_limit_s: a number above 0, at most {LONGEST_LIMIT_S}, was expected")))
+        }
     }
 }
 

@@ -67,7 +67,13 @@ impl Libraries {
                 },
             )?,
         };
-        tracing::info!("{} {}: {} plugins from {}", library.name, library.version, library.plugins.len(), file.display());
+        tracing::info!(
+            "{} {}: {} plugins from {}",
+            library.name,
+            library.version,
+            library.plugins.len(),
+            file.display()
+        );
         library.register(registry)
     }
 }

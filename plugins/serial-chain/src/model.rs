@@ -3,8 +3,8 @@
 use std::collections::BTreeMap;
 
 use abbe_core::{
-    Absent, Axis, AxisKind, Dataset, Error, ErrorFunction, KinematicModel, Parameter, PathItem, Poses, PosesMut, Quantity,
-    Result, SettingsError, StatusColumn, Unit, Values, Variable, matches,
+    Absent, Axis, AxisKind, Dataset, Error, ErrorFunction, KinematicModel, Parameter, PathItem, Poses, PosesMut,
+    Quantity, Result, SettingsError, StatusColumn, Unit, Values, Variable, matches,
 };
 use abbe_errors::{
     Argument, Constant, Declaration, Drift, Functions, LegendreInTime, OrdinaryPolynomial, Per, Reversal, StylusIs,

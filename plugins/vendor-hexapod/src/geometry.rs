@@ -45,7 +45,10 @@ impl Hexapod {
     pub fn new(settings: Settings) -> Result<Self, SettingsError> {
         let [low, high] = settings.strut_range_mm;
         if !(low > 0.0 && high > low) {
-            return Err(SettingsError::new("strut_range_mm", "two lengths above 0 were expected, the smaller one first"));
+            return Err(SettingsError::new(
+                "strut_range_mm",
+                "two lengths above 0 were expected, the smaller one first",
+            ));
         }
         not_negative("stylus_radius_mm", settings.stylus_radius_mm)?;
         let axes = (0..6).map(|strut| Axis {
@@ -76,7 +79,10 @@ impl Hexapod {
         let middle = [(low + high) / 2.0; 6];
         let home = hexapod.actual(&middle, &vec![0.0; hexapod.parameters.len()]);
         let singular = |_| {
-            SettingsError::new("", "with all struts at the middle of their range the platform has no pose near `home_mm`")
+            SettingsError::new(
+                "",
+                "with all struts at the middle of their range the platform has no pose near `home_mm`",
+            )
         };
         hexapod.solve(&home).map_err(singular)?;
         Ok(hexapod)
@@ -104,8 +110,11 @@ impl Hexapod {
     fn solve(&self, actual: &Actual) -> Result<(Frame, Matrix6<f64>)> {
         let mut frame = Frame { at: self.settings.home_mm.into(), turn: UnitQuaternion::identity() };
         let singular = || {
-            Error::data(format!("the struts of lengths {:.3?} mm hold no platform, or one that they cannot hold", actual.lengths))
-                .help("a position out of the range of the machine, or a pose in which it is singular")
+            Error::data(format!(
+                "the struts of lengths {:.3?} mm hold no platform, or one that they cannot hold",
+                actual.lengths
+            ))
+            .help("a position out of the range of the machine, or a pose in which it is singular")
         };
         for _ in 0..STEPS {
             let (off, change) = struts(actual, &frame);

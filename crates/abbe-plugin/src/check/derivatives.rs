@@ -21,7 +21,9 @@ pub(super) fn derivatives(library: &Library, findings: &mut Findings) {
         match turned {
             Ok(()) => {}
             // A machine may have none and say so; what names the plugin is the host's own complaint.
-            Err(error) if error.message.starts_with(&format!("the plugin `{name}` of ")) => findings.wrong(error.message),
+            Err(error) if error.message.starts_with(&format!("the plugin `{name}` of ")) => {
+                findings.wrong(error.message)
+            }
             Err(error) => findings.skip(format!("orientations of `{name}`: {error}")),
         }
         if let Err(error) = compare(&name, machine.as_ref(), orientation, findings) {
@@ -60,10 +62,10 @@ fn compare(name: &str, machine: &dyn KinematicModel, orientation: bool, findings
             Variable::Parameter(index) => machine.parameters()[index].name.clone(),
             Variable::Command(index) => format!("the command of {}", machine.axes()[index].name),
         };
-        let difference = |pose: usize| {
-            (Vector3::from(over.positions[pose]) - Vector3::from(under.positions[pose])) / (2.0 * step)
-        };
-        let turned = |pose: usize| (unit(over.orientations[pose]) / unit(under.orientations[pose])).scaled_axis() / (2.0 * step);
+        let difference =
+            |pose: usize| (Vector3::from(over.positions[pose]) - Vector3::from(under.positions[pose])) / (2.0 * step);
+        let turned =
+            |pose: usize| (unit(over.orientations[pose]) / unit(under.orientations[pose])).scaled_axis() / (2.0 * step);
         let off = |found: &[Vector3<f64>], difference: &dyn Fn(usize) -> Vector3<f64>| {
             (0..found.len()).map(|pose| (found[pose] - difference(pose)).norm()).fold(0.0, f64::max)
         };

@@ -61,7 +61,13 @@ pub(super) fn samples(machine: &dyn KinematicModel, poses: usize) -> (Vec<f64>, 
                     let [low, high] = axis.range.unwrap_or([-usual, usual]);
                     low + (0.05 + 0.9 * part) * (high - low)
                 }
-                None if column.name.starts_with("dir_") => if part < 0.5 { -1.0 } else { 1.0 },
+                None if column.name.starts_with("dir_") => {
+                    if part < 0.5 {
+                        -1.0
+                    } else {
+                        1.0
+                    }
+                }
                 None if column.quantity == Quantity::Label => 0.0,
                 None => match column.absent {
                     Absent::Taken(value) if value.is_finite() => value,
@@ -91,7 +97,8 @@ pub(super) fn names(library: &Library, findings: &mut Findings) {
         Ok(registry) => registry,
         Err(error) => return findings.wrong(error.to_string()),
     };
-    let mut names: Vec<(_, &str)> = library.plugins.iter().map(|plugin| (plugin.kind(), plugin.name.as_ref())).collect();
+    let mut names: Vec<(_, &str)> =
+        library.plugins.iter().map(|plugin| (plugin.kind(), plugin.name.as_ref())).collect();
     for (kind, name) in &names {
         if registry.find(*kind, name).is_ok() {
             findings.wrong(format!("the {kind} plugin `{name}` has the name of a built-in one"));
@@ -153,7 +160,9 @@ pub(super) fn settings(library: &Library, findings: &mut Findings) {
 /// An error has to say something.
 fn message(name: &str, result: Result<(), SettingsError>, findings: &mut Findings) {
     if let Err(error) = result
-        && (error.message.trim().is_empty() || error.message.contains("not UTF-8") || error.message.contains("panicked"))
+        && (error.message.trim().is_empty()
+            || error.message.contains("not UTF-8")
+            || error.message.contains("panicked"))
     {
         findings.wrong(format!("`{name}`: {error}"));
     }
