@@ -151,9 +151,10 @@ fn all_six_kinds_in_processes_of_their_own_find_the_same() {
 /// Lengths all over a workspace, of a machine with some errors and some noise.
 fn lengths(folder: &Path) {
     let mut text = "length,X1_mm,Y1_mm,Z1_mm,X2_mm,Y2_mm,Z2_mm,reference_mm\n".to_owned();
-    let spread = |index: usize| 600.0 * ((index as f64 * 0.618_033_988_75).fract() - 0.5);
+    let steps = [2.0_f64, 3.0, 5.0, 7.0, 11.0, 13.0].map(f64::sqrt);
+    let spread = |row: usize, column: usize| 600.0 * (((row + 1) as f64 * steps[column]).fract() - 0.5);
     for row in 0..40 {
-        let ends: Vec<f64> = (0..6).map(|column| spread(6 * row + column + 1)).collect();
+        let ends: Vec<f64> = (0..6).map(|column| spread(row, column)).collect();
         let moved = |at: &[f64]| {
             let (x, y, z) = (at[0] * (1.0 + 3e-5), at[1] * (1.0 - 2e-5), at[2] * (1.0 + 1e-5));
             [x - 4e-5 * y + 2e-5 * z, y + 5e-5 * z, z]
