@@ -19,19 +19,18 @@ fn target() -> PathBuf {
     program.ancestors().nth(2).expect("the program is in <target>/<profile>").to_owned()
 }
 
-/// A library of the workspace. Those of vendors are built with other settings for optimisation and panics than the program.
+/// A library of the workspace, built as it stands beside the program.
 fn cargo_library(package: &str) -> PathBuf {
     static BUILT: OnceLock<()> = OnceLock::new();
     BUILT.get_or_init(|| {
-        let other: &[&str] = &["--", "-C", "panic=abort", "-C", "opt-level=0"];
-        let packages =
-            [("abbe-stock-library", &[][..]), ("abbe-vendor-hexapod", other), ("abbe-vendor-nutating-head", other)];
-        for (package, settings) in packages {
-            let mut command = Command::new(env!("CARGO"));
-            command.args(["rustc", "--locked", "--lib", "--quiet", "--package", package, "--target-dir"]).arg(target());
-            let built = command.args(settings).current_dir(root()).output().expect("cargo runs");
-            assert!(built.status.success(), "{}", String::from_utf8_lossy(&built.stderr));
+        let mut command = Command::new(env!("CARGO"));
+        command.args(["build", "--locked", "--quiet", "--target-dir"]).arg(target());
+        // With the program, so that shared crates are built with the same features as for it.
+        for package in ["abbe", "abbe-vendor-hexapod", "abbe-vendor-nutating-head", "abbe-stock-library"] {
+            command.args(["--package", package]);
         }
+        let built = command.current_dir(root()).output().expect("cargo runs");
+        assert!(built.status.success(), "{}", String::from_utf8_lossy(&built.stderr));
     });
     let name = package.replace('-', "_");
     target().join("debug").join(format!("{}{name}{}", std::env::consts::DLL_PREFIX, std::env::consts::DLL_SUFFIX))
