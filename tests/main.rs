@@ -7,6 +7,7 @@ mod files;
 mod first_order;
 mod interrupted;
 mod laws;
+mod libraries;
 mod methods;
 mod multi_feature_bar;
 mod plugins;

@@ -21,6 +21,7 @@ mod pose_table;
 mod probing;
 mod problem;
 mod registry;
+mod serial;
 mod settings;
 mod stage;
 mod uncertainty;
@@ -37,7 +38,7 @@ pub use dataset::{Column, ColumnHeader, Dataset, RowOrigin, Values};
 pub use error::{Class, Error, Place, Result, nearest};
 pub use input_uncertainty::{InputUncertainty, PooledRepeats, RowUncertainty, SharedError};
 pub use model::{
-    Absent, Axis, AxisKind, Branch, ErrorFunction, KinematicModel, Parameter, Poses, StatusColumn, Variable,
+    Absent, Axis, AxisKind, Branch, ErrorFunction, KinematicModel, Parameter, Poses, PosesMut, StatusColumn, Variable,
 };
 pub use observations::{Contact, Equations, Feature, KnownInput, Layout, Observations, PoseValues, Row, Target};
 pub use parallel::in_parallel;

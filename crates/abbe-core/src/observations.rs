@@ -1,6 +1,9 @@
 //! What an artefact makes of a data set: rows of equations that tie poses, own unknowns and known inputs.
 
+use std::any::Any;
 use std::sync::Arc;
+
+use serde::{Deserialize, Serialize};
 
 use crate::dataset::Dataset;
 use crate::error::Result;
@@ -9,7 +12,7 @@ use crate::pose_table::{ColumnNaming, PoseTable, StatusSource, pose_columns};
 use crate::unit::Quantity;
 
 /// A named number that is not estimated but whose uncertainty all rows that use it share.
-#[derive(Debug, Clone, PartialEq)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct KnownInput {
     /// Own name, e.g. `length`.
     pub parameter: Parameter,
@@ -23,7 +26,7 @@ pub struct KnownInput {
 }
 
 /// One measurement: which poses it ties in which equations, and the data row that it comes from.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Row {
     /// First of its poses in [`Layout::poses`].
     pub first_pose: usize,
@@ -38,7 +41,8 @@ pub struct Row {
 }
 
 /// What gives way until the equations of a row hold, when the row is really measured.
-#[derive(Debug, Clone, PartialEq)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
 pub enum Contact {
     /// The linear axes of all its poses move, by as little as possible, until the probe triggers.
     LinearAxes,
@@ -47,7 +51,7 @@ pub enum Contact {
 }
 
 /// A feature of an artefact in the table frame: nominal place plus what is estimated of it.
-#[derive(Debug, Clone, PartialEq)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Feature {
     /// Its label.
     pub label: String,
@@ -58,7 +62,7 @@ pub struct Feature {
 }
 
 /// Where the tip is sent to measure a feature.
-#[derive(Debug, Clone, PartialEq)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Target {
     /// Label of the feature.
     pub feature: String,
@@ -88,12 +92,49 @@ pub struct Equations {
 }
 
 impl Equations {
-    pub(crate) fn clear(&mut self) {
+    /// Forgets all equations.
+    pub fn clear(&mut self) {
         self.residuals.clear();
         self.by_position.clear();
         self.by_rotation.clear();
         self.by_own.clear();
         self.by_input.clear();
+    }
+
+    /// The residuals.
+    pub fn residuals(&self) -> &[f64] {
+        &self.residuals
+    }
+
+    /// Derivatives to tip positions, equation by equation, pose by pose.
+    pub fn by_position(&self) -> &[[f64; 3]] {
+        &self.by_position
+    }
+
+    /// Derivatives to rotation vectors, in the same order; empty where orientations do not count.
+    pub fn by_rotation(&self) -> &[[f64; 3]] {
+        &self.by_rotation
+    }
+
+    /// Derivatives to own unknowns: (equation, unknown, derivative).
+    pub fn by_own(&self) -> &[(usize, usize, f64)] {
+        &self.by_own
+    }
+
+    /// Derivatives to known inputs: (equation, input, derivative).
+    pub fn by_input(&self) -> &[(usize, usize, f64)] {
+        &self.by_input
+    }
+
+    /// Adds the equations of another list.
+    pub fn append(&mut self, other: &Self) {
+        let first = self.residuals.len();
+        let moved = |&(equation, index, derivative): &(usize, usize, f64)| (first + equation, index, derivative);
+        self.residuals.extend_from_slice(&other.residuals);
+        self.by_position.extend_from_slice(&other.by_position);
+        self.by_rotation.extend_from_slice(&other.by_rotation);
+        self.by_own.extend(other.by_own.iter().map(moved));
+        self.by_input.extend(other.by_input.iter().map(moved));
     }
 
     /// Starts the next equation with its residual, left side of the observation equation, in mm or rad.
@@ -124,9 +165,10 @@ impl Equations {
 }
 
 /// The rows of some observations: the part that is alike for all artefacts.
-#[derive(Debug, Clone)]
+#[derive(Debug, Clone, Serialize, Deserialize)]
 pub struct Layout {
-    /// The data set.
+    /// The data set; whoever writes a layout down writes its data set beside it.
+    #[serde(skip)]
     pub data: Arc<Dataset>,
     /// The rows, each with its poses and equations.
     pub rows: Vec<Row>,
@@ -239,6 +281,24 @@ pub trait Observations: Send + Sync {
 
     /// Residuals and derivatives of some rows, in the order of `rows`; `poses` has their poses one after another.
     fn evaluate(&self, rows: &[usize], poses: PoseValues<'_>, own: &[f64], inputs: &[f64], out: &mut Equations);
+
+    /// The same where it can fail: of observations on the other side of a border.
+    fn try_evaluate(
+        &self,
+        rows: &[usize],
+        poses: PoseValues<'_>,
+        own: &[f64],
+        inputs: &[f64],
+        out: &mut Equations,
+    ) -> Result<()> {
+        self.evaluate(rows, poses, own, inputs, out);
+        Ok(())
+    }
+
+    /// What stands behind observations that live on the other side of a border; none if they live here.
+    fn behind(&self) -> Option<&dyn Any> {
+        None
+    }
 
     /// Where the tip of a row's pose is in nominal contact, table frame, given where it is by the model: on the feature as
     /// estimated, without the sideways offset with which it was met. None where contact does not fix the tip.

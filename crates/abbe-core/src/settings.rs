@@ -10,7 +10,8 @@ use serde_json::Value;
 use crate::error::nearest;
 
 /// One step on the way to a setting: a key of a map or an index of a list.
-#[derive(Debug, Clone, PartialEq, Eq, PartialOrd, Ord)]
+#[derive(Debug, Clone, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
+#[serde(untagged)]
 pub enum PathItem {
     /// Key of a map.
     Key(String),
@@ -32,15 +33,18 @@ pub fn path_text(path: &[PathItem]) -> String {
 }
 
 /// A setting that is wrong.
-#[derive(Debug, Clone, PartialEq)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct SettingsError {
     /// Where the wrong setting stands.
+    #[serde(default)]
     pub path: Vec<PathItem>,
     /// The key itself is wrong, not its value.
+    #[serde(default)]
     pub key: bool,
     /// What is wrong and what was expected.
     pub message: String,
     /// What to do.
+    #[serde(default)]
     pub help: Option<String>,
 }
 

@@ -119,7 +119,7 @@ impl Prepared {
             verdicts,
             exports,
             inputs,
-            plugins: self.recipe.stages.iter().map(|stage| (stage.kind, stage.plugin.clone())).collect(),
+            plugins: self.plugins.clone(),
             started,
             duration: clock.elapsed(),
         })

@@ -25,7 +25,12 @@ pub fn schema(registry: &Registry) -> Value {
                 "type": "array",
                 "items": {
                     "type": "object",
-                    "properties": { "path": { "type": "string" }, "sha256": { "type": "string" } },
+                    "properties": {
+                        "path": { "type": "string", "description": "The library" },
+                        "sha256": { "type": "string", "pattern": "^[0-9A-Fa-f]{64}$", "description": "It is not loaded if its hash is another one" },
+                        "isolate": { "type": "boolean", "description": "Its plugins run in processes of their own" },
+                        "time_limit_s": { "type": "number", "exclusiveMinimum": 0, "maximum": 86400, "description": "How long an isolated plugin may be silent" },
+                    },
                     "required": ["path"],
                     "additionalProperties": false,
                 },

@@ -3,8 +3,8 @@
 use std::collections::BTreeMap;
 
 use abbe_core::{
-    Absent, Axis, AxisKind, Dataset, Error, ErrorFunction, KinematicModel, Parameter, PathItem, Poses, Quantity,
-    Result, SettingsError, StatusColumn, Unit, Values, Variable, matches,
+    Absent, Axis, AxisKind, Dataset, Error, ErrorFunction, KinematicModel, Parameter, PathItem, Poses, PosesMut,
+    Quantity, Result, SettingsError, StatusColumn, Unit, Values, Variable, matches,
 };
 use abbe_errors::{
     Argument, Constant, Declaration, Drift, FourierSeries, Functions, LegendreInTime, NaturalSpline,
@@ -168,9 +168,19 @@ impl KinematicModel for SerialChain {
         orientation: bool,
         out: &mut Poses,
     ) -> Result<()> {
+        out.reset(statuses.len() / self.status.len().max(1), wanted.len(), orientation);
+        self.evaluate_into(statuses, values, wanted, orientation, out.as_mut())
+    }
+
+    fn evaluate_into(
+        &self,
+        statuses: &[f64],
+        values: &[f64],
+        wanted: &[Variable],
+        orientation: bool,
+        out: PosesMut<'_>,
+    ) -> Result<()> {
         let width = self.status.len();
-        let poses = statuses.len() / width.max(1);
-        out.reset(poses, wanted.len(), orientation);
         let mut work = self.work();
         let moved = wanted.iter().any(|variable| matches!(variable, Variable::Command(_)));
         for (index, status) in statuses.chunks_exact(width).enumerate() {
