@@ -2,8 +2,9 @@
 
 use std::path::Path;
 
-use abbe_core::{AxisKind, Dataset, Error, Fit, Problem, Quantity, Result, Unit, matches};
+use abbe_core::{AxisKind, Dataset, Error, Fit, Problem, Quantity, Result};
 
+use crate::candidates::{self, Candidates};
 use crate::diagnosis::Pattern;
 use crate::points::{Point, Points, Touch};
 
@@ -92,44 +93,19 @@ impl Baseline {
         Touch::new(self.problem.model.as_ref(), &probed.point, &probed.status)
     }
 
-    /// What each parameter that `candidates` choose does to the readings, then what happens to the artefact.
-    pub fn patterns(&self, candidates: &[String]) -> Result<Vec<Pattern>> {
-        let parameters = self.problem.model.parameters();
-        for (index, pattern) in candidates.iter().enumerate() {
-            if !parameters.iter().any(|parameter| matches(pattern, &parameter.name)) {
-                let names = parameters.iter().map(|parameter| parameter.name.as_str());
-                let mut error = Error::usage(format!("`{pattern}` matches no parameter of the machine"))
-                    .suggest(pattern, names)
-                    .setting("candidates");
-                error.setting.push(abbe_core::PathItem::Index(index));
-                return Err(error);
-            }
-        }
-        let chosen: Vec<usize> = (0..parameters.len())
-            .filter(|&index| candidates.iter().any(|pattern| matches(pattern, &parameters[index].name)))
-            .collect();
-        let mut patterns: Vec<Pattern> = chosen
-            .iter()
-            .map(|&index| Pattern {
-                name: parameters[index].name.clone(),
-                unit: parameters[index].unit,
-                effect: Vec::new(),
-                parameter: Some(index),
-            })
-            .collect();
-        patterns.extend(of_the_artefact());
+    /// What candidates do to the readings, then what happens to the artefact.
+    pub fn patterns(&self, candidates: &Candidates) -> Result<Vec<Pattern>> {
+        let mut patterns = candidates.of(self.problem.model.as_ref())?;
         for probed in &self.points {
-            let (machine, artefact) = self.touch(probed)?.sensitivities(&self.problem.machine, &chosen)?;
-            let effects = machine.into_iter().chain(artefact);
-            patterns.iter_mut().zip(effects).for_each(|(pattern, effect)| pattern.effect.push(effect));
+            candidates::add_effects(&mut patterns, &self.touch(probed)?, &self.problem.machine)?;
         }
         Ok(patterns)
     }
 
-    /// By how much every reading changes, mm, when a parameter changes by `size`: full nonlinear touches.
-    pub fn changes(&self, parameter: usize, size: f64) -> Result<Vec<f64>> {
+    /// By how much every reading changes, mm, when parameters change by `size`: full nonlinear touches.
+    pub fn changes(&self, parameters: &[usize], size: f64) -> Result<Vec<f64>> {
         let mut changed = self.problem.machine.clone();
-        changed[parameter] += size;
+        parameters.iter().for_each(|&parameter| changed[parameter] += size);
         let change = |probed: &Probed| {
             let touch = self.touch(probed)?;
             // By the model the baseline may miss contact by what the model lacks; that stays as it is.
@@ -210,18 +186,4 @@ impl Baseline {
         }
         Ok(())
     }
-}
-
-/// What can happen to the artefact, without its effect on the readings.
-pub fn of_the_artefact() -> impl Iterator<Item = Pattern> {
-    let names = [
-        ("shift of the artefact along x", Unit::MM),
-        ("shift of the artefact along y", Unit::MM),
-        ("shift of the artefact along z", Unit::MM),
-        ("turn of the artefact about x", Unit::RAD),
-        ("turn of the artefact about y", Unit::RAD),
-        ("turn of the artefact about z", Unit::RAD),
-        ("expansion of the artefact", Unit::per(Quantity::Length, Quantity::Length, 1)),
-    ];
-    names.into_iter().map(|(name, unit)| Pattern { name: name.to_owned(), unit, effect: Vec::new(), parameter: None })
 }

@@ -17,8 +17,8 @@ pub struct Pattern {
     pub unit: abbe_core::Unit,
     /// Derivative of every reading to the size, mm/unit.
     pub effect: Vec<f64>,
-    /// Index of the parameter of the model; none if it is the artefact's.
-    pub parameter: Option<usize>,
+    /// Indices of the parameters of the model that change by the size; none if it is the artefact that does.
+    pub parameters: Vec<usize>,
 }
 
 /// What healthy runs scatter by.
@@ -142,7 +142,7 @@ impl<'a> Judge<'a> {
             }
         }
         // One pattern has one score, but for rounding: machine errors go before the artefact, the rest as declared.
-        diagnosis.causes.sort_by_key(|cause| (self.patterns[cause.pattern].parameter.is_none(), cause.pattern));
+        diagnosis.causes.sort_by_key(|cause| (self.patterns[cause.pattern].parameters.is_empty(), cause.pattern));
         diagnosis
     }
 
@@ -231,7 +231,7 @@ mod tests {
     use abbe_core::Unit;
 
     fn pattern(name: &str, effect: &[f64]) -> Pattern {
-        Pattern { name: name.to_owned(), unit: Unit::MM, effect: effect.to_vec(), parameter: Some(0) }
+        Pattern { name: name.to_owned(), unit: Unit::MM, effect: effect.to_vec(), parameters: vec![0] }
     }
 
     fn patterns() -> Vec<Pattern> {

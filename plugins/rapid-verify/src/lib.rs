@@ -10,7 +10,10 @@
 
 mod artefact;
 mod baseline;
+mod candidates;
+mod combination;
 mod diagnosis;
+mod export;
 mod material;
 mod points;
 mod verify;

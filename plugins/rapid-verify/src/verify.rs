@@ -14,6 +14,7 @@ use serde::Deserialize;
 use serde_json::{Value, json};
 
 use crate::baseline::{Baseline, Probed, Run};
+use crate::candidates::{Candidates, Names, Together};
 use crate::diagnosis::{Cause, Diagnosis, Judge, Pattern, Scatter};
 use crate::material::ArtefactSettings;
 
@@ -40,14 +41,17 @@ struct Settings {
     #[serde(default)]
     compare_um: Vec<f64>,
     /// Patterns of the parameters that may have changed.
-    #[serde(default = "all")]
-    candidates: Vec<String>,
+    #[serde(default)]
+    candidates: Names,
+    /// Parameters that change by the same amount, under the name of what they are together: the tips of all styli with the probe.
+    #[serde(default)]
+    together: Together,
     /// What healthy runs scatter by.
     #[serde(default)]
     healthy: Healthy,
     /// The artefact, for the choice of its material.
     #[serde(default)]
-    artefact: Option<ArtefactSettings>,
+    material: Option<ArtefactSettings>,
 }
 
 /// Standard deviations of what differs between healthy runs. It decides what is likely, not what is go.
@@ -104,18 +108,15 @@ impl Varying {
     }
 }
 
-fn all() -> Vec<String> {
-    vec!["*".to_owned()]
-}
-
 fn example() -> Value {
     json!({
         "nominal": "points.csv",
         "tolerance_um": 12,
         "compare_um": [4, 12, 20],
-        "candidates": ["E*", "d?t"],
+        "candidates": ["E*"],
+        "together": { "dxt": ["dxt", "stylus[2].x"] },
         "healthy": { "point_um": 0.5, "shift_um": 1, "turn_urad": 3, "parameters": [{ "names": ["dzt"], "standard_um": 1 }] },
-        "artefact": { "length_mm": 160, "temperature_half_range_degC": 2 }
+        "material": { "length_mm": 160, "temperature_half_range_degC": 2 }
     })
 }
 
@@ -147,8 +148,8 @@ fn build(settings: &Value, context: &Context) -> Result<Box<dyn Validate>, Setti
             return Err(in_healthy(error.under(at("parameters", index))));
         }
     }
-    let in_artefact = |error: SettingsError| error.under([PathItem::Key("artefact".to_owned())]);
-    settings.artefact.as_ref().map_or(Ok(()), ArtefactSettings::check).map_err(in_artefact)?;
+    let in_material = |error: SettingsError| error.under([PathItem::Key("material".to_owned())]);
+    settings.material.as_ref().map_or(Ok(()), ArtefactSettings::check).map_err(in_material)?;
     Ok(Box::new(Verify { nominal: context.path(&settings.nominal), settings }))
 }
 
@@ -185,7 +186,7 @@ impl Validate for Verify {
             return Err(error.setting("of").help("add `from: <ingest stage>`"));
         }
         let baseline = Baseline::new(fit, &self.nominal)?;
-        let patterns = baseline.patterns(&self.settings.candidates)?;
+        let patterns = baseline.patterns(&self.candidates())?;
         let scatter = self.scatter(&baseline)?;
         let judge = Judge::new(&patterns, &scatter, baseline.points.len())
             .ok_or_else(|| Error::data("the scatter of healthy runs has no covariance; is `healthy` plausible?"))?;
@@ -194,7 +195,7 @@ impl Validate for Verify {
             let report = Report { fit: &fit.name, run: &run, baseline: &baseline, patterns: &patterns };
             self.judge(&report, &judge, &mut findings)?;
         }
-        if let Some(artefact) = &self.settings.artefact {
+        if let Some(artefact) = &self.settings.material {
             for tolerance in self.tolerances() {
                 let (largest, text) = artefact.advise(tolerance);
                 let name = format!("largest expansion at {tolerance} um");
@@ -215,6 +216,10 @@ struct Report<'a> {
 }
 
 impl Verify {
+    fn candidates(&self) -> Candidates {
+        Candidates { names: self.settings.candidates.clone(), together: self.settings.together.clone() }
+    }
+
     /// All tolerances, ascending, each once.
     fn tolerances(&self) -> Vec<f64> {
         let mut all = self.settings.compare_um.clone();
@@ -226,8 +231,8 @@ impl Verify {
 
     fn scatter(&self, baseline: &Baseline) -> Result<Scatter> {
         let Healthy { point_um, shift_um, turn_urad, expansion_um_per_m, parameters } = &self.settings.healthy;
-        let all = baseline.patterns(&all())?;
-        let (machine, artefact): (Vec<_>, Vec<_>) = all.iter().partition(|pattern| pattern.parameter.is_some());
+        let all = baseline.patterns(&Candidates::default())?;
+        let (machine, artefact): (Vec<_>, Vec<_>) = all.iter().partition(|pattern| !pattern.parameters.is_empty());
         let of_artefact =
             [*shift_um * 1e-3; 3].into_iter().chain([*turn_urad * 1e-6; 3]).chain([expansion_um_per_m * 1e-6]);
         let mut common: Vec<Vec<f64>> = Vec::new();
@@ -293,10 +298,7 @@ impl Verify {
             return Ok(());
         };
         let noun = if out == 1 { "point is" } else { "points are" };
-        text.push_str(&format!(
-            "{label} is off by {} µm, {out} {noun} beyond {tolerance} µm; ",
-            short(beyond[worst])
-        ));
+        text.push_str(&format!("{label} is off by {} µm, {out} {noun} beyond {tolerance} µm; ", short(beyond[worst])));
         let mut found = judge.diagnose(&deviations);
         self.refine(report, judge, &deviations, &mut found)?;
         text.push_str(&report.source(&found, &deviations));
@@ -308,9 +310,12 @@ impl Verify {
     /// Sizes by the full model: the linear ones leave out what is of second order.
     fn refine(&self, report: &Report<'_>, judge: &Judge<'_>, deviations: &[f64], found: &mut Diagnosis) -> Result<()> {
         for cause in found.causes.iter_mut().chain(&mut found.rivals) {
-            let Some(parameter) = report.patterns[cause.pattern].parameter else { continue };
+            let parameters = &report.patterns[cause.pattern].parameters;
+            if parameters.is_empty() {
+                continue;
+            }
             for _ in 0..20 {
-                let changes = report.baseline.changes(parameter, cause.size)?;
+                let changes = report.baseline.changes(parameters, cause.size)?;
                 let left: Vec<f64> = deviations.iter().zip(changes).map(|(seen, change)| seen - change).collect();
                 let step = judge.step(cause.pattern, &found.touches, &left);
                 cause.size += step;
