@@ -173,7 +173,7 @@ impl Baseline {
                 AxisKind::Rotary => (ELSEWHERE.1, "deg", 1.0_f64.to_degrees()),
             };
             let (here, there) = (commands[row], probed.status[axis.status]);
-            if !((here - there).abs() <= allowed) {
+            if (here - there).abs() > allowed || here.is_nan() {
                 let message = format!(
                     "point {} is probed at {} = {:.4} {unit}; at the baseline it was {:.4} {unit}",
                     probed.point.label,

@@ -12,10 +12,16 @@ mod artefact;
 mod baseline;
 mod candidates;
 mod combination;
+mod controller;
+mod cut;
 mod diagnosis;
 mod export;
+mod fanuc;
 mod material;
+mod plan;
 mod points;
+mod program;
+mod siemens;
 mod verify;
 
 pub use material::{MATERIALS, largest_expansion, material};
