@@ -21,8 +21,6 @@ pub struct Probed {
     pub mean: f64,
     /// Status of the machine, the approach axis at the mean reading.
     status: Vec<f64>,
-    /// Offset of the facet, mm.
-    offset: f64,
 }
 
 /// The machine and the artefact as they were after the calibration.
@@ -72,15 +70,12 @@ impl Baseline {
             let status = set.poses().row(first.first_pose);
             let mut touch = Touch::new(problem.model.as_ref(), point, status)?;
             touch.status[problem.model.axes()[touch.axis].status] = mean;
-            let name = format!("facet[{}].d", point.facet);
-            let own = set.observations.unknowns().iter().position(|unknown| unknown.name == name);
             points.push(Probed {
                 point: point.clone(),
                 min: readings.iter().copied().fold(f64::INFINITY, f64::min),
                 max: readings.iter().copied().fold(f64::NEG_INFINITY, f64::max),
                 mean,
                 status: touch.status,
-                offset: own.map_or(0.0, |own| set.own[own]),
             });
         }
         if points.is_empty() {
@@ -113,13 +108,6 @@ impl Baseline {
             Ok(touch.reading(&changed, goal)? - probed.mean)
         };
         self.points.iter().map(change).collect()
-    }
-
-    /// The distance of a tip from the facet that the fit expects, mm: zero where the fit explains the baseline.
-    #[cfg(test)]
-    pub fn residual(&self, probed: &Probed) -> Result<f64> {
-        let distance = self.touch(probed)?.distance_here(&self.problem.machine)?;
-        Ok(distance - probed.offset - self.problem.model.stylus_radius())
     }
 
     /// The runs in some data sets, one a file.

@@ -249,3 +249,92 @@ impl<'a> Touch<'a> {
         Ok((by.into_iter().map(|part| -part / slope).collect(), artefact))
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use std::sync::Arc;
+
+    use abbe_core::{Build, Context, Kind, Registry};
+    use abbe_serial_chain as _;
+    use serde_json::json;
+
+    use super::*;
+
+    fn folder(machine: &str) -> PathBuf {
+        Path::new(env!("CARGO_MANIFEST_DIR")).join("../../pipelines/data/rapid-verify/exact").join(machine)
+    }
+
+    fn model(chain: &str) -> Arc<dyn KinematicModel> {
+        let registry = Registry::built_in().unwrap();
+        let Build::Model(build) = &registry.find(Kind::Model, "serial-chain").unwrap().build else { panic!() };
+        let linear = ["EXX", "EYY", "EZZ", "EAX", "EBX", "ECX", "EAY", "EBY", "ECY", "EAZ", "EBZ", "ECZ"];
+        let straight = ["EYX", "EZX", "EXY", "EZY", "EXZ", "EYZ"];
+        let mut errors = vec![
+            json!({ "polynomial": linear, "degrees": [1] }),
+            json!({ "polynomial": straight, "degrees": [2] }),
+            json!({ "location": ["EC0X", "EA0Z", "EB0Z"] }),
+            json!({ "backlash": ["EXX", "EYY", "EZZ"] }),
+        ];
+        if chain.contains('C') {
+            errors.push(json!({ "location": ["EB0A", "EC0A", "EY0A", "EZ0A", "EY0C", "EX0C", "EA0C", "EB0C"] }));
+            errors.push(json!({ "polynomial": ["ECC", "EAA"], "degrees": [1] }));
+        }
+        let styli = json!({ "2": { "x_mm": 40, "y_mm": 0, "length_mm": 180 } });
+        let settings =
+            json!({ "chain": chain, "tool_length_mm": 180, "stylus_radius_mm": 3, "styli": styli, "errors": errors });
+        build.build(&settings, &Context { base: PathBuf::new() }).unwrap().build(&[]).unwrap()
+    }
+
+    /// The position of the approach axis in full nonlinear contact, central differences of it, and the derivatives.
+    #[test]
+    fn sensitivities_are_those_of_the_full_touch() {
+        for (machine, chain) in [("three-axis", "w X' Y' b Z t"), ("five-axis", "w C' A' b Y X Z t")] {
+            let (model, points) = (model(chain), Points::read(&folder(machine).join("points.csv")).unwrap());
+            let statuses = points.in_contact(model.as_ref()).unwrap();
+            let all: Vec<usize> = (0..model.parameters().len()).collect();
+            let place = |name: &str| model.parameters().iter().position(|other| other.name == name).unwrap();
+            // A machine with errors, so that second order counts.
+            let mut values = vec![0.0; all.len()];
+            for (name, value) in [("EXX[1]", 3e-5), ("EC0X", -2e-5), ("EA0Z", 1e-5), ("EYX[2]", 4e-7), ("dyt", 0.01)] {
+                values[place(name)] = value;
+            }
+            for (row, point) in points.list.iter().enumerate() {
+                let mut touch = Touch::new(model.as_ref(), point, statuses.row(row)).unwrap();
+                let goal = model.stylus_radius() + 0.004;
+                let reading = touch.reading(&values, goal).unwrap();
+                touch.status[model.axes()[touch.axis].status] = reading;
+                assert!((touch.distance_here(&values).unwrap() - goal).abs() < 1e-9);
+                let (by_parameter, by_artefact) = touch.sensitivities(&values, &all).unwrap();
+                for (index, by) in by_parameter.iter().enumerate() {
+                    // A tenth of a micrometre at the end of the travel.
+                    let unit = model.parameters()[index].unit;
+                    let size = if unit.of == Quantity::Angle { 1e-6 } else { 1e-4 };
+                    let step = unit.per.map_or(size, |(_, power)| size / 300.0_f64.powi(i32::from(power)));
+                    let at = |change: f64| {
+                        let mut changed = values.clone();
+                        changed[index] += change;
+                        touch.reading(&changed, goal).unwrap()
+                    };
+                    let difference = (at(step) - at(-step)) / (2.0 * step);
+                    let name = &model.parameters()[index].name;
+                    let off = (by - difference).abs();
+                    // A picometre of the readings, and what is of third order.
+                    assert!(off <= 1e-9 / step + 1e-5 * by.abs(), "{} {name}: {by} {difference}", point.label);
+                }
+                // The artefact, moved as a whole: the set-up of the workpiece does the same.
+                let (shifts, mut moved) = (["dxw", "dyw", "dzw", "daw", "dbw", "dcw"], by_artefact.to_vec());
+                let expansion = moved.pop().unwrap();
+                for (name, by) in shifts.iter().zip(moved) {
+                    let set_up = by_parameter[place(name)];
+                    // The contact is on the ball: its centre stands off by its radius, which turns with the artefact.
+                    assert!((by - set_up).abs() <= 2e-2 + 1e-3 * by.abs(), "{} {name}: {by} {set_up}", point.label);
+                }
+                let larger = Point { position: point.position * (1.0 + 1e-6), ..point.clone() };
+                let larger =
+                    Touch { point: &larger, model: model.as_ref(), axis: touch.axis, status: touch.status.clone() };
+                let difference = (larger.reading(&values, goal).unwrap() - reading) / 1e-6;
+                assert!((expansion - difference).abs() < 1e-3 * expansion.abs().max(1.0), "{}", point.label);
+            }
+        }
+    }
+}
