@@ -12,5 +12,6 @@ use abbe_ingest as _;
 use abbe_length as _;
 use abbe_monte_carlo as _;
 use abbe_poses as _;
+use abbe_rapid_verify as _;
 use abbe_serial_chain as _;
 use abbe_validators as _;
