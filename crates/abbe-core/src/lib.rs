@@ -17,6 +17,7 @@ mod model;
 mod observations;
 mod parallel;
 mod pattern;
+mod planning;
 mod pose_table;
 mod probing;
 mod problem;
@@ -43,6 +44,7 @@ pub use model::{
 pub use observations::{Contact, Equations, Feature, KnownInput, Layout, Observations, PoseValues, Row, Target};
 pub use parallel::in_parallel;
 pub use pattern::matches;
+pub use planning::{Planning, PlanningCriterion};
 pub use pose_table::{ColumnNaming, PoseTable, StatusSource, plain_naming, pose_columns};
 pub use probing::Lobing;
 pub use problem::{Block, Considered, Input, ObservationSet, Owner, Problem, Scatter, Unknown};

@@ -14,7 +14,7 @@ use abbe_recipe::Stage;
 use abbe_simulation::{Truth, measure};
 use abbe_table::Cells;
 
-use crate::outcome::{staging, unwritable};
+use crate::folder::write_folder;
 use crate::prepare::Prepared;
 use crate::run::has_problem;
 
@@ -360,37 +360,6 @@ fn replaced(text: &str, from: &str, to: &str) -> (String, usize) {
 impl Simulated {
     /// Writes everything into the folder `out`, which must not exist or be empty: whole or not at all.
     pub fn write(&self, out: &Path) -> Result<()> {
-        Self::can_write(out)?;
-        let parent = parent(out);
-        let failed = |error: io::Error| unwritable(parent, &error);
-        let staging = staging(parent)?;
-        for (name, content) in &self.files {
-            let path = staging.path().join(name);
-            if let Some(folder) = path.parent() {
-                fs::create_dir_all(folder).map_err(failed)?;
-            }
-            fs::write(path, content).map_err(failed)?;
-        }
-        if out.exists() {
-            fs::remove_dir(out).map_err(failed)?;
-        }
-        fs::rename(staging.path(), out).map_err(failed)?;
-        // It is in its place: there is nothing to clean up.
-        let _ = staging.keep();
-        Ok(())
+        write_folder(out, &self.files)
     }
-
-    /// Fails early if nothing could be written to `out` in the end.
-    pub fn can_write(out: &Path) -> Result<()> {
-        let is_empty = || fs::read_dir(out).is_ok_and(|mut entries| entries.next().is_none());
-        if out.exists() && !is_empty() {
-            return Err(Error::data(format!("{} is there already and not empty", out.display()))
-                .help("move it away, or name another folder with `--out`"));
-        }
-        staging(parent(out)).map(drop)
-    }
-}
-
-fn parent(out: &Path) -> &Path {
-    out.parent().filter(|parent| *parent != Path::new("")).unwrap_or(Path::new("."))
 }

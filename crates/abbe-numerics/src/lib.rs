@@ -1,11 +1,12 @@
 //! Numerics on faer: accumulated QR of scaled least squares problems, rank and null space, covariance, Gauss-Newton
 //! with step control, robust weights, and the tests of significance that go with them; coverage factors, and the
-//! propagation of distributions by random trials.
+//! propagation of distributions by random trials; the choice of measurements by optimal design.
 //!
 //! **Architecture invariant:** this crate knows rows of numbers, not machines. faer runs single-threaded (its parallel
 //! feature is off), because its results would otherwise depend on the number of cores.
 
 mod coverage;
+mod design;
 mod factor;
 mod gauss_newton;
 mod monte_carlo;
@@ -18,6 +19,7 @@ pub use coverage::{
     binomial_band, chi_squared_quantile, chi_squared_upper_tail, coverage_factor, effective_degrees_of_freedom,
     hotelling_quantile, hotelling_upper_tail, joint_coverage_factor, rectangular_coverage_factor,
 };
+pub use design::{Choice, Criterion, Design, DesignFigures};
 pub use factor::{Accumulator, Factor, SingularValues, Spectrum, Whitener};
 pub use gauss_newton::{End, LeastSquares, Options, Sink, Solution, solve};
 pub use monte_carlo::{Adaptive, Agreement, Interval, Trials, gum_agrees, least_trials, numerical_tolerance};

@@ -14,7 +14,7 @@ mod tests;
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
-use abbe_core::{Error, Kind, PathItem, Place, Plugin, Registry, SettingsError, nearest, path_text};
+use abbe_core::{Error, Kind, PathItem, Place, Planning, Plugin, Registry, SettingsError, nearest, path_text};
 use serde_json::{Map, Value};
 
 use document::{At, Document, Node};
@@ -29,6 +29,8 @@ const TIME_LIMIT_S: f64 = 60.0;
 
 /// A day: nobody waits longer for one answer.
 const LONGEST_LIMIT_S: f64 = 86_400.0;
+/// The key under which measurements are planned ([`abbe_core::Planning`]).
+const PLAN: &str = "plan";
 
 /// The version of recipes that this program reads.
 const VERSION: u64 = 1;
@@ -50,6 +52,8 @@ pub struct Recipe {
     pub stages: Vec<Stage>,
     /// Libraries with more plugins.
     pub libraries: Vec<Library>,
+    /// Which measurements are to be chosen, if any.
+    pub plan: Option<Planning>,
     document: Document,
     origins: BTreeMap<String, Origin>,
 }
@@ -142,12 +146,59 @@ impl Recipe {
             origins.insert(head.name.to_owned(), origin);
         }
         let stages = graph::order(&heads, &nodes)?.into_iter().filter_map(|index| ready[index].take()).collect();
-        Ok(Self { path: path.to_owned(), base, text: text.to_owned(), name, id, stages, libraries, document, origins })
+        let mut recipe = Self {
+            path: path.to_owned(),
+            base,
+            text: text.to_owned(),
+            name,
+            id,
+            stages,
+            libraries,
+            plan: None,
+            document,
+            origins,
+        };
+        recipe.plan = recipe.planning()?;
+        Ok(recipe)
     }
 
     /// The libraries that a recipe asks for. Nothing else of it is checked: its stages may need their plugins.
     pub fn libraries(path: &Path, text: &str) -> Result<Vec<Library>, Error> {
         libraries(&Document::parse(path, text)?.root(), path.parent().unwrap_or(Path::new("")))
+    }
+
+    /// What stands under `plan`; the stages that it names are there.
+    fn planning(&self) -> Result<Option<Planning>, Error> {
+        let Some(settings) = self.document.get(&[PathItem::Key(PLAN.to_owned())]) else { return Ok(None) };
+        let plan: Planning = abbe_core::from_settings(settings).map_err(|error| self.plan_error(error))?;
+        plan.check().map_err(|error| self.plan_error(error))?;
+        for (key, name, kind) in
+            [("estimate", &plan.estimate, Kind::Estimate), ("candidates", &plan.candidates, Kind::Artefact)]
+        {
+            let of_kind = || self.stages.iter().filter(|stage| stage.kind == kind).map(|stage| stage.name.as_str());
+            if !of_kind().any(|stage| stage == name) {
+                let message = format!("there is no stage `{name}` of the kind {kind}");
+                return Err(self.plan_error(SettingsError::new(key, message).suggest(name, of_kind())));
+            }
+        }
+        Ok(Some(plan))
+    }
+
+    /// Gives an error about a setting under `plan` its place, unless it has one or is about a stage.
+    pub fn locate_plan(&self, error: Error) -> Error {
+        if error.place.is_some() || error.stage.is_some() {
+            return self.locate(error);
+        }
+        let path = [&[PathItem::Key(PLAN.to_owned())], error.setting.as_slice()].concat();
+        self.document.locate(error, &path, At::Value)
+    }
+
+    fn plan_error(&self, error: SettingsError) -> Error {
+        let at = if error.key { At::Key } else { At::Value };
+        let path = [&[PathItem::Key(PLAN.to_owned())], error.path.as_slice()].concat();
+        let mut located = self.document.locate(Error::usage(error.message), &path, at);
+        located.help = error.help;
+        located
     }
 
     /// Gives an error that names a stage (and a setting) its file, line and column, unless it has a place.
@@ -226,7 +277,7 @@ fn check_top(root: &Node<'_>) -> Result<(), Error> {
     if version.value.as_u64() != Some(VERSION) {
         return Err(version.error(At::Value, format!("{expected}, not {}", version.value)));
     }
-    root.only(&["abbe", "name", "sets", "plugins", "stages"])
+    root.only(&["abbe", "name", "sets", "plugins", "stages", PLAN])
 }
 
 fn libraries(root: &Node<'_>, base: &Path) -> Result<Vec<Library>, Error> {

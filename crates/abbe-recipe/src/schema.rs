@@ -1,6 +1,6 @@
 //! The JSON Schema of recipes, for editors.
 
-use abbe_core::{InputUncertainty, Kind, Plugin, Registry};
+use abbe_core::{InputUncertainty, Kind, Planning, Plugin, Registry};
 use serde_json::{Map, Value, json};
 
 use crate::graph::{ANEW, references};
@@ -41,10 +41,22 @@ pub fn schema(registry: &Registry) -> Value {
                 "propertyNames": { "pattern": "^[\\p{L}\\p{N}_-]+$" },
                 "additionalProperties": { "oneOf": stages },
             },
+            "plan": plan(),
         },
         "required": ["abbe", "stages"],
         "additionalProperties": false,
     })
+}
+
+/// The schema of what stands under `plan`.
+fn plan() -> Value {
+    let mut plan = abbe_core::schema_of::<Planning>();
+    if let Some(plan) = plan.as_object_mut() {
+        plan.shift_remove("$schema");
+        // References such as `#/$defs/X` start from the nearest identifier.
+        plan.insert("$id".to_owned(), json!("urn:abbe:plan"));
+    }
+    plan
 }
 
 /// The plugin's own schema of its settings, with the keys that the recipe adds to them.

@@ -1,4 +1,4 @@
-//! The command line of Abbe: `run`, `check`, `simulate`, `plugins`, `plugin`, `schema`.
+//! The command line of Abbe: `run`, `check`, `simulate`, `plan`, `plugins`, `plugin`, `schema`.
 //!
 //! Exit status: 0 all verdicts pass; 1 what only the data or the run show; 2 wrong use, or anything that can be found
 //! without reading data rows; 3 a verdict failed.
@@ -6,6 +6,7 @@
 mod failure;
 mod libraries;
 mod number;
+mod planning;
 mod summary;
 mod table;
 mod trust;
@@ -15,7 +16,7 @@ use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 
 use abbe_core::{Class, Error, Origin, Registry, Result};
-use abbe_engine::{Event, Outcome, Simulated, prepare};
+use abbe_engine::{Event, Outcome, Simulated, can_write_folder, prepare};
 use clap::{Parser, Subcommand};
 use indicatif::{ProgressBar, ProgressStyle};
 use libraries::Libraries;
@@ -81,6 +82,17 @@ enum Command {
         #[arg(long)]
         machine: Option<String>,
     },
+    /// Choose which measurements to make, as the key `plan` of a recipe says, and write the data file to fill in.
+    Plan {
+        /// The recipe.
+        recipe: PathBuf,
+        /// Folder that is written; it must not exist or be empty. Without it the plan is only told.
+        #[arg(long)]
+        out: Option<PathBuf>,
+        /// Print the plan as JSON.
+        #[arg(long)]
+        json: bool,
+    },
     /// What vendors of plugin libraries need.
     Plugin {
         #[command(subcommand)]
@@ -121,7 +133,10 @@ fn main() -> ExitCode {
     let arguments = Arguments::parse();
     let level = if arguments.verbose { tracing::Level::INFO } else { tracing::Level::WARN };
     tracing_subscriber::fmt().with_writer(io::stderr).with_max_level(level).without_time().with_target(false).init();
-    let machine = matches!(arguments.command, Command::Run { json: true, .. } | Command::Check { json: true, .. });
+    let machine = matches!(
+        arguments.command,
+        Command::Run { json: true, .. } | Command::Check { json: true, .. } | Command::Plan { json: true, .. }
+    );
     let libraries = Libraries {
         files: arguments.plugins,
         isolate: arguments.isolate_plugins,
@@ -180,10 +195,22 @@ fn dispatch(command: Command, libraries: &Libraries) -> Result<(String, u8)> {
         }
         Command::Simulate { recipe, truth, seed, out, machine } => {
             let prepared = prepare(&recipe, &libraries.registry(Some(&recipe))?)?;
-            Simulated::can_write(&out)?;
+            can_write_folder(&out)?;
             let simulated = prepared.simulate(&truth, seed, machine.as_deref())?;
             simulated.write(&out)?;
             Ok((simulated_text(&simulated, &out), 0))
+        }
+        Command::Plan { recipe, out, json } => {
+            let prepared = prepare(&recipe, &libraries.registry(Some(&recipe))?)?;
+            out.iter().try_for_each(|out| can_write_folder(out))?;
+            let measurements = prepared.plan()?;
+            out.iter().try_for_each(|out| measurements.write(out))?;
+            let status = if measurements.accepted { 0 } else { 1 };
+            let text = match json {
+                true => measurements.record,
+                false => planning::text(&prepared.recipe.name, &measurements, out.as_deref()),
+            };
+            Ok((text, status))
         }
         Command::Plugin { command: PluginCommand::Check { file, time_limit, json } } => {
             let report = abbe_plugin::check::check(&file, &libraries::this_program()?, time_limit)?;
