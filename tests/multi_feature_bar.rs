@@ -104,9 +104,7 @@ fn parts_of_the_design_that_are_left_out_are_missed() {
             .only(&["fit-bar"])
             .set("bar-runs", "ignore", ignored.clone())
             .set("fit-bar", "parameters", parameters)
-            .set("fit-bar", "on_confounded", json!("minimum-norm"))
-            // That the points lie 5 um beside a line is no information that one can use.
-            .set("fit-bar", "rank_tolerance", json!(1e-5));
+            .set("fit-bar", "on_confounded", json!("minimum-norm"));
         let outcome = variant.run();
         let report = &fit(&outcome, "fit-bar").calibration.fit;
         assert_eq!((report.unknowns, report.rank), (unknowns, rank), "{ignored}");
