@@ -61,6 +61,18 @@ fn strings(value: &Value) -> Vec<String> {
     list.iter().filter_map(|item| item.as_str().map(str::to_owned)).collect()
 }
 
+/// The points that are out, for certain; and those that are off by just the tolerance, which keep it: binary fractions decide
+/// about them wherever nobody rounds.
+fn points_out(machine: &str, data: &str, run: &str, tolerance: &str) -> (Vec<String>, usize) {
+    let (one, two) = (readings(machine, data, "baseline"), readings(machine, data, &format!("verify-{run}")));
+    let limit: f64 = tolerance.parse().expect("a number");
+    let all = strings(&truth(machine, data)["runs"][run]["points_out"][tolerance]);
+    let certain = |point: &&String| ((two[*point] - one[*point]).abs() * 1e3 - limit).abs() > 1e-6;
+    let out: Vec<String> = all.iter().filter(certain).cloned().collect();
+    let doubtful = all.len() - out.len();
+    (out, doubtful)
+}
+
 #[test]
 fn go_and_no_go_are_as_expected_for_every_run_and_tolerance() {
     for (machine, data) in SETS {
@@ -72,8 +84,8 @@ fn go_and_no_go_are_as_expected_for_every_run_and_tolerance() {
             assert!((largest - expected).abs() < 2e-4, "{machine} {data} {run}: {largest}, {expected} expected");
             for tolerance in ["4", "12", "20"] {
                 let out = figure(figures, &format!("points out at {tolerance} um[verify-{run}]"));
-                let expected = strings(&behind["points_out"][tolerance]).len();
-                assert_eq!(out as usize, expected, "{machine} {data} {run} at {tolerance}");
+                let (expected, _) = points_out(machine, data, run, tolerance);
+                assert_eq!(out as usize, expected.len(), "{machine} {data} {run} at {tolerance}");
                 let expected = behind["expected"][tolerance] == "go";
                 assert_eq!(out == 0.0, expected, "{machine} {data} {run} at {tolerance}");
             }
@@ -209,7 +221,8 @@ fn sensitivities_and_detectable_sizes_are_those_of_the_data_set() {
                 match (cell.parse::<f64>(), own.parse::<f64>()) {
                     (Ok(cell), Ok(own)) => {
                         let off = (cell - own).abs();
-                        assert!(off <= 1e-6 + 1e-5 * cell.abs(), "{machine} {} {name}: {own}, {cell}", row[0]);
+                        // The data set rounds positions to a micrometre: 47.121 mm instead of 47.12132 mm.
+                        assert!(off <= 1e-6 + 3e-5 * cell.abs(), "{machine} {} {name}: {own}, {cell}", row[0]);
                     }
                     // Several points are most sensitive alike.
                     _ if name == "most_sensitive" => {
@@ -386,7 +399,7 @@ fn the_programs_say_the_same_on_the_controller() {
                     let surfaces = surfaces(machine, data, &format!("verify-{run}"), None);
                     let (end, probed) = programs.run(&programs.verify, &mut after, surfaces);
                     let what = format!("{controller} {machine} {data} {run} at {tolerance}: {end:?}");
-                    let expected_out = strings(&behind["points_out"][&tolerance.to_string()]);
+                    let (expected_out, doubtful) = points_out(machine, data, run, &tolerance.to_string());
                     if behind["expected"][&tolerance.to_string()] == "go" {
                         assert_eq!(end, End::Done, "{what}");
                         assert_eq!(after[&out], 0.0, "{what}");
@@ -398,7 +411,8 @@ fn the_programs_say_the_same_on_the_controller() {
                     let by_obstacle = number == programs.alarm + 3 && behind["fault"]["parameter"].is_null();
                     assert!(number == programs.alarm || by_obstacle, "{what}");
                     if !by_obstacle {
-                        assert_eq!(after[&out] as usize, expected_out.len(), "{what}");
+                        let out = after[&out] as usize;
+                        assert!((expected_out.len()..=expected_out.len() + doubtful).contains(&out), "{what}: {out}");
                         let first = baseline.keys().position(|label| *label == expected_out[0]).map(|place| place + 1);
                         assert_eq!(Some(after[&first_out] as usize), first, "{what}");
                     }
@@ -546,7 +560,7 @@ fn what_is_wrong_with_a_run_is_told_with_its_place() {
             run.replace("P02,-Z,1,0.0000", "P02,-Z,1,0.5000"),
             "point P02 is probed at X = 0.5000 mm; at the baseline it was 0.0000 mm",
         ),
-        (run.replacen("-22.0067", "none", 2), "verify.csv:3"),
+        (run.replace(lines[2], &format!("{}none", lines[2].trim_end_matches(|c| c != ','))), "verify.csv:3"),
     ];
     for (text, expected) in cases {
         let out = temporary();
@@ -561,5 +575,36 @@ fn what_is_wrong_with_a_run_is_told_with_its_place() {
         assert_eq!(printed.status, 1, "{}{}", printed.stdout, printed.stderr);
         let told: String = printed.stderr.split_whitespace().filter(|word| *word != "│").collect::<Vec<_>>().join(" ");
         assert!(told.contains(expected) || printed.stderr.contains(expected), "{expected}: {}", printed.stderr);
+    }
+}
+
+/// The virtual machine against the data set, which was simulated by another program: the approach axis alone moves until
+/// contact, and `measured_mm` says where.
+#[test]
+fn the_virtual_machine_probes_as_the_data_set_did() {
+    for machine in ["three-axis", "five-axis"] {
+        let folder = temporary();
+        let recipe = recipe(machine, "exact").only(&["calibrated"]).write(folder.path());
+        let behind = json!({ "parameters": truth(machine, "exact")["parameters"] });
+        write(&folder.path().join("truth-of-the-machine.json"), &behind.to_string());
+        let arguments =
+            ["simulate", "recipe.yaml", "--truth", "truth-of-the-machine.json", "--seed", "1", "--out", "simulated"];
+        let printed = abbe(folder.path(), &arguments);
+        assert_eq!((printed.status, printed.stderr.as_str()), (0, ""), "{} {recipe:?}", printed.stdout);
+        let file = crate::support::tree(&folder.path().join("simulated"));
+        let file = file.iter().find(|file| file.ends_with("baseline.csv")).expect("a baseline");
+        let (header, rows) = table(&read(&folder.path().join("simulated").join(file)));
+        let column = |name: &str| header.iter().position(|other| other == name).expect("a column");
+        let expected = readings(machine, "exact", "baseline");
+        for row in &rows {
+            let reading: f64 = row[column("measured_mm")].parse().expect("a number");
+            let axis = &row[column("approach")][1..];
+            assert_eq!(row[column("measured_mm")], row[column(&format!("{axis}_mm"))], "{machine} {}", row[0]);
+            // On the slope the data set has positions to a micrometre, which moves the touch along it.
+            let allowed = if row[0] == "P24" || row[0] == "P25" { 5e-4 } else { 2e-9 };
+            let off = (reading - expected[&row[0]]).abs();
+            assert!(off < allowed, "{machine} {}: {reading} is off by {off:e}", row[0]);
+        }
+        assert_eq!(rows.len(), expected.len());
     }
 }

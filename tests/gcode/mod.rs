@@ -116,10 +116,6 @@ impl Machine {
         let reading = surface.readings[0];
         if (reading - from) * sense < 0.0 || (to - reading) * sense < 0.0 {
             // Behind the start, or out of reach.
-            let reached = (reading - from) * sense >= 0.0;
-            if reached {
-                surface.readings[0] = surface.readings[1];
-            }
             self.go(axis, to)?;
             return Ok(false);
         }

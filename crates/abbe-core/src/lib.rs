@@ -41,7 +41,9 @@ pub use input_uncertainty::{InputUncertainty, PooledRepeats, RowUncertainty, Sha
 pub use model::{
     Absent, Axis, AxisKind, Branch, ErrorFunction, KinematicModel, Parameter, Poses, PosesMut, StatusColumn, Variable,
 };
-pub use observations::{Contact, Equations, Feature, KnownInput, Layout, Observations, PoseValues, Row, Target};
+pub use observations::{
+    Approach, Contact, Equations, Feature, KnownInput, Layout, Observations, PoseValues, Row, Target,
+};
 pub use parallel::in_parallel;
 pub use pattern::matches;
 pub use planning::{Planning, PlanningCriterion};

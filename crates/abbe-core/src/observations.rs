@@ -50,6 +50,15 @@ pub enum Contact {
     Reading(String),
 }
 
+/// How a row is touched that only one axis approaches.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct Approach {
+    /// Index of the linear axis that moves until contact; the others stay where they are.
+    pub axis: usize,
+    /// The column (without unit) that records where it triggered, besides that of the axis itself.
+    pub reading: String,
+}
+
 /// A feature of an artefact in the table frame: nominal place plus what is estimated of it.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Feature {
@@ -303,6 +312,11 @@ pub trait Observations: Send + Sync {
     /// Where the tip of a row's pose is in nominal contact, table frame, given where it is by the model: on the feature as
     /// estimated, without the sideways offset with which it was met. None where contact does not fix the tip.
     fn contact_tip(&self, _row: usize, _tip: [f64; 3], _own: &[f64], _inputs: &[f64]) -> Option<[f64; 3]> {
+        None
+    }
+
+    /// The only axis that moves until contact when a row is really measured; none if all linear axes give way.
+    fn approach(&self, _row: usize) -> Option<Approach> {
         None
     }
 

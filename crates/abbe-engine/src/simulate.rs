@@ -8,7 +8,8 @@ use std::path::{Component, Path, PathBuf};
 use std::sync::Arc;
 
 use abbe_core::{
-    AxisKind, Contact, Dataset, Error, Kind, Layout, ObservationSet, Observations, Problem, Quantity, Result, Row,
+    Approach, AxisKind, Contact, Dataset, Error, Kind, Layout, ObservationSet, Observations, Problem, Quantity, Result,
+    Row,
 };
 use abbe_recipe::Stage;
 use abbe_simulation::{Truth, measure};
@@ -183,11 +184,19 @@ fn recorded(measured: &Problem, resolution: f64) -> Result<BTreeMap<PathBuf, Cel
     let mut files: BTreeMap<PathBuf, Cells> = BTreeMap::new();
     for set in &measured.sets {
         let layout = set.observations.layout();
-        for row in set.rows.iter().map(|&row| &layout.rows[row]) {
+        for &index in &set.rows {
+            let row = &layout.rows[index];
             let Some(data_row) = row.data_row else { continue };
             let origin = layout.data.origins[data_row];
             let cells = match set.observations.contact() {
-                Contact::LinearAxes => positions(set, row, &axes)?,
+                Contact::LinearAxes => {
+                    let mut cells = positions(set, row, &axes)?;
+                    if let Some(Approach { axis, reading }) = set.observations.approach(index) {
+                        let triggered = set.poses().row(row.first_pose)[measured.model.axes()[axis].status];
+                        cells.push((header(layout, &reading)?, triggered));
+                    }
+                    cells
+                }
                 Contact::Reading(column) => reading(set, row, data_row, &column)?,
             };
             let line = files.entry(layout.data.files[origin.file].clone()).or_default().entry(origin.line).or_default();

@@ -4,9 +4,9 @@ use std::path::PathBuf;
 use std::sync::Arc;
 
 use abbe_core::{
-    Artefact, Build, ColumnHeader, Constructor, Contact, Context, Dataset, Equations, Error, Feature, InputFile,
-    KinematicModel, KnownInput, Layout, Observations, Parameter, Plugin, PoseValues, Quantity, Result, SettingsError,
-    Target, Unit, inventory, plain_naming, pose_columns, positive,
+    Approach, Artefact, Build, ColumnHeader, Constructor, Contact, Context, Dataset, Equations, Error, Feature,
+    InputFile, KinematicModel, KnownInput, Layout, Observations, Parameter, Plugin, PoseValues, Quantity, Result,
+    SettingsError, Target, Unit, inventory, plain_naming, pose_columns, positive,
 };
 use nalgebra::Vector3;
 use schemars::JsonSchema;
@@ -69,7 +69,7 @@ impl Artefact for ProbedPoints {
         let by_label = nominal.by_label();
         let mut layout = Layout::new(data, model, &[&plain_naming])?;
         let measured = abbe_table::numbers(data, "measured", Quantity::Length)?;
-        let (mut points, mut facets): (Vec<(Point, usize)>, Vec<Point>) = (Vec::new(), Vec::new());
+        let (mut points, mut facets): (Vec<Touched>, Vec<Point>) = (Vec::new(), Vec::new());
         for (row, label) in abbe_table::labels(data, "point")?.iter().enumerate() {
             let Some(&index) = by_label.get(label.as_str()) else { continue };
             let point = &nominal.list[index];
@@ -82,7 +82,7 @@ impl Artefact for ProbedPoints {
                 facets.push(point.clone());
                 facets.len() - 1
             });
-            points.push((point.clone(), facet));
+            points.push(Touched { point: point.clone(), facet, axis });
         }
         if points.is_empty() {
             let error = Error::data(format!("no row touches a point of {}", self.nominal.display()));
@@ -109,6 +109,15 @@ impl Artefact for ProbedPoints {
     }
 }
 
+/// What a row touches.
+struct Touched {
+    point: Point,
+    /// Index of its facet.
+    facet: usize,
+    /// Index of the approach axis.
+    axis: usize,
+}
+
 /// Touches on points.
 struct Touches {
     layout: Layout,
@@ -116,8 +125,8 @@ struct Touches {
     inputs: Vec<KnownInput>,
     /// The first point of every facet that is touched.
     facets: Vec<Point>,
-    /// The point of every row, and its facet.
-    points: Vec<(Point, usize)>,
+    /// What every row touches.
+    points: Vec<Touched>,
 }
 
 impl Observations for Touches {
@@ -135,7 +144,7 @@ impl Observations for Touches {
 
     fn evaluate(&self, rows: &[usize], poses: PoseValues<'_>, own: &[f64], inputs: &[f64], out: &mut Equations) {
         for (&row, tip) in rows.iter().zip(poses.positions) {
-            let (point, facet) = &self.points[row];
+            let Touched { point, facet, .. } = &self.points[row];
             out.equation(point.normal.dot(&(Vector3::from(*tip) - point.position)) - own[*facet] - inputs[0]);
             out.position(point.normal.into());
             out.own(*facet, -1.0);
@@ -144,8 +153,12 @@ impl Observations for Touches {
     }
 
     fn contact_tip(&self, row: usize, _: [f64; 3], own: &[f64], inputs: &[f64]) -> Option<[f64; 3]> {
-        let (point, facet) = &self.points[row];
+        let Touched { point, facet, .. } = &self.points[row];
         Some((point.position + (own[*facet] + inputs[0]) * point.normal).into())
+    }
+
+    fn approach(&self, row: usize) -> Option<Approach> {
+        Some(Approach { axis: self.points[row].axis, reading: "measured".to_owned() })
     }
 
     fn features(&self) -> Vec<Feature> {
