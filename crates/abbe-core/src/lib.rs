@@ -22,6 +22,7 @@ mod probing;
 mod problem;
 mod registry;
 mod settings;
+mod solved;
 mod stage;
 mod uncertainty;
 mod unit;

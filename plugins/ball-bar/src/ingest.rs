@@ -125,7 +125,9 @@ impl Named {
         if let Some([from, to]) = test.range_deg
             && !(from < to)
         {
-            return Err(SettingsError::new("range_deg", format!("{from} to {to} is no range")).help("write `[from, to]`"));
+            return Err(
+                SettingsError::new("range_deg", format!("{from} to {to} is no range")).help("write `[from, to]`")
+            );
         }
         for header in test.positions.keys() {
             let column = ColumnHeader::parse(header);
@@ -139,7 +141,10 @@ impl Named {
             positive("mm_per_min", feed.mm_per_min).map_err(under)?;
             positive("radius_mm", feed.radius_mm).map_err(under)?;
             if feed.from_deg == feed.to_deg {
-                return Err(under(SettingsError::new("to_deg", "the axis does not move between `from_deg` and `to_deg`")));
+                return Err(under(SettingsError::new(
+                    "to_deg",
+                    "the axis does not move between `from_deg` and `to_deg`",
+                )));
             }
         }
         Ok(Self { name, path, index, test })
@@ -147,7 +152,8 @@ impl Named {
 
     /// An error at a setting of this test.
     fn wrong(&self, setting: &str, error: Error) -> Error {
-        let setting = [PathItem::Key("tests".to_owned()), PathItem::Index(self.index), PathItem::Key(setting.to_owned())];
+        let setting =
+            [PathItem::Key("tests".to_owned()), PathItem::Index(self.index), PathItem::Key(setting.to_owned())];
         Error { setting: setting.into(), ..error }
     }
 
@@ -165,7 +171,11 @@ impl Named {
         }
         if let Some(feed) = &self.test.feed {
             if data.column(&self.test.moves).is_some() {
-                let message = format!("`{}` has a column for {}: its samples need no `feed`", self.path.display(), self.test.moves);
+                let message = format!(
+                    "`{}` has a column for {}: its samples need no `feed`",
+                    self.path.display(),
+                    self.test.moves
+                );
                 return Err(self.wrong("feed", Error::usage(message)));
             }
             let header = ColumnHeader::parse(&format!("{}_deg", self.test.moves));
@@ -178,7 +188,8 @@ impl Named {
                 let error = Error::usage(format!("`{}` has a column `{name}` already", self.path.display()));
                 return Err(self.wrong(name, error));
             }
-            data.columns.push(Column { header: ColumnHeader::parse(name), values: Values::Labels(vec![label.clone(); rows]) });
+            data.columns
+                .push(Column { header: ColumnHeader::parse(name), values: Values::Labels(vec![label.clone(); rows]) });
         }
         if data.column("test").is_some() {
             let error = Error::usage("there is a column `test`, which is the name of the test in the data set");
@@ -199,7 +210,9 @@ impl Named {
         let within = |row: &usize| (from - AT_LIMIT..=to + AT_LIMIT).contains(&angles[*row]);
         let mut rows: Vec<usize> = (0..data.rows()).filter(within).collect();
         if rows.is_empty() && data.rows() > 0 {
-            let (least, most) = angles.iter().fold((f64::INFINITY, f64::NEG_INFINITY), |(least, most), angle| (least.min(*angle), most.max(*angle)));
+            let (least, most) = angles
+                .iter()
+                .fold((f64::INFINITY, f64::NEG_INFINITY), |(least, most), angle| (least.min(*angle), most.max(*angle)));
             let message = format!(
                 "no sample of `{}` is within the range of {}: its samples go from {:.3} to {:.3} deg",
                 self.path.display(),
@@ -308,7 +321,10 @@ fn append(data: &mut Dataset, mut part: Dataset, path: &Path) -> Result<()> {
             (Values::Numbers(numbers), Some(Values::Numbers(more))) => numbers.append(more),
             (Values::Labels(labels), Some(Values::Labels(more))) => labels.append(more),
             _ => {
-                let message = format!("the column `{}` does not have the unit that it has in the tests before", column.header.header);
+                let message = format!(
+                    "the column `{}` does not have the unit that it has in the tests before",
+                    column.header.header
+                );
                 return Err(Error::usage(message).in_file(path));
             }
         }
@@ -327,7 +343,9 @@ fn picked(data: &Dataset, rows: &[usize]) -> Dataset {
     };
     let columns = data.columns.iter();
     Dataset {
-        columns: columns.map(|column| Column { header: column.header.clone(), values: values(&column.values) }).collect(),
+        columns: columns
+            .map(|column| Column { header: column.header.clone(), values: values(&column.values) })
+            .collect(),
         origins: rows.iter().map(|&row| data.origins[row]).collect(),
         files: data.files.clone(),
     }

@@ -167,12 +167,8 @@ impl Artefact for BallBar {
         if self.settings.bars_mm.len() > 1 {
             abbe_table::require(headers, file, &[("bar", Quantity::Label)])?;
         }
-        let columns = [
-            ("feature", Quantity::Label),
-            ("x", Quantity::Length),
-            ("y", Quantity::Length),
-            ("z", Quantity::Length),
-        ];
+        let columns =
+            [("feature", Quantity::Label), ("x", Quantity::Length), ("y", Quantity::Length), ("z", Quantity::Length)];
         abbe_table::require(&abbe_table::read_headers(&self.nominal)?, Some(&self.nominal), &columns)
     }
 
@@ -210,8 +206,17 @@ impl Artefact for BallBar {
             }));
         }
         let bars = bars(&self.settings, &used_bars, &mut unknowns, &mut inputs);
-        let observed =
-            Observed { layout, unknowns, inputs, balls, ball_of_row, bars, bar_of_row, readings, tool_ball: aligned > 0.0 };
+        let observed = Observed {
+            layout,
+            unknowns,
+            inputs,
+            balls,
+            ball_of_row,
+            bars,
+            bar_of_row,
+            readings,
+            tool_ball: aligned > 0.0,
+        };
         observed.away_from_the_pivot(model)?;
         Ok(Arc::new(observed))
     }

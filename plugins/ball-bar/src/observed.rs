@@ -88,10 +88,13 @@ impl Observations for Observed {
     fn evaluate(&self, rows: &[usize], poses: PoseValues<'_>, own: &[f64], inputs: &[f64], out: &mut Equations) {
         for (place, (&row, position)) in rows.iter().zip(poses.positions).enumerate() {
             let orientation = match poses.orientations.get(place) {
-                Some(&[w, x, y, z]) if self.tool_ball => Some(UnitQuaternion::new_unchecked(Quaternion::new(w, x, y, z))),
+                Some(&[w, x, y, z]) if self.tool_ball => {
+                    Some(UnitQuaternion::new_unchecked(Quaternion::new(w, x, y, z)))
+                }
                 _ => None,
             };
-            let beside = orientation.map_or(Vector3::zeros(), |turn| turn * Vector3::new(inputs[0], inputs[1], inputs[2]));
+            let beside =
+                orientation.map_or(Vector3::zeros(), |turn| turn * Vector3::new(inputs[0], inputs[1], inputs[2]));
             let ball = self.ball_of_row[row];
             let centre = self.balls[ball].centre + Vector3::new(own[3 * ball], own[3 * ball + 1], own[3 * ball + 2]);
             let bar = Vector3::from(*position) + beside - centre;
