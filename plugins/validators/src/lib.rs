@@ -13,6 +13,7 @@ mod folds;
 mod hold_out;
 mod one_at_a_time;
 mod repeatability;
+mod repeats;
 mod residuals;
 mod sphere_touches;
 mod sphericity;

@@ -139,6 +139,7 @@ mod every_validator {
                 "consistency",
                 "hold-out",
                 "repeatability",
+                "repeats",
                 "residuals",
                 "sphericity",
                 "tip-cmm",
