@@ -91,7 +91,7 @@ fn example() -> Value {
     ] })
 }
 
-fn build(settings: &Value, context: &Context) -> Result<Box<dyn Ingest>, SettingsError> {
+pub(crate) fn build(settings: &Value, context: &Context) -> Result<Box<dyn Ingest>, SettingsError> {
     let settings: Settings = from_settings(settings)?;
     if settings.tests.is_empty() {
         return Err(SettingsError::new("tests", "at least one test was expected"));

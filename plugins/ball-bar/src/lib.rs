@@ -232,3 +232,6 @@ fn at_the_pivot(data: &Dataset, row: usize, label: &str) -> Error {
     let error = data.error_at(row, format!("the tool ball stands in the centre of ball {label}: no bar fits between"));
     error.help("are the axis positions those of the test, and the nominal balls in the table frame?")
 }
+
+#[cfg(test)]
+mod tests;
