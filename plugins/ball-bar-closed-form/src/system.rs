@@ -186,7 +186,7 @@ fn reduction(sweeps: &[Sweep], equations: usize) -> DMatrix<f64> {
     let mut matrix = DMatrix::zeros(3 * sweeps.len(), equations);
     for (place, sweep) in sweeps.iter().enumerate() {
         let projection = Projection::new(&sweep.angles);
-        // Twice: the projection has R o1 = (cosine of the squared length)/2, and the squared length changes by 2 L.
+        // R o is half the cosine of the squared length, which changes by twice the length: the factors cancel.
         let units = [length(sweep), sweep.radius, sweep.radius];
         for (sample, (&equation, nominal)) in sweep.equations.iter().zip(&sweep.nominal).enumerate() {
             for (number, unit) in units.iter().enumerate() {
