@@ -67,8 +67,9 @@ fn the_closed_form_is_the_published_one() {
     let outcome = run("ballbar-c600u-exact");
     let (expected, truth) = (kept("exact-expected"), kept("exact"));
     for (name, key, length, angle) in [
-        ("closed-form", "closed_form_sections_3.3_3.4", 1e-9, 1e-11),
-        ("squared-length", "closed_form_without_polar_plot", 1e-9, 1e-11),
+        ("closed-form", "closed_form_sections_3.3_3.4", 1e-10, 1e-12),
+        // The other evaluation takes the nominal height of the spindle ball, this one finds it.
+        ("squared-length", "closed_form_without_polar_plot", 2e-9, 1e-11),
     ] {
         let calibration = &fit(&outcome, name).calibration;
         for parameter in ERRORS {
@@ -212,7 +213,9 @@ fn repeats_and_the_tool_ball_make_the_uncertainty() {
     // Samples that are taken for independent promise far too much.
     let mut alone = Variant::of(&recipes()["ballbar-c600u"]).only(&["fit"]);
     let bar = alone.stage("bar").as_object_mut().expect("settings");
-    ["pooled", "length_standard_uncertainty_um", "tool_ball_standard_uncertainty_um"].map(|key| bar.remove(key));
+    for key in ["pooled", "length_standard_uncertainty_um", "tool_ball_standard_uncertainty_um"] {
+        bar.remove(key);
+    }
     let worst =
         errors(&fit(&alone.run(), "fit").calibration, truth).into_iter().fold(0.0_f64, |most, (.., off)| most.max(off));
     assert!(worst > 5.0, "{worst}");

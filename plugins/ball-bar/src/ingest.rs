@@ -305,16 +305,23 @@ impl Ingest for Tests {
     }
 }
 
-/// Appends the rows of another test, which has to have the same columns in any order.
+/// Whether rows mean nothing without this column: positions, readings, what they were measured with.
+fn is_needed(header: &ColumnHeader) -> bool {
+    [Quantity::Length, Quantity::Angle].contains(&header.quantity) || ["ball", "bar"].contains(&header.name.as_str())
+}
+
+/// Appends the rows of another test. What else only one of them has (times, numbers of samples) is left out.
 fn append(data: &mut Dataset, mut part: Dataset, path: &Path) -> Result<()> {
-    let names = |data: &Dataset| data.columns.iter().map(|column| column.header.name.clone()).collect::<Vec<_>>();
-    let (known, new) = (names(data), names(&part));
-    let missing = known.iter().find(|name| !new.contains(name));
-    if let Some(name) = missing.or_else(|| new.iter().find(|name| !known.contains(name))) {
-        let which = if missing.is_some() { "missing here, the tests before it have it" } else { "here only" };
-        let error = Error::usage(format!("the column `{name}` is {which}")).in_file(path);
+    let only = |one: &Dataset, other: &Dataset| {
+        let mut headers = one.headers().into_iter().filter(is_needed);
+        headers.find(|header| other.column(&header.name).is_none()).map(|header| header.header)
+    };
+    let found = only(data, &part).map(|header| (header, "missing here, the tests before it have it"));
+    if let Some((header, which)) = found.or_else(|| Some((only(&part, data)?, "here only"))) {
+        let error = Error::usage(format!("the column `{header}` is {which}")).in_file(path);
         return Err(error.help("say what a file does not have under `ball`, `bar`, `positions` or `feed` of its test"));
     }
+    data.columns.retain(|column| part.column(&column.header.name).is_some());
     for column in &mut data.columns {
         let more = part.columns.iter_mut().find(|other| other.header.name == column.header.name);
         match (&mut column.values, more.map(|column| &mut column.values)) {

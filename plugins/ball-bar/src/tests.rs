@@ -159,7 +159,7 @@ fn degrees(data: &Dataset, axis: &str) -> Vec<f64> {
 fn tests_become_one_data_set_without_overshoot() {
     let files = [
         ("a.csv", "A_deg,reading_um,cycle\n-12,1,1\n-10,2,1\n20,3,1\n21,4,1\n21,5,2\n20,6,2\n-10,7,2\n"),
-        ("c.csv", "reading_um,C_deg,cycle\n8,0,1\n9,360,1\n"),
+        ("c.csv", "reading_um,C_deg,cycle,time_s\n8,0,1,0\n9,360,1,5\n"),
     ];
     let tests = json!([
         { "file": "a.csv", "moves": "A", "ball": 1, "bar": 100, "range_deg": [-10, 20], "positions": { "C_deg": 0 } },
@@ -169,6 +169,7 @@ fn tests_become_one_data_set_without_overshoot() {
     assert_eq!(degrees(&data, "A"), [-10.0, 20.0, -10.0, 20.0, 5.0, 5.0]);
     let readings: Vec<f64> = data.numbers("reading").unwrap().iter().map(|reading| (reading * 1e3).round()).collect();
     assert_eq!(readings, [2.0, 3.0, 7.0, 6.0, 8.0, 9.0]);
+    assert!(data.column("time").is_none(), "one test has no times");
     assert_eq!(data.labels("test").unwrap(), ["a", "a", "a", "a", "whole", "whole"]);
     assert_eq!(data.labels("bar").unwrap(), ["100", "100", "100", "100", "150", "150"]);
     assert_eq!((data.origins[2].line, data.origins[4].file), (8, 1));
@@ -210,7 +211,7 @@ fn tests_that_make_no_sense_are_refused() {
         ),
         (
             json!([{ "file": "a.csv", "moves": "A" }, { "file": "c.csv", "moves": "C" }]),
-            ": c.csv: the column `A` is missing here",
+            ": c.csv: the column `A_deg` is missing here",
         ),
         (json!([{ "file": "a.csv", "moves": "A", "positions": { "A_deg": 1 } }]), "tests[0].positions: "),
         (
