@@ -105,8 +105,8 @@ fn shapes(sweeps: &[Sweep], raw: &[Raw], evaluation: Evaluation) -> Vec<Circle> 
             Evaluation::SquaredLength => raw.square - shape.offset.norm_squared(),
         });
         let squares: Vec<f64> = squares.collect();
-        for place in 0..sweeps.len() {
-            (shapes[place].radius, shapes[place].height) = size(sweeps, &squares, place);
+        for (place, shape) in shapes.iter_mut().enumerate() {
+            (shape.radius, shape.height) = size(sweeps, &squares, place);
         }
     }
     shapes

@@ -20,6 +20,10 @@ const RANK_TOLERANCE: f64 = 1e-9;
 /// Parts of a lost direction below this part of the largest are rounding.
 const NOTHING: f64 = 1e-6;
 
+/// Number of weakest combinations that are told, and part of the largest effect from which an unknown is named in one.
+const WEAKEST: usize = 5;
+const NAMED: f64 = 0.1;
+
 /// The circles of a problem as functions of its unknowns, at nominal values.
 pub struct System {
     /// The problem with nominal values of all unknowns.
@@ -111,7 +115,7 @@ impl System {
             residual_rms_um: (residuals.iter().map(|residual| residual.powi(2)).sum::<f64>() / count as f64).sqrt()
                 * 1e3,
             null_space: Vec::new(),
-            weakest: Vec::new(),
+            weakest: self.found.weakest.clone(),
         };
         Ok(problem.calibration(x, self.covariance(&standard, scale), Vec::new(), fit))
     }
@@ -210,14 +214,15 @@ fn solved(
     let determined = |value: f64| value > RANK_TOLERANCE * largest;
     let least = values.iter().copied().filter(|&value| determined(value)).fold(largest, f64::min);
     let rank = values.iter().filter(|&&value| determined(value)).count();
-    let null_space = match &svd.v_t {
-        None => Vec::new(),
-        Some(right) => {
-            let lost = (0..values.len()).filter(|&place| !determined(values[place]));
-            let lost = lost.map(|place| null_vector(problem, values[place] / largest, right.row(place).iter(), scale));
-            lost.collect()
-        }
+    // Singular values come with the largest first.
+    let told = |place: usize, least: f64| {
+        let right = svd.v_t.as_ref()?;
+        Some(direction(problem, values[place] / largest, right.row(place).iter(), scale, least))
     };
+    let null_space =
+        (0..values.len()).filter(|&place| !determined(values[place])).filter_map(|place| told(place, NOTHING));
+    let null_space = null_space.collect();
+    let weakest = (0..rank).rev().take(WEAKEST).filter_map(|place| told(place, NAMED)).collect();
     let tolerance = RANK_TOLERANCE * largest;
     let inverse = svd.pseudo_inverse(tolerance).unwrap_or_else(|_| DMatrix::zeros(scaled.ncols(), scaled.nrows()));
     let found = Identifiability {
@@ -226,18 +231,19 @@ fn solved(
         rank,
         condition: largest / least,
         null_space,
-        weakest: Vec::new(),
+        weakest,
         uncertainty: None,
     };
     (inverse, found)
 }
 
-/// A lost direction in the units of the unknowns, the one with the largest effect 1.
-fn null_vector<'a>(
+/// A direction in the units of the unknowns, the one with the largest effect 1; those with less than `least` of it are left out.
+fn direction<'a>(
     problem: &Problem,
     singular_value: f64,
     direction: impl Iterator<Item = &'a f64>,
     scale: &DVector<f64>,
+    least: f64,
 ) -> NullVector {
     let mut parts: Vec<(f64, Combination)> = problem
         .unknowns
@@ -249,7 +255,7 @@ fn null_vector<'a>(
         })
         .collect();
     let largest = parts.iter().fold(0.0_f64, |largest, part| largest.max(part.0));
-    parts.retain(|part| part.0 > NOTHING * largest);
+    parts.retain(|part| part.0 > least * largest);
     parts.sort_by(|a, b| b.0.total_cmp(&a.0));
     let unit = parts.first().map_or(1.0, |part| part.1.coefficient);
     let combination = parts.into_iter().map(|(_, mut part)| {

@@ -123,7 +123,7 @@ impl Named {
         let stem = path.file_stem().map(|stem| stem.to_string_lossy().into_owned());
         let name = test.name.clone().or(stem).unwrap_or_default();
         if let Some([from, to]) = test.range_deg
-            && !(from < to)
+            && from >= to
         {
             return Err(
                 SettingsError::new("range_deg", format!("{from} to {to} is no range")).help("write `[from, to]`")

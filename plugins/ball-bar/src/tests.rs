@@ -223,7 +223,7 @@ fn tests_that_make_no_sense_are_refused() {
         (json!([{ "file": "a.csv", "moves": "C", "feed": still }]), "tests[0].feed.to_deg: the axis does not move"),
     ];
     for (tests, expected) in cases {
-        let message = read(&files, tests).err().expect(expected);
+        let message = read(&files, tests).expect_err(expected);
         assert!(message.starts_with(expected), "{message}\n{expected}");
     }
 }
