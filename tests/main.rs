@@ -1,6 +1,7 @@
 //! Abbe as a whole: every recipe as a snapshot, the command line driven as a user drives it, and what must be true of
 //! the results whatever the code looks like inside.
 
+mod ball_bar;
 mod coverage;
 mod errors;
 mod files;

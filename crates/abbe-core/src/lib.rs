@@ -24,6 +24,7 @@ mod problem;
 mod registry;
 mod serial;
 mod settings;
+mod solved;
 mod stage;
 mod uncertainty;
 mod unit;

@@ -20,7 +20,7 @@ use serde_json::{Value, json};
 
 use covariance::{Place, Propagation};
 use identifiability::{confounded, identifiability, separated, weakest};
-use result::{Spread, calibration, outliers};
+use result::{Spread, outliers};
 use weighted::Weighted;
 
 inventory::submit! {
@@ -266,7 +266,7 @@ impl GaussNewton {
             null_space: found.null_space,
             weakest: if explained { weakest(problem, &factor.spectrum(), found.rank) } else { Vec::new() },
         };
-        let mut calibration = calibration(problem, &solution.x, propagation.covariance(problem), outliers, fit);
+        let mut calibration = problem.calibration(&solution.x, propagation.covariance(problem), outliers, fit);
         calibration.uncertainty = explained.then(|| propagation.budget(problem, self.settings.coverage_probability));
         Ok(calibration)
     }

@@ -1,9 +1,6 @@
-//! From a solution to a calibration: scatter of the residuals, outliers, values with their uncertainties.
+//! What the residuals of a solution tell: their scatter, outliers.
 
-use abbe_core::{
-    CALIBRATION_FORMAT, Calibration, Covariance, Estimated, FitReport, Outlier, Owner, Problem, Quantity, Status,
-    Unknown,
-};
+use abbe_core::{Outlier, Problem, Quantity};
 use abbe_numerics::{Robust, RobustReport};
 
 /// How the residuals scatter.
@@ -113,65 +110,4 @@ pub fn outliers(problem: &Problem, residuals: &[f64], report: &RobustReport, rob
         });
     }
     found
-}
-
-pub fn calibration(
-    problem: &Problem,
-    x: &[f64],
-    covariance: Vec<Vec<f64>>,
-    outliers: Vec<Outlier>,
-    fit: FitReport,
-) -> Calibration {
-    let considered = &problem.considered.unknowns;
-    let lost = |name: &str| fit.null_space.iter().any(|vector| vector.combination.iter().any(|part| part.name == name));
-    let estimated = |owner: Owner, index: usize, name: String, unit: abbe_core::Unit, fixed: f64| {
-        let here = |unknown: &Unknown| unknown.owner == owner && unknown.index == index;
-        let uncertainty = |column: usize| covariance[column][column].max(0.0).sqrt();
-        let chosen = problem.unknowns.iter().position(here);
-        let known = considered.iter().position(here);
-        let (value, standard_uncertainty, status) = match (chosen, known) {
-            (Some(column), _) => {
-                let status = if lost(&name) { Status::Confounded } else { Status::Estimated };
-                (x[column], uncertainty(column), status)
-            }
-            (None, Some(known)) => (fixed, uncertainty(problem.unknowns.len() + known), Status::Considered),
-            (None, None) => (fixed, 0.0, Status::Fixed),
-        };
-        Estimated { name, value, unit: unit.to_string(), standard_uncertainty, status }
-    };
-    let parameters = problem.model.parameters().iter().enumerate();
-    let parameters = parameters.map(|(index, parameter)| {
-        estimated(Owner::Machine, index, parameter.name.clone(), parameter.unit, problem.machine[index])
-    });
-    let mut artefacts = Vec::new();
-    for (set, observations) in problem.sets.iter().enumerate() {
-        for (index, own) in observations.observations.unknowns().iter().enumerate() {
-            let name = format!("{}.{}", observations.name, own.name);
-            artefacts.push(estimated(Owner::Set(set), index, name, own.unit, observations.own[index]));
-        }
-    }
-    for unknown in considered.iter().filter(|unknown| unknown.owner == Owner::Input) {
-        let value = problem.inputs[unknown.index].value(&problem.sets);
-        artefacts.push(estimated(Owner::Input, unknown.index, unknown.name.clone(), unknown.unit, value));
-    }
-    Calibration {
-        abbe_calibration: CALIBRATION_FORMAT,
-        estimate: problem.name.clone(),
-        model: problem.model_record(),
-        parameters: parameters.collect(),
-        artefacts,
-        covariance: Covariance {
-            order: problem
-                .unknowns
-                .iter()
-                .chain(&problem.considered.unknowns)
-                .map(|unknown| unknown.name.clone())
-                .collect(),
-            rows: covariance,
-        },
-        outliers,
-        fit,
-        uncertainty: None,
-        monte_carlo: None,
-    }
 }

@@ -15,6 +15,7 @@ mod hold_out;
 mod minimal_set;
 mod one_at_a_time;
 mod repeatability;
+mod repeats;
 mod residuals;
 mod sphere_touches;
 mod sphericity;

@@ -141,6 +141,7 @@ mod every_validator {
                 "hold-out",
                 "minimal-set",
                 "repeatability",
+                "repeats",
                 "residuals",
                 "sphericity",
                 "tip-cmm",
