@@ -44,6 +44,8 @@ pub enum Contact {
     LinearAxes,
     /// The reading in this column (without unit) takes up the difference; nothing moves.
     Reading(String),
+    /// Such rows are estimated, but not simulated yet; the text says why not, for people.
+    NotSimulated(&'static str),
 }
 
 /// A feature of an artefact in the table frame: nominal place plus what is estimated of it.

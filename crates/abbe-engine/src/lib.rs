@@ -5,6 +5,7 @@
 //! [`Prepared::simulate`] measures the programme of a recipe on a virtual machine instead.
 
 mod outcome;
+mod places;
 mod prepare;
 mod run;
 mod simulate;
@@ -13,4 +14,4 @@ mod uncertainty;
 pub use outcome::Outcome;
 pub use prepare::{Prepared, prepare};
 pub use run::{Event, Listener, Planned, model_of};
-pub use simulate::{Simulated, SimulatedFile};
+pub use simulate::{Simulated, SimulatedFile, UnchangedFile};
