@@ -11,8 +11,7 @@ use abbe_simulation::{Drift, Noise, Outliers, RandomOutliers, Sigma, Truth, meas
 use serde_json::{Value, json};
 
 use crate::support::{
-    Printed, Small, Variant, abbe, effect, fit, json_file, read, recipes, registry, root, temporary, tree,
-    write,
+    Printed, Small, Variant, abbe, effect, fit, json_file, read, recipes, registry, root, temporary, tree, write,
 };
 
 /// The truth behind `pipelines/data/tango-hu40t/<data>`, as its file has it.
@@ -316,8 +315,12 @@ fn every_recipe_is_simulated_with_the_truth_of_its_own_data() {
         match prepared.simulate(Path::new(&truth), 1, None) {
             Ok(simulated) => {
                 assert!(!simulated.data.is_empty(), "{name}");
-                assert_eq!(simulated.not_simulated, [], "{name}");
-                let stages: BTreeSet<&str> = simulated.varied.iter().filter_map(|line| line.split(':').next()).collect();
+                for kept in &simulated.not_simulated {
+                    // Those of a CMM: its artefact is the one that was really measured.
+                    assert!(kept.file.ends_with("facets-cmm.csv") && !kept.read_by.is_empty(), "{name}: {kept:?}");
+                }
+                let stages: BTreeSet<&str> =
+                    simulated.varied.iter().filter_map(|line| line.split(':').next()).collect();
                 assert_eq!(stages.len(), simulated.varied.len(), "{name}: {:?}", simulated.varied);
                 simulated.write(&folder.path().join("sim")).unwrap_or_else(|error| panic!("{name}: {error}"));
                 let written = folder.path().join("sim").join(&simulated.recipe);
@@ -342,7 +345,10 @@ fn rows_that_are_also_observed_combined_come_back() {
         let calibration = &fit(&outcome, estimate).calibration;
         for name in ["EA0B", "EX0C", "EXX[1]", "EZZ[1]"] {
             let (expected, found) = (&truth["parameters"][name], calibration.get(name).expect("a value").value);
-            assert!((found - expected.as_f64().expect("a number")).abs() < 1e-9, "{estimate}: {name}: {found} {expected}");
+            assert!(
+                (found - expected.as_f64().expect("a number")).abs() < 1e-9,
+                "{estimate}: {name}: {found} {expected}"
+            );
         }
     }
     // Without an artefact that takes the touches one by one nothing is known of these.

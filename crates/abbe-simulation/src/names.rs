@@ -179,7 +179,9 @@ mod tests {
         assert_eq!(machine_error("EX0C"), Some(("EX0C", None)));
         assert_eq!(machine_error("EXX[per0.635:1]"), Some(("EXX", Some("per0.635:1"))));
         assert_eq!(machine_error("EXX[per0.635].wavelength"), Some(("EXX", Some("per0.635"))));
-        for wrong in ["", "E", "EXX", "EX0", "EX0D", "EXD[1]", "exx[1]", "EXX[]", "EXX[1", "EXX[1]x", "dxx", "facet[3].d"] {
+        for wrong in
+            ["", "E", "EXX", "EX0", "EX0D", "EXD[1]", "exx[1]", "EXX[]", "EXX[1", "EXX[1]x", "dxx", "facet[3].d"]
+        {
             assert_eq!(machine_error(wrong), None, "{wrong}");
         }
         assert_eq!(feature("ball[top-1].x"), Some(("ball", "x")));
