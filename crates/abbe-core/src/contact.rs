@@ -89,8 +89,9 @@ impl Problem {
     /// where they are, by as little as possible (or the one that approaches), until each of its equations (the exact one) equals
     /// its error; where a reading gives way, the reading makes up for the difference.
     ///
-    /// `errors` has one value for every equation, mm or rad; constraints keep their residuals. `variations` change parameters of the model from row to row. Fails, with the place of the row, if the axes
-    /// cannot make the equations equal their errors to 1e-11 mm.
+    /// `errors` has one value for every equation, mm or rad; constraints keep their residuals. `variations` change
+    /// parameters of the model from row to row. Fails for artefacts that are not simulated and, with the place of the row,
+    /// if the axes cannot make the equations equal their errors to 1e-11 mm.
     pub fn measured(&self, errors: &[f64], variations: &[Variation]) -> Result<Self> {
         let mut moved = self.clone();
         let linear = LinearAxes::of(self.model.as_ref());
@@ -106,6 +107,10 @@ impl Problem {
                 match moved.sets[set].observations.contact() {
                     Contact::LinearAxes => moved.touch(set, chunk, &linear, errors, &mut work)?,
                     Contact::Reading(_) => moved.read(set, chunk, errors, &mut work)?,
+                    Contact::NotSimulated(why) => {
+                        let error = Error::usage(format!("this artefact cannot be simulated yet: {why}"));
+                        return Err(error.stage(&self.sets[set].name));
+                    }
                 }
                 first_row += chunk.len();
                 first_equation += equations;

@@ -48,6 +48,8 @@ pub enum Contact {
     LinearAxes,
     /// The reading in this column (without unit) takes up the difference; nothing moves.
     Reading(String),
+    /// Such rows are estimated, but not simulated yet; the text says why not, for people.
+    NotSimulated(&'static str),
 }
 
 /// How a row is touched that only one axis approaches.

@@ -6,6 +6,7 @@
 
 mod folder;
 mod outcome;
+mod places;
 mod plan;
 mod prepare;
 mod run;
@@ -18,4 +19,4 @@ pub use outcome::Outcome;
 pub use plan::Measurements;
 pub use prepare::{Prepared, prepare};
 pub use run::{Event, Listener, Planned, model_of};
-pub use simulate::{Simulated, SimulatedFile};
+pub use simulate::{Simulated, SimulatedFile, UnchangedFile};

@@ -242,6 +242,11 @@ fn simulated_text(simulated: &Simulated, out: &Path) -> String {
     for file in &simulated.data {
         text.push_str(&format!("  {}: {} rows measured, {} copied\n", file.file.display(), file.measured, file.copied));
     }
+    for file in &simulated.not_simulated {
+        let readers: Vec<&str> = file.read_by.iter().map(String::as_str).collect();
+        let readers = if readers.is_empty() { "no stage".to_owned() } else { format!("{} only", readers.join(", ")) };
+        text.push_str(&format!("  not simulated: {} (read by {readers})\n", file.file.display()));
+    }
     text.push_str("\nVaried\n");
     simulated.varied.iter().for_each(|line| text.push_str(&format!("  {line}\n")));
     let recipe = out.join(&simulated.recipe);

@@ -153,9 +153,8 @@ impl Observations for Observed {
     }
 
     fn contact(&self) -> Contact {
-        // Nothing moves: all six readings take up the difference. No column holds them together, so that those who write
-        // readings refuse instead of writing one of six.
-        Contact::Reading("pose of the target".to_owned())
+        // Nothing moves: all six readings would take up the difference, of which three and a quaternion are recorded.
+        Contact::NotSimulated("what is recorded is a quaternion, not one column for each of the six equations")
     }
 }
 
