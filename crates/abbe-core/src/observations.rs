@@ -49,7 +49,7 @@ pub enum Contact {
     /// The reading in this column (without unit) takes up the difference; nothing moves.
     Reading(String),
     /// Such rows are estimated, but not simulated yet; the text says why not, for people.
-    NotSimulated(&'static str),
+    NotSimulated(String),
 }
 
 /// How a row is touched that only one axis approaches.

@@ -154,7 +154,9 @@ impl Observations for Observed {
 
     fn contact(&self) -> Contact {
         // Nothing moves: all six readings would take up the difference, of which three and a quaternion are recorded.
-        Contact::NotSimulated("what is recorded is a quaternion, not one column for each of the six equations")
+        Contact::NotSimulated(
+            "what is recorded is a quaternion, not one column for each of the six equations".to_owned(),
+        )
     }
 }
 
