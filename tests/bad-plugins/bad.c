@@ -139,9 +139,11 @@ static uint32_t create(const AbbePlugin *plugin, AbbeText settings, AbbeText bas
         return ABBE_FAILED;
     }
     memcpy(bad->mode, settings.data + skip, settings.length - skip - 2);
+    if (is(bad, "abort-in-create"))
+        abort();
     AbbeObject object = { &TABLE, bad };
     reply->object(reply->context, object);
-    return ABBE_OK;
+    return is(bad, "status-in-create") ? 78 : ABBE_OK;
 }
 
 #ifndef MODE

@@ -11,10 +11,11 @@ use crate::settings::PathItem;
 pub type Result<T, E = Error> = std::result::Result<T, E>;
 
 /// Who can put the error right, which decides the exit status.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Class {
     /// Wrong use, or anything that can be found without reading data rows: exit status 2.
+    #[default]
     Use,
     /// Only the data or the run show it: exit status 1.
     Data,

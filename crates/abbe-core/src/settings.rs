@@ -7,7 +7,7 @@ use serde::de::{self, DeserializeOwned, IntoDeserializer};
 use serde::{Deserialize, Deserializer, Serialize};
 use serde_json::Value;
 
-use crate::error::nearest;
+use crate::error::{Class, nearest};
 
 /// One step on the way to a setting: a key of a map or an index of a list.
 #[derive(Debug, Clone, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
@@ -46,13 +46,16 @@ pub struct SettingsError {
     /// What to do.
     #[serde(default)]
     pub help: Option<String>,
+    /// [`Class::Data`] if no setting is wrong, but the plugin failed while it read them.
+    #[serde(default)]
+    pub class: Class,
 }
 
 impl SettingsError {
     /// A wrong value of the setting `name` (empty: of the whole).
     pub fn new(name: &str, message: impl Into<String>) -> Self {
         let path = if name.is_empty() { Vec::new() } else { vec![PathItem::Key(name.to_owned())] };
-        Self { path, key: false, message: message.into(), help: None }
+        Self { path, key: false, message: message.into(), help: None, class: Class::Use }
     }
 
     /// Adds what to do.

@@ -48,7 +48,8 @@ pub const ABBE_VALIDATE: u32 = 4;
 /// A plugin that writes files.
 pub const ABBE_EXPORT: u32 = 5;
 
-/// Of machines and observations: what they are. Answer: JSON.
+/// Of machines and observations: what they are. Answer: JSON; of observations it lists in `angles` the equations (by their
+/// index in the layout) that are of angles, rad, and all others are of lengths, mm.
 pub const ABBE_DESCRIBE: u32 = 1;
 /// Of stages: the files that they read. Answer: `[ { "setting", "path" } ]`.
 pub const ABBE_INPUTS: u32 = 2;

@@ -125,6 +125,7 @@ impl Connection {
     }
 
     fn work(self: &Arc<Self>, question: Frame, numbers: &[f64]) -> Result<(Frame, Vec<Vec<f64>>), Failure> {
+        let wrong = |what: &str| Failure::of("the other side", what);
         match question {
             Frame::Call { object, method, text, objects } => {
                 let objects: Vec<Transit> = objects.into_iter().map(|one| self.take(one)).collect::<Result<_, _>>()?;
@@ -133,7 +134,7 @@ impl Connection {
                 Ok((Frame::Answer { text, objects }, Vec::new()))
             }
             Frame::Poses { object, lengths, orientation } => {
-                let [statuses, values, wanted] = wire::split(numbers, lengths)?;
+                let [statuses, values, wanted] = wire::split(numbers, lengths).map_err(wrong)?;
                 let wanted: Vec<Variable> = wanted.iter().copied().map(wire::variable).collect();
                 let mut out = Poses::default();
                 self.object(object)?
@@ -142,7 +143,7 @@ impl Connection {
                 Ok((Frame::Numbers { lengths: lists.iter().map(Vec::len).collect() }, lists))
             }
             Frame::Equations { object, lengths } => {
-                let [rows, positions, orientations, own, inputs] = wire::split(numbers, lengths)?;
+                let [rows, positions, orientations, own, inputs] = wire::split(numbers, lengths).map_err(wrong)?;
                 let served = self.object(object)?;
                 let Served::Observations(observations, _) = served.as_ref() else {
                     return Err(Failure::of("the other side", "asks an object for equations that has none"));
@@ -157,7 +158,7 @@ impl Connection {
                 let lists = wire::equation_lists(&out);
                 Ok((Frame::Numbers { lengths: lists.iter().map(Vec::len).collect() }, lists))
             }
-            _ => Err(Failure::of("the other side", "asks what cannot be asked here")),
+            _ => Err(wrong("asks what cannot be asked here")),
         }
     }
 

@@ -223,9 +223,10 @@ fn build(kind: Kind, create: Create, who: String) -> Build {
             Transit::Local(_) => Err(SettingsError::new("", format!("{who} gave one of the program's own objects"))),
         }
     };
-    /// What goes wrong while a stage is built counts as a wrong setting: its place is that of the stage.
+    /// What goes wrong when a stage is first asked has the place of its settings.
     fn wrong(error: Error) -> SettingsError {
-        SettingsError { path: error.setting, key: false, message: error.message, help: error.help }
+        let Error { class, setting, message, help, .. } = error;
+        SettingsError { path: setting, key: false, message, help, class }
     }
     let stage = move |settings: &Value, context: &Context| peer(settings, context);
     match kind {

@@ -84,9 +84,9 @@ struct Details {
 }
 
 impl Failure {
-    /// What the other side did that it must not do; names it.
+    /// What the other side did that it must not do; names it. No setting is to blame for that.
     pub fn of(who: &str, what: impl std::fmt::Display) -> Self {
-        Self { status: ABBE_FAILED, text: format!("{who} {what}") }
+        Error::data(format!("{who} {what}")).into()
     }
 
     fn details(self, who: &str) -> Details {
@@ -123,11 +123,13 @@ impl Failure {
         error
     }
 
-    /// The error of settings.
+    /// The error of settings: they are to blame if the plugin says so itself.
     pub fn settings_error(self, who: &str) -> SettingsError {
+        let refused = matches!(self.status, ABBE_FAILED | ABBE_FAILED_WITH_DETAILS);
         let details = self.details(who);
         let path = if details.path.is_empty() { details.setting } else { details.path };
-        SettingsError { path, key: details.key, message: details.message, help: details.help }
+        let class = details.class.unwrap_or(if refused { Class::Use } else { Class::Data });
+        SettingsError { path, key: details.key, message: details.message, help: details.help, class }
     }
 }
 

@@ -9,7 +9,7 @@ use std::sync::{Arc, Mutex, PoisonError};
 use abbe_core::{
     Artefact, Axis, Calibration, ColumnHeader, Contact, Dataset, Equations, Error, ErrorFunction, Estimate, Export,
     ExportedFile, Feature, Findings, Fit, Identifiability, Ingest, InputFile, KinematicModel, KnownInput, Layout,
-    Model, Observations, Parameter, PoseValues, Poses, Problem, Result, StatusColumn, Target, Validate, Variable,
+    Model, Observations, Parameter, PoseValues, Poses, Problem, Quantity, Result, StatusColumn, Target, Validate, Variable,
 };
 use serde::Serialize;
 use serde::de::DeserializeOwned;
@@ -243,6 +243,9 @@ fn check_observations(text: &ObservationsText) -> Result<(), String> {
     if layout.data.origins.iter().any(|origin| origin.file >= layout.data.files.len()) {
         return Err("gives data rows of a file that is not there".to_owned());
     }
+    if let Some(equation) = text.angles.iter().find(|equation| **equation >= equations) {
+        return Err(format!("says that equation {equation} is of an angle, and there is no such equation"));
+    }
     let unknown = |(index, _): &(usize, [f64; 3])| *index >= text.unknowns.len();
     match text.features.iter().find(|feature| feature.shifts.iter().any(unknown)) {
         Some(feature) => Err(format!("gives a feature {} that an unknown shifts which is not there", feature.label)),
@@ -265,6 +268,13 @@ impl Observations for Observed {
 
     fn inputs(&self) -> &[KnownInput] {
         &self.text.inputs
+    }
+
+    fn quantity(&self, row: usize, equation: usize) -> Quantity {
+        match self.text.angles.contains(&(self.text.layout.rows[row].first_equation + equation)) {
+            true => Quantity::Angle,
+            false => Quantity::Length,
+        }
     }
 
     fn needs_orientation(&self) -> bool {

@@ -1,12 +1,13 @@
 //! The texts that cross the border, beyond those that `abbe-core` has itself: what refers to objects does so by index.
 
+use std::collections::BTreeSet;
 use std::path::PathBuf;
 use std::sync::Arc;
 
 use abbe_core::{
     Axis, Calibration, ColumnHeader, Considered, Contact, Dataset, EquationUncertainty, ErrorFunction, ExportedFile,
     Feature, Fit, Input, InputFile, KinematicModel, KnownInput, Layout, ObservationSet, Observations, Parameter,
-    PoseTable, Problem, StatusColumn, Unknown,
+    PoseTable, Problem, Quantity, StatusColumn, Unknown,
 };
 use serde::{Deserialize, Serialize};
 use serde_json::Value;
@@ -56,6 +57,9 @@ pub(crate) struct ObservationsText {
     pub inputs: Vec<KnownInput>,
     #[serde(default)]
     pub needs_orientation: bool,
+    /// Equations, by their index in the layout, that are of angles (rad); all others are of lengths.
+    #[serde(default)]
+    pub angles: BTreeSet<usize>,
     #[serde(default)]
     pub features: Vec<Feature>,
     pub contact: Contact,
@@ -72,10 +76,21 @@ impl ObservationsText {
             start: observations.start(),
             inputs: observations.inputs().to_vec(),
             needs_orientation: observations.needs_orientation(),
+            angles: angles(observations),
             features: observations.features(),
             contact: observations.contact(),
         }
     }
+}
+
+/// The equations that are of angles.
+fn angles(observations: &dyn Observations) -> BTreeSet<usize> {
+    let rows = observations.layout().rows.iter().enumerate();
+    let equations = rows.flat_map(|(index, row)| {
+        let angle = move |equation: &usize| observations.quantity(index, *equation) == Quantity::Angle;
+        (0..row.equations).filter(angle).map(|equation| row.first_equation + equation)
+    });
+    equations.collect()
 }
 
 /// A file that a stage reads.

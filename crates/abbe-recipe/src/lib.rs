@@ -223,6 +223,7 @@ impl Recipe {
         let mut located = self.place(Error::usage(message).stage(stage), stage, &error.path, at);
         located.help = self.reference_near(stage, &error).or(error.help);
         located.setting = error.path;
+        located.class = error.class;
         located
     }
 

@@ -152,8 +152,8 @@ pub(crate) fn key(name: &str) -> PathItem {
 }
 
 fn wrong(error: SettingsError) -> Error {
-    let help = error.help.clone();
-    let error = Error::usage(SettingsError { help: None, ..error }.to_string());
+    let (help, class) = (error.help.clone(), error.class);
+    let error = Error { class, ..Error::usage(SettingsError { help: None, ..error }.to_string()) };
     match help {
         Some(help) => error.help(help),
         None => error,

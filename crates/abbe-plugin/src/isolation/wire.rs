@@ -75,12 +75,11 @@ impl Wire {
 }
 
 /// Cuts numbers into lists.
-pub(super) fn split<const N: usize>(numbers: &[f64], lengths: [usize; N]) -> Result<[&[f64]; N], Failure> {
+pub(super) fn split<const N: usize>(numbers: &[f64], lengths: [usize; N]) -> Result<[&[f64]; N], &'static str> {
     let mut lists = [&[][..]; N];
     let mut rest = numbers;
     for (list, length) in lists.iter_mut().zip(lengths) {
-        let wrong = || Failure::of("the other side", "gives fewer numbers than it says");
-        (*list, rest) = rest.split_at_checked(length).ok_or_else(wrong)?;
+        (*list, rest) = rest.split_at_checked(length).ok_or("gives fewer numbers than it says")?;
     }
     Ok(lists)
 }
@@ -159,7 +158,7 @@ pub(super) fn read_equations(answer: &Frame, numbers: &[f64], out: &mut Equation
     let Frame::Numbers { lengths } = answer else { return Err("answered something else than equations".to_owned()) };
     let lengths: [usize; 5] =
         lengths.as_slice().try_into().map_err(|_| "gave another number of lists than equations have".to_owned())?;
-    let [residuals, positions, rotations, own, inputs] = split(numbers, lengths).map_err(|failure| failure.text)?;
+    let [residuals, positions, rotations, own, inputs] = split(numbers, lengths)?;
     let (mut own, mut inputs) = (points(own).0.iter().peekable(), points(inputs).0.iter().peekable());
     for (index, &residual) in residuals.iter().enumerate() {
         out.equation(residual);
