@@ -52,7 +52,9 @@ pub use pose_table::{ColumnNaming, PoseTable, StatusSource, plain_naming, pose_c
 pub use probing::Lobing;
 pub use problem::{Block, Considered, Input, ObservationSet, Owner, Problem, Scatter, Unknown};
 pub use registry::{Build, Constructor, Context, Kind, Origin, Plugin, Provider, Registry};
-pub use settings::{Label, PathItem, SettingsError, from_settings, not_negative, path_text, positive, schema_of};
+pub use settings::{
+    Label, Names, PathItem, SettingsError, from_settings, not_negative, path_text, positive, schema_of,
+};
 pub use stage::{Artefact, Estimate, Export, ExportedFile, Fit, Ingest, InputFile, Model, Validate};
 pub use uncertainty::{CovarianceBlock, EquationUncertainty, Pooled};
 pub use unit::{Quantity, Unit};

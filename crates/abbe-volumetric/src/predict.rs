@@ -3,6 +3,8 @@
 use abbe_core::{Calibration, Error, KinematicModel, Poses, Result, Variable};
 use nalgebra::DMatrix;
 
+use crate::ellipsoid::Ellipsoid;
+
 /// Poses that are evaluated together, so that nobody holds the derivatives of all of them.
 const CHUNK: usize = 64;
 
@@ -13,9 +15,19 @@ pub struct Volumetric {
     pub mean: [f64; 3],
     /// Its covariance, mm².
     pub covariance: [[f64; 3]; 3],
+    /// Smallest degrees of freedom with which the uncertainty of a parameter of the machine is known; infinite if all were
+    /// stated.
+    pub degrees_of_freedom: f64,
 }
 
 impl Volumetric {
+    /// The region that holds the error with some probability.
+    ///
+    /// Fails as [`Ellipsoid::of`] does.
+    pub fn ellipsoid(&self, probability: f64) -> Result<Ellipsoid> {
+        Ellipsoid::of(&self.covariance, probability, self.degrees_of_freedom)
+    }
+
     /// Size of the error, mm.
     pub fn size(&self) -> f64 {
         self.mean.iter().map(|component| component * component).sum::<f64>().sqrt()
@@ -39,6 +51,8 @@ pub fn predict(model: &dyn KinematicModel, calibration: &Calibration, statuses: 
         .map(|parameter| calibration.get(&parameter.name).map_or(0.0, |known| known.value))
         .collect();
     let zero = vec![0.0; values.len()];
+    let is_machine = |name: &str| model.parameters().iter().any(|parameter| parameter.name == name);
+    let degrees_of_freedom = calibration.degrees_of_freedom(is_machine);
     let (wanted, covariance) = machine_covariance(model, calibration);
     let (mut actual, mut nominal) = (Poses::default(), Poses::default());
     let mut errors = Vec::with_capacity(statuses.len() / width);
@@ -57,7 +71,7 @@ pub fn predict(model: &dyn KinematicModel, calibration: &Calibration, statuses: 
                 derivatives.column(3 * pose + row.max(column)).dot(&weighted.column(3 * pose + row.min(column)))
             };
             let covariance = [0, 1, 2].map(|row| [0, 1, 2].map(|column| entry(row, column)));
-            errors.push(Volumetric { mean, covariance });
+            errors.push(Volumetric { mean, covariance, degrees_of_freedom });
         }
     }
     Ok(errors)

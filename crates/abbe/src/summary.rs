@@ -226,8 +226,8 @@ fn figures(figures: &[Figure]) -> String {
             format!("{value}{mark}")
         }));
         if limited {
-            let limit = of_name().find_map(|figure| figure.limit);
-            row.push(limit.map_or_else(String::new, short));
+            let limit = of_name().find_map(|figure| Some(measured(figure.limit?, &figure.unit)));
+            row.push(limit.unwrap_or_default());
         }
         rows.push(row);
     }
@@ -235,7 +235,12 @@ fn figures(figures: &[Figure]) -> String {
 }
 
 fn counted(value: f64, unit: &str) -> String {
-    if unit == "1" && value.fract() == 0.0 && value.abs() < 1e9 { format!("{value:.0}") } else { short(value) }
+    if unit == "1" && value.fract() == 0.0 && value.abs() < 1e9 { format!("{value:.0}") } else { measured(value, unit) }
+}
+
+/// Sizes in mm to 0.1 µm, all else to four digits.
+fn measured(value: f64, unit: &str) -> String {
+    if unit == "mm" { format!("{value:.4}") } else { short(value) }
 }
 
 /// The summary of a run for machines.
@@ -278,6 +283,11 @@ pub fn planned_text(recipe: &Recipe, planned: &[Planned]) -> String {
     let lost: String = lines.collect();
     if !lost.is_empty() {
         text.push_str(&format!("\n{}", section("Not determined", &lost)));
+    }
+    for planned in planned {
+        for remark in &planned.identifiability.remarks {
+            text.push_str(&format!("\n{}: {remark}\n", planned.estimate));
+        }
     }
     for planned in planned {
         let (name, found) = (&planned.estimate, &planned.identifiability);

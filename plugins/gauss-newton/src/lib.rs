@@ -243,6 +243,14 @@ impl GaussNewton {
         let place =
             Place { problem: &at_contact, x: &solution.x, kept: kept.as_deref(), factor: &factor, rank: found.rank };
         let propagation = Propagation::new(&place, self.scale(&spread), explained)?;
+        if spread.degrees_of_freedom == 0 && !self.settings.trust_uncertainties && propagation.is_scaled() {
+            return Err(Error::data(format!(
+                "the data leave no degrees of freedom ({} equations for {rank} unknowns): the scatter of the residuals says nothing",
+                spread.used
+            ))
+            .help("set `trust_uncertainties: true` to take the stated uncertainties, or measure more")
+            .setting("trust_uncertainties"));
+        }
         let outliers = match (&solution.robust, self.robust()) {
             (Some(report), Some(robust)) => outliers(problem, &residuals, report, robust),
             _ => Vec::new(),
@@ -353,6 +361,13 @@ impl Estimate for GaussNewton {
         if found.rank == found.unknowns {
             let place = Place { problem: &at_contact, x: &x, kept: None, factor: &factor, rank: found.rank };
             let propagation = Propagation::new(&place, (1.0, f64::INFINITY), true)?;
+            if found.observations <= found.rank && !self.settings.trust_uncertainties && propagation.is_scaled() {
+                found.remarks.push(
+                    "no degrees of freedom are left, so that the scatter of the residuals will say nothing: set \
+                     `trust_uncertainties: true`, or measure more"
+                        .to_owned(),
+                );
+            }
             found.uncertainty = Some(propagation.budget(problem, self.settings.coverage_probability));
         }
         Ok(found)
