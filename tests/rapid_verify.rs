@@ -222,7 +222,8 @@ fn sensitivities_and_detectable_sizes_are_those_of_the_data_set() {
                     (Ok(cell), Ok(own)) => {
                         let off = (cell - own).abs();
                         // The data set rounds positions to a micrometre: 47.121 mm instead of 47.12132 mm.
-                        assert!(off <= 1e-6 + 3e-5 * cell.abs(), "{machine} {} {name}: {own}, {cell}", row[0]);
+                        let rounded = if ["P24", "P25"].contains(&name.as_str()) { 2e-4 } else { 1e-5 };
+                        assert!(off <= 1e-6 + rounded * cell.abs(), "{machine} {} {name}: {own}, {cell}", row[0]);
                     }
                     // Several points are most sensitive alike.
                     _ if name == "most_sensitive" => {
@@ -600,8 +601,11 @@ fn the_virtual_machine_probes_as_the_data_set_did() {
             let reading: f64 = row[column("measured_mm")].parse().expect("a number");
             let axis = &row[column("approach")][1..];
             assert_eq!(row[column("measured_mm")], row[column(&format!("{axis}_mm"))], "{machine} {}", row[0]);
-            // On the slope the data set has positions to a micrometre, which moves the touch along it.
-            let allowed = if row[0] == "P24" || row[0] == "P25" { 5e-4 } else { 2e-9 };
+            // The data set has positions to a micrometre, which moves touches along slopes: that of the artefact, and all when A is
+            // at 60 degrees.
+            let tilted =
+                header.iter().position(|name| name == "A_deg").is_some_and(|column| row[column].starts_with("60"));
+            let allowed = if tilted || ["P24", "P25"].contains(&row[0].as_str()) { 1e-3 } else { 2e-9 };
             let off = (reading - expected[&row[0]]).abs();
             assert!(off < allowed, "{machine} {}: {reading} is off by {off:e}", row[0]);
         }
