@@ -1,6 +1,6 @@
 //! The files of a run: their schemas, and that a calibration stands on its own.
 
-use abbe_core::{Calibration, Poses, Problem};
+use abbe_core::{Calibration, Poses, Problem, Quantity};
 use abbe_engine::{model_of, prepare};
 use serde_json::{Value, json};
 
@@ -48,18 +48,30 @@ fn results_are_as_their_schemas_say_and_calibrations_stand_on_their_own() {
             let rebuilt = Problem { model, ..Problem::clone(&fit.problem) };
             let residuals = rebuilt.residuals(&rebuilt.values_of(&read)).unwrap_or_else(|error| panic!("{error}"));
             let outliers: Vec<usize> = read.outliers.iter().map(|outlier| outlier.line).collect();
-            let kept: Vec<f64> = (residuals.iter().zip(rebuilt.equation_rows()))
+            let kept: Vec<(Quantity, f64)> = (residuals.iter().zip(rebuilt.quantities()).zip(rebuilt.equation_rows()))
                 .filter(|(_, (set, row))| {
                     let origin = rebuilt.origin(*set, *row).map(|(_, origin)| origin.line);
                     let blamed = read.outliers.iter().any(|outlier| outlier.stage == rebuilt.sets[*set].name);
                     !(blamed && origin.is_some_and(|line| outliers.contains(&line)))
                 })
-                .map(|(residual, _)| residual * 1e3)
+                .map(|((residual, quantity), _)| (quantity, *residual))
                 .collect();
             assert_eq!(kept.len(), read.fit.observations, "{what}");
-            let rms = (kept.iter().map(|residual| residual * residual).sum::<f64>() / kept.len() as f64).sqrt();
-            let told = read.fit.residual_rms_um;
-            assert!((rms - told).abs() <= 1e-12 + 1e-9 * told, "{what}: {rms} µm, the file says {told} µm");
+            let rms = |of: Quantity| {
+                let of = kept.iter().filter(|(quantity, _)| *quantity == of);
+                let squares: Vec<f64> = of.map(|(_, residual)| residual * residual).collect();
+                (squares.iter().sum::<f64>() / squares.len() as f64).sqrt()
+            };
+            let lengths = (rms(Quantity::Length) * 1e3, Some(read.fit.residual_rms_um));
+            let angles = (rms(Quantity::Angle) * 1e6, read.fit.residual_rms_urad);
+            for (rms, told) in [lengths, angles] {
+                assert_eq!(rms.is_nan(), told.is_none(), "{what}");
+                let told = told.unwrap_or_default();
+                assert!(
+                    rms.is_nan() || (rms - told).abs() <= 1e-12 + 1e-9 * told,
+                    "{what}: {rms}, the file says {told}"
+                );
+            }
         }
     }
 }

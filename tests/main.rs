@@ -1,14 +1,20 @@
 //! Abbe as a whole: every recipe as a snapshot, the command line driven as a user drives it, and what must be true of
 //! the results whatever the code looks like inside.
 
+mod ball_bar;
 mod coverage;
 mod errors;
 mod files;
 mod first_order;
+mod gcode;
 mod interrupted;
 mod laws;
+mod libraries;
 mod methods;
+mod multi_feature_bar;
 mod plugins;
+mod poses;
+mod rapid_verify;
 mod recipes;
 mod simulate;
 mod sphere;

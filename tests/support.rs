@@ -171,10 +171,14 @@ impl Variant {
     }
 }
 
-/// Makes the paths of a recipe absolute: whatever in it names a file that exists.
+/// Makes the paths of a recipe absolute: whatever in it names a file that exists, or files of a folder that does.
 fn absolute(value: &mut Value, base: &Path) {
+    let is_path = |text: &str| {
+        let path = base.join(text);
+        path.is_file() || (text.contains('*') && path.parent().is_some_and(Path::is_dir))
+    };
     match value {
-        Value::String(text) if text.contains('/') && base.join(&text).is_file() => {
+        Value::String(text) if text.contains('/') && is_path(text) => {
             *text = base.join(&text).to_str().expect("paths are UTF-8").to_owned();
         }
         Value::Array(items) => items.iter_mut().for_each(|item| absolute(item, base)),

@@ -310,3 +310,124 @@ fn uncertainties_that_are_none_are_refused() {
     }
     insta::assert_snapshot!(messages.join("\n"));
 }
+
+/// The positioner with settings of the target's rows: its calibration, or the message.
+fn of_poses(uncertainty: &Value) -> Result<Calibration, String> {
+    let recipe =
+        Variant::of(&recipes()["positioner"]).only(&["lines"]).set("target", "uncertainty", uncertainty.clone());
+    let folder = crate::support::temporary();
+    let printed = crate::support::abbe(folder.path(), &["run", recipe.write(folder.path()).to_str().expect("UTF-8")]);
+    if printed.status != 0 {
+        return Err(printed.stderr);
+    }
+    let text = std::fs::read_to_string(folder.path().join("out/recipe/lines.calibration.json")).expect("a calibration");
+    Ok(Calibration::from_json(&text).expect("a calibration"))
+}
+
+#[test]
+fn angles_of_poses_are_stated_apart_from_their_lengths() {
+    // The recipe states 20 um and 50 urad.
+    let plain = of_poses(&json!({})).expect("a fit");
+    let diagonal = |variance: f64| json!([[variance, 0, 0], [0, variance, 0], [0, 0, variance]]);
+    for same in [
+        json!({ "directions_um": [20, 20, 20] }),
+        json!({ "directions_urad": [50, 50, 50] }),
+        json!({ "directions_um": [20, 20, 20], "directions_urad": [50, 50, 50] }),
+        json!({ "row_covariance_um2": diagonal(400.0), "row_covariance_urad2": diagonal(2500.0) }),
+    ] {
+        let found = of_poses(&same).expect("a fit");
+        assert!(difference(&plain, &found) < 1e-6, "{same}: {}", difference(&plain, &found));
+    }
+    // Ten times as many µrad leave the axes to the positions, which hardly tell the angle between them.
+    let stated = |calibration: &Calibration| budget(calibration, "EB0C").stated_standard_uncertainty;
+    let blunt = of_poses(&json!({ "directions_urad": [500, 500, 500] })).expect("a fit");
+    assert!(stated(&blunt) > 1.1 * stated(&plain), "{:e} {:e}", stated(&blunt), stated(&plain));
+    let shared = json!({ "shared": [{ "by": "pose", "standard_uncertainty_urad": 50 }] });
+    let twice = json!({ "directions_urad": vec![50.0 * 2.0_f64.sqrt(); 3] });
+    let (shared, twice) = (of_poses(&shared), of_poses(&twice));
+    match (shared, twice) {
+        (Ok(shared), Ok(twice)) => assert!(difference(&shared, &twice) < 1e-6),
+        (shared, twice) => panic!("{:?} {:?}", shared.err(), twice.err()),
+    }
+    for (settings, expected) in [
+        (
+            json!({ "directions_um": [20, 20, 20, 50, 50, 50] }),
+            "`directions_um` is for 6 lengths, but a row of this artefact has 3 equations that are lengths",
+        ),
+        (
+            json!({ "row_covariance_um2": [[400]] }),
+            "`row_covariance_um2` is for 1 lengths, but a row of this artefact has 3",
+        ),
+        (
+            json!({ "shared": [{ "by": "pose" }] }),
+            "`standard_uncertainty_um` or `standard_uncertainty_urad` was expected",
+        ),
+        (json!({ "column": "qw" }), "the column `qw` holds neither lengths nor angles"),
+    ] {
+        let told = of_poses(&settings).expect_err("an error");
+        assert!(told.contains(expected), "{told}");
+    }
+    let (_, told) = with(&json!({ "uncertainty": { "by": "feature", "standard_urad": { "3": 5.0 } } }));
+    assert!(told.contains("`standard_urad` states angles, but no equation of this artefact is one"), "{told}");
+    let (_, told) = with(&json!({ "uncertainty": { "shared": [{ "by": "group", "standard_uncertainty_urad": 5 }] } }));
+    assert!(told.contains("`shared` states angles, but no equation of this artefact is one"), "{told}");
+    let (_, told) = with(&json!({ "uncertainty": { "row_covariance_um2": [[-1]] } }));
+    assert!(told.contains("the variance -1 in row 1"), "{told}");
+}
+
+#[test]
+fn centres_that_are_fitted_first_hang_on_the_stylus_as_touches_do() {
+    let radius = json!(5.0);
+    let mut recipe = Variant::of(&recipes()["samba"]).only(&["fit", "fit-centres"]);
+    for balls in ["balls", "centres"] {
+        recipe = recipe.set(balls, "stylus_radius_standard_uncertainty_um", radius.clone());
+    }
+    recipe.0["stages"]["trials"] = json!({ "estimate": "monte-carlo", "of": "fit-centres", "trials": 1000 });
+    let outcome = recipe.run();
+    let (touches, centres) = (&fit(&outcome, "fit").calibration, &fit(&outcome, "fit-centres").calibration);
+    let of = |name: &str| {
+        let stylus = |calibration, name: String| part(budget(calibration, &name), "stylus_radius");
+        (stylus(touches, format!("balls.{name}")), stylus(centres, format!("centres.{name}")))
+    };
+    // Four touches on the equator and one on the pole: a larger stylus puts the centre lower by as much.
+    let (one, other) = of("ball[3].z");
+    assert!(one > 1e-3 && (other / one - 1.0).abs() < 0.05, "{one:e} by touches, {other:e} by centres");
+    let name = "centres.ball[3].z";
+    let trials = fit(&outcome, "trials").calibration.get(name).expect("estimated").standard_uncertainty;
+    let stated = budget(centres, name).standard_uncertainty;
+    // 1000 trials: a standard deviation of 2.2 %.
+    assert!((trials / stated - 1.0).abs() < 0.1, "{trials:e} by trials, {stated:e} by propagation");
+}
+
+#[test]
+fn no_degrees_of_freedom_are_told() {
+    let small = |trust: &str| {
+        let small = Small::new();
+        small.write("z.csv", "feature,X_mm,Y_mm,Z_mm\n1,3.01,0,100\n2,0,3.02,100\n3,0,0,103.01\n");
+        small.write("zf.csv", "feature,x_mm,y_mm,z_mm,nx,ny,nz\n1,0,0,0,1,0,0\n2,0,0,0,0,1,0\n3,0,0,0,0,0,1\n");
+        small.write(
+            "z.yaml",
+            &format!(
+                "abbe: 1\nname: z\nstages:\n  t: {{ ingest: csv, path: z.csv }}\n  \
+                 f: {{ artefact: facets, from: t, nominal: zf.csv, standard_uncertainty_um: 1 }}\n  \
+                 m: {{ model: serial-chain, chain: \"w b X Y Z t\", tool_length_mm: 100, stylus_radius_mm: 3 }}\n  \
+                 fit: {{ estimate: gauss-newton, machine: m, observations: f, parameters: [dxt, dyt, dzt]{trust} }}\n"
+            ),
+        );
+        small
+    };
+    let scattered = small("");
+    let run = scattered.abbe(&["run", "z.yaml"]);
+    assert_eq!(run.status, 1);
+    assert!(run.stderr.contains("no degrees of freedom (3 equations for 3 unknowns)"), "{}", run.stderr);
+    assert!(run.stderr.contains("trust_uncertainties: true"), "{}", run.stderr);
+    let check = scattered.abbe(&["check", "z.yaml"]);
+    assert_eq!(check.status, 0, "{}", check.stderr);
+    assert!(check.stdout.contains("fit: no degrees of freedom are left"), "{}", check.stdout);
+    let trusted = small(", trust_uncertainties: true");
+    let run = trusted.abbe(&["run", "z.yaml"]);
+    assert_eq!(run.status, 0, "{}", run.stderr);
+    assert!(!trusted.abbe(&["check", "z.yaml"]).stdout.contains("no degrees of freedom"));
+    let calibration = Calibration::from_json(&trusted.read("out/z/fit.calibration.json")).expect("a calibration");
+    assert!((calibration.get("dxt").expect("estimated").standard_uncertainty / 1e-3 - 1.0).abs() < 1e-9);
+}

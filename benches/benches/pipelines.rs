@@ -1,11 +1,14 @@
 //! How long the work takes, beside a plain matrix product that tells how fast the machine is.
 
 use std::hint::black_box;
-use std::path::Path;
+use std::path::{Path, PathBuf};
+use std::process::Command;
+use std::time::Duration;
 
 use abbe_bundle as _;
-use abbe_core::{Error, Fit, Registry};
+use abbe_core::{Build, Context, Error, Fit, Problem, Registry};
 use abbe_engine::prepare;
+use abbe_plugin::{Library, Limits};
 use criterion::{Criterion, criterion_group, criterion_main};
 use faer::Mat;
 
@@ -42,9 +45,51 @@ fn tango(criterion: &mut Criterion) {
     });
 }
 
+/// Builds packages as they are benchmarked; gives the folder that they are in.
+fn built(packages: &[&str]) -> PathBuf {
+    let root = Path::new(env!("CARGO_MANIFEST_DIR")).join("..");
+    let target = std::env::var_os("CARGO_TARGET_DIR").map_or_else(|| root.join("target"), PathBuf::from);
+    let mut command = Command::new(env!("CARGO"));
+    command.args(["build", "--release", "--locked", "--quiet"]).current_dir(&root);
+    packages.iter().for_each(|package| drop(command.args(["--package", package])));
+    match command.status() {
+        Ok(status) if status.success() => target.join("release"),
+        other => panic!("the packages cannot be built: {other:?}"),
+    }
+}
+
+/// The same fit with the model built in, through the border of a library, and in a process of its own.
+fn border(criterion: &mut Criterion) {
+    let folder = built(&["abbe", "abbe-stock-library"]);
+    let name = format!("{}abbe_stock_library{}", std::env::consts::DLL_PREFIX, std::env::consts::DLL_SUFFIX);
+    let library = folder.join(name);
+    let limits = Limits {
+        program: folder.join("abbe"),
+        arguments: ["plugin", "serve"].map(str::to_owned).to_vec(),
+        silence: Duration::from_secs(60),
+    };
+    let fits = fits("tango-hu40t-exact.yaml").unwrap_or_else(|error| panic!("{error}"));
+    let Some(fit) = fits.iter().find(|fit| fit.name == "fit-S4") else { panic!("the recipe has no fit-S4") };
+    let through = |library: Result<Library, Error>| -> Result<Problem, Error> {
+        let plugins = library?.plugins;
+        let model = plugins.iter().find(|plugin| plugin.name == "serial-chain").map(|plugin| &plugin.build);
+        let Some(Build::Model(model)) = model else { return Err(Error::data("the library has no serial chain")) };
+        let built = model.build(&fit.problem.model.settings(), &Context { base: PathBuf::new() });
+        let model = built.map_err(|error| Error::data(error.to_string()))?.build(&[])?;
+        Ok(Problem { model, ..fit.problem.as_ref().clone() })
+    };
+    let dynamic = through(abbe_plugin::load(&library, None)).unwrap_or_else(|error| panic!("{error}"));
+    let isolated = through(abbe_plugin::isolated(&library, None, &limits)).unwrap_or_else(|error| panic!("{error}"));
+    for (name, problem) in [("built_in", fit.problem.as_ref()), ("dynamic", &dynamic), ("isolated", &isolated)] {
+        criterion.bench_function(&format!("tango_s4_fit_{name}"), |bencher| {
+            bencher.iter(|| fit.estimator.estimate(black_box(problem)).map(|calibration| calibration.fit.sigma))
+        });
+    }
+}
+
 criterion_group! {
     name = benches;
     config = Criterion::default().sample_size(20).warm_up_time(std::time::Duration::from_secs(1)).without_plots();
-    targets = product, tango
+    targets = product, tango, border
 }
 criterion_main!(benches);

@@ -137,12 +137,21 @@ pub struct FitReport {
     pub iterations: usize,
     /// How they ended.
     pub termination: Termination,
-    /// Largest absolute residual (without outliers), µm.
+    /// Largest absolute residual of lengths (without outliers), µm.
     pub residual_max_um: f64,
-    /// Mean absolute residual, µm.
+    /// Mean absolute residual of lengths, µm.
     pub residual_mean_abs_um: f64,
-    /// Root mean square of the residuals, µm.
+    /// Root mean square of the residuals of lengths, µm.
     pub residual_rms_um: f64,
+    /// Largest absolute residual of angles, µrad; none if no angle was observed.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub residual_max_urad: Option<f64>,
+    /// Mean absolute residual of angles, µrad.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub residual_mean_abs_urad: Option<f64>,
+    /// Root mean square of the residuals of angles, µrad.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub residual_rms_urad: Option<f64>,
     /// What the data cannot determine.
     pub null_space: Vec<NullVector>,
     /// The combinations that they determine worst, the weakest first.
@@ -238,6 +247,9 @@ pub struct Identifiability {
     pub weakest: Vec<NullVector>,
     /// The uncertainties that the stated ones of the inputs promise; none where a direction is lost.
     pub uncertainty: Option<UncertaintyBudget>,
+    /// What people should be told besides: sentences.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub remarks: Vec<String>,
 }
 
 /// How the uncertainties of the estimates come about and what they cover (GUM; JCGM 102).
@@ -260,8 +272,11 @@ pub struct UncertaintyBudget {
 pub struct JointCoverage {
     /// Number of quantities: the estimated machine parameters.
     pub quantities: usize,
-    /// Factor of the ellipsoid that covers them jointly.
-    pub ellipsoid_factor: f64,
+    /// Smallest effective degrees of freedom of one of them; none if they are infinite.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub degrees_of_freedom: Option<f64>,
+    /// Factor of the ellipsoid that covers them jointly; none with fewer degrees of freedom than quantities.
+    pub ellipsoid_factor: Option<f64>,
     /// Factor on every standard uncertainty, so that all intervals hold together.
     pub rectangle_factor: f64,
 }
@@ -337,6 +352,10 @@ pub struct SimulatedParameter {
     pub mean: f64,
     /// Their standard deviation.
     pub standard_uncertainty: f64,
+    /// Effective degrees of freedom with which the propagated uncertainties are known, those of the GUM framework; none if
+    /// they are infinite.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub degrees_of_freedom: Option<f64>,
     /// Probabilistically symmetric coverage interval: low and high end.
     pub symmetric_interval: [f64; 2],
     /// Shortest coverage interval.
@@ -416,6 +435,17 @@ impl Calibration {
         serde_json::to_string_pretty(self)
             .map(|text| text + "\n")
             .map_err(|error| Error::data(format!("the calibration cannot be written: {error}")))
+    }
+
+    /// The smallest degrees of freedom with which the uncertainty of one of some parameters is known; infinite where they
+    /// were all stated.
+    pub fn degrees_of_freedom(&self, is_one: impl Fn(&str) -> bool) -> f64 {
+        let budgets = self.uncertainty.iter().flat_map(|budget| &budget.parameters);
+        let simulated = self.monte_carlo.iter().flat_map(|found| &found.parameters);
+        let all = budgets
+            .map(|parameter| (&parameter.name, parameter.degrees_of_freedom))
+            .chain(simulated.map(|parameter| (&parameter.name, parameter.degrees_of_freedom)));
+        all.filter(|(name, _)| is_one(name)).filter_map(|(_, freedom)| freedom).fold(f64::INFINITY, f64::min)
     }
 
     /// Any value of the calibration, of the machine or of an artefact.

@@ -86,11 +86,12 @@ impl Problem {
     }
 
     /// The same problem as it is measured if its own values are the truth: the linear axes of every touched row move from
-    /// where they are, by as little as possible, until each of its equations (the exact one) equals its error; where a
-    /// reading gives way, the reading makes up for the difference.
+    /// where they are, by as little as possible (or the one that approaches), until each of its equations (the exact one) equals
+    /// its error; where a reading gives way, the reading makes up for the difference.
     ///
-    /// `errors` has one value for every equation, mm or rad; constraints keep their residuals. `variations` change parameters of the model from row to row. Fails, with the place of the row, if the axes
-    /// cannot make the equations equal their errors to 1e-11 mm.
+    /// `errors` has one value for every equation, mm or rad; constraints keep their residuals. `variations` change
+    /// parameters of the model from row to row. Fails for artefacts that are not simulated and, with the place of the row,
+    /// if the axes cannot make the equations equal their errors to 1e-11 mm.
     pub fn measured(&self, errors: &[f64], variations: &[Variation]) -> Result<Self> {
         let mut moved = self.clone();
         let linear = LinearAxes::of(self.model.as_ref());
@@ -106,6 +107,10 @@ impl Problem {
                 match moved.sets[set].observations.contact() {
                     Contact::LinearAxes => moved.touch(set, chunk, &linear, errors, &mut work)?,
                     Contact::Reading(_) => moved.read(set, chunk, errors, &mut work)?,
+                    Contact::NotSimulated(why) => {
+                        let error = Error::usage(format!("this artefact cannot be simulated yet: {why}"));
+                        return Err(error.stage(&self.sets[set].name));
+                    }
                 }
                 first_row += chunk.len();
                 first_equation += equations;
@@ -212,7 +217,10 @@ impl ObservationSet {
             return 0.0; // Orientations are not touched into place by linear axes.
         }
         let count = linear.count();
-        let gradients = work.gradients(self, rows, count);
+        let mut gradients = work.gradients(self, rows, count);
+        if let Goal::Residuals(_) = goal {
+            self.only_approaching(rows, linear, &mut gradients);
+        }
         let (mut equation, mut entry, mut pose, mut largest) = (0, 0, 0, 0.0_f64);
         let mut steps: Vec<f64> = Vec::new();
         for &index in rows {
@@ -244,6 +252,22 @@ impl ObservationSet {
             }
         }
         largest
+    }
+
+    /// Takes the effects of axes that do not move until contact out of the gradients of some rows.
+    fn only_approaching(&self, rows: &[usize], linear: &LinearAxes, gradients: &mut [f64]) {
+        let mut entries = gradients.chunks_exact_mut(linear.count().max(1));
+        for &index in rows {
+            let (row, approach) = (self.row(index), self.observations.approach(index));
+            for entry in entries.by_ref().take(row.equations * row.poses) {
+                let Some(approach) = &approach else { continue };
+                for (effect, command) in entry.iter_mut().zip(&linear.commands) {
+                    if *command != Variable::Command(approach.axis) {
+                        *effect = 0.0;
+                    }
+                }
+            }
+        }
     }
 
     /// The step that brings the tip of a row with one pose to nominal contact, where that is known.

@@ -2,11 +2,14 @@
 
 use std::path::PathBuf;
 
+use serde::{Deserialize, Serialize};
+
 use crate::error::{Error, Result, nearest};
+use crate::serial::numbers;
 use crate::unit::Quantity;
 
 /// The name of a column, as found in a file's header.
-#[derive(Debug, Clone, PartialEq)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct ColumnHeader {
     /// Name without its unit: `X` of `X_mm`.
     pub name: String,
@@ -25,16 +28,17 @@ impl ColumnHeader {
 }
 
 /// The cells of a column.
-#[derive(Debug, Clone, PartialEq)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
 pub enum Values {
     /// Numbers in the unit used in memory.
-    Numbers(Vec<f64>),
+    Numbers(#[serde(deserialize_with = "numbers")] Vec<f64>),
     /// Identifiers.
     Labels(Vec<String>),
 }
 
 /// A column: header and cells.
-#[derive(Debug, Clone, PartialEq)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Column {
     /// Name and unit.
     pub header: ColumnHeader,
@@ -43,7 +47,7 @@ pub struct Column {
 }
 
 /// Where a row was read, so that messages and results can point at it.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 pub struct RowOrigin {
     /// Index into [`Dataset::files`].
     pub file: usize,
@@ -54,7 +58,7 @@ pub struct RowOrigin {
 }
 
 /// Measurements as they come from ingest: named columns with units, one row a measurement.
-#[derive(Debug, Clone, PartialEq, Default)]
+#[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
 pub struct Dataset {
     /// The columns, all of the same length.
     pub columns: Vec<Column>,
@@ -62,6 +66,8 @@ pub struct Dataset {
     pub origins: Vec<RowOrigin>,
     /// The files that the rows come from.
     pub files: Vec<PathBuf>,
+    /// Rows are means of several rows of the files; each has the origin of the first.
+    pub averaged: bool,
 }
 
 impl Dataset {

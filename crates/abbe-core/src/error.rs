@@ -3,22 +3,26 @@
 use std::fmt;
 use std::path::{Path, PathBuf};
 
+use serde::{Deserialize, Serialize};
+
 use crate::settings::PathItem;
 
 /// Shorthand of this crate's results.
 pub type Result<T, E = Error> = std::result::Result<T, E>;
 
 /// Who can put the error right, which decides the exit status.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
 pub enum Class {
     /// Wrong use, or anything that can be found without reading data rows: exit status 2.
+    #[default]
     Use,
     /// Only the data or the run show it: exit status 1.
     Data,
 }
 
 /// A place in a file; lines and columns count from 1.
-#[derive(Debug, Clone, PartialEq, Eq)]
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Place {
     /// The file.
     pub file: PathBuf,
@@ -29,19 +33,23 @@ pub struct Place {
 }
 
 /// What is wrong, where, and what to do about it.
-#[derive(Debug, Clone, PartialEq)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Error {
     /// Whose fault it is.
     pub class: Class,
     /// What is wrong and what was expected, in one sentence.
     pub message: String,
     /// What to do, or the nearest valid spelling.
+    #[serde(default)]
     pub help: Option<String>,
     /// Where in which file.
+    #[serde(default)]
     pub place: Option<Place>,
     /// The stage of the recipe that is concerned.
+    #[serde(default)]
     pub stage: Option<String>,
     /// The setting of that stage that is concerned; the recipe turns it into a place.
+    #[serde(default)]
     pub setting: Vec<PathItem>,
 }
 

@@ -8,9 +8,10 @@ use serde::Deserialize;
 
 use crate::dataset::{Dataset, Values};
 use crate::error::{Error, Result};
-use crate::observations::Layout;
-use crate::settings::{PathItem, SettingsError, positive};
+use crate::observations::{Layout, Observations, Row};
+use crate::settings::{Names, PathItem, SettingsError, positive};
 use crate::uncertainty::{CovarianceBlock, EquationUncertainty, Pooled};
+use crate::unit::Quantity;
 
 /// The uncertainty of an artefact's rows, beyond the one number that the artefact itself takes.
 #[derive(Debug, Clone, PartialEq, Default, Deserialize, JsonSchema)]
@@ -24,30 +25,42 @@ pub struct InputUncertainty {
     pub pooled: Option<PooledRepeats>,
 }
 
-/// Standard uncertainties and covariances of rows.
+/// Standard uncertainties and covariances of rows. What ends on `_um` is for equations that are lengths, what ends on `_urad`
+/// for those that are angles.
 #[derive(Debug, Clone, PartialEq, Default, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct RowUncertainty {
-    /// Column (name without unit) with the standard uncertainty of every row.
+    /// Column (name without unit) with the standard uncertainty of every row: a length is for equations that are lengths, an
+    /// angle for those that are angles; a list names one of each.
     #[serde(default)]
-    pub column: Option<String>,
-    /// Label column by which `standard_um` gives standard uncertainties: feature, group, direction.
+    pub column: Option<Names>,
+    /// Label column by which `standard_um` and `standard_urad` give standard uncertainties: feature, group, direction.
     #[serde(default)]
     pub by: Option<String>,
-    /// Standard uncertainty of the rows with a label; rows with other labels keep theirs.
+    /// Standard uncertainty of the lengths in rows with a label; rows with other labels keep theirs.
     #[serde(default)]
     pub standard_um: BTreeMap<String, f64>,
-    /// Standard uncertainty of each equation of a row: of a ball centre along x, y, z.
+    /// Standard uncertainty of the angles in rows with a label.
+    #[serde(default)]
+    pub standard_urad: BTreeMap<String, f64>,
+    /// Standard uncertainty of each length of a row: of a ball centre along x, y, z.
     #[serde(default)]
     pub directions_um: Vec<f64>,
-    /// Covariance of the equations of every row with each other.
+    /// Standard uncertainty of each angle of a row: of an orientation about x, y, z.
+    #[serde(default)]
+    pub directions_urad: Vec<f64>,
+    /// Covariance of the lengths of every row with each other.
     #[serde(default)]
     pub row_covariance_um2: Vec<Vec<f64>>,
+    /// Covariance of the angles of every row with each other.
+    #[serde(default)]
+    pub row_covariance_urad2: Vec<Vec<f64>>,
     /// Errors that all rows with the same label share.
     #[serde(default)]
     pub shared: Vec<SharedError>,
     /// CSV file with the full covariance of all rows, `touch,1_um2,2_um2,...`: the first column has the labels of the rows in
-    /// a column of the data of that name, and so has the header.
+    /// a column of the data of that name, and so has the header; `1.1`, `1.2`, ... are the equations of row 1 where there are
+    /// several.
     #[serde(default)]
     pub covariance: Option<String>,
 }
@@ -58,8 +71,12 @@ pub struct RowUncertainty {
 pub struct SharedError {
     /// The label column.
     pub by: String,
-    /// Standard uncertainty of the shared error.
-    pub standard_uncertainty_um: f64,
+    /// Standard uncertainty of the shared error of lengths.
+    #[serde(default)]
+    pub standard_uncertainty_um: Option<f64>,
+    /// Standard uncertainty of the shared error of angles.
+    #[serde(default)]
+    pub standard_uncertainty_urad: Option<f64>,
 }
 
 /// How repeats are pooled (Rahman 2016, section 5.6).
@@ -85,70 +102,181 @@ impl InputUncertainty {
     }
 }
 
+/// What settings state of equations of one quantity.
+struct Stated<'a> {
+    quantity: Quantity,
+    /// In words.
+    name: &'static str,
+    /// Unit of the settings.
+    unit: &'static str,
+    /// From their unit to that of memory.
+    factor: f64,
+    standard: &'a BTreeMap<String, f64>,
+    directions: &'a [f64],
+    row_covariance: &'a [Vec<f64>],
+}
+
+impl Stated<'_> {
+    fn setting(&self, name: &str) -> String {
+        format!("{name}_{}", self.unit)
+    }
+
+    /// The equations of a row that are of this quantity.
+    fn members(&self, row: &Row, quantities: &[Quantity]) -> Vec<usize> {
+        let equations = row.first_equation..row.first_equation + row.equations;
+        equations.filter(|&equation| quantities[equation] == self.quantity).collect()
+    }
+
+    /// Covariance of the equations of a row, mm² or rad².
+    fn covariance(&self) -> Result<DMatrix<f64>> {
+        let size = self.row_covariance.len();
+        if let Some(row) = self.row_covariance.iter().find(|row| row.len() != size) {
+            return Err(Error::data(format!("a row has {} numbers; {size} were expected", row.len())));
+        }
+        let equations: Vec<usize> = (0..size).collect();
+        let matrix = DMatrix::from_fn(size, size, |row, column| self.row_covariance[row][column]);
+        // Judged in its own unit, so that messages tell the numbers that were given.
+        let block = CovarianceBlock::new("one row", &equations, &matrix)?;
+        Ok(block.covariance * self.factor.powi(2))
+    }
+
+    /// Refuses what no equation is of.
+    fn require(&self, setting: &str, quantities: &[Quantity]) -> Result<()> {
+        if quantities.contains(&self.quantity) {
+            return Ok(());
+        }
+        let message = format!("{setting} states {}, but no equation of this artefact is one", self.name);
+        Err(Error::data(message).setting("uncertainty"))
+    }
+
+    /// Refuses `given` numbers for a row with other `members`.
+    fn directions(&self, setting: &str, given: usize, members: usize, row: &Row) -> Result<()> {
+        if given == members {
+            return Ok(());
+        }
+        let name = self.name;
+        let mut error = Error::data(format!(
+            "`{setting}` is for {given} {name}, but a row of this artefact has {members} equations that are {name}"
+        ));
+        let others = row.equations - members;
+        if members > 0 && others > 0 {
+            error = error.help(format!(
+                "state its {others} other equations in their own unit, those of lengths with `_um`, those of angles with `_urad`"
+            ));
+        }
+        Err(error.setting("uncertainty"))
+    }
+}
+
+impl SharedError {
+    /// Standard uncertainty of the error of a quantity.
+    fn of(&self, quantity: Quantity) -> Option<f64> {
+        if quantity == Quantity::Angle { self.standard_uncertainty_urad } else { self.standard_uncertainty_um }
+    }
+}
+
+/// What every equation of observations is an equation of.
+fn quantities(observations: &dyn Observations) -> Vec<Quantity> {
+    let rows = observations.layout().rows.iter().enumerate();
+    rows.flat_map(|(index, row)| (0..row.equations).map(move |equation| observations.quantity(index, equation)))
+        .collect()
+}
+
 impl RowUncertainty {
+    fn stated(&self) -> [Stated<'_>; 2] {
+        [
+            Stated {
+                quantity: Quantity::Length,
+                name: "lengths",
+                unit: "um",
+                factor: 1e-3,
+                standard: &self.standard_um,
+                directions: &self.directions_um,
+                row_covariance: &self.row_covariance_um2,
+            },
+            Stated {
+                quantity: Quantity::Angle,
+                name: "angles",
+                unit: "urad",
+                factor: 1e-6,
+                standard: &self.standard_urad,
+                directions: &self.directions_urad,
+                row_covariance: &self.row_covariance_urad2,
+            },
+        ]
+    }
+
+    fn has_row_covariance(&self) -> bool {
+        !(self.row_covariance_um2.is_empty() && self.row_covariance_urad2.is_empty())
+    }
+
     fn check(&self) -> Result<(), SettingsError> {
         let wrong = |name: &str, message: &str| Err(SettingsError::new(name, message));
-        let ways =
-            [self.column.is_some(), self.by.is_some(), !self.directions_um.is_empty(), self.covariance.is_some()];
+        let directions = !(self.directions_um.is_empty() && self.directions_urad.is_empty());
+        let ways = [self.column.is_some(), self.by.is_some(), directions, self.covariance.is_some()];
         if ways.iter().filter(|given| **given).count() > 1 {
-            return wrong("", "one of `column`, `by`, `directions_um` and `covariance` was expected");
+            return wrong("", "one of `column`, `by`, `directions_um` (`_urad`) and `covariance` was expected");
         }
-        if self.by.is_some() == self.standard_um.is_empty() {
-            return wrong("", "`by` and `standard_um` belong together: a label column, and numbers for its labels");
+        if self.by.is_some() == (self.standard_um.is_empty() && self.standard_urad.is_empty()) {
+            let message =
+                "`by` and `standard_um` (`standard_urad`) belong together: a label column, and numbers for its labels";
+            return wrong("", message);
         }
-        if self.covariance.is_some() && !(self.shared.is_empty() && self.row_covariance_um2.is_empty()) {
+        if self.covariance.is_some() && (self.has_row_covariance() || !self.shared.is_empty()) {
             return wrong("covariance", "a full covariance leaves nothing to add: leave out the other covariances");
         }
-        for (label, value) in &self.standard_um {
-            let under = |error: SettingsError| error.under([PathItem::Key("standard_um".to_owned())]);
-            positive(label, *value).map_err(under)?;
-        }
-        for (index, value) in self.directions_um.iter().enumerate() {
-            if !(*value > 0.0 && value.is_finite()) {
-                let error = SettingsError::new("", format!("{value}: a positive number was expected"));
-                return Err(error.under([PathItem::Key("directions_um".to_owned()), PathItem::Index(index)]));
+        for stated in self.stated() {
+            let key = |name: &str| PathItem::Key(stated.setting(name));
+            for (label, value) in stated.standard {
+                positive(label, *value).map_err(|error| error.under([key("standard")]))?;
+            }
+            for (index, value) in stated.directions.iter().enumerate() {
+                if !(*value > 0.0 && value.is_finite()) {
+                    let error = SettingsError::new("", format!("{value}: a positive number was expected"));
+                    return Err(error.under([key("directions"), PathItem::Index(index)]));
+                }
+            }
+            if !stated.row_covariance.is_empty() {
+                let name = stated.setting("row_covariance") + "2";
+                stated.covariance().map_err(|error| SettingsError::new(&name, error.message))?;
             }
         }
         for (index, shared) in self.shared.iter().enumerate() {
             let under =
                 |error: SettingsError| error.under([PathItem::Key("shared".to_owned()), PathItem::Index(index)]);
-            positive("standard_uncertainty_um", shared.standard_uncertainty_um).map_err(under)?;
-        }
-        if !self.row_covariance_um2.is_empty() {
-            self.row_covariance().map_err(|error| SettingsError::new("row_covariance_um2", error.message))?;
+            let mut given = false;
+            for stated in self.stated() {
+                let Some(value) = shared.of(stated.quantity) else { continue };
+                positive(&stated.setting("standard_uncertainty"), value).map_err(under)?;
+                given = true;
+            }
+            if !given {
+                let message = "`standard_uncertainty_um` or `standard_uncertainty_urad` was expected";
+                return Err(under(SettingsError::new("", message)));
+            }
         }
         Ok(())
     }
 
-    /// Covariance of the equations of a row, mm².
-    fn row_covariance(&self) -> Result<CovarianceBlock> {
-        let rows = &self.row_covariance_um2;
-        let size = rows.len();
-        if let Some(row) = rows.iter().find(|row| row.len() != size) {
-            return Err(Error::data(format!("a row has {} numbers; {size} were expected", row.len())));
-        }
-        let equations: Vec<usize> = (0..size).collect();
-        CovarianceBlock::new(
-            "one row",
-            &equations,
-            &DMatrix::from_fn(size, size, |row, column| rows[row][column] * 1e-6),
-        )
-    }
-
-    /// What these settings say of the rows of a layout; `covariance` is the file that they name.
+    /// What these settings say of the rows of observations; `covariance` is the file that they name.
     ///
-    /// Fails on columns and labels that are not there, on numbers that are no uncertainties, and on matrices that are no
-    /// covariance of these rows.
-    pub fn of_rows(&self, layout: &Layout, covariance: Option<&Dataset>) -> Result<EquationUncertainty> {
+    /// Fails on columns and labels that are not there, on numbers that are no uncertainties, on lengths for angles and angles
+    /// for lengths, and on matrices that are no covariance of these rows.
+    pub fn of_rows(
+        &self,
+        observations: &dyn Observations,
+        covariance: Option<&Dataset>,
+    ) -> Result<EquationUncertainty> {
+        let (layout, quantities) = (observations.layout(), quantities(observations));
         let mut uncertainty = EquationUncertainty::independent(layout.standard_uncertainties.clone());
         if let Some(covariance) = covariance {
-            return full(layout, covariance);
+            return full(layout, &quantities, covariance);
         }
-        self.set_standard(layout, &mut uncertainty.standard)?;
-        if self.shared.is_empty() && self.row_covariance_um2.is_empty() {
+        self.set_standard(layout, &quantities, &mut uncertainty.standard)?;
+        if self.shared.is_empty() && !self.has_row_covariance() {
             return Ok(uncertainty);
         }
-        let parts = self.covariances(layout, &uncertainty.standard)?;
+        let parts = self.covariances(layout, &quantities, &uncertainty.standard)?;
         let joined = components(uncertainty.standard.len(), &parts);
         for (index, members) in joined.iter().enumerate() {
             let place: BTreeMap<usize, usize> =
@@ -172,70 +300,110 @@ impl RowUncertainty {
         Ok(uncertainty)
     }
 
-    fn set_standard(&self, layout: &Layout, standard: &mut [f64]) -> Result<()> {
-        let (data, per_row) = (&layout.data, self.directions_um.len());
-        let numbers = match &self.column {
-            None => None,
-            Some(name) => Some(data.required_numbers(name).map_err(|error| error.setting("uncertainty"))?),
-        };
-        let labels = self.by.as_deref().map(|by| labels(data, by)).transpose()?;
-        if let Some(labels) = &labels
-            && let Some(label) = self.standard_um.keys().find(|label| !labels.contains(label))
-        {
-            let message = format!("`standard_um` names `{label}`, which is in no row");
-            return Err(Error::data(message).suggest(label, labels.iter().map(String::as_str)).setting("uncertainty"));
+    /// The columns with standard uncertainties, at most one of each quantity.
+    fn columns<'a>(&self, data: &'a Dataset) -> Result<Vec<(Quantity, &'a [f64])>> {
+        let mut columns: Vec<(Quantity, &[f64])> = Vec::new();
+        for name in self.column.iter().flat_map(Names::as_slice) {
+            let numbers = data.required_numbers(name).map_err(|error| error.setting("uncertainty"))?;
+            let wrong = |message: String| Err(Error::data(message).setting("uncertainty"));
+            match data.column(name).map(|column| column.header.quantity) {
+                Some(quantity @ (Quantity::Length | Quantity::Angle)) => {
+                    if columns.iter().any(|(other, _)| *other == quantity) {
+                        return wrong(format!("`{name}` is a second column of the same quantity; one was expected"));
+                    }
+                    columns.push((quantity, numbers));
+                }
+                _ => return wrong(format!("the column `{name}` holds neither lengths nor angles")),
+            }
         }
-        for row in &layout.rows {
-            let Some(data_row) = row.data_row else { continue };
-            let equations = &mut standard[row.first_equation..row.first_equation + row.equations];
-            if let Some(numbers) = numbers {
-                let value = numbers[data_row];
-                if !(value > 0.0 && value.is_finite()) {
-                    let message = format!("the standard uncertainty {value} mm of this row is not positive");
-                    return Err(data.error_at(data_row, message));
-                }
-                equations.fill(value);
+        Ok(columns)
+    }
+
+    fn set_standard(&self, layout: &Layout, quantities: &[Quantity], standard: &mut [f64]) -> Result<()> {
+        let data = &layout.data;
+        let columns = self.columns(data)?;
+        let labels = self.by.as_deref().map(|by| labels(data, by)).transpose()?;
+        for stated in self.stated() {
+            let numbers =
+                columns.iter().find(|(quantity, _)| *quantity == stated.quantity).map(|(_, numbers)| *numbers);
+            if numbers.is_some() {
+                stated.require("`column`", quantities)?;
             }
-            if let Some(value) = labels.as_ref().and_then(|labels| self.standard_um.get(&labels[data_row])) {
-                equations.fill(value * 1e-3);
+            if !stated.standard.is_empty() {
+                stated.require(&format!("`{}`", stated.setting("standard")), quantities)?;
             }
-            if per_row > 0 {
-                if equations.len() != per_row {
-                    return Err(directions("directions_um", per_row, equations.len()));
+            if let Some(labels) = &labels
+                && let Some(label) = stated.standard.keys().find(|label| !labels.contains(label))
+            {
+                let message = format!("`{}` names `{label}`, which is in no row", stated.setting("standard"));
+                let error = Error::data(message).suggest(label, labels.iter().map(String::as_str));
+                return Err(error.setting("uncertainty"));
+            }
+            for row in &layout.rows {
+                let Some(data_row) = row.data_row else { continue };
+                let members = stated.members(row, quantities);
+                let mut set = |value: f64| members.iter().for_each(|&equation| standard[equation] = value);
+                if let Some(value) = numbers.map(|numbers| numbers[data_row]) {
+                    if !(value > 0.0 && value.is_finite()) {
+                        let unit = if stated.quantity == Quantity::Angle { "rad" } else { "mm" };
+                        let message = format!("the standard uncertainty {value} {unit} of this row is not positive");
+                        return Err(data.error_at(data_row, message));
+                    }
+                    set(value);
                 }
-                equations.iter_mut().zip(&self.directions_um).for_each(|(to, value)| *to = value * 1e-3);
+                if let Some(value) = labels.as_ref().and_then(|labels| stated.standard.get(&labels[data_row])) {
+                    set(value * stated.factor);
+                }
+                if !stated.directions.is_empty() {
+                    let setting = stated.setting("directions");
+                    stated.directions(&setting, stated.directions.len(), members.len(), row)?;
+                    for (&equation, value) in members.iter().zip(stated.directions) {
+                        standard[equation] = value * stated.factor;
+                    }
+                }
             }
         }
         Ok(())
     }
 
     /// The covariances that add up: of every equation or row by itself, and of what is shared.
-    fn covariances(&self, layout: &Layout, standard: &[f64]) -> Result<Vec<(Vec<usize>, Part)>> {
+    fn covariances(
+        &self,
+        layout: &Layout,
+        quantities: &[Quantity],
+        standard: &[f64],
+    ) -> Result<Vec<(Vec<usize>, Part)>> {
         let mut parts = Vec::new();
-        let size = self.row_covariance_um2.len();
-        for row in &layout.rows {
-            let equations: Vec<usize> = (row.first_equation..row.first_equation + row.equations).collect();
-            if size == 0 || row.data_row.is_none() {
-                parts
-                    .extend(equations.iter().map(|&equation| (vec![equation], Part::Same(standard[equation].powi(2)))));
-            } else if size == row.equations {
-                parts.push((equations, Part::Matrix(self.row_covariance()?.covariance)));
-            } else {
-                return Err(directions("row_covariance_um2", size, row.equations));
-            }
-        }
-        for shared in &self.shared {
-            let labels = labels(&layout.data, &shared.by)?;
-            let mut groups: BTreeMap<(&str, usize), Vec<usize>> = BTreeMap::new();
+        for stated in self.stated() {
+            let of_row = (!stated.row_covariance.is_empty()).then(|| stated.covariance()).transpose()?;
             for row in &layout.rows {
-                let Some(data_row) = row.data_row else { continue };
-                for direction in 0..row.equations {
-                    let group = groups.entry((&labels[data_row], direction)).or_default();
-                    group.push(row.first_equation + direction);
+                let members = stated.members(row, quantities);
+                match &of_row {
+                    Some(covariance) if row.data_row.is_some() => {
+                        let setting = stated.setting("row_covariance") + "2";
+                        stated.directions(&setting, covariance.nrows(), members.len(), row)?;
+                        parts.push((members, Part::Matrix(covariance.clone())));
+                    }
+                    _ => {
+                        let own = |equation: usize| (vec![equation], Part::Same(standard[equation].powi(2)));
+                        parts.extend(members.into_iter().map(own));
+                    }
                 }
             }
-            let variance = (shared.standard_uncertainty_um * 1e-3).powi(2);
-            parts.extend(groups.into_values().map(|equations| (equations, Part::Same(variance))));
+            for shared in &self.shared {
+                let Some(value) = shared.of(stated.quantity) else { continue };
+                stated.require("`shared`", quantities)?;
+                let labels = labels(&layout.data, &shared.by)?;
+                let mut groups: BTreeMap<(&str, usize), Vec<usize>> = BTreeMap::new();
+                for row in &layout.rows {
+                    let Some(data_row) = row.data_row else { continue };
+                    for (direction, equation) in stated.members(row, quantities).into_iter().enumerate() {
+                        groups.entry((&labels[data_row], direction)).or_default().push(equation);
+                    }
+                }
+                let variance = (value * stated.factor).powi(2);
+                parts.extend(groups.into_values().map(|equations| (equations, Part::Same(variance))));
+            }
         }
         Ok(parts)
     }
@@ -256,12 +424,6 @@ impl Part {
             Self::Matrix(matrix) => matrix[(row, column)],
         }
     }
-}
-
-fn directions(setting: &str, given: usize, equations: usize) -> Error {
-    let message =
-        format!("`{setting}` is for {given} directions, but a row of this artefact has {equations} equations");
-    Error::data(message).setting("uncertainty")
 }
 
 fn labels<'a>(data: &'a Dataset, name: &str) -> Result<&'a [String]> {
@@ -292,8 +454,9 @@ fn components(equations: usize, parts: &[(Vec<usize>, Part)]) -> Vec<Vec<usize>>
     lists.into_values().collect()
 }
 
-/// The full covariance of all measured rows from a table whose first column and headers are the rows' labels.
-fn full(layout: &Layout, table: &Dataset) -> Result<EquationUncertainty> {
+/// The full covariance of all measured rows from a table whose first column and headers name their equations: by the row's
+/// label, with `.1`, `.2`, ... where a row has several. Constraints that are not measured keep their own uncertainty.
+fn full(layout: &Layout, quantities: &[Quantity], table: &Dataset) -> Result<EquationUncertainty> {
     let wrong = |message: String| {
         let error = Error::data(message).setting("uncertainty");
         table.files.first().map_or(error.clone(), |file| error.in_file(file))
@@ -304,6 +467,9 @@ fn full(layout: &Layout, table: &Dataset) -> Result<EquationUncertainty> {
     let Values::Labels(lines) = &first.values else {
         return Err(wrong("the first column of a covariance has labels of rows".to_owned()));
     };
+    if quantities.contains(&Quantity::Angle) {
+        return Err(wrong("rows with angles take no full covariance".to_owned()));
+    }
     let of_rows = labels(&layout.data, &first.header.name)?;
     let mut headers = Vec::new();
     for column in columns {
@@ -319,23 +485,22 @@ fn full(layout: &Layout, table: &Dataset) -> Result<EquationUncertainty> {
             columns.len()
         )));
     }
-    let mut places = Vec::new();
+    let (mut places, mut equations) = (Vec::new(), Vec::new());
     for row in &layout.rows {
-        let Some(data_row) = row.data_row else {
-            return Err(wrong(
-                "an artefact with constraints that are not measured takes no full covariance".to_owned(),
-            ));
-        };
-        if row.equations != 1 {
-            return Err(wrong(format!("rows with {} equations take no full covariance", row.equations)));
+        let Some(data_row) = row.data_row else { continue };
+        for equation in 0..row.equations {
+            let label = match row.equations {
+                1 => of_rows[data_row].clone(),
+                _ => format!("{}.{}", of_rows[data_row], equation + 1),
+            };
+            let (line, column) =
+                (lines.iter().position(|line| *line == label), headers.iter().position(|line| *line == label));
+            let (Some(line), Some(column)) = (line, column) else {
+                return Err(wrong(format!("the covariance has no row and column for {} {label}", first.header.name)));
+            };
+            places.push((line, column));
+            equations.push(row.first_equation + equation);
         }
-        let label = &of_rows[data_row];
-        let (line, column) =
-            (lines.iter().position(|line| line == label), headers.iter().position(|line| line == label));
-        let (Some(line), Some(column)) = (line, column) else {
-            return Err(wrong(format!("the covariance has no row and column for {} {label}", first.header.name)));
-        };
-        places.push((line, column));
     }
     let mut numbers = Vec::new();
     for column in columns {
@@ -352,10 +517,14 @@ fn full(layout: &Layout, table: &Dataset) -> Result<EquationUncertainty> {
         });
     }
     let size = places.len();
-    let matrix = DMatrix::from_fn(size, size, |row, column| numbers[places[column].1][places[row].0] * 1e-6);
-    let equations: Vec<usize> = (0..size).collect();
-    let block = CovarianceBlock::new("the rows", &equations, &matrix).map_err(|error| wrong(error.message))?;
-    let standard = (0..size).map(|row| block.covariance[(row, row)].sqrt()).collect();
+    let matrix = DMatrix::from_fn(size, size, |row, column| numbers[places[column].1][places[row].0]);
+    // Judged in µm², so that messages tell the numbers that the file has.
+    let mut block = CovarianceBlock::new("the rows", &equations, &matrix).map_err(|error| wrong(error.message))?;
+    block.covariance *= 1e-6;
+    let mut standard = layout.standard_uncertainties.clone();
+    for (row, &equation) in block.equations.iter().enumerate() {
+        standard[equation] = block.covariance[(row, row)].sqrt();
+    }
     Ok(EquationUncertainty { standard, blocks: vec![block], pooled: None })
 }
 

@@ -17,11 +17,14 @@ mod model;
 mod observations;
 mod parallel;
 mod pattern;
+mod planning;
 mod pose_table;
 mod probing;
 mod problem;
 mod registry;
+mod serial;
 mod settings;
+mod solved;
 mod stage;
 mod uncertainty;
 mod unit;
@@ -37,17 +40,22 @@ pub use dataset::{Column, ColumnHeader, Dataset, RowOrigin, Values};
 pub use error::{Class, Error, Place, Result, nearest};
 pub use input_uncertainty::{InputUncertainty, PooledRepeats, RowUncertainty, SharedError};
 pub use model::{
-    Absent, Axis, AxisKind, Branch, ErrorFunction, KinematicModel, MotionError, Parameter, Poses, StatusColumn,
-    Variable,
+    Absent, Axis, AxisKind, Branch, ErrorFunction, KinematicModel, MotionError, Parameter, Poses, PosesMut,
+    StatusColumn, Variable,
 };
-pub use observations::{Contact, Equations, Feature, KnownInput, Layout, Observations, PoseValues, Row, Target};
+pub use observations::{
+    Approach, Contact, Equations, Feature, KnownInput, Layout, Observations, PoseValues, Row, Target,
+};
 pub use parallel::in_parallel;
 pub use pattern::matches;
+pub use planning::{Planning, PlanningCriterion};
 pub use pose_table::{ColumnNaming, PoseTable, StatusSource, plain_naming, pose_columns};
 pub use probing::Lobing;
 pub use problem::{Block, Considered, Input, ObservationSet, Owner, Problem, Scatter, Unknown};
 pub use registry::{Build, Constructor, Context, Kind, Origin, Plugin, Provider, Registry};
-pub use settings::{Label, PathItem, SettingsError, from_settings, not_negative, path_text, positive, schema_of};
+pub use settings::{
+    Label, Names, PathItem, SettingsError, from_settings, not_negative, path_text, positive, schema_of,
+};
 pub use stage::{Artefact, Estimate, Export, ExportedFile, Fit, Ingest, InputFile, Model, Validate};
 pub use uncertainty::{CovarianceBlock, EquationUncertainty, Pooled};
 pub use unit::{Quantity, Unit};

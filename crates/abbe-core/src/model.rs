@@ -1,12 +1,17 @@
 //! What a kinematic model offers: axes, status columns, parameters, and tool poses with derivatives in batches.
 
+use std::any::Any;
+
+use serde::{Deserialize, Serialize};
 use serde_json::Value;
 
-use crate::error::Result;
+use crate::error::{Error, Result};
+use crate::serial::number;
 use crate::unit::{Quantity, Unit};
 
 /// Linear or rotary.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
 pub enum AxisKind {
     /// Commands in mm.
     Linear,
@@ -15,7 +20,8 @@ pub enum AxisKind {
 }
 
 /// The side of the bed on which an axis sits.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
 pub enum Branch {
     /// Between bed and tool.
     Tool,
@@ -24,7 +30,7 @@ pub enum Branch {
 }
 
 /// An axis of the machine.
-#[derive(Debug, Clone, PartialEq)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Axis {
     /// Name, as in the columns of data files.
     pub name: String,
@@ -37,30 +43,34 @@ pub struct Axis {
     /// Unit direction, machine frame.
     pub direction: [f64; 3],
     /// Range of commands in mm or rad, if known.
+    #[serde(default)]
     pub range: Option<[f64; 2]>,
     /// Indexed and not interpolated (a spindle).
+    #[serde(default)]
     pub indexed: bool,
     /// Index of the command among [`KinematicModel::status`].
     pub status: usize,
 }
 
 /// What happens when the data have no column for a status.
-#[derive(Debug, Clone, Copy, PartialEq)]
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
 pub enum Absent {
     /// It is an error.
     Refused,
     /// This value is taken for every row; NaN means that the status is unknown and what depends on it has no effect.
-    Taken(f64),
+    Taken(#[serde(deserialize_with = "number")] f64),
 }
 
 /// A column of the status of a pose that a model takes.
-#[derive(Debug, Clone, PartialEq)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct StatusColumn {
     /// Name without unit: `X`, `dir_X`, `time`, `day`, `stylus`.
     pub name: String,
     /// Its quantity; `Label` with `levels`.
     pub quantity: Quantity,
     /// For labels: the known ones, passed to the model as their index; an unknown one as NaN.
+    #[serde(default)]
     pub levels: Vec<String>,
     /// What an absent column means.
     pub absent: Absent,
@@ -68,7 +78,7 @@ pub struct StatusColumn {
 
 /// A parameter or an unknown: name and unit. Its nominal value is zero, unless a model says otherwise
 /// ([`KinematicModel::nominal`]).
-#[derive(Debug, Clone, PartialEq)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Parameter {
     /// Name as in the conventions, e.g. `EXX[1]`.
     pub name: String,
@@ -113,10 +123,33 @@ impl Poses {
         zero(&mut self.position_derivatives, poses * variables);
         zero(&mut self.rotation_derivatives, poses * variables * turned);
     }
+
+    /// The lists as slices.
+    pub fn as_mut(&mut self) -> PosesMut<'_> {
+        PosesMut {
+            positions: &mut self.positions,
+            orientations: &mut self.orientations,
+            position_derivatives: &mut self.position_derivatives,
+            rotation_derivatives: &mut self.rotation_derivatives,
+        }
+    }
+}
+
+/// Where poses go: the lists of [`Poses`] as slices, of the right lengths and zero, wherever they live.
+#[derive(Debug)]
+pub struct PosesMut<'a> {
+    /// As [`Poses::positions`].
+    pub positions: &'a mut [[f64; 3]],
+    /// As [`Poses::orientations`].
+    pub orientations: &'a mut [[f64; 4]],
+    /// As [`Poses::position_derivatives`].
+    pub position_derivatives: &'a mut [[f64; 3]],
+    /// As [`Poses::rotation_derivatives`].
+    pub rotation_derivatives: &'a mut [[f64; 3]],
 }
 
 /// A motion error of an axis, for those who sample or compensate it.
-#[derive(Debug, Clone, PartialEq)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct ErrorFunction {
     /// ISO 230-1 symbol, e.g. `EYX`.
     pub symbol: String,
@@ -129,7 +162,7 @@ pub struct ErrorFunction {
 }
 
 /// The value of a motion error at a status, and how it depends on parameters.
-#[derive(Debug, Clone, Default, PartialEq)]
+#[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
 pub struct MotionError {
     /// Its value, mm or rad.
     pub value: f64,
@@ -170,6 +203,37 @@ pub trait KinematicModel: Send + Sync {
         orientation: bool,
         out: &mut Poses,
     ) -> Result<()>;
+
+    /// The same into slices that somebody else owns, already of the right lengths and zero: what crosses the border of a
+    /// dynamic plugin. Models in a hurry write there directly; this one copies.
+    fn evaluate_into(
+        &self,
+        statuses: &[f64],
+        values: &[f64],
+        wanted: &[Variable],
+        orientation: bool,
+        out: PosesMut<'_>,
+    ) -> Result<()> {
+        let mut poses = Poses::default();
+        self.evaluate(statuses, values, wanted, orientation, &mut poses)?;
+        let fits = poses.positions.len() == out.positions.len()
+            && poses.orientations.len() == out.orientations.len()
+            && poses.position_derivatives.len() == out.position_derivatives.len()
+            && poses.rotation_derivatives.len() == out.rotation_derivatives.len();
+        if !fits {
+            return Err(Error::data("the model gave another number of poses or derivatives than it was asked for"));
+        }
+        out.positions.copy_from_slice(&poses.positions);
+        out.orientations.copy_from_slice(&poses.orientations);
+        out.position_derivatives.copy_from_slice(&poses.position_derivatives);
+        out.rotation_derivatives.copy_from_slice(&poses.rotation_derivatives);
+        Ok(())
+    }
+
+    /// What stands behind a model that lives on the other side of a border; none if it lives here.
+    fn behind(&self) -> Option<&dyn Any> {
+        None
+    }
 
     /// Settings from which the same plugin builds this very model again, without any data.
     fn settings(&self) -> Value;

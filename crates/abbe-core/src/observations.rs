@@ -1,6 +1,9 @@
 //! What an artefact makes of a data set: rows of equations that tie poses, own unknowns and known inputs.
 
+use std::any::Any;
 use std::sync::Arc;
+
+use serde::{Deserialize, Serialize};
 
 use crate::dataset::Dataset;
 use crate::error::Result;
@@ -9,7 +12,7 @@ use crate::pose_table::{ColumnNaming, PoseTable, StatusSource, pose_columns};
 use crate::unit::Quantity;
 
 /// A named number that is not estimated but whose uncertainty all rows that use it share.
-#[derive(Debug, Clone, PartialEq)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct KnownInput {
     /// Own name, e.g. `length`.
     pub parameter: Parameter,
@@ -23,7 +26,7 @@ pub struct KnownInput {
 }
 
 /// One measurement: which poses it ties in which equations, and the data row that it comes from.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Row {
     /// First of its poses in [`Layout::poses`].
     pub first_pose: usize,
@@ -38,16 +41,28 @@ pub struct Row {
 }
 
 /// What gives way until the equations of a row hold, when the row is really measured.
-#[derive(Debug, Clone, PartialEq)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
 pub enum Contact {
     /// The linear axes of all its poses move, by as little as possible, until the probe triggers.
     LinearAxes,
     /// The reading in this column (without unit) takes up the difference; nothing moves.
     Reading(String),
+    /// Such rows are estimated, but not simulated yet; the text says why not, for people.
+    NotSimulated(String),
+}
+
+/// How a row is touched that only one axis approaches.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct Approach {
+    /// Index of the linear axis that moves until contact; the others stay where they are.
+    pub axis: usize,
+    /// The column (without unit) that records where it triggered, besides that of the axis itself.
+    pub reading: String,
 }
 
 /// A feature of an artefact in the table frame: nominal place plus what is estimated of it.
-#[derive(Debug, Clone, PartialEq)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Feature {
     /// Its label.
     pub label: String,
@@ -58,7 +73,7 @@ pub struct Feature {
 }
 
 /// Where the tip is sent to measure a feature.
-#[derive(Debug, Clone, PartialEq)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Target {
     /// Label of the feature.
     pub feature: String,
@@ -88,12 +103,49 @@ pub struct Equations {
 }
 
 impl Equations {
-    pub(crate) fn clear(&mut self) {
+    /// Forgets all equations.
+    pub fn clear(&mut self) {
         self.residuals.clear();
         self.by_position.clear();
         self.by_rotation.clear();
         self.by_own.clear();
         self.by_input.clear();
+    }
+
+    /// The residuals.
+    pub fn residuals(&self) -> &[f64] {
+        &self.residuals
+    }
+
+    /// Derivatives to tip positions, equation by equation, pose by pose.
+    pub fn by_position(&self) -> &[[f64; 3]] {
+        &self.by_position
+    }
+
+    /// Derivatives to rotation vectors, in the same order; empty where orientations do not count.
+    pub fn by_rotation(&self) -> &[[f64; 3]] {
+        &self.by_rotation
+    }
+
+    /// Derivatives to own unknowns: (equation, unknown, derivative).
+    pub fn by_own(&self) -> &[(usize, usize, f64)] {
+        &self.by_own
+    }
+
+    /// Derivatives to known inputs: (equation, input, derivative).
+    pub fn by_input(&self) -> &[(usize, usize, f64)] {
+        &self.by_input
+    }
+
+    /// Adds the equations of another list.
+    pub fn append(&mut self, other: &Self) {
+        let first = self.residuals.len();
+        let moved = |&(equation, index, derivative): &(usize, usize, f64)| (first + equation, index, derivative);
+        self.residuals.extend_from_slice(&other.residuals);
+        self.by_position.extend_from_slice(&other.by_position);
+        self.by_rotation.extend_from_slice(&other.by_rotation);
+        self.by_own.extend(other.by_own.iter().map(moved));
+        self.by_input.extend(other.by_input.iter().map(moved));
     }
 
     /// Starts the next equation with its residual, left side of the observation equation, in mm or rad.
@@ -124,9 +176,10 @@ impl Equations {
 }
 
 /// The rows of some observations: the part that is alike for all artefacts.
-#[derive(Debug, Clone)]
+#[derive(Debug, Clone, Serialize, Deserialize)]
 pub struct Layout {
-    /// The data set.
+    /// The data set; whoever writes a layout down writes its data set beside it.
+    #[serde(skip)]
     pub data: Arc<Dataset>,
     /// The rows, each with its poses and equations.
     pub rows: Vec<Row>,
@@ -227,6 +280,11 @@ pub trait Observations: Send + Sync {
     /// Known inputs.
     fn inputs(&self) -> &[KnownInput];
 
+    /// What an equation of a row is an equation of: lengths (mm) or angles (rad).
+    fn quantity(&self, _row: usize, _equation: usize) -> Quantity {
+        Quantity::Length
+    }
+
     /// Whether the equations depend on tool orientations.
     fn needs_orientation(&self) -> bool {
         false
@@ -235,9 +293,32 @@ pub trait Observations: Send + Sync {
     /// Residuals and derivatives of some rows, in the order of `rows`; `poses` has their poses one after another.
     fn evaluate(&self, rows: &[usize], poses: PoseValues<'_>, own: &[f64], inputs: &[f64], out: &mut Equations);
 
+    /// The same where it can fail: of observations on the other side of a border.
+    fn try_evaluate(
+        &self,
+        rows: &[usize],
+        poses: PoseValues<'_>,
+        own: &[f64],
+        inputs: &[f64],
+        out: &mut Equations,
+    ) -> Result<()> {
+        self.evaluate(rows, poses, own, inputs, out);
+        Ok(())
+    }
+
+    /// What stands behind observations that live on the other side of a border; none if they live here.
+    fn behind(&self) -> Option<&dyn Any> {
+        None
+    }
+
     /// Where the tip of a row's pose is in nominal contact, table frame, given where it is by the model: on the feature as
     /// estimated, without the sideways offset with which it was met. None where contact does not fix the tip.
     fn contact_tip(&self, _row: usize, _tip: [f64; 3], _own: &[f64], _inputs: &[f64]) -> Option<[f64; 3]> {
+        None
+    }
+
+    /// The only axis that moves until contact when a row is really measured; none if all linear axes give way.
+    fn approach(&self, _row: usize) -> Option<Approach> {
         None
     }
 

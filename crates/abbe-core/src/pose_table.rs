@@ -2,15 +2,19 @@
 
 use std::path::PathBuf;
 
+use serde::{Deserialize, Serialize};
+
 use crate::dataset::{ColumnHeader, Dataset, Values, missing_column};
 use crate::error::{Error, Result};
 use crate::model::{Absent, Axis, AxisKind, KinematicModel, StatusColumn};
+use crate::serial::{number, numbers};
 use crate::unit::Quantity;
 
 /// Statuses of poses, row by row, in the column order of the model that they were gathered for.
-#[derive(Debug, Clone, PartialEq, Default)]
+#[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
 pub struct PoseTable {
     width: usize,
+    #[serde(deserialize_with = "numbers")]
     values: Vec<f64>,
 }
 
@@ -24,12 +28,13 @@ pub fn plain_naming(status: &StatusColumn, _: Option<&Axis>) -> (Vec<String>, Ab
 }
 
 /// A status and the column that holds it; `Absent::Taken` where there is none.
-#[derive(Debug, Clone, PartialEq)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
 pub enum StatusSource {
     /// Name of the column, without unit.
     Column(String),
     /// The value taken for every row.
-    Taken(f64),
+    Taken(#[serde(deserialize_with = "number")] f64),
 }
 
 /// Finds the column of every status of the model among `headers`.

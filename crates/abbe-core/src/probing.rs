@@ -47,7 +47,7 @@ impl Problem {
                 self.model.evaluate(set.poses().row(row.first_pose), &self.machine, &[], true, &mut poses)?;
                 equations.clear();
                 let values = PoseValues { positions: &poses.positions, orientations: &poses.orientations };
-                set.observations.evaluate(&[index], values, &set.own, &set.inputs, &mut equations);
+                set.observations.try_evaluate(&[index], values, &set.own, &set.inputs, &mut equations)?;
                 let [w, x, y, z] = poses.orientations[0];
                 let tool = UnitQuaternion::from_quaternion(Quaternion::new(w, x, y, z));
                 let normal = Vector3::from(equations.by_position[0]).try_normalize(0.0);

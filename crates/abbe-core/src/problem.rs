@@ -6,6 +6,8 @@
 use std::ops::Range;
 use std::sync::Arc;
 
+use serde::{Deserialize, Serialize};
+
 use crate::calibration::{Calibration, ModelRecord};
 use crate::dataset::RowOrigin;
 use crate::error::{Error, Result};
@@ -14,7 +16,7 @@ use crate::observations::{Equations, Observations, PoseValues};
 use crate::pattern::matches;
 use crate::pose_table::PoseTable;
 use crate::uncertainty::{CovarianceBlock, EquationUncertainty, Pooled};
-use crate::unit::Unit;
+use crate::unit::{Quantity, Unit};
 
 /// Rows that are evaluated together: enough to amortise a call, few enough for their derivatives to stay in the cache.
 pub(crate) const CHUNK: usize = 64;
@@ -72,6 +74,11 @@ impl ObservationSet {
         self.disturbances.as_ref().map(|disturbances| disturbances.as_slice())
     }
 
+    /// Makes these what is added to the residuals, in the order of the layout.
+    pub fn disturb(&mut self, disturbances: Vec<f64>) {
+        self.disturbances = Some(Arc::new(disturbances));
+    }
+
     /// The same observations with other statuses of all poses.
     pub fn with_poses(&self, poses: PoseTable) -> Self {
         Self { moved: Some(Arc::new(poses)), ..self.clone() }
@@ -89,7 +96,8 @@ impl ObservationSet {
 }
 
 /// Whose an unknown is.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
 pub enum Owner {
     /// A parameter of the model.
     Machine,
@@ -100,7 +108,7 @@ pub enum Owner {
 }
 
 /// Something to be estimated.
-#[derive(Debug, Clone, PartialEq)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Unknown {
     /// Name in results: `EXX[1]`, `table.facet[7].d`.
     pub name: String,
@@ -124,7 +132,7 @@ pub struct Block<'a> {
 }
 
 /// A known input of a problem, with everybody who uses it.
-#[derive(Debug, Clone, PartialEq)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Input {
     /// Name in results: `bar.reference_error`, or `stylus_radius` where it is the machine's.
     pub name: String,
@@ -143,7 +151,7 @@ impl Input {
 }
 
 /// What is not estimated but whose uncertainty counts: known inputs, and what an earlier calibration knows.
-#[derive(Debug, Clone, Default, PartialEq)]
+#[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
 pub struct Considered {
     /// The parameters.
     pub unknowns: Vec<Unknown>,
@@ -464,6 +472,18 @@ impl Problem {
         all
     }
 
+    /// What each equation is an equation of, lengths or angles, in the order of the equations.
+    pub fn quantities(&self) -> Vec<Quantity> {
+        let mut all = Vec::with_capacity(self.equations());
+        for ObservationSet { observations, rows, .. } in &self.sets {
+            for &row in rows {
+                let equations = 0..observations.layout().rows[row].equations;
+                all.extend(equations.map(|equation| observations.quantity(row, equation)));
+            }
+        }
+        all
+    }
+
     /// Where a row was read.
     pub fn origin(&self, set: usize, row: usize) -> Option<(&std::path::Path, RowOrigin)> {
         let observations = &self.sets[set].observations;
@@ -553,7 +573,7 @@ impl Problem {
         self.model.evaluate(&work.statuses, &self.machine, wanted, orientation, &mut work.poses)?;
         work.equations.clear();
         let poses = PoseValues { positions: &work.poses.positions, orientations: &work.poses.orientations };
-        set.observations.evaluate(rows, poses, &set.own, &set.inputs, &mut work.equations);
+        set.observations.try_evaluate(rows, poses, &set.own, &set.inputs, &mut work.equations)?;
         if let Some(disturbances) = &set.disturbances {
             let equations = rows.iter().map(|&row| set.observations.layout().rows[row]);
             let equations = equations.flat_map(|row| row.first_equation..row.first_equation + row.equations);

@@ -141,6 +141,8 @@ pub struct Plugin {
     pub name: Cow<'static, str>,
     /// One line that says what it does.
     pub about: Cow<'static, str>,
+    /// The version of the program or library that it is part of.
+    pub version: Cow<'static, str>,
     /// Where it comes from.
     pub origin: Origin,
     /// JSON Schema of its settings.
@@ -163,6 +165,7 @@ impl Plugin {
         Self {
             name: Cow::Borrowed(name),
             about: Cow::Borrowed(about),
+            version: Cow::Borrowed(env!("CARGO_PKG_VERSION")),
             origin: Origin::BuiltIn,
             schema: Provider::Static(schema),
             example: Provider::Static(example),

@@ -7,10 +7,11 @@ use serde::de::{self, DeserializeOwned, IntoDeserializer};
 use serde::{Deserialize, Deserializer, Serialize};
 use serde_json::Value;
 
-use crate::error::nearest;
+use crate::error::{Class, nearest};
 
 /// One step on the way to a setting: a key of a map or an index of a list.
-#[derive(Debug, Clone, PartialEq, Eq, PartialOrd, Ord)]
+#[derive(Debug, Clone, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
+#[serde(untagged)]
 pub enum PathItem {
     /// Key of a map.
     Key(String),
@@ -32,23 +33,29 @@ pub fn path_text(path: &[PathItem]) -> String {
 }
 
 /// A setting that is wrong.
-#[derive(Debug, Clone, PartialEq)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct SettingsError {
     /// Where the wrong setting stands.
+    #[serde(default)]
     pub path: Vec<PathItem>,
     /// The key itself is wrong, not its value.
+    #[serde(default)]
     pub key: bool,
     /// What is wrong and what was expected.
     pub message: String,
     /// What to do.
+    #[serde(default)]
     pub help: Option<String>,
+    /// [`Class::Data`] if no setting is wrong, but the plugin failed while it read them.
+    #[serde(default)]
+    pub class: Class,
 }
 
 impl SettingsError {
     /// A wrong value of the setting `name` (empty: of the whole).
     pub fn new(name: &str, message: impl Into<String>) -> Self {
         let path = if name.is_empty() { Vec::new() } else { vec![PathItem::Key(name.to_owned())] };
-        Self { path, key: false, message: message.into(), help: None }
+        Self { path, key: false, message: message.into(), help: None, class: Class::Use }
     }
 
     /// Adds what to do.
@@ -215,6 +222,26 @@ impl JsonSchema for Label {
 
     fn json_schema(_: &mut schemars::SchemaGenerator) -> schemars::Schema {
         schemars::json_schema!({ "type": ["string", "number"] })
+    }
+}
+
+/// One name or a list of names.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+#[serde(untagged, expecting = "a name or a list of names was expected")]
+pub enum Names {
+    /// One.
+    One(String),
+    /// Several.
+    Several(Vec<String>),
+}
+
+impl Names {
+    /// The names.
+    pub fn as_slice(&self) -> &[String] {
+        match self {
+            Self::One(name) => std::slice::from_ref(name),
+            Self::Several(names) => names,
+        }
     }
 }
 

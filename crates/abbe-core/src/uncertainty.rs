@@ -1,15 +1,17 @@
 //! How uncertain the equations of some observations are, each for itself and together.
 
 use nalgebra::DMatrix;
+use serde::{Deserialize, Serialize};
 
 use crate::error::{Error, Result};
 
 /// Covariance of some equations with one another.
-#[derive(Debug, Clone, PartialEq)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct CovarianceBlock {
     /// Indices of the equations, ascending.
     pub equations: Vec<usize>,
     /// Their covariance, mm² (rad²), positive definite.
+    #[serde(with = "crate::serial::matrix")]
     pub covariance: DMatrix<f64>,
 }
 
@@ -82,7 +84,7 @@ impl CovarianceBlock {
 ///
 /// The covariance of the equations is the sum of the outer products of the deviations over the degrees of freedom. It is
 /// of low rank (there are more rows than repeats), so that it propagates to estimates but gives no weights.
-#[derive(Debug, Clone, PartialEq)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Pooled {
     /// The column whose groups are pooled.
     pub by: String,
@@ -95,7 +97,7 @@ pub struct Pooled {
 }
 
 /// How uncertain the equations of some observations, or of a problem, are.
-#[derive(Debug, Clone, PartialEq, Default)]
+#[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
 pub struct EquationUncertainty {
     /// Standard uncertainty of every equation, mm (rad).
     pub standard: Vec<f64>,

@@ -3,8 +3,11 @@
 use std::fmt;
 use std::str::FromStr;
 
+use serde::{Deserialize, Serialize};
+
 /// What a column or a parameter is a quantity of; in memory each has one unit only.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, PartialOrd, Ord)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, PartialOrd, Ord, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
 pub enum Quantity {
     /// An identifier: text that is compared, never computed with.
     Label,
@@ -97,7 +100,8 @@ impl Quantity {
 }
 
 /// The unit of a parameter: a quantity, or a quantity per power of another (`mm/rad^2`).
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(try_from = "String", into = "String")]
 pub struct Unit {
     /// The numerator.
     pub of: Quantity,
@@ -146,6 +150,20 @@ impl fmt::Display for Unit {
             Some((per, 1)) => write!(f, "{}/{}", self.of.symbol(), per.symbol()),
             Some((per, power)) => write!(f, "{}/{}^{power}", self.of.symbol(), per.symbol()),
         }
+    }
+}
+
+impl TryFrom<String> for Unit {
+    type Error = String;
+
+    fn try_from(text: String) -> Result<Self, String> {
+        text.parse()
+    }
+}
+
+impl From<Unit> for String {
+    fn from(unit: Unit) -> Self {
+        unit.to_string()
     }
 }
 

@@ -48,7 +48,7 @@ impl Figure {
 }
 
 /// What a validator hands back.
-#[derive(Debug, Clone, PartialEq, Default)]
+#[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
 pub struct Findings {
     /// The figures, most important first.
     pub figures: Vec<Figure>,

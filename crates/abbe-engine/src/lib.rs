@@ -2,15 +2,21 @@
 //!
 //! [`prepare`] finds everything that can be wrong without reading data rows; [`Prepared::check`] adds what the planned fits
 //! can determine; [`Prepared::run`] does the work and keeps the results in memory; [`Outcome::write`] puts them on disk.
-//! [`Prepared::simulate`] measures the programme of a recipe on a virtual machine instead.
+//! [`Prepared::plan`] chooses which measurements to make; [`Prepared::simulate`] measures the programme of a recipe on a virtual machine instead.
 
+mod folder;
 mod outcome;
+mod places;
+mod plan;
 mod prepare;
 mod run;
 mod simulate;
 mod uncertainty;
 
+pub use abbe_planning::{Plan, PlanFigures};
+pub use folder::can_write_folder;
 pub use outcome::Outcome;
+pub use plan::Measurements;
 pub use prepare::{Prepared, prepare};
 pub use run::{Event, Listener, Planned, model_of};
-pub use simulate::{Simulated, SimulatedFile};
+pub use simulate::{Simulated, SimulatedFile, UnchangedFile};

@@ -5,7 +5,7 @@ use std::io::{self, Read};
 use std::path::{Path, PathBuf};
 use std::time::{Duration, SystemTime, UNIX_EPOCH};
 
-use abbe_core::{Error, ExportedFile, Fit, Kind, Result, Verdict};
+use abbe_core::{Error, ExportedFile, Fit, Origin, Plugin, Result, Verdict};
 use serde::Serialize;
 use sha2::{Digest, Sha256};
 
@@ -20,7 +20,7 @@ pub struct Outcome {
     /// Exported files by stage.
     pub exports: Vec<(String, Vec<ExportedFile>)>,
     pub(crate) inputs: Vec<InputRecord>,
-    pub(crate) plugins: Vec<(Kind, String)>,
+    pub(crate) plugins: Vec<PluginRecord>,
     pub(crate) started: SystemTime,
     pub(crate) duration: Duration,
 }
@@ -56,12 +56,26 @@ pub(crate) fn input_records(files: &[PathBuf]) -> Result<Vec<InputRecord>> {
     Ok(records)
 }
 
-#[derive(Debug, PartialEq, Serialize)]
-struct PluginRecord {
+/// A plugin that does work in a run.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub(crate) struct PluginRecord {
     kind: &'static str,
     name: String,
-    origin: &'static str,
-    version: &'static str,
+    origin: String,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    sha256: Option<String>,
+    version: String,
+}
+
+impl PluginRecord {
+    pub fn of(plugin: &Plugin) -> Self {
+        let (origin, sha256) = match &plugin.origin {
+            Origin::BuiltIn => ("built-in".to_owned(), None),
+            Origin::Library { file, sha256 } => (file.display().to_string(), Some(sha256.clone())),
+        };
+        let (name, version) = (plugin.name.to_string(), plugin.version.to_string());
+        Self { kind: plugin.kind().key(), name, origin, sha256, version }
+    }
 }
 
 impl Outcome {
@@ -103,24 +117,12 @@ impl Outcome {
     }
 
     fn record(&self) -> RunRecord {
-        let mut plugins = Vec::new();
-        for (kind, name) in &self.plugins {
-            let record = PluginRecord {
-                kind: kind.key(),
-                name: name.clone(),
-                origin: "built-in",
-                version: env!("CARGO_PKG_VERSION"),
-            };
-            if !plugins.contains(&record) {
-                plugins.push(record);
-            }
-        }
         RunRecord {
             abbe_run: 1,
             version: env!("CARGO_PKG_VERSION"),
             recipe: self.recipe.clone(),
             inputs: self.inputs.clone(),
-            plugins,
+            plugins: self.plugins.clone(),
             started_unix_s: self.started.duration_since(UNIX_EPOCH).map_or(0, |since| since.as_secs()),
             duration_s: self.duration.as_secs_f64(),
         }

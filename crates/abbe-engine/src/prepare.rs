@@ -6,11 +6,12 @@ use std::sync::Arc;
 
 use abbe_core::{
     Artefact, Build, ColumnHeader, Constructor, Context, Error, Estimate, Export, Ingest, InputFile, Kind, Model,
-    Plugin, Registry, Result, SettingsError, Validate,
+    Origin, Plugin, Registry, Result, SettingsError, Validate,
 };
-use abbe_recipe::{Recipe, Stage};
+use abbe_recipe::{Library, Recipe, Stage};
 use serde_json::Value;
 
+use crate::outcome::PluginRecord;
 use crate::uncertainty::RowsOf;
 
 /// The stages of a recipe, built and checked as far as that goes without data rows.
@@ -24,6 +25,8 @@ pub struct Prepared {
     pub(crate) estimators: BTreeMap<String, Arc<dyn Estimate>>,
     pub(crate) validators: BTreeMap<String, Box<dyn Validate>>,
     pub(crate) exporters: BTreeMap<String, Box<dyn Export>>,
+    /// The plugins that do the work.
+    pub(crate) plugins: Vec<PluginRecord>,
     /// Every file that the recipe reads, itself first.
     pub(crate) files: Vec<PathBuf>,
 }
@@ -34,8 +37,11 @@ pub struct Prepared {
 /// headers.
 pub fn prepare(path: &Path, registry: &Registry) -> Result<Prepared> {
     let recipe = Recipe::read(path, registry)?;
-    if let Some(library) = recipe.libraries.first() {
-        let mut error = Error::usage(format!("{}: this program cannot load plugin libraries", library.path.display()));
+    let loaded = |library: &&Library| {
+        registry.iter().any(|plugin| matches!(&plugin.origin, Origin::Library { file, .. } if *file == library.path))
+    };
+    if let Some(library) = recipe.libraries.iter().find(|library| !loaded(library)) {
+        let mut error = Error::usage(format!("the plugin library {} has not been loaded", library.path.display()));
         error.place = library.place.clone();
         return Err(error);
     }
@@ -48,8 +54,10 @@ pub fn prepare(path: &Path, registry: &Registry) -> Result<Prepared> {
         validators: BTreeMap::new(),
         exporters: BTreeMap::new(),
         files: vec![path.to_owned()],
+        plugins: Vec::new(),
         recipe,
     };
+    prepared.files.extend(prepared.recipe.libraries.iter().map(|library| library.path.clone()));
     let context = Context { base: prepared.recipe.base.clone() };
     for stage in prepared.recipe.stages.clone() {
         let inputs = prepared.build(&stage, registry, &context)?;
@@ -75,6 +83,10 @@ impl Prepared {
     fn build(&mut self, stage: &Stage, registry: &Registry, context: &Context) -> Result<Vec<InputFile>> {
         let wrong = |error: SettingsError| self.recipe.settings_error(&stage.name, error);
         let plugin = registry.find(stage.kind, &stage.plugin).map_err(wrong)?;
+        let record = PluginRecord::of(plugin);
+        if !self.plugins.contains(&record) {
+            self.plugins.push(record);
+        }
         let settings = &stage.settings;
         let name = stage.name.clone();
         match &plugin.build {

@@ -45,7 +45,7 @@ pub struct Planned {
 /// Hears what is going on, from any thread.
 pub type Listener<'a> = dyn Fn(Event<'_>) + Sync + 'a;
 
-type Datasets = BTreeMap<String, Arc<Dataset>>;
+pub(crate) type Datasets = BTreeMap<String, Arc<Dataset>>;
 
 impl Prepared {
     /// Everything but the fits: data, problems, and what the fits can determine at nominal contact points.
@@ -119,7 +119,7 @@ impl Prepared {
             verdicts,
             exports,
             inputs,
-            plugins: self.recipe.stages.iter().map(|stage| (stage.kind, stage.plugin.clone())).collect(),
+            plugins: self.plugins.clone(),
             started,
             duration: clock.elapsed(),
         })
@@ -154,7 +154,7 @@ impl Prepared {
         tell(Event::Started { stage: &stage.name, kind: stage.kind, done, all: working.len() });
     }
 
-    fn read(&self, tell: &Listener<'_>) -> Result<Datasets> {
+    pub(crate) fn read(&self, tell: &Listener<'_>) -> Result<Datasets> {
         let mut data = BTreeMap::new();
         for stage in self.stages(Kind::Ingest) {
             self.started(stage, tell);
@@ -165,7 +165,7 @@ impl Prepared {
     }
 
     /// Model and observations of an estimate.
-    fn problem(&self, stage: &Stage, data: &Datasets, taken: &mut Taken) -> Result<Problem> {
+    pub(crate) fn problem(&self, stage: &Stage, data: &Datasets, taken: &mut Taken) -> Result<Problem> {
         let names = stage.reference("observations");
         let mut used: Vec<&Dataset> = Vec::new();
         let mut ingests: Vec<&str> = Vec::new();
@@ -221,7 +221,7 @@ pub(crate) fn has_problem(stage: &&Stage) -> bool {
 }
 
 /// Rows of each data set that some artefact took.
-type Taken = BTreeMap<String, BTreeSet<usize>>;
+pub(crate) type Taken = BTreeMap<String, BTreeSet<usize>>;
 
 /// The problem with what it takes over from earlier estimates: start values, or values that are known.
 fn start(stage: &Stage, problem: Problem, fits: &[Fit]) -> Problem {

@@ -4,17 +4,19 @@ use std::collections::{BTreeMap, BTreeSet};
 use std::ffi::OsStr;
 use std::fs;
 use std::io;
-use std::path::{Component, Path, PathBuf};
+use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
 use abbe_core::{
-    AxisKind, Contact, Dataset, Error, Kind, Layout, ObservationSet, Observations, Problem, Quantity, Result, Row,
+    Approach, AxisKind, Contact, Dataset, Error, Kind, Layout, ObservationSet, Observations, Problem, Quantity, Result,
+    Row,
 };
 use abbe_recipe::Stage;
 use abbe_simulation::{Truth, measure};
 use abbe_table::Cells;
 
-use crate::outcome::{staging, unwritable};
+use crate::folder::write_folder;
+use crate::places::Places;
 use crate::prepare::Prepared;
 use crate::run::has_problem;
 
@@ -25,6 +27,8 @@ pub struct Simulated {
     pub recipe: PathBuf,
     /// The data files that were simulated.
     pub data: Vec<SimulatedFile>,
+    /// The data files that stay as they are: what the recipe finds in them is not of the simulated machine.
+    pub not_simulated: Vec<UnchangedFile>,
     /// What differs from nominal, and the noise; one line each.
     pub varied: Vec<String>,
     /// All files with their contents, relative to the folder that they are written into.
@@ -40,6 +44,15 @@ pub struct SimulatedFile {
     pub measured: usize,
     /// Rows that no artefact takes, which are as they were.
     pub copied: usize,
+}
+
+/// A data file of which no row is simulated.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct UnchangedFile {
+    /// The file, relative to the folder that it is written into.
+    pub file: PathBuf,
+    /// The stages that use what is read from it.
+    pub read_by: BTreeSet<String>,
 }
 
 /// What the truth is called in the folder.
@@ -64,7 +77,8 @@ impl Prepared {
 
         let mut places = Places::new(&self.recipe.base);
         let mut files = BTreeMap::new();
-        let mut data = Vec::new();
+        let (mut data, mut not_simulated) = (Vec::new(), Vec::new());
+        let readers = self.readers();
         let recipe = PathBuf::from(self.recipe.path.file_name().unwrap_or(OsStr::new("recipe.yaml")));
         let own = [(recipe.as_path(), self.recipe.path.as_path()), (Path::new(TRUTH), truth)];
         own.into_iter().try_for_each(|(place, source)| places.take(place, source))?;
@@ -78,12 +92,14 @@ impl Prepared {
                 let text = text.strip_prefix('\u{feff}').unwrap_or(&text);
                 content = format!("{}{text}", comment(&named, seed, copied)).into_bytes();
                 data.push(SimulatedFile { file: place.clone(), measured: cells.len(), copied });
+            } else if let Some(read_by) = readers.get(source) {
+                not_simulated.push(UnchangedFile { file: place.clone(), read_by: read_by.clone() });
             }
             files.insert(place, content);
         }
         files.insert(recipe.clone(), places.adapt(&self.recipe.text)?.into_bytes());
         files.insert(PathBuf::from(TRUTH), bytes);
-        Ok(Simulated { recipe, data, varied: values.summary(&programme), files })
+        Ok(Simulated { recipe, data, not_simulated, varied: values.summary(&programme), files })
     }
 
     /// The model stage whose measurements are simulated.
@@ -106,8 +122,29 @@ impl Prepared {
         }
     }
 
+    /// The stages that use measurements, by the file that these are read from.
+    fn readers(&self) -> BTreeMap<PathBuf, BTreeSet<String>> {
+        let mut readers: BTreeMap<PathBuf, BTreeSet<String>> = BTreeMap::new();
+        let uses = |stage: &Stage, ingest: &String| {
+            ["from", "repeats"].iter().any(|key| stage.reference(key).contains(ingest))
+        };
+        for (ingest, plugin) in &self.ingests {
+            let users = self.recipe.stages.iter().filter(|stage| uses(stage, ingest));
+            let users: BTreeSet<String> = users.map(|stage| stage.name.clone()).collect();
+            for file in plugin.inputs() {
+                readers.entry(file.path).or_default().extend(users.iter().cloned());
+            }
+        }
+        for (name, validator) in &self.validators {
+            for file in validator.inputs() {
+                readers.entry(file.path).or_default().insert(name.clone());
+            }
+        }
+        readers
+    }
+
     /// Everything that the estimates with a machine observe, every row of a file once: with the first artefact stage that
-    /// takes it.
+    /// takes it. Then what their artefacts take of the data that only validators judge.
     fn programme(&self, machine: &str) -> Result<Problem> {
         let estimates = self.stages(Kind::Estimate).filter(has_problem);
         let estimates = estimates.filter(|stage| stage.reference("machine")[0] == machine);
@@ -118,32 +155,45 @@ impl Prepared {
             for from in std::iter::once(self.artefact(&stage.name)?.0).chain(self.repeats(&stage.name)?) {
                 sources.push((stage, from));
                 if !data.contains_key(from) {
-                    let read = self.ingests[from].read();
-                    data.insert(from, Arc::new(self.located(self.recipe_stage(from)?, read)?));
+                    data.insert(from, self.data(from)?);
                 }
             }
         }
         let stage = self.recipe_stage(machine)?;
         let used: Vec<&Dataset> = data.values().map(AsRef::as_ref).collect();
         let model = self.located(stage, self.models[machine].build(&used))?;
-        let mut claimed = BTreeSet::new();
+        let mut claimed = Claimed::default();
         let (mut sets, mut combined) = (Vec::new(), Vec::new());
         for (artefact, from) in sources {
-            let observe = |artefact: &Stage| self.artefacts[&artefact.name].observe(&data[from], model.as_ref());
-            let observations = self.located(artefact, observe(artefact))?;
-            match observations.layout().merged.is_empty() {
-                true => sets.push(unclaimed(&artefact.name, observations, &mut claimed)),
+            let observations = self.artefacts[&artefact.name].observe(&data[from], model.as_ref());
+            let observations = self.located(artefact, observations)?;
+            if let Contact::NotSimulated(why) = observations.contact() {
+                let error = Error::usage(format!("the artefact `{}` cannot be simulated yet: {why}", artefact.plugin));
+                return self.located(artefact, Err(error));
+            }
+            match observations.layout().merged.is_empty() && !data[from].averaged {
+                true => sets.push(claimed.unclaimed(&artefact.name, observations)),
                 false => combined.push((artefact, observations)),
             }
         }
         for (artefact, observations) in combined {
             // What is recorded are the single touches: they have to be measured by an artefact that takes them as such.
-            if !unclaimed(&artefact.name, observations, &mut claimed).rows.is_empty() {
+            if !claimed.has_all(observations.layout()) {
                 let error =
                     Error::usage("its rows combine several recorded ones, which cannot be told from the combination");
                 let error =
                     error.help("observe an artefact in another estimate that takes the recorded rows one by one");
                 return self.located(artefact, Err(error));
+            }
+        }
+        for (artefact, from) in self.judged(machine)? {
+            // Data of another kind, which these artefacts do not take, stay as they are; the summary tells which.
+            let data = self.data(from)?;
+            let Ok(observations) = self.artefacts[artefact].observe(&data, model.as_ref()) else { continue };
+            let measures = observations.layout().merged.is_empty();
+            if measures && !matches!(observations.contact(), Contact::NotSimulated(_)) {
+                let set = claimed.unclaimed(artefact, observations);
+                sets.extend(Some(set).filter(|set| !set.rows.is_empty()));
             }
         }
         // Nothing is estimated here: neither unknowns nor the uncertainty of inputs matter.
@@ -158,22 +208,54 @@ impl Prepared {
             considered: abbe_core::Considered::default(),
         })
     }
+
+    /// The rows of an ingest stage.
+    fn data(&self, ingest: &str) -> Result<Arc<Dataset>> {
+        let read = self.ingests[ingest].read();
+        Ok(Arc::new(self.located(self.recipe_stage(ingest)?, read)?))
+    }
+
+    /// What validators take from ingest stages, with the artefacts that the estimates that they judge observe.
+    fn judged(&self, machine: &str) -> Result<BTreeSet<(&str, &str)>> {
+        let mut judged = BTreeSet::new();
+        for stage in self.stages(Kind::Validate) {
+            for of in stage.reference("of") {
+                let estimate = self.own_estimate(of)?;
+                if estimate.reference("machine").first().is_some_and(|name| name == machine) {
+                    let from = || stage.reference("from").iter().map(String::as_str);
+                    let artefacts = estimate.reference("observations");
+                    judged.extend(artefacts.iter().flat_map(|name| from().map(move |from| (name.as_str(), from))));
+                }
+            }
+        }
+        Ok(judged)
+    }
 }
 
-/// Observations with those of their rows that nobody has claimed yet.
-fn unclaimed(
-    name: &str,
-    observations: Arc<dyn Observations>,
-    claimed: &mut BTreeSet<(PathBuf, usize)>,
-) -> ObservationSet {
-    let mut set = ObservationSet::new(name, observations);
-    let layout = set.observations.layout();
-    let data = &layout.data;
-    set.rows.retain(|&row| match layout.rows[row].data_row.map(|row| data.origins[row]) {
-        Some(origin) => claimed.insert((data.files[origin.file].clone(), origin.line)),
-        None => true,
-    });
-    set
+/// Rows of files that an artefact takes already.
+#[derive(Default)]
+struct Claimed(BTreeSet<(PathBuf, usize)>);
+
+impl Claimed {
+    /// Observations with those of their rows that nobody has claimed yet.
+    fn unclaimed(&mut self, name: &str, observations: Arc<dyn Observations>) -> ObservationSet {
+        let mut set = ObservationSet::new(name, observations);
+        let layout = set.observations.layout();
+        set.rows.retain(|&row| layout.rows[row].data_row.is_some_and(|row| self.0.insert(place(layout, row))));
+        set
+    }
+
+    /// Whether all rows are claimed that went into these observations.
+    fn has_all(&self, layout: &Layout) -> bool {
+        let recorded = layout.rows.iter().filter_map(|row| row.data_row).chain(layout.merged.iter().copied());
+        recorded.into_iter().all(|row| self.0.contains(&place(layout, row)))
+    }
+}
+
+/// Where a row of the data stands.
+fn place(layout: &Layout, row: usize) -> (PathBuf, usize) {
+    let origin = layout.data.origins[row];
+    (layout.data.files[origin.file].clone(), origin.line)
 }
 
 /// What is recorded in which cells of which files.
@@ -183,12 +265,21 @@ fn recorded(measured: &Problem, resolution: f64) -> Result<BTreeMap<PathBuf, Cel
     let mut files: BTreeMap<PathBuf, Cells> = BTreeMap::new();
     for set in &measured.sets {
         let layout = set.observations.layout();
-        for row in set.rows.iter().map(|&row| &layout.rows[row]) {
+        for &index in &set.rows {
+            let row = &layout.rows[index];
             let Some(data_row) = row.data_row else { continue };
             let origin = layout.data.origins[data_row];
             let cells = match set.observations.contact() {
-                Contact::LinearAxes => positions(set, row, &axes)?,
+                Contact::LinearAxes => {
+                    let mut cells = positions(set, row, &axes)?;
+                    if let Some(Approach { axis, reading }) = set.observations.approach(index) {
+                        let triggered = set.poses().row(row.first_pose)[measured.model.axes()[axis].status];
+                        cells.push((header(layout, &reading)?, triggered));
+                    }
+                    cells
+                }
                 Contact::Reading(column) => reading(set, row, data_row, &column)?,
+                Contact::NotSimulated(_) => continue,
             };
             let line = files.entry(layout.data.files[origin.file].clone()).or_default().entry(origin.line).or_default();
             for (header, value) in cells {
@@ -272,125 +363,9 @@ fn unreadable(file: &Path, error: &io::Error) -> Error {
     Error::usage(message).in_file(file)
 }
 
-/// Where files go inside the folder, and how the recipe has to name them there.
-struct Places<'a> {
-    base: &'a Path,
-    taken: BTreeMap<PathBuf, PathBuf>,
-    /// Folders as the recipe may write them, with their names in the folder, and whether it has to write them.
-    folders: BTreeMap<String, (String, bool)>,
-}
-
-impl<'a> Places<'a> {
-    fn new(base: &'a Path) -> Self {
-        Self { base, taken: BTreeMap::new(), folders: BTreeMap::new() }
-    }
-
-    /// Claims a place for a file.
-    fn take(&mut self, place: &Path, source: &Path) -> Result<()> {
-        match self.taken.insert(place.to_owned(), source.to_owned()) {
-            Some(other) if other != source => Err(Error::usage(format!(
-                "`{}` and `{}` would both be written to `{}`",
-                other.display(),
-                source.display(),
-                place.display()
-            ))
-            .help("rename one of them")),
-            _ => Ok(()),
-        }
-    }
-
-    /// The place of a file: where the recipe has it, without what leads out of its folder.
-    fn of(&mut self, source: &Path) -> Result<PathBuf> {
-        let written = source.strip_prefix(self.base).unwrap_or(source);
-        let normal = written.components().filter(|part| matches!(part, Component::Normal(_)));
-        let place: PathBuf = normal.collect();
-        self.take(&place, source)?;
-        let target = folder(&place);
-        let leads_out = written.components().any(|part| !matches!(part, Component::Normal(_) | Component::CurDir));
-        if leads_out {
-            self.folders.insert(folder(written), (target, true));
-        } else if source.is_absolute() {
-            // The recipe may name it by its absolute path all the same.
-            self.folders.insert(folder(source), (target, false));
-        }
-        Ok(place)
-    }
-
-    /// The text of the recipe with the folders as they are named inside the folder.
-    fn adapt(&self, text: &str) -> Result<String> {
-        let mut adapted = text.to_owned();
-        let mut folders: Vec<_> = self.folders.iter().collect();
-        folders.sort_by_key(|(from, _)| std::cmp::Reverse(from.len()));
-        for (from, (to, needed)) in folders {
-            let (next, count) = replaced(&adapted, from, to);
-            if *needed && count == 0 {
-                return Err(Error::usage(format!("the recipe does not write the folder `{from}` as it is")).help(
-                    "write paths that lead out of the recipe's folder without escapes, or copy these files into it",
-                ));
-            }
-            adapted = next;
-        }
-        Ok(adapted)
-    }
-}
-
-/// The folder of a file with a closing slash; empty if it has none.
-fn folder(file: &Path) -> String {
-    match file.parent() {
-        Some(folder) if folder == Path::new("/") => "/".to_owned(),
-        Some(folder) if folder != Path::new("") => format!("{}/", folder.display()),
-        _ => String::new(),
-    }
-}
-
-/// The text with `from` replaced wherever a path begins with it, and how often that is.
-fn replaced(text: &str, from: &str, to: &str) -> (String, usize) {
-    let (mut out, mut rest, mut count) = (String::with_capacity(text.len()), text, 0);
-    while let Some(at) = rest.find(from) {
-        let begins = !rest[..at].ends_with(|c: char| c.is_alphanumeric() || matches!(c, '.' | '/' | '_' | '-'));
-        out.push_str(&rest[..at]);
-        out.push_str(if begins { to } else { from });
-        count += usize::from(begins);
-        rest = &rest[at + from.len()..];
-    }
-    out.push_str(rest);
-    (out, count)
-}
-
 impl Simulated {
     /// Writes everything into the folder `out`, which must not exist or be empty: whole or not at all.
     pub fn write(&self, out: &Path) -> Result<()> {
-        Self::can_write(out)?;
-        let parent = parent(out);
-        let failed = |error: io::Error| unwritable(parent, &error);
-        let staging = staging(parent)?;
-        for (name, content) in &self.files {
-            let path = staging.path().join(name);
-            if let Some(folder) = path.parent() {
-                fs::create_dir_all(folder).map_err(failed)?;
-            }
-            fs::write(path, content).map_err(failed)?;
-        }
-        if out.exists() {
-            fs::remove_dir(out).map_err(failed)?;
-        }
-        fs::rename(staging.path(), out).map_err(failed)?;
-        // It is in its place: there is nothing to clean up.
-        let _ = staging.keep();
-        Ok(())
+        write_folder(out, &self.files)
     }
-
-    /// Fails early if nothing could be written to `out` in the end.
-    pub fn can_write(out: &Path) -> Result<()> {
-        let is_empty = || fs::read_dir(out).is_ok_and(|mut entries| entries.next().is_none());
-        if out.exists() && !is_empty() {
-            return Err(Error::data(format!("{} is there already and not empty", out.display()))
-                .help("move it away, or name another folder with `--out`"));
-        }
-        staging(parent(out)).map(drop)
-    }
-}
-
-fn parent(out: &Path) -> &Path {
-    out.parent().filter(|parent| *parent != Path::new("")).unwrap_or(Path::new("."))
 }

@@ -47,7 +47,7 @@ impl RowsOf {
         let mut uncertainty = EquationUncertainty::independent(layout.standard_uncertainties.clone());
         if let Some(rows) = &self.settings.uncertainty {
             let table = self.covariance.as_ref().map(|path| abbe_table::read(path)).transpose()?;
-            uncertainty = rows.of_rows(layout, table.as_ref())?;
+            uncertainty = rows.of_rows(observations.as_ref(), table.as_ref())?;
         }
         if let Some(pooled) = &self.settings.pooled {
             let repeats = repeats.unwrap_or_else(|| observations.clone());

@@ -36,22 +36,27 @@ fn nearly_normal(normal: f64, degrees_of_freedom: f64) -> f64 {
 }
 
 /// Size of the hyper-ellipsoid that holds `quantities` normal quantities together with `probability`, in standard
-/// uncertainties: the square root of a quantile of chi-squared (JCGM 102:2011, 6.5.2.3 and Table 1).
+/// uncertainties: the square root of a quantile of chi-squared (JCGM 102:2011, 6.5.2.3 and Table 1), or of Hotelling's T²
+/// where the covariance was found with finite `degrees_of_freedom`.
 ///
 /// The ellipsoid is `(y - y0)^T U^-1 (y - y0) <= k^2` with the covariance U. One quantity gives the factor of an
-/// interval. NaN unless `quantities > 0` and `0 < probability < 1`.
-pub fn joint_coverage_factor(quantities: usize, probability: f64) -> f64 {
-    chi_squared_quantile(probability, quantities as f64).sqrt()
+/// interval. NaN unless `0 < quantities <= degrees_of_freedom` and `0 < probability < 1`.
+pub fn joint_coverage_factor(quantities: usize, probability: f64, degrees_of_freedom: f64) -> f64 {
+    hotelling_quantile(probability, quantities, degrees_of_freedom).sqrt()
 }
 
 /// Half width of the sides of a hyper-rectangle that holds `quantities` normal quantities together with at least
 /// `probability`, in the standard uncertainty of each, whatever their correlations (JCGM 102:2011, 6.5.3).
 ///
 /// Each quantity may leave its interval with `(1 - probability) / quantities`: by Bonferroni's inequality one or more
-/// leave with no more than the sum. NaN unless `quantities > 0` and `0 < probability < 1`.
-pub fn rectangular_coverage_factor(quantities: usize, probability: f64) -> f64 {
+/// leave with no more than the sum. With finite `degrees_of_freedom` of their standard uncertainties the intervals are those
+/// of Student's t. NaN unless `quantities > 0` and `0 < probability < 1`.
+pub fn rectangular_coverage_factor(quantities: usize, probability: f64, degrees_of_freedom: f64) -> f64 {
     if quantities == 0 || !is_probability(probability) {
         return f64::NAN;
+    }
+    if degrees_of_freedom.is_finite() {
+        return coverage_factor(1.0 - (1.0 - probability) / quantities as f64, degrees_of_freedom);
     }
     -Normal::standard().inverse_cdf((1.0 - probability) / (2.0 * quantities as f64))
 }
@@ -87,7 +92,7 @@ pub fn hotelling_quantile(probability: f64, quantities: usize, degrees_of_freedo
         return chi_squared_quantile(probability, q);
     }
     match FisherSnedecor::new(q, rest) {
-        Ok(distribution) if (0.0..1.0).contains(&probability) => {
+        Ok(distribution) if q <= degrees_of_freedom && (0.0..1.0).contains(&probability) => {
             q * degrees_of_freedom / rest * distribution.inverse_cdf(probability)
         }
         _ => f64::NAN,
@@ -99,6 +104,9 @@ pub fn hotelling_upper_tail(value: f64, quantities: usize, degrees_of_freedom: f
     let (q, rest) = (quantities as f64, degrees_of_freedom - quantities as f64 + 1.0);
     if degrees_of_freedom.is_infinite() {
         return chi_squared_upper_tail(value, q);
+    }
+    if q > degrees_of_freedom {
+        return f64::NAN;
     }
     FisherSnedecor::new(q, rest)
         .map_or(f64::NAN, |distribution| distribution.sf(value.max(0.0) * rest / (q * degrees_of_freedom)))

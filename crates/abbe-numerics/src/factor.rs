@@ -102,6 +102,11 @@ impl Factor {
         &self.norms
     }
 
+    /// Column of the triangular factor; its products with other columns are those of J's.
+    pub(crate) fn column(&self, unknown: usize) -> Vec<f64> {
+        (0..self.unknowns()).map(|row| self.triangle[(row, unknown)]).collect()
+    }
+
     /// Sum of squares of r.
     pub fn cost(&self) -> f64 {
         self.rest + self.right.iter().map(|value| value * value).sum::<f64>()
@@ -247,6 +252,11 @@ impl Whitener {
 pub struct SingularValues(Vec<f64>);
 
 impl SingularValues {
+    /// From values, the largest first.
+    pub(crate) fn new(values: Vec<f64>) -> Self {
+        Self(values)
+    }
+
     /// The values, the largest first.
     pub fn values(&self) -> &[f64] {
         &self.0

@@ -10,13 +10,13 @@ use faer::linalg::solvers::Qr;
 
 /// Rows of known functions, each entry in one part or in two that are added up.
 #[derive(Debug, Clone)]
-pub struct Design {
+pub struct DesignMatrix {
     entries: Mat<f64>,
     /// What the entries leave out, as powers of a number that were rounded do.
     rest: Option<Mat<f64>>,
 }
 
-impl Design {
+impl DesignMatrix {
     /// Rows of the same length.
     pub fn new(rows: &[Vec<f64>]) -> Self {
         Self { entries: matrix(rows), rest: None }
@@ -86,7 +86,7 @@ const CORRECTIONS: usize = 30;
 
 /// Solves `design x = right` in the least squares sense. None with fewer rows than columns, or columns of which one follows from
 /// the others to within rounding.
-pub fn fit_linear(design: &Design, right: &[f64]) -> Option<LinearFit> {
+pub fn fit_linear(design: &DesignMatrix, right: &[f64]) -> Option<LinearFit> {
     let (m, n) = (design.entries.nrows(), design.entries.ncols());
     if m < n || right.len() != m {
         return None;

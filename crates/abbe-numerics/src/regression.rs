@@ -1,6 +1,6 @@
 //! Regression diagnostics and the selection of terms by their significance (Soons 1993, section 3.2.2; Montgomery & Peck 1982).
 
-use crate::linear::{Design, LinearFit, fit_linear};
+use crate::linear::{DesignMatrix, LinearFit, fit_linear};
 use crate::significance::f_test;
 
 /// What each row does to a fit.
@@ -66,7 +66,7 @@ pub struct SelectionStep {
 
 /// Terms chosen by their significance.
 #[derive(Debug, Clone, PartialEq)]
-pub struct Selection {
+pub struct StepwiseSelection {
     /// Indices of the kept terms, ascending.
     pub kept: Vec<usize>,
     /// How it went.
@@ -83,7 +83,7 @@ pub fn stepwise(
     always: &[usize],
     level: f64,
     direction: Direction,
-) -> Option<Selection> {
+) -> Option<StepwiseSelection> {
     let mut kept: Vec<usize> = match direction {
         Direction::Backward => (0..terms.len()).collect(),
         _ => always.to_vec(),
@@ -92,7 +92,7 @@ pub fn stepwise(
     let cost = |kept: &[usize]| -> Option<f64> {
         let rows: Vec<Vec<f64>> =
             (0..right.len()).map(|row| kept.iter().map(|&term| terms[term][row]).collect()).collect();
-        Some(fit_linear(&Design::new(&rows), right)?.cost())
+        Some(fit_linear(&DesignMatrix::new(&rows), right)?.cost())
     };
     // The probability of a term: `with` and `without` it, `count` terms with it.
     let probability = |with: f64, without: f64, count: usize| -> Option<f64> {
@@ -134,5 +134,5 @@ pub fn stepwise(
         seen.push(terms.clone());
         (kept, own) = (terms, cost);
     }
-    Some(Selection { kept, steps })
+    Some(StepwiseSelection { kept, steps })
 }

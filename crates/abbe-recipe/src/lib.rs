@@ -14,7 +14,7 @@ mod tests;
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
-use abbe_core::{Error, Kind, PathItem, Place, Plugin, Registry, SettingsError, nearest, path_text};
+use abbe_core::{Error, Kind, PathItem, Place, Planning, Plugin, Registry, SettingsError, nearest, path_text};
 use serde_json::{Map, Value};
 
 use document::{At, Document, Node};
@@ -23,6 +23,14 @@ use sets::Sets;
 
 /// The keys of an artefact stage that are the same for all artefact plugins ([`abbe_core::InputUncertainty`]).
 const INPUT_UNCERTAINTY: [&str; 2] = ["uncertainty", "pooled"];
+
+/// How long an isolated plugin may be silent unless the recipe says otherwise, s.
+const TIME_LIMIT_S: f64 = 60.0;
+
+/// A day: nobody waits longer for one answer.
+const LONGEST_LIMIT_S: f64 = 86_400.0;
+/// The key under which measurements are planned ([`abbe_core::Planning`]).
+const PLAN: &str = "plan";
 
 /// The version of recipes that this program reads.
 const VERSION: u64 = 1;
@@ -44,6 +52,8 @@ pub struct Recipe {
     pub stages: Vec<Stage>,
     /// Libraries with more plugins.
     pub libraries: Vec<Library>,
+    /// Which measurements are to be chosen, if any.
+    pub plan: Option<Planning>,
     document: Document,
     origins: BTreeMap<String, Origin>,
 }
@@ -78,12 +88,14 @@ impl Stage {
 }
 
 /// A library with plugins that a recipe asks for.
-#[derive(Debug, Clone, PartialEq, Eq)]
+#[derive(Debug, Clone, PartialEq)]
 pub struct Library {
     /// Its file, as it can be opened.
     pub path: PathBuf,
     /// The SHA-256 that the file has to have, as written.
     pub sha256: Option<String>,
+    /// Its plugins run in processes of their own, and for how long one may be silent there, s.
+    pub isolate: Option<f64>,
     /// Where the recipe names it.
     pub place: Option<Place>,
 }
@@ -134,12 +146,59 @@ impl Recipe {
             origins.insert(head.name.to_owned(), origin);
         }
         let stages = graph::order(&heads, &nodes)?.into_iter().filter_map(|index| ready[index].take()).collect();
-        Ok(Self { path: path.to_owned(), base, text: text.to_owned(), name, id, stages, libraries, document, origins })
+        let mut recipe = Self {
+            path: path.to_owned(),
+            base,
+            text: text.to_owned(),
+            name,
+            id,
+            stages,
+            libraries,
+            plan: None,
+            document,
+            origins,
+        };
+        recipe.plan = recipe.planning()?;
+        Ok(recipe)
     }
 
     /// The libraries that a recipe asks for. Nothing else of it is checked: its stages may need their plugins.
     pub fn libraries(path: &Path, text: &str) -> Result<Vec<Library>, Error> {
         libraries(&Document::parse(path, text)?.root(), path.parent().unwrap_or(Path::new("")))
+    }
+
+    /// What stands under `plan`; the stages that it names are there.
+    fn planning(&self) -> Result<Option<Planning>, Error> {
+        let Some(settings) = self.document.get(&[PathItem::Key(PLAN.to_owned())]) else { return Ok(None) };
+        let plan: Planning = abbe_core::from_settings(settings).map_err(|error| self.plan_error(error))?;
+        plan.check().map_err(|error| self.plan_error(error))?;
+        for (key, name, kind) in
+            [("estimate", &plan.estimate, Kind::Estimate), ("candidates", &plan.candidates, Kind::Artefact)]
+        {
+            let of_kind = || self.stages.iter().filter(|stage| stage.kind == kind).map(|stage| stage.name.as_str());
+            if !of_kind().any(|stage| stage == name) {
+                let message = format!("there is no stage `{name}` of the kind {kind}");
+                return Err(self.plan_error(SettingsError::new(key, message).suggest(name, of_kind())));
+            }
+        }
+        Ok(Some(plan))
+    }
+
+    /// Gives an error about a setting under `plan` its place, unless it has one or is about a stage.
+    pub fn locate_plan(&self, error: Error) -> Error {
+        if error.place.is_some() || error.stage.is_some() {
+            return self.locate(error);
+        }
+        let path = [&[PathItem::Key(PLAN.to_owned())], error.setting.as_slice()].concat();
+        self.document.locate(error, &path, At::Value)
+    }
+
+    fn plan_error(&self, error: SettingsError) -> Error {
+        let at = if error.key { At::Key } else { At::Value };
+        let path = [&[PathItem::Key(PLAN.to_owned())], error.path.as_slice()].concat();
+        let mut located = self.document.locate(Error::usage(error.message), &path, at);
+        located.help = error.help;
+        located
     }
 
     /// Gives an error that names a stage (and a setting) its file, line and column, unless it has a place.
@@ -164,6 +223,7 @@ impl Recipe {
         let mut located = self.place(Error::usage(message).stage(stage), stage, &error.path, at);
         located.help = self.reference_near(stage, &error).or(error.help);
         located.setting = error.path;
+        located.class = error.class;
         located
     }
 
@@ -218,19 +278,52 @@ fn check_top(root: &Node<'_>) -> Result<(), Error> {
     if version.value.as_u64() != Some(VERSION) {
         return Err(version.error(At::Value, format!("{expected}, not {}", version.value)));
     }
-    root.only(&["abbe", "name", "sets", "plugins", "stages"])
+    root.only(&["abbe", "name", "sets", "plugins", "stages", PLAN])
 }
 
 fn libraries(root: &Node<'_>, base: &Path) -> Result<Vec<Library>, Error> {
     let Some(plugins) = root.get("plugins") else { return Ok(Vec::new()) };
     let library = |node: Node<'_>| {
-        node.only(&["path", "sha256"])?;
+        node.only(&["path", "sha256", "isolate", "time_limit_s"])?;
         let missing = || node.missing(&["path"], "`path` is missing: the file of the library");
         let path = node.get("path").ok_or_else(missing)?;
-        let sha256 = node.get("sha256").map(|pin| pin.text().map(str::to_owned)).transpose()?;
-        Ok(Library { path: base.join(path.text()?), sha256, place: path.error(At::Value, "").place })
+        let sha256 = node.get("sha256").map(|pin| digest(&pin)).transpose()?;
+        let isolate = isolation(&node)?;
+        Ok(Library { path: base.join(path.text()?), sha256, isolate, place: path.error(At::Value, "").place })
     };
     plugins.list()?.into_iter().map(library).collect()
+}
+
+/// A SHA-256 in hexadecimal digits.
+fn digest(node: &Node<'_>) -> Result<String, Error> {
+    let text = node.text()?;
+    match text.len() == 64 && text.chars().all(|c| c.is_ascii_hexdigit()) {
+        true => Ok(text.to_owned()),
+        false => {
+            Err(node.error(At::Value, "sha256: 64 hexadecimal digits were expected").help("`sha256sum` prints them"))
+        }
+    }
+}
+
+/// Whether a library's plugins are isolated, and the time limit then.
+fn isolation(node: &Node<'_>) -> Result<Option<f64>, Error> {
+    let isolate = match node.get("isolate") {
+        None => false,
+        Some(isolate) => {
+            isolate.value.as_bool().ok_or_else(|| isolate.error(At::Value, "isolate: true or false was expected"))?
+        }
+    };
+    let Some(limit) = node.get("time_limit_s") else { return Ok(isolate.then_some(TIME_LIMIT_S)) };
+    match limit.value.as_f64().filter(|limit| *limit > 0.0 && *limit <= LONGEST_LIMIT_S) {
+        Some(_) if !isolate => {
+            Err(limit.error(At::Key, "`time_limit_s` holds for plugins that are isolated").help("add `isolate: true`"))
+        }
+        Some(limit) => Ok(Some(limit)),
+        None => {
+            Err(limit
+                .error(At::Value, format!("time_limit_s: a number above 0, at most {LONGEST_LIMIT_S}, was expected")))
+        }
+    }
 }
 
 fn heads<'a>(root: &Node<'a>, registry: &'a Registry) -> Result<Vec<Head<'a>>, Error> {

@@ -1,6 +1,6 @@
 //! The JSON Schema of recipes, for editors.
 
-use abbe_core::{InputUncertainty, Kind, Plugin, Registry};
+use abbe_core::{InputUncertainty, Kind, Planning, Plugin, Registry};
 use serde_json::{Map, Value, json};
 
 use crate::graph::{ANEW, references};
@@ -25,7 +25,12 @@ pub fn schema(registry: &Registry) -> Value {
                 "type": "array",
                 "items": {
                     "type": "object",
-                    "properties": { "path": { "type": "string" }, "sha256": { "type": "string" } },
+                    "properties": {
+                        "path": { "type": "string", "description": "The library" },
+                        "sha256": { "type": "string", "pattern": "^[0-9A-Fa-f]{64}$", "description": "It is not loaded if its hash is another one" },
+                        "isolate": { "type": "boolean", "description": "Its plugins run in processes of their own" },
+                        "time_limit_s": { "type": "number", "exclusiveMinimum": 0, "maximum": 86400, "description": "How long an isolated plugin may be silent" },
+                    },
                     "required": ["path"],
                     "additionalProperties": false,
                 },
@@ -36,10 +41,22 @@ pub fn schema(registry: &Registry) -> Value {
                 "propertyNames": { "pattern": "^[\\p{L}\\p{N}_-]+$" },
                 "additionalProperties": { "oneOf": stages },
             },
+            "plan": plan(),
         },
         "required": ["abbe", "stages"],
         "additionalProperties": false,
     })
+}
+
+/// The schema of what stands under `plan`.
+fn plan() -> Value {
+    let mut plan = abbe_core::schema_of::<Planning>();
+    if let Some(plan) = plan.as_object_mut() {
+        plan.shift_remove("$schema");
+        // References such as `#/$defs/X` start from the nearest identifier.
+        plan.insert("$id".to_owned(), json!("urn:abbe:plan"));
+    }
+    plan
 }
 
 /// The plugin's own schema of its settings, with the keys that the recipe adds to them.

@@ -277,7 +277,8 @@ fn a_good_recipe_is_read() {
     assert_eq!(stage("hu40t").settings, expected);
     assert_eq!(stage("hu40t").files, [base.join("machine.yaml")]);
     let place = Some(Place { file: path.clone(), line: Some(7), column: Some(13) });
-    let library = Library { path: base.join("vendor/libhexapod.so"), sha256: Some("0f".to_owned()), place };
+    let library =
+        Library { path: base.join("vendor/libhexapod.so"), sha256: Some("0f".to_owned()), isolate: None, place };
     assert_eq!(recipe.libraries, [library]);
     assert_eq!(Recipe::libraries(&path, GOOD).unwrap(), recipe.libraries);
     let missing = Recipe::read(&base.join("none.yaml"), &registry()).unwrap_err();
@@ -316,7 +317,8 @@ fn settings_are_found_where_they_were_written() {
     ];
     for (stage, path, key, expected) in cases {
         let name = path_text(&path);
-        let error = SettingsError { path: path.clone(), key, message: "wrong".to_owned(), help: Some("h".to_owned()) };
+        let error =
+            SettingsError { path: path.clone(), key, help: Some("h".to_owned()), ..SettingsError::new("", "wrong") };
         let text = |error: Error| {
             error.to_string().replace(&format!("{}{}", folder.path().display(), std::path::MAIN_SEPARATOR), "")
         };
@@ -333,6 +335,8 @@ fn settings_are_found_where_they_were_written() {
         let error = SettingsError { key: true, ..SettingsError::new(wrong, "wrong") };
         assert_eq!(recipe.settings_error(stage, error).help, Some(format!("did you mean `{near}`?")));
     }
+    let failed = SettingsError { class: Class::Data, ..SettingsError::new("", "a plugin crashed") };
+    assert_eq!(recipe.settings_error("cnc", failed).class, Class::Data);
     let elsewhere = Error::data("wrong").stage("cnc").at(Path::new("x.csv"), 3, None);
     assert_eq!(recipe.locate(elsewhere.clone()), elsewhere);
     assert_eq!(recipe.locate(Error::data("wrong")), Error::data("wrong"));

@@ -9,10 +9,12 @@
 //! without a file in between.
 
 mod measure;
+mod names;
 mod noise;
 mod truth;
 
 pub use measure::measure;
+pub use names::LeftOut;
 pub use noise::{Drift, Noise, Outliers, RandomOutliers, Sigma};
 pub use truth::Truth;
 

@@ -13,11 +13,12 @@ use crate::truth::Truth;
 /// stay what they are, so that an estimator can solve the result at once. The same `seed` gives the same numbers; those of a
 /// row depend on the seed, the index of its set and its index in the set's layout alone.
 ///
-/// Fails for a truth that is no number or that nothing here knows, and for a row in which the linear axes cannot bring the
-/// tip to the artefact.
+/// What the truth says of errors and features that the problem does not have is left out, with a warning. Fails for a truth
+/// that is no number or whose names are wrong, and for a row in which the linear axes cannot bring the tip to the artefact.
 pub fn measure(problem: &Problem, truth: &Truth, seed: u64) -> Result<Problem> {
     truth.check()?;
-    let machine = truth.of(&nominal(problem).at_contact(&[])?)?;
+    truth.left_out(problem)?.warn();
+    let machine = truth.of(&nominal(problem).at_contact(&[])?);
     let errors = truth.noise.errors(&machine, seed)?;
     let mut measured = machine.measured(&errors, &truth.noise.variations(&machine)?)?;
     measured.machine.clone_from(&problem.machine);
@@ -31,7 +32,7 @@ pub fn measure(problem: &Problem, truth: &Truth, seed: u64) -> Result<Problem> {
 /// The problem with a perfect machine, nominal artefacts and nominal inputs.
 fn nominal(problem: &Problem) -> Problem {
     let mut nominal = problem.clone();
-    nominal.machine.fill(0.0);
+    nominal.machine = nominal.model.nominal();
     for set in &mut nominal.sets {
         set.own = set.observations.start();
         set.inputs = set.observations.inputs().iter().map(|input| input.value).collect();
@@ -63,6 +64,8 @@ fn recorded(mut problem: Problem, noise: &Noise) -> Problem {
                 });
                 by_rounding.extend(changes);
             }
+            // `Problem::measured` refuses it.
+            Contact::NotSimulated(_) => by_rounding.extend(rows_of(set).flat_map(|row| vec![0.0; row.equations])),
         }
     }
     if by_rounding.iter().all(|change| *change == 0.0) { problem } else { problem.disturbed(&by_rounding) }

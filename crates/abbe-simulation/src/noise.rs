@@ -299,7 +299,9 @@ impl Noise {
             lines.push(format!("outliers: {:.1} % of the rows by {}", fraction * 100.0, um(size_mm)));
         }
         if self.resolution_mm > 0.0 {
-            lines.push(format!("resolution: {} µm", self.resolution_mm * 1e3));
+            // Ten digits, so that the factor of the unit leaves no rounding behind.
+            let rounded: Option<f64> = format!("{:.9e}", self.resolution_mm * 1e3).parse().ok();
+            lines.push(format!("resolution: {} µm", rounded.unwrap_or(self.resolution_mm * 1e3)));
         }
         lines
     }
@@ -310,6 +312,7 @@ fn takes_noise(set: &ObservationSet) -> bool {
     match set.observations.contact() {
         Contact::LinearAxes => true,
         Contact::Reading(column) => is_length(set, &column),
+        Contact::NotSimulated(_) => false,
     }
 }
 

@@ -6,6 +6,7 @@ use std::path::Path;
 use abbe_core::{Error, PathItem, Problem, Result, SettingsError, from_settings, nearest};
 use serde_json::{Map, Value};
 
+use crate::names::LeftOut;
 use crate::noise::{Noise, finite};
 
 /// The true values behind simulated measurements.
@@ -40,6 +41,7 @@ impl Truth {
                 .help("for example { \"parameters\": { \"EA0B\": 1e-5 }, \"noise\": {} }")
         };
         let parameters = content.get("parameters").ok_or_else(missing)?;
+        warn_of_others(content);
         let parameters = from_settings(parameters).map_err(|error| wrong(error.under([key("parameters")])))?;
         let noise = match content.get("noise") {
             None | Some(Value::Null) => Noise::default(),
@@ -60,7 +62,21 @@ impl Truth {
     }
 
     /// The problem with the true values of machine, artefacts and inputs instead of its own.
-    pub(crate) fn of(&self, problem: &Problem) -> Result<Problem> {
+    pub(crate) fn of(&self, problem: &Problem) -> Problem {
+        self.applied(problem).0
+    }
+
+    /// What is not zero here and that the problem does not have, so that it is not simulated.
+    ///
+    /// Fails for names that look misspelt, and for those that neither a machine nor an artefact could have.
+    pub fn left_out(&self, problem: &Problem) -> Result<LeftOut> {
+        let (_, used) = self.applied(problem);
+        let unknown = |(name, value): &(&String, &f64)| **value != 0.0 && !used.contains(name.as_str());
+        LeftOut::of(self.parameters.iter().filter(unknown).map(|(name, _)| name), problem)
+    }
+
+    /// The problem with the true values, and the names that it takes.
+    fn applied(&self, problem: &Problem) -> (Problem, BTreeSet<&str>) {
         let mut truth = problem.clone();
         let mut used = BTreeSet::new();
         let mut take = |full: &str, own: &str, value: &mut f64| {
@@ -82,49 +98,53 @@ impl Truth {
                 take(&format!("{prefix}.{}", parameter.name), &parameter.name, value);
             }
         }
-        let unknown = |(name, value): &(&String, &f64)| **value != 0.0 && !used.contains(name.as_str());
-        match self.parameters.iter().find(unknown) {
-            Some((name, _)) => Err(unknown_name(name, problem)),
-            None => Ok(truth),
-        }
+        (truth, used)
     }
 
-    /// What differs from nominal, for people: how many values of whom, then the noise.
+    /// What differs from nominal, for people: how many values of whom, what is left out, then the noise.
     pub fn summary(&self, problem: &Problem) -> Vec<String> {
-        let mut lines = Vec::new();
-        let truth = self.of(problem).unwrap_or_else(|_| problem.clone());
-        let count = |values: &[f64], nominal: &[f64]| values.iter().zip(nominal).filter(|(a, b)| a != b).count();
+        let truth = self.of(problem);
         let machine = truth.machine.iter().filter(|value| **value != 0.0).count();
-        lines.push(format!("machine: {machine} of {} parameters are not zero", truth.machine.len()));
-        for set in &truth.sets {
-            let own = count(&set.own, &set.observations.start());
-            let nominal: Vec<f64> = set.observations.inputs().iter().map(|input| input.value).collect();
-            let inputs = count(&set.inputs, &nominal);
+        let mut lines = vec![format!("machine: {machine} of {} parameters are not zero", truth.machine.len())];
+        let mut told = BTreeSet::new();
+        for set in truth.sets.iter().filter(|set| told.insert(&set.name)) {
+            // A stage has several sets if its rows are repeated.
+            let (mut unknowns, mut inputs) = (BTreeMap::new(), BTreeMap::new());
+            for set in truth.sets.iter().filter(|other| other.name == set.name) {
+                let (observations, start) = (&set.observations, set.observations.start());
+                let own = observations.unknowns().iter().zip(set.own.iter().zip(start));
+                unknowns.extend(own.map(|(parameter, (value, start))| (&parameter.name, *value != start)));
+                let own = observations.inputs().iter().zip(&set.inputs);
+                inputs.extend(own.map(|(input, value)| (&input.parameter.name, *value != input.value)));
+            }
+            let varied = |values: &BTreeMap<&String, bool>| values.values().filter(|varied| **varied).count();
             lines.push(format!(
-                "{}: {own} of {} unknowns and {inputs} of {} inputs are not nominal",
+                "{}: {} of {} unknowns and {} of {} inputs are not nominal",
                 set.name,
-                set.own.len(),
-                nominal.len()
+                varied(&unknowns),
+                unknowns.len(),
+                varied(&inputs),
+                inputs.len()
             ));
         }
+        lines.extend(self.left_out(problem).unwrap_or_default().summary());
         lines.extend(self.noise.summary());
         lines
     }
 }
 
-fn unknown_name(name: &str, problem: &Problem) -> Error {
-    let mut known: Vec<String> = problem.model.parameters().iter().map(|parameter| parameter.name.clone()).collect();
-    for set in &problem.sets {
-        let inputs = set.observations.inputs().iter().map(|input| &input.parameter);
-        known.extend(set.observations.unknowns().iter().chain(inputs).map(|parameter| parameter.name.clone()));
+/// Tells of what describes other machines beside the one of `parameters`.
+fn warn_of_others(content: &Value) {
+    let has_parameters = |value: &Value| value.get("parameters").is_some();
+    for (name, value) in content.as_object().into_iter().flatten() {
+        let described = has_parameters(value) || value.as_array().is_some_and(|all| all.iter().any(has_parameters));
+        if described {
+            tracing::warn!(
+                "`{name}` is not simulated, though it has `parameters` of its own: every row, repeated or not, is measured on \
+                 the one machine of `parameters`"
+            );
+        }
     }
-    let rule = "a machine parameter exists only if the model's `errors` list it (it need not be estimated), that of an \
-                artefact only if the artefact is observed";
-    let help = match nearest(name, known.iter().map(String::as_str)) {
-        Some(near) => format!("did you mean `{near}`? Else: {rule}"),
-        None => rule.to_owned(),
-    };
-    Error::usage(format!("parameters.{name}: neither the machine nor an artefact has a `{name}`")).help(help)
 }
 
 pub(crate) fn key(name: &str) -> PathItem {
@@ -132,8 +152,8 @@ pub(crate) fn key(name: &str) -> PathItem {
 }
 
 fn wrong(error: SettingsError) -> Error {
-    let help = error.help.clone();
-    let error = Error::usage(SettingsError { help: None, ..error }.to_string());
+    let (help, class) = (error.help.clone(), error.class);
+    let error = Error { class, ..Error::usage(SettingsError { help: None, ..error }.to_string()) };
     match help {
         Some(help) => error.help(help),
         None => error,

@@ -138,6 +138,7 @@ fn problem(header: &str, axis: usize, column: Option<&'static str>) -> Problem {
         columns: vec![cells("X_mm", [10.0, 20.0, 30.0]), cells(header, [10.0, 20.5, 30.0])],
         origins: (0..3).map(|row| RowOrigin { file: 0, line: row + 2, row: row + 1 }).collect(),
         files: vec![PathBuf::from("dial.csv")],
+        averaged: false,
     });
     let model: Arc<dyn KinematicModel> = Arc::new(Rail::new());
     let mut layout = Layout::new(&data, model.as_ref(), &[&plain_naming]).unwrap();

@@ -81,6 +81,7 @@ pub fn require(headers: &[ColumnHeader], file: Option<&PathBuf>, columns: &[(&st
         columns: headers.iter().cloned().map(empty_column).collect(),
         origins: Vec::new(),
         files: file.into_iter().cloned().collect(),
+        averaged: false,
     };
     for (name, quantity) in columns {
         match quantity {

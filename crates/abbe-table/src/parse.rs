@@ -54,7 +54,7 @@ pub(crate) fn dataset(path: &Path, bytes: &[u8]) -> Result<Dataset> {
     if origins.is_empty() {
         return Err(Error::data("the file has no data rows").in_file(path));
     }
-    Ok(Dataset { columns, origins, files: vec![path.to_owned()] })
+    Ok(Dataset { columns, origins, files: vec![path.to_owned()], averaged: false })
 }
 
 /// Reads a number as it stands in a cell of the column `header`, in the unit used in memory; else says what is wrong.

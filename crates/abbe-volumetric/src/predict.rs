@@ -3,6 +3,8 @@
 use abbe_core::{Calibration, Error, KinematicModel, Poses, Result, Variable};
 use nalgebra::DMatrix;
 
+use crate::ellipsoid::Ellipsoid;
+
 /// Poses that are evaluated together, so that nobody holds the derivatives of all of them.
 const CHUNK: usize = 64;
 
@@ -13,9 +15,19 @@ pub struct Volumetric {
     pub mean: [f64; 3],
     /// Its covariance, mm².
     pub covariance: [[f64; 3]; 3],
+    /// Smallest degrees of freedom with which the uncertainty of a parameter of the machine is known; infinite if all were
+    /// stated.
+    pub degrees_of_freedom: f64,
 }
 
 impl Volumetric {
+    /// The region that holds the error with some probability.
+    ///
+    /// Fails as [`Ellipsoid::of`] does.
+    pub fn ellipsoid(&self, probability: f64) -> Result<Ellipsoid> {
+        Ellipsoid::of(&self.covariance, probability, self.degrees_of_freedom)
+    }
+
     /// Size of the error, mm.
     pub fn size(&self) -> f64 {
         self.mean.iter().map(|component| component * component).sum::<f64>().sqrt()
@@ -24,7 +36,7 @@ impl Volumetric {
 
 /// The volumetric error of a batch of poses: `statuses` is rows x [`status`](KinematicModel::status), row by row.
 ///
-/// The error is the tip with the values of the calibration minus the tip with all parameters zero. Its covariance is
+/// The error is the tip with the values of the calibration minus the tip with nominal ones. Its covariance is
 /// `F C F^T` (Soons 1993, equation A.4), with F the derivatives of the tip to those parameters of the machine that the
 /// covariance of the calibration names, at its values, and C their covariance; unknowns of artefacts take no part.
 /// Values that the calibration does not have are nominal.
@@ -35,16 +47,18 @@ pub fn predict(model: &dyn KinematicModel, calibration: &Calibration, statuses: 
     if !statuses.len().is_multiple_of(width) {
         return Err(Error::usage(format!("{} numbers are no poses of {width} statuses each", statuses.len())));
     }
-    let zero = model.nominal();
-    let values: Vec<f64> = (model.parameters().iter().zip(&zero))
+    let without = model.nominal();
+    let values: Vec<f64> = (model.parameters().iter().zip(&without))
         .map(|(parameter, nominal)| calibration.get(&parameter.name).map_or(*nominal, |known| known.value))
         .collect();
+    let is_machine = |name: &str| model.parameters().iter().any(|parameter| parameter.name == name);
+    let degrees_of_freedom = calibration.degrees_of_freedom(is_machine);
     let (wanted, covariance) = machine_covariance(model, calibration);
     let (mut actual, mut nominal) = (Poses::default(), Poses::default());
     let mut errors = Vec::with_capacity(statuses.len() / width);
     for chunk in statuses.chunks(width * CHUNK) {
         model.evaluate(chunk, &values, &wanted, false, &mut actual)?;
-        model.evaluate(chunk, &zero, &[], false, &mut nominal)?;
+        model.evaluate(chunk, &without, &[], false, &mut nominal)?;
         let poses = actual.positions.len();
         // One column for each component of each pose: F^T and C F^T.
         let derivatives = DMatrix::from_fn(wanted.len(), 3 * poses, |parameter, column| {
@@ -57,7 +71,7 @@ pub fn predict(model: &dyn KinematicModel, calibration: &Calibration, statuses: 
                 derivatives.column(3 * pose + row.max(column)).dot(&weighted.column(3 * pose + row.min(column)))
             };
             let covariance = [0, 1, 2].map(|row| [0, 1, 2].map(|column| entry(row, column)));
-            errors.push(Volumetric { mean, covariance });
+            errors.push(Volumetric { mean, covariance, degrees_of_freedom });
         }
     }
     Ok(errors)

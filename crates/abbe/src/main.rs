@@ -1,10 +1,12 @@
-//! The command line of Abbe: `run`, `check`, `simulate`, `plugins`, `schema`.
+//! The command line of Abbe: `run`, `check`, `simulate`, `plan`, `plugins`, `plugin`, `schema`.
 //!
 //! Exit status: 0 all verdicts pass; 1 what only the data or the run show; 2 wrong use, or anything that can be found
 //! without reading data rows; 3 a verdict failed.
 
 mod failure;
+mod libraries;
 mod number;
+mod planning;
 mod summary;
 mod table;
 mod trust;
@@ -14,9 +16,10 @@ use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 
 use abbe_core::{Class, Error, Origin, Registry, Result};
-use abbe_engine::{Event, Outcome, Simulated, prepare};
+use abbe_engine::{Event, Outcome, Simulated, can_write_folder, prepare};
 use clap::{Parser, Subcommand};
 use indicatif::{ProgressBar, ProgressStyle};
+use libraries::Libraries;
 use serde_json::{Value, json};
 
 use abbe_bundle as _;
@@ -30,6 +33,15 @@ struct Arguments {
     /// Say more about what is going on.
     #[arg(short, long, global = true)]
     verbose: bool,
+    /// A library with more plugins, beside those that a recipe names.
+    #[arg(long = "plugin", global = true, value_name = "FILE")]
+    plugins: Vec<PathBuf>,
+    /// Run the plugins of `--plugin` in processes of their own.
+    #[arg(long, global = true)]
+    isolate_plugins: bool,
+    /// Refuse to load any library.
+    #[arg(long, global = true)]
+    no_dynamic_plugins: bool,
 }
 
 #[derive(Subcommand)]
@@ -70,6 +82,22 @@ enum Command {
         #[arg(long)]
         machine: Option<String>,
     },
+    /// Choose which measurements to make, as the key `plan` of a recipe says, and write the data file to fill in.
+    Plan {
+        /// The recipe.
+        recipe: PathBuf,
+        /// Folder that is written; it must not exist or be empty. Without it the plan is only told.
+        #[arg(long)]
+        out: Option<PathBuf>,
+        /// Print the plan as JSON.
+        #[arg(long)]
+        json: bool,
+    },
+    /// What vendors of plugin libraries need.
+    Plugin {
+        #[command(subcommand)]
+        command: PluginCommand,
+    },
     /// List the plugins.
     Plugins {
         /// Print them as JSON, with the schemas and examples of their settings.
@@ -80,12 +108,41 @@ enum Command {
     Schema,
 }
 
+#[derive(Subcommand)]
+enum PluginCommand {
+    /// Check whether a library keeps to what a plugin promises, each test in a process of its own.
+    Check {
+        /// The library.
+        file: PathBuf,
+        /// How long one test may take, seconds.
+        #[arg(long, default_value_t = 60.0)]
+        time_limit: f64,
+        /// Print the report as JSON.
+        #[arg(long)]
+        json: bool,
+    },
+    /// Run one test of a library in this process.
+    #[command(hide = true)]
+    Test { file: PathBuf, test: String },
+    /// Serve a library to the program that started this one.
+    #[command(hide = true)]
+    Serve { file: PathBuf, sha256: String },
+}
+
 fn main() -> ExitCode {
     let arguments = Arguments::parse();
     let level = if arguments.verbose { tracing::Level::INFO } else { tracing::Level::WARN };
     tracing_subscriber::fmt().with_writer(io::stderr).with_max_level(level).without_time().with_target(false).init();
-    let machine = matches!(arguments.command, Command::Run { json: true, .. } | Command::Check { json: true, .. });
-    match dispatch(arguments.command) {
+    let machine = matches!(
+        arguments.command,
+        Command::Run { json: true, .. } | Command::Check { json: true, .. } | Command::Plan { json: true, .. }
+    );
+    let libraries = Libraries {
+        files: arguments.plugins,
+        isolate: arguments.isolate_plugins,
+        refuse: arguments.no_dynamic_plugins,
+    };
+    match dispatch(arguments.command, &libraries) {
         Ok((text, status)) => match io::stdout().lock().write_all(text.as_bytes()) {
             Ok(()) => ExitCode::from(status),
             // Whoever reads our output has seen enough.
@@ -110,11 +167,10 @@ fn main() -> ExitCode {
 }
 
 /// Carries out a command; gives what to print and the exit status.
-fn dispatch(command: Command) -> Result<(String, u8)> {
-    let registry = Registry::built_in()?;
+fn dispatch(command: Command, libraries: &Libraries) -> Result<(String, u8)> {
     match command {
         Command::Run { recipe, out, json } => {
-            let prepared = prepare(&recipe, &registry)?;
+            let prepared = prepare(&recipe, &libraries.registry(Some(&recipe))?)?;
             Outcome::can_write(&out, &prepared.recipe.id)?;
             let bar = ProgressBar::new(0).with_style(style());
             let outcome = prepared.run(&|event| show(&bar, event))?;
@@ -128,7 +184,7 @@ fn dispatch(command: Command) -> Result<(String, u8)> {
             Ok((text, status))
         }
         Command::Check { recipe, json } => {
-            let prepared = prepare(&recipe, &registry)?;
+            let prepared = prepare(&recipe, &libraries.registry(Some(&recipe))?)?;
             let planned = prepared.check()?;
             let status = if planned.iter().all(|planned| planned.accepted) { 0 } else { 1 };
             let text = match json {
@@ -138,17 +194,45 @@ fn dispatch(command: Command) -> Result<(String, u8)> {
             Ok((text, status))
         }
         Command::Simulate { recipe, truth, seed, out, machine } => {
-            let prepared = prepare(&recipe, &registry)?;
-            Simulated::can_write(&out)?;
+            let prepared = prepare(&recipe, &libraries.registry(Some(&recipe))?)?;
+            can_write_folder(&out)?;
             let simulated = prepared.simulate(&truth, seed, machine.as_deref())?;
             simulated.write(&out)?;
             Ok((simulated_text(&simulated, &out), 0))
         }
-        Command::Plugins { json } => match json {
-            true => Ok((pretty(&plugins_json(&registry))?, 0)),
-            false => Ok((plugins_text(&registry), 0)),
-        },
-        Command::Schema => Ok((pretty(&abbe_recipe::schema(&registry))?, 0)),
+        Command::Plan { recipe, out, json } => {
+            let prepared = prepare(&recipe, &libraries.registry(Some(&recipe))?)?;
+            out.iter().try_for_each(|out| can_write_folder(out))?;
+            let measurements = prepared.plan()?;
+            out.iter().try_for_each(|out| measurements.write(out))?;
+            let status = if measurements.accepted { 0 } else { 1 };
+            let text = match json {
+                true => measurements.record,
+                false => planning::text(&prepared.recipe.name, &measurements, out.as_deref()),
+            };
+            Ok((text, status))
+        }
+        Command::Plugin { command: PluginCommand::Check { file, time_limit, json } } => {
+            let report = abbe_plugin::check::check(&file, &libraries::this_program()?, time_limit)?;
+            let status = if report.passes() { 0 } else { 1 };
+            let text = match json {
+                true => pretty(&report.json())?,
+                false => report.text(),
+            };
+            Ok((text, status))
+        }
+        Command::Plugin { command: PluginCommand::Test { file, test } } => {
+            abbe_plugin::check::test(&file, &test).map(|text| (text, 0))
+        }
+        Command::Plugin { command: PluginCommand::Serve { file, sha256 } } => {
+            abbe_plugin::serve(&file, &sha256).map(|()| (String::new(), 0))
+        }
+        Command::Plugins { json } => {
+            let registry = libraries.registry(None)?;
+            let text = if json { pretty(&plugins_json(&registry))? } else { plugins_text(&registry) };
+            Ok((text, 0))
+        }
+        Command::Schema => Ok((pretty(&abbe_recipe::schema(&libraries.registry(None)?))?, 0)),
     }
 }
 
@@ -157,6 +241,11 @@ fn simulated_text(simulated: &Simulated, out: &Path) -> String {
     let mut text = "Simulated\n".to_owned();
     for file in &simulated.data {
         text.push_str(&format!("  {}: {} rows measured, {} copied\n", file.file.display(), file.measured, file.copied));
+    }
+    for file in &simulated.not_simulated {
+        let readers: Vec<&str> = file.read_by.iter().map(String::as_str).collect();
+        let readers = if readers.is_empty() { "no stage".to_owned() } else { format!("{} only", readers.join(", ")) };
+        text.push_str(&format!("  not simulated: {} (read by {readers})\n", file.file.display()));
     }
     text.push_str("\nVaried\n");
     simulated.varied.iter().for_each(|line| text.push_str(&format!("  {line}\n")));
@@ -192,9 +281,10 @@ fn origin(origin: &Origin) -> String {
 }
 
 fn plugins_text(registry: &Registry) -> String {
-    let mut rows = vec![["kind", "name", "origin", "what it does"].map(str::to_owned).to_vec()];
+    let mut rows = vec![["kind", "name", "version", "origin", "what it does"].map(str::to_owned).to_vec()];
     rows.extend(registry.iter().map(|plugin| {
-        vec![plugin.kind().to_string(), plugin.name.to_string(), origin(&plugin.origin), plugin.about.to_string()]
+        let (name, version) = (plugin.name.to_string(), plugin.version.to_string());
+        vec![plugin.kind().to_string(), name, version, origin(&plugin.origin), plugin.about.to_string()]
     }));
     table::text(&rows, &[])
 }
@@ -204,6 +294,7 @@ fn plugins_json(registry: &Registry) -> Value {
         json!({
             "kind": plugin.kind().key(),
             "name": plugin.name,
+            "version": plugin.version,
             "origin": origin(&plugin.origin),
             "about": plugin.about,
             "schema": plugin.schema.get(),

@@ -88,7 +88,7 @@ fn columns(count: usize, first: usize) -> Vec<usize> {
 
 fn fits(fits: &[Fit]) -> String {
     type Figure = (&'static str, fn(&Fit) -> String);
-    let figures: [Figure; 9] = [
+    let figures: [Figure; 12] = [
         ("equations", |fit| fit.calibration.fit.observations.to_string()),
         ("unknowns", |fit| fit.calibration.fit.unknowns.to_string()),
         ("rank", |fit| fit.calibration.fit.rank.to_string()),
@@ -97,6 +97,9 @@ fn fits(fits: &[Fit]) -> String {
         ("residual, largest µm", |fit| short(fit.calibration.fit.residual_max_um)),
         ("residual, mean size µm", |fit| short(fit.calibration.fit.residual_mean_abs_um)),
         ("residual, RMS µm", |fit| short(fit.calibration.fit.residual_rms_um)),
+        ("residual, largest µrad", |fit| if_any(fit.calibration.fit.residual_max_urad)),
+        ("residual, mean size µrad", |fit| if_any(fit.calibration.fit.residual_mean_abs_urad)),
+        ("residual, RMS µrad", |fit| if_any(fit.calibration.fit.residual_rms_urad)),
         ("outliers", |fit| fit.calibration.outliers.len().to_string()),
     ];
     let mut header = vec![String::new()];
@@ -105,9 +108,17 @@ fn fits(fits: &[Fit]) -> String {
     for (name, figure) in figures {
         let mut row = vec![name.to_owned()];
         row.extend(fits.iter().map(figure));
-        rows.push(row);
+        // Most fits observe no angle.
+        if row[1..].iter().any(|cell| !cell.is_empty()) {
+            rows.push(row);
+        }
     }
     table::text(&rows, &columns(fits.len(), 1))
+}
+
+/// A figure that not every fit has.
+fn if_any(value: Option<f64>) -> String {
+    value.map_or(String::new(), short)
 }
 
 /// One line a row, whichever fits list it.
@@ -215,8 +226,8 @@ fn figures(figures: &[Figure]) -> String {
             format!("{value}{mark}")
         }));
         if limited {
-            let limit = of_name().find_map(|figure| figure.limit);
-            row.push(limit.map_or_else(String::new, short));
+            let limit = of_name().find_map(|figure| Some(measured(figure.limit?, &figure.unit)));
+            row.push(limit.unwrap_or_default());
         }
         rows.push(row);
     }
@@ -224,7 +235,12 @@ fn figures(figures: &[Figure]) -> String {
 }
 
 fn counted(value: f64, unit: &str) -> String {
-    if unit == "1" && value.fract() == 0.0 && value.abs() < 1e9 { format!("{value:.0}") } else { short(value) }
+    if unit == "1" && value.fract() == 0.0 && value.abs() < 1e9 { format!("{value:.0}") } else { measured(value, unit) }
+}
+
+/// Sizes in mm to 0.1 µm, all else to four digits.
+fn measured(value: f64, unit: &str) -> String {
+    if unit == "mm" { format!("{value:.4}") } else { short(value) }
 }
 
 /// The summary of a run for machines.
@@ -267,6 +283,11 @@ pub fn planned_text(recipe: &Recipe, planned: &[Planned]) -> String {
     let lost: String = lines.collect();
     if !lost.is_empty() {
         text.push_str(&format!("\n{}", section("Not determined", &lost)));
+    }
+    for planned in planned {
+        for remark in &planned.identifiability.remarks {
+            text.push_str(&format!("\n{}: {remark}\n", planned.estimate));
+        }
     }
     for planned in planned {
         let (name, found) = (&planned.estimate, &planned.identifiability);

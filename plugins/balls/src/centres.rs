@@ -20,10 +20,22 @@ struct Centre {
     centre: Vector3<f64>,
     /// What one unit of every touch's standard uncertainty makes of its coordinates.
     spread: [f64; 3],
+    /// Its derivative to the radius with which it was fitted: zero where touches lie all around.
+    by_radius: Vector3<f64>,
+}
+
+/// Centres instead of touches.
+pub struct Centres {
+    /// One row for every centre.
+    pub layout: Layout,
+    /// The ball of every row.
+    pub ball_of_row: Vec<usize>,
+    /// For every row the derivative of the centre to the effective stylus radius, table frame.
+    pub by_radius: Vec<Vector3<f64>>,
 }
 
 /// A layout with one row for every ball and label of the column `by`: the pose at which the tip of the nominal machine is at
-/// the centre of the touches. Gives the ball of every row as well.
+/// the centre of the touches.
 ///
 /// Correlations of a centre's coordinates are left out; touches along the coordinate axes and their diagonals have none.
 /// Fails for touches of one centre at different rotary positions, and where they do not determine it.
@@ -34,7 +46,7 @@ pub fn of_touches(
     balls: &[Ball],
     by: &str,
     uncertainty: f64,
-) -> Result<(Layout, Vec<usize>)> {
+) -> Result<Centres> {
     let labels = abbe_table::labels(data, by).map_err(|error| error.setting("centres_by"))?;
     let mut touches = Layout::new(data, model, &[&plain_naming])?;
     for (row, _) in touched {
@@ -49,7 +61,7 @@ pub fn of_touches(
         });
         groups[place].rows.push(row);
     }
-    let mut layout = Layout::new(data, model, &[&plain_naming])?;
+    let (mut layout, mut by_radius) = (Layout::new(data, model, &[&plain_naming])?, Vec::new());
     for group in &groups {
         let first = touched[group.rows[0]].0;
         let wrong = |message: String| data.error_at(first, message);
@@ -69,8 +81,9 @@ pub fn of_touches(
         layout.merged.extend(group.rows[1..].iter().map(|&row| touched[row].0));
         let pose = layout.poses.len() - 1;
         layout.poses.row_mut(pose).copy_from_slice(&reach(model, status, centre.centre)?);
+        by_radius.push(centre.by_radius);
     }
-    Ok((layout, groups.iter().map(|group| group.ball).collect()))
+    Ok(Centres { layout, ball_of_row: groups.iter().map(|group| group.ball).collect(), by_radius })
 }
 
 /// The mean of the statuses of a group; those of rotary axes have to be the same.
@@ -97,11 +110,12 @@ fn tips(touches: &Layout, model: &dyn KinematicModel, group: &Group) -> Result<V
 fn centre(tips: &[Vector3<f64>], start: Vector3<f64>, radius: f64) -> Option<Centre> {
     let mut centre = start;
     for _ in 0..50 {
-        let (mut normal, mut right) = (Matrix3::zeros(), Vector3::zeros());
+        let (mut normal, mut right, mut sum) = (Matrix3::zeros(), Vector3::zeros(), Vector3::zeros());
         for tip in tips {
             let direction = (tip - centre).try_normalize(0.0)?;
             normal += direction * direction.transpose();
             right += direction * ((tip - centre).norm() - radius);
+            sum += direction;
         }
         // Directions within some degrees of a plane leave the rest to chance.
         if normal.symmetric_eigenvalues().min() < 1e-2 {
@@ -111,7 +125,9 @@ fn centre(tips: &[Vector3<f64>], start: Vector3<f64>, radius: f64) -> Option<Cen
         let step = inverse * right;
         centre += step;
         if step.norm() < 1e-12 * (1.0 + centre.norm()) {
-            return Some(Centre { centre, spread: [0, 1, 2].map(|axis| inverse[(axis, axis)].sqrt()) });
+            // At the minimum the sum of n (|tip - centre| - radius) is zero for every radius: N'N dc + N'1 dr = 0.
+            let (spread, by_radius) = ([0, 1, 2].map(|axis| inverse[(axis, axis)].sqrt()), -(inverse * sum));
+            return Some(Centre { centre, spread, by_radius });
         }
     }
     None
@@ -136,4 +152,33 @@ fn reach(model: &dyn KinematicModel, mut status: Vec<f64>, point: Vector3<f64>) 
         columns.iter().zip(step.iter()).for_each(|(&column, step)| status[column] += step);
     }
     Err(Error::data("the linear axes cannot bring the tip to the centre of a ball"))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_centre_moves_with_the_radius_as_its_derivative_says() {
+        // Four touches on the equator and one on the pole, a micrometre off here and there.
+        let diagonal = std::f64::consts::FRAC_1_SQRT_2;
+        let directions = [(1.0, 1.0, 0.0), (-1.0, 1.0, 0.0), (-1.0, -1.0, 0.0), (1.0, -1.0, 0.0)]
+            .map(|(x, y, z)| diagonal * Vector3::new(x, y, z))
+            .into_iter()
+            .chain([Vector3::z(), Vector3::new(0.6, 0.0, 0.8)]);
+        let place = Vector3::new(100.0, -20.0, 30.0);
+        let tips: Vec<Vector3<f64>> = directions
+            .enumerate()
+            .map(|(index, direction)| place + (12.5 + 1e-3 * (index % 3) as f64) * direction)
+            .collect();
+        let at = |radius: f64| centre(&tips, place, radius).unwrap();
+        let differences = (at(12.5 + 1e-3).centre - at(12.5 - 1e-3).centre) / 2e-3;
+        let derivative = at(12.5).by_radius;
+        assert!((differences - derivative).norm() < 1e-3, "{differences} {derivative}");
+        // With a larger stylus the centre lies lower below the touch on the pole.
+        assert!(derivative.z < -0.8, "{derivative}");
+        // The pole alone: by as much as the radius.
+        let pole = centre(&tips[..5], place, 12.5).unwrap().by_radius;
+        assert!((pole - Vector3::new(0.0, 0.0, -1.0)).norm() < 1e-3, "{pole}");
+    }
 }

@@ -105,6 +105,11 @@ fn build(settings: &Value, context: &Context) -> Result<Box<dyn Artefact>, Setti
     if settings.centres_by.is_some() && settings.rows == Rows::Centres {
         return Err(SettingsError::new("centres_by", "the rows are centres already"));
     }
+    if settings.rows == Rows::Centres && settings.stylus_radius_standard_uncertainty_um > 0.0 {
+        let message = "how the centres hang on the stylus radius is not known: their touches are";
+        return Err(SettingsError::new("stylus_radius_standard_uncertainty_um", message)
+            .help("fit them from touches with `centres_by`, or state what their rows share under `uncertainty`"));
+    }
     if settings.centres_by.is_some() && settings.radius == Radius::Estimated {
         return Err(SettingsError::new("centres_by", "centres are fitted with known radii; they cannot tell radii")
             .help("leave out `centres_by`, or `radius: estimated`"));
@@ -206,9 +211,15 @@ impl Artefact for Balls {
         let of_rows = self.ball_of_rows(data, &nominal)?;
         let touched = abbe_table::touched(&of_rows, &self.nominal)?;
         let balls: Vec<Ball> = touched.features.iter().map(|&ball| nominal[ball].clone()).collect();
-        let (mut layout, ball_of_row) = match &self.settings.centres_by {
-            Some(by) => centres::of_touches(data, model, &touched.rows, &balls, by, uncertainty)?,
-            None => self.rows(data, model, &touched.rows, uncertainty)?,
+        let (mut layout, ball_of_row, centre_by_radius) = match &self.settings.centres_by {
+            Some(by) => {
+                let found = centres::of_touches(data, model, &touched.rows, &balls, by, uncertainty)?;
+                (found.layout, found.ball_of_row, found.by_radius)
+            }
+            None => {
+                let (layout, balls) = self.rows(data, model, &touched.rows, uncertainty)?;
+                (layout, balls, Vec::new())
+            }
         };
 
         let mut unknowns = Vec::new();
@@ -244,7 +255,17 @@ impl Artefact for Balls {
             });
         }
         let rows = if self.settings.centres_by.is_some() { Rows::Centres } else { self.settings.rows };
-        Ok(Arc::new(Touches { layout, unknowns, inputs, balls, ball_of_row, distances, rows, estimated }))
+        Ok(Arc::new(Touches {
+            layout,
+            unknowns,
+            inputs,
+            balls,
+            ball_of_row,
+            centre_by_radius,
+            distances,
+            rows,
+            estimated,
+        }))
     }
 
     fn targets(&self, stylus_radius: f64) -> Result<Vec<Target>> {
@@ -275,6 +296,8 @@ struct Touches {
     inputs: Vec<KnownInput>,
     balls: Vec<Ball>,
     ball_of_row: Vec<usize>,
+    /// Of centres that were fitted: their derivative to the stylus radius.
+    centre_by_radius: Vec<Vector3<f64>>,
     distances: Vec<(usize, usize)>,
     rows: Rows,
     estimated: bool,
@@ -289,6 +312,12 @@ impl Touches {
     fn centre(&self, ball: usize, own: &[f64]) -> Vector3<f64> {
         let first = self.first_own(ball);
         self.balls[ball].centre + Vector3::new(own[first], own[first + 1], own[first + 2])
+    }
+
+    /// What another stylus radius than that of the fit changes in the centre of a row.
+    fn by_stylus(&self, row: usize, inputs: &[f64]) -> Vector3<f64> {
+        let by_radius = self.centre_by_radius.get(row).copied().unwrap_or_default();
+        by_radius * (inputs[0] - self.inputs[0].value)
     }
 
     /// Derivatives to the offsets of a ball's centre.
@@ -340,12 +369,16 @@ impl Observations for Touches {
                     out.input(0, -1.0);
                 }
                 Rows::Centres => {
+                    let off = from_centre + self.by_stylus(row, inputs);
                     for axis in 0..3 {
                         let mut unit = [0.0; 3];
                         unit[axis] = 1.0;
-                        out.equation(from_centre[axis]);
+                        out.equation(off[axis]);
                         out.position(unit);
                         out.own(self.first_own(ball) + axis, -1.0);
+                        if let Some(by_radius) = self.centre_by_radius.get(row) {
+                            out.input(0, by_radius[axis]);
+                        }
                     }
                 }
             }
@@ -355,12 +388,12 @@ impl Observations for Touches {
     fn contact_tip(&self, row: usize, tip: [f64; 3], own: &[f64], inputs: &[f64]) -> Option<[f64; 3]> {
         let ball = *self.ball_of_row.get(row)?;
         let centre = self.centre(ball, own);
+        if self.rows == Rows::Centres {
+            return Some((centre - self.by_stylus(row, inputs)).into());
+        }
         let outward = (Vector3::from(tip) - centre).try_normalize(0.0)?;
-        let distance = match self.rows {
-            Rows::Touches if self.estimated => self.balls[ball].radius + own[self.first_own(ball) + 3] + inputs[0],
-            Rows::Touches => self.balls[ball].radius + inputs[0],
-            Rows::Centres => 0.0,
-        };
+        let more = if self.estimated { own[self.first_own(ball) + 3] } else { 0.0 };
+        let distance = self.balls[ball].radius + more + inputs[0];
         Some((centre + distance * outward).into())
     }
 

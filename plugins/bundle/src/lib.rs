@@ -3,7 +3,10 @@
 //! A plugin crate that nothing names is left out by the linker, and its registration with it; naming it here is what
 //! makes it part of Abbe. A new built-in plugin is a new folder under `plugins/` and one line below.
 
+use abbe_ball_bar as _;
+use abbe_ball_bar_closed_form as _;
 use abbe_balls as _;
+use abbe_calibrated_points as _;
 use abbe_exporters as _;
 use abbe_facets as _;
 use abbe_gauss_newton as _;
@@ -11,5 +14,6 @@ use abbe_ingest as _;
 use abbe_length as _;
 use abbe_monte_carlo as _;
 use abbe_poses as _;
+use abbe_rapid_verify as _;
 use abbe_serial_chain as _;
 use abbe_validators as _;

@@ -4,7 +4,7 @@ use abbe_core::{
     Build, Calibration, Constructor, Context, Export, ExportedFile, InputFile, KinematicModel, PathItem, Plugin,
     Result, SettingsError, inventory,
 };
-use abbe_volumetric::{Ellipsoid, Grid, position_unit, predict, tidy, within};
+use abbe_volumetric::{Grid, position_unit, predict, tidy, within};
 use schemars::JsonSchema;
 use serde::Deserialize;
 use serde_json::{Value, json};
@@ -65,7 +65,7 @@ impl Export for VolumetricTable {
         let mut text: String = columns.iter().map(|column| format!("{},", column.header)).collect();
         text.push_str(COLUMNS);
         for (status, error) in statuses.chunks(model.status().len()).zip(&errors) {
-            let ellipsoid = Ellipsoid::of(&error.covariance, self.settings.probability)?;
+            let ellipsoid = error.ellipsoid(self.settings.probability)?;
             let um = |value: &f64| fixed(value * 1e3);
             let mut cells: Vec<String> =
                 columns.iter().map(|column| tidy(status[column.status] * column.factor).to_string()).collect();
@@ -75,7 +75,7 @@ impl Export for VolumetricTable {
             cells.extend(upper.map(|(row, column)| exact(error.covariance[row][column] * 1e6)));
             cells.extend(ellipsoid.standard_uncertainties.iter().map(um));
             cells.extend(ellipsoid.directions.iter().flatten().copied().map(fixed));
-            cells.extend(ellipsoid.semi_axes.iter().map(um));
+            cells.extend((0..3).map(|axis| ellipsoid.semi_axes.map_or_else(String::new, |axes| um(&axes[axis]))));
             cells.push(ellipsoid.nonzero.to_string());
             text.push_str(&cells.join(","));
             text.push('\n');

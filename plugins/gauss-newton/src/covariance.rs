@@ -81,6 +81,11 @@ impl Propagation {
         Ok(Self { parts, cross, scale, degrees_of_freedom })
     }
 
+    /// Whether the a-posteriori factor has something to multiply: not where all rows are known by their repeats.
+    pub fn is_scaled(&self) -> bool {
+        self.parts.iter().any(|part| part.stated)
+    }
+
     fn factor_of(&self, part: &Part) -> f64 {
         if part.stated { self.scale * self.scale } else { 1.0 }
     }
@@ -142,15 +147,22 @@ impl Propagation {
                 contributions,
             }
         });
+        let parameters: Vec<ParameterBudget> = parameters.collect();
+        let of_machine =
+            problem.unknowns.iter().zip(&parameters).filter(|(unknown, _)| unknown.owner == Owner::Machine);
+        let freedom =
+            of_machine.filter_map(|(_, parameter)| parameter.degrees_of_freedom).fold(f64::INFINITY, f64::min);
+        let ellipsoid_factor = joint_coverage_factor(machine.max(1), probability, freedom);
         UncertaintyBudget {
             coverage_probability: probability,
             scale: self.scale,
             joint: JointCoverage {
                 quantities: machine,
-                ellipsoid_factor: joint_coverage_factor(machine.max(1), probability),
-                rectangle_factor: rectangular_coverage_factor(machine.max(1), probability),
+                degrees_of_freedom: freedom.is_finite().then_some(freedom),
+                ellipsoid_factor: Some(ellipsoid_factor).filter(|factor| factor.is_finite()),
+                rectangle_factor: rectangular_coverage_factor(machine.max(1), probability, freedom),
             },
-            parameters: parameters.collect(),
+            parameters,
             correlations: correlations(problem, &self.covariance(problem)),
         }
     }

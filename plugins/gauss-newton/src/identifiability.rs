@@ -23,6 +23,7 @@ pub fn identifiability(problem: &Problem, factor: &Factor, tolerance: f64) -> Id
         null_space,
         weakest: Vec::new(),
         uncertainty: None,
+        remarks: Vec::new(),
     }
 }
 

@@ -20,7 +20,7 @@ use serde_json::{Value, json};
 
 use covariance::{Place, Propagation};
 use identifiability::{confounded, identifiability, separated, weakest};
-use result::{Spread, calibration, outliers};
+use result::{Spread, outliers};
 use weighted::Weighted;
 
 inventory::submit! {
@@ -232,14 +232,30 @@ impl GaussNewton {
         }
         let residuals = problem.residuals(&solution.x)?;
         let in_uncertainties = weighted.residuals(&solution.x)?;
-        let spread = Spread::new(&residuals, &in_uncertainties, solution.robust.as_ref(), self.robust(), rank);
+        let spread = Spread::new(
+            &residuals,
+            &problem.quantities(),
+            &in_uncertainties,
+            solution.robust.as_ref(),
+            self.robust(),
+            rank,
+        );
         let place =
             Place { problem: &at_contact, x: &solution.x, kept: kept.as_deref(), factor: &factor, rank: found.rank };
         let propagation = Propagation::new(&place, self.scale(&spread), explained)?;
+        if spread.degrees_of_freedom == 0 && !self.settings.trust_uncertainties && propagation.is_scaled() {
+            return Err(Error::data(format!(
+                "the data leave no degrees of freedom ({} equations for {rank} unknowns): the scatter of the residuals says nothing",
+                spread.used
+            ))
+            .help("set `trust_uncertainties: true` to take the stated uncertainties, or measure more")
+            .setting("trust_uncertainties"));
+        }
         let outliers = match (&solution.robust, self.robust()) {
             (Some(report), Some(robust)) => outliers(problem, &residuals, report, robust),
             _ => Vec::new(),
         };
+        let angles = Some(&spread.angles).filter(|angles| angles.count > 0);
         let fit = FitReport {
             observations: spread.used,
             unknowns: problem.unknowns.len(),
@@ -249,13 +265,16 @@ impl GaussNewton {
             sigma: spread.sigma,
             iterations: solution.iterations,
             termination: Termination::Converged,
-            residual_max_um: spread.max * 1e3,
-            residual_mean_abs_um: spread.mean_abs * 1e3,
-            residual_rms_um: spread.rms * 1e3,
+            residual_max_um: spread.lengths.max * 1e3,
+            residual_mean_abs_um: spread.lengths.mean_abs * 1e3,
+            residual_rms_um: spread.lengths.rms * 1e3,
+            residual_max_urad: angles.map(|angles| angles.max * 1e6),
+            residual_mean_abs_urad: angles.map(|angles| angles.mean_abs * 1e6),
+            residual_rms_urad: angles.map(|angles| angles.rms * 1e6),
             null_space: found.null_space,
             weakest: if explained { weakest(problem, &factor.spectrum(), found.rank) } else { Vec::new() },
         };
-        let mut calibration = calibration(problem, &solution.x, propagation.covariance(problem), outliers, fit);
+        let mut calibration = problem.calibration(&solution.x, propagation.covariance(problem), outliers, fit);
         calibration.uncertainty = explained.then(|| propagation.budget(problem, self.settings.coverage_probability));
         Ok(calibration)
     }
@@ -371,6 +390,13 @@ impl Estimate for GaussNewton {
         if found.rank == found.unknowns {
             let place = Place { problem: &at_contact, x: &x, kept: None, factor, rank: found.rank };
             let propagation = Propagation::new(&place, (1.0, f64::INFINITY), true)?;
+            if found.observations <= found.rank && !self.settings.trust_uncertainties && propagation.is_scaled() {
+                found.remarks.push(
+                    "no degrees of freedom are left, so that the scatter of the residuals will say nothing: set \
+                     `trust_uncertainties: true`, or measure more"
+                        .to_owned(),
+                );
+            }
             found.uncertainty = Some(propagation.budget(problem, self.settings.coverage_probability));
         }
         Ok(found)

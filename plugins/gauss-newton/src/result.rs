@@ -1,8 +1,6 @@
-//! From a solution to a calibration: scatter of the residuals, outliers, values with their uncertainties.
+//! What the residuals of a solution tell: their scatter, outliers.
 
-use abbe_core::{
-    CALIBRATION_FORMAT, Calibration, Covariance, Estimated, FitReport, Outlier, Owner, Problem, Status, Unknown,
-};
+use abbe_core::{Outlier, Problem, Quantity};
 use abbe_numerics::{Robust, RobustReport};
 
 /// How the residuals scatter.
@@ -10,9 +8,29 @@ pub struct Spread {
     pub used: usize,
     pub degrees_of_freedom: usize,
     pub sigma: f64,
+    pub lengths: Sizes,
+    pub angles: Sizes,
+}
+
+/// How large residuals are, mm or rad; zero where there are none.
+pub struct Sizes {
+    pub count: usize,
     pub max: f64,
     pub mean_abs: f64,
     pub rms: f64,
+}
+
+impl Sizes {
+    fn of(residuals: &[f64]) -> Self {
+        let sizes = || residuals.iter().map(|residual| residual.abs());
+        let mean = |sum: f64| sum / residuals.len().max(1) as f64;
+        Self {
+            count: residuals.len(),
+            max: sizes().fold(0.0, f64::max),
+            mean_abs: mean(sizes().sum()),
+            rms: mean(sizes().map(|size| size * size).sum()).sqrt(),
+        }
+    }
 }
 
 impl Spread {
@@ -20,9 +38,10 @@ impl Spread {
     /// (1981, section 7.6): the mean square of the influence over the square of its mean slope, with his correction for
     /// the number of unknowns.
     ///
-    /// `weighted` are the residuals in units of their uncertainties, uncorrelated.
+    /// `quantities` says which residuals are lengths and which angles; `weighted` are the residuals in units of their uncertainties, uncorrelated.
     pub fn new(
         residuals: &[f64],
+        quantities: &[Quantity],
         weighted: &[f64],
         report: Option<&RobustReport>,
         robust: Option<Robust>,
@@ -48,15 +67,15 @@ impl Spread {
             }
             _ => 1.0,
         };
-        let sizes = || used.iter().map(|&row| residuals[row].abs());
-        let mean = |sum: f64| if count > 0 { sum / count as f64 } else { 0.0 };
+        let (angles, lengths): (Vec<usize>, Vec<usize>) =
+            used.iter().partition(|&&row| quantities[row] == Quantity::Angle);
+        let sizes = |rows: &[usize]| Sizes::of(&rows.iter().map(|&row| residuals[row]).collect::<Vec<_>>());
         Self {
             used: count,
             degrees_of_freedom,
             sigma: mean_square.sqrt() * correction,
-            max: sizes().fold(0.0, f64::max),
-            mean_abs: mean(sizes().sum()),
-            rms: mean(sizes().map(|size| size * size).sum()).sqrt(),
+            lengths: sizes(&lengths),
+            angles: sizes(&angles),
         }
     }
 }
@@ -64,12 +83,12 @@ impl Spread {
 /// The rows with an equation beyond the limit, largest first.
 pub fn outliers(problem: &Problem, residuals: &[f64], report: &RobustReport, robust: Robust) -> Vec<Outlier> {
     let mut found: Vec<Outlier> = Vec::new();
-    let mut last = None;
+    let (mut last, quantities) = (None, problem.quantities());
     for (equation, (set, row)) in problem.equation_rows().into_iter().enumerate() {
         if report.studentised[equation].abs() < robust.outlier_at {
             continue;
         }
-        let residual_um = residuals[equation] * 1e3;
+        let residual_um = residuals[equation] * if quantities[equation] == Quantity::Angle { 1e6 } else { 1e3 };
         if last == Some((set, row))
             && let Some(same) = found.last_mut()
         {
@@ -91,65 +110,4 @@ pub fn outliers(problem: &Problem, residuals: &[f64], report: &RobustReport, rob
         });
     }
     found
-}
-
-pub fn calibration(
-    problem: &Problem,
-    x: &[f64],
-    covariance: Vec<Vec<f64>>,
-    outliers: Vec<Outlier>,
-    fit: FitReport,
-) -> Calibration {
-    let considered = &problem.considered.unknowns;
-    let lost = |name: &str| fit.null_space.iter().any(|vector| vector.combination.iter().any(|part| part.name == name));
-    let estimated = |owner: Owner, index: usize, name: String, unit: abbe_core::Unit, fixed: f64| {
-        let here = |unknown: &Unknown| unknown.owner == owner && unknown.index == index;
-        let uncertainty = |column: usize| covariance[column][column].max(0.0).sqrt();
-        let chosen = problem.unknowns.iter().position(here);
-        let known = considered.iter().position(here);
-        let (value, standard_uncertainty, status) = match (chosen, known) {
-            (Some(column), _) => {
-                let status = if lost(&name) { Status::Confounded } else { Status::Estimated };
-                (x[column], uncertainty(column), status)
-            }
-            (None, Some(known)) => (fixed, uncertainty(problem.unknowns.len() + known), Status::Considered),
-            (None, None) => (fixed, 0.0, Status::Fixed),
-        };
-        Estimated { name, value, unit: unit.to_string(), standard_uncertainty, status }
-    };
-    let parameters = problem.model.parameters().iter().enumerate();
-    let parameters = parameters.map(|(index, parameter)| {
-        estimated(Owner::Machine, index, parameter.name.clone(), parameter.unit, problem.machine[index])
-    });
-    let mut artefacts = Vec::new();
-    for (set, observations) in problem.sets.iter().enumerate() {
-        for (index, own) in observations.observations.unknowns().iter().enumerate() {
-            let name = format!("{}.{}", observations.name, own.name);
-            artefacts.push(estimated(Owner::Set(set), index, name, own.unit, observations.own[index]));
-        }
-    }
-    for unknown in considered.iter().filter(|unknown| unknown.owner == Owner::Input) {
-        let value = problem.inputs[unknown.index].value(&problem.sets);
-        artefacts.push(estimated(Owner::Input, unknown.index, unknown.name.clone(), unknown.unit, value));
-    }
-    Calibration {
-        abbe_calibration: CALIBRATION_FORMAT,
-        estimate: problem.name.clone(),
-        model: problem.model_record(),
-        parameters: parameters.collect(),
-        artefacts,
-        covariance: Covariance {
-            order: problem
-                .unknowns
-                .iter()
-                .chain(&problem.considered.unknowns)
-                .map(|unknown| unknown.name.clone())
-                .collect(),
-            rows: covariance,
-        },
-        outliers,
-        fit,
-        uncertainty: None,
-        monte_carlo: None,
-    }
 }

@@ -3,8 +3,9 @@
 //! The columns, in this order: those of the first file; `file`, the name of the row's file without its extension
 //! (always there, so that splitting a file in two changes no column; a `file` column of the files' own is kept
 //! instead); the constants by name; the columns of the joined table. Only then are rows left out, so that `ignore` and
-//! `keep` may name any of them, and every row needs a match in the joined table.
+//! `keep` may name any of them, and every row needs a match in the joined table. Means (`average`) are those of the rows that stay.
 
+mod average;
 mod files;
 
 use std::collections::BTreeMap;
@@ -18,6 +19,7 @@ use schemars::JsonSchema;
 use serde::Deserialize;
 use serde_json::{Value, json};
 
+use average::Average;
 use files::Source;
 
 /// Measurements in CSV files.
@@ -38,6 +40,8 @@ struct Settings {
     /// Rows to take, all others being left out: column and the labels that mark them.
     #[serde(default)]
     keep: Filters,
+    /// Take means of rows that were measured again and again, after `ignore` and `keep`.
+    average: Option<Average>,
 }
 
 /// Columns and listed labels.
@@ -69,6 +73,7 @@ struct Csv {
     join: Option<(PathBuf, String)>,
     ignore: Filters,
     keep: Filters,
+    average: Option<Average>,
 }
 
 enum Constant {
@@ -92,7 +97,8 @@ fn example() -> Value {
         "constants": { "cycle": 1, "T_degC": 20.5 },
         "join": { "table": "measurements.csv", "on": "file" },
         "ignore": { "point": [1, 2] },
-        "keep": { "stylus": [1] }
+        "keep": { "stylus": [1] },
+        "average": { "over": "file", "by": ["point"] }
     })
 }
 
@@ -112,6 +118,7 @@ fn build(settings: &Value, context: &Context) -> Result<Box<dyn Ingest>, Setting
         join: settings.join.map(|join| (context.path(&join.table), join.on)),
         ignore: settings.ignore,
         keep: settings.keep,
+        average: settings.average,
     }))
 }
 
@@ -146,9 +153,13 @@ impl Ingest for Csv {
         // What `read` does, on tables without rows: so the columns cannot differ.
         let without_rows = |path: &Path| {
             let columns = abbe_table::read_headers(path)?.into_iter().map(abbe_table::empty_column).collect();
-            Ok(Dataset { columns, origins: Vec::new(), files: vec![path.to_owned()] })
+            Ok(Dataset { columns, origins: Vec::new(), files: vec![path.to_owned()], averaged: false })
         };
-        Ok(self.assemble(&without_rows)?.headers())
+        let data = self.assemble(&without_rows)?;
+        Ok(match &self.average {
+            Some(average) => average.of(&data)?.headers(),
+            None => data.headers(),
+        })
     }
 
     fn read(&self) -> Result<Dataset> {
@@ -171,7 +182,11 @@ impl Ingest for Csv {
         if !stays.contains(&true) {
             return Err(Error::data("no row is left after `ignore` and `keep`"));
         }
-        Ok(selected(data, &stays))
+        let data = selected(data, &stays);
+        match &self.average {
+            Some(average) => average.of(&data),
+            None => Ok(data),
+        }
     }
 }
 

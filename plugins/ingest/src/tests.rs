@@ -279,3 +279,29 @@ proptest! {
         prop_assert_eq!(split.labels("file").unwrap(), (0..numbers.len()).map(file).collect::<Vec<_>>());
     }
 }
+
+#[test]
+fn series_are_averaged_row_by_row() {
+    let files = [
+        ("s-1.csv", "config,X_mm,A_deg,time_s,day\n1,10.0,0,5,1\n2,20.5,30,15,1\n1,10.5,0,25,1\n"),
+        ("s-2.csv", "config,X_mm,A_deg,time_s,day\n1,10.5,0,7,2\n2,21.5,30,17,2\n1,11.0,0,27,2\n"),
+    ];
+    let settings = json!({ "path": "s-*.csv", "average": { "over": "file", "by": ["config"] } });
+    let columns = "config X_mm A_deg time_s";
+    let turned = 30_f64.to_radians();
+    let expected = ["1 10.25 0 6".to_owned(), format!("2 21 {turned} 16"), "1 10.75 0 26".to_owned()];
+    check(&files, settings, columns, &expected.each_ref().map(String::as_str));
+    let without =
+        json!({ "path": "s-*.csv", "ignore": { "config": [2] }, "average": { "over": "day", "by": ["config"] } });
+    check(&files, without, columns, &["1 10.25 0 6", "1 10.75 0 26"]);
+    check_error(
+        &files,
+        json!({ "path": "s-*.csv", "average": { "over": "file", "by": ["config", "tim"] } }),
+        "Use average.by: there is no column `tim`; the columns are `config`, `X_mm`, `A_deg`, `time_s`, `day`, `file` (did you mean `time_s`?)",
+    );
+    check_error(
+        &files,
+        json!({ "path": "s-*.csv", "average": { "over": "config", "by": ["day"] } }),
+        "Data: s-1.csv:3: `A_deg` differs from that of line 2 of `s-1.csv`, with which this row would be averaged (name under `by` of `average` all columns that tell points apart)",
+    );
+}

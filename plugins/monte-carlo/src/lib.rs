@@ -166,6 +166,7 @@ impl Propagation {
             let standard_uncertainty = covariance[index][index].sqrt();
             let budget = fit.calibration.uncertainty.as_ref();
             let budget = budget.and_then(|budget| budget.parameters.iter().find(|part| part.name == unknown.name));
+            let degrees_of_freedom = budget.and_then(|budget| budget.degrees_of_freedom);
             let expanded = budget.map_or(f64::NAN, |budget| budget.expanded_uncertainty);
             let tolerance = numerical_tolerance(standard_uncertainty, self.settings.digits);
             let agreement = gum_agrees(estimate, expanded, symmetric, tolerance);
@@ -174,6 +175,7 @@ impl Propagation {
                 unit: unknown.unit.to_string(),
                 mean: mean[index],
                 standard_uncertainty,
+                degrees_of_freedom,
                 symmetric_interval: [symmetric.low, symmetric.high],
                 shortest_interval: [shortest.low, shortest.high],
                 gum: GumComparison {

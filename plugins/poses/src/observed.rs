@@ -1,6 +1,6 @@
 //! The equations of observed poses and their derivatives.
 
-use abbe_core::{Contact, Equations, Feature, KnownInput, Layout, Observations, Parameter, PoseValues, Unit};
+use abbe_core::{Contact, Equations, Feature, KnownInput, Layout, Observations, Parameter, PoseValues, Quantity, Unit};
 use nalgebra::{Isometry3, Matrix3, Matrix6, Translation3, UnitQuaternion, Vector3, Vector6};
 
 use crate::start::Start;
@@ -117,6 +117,10 @@ impl Observations for Observed {
         &[]
     }
 
+    fn quantity(&self, _: usize, equation: usize) -> Quantity {
+        if equation < 3 { Quantity::Length } else { Quantity::Angle }
+    }
+
     fn needs_orientation(&self) -> bool {
         true
     }
@@ -149,9 +153,10 @@ impl Observations for Observed {
     }
 
     fn contact(&self) -> Contact {
-        // Nothing moves: all six readings take up the difference. No column holds them together, so that those who write
-        // readings refuse instead of writing one of six.
-        Contact::Reading("pose of the target".to_owned())
+        // Nothing moves: all six readings would take up the difference, of which three and a quaternion are recorded.
+        Contact::NotSimulated(
+            "what is recorded is a quaternion, not one column for each of the six equations".to_owned(),
+        )
     }
 }
 

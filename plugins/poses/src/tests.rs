@@ -102,7 +102,7 @@ impl Scene {
     fn seen(&self, commands: &[Vec<f64>], target: &Isometry3<f64>, observer: &Isometry3<f64>) -> String {
         let model = self.model();
         let place = |name: &str| model.parameters().iter().position(|parameter| parameter.name == name).unwrap();
-        let mut values = vec![0.0; model.parameters().len()];
+        let mut values = model.nominal();
         self.errors.iter().for_each(|(name, value)| values[place(name)] = *value);
         let mut text = format!("{},x_mm,y_mm,z_mm,qw,qx,qy,qz\n", self.columns);
         for (row, commands) in commands.iter().enumerate() {

@@ -101,12 +101,9 @@ impl Builder {
     pub fn set_up(&mut self, settings: &Settings) -> Result<(), SettingsError> {
         let offset = Vector3::from(settings.probe_offset_mm.unwrap_or_default());
         self.tips.push(offset - Vector3::new(0.0, 0.0, settings.tool_length_mm));
-        if settings.styli.contains_key("1") {
-            return Err(SettingsError::new("", "stylus 1 is the tool itself; number further styli from 2")
-                .under([key("styli"), key("1")]));
-        }
-        if !settings.styli.is_empty() {
-            let levels = std::iter::once("1").chain(settings.styli.keys().map(String::as_str));
+        let styli = self.further_styli(settings)?;
+        if !styli.is_empty() {
+            let levels = std::iter::once("1").chain(styli.iter().map(|(number, _)| number.as_str()));
             let levels = levels.map(str::to_owned).collect();
             self.stylus_status = Some(self.status.len());
             let status =
@@ -123,8 +120,8 @@ impl Builder {
             };
             self.add(&candidate, first, &[])?;
         }
-        for (index, (number, stylus)) in settings.styli.iter().enumerate() {
-            self.tips.push(Vector3::from(stylus.tip_mm));
+        for (index, (number, tip)) in styli.into_iter().enumerate() {
+            self.tips.push(tip);
             for (component, letter) in ["x", "y", "z"].iter().enumerate() {
                 let symbol = format!("stylus[{number}].{letter}");
                 let candidate = Candidate { symbol, slot: self.chain.tool_slot(), component, axis: None };
@@ -134,6 +131,27 @@ impl Builder {
             }
         }
         Ok(())
+    }
+
+    /// Numbers and nominal tips of the styli other than the tool itself, which may be listed as stylus 1.
+    fn further_styli<'a>(&self, settings: &'a Settings) -> Result<Vec<(&'a String, Vector3<f64>)>, SettingsError> {
+        let mut styli = Vec::new();
+        for (number, stylus) in &settings.styli {
+            let at = [key("styli"), key(number)];
+            let tip = stylus.tip().filter(|tip| tip.iter().all(|coordinate| coordinate.is_finite()));
+            let tip = Vector3::from(tip.ok_or_else(|| {
+                SettingsError::new("", "a tip was expected")
+                    .help("write `tip_mm: [x, y, z]`, or `x_mm`, `y_mm` and `length_mm`")
+                    .under(at.clone())
+            })?);
+            if number != "1" {
+                styli.push((number, tip));
+            } else if tip != self.tips[0] {
+                let error = SettingsError::new("", "stylus 1 is the tool itself; this is another tip");
+                return Err(error.help("`tool_length_mm` says where it is; number further styli from 2").under(at));
+            }
+        }
+        Ok(styli)
     }
 
     /// The errors of a group.

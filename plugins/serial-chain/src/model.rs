@@ -1,8 +1,8 @@
 //! The kinematic model of a serial chain: parameters, statuses, poses in batches.
 
 use abbe_core::{
-    Axis, AxisKind, Dataset, Error, ErrorFunction, KinematicModel, MotionError, Parameter, PathItem, Poses, Result,
-    SettingsError, StatusColumn, Variable,
+    Axis, AxisKind, Dataset, Error, ErrorFunction, KinematicModel, MotionError, Parameter, PathItem, Poses, PosesMut,
+    Result, SettingsError, StatusColumn, Variable,
 };
 use abbe_errors::{Declaration, Functions};
 use abbe_kinematics::{Chain, Errors, Evaluation as Pose, StructuralLoop};
@@ -260,9 +260,19 @@ impl KinematicModel for SerialChain {
         orientation: bool,
         out: &mut Poses,
     ) -> Result<()> {
+        out.reset(statuses.len() / self.status.len().max(1), wanted.len(), orientation);
+        self.evaluate_into(statuses, values, wanted, orientation, out.as_mut())
+    }
+
+    fn evaluate_into(
+        &self,
+        statuses: &[f64],
+        values: &[f64],
+        wanted: &[Variable],
+        orientation: bool,
+        out: PosesMut<'_>,
+    ) -> Result<()> {
         let width = self.status.len();
-        let poses = statuses.len() / width.max(1);
-        out.reset(poses, wanted.len(), orientation);
         let mut work = self.work();
         let mut buffers = (vec![0.0; self.functions], Vec::new());
         let used = self.in_use(values, wanted);

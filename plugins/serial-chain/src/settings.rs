@@ -23,7 +23,7 @@ pub struct Settings {
     /// Constant offset of the probe before the tool length.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub probe_offset_mm: Option<[f64; 3]>,
-    /// Further styli by number (column `stylus`); stylus 1 is the tool itself.
+    /// Styli by number (column `stylus`); stylus 1 is the tool itself and need not be listed.
     #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
     pub styli: BTreeMap<String, Stylus>,
     /// Where the motion errors of the axes act.
@@ -41,12 +41,33 @@ pub struct Settings {
     pub evaluation: Evaluation,
 }
 
-/// A further stylus.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
+/// A stylus: its nominal tip in the last tool-branch frame, as a point or as two offsets and a length.
+#[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct Stylus {
-    /// Nominal tip in the last tool-branch frame.
-    pub tip_mm: [f64; 3],
+    /// The nominal tip.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub tip_mm: Option<[f64; 3]>,
+    /// Offset of the tip along x.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub x_mm: Option<f64>,
+    /// Offset of the tip along y.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub y_mm: Option<f64>,
+    /// Length of the tool with this stylus: the tip is at -length along z.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub length_mm: Option<f64>,
+}
+
+impl Stylus {
+    /// The nominal tip; none unless exactly one way of saying it is used, offsets being 0 where they are left out.
+    pub fn tip(&self) -> Option<[f64; 3]> {
+        match (self.tip_mm, self.length_mm) {
+            (Some(tip), None) if self.x_mm.is_none() && self.y_mm.is_none() => Some(tip),
+            (None, Some(length)) => Some([self.x_mm.unwrap_or(0.0), self.y_mm.unwrap_or(0.0), -length]),
+            _ => None,
+        }
+    }
 }
 
 /// Geometry of one axis.

@@ -8,7 +8,7 @@ use schemars::JsonSchema;
 use serde::Deserialize;
 use serde_json::{Value, json};
 
-use crate::figures::{Limits, ONE, UM, check_limits, set_limits};
+use crate::figures::{Limits, ONE, UM, URAD, check_limits, set_limits};
 use crate::folds::not_converged;
 
 inventory::submit! {
@@ -25,7 +25,8 @@ inventory::submit! {
 #[derive(Debug, Clone, PartialEq, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 struct Settings {
-    /// Largest admissible values: `condition`, `sigma`, `residual_max_um`, `residual_mean_um`, `residual_rms_um`.
+    /// Largest admissible values: `condition`, `sigma`, `residual_max_um`, `residual_mean_um`, `residual_rms_um`; the residuals
+    /// of angles in `_urad`.
     #[serde(default)]
     limits: Limits,
 }
@@ -36,7 +37,9 @@ fn example() -> Value {
 
 fn build(settings: &Value, _: &Context) -> Result<Box<dyn Validate>, SettingsError> {
     let settings: Settings = abbe_core::from_settings(settings)?;
-    let keys = ["condition", "sigma", "residual_max_um", "residual_mean_um", "residual_rms_um", "unknowns", "rank"];
+    let mut keys = vec!["condition", "sigma", "unknowns", "rank"];
+    keys.extend(["residual_max_um", "residual_mean_um", "residual_rms_um"]);
+    keys.extend(["residual_max_urad", "residual_mean_urad", "residual_rms_urad"]);
     check_limits(&settings.limits, &keys)?;
     Ok(Box::new(Compare { settings }))
 }
@@ -65,6 +68,14 @@ impl Validate for Compare {
                 ("residual rms", report.residual_rms_um, UM),
             ];
             figures.extend(cells.map(|(name, value, unit)| Figure::new(&fit.name, name, value, unit)));
+            let angles = [
+                ("residual max", report.residual_max_urad),
+                ("residual mean", report.residual_mean_abs_urad),
+                ("residual rms", report.residual_rms_urad),
+            ];
+            let angles =
+                angles.into_iter().filter_map(|(name, value)| Some(Figure::new(&fit.name, name, value?, URAD)));
+            figures.extend(angles);
         }
         set_limits(&self.settings.limits, &mut figures);
         let remarks = fits.iter().filter_map(|fit| not_converged(&fit.name, &fit.calibration)).collect();

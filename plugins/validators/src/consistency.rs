@@ -88,7 +88,18 @@ impl Consistency {
         let common = self.common(first, other, findings)?;
         let difference = Difference::new(first, other, &common);
         let Test { chi_squared, degrees_of_freedom, exact } = difference.test();
-        let known_by = freedom(&[first, other], &common);
+        let is_compared = |name: &str| common.iter().any(|(one, _)| one.name == name);
+        let freedom = |fit: &Fit| fit.calibration.degrees_of_freedom(is_compared);
+        let known_by = freedom(first).min(freedom(other));
+        if degrees_of_freedom as f64 > known_by {
+            return Err(Error::data(format!(
+                "{} against {}: {degrees_of_freedom} parameters cannot be compared by a covariance that was found with {known_by:.1} \
+                 degrees of freedom",
+                other.name, first.name
+            ))
+            .help(format!("compare at most {:.0} `parameters`", known_by.floor()))
+            .setting("parameters"));
+        }
         let probability = match degrees_of_freedom {
             _ if chi_squared.is_infinite() => 0.0,
             0 => 1.0,
@@ -100,7 +111,6 @@ impl Consistency {
             quantities => hotelling_quantile(1.0 - self.settings.significance, quantities, known_by),
         })
         .filter(|limit| limit.is_finite());
-        let main_is_open = main.limit.is_none();
         let normalised = difference.normalised();
         let largest = normalised.iter().copied().enumerate().max_by(|a, b| a.1.abs().total_cmp(&b.1.abs()));
         let (worst, largest) = largest.unwrap_or_default();
@@ -115,12 +125,6 @@ impl Consistency {
             "{between}: {} differs most, by {largest:+.1} of its standard uncertainties",
             common[worst].0.name
         ));
-        if main_is_open {
-            findings.remarks.push(format!(
-                "{between}: no verdict, because {degrees_of_freedom} parameters cannot be compared by a covariance that was found \
-                 with {known_by:.0} degrees of freedom; compare fewer `parameters`"
-            ));
-        }
         if exact {
             findings.remarks.push(format!(
                 "{between}: they differ in a direction in which neither of them has an uncertainty, so that \
@@ -189,17 +193,6 @@ impl Consistency {
         }
         Ok(common)
     }
-}
-
-/// The smallest degrees of freedom with which the uncertainty of one of the parameters was found; infinite where all of them
-/// were stated.
-fn freedom(fits: &[&Fit], common: &[(&Estimated, &Estimated)]) -> f64 {
-    let budgets = fits.iter().filter_map(|fit| fit.calibration.uncertainty.as_ref());
-    budgets
-        .flat_map(|budget| &budget.parameters)
-        .filter(|parameter| common.iter().any(|(one, _)| one.name == parameter.name))
-        .filter_map(|parameter| parameter.degrees_of_freedom)
-        .fold(f64::INFINITY, f64::min)
 }
 
 /// The files that the rows of a problem come from.
@@ -395,6 +388,57 @@ mod tests {
         }
         // 200 expected, standard deviation 13.4.
         assert!((150..250).contains(&failed), "{failed}");
+    }
+
+    /// Two parameters whose covariances were found by repeats, or by trials that drew from them.
+    #[test]
+    fn degrees_of_freedom_count_in_fits_and_in_trials() {
+        let budget = |name: &str, freedom: f64| {
+            json!({
+                "name": name, "unit": "mm", "standard_uncertainty": 1.0, "stated_standard_uncertainty": 1.0,
+                "degrees_of_freedom": freedom, "coverage_factor": 2.0, "expanded_uncertainty": 2.0, "contributions": [],
+            })
+        };
+        let trial = |name: &str, freedom: f64| {
+            json!({
+                "name": name, "unit": "mm", "mean": 0.0, "standard_uncertainty": 1.0, "degrees_of_freedom": freedom,
+                "symmetric_interval": [0.0, 1.0], "shortest_interval": [0.0, 1.0],
+                "gum": { "interval": [0.0, 1.0], "differences": [0.0, 0.0], "tolerance": 1.0, "validated": true },
+            })
+        };
+        let with = |fit: &mut Fit, freedom: f64, trials: bool| {
+            let all = |one: &dyn Fn(&str, f64) -> Value| vec![one("dxt", freedom), one("dyt", 40.0), one("dct", 1.0)];
+            fit.calibration.uncertainty = (!trials).then(|| {
+                let joint = json!({ "quantities": 3, "ellipsoid_factor": null, "rectangle_factor": 2.0 });
+                let parameters = all(&budget);
+                let budget = json!({
+                    "coverage_probability": 0.95, "scale": 1.0, "joint": joint, "parameters": parameters, "correlations": [],
+                });
+                serde_json::from_value(budget).unwrap()
+            });
+            fit.calibration.monte_carlo = trials.then(|| {
+                let found = json!({
+                    "trials": 1000, "seed": 1, "stable": null, "failed": 0, "coverage_probability": 0.95, "inputs": [],
+                    "parameters": all(&trial),
+                });
+                serde_json::from_value(found).unwrap()
+            });
+        };
+        let (_a, mut first) = fit("a", FIRST);
+        let (_b, mut other) = fit("b", (&[("dyt", 5.0), ("dxt", 2.0)], &[&[3.0, 1.5], &[1.5, 2.0]]));
+        for trials in [false, true] {
+            with(&mut first, 10.0, trials);
+            with(&mut other, 12.0, trials);
+            let found = judge(&json!({}), &[&first, &other]).unwrap();
+            // Two quantities and ten degrees of freedom: 20/9 of F(0.95; 2, 9) = 4.2565.
+            assert!((found.figures[0].limit.unwrap() - 20.0 / 9.0 * 4.2565).abs() < 1e-3, "{trials}");
+            with(&mut other, 1.5, trials);
+            assert_eq!(
+                judge(&json!({}), &[&first, &other]).unwrap_err(),
+                "parameters: b against a: 2 parameters cannot be compared by a covariance that was found with 1.5 degrees of \
+                 freedom (compare at most 1 `parameters`)"
+            );
+        }
     }
 
     #[test]

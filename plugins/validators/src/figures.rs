@@ -2,7 +2,7 @@
 
 use std::collections::{BTreeMap, BTreeSet};
 
-use abbe_core::{Calibration, Figure, PathItem, Problem, SettingsError};
+use abbe_core::{Calibration, Figure, PathItem, Problem, Quantity, SettingsError};
 
 /// Largest admissible values by [`key`].
 pub type Limits = BTreeMap<String, f64>;
@@ -115,30 +115,73 @@ impl Sample {
     }
 }
 
-/// Samples by label, in the order in which the labels appear first.
+/// ResidualSample as people read them, lengths and angles apart: they do not add up.
+#[derive(Debug, Clone, Default)]
+pub struct ResidualSample {
+    /// µm
+    pub lengths: Sample,
+    /// µrad
+    pub angles: Sample,
+}
+
+impl ResidualSample {
+    /// Adds a residual, mm or rad.
+    pub fn push(&mut self, quantity: Quantity, residual: f64) {
+        match quantity {
+            Quantity::Angle => self.angles.0.push(residual * 1e6),
+            _ => self.lengths.0.push(residual * 1e3),
+        }
+    }
+
+    /// What there is, with its unit; lengths if there is nothing.
+    pub fn samples(&self) -> impl Iterator<Item = (&Sample, &'static str)> {
+        let (lengths, angles) = (!self.lengths.0.is_empty(), !self.angles.0.is_empty());
+        let all = [(lengths || !angles).then_some((&self.lengths, UM)), angles.then_some((&self.angles, URAD))];
+        all.into_iter().flatten()
+    }
+
+    /// Their size as figures.
+    pub fn figures(&self, of: &str) -> Vec<Figure> {
+        let of_one = |(sample, unit): (&Sample, &'static str)| {
+            [
+                Figure::new(of, "max", sample.max_absolute(), unit),
+                Figure::new(of, "mean", sample.mean_absolute(), unit),
+                Figure::new(of, "rms", sample.rms(), unit),
+            ]
+        };
+        self.samples().flat_map(of_one).collect()
+    }
+}
+
+/// The keys of limits of the figures of a [`ResidualSample`], and further ones.
+pub fn residual_limits<'a>(further: &[&'a str]) -> Vec<&'a str> {
+    [&["max_um", "mean_um", "rms_um", "max_urad", "mean_urad", "rms_urad"], further].concat()
+}
+
+/// ResidualSample by label, in the order in which the labels appear first.
 #[derive(Debug, Clone, Default)]
 pub struct Groups {
     index: BTreeMap<String, usize>,
-    samples: Vec<(String, Sample)>,
+    residuals: Vec<(String, ResidualSample)>,
 }
 
 impl Groups {
-    /// Adds a value.
-    pub fn push(&mut self, label: &str, value: f64) {
+    /// Adds a residual, mm or rad.
+    pub fn push(&mut self, label: &str, quantity: Quantity, residual: f64) {
         let index = match self.index.get(label) {
             Some(&index) => index,
             None => {
-                self.index.insert(label.to_owned(), self.samples.len());
-                self.samples.push((label.to_owned(), Sample::default()));
-                self.samples.len() - 1
+                self.index.insert(label.to_owned(), self.residuals.len());
+                self.residuals.push((label.to_owned(), ResidualSample::default()));
+                self.residuals.len() - 1
             }
         };
-        self.samples[index].1.0.push(value);
+        self.residuals[index].1.push(quantity, residual);
     }
 
-    /// Labels and samples.
-    pub fn iter(&self) -> impl Iterator<Item = &(String, Sample)> {
-        self.samples.iter()
+    /// Labels and residuals.
+    pub fn iter(&self) -> impl Iterator<Item = &(String, ResidualSample)> {
+        self.residuals.iter()
     }
 }
 

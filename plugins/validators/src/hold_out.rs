@@ -8,7 +8,7 @@ use schemars::JsonSchema;
 use serde::Deserialize;
 use serde_json::{Value, json};
 
-use crate::figures::{Groups, Limits, ONE, Sample, UM, check_limits, outliers, set_limits};
+use crate::figures::{Groups, Limits, ONE, ResidualSample, check_limits, outliers, residual_limits, set_limits};
 use crate::folds::{Folds, contained, default_column, reduced, set_of};
 
 inventory::submit! {
@@ -44,7 +44,7 @@ fn example() -> Value {
 fn build(settings: &Value, _: &Context) -> Result<Box<dyn Validate>, SettingsError> {
     let settings: Settings = abbe_core::from_settings(settings)?;
     settings.folds.check()?;
-    check_limits(&settings.limits, &["max_um", "mean_um", "rms_um", "outliers"])?;
+    check_limits(&settings.limits, &residual_limits(&["outliers"]))?;
     Ok(Box::new(HoldOut { settings }))
 }
 
@@ -79,7 +79,7 @@ impl HoldOut {
         let layout = problem.sets[set].observations.layout();
         let labels = abbe_table::labels(&layout.data, column)?;
         let left_out = outliers(problem, &fit.calibration);
-        let (mut all, mut groups) = (Sample::default(), Groups::default());
+        let (mut all, mut groups) = (ResidualSample::default(), Groups::default());
         let (mut predicted, mut skipped) = (0_usize, 0_usize);
         for fold in &folds {
             let trained = fold.train(fit, set)?;
@@ -106,23 +106,24 @@ impl HoldOut {
             }
             predicted += rows.len();
             let held = reduced(problem, &trained.calibration, set, rows, Vec::new());
-            for (residual, (_, row)) in held.residuals(&[])?.iter().zip(held.equation_rows()) {
-                all.0.push(residual * 1e3);
+            let equations = held.equation_rows().into_iter().zip(held.quantities());
+            for (residual, ((_, row), quantity)) in held.residuals(&[])?.into_iter().zip(equations) {
+                all.push(quantity, residual);
                 if let Some(data_row) = layout.rows[row].data_row {
-                    groups.push(&labels[data_row], residual * 1e3);
+                    groups.push(&labels[data_row], quantity, residual);
                 }
             }
         }
+        findings.figures.extend(all.figures(&fit.name));
         findings.figures.extend([
-            Figure::new(&fit.name, "max", all.max_absolute(), UM),
-            Figure::new(&fit.name, "mean", all.mean_absolute(), UM),
-            Figure::new(&fit.name, "rms", all.rms(), UM),
             Figure::new(&fit.name, "predicted", predicted as f64, ONE),
             Figure::new(&fit.name, "outliers", skipped as f64, ONE),
         ]);
-        findings.figures.extend(groups.iter().map(|(label, sample)| {
-            Figure::new(&fit.name, format!("rms[{column}={label}]"), sample.rms(), UM).detail()
-        }));
+        for (label, of_label) in groups.iter() {
+            findings.figures.extend(of_label.samples().map(|(sample, unit)| {
+                Figure::new(&fit.name, format!("rms[{column}={label}]"), sample.rms(), unit).detail()
+            }));
+        }
         Ok(())
     }
 }

@@ -7,8 +7,8 @@
 use std::collections::{BTreeMap, BTreeSet};
 
 use abbe_core::{
-    Build, Constructor, Context, Dataset, Error, Figure, Findings, Fit, InputFile, PathItem, Plugin, Quantity, Result,
-    SettingsError, Validate, inventory,
+    AxisKind, Build, Constructor, Context, Dataset, Error, Figure, Findings, Fit, InputFile, Names, PathItem, Plugin,
+    Problem, Quantity, Result, SettingsError, Validate, inventory,
 };
 use schemars::JsonSchema;
 use serde::Deserialize;
@@ -37,13 +37,14 @@ struct Settings {
     /// The column (without unit) of the data set under `from` that holds the measurements, lengths or angles.
     #[serde(default)]
     value: Option<String>,
-    /// The column whose labels are the points.
-    #[serde(default = "default_point")]
-    point: String,
-    /// The column whose labels are the cycles, in the order of their numbers, or of their rows if they are no numbers;
-    /// without it the first measurement of each point makes the first cycle, and so on.
+    /// The column whose labels are the points, or several that tell them together; `feature`, with `group` where the data
+    /// have it and use it for nothing else.
     #[serde(default)]
-    cycle: Option<String>,
+    point: Option<Names>,
+    /// The column whose labels are the cycles, or several (`[day, cycle]`), in the order of their numbers, or of their rows
+    /// if they are no numbers; without it the first measurement of each point makes the first cycle, and so on.
+    #[serde(default)]
+    cycle: Option<Names>,
     /// A column for whose labels everything is done separately: directions of probing.
     #[serde(default)]
     direction: Option<String>,
@@ -55,10 +56,6 @@ struct Settings {
     /// `total_range_um`, or the same in `_urad`; `outliers`.
     #[serde(default)]
     limits: Limits,
-}
-
-fn default_point() -> String {
-    "feature".to_owned()
 }
 
 fn default_window() -> usize {
@@ -86,7 +83,7 @@ fn keys(unit: &str) -> Vec<String> {
 }
 
 fn example() -> Value {
-    json!({ "rows": "table", "point": "feature", "cycle": "cycle", "window": 5, "limits": { "repeatability_um": 1 } })
+    json!({ "rows": "table", "point": ["feature", "group"], "cycle": ["day", "cycle"], "window": 5, "limits": { "repeatability_um": 1 } })
 }
 
 fn build(settings: &Value, _: &Context) -> Result<Box<dyn Validate>, SettingsError> {
@@ -164,14 +161,63 @@ impl Repeatability {
         let residuals = problem.residuals(&problem.values_of(&fit.calibration))?;
         let of_set = problem.equation_rows().into_iter().zip(residuals).filter(|((of, _), _)| *of == set);
         let kept = of_set.filter(|(row, _)| !left_out.contains(row));
+        let angles = problem.sets[set]
+            .rows
+            .iter()
+            .any(|&row| problem.sets[set].observations.quantity(row, 0) == Quantity::Angle);
+        let (unit, factor) = if angles { (URAD, 1e6) } else { (UM, 1e3) };
         let readings: Vec<Reading> = kept
-            .filter_map(|((_, row), value)| Some(Reading { row: layout.rows[row].data_row?, value: value * 1e3 }))
+            .filter_map(|((_, row), value)| Some(Reading { row: layout.rows[row].data_row?, value: value * factor }))
             .collect();
+        let points = self.points(&layout.data)?;
+        self.same_positions(problem, set, &points)?;
         let skipped = left_out.iter().filter(|(of, _)| *of == set).count();
-        self.judge(Some(&fit.name), &layout.data, &readings, UM, findings)?;
+        self.judge(Some(&fit.name), &layout.data, &readings, unit, findings)?;
         let mut figure = Figure::new(&fit.name, "outliers", skipped as f64, ONE);
         figure.limit = self.settings.limits.get("outliers").copied();
         findings.figures.push(figure);
+        Ok(())
+    }
+
+    /// The points of all rows.
+    fn points(&self, data: &Dataset) -> Result<Labelled> {
+        if let Some(names) = &self.settings.point {
+            return Labelled::new(data, names.as_slice(), "point");
+        }
+        let used = |name: &str| {
+            let cycles = self.settings.cycle.iter().flat_map(Names::as_slice);
+            cycles.chain(&self.settings.direction).any(|other| other == name)
+        };
+        let mut names = vec!["feature".to_owned()];
+        names.extend(Some("group".to_owned()).filter(|group| data.labels(group).is_some() && !used(group)));
+        Labelled::new(data, &names, "point")
+    }
+
+    /// Refuses a point that is measured at different positions of rotary axes: these would not be repeats.
+    fn same_positions(&self, problem: &Problem, set: usize, points: &Labelled) -> Result<()> {
+        let layout = problem.sets[set].observations.layout();
+        let axes = problem.model.axes();
+        let rotary = || axes.iter().filter(|axis| axis.kind == AxisKind::Rotary);
+        let mut first: BTreeMap<&str, usize> = BTreeMap::new();
+        for &row in &problem.sets[set].rows {
+            let Some(data_row) = layout.rows[row].data_row else { continue };
+            let (label, poses) = (points.of_rows[data_row].as_str(), layout.rows[row].poses);
+            let other = layout.rows[*first.entry(label).or_insert(row)].first_pose;
+            for pose in 0..poses {
+                let (one, other) =
+                    (layout.poses.row(layout.rows[row].first_pose + pose), layout.poses.row(other + pose));
+                let Some(axis) = rotary().find(|axis| (one[axis.status] - other[axis.status]).abs() > SAME_POSITION)
+                else {
+                    continue;
+                };
+                let message =
+                    format!("{} {label} was measured at another position of {} before", points.name, axis.name);
+                let error = layout.data.error_at(data_row, message);
+                return Err(error
+                    .help("list the columns that tell the points: `point: [feature, group]`")
+                    .setting("point"));
+            }
+        }
         Ok(())
     }
 
@@ -210,20 +256,20 @@ impl Repeatability {
             let figure = Figure::new(of.unwrap_or_default(), name, value, unit);
             Figure { of: of.map(str::to_owned), ..figure }
         };
-        let mut found = Vec::new();
-        for (label, series) in self.series(data, readings)? {
+        let (mut found, points) = (Vec::new(), self.points(data)?);
+        let point = &points.name;
+        for (label, series) in self.series(data, readings, &points)? {
             let variability = series.variability(self.settings.window);
             let name = of.map_or(String::new(), |of| format!("{of}: "));
             let place = label.as_ref().map_or(String::new(), |label| format!(" in direction {label}"));
             if variability.repeats == 0 {
-                return Err(Error::data(format!("{name}no {} is measured twice{place}", self.settings.point)));
+                return Err(Error::data(format!("{name}no {point} is measured twice{place}")));
             }
             if !variability.single.is_empty() {
-                let (single, point) = (variability.single.join(", "), &self.settings.point);
+                let single = variability.single.join(", ");
                 findings.remarks.push(format!("{name}{point} measured once only{place}, no repeatability: {single}"));
             }
             if variability.values[DRIFT].is_nan() {
-                let point = &self.settings.point;
                 findings.remarks.push(format!("{name}no {point} is measured in all cycles{place}: no drift is told"));
             }
             found.push((label, variability));
@@ -244,12 +290,16 @@ impl Repeatability {
     }
 
     /// The readings of every direction by point and cycle; a single direction without a label if none is asked for.
-    fn series<'a>(&self, data: &'a Dataset, readings: &[Reading]) -> Result<Vec<(Option<&'a str>, Series<'a>)>> {
+    fn series<'a>(
+        &self,
+        data: &'a Dataset,
+        readings: &[Reading],
+        points: &'a Labelled,
+    ) -> Result<Vec<(Option<&'a str>, Series<'a>)>> {
         let labels = |name: &str, setting: &str| abbe_table::labels(data, name).map_err(|error| error.setting(setting));
-        let points = labels(&self.settings.point, "point")?;
         let directions = self.settings.direction.as_deref().map(|name| labels(name, "direction")).transpose()?;
-        let cycles = self.settings.cycle.as_deref().map(|name| labels(name, "cycle")).transpose()?;
-        let order = cycles.map(ordered);
+        let cycles = self.settings.cycle.as_ref().map(|names| Labelled::new(data, names.as_slice(), "cycle"));
+        let cycles = cycles.transpose()?;
         let mut all: Vec<(Option<&str>, Series)> = Vec::new();
         for reading in readings {
             let direction = directions.map(|labels| labels[reading.row].as_str());
@@ -257,20 +307,51 @@ impl Repeatability {
                 all.push((direction, Series::default()));
                 all.len() - 1
             });
-            let point = all[index].1.point(&points[reading.row]);
-            let cycle = match (cycles, &order) {
-                (Some(labels), Some(order)) => order[labels[reading.row].as_str()],
-                _ => point.len(),
-            };
+            let point = all[index].1.point(&points.of_rows[reading.row]);
+            let cycle = cycles.as_ref().map_or(point.len(), |cycles| cycles.places[reading.row]);
             if point.insert(cycle, reading.value).is_some() {
-                let (name, point) = (&self.settings.point, &points[reading.row]);
-                let cycle = cycles.map_or("", |labels| labels[reading.row].as_str());
+                let (name, point) = (&points.name, &points.of_rows[reading.row]);
+                let cycle = cycles.as_ref().map_or("", |cycles| cycles.of_rows[reading.row].as_str());
                 return Err(data
                     .error_at(reading.row, format!("{name} {point} is measured twice in cycle {cycle}"))
                     .setting("cycle"));
             }
         }
         Ok(all)
+    }
+}
+
+/// Positions of rotary axes that differ by less are the same, rad: read back, they are never quite.
+const SAME_POSITION: f64 = 1e-3;
+
+/// What one column or several together say of every row.
+struct Labelled {
+    /// Names of the columns, `feature.group`.
+    name: String,
+    /// The labels of every data row, `3.7`.
+    of_rows: Vec<String>,
+    /// The place of every data row's label in the order of all, column by column.
+    places: Vec<usize>,
+}
+
+impl Labelled {
+    fn new(data: &Dataset, names: &[String], setting: &str) -> Result<Self> {
+        if names.is_empty() {
+            return Err(Error::usage("a column was expected").setting(setting));
+        }
+        let columns = names.iter().map(|name| abbe_table::labels(data, name).map_err(|error| error.setting(setting)));
+        let columns: Vec<&[String]> = columns.collect::<Result<_>>()?;
+        let orders: Vec<BTreeMap<&str, usize>> = columns.iter().map(|column| ordered(column)).collect();
+        let of_row = |row: usize| columns.iter().map(move |column| column[row].as_str());
+        let key = |row: usize| -> Vec<usize> { of_row(row).zip(&orders).map(|(label, order)| order[label]).collect() };
+        let keys: Vec<Vec<usize>> = (0..data.rows()).map(key).collect();
+        let different: BTreeSet<&Vec<usize>> = keys.iter().collect();
+        let place: BTreeMap<&Vec<usize>, usize> = different.into_iter().zip(0..).collect();
+        Ok(Self {
+            name: names.join("."),
+            of_rows: (0..data.rows()).map(|row| of_row(row).collect::<Vec<_>>().join(".")).collect(),
+            places: keys.iter().map(|key| place[key]).collect(),
+        })
     }
 }
 
@@ -543,7 +624,13 @@ mod tests {
         assert_eq!(found.figures.iter().filter(|figure| !figure.passes()).count(), 1);
         assert_eq!(found.remarks, ["fit: feature measured once only, no repeatability: c"]);
         assert_eq!(
-            judge("repeatability", folder.path(), &json!({ "rows": "table", "cycle": "feature" }), &fit).unwrap_err(),
+            judge(
+                "repeatability",
+                folder.path(),
+                &json!({ "rows": "table", "point": "feature", "cycle": "feature" }),
+                &fit
+            )
+            .unwrap_err(),
             "cycle: touches.csv:4: feature a is measured twice in cycle a"
         );
         assert_eq!(
@@ -553,6 +640,34 @@ mod tests {
         assert_eq!(
             judge("repeatability", folder.path(), &json!({ "value": "d" }), &fit).unwrap_err(),
             "value: `value` is a column of one ingest stage under `from`, not of 0"
+        );
+    }
+
+    /// Two facets at two indexations, each touched on two days in two cycles, in any order.
+    #[test]
+    fn points_and_cycles_of_several_columns() {
+        let text = "feature,group,day,cycle,d_um\na,1,1,2,2\na,1,1,1,0\na,2,1,1,10\na,2,1,2,10\nb,1,1,1,5\nb,1,1,2,5\n\
+                    a,1,2,1,4\na,1,2,2,8\na,2,2,1,10\na,2,2,2,10\nb,1,2,1,5\nb,1,2,2,5\n";
+        let settings = json!({ "value": "d", "cycle": ["day", "cycle"], "window": 2 });
+        let found = judged(&settings, text).unwrap();
+        // Windows of a.1: 0 2 | 4 8, squares 2 + 8; everything else repeats exactly. Cycle means 5, 17/3, 19/3, 23/3.
+        let values = values(&found, None);
+        assert!((values[0] - 5.0_f64.sqrt()).abs() < 1e-12 && (values[1] - (10.0 / 6.0_f64).sqrt()).abs() < 1e-12);
+        assert!((values[DRIFT + 1] - 8.0 / 3.0).abs() < 1e-12, "{values:?}");
+        assert!(found.remarks.is_empty());
+        let without_group = json!({ "value": "d", "point": "feature", "cycle": ["day", "cycle"] });
+        assert_eq!(
+            judged(&without_group, text).unwrap_err(),
+            "cycle: repeats.csv:4: feature a is measured twice in cycle 1.1"
+        );
+        let without_day = json!({ "value": "d", "cycle": "cycle" });
+        assert_eq!(
+            judged(&without_day, text).unwrap_err(),
+            "cycle: repeats.csv:8: feature.group a.1 is measured twice in cycle 1"
+        );
+        assert_eq!(
+            judged(&json!({ "value": "d", "cycle": 3 }), text).unwrap_err(),
+            "cycle: a name or a list of names was expected"
         );
     }
 

@@ -4,15 +4,15 @@
 use std::collections::BTreeSet;
 
 use abbe_core::{
-    Build, Constructor, Context, Dataset, Error, Figure, Findings, Fit, InputFile, PathItem, Plugin, Problem, Result,
-    SettingsError, Validate, Values, inventory,
+    Build, Constructor, Context, Dataset, Error, Figure, Findings, Fit, InputFile, PathItem, Plugin, Problem, Quantity,
+    Result, SettingsError, Validate, Values, inventory,
 };
 use schemars::JsonSchema;
 use serde::Deserialize;
 use serde_json::{Value, json};
 
 use crate::drift::{self, DEGREES};
-use crate::figures::{Groups, Limits, ONE, Sample, UM, check_limits, outliers, set_limits};
+use crate::figures::{Groups, Limits, ONE, ResidualSample, check_limits, outliers, residual_limits, set_limits};
 
 inventory::submit! {
     Plugin::built_in(
@@ -32,7 +32,7 @@ struct Settings {
     /// said otherwise.
     #[serde(default)]
     by: Option<Vec<String>>,
-    /// Largest admissible values: `max_um`, `mean_um`, `rms_um`, `outliers`.
+    /// Largest admissible values: `max_um`, `mean_um`, `rms_um`, of angles `max_urad`, `mean_urad`, `rms_urad`; `outliers`.
     #[serde(default)]
     limits: Limits,
 }
@@ -43,12 +43,19 @@ fn example() -> Value {
 
 fn build(settings: &Value, _: &Context) -> Result<Box<dyn Validate>, SettingsError> {
     let settings: Settings = abbe_core::from_settings(settings)?;
-    check_limits(&settings.limits, &["max_um", "mean_um", "rms_um", "outliers"])?;
+    check_limits(&settings.limits, &residual_limits(&["outliers"]))?;
     Ok(Box::new(Residuals { settings }))
 }
 
 struct Residuals {
     settings: Settings,
+}
+
+/// A residual that counts.
+struct Kept {
+    row: (usize, usize),
+    quantity: Quantity,
+    residual: f64,
 }
 
 impl Validate for Residuals {
@@ -71,27 +78,29 @@ impl Residuals {
         let problem = &fit.problem;
         let left_out = outliers(problem, &fit.calibration);
         let residuals = problem.residuals(&problem.values_of(&fit.calibration))?;
-        let kept: Vec<((usize, usize), f64)> = (problem.equation_rows().into_iter().zip(&residuals))
-            .filter(|(row, _)| !left_out.contains(row))
-            .map(|(row, residual)| (row, residual * 1e3))
+        let kept: Vec<Kept> = (problem.equation_rows().into_iter().zip(problem.quantities()).zip(residuals))
+            .filter(|((row, _), _)| !left_out.contains(row))
+            .map(|((row, quantity), residual)| Kept { row, quantity, residual })
             .collect();
-        let all = Sample(kept.iter().map(|(_, residual)| *residual).collect());
-        findings.figures.extend([
-            Figure::new(&fit.name, "max", all.max_absolute(), UM),
-            Figure::new(&fit.name, "mean", all.mean_absolute(), UM),
-            Figure::new(&fit.name, "rms", all.rms(), UM),
-            Figure::new(&fit.name, "outliers", left_out.len() as f64, ONE),
-        ]);
+        let mut all = ResidualSample::default();
+        kept.iter().for_each(|kept| all.push(kept.quantity, kept.residual));
+        findings.figures.extend(all.figures(&fit.name));
+        findings.figures.push(Figure::new(&fit.name, "outliers", left_out.len() as f64, ONE));
         let mut worst = Vec::new();
         for column in self.columns(problem)? {
             let groups = group(problem, &kept, &column);
-            for (label, sample) in groups.iter() {
-                let figure =
-                    |name: &str, value| Figure::new(&fit.name, format!("{name}[{column}={label}]"), value, UM).detail();
-                findings.figures.extend([figure("rms", sample.rms()), figure("max", sample.max_absolute())]);
+            for (label, of_label) in groups.iter() {
+                for (sample, unit) in of_label.samples() {
+                    let figure = |name: &str, value| {
+                        Figure::new(&fit.name, format!("{name}[{column}={label}]"), value, unit).detail()
+                    };
+                    findings.figures.extend([figure("rms", sample.rms()), figure("max", sample.max_absolute())]);
+                }
             }
-            if let Some((label, sample)) = groups.iter().max_by(|(_, a), (_, b)| a.rms().total_cmp(&b.rms())) {
-                worst.push(format!("{column} {label} ({:.1} µm)", sample.rms()));
+            let lengths = groups.iter().filter(|(_, of_label)| !of_label.lengths.0.is_empty());
+            let lengths = lengths.map(|(label, of_label)| (label, of_label.lengths.rms()));
+            if let Some((label, rms)) = lengths.max_by(|(_, a), (_, b)| a.total_cmp(b)) {
+                worst.push(format!("{column} {label} ({rms:.1} µm)"));
             }
         }
         if !worst.is_empty() {
@@ -118,12 +127,12 @@ impl Residuals {
 }
 
 /// The residuals by the labels of a column; rows without it are in no group.
-fn group(problem: &Problem, residuals: &[((usize, usize), f64)], column: &str) -> Groups {
+fn group(problem: &Problem, residuals: &[Kept], column: &str) -> Groups {
     let mut groups = Groups::default();
-    for &((set, row), residual) in residuals {
+    for &Kept { row: (set, row), quantity, residual } in residuals {
         let layout = problem.sets[set].observations.layout();
         if let (Some(labels), Some(data_row)) = (layout.data.labels(column), layout.rows[row].data_row) {
-            groups.push(&labels[data_row], residual);
+            groups.push(&labels[data_row], quantity, residual);
         }
     }
     groups

@@ -6,7 +6,7 @@ use abbe_core::{
     Build, Calibration, Constructor, Context, Dataset, Error, Estimated, Figure, Findings, Fit, InputFile, PathItem,
     Plugin, Result, SettingsError, Status, Unit, Validate, inventory, matches, positive,
 };
-use abbe_volumetric::{Ellipsoid, Grid, predict, within};
+use abbe_volumetric::{Grid, Volumetric, predict, within};
 use schemars::JsonSchema;
 use serde::Deserialize;
 use serde_json::{Value, json};
@@ -280,9 +280,17 @@ fn judge_workspace(fit: &Fit, workspace: &Workspace, findings: &mut Findings) ->
     let model = fit.problem.model.as_ref();
     let statuses = workspace.grid.statuses(model).map_err(|error| within(error, &["volumetric", "grid"]))?;
     let errors = predict(model, &fit.calibration, &statuses)?;
-    let semi_axis =
-        |covariance| Ellipsoid::of(covariance, workspace.probability).map(|ellipsoid| ellipsoid.semi_axes[0] * 1e3);
-    let expanded = errors.iter().map(|error| semi_axis(&error.covariance)).collect::<Result<Vec<f64>>>()?;
+    let semi_axis = |error: &Volumetric| {
+        let ellipsoid = error.ellipsoid(workspace.probability)?;
+        Ok(ellipsoid.semi_axes.map_or(f64::NAN, |semi_axes| semi_axes[0] * 1e3))
+    };
+    let expanded = errors.iter().map(semi_axis).collect::<Result<Vec<f64>>>()?;
+    if let Some(error) = errors.iter().zip(&expanded).find_map(|(error, size)| size.is_nan().then_some(error)) {
+        findings.remarks.push(format!(
+            "{}: no volumetric ellipsoid, because the uncertainties were found with {:.1} degrees of freedom only",
+            fit.name, error.degrees_of_freedom
+        ));
+    }
     let (sizes, expanded) = (Sample(errors.iter().map(|error| error.size() * 1e3).collect()), Sample(expanded));
     let figure = |name: &str, value, unit| Figure::new(&fit.name, format!("volumetric {name}"), value, unit);
     let mut largest = figure("expanded max", expanded.max(), UM);

@@ -61,15 +61,15 @@ fn factors_of_several_quantities_are_those_of_the_table() {
     let ellipsoids = [1.96, 2.45, 2.80, 3.08, 3.33];
     let rectangles = [1.96, 2.24, 2.39, 2.50, 2.58];
     for quantities in 1..=5 {
-        close(joint_coverage_factor(quantities, 0.95), ellipsoids[quantities - 1], 0.005);
-        close(rectangular_coverage_factor(quantities, 0.95), rectangles[quantities - 1], 0.005);
+        close(joint_coverage_factor(quantities, 0.95, f64::INFINITY), ellipsoids[quantities - 1], 0.005);
+        close(rectangular_coverage_factor(quantities, 0.95, f64::INFINITY), rectangles[quantities - 1], 0.005);
     }
     for probability in [0.5, 0.95, 0.999] {
         let one = coverage_factor(probability, f64::INFINITY);
-        close(joint_coverage_factor(1, probability), one, 1e-9);
-        close(rectangular_coverage_factor(1, probability), one, 1e-9);
+        close(joint_coverage_factor(1, probability, f64::INFINITY), one, 1e-9);
+        close(rectangular_coverage_factor(1, probability, f64::INFINITY), one, 1e-9);
     }
-    let many = rectangular_coverage_factor(1000, 0.95);
+    let many = rectangular_coverage_factor(1000, 0.95, f64::INFINITY);
     close(two_sided_normal(many) * 1000.0, 0.05, 1e-9);
 }
 
@@ -105,8 +105,8 @@ fn chi_squared_has_its_quantiles() {
 fn what_makes_no_sense_is_not_a_number() {
     for wrong in [0.0, 1.0, -0.5, 1.5, f64::NAN] {
         assert!(coverage_factor(wrong, 5.0).is_nan());
-        assert!(joint_coverage_factor(2, wrong).is_nan());
-        assert!(rectangular_coverage_factor(2, wrong).is_nan());
+        assert!(joint_coverage_factor(2, wrong, f64::INFINITY).is_nan());
+        assert!(rectangular_coverage_factor(2, wrong, f64::INFINITY).is_nan());
         assert!(chi_squared_quantile(wrong, 5.0).is_nan());
     }
     for wrong in [0.0, -1.0, f64::NAN] {
@@ -114,7 +114,10 @@ fn what_makes_no_sense_is_not_a_number() {
         assert!(chi_squared_quantile(0.95, wrong).is_nan());
         assert!(chi_squared_upper_tail(1.0, wrong).is_nan());
     }
-    assert!(joint_coverage_factor(0, 0.95).is_nan() && rectangular_coverage_factor(0, 0.95).is_nan());
+    assert!(
+        joint_coverage_factor(0, 0.95, f64::INFINITY).is_nan()
+            && rectangular_coverage_factor(0, 0.95, f64::INFINITY).is_nan()
+    );
     assert!(chi_squared_upper_tail(f64::NAN, 2.0).is_nan());
     assert_eq!(binomial_band(10, f64::NAN, 0.95), (0, 10));
     assert_eq!(binomial_band(10, 0.5, 1.0), (0, 10));
@@ -188,4 +191,11 @@ fn the_squared_distance_of_a_found_covariance_is_wider_than_chi_squared() {
     let found = abbe_numerics::hotelling_quantile(0.95, 4, 15.0);
     assert!((abbe_numerics::hotelling_upper_tail(found, 4, 15.0) - 0.05).abs() < 1e-9);
     assert!(abbe_numerics::hotelling_quantile(0.95, 16, 15.0).is_nan());
+    assert!(abbe_numerics::hotelling_quantile(0.95, 16, 15.4).is_nan());
+    // F(0.95; 3, 13) = 3.4105; chi-squared gives 2.80.
+    let position = joint_coverage_factor(3, 0.95, 15.0);
+    assert!((position - (45.0 / 13.0 * 3.4105_f64).sqrt()).abs() < 1e-3 && (position - 3.44).abs() < 5e-3);
+    assert!(joint_coverage_factor(16, 0.95, 15.0).is_nan());
+    // Student's t with 15 degrees of freedom at 1 - 0.05 / 10 / 2.
+    assert!((rectangular_coverage_factor(10, 0.95, 15.0) - 3.286).abs() < 1e-3);
 }

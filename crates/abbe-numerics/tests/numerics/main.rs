@@ -3,6 +3,7 @@
 
 mod accumulate;
 mod coverage;
+mod design;
 mod monte_carlo;
 mod nist;
 mod nist_nonlinear;

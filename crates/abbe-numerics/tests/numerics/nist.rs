@@ -1,7 +1,7 @@
 //! Proves the coefficients and their standard deviations against the certified ones of NIST's linear reference problems,
 //! to as many digits as the condition of each leaves in double precision.
 
-use abbe_numerics::{Design, End, Options, fit_linear, solve};
+use abbe_numerics::{DesignMatrix, End, Options, fit_linear, solve};
 use serde_json::Value;
 
 use crate::problems::{Linear, given};
@@ -39,13 +39,13 @@ fn doubled_powers(x: f64, degree: i64) -> (Vec<f64>, Vec<f64>) {
 }
 
 /// The problem with polynomials to twice the digits: rounded powers alone move the coefficients of Filip by 2e-8.
-fn design(set: &Value, rows: &[Vec<f64>]) -> Design {
+fn design(set: &Value, rows: &[Vec<f64>]) -> DesignMatrix {
     if set["form"] != "polynomial" {
-        return Design::new(rows);
+        return DesignMatrix::new(rows);
     }
     let degree = set["degree"].as_i64().expect("a degree");
     let (high, low): (Vec<_>, Vec<_>) = numbers(&set["x"]).into_iter().map(|x| doubled_powers(x, degree)).unzip();
-    Design::doubled(&high, &low)
+    DesignMatrix::doubled(&high, &low)
 }
 
 #[test]

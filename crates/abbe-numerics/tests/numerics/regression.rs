@@ -1,13 +1,15 @@
 //! Proves diagnostics against numbers found by hand and against their definitions by leaving rows out, and the selection of
 //! terms on data that are made of some of them.
 
-use abbe_numerics::{Design, Direction, Influence, LinearFit, coverage_factor, fit_linear, stepwise, unit_length};
+use abbe_numerics::{
+    DesignMatrix, Direction, Influence, LinearFit, coverage_factor, fit_linear, stepwise, unit_length,
+};
 
 use crate::problems::{Linear, Random};
 
 fn line(y: &[f64]) -> LinearFit {
     let rows: Vec<Vec<f64>> = (1..=y.len()).map(|x| vec![1.0, x as f64]).collect();
-    fit_linear(&Design::new(&rows), y).expect("full rank")
+    fit_linear(&DesignMatrix::new(&rows), y).expect("full rank")
 }
 
 fn close(found: &[f64], expected: &[f64]) {
@@ -39,13 +41,13 @@ fn influence_is_what_leaving_a_row_out_does() {
     let random = &mut Random::new(3);
     for _ in 0..10 {
         let Linear { rows, residuals } = Linear::random(random, 12, 3);
-        let fit = fit_linear(&Design::new(&rows), &residuals).expect("full rank");
+        let fit = fit_linear(&DesignMatrix::new(&rows), &residuals).expect("full rank");
         let influence = Influence::new(&fit);
         for out in 0..rows.len() {
             let kept = |index: &usize| *index != out;
             let others: Vec<Vec<f64>> = (0..rows.len()).filter(kept).map(|row| rows[row].clone()).collect();
             let right: Vec<f64> = (0..rows.len()).filter(kept).map(|row| residuals[row]).collect();
-            let without = fit_linear(&Design::new(&others), &right).expect("full rank");
+            let without = fit_linear(&DesignMatrix::new(&others), &right).expect("full rank");
             let moved: f64 = rows.iter().map(|row| (fit.at(row).0 - without.at(row).0).powi(2)).sum();
             assert!((influence.cook[out] - moved / (3.0 * fit.variance())).abs() < 1e-10);
             // The prediction error of the row over its standard deviation, both without it.
@@ -94,8 +96,8 @@ fn columns_of_unit_length_give_correlations() {
 #[test]
 fn columns_that_follow_from_others_are_told() {
     let rows: Vec<Vec<f64>> = (0..9).map(|row| vec![1.0, f64::from(row), 3.0 + 2.0 * f64::from(row)]).collect();
-    assert!(fit_linear(&Design::new(&rows), &[1.0; 9]).is_none());
-    assert!(fit_linear(&Design::new(&rows[..2]), &[1.0; 2]).is_none());
-    let zero = fit_linear(&Design::new(&[vec![1.0], vec![2.0]]), &[0.0; 2]).expect("a solution");
+    assert!(fit_linear(&DesignMatrix::new(&rows), &[1.0; 9]).is_none());
+    assert!(fit_linear(&DesignMatrix::new(&rows[..2]), &[1.0; 2]).is_none());
+    let zero = fit_linear(&DesignMatrix::new(&[vec![1.0], vec![2.0]]), &[0.0; 2]).expect("a solution");
     assert_eq!(zero.values, [0.0]);
 }

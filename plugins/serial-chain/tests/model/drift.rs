@@ -15,6 +15,7 @@ fn data(rows: &[(&str, f64)]) -> Dataset {
         ],
         origins: (0..rows.len()).map(|row| RowOrigin { file: 0, line: row + 2, row: row + 1 }).collect(),
         files: vec!["data.csv".into()],
+        averaged: false,
     }
 }
 
@@ -28,7 +29,7 @@ fn effect(model: &dyn KinematicModel, parameter: &str, day: &str, time: f64) -> 
             _ => 0.0,
         })
         .collect();
-    let values = vec![0.0; model.parameters().len()];
+    let values = model.nominal();
     subject::poses(model, &row, &values, &[Variable::Parameter(index)]).position_derivatives[0][2]
 }
 

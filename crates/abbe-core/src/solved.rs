@@ -1,0 +1,71 @@
+//! From the solution of a problem to a calibration: every parameter with its value, unit, uncertainty and status.
+
+use crate::calibration::{CALIBRATION_FORMAT, Calibration, Covariance, Estimated, FitReport, Outlier, Status};
+use crate::problem::{Owner, Problem, Unknown};
+use crate::unit::Unit;
+
+impl Problem {
+    /// The calibration that a solution is: `x` in the order of the unknowns, and the covariance of the unknowns followed by
+    /// what is considered.
+    pub fn calibration(
+        &self,
+        x: &[f64],
+        covariance: Vec<Vec<f64>>,
+        outliers: Vec<Outlier>,
+        fit: FitReport,
+    ) -> Calibration {
+        let considered = &self.considered.unknowns;
+        let lost =
+            |name: &str| fit.null_space.iter().any(|vector| vector.combination.iter().any(|part| part.name == name));
+        let estimated = |owner: Owner, index: usize, name: String, unit: Unit, fixed: f64| {
+            let here = |unknown: &Unknown| unknown.owner == owner && unknown.index == index;
+            let uncertainty = |column: usize| covariance[column][column].max(0.0).sqrt();
+            let chosen = self.unknowns.iter().position(here);
+            let known = considered.iter().position(here);
+            let (value, standard_uncertainty, status) = match (chosen, known) {
+                (Some(column), _) => {
+                    let status = if lost(&name) { Status::Confounded } else { Status::Estimated };
+                    (x[column], uncertainty(column), status)
+                }
+                (None, Some(known)) => (fixed, uncertainty(self.unknowns.len() + known), Status::Considered),
+                (None, None) => (fixed, 0.0, Status::Fixed),
+            };
+            Estimated { name, value, unit: unit.to_string(), standard_uncertainty, status }
+        };
+        let parameters = self.model.parameters().iter().enumerate();
+        let parameters = parameters.map(|(index, parameter)| {
+            estimated(Owner::Machine, index, parameter.name.clone(), parameter.unit, self.machine[index])
+        });
+        let mut artefacts = Vec::new();
+        for (set, observations) in self.sets.iter().enumerate() {
+            for (index, own) in observations.observations.unknowns().iter().enumerate() {
+                let name = format!("{}.{}", observations.name, own.name);
+                artefacts.push(estimated(Owner::Set(set), index, name, own.unit, observations.own[index]));
+            }
+        }
+        for unknown in considered.iter().filter(|unknown| unknown.owner == Owner::Input) {
+            let value = self.inputs[unknown.index].value(&self.sets);
+            artefacts.push(estimated(Owner::Input, unknown.index, unknown.name.clone(), unknown.unit, value));
+        }
+        Calibration {
+            abbe_calibration: CALIBRATION_FORMAT,
+            estimate: self.name.clone(),
+            model: self.model_record(),
+            parameters: parameters.collect(),
+            artefacts,
+            covariance: Covariance {
+                order: self
+                    .unknowns
+                    .iter()
+                    .chain(&self.considered.unknowns)
+                    .map(|unknown| unknown.name.clone())
+                    .collect(),
+                rows: covariance,
+            },
+            outliers,
+            fit,
+            uncertainty: None,
+            monte_carlo: None,
+        }
+    }
+}

@@ -1,0 +1,46 @@
+//! New folders, written whole or not at all.
+
+use std::collections::BTreeMap;
+use std::fs;
+use std::io;
+use std::path::{Path, PathBuf};
+
+use abbe_core::{Error, Result};
+
+use crate::outcome::{staging, unwritable};
+
+/// Fails early if no new folder could be written at `out` in the end: it must not exist or be empty.
+pub fn can_write_folder(out: &Path) -> Result<()> {
+    let is_empty = || fs::read_dir(out).is_ok_and(|mut entries| entries.next().is_none());
+    if out.exists() && !is_empty() {
+        return Err(Error::data(format!("{} is there already and not empty", out.display()))
+            .help("move it away, or name another folder with `--out`"));
+    }
+    staging(parent(out)).map(drop)
+}
+
+/// Writes files, whose names are relative to it, into the folder `out`.
+pub(crate) fn write_folder(out: &Path, files: &BTreeMap<PathBuf, Vec<u8>>) -> Result<()> {
+    can_write_folder(out)?;
+    let parent = parent(out);
+    let failed = |error: io::Error| unwritable(parent, &error);
+    let staging = staging(parent)?;
+    for (name, content) in files {
+        let path = staging.path().join(name);
+        if let Some(folder) = path.parent() {
+            fs::create_dir_all(folder).map_err(failed)?;
+        }
+        fs::write(path, content).map_err(failed)?;
+    }
+    if out.exists() {
+        fs::remove_dir(out).map_err(failed)?;
+    }
+    fs::rename(staging.path(), out).map_err(failed)?;
+    // It is in its place: there is nothing to clean up.
+    let _ = staging.keep();
+    Ok(())
+}
+
+fn parent(out: &Path) -> &Path {
+    out.parent().filter(|parent| *parent != Path::new("")).unwrap_or(Path::new("."))
+}

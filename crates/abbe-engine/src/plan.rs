@@ -1,0 +1,130 @@
+//! Which measurements to make: a plan with the data file to fill in.
+
+use std::collections::BTreeMap;
+use std::fs;
+use std::path::{Path, PathBuf};
+
+use abbe_core::{Dataset, Error, Identifiability, Result};
+use abbe_planning::{Plan, PlanFigures, plan};
+use serde_json::{Value, json};
+
+use crate::folder::write_folder;
+use crate::prepare::Prepared;
+use crate::run::{Taken, has_problem};
+
+/// Chosen measurements, in memory.
+#[derive(Clone)]
+pub struct Measurements {
+    /// The planned estimate.
+    pub estimate: String,
+    /// The plan.
+    pub plan: Plan,
+    /// What the planned estimate could determine from it.
+    pub identifiability: Identifiability,
+    /// Whether its estimator would go on with that.
+    pub accepted: bool,
+    /// The plan as `plan.json` has it.
+    pub record: String,
+    /// The data files with the chosen rows, relative to the folder that they are written into.
+    pub files: BTreeMap<PathBuf, Vec<u8>>,
+}
+
+/// The record of a plan among its files.
+const RECORD: &str = "plan.json";
+
+impl Prepared {
+    /// Chooses the measurements that the key `plan` of the recipe asks for.
+    ///
+    /// Fails if there is no such key, and as [`abbe_planning::plan`] does.
+    pub fn plan(&self) -> Result<Measurements> {
+        let wanted = self.recipe.plan.as_ref().ok_or_else(|| {
+            Error::usage("the recipe says nothing of what is to be planned")
+                .help("add `plan: { estimate: .., candidates: .., number: .. }` to it")
+                .in_file(&self.recipe.path)
+        })?;
+        let data = self.read(&|_| {})?;
+        let stage = self.recipe_stage(&wanted.estimate)?;
+        if !has_problem(&stage) {
+            let error = Error::usage(format!("`{}` has no machine and observations of its own", stage.name));
+            return Err(self.recipe.locate_plan(error.setting("estimate")));
+        }
+        let problem = self.located(stage, self.problem(stage, &data, &mut Taken::default()))?;
+        let plan = plan(&problem, wanted).map_err(|error| self.recipe.locate_plan(error))?;
+        let estimator = &self.estimators[&stage.name];
+        let identifiability = self.located(stage, estimator.identify(&plan.problem))?;
+        let accepted = estimator.accepts(&identifiability);
+        let from = &data[self.artefact(&wanted.candidates)?.0];
+        let mut files = rows(from, &plan)?;
+        let record = serde_json::to_string_pretty(&record(&stage.name, &plan, &identifiability))
+            .map_err(|error| Error::data(format!("the plan cannot be written: {error}")))?
+            + "\n";
+        files.insert(PathBuf::from(RECORD), record.clone().into_bytes());
+        Ok(Measurements { estimate: stage.name.clone(), plan, identifiability, accepted, record, files })
+    }
+}
+
+impl Measurements {
+    /// Writes everything into the folder `out`, which must not exist or be empty: whole or not at all.
+    pub fn write(&self, out: &Path) -> Result<()> {
+        write_folder(out, &self.files)
+    }
+}
+
+/// The chosen rows as they stand in their files, under the header of these.
+fn rows(data: &Dataset, plan: &Plan) -> Result<BTreeMap<PathBuf, Vec<u8>>> {
+    let mut files = BTreeMap::new();
+    for (index, path) in data.files.iter().enumerate() {
+        let of_file = plan.data_rows.iter().map(|&row| data.origins[row]).filter(|origin| origin.file == index);
+        let lines: Vec<usize> = of_file.map(|origin| origin.line).collect();
+        if lines.is_empty() {
+            continue;
+        }
+        let text = fs::read_to_string(path)
+            .map_err(|error| Error::data(format!("the file cannot be read: {error}")).in_file(path))?;
+        let all: Vec<&str> = text.trim_start_matches('\u{feff}').lines().collect();
+        let header = all.iter().find(|line| !line.starts_with('#') && !line.trim().is_empty());
+        let chosen = lines.iter().filter_map(|line| all.get(line - 1));
+        let mut written = format!("# {} rows, chosen by `abbe plan`\n", lines.len());
+        header.into_iter().chain(chosen).for_each(|line| written.extend([line, "\n"]));
+        let name = path.file_name().map_or_else(|| PathBuf::from("plan.csv"), PathBuf::from);
+        if files.insert(name, written.into_bytes()).is_some() {
+            return Err(Error::usage("two files of candidates have the same name").in_file(path));
+        }
+    }
+    Ok(files)
+}
+
+/// `plan.json`.
+fn record(estimate: &str, plan: &Plan, found: &Identifiability) -> Value {
+    let figures = |figures: &PlanFigures| {
+        json!({
+            "equations": figures.equations,
+            "log_determinant": figures.log_determinant,
+            "condition": figures.condition,
+            "response_variance_mean": figures.response_variance[0],
+            "response_variance_max": figures.response_variance[1],
+        })
+    };
+    let chosen = plan
+        .chosen
+        .iter()
+        .map(|chosen| json!({ "candidate": chosen.label, "times": chosen.times, "required": chosen.required }));
+    let unknowns = plan.problem.unknowns.iter().zip(&plan.figures.standard_uncertainties);
+    let unknowns = unknowns.map(|(unknown, uncertainty)| {
+        json!({ "name": unknown.name, "unit": unknown.unit.to_string(), "standard_uncertainty": uncertainty })
+    });
+    json!({
+        "abbe_plan": 1,
+        "estimate": estimate,
+        "candidates": plan.candidates,
+        "chosen": chosen.collect::<Vec<_>>(),
+        "figures": figures(&plan.figures),
+        "spread_evenly": plan.evenly.as_ref().map(figures),
+        "efficiency_spread_evenly": plan.evenly.as_ref().map(|evenly| plan.figures.efficiency_of(evenly)),
+        "efficiency_of_random": plan.random_efficiency,
+        "searches_that_found_it": plan.found,
+        "unknowns": unknowns.collect::<Vec<_>>(),
+        "rank": found.rank,
+        "null_space": found.null_space,
+    })
+}

@@ -1,0 +1,79 @@
+//! What there is to choose from.
+
+use std::collections::BTreeMap;
+
+use abbe_core::{Label, PathItem, Planning, Problem, Result};
+
+use crate::wrong;
+
+/// Measurements that are made together.
+pub struct Candidate {
+    /// Its label, or the number of its data row.
+    pub label: String,
+    /// Its rows in the set of the candidates.
+    pub rows: Vec<usize>,
+    /// Its equations in the problem.
+    pub equations: Vec<usize>,
+    /// What it takes, s; 0 where the data do not say.
+    pub duration: f64,
+    /// How often it is required.
+    pub required: usize,
+    /// Whether it must not be chosen.
+    pub forbidden: bool,
+}
+
+/// The column with the time that a row takes.
+const DURATION: &str = "duration";
+
+/// The candidates in the order of the data.
+///
+/// Fails for a stage that the estimate does not observe, a column that is not there and candidates that are not.
+pub fn candidates(problem: &Problem, wanted: &Planning) -> Result<Vec<Candidate>> {
+    let set = problem.sets.iter().position(|set| set.name == wanted.candidates).ok_or_else(|| {
+        let message = format!("`{}` does not observe `{}`", wanted.estimate, wanted.candidates);
+        wrong("candidates", message).suggest(&wanted.candidates, problem.sets.iter().map(|set| set.name.as_str()))
+    })?;
+    let layout = problem.sets[set].observations.layout();
+    let data = &layout.data;
+    let labels =
+        wanted.by.as_deref().map(|by| data.required_labels(by).map_err(|error| error.setting("by"))).transpose()?;
+    let durations = match wanted.budget_s {
+        Some(_) => Some(data.required_numbers(DURATION).map_err(|error| error.setting("budget_s"))?),
+        None => data.numbers(DURATION),
+    };
+    let mut found: Vec<Candidate> = Vec::new();
+    let mut places: BTreeMap<String, usize> = BTreeMap::new();
+    for (equation, (of, row)) in problem.equation_rows().into_iter().enumerate() {
+        let Some(data_row) = layout.rows.get(row).filter(|_| of == set).and_then(|row| row.data_row) else { continue };
+        let label = labels.map_or_else(|| data.origins[data_row].row.to_string(), |labels| labels[data_row].clone());
+        let place = *places.entry(label.clone()).or_insert_with(|| {
+            let (rows, equations) = (Vec::new(), Vec::new());
+            found.push(Candidate { label, rows, equations, duration: 0.0, required: 0, forbidden: false });
+            found.len() - 1
+        });
+        let candidate = &mut found[place];
+        candidate.equations.push(equation);
+        if candidate.rows.last() != Some(&row) {
+            candidate.rows.push(row);
+            candidate.duration += durations.map_or(0.0, |durations| durations[data_row]);
+        }
+    }
+    named("required", &wanted.required, &mut found, |candidate| candidate.required += 1)?;
+    named("forbidden", &wanted.forbidden, &mut found, |candidate| candidate.forbidden = true)?;
+    Ok(found)
+}
+
+/// Marks the candidates that a setting names.
+fn named(key: &str, labels: &[Label], candidates: &mut [Candidate], mark: impl Fn(&mut Candidate)) -> Result<()> {
+    for (index, label) in labels.iter().enumerate() {
+        match candidates.iter_mut().find(|candidate| candidate.label == label.0) {
+            Some(candidate) => mark(candidate),
+            None => {
+                let mut error = wrong(key, format!("there is no candidate {}", label.0));
+                error.setting.push(PathItem::Index(index));
+                return Err(error);
+            }
+        }
+    }
+    Ok(())
+}

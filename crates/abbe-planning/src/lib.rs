@@ -1,0 +1,322 @@
+//! Chooses which measurements to make for a planned estimate: the candidates that determine its unknowns best (Soons 1993,
+//! section 4.4; Rahman 2016, section 8.3).
+//!
+//! A candidate is a row of an artefact's data, or all rows with one label: an indexation. What the estimate observes beside
+//! the candidates has been measured already. Everything follows from the derivatives of the problem at nominal contact, so
+//! that nothing here knows a machine or an artefact.
+
+mod candidates;
+
+use abbe_core::{Error, PathItem, Planning, PlanningCriterion, Problem, Result, Unknown, in_parallel, matches};
+use abbe_numerics::{Choice, Criterion, Design, DesignFigures, Generator};
+
+use candidates::{Candidate, candidates};
+
+/// Random designs that a plan is compared with.
+const RANDOM: u64 = 200;
+
+/// The stream of random numbers of the first of these; searches have the lower ones.
+const RANDOM_STREAM: u64 = 1 << 32;
+
+/// A plan of measurements.
+#[derive(Clone)]
+pub struct Plan {
+    /// The chosen candidates in the order of the data.
+    pub chosen: Vec<Chosen>,
+    /// Number of candidates there were.
+    pub candidates: usize,
+    /// Rows of the data set of the candidates, in their order; those of a candidate that is measured twice stand twice.
+    pub data_rows: Vec<usize>,
+    /// The problem with what has been measured and the chosen rows.
+    pub problem: Problem,
+    /// Figures of the plan.
+    pub figures: PlanFigures,
+    /// Figures of candidates that are spread evenly over the list: what one would do without a plan. None if they leave
+    /// something open.
+    pub evenly: Option<PlanFigures>,
+    /// The p-th root of the determinant that the median of random plans of the same number reaches, as part of this plan's; none if
+    /// half of them leave something open.
+    pub random_efficiency: Option<f64>,
+    /// In how many of the searches this plan, or one that is as good, was found.
+    pub found: usize,
+}
+
+/// A chosen candidate.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct Chosen {
+    /// Its label, or the number of its data row.
+    pub label: String,
+    /// How often it is measured.
+    pub times: usize,
+    /// Whether it was required.
+    pub required: bool,
+}
+
+/// How well a plan determines the unknowns that count.
+#[derive(Debug, Clone, PartialEq)]
+pub struct PlanFigures {
+    /// Number of equations, those measured already included.
+    pub equations: usize,
+    /// Logarithm of the determinant of the information of the unknowns that count, in the units of memory.
+    pub log_determinant: f64,
+    /// Condition number of the equations with columns of norm 1.
+    pub condition: f64,
+    /// Mean and largest variance of what the candidates would measure, in units of the variance of one equation, times the
+    /// number of equations: the larger one is at least the number of unknowns.
+    pub response_variance: [f64; 2],
+    /// Standard uncertainties of the unknowns, in the units of memory.
+    pub standard_uncertainties: Vec<f64>,
+    /// The number of unknowns that count.
+    pub of_interest: usize,
+}
+
+impl PlanFigures {
+    /// Part of the measurements of this plan with which another one, if it were as good by the determinant, would do.
+    pub fn efficiency_of(&self, other: &Self) -> f64 {
+        ((other.log_determinant - self.log_determinant) / self.of_interest as f64).exp()
+    }
+}
+
+/// Chooses candidates for a problem.
+///
+/// Fails for names that the problem does not know, candidates that cannot determine the unknowns however many are measured,
+/// and numbers or budgets that are too small.
+pub fn plan(problem: &Problem, wanted: &Planning) -> Result<Plan> {
+    let contact = problem.at_contact(&problem.start())?;
+    let order = order(problem, wanted)?;
+    let found = candidates(&contact, wanted)?;
+    let scaled = Scaled::new(&contact, &found, &order)?;
+    let choice = scaled.choice(&found, wanted, count(problem, wanted));
+    if choice.figures(&(0..found.len()).collect::<Vec<_>>()).is_none() {
+        let message = "even all candidates together leave something open";
+        return Err(wrong("candidates", message).help("`abbe check` tells what"));
+    }
+    let searches: Vec<u64> = (0..u64::from(wanted.restarts)).collect();
+    let searched = in_parallel(&searches, None, |search| choice.exchange(&mut Generator::new(wanted.seed, *search)));
+    let designs: Vec<Design> = searched.into_iter().flatten().collect();
+    let best = designs.iter().fold(None, |best: Option<&Design>, design| match best {
+        Some(best) if best.value >= design.value => Some(best),
+        _ => Some(design),
+    });
+    let best = best.ok_or_else(|| too_small(wanted))?;
+    let scaled_figures = choice.figures(&best.chosen).ok_or_else(|| too_few(wanted, problem.unknowns.len()))?;
+    let random_efficiency = random(&choice, wanted.seed, &best.chosen, scaled_figures.log_determinant);
+    let alike = |design: &&Design| (design.value - best.value).abs() <= 1e-6 * best.value.abs().max(1.0);
+    let figures = scaled.figures(&choice, &best.chosen, scaled_figures);
+    let evenly = evenly(&choice, best.chosen.len());
+    Ok(Plan {
+        candidates: found.len(),
+        chosen: chosen(&found, &best.chosen, &choice.required),
+        data_rows: data_rows(&contact, &found, &best.chosen, wanted),
+        problem: restricted(problem, &found, &best.chosen, wanted),
+        evenly: choice.figures(&evenly).map(|even| scaled.figures(&choice, &evenly, even)),
+        random_efficiency,
+        figures,
+        found: designs.iter().filter(alike).count(),
+    })
+}
+
+/// An error about a setting of the plan.
+fn wrong(key: &str, message: impl Into<String>) -> Error {
+    Error::usage(message).setting(key)
+}
+
+fn too_small(wanted: &Planning) -> Error {
+    match (wanted.number, wanted.budget_s) {
+        (Some(number), _) if wanted.required.len() > number => {
+            wrong("required", format!("more than the {number} that are wanted"))
+        }
+        (Some(_), None) => {
+            wrong("number", "there are not so many candidates").help("allow `replications: true`, or want fewer")
+        }
+        _ => wrong("budget_s", "no candidate, or not what is required, fits into this time"),
+    }
+}
+
+fn too_few(wanted: &Planning, unknowns: usize) -> Error {
+    let key = if wanted.number.is_some() { "number" } else { "budget_s" };
+    wrong(key, format!("too small to determine {unknowns} unknowns")).help("allow more, or estimate fewer parameters")
+}
+
+/// The unknowns in the order of the choice: those that count first.
+fn order(problem: &Problem, wanted: &Planning) -> Result<Vec<usize>> {
+    let names = || problem.unknowns.iter().map(|unknown| unknown.name.as_str());
+    for (index, pattern) in wanted.parameters.iter().enumerate() {
+        if !names().any(|name| matches(pattern, name)) {
+            let message = format!("`{pattern}` matches nothing that is estimated");
+            let mut error = wrong("parameters", message).suggest(pattern, names());
+            error.setting.push(PathItem::Index(index));
+            return Err(error);
+        }
+    }
+    let (counting, others): (Vec<usize>, Vec<usize>) =
+        (0..problem.unknowns.len()).partition(|&index| counts(&problem.unknowns[index], wanted));
+    Ok([counting, others].concat())
+}
+
+fn counts(unknown: &Unknown, wanted: &Planning) -> bool {
+    wanted.parameters.is_empty() || wanted.parameters.iter().any(|pattern| matches(pattern, &unknown.name))
+}
+
+/// How many unknowns count.
+fn count(problem: &Problem, wanted: &Planning) -> usize {
+    problem.unknowns.iter().filter(|unknown| counts(unknown, wanted)).count()
+}
+
+/// The weighted derivatives with columns of norm 1 over all rows there are.
+struct Scaled {
+    /// Rows of the candidates, one candidate after another.
+    rows: Vec<f64>,
+    ends: Vec<usize>,
+    /// Information of the other rows.
+    measured: Vec<f64>,
+    /// Number of the other rows.
+    measured_rows: usize,
+    /// Norms of the columns.
+    norms: Vec<f64>,
+    /// Index of the unknown of every column.
+    order: Vec<usize>,
+}
+
+impl Scaled {
+    fn new(contact: &Problem, candidates: &[Candidate], order: &[usize]) -> Result<Self> {
+        let p = order.len();
+        let uncertainties = contact.standard_uncertainties();
+        let mut all: Vec<f64> = Vec::with_capacity(contact.equations() * p);
+        contact.linearise(&contact.start(), |block| {
+            for (row, derivatives) in block.jacobian.chunks_exact(p).enumerate() {
+                let weight = 1.0 / uncertainties[block.first + row];
+                all.extend(order.iter().map(|&column| derivatives[column] * weight));
+            }
+        })?;
+        let norm = |column: usize| all.iter().skip(column).step_by(p).map(|value| value * value).sum::<f64>().sqrt();
+        // A column that nobody sees is found later: no plan determines it.
+        let norms: Vec<f64> = (0..p).map(norm).map(|norm| if norm > 0.0 { norm } else { 1.0 }).collect();
+        all.chunks_exact_mut(p).for_each(|row| row.iter_mut().zip(&norms).for_each(|(value, norm)| *value /= norm));
+        let (mut rows, mut ends) = (Vec::new(), Vec::new());
+        let mut chosen = vec![false; all.len() / p];
+        for candidate in candidates {
+            for equation in candidate.equations.iter().copied() {
+                rows.extend_from_slice(&all[equation * p..(equation + 1) * p]);
+                chosen[equation] = true;
+            }
+            ends.push(rows.len() / p);
+        }
+        let mut measured = vec![0.0; p * p];
+        let others = all.chunks_exact(p).zip(&chosen).filter(|(_, chosen)| !**chosen);
+        let mut measured_rows = 0;
+        for (row, _) in others {
+            measured_rows += 1;
+            for (one, line) in row.iter().zip(measured.chunks_exact_mut(p)) {
+                line.iter_mut().zip(row).for_each(|(sum, other)| *sum += one * other);
+            }
+        }
+        Ok(Self { rows, ends, measured, measured_rows, norms, order: order.to_vec() })
+    }
+
+    fn choice(&self, candidates: &[Candidate], wanted: &Planning, of_interest: usize) -> Choice {
+        let required = candidates.iter().enumerate();
+        let required = required.flat_map(|(index, candidate)| std::iter::repeat_n(index, candidate.required)).collect();
+        Choice {
+            unknowns: self.order.len(),
+            of_interest,
+            rows: self.rows.clone(),
+            ends: self.ends.clone(),
+            measured: self.measured.clone(),
+            costs: candidates.iter().map(|candidate| candidate.duration).collect(),
+            required,
+            allowed: candidates.iter().map(|candidate| !candidate.forbidden).collect(),
+            replications: wanted.replications,
+            number: wanted.number,
+            budget: wanted.budget_s,
+            criterion: match wanted.criterion {
+                PlanningCriterion::D => Criterion::D,
+                PlanningCriterion::A => Criterion::A,
+                PlanningCriterion::E => Criterion::E,
+                PlanningCriterion::G => Criterion::G,
+                PlanningCriterion::Condition => Criterion::Condition,
+            },
+        }
+    }
+
+    /// Figures in the units of the unknowns.
+    fn figures(&self, choice: &Choice, chosen: &[usize], figures: DesignFigures) -> PlanFigures {
+        let p = self.order.len();
+        let first = |index: usize| if index == 0 { 0 } else { self.ends[index - 1] };
+        let equations = chosen.iter().map(|&index| self.ends[index] - first(index)).sum::<usize>() + self.measured_rows;
+        let mut standard_uncertainties = vec![0.0; p];
+        for (column, &unknown) in self.order.iter().enumerate() {
+            standard_uncertainties[unknown] = figures.covariance[column * p + column].sqrt() / self.norms[column];
+        }
+        let of_interest = choice.of_interest;
+        let scales: f64 = self.norms[..of_interest].iter().map(|norm| norm.ln()).sum();
+        PlanFigures {
+            equations,
+            log_determinant: figures.log_determinant + 2.0 * scales,
+            condition: figures.condition,
+            response_variance: figures.response_variance.map(|variance| variance * equations as f64),
+            standard_uncertainties,
+            of_interest,
+        }
+    }
+}
+
+/// As many candidates, spread evenly over the list.
+fn evenly(choice: &Choice, number: usize) -> Vec<usize> {
+    let allowed: Vec<usize> = (0..choice.candidates()).filter(|&index| choice.allowed[index]).collect();
+    let rest = number.saturating_sub(choice.required.len());
+    let spread = (0..rest.min(allowed.len())).map(|k| allowed[(2 * k + 1) * allowed.len() / (2 * rest)]);
+    choice.required.iter().copied().chain(spread).collect()
+}
+
+/// The part of the plan's efficiency that the median of random designs of the same number reaches: the ratio of the p-th
+/// roots of the determinants.
+fn random(choice: &Choice, seed: u64, design: &[usize], log_determinant: f64) -> Option<f64> {
+    let allowed: Vec<usize> = (0..choice.candidates()).filter(|&index| choice.allowed[index]).collect();
+    let of_one = |trial: u64| {
+        let mut generator = Generator::new(seed, RANDOM_STREAM + trial);
+        let (mut chosen, mut free) = (choice.required.clone(), allowed.clone());
+        while chosen.len() < design.len() && !free.is_empty() {
+            let at = generator.index(free.len());
+            chosen.push(if choice.replications { free[at] } else { free.swap_remove(at) });
+        }
+        choice.figures(&chosen).map_or(f64::NEG_INFINITY, |figures| figures.log_determinant)
+    };
+    let mut values: Vec<f64> = (0..RANDOM).map(of_one).collect();
+    values.sort_by(f64::total_cmp);
+    let median = values[values.len() / 2];
+    median.is_finite().then(|| ((median - log_determinant) / choice.of_interest as f64).exp())
+}
+
+fn chosen(candidates: &[Candidate], design: &[usize], required: &[usize]) -> Vec<Chosen> {
+    let times = |index: usize| design.iter().filter(|chosen| **chosen == index).count();
+    let of_design = candidates.iter().enumerate().filter(|(index, _)| design.contains(index));
+    of_design
+        .map(|(index, candidate)| Chosen {
+            label: candidate.label.clone(),
+            times: times(index),
+            required: required.contains(&index),
+        })
+        .collect()
+}
+
+/// The rows of the candidates' data set that the plan has, in its order.
+fn data_rows(problem: &Problem, candidates: &[Candidate], design: &[usize], wanted: &Planning) -> Vec<usize> {
+    let Some(set) = problem.sets.iter().find(|set| set.name == wanted.candidates) else { return Vec::new() };
+    let layout = set.observations.layout();
+    let rows = design.iter().flat_map(|&index| &candidates[index].rows);
+    let mut rows: Vec<usize> = rows.filter_map(|&row| layout.rows[row].data_row).collect();
+    rows.sort_unstable();
+    rows
+}
+
+/// The problem with the chosen rows alone, each once, beside what has been measured.
+fn restricted(problem: &Problem, candidates: &[Candidate], design: &[usize], wanted: &Planning) -> Problem {
+    let Some(set) = problem.sets.iter().position(|set| set.name == wanted.candidates) else { return problem.clone() };
+    let possible = |row: &usize| candidates.iter().any(|candidate| candidate.rows.contains(row));
+    let mut rows: Vec<usize> = problem.sets[set].rows.iter().copied().filter(|row| !possible(row)).collect();
+    rows.extend(design.iter().flat_map(|&index| candidates[index].rows.iter().copied()));
+    rows.sort_unstable();
+    rows.dedup();
+    problem.with_rows(set, rows)
+}

@@ -1,0 +1,191 @@
+//! The conformance kit: whether a library keeps to what a plugin promises.
+//!
+//! Every test runs in a process of its own with a time limit, so that a crash or a hang is a result like any other.
+
+mod derivatives;
+mod promises;
+
+use std::io::Read;
+use std::path::Path;
+use std::process::{Command, Stdio};
+use std::time::{Duration, Instant};
+
+use abbe_core::{Error, Result};
+use serde::{Deserialize, Serialize};
+use serde_json::{Value, json};
+
+use crate::loader::{Library, load};
+
+/// A test: its name, what it asks for, and how.
+struct Test {
+    name: &'static str,
+    asks: &'static str,
+    run: fn(&Library, &mut Findings),
+}
+
+const TESTS: [Test; 9] = [
+    Test { name: "abi", asks: "the library loads and speaks this version of the interface", run: |_, _| {} },
+    Test {
+        name: "names",
+        asks: "names, versions and descriptions are in order and taken by nobody",
+        run: promises::names,
+    },
+    Test {
+        name: "settings",
+        asks: "the example builds, unknown and wrong settings are refused",
+        run: promises::settings,
+    },
+    Test { name: "derivatives", asks: "derivatives are those of the poses", run: derivatives::derivatives },
+    Test { name: "not-a-number", asks: "numbers that are none do no harm", run: promises::not_a_number },
+    Test { name: "empty-batch", asks: "no poses give no poses", run: promises::empty_batch },
+    Test { name: "threads", asks: "many threads at once get the same answers", run: promises::threads },
+    Test { name: "leaks", asks: "10,000 calls leave no memory behind", run: promises::leaks },
+    Test {
+        name: "surroundings",
+        asks: "floating-point state and working directory stay as they are",
+        run: promises::surroundings,
+    },
+];
+
+/// What a test found.
+#[derive(Debug, Default, Serialize, Deserialize)]
+pub(crate) struct Findings {
+    /// What is wrong.
+    wrong: Vec<String>,
+    /// What was not looked at.
+    skipped: Vec<String>,
+}
+
+impl Findings {
+    fn wrong(&mut self, what: impl Into<String>) {
+        self.wrong.push(what.into());
+    }
+
+    fn skip(&mut self, what: impl Into<String>) {
+        self.skipped.push(what.into());
+    }
+}
+
+/// The results of all tests of a library.
+pub struct Report {
+    file: String,
+    results: Vec<(&'static Test, Findings)>,
+}
+
+impl Report {
+    /// Whether nothing is wrong.
+    pub fn passes(&self) -> bool {
+        self.results.iter().all(|(_, findings)| findings.wrong.is_empty())
+    }
+
+    /// For people.
+    pub fn text(&self) -> String {
+        let mut text = format!("{}\n", self.file);
+        for (test, findings) in &self.results {
+            let result = if findings.wrong.is_empty() { "PASS" } else { "FAIL" };
+            text.push_str(&format!("  {result}  {:<13}{}\n", test.name, test.asks));
+            findings.wrong.iter().for_each(|what| text.push_str(&format!("        {what}\n")));
+            findings.skipped.iter().for_each(|what| text.push_str(&format!("        not looked at: {what}\n")));
+        }
+        let failed = self.results.iter().filter(|(_, findings)| !findings.wrong.is_empty()).count();
+        text.push_str(&match failed {
+            0 => "The library keeps to all of it.\n".to_owned(),
+            1 => "1 test failed.\n".to_owned(),
+            more => format!("{more} tests failed.\n"),
+        });
+        text
+    }
+
+    /// For machines.
+    pub fn json(&self) -> Value {
+        let results = self.results.iter().map(|(test, findings)| {
+            json!({ "test": test.name, "asks": test.asks, "pass": findings.wrong.is_empty(), "wrong": findings.wrong,
+                    "skipped": findings.skipped })
+        });
+        json!({ "library": self.file, "pass": self.passes(), "tests": results.collect::<Vec<_>>() })
+    }
+}
+
+/// Runs all tests of a library; `program` is started as `program plugin test FILE NAME` and calls [`test`].
+pub fn check(file: &Path, program: &Path, time_limit_s: f64) -> Result<Report> {
+    if !(time_limit_s > 0.0 && time_limit_s < 1e6) {
+        return Err(Error::usage(format!("a time limit of {time_limit_s} s: a positive number was expected")));
+    }
+    if !file.is_file() {
+        return Err(Error::usage(format!("the plugin library {} does not exist", file.display())));
+    }
+    let limit = Duration::from_secs_f64(time_limit_s);
+    let mut report = Report { file: file.display().to_string(), results: Vec::new() };
+    for test in &TESTS {
+        let findings = apart(file, program, test.name, limit)?;
+        let loads = test.name != "abi" || findings.wrong.is_empty();
+        report.results.push((test, findings));
+        if !loads {
+            break;
+        }
+    }
+    Ok(report)
+}
+
+/// One test in a process of its own.
+fn apart(file: &Path, program: &Path, test: &str, limit: Duration) -> Result<Findings> {
+    let failed = |error: std::io::Error| Error::data(format!("the test `{test}` cannot be run: {error}"));
+    let mut command = Command::new(program);
+    command.args(["plugin", "test"]).arg(file).arg(test).stdin(Stdio::null());
+    let mut child = command.stdout(Stdio::piped()).stderr(Stdio::piped()).spawn().map_err(failed)?;
+    let (out, err) = (child.stdout.take(), child.stderr.take());
+    let read = |from: Option<Box<dyn Read + Send>>| {
+        std::thread::spawn(move || {
+            let mut bytes = Vec::new();
+            let _ = from.map(|mut from| from.read_to_end(&mut bytes));
+            String::from_utf8_lossy(&bytes).into_owned()
+        })
+    };
+    let out = read(out.map(|out| Box::new(out) as Box<dyn Read + Send>));
+    let err = read(err.map(|err| Box::new(err) as Box<dyn Read + Send>));
+    let started = Instant::now();
+    let status = loop {
+        match child.try_wait().map_err(failed)? {
+            Some(status) => break Some(status),
+            None if started.elapsed() > limit => {
+                child.kill().map_err(failed)?;
+                child.wait().map_err(failed)?;
+                break None;
+            }
+            None => std::thread::sleep(Duration::from_millis(5)),
+        }
+    };
+    let mut findings = Findings::default();
+    let Some(status) = status else {
+        findings.wrong(format!("no end within {} s", limit.as_secs_f64()));
+        return Ok(findings);
+    };
+    let text = out.join().unwrap_or_default();
+    // A library may print; the findings are the last line.
+    match text.lines().last().and_then(|line| serde_json::from_str(line).ok()) {
+        Some(found) if status.success() => Ok(found),
+        _ => {
+            let said = err.join().unwrap_or_default();
+            let said = said.trim().lines().map(str::trim).collect::<Vec<_>>().join(" ");
+            findings.wrong(format!("the process ended with {status}{}{said}", if said.is_empty() { "" } else { ": " }));
+            Ok(findings)
+        }
+    }
+}
+
+/// Runs one test in this process; gives its findings as a line of JSON.
+pub fn test(file: &Path, name: &str) -> Result<String> {
+    let test = TESTS.iter().find(|test| test.name == name);
+    let test = test.ok_or_else(|| Error::usage(format!("there is no test `{name}`")))?;
+    let mut findings = Findings::default();
+    let directory = std::env::current_dir().ok();
+    match load(file, None) {
+        Ok(library) => (test.run)(&library, &mut findings),
+        Err(error) => findings.wrong(error.to_string()),
+    }
+    if std::env::current_dir().ok() != directory {
+        findings.wrong("the working directory is another one than before");
+    }
+    let line = serde_json::to_string(&findings);
+    line.map(|line| format!("\n{line}\n")).map_err(|error| Error::data(format!("findings cannot be written: {error}")))
+}

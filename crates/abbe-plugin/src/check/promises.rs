@@ -1,0 +1,282 @@
+//! What every plugin promises.
+
+use std::sync::Arc;
+
+use abbe_core::{
+    Absent, AxisKind, Build, Context, KinematicModel, Plugin, Poses, Quantity, Registry, Result, SettingsError,
+    Variable, in_parallel,
+};
+use serde_json::Value;
+
+use super::Findings;
+use crate::float_control;
+use crate::loader::Library;
+
+/// Builds a stage and lets go of it.
+fn build(plugin: &Plugin, settings: &Value) -> Result<(), SettingsError> {
+    let context = Context { base: std::env::temp_dir() };
+    match &plugin.build {
+        Build::Ingest(constructor) => constructor.build(settings, &context).map(drop),
+        Build::Artefact(constructor) => constructor.build(settings, &context).map(drop),
+        Build::Model(constructor) => constructor.build(settings, &context).map(drop),
+        Build::Estimate(constructor) => constructor.build(settings, &context).map(drop),
+        Build::Validate(constructor) => constructor.build(settings, &context).map(drop),
+        Build::Export(constructor) => constructor.build(settings, &context).map(drop),
+    }
+}
+
+/// The machines of the library's models, built from their examples without data.
+pub(super) fn machines(library: &Library, findings: &mut Findings) -> Vec<(String, Arc<dyn KinematicModel>)> {
+    let mut machines = Vec::new();
+    for plugin in &library.plugins {
+        let Build::Model(constructor) = &plugin.build else {
+            findings.skip(format!("`{}`: needs data that the kit does not have", plugin.name));
+            continue;
+        };
+        let context = Context { base: std::env::temp_dir() };
+        let stage = constructor.build(&plugin.example.get(), &context).map_err(|error| error.to_string());
+        match stage.and_then(|stage| stage.build(&[]).map_err(|error| error.to_string())) {
+            Ok(machine) => machines.push((plugin.name.to_string(), machine)),
+            Err(error) => findings.wrong(format!("`{}` cannot be built from its example: {error}", plugin.name)),
+        }
+    }
+    machines
+}
+
+/// Statuses all over the range of a machine, values of its parameters as they occur, near the nominal ones; the same ones every time.
+pub(super) fn samples(machine: &dyn KinematicModel, poses: usize) -> (Vec<f64>, Vec<f64>) {
+    // Weyl's sequence: spread evenly, without a random number.
+    let spread = |index: usize, salt: usize| {
+        let step = (index as f64 + 1.0) * 0.618_033_988_749_894_9 + salt as f64 * 0.414_213_562_373_095_1;
+        step - step.floor()
+    };
+    let mut statuses = Vec::new();
+    for pose in 0..poses {
+        for (index, column) in machine.status().iter().enumerate() {
+            let axis = machine.axes().iter().find(|axis| axis.status == index);
+            let part = spread(pose, index);
+            statuses.push(match axis {
+                Some(axis) => {
+                    let usual = if axis.kind == AxisKind::Linear { 100.0 } else { 0.8 };
+                    let [low, high] = axis.range.unwrap_or([-usual, usual]);
+                    low + (0.05 + 0.9 * part) * (high - low)
+                }
+                None if column.name.starts_with("dir_") => {
+                    if part < 0.5 {
+                        -1.0
+                    } else {
+                        1.0
+                    }
+                }
+                None if column.quantity == Quantity::Label => 0.0,
+                None => match column.absent {
+                    Absent::Taken(value) if value.is_finite() => value,
+                    _ => part,
+                },
+            });
+        }
+    }
+    let small = |index: usize| match machine.parameters()[index].unit.per {
+        None => (spread(index, 7) - 0.5) * 2e-3,
+        Some(_) => (spread(index, 7) - 0.5) * 1e-7,
+    };
+    let values = machine.nominal().into_iter().enumerate().map(|(index, nominal)| nominal + small(index));
+    (statuses, values.collect())
+}
+
+/// Everything that a machine has derivatives to.
+pub(super) fn variables(machine: &dyn KinematicModel) -> Vec<Variable> {
+    let parameters = (0..machine.parameters().len()).map(Variable::Parameter);
+    parameters.chain((0..machine.axes().len()).map(Variable::Command)).collect()
+}
+
+pub(super) fn names(library: &Library, findings: &mut Findings) {
+    if library.version.is_empty() || library.name.is_empty() {
+        findings.wrong("the library has no name or no version");
+    }
+    let registry = match Registry::built_in() {
+        Ok(registry) => registry,
+        Err(error) => return findings.wrong(error.to_string()),
+    };
+    let mut names: Vec<(_, &str)> =
+        library.plugins.iter().map(|plugin| (plugin.kind(), plugin.name.as_ref())).collect();
+    for (kind, name) in &names {
+        if registry.find(*kind, name).is_ok() {
+            findings.wrong(format!("the {kind} plugin `{name}` has the name of a built-in one"));
+        }
+    }
+    names.sort_unstable();
+    if names.windows(2).any(|pair| pair[0] == pair[1]) {
+        findings.wrong("two plugins have the same name");
+    }
+    for plugin in &library.plugins {
+        if plugin.about.ends_with('.') {
+            findings.wrong(format!("`{}`: the line that says what it does ends with a full stop", plugin.name));
+        }
+    }
+}
+
+pub(super) fn settings(library: &Library, findings: &mut Findings) {
+    for plugin in &library.plugins {
+        let name = &plugin.name;
+        let (schema, example) = (plugin.schema.get(), plugin.example.get());
+        if schema["type"] != "object" || !schema["properties"].is_object() {
+            findings.wrong(format!("`{name}`: the schema is not that of a map with properties"));
+        }
+        let Some(map) = example.as_object() else {
+            findings.wrong(format!("`{name}`: the example is no map of settings"));
+            continue;
+        };
+        for key in map.keys().filter(|key| schema["properties"].get(key).is_none()) {
+            findings.wrong(format!("`{name}`: the example has `{key}`, which the schema does not know"));
+        }
+        if let Err(error) = build(plugin, &example) {
+            findings.wrong(format!("`{name}` cannot be built from its example: {error}"));
+            continue;
+        }
+        let mut unknown = example.clone();
+        unknown["frobnicate"] = Value::from(1);
+        match build(plugin, &unknown) {
+            Ok(()) => findings.wrong(format!("`{name}` takes a setting `frobnicate`, which it does not know")),
+            Err(error) if !error.to_string().contains("frobnicate") => {
+                findings.wrong(format!("`{name}`: the error does not name the unknown setting: {error}"));
+            }
+            Err(_) => {}
+        }
+        for wrong in [Value::Null, Value::from(1), Value::from("x"), Value::Array(Vec::new())] {
+            if build(plugin, &wrong).is_ok() {
+                findings.wrong(format!("`{name}` takes {wrong} for its settings"));
+            }
+        }
+        for key in map.keys() {
+            for wrong in [Value::from("\u{fffd}\"\\"), Value::from(-1e308), serde_json::json!([{ "a": null }])] {
+                let mut changed = example.clone();
+                changed[key] = wrong;
+                message(name, build(plugin, &changed), findings);
+            }
+        }
+    }
+}
+
+/// An error has to say something.
+fn message(name: &str, result: Result<(), SettingsError>, findings: &mut Findings) {
+    if let Err(error) = result
+        && (error.message.trim().is_empty()
+            || error.message.contains("not UTF-8")
+            || error.message.contains("panicked"))
+    {
+        findings.wrong(format!("`{name}`: {error}"));
+    }
+}
+
+pub(super) fn not_a_number(library: &Library, findings: &mut Findings) {
+    for (_, machine) in machines(library, findings) {
+        let (mut statuses, mut values) = samples(machine.as_ref(), 3);
+        let wanted = variables(machine.as_ref());
+        let mut out = Poses::default();
+        for bad in [f64::NAN, f64::INFINITY, f64::NEG_INFINITY, 1e308] {
+            let kept = statuses.clone();
+            statuses.fill(bad);
+            // An error or numbers, either is an answer; what is not shows as a crash of this process.
+            let _ = machine.evaluate(&statuses, &values, &wanted, false, &mut out);
+            statuses = kept;
+            let kept = values.clone();
+            values.fill(bad);
+            let _ = machine.evaluate(&statuses, &values, &wanted, false, &mut out);
+            values = kept;
+        }
+    }
+}
+
+pub(super) fn empty_batch(library: &Library, findings: &mut Findings) {
+    for (name, machine) in machines(library, findings) {
+        let (_, values) = samples(machine.as_ref(), 0);
+        let mut out = Poses::default();
+        for wanted in [Vec::new(), variables(machine.as_ref())] {
+            match machine.evaluate(&[], &values, &wanted, false, &mut out) {
+                Ok(()) => {}
+                Err(error) => findings.wrong(format!("`{name}` refuses a batch without poses: {error}")),
+            }
+        }
+        let (statuses, _) = samples(machine.as_ref(), 3);
+        if let Err(error) = machine.evaluate(&statuses, &values, &[], false, &mut out) {
+            findings.wrong(format!("`{name}` refuses poses without derivatives: {error}"));
+        }
+    }
+}
+
+pub(super) fn threads(library: &Library, findings: &mut Findings) {
+    for (name, machine) in machines(library, findings) {
+        let (statuses, values) = samples(machine.as_ref(), 40);
+        let wanted = variables(machine.as_ref());
+        let evaluate = |_: &usize| {
+            let mut out = Poses::default();
+            machine.evaluate(&statuses, &values, &wanted, false, &mut out).map(|()| out)
+        };
+        let expected = evaluate(&0);
+        let rounds: Vec<usize> = (0..400).collect();
+        let differs = in_parallel(&rounds, Some(8), |round| evaluate(round) != expected);
+        match differs.iter().filter(|differs| **differs).count() {
+            0 => {}
+            count => findings.wrong(format!("`{name}`: {count} of 400 answers on 8 threads differ from the first one")),
+        }
+    }
+}
+
+/// Memory of this process, bytes; none where the system does not say.
+fn memory() -> Option<usize> {
+    let text = std::fs::read_to_string("/proc/self/statm").ok()?;
+    Some(text.split(' ').nth(1)?.parse::<usize>().ok()? * 4096)
+}
+
+/// Growth that is no leak: what allocators keep. A leak of a hundred bytes a call would be twice as much.
+const GROWTH: usize = 500_000;
+
+pub(super) fn leaks(library: &Library, findings: &mut Findings) {
+    if memory().is_none() {
+        return findings.skip("this system does not tell how much memory a process has");
+    }
+    for plugin in &library.plugins {
+        let example = plugin.example.get();
+        let mut wrong = example.clone();
+        wrong["frobnicate"] = Value::from(1);
+        grows(findings, &format!("`{}`: stages that are built and let go of", plugin.name), || {
+            let _ = build(plugin, &example);
+            let _ = build(plugin, &wrong);
+        });
+    }
+    let mut ignored = Findings::default();
+    for (name, machine) in machines(library, &mut ignored) {
+        let (statuses, values) = samples(machine.as_ref(), 4);
+        let wanted = variables(machine.as_ref());
+        let mut out = Poses::default();
+        grows(findings, &format!("`{name}`: poses"), || {
+            let _ = machine.evaluate(&statuses, &values, &wanted, false, &mut out);
+        });
+    }
+}
+
+fn grows(findings: &mut Findings, what: &str, mut work: impl FnMut()) {
+    (0..1000).for_each(|_| work());
+    let before = memory().unwrap_or_default();
+    (0..10_000).for_each(|_| work());
+    let growth = memory().unwrap_or_default().saturating_sub(before);
+    if growth > GROWTH {
+        findings.wrong(format!("{what}: 10,000 of them leave {} kB behind", growth / 1000));
+    }
+}
+
+pub(super) fn surroundings(library: &Library, findings: &mut Findings) {
+    let directory = std::env::current_dir().ok();
+    for (name, machine) in machines(library, findings) {
+        let (statuses, values) = samples(machine.as_ref(), 3);
+        let mut out = Poses::default();
+        let _ = machine.evaluate(&statuses, &values, &variables(machine.as_ref()), false, &mut out);
+        if std::env::current_dir().ok() != directory {
+            findings.wrong(format!("`{name}` changes the working directory"));
+        }
+    }
+    if float_control::changed() {
+        findings.wrong("the floating-point state of the thread was changed: is the library linked with -ffast-math?");
+    }
+}

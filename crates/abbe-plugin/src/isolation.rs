@@ -1,0 +1,419 @@
+//! Plugins in processes of their own: a crash or a hang of a vendor's code becomes an error of its stage.
+//!
+//! Every stage gets a process, which is the program itself started again ([`serve`]). Both sides speak over one socket, the
+//! standard input of the child: one question at a time, and questions back while the other side works on it.
+
+mod wire;
+
+use std::any::Any;
+use std::collections::BTreeMap;
+use std::os::fd::AsFd;
+use std::os::unix::net::UnixStream;
+use std::os::unix::process::ExitStatusExt;
+use std::path::{Path, PathBuf};
+use std::process::{Child, Command, Stdio};
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use std::thread::ThreadId;
+use std::time::Duration;
+
+use abbe_core::{Context, Equations, Error, Kind, Origin, PoseValues, Poses, Result, Variable};
+
+use crate::loader::{About, Create, Library, hashed, load};
+use crate::peer::{Answer, Failure, Known, Peer, Transit};
+use crate::served::{Served, create};
+use wire::{Frame, Reference, Wire};
+
+/// How plugins are isolated.
+#[derive(Debug, Clone)]
+pub struct Limits {
+    /// The program that is started, with the arguments before file and hash: it has to call [`serve`].
+    pub program: PathBuf,
+    /// Its first arguments.
+    pub arguments: Vec<String>,
+    /// How long a plugin may be silent while it has something to do.
+    pub silence: Duration,
+}
+
+/// A thread that holds something.
+type Holder = Option<ThreadId>;
+
+/// One end of the socket.
+pub(crate) struct Connection {
+    wire: Mutex<Wire>,
+    /// The thread that uses the socket.
+    holder: Mutex<Holder>,
+    objects: Mutex<Objects>,
+    /// Objects of the other side that are let go of with the next question.
+    released: Mutex<Vec<u64>>,
+    /// The other process, if it is ours.
+    child: Option<Mutex<Child>>,
+    who: String,
+    silence: Duration,
+}
+
+/// Our objects that the other side knows by number.
+#[derive(Default)]
+struct Objects {
+    served: BTreeMap<u64, Arc<Served>>,
+    next: u64,
+}
+
+fn locked<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
+    mutex.lock().unwrap_or_else(PoisonError::into_inner)
+}
+
+impl Drop for Connection {
+    fn drop(&mut self) {
+        if let Some(child) = &self.child {
+            let mut child = locked(child);
+            let _ = child.kill();
+            let _ = child.wait();
+        }
+    }
+}
+
+impl Connection {
+    /// Asks the other side; answers its questions until it answers ours.
+    fn ask(self: &Arc<Self>, frame: &Frame, numbers: &[&[f64]]) -> Result<(Frame, Vec<f64>), Failure> {
+        let me = std::thread::current().id();
+        if *locked(&self.holder) == Some(me) {
+            return Err(Failure::of(&self.who, "was asked while it waited for an answer to a question of its own"));
+        }
+        let mut wire = locked(&self.wire);
+        *locked(&self.holder) = Some(me);
+        let answer = self.converse(&mut wire, frame, numbers);
+        *locked(&self.holder) = None;
+        match answer {
+            Ok((Frame::Failed(failure), _)) => Err(failure),
+            Ok(answer) => Ok(answer),
+            Err(error) => Err(self.lost(&error)),
+        }
+    }
+
+    fn converse(
+        self: &Arc<Self>,
+        wire: &mut Wire,
+        frame: &Frame,
+        numbers: &[&[f64]],
+    ) -> std::io::Result<(Frame, Vec<f64>)> {
+        for object in std::mem::take(&mut *locked(&self.released)) {
+            wire.write(&Frame::Release { object }, &[])?;
+        }
+        wire.write(frame, numbers)?;
+        loop {
+            let (frame, numbers) = wire.read()?;
+            match frame {
+                Frame::Answer { .. } | Frame::Numbers { .. } | Frame::Failed(_) => return Ok((frame, numbers)),
+                question => self.answer(wire, question, &numbers)?,
+            }
+        }
+    }
+
+    /// Works on a question of the other side and writes the answer.
+    fn answer(self: &Arc<Self>, wire: &mut Wire, question: Frame, numbers: &[f64]) -> std::io::Result<()> {
+        if let Frame::Release { object } = question {
+            locked(&self.objects).served.remove(&object);
+            return Ok(());
+        }
+        match self.work(question, numbers) {
+            Ok((frame, numbers)) => {
+                let lists: Vec<&[f64]> = numbers.iter().map(Vec::as_slice).collect();
+                wire.write(&frame, &lists)
+            }
+            Err(failure) => wire.write(&Frame::Failed(failure), &[]),
+        }
+    }
+
+    fn work(self: &Arc<Self>, question: Frame, numbers: &[f64]) -> Result<(Frame, Vec<Vec<f64>>), Failure> {
+        let wrong = |what: &str| Failure::of("the other side", what);
+        match question {
+            Frame::Call { object, method, text, objects } => {
+                let objects: Vec<Transit> = objects.into_iter().map(|one| self.take(one)).collect::<Result<_, _>>()?;
+                let (text, objects) = self.object(object)?.dispatch(method, &text, &objects)?;
+                let objects = objects.into_iter().map(|object| self.give(&object)).collect();
+                Ok((Frame::Answer { text, objects }, Vec::new()))
+            }
+            Frame::Poses { object, lengths, orientation } => {
+                let [statuses, values, wanted] = wire::split(numbers, lengths).map_err(wrong)?;
+                let wanted: Vec<Variable> = wanted.iter().copied().map(wire::variable).collect();
+                let mut out = Poses::default();
+                self.object(object)?
+                    .machine(|machine| Ok(machine.evaluate(statuses, values, &wanted, orientation, &mut out)?))?;
+                let lists = wire::poses_lists(&out);
+                Ok((Frame::Numbers { lengths: lists.iter().map(Vec::len).collect() }, lists))
+            }
+            Frame::Equations { object, lengths } => {
+                let [rows, positions, orientations, own, inputs] = wire::split(numbers, lengths).map_err(wrong)?;
+                let served = self.object(object)?;
+                let Served::Observations(observations, _) = served.as_ref() else {
+                    return Err(Failure::of("the other side", "asks an object for equations that has none"));
+                };
+                let rows: Vec<usize> = rows.iter().map(|&row| row as usize).collect();
+                let poses = PoseValues {
+                    positions: wire::points(positions).0,
+                    orientations: wire::quaternions(orientations).0,
+                };
+                let mut out = Equations::default();
+                observations.try_evaluate(&rows, poses, own, inputs, &mut out)?;
+                let lists = wire::equation_lists(&out);
+                Ok((Frame::Numbers { lengths: lists.iter().map(Vec::len).collect() }, lists))
+            }
+            _ => Err(wrong("asks what cannot be asked here")),
+        }
+    }
+
+    fn object(&self, number: u64) -> Result<Arc<Served>, Failure> {
+        let object = locked(&self.objects).served.get(&number).cloned();
+        object.ok_or_else(|| Failure::of("the other side", format!("names the object {number}, which is not there")))
+    }
+
+    /// Numbers an object of ours for the other side; one that only stands for theirs goes home as that.
+    fn give(self: &Arc<Self>, object: &Arc<Served>) -> Reference {
+        if let Some(behind) = object.behind()
+            && let Some(theirs) = behind.as_any().downcast_ref::<Remote>()
+            && Arc::ptr_eq(&theirs.connection, self)
+        {
+            return Reference::Yours(theirs.object);
+        }
+        let mut objects = locked(&self.objects);
+        let number = objects.next;
+        objects.next += 1;
+        objects.served.insert(number, object.clone());
+        Reference::Mine(number)
+    }
+
+    fn take(self: &Arc<Self>, reference: Reference) -> Result<Transit, Failure> {
+        match reference {
+            Reference::Yours(number) => self.object(number).map(Transit::Local),
+            Reference::Mine(object) => {
+                Ok(Transit::Remote(Arc::new(Remote { connection: self.clone(), object, who: self.who.clone() })))
+            }
+        }
+    }
+
+    /// Why the other side does not answer; ends it.
+    fn lost(&self, error: &std::io::Error) -> Failure {
+        let Some(child) = &self.child else { return Failure::of(&self.who, format!("is gone: {error}")) };
+        let mut child = locked(child);
+        if matches!(error.kind(), std::io::ErrorKind::WouldBlock | std::io::ErrorKind::TimedOut) {
+            let _ = child.kill();
+            let _ = child.wait();
+            let limit = self.silence.as_secs_f64();
+            return Failure::of(&self.who, format!("gave no answer within {limit} s; its process was ended"));
+        }
+        // It has closed the socket, so it is ending, or is of no use.
+        let status = (0..100).find_map(|_| match child.try_wait() {
+            Ok(None) => {
+                std::thread::sleep(Duration::from_millis(10));
+                None
+            }
+            ended => Some(ended),
+        });
+        match status {
+            Some(Ok(Some(status))) => match status.signal() {
+                Some(signal) => Failure::of(&self.who, format!("crashed: its process was ended by {}", name(signal))),
+                None => Failure::of(&self.who, format!("ended its process, with {status}")),
+            },
+            _ => {
+                let _ = child.kill();
+                Failure::of(&self.who, format!("broke the connection: {error}"))
+            }
+        }
+    }
+}
+
+/// The name of a signal that crashes end with.
+fn name(signal: i32) -> String {
+    let names = [(4, "SIGILL"), (6, "SIGABRT"), (7, "SIGBUS"), (8, "SIGFPE"), (9, "SIGKILL"), (11, "SIGSEGV")];
+    let known = names.into_iter().find(|known| known.0 == signal);
+    known.map_or_else(|| format!("signal {signal}"), |known| format!("signal {signal} ({})", known.1))
+}
+
+/// An object of the other process.
+struct Remote {
+    connection: Arc<Connection>,
+    object: u64,
+    who: String,
+}
+
+impl Drop for Remote {
+    fn drop(&mut self) {
+        locked(&self.connection.released).push(self.object);
+    }
+}
+
+impl Peer for Remote {
+    fn who(&self) -> &str {
+        &self.who
+    }
+
+    fn call(&self, method: u32, text: &str, objects: &[Arc<Served>]) -> Result<Answer, Failure> {
+        let objects: Vec<Reference> = objects.iter().map(|object| self.connection.give(object)).collect();
+        let question = Frame::Call { object: self.object, method, text: text.to_owned(), objects };
+        let answer = self.connection.ask(&question, &[]);
+        match answer? {
+            (Frame::Answer { text, objects }, _) => {
+                let objects = objects.into_iter().map(|one| self.connection.take(one)).collect::<Result<_, _>>()?;
+                Ok(Answer { text, objects })
+            }
+            _ => Err(Failure::of(&self.who, "answered something else")),
+        }
+    }
+
+    fn poses(&self, statuses: &[f64], values: &[f64], wanted: &[Variable], out: &mut Poses) -> Result<(), Failure> {
+        let wanted: Vec<f64> = wanted.iter().map(wire::number).collect();
+        let question = Frame::Poses {
+            object: self.object,
+            lengths: [statuses.len(), values.len(), wanted.len()],
+            orientation: !out.orientations.is_empty(),
+        };
+        let (answer, numbers) = self.connection.ask(&question, &[statuses, values, &wanted])?;
+        wire::read_poses(&answer, &numbers, out).map_err(|what| Failure::of(&self.who, what))
+    }
+
+    fn equations(
+        &self,
+        rows: &[usize],
+        poses: PoseValues<'_>,
+        known: Known<'_>,
+        out: &mut Equations,
+    ) -> Result<(), Failure> {
+        let rows: Vec<f64> = rows.iter().map(|&row| row as f64).collect();
+        let lists = [&rows, poses.positions.as_flattened(), poses.orientations.as_flattened(), known.own, known.inputs];
+        let question = Frame::Equations { object: self.object, lengths: lists.map(<[f64]>::len) };
+        let (answer, numbers) = self.connection.ask(&question, &lists)?;
+        wire::read_equations(&answer, &numbers, out).map_err(|what| Failure::of(&self.who, what))
+    }
+
+    fn as_any(&self) -> &dyn Any {
+        self
+    }
+}
+
+/// Starts a process that loads a library.
+fn start(path: &Path, sha256: &str, limits: &Limits, who: &str) -> Result<Arc<Connection>, Failure> {
+    let failed = |error: std::io::Error| Failure::of(who, format!("cannot be isolated: {error}"));
+    let (ours, theirs) = UnixStream::pair().map_err(failed)?;
+    ours.set_read_timeout(Some(limits.silence)).map_err(failed)?;
+    ours.set_write_timeout(Some(limits.silence)).map_err(failed)?;
+    let mut command = Command::new(&limits.program);
+    command.args(&limits.arguments).arg(path).arg(sha256);
+    command.stdin(Stdio::from(std::os::fd::OwnedFd::from(theirs))).stdout(Stdio::null());
+    let child = command.spawn().map_err(failed)?;
+    Ok(Arc::new(Connection {
+        wire: Mutex::new(Wire::new(ours)),
+        holder: Mutex::new(None),
+        objects: Mutex::default(),
+        released: Mutex::default(),
+        child: Some(Mutex::new(child)),
+        who: who.to_owned(),
+        silence: limits.silence,
+    }))
+}
+
+/// The plugins of a library that is never loaded into this program: every stage runs in a process of its own.
+pub fn isolated(path: &Path, pin: Option<&str>, limits: &Limits) -> Result<Library> {
+    let sha256 = hashed(path, pin)?.sha256;
+    let who = format!("the plugin library {}", path.display());
+    let wrong = |failure: Failure| {
+        let mut error = failure.error(&who);
+        error.class = abbe_core::Class::Use;
+        error
+    };
+    let connection = start(path, &sha256, limits, &who).map_err(wrong)?;
+    let (answer, _) = connection.ask(&Frame::List, &[]).map_err(wrong)?;
+    let Frame::Answer { text, .. } = answer else { return Err(Error::usage(format!("{who} lists no plugins"))) };
+    let listed: Listed = serde_json::from_str(&text).map_err(|error| Error::usage(format!("{who}: {error}")))?;
+    let origin = Origin::Library { file: path.to_owned(), sha256: sha256.clone() };
+    let plugins = listed.plugins.into_iter().map(|about| {
+        let create = in_a_process(path.to_owned(), sha256.clone(), limits.clone(), about.kind, about.name.clone());
+        about.plugin(path, &origin, create).map_err(|what| Error::usage(format!("{who} {what}")))
+    });
+    let plugins = plugins.collect::<Result<_>>()?;
+    Ok(Library { file: path.to_owned(), sha256, name: listed.name, version: listed.version, plugins })
+}
+
+/// What a library has.
+#[derive(serde::Serialize, serde::Deserialize)]
+struct Listed {
+    name: String,
+    version: String,
+    plugins: Vec<About>,
+}
+
+fn in_a_process(path: PathBuf, sha256: String, limits: Limits, kind: u32, name: String) -> Create {
+    Arc::new(move |settings, base, who| {
+        let connection = start(&path, &sha256, &limits, who)?;
+        let question = Frame::Create { kind, name: name.clone(), settings: settings.to_owned(), base: base.to_owned() };
+        match connection.ask(&question, &[])?.0 {
+            Frame::Answer { objects, .. } => {
+                let object = objects.into_iter().next().ok_or_else(|| Failure::of(who, "gave no stage"))?;
+                connection.take(object)
+            }
+            _ => Err(Failure::of(who, "answered something else")),
+        }
+    })
+}
+
+/// The other process: loads the library and serves it on standard input until the program that started it is gone.
+pub fn serve(path: &Path, sha256: &str) -> Result<()> {
+    let gone = |error: std::io::Error| Error::data(format!("the program that isolates a plugin is gone: {error}"));
+    let socket = UnixStream::from(std::io::stdin().as_fd().try_clone_to_owned().map_err(gone)?);
+    let connection = Arc::new(Connection {
+        wire: Mutex::new(Wire::new(socket)),
+        holder: Mutex::new(None),
+        objects: Mutex::default(),
+        released: Mutex::default(),
+        child: None,
+        who: "the program".to_owned(),
+        silence: Duration::MAX,
+    });
+    let library = load(path, Some(sha256));
+    loop {
+        let Ok((question, numbers)) = locked(&connection.wire).read() else { return Ok(()) };
+        let answer = match (question, &library) {
+            (Frame::Release { object }, _) => {
+                locked(&connection.objects).served.remove(&object);
+                continue;
+            }
+            (_, Err(error)) => Err(Failure::from(error.clone())),
+            (Frame::List, Ok(library)) => {
+                Ok((Frame::Answer { text: listed(library), objects: Vec::new() }, Vec::new()))
+            }
+            (Frame::Create { kind, name, settings, base }, Ok(library)) => {
+                created(library, kind, &name, &settings, base).map(|stage| {
+                    let objects = vec![connection.give(&Arc::new(stage))];
+                    (Frame::Answer { text: String::new(), objects }, Vec::new())
+                })
+            }
+            (question, Ok(_)) => connection.work(question, &numbers),
+        };
+        let (frame, numbers) = answer.unwrap_or_else(|failure| (Frame::Failed(failure), Vec::new()));
+        let lists: Vec<&[f64]> = numbers.iter().map(Vec::as_slice).collect();
+        let mut wire = locked(&connection.wire);
+        for object in std::mem::take(&mut *locked(&connection.released)) {
+            wire.write(&Frame::Release { object }, &[]).map_err(gone)?;
+        }
+        wire.write(&frame, &lists).map_err(gone)?;
+    }
+}
+
+fn listed(library: &Library) -> String {
+    let plugins = library.plugins.iter().map(|plugin| About {
+        kind: Kind::ALL.iter().position(|kind| *kind == plugin.kind()).unwrap_or_default() as u32,
+        name: plugin.name.to_string(),
+        version: plugin.version.to_string(),
+        about: plugin.about.to_string(),
+        schema: plugin.schema.get().to_string(),
+        example: plugin.example.get().to_string(),
+    });
+    let listed = Listed { name: library.name.clone(), version: library.version.clone(), plugins: plugins.collect() };
+    serde_json::to_string(&listed).unwrap_or_default()
+}
+
+fn created(library: &Library, kind: u32, name: &str, settings: &str, base: String) -> Result<Served, Failure> {
+    let of_kind = |plugin: &&abbe_core::Plugin| Kind::ALL.get(kind as usize) == Some(&plugin.kind());
+    let plugin = library.plugins.iter().filter(of_kind).find(|plugin| plugin.name == name);
+    let plugin = plugin.ok_or_else(|| Failure::of("the library", format!("has no plugin `{name}`")))?;
+    create(plugin, settings, &Context { base: base.into() })
+}

@@ -1,0 +1,175 @@
+//! What goes over the socket: a text (JSON) and numbers, each with its length before it.
+
+use std::io::{self, Read, Write};
+use std::os::unix::net::UnixStream;
+
+use abbe_core::{Equations, Poses, Variable};
+use serde::{Deserialize, Serialize};
+
+use crate::peer::Failure;
+
+/// An object, seen from whoever writes.
+#[derive(Debug, Clone, Copy, Serialize, Deserialize)]
+pub(super) enum Reference {
+    Mine(u64),
+    Yours(u64),
+}
+
+/// A question or an answer; `lengths` are those of the lists of numbers that follow.
+#[derive(Debug, Serialize, Deserialize)]
+pub(super) enum Frame {
+    List,
+    Create { kind: u32, name: String, settings: String, base: String },
+    Call { object: u64, method: u32, text: String, objects: Vec<Reference> },
+    Poses { object: u64, lengths: [usize; 3], orientation: bool },
+    Equations { object: u64, lengths: [usize; 5] },
+    Release { object: u64 },
+    Answer { text: String, objects: Vec<Reference> },
+    Numbers { lengths: Vec<usize> },
+    Failed(Failure),
+}
+
+/// More bytes, or numbers, than anything has that crosses.
+const LONGEST: usize = 1 << 28;
+
+/// One end of the socket.
+pub(super) struct Wire {
+    socket: UnixStream,
+    buffer: Vec<u8>,
+}
+
+impl Wire {
+    pub fn new(socket: UnixStream) -> Self {
+        Self { socket, buffer: Vec::new() }
+    }
+
+    pub fn write(&mut self, frame: &Frame, numbers: &[&[f64]]) -> io::Result<()> {
+        self.buffer.clear();
+        self.buffer.extend_from_slice(&[0; 16]);
+        serde_json::to_writer(&mut self.buffer, frame)?;
+        let text = self.buffer.len() as u64 - 16;
+        let count = numbers.iter().map(|list| list.len() as u64).sum::<u64>();
+        self.buffer[..8].copy_from_slice(&text.to_le_bytes());
+        self.buffer[8..16].copy_from_slice(&count.to_le_bytes());
+        for number in numbers.iter().copied().flatten() {
+            self.buffer.extend_from_slice(&number.to_le_bytes());
+        }
+        self.socket.write_all(&self.buffer)
+    }
+
+    pub fn read(&mut self) -> io::Result<(Frame, Vec<f64>)> {
+        let mut lengths = [0; 16];
+        self.socket.read_exact(&mut lengths)?;
+        let length = |at: usize| lengths[at..at + 8].iter().rev().fold(0_u64, |all, byte| all << 8 | u64::from(*byte));
+        let (text, count) = (length(0) as usize, length(8) as usize);
+        if text > LONGEST || count > LONGEST {
+            return Err(io::Error::new(io::ErrorKind::InvalidData, "a frame says that it is longer than any is"));
+        }
+        self.buffer.resize(text + 8 * count, 0);
+        self.socket.read_exact(&mut self.buffer)?;
+        let (text, numbers) = self.buffer.split_at(text);
+        let frame = serde_json::from_slice(text)?;
+        let (numbers, _) = numbers.as_chunks::<8>();
+        Ok((frame, numbers.iter().map(|bytes| f64::from_le_bytes(*bytes)).collect()))
+    }
+}
+
+/// Cuts numbers into lists.
+pub(super) fn split<const N: usize>(numbers: &[f64], lengths: [usize; N]) -> Result<[&[f64]; N], &'static str> {
+    let mut lists = [&[][..]; N];
+    let mut rest = numbers;
+    for (list, length) in lists.iter_mut().zip(lengths) {
+        (*list, rest) = rest.split_at_checked(length).ok_or("gives fewer numbers than it says")?;
+    }
+    Ok(lists)
+}
+
+/// Commands stand behind all parameters that a machine can have.
+const COMMANDS: f64 = 4_294_967_296.0;
+
+pub(super) fn number(variable: &Variable) -> f64 {
+    match *variable {
+        Variable::Parameter(index) => index as f64,
+        Variable::Command(index) => COMMANDS + index as f64,
+    }
+}
+
+pub(super) fn variable(number: f64) -> Variable {
+    match number >= COMMANDS {
+        true => Variable::Command((number - COMMANDS) as usize),
+        false => Variable::Parameter(number as usize),
+    }
+}
+
+pub(super) fn points(numbers: &[f64]) -> (&[[f64; 3]], &[f64]) {
+    numbers.as_chunks()
+}
+
+pub(super) fn quaternions(numbers: &[f64]) -> (&[[f64; 4]], &[f64]) {
+    numbers.as_chunks()
+}
+
+pub(super) fn poses_lists(poses: &Poses) -> Vec<Vec<f64>> {
+    vec![
+        poses.positions.as_flattened().to_vec(),
+        poses.orientations.as_flattened().to_vec(),
+        poses.position_derivatives.as_flattened().to_vec(),
+        poses.rotation_derivatives.as_flattened().to_vec(),
+    ]
+}
+
+/// Puts an answer into poses of the size that was asked for.
+pub(super) fn read_poses(answer: &Frame, numbers: &[f64], out: &mut Poses) -> Result<(), &'static str> {
+    let lists: [&mut [f64]; 4] = [
+        out.positions.as_flattened_mut(),
+        out.orientations.as_flattened_mut(),
+        out.position_derivatives.as_flattened_mut(),
+        out.rotation_derivatives.as_flattened_mut(),
+    ];
+    let Frame::Numbers { lengths } = answer else { return Err("answered something else than poses") };
+    let fits = lengths.len() == 4 && lengths.iter().zip(&lists).all(|(length, list)| *length == list.len());
+    if !fits || numbers.len() != lengths.iter().sum::<usize>() {
+        return Err("gave another number of poses or derivatives than it was asked for");
+    }
+    let mut rest = numbers;
+    for list in lists {
+        let (own, others) = rest.split_at(list.len());
+        list.copy_from_slice(own);
+        rest = others;
+    }
+    Ok(())
+}
+
+pub(super) fn equation_lists(equations: &Equations) -> Vec<Vec<f64>> {
+    let triples = |list: &[(usize, usize, f64)]| -> Vec<f64> {
+        list.iter().flat_map(|by| [by.0 as f64, by.1 as f64, by.2]).collect()
+    };
+    vec![
+        equations.residuals().to_vec(),
+        equations.by_position().as_flattened().to_vec(),
+        equations.by_rotation().as_flattened().to_vec(),
+        triples(equations.by_own()),
+        triples(equations.by_input()),
+    ]
+}
+
+/// Adds the equations of an answer.
+pub(super) fn read_equations(answer: &Frame, numbers: &[f64], out: &mut Equations) -> Result<(), String> {
+    let Frame::Numbers { lengths } = answer else { return Err("answered something else than equations".to_owned()) };
+    let lengths: [usize; 5] =
+        lengths.as_slice().try_into().map_err(|_| "gave another number of lists than equations have".to_owned())?;
+    let [residuals, positions, rotations, own, inputs] = split(numbers, lengths)?;
+    let (mut own, mut inputs) = (points(own).0.iter().peekable(), points(inputs).0.iter().peekable());
+    for (index, &residual) in residuals.iter().enumerate() {
+        out.equation(residual);
+        while let Some(by) = own.next_if(|by| by[0] as usize == index) {
+            out.own(by[1] as usize, by[2]);
+        }
+        while let Some(by) = inputs.next_if(|by| by[0] as usize == index) {
+            out.input(by[1] as usize, by[2]);
+        }
+    }
+    points(positions).0.iter().for_each(|by| out.position(*by));
+    points(rotations).0.iter().for_each(|by| out.rotation(*by));
+    Ok(())
+}

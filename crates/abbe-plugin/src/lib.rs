@@ -1,0 +1,30 @@
+//! Dynamic plugins: stages that a vendor ships as a library.
+//!
+//! - [`abi`] is what crosses the border, in C.
+//! - `sdk` (feature) is what a vendor's crate needs: the traits of Abbe and the macro `export!`.
+//! - `load` and `isolated` (feature `host`) give the plugins of a library as records of the registry, like built-in ones; the
+//!   latter runs them in processes of their own.
+//!
+//! **Architecture invariant:** this is the only crate with unsafe code, and every block says why it is sound. What comes from
+//! the other side is checked here; behind the proxies it is as good as built in.
+
+pub mod abi;
+mod border;
+#[cfg(feature = "host")]
+pub mod check;
+mod float_control;
+#[cfg(all(feature = "host", unix))]
+mod isolation;
+#[cfg(feature = "host")]
+mod loader;
+mod peer;
+mod proxy;
+#[cfg(feature = "sdk")]
+pub mod sdk;
+mod served;
+mod texts;
+
+#[cfg(all(feature = "host", unix))]
+pub use isolation::{Limits, isolated, serve};
+#[cfg(feature = "host")]
+pub use loader::{Library, load};

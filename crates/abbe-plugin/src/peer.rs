@@ -1,0 +1,154 @@
+//! One object of the other side, whatever lies between: a library's table of functions, or a pipe to another process.
+
+use std::any::Any;
+use std::sync::Arc;
+
+use abbe_core::{Class, Error, PathItem, Place, PoseValues, Poses, SettingsError, Variable};
+use serde::{Deserialize, Serialize};
+use serde_json::json;
+
+use crate::abi::{ABBE_FAILED, ABBE_FAILED_WITH_DETAILS, ABBE_PANICKED, ABBE_UNKNOWN_METHOD};
+use crate::served::Served;
+
+/// An object of the other side.
+pub(crate) trait Peer: Send + Sync {
+    /// Whose object it is, for messages: "the plugin `x` of libx.so".
+    fn who(&self) -> &str;
+
+    /// Carries out a method.
+    fn call(&self, method: u32, text: &str, objects: &[Arc<Served>]) -> Result<Answer, Failure>;
+
+    /// Poses of a batch; `out` has the right size and is zero.
+    fn poses(&self, statuses: &[f64], values: &[f64], wanted: &[Variable], out: &mut Poses) -> Result<(), Failure>;
+
+    /// Equations of some rows.
+    fn equations(
+        &self,
+        rows: &[usize],
+        poses: PoseValues<'_>,
+        known: Known<'_>,
+        out: &mut abbe_core::Equations,
+    ) -> Result<(), Failure>;
+
+    /// For those who hand the object back to where it lives.
+    fn as_any(&self) -> &dyn Any;
+}
+
+/// Values that equations depend on beside poses.
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct Known<'a> {
+    /// Own unknowns.
+    pub own: &'a [f64],
+    /// Known inputs.
+    pub inputs: &'a [f64],
+}
+
+/// What a method answers.
+pub(crate) struct Answer {
+    pub text: String,
+    pub objects: Vec<Transit>,
+}
+
+/// An object that came over: of the other side, or one of our own that comes home.
+#[derive(Clone)]
+pub(crate) enum Transit {
+    Remote(Arc<dyn Peer>),
+    Local(Arc<Served>),
+}
+
+/// Why a call failed: status and text of the ABI.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+pub(crate) struct Failure {
+    pub status: u32,
+    pub text: String,
+}
+
+/// The text of [`ABBE_FAILED_WITH_DETAILS`].
+#[derive(Deserialize)]
+struct Details {
+    message: String,
+    #[serde(default)]
+    help: Option<String>,
+    #[serde(default)]
+    class: Option<Class>,
+    #[serde(default)]
+    place: Option<Place>,
+    #[serde(default)]
+    stage: Option<String>,
+    #[serde(default)]
+    setting: Vec<PathItem>,
+    #[serde(default)]
+    path: Vec<PathItem>,
+    #[serde(default)]
+    key: bool,
+}
+
+impl Failure {
+    /// What the other side did that it must not do; names it. No setting is to blame for that.
+    pub fn of(who: &str, what: impl std::fmt::Display) -> Self {
+        Error::data(format!("{who} {what}")).into()
+    }
+
+    fn details(self, who: &str) -> Details {
+        let plain = |message: String| Details {
+            message,
+            help: None,
+            class: None,
+            place: None,
+            stage: None,
+            setting: Vec::new(),
+            path: Vec::new(),
+            key: false,
+        };
+        match self.status {
+            ABBE_FAILED if self.text.trim().is_empty() => plain(format!("{who} failed without a message")),
+            ABBE_FAILED => plain(self.text),
+            ABBE_FAILED_WITH_DETAILS => serde_json::from_str(&self.text)
+                .unwrap_or_else(|error| plain(format!("{who} failed with details that cannot be read: {error}"))),
+            ABBE_PANICKED => plain(format!("{who} panicked: {}", self.text)),
+            ABBE_UNKNOWN_METHOD => plain(format!("{who} lacks a function: {}", self.text)),
+            other => plain(format!("{who} gave the unknown status {other}: {}", self.text)),
+        }
+    }
+
+    /// The error of a run.
+    pub fn error(self, who: &str) -> Error {
+        let details = self.details(who);
+        let mut error = match details.class {
+            Some(Class::Use) => Error::usage(details.message),
+            _ => Error::data(details.message),
+        };
+        (error.help, error.place, error.stage) = (details.help, details.place, details.stage);
+        error.setting = if details.setting.is_empty() { details.path } else { details.setting };
+        error
+    }
+
+    /// The error of settings: they are to blame if the plugin says so itself.
+    pub fn settings_error(self, who: &str) -> SettingsError {
+        let refused = matches!(self.status, ABBE_FAILED | ABBE_FAILED_WITH_DETAILS);
+        let details = self.details(who);
+        let path = if details.path.is_empty() { details.setting } else { details.path };
+        let class = details.class.unwrap_or(if refused { Class::Use } else { Class::Data });
+        SettingsError { path, key: details.key, message: details.message, help: details.help, class }
+    }
+}
+
+impl From<Error> for Failure {
+    fn from(error: Error) -> Self {
+        let text = serde_json::to_string(&error).unwrap_or_else(|_| json!({ "message": error.message }).to_string());
+        Self { status: ABBE_FAILED_WITH_DETAILS, text }
+    }
+}
+
+impl From<SettingsError> for Failure {
+    fn from(error: SettingsError) -> Self {
+        let text = serde_json::to_string(&error).unwrap_or_else(|_| json!({ "message": error.message }).to_string());
+        Self { status: ABBE_FAILED_WITH_DETAILS, text }
+    }
+}
+
+impl From<serde_json::Error> for Failure {
+    fn from(error: serde_json::Error) -> Self {
+        Self { status: ABBE_FAILED, text: format!("a text that crosses the border cannot be read: {error}") }
+    }
+}

@@ -1,0 +1,287 @@
+//! The texts that cross the border, beyond those that `abbe-core` has itself: what refers to objects does so by index.
+
+use std::collections::BTreeSet;
+use std::path::PathBuf;
+use std::sync::Arc;
+
+use abbe_core::{
+    Axis, Calibration, ColumnHeader, Considered, Contact, Dataset, EquationUncertainty, ErrorFunction, ExportedFile,
+    Feature, Fit, Input, InputFile, KinematicModel, KnownInput, Layout, ObservationSet, Observations, Parameter,
+    PoseTable, Problem, Quantity, StatusColumn, Unknown,
+};
+use serde::{Deserialize, Serialize};
+use serde_json::Value;
+
+use crate::peer::{Failure, Transit};
+use crate::proxy;
+use crate::served::Served;
+
+/// What a machine is.
+#[derive(Serialize, Deserialize)]
+pub(crate) struct MachineText {
+    pub axes: Vec<Axis>,
+    pub status: Vec<StatusColumn>,
+    pub parameters: Vec<Parameter>,
+    /// One value a parameter; none at all if all are zero.
+    #[serde(default)]
+    pub nominal: Vec<f64>,
+    #[serde(default)]
+    pub stylus_radius: f64,
+    pub settings: Value,
+    #[serde(default)]
+    pub error_functions: Vec<ErrorFunction>,
+}
+
+impl MachineText {
+    pub fn of(model: &dyn KinematicModel) -> Self {
+        Self {
+            axes: model.axes().to_vec(),
+            status: model.status().to_vec(),
+            parameters: model.parameters().to_vec(),
+            nominal: model.nominal(),
+            stylus_radius: model.stylus_radius(),
+            settings: model.settings(),
+            error_functions: model.error_functions(),
+        }
+    }
+}
+
+/// What observations are.
+#[derive(Serialize, Deserialize)]
+pub(crate) struct ObservationsText {
+    pub layout: Layout,
+    /// The data set; none if it is the one that they were made of.
+    #[serde(default)]
+    pub data: Option<Dataset>,
+    #[serde(default)]
+    pub unknowns: Vec<Parameter>,
+    #[serde(default)]
+    pub start: Vec<f64>,
+    #[serde(default)]
+    pub inputs: Vec<KnownInput>,
+    #[serde(default)]
+    pub needs_orientation: bool,
+    /// Equations, by their index in the layout, that are of angles (rad); all others are of lengths.
+    #[serde(default)]
+    pub angles: BTreeSet<usize>,
+    #[serde(default)]
+    pub features: Vec<Feature>,
+    pub contact: Contact,
+}
+
+impl ObservationsText {
+    pub fn of(observations: &dyn Observations, given: Option<&Arc<Dataset>>) -> Self {
+        let layout = observations.layout().clone();
+        let same = given.is_some_and(|given| Arc::ptr_eq(given, &layout.data));
+        Self {
+            data: (!same).then(|| layout.data.as_ref().clone()),
+            layout,
+            unknowns: observations.unknowns().to_vec(),
+            start: observations.start(),
+            inputs: observations.inputs().to_vec(),
+            needs_orientation: observations.needs_orientation(),
+            angles: angles(observations),
+            features: observations.features(),
+            contact: observations.contact(),
+        }
+    }
+}
+
+/// The equations that are of angles.
+fn angles(observations: &dyn Observations) -> BTreeSet<usize> {
+    let rows = observations.layout().rows.iter().enumerate();
+    let equations = rows.flat_map(|(index, row)| {
+        let angle = move |equation: &usize| observations.quantity(index, *equation) == Quantity::Angle;
+        (0..row.equations).filter(angle).map(|equation| row.first_equation + equation)
+    });
+    equations.collect()
+}
+
+/// A file that a stage reads.
+#[derive(Serialize, Deserialize)]
+pub(crate) struct InputText {
+    pub setting: String,
+    pub path: PathBuf,
+}
+
+impl InputText {
+    pub fn of(inputs: Vec<InputFile>) -> Vec<Self> {
+        inputs.into_iter().map(|input| Self { setting: input.setting.to_owned(), path: input.path }).collect()
+    }
+}
+
+/// Question of `check`.
+#[derive(Serialize, Deserialize)]
+pub(crate) struct CheckText {
+    pub headers: Vec<ColumnHeader>,
+    pub file: Option<PathBuf>,
+}
+
+/// Question of `motion_error`.
+#[derive(Serialize, Deserialize)]
+pub(crate) struct MotionText {
+    pub function: ErrorFunction,
+    pub values: Vec<f64>,
+    /// `null` is NaN: a status that is unknown.
+    pub status: Vec<Option<f64>>,
+}
+
+/// Question of `contact_tip`.
+#[derive(Serialize, Deserialize)]
+pub(crate) struct TipText {
+    pub row: usize,
+    pub tip: [f64; 3],
+    pub own: Vec<f64>,
+    pub inputs: Vec<f64>,
+}
+
+/// Question of `judge`.
+#[derive(Serialize, Deserialize)]
+pub(crate) struct JudgeText {
+    pub fits: Vec<FitText>,
+    pub data: Vec<Dataset>,
+}
+
+/// A written file: text, or bytes where it is none.
+#[derive(Serialize, Deserialize)]
+pub(crate) struct FileText {
+    name: String,
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    text: Option<String>,
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    bytes: Vec<u8>,
+}
+
+impl From<ExportedFile> for FileText {
+    fn from(file: ExportedFile) -> Self {
+        match String::from_utf8(file.content) {
+            Ok(text) => Self { name: file.name, text: Some(text), bytes: Vec::new() },
+            Err(error) => Self { name: file.name, text: None, bytes: error.into_bytes() },
+        }
+    }
+}
+
+impl From<FileText> for ExportedFile {
+    fn from(file: FileText) -> Self {
+        Self { name: file.name, content: file.text.map_or(file.bytes, String::into_bytes) }
+    }
+}
+
+/// A problem; model and observations are objects.
+#[derive(Serialize, Deserialize)]
+pub(crate) struct ProblemText {
+    name: String,
+    model: usize,
+    model_plugin: String,
+    sets: Vec<SetText>,
+    unknowns: Vec<Unknown>,
+    machine: Vec<f64>,
+    inputs: Vec<Input>,
+    considered: Considered,
+}
+
+#[derive(Serialize, Deserialize)]
+struct SetText {
+    name: String,
+    observations: usize,
+    rows: Vec<usize>,
+    inputs: Vec<f64>,
+    own: Vec<f64>,
+    uncertainty: EquationUncertainty,
+    poses: PoseTable,
+    disturbances: Option<Vec<f64>>,
+}
+
+fn put(objects: &mut Vec<Arc<Served>>, object: Served) -> usize {
+    objects.push(Arc::new(object));
+    objects.len() - 1
+}
+
+fn get<'a>(objects: &'a [Transit], index: usize) -> Result<&'a Transit, Failure> {
+    objects
+        .get(index)
+        .ok_or_else(|| Failure::of("the other side", format!("names object {index}, which it does not give")))
+}
+
+impl ProblemText {
+    /// The text of a problem; adds its objects.
+    pub fn of(problem: &Problem, objects: &mut Vec<Arc<Served>>) -> Self {
+        let model = put(objects, Served::Machine(problem.model.clone()));
+        let set = |set: &ObservationSet, objects: &mut Vec<Arc<Served>>| SetText {
+            name: set.name.clone(),
+            observations: put(objects, Served::Observations(set.observations.clone(), None)),
+            rows: set.rows.clone(),
+            inputs: set.inputs.clone(),
+            own: set.own.clone(),
+            uncertainty: set.uncertainty.as_ref().clone(),
+            poses: set.poses().clone(),
+            disturbances: set.disturbances().map(<[f64]>::to_vec),
+        };
+        Self {
+            name: problem.name.clone(),
+            model,
+            model_plugin: problem.model_plugin.clone(),
+            sets: problem.sets.iter().map(|one| set(one, objects)).collect(),
+            unknowns: problem.unknowns.clone(),
+            machine: problem.machine.clone(),
+            inputs: problem.inputs.clone(),
+            considered: problem.considered.clone(),
+        }
+    }
+
+    pub fn problem(self, objects: &[Transit]) -> Result<Problem, Failure> {
+        let mut sets = Vec::new();
+        for set in self.sets {
+            let observations = proxy::observations(get(objects, set.observations)?, None)?;
+            let mut taken = ObservationSet::new(&set.name, observations);
+            taken.rows = set.rows;
+            taken.inputs = set.inputs;
+            taken.own = set.own;
+            taken.uncertainty = Arc::new(set.uncertainty);
+            taken.move_to(set.poses);
+            if let Some(disturbances) = set.disturbances {
+                taken.disturb(disturbances);
+            }
+            sets.push(taken);
+        }
+        Ok(Problem {
+            name: self.name,
+            model: proxy::machine(get(objects, self.model)?)?,
+            model_plugin: self.model_plugin,
+            sets,
+            unknowns: self.unknowns,
+            machine: self.machine,
+            inputs: self.inputs,
+            considered: self.considered,
+        })
+    }
+}
+
+/// A fit; its estimator is an object too.
+#[derive(Serialize, Deserialize)]
+pub(crate) struct FitText {
+    name: String,
+    problem: ProblemText,
+    estimator: usize,
+    calibration: Calibration,
+}
+
+impl FitText {
+    pub fn of(fit: &Fit, objects: &mut Vec<Arc<Served>>) -> Self {
+        Self {
+            name: fit.name.clone(),
+            problem: ProblemText::of(&fit.problem, objects),
+            estimator: put(objects, Served::Estimate(fit.estimator.clone())),
+            calibration: fit.calibration.clone(),
+        }
+    }
+
+    pub fn fit(self, objects: &[Transit]) -> Result<Fit, Failure> {
+        Ok(Fit {
+            name: self.name,
+            estimator: proxy::estimator(get(objects, self.estimator)?),
+            problem: Arc::new(self.problem.problem(objects)?),
+            calibration: self.calibration,
+        })
+    }
+}

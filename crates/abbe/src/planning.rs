@@ -1,0 +1,68 @@
+//! A plan of measurements, as people and as machines read it.
+
+use std::path::Path;
+
+use abbe_core::NullVector;
+use abbe_engine::Measurements;
+
+use crate::number::short;
+use crate::table;
+
+/// Chosen candidates in a line.
+const IN_A_LINE: usize = 12;
+
+/// The plan for a terminal.
+pub fn text(name: &str, measurements: &Measurements, out: Option<&Path>) -> String {
+    let plan = &measurements.plan;
+    let number: usize = plan.chosen.iter().map(|chosen| chosen.times).sum();
+    let mut text =
+        format!("{name}: measurements for {}\n\nChosen: {number} of {}\n", measurements.estimate, plan.candidates);
+    let labels = plan.chosen.iter().map(|chosen| match chosen.times {
+        1 => chosen.label.clone(),
+        times => format!("{} ({times} times)", chosen.label),
+    });
+    for line in labels.collect::<Vec<_>>().chunks(IN_A_LINE) {
+        text.push_str(&format!("  {}\n", line.join(", ")));
+    }
+    let mut rows = vec![["", "plan", "spread evenly"].map(str::to_owned).to_vec()];
+    let evenly = |value: fn(&abbe_engine::PlanFigures) -> f64| {
+        plan.evenly.as_ref().map_or_else(|| "not determined".to_owned(), |figures| short(value(figures)))
+    };
+    for (label, value) in FIGURES {
+        rows.push(vec![label.to_owned(), short(value(&plan.figures)), evenly(value)]);
+    }
+    text.push_str(&format!("\n{}", table::text(&rows, &[1, 2])));
+    if let Some(even) = &plan.evenly {
+        let part = plan.figures.efficiency_of(even);
+        text.push_str(&format!("\nSpread evenly {:.2} times as many would be as good\n", 1.0 / part));
+    }
+    if let Some(part) = plan.random_efficiency {
+        text.push_str(&format!("At random (median) {:.2} times as many\n", 1.0 / part));
+    }
+    let mut rows = vec![["Expected standard uncertainty", "", ""].map(str::to_owned).to_vec()];
+    for (unknown, uncertainty) in plan.problem.unknowns.iter().zip(&plan.figures.standard_uncertainties) {
+        let (symbol, factor) = unknown.unit.for_people();
+        rows.push(vec![unknown.name.clone(), symbol, short(uncertainty * factor)]);
+    }
+    text.push_str(&format!("\n{}", table::text(&rows, &[2])));
+    let lost: Vec<String> = measurements.identifiability.null_space.iter().map(NullVector::advise).collect();
+    if !lost.is_empty() {
+        text.push_str("\nNot determined\n");
+        lost.iter().for_each(|lost| text.push_str(&format!("  {lost}\n")));
+    }
+    if let Some(out) = out {
+        let files = measurements.files.keys().map(|file| file.display().to_string()).collect::<Vec<_>>().join(", ");
+        text.push_str(&format!("\nWritten: {} ({files})\n", out.display()));
+    }
+    text
+}
+
+type Figure = (&'static str, fn(&abbe_engine::PlanFigures) -> f64);
+
+const FIGURES: [Figure; 5] = [
+    ("equations", |figures| figures.equations as f64),
+    ("log determinant", |figures| figures.log_determinant),
+    ("condition", |figures| figures.condition),
+    ("mean variance of a response", |figures| figures.response_variance[0]),
+    ("largest variance of a response", |figures| figures.response_variance[1]),
+];

@@ -1,0 +1,360 @@
+//! Ingest plugin `ball-bar`: the tests of a ball bar as one data set.
+//!
+//! Every test is a file in which one rotary axis moves. The data set has the columns of the files, `test` (the name of the
+//! test), and what the settings say of each test: ball, bar, positions of axes that stand still, and the angle of the moving axis where
+//! the file has samples by time only. Samples of the overshoot are left out. Within a cycle rows come in the order of the angle, so that
+//! sweeps in both directions measure the same rows.
+
+use std::collections::BTreeMap;
+use std::path::{Path, PathBuf};
+
+use abbe_core::{
+    Build, Column, ColumnHeader, Constructor, Context, Dataset, Error, Ingest, InputFile, Label, PathItem, Plugin,
+    Quantity, Result, RowOrigin, SettingsError, Values, from_settings, inventory, positive, schema_of,
+};
+use schemars::JsonSchema;
+use serde::Deserialize;
+use serde_json::{Value, json};
+
+/// Ball bar tests.
+#[derive(Debug, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+struct Settings {
+    /// The tests, one file each.
+    tests: Vec<Test>,
+}
+
+/// A ball bar test in which one rotary axis moves.
+#[derive(Debug, Clone, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+struct Test {
+    /// The CSV file with the samples, relative to the recipe.
+    file: String,
+    /// Name of the test in the column `test`; without it the name of the file without its extension.
+    #[serde(default)]
+    name: Option<String>,
+    /// Name of the rotary axis that moves.
+    moves: String,
+    /// Label of the pivot ball, for files without the column `ball`.
+    #[serde(default)]
+    ball: Option<Label>,
+    /// Label of the bar, for files without the column `bar`.
+    #[serde(default)]
+    bar: Option<Label>,
+    /// Positions of axes for which the file has no column: `X_mm: 130`.
+    #[serde(default)]
+    positions: BTreeMap<String, f64>,
+    /// Range of the moving axis; samples outside it (overshoot) are left out.
+    #[serde(default)]
+    range_deg: Option<[f64; 2]>,
+    /// The motion, for files whose samples have a time but no angle.
+    #[serde(default)]
+    feed: Option<Feed>,
+}
+
+/// A motion with constant feed: the angle follows from the time since the first sample of its cycle.
+#[derive(Debug, Clone, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+struct Feed {
+    /// Feed on the circle.
+    mm_per_min: f64,
+    /// Radius of that circle: distance of the pivot from the axis.
+    radius_mm: f64,
+    /// Angle of the axis at the first sample of the first cycle.
+    from_deg: f64,
+    /// Angle at which it stops; the samples may end earlier.
+    to_deg: f64,
+    /// Every second cycle runs back, from `to_deg` to `from_deg`.
+    #[serde(default)]
+    alternating: bool,
+}
+
+/// What the limits of a range may be missed by, rad: rounding of a file with four decimals of a degree.
+const AT_LIMIT: f64 = 1e-6;
+
+inventory::submit! {
+    Plugin::built_in(
+        "ball-bar",
+        "tests of a double ball bar, by angle or by time and feed, without overshoot",
+        schema_of::<Settings>,
+        example,
+        Build::Ingest(Constructor::Static(build)),
+    )
+}
+
+fn example() -> Value {
+    json!({ "tests": [
+        { "file": "ballbar-a.csv", "moves": "A", "ball": 1, "bar": 100, "range_deg": [-20, 70] },
+        { "file": "ballbar-c.csv", "moves": "C", "ball": 2, "bar": 100, "range_deg": [0, 360],
+          "positions": { "X_mm": 0, "Y_mm": 0, "Z_mm": 160, "A_deg": 0 },
+          "feed": { "mm_per_min": 500, "radius_mm": 100, "from_deg": -45, "to_deg": 405 } },
+    ] })
+}
+
+pub(crate) fn build(settings: &Value, context: &Context) -> Result<Box<dyn Ingest>, SettingsError> {
+    let settings: Settings = from_settings(settings)?;
+    if settings.tests.is_empty() {
+        return Err(SettingsError::new("tests", "at least one test was expected"));
+    }
+    let mut tests: Vec<Named> = Vec::new();
+    for (index, test) in settings.tests.into_iter().enumerate() {
+        let under = |error: SettingsError| error.under([PathItem::Key("tests".to_owned()), PathItem::Index(index)]);
+        let named = Named::new(test, index, context).map_err(under)?;
+        if tests.iter().any(|other| other.name == named.name) {
+            let error = SettingsError::new("name", format!("there is a test `{}` already", named.name));
+            return Err(under(error.help("give one of them another `name`")));
+        }
+        tests.push(named);
+    }
+    Ok(Box::new(Tests { tests }))
+}
+
+/// A test with its name and path.
+struct Named {
+    name: String,
+    path: PathBuf,
+    index: usize,
+    test: Test,
+}
+
+impl Named {
+    fn new(test: Test, index: usize, context: &Context) -> Result<Self, SettingsError> {
+        let path = context.path(&test.file);
+        let stem = path.file_stem().map(|stem| stem.to_string_lossy().into_owned());
+        let name = test.name.clone().or(stem).unwrap_or_default();
+        if let Some([from, to]) = test.range_deg
+            && from >= to
+        {
+            return Err(
+                SettingsError::new("range_deg", format!("{from} to {to} is no range")).help("write `[from, to]`")
+            );
+        }
+        for header in test.positions.keys() {
+            let column = ColumnHeader::parse(header);
+            if ![Quantity::Length, Quantity::Angle].contains(&column.quantity) {
+                let error = SettingsError::new(header, "the position of an axis has a unit: `X_mm` or `A_deg`");
+                return Err(error.under([PathItem::Key("positions".to_owned())]));
+            }
+        }
+        if let Some(feed) = &test.feed {
+            let under = |error: SettingsError| error.under([PathItem::Key("feed".to_owned())]);
+            positive("mm_per_min", feed.mm_per_min).map_err(under)?;
+            positive("radius_mm", feed.radius_mm).map_err(under)?;
+            if feed.from_deg == feed.to_deg {
+                return Err(under(SettingsError::new(
+                    "to_deg",
+                    "the axis does not move between `from_deg` and `to_deg`",
+                )));
+            }
+        }
+        Ok(Self { name, path, index, test })
+    }
+
+    /// An error at a setting of this test.
+    fn wrong(&self, setting: &str, error: Error) -> Error {
+        let setting =
+            [PathItem::Key("tests".to_owned()), PathItem::Index(self.index), PathItem::Key(setting.to_owned())];
+        Error { setting: setting.into(), ..error }
+    }
+
+    /// The samples of the test, from its file as read.
+    fn samples(&self, mut data: Dataset) -> Result<Dataset> {
+        let rows = data.rows();
+        for (header, value) in &self.test.positions {
+            let column = ColumnHeader::parse(header);
+            if data.column(&column.name).is_some() {
+                let error = Error::usage(format!("`{}` has a column `{header}` already", self.path.display()));
+                return Err(self.wrong("positions", error));
+            }
+            let (.., factor) = Quantity::of_column(header);
+            data.columns.push(Column { header: column, values: Values::Numbers(vec![value * factor; rows]) });
+        }
+        if let Some(feed) = &self.test.feed {
+            if data.column(&self.test.moves).is_some() {
+                let message = format!(
+                    "`{}` has a column for {}: its samples need no `feed`",
+                    self.path.display(),
+                    self.test.moves
+                );
+                return Err(self.wrong("feed", Error::usage(message)));
+            }
+            let header = ColumnHeader::parse(&format!("{}_deg", self.test.moves));
+            let angles = Values::Numbers(feed.angles(&data)?);
+            data.columns.push(Column { header, values: angles });
+        }
+        for (name, label) in [("ball", &self.test.ball), ("bar", &self.test.bar)] {
+            let Some(Label(label)) = label else { continue };
+            if data.column(name).is_some() {
+                let error = Error::usage(format!("`{}` has a column `{name}` already", self.path.display()));
+                return Err(self.wrong(name, error));
+            }
+            data.columns
+                .push(Column { header: ColumnHeader::parse(name), values: Values::Labels(vec![label.clone(); rows]) });
+        }
+        if data.column("test").is_some() {
+            let error = Error::usage("there is a column `test`, which is the name of the test in the data set");
+            return Err(error.in_file(&self.path));
+        }
+        let names = Values::Labels(vec![self.name.clone(); rows]);
+        data.columns.push(Column { header: ColumnHeader::parse("test"), values: names });
+        self.swept(data)
+    }
+
+    /// The rows within the range, those of a cycle in the order of the angle.
+    fn swept(&self, data: Dataset) -> Result<Dataset> {
+        let angles = abbe_table::numbers(&data, &self.test.moves, Quantity::Angle).map_err(|error| {
+            let help = error.help.clone().unwrap_or_else(|| "samples by time need a `feed`".to_owned());
+            self.wrong("moves", error.help(help))
+        })?;
+        let [from, to] = self.test.range_deg.unwrap_or([f64::NEG_INFINITY, f64::INFINITY]).map(f64::to_radians);
+        let within = |row: &usize| (from - AT_LIMIT..=to + AT_LIMIT).contains(&angles[*row]);
+        let mut rows: Vec<usize> = (0..data.rows()).filter(within).collect();
+        if rows.is_empty() && data.rows() > 0 {
+            let (least, most) = angles
+                .iter()
+                .fold((f64::INFINITY, f64::NEG_INFINITY), |(least, most), angle| (least.min(*angle), most.max(*angle)));
+            let message = format!(
+                "no sample of `{}` is within the range of {}: its samples go from {:.3} to {:.3} deg",
+                self.path.display(),
+                self.test.moves,
+                least.to_degrees(),
+                most.to_degrees()
+            );
+            return Err(self.wrong("range_deg", Error::data(message)));
+        }
+        let cycles = cycles(&data);
+        rows.sort_by(|&a, &b| cycles[a].cmp(&cycles[b]).then(angles[a].total_cmp(&angles[b])));
+        Ok(picked(&data, &rows))
+    }
+}
+
+/// The number of every row's cycle, in the order in which cycles appear.
+fn cycles(data: &Dataset) -> Vec<usize> {
+    let Some(labels) = data.labels("cycle") else { return vec![0; data.rows()] };
+    let mut known: BTreeMap<&str, usize> = BTreeMap::new();
+    labels
+        .iter()
+        .map(|label| {
+            let next = known.len();
+            *known.entry(label).or_insert(next)
+        })
+        .collect()
+}
+
+impl Feed {
+    /// The angle of the axis in every row, rad.
+    fn angles(&self, data: &Dataset) -> Result<Vec<f64>> {
+        let times = abbe_table::numbers(data, "time", Quantity::Time)?;
+        let cycles = cycles(data);
+        let mut starts: BTreeMap<usize, f64> = BTreeMap::new();
+        for (cycle, time) in cycles.iter().zip(times) {
+            let start = starts.entry(*cycle).or_insert(*time);
+            *start = start.min(*time);
+        }
+        let [from, to] = [self.from_deg, self.to_deg].map(f64::to_radians);
+        let speed = self.mm_per_min / 60.0 / self.radius_mm;
+        let angle = |(cycle, time): (&usize, &f64)| {
+            let (from, to) = if self.alternating && cycle % 2 == 1 { (to, from) } else { (from, to) };
+            // At the end it stands.
+            let swept = (speed * (time - starts[cycle])).min((to - from).abs());
+            from + swept * (to - from).signum()
+        };
+        Ok(cycles.iter().zip(times).map(angle).collect())
+    }
+}
+
+/// The stage.
+struct Tests {
+    tests: Vec<Named>,
+}
+
+impl Tests {
+    fn assemble(&self, load: &dyn Fn(&Path) -> Result<Dataset>) -> Result<Dataset> {
+        let mut all: Option<Dataset> = None;
+        for test in &self.tests {
+            let part = test.samples(load(&test.path)?)?;
+            match &mut all {
+                None => all = Some(part),
+                Some(all) => append(all, part, &test.path)?,
+            }
+        }
+        Ok(all.unwrap_or_default())
+    }
+}
+
+impl Ingest for Tests {
+    fn inputs(&self) -> Vec<InputFile> {
+        self.tests.iter().map(|test| InputFile { setting: "tests", path: test.path.clone() }).collect()
+    }
+
+    fn headers(&self) -> Result<Vec<ColumnHeader>> {
+        // What `read` does, on tables without rows: so the columns cannot differ.
+        let without_rows = |path: &Path| {
+            let columns = abbe_table::read_headers(path)?.into_iter().map(abbe_table::empty_column).collect();
+            Ok(Dataset { columns, origins: Vec::new(), files: vec![path.to_owned()], averaged: false })
+        };
+        Ok(self.assemble(&without_rows)?.headers())
+    }
+
+    fn read(&self) -> Result<Dataset> {
+        let data = self.assemble(&abbe_table::read)?;
+        if data.rows() == 0 {
+            return Err(Error::data("the files of the tests have no samples"));
+        }
+        Ok(data)
+    }
+}
+
+/// Whether rows mean nothing without this column: positions, readings, what they were measured with.
+fn is_needed(header: &ColumnHeader) -> bool {
+    [Quantity::Length, Quantity::Angle].contains(&header.quantity) || ["ball", "bar"].contains(&header.name.as_str())
+}
+
+/// Appends the rows of another test. What else only one of them has (times, numbers of samples) is left out.
+fn append(data: &mut Dataset, mut part: Dataset, path: &Path) -> Result<()> {
+    let only = |one: &Dataset, other: &Dataset| {
+        let mut headers = one.headers().into_iter().filter(is_needed);
+        headers.find(|header| other.column(&header.name).is_none()).map(|header| header.header)
+    };
+    let found = only(data, &part).map(|header| (header, "missing here, the tests before it have it"));
+    if let Some((header, which)) = found.or_else(|| Some((only(&part, data)?, "here only"))) {
+        let error = Error::usage(format!("the column `{header}` is {which}")).in_file(path);
+        return Err(error.help("say what a file does not have under `ball`, `bar`, `positions` or `feed` of its test"));
+    }
+    data.columns.retain(|column| part.column(&column.header.name).is_some());
+    for column in &mut data.columns {
+        let more = part.columns.iter_mut().find(|other| other.header.name == column.header.name);
+        match (&mut column.values, more.map(|column| &mut column.values)) {
+            (Values::Numbers(numbers), Some(Values::Numbers(more))) => numbers.append(more),
+            (Values::Labels(labels), Some(Values::Labels(more))) => labels.append(more),
+            _ => {
+                let message = format!(
+                    "the column `{}` does not have the unit that it has in the tests before",
+                    column.header.header
+                );
+                return Err(Error::usage(message).in_file(path));
+            }
+        }
+    }
+    let files = data.files.len();
+    data.origins.extend(part.origins.into_iter().map(|origin| RowOrigin { file: origin.file + files, ..origin }));
+    data.files.append(&mut part.files);
+    Ok(())
+}
+
+/// Some rows, each with its origin.
+fn picked(data: &Dataset, rows: &[usize]) -> Dataset {
+    let values = |values: &Values| match values {
+        Values::Numbers(numbers) => Values::Numbers(rows.iter().map(|&row| numbers[row]).collect()),
+        Values::Labels(labels) => Values::Labels(rows.iter().map(|&row| labels[row].clone()).collect()),
+    };
+    let columns = data.columns.iter();
+    Dataset {
+        columns: columns
+            .map(|column| Column { header: column.header.clone(), values: values(&column.values) })
+            .collect(),
+        origins: rows.iter().map(|&row| data.origins[row]).collect(),
+        files: data.files.clone(),
+        averaged: data.averaged,
+    }
+}

@@ -1,0 +1,237 @@
+//! Double ball bar: artefact plugin `ball-bar`, and ingest plugin `ball-bar` for its tests of rotary axes.
+//!
+//! Equation: `|p - P - c| - (L + reading) = 0` with the tool ball at the tip p, the nominal centre P of a pivot ball in the table
+//! frame, the pivot's offset c (unknown), and the length L from which readings are counted. One artefact stage takes all tests that
+//! share pivot balls, so that a ball that was not moved between two tests has one offset (Jiang & Cripps 2015, section 3).
+
+mod ingest;
+mod observed;
+
+use std::collections::BTreeMap;
+use std::path::PathBuf;
+use std::sync::Arc;
+
+use abbe_core::{
+    Artefact, Build, ColumnHeader, Constructor, Context, Dataset, Error, InputFile, KinematicModel, KnownInput, Layout,
+    Observations, Parameter, PathItem, Plugin, Quantity, Result, SettingsError, Target, Unit, inventory, not_negative,
+    plain_naming, pose_columns, positive,
+};
+use nalgebra::Vector3;
+use schemars::JsonSchema;
+use serde::{Deserialize, Serialize};
+use serde_json::{Value, json};
+
+use observed::{Ball, Bar, Observed, TOOL_BALL};
+
+inventory::submit! {
+    Plugin::built_in(
+        "ball-bar",
+        "lengths of a double ball bar between the tool ball and pivot balls on the table",
+        abbe_core::schema_of::<Settings>,
+        example,
+        Build::Artefact(Constructor::Static(build)),
+    )
+}
+
+/// Settings of the ball bar.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+struct Settings {
+    /// CSV file of the nominal pivot balls: feature, x_mm, y_mm, z_mm in the table frame. The column `ball` of the data names
+    /// the ball of every row; with a single ball it may be missing.
+    nominal: String,
+    /// The bars by their labels in the column `bar` of the data, and the length of each from which its readings are counted; with
+    /// a single bar the column may be missing.
+    bars_mm: BTreeMap<String, f64>,
+    /// Standard uncertainty of one reading.
+    standard_uncertainty_um: f64,
+    /// Whether the lengths are known, or estimated: `bar[100].length`.
+    #[serde(default)]
+    lengths: Lengths,
+    /// Standard uncertainty of known lengths, shared by all readings with a bar.
+    #[serde(default)]
+    length_standard_uncertainty_um: f64,
+    /// Standard uncertainty, in each direction, of the tool ball's place relative to the tip, shared by all readings: how well
+    /// the ball is aligned with the spindle and how well its height is known.
+    #[serde(default)]
+    tool_ball_standard_uncertainty_um: f64,
+}
+
+/// What is known of the lengths.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize, JsonSchema)]
+#[serde(rename_all = "kebab-case")]
+enum Lengths {
+    /// They are those of the settings.
+    #[default]
+    Known,
+    /// They are unknowns of the artefact.
+    Estimated,
+}
+
+fn example() -> Value {
+    json!({
+        "nominal": "balls.csv",
+        "bars_mm": { "100": 100.0, "150": 150.0 },
+        "standard_uncertainty_um": 0.5,
+        "tool_ball_standard_uncertainty_um": 0.2,
+    })
+}
+
+fn build(settings: &Value, context: &Context) -> Result<Box<dyn Artefact>, SettingsError> {
+    let settings: Settings = abbe_core::from_settings(settings)?;
+    positive("standard_uncertainty_um", settings.standard_uncertainty_um)?;
+    not_negative("length_standard_uncertainty_um", settings.length_standard_uncertainty_um)?;
+    not_negative("tool_ball_standard_uncertainty_um", settings.tool_ball_standard_uncertainty_um)?;
+    if settings.bars_mm.is_empty() {
+        return Err(SettingsError::new("bars_mm", "a ball bar has a length").help("write `bars_mm: { 100: 100.0 }`"));
+    }
+    for (label, length) in &settings.bars_mm {
+        positive(label, *length).map_err(|error| error.under([PathItem::Key("bars_mm".to_owned())]))?;
+    }
+    if settings.lengths == Lengths::Estimated && settings.length_standard_uncertainty_um > 0.0 {
+        let message = "lengths that are estimated are not known to a standard uncertainty";
+        return Err(SettingsError::new("length_standard_uncertainty_um", message)
+            .help("leave out `length_standard_uncertainty_um`, or `lengths: estimated`"));
+    }
+    Ok(Box::new(BallBar { nominal: context.path(&settings.nominal), settings }))
+}
+
+struct BallBar {
+    nominal: PathBuf,
+    settings: Settings,
+}
+
+impl BallBar {
+    fn read_nominal(&self) -> Result<Vec<Ball>> {
+        let table = abbe_table::read(&self.nominal)?;
+        abbe_table::unique_labels(&table, "feature")?;
+        let labels = abbe_table::labels(&table, "feature")?;
+        let centres = abbe_table::points(&table, ["x", "y", "z"])?;
+        let balls = labels.iter().zip(centres);
+        Ok(balls.map(|(label, centre)| Ball { label: label.clone(), centre: Vector3::from(centre) }).collect())
+    }
+}
+
+/// The place of every row's label among `known`: by a column, or the only one there is.
+fn places(data: &Dataset, column: &str, known: &[&str], what: &str) -> Result<Vec<usize>> {
+    if data.column(column).is_none() && known.len() == 1 {
+        return Ok(vec![0; data.rows()]);
+    }
+    let labels = abbe_table::labels(data, column)?.iter().enumerate();
+    let place = |(row, label): (usize, &String)| {
+        known.iter().position(|known| known == label).ok_or_else(|| {
+            let error = data.error_at(row, format!("{column} {label} is not among {what}"));
+            error.help(format!("there are: {}", known.join(", ")))
+        })
+    };
+    labels.map(place).collect()
+}
+
+/// The known or unknown lengths of the bars that are used, in the order of their labels.
+fn bars(settings: &Settings, used: &[&str], unknowns: &mut Vec<Parameter>, inputs: &mut Vec<KnownInput>) -> Vec<Bar> {
+    let bar = |label: &&str| {
+        let nominal = settings.bars_mm[*label];
+        let parameter = Parameter { name: format!("bar[{label}].length"), unit: Unit::MM };
+        match settings.lengths {
+            Lengths::Estimated => {
+                unknowns.push(parameter);
+                Bar::Unknown { own: unknowns.len() - 1, nominal }
+            }
+            Lengths::Known => {
+                let standard_uncertainty = settings.length_standard_uncertainty_um * 1e-3;
+                inputs.push(KnownInput { parameter, value: nominal, standard_uncertainty, shared: false });
+                Bar::Known { input: inputs.len() - 1 }
+            }
+        }
+    };
+    used.iter().map(bar).collect()
+}
+
+/// The labels that some rows use, and for every row the place of its label among them.
+fn used<'a>(labels: &[&'a str], of_rows: &[usize]) -> (Vec<&'a str>, Vec<usize>) {
+    let mut places: Vec<usize> = of_rows.to_vec();
+    places.sort_unstable();
+    places.dedup();
+    let rows = of_rows.iter().map(|place| places.partition_point(|other| other < place));
+    (places.iter().map(|&place| labels[place]).collect(), rows.collect())
+}
+
+impl Artefact for BallBar {
+    fn inputs(&self) -> Vec<InputFile> {
+        vec![InputFile { setting: "nominal", path: self.nominal.clone() }]
+    }
+
+    fn check(&self, headers: &[ColumnHeader], file: Option<&PathBuf>, model: &dyn KinematicModel) -> Result<()> {
+        pose_columns(headers, file, model, &plain_naming)?;
+        abbe_table::require(headers, file, &[("reading", Quantity::Length)])?;
+        if self.settings.bars_mm.len() > 1 {
+            abbe_table::require(headers, file, &[("bar", Quantity::Label)])?;
+        }
+        let columns =
+            [("feature", Quantity::Label), ("x", Quantity::Length), ("y", Quantity::Length), ("z", Quantity::Length)];
+        abbe_table::require(&abbe_table::read_headers(&self.nominal)?, Some(&self.nominal), &columns)
+    }
+
+    fn observe(&self, data: &Arc<Dataset>, model: &dyn KinematicModel) -> Result<Arc<dyn Observations>> {
+        let nominal = self.read_nominal()?;
+        let labels: Vec<&str> = nominal.iter().map(|ball| ball.label.as_str()).collect();
+        let ball_of_rows = places(data, "ball", &labels, "the nominal balls")?;
+        let (balls, ball_of_row) = used(&labels, &ball_of_rows);
+        let balls: Vec<Ball> = nominal.iter().filter(|ball| balls.contains(&ball.label.as_str())).cloned().collect();
+        let labels: Vec<&str> = self.settings.bars_mm.keys().map(String::as_str).collect();
+        let bar_of_rows = places(data, "bar", &labels, "`bars_mm`")?;
+        let (used_bars, bar_of_row) = used(&labels, &bar_of_rows);
+        let readings = abbe_table::numbers(data, "reading", Quantity::Length)?.to_vec();
+
+        let mut layout = Layout::new(data, model, &[&plain_naming])?;
+        for row in 0..data.rows() {
+            let length = self.settings.bars_mm[used_bars[bar_of_row[row]]] + readings[row];
+            if length <= 0.0 {
+                let message = format!("the measured length is {length} mm; a positive one was expected");
+                return Err(data.error_at(row, message).help("readings are the length minus that of the bar"));
+            }
+            layout.push(model, row, &[self.settings.standard_uncertainty_um * 1e-3])?;
+        }
+        let own = |ball: &Ball, axis: &str| Parameter { name: format!("ball[{}].{axis}", ball.label), unit: Unit::MM };
+        let mut unknowns: Vec<Parameter> =
+            balls.iter().flat_map(|ball| ["x", "y", "z"].map(|axis| own(ball, axis))).collect();
+        let mut inputs = Vec::new();
+        let aligned = self.settings.tool_ball_standard_uncertainty_um * 1e-3;
+        if aligned > 0.0 {
+            inputs.extend(TOOL_BALL.map(|name| KnownInput {
+                parameter: Parameter { name: name.to_owned(), unit: Unit::MM },
+                value: 0.0,
+                standard_uncertainty: aligned,
+                shared: true,
+            }));
+        }
+        let bars = bars(&self.settings, &used_bars, &mut unknowns, &mut inputs);
+        let observed = Observed {
+            layout,
+            unknowns,
+            inputs,
+            balls,
+            ball_of_row,
+            bars,
+            bar_of_row,
+            readings,
+            tool_ball: aligned > 0.0,
+        };
+        observed.away_from_the_pivot(model)?;
+        Ok(Arc::new(observed))
+    }
+
+    fn targets(&self, _: f64) -> Result<Vec<Target>> {
+        // The tool ball stands on the line of an axis, not at a feature: the data rows are the programme.
+        Ok(Vec::new())
+    }
+}
+
+/// The error for a bar whose balls would coincide.
+fn at_the_pivot(data: &Dataset, row: usize, label: &str) -> Error {
+    let error = data.error_at(row, format!("the tool ball stands in the centre of ball {label}: no bar fits between"));
+    error.help("are the axis positions those of the test, and the nominal balls in the table frame?")
+}
+
+#[cfg(test)]
+mod tests;

@@ -1,0 +1,123 @@
+//! Placements against differences, and what is refused.
+
+use std::fs;
+
+use abbe_core::{Kind, ObservationSet, Problem, Registry};
+use abbe_serial_chain as _;
+use proptest::prelude::*;
+
+use super::*;
+
+const POINTS: &str =
+    "# calibrated\npoint,x_mm,y_mm,z_mm,note\n0,0,0,0,a\n1,50.01,-0.002,0.004,b\n2,100.02,0.003,-0.01,c\n";
+const PLACEMENTS: &str = "placement,x_mm,y_mm,z_mm,ux,uy,uz,vx,vy,vz\n\
+    1,-30,20,-50,1,0,0,0,1,0\n2,10,-20,-80,0.707106781187,0,0.707106781187,0,1,0\n";
+const DATA: &str = "point,placement,X_mm,Y_mm,Z_mm,meas_x,meas_y,meas_z\n\
+    0,1,-30,20,50,1,1,1\n1,1,20,20,50,1,0,1\n2,1,70,20,50,0,0,1\n1,2,45,-20,55,1,1,1\n";
+
+fn model() -> Arc<dyn KinematicModel> {
+    let settings = json!({ "chain": "w X' b Y Z t", "tool_length_mm": 100, "stylus_radius_mm": 0,
+        "errors": [{ "location": ["EC0Y"] }, { "polynomial": ["EXX"], "degrees": [1] }] });
+    let registry = Registry::built_in().unwrap();
+    let Build::Model(constructor) = &registry.find(Kind::Model, "serial-chain").unwrap().build else { panic!() };
+    constructor.build(&settings, &Context { base: PathBuf::new() }).unwrap().build(&[]).unwrap()
+}
+
+/// The observations of these files, or the message of what is wrong with them.
+fn observed(points: &str, placements: &str, data: &str) -> Result<Arc<dyn Observations>, String> {
+    let folder = tempfile::tempdir().unwrap();
+    for (name, text) in [("points.csv", points), ("placements.csv", placements), ("data.csv", data)] {
+        fs::write(folder.path().join(name), text).unwrap();
+    }
+    let settings = json!({ "points": "points.csv", "placements": "placements.csv", "standard_uncertainty_um": 1,
+        "calibration_standard_uncertainty_um": 0.2 });
+    let artefact = build(&settings, &Context { base: folder.path().to_owned() }).unwrap();
+    let data = Arc::new(abbe_table::read(&folder.path().join("data.csv")).unwrap());
+    let observed = artefact
+        .check(&data.headers(), data.files.first(), model().as_ref())
+        .and_then(|()| artefact.observe(&data, model().as_ref()));
+    observed.map_err(|error| error.to_string().replace(&format!("{}/", folder.path().display()), ""))
+}
+
+#[test]
+fn names_are_those_of_placements_and_points_that_occur() {
+    let observed = observed(POINTS, PLACEMENTS, &DATA.replace("1,2,45", "1,1,45")).unwrap();
+    let names: Vec<&str> = observed.unknowns().iter().map(|unknown| unknown.name.as_str()).collect();
+    assert_eq!(names, ["bar[1].x", "bar[1].y", "bar[1].z", "bar[1].a", "bar[1].b", "bar[1].c"]);
+    assert_eq!(observed.inputs().len(), 9);
+    assert_eq!(observed.inputs()[4].parameter.name, "point[1].y");
+    assert_eq!(observed.inputs()[4].standard_uncertainty, 2e-4);
+    assert_eq!(observed.layout().standard_uncertainties.len(), 3 + 2 + 1 + 3);
+}
+
+#[test]
+fn what_is_wrong_is_named() {
+    let cases = [
+        (POINTS, PLACEMENTS, DATA.replace("1,2,45", "1,3,45"), "placement `3` is not in the file `placements.csv`"),
+        (POINTS, PLACEMENTS, DATA.replace("0,0,1\n", "0,0,0\n"), "no direction of this point was measured"),
+        (POINTS, PLACEMENTS, DATA.replace("0,0,1\n", "0,0,2\n"), "`meas_z` is 2; 0 or 1 was expected"),
+        (POINTS, PLACEMENTS, DATA.replace("placement", "positioning"), "there is no column `placement`"),
+        (
+            POINTS,
+            &PLACEMENTS.replace(",0,1,0\n2", ",1,1,0\n2"),
+            DATA.to_owned(),
+            "u and v are not the x and y directions",
+        ),
+        (&POINTS.replace("\n2,100", "\n1,100"), PLACEMENTS, DATA.to_owned(), "point `1` is in line 4 already"),
+    ];
+    for (points, placements, data, expected) in cases {
+        let error = observed(points, placements, &data).err().expect(expected);
+        assert!(error.contains(expected), "{error}");
+    }
+}
+
+#[test]
+fn rows_of_other_artefacts_are_left_to_them() {
+    let observed = observed(POINTS, PLACEMENTS, &DATA.replace("\n1,2,45", "\nother,2,45")).unwrap();
+    assert_eq!(observed.layout().rows.len(), 3);
+}
+
+#[test]
+fn derivatives_are_those_of_the_residuals() {
+    let set = ObservationSet::new("points", observed(POINTS, PLACEMENTS, DATA).unwrap());
+    let mut problem = Problem::new("fit", "serial-chain", model(), vec![set], &["*".to_owned()]).unwrap();
+    problem.unknowns.extend(problem.considered.unknowns.clone());
+    let x: Vec<f64> = problem
+        .unknowns
+        .iter()
+        .enumerate()
+        .map(|(index, unknown)| if unknown.unit.of == Quantity::Length { 0.3 } else { 0.02 } * (1.0 + index as f64).sin())
+        .collect();
+    let count = problem.unknowns.len();
+    let mut jacobian = Vec::new();
+    problem.linearise(&x, |block| jacobian.extend_from_slice(block.jacobian)).unwrap();
+    for column in 0..count {
+        let at = |by: f64| {
+            let mut x = x.clone();
+            x[column] += by;
+            problem.at(&x).residuals(&x).unwrap()
+        };
+        let step = 1e-5;
+        for (row, (above, below)) in at(step).iter().zip(at(-step)).enumerate() {
+            let difference = (above - below) / (2.0 * step);
+            let analytic = jacobian[row * count + column];
+            let name = &problem.unknowns[column].name;
+            assert!((difference - analytic).abs() < 1e-7 * (1.0 + analytic.abs()), "{name}: {difference} {analytic}");
+        }
+    }
+}
+
+proptest! {
+    #[test]
+    fn what_is_placed_is_seen_where_it_was(
+        u in prop::array::uniform3(-1.0..1.0_f64), away in prop::array::uniform3(-1.0..1.0_f64),
+        point in prop::array::uniform3(-500.0..500.0_f64), errors in prop::array::uniform6(-0.5..0.5_f64),
+    ) {
+        let (u, away) = (Vector3::from(u), Vector3::from(away));
+        prop_assume!(u.cross(&away).norm() > 1e-2);
+        let placement = Placement::new(Vector3::new(1.0, -200.0, 30.0), u, u.cross(&away)).unwrap();
+        let point = Vector3::from(point);
+        let seen = placement.seen(&placement.place(&point, &errors), &errors);
+        prop_assert!((seen.point - point).norm() < 1e-11, "{:?}", seen.point);
+    }
+}

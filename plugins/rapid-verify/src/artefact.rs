@@ -1,0 +1,177 @@
+//! Artefact plugin `probed-points`: points of an uncalibrated artefact, each touched along one axis.
+
+use std::path::PathBuf;
+use std::sync::Arc;
+
+use abbe_core::{
+    Approach, Artefact, Build, ColumnHeader, Constructor, Contact, Context, Dataset, Equations, Error, Feature,
+    InputFile, KinematicModel, KnownInput, Layout, Observations, Parameter, Plugin, PoseValues, Quantity, Result,
+    SettingsError, Target, Unit, inventory, plain_naming, pose_columns, positive,
+};
+use nalgebra::Vector3;
+use schemars::JsonSchema;
+use serde::Deserialize;
+use serde_json::{Value, json};
+
+use crate::points::{Point, Points, axis_index, check_headers};
+
+inventory::submit! {
+    Plugin::built_in(
+        "probed-points",
+        "points of an uncalibrated artefact, each touched along one axis: rapid verification",
+        abbe_core::schema_of::<Settings>,
+        example,
+        Build::Artefact(Constructor::Static(build)),
+    )
+}
+
+/// Settings of the points.
+#[derive(Debug, Clone, PartialEq, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+struct Settings {
+    /// CSV file of the nominal points: point, facet, x_mm, y_mm, z_mm, nx, ny, nz in the table frame, approach (`-Z`).
+    nominal: String,
+    /// Standard uncertainty of one touch along the normal.
+    standard_uncertainty_um: f64,
+}
+
+fn example() -> Value {
+    json!({ "nominal": "points.csv", "standard_uncertainty_um": 0.5 })
+}
+
+fn build(settings: &Value, context: &Context) -> Result<Box<dyn Artefact>, SettingsError> {
+    let settings: Settings = abbe_core::from_settings(settings)?;
+    positive("standard_uncertainty_um", settings.standard_uncertainty_um)?;
+    Ok(Box::new(ProbedPoints {
+        nominal: context.path(&settings.nominal),
+        standard_uncertainty: settings.standard_uncertainty_um * 1e-3,
+    }))
+}
+
+struct ProbedPoints {
+    nominal: PathBuf,
+    standard_uncertainty: f64,
+}
+
+impl Artefact for ProbedPoints {
+    fn inputs(&self) -> Vec<InputFile> {
+        vec![InputFile { setting: "nominal", path: self.nominal.clone() }]
+    }
+
+    fn check(&self, headers: &[ColumnHeader], file: Option<&PathBuf>, model: &dyn KinematicModel) -> Result<()> {
+        pose_columns(headers, file, model, &plain_naming)?;
+        abbe_table::require(headers, file, &[("point", Quantity::Label), ("measured", Quantity::Length)])?;
+        check_headers(&self.nominal).map(drop)
+    }
+
+    fn observe(&self, data: &Arc<Dataset>, model: &dyn KinematicModel) -> Result<Arc<dyn Observations>> {
+        let nominal = Points::read(&self.nominal)?;
+        let by_label = nominal.by_label();
+        let mut layout = Layout::new(data, model, &[&plain_naming])?;
+        let measured = abbe_table::numbers(data, "measured", Quantity::Length)?;
+        let (mut points, mut facets): (Vec<Touched>, Vec<Point>) = (Vec::new(), Vec::new());
+        for (row, label) in abbe_table::labels(data, "point")?.iter().enumerate() {
+            let Some(&index) = by_label.get(label.as_str()) else { continue };
+            let point = &nominal.list[index];
+            let axis = axis_index(model, &point.axis).map_err(|message| data.error_at(row, message))?;
+            layout.push(model, row, &[self.standard_uncertainty])?;
+            // What triggered is the reading; the column of the axis may hold where it was sent.
+            layout.poses.row_mut(layout.poses.len() - 1)[model.axes()[axis].status] = measured[row];
+            let known = facets.iter().position(|facet| facet.facet == point.facet);
+            let facet = known.unwrap_or_else(|| {
+                facets.push(point.clone());
+                facets.len() - 1
+            });
+            points.push(Touched { point: point.clone(), facet, axis });
+        }
+        if points.is_empty() {
+            let error = Error::data(format!("no row touches a point of {}", self.nominal.display()));
+            return Err(error.help("`point` in the data and in the nominal file have to agree"));
+        }
+        let unknowns =
+            facets.iter().map(|facet| Parameter { name: format!("facet[{}].d", facet.facet), unit: Unit::MM });
+        let radius = KnownInput {
+            parameter: Parameter { name: "stylus_radius".to_owned(), unit: Unit::MM },
+            value: model.stylus_radius(),
+            standard_uncertainty: 0.0,
+            shared: true,
+        };
+        Ok(Arc::new(Touches { layout, unknowns: unknowns.collect(), inputs: vec![radius], facets, points }))
+    }
+
+    fn targets(&self, stylus_radius: f64) -> Result<Vec<Target>> {
+        let targets = Points::read(&self.nominal)?.list.into_iter().map(|point| Target {
+            tip: (point.position + stylus_radius * point.normal).into(),
+            approach: Some((-point.normal).into()),
+            feature: point.label,
+        });
+        Ok(targets.collect())
+    }
+}
+
+/// What a row touches.
+struct Touched {
+    point: Point,
+    /// Index of its facet.
+    facet: usize,
+    /// Index of the approach axis.
+    axis: usize,
+}
+
+/// Touches on points.
+struct Touches {
+    layout: Layout,
+    unknowns: Vec<Parameter>,
+    inputs: Vec<KnownInput>,
+    /// The first point of every facet that is touched.
+    facets: Vec<Point>,
+    /// What every row touches.
+    points: Vec<Touched>,
+}
+
+impl Observations for Touches {
+    fn layout(&self) -> &Layout {
+        &self.layout
+    }
+
+    fn unknowns(&self) -> &[Parameter] {
+        &self.unknowns
+    }
+
+    fn inputs(&self) -> &[KnownInput] {
+        &self.inputs
+    }
+
+    fn evaluate(&self, rows: &[usize], poses: PoseValues<'_>, own: &[f64], inputs: &[f64], out: &mut Equations) {
+        for (&row, tip) in rows.iter().zip(poses.positions) {
+            let Touched { point, facet, .. } = &self.points[row];
+            out.equation(point.normal.dot(&(Vector3::from(*tip) - point.position)) - own[*facet] - inputs[0]);
+            out.position(point.normal.into());
+            out.own(*facet, -1.0);
+            out.input(0, -1.0);
+        }
+    }
+
+    fn contact_tip(&self, row: usize, _: [f64; 3], own: &[f64], inputs: &[f64]) -> Option<[f64; 3]> {
+        let Touched { point, facet, .. } = &self.points[row];
+        Some((point.position + (own[*facet] + inputs[0]) * point.normal).into())
+    }
+
+    fn approach(&self, row: usize) -> Option<Approach> {
+        Some(Approach { axis: self.points[row].axis, reading: "measured".to_owned() })
+    }
+
+    fn features(&self) -> Vec<Feature> {
+        let facets = self.facets.iter().enumerate();
+        let feature = |(index, facet): (usize, &Point)| Feature {
+            label: facet.facet.clone(),
+            point: facet.position.into(),
+            shifts: vec![(index, facet.normal.into())],
+        };
+        facets.map(feature).collect()
+    }
+
+    fn contact(&self) -> Contact {
+        Contact::LinearAxes
+    }
+}

@@ -1,0 +1,177 @@
+//! The baseline and the runs that are judged by it.
+
+use std::path::Path;
+
+use abbe_core::{AxisKind, Dataset, Error, Fit, Problem, Quantity, Result};
+
+use crate::candidates::{self, Candidates};
+use crate::diagnosis::Pattern;
+use crate::points::{Point, Points, Touch};
+
+/// What the baseline says of one point.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Probed {
+    /// The nominal point.
+    pub point: Point,
+    /// Smallest reading of all repeats, mm.
+    pub min: f64,
+    /// Largest reading.
+    pub max: f64,
+    /// Mean reading.
+    pub mean: f64,
+    /// Status of the machine, the approach axis at the mean reading.
+    status: Vec<f64>,
+}
+
+/// The machine and the artefact as they were after the calibration.
+pub struct Baseline {
+    /// The estimate.
+    problem: Problem,
+    /// The points, in the order of the nominal file.
+    pub points: Vec<Probed>,
+}
+
+/// A run to be judged.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Run {
+    /// Its name: that of its file.
+    pub name: String,
+    /// One reading for every point of the baseline, mm.
+    pub readings: Vec<f64>,
+}
+
+/// Axes that do not move until contact may stand apart from the baseline by this, mm and rad: it moves the place of the touch
+/// on a facet, not the reading.
+const ELSEWHERE: (f64, f64) = (0.05, 1e-3);
+
+impl Baseline {
+    /// The baseline that an estimate was made from.
+    pub fn new(fit: &Fit, nominal: &Path) -> Result<Self> {
+        let nominal = Points::read(nominal)?;
+        let problem = fit.problem.starting_from(&fit.calibration);
+        let has_points = |set: &&abbe_core::ObservationSet| {
+            let data = &set.observations.layout().data;
+            data.labels("point").is_some() && data.numbers("measured").is_some()
+        };
+        let set = problem.sets.iter().find(has_points).ok_or_else(|| {
+            Error::usage(format!("`{}` observes no probed points", fit.name))
+                .help("`of` takes the estimate of the baseline: an artefact stage with the columns `point` and `measured_mm`")
+                .setting("of")
+        })?;
+        let layout = set.observations.layout();
+        let (labels, measured) = (layout.data.required_labels("point")?, layout.data.required_numbers("measured")?);
+        let mut points = Vec::new();
+        for point in &nominal.list {
+            let taken = set.rows.iter().map(|&row| layout.rows[row]).filter_map(|row| Some((row, row.data_row?)));
+            let rows: Vec<_> = taken.filter(|(_, data_row)| labels[*data_row] == point.label).collect();
+            let Some((first, _)) = rows.first() else { continue };
+            let readings: Vec<f64> = rows.iter().map(|(_, data_row)| measured[*data_row]).collect();
+            let mean = readings.iter().sum::<f64>() / readings.len() as f64;
+            let status = set.poses().row(first.first_pose);
+            let mut touch = Touch::new(problem.model.as_ref(), point, status)?;
+            touch.status[problem.model.axes()[touch.axis].status] = mean;
+            points.push(Probed {
+                point: point.clone(),
+                min: readings.iter().copied().fold(f64::INFINITY, f64::min),
+                max: readings.iter().copied().fold(f64::NEG_INFINITY, f64::max),
+                mean,
+                status: touch.status,
+            });
+        }
+        if points.is_empty() {
+            return Err(Error::data("the baseline has no point of the nominal file"));
+        }
+        Ok(Self { problem, points })
+    }
+
+    fn touch<'a>(&'a self, probed: &'a Probed) -> Result<Touch<'a>> {
+        Touch::new(self.problem.model.as_ref(), &probed.point, &probed.status)
+    }
+
+    /// What candidates do to the readings, then what happens to the artefact.
+    pub fn patterns(&self, candidates: &Candidates) -> Result<Vec<Pattern>> {
+        let mut patterns = candidates.of(self.problem.model.as_ref())?;
+        for probed in &self.points {
+            candidates::add_effects(&mut patterns, &self.touch(probed)?, &self.problem.machine)?;
+        }
+        Ok(patterns)
+    }
+
+    /// By how much every reading changes, mm, when parameters change by `size`: full nonlinear touches.
+    pub fn changes(&self, parameters: &[usize], size: f64) -> Result<Vec<f64>> {
+        let mut changed = self.problem.machine.clone();
+        parameters.iter().for_each(|&parameter| changed[parameter] += size);
+        let change = |probed: &Probed| {
+            let touch = self.touch(probed)?;
+            // By the model the baseline may miss contact by what the model lacks; that stays as it is.
+            let goal = touch.distance_here(&self.problem.machine)?;
+            Ok(touch.reading(&changed, goal)? - probed.mean)
+        };
+        self.points.iter().map(change).collect()
+    }
+
+    /// The runs in some data sets, one a file.
+    pub fn runs(&self, data: &[&Dataset]) -> Result<Vec<Run>> {
+        let mut runs: Vec<Run> = Vec::new();
+        for data in data {
+            let labels = abbe_table::labels(data, "point")?;
+            let measured = abbe_table::numbers(data, "measured", Quantity::Length)?;
+            let files = abbe_table::labels(data, "file")?;
+            let mut names: Vec<&String> = Vec::new();
+            files.iter().for_each(|file| {
+                if !names.contains(&file) {
+                    names.push(file)
+                }
+            });
+            for name in names {
+                if runs.iter().any(|run| run.name == *name) {
+                    return Err(Error::usage(format!("two runs are called `{name}`")).setting("from"));
+                }
+                let mut readings = vec![None; self.points.len()];
+                let mut last = 0;
+                for row in (0..data.rows()).filter(|&row| files[row] == *name) {
+                    last = row;
+                    let place = self.points.iter().position(|probed| probed.point.label == labels[row]);
+                    let place = place
+                        .ok_or_else(|| data.error_at(row, format!("point {} is not in the baseline", labels[row])))?;
+                    self.is_there(data, row, &self.points[place])?;
+                    if readings[place].replace(measured[row]).is_some() {
+                        return Err(data.error_at(row, format!("point {} is probed a second time", labels[row])));
+                    }
+                }
+                let missing = readings.iter().position(Option::is_none);
+                if let Some(missing) = missing {
+                    let label = &self.points[missing].point.label;
+                    return Err(data
+                        .error_at(last, format!("{name} ends without point {label}"))
+                        .help("a verify run probes every point of the baseline"));
+                }
+                runs.push(Run { name: name.clone(), readings: readings.into_iter().flatten().collect() });
+            }
+        }
+        Ok(runs)
+    }
+
+    /// Refuses a row whose axes do not stand where they stood at the baseline.
+    fn is_there(&self, data: &Dataset, row: usize, probed: &Probed) -> Result<()> {
+        for axis in self.problem.model.axes().iter().filter(|axis| axis.name != probed.point.axis) {
+            let Some(commands) = data.numbers(&axis.name) else { continue };
+            let (allowed, unit, factor) = match axis.kind {
+                AxisKind::Linear => (ELSEWHERE.0, "mm", 1.0),
+                AxisKind::Rotary => (ELSEWHERE.1, "deg", 1.0_f64.to_degrees()),
+            };
+            let (here, there) = (commands[row], probed.status[axis.status]);
+            if (here - there).abs() > allowed || here.is_nan() {
+                let message = format!(
+                    "point {} is probed at {} = {:.4} {unit}; at the baseline it was {:.4} {unit}",
+                    probed.point.label,
+                    axis.name,
+                    here * factor,
+                    there * factor
+                );
+                return Err(data.error_at(row, message).help("runs have to probe the points as the baseline did"));
+            }
+        }
+        Ok(())
+    }
+}

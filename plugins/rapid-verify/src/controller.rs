@@ -1,0 +1,78 @@
+//! What the exporters of both controllers share: settings, checks, and the two programs.
+
+use std::path::PathBuf;
+
+use abbe_core::{ExportedFile, InputFile, KinematicModel, PathItem, Result, SettingsError, positive};
+
+use crate::plan::Motion;
+use crate::points::Points;
+use crate::program::{Programme, Step};
+
+/// What every controller is told.
+pub struct Common {
+    /// The nominal file.
+    pub nominal: PathBuf,
+    /// Tolerance, µm.
+    pub tolerance_um: f64,
+    /// How the machine moves.
+    pub motion: Motion,
+}
+
+/// A controller's language.
+pub trait Dialect {
+    /// The text of a program.
+    fn program(&self, programme: &Programme, kind: Kind, steps: &[Step]) -> Result<String>;
+
+    /// The name of its file.
+    fn file(&self, kind: Kind) -> String;
+}
+
+/// One of the two programs.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Kind {
+    /// The baseline.
+    Baseline,
+    /// The check before a cut.
+    Verify,
+}
+
+impl Common {
+    /// Refuses settings that cannot be.
+    pub fn check(&self) -> Result<(), SettingsError> {
+        positive("tolerance_um", self.tolerance_um)?;
+        self.motion.check().map_err(|error| error.under([PathItem::Key("motion".to_owned())]))
+    }
+
+    /// The nominal file.
+    pub fn inputs(&self) -> Vec<InputFile> {
+        vec![InputFile { setting: "nominal", path: self.nominal.clone() }]
+    }
+
+    /// Both programs.
+    pub fn write(&self, dialect: &dyn Dialect, model: &dyn KinematicModel) -> Result<Vec<ExportedFile>> {
+        let points = Points::read(&self.nominal)?;
+        let programme = self.motion.programme(&points, model, self.tolerance_um * 1e-3)?;
+        let programs = [(Kind::Baseline, programme.baseline()), (Kind::Verify, programme.verify())];
+        let file = |(kind, steps): (Kind, Vec<Step>)| {
+            let content = dialect.program(&programme, kind, &steps)?.into_bytes();
+            Ok(ExportedFile { name: dialect.file(kind), content })
+        };
+        programs.into_iter().map(file).collect()
+    }
+}
+
+/// A number with at most six decimals, and at least one if a decimal point has to stand there.
+pub fn number(value: f64) -> String {
+    let text = format!("{value:.6}");
+    let text = text.trim_end_matches('0');
+    if text == "-0." { "0.".to_owned() } else { text.to_owned() }
+}
+
+/// Text in letters that every controller shows: capitals, digits and few signs.
+pub fn plain(text: &str) -> String {
+    let plain = |letter: char| match letter.to_ascii_uppercase() {
+        letter if letter.is_ascii_alphanumeric() || " +-.,:".contains(letter) => letter,
+        _ => ' ',
+    };
+    text.chars().map(plain).collect()
+}

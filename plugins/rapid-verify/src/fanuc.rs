@@ -1,0 +1,337 @@
+//! Exporter `verify-fanuc`: baseline and verify programs for Fanuc and Haas controllers with Custom Macro B.
+//!
+//! `G31` stops at the skip signal, and `#5061` to `#5063` hold where, in the work coordinates that are active; without a signal they
+//! hold the end of the block. The program runs in a work offset that is zero, which it checks, so that these are machine
+//! coordinates. Variables follow Table 2 of Muelaner et al. 2014: tolerance, readings, minima, maxima, flags, without gaps.
+
+use abbe_core::{
+    Build, Calibration, Constructor, Context, Error, Export, ExportedFile, InputFile, KinematicModel, Plugin, Result,
+    SettingsError, inventory,
+};
+use schemars::JsonSchema;
+use serde::Deserialize;
+use serde_json::{Value as Json, json};
+
+use crate::controller::{Common, Dialect, Kind, number, plain};
+use crate::plan::Motion;
+use crate::program::{Condition, Fault, Programme, Step, Target, Value, Variable};
+
+inventory::submit! {
+    Plugin::built_in(
+        "verify-fanuc",
+        "baseline and verify programs for Fanuc and Haas controllers, which need no computer beside the machine",
+        abbe_core::schema_of::<Settings>,
+        example,
+        Build::Export(Constructor::Static(build)),
+    )
+}
+
+/// Settings of the programs.
+#[derive(Debug, Clone, PartialEq, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+struct Settings {
+    /// CSV file of the nominal points.
+    nominal: String,
+    /// Tolerance of every reading.
+    tolerance_um: f64,
+    /// How the machine moves.
+    motion: Motion,
+    /// Variable of the tolerance; all others follow it. It has to be one that keeps its value.
+    #[serde(default = "first_variable")]
+    first_variable: u32,
+    /// Number of the baseline program; verify has the next one.
+    #[serde(default = "program")]
+    program: u32,
+    /// The word that moves until the skip signal.
+    #[serde(default = "skip")]
+    skip: String,
+    /// A work offset that is zero in all axes.
+    #[serde(default = "work_offset")]
+    work_offset: String,
+    /// First number of the alarms (`#3000`).
+    #[serde(default = "first_alarm")]
+    first_alarm: u32,
+    /// The block that orients the spindle, which a stylus beside the spindle line needs.
+    #[serde(default = "orientation")]
+    orientation: String,
+}
+
+fn first_variable() -> u32 {
+    800
+}
+
+fn program() -> u32 {
+    9801
+}
+
+fn skip() -> String {
+    "G31".to_owned()
+}
+
+fn work_offset() -> String {
+    "G59".to_owned()
+}
+
+fn first_alarm() -> u32 {
+    100
+}
+
+fn orientation() -> String {
+    "M19".to_owned()
+}
+
+fn example() -> Json {
+    json!({ "nominal": "points.csv", "tolerance_um": 12, "motion": { "retract_mm": 150 }, "first_variable": 800 })
+}
+
+/// Refuses a setting that is not one word or a few of a program.
+fn is_block(name: &str, text: &str) -> Result<(), SettingsError> {
+    let letters = |letter: char| letter.is_ascii_uppercase() || letter.is_ascii_digit() || ". ".contains(letter);
+    match text.starts_with(|letter: char| letter.is_ascii_uppercase()) && text.chars().all(letters) {
+        true => Ok(()),
+        false => Err(SettingsError::new(name, format!("`{text}` is no word of a program; `G31` would be one"))),
+    }
+}
+
+fn build(settings: &Json, context: &Context) -> Result<Box<dyn Export>, SettingsError> {
+    let settings: Settings = abbe_core::from_settings(settings)?;
+    if !(1..=9998).contains(&settings.program) {
+        return Err(SettingsError::new("program", "a number from 1 to 9998 was expected"));
+    }
+    if !(100..=990).contains(&settings.first_variable) {
+        return Err(SettingsError::new("first_variable", "a common variable from 100 to 990 was expected"));
+    }
+    if settings.first_alarm > 190 {
+        return Err(SettingsError::new("first_alarm", "a number up to 190 was expected"));
+    }
+    is_block("skip", &settings.skip)?;
+    is_block("work_offset", &settings.work_offset)?;
+    is_block("orientation", &settings.orientation)?;
+    let common = Common {
+        nominal: context.path(&settings.nominal),
+        tolerance_um: settings.tolerance_um,
+        motion: settings.motion.clone(),
+    };
+    common.check()?;
+    Ok(Box::new(Fanuc { common, settings }))
+}
+
+struct Fanuc {
+    common: Common,
+    settings: Settings,
+}
+
+impl Export for Fanuc {
+    fn inputs(&self) -> Vec<InputFile> {
+        self.common.inputs()
+    }
+
+    fn export(&self, _: &Calibration, model: &dyn KinematicModel) -> Result<Vec<ExportedFile>> {
+        self.common.write(self, model)
+    }
+}
+
+/// The last common variable.
+const LAST_VARIABLE: usize = 999;
+
+impl Dialect for Fanuc {
+    fn file(&self, kind: Kind) -> String {
+        format!("O{:04}.nc", self.number(kind))
+    }
+
+    fn program(&self, programme: &Programme, kind: Kind, steps: &[Step]) -> Result<String> {
+        let points = programme.stops.len();
+        let last = self.settings.first_variable as usize + 3 * points + 3;
+        if last > LAST_VARIABLE {
+            let message = format!("{points} points need #{} to #{last}", self.settings.first_variable);
+            let error = Error::usage(format!("{message}; the last common variable is #{LAST_VARIABLE}"));
+            return Err(error.setting("first_variable").help("use fewer points or a smaller first variable"));
+        }
+        let axes = programme.stops.iter().map(|stop| &stop.axis).chain([&programme.retract.0]);
+        if let Some(axis) = axes.into_iter().find(|axis| axis_number(axis).is_none()) {
+            return Err(Error::usage(format!("`G31` along {axis}: the first three axes are X, Y and Z here")));
+        }
+        let mut text = Text { settings: &self.settings, points, label: 0, loops: 0, lines: Vec::new() };
+        text.head(kind, self.number(kind));
+        text.steps(steps)?;
+        text.lines.extend(["M30".to_owned(), "%".to_owned()]);
+        Ok(text.lines.join("\n") + "\n")
+    }
+}
+
+impl Fanuc {
+    fn number(&self, kind: Kind) -> u32 {
+        self.settings.program + if kind == Kind::Baseline { 0 } else { 1 }
+    }
+}
+
+/// The number of an axis among position variables.
+fn axis_number(axis: &str) -> Option<u32> {
+    ["X", "Y", "Z"].iter().position(|name| *name == axis).map(|index| index as u32 + 1)
+}
+
+/// A guarded move that ends further than this from its end has met something, mm.
+const ARRIVED: f64 = 0.01;
+
+/// Length of an alarm's text that every controller shows.
+const ALARM_TEXT: usize = 26;
+
+struct Text<'a> {
+    settings: &'a Settings,
+    points: usize,
+    /// Last label that was used.
+    label: u32,
+    /// Loops that are open.
+    loops: u32,
+    lines: Vec<String>,
+}
+
+impl Text<'_> {
+    fn add(&mut self, text: impl Into<String>) {
+        self.lines.push(text.into());
+    }
+
+    fn head(&mut self, kind: Kind, program: u32) {
+        let title = if kind == Kind::Baseline { "BASELINE" } else { "VERIFY" };
+        let (of, last) = (|variable| self.variable(variable), self.points - 1);
+        let lines = [
+            "%".to_owned(),
+            format!("O{program:04}(RAPID VERIFICATION {title})"),
+            format!("({} TOLERANCE, MM)", of(Variable::Tolerance)),
+            format!(
+                "({} TO {} BASELINE READINGS, MACHINE COORDINATES)",
+                of(Variable::Value(0)),
+                of(Variable::Value(last))
+            ),
+            format!("({} TO {} SMALLEST ADMISSIBLE READINGS)", of(Variable::Min(0)), of(Variable::Min(last))),
+            format!("({} TO {} LARGEST ADMISSIBLE READINGS)", of(Variable::Max(0)), of(Variable::Max(last))),
+            format!(
+                "({} BASELINE RUNS, {} POINTS OUT, {} FIRST POINT OUT)",
+                of(Variable::Runs),
+                of(Variable::Out),
+                of(Variable::FirstOut)
+            ),
+            "(CALL THE PROBE AND SWITCH IT ON BEFORE THIS PROGRAM)".to_owned(),
+            "G21 G17 G40 G49 G80 G90 G94".to_owned(),
+            self.settings.work_offset.clone(),
+        ];
+        self.lines.extend(lines);
+        for axis in 1..=3 {
+            let alarm = self.alarm(Fault::WorkOffset.number(), "work offset is not zero");
+            self.add(format!("IF [ABS[#502{axis}-#504{axis}] GT 0.001] THEN {alarm}"));
+        }
+        self.add(self.settings.orientation.clone());
+    }
+
+    fn variable(&self, variable: Variable) -> String {
+        let common = |offset: usize| format!("#{}", self.settings.first_variable as usize + offset);
+        match variable {
+            Variable::Tolerance => common(0),
+            Variable::Value(point) => common(point + 1),
+            Variable::Min(point) => common(self.points + point + 1),
+            Variable::Max(point) => common(2 * self.points + point + 1),
+            Variable::Runs => common(3 * self.points + 1),
+            Variable::Out => common(3 * self.points + 2),
+            Variable::FirstOut => common(3 * self.points + 3),
+            Variable::Measured => "#1".to_owned(),
+            Variable::Touched => "#2".to_owned(),
+            Variable::Attempts => "#3".to_owned(),
+            Variable::IsOut => "#4".to_owned(),
+            Variable::IsFirst => "#5".to_owned(),
+        }
+    }
+
+    fn value(&self, value: Value) -> String {
+        match value {
+            Value::Number(value) => number(value).trim_end_matches('.').to_owned(),
+            Value::Of(variable) => self.variable(variable),
+            Value::Sum(one, other) => format!("{}+{}", self.variable(one), self.variable(other)),
+            Value::Next(variable) => format!("{}+1", self.variable(variable)),
+            Value::Difference(one, other) => format!("{}-{}", self.variable(one), self.variable(other)),
+        }
+    }
+
+    fn condition(&self, condition: Condition) -> String {
+        let bracketed = |value: Value| match value {
+            Value::Number(_) | Value::Of(_) => self.value(value),
+            _ => format!("[{}]", self.value(value)),
+        };
+        match condition {
+            Condition::Less(variable, value) => format!("[{} LT {}]", self.variable(variable), bracketed(value)),
+            Condition::NotLess(variable, value) => format!("[{} GE {}]", self.variable(variable), bracketed(value)),
+        }
+    }
+
+    fn alarm(&self, number: u32, text: &str) -> String {
+        let text: String = plain(text).chars().take(ALARM_TEXT).collect();
+        format!("#3000={}({})", self.settings.first_alarm + number, text.trim_end())
+    }
+
+    fn steps(&mut self, steps: &[Step]) -> Result<()> {
+        for step in steps {
+            self.step(step)?;
+        }
+        Ok(())
+    }
+
+    fn step(&mut self, step: &Step) -> Result<()> {
+        let Motion { probing_feed_mm_per_min, positioning_feed_mm_per_min, .. } = &self.settings.motion;
+        let (probing, positioning) = (number(*probing_feed_mm_per_min), number(*positioning_feed_mm_per_min));
+        let skip = &self.settings.skip;
+        match step {
+            Step::Comment(text) => self.add(format!("({})", plain(text))),
+            Step::Set(variable, value) => self.add(format!("{}={}", self.variable(*variable), self.value(*value))),
+            Step::If(condition, inner) => {
+                self.label += 1;
+                let label = self.label;
+                self.add(format!("IF {} GOTO {label}", self.condition(condition.opposite())));
+                self.steps(inner)?;
+                self.add(format!("N{label}"));
+            }
+            Step::While(condition, inner) => {
+                self.loops += 1;
+                let number = self.loops;
+                self.add(format!("WHILE {} DO{number}", self.condition(*condition)));
+                self.steps(inner)?;
+                self.add(format!("END{number}"));
+                self.loops -= 1;
+            }
+            Step::Rapid(target) => self.add(format!("G0 {}", words(target))),
+            Step::Guarded(axis, at) => {
+                let (variable, end) = (skipped(axis), number(*at));
+                self.add(format!("{skip} {axis}{end} F{positioning}"));
+                let alarm = self.alarm(Fault::Obstacle.number(), "obstacle before a point");
+                self.add(format!("IF [ABS[{variable}-[{end}]] GT {ARRIVED}] THEN {alarm}"));
+            }
+            Step::Back(axis, at) => self.add(format!("G1 {axis}{} F{positioning}", number(*at))),
+            Step::Probe(axis, to) => {
+                let (variable, end) = (skipped(axis), number(*to));
+                self.add(format!("{skip} {axis}{end} F{probing}"));
+                self.add(format!("#1={variable}"));
+                self.add("#2=0".to_owned());
+                self.add(format!("IF [ABS[#1-[{end}]] GT {ARRIVED}] THEN #2=1"));
+            }
+            Step::Alarm(fault, text) => {
+                let alarm = self.alarm(fault.number(), text);
+                self.add(alarm);
+            }
+            Step::Stop(text) => {
+                let text: String = plain(text).chars().take(ALARM_TEXT).collect();
+                self.add(format!("#3006=1({text})"));
+            }
+            // A message without a stop is a comment on the screen that shows the running block.
+            Step::Message(text) => self.add(format!("({})", plain(text))),
+        }
+        Ok(())
+    }
+}
+
+/// The variable of the skip position of an axis.
+fn skipped(axis: &str) -> String {
+    format!("#{}", 5060 + axis_number(axis).unwrap_or_default())
+}
+
+fn words(target: &Target) -> String {
+    let words: Vec<String> = target.iter().map(|(axis, at)| format!("{axis}{}", number(*at))).collect();
+    words.join(" ")
+}

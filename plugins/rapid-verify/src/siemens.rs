@@ -1,0 +1,291 @@
+//! Exporter `verify-siemens`: baseline and verify programs for SINUMERIK 840D and its relatives.
+//!
+//! Positions are those of the machine: `SUPA` suppresses all offsets in its block, tool offsets are off (`D0`). `MEAS=1` measures with
+//! deletion of the distance to go; `$AC_MEA[1]` then says whether the probe switched, `$AA_MM[axis]` where, in machine coordinates.
+//! Results are R parameters in blocks of a hundred, as in the paper: values, minima, maxima, tolerance (Muelaner et al. 2014, 4.1).
+
+use abbe_core::{
+    Build, Calibration, Constructor, Context, Error, Export, ExportedFile, InputFile, KinematicModel, Plugin, Result,
+    SettingsError, inventory,
+};
+use schemars::JsonSchema;
+use serde::Deserialize;
+use serde_json::{Value as Json, json};
+
+use crate::controller::{Common, Dialect, Kind, number, plain};
+use crate::plan::Motion;
+use crate::program::{Condition, Programme, Step, Target, Value, Variable};
+
+inventory::submit! {
+    Plugin::built_in(
+        "verify-siemens",
+        "baseline and verify programs for Siemens controllers, which need no computer beside the machine",
+        abbe_core::schema_of::<Settings>,
+        example,
+        Build::Export(Constructor::Static(build)),
+    )
+}
+
+/// Settings of the programs.
+#[derive(Debug, Clone, PartialEq, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+struct Settings {
+    /// CSV file of the nominal points.
+    nominal: String,
+    /// Tolerance of every reading.
+    tolerance_um: f64,
+    /// How the machine moves.
+    motion: Motion,
+    /// R parameter before the first value: R1001 is the first with 1000.
+    #[serde(default = "first_variable")]
+    first_variable: u32,
+    /// Measuring input of the probe.
+    #[serde(default = "probe_input")]
+    probe_input: u32,
+    /// First number of the alarms; users have 65000 to 69999.
+    #[serde(default = "first_alarm")]
+    first_alarm: u32,
+    /// What the names of the programs begin with.
+    #[serde(default = "program")]
+    program: String,
+    /// Orientation of the spindle with the probe, which a stylus beside the spindle line needs.
+    #[serde(default)]
+    spindle_deg: f64,
+}
+
+fn first_variable() -> u32 {
+    1000
+}
+
+fn probe_input() -> u32 {
+    1
+}
+
+fn first_alarm() -> u32 {
+    65000
+}
+
+fn program() -> String {
+    "RAPID".to_owned()
+}
+
+fn example() -> Json {
+    json!({ "nominal": "points.csv", "tolerance_um": 12, "motion": { "retract_mm": 150 }, "first_variable": 1000 })
+}
+
+fn build(settings: &Json, context: &Context) -> Result<Box<dyn Export>, SettingsError> {
+    let settings: Settings = abbe_core::from_settings(settings)?;
+    if !(1..=2).contains(&settings.probe_input) {
+        return Err(SettingsError::new("probe_input", "1 or 2 was expected"));
+    }
+    if !(65000..=69990).contains(&settings.first_alarm) {
+        return Err(SettingsError::new("first_alarm", "a number from 65000 to 69990 was expected"));
+    }
+    let is_name = |text: &str| {
+        let mut letters = text.chars();
+        letters.next().is_some_and(|letter| letter.is_ascii_alphabetic())
+            && letters.all(|letter| letter.is_ascii_alphanumeric() || letter == '_')
+    };
+    if !is_name(&settings.program) || settings.program.len() > 16 {
+        return Err(SettingsError::new("program", "up to 16 letters, digits and `_` were expected, a letter first"));
+    }
+    if !settings.spindle_deg.is_finite() {
+        return Err(SettingsError::new("spindle_deg", "a finite number was expected"));
+    }
+    let common = Common {
+        nominal: context.path(&settings.nominal),
+        tolerance_um: settings.tolerance_um,
+        motion: settings.motion.clone(),
+    };
+    common.check()?;
+    Ok(Box::new(Siemens { common, settings }))
+}
+
+struct Siemens {
+    common: Common,
+    settings: Settings,
+}
+
+impl Export for Siemens {
+    fn inputs(&self) -> Vec<InputFile> {
+        self.common.inputs()
+    }
+
+    fn export(&self, _: &Calibration, model: &dyn KinematicModel) -> Result<Vec<ExportedFile>> {
+        self.common.write(self, model)
+    }
+}
+
+/// The highest R parameter that a controller can have.
+const LAST_VARIABLE: u32 = 32535;
+
+impl Dialect for Siemens {
+    fn file(&self, kind: Kind) -> String {
+        format!("{}_{}.MPF", self.settings.program, if kind == Kind::Baseline { "BASELINE" } else { "VERIFY" })
+    }
+
+    fn program(&self, programme: &Programme, kind: Kind, steps: &[Step]) -> Result<String> {
+        let text = Text { settings: &self.settings, block: block(programme.stops.len()) };
+        let last = self.settings.first_variable as usize + 3 * text.block + 3;
+        if last > LAST_VARIABLE as usize {
+            let message = format!("the last R parameter would be R{last}; there are R0 to R{LAST_VARIABLE}");
+            return Err(Error::usage(message).setting("first_variable"));
+        }
+        Ok(text.program(programme, kind, steps, last))
+    }
+}
+
+/// Variables from one kind to the next: a hundred, or as many hundreds as the points need.
+fn block(points: usize) -> usize {
+    (points + 1).div_ceil(100) * 100
+}
+
+struct Text<'a> {
+    settings: &'a Settings,
+    block: usize,
+}
+
+impl Text<'_> {
+    fn program(&self, programme: &Programme, kind: Kind, steps: &[Step], last: usize) -> String {
+        let points = programme.stops.len();
+        let title = if kind == Kind::Baseline { "BASELINE" } else { "VERIFY" };
+        let of = |variable| self.variable(variable);
+        let mut lines = vec![
+            format!("; RAPID VERIFICATION: {title}, {points} POINTS"),
+            format!(
+                "; {} TO {}: BASELINE READINGS, MACHINE COORDINATES",
+                of(Variable::Value(0)),
+                of(Variable::Value(points - 1))
+            ),
+            format!("; {} TO {}: SMALLEST ADMISSIBLE READINGS", of(Variable::Min(0)), of(Variable::Min(points - 1))),
+            format!("; {} TO {}: LARGEST ADMISSIBLE READINGS", of(Variable::Max(0)), of(Variable::Max(points - 1))),
+            format!("; {}: TOLERANCE, MM", of(Variable::Tolerance)),
+            format!(
+                "; {}: BASELINE RUNS, {}: POINTS OUT, {}: FIRST POINT OUT",
+                of(Variable::Runs),
+                of(Variable::Out),
+                of(Variable::FirstOut)
+            ),
+            format!("; R PARAMETERS UP TO R{last} HAVE TO EXIST"),
+            "; CALL THE PROBE AND SWITCH IT ON BEFORE THIS PROGRAM".to_owned(),
+            "DEF REAL _MEASURED=0".to_owned(),
+            "DEF INT _TOUCHED=0".to_owned(),
+            "DEF INT _ATTEMPTS=0".to_owned(),
+            "DEF INT _ISOUT=0".to_owned(),
+            "DEF INT _ISFIRST=0".to_owned(),
+            "TRAFOOF".to_owned(),
+            "G17 G40 G90 G94 G710".to_owned(),
+            "D0".to_owned(),
+            format!("SPOS={}", number(self.settings.spindle_deg)),
+        ];
+        self.steps(steps, 0, &mut lines);
+        lines.push("M30".to_owned());
+        lines.join("\n") + "\n"
+    }
+
+    fn variable(&self, variable: Variable) -> String {
+        let r = |offset: usize| format!("R{}", self.settings.first_variable as usize + offset);
+        match variable {
+            Variable::Value(point) => r(point + 1),
+            Variable::Min(point) => r(self.block + point + 1),
+            Variable::Max(point) => r(2 * self.block + point + 1),
+            Variable::Tolerance => r(3 * self.block),
+            Variable::Runs => r(3 * self.block + 1),
+            Variable::Out => r(3 * self.block + 2),
+            Variable::FirstOut => r(3 * self.block + 3),
+            Variable::Measured => "_MEASURED".to_owned(),
+            Variable::Touched => "_TOUCHED".to_owned(),
+            Variable::Attempts => "_ATTEMPTS".to_owned(),
+            Variable::IsOut => "_ISOUT".to_owned(),
+            Variable::IsFirst => "_ISFIRST".to_owned(),
+        }
+    }
+
+    fn value(&self, value: Value) -> String {
+        match value {
+            Value::Number(value) => number(value).trim_end_matches('.').to_owned(),
+            Value::Of(variable) => self.variable(variable),
+            Value::Sum(one, other) => format!("{}+{}", self.variable(one), self.variable(other)),
+            Value::Next(variable) => format!("{}+1", self.variable(variable)),
+            Value::Difference(one, other) => format!("{}-{}", self.variable(one), self.variable(other)),
+        }
+    }
+
+    fn condition(&self, condition: Condition) -> String {
+        match condition {
+            Condition::Less(variable, value) => format!("{}<{}", self.variable(variable), self.bracketed(value)),
+            Condition::NotLess(variable, value) => format!("{}>={}", self.variable(variable), self.bracketed(value)),
+        }
+    }
+
+    fn bracketed(&self, value: Value) -> String {
+        match value {
+            Value::Number(_) | Value::Of(_) => self.value(value),
+            _ => format!("({})", self.value(value)),
+        }
+    }
+
+    fn steps(&self, steps: &[Step], depth: usize, lines: &mut Vec<String>) {
+        let indent = "  ".repeat(depth);
+        let Motion { probing_feed_mm_per_min, positioning_feed_mm_per_min, .. } = &self.settings.motion;
+        let input = self.settings.probe_input;
+        for step in steps {
+            let mut add = |text: String| lines.push(format!("{indent}{text}"));
+            match step {
+                Step::Comment(text) => add(format!("; {}", plain(text))),
+                Step::Set(variable, value) => add(format!("{}={}", self.variable(*variable), self.value(*value))),
+                Step::If(condition, inner) => {
+                    add(format!("IF {}", self.condition(*condition)));
+                    self.steps(inner, depth + 1, lines);
+                    lines.push(format!("{indent}ENDIF"));
+                }
+                Step::While(condition, inner) => {
+                    add(format!("WHILE {}", self.condition(*condition)));
+                    self.steps(inner, depth + 1, lines);
+                    lines.push(format!("{indent}ENDWHILE"));
+                }
+                Step::Rapid(target) => add(format!("G0 SUPA {}", words(target))),
+                Step::Guarded(axis, at) => {
+                    let feed = number(*positioning_feed_mm_per_min);
+                    add(format!("MEAS={input} G1 SUPA {axis}={} F{}", number(*at), feed.trim_end_matches('.')));
+                    add("STOPRE".to_owned());
+                    add(format!("IF $AC_MEA[{input}]>=1"));
+                    let fault = crate::program::Fault::Obstacle;
+                    let alarm = Step::Alarm(fault, "obstacle before a point".to_owned());
+                    self.steps(&[alarm], depth + 1, lines);
+                    lines.push(format!("{indent}ENDIF"));
+                }
+                Step::Back(axis, at) => {
+                    let feed = number(*positioning_feed_mm_per_min);
+                    add(format!("G1 SUPA {axis}={} F{}", number(*at), feed.trim_end_matches('.')));
+                }
+                Step::Probe(axis, to) => {
+                    let feed = number(*probing_feed_mm_per_min);
+                    add(format!("MEAS={input} G1 SUPA {axis}={} F{}", number(*to), feed.trim_end_matches('.')));
+                    add("STOPRE".to_owned());
+                    add(format!("_TOUCHED=$AC_MEA[{input}]"));
+                    add(format!("_MEASURED=$AA_MM[{axis}]"));
+                }
+                Step::Alarm(fault, text) => {
+                    add(format!("MSG(\"{}\")", plain(text)));
+                    add("STOPRE".to_owned());
+                    add(format!("SETAL({})", self.settings.first_alarm + fault.number()));
+                    add("; ONLY RESET LEADS OUT OF HERE".to_owned());
+                    add("LOOP".to_owned());
+                    add("M0".to_owned());
+                    add("ENDLOOP".to_owned());
+                }
+                Step::Stop(text) => {
+                    add(format!("MSG(\"{}\")", plain(text)));
+                    add("M0".to_owned());
+                }
+                Step::Message(text) => add(format!("MSG(\"{}\")", plain(text))),
+            }
+        }
+    }
+}
+
+fn words(target: &Target) -> String {
+    let words: Vec<String> = target.iter().map(|(axis, at)| format!("{axis}={}", number(*at))).collect();
+    words.join(" ")
+}

@@ -1,0 +1,297 @@
+//! Validator `minimal-set`: which of many candidate parameters the measurements can tell apart, and for each of the others why
+//! it is left out: it has no effect, or others that are kept do the same.
+//!
+//! Of parameters that do the same, the one that people prefer is kept. The order is: what `prefer` lists, in its order; offsets
+//! of tool and workpiece, which are different in every set-up; location errors; motion errors; unknowns of artefacts; location
+//! errors that are zero by convention, because they say where the machine's own frame is (ISO 230-1: zero positions of axes, both
+//! orientations of the primary linear axis, that of the secondary one about the primary); turns of tool and workpiece. On the
+//! machine of Viprey et al. (2019) this gives their Table 1.
+
+use abbe_core::{
+    AxisKind, Build, Constructor, Context, Dataset, Figure, Findings, Fit, InputFile, KinematicModel, Owner, Plugin,
+    Problem, Result, SettingsError, Unknown, Validate, inventory, matches,
+};
+use abbe_numerics::{Accumulator, Factor, LeftOut};
+use schemars::JsonSchema;
+use serde::Deserialize;
+use serde_json::{Value, json};
+
+use crate::figures::{Limits, ONE, check_limits, set_limits};
+
+inventory::submit! {
+    Plugin::built_in(
+        "minimal-set",
+        "which parameters the measurements can tell apart, and why each of the others is left out",
+        abbe_core::schema_of::<Settings>,
+        example,
+        Build::Validate(Constructor::Static(build)),
+    )
+}
+
+/// Settings of the selection.
+#[derive(Debug, Clone, PartialEq, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+struct Settings {
+    /// The candidates: names and patterns of parameters and unknowns of the observations of the fit; without them the fit's own.
+    #[serde(default)]
+    candidates: Vec<String>,
+    /// What is rather kept than others, the most preferred first: names and patterns.
+    #[serde(default)]
+    prefer: Vec<String>,
+    /// A candidate of whose effect less than this part is its own is left out.
+    #[serde(default = "default_tolerance")]
+    tolerance: f64,
+    /// Largest admissible values: `condition`, `left_out`.
+    #[serde(default)]
+    limits: Limits,
+}
+
+fn default_tolerance() -> f64 {
+    1e-8
+}
+
+fn example() -> Value {
+    json!({ "candidates": ["E?0?", "d??"], "prefer": ["d??"], "limits": { "condition": 100 } })
+}
+
+fn build(settings: &Value, _: &Context) -> Result<Box<dyn Validate>, SettingsError> {
+    let settings: Settings = abbe_core::from_settings(settings)?;
+    check_limits(&settings.limits, &["condition", "left_out"])?;
+    if !(settings.tolerance > 0.0 && settings.tolerance < 1.0) {
+        return Err(SettingsError::new("tolerance", "a number between 0 and 1 was expected"));
+    }
+    Ok(Box::new(MinimalSet { settings }))
+}
+
+struct MinimalSet {
+    settings: Settings,
+}
+
+/// Effects below this part of the largest effect of an unknown of the same unit are rounding.
+const NO_EFFECT: f64 = 1e-12;
+
+impl Validate for MinimalSet {
+    fn inputs(&self) -> Vec<InputFile> {
+        Vec::new()
+    }
+
+    fn validate(&self, fits: &[&Fit], _: &[&Dataset]) -> Result<Findings> {
+        let mut found = Findings::default();
+        for fit in fits {
+            self.select(fit, &mut found)?;
+        }
+        set_limits(&self.settings.limits, &mut found.figures);
+        Ok(found)
+    }
+}
+
+impl MinimalSet {
+    fn select(&self, fit: &Fit, found: &mut Findings) -> Result<()> {
+        let problem = self.candidates(&fit.problem)?;
+        let factor = factor(&problem)?;
+        let (order, idle) = self.order(&problem, &factor)?;
+        let selection = factor.select(&order, self.settings.tolerance);
+        let left_out = idle.len() + selection.left_out.len();
+        let figure = |name: &str, value: f64| Figure::new(&fit.name, name, value, ONE);
+        found.figures.extend([
+            figure("candidates", problem.unknowns.len() as f64),
+            figure("rank", selection.kept.len() as f64),
+            figure("left out", left_out as f64),
+            figure("condition", selection.condition),
+        ]);
+        let name = |unknown: &usize| problem.unknowns[*unknown].name.clone();
+        let mut kept = selection.kept.clone();
+        kept.sort_unstable();
+        let kept: Vec<String> = kept.iter().map(name).collect();
+        found.remarks.push(format!("{}: kept are {}", fit.name, kept.join(" ")));
+        let without: Vec<String> = idle.iter().chain(none(&selection.left_out)).map(name).collect();
+        if !without.is_empty() {
+            found.remarks.push(format!("{}: no effect: {}", fit.name, without.join(" ")));
+        }
+        for LeftOut { unknown, same_as } in selection.left_out.iter().filter(|left| !left.same_as.is_empty()) {
+            found.remarks.push(format!("{}: {} = {}", fit.name, name(unknown), sum(same_as, name)));
+        }
+        Ok(())
+    }
+
+    /// The problem of the nominal machine with the candidates as unknowns, at nominal contact.
+    fn candidates(&self, problem: &Problem) -> Result<Problem> {
+        let patterns: Vec<String> = match self.settings.candidates.is_empty() {
+            true => problem.unknowns.iter().map(|unknown| unknown.name.clone()).collect(),
+            false => self.settings.candidates.clone(),
+        };
+        let (model, sets) = (problem.model.clone(), problem.sets.clone());
+        let made = Problem::new(&problem.name, &problem.model_plugin, model, sets, &patterns);
+        let mut candidates = made.map_err(|mut error| {
+            // They are no `parameters` here.
+            if let Some(first) = error.setting.first_mut() {
+                *first = abbe_core::PathItem::Key("candidates".to_owned());
+            }
+            error
+        })?;
+        for set in &mut candidates.sets {
+            set.own = set.observations.start();
+        }
+        candidates.at_contact(&candidates.start())
+    }
+
+    /// The candidates in the order of preference, and those that do nothing.
+    fn order(&self, problem: &Problem, factor: &Factor) -> Result<(Vec<usize>, Vec<usize>)> {
+        for (index, pattern) in self.settings.prefer.iter().enumerate() {
+            if !problem.unknowns.iter().any(|unknown| matches(pattern, &unknown.name)) {
+                let names = problem.unknowns.iter().map(|unknown| unknown.name.as_str());
+                let mut error = abbe_core::Error::usage(format!("`{pattern}` matches no candidate"));
+                error = error.suggest(pattern, names);
+                error.setting = vec![abbe_core::PathItem::Key("prefer".to_owned()), abbe_core::PathItem::Index(index)];
+                return Err(error);
+            }
+        }
+        let convention = Convention::of(problem.model.as_ref());
+        let rank = |unknown: &Unknown| {
+            let preferred = self.settings.prefer.iter().position(|pattern| matches(pattern, &unknown.name));
+            (preferred.unwrap_or(usize::MAX), convention.rank(unknown))
+        };
+        let norms = factor.norms();
+        let largest = |unknown: &Unknown| {
+            let same = problem.unknowns.iter().zip(norms).filter(|(other, _)| other.unit == unknown.unit);
+            same.fold(0.0, |largest: f64, (_, norm)| largest.max(*norm))
+        };
+        let idle = |index: &usize| norms[*index] <= NO_EFFECT * largest(&problem.unknowns[*index]);
+        let (idle, mut order): (Vec<usize>, Vec<usize>) = (0..problem.unknowns.len()).partition(idle);
+        order.sort_by_key(|&index| rank(&problem.unknowns[index]));
+        Ok((order, idle))
+    }
+}
+
+/// Those that are left out because they do nothing.
+fn none(left_out: &[LeftOut]) -> impl Iterator<Item = &usize> {
+    left_out.iter().filter(|left| left.same_as.is_empty()).map(|left| &left.unknown)
+}
+
+/// The rows of a problem, weighted with 1/u.
+fn factor(problem: &Problem) -> Result<Factor> {
+    let uncertainties = problem.standard_uncertainties();
+    let count = problem.unknowns.len();
+    let mut accumulator = Accumulator::new(count, uncertainties.len());
+    problem.linearise(&problem.start(), |block| {
+        for (row, residual) in block.residuals.iter().enumerate() {
+            let line = &block.jacobian[row * count..(row + 1) * count];
+            accumulator.push(line, *residual, 1.0 / uncertainties[block.first + row]);
+        }
+    })?;
+    Ok(accumulator.finish())
+}
+
+/// `-96 dxw + 148 dyw`.
+fn sum(parts: &[(usize, f64)], name: impl Fn(&usize) -> String) -> String {
+    let mut text = String::new();
+    for (index, (unknown, factor)) in parts.iter().enumerate() {
+        let sign = match (index, *factor < 0.0) {
+            (0, false) => "",
+            (0, true) => "-",
+            (_, false) => " + ",
+            (_, true) => " - ",
+        };
+        // Four digits are enough for people; ones are not written.
+        let digits = (3 - factor.abs().log10().floor() as i32).clamp(0, 12) as usize;
+        let size = format!("{:.digits$}", factor.abs());
+        let size = if size.contains('.') { size.trim_end_matches('0').trim_end_matches('.') } else { &size };
+        let size = if size == "1" { String::new() } else { format!("{size} ") };
+        text.push_str(&format!("{sign}{size}{}", name(unknown)));
+    }
+    text
+}
+
+/// What is zero by convention on a machine.
+struct Convention {
+    zero: Vec<String>,
+}
+
+impl Convention {
+    /// Letters of the components of location errors about and along x, y, z.
+    const ALONG: [char; 3] = ['X', 'Y', 'Z'];
+    const ABOUT: [char; 3] = ['A', 'B', 'C'];
+
+    fn of(model: &dyn KinematicModel) -> Self {
+        // The direction among x, y, z that an axis is closest to.
+        let main = |direction: &[f64; 3]| {
+            (0..3).max_by(|&a, &b| direction[a].abs().total_cmp(&direction[b].abs())).unwrap_or_default()
+        };
+        let mut zero = Vec::new();
+        // The primary and the secondary linear axis: the first two directions of x, y, z that the machine has.
+        let mut linear: Vec<(usize, &str)> = Vec::new();
+        for axis in model.axes() {
+            let (name, direction) = (axis.name.as_str(), main(&axis.direction));
+            match axis.kind {
+                AxisKind::Linear => {
+                    zero.push(format!("E{}0{name}", Self::ALONG[direction]));
+                    linear.push((direction, name));
+                }
+                AxisKind::Rotary => zero.push(format!("E{}0{name}", Self::ABOUT[direction])),
+            }
+        }
+        linear.sort_by_key(|(direction, _)| *direction);
+        if let Some((primary, name)) = linear.first() {
+            zero.extend(Self::ABOUT.iter().map(|about| format!("E{about}0{name}")));
+            if let Some((_, name)) = linear.iter().find(|(direction, _)| direction != primary) {
+                zero.push(format!("E{}0{name}", Self::ABOUT[*primary]));
+            }
+        }
+        Self { zero }
+    }
+
+    /// The place of an unknown in the order of preference, the smaller the better.
+    fn rank(&self, unknown: &Unknown) -> usize {
+        let name = unknown.name.as_str();
+        let set_up = |pattern| matches(pattern, name);
+        match unknown.owner {
+            Owner::Machine if ["dxt", "dyt", "dzt", "dxw", "dyw", "dzw"].contains(&name) => 0,
+            Owner::Machine if ["da?", "db?", "dc?"].into_iter().any(set_up) => 5,
+            Owner::Machine if self.zero.iter().any(|zero| zero == name) => 4,
+            Owner::Machine if matches("E?0*", name) => 1,
+            Owner::Machine => 2,
+            Owner::Set(_) | Owner::Input => 3,
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::testing::{UPWARDS, check, judge};
+
+    #[test]
+    fn sums_are_written_as_people_do() {
+        let name = |unknown: &usize| ["dxw", "dyw"][*unknown].to_owned();
+        let cases = [
+            (vec![(0, -96.0), (1, 148.0)], "-96 dxw + 148 dyw"),
+            (vec![(0, 1.0 - 1e-14), (1, -1.0)], "dxw - dyw"),
+            (vec![(1, -0.012_345)], "-0.01234 dyw"),
+            (vec![(0, 12_345.6)], "12346 dxw"),
+        ];
+        for (parts, expected) in cases {
+            assert_eq!(sum(&parts, name), expected);
+        }
+    }
+
+    /// Facets that all look upwards: their heights are three shifts and tilts of the workpiece and one more.
+    #[test]
+    fn one_of_those_that_do_the_same_is_kept() {
+        let touches = ["a", "b", "c", "d"].map(|facet| (facet, "1", 0.0, 0.0));
+        let (folder, fit) = crate::testing::fit(&UPWARDS, &touches, false);
+        let set = fit.problem.sets[0].name.clone();
+        let judged = |settings: &Value| judge("minimal-set", folder.path(), settings, &fit);
+        let own = judged(&json!({ "limits": { "left_out": 0 } })).unwrap();
+        check(&own, &[("candidates", 4.0), ("rank", 4.0), ("left out", 0.0), ("condition", 1.0)]);
+        let with_offsets = judged(&json!({ "candidates": [format!("{set}.*"), "dzt", "dxt"] })).unwrap();
+        let told = with_offsets.remarks.join("\n");
+        // Offsets are new in every set-up: they are kept rather than a facet.
+        assert!(told.contains("no effect: dxt"), "{told}");
+        assert!(told.contains(&format!("{set}.facet[d].d = -dzt - {set}.facet[a].d")), "{told}");
+        let prefer = json!({ "candidates": [format!("{set}.*"), "dzt"], "prefer": [format!("{set}.*")] });
+        let told = judged(&prefer).unwrap().remarks.join("\n");
+        assert!(told.contains(&format!("dzt = -{set}.facet[a].d")), "{told}");
+        let wrong = judged(&json!({ "prefer": ["dxw"] })).unwrap_err();
+        assert!(wrong.contains("`dxw` matches no candidate"), "{wrong}");
+    }
+}

@@ -1,0 +1,198 @@
+/* A plugin library that does what none should. How the library as a whole is wrong is chosen when it is compiled (LIBRARY_...),
+ * what its model does wrong by its setting `mode`. */
+#include <fenv.h>
+#include <math.h>
+#include <stdlib.h>
+#include <string.h>
+#include <unistd.h>
+
+#include "abbe_plugin.h"
+
+typedef struct {
+    char mode[32];
+} Bad;
+
+static void say(const AbbeReply *reply, const char *text)
+{
+    AbbeText all = { text, strlen(text) };
+    reply->text(reply->context, all);
+}
+
+static int is(const Bad *bad, const char *mode)
+{
+    return strcmp(bad->mode, mode) == 0;
+}
+
+static uint32_t poses(void *handle, const AbbePoses *batch, const AbbeReply *reply)
+{
+    const Bad *bad = handle;
+    int *volatile nowhere = (int *)16;
+    static void *volatile lost;
+    if (is(bad, "abort"))
+        abort();
+    if (is(bad, "crash"))
+        *nowhere = 1;
+    if (is(bad, "exit"))
+        exit(0);
+    if (is(bad, "hang"))
+        for (;;)
+            usleep(1000);
+    if (is(bad, "fail")) {
+        say(reply, "the vendor says no");
+        return ABBE_FAILED;
+    }
+    if (batch->orientations && !is(bad, "orientation")) {
+        say(reply, "this machine gives no orientations");
+        return ABBE_FAILED;
+    }
+    if (is(bad, "status"))
+        return 77;
+    if (is(bad, "not-utf8")) {
+        say(reply, "\xff\xfe\xfd");
+        return ABBE_FAILED;
+    }
+    if (is(bad, "leak")) {
+        lost = malloc(200);
+        memset(lost, 1, 200);
+    }
+    if (is(bad, "directory") && chdir("/") != 0)
+        return ABBE_FAILED;
+#if defined(__x86_64__)
+    if (is(bad, "rounding")) {
+        unsigned int word = __builtin_ia32_stmxcsr() | 0x8040;
+        __builtin_ia32_ldmxcsr(word);
+    }
+#endif
+    uint64_t beyond = is(bad, "beyond") ? 1 : 0;
+    for (uint64_t pose = 0; pose < batch->pose_count + beyond; pose++)
+        for (int i = 0; i < 3; i++) {
+            double q = pose < batch->pose_count ? batch->statuses[3 * pose + i] : 0;
+            batch->positions[3 * pose + i] = is(bad, "nan") ? NAN : q * (1 + batch->values[i]);
+        }
+    for (uint64_t pose = 0; pose < batch->pose_count; pose++)
+        for (uint64_t k = 0; k < batch->wanted_count; k++) {
+            double *out = batch->position_derivatives + 3 * (pose * batch->wanted_count + k);
+            uint32_t i = batch->wanted[k].index;
+            out[i] = batch->wanted[k].kind == 1 ? 1 + batch->values[i] : is(bad, "slope") ? 2 : batch->statuses[3 * pose + i];
+        }
+    static _Atomic uint64_t turn;
+    if (is(bad, "random") && batch->pose_count > 0)
+        batch->positions[0] += (double)(turn++ % 7);
+    return ABBE_OK;
+}
+
+static uint32_t call(void *handle, uint32_t method, const AbbeQuestion *question, const AbbeReply *reply);
+
+static void release(void *handle)
+{
+    free(handle);
+}
+
+static const AbbeTable TABLE = { sizeof(AbbeTable), NULL, release, call, poses, NULL };
+static const AbbeTable NO_POSES = { sizeof(AbbeTable), NULL, release, call, NULL, NULL };
+
+#define AXIS(name, index, x, y, z) \
+    "{\"name\":\"" name "\",\"kind\":\"linear\",\"branch\":\"tool\",\"sense\":1,\"direction\":[" x "," y "," z "],\"status\":" index "}"
+#define STATUS(name) "{\"name\":\"" name "\",\"quantity\":\"length\",\"absent\":\"refused\"}"
+#define REST(axis) "{\"axes\":[" AXIS("X", "0", "1", "0", "0") "," AXIS("Y", "1", "0", "1", "0") "," AXIS("Z", axis, "0", "0", "1") \
+    "],\"status\":[" STATUS("X") "," STATUS("Y") "," STATUS("Z") "],\"parameters\":[{\"name\":\"EXX[1]\",\"unit\":\"mm/mm\"}," \
+    "{\"name\":\"EYY[1]\",\"unit\":\"mm/mm\"},{\"name\":\"EZZ[1]\",\"unit\":\"mm/mm\"}],\"settings\":{}}"
+
+static uint32_t call(void *handle, uint32_t method, const AbbeQuestion *question, const AbbeReply *reply)
+{
+    Bad *bad = handle;
+    (void)question;
+    switch (method) {
+    case ABBE_INPUTS:
+        say(reply, "[]");
+        return ABBE_OK;
+    case ABBE_BUILD: {
+        if (is(bad, "no-object"))
+            return ABBE_OK;
+        if (is(bad, "abort-in-build"))
+            abort();
+        Bad *machine = malloc(sizeof *machine);
+        *machine = *bad;
+        AbbeObject object = { is(bad, "no-table") ? NULL : is(bad, "no-poses") ? &NO_POSES : &TABLE, machine };
+        reply->object(reply->context, object);
+        return ABBE_OK;
+    }
+    case ABBE_DESCRIBE:
+        say(reply, is(bad, "no-json") ? "{\"axes\":" : is(bad, "wrong-axis") ? REST("9") : REST("2"));
+        return ABBE_OK;
+    default:
+        return ABBE_UNKNOWN_METHOD;
+    }
+}
+
+static uint32_t create(const AbbePlugin *plugin, AbbeText settings, AbbeText base, const AbbeReply *reply)
+{
+    static const char KEY[] = "{\"mode\":\"";
+    (void)plugin;
+    (void)base;
+    Bad *bad = calloc(1, sizeof *bad);
+    size_t skip = sizeof KEY - 1;
+    if (settings.length < skip + 2 || memcmp(settings.data, KEY, skip) != 0 || settings.length - skip - 2 >= sizeof bad->mode ||
+        settings.data[settings.length - 1] != '}' || memchr(settings.data, ',', settings.length)) {
+        free(bad);
+        say(reply, "one setting was expected: `mode`; perhaps `frobnicate` is unknown");
+        return ABBE_FAILED;
+    }
+    memcpy(bad->mode, settings.data + skip, settings.length - skip - 2);
+    if (is(bad, "abort-in-create"))
+        abort();
+    AbbeObject object = { &TABLE, bad };
+    reply->object(reply->context, object);
+    return is(bad, "status-in-create") ? 78 : ABBE_OK;
+}
+
+#ifndef MODE
+#define MODE "good"
+#endif
+#ifndef NAME
+#define NAME "bad-model"
+#endif
+
+static const AbbePlugin MODEL = {
+    sizeof(AbbePlugin), ABBE_MODEL, ABBE_TEXT(NAME), ABBE_TEXT("three axes that misbehave"),
+    ABBE_TEXT("{\"type\":\"object\",\"properties\":{\"mode\":{\"type\":\"string\"}}}"), ABBE_TEXT("{\"mode\":\"" MODE "\"}"),
+#ifdef LIBRARY_WITHOUT_CREATE
+    NULL,
+#else
+    create,
+#endif
+};
+
+static const AbbePlugin *const PLUGINS[] = {
+#ifdef LIBRARY_WITH_NULL_PLUGIN
+    NULL,
+#else
+    &MODEL,
+#endif
+};
+
+#ifndef ABI
+#define ABI ABBE_ABI_MAJOR
+#endif
+
+static const AbbeLibrary LIBRARY = {
+    ABI, 0, sizeof(AbbeLibrary), ABBE_TEXT("bad"), ABBE_TEXT("0.1.0"), PLUGINS, 1,
+};
+
+#ifdef LIBRARY_WITHOUT_SYMBOL
+#define abbe_plugin something_else
+#endif
+
+const AbbeLibrary *abbe_plugin(const AbbeHost *host)
+{
+    (void)host;
+    (void)create;
+    (void)MODEL;
+#ifdef LIBRARY_CRASHES
+    abort();
+#endif
+#ifdef LIBRARY_GIVES_NULL
+    return NULL;
+#endif
+    return &LIBRARY;
+}

@@ -1,0 +1,169 @@
+//! Libraries and plugins that misbehave.
+
+use std::fs;
+
+use abbe_core::{Class, Registry};
+use serde_json::{Value, json};
+
+use super::{bad, lengths, limits, three_axes};
+use crate::support::{Printed, Variant, abbe, json_file, temporary, write};
+
+/// Runs the recipe of three axes on the bad model, which misbehaves in this way.
+fn misbehave(mode: &str, isolate: bool) -> (Printed, String) {
+    let folder = temporary();
+    lengths(folder.path());
+    let library = bad(folder.path(), "bad", &[]);
+    let mut recipe = three_axes(json!({ "model": "bad-model", "mode": mode }));
+    recipe["stages"]["fit"]["parameters"] = json!(["E*[1]"]);
+    recipe["plugins"] = json!([{ "path": library }]);
+    if isolate {
+        recipe["plugins"] = json!([{ "path": library, "isolate": true, "time_limit_s": 1.0 }]);
+    }
+    Variant(recipe).write(folder.path());
+    let printed = abbe(folder.path(), &["run", "recipe.yaml", "--out", "out"]);
+    let text = printed.stderr.replace(['│', '╰', '─', '▶', '×'], " ");
+    let text = text.split_whitespace().collect::<Vec<_>>().join(" ");
+    (printed, text)
+}
+
+#[test]
+fn a_model_that_behaves_runs() {
+    for isolate in [false, true] {
+        let (printed, text) = misbehave("good", isolate);
+        assert_eq!(printed.status, 0, "{text}");
+    }
+}
+
+#[test]
+fn what_a_bad_model_does_becomes_an_error_of_its_stage() {
+    let cases = [
+        ("fail", "the vendor says no"),
+        ("status", "gave the unknown status 77"),
+        ("status-in-create", "gave the unknown status 78"),
+        ("not-utf8", "gave a text that is not UTF-8"),
+        ("nan", "gave positions that are not finite numbers"),
+        ("beyond", "wrote beyond the end of the room that it was given"),
+        ("no-object", "gave no object"),
+        ("no-table", "gave an object without a table"),
+        ("no-json", "gave an answer that cannot be read"),
+        ("wrong-axis", "whose axis Z has status 9, which is not there"),
+        ("no-poses", "it has no `poses`"),
+    ];
+    for (mode, expected) in cases {
+        for isolate in [false, true] {
+            let (printed, text) = misbehave(mode, isolate);
+            assert!(text.contains(expected), "{mode}: {text}");
+            assert!(mode == "fail" || text.contains("`bad-model` of libbad.so"), "{mode} does not say who: {text}");
+            assert_eq!(printed.status, 1, "{mode}: {text}");
+        }
+    }
+}
+
+#[test]
+fn what_would_end_the_program_ends_an_isolated_plugin_only() {
+    let cases = [
+        ("abort", "crashed: its process was ended by signal 6 (SIGABRT)"),
+        ("crash", "crashed: its process was ended by signal 11 (SIGSEGV)"),
+        ("exit", "ended its process, with exit status: 0"),
+        ("hang", "gave no answer within 1 s; its process was ended"),
+        ("abort-in-build", "crashed: its process was ended by signal 6 (SIGABRT)"),
+        ("abort-in-create", "crashed: its process was ended by signal 6 (SIGABRT)"),
+    ];
+    for (mode, expected) in cases {
+        let (printed, text) = misbehave(mode, true);
+        assert!(text.contains(expected) && text.contains("`bad-model` of libbad.so"), "{mode}: {text}");
+        assert_eq!(printed.status, 1, "{mode}: {text}");
+    }
+}
+
+#[test]
+fn wrong_libraries_are_refused() {
+    let folder = temporary();
+    let at = folder.path();
+    let good = bad(at, "good", &[]);
+    let whole = fs::read(&good).expect("the library");
+    let truncated = at.join("libtruncated.so");
+    fs::write(&truncated, &whole[..whole.len() / 3]).expect("a file");
+    let text = at.join("text.so");
+    write(&text, "no library\n");
+    let cases = [
+        (at.join("missing.so"), "does not exist"),
+        (text, "cannot be loaded"),
+        (truncated, "cannot be loaded"),
+        (bad(at, "abi", &["-DABI=7"]), "speaks version 7 of the plugin interface, this program speaks version 1"),
+        (bad(at, "symbol", &["-DLIBRARY_WITHOUT_SYMBOL"]), "exports no `abbe_plugin`: it is no plugin library"),
+        (bad(at, "null", &["-DLIBRARY_GIVES_NULL"]), "gives no table: it refuses to work with this program"),
+        (bad(at, "create", &["-DLIBRARY_WITHOUT_CREATE"]), "has a plugin `bad-model` without a function `create`"),
+        (bad(at, "plugin", &["-DLIBRARY_WITH_NULL_PLUGIN"]), "has a null pointer in its list of plugins"),
+        (
+            bad(at, "letters", &["-DNAME=\"bad name\""]),
+            "has a plugin `bad name`: letters, digits, `-` and `_` were expected",
+        ),
+    ];
+    for (file, expected) in cases {
+        for error in [abbe_plugin::load(&file, None).err(), abbe_plugin::isolated(&file, None, &limits(10.0)).err()] {
+            let error = error.unwrap_or_else(|| panic!("{} is taken", file.display()));
+            assert!(error.message.contains(expected), "{error}");
+            assert!(error.message.contains(&*file.to_string_lossy()) && error.class == Class::Use, "{error}");
+        }
+    }
+    let crashes = bad(at, "crashes", &["-DLIBRARY_CRASHES"]);
+    let error = abbe_plugin::isolated(&crashes, None, &limits(10.0)).err().expect("it crashes");
+    assert!(error.message.contains("crashed: its process was ended by signal 6"), "{error}");
+
+    let taken = bad(at, "taken", &["-DNAME=\"serial-chain\""]);
+    let mut registry = Registry::built_in().expect("plugins");
+    let error =
+        abbe_plugin::load(&taken, None).expect("it loads").register(&mut registry).expect_err("the name is taken");
+    assert!(
+        error.message.contains("has a model plugin `serial-chain`, and there is one of that name already"),
+        "{error}"
+    );
+}
+
+#[test]
+fn a_pinned_library_is_loaded_only_with_its_hash() {
+    let folder = temporary();
+    lengths(folder.path());
+    let library = bad(folder.path(), "bad", &["-DLIBRARY_CRASHES"]);
+    let mut recipe = three_axes(json!({ "model": "bad-model", "mode": "good" }));
+    recipe["stages"]["fit"]["parameters"] = json!(["E*[1]"]);
+    let mut run = |library: Value, more: &[&str]| {
+        recipe["plugins"] = json!([library]);
+        Variant(recipe.clone()).write(folder.path());
+        abbe(folder.path(), &[&["run", "recipe.yaml", "--out", "out"], more].concat())
+    };
+    // It would crash as soon as it is asked for its table: another hash keeps it from being loaded.
+    let printed = run(json!({ "path": "libbad.so", "sha256": "0".repeat(64) }), &[]);
+    assert_eq!(printed.status, 2, "{}", printed.stderr);
+    assert!(printed.stderr.contains("another SHA-256 than it is pinned to"), "{}", printed.stderr);
+    let printed = run(json!({ "path": "libbad.so" }), &["--no-dynamic-plugins"]);
+    assert!(printed.status == 2 && printed.stderr.contains("--no-dynamic-plugins"), "{}", printed.stderr);
+    let printed = run(json!({ "path": "libbad.so", "sha256": "12" }), &[]);
+    assert!(printed.status == 2 && printed.stderr.contains("64 hexadecimal digits"), "{}", printed.stderr);
+    let printed = run(json!({ "path": "libbad.so", "time_limit_s": 5 }), &[]);
+    assert!(printed.status == 2 && printed.stderr.contains("add `isolate: true`"), "{}", printed.stderr);
+
+    let good = bad(folder.path(), "bad", &[]);
+    assert_eq!(good, library);
+    let sha256 = abbe_plugin::load(&good, None).expect("it loads").sha256;
+    let printed = run(json!({ "path": "libbad.so", "sha256": sha256 }), &[]);
+    assert_eq!(printed.status, 0, "{}", printed.stderr);
+    let record = json_file(&folder.path().join("out/recipe/run.json"));
+    let model = record["plugins"].as_array().expect("plugins").iter().find(|plugin| plugin["name"] == "bad-model");
+    let model = model.expect("the model is in the record");
+    assert_eq!((&model["sha256"], &model["version"]), (&json!(sha256), &json!("0.1.0")));
+}
+
+#[test]
+fn libraries_are_listed_with_origin_and_version() {
+    let folder = temporary();
+    let library = bad(folder.path(), "bad", &[]);
+    let printed = abbe(folder.path(), &["plugins", "--plugin", &library.to_string_lossy()]);
+    assert_eq!(printed.status, 0, "{}", printed.stderr);
+    let line = printed.stdout.lines().find(|line| line.contains("bad-model")).expect("the plugin is listed");
+    assert!(
+        line.contains("0.1.0") && line.contains("libbad.so") && line.contains("three axes that misbehave"),
+        "{line}"
+    );
+}
