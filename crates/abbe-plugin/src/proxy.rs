@@ -9,7 +9,8 @@ use std::sync::{Arc, Mutex, PoisonError};
 use abbe_core::{
     Artefact, Axis, Calibration, ColumnHeader, Contact, Dataset, Equations, Error, ErrorFunction, Estimate, Export,
     ExportedFile, Feature, Findings, Fit, Identifiability, Ingest, InputFile, KinematicModel, KnownInput, Layout,
-    Model, Observations, Parameter, PoseValues, Poses, Problem, Quantity, Result, StatusColumn, Target, Validate, Variable,
+    Model, Observations, Parameter, PoseValues, Poses, Problem, Quantity, Result, StatusColumn, Target, Validate,
+    Variable,
 };
 use serde::Serialize;
 use serde::de::DeserializeOwned;

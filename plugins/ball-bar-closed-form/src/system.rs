@@ -235,6 +235,7 @@ fn solved(
         condition: largest / least,
         null_space,
         weakest,
+        remarks: Vec::new(),
         uncertainty: None,
     };
     (inverse, found)
