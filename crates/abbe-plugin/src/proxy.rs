@@ -579,3 +579,6 @@ impl Export for Stage {
         }
     }
 }
+
+#[cfg(test)]
+mod tests;
