@@ -76,7 +76,7 @@ fn indexations_are_chosen_by_condition_number() {
     recipe.0["plan"] = plan;
     let found = planned(&recipe);
     assert_eq!(found.plan.chosen.len(), 9);
-    assert_eq!(found.plan.candidates, 23);
+    assert_eq!(found.plan.candidates, 28);
     let evenly = found.plan.evenly.as_ref().map_or(f64::INFINITY, |figures| figures.condition);
     assert!(found.plan.figures.condition < 0.8 * evenly, "{} and {evenly}", found.plan.figures.condition);
     assert!((found.identifiability.condition / found.plan.figures.condition - 1.0).abs() < 1e-6);
@@ -84,7 +84,7 @@ fn indexations_are_chosen_by_condition_number() {
     // What is forbidden is not chosen, what is required is.
     let chosen = &found.plan.chosen[0].label;
     recipe.0["plan"]["forbidden"] = json!([chosen]);
-    let other = (1..=23).map(|group| group.to_string());
+    let other = (1..=28).map(|group| group.to_string());
     let other = other.into_iter().find(|group| !found.plan.chosen.iter().any(|chosen| chosen.label == *group));
     recipe.0["plan"]["required"] = json!([other]);
     let bound = planned(&recipe);

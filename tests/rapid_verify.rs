@@ -221,8 +221,10 @@ fn sensitivities_and_detectable_sizes_are_those_of_the_data_set() {
                 match (cell.parse::<f64>(), own.parse::<f64>()) {
                     (Ok(cell), Ok(own)) => {
                         let off = (cell - own).abs();
-                        // The data set rounds positions to a micrometre: 47.121 mm instead of 47.12132 mm.
-                        let rounded = if ["P24", "P25"].contains(&name.as_str()) { 2e-4 } else { 1e-5 };
+                        // The data set rounds positions to a micrometre, on the ramp and where A is tilted: 47.121 mm
+                        // instead of 47.12132 mm.
+                        let tilted = ["P24", "P25", "P35", "P36", "P37", "P38", "P39", "P40"];
+                        let rounded = if tilted.contains(&name.as_str()) { 2e-4 } else { 1e-5 };
                         assert!(off <= 1e-6 + rounded * cell.abs(), "{machine} {} {name}: {own}, {cell}", row[0]);
                     }
                     // Several points are most sensitive alike.
