@@ -81,15 +81,15 @@ fn indexations_are_chosen_by_condition_number() {
     assert!(found.plan.figures.condition < 0.8 * evenly, "{} and {evenly}", found.plan.figures.condition);
     assert!((found.identifiability.condition / found.plan.figures.condition - 1.0).abs() < 1e-6);
 
-    // What is forbidden is not chosen, what is required is.
-    let chosen = &found.plan.chosen[0].label;
-    recipe.0["plan"]["forbidden"] = json!([chosen]);
-    let other = (1..=28).map(|group| group.to_string());
-    let other = other.into_iter().find(|group| !found.plan.chosen.iter().any(|chosen| chosen.label == *group));
-    recipe.0["plan"]["required"] = json!([other]);
+    // What is required is chosen, what is forbidden is not.
+    let left = (1..=28).map(|group| group.to_string());
+    let mut left = left.filter(|group| !found.plan.chosen.iter().any(|chosen| chosen.label == *group));
+    let (required, forbidden) = (left.next().expect("a group"), left.next().expect("a group"));
+    recipe.0["plan"]["required"] = json!([required]);
+    recipe.0["plan"]["forbidden"] = json!([forbidden]);
     let bound = planned(&recipe);
-    assert!(bound.plan.chosen.iter().all(|other| other.label != *chosen));
-    assert!(bound.plan.chosen.iter().any(|chosen| Some(&chosen.label) == other.as_ref() && chosen.required));
+    assert!(bound.plan.chosen.iter().any(|chosen| chosen.label == required && chosen.required));
+    assert!(bound.plan.chosen.iter().all(|chosen| chosen.label != forbidden));
     assert!(bound.plan.figures.condition >= found.plan.figures.condition);
 }
 
