@@ -2,7 +2,7 @@
 
 use std::fs;
 
-use cbindgen::{Builder, Config, DocumentationStyle, ExportConfig, Language, ParseConfig, Style};
+use cbindgen::{Builder, Config, DocumentationStyle, ExportConfig, Language, Style};
 
 use crate::{Outcome, root};
 
@@ -16,7 +16,9 @@ const FIRST: &str = "\
  * are JSON.
  *
  * Rules: structures are only appended to and begin with their size; what a call gets is lent until it returns; every function
- * may be called from several threads at once; nothing may unwind or jump out of a function. */";
+ * may be called from several threads at once; nothing may unwind or jump out of a function. */
+#ifndef ABBE_PLUGIN_H
+#define ABBE_PLUGIN_H";
 
 /// What a library exports; Rust declares it in the macro `export!`.
 const LAST: &str = "
@@ -32,7 +34,9 @@ __attribute__((visibility(\"default\")))
 const AbbeLibrary *abbe_plugin(const AbbeHost *host);
 
 /* A text from a string literal or an array of characters that ends with zero. */
-#define ABBE_TEXT(literal) { literal, sizeof(literal) - 1 }";
+#define ABBE_TEXT(literal) { literal, sizeof(literal) - 1 }
+
+#endif";
 
 /// The header as the source has it.
 fn generated() -> Outcome<String> {
@@ -40,17 +44,22 @@ fn generated() -> Outcome<String> {
         language: Language::C,
         style: Style::Both,
         cpp_compat: true,
-        include_guard: Some("ABBE_PLUGIN_H".to_owned()),
         header: Some(FIRST.to_owned()),
         trailer: Some(LAST.to_owned()),
         no_includes: true,
         sys_includes: vec!["stdint.h".to_owned()],
+        // Named in a list of arguments before it is described: C would take it for another one.
+        after_includes: Some("\nstruct AbbeReply;".to_owned()),
         documentation_style: DocumentationStyle::C99,
         usize_is_size_t: true,
         line_length: 120,
         tab_width: 4,
-        export: ExportConfig { exclude: vec!["ENTRY".to_owned()], ..ExportConfig::default() },
-        parse: ParseConfig::default(),
+        export: ExportConfig {
+            // It leads to all others.
+            include: vec!["AbbeEntry".to_owned()],
+            exclude: vec!["ENTRY".to_owned()],
+            ..ExportConfig::default()
+        },
         ..Config::default()
     };
     let bindings = Builder::new().with_config(config).with_src(root().join(SOURCE)).generate();

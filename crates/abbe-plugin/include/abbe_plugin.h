@@ -5,11 +5,12 @@
  *
  * Rules: structures are only appended to and begin with their size; what a call gets is lent until it returns; every function
  * may be called from several threads at once; nothing may unwind or jump out of a function. */
-
 #ifndef ABBE_PLUGIN_H
 #define ABBE_PLUGIN_H
 
 #include <stdint.h>
+
+struct AbbeReply;
 
 // The major number: another one is refused.
 #define ABBE_ABI_MAJOR 1
@@ -109,7 +110,197 @@
 // Export: write. Question: a calibration and a machine. Answer: `[ { "name", "text" } ]`, or `bytes` instead of `text`.
 #define ABBE_WRITE 19
 
-#endif  /* ABBE_PLUGIN_H */
+// A text: UTF-8, not terminated. No bytes may be a null pointer.
+typedef struct AbbeText {
+    // First byte.
+    const char *data;
+    // Number of bytes.
+    uint64_t length;
+} AbbeText;
+
+// What a method is asked: a text, with objects that it refers to by their index.
+typedef struct AbbeQuestion {
+    // Size of this structure, bytes.
+    uint64_t size;
+    // The text.
+    struct AbbeText text;
+    // The objects.
+    const struct AbbeObject *objects;
+    // How many.
+    uint64_t object_count;
+} AbbeQuestion;
+
+// What a derivative is taken to.
+typedef struct AbbeVariable {
+    // 0: a parameter; 1: the command of an axis.
+    uint32_t kind;
+    // Index of the parameter or of the axis.
+    uint32_t index;
+} AbbeVariable;
+
+// A batch of poses: what is given, and room for what is wanted, zero before the call.
+typedef struct AbbePoses {
+    // Size of this structure, bytes.
+    uint64_t size;
+    // poses x statuses of one pose.
+    const double *statuses;
+    // Number of statuses in the whole batch.
+    uint64_t status_count;
+    // Values of all parameters.
+    const double *values;
+    // How many.
+    uint64_t value_count;
+    // The variables that derivatives are wanted for.
+    const struct AbbeVariable *wanted;
+    // How many.
+    uint64_t wanted_count;
+    // Number of poses.
+    uint64_t pose_count;
+    // poses x 3: tip in the table frame, mm.
+    double *positions;
+    // poses x 4: unit quaternion w, x, y, z; null unless wanted.
+    double *orientations;
+    // poses x wanted x 3: d(position)/d(variable).
+    double *position_derivatives;
+    // poses x wanted x 3: d(rotation vector, table frame)/d(variable); null unless orientations are wanted.
+    double *rotation_derivatives;
+} AbbePoses;
+
+// Rows of observations with their poses.
+typedef struct AbbeRows {
+    // Size of this structure, bytes.
+    uint64_t size;
+    // Indices of the rows.
+    const uint64_t *rows;
+    // How many.
+    uint64_t row_count;
+    // poses x 3, in the order of the rows.
+    const double *positions;
+    // poses x 4; null unless the observations ask for orientations.
+    const double *orientations;
+    // Number of poses.
+    uint64_t pose_count;
+    // Values of the own unknowns.
+    const double *own;
+    // How many.
+    uint64_t own_count;
+    // Values of the known inputs.
+    const double *inputs;
+    // How many.
+    uint64_t input_count;
+} AbbeRows;
+
+// Where residuals and derivatives go, equation by equation.
+typedef struct AbbeEquations {
+    // Size of this structure, bytes.
+    uint64_t size;
+    // What the functions are called with.
+    void *context;
+    // Starts the next equation with its residual, mm or rad.
+    void (*equation)(void *context, double residual);
+    // Derivative to the tip position of the next pose of the row.
+    void (*position)(void *context, double x, double y, double z);
+    // Derivative to the rotation vector of the next pose.
+    void (*rotation)(void *context, double x, double y, double z);
+    // Derivative to an own unknown.
+    void (*own)(void *context, uint64_t unknown, double derivative);
+    // Derivative to a known input.
+    void (*input)(void *context, uint64_t input, double derivative);
+} AbbeEquations;
+
+// The functions of an object; those that it has nothing to do with may be null.
+typedef struct AbbeTable {
+    // Size of this table, bytes.
+    uint64_t size;
+    // Keeps the object: one more `release` is needed.
+    void (*retain)(void *handle);
+    // Lets go of the object.
+    void (*release)(void *handle);
+    // Carries out a method.
+    uint32_t (*call)(void *handle, uint32_t method, const struct AbbeQuestion *question, const struct AbbeReply *reply);
+    // Of machines: poses and derivatives of a batch.
+    uint32_t (*poses)(void *handle, const struct AbbePoses *batch, const struct AbbeReply *reply);
+    // Of observations: residuals and derivatives of some rows.
+    uint32_t (*equations)(void *handle,
+                          const struct AbbeRows *rows,
+                          const struct AbbeEquations *equations,
+                          const struct AbbeReply *reply);
+} AbbeTable;
+
+// An object of the other side.
+typedef struct AbbeObject {
+    // Its functions.
+    const struct AbbeTable *table;
+    // What they are called with.
+    void *handle;
+} AbbeObject;
+
+// Where an answer goes.
+typedef struct AbbeReply {
+    // Size of this structure, bytes.
+    uint64_t size;
+    // What the functions are called with.
+    void *context;
+    // Takes the text of the answer or of the error; a second one replaces the first.
+    void (*text)(void *context, struct AbbeText text);
+    // Takes an object that the answer gives.
+    void (*object)(void *context, struct AbbeObject object);
+} AbbeReply;
+
+// One plugin of a library.
+typedef struct AbbePlugin {
+    // Size of this structure, bytes.
+    uint64_t size;
+    // Its kind.
+    uint32_t kind;
+    // The name that recipes use.
+    struct AbbeText name;
+    // One line that says what it does.
+    struct AbbeText about;
+    // JSON Schema of its settings.
+    struct AbbeText schema;
+    // Settings that it can be built from, JSON.
+    struct AbbeText example;
+    // Builds a stage: this record, settings as JSON, and the folder that relative paths start from. The reply gets one object.
+    uint32_t (*create)(const struct AbbePlugin *plugin,
+                       struct AbbeText settings,
+                       struct AbbeText base,
+                       const struct AbbeReply *reply);
+} AbbePlugin;
+
+// What a library has.
+typedef struct AbbeLibrary {
+    // `ABBE_ABI_MAJOR` that the library was built with.
+    uint32_t abi_major;
+    // `ABBE_ABI_MINOR` that the library was built with.
+    uint32_t abi_minor;
+    // Size of this structure, bytes.
+    uint64_t size;
+    // Name of the library.
+    struct AbbeText name;
+    // Its version.
+    struct AbbeText version;
+    // Its plugins.
+    const struct AbbePlugin *const *plugins;
+    // How many.
+    uint64_t plugin_count;
+} AbbeLibrary;
+
+// What the program offers to a library as a whole.
+typedef struct AbbeHost {
+    // `ABBE_ABI_MAJOR` of the program.
+    uint32_t abi_major;
+    // `ABBE_ABI_MINOR` of the program.
+    uint32_t abi_minor;
+    // Size of this structure, bytes.
+    uint64_t size;
+    // Writes a line into the log: 0 error, 1 warning, 2 information, 3 detail.
+    void (*log)(uint32_t level, struct AbbeText text);
+} AbbeHost;
+
+// The exported function: called once, before anything else. The table it gives stays valid for ever; null means that the
+// library cannot work with this program.
+typedef const struct AbbeLibrary *(*AbbeEntry)(const struct AbbeHost *host);
 
 
 /* What a library exports. The table stays valid for ever; null refuses to work with this program. */
@@ -125,3 +316,5 @@ const AbbeLibrary *abbe_plugin(const AbbeHost *host);
 
 /* A text from a string literal or an array of characters that ends with zero. */
 #define ABBE_TEXT(literal) { literal, sizeof(literal) - 1 }
+
+#endif
