@@ -80,7 +80,8 @@ fn what_the_page_for_vendors_says_works() {
 
     // A panic in an exporter, and one while settings are read.
     let library = from_the_page(vendor.path(), &panics, &[]);
-    let creates = source.replace("    from_settings", "    assert!(settings.is_null(), \"a bug of the vendor\");\n    from_settings");
+    let creates = source
+        .replace("    from_settings", "    assert!(settings.is_null(), \"a bug of the vendor\");\n    from_settings");
     assert_ne!(creates, source);
     for library in [library, from_the_page(vendor.path(), &creates, &[])] {
         for more in [&[][..], &["--isolate-plugins"]] {

@@ -277,7 +277,8 @@ fn a_good_recipe_is_read() {
     assert_eq!(stage("hu40t").settings, expected);
     assert_eq!(stage("hu40t").files, [base.join("machine.yaml")]);
     let place = Some(Place { file: path.clone(), line: Some(7), column: Some(13) });
-    let library = Library { path: base.join("vendor/libhexapod.so"), sha256: Some("0f".to_owned()), isolate: None, place };
+    let library =
+        Library { path: base.join("vendor/libhexapod.so"), sha256: Some("0f".to_owned()), isolate: None, place };
     assert_eq!(recipe.libraries, [library]);
     assert_eq!(Recipe::libraries(&path, GOOD).unwrap(), recipe.libraries);
     let missing = Recipe::read(&base.join("none.yaml"), &registry()).unwrap_err();

@@ -117,7 +117,9 @@ impl KinematicModel for Machine {
         let terms = ask(peer, ABBE_ERROR_TERMS, &question, &[]).and_then(|terms: Vec<(usize, f64)>| {
             match terms.iter().all(|term| term.0 < self.text.parameters.len() && term.1.is_finite()) {
                 true => Ok(terms),
-                false => Err(Error::data(format!("{} gave a term of no parameter, or one that is no number", peer.who()))),
+                false => {
+                    Err(Error::data(format!("{} gave a term of no parameter, or one that is no number", peer.who())))
+                }
             }
         });
         // No term would say that the motion has no error.

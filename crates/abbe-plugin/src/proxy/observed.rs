@@ -4,7 +4,8 @@ use std::any::Any;
 use std::sync::Arc;
 
 use abbe_core::{
-    Contact, Dataset, Equations, Error, Feature, KnownInput, Layout, Observations, Parameter, PoseValues, Quantity, Result,
+    Contact, Dataset, Equations, Error, Feature, KnownInput, Layout, Observations, Parameter, PoseValues, Quantity,
+    Result,
 };
 
 use super::{Unsaid, ask, finite};
