@@ -6,6 +6,8 @@ mod machine;
 mod observed;
 #[cfg(feature = "host")]
 mod stage;
+#[cfg(test)]
+mod tests;
 
 use std::any::Any;
 use std::sync::{Arc, OnceLock};
