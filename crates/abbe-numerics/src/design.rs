@@ -110,15 +110,25 @@ impl Choice {
     pub fn exchange(&self, generator: &mut Generator) -> Option<Design> {
         let mut chosen = self.start(generator)?;
         let fixed = self.required.len();
-        let by_row =
-            self.criterion == Criterion::D && self.ends.iter().enumerate().all(|(index, &end)| end == index + 1);
-        match by_row {
-            true => self.exchange_rows(&mut chosen, fixed),
-            false => self.exchange_blocks(&mut chosen, fixed),
+        if self.criterion != Criterion::D {
+            // Of a design that leaves several combinations open no single exchange improves what is determined worst; the
+            // determinant sees each of them.
+            Self { criterion: Criterion::D, ..self.clone() }.improve(&mut chosen, fixed);
         }
+        self.improve(&mut chosen, fixed);
         chosen.sort_unstable();
         let value = self.value(&self.information(&chosen, 0.0));
         Some(Design { chosen, value })
+    }
+
+    /// Exchanges all candidates but the first `fixed` as long as that makes the design better.
+    fn improve(&self, chosen: &mut Vec<usize>, fixed: usize) {
+        let by_row =
+            self.criterion == Criterion::D && self.ends.iter().enumerate().all(|(index, &end)| end == index + 1);
+        match by_row {
+            true => self.exchange_rows(chosen, fixed),
+            false => self.exchange_blocks(chosen, fixed),
+        }
     }
 
     /// How good a given design is.
