@@ -72,10 +72,10 @@ fn designs_of_table_4_1() {
 #[test]
 fn indexations_are_chosen_by_condition_number() {
     let mut recipe = Variant::of(&recipes()["first-steps"]);
-    let plan = json!({ "estimate": "fit", "candidates": "table", "by": "group", "number": 9, "criterion": "condition", "restarts": 4 });
+    let plan = json!({ "estimate": "fit", "candidates": "table", "by": "group", "number": 12, "criterion": "condition", "restarts": 4 });
     recipe.0["plan"] = plan;
     let found = planned(&recipe);
-    assert_eq!(found.plan.chosen.len(), 9);
+    assert_eq!(found.plan.chosen.len(), 12);
     assert_eq!(found.plan.candidates, 28);
     let evenly = found.plan.evenly.as_ref().map_or(f64::INFINITY, |figures| figures.condition);
     assert!(found.plan.figures.condition < 0.8 * evenly, "{} and {evenly}", found.plan.figures.condition);
