@@ -12,6 +12,7 @@ mod laws;
 mod libraries;
 mod methods;
 mod multi_feature_bar;
+mod planning;
 mod plugins;
 mod poses;
 mod rapid_verify;

@@ -51,7 +51,9 @@ fn built(packages: &[&str]) -> PathBuf {
     let target = std::env::var_os("CARGO_TARGET_DIR").map_or_else(|| root.join("target"), PathBuf::from);
     let mut command = Command::new(env!("CARGO"));
     command.args(["build", "--release", "--locked", "--quiet"]).current_dir(&root);
-    packages.iter().for_each(|package| drop(command.args(["--package", package])));
+    for package in packages {
+        command.args(["--package", package]);
+    }
     match command.status() {
         Ok(status) if status.success() => target.join("release"),
         other => panic!("the packages cannot be built: {other:?}"),
@@ -89,7 +91,7 @@ fn border(criterion: &mut Criterion) {
 
 criterion_group! {
     name = benches;
-    config = Criterion::default().sample_size(20).warm_up_time(std::time::Duration::from_secs(1)).without_plots();
+    config = Criterion::default().sample_size(20).warm_up_time(Duration::from_secs(1)).without_plots();
     targets = product, tango, border
 }
 criterion_main!(benches);

@@ -29,8 +29,10 @@ fn cargo_library(package: &str) -> PathBuf {
     BUILT.get_or_init(|| {
         let mut command = Command::new(env!("CARGO"));
         command.args(["build", "--locked", "--quiet", "--target-dir"]).arg(target());
-        // With the program, so that shared crates are built with the same features as for it.
-        for package in ["abbe", "abbe-vendor-hexapod", "abbe-vendor-nutating-head", "abbe-stock-library"] {
+        // With what the tests are built with (`--examples`, of which there are none, adds what only tests depend on): else
+        // shared crates would get other features, and be built a second time.
+        command.args(["--lib", "--examples"]);
+        for package in ["abbe-tests", "abbe-vendor-hexapod", "abbe-vendor-nutating-head", "abbe-stock-library"] {
             command.args(["--package", package]);
         }
         let built = command.current_dir(root()).output().expect("cargo runs");

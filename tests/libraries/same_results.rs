@@ -113,7 +113,8 @@ fn equations_of_lengths_and_of_angles_are_told_apart_on_either_side() {
 fn monte_carlo_on_many_threads_may_be_isolated_with_everything_that_it_asks() {
     let small = crate::support::Small::new();
     let mut recipe = Variant::of(&small.folder.path().join("recipe.yaml"));
-    recipe.0["stages"]["trials"] = json!({ "estimate": "monte-carlo", "of": "fine", "trials": 40, "seed": 1 });
+    recipe.0["stages"]["trials"] =
+        json!({ "estimate": "monte-carlo", "of": "fine", "trials": 200, "coverage_probability": 0.5, "seed": 1 });
     recipe.0["stages"]["judge"]["of"] = json!(["fine", "trials"]);
     let expected = run(&recipe, &Registry::built_in().expect("the built-in plugins"));
     let library = abbe_plugin::isolated(&cargo_library("abbe-stock-library"), None, &limits(60.0)).expect("it loads");

@@ -2,7 +2,10 @@
 //!
 //! - `cargo xtask ci`: everything the gate asks for, the same on every machine.
 //! - `cargo xtask bench [--save]`: run the benchmarks, compare with (or write) `benches/baseline.json`.
+//! - `cargo xtask header`: write the C header of the plugin interface.
 //! - `cargo xtask schema`: write the schemas in `docs/schemas` that follow from the code.
+
+mod header;
 
 use std::collections::BTreeMap;
 use std::fs;
@@ -21,8 +24,9 @@ fn main() -> ExitCode {
         ["ci"] => ci(),
         ["bench"] => bench(false),
         ["bench", "--save"] => bench(true),
+        ["header"] => header::write(),
         ["schema"] => schema(),
-        _ => Err("usage: cargo xtask ci | bench [--save] | schema".to_owned()),
+        _ => Err("usage: cargo xtask ci | bench [--save] | header | schema".to_owned()),
     };
     match outcome {
         Ok(()) => ExitCode::SUCCESS,
@@ -55,6 +59,7 @@ fn run(mut command: Command) -> Outcome {
 fn ci() -> Outcome {
     run(cargo(&["fmt", "--all", "--check"]))?;
     borders()?;
+    header::check()?;
     run(cargo(&["clippy", "--workspace", "--all-targets", "--locked", "--", "-D", "warnings"]))?;
     let mut docs = cargo(&["doc", "--workspace", "--no-deps", "--locked", "--quiet"]);
     docs.env("RUSTDOCFLAGS", "-D warnings");

@@ -109,7 +109,7 @@ fn record(estimate: &str, plan: &Plan, found: &Identifiability) -> Value {
         .chosen
         .iter()
         .map(|chosen| json!({ "candidate": chosen.label, "times": chosen.times, "required": chosen.required }));
-    let unknowns = plan.problem.unknowns.iter().zip(&plan.figures.standard_uncertainties);
+    let unknowns = plan.problem.unknowns.iter().zip(plan.figures.standard_uncertainties());
     let unknowns = unknowns.map(|(unknown, uncertainty)| {
         json!({ "name": unknown.name, "unit": unknown.unit.to_string(), "standard_uncertainty": uncertainty })
     });

@@ -5,8 +5,8 @@ use std::sync::Arc;
 use std::time::{Instant, SystemTime};
 
 use abbe_core::{
-    Calibration, Dataset, Error, Fit, Identifiability, Kind, KinematicModel, Owner, Problem, Registry, Result, Verdict,
-    in_parallel,
+    Calibration, Dataset, Error, Fit, Identifiability, Kind, KinematicModel, Owner, Poses, Problem, Registry, Result,
+    Verdict, in_parallel,
 };
 use abbe_recipe::Stage;
 
@@ -110,6 +110,7 @@ impl Prepared {
             for fit in named(stage.reference("of"), &fits) {
                 let exporter = &self.exporters[&stage.name];
                 let files = self.located(stage, exporter.export(&fit.calibration, fit.problem.model.as_ref()))?;
+                self.located(stage, heard(fit))?;
                 exports.push((stage.name.clone(), files));
             }
         }
@@ -241,4 +242,13 @@ pub fn model_of(calibration: &Calibration, registry: &Registry) -> Result<Arc<dy
         .find(Kind::Model, &calibration.model.plugin)
         .map_err(|error| Error::data(format!("the model of this calibration: {error}")))?;
     build_model(plugin, &calibration.model.settings)?.build(&[])
+}
+
+/// What failed on the other side of a border in a method that has no result to say so: the next evaluation says it.
+fn heard(fit: &Fit) -> Result<()> {
+    let (model, values) = (&fit.problem.model, &fit.problem.machine);
+    match model.behind() {
+        Some(_) => model.evaluate(&[], values, &[], false, &mut Poses::default()),
+        None => Ok(()),
+    }
 }

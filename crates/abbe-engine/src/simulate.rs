@@ -78,7 +78,7 @@ impl Prepared {
         let mut places = Places::new(&self.recipe.base);
         let mut files = BTreeMap::new();
         let (mut data, mut not_simulated) = (Vec::new(), Vec::new());
-        let readers = self.readers();
+        let readers = self.readers()?;
         let recipe = PathBuf::from(self.recipe.path.file_name().unwrap_or(OsStr::new("recipe.yaml")));
         let own = [(recipe.as_path(), self.recipe.path.as_path()), (Path::new(TRUTH), truth)];
         own.into_iter().try_for_each(|(place, source)| places.take(place, source))?;
@@ -123,24 +123,28 @@ impl Prepared {
     }
 
     /// The stages that use measurements, by the file that these are read from.
-    fn readers(&self) -> BTreeMap<PathBuf, BTreeSet<String>> {
+    fn readers(&self) -> Result<BTreeMap<PathBuf, BTreeSet<String>>> {
         let mut readers: BTreeMap<PathBuf, BTreeSet<String>> = BTreeMap::new();
         let uses = |stage: &Stage, ingest: &String| {
             ["from", "repeats"].iter().any(|key| stage.reference(key).contains(ingest))
         };
-        for (ingest, plugin) in &self.ingests {
+        for ingest in self.ingests.keys() {
             let users = self.recipe.stages.iter().filter(|stage| uses(stage, ingest));
             let users: BTreeSet<String> = users.map(|stage| stage.name.clone()).collect();
-            for file in plugin.inputs() {
-                readers.entry(file.path).or_default().extend(users.iter().cloned());
+            // Those that rows come from; what is joined to them is nothing that was measured.
+            for file in &self.data(ingest)?.files {
+                readers.entry(file.clone()).or_default().extend(users.iter().cloned());
             }
         }
+        // Nominal geometry is not measured, whoever reads it.
+        let nominal: BTreeSet<PathBuf> =
+            self.artefacts.values().flat_map(|artefact| artefact.inputs()).map(|file| file.path).collect();
         for (name, validator) in &self.validators {
-            for file in validator.inputs() {
+            for file in validator.inputs().into_iter().filter(|file| !nominal.contains(&file.path)) {
                 readers.entry(file.path).or_default().insert(name.clone());
             }
         }
-        readers
+        Ok(readers)
     }
 
     /// Everything that the estimates with a machine observe, every row of a file once: with the first artefact stage that

@@ -13,6 +13,12 @@ use crate::sampling::Generator;
 /// can be compared, too.
 const RIDGE: f64 = 1e-12;
 
+/// Part of the largest eigenvalue of an information matrix with diagonal 1 below which rounding makes the smallest one.
+const OPEN: f64 = 1e-13;
+
+/// What an unknown that is not seen at all counts among condition numbers: worse than any.
+const UNSEEN: f64 = 1e9;
+
 /// Passes over all positions after which an exchange ends; it needs some ten.
 const PASSES: usize = 200;
 
@@ -110,15 +116,28 @@ impl Choice {
     pub fn exchange(&self, generator: &mut Generator) -> Option<Design> {
         let mut chosen = self.start(generator)?;
         let fixed = self.required.len();
+        let start = chosen.clone();
+        self.improve(&mut chosen, fixed);
+        let design = self.design(chosen);
+        if design.value > f64::NEG_INFINITY || self.criterion == Criterion::D {
+            return Some(design);
+        }
+        // Where several combinations are open no single exchange improves what is determined worst; the determinant sees
+        // each of them.
+        let mut chosen = start;
+        Self { criterion: Criterion::D, ..self.clone() }.improve(&mut chosen, fixed);
+        self.improve(&mut chosen, fixed);
+        Some(self.design(chosen))
+    }
+
+    /// Exchanges all candidates but the first `fixed` as long as that makes the design better.
+    fn improve(&self, chosen: &mut Vec<usize>, fixed: usize) {
         let by_row =
             self.criterion == Criterion::D && self.ends.iter().enumerate().all(|(index, &end)| end == index + 1);
         match by_row {
-            true => self.exchange_rows(&mut chosen, fixed),
-            false => self.exchange_blocks(&mut chosen, fixed),
+            true => self.exchange_rows(chosen, fixed),
+            false => self.exchange_blocks(chosen, fixed),
         }
-        chosen.sort_unstable();
-        let value = self.value(&self.information(&chosen, 0.0));
-        Some(Design { chosen, value })
     }
 
     /// How good a given design is.
@@ -311,7 +330,8 @@ impl Choice {
 
     /// How good this information is, larger being better.
     fn value(&self, information: &Mat<f64>) -> f64 {
-        let value = self.of_interest(information).and_then(|of_interest| match self.criterion {
+        let determined = |of_interest: &Mat<f64>| condition(of_interest).is_some();
+        let value = self.of_interest(information).filter(determined).and_then(|of_interest| match self.criterion {
             Criterion::D => log_determinant(&of_interest),
             Criterion::A => {
                 let covariance = inverse(&of_interest)?;
@@ -319,7 +339,12 @@ impl Choice {
             }
             Criterion::E => eigenvalues(&of_interest)?.first().filter(|value| **value > 0.0).map(|value| -1.0 / value),
             Criterion::G => Some(-self.response_variances(&inverse(information)?)[1]),
-            Criterion::Condition => condition(&of_interest).map(|condition| -condition),
+            Criterion::Condition => {
+                // An unknown that nobody sees would have a column of its own, of norm 1 by the ridge: the best there is.
+                let largest = (0..self.of_interest).map(|k| of_interest[(k, k)]).fold(0.0, f64::max);
+                let unseen = (0..self.of_interest).filter(|&k| of_interest[(k, k)] < 1e3 * RIDGE * largest).count();
+                condition(&of_interest).map(|condition| -condition - UNSEEN * unseen as f64)
+            }
         });
         value.filter(|value| !value.is_nan()).unwrap_or(f64::NEG_INFINITY)
     }
@@ -438,5 +463,5 @@ fn condition(information: &Mat<f64>) -> Option<f64> {
     let scaled = Mat::from_fn(n, n, |row, column| information[(row, column)] / (norm(row) * norm(column)));
     let values = eigenvalues(&scaled)?;
     let (smallest, largest) = (*values.first()?, *values.last()?);
-    (smallest > 0.0).then(|| (largest / smallest).sqrt())
+    (smallest > OPEN * largest).then(|| (largest / smallest).sqrt())
 }

@@ -64,13 +64,19 @@ pub struct PlanFigures {
     /// Mean and largest variance of what the candidates would measure, in units of the variance of one equation, times the
     /// number of equations: the larger one is at least the number of unknowns.
     pub response_variance: [f64; 2],
-    /// Standard uncertainties of the unknowns, in the units of memory.
-    pub standard_uncertainties: Vec<f64>,
+    /// Covariance of the unknowns, row by row, in the units of memory.
+    pub covariance: Vec<f64>,
     /// The number of unknowns that count.
     pub of_interest: usize,
 }
 
 impl PlanFigures {
+    /// Standard uncertainties of the unknowns, in the units of memory.
+    pub fn standard_uncertainties(&self) -> Vec<f64> {
+        let unknowns = self.covariance.len().isqrt();
+        (0..unknowns).map(|index| self.covariance[index * unknowns + index].sqrt()).collect()
+    }
+
     /// Part of the measurements of this plan with which another one, if it were as good by the determinant, would do.
     pub fn efficiency_of(&self, other: &Self) -> f64 {
         ((other.log_determinant - self.log_determinant) / self.of_interest as f64).exp()
@@ -244,9 +250,12 @@ impl Scaled {
         let p = self.order.len();
         let first = |index: usize| if index == 0 { 0 } else { self.ends[index - 1] };
         let equations = chosen.iter().map(|&index| self.ends[index] - first(index)).sum::<usize>() + self.measured_rows;
-        let mut standard_uncertainties = vec![0.0; p];
-        for (column, &unknown) in self.order.iter().enumerate() {
-            standard_uncertainties[unknown] = figures.covariance[column * p + column].sqrt() / self.norms[column];
+        let mut covariance = vec![0.0; p * p];
+        for (row, &one) in self.order.iter().enumerate() {
+            for (column, &other) in self.order.iter().enumerate() {
+                let scaled = figures.covariance[row * p + column];
+                covariance[one * p + other] = scaled / (self.norms[row] * self.norms[column]);
+            }
         }
         let of_interest = choice.of_interest;
         let scales: f64 = self.norms[..of_interest].iter().map(|norm| norm.ln()).sum();
@@ -255,7 +264,7 @@ impl Scaled {
             log_determinant: figures.log_determinant + 2.0 * scales,
             condition: figures.condition,
             response_variance: figures.response_variance.map(|variance| variance * equations as f64),
-            standard_uncertainties,
+            covariance,
             of_interest,
         }
     }

@@ -12,8 +12,10 @@
 //!   who releases it. Texts are copied by whoever receives them.
 //! - **Threads**: every function may be called from several threads at once.
 //! - **Errors** are a status and a text; nothing ever unwinds across.
+//!
+//! The header for C is made of this file by `cargo xtask header`.
 
-use std::ffi::c_void;
+use std::ffi::{c_char, c_void};
 
 /// The major number: another one is refused.
 pub const ABBE_ABI_MAJOR: u32 = 1;
@@ -95,7 +97,7 @@ pub const ABBE_WRITE: u32 = 19;
 #[derive(Debug, Clone, Copy)]
 pub struct AbbeText {
     /// First byte.
-    pub data: *const u8,
+    pub data: *const c_char,
     /// Number of bytes.
     pub length: u64,
 }

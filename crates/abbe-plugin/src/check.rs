@@ -4,6 +4,7 @@
 
 mod derivatives;
 mod promises;
+mod stages;
 
 use std::io::Read;
 use std::path::Path;
@@ -23,7 +24,7 @@ struct Test {
     run: fn(&Library, &mut Findings),
 }
 
-const TESTS: [Test; 9] = [
+const TESTS: [Test; 10] = [
     Test { name: "abi", asks: "the library loads and speaks this version of the interface", run: |_, _| {} },
     Test {
         name: "names",
@@ -37,6 +38,7 @@ const TESTS: [Test; 9] = [
     },
     Test { name: "derivatives", asks: "derivatives are those of the poses", run: derivatives::derivatives },
     Test { name: "not-a-number", asks: "numbers that are none do no harm", run: promises::not_a_number },
+    Test { name: "no-data", asks: "data that are none are refused or used, without a bug", run: stages::no_data },
     Test { name: "empty-batch", asks: "no poses give no poses", run: promises::empty_batch },
     Test { name: "threads", asks: "many threads at once get the same answers", run: promises::threads },
     Test { name: "leaks", asks: "10,000 calls leave no memory behind", run: promises::leaks },

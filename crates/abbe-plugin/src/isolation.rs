@@ -3,11 +3,11 @@
 //! Every stage gets a process, which is the program itself started again ([`serve`]). Both sides speak over one socket, the
 //! standard input of the child: one question at a time, and questions back while the other side works on it.
 
+mod child;
 mod wire;
 
 use std::any::Any;
 use std::collections::BTreeMap;
-use std::os::fd::AsFd;
 use std::os::unix::net::UnixStream;
 use std::os::unix::process::ExitStatusExt;
 use std::path::{Path, PathBuf};
@@ -16,12 +16,14 @@ use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::thread::ThreadId;
 use std::time::Duration;
 
-use abbe_core::{Context, Equations, Error, Kind, Origin, PoseValues, Poses, Result, Variable};
+use abbe_core::{Equations, Error, Origin, PoseValues, Poses, Result, Variable};
 
-use crate::loader::{About, Create, Library, hashed, load};
+use crate::loader::{About, Create, Library, hashed};
 use crate::peer::{Answer, Failure, Known, Peer, Transit};
-use crate::served::{Served, create};
+use crate::served::Served;
 use wire::{Frame, Reference, Wire};
+
+pub use child::serve;
 
 /// How plugins are isolated.
 #[derive(Debug, Clone)]
@@ -353,67 +355,4 @@ fn in_a_process(path: PathBuf, sha256: String, limits: Limits, kind: u32, name: 
             _ => Err(Failure::of(who, "answered something else")),
         }
     })
-}
-
-/// The other process: loads the library and serves it on standard input until the program that started it is gone.
-pub fn serve(path: &Path, sha256: &str) -> Result<()> {
-    let gone = |error: std::io::Error| Error::data(format!("the program that isolates a plugin is gone: {error}"));
-    let socket = UnixStream::from(std::io::stdin().as_fd().try_clone_to_owned().map_err(gone)?);
-    let connection = Arc::new(Connection {
-        wire: Mutex::new(Wire::new(socket)),
-        holder: Mutex::new(None),
-        objects: Mutex::default(),
-        released: Mutex::default(),
-        child: None,
-        who: "the program".to_owned(),
-        silence: Duration::MAX,
-    });
-    let library = load(path, Some(sha256));
-    loop {
-        let Ok((question, numbers)) = locked(&connection.wire).read() else { return Ok(()) };
-        let answer = match (question, &library) {
-            (Frame::Release { object }, _) => {
-                locked(&connection.objects).served.remove(&object);
-                continue;
-            }
-            (_, Err(error)) => Err(Failure::from(error.clone())),
-            (Frame::List, Ok(library)) => {
-                Ok((Frame::Answer { text: listed(library), objects: Vec::new() }, Vec::new()))
-            }
-            (Frame::Create { kind, name, settings, base }, Ok(library)) => {
-                created(library, kind, &name, &settings, base).map(|stage| {
-                    let objects = vec![connection.give(&Arc::new(stage))];
-                    (Frame::Answer { text: String::new(), objects }, Vec::new())
-                })
-            }
-            (question, Ok(_)) => connection.work(question, &numbers),
-        };
-        let (frame, numbers) = answer.unwrap_or_else(|failure| (Frame::Failed(failure), Vec::new()));
-        let lists: Vec<&[f64]> = numbers.iter().map(Vec::as_slice).collect();
-        let mut wire = locked(&connection.wire);
-        for object in std::mem::take(&mut *locked(&connection.released)) {
-            wire.write(&Frame::Release { object }, &[]).map_err(gone)?;
-        }
-        wire.write(&frame, &lists).map_err(gone)?;
-    }
-}
-
-fn listed(library: &Library) -> String {
-    let plugins = library.plugins.iter().map(|plugin| About {
-        kind: Kind::ALL.iter().position(|kind| *kind == plugin.kind()).unwrap_or_default() as u32,
-        name: plugin.name.to_string(),
-        version: plugin.version.to_string(),
-        about: plugin.about.to_string(),
-        schema: plugin.schema.get().to_string(),
-        example: plugin.example.get().to_string(),
-    });
-    let listed = Listed { name: library.name.clone(), version: library.version.clone(), plugins: plugins.collect() };
-    serde_json::to_string(&listed).unwrap_or_default()
-}
-
-fn created(library: &Library, kind: u32, name: &str, settings: &str, base: String) -> Result<Served, Failure> {
-    let of_kind = |plugin: &&abbe_core::Plugin| Kind::ALL.get(kind as usize) == Some(&plugin.kind());
-    let plugin = library.plugins.iter().filter(of_kind).find(|plugin| plugin.name == name);
-    let plugin = plugin.ok_or_else(|| Failure::of("the library", format!("has no plugin `{name}`")))?;
-    create(plugin, settings, &Context { base: base.into() })
 }

@@ -15,6 +15,9 @@ pub mod check;
 mod float_control;
 #[cfg(all(feature = "host", unix))]
 mod isolation;
+#[cfg(all(feature = "host", not(unix)))]
+#[path = "no_isolation.rs"]
+mod isolation;
 #[cfg(feature = "host")]
 mod loader;
 mod peer;
@@ -24,7 +27,7 @@ pub mod sdk;
 mod served;
 mod texts;
 
-#[cfg(all(feature = "host", unix))]
+#[cfg(feature = "host")]
 pub use isolation::{Limits, isolated, serve};
 #[cfg(feature = "host")]
 pub use loader::{Library, load};

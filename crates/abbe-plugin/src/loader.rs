@@ -240,7 +240,7 @@ fn build(kind: Kind, create: Create, who: String) -> Build {
             Ok(Box::new(Stage::new(stage(settings, context)?).map_err(wrong)?))
         }))),
         Kind::Estimate => Build::Estimate(Constructor::Dynamic(Arc::new(move |settings, context| {
-            Ok(Box::new(Estimator { peer: stage(settings, context)? }))
+            Ok(Box::new(Estimator::new(stage(settings, context)?)))
         }))),
         Kind::Validate => Build::Validate(Constructor::Dynamic(Arc::new(move |settings, context| {
             Ok(Box::new(Stage::validator(stage(settings, context)?).map_err(wrong)?))

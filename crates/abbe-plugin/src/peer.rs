@@ -46,6 +46,7 @@ pub(crate) struct Known<'a> {
 /// What a method answers.
 pub(crate) struct Answer {
     pub text: String,
+    #[cfg_attr(not(feature = "host"), allow(dead_code, reason = "a vendor's side asks for no stages"))]
     pub objects: Vec<Transit>,
 }
 
@@ -80,6 +81,7 @@ struct Details {
     #[serde(default)]
     path: Vec<PathItem>,
     #[serde(default)]
+    #[cfg_attr(not(feature = "host"), allow(dead_code, reason = "a vendor's side asks for no stages"))]
     key: bool,
 }
 
@@ -124,6 +126,7 @@ impl Failure {
     }
 
     /// The error of settings: they are to blame if the plugin says so itself.
+    #[cfg(feature = "host")]
     pub fn settings_error(self, who: &str) -> SettingsError {
         let refused = matches!(self.status, ABBE_FAILED | ABBE_FAILED_WITH_DETAILS);
         let details = self.details(who);

@@ -27,6 +27,7 @@ pub(crate) enum Served {
     Export(Box<dyn Export>),
     Machine(Arc<dyn KinematicModel>),
     /// A machine that is only borrowed.
+    #[cfg_attr(not(feature = "host"), allow(dead_code, reason = "a vendor's side lends nothing"))]
     Lent(Arc<Lent>),
     /// Observations, and the data set that the other side has of them.
     Observations(Arc<dyn Observations>, Option<Arc<Dataset>>),
@@ -37,6 +38,7 @@ pub(crate) struct Lent(RwLock<Option<&'static dyn KinematicModel>>);
 
 impl Lent {
     /// Lends a machine for as long as `with` runs.
+    #[cfg(feature = "host")]
     pub fn during<T>(model: &dyn KinematicModel, with: impl FnOnce(Arc<Served>) -> T) -> T {
         struct TakeBack(Arc<Lent>);
         impl Drop for TakeBack {

@@ -197,7 +197,7 @@ fn put(objects: &mut Vec<Arc<Served>>, object: Served) -> usize {
     objects.len() - 1
 }
 
-fn get<'a>(objects: &'a [Transit], index: usize) -> Result<&'a Transit, Failure> {
+fn get(objects: &[Transit], index: usize) -> Result<&Transit, Failure> {
     objects
         .get(index)
         .ok_or_else(|| Failure::of("the other side", format!("names object {index}, which it does not give")))

@@ -10,7 +10,7 @@ sets:
   S1: [dxt, dyt]
   S2: ["@S1", EXX, dxt]
 plugins:
-  - { path: vendor/libhexapod.so, sha256: 0f }
+  - { path: vendor/libhexapod.so, sha256: 0f0f0f0f0f0f0f0f0f0f0f0f0f0f0f0f0f0f0f0f0f0f0f0f0f0f0f0f0f0f0f0f }
 stages:
   cnc: { export: linuxcnc, of: fit-2, step_mm: 20 }
   touches: { ingest: csv, path: touches.csv }
@@ -147,7 +147,11 @@ fn wrong_recipes_are_refused_with_place_and_help() {
         ("[dxt, dyt]", "[dxt, \"@S2\"]", "r.yaml:5:8: the sets include each other in a circle: S1 -> S2 -> S1"),
         ("\"@S2\"", "\"@2S\"", "r.yaml:23:23: stage `fit-1`: there is no set `2S`"),
         ("path: vendor", "pth: vendor", "r.yaml:7:7: unknown key `pth` (did you mean `path`?)"),
-        ("{ path: vendor/libhexapod.so, sha256: 0f }", "{}", "r.yaml:7:5: `path` is missing: the file of the library"),
+        (
+            "{ path: vendor/libhexapod.so, sha256: 0f0f0f0f0f0f0f0f0f0f0f0f0f0f0f0f0f0f0f0f0f0f0f0f0f0f0f0f0f0f0f0f }",
+            "{}",
+            "r.yaml:7:5: `path` is missing: the file of the library",
+        ),
         ("cnc:", "c.nc:", "r.yaml:9:3: `c.nc` cannot name a stage: letters, digits, `-` and `_` were expected"),
         ("cnc:", "\"\":", "r.yaml:9:3: `` cannot name a stage: letters, digits, `-` and `_` were expected"),
         (
@@ -278,7 +282,7 @@ fn a_good_recipe_is_read() {
     assert_eq!(stage("hu40t").files, [base.join("machine.yaml")]);
     let place = Some(Place { file: path.clone(), line: Some(7), column: Some(13) });
     let library =
-        Library { path: base.join("vendor/libhexapod.so"), sha256: Some("0f".to_owned()), isolate: None, place };
+        Library { path: base.join("vendor/libhexapod.so"), sha256: Some("0f".repeat(32)), isolate: None, place };
     assert_eq!(recipe.libraries, [library]);
     assert_eq!(Recipe::libraries(&path, GOOD).unwrap(), recipe.libraries);
     let missing = Recipe::read(&base.join("none.yaml"), &registry()).unwrap_err();

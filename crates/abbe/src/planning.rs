@@ -39,8 +39,8 @@ pub fn text(name: &str, measurements: &Measurements, out: Option<&Path>) -> Stri
     if let Some(part) = plan.random_efficiency {
         text.push_str(&format!("At random (median) {:.2} times as many\n", 1.0 / part));
     }
-    let mut rows = vec![["Expected standard uncertainty", "", ""].map(str::to_owned).to_vec()];
-    for (unknown, uncertainty) in plan.problem.unknowns.iter().zip(&plan.figures.standard_uncertainties) {
+    let mut rows = vec![["", "", "expected u"].map(str::to_owned).to_vec()];
+    for (unknown, uncertainty) in plan.problem.unknowns.iter().zip(plan.figures.standard_uncertainties()) {
         let (symbol, factor) = unknown.unit.for_people();
         rows.push(vec![unknown.name.clone(), symbol, short(uncertainty * factor)]);
     }

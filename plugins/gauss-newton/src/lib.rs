@@ -243,7 +243,9 @@ impl GaussNewton {
         let place =
             Place { problem: &at_contact, x: &solution.x, kept: kept.as_deref(), factor: &factor, rank: found.rank };
         let propagation = Propagation::new(&place, self.scale(&spread), explained)?;
-        if spread.degrees_of_freedom == 0 && !self.settings.trust_uncertainties && propagation.is_scaled() {
+        // Who estimates again without some rows asks for values and predictions, and may well use up all rows.
+        let told = explained && !self.settings.trust_uncertainties;
+        if spread.degrees_of_freedom == 0 && told && propagation.is_scaled() {
             return Err(Error::data(format!(
                 "the data leave no degrees of freedom ({} equations for {rank} unknowns): the scatter of the residuals says nothing",
                 spread.used

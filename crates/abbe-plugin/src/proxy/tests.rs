@@ -1,5 +1,17 @@
-use super::*;
-use abbe_core::{Absent, AxisKind, Branch, Unit};
+//! Motion errors and nominal values across the border.
+
+use std::any::Any;
+use std::sync::Arc;
+
+use abbe_core::{
+    Absent, Axis, AxisKind, Branch, Equations, Error, ErrorFunction, KinematicModel, MotionError, Parameter,
+    PoseValues, Poses, Quantity, Result, StatusColumn, Unit, Variable,
+};
+use serde_json::Value;
+
+use super::machine;
+use crate::peer::{Answer, Failure, Known, Peer, Transit};
+use crate::served::Served;
 
 /// A machine with the error EXX = amplitude sin(x / wavelength).
 struct Wave {

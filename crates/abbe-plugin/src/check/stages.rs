@@ -1,0 +1,223 @@
+//! Data that are none, for plugins that are no models: an error or an answer, but no panic and no crash.
+
+use std::path::PathBuf;
+use std::sync::Arc;
+
+use abbe_core::{
+    Axis, AxisKind, Branch, Build, CALIBRATION_FORMAT, Calibration, Column, ColumnHeader, Considered, Context,
+    Covariance, Dataset, Error, Estimate, Estimated, Fit, FitReport, Identifiability, KinematicModel, ModelRecord,
+    Parameter, Plugin, Poses, Problem, Quantity, Result, RowOrigin, Status, StatusColumn, Termination, Values,
+    Variable,
+};
+use serde_json::{Value, json};
+
+use super::Findings;
+use crate::loader::Library;
+
+pub(super) fn no_data(library: &Library, findings: &mut Findings) {
+    for plugin in &library.plugins {
+        for (given, result) in trials(plugin) {
+            let Err(error) = result else { continue };
+            let bug = ["panicked", "not UTF-8", "lacks a function", "without a message", "unknown status"];
+            if error.message.trim().is_empty() || bug.iter().any(|bug| error.message.contains(bug)) {
+                findings.wrong(format!("`{}`, given {given}: {error}", plugin.name));
+            }
+        }
+    }
+}
+
+/// What a plugin is given, and how it took that. What ends the process shows as that.
+fn trials(plugin: &Plugin) -> Vec<(&'static str, Result<()>)> {
+    let (example, context) = (plugin.example.get(), Context { base: std::env::temp_dir() });
+    let data =
+        || [("no data", Dataset::default()), ("columns without rows", rows(0, 0.0)), ("huge numbers", rows(3, 1e308))];
+    let fits = || [("an estimate of nothing", fit(&[])), ("an estimate of huge values", fit(&[1e308, -1e308]))];
+    let machine = Plain::new();
+    // An example that cannot be built is for the test of settings.
+    match &plugin.build {
+        Build::Ingest(constructor) => match constructor.build(&example, &context) {
+            Ok(stage) => vec![("a file that is not there", stage.read().map(drop))],
+            Err(_) => Vec::new(),
+        },
+        Build::Artefact(constructor) => match constructor.build(&example, &context) {
+            Ok(stage) => data().map(|(given, data)| (given, stage.observe(&Arc::new(data), &machine).map(drop))).into(),
+            Err(_) => Vec::new(),
+        },
+        Build::Estimate(constructor) => match constructor.build(&example, &context) {
+            Ok(stage) => vec![("a problem without observations", stage.estimate(&problem()).map(drop))],
+            Err(_) => Vec::new(),
+        },
+        Build::Validate(constructor) => match constructor.build(&example, &context) {
+            Ok(stage) => {
+                fits().map(|(given, fit)| (given, stage.validate(&[&fit], &[&Dataset::default()]).map(drop))).into()
+            }
+            Err(_) => Vec::new(),
+        },
+        Build::Export(constructor) => match constructor.build(&example, &context) {
+            Ok(stage) => fits().map(|(given, fit)| (given, stage.export(&fit.calibration, &machine).map(drop))).into(),
+            Err(_) => Vec::new(),
+        },
+        Build::Model(constructor) => match constructor.build(&example, &context) {
+            Ok(stage) => data().map(|(given, data)| (given, stage.build(&[&data]).map(drop))).into(),
+            Err(_) => Vec::new(),
+        },
+    }
+}
+
+/// Commands of three axes and a feature.
+fn rows(count: usize, value: f64) -> Dataset {
+    let column = |name: &str, quantity, values| Column {
+        header: ColumnHeader { name: name.to_owned(), header: name.to_owned(), quantity },
+        values,
+    };
+    let mut columns = vec![column("feature", Quantity::Label, Values::Labels(vec!["1".to_owned(); count]))];
+    columns.extend(AXES.map(|axis| column(axis, Quantity::Length, Values::Numbers(vec![value; count]))));
+    let origin = |row: usize| RowOrigin { file: 0, line: row + 2, row: row + 1 };
+    Dataset {
+        columns,
+        origins: (0..count).map(origin).collect(),
+        files: vec![PathBuf::from("none.csv")],
+        averaged: false,
+    }
+}
+
+fn problem() -> Problem {
+    Problem {
+        name: "fit".to_owned(),
+        model: Arc::new(Plain::new()),
+        model_plugin: "plain".to_owned(),
+        sets: Vec::new(),
+        unknowns: Vec::new(),
+        machine: Vec::new(),
+        inputs: Vec::new(),
+        considered: Considered::default(),
+    }
+}
+
+fn fit(values: &[f64]) -> Fit {
+    let estimated = |(index, value): (usize, &f64)| Estimated {
+        name: format!("p[{index}]"),
+        value: *value,
+        unit: "mm".to_owned(),
+        standard_uncertainty: 0.0,
+        status: Status::Estimated,
+    };
+    let calibration = Calibration {
+        abbe_calibration: CALIBRATION_FORMAT,
+        estimate: "fit".to_owned(),
+        model: ModelRecord { plugin: "plain".to_owned(), settings: json!({}) },
+        parameters: values.iter().enumerate().map(estimated).collect(),
+        artefacts: Vec::new(),
+        covariance: Covariance::default(),
+        outliers: Vec::new(),
+        fit: FitReport {
+            observations: 0,
+            unknowns: 0,
+            rank: 0,
+            condition: 1.0,
+            degrees_of_freedom: 0,
+            sigma: 0.0,
+            iterations: 0,
+            termination: Termination::Converged,
+            residual_max_um: 0.0,
+            residual_mean_abs_um: 0.0,
+            residual_rms_um: 0.0,
+            residual_max_urad: None,
+            residual_mean_abs_urad: None,
+            residual_rms_urad: None,
+            null_space: Vec::new(),
+            weakest: Vec::new(),
+        },
+        uncertainty: None,
+        monte_carlo: None,
+    };
+    Fit { name: "fit".to_owned(), problem: Arc::new(problem()), estimator: Arc::new(Nobody), calibration }
+}
+
+/// An estimator that has nothing to estimate.
+struct Nobody;
+
+impl Estimate for Nobody {
+    fn estimate(&self, _: &Problem) -> Result<Calibration> {
+        Err(Error::data("there is nothing to estimate"))
+    }
+
+    fn identify(&self, _: &Problem) -> Result<Identifiability> {
+        Err(Error::data("there is nothing to estimate"))
+    }
+}
+
+const AXES: [&str; 3] = ["X", "Y", "Z"];
+
+/// Three axes without errors.
+struct Plain {
+    axes: Vec<Axis>,
+    status: Vec<StatusColumn>,
+}
+
+impl Plain {
+    fn new() -> Self {
+        let axis = |status: usize| {
+            let mut direction = [0.0; 3];
+            direction[status] = 1.0;
+            Axis {
+                name: AXES[status].to_owned(),
+                kind: AxisKind::Linear,
+                branch: Branch::Tool,
+                sense: 1.0,
+                direction,
+                range: None,
+                indexed: false,
+                status,
+            }
+        };
+        let column = |name: &str| StatusColumn {
+            name: name.to_owned(),
+            quantity: Quantity::Length,
+            levels: Vec::new(),
+            absent: abbe_core::Absent::Refused,
+        };
+        Self { axes: (0..3).map(axis).collect(), status: AXES.map(column).into() }
+    }
+}
+
+impl KinematicModel for Plain {
+    fn axes(&self) -> &[Axis] {
+        &self.axes
+    }
+
+    fn status(&self) -> &[StatusColumn] {
+        &self.status
+    }
+
+    fn parameters(&self) -> &[Parameter] {
+        &[]
+    }
+
+    fn stylus_radius(&self) -> f64 {
+        0.0
+    }
+
+    fn evaluate(
+        &self,
+        statuses: &[f64],
+        _: &[f64],
+        wanted: &[Variable],
+        orientation: bool,
+        out: &mut Poses,
+    ) -> Result<()> {
+        out.reset(statuses.len() / 3, wanted.len(), orientation);
+        out.positions.as_flattened_mut().copy_from_slice(statuses);
+        out.orientations.fill([1.0, 0.0, 0.0, 0.0]);
+        for (by, variable) in out.position_derivatives.iter_mut().zip(wanted.iter().cycle()) {
+            if let Variable::Command(axis) = *variable {
+                by[axis] = 1.0;
+            }
+        }
+        Ok(())
+    }
+
+    fn settings(&self) -> Value {
+        json!({})
+    }
+}

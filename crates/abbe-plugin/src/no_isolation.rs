@@ -1,0 +1,30 @@
+//! Stands for isolation on systems without it.
+
+use std::path::{Path, PathBuf};
+use std::time::Duration;
+
+use abbe_core::{Error, Result};
+
+use crate::loader::Library;
+
+/// How plugins would be isolated.
+#[derive(Debug, Clone)]
+pub struct Limits {
+    /// The program that would be started, with the arguments before file and hash.
+    pub program: PathBuf,
+    /// Its first arguments.
+    pub arguments: Vec<String>,
+    /// How long a plugin may be silent while it has something to do.
+    pub silence: Duration,
+}
+
+/// Refuses: there is no isolation on this system, and running the plugin without it is not what was asked for.
+pub fn isolated(path: &Path, _: Option<&str>, _: &Limits) -> Result<Library> {
+    let message = format!("the plugin library {} cannot be isolated on this system", path.display());
+    Err(Error::usage(message).help("plugins run in processes of their own on Linux, macOS and other Unix systems"))
+}
+
+/// Refuses, as [`isolated`] does.
+pub fn serve(path: &Path, _: &str) -> Result<()> {
+    isolated(path, None, &Limits { program: PathBuf::new(), arguments: Vec::new(), silence: Duration::ZERO }).map(drop)
+}

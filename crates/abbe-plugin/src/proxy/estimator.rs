@@ -1,0 +1,98 @@
+//! Estimators of the other side.
+
+use std::sync::Arc;
+
+use abbe_core::{Calibration, Error, Estimate, Fit, Identifiability, Problem, Result};
+use serde::de::DeserializeOwned;
+
+use super::{Unsaid, ask};
+use crate::abi::*;
+use crate::peer::{Peer, Transit};
+use crate::served::Served;
+use crate::texts::{FitText, ProblemText};
+
+/// The estimator that came over.
+pub(crate) fn estimator(object: &Transit) -> Arc<dyn Estimate> {
+    match object {
+        Transit::Local(served) => match served.as_ref() {
+            Served::Estimate(estimator) => estimator.clone(),
+            _ => Arc::new(NoEstimator),
+        },
+        Transit::Remote(peer) => Arc::new(Estimator::new(peer.clone())),
+    }
+}
+
+/// Stands where the other side gave something that is no estimator.
+struct NoEstimator;
+
+impl Estimate for NoEstimator {
+    fn estimate(&self, _: &Problem) -> Result<Calibration> {
+        Err(Error::data("the other side gave an object that is no estimator"))
+    }
+
+    fn identify(&self, _: &Problem) -> Result<Identifiability> {
+        Err(Error::data("the other side gave an object that is no estimator"))
+    }
+}
+
+/// An estimator of the other side.
+pub(crate) struct Estimator {
+    peer: Arc<dyn Peer>,
+    unsaid: Unsaid,
+}
+
+impl Estimator {
+    pub fn new(peer: Arc<dyn Peer>) -> Self {
+        Self { peer, unsaid: Unsaid::default() }
+    }
+
+    fn ask<A: DeserializeOwned>(&self, method: u32, problem: &Problem) -> Result<A> {
+        self.unsaid.told()?;
+        let mut objects = Vec::new();
+        let text = ProblemText::of(problem, &mut objects);
+        ask(self.peer.as_ref(), method, &text, &objects)
+    }
+
+    /// A calibration has to be as good as one in a file.
+    fn checked(&self, calibration: Calibration) -> Result<Calibration> {
+        let text = calibration.to_json().and_then(|text| Calibration::from_json(&text));
+        text.map_err(|error| Error::data(format!("{} gave a wrong calibration: {error}", self.peer.who())))
+    }
+}
+
+impl Estimate for Estimator {
+    fn estimate(&self, problem: &Problem) -> Result<Calibration> {
+        self.ask(ABBE_SOLVE, problem).and_then(|calibration| self.checked(calibration))
+    }
+
+    fn explain(&self, problem: &Problem) -> Result<Calibration> {
+        self.ask(ABBE_EXPLAIN, problem).and_then(|calibration| self.checked(calibration))
+    }
+
+    fn values(&self, problem: &Problem) -> Result<Vec<f64>> {
+        let values: Vec<f64> = self.ask(ABBE_VALUES, problem)?;
+        match values.len() == problem.unknowns.len() {
+            true => Ok(values),
+            false => Err(Error::data(format!(
+                "{} gave {} values for {} unknowns",
+                self.peer.who(),
+                values.len(),
+                problem.unknowns.len()
+            ))),
+        }
+    }
+
+    fn reconsider(&self, fit: &Fit) -> Result<Calibration> {
+        let mut objects = Vec::new();
+        let text = FitText::of(fit, &mut objects);
+        ask(self.peer.as_ref(), ABBE_RECONSIDER, &text, &objects).and_then(|calibration| self.checked(calibration))
+    }
+
+    fn identify(&self, problem: &Problem) -> Result<Identifiability> {
+        self.ask(ABBE_IDENTIFY, problem)
+    }
+
+    fn accepts(&self, found: &Identifiability) -> bool {
+        self.unsaid.keep(ask(self.peer.as_ref(), ABBE_ACCEPTS, found, &[]), false)
+    }
+}

@@ -1,0 +1,175 @@
+//! Stages of the other side.
+
+use std::collections::BTreeSet;
+use std::path::PathBuf;
+use std::sync::{Arc, Mutex, PoisonError};
+
+use abbe_core::{
+    Artefact, Calibration, ColumnHeader, Dataset, Error, Export, ExportedFile, Findings, Fit, Ingest, InputFile,
+    KinematicModel, Model, Observations, Result, Target, Validate,
+};
+use serde::Serialize;
+
+use super::{ask, ask_whole, machine, observations};
+use crate::abi::*;
+use crate::peer::{Peer, Transit};
+use crate::served::{Lent, Served};
+use crate::texts::{CheckText, FileText, FitText, InputText, JudgeText};
+
+/// Asks a method whose answer is an object.
+fn ask_object<Q: Serialize + ?Sized>(
+    peer: &dyn Peer,
+    method: u32,
+    question: &Q,
+    objects: &[Arc<Served>],
+) -> Result<Transit> {
+    let answer = ask_whole(peer, method, question, objects)?;
+    answer.objects.into_iter().next().ok_or_else(|| Error::data(format!("{} gave no object", peer.who())))
+}
+
+/// Texts that live for ever: names of settings, of which a library has a handful.
+fn interned(text: &str) -> &'static str {
+    static KNOWN: Mutex<BTreeSet<&'static str>> = Mutex::new(BTreeSet::new());
+    let mut known = KNOWN.lock().unwrap_or_else(PoisonError::into_inner);
+    match known.get(text) {
+        Some(known) => known,
+        None => {
+            let forever: &'static str = Box::leak(text.to_owned().into_boxed_str());
+            known.insert(forever);
+            forever
+        }
+    }
+}
+
+/// The files that a stage reads; asked once, when it is built.
+fn inputs(peer: &dyn Peer) -> Result<Vec<InputFile>> {
+    let inputs: Vec<InputText> = ask(peer, ABBE_INPUTS, &(), &[])?;
+    Ok(inputs.into_iter().map(|input| InputFile { setting: interned(&input.setting), path: input.path }).collect())
+}
+
+/// A stage of the other side, with the files that it reads.
+pub(crate) struct Stage {
+    peer: Arc<dyn Peer>,
+    inputs: Vec<InputFile>,
+    observations: Vec<(&'static str, String)>,
+}
+
+impl Stage {
+    pub fn new(peer: Arc<dyn Peer>) -> Result<Self> {
+        Ok(Self { inputs: inputs(peer.as_ref())?, observations: Vec::new(), peer })
+    }
+
+    pub fn validator(peer: Arc<dyn Peer>) -> Result<Self> {
+        let named: Vec<(String, String)> = ask(peer.as_ref(), ABBE_OBSERVATIONS, &(), &[])?;
+        let observations = named.into_iter().map(|(setting, stage)| (interned(&setting), stage)).collect();
+        Ok(Self { observations, ..Self::new(peer)? })
+    }
+}
+
+impl Ingest for Stage {
+    fn inputs(&self) -> Vec<InputFile> {
+        self.inputs.clone()
+    }
+
+    fn headers(&self) -> Result<Vec<ColumnHeader>> {
+        ask(self.peer.as_ref(), ABBE_HEADERS, &(), &[])
+    }
+
+    fn read(&self) -> Result<Dataset> {
+        let data: Dataset = ask(self.peer.as_ref(), ABBE_READ, &(), &[])?;
+        let rows = data.rows();
+        let wrong = data.columns.iter().find(|column| match &column.values {
+            abbe_core::Values::Numbers(numbers) => numbers.len() != rows || numbers.iter().any(|n| !n.is_finite()),
+            abbe_core::Values::Labels(labels) => labels.len() != rows,
+        });
+        if let Some(column) = wrong {
+            let name = &column.header.header;
+            return Err(Error::data(format!(
+                "{} gave a column `{name}` that has not {rows} cells, or cells that are not finite numbers",
+                self.peer.who()
+            )));
+        }
+        match data.origins.iter().all(|origin| origin.file < data.files.len()) {
+            true => Ok(data),
+            false => Err(Error::data(format!("{} gave rows of a file that it does not name", self.peer.who()))),
+        }
+    }
+}
+
+impl Artefact for Stage {
+    fn inputs(&self) -> Vec<InputFile> {
+        self.inputs.clone()
+    }
+
+    fn check(&self, headers: &[ColumnHeader], file: Option<&PathBuf>, model: &dyn KinematicModel) -> Result<()> {
+        let question = CheckText { headers: headers.to_vec(), file: file.cloned() };
+        Lent::during(model, |model| ask(self.peer.as_ref(), ABBE_CHECK, &question, &[model]))
+    }
+
+    fn observe(&self, data: &Arc<Dataset>, model: &dyn KinematicModel) -> Result<Arc<dyn Observations>> {
+        let peer = self.peer.as_ref();
+        let object = Lent::during(model, |lent| ask_object(peer, ABBE_OBSERVE, data.as_ref(), &[lent]))?;
+        let observed = observations(&object, Some(data)).map_err(|failure| failure.error(peer.who()))?;
+        let (poses, width) = (&observed.layout().poses, model.status().len());
+        if !poses.is_empty() && poses.row(0).len() != width {
+            let message =
+                format!("{} gave poses of {} statuses; the machine has {width}", peer.who(), poses.row(0).len());
+            return Err(Error::data(message));
+        }
+        Ok(observed)
+    }
+
+    fn targets(&self, stylus_radius: f64) -> Result<Vec<Target>> {
+        ask(self.peer.as_ref(), ABBE_TARGETS, &stylus_radius, &[])
+    }
+}
+
+impl Model for Stage {
+    fn inputs(&self) -> Vec<InputFile> {
+        self.inputs.clone()
+    }
+
+    fn build(&self, data: &[&Dataset]) -> Result<Arc<dyn KinematicModel>> {
+        let object = ask_object(self.peer.as_ref(), ABBE_BUILD, data, &[])?;
+        machine(&object).map_err(|failure| failure.error(self.peer.who()))
+    }
+}
+
+impl Validate for Stage {
+    fn inputs(&self) -> Vec<InputFile> {
+        self.inputs.clone()
+    }
+
+    fn observations(&self) -> Vec<(&'static str, String)> {
+        self.observations.clone()
+    }
+
+    fn validate(&self, fits: &[&Fit], data: &[&Dataset]) -> Result<Findings> {
+        let mut objects = Vec::new();
+        let fits = fits.iter().map(|fit| FitText::of(fit, &mut objects)).collect();
+        let question = JudgeText { fits, data: data.iter().map(|data| (*data).clone()).collect() };
+        ask(self.peer.as_ref(), ABBE_JUDGE, &question, &objects)
+    }
+}
+
+impl Export for Stage {
+    fn inputs(&self) -> Vec<InputFile> {
+        self.inputs.clone()
+    }
+
+    fn export(&self, calibration: &Calibration, model: &dyn KinematicModel) -> Result<Vec<ExportedFile>> {
+        let peer = self.peer.as_ref();
+        let files: Vec<FileText> = Lent::during(model, |model| ask(peer, ABBE_WRITE, calibration, &[model]))?;
+        let files: Vec<ExportedFile> = files.into_iter().map(ExportedFile::from).collect();
+        let outside = |name: &str| {
+            let path = std::path::Path::new(name);
+            name.is_empty() || path.components().any(|part| !matches!(part, std::path::Component::Normal(_)))
+        };
+        match files.iter().find(|file| outside(&file.name)) {
+            Some(file) => {
+                Err(Error::data(format!("{} wants to write `{}`, outside of its folder", peer.who(), file.name)))
+            }
+            None => Ok(files),
+        }
+    }
+}

@@ -1,0 +1,146 @@
+//! Plans of measurements: ball bars on a planar CMM against Soons (1993), section 4.4, indexations of a table by condition number
+//! (Rahman 2016, Table 8-4), and what is refused.
+
+use std::path::Path;
+
+use abbe_engine::{Measurements, prepare};
+use serde_json::{Value, json};
+
+use crate::support::{Variant, abbe, json_file, read, recipes, registry, root, temporary};
+
+fn planned(recipe: &Variant) -> Measurements {
+    try_plan(recipe).unwrap_or_else(|error| panic!("{error}"))
+}
+
+fn try_plan(recipe: &Variant) -> Result<Measurements, String> {
+    let folder = temporary();
+    let plan = prepare(&recipe.write(folder.path()), &registry()).and_then(|prepared| prepared.plan());
+    plan.map_err(|error| error.to_string())
+}
+
+fn ball_bars(change: impl Fn(&mut Value)) -> Variant {
+    let mut recipe = Variant::of(&recipes()["design-2d"]);
+    change(&mut recipe.0["plan"]);
+    recipe
+}
+
+/// As Table 4.1 scales it: the cubic root of the determinant of n Cov / sigma², 1/mm².
+fn scaled_root(measurements: &Measurements, number: f64) -> f64 {
+    // One ball bar is uncertain by 1 um.
+    number * (-(measurements.plan.figures.log_determinant + 6.0 * 1e-3_f64.ln()) / 3.0).exp()
+}
+
+#[test]
+fn every_seed_finds_the_best_six_ball_bars() {
+    for seed in 0..20 {
+        let found = planned(&ball_bars(|plan| plan["seed"] = json!(seed)));
+        assert!((scaled_root(&found, 6.0) / 2.5e-5 - 1.0).abs() < 1e-9, "seed {seed}: {}", scaled_root(&found, 6.0));
+        assert_eq!(found.plan.chosen.iter().map(|chosen| chosen.times).sum::<usize>(), 6);
+        // By the equivalence theorem the largest variance of a D-optimal design is the number of unknowns.
+        assert!((found.plan.figures.response_variance[1] - 3.0).abs() < 1e-9);
+    }
+}
+
+#[test]
+fn designs_of_table_4_1() {
+    let text = read(&root().join("pipelines/data/design-2d/designs.csv"));
+    // Cubic root, largest variance of a response, and the matrices of equations 4.24 to 4.26.
+    let printed = [
+        (1, "2.98", 9.0, [[6.0, 1.0, 1.0], [1.0, 1.0, 0.0], [1.0, 0.0, 1.0]]),
+        (2, "2.60", 4.0, [[4.0, 0.0, 0.0], [0.0, 5.0 / 6.0, -1.0 / 6.0], [0.0, -1.0 / 6.0, 5.0 / 6.0]]),
+        (3, "2.50", 3.0, [[8.0 / 3.0, 0.0, 0.0], [0.0, 1.0, -1.0 / 3.0], [0.0, -1.0 / 3.0, 1.0]]),
+    ];
+    for (design, root, largest, matrix) in printed {
+        let lines = text.lines().filter(|line| line.starts_with(&format!("{design},")));
+        let mut required = Vec::new();
+        for line in lines {
+            let cells: Vec<&str> = line.split(',').collect();
+            let times: usize = cells[2].parse().expect("a number");
+            required.extend(std::iter::repeat_n(json!(cells[1]), times));
+        }
+        assert_eq!(required.len(), 6);
+        let found = planned(&ball_bars(|plan| plan["required"] = json!(required)));
+        assert_eq!(format!("{:.2}", scaled_root(&found, 6.0) * 1e5), root, "design {design}");
+        assert!((found.plan.figures.response_variance[1] - largest).abs() < 1e-9, "design {design}");
+        let unit = 1e-6 / (2.0 * 400.0_f64.powi(2));
+        for (found, expected) in found.plan.figures.covariance.iter().zip(matrix.as_flattened()) {
+            assert!((found / unit - expected).abs() < 1e-9, "design {design}: {}, expected {expected}", found / unit);
+        }
+    }
+}
+
+#[test]
+fn indexations_are_chosen_by_condition_number() {
+    let mut recipe = Variant::of(&recipes()["first-steps"]);
+    let plan = json!({ "estimate": "fit", "candidates": "table", "by": "group", "number": 12, "criterion": "condition", "restarts": 4 });
+    recipe.0["plan"] = plan;
+    let found = planned(&recipe);
+    assert_eq!(found.plan.chosen.len(), 12);
+    assert_eq!(found.plan.candidates, 28);
+    let evenly = found.plan.evenly.as_ref().map_or(f64::INFINITY, |figures| figures.condition);
+    assert!(found.plan.figures.condition < 0.8 * evenly, "{} and {evenly}", found.plan.figures.condition);
+    assert!((found.identifiability.condition / found.plan.figures.condition - 1.0).abs() < 1e-6);
+
+    // What is required is chosen, what is forbidden is not.
+    let left = (1..=28).map(|group| group.to_string());
+    let mut left = left.filter(|group| !found.plan.chosen.iter().any(|chosen| chosen.label == *group));
+    let (required, forbidden) = (left.next().expect("a group"), left.next().expect("a group"));
+    recipe.0["plan"]["required"] = json!([required]);
+    recipe.0["plan"]["forbidden"] = json!([forbidden]);
+    let bound = planned(&recipe);
+    assert!(bound.plan.chosen.iter().any(|chosen| chosen.label == required && chosen.required));
+    assert!(bound.plan.chosen.iter().all(|chosen| chosen.label != forbidden));
+    assert!(bound.plan.figures.condition >= found.plan.figures.condition);
+}
+
+#[test]
+fn what_was_measured_counts() {
+    let mut recipe = ball_bars(|plan| {
+        plan["number"] = json!(1);
+        plan["replications"] = json!(false);
+    });
+    // Two orientations are there: the third of the triangle is what is missing.
+    recipe.0["stages"]["done"] =
+        json!({ "ingest": "csv", "path": recipe.path("places", "path"), "keep": { "candidate": [53, 129] } });
+    recipe.0["stages"]["measured"] = json!({ "artefact": "length", "from": "done", "standard_uncertainty_um": 1 });
+    recipe.0["stages"]["fit"]["observations"] = json!(["measured", "bar"]);
+    let found = planned(&recipe);
+    assert_eq!(found.plan.figures.equations, 3);
+    assert!((scaled_root(&found, 3.0) / 2.5e-5 - 1.0).abs() < 1e-9, "{}", scaled_root(&found, 3.0));
+}
+
+#[test]
+fn the_written_plan_can_be_filled_in() {
+    let folder = temporary();
+    let out = folder.path().join("plan");
+    let recipe = &recipes()["design-2d"];
+    let told = abbe(folder.path(), &[Path::new("plan"), recipe, Path::new("--out"), &out]);
+    assert_eq!(told.status, 0, "{}", told.stderr);
+    let rows = read(&out.join("candidates.csv"));
+    assert_eq!(rows.lines().filter(|line| !line.starts_with('#')).count(), 1 + 6, "{rows}");
+    let record = json_file(&out.join("plan.json"));
+    assert_eq!((record["abbe_plan"].as_u64(), record["rank"].as_u64()), (Some(1), Some(3)));
+    let fitted = Variant::of(recipe).set("places", "path", json!(out.join("candidates.csv"))).run();
+    assert_eq!(fitted.fits[0].calibration.fit.observations, 6);
+}
+
+#[test]
+fn wrong_plans_are_refused() {
+    let cases: [(&str, Value, &str); 9] = [
+        ("number", json!(0), "at least one was expected"),
+        ("number", json!(2), "too small to determine 3 unknowns"),
+        ("candidates", json!("baar"), "there is no stage `baar` of the kind artefact"),
+        ("estimate", json!("fitt"), "there is no stage `fitt` of the kind estimate"),
+        ("by", json!("candidat"), "there is no column `candidat`"),
+        ("required", json!([9999]), "there is no candidate 9999"),
+        ("parameters", json!(["EZZ[1]"]), "`EZZ[1]` matches nothing that is estimated"),
+        ("budget_s", json!(60), "there is no column `duration`"),
+        ("criterion", json!("d"), "unknown choice `d`"),
+    ];
+    for (key, value, expected) in cases {
+        let error = try_plan(&ball_bars(|plan| plan[key] = value.clone())).err().unwrap_or_default();
+        assert!(error.contains(expected), "{key}: {value}: {error}");
+    }
+    let none = Variant::of(&recipes()["first-steps"]);
+    assert!(try_plan(&none).is_err_and(|error| error.contains("says nothing of what is to be planned")));
+}
