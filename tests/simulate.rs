@@ -357,7 +357,7 @@ fn rows_that_are_also_observed_combined_come_back() {
     let variant = Variant::of(file).only(&["fit-centres"]);
     let prepared = prepare(&variant.write(folder.path()), &registry()).unwrap_or_else(|error| panic!("{error}"));
     let truth = truth_in(folder.path(), &truth);
-    let error = prepared.simulate(Path::new(&truth), 1, None).err().expect("an error").to_string();
+    let error = prepared.simulate(Path::new(&truth), 1, None).expect_err("it cannot be told").to_string();
     assert!(error.contains("its rows combine several recorded ones"), "{error}");
 }
 

@@ -127,12 +127,15 @@ impl Machine {
     }
 }
 
+/// Reads what a language has beside numbers, at the beginning of a text: how long it is and its value; none if there is none.
+pub type Atom = dyn Fn(&str) -> Result<Option<(usize, f64)>, String>;
+
 /// The value of an expression: numbers, atoms, + - * / and brackets.
 pub struct Arithmetic<'a> {
     pub text: &'a str,
     pub brackets: (char, char),
     /// Length and value of an atom that a text begins with.
-    pub atom: &'a dyn Fn(&str) -> Result<Option<(usize, f64)>, String>,
+    pub atom: &'a Atom,
 }
 
 impl<'a> Arithmetic<'a> {
