@@ -65,7 +65,7 @@ impl State<'_> {
                 }
                 Next::Label(label) => {
                     let labelled = |text: &&str| **text == format!("N{label}");
-                    let target = lines.iter().position(|text| labelled(text));
+                    let target = lines.iter().position(labelled);
                     let target = target.ok_or_else(|| wrong(format!("there is no N{label}")))?;
                     let inside = |line: usize| loops.iter().filter(move |(start, end)| (*start..=*end).contains(&line));
                     if inside(target).any(|entered| !inside(line).any(|around| around == entered)) {

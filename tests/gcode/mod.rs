@@ -128,14 +128,14 @@ impl Machine {
 }
 
 /// Reads what a language has beside numbers, at the beginning of a text: how long it is and its value; none if there is none.
-pub type Atom = dyn Fn(&str) -> Result<Option<(usize, f64)>, String>;
+pub type Atom<'a> = dyn Fn(&str) -> Result<Option<(usize, f64)>, String> + 'a;
 
 /// The value of an expression: numbers, atoms, + - * / and brackets.
 pub struct Arithmetic<'a> {
     pub text: &'a str,
     pub brackets: (char, char),
     /// Length and value of an atom that a text begins with.
-    pub atom: &'a Atom,
+    pub atom: &'a Atom<'a>,
 }
 
 impl<'a> Arithmetic<'a> {

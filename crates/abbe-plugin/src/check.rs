@@ -108,7 +108,7 @@ impl Report {
     }
 }
 
-/// Runs all tests of a library; `program` is started as `program plugin test FILE NAME` and calls [`test`].
+/// Runs all tests of a library; `program` is started as `program plugin test FILE NAME` and calls [`test()`].
 pub fn check(file: &Path, program: &Path, time_limit_s: f64) -> Result<Report> {
     if !(time_limit_s > 0.0 && time_limit_s < 1e6) {
         return Err(Error::usage(format!("a time limit of {time_limit_s} s: a positive number was expected")));

@@ -33,7 +33,7 @@ pub struct BSpline {
     /// the others, do not exist.
     #[serde(default, skip_serializing_if = "std::ops::Not::not")]
     pub without_line: bool,
-    /// Coefficients that are zero by definition and no parameters, e.g. EXX[bs0]; `?` and `*` are wildcards.
+    /// Coefficients that are zero by definition and no parameters, e.g. `EXX[bs0]`; `?` and `*` are wildcards.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub zero: Vec<String>,
 }

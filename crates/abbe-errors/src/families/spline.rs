@@ -20,7 +20,7 @@ pub struct Spline {
     /// Knots of errors of a rotary axis.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub knots_deg: Option<Knots>,
-    /// Values that are zero by definition and no parameters, e.g. EXX[spl5]; `?` and `*` are wildcards.
+    /// Values that are zero by definition and no parameters, e.g. `EXX[spl5]`; `?` and `*` are wildcards.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub zero: Vec<String>,
 }
