@@ -10,8 +10,8 @@ mod result;
 mod weighted;
 
 use abbe_core::{
-    Build, Calibration, Constructor, Context, Error, Estimate, FitReport, Identifiability, Plugin, Problem, Result,
-    SettingsError, Status, Termination, inventory,
+    Build, Calibration, Constructor, Context, Error, Estimate, FitReport, Identifiability, Owner, Plugin, Problem,
+    Result, SettingsError, Status, Termination, Unknown, inventory,
 };
 use abbe_numerics::{End, Factor, LeastSquares, Loss, Options, Robust, Solution, solve};
 use schemars::JsonSchema;
@@ -302,11 +302,14 @@ impl GaussNewton {
     /// The problem with start values from which more unknowns have an effect than from its own, with its factor; None if
     /// there are none.
     ///
-    /// A wavelength has no effect as long as the amplitudes that go with it are zero: those come first, without it.
+    /// A wavelength has no effect as long as the amplitudes that go with it are zero: those come first, without it. It is told by its
+    /// nominal value, which is not zero; any other unknown without effect is one that the data do not see.
     fn started(&self, problem: &Problem, factor: &Factor) -> Result<Option<(Problem, Factor)>> {
+        let nominal = problem.model.nominal();
         let idle = |factor: &Factor| -> Vec<String> {
+            let shapes = |unknown: &Unknown| unknown.owner == Owner::Machine && nominal[unknown.index] != 0.0;
             let idle = problem.unknowns.iter().zip(factor.norms()).filter(|(_, norm)| **norm == 0.0);
-            idle.map(|(unknown, _)| unknown.name.clone()).collect()
+            idle.filter(|(unknown, _)| shapes(unknown)).map(|(unknown, _)| unknown.name.clone()).collect()
         };
         let first = idle(factor);
         let reduced = problem.without(|unknown| first.contains(&unknown.name));
