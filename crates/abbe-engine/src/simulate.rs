@@ -251,8 +251,8 @@ impl Claimed {
 
     /// Whether all rows are claimed that went into these observations.
     fn has_all(&self, layout: &Layout) -> bool {
-        let recorded = layout.rows.iter().filter_map(|row| row.data_row).chain(layout.merged.iter().copied());
-        recorded.into_iter().all(|row| self.0.contains(&place(layout, row)))
+        let mut recorded = layout.rows.iter().filter_map(|row| row.data_row).chain(layout.merged.iter().copied());
+        recorded.all(|row| self.0.contains(&place(layout, row)))
     }
 }
 

@@ -139,7 +139,7 @@ fn machine_error(name: &str) -> Option<(&str, Option<&str>)> {
 
 /// Whether an axis may be called so: a letter, and a number if there are several.
 fn is_axis(name: &str) -> bool {
-    let number = name.strip_prefix(|c| "XYZUVWABCS".contains(c));
+    let number = name.strip_prefix(|c: char| "XYZUVWABCS".contains(c));
     number.is_some_and(|number| number.chars().all(|c| c.is_ascii_digit()))
 }
 
