@@ -26,7 +26,7 @@ pub use factor::{Accumulator, Factor, SingularValues, Spectrum, Whitener};
 pub use gauss_newton::{End, LeastSquares, Options, Sink, Solution, solve};
 pub use linear::{DesignMatrix, LinearFit, fit_linear};
 pub use monte_carlo::{Adaptive, Agreement, Interval, Trials, gum_agrees, least_trials, numerical_tolerance};
-pub use regression::{Direction, Influence, SelectionStep, StepwiseSelection, stepwise, unit_length};
+pub use regression::{Direction, Influence, SelectionStep, StepwiseSelection};
 pub use robust::{Loss, Robust, RobustReport};
 pub use sampling::Generator;
 pub use selection::{LeftOut, Selection};

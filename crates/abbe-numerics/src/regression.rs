@@ -1,6 +1,9 @@
 //! Regression diagnostics and the selection of terms by their significance (Soons 1993, section 3.2.2; Montgomery & Peck 1982).
 
-use crate::linear::{DesignMatrix, LinearFit, fit_linear};
+use faer::linalg::solvers::Qr;
+use faer::{Mat, MatRef};
+
+use crate::factor::Factor;
 use crate::significance::f_test;
 
 /// What each row does to a fit.
@@ -15,10 +18,12 @@ pub struct Influence {
 }
 
 impl Influence {
-    /// The influence of the rows of a fit. A row that the fit goes through by itself (leverage 1) has none to tell: NaN.
-    pub fn new(fit: &LinearFit) -> Self {
-        let (variance, freedom, count) = (fit.variance(), fit.degrees_of_freedom() as f64, fit.values.len() as f64);
-        let rows = || fit.residuals.iter().zip(&fit.leverages);
+    /// The influence of rows with these residuals and leverages on a fit of `unknowns` unknowns. A row that the fit goes through
+    /// by itself (leverage 1) has none to tell: NaN.
+    pub fn new(residuals: &[f64], leverages: &[f64], unknowns: usize) -> Self {
+        let freedom = residuals.len() as f64 - unknowns as f64;
+        let variance = residuals.iter().map(|residual| residual * residual).sum::<f64>() / freedom;
+        let rows = || residuals.iter().zip(leverages);
         let studentised: Vec<f64> =
             rows().map(|(residual, leverage)| residual / (variance * (1.0 - leverage)).sqrt()).collect();
         let deleted = |size: &f64| size * ((freedom - 1.0) / (freedom - size * size).max(0.0)).sqrt();
@@ -26,20 +31,11 @@ impl Influence {
             deleted: studentised.iter().map(deleted).collect(),
             cook: rows()
                 .zip(&studentised)
-                .map(|((_, leverage), size)| size * size * leverage / (count * (1.0 - leverage)))
+                .map(|((_, leverage), size)| size * size * leverage / (unknowns as f64 * (1.0 - leverage)))
                 .collect(),
             studentised,
         }
     }
-}
-
-/// Centres a column on its mean and scales it to length 1; None if it is constant. Sums of products of such columns are
-/// correlations.
-pub fn unit_length(column: &[f64]) -> Option<Vec<f64>> {
-    let mean = column.iter().sum::<f64>() / column.len() as f64;
-    let length = column.iter().map(|value| (value - mean) * (value - mean)).sum::<f64>().sqrt();
-    let varies = length > f64::EPSILON * mean.abs() * (column.len() as f64).sqrt();
-    (varies && length.is_finite()).then(|| column.iter().map(|value| (value - mean) / length).collect())
 }
 
 /// In which direction terms are selected.
@@ -56,7 +52,7 @@ pub enum Direction {
 /// A step of a selection.
 #[derive(Debug, Clone, PartialEq)]
 pub struct SelectionStep {
-    /// Index of the term.
+    /// The unknown that the term has as its coefficient.
     pub term: usize,
     /// Whether it came in or went out.
     pub entered: bool,
@@ -67,72 +63,173 @@ pub struct SelectionStep {
 /// Terms chosen by their significance.
 #[derive(Debug, Clone, PartialEq)]
 pub struct StepwiseSelection {
-    /// Indices of the kept terms, ascending.
+    /// The candidates that are kept, ascending.
     pub kept: Vec<usize>,
     /// How it went.
     pub steps: Vec<SelectionStep>,
 }
 
-/// Stepwise regression of `right` on `terms` (columns): a term comes in while chance explains it with a probability below
-/// `level`, and goes out while with one above it (partial F test). `always` stay in whatever their significance.
-///
-/// None if the terms that are there at the start cannot be separated.
-pub fn stepwise(
-    terms: &[Vec<f64>],
-    right: &[f64],
-    always: &[usize],
-    level: f64,
-    direction: Direction,
-) -> Option<StepwiseSelection> {
-    let mut kept: Vec<usize> = match direction {
-        Direction::Backward => (0..terms.len()).collect(),
-        _ => always.to_vec(),
-    };
-    kept.sort_unstable();
-    let cost = |kept: &[usize]| -> Option<f64> {
-        let rows: Vec<Vec<f64>> =
-            (0..right.len()).map(|row| kept.iter().map(|&term| terms[term][row]).collect()).collect();
-        Some(fit_linear(&DesignMatrix::new(&rows), right)?.cost())
-    };
-    // The probability of a term: `with` and `without` it, `count` terms with it.
-    let probability = |with: f64, without: f64, count: usize| -> Option<f64> {
-        let freedom = right.len().checked_sub(count).filter(|freedom| *freedom > 0)?;
-        let f = (without - with) / (with / freedom as f64);
-        if f.is_finite() { f_test(f, 1, freedom) } else { Some(if without > with { 0.0 } else { 1.0 }) }
-    };
-    let mut own = cost(&kept)?;
-    let mut steps: Vec<SelectionStep> = Vec::new();
-    let mut seen = vec![kept.clone()];
-    loop {
-        let mut next: Option<(SelectionStep, Vec<usize>, f64)> = None;
-        if direction != Direction::Forward {
-            for &term in kept.iter().filter(|term| !always.contains(term)) {
-                let others: Vec<usize> = kept.iter().copied().filter(|other| *other != term).collect();
-                let Some(without) = cost(&others) else { continue };
-                let Some(probability) = probability(own, without, kept.len()) else { continue };
-                let least = next.as_ref().is_none_or(|(step, ..)| probability > step.probability);
-                if probability > level && least {
-                    next = Some((SelectionStep { term, entered: false, probability }, others, without));
-                }
+impl Factor {
+    /// Stepwise regression: of the terms whose coefficients are the unknowns `candidates`, one comes in while chance explains it
+    /// with a probability below `level`, and goes out while with one above it (partial F test; Soons 1993, section 3.2.2). All
+    /// other unknowns stay in.
+    ///
+    /// The factor is that of the full problem at `x`, which leaves `degrees_of_freedom`. None if its unknowns cannot be separated.
+    pub fn stepwise(
+        &self,
+        x: &[f64],
+        candidates: &[usize],
+        degrees_of_freedom: usize,
+        level: f64,
+        direction: Direction,
+    ) -> Option<StepwiseSelection> {
+        let terms = Terms::new(self, x, candidates, degrees_of_freedom)?;
+        let mut kept: Vec<usize> =
+            if direction == Direction::Backward { (0..candidates.len()).collect() } else { vec![] };
+        let (mut steps, mut seen) = (Vec::new(), vec![kept.clone()]);
+        loop {
+            let fit = terms.fit(&kept)?;
+            let leaves = fit.leaves(&terms, &kept).filter(|step| step.probability > level);
+            let enters = || fit.enters(&terms, &kept).filter(|step| step.probability < level);
+            let next = match direction {
+                Direction::Forward => enters(),
+                Direction::Backward => leaves,
+                Direction::Both => leaves.or_else(enters),
+            };
+            let Some(step) = next else { break };
+            let mut after = kept.clone();
+            match after.binary_search(&step.term) {
+                Ok(place) => drop(after.remove(place)),
+                Err(place) => after.insert(place, step.term),
             }
-        }
-        if direction != Direction::Backward && next.is_none() {
-            for term in (0..terms.len()).filter(|term| !kept.contains(term)) {
-                let mut all = [&kept[..], &[term]].concat();
-                all.sort_unstable();
-                let Some(with) = cost(&all) else { continue };
-                let Some(probability) = probability(with, own, all.len()) else { continue };
-                // Of several that are beyond doubt the one that explains most.
-                let most = next.as_ref().is_none_or(|(_, _, cost)| with < *cost);
-                if probability < level && most {
-                    next = Some((SelectionStep { term, entered: true, probability }, all, with));
-                }
+            // Rounding must not make a term come and go for ever.
+            if seen.contains(&after) {
+                break;
             }
+            steps.push(SelectionStep { term: candidates[step.term], ..step });
+            seen.push(after.clone());
+            kept = after;
         }
-        let Some((step, terms, cost)) = next.filter(|(_, terms, _)| !seen.contains(terms)) else { break };
-        steps.push(step);
-        seen.push(terms.clone());
-        (kept, own) = (terms, cost);
+        Some(StepwiseSelection { kept: kept.into_iter().map(|term| candidates[term]).collect(), steps })
     }
-    Some(StepwiseSelection { kept, steps })
+}
+
+/// The candidates of a selection as columns of norm 1, with what all other unknowns can do taken off.
+struct Terms {
+    columns: Mat<f64>,
+    right: Mat<f64>,
+    /// Sum of squares that no term takes away, and the degrees of freedom with all of them.
+    rest: f64,
+    degrees_of_freedom: usize,
+}
+
+/// The fit of some terms.
+struct TermsFit {
+    cost: f64,
+    /// By how much the cost grows without each of the terms.
+    losses: Vec<f64>,
+    /// An orthonormal basis of the terms, and what it leaves of the right side.
+    basis: Mat<f64>,
+    left: Mat<f64>,
+}
+
+/// Squares of columns of norm 1 below this are rounding: the column follows from the others.
+const NOTHING: f64 = 1e-20;
+
+impl Terms {
+    fn new(factor: &Factor, x: &[f64], candidates: &[usize], degrees_of_freedom: usize) -> Option<Self> {
+        let step = factor.step()?;
+        let n = factor.unknowns();
+        let others: Vec<usize> = (0..n).filter(|unknown| !candidates.contains(unknown)).collect();
+        // The right side that the full problem would have without its unknowns: J (x + step), beside what nothing explains.
+        let mut all = Mat::zeros(n, n + 1);
+        for (place, &unknown) in others.iter().chain(candidates).enumerate() {
+            let norm = factor.norms()[unknown];
+            if norm == 0.0 {
+                return None;
+            }
+            for (row, entry) in factor.column(unknown).into_iter().enumerate() {
+                all[(row, place)] = entry / norm;
+                all[(row, n)] += entry * (x[unknown] + step[unknown]);
+            }
+        }
+        let triangle = Qr::new(all.as_ref()).thin_R().to_owned();
+        if (0..n).any(|k| triangle[(k, k)].powi(2) < NOTHING) {
+            return None;
+        }
+        let first = others.len();
+        Some(Self {
+            columns: triangle.get(first..n, first..n).to_owned(),
+            right: triangle.get(first..n, n..).to_owned(),
+            rest: factor.remaining_cost(),
+            degrees_of_freedom,
+        })
+    }
+
+    fn some(&self, terms: &[usize]) -> Mat<f64> {
+        Mat::from_fn(self.columns.nrows(), terms.len(), |row, column| self.columns[(row, terms[column])])
+    }
+
+    /// The terms that are not among these.
+    fn others(&self, kept: &[usize]) -> Vec<usize> {
+        (0..self.columns.ncols()).filter(|term| kept.binary_search(term).is_err()).collect()
+    }
+
+    fn fit(&self, kept: &[usize]) -> Option<TermsFit> {
+        let factor = Qr::new(self.some(kept).as_ref());
+        let (basis, triangle) = (factor.compute_thin_Q(), factor.thin_R().to_owned());
+        let along = basis.transpose() * &self.right;
+        let left = &self.right - &basis * &along;
+        let mut inverse = Mat::<f64>::identity(kept.len(), kept.len());
+        faer::linalg::triangular_solve::solve_upper_triangular_in_place(
+            triangle.as_ref(),
+            inverse.as_mut(),
+            faer::Par::Seq,
+        );
+        let values = &inverse * &along;
+        let loss = |row: usize| {
+            let variance: f64 = (0..kept.len()).map(|k| inverse[(row, k)].powi(2)).sum();
+            values[(row, 0)].powi(2) / variance
+        };
+        let losses: Vec<f64> = (0..kept.len()).map(loss).collect();
+        let finite = losses.iter().all(|loss| loss.is_finite());
+        finite.then(|| TermsFit { cost: self.rest + square(left.as_ref(), 0), losses, basis, left })
+    }
+
+    /// Probability that chance alone takes off as much as a term does, of `count` terms with it; none without degrees of freedom.
+    fn probability(&self, gain: f64, with: f64, count: usize) -> Option<f64> {
+        let freedom = self.degrees_of_freedom + self.columns.ncols() - count;
+        let f = gain / (with / freedom as f64);
+        if f.is_finite() { f_test(f, 1, freedom) } else { Some(if gain > 0.0 { 0.0 } else { 1.0 }) }
+    }
+}
+
+impl TermsFit {
+    /// The least significant term.
+    fn leaves(&self, terms: &Terms, kept: &[usize]) -> Option<SelectionStep> {
+        let least = (0..kept.len()).min_by(|&a, &b| self.losses[a].total_cmp(&self.losses[b]))?;
+        let probability = terms.probability(self.losses[least], self.cost, kept.len())?;
+        Some(SelectionStep { term: kept[least], entered: false, probability })
+    }
+
+    /// The most significant one of the other terms.
+    fn enters(&self, terms: &Terms, kept: &[usize]) -> Option<SelectionStep> {
+        let others = terms.others(kept);
+        let mut columns = terms.some(&others);
+        columns -= &self.basis * (self.basis.transpose() * &columns);
+        let along = columns.transpose() * &self.left;
+        let gain = |place: usize| {
+            let square = square(columns.as_ref(), place);
+            if square > NOTHING { along[(place, 0)].powi(2) / square } else { 0.0 }
+        };
+        let most = (0..others.len()).max_by(|&a, &b| gain(a).total_cmp(&gain(b)))?;
+        let gain = gain(most);
+        let probability = terms.probability(gain, (self.cost - gain).max(0.0), kept.len() + 1)?;
+        Some(SelectionStep { term: others[most], entered: true, probability })
+    }
+}
+
+/// Sum of squares of a column.
+fn square(matrix: MatRef<'_, f64>, column: usize) -> f64 {
+    (0..matrix.nrows()).map(|row| matrix[(row, column)].powi(2)).sum()
 }

@@ -2,7 +2,7 @@
 //! terms on data that are made of some of them.
 
 use abbe_numerics::{
-    DesignMatrix, Direction, Influence, LinearFit, coverage_factor, fit_linear, stepwise, unit_length,
+    Accumulator, DesignMatrix, Direction, Influence, LinearFit, StepwiseSelection, coverage_factor, f_test, fit_linear,
 };
 
 use crate::problems::{Linear, Random};
@@ -25,7 +25,7 @@ fn a_line_by_hand() {
     close(&fit.values, &[-0.4, 1.2]);
     close(&fit.residuals, &[0.2, 0.0, -0.2, -0.4, 0.4]);
     close(&fit.leverages, &[0.6, 0.3, 0.2, 0.3, 0.6]);
-    let influence = Influence::new(&fit);
+    let influence = Influence::new(&fit.residuals, &fit.leverages, fit.values.len());
     assert!((influence.studentised[4] - 3.0_f64.sqrt()).abs() < 1e-12);
     assert!((influence.cook[4] - 2.25).abs() < 1e-12, "{}", influence.cook[4]);
     // Without the last row the others are on a line.
@@ -42,7 +42,7 @@ fn influence_is_what_leaving_a_row_out_does() {
     for _ in 0..10 {
         let Linear { rows, residuals } = Linear::random(random, 12, 3);
         let fit = fit_linear(&DesignMatrix::new(&rows), &residuals).expect("full rank");
-        let influence = Influence::new(&fit);
+        let influence = Influence::new(&fit.residuals, &fit.leverages, fit.values.len());
         for out in 0..rows.len() {
             let kept = |index: &usize| *index != out;
             let others: Vec<Vec<f64>> = (0..rows.len()).filter(kept).map(|row| rows[row].clone()).collect();
@@ -58,6 +58,24 @@ fn influence_is_what_leaving_a_row_out_does() {
     }
 }
 
+/// The selection among terms (columns) that make up `right`.
+fn stepwise(
+    terms: &[Vec<f64>],
+    right: &[f64],
+    always: &[usize],
+    level: f64,
+    direction: Direction,
+) -> Option<StepwiseSelection> {
+    let mut accumulator = Accumulator::new(terms.len(), right.len());
+    for row in 0..right.len() {
+        let entries: Vec<f64> = terms.iter().map(|term| term[row]).collect();
+        accumulator.push(&entries, -right[row], 1.0);
+    }
+    let candidates: Vec<usize> = (0..terms.len()).filter(|term| !always.contains(term)).collect();
+    let freedom = right.len() - terms.len();
+    accumulator.finish().stepwise(&vec![0.0; terms.len()], &candidates, freedom, level, direction)
+}
+
 #[test]
 fn selection_finds_the_terms_that_made_the_data() {
     let random = &mut Random::new(5);
@@ -68,7 +86,9 @@ fn selection_finds_the_terms_that_made_the_data() {
         let selection = stepwise(&terms, &right, &[], 1e-4, direction).expect("separable terms");
         assert_eq!(selection.kept, [2, 5], "{direction:?}");
         let kept = stepwise(&terms, &right, &[0], 1e-4, direction).expect("separable terms").kept;
-        assert_eq!(kept, [0, 2, 5], "{direction:?}");
+        assert_eq!(kept, [2, 5], "{direction:?}");
+        let kept = stepwise(&terms, &right, &[2], 1e-4, direction).expect("separable terms").kept;
+        assert_eq!(kept, [5], "{direction:?}");
     }
     // The strongest comes first.
     let forward = stepwise(&terms, &right, &[], 1e-4, Direction::Forward).expect("separable terms");
@@ -87,10 +107,35 @@ fn selection_finds_the_terms_that_made_the_data() {
 }
 
 #[test]
-fn columns_of_unit_length_give_correlations() {
-    let scaled = unit_length(&[1.0, 2.0, 3.0]).expect("it varies");
-    close(&scaled, &[-0.5_f64.sqrt(), 0.0, 0.5_f64.sqrt()]);
-    assert_eq!(unit_length(&[7.1, 7.1, 7.1]), None);
+fn every_step_of_a_selection_is_an_f_test_of_two_fits() {
+    let random = &mut Random::new(9);
+    let Linear { rows, residuals } = Linear::random(random, 40, 7);
+    let columns: Vec<Vec<f64>> = (0..7).map(|term| rows.iter().map(|row| row[term]).collect()).collect();
+    let cost = |terms: &[usize]| -> f64 {
+        let rows: Vec<Vec<f64>> =
+            rows.iter().map(|row| [0].iter().chain(terms).map(|&term| row[term]).collect()).collect();
+        fit_linear(&DesignMatrix::new(&rows), &residuals).expect("full rank").cost()
+    };
+    for (direction, mut terms) in [(Direction::Forward, vec![]), (Direction::Backward, (1..7).collect::<Vec<_>>())] {
+        // A level at which everything comes in, or everything goes out.
+        let level = if direction == Direction::Forward { 1.0 } else { 0.0 };
+        let steps = stepwise(&columns, &residuals, &[0], level, direction).expect("separable terms").steps;
+        assert_eq!(steps.len(), 6);
+        for step in steps {
+            let before = cost(&terms);
+            match step.entered {
+                true => terms.push(step.term),
+                false => terms.retain(|term| *term != step.term),
+            }
+            let (with, without) = if step.entered { (cost(&terms), before) } else { (before, cost(&terms)) };
+            let freedom = 40 - 1 - terms.len() - usize::from(!step.entered);
+            let probability = f_test((without - with) / (with / freedom as f64), 1, freedom).expect("freedom");
+            assert!((step.probability - probability).abs() < 1e-9, "{step:?} {probability}");
+        }
+    }
+    // A term that follows from others.
+    let twice = [&columns[..], &[columns[1].iter().map(|value| 2.0 * value).collect()]].concat();
+    assert_eq!(stepwise(&twice, &residuals, &[], 1e-4, Direction::Both), None);
 }
 
 #[test]
