@@ -6,6 +6,7 @@
 
 use std::collections::BTreeSet;
 
+use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use serde_json::Value;
 
@@ -157,6 +158,48 @@ pub struct FitReport {
     /// The combinations that they determine worst, the weakest first.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub weakest: Vec<NullVector>,
+    /// What was left out of the model because chance alone explains it; none if nothing was to be selected.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub selection: Option<Selection>,
+}
+
+/// A selection of parameters by their significance.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct Selection {
+    /// Probability with which chance may make a parameter look as significant as those that are kept.
+    pub level: f64,
+    /// How it went about.
+    pub direction: SelectionDirection,
+    /// The candidates that are kept.
+    pub kept: Vec<String>,
+    /// The candidates that are left out, at their nominal values.
+    pub left_out: Vec<String>,
+    /// Its steps.
+    pub steps: Vec<SelectionStep>,
+}
+
+/// In which direction parameters are selected.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize, JsonSchema)]
+#[serde(rename_all = "kebab-case")]
+pub enum SelectionDirection {
+    /// Starting from all, they go out.
+    #[default]
+    Backward,
+    /// Starting from none, they come in.
+    Forward,
+    /// Starting from none, they come in and may go out again.
+    Both,
+}
+
+/// A step of a selection.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct SelectionStep {
+    /// The parameter.
+    pub parameter: String,
+    /// Whether it came in or went out.
+    pub entered: bool,
+    /// Probability that chance alone makes it look as significant at this step.
+    pub probability: f64,
 }
 
 /// A direction in which the data do not change.

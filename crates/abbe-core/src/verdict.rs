@@ -1,5 +1,7 @@
 //! What a validator found: figures, their limits, pass or fail.
 
+use std::collections::BTreeMap;
+
 use serde::{Deserialize, Serialize};
 
 /// One figure of a verdict.
@@ -54,6 +56,9 @@ pub struct Findings {
     pub figures: Vec<Figure>,
     /// What people should be told besides: sentences.
     pub remarks: Vec<String>,
+    /// Tables for others to plot: text by file name, written into the folder of the stage.
+    #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
+    pub tables: BTreeMap<String, String>,
 }
 
 /// The verdict of one validate stage, as it stands in `verdicts.json`.

@@ -17,7 +17,7 @@ pub struct Outcome {
     pub fits: Vec<Fit>,
     /// The verdicts.
     pub verdicts: Vec<Verdict>,
-    /// Exported files by stage.
+    /// Exported files and tables of validators by stage.
     pub exports: Vec<(String, Vec<ExportedFile>)>,
     pub(crate) inputs: Vec<InputRecord>,
     pub(crate) plugins: Vec<PluginRecord>,

@@ -5,8 +5,8 @@ use std::sync::Arc;
 use std::time::{Instant, SystemTime};
 
 use abbe_core::{
-    Calibration, Dataset, Error, Fit, Identifiability, Kind, KinematicModel, Owner, Poses, Problem, Registry, Result,
-    Verdict, in_parallel,
+    Calibration, Dataset, Error, ExportedFile, Fit, Identifiability, Kind, KinematicModel, Owner, Poses, Problem,
+    Registry, Result, Verdict, in_parallel,
 };
 use abbe_recipe::Stage;
 
@@ -100,11 +100,14 @@ impl Prepared {
             self.started(stage, tell);
             let judged: Vec<&Fit> = named(stage.reference("of"), &fits);
             let evidence: Vec<&Dataset> = stage.reference("from").iter().map(|name| data[name].as_ref()).collect();
-            let findings = self.located(stage, self.validators[&stage.name].validate(&judged, &evidence))?;
-            Ok(Verdict::new(&stage.name, &stage.plugin, findings))
+            let mut findings = self.located(stage, self.validators[&stage.name].validate(&judged, &evidence))?;
+            let tables = std::mem::take(&mut findings.tables);
+            let files = tables.into_iter().map(|(name, text)| ExportedFile { name, content: text.into_bytes() });
+            Ok((Verdict::new(&stage.name, &stage.plugin, findings), (stage.name.clone(), files.collect())))
         });
-        let verdicts = verdicts.into_iter().collect::<Result<Vec<Verdict>>>()?;
-        let mut exports = Vec::new();
+        let (verdicts, mut exports): (Vec<Verdict>, Vec<(String, Vec<ExportedFile>)>) =
+            verdicts.into_iter().collect::<Result<Vec<_>>>()?.into_iter().unzip();
+        exports.retain(|(_, files)| !files.is_empty());
         for stage in self.stages(Kind::Export) {
             self.started(stage, tell);
             for fit in named(stage.reference("of"), &fits) {

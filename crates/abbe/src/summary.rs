@@ -18,6 +18,7 @@ pub fn text(name: &str, outcome: &Outcome, folder: &Path) -> String {
         parts.push(section("Estimated parameters, with standard uncertainties", &parameters(&outcome.fits)));
         parts.push(section("Fits", &fits(&outcome.fits)));
         parts.extend(outliers(&outcome.fits));
+        parts.extend(selected(&outcome.fits));
         parts.extend(lost(&outcome.fits));
         parts.extend(correlated(&outcome.fits));
         parts.extend(unlikely(&outcome.fits));
@@ -149,6 +150,18 @@ fn lost(fits: &[Fit]) -> Option<String> {
     });
     let text: String = lines.collect();
     (!text.is_empty()).then(|| section("Not determined", &text))
+}
+
+/// What chance alone explains, and is left out.
+fn selected(fits: &[Fit]) -> Option<String> {
+    let lines = fits.iter().filter_map(|fit| {
+        let selection = fit.calibration.fit.selection.as_ref()?;
+        let candidates = selection.kept.len() + selection.left_out.len();
+        let kept = selection.kept.join(" ");
+        Some(format!("  {}: {} of {candidates} at level {}: {kept}\n", fit.name, selection.kept.len(), selection.level))
+    });
+    let text: String = lines.collect();
+    (!text.is_empty()).then(|| section("Kept as significant", &text))
 }
 
 fn correlated(fits: &[Fit]) -> Option<String> {

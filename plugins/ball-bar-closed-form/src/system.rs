@@ -119,6 +119,7 @@ impl System {
             residual_rms_urad: None,
             null_space: Vec::new(),
             weakest: self.found.weakest.clone(),
+            selection: None,
         };
         Ok(problem.calibration(x, self.covariance(&standard, scale), Vec::new(), fit))
     }

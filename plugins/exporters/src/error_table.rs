@@ -1,7 +1,7 @@
 //! Exporter `error-table`: the motion errors of every axis over its range, with their standard uncertainties.
 //!
 //! One CSV file an axis: its position, the direction of approach, and for every motion error two columns, value and
-//! standard uncertainty. All other axes stand at zero.
+//! standard uncertainty; on request the half width of the band in which the whole curve lies. All other axes stand at zero.
 
 use abbe_core::{
     Build, Calibration, Constructor, Context, Error, ErrorFunction, Export, ExportedFile, InputFile, KinematicModel,
@@ -37,6 +37,9 @@ struct Settings {
     /// Ranges by axis, where they are not those of the machine.
     #[serde(default)]
     ranges: Ranges,
+    /// Probability of a confidence band: adds the half width of a band in which the whole curve of an error lies.
+    #[serde(default)]
+    band_probability: Option<f64>,
 }
 
 fn default_step_mm() -> f64 {
@@ -57,6 +60,9 @@ fn example() -> Value {
 fn build(settings: &Value, _: &Context) -> Result<Box<dyn Export>, SettingsError> {
     let settings: Settings = abbe_core::from_settings(settings)?;
     check(&settings.ranges, settings.steps())?;
+    if settings.band_probability.is_some_and(|probability| !(probability > 0.0 && probability < 1.0)) {
+        return Err(SettingsError::new("band_probability", "a probability between 0 and 1 was expected"));
+    }
     Ok(Box::new(ErrorTable { settings }))
 }
 
@@ -94,6 +100,9 @@ impl Export for ErrorTable {
             for function in &of_axis {
                 let (unit, _) = value_unit(function);
                 text.push_str(&format!(",{0}_{unit},{0}_standard_uncertainty_{unit}", function.symbol));
+                if self.settings.band_probability.is_some() {
+                    text.push_str(&format!(",{}_band_{unit}", function.symbol));
+                }
             }
             text.push('\n');
             let points = points(axis, &self.settings.ranges, self.settings.steps(), MOST)?;
@@ -105,6 +114,11 @@ impl Export for ErrorTable {
                         let (_, factor) = value_unit(function);
                         let (value, uncertainty) = values.motion_error(model, function, &status)?;
                         text.push_str(&format!(",{},{}", fixed(value * factor), fixed(uncertainty * factor)));
+                        if let Some(probability) = self.settings.band_probability {
+                            let band = values.band_factor(model, function, &status, probability)?;
+                            let half = band.map(|band| fixed(band * uncertainty * factor));
+                            text.push_str(&format!(",{}", half.unwrap_or_default()));
+                        }
                     }
                     text.push('\n');
                 }
@@ -155,6 +169,14 @@ mod tests {
              100,-1,1.500000,{far},10.000000,0.000000\n"
         );
         assert_eq!(String::from_utf8(files[0].content.clone()).unwrap(), expected);
+
+        // Two estimated parameters, known without degrees of freedom: sqrt(chi-squared(0.95; 2)) = 2.4477. EAX has none.
+        let stage = build(&json!({ "step_mm": 100, "band_probability": 0.95 }), &Context { base: "".into() }).unwrap();
+        let files = stage.export(&calibration, model.as_ref()).unwrap();
+        let text = String::from_utf8(files[0].content.clone()).unwrap();
+        let lines: Vec<Vec<&str>> = text.lines().map(|line| line.split(',').collect()).collect();
+        assert_eq!((lines[0][4], lines[0][7]), ("EXX_band_um", "EAX_band_urad"));
+        assert_eq!((lines[2][3], lines[2][4], lines[2][7]), ("0.200000", "0.489549", ""));
     }
 
     #[test]

@@ -2,7 +2,8 @@
 
 use std::collections::BTreeMap;
 
-use abbe_core::{Absent, Axis, Calibration, ErrorFunction, KinematicModel, Result, SettingsError};
+use abbe_core::{Absent, Axis, Calibration, ErrorFunction, KinematicModel, MotionError, Result, SettingsError};
+use abbe_numerics::joint_coverage_factor;
 use abbe_volumetric::{Ranges, Steps, check_ranges, points_every, range_of};
 
 /// What exporters of one axis at a time call the ranges of the axes.
@@ -38,7 +39,7 @@ pub fn status(model: &dyn KinematicModel, axis: &Axis, position: f64, direction:
 /// The values of a calibration in the order of the model's parameters, with the row of each in the covariance.
 pub struct Values<'a> {
     values: Vec<f64>,
-    covariance: &'a [Vec<f64>],
+    calibration: &'a Calibration,
     rows: Vec<Option<usize>>,
 }
 
@@ -56,7 +57,7 @@ impl<'a> Values<'a> {
                 .zip(model.nominal())
                 .map(|(name, nominal)| known.get(name).copied().unwrap_or(nominal))
                 .collect(),
-            covariance: &calibration.covariance.rows,
+            calibration,
             rows: parameters.map(|name| order.get(name).copied()).collect(),
         }
     }
@@ -69,16 +70,36 @@ impl<'a> Values<'a> {
         status: &[f64],
     ) -> Result<(f64, f64)> {
         let error = model.motion_error(function, &self.values, status)?;
-        let terms = error.derivatives.iter();
-        let terms: Vec<(usize, f64)> =
-            terms.filter_map(|&(parameter, factor)| Some((self.rows[parameter]?, factor))).collect();
+        let terms = self.estimated(&error);
         let mut variance = 0.0;
         for (row, a) in &terms {
             for (column, b) in &terms {
-                variance += a * b * self.covariance[*row][*column];
+                variance += a * b * self.calibration.covariance.rows[*row][*column];
             }
         }
         Ok((error.value, variance.max(0.0).sqrt()))
+    }
+
+    /// The factor on the standard uncertainty of a motion error that makes a band in which its whole curve lies with a
+    /// probability (Scheffé 1959, for as many parameters as the error has); none if none of them was estimated, or too few
+    /// degrees of freedom are left.
+    pub fn band_factor(
+        &self,
+        model: &dyn KinematicModel,
+        function: &ErrorFunction,
+        status: &[f64],
+        probability: f64,
+    ) -> Result<Option<f64>> {
+        let terms = self.estimated(&model.motion_error(function, &self.values, status)?);
+        let names: Vec<&String> = terms.iter().map(|(row, _)| &self.calibration.covariance.order[*row]).collect();
+        let freedom = self.calibration.degrees_of_freedom(|name| names.iter().any(|own| *own == name));
+        Ok(Some(joint_coverage_factor(names.len(), probability, freedom)).filter(|factor| factor.is_finite()))
+    }
+
+    /// The estimated parameters of an error, as rows of the covariance, with their factors.
+    fn estimated(&self, error: &MotionError) -> Vec<(usize, f64)> {
+        let terms = error.derivatives.iter();
+        terms.filter_map(|&(parameter, factor)| Some((self.rows[parameter]?, factor))).collect()
     }
 }
 

@@ -7,11 +7,12 @@
 mod covariance;
 mod identifiability;
 mod result;
+mod select;
 mod weighted;
 
 use abbe_core::{
-    Build, Calibration, Constructor, Context, Error, Estimate, FitReport, Identifiability, Owner, Plugin, Problem,
-    Result, SettingsError, Status, Termination, Unknown, inventory,
+    Build, Calibration, Constructor, Context, Error, Estimate, FitReport, Identifiability, Owner, PathItem, Plugin,
+    Problem, Result, SettingsError, Status, Termination, Unknown, inventory,
 };
 use abbe_numerics::{End, Factor, LeastSquares, Loss, Options, Robust, Solution, solve};
 use schemars::JsonSchema;
@@ -21,6 +22,7 @@ use serde_json::{Value, json};
 use covariance::{Place, Propagation};
 use identifiability::{confounded, identifiability, separated, weakest};
 use result::{Spread, outliers};
+use select::{Select, reduced};
 use weighted::Weighted;
 
 inventory::submit! {
@@ -43,6 +45,9 @@ struct Settings {
     /// Singular values below this part of the largest count as zero; columns have norm 1.
     #[serde(default = "default_tolerance")]
     rank_tolerance: f64,
+    /// Parameters that are left out where chance alone explains them.
+    #[serde(default)]
+    select: Option<Select>,
     /// Weights that keep gross errors from the estimate.
     #[serde(default)]
     robust: Option<RobustSetting>,
@@ -161,6 +166,9 @@ fn build(settings: &Value, _: &Context) -> Result<Box<dyn Estimate>, SettingsErr
     if settings.iterations == 0 {
         return Err(SettingsError::new("iterations", "at least one iteration is needed"));
     }
+    if let Some(select) = &settings.select {
+        select.check().map_err(|error| error.under([PathItem::Key("select".to_owned())]))?;
+    }
     if let Some(robust) = settings.robust.as_ref().map(RobustSetting::robust)
         && !(robust.cutoff > 0.0 && robust.outlier_at > 0.0)
     {
@@ -275,6 +283,7 @@ impl GaussNewton {
             residual_rms_urad: angles.map(|angles| angles.rms * 1e6),
             null_space: found.null_space,
             weakest: if explained { weakest(problem, &factor.spectrum(), found.rank) } else { Vec::new() },
+            selection: None,
         };
         let mut calibration = problem.calibration(&solution.x, propagation.covariance(problem), outliers, fit);
         calibration.uncertainty = explained.then(|| propagation.budget(problem, self.settings.coverage_probability));
@@ -328,6 +337,30 @@ impl GaussNewton {
     }
 
     fn estimate(&self, problem: &Problem, explained: bool) -> Result<Calibration> {
+        match &self.settings.select {
+            None => self.estimate_all(problem, explained),
+            Some(select) => self.estimate_selected(problem, select, explained),
+        }
+    }
+
+    /// The estimate of all unknowns, and from there that of those which are significant.
+    fn estimate_selected(&self, problem: &Problem, select: &Select, explained: bool) -> Result<Calibration> {
+        let candidates = select.candidates(problem)?;
+        let all = self.estimate_all(problem, false)?;
+        let x = problem.values_of(&all);
+        let weighted = self.weighted(problem)?;
+        let weights = match self.settings.robust {
+            Some(_) => self.iterate(&weighted, &x, &self.options(x.len(), 1e-6, true))?.robust,
+            None => None,
+        };
+        let factor = weighted.factor(&x, weights.as_ref().map(|report| report.weights.as_slice()))?;
+        let selection = select.select(problem, &candidates, (&factor, &x), all.fit.degrees_of_freedom)?;
+        let mut calibration = self.estimate_all(&reduced(&problem.at(&x), &selection), explained)?;
+        calibration.fit.selection = Some(selection);
+        Ok(calibration)
+    }
+
+    fn estimate_all(&self, problem: &Problem, explained: bool) -> Result<Calibration> {
         Self::check(problem)?;
         let factor = factor_at_contact(problem, &problem.start())?;
         let started = self.started(problem, &factor)?;
@@ -376,6 +409,10 @@ impl Estimate for GaussNewton {
     }
 
     fn values(&self, problem: &Problem) -> Result<Vec<f64>> {
+        if self.settings.select.is_some() {
+            // Other data may well select others.
+            return Ok(problem.values_of(&self.estimate(problem, false)?));
+        }
         // Near the solution: what is left after this step is its square.
         let options = self.options(problem.unknowns.len(), 1e-6, true);
         Ok(self.iterate(&self.weighted(problem)?, &problem.start(), &options)?.x)

@@ -79,7 +79,7 @@ impl Validate for Compare {
         }
         set_limits(&self.settings.limits, &mut figures);
         let remarks = fits.iter().filter_map(|fit| not_converged(&fit.name, &fit.calibration)).collect();
-        Ok(Findings { figures, remarks })
+        Ok(Findings { figures, remarks, ..Findings::default() })
     }
 }
 

@@ -87,7 +87,7 @@ impl Validate for GeometricBias {
             figures.extend(self.figures(fit)?);
         }
         set_limits(&self.settings.limits, &mut figures);
-        Ok(Findings { figures, remarks: Vec::new() })
+        Ok(Findings { figures, ..Findings::default() })
     }
 }
 

@@ -1,5 +1,5 @@
 //! Validators: residuals and their dependence on time, comparison of fits, hold-out, comparison with a CMM, limits of
-//! uncertainty, consistency of calibrations, repeatability, the machine as a measuring machine.
+//! uncertainty, consistency of calibrations, repeatability, influence of rows, the machine as a measuring machine.
 //!
 //! Every figure is about one fit, unless it is about a data set. Rows that the fit lists as outliers do not count in statistics but are counted.
 
@@ -12,6 +12,7 @@ mod figures;
 mod folds;
 mod geometric_bias;
 mod hold_out;
+mod influence;
 mod minimal_set;
 mod one_at_a_time;
 mod repeatability;

@@ -139,6 +139,7 @@ mod every_validator {
                 "consistency",
                 "geometric-bias",
                 "hold-out",
+                "influence",
                 "minimal-set",
                 "repeatability",
                 "repeats",

@@ -148,7 +148,22 @@ impl Validate for Stage {
         let mut objects = Vec::new();
         let fits = fits.iter().map(|fit| FitText::of(fit, &mut objects)).collect();
         let question = JudgeText { fits, data: data.iter().map(|data| (*data).clone()).collect() };
-        ask(self.peer.as_ref(), ABBE_JUDGE, &question, &objects)
+        let peer = self.peer.as_ref();
+        let found: Findings = ask(peer, ABBE_JUDGE, &question, &objects)?;
+        stays_inside(peer, found.tables.keys())?;
+        Ok(found)
+    }
+}
+
+/// Refuses names of files outside of the folder of a stage.
+fn stays_inside<'a>(peer: &dyn Peer, mut names: impl Iterator<Item = &'a String>) -> Result<()> {
+    let outside = |name: &&String| {
+        let path = std::path::Path::new(name);
+        name.is_empty() || path.components().any(|part| !matches!(part, std::path::Component::Normal(_)))
+    };
+    match names.find(outside) {
+        Some(name) => Err(Error::data(format!("{} wants to write `{name}`, outside of its folder", peer.who()))),
+        None => Ok(()),
     }
 }
 
@@ -161,15 +176,7 @@ impl Export for Stage {
         let peer = self.peer.as_ref();
         let files: Vec<FileText> = Lent::during(model, |model| ask(peer, ABBE_WRITE, calibration, &[model]))?;
         let files: Vec<ExportedFile> = files.into_iter().map(ExportedFile::from).collect();
-        let outside = |name: &str| {
-            let path = std::path::Path::new(name);
-            name.is_empty() || path.components().any(|part| !matches!(part, std::path::Component::Normal(_)))
-        };
-        match files.iter().find(|file| outside(&file.name)) {
-            Some(file) => {
-                Err(Error::data(format!("{} wants to write `{}`, outside of its folder", peer.who(), file.name)))
-            }
-            None => Ok(files),
-        }
+        stays_inside(peer, files.iter().map(|file| &file.name))?;
+        Ok(files)
     }
 }

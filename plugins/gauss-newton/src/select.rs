@@ -1,0 +1,107 @@
+//! Leaves terms out that chance alone explains (Soons 1993, section 3.2.2): stepwise regression on the solution of all of them.
+
+use abbe_core::{
+    Error, Owner, PathItem, Problem, Result, Selection, SelectionDirection, SelectionStep, SettingsError, Unknown,
+    matches,
+};
+use abbe_numerics::{Direction, Factor};
+use schemars::JsonSchema;
+use serde::{Deserialize, Serialize};
+
+/// Settings of the selection.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct Select {
+    /// The parameters of the machine that may be left out: names and patterns.
+    candidates: Vec<String>,
+    /// A parameter is left out if chance alone makes one look as significant with at least this probability (partial F test).
+    #[serde(default = "default_level")]
+    level: f64,
+    /// Starting from all, parameters go out (`backward`); from none, they come in (`forward`), or also go out again (`both`).
+    #[serde(default)]
+    direction: SelectionDirection,
+}
+
+fn default_level() -> f64 {
+    1e-4
+}
+
+impl Select {
+    /// Refuses settings that make no sense.
+    pub fn check(&self) -> Result<(), SettingsError> {
+        if !(self.level > 0.0 && self.level < 1.0) {
+            return Err(SettingsError::new("level", "a probability between 0 and 1 was expected"));
+        }
+        if self.candidates.is_empty() {
+            return Err(SettingsError::new("candidates", "there is nothing to choose from"));
+        }
+        Ok(())
+    }
+
+    /// Indices of the candidates among the unknowns of a problem.
+    pub fn candidates(&self, problem: &Problem) -> Result<Vec<usize>> {
+        let of_machine = |unknown: &&Unknown| unknown.owner == Owner::Machine;
+        for (index, pattern) in self.candidates.iter().enumerate() {
+            let mut unknowns = problem.unknowns.iter().filter(of_machine);
+            if !unknowns.any(|unknown| matches(pattern, &unknown.name)) {
+                let names = problem.unknowns.iter().filter(of_machine).map(|unknown| unknown.name.as_str());
+                let mut error =
+                    Error::usage(format!("`{pattern}` matches no parameter of the machine that is estimated"));
+                error = error.suggest(pattern, names);
+                error.setting = ["select", "candidates"].map(|key| PathItem::Key(key.to_owned())).to_vec();
+                error.setting.push(PathItem::Index(index));
+                return Err(error);
+            }
+        }
+        let chosen = |unknown: &Unknown| self.candidates.iter().any(|pattern| matches(pattern, &unknown.name));
+        let unknowns = problem.unknowns.iter().enumerate();
+        Ok(unknowns.filter(|(_, unknown)| of_machine(unknown) && chosen(unknown)).map(|(index, _)| index).collect())
+    }
+
+    /// What is kept of the candidates, given the weighted rows at the solution `x` of all unknowns.
+    pub fn select(
+        &self,
+        problem: &Problem,
+        candidates: &[usize],
+        (factor, x): (&Factor, &[f64]),
+        degrees_of_freedom: usize,
+    ) -> Result<Selection> {
+        let direction = match self.direction {
+            SelectionDirection::Backward => Direction::Backward,
+            SelectionDirection::Forward => Direction::Forward,
+            SelectionDirection::Both => Direction::Both,
+        };
+        let found = factor.stepwise(x, candidates, degrees_of_freedom, self.level, direction).ok_or_else(|| {
+            Error::data("the significance of parameters cannot be told: some have no effect of their own")
+                .setting("select")
+        })?;
+        let name = |unknown: usize| problem.unknowns[unknown].name.clone();
+        let left_out = candidates.iter().copied().filter(|unknown| !found.kept.contains(unknown));
+        Ok(Selection {
+            level: self.level,
+            direction: self.direction,
+            left_out: left_out.map(name).collect(),
+            kept: found.kept.iter().copied().map(name).collect(),
+            steps: found
+                .steps
+                .iter()
+                .map(|step| SelectionStep {
+                    parameter: name(step.term),
+                    entered: step.entered,
+                    probability: step.probability,
+                })
+                .collect(),
+        })
+    }
+}
+
+/// The problem without what a selection leaves out, which is nominal: zero, as a rule.
+pub fn reduced(problem: &Problem, selection: &Selection) -> Problem {
+    let left_out = |unknown: &Unknown| selection.left_out.contains(&unknown.name);
+    let mut reduced = problem.without(left_out);
+    let nominal = problem.model.nominal();
+    for unknown in problem.unknowns.iter().filter(|unknown| left_out(unknown)) {
+        reduced.machine[unknown.index] = nominal[unknown.index];
+    }
+    reduced
+}
