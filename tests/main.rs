@@ -17,6 +17,7 @@ mod plugins;
 mod poses;
 mod rapid_verify;
 mod recipes;
+mod selection;
 mod simulate;
 mod sphere;
 mod support;

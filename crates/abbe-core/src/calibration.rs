@@ -403,8 +403,10 @@ pub struct SimulatedParameter {
     pub symmetric_interval: [f64; 2],
     /// Shortest coverage interval.
     pub shortest_interval: [f64; 2],
-    /// The comparison with the interval of the GUM uncertainty framework (JCGM 101:2008, clause 8).
-    pub gum: GumComparison,
+    /// The comparison with the interval of the GUM uncertainty framework (JCGM 101:2008, clause 8); none if the estimate states
+    /// no uncertainty of this parameter.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub gum: Option<GumComparison>,
 }
 
 /// Whether the GUM interval of an estimate agrees with that of the Monte Carlo calculation.

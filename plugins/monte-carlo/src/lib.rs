@@ -167,9 +167,17 @@ impl Propagation {
             let budget = fit.calibration.uncertainty.as_ref();
             let budget = budget.and_then(|budget| budget.parameters.iter().find(|part| part.name == unknown.name));
             let degrees_of_freedom = budget.and_then(|budget| budget.degrees_of_freedom);
-            let expanded = budget.map_or(f64::NAN, |budget| budget.expanded_uncertainty);
-            let tolerance = numerical_tolerance(standard_uncertainty, self.settings.digits);
-            let agreement = gum_agrees(estimate, expanded, symmetric, tolerance);
+            let gum = budget.map(|budget| {
+                let expanded = budget.expanded_uncertainty;
+                let tolerance = numerical_tolerance(standard_uncertainty, self.settings.digits);
+                let agreement = gum_agrees(estimate, expanded, symmetric, tolerance);
+                GumComparison {
+                    interval: [estimate - expanded, estimate + expanded],
+                    differences: [agreement.low_difference, agreement.high_difference],
+                    tolerance,
+                    validated: agreement.agrees,
+                }
+            });
             SimulatedParameter {
                 name: unknown.name.clone(),
                 unit: unknown.unit.to_string(),
@@ -178,12 +186,7 @@ impl Propagation {
                 degrees_of_freedom,
                 symmetric_interval: [symmetric.low, symmetric.high],
                 shortest_interval: [shortest.low, shortest.high],
-                gum: GumComparison {
-                    interval: [estimate - expanded, estimate + expanded],
-                    differences: [agreement.low_difference, agreement.high_difference],
-                    tolerance,
-                    validated: agreement.agrees,
-                },
+                gum,
             }
         });
         calibration.monte_carlo = Some(MonteCarlo {
