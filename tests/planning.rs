@@ -144,3 +144,110 @@ fn wrong_plans_are_refused() {
     let none = Variant::of(&recipes()["first-steps"]);
     assert!(try_plan(&none).is_err_and(|error| error.contains("says nothing of what is to be planned")));
 }
+
+/// The ball bars of `design-2d` made on a grid, without a file.
+fn on_a_grid() -> Variant {
+    let even = |from: i32, to: i32, step: i32| json!({ "from": from, "to": to, "step": step });
+    let mut recipe = ball_bars(|plan| {
+        plan.as_object_mut().expect("a plan").remove("by");
+        plan["generate"] = json!({ "lengths": {
+            "lengths_mm": [400], "x_mm": even(50, 450, 50), "y_mm": even(50, 450, 50), "z_mm": [0],
+            "azimuth_deg": even(0, 345, 15),
+        } });
+    });
+    recipe.stage("places")["path"] = json!("not-measured-yet.csv");
+    recipe
+}
+
+#[test]
+fn lengths_on_a_grid_are_those_of_the_data_set() {
+    let found = planned(&on_a_grid());
+    assert_eq!(found.plan.candidates, 392);
+    assert!((scaled_root(&found, 6.0) / 2.5e-5 - 1.0).abs() < 1e-9, "{}", scaled_root(&found, 6.0));
+    let (_, file) = found.files.iter().find(|(name, _)| name.ends_with("candidates.csv")).expect("a file to fill in");
+    let text = String::from_utf8(file.clone()).expect("text");
+    assert!(text.contains("group,reference_mm,X1_mm,Y1_mm,X2_mm,Y2_mm\n"), "{text}");
+    // The machine that lacks height lacks nothing: a bar that leaves the plane is out of reach.
+    let mut upright = on_a_grid();
+    upright.0["plan"]["generate"]["lengths"]["elevation_deg"] = json!([0, 90]);
+    assert_eq!(planned(&upright).plan.candidates, 392);
+    // Nothing has been measured yet: that is said where it matters.
+    let folder = temporary();
+    let file = on_a_grid().write(folder.path());
+    let told = abbe(folder.path(), &[Path::new("run"), &file]);
+    assert!(told.status == 2 && told.stderr.contains("there is no such file"), "{}", told.stderr);
+}
+
+#[test]
+fn indexations_on_a_grid_are_those_that_the_machine_reaches() {
+    let mut recipe = Variant::of(&recipes()["first-steps"]);
+    recipe.0["plan"] = json!({ "estimate": "fit", "candidates": "table", "by": "group", "number": 12, "restarts": 2,
+        "generate": {
+            "indexations_deg": { "B": { "from": -90, "to": 90, "step": 30 }, "C": [0, 90, 180, 270], "S": [0, 180] },
+            "reach_deg": 90,
+        } });
+    let axes =
+        json!({ "X": { "range_mm": [-700, 700] }, "Y": { "range_mm": [-700, 700] }, "Z": { "range_mm": [-200, 900] } });
+    recipe.stage("machine")["axes"] = axes;
+    let found = planned(&recipe);
+    assert_eq!(found.plan.chosen.len(), 12);
+    assert!(found.plan.candidates <= 8 * 56 && found.plan.candidates > 12, "{}", found.plan.candidates);
+    assert!(found.accepted);
+    // The file can be filled in: it is what `check` and `run` read, and says how axes approach.
+    let folder = temporary();
+    let file = folder.path().join("candidates.csv");
+    let (_, content) = found.files.iter().find(|(name, _)| name.ends_with("candidates.csv")).expect("a file");
+    std::fs::write(&file, content).expect("written");
+    let text = read(&file);
+    let header: Vec<&str> = text.lines().nth(1).expect("a header").split(',').collect();
+    assert_eq!(header[..2], ["group", "feature"]);
+    assert!(header.contains(&"dir_X") && header.contains(&"B_deg"), "{header:?}");
+    recipe.0.as_object_mut().expect("a recipe").remove("plan");
+    recipe.stage("touches")["path"] = json!(file);
+    recipe.stage("touches").as_object_mut().expect("a stage").remove("ignore");
+    // Nominal positions of a perfect machine: nothing to estimate is off.
+    let outcome = recipe.run();
+    for estimated in &outcome.fits[0].calibration.parameters {
+        assert!(estimated.value.abs() < 1e-6, "{estimated:?}");
+    }
+    // With all round access there are more rows at fewer limits.
+    let rows = |reach: f64| {
+        let mut wider = recipe.clone();
+        wider.0["plan"] = json!({ "estimate": "fit", "candidates": "table", "number": 60, "restarts": 1,
+            "generate": { "indexations_deg": { "B": [-60, -30, 0, 30, 60], "C": [0, 90], "S": [0, 180] }, "reach_deg": reach } });
+        planned(&wider).plan.candidates
+    };
+    assert!(rows(180.0) > rows(90.0));
+    // What no candidate tells is named.
+    recipe.0["plan"] = json!({ "estimate": "fit", "candidates": "table", "number": 60,
+        "generate": { "indexations_deg": { "C": [0, 90], "S": [0, 180] } } });
+    let error = try_plan(&recipe).err().unwrap_or_default();
+    assert!(error.contains("even all candidates together leave something open") && error.contains("EBB[b]"), "{error}");
+}
+
+#[test]
+fn wrong_grids_are_refused() {
+    let cases = [
+        (vec!["indexations_deg"], json!({ "B": [0] }), "the machine has no rotary axis B"),
+        (vec!["reach_deg"], json!(0), "an angle above 0"),
+        (vec!["duration_s"], json!(-3), "-3: a positive number was expected"),
+        (vec!["lengths", "x_mm"], json!([5, 4]), "these have to increase; 4 does not"),
+        (vec!["lengths", "lengths_mm"], json!([]), "at least one number"),
+        (vec!["lengths", "lengths_mm"], json!([-400]), "-400: a positive number"),
+        (vec!["lengths", "lengths_mm"], json!([4000]), "the machine reaches nothing of this"),
+    ];
+    for (path, value, expected) in cases {
+        let mut recipe = on_a_grid();
+        let mut place = &mut recipe.0["plan"]["generate"];
+        for key in &path {
+            place = &mut place[*key];
+        }
+        *place = value;
+        let error = try_plan(&recipe).err().unwrap_or_default();
+        assert!(error.contains(expected), "{path:?}: {error}");
+    }
+    let mut recipe = on_a_grid();
+    recipe.0["plan"]["generate"] = json!({});
+    let error = try_plan(&recipe).err().unwrap_or_default();
+    assert!(error.contains("this artefact has no features that the tip is sent to"), "{error}");
+}

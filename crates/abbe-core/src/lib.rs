@@ -21,8 +21,10 @@ mod planning;
 mod pose_table;
 mod probing;
 mod problem;
+mod reach;
 mod registry;
 mod serial;
+mod series;
 mod settings;
 mod solved;
 mod stage;
@@ -48,11 +50,13 @@ pub use observations::{
 };
 pub use parallel::in_parallel;
 pub use pattern::matches;
-pub use planning::{Planning, PlanningCriterion};
+pub use planning::{GeneratedLengths, Generation, Planning, PlanningCriterion};
 pub use pose_table::{ColumnNaming, PoseTable, StatusSource, plain_naming, pose_columns};
 pub use probing::Lobing;
 pub use problem::{Block, Considered, Input, ObservationSet, Owner, Problem, Scatter, Unknown};
+pub use reach::Reach;
 pub use registry::{Build, Constructor, Context, Kind, Origin, Plugin, Provider, Registry};
+pub use series::{EvenSeries, Series};
 pub use settings::{
     Label, Names, PathItem, SettingsError, from_settings, not_negative, path_text, positive, schema_of,
 };

@@ -1,8 +1,11 @@
 //! What a recipe says of measurements that are to be chosen.
 
+use std::collections::BTreeMap;
+
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
+use crate::series::Series;
 use crate::settings::{Label, PathItem, SettingsError, positive};
 
 /// The key `plan` of a recipe: which measurements to choose, and what makes a choice good.
@@ -13,6 +16,9 @@ pub struct Planning {
     pub estimate: String,
     /// The artefact stage whose rows there are to choose from.
     pub candidates: String,
+    /// Candidates that are made here; without it they are the rows of the stage's data.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub generate: Option<Generation>,
     /// Column of labels whose rows are measured together (an indexation); without it every row is chosen by itself.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub by: Option<String>,
@@ -43,6 +49,89 @@ pub struct Planning {
     /// Seed of the random starts.
     #[serde(default)]
     pub seed: u64,
+}
+
+/// Candidates on a grid: where the nominal machine can measure the artefact.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct Generation {
+    /// Positions of rotary axes, in degrees; every combination is an indexation, with a label of its own in the column `group`,
+    /// and where the machine's model has a backlash of the axis, so is every direction from which it comes there.
+    /// Axes that are not named stand at zero.
+    #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
+    pub indexations_deg: BTreeMap<String, Series>,
+    /// Features are touched only where the direction away from their surface is off the direction from the tip into the spindle by
+    /// no more than this, in degrees.
+    #[serde(default = "reach")]
+    pub reach_deg: f64,
+    /// Lengths between two poses on a grid; without them the features of the artefact are measured.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub lengths: Option<GeneratedLengths>,
+    /// Time that a row takes.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub duration_s: Option<f64>,
+}
+
+/// Places and directions of lengths, in the table frame: every combination whose ends the axes reach.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct GeneratedLengths {
+    /// The lengths.
+    pub lengths_mm: Series,
+    /// Where the first end is.
+    pub x_mm: Series,
+    /// Where the first end is.
+    pub y_mm: Series,
+    /// Where the first end is.
+    pub z_mm: Series,
+    /// Direction to the other end in the plane of x and y, in degrees from x.
+    #[serde(default = "along_x")]
+    pub azimuth_deg: Series,
+    /// Its angle to that plane, in degrees.
+    #[serde(default = "along_x")]
+    pub elevation_deg: Series,
+}
+
+fn reach() -> f64 {
+    // The side of a facet or ball that a stylus passes without touching with its shank.
+    90.0
+}
+
+fn along_x() -> Series {
+    Series::Listed(vec![0.0])
+}
+
+impl Generation {
+    fn check(&self) -> Result<(), SettingsError> {
+        let series = |name: &str, series: &Series| match series.values() {
+            Ok(values) if values.is_empty() => Err(SettingsError::new(name, "at least one number was expected")),
+            Ok(_) => Ok(()),
+            Err(error) => Err(error.under([PathItem::Key(name.to_owned())])),
+        };
+        for (axis, positions) in &self.indexations_deg {
+            let under = |error: SettingsError| error.under([PathItem::Key("indexations_deg".to_owned())]);
+            series(axis, positions).map_err(under)?;
+        }
+        if !(self.reach_deg > 0.0 && self.reach_deg <= 180.0) {
+            return Err(SettingsError::new("reach_deg", "an angle above 0 and up to 180 degrees was expected"));
+        }
+        if let Some(duration) = self.duration_s {
+            positive("duration_s", duration)?;
+        }
+        let Some(lengths) = &self.lengths else { return Ok(()) };
+        let all = [
+            ("lengths_mm", &lengths.lengths_mm),
+            ("x_mm", &lengths.x_mm),
+            ("y_mm", &lengths.y_mm),
+            ("z_mm", &lengths.z_mm),
+            ("azimuth_deg", &lengths.azimuth_deg),
+            ("elevation_deg", &lengths.elevation_deg),
+        ];
+        let under = |error: SettingsError| error.under([PathItem::Key("lengths".to_owned())]);
+        all.into_iter().try_for_each(|(name, values)| series(name, values).map_err(under))?;
+        let shortest = lengths.lengths_mm.values().map(|lengths| lengths[0]);
+        positive("lengths_mm", shortest.unwrap_or_default()).map_err(under).map(drop)
+    }
 }
 
 /// What makes a choice of measurements good (Soons 1993, section 4.2; Rahman 2016, Table 8-4).
@@ -80,6 +169,9 @@ impl Planning {
         }
         if self.restarts == 0 {
             return Err(SettingsError::new("restarts", "at least one was expected"));
+        }
+        if let Some(generate) = &self.generate {
+            generate.check().map_err(|error| error.under([PathItem::Key("generate".to_owned())]))?;
         }
         let both = self.required.iter().position(|required| self.forbidden.contains(required));
         match both {

@@ -3,9 +3,11 @@
 use std::collections::BTreeMap;
 use std::fs;
 use std::path::{Path, PathBuf};
+use std::sync::Arc;
 
-use abbe_core::{Dataset, Error, Identifiability, Result};
-use abbe_planning::{Plan, PlanFigures, plan};
+use abbe_core::{Dataset, Error, Generation, Identifiability, NullVector, Planning, Result};
+use abbe_planning::{Plan, PlanFigures, generate, plan};
+use abbe_recipe::Stage;
 use serde_json::{Value, json};
 
 use crate::folder::write_folder;
@@ -42,24 +44,63 @@ impl Prepared {
                 .help("add `plan: { estimate: .., candidates: .., number: .. }` to it")
                 .in_file(&self.recipe.path)
         })?;
-        let data = self.read(&|_| {})?;
         let stage = self.recipe_stage(&wanted.estimate)?;
         if !has_problem(&stage) {
             let error = Error::usage(format!("`{}` has no machine and observations of its own", stage.name));
             return Err(self.recipe.locate_plan(error.setting("estimate")));
         }
+        let generated = match &wanted.generate {
+            Some(generation) => Some(self.generated(stage, wanted, generation)?),
+            None => None,
+        };
+        let data = self.read(&|_| {}, generated.as_ref().map(|generated| (generated.ingest, &generated.data)))?;
         let problem = self.located(stage, self.problem(stage, &data, &mut Taken::default()))?;
-        let plan = plan(&problem, wanted).map_err(|error| self.recipe.locate_plan(error))?;
         let estimator = &self.estimators[&stage.name];
+        let plan = plan(&problem, wanted).map_err(|error| self.recipe.locate_plan(error));
+        let plan = plan.map_err(|error| match estimator.identify(&problem) {
+            // Whatever is to be chosen, these stay open.
+            Ok(all) if all.rank < all.unknowns => with_lost(error, &all),
+            _ => error,
+        })?;
         let identifiability = self.located(stage, estimator.identify(&plan.problem))?;
         let accepted = estimator.accepts(&identifiability);
-        let from = &data[self.artefact(&wanted.candidates)?.0];
-        let mut files = rows(from, &plan)?;
+        let mut files = match &generated {
+            Some(generated) => {
+                BTreeMap::from([(PathBuf::from(GENERATED), chosen(&generated.text, &plan.data_rows, &generated.data))])
+            }
+            None => rows(&data[self.artefact(&wanted.candidates)?.0], &plan)?,
+        };
         let record = serde_json::to_string_pretty(&record(&stage.name, &plan, &identifiability))
             .map_err(|error| Error::data(format!("the plan cannot be written: {error}")))?
             + "\n";
         files.insert(PathBuf::from(RECORD), record.clone().into_bytes());
         Ok(Measurements { estimate: stage.name.clone(), plan, identifiability, accepted, record, files })
+    }
+}
+
+/// Candidates that were made on a grid, in the place of what an ingest stage reads.
+struct Generated<'a> {
+    ingest: &'a str,
+    text: String,
+    data: Arc<Dataset>,
+}
+
+/// The file with the chosen ones.
+const GENERATED: &str = "candidates.csv";
+
+impl Prepared {
+    fn generated(&self, stage: &Stage, wanted: &Planning, generation: &Generation) -> Result<Generated<'_>> {
+        let observed = stage.reference("observations");
+        if !observed.contains(&wanted.candidates) {
+            let error = Error::usage(format!("`{}` does not observe `{}`", stage.name, wanted.candidates));
+            let error = error.setting("candidates").suggest(&wanted.candidates, observed.iter().map(String::as_str));
+            return Err(self.recipe.locate_plan(error));
+        }
+        let (ingest, artefact) = self.artefact(&wanted.candidates)?;
+        let model = self.located(stage, self.model(stage)?.build(&[]))?;
+        let text = generate(generation, artefact, model.as_ref()).map_err(|error| self.recipe.locate_plan(error))?;
+        let data = Arc::new(abbe_table::parse(Path::new(GENERATED), text.as_bytes())?);
+        Ok(Generated { ingest, text, data })
     }
 }
 
@@ -70,28 +111,39 @@ impl Measurements {
     }
 }
 
+/// The error with what all candidates together leave open.
+fn with_lost(error: Error, all: &Identifiability) -> Error {
+    let lost: Vec<String> = all.null_space.iter().map(NullVector::describe).collect();
+    Error { message: format!("{}:\n- {}", error.message, lost.join("\n- ")), ..error }
+}
+
 /// The chosen rows as they stand in their files, under the header of these.
 fn rows(data: &Dataset, plan: &Plan) -> Result<BTreeMap<PathBuf, Vec<u8>>> {
     let mut files = BTreeMap::new();
     for (index, path) in data.files.iter().enumerate() {
-        let of_file = plan.data_rows.iter().map(|&row| data.origins[row]).filter(|origin| origin.file == index);
-        let lines: Vec<usize> = of_file.map(|origin| origin.line).collect();
-        if lines.is_empty() {
+        let of_file: Vec<usize> =
+            plan.data_rows.iter().copied().filter(|&row| data.origins[row].file == index).collect();
+        if of_file.is_empty() {
             continue;
         }
         let text = fs::read_to_string(path)
             .map_err(|error| Error::data(format!("the file cannot be read: {error}")).in_file(path))?;
-        let all: Vec<&str> = text.trim_start_matches('\u{feff}').lines().collect();
-        let header = all.iter().find(|line| !line.starts_with('#') && !line.trim().is_empty());
-        let chosen = lines.iter().filter_map(|line| all.get(line - 1));
-        let mut written = format!("# {} rows, chosen by `abbe plan`\n", lines.len());
-        header.into_iter().chain(chosen).for_each(|line| written.extend([line, "\n"]));
         let name = path.file_name().map_or_else(|| PathBuf::from("plan.csv"), PathBuf::from);
-        if files.insert(name, written.into_bytes()).is_some() {
+        if files.insert(name, chosen(&text, &of_file, data)).is_some() {
             return Err(Error::usage("two files of candidates have the same name").in_file(path));
         }
     }
     Ok(files)
+}
+
+/// Some rows of a file, under its header.
+fn chosen(text: &str, rows: &[usize], data: &Dataset) -> Vec<u8> {
+    let all: Vec<&str> = text.trim_start_matches('\u{feff}').lines().collect();
+    let header = all.iter().find(|line| !line.starts_with('#') && !line.trim().is_empty());
+    let lines = rows.iter().filter_map(|&row| all.get(data.origins[row].line - 1));
+    let mut written = format!("# {} rows, chosen by `abbe plan`\n", rows.len());
+    header.into_iter().chain(lines).for_each(|line| written.extend([line, "\n"]));
+    written.into_bytes()
 }
 
 /// `plan.json`.

@@ -63,6 +63,9 @@ pub fn prepare(path: &Path, registry: &Registry) -> Result<Prepared> {
         let inputs = prepared.build(&stage, registry, &context)?;
         prepared.files.extend(stage.files.iter().cloned());
         for InputFile { setting, path } in inputs {
+            if !path.is_file() && prepared.is_planned(&stage.name) {
+                continue;
+            }
             if !path.is_file() {
                 let what = if path.is_dir() { "is a folder; a file was expected" } else { "does not exist" };
                 let error = Error::usage(format!("{} {what}", path.display())).setting(setting);
@@ -134,6 +137,7 @@ impl Prepared {
     /// Checks what stages say of each other: columns against the machine, observations that a validator names.
     fn check_stage(&self, stage: &Stage) -> Result<()> {
         match stage.kind {
+            Kind::Ingest if self.is_planned(&stage.name) => Ok(()),
             Kind::Ingest => self.headers(&stage.name).map(drop),
             Kind::Estimate if !stage.reference("of").is_empty() => Ok(()),
             Kind::Estimate => {
@@ -142,7 +146,7 @@ impl Prepared {
                 for name in stage.reference("observations") {
                     let (from, artefact) = self.artefact(name)?;
                     let repeats = self.repeats(name)?;
-                    for ingest in std::iter::once(from).chain(repeats) {
+                    for ingest in std::iter::once(from).chain(repeats).filter(|ingest| !self.is_planned(ingest)) {
                         let (headers, files) = (self.headers(ingest)?, self.ingests[ingest].inputs());
                         let file = files.first().map(|file| &file.path);
                         artefact.check(&headers, file, model.as_ref()).map_err(|error| error.stage(name))?;
@@ -165,6 +169,14 @@ impl Prepared {
             }
             Kind::Artefact | Kind::Model | Kind::Export => Ok(()),
         }
+    }
+
+    /// Whether an ingest stage has nothing to read yet: its rows are candidates that the key `plan` makes.
+    fn is_planned(&self, ingest: &str) -> bool {
+        let planned = self.recipe.plan.as_ref().filter(|plan| plan.generate.is_some());
+        let stage = planned.and_then(|plan| self.recipe_stage(&plan.candidates).ok());
+        let reads = stage.is_some_and(|stage| stage.reference("from").iter().any(|from| from == ingest));
+        reads && self.ingests.get(ingest).is_some_and(|built| built.inputs().iter().any(|input| !input.path.is_file()))
     }
 
     fn headers(&self, ingest: &str) -> Result<Vec<ColumnHeader>> {

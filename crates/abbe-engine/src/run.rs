@@ -50,7 +50,7 @@ pub(crate) type Datasets = BTreeMap<String, Arc<Dataset>>;
 impl Prepared {
     /// Everything but the fits: data, problems, and what the fits can determine at nominal contact points.
     pub fn check(&self) -> Result<Vec<Planned>> {
-        let data = self.read(&|_| {})?;
+        let data = self.read(&|_| {}, None)?;
         let mut taken = Taken::default();
         let mut planned = Vec::new();
         for stage in self.stages(Kind::Estimate).filter(has_problem) {
@@ -70,7 +70,7 @@ impl Prepared {
     pub fn run(&self, tell: &Listener<'_>) -> Result<Outcome> {
         let (started, clock) = (SystemTime::now(), Instant::now());
         let inputs = input_records(&self.files)?;
-        let data = self.read(tell)?;
+        let data = self.read(tell, None)?;
         let mut taken = Taken::default();
         let mut problems = BTreeMap::new();
         for stage in self.stages(Kind::Estimate).filter(has_problem) {
@@ -158,12 +158,16 @@ impl Prepared {
         tell(Event::Started { stage: &stage.name, kind: stage.kind, done, all: working.len() });
     }
 
-    pub(crate) fn read(&self, tell: &Listener<'_>) -> Result<Datasets> {
+    /// What the ingest stages read; one of them may have been made instead.
+    pub(crate) fn read(&self, tell: &Listener<'_>, made: Option<(&str, &Arc<Dataset>)>) -> Result<Datasets> {
         let mut data = BTreeMap::new();
         for stage in self.stages(Kind::Ingest) {
             self.started(stage, tell);
-            let read = self.located(stage, self.ingests[&stage.name].read())?;
-            data.insert(stage.name.clone(), Arc::new(read));
+            let read = match made.filter(|(ingest, _)| *ingest == stage.name) {
+                Some((_, made)) => made.clone(),
+                None => Arc::new(self.located(stage, self.ingests[&stage.name].read())?),
+            };
+            data.insert(stage.name.clone(), read);
         }
         Ok(data)
     }

@@ -114,7 +114,7 @@ mod tests {
                 json!({ "drift": ["dzt"], "degrees": [1], "per": "dya" }),
                 "per: unknown choice `dya` (did you mean `day`?)",
             ),
-            (json!({ "spline": ["EXX"], "knots_mm": [0, 50, 50] }), "knots_mm[2]: knots have to increase; 50 does not"),
+            (json!({ "spline": ["EXX"], "knots_mm": [0, 50, 50] }), "knots_mm[2]: these have to increase; 50 does not"),
             (json!({ "spline": ["EXX"], "knots_mm": [0, 50] }), "knots_mm: a spline has 3 knots at least; 2 are given"),
             (
                 json!({ "spline": ["EXX"], "knots_mm": { "from": 0, "to": 500, "step": 60 } }),
@@ -122,7 +122,7 @@ mod tests {
             ),
             (
                 json!({ "spline": ["EXX"], "knots_mm": { "from": 0, "to": 500, "step": -50 } }),
-                "knots_mm: knots from 0 to 500 in steps of -50: a smaller `from`, a larger `to` and a positive `step` were expected",
+                "knots_mm: from 0 to 500 in steps of -50: a smaller `from`, a larger `to` and a positive `step` were expected",
             ),
             (json!({ "spline": ["EXX"] }), "a spline needs `knots_mm` (or `knots_deg` of a rotary axis)"),
             (json!({ "fourier": ["EXC"], "orders": [0] }), "orders[0]: order 0: 1 to 99 was expected"),

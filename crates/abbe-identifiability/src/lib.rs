@@ -8,7 +8,6 @@
 
 mod direction;
 mod places;
-mod reach;
 mod statuses;
 
 use abbe_core::{NullVector, Problem, Result};

@@ -1,8 +1,7 @@
 //! Trials elsewhere on the table: a feature that is not known, and a length that is.
 
-use abbe_core::{AxisKind, Problem, Result};
+use abbe_core::{AxisKind, Problem, Reach, Result};
 
-use crate::reach::Reach;
 use crate::{Group, Measured, Trial};
 
 /// How far from what is touched a feature is tried, mm.
@@ -86,7 +85,7 @@ pub fn places(problem: &Problem, recorded: &Problem) -> Result<Vec<Trial>> {
     if indexations.is_empty() || !bounds.low.iter().all(|side| side.is_finite()) {
         return Ok(Vec::new());
     }
-    let reach = Reach::new(recorded, None);
+    let reach = Reach::new(recorded.model.as_ref(), &recorded.machine, None);
     let mut trials = Vec::new();
     for point in bounds.candidates() {
         let points = vec![point; indexations.len()];
@@ -137,7 +136,7 @@ fn touched(recorded: &Problem) -> Result<Vec<[f64; 3]>> {
     let features = recorded.sets.iter().flat_map(|set| set.observations.features());
     let points: Vec<[f64; 3]> = features.map(|feature| feature.point).collect();
     if points.is_empty() {
-        return Reach::new(recorded, None).tips(&recorded_statuses(recorded));
+        return Reach::new(recorded.model.as_ref(), &recorded.machine, None).tips(&recorded_statuses(recorded));
     }
     Ok(points)
 }

@@ -1,9 +1,8 @@
 //! Trials of the recorded rows at other statuses: other positions of an axis, the other direction of approach, another
 //! stylus.
 
-use abbe_core::{Axis, AxisKind, ObservationSet, PoseTable, Problem, Quantity, Result, StatusColumn};
+use abbe_core::{Axis, AxisKind, ObservationSet, PoseTable, Problem, Quantity, Reach, Result, StatusColumn};
 
-use crate::reach::Reach;
 use crate::{Group, Measured, Trial, listed};
 
 /// Positions that are tried, degrees: of a rotary axis and of one that is indexed.
@@ -154,7 +153,7 @@ fn other(status: &StatusColumn, values: &[f64]) -> Vec<Alternative> {
 
 /// The rows with a status at another value and their tips where they were; none if no row gets there.
 fn at_status(recorded: &Problem, status: usize, value: f64) -> Result<Option<Problem>> {
-    let reach = Reach::new(recorded, Some(status));
+    let reach = Reach::new(recorded.model.as_ref(), &recorded.machine, Some(status));
     let mut moved = recorded.clone();
     for set in &mut moved.sets {
         let mut poses = set.poses().clone();

@@ -6,9 +6,12 @@
 //! that nothing here knows a machine or an artefact.
 
 mod candidates;
+mod generate;
 
 use abbe_core::{Error, PathItem, Planning, PlanningCriterion, Problem, Result, Unknown, in_parallel, matches};
 use abbe_numerics::{Choice, Criterion, Design, DesignFigures, Generator};
+
+pub use generate::generate;
 
 use candidates::{Candidate, candidates};
 
@@ -95,7 +98,7 @@ pub fn plan(problem: &Problem, wanted: &Planning) -> Result<Plan> {
     let choice = scaled.choice(&found, wanted, count(problem, wanted));
     if choice.figures(&(0..found.len()).collect::<Vec<_>>()).is_none() {
         let message = "even all candidates together leave something open";
-        return Err(wrong("candidates", message).help("`abbe check` tells what"));
+        return Err(wrong("candidates", message).help("offer more candidates, or estimate fewer parameters"));
     }
     let searches: Vec<u64> = (0..u64::from(wanted.restarts)).collect();
     let searched = in_parallel(&searches, None, |search| choice.exchange(&mut Generator::new(wanted.seed, *search)));

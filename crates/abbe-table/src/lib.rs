@@ -29,6 +29,11 @@ pub fn read(path: &Path) -> Result<Dataset> {
     parse::dataset(path, &fs::read(path).map_err(|error| unreadable(path, &error))?)
 }
 
+/// The data set that a text is; `path` names it in messages.
+pub fn parse(path: &Path, text: &[u8]) -> Result<Dataset> {
+    parse::dataset(path, text)
+}
+
 fn unreadable(path: &Path, error: &io::Error) -> Error {
     let message = match error.kind() {
         io::ErrorKind::NotFound => "there is no such file".to_owned(),

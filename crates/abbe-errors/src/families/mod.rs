@@ -24,7 +24,7 @@ pub use b_spline::{BSpline, BSplines};
 pub use constant::{Constant, Location, StylusIs};
 pub use drift::{Drift, LegendreInTime, Per};
 pub use fourier::{Fourier, FourierSeries};
-pub use knots::{EvenKnots, Knots};
+pub use knots::Knots;
 pub use load::{Load, LocationUnderLoad, UnderLoad};
 pub use orthogonal::{Chebyshev, Legendre, Orthogonal, OrthogonalPolynomial};
 pub use periodic::{Periodic, PeriodicPieces};

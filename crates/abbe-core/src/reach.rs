@@ -1,7 +1,9 @@
 //! Where the linear axes have to stand for the tip to be at a point.
 
-use abbe_core::{AxisKind, Poses, Problem, Result, Variable};
 use nalgebra::{DMatrix, DVector};
+
+use crate::error::Result;
+use crate::model::{AxisKind, KinematicModel, Poses, Variable};
 
 /// Distance from a point at which the tip is on it, mm.
 const ON: f64 = 1e-6;
@@ -11,25 +13,26 @@ const STEPS: usize = 8;
 
 /// Moves linear axes until tips are at points of the table frame.
 pub struct Reach<'a> {
-    problem: &'a Problem,
+    model: &'a dyn KinematicModel,
+    values: &'a [f64],
     wanted: Vec<Variable>,
     /// Status and range of every linear axis that moves.
     linear: Vec<(usize, Option<[f64; 2]>)>,
 }
 
 impl<'a> Reach<'a> {
-    /// For the model of a problem at its own values; the axis with the status `held` does not move.
-    pub fn new(problem: &'a Problem, held: Option<usize>) -> Self {
-        let axes = problem.model.axes().iter().enumerate();
+    /// For a model with these values of its parameters; the axis with the status `held` does not move.
+    pub fn new(model: &'a dyn KinematicModel, values: &'a [f64], held: Option<usize>) -> Self {
+        let axes = model.axes().iter().enumerate();
         let linear = axes.filter(|(_, axis)| axis.kind == AxisKind::Linear && Some(axis.status) != held);
         let (wanted, linear) =
             linear.map(|(index, axis)| (Variable::Command(index), (axis.status, axis.range))).unzip();
-        Self { problem, wanted, linear }
+        Self { model, values, wanted, linear }
     }
 
     fn evaluate(&self, statuses: &[Vec<f64>], wanted: &[Variable]) -> Result<Poses> {
         let mut poses = Poses::default();
-        self.problem.model.evaluate(&statuses.concat(), &self.problem.machine, wanted, false, &mut poses)?;
+        self.model.evaluate(&statuses.concat(), self.values, wanted, false, &mut poses)?;
         Ok(poses)
     }
 
@@ -70,6 +73,7 @@ impl<'a> Reach<'a> {
     }
 
     fn in_range(&self, status: &[f64]) -> bool {
-        self.linear.iter().all(|(axis, range)| range.is_none_or(|[from, to]| (from..=to).contains(&status[*axis])))
+        let within = |status: f64, [from, to]: [f64; 2]| (from - ON..=to + ON).contains(&status);
+        self.linear.iter().all(|(axis, range)| range.is_none_or(|range| within(status[*axis], range)))
     }
 }
