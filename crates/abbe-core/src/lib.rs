@@ -33,7 +33,7 @@ mod verdict;
 pub use calibration::{
     CALIBRATION_FORMAT, Calibration, Combination, Contribution, Correlated, Covariance, Estimated, FitReport,
     GumComparison, Identifiability, JointCoverage, ModelRecord, MonteCarlo, NullVector, Outlier, ParameterBudget,
-    SimulatedParameter, Status, Termination, UncertaintyBudget,
+    SameMotion, SimulatedParameter, Status, Termination, UncertaintyBudget,
 };
 pub use contact::Variation;
 pub use dataset::{Column, ColumnHeader, Dataset, RowOrigin, Values};

@@ -19,6 +19,7 @@ pub fn text(name: &str, outcome: &Outcome, folder: &Path) -> String {
         parts.push(section("Fits", &fits(&outcome.fits)));
         parts.extend(outliers(&outcome.fits));
         parts.extend(lost(&outcome.fits));
+        parts.extend(alike(&outcome.fits));
         parts.extend(correlated(&outcome.fits));
         parts.extend(unlikely(&outcome.fits));
     }
@@ -149,6 +150,17 @@ fn lost(fits: &[Fit]) -> Option<String> {
     });
     let text: String = lines.collect();
     (!text.is_empty()).then(|| section("Not determined", &text))
+}
+
+/// What moves the tip alike.
+const ALIKE: &str = "Told apart by the choice of functions only";
+
+fn alike(fits: &[Fit]) -> Option<String> {
+    let lines = fits.iter().flat_map(|fit| {
+        fit.calibration.fit.same_motion.iter().map(|same| format!("  {}: {}\n", fit.name, same.describe()))
+    });
+    let text: String = lines.collect();
+    (!text.is_empty()).then(|| section(ALIKE, &text))
 }
 
 fn correlated(fits: &[Fit]) -> Option<String> {
@@ -283,6 +295,14 @@ pub fn planned_text(recipe: &Recipe, planned: &[Planned]) -> String {
     let lost: String = lines.collect();
     if !lost.is_empty() {
         text.push_str(&format!("\n{}", section("Not determined", &lost)));
+    }
+    let lines = planned.iter().flat_map(|planned| {
+        let alike = planned.identifiability.same_motion.iter();
+        alike.map(|same| format!("  {}: {}\n", planned.estimate, same.describe()))
+    });
+    let alike: String = lines.collect();
+    if !alike.is_empty() {
+        text.push_str(&format!("\n{}", section(ALIKE, &alike)));
     }
     for planned in planned {
         for remark in &planned.identifiability.remarks {

@@ -119,6 +119,7 @@ impl System {
             residual_rms_urad: None,
             null_space: Vec::new(),
             weakest: self.found.weakest.clone(),
+            same_motion: Vec::new(),
         };
         Ok(problem.calibration(x, self.covariance(&standard, scale), Vec::new(), fit))
     }
@@ -235,6 +236,7 @@ fn solved(
         condition: largest / least,
         null_space,
         weakest,
+        same_motion: Vec::new(),
         remarks: Vec::new(),
         uncertainty: None,
     };

@@ -127,6 +127,7 @@ fn fit(values: &[f64]) -> Fit {
             residual_rms_urad: None,
             null_space: Vec::new(),
             weakest: Vec::new(),
+            same_motion: Vec::new(),
         },
         uncertainty: None,
         monte_carlo: None,
