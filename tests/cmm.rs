@@ -175,7 +175,9 @@ fn with_confounded(parameters: Value) -> Variant {
     let mut recipe = Variant::of(&recipes()["cmm-brute-force-exact"]).only(&[]);
     let errors = recipe.stage("cmm")["errors"].as_array_mut().expect("errors");
     errors.push(json!({ "piecewise": ["ECX"], "degree": 2, "continuity": 1, "knots_mm": [137.5, 275, 412.5] }));
-    errors.push(json!({ "piecewise": ["EAZ", "EBZ", "ECZ"], "degree": 2, "continuity": 1, "knots_mm": [112.5, 225, 337.5] }));
+    errors.push(
+        json!({ "piecewise": ["EAZ", "EBZ", "ECZ"], "degree": 2, "continuity": 1, "knots_mm": [112.5, 225, 337.5] }),
+    );
     recipe.0["stages"]["fit"] =
         json!({ "estimate": "gauss-newton", "machine": "cmm", "observations": "laser", "parameters": parameters });
     recipe
@@ -197,7 +199,9 @@ fn what_one_probe_offset_cannot_separate_is_named() {
         ("EBZ", [("EXZ", -180.0), ("EZZ", -40.0)]),
         ("ECZ", [("EXZ", 25.0), ("EYZ", 40.0)]),
     ];
-    let kept = json!(["E?0?", "EXX*", "EYY*", "EZZ*", "EYX*", "EZX*", "EXY*", "EZY*", "EXZ*", "EYZ*", "EAX*", "EBX*", "E?Y[*"]);
+    let kept = json!([
+        "E?0?", "EXX*", "EYY*", "EZZ*", "EYX*", "EZX*", "EXY*", "EZY*", "EXZ*", "EYZ*", "EAX*", "EBX*", "E?Y[*"
+    ]);
     let held = check(&with_confounded(kept));
     assert_eq!((held.unknowns, held.rank), (73, 73));
     for (found, is_held) in [(&all, false), (&held, true)] {
@@ -276,7 +280,8 @@ fn other_errors(expansion: [f64; 2]) -> Value {
 fn error(kind: &str, axis: usize, q: f64, temperatures: [f64; 2]) -> f64 {
     let (name, [from, to]) = TRAVELS[axis];
     let symbol = format!("E{kind}{name}");
-    let of = |term: &str| TRUTH.iter().find(|(known, _)| *known == format!("{symbol}[{term}]")).map_or(0.0, |known| known.1);
+    let of =
+        |term: &str| TRUTH.iter().find(|(known, _)| *known == format!("{symbol}[{term}]")).map_or(0.0, |known| known.1);
     let is_straightness = "XYZ".contains(kind) && kind != name;
     // The least squares line of a parabola over its travel.
     let line = (from + to) * q - (from * from + to * to + 4.0 * from * to) / 6.0;
@@ -294,7 +299,9 @@ fn error(kind: &str, axis: usize, q: f64, temperatures: [f64; 2]) -> f64 {
 fn moved(axis: usize, q: f64, sense: f64, location: [f64; 3], temperatures: [f64; 2]) -> Isometry3<f64> {
     let turned = |[a, b, c]: [f64; 3]| {
         let about = |axis: Vector3<f64>, angle| Rotation3::new(axis * angle);
-        UnitQuaternion::from_rotation_matrix(&(about(Vector3::z(), c) * about(Vector3::y(), b) * about(Vector3::x(), a)))
+        UnitQuaternion::from_rotation_matrix(
+            &(about(Vector3::z(), c) * about(Vector3::y(), b) * about(Vector3::x(), a)),
+        )
     };
     let of = |kinds: [&str; 3]| kinds.map(|kind| error(kind, axis, q, temperatures));
     let mut along = Vector3::zeros();
@@ -324,7 +331,8 @@ fn other_cmm(expansion: [f64; 2], parameters: Value, further: Option<Value>) -> 
     };
     let mut rows = "X1_mm,Y1_mm,Z1_mm,X2_mm,Y2_mm,Z2_mm,T_X_degC,T_Y_degC,T_degC,reference_mm\n".to_owned();
     while rows.lines().count() <= 400 {
-        let [one, other] = [(); 2].map(|()| TRAVELS.map(|(_, [from, to])| (from + (to - from) * random() * 1e3).round() / 1e3));
+        let [one, other] =
+            [(); 2].map(|()| TRAVELS.map(|(_, [from, to])| ((from + (to - from) * random()) * 1e3).round() / 1e3));
         let [one, other] = [one, other].map(|point: [f64; 3]| {
             let inside = |index: usize| point[index].clamp(TRAVELS[index].1[0], TRAVELS[index].1[1]);
             [inside(0), inside(1), inside(2)]

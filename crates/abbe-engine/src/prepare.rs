@@ -136,13 +136,12 @@ impl Prepared {
         match stage.kind {
             Kind::Ingest => self.headers(&stage.name).map(drop),
             Kind::Estimate if !stage.reference("of").is_empty() => Ok(()),
-            Kind::Estimate => {
-                self.check_columns(stage, stage.reference("observations"))
-            }
+            Kind::Estimate => self.check_columns(stage, stage.reference("observations")),
             Kind::Validate => {
                 let others = stage.reference("observations");
                 if !others.is_empty() && !self.validators[&stage.name].judges_other_rows() {
-                    let message = format!("`{}` judges what its estimates observe; it takes no other observations", stage.plugin);
+                    let message =
+                        format!("`{}` judges what its estimates observe; it takes no other observations", stage.plugin);
                     return Err(Error::usage(message).setting("observations"));
                 }
                 for fit in stage.reference("of") {

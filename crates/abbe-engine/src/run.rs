@@ -5,8 +5,8 @@ use std::sync::Arc;
 use std::time::{Instant, SystemTime};
 
 use abbe_core::{
-    Calibration, Dataset, Error, Fit, Identifiability, Kind, KinematicModel, ObservationSet, Owner, Poses, Problem, Registry, Result,
-    Verdict, in_parallel,
+    Calibration, Dataset, Error, Fit, Identifiability, Kind, KinematicModel, ObservationSet, Owner, Poses, Problem,
+    Registry, Result, Verdict, in_parallel,
 };
 use abbe_recipe::Stage;
 

@@ -5,8 +5,8 @@ use serde::Serialize;
 use serde_json::{Value, json};
 
 use crate::families::{
-    BSpline, Backlash, Chebyshev, Drift, Expansion, Family, Fourier, Legendre, Load, Location, Periodic, Piecewise, Polynomial,
-    Product, Spline,
+    BSpline, Backlash, Chebyshev, Drift, Expansion, Family, Fourier, Legendre, Load, Location, Periodic, Piecewise,
+    Polynomial, Product, Spline,
 };
 
 /// Makes the enum of all families from a list of their keys and types.

@@ -209,9 +209,7 @@ impl Choice {
         let mut free = self.allowed.clone();
         let taken = if self.replications { &chosen[position..=position] } else { chosen };
         taken.iter().for_each(|&index| free[index] = false);
-        (0..self.candidates())
-            .filter(|index| free[*index] && rest.is_none_or(|rest| cost(index) <= rest))
-            .collect()
+        (0..self.candidates()).filter(|index| free[*index] && rest.is_none_or(|rest| cost(index) <= rest)).collect()
     }
 
     /// What could be added without leaving the budget.

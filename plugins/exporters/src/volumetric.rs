@@ -55,7 +55,9 @@ impl Task {
     fn comment(self) -> &'static str {
         match self {
             Self::Position => "",
-            Self::Measure => "# task: measure; errors of the indicated coordinates, indicated minus actual: minus the positioning error of the tip\n",
+            Self::Measure => {
+                "# task: measure; errors of the indicated coordinates, indicated minus actual: minus the positioning error of the tip\n"
+            }
         }
     }
 }

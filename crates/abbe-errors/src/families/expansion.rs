@@ -54,8 +54,7 @@ impl Family for Expansion {
             let message = format!("the name of a column without its unit was expected, not `{}`", self.temperature);
             return Err(SettingsError::new("temperature", message).help("`T_X` is the column `T_X_degC`"));
         }
-        for (setting, value) in
-            [("coefficient_per_K", self.coefficient_per_K), ("reference_degC", self.reference_degC)]
+        for (setting, value) in [("coefficient_per_K", self.coefficient_per_K), ("reference_degC", self.reference_degC)]
         {
             if !value.is_finite() {
                 return Err(SettingsError::new(setting, "a finite number was expected"));
