@@ -45,6 +45,22 @@ fn tango(criterion: &mut Criterion) {
     });
 }
 
+/// The bridge CMM: 73 parameters from 2,011 lengths, and fifty lengths chosen for 32 parameters out of 3,978 in 20 searches.
+fn cmm(criterion: &mut Criterion) {
+    let fits = fits("cmm-brute-force.yaml").unwrap_or_else(|error| panic!("{error}"));
+    let fit = &fits[0];
+    criterion.bench_function("cmm_brute_force", |bencher| {
+        bencher.iter(|| fit.estimator.estimate(black_box(&fit.problem)).map(|calibration| calibration.fit.sigma))
+    });
+    let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("../pipelines/cmm-fifty-lengths.yaml");
+    criterion.bench_function("plan_fifty_lengths", |bencher| {
+        bencher.iter(|| {
+            let prepared = prepare(black_box(&path), &Registry::built_in()?)?;
+            prepared.plan().map(|measurements| measurements.plan.figures.log_determinant)
+        })
+    });
+}
+
 /// Builds packages as they are benchmarked; gives the folder that they are in.
 fn built(packages: &[&str]) -> PathBuf {
     let root = Path::new(env!("CARGO_MANIFEST_DIR")).join("..");
@@ -92,6 +108,6 @@ fn border(criterion: &mut Criterion) {
 criterion_group! {
     name = benches;
     config = Criterion::default().sample_size(20).warm_up_time(Duration::from_secs(1)).without_plots();
-    targets = product, tango, border
+    targets = product, tango, cmm, border
 }
 criterion_main!(benches);

@@ -11,7 +11,7 @@ use serde::{Deserialize, Serialize};
 use serde_json::Value;
 
 use crate::error::{Error, Result};
-use crate::unit::Unit;
+use crate::unit::{Quantity, Unit};
 
 /// The number of the file format.
 pub const CALIBRATION_FORMAT: u32 = 1;
@@ -161,6 +161,9 @@ pub struct FitReport {
     /// What was left out of the model because chance alone explains it; none if nothing was to be selected.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub selection: Option<Selection>,
+    /// Motion errors that the functions chosen for them tell apart, and not the machine.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub same_motion: Vec<SameMotion>,
 }
 
 /// A selection of parameters by their significance.
@@ -200,6 +203,55 @@ pub struct SelectionStep {
     pub entered: bool,
     /// Probability that chance alone makes it look as significant at this step.
     pub probability: f64,
+}
+
+/// A motion error of an axis that moves the tip at every recorded pose as other errors of this axis do, whatever functions they
+/// are: other knots may make it look determined, the machine does not.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct SameMotion {
+    /// Symbol of the error.
+    pub error: String,
+    /// The errors of the same axis that do the same, and how much of each one unit of `error` is.
+    pub combination: Vec<Combination>,
+    /// Which of all these errors are not estimated.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub not_estimated: Vec<String>,
+}
+
+impl SameMotion {
+    /// One sentence for people.
+    pub fn describe(&self) -> String {
+        let parts = self.combination.iter().map(|part| {
+            let (symbol, factor) = part.unit.parse().map_or((part.unit.clone(), 1.0), |unit: Unit| match unit.per {
+                // As sizes of both errors that people read: per 1 µrad or 1 µm.
+                Some((per, 1)) => {
+                    let (of, factor) = Unit { of: unit.of, per: None }.for_people();
+                    (of, factor / Unit { of: per, per: None }.for_people().1)
+                }
+                _ => unit.for_people(),
+            });
+            let size = format!("{:.6}", part.coefficient * factor);
+            format!("{} {symbol} of {}", size.trim_end_matches('0').trim_end_matches('.'), part.name)
+        });
+        let does = if self.combination.len() == 1 { "does" } else { "do" };
+        let one = match self.combination.first().and_then(|part| part.unit.parse::<Unit>().ok()) {
+            Some(Unit { per: Some((Quantity::Angle, 1)), .. }) => "1 µrad",
+            _ => "1 µm",
+        };
+        let same = format!("{one} of {} moves the tip as {} {does} at every recorded pose", self.error, and(parts));
+        if self.not_estimated.is_empty() {
+            return format!("{same}: only the functions chosen for them tell them apart, not the machine");
+        }
+        let held = and(self.not_estimated.iter().cloned());
+        format!("{same}: {held} not being estimated, the values of the others contain it")
+    }
+}
+
+/// A list for people: `a, b and c`.
+fn and(parts: impl Iterator<Item = String>) -> String {
+    let mut parts: Vec<String> = parts.collect();
+    let Some(last) = parts.pop() else { return String::new() };
+    if parts.is_empty() { last } else { format!("{} and {last}", parts.join(", ")) }
 }
 
 /// A direction in which the data do not change.
@@ -288,6 +340,9 @@ pub struct Identifiability {
     pub null_space: Vec<NullVector>,
     /// The combinations that are determined worst, the weakest first.
     pub weakest: Vec<NullVector>,
+    /// Motion errors that the functions chosen for them tell apart, and not the machine.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub same_motion: Vec<SameMotion>,
     /// The uncertainties that the stated ones of the inputs promise; none where a direction is lost.
     pub uncertainty: Option<UncertaintyBudget>,
     /// What people should be told besides: sentences.

@@ -35,7 +35,8 @@ mod verdict;
 pub use calibration::{
     CALIBRATION_FORMAT, Calibration, Combination, Contribution, Correlated, Covariance, Estimated, FitReport,
     GumComparison, Identifiability, JointCoverage, ModelRecord, MonteCarlo, NullVector, Outlier, ParameterBudget,
-    Selection, SelectionDirection, SelectionStep, SimulatedParameter, Status, Termination, UncertaintyBudget,
+    SameMotion, Selection, SelectionDirection, SelectionStep, SimulatedParameter, Status, Termination,
+    UncertaintyBudget,
 };
 pub use contact::Variation;
 pub use dataset::{Column, ColumnHeader, Dataset, RowOrigin, Values};

@@ -37,7 +37,7 @@ pub struct Planning {
     /// Whether a candidate may be measured more than once.
     #[serde(default)]
     pub replications: bool,
-    /// Candidates that belong to the plan: labels of `by`, else numbers of data rows. One that stands twice is measured twice.
+    /// Candidates that belong to the plan: labels of `by`, else numbers of data rows (`beams:113` where the data come from several files). One that stands twice is measured twice.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub required: Vec<Label>,
     /// Candidates that must not be chosen.

@@ -111,6 +111,12 @@ pub trait Validate: Send + Sync {
         Vec::new()
     }
 
+    /// Whether it can judge observations that took no part in a fit (the reference `observations`). It then gets fits whose problem
+    /// has these observations, the values of the calibration and no unknowns.
+    fn judges_other_rows(&self) -> bool {
+        false
+    }
+
     /// Figures and limits for the given fits; `data` are the data sets of the stages under `from`, if any.
     fn validate(&self, fits: &[&Fit], data: &[&Dataset]) -> Result<Findings>;
 }

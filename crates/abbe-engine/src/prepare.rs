@@ -140,21 +140,17 @@ impl Prepared {
             Kind::Ingest if self.is_planned(&stage.name) => Ok(()),
             Kind::Ingest => self.headers(&stage.name).map(drop),
             Kind::Estimate if !stage.reference("of").is_empty() => Ok(()),
-            Kind::Estimate => {
-                let model =
-                    self.model(stage)?.build(&[]).map_err(|error| error.stage(&stage.reference("machine")[0]))?;
-                for name in stage.reference("observations") {
-                    let (from, artefact) = self.artefact(name)?;
-                    let repeats = self.repeats(name)?;
-                    for ingest in std::iter::once(from).chain(repeats).filter(|ingest| !self.is_planned(ingest)) {
-                        let (headers, files) = (self.headers(ingest)?, self.ingests[ingest].inputs());
-                        let file = files.first().map(|file| &file.path);
-                        artefact.check(&headers, file, model.as_ref()).map_err(|error| error.stage(name))?;
-                    }
-                }
-                Ok(())
-            }
+            Kind::Estimate => self.check_columns(stage, stage.reference("observations")),
             Kind::Validate => {
+                let others = stage.reference("observations");
+                if !others.is_empty() && !self.validators[&stage.name].judges_other_rows() {
+                    let message =
+                        format!("`{}` judges what its estimates observe; it takes no other observations", stage.plugin);
+                    return Err(Error::usage(message).setting("observations"));
+                }
+                for fit in stage.reference("of") {
+                    self.check_columns(self.own_estimate(fit)?, others)?;
+                }
                 for (setting, name) in self.validators[&stage.name].observations() {
                     for fit in stage.reference("of") {
                         let observed = self.own_estimate(fit)?.reference("observations");
@@ -177,6 +173,22 @@ impl Prepared {
         let stage = planned.and_then(|plan| self.recipe_stage(&plan.candidates).ok());
         let reads = stage.is_some_and(|stage| stage.reference("from").iter().any(|from| from == ingest));
         reads && self.ingests.get(ingest).is_some_and(|built| built.inputs().iter().any(|input| !input.path.is_file()))
+    }
+
+    /// Whether the data of some artefact stages have the columns that the machine of an estimate needs.
+    fn check_columns(&self, estimate: &Stage, observations: &[String]) -> Result<()> {
+        let model = self.model(estimate)?.build(&[]);
+        let model = model.map_err(|error| error.stage(&estimate.reference("machine")[0]))?;
+        for name in observations {
+            let (from, artefact) = self.artefact(name)?;
+            let repeats = self.repeats(name)?;
+            for ingest in std::iter::once(from).chain(repeats).filter(|ingest| !self.is_planned(ingest)) {
+                let (headers, files) = (self.headers(ingest)?, self.ingests[ingest].inputs());
+                let file = files.first().map(|file| &file.path);
+                artefact.check(&headers, file, model.as_ref()).map_err(|error| error.stage(name))?;
+            }
+        }
+        Ok(())
     }
 
     fn headers(&self, ingest: &str) -> Result<Vec<ColumnHeader>> {

@@ -5,8 +5,8 @@ use std::sync::Arc;
 use std::time::{Instant, SystemTime};
 
 use abbe_core::{
-    Calibration, Dataset, Error, ExportedFile, Fit, Identifiability, Kind, KinematicModel, Owner, Poses, Problem,
-    Registry, Result, Verdict, in_parallel,
+    Calibration, Dataset, Error, ExportedFile, Fit, Identifiability, Kind, KinematicModel, ObservationSet, Owner,
+    Poses, Problem, Registry, Result, Verdict, in_parallel,
 };
 use abbe_recipe::Stage;
 
@@ -52,7 +52,7 @@ impl Prepared {
     pub fn check(&self) -> Result<Vec<Planned>> {
         let data = self.read(&|_| {}, None)?;
         let mut taken = Taken::default();
-        let mut planned = Vec::new();
+        let (mut planned, mut problems) = (Vec::new(), BTreeMap::new());
         for stage in self.stages(Kind::Estimate).filter(has_problem) {
             let problem = self.located(stage, self.problem(stage, &data, &mut taken))?;
             let estimator = &self.estimators[&stage.name];
@@ -61,7 +61,9 @@ impl Prepared {
             let own = problem.unknowns.iter().filter(|unknown| unknown.owner == Owner::Machine);
             let machine = own.map(|unknown| unknown.name.clone()).collect();
             planned.push(Planned { estimate: stage.name.clone(), identifiability, accepted, machine });
+            problems.insert(&stage.name, problem);
         }
+        self.unseen(&problems, &data, &mut taken)?;
         self.nothing_left_over(&data, &taken)?;
         Ok(planned)
     }
@@ -76,6 +78,7 @@ impl Prepared {
         for stage in self.stages(Kind::Estimate).filter(has_problem) {
             problems.insert(&stage.name, self.located(stage, self.problem(stage, &data, &mut taken))?);
         }
+        let unseen = self.unseen(&problems, &data, &mut taken)?;
         // Before the first fit, so that a feature that nobody knows does not cost a long run.
         self.nothing_left_over(&data, &taken)?;
         let mut fits: Vec<Fit> = Vec::new();
@@ -98,7 +101,13 @@ impl Prepared {
         let stages: Vec<&Stage> = self.stages(Kind::Validate).collect();
         let verdicts = in_parallel(&stages, None, |stage| {
             self.started(stage, tell);
-            let judged: Vec<&Fit> = named(stage.reference("of"), &fits);
+            let fits: Vec<&Fit> = named(stage.reference("of"), &fits);
+            let others = fits.iter().filter_map(|fit| {
+                let problem = unseen.get(&(stage.name.as_str(), fit.name.as_str()))?;
+                Some(self.located(stage, predicting(fit, problem)))
+            });
+            let others = others.collect::<Result<Vec<Fit>>>()?;
+            let judged: Vec<&Fit> = if others.is_empty() { fits } else { others.iter().collect() };
             let evidence: Vec<&Dataset> = stage.reference("from").iter().map(|name| data[name].as_ref()).collect();
             let mut findings = self.located(stage, self.validators[&stage.name].validate(&judged, &evidence))?;
             let tables = std::mem::take(&mut findings.tables);
@@ -186,6 +195,19 @@ impl Prepared {
         }
         let machine = &stage.reference("machine")[0];
         let model = self.model(stage)?.build(&used).map_err(|error| error.stage(machine))?;
+        let sets = self.sets(names, &model, data, taken)?;
+        let plugin = &self.recipe_stage(machine)?.plugin;
+        Problem::new(&stage.name, plugin, model, sets, &stage.parameters)
+    }
+
+    /// What some artefact stages observe on a machine.
+    fn sets(
+        &self,
+        names: &[String],
+        model: &Arc<dyn KinematicModel>,
+        data: &Datasets,
+        taken: &mut Taken,
+    ) -> Result<Vec<ObservationSet>> {
         let mut sets = Vec::new();
         for name in names {
             let (ingest, artefact) = self.artefact(name)?;
@@ -195,11 +217,30 @@ impl Prepared {
             taken.entry(ingest.to_owned()).or_default().extend(rows.chain(merged));
             let repeats = self.repeats(name)?.map(|repeats| artefact.observe(&data[repeats], model.as_ref()));
             let repeats = repeats.transpose().map_err(|error| error.stage(name))?;
-            let set = self.rows[name].set(name, observations, repeats, &model);
+            let set = self.rows[name].set(name, observations, repeats, model);
             sets.push(set.map_err(|error| error.stage(name))?);
         }
-        let plugin = &self.recipe_stage(machine)?.plugin;
-        Problem::new(&stage.name, plugin, model, sets, &stage.parameters)
+        Ok(sets)
+    }
+
+    /// For validators with observations of their own, by stage and estimate: these observations on the machine of the estimate.
+    fn unseen(
+        &self,
+        problems: &BTreeMap<&String, Problem>,
+        data: &Datasets,
+        taken: &mut Taken,
+    ) -> Result<BTreeMap<(&str, &str), Problem>> {
+        let mut unseen = BTreeMap::new();
+        for stage in self.stages(Kind::Validate).filter(|stage| !stage.reference("observations").is_empty()) {
+            for name in stage.reference("of") {
+                let Some(problem) = problems.get(&self.own_estimate(name)?.name) else { continue };
+                let model = &problem.model;
+                let sets = self.located(stage, self.sets(stage.reference("observations"), model, data, taken))?;
+                let other = Problem::new(name, &problem.model_plugin, model.clone(), sets, &[]);
+                unseen.insert((stage.name.as_str(), name.as_str()), self.located(stage, other)?);
+            }
+        }
+        Ok(unseen)
     }
 
     /// Refuses rows that no artefact took: a feature without nominal geometry must not vanish silently.
@@ -237,6 +278,22 @@ fn start(stage: &Stage, problem: Problem, fits: &[Fit]) -> Problem {
     let problem = known.iter().fold(problem, |problem, fit| problem.knowing(&fit.calibration));
     let start = named(stage.reference("start"), fits);
     start.iter().fold(problem, |problem, fit| problem.at(&problem.values_of(&fit.calibration)))
+}
+
+/// A fit whose problem is another one without unknowns, with the values of the fit: what is left are errors of prediction.
+fn predicting(fit: &Fit, other: &Problem) -> Result<Fit> {
+    let own = |set: &ObservationSet| -> Vec<String> {
+        set.observations.unknowns().iter().map(|unknown| format!("{}.{}", set.name, unknown.name)).collect()
+    };
+    let known = |name: &String| fit.calibration.artefacts.iter().any(|known| known.name == *name);
+    if let Some(name) = other.sets.iter().flat_map(own).find(|name| !known(name)) {
+        let error = Error::usage(format!("`{name}` is unknown, and {} has not estimated it", fit.name));
+        return Err(error
+            .help(format!("judge an estimate of it that has `known: {}`", fit.name))
+            .setting("observations"));
+    }
+    let (name, estimator, calibration) = (fit.name.clone(), fit.estimator.clone(), fit.calibration.clone());
+    Ok(Fit { name, problem: Arc::new(other.starting_from(&fit.calibration)), estimator, calibration })
 }
 
 fn named<'a>(names: &[String], fits: &'a [Fit]) -> Vec<&'a Fit> {

@@ -5,8 +5,8 @@ use serde::Serialize;
 use serde_json::{Value, json};
 
 use crate::families::{
-    BSpline, Backlash, Chebyshev, Drift, Family, Fourier, Legendre, Load, Location, Periodic, Piecewise, Polynomial,
-    Product, Spline,
+    BSpline, Backlash, Chebyshev, Drift, Expansion, Family, Fourier, Legendre, Load, Location, Periodic, Piecewise,
+    Polynomial, Product, Spline,
 };
 
 /// Makes the enum of all families from a list of their keys and types.
@@ -64,6 +64,7 @@ families! {
     "periodic" => Periodic,
     "product" => Product,
     "load" => Load,
+    "expansion" => Expansion,
     "backlash" => Backlash,
     "drift" => Drift,
 }
@@ -166,6 +167,14 @@ mod tests {
                 json!({ "location": ["EA0B"], "backlash": ["EXX"] }),
                 "backlash: two families in one line: location, backlash (give each family a line of its own)",
             ),
+            (
+                json!({ "expansion": ["EAX"], "temperature": "T_X", "coefficient_per_K": 1e-5 }),
+                "expansion[0]: an expanding scale is a positioning error: EXX, EYY or EZZ",
+            ),
+            (
+                json!({ "expansion": ["EXX"], "temperature": "T_X_degC", "coefficient_per_K": 1e-5 }),
+                "temperature: the name of a column without its unit was expected, not `T_X_degC` (`T_X` is the column `T_X_degC`)",
+            ),
             (json!(["EXX"]), "a family such as `{ polynomial: [EXX], degrees: [1] }` was expected"),
         ];
         for (line, expected) in cases {
@@ -191,6 +200,7 @@ mod tests {
             json!({ "load": ["EAX"], "reference_N": 4900.0, "guideway_distance_mm": 375.0, "degree": 2, "continuity": 1,
                     "knots_mm": [350.0] }),
             json!({ "spline": ["EXX"], "knots_mm": { "from": -250.0, "to": 250.0, "step": 50.0 }, "zero": ["EXX[spl5]"] }),
+            json!({ "expansion": ["EXX"], "temperature": "T_X", "coefficient_per_K": 1e-5, "reference_degC": 21.5 }),
             json!({ "spline": ["EXB"], "knots_deg": [0.0, 10.0, 50.0] }),
             json!({ "fourier": ["EXC"], "orders": [2, 3] }),
             json!({ "drift": ["dzt"], "degrees": [1], "per": "day", "time_s": { "1": [0.0, 9.5] } }),

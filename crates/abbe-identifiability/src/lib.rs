@@ -8,6 +8,7 @@
 
 mod direction;
 mod places;
+mod same_motion;
 mod statuses;
 
 use abbe_core::{NullVector, Problem, Result};
@@ -15,6 +16,8 @@ use abbe_core::{NullVector, Problem, Result};
 use direction::{Direction, Effect};
 use places::{places, recorded_statuses};
 use statuses::statuses;
+
+pub use same_motion::same_motion;
 
 /// Ratio of the change along a lost direction to the largest change by one of its unknowns alone, from which a measurement
 /// sees the direction. What is lost leaves about 1e-12, dimensionless.

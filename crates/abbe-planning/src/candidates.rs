@@ -2,13 +2,13 @@
 
 use std::collections::BTreeMap;
 
-use abbe_core::{Label, PathItem, Planning, Problem, Result};
+use abbe_core::{Dataset, Label, PathItem, Planning, Problem, Result};
 
 use crate::wrong;
 
 /// Measurements that are made together.
 pub struct Candidate {
-    /// Its label, or the number of its data row.
+    /// Its label, or the number of its data row, after the name of its file if there are several.
     pub label: String,
     /// Its rows in the set of the candidates.
     pub rows: Vec<usize>,
@@ -45,7 +45,7 @@ pub fn candidates(problem: &Problem, wanted: &Planning) -> Result<Vec<Candidate>
     let mut places: BTreeMap<String, usize> = BTreeMap::new();
     for (equation, (of, row)) in problem.equation_rows().into_iter().enumerate() {
         let Some(data_row) = layout.rows.get(row).filter(|_| of == set).and_then(|row| row.data_row) else { continue };
-        let label = labels.map_or_else(|| data.origins[data_row].row.to_string(), |labels| labels[data_row].clone());
+        let label = labels.map_or_else(|| own_label(data, data_row), |labels| labels[data_row].clone());
         let place = *places.entry(label.clone()).or_insert_with(|| {
             let (rows, equations) = (Vec::new(), Vec::new());
             found.push(Candidate { label, rows, equations, duration: 0.0, required: 0, forbidden: false });
@@ -61,6 +61,16 @@ pub fn candidates(problem: &Problem, wanted: &Planning) -> Result<Vec<Candidate>
     named("required", &wanted.required, &mut found, |candidate| candidate.required += 1)?;
     named("forbidden", &wanted.forbidden, &mut found, |candidate| candidate.forbidden = true)?;
     Ok(found)
+}
+
+/// What a row is called that is a candidate by itself: `113`, or `beams:113` where there are several files.
+fn own_label(data: &Dataset, data_row: usize) -> String {
+    let origin = data.origins[data_row];
+    let several = data.files.get(origin.file).filter(|_| data.files.len() > 1);
+    match several.and_then(|file| file.file_stem()) {
+        Some(file) => format!("{}:{}", file.display(), origin.row),
+        None => origin.row.to_string(),
+    }
 }
 
 /// Marks the candidates that a setting names.

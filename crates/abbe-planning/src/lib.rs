@@ -47,7 +47,7 @@ pub struct Plan {
 /// A chosen candidate.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Chosen {
-    /// Its label, or the number of its data row.
+    /// Its label, or the number of its data row, after the name of its file if there are several.
     pub label: String,
     /// How often it is measured.
     pub times: usize,
@@ -292,7 +292,7 @@ fn random(choice: &Choice, seed: u64, design: &[usize], log_determinant: f64) ->
             let at = generator.index(free.len());
             chosen.push(if choice.replications { free[at] } else { free.swap_remove(at) });
         }
-        choice.figures(&chosen).map_or(f64::NEG_INFINITY, |figures| figures.log_determinant)
+        choice.log_determinant(&chosen).unwrap_or(f64::NEG_INFINITY)
     };
     let mut values: Vec<f64> = (0..RANDOM).map(of_one).collect();
     values.sort_by(f64::total_cmp);

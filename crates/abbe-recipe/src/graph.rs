@@ -32,8 +32,11 @@ pub(crate) fn references(kind: Kind) -> &'static [Reference] {
         reference("start", Kind::Estimate, false, false),
         reference("of", Kind::Estimate, false, false),
     ];
-    const VALIDATE: &[Reference] =
-        &[reference("of", Kind::Estimate, true, true), reference("from", Kind::Ingest, false, true)];
+    const VALIDATE: &[Reference] = &[
+        reference("of", Kind::Estimate, true, true),
+        reference("from", Kind::Ingest, false, true),
+        reference("observations", Kind::Artefact, false, true),
+    ];
     const EXPORT: &[Reference] = &[reference("of", Kind::Estimate, true, false)];
     match kind {
         Kind::Ingest | Kind::Model => &[],

@@ -20,6 +20,7 @@ pub fn text(name: &str, outcome: &Outcome, folder: &Path) -> String {
         parts.extend(outliers(&outcome.fits));
         parts.extend(selected(&outcome.fits));
         parts.extend(lost(&outcome.fits));
+        parts.extend(alike(&outcome.fits));
         parts.extend(correlated(&outcome.fits));
         parts.extend(unlikely(&outcome.fits));
     }
@@ -164,6 +165,17 @@ fn selected(fits: &[Fit]) -> Option<String> {
     (!text.is_empty()).then(|| section("Kept as significant", &text))
 }
 
+/// What moves the tip alike.
+const ALIKE: &str = "Told apart by the choice of functions only";
+
+fn alike(fits: &[Fit]) -> Option<String> {
+    let lines = fits.iter().flat_map(|fit| {
+        fit.calibration.fit.same_motion.iter().map(|same| format!("  {}: {}\n", fit.name, same.describe()))
+    });
+    let text: String = lines.collect();
+    (!text.is_empty()).then(|| section(ALIKE, &text))
+}
+
 fn correlated(fits: &[Fit]) -> Option<String> {
     let budgets = fits.iter().filter_map(|fit| Some((&fit.name, fit.calibration.uncertainty.as_ref()?)));
     let lines = budgets.map(|(name, budget)| (name, trust::correlations(budget)));
@@ -296,6 +308,14 @@ pub fn planned_text(recipe: &Recipe, planned: &[Planned]) -> String {
     let lost: String = lines.collect();
     if !lost.is_empty() {
         text.push_str(&format!("\n{}", section("Not determined", &lost)));
+    }
+    let lines = planned.iter().flat_map(|planned| {
+        let alike = planned.identifiability.same_motion.iter();
+        alike.map(|same| format!("  {}: {}\n", planned.estimate, same.describe()))
+    });
+    let alike: String = lines.collect();
+    if !alike.is_empty() {
+        text.push_str(&format!("\n{}", section(ALIKE, &alike)));
     }
     for planned in planned {
         for remark in &planned.identifiability.remarks {

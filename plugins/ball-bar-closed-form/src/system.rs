@@ -120,6 +120,7 @@ impl System {
             null_space: Vec::new(),
             weakest: self.found.weakest.clone(),
             selection: None,
+            same_motion: Vec::new(),
         };
         Ok(problem.calibration(x, self.covariance(&standard, scale), Vec::new(), fit))
     }
@@ -236,6 +237,7 @@ fn solved(
         condition: largest / least,
         null_space,
         weakest,
+        same_motion: Vec::new(),
         remarks: Vec::new(),
         uncertainty: None,
     };

@@ -30,6 +30,36 @@ struct Settings {
     /// Probability with which the ellipsoids hold the error.
     #[serde(default = "default_probability")]
     probability: f64,
+    /// What the machine does: position a tool, or measure with a probe.
+    #[serde(default)]
+    task: Task,
+}
+
+/// What the error is an error of (Soons 1993, eq. 2.31 and 2.34).
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Deserialize, JsonSchema)]
+#[serde(rename_all = "kebab-case")]
+enum Task {
+    /// Of the tip: where it is, minus where it should be.
+    #[default]
+    Position,
+    /// Of the indicated coordinates: what they say, minus where the tip is. It is the error of the tip with the other sign.
+    Measure,
+}
+
+impl Task {
+    fn sign(self) -> f64 {
+        if self == Self::Measure { -1.0 } else { 1.0 }
+    }
+
+    /// What a file says of errors that are not those of the tip.
+    fn comment(self) -> &'static str {
+        match self {
+            Self::Position => "",
+            Self::Measure => {
+                "# task: measure; errors of the indicated coordinates, indicated minus actual: minus the positioning error of the tip\n"
+            }
+        }
+    }
 }
 
 fn default_probability() -> f64 {
@@ -62,14 +92,15 @@ impl Export for VolumetricTable {
         let statuses = self.settings.grid.statuses(model).map_err(|error| within(error, &["grid"]))?;
         let errors = predict(model, calibration, &statuses)?;
         let columns = self.position_columns(model);
-        let mut text: String = columns.iter().map(|column| format!("{},", column.header)).collect();
+        let mut text = self.settings.task.comment().to_owned();
+        columns.iter().for_each(|column| text.extend([column.header.as_str(), ","]));
         text.push_str(COLUMNS);
         for (status, error) in statuses.chunks(model.status().len()).zip(&errors) {
             let ellipsoid = error.ellipsoid(self.settings.probability)?;
             let um = |value: &f64| fixed(value * 1e3);
             let mut cells: Vec<String> =
                 columns.iter().map(|column| tidy(status[column.status] * column.factor).to_string()).collect();
-            cells.extend(error.mean.iter().map(um));
+            cells.extend(error.mean.iter().map(|value| um(&(self.settings.task.sign() * value))));
             cells.push(um(&error.size()));
             let upper = [(0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2)];
             cells.extend(upper.map(|(row, column)| exact(error.covariance[row][column] * 1e6)));
@@ -132,7 +163,7 @@ mod tests {
         // At B = 0 and X = 100: error 1e-5 * 100 + 0.5e-3 mm, u = 1e-5 * 100 mm along x.
         let (columns, one) = (COLUMNS.trim_end(), "1.959964");
         let grid = json!({ "points": { "X": 3 }, "both_directions": true });
-        let text = table(json!({ "grid": grid }), &calibration, model.as_ref());
+        let text = table(json!({ "grid": grid.clone() }), &calibration, model.as_ref());
         let lines: Vec<&str> = text.lines().collect();
         assert_eq!(lines.len(), 1 + 6);
         assert_eq!(lines[0], format!("B_deg,X_mm,dir_X,{columns}"));
@@ -145,6 +176,16 @@ mod tests {
         assert!((end[7].parse::<f64>().unwrap() - 1.0).abs() < 1e-12);
         assert_eq!(end[13..16], ["1.000000", "0.000000", "0.000000"]);
         assert_eq!((end[25], *end.last().unwrap()), (one, "1"));
+        // Where the tip went too far the scale shows too little: minus the error of the tip, and the same uncertainty.
+        let measured = table(json!({ "grid": grid, "task": "measure" }), &calibration, model.as_ref());
+        let mut measured = measured.lines();
+        assert!(measured.next().unwrap().starts_with("# task: measure; errors of the indicated coordinates"));
+        for (position, measure) in lines.iter().zip(measured).skip(1) {
+            let [position, measure] = [position, measure].map(|line| line.split(',').collect::<Vec<_>>());
+            let x = |cells: &[&str]| cells[3].parse::<f64>().unwrap();
+            assert_eq!(x(&measure), -x(&position));
+            assert_eq!((&measure[..3], &measure[6..]), (&position[..3], &position[6..]));
+        }
         // The table turned by a right angle sees the error along another of its axes.
         let pose = json!({ "grid": { "poses": [{ "X_mm": 100, "B_deg": 90 }] } });
         let text = table(pose, &calibration, model.as_ref());

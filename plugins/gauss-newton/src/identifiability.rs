@@ -22,6 +22,7 @@ pub fn identifiability(problem: &Problem, factor: &Factor, tolerance: f64) -> Id
         condition: singular_values.condition(rank),
         null_space,
         weakest: Vec::new(),
+        same_motion: Vec::new(),
         uncertainty: None,
         remarks: Vec::new(),
     }

@@ -14,6 +14,7 @@ use abbe_core::{
     Build, Calibration, Constructor, Context, Error, Estimate, FitReport, Identifiability, Owner, PathItem, Plugin,
     Problem, Result, SettingsError, Status, Termination, Unknown, inventory,
 };
+use abbe_identifiability::same_motion;
 use abbe_numerics::{End, Factor, LeastSquares, Loss, Options, Robust, Solution, solve};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
@@ -284,6 +285,7 @@ impl GaussNewton {
             null_space: found.null_space,
             weakest: if explained { weakest(problem, &factor.spectrum(), found.rank) } else { Vec::new() },
             selection: None,
+            same_motion: if explained { same_motion(problem)? } else { Vec::new() },
         };
         let mut calibration = problem.calibration(&solution.x, propagation.covariance(problem), outliers, fit);
         calibration.uncertainty = explained.then(|| propagation.budget(problem, self.settings.coverage_probability));
@@ -429,6 +431,7 @@ impl Estimate for GaussNewton {
         let (x, at_contact) = (problem.start(), problem.at_contact(&problem.start())?);
         let mut found = separated(problem, &x, identifiability(problem, factor, self.settings.rank_tolerance));
         found.weakest = weakest(problem, &factor.spectrum(), found.rank);
+        found.same_motion = same_motion(problem)?;
         if found.rank == found.unknowns {
             let place = Place { problem: &at_contact, x: &x, kept: None, factor, rank: found.rank };
             let propagation = Propagation::new(&place, (1.0, f64::INFINITY), true)?;

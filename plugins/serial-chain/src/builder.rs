@@ -176,6 +176,7 @@ impl Builder {
     fn add(&mut self, candidate: &Candidate, basis: usize, zero: &[String]) -> Result<(), SettingsError> {
         let of = quantity_of(candidate.component);
         let command = candidate.axis.map_or(Quantity::Ratio, |axis| self.status[axis].quantity);
+        let nominal = self.bases[basis].functions.nominal();
         for (index, term) in self.bases[basis].functions.terms().iter().enumerate() {
             let name = format!("{}{}", candidate.symbol, term.suffix);
             if zero.iter().any(|pattern| matches(pattern, &name)) {
@@ -183,7 +184,7 @@ impl Builder {
             }
             let function = self.bases[basis].first + index;
             let place = Place { slot: candidate.slot, component: candidate.component, function, basis };
-            let parameter = self.parameter(name, term.unit(of, command), 0.0, Role::Coefficient(place))?;
+            let parameter = self.parameter(name, term.unit(of, command), nominal, Role::Coefficient(place))?;
             self.bases[basis].coefficients.push((parameter, place));
         }
         Ok(())
@@ -236,7 +237,7 @@ impl Builder {
                     names.extend(functions.terms().iter().map(|term| format!("{}{}", candidate.symbol, term.suffix)));
                     shaped |= functions.arguments().iter().any(|argument| matches!(argument, Argument::Shape(..)));
                 }
-                if !shaped {
+                if !shaped && family.shares_functions() {
                     shared.insert((candidate.axis, location), bases);
                 }
             }
@@ -296,6 +297,10 @@ impl Builder {
         let subject = Subject {
             location,
             command: axis.map_or(Quantity::Ratio, |axis| self.status[axis.status].quantity),
+            along: match (axis, candidate.component) {
+                (Some(axis), component @ 0..3) => axis.sense * axis.direction[component],
+                _ => 0.0,
+            },
             range: axis.and_then(|axis| axis.range),
             axes: &axes,
             labels,
@@ -334,6 +339,7 @@ impl Builder {
                 self.status(name, Quantity::Ratio, Vec::new(), 0.0)
             }
             (Argument::Load, ..) => self.status("load".to_owned(), Quantity::Force, Vec::new(), 0.0),
+            (Argument::Temperature(name), ..) => self.status(name, Quantity::Temperature, Vec::new(), f64::NAN),
             (Argument::LoadZ, ..) => self.status("load_z".to_owned(), Quantity::Length, Vec::new(), 0.0),
             (Argument::Series, _, Declaration::Drift(drift)) if drift.per.column().is_some() => {
                 let column = drift.per.column().unwrap_or_default();

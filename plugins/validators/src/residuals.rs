@@ -1,5 +1,5 @@
-//! Validator `residuals`: how well a fit explains what it was estimated from, where it does worst, and whether what is
-//! left follows time.
+//! Validator `residuals`: how well a fit explains what it was estimated from, or `observations` that it never saw, where it
+//! does worst, and whether what is left follows time.
 
 use std::collections::BTreeSet;
 
@@ -61,6 +61,10 @@ struct Kept {
 impl Validate for Residuals {
     fn inputs(&self) -> Vec<InputFile> {
         Vec::new()
+    }
+
+    fn judges_other_rows(&self) -> bool {
+        true
     }
 
     fn validate(&self, fits: &[&Fit], _: &[&Dataset]) -> Result<Findings> {

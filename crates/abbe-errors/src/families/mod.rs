@@ -3,6 +3,7 @@
 mod b_spline;
 mod constant;
 mod drift;
+mod expansion;
 mod fourier;
 mod knots;
 mod load;
@@ -23,6 +24,7 @@ use abbe_core::{PathItem, Quantity, SettingsError, Unit};
 pub use b_spline::{BSpline, BSplines};
 pub use constant::{Constant, Location, StylusIs};
 pub use drift::{Drift, LegendreInTime, Per};
+pub use expansion::{ExpandingScale, Expansion};
 pub use fourier::{Fourier, FourierSeries};
 pub use knots::Knots;
 pub use load::{Load, LocationUnderLoad, UnderLoad};
@@ -54,6 +56,8 @@ pub enum Argument {
     Load,
     /// Where the load sits along z of the table, from its centre, mm.
     LoadZ,
+    /// A temperature in °C, by the name of its column without unit; NaN where it is not known.
+    Temperature(String),
     /// A parameter of the function itself in the unit of the command, one for each error: suffix of its name and nominal
     /// value.
     Shape(String, f64),
@@ -68,16 +72,18 @@ pub struct Term {
     pub power: u8,
     /// What the power is one of; none if of the command of the moving axis.
     pub per: Option<Quantity>,
+    /// Unit of the coefficient, if it does not follow from these.
+    pub unit: Option<Unit>,
 }
 
 impl Term {
     fn new(suffix: impl Into<String>, power: u8) -> Self {
-        Self { suffix: suffix.into(), power, per: None }
+        Self { suffix: suffix.into(), power, per: None, unit: None }
     }
 
     /// Unit of the coefficient of an error of quantity `of` on an axis whose commands are of quantity `command`.
     pub fn unit(&self, of: Quantity, command: Quantity) -> Unit {
-        Unit::per(of, self.per.unwrap_or(command), self.power)
+        self.unit.unwrap_or_else(|| Unit::per(of, self.per.unwrap_or(command), self.power))
     }
 }
 
@@ -100,6 +106,11 @@ pub trait Functions: Send + Sync + Debug {
     /// The commands of the moving axis for which they are meant; all if there is none.
     fn range(&self) -> Option<[f64; 2]> {
         None
+    }
+
+    /// Value of the coefficients of all functions as long as they are not estimated.
+    fn nominal(&self) -> f64 {
+        0.0
     }
 
     /// Commands between which they are smooth.
@@ -128,6 +139,8 @@ pub struct Subject<'a> {
     pub location: bool,
     /// Quantity of the commands of its axis.
     pub command: Quantity,
+    /// What a linear axis moves the body that it carries in the direction of the error for a command of 1 mm; zero of angles.
+    pub along: f64,
     /// Travel of its axis, mm or rad, if known.
     pub range: Option<[f64; 2]>,
     /// The axes of the machine, with the quantities of their commands.
@@ -149,6 +162,11 @@ pub trait Family {
     /// Patterns of coefficients that are zero by definition and no parameters (setting `zero`).
     fn zero(&self) -> &[String] {
         &[]
+    }
+
+    /// Whether errors of one axis have the same functions.
+    fn shares_functions(&self) -> bool {
+        true
     }
 
     /// Checks what can be wrong whatever the machine is.

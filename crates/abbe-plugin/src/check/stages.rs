@@ -128,6 +128,7 @@ fn fit(values: &[f64]) -> Fit {
             null_space: Vec::new(),
             weakest: Vec::new(),
             selection: None,
+            same_motion: Vec::new(),
         },
         uncertainty: None,
         monte_carlo: None,

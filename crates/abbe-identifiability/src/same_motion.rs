@@ -1,0 +1,149 @@
+//! Motion errors of one axis that move the tip alike at every recorded pose.
+//!
+//! A rotation about a tip that never leaves its place behind the axis (one constant probe offset) is a translation. What separates
+//! the two then is not the machine but the functions that they are made of: other knots, a line that one of them lacks. Rank
+//! does not show that, so it is judged here from the errors themselves, whatever they are functions of: the derivatives of the pose to
+//! the errors of an axis, at all poses together (Soons 1993, section 5.2, leaves such errors out by hand).
+
+use abbe_core::{Combination, ErrorFunction, Owner, Poses, Problem, Result, SameMotion, Unit, Variable};
+
+use crate::thinned;
+
+/// Part of an effect that rounding leaves of zero.
+const ROUNDING: f64 = 1e-9;
+
+/// Motion errors that move the tip at every recorded pose as others of the same axis do, as long as some of them are estimated.
+///
+/// Poses are those of nominal contact on the nominal machine: deviations of recorded ones pose as information.
+pub fn same_motion(problem: &Problem) -> Result<Vec<SameMotion>> {
+    let functions = problem.model.error_functions();
+    if functions.len() < 2 {
+        return Ok(Vec::new());
+    }
+    let mut nominal = problem.clone();
+    nominal.machine = problem.model.nominal();
+    let few = at_contact(&thinned(&nominal));
+    let mut all: Option<Problem> = None;
+    let mut found = Vec::new();
+    for axis in 0..problem.model.axes().len() {
+        let of_axis: Vec<&ErrorFunction> = functions.iter().filter(|function| function.axis == axis).collect();
+        // All poses only if a part of them leaves a doubt.
+        if of_axis.len() < 2 || dependent(&effects(&few, &of_axis)?).is_empty() {
+            continue;
+        }
+        let all = all.get_or_insert_with(|| at_contact(&nominal));
+        let dependent = dependent(&effects(all, &of_axis)?);
+        found.extend(dependent.iter().filter_map(|dependent| named(problem, &of_axis, dependent)));
+    }
+    Ok(found)
+}
+
+/// The problem at nominal contact, or as recorded where no contact is found.
+fn at_contact(problem: &Problem) -> Problem {
+    problem.at_contact(&problem.start()).unwrap_or_else(|_| problem.clone())
+}
+
+/// What each of some errors of an axis does to the pose, mm and rad per mm or rad of the error, at all poses where all of them
+/// are known.
+fn effects(problem: &Problem, functions: &[&ErrorFunction]) -> Result<Vec<Vec<f64>>> {
+    let mut effects = vec![Vec::new(); functions.len()];
+    let mut poses = Poses::default();
+    for set in &problem.sets {
+        let turned = set.observations.needs_orientation();
+        let rows = set.rows.iter().map(|&row| set.observations.layout().rows[row]);
+        for pose in rows.flat_map(|row| row.first_pose..row.first_pose + row.poses) {
+            let status = set.poses().row(pose);
+            let Some(known) = functions.iter().map(|function| known(problem, function, status)).collect() else {
+                continue;
+            };
+            let known: Vec<(usize, f64)> = known;
+            let wanted: Vec<Variable> = known.iter().map(|(parameter, _)| Variable::Parameter(*parameter)).collect();
+            problem.model.evaluate(status, &problem.machine, &wanted, turned, &mut poses)?;
+            for (index, (effect, (_, by))) in effects.iter_mut().zip(&known).enumerate() {
+                effect.extend(poses.position_derivatives[index].map(|derivative| derivative / by));
+                if turned {
+                    effect.extend(poses.rotation_derivatives[index].map(|derivative| derivative / by));
+                }
+            }
+        }
+    }
+    Ok(effects)
+}
+
+/// A parameter of an error, and by how much the error changes with it; none where no function of the error is seen.
+fn known(problem: &Problem, function: &ErrorFunction, status: &[f64]) -> Option<(usize, f64)> {
+    let error = problem.model.motion_error(function, &problem.machine, status).ok()?;
+    error.derivatives.into_iter().find(|(_, by)| by.is_finite() && *by != 0.0)
+}
+
+/// An error whose effects are those of others: its index, and the index and size of each of these.
+type Dependent = (usize, Vec<(usize, f64)>);
+
+/// The errors whose effects are combinations of those of errors before them, by orthogonalisation in turn.
+fn dependent(effects: &[Vec<f64>]) -> Vec<Dependent> {
+    let mut basis: Vec<(usize, Vec<f64>)> = Vec::new();
+    // What each direction of the basis is in terms of the errors.
+    let mut meaning: Vec<Vec<f64>> = Vec::new();
+    let mut found = Vec::new();
+    for (index, effect) in effects.iter().enumerate() {
+        let size = norm(effect);
+        // Of fewer poses than errors nothing can be told.
+        if effect.len() < 3 * effects.len() {
+            return Vec::new();
+        }
+        let mut rest = effect.clone();
+        let mut parts = vec![0.0; effects.len()];
+        // Twice, so that rounding of the first pass is taken off, too.
+        for _ in 0..2 {
+            for ((_, direction), meaning) in basis.iter().zip(&meaning) {
+                let along: f64 = rest.iter().zip(direction).map(|(rest, direction)| rest * direction).sum();
+                rest.iter_mut().zip(direction).for_each(|(rest, direction)| *rest -= along * direction);
+                parts.iter_mut().zip(meaning).for_each(|(part, meaning)| *part += along * meaning);
+            }
+        }
+        let left = norm(&rest);
+        if left <= ROUNDING * size {
+            let share = |(other, part): (usize, &f64)| (*part != 0.0).then_some((other, *part));
+            let mut of: Vec<(usize, f64)> = parts.iter().enumerate().filter_map(share).collect();
+            of.retain(|(other, part)| part.abs() * norm(&effects[*other]) > ROUNDING * size);
+            found.push((index, of));
+            continue;
+        }
+        parts.iter_mut().for_each(|part| *part = -*part / left);
+        parts[index] = 1.0 / left;
+        rest.iter_mut().for_each(|rest| *rest /= left);
+        meaning.push(parts);
+        basis.push((index, rest));
+    }
+    found
+}
+
+fn norm(effect: &[f64]) -> f64 {
+    effect.iter().map(|value| value * value).sum::<f64>().sqrt()
+}
+
+/// With names; none if it has no effect at all (rank says so) or nothing of it is estimated.
+fn named(problem: &Problem, functions: &[&ErrorFunction], (error, of): &Dependent) -> Option<SameMotion> {
+    let estimated = |index: usize| {
+        let own = format!("{}[", functions[index].symbol);
+        let symbol = &functions[index].symbol;
+        let mut unknowns = problem.unknowns.iter().filter(|unknown| unknown.owner == Owner::Machine);
+        unknowns.any(|unknown| unknown.name == *symbol || unknown.name.starts_with(&own))
+    };
+    if of.is_empty() || !(estimated(*error) || of.iter().any(|(other, _)| estimated(*other))) {
+        return None;
+    }
+    let quantity = functions[*error].quantity;
+    let combination = of.iter().map(|(other, size)| Combination {
+        name: functions[*other].symbol.clone(),
+        coefficient: *size,
+        unit: Unit::per(functions[*other].quantity, quantity, 1).to_string(),
+    });
+    let held: Vec<usize> = std::iter::once(*error).chain(of.iter().map(|(other, _)| *other)).collect();
+    let held = held.into_iter().filter(|index| !estimated(*index)).map(|index| functions[index].symbol.clone());
+    Some(SameMotion {
+        error: functions[*error].symbol.clone(),
+        combination: combination.collect(),
+        not_estimated: held.collect(),
+    })
+}
