@@ -12,6 +12,7 @@ mod calibration;
 mod contact;
 mod dataset;
 mod error;
+mod first_order;
 mod input_uncertainty;
 mod model;
 mod observations;

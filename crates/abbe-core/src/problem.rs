@@ -570,7 +570,10 @@ impl Problem {
                 work.statuses.extend_from_slice(set.poses().row(pose));
             }
         }
-        self.model.evaluate(&work.statuses, &self.machine, wanted, orientation, &mut work.poses)?;
+        match orientation && set.observations.first_order_orientation() {
+            true => self.first_order(&work.statuses, wanted, &mut work.poses)?,
+            false => self.model.evaluate(&work.statuses, &self.machine, wanted, orientation, &mut work.poses)?,
+        }
         work.equations.clear();
         let poses = PoseValues { positions: &work.poses.positions, orientations: &work.poses.orientations };
         set.observations.try_evaluate(rows, poses, &set.own, &set.inputs, &mut work.equations)?;

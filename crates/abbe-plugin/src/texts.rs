@@ -61,6 +61,8 @@ pub(crate) struct ObservationsText {
     pub inputs: Vec<KnownInput>,
     #[serde(default)]
     pub needs_orientation: bool,
+    #[serde(default)]
+    pub first_order_orientation: bool,
     /// Equations, by their index in the layout, that are of angles (rad); all others are of lengths.
     #[serde(default)]
     pub angles: BTreeSet<usize>,
@@ -80,6 +82,7 @@ impl ObservationsText {
             start: observations.start(),
             inputs: observations.inputs().to_vec(),
             needs_orientation: observations.needs_orientation(),
+            first_order_orientation: observations.first_order_orientation(),
             angles: angles(observations),
             features: observations.features(),
             contact: observations.contact(),
