@@ -1,78 +1,9 @@
-//! Orthogonal factorisation of a least squares problem that comes in rows, and what it tells.
+//! The triangular factor of a least squares problem, and what it tells.
 
-use faer::linalg::solvers::{Qr, Svd};
+use faer::linalg::solvers::Svd;
 use faer::{Mat, MatRef};
 
-/// Memory that the buffer of rows may take, in numbers; small problems are factorised in one go.
-const BUFFER: usize = 1 << 21;
-
-/// Takes rows `[J | r]` of a least squares problem and keeps nothing but their triangular factor.
-///
-/// Rows are collected in a buffer; a full buffer is factorised together with the factor so far. The result is that of one
-/// QR of all rows, at the memory of the buffer.
-pub struct Accumulator {
-    unknowns: usize,
-    capacity: usize,
-    buffer: Mat<f64>,
-    filled: usize,
-    rows: usize,
-}
-
-impl Accumulator {
-    /// For `unknowns` unknowns and about `rows` rows.
-    pub fn new(unknowns: usize, rows: usize) -> Self {
-        let width = unknowns + 1;
-        let capacity = rows.clamp(1, (BUFFER / width).max(3 * width)) + width;
-        Self { unknowns, capacity, buffer: Mat::zeros(capacity, width), filled: 0, rows: 0 }
-    }
-
-    /// Adds one row, multiplied by `weight` (the square root of its statistical weight).
-    pub fn push(&mut self, derivatives: &[f64], residual: f64, weight: f64) {
-        if self.filled == self.capacity {
-            self.compress();
-        }
-        let row = self.filled;
-        for (column, derivative) in derivatives.iter().enumerate() {
-            self.buffer[(row, column)] = derivative * weight;
-        }
-        self.buffer[(row, self.unknowns)] = residual * weight;
-        self.filled += 1;
-        self.rows += 1;
-    }
-
-    /// Replaces the rows in the buffer by their triangular factor.
-    fn compress(&mut self) {
-        let factor = Qr::new(self.buffer.get(..self.filled, ..));
-        let triangle = factor.thin_R();
-        let height = triangle.nrows();
-        for column in 0..triangle.ncols() {
-            for row in 0..height {
-                self.buffer[(row, column)] = if row <= column { triangle[(row, column)] } else { 0.0 };
-            }
-        }
-        self.filled = height;
-    }
-
-    /// The factor of all rows.
-    pub fn finish(mut self) -> Factor {
-        self.compress();
-        let n = self.unknowns;
-        let mut triangle = Mat::zeros(n, n);
-        let mut right = vec![0.0; n];
-        let entry = |row: usize, column: usize| if row < self.filled { self.buffer[(row, column)] } else { 0.0 };
-        for column in 0..n {
-            for row in 0..=column {
-                triangle[(row, column)] = entry(row, column);
-            }
-            right[column] = entry(column, n);
-        }
-        let rest = entry(n, n);
-        let norms = (0..n).map(|column| norm((0..=column).map(|row| triangle[(row, column)]))).collect();
-        Factor { triangle, right, norms, rest: rest * rest, rows: self.rows }
-    }
-}
-
-fn norm(values: impl Iterator<Item = f64>) -> f64 {
+pub(crate) fn norm(values: impl Iterator<Item = f64>) -> f64 {
     values.map(|value| value * value).sum::<f64>().sqrt()
 }
 
@@ -87,6 +18,10 @@ pub struct Factor {
 }
 
 impl Factor {
+    pub(crate) fn new(triangle: Mat<f64>, right: Vec<f64>, norms: Vec<f64>, rest: f64, rows: usize) -> Self {
+        Self { triangle, right, norms, rest, rows }
+    }
+
     /// Number of unknowns.
     pub fn unknowns(&self) -> usize {
         self.norms.len()

@@ -1,6 +1,7 @@
 //! Gauss-Newton iteration with step control, optionally robust.
 
-use crate::factor::{Accumulator, Factor};
+use crate::accumulate::Accumulator;
+use crate::factor::Factor;
 use crate::robust::{Loss, Robust, RobustReport, scale, studentise};
 
 /// Takes rows: index of the first, residuals, derivatives row by row.

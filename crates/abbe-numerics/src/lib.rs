@@ -5,6 +5,7 @@
 //! **Architecture invariant:** this crate knows rows of numbers, not machines. faer runs single-threaded (its parallel
 //! feature is off), because its results would otherwise depend on the number of cores.
 
+mod accumulate;
 mod coverage;
 mod design;
 mod factor;
@@ -22,7 +23,8 @@ pub use coverage::{
     hotelling_quantile, hotelling_upper_tail, joint_coverage_factor, rectangular_coverage_factor,
 };
 pub use design::{Choice, Criterion, Design, DesignFigures};
-pub use factor::{Accumulator, Factor, SingularValues, Spectrum, Whitener};
+pub use accumulate::Accumulator;
+pub use factor::{Factor, SingularValues, Spectrum, Whitener};
 pub use gauss_newton::{End, LeastSquares, Options, Sink, Solution, solve};
 pub use linear::{DesignMatrix, LinearFit, fit_linear};
 pub use monte_carlo::{Adaptive, Agreement, Interval, Trials, gum_agrees, least_trials, numerical_tolerance};
