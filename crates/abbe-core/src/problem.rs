@@ -541,6 +541,9 @@ impl Problem {
                 jacobian.clear();
                 jacobian.resize(equations * count, 0.0);
                 work.chain(set, rows, wanted.len(), |equation, derivatives, weight| {
+                    if *weight == [0.0; 3] {
+                        return;
+                    }
                     let line = &mut jacobian[equation * count..(equation + 1) * count];
                     for (derivative, &column) in derivatives.iter().zip(&machine_columns) {
                         line[column] += dot(derivative, weight);

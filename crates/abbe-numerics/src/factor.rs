@@ -3,6 +3,8 @@
 use faer::linalg::solvers::Svd;
 use faer::{Mat, MatRef};
 
+use crate::accumulate::Accumulator;
+
 pub(crate) fn norm(values: impl Iterator<Item = f64>) -> f64 {
     values.map(|value| value * value).sum::<f64>().sqrt()
 }
@@ -40,6 +42,18 @@ impl Factor {
     /// Column of the triangular factor; its products with other columns are those of J's.
     pub(crate) fn column(&self, unknown: usize) -> Vec<f64> {
         (0..self.unknowns()).map(|row| self.triangle[(row, unknown)]).collect()
+    }
+
+    /// The factor of the same rows without some unknowns.
+    pub fn without(&self, dropped: impl Fn(usize) -> bool) -> Self {
+        let kept: Vec<usize> = (0..self.unknowns()).filter(|&unknown| !dropped(unknown)).collect();
+        let mut accumulator = Accumulator::new(kept.len(), self.unknowns() + 1);
+        for row in 0..self.unknowns() {
+            let line: Vec<f64> = kept.iter().map(|&unknown| self.triangle[(row, unknown)]).collect();
+            accumulator.push(&line, self.right[row], 1.0);
+        }
+        accumulator.push(&vec![0.0; kept.len()], self.rest.sqrt(), 1.0);
+        Self { rows: self.rows, ..accumulator.finish() }
     }
 
     /// Sum of squares of r.
