@@ -8,6 +8,7 @@
 //!
 //! In memory every quantity is in mm, rad, s, °C or N. Columns and settings say their unit in their name.
 
+mod aliasing;
 mod calibration;
 mod contact;
 mod dataset;
@@ -41,7 +42,7 @@ pub use dataset::{Column, ColumnHeader, Dataset, RowOrigin, Values};
 pub use error::{Class, Error, Place, Result, nearest};
 pub use input_uncertainty::{InputUncertainty, PooledRepeats, RowUncertainty, SharedError};
 pub use model::{
-    Absent, Axis, AxisKind, Branch, ErrorFunction, KinematicModel, MotionError, Parameter, Poses, PosesMut,
+    Absent, Axis, AxisKind, Branch, ErrorFunction, KinematicModel, MotionError, Parameter, Period, Poses, PosesMut,
     StatusColumn, Variable,
 };
 pub use observations::{

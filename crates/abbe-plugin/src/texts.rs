@@ -7,7 +7,7 @@ use std::sync::Arc;
 use abbe_core::{
     Axis, Calibration, ColumnHeader, Considered, Contact, Dataset, EquationUncertainty, ErrorFunction, ExportedFile,
     Feature, Fit, Input, InputFile, KinematicModel, KnownInput, Layout, ObservationSet, Observations, Parameter,
-    PoseTable, Problem, Quantity, StatusColumn, Unknown,
+    Period, PoseTable, Problem, Quantity, StatusColumn, Unknown,
 };
 use serde::{Deserialize, Serialize};
 use serde_json::Value;
@@ -30,6 +30,8 @@ pub(crate) struct MachineText {
     pub settings: Value,
     #[serde(default)]
     pub error_functions: Vec<ErrorFunction>,
+    #[serde(default)]
+    pub periods: Vec<Period>,
 }
 
 impl MachineText {
@@ -42,6 +44,7 @@ impl MachineText {
             stylus_radius: model.stylus_radius(),
             settings: model.settings(),
             error_functions: model.error_functions(),
+            periods: model.periods(),
         }
     }
 }

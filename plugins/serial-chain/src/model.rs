@@ -1,7 +1,7 @@
 //! The kinematic model of a serial chain: parameters, statuses, poses in batches.
 
 use abbe_core::{
-    Axis, AxisKind, Dataset, Error, ErrorFunction, KinematicModel, MotionError, Parameter, PathItem, Poses, PosesMut,
+    Axis, AxisKind, Dataset, Error, ErrorFunction, KinematicModel, MotionError, Parameter, PathItem, Period, Poses, PosesMut,
     Result, SettingsError, StatusColumn, Variable,
 };
 use abbe_errors::{Declaration, Functions};
@@ -322,6 +322,25 @@ impl KinematicModel for SerialChain {
             }
         }
         functions
+    }
+
+    fn periods(&self) -> Vec<Period> {
+        let mut periods = Vec::new();
+        for basis in &self.bases {
+            let arguments = basis.arguments_at(&vec![0.0; self.status.len()], &self.nominal);
+            let Some(length) = basis.functions.period(&arguments[..basis.arguments.len()]) else { continue };
+            for (axis, named) in self.axes.iter().enumerate() {
+                let slot = self.chain.motion_slot(axis);
+                for (component, letter) in COMPONENTS.iter().enumerate() {
+                    let own = basis.coefficients.iter().filter(|(_, at)| at.slot == slot && at.component == component);
+                    let parameters: Vec<usize> = own.map(|(parameter, _)| *parameter).collect();
+                    if !parameters.is_empty() {
+                        periods.push(Period { symbol: format!("E{letter}{}", named.name), axis, length, parameters });
+                    }
+                }
+            }
+        }
+        periods
     }
 
     fn motion_error(&self, function: &ErrorFunction, values: &[f64], status: &[f64]) -> Result<MotionError> {
