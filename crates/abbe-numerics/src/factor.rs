@@ -19,6 +19,19 @@ pub struct Factor {
     rows: usize,
 }
 
+/// What one more unknown would do.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Joining {
+    /// Its number.
+    pub unknown: usize,
+    /// Its least squares value.
+    pub value: f64,
+    /// What it takes away from the sum of squares of r.
+    pub explained: f64,
+    /// Its effect on the rows beyond what the others can do, of norm 1: unknowns with the same (or opposite) effect cannot be told apart.
+    pub effect: Vec<f64>,
+}
+
 impl Factor {
     pub(crate) fn new(triangle: Mat<f64>, right: Vec<f64>, norms: Vec<f64>, rest: f64, rows: usize) -> Self {
         Self { triangle, right, norms, rest, rows }
@@ -54,6 +67,28 @@ impl Factor {
         }
         accumulator.push(&vec![0.0; kept.len()], self.rest.sqrt(), 1.0);
         Self { rows: self.rows, ..accumulator.finish() }
+    }
+
+    /// What each unknown from number `own` on would do if it alone joined those before it, which are all determined, at their
+    /// least squares values. An unknown that does nothing that they cannot do is left out.
+    pub fn joining(&self, own: usize) -> Vec<Joining> {
+        let n = self.unknowns();
+        let mut joining = Vec::new();
+        for unknown in own..n {
+            let new: Vec<f64> = (own..n).map(|row| self.triangle[(row, unknown)]).collect();
+            let size = norm(new.iter().copied());
+            if size > 1e-9 * self.norms[unknown] {
+                let along: f64 = new.iter().zip(&self.right[own..]).map(|(new, right)| new * right).sum::<f64>() / size;
+                let effect = new.iter().map(|part| part / size).collect();
+                joining.push(Joining { unknown, value: -along / size, explained: along * along, effect });
+            }
+        }
+        joining
+    }
+
+    /// Sum of squares of r that remains after the step of the first `own` unknowns alone.
+    pub fn remaining_cost_of(&self, own: usize) -> f64 {
+        self.rest + self.right[own..].iter().map(|value| value * value).sum::<f64>()
     }
 
     /// Sum of squares of r.
