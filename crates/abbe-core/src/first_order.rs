@@ -25,8 +25,12 @@ impl Problem {
         let exact = wanted.iter().any(|variable| linear(variable).is_none());
         self.model.evaluate(statuses, &self.machine, wanted, exact, out)?;
 
-        let values: Vec<f64> =
-            self.machine.iter().zip(&nominal).map(|(value, nominal)| if *nominal == 0.0 { 0.0 } else { *value }).collect();
+        let values: Vec<f64> = self
+            .machine
+            .iter()
+            .zip(&nominal)
+            .map(|(value, nominal)| if *nominal == 0.0 { 0.0 } else { *value })
+            .collect();
         let mut column = vec![None; nominal.len()];
         let mut variables = Vec::new();
         let moved = (0..nominal.len()).filter(|&index| nominal[index] == 0.0 && self.machine[index] != 0.0);

@@ -28,8 +28,6 @@ pub struct Joining {
     pub value: f64,
     /// What it takes away from the sum of squares of r.
     pub explained: f64,
-    /// Its effect on the rows beyond what the others can do, of norm 1: unknowns with the same (or opposite) effect cannot be told apart.
-    pub effect: Vec<f64>,
 }
 
 impl Factor {
@@ -79,8 +77,7 @@ impl Factor {
             let size = norm(new.iter().copied());
             if size > 1e-9 * self.norms[unknown] {
                 let along: f64 = new.iter().zip(&self.right[own..]).map(|(new, right)| new * right).sum::<f64>() / size;
-                let effect = new.iter().map(|part| part / size).collect();
-                joining.push(Joining { unknown, value: -along / size, explained: along * along, effect });
+                joining.push(Joining { unknown, value: -along / size, explained: along * along });
             }
         }
         joining

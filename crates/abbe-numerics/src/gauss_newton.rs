@@ -109,9 +109,7 @@ pub fn solve_from<P: LeastSquares + ?Sized>(
     };
     let mut minimum = match options.near {
         false => minimise(problem, start.to_vec(), factor, None, options)?,
-        true => {
-            Minimum { x: start.to_vec(), end: End::Converged, iterations: 0, factor }
-        }
+        true => Minimum { x: start.to_vec(), end: End::Converged, iterations: 0, factor },
     };
     let mut iterations = minimum.iterations;
     // Huber's loss has one minimum and takes the estimate near enough for Tukey's, which has many.

@@ -18,12 +18,12 @@ mod sampling;
 mod selection;
 mod significance;
 
+pub use accumulate::Accumulator;
 pub use coverage::{
     binomial_band, chi_squared_quantile, chi_squared_upper_tail, coverage_factor, effective_degrees_of_freedom,
     hotelling_quantile, hotelling_upper_tail, joint_coverage_factor, rectangular_coverage_factor,
 };
 pub use design::{Choice, Criterion, Design, DesignFigures};
-pub use accumulate::Accumulator;
 pub use factor::{Factor, Joining, SingularValues, Spectrum, Whitener};
 pub use gauss_newton::{End, LeastSquares, Options, Sink, Solution, solve, solve_from};
 pub use linear::{DesignMatrix, LinearFit, fit_linear};

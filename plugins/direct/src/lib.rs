@@ -17,8 +17,9 @@ use std::path::PathBuf;
 use std::sync::Arc;
 
 use abbe_core::{
-    Artefact, Build, ColumnHeader, Constructor, Context, Dataset, Error, InputFile, KinematicModel, Label, Observations,
-    PathItem, Plugin, Quantity, Result, SettingsError, Target, inventory, nearest, pose_columns, positive,
+    Artefact, Build, ColumnHeader, Constructor, Context, Dataset, Error, InputFile, KinematicModel, Label,
+    Observations, PathItem, Plugin, Quantity, Result, SettingsError, Target, inventory, nearest, pose_columns,
+    positive,
 };
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
@@ -224,7 +225,10 @@ impl Measurement {
             (_, Some(Direction::Vector(vector)))
                 if !vector.iter().all(|part| part.is_finite()) || vector.iter().all(|part| *part == 0.0) =>
             {
-                return wrong("direction", "along this direction nothing can be read; three numbers, not all zero, were expected");
+                return wrong(
+                    "direction",
+                    "along this direction nothing can be read; three numbers, not all zero, were expected",
+                );
             }
             _ => {}
         }
@@ -233,7 +237,9 @@ impl Measurement {
         }
         for (setting, at) in [("at_mm", &self.at_mm), ("at_deg", &self.at_deg)] {
             if let Some((axis, _)) = at.iter().find(|(_, value)| !value.is_finite()) {
-                return Err(SettingsError::new(axis, "a finite number was expected").under([PathItem::Key(setting.to_owned())]));
+                return Err(
+                    SettingsError::new(axis, "a finite number was expected").under([PathItem::Key(setting.to_owned())])
+                );
             }
         }
         Ok(())
@@ -282,7 +288,12 @@ impl Settings {
     }
 
     /// Checks the columns of the data.
-    fn check_columns(&self, headers: &[ColumnHeader], file: Option<&PathBuf>, model: &dyn KinematicModel) -> Result<()> {
+    fn check_columns(
+        &self,
+        headers: &[ColumnHeader],
+        file: Option<&PathBuf>,
+        model: &dyn KinematicModel,
+    ) -> Result<()> {
         abbe_table::require(headers, file, &[(&self.measurement, Quantity::Label)])?;
         for (label, measurement) in &self.measurements {
             let quantity = measurement.kind.quantity();

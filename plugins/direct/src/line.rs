@@ -64,9 +64,9 @@ pub fn naming(status: &StatusColumn, axis: Option<&Axis>) -> (Vec<String>, Absen
 /// The index of an axis.
 pub fn axis(model: &dyn KinematicModel, name: &str) -> Result<usize, SettingsError> {
     let names = || model.axes().iter().map(|axis| axis.name.as_str());
-    names().position(|axis| axis == name).ok_or_else(|| {
-        SettingsError::new("moves", format!("the machine has no axis {name}")).suggest(name, names())
-    })
+    names()
+        .position(|axis| axis == name)
+        .ok_or_else(|| SettingsError::new("moves", format!("the machine has no axis {name}")).suggest(name, names()))
 }
 
 impl Line {

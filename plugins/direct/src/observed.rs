@@ -4,8 +4,8 @@ use std::collections::BTreeMap;
 use std::sync::Arc;
 
 use abbe_core::{
-    Contact, Dataset, Equations, Feature, KinematicModel, KnownInput, Layout, Observations, Parameter, PoseValues, Poses,
-    Quantity, Result, Unit, Values,
+    Contact, Dataset, Equations, Feature, KinematicModel, KnownInput, Layout, Observations, Parameter, PoseValues,
+    Poses, Quantity, Result, Unit, Values,
 };
 use nalgebra::{Matrix3, Quaternion, UnitQuaternion, Vector3};
 
@@ -71,7 +71,8 @@ pub fn observe(
     model: &dyn KinematicModel,
 ) -> Result<Arc<dyn Observations>> {
     let mut layout = Layout::new(data, model, &[&line::naming])?;
-    let names: Vec<String> = (0..data.rows()).map(|row| run_of(data, row, &labels[row], &lines[labels[row].as_str()])).collect();
+    let names: Vec<String> =
+        (0..data.rows()).map(|row| run_of(data, row, &labels[row], &lines[labels[row].as_str()])).collect();
     let runs = runs(data, &names, |row| &lines[labels[row].as_str()])?;
     let columns = Columns::of(data);
     let values = data.required_numbers("reading")?;
@@ -119,7 +120,11 @@ fn run_of(data: &Dataset, row: usize, label: &str, line: &Line) -> String {
 }
 
 /// The runs; each needs readings from which its offset and drift can be told apart.
-fn runs<'a, 'b>(data: &Dataset, names: &'a [String], line: impl Fn(usize) -> &'b Line) -> Result<BTreeMap<&'a str, Run>> {
+fn runs<'a, 'b>(
+    data: &Dataset,
+    names: &'a [String],
+    line: impl Fn(usize) -> &'b Line,
+) -> Result<BTreeMap<&'a str, Run>> {
     let times = data.numbers("time");
     let mut runs: BTreeMap<&str, Run> = BTreeMap::new();
     for (row, name) in names.iter().enumerate() {

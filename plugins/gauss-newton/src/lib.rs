@@ -10,8 +10,8 @@ mod result;
 mod weighted;
 
 use abbe_core::{
-    Build, Calibration, Constructor, Contact, Context, Error, Estimate, FitReport, Identifiability, Owner, Plugin, Problem,
-    Result, SettingsError, Status, Termination, Unknown, inventory,
+    Build, Calibration, Constructor, Contact, Context, Error, Estimate, FitReport, Identifiability, Owner, Plugin,
+    Problem, Result, SettingsError, Status, Termination, Unknown, inventory,
 };
 use abbe_numerics::{End, Factor, LeastSquares, Loss, Options, Robust, Solution, solve_from};
 use schemars::JsonSchema;

@@ -1,8 +1,8 @@
 //! The kinematic model of a serial chain: parameters, statuses, poses in batches.
 
 use abbe_core::{
-    Axis, AxisKind, Dataset, Error, ErrorFunction, KinematicModel, MotionError, Parameter, PathItem, Period, Poses, PosesMut,
-    Result, SettingsError, StatusColumn, Variable,
+    Axis, AxisKind, Dataset, Error, ErrorFunction, KinematicModel, MotionError, Parameter, PathItem, Period, Poses,
+    PosesMut, Result, SettingsError, StatusColumn, Variable,
 };
 use abbe_errors::{Declaration, Functions};
 use abbe_kinematics::{Chain, Errors, Evaluation as Pose, StructuralLoop};

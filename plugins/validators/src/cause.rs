@@ -43,8 +43,9 @@ fn default_significance() -> f64 {
     0.01
 }
 
-/// Cosine between two effects from which they are taken for one.
-const SAME: f64 = 0.9999;
+/// Variances of the residuals by which one cause has to explain more than another to be told from it: 1 % of a chi-squared variable with
+/// one degree of freedom is above.
+const RIVAL: f64 = 6.63;
 
 /// Causes that are shown.
 const SHOWN: usize = 5;
@@ -100,9 +101,8 @@ impl Cause {
         };
         let all = parameters.iter().enumerate();
         // What shapes a function is none of the errors.
-        let chosen = all.filter(|(index, parameter)| {
-            nominal[*index] == 0.0 && named(&parameter.name) && !known(&parameter.name)
-        });
+        let chosen = all
+            .filter(|(index, parameter)| nominal[*index] == 0.0 && named(&parameter.name) && !known(&parameter.name));
         Ok(chosen
             .map(|(index, parameter)| Unknown {
                 name: parameter.name.clone(),
@@ -124,7 +124,9 @@ impl Cause {
         joining.sort_by(|one, other| other.explained.total_cmp(&one.explained));
         let freedom = factor.rows().saturating_sub(own + 1);
         let Some(best) = joining.first().filter(|_| freedom > 0 && left > 0.0) else {
-            findings.remarks.push(format!("{}: nothing is left to be explained, or nothing that could explain it", fit.name));
+            findings
+                .remarks
+                .push(format!("{}: nothing is left to be explained, or nothing that could explain it", fit.name));
             return Ok(());
         };
         let test = |one: &Joining| one.explained / ((left - one.explained).max(f64::MIN_POSITIVE) / freedom as f64);
@@ -141,22 +143,27 @@ impl Cause {
         }
         let level = self.settings.significance / joining.len() as f64;
         if chance(best) > level {
-            findings.remarks.push(format!("{}: no single error explains the residuals better than chance does", fit.name));
+            findings
+                .remarks
+                .push(format!("{}: no single error explains the residuals better than chance does", fit.name));
             return Ok(());
         }
+        // Of those that the data cannot tell apart the simplest is named first: where an axis lies before how it moves.
+        let variance = (left - best.explained).max(f64::MIN_POSITIVE) / freedom as f64;
+        let mut rivals: Vec<&Joining> =
+            joining.iter().filter(|other| best.explained - other.explained < RIVAL * variance).collect();
+        let model = problem.model.as_ref();
+        rivals.sort_by_key(|one| meaning(&problem.unknowns[one.unknown].name, model).is_empty());
+        let best = rivals[0];
         let unknown = &problem.unknowns[best.unknown];
         let (unit, scale) = unknown.unit.for_people();
-        let same = joining[1..].iter().filter(|other| {
-            let cosine: f64 = best.effect.iter().zip(&other.effect).map(|(one, other)| one * other).sum();
-            cosine.abs() > SAME
-        });
-        let same: Vec<&str> = same.map(|other| problem.unknowns[other.unknown].name.as_str()).collect();
+        let same: Vec<&str> = rivals[1..].iter().map(|other| problem.unknowns[other.unknown].name.as_str()).collect();
         let same = if same.is_empty() { String::new() } else { format!("; so would {}", same.join(", ")) };
         findings.remarks.push(format!(
             "{}: {}{} changed by {:.3} {unit} explains {:.1} % of the residuals' sum of squares (F = {:.1}){same}",
             fit.name,
             unknown.name,
-            meaning(&unknown.name, problem.model.as_ref()),
+            meaning(&unknown.name, model),
             best.value * scale,
             100.0 * best.explained / left,
             test(best),

@@ -57,7 +57,10 @@ fn check_machine(text: &MachineText) -> Result<(), String> {
         outside || period.axis >= text.axes.len() || !(period.length > 0.0 && period.length.is_finite())
     };
     if let Some(period) = text.periods.iter().find(wrong) {
-        return Err(format!("describes a machine whose {} has a period of no axis, parameter or length", period.symbol));
+        return Err(format!(
+            "describes a machine whose {} has a period of no axis, parameter or length",
+            period.symbol
+        ));
     }
     if !text.stylus_radius.is_finite() || text.stylus_radius < 0.0 {
         return Err(format!("describes a machine with a stylus radius of {} mm", text.stylus_radius));
