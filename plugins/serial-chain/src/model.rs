@@ -404,6 +404,13 @@ impl SerialChain {
         (buffers, out): (&mut Buffers, &mut [[f64; 3]]),
     ) {
         for (out, variable) in out.iter_mut().zip(wanted) {
+            // Of many pieces most are zero at a place, and so is what they are given to.
+            if let Variable::Parameter(index) = variable
+                && let Role::Coefficient(place) = self.roles[*index]
+                && work.functions[place.function] == 0.0
+            {
+                continue;
+            }
             *out = match variable {
                 Variable::Parameter(index) => match self.roles[*index] {
                     Role::Coefficient(place) => by.0[place.slot][place.component] * work.functions[place.function],
