@@ -12,6 +12,7 @@ mod interrupted;
 mod laws;
 mod libraries;
 mod methods;
+mod mill;
 mod multi_feature_bar;
 mod planning;
 mod plugins;

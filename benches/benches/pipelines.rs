@@ -61,6 +61,15 @@ fn cmm(criterion: &mut Criterion) {
     });
 }
 
+/// All direct measurements of a milling machine at once: 19,668 rows, 550 unknowns.
+fn mill(criterion: &mut Criterion) {
+    let fits = fits("mill-direct-exact.yaml").unwrap_or_else(|error| panic!("{error}"));
+    let Some(fit) = fits.iter().find(|fit| fit.name == "fit") else { panic!("the recipe has no fit") };
+    criterion.bench_function("mill_joint_fit", |bencher| {
+        bencher.iter(|| fit.estimator.estimate(black_box(&fit.problem)).map(|calibration| calibration.fit.sigma))
+    });
+}
+
 /// Builds packages as they are benchmarked; gives the folder that they are in.
 fn built(packages: &[&str]) -> PathBuf {
     let root = Path::new(env!("CARGO_MANIFEST_DIR")).join("..");
@@ -108,6 +117,6 @@ fn border(criterion: &mut Criterion) {
 criterion_group! {
     name = benches;
     config = Criterion::default().sample_size(20).warm_up_time(Duration::from_secs(1)).without_plots();
-    targets = product, tango, cmm, border
+    targets = product, tango, cmm, mill, border
 }
 criterion_main!(benches);

@@ -8,10 +8,12 @@
 //!
 //! In memory every quantity is in mm, rad, s, °C or N. Columns and settings say their unit in their name.
 
+mod aliasing;
 mod calibration;
 mod contact;
 mod dataset;
 mod error;
+mod first_order;
 mod input_uncertainty;
 mod model;
 mod observations;
@@ -43,7 +45,7 @@ pub use dataset::{Column, ColumnHeader, Dataset, RowOrigin, Values};
 pub use error::{Class, Error, Place, Result, nearest};
 pub use input_uncertainty::{InputUncertainty, PooledRepeats, RowUncertainty, SharedError};
 pub use model::{
-    Absent, Axis, AxisKind, Branch, ErrorFunction, KinematicModel, MotionError, Parameter, Poses, PosesMut,
+    Absent, Axis, AxisKind, Branch, ErrorFunction, KinematicModel, MotionError, Parameter, Period, Poses, PosesMut,
     StatusColumn, Variable,
 };
 pub use observations::{

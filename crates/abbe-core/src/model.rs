@@ -161,6 +161,19 @@ pub struct ErrorFunction {
     pub quantity: Quantity,
 }
 
+/// A part of a motion error that repeats along its axis.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct Period {
+    /// ISO 230-1 symbol of the error, e.g. `EXX`.
+    pub symbol: String,
+    /// Index of the moving axis.
+    pub axis: usize,
+    /// Nominal length of a period, mm or rad.
+    pub length: f64,
+    /// Indices of its parameters.
+    pub parameters: Vec<usize>,
+}
+
 /// The value of a motion error at a status, and how it depends on parameters.
 #[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
 pub struct MotionError {
@@ -240,6 +253,11 @@ pub trait KinematicModel: Send + Sync {
 
     /// The motion errors that this model can tell one by one; none by default.
     fn error_functions(&self) -> Vec<ErrorFunction> {
+        Vec::new()
+    }
+
+    /// The parts of motion errors that repeat along their axes; none by default.
+    fn periods(&self) -> Vec<Period> {
         Vec::new()
     }
 

@@ -290,6 +290,13 @@ pub trait Observations: Send + Sync {
         false
     }
 
+    /// Whether orientations are wanted to first order in the errors: turned from the nominal one by the sum of what each
+    /// error alone turns the tool by. Angles are so told by instruments that add up angular errors; products of rotations, which
+    /// are second order, have no part in it.
+    fn first_order_orientation(&self) -> bool {
+        false
+    }
+
     /// Residuals and derivatives of some rows, in the order of `rows`; `poses` has their poses one after another.
     fn evaluate(&self, rows: &[usize], poses: PoseValues<'_>, own: &[f64], inputs: &[f64], out: &mut Equations);
 

@@ -541,6 +541,9 @@ impl Problem {
                 jacobian.clear();
                 jacobian.resize(equations * count, 0.0);
                 work.chain(set, rows, wanted.len(), |equation, derivatives, weight| {
+                    if *weight == [0.0; 3] {
+                        return;
+                    }
                     let line = &mut jacobian[equation * count..(equation + 1) * count];
                     for (derivative, &column) in derivatives.iter().zip(&machine_columns) {
                         line[column] += dot(derivative, weight);
@@ -570,7 +573,10 @@ impl Problem {
                 work.statuses.extend_from_slice(set.poses().row(pose));
             }
         }
-        self.model.evaluate(&work.statuses, &self.machine, wanted, orientation, &mut work.poses)?;
+        match orientation && set.observations.first_order_orientation() {
+            true => self.first_order(&work.statuses, wanted, &mut work.poses)?,
+            false => self.model.evaluate(&work.statuses, &self.machine, wanted, orientation, &mut work.poses)?,
+        }
         work.equations.clear();
         let poses = PoseValues { positions: &work.poses.positions, orientations: &work.poses.orientations };
         set.observations.try_evaluate(rows, poses, &set.own, &set.inputs, &mut work.equations)?;

@@ -1,78 +1,11 @@
-//! Orthogonal factorisation of a least squares problem that comes in rows, and what it tells.
+//! The triangular factor of a least squares problem, and what it tells.
 
-use faer::linalg::solvers::{Qr, Svd};
+use faer::linalg::solvers::Svd;
 use faer::{Mat, MatRef};
 
-/// Memory that the buffer of rows may take, in numbers; small problems are factorised in one go.
-const BUFFER: usize = 1 << 21;
+use crate::accumulate::Accumulator;
 
-/// Takes rows `[J | r]` of a least squares problem and keeps nothing but their triangular factor.
-///
-/// Rows are collected in a buffer; a full buffer is factorised together with the factor so far. The result is that of one
-/// QR of all rows, at the memory of the buffer.
-pub struct Accumulator {
-    unknowns: usize,
-    capacity: usize,
-    buffer: Mat<f64>,
-    filled: usize,
-    rows: usize,
-}
-
-impl Accumulator {
-    /// For `unknowns` unknowns and about `rows` rows.
-    pub fn new(unknowns: usize, rows: usize) -> Self {
-        let width = unknowns + 1;
-        let capacity = rows.clamp(1, (BUFFER / width).max(3 * width)) + width;
-        Self { unknowns, capacity, buffer: Mat::zeros(capacity, width), filled: 0, rows: 0 }
-    }
-
-    /// Adds one row, multiplied by `weight` (the square root of its statistical weight).
-    pub fn push(&mut self, derivatives: &[f64], residual: f64, weight: f64) {
-        if self.filled == self.capacity {
-            self.compress();
-        }
-        let row = self.filled;
-        for (column, derivative) in derivatives.iter().enumerate() {
-            self.buffer[(row, column)] = derivative * weight;
-        }
-        self.buffer[(row, self.unknowns)] = residual * weight;
-        self.filled += 1;
-        self.rows += 1;
-    }
-
-    /// Replaces the rows in the buffer by their triangular factor.
-    fn compress(&mut self) {
-        let factor = Qr::new(self.buffer.get(..self.filled, ..));
-        let triangle = factor.thin_R();
-        let height = triangle.nrows();
-        for column in 0..triangle.ncols() {
-            for row in 0..height {
-                self.buffer[(row, column)] = if row <= column { triangle[(row, column)] } else { 0.0 };
-            }
-        }
-        self.filled = height;
-    }
-
-    /// The factor of all rows.
-    pub fn finish(mut self) -> Factor {
-        self.compress();
-        let n = self.unknowns;
-        let mut triangle = Mat::zeros(n, n);
-        let mut right = vec![0.0; n];
-        let entry = |row: usize, column: usize| if row < self.filled { self.buffer[(row, column)] } else { 0.0 };
-        for column in 0..n {
-            for row in 0..=column {
-                triangle[(row, column)] = entry(row, column);
-            }
-            right[column] = entry(column, n);
-        }
-        let rest = entry(n, n);
-        let norms = (0..n).map(|column| norm((0..=column).map(|row| triangle[(row, column)]))).collect();
-        Factor { triangle, right, norms, rest: rest * rest, rows: self.rows }
-    }
-}
-
-fn norm(values: impl Iterator<Item = f64>) -> f64 {
+pub(crate) fn norm(values: impl Iterator<Item = f64>) -> f64 {
     values.map(|value| value * value).sum::<f64>().sqrt()
 }
 
@@ -86,7 +19,22 @@ pub struct Factor {
     rows: usize,
 }
 
+/// What one more unknown would do.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Joining {
+    /// Its number.
+    pub unknown: usize,
+    /// Its least squares value.
+    pub value: f64,
+    /// What it takes away from the sum of squares of r.
+    pub explained: f64,
+}
+
 impl Factor {
+    pub(crate) fn new(triangle: Mat<f64>, right: Vec<f64>, norms: Vec<f64>, rest: f64, rows: usize) -> Self {
+        Self { triangle, right, norms, rest, rows }
+    }
+
     /// Number of unknowns.
     pub fn unknowns(&self) -> usize {
         self.norms.len()
@@ -105,6 +53,39 @@ impl Factor {
     /// Column of the triangular factor; its products with other columns are those of J's.
     pub(crate) fn column(&self, unknown: usize) -> Vec<f64> {
         (0..self.unknowns()).map(|row| self.triangle[(row, unknown)]).collect()
+    }
+
+    /// The factor of the same rows without some unknowns.
+    pub fn without(&self, dropped: impl Fn(usize) -> bool) -> Self {
+        let kept: Vec<usize> = (0..self.unknowns()).filter(|&unknown| !dropped(unknown)).collect();
+        let mut accumulator = Accumulator::new(kept.len(), self.unknowns() + 1);
+        for row in 0..self.unknowns() {
+            let line: Vec<f64> = kept.iter().map(|&unknown| self.triangle[(row, unknown)]).collect();
+            accumulator.push(&line, self.right[row], 1.0);
+        }
+        accumulator.push(&vec![0.0; kept.len()], self.rest.sqrt(), 1.0);
+        Self { rows: self.rows, ..accumulator.finish() }
+    }
+
+    /// What each unknown from number `own` on would do if it alone joined those before it, which are all determined, at their
+    /// least squares values. An unknown that does nothing that they cannot do is left out.
+    pub fn joining(&self, own: usize) -> Vec<Joining> {
+        let n = self.unknowns();
+        let mut joining = Vec::new();
+        for unknown in own..n {
+            let new: Vec<f64> = (own..n).map(|row| self.triangle[(row, unknown)]).collect();
+            let size = norm(new.iter().copied());
+            if size > 1e-9 * self.norms[unknown] {
+                let along: f64 = new.iter().zip(&self.right[own..]).map(|(new, right)| new * right).sum::<f64>() / size;
+                joining.push(Joining { unknown, value: -along / size, explained: along * along });
+            }
+        }
+        joining
+    }
+
+    /// Sum of squares of r that remains after the step of the first `own` unknowns alone.
+    pub fn remaining_cost_of(&self, own: usize) -> f64 {
+        self.rest + self.right[own..].iter().map(|value| value * value).sum::<f64>()
     }
 
     /// Sum of squares of r.

@@ -1,6 +1,7 @@
 //! Gauss-Newton iteration with step control, optionally robust.
 
-use crate::factor::{Accumulator, Factor};
+use crate::accumulate::Accumulator;
+use crate::factor::Factor;
 use crate::robust::{Loss, Robust, RobustReport, scale, studentise};
 
 /// Takes rows: index of the first, residuals, derivatives row by row.
@@ -52,7 +53,7 @@ pub enum End {
 }
 
 /// The last iterate, whatever the end.
-#[derive(Debug, Clone, PartialEq)]
+#[derive(Debug, Clone)]
 pub struct Solution {
     /// The unknowns.
     pub x: Vec<f64>,
@@ -62,6 +63,8 @@ pub struct Solution {
     pub end: End,
     /// Weights and studentised residuals of a robust estimate.
     pub robust: Option<RobustReport>,
+    /// The factor of the weighted rows at x, or one small step before it.
+    pub factor: Factor,
 }
 
 /// Factorises the problem at x with statistical weights (all 1 if there are none).
@@ -86,15 +89,27 @@ pub(crate) fn factorise<P: LeastSquares + ?Sized>(
 /// Every step is that of the linearised problem, columns scaled, within its first `rank` singular directions, and is
 /// halved while it does not make the sum of squares smaller.
 pub fn solve<P: LeastSquares + ?Sized>(problem: &P, start: &[f64], options: &Options) -> Result<Solution, P::Error> {
+    solve_from(problem, start, None, options)
+}
+
+/// The same where the factor of the rows at the start, all with weight 1, is there already.
+pub fn solve_from<P: LeastSquares + ?Sized>(
+    problem: &P,
+    start: &[f64],
+    factor: Option<Factor>,
+    options: &Options,
+) -> Result<Solution, P::Error> {
+    let factor = match factor {
+        Some(factor) => factor,
+        None => factorise(problem, start, None)?,
+    };
     let Some(robust) = options.robust else {
-        let minimum = minimise(problem, start.to_vec(), None, options)?;
-        return Ok(Solution { x: minimum.x, iterations: minimum.iterations, end: minimum.end, robust: None });
+        let Minimum { x, end, iterations, factor } = minimise(problem, start.to_vec(), factor, None, options)?;
+        return Ok(Solution { x, iterations, end, robust: None, factor });
     };
     let mut minimum = match options.near {
-        false => minimise(problem, start.to_vec(), None, options)?,
-        true => {
-            Minimum { x: start.to_vec(), end: End::Converged, iterations: 0, factor: factorise(problem, start, None)? }
-        }
+        false => minimise(problem, start.to_vec(), factor, None, options)?,
+        true => Minimum { x: start.to_vec(), end: End::Converged, iterations: 0, factor },
     };
     let mut iterations = minimum.iterations;
     // Huber's loss has one minimum and takes the estimate near enough for Tukey's, which has many.
@@ -116,7 +131,8 @@ pub fn solve<P: LeastSquares + ?Sized>(problem: &P, start: &[f64], options: &Opt
             settled = changed < if options.near { NEARLY_SETTLED } else { SETTLED };
             // With step control: where the rows hardly determine a direction, bare steps go astray.
             let tolerance = if settled { options.tolerance } else { SMALL };
-            minimum = minimise(problem, minimum.x, Some(&weights), &Options { tolerance, ..*options })?;
+            let factor = factorise(problem, &minimum.x, Some(&weights))?;
+            minimum = minimise(problem, minimum.x, factor, Some(&weights), &Options { tolerance, ..*options })?;
             iterations += minimum.iterations;
             if settled || minimum.end == End::NoProgress {
                 break;
@@ -128,7 +144,8 @@ pub fn solve<P: LeastSquares + ?Sized>(problem: &P, start: &[f64], options: &Opt
     }
     let spread = scale(&studentised);
     studentised.iter_mut().for_each(|size| *size /= spread);
-    Ok(Solution { x: minimum.x, iterations, end: minimum.end, robust: Some(RobustReport { weights, studentised }) })
+    let robust = Some(RobustReport { weights, studentised });
+    Ok(Solution { x: minimum.x, iterations, end: minimum.end, robust, factor: minimum.factor })
 }
 
 /// Residuals at a minimum over their own standard deviations.
@@ -185,10 +202,10 @@ fn step_of(factor: &Factor, rank: usize) -> Option<(Vec<f64>, f64)> {
 fn minimise<P: LeastSquares + ?Sized>(
     problem: &P,
     mut x: Vec<f64>,
+    mut factor: Factor,
     weights: Option<&[f64]>,
     options: &Options,
 ) -> Result<Minimum, P::Error> {
-    let mut factor = factorise(problem, &x, weights)?;
     let mut last_size = f64::INFINITY;
     for iterations in 1..=options.iterations {
         let Some((step, size)) = step_of(&factor, options.rank) else {

@@ -5,6 +5,7 @@
 //! **Architecture invariant:** this crate knows rows of numbers, not machines. faer runs single-threaded (its parallel
 //! feature is off), because its results would otherwise depend on the number of cores.
 
+mod accumulate;
 mod coverage;
 mod design;
 mod factor;
@@ -17,13 +18,14 @@ mod sampling;
 mod selection;
 mod significance;
 
+pub use accumulate::Accumulator;
 pub use coverage::{
     binomial_band, chi_squared_quantile, chi_squared_upper_tail, coverage_factor, effective_degrees_of_freedom,
     hotelling_quantile, hotelling_upper_tail, joint_coverage_factor, rectangular_coverage_factor,
 };
 pub use design::{Choice, Criterion, Design, DesignFigures};
-pub use factor::{Accumulator, Factor, SingularValues, Spectrum, Whitener};
-pub use gauss_newton::{End, LeastSquares, Options, Sink, Solution, solve};
+pub use factor::{Factor, Joining, SingularValues, Spectrum, Whitener};
+pub use gauss_newton::{End, LeastSquares, Options, Sink, Solution, solve, solve_from};
 pub use linear::{DesignMatrix, LinearFit, fit_linear};
 pub use monte_carlo::{Adaptive, Agreement, Interval, Trials, gum_agrees, least_trials, numerical_tolerance};
 pub use regression::{Direction, Influence, SelectionStep, StepwiseSelection};

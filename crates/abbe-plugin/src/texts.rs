@@ -7,7 +7,7 @@ use std::sync::Arc;
 use abbe_core::{
     Axis, Calibration, ColumnHeader, Considered, Contact, Dataset, EquationUncertainty, ErrorFunction, ExportedFile,
     Feature, Fit, Input, InputFile, KinematicModel, KnownInput, Layout, ObservationSet, Observations, Parameter,
-    PoseTable, Problem, Quantity, StatusColumn, Unknown,
+    Period, PoseTable, Problem, Quantity, StatusColumn, Unknown,
 };
 use serde::{Deserialize, Serialize};
 use serde_json::Value;
@@ -30,6 +30,8 @@ pub(crate) struct MachineText {
     pub settings: Value,
     #[serde(default)]
     pub error_functions: Vec<ErrorFunction>,
+    #[serde(default)]
+    pub periods: Vec<Period>,
 }
 
 impl MachineText {
@@ -42,6 +44,7 @@ impl MachineText {
             stylus_radius: model.stylus_radius(),
             settings: model.settings(),
             error_functions: model.error_functions(),
+            periods: model.periods(),
         }
     }
 }
@@ -61,6 +64,8 @@ pub(crate) struct ObservationsText {
     pub inputs: Vec<KnownInput>,
     #[serde(default)]
     pub needs_orientation: bool,
+    #[serde(default)]
+    pub first_order_orientation: bool,
     /// Equations, by their index in the layout, that are of angles (rad); all others are of lengths.
     #[serde(default)]
     pub angles: BTreeSet<usize>,
@@ -80,6 +85,7 @@ impl ObservationsText {
             start: observations.start(),
             inputs: observations.inputs().to_vec(),
             needs_orientation: observations.needs_orientation(),
+            first_order_orientation: observations.first_order_orientation(),
             angles: angles(observations),
             features: observations.features(),
             contact: observations.contact(),

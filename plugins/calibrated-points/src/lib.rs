@@ -38,7 +38,8 @@ inventory::submit! {
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 struct Settings {
-    /// CSV file of the calibrated points in the artefact's own frame: point, x_mm, y_mm, z_mm.
+    /// CSV file of the calibrated points in the artefact's own frame: point, x_mm, y_mm, z_mm; a plate
+    /// without z_mm is plane.
     points: String,
     /// The column of the point's label, there and in the data.
     #[serde(default = "default_point")]
@@ -121,7 +122,13 @@ impl CalibratedPoints {
         let table = abbe_table::read(&self.points)?;
         abbe_table::unique_labels(&table, &self.settings.point)?;
         let labels = abbe_table::labels(&table, &self.settings.point)?.to_vec();
-        let points = abbe_table::points(&table, ["x", "y", "z"])?;
+        let points = match table.column("z") {
+            Some(_) => abbe_table::points(&table, ["x", "y", "z"])?,
+            None => {
+                let along = |name| abbe_table::numbers(&table, name, Quantity::Length);
+                along("x")?.iter().zip(along("y")?).map(|(x, y)| [*x, *y, 0.0]).collect()
+            }
+        };
         Ok(Labelled { labels, items: points.into_iter().map(Vector3::from).collect() })
     }
 
@@ -198,8 +205,11 @@ impl Artefact for CalibratedPoints {
         abbe_table::require(headers, file, &[(&self.settings.point, Quantity::Label)])?;
         let lengths = ["x", "y", "z"].map(|name| (name, Quantity::Length));
         let directions = ["ux", "uy", "uz", "vx", "vy", "vz"].map(|name| (name, Quantity::Ratio));
-        let points = [&[(self.settings.point.as_str(), Quantity::Label)], &lengths[..]].concat();
-        abbe_table::require(&abbe_table::read_headers(&self.points)?, Some(&self.points), &points)?;
+        let headers_of_points = abbe_table::read_headers(&self.points)?;
+        let planar = !headers_of_points.iter().any(|header| header.name == "z");
+        let points =
+            [&[(self.settings.point.as_str(), Quantity::Label)], &lengths[..if planar { 2 } else { 3 }]].concat();
+        abbe_table::require(&headers_of_points, Some(&self.points), &points)?;
         let placed = [&[(self.settings.placement.as_str(), Quantity::Label)], &lengths[..], &directions].concat();
         abbe_table::require(&abbe_table::read_headers(&self.placements)?, Some(&self.placements), &placed)
     }

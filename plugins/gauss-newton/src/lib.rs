@@ -11,11 +11,11 @@ mod select;
 mod weighted;
 
 use abbe_core::{
-    Build, Calibration, Constructor, Context, Error, Estimate, FitReport, Identifiability, Owner, PathItem, Plugin,
-    Problem, Result, SettingsError, Status, Termination, Unknown, inventory,
+    Build, Calibration, Constructor, Contact, Context, Error, Estimate, FitReport, Identifiability, Owner, PathItem,
+    Plugin, Problem, Result, SettingsError, Status, Termination, Unknown, inventory,
 };
 use abbe_identifiability::same_motion;
-use abbe_numerics::{End, Factor, LeastSquares, Loss, Options, Robust, Solution, solve};
+use abbe_numerics::{End, Factor, LeastSquares, Loss, Options, Robust, Solution, solve_from};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use serde_json::{Value, json};
@@ -208,8 +208,14 @@ impl GaussNewton {
     }
 
     /// The values of the unknowns; fails where the iteration does not converge.
-    fn iterate(&self, weighted: &Weighted<'_>, start: &[f64], options: &Options) -> Result<Solution> {
-        let solution = solve(weighted, start, options)?;
+    fn iterate(
+        &self,
+        weighted: &Weighted<'_>,
+        start: &[f64],
+        factor: Option<Factor>,
+        options: &Options,
+    ) -> Result<Solution> {
+        let solution = solve_from(weighted, start, factor, options)?;
         let failed = match solution.end {
             End::Converged => return Ok(solution),
             End::NoProgress => "no step makes the residuals smaller".to_owned(),
@@ -220,15 +226,27 @@ impl GaussNewton {
         ))
     }
 
-    fn solve(&self, problem: &Problem, lost: Option<Identifiability>, explained: bool) -> Result<Calibration> {
+    /// Solves a problem; `at_start` is its factor at the contact points of the start values.
+    fn solve(
+        &self,
+        problem: &Problem,
+        at_start: Option<&Factor>,
+        lost: Option<Identifiability>,
+        explained: bool,
+    ) -> Result<Calibration> {
         let rank = lost.as_ref().map_or(problem.unknowns.len(), |lost| lost.rank);
         let weighted = self.weighted(problem)?;
-        let solution = self.iterate(&weighted, &problem.start(), &self.options(rank, 1e-9, false))?;
+        let still = is_still(problem);
+        let at_start = at_start.filter(|_| still).cloned();
+        let solution = self.iterate(&weighted, &problem.start(), at_start, &self.options(rank, 1e-9, false))?;
         let at_contact = problem.at_contact(&solution.x)?;
         // What is left out by its weight does not inform; what is weighed down still does.
         let kept: Option<Vec<f64>> = (solution.robust.as_ref())
             .map(|robust| robust.weights.iter().map(|weight| f64::from(*weight > 0.0)).collect());
-        let factor = Weighted::new(&at_contact)?.factor(&solution.x, kept.as_deref())?;
+        let factor = match still && solution.robust.is_none() {
+            true => solution.factor,
+            false => Weighted::new(&at_contact)?.factor(&solution.x, kept.as_deref())?,
+        };
         let mut found = identifiability(problem, &factor, self.settings.rank_tolerance);
         match lost {
             None if found.rank < rank => return Err(confounded(&separated(problem, &solution.x, found))),
@@ -327,10 +345,14 @@ impl GaussNewton {
         if first.is_empty() || reduced.unknowns.is_empty() {
             return Ok(None);
         }
-        let of_reduced = factor_at_contact(&reduced, &reduced.start())?;
-        let rank = of_reduced.singular_values().rank(self.settings.rank_tolerance);
+        let of_reduced = factor.without(|unknown| first.contains(&problem.unknowns[unknown].name));
+        let rank = match of_reduced.is_surely_full_rank(self.settings.rank_tolerance) {
+            true => reduced.unknowns.len(),
+            false => of_reduced.singular_values().rank(self.settings.rank_tolerance),
+        };
         let options = self.options(rank, 1e-3, false);
-        let Ok(solution) = self.iterate(&self.weighted(&reduced)?, &reduced.start(), &options) else {
+        let at_start = Some(of_reduced).filter(|_| is_still(&reduced));
+        let Ok(solution) = self.iterate(&self.weighted(&reduced)?, &reduced.start(), at_start, &options) else {
             return Ok(None);
         };
         let started = Problem { unknowns: problem.unknowns.clone(), ..reduced.at(&solution.x) };
@@ -352,7 +374,7 @@ impl GaussNewton {
         let x = problem.values_of(&all);
         let weighted = self.weighted(problem)?;
         let weights = match self.settings.robust {
-            Some(_) => self.iterate(&weighted, &x, &self.options(x.len(), 1e-6, true))?.robust,
+            Some(_) => self.iterate(&weighted, &x, None, &self.options(x.len(), 1e-6, true))?.robust,
             None => None,
         };
         let factor = weighted.factor(&x, weights.as_ref().map(|report| report.weights.as_slice()))?;
@@ -368,23 +390,23 @@ impl GaussNewton {
         let started = self.started(problem, &factor)?;
         let (problem, factor) = started.as_ref().map_or((problem, &factor), |(problem, factor)| (problem, factor));
         if factor.is_surely_full_rank(self.settings.rank_tolerance) {
-            return self.solve(problem, None, explained);
+            return self.solve(problem, Some(factor), None, explained);
         }
         let found = identifiability(problem, factor, self.settings.rank_tolerance);
         if found.rank == found.unknowns {
-            return self.solve(problem, None, explained);
+            return self.solve(problem, Some(factor), None, explained);
         }
         let wanted = explained || self.settings.on_confounded == OnConfounded::Error;
         let found = if wanted { separated(problem, &problem.start(), found) } else { found };
         match self.settings.on_confounded {
             OnConfounded::Error => Err(confounded(&found)),
-            OnConfounded::MinimumNorm => self.solve(problem, Some(found), explained),
+            OnConfounded::MinimumNorm => self.solve(problem, Some(factor), Some(found), explained),
             OnConfounded::Drop => {
                 let dropped = factor.spectrum().dependent(found.rank);
                 let names: Vec<&str> = dropped.iter().map(|&index| problem.unknowns[index].name.as_str()).collect();
                 tracing::warn!("{}: left at their start values: {}", problem.name, names.join(", "));
                 let reduced = problem.without(|unknown| names.contains(&unknown.name.as_str()));
-                let mut calibration = self.solve(&reduced, None, explained)?;
+                let mut calibration = self.solve(&reduced, None, None, explained)?;
                 // Whoever shares a lost direction has a value only as long as those left behind have theirs.
                 let parts = found.null_space.iter().flat_map(|vector| &vector.combination);
                 let shared: Vec<&str> = parts.map(|part| part.name.as_str()).collect();
@@ -417,7 +439,7 @@ impl Estimate for GaussNewton {
         }
         // Near the solution: what is left after this step is its square.
         let options = self.options(problem.unknowns.len(), 1e-6, true);
-        Ok(self.iterate(&self.weighted(problem)?, &problem.start(), &options)?.x)
+        Ok(self.iterate(&self.weighted(problem)?, &problem.start(), None, &options)?.x)
     }
 
     fn accepts(&self, found: &Identifiability) -> bool {
@@ -446,6 +468,11 @@ impl Estimate for GaussNewton {
         }
         Ok(found)
     }
+}
+
+/// Whether no axis moves for contact: the rows at contact points are those that are solved.
+fn is_still(problem: &Problem) -> bool {
+    problem.sets.iter().all(|set| set.observations.contact() != Contact::LinearAxes)
 }
 
 /// The factor of a problem at its own contact points.

@@ -23,7 +23,8 @@ pub struct Sizes {
 impl Sizes {
     fn of(residuals: &[f64]) -> Self {
         let sizes = || residuals.iter().map(|residual| residual.abs());
-        let mean = |sum: f64| sum / residuals.len().max(1) as f64;
+        // An empty sum is -0.
+        let mean = |sum: f64| (sum + 0.0) / residuals.len().max(1) as f64;
         Self {
             count: residuals.len(),
             max: sizes().fold(0.0, f64::max),

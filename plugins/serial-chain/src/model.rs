@@ -1,8 +1,8 @@
 //! The kinematic model of a serial chain: parameters, statuses, poses in batches.
 
 use abbe_core::{
-    Axis, AxisKind, Dataset, Error, ErrorFunction, KinematicModel, MotionError, Parameter, PathItem, Poses, PosesMut,
-    Result, SettingsError, StatusColumn, Variable,
+    Axis, AxisKind, Dataset, Error, ErrorFunction, KinematicModel, MotionError, Parameter, PathItem, Period, Poses,
+    PosesMut, Result, SettingsError, StatusColumn, Variable,
 };
 use abbe_errors::{Declaration, Functions};
 use abbe_kinematics::{Chain, Errors, Evaluation as Pose, StructuralLoop};
@@ -324,6 +324,25 @@ impl KinematicModel for SerialChain {
         functions
     }
 
+    fn periods(&self) -> Vec<Period> {
+        let mut periods = Vec::new();
+        for basis in &self.bases {
+            let arguments = basis.arguments_at(&vec![0.0; self.status.len()], &self.nominal);
+            let Some(length) = basis.functions.period(&arguments[..basis.arguments.len()]) else { continue };
+            for (axis, named) in self.axes.iter().enumerate() {
+                let slot = self.chain.motion_slot(axis);
+                for (component, letter) in COMPONENTS.iter().enumerate() {
+                    let own = basis.coefficients.iter().filter(|(_, at)| at.slot == slot && at.component == component);
+                    let parameters: Vec<usize> = own.map(|(parameter, _)| *parameter).collect();
+                    if !parameters.is_empty() {
+                        periods.push(Period { symbol: format!("E{letter}{}", named.name), axis, length, parameters });
+                    }
+                }
+            }
+        }
+        periods
+    }
+
     fn motion_error(&self, function: &ErrorFunction, values: &[f64], status: &[f64]) -> Result<MotionError> {
         let mut error = MotionError::default();
         let (mut functions, mut each, mut slopes) = (vec![0.0; self.functions], vec![0.0; self.functions], Vec::new());
@@ -385,6 +404,13 @@ impl SerialChain {
         (buffers, out): (&mut Buffers, &mut [[f64; 3]]),
     ) {
         for (out, variable) in out.iter_mut().zip(wanted) {
+            // Of many pieces most are zero at a place, and so is what they are given to.
+            if let Variable::Parameter(index) = variable
+                && let Role::Coefficient(place) = self.roles[*index]
+                && work.functions[place.function] == 0.0
+            {
+                continue;
+            }
             *out = match variable {
                 Variable::Parameter(index) => match self.roles[*index] {
                     Role::Coefficient(place) => by.0[place.slot][place.component] * work.functions[place.function],

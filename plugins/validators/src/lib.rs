@@ -4,6 +4,7 @@
 //! Every figure is about one fit, unless it is about a data set. Rows that the fit lists as outliers do not count in statistics but are counted.
 
 mod artefact_cmm;
+mod cause;
 mod cmm;
 mod compare;
 mod consistency;

@@ -169,7 +169,7 @@ fn none(left_out: &[LeftOut]) -> impl Iterator<Item = &usize> {
 }
 
 /// The rows of a problem, weighted with 1/u.
-fn factor(problem: &Problem) -> Result<Factor> {
+pub(crate) fn factor(problem: &Problem) -> Result<Factor> {
     let uncertainties = problem.standard_uncertainties();
     let count = problem.unknowns.len();
     let mut accumulator = Accumulator::new(count, uncertainties.len());

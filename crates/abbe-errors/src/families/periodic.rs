@@ -114,6 +114,10 @@ impl Functions for PeriodicPieces {
         (1..=self.count).map(|k| Term::new(format!("[{}:{k}]", self.name), 0)).collect()
     }
 
+    fn period(&self, arguments: &[f64]) -> Option<f64> {
+        Some(self.place(arguments).1)
+    }
+
     fn values(&self, arguments: &[f64], out: &mut [f64]) {
         let (w, _) = self.place(arguments);
         for (out, (knot, line, bend)) in out.iter_mut().zip(self.each()) {

@@ -5,7 +5,7 @@ use std::collections::BTreeSet;
 use std::sync::Arc;
 
 use abbe_core::{
-    Axis, Error, ErrorFunction, KinematicModel, MotionError, Parameter, Poses, Result, StatusColumn, Variable,
+    Axis, Error, ErrorFunction, KinematicModel, MotionError, Parameter, Period, Poses, Result, StatusColumn, Variable,
 };
 use serde_json::Value;
 
@@ -51,6 +51,16 @@ fn check_machine(text: &MachineText) -> Result<(), String> {
     }
     if let Some(function) = text.error_functions.iter().find(|f| f.axis >= text.axes.len() || f.component >= 6) {
         return Err(format!("describes a machine whose error {} is of no axis or component", function.symbol));
+    }
+    let wrong = |period: &&Period| {
+        let outside = period.parameters.iter().any(|parameter| *parameter >= text.parameters.len());
+        outside || period.axis >= text.axes.len() || !(period.length > 0.0 && period.length.is_finite())
+    };
+    if let Some(period) = text.periods.iter().find(wrong) {
+        return Err(format!(
+            "describes a machine whose {} has a period of no axis, parameter or length",
+            period.symbol
+        ));
     }
     if !text.stylus_radius.is_finite() || text.stylus_radius < 0.0 {
         return Err(format!("describes a machine with a stylus radius of {} mm", text.stylus_radius));
@@ -119,6 +129,10 @@ impl KinematicModel for Machine {
 
     fn error_functions(&self) -> Vec<ErrorFunction> {
         self.text.error_functions.clone()
+    }
+
+    fn periods(&self) -> Vec<Period> {
+        self.text.periods.clone()
     }
 
     fn motion_error(&self, function: &ErrorFunction, values: &[f64], status: &[f64]) -> Result<MotionError> {

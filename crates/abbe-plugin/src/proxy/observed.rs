@@ -101,6 +101,10 @@ impl Observations for Observed {
         self.text.needs_orientation
     }
 
+    fn first_order_orientation(&self) -> bool {
+        self.text.first_order_orientation
+    }
+
     fn evaluate(&self, rows: &[usize], poses: PoseValues<'_>, own: &[f64], inputs: &[f64], out: &mut Equations) {
         let first = out.residuals().len();
         if self.try_evaluate(rows, poses, own, inputs, out).is_err() {

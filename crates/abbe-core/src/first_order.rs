@@ -1,0 +1,82 @@
+//! Orientations to first order in the errors, for observations that add up angular errors.
+
+use nalgebra::{Matrix3, Quaternion, UnitQuaternion, Vector3};
+
+use crate::error::Result;
+use crate::model::{Poses, Variable};
+use crate::problem::Problem;
+
+/// Below this angle, rad, series of angles are taken for what would lose its digits.
+const SMALL: f64 = 1e-3;
+
+impl Problem {
+    /// Evaluates poses whose orientation is the nominal one, turned by the sum of what each parameter alone turns it by:
+    /// derivative at the nominal values times value. What shapes a function (a nominal value that is not zero) has its
+    /// current value there, so that the functions are the current ones.
+    ///
+    /// Positions are exact. Derivatives to shapes and commands are those of the exact rotation, which differ by products
+    /// of errors.
+    pub(crate) fn first_order(&self, statuses: &[f64], wanted: &[Variable], out: &mut Poses) -> Result<()> {
+        let nominal = self.model.nominal();
+        let linear = |variable: &Variable| match variable {
+            Variable::Parameter(index) => Some(*index).filter(|index| nominal[*index] == 0.0),
+            Variable::Command(_) => None,
+        };
+        let exact = wanted.iter().any(|variable| linear(variable).is_none());
+        self.model.evaluate(statuses, &self.machine, wanted, exact, out)?;
+
+        let values: Vec<f64> = self
+            .machine
+            .iter()
+            .zip(&nominal)
+            .map(|(value, nominal)| if *nominal == 0.0 { 0.0 } else { *value })
+            .collect();
+        let mut column = vec![None; nominal.len()];
+        let mut variables = Vec::new();
+        let moved = (0..nominal.len()).filter(|&index| nominal[index] == 0.0 && self.machine[index] != 0.0);
+        for index in moved.chain(wanted.iter().filter_map(linear)) {
+            column[index].get_or_insert_with(|| {
+                variables.push(Variable::Parameter(index));
+                variables.len() - 1
+            });
+        }
+        let mut at_nominal = Poses::default();
+        self.model.evaluate(statuses, &values, &variables, true, &mut at_nominal)?;
+
+        let poses = at_nominal.orientations.len();
+        out.orientations.clear();
+        out.rotation_derivatives.resize(poses * wanted.len(), [0.0; 3]);
+        for pose in 0..poses {
+            let alone = &at_nominal.rotation_derivatives[pose * variables.len()..(pose + 1) * variables.len()];
+            let mut turn = Vector3::zeros();
+            for (variable, by) in variables.iter().zip(alone) {
+                if let Variable::Parameter(index) = variable {
+                    turn += Vector3::from(*by) * self.machine[*index];
+                }
+            }
+            let [w, x, y, z] = at_nominal.orientations[pose];
+            let nominal = UnitQuaternion::from_quaternion(Quaternion::new(w, x, y, z));
+            let turned = UnitQuaternion::from_scaled_axis(turn) * nominal;
+            out.orientations.push([turned.w, turned.i, turned.j, turned.k]);
+            let rotation = rotation_by_vector(&turn);
+            let derivatives = &mut out.rotation_derivatives[pose * wanted.len()..(pose + 1) * wanted.len()];
+            for (derivative, variable) in derivatives.iter_mut().zip(wanted) {
+                if let Some(place) = linear(variable).and_then(|index| column[index]) {
+                    *derivative = (rotation * Vector3::from(alone[place])).into();
+                }
+            }
+        }
+        Ok(())
+    }
+}
+
+/// The small rotation, axes of the fixed frame, that follows a change of a rotation vector: its left Jacobian
+/// (Barfoot, State Estimation for Robotics, 2017, chapter 7).
+fn rotation_by_vector(vector: &Vector3<f64>) -> Matrix3<f64> {
+    let (angle, cross) = (vector.norm(), vector.cross_matrix());
+    let (half, rest) = match angle < SMALL {
+        true => (0.5 - angle.powi(2) / 24.0, 1.0 / 6.0 - angle.powi(2) / 120.0),
+        false => ((1.0 - angle.cos()) / angle.powi(2), (angle - angle.sin()) / angle.powi(3)),
+    };
+    Matrix3::identity() + cross * half + cross * cross * rest
+}

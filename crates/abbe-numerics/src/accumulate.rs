@@ -1,0 +1,181 @@
+//! Takes the rows of a least squares problem and keeps nothing but their triangular factor.
+
+use faer::Mat;
+use faer::linalg::solvers::Qr;
+
+use crate::factor::{Factor, norm};
+
+/// Memory that the buffer of rows may take, in numbers; small problems are factorised in one go.
+const BUFFER: usize = 1 << 21;
+
+/// Rows that are factorised together where there are many unknowns, most of which are zero in most rows.
+const BLOCK: usize = 1024;
+
+/// Problems with no more unknowns than this are factorised as if none were zero.
+const FEW: usize = 64;
+
+/// Takes rows `[J | r]` of a least squares problem and keeps nothing but their triangular factor.
+///
+/// Rows are collected in a buffer. A full buffer is factorised over those columns that are not zero in it: where measurements
+/// come run by run, most unknowns of other runs are. The result is that of one QR of all rows, at the memory of the buffer.
+pub struct Accumulator {
+    unknowns: usize,
+    /// Rows of the buffer; it is zero beyond what is filled.
+    capacity: usize,
+    buffer: Mat<f64>,
+    filled: usize,
+    /// The columns that are not zero in the buffer.
+    present: Vec<bool>,
+    rows: usize,
+    done: Vec<Triangle>,
+}
+
+/// The factor of some rows, over the columns that are not zero in them.
+struct Triangle {
+    /// The unknowns, ascending.
+    columns: Vec<usize>,
+    /// Upper triangle; the last column is the right side.
+    values: Mat<f64>,
+}
+
+impl Triangle {
+    /// The factor of a matrix whose last column is the right side.
+    fn of(columns: Vec<usize>, rows: &Mat<f64>) -> Self {
+        Self { columns, values: Qr::new(rows.as_ref()).thin_R().to_owned() }
+    }
+
+    /// Entry in a row, zero below the diagonal.
+    fn entry(&self, row: usize, column: usize) -> f64 {
+        if row <= column && row < self.values.nrows() { self.values[(row, column)] } else { 0.0 }
+    }
+
+    /// The same with these columns (their indices here) first; the others keep their order.
+    fn starting_with(&self, first: &[usize]) -> Self {
+        let count = self.columns.len();
+        let others = (0..count).filter(|column| !first.contains(column));
+        let order: Vec<usize> = first.iter().copied().chain(others).collect();
+        let rows = Mat::from_fn(self.values.nrows(), count + 1, |row, column| {
+            self.entry(row, order.get(column).copied().unwrap_or(count))
+        });
+        Self::of(order.iter().map(|&column| self.columns[column]).collect(), &rows)
+    }
+}
+
+impl Accumulator {
+    /// For `unknowns` unknowns and about `rows` rows.
+    pub fn new(unknowns: usize, rows: usize) -> Self {
+        let width = unknowns + 1;
+        let capacity = match unknowns <= FEW || rows <= BLOCK {
+            true => rows.clamp(1, (BUFFER / width).max(3 * width)) + width,
+            false => BLOCK.max(2 * width),
+        };
+        Self {
+            unknowns,
+            capacity,
+            buffer: Mat::zeros(capacity, width),
+            filled: 0,
+            present: vec![false; unknowns],
+            rows: 0,
+            done: Vec::new(),
+        }
+    }
+
+    /// Adds one row, multiplied by `weight` (the square root of its statistical weight).
+    pub fn push(&mut self, derivatives: &[f64], residual: f64, weight: f64) {
+        // Where the next run begins, the unknowns of the last one end.
+        let new = || derivatives.iter().zip(&self.present).any(|(derivative, present)| *derivative != 0.0 && !present);
+        if self.filled == self.capacity || (self.unknowns > FEW && self.filled >= self.capacity / 2 && new()) {
+            self.flush();
+        }
+        let row = self.filled;
+        for (column, derivative) in derivatives.iter().enumerate() {
+            if *derivative != 0.0 {
+                self.buffer[(row, column)] = derivative * weight;
+                self.present[column] = true;
+            }
+        }
+        self.buffer[(row, self.unknowns)] = residual * weight;
+        self.filled += 1;
+        self.rows += 1;
+    }
+
+    /// Replaces the rows in the buffer by their triangular factor.
+    fn flush(&mut self) {
+        let columns: Vec<usize> = (0..self.unknowns).filter(|&column| self.present[column]).collect();
+        let at = |column: usize| columns.get(column).copied().unwrap_or(self.unknowns);
+        let rows = Mat::from_fn(self.filled, columns.len() + 1, |row, column| self.buffer[(row, at(column))]);
+        for column in (0..=columns.len()).map(at) {
+            (0..self.filled).for_each(|row| self.buffer[(row, column)] = 0.0);
+        }
+        self.present.fill(false);
+        self.filled = 0;
+        self.done.push(Triangle::of(columns, &rows));
+        if self.done.iter().map(|triangle| triangle.values.nrows()).sum::<usize>() * (self.unknowns + 1) > BUFFER {
+            let triangles = std::mem::take(&mut self.done);
+            self.done.push(stacked(&triangles, (0..self.unknowns).collect()));
+        }
+    }
+
+    /// The factor of all rows.
+    pub fn finish(mut self) -> Factor {
+        let all = (0..self.unknowns).collect();
+        if self.done.is_empty() {
+            let rows = self.buffer.get(..self.filled, ..).to_owned();
+            return self.factor(&Triangle::of(all, &rows));
+        }
+        self.flush();
+        let mut users = vec![0; self.unknowns];
+        self.done.iter().flat_map(|triangle| &triangle.columns).for_each(|&column| users[column] += 1);
+        // Unknowns of one triangle alone are eliminated there, and only what is left is combined with the others.
+        let (mut settled, mut shared) = (Vec::new(), Vec::new());
+        for triangle in &self.done {
+            let own = (0..triangle.columns.len()).filter(|&column| users[triangle.columns[column]] == 1);
+            let own: Vec<usize> = own.collect();
+            let split = triangle.starting_with(&own);
+            let (height, width) = (split.values.nrows(), split.columns.len() + 1);
+            let above = own.len().min(height);
+            let rows = Mat::from_fn(above, width, |row, column| split.entry(row, column));
+            let below = Mat::from_fn(height - above, width - own.len(), |row, column| {
+                split.entry(above + row, own.len() + column)
+            });
+            let columns = split.columns[own.len()..].to_vec();
+            settled.push(Triangle { columns: split.columns, values: rows });
+            shared.push(Triangle { columns, values: below });
+        }
+        let common = (0..self.unknowns).filter(|&column| users[column] > 1).collect();
+        settled.push(stacked(&shared, common));
+        let triangle = stacked(&settled, all);
+        self.factor(&triangle)
+    }
+
+    fn factor(&self, triangle: &Triangle) -> Factor {
+        let n = self.unknowns;
+        let mut values = Mat::zeros(n, n);
+        for column in 0..n {
+            for row in 0..=column {
+                values[(row, column)] = triangle.entry(row, column);
+            }
+        }
+        let right = (0..n).map(|row| triangle.entry(row, n)).collect();
+        let norms = (0..n).map(|column| norm((0..=column).map(|row| values[(row, column)]))).collect();
+        Factor::new(values, right, norms, triangle.entry(n, n).powi(2), self.rows)
+    }
+}
+
+/// The factor of all rows of some triangles, over `columns`, among which all of theirs are.
+fn stacked(triangles: &[Triangle], columns: Vec<usize>) -> Triangle {
+    let height = triangles.iter().map(|triangle| triangle.values.nrows()).sum();
+    let mut rows = Mat::zeros(height, columns.len() + 1);
+    let mut first = 0;
+    for triangle in triangles {
+        let last = triangle.columns.len();
+        let places = triangle.columns.iter().map(|column| columns.partition_point(|other| other < column));
+        for (column, place) in places.chain([columns.len()]).enumerate() {
+            for row in 0..triangle.values.nrows().min(if column < last { column + 1 } else { usize::MAX }) {
+                rows[(first + row, place)] = triangle.values[(row, column)];
+            }
+        }
+        first += triangle.values.nrows();
+    }
+    Triangle::of(columns, &rows)
+}

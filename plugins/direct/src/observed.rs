@@ -1,0 +1,281 @@
+//! The readings: their rows, unknowns and equations.
+
+use std::collections::BTreeMap;
+use std::sync::Arc;
+
+use abbe_core::{
+    Contact, Dataset, Equations, Feature, KinematicModel, KnownInput, Layout, Observations, Parameter, PoseValues,
+    Poses, Quantity, Result, Unit, Values,
+};
+use nalgebra::{Matrix3, Quaternion, UnitQuaternion, Vector3};
+
+use crate::line::{self, Leg, Line, Tilt};
+
+/// Below this angle, rad, series of angles are taken for what would lose its digits.
+const SMALL: f64 = 1e-3;
+
+/// One reading.
+#[derive(Debug, Clone)]
+struct Reading {
+    /// What it is per motion (rotation) of the tool relative to the table.
+    sensitivity: Vector3<f64>,
+    /// The unknowns that it has, with their factors: offset, drift, tilt.
+    own: Vec<(usize, f64)>,
+    /// mm or rad.
+    value: f64,
+}
+
+/// What readings are compared with: the machine without errors.
+enum Nominal {
+    Tips(Vec<Vector3<f64>>),
+    Orientations(Vec<UnitQuaternion<f64>>),
+}
+
+/// All readings.
+struct Observed {
+    layout: Layout,
+    unknowns: Vec<Parameter>,
+    readings: Vec<Reading>,
+    nominal: Nominal,
+}
+
+/// Unknowns by name, in the order in which they occur.
+#[derive(Default)]
+struct Unknowns {
+    all: Vec<Parameter>,
+    index: BTreeMap<String, usize>,
+}
+
+impl Unknowns {
+    fn get(&mut self, name: String, unit: Unit) -> usize {
+        *self.index.entry(name).or_insert_with_key(|name| {
+            self.all.push(Parameter { name: name.clone(), unit });
+            self.all.len() - 1
+        })
+    }
+}
+
+/// Readings that share an offset and a drift.
+struct Run {
+    first_row: usize,
+    rows: usize,
+    first_time: f64,
+    several_times: bool,
+}
+
+/// Makes the observations; `labels` has the label of every row, each that of a line.
+pub fn observe(
+    data: &Arc<Dataset>,
+    labels: &[String],
+    lines: &BTreeMap<&str, Line>,
+    model: &dyn KinematicModel,
+) -> Result<Arc<dyn Observations>> {
+    let mut layout = Layout::new(data, model, &[&line::naming])?;
+    let names: Vec<String> =
+        (0..data.rows()).map(|row| run_of(data, row, &labels[row], &lines[labels[row].as_str()])).collect();
+    let runs = runs(data, &names, |row| &lines[labels[row].as_str()])?;
+    let columns = Columns::of(data);
+    let values = data.required_numbers("reading")?;
+    let (mut unknowns, mut readings) = (Unknowns::default(), Vec::new());
+    for row in 0..data.rows() {
+        let (label, line) = (&labels[row], &lines[labels[row].as_str()]);
+        let leg = columns.leg(data, row, line)?;
+        layout.push(model, row, &[line.standard_uncertainty])?;
+        let position = columns.settle(data, row, line, leg, layout.poses.row_mut(row))?;
+
+        let unit = if line.angle { Unit::RAD } else { Unit::MM };
+        let run = &names[row];
+        let mut own = vec![(unknowns.get(format!("{run}.datum"), unit), 1.0)];
+        if line.drift {
+            let per_time = Unit::per(unit.of, Quantity::Time, 1);
+            let since = columns.time(row) - runs[run.as_str()].first_time;
+            own.push((unknowns.get(format!("{run}.drift"), per_time), since));
+        }
+        if let Some(tilt) = &line.tilt {
+            let name = match tilt {
+                Tilt::Slope(Some(face)) => format!("{face}.slope"),
+                Tilt::Slope(None) => format!("{label}.slope"),
+                Tilt::Angle => format!("{label}.angle"),
+            };
+            own.push((unknowns.get(name, line::of_tilt(model, leg)), leg.by_tilt * position));
+        }
+        readings.push(Reading { sensitivity: leg.sensitivity, own, value: values[row] });
+    }
+    let angles = lines.values().any(|line| line.angle);
+    let nominal = nominal(&layout, model, angles)?;
+    Ok(Arc::new(Observed { layout, unknowns: unknowns.all, readings, nominal }))
+}
+
+/// The name of what has an offset of its own: `EXX[1]`, `EXX` where nothing is told apart.
+fn run_of(data: &Dataset, row: usize, label: &str, line: &Line) -> String {
+    let values = line.datum.iter().filter_map(|column| match data.column(column).map(|column| &column.values) {
+        Some(Values::Labels(labels)) => Some(labels[row].clone()),
+        Some(Values::Numbers(numbers)) => Some(format!("{}", (numbers[row] * 1e9).round() / 1e9)),
+        None => None,
+    });
+    match values.collect::<Vec<_>>().join(".") {
+        none if none.is_empty() => label.to_owned(),
+        values => format!("{label}[{values}]"),
+    }
+}
+
+/// The runs; each needs readings from which its offset and drift can be told apart.
+fn runs<'a, 'b>(
+    data: &Dataset,
+    names: &'a [String],
+    line: impl Fn(usize) -> &'b Line,
+) -> Result<BTreeMap<&'a str, Run>> {
+    let times = data.numbers("time");
+    let mut runs: BTreeMap<&str, Run> = BTreeMap::new();
+    for (row, name) in names.iter().enumerate() {
+        let time = times.map_or(0.0, |times| times[row]);
+        let run = runs.entry(name).or_insert(Run { first_row: row, rows: 0, first_time: time, several_times: false });
+        run.rows += 1;
+        run.several_times |= time != run.first_time;
+    }
+    for (name, run) in &runs {
+        if run.rows == 1 {
+            let message = format!("`{name}` has this one reading, which tells nothing beside its own offset");
+            return Err(data.error_at(run.first_row, message).help("a run needs two readings or more; leave it out"));
+        }
+        if line(run.first_row).drift && !run.several_times {
+            let message = format!("all readings of `{name}` are of one time: its drift cannot be told");
+            return Err(data.error_at(run.first_row, message).help("set `drift: false` for this measurement"));
+        }
+    }
+    Ok(runs)
+}
+
+/// The columns that rows are read from.
+struct Columns<'a> {
+    positions: Option<&'a [f64]>,
+    directions: Option<&'a [String]>,
+    legs: Option<&'a [String]>,
+    times: Option<&'a [f64]>,
+}
+
+impl<'a> Columns<'a> {
+    fn of(data: &'a Dataset) -> Self {
+        Self {
+            positions: data.numbers("position"),
+            directions: data.labels("direction"),
+            legs: data.labels("leg"),
+            times: data.numbers("time"),
+        }
+    }
+
+    fn time(&self, row: usize) -> f64 {
+        self.times.map_or(0.0, |times| times[row])
+    }
+
+    /// The leg of a row.
+    fn leg<'b>(&self, data: &Dataset, row: usize, line: &'b Line) -> Result<&'b Leg> {
+        let (Some(legs), true) = (self.legs, line.legs.len() > 1) else { return Ok(&line.legs[0]) };
+        line.legs.iter().find(|leg| leg.name == legs[row]).ok_or_else(|| {
+            let names: Vec<&str> = line.legs.iter().map(|leg| leg.name.as_str()).collect();
+            data.error_at(row, format!("leg `{}`: {} was expected", legs[row], names.join(" or ")))
+        })
+    }
+
+    /// Completes the status of a row; gives the position of the axis that moves.
+    fn settle(&self, data: &Dataset, row: usize, line: &Line, leg: &Leg, status: &mut [f64]) -> Result<f64> {
+        line.at.iter().for_each(|&(index, value)| status[index] = value);
+        let Some(command) = leg.command else { return Ok(0.0) };
+        let position = self.positions.map_or(f64::NAN, |positions| positions[row]);
+        status[command] = position;
+        if let (Some(approach), Some(directions)) = (leg.approach, self.directions) {
+            status[approach] = match directions[row].as_str() {
+                "1" | "+1" => 1.0,
+                "-1" => -1.0,
+                "0" => 0.0,
+                other => return Err(data.error_at(row, format!("`direction` is {other}; 1, -1 or 0 was expected"))),
+            };
+        }
+        Ok(position)
+    }
+}
+
+/// Tips or orientations of the machine without errors.
+fn nominal(layout: &Layout, model: &dyn KinematicModel, angles: bool) -> Result<Nominal> {
+    let statuses: Vec<f64> = (0..layout.poses.len()).flat_map(|pose| layout.poses.row(pose)).copied().collect();
+    let mut poses = Poses::default();
+    model.evaluate(&statuses, &model.nominal(), &[], angles, &mut poses)?;
+    Ok(match angles {
+        true => Nominal::Orientations(poses.orientations.iter().map(|at| rotation(*at)).collect()),
+        false => Nominal::Tips(poses.positions.iter().map(|tip| Vector3::from(*tip)).collect()),
+    })
+}
+
+fn rotation([w, x, y, z]: [f64; 4]) -> UnitQuaternion<f64> {
+    UnitQuaternion::from_quaternion(Quaternion::new(w, x, y, z))
+}
+
+/// The change of a rotation vector that follows a small rotation, axes of the fixed frame: the inverse of its left Jacobian
+/// (Barfoot, State Estimation for Robotics, 2017, chapter 7).
+fn vector_by_rotation(vector: &Vector3<f64>) -> Matrix3<f64> {
+    let (angle, cross) = (vector.norm(), vector.cross_matrix());
+    let rest = match angle < SMALL {
+        true => 1.0 / 12.0 + angle.powi(2) / 720.0,
+        false => (1.0 - angle / 2.0 / (angle / 2.0).tan()) / angle.powi(2),
+    };
+    Matrix3::identity() - cross * 0.5 + cross * cross * rest
+}
+
+impl Observations for Observed {
+    fn layout(&self) -> &Layout {
+        &self.layout
+    }
+
+    fn unknowns(&self) -> &[Parameter] {
+        &self.unknowns
+    }
+
+    fn inputs(&self) -> &[KnownInput] {
+        &[]
+    }
+
+    fn quantity(&self, _: usize, _: usize) -> Quantity {
+        match self.nominal {
+            Nominal::Tips(_) => Quantity::Length,
+            Nominal::Orientations(_) => Quantity::Angle,
+        }
+    }
+
+    fn needs_orientation(&self) -> bool {
+        matches!(self.nominal, Nominal::Orientations(_))
+    }
+
+    fn first_order_orientation(&self) -> bool {
+        self.needs_orientation()
+    }
+
+    fn evaluate(&self, rows: &[usize], poses: PoseValues<'_>, own: &[f64], _: &[f64], out: &mut Equations) {
+        for (index, &row) in rows.iter().enumerate() {
+            let reading = &self.readings[row];
+            let line = reading.own.iter().map(|&(unknown, factor)| factor * own[unknown]).sum::<f64>() - reading.value;
+            match &self.nominal {
+                Nominal::Tips(tips) => {
+                    let moved = Vector3::from(poses.positions[index]) - tips[row];
+                    out.equation(reading.sensitivity.dot(&moved) + line);
+                    out.position(reading.sensitivity.into());
+                }
+                Nominal::Orientations(orientations) => {
+                    let turned = (rotation(poses.orientations[index]) * orientations[row].inverse()).scaled_axis();
+                    out.equation(reading.sensitivity.dot(&turned) + line);
+                    out.position([0.0; 3]);
+                    out.rotation((vector_by_rotation(&turned).transpose() * reading.sensitivity).into());
+                }
+            }
+            reading.own.iter().for_each(|&(unknown, factor)| out.own(unknown, factor));
+        }
+    }
+
+    fn features(&self) -> Vec<Feature> {
+        // A line is no feature of an artefact.
+        Vec::new()
+    }
+
+    fn contact(&self) -> Contact {
+        Contact::Reading("reading".to_owned())
+    }
+}

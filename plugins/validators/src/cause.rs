@@ -1,0 +1,187 @@
+//! Validator `cause`: which single error of the machine explains the residuals of a fit best.
+//!
+//! Every candidate joins the unknowns of the fit by itself, linearised at the solution. What it takes away from the weighted sum of squares
+//! is its share; whether that is more than chance tells Fisher's F test with one and the remaining degrees of freedom, at a level that is
+//! divided by the number of candidates (Bonferroni). Measurements that repeat long after a calibration so name what has worn
+//! (Soons 1993, section 5.1.1: a plate in three planes tells a squareness).
+
+use abbe_core::{
+    AxisKind, Build, Constructor, Context, Dataset, Figure, Findings, Fit, InputFile, KinematicModel, Owner, Plugin,
+    Problem, Result, SettingsError, Unknown, Validate, inventory, matches,
+};
+use abbe_numerics::{Joining, f_test};
+use schemars::JsonSchema;
+use serde::Deserialize;
+use serde_json::{Value, json};
+
+use crate::figures::{ONE, ascii};
+use crate::minimal_set::factor;
+
+inventory::submit! {
+    Plugin::built_in(
+        "cause",
+        "which single error of the machine explains the residuals of a fit best",
+        abbe_core::schema_of::<Settings>,
+        example,
+        Build::Validate(Constructor::Static(build)),
+    )
+}
+
+/// Settings of the search.
+#[derive(Debug, Clone, PartialEq, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+struct Settings {
+    /// The parameters of the machine among which the cause is looked for; all that the fit does not estimate, unless they are said.
+    #[serde(default)]
+    candidates: Vec<String>,
+    /// Probability with which chance alone names a cause.
+    #[serde(default = "default_significance")]
+    significance: f64,
+}
+
+fn default_significance() -> f64 {
+    0.01
+}
+
+/// Variances of the residuals by which one cause has to explain more than another to be told from it: 1 % of a chi-squared variable with
+/// one degree of freedom is above.
+const RIVAL: f64 = 6.63;
+
+/// Causes that are shown.
+const SHOWN: usize = 5;
+
+fn example() -> Value {
+    json!({ "candidates": ["E?0?"], "significance": 0.01 })
+}
+
+fn build(settings: &Value, _: &Context) -> Result<Box<dyn Validate>, SettingsError> {
+    let settings: Settings = abbe_core::from_settings(settings)?;
+    if !(settings.significance > 0.0 && settings.significance < 1.0) {
+        return Err(SettingsError::new("significance", "a number between 0 and 1 was expected"));
+    }
+    Ok(Box::new(Cause { settings }))
+}
+
+struct Cause {
+    settings: Settings,
+}
+
+impl Validate for Cause {
+    fn inputs(&self) -> Vec<InputFile> {
+        Vec::new()
+    }
+
+    fn validate(&self, fits: &[&Fit], _: &[&Dataset]) -> Result<Findings> {
+        let mut findings = Findings::default();
+        for fit in fits {
+            self.judge(fit, &mut findings)?;
+        }
+        Ok(findings)
+    }
+}
+
+impl Cause {
+    /// The parameters that may be the cause.
+    fn candidates(&self, problem: &Problem) -> Result<Vec<Unknown>> {
+        let nominal = problem.model.nominal();
+        let known = |name: &str| problem.unknowns.iter().any(|unknown| unknown.name == name);
+        let parameters = problem.model.parameters();
+        for (index, pattern) in self.settings.candidates.iter().enumerate() {
+            if !parameters.iter().any(|parameter| matches(pattern, &parameter.name)) {
+                let names = parameters.iter().map(|parameter| parameter.name.as_str());
+                let mut error = abbe_core::Error::usage(format!("`{pattern}` matches no parameter of the machine"))
+                    .suggest(pattern, names);
+                error.setting =
+                    vec![abbe_core::PathItem::Key("candidates".to_owned()), abbe_core::PathItem::Index(index)];
+                return Err(error);
+            }
+        }
+        let named = |name: &str| {
+            self.settings.candidates.is_empty() || self.settings.candidates.iter().any(|pattern| matches(pattern, name))
+        };
+        let all = parameters.iter().enumerate();
+        // What shapes a function is none of the errors.
+        let chosen = all
+            .filter(|(index, parameter)| nominal[*index] == 0.0 && named(&parameter.name) && !known(&parameter.name));
+        Ok(chosen
+            .map(|(index, parameter)| Unknown {
+                name: parameter.name.clone(),
+                unit: parameter.unit,
+                owner: Owner::Machine,
+                index,
+            })
+            .collect())
+    }
+
+    fn judge(&self, fit: &Fit, findings: &mut Findings) -> Result<()> {
+        let solved = fit.problem.at(&fit.problem.values_of(&fit.calibration));
+        let own = solved.unknowns.len();
+        let mut problem = solved.clone();
+        problem.unknowns.extend(self.candidates(&solved)?);
+        let factor = factor(&problem)?;
+        let left = factor.remaining_cost_of(own);
+        let mut joining = factor.joining(own);
+        joining.sort_by(|one, other| other.explained.total_cmp(&one.explained));
+        let freedom = factor.rows().saturating_sub(own + 1);
+        let Some(best) = joining.first().filter(|_| freedom > 0 && left > 0.0) else {
+            findings
+                .remarks
+                .push(format!("{}: nothing is left to be explained, or nothing that could explain it", fit.name));
+            return Ok(());
+        };
+        let test = |one: &Joining| one.explained / ((left - one.explained).max(f64::MIN_POSITIVE) / freedom as f64);
+        let chance = |one: &Joining| f_test(test(one), 1, freedom).unwrap_or(1.0);
+        for one in joining.iter().take(SHOWN) {
+            let unknown = &problem.unknowns[one.unknown];
+            let (unit, factor) = unknown.unit.for_people();
+            let figure = |what: &str, value: f64, unit: &str| {
+                Figure::new(&fit.name, format!("{what}[{}]", unknown.name), value, unit)
+            };
+            findings.figures.push(figure("change", one.value * factor, &ascii(&unit)));
+            findings.figures.push(figure("share", one.explained / left, ONE));
+            findings.figures.push(figure("F", test(one), ONE));
+        }
+        let level = self.settings.significance / joining.len() as f64;
+        if chance(best) > level {
+            findings
+                .remarks
+                .push(format!("{}: no single error explains the residuals better than chance does", fit.name));
+            return Ok(());
+        }
+        // Of those that the data cannot tell apart the simplest is named first: where an axis lies before how it moves.
+        let variance = (left - best.explained).max(f64::MIN_POSITIVE) / freedom as f64;
+        let mut rivals: Vec<&Joining> =
+            joining.iter().filter(|other| best.explained - other.explained < RIVAL * variance).collect();
+        let model = problem.model.as_ref();
+        rivals.sort_by_key(|one| meaning(&problem.unknowns[one.unknown].name, model).is_empty());
+        let best = rivals[0];
+        let unknown = &problem.unknowns[best.unknown];
+        let (unit, scale) = unknown.unit.for_people();
+        let same: Vec<&str> = rivals[1..].iter().map(|other| problem.unknowns[other.unknown].name.as_str()).collect();
+        let same = if same.is_empty() { String::new() } else { format!("; so would {}", same.join(", ")) };
+        findings.remarks.push(format!(
+            "{}: {}{} changed by {:.3} {unit} explains {:.1} % of the residuals' sum of squares (F = {:.1}){same}",
+            fit.name,
+            unknown.name,
+            meaning(&unknown.name, model),
+            best.value * scale,
+            100.0 * best.explained / left,
+            test(best),
+        ));
+        Ok(())
+    }
+}
+
+/// What a location error is, in words: `, the squareness of Z,`.
+fn meaning(name: &str, model: &dyn KinematicModel) -> String {
+    let mut letters = name.chars();
+    let (Some('E'), Some(component), Some('0')) = (letters.next(), letters.next(), letters.next()) else {
+        return String::new();
+    };
+    let axis = letters.as_str();
+    match model.axes().iter().find(|other| other.name == axis).map(|axis| axis.kind) {
+        Some(AxisKind::Linear) if "ABC".contains(component) => format!(", the squareness of {axis},"),
+        Some(_) => format!(", the location of {axis},"),
+        None => String::new(),
+    }
+}
