@@ -1,18 +1,32 @@
 //! Independent work on several threads.
 
+use std::cell::Cell;
 use std::sync::atomic::{AtomicUsize, Ordering};
 use std::sync::{Mutex, PoisonError};
+
+thread_local! {
+    static ONE_OF_SEVERAL: Cell<bool> = const { Cell::new(false) };
+}
+
+/// Whether this thread is one of several that work on items of a list: no core is free for more.
+pub(crate) fn is_one_of_several() -> bool {
+    ONE_OF_SEVERAL.get()
+}
 
 /// Applies `work` to all items on `threads` threads (as many as there are cores if none are given); results come in the order
 /// of the items, whoever did the work.
 pub fn in_parallel<T: Sync, R: Send>(items: &[T], threads: Option<usize>, work: impl Fn(&T) -> R + Sync) -> Vec<R> {
     let cores = || std::thread::available_parallelism().map_or(1, usize::from);
     let threads = threads.unwrap_or_else(cores).min(items.len());
+    if threads <= 1 {
+        return items.iter().map(work).collect();
+    }
     let next = AtomicUsize::new(0);
     let results: Vec<Mutex<Option<R>>> = items.iter().map(|_| Mutex::new(None)).collect();
     std::thread::scope(|scope| {
         for _ in 0..threads {
             scope.spawn(|| {
+                ONE_OF_SEVERAL.set(true);
                 while let Some((item, result)) = {
                     let index = next.fetch_add(1, Ordering::Relaxed);
                     items.get(index).zip(results.get(index))

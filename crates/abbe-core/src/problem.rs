@@ -5,6 +5,7 @@
 
 use std::ops::Range;
 use std::sync::Arc;
+use std::sync::mpsc::{channel, sync_channel};
 
 use serde::{Deserialize, Serialize};
 
@@ -13,6 +14,7 @@ use crate::dataset::RowOrigin;
 use crate::error::{Error, Result};
 use crate::model::{KinematicModel, Poses, Variable};
 use crate::observations::{Equations, Observations, PoseValues};
+use crate::parallel::is_one_of_several;
 use crate::pattern::matches;
 use crate::pose_table::PoseTable;
 use crate::uncertainty::{CovarianceBlock, EquationUncertainty, Pooled};
@@ -510,54 +512,84 @@ impl Problem {
     }
 
     /// Residuals and derivatives at `x`, block by block, in the order of the equations.
+    ///
+    /// Where there is much to do and a core is free, the next blocks are evaluated while the sink takes the last one.
     pub fn linearise(&self, x: &[f64], mut sink: impl FnMut(Block<'_>)) -> Result<()> {
         let at = self.at(x);
-        let count = self.unknowns.len();
-        let mut wanted = Vec::new();
-        let mut machine_columns = Vec::new();
-        for (column, unknown) in self.unknowns.iter().enumerate() {
-            if unknown.owner == Owner::Machine {
-                wanted.push(Variable::Parameter(unknown.index));
-                machine_columns.push(column);
-            }
-        }
-        let mut work = Workspace::default();
+        let columns = Columns::of(self);
+        let chunks =
+            || at.sets.iter().enumerate().flat_map(|(set, of)| of.rows.chunks(CHUNK).map(move |rows| (set, rows)));
         let mut first = 0;
-        let mut jacobian = Vec::new();
-        for (index, set) in at.sets.iter().enumerate() {
-            let mut own_columns = vec![None; set.own.len()];
-            let mut input_columns = vec![None; set.inputs.len()];
-            for (column, unknown) in self.unknowns.iter().enumerate() {
-                if unknown.owner == Owner::Set(index) {
-                    own_columns[unknown.index] = Some(column);
-                } else if unknown.owner == Owner::Input {
-                    let users = self.inputs[unknown.index].users.iter().filter(|user| user.0 == index);
-                    users.for_each(|user| input_columns[user.1] = Some(column));
-                }
+        let mut take = |linear: &Linearised| {
+            sink(Block { first, residuals: &linear.residuals, jacobian: &linear.jacobian });
+            first += linear.residuals.len();
+        };
+        if self.equations() * self.unknowns.len() < WORTH_A_THREAD || is_one_of_several() {
+            let (mut work, mut linear) = (Workspace::default(), Linearised::default());
+            for (set, rows) in chunks() {
+                at.linearise_rows(set, rows, &columns, &mut work, &mut linear)?;
+                take(&linear);
             }
-            for rows in set.rows.chunks(CHUNK) {
-                at.evaluate(index, rows, &wanted, &mut work)?;
-                let equations = work.equations.residuals.len();
-                jacobian.clear();
-                jacobian.resize(equations * count, 0.0);
-                work.chain(set, rows, wanted.len(), |equation, derivatives, weight| {
-                    if *weight == [0.0; 3] {
+            return Ok(());
+        }
+        std::thread::scope(|scope| {
+            let (send, receive) = sync_channel::<Result<Linearised>>(AHEAD);
+            let (give_back, used) = channel::<Linearised>();
+            let (at, columns) = (&at, &columns);
+            scope.spawn(move || {
+                let mut work = Workspace::default();
+                for (set, rows) in chunks() {
+                    let mut linear = used.try_recv().unwrap_or_default();
+                    let done = at.linearise_rows(set, rows, columns, &mut work, &mut linear).map(|()| linear);
+                    let failed = done.is_err();
+                    // Nobody listens any more after an error.
+                    if send.send(done).is_err() || failed {
                         return;
                     }
-                    let line = &mut jacobian[equation * count..(equation + 1) * count];
-                    for (derivative, &column) in derivatives.iter().zip(&machine_columns) {
-                        line[column] += dot(derivative, weight);
-                    }
-                });
-                let own = work.equations.by_own.iter().map(|by| (by, &own_columns));
-                let inputs = work.equations.by_input.iter().map(|by| (by, &input_columns));
-                for (&(equation, index, derivative), columns) in own.chain(inputs) {
-                    if let Some(column) = columns[index] {
-                        jacobian[equation * count + column] += derivative;
-                    }
                 }
-                sink(Block { first, residuals: &work.equations.residuals, jacobian: &jacobian });
-                first += equations;
+            });
+            for linear in receive {
+                let linear = linear?;
+                take(&linear);
+                // The other side may be done.
+                let _ = give_back.send(linear);
+            }
+            Ok(())
+        })
+    }
+
+    /// Residuals and derivatives of some rows of a set at the problem's own values.
+    fn linearise_rows(
+        &self,
+        index: usize,
+        rows: &[usize],
+        columns: &Columns,
+        work: &mut Workspace,
+        out: &mut Linearised,
+    ) -> Result<()> {
+        let (set, count) = (&self.sets[index], self.unknowns.len());
+        self.evaluate(index, rows, &columns.wanted, work)?;
+        let equations = work.equations.residuals.len();
+        out.residuals.clear();
+        out.residuals.extend_from_slice(&work.equations.residuals);
+        out.jacobian.clear();
+        out.jacobian.resize(equations * count, 0.0);
+        let jacobian = &mut out.jacobian;
+        work.chain(set, rows, columns.wanted.len(), |equation, derivatives, weight| {
+            if *weight == [0.0; 3] {
+                return;
+            }
+            let line = &mut jacobian[equation * count..(equation + 1) * count];
+            for (derivative, &column) in derivatives.iter().zip(&columns.machine) {
+                line[column] += dot(derivative, weight);
+            }
+        });
+        let (own, inputs) = &columns.of_sets[index];
+        let own = work.equations.by_own.iter().map(|by| (by, own));
+        let inputs = work.equations.by_input.iter().map(|by| (by, inputs));
+        for (&(equation, index, derivative), columns) in own.chain(inputs) {
+            if let Some(column) = columns[index] {
+                jacobian[equation * count + column] += derivative;
             }
         }
         Ok(())
@@ -608,6 +640,51 @@ impl Problem {
         ranges.collect()
     }
 }
+
+/// Where the derivatives of a problem go.
+struct Columns {
+    /// The parameters of the model that are unknown, and the column of each.
+    wanted: Vec<Variable>,
+    machine: Vec<usize>,
+    /// For every set the columns of its own unknowns and of its known inputs.
+    of_sets: Vec<(Vec<Option<usize>>, Vec<Option<usize>>)>,
+}
+
+impl Columns {
+    fn of(problem: &Problem) -> Self {
+        let none = |set: &ObservationSet| (vec![None; set.own.len()], vec![None; set.inputs.len()]);
+        let (mut wanted, mut machine) = (Vec::new(), Vec::new());
+        let mut of_sets: Vec<_> = problem.sets.iter().map(none).collect();
+        for (column, unknown) in problem.unknowns.iter().enumerate() {
+            match unknown.owner {
+                Owner::Machine => {
+                    wanted.push(Variable::Parameter(unknown.index));
+                    machine.push(column);
+                }
+                Owner::Set(set) => of_sets[set].0[unknown.index] = Some(column),
+                Owner::Input => {
+                    for &(set, input) in &problem.inputs[unknown.index].users {
+                        of_sets[set].1[input] = Some(column);
+                    }
+                }
+            }
+        }
+        Self { wanted, machine, of_sets }
+    }
+}
+
+/// Residuals and derivatives (equations x unknowns, row by row) of some rows.
+#[derive(Default)]
+struct Linearised {
+    residuals: Vec<f64>,
+    jacobian: Vec<f64>,
+}
+
+/// Derivatives from which a thread of their own is worth starting.
+const WORTH_A_THREAD: usize = 50_000;
+
+/// Blocks that are evaluated ahead of the one that is taken.
+const AHEAD: usize = 8;
 
 /// The known inputs of some sets, and those of them that are uncertain.
 fn inputs(sets: &[ObservationSet]) -> Result<(Vec<Input>, Considered)> {

@@ -1,7 +1,7 @@
 //! Takes the rows of a least squares problem and keeps nothing but their triangular factor.
 
-use faer::Mat;
 use faer::linalg::solvers::Qr;
+use faer::{Mat, MatRef};
 
 use crate::factor::{Factor, norm};
 
@@ -20,12 +20,13 @@ const FEW: usize = 64;
 /// come run by run, most unknowns of other runs are. The result is that of one QR of all rows, at the memory of the buffer.
 pub struct Accumulator {
     unknowns: usize,
-    /// Rows of the buffer; it is zero beyond what is filled.
+    /// Most rows of the buffer.
     capacity: usize,
-    buffer: Mat<f64>,
+    /// Derivatives and residual of rows, one row after another.
+    buffer: Vec<f64>,
     filled: usize,
-    /// The columns that are not zero in the buffer.
-    present: Vec<bool>,
+    /// The columns that are not zero in the first half of the buffer.
+    present: Option<Vec<bool>>,
     rows: usize,
     done: Vec<Triangle>,
 }
@@ -72,9 +73,9 @@ impl Accumulator {
         Self {
             unknowns,
             capacity,
-            buffer: Mat::zeros(capacity, width),
+            buffer: Vec::with_capacity(capacity * width),
             filled: 0,
-            present: vec![false; unknowns],
+            present: None,
             rows: 0,
             done: Vec::new(),
         }
@@ -82,32 +83,33 @@ impl Accumulator {
 
     /// Adds one row, multiplied by `weight` (the square root of its statistical weight).
     pub fn push(&mut self, derivatives: &[f64], residual: f64, weight: f64) {
-        // Where the next run begins, the unknowns of the last one end.
-        let new = || derivatives.iter().zip(&self.present).any(|(derivative, present)| *derivative != 0.0 && !present);
-        if self.filled == self.capacity || (self.unknowns > FEW && self.filled >= self.capacity / 2 && new()) {
+        if self.filled == self.capacity || (self.filled >= self.capacity / 2 && self.is_of_others(derivatives)) {
             self.flush();
         }
-        let row = self.filled;
-        for (column, derivative) in derivatives.iter().enumerate() {
-            if *derivative != 0.0 {
-                self.buffer[(row, column)] = derivative * weight;
-                self.present[column] = true;
-            }
-        }
-        self.buffer[(row, self.unknowns)] = residual * weight;
+        self.buffer.extend(derivatives.iter().map(|derivative| derivative * weight));
+        self.buffer.push(residual * weight);
         self.filled += 1;
         self.rows += 1;
     }
 
+    /// Whether a row has unknowns that the buffer does not have: where the next run begins, those of the last one end.
+    fn is_of_others(&mut self, derivatives: &[f64]) -> bool {
+        if self.unknowns <= FEW {
+            return false;
+        }
+        let present = self.present.get_or_insert_with(|| present(&self.buffer, self.unknowns));
+        derivatives.iter().zip(present).any(|(derivative, present)| *derivative != 0.0 && !*present)
+    }
+
     /// Replaces the rows in the buffer by their triangular factor.
     fn flush(&mut self) {
-        let columns: Vec<usize> = (0..self.unknowns).filter(|&column| self.present[column]).collect();
+        let present = present(&self.buffer, self.unknowns);
+        let columns: Vec<usize> = (0..self.unknowns).filter(|&column| present[column]).collect();
+        let width = self.unknowns + 1;
         let at = |column: usize| columns.get(column).copied().unwrap_or(self.unknowns);
-        let rows = Mat::from_fn(self.filled, columns.len() + 1, |row, column| self.buffer[(row, at(column))]);
-        for column in (0..=columns.len()).map(at) {
-            (0..self.filled).for_each(|row| self.buffer[(row, column)] = 0.0);
-        }
-        self.present.fill(false);
+        let rows = Mat::from_fn(self.filled, columns.len() + 1, |row, column| self.buffer[row * width + at(column)]);
+        self.buffer.clear();
+        self.present = None;
         self.filled = 0;
         self.done.push(Triangle::of(columns, &rows));
         if self.done.iter().map(|triangle| triangle.values.nrows()).sum::<usize>() * (self.unknowns + 1) > BUFFER {
@@ -120,7 +122,7 @@ impl Accumulator {
     pub fn finish(mut self) -> Factor {
         let all = (0..self.unknowns).collect();
         if self.done.is_empty() {
-            let rows = self.buffer.get(..self.filled, ..).to_owned();
+            let rows = MatRef::from_row_major_slice(&self.buffer, self.filled, self.unknowns + 1).to_owned();
             return self.factor(&Triangle::of(all, &rows));
         }
         self.flush();
@@ -160,6 +162,16 @@ impl Accumulator {
         let norms = (0..n).map(|column| norm((0..=column).map(|row| values[(row, column)]))).collect();
         Factor::new(values, right, norms, triangle.entry(n, n).powi(2), self.rows)
     }
+}
+
+/// Which columns are not zero in some rows.
+fn present(rows: &[f64], unknowns: usize) -> Vec<bool> {
+    let mut sizes = vec![0.0_f64; unknowns];
+    for row in rows.chunks_exact(unknowns + 1) {
+        // Faster than to look at each one; what is no number is not zero.
+        sizes.iter_mut().zip(row).for_each(|(size, value)| *size += value.abs());
+    }
+    sizes.into_iter().map(|size| size != 0.0).collect()
 }
 
 /// The factor of all rows of some triangles, over `columns`, among which all of theirs are.

@@ -124,8 +124,9 @@ impl LeastSquares for Weighted<'_> {
                 if !(residual.is_finite() && line.iter().all(|derivative| derivative.is_finite())) {
                     broken.get_or_insert(equation);
                 }
-                let values = line.iter().copied().chain(self.columns.iter().map(|column| column[equation]));
+                let more = self.columns.iter().map(|column| column[equation]);
                 if let Some((block, place)) = self.place.get(equation).copied().flatten() {
+                    let values = line.iter().copied().chain(more);
                     let waiting = &mut waiting[block][place * width..(place + 1) * width];
                     waiting.iter_mut().zip(values.chain([*residual])).for_each(|(waiting, value)| *waiting = value);
                     if !residuals.is_empty() {
@@ -136,7 +137,8 @@ impl LeastSquares for Weighted<'_> {
                 } else {
                     let uncertainty = self.uncertainties[equation];
                     residuals.push(residual / uncertainty);
-                    derivatives.extend(values.map(|derivative| derivative / uncertainty));
+                    derivatives.extend(line.iter().map(|derivative| derivative / uncertainty));
+                    derivatives.extend(more.map(|derivative| derivative / uncertainty));
                 }
             }
             if !residuals.is_empty() {

@@ -218,6 +218,17 @@ fn suits((setting, what): (&str, &str), subject: &Subject<'_>, mm: bool, deg: bo
     }
 }
 
+/// A small power, as products: what polynomials spend their time on.
+fn power(value: f64, degree: u8) -> f64 {
+    match degree {
+        0 => 1.0,
+        1 => value,
+        2 => value * value,
+        3 => value * value * value,
+        _ => value.powi(i32::from(degree)),
+    }
+}
+
 #[cfg(test)]
 mod testing {
     use super::Functions;

@@ -8,7 +8,7 @@ use serde::{Deserialize, Serialize};
 
 use super::knots::{Knots, knots, within};
 use super::travel::Travel;
-use super::{Argument, Family, Functions, Subject, Term, suits};
+use super::{Argument, Family, Functions, Subject, Term, power, suits};
 
 /// Piecewise polynomials (Soons 1993, eq. 3.2): powers `EXX[1]`, `EXX[2]` of the command up to the degree, and
 /// `EXX[pp3,2]`, the square of the way beyond knot 3 and zero before it. There is no constant.
@@ -116,13 +116,13 @@ impl PiecewisePolynomial {
     }
 
     /// Calls with the way from the origin or the knot, the power, and the function.
-    fn each(&self, command: f64, out: &mut [f64], of: impl Fn(f64, i32) -> f64) {
+    fn each(&self, command: f64, out: &mut [f64], of: impl Fn(f64, u8) -> f64) {
         let powers = self.powers.clone().map(|power| (command, power));
         let truncated =
             self.knots.iter().flat_map(|knot| self.truncated.clone().map(move |power| (command - knot, power)));
         let beyond = truncated.map(|(way, power)| (way.max(0.0), power));
         for (out, (way, power)) in out.iter_mut().zip(powers.chain(beyond)) {
-            *out = of(way, i32::from(power));
+            *out = of(way, power);
         }
     }
 }
@@ -137,11 +137,15 @@ impl Functions for PiecewisePolynomial {
     }
 
     fn values(&self, arguments: &[f64], out: &mut [f64]) {
-        self.each(arguments[0], out, f64::powi);
+        self.each(arguments[0], out, power);
     }
 
     fn slopes(&self, _: usize, arguments: &[f64], out: &mut [f64]) {
-        self.each(arguments[0], out, |way, power| f64::from(power) * way.powi(power - 1));
+        self.each(
+            arguments[0],
+            out,
+            |way, degree| if degree == 0 { 0.0 } else { f64::from(degree) * power(way, degree - 1) },
+        );
         // The slope of a truncated line jumps at its knot, from zero.
         if *self.truncated.start() == 1 {
             let before = self.powers.clone().count();

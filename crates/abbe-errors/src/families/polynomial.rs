@@ -5,7 +5,7 @@ use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 use super::travel::Travel;
-use super::{Argument, Family, Functions, Subject, Term, whole_numbers};
+use super::{Argument, Family, Functions, Subject, Term, power, whole_numbers};
 
 /// Ordinary polynomials of the axis command: `EXX[1]`, `EXX[2]`, ... in the unit of the error per power of mm or rad.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
@@ -75,14 +75,13 @@ impl Functions for OrdinaryPolynomial {
 
     fn values(&self, arguments: &[f64], out: &mut [f64]) {
         for (value, &degree) in out.iter_mut().zip(&self.degrees) {
-            *value = arguments[0].powi(i32::from(degree));
+            *value = power(arguments[0], degree);
         }
     }
 
     fn slopes(&self, _: usize, arguments: &[f64], out: &mut [f64]) {
         for (slope, &degree) in out.iter_mut().zip(&self.degrees) {
-            let degree = i32::from(degree);
-            *slope = if degree == 0 { 0.0 } else { f64::from(degree) * arguments[0].powi(degree - 1) };
+            *slope = if degree == 0 { 0.0 } else { f64::from(degree) * power(arguments[0], degree - 1) };
         }
     }
 }
