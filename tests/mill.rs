@@ -344,7 +344,7 @@ fn other_machine(folder: &Path) -> Variant {
             } },
             "angles": { "artefact": "direct", "from": "angle-files", "standard_uncertainty_urad": 1, "measurements": {
                 "pitch-x": { "kind": "angle", "moves": "X", "direction": "Y", "at_mm": on_x },
-                "pitch-v": { "kind": "level", "moves": "V", "direction": "X", "at_mm": on_v },
+                "pitch-v": { "kind": "angle", "moves": "V", "direction": "X", "at_mm": on_v },
             } },
             "squares": { "artefact": "direct", "from": "square-files", "standard_uncertainty_um": 0.5, "measurements": {
                 "square": { "kind": "square", "legs": ["X", "V"], "at_mm": { "X": 110, "V": 70, "Z": -40 } },

@@ -152,7 +152,12 @@ impl Prepared {
     fn programme(&self, machine: &str) -> Result<Problem> {
         let estimates = self.stages(Kind::Estimate).filter(has_problem);
         let estimates = estimates.filter(|stage| stage.reference("machine")[0] == machine);
-        let observed: BTreeSet<&String> = estimates.flat_map(|stage| stage.reference("observations")).collect();
+        let mut observed: BTreeSet<&String> = estimates.flat_map(|stage| stage.reference("observations")).collect();
+        for validator in self.stages(Kind::Validate) {
+            if self.judges(validator, machine)? {
+                observed.extend(validator.reference("observations"));
+            }
+        }
         let mut data: BTreeMap<&str, Arc<Dataset>> = BTreeMap::new();
         let mut sources = Vec::new();
         for stage in self.stages(Kind::Artefact).filter(|stage| observed.contains(&stage.name)) {
@@ -225,7 +230,7 @@ impl Prepared {
         for stage in self.stages(Kind::Validate) {
             for of in stage.reference("of") {
                 let estimate = self.own_estimate(of)?;
-                if estimate.reference("machine").first().is_some_and(|name| name == machine) {
+                if is_of(estimate, machine) {
                     let from = || stage.reference("from").iter().map(String::as_str);
                     let artefacts = estimate.reference("observations");
                     judged.extend(artefacts.iter().flat_map(|name| from().map(move |from| (name.as_str(), from))));
@@ -234,6 +239,21 @@ impl Prepared {
         }
         Ok(judged)
     }
+
+    /// Whether a validator judges an estimate of a machine.
+    fn judges(&self, validator: &Stage, machine: &str) -> Result<bool> {
+        for of in validator.reference("of") {
+            if is_of(self.own_estimate(of)?, machine) {
+                return Ok(true);
+            }
+        }
+        Ok(false)
+    }
+}
+
+/// Whether an estimate is one of a machine.
+fn is_of(estimate: &Stage, machine: &str) -> bool {
+    estimate.reference("machine").first().is_some_and(|name| name == machine)
 }
 
 /// Rows of files that an artefact takes already.

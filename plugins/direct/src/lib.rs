@@ -115,7 +115,6 @@ enum Kind {
     /// Straightness along both legs of a square block that is turned by an unknown angle.
     Square,
     /// A rotation, by angular optics or levels.
-    #[serde(alias = "level")]
     Angle,
 }
 
