@@ -149,6 +149,31 @@ fn realistic_direct_measurements_hold_the_truth_within_their_uncertainty() {
 
 /// Steps of 10 mm show the pitch as a wave of 40 mm; from the nominal pitch the right one is found, and the user is told.
 #[test]
+fn stepwise_selection_keeps_the_knots_that_the_machine_has() {
+    let selected = |recipe: &str, truth: &Value| {
+        let mut variant = Variant::of(&recipes()[recipe]).only(&["fit"]);
+        variant.stage("fit")["select"] = json!({ "candidates": ["E*[pp*", "E*[load:pp*"], "direction": "both" });
+        let outcome = variant.run();
+        let calibration = &fit(&outcome, "fit").calibration;
+        let selection = calibration.fit.selection.clone().expect("a selection");
+        let bends = |name: &String| true_value(truth, name) != 0.0;
+        let (right, left_out): (Vec<_>, Vec<_>) = (
+            selection.kept.iter().filter(|name| bends(name)).collect(),
+            selection.left_out.iter().filter(|name| bends(name)).collect(),
+        );
+        (right.len(), left_out.len(), selection.kept.len() - right.len(), selection.left_out.len() - left_out.len())
+    };
+    // 48 of 211 knots bend a curve.
+    let (right, missed, surplus, dropped) = selected("mill-direct-exact", &truth("exact"));
+    assert_eq!((right, missed), (48, 0));
+    assert!(surplus <= 12 && dropped + surplus == 163, "{surplus} kept too many");
+    // With noise the weakest of them pass for one beside them.
+    let (right, missed, surplus, dropped) = selected("mill-direct", &truth("realistic"));
+    assert!(right >= 36 && missed <= 12, "{right} of 48");
+    assert!(surplus <= missed && dropped >= 151, "{surplus} kept too many");
+}
+
+#[test]
 fn ten_millimetre_steps_find_the_pitch_and_not_its_alias() {
     for name in ["exact", "realistic"] {
         let recipe = if name == "exact" { "mill-direct-exact" } else { "mill-direct" };

@@ -190,7 +190,7 @@ pub enum SelectionDirection {
     Backward,
     /// Starting from none, they come in.
     Forward,
-    /// Starting from none, they come in and may go out again.
+    /// Starting from none, they come in and may go out again, or be replaced by better ones.
     Both,
 }
 

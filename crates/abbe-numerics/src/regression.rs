@@ -45,7 +45,7 @@ pub enum Direction {
     Forward,
     /// Starting from all, terms go out.
     Backward,
-    /// Starting from none, terms come in and may go out again.
+    /// Starting from none, terms come in and may go out again, or be replaced by better ones.
     Both,
 }
 
@@ -92,21 +92,25 @@ impl Factor {
             let leaves = fit.leaves(&terms, &kept).filter(|step| step.probability > level);
             let enters = || fit.enters(&terms, &kept).filter(|step| step.probability < level);
             let next = match direction {
-                Direction::Forward => enters(),
-                Direction::Backward => leaves,
-                Direction::Both => leaves.or_else(enters),
+                Direction::Forward => enters().into_iter().collect(),
+                Direction::Backward => leaves.into_iter().collect(),
+                Direction::Both => match leaves.or_else(enters) {
+                    Some(step) => vec![step],
+                    None => terms.replacement(&kept, fit.cost),
+                },
             };
-            let Some(step) = next else { break };
             let mut after = kept.clone();
-            match after.binary_search(&step.term) {
-                Ok(place) => drop(after.remove(place)),
-                Err(place) => after.insert(place, step.term),
+            for step in &next {
+                match after.binary_search(&step.term) {
+                    Ok(place) => drop(after.remove(place)),
+                    Err(place) => after.insert(place, step.term),
+                }
             }
-            // Rounding must not make a term come and go for ever.
+            // Nothing is left to do; and rounding must not make a term come and go for ever.
             if seen.contains(&after) {
                 break;
             }
-            steps.push(SelectionStep { term: candidates[step.term], ..step });
+            steps.extend(next.into_iter().map(|step| SelectionStep { term: candidates[step.term], ..step }));
             seen.push(after.clone());
             kept = after;
         }
@@ -132,6 +136,9 @@ struct TermsFit {
     basis: Mat<f64>,
     left: Mat<f64>,
 }
+
+/// Part of the cost that a replacement has to take off: what rounding does not.
+const LOWER: f64 = 1e-9;
 
 /// Squares of columns of norm 1 below this are rounding: the column follows from the others.
 const NOTHING: f64 = 1e-20;
@@ -194,6 +201,26 @@ impl Terms {
         let losses: Vec<f64> = (0..kept.len()).map(loss).collect();
         let finite = losses.iter().all(|loss| loss.is_finite());
         finite.then(|| TermsFit { cost: self.rest + square(left.as_ref(), 0), losses, basis, left })
+    }
+
+    /// The term that goes and the one that comes in its place, of all pairs the one with the lowest cost, if that is below `cost`.
+    ///
+    /// Terms that came in early, beside the right ones, go only in this way (Miller 2002, section 3.3).
+    fn replacement(&self, kept: &[usize], cost: f64) -> Vec<SelectionStep> {
+        let mut best = (cost * (1.0 - LOWER), Vec::new());
+        for &term in kept {
+            let others: Vec<usize> = kept.iter().copied().filter(|other| *other != term).collect();
+            let Some(fit) = self.fit(&others) else { continue };
+            // Probability of the one that goes: without it, and with it.
+            let Some(probability) = self.probability(fit.cost - cost, cost, kept.len()) else { continue };
+            let Some(enters) = fit.enters(self, &others) else { continue };
+            let with: Vec<usize> = others.iter().copied().chain([enters.term]).collect();
+            let Some(after) = self.fit(&with).map(|fit| fit.cost) else { continue };
+            if after < best.0 {
+                best = (after, vec![SelectionStep { term, entered: false, probability }, enters]);
+            }
+        }
+        best.1
     }
 
     /// Probability that chance alone takes off as much as a term does, of `count` terms with it; none without degrees of freedom.
