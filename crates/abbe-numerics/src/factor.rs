@@ -51,7 +51,7 @@ impl Factor {
     }
 
     /// Column of the triangular factor; its products with other columns are those of J's.
-    pub(crate) fn column(&self, unknown: usize) -> Vec<f64> {
+    pub fn column(&self, unknown: usize) -> Vec<f64> {
         (0..self.unknowns()).map(|row| self.triangle[(row, unknown)]).collect()
     }
 

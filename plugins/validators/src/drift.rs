@@ -6,7 +6,7 @@
 use std::collections::BTreeSet;
 
 use abbe_core::{Fit, Owner, Problem, Quantity, Result, Unknown};
-use abbe_numerics::f_test;
+use abbe_numerics::{Accumulator, f_test};
 use nalgebra::{DMatrix, DVector, DVectorView};
 
 /// Tool set-up parameters that may drift.
@@ -51,8 +51,9 @@ pub fn test(fit: &Fit, left_out: &BTreeSet<(usize, usize)>) -> Result<Vec<Drift>
     }
     let (own, width) = (problem.unknowns.len(), extended.unknowns.len());
     let uncertainties = problem.standard_uncertainties();
-    let mut triangle = Triangle::new(own + DEGREES * tested.len() + 1);
-    let mut count = 0;
+    // The residual is a column like the others: what counts are the products of all of them.
+    let columns = own + DEGREES * tested.len() + 1;
+    let mut accumulator = Accumulator::new(columns, rows.len());
     extended.linearise(&extended.values_of(&fit.calibration), |block| {
         for (row, residual) in block.residuals.iter().enumerate() {
             let equation = block.first + row;
@@ -65,21 +66,34 @@ pub fn test(fit: &Fit, left_out: &BTreeSet<(usize, usize)>) -> Result<Vec<Drift>
                 entries.extend(legendre(times[equation]).map(|value| value * line[*column]));
             }
             entries.push(*residual);
-            triangle.push(entries.into_iter().map(|entry| entry / uncertainties[equation]));
-            count += 1;
+            accumulator.push(&entries, 0.0, 1.0 / uncertainties[equation]);
         }
     })?;
-    // Without rows there is no factor.
-    Ok(if count == 0 { Vec::new() } else { judge(triangle.finish(), own, count, &tested) })
+    let factor = accumulator.finish();
+    let count = factor.rows();
+    let columns: Vec<DVector<f64>> = (0..columns).map(|column| DVector::from_vec(factor.column(column))).collect();
+    let factor = DMatrix::from_columns(&columns);
+    if count == 0 || factor.iter().any(|entry| !entry.is_finite()) {
+        return Ok(Vec::new());
+    }
+    // What unknowns that the rows determine can do is the space of as many first rows of the triangle.
+    let jacobian = match fit.calibration.fit.rank == own {
+        true => DMatrix::identity(factor.nrows(), own),
+        false => basis(factor.columns(0, own).column_iter(), 1e-10),
+    };
+    Ok(judge(&factor, &jacobian, own, count, &tested))
 }
 
-/// The test on the triangular factor of `[J | candidates | r]`, whose columns have the same inner products.
-fn judge(factor: DMatrix<f64>, own: usize, rows: usize, tested: &[(&'static str, usize)]) -> Vec<Drift> {
-    if factor.iter().any(|entry| !entry.is_finite()) {
-        return Vec::new();
-    }
-    let jacobian = basis(factor.columns(0, own).column_iter(), 1e-10);
-    let rest = orthogonal(factor.column(factor.ncols() - 1), &jacobian);
+/// The test on the triangular factor of `[J | candidates | r]`, whose columns have the same inner products, and an orthonormal basis of
+/// what J can do.
+fn judge(
+    factor: &DMatrix<f64>,
+    jacobian: &DMatrix<f64>,
+    own: usize,
+    rows: usize,
+    tested: &[(&'static str, usize)],
+) -> Vec<Drift> {
+    let rest = orthogonal(factor.column(factor.ncols() - 1), jacobian);
     let freedom = rows.saturating_sub(jacobian.ncols());
     let squares = rest.norm_squared();
     if freedom == 0 || squares <= ROUNDING * ROUNDING * freedom as f64 {
@@ -90,7 +104,7 @@ fn judge(factor: DMatrix<f64>, own: usize, rows: usize, tested: &[(&'static str,
         let candidates = (0..DEGREES).map(|degree| factor.column(own + index * DEGREES + degree));
         // What the fit has already is nothing but rounding after projection.
         let new: Vec<DVector<f64>> = candidates
-            .map(|candidate| (orthogonal(candidate, &jacobian), candidate.norm()))
+            .map(|candidate| (orthogonal(candidate, jacobian), candidate.norm()))
             .filter(|(part, norm)| part.norm() > 1e-6 * norm)
             .map(|(part, _)| part)
             .collect();
@@ -162,53 +176,9 @@ fn legendre(t: f64) -> [f64; DEGREES] {
     [t, 1.5 * square - 0.5, (2.5 * square - 1.5) * t, (35.0 * square * square - 30.0 * square + 3.0) / 8.0]
 }
 
-/// Keeps nothing of a tall matrix but its triangular factor.
-struct Triangle {
-    width: usize,
-    rows: Vec<f64>,
-}
-
-impl Triangle {
-    fn new(width: usize) -> Self {
-        Self { width, rows: Vec::new() }
-    }
-
-    fn push(&mut self, row: impl Iterator<Item = f64>) {
-        self.rows.extend(row);
-        if self.rows.len() >= 8 * self.width * self.width.max(64) {
-            let factor = self.factor();
-            self.rows = factor.transpose().as_slice().to_vec();
-        }
-    }
-
-    fn factor(&self) -> DMatrix<f64> {
-        DMatrix::from_row_slice(self.rows.len() / self.width, self.width, &self.rows).qr().r()
-    }
-
-    fn finish(self) -> DMatrix<f64> {
-        self.factor()
-    }
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
-
-    #[test]
-    fn the_factor_of_many_rows_keeps_inner_products() {
-        let mut triangle = Triangle::new(3);
-        let (mut one, mut two) = (0.0, 0.0);
-        for i in 0..5000 {
-            let t = f64::from(i) / 5000.0;
-            let row = [1.0, t.sin(), (7.0 * t).cos()];
-            one += row[1] * row[2];
-            two += row[0] * row[1];
-            triangle.push(row.into_iter());
-        }
-        let factor = triangle.finish();
-        assert!((factor.column(1).dot(&factor.column(2)) - one).abs() < 1e-9);
-        assert!((factor.column(0).dot(&factor.column(1)) - two).abs() < 1e-9);
-    }
 
     #[test]
     fn polynomials_are_orthogonal() {
@@ -241,7 +211,8 @@ mod tests {
             matrix[(row, 1)] = t[row];
             matrix[(row, 1 + DEGREES)] = 1.0 + 2.0 * t[row] + e[row];
         }
-        let found = judge(matrix, 1, 4, &[("dzt", 0)]);
+        let jacobian = basis(matrix.columns(0, 1).column_iter(), 1e-10);
+        let found = judge(&matrix, &jacobian, 1, 4, &[("dzt", 0)]);
         let [drift] = found.as_slice() else { panic!("{found:?}") };
         assert_eq!((drift.parameter, drift.terms), ("dzt", 1));
         assert!((drift.share - 80.0 / 84.0).abs() < 1e-12);

@@ -135,6 +135,7 @@ mod every_validator {
             names,
             [
                 "artefact-cmm",
+                "cause",
                 "compare",
                 "consistency",
                 "geometric-bias",
