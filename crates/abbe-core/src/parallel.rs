@@ -13,10 +13,14 @@ pub(crate) fn is_one_of_several() -> bool {
     ONE_OF_SEVERAL.get()
 }
 
+/// Number of cores that this process may use.
+pub(crate) fn cores() -> usize {
+    std::thread::available_parallelism().map_or(1, usize::from)
+}
+
 /// Applies `work` to all items on `threads` threads (as many as there are cores if none are given); results come in the order
 /// of the items, whoever did the work.
 pub fn in_parallel<T: Sync, R: Send>(items: &[T], threads: Option<usize>, work: impl Fn(&T) -> R + Sync) -> Vec<R> {
-    let cores = || std::thread::available_parallelism().map_or(1, usize::from);
     let threads = threads.unwrap_or_else(cores).min(items.len());
     if threads <= 1 {
         return items.iter().map(work).collect();

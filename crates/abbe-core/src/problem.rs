@@ -14,7 +14,7 @@ use crate::dataset::RowOrigin;
 use crate::error::{Error, Result};
 use crate::model::{KinematicModel, Poses, Variable};
 use crate::observations::{Equations, Observations, PoseValues};
-use crate::parallel::is_one_of_several;
+use crate::parallel::{cores, is_one_of_several};
 use crate::pattern::matches;
 use crate::pose_table::PoseTable;
 use crate::uncertainty::{CovarianceBlock, EquationUncertainty, Pooled};
@@ -532,23 +532,32 @@ impl Problem {
             }
             return Ok(());
         }
+        let chunks: Vec<(usize, &[usize])> = chunks().collect();
         std::thread::scope(|scope| {
-            let (send, receive) = sync_channel::<Result<Linearised>>(AHEAD);
-            let (give_back, used) = channel::<Linearised>();
-            let (at, columns) = (&at, &columns);
-            scope.spawn(move || {
-                let mut work = Workspace::default();
-                for (set, rows) in chunks() {
-                    let mut linear = used.try_recv().unwrap_or_default();
-                    let done = at.linearise_rows(set, rows, columns, &mut work, &mut linear).map(|()| linear);
-                    let failed = done.is_err();
-                    // Nobody listens any more after an error.
-                    if send.send(done).is_err() || failed {
-                        return;
+            let (at, columns, chunks) = (&at, &columns, &chunks);
+            // Every thread evaluates every so many-th chunk; they are taken in turn.
+            let threads = cores();
+            let from = (0..threads).map(|first| {
+                let (send, receive) = sync_channel::<Result<Linearised>>(AHEAD);
+                let (give_back, used) = channel::<Linearised>();
+                scope.spawn(move || {
+                    let mut work = Workspace::default();
+                    for &(set, rows) in chunks.iter().skip(first).step_by(threads) {
+                        let mut linear = used.try_recv().unwrap_or_default();
+                        let done = at.linearise_rows(set, rows, columns, &mut work, &mut linear).map(|()| linear);
+                        let failed = done.is_err();
+                        // Nobody listens any more after an error.
+                        if send.send(done).is_err() || failed {
+                            return;
+                        }
                     }
-                }
+                });
+                (receive, give_back)
             });
-            for linear in receive {
+            let from: Vec<_> = from.collect();
+            for (receive, give_back) in from.iter().cycle() {
+                // The first that has no more was the next in turn.
+                let Ok(linear) = receive.recv() else { break };
                 let linear = linear?;
                 take(&linear);
                 // The other side may be done.
@@ -646,9 +655,11 @@ struct Columns {
     /// The parameters of the model that are unknown, and the column of each.
     wanted: Vec<Variable>,
     machine: Vec<usize>,
-    /// For every set the columns of its own unknowns and of its known inputs.
-    of_sets: Vec<(Vec<Option<usize>>, Vec<Option<usize>>)>,
+    of_sets: Vec<ColumnsOfSet>,
 }
+
+/// The columns of the own unknowns of a set, and of its known inputs; none for those that are not unknown.
+type ColumnsOfSet = (Vec<Option<usize>>, Vec<Option<usize>>);
 
 impl Columns {
     fn of(problem: &Problem) -> Self {
@@ -683,8 +694,8 @@ struct Linearised {
 /// Derivatives from which a thread of their own is worth starting.
 const WORTH_A_THREAD: usize = 50_000;
 
-/// Blocks that are evaluated ahead of the one that is taken.
-const AHEAD: usize = 8;
+/// Blocks that a thread evaluates ahead of those that are taken.
+const AHEAD: usize = 4;
 
 /// The known inputs of some sets, and those of them that are uncertain.
 fn inputs(sets: &[ObservationSet]) -> Result<(Vec<Input>, Considered)> {

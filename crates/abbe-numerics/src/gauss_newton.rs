@@ -213,7 +213,9 @@ fn minimise<P: LeastSquares + ?Sized>(
         };
         // Once steps are small they shrink fast, unless rounding is all that is left of them.
         let rounding = size < SMALL && size > 0.5 * last_size;
-        if size <= options.tolerance || rounding {
+        // What the next step would be, if it shrinks as this one did.
+        let next = size * (size / last_size);
+        if size <= options.tolerance || (size < SMALL && 2.0 * next <= options.tolerance) || rounding {
             add(&mut x, &step, 1.0);
             return Ok(Minimum { x, end: End::Converged, iterations, factor });
         }

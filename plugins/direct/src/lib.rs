@@ -400,6 +400,3 @@ impl Artefact for Direct {
         Ok(Vec::new())
     }
 }
-
-#[cfg(test)]
-mod tests;
