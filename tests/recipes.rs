@@ -6,7 +6,7 @@
 use std::fmt::Write;
 use std::path::Path;
 
-use abbe_core::{Calibration, Estimated};
+use abbe_core::{Calibration, Estimated, Status};
 
 use crate::support::{Printed, abbe, effect, files_in, read, recipes, root, temporary, values};
 
@@ -77,12 +77,15 @@ fn told(calibration: &Calibration, exact: bool) -> String {
     let noise = exact && fit.residual_max_um < 1e-3;
     for estimated in values(calibration) {
         let Estimated { name, value, unit, standard_uncertainty, status } = estimated;
+        let known = *status == Status::Considered;
         let status = serde_json::to_value(status).expect("a status is text");
         let status = status.as_str().expect("a status is text");
-        let step = if noise { tolerance(unit) } else { ten_to(standard_uncertainty * 0.01) };
-        let value = if noise { untied(*value, step) } else { to_step(*value, step) };
+        // What an earlier fit of exact data knows is rounding here, too.
+        let rounding = noise || (exact && known && *standard_uncertainty < tolerance(unit));
+        let step = if rounding { tolerance(unit) } else { ten_to(standard_uncertainty * 0.01) };
+        let value = if rounding { untied(*value, step) } else { to_step(*value, step) };
         write!(text, "{name:<22}{unit:<12}{status:<12}{value:>11.3e}").expect("text");
-        if !noise && *standard_uncertainty > 0.0 {
+        if !rounding && *standard_uncertainty > 0.0 {
             write!(text, " ± {standard_uncertainty:.1e}").expect("text");
         }
         text.push('\n');
