@@ -302,3 +302,23 @@ fn what_run_refuses_before_it_reads_rows_check_refuses_too() {
         assert_eq!(run.stderr, check.stderr, "{new}");
     }
 }
+
+#[test]
+fn knots_between_which_nothing_was_measured_are_told() {
+    let small = Small::new();
+    let positions = (1..20).chain(31..50).map(|step| 10 * step);
+    let rows: String = positions.map(|x| format!("0,{x},{x}.001\n")).collect();
+    small.write("lengths.csv", &format!("X1_mm,X2_mm,reference_mm\n{rows}"));
+    small.write(
+        "gap.yaml",
+        "abbe: 1\nname: A gap\nstages:\n  rows: { ingest: csv, path: lengths.csv }\n  \
+         laser: { artefact: length, from: rows, standard_uncertainty_um: 0.2 }\n  machine:\n    model: serial-chain\n    \
+         chain: w b X t\n    tool_length_mm: 100\n    stylus_radius_mm: 0\n    axes: { X: { range_mm: [0, 500] } }\n    errors:\n      \
+         - { piecewise: [EXX], degree: 2, continuity: 1, knots_mm: [100, 210, 230, 250, 270, 290, 400] }\n  \
+         fit: { estimate: gauss-newton, machine: machine, observations: laser, parameters: [\"EXX*\"] }\n",
+    );
+    let told = small.abbe(&["run", "gap.yaml"]);
+    assert_eq!(told.status, 1, "{}", told.stderr);
+    let text = told.stderr.split_whitespace().filter(|word| *word != "│").collect::<Vec<_>>().join(" ");
+    assert!(text.contains("measure with X between 190 and 310 mm: no row has it there"), "{text}");
+}

@@ -7,6 +7,7 @@
 //! as rank is, so it holds for any chain and any artefact.
 
 mod direction;
+mod gaps;
 mod places;
 mod same_motion;
 mod statuses;
@@ -14,6 +15,7 @@ mod statuses;
 use abbe_core::{NullVector, Problem, Result};
 
 use direction::{Direction, Effect};
+use gaps::{Gap, gaps};
 use places::{places, recorded_statuses};
 use statuses::statuses;
 
@@ -73,6 +75,7 @@ pub struct Trials {
     /// The recorded rows (not all of many) at contact, with the unknowns at their values.
     recorded: Problem,
     trials: Vec<Trial>,
+    gaps: Vec<Gap>,
 }
 
 impl Trials {
@@ -81,7 +84,7 @@ impl Trials {
         let recorded = thinned(problem).at_contact(x)?;
         let mut trials = statuses(problem, &recorded)?;
         trials.extend(places(problem, &recorded)?);
-        Ok(Self { recorded, trials })
+        Ok(Self { recorded, trials, gaps: gaps(problem) })
     }
 
     /// Sentences that tell which measurements separate a lost direction, the best first, at most three; what to do instead
@@ -97,7 +100,13 @@ impl Trials {
         }
         let found = self.best(&effects, seen);
         if found.is_empty() {
-            effects.push(direction.effect(&Measured::Point(recorded_statuses(&self.recorded)))?);
+            let recorded = direction.effect(&Measured::Point(recorded_statuses(&self.recorded)))?;
+            // What moves nothing where it was measured may move something in between.
+            let still = recorded.moved <= seen * recorded.single;
+            if let Some(sentence) = gaps::told(&self.gaps, &direction, seen).filter(|_| still) {
+                return Ok(vec![sentence]);
+            }
+            effects.push(recorded);
             let moves = effects.iter().any(|effect| effect.moved > seen * effect.single);
             return Ok(vec![direction.without_measurement(moves)]);
         }
