@@ -322,3 +322,34 @@ fn knots_between_which_nothing_was_measured_are_told() {
     let text = told.stderr.split_whitespace().filter(|word| *word != "│").collect::<Vec<_>>().join(" ");
     assert!(text.contains("measure with X between 190 and 310 mm: no row has it there"), "{text}");
 }
+
+#[test]
+fn a_scale_whose_temperature_is_not_known_is_told() {
+    let small = Small::new();
+    small.write("lengths.csv", "X1_mm,X2_mm,reference_mm\n0,100,100\n0,200,200\n0,300,300\n");
+    let recipe = |ingest: &str| {
+        format!(
+            "abbe: 1\nname: An expanding scale\nstages:\n  rows: {{ ingest: csv, path: lengths.csv{ingest} }}\n  \
+             laser: {{ artefact: length, from: rows, standard_uncertainty_um: 0.2 }}\n  machine:\n    model: serial-chain\n    \
+             chain: w b X t\n    tool_length_mm: 100\n    stylus_radius_mm: 0\n    errors:\n      \
+             - {{ polynomial: [EXX], degrees: [1] }}\n      \
+             - {{ expansion: [EXX], temperature: T_X, coefficient_per_K: 11.5e-6 }}\n  \
+             fit: {{ estimate: gauss-newton, machine: machine, observations: laser, parameters: [\"EXX[1]\"] }}\n"
+        )
+    };
+    small.write("scale.yaml", &recipe(""));
+    let told = small.abbe(&["run", "scale.yaml"]);
+    assert_ne!(told.status, 0);
+    let text = told.stderr.split_whitespace().filter(|word| *word != "│").collect::<Vec<_>>().join(" ");
+    assert!(text.contains("has no column `T_X_degC`"), "{text}");
+    small.write("scale.yaml", &recipe(", constants: { T_X_degC: 30 }"));
+    let found = small.abbe(&["run", "scale.yaml", "--out", "out"]);
+    assert_eq!(found.status, 0, "{}", found.stderr);
+    let calibration: serde_json::Value =
+        serde_json::from_str(&small.read("out/scale/fit.calibration.json")).expect("a calibration");
+    let parameters = calibration["parameters"].as_array().expect("parameters");
+    let scale = parameters.iter().find(|parameter| parameter["name"] == "EXX[1]").expect("a parameter");
+    // Ten degrees of expansion, which the data do not show, are taken back by the gain.
+    let value = scale["value"].as_f64().expect("a value");
+    assert!((value + 11.5e-5).abs() < 1e-9, "{value}");
+}

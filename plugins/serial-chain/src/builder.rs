@@ -5,7 +5,7 @@ use std::collections::BTreeMap;
 use abbe_core::{
     Absent, Axis, AxisKind, Dataset, Parameter, PathItem, Quantity, SettingsError, StatusColumn, Unit, Values, matches,
 };
-use abbe_errors::{Argument, Constant, Declaration, Drift, Functions, Group, Per, StylusIs, Subject};
+use abbe_errors::{Argument, Constant, Declaration, Drift, Expansion, Functions, Group, Per, StylusIs, Subject};
 use abbe_kinematics::{Chain, ChainAxis, ErrorFrame, NamedAxis, StructuralLoop};
 use nalgebra::Vector3;
 use serde_json::Value;
@@ -414,6 +414,23 @@ pub(crate) fn chain_axis(named: &NamedAxis, settings: &Settings) -> Result<Chain
     };
     let name = named.name.clone();
     Ok(ChainAxis { name, kind, branch: named.branch, direction, point, reverse: given.reverse, error_frame })
+}
+
+/// Refuses data that do not say how warm a scale was: at the reference temperature it would silently not expand.
+pub(crate) fn temperature_is_there(expansion: &Expansion, data: &[&Dataset]) -> Result<(), SettingsError> {
+    // Data with several poses a row may have one column for each: `T_X`, or `T_X1` and `T_X2`.
+    let of_scale = |name: &str| {
+        name.strip_prefix(expansion.temperature.as_str())
+            .is_some_and(|end| end.chars().all(|digit| digit.is_ascii_digit()))
+    };
+    let lacks = |data: &&&Dataset| !data.columns.iter().any(|column| of_scale(&column.header.name));
+    let Some(data) = data.iter().find(lacks) else { return Ok(()) };
+    let file = data.files.first().map_or_else(|| "a data set".to_owned(), |file| file.display().to_string());
+    let column = format!("{}_degC", expansion.temperature);
+    let message = format!(
+        "{file} has no column `{column}`, the temperature of the scale; write it into the file, or `constants: {{ {column}: 20 }}` at its ingest stage"
+    );
+    Err(SettingsError::new("temperature", message))
 }
 
 /// First and last time of every series of a drift: those of the settings, else those of the data. The scale so stays

@@ -9,7 +9,7 @@ use abbe_kinematics::{Chain, Errors, Evaluation as Pose, StructuralLoop};
 use nalgebra::Vector3;
 use serde_json::Value;
 
-use crate::builder::{Builder, COMPONENTS, chain_axis, finite, key, quantity_of, settle_time};
+use crate::builder::{Builder, COMPONENTS, chain_axis, finite, key, quantity_of, settle_time, temperature_is_there};
 use crate::settings::Settings;
 
 /// A serial chain with its error families.
@@ -134,6 +134,9 @@ impl SerialChain {
             let mut declaration = Declaration::read(line).map_err(|error| error.under(at.clone()))?;
             if let Declaration::Drift(drift) = &mut declaration {
                 settle_time(drift, data).map_err(|error| error.under(at.clone()))?;
+            }
+            if let Declaration::Expansion(expansion) = &declaration {
+                temperature_is_there(expansion, data).map_err(|error| error.under(at.clone()))?;
             }
             builder.declare(&declaration).map_err(|error| error.under(at))?;
             declarations.push(declaration);
