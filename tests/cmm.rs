@@ -124,6 +124,19 @@ fn lengths_that_took_no_part_rank_the_methods() {
 }
 
 #[test]
+fn known_lengths_are_judged_where_they_were_recorded() {
+    let fit = fit(outcome("cmm-brute-force", "realistic"), "fit");
+    let x = fit.problem.start();
+    assert_eq!(fit.problem.as_judged(&x).expect("contact").sets[0].poses(), fit.problem.sets[0].poses());
+    // Nothing that is lost hides behind the residuals: at contact rank and condition are the same.
+    let judged = fit.estimator.identify(&fit.problem).expect("rank");
+    let at_contact = fit.estimator.identify(&fit.problem.at_contact(&x).expect("contact")).expect("rank");
+    assert_ne!(fit.problem.at_contact(&x).expect("contact").sets[0].poses(), fit.problem.sets[0].poses());
+    assert_eq!(judged.rank, at_contact.rank);
+    assert!((judged.condition / at_contact.condition - 1.0).abs() < 1e-3);
+}
+
+#[test]
 fn unseen_observations_need_values_for_what_is_unknown_of_them() {
     let run = |change: &dyn Fn(&mut Variant)| {
         let mut recipe = Variant::of(&recipes()["cmm-checking-gauge"]);

@@ -111,10 +111,10 @@ fn to_step(value: f64, step: f64) -> f64 {
     if rounded == 0.0 { 0.0 } else { rounded }
 }
 
-/// The nearest multiple of `step` for a value that is right up to rounding: true values have four digits, and one that ends
+/// The nearest multiple of `step` for a value that is right up to rounding: true values have few digits, and one that ends
 /// in 5 would fall to this side or that.
 fn untied(value: f64, step: f64) -> f64 {
-    to_step(value + 0.05 * step.copysign(value), step)
+    to_step(value + 0.0371 * step.copysign(value), step)
 }
 
 /// The text with every decimal number rounded to three digits and put in the same place.

@@ -7,6 +7,8 @@ use nalgebra::{DMatrix, DVector, Matrix3, Vector3};
 use crate::error::{Error, Result};
 use crate::model::{AxisKind, KinematicModel, Variable};
 use crate::observations::{Contact, Row};
+use crate::parallel::in_parallel;
+use crate::pose_table::PoseTable;
 use crate::problem::{CHUNK, ObservationSet, Problem, Workspace, dot};
 
 /// Steps after which the search for a contact ends. Newton's iteration converges quadratically: it needs three or four.
@@ -62,27 +64,58 @@ impl Problem {
     /// bring the tip to [`Observations::contact_tip`](crate::Observations::contact_tip), or move by as little as possible
     /// until the row's equations hold.
     ///
-    /// Rank and condition are judged there. At recorded positions the residuals, and the offsets with which features are
-    /// met beside their points, act as if they were information: they lift the singular values that are really zero.
+    /// Rank and condition are judged there ([`as_judged`](Self::as_judged)).
     pub fn at_contact(&self, x: &[f64]) -> Result<Self> {
+        self.with_contacts(x, ObservationSet::moves_to_contact)
+    }
+
+    /// The same problem where, by the model at `x`, its rank and condition are judged: at nominal contact.
+    ///
+    /// At recorded positions the residuals, and the offsets with which features are met beside their points, act as if they
+    /// were information: they lift the singular values that are really zero. Rows that are met anywhere stay where they are.
+    pub fn as_judged(&self, x: &[f64]) -> Result<Self> {
+        self.with_contacts(x, ObservationSet::moves_to_be_judged)
+    }
+
+    /// Whether the rows are judged where they were recorded.
+    pub fn is_judged_as_recorded(&self) -> bool {
+        !self.sets.iter().any(ObservationSet::moves_to_be_judged)
+    }
+
+    /// The same problem at `x` with the rows of those sets that move at nominal contact.
+    fn with_contacts(&self, x: &[f64], moves: impl Fn(&ObservationSet) -> bool) -> Result<Self> {
         let mut moved = self.at(x);
         let linear = LinearAxes::of(self.model.as_ref());
-        let mut work = Workspace::default();
-        for set in 0..moved.sets.len() {
-            if moved.sets[set].observations.contact() != Contact::LinearAxes || linear.count() == 0 {
+        let threads = self.threads(linear.count());
+        for (index, set) in self.sets.iter().enumerate() {
+            if !moves(set) || linear.count() == 0 || set.rows.is_empty() {
                 continue;
             }
-            for chunk in self.sets[set].rows.chunks(CHUNK) {
-                // Newton's iteration converges quadratically: a step below 1e-5 mm leaves nothing that a double holds.
-                for _ in 0..8 {
-                    moved.evaluate(set, chunk, &linear.commands, &mut work)?;
-                    if moved.sets[set].step(chunk, &linear, &work, Goal::Contact) < 1e-5 {
-                        break;
-                    }
+            let shares: Vec<&[usize]> = set.rows.chunks(set.rows.len().div_ceil(threads)).collect();
+            let tables = in_parallel(&shares, Some(threads), |rows| moved.contacts(index, rows, &linear));
+            let mut contacts = set.poses().clone();
+            for (rows, table) in shares.into_iter().zip(tables) {
+                let table = table?;
+                set.poses_of(rows).for_each(|pose| contacts.row_mut(pose).copy_from_slice(table.row(pose)));
+            }
+            moved.sets[index].move_to(contacts);
+        }
+        Ok(moved)
+    }
+
+    /// The statuses of a set with some of its rows at contact.
+    fn contacts(&self, set: usize, rows: &[usize], linear: &LinearAxes) -> Result<PoseTable> {
+        let (mut moved, mut work) = (self.clone(), Workspace::default());
+        for chunk in rows.chunks(CHUNK) {
+            // Newton's iteration converges quadratically: a step below 1e-5 mm leaves nothing that a double holds.
+            for _ in 0..8 {
+                moved.evaluate(set, chunk, &linear.commands, &mut work)?;
+                if moved.sets[set].step(chunk, linear, &work, Goal::Contact) < 1e-5 {
+                    break;
                 }
             }
         }
-        Ok(moved)
+        Ok(moved.sets[set].poses().clone())
     }
 
     /// The same problem as it is measured if its own values are the truth: the linear axes of every touched row move from
@@ -186,6 +219,14 @@ impl Problem {
 }
 
 impl ObservationSet {
+    fn moves_to_contact(&self) -> bool {
+        self.observations.contact() == Contact::LinearAxes
+    }
+
+    fn moves_to_be_judged(&self) -> bool {
+        self.moves_to_contact() && !self.observations.is_met_anywhere()
+    }
+
     fn row(&self, row: usize) -> Row {
         self.observations.layout().rows[row]
     }

@@ -334,4 +334,10 @@ pub trait Observations: Send + Sync {
 
     /// What gives way when a row is really measured.
     fn contact(&self) -> Contact;
+
+    /// Whether the rows tell as much where they were recorded as at nominal contact: a known length is a length between any two
+    /// poses, and no unknown takes up what it is off by.
+    fn is_met_anywhere(&self) -> bool {
+        false
+    }
 }

@@ -21,7 +21,7 @@ use crate::uncertainty::{CovarianceBlock, EquationUncertainty, Pooled};
 use crate::unit::{Quantity, Unit};
 
 /// Rows that are evaluated together: enough to amortise a call, few enough for their derivatives to stay in the cache.
-pub(crate) const CHUNK: usize = 64;
+pub(crate) const CHUNK: usize = 128;
 
 /// The observations of one artefact stage, with the rows that take part.
 #[derive(Clone)]
@@ -90,6 +90,12 @@ impl ObservationSet {
     fn taken(&self) -> Vec<usize> {
         let rows = self.rows.iter().map(|&row| self.observations.layout().rows[row]);
         rows.flat_map(|row| row.first_equation..row.first_equation + row.equations).collect()
+    }
+
+    /// The poses of some rows.
+    pub(crate) fn poses_of<'a>(&'a self, rows: &'a [usize]) -> impl Iterator<Item = usize> + 'a {
+        let rows = rows.iter().map(|&row| &self.observations.layout().rows[row]);
+        rows.flat_map(|row| row.first_pose..row.first_pose + row.poses)
     }
 
     fn equations(&self, rows: &[usize]) -> usize {
@@ -524,7 +530,8 @@ impl Problem {
             sink(Block { first, residuals: &linear.residuals, jacobian: &linear.jacobian });
             first += linear.residuals.len();
         };
-        if self.equations() * self.unknowns.len() < WORTH_A_THREAD || is_one_of_several() {
+        let threads = self.threads(self.unknowns.len());
+        if threads == 1 {
             let (mut work, mut linear) = (Workspace::default(), Linearised::default());
             for (set, rows) in chunks() {
                 at.linearise_rows(set, rows, &columns, &mut work, &mut linear)?;
@@ -536,7 +543,6 @@ impl Problem {
         std::thread::scope(|scope| {
             let (at, columns, chunks) = (&at, &columns, &chunks);
             // Every thread evaluates every so many-th chunk; they are taken in turn.
-            let threads = cores();
             let from = (0..threads).map(|first| {
                 let (send, receive) = sync_channel::<Result<Linearised>>(AHEAD);
                 let (give_back, used) = channel::<Linearised>();
@@ -565,6 +571,12 @@ impl Problem {
             }
             Ok(())
         })
+    }
+
+    /// Threads that are worth starting for an evaluation of all rows with derivatives to so many variables.
+    pub(crate) fn threads(&self, variables: usize) -> usize {
+        let work = self.equations() * (POSE + variables);
+        if work < WORTH_A_THREAD || is_one_of_several() { 1 } else { cores() }
     }
 
     /// Residuals and derivatives of some rows of a set at the problem's own values.
@@ -609,11 +621,7 @@ impl Problem {
         let set = &self.sets[set];
         let orientation = set.observations.needs_orientation();
         work.statuses.clear();
-        for row in rows.iter().map(|&row| &set.observations.layout().rows[row]) {
-            for pose in row.first_pose..row.first_pose + row.poses {
-                work.statuses.extend_from_slice(set.poses().row(pose));
-            }
-        }
+        set.poses_of(rows).for_each(|pose| work.statuses.extend_from_slice(set.poses().row(pose)));
         match orientation && set.observations.first_order_orientation() {
             true => self.first_order(&work.statuses, wanted, &mut work.poses)?,
             false => self.model.evaluate(&work.statuses, &self.machine, wanted, orientation, &mut work.poses)?,
@@ -693,6 +701,9 @@ struct Linearised {
 
 /// Derivatives from which a thread of their own is worth starting.
 const WORTH_A_THREAD: usize = 50_000;
+
+/// Derivatives that cost as much as a pose without any.
+const POSE: usize = 25;
 
 /// Blocks that a thread evaluates ahead of those that are taken.
 const AHEAD: usize = 4;

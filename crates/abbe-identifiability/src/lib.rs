@@ -81,7 +81,7 @@ pub struct Trials {
 impl Trials {
     /// The trials for a problem whose unknowns have the values `x`. Rows are moved to nominal contact.
     pub fn new(problem: &Problem, x: &[f64]) -> Result<Self> {
-        let recorded = thinned(problem).at_contact(x)?;
+        let recorded = thinned(problem).as_judged(x)?;
         let mut trials = statuses(problem, &recorded)?;
         trials.extend(places(problem, &recorded)?);
         Ok(Self { recorded, trials, gaps: gaps(problem) })

@@ -22,7 +22,7 @@ pub fn same_motion(problem: &Problem) -> Result<Vec<SameMotion>> {
     }
     let mut nominal = problem.clone();
     nominal.machine = problem.model.nominal();
-    let few = at_contact(&thinned(&nominal));
+    let few = judged(&thinned(&nominal));
     let mut all: Option<Problem> = None;
     let mut found = Vec::new();
     for axis in 0..problem.model.axes().len() {
@@ -31,7 +31,7 @@ pub fn same_motion(problem: &Problem) -> Result<Vec<SameMotion>> {
         if of_axis.len() < 2 || dependent(&effects(&few, &of_axis)?).is_empty() {
             continue;
         }
-        let all = all.get_or_insert_with(|| at_contact(&nominal));
+        let all = all.get_or_insert_with(|| judged(&nominal));
         let dependent = dependent(&effects(all, &of_axis)?);
         found.extend(dependent.iter().filter_map(|dependent| named(problem, &of_axis, dependent)));
     }
@@ -39,8 +39,8 @@ pub fn same_motion(problem: &Problem) -> Result<Vec<SameMotion>> {
 }
 
 /// The problem at nominal contact, or as recorded where no contact is found.
-fn at_contact(problem: &Problem) -> Problem {
-    problem.at_contact(&problem.start()).unwrap_or_else(|_| problem.clone())
+fn judged(problem: &Problem) -> Problem {
+    problem.as_judged(&problem.start()).unwrap_or_else(|_| problem.clone())
 }
 
 /// What each of some errors of an axis does to the pose, mm and rad per mm or rad of the error, at all poses where all of them

@@ -67,8 +67,10 @@ pub struct Chain {
 /// Where an error acts: the frame just before it, bed coordinates.
 #[derive(Debug, Clone, Copy, PartialEq)]
 struct Slot {
-    /// Directions of the three translations and axes of the three rotations as they act one after another.
-    directions: [Vector3<f64>; 6],
+    /// Directions of the three translations.
+    frame: Directions,
+    /// The axes of the rotations ea and eb, as they act one after another; that of ec is the third direction.
+    about: [Vector3<f64>; 2],
     /// The point that the rotations turn about.
     origin: Vector3<f64>,
     /// +1 on the tool branch, -1 on the workpiece branch.
@@ -77,8 +79,19 @@ struct Slot {
 
 impl Default for Slot {
     fn default() -> Self {
-        Self { directions: [Vector3::zeros(); 6], origin: Vector3::zeros(), sign: 1.0 }
+        Self { frame: Directions::SAME, about: [Vector3::zeros(); 2], origin: Vector3::zeros(), sign: 1.0 }
     }
+}
+
+/// Which derivatives of a pose are wanted.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Derivatives<'a> {
+    /// None: the pose alone.
+    None,
+    /// Those of the position to the commands and to the errors of these slots (one entry a slot).
+    OfPosition(&'a [bool]),
+    /// Those of position and rotation to the commands and to the errors of these slots.
+    OfPositionAndRotation(&'a [bool]),
 }
 
 /// Pose of the tool relative to the table and what moves it.
@@ -88,9 +101,9 @@ pub struct Evaluation {
     pub position: Vector3<f64>,
     /// Rotation from the tool frame to the table frame.
     pub rotation: Matrix3<f64>,
-    /// d(position)/d(error) of every slot.
+    /// d(position)/d(error) of every slot, zero where they are not wanted; empty if none are.
     pub by_error: Vec<[Vector3<f64>; 6]>,
-    /// d(rotation vector, table frame)/d(error) of every slot; empty unless asked for.
+    /// d(rotation vector, table frame)/d(error) of every slot.
     pub turn_by_error: Vec<[Vector3<f64>; 6]>,
     /// d(position)/d(command) of every axis, its motion errors held.
     pub by_command: Vec<Vector3<f64>>,
@@ -107,11 +120,77 @@ impl Evaluation {
         let quaternion = UnitQuaternion::from_rotation_matrix(&Rotation3::from_matrix_unchecked(self.rotation));
         [quaternion.w, quaternion.i, quaternion.j, quaternion.k]
     }
+
+    /// The derivatives, from where errors and commands act; `table` and `tip` are the table's directions and the tip, bed
+    /// coordinates.
+    fn differentiate(&mut self, axes: &[ChainAxis], (table, tip): (Directions, Vector3<f64>), wanted: Derivatives<'_>) {
+        let (slots, turns): (&[bool], bool) = match wanted {
+            Derivatives::None => (&[], false),
+            Derivatives::OfPosition(slots) => (slots, false),
+            Derivatives::OfPositionAndRotation(slots) => (slots, true),
+        };
+        let still = Vector3::zeros();
+        self.by_error.resize(slots.len(), [still; 6]);
+        self.turn_by_error.resize(if turns { slots.len() } else { 0 }, [still; 6]);
+        self.by_command.clear();
+        self.turn_by_command.clear();
+        if wanted == Derivatives::None {
+            return;
+        }
+        for (index, Slot { frame: Directions([x, y, z]), about: [a, b], origin, sign }) in self.slots.iter().enumerate()
+        {
+            let seen = |vector: &Vector3<f64>| table.inwards(vector) * *sign;
+            let lever = tip - origin;
+            let turned = |axis: &Vector3<f64>| seen(&axis.cross(&lever));
+            // What an evaluation before this one left is overwritten, wanted or not.
+            self.by_error[index] = match slots[index] {
+                true => [seen(x), seen(y), seen(z), turned(a), turned(b), turned(z)],
+                false => [still; 6],
+            };
+            if turns {
+                self.turn_by_error[index] = match slots[index] {
+                    true => [still, still, still, seen(a), seen(b), seen(z)],
+                    false => [still; 6],
+                };
+            }
+        }
+        for (axis, (direction, origin)) in axes.iter().zip(&self.motions) {
+            let sign = if axis.branch == Branch::Tool { 1.0 } else { -1.0 };
+            let seen = |vector: &Vector3<f64>| table.inwards(vector) * sign;
+            let (shift, turn) = match axis.kind {
+                AxisKind::Linear => (seen(direction), still),
+                AxisKind::Rotary => (seen(&direction.cross(&(tip - origin))), seen(direction)),
+            };
+            self.by_command.push(shift);
+            self.turn_by_command.push(turn);
+        }
+    }
+}
+
+/// The directions of a frame's axes in another frame: a rotation whose products are spelled out, as they are most of what a
+/// pose costs.
+#[derive(Debug, Clone, Copy, PartialEq)]
+struct Directions([Vector3<f64>; 3]);
+
+impl Directions {
+    const SAME: Self = Self([Vector3::new(1.0, 0.0, 0.0), Vector3::new(0.0, 1.0, 0.0), Vector3::new(0.0, 0.0, 1.0)]);
+
+    /// A vector of the frame, in the other one.
+    fn outwards(&self, vector: &Vector3<f64>) -> Vector3<f64> {
+        let [x, y, z] = &self.0;
+        x * vector.x + y * vector.y + z * vector.z
+    }
+
+    /// A vector of the other frame, in this one.
+    fn inwards(&self, vector: &Vector3<f64>) -> Vector3<f64> {
+        let [x, y, z] = &self.0;
+        Vector3::new(x.dot(vector), y.dot(vector), z.dot(vector))
+    }
 }
 
 /// A frame on the way outwards, bed coordinates.
 struct Frame {
-    rotation: Matrix3<f64>,
+    directions: Directions,
     origin: Vector3<f64>,
     /// Nominal position of the frame with all axes at zero.
     nominal: Vector3<f64>,
@@ -120,41 +199,55 @@ struct Frame {
 
 impl Frame {
     fn bed(sign: f64) -> Self {
-        Self { rotation: Matrix3::identity(), origin: Vector3::zeros(), nominal: Vector3::zeros(), sign }
+        Self { directions: Directions::SAME, origin: Vector3::zeros(), nominal: Vector3::zeros(), sign }
     }
 
     /// Lets errors act, and records where they do.
-    fn err(&mut self, errors: &Errors) -> Slot {
-        let before = self.rotation;
-        let column = |index: usize| before.column(index).into_owned();
-        self.origin += before * Vector3::new(errors[0], errors[1], errors[2]);
-        let mut directions = [column(0), column(1), column(2), column(0), column(1), column(2)];
+    fn err(&mut self, errors: &Errors, slot: &mut Slot) {
+        let [x, y, z] = self.directions.0;
+        // Field by field: a whole slot would be copied.
+        (slot.frame, slot.about, slot.sign) = (self.directions, [x, y], self.sign);
+        if errors[..3] != [0.0; 3] {
+            self.origin += self.directions.outwards(&Vector3::new(errors[0], errors[1], errors[2]));
+        }
+        slot.origin = self.origin;
         if errors[3..] != [0.0; 3] {
-            let [(sin_a, cos_a), (sin_b, cos_b), (sin_c, cos_c)] = [errors[3], errors[4], errors[5]].map(f64::sin_cos);
-            // The frame after Rz, then after Ry, then after Rx; each step turns two columns.
-            let [x, y, z] = [column(0), column(1), column(2)];
+            let ((sin_a, cos_a), (sin_b, cos_b), (sin_c, cos_c)) =
+                (sin_cos(errors[3]), sin_cos(errors[4]), sin_cos(errors[5]));
+            // The frame after Rz, then after Ry, then after Rx; each step turns two of its axes.
             let (about_z_x, about_z_y) = (x * cos_c + y * sin_c, y * cos_c - x * sin_c);
             let (about_y_x, about_y_z) = (about_z_x * cos_b - z * sin_b, z * cos_b + about_z_x * sin_b);
             let (about_x_y, about_x_z) = (about_z_y * cos_a + about_y_z * sin_a, about_y_z * cos_a - about_z_y * sin_a);
-            directions[4] = about_z_y;
-            directions[3] = about_y_x;
-            self.rotation = Matrix3::from_columns(&[about_y_x, about_x_y, about_x_z]);
+            slot.about = [about_y_x, about_z_y];
+            self.directions = Directions([about_y_x, about_x_y, about_x_z]);
         }
-        Slot { directions, origin: self.origin, sign: self.sign }
     }
 
     /// Moves by a command, and records how.
     fn command(&mut self, axis: &ChainAxis, command: f64) -> (Vector3<f64>, Vector3<f64>) {
-        let direction = self.rotation * axis.direction * axis.sense();
+        let direction = self.directions.outwards(&axis.direction) * axis.sense();
         match axis.kind {
             AxisKind::Linear => self.origin += direction * command,
             AxisKind::Rotary => {
                 let about = Unit::new_unchecked(axis.direction);
-                self.rotation *= Rotation3::from_axis_angle(&about, axis.sense() * command).matrix();
+                let turn = Rotation3::from_axis_angle(&about, axis.sense() * command);
+                let turned = [0, 1, 2].map(|column| turn.matrix().column(column).into_owned());
+                self.directions = Directions(turned.map(|direction| self.directions.outwards(&direction)));
             }
         }
         (direction, self.origin)
     }
+}
+
+/// Sine and cosine of an angle that is small as a rule: of angles below 0.01 rad series are as exact as doubles are.
+fn sin_cos(angle: f64) -> (f64, f64) {
+    if angle.abs() > 0.01 {
+        return angle.sin_cos();
+    }
+    let square = angle * angle;
+    let sin = angle - angle * square * (1.0 / 6.0) * (1.0 - square * (1.0 / 20.0) * (1.0 - square * (1.0 / 42.0)));
+    let cos = 1.0 - square * 0.5 * (1.0 - square * (1.0 / 12.0) * (1.0 - square * (1.0 / 30.0)));
+    (sin, cos)
 }
 
 impl Chain {
@@ -204,65 +297,48 @@ impl Chain {
         for &index in branch {
             let axis = &self.axes[index];
             if axis.kind == AxisKind::Rotary {
-                frame.origin += frame.rotation * (axis.point - frame.nominal);
+                frame.origin += frame.directions.outwards(&(axis.point - frame.nominal));
                 frame.nominal = axis.point;
             }
             let (location, motion) = (self.location_slot(index), self.motion_slot(index));
-            out.slots[location] = frame.err(&errors[location]);
+            frame.err(&errors[location], &mut out.slots[location]);
             match axis.error_frame {
                 ErrorFrame::Moving => {
                     out.motions[index] = frame.command(axis, commands[index]);
-                    out.slots[motion] = frame.err(&errors[motion]);
+                    frame.err(&errors[motion], &mut out.slots[motion]);
                 }
                 ErrorFrame::Fixed => {
-                    out.slots[motion] = frame.err(&errors[motion]);
+                    frame.err(&errors[motion], &mut out.slots[motion]);
                     out.motions[index] = frame.command(axis, commands[index]);
                 }
             }
         }
     }
 
-    /// The exact pose at `commands` (mm or rad, one an axis) under `errors` (one entry a slot) with all derivatives at
-    /// these errors, those of the rotation only if `turns` is set. `tip` is the nominal tip in the last frame of the tool
-    /// branch, mm.
-    pub fn evaluate(&self, commands: &[f64], errors: &[Errors], tip: &Vector3<f64>, turns: bool, out: &mut Evaluation) {
+    /// The exact pose at `commands` (mm or rad, one an axis) under `errors` (one entry a slot) with `derivatives` at
+    /// these errors. `tip` is the nominal tip in the last frame of the tool branch, mm.
+    pub fn evaluate(
+        &self,
+        commands: &[f64],
+        errors: &[Errors],
+        tip: &Vector3<f64>,
+        derivatives: Derivatives<'_>,
+        out: &mut Evaluation,
+    ) {
         out.slots.resize(self.slots(), Slot::default());
         out.motions.resize(self.axes.len(), (Vector3::zeros(), Vector3::zeros()));
         let mut workpiece = Frame::bed(-1.0);
         self.walk(&self.workpiece, &mut workpiece, commands, errors, out);
-        out.slots[self.workpiece_slot()] = workpiece.err(&errors[self.workpiece_slot()]);
+        workpiece.err(&errors[self.workpiece_slot()], &mut out.slots[self.workpiece_slot()]);
         let mut tool = Frame::bed(1.0);
         self.walk(&self.tool, &mut tool, commands, errors, out);
-        tool.origin += tool.rotation * tip;
-        out.slots[self.tool_slot()] = tool.err(&errors[self.tool_slot()]);
+        tool.origin += tool.directions.outwards(tip);
+        tool.err(&errors[self.tool_slot()], &mut out.slots[self.tool_slot()]);
 
-        let to_table = workpiece.rotation.transpose();
-        out.position = to_table * (tool.origin - workpiece.origin);
-        out.rotation = to_table * tool.rotation;
-        out.by_error.clear();
-        out.turn_by_error.clear();
-        for slot in &out.slots {
-            let seen = to_table * slot.sign;
-            let lever = tool.origin - slot.origin;
-            let [x, y, z, a, b, c] = slot.directions;
-            let turned = [a, b, c].map(|axis| seen * axis.cross(&lever));
-            out.by_error.push([seen * x, seen * y, seen * z, turned[0], turned[1], turned[2]]);
-            if turns {
-                let still = Vector3::zeros();
-                out.turn_by_error.push([still, still, still, seen * a, seen * b, seen * c]);
-            }
-        }
-        out.by_command.clear();
-        out.turn_by_command.clear();
-        for (axis, (direction, origin)) in self.axes.iter().zip(&out.motions) {
-            let seen = to_table * if axis.branch == Branch::Tool { 1.0 } else { -1.0 };
-            let (shift, turn) = match axis.kind {
-                AxisKind::Linear => (seen * direction, Vector3::zeros()),
-                AxisKind::Rotary => (seen * direction.cross(&(tool.origin - origin)), seen * direction),
-            };
-            out.by_command.push(shift);
-            out.turn_by_command.push(turn);
-        }
+        let table = workpiece.directions;
+        out.position = table.inwards(&(tool.origin - workpiece.origin));
+        out.rotation = Matrix3::from_columns(&tool.directions.0.map(|direction| table.inwards(&direction)));
+        out.differentiate(&self.axes, (table, tool.origin), derivatives);
     }
 
     /// Position of the tip to first order in the errors: the nominal position plus the sum of each error times its
@@ -271,9 +347,9 @@ impl Chain {
     /// The difference to [`evaluate`](Self::evaluate) is what linearising costs; it shrinks with the square of the errors.
     pub fn first_order(&self, commands: &[f64], errors: &[Errors], tip: &Vector3<f64>) -> Vector3<f64> {
         let mut nominal = Evaluation::default();
-        self.evaluate(commands, &vec![[0.0; 6]; self.slots()], tip, false, &mut nominal);
+        self.evaluate(commands, &vec![[0.0; 6]; self.slots()], tip, Derivatives::None, &mut nominal);
         let tool = nominal.slots[self.tool_slot()];
-        let frame_of = |slot: &Slot| Matrix3::from_columns(&slot.directions[..3]);
+        let frame_of = |slot: &Slot| Matrix3::from_columns(&slot.frame.0);
         let to_tool = frame_of(&tool).transpose();
         let mut sum = Vector6::zeros();
         for (slot, errors) in nominal.slots.iter().zip(errors) {
@@ -296,7 +372,13 @@ impl Chain {
     ///
     /// The position is that of [`first_order`](Self::first_order); the tool turns by the sum of the errors' turns.
     pub fn evaluate_first_order(&self, commands: &[f64], errors: &[Errors], tip: &Vector3<f64>, out: &mut Evaluation) {
-        self.evaluate(commands, &vec![[0.0; 6]; self.slots()], tip, true, out);
+        self.evaluate(
+            commands,
+            &vec![[0.0; 6]; self.slots()],
+            tip,
+            Derivatives::OfPositionAndRotation(&vec![true; self.slots()]),
+            out,
+        );
         let (mut shift, mut turn) = (Vector3::zeros(), Vector3::zeros());
         let mut by_command = vec![(Vector3::zeros(), Vector3::zeros()); self.axes.len()];
         for (slot, errors) in errors.iter().enumerate() {
@@ -343,5 +425,20 @@ impl Chain {
         }
         let outside = slot == self.motion_slot(axis) && self.axes[axis].error_frame == ErrorFrame::Moving;
         outside == (self.axes[axis].branch == Branch::Tool)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn series_of_small_angles_are_sine_and_cosine() {
+        for step in -1200..=1200 {
+            let angle = f64::from(step) * 1e-5 + 1e-9;
+            let (sin, cos) = sin_cos(angle);
+            assert!((sin - angle.sin()).abs() <= 2.0 * f64::EPSILON * angle.abs(), "{angle}");
+            assert!((cos - angle.cos()).abs() <= f64::EPSILON, "{angle}");
+        }
     }
 }

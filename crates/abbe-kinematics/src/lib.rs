@@ -7,5 +7,5 @@
 mod chain;
 mod notation;
 
-pub use chain::{Chain, ChainAxis, ErrorFrame, Errors, Evaluation};
+pub use chain::{Chain, ChainAxis, Derivatives, ErrorFrame, Errors, Evaluation};
 pub use notation::{ChainError, NamedAxis, StructuralLoop};

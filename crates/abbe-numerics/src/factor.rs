@@ -299,18 +299,10 @@ impl Spectrum {
     pub fn null_basis(&self, rank: usize) -> Vec<(f64, Vec<f64>)> {
         let n = self.scale.len();
         let mut basis: Vec<Vec<f64>> = (rank..n).map(|k| (0..n).map(|row| self.vectors[(row, k)]).collect()).collect();
-        // Reduced row echelon form with pivoting: each vector owns an unknown that no other has.
-        let mut pivots: Vec<usize> = Vec::new();
-        for index in 0..basis.len() {
-            let free = |column: &usize| !pivots.contains(column);
-            let (mut row, mut column) = (index, 0);
-            for candidate in index..basis.len() {
-                for j in (0..n).filter(free) {
-                    if basis[candidate][j].abs() > basis[row][column].abs() || pivots.contains(&column) {
-                        (row, column) = (candidate, j);
-                    }
-                }
-            }
+        // Reduced row echelon form: each vector owns an unknown that no other has.
+        for (index, column) in owners(&basis).into_iter().enumerate() {
+            let size = |row: &usize| basis[*row][column].abs();
+            let row = (index..basis.len()).max_by(|one, other| size(one).total_cmp(&size(other))).unwrap_or(index);
             basis.swap(index, row);
             let pivot = basis[index][column];
             basis[index].iter_mut().for_each(|value| *value /= pivot);
@@ -321,7 +313,6 @@ impl Spectrum {
                     vector.iter_mut().zip(&own).for_each(|(value, own)| *value -= factor * own);
                 }
             }
-            pivots.push(column);
         }
         let largest = self.singular_values.0.first().copied().unwrap_or(1.0).max(f64::MIN_POSITIVE);
         let lost = self.singular_values.0[rank..].iter().map(|value| value / largest);
@@ -365,4 +356,27 @@ impl Spectrum {
     pub fn scale(&self) -> &[f64] {
         &self.scale
     }
+}
+/// An unknown for each direction of an orthonormal basis: those that take part the most, each in what the ones before it leave.
+///
+/// How much an unknown takes part does not depend on how the basis lies in its space, which is chance; of unknowns that
+/// differ by rounding only, the first is taken.
+fn owners(basis: &[Vec<f64>]) -> Vec<usize> {
+    let mut left = basis.to_vec();
+    let mut owners: Vec<usize> = Vec::new();
+    for _ in basis {
+        let count = left.first().map_or(0, Vec::len);
+        let size = |column: usize| norm(left.iter().map(|vector| vector[column]));
+        let sizes: Vec<f64> =
+            (0..count).map(|column| if owners.contains(&column) { 0.0 } else { size(column) }).collect();
+        let largest = sizes.iter().copied().fold(0.0, f64::max);
+        let Some(owner) = sizes.iter().position(|size| *size > 0.0 && *size >= largest * (1.0 - 1e-6)) else { break };
+        let along: Vec<f64> = left.iter().map(|vector| vector[owner] / sizes[owner]).collect();
+        for column in 0..count {
+            let shared: f64 = left.iter().zip(&along).map(|(vector, along)| vector[column] * along).sum();
+            left.iter_mut().zip(&along).for_each(|(vector, along)| vector[column] -= shared * along);
+        }
+        owners.push(owner);
+    }
+    owners
 }

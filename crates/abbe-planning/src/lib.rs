@@ -91,7 +91,7 @@ impl PlanFigures {
 /// Fails for names that the problem does not know, candidates that cannot determine the unknowns however many are measured,
 /// and numbers or budgets that are too small.
 pub fn plan(problem: &Problem, wanted: &Planning) -> Result<Plan> {
-    let contact = problem.at_contact(&problem.start())?;
+    let contact = problem.as_judged(&problem.start())?;
     let order = order(problem, wanted)?;
     let found = candidates(&contact, wanted)?;
     let scaled = Scaled::new(&contact, &found, &order)?;

@@ -72,6 +72,8 @@ pub(crate) struct ObservationsText {
     #[serde(default)]
     pub features: Vec<Feature>,
     pub contact: Contact,
+    #[serde(default)]
+    pub met_anywhere: bool,
 }
 
 impl ObservationsText {
@@ -89,6 +91,7 @@ impl ObservationsText {
             angles: angles(observations),
             features: observations.features(),
             contact: observations.contact(),
+            met_anywhere: observations.is_met_anywhere(),
         }
     }
 }

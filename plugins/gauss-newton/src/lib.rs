@@ -11,11 +11,11 @@ mod select;
 mod weighted;
 
 use abbe_core::{
-    Build, Calibration, Constructor, Contact, Context, Error, Estimate, FitReport, Identifiability, Owner, PathItem,
-    Plugin, Problem, Result, SettingsError, Status, Termination, Unknown, inventory,
+    Build, Calibration, Constructor, Context, Error, Estimate, FitReport, Identifiability, Owner, PathItem, Plugin,
+    Problem, Result, SettingsError, Status, Termination, Unknown, inventory,
 };
 use abbe_identifiability::same_motion;
-use abbe_numerics::{End, Factor, LeastSquares, Loss, Options, Robust, Solution, solve_from};
+use abbe_numerics::{End, Factor, Loss, Options, Robust, Solution, solve_from};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use serde_json::{Value, json};
@@ -236,16 +236,16 @@ impl GaussNewton {
     ) -> Result<Calibration> {
         let rank = lost.as_ref().map_or(problem.unknowns.len(), |lost| lost.rank);
         let weighted = self.weighted(problem)?;
-        let still = is_still(problem);
-        let at_start = at_start.filter(|_| still).cloned();
+        let as_recorded = problem.is_judged_as_recorded();
+        let at_start = at_start.filter(|_| as_recorded).cloned();
         let solution = self.iterate(&weighted, &problem.start(), at_start, &self.options(rank, 1e-9, false))?;
-        let at_contact = problem.at_contact(&solution.x)?;
+        let judged = problem.as_judged(&solution.x)?;
         // What is left out by its weight does not inform; what is weighed down still does.
         let kept: Option<Vec<f64>> = (solution.robust.as_ref())
             .map(|robust| robust.weights.iter().map(|weight| f64::from(*weight > 0.0)).collect());
-        let factor = match still && solution.robust.is_none() {
+        let factor = match as_recorded && solution.robust.is_none() {
             true => solution.factor,
-            false => Weighted::new(&at_contact)?.factor(&solution.x, kept.as_deref())?,
+            false => Weighted::new(&judged)?.factor(&solution.x, kept.as_deref())?,
         };
         let mut found = identifiability(problem, &factor, self.settings.rank_tolerance);
         match lost {
@@ -258,7 +258,7 @@ impl GaussNewton {
             }
         }
         let residuals = problem.residuals(&solution.x)?;
-        let in_uncertainties = weighted.residuals(&solution.x)?;
+        let in_uncertainties = weighted.in_uncertainties(residuals.clone());
         let spread = Spread::new(
             &residuals,
             &problem.quantities(),
@@ -268,7 +268,7 @@ impl GaussNewton {
             rank,
         );
         let place =
-            Place { problem: &at_contact, x: &solution.x, kept: kept.as_deref(), factor: &factor, rank: found.rank };
+            Place { problem: &judged, x: &solution.x, kept: kept.as_deref(), factor: &factor, rank: found.rank };
         let propagation = Propagation::new(&place, self.scale(&spread), explained)?;
         // Who estimates again without some rows asks for values and predictions, and may well use up all rows.
         let told = explained && !self.settings.trust_uncertainties;
@@ -351,12 +351,12 @@ impl GaussNewton {
             false => of_reduced.singular_values().rank(self.settings.rank_tolerance),
         };
         let options = self.options(rank, 1e-3, false);
-        let at_start = Some(of_reduced).filter(|_| is_still(&reduced));
+        let at_start = Some(of_reduced).filter(|_| reduced.is_judged_as_recorded());
         let Ok(solution) = self.iterate(&self.weighted(&reduced)?, &reduced.start(), at_start, &options) else {
             return Ok(None);
         };
         let started = Problem { unknowns: problem.unknowns.clone(), ..reduced.at(&solution.x) };
-        let factor = factor_at_contact(&started, &started.start())?;
+        let factor = judged_factor(&started, &started.start())?;
         Ok((idle(&factor).len() < first.len()).then_some((started, factor)))
     }
 
@@ -386,7 +386,7 @@ impl GaussNewton {
 
     fn estimate_all(&self, problem: &Problem, explained: bool) -> Result<Calibration> {
         Self::check(problem)?;
-        let factor = factor_at_contact(problem, &problem.start())?;
+        let factor = judged_factor(problem, &problem.start())?;
         let started = self.started(problem, &factor)?;
         let (problem, factor) = started.as_ref().map_or((problem, &factor), |(problem, factor)| (problem, factor));
         if factor.is_surely_full_rank(self.settings.rank_tolerance) {
@@ -447,15 +447,15 @@ impl Estimate for GaussNewton {
     }
 
     fn identify(&self, problem: &Problem) -> Result<Identifiability> {
-        let factor = factor_at_contact(problem, &problem.start())?;
+        let factor = judged_factor(problem, &problem.start())?;
         let started = self.started(problem, &factor)?;
         let (problem, factor) = started.as_ref().map_or((problem, &factor), |(problem, factor)| (problem, factor));
-        let (x, at_contact) = (problem.start(), problem.at_contact(&problem.start())?);
+        let (x, judged) = (problem.start(), problem.as_judged(&problem.start())?);
         let mut found = separated(problem, &x, identifiability(problem, factor, self.settings.rank_tolerance));
         found.weakest = weakest(problem, &factor.spectrum(), found.rank);
         found.same_motion = same_motion(problem)?;
         if found.rank == found.unknowns {
-            let place = Place { problem: &at_contact, x: &x, kept: None, factor, rank: found.rank };
+            let place = Place { problem: &judged, x: &x, kept: None, factor, rank: found.rank };
             let propagation = Propagation::new(&place, (1.0, f64::INFINITY), true)?;
             if found.observations <= found.rank && !self.settings.trust_uncertainties && propagation.is_scaled() {
                 found.remarks.push(
@@ -470,12 +470,7 @@ impl Estimate for GaussNewton {
     }
 }
 
-/// Whether no axis moves for contact: the rows at contact points are those that are solved.
-fn is_still(problem: &Problem) -> bool {
-    problem.sets.iter().all(|set| set.observations.contact() != Contact::LinearAxes)
-}
-
-/// The factor of a problem at its own contact points.
-fn factor_at_contact(problem: &Problem, x: &[f64]) -> Result<Factor> {
-    Weighted::new(&problem.at_contact(x)?)?.factor(x, None)
+/// The factor of a problem where its rank is judged.
+fn judged_factor(problem: &Problem, x: &[f64]) -> Result<Factor> {
+    Weighted::new(&problem.as_judged(x)?)?.factor(x, None)
 }

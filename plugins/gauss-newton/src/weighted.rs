@@ -121,7 +121,8 @@ impl LeastSquares for Weighted<'_> {
             for (row, residual) in block.residuals.iter().enumerate() {
                 let equation = block.first + row;
                 let line = &block.jacobian[row * own..(row + 1) * own];
-                if !(residual.is_finite() && line.iter().all(|derivative| derivative.is_finite())) {
+                // Looking at all is faster than stopping at the first.
+                if line.iter().fold(!residual.is_finite(), |bad, derivative| bad | !derivative.is_finite()) {
                     broken.get_or_insert(equation);
                 }
                 let more = self.columns.iter().map(|column| column[equation]);
@@ -160,7 +161,13 @@ impl LeastSquares for Weighted<'_> {
     }
 
     fn residuals(&self, x: &[f64]) -> Result<Vec<f64>> {
-        let mut residuals = self.problem.residuals(x)?;
+        Ok(self.in_uncertainties(self.problem.residuals(x)?))
+    }
+}
+
+impl Weighted<'_> {
+    /// Residuals, mm or rad, as those of the rows.
+    pub fn in_uncertainties(&self, mut residuals: Vec<f64>) -> Vec<f64> {
         for block in &self.blocks {
             let mut own: Vec<f64> = block.equations.iter().map(|&equation| residuals[equation]).collect();
             block.whiten(&mut own, 1);
@@ -169,7 +176,7 @@ impl LeastSquares for Weighted<'_> {
                 residuals[equation] = value * self.uncertainties[equation];
             }
         }
-        Ok(residuals.iter().zip(&self.uncertainties).map(|(residual, uncertainty)| residual / uncertainty).collect())
+        residuals.iter().zip(&self.uncertainties).map(|(residual, uncertainty)| residual / uncertainty).collect()
     }
 }
 

@@ -329,4 +329,8 @@ impl Observations for Measured {
     fn contact(&self) -> Contact {
         Contact::LinearAxes
     }
+
+    fn is_met_anywhere(&self) -> bool {
+        self.unknowns.is_empty()
+    }
 }

@@ -5,7 +5,7 @@ use abbe_core::{
     PosesMut, Result, SettingsError, StatusColumn, Variable,
 };
 use abbe_errors::{Declaration, Functions};
-use abbe_kinematics::{Chain, Errors, Evaluation as Pose, StructuralLoop};
+use abbe_kinematics::{Chain, Derivatives, Errors, Evaluation as Pose, StructuralLoop};
 use nalgebra::Vector3;
 use serde_json::Value;
 
@@ -212,17 +212,34 @@ impl Basis {
         arguments
     }
 
+    /// Slot, component and value of every error that its coefficients add to, if its functions are these.
+    fn errors(&self, values: &[f64], functions: &[f64]) -> impl Iterator<Item = (usize, usize, f64)> {
+        // Summed before they are added anywhere: coefficients of one error stand side by side.
+        self.coefficients.chunk_by(of_one_error).map(move |coefficients| {
+            let Place { slot, component, .. } = coefficients[0].1;
+            let terms = coefficients
+                .iter()
+                .map(|(parameter, place)| values[*parameter] * functions[place.function - self.first]);
+            (slot, component, terms.sum())
+        })
+    }
+
     /// Adds the slopes of the functions to whatever comes from `source`; gives whether anything does.
     fn slopes_by(&self, source: Source, status: &[f64], values: &[f64], each: &mut [f64], out: &mut Vec<f64>) -> bool {
-        let arguments = self.arguments_at(status, values);
         out.clear();
-        for by in (0..self.arguments.len()).filter(|by| self.arguments[*by] == source) {
-            let each = &mut each[..self.count];
-            self.functions.slopes(by, &arguments[..self.arguments.len()], each);
-            out.resize(self.count, 0.0);
-            out.iter_mut().zip(each).for_each(|(sum, slope)| *sum += *slope);
+        if !self.arguments.contains(&source) {
+            return false;
         }
-        !out.is_empty()
+        let arguments = self.arguments_at(status, values);
+        let each = &mut each[..self.count];
+        for by in (0..self.arguments.len()).filter(|by| self.arguments[*by] == source) {
+            self.functions.slopes(by, &arguments[..self.arguments.len()], each);
+            match out.is_empty() {
+                true => out.extend_from_slice(each),
+                false => out.iter_mut().zip(each.iter()).for_each(|(sum, slope)| *sum += *slope),
+            }
+        }
+        true
     }
 }
 
@@ -279,12 +296,22 @@ impl KinematicModel for SerialChain {
         let mut work = self.work();
         let mut buffers = (vec![0.0; self.functions], Vec::new());
         let used = self.in_use(values, wanted);
+        let mut slots = vec![false; self.chain.slots()];
+        for (_, place) in used.iter().flat_map(|&basis| &self.bases[basis].coefficients) {
+            slots[place.slot] = true;
+        }
+        let derivatives = match (wanted.is_empty(), orientation) {
+            (true, _) => Derivatives::None,
+            (_, false) => Derivatives::OfPosition(&slots),
+            (_, true) => Derivatives::OfPositionAndRotation(&slots),
+        };
+        let sorted = self.sorted(wanted);
         for (index, status) in statuses.chunks_exact(width).enumerate() {
             work.errors.fill([0.0; 6]);
             for basis in used.iter().map(|&basis| &self.bases[basis]) {
                 self.functions_at(basis, status, values, &mut work.functions)?;
-                for (parameter, place) in &basis.coefficients {
-                    work.errors[place.slot][place.component] += values[*parameter] * work.functions[place.function];
+                for (slot, component, error) in basis.errors(values, &work.functions[basis.first..]) {
+                    work.errors[slot][component] += error;
                 }
             }
             work.commands.copy_from_slice(&status[..self.axes.len()]);
@@ -292,18 +319,18 @@ impl KinematicModel for SerialChain {
             if self.first_order {
                 self.chain.evaluate_first_order(&work.commands, &work.errors, tip, &mut work.pose);
             } else {
-                self.chain.evaluate(&work.commands, &work.errors, tip, orientation, &mut work.pose);
+                self.chain.evaluate(&work.commands, &work.errors, tip, derivatives, &mut work.pose);
             }
             out.positions[index] = work.pose.position.into();
             let range = index * wanted.len()..(index + 1) * wanted.len();
             let at = At { status, values, used: &used };
             let pose = &work.pose;
             let by = (&pose.by_error[..], &pose.by_command[..]);
-            self.derivatives(wanted, at, &work, by, (&mut buffers, &mut out.position_derivatives[range.clone()]));
+            self.derivatives(&sorted, at, &work, by, (&mut buffers, &mut out.position_derivatives[range.clone()]));
             if orientation {
                 out.orientations[index] = pose.quaternion();
                 let turns = (&pose.turn_by_error[..], &pose.turn_by_command[..]);
-                self.derivatives(wanted, at, &work, turns, (&mut buffers, &mut out.rotation_derivatives[range]));
+                self.derivatives(&sorted, at, &work, turns, (&mut buffers, &mut out.rotation_derivatives[range]));
             }
         }
         Ok(())
@@ -377,6 +404,21 @@ impl KinematicModel for SerialChain {
 /// Derivatives of position or rotation to the errors of every slot, and to the command of every axis.
 type ByErrorAndCommand<'a> = (&'a [[Vector3<f64>; 6]], &'a [Vector3<f64>]);
 
+/// Variables to which derivatives are wanted, with their places among all that are.
+#[derive(Default)]
+struct Wanted {
+    coefficients: Vec<(usize, Place)>,
+    /// Place, parameter, basis.
+    shapes: Vec<(usize, usize, usize)>,
+    /// Place, axis.
+    commands: Vec<(usize, usize)>,
+}
+
+/// Whether two coefficients add to the same error.
+fn of_one_error((_, one): &(usize, Place), (_, other): &(usize, Place)) -> bool {
+    (one.slot, one.component) == (other.slot, other.component)
+}
+
 /// Slopes of the functions of a basis to one argument, and to all arguments that come from one source.
 type Buffers = (Vec<f64>, Vec<f64>);
 
@@ -397,36 +439,49 @@ impl SerialChain {
         })
     }
 
-    /// Derivatives of position or rotation, whichever `by` has, to the wanted variables.
+    /// The wanted variables, coefficients of one error together.
+    fn sorted(&self, wanted: &[Variable]) -> Wanted {
+        let mut sorted = Wanted::default();
+        for (index, variable) in wanted.iter().enumerate() {
+            match *variable {
+                Variable::Parameter(parameter) => match self.roles[parameter] {
+                    Role::Coefficient(place) => sorted.coefficients.push((index, place)),
+                    Role::Shape(basis) => sorted.shapes.push((index, parameter, basis)),
+                },
+                Variable::Command(axis) => sorted.commands.push((index, axis)),
+            }
+        }
+        sorted
+    }
+
+    /// Derivatives of position or rotation, whichever `by` has, to the wanted variables; what is zero is left out.
     fn derivatives(
         &self,
-        wanted: &[Variable],
+        wanted: &Wanted,
         at: At<'_>,
         work: &Work,
         by: ByErrorAndCommand<'_>,
         (buffers, out): (&mut Buffers, &mut [[f64; 3]]),
     ) {
-        for (out, variable) in out.iter_mut().zip(wanted) {
-            // Of many pieces most are zero at a place, and so is what they are given to.
-            if let Variable::Parameter(index) = variable
-                && let Role::Coefficient(place) = self.roles[*index]
-                && work.functions[place.function] == 0.0
-            {
-                continue;
-            }
-            *out = match variable {
-                Variable::Parameter(index) => match self.roles[*index] {
-                    Role::Coefficient(place) => by.0[place.slot][place.component] * work.functions[place.function],
-                    Role::Shape(basis) => self.through(&self.bases[basis], Source::Parameter(*index), at, by, buffers),
-                },
-                // The motion itself, and the errors that change on the way.
-                Variable::Command(axis) => {
-                    let source = Source::Status(self.axes[*axis].status);
-                    let bases = at.used.iter().map(|&basis| &self.bases[basis]);
-                    bases.fold(by.1[*axis], |sum, basis| sum + self.through(basis, source, at, by, buffers))
+        for coefficients in wanted.coefficients.chunk_by(of_one_error) {
+            let by_error = by.0[coefficients[0].1.slot][coefficients[0].1.component];
+            for (index, place) in coefficients {
+                let function = work.functions[place.function];
+                // Of many pieces most are zero at a place.
+                if function != 0.0 {
+                    out[*index] = (by_error * function).into();
                 }
             }
-            .into();
+        }
+        for &(index, parameter, basis) in &wanted.shapes {
+            out[index] = self.through(&self.bases[basis], Source::Parameter(parameter), at, by, buffers).into();
+        }
+        // The motion itself, and the errors that change on the way.
+        for &(index, axis) in &wanted.commands {
+            let source = Source::Status(self.axes[axis].status);
+            let bases = at.used.iter().map(|&basis| &self.bases[basis]);
+            let through = bases.fold(by.1[axis], |sum, basis| sum + self.through(basis, source, at, by, buffers));
+            out[index] = through.into();
         }
     }
 
@@ -442,9 +497,7 @@ impl SerialChain {
         if !basis.slopes_by(source, at.status, at.values, each, slopes) {
             return Vector3::zeros();
         }
-        let effects = basis.coefficients.iter().map(|(parameter, place)| {
-            by.0[place.slot][place.component] * (at.values[*parameter] * slopes[place.function - basis.first])
-        });
-        effects.sum()
+        let errors = basis.errors(at.values, slopes);
+        errors.map(|(slot, component, slope)| by.0[slot][component] * slope).sum()
     }
 }

@@ -132,7 +132,7 @@ impl MinimalSet {
         for set in &mut candidates.sets {
             set.own = set.observations.start();
         }
-        candidates.at_contact(&candidates.start())
+        candidates.as_judged(&candidates.start())
     }
 
     /// The candidates in the order of preference, and those that do nothing.

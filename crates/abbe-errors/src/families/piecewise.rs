@@ -115,14 +115,20 @@ impl PiecewisePolynomial {
         powers.chain(truncated)
     }
 
-    /// Calls with the way from the origin or the knot, the power, and the function.
-    fn each(&self, command: f64, out: &mut [f64], of: impl Fn(f64, u8) -> f64) {
-        let powers = self.powers.clone().map(|power| (command, power));
-        let truncated =
-            self.knots.iter().flat_map(|knot| self.truncated.clone().map(move |power| (command - knot, power)));
-        let beyond = truncated.map(|(way, power)| (way.max(0.0), power));
-        for (out, (way, power)) in out.iter_mut().zip(powers.chain(beyond)) {
-            *out = of(way, power);
+    /// Calls with the power and the way from the origin or the knot to the power before.
+    fn each(&self, command: f64, out: &mut [f64], of: impl Fn(u8, f64, f64) -> f64) {
+        let last = *self.powers.end();
+        let mut out = out.iter_mut();
+        let mut put = |way: f64, first: u8| {
+            let mut below = power(way, first - 1);
+            for (power, out) in (first..last + 1).zip(&mut out) {
+                *out = of(power, way, below);
+                below *= way;
+            }
+        };
+        put(command, *self.powers.start());
+        for knot in &self.knots {
+            put((command - knot).max(0.0), *self.truncated.start());
         }
     }
 }
@@ -137,15 +143,11 @@ impl Functions for PiecewisePolynomial {
     }
 
     fn values(&self, arguments: &[f64], out: &mut [f64]) {
-        self.each(arguments[0], out, power);
+        self.each(arguments[0], out, |_, way, below| way * below);
     }
 
     fn slopes(&self, _: usize, arguments: &[f64], out: &mut [f64]) {
-        self.each(
-            arguments[0],
-            out,
-            |way, degree| if degree == 0 { 0.0 } else { f64::from(degree) * power(way, degree - 1) },
-        );
+        self.each(arguments[0], out, |power, _, below| f64::from(power) * below);
         // The slope of a truncated line jumps at its knot, from zero.
         if *self.truncated.start() == 1 {
             let before = self.powers.clone().count();

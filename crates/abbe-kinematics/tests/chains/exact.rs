@@ -1,5 +1,7 @@
 //! Proves that `Chain::evaluate` gives position and rotation as the conventions' section 2 says, for any chain.
 
+use abbe_kinematics::Derivatives;
+
 use crate::oracle::{Machine, Random, place, turn};
 use crate::subject;
 
@@ -37,7 +39,13 @@ fn one_evaluation_may_serve_chains_of_any_size() {
         let chain = subject::chain(&machine);
         let commands = machine.random_commands(random);
         let slots = subject::slots(&chain, &machine.random_errors(random, 0.5, 1e-3));
-        chain.evaluate(&commands, &slots, &machine.tip, true, &mut used);
+        chain.evaluate(
+            &commands,
+            &slots,
+            &machine.tip,
+            Derivatives::OfPositionAndRotation(&vec![true; chain.slots()]),
+            &mut used,
+        );
         let fresh = subject::evaluate(&machine, &chain, &commands, &slots);
         assert_eq!((used.position, used.rotation), (fresh.position, fresh.rotation));
         assert_eq!((&used.by_error, &used.turn_by_error), (&fresh.by_error, &fresh.turn_by_error));

@@ -1,7 +1,7 @@
 //! Proves nothing by itself: a random machine of the oracle as the chain under test.
 
 use abbe_core::{AxisKind, Branch};
-use abbe_kinematics::{Chain, ChainAxis, ErrorFrame, Errors, Evaluation};
+use abbe_kinematics::{Chain, ChainAxis, Derivatives, ErrorFrame, Errors, Evaluation};
 
 use crate::oracle::{Machine, MachineErrors};
 
@@ -32,6 +32,12 @@ pub fn slots(chain: &Chain, errors: &MachineErrors) -> Vec<Errors> {
 
 pub fn evaluate(machine: &Machine, chain: &Chain, commands: &[f64], slots: &[Errors]) -> Evaluation {
     let mut out = Evaluation::default();
-    chain.evaluate(commands, slots, &machine.tip, true, &mut out);
+    chain.evaluate(
+        commands,
+        slots,
+        &machine.tip,
+        Derivatives::OfPositionAndRotation(&vec![true; chain.slots()]),
+        &mut out,
+    );
     out
 }

@@ -150,6 +150,10 @@ impl Observations for Observed {
     fn contact(&self) -> Contact {
         self.text.contact.clone()
     }
+
+    fn is_met_anywhere(&self) -> bool {
+        self.text.met_anywhere
+    }
 }
 
 impl Observed {
