@@ -147,6 +147,35 @@ fn realistic_direct_measurements_hold_the_truth_within_their_uncertainty() {
     assert!((wavelength - 0.635_025).abs() < 1e-5, "{wavelength}");
 }
 
+/// Gives every reading under a value the standard uncertainty 1 um or 1 urad.
+fn equally_weighted(value: &mut Value) {
+    match value {
+        Value::Object(map) => map.iter_mut().for_each(|(key, value)| match key.starts_with("standard_uncertainty_") {
+            true => *value = json!(1.0),
+            false => equally_weighted(value),
+        }),
+        Value::Array(list) => list.iter_mut().for_each(equally_weighted),
+        _ => {}
+    }
+}
+
+/// The README of the data counts 546 unknowns, 254 of them the machine's, and gives the condition 2.7e4: rows of equal weight, in um and
+/// urad, and a load that bends the guideway of X at nine knots. (The recipe offers all thirteen.)
+#[test]
+fn rank_and_condition_are_those_of_the_data() {
+    let mut variant = Variant::of(&recipes()["mill-direct-exact"]).only(&["fit"]);
+    equally_weighted(&mut variant.0);
+    let errors = variant.stage("mill")["errors"].as_array_mut().expect("errors");
+    let load = errors.iter_mut().find(|line| line["load"] == json!(["EAX"])).expect("a load");
+    load["knots_mm"] = json!({ "from": 150, "to": 550, "step": 50 });
+    let outcome = variant.run();
+    let fit = fit(&outcome, "fit");
+    let report = &fit.calibration.fit;
+    assert_eq!((report.observations, report.unknowns, report.rank), (19_668, 546, 546));
+    assert_eq!(fit.calibration.parameters.iter().filter(|known| known.status == Status::Estimated).count(), 254);
+    assert!((report.condition / 2.7e4 - 1.0).abs() < 0.02, "{}", report.condition);
+}
+
 /// Steps of 10 mm show the pitch as a wave of 40 mm; from the nominal pitch the right one is found, and the user is told.
 #[test]
 fn stepwise_selection_keeps_the_knots_that_the_machine_has() {
@@ -224,6 +253,24 @@ fn the_hole_plate_agrees_with_the_model_until_a_squareness_changes() {
         let value = |name: &str| fit(&outcome, name).calibration.get("EA0Z").expect("a squareness").value;
         let change = (value("refit") - value("worn")) * 1e6;
         assert!((change - 30.0).abs() < worn, "{recipe}: {change}");
+    }
+}
+
+/// What the calibrated machine predicts without its cross-coupling is off by what EAY changes along X. (The recipes estimate
+/// everything anew without it, where the other terms take up most.)
+#[test]
+fn the_hole_plate_shows_the_cross_coupling() {
+    for (recipe, largest, rms) in [("mill-hole-plate-exact", 1.0, 0.4), ("mill-hole-plate", 2.5, 0.8)] {
+        let mut variant = Variant::of(&recipes()[recipe]).only(&["fit-angles", "fit", "after", "apart"]);
+        let mut apart = variant.stage("mill").clone();
+        apart["errors"].as_array_mut().expect("errors").retain(|line| line.get("product").is_none());
+        variant.0["stages"]["mill-apart"] = apart;
+        let variant = variant.set("apart", "machine", json!("mill-apart")).set("apart", "known", json!("fit"));
+        let outcome = variant.run();
+        let report = |name: &str| &fit(&outcome, name).calibration.fit;
+        let (with, without) = (report("after"), report("apart"));
+        assert!(without.residual_max_um > largest && without.residual_rms_um > rms, "{recipe}: {without:?}");
+        assert!(without.residual_rms_um > 1.2 * with.residual_rms_um, "{recipe}: {with:?} {without:?}");
     }
 }
 
