@@ -204,6 +204,17 @@ fn rows_of_data() {
                 "axis_moves_that_the_chain_has_not",
                 &[Replace(MACHINE, "Y (S) t", "Y t"), Replace(MACHINE, "  S: {", "# S: {"), Cell(TOUCHES, 12, 7, "90")],
             ),
+            (
+                "command_beyond_the_range_of_an_error",
+                &[
+                    Replace(
+                        RECIPE,
+                        "- { polynomial: [EXX,",
+                        "- { legendre: [EXX], degrees: [2], range_mm: [-150, 200] }\n      - { polynomial: [EXX,",
+                    ),
+                    Replace(RECIPE, "\"EXX[1]\"", "\"EXX[*]\""),
+                ],
+            ),
             ("unknown_label_in_folds", &[Replace(RECIPE, "[[2], [3]]", "[[2], [33]]")]),
             ("feature_without_nominal", &[Cell(TOUCHES, 12, 1, "77")]),
             ("feature_twice_in_the_nominal_file", &[Cell(FACETS, 2, 0, "3")]),

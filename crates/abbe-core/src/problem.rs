@@ -616,8 +616,21 @@ impl Problem {
         Ok(())
     }
 
-    /// Evaluates poses and equations of some rows of a set at the problem's own values.
+    /// Evaluates poses and equations of some rows of a set at the problem's own values; an error names the row that makes it.
     pub(crate) fn evaluate(&self, set: usize, rows: &[usize], wanted: &[Variable], work: &mut Workspace) -> Result<()> {
+        let Err(error) = self.evaluate_together(set, rows, wanted, work) else { return Ok(()) };
+        for &row in rows.iter().filter(|_| error.place.is_none()) {
+            if let (Err(error), Some((file, origin))) =
+                (self.evaluate_together(set, &[row], wanted, work), self.origin(set, row))
+            {
+                return Err(error.at(file, origin.line, None));
+            }
+        }
+        Err(error)
+    }
+
+    /// The same without a word on the row in an error.
+    fn evaluate_together(&self, set: usize, rows: &[usize], wanted: &[Variable], work: &mut Workspace) -> Result<()> {
         let set = &self.sets[set];
         let orientation = set.observations.needs_orientation();
         work.statuses.clear();

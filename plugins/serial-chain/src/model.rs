@@ -93,7 +93,10 @@ impl Range {
         }
         let axis = &axes[self.axis];
         let (unit, factor) = if axis.kind == AxisKind::Rotary { ("deg", 1f64.to_degrees()) } else { ("mm", 1.0) };
-        let [command, from, to] = [command, from, to].map(|place| (place * factor * 1e6).round() / 1e6);
+        let [from, to] = [from, to].map(|end| (end * factor * 1e6).round() / 1e6);
+        // Not to more digits than tell it from the ends: contact is not quite where the data have it.
+        let digits = 10_f64.powf(3.0 - (to - from).log10().floor());
+        let command = (command * factor * digits).round() / digits;
         let message = format!(
             "{} stands at {command} {unit}, beyond the range of {}: {from} to {to} {unit}",
             axis.name, self.error
