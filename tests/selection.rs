@@ -128,3 +128,77 @@ fn selections_that_make_no_sense_are_refused() {
     }
     assert_eq!(SelectionDirection::default(), SelectionDirection::Backward);
 }
+
+/// The recipe with one unknown and a search for what else could explain the residuals; `off` is added to the reference of a row.
+fn blamed(off: impl Fn(usize) -> f64, covariance: Option<&str>, robust: bool) -> String {
+    let folder = temporary();
+    let mut random = Generator::new(7, 0);
+    let mut text = "length,X1_mm,X2_mm,reference_mm\n".to_owned();
+    for row in 1..=50 {
+        let x = 10.0 * row as f64;
+        let reference = x * (1.0 + 2e-6) + 1e-4 * (x / 500.0).powi(2) + off(row) + 2e-4 * random.normal();
+        text.push_str(&format!("{row},0,{x},{reference:.7}\n"));
+    }
+    write(&folder.path().join("lengths.csv"), &text);
+    let mut recipe = recipe(json!(null));
+    let stages = recipe.0["stages"].as_object_mut().expect("stages");
+    stages.remove("rows");
+    stages["fit"] = json!({ "estimate": "gauss-newton", "machine": "machine", "observations": ["laser"], "parameters": ["EXX[2]"] });
+    stages.insert("why".to_owned(), json!({ "validate": "cause", "of": "fit", "candidates": ["EXX[1]"] }));
+    if robust {
+        stages["fit"]["robust"] = json!("tukey");
+    }
+    if let Some(covariance) = covariance {
+        write(&folder.path().join("covariance.csv"), covariance);
+        stages["laser"]["uncertainty"] = json!({ "covariance": "covariance.csv" });
+    }
+    let printed = abbe(folder.path(), &["run", recipe.write(folder.path()).to_str().expect("text")]);
+    assert_eq!(printed.status, 0, "{}", printed.stderr);
+    printed.stdout
+}
+
+/// By how much the scale is said to have changed, um/m; it is 2.
+fn change(told: &str) -> f64 {
+    let (_, rest) = told.split_once("fit: EXX[1] changed by ").unwrap_or_else(|| panic!("{told}"));
+    rest.split_whitespace().next().and_then(|number| number.parse().ok()).expect("a number")
+}
+
+#[test]
+fn rows_that_are_left_out_do_not_decide_on_a_cause() {
+    let wrong = |row: usize| if row == 49 { 0.05 } else { 0.0 };
+    let told = blamed(wrong, None, true);
+    assert!((change(&told) - 2.0).abs() < 0.6, "{told}");
+    assert!((change(&blamed(|_| 0.0, None, true)) - change(&told)).abs() < 0.2, "{told}");
+}
+
+#[test]
+fn what_rows_have_in_common_is_no_cause() {
+    // All references are off by 4 um, which the covariance allows for.
+    let common = |of: usize| (1..=50).map(move |row| if row == of { 25.04 } else { 25.0 });
+    let mut covariance = format!("length{}\n", (1..=50).map(|row| format!(",{row}_um2")).collect::<String>());
+    for row in 1..=50 {
+        covariance.push_str(&format!("{row}{}\n", common(row).map(|entry| format!(",{entry}")).collect::<String>()));
+    }
+    let independent = change(&blamed(|_| 0.004, None, false));
+    assert!((independent - 2.0).abs() > 5.0, "taken as independent, the rows blame the scale: {independent}");
+    let correlated = blamed(|_| 0.004, Some(&covariance), false);
+    assert!(correlated.contains("no single error explains the residuals better than chance does"), "{correlated}");
+}
+
+#[test]
+fn influence_is_that_of_independent_rows() {
+    let folder = temporary();
+    write(&folder.path().join("lengths.csv"), &lengths(3));
+    let labels = || 1..=100;
+    let mut covariance = format!("length{}\n", labels().map(|row| format!(",{row}_um2")).collect::<String>());
+    for row in labels() {
+        let entry = |of: i32| if of == row { ",0.05" } else { ",0.01" };
+        covariance.push_str(&format!("{row}{}\n", labels().map(entry).collect::<String>()));
+    }
+    write(&folder.path().join("covariance.csv"), &covariance);
+    let mut recipe = recipe(json!(null));
+    recipe.stage("laser")["uncertainty"] = json!({ "covariance": "covariance.csv" });
+    let printed = abbe(folder.path(), &["run", recipe.write(folder.path()).to_str().expect("text")]);
+    assert_eq!(printed.status, 2, "{}", printed.stderr);
+    assert!(printed.stderr.contains("influence is that of rows that are independent"), "{}", printed.stderr);
+}

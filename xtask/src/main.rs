@@ -98,7 +98,7 @@ const BORDERS: [(&str, &[&str]); 13] = [
     ("abbe-numerics", &[]),
     ("abbe-geometry", &["abbe-numerics"]),
     ("abbe-table", &["abbe-core"]),
-    ("abbe-identifiability", &["abbe-core"]),
+    ("abbe-identifiability", &["abbe-core", "abbe-numerics"]),
     ("abbe-volumetric", &["abbe-core", "abbe-numerics"]),
     ("abbe-plugin", &["abbe-core"]),
     ("abbe-planning", &["abbe-core", "abbe-numerics"]),

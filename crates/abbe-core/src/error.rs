@@ -51,11 +51,14 @@ pub struct Error {
     /// The setting of that stage that is concerned; the recipe turns it into a place.
     #[serde(default)]
     pub setting: Vec<PathItem>,
+    /// The one of the poses that a model evaluated together that is concerned; the problem turns it into a place.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub pose: Option<usize>,
 }
 
 impl Error {
     fn new(class: Class, message: impl Into<String>) -> Self {
-        Self { class, message: message.into(), help: None, place: None, stage: None, setting: Vec::new() }
+        Self { class, message: message.into(), help: None, place: None, stage: None, setting: Vec::new(), pose: None }
     }
 
     /// Wrong use of the recipe or of the command.
@@ -91,6 +94,12 @@ impl Error {
     /// Adds file, line and, if one is to blame, column.
     pub fn at(mut self, file: &Path, line: usize, column: Option<usize>) -> Self {
         self.place = Some(Place { file: file.to_owned(), line: Some(line), column });
+        self
+    }
+
+    /// Says which of the poses that were evaluated together is to blame.
+    pub fn of_pose(mut self, pose: usize) -> Self {
+        self.pose = Some(pose);
         self
     }
 

@@ -616,29 +616,10 @@ impl Problem {
         Ok(())
     }
 
-    /// Evaluates poses and equations of some rows of a set at the problem's own values; an error names the row that makes it.
+    /// Evaluates poses and equations of some rows of a set at the problem's own values.
     pub(crate) fn evaluate(&self, set: usize, rows: &[usize], wanted: &[Variable], work: &mut Workspace) -> Result<()> {
-        let Err(error) = self.evaluate_together(set, rows, wanted, work) else { return Ok(()) };
-        for &row in rows.iter().filter(|_| error.place.is_none()) {
-            if let (Err(error), Some((file, origin))) =
-                (self.evaluate_together(set, &[row], wanted, work), self.origin(set, row))
-            {
-                return Err(error.at(file, origin.line, None));
-            }
-        }
-        Err(error)
-    }
-
-    /// The same without a word on the row in an error.
-    fn evaluate_together(&self, set: usize, rows: &[usize], wanted: &[Variable], work: &mut Workspace) -> Result<()> {
+        self.evaluate_poses(set, rows, wanted, work).map_err(|error| self.of_row(set, rows, error))?;
         let set = &self.sets[set];
-        let orientation = set.observations.needs_orientation();
-        work.statuses.clear();
-        set.poses_of(rows).for_each(|pose| work.statuses.extend_from_slice(set.poses().row(pose)));
-        match orientation && set.observations.first_order_orientation() {
-            true => self.first_order(&work.statuses, wanted, &mut work.poses)?,
-            false => self.model.evaluate(&work.statuses, &self.machine, wanted, orientation, &mut work.poses)?,
-        }
         work.equations.clear();
         let poses = PoseValues { positions: &work.poses.positions, orientations: &work.poses.orientations };
         set.observations.try_evaluate(rows, poses, &set.own, &set.inputs, &mut work.equations)?;
@@ -648,6 +629,32 @@ impl Problem {
             work.equations.residuals.iter_mut().zip(equations).for_each(|(value, at)| *value += disturbances[at]);
         }
         Ok(())
+    }
+
+    fn evaluate_poses(&self, set: usize, rows: &[usize], wanted: &[Variable], work: &mut Workspace) -> Result<()> {
+        let set = &self.sets[set];
+        let orientation = set.observations.needs_orientation();
+        work.statuses.clear();
+        set.poses_of(rows).for_each(|pose| work.statuses.extend_from_slice(set.poses().row(pose)));
+        match orientation && set.observations.first_order_orientation() {
+            true => self.first_order(&work.statuses, wanted, &mut work.poses),
+            false => self.model.evaluate(&work.statuses, &self.machine, wanted, orientation, &mut work.poses),
+        }
+    }
+
+    /// An error with the place of the row whose pose it names.
+    fn of_row(&self, set: usize, rows: &[usize], error: Error) -> Error {
+        let Some(pose) = error.pose.filter(|_| error.place.is_none()) else { return error };
+        let poses = |row: &&usize| self.sets[set].poses_of(std::slice::from_ref(*row)).count();
+        let mut before = 0;
+        let row = rows.iter().find(|row| {
+            before += poses(row);
+            before > pose
+        });
+        match row.and_then(|&row| self.origin(set, row)) {
+            Some((file, origin)) => error.at(file, origin.line, None),
+            None => error,
+        }
     }
 
     /// The estimated values of a calibration in the order of this problem's unknowns; start values where it has none.

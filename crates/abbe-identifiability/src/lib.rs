@@ -1,4 +1,4 @@
-//! Which measurements tell apart what recorded ones cannot.
+//! What measurements tell: the weighted rows of a problem, and which measurements tell apart what recorded ones cannot.
 //!
 //! A lost direction is a change of parameters that no recorded row sees. Here it is tried on measurements that were not made:
 //! the features that are touched at other positions of an axis, from the other direction of approach or with another
@@ -11,6 +11,7 @@ mod gaps;
 mod places;
 mod same_motion;
 mod statuses;
+mod weighted;
 
 use abbe_core::{NullVector, Problem, Result};
 
@@ -20,6 +21,7 @@ use places::{places, recorded_statuses};
 use statuses::statuses;
 
 pub use same_motion::same_motion;
+pub use weighted::Weighted;
 
 /// Ratio of the change along a lost direction to the largest change by one of its unknowns alone, from which a measurement
 /// sees the direction. What is lost leaves about 1e-12, dimensionless.

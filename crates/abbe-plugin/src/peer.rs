@@ -79,6 +79,8 @@ struct Details {
     #[serde(default)]
     setting: Vec<PathItem>,
     #[serde(default)]
+    pose: Option<usize>,
+    #[serde(default)]
     path: Vec<PathItem>,
     #[serde(default)]
     #[cfg_attr(not(feature = "host"), allow(dead_code, reason = "a vendor's side asks for no stages"))]
@@ -98,6 +100,7 @@ impl Failure {
             class: None,
             place: None,
             stage: None,
+            pose: None,
             setting: Vec::new(),
             path: Vec::new(),
             key: false,
@@ -121,6 +124,7 @@ impl Failure {
             _ => Error::data(details.message),
         };
         (error.help, error.place, error.stage) = (details.help, details.place, details.stage);
+        error.pose = details.pose;
         error.setting = if details.setting.is_empty() { details.path } else { details.setting };
         error
     }

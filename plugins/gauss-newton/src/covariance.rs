@@ -8,11 +8,10 @@
 use abbe_core::{
     Contribution, Correlated, JointCoverage, Owner, ParameterBudget, Problem, Result, Scatter, UncertaintyBudget,
 };
+use abbe_identifiability::Weighted;
 use abbe_numerics::{
     Factor, coverage_factor, effective_degrees_of_freedom, joint_coverage_factor, rectangular_coverage_factor,
 };
-
-use crate::weighted::Weighted;
 
 /// Correlations above this are listed.
 const STRONG: f64 = 0.95;

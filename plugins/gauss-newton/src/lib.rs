@@ -8,13 +8,12 @@ mod covariance;
 mod identifiability;
 mod result;
 mod select;
-mod weighted;
 
 use abbe_core::{
     Build, Calibration, Constructor, Context, Error, Estimate, FitReport, Identifiability, Owner, PathItem, Plugin,
     Problem, Result, SettingsError, Status, Termination, Unknown, inventory,
 };
-use abbe_identifiability::same_motion;
+use abbe_identifiability::{Weighted, same_motion};
 use abbe_numerics::{End, Factor, Loss, Options, Robust, Solution, solve_from};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
@@ -24,7 +23,6 @@ use covariance::{Place, Propagation};
 use identifiability::{confounded, identifiability, separated, weakest};
 use result::{Spread, outliers};
 use select::{Select, reduced};
-use weighted::Weighted;
 
 inventory::submit! {
     Plugin::built_in(

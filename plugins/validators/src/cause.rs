@@ -9,13 +9,13 @@ use abbe_core::{
     AxisKind, Build, Constructor, Context, Dataset, Figure, Findings, Fit, InputFile, KinematicModel, Owner, Plugin,
     Problem, Result, SettingsError, Unknown, Validate, inventory, matches,
 };
+use abbe_identifiability::Weighted;
 use abbe_numerics::{Joining, f_test};
 use schemars::JsonSchema;
 use serde::Deserialize;
 use serde_json::{Value, json};
 
-use crate::figures::{ONE, ascii};
-use crate::minimal_set::factor;
+use crate::figures::{ONE, ascii, outliers};
 
 inventory::submit! {
     Plugin::built_in(
@@ -118,11 +118,13 @@ impl Cause {
         let own = solved.unknowns.len();
         let mut problem = solved.clone();
         problem.unknowns.extend(self.candidates(&solved)?);
-        let factor = factor(&problem)?;
+        let outliers = outliers(&solved, &fit.calibration);
+        let kept: Vec<f64> = (problem.equation_rows().iter()).map(|row| f64::from(!outliers.contains(row))).collect();
+        let factor = Weighted::new(&problem)?.factor(&problem.start(), Some(&kept))?;
         let left = factor.remaining_cost_of(own);
         let mut joining = factor.joining(own);
         joining.sort_by(|one, other| other.explained.total_cmp(&one.explained));
-        let freedom = factor.rows().saturating_sub(own + 1);
+        let freedom = kept.iter().filter(|kept| **kept > 0.0).count().saturating_sub(own + 1);
         let Some(best) = joining.first().filter(|_| freedom > 0 && left > 0.0) else {
             findings
                 .remarks

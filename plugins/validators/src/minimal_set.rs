@@ -11,7 +11,8 @@ use abbe_core::{
     AxisKind, Build, Constructor, Context, Dataset, Figure, Findings, Fit, InputFile, KinematicModel, Owner, Plugin,
     Problem, Result, SettingsError, Unknown, Validate, inventory, matches,
 };
-use abbe_numerics::{Accumulator, Factor, LeftOut};
+use abbe_identifiability::Weighted;
+use abbe_numerics::{Factor, LeftOut};
 use schemars::JsonSchema;
 use serde::Deserialize;
 use serde_json::{Value, json};
@@ -88,7 +89,7 @@ impl Validate for MinimalSet {
 impl MinimalSet {
     fn select(&self, fit: &Fit, found: &mut Findings) -> Result<()> {
         let problem = self.candidates(&fit.problem)?;
-        let factor = factor(&problem)?;
+        let factor = Weighted::new(&problem)?.factor(&problem.start(), None)?;
         let (order, idle) = self.order(&problem, &factor)?;
         let selection = factor.select(&order, self.settings.tolerance);
         let left_out = idle.len() + selection.left_out.len();
@@ -166,20 +167,6 @@ impl MinimalSet {
 /// Those that are left out because they do nothing.
 fn none(left_out: &[LeftOut]) -> impl Iterator<Item = &usize> {
     left_out.iter().filter(|left| left.same_as.is_empty()).map(|left| &left.unknown)
-}
-
-/// The rows of a problem, weighted with 1/u.
-pub(crate) fn factor(problem: &Problem) -> Result<Factor> {
-    let uncertainties = problem.standard_uncertainties();
-    let count = problem.unknowns.len();
-    let mut accumulator = Accumulator::new(count, uncertainties.len());
-    problem.linearise(&problem.start(), |block| {
-        for (row, residual) in block.residuals.iter().enumerate() {
-            let line = &block.jacobian[row * count..(row + 1) * count];
-            accumulator.push(line, *residual, 1.0 / uncertainties[block.first + row]);
-        }
-    })?;
-    Ok(accumulator.finish())
 }
 
 /// `-96 dxw + 148 dyw`.
