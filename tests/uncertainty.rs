@@ -1,10 +1,11 @@
 //! How far to trust results: pooled repeats against what the data were simulated with, known inputs against closed forms,
 //! covariances stated in different ways, and what goes wrong with them.
 
-use abbe_core::{Calibration, Lobing, ParameterBudget};
+use abbe_core::{Calibration, Lobing, ParameterBudget, Status};
+use abbe_engine::prepare;
 use serde_json::{Value, json};
 
-use crate::support::{Small, Variant, fit, json_file, recipes, root, write};
+use crate::support::{Small, Variant, fit, json_file, recipes, registry, root, temporary, write};
 
 fn repeated() -> Variant {
     Variant::of(&recipes()["tango-uncertainty"])
@@ -229,7 +230,7 @@ fn matrix(small: &Small, entry: impl Fn(&str, &str) -> f64) -> String {
 
 #[test]
 fn the_same_covariance_stated_in_different_ways_gives_the_same_result() {
-    let folder = crate::support::temporary();
+    let folder = temporary();
     let file = folder.path().join("covariance.csv");
     let small = Small::new();
     let plain = result(&json!({}));
@@ -257,7 +258,7 @@ fn the_same_covariance_stated_in_different_ways_gives_the_same_result() {
 
 #[test]
 fn uncertainties_that_are_none_are_refused() {
-    let folder = crate::support::temporary();
+    let folder = temporary();
     let file = folder.path().join("covariance.csv");
     let small = Small::new();
     let touches = |change: &dyn Fn(String) -> String| {
@@ -315,7 +316,7 @@ fn uncertainties_that_are_none_are_refused() {
 fn of_poses(uncertainty: &Value) -> Result<Calibration, String> {
     let recipe =
         Variant::of(&recipes()["positioner"]).only(&["lines"]).set("target", "uncertainty", uncertainty.clone());
-    let folder = crate::support::temporary();
+    let folder = temporary();
     let printed = crate::support::abbe(folder.path(), &["run", recipe.write(folder.path()).to_str().expect("UTF-8")]);
     if printed.status != 0 {
         return Err(printed.stderr);
@@ -425,4 +426,58 @@ fn no_degrees_of_freedom_are_told() {
     assert!(!trusted.abbe(&["check", "z.yaml"]).stdout.contains("no degrees of freedom"));
     let calibration = Calibration::from_json(&trusted.read("out/z/fit.calibration.json")).expect("a calibration");
     assert!((calibration.get("dxt").expect("estimated").standard_uncertainty / 1e-3 - 1.0).abs() < 1e-9);
+}
+
+/// A scale at 25 degrees whose coefficient of expansion is known to 1e-6 / K: what that does to its error is the fivefold, and it is
+/// undone where the scale is at 25 degrees again.
+#[test]
+fn what_is_known_of_the_expansion_of_a_scale_counts() {
+    let folder = temporary();
+    let file = |name: &str, temperature: f64| {
+        let rows = (1..=20).map(|step| {
+            let x = 20.0 * f64::from(step);
+            format!("0,{x},{temperature},{:.9}\n", x * (1.0 + 3e-5 + 11.5e-6 * (temperature - 20.0)))
+        });
+        write(&folder.path().join(name), &format!("X1_mm,X2_mm,T_X_degC,reference_mm\n{}", rows.collect::<String>()));
+    };
+    file("warm.csv", 25.0);
+    file("cold.csv", 20.0);
+    let estimate = |of: &str, parameter: &str, known: Option<&str>| {
+        let mut stage = json!({ "estimate": "gauss-newton", "machine": "machine", "observations": of,
+            "parameters": [parameter], "trust_uncertainties": true });
+        if let Some(known) = known {
+            stage["known"] = json!(known);
+        }
+        stage
+    };
+    let length = |of: &str| json!({ "artefact": "length", "from": of, "standard_uncertainty_um": 0.1 });
+    let recipe = Variant(json!({ "abbe": 1, "name": "A warm scale", "stages": {
+        "warm-rows": { "ingest": "csv", "path": "warm.csv" },
+        "cold-rows": { "ingest": "csv", "path": "cold.csv" },
+        "warm": length("warm-rows"),
+        "cold": length("cold-rows"),
+        "machine": { "model": "serial-chain", "chain": "w b X t", "tool_length_mm": 100, "stylus_radius_mm": 0, "errors": [
+            { "polynomial": ["EXX"], "degrees": [1, 2] },
+            { "expansion": ["EXX"], "temperature": "T_X", "coefficient_per_K": 11.5e-6, "standard_uncertainty_per_K": 1e-6 },
+        ] },
+        "fit": estimate("warm", "EXX[1]", None),
+        "again-warm": estimate("warm", "EXX[2]", Some("fit")),
+        "then-cold": estimate("cold", "EXX[2]", Some("fit")),
+        "free": estimate("warm", "EXX[expansion]", None),
+    } }));
+    let path = recipe.write(folder.path());
+    let outcome = prepare(&path, &registry()).and_then(|prepared| prepared.run(&|_| {})).expect("a result");
+    let of = |stage: &str, name: &str| fit(&outcome, stage).calibration.get(name).expect("a parameter").clone();
+    let scale = of("fit", "EXX[1]");
+    assert!((scale.value - 3e-5).abs() < 1e-11, "{scale:?}");
+    // 0.1 um over a root sum of squares of 1071 mm beside 5 K of 1e-6 / K.
+    let expected = ((1e-4_f64 / 1071.4).powi(2) + 5e-6_f64.powi(2)).sqrt();
+    assert!((scale.standard_uncertainty / expected - 1.0).abs() < 1e-3, "{scale:?}");
+    let known = of("fit", "EXX[expansion]");
+    assert_eq!((known.value, known.standard_uncertainty, known.status), (11.5e-6, 1e-6, Status::Considered));
+    let of_expansion = part(budget(&fit(&outcome, "fit").calibration, "EXX[1]"), "EXX[expansion]");
+    assert!((of_expansion / 5e-6 - 1.0).abs() < 1e-9, "{of_expansion:e}");
+    let [warm, cold] = ["again-warm", "then-cold"].map(|stage| of(stage, "EXX[2]").standard_uncertainty);
+    assert!(cold > 10.0 * warm, "{warm:e} {cold:e}");
+    assert_eq!(of("free", "EXX[expansion]").status, Status::Estimated);
 }

@@ -201,6 +201,12 @@ pub trait KinematicModel: Send + Sync {
         vec![0.0; self.parameters().len()]
     }
 
+    /// Standard uncertainty of every nominal value: zero, apart from those that are known from elsewhere, such as a coefficient
+    /// of expansion. It counts as long as the parameter is not estimated.
+    fn nominal_uncertainties(&self) -> Vec<f64> {
+        vec![0.0; self.parameters().len()]
+    }
+
     /// Effective stylus radius in mm.
     fn stylus_radius(&self) -> f64;
 

@@ -12,7 +12,7 @@ use serde::{Deserialize, Serialize};
 use crate::calibration::{Calibration, ModelRecord};
 use crate::dataset::RowOrigin;
 use crate::error::{Error, Result};
-use crate::model::{KinematicModel, Poses, Variable};
+use crate::model::{KinematicModel, Parameter, Poses, Variable};
 use crate::observations::{Equations, Observations, PoseValues};
 use crate::parallel::{cores, is_one_of_several};
 use crate::pattern::matches;
@@ -170,10 +170,13 @@ pub struct Considered {
 }
 
 impl Considered {
-    /// Those inputs (of this problem alone, so independent of all others) that `taken` takes, and what is left.
+    /// Those that `taken` takes of what this problem alone considers (so independent of all others), and what is left.
     fn split(&self, taken: impl Fn(&Unknown) -> bool) -> (Vec<Unknown>, Self) {
-        let is_taken = |unknown: &Unknown| unknown.owner == Owner::Input && taken(unknown);
-        let stays: Vec<usize> = (0..self.unknowns.len()).filter(|&index| !is_taken(&self.unknowns[index])).collect();
+        let is_taken = |index: &usize| {
+            let unknown = &self.unknowns[*index];
+            self.sources[*index] == unknown.name && taken(unknown)
+        };
+        let (goes, stays): (Vec<usize>, Vec<usize>) = (0..self.unknowns.len()).partition(is_taken);
         let rest = Self {
             unknowns: stays.iter().map(|&index| self.unknowns[index].clone()).collect(),
             covariance: stays
@@ -182,7 +185,14 @@ impl Considered {
                 .collect(),
             sources: stays.iter().map(|&index| self.sources[index].clone()).collect(),
         };
-        (self.unknowns.iter().filter(|unknown| is_taken(unknown)).cloned().collect(), rest)
+        (goes.iter().map(|&index| self.unknowns[index].clone()).collect(), rest)
+    }
+
+    /// Adds parameters that are correlated with nothing, with their standard uncertainties.
+    fn extend_independent(&mut self, known: Vec<(Unknown, f64)>) {
+        for (unknown, uncertainty) in known {
+            self.extend(vec![unknown], &[vec![uncertainty.powi(2)]], |unknown| unknown.name.clone());
+        }
     }
 
     /// Adds parameters that are correlated with each other, but not with those that are there.
@@ -281,7 +291,8 @@ impl Problem {
         let mut chosen = chosen.into_iter();
         candidates.retain(|_| chosen.next() == Some(true));
         let machine = model.nominal();
-        let (inputs, considered) = inputs(&sets)?;
+        let (inputs, mut considered) = inputs(&sets)?;
+        considered.extend_independent(known_parameters(model.as_ref(), &candidates));
         Ok(Self {
             name: name.to_owned(),
             model,
@@ -340,8 +351,8 @@ impl Problem {
             Self::new(&self.name, &self.model_plugin, self.model.clone(), self.sets.clone(), &["*".to_owned()]);
         let mut candidates = everything.map_or_else(|_| Vec::new(), |everything| everything.unknowns);
         // An input that both use: what the earlier estimate owes to it, it owes to it here.
-        let (shared, others) = problem.considered.split(|unknown| calibration.get(&unknown.name).is_some());
-        candidates.extend(shared);
+        let (shared, others) = problem.considered.split(|unknown| calibration.covariance.order.contains(&unknown.name));
+        candidates.extend(shared.into_iter().filter(|unknown| unknown.owner == Owner::Input));
         problem.considered = others;
         let order = &calibration.covariance.order;
         let (mut known, mut places) = (Vec::new(), Vec::new());
@@ -728,10 +739,26 @@ const POSE: usize = 25;
 /// Blocks that a thread evaluates ahead of those that are taken.
 const AHEAD: usize = 4;
 
+/// The parameters of a model that are known from elsewhere and not chosen, with their standard uncertainties.
+fn known_parameters(model: &dyn KinematicModel, chosen: &[Unknown]) -> Vec<(Unknown, f64)> {
+    let all = model.parameters().iter().zip(model.nominal_uncertainties()).enumerate();
+    let known = all.filter(|(index, (_, uncertainty))| {
+        let is_chosen = chosen.iter().any(|unknown| unknown.owner == Owner::Machine && unknown.index == *index);
+        *uncertainty > 0.0 && !is_chosen
+    });
+    let unknown = |index: usize, parameter: &Parameter| Unknown {
+        name: parameter.name.clone(),
+        unit: parameter.unit,
+        owner: Owner::Machine,
+        index,
+    };
+    known.map(|(index, (parameter, uncertainty))| (unknown(index, parameter), uncertainty)).collect()
+}
+
 /// The known inputs of some sets, and those of them that are uncertain.
 fn inputs(sets: &[ObservationSet]) -> Result<(Vec<Input>, Considered)> {
     let mut inputs: Vec<Input> = Vec::new();
-    let (mut uncertain, mut variances) = (Vec::new(), Vec::new());
+    let mut uncertain = Vec::new();
     for (set, observations) in sets.iter().enumerate() {
         for (index, input) in observations.observations.inputs().iter().enumerate() {
             let own = &input.parameter.name;
@@ -749,16 +776,14 @@ fn inputs(sets: &[ObservationSet]) -> Result<(Vec<Input>, Considered)> {
             }
             if input.standard_uncertainty > 0.0 {
                 let unit = input.parameter.unit;
-                uncertain.push(Unknown { name: name.clone(), unit, owner: Owner::Input, index: inputs.len() });
-                variances.push(input.standard_uncertainty.powi(2));
+                let unknown = Unknown { name: name.clone(), unit, owner: Owner::Input, index: inputs.len() };
+                uncertain.push((unknown, input.standard_uncertainty));
             }
             inputs.push(Input { name, standard_uncertainty: input.standard_uncertainty, users: vec![(set, index)] });
         }
     }
-    let mut covariance = vec![vec![0.0; variances.len()]; variances.len()];
-    variances.iter().enumerate().for_each(|(index, variance): (usize, &f64)| covariance[index][index] = *variance);
     let mut considered = Considered::default();
-    considered.extend(uncertain, &covariance, |unknown| unknown.name.clone());
+    considered.extend_independent(uncertain);
     Ok((inputs, considered))
 }
 

@@ -54,7 +54,7 @@ struct AbbeReply;
 
 // Of machines and observations: what they are. Answer: JSON; of observations it lists in `angles` the equations (by their
 // index in the layout) that are of angles, rad, and all others are of lengths, mm. Of machines `nominal` has one value a parameter;
-// without it all are zero.
+// without it all are zero. So has `nominal_uncertainties`, the standard uncertainties of those that are known from elsewhere.
 #define ABBE_DESCRIBE 1
 
 // Of stages: the files that they read. Answer: `[ { "setting", "path" } ]`.

@@ -25,6 +25,9 @@ pub(crate) struct MachineText {
     /// One value a parameter; none at all if all are zero.
     #[serde(default)]
     pub nominal: Vec<f64>,
+    /// Their standard uncertainties; none at all if all are zero.
+    #[serde(default)]
+    pub nominal_uncertainties: Vec<f64>,
     #[serde(default)]
     pub stylus_radius: f64,
     pub settings: Value,
@@ -41,6 +44,7 @@ impl MachineText {
             status: model.status().to_vec(),
             parameters: model.parameters().to_vec(),
             nominal: model.nominal(),
+            nominal_uncertainties: model.nominal_uncertainties(),
             stylus_radius: model.stylus_radius(),
             settings: model.settings(),
             error_functions: model.error_functions(),

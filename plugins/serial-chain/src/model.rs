@@ -271,6 +271,14 @@ impl KinematicModel for SerialChain {
         self.nominal.clone()
     }
 
+    fn nominal_uncertainties(&self) -> Vec<f64> {
+        let of = |role: &Role| match role {
+            Role::Coefficient(place) => self.bases[place.basis].functions.nominal_uncertainty(),
+            Role::Shape(_) => 0.0,
+        };
+        self.roles.iter().map(of).collect()
+    }
+
     fn stylus_radius(&self) -> f64 {
         self.stylus_radius
     }

@@ -1,6 +1,6 @@
 //! Scales that expand with temperature.
 
-use abbe_core::{PathItem, Quantity, SettingsError, Unit};
+use abbe_core::{PathItem, Quantity, SettingsError, Unit, not_negative};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
@@ -18,6 +18,9 @@ pub struct Expansion {
     pub temperature: String,
     /// Coefficient of linear thermal expansion: the value unless it is estimated.
     pub coefficient_per_K: f64,
+    /// Standard uncertainty of the coefficient, which counts as long as it is not estimated; that of every scale by itself.
+    #[serde(default, skip_serializing_if = "is_zero")]
+    pub standard_uncertainty_per_K: f64,
     /// Temperature at which the scale is right.
     #[serde(default = "reference", skip_serializing_if = "is_reference")]
     pub reference_degC: f64,
@@ -31,6 +34,11 @@ fn reference() -> f64 {
 #[allow(clippy::trivially_copy_pass_by_ref, reason = "serde asks for a reference")]
 fn is_reference(temperature: &f64) -> bool {
     *temperature == reference()
+}
+
+#[allow(clippy::trivially_copy_pass_by_ref, reason = "serde asks for a reference")]
+fn is_zero(uncertainty: &f64) -> bool {
+    *uncertainty == 0.0
 }
 
 impl Family for Expansion {
@@ -60,7 +68,7 @@ impl Family for Expansion {
                 return Err(SettingsError::new(setting, "a finite number was expected"));
             }
         }
-        Ok(())
+        not_negative("standard_uncertainty_per_K", self.standard_uncertainty_per_K).map(|_| ())
     }
 
     fn functions(&self, subject: &Subject<'_>) -> Result<Vec<Box<dyn Functions>>, SettingsError> {
@@ -73,6 +81,7 @@ impl Family for Expansion {
         Ok(vec![Box::new(ExpandingScale {
             temperature: self.temperature.clone(),
             coefficient: self.coefficient_per_K,
+            uncertainty: self.standard_uncertainty_per_K,
             reference: self.reference_degC,
             sense: subject.along.signum(),
         })])
@@ -89,6 +98,8 @@ pub struct ExpandingScale {
     pub temperature: String,
     /// Nominal coefficient of expansion, 1/K.
     pub coefficient: f64,
+    /// Its standard uncertainty, 1/K.
+    pub uncertainty: f64,
     /// Temperature at which it is right, °C.
     pub reference: f64,
     /// +1, or -1 if a positive command moves the body the other way.
@@ -126,6 +137,10 @@ impl Functions for ExpandingScale {
     fn nominal(&self) -> f64 {
         self.coefficient
     }
+
+    fn nominal_uncertainty(&self) -> f64 {
+        self.uncertainty
+    }
 }
 
 #[cfg(test)]
@@ -134,7 +149,7 @@ mod tests {
     use crate::families::testing::{names, slopes_agree_by, values};
 
     fn scale(sense: f64) -> ExpandingScale {
-        ExpandingScale { temperature: "T_X".to_owned(), coefficient: 11.5e-6, reference: 20.0, sense }
+        ExpandingScale { temperature: "T_X".to_owned(), coefficient: 11.5e-6, uncertainty: 0.0, reference: 20.0, sense }
     }
 
     #[test]

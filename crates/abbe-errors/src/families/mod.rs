@@ -113,6 +113,11 @@ pub trait Functions: Send + Sync + Debug {
         0.0
     }
 
+    /// Standard uncertainty of that value.
+    fn nominal_uncertainty(&self) -> f64 {
+        0.0
+    }
+
     /// The length of the moving axis' command after which they repeat, with these arguments; none if they do not.
     fn period(&self, _arguments: &[f64]) -> Option<f64> {
         None

@@ -30,8 +30,10 @@ pub(crate) fn machine(object: &Transit) -> Result<Arc<dyn KinematicModel>, Failu
         },
         Transit::Remote(peer) => {
             let mut text: MachineText = ask(peer.as_ref(), ABBE_DESCRIBE, &(), &[])?;
-            if text.nominal.is_empty() {
-                text.nominal.resize(text.parameters.len(), 0.0);
+            for values in [&mut text.nominal, &mut text.nominal_uncertainties] {
+                if values.is_empty() {
+                    values.resize(text.parameters.len(), 0.0);
+                }
             }
             check_machine(&text).map_err(|what| Failure::of(peer.who(), what))?;
             Ok(Arc::new(Machine { peer: peer.clone(), text }))
@@ -68,6 +70,10 @@ fn check_machine(text: &MachineText) -> Result<(), String> {
     if text.nominal.len() != text.parameters.len() || !text.nominal.iter().all(|value| value.is_finite()) {
         return Err("describes a machine whose nominal values are not one finite number a parameter".to_owned());
     }
+    let uncertainties = &text.nominal_uncertainties;
+    if uncertainties.len() != text.parameters.len() || !uncertainties.iter().all(|u| u.is_finite() && *u >= 0.0) {
+        return Err("describes a machine whose nominal values have not one standard uncertainty a parameter".to_owned());
+    }
     let mut names = BTreeSet::new();
     match text.parameters.iter().find(|parameter| parameter.name.is_empty() || !names.insert(&parameter.name)) {
         Some(parameter) => {
@@ -92,6 +98,10 @@ impl KinematicModel for Machine {
 
     fn nominal(&self) -> Vec<f64> {
         self.text.nominal.clone()
+    }
+
+    fn nominal_uncertainties(&self) -> Vec<f64> {
+        self.text.nominal_uncertainties.clone()
     }
 
     fn stylus_radius(&self) -> f64 {

@@ -19,6 +19,7 @@ struct Wave {
     status: Vec<StatusColumn>,
     parameters: Vec<Parameter>,
     nominal: Vec<f64>,
+    uncertainties: Vec<f64>,
     /// The parameter that it names as the amplitude.
     amplitude: usize,
 }
@@ -47,6 +48,7 @@ impl Wave {
             status: vec![column("X", Quantity::Length, 0.0), column("time", Quantity::Time, f64::NAN)],
             parameters: parameters.to_vec(),
             nominal: nominal.to_vec(),
+            uncertainties: vec![0.0, 1e-4],
             amplitude: 0,
         }
     }
@@ -67,6 +69,10 @@ impl KinematicModel for Wave {
 
     fn nominal(&self) -> Vec<f64> {
         self.nominal.clone()
+    }
+
+    fn nominal_uncertainties(&self) -> Vec<f64> {
+        self.uncertainties.clone()
     }
 
     fn stylus_radius(&self) -> f64 {
@@ -133,6 +139,7 @@ fn nominal_values_and_motion_errors_cross_the_border() {
     let here = Wave::new(&[0.0, 0.635]);
     let there = across(Wave::new(&[0.0, 0.635])).unwrap();
     assert_eq!(there.nominal(), [0.0, 0.635]);
+    assert_eq!(there.nominal_uncertainties(), [0.0, 1e-4]);
     let function = &there.error_functions()[0];
     let values = [0.1, 0.7];
     let found = there.motion_error(function, &values, &AT).unwrap();
@@ -163,5 +170,10 @@ fn nominal_values_are_zero_unless_told_and_one_a_parameter() {
     assert_eq!(across(Wave::new(&[])).unwrap().nominal(), [0.0, 0.0]);
     for wrong in [&[0.0][..], &[0.0, 1.0, 2.0], &[0.0, f64::NAN]] {
         assert!(across(Wave::new(wrong)).is_err(), "{wrong:?}");
+    }
+    let uncertain = |uncertainties: &[f64]| across(Wave { uncertainties: uncertainties.to_vec(), ..Wave::new(&[]) });
+    assert_eq!(uncertain(&[]).unwrap().nominal_uncertainties(), [0.0, 0.0]);
+    for wrong in [&[0.0][..], &[0.0, -1.0], &[0.0, f64::NAN]] {
+        assert!(uncertain(wrong).is_err(), "{wrong:?}");
     }
 }
