@@ -13,7 +13,7 @@ use crate::calibration::{Calibration, ModelRecord};
 use crate::dataset::RowOrigin;
 use crate::error::{Error, Result};
 use crate::model::{KinematicModel, Parameter, Poses, Variable};
-use crate::observations::{Equations, Observations, PoseValues};
+use crate::observations::{Contact, Equations, Observations, PoseValues};
 use crate::parallel::{cores, is_one_of_several};
 use crate::pattern::matches;
 use crate::pose_table::PoseTable;
@@ -662,9 +662,19 @@ impl Problem {
             before += poses(row);
             before > pose
         });
-        match row.and_then(|&row| self.origin(set, row)) {
+        let error = match row.and_then(|&row| self.origin(set, row)) {
             Some((file, origin)) => error.at(file, origin.line, None),
             None => error,
+        };
+        let recorded = self.sets[set].moved.is_none() || self.sets[set].observations.contact() != Contact::LinearAxes;
+        match &error.help {
+            Some(help) if !recorded => {
+                let help = format!(
+                    "{help}; the place is where the model meets the artefact: if the row has another, check stylus and placement"
+                );
+                error.help(help)
+            }
+            _ => error,
         }
     }
 

@@ -72,7 +72,7 @@ fn default_name() -> String {
     "bar".to_owned()
 }
 
-/// Columns of the data (without unit) that say whether a direction of the artefact was measured; without them all were.
+/// Columns of the data (without unit) that say whether a direction of the artefact was measured; one that is not there counts as 1.
 const MEASURED: [&str; 3] = ["meas_x", "meas_y", "meas_z"];
 
 /// Own names of the coordinates, and of the errors of a placement.

@@ -71,7 +71,7 @@ fn default_tolerance() -> f64 {
 }
 
 fn default_iterations() -> usize {
-    50
+    200
 }
 
 /// What to do with confounded parameters.
@@ -220,7 +220,7 @@ impl GaussNewton {
             End::IterationLimit => format!("it still moves at the limit of {} iterations", self.settings.iterations),
         };
         Err(Error::data(format!("the iteration does not converge: {failed}")).help(
-            "check units, signs and features of the data, choose fewer parameters, or `start` from a calibration",
+            "check units, signs and features of the data, choose fewer parameters, `start` from a calibration, or allow more `iterations`",
         ))
     }
 

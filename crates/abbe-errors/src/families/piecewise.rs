@@ -39,6 +39,10 @@ pub struct Piecewise {
     /// Errors of a rotary axis: every function without its once-per-turn part.
     #[serde(default, skip_serializing_if = "std::ops::Not::not")]
     pub without_once_per_turn: bool,
+    /// Every function without its value at the command 0, which is not zero where a knot is below 0: the error is zero there
+    /// whatever its coefficients are.
+    #[serde(default, skip_serializing_if = "std::ops::Not::not")]
+    pub zero_at_zero: bool,
 }
 
 impl Piecewise {
@@ -72,7 +76,10 @@ impl Family for Piecewise {
         }
         // A line without its line is nothing.
         let powers = if self.without_line { 2..=self.degree } else { 1..=self.degree };
-        let functions = PiecewisePolynomial::new(knots, powers, self.continuity, range);
+        let mut functions = PiecewisePolynomial::new(knots, powers, self.continuity, range);
+        if self.zero_at_zero {
+            functions = functions.zero_at_zero();
+        }
         Ok(vec![self.travel().without(Box::new(functions), subject)?])
     }
 }
@@ -98,13 +105,26 @@ pub struct PiecewisePolynomial {
     powers: RangeInclusive<u8>,
     truncated: RangeInclusive<u8>,
     range: Option<[f64; 2]>,
+    /// What is taken off every function; nothing if it is empty.
+    constants: Vec<f64>,
 }
 
 impl PiecewisePolynomial {
     /// Powers of the command, truncated powers from `continuity` + 1 to the largest of them at every knot, and the travel.
     pub fn new(knots: Vec<f64>, powers: RangeInclusive<u8>, continuity: u8, range: Option<[f64; 2]>) -> Self {
         let truncated = continuity + 1..=*powers.end();
-        Self { knots, powers, truncated, range }
+        Self { knots, powers, truncated, range, constants: Vec::new() }
+    }
+
+    /// The same functions without their values at the command 0.
+    ///
+    /// Pieces below 0 are known from there up to their knots only: far away from them, at 0, their sum is the small difference of large
+    /// numbers, and so would be all that is said of the error there.
+    pub fn zero_at_zero(mut self) -> Self {
+        let mut constants = vec![0.0; self.names().count()];
+        self.each(0.0, &mut constants, |_, way, below| way * below);
+        self.constants = constants;
+        self
     }
 
     /// What the bracket says, with the power.
@@ -144,6 +164,7 @@ impl Functions for PiecewisePolynomial {
 
     fn values(&self, arguments: &[f64], out: &mut [f64]) {
         self.each(arguments[0], out, |_, way, below| way * below);
+        out.iter_mut().zip(&self.constants).for_each(|(out, constant)| *out -= constant);
     }
 
     fn slopes(&self, _: usize, arguments: &[f64], out: &mut [f64]) {
@@ -184,6 +205,16 @@ mod tests {
         assert_eq!(names(&kinked), ["[1]", "[2]", "[pp1,1]", "[pp1,2]"]);
         assert_eq!(slopes(&kinked, &[40.0]), [1.0, 80.0, 0.0, 0.0]);
         assert_eq!(slopes(&kinked, &[60.0]), [1.0, 120.0, 1.0, 20.0]);
+    }
+
+    #[test]
+    fn an_error_can_be_zero_at_zero() {
+        let pieces = PiecewisePolynomial::new(vec![-50.0, 100.0], 1..=2, 1, None);
+        assert_eq!(values(&pieces, &[0.0]), [0.0, 0.0, 2500.0, 0.0]);
+        let zero = pieces.clone().zero_at_zero();
+        assert_eq!(values(&zero, &[0.0]), [0.0; 4]);
+        assert_eq!(values(&zero, &[-80.0]), [-80.0, 6400.0, -2500.0, 0.0]);
+        assert_eq!(slopes(&zero, &[-20.0]), slopes(&pieces, &[-20.0]));
     }
 
     proptest! {
