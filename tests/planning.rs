@@ -171,6 +171,10 @@ fn lengths_on_a_grid_are_those_of_the_data_set() {
     let mut upright = on_a_grid();
     upright.0["plan"]["generate"]["lengths"]["elevation_deg"] = json!([0, 90]);
     assert_eq!(planned(&upright).plan.candidates, 392);
+    // With height each of the 81 places has one upright bar, whatever its azimuth.
+    upright.stage("cmm")["chain"] = json!("w b X Y Z t");
+    upright.stage("cmm")["axes"]["Z"] = json!({ "range_mm": [0, 500] });
+    assert_eq!(planned(&upright).plan.candidates, 392 + 81);
     // Nothing has been measured yet: that is said where it matters.
     let folder = temporary();
     let file = on_a_grid().write(folder.path());

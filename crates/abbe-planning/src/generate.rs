@@ -1,5 +1,6 @@
 //! Candidates on a grid: where the nominal machine reaches what there is to measure.
 
+use std::collections::BTreeSet;
 use std::fmt::Write;
 
 use abbe_core::{
@@ -141,15 +142,19 @@ impl<'a> Grid<'a> {
         if each > MOST {
             return Err(wrong_grid("lengths", format!("{each} candidates are too many; at most {MOST} are tried")));
         }
-        let (mut ends, mut known) = (Vec::new(), Vec::new());
+        let (mut ends, mut known, mut tried) = (Vec::new(), Vec::new(), BTreeSet::new());
         for &length in &length {
             for (azimuth, elevation) in pairs(&azimuth, &elevation) {
                 let (azimuth, elevation) = (azimuth.to_radians(), elevation.to_radians());
                 let along = [elevation.cos() * azimuth.cos(), elevation.cos() * azimuth.sin(), elevation.sin()];
                 for (x, y) in pairs(&x, &y) {
                     for &z in &z {
-                        ends.extend([[x, y, z], [x + length * along[0], y + length * along[1], z + length * along[2]]]);
-                        known.push(length);
+                        let pair = [[x, y, z], [x + length * along[0], y + length * along[1], z + length * along[2]]];
+                        // Upright, every azimuth is the same. (A length from its other end is another one where axes reverse.)
+                        if tried.insert(pair.map(|end| end.map(|coordinate| (coordinate * 1e6).round() as i64))) {
+                            ends.extend(pair);
+                            known.push(length);
+                        }
                     }
                 }
             }
