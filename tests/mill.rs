@@ -274,6 +274,20 @@ fn the_hole_plate_shows_the_cross_coupling() {
     }
 }
 
+#[test]
+fn forgotten_zeros_of_instruments_are_told() {
+    let remarks = |parameters: Value| {
+        let folder = temporary();
+        let recipe = Variant::of(&recipes()["mill-direct-exact"]).only(&["fit"]).set("fit", "parameters", parameters);
+        let checked = prepare(&recipe.write(folder.path()), &registry()).and_then(|prepared| prepared.check());
+        checked.unwrap_or_else(|error| panic!("{error}")).remove(0).identifiability.remarks
+    };
+    let all = json!(["@angles", "@lengths", "lengths.*", "squares.*", "angles.*", "loads.*", "table.*"]);
+    assert_eq!(remarks(all), Vec::<String>::new());
+    let told = remarks(json!(["@angles", "@lengths", "lengths.*", "squares.*", "angles.*", "loads.*"])).join(" ");
+    assert!(told.starts_with("table.direct-EA0B-load[1.208].datum") && told.contains(" count as zero"), "{told}");
+}
+
 type Frame = [[f64; 4]; 4];
 
 fn times(a: &Frame, b: &Frame) -> Frame {

@@ -211,10 +211,7 @@ impl Problem {
         };
         let error = Error::data(format!("the tip cannot reach `{feature}` in this row by its linear axes: {off}"))
             .help("the linear axes have to be able to move along the measured direction; are the values of the truth in mm and rad?");
-        match self.origin(set, row) {
-            Some((file, origin)) => error.at(file, origin.line, None),
-            None => error,
-        }
+        self.at_row(set, row, error)
     }
 }
 

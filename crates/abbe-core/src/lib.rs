@@ -25,6 +25,7 @@ mod probing;
 mod problem;
 mod reach;
 mod registry;
+mod remarks;
 mod serial;
 mod series;
 mod settings;

@@ -335,6 +335,12 @@ pub trait Observations: Send + Sync {
     /// What gives way when a row is really measured.
     fn contact(&self) -> Contact;
 
+    /// Whether own unknowns are such that nobody knows them beforehand, as the zero of an instrument. One that is left out of an
+    /// estimate was forgotten, which is told.
+    fn own_are_offsets(&self) -> bool {
+        false
+    }
+
     /// Whether the rows tell as much where they were recorded as at nominal contact: a known length is a length between any two
     /// poses, and no unknown takes up what it is off by.
     fn is_met_anywhere(&self) -> bool {

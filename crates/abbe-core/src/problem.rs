@@ -511,6 +511,14 @@ impl Problem {
         Some((&data.files[origin.file], origin))
     }
 
+    /// An error with the place where a row was read.
+    pub fn at_row(&self, set: usize, row: usize, error: Error) -> Error {
+        match self.origin(set, row) {
+            Some((file, origin)) => error.at(file, origin.line, None),
+            None => error,
+        }
+    }
+
     /// Residuals at `x`, in the order of the equations.
     pub fn residuals(&self, x: &[f64]) -> Result<Vec<f64>> {
         let mut residuals = Vec::with_capacity(self.equations());
@@ -654,16 +662,16 @@ impl Problem {
     }
 
     /// An error with the place of the row whose pose it names.
-    fn of_row(&self, set: usize, rows: &[usize], error: Error) -> Error {
-        let Some(pose) = error.pose.filter(|_| error.place.is_none()) else { return error };
+    fn of_row(&self, set: usize, rows: &[usize], mut error: Error) -> Error {
+        let Some(pose) = error.pose.take().filter(|_| error.place.is_none()) else { return error };
         let poses = |row: &&usize| self.sets[set].poses_of(std::slice::from_ref(*row)).count();
         let mut before = 0;
         let row = rows.iter().find(|row| {
             before += poses(row);
             before > pose
         });
-        let error = match row.and_then(|&row| self.origin(set, row)) {
-            Some((file, origin)) => error.at(file, origin.line, None),
+        let error = match row {
+            Some(&row) => self.at_row(set, row, error),
             None => error,
         };
         let recorded = self.sets[set].moved.is_none() || self.sets[set].observations.contact() != Contact::LinearAxes;

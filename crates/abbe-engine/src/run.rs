@@ -57,7 +57,7 @@ impl Prepared {
             let problem = self.located(stage, self.problem(stage, &data, &mut taken))?;
             let estimator = &self.estimators[&stage.name];
             let mut identifiability = self.located(stage, estimator.identify(&problem))?;
-            identifiability.remarks.extend(problem.aliased());
+            identifiability.remarks.extend(problem.remarks());
             let accepted = estimator.accepts(&identifiability);
             let own = problem.unknowns.iter().filter(|unknown| unknown.owner == Owner::Machine);
             let machine = own.map(|unknown| unknown.name.clone()).collect();
@@ -142,7 +142,7 @@ impl Prepared {
     fn fit(&self, stage: &Stage, problem: Problem) -> Result<Fit> {
         let estimator = self.estimators[&stage.name].clone();
         tracing::info!("{}: {} equations, {} unknowns", stage.name, problem.equations(), problem.unknowns.len());
-        problem.aliased().iter().for_each(|remark| tracing::warn!("{}: {remark}", stage.name));
+        problem.remarks().iter().for_each(|remark| tracing::warn!("{}: {remark}", stage.name));
         let calibration = self.located(stage, estimator.explain(&problem))?;
         Ok(Fit { name: stage.name.clone(), problem: Arc::new(problem), estimator, calibration })
     }

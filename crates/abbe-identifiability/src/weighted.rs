@@ -185,8 +185,5 @@ fn not_finite(problem: &Problem, equation: usize) -> Error {
     let (set, row) = problem.equation_rows()[equation];
     let error = Error::data("the equation of this row has no finite value; its geometry is singular")
         .stage(&problem.sets[set].name);
-    match problem.origin(set, row) {
-        Some((file, origin)) => error.at(file, origin.line, None),
-        None => error,
-    }
+    problem.at_row(set, row, error)
 }

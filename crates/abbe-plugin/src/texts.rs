@@ -78,6 +78,8 @@ pub(crate) struct ObservationsText {
     pub contact: Contact,
     #[serde(default)]
     pub met_anywhere: bool,
+    #[serde(default)]
+    pub own_are_offsets: bool,
 }
 
 impl ObservationsText {
@@ -96,6 +98,7 @@ impl ObservationsText {
             features: observations.features(),
             contact: observations.contact(),
             met_anywhere: observations.is_met_anywhere(),
+            own_are_offsets: observations.own_are_offsets(),
         }
     }
 }

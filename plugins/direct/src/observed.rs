@@ -278,4 +278,8 @@ impl Observations for Observed {
     fn contact(&self) -> Contact {
         Contact::Reading("reading".to_owned())
     }
+
+    fn own_are_offsets(&self) -> bool {
+        true
+    }
 }

@@ -10,7 +10,6 @@ use abbe_core::{
     Build, Constructor, Context, Dataset, Error, Figure, Findings, Fit, InputFile, Plugin, Problem, Quantity, Result,
     SettingsError, Validate, inventory,
 };
-use abbe_identifiability::Weighted;
 use abbe_numerics::{Accumulator, Influence as Diagnostics, coverage_factor};
 use abbe_volumetric::position_unit;
 use schemars::JsonSchema;
@@ -141,7 +140,7 @@ fn rows(fit: &Fit) -> Result<Vec<Row>> {
     let estimated = |name: &String| fit.calibration.covariance.order.contains(name);
     // What a selection left out has no part in the fit.
     let problem = problem.without(|unknown| !estimated(&unknown.name)).starting_from(&fit.calibration);
-    if Weighted::new(&problem)?.is_correlated() {
+    if !problem.covariance_blocks().is_empty() {
         let error = Error::usage("influence is that of rows that are independent, and these are given a covariance");
         return Err(error.help("leave the validator out, or the covariance under `uncertainty` of the artefacts"));
     }

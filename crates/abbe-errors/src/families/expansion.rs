@@ -19,8 +19,8 @@ pub struct Expansion {
     /// Coefficient of linear thermal expansion: the value unless it is estimated.
     pub coefficient_per_K: f64,
     /// Standard uncertainty of the coefficient, which counts as long as it is not estimated; that of every scale by itself.
-    #[serde(default, skip_serializing_if = "is_zero")]
-    pub standard_uncertainty_per_K: f64,
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub standard_uncertainty_per_K: Option<f64>,
     /// Temperature at which the scale is right.
     #[serde(default = "reference", skip_serializing_if = "is_reference")]
     pub reference_degC: f64,
@@ -34,11 +34,6 @@ fn reference() -> f64 {
 #[allow(clippy::trivially_copy_pass_by_ref, reason = "serde asks for a reference")]
 fn is_reference(temperature: &f64) -> bool {
     *temperature == reference()
-}
-
-#[allow(clippy::trivially_copy_pass_by_ref, reason = "serde asks for a reference")]
-fn is_zero(uncertainty: &f64) -> bool {
-    *uncertainty == 0.0
 }
 
 impl Family for Expansion {
@@ -68,7 +63,7 @@ impl Family for Expansion {
                 return Err(SettingsError::new(setting, "a finite number was expected"));
             }
         }
-        not_negative("standard_uncertainty_per_K", self.standard_uncertainty_per_K).map(|_| ())
+        not_negative("standard_uncertainty_per_K", self.standard_uncertainty_per_K.unwrap_or(0.0)).map(|_| ())
     }
 
     fn functions(&self, subject: &Subject<'_>) -> Result<Vec<Box<dyn Functions>>, SettingsError> {
@@ -81,7 +76,7 @@ impl Family for Expansion {
         Ok(vec![Box::new(ExpandingScale {
             temperature: self.temperature.clone(),
             coefficient: self.coefficient_per_K,
-            uncertainty: self.standard_uncertainty_per_K,
+            uncertainty: self.standard_uncertainty_per_K.unwrap_or(0.0),
             reference: self.reference_degC,
             sense: subject.along.signum(),
         })])

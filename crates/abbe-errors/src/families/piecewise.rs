@@ -110,7 +110,7 @@ pub struct PiecewisePolynomial {
 }
 
 impl PiecewisePolynomial {
-    /// Powers of the command, truncated powers from `continuity` + 1 to the largest of them at every knot, and the travel.
+    /// Powers of the command from 1 on, truncated powers from `continuity` + 1 to the largest of them at every knot, and the travel.
     pub fn new(knots: Vec<f64>, powers: RangeInclusive<u8>, continuity: u8, range: Option<[f64; 2]>) -> Self {
         let truncated = continuity + 1..=*powers.end();
         Self { knots, powers, truncated, range, constants: Vec::new() }

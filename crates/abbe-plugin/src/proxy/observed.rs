@@ -151,6 +151,10 @@ impl Observations for Observed {
         self.text.contact.clone()
     }
 
+    fn own_are_offsets(&self) -> bool {
+        self.text.own_are_offsets
+    }
+
     fn is_met_anywhere(&self) -> bool {
         self.text.met_anywhere
     }
