@@ -31,6 +31,13 @@ pub struct Calibration {
     pub artefacts: Vec<Estimated>,
     /// Covariance of everything that was estimated.
     pub covariance: Covariance,
+    /// The inputs that were considered, independent of each other, and how the estimates hang on them. None in files that were
+    /// written before there were identities: what they share with others is not known.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub inputs: Option<Vec<ConsideredInput>>,
+    /// The measurements that went in, directly or by an estimate that was known.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub data: Vec<DataRecord>,
     /// Rows that the robust estimate leaves out or blames.
     pub outliers: Vec<Outlier>,
     /// How the fit went.
@@ -88,6 +95,56 @@ pub struct Covariance {
     pub order: Vec<String>,
     /// The full symmetric matrix.
     pub rows: Vec<Vec<f64>>,
+}
+
+/// An input that is not estimated but whose uncertainty counts: a certificate, a stylus, a sensor.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct ConsideredInput {
+    /// Name in this estimate.
+    pub name: String,
+    /// Who it is, in any estimate: a declared `id`, or a hash of what its certificate says, and the quantity on it.
+    pub identity: String,
+    /// Value in `unit`.
+    pub value: f64,
+    /// Unit.
+    pub unit: String,
+    /// Standard uncertainty in `unit`.
+    pub standard_uncertainty: f64,
+    /// By how much each value changes with it, parameter unit per `unit`, in the order of the covariance.
+    pub sensitivities: Vec<f64>,
+}
+
+impl ConsideredInput {
+    /// Refuses one identity that two estimates state differently.
+    pub fn agrees_with(&self, other: &Self) -> Result<()> {
+        let differ = |one: f64, other: f64| (one - other).abs() > 1e-9 * one.abs().max(other.abs());
+        let value = differ(self.value, other.value) || self.unit != other.unit;
+        if !value && !differ(self.standard_uncertainty, other.standard_uncertainty) {
+            return Ok(());
+        }
+        let told = |it: &Self| format!("{:e} {} (u = {:e})", it.value, it.unit, it.standard_uncertainty);
+        Err(Error::data(format!(
+            "`{}` and `{}` are one quantity ({}), but it is {} in one estimate and {} in the other",
+            self.name,
+            other.name,
+            self.identity,
+            told(self),
+            told(other)
+        ))
+        .help("a new certificate needs a new `id`"))
+    }
+}
+
+/// Rows of a file that an estimate rests on.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+pub struct DataRecord {
+    /// The file, as it was named.
+    pub file: String,
+    /// SHA-256 of its content; none if it was no file that could be read.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub sha256: Option<String>,
+    /// Numbers of its data rows, from 1: first and last of each run of rows.
+    pub rows: Vec<[usize; 2]>,
 }
 
 /// A row that does not go with the others.
@@ -164,6 +221,47 @@ pub struct FitReport {
     /// Motion errors that the functions chosen for them tell apart, and not the machine.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub same_motion: Vec<SameMotion>,
+    /// How well the calibrations agree of which this one was combined.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub agreement: Option<CombinedAgreement>,
+}
+
+impl FitReport {
+    /// The report of so many values that no rows were solved for.
+    pub fn without_rows(unknowns: usize) -> Self {
+        Self {
+            observations: 0,
+            unknowns,
+            rank: unknowns,
+            condition: 1.0,
+            degrees_of_freedom: 0,
+            sigma: 1.0,
+            iterations: 0,
+            termination: Termination::Converged,
+            residual_max_um: 0.0,
+            residual_mean_abs_um: 0.0,
+            residual_rms_um: 0.0,
+            residual_max_urad: None,
+            residual_mean_abs_urad: None,
+            residual_rms_urad: None,
+            null_space: Vec::new(),
+            weakest: Vec::new(),
+            selection: None,
+            same_motion: Vec::new(),
+            agreement: None,
+        }
+    }
+}
+
+/// Whether calibrations that were combined agree within their uncertainties.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct CombinedAgreement {
+    /// Their weighted squared differences, inputs that they share taken into account.
+    pub chi_squared: f64,
+    /// The rank of the covariance of these differences.
+    pub degrees_of_freedom: usize,
+    /// Probability that chance alone makes them differ as much.
+    pub probability: f64,
 }
 
 /// A selection of parameters by their significance.
@@ -546,6 +644,20 @@ impl Calibration {
             .map(|parameter| (&parameter.name, parameter.degrees_of_freedom))
             .chain(simulated.map(|parameter| (&parameter.name, parameter.degrees_of_freedom)));
         all.filter(|(name, _)| is_one(name)).filter_map(|(_, freedom)| freedom).fold(f64::INFINITY, f64::min)
+    }
+
+    /// The inputs that this calibration and another one share, as each has them.
+    ///
+    /// Fails where the two state one differently.
+    pub fn shared_inputs<'a>(&'a self, other: &'a Self) -> Result<Vec<(&'a ConsideredInput, &'a ConsideredInput)>> {
+        let mut shared = Vec::new();
+        for one in self.inputs.iter().flatten() {
+            if let Some(two) = other.inputs.iter().flatten().find(|two| two.identity == one.identity) {
+                one.agrees_with(two)?;
+                shared.push((one, two));
+            }
+        }
+        Ok(shared)
     }
 
     /// Any value of the calibration, of the machine or of an artefact.

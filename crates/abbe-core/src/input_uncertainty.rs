@@ -8,8 +8,9 @@ use serde::Deserialize;
 
 use crate::dataset::{Dataset, Values};
 use crate::error::{Error, Result};
-use crate::observations::{Layout, Observations, Row};
-use crate::settings::{Names, PathItem, SettingsError, positive};
+use crate::observations::{KnownInput, Layout, Observations, Row};
+use crate::pattern::matches;
+use crate::settings::{Label, Names, PathItem, SettingsError, positive};
 use crate::uncertainty::{CovarianceBlock, EquationUncertainty, Pooled};
 use crate::unit::Quantity;
 
@@ -23,6 +24,11 @@ pub struct InputUncertainty {
     /// The scatter of repeats, from rows with the columns `cycle` and `day`. It propagates; it does not weigh.
     #[serde(default)]
     pub pooled: Option<PooledRepeats>,
+    /// Who the known inputs are: whoever has an input of the same `id` shares its error, in any estimate of any day. A text
+    /// for all inputs of the artefact (its serial number, or that of its certificate), or texts by the input's own name or
+    /// pattern (`stylus_radius`, `bar[1].*`). Without one it is told by what its certificate says.
+    #[serde(default)]
+    pub id: Option<Ids>,
 }
 
 /// Standard uncertainties and covariances of rows. What ends on `_um` is for equations that are lengths, what ends on `_urad`
@@ -90,12 +96,59 @@ pub struct PooledRepeats {
     pub by: Option<String>,
 }
 
+/// Who the known inputs of an artefact are.
+#[derive(Debug, Clone, PartialEq, Deserialize, JsonSchema)]
+#[serde(untagged, expecting = "a text, or texts by the names of known inputs, was expected")]
+pub enum Ids {
+    /// One thing brings them all, apart from those that are the machine's.
+    All(Label),
+    /// By the own name of the input, or a pattern of names.
+    Of(BTreeMap<String, Label>),
+}
+
+impl Ids {
+    /// The declared id of every input of an artefact; none where none is.
+    ///
+    /// Fails on a name that no input has.
+    pub fn of_inputs(&self, inputs: &[KnownInput]) -> Result<Vec<Option<String>>> {
+        let map = match self {
+            Self::All(id) => {
+                return Ok(inputs.iter().map(|input| (!input.shared).then(|| id.0.clone())).collect());
+            }
+            Self::Of(map) => map,
+        };
+        let names = || inputs.iter().map(|input| input.parameter.name.as_str());
+        if let Some(pattern) = map.keys().find(|pattern| !names().any(|name| matches(pattern, name))) {
+            let mut error =
+                Error::usage(format!("`{pattern}` is no known input of this artefact")).suggest(pattern, names());
+            if error.help.is_none() {
+                error = error.help(format!("there are: {}", names().collect::<Vec<_>>().join(", ")));
+            }
+            error.setting = ["id", pattern].map(|key| PathItem::Key(key.to_owned())).to_vec();
+            return Err(error);
+        }
+        let id = |name: &str| map.iter().find(|(pattern, _)| matches(pattern, name)).map(|(_, id)| id.0.clone());
+        Ok(names().map(id).collect())
+    }
+}
+
 /// The columns that tell repetitions apart.
 const REPETITION: [&str; 2] = ["day", "cycle"];
 
 impl InputUncertainty {
-    /// Refuses settings that contradict each other, and numbers that are no standard uncertainties.
+    /// Refuses settings that contradict each other, numbers that are no standard uncertainties, and ids without a letter.
     pub fn check(&self) -> Result<(), SettingsError> {
+        let ids: Vec<&Label> = match &self.id {
+            None => Vec::new(),
+            Some(Ids::All(id)) => vec![id],
+            Some(Ids::Of(map)) => map.values().collect(),
+        };
+        if ids.iter().any(|id| id.0.trim().is_empty()) {
+            return Err(SettingsError::new(
+                "id",
+                "a text was expected: a serial number, or the number of a certificate",
+            ));
+        }
         let Some(rows) = &self.uncertainty else { return Ok(()) };
         let at = |error: SettingsError| error.under([PathItem::Key("uncertainty".to_owned())]);
         rows.check().map_err(at)

@@ -10,10 +10,12 @@
 
 mod aliasing;
 mod calibration;
+mod considered;
 mod contact;
 mod dataset;
 mod error;
 mod first_order;
+mod identity;
 mod input_uncertainty;
 mod model;
 mod observations;
@@ -36,15 +38,17 @@ mod unit;
 mod verdict;
 
 pub use calibration::{
-    CALIBRATION_FORMAT, Calibration, Combination, Contribution, Correlated, Covariance, Estimated, FitReport,
-    GumComparison, Identifiability, JointCoverage, ModelRecord, MonteCarlo, NullVector, Outlier, ParameterBudget,
-    SameMotion, Selection, SelectionDirection, SelectionStep, SimulatedParameter, Status, Termination,
-    UncertaintyBudget,
+    CALIBRATION_FORMAT, Calibration, Combination, CombinedAgreement, ConsideredInput, Contribution, Correlated,
+    Covariance, DataRecord, Estimated, FitReport, GumComparison, Identifiability, JointCoverage, ModelRecord,
+    MonteCarlo, NullVector, Outlier, ParameterBudget, SameMotion, Selection, SelectionDirection, SelectionStep,
+    SimulatedParameter, Status, Termination, UncertaintyBudget,
 };
+pub use considered::{Considered, Input};
 pub use contact::Variation;
 pub use dataset::{Column, ColumnHeader, Dataset, RowOrigin, Values};
 pub use error::{Class, Error, Place, Result, nearest};
-pub use input_uncertainty::{InputUncertainty, PooledRepeats, RowUncertainty, SharedError};
+pub use identity::Certificate;
+pub use input_uncertainty::{Ids, InputUncertainty, PooledRepeats, RowUncertainty, SharedError};
 pub use model::{
     Absent, Axis, AxisKind, Branch, ErrorFunction, KinematicModel, MotionError, Parameter, Period, Poses, PosesMut,
     StatusColumn, Variable,
@@ -57,9 +61,9 @@ pub use pattern::matches;
 pub use planning::{GeneratedLengths, Generation, Planning, PlanningCriterion};
 pub use pose_table::{ColumnNaming, PoseTable, StatusSource, plain_naming, pose_columns};
 pub use probing::Lobing;
-pub use problem::{Block, Considered, Input, ObservationSet, Owner, Problem, Scatter, Unknown};
+pub use problem::{Block, ObservationSet, Owner, Problem, Scatter, Unknown};
 pub use reach::Reach;
-pub use registry::{Build, Constructor, Context, Kind, Origin, Plugin, Provider, Registry};
+pub use registry::{Basis, Build, Constructor, Context, Kind, Origin, Plugin, Provider, Registry};
 pub use series::{EvenSeries, Series};
 pub use settings::{
     Label, Names, PathItem, SettingsError, from_settings, not_negative, path_text, positive, schema_of,

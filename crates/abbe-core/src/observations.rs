@@ -7,6 +7,7 @@ use serde::{Deserialize, Serialize};
 
 use crate::dataset::Dataset;
 use crate::error::Result;
+use crate::identity::Certificate;
 use crate::model::{KinematicModel, Parameter};
 use crate::pose_table::{ColumnNaming, PoseTable, StatusSource, pose_columns};
 use crate::unit::Quantity;
@@ -22,7 +23,38 @@ pub struct KnownInput {
     pub standard_uncertainty: f64,
     /// It is the machine's and not the artefact's (the stylus radius): the same for all artefacts that have one of this
     /// name.
+    #[serde(default)]
     pub shared: bool,
+    /// What states it; without one, name, value and uncertainty are all that tells it from others.
+    #[serde(default)]
+    pub certificate: Option<Certificate>,
+}
+
+impl KnownInput {
+    /// An input of the artefact with a value and its standard uncertainty, in the unit of the parameter.
+    pub fn new(parameter: Parameter, value: f64, standard_uncertainty: f64) -> Self {
+        Self { parameter, value, standard_uncertainty, shared: false, certificate: None }
+    }
+
+    /// Makes it the machine's: one quantity for all artefacts that have an input of this name.
+    pub fn shared(mut self) -> Self {
+        self.shared = true;
+        self
+    }
+
+    /// Says what states it: the input is `quantity` on a certificate with this content.
+    pub fn certified(mut self, quantity: impl Into<String>, content: impl Into<String>) -> Self {
+        self.certificate = Some(Certificate::new(quantity, content));
+        self
+    }
+
+    /// What states it.
+    pub fn certificate(&self) -> Certificate {
+        let Self { parameter: Parameter { name, unit }, value, standard_uncertainty, .. } = self;
+        let stated =
+            || Certificate::new(name, format!("{name} = {value:e} {unit}, u = {standard_uncertainty:e} {unit}"));
+        self.certificate.clone().unwrap_or_else(stated)
+    }
 }
 
 /// One measurement: which poses it ties in which equations, and the data row that it comes from.
@@ -222,6 +254,9 @@ impl Layout {
     }
 
     /// Adds a constraint without poses: something known of the artefact that was not measured here.
+    ///
+    /// Its standard uncertainties are weights. What counts in results is the uncertainty of the known inputs that its
+    /// equations depend on: a certificate does not scatter as the readings do.
     pub fn push_constraint(&mut self, standard_uncertainties: &[f64]) {
         self.add(self.poses.len(), 0, None, standard_uncertainties);
     }

@@ -10,9 +10,10 @@ use std::sync::mpsc::{channel, sync_channel};
 use serde::{Deserialize, Serialize};
 
 use crate::calibration::{Calibration, ModelRecord};
+use crate::considered::{Considered, Input, candidates, check_constraints, consider_parameters, inputs};
 use crate::dataset::RowOrigin;
 use crate::error::{Error, Result};
-use crate::model::{KinematicModel, Parameter, Poses, Variable};
+use crate::model::{KinematicModel, Poses, Variable};
 use crate::observations::{Contact, Equations, Observations, PoseValues};
 use crate::parallel::{cores, is_one_of_several};
 use crate::pattern::matches;
@@ -34,6 +35,8 @@ pub struct ObservationSet {
     pub rows: Vec<usize>,
     /// Values of the known inputs.
     pub inputs: Vec<f64>,
+    /// Who they are, as far as it was declared.
+    pub ids: Vec<Option<String>>,
     /// Start or fixed values of the own unknowns.
     pub own: Vec<f64>,
     /// How uncertain the equations are, in the order of the layout.
@@ -53,6 +56,7 @@ impl ObservationSet {
             name: name.to_owned(),
             rows: (0..observations.layout().rows.len()).collect(),
             inputs: observations.inputs().iter().map(|input| input.value).collect(),
+            ids: vec![None; observations.inputs().len()],
             own: observations.start(),
             uncertainty: Arc::new(EquationUncertainty::independent(standard)),
             moved: None,
@@ -139,74 +143,6 @@ pub struct Block<'a> {
     pub jacobian: &'a [f64],
 }
 
-/// A known input of a problem, with everybody who uses it.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-pub struct Input {
-    /// Name in results: `bar.reference_error`, or `stylus_radius` where it is the machine's.
-    pub name: String,
-    /// Its standard uncertainty, in the unit of its value.
-    pub standard_uncertainty: f64,
-    /// (set, index among the known inputs of its observations).
-    pub users: Vec<(usize, usize)>,
-}
-
-impl Input {
-    /// Its value.
-    pub fn value(&self, sets: &[ObservationSet]) -> f64 {
-        let (set, input) = self.users[0];
-        sets[set].inputs[input]
-    }
-}
-
-/// What is not estimated but whose uncertainty counts: known inputs, and what an earlier calibration knows.
-#[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
-pub struct Considered {
-    /// The parameters.
-    pub unknowns: Vec<Unknown>,
-    /// Their covariance, in their units.
-    pub covariance: Vec<Vec<f64>>,
-    /// For each the name under which budgets list its contribution: its own, or that of the earlier estimate.
-    pub sources: Vec<String>,
-}
-
-impl Considered {
-    /// Those that `taken` takes of what this problem alone considers (so independent of all others), and what is left.
-    fn split(&self, taken: impl Fn(&Unknown) -> bool) -> (Vec<Unknown>, Self) {
-        let is_taken = |index: &usize| {
-            let unknown = &self.unknowns[*index];
-            self.sources[*index] == unknown.name && taken(unknown)
-        };
-        let (goes, stays): (Vec<usize>, Vec<usize>) = (0..self.unknowns.len()).partition(is_taken);
-        let rest = Self {
-            unknowns: stays.iter().map(|&index| self.unknowns[index].clone()).collect(),
-            covariance: stays
-                .iter()
-                .map(|&row| stays.iter().map(|&column| self.covariance[row][column]).collect())
-                .collect(),
-            sources: stays.iter().map(|&index| self.sources[index].clone()).collect(),
-        };
-        (goes.iter().map(|&index| self.unknowns[index].clone()).collect(), rest)
-    }
-
-    /// Adds parameters that are correlated with nothing, with their standard uncertainties.
-    fn extend_independent(&mut self, known: Vec<(Unknown, f64)>) {
-        for (unknown, uncertainty) in known {
-            self.extend(vec![unknown], &[vec![uncertainty.powi(2)]], |unknown| unknown.name.clone());
-        }
-    }
-
-    /// Adds parameters that are correlated with each other, but not with those that are there.
-    fn extend(&mut self, unknowns: Vec<Unknown>, covariance: &[Vec<f64>], source: impl Fn(&Unknown) -> String) {
-        let (before, more) = (self.unknowns.len(), unknowns.len());
-        self.covariance.iter_mut().for_each(|row| row.extend(std::iter::repeat_n(0.0, more)));
-        for row in covariance {
-            self.covariance.push([&vec![0.0; before], row.as_slice()].concat());
-        }
-        self.sources.extend(unknowns.iter().map(source));
-        self.unknowns.extend(unknowns);
-    }
-}
-
 /// The scatter of repeats of some sets of a problem that were repeated together.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Scatter {
@@ -249,23 +185,7 @@ impl Problem {
         sets: Vec<ObservationSet>,
         patterns: &[String],
     ) -> Result<Self> {
-        let mut candidates: Vec<Unknown> = Vec::new();
-        let machine = model.parameters().iter().enumerate();
-        candidates.extend(machine.map(|(index, parameter)| Unknown {
-            name: parameter.name.clone(),
-            unit: parameter.unit,
-            owner: Owner::Machine,
-            index,
-        }));
-        for (set, observations) in sets.iter().enumerate() {
-            let own = observations.observations.unknowns().iter().enumerate();
-            candidates.extend(own.map(|(index, parameter)| Unknown {
-                name: format!("{}.{}", observations.name, parameter.name),
-                unit: parameter.unit,
-                owner: Owner::Set(set),
-                index,
-            }));
-        }
+        let mut candidates = candidates(model.as_ref(), &sets);
         let mut chosen = vec![false; candidates.len()];
         for (index, pattern) in patterns.iter().enumerate() {
             let mut found = false;
@@ -292,7 +212,8 @@ impl Problem {
         candidates.retain(|_| chosen.next() == Some(true));
         let machine = model.nominal();
         let (inputs, mut considered) = inputs(&sets)?;
-        considered.extend_independent(known_parameters(model.as_ref(), &candidates));
+        consider_parameters(&mut considered, model.as_ref(), &candidates);
+        sets.iter().try_for_each(check_constraints)?;
         Ok(Self {
             name: name.to_owned(),
             model,
@@ -340,33 +261,6 @@ impl Problem {
                 }
             }
         }
-        problem
-    }
-
-    /// The same problem with what a calibration knows: its values hold, those that are chosen here start from them, and the
-    /// covariance of the others counts.
-    pub fn knowing(&self, calibration: &Calibration) -> Self {
-        let mut problem = self.starting_from(calibration);
-        let everything =
-            Self::new(&self.name, &self.model_plugin, self.model.clone(), self.sets.clone(), &["*".to_owned()]);
-        let mut candidates = everything.map_or_else(|_| Vec::new(), |everything| everything.unknowns);
-        // An input that both use: what the earlier estimate owes to it, it owes to it here.
-        let (shared, others) = problem.considered.split(|unknown| calibration.covariance.order.contains(&unknown.name));
-        candidates.extend(shared.into_iter().filter(|unknown| unknown.owner == Owner::Input));
-        problem.considered = others;
-        let order = &calibration.covariance.order;
-        let (mut known, mut places) = (Vec::new(), Vec::new());
-        for unknown in candidates {
-            let chosen = self.unknowns.iter().any(|chosen| chosen.name == unknown.name);
-            if let Some(place) = order.iter().position(|name| *name == unknown.name).filter(|_| !chosen) {
-                known.push(unknown);
-                places.push(place);
-            }
-        }
-        let rows = &calibration.covariance.rows;
-        let entry = |row: usize| places.iter().map(|&column| rows[row][column]).collect();
-        let covariance: Vec<Vec<f64>> = places.iter().map(|&row| entry(row)).collect();
-        problem.considered.extend(known, &covariance, |_| calibration.estimate.clone());
         problem
     }
 
@@ -478,6 +372,13 @@ impl Problem {
             }
         }
         all
+    }
+
+    /// Which equations are constraints: what a certificate states, and nobody measured here. They do not scatter, and are
+    /// never weighed down.
+    pub fn constraints(&self) -> Vec<bool> {
+        let rows = self.equation_rows().into_iter();
+        rows.map(|(set, row)| self.sets[set].observations.layout().rows[row].data_row.is_none()).collect()
     }
 
     /// For every equation the set and the row that it belongs to.
@@ -756,54 +657,6 @@ const POSE: usize = 25;
 
 /// Blocks that a thread evaluates ahead of those that are taken.
 const AHEAD: usize = 4;
-
-/// The parameters of a model that are known from elsewhere and not chosen, with their standard uncertainties.
-fn known_parameters(model: &dyn KinematicModel, chosen: &[Unknown]) -> Vec<(Unknown, f64)> {
-    let all = model.parameters().iter().zip(model.nominal_uncertainties()).enumerate();
-    let known = all.filter(|(index, (_, uncertainty))| {
-        let is_chosen = chosen.iter().any(|unknown| unknown.owner == Owner::Machine && unknown.index == *index);
-        *uncertainty > 0.0 && !is_chosen
-    });
-    let unknown = |index: usize, parameter: &Parameter| Unknown {
-        name: parameter.name.clone(),
-        unit: parameter.unit,
-        owner: Owner::Machine,
-        index,
-    };
-    known.map(|(index, (parameter, uncertainty))| (unknown(index, parameter), uncertainty)).collect()
-}
-
-/// The known inputs of some sets, and those of them that are uncertain.
-fn inputs(sets: &[ObservationSet]) -> Result<(Vec<Input>, Considered)> {
-    let mut inputs: Vec<Input> = Vec::new();
-    let mut uncertain = Vec::new();
-    for (set, observations) in sets.iter().enumerate() {
-        for (index, input) in observations.observations.inputs().iter().enumerate() {
-            let own = &input.parameter.name;
-            let name = if input.shared { own.clone() } else { format!("{}.{own}", observations.name) };
-            if let Some(same) = inputs.iter_mut().find(|other| other.name == name) {
-                if same.standard_uncertainty != input.standard_uncertainty {
-                    return Err(Error::usage(format!(
-                        "`{name}` is one quantity of the machine, but `{}` and `{}` give it different standard uncertainties",
-                        sets[same.users[0].0].name, observations.name
-                    ))
-                    .help("state the same one in both"));
-                }
-                same.users.push((set, index));
-                continue;
-            }
-            if input.standard_uncertainty > 0.0 {
-                let unit = input.parameter.unit;
-                let unknown = Unknown { name: name.clone(), unit, owner: Owner::Input, index: inputs.len() };
-                uncertain.push((unknown, input.standard_uncertainty));
-            }
-            inputs.push(Input { name, standard_uncertainty: input.standard_uncertainty, users: vec![(set, index)] });
-        }
-    }
-    let mut considered = Considered::default();
-    considered.extend_independent(uncertain);
-    Ok((inputs, considered))
-}
 
 /// Buffers of an evaluation.
 #[derive(Default)]

@@ -135,6 +135,20 @@ pub enum Origin {
     },
 }
 
+/// What an estimate is made of, which decides what its stage names in a recipe.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+pub enum Basis {
+    /// Measurements on a machine (`machine`, `observations`, `parameters`), or another estimate looked at anew (`of`).
+    #[default]
+    Measurements,
+    /// What is stated of a machine (`machine`).
+    Statement,
+    /// A calibration that was made elsewhere: it brings its machine.
+    Calibration,
+    /// Several other estimates (`of`), and a `machine` unless the first of them has all that they know.
+    Estimates,
+}
+
 /// One record of the registry, the same for built-in and for loaded plugins.
 pub struct Plugin {
     /// The name that recipes use.
@@ -151,6 +165,8 @@ pub struct Plugin {
     pub example: Provider,
     /// Its constructor.
     pub build: Build,
+    /// What its estimates are made of, if it makes some.
+    pub basis: Basis,
 }
 
 impl Plugin {
@@ -170,7 +186,14 @@ impl Plugin {
             schema: Provider::Static(schema),
             example: Provider::Static(example),
             build,
+            basis: Basis::Measurements,
         }
+    }
+
+    /// Says what its estimates are made of.
+    pub const fn made_of(mut self, basis: Basis) -> Self {
+        self.basis = basis;
+        self
     }
 
     /// Its kind.

@@ -1,6 +1,8 @@
 //! From the solution of a problem to a calibration: every parameter with its value, unit, uncertainty and status.
 
-use crate::calibration::{CALIBRATION_FORMAT, Calibration, Covariance, Estimated, FitReport, Outlier, Status};
+use crate::calibration::{
+    CALIBRATION_FORMAT, Calibration, ConsideredInput, Covariance, Estimated, FitReport, Outlier, Status,
+};
 use crate::problem::{Owner, Problem, Unknown};
 use crate::unit::Unit;
 
@@ -47,6 +49,7 @@ impl Problem {
             let value = self.inputs[unknown.index].value(&self.sets);
             artefacts.push(estimated(Owner::Input, unknown.index, unknown.name.clone(), unknown.unit, value));
         }
+        let inputs = self.considered_inputs(&covariance);
         Calibration {
             abbe_calibration: CALIBRATION_FORMAT,
             estimate: self.name.clone(),
@@ -62,10 +65,36 @@ impl Problem {
                     .collect(),
                 rows: covariance,
             },
+            inputs: Some(inputs),
+            data: Vec::new(),
             outliers,
             fit,
             uncertainty: None,
             monte_carlo: None,
         }
+    }
+
+    /// The inputs that are considered. Since they are independent of each other, the covariance of a value with an input is
+    /// its sensitivity times the variance of the input.
+    fn considered_inputs(&self, covariance: &[Vec<f64>]) -> Vec<ConsideredInput> {
+        let considered = &self.considered;
+        let all = considered.unknowns.iter().zip(&considered.identities).enumerate();
+        let input = |(index, (unknown, identity)): (usize, (&Unknown, &Option<String>))| {
+            let (column, variance) = (self.unknowns.len() + index, considered.covariance[index][index]);
+            let value = match unknown.owner {
+                Owner::Machine => self.machine[unknown.index],
+                Owner::Set(set) => self.sets[set].own[unknown.index],
+                Owner::Input => self.inputs[unknown.index].value(&self.sets),
+            };
+            Some(ConsideredInput {
+                name: unknown.name.clone(),
+                identity: identity.clone()?,
+                value,
+                unit: unknown.unit.to_string(),
+                standard_uncertainty: variance.sqrt(),
+                sensitivities: covariance.iter().map(|row| row[column] / variance).collect(),
+            })
+        };
+        all.filter_map(input).collect()
     }
 }

@@ -60,9 +60,24 @@ pub trait Model: Send + Sync {
     fn build(&self, data: &[&Dataset]) -> Result<Arc<dyn KinematicModel>>;
 }
 
-/// A solver of problems.
+/// A solver of problems, or whoever has a calibration by other means ([`Basis`](crate::Basis)).
 pub trait Estimate: Send + Sync {
-    /// Solves the problem.
+    /// The files that it reads.
+    fn inputs(&self) -> Vec<InputFile> {
+        Vec::new()
+    }
+
+    /// A calibration that was made elsewhere; it is read before anything runs.
+    fn recall(&self) -> Result<Calibration> {
+        Err(Error::usage("this estimator makes its estimates; it recalls none"))
+    }
+
+    /// One calibration of several: the parameters of `problem`, which has no rows, from `fits`.
+    fn combine(&self, _problem: &Problem, _fits: &[&Fit]) -> Result<Calibration> {
+        Err(Error::usage("this estimator makes one estimate; it combines no others").setting("of"))
+    }
+
+    /// Solves the problem. What is stated of a machine comes as a problem without rows.
     fn estimate(&self, problem: &Problem) -> Result<Calibration>;
 
     /// Solves the problem and explains the result: what its uncertainties are made of, what is determined worst.
@@ -114,6 +129,12 @@ pub trait Validate: Send + Sync {
     /// Whether it can judge observations that took no part in a fit (the reference `observations`). It then gets fits whose problem
     /// has these observations, the values of the calibration and no unknowns.
     fn judges_other_rows(&self) -> bool {
+        false
+    }
+
+    /// Whether it asks about the rows that an estimate was made of, or has it made again. It cannot judge a calibration that
+    /// brings none, unless it is given other observations.
+    fn questions_rows(&self) -> bool {
         false
     }
 

@@ -9,6 +9,8 @@ mod outcome;
 mod places;
 mod plan;
 mod prepare;
+mod recalled;
+mod records;
 mod run;
 mod simulate;
 mod uncertainty;

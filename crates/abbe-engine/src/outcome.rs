@@ -40,8 +40,8 @@ struct RunRecord {
 /// A file that a run reads.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub(crate) struct InputRecord {
-    file: String,
-    sha256: String,
+    pub file: String,
+    pub sha256: String,
 }
 
 /// What is read, each file once. Taken before the run, so that it tells what the run was started on.

@@ -12,7 +12,7 @@ use serde_json::{Value, json};
 
 use crate::folder::write_folder;
 use crate::prepare::Prepared;
-use crate::run::{Taken, has_problem};
+use crate::run::{Taken, has_rows};
 
 /// Chosen measurements, in memory.
 #[derive(Clone)]
@@ -45,7 +45,7 @@ impl Prepared {
                 .in_file(&self.recipe.path)
         })?;
         let stage = self.recipe_stage(&wanted.estimate)?;
-        if !has_problem(&stage) {
+        if !has_rows(&stage) {
             let error = Error::usage(format!("`{}` has no machine and observations of its own", stage.name));
             return Err(self.recipe.locate_plan(error.setting("estimate")));
         }
@@ -97,7 +97,7 @@ impl Prepared {
             return Err(self.recipe.locate_plan(error));
         }
         let (ingest, artefact) = self.artefact(&wanted.candidates)?;
-        let model = self.located(stage, self.model(stage)?.build(&[]))?;
+        let model = self.located(stage, self.machine(stage)?.1.build(&[]))?;
         let text = generate(generation, artefact, model.as_ref()).map_err(|error| self.recipe.locate_plan(error))?;
         let data = Arc::new(abbe_table::parse(Path::new(GENERATED), text.as_bytes())?);
         Ok(Generated { ingest, text, data })

@@ -5,13 +5,15 @@ use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
 use abbe_core::{
-    Artefact, Build, ColumnHeader, Constructor, Context, Error, Estimate, Export, Ingest, InputFile, Kind, Model,
-    Origin, Plugin, Registry, Result, SettingsError, Validate,
+    Artefact, Basis, Build, ColumnHeader, Constructor, Context, Error, Estimate, Export, Ingest, InputFile, Kind,
+    Model, Origin, Plugin, Registry, Result, SettingsError, Validate,
 };
 use abbe_recipe::{Library, Recipe, Stage};
 use serde_json::Value;
 
 use crate::outcome::PluginRecord;
+use crate::recalled::{self, Recalled};
+use crate::run::{has_problem, has_rows};
 use crate::uncertainty::RowsOf;
 
 /// The stages of a recipe, built and checked as far as that goes without data rows.
@@ -23,6 +25,8 @@ pub struct Prepared {
     pub(crate) rows: BTreeMap<String, RowsOf>,
     pub(crate) models: BTreeMap<String, Box<dyn Model>>,
     pub(crate) estimators: BTreeMap<String, Arc<dyn Estimate>>,
+    /// Calibrations that were made elsewhere, by their estimate stages.
+    pub(crate) recalled: BTreeMap<String, Recalled>,
     pub(crate) validators: BTreeMap<String, Box<dyn Validate>>,
     pub(crate) exporters: BTreeMap<String, Box<dyn Export>>,
     /// The plugins that do the work.
@@ -51,6 +55,7 @@ pub fn prepare(path: &Path, registry: &Registry) -> Result<Prepared> {
         rows: BTreeMap::new(),
         models: BTreeMap::new(),
         estimators: BTreeMap::new(),
+        recalled: BTreeMap::new(),
         validators: BTreeMap::new(),
         exporters: BTreeMap::new(),
         files: vec![path.to_owned()],
@@ -72,6 +77,11 @@ pub fn prepare(path: &Path, registry: &Registry) -> Result<Prepared> {
                 return Err(prepared.recipe.locate(error.stage(&stage.name)));
             }
             prepared.files.push(path);
+        }
+        if stage.kind == Kind::Estimate && stage.basis == Basis::Calibration {
+            let recalled = Recalled::new(&stage, prepared.estimators[&stage.name].as_ref(), registry);
+            let recalled = recalled.map_err(|error| prepared.recipe.locate(error.stage(&stage.name)))?;
+            prepared.recalled.insert(stage.name.clone(), recalled);
         }
     }
     prepared.files.dedup();
@@ -109,15 +119,18 @@ impl Prepared {
                 Ok(inputs)
             }
             Build::Model(constructor) => {
-                let built = constructor.build(settings, context).map_err(wrong)?;
+                let (settings, before) = self.model_settings(stage)?;
+                let wrong = |error: SettingsError| wrong(recalled::own_place(error, &before));
+                let built = constructor.build(&settings, context).map_err(wrong)?;
                 let inputs = built.inputs();
                 self.models.insert(name, built);
                 Ok(inputs)
             }
             Build::Estimate(constructor) => {
-                let estimator = Arc::from(constructor.build(settings, context).map_err(wrong)?);
+                let estimator: Arc<dyn Estimate> = Arc::from(constructor.build(settings, context).map_err(wrong)?);
+                let inputs = estimator.inputs();
                 self.estimators.insert(name, estimator);
-                Ok(Vec::new())
+                Ok(inputs)
             }
             Build::Validate(constructor) => {
                 let built = constructor.build(settings, context).map_err(wrong)?;
@@ -139,7 +152,7 @@ impl Prepared {
         match stage.kind {
             Kind::Ingest if self.is_planned(&stage.name) => Ok(()),
             Kind::Ingest => self.headers(&stage.name).map(drop),
-            Kind::Estimate if !stage.reference("of").is_empty() => Ok(()),
+            Kind::Estimate if !has_problem(&stage) => Ok(()),
             Kind::Estimate => self.check_columns(stage, stage.reference("observations")),
             Kind::Validate => {
                 let others = stage.reference("observations");
@@ -149,7 +162,17 @@ impl Prepared {
                     return Err(Error::usage(message).setting("observations"));
                 }
                 for fit in stage.reference("of") {
-                    self.check_columns(self.own_estimate(fit)?, others)?;
+                    let estimate = self.own_estimate(fit)?;
+                    if others.is_empty() && !has_rows(&estimate) && self.validators[&stage.name].questions_rows() {
+                        let message = format!(
+                            "`{}` asks about the rows that an estimate was made of, and `{fit}` brings none",
+                            stage.plugin
+                        );
+                        let help =
+                            "judge an estimate of this recipe, or name `observations` where the validator takes some";
+                        return Err(Error::usage(message).help(help).setting("of"));
+                    }
+                    self.check_columns(estimate, others)?;
                 }
                 for (setting, name) in self.validators[&stage.name].observations() {
                     for fit in stage.reference("of") {
@@ -177,8 +200,11 @@ impl Prepared {
 
     /// Whether the data of some artefact stages have the columns that the machine of an estimate needs.
     fn check_columns(&self, estimate: &Stage, observations: &[String]) -> Result<()> {
-        let model = self.model(estimate)?.build(&[]);
-        let model = model.map_err(|error| error.stage(&estimate.reference("machine")[0]))?;
+        if observations.is_empty() {
+            return Ok(());
+        }
+        let (machine, model) = self.machine(estimate)?;
+        let model = model.build(&[]).map_err(|error| error.stage(&machine.name))?;
         for name in observations {
             let (from, artefact) = self.artefact(name)?;
             let repeats = self.repeats(name)?;
@@ -218,14 +244,29 @@ impl Prepared {
     pub(crate) fn own_estimate(&self, name: &str) -> Result<&Stage> {
         let stage = self.recipe_stage(name)?;
         match stage.reference("of").first() {
-            Some(of) if stage.kind == Kind::Estimate => self.own_estimate(of),
+            Some(of) if stage.kind == Kind::Estimate && stage.basis == Basis::Measurements => self.own_estimate(of),
             _ => Ok(stage),
         }
     }
 
-    /// The model that an estimate uses.
-    pub(crate) fn model(&self, estimate: &Stage) -> Result<&dyn Model> {
-        Ok(self.models[&estimate.reference("machine")[0]].as_ref())
+    /// The model that an estimate uses, and the stage that it comes from: a model stage, or an estimate that brings it.
+    pub(crate) fn machine(&self, estimate: &Stage) -> Result<(&Stage, &dyn Model)> {
+        let stage = self.machine_stage(estimate)?;
+        match self.recalled.get(&stage.name) {
+            Some(recalled) => Ok((stage, recalled.model.as_ref())),
+            None => Ok((stage, self.models[&stage.name].as_ref())),
+        }
+    }
+
+    /// The stage that the model of an estimate comes from.
+    pub(crate) fn machine_stage(&self, estimate: &Stage) -> Result<&Stage> {
+        let stage = self.recipe_stage(&estimate.name)?;
+        let next = match (stage.kind, stage.basis) {
+            (Kind::Model, _) | (_, Basis::Calibration) => return Ok(stage),
+            _ => stage.reference("machine").first().or(stage.reference("of").first()),
+        };
+        let none = || Error::usage(format!("`{}` has no machine", stage.name));
+        self.machine_stage(self.recipe_stage(next.ok_or_else(none)?)?)
     }
 
     /// Stages of one kind, in the order in which they can run.

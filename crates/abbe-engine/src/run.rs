@@ -5,13 +5,15 @@ use std::sync::Arc;
 use std::time::{Instant, SystemTime};
 
 use abbe_core::{
-    Calibration, Dataset, Error, ExportedFile, Fit, Identifiability, Kind, KinematicModel, ObservationSet, Owner,
-    Poses, Problem, Registry, Result, Verdict, in_parallel,
+    Basis, Calibration, DataRecord, Dataset, Error, ExportedFile, Fit, Identifiability, Kind, KinematicModel,
+    ObservationSet, Owner, Poses, Problem, Registry, Result, Verdict, in_parallel,
 };
 use abbe_recipe::Stage;
 
-use crate::outcome::{Outcome, input_records};
+use crate::outcome::{InputRecord, Outcome, input_records};
 use crate::prepare::{Prepared, build_model};
+use crate::recalled::fit_without_rows;
+use crate::records;
 
 /// What is going on.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -50,19 +52,21 @@ pub(crate) type Datasets = BTreeMap<String, Arc<Dataset>>;
 impl Prepared {
     /// Everything but the fits: data, problems, and what the fits can determine at nominal contact points.
     pub fn check(&self) -> Result<Vec<Planned>> {
+        let digests = digests(&input_records(&self.files)?);
         let data = self.read(&|_| {}, None)?;
         let mut taken = Taken::default();
-        let (mut planned, mut problems) = (Vec::new(), BTreeMap::new());
-        for stage in self.stages(Kind::Estimate).filter(has_problem) {
-            let problem = self.located(stage, self.problem(stage, &data, &mut taken))?;
+        let problems = self.problems(&data, &mut taken)?;
+        self.evidence(&problems, &digests)?;
+        let mut planned = Vec::new();
+        for stage in self.stages(Kind::Estimate).filter(has_rows) {
+            let Some(problem) = problems.get(&stage.name) else { continue };
             let estimator = &self.estimators[&stage.name];
-            let mut identifiability = self.located(stage, estimator.identify(&problem))?;
+            let mut identifiability = self.located(stage, estimator.identify(problem))?;
             identifiability.remarks.extend(problem.remarks());
             let accepted = estimator.accepts(&identifiability);
             let own = problem.unknowns.iter().filter(|unknown| unknown.owner == Owner::Machine);
             let machine = own.map(|unknown| unknown.name.clone()).collect();
             planned.push(Planned { estimate: stage.name.clone(), identifiability, accepted, machine });
-            problems.insert(&stage.name, problem);
         }
         self.unseen(&problems, &data, &mut taken)?;
         self.nothing_left_over(&data, &taken)?;
@@ -75,10 +79,8 @@ impl Prepared {
         let inputs = input_records(&self.files)?;
         let data = self.read(tell, None)?;
         let mut taken = Taken::default();
-        let mut problems = BTreeMap::new();
-        for stage in self.stages(Kind::Estimate).filter(has_problem) {
-            problems.insert(&stage.name, self.located(stage, self.problem(stage, &data, &mut taken))?);
-        }
+        let problems = self.problems(&data, &mut taken)?;
+        let evidence = self.evidence(&problems, &digests(&inputs))?;
         let unseen = self.unseen(&problems, &data, &mut taken)?;
         // Before the first fit, so that a feature that nobody knows does not cost a long run.
         self.nothing_left_over(&data, &taken)?;
@@ -92,10 +94,9 @@ impl Prepared {
             waiting.retain(|stage| !ready.iter().any(|ready| ready.name == stage.name));
             let done = in_parallel(&ready, None, |stage| {
                 self.started(stage, tell);
-                match problems.get(&stage.name) {
-                    Some(problem) => self.fit(stage, start(stage, problem.clone(), &fits)),
-                    None => self.fit_anew(stage, &fits),
-                }
+                let mut fit = self.estimate(stage, problems.get(&stage.name), &fits)?;
+                fit.calibration.data.clone_from(&evidence[&stage.name]);
+                Ok(fit)
             });
             fits.extend(done.into_iter().collect::<Result<Vec<Fit>>>()?);
         }
@@ -137,6 +138,22 @@ impl Prepared {
             started,
             duration: clock.elapsed(),
         })
+    }
+
+    /// The result of an estimate stage; `fits` has all that it refers to.
+    fn estimate(&self, stage: &Stage, problem: Option<&Problem>, fits: &[Fit]) -> Result<Fit> {
+        let Some(problem) = problem else { return self.fit_anew(stage, fits) };
+        let estimator = self.estimators[&stage.name].clone();
+        let calibration = match stage.basis {
+            Basis::Measurements => {
+                return self.fit(stage, self.located(stage, start(stage, problem.clone(), fits))?);
+            }
+            Basis::Calibration => Ok(self.recalled[&stage.name].calibration.clone()),
+            Basis::Statement => estimator.explain(problem),
+            Basis::Estimates => estimator.combine(problem, &named(stage.reference("of"), fits)),
+        };
+        let fit = |calibration| fit_without_rows(calibration, problem.model.clone(), estimator);
+        self.located(stage, calibration.and_then(fit))
     }
 
     fn fit(&self, stage: &Stage, problem: Problem) -> Result<Fit> {
@@ -183,8 +200,73 @@ impl Prepared {
         Ok(data)
     }
 
+    /// The problems of all estimates, those of calibrations from elsewhere included.
+    fn problems(&self, data: &Datasets, taken: &mut Taken) -> Result<BTreeMap<String, Problem>> {
+        let mut problems = BTreeMap::new();
+        for stage in self.stages(Kind::Estimate).filter(has_problem) {
+            problems.insert(stage.name.clone(), self.located(stage, self.problem(stage, data, taken))?);
+        }
+        Ok(problems)
+    }
+
+    /// The rows that every estimate rests on. Refuses to count any of them twice.
+    fn evidence(
+        &self,
+        problems: &BTreeMap<String, Problem>,
+        digests: &records::Digests,
+    ) -> Result<BTreeMap<String, Vec<DataRecord>>> {
+        let mut evidence: BTreeMap<String, Vec<DataRecord>> = BTreeMap::new();
+        for stage in self.stages(Kind::Estimate) {
+            let name = &stage.name;
+            let mut all = match self.recalled.get(name) {
+                Some(recalled) => recalled.calibration.data.clone(),
+                None => problems.get(name).map_or_else(Vec::new, |problem| records::of_problem(problem, digests)),
+            };
+            for key in ["known", "of"] {
+                for earlier in stage.reference(key) {
+                    let theirs = &evidence[earlier];
+                    let shared = records::shared(&all, theirs);
+                    if !shared.is_empty() && !stage.shared_rows {
+                        let between = format!("`{name}` rests on rows on which `{earlier}` rests already");
+                        return self.located(stage, Err(records::counted_twice(&shared, &between).setting(key)));
+                    }
+                    all = records::joined(all, theirs);
+                }
+            }
+            evidence.insert(name.clone(), all);
+        }
+        Ok(evidence)
+    }
+
     /// Model and observations of an estimate.
     pub(crate) fn problem(&self, stage: &Stage, data: &Datasets, taken: &mut Taken) -> Result<Problem> {
+        let names = stage.reference("observations");
+        let model = self.built_machine(stage, data)?;
+        let sets = self.sets(names, &model, data, taken)?;
+        let plugin = self.model_plugin(stage)?;
+        match stage.parameters.as_slice() {
+            // Whatever is stated or known of the machine.
+            [] => Problem::new(&stage.name, &plugin, model, sets, &["*".to_owned()]),
+            patterns => Problem::new(&stage.name, &plugin, model, sets, patterns),
+        }
+    }
+
+    /// Name of the plugin of an estimate's model.
+    pub(crate) fn model_plugin(&self, estimate: &Stage) -> Result<String> {
+        let stage = self.machine_stage(estimate)?;
+        let recalled = self.recalled.get(&stage.name);
+        Ok(recalled.map_or_else(|| stage.plugin.clone(), |recalled| recalled.calibration.model.plugin.clone()))
+    }
+
+    /// The machine of an estimate. Where another estimate has it, it is that one's, with what its data settled.
+    fn built_machine(&self, stage: &Stage, data: &Datasets) -> Result<Arc<dyn KinematicModel>> {
+        let named = stage.reference("machine").first().or(stage.reference("of").first());
+        if let Some(name) = named {
+            let other = self.recipe_stage(name)?;
+            if other.kind == Kind::Estimate {
+                return self.built_machine(other, data);
+            }
+        }
         let names = stage.reference("observations");
         let mut used: Vec<&Dataset> = Vec::new();
         let mut ingests: Vec<&str> = Vec::new();
@@ -195,11 +277,8 @@ impl Prepared {
                 used.push(data[ingest].as_ref());
             }
         }
-        let machine = &stage.reference("machine")[0];
-        let model = self.model(stage)?.build(&used).map_err(|error| error.stage(machine))?;
-        let sets = self.sets(names, &model, data, taken)?;
-        let plugin = &self.recipe_stage(machine)?.plugin;
-        Problem::new(&stage.name, plugin, model, sets, &stage.parameters)
+        let (machine, model) = self.machine(stage)?;
+        model.build(&used).map_err(|error| error.stage(&machine.name))
     }
 
     /// What some artefact stages observe on a machine.
@@ -228,7 +307,7 @@ impl Prepared {
     /// For validators with observations of their own, by stage and estimate: these observations on the machine of the estimate.
     fn unseen(
         &self,
-        problems: &BTreeMap<&String, Problem>,
+        problems: &BTreeMap<String, Problem>,
         data: &Datasets,
         taken: &mut Taken,
     ) -> Result<BTreeMap<(&str, &str), Problem>> {
@@ -266,20 +345,30 @@ impl Prepared {
     }
 }
 
-/// Whether an estimate has a machine and observations of its own.
+/// Whether an estimate is not just another look at one that has a problem.
 pub(crate) fn has_problem(stage: &&Stage) -> bool {
-    stage.reference("of").is_empty()
+    stage.basis != Basis::Measurements || stage.reference("of").is_empty()
+}
+
+/// Whether an estimate is made of measurements of its own.
+pub(crate) fn has_rows(stage: &&Stage) -> bool {
+    !stage.reference("observations").is_empty()
+}
+
+/// The digests of input files.
+fn digests(inputs: &[InputRecord]) -> records::Digests {
+    inputs.iter().map(|input| (input.file.clone(), input.sha256.clone())).collect()
 }
 
 /// Rows of each data set that some artefact took.
 pub(crate) type Taken = BTreeMap<String, BTreeSet<usize>>;
 
 /// The problem with what it takes over from earlier estimates: start values, or values that are known.
-fn start(stage: &Stage, problem: Problem, fits: &[Fit]) -> Problem {
+fn start(stage: &Stage, problem: Problem, fits: &[Fit]) -> Result<Problem> {
     let known = named(stage.reference("known"), fits);
-    let problem = known.iter().fold(problem, |problem, fit| problem.knowing(&fit.calibration));
+    let problem = known.iter().try_fold(problem, |problem, fit| problem.knowing(&fit.calibration))?;
     let start = named(stage.reference("start"), fits);
-    start.iter().fold(problem, |problem, fit| problem.at(&problem.values_of(&fit.calibration)))
+    Ok(start.iter().fold(problem, |problem, fit| problem.at(&problem.values_of(&fit.calibration))))
 }
 
 /// A fit whose problem is another one without unknowns, with the values of the fit: what is left are errors of prediction.

@@ -18,7 +18,7 @@ use abbe_table::Cells;
 use crate::folder::write_folder;
 use crate::places::Places;
 use crate::prepare::Prepared;
-use crate::run::has_problem;
+use crate::run::has_rows;
 
 /// A recipe with simulated data, in memory.
 #[derive(Debug, Clone, PartialEq)]
@@ -70,7 +70,7 @@ impl Prepared {
         let bytes = fs::read(truth).map_err(|error| unreadable(truth, &error))?;
         let text = String::from_utf8_lossy(&bytes);
         let values = Truth::parse(truth, &text)?;
-        let programme = self.programme(self.machine(machine)?)?;
+        let programme = self.programme(self.simulated_machine(machine)?)?;
         let of_truth = |error: Error| if error.place.is_none() { error.in_file(truth) } else { error };
         let measured = measure(&programme, &values, seed).map_err(of_truth)?;
         let cells = recorded(&measured, values.noise.resolution_mm)?;
@@ -103,9 +103,10 @@ impl Prepared {
     }
 
     /// The model stage whose measurements are simulated.
-    fn machine<'a>(&'a self, wanted: Option<&'a str>) -> Result<&'a str> {
-        let estimates = self.stages(Kind::Estimate).filter(has_problem);
-        let used: BTreeSet<&str> = estimates.map(|stage| stage.reference("machine")[0].as_str()).collect();
+    fn simulated_machine<'a>(&'a self, wanted: Option<&'a str>) -> Result<&'a str> {
+        let estimates = self.stages(Kind::Estimate).filter(has_rows);
+        let used = estimates.map(|stage| Ok(self.machine_stage(stage)?.name.as_str()));
+        let used = used.collect::<Result<BTreeSet<&str>>>()?;
         let list = used.iter().copied().collect::<Vec<_>>().join(", ");
         match (wanted, used.first()) {
             (Some(wanted), _) if used.contains(wanted) => Ok(wanted),
@@ -150,9 +151,12 @@ impl Prepared {
     /// Everything that the estimates with a machine observe, every row of a file once: with the first artefact stage that
     /// takes it. Then what their artefacts take of the data that only validators judge.
     fn programme(&self, machine: &str) -> Result<Problem> {
-        let estimates = self.stages(Kind::Estimate).filter(has_problem);
-        let estimates = estimates.filter(|stage| stage.reference("machine")[0] == machine);
-        let mut observed: BTreeSet<&String> = estimates.flat_map(|stage| stage.reference("observations")).collect();
+        let mut observed: BTreeSet<&String> = BTreeSet::new();
+        for estimate in self.stages(Kind::Estimate).filter(has_rows) {
+            if self.is_of(estimate, machine)? {
+                observed.extend(estimate.reference("observations"));
+            }
+        }
         for validator in self.stages(Kind::Validate) {
             if self.judges(validator, machine)? {
                 observed.extend(validator.reference("observations"));
@@ -170,7 +174,8 @@ impl Prepared {
         }
         let stage = self.recipe_stage(machine)?;
         let used: Vec<&Dataset> = data.values().map(AsRef::as_ref).collect();
-        let model = self.located(stage, self.models[machine].build(&used))?;
+        let (_, model) = self.machine(stage)?;
+        let model = self.located(stage, model.build(&used))?;
         let mut claimed = Claimed::default();
         let (mut sets, mut combined) = (Vec::new(), Vec::new());
         for (artefact, from) in sources {
@@ -210,7 +215,7 @@ impl Prepared {
             name: machine.to_owned(),
             machine: model.nominal(),
             model,
-            model_plugin: stage.plugin.clone(),
+            model_plugin: self.model_plugin(stage)?,
             sets,
             unknowns: Vec::new(),
             inputs: Vec::new(),
@@ -230,7 +235,7 @@ impl Prepared {
         for stage in self.stages(Kind::Validate) {
             for of in stage.reference("of") {
                 let estimate = self.own_estimate(of)?;
-                if is_of(estimate, machine) {
+                if self.is_of(estimate, machine)? {
                     let from = || stage.reference("from").iter().map(String::as_str);
                     let artefacts = estimate.reference("observations");
                     judged.extend(artefacts.iter().flat_map(|name| from().map(move |from| (name.as_str(), from))));
@@ -243,17 +248,17 @@ impl Prepared {
     /// Whether a validator judges an estimate of a machine.
     fn judges(&self, validator: &Stage, machine: &str) -> Result<bool> {
         for of in validator.reference("of") {
-            if is_of(self.own_estimate(of)?, machine) {
+            if self.is_of(self.own_estimate(of)?, machine)? {
                 return Ok(true);
             }
         }
         Ok(false)
     }
-}
 
-/// Whether an estimate is one of a machine.
-fn is_of(estimate: &Stage, machine: &str) -> bool {
-    estimate.reference("machine").first().is_some_and(|name| name == machine)
+    /// Whether an estimate is one of a machine.
+    fn is_of(&self, estimate: &Stage, machine: &str) -> Result<bool> {
+        Ok(self.machine_stage(estimate)?.name == machine)
+    }
 }
 
 /// Rows of files that an artefact takes already.

@@ -57,6 +57,9 @@ impl RowsOf {
             uncertainty.pooled = Some(pooled.of_rows(layout, repeats.layout(), &residuals)?);
         }
         let mut set = ObservationSet::new(name, observations);
+        if let Some(ids) = &self.settings.id {
+            set.ids = ids.of_inputs(set.observations.inputs())?;
+        }
         set.uncertainty = Arc::new(uncertainty);
         Ok(set)
     }

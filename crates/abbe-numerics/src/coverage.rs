@@ -1,7 +1,8 @@
 //! Coverage factors: how many standard uncertainties an interval or a region takes to hold a quantity, or several at
 //! once, with a stated probability.
 
-use statrs::distribution::{Binomial, ChiSquared, ContinuousCDF, DiscreteCDF, FisherSnedecor, Normal, StudentsT};
+use statrs::distribution::{Binomial, ChiSquared, ContinuousCDF, DiscreteCDF, Normal, StudentsT};
+use statrs::function::beta::beta_reg;
 
 /// Degrees of freedom beyond which Student's quantile is the normal one with corrections.
 ///
@@ -23,7 +24,52 @@ pub fn coverage_factor(probability: f64, degrees_of_freedom: f64) -> f64 {
     if degrees_of_freedom > NEARLY_NORMAL {
         return nearly_normal(normal, degrees_of_freedom);
     }
-    StudentsT::new(0.0, 1.0, degrees_of_freedom).map_or(f64::NAN, |student| -student.inverse_cdf(tail))
+    match StudentsT::new(0.0, 1.0, degrees_of_freedom) {
+        Ok(student) => upper_quantile(tail, normal, |value| student.sf(value)),
+        Err(_) => f64::NAN,
+    }
+}
+
+/// The value that a positive quantity exceeds with probability `tail`, given its upper tail, which falls; the search starts
+/// from `start`.
+///
+/// Regula falsi (Illinois) on logarithms within a bracket. The inversions of the library that gives the tails do not end for
+/// some degrees of freedom that are no whole numbers.
+fn upper_quantile(tail: f64, start: f64, upper_tail: impl Fn(f64) -> f64) -> f64 {
+    const STEPS: usize = 200;
+    let off = |value: f64| upper_tail(value).ln() - tail.ln();
+    let (mut low, mut high) = (start.max(1e-3), start.max(1e-3));
+    let (mut at_low, mut at_high) = (off(low), off(high));
+    while at_low < 0.0 && low > f64::MIN_POSITIVE {
+        (high, at_high) = (low, at_low);
+        low *= 0.5;
+        at_low = off(low);
+    }
+    while at_high > 0.0 && high < f64::MAX {
+        (low, at_low) = (high, at_high);
+        high *= 2.0;
+        at_high = off(high);
+    }
+    for _ in 0..STEPS {
+        if high - low <= 2.0 * f64::EPSILON * high {
+            break;
+        }
+        let share = at_low / (at_low - at_high);
+        let inside = share.is_finite() && share > 0.0 && share < 1.0;
+        let middle = low + (high - low) * if inside { share } else { 0.5 };
+        let at_middle = off(middle);
+        if at_middle == 0.0 {
+            return middle;
+        }
+        if at_middle > 0.0 {
+            (low, at_low) = (middle, at_middle);
+            at_high *= 0.5;
+        } else {
+            (high, at_high) = (middle, at_middle);
+            at_low *= 0.5;
+        }
+    }
+    0.5 * (low + high)
 }
 
 /// Student's quantile from the normal one of the same probability (Abramowitz & Stegun 1964, 26.7.5).
@@ -91,12 +137,19 @@ pub fn hotelling_quantile(probability: f64, quantities: usize, degrees_of_freedo
     if degrees_of_freedom.is_infinite() {
         return chi_squared_quantile(probability, q);
     }
-    match FisherSnedecor::new(q, rest) {
-        Ok(distribution) if q <= degrees_of_freedom && (0.0..1.0).contains(&probability) => {
-            q * degrees_of_freedom / rest * distribution.inverse_cdf(probability)
+    match q > 0.0 && q <= degrees_of_freedom && is_probability(probability) {
+        true => {
+            let quantile = upper_quantile(1.0 - probability, 1.0, |value| fisher_upper_tail(value, q, rest));
+            q * degrees_of_freedom / rest * quantile
         }
-        _ => f64::NAN,
+        false => f64::NAN,
     }
+}
+
+/// Probability that F with `first` and `second` degrees of freedom is at least `value`, exact in the far tail, too
+/// (Abramowitz & Stegun 1964, 26.6.2).
+fn fisher_upper_tail(value: f64, first: f64, second: f64) -> f64 {
+    beta_reg(second / 2.0, first / 2.0, second / (second + first * value))
 }
 
 /// Probability that Hotelling's T² is at least `value`; see [`hotelling_quantile`].
@@ -108,8 +161,10 @@ pub fn hotelling_upper_tail(value: f64, quantities: usize, degrees_of_freedom: f
     if q > degrees_of_freedom {
         return f64::NAN;
     }
-    FisherSnedecor::new(q, rest)
-        .map_or(f64::NAN, |distribution| distribution.sf(value.max(0.0) * rest / (q * degrees_of_freedom)))
+    match q > 0.0 && !value.is_nan() && !degrees_of_freedom.is_nan() {
+        true => fisher_upper_tail(value.max(0.0) * rest / (q * degrees_of_freedom), q, rest),
+        false => f64::NAN,
+    }
 }
 
 /// The smallest central band of counts (both ends included) that the number of successes in `trials` independent

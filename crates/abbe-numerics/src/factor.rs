@@ -209,6 +209,14 @@ impl Whitener {
         Self(root).covariance()
     }
 
+    /// What some of the rows tell, `A^T S^T S A` with the factor S of those rows. The information of all rows together is
+    /// the identity.
+    pub fn information(&self, of_rows: &Factor) -> Information {
+        let n = self.0.nrows();
+        let root = of_rows.triangle.get(..n, ..n) * &self.0;
+        Information(root.transpose() * &root)
+    }
+
     /// Covariance `(J^T J)^-1` in the units of the unknowns, row by row, symmetric to the last bit.
     pub fn covariance(&self) -> Vec<Vec<f64>> {
         let product = &self.0 * self.0.transpose();
@@ -225,6 +233,23 @@ impl Whitener {
         }
         let white = MatRef::from_row_major_slice(rows, rows.len() / n, n) * &self.0;
         (0..white.nrows()).map(|row| (0..white.ncols()).map(|k| white[(row, k)] * white[(row, k)]).sum()).collect()
+    }
+}
+
+/// What some rows of a problem tell of its determined directions: their share of the whole.
+#[derive(Debug, Clone)]
+pub struct Information(Mat<f64>);
+
+impl Information {
+    /// How many unknowns these rows determine; the sum of their leverages.
+    pub fn trace(&self) -> f64 {
+        (0..self.0.nrows()).map(|row| self.0[(row, row)]).sum()
+    }
+
+    /// Trace of the product with what other rows tell.
+    pub fn product_trace(&self, other: &Self) -> f64 {
+        let n = self.0.nrows();
+        (0..n).map(|row| (0..n).map(|column| self.0[(row, column)] * other.0[(column, row)]).sum::<f64>()).sum()
     }
 }
 

@@ -24,7 +24,7 @@ pub use coverage::{
     hotelling_quantile, hotelling_upper_tail, joint_coverage_factor, rectangular_coverage_factor,
 };
 pub use design::{Choice, Criterion, Design, DesignFigures};
-pub use factor::{Factor, Joining, SingularValues, Spectrum, Whitener};
+pub use factor::{Factor, Information, Joining, SingularValues, Spectrum, Whitener};
 pub use gauss_newton::{End, LeastSquares, Options, Sink, Solution, solve, solve_from};
 pub use linear::{DesignMatrix, LinearFit, fit_linear};
 pub use monte_carlo::{Adaptive, Agreement, Interval, Trials, gum_agrees, least_trials, numerical_tolerance};

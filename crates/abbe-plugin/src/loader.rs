@@ -7,7 +7,9 @@ use std::io::{self, Read};
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
-use abbe_core::{Build, Constructor, Context, Error, Kind, Origin, Plugin, Provider, Registry, Result, SettingsError};
+use abbe_core::{
+    Basis, Build, Constructor, Context, Error, Kind, Origin, Plugin, Provider, Registry, Result, SettingsError,
+};
 use serde_json::Value;
 use sha2::{Digest, Sha256};
 
@@ -208,6 +210,7 @@ impl About {
             schema: Provider::Value(schema),
             example: Provider::Value(example),
             build: build(kind, create, who),
+            basis: Basis::default(),
             name: Cow::Owned(self.name),
         })
     }

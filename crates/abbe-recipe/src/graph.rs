@@ -2,7 +2,7 @@
 
 use std::collections::{BTreeMap, BTreeSet};
 
-use abbe_core::{Error, Kind};
+use abbe_core::{Basis, Error, Kind, Plugin};
 
 use crate::Head;
 use crate::document::{At, Node};
@@ -12,21 +12,31 @@ pub(crate) struct Reference {
     pub key: &'static str,
     /// The kind of stage that it takes.
     pub kind: Kind,
+    /// Another kind that it takes as well.
+    pub or: Option<Kind>,
     pub required: bool,
     /// More than one stage can be named.
     pub many: bool,
 }
 
 const fn reference(key: &'static str, kind: Kind, required: bool, many: bool) -> Reference {
-    Reference { key, kind, required, many }
+    Reference { key, kind, or: None, required, many }
 }
 
-/// The reference keys of a kind of stage.
-pub(crate) fn references(kind: Kind) -> &'static [Reference] {
+/// A machine: a model, or the one that an estimate has.
+const fn machine(required: bool) -> Reference {
+    Reference { key: "machine", kind: Kind::Model, or: Some(Kind::Estimate), required, many: false }
+}
+
+/// The reference keys of the stages of a plugin.
+pub(crate) fn references(plugin: &Plugin) -> &'static [Reference] {
     const ARTEFACT: &[Reference] =
         &[reference("from", Kind::Ingest, true, false), reference("repeats", Kind::Ingest, false, false)];
+    const MODEL: &[Reference] = &[reference("machine", Kind::Estimate, false, false)];
+    const STATEMENT: &[Reference] = &[machine(true)];
+    const ESTIMATES: &[Reference] = &[reference("of", Kind::Estimate, true, true), machine(false)];
     const ESTIMATE: &[Reference] = &[
-        reference("machine", Kind::Model, true, false),
+        machine(true),
         reference("observations", Kind::Artefact, true, true),
         reference("known", Kind::Estimate, false, false),
         reference("start", Kind::Estimate, false, false),
@@ -38,10 +48,16 @@ pub(crate) fn references(kind: Kind) -> &'static [Reference] {
         reference("observations", Kind::Artefact, false, true),
     ];
     const EXPORT: &[Reference] = &[reference("of", Kind::Estimate, true, false)];
-    match kind {
-        Kind::Ingest | Kind::Model => &[],
+    match plugin.kind() {
+        Kind::Ingest => &[],
+        Kind::Model => MODEL,
         Kind::Artefact => ARTEFACT,
-        Kind::Estimate => ESTIMATE,
+        Kind::Estimate => match plugin.basis {
+            Basis::Measurements => ESTIMATE,
+            Basis::Statement => STATEMENT,
+            Basis::Calibration => &[],
+            Basis::Estimates => ESTIMATES,
+        },
         Kind::Validate => VALIDATE,
         Kind::Export => EXPORT,
     }
@@ -50,9 +66,15 @@ pub(crate) fn references(kind: Kind) -> &'static [Reference] {
 /// The key of an estimate that looks at another one anew, and takes machine, observations and parameters from it.
 pub(crate) const ANEW: &str = "of";
 
+/// Whether a stage looks at another estimate anew.
+pub(crate) fn is_anew(stage: &Head<'_>) -> bool {
+    stage.plugin.kind() == Kind::Estimate && stage.plugin.basis == Basis::Measurements && stage.node.get(ANEW).is_some()
+}
+
 impl Reference {
     fn takes(&self) -> String {
-        let Self { key, kind, many, .. } = self;
+        let Self { key, kind, or, many, .. } = self;
+        let kind = or.map_or(kind.to_string(), |or| format!("{kind} or {or}"));
         format!(
             "`{key}` takes {} {kind} stage{}",
             if *many { "one or more" } else { "one" },
@@ -64,7 +86,7 @@ impl Reference {
     pub fn read<'a>(&self, stage: &Head<'a>, heads: &[Head<'a>]) -> Result<Vec<Node<'a>>, Error> {
         let Some(node) = stage.node.get(self.key) else {
             let missing = || stage.node.missing(&[self.key], format!("`{}` is missing: {}", self.key, self.takes()));
-            let inherits = stage.plugin.kind() == Kind::Estimate && stage.node.get(ANEW).is_some();
+            let inherits = is_anew(stage);
             return if self.required && !inherits { Err(missing()) } else { Ok(Vec::new()) };
         };
         let names = if node.value.is_array() { node.list()? } else { vec![node.clone()] };
@@ -79,7 +101,7 @@ impl Reference {
                     let fitting = heads.iter().filter(|head| head.plugin.kind() == self.kind).map(|head| head.name);
                     return Err(node.error(At::Value, format!("there is no stage `{name}`")).suggest(name, fitting));
                 }
-                Some(other) if other.plugin.kind() != self.kind => {
+                Some(other) if ![Some(self.kind), self.or].contains(&Some(other.plugin.kind())) => {
                     let kind = other.plugin.kind();
                     let article = if matches!(kind, Kind::Model | Kind::Validate) { "a" } else { "an" };
                     let message = format!("{}; `{name}` is {article} {kind} stage", self.takes());

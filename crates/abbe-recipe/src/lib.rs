@@ -14,7 +14,7 @@ mod tests;
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
-use abbe_core::{Error, Kind, PathItem, Place, Planning, Plugin, Registry, SettingsError, nearest, path_text};
+use abbe_core::{Basis, Error, Kind, PathItem, Place, Planning, Plugin, Registry, SettingsError, nearest, path_text};
 use serde_json::{Map, Value};
 
 use document::{At, Document, Node};
@@ -22,7 +22,11 @@ pub use schema::schema;
 use sets::Sets;
 
 /// The keys of an artefact stage that are the same for all artefact plugins ([`abbe_core::InputUncertainty`]).
-const INPUT_UNCERTAINTY: [&str; 2] = ["uncertainty", "pooled"];
+const INPUT_UNCERTAINTY: [&str; 3] = ["uncertainty", "pooled", "id"];
+
+/// The key of an estimate that may use rows which went into what it knows already, and the only thing that it says.
+const SHARED_ROWS: &str = "shared_rows";
+const ACCEPTED: &str = "accepted";
 
 /// How long an isolated plugin may be silent unless the recipe says otherwise, s.
 const TIME_LIMIT_S: f64 = 60.0;
@@ -56,6 +60,8 @@ pub struct Recipe {
     pub plan: Option<Planning>,
     document: Document,
     origins: BTreeMap<String, Origin>,
+    /// The keys of every stage that its plugin does not see.
+    taken: BTreeMap<String, Vec<&'static str>>,
 }
 
 /// One stage.
@@ -67,6 +73,8 @@ pub struct Stage {
     pub kind: Kind,
     /// The plugin that does the work.
     pub plugin: String,
+    /// What an estimate is made of.
+    pub basis: Basis,
     /// The plugin's settings, an object; a model's file is merged in.
     pub settings: Value,
     /// What an estimate estimates: patterns of names, sets expanded. Empty for other kinds, and for an estimate that looks at
@@ -74,6 +82,8 @@ pub struct Stage {
     pub parameters: Vec<String>,
     /// What is said of the uncertainty of an artefact's rows, an object; the same for all artefact plugins.
     pub input_uncertainty: Value,
+    /// Whether an estimate may use rows again that went into what it knows already.
+    pub shared_rows: bool,
     /// The names of stages under each reference key, as in the recipe.
     pub references: BTreeMap<String, Vec<String>>,
     /// The YAML files that were merged in.
@@ -138,8 +148,9 @@ impl Recipe {
         let heads = heads(&root, registry)?;
         let mut ready = Vec::new();
         let mut nodes = Vec::new();
-        let mut origins = BTreeMap::new();
+        let (mut origins, mut taken) = (BTreeMap::new(), BTreeMap::new());
         for head in &heads {
+            taken.insert(head.name.to_owned(), head.taken());
             let (stage, origin, named) = head.read(&heads, &sets, &base).map_err(|error| error.stage(head.name))?;
             ready.push(Some(stage));
             nodes.push(named);
@@ -157,6 +168,7 @@ impl Recipe {
             plan: None,
             document,
             origins,
+            taken,
         };
         recipe.plan = recipe.planning()?;
         Ok(recipe)
@@ -230,9 +242,8 @@ impl Recipe {
     /// The nearest key that a plugin cannot suggest, since the recipe takes it away before the plugin sees it.
     fn reference_near(&self, stage: &str, error: &SettingsError) -> Option<String> {
         let ([PathItem::Key(key)], true) = (error.path.as_slice(), error.key) else { return None };
-        let kind = self.stages.iter().find(|other| other.name == stage)?.kind;
-        let file = (kind == Kind::Model).then_some("file");
-        let near = nearest(key, graph::references(kind).iter().map(|reference| reference.key).chain(file))?;
+        let taken = self.taken.get(stage)?;
+        let near = nearest(key, taken.iter().copied())?;
         Some(format!("did you mean `{near}`?"))
     }
 
@@ -369,12 +380,24 @@ fn plugin<'a>(stage: &Node<'_>, registry: &'a Registry) -> Result<&'a Plugin, Er
 }
 
 impl<'a> Head<'a> {
+    /// The keys that the plugin does not see.
+    fn taken(&self) -> Vec<&'static str> {
+        let own: &[&'static str] = match self.plugin.kind() {
+            Kind::Model => &["file"],
+            Kind::Artefact => &INPUT_UNCERTAINTY,
+            Kind::Estimate => &[SHARED_ROWS],
+            _ => &[],
+        };
+        graph::references(self.plugin).iter().map(|reference| reference.key).chain(own.iter().copied()).collect()
+    }
+
     /// The stage, where its settings come from, and the places of its references.
     fn read(&self, heads: &[Self], sets: &Sets<'a>, base: &Path) -> Result<(Stage, Origin, Vec<Node<'a>>), Error> {
         let kind = self.plugin.kind();
         let mut references = BTreeMap::new();
         let mut nodes = Vec::new();
-        for reference in graph::references(kind) {
+        let known = graph::references(self.plugin);
+        for reference in known {
             let named = reference.read(self, heads)?;
             let names: Vec<String> = named.iter().filter_map(|node| node.value.as_str()).map(str::to_owned).collect();
             if !names.is_empty() {
@@ -385,9 +408,10 @@ impl<'a> Head<'a> {
         let mut settings = Map::new();
         let mut input_uncertainty = Map::new();
         let mut parameters = Vec::new();
+        let mut shared_rows = false;
         let mut origin = Origin { file: None, parameters: Vec::new() };
         for (key, node) in self.node.map()? {
-            if key == kind.key() || graph::references(kind).iter().any(|reference| reference.key == key) {
+            if key == kind.key() || known.iter().any(|reference| reference.key == key) {
                 continue;
             }
             if kind == Kind::Model && key == "file" {
@@ -396,19 +420,29 @@ impl<'a> Head<'a> {
                 let patterns = sets.expand(None, node.list()?)?;
                 parameters = patterns.iter().filter_map(|pattern| pattern.value.as_str()).map(str::to_owned).collect();
                 origin.parameters = patterns.into_iter().map(|pattern| pattern.path).collect();
+            } else if kind == Kind::Estimate && key == SHARED_ROWS {
+                if node.text()? != ACCEPTED {
+                    return Err(node.error(At::Value, format!("`{ACCEPTED}` was expected, or nothing")));
+                }
+                shared_rows = true;
             } else if kind == Kind::Artefact && INPUT_UNCERTAINTY.contains(&key) {
                 input_uncertainty.insert(key.to_owned(), node.value.clone());
             } else {
                 settings.insert(key.to_owned(), node.value.clone());
             }
         }
-        let anew = self.node.get(graph::ANEW).is_some();
-        if kind == Kind::Estimate && anew {
+        if graph::is_anew(self) {
             for key in ["machine", "observations", "parameters", "known", "start"] {
                 if let Some(node) = self.node.get(key) {
                     let message = format!("`{key}` comes from the estimate that `{}` names", graph::ANEW);
                     return Err(node.error(At::Key, message));
                 }
+            }
+        } else if kind == Kind::Estimate && self.plugin.basis != Basis::Measurements {
+            let takes_parameters = self.plugin.basis == Basis::Estimates;
+            if let Some(node) = self.node.get("parameters").filter(|_| !takes_parameters) {
+                let message = format!("`{}` estimates nothing: it takes what it is given", self.plugin.name);
+                return Err(node.error(At::Key, message));
             }
         } else if kind == Kind::Estimate && parameters.is_empty() {
             return Err(self.node.error(At::Key, "the setting `parameters` is missing: what is to be estimated?"));
@@ -420,7 +454,20 @@ impl<'a> Head<'a> {
         let files = origin.file.iter().map(|file| file.file.clone()).collect();
         let (name, plugin) = (self.name.to_owned(), self.plugin.name.to_string());
         let input_uncertainty = Value::Object(input_uncertainty);
-        Ok((Stage { name, kind, plugin, settings, parameters, input_uncertainty, references, files }, origin, nodes))
+        let basis = self.plugin.basis;
+        let stage = Stage {
+            name,
+            kind,
+            plugin,
+            basis,
+            settings,
+            parameters,
+            input_uncertainty,
+            shared_rows,
+            references,
+            files,
+        };
+        Ok((stage, origin, nodes))
     }
 
     /// The settings in the file of a model. Keys that the plugin does not know are notes, unless they look like a

@@ -1,6 +1,6 @@
 //! The JSON Schema of recipes, for editors.
 
-use abbe_core::{InputUncertainty, Kind, Planning, Plugin, Registry};
+use abbe_core::{Basis, InputUncertainty, Kind, Planning, Plugin, Registry};
 use serde_json::{Map, Value, json};
 
 use crate::graph::{ANEW, references};
@@ -69,12 +69,12 @@ fn stage(plugin: &Plugin) -> Value {
     let mut properties = Map::new();
     properties.insert(kind.key().to_owned(), json!({ "const": plugin.name, "description": plugin.about }));
     let mut required = vec![json!(kind.key())];
-    for reference in references(kind) {
+    for reference in references(plugin) {
         let list = json!({ "type": "array", "items": { "type": "string" }, "uniqueItems": true });
         let one = json!({ "type": "string" });
         let name = if reference.many { json!({ "oneOf": [one, list] }) } else { one };
         properties.insert(reference.key.to_owned(), name);
-        if reference.required && kind != Kind::Estimate {
+        if reference.required && (kind != Kind::Estimate || plugin.basis != Basis::Measurements) {
             required.push(json!(reference.key));
         }
     }
@@ -84,11 +84,16 @@ fn stage(plugin: &Plugin) -> Value {
     {
         properties.extend(common.clone());
     }
-    if kind == Kind::Estimate {
+    if kind == Kind::Estimate && matches!(plugin.basis, Basis::Measurements | Basis::Estimates) {
         let description = "What is estimated: names, patterns with ? and *, sets as \"@S1\"";
         let patterns =
             json!({ "type": "array", "items": { "type": "string" }, "minItems": 1, "description": description });
         properties.insert("parameters".to_owned(), patterns);
+        let description = "`accepted`: rows may be used again that went into what is known already";
+        let accepted = json!({ "const": crate::ACCEPTED, "description": description });
+        properties.insert(crate::SHARED_ROWS.to_owned(), accepted);
+    }
+    if kind == Kind::Estimate && plugin.basis == Basis::Measurements {
         // An estimate of its own, or a new look at another one.
         let own = json!({ "required": ["machine", "observations", "parameters"] });
         settings.insert("anyOf".to_owned(), json!([own, { "required": [ANEW] }]));

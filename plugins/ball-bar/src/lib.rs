@@ -138,8 +138,9 @@ fn bars(settings: &Settings, used: &[&str], unknowns: &mut Vec<Parameter>, input
                 Bar::Unknown { own: unknowns.len() - 1, nominal }
             }
             Lengths::Known => {
-                let standard_uncertainty = settings.length_standard_uncertainty_um * 1e-3;
-                inputs.push(KnownInput { parameter, value: nominal, standard_uncertainty, shared: false });
+                let uncertainty = settings.length_standard_uncertainty_um * 1e-3;
+                let content = format!("ball bar {label}: {nominal:e} mm, u = {uncertainty:e} mm");
+                inputs.push(KnownInput::new(parameter, nominal, uncertainty).certified("length", content));
                 Bar::Known { input: inputs.len() - 1 }
             }
         }
@@ -198,12 +199,8 @@ impl Artefact for BallBar {
         let mut inputs = Vec::new();
         let aligned = self.settings.tool_ball_standard_uncertainty_um * 1e-3;
         if aligned > 0.0 {
-            inputs.extend(TOOL_BALL.map(|name| KnownInput {
-                parameter: Parameter { name: name.to_owned(), unit: Unit::MM },
-                value: 0.0,
-                standard_uncertainty: aligned,
-                shared: true,
-            }));
+            let parameter = |name: &str| Parameter { name: name.to_owned(), unit: Unit::MM };
+            inputs.extend(TOOL_BALL.map(|name| KnownInput::new(parameter(name), 0.0, aligned).shared()));
         }
         let bars = bars(&self.settings, &used_bars, &mut unknowns, &mut inputs);
         let observed = Observed {

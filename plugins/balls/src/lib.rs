@@ -229,12 +229,9 @@ impl Artefact for Balls {
                 unknowns.push(Parameter { name: format!("ball[{}].{own}", ball.label), unit: Unit::MM });
             }
         }
-        let mut inputs = vec![KnownInput {
-            parameter: Parameter { name: "stylus_radius".to_owned(), unit: Unit::MM },
-            value: model.stylus_radius(),
-            standard_uncertainty: self.settings.stylus_radius_standard_uncertainty_um * 1e-3,
-            shared: true,
-        }];
+        let radius = Parameter { name: "stylus_radius".to_owned(), unit: Unit::MM };
+        let of_radius = self.settings.stylus_radius_standard_uncertainty_um * 1e-3;
+        let mut inputs = vec![KnownInput::new(radius, model.stylus_radius(), of_radius).shared()];
         let mut distances = Vec::new();
         for distance in &self.settings.distances {
             let find = |label: &Label| {
@@ -246,13 +243,12 @@ impl Artefact for Balls {
             };
             let [from, to] = &distance.between;
             distances.push((find(from)?, find(to)?));
-            layout.push_constraint(&[distance.standard_uncertainty_um * 1e-3]);
-            inputs.push(KnownInput {
-                parameter: Parameter { name: format!("length[{}-{}]", from.0, to.0), unit: Unit::MM },
-                value: distance.length_mm,
-                standard_uncertainty: 0.0, // It is the uncertainty of the equation that uses it.
-                shared: false,
-            });
+            let (length, uncertainty) = (distance.length_mm, distance.standard_uncertainty_um * 1e-3);
+            layout.push_constraint(&[uncertainty]);
+            let name = format!("length[{}-{}]", from.0, to.0);
+            let content = format!("distance of balls {} and {}: {length:e} mm, u = {uncertainty:e} mm", from.0, to.0);
+            let parameter = Parameter { name: name.clone(), unit: Unit::MM };
+            inputs.push(KnownInput::new(parameter, length, uncertainty).certified(name, content));
         }
         let rows = if self.settings.centres_by.is_some() { Rows::Centres } else { self.settings.rows };
         Ok(Arc::new(Touches {

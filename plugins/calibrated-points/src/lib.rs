@@ -244,12 +244,14 @@ impl Artefact for CalibratedPoints {
         });
         let inputs = touched.features.iter().flat_map(|&point| {
             let label = &points.labels[point];
-            ERRORS[..3].iter().map(move |own| KnownInput {
+            let uncertainty = self.settings.calibration_standard_uncertainty_um * 1e-3;
+            let [x, y, z] = <[f64; 3]>::from(points.items[point]);
+            let content = format!("point {label}: {x:e}, {y:e}, {z:e} mm, u = {uncertainty:e} mm");
+            ERRORS[..3].iter().map(move |own| {
                 // Added to the calibrated coordinate: zero unless the calibration is off.
-                parameter: named(format!("point[{label}].{own}"), Quantity::Length),
-                value: 0.0,
-                standard_uncertainty: self.settings.calibration_standard_uncertainty_um * 1e-3,
-                shared: false,
+                let parameter = named(format!("point[{label}].{own}"), Quantity::Length);
+                let quantity = parameter.name.clone();
+                KnownInput::new(parameter, 0.0, uncertainty).certified(quantity, &content)
             })
         });
         Ok(Arc::new(Measured {

@@ -213,12 +213,9 @@ impl Artefact for Facets {
         let facets: Vec<Facet> = touched.features.iter().map(|&facet| nominal[facet].clone()).collect();
         let unknowns =
             facets.iter().map(|facet| Parameter { name: format!("facet[{}].d", facet.label), unit: Unit::MM });
-        let radius = KnownInput {
-            parameter: Parameter { name: "stylus_radius".to_owned(), unit: Unit::MM },
-            value: model.stylus_radius(),
-            standard_uncertainty: self.settings.stylus_radius_standard_uncertainty_um * 1e-3,
-            shared: true,
-        };
+        let radius = Parameter { name: "stylus_radius".to_owned(), unit: Unit::MM };
+        let uncertainty = self.settings.stylus_radius_standard_uncertainty_um * 1e-3;
+        let radius = KnownInput::new(radius, model.stylus_radius(), uncertainty).shared();
         Ok(Arc::new(Touches { layout, unknowns: unknowns.collect(), inputs: vec![radius], facets, facet_of_row }))
     }
 

@@ -63,13 +63,22 @@ impl Propagation {
         let whitener = factor.whitener(rank);
         let scatters = problem.scatters();
         let repeated = |set: usize| scatters.iter().any(|scatter| scatter.sets.contains(&set));
+        // What a certificate states weighs as a row, but its uncertainty is that of the input which states it.
+        let constraints = problem.constraints();
+        let constrained = constraints.contains(&true);
         let mut parts = Vec::new();
         let stated = |input: String, covariance| Part { input, covariance, stated: true, degrees_of_freedom };
-        if !split && scatters.is_empty() {
+        if !split && scatters.is_empty() && !constrained {
             parts.push(stated("rows".to_owned(), whitener.covariance()));
         } else {
             let ranges = problem.equation_ranges();
-            let factors = Weighted::new(problem)?.factors(x, kept, &ranges)?;
+            let scatter = |(equation, constraint): (usize, &bool)| match (constraint, kept) {
+                (true, _) => 0.0,
+                (false, kept) => kept.map_or(1.0, |kept| kept[equation]),
+            };
+            let scattering: Option<Vec<f64>> =
+                constrained.then(|| constraints.iter().enumerate().map(scatter).collect());
+            let factors = Weighted::new(problem)?.factors(x, scattering.as_deref().or(kept), &ranges)?;
             for (index, (set, factor)) in problem.sets.iter().zip(&factors).enumerate() {
                 if !repeated(index) {
                     parts.push(stated(set.name.clone(), whitener.part(factor)));

@@ -21,7 +21,7 @@ use serde_json::{Value, json};
 
 use covariance::{Place, Propagation};
 use identifiability::{confounded, identifiability, separated, weakest};
-use result::{Spread, outliers};
+use result::{Constraints, Spread, outliers};
 use select::{Select, reduced};
 
 inventory::submit! {
@@ -257,20 +257,21 @@ impl GaussNewton {
         }
         let residuals = problem.residuals(&solution.x)?;
         let in_uncertainties = weighted.in_uncertainties(residuals.clone());
+        let constraints = Constraints::new(&judged, &solution.x, &factor.whitener(found.rank))?;
         let spread = Spread::new(
             &residuals,
             &problem.quantities(),
             &in_uncertainties,
             solution.robust.as_ref(),
             self.robust(),
-            rank,
+            (rank, &constraints),
         );
         let place =
             Place { problem: &judged, x: &solution.x, kept: kept.as_deref(), factor: &factor, rank: found.rank };
         let propagation = Propagation::new(&place, self.scale(&spread), explained)?;
         // Who estimates again without some rows asks for values and predictions, and may well use up all rows.
         let told = explained && !self.settings.trust_uncertainties;
-        if spread.degrees_of_freedom == 0 && told && propagation.is_scaled() {
+        if spread.redundancy == 0.0 && told && propagation.is_scaled() {
             return Err(Error::data(format!(
                 "the data leave no degrees of freedom ({} equations for {rank} unknowns): the scatter of the residuals says nothing",
                 spread.used
@@ -302,6 +303,7 @@ impl GaussNewton {
             weakest: if explained { weakest(problem, &factor.spectrum(), found.rank) } else { Vec::new() },
             selection: None,
             same_motion: if explained { same_motion(problem)? } else { Vec::new() },
+            agreement: None,
         };
         let mut calibration = problem.calibration(&solution.x, propagation.covariance(problem), outliers, fit);
         calibration.uncertainty = explained.then(|| propagation.budget(problem, self.settings.coverage_probability));
@@ -310,9 +312,9 @@ impl GaussNewton {
 
     /// The a-posteriori factor on stated uncertainties, and its degrees of freedom.
     fn scale(&self, spread: &Spread) -> (f64, f64) {
-        match self.settings.trust_uncertainties || spread.degrees_of_freedom == 0 {
+        match self.settings.trust_uncertainties || spread.redundancy == 0.0 {
             true => (1.0, f64::INFINITY),
-            false => (spread.sigma, spread.degrees_of_freedom as f64),
+            false => (spread.sigma, spread.redundancy),
         }
     }
 

@@ -1,15 +1,49 @@
 //! What the residuals of a solution tell: their scatter, outliers.
 
-use abbe_core::{Outlier, Problem, Quantity};
-use abbe_numerics::{Robust, RobustReport};
+use abbe_core::{Outlier, Problem, Quantity, Result};
+use abbe_identifiability::Weighted;
+use abbe_numerics::{Robust, RobustReport, Whitener};
 
 /// How the residuals scatter.
 pub struct Spread {
+    /// Equations that take part, constraints included.
     pub used: usize,
+    /// Their number less the rank.
     pub degrees_of_freedom: usize,
+    /// What of that belongs to the readings: constraints do not scatter.
+    pub redundancy: f64,
+    /// The a-posteriori factor on the stated uncertainties of the readings.
     pub sigma: f64,
     pub lengths: Sizes,
     pub angles: Sizes,
+}
+
+/// A redundancy below this is rounding: whole ones are lost to it by 1e-10 at most.
+const LEAST_REDUNDANCY: f64 = 1e-6;
+
+/// The equations of a problem that are constraints: what certificates state.
+#[derive(Default)]
+pub struct Constraints {
+    equations: Vec<bool>,
+    /// How many of the unknowns' directions they determine beside the readings: the trace of their part of the hat matrix.
+    told: f64,
+}
+
+impl Constraints {
+    /// The constraints of a problem; `whitener` is of all its rows at x.
+    pub fn new(problem: &Problem, x: &[f64], whitener: &Whitener) -> Result<Self> {
+        let equations = problem.constraints();
+        if !equations.contains(&true) {
+            return Ok(Self::default());
+        }
+        let alone: Vec<f64> = equations.iter().map(|constraint| f64::from(*constraint)).collect();
+        let told = whitener.information(&Weighted::new(problem)?.factor(x, Some(&alone))?).trace();
+        Ok(Self { equations, told })
+    }
+
+    fn is_one(&self, equation: usize) -> bool {
+        self.equations.get(equation).copied().unwrap_or(false)
+    }
 }
 
 /// How large residuals are, mm or rad; zero where there are none.
@@ -39,32 +73,36 @@ impl Spread {
     /// (1981, section 7.6): the mean square of the influence over the square of its mean slope, with his correction for
     /// the number of unknowns.
     ///
-    /// `quantities` says which residuals are lengths and which angles; `weighted` are the residuals in units of their uncertainties, uncorrelated.
+    /// `quantities` says which residuals are lengths and which angles; `weighted` are the residuals in units of their
+    /// uncertainties, uncorrelated. Constraints take part as rows, but they tell nothing of the scatter of readings.
     pub fn new(
         residuals: &[f64],
         quantities: &[Quantity],
         weighted: &[f64],
         report: Option<&RobustReport>,
         robust: Option<Robust>,
-        rank: usize,
+        (rank, constraints): (usize, &Constraints),
     ) -> Self {
         let used: Vec<usize> =
             (0..residuals.len()).filter(|&row| report.is_none_or(|report| report.weights[row] > 0.0)).collect();
-        let count = used.len();
-        let degrees_of_freedom = count.saturating_sub(rank);
-        let free = degrees_of_freedom.max(1) as f64;
+        let readings: Vec<usize> = used.iter().copied().filter(|&row| !constraints.is_one(row)).collect();
+        let count = readings.len();
+        let degrees_of_freedom = used.len().saturating_sub(rank);
+        let told = rank as f64 - constraints.told;
+        let redundancy = count as f64 - told;
         let influence = |row: usize| {
             let weight = report.map_or(1.0, |report| report.weights[row]);
             (weight * weighted[row]).powi(2)
         };
-        let mean_square = used.iter().map(|&row| influence(row)).sum::<f64>() / free;
+        let free = if redundancy > LEAST_REDUNDANCY { redundancy } else { 1.0 };
+        let mean_square = readings.iter().map(|&row| influence(row)).sum::<f64>() / free;
         let correction = match (report, robust) {
             (Some(report), Some(robust)) if count > 0 => {
                 let slopes: Vec<f64> =
-                    used.iter().map(|&row| robust.influence_slope(report.studentised[row])).collect();
+                    readings.iter().map(|&row| robust.influence_slope(report.studentised[row])).collect();
                 let mean = slopes.iter().sum::<f64>() / count as f64;
                 let variance = slopes.iter().map(|slope| (slope - mean).powi(2)).sum::<f64>() / count as f64;
-                (1.0 + rank as f64 / count as f64 * variance / mean.powi(2)) / mean
+                (1.0 + told / count as f64 * variance / mean.powi(2)) / mean
             }
             _ => 1.0,
         };
@@ -72,8 +110,9 @@ impl Spread {
             used.iter().partition(|&&row| quantities[row] == Quantity::Angle);
         let sizes = |rows: &[usize]| Sizes::of(&rows.iter().map(|&row| residuals[row]).collect::<Vec<_>>());
         Self {
-            used: count,
+            used: used.len(),
             degrees_of_freedom,
+            redundancy: if redundancy > LEAST_REDUNDANCY { redundancy } else { 0.0 },
             sigma: mean_square.sqrt() * correction,
             lengths: sizes(&lengths),
             angles: sizes(&angles),

@@ -201,13 +201,11 @@ impl Measured {
         for row in 0..data.rows() {
             let name = of_bar(bars, row, "reference_error");
             let known = self.inputs.iter().position(|input| input.parameter.name == name).unwrap_or_else(|| {
-                self.inputs.push(KnownInput {
-                    // Added to the reference: zero unless the calibration is off.
-                    parameter: Parameter { name, unit: Unit::MM },
-                    value: 0.0,
-                    standard_uncertainty: settings.reference_standard_uncertainty_um * 1e-3,
-                    shared: false,
-                });
+                // Added to the reference: zero unless the calibration is off.
+                let parameter = Parameter { name, unit: Unit::MM };
+                let uncertainty = settings.reference_standard_uncertainty_um * 1e-3;
+                let content = self.certificate(bars, row, uncertainty);
+                self.inputs.push(KnownInput::new(parameter, 0.0, uncertainty).certified("reference_error", content));
                 self.inputs.len() - 1
             });
             self.calibrations.push(known);
@@ -225,11 +223,9 @@ impl Measured {
         };
         let excess = temperatures.iter().map(|temperature| temperature - REFERENCE_TEMPERATURE).collect();
         self.excess = Some((self.inputs.len(), excess));
-        let known = |name: &str, of, value, standard_uncertainty| KnownInput {
-            parameter: Parameter { name: name.to_owned(), unit: Unit { of, per: None } },
-            value,
-            standard_uncertainty,
-            shared: false,
+        let known = |name: &str, of, value, standard_uncertainty| {
+            let parameter = Parameter { name: name.to_owned(), unit: Unit { of, per: None } };
+            KnownInput::new(parameter, value, standard_uncertainty)
         };
         self.inputs.extend([
             known(
@@ -241,6 +237,15 @@ impl Measured {
             known("temperature_error", Quantity::Temperature, 0.0, expansion.temperature_standard_uncertainty_K),
         ]);
         Ok(())
+    }
+
+    /// What the certificate of the bar of a row says: its label and the lengths that it has.
+    fn certificate(&self, bars: Option<&[String]>, row: usize, uncertainty: f64) -> String {
+        let of_bar = |other: &usize| bars.is_none_or(|bars| bars[*other] == bars[row]);
+        let mut lengths: Vec<f64> = (0..self.references.len()).filter(of_bar).map(|row| self.references[row]).collect();
+        lengths.sort_by(f64::total_cmp);
+        lengths.dedup();
+        format!("bar {}: {lengths:?} mm, u = {uncertainty:e} mm", bars.map_or("", |bars| &bars[row]))
     }
 
     /// The known length of a row, and its derivatives to known inputs.

@@ -64,6 +64,11 @@ impl<'a> Draws<'a> {
         for set in scatters.iter().flat_map(|scatter| &scatter.sets) {
             independent[ranges[*set].clone()].fill(0.0);
         }
+        // What a certificate states is drawn as the input that states it.
+        for (uncertainty, _) in independent.iter_mut().zip(problem.constraints()).filter(|(_, constraint)| *constraint)
+        {
+            *uncertainty = 0.0;
+        }
         let mut blocks = Vec::new();
         for block in problem.covariance_blocks() {
             if block.equations.iter().all(|&equation| independent[equation] == 0.0) {
@@ -247,8 +252,12 @@ fn residuals(fit: &Fit, problem: &Problem, scale: f64) -> Result<Vec<Vec<f64>>> 
     };
     let mut sets = vec![Vec::new(); problem.sets.len()];
     let rows = problem.equation_rows();
-    for ((residual, uncertainty), (set, row)) in all.iter().zip(problem.standard_uncertainties()).zip(rows) {
-        if !outlier(set, row) {
+    let constraints = problem.constraints();
+    let rows = rows.into_iter().zip(constraints);
+    for ((residual, uncertainty), ((set, row), constraint)) in
+        all.iter().zip(problem.standard_uncertainties()).zip(rows)
+    {
+        if !outlier(set, row) && !constraint {
             sets[set].push(residual / uncertainty / scale * inflation);
         }
     }

@@ -148,12 +148,7 @@ fn problem(seed: u64, kind: Rows) -> Problem {
     for row in 0..ROWS {
         layout.push(model.as_ref(), row, &[uncertainty(&mut random)]).unwrap();
     }
-    let input = KnownInput {
-        parameter: Parameter { name: "scale".to_owned(), unit: Unit::MM },
-        value: 0.0,
-        standard_uncertainty: 5e-4,
-        shared: false,
-    };
+    let input = KnownInput::new(Parameter { name: "scale".to_owned(), unit: Unit::MM }, 0.0, 5e-4);
     let readings = Readings {
         readings: (0..ROWS).map(|_| random.normal()).collect(),
         factors: (0..ROWS).map(|_| random.normal()).collect(),

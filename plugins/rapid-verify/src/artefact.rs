@@ -90,12 +90,8 @@ impl Artefact for ProbedPoints {
         }
         let unknowns =
             facets.iter().map(|facet| Parameter { name: format!("facet[{}].d", facet.facet), unit: Unit::MM });
-        let radius = KnownInput {
-            parameter: Parameter { name: "stylus_radius".to_owned(), unit: Unit::MM },
-            value: model.stylus_radius(),
-            standard_uncertainty: 0.0,
-            shared: true,
-        };
+        let radius = Parameter { name: "stylus_radius".to_owned(), unit: Unit::MM };
+        let radius = KnownInput::new(radius, model.stylus_radius(), 0.0).shared();
         Ok(Arc::new(Touches { layout, unknowns: unknowns.collect(), inputs: vec![radius], facets, points }))
     }
 

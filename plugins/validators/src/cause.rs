@@ -71,6 +71,10 @@ impl Validate for Cause {
         Vec::new()
     }
 
+    fn questions_rows(&self) -> bool {
+        true
+    }
+
     fn validate(&self, fits: &[&Fit], _: &[&Dataset]) -> Result<Findings> {
         let mut findings = Findings::default();
         for fit in fits {

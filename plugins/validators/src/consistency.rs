@@ -1,8 +1,8 @@
 //! Validator `consistency`: whether calibrations from independent data agree within their uncertainties.
 //!
-//! The difference d of the parameters that two fits have estimated has the covariance `C = C1 + C2`, and `d^T C^-1 d` is a
-//! chi-squared quantity whose degrees of freedom are the number of nonzero eigenvalues of C (as in Soons 1993, equations
-//! A.11 to A.15).
+//! The difference d of the parameters that two fits have estimated has the covariance `C = C1 + C2 - C12 - C21`, and
+//! `d^T C^-1 d` is a chi-squared quantity whose degrees of freedom are the number of nonzero eigenvalues of C (as in Soons
+//! 1993, equations A.11 to A.15). C12 comes from the inputs that both share: a bar, a stylus, a certificate.
 
 use std::collections::BTreeSet;
 use std::path::Path;
@@ -86,7 +86,7 @@ impl Validate for Consistency {
 impl Consistency {
     fn judge(&self, first: &Fit, other: &Fit, findings: &mut Findings) -> Result<()> {
         let common = self.common(first, other, findings)?;
-        let difference = Difference::new(first, other, &common);
+        let difference = Difference::new(first, other, &common)?;
         let Test { chi_squared, degrees_of_freedom, exact } = difference.test();
         let is_compared = |name: &str| common.iter().any(|(one, _)| one.name == name);
         let freedom = |fit: &Fit| fit.calibration.degrees_of_freedom(is_compared);
@@ -130,6 +130,11 @@ impl Consistency {
                 "{between}: they differ in a direction in which neither of them has an uncertainty, so that \
                  chi-squared is infinite"
             ));
+        }
+        let inputs = first.calibration.shared_inputs(&other.calibration)?;
+        let inputs: Vec<&str> = inputs.iter().map(|(one, _)| one.name.as_str()).collect();
+        if !inputs.is_empty() {
+            findings.remarks.push(format!("{between}: both share the errors of {}", listed(&inputs)));
         }
         let shared: Vec<String> =
             files(&first.problem).intersection(&files(&other.problem)).map(|file| file.display().to_string()).collect();
@@ -205,8 +210,18 @@ fn files(problem: &Problem) -> BTreeSet<&Path> {
 struct Difference {
     /// Other less first, parameter units.
     values: Vec<f64>,
-    /// Its covariance, the sum of both.
+    /// Its covariance.
     covariance: DMatrix<f64>,
+    /// The variances of both together, beside which rounding in the covariance is judged.
+    variances: Vec<f64>,
+}
+
+/// Names for people, not too many.
+fn listed(names: &[&str]) -> String {
+    const SHOWN: usize = 6;
+    let more = names.len().saturating_sub(SHOWN);
+    let shown = names[..names.len() - more].join(", ");
+    if more > 0 { format!("{shown} and {more} more") } else { shown }
 }
 
 /// What chance says to a difference.
@@ -219,28 +234,47 @@ struct Test {
 }
 
 impl Difference {
-    fn new(first: &Fit, other: &Fit, common: &[(&Estimated, &Estimated)]) -> Self {
+    fn new(first: &Fit, other: &Fit, common: &[(&Estimated, &Estimated)]) -> Result<Self> {
         let size = common.len();
-        let of = |fit: &Fit| {
-            let covariance = &fit.calibration.covariance;
-            let place = |name: &str| covariance.order.iter().position(|other| other == name);
-            let places: Vec<Option<usize>> = common.iter().map(|(one, _)| place(&one.name)).collect();
+        let places = |fit: &Fit| -> Vec<Option<usize>> {
+            let order = &fit.calibration.covariance.order;
+            common.iter().map(|(one, _)| order.iter().position(|other| *other == one.name)).collect()
+        };
+        let (of_first, of_other) = (places(first), places(other));
+        let of = |fit: &Fit, places: &[Option<usize>]| {
+            let rows = &fit.calibration.covariance.rows;
             DMatrix::from_fn(size, size, |row, column| match (places[row], places[column]) {
-                (Some(row), Some(column)) => covariance.rows[row][column],
+                (Some(row), Some(column)) => rows[row][column],
                 _ => 0.0,
             })
         };
+        let mut covariance = of(first, &of_first) + of(other, &of_other);
+        let variances = covariance.diagonal().iter().copied().collect();
+        for (one, two) in first.calibration.shared_inputs(&other.calibration)? {
+            let of = |sensitivities: &[f64], places: &[Option<usize>]| {
+                DVector::from_iterator(size, places.iter().map(|place| place.map_or(0.0, |place| sensitivities[place])))
+            };
+            let (one, other) = (of(&one.sensitivities, &of_first), of(&two.sensitivities, &of_other));
+            let shared = one * other.transpose() * two.standard_uncertainty.powi(2);
+            covariance -= &shared + shared.transpose();
+        }
         let values = common.iter().map(|(one, two)| {
             let difference = two.value - one.value;
             // What rounding leaves of equal values is no difference.
             if difference.abs() > 1e-12 * one.value.abs().max(two.value.abs()) { difference } else { 0.0 }
         });
-        Self { values: values.collect(), covariance: of(first) + of(other) }
+        Ok(Self { values: values.collect(), covariance, variances })
+    }
+
+    /// The variance of a difference; zero where only rounding is left of it.
+    fn variance(&self, index: usize) -> f64 {
+        let variance = self.covariance[(index, index)];
+        if variance > ZERO * self.variances[index] { variance } else { 0.0 }
     }
 
     /// The differences in their standard uncertainties; infinite where there is no uncertainty.
     fn normalised(&self) -> Vec<f64> {
-        let normalised = |(index, value): (usize, &f64)| match (*value, self.covariance[(index, index)]) {
+        let normalised = |(index, value): (usize, &f64)| match (*value, self.variance(index)) {
             (0.0, _) => 0.0,
             (value, variance) => value / variance.max(0.0).sqrt(),
         };
@@ -250,8 +284,7 @@ impl Difference {
     /// Chi-squared with the pseudo-inverse of the covariance, scaled to unit diagonal.
     fn test(&self) -> Test {
         let normalised = self.normalised();
-        let certain: Vec<usize> =
-            (0..self.values.len()).filter(|&index| self.covariance[(index, index)] <= 0.0).collect();
+        let certain: Vec<usize> = (0..self.values.len()).filter(|&index| self.variance(index) <= 0.0).collect();
         let uncertain: Vec<usize> = (0..self.values.len()).filter(|index| !certain.contains(index)).collect();
         let mut exact = certain.iter().any(|&index| normalised[index] != 0.0);
         let size = uncertain.len();
@@ -263,7 +296,9 @@ impl Difference {
         let (mut chi_squared, mut degrees_of_freedom) = (0.0, 0);
         if size > 0 {
             let eigen = correlation.symmetric_eigen();
-            let zero = ZERO * eigen.eigenvalues.max();
+            // What cancels in the covariance leaves rounding of the size of what cancelled.
+            let cancelled = uncertain.iter().map(|&index| self.variances[index] / self.variance(index));
+            let zero = ZERO * cancelled.fold(eigen.eigenvalues.max(), f64::max);
             for (value, vector) in eigen.eigenvalues.iter().zip(eigen.eigenvectors.column_iter()) {
                 let along = vector.dot(&difference).powi(2);
                 if *value > zero {

@@ -81,6 +81,10 @@ impl Validate for GeometricBias {
         vec![("rows", self.settings.rows.clone())]
     }
 
+    fn questions_rows(&self) -> bool {
+        true
+    }
+
     fn validate(&self, fits: &[&Fit], _: &[&Dataset]) -> Result<Findings> {
         let mut figures = Vec::new();
         for fit in fits {

@@ -61,6 +61,10 @@ impl Validate for HoldOut {
         vec![("rows", self.settings.rows.clone())]
     }
 
+    fn questions_rows(&self) -> bool {
+        true
+    }
+
     fn validate(&self, fits: &[&Fit], _: &[&Dataset]) -> Result<Findings> {
         let mut findings = Findings::default();
         for fit in fits {

@@ -75,6 +75,10 @@ impl Validate for Influence {
         Vec::new()
     }
 
+    fn questions_rows(&self) -> bool {
+        true
+    }
+
     fn validate(&self, fits: &[&Fit], _: &[&Dataset]) -> Result<Findings> {
         let mut found = Findings::default();
         for fit in fits {

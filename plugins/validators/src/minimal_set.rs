@@ -76,6 +76,10 @@ impl Validate for MinimalSet {
         Vec::new()
     }
 
+    fn questions_rows(&self) -> bool {
+        true
+    }
+
     fn validate(&self, fits: &[&Fit], _: &[&Dataset]) -> Result<Findings> {
         let mut found = Findings::default();
         for fit in fits {

@@ -77,6 +77,10 @@ impl Validate for Repeats {
         Vec::new()
     }
 
+    fn questions_rows(&self) -> bool {
+        true
+    }
+
     fn validate(&self, fits: &[&Fit], _: &[&Dataset]) -> Result<Findings> {
         let mut findings = Findings::default();
         let mut units: Vec<String> = Vec::new();

@@ -67,6 +67,10 @@ impl Validate for Residuals {
         true
     }
 
+    fn questions_rows(&self) -> bool {
+        true
+    }
+
     fn validate(&self, fits: &[&Fit], _: &[&Dataset]) -> Result<Findings> {
         let mut findings = Findings::default();
         for fit in fits {

@@ -1,8 +1,9 @@
 //! Proves coverage factors against the tables of the GUM and its second supplement, closed forms and direct sums.
 
 use abbe_numerics::{
-    binomial_band, chi_squared_quantile, chi_squared_upper_tail, coverage_factor, effective_degrees_of_freedom,
-    joint_coverage_factor, rectangular_coverage_factor, two_sided_normal,
+    Generator, binomial_band, chi_squared_quantile, chi_squared_upper_tail, coverage_factor,
+    effective_degrees_of_freedom, hotelling_quantile, hotelling_upper_tail, joint_coverage_factor,
+    rectangular_coverage_factor, two_sided_normal,
 };
 
 fn close(found: f64, expected: f64, tolerance: f64) {
@@ -198,4 +199,28 @@ fn the_squared_distance_of_a_found_covariance_is_wider_than_chi_squared() {
     assert!(joint_coverage_factor(16, 0.95, 15.0).is_nan());
     // Student's t with 15 degrees of freedom at 1 - 0.05 / 10 / 2.
     assert!((rectangular_coverage_factor(10, 0.95, 15.0) - 3.286).abs() < 1e-3);
+}
+
+#[test]
+fn quantiles_are_found_whatever_the_degrees_of_freedom() {
+    // Degrees of freedom of sums (Welch-Satterthwaite) are no whole numbers; those of 92 and rounding once did not end.
+    let mut random = Generator::new(11, 0);
+    for case in 0..4000 {
+        let whole = 1.0 + (case % 300) as f64;
+        let freedom = whole * [1.0, 1.0 + 1e-12, 1.0 + 1e-15, 1.0 + 0.3 * random.uniform().abs()][case % 4];
+        let probability = [0.5, 0.95, 0.9987, 1.0 - 1e-6][case / 4 % 4];
+        let factor = coverage_factor(probability, freedom);
+        let quantities = 1 + case % 7;
+        let squared = hotelling_quantile(probability, 1, freedom);
+        assert!(
+            (squared.sqrt() / factor - 1.0).abs() < 1e-9,
+            "{freedom} at {probability}: {factor}, {}",
+            squared.sqrt()
+        );
+        if quantities as f64 <= freedom {
+            let region = hotelling_quantile(probability, quantities, freedom);
+            let tail = hotelling_upper_tail(region, quantities, freedom);
+            assert!((tail / (1.0 - probability) - 1.0).abs() < 1e-6, "{quantities} of {freedom}: {tail}");
+        }
+    }
 }

@@ -109,6 +109,8 @@ fn fit(values: &[f64]) -> Fit {
         parameters: values.iter().enumerate().map(estimated).collect(),
         artefacts: Vec::new(),
         covariance: Covariance::default(),
+        inputs: None,
+        data: Vec::new(),
         outliers: Vec::new(),
         fit: FitReport {
             observations: 0,
@@ -129,6 +131,7 @@ fn fit(values: &[f64]) -> Fit {
             weakest: Vec::new(),
             selection: None,
             same_motion: Vec::new(),
+            agreement: None,
         },
         uncertainty: None,
         monte_carlo: None,

@@ -1,0 +1,335 @@
+//! What a problem does not estimate but counts: known inputs, and what an earlier estimate knows.
+
+use serde::{Deserialize, Serialize};
+
+use crate::calibration::{Calibration, ConsideredInput};
+use crate::error::{Error, Result};
+use crate::identity::Certificate;
+use crate::model::{KinematicModel, Parameter};
+use crate::observations::{Equations, PoseValues};
+use crate::problem::{ObservationSet, Owner, Problem, Unknown};
+use crate::unit::Unit;
+
+/// A known input of a problem, with everybody who uses it.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct Input {
+    /// Name in results: `bar.reference_error`, or `stylus_radius` where it is the machine's.
+    pub name: String,
+    /// Who it is: inputs of one identity are one quantity, in whichever estimate.
+    #[serde(default)]
+    pub identity: String,
+    /// Unit of its value.
+    #[serde(default = "length")]
+    pub unit: Unit,
+    /// Its value where nobody here uses it.
+    #[serde(default)]
+    pub stated: f64,
+    /// Its standard uncertainty, in the unit of its value.
+    pub standard_uncertainty: f64,
+    /// (set, index among the known inputs of its observations). Nobody, if only an earlier estimate hangs on it.
+    pub users: Vec<(usize, usize)>,
+}
+
+fn length() -> Unit {
+    Unit::MM
+}
+
+impl Input {
+    /// Its value.
+    pub fn value(&self, sets: &[ObservationSet]) -> f64 {
+        self.users.first().map_or(self.stated, |&(set, input)| sets[set].inputs[input])
+    }
+}
+
+/// What is not estimated but whose uncertainty counts: known inputs, and what an earlier calibration knows.
+#[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
+pub struct Considered {
+    /// The parameters.
+    pub unknowns: Vec<Unknown>,
+    /// Their covariance, in their units.
+    pub covariance: Vec<Vec<f64>>,
+    /// For each the name under which budgets list its contribution: its own, or that of the earlier estimate.
+    pub sources: Vec<String>,
+    /// The identity of each that is an input: inputs are independent of each other. None for what was estimated from
+    /// them.
+    #[serde(default)]
+    pub identities: Vec<Option<String>>,
+}
+
+impl Considered {
+    /// Takes out those of what this problem alone considers (so independent of all others) that `taken` takes.
+    fn take(&mut self, taken: impl Fn(&Unknown) -> bool) {
+        let stays: Vec<usize> = (0..self.unknowns.len())
+            .filter(|&index| self.sources[index] != self.unknowns[index].name || !taken(&self.unknowns[index]))
+            .collect();
+        *self = Self {
+            unknowns: stays.iter().map(|&index| self.unknowns[index].clone()).collect(),
+            covariance: stays
+                .iter()
+                .map(|&row| stays.iter().map(|&column| self.covariance[row][column]).collect())
+                .collect(),
+            sources: stays.iter().map(|&index| self.sources[index].clone()).collect(),
+            identities: stays.iter().map(|&index| self.identities.get(index).cloned().flatten()).collect(),
+        };
+    }
+
+    /// Adds an input: it is correlated with nothing that is there.
+    fn push_input(&mut self, unknown: Unknown, identity: String, standard_uncertainty: f64) {
+        let source = unknown.name.clone();
+        self.extend(vec![(unknown, Some(identity))], &[vec![standard_uncertainty.powi(2)]], &source);
+    }
+
+    /// Adds parameters that are correlated with each other, but not with those that are there.
+    fn extend(&mut self, more: Vec<(Unknown, Option<String>)>, covariance: &[Vec<f64>], source: &str) {
+        let (before, count) = (self.unknowns.len(), more.len());
+        self.covariance.iter_mut().for_each(|row| row.extend(std::iter::repeat_n(0.0, count)));
+        for row in covariance {
+            self.covariance.push([&vec![0.0; before], row.as_slice()].concat());
+        }
+        self.sources.extend(std::iter::repeat_n(source.to_owned(), count));
+        let (unknowns, identities): (Vec<_>, Vec<_>) = more.into_iter().unzip();
+        self.unknowns.extend(unknowns);
+        self.identities.extend(identities);
+    }
+}
+
+impl ObservationSet {
+    /// Who a known input is: by its declared `id`, or by what its certificate says.
+    pub fn identity(&self, input: usize) -> String {
+        let certificate = self.observations.inputs()[input].certificate();
+        match self.ids.get(input).and_then(Option::as_deref) {
+            Some(id) => certificate.declared(id),
+            None => certificate.identity(),
+        }
+    }
+}
+
+/// The known inputs of some sets, and those of them that are uncertain.
+///
+/// Inputs of one identity are one quantity; so are those that are the machine's and have one name, unless different ids
+/// are declared for them.
+pub(crate) fn inputs(sets: &[ObservationSet]) -> Result<(Vec<Input>, Considered)> {
+    let mut inputs: Vec<Input> = Vec::new();
+    let mut shared: Vec<Option<&str>> = Vec::new();
+    for (set, observations) in sets.iter().enumerate() {
+        for (index, input) in observations.observations.inputs().iter().enumerate() {
+            let own = input.parameter.name.as_str();
+            // What is exact shares no error.
+            let identity = match input.standard_uncertainty > 0.0 {
+                true => observations.identity(index),
+                false => String::new(),
+            };
+            let declared = observations.ids.get(index).is_some_and(Option::is_some);
+            let same = |(place, other): (usize, &Input)| {
+                let one = input.standard_uncertainty > 0.0 && other.identity == identity;
+                let (user, of_user) = other.users[0];
+                let another =
+                    declared && sets[user].ids.get(of_user).is_some_and(Option::is_some) && other.identity != identity;
+                one || (input.shared && shared[place] == Some(own) && !another)
+            };
+            if let Some(place) = inputs.iter().enumerate().position(same) {
+                let other = &mut inputs[place];
+                agree(other, observations.inputs[index], input.standard_uncertainty, sets, observations)?;
+                other.users.push((set, index));
+                if declared {
+                    other.identity = identity;
+                }
+                continue;
+            }
+            let taken = |name: &str| inputs.iter().any(|other| other.name == name);
+            let name = match input.shared && !taken(own) {
+                true => own.to_owned(),
+                false => format!("{}.{own}", observations.name),
+            };
+            shared.push(input.shared.then_some(own));
+            inputs.push(Input {
+                name,
+                identity,
+                unit: input.parameter.unit,
+                stated: input.value,
+                standard_uncertainty: input.standard_uncertainty,
+                users: vec![(set, index)],
+            });
+        }
+    }
+    let mut considered = Considered::default();
+    for (index, input) in inputs.iter().enumerate().filter(|(_, input)| input.standard_uncertainty > 0.0) {
+        let unknown = Unknown { name: input.name.clone(), unit: input.unit, owner: Owner::Input, index };
+        considered.push_input(unknown, input.identity.clone(), input.standard_uncertainty);
+    }
+    Ok((inputs, considered))
+}
+
+/// Refuses one quantity with two values, or two standard uncertainties.
+fn agree(known: &Input, value: f64, uncertainty: f64, sets: &[ObservationSet], of: &ObservationSet) -> Result<()> {
+    let (user, _) = known.users[0];
+    let what = match (known.standard_uncertainty == uncertainty, known.value(sets) == value) {
+        (true, true) => return Ok(()),
+        (false, _) => "standard uncertainties",
+        (true, false) => "values",
+    };
+    Err(Error::usage(format!(
+        "`{}` is one quantity ({}), but `{}` and `{}` give it different {what}",
+        known.name, known.identity, sets[user].name, of.name
+    ))
+    .help("state the same one in both, or give what are two things an `id` each"))
+}
+
+/// Adds the parameters of a model that are known from elsewhere and not chosen.
+pub(crate) fn consider_parameters(considered: &mut Considered, model: &dyn KinematicModel, chosen: &[Unknown]) {
+    let all = model.parameters().iter().zip(model.nominal_uncertainties()).zip(model.nominal()).enumerate();
+    for (index, ((Parameter { name, unit }, uncertainty), value)) in all {
+        let is_chosen = chosen.iter().any(|unknown| unknown.owner == Owner::Machine && unknown.index == index);
+        if uncertainty > 0.0 && !is_chosen {
+            let unknown = Unknown { name: name.clone(), unit: *unit, owner: Owner::Machine, index };
+            let content = format!("{name} = {value:e} {unit}, u = {uncertainty:e} {unit}");
+            considered.push_input(unknown, Certificate::new(name, content).identity(), uncertainty);
+        }
+    }
+}
+
+/// Refuses constraints that hang on no uncertain input: what a certificate states would be without uncertainty.
+pub(crate) fn check_constraints(set: &ObservationSet) -> Result<()> {
+    let rows = &set.observations.layout().rows;
+    let none = PoseValues { positions: &[], orientations: &[] };
+    for row in (0..rows.len()).filter(|&row| rows[row].data_row.is_none() && rows[row].poses == 0) {
+        let mut equations = Equations::default();
+        set.observations.try_evaluate(&[row], none, &set.own, &set.inputs, &mut equations)?;
+        let uncertain = |input: usize| set.observations.inputs()[input].standard_uncertainty > 0.0;
+        let stated = |equation| equations.by_input().iter().any(|&(of, input, _)| of == equation && uncertain(input));
+        if !(0..rows[row].equations).all(stated) {
+            let message = "a constraint of this artefact hangs on no known input that has an uncertainty";
+            return Err(Error::data(message)
+                .help(
+                    "its plugin has to give what the certificate states as a known input with its standard uncertainty",
+                )
+                .stage(&set.name));
+        }
+    }
+    Ok(())
+}
+
+impl Problem {
+    /// The same problem with what a calibration knows: its values hold, those that are chosen here start from them, and the
+    /// covariance of the others counts.
+    ///
+    /// Inputs of the calibration stay inputs here: one that this problem uses, too, is counted once, with its correlation to
+    /// what the calibration knows. Fails where the two state it differently.
+    pub fn knowing(&self, calibration: &Calibration) -> Result<Self> {
+        let mut problem = self.starting_from(calibration);
+        let order = &calibration.covariance.order;
+        let records = calibration.inputs.as_deref().unwrap_or_default();
+        let identity = |name: &str| records.iter().find(|record| record.name == name).map(|it| it.identity.clone());
+        let chosen = |name: &str| self.unknowns.iter().any(|chosen| chosen.name == name);
+        let (mut known, mut places) = (Vec::new(), Vec::new());
+        let parameters = self.candidates();
+        for unknown in parameters.into_iter().filter(|unknown| !chosen(&unknown.name)) {
+            let Some(place) = order.iter().position(|name| *name == unknown.name) else { continue };
+            let identity = identity(&unknown.name);
+            known.push((unknown, identity));
+            places.push(place);
+        }
+        for (place, name) in order.iter().enumerate() {
+            let record = match calibration.inputs {
+                Some(_) => records.iter().find(|record| record.name == *name),
+                None => None,
+            };
+            let unknown = match record {
+                // Known to this machine, too, and taken above; or estimated here from now on.
+                _ if places.contains(&place) || chosen(name) => continue,
+                Some(record) => problem.input_of(record, &calibration.estimate)?,
+                // A file without identities: the same name is all there is.
+                None => match self.inputs.iter().position(|input| input.name == *name) {
+                    Some(index) => {
+                        Unknown { name: name.clone(), unit: self.inputs[index].unit, owner: Owner::Input, index }
+                    }
+                    None => continue,
+                },
+            };
+            let identity = Some(problem.inputs[unknown.index].identity.clone());
+            known.push((unknown, identity));
+            places.push(place);
+        }
+        problem.considered.take(|unknown| {
+            known.iter().any(|(known, _)| (known.owner, known.index) == (unknown.owner, unknown.index))
+        });
+        let rows = &calibration.covariance.rows;
+        let entry = |row: usize| places.iter().map(|&column| rows[row][column]).collect();
+        let covariance: Vec<Vec<f64>> = places.iter().map(|&row| entry(row)).collect();
+        problem.considered.extend(known, &covariance, &calibration.estimate);
+        Ok(problem)
+    }
+
+    /// Considers an input of other estimates; `estimate` tells its name from others where that is needed.
+    pub fn consider(&mut self, record: &ConsideredInput, estimate: &str) -> Result<()> {
+        let unknown = self.input_of(record, estimate)?;
+        self.considered.take(|other| (other.owner, other.index) == (unknown.owner, unknown.index));
+        self.considered.push_input(unknown, record.identity.clone(), record.standard_uncertainty);
+        Ok(())
+    }
+
+    /// Everything that could be estimated here.
+    fn candidates(&self) -> Vec<Unknown> {
+        candidates(self.model.as_ref(), &self.sets)
+    }
+
+    /// The input of an earlier estimate: one that this problem has, or a new one that nobody here uses.
+    fn input_of(&mut self, record: &ConsideredInput, estimate: &str) -> Result<Unknown> {
+        let uncertain = |input: &&Input| input.standard_uncertainty > 0.0 && input.identity == record.identity;
+        if let Some(input) = self.inputs.iter().find(uncertain) {
+            let own = ConsideredInput {
+                name: input.name.clone(),
+                identity: input.identity.clone(),
+                value: input.value(&self.sets),
+                unit: input.unit.to_string(),
+                standard_uncertainty: input.standard_uncertainty,
+                sensitivities: Vec::new(),
+            };
+            own.agrees_with(record)?;
+            let index = self.inputs.iter().position(|other| other.name == input.name).unwrap_or_default();
+            return Ok(Unknown { name: input.name.clone(), unit: input.unit, owner: Owner::Input, index });
+        }
+        let taken = |name: &str| {
+            let names = self.candidates().into_iter().map(|unknown| unknown.name);
+            names.chain(self.inputs.iter().map(|input| input.name.clone())).any(|other| other == name)
+        };
+        let name = match taken(&record.name) {
+            true => format!("{estimate}:{}", record.name),
+            false => record.name.clone(),
+        };
+        let unit = record.unit.parse().map_err(|error| Error::data(format!("`{name}`: {error}")))?;
+        let index = self.inputs.len();
+        self.inputs.push(Input {
+            name: name.clone(),
+            identity: record.identity.clone(),
+            unit,
+            stated: record.value,
+            standard_uncertainty: record.standard_uncertainty,
+            users: Vec::new(),
+        });
+        Ok(Unknown { name, unit, owner: Owner::Input, index })
+    }
+}
+
+/// The parameters of a model and the own unknowns of some sets, in this order.
+pub(crate) fn candidates(model: &dyn KinematicModel, sets: &[ObservationSet]) -> Vec<Unknown> {
+    let machine = model.parameters().iter().enumerate();
+    let mut candidates: Vec<Unknown> = machine
+        .map(|(index, Parameter { name, unit })| Unknown {
+            name: name.clone(),
+            unit: *unit,
+            owner: Owner::Machine,
+            index,
+        })
+        .collect();
+    for (set, observations) in sets.iter().enumerate() {
+        let own = observations.observations.unknowns().iter().enumerate();
+        candidates.extend(own.map(|(index, parameter)| Unknown {
+            name: format!("{}.{}", observations.name, parameter.name),
+            unit: parameter.unit,
+            owner: Owner::Set(set),
+            index,
+        }));
+    }
+    candidates
+}

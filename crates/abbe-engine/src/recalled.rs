@@ -1,0 +1,120 @@
+//! Calibrations that were made elsewhere: read before anything runs, with the model that each brings.
+
+use std::sync::Arc;
+
+use abbe_core::{
+    Calibration, Class, Error, Estimate, Fit, Kind, KinematicModel, Model, PathItem, Problem, Registry, Result,
+    SettingsError, Status, Unknown,
+};
+use abbe_recipe::Stage;
+use serde_json::Value;
+
+use crate::prepare::{Prepared, build_model};
+
+/// A calibration that was made elsewhere.
+pub(crate) struct Recalled {
+    pub calibration: Calibration,
+    pub model: Box<dyn Model>,
+}
+
+impl Recalled {
+    /// Reads the calibration of a stage and builds its model.
+    pub fn new(stage: &Stage, estimator: &dyn Estimate, registry: &Registry) -> Result<Self> {
+        let found = || {
+            let mut calibration = estimator.recall()?;
+            calibration.estimate.clone_from(&stage.name);
+            let plugin = registry.find(Kind::Model, &calibration.model.plugin);
+            let plugin = plugin.map_err(|error| Error::data(format!("the model of this calibration: {error}")))?;
+            let model = build_model(plugin, &calibration.model.settings)?;
+            Ok(Self { calibration, model })
+        };
+        // Nothing has to run for this to be found out.
+        found().map_err(|error: Error| Error { class: Class::Use, ..error })
+    }
+}
+
+/// How many entries the lists of some settings have that were there before: (key, number).
+pub(crate) type Before = Vec<(String, usize)>;
+
+/// An error about merged settings as one about those of the stage itself.
+pub(crate) fn own_place(mut error: SettingsError, before: &Before) -> SettingsError {
+    if let [PathItem::Key(key), PathItem::Index(index), ..] = error.path.as_slice()
+        && let Some((_, count)) = before.iter().find(|(list, _)| list == key)
+    {
+        match index.checked_sub(*count) {
+            Some(own) => error.path[1] = PathItem::Index(own),
+            None => error.path.truncate(1),
+        }
+    }
+    error
+}
+
+impl Prepared {
+    /// The settings of a model stage. With `machine` they are added to those of the machine that an estimate has: lists get
+    /// longer (`errors`), all else replaces what was there.
+    pub(crate) fn model_settings(&self, stage: &Stage) -> Result<(Value, Before)> {
+        let Some(name) = stage.reference("machine").first() else { return Ok((stage.settings.clone(), Vec::new())) };
+        let located = |error: Error| self.recipe.locate(error.stage(&stage.name));
+        let source = self.machine_stage(self.recipe_stage(name)?).map_err(located)?;
+        let (plugin, settings) = match self.recalled.get(&source.name) {
+            Some(recalled) => (&recalled.calibration.model.plugin, recalled.calibration.model.settings.clone()),
+            None => (&source.plugin, self.model_settings(source)?.0),
+        };
+        if *plugin != stage.plugin {
+            let message = format!("the machine of `{name}` is a `{plugin}`, this one a `{}`", stage.plugin);
+            return Err(located(Error::usage(message).setting("machine")));
+        }
+        let mut before = Vec::new();
+        Ok((added(settings, &stage.settings, &mut before), before))
+    }
+}
+
+/// Settings with more added to them.
+fn added(mut settings: Value, more: &Value, before: &mut Before) -> Value {
+    let (Value::Object(own), Value::Object(more)) = (&mut settings, more) else { return more.clone() };
+    for (key, value) in more {
+        match (own.get_mut(key), value) {
+            (Some(Value::Array(list)), Value::Array(more)) => {
+                before.push((key.clone(), list.len()));
+                list.extend(more.iter().cloned());
+            }
+            (Some(Value::Object(_)), Value::Object(_)) => {
+                let old = own.get_mut(key).map(Value::take).unwrap_or_default();
+                own.insert(key.clone(), merged(old, value));
+            }
+            _ => drop(own.insert(key.clone(), value.clone())),
+        }
+    }
+    settings
+}
+
+/// Maps are merged, anything else of `over` replaces what is `under` it.
+fn merged(under: Value, over: &Value) -> Value {
+    match (under, over) {
+        (Value::Object(mut under), Value::Object(over)) => {
+            for (key, value) in over {
+                let old = under.get_mut(key).map(Value::take).unwrap_or_default();
+                under.insert(key.clone(), merged(old, value));
+            }
+            Value::Object(under)
+        }
+        (_, over) => over.clone(),
+    }
+}
+
+/// The fit of a calibration that no rows of this recipe were solved for. Its problem has the values of the calibration,
+/// and as unknowns what it has estimated of the machine.
+pub(crate) fn fit_without_rows(
+    calibration: Calibration,
+    model: Arc<dyn KinematicModel>,
+    estimator: Arc<dyn Estimate>,
+) -> Result<Fit> {
+    let (name, plugin) = (calibration.estimate.clone(), calibration.model.plugin.clone());
+    let problem = Problem::new(&name, &plugin, model, Vec::new(), &["*".to_owned()])?;
+    let estimated = |unknown: &Unknown| {
+        let found = calibration.parameters.iter().find(|parameter| parameter.name == unknown.name);
+        found.is_some_and(|parameter| matches!(parameter.status, Status::Estimated | Status::Confounded))
+    };
+    let problem = problem.without(|unknown| !estimated(unknown)).starting_from(&calibration);
+    Ok(Fit { name, problem: Arc::new(problem), estimator, calibration })
+}

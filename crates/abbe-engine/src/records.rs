@@ -1,0 +1,126 @@
+//! Which rows of which files an estimate rests on, so that no measurement counts twice.
+
+use std::collections::{BTreeMap, BTreeSet};
+
+use abbe_core::{DataRecord, Error, Problem};
+
+/// SHA-256 of the files that a recipe reads, by the file as it is named.
+pub(crate) type Digests = BTreeMap<String, String>;
+
+/// The rows that a problem uses.
+pub(crate) fn of_problem(problem: &Problem, digests: &Digests) -> Vec<DataRecord> {
+    let mut rows: BTreeMap<String, BTreeSet<usize>> = BTreeMap::new();
+    for set in &problem.sets {
+        let layout = set.observations.layout();
+        let data = &layout.data;
+        let own = set.rows.iter().filter_map(|&row| layout.rows[row].data_row);
+        for row in own.chain(layout.merged.iter().copied()) {
+            let origin = &data.origins[row];
+            rows.entry(data.files[origin.file].display().to_string()).or_default().insert(origin.row);
+        }
+    }
+    let record = |(file, rows): (String, BTreeSet<usize>)| DataRecord {
+        sha256: digests.get(&file).cloned(),
+        rows: runs(rows),
+        file,
+    };
+    rows.into_iter().map(record).collect()
+}
+
+/// Numbers as first and last of each run of successive ones.
+fn runs(rows: impl IntoIterator<Item = usize>) -> Vec<[usize; 2]> {
+    let mut runs: Vec<[usize; 2]> = Vec::new();
+    for row in rows {
+        match runs.last_mut() {
+            Some(last) if last[1] + 1 == row => last[1] = row,
+            _ => runs.push([row, row]),
+        }
+    }
+    runs
+}
+
+/// Whether two records are of one file: what it holds decides, not what it is called.
+fn same_file(one: &DataRecord, other: &DataRecord) -> bool {
+    match (&one.sha256, &other.sha256) {
+        (Some(one), Some(other)) => one == other,
+        _ => one.file == other.file,
+    }
+}
+
+fn rows(record: &DataRecord) -> impl Iterator<Item = usize> + '_ {
+    record.rows.iter().flat_map(|&[first, last]| first..=last)
+}
+
+/// What both lists have: rows of files as the first list names them.
+pub(crate) fn shared(one: &[DataRecord], other: &[DataRecord]) -> Vec<DataRecord> {
+    let mut shared = Vec::new();
+    for record in one {
+        let theirs: BTreeSet<usize> = other.iter().filter(|it| same_file(record, it)).flat_map(rows).collect();
+        let both = runs(rows(record).filter(|row| theirs.contains(row)));
+        if !both.is_empty() {
+            shared.push(DataRecord { rows: both, ..record.clone() });
+        }
+    }
+    shared
+}
+
+/// All rows of both lists.
+pub(crate) fn joined(mut one: Vec<DataRecord>, other: &[DataRecord]) -> Vec<DataRecord> {
+    for record in other {
+        match one.iter_mut().find(|it| same_file(it, record)) {
+            Some(known) => {
+                let all: BTreeSet<usize> = rows(known).chain(rows(record)).collect();
+                known.rows = runs(all);
+            }
+            None => one.push(record.clone()),
+        }
+    }
+    one
+}
+
+/// Most runs of rows that an error names of a file.
+const NAMED: usize = 6;
+
+/// The error for rows that would count twice.
+pub(crate) fn counted_twice(shared: &[DataRecord], between: &str) -> Error {
+    let of_file = |record: &DataRecord| {
+        let runs = record.rows.iter().take(NAMED).map(|[first, last]| match first == last {
+            true => first.to_string(),
+            false => format!("{first} to {last}"),
+        });
+        let more = if record.rows.len() > NAMED { ", ..." } else { "" };
+        format!("{} rows {}{more}", record.file, runs.collect::<Vec<_>>().join(", "))
+    };
+    let rows: Vec<String> = shared.iter().map(of_file).collect();
+    Error::usage(format!("{between}: what they tell would count twice: {}", rows.join("; ")))
+        .help("estimate all at once, observe other rows, or write `shared_rows: accepted` where that does no harm")
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn record(file: &str, sha256: Option<&str>, rows: &[[usize; 2]]) -> DataRecord {
+        DataRecord { file: file.to_owned(), sha256: sha256.map(str::to_owned), rows: rows.to_vec() }
+    }
+
+    #[test]
+    fn rows_are_the_same_where_the_content_is() {
+        let one = [record("a.csv", Some("1"), &[[1, 10], [20, 20]]), record("b.csv", None, &[[1, 2]])];
+        let other = [record("copy.csv", Some("1"), &[[8, 12], [20, 30]]), record("b.csv", Some("2"), &[[2, 2]])];
+        assert_eq!(
+            shared(&one, &other),
+            [record("a.csv", Some("1"), &[[8, 10], [20, 20]]), record("b.csv", None, &[[2, 2]])]
+        );
+        assert_eq!(shared(&one, &[record("a.csv", Some("3"), &[[1, 10]])]), []);
+        let all = joined(one.to_vec(), &other);
+        assert_eq!(all, [record("a.csv", Some("1"), &[[1, 12], [20, 30]]), record("b.csv", None, &[[1, 2]])]);
+    }
+
+    #[test]
+    fn the_rows_are_named() {
+        let shared = [record("a.csv", None, &[[8, 10], [20, 20]])];
+        let error = counted_twice(&shared, "`fit-B` uses rows that `fit-A` used");
+        assert!(error.message.ends_with("would count twice: a.csv rows 8 to 10, 20"), "{error}");
+    }
+}
