@@ -620,6 +620,22 @@ impl Calibration {
         if rows.len() != size || rows.iter().any(|row| row.len() != size) {
             return Err(Error::data(format!("the covariance is not {size} x {size} as its names promise")));
         }
+        for input in self.inputs.iter().flatten() {
+            let ConsideredInput { name, value, unit, standard_uncertainty, sensitivities, .. } = input;
+            unit.parse::<Unit>().map_err(|error| Error::data(format!("`{name}`: {error}")))?;
+            if !(value.is_finite()
+                && *standard_uncertainty > 0.0
+                && sensitivities.iter().all(|value| value.is_finite()))
+            {
+                return Err(Error::data(format!(
+                    "the input `{name}` has a number that is not finite, or no uncertainty"
+                )));
+            }
+            if sensitivities.len() != size {
+                let given = sensitivities.len();
+                return Err(Error::data(format!("the input `{name}` has {given} sensitivities for {size} values")));
+            }
+        }
         let entries = || (0..size).flat_map(|row| (0..row).map(move |column| (row, column)));
         if let Some((row, column)) = entries().find(|&(row, column)| rows[row][column] != rows[column][row]) {
             let (one, other) = (&order[row], &order[column]);

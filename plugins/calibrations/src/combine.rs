@@ -311,8 +311,15 @@ fn agreement(known: &[Known<'_>], combined: &Combined<'_>) -> (CombinedAgreement
     }
     let probability =
         if degrees_of_freedom == 0 { 1.0 } else { chi_squared_upper_tail(chi_squared, degrees_of_freedom as f64) };
-    let size = |row: usize| if scaled[(row, row)] > zero { off[row].abs() / scaled[(row, row)].sqrt() } else { 0.0 };
-    let worst = (0..stacked).max_by(|&one, &other| size(one).total_cmp(&size(other))).unwrap_or_default();
+    // Where one difference makes all others, all are off by as much: the one with the largest share of its uncertainty is it.
+    let size = |row: usize| match scaled[(row, row)] > zero {
+        true => (off[row].abs() / scaled[(row, row)].sqrt() * 1e3).round(),
+        false => 0.0,
+    };
+    let order = |&one: &usize, &other: &usize| {
+        size(one).total_cmp(&size(other)).then(scaled[(one, one)].total_cmp(&scaled[(other, other)]))
+    };
+    let worst = (0..stacked).max_by(order).unwrap_or_default();
     (CombinedAgreement { chi_squared, degrees_of_freedom, probability }, worst)
 }
 

@@ -35,6 +35,8 @@ pub struct Draws<'a> {
     known: Vec<f64>,
     neglected: Vec<(Unknown, Distribution, f64)>,
     lobing: Vec<Pretravel>,
+    /// The root of the covariance of a calibration that brings no rows: all that can be drawn of it.
+    stated: Option<DMatrix<f64>>,
 }
 
 /// Considered parameters that are correlated, with the root of their covariance.
@@ -109,8 +111,20 @@ impl<'a> Draws<'a> {
             known,
             neglected,
             lobing,
+            stated: stated(settings, fit)?,
         };
         Ok(draws)
+    }
+
+    /// The estimate of one trial, followed by what is considered in it; `solve` gives the values of a problem.
+    pub fn trial(&self, generator: &mut Generator, solve: impl Fn(&Problem) -> Result<Vec<f64>>) -> Result<Vec<f64>> {
+        if let Some(root) = &self.stated {
+            let numbers = DVector::from_fn(root.ncols(), |_, _| generator.normal());
+            let changes = root * numbers;
+            return Ok(self.problem.start().iter().zip(changes.iter()).map(|(value, change)| value + change).collect());
+        }
+        let drawn = self.draw(generator);
+        solve(&drawn.problem).map(|values| [values, drawn.considered].concat())
     }
 
     /// Number of quantities of a trial: the unknowns and what is considered.
@@ -122,6 +136,9 @@ impl<'a> Draws<'a> {
     pub fn described(&self) -> Vec<String> {
         let repeated = |set: &usize| self.scatters.iter().any(|scatter| scatter.sets.contains(set));
         let mut lines = Vec::new();
+        if self.stated.is_some() {
+            lines.push("the values of the calibration: multivariate normal".to_owned());
+        }
         for (index, set) in self.problem.sets.iter().enumerate().filter(|(index, _)| !repeated(index)) {
             let distribution = match self.settings.rows.fixed() {
                 None => "drawn from the residuals".to_owned(),
@@ -277,6 +294,30 @@ fn residuals(fit: &Fit, problem: &Problem, scale: f64) -> Result<Vec<Vec<f64>>> 
         return Err(Error::data("there are no residuals to draw from").setting("rows"));
     }
     Ok(sets)
+}
+
+/// What can be drawn of a calibration without rows: its values, by their covariance.
+fn stated(settings: &Settings, fit: &Fit) -> Result<Option<DMatrix<f64>>> {
+    if !fit.problem.sets.is_empty() {
+        return Ok(None);
+    }
+    let given = [
+        ("vary", settings.vary.is_empty()),
+        ("lobing", settings.lobing.is_empty()),
+        ("inputs", settings.inputs.is_empty()),
+    ];
+    if let Some((setting, _)) = given.iter().find(|(_, empty)| !empty) {
+        let message = format!("`{}` brings no rows: its values are drawn by their covariance alone", fit.name);
+        return Err(Error::usage(message).setting(setting));
+    }
+    let covariance = &fit.calibration.covariance;
+    let place = |unknown: &Unknown| covariance.order.iter().position(|name| *name == unknown.name);
+    let places: Vec<Option<usize>> = fit.problem.unknowns.iter().map(place).collect();
+    let entry = |row: usize, column: usize| match (places[row], places[column]) {
+        (Some(row), Some(column)) => covariance.rows[row][column],
+        _ => 0.0,
+    };
+    Ok(Some(root(&DMatrix::from_fn(places.len(), places.len(), entry))))
 }
 
 /// The considered parameters, those of one source together.

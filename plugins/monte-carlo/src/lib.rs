@@ -118,8 +118,7 @@ impl Propagation {
         for chunk in numbers.chunks(CHUNK) {
             let results = in_parallel(chunk, self.settings.threads, |&number| {
                 let mut generator = Generator::new(self.settings.seed, number);
-                let drawn = draws.draw(&mut generator);
-                fit.estimator.values(&drawn.problem).map(|values| [values, drawn.considered].concat())
+                draws.trial(&mut generator, |problem| fit.estimator.values(problem))
             });
             for result in results {
                 match result {
@@ -198,7 +197,12 @@ impl Propagation {
             inputs: draws.described(),
             parameters: parameters.collect(),
         });
-        calibration.covariance = Covariance { order, rows: covariance };
+        let before = std::mem::replace(&mut calibration.covariance, Covariance { order, rows: covariance });
+        for input in calibration.inputs.iter_mut().flatten() {
+            let place = |name: &String| before.order.iter().position(|other| other == name);
+            let of_name = |name: &String| place(name).map_or(0.0, |place| input.sensitivities[place]);
+            input.sensitivities = calibration.covariance.order.iter().map(of_name).collect();
+        }
         calibration.uncertainty = None;
         calibration
     }
