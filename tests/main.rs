@@ -4,6 +4,7 @@
 mod ball_bar;
 mod cmm;
 mod coverage;
+mod decisions;
 mod errors;
 mod files;
 mod first_order;

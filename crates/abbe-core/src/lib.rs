@@ -12,9 +12,11 @@ mod aliasing;
 mod calibration;
 mod contact;
 mod dataset;
+mod decision;
 mod error;
 mod first_order;
 mod input_uncertainty;
+mod limit;
 mod model;
 mod observations;
 mod parallel;
@@ -43,8 +45,10 @@ pub use calibration::{
 };
 pub use contact::Variation;
 pub use dataset::{Column, ColumnHeader, Dataset, RowOrigin, Values};
+pub use decision::{Decision, Rule};
 pub use error::{Class, Error, Place, Result, nearest};
 pub use input_uncertainty::{InputUncertainty, PooledRepeats, RowUncertainty, SharedError};
+pub use limit::Limit;
 pub use model::{
     Absent, Axis, AxisKind, Branch, ErrorFunction, KinematicModel, MotionError, Parameter, Period, Poses, PosesMut,
     StatusColumn, Variable,
