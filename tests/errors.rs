@@ -130,6 +130,26 @@ fn settings() {
             ("no_parameters", &[Replace(RECIPE, r#"parameters: ["@tool", "table.*"]"#, "parameters: []")]),
             ("unknown_limit", &[Replace(RECIPE, "max_um: 1000", "maximum_um: 1000")]),
             ("limit_without_unit", &[Replace(RECIPE, "max_um: 1000", "max: 1000")]),
+            ("limit_is_text", &[Replace(RECIPE, "max_um: 1000", "max_um: small")]),
+            ("limit_without_a_value", &[Replace(RECIPE, "max_um: 1000", "max_um: { decision: simple }")]),
+            ("unknown_key_of_a_limit", &[Replace(RECIPE, "max_um: 1000", "max_um: { limit: 1000, decison: simple }")]),
+            ("unknown_rule", &[Replace(RECIPE, "max_um: 1000", "max_um: { limit: 1000, decision: simpel }")]),
+            (
+                "unknown_rule_in_a_map",
+                &[Replace(RECIPE, "max_um: 1000", "max_um: { limit: 1000, decision: { rule: sample } }")],
+            ),
+            (
+                "setting_that_a_rule_has_not",
+                &[Replace(RECIPE, "max_um: 1000", "max_um: { limit: 1000, decision: { rule: simple, w_um: 1 } }")],
+            ),
+            (
+                "unknown_rule_of_an_uncertainty",
+                &[Replace(
+                    RECIPE,
+                    "residuals, of: [rough, fine], limits: { max_um: 1000 }",
+                    "uncertainty, of: fine, parameters: [{ names: [EX0C], expanded_um: { limit: 9, decision: simpl } }]",
+                )],
+            ),
             ("unknown_column_of_folds", &[Replace(RECIPE, "column: group", "column: grup")]),
             ("step_of_zero", &[Replace(RECIPE, "step_mm: 100", "step_mm: 0")]),
         ],

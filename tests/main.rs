@@ -5,6 +5,7 @@ mod ball_bar;
 mod calibrations;
 mod cmm;
 mod coverage;
+mod decisions;
 mod errors;
 mod files;
 mod first_order;

@@ -2,8 +2,8 @@
 
 use std::path::PathBuf;
 
-use abbe_core::{Build, Context};
-use serde_json::Value;
+use abbe_core::{Build, Context, PathItem};
+use serde_json::{Value, json};
 
 use crate::support::{abbe, json_file, read, recipes, registry, root};
 
@@ -105,4 +105,66 @@ pub fn valid(what: &str, schema: &Value, instance: &Value) {
     let errors: Vec<String> =
         validator.iter_errors(instance).map(|error| format!("{}: {error}", error.instance_path())).collect();
     assert!(errors.is_empty(), "{what}: {errors:#?}");
+}
+
+/// The JSON pointers to the numbers in a value.
+fn numbers(value: &Value, at: &str, found: &mut Vec<String>) {
+    match value {
+        Value::Number(_) => found.push(at.to_owned()),
+        Value::Array(items) => {
+            items.iter().enumerate().for_each(|(index, item)| numbers(item, &format!("{at}/{index}"), found));
+        }
+        Value::Object(map) => map.iter().for_each(|(key, item)| numbers(item, &format!("{at}/{key}"), found)),
+        _ => {}
+    }
+}
+
+#[test]
+fn every_limit_has_a_rule_of_decision() {
+    let registry = registry();
+    let context = Context { base: PathBuf::new() };
+    let mut elsewhere = Vec::new();
+    for plugin in registry.iter() {
+        let Build::Validate(constructor) = &plugin.build else { continue };
+        let (schema, example) = (plugin.schema.get(), plugin.example.get());
+        let mut places = Vec::new();
+        numbers(&example, "", &mut places);
+        for place in places {
+            let what = format!("{} {place}", plugin.name);
+            let with = |decision: Value| {
+                let mut settings = example.clone();
+                let number = settings.pointer_mut(&place).expect("it is there");
+                *number = json!({ "limit": number, "decision": decision });
+                let built = constructor.build(&settings, &context).map(drop);
+                (built, jsonschema::is_valid(&schema, &settings))
+            };
+            let (built, taken) = with(json!("simple"));
+            assert_eq!(built.is_ok(), taken, "{what}: code and schema differ");
+            if built.is_err() {
+                assert!(!place.starts_with("/limits/"), "{what}: {built:?}");
+                continue;
+            }
+            if !place.starts_with("/limits/") {
+                elsewhere.push(what.clone());
+            }
+            assert_eq!(with(json!({ "rule": "simple" })), (Ok(()), true), "{what}");
+            for wrong in [json!("simpl"), json!({ "rule": "simpl" }), json!({ "rule": "simple", "w": 1 })] {
+                let (refused, taken) = with(wrong.clone());
+                let refused = refused.expect_err("a wrong rule");
+                assert!(!taken && refused.path.contains(&PathItem::Key("decision".to_owned())), "{what}: {refused}");
+                let near = refused.help.is_some_and(|help| help == "did you mean `simple`?");
+                assert!(near || wrong.get("w").is_some(), "{what}: {wrong}");
+            }
+        }
+    }
+    assert_eq!(
+        elsewhere,
+        [
+            "uncertainty /parameters/0/expanded_urad",
+            "uncertainty /parameters/1/standard_uncertainty_um_per_m",
+            "uncertainty /volumetric/expanded_um",
+            "verify /tolerance_um",
+            "verify-cut /tolerance_um",
+        ]
+    );
 }

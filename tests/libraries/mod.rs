@@ -43,7 +43,7 @@ fn cargo_library(package: &str) -> PathBuf {
 }
 
 /// A library of plain C.
-fn c_library(folder: &Path, source: &str, name: &str, options: &[&str]) -> PathBuf {
+pub fn c_library(folder: &Path, source: &str, name: &str, options: &[&str]) -> PathBuf {
     let file = folder.join(format!("lib{name}.so"));
     let mut command = Command::new(std::env::var_os("CC").unwrap_or_else(|| "cc".into()));
     command.args(["-std=gnu11", "-Wall", "-Wextra", "-Werror", "-O2", "-shared", "-fPIC", "-I"]);

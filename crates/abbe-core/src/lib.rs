@@ -13,10 +13,12 @@ mod calibration;
 mod considered;
 mod contact;
 mod dataset;
+mod decision;
 mod error;
 mod first_order;
 mod identity;
 mod input_uncertainty;
+mod limit;
 mod model;
 mod observations;
 mod parallel;
@@ -46,9 +48,11 @@ pub use calibration::{
 pub use considered::{Considered, Input};
 pub use contact::Variation;
 pub use dataset::{Column, ColumnHeader, Dataset, RowOrigin, Values};
+pub use decision::{Decision, Rule};
 pub use error::{Class, Error, Place, Result, nearest};
 pub use identity::Certificate;
 pub use input_uncertainty::{Ids, InputUncertainty, PooledRepeats, RowUncertainty, SharedError};
+pub use limit::Limit;
 pub use model::{
     Absent, Axis, AxisKind, Branch, ErrorFunction, KinematicModel, MotionError, Parameter, Period, Poses, PosesMut,
     StatusColumn, Variable,

@@ -1,8 +1,11 @@
-//! What a validator found: figures, their limits, pass or fail.
+//! What a validator found: figures, their limits, and what is decided of them.
 
 use std::collections::BTreeMap;
 
 use serde::{Deserialize, Serialize};
+
+use crate::decision::{Decision, Rule};
+use crate::limit::Limit;
 
 /// One figure of a verdict.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
@@ -14,11 +17,24 @@ pub struct Figure {
     pub name: String,
     /// Its value; a figure that could not be computed is null and fails its limit.
     pub value: Option<f64>,
-    /// Unit of value and limit.
+    /// Its standard uncertainty where the validator knows it, in the unit of the value; never negative.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub standard_uncertainty: Option<f64>,
+    /// Unit of value, standard uncertainty and limit.
     pub unit: String,
     /// The largest admissible value.
     #[serde(default)]
     pub limit: Option<f64>,
+    /// The rule that the limit is judged by, if not simple acceptance; a verdict says it of every limit.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub decision_rule: Option<Rule>,
+    /// Why the validator cannot tell whether the limit is kept, if it cannot: a sentence. The figure is inconclusive then,
+    /// whatever its value and its rule. Without a limit it changes nothing.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub inconclusive: Option<String>,
+    /// What is decided of the figure if it has a limit; validators leave it out, [`Verdict::new`] writes it down.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub decision: Option<Decision>,
     /// A detail that a summary for people leaves out (one of many of its kind).
     #[serde(default, skip_serializing_if = "std::ops::Not::not")]
     pub detail: bool,
@@ -31,8 +47,12 @@ impl Figure {
             of: Some(of.to_owned()),
             name: name.into(),
             value: value.is_finite().then_some(value),
+            standard_uncertainty: None,
             unit: unit.to_owned(),
             limit: None,
+            decision_rule: None,
+            inconclusive: None,
+            decision: None,
             detail: false,
         }
     }
@@ -43,9 +63,44 @@ impl Figure {
         self
     }
 
-    /// Whether the figure keeps its limit; without a limit it does.
+    /// Adds its standard uncertainty, in the unit of the value; NaN and none are the same.
+    pub fn uncertain(mut self, standard_uncertainty: impl Into<Option<f64>>) -> Self {
+        self.standard_uncertainty = standard_uncertainty.into().filter(|uncertainty| uncertainty.is_finite());
+        self
+    }
+
+    /// Sets its limit, or none.
+    pub fn limited(mut self, limit: impl Into<Option<Limit>>) -> Self {
+        self.set_limit(limit.into());
+        self
+    }
+
+    /// Sets its limit, or none, where it stands.
+    pub fn set_limit(&mut self, limit: Option<Limit>) {
+        self.limit = limit.map(|limit| limit.value);
+        self.decision_rule = limit.map(|limit| limit.rule);
+    }
+
+    /// What is decided of the figure; none without a limit.
+    pub fn decide(&self) -> Option<Decision> {
+        let limit = self.limit?;
+        let rule = self.decision_rule.unwrap_or_default();
+        Some(match self.inconclusive {
+            Some(_) => Decision::Inconclusive,
+            None => rule.decide(self.value, self.standard_uncertainty, limit),
+        })
+    }
+
+    /// Whether the figure fails nothing; without a limit it does not.
     pub fn passes(&self) -> bool {
-        self.limit.is_none_or(|limit| self.value.is_some_and(|value| value <= limit))
+        self.decide().is_none_or(Decision::passes)
+    }
+
+    /// The figure with what is decided of it and by which rule.
+    fn judged(mut self) -> Self {
+        self.decision = self.decide();
+        self.decision_rule = self.decision.map(|_| self.decision_rule.unwrap_or_default());
+        self
     }
 }
 
@@ -63,13 +118,16 @@ pub struct Findings {
 
 /// The verdict of one validate stage, as it stands in `verdicts.json`.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(try_from = "VerdictText")]
 pub struct Verdict {
     /// Name of the stage.
     pub stage: String,
     /// Name of its plugin.
     pub plugin: String,
-    /// Whether every figure keeps its limit.
+    /// Whether nothing fails: an inconclusive verdict passes.
     pub pass: bool,
+    /// What is decided: it fails if one figure fails, else it is inconclusive if one figure is, else it passes.
+    pub decision: Decision,
     /// The figures.
     pub figures: Vec<Figure>,
     /// What people should be told besides.
@@ -78,14 +136,164 @@ pub struct Verdict {
 }
 
 impl Verdict {
-    /// Judges findings: they pass if every figure keeps its limit.
+    /// Judges findings by the limits of their figures.
     pub fn new(stage: &str, plugin: &str, findings: Findings) -> Self {
+        let figures: Vec<Figure> = findings.figures.into_iter().map(Figure::judged).collect();
+        let decision = Decision::of_all(figures.iter().filter_map(|figure| figure.decision));
         Self {
             stage: stage.to_owned(),
             plugin: plugin.to_owned(),
-            pass: findings.figures.iter().all(Figure::passes),
-            figures: findings.figures,
+            pass: decision.passes(),
+            decision,
+            figures,
             remarks: findings.remarks,
+        }
+    }
+}
+
+/// A verdict of any version: the first one only said whether it passes.
+#[derive(Deserialize)]
+struct VerdictText {
+    stage: String,
+    plugin: String,
+    pass: bool,
+    #[serde(default)]
+    decision: Option<Decision>,
+    figures: Vec<Figure>,
+    #[serde(default)]
+    remarks: Vec<String>,
+}
+
+impl TryFrom<VerdictText> for Verdict {
+    type Error = String;
+
+    fn try_from(text: VerdictText) -> Result<Self, String> {
+        let VerdictText { stage, plugin, pass, decision, figures, remarks } = text;
+        let (decision, figures) = match decision {
+            Some(decision) => (decision, figures),
+            None => {
+                let decision = if pass { Decision::Pass } else { Decision::Fail };
+                (decision, figures.into_iter().map(Figure::judged).collect())
+            }
+        };
+        match decision.passes() == pass {
+            true => Ok(Self { stage, plugin, pass, decision, figures, remarks }),
+            false => {
+                Err(format!("the verdict of `{stage}` contradicts itself: `pass` is {pass}, `decision` is {decision}"))
+            }
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use serde_json::{Value, json};
+
+    fn verdict(figures: Vec<Figure>) -> Verdict {
+        Verdict::new("judge", "residuals", Findings { figures, ..Findings::default() })
+    }
+
+    fn figure(value: f64) -> Figure {
+        Figure::new("fit", "max", value, "um")
+    }
+
+    fn inconclusive(figure: Figure) -> Figure {
+        Figure { inconclusive: Some("the probe was disturbed".to_owned()), ..figure }
+    }
+
+    #[test]
+    fn a_verdict_is_as_good_as_its_worst_figure() {
+        let limit = Limit::from(30.0);
+        let (good, bad) = (figure(29.0).limited(limit), figure(31.0).limited(limit));
+        let untold = inconclusive(figure(31.0).limited(limit));
+        let unlimited = inconclusive(figure(31.0));
+        let cases = [
+            (vec![], Decision::Pass),
+            (vec![figure(1e9), good.clone()], Decision::Pass),
+            // Without a limit there is nothing that could not be told.
+            (vec![unlimited], Decision::Pass),
+            (vec![good.clone(), untold.clone()], Decision::Inconclusive),
+            (vec![good.clone().detail(), untold.clone().detail()], Decision::Inconclusive),
+            (vec![untold, bad, good], Decision::Fail),
+        ];
+        for (figures, expected) in cases {
+            let found = verdict(figures);
+            assert_eq!((found.decision, found.pass), (expected, expected != Decision::Fail), "{found:?}");
+            assert_eq!(found.pass, found.figures.iter().all(Figure::passes));
+        }
+    }
+
+    #[test]
+    fn what_could_not_be_computed_fails_and_what_could_not_be_told_does_not() {
+        let not_computed = figure(f64::NAN).limited(Limit::from(30.0));
+        assert_eq!((not_computed.value, not_computed.decide()), (None, Some(Decision::Fail)));
+        assert_eq!(inconclusive(not_computed).decide(), Some(Decision::Inconclusive));
+        assert_eq!(figure(f64::NAN).decide(), None);
+    }
+
+    #[test]
+    fn every_limit_says_its_rule_and_its_decision() {
+        let told = verdict(vec![
+            figure(31.0).limited(Limit::from(30.0)).uncertain(0.5),
+            inconclusive(figure(1.0).limited(Limit::from(30.0))),
+            // As a plugin of an earlier version has it, and one that decides by itself.
+            Figure { limit: Some(40.0), decision: Some(Decision::Fail), ..figure(31.0) },
+            figure(31.0).limited(None).uncertain(None),
+        ]);
+        let expected = json!({
+            "stage": "judge", "plugin": "residuals", "pass": false, "decision": "fail",
+            "figures": [
+                { "of": "fit", "name": "max", "value": 31.0, "standard_uncertainty": 0.5, "unit": "um", "limit": 30.0,
+                  "decision_rule": { "rule": "simple" }, "decision": "fail" },
+                { "of": "fit", "name": "max", "value": 1.0, "unit": "um", "limit": 30.0,
+                  "decision_rule": { "rule": "simple" }, "inconclusive": "the probe was disturbed",
+                  "decision": "inconclusive" },
+                { "of": "fit", "name": "max", "value": 31.0, "unit": "um", "limit": 40.0,
+                  "decision_rule": { "rule": "simple" }, "decision": "pass" },
+                { "of": "fit", "name": "max", "value": 31.0, "unit": "um", "limit": null },
+            ],
+        });
+        assert_eq!(json!(told), expected);
+        assert_eq!(serde_json::from_value::<Verdict>(expected).unwrap(), told);
+    }
+
+    /// A file of before there were three answers.
+    fn old(pass: bool) -> Value {
+        json!({
+            "stage": "judge", "plugin": "residuals", "pass": pass,
+            "figures": [
+                { "of": "fit", "name": "max", "value": if pass { 29.0 } else { 31.0 }, "unit": "um", "limit": 30.0 },
+                { "of": "fit", "name": "mean", "value": 3.0, "unit": "um", "limit": null },
+                { "name": "none", "value": null, "unit": "1", "limit": if pass { Value::Null } else { json!(3.0) },
+                  "detail": true },
+            ],
+        })
+    }
+
+    #[test]
+    fn verdicts_of_earlier_versions_are_read() {
+        for (pass, expected) in [(true, Decision::Pass), (false, Decision::Fail)] {
+            let read: Verdict = serde_json::from_value(old(pass)).unwrap();
+            assert_eq!((read.pass, read.decision), (pass, expected));
+            let decisions: Vec<_> = read.figures.iter().map(|figure| figure.decision).collect();
+            assert_eq!(decisions, [Some(expected), None, (!pass).then_some(Decision::Fail)]);
+            // Written again it only has more keys.
+            let written = json!(read);
+            for (key, value) in old(pass).as_object().unwrap() {
+                assert!(key == "figures" || written[key] == *value, "{key}");
+            }
+            assert_eq!(serde_json::from_value::<Verdict>(written).unwrap(), read);
+        }
+    }
+
+    #[test]
+    fn verdicts_that_contradict_themselves_are_refused() {
+        for (pass, decision) in [(true, "fail"), (false, "pass"), (false, "inconclusive")] {
+            let mut text = old(pass);
+            text["decision"] = json!(decision);
+            let error = serde_json::from_value::<Verdict>(text).unwrap_err().to_string();
+            assert!(error.contains("the verdict of `judge` contradicts itself"), "{error}");
         }
     }
 }

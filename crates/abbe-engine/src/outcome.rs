@@ -5,7 +5,7 @@ use std::io::{self, Read};
 use std::path::{Path, PathBuf};
 use std::time::{Duration, SystemTime, UNIX_EPOCH};
 
-use abbe_core::{Error, ExportedFile, Fit, Origin, Plugin, Result, Verdict};
+use abbe_core::{Decision, Error, ExportedFile, Fit, Origin, Plugin, Result, Verdict};
 use serde::Serialize;
 use sha2::{Digest, Sha256};
 
@@ -79,9 +79,14 @@ impl PluginRecord {
 }
 
 impl Outcome {
-    /// Whether every verdict passes.
+    /// What is decided of the run: it fails if one verdict fails, else it is inconclusive if one is, else it passes.
+    pub fn decision(&self) -> Decision {
+        Decision::of_all(self.verdicts.iter().map(|verdict| verdict.decision))
+    }
+
+    /// Whether no verdict fails.
     pub fn passes(&self) -> bool {
-        self.verdicts.iter().all(|verdict| verdict.pass)
+        self.decision().passes()
     }
 
     /// Writes the results into `<out>/<recipe>/`, replacing what an earlier run left there; gives that folder.

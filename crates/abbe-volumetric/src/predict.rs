@@ -32,6 +32,16 @@ impl Volumetric {
     pub fn size(&self) -> f64 {
         self.mean.iter().map(|component| component * component).sum::<f64>().sqrt()
     }
+
+    /// Standard uncertainty of the size, mm: that of the error along its own direction, by the law of propagation of
+    /// uncertainty (JCGM 100:2008, 5.1.2), which is of first order. None where there is no error and so no direction.
+    pub fn size_uncertainty(&self) -> Option<f64> {
+        let size = self.size();
+        let direction = self.mean.map(|component| component / size);
+        let along = |row: &[f64; 3]| row.iter().zip(&direction).map(|(entry, part)| entry * part).sum::<f64>();
+        let variance: f64 = self.covariance.iter().zip(&direction).map(|(row, part)| part * along(row)).sum();
+        (size > 0.0).then(|| variance.max(0.0).sqrt())
+    }
 }
 
 /// The volumetric error of a batch of poses: `statuses` is rows x [`status`](KinematicModel::status), row by row.
@@ -176,6 +186,14 @@ mod tests {
                 }
             }
             assert!((found.size().powi(2) - found.mean.iter().map(|x| x * x).sum::<f64>()).abs() < 1e-15);
+            // What the causes do to the size, up to what is of third order in their effect over it.
+            let size = |tips: &[[f64; 3]]| {
+                (0..3).map(|axis| (tips[pose][axis] - nominal[pose][axis]).powi(2)).sum::<f64>().sqrt()
+            };
+            let by_causes =
+                effects.iter().map(|(up, down)| ((size(up) - size(down)) / 2.0).powi(2)).sum::<f64>().sqrt();
+            let uncertainty = found.size_uncertainty().unwrap();
+            assert!((uncertainty - by_causes).abs() < 1e-3 * by_causes, "pose {pose}: {uncertainty}, {by_causes}");
         }
     }
 
@@ -185,6 +203,9 @@ mod tests {
         let found = predict(model.as_ref(), &calibration(&[("dzt", 0.5)]), &[0.0, 10.0, 20.0, 30.0, 1.0]).unwrap();
         assert_eq!(found[0].covariance, [[0.0; 3]; 3]);
         assert_eq!(found[0].mean, [0.0, 0.0, 0.5]);
+        assert_eq!(found[0].size_uncertainty(), Some(0.0));
+        let perfect = predict(model.as_ref(), &calibration(&[]), &[0.0, 10.0, 20.0, 30.0, 1.0]).unwrap();
+        assert_eq!((perfect[0].size(), perfect[0].size_uncertainty()), (0.0, None));
         assert_eq!(
             predict(model.as_ref(), &known(), &[0.0; 6]).unwrap_err().message,
             "6 numbers are no poses of 5 statuses each"

@@ -1,6 +1,6 @@
 //! The command line of Abbe: `run`, `check`, `simulate`, `plan`, `plugins`, `plugin`, `schema`.
 //!
-//! Exit status: 0 all verdicts pass; 1 what only the data or the run show; 2 wrong use, or anything that can be found
+//! Exit status: 0 no verdict failed (inconclusive ones are told); 1 what only the data or the run show; 2 wrong use, or anything that can be found
 //! without reading data rows; 3 a verdict failed.
 
 mod failure;

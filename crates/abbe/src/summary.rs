@@ -2,7 +2,7 @@
 
 use std::path::Path;
 
-use abbe_core::{Estimated, Figure, Fit, NullVector, Outlier, Owner, Status, Unit, Verdict};
+use abbe_core::{Decision, Estimated, Figure, Fit, NullVector, Outlier, Owner, Status, Unit, Verdict};
 use abbe_engine::{Outcome, Planned};
 use abbe_recipe::Recipe;
 use serde_json::{Value, json};
@@ -202,17 +202,32 @@ fn unlikely(fits: &[Fit]) -> Option<String> {
 }
 
 fn verdict(verdict: &Verdict) -> String {
-    let judged = verdict.figures.iter().any(|figure| figure.limit.is_some());
-    let result = match (judged, verdict.pass) {
-        (false, _) => "no limit set",
-        (true, true) => "PASS",
-        (true, false) => "FAIL",
-    };
+    let judged = verdict.figures.iter().any(|figure| figure.decision.is_some());
+    let result = if judged { verdict.decision.to_string().to_uppercase() } else { "no limit set".to_owned() };
     let mut text = section(&format!("{} ({}): {result}", verdict.stage, verdict.plugin), &figures(&verdict.figures));
+    for (figure, why) in verdict.figures.iter().filter_map(cannot_be_told) {
+        let of = figure.of.as_ref().map_or(String::new(), |of| format!("{of}: "));
+        text.push_str(&format!("  ? {of}{} cannot be told: {why}\n", figure.name));
+    }
     for remark in &verdict.remarks {
         text.push_str(&format!("  {remark}\n"));
     }
     text
+}
+
+/// A shown figure of whose limit the validator cannot tell, and why.
+fn cannot_be_told(figure: &Figure) -> Option<(&Figure, &str)> {
+    let inconclusive = figure.decision == Some(Decision::Inconclusive) && !figure.detail;
+    figure.inconclusive.as_deref().filter(|_| inconclusive).map(|why| (figure, why))
+}
+
+/// How the table of figures marks what is decided; what passes needs no mark.
+fn mark(figure: &Figure) -> &'static str {
+    match figure.decision {
+        Some(Decision::Fail) => " !",
+        Some(Decision::Inconclusive) => " ?",
+        Some(Decision::Pass) | None => "",
+    }
 }
 
 /// One line a figure, one column an estimate; details are left to `verdicts.json`.
@@ -246,9 +261,8 @@ fn figures(figures: &[Figure]) -> String {
         let mut row = vec![format!("{name}{unit}")];
         row.extend(estimates.iter().map(|of| {
             let Some(figure) = of_name().find(|figure| figure.of == **of) else { return String::new() };
-            let mark = if figure.passes() { "" } else { " !" };
             let value = figure.value.map_or_else(|| "none".to_owned(), |value| counted(value, &figure.unit));
-            format!("{value}{mark}")
+            format!("{value}{}", mark(figure))
         }));
         if limited {
             let limit = of_name().find_map(|figure| Some(measured(figure.limit?, &figure.unit)));
@@ -281,6 +295,7 @@ pub fn json(outcome: &Outcome, folder: &Path) -> Value {
     json!({
         "results": folder.display().to_string(),
         "pass": outcome.passes(),
+        "decision": outcome.decision(),
         "estimates": estimates.collect::<Vec<_>>(),
         "verdicts": outcome.verdicts,
     })

@@ -2,8 +2,8 @@
 //! makes of them.
 
 use abbe_core::{
-    Build, Constructor, Context, Dataset, Figure, Findings, Fit, InputFile, PathItem, Plugin, Result, SettingsError,
-    Validate, inventory, positive,
+    Build, Constructor, Context, Dataset, Figure, Findings, Fit, InputFile, Limit, PathItem, Plugin, Result,
+    SettingsError, Validate, inventory, positive,
 };
 use schemars::JsonSchema;
 use serde::Deserialize;
@@ -43,13 +43,13 @@ struct Settings {
 struct Limits {
     /// Of the offset of a circle from the tool ball.
     #[serde(default)]
-    eccentricity_um: Option<f64>,
+    eccentricity_um: Option<Limit>,
     /// Of the range of the lengths about their circle.
     #[serde(default)]
-    roundness_um: Option<f64>,
+    roundness_um: Option<Limit>,
     /// Of what the polar plot shifts a centre by.
     #[serde(default)]
-    polar_plot_error_um: Option<f64>,
+    polar_plot_error_um: Option<Limit>,
 }
 
 fn example() -> Value {
@@ -65,7 +65,7 @@ fn build(settings: &Value, _: &Context) -> Result<Box<dyn Validate>, SettingsErr
         ("polar_plot_error_um", limits.polar_plot_error_um),
     ] {
         let under = |error: SettingsError| error.under([PathItem::Key("limits".to_owned())]);
-        limit.map_or(Ok(0.0), |limit| positive(name, limit)).map_err(under)?;
+        limit.map_or(Ok(0.0), |limit| positive(name, limit.value)).map_err(under)?;
     }
     Ok(Box::new(Circles { settings }))
 }
@@ -103,7 +103,7 @@ impl Circles {
         let squared = Evaluated::new(&sweeps, Evaluation::SquaredLength)?.circles;
         let plotted = Evaluated::new(&sweeps, Evaluation::PolarPlot)?.circles;
         let limits = &self.settings.limits;
-        let columns: [(&str, Option<f64>, Vec<f64>); 3] = [
+        let columns: [(&str, Option<Limit>, Vec<f64>); 3] = [
             ("eccentricity", limits.eccentricity_um, squared.iter().map(|circle| circle.offset.norm()).collect()),
             ("roundness", limits.roundness_um, sweeps.iter().map(roundness).collect()),
             (
@@ -114,9 +114,7 @@ impl Circles {
         ];
         for (name, limit, values) in &columns {
             let largest = values.iter().copied().fold(0.0, f64::max);
-            let mut figure = Figure::new(&fit.name, *name, largest * 1e3, "um");
-            figure.limit = *limit;
-            findings.figures.push(figure);
+            findings.figures.push(Figure::new(&fit.name, *name, largest * 1e3, "um").limited(*limit));
         }
         for (name, _, values) in &columns {
             let tests = sweeps.iter().zip(values);

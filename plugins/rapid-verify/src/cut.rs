@@ -6,8 +6,8 @@
 use std::path::PathBuf;
 
 use abbe_core::{
-    Build, Constructor, Context, Dataset, Error, Figure, Findings, Fit, InputFile, Plugin, PoseTable, Quantity, Result,
-    SettingsError, Validate, inventory, plain_naming, pose_columns, positive,
+    Build, Constructor, Context, Dataset, Error, Figure, Findings, Fit, InputFile, Limit, Plugin, PoseTable, Quantity,
+    Result, SettingsError, Validate, inventory, plain_naming, pose_columns, positive,
 };
 use schemars::JsonSchema;
 use serde::Deserialize;
@@ -36,7 +36,7 @@ struct Settings {
     #[serde(default)]
     stock_mm: Option<f64>,
     /// How far the stock may be from the allowance.
-    tolerance_um: f64,
+    tolerance_um: Limit,
 }
 
 fn example() -> Value {
@@ -45,7 +45,7 @@ fn example() -> Value {
 
 fn build(settings: &Value, context: &Context) -> Result<Box<dyn Validate>, SettingsError> {
     let settings: Settings = abbe_core::from_settings(settings)?;
-    positive("tolerance_um", settings.tolerance_um)?;
+    positive("tolerance_um", settings.tolerance_um.value)?;
     settings.stock_mm.map_or(Ok(0.0), |stock| abbe_core::not_negative("stock_mm", stock))?;
     Ok(Box::new(VerifyCut { nominal: context.path(&settings.nominal), settings }))
 }
@@ -80,7 +80,7 @@ impl Validate for VerifyCut {
                 count += 1;
                 worst = worst.max(off.abs());
                 findings.figures.push(Figure::new(&fit.name, format!("stock[{label}]"), stock, "mm").detail());
-                if off.abs() > self.settings.tolerance_um {
+                if off.abs() > self.settings.tolerance_um.value {
                     out += 1;
                     findings.remarks.push(format!("{label}: no-go: {}", advice(stock, allowance)));
                 } else {
@@ -91,10 +91,8 @@ impl Validate for VerifyCut {
         if count == 0 {
             return Err(Error::data("no row touches a point of the part"));
         }
-        let mut largest = Figure::new(&fit.name, "largest deviation", worst, "um");
-        largest.limit = Some(self.settings.tolerance_um);
         let figures = [
-            largest,
+            Figure::new(&fit.name, "largest deviation", worst, "um").limited(self.settings.tolerance_um),
             Figure::new(&fit.name, "points", f64::from(count), "1"),
             Figure::new(&fit.name, "points out", f64::from(out), "1"),
         ];

@@ -6,7 +6,7 @@
 use std::path::PathBuf;
 
 use abbe_core::{
-    Build, Constructor, Context, Dataset, Error, Figure, Findings, Fit, InputFile, PathItem, Plugin, Result,
+    Build, Constructor, Context, Dataset, Error, Figure, Findings, Fit, InputFile, Limit, PathItem, Plugin, Result,
     SettingsError, Unit, Validate, inventory, matches, not_negative, positive,
 };
 use schemars::JsonSchema;
@@ -36,7 +36,7 @@ struct Settings {
     nominal: String,
     /// The tolerance that decides: a run beyond it fails the verdict.
     #[serde(default)]
-    tolerance_um: Option<f64>,
+    tolerance_um: Option<Limit>,
     /// Tolerances to compare; what they say is reported and fails nothing.
     #[serde(default)]
     compare_um: Vec<f64>,
@@ -122,7 +122,7 @@ fn example() -> Value {
 
 fn build(settings: &Value, context: &Context) -> Result<Box<dyn Validate>, SettingsError> {
     let settings: Settings = abbe_core::from_settings(settings)?;
-    settings.tolerance_um.map_or(Ok(0.0), |tolerance| positive("tolerance_um", tolerance))?;
+    settings.tolerance_um.map_or(Ok(0.0), |tolerance| positive("tolerance_um", tolerance.value))?;
     for (index, tolerance) in settings.compare_um.iter().enumerate() {
         let at = |error: SettingsError| SettingsError { path: at("compare_um", index), ..error };
         positive("", *tolerance).map_err(at)?;
@@ -223,7 +223,7 @@ impl Verify {
     /// All tolerances, ascending, each once.
     fn tolerances(&self) -> Vec<f64> {
         let mut all = self.settings.compare_um.clone();
-        all.extend(self.settings.tolerance_um);
+        all.extend(self.settings.tolerance_um.map(|tolerance| tolerance.value));
         all.sort_by(f64::total_cmp);
         all.dedup();
         all
@@ -272,9 +272,8 @@ impl Verify {
         let worst = (0..beyond.len()).max_by(|&one, &other| beyond[one].abs().total_cmp(&beyond[other].abs()));
         let worst = worst.unwrap_or_default();
         let figure = |name: String, value: f64, unit: &str| Figure::new(report.fit, name, value, unit);
-        let mut largest = figure(format!("largest deviation[{}]", run.name), beyond[worst].abs(), UM);
-        largest.limit = self.settings.tolerance_um;
-        findings.figures.push(largest);
+        let largest = figure(format!("largest deviation[{}]", run.name), beyond[worst].abs(), UM);
+        findings.figures.push(largest.limited(self.settings.tolerance_um));
         let (mut go, mut no_go) = (Vec::new(), Vec::new());
         let mut first_out = None;
         for tolerance in self.tolerances() {

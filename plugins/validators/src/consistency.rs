@@ -8,7 +8,7 @@ use std::collections::BTreeSet;
 use std::path::Path;
 
 use abbe_core::{
-    Build, Constructor, Context, Dataset, Error, Estimated, Figure, Findings, Fit, InputFile, PathItem, Plugin,
+    Build, Constructor, Context, Dataset, Error, Estimated, Figure, Findings, Fit, InputFile, Limit, PathItem, Plugin,
     Problem, Result, SettingsError, Status, Validate, inventory, matches,
 };
 use abbe_numerics::{hotelling_quantile, hotelling_upper_tail};
@@ -105,17 +105,17 @@ impl Consistency {
             0 => 1.0,
             quantities => hotelling_upper_tail(chi_squared, quantities, known_by),
         };
-        let mut main = Figure::new(&other.name, "chi-squared", chi_squared, ONE);
-        main.limit = Some(match degrees_of_freedom {
+        let limit = match degrees_of_freedom {
             0 => 0.0,
             quantities => hotelling_quantile(1.0 - self.settings.significance, quantities, known_by),
-        })
-        .filter(|limit| limit.is_finite());
+        };
+        // The test has the uncertainties in it: no other rule of decision applies.
+        let limit = limit.is_finite().then_some(Limit::from(limit));
         let normalised = difference.normalised();
         let largest = normalised.iter().copied().enumerate().max_by(|a, b| a.1.abs().total_cmp(&b.1.abs()));
         let (worst, largest) = largest.unwrap_or_default();
         findings.figures.extend([
-            main,
+            Figure::new(&other.name, "chi-squared", chi_squared, ONE).limited(limit),
             Figure::new(&other.name, "degrees of freedom", degrees_of_freedom as f64, ONE),
             Figure::new(&other.name, "probability", probability, ONE),
             Figure::new(&other.name, "largest normalised difference", largest.abs(), ONE),

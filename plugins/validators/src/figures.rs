@@ -2,10 +2,10 @@
 
 use std::collections::{BTreeMap, BTreeSet};
 
-use abbe_core::{Calibration, Figure, PathItem, Problem, Quantity, SettingsError};
+use abbe_core::{Calibration, Figure, Limit, PathItem, Problem, Quantity, SettingsError};
 
 /// Largest admissible values by [`key`].
-pub type Limits = BTreeMap<String, f64>;
+pub type Limits = BTreeMap<String, Limit>;
 
 /// Unit of coordinates and sizes in figures.
 pub const MM: &str = "mm";
@@ -48,18 +48,30 @@ pub fn check_limits(limits: &Limits, keys: &[&str]) -> Result<(), SettingsError>
             error.key = true;
             return Err(error.suggest(key, keys.iter().copied()).under(at));
         }
-        if !limit.is_finite() {
-            return Err(SettingsError::new(key, "a finite number was expected").under(at));
-        }
+        check_finite(key, limit).map_err(|error| error.under(at))?;
     }
     Ok(())
+}
+
+/// Refuses a limit that is no finite number.
+pub fn check_finite(key: &str, limit: &Limit) -> Result<(), SettingsError> {
+    match limit.value.is_finite() {
+        true => Ok(()),
+        false => Err(SettingsError::new(key, "a finite number was expected")),
+    }
 }
 
 /// Sets the limits of the main figures.
 pub fn set_limits(limits: &Limits, figures: &mut [Figure]) {
     for figure in figures.iter_mut().filter(|figure| !figure.detail) {
-        figure.limit = limits.get(&key(&figure.name, &figure.unit)).copied();
+        figure.set_limit(limits.get(&key(&figure.name, &figure.unit)).copied());
     }
+}
+
+/// Standard uncertainty of a standard deviation or standard uncertainty that was found with these degrees of freedom, as a
+/// part of it; zero if they are infinite (JCGM 100:2008, E.4.3, equation E.7, and G.4.2, equation G.3).
+pub fn relative_uncertainty(degrees_of_freedom: f64) -> f64 {
+    (2.0 * degrees_of_freedom).sqrt().recip()
 }
 
 /// Numbers to be summed up; what an empty one cannot tell is NaN.
@@ -227,7 +239,7 @@ mod tests {
             ("rank", f64::NAN, "limits.rank: a finite number was expected"),
         ];
         for (key, limit, expected) in cases {
-            let limits = Limits::from([(key.to_owned(), limit)]);
+            let limits = Limits::from([(key.to_owned(), limit.into())]);
             let found =
                 check_limits(&limits, &["max_um", "rank"]).map_or_else(|error| error.to_string(), |()| String::new());
             assert_eq!(found, expected);

@@ -173,9 +173,8 @@ impl Repeatability {
         self.same_positions(problem, set, &points)?;
         let skipped = left_out.iter().filter(|(of, _)| *of == set).count();
         self.judge(Some(&fit.name), &layout.data, &readings, unit, findings)?;
-        let mut figure = Figure::new(&fit.name, "outliers", skipped as f64, ONE);
-        figure.limit = self.settings.limits.get("outliers").copied();
-        findings.figures.push(figure);
+        let limit = self.settings.limits.get("outliers").copied();
+        findings.figures.push(Figure::new(&fit.name, "outliers", skipped as f64, ONE).limited(limit));
         Ok(())
     }
 

@@ -14,7 +14,7 @@ use schemars::JsonSchema;
 use serde::Deserialize;
 use serde_json::{Value, json};
 
-use crate::figures::{Limits, ONE, Sample, ascii, suffix};
+use crate::figures::{Limits, ONE, Sample, ascii, check_finite, relative_uncertainty, suffix};
 
 inventory::submit! {
     Plugin::built_in(
@@ -61,9 +61,7 @@ fn build(settings: &Value, _: &Context) -> Result<Box<dyn Validate>, SettingsErr
             error.key = true;
             return Err(under(error.help("write `standard_deviation_um`, or another unit of the parameters")));
         }
-        if !limit.is_finite() {
-            return Err(under(SettingsError::new(key, "a finite number was expected")));
-        }
+        check_finite(key, limit).map_err(under)?;
     }
     Ok(Box::new(Repeats { settings }))
 }
@@ -142,11 +140,11 @@ impl Repeats {
             let sample = Sample(values.iter().map(|values| values[place] * factor).collect());
             let deviation = sample.standard_deviation();
             let figure = |name: &str, value| Figure::new(&fit.name, format!("{name}[{}]", unknown.name), value, &unit);
-            let mut limited = figure("standard deviation", deviation);
-            limited.limit = self.settings.limits.get(&format!("{LIMITED}{}", suffix(&symbol))).copied();
+            let limit = self.settings.limits.get(&format!("{LIMITED}{}", suffix(&symbol))).copied();
+            let uncertainty = deviation * relative_uncertainty(values.len() as f64 - 1.0);
             findings.figures.extend([
                 figure("mean", sample.mean()),
-                limited,
+                figure("standard deviation", deviation).uncertain(uncertainty).limited(limit),
                 figure("standard deviation of the mean", deviation / (values.len() as f64).sqrt()).detail(),
             ]);
         }
@@ -228,6 +226,10 @@ mod tests {
             ],
         );
         assert_eq!(found.figures.iter().filter(|figure| !figure.passes()).count(), 1);
+        // Three repeats leave two degrees of freedom.
+        let uncertain: Vec<_> = found.figures.iter().filter_map(|figure| figure.standard_uncertainty).collect();
+        assert_eq!(uncertain.len(), 1);
+        assert!((uncertain[0] - 7.0_f64.sqrt() / 2.0).abs() < 1e-6, "{uncertain:?}");
     }
 
     #[test]

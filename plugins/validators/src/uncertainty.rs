@@ -1,17 +1,19 @@
 //! Validator `uncertainty`: whether parameters and the tip anywhere in the workspace are known well enough.
 
 use std::collections::BTreeMap;
+use std::fmt;
 
 use abbe_core::{
-    Build, Calibration, Constructor, Context, Dataset, Error, Estimated, Figure, Findings, Fit, InputFile, PathItem,
-    Plugin, Result, SettingsError, Status, Unit, Validate, inventory, matches, positive,
+    Build, Calibration, Constructor, Context, Dataset, Error, Estimated, Figure, Findings, Fit, InputFile, Limit,
+    PathItem, Plugin, Result, SettingsError, Status, Unit, Validate, inventory, matches, positive,
 };
 use abbe_volumetric::{Grid, Volumetric, predict, within};
 use schemars::JsonSchema;
-use serde::Deserialize;
+use serde::de::{Error as _, MapAccess, Visitor};
+use serde::{Deserialize, Deserializer};
 use serde_json::{Value, json};
 
-use crate::figures::{ONE, Sample, UM, ascii, suffix};
+use crate::figures::{ONE, Sample, UM, ascii, relative_uncertainty, suffix};
 
 inventory::submit! {
     Plugin::built_in(
@@ -40,14 +42,44 @@ struct Settings {
 }
 
 /// Parameters with one limit for each of them.
-#[derive(Debug, Clone, PartialEq, Deserialize, JsonSchema)]
+#[derive(Debug, Clone, PartialEq, JsonSchema)]
 struct Entry {
     /// Names or patterns of estimated parameters, of the machine or of artefacts.
     names: Vec<String>,
     /// One limit: `standard_uncertainty_` or `expanded_` and the unit in which people read the parameters, e.g.
     /// `expanded_um`, `expanded_urad`, `standard_uncertainty_um_per_m`.
-    #[serde(flatten)]
-    limit: BTreeMap<String, f64>,
+    #[schemars(flatten)]
+    limit: BTreeMap<String, Limit>,
+}
+
+// `flatten` of serde forgets at which setting something is wrong.
+impl<'de> Deserialize<'de> for Entry {
+    fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
+        struct NamesAndLimits;
+
+        impl<'de> Visitor<'de> for NamesAndLimits {
+            type Value = Entry;
+
+            fn expecting(&self, text: &mut fmt::Formatter<'_>) -> fmt::Result {
+                text.write_str("a map of settings")
+            }
+
+            fn visit_map<A: MapAccess<'de>>(self, mut map: A) -> Result<Entry, A::Error> {
+                let (mut names, mut limit) = (None, BTreeMap::new());
+                while let Some(setting) = map.next_key::<String>()? {
+                    if setting == "names" {
+                        names = Some(map.next_value()?);
+                    } else {
+                        limit.insert(setting, map.next_value()?);
+                    }
+                }
+                let names = names.ok_or_else(|| A::Error::missing_field("names"))?;
+                Ok(Entry { names, limit })
+            }
+        }
+
+        deserializer.deserialize_map(NamesAndLimits)
+    }
 }
 
 /// The tip over the workspace.
@@ -61,7 +93,7 @@ struct Workspace {
     probability: f64,
     /// Largest admissible semi-axis of the ellipsoid of any pose.
     #[serde(default)]
-    expanded_um: Option<f64>,
+    expanded_um: Option<Limit>,
 }
 
 fn default_probability() -> f64 {
@@ -131,13 +163,13 @@ impl Entry {
                 error.key = true;
                 return Err(error);
             }
-            positive(setting, *limit)?;
+            positive(setting, limit.value)?;
         }
         Ok(())
     }
 
-    /// The limit: its setting, what it is about, its value.
-    fn limit(&self) -> Option<(&str, Measure, f64)> {
+    /// The limit: its setting, what it is about, the limit itself.
+    fn limit(&self) -> Option<(&str, Measure, Limit)> {
         let (setting, limit) = self.limit.iter().next()?;
         let measure = Measure::ALL.into_iter().find(|measure| setting.starts_with(measure.name()))?;
         Some((setting, measure, *limit))
@@ -169,7 +201,7 @@ impl Workspace {
         if !(self.probability > 0.0 && self.probability < 1.0) {
             return Err(SettingsError::new("probability", "a number between 0 and 1 was expected"));
         }
-        self.expanded_um.map_or(Ok(()), |limit| positive("expanded_um", limit).map(drop))
+        self.expanded_um.map_or(Ok(()), |limit| positive("expanded_um", limit.value).map(drop))
     }
 }
 
@@ -236,7 +268,9 @@ impl Uncertainty {
                 Measure::Standard => parameter.standard_uncertainty,
                 Measure::Expanded => self.expanded(fit, parameter),
             } * to_people;
-            details.push(figure(fit, measure, &parameter.name, value, &ascii(&symbol), limit));
+            let uncertainty = relative_to(fit, parameter).map(|relative| relative * value);
+            let detail = figure(fit, measure, &parameter.name, value, &ascii(&symbol));
+            details.push(detail.uncertain(uncertainty).limited(limit));
             if confounded {
                 findings.remarks.push(format!(
                     "{}: {} has no uncertainty: the data cannot separate it from others",
@@ -248,13 +282,15 @@ impl Uncertainty {
             let uncertainties = details.iter().map(|figure| figure.value.unwrap_or(f64::NAN)).collect();
             let largest = Sample(uncertainties).max();
             let names = entry.names.join(", ");
+            let mut main = figure(fit, measure, &names, largest, &ascii(&symbol)).limited(limit);
             if let Some(worst) = details.iter().position(|figure| figure.value == Some(largest)) {
                 findings.remarks.push(format!(
                     "{}: {names}: the largest is that of {} ({largest:.3} {symbol})",
                     fit.name, parameters[worst].name
                 ));
+                main = main.uncertain(details[worst].standard_uncertainty);
             }
-            findings.figures.push(figure(fit, measure, &names, largest, &ascii(&symbol), limit));
+            findings.figures.push(main);
             details.iter_mut().for_each(|figure| figure.detail = true);
         }
         findings.figures.extend(details);
@@ -262,10 +298,16 @@ impl Uncertainty {
     }
 }
 
-fn figure(fit: &Fit, measure: Measure, name: &str, value: f64, unit: &str, limit: f64) -> Figure {
-    let mut figure = Figure::new(&fit.name, format!("{}[{name}]", measure.name().replace('_', " ")), value, unit);
-    figure.limit = Some(limit);
-    figure
+fn figure(fit: &Fit, measure: Measure, name: &str, value: f64, unit: &str) -> Figure {
+    Figure::new(&fit.name, format!("{}[{name}]", measure.name().replace('_', " ")), value, unit)
+}
+
+/// Standard uncertainty of the uncertainties of a parameter, as a part of them, from its effective degrees of freedom. None
+/// where the calibration has no budget of it, as one found by trials.
+fn relative_to(fit: &Fit, parameter: &Estimated) -> Option<f64> {
+    let budget = fit.calibration.uncertainty.as_ref()?;
+    let part = budget.parameters.iter().find(|part| part.name == parameter.name)?;
+    Some(relative_uncertainty(part.degrees_of_freedom.unwrap_or(f64::INFINITY)))
 }
 
 /// The unit in which people read a parameter, and the factor from memory's.
@@ -293,16 +335,19 @@ fn judge_workspace(fit: &Fit, workspace: &Workspace, findings: &mut Findings) ->
     }
     let (sizes, expanded) = (Sample(errors.iter().map(|error| error.size() * 1e3).collect()), Sample(expanded));
     let figure = |name: &str, value, unit| Figure::new(&fit.name, format!("volumetric {name}"), value, unit);
-    let mut largest = figure("expanded max", expanded.max(), UM);
-    largest.limit = workspace.expanded_um;
+    // What the data cannot separate has a part in it that nobody knows; nor does anybody without a covariance.
+    let left_out = left_out(&fit.name, &fit.calibration);
+    let largest = errors.iter().max_by(|one, other| one.size().total_cmp(&other.size()));
+    let uncertainty = largest.filter(|_| left_out.is_none()).and_then(Volumetric::size_uncertainty);
+    let uncertainty = uncertainty.filter(|uncertainty| *uncertainty > 0.0);
     findings.figures.extend([
-        figure("error max", sizes.max(), UM),
+        figure("error max", sizes.max(), UM).uncertain(uncertainty.map(|uncertainty| uncertainty * 1e3)),
         figure("error mean", sizes.mean(), UM),
-        largest,
+        figure("expanded max", expanded.max(), UM).limited(workspace.expanded_um),
         figure("expanded mean", expanded.mean(), UM),
         figure("poses", errors.len() as f64, ONE),
     ]);
-    findings.remarks.extend(left_out(&fit.name, &fit.calibration));
+    findings.remarks.extend(left_out);
     Ok(())
 }
 
@@ -339,6 +384,20 @@ mod tests {
         let row = |row: usize| (0..3).map(|column| if row == column { known[row].2.powi(2) } else { 0.0 }).collect();
         calibration.covariance.rows = (0..3).map(row).collect();
         (folder, fit)
+    }
+
+    /// Checks which figures have a standard uncertainty, to a picometre.
+    fn assert_uncertain(findings: &Findings, expected: &[(&str, f64)]) {
+        let found = (findings.figures.iter())
+            .filter_map(|figure| Some((figure.name.as_str(), figure.standard_uncertainty?)))
+            .collect::<Vec<_>>();
+        let near = |((one, size), (other, expected)): (&(&str, f64), &(&str, f64))| {
+            one == other && (size - expected).abs() < 1e-6
+        };
+        assert!(
+            found.len() == expected.len() && found.iter().zip(expected).all(near),
+            "{found:?}, expected {expected:?}"
+        );
     }
 
     #[test]
@@ -417,6 +476,37 @@ mod tests {
             ],
         );
         assert_eq!(found.figures.iter().filter(|figure| !figure.passes()).count(), 1);
+        // The error points along (0.6, 0.8), where the offsets are uncertain by 2 and 1 µm.
+        assert_uncertain(&found, &[("volumetric error max", (0.36_f64 * 4.0 + 0.64).sqrt())]);
+    }
+
+    #[test]
+    fn uncertainties_are_as_certain_as_their_degrees_of_freedom() {
+        let (folder, mut fit) = fit();
+        let judged = |settings: Value, fit: &Fit| judge("uncertainty", folder.path(), &settings, fit).unwrap();
+        let of = |key: &str| json!({ "parameters": [{ "names": ["table.facet[a].d"], key: 30 }] });
+        // Nobody says how many there are.
+        assert_uncertain(&judged(of("expanded_um"), &fit), &[]);
+        fit.calibration.uncertainty = fit.estimator.explain(&fit.problem).unwrap().uncertainty;
+        // Two touches leave one: 1 µm, expanded by 12.706.
+        let half = 0.5_f64.sqrt();
+        let (standard, expanded) = ("standard uncertainty[table.facet[a].d]", "expanded[table.facet[a].d]");
+        assert_uncertain(&judged(of("standard_uncertainty_um"), &fit), &[(standard, half)]);
+        let mut one = fit.calibration.uncertainty.as_ref().unwrap().parameters[0].clone();
+        assert!((one.coverage_factor - 12.706).abs() < 1e-3, "{one:?}");
+        assert_uncertain(&judged(of("expanded_um"), &fit), &[(expanded, one.coverage_factor * half)]);
+        let mut twice = of("expanded_um");
+        twice["coverage_factor"] = json!(2);
+        assert_uncertain(&judged(twice.clone(), &fit), &[(expanded, 2.0 * half)]);
+        // The largest of several is as certain as the one that it is.
+        (one.name, one.degrees_of_freedom) = ("dxt".to_owned(), Some(8.0));
+        fit.calibration.uncertainty.as_mut().unwrap().parameters.push(one);
+        twice["parameters"][0]["names"] = json!(["table.*", "dxt"]);
+        let main = ("expanded[table.*, dxt]", 1.0);
+        assert_uncertain(&judged(twice.clone(), &fit), &[main, ("expanded[dxt]", 1.0), (expanded, 2.0 * half)]);
+        // Infinitely many: known exactly.
+        fit.calibration.uncertainty.as_mut().unwrap().parameters[0].degrees_of_freedom = None;
+        assert_uncertain(&judged(of("expanded_um"), &fit), &[(expanded, 0.0)]);
     }
 
     #[test]
@@ -441,6 +531,23 @@ mod tests {
             (
                 json!({ "parameters": [{ "names": ["dxt"], "expanded_um": -2 }] }),
                 "parameters[0].expanded_um: -2: a positive number was expected",
+            ),
+            (
+                json!({ "parameters": [{ "names": ["dxt"], "expanded_um": { "limit": -2 } }] }),
+                "parameters[0].expanded_um: -2: a positive number was expected",
+            ),
+            (
+                json!({ "parameters": [{ "names": ["dxt"], "expanded_um": { "limit": 2, "decision": "simpel" } }] }),
+                "parameters[0].expanded_um.decision: unknown choice `simpel` (did you mean `simple`?)",
+            ),
+            (
+                json!({ "parameters": [{ "names": "dxt", "expanded_um": 2 }] }),
+                "parameters[0].names: the text `dxt` was found; a list was expected",
+            ),
+            (json!({ "parameters": [{ "expanded_um": 2 }] }), "parameters[0]: the setting `names` is missing"),
+            (
+                json!({ "parameters": ["dxt"] }),
+                "parameters[0]: the text `dxt` was found; a map of settings was expected",
             ),
             (
                 json!({ "parameters": [{ "names": ["dxt", "dxtt"], "expanded_um": 2 }] }),

@@ -5,8 +5,8 @@ use std::path::PathBuf;
 use std::sync::{Arc, Mutex, PoisonError};
 
 use abbe_core::{
-    Artefact, Calibration, ColumnHeader, Dataset, Error, Export, ExportedFile, Findings, Fit, Ingest, InputFile,
-    KinematicModel, Model, Observations, Result, Target, Validate,
+    Artefact, Calibration, ColumnHeader, Dataset, Error, Export, ExportedFile, Figure, Findings, Fit, Ingest,
+    InputFile, KinematicModel, Model, Observations, Result, Target, Validate,
 };
 use serde::Serialize;
 
@@ -151,7 +151,27 @@ impl Validate for Stage {
         let peer = self.peer.as_ref();
         let found: Findings = ask(peer, ABBE_JUDGE, &question, &objects)?;
         stays_inside(peer, found.tables.keys())?;
+        found.figures.iter().try_for_each(|figure| is_sound(peer, figure))?;
         Ok(found)
+    }
+}
+
+/// Refuses a figure that contradicts itself. What is decided of a limit follows from its rule; a plugin that cannot tell says so
+/// by `inconclusive`.
+fn is_sound(peer: &dyn Peer, figure: &Figure) -> Result<()> {
+    let (who, name) = (peer.who(), &figure.name);
+    if let Some(uncertainty) = figure.standard_uncertainty.filter(|uncertainty| *uncertainty < 0.0) {
+        return Err(Error::data(format!("{who} gave the figure `{name}` the standard uncertainty {uncertainty}")));
+    }
+    match (figure.decision, figure.decide()) {
+        (Some(stated), Some(decided)) if stated != decided => {
+            let message = format!("{who} says `{stated}` of the figure `{name}`, whose limit says `{decided}`");
+            Err(Error::data(message).help("a plugin that cannot tell says why under `inconclusive`"))
+        }
+        (Some(stated), None) => {
+            Err(Error::data(format!("{who} says `{stated}` of the figure `{name}`, which has no limit")))
+        }
+        _ => Ok(()),
     }
 }
 

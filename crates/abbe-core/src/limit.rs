@@ -1,0 +1,219 @@
+//! Limits as recipes state them.
+
+use std::borrow::Cow;
+use std::fmt;
+
+use schemars::{JsonSchema, Schema, SchemaGenerator, json_schema};
+use serde::de::value::{MapAccessDeserializer, MapDeserializer};
+use serde::de::{Error, MapAccess, Visitor};
+use serde::{Deserialize, Deserializer, Serialize};
+use serde_json::Value;
+
+use crate::decision::Rule;
+
+/// The largest admissible value of a figure and the rule that it is judged by.
+///
+/// In settings it is a number, or a map with the rule: `30`, `{ limit: 30, decision: simple }` or
+/// `{ limit: 30, decision: { rule: simple } }`. The unit stands in the name of the setting.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize)]
+pub struct Limit {
+    /// The largest admissible value.
+    #[serde(rename = "limit")]
+    pub value: f64,
+    /// The rule.
+    #[serde(rename = "decision")]
+    pub rule: Rule,
+}
+
+impl From<f64> for Limit {
+    fn from(value: f64) -> Self {
+        Self { value, rule: Rule::default() }
+    }
+}
+
+/// A limit with the rule that decides.
+#[derive(Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+struct Stated {
+    /// The largest admissible value.
+    limit: f64,
+    /// The rule that decides whether a value keeps the limit: its name, or a map with its settings. Simple acceptance
+    /// unless said otherwise.
+    #[serde(default, deserialize_with = "named_or_set")]
+    #[schemars(schema_with = "schema_of_rules")]
+    decision: Rule,
+}
+
+impl<'de> Deserialize<'de> for Limit {
+    fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
+        struct Either;
+
+        // No untagged enum of serde: it forgets what is wrong, and where.
+        impl<'de> Visitor<'de> for Either {
+            type Value = Limit;
+
+            fn expecting(&self, text: &mut fmt::Formatter<'_>) -> fmt::Result {
+                text.write_str("a number or a map `{ limit: 30, decision: simple }`")
+            }
+
+            fn visit_f64<E: Error>(self, value: f64) -> Result<Limit, E> {
+                Ok(value.into())
+            }
+
+            fn visit_u64<E: Error>(self, value: u64) -> Result<Limit, E> {
+                Ok((value as f64).into())
+            }
+
+            fn visit_i64<E: Error>(self, value: i64) -> Result<Limit, E> {
+                Ok((value as f64).into())
+            }
+
+            fn visit_map<A: MapAccess<'de>>(self, map: A) -> Result<Limit, A::Error> {
+                let Stated { limit, decision } = Stated::deserialize(MapAccessDeserializer::new(map))?;
+                Ok(Limit { value: limit, rule: decision })
+            }
+        }
+
+        deserializer.deserialize_any(Either)
+    }
+}
+
+/// Reads a rule by its name, which is short for the map with this name alone, or as the map.
+fn named_or_set<'de, D: Deserializer<'de>>(deserializer: D) -> Result<Rule, D::Error> {
+    struct Either;
+
+    impl<'de> Visitor<'de> for Either {
+        type Value = Rule;
+
+        fn expecting(&self, text: &mut fmt::Formatter<'_>) -> fmt::Result {
+            text.write_str("the name of a rule, `simple`, or a map `{ rule: simple }`")
+        }
+
+        fn visit_str<E: Error>(self, name: &str) -> Result<Rule, E> {
+            Rule::deserialize(MapDeserializer::new([("rule", name)].into_iter()))
+        }
+
+        fn visit_map<A: MapAccess<'de>>(self, map: A) -> Result<Rule, A::Error> {
+            Rule::deserialize(MapAccessDeserializer::new(map))
+        }
+    }
+
+    deserializer.deserialize_any(Either)
+}
+
+/// The maps of all rules, and the names of those that need no setting.
+fn schema_of_rules(generator: &mut SchemaGenerator) -> Schema {
+    let maps = Rule::json_schema(generator);
+    let rules = maps.get("oneOf").and_then(Value::as_array).into_iter().flatten();
+    let alone = rules.filter(|rule| rule["required"].as_array().is_some_and(|required| required.len() == 1));
+    let names: Vec<&Value> = alone.map(|rule| &rule["properties"]["rule"]["const"]).collect();
+    json_schema!({ "anyOf": [{ "enum": names }, maps] })
+}
+
+impl JsonSchema for Limit {
+    fn schema_name() -> Cow<'static, str> {
+        "Limit".into()
+    }
+
+    fn json_schema(generator: &mut SchemaGenerator) -> Schema {
+        json_schema!({ "anyOf": [{ "type": "number" }, generator.subschema_for::<Stated>()] })
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::{from_settings, schema_of};
+    use serde_json::json;
+    use std::collections::BTreeMap;
+
+    #[derive(Debug, PartialEq, Deserialize, JsonSchema)]
+    struct Settings {
+        #[serde(default)]
+        limits: BTreeMap<String, Limit>,
+    }
+
+    #[test]
+    fn a_number_or_a_map() {
+        let forms = [
+            json!(30),
+            json!(30.0),
+            json!({ "limit": 30 }),
+            json!({ "limit": 30, "decision": "simple" }),
+            json!({ "decision": { "rule": "simple" }, "limit": 30.0 }),
+        ];
+        for form in forms {
+            let read: Settings = from_settings(&json!({ "limits": { "max_um": form } })).unwrap();
+            assert_eq!(read.limits["max_um"], Limit { value: 30.0, rule: Rule::Simple {} }, "{form}");
+        }
+        let written = json!(Limit::from(-3.0));
+        assert_eq!(written, json!({ "limit": -3.0, "decision": { "rule": "simple" } }));
+        for form in [json!(-3), written] {
+            assert_eq!(from_settings::<Limit>(&form).unwrap(), Limit::from(-3.0));
+        }
+    }
+
+    #[test]
+    fn what_is_none_is_refused_at_its_place() {
+        let cases = [
+            (
+                json!("30"),
+                "limits.max_um: the text `30` was found; a number or a map `{ limit: 30, decision: simple }` was expected",
+            ),
+            (
+                json!(null),
+                "limits.max_um: nothing was found; a number or a map `{ limit: 30, decision: simple }` was expected",
+            ),
+            (
+                json!([30]),
+                "limits.max_um: a list was found; a number or a map `{ limit: 30, decision: simple }` was expected",
+            ),
+            (json!({ "decision": "simple" }), "limits.max_um: the setting `limit` is missing"),
+            (json!({ "limit": "30" }), "limits.max_um.limit: the text `30` was found; a number was expected"),
+            (
+                json!({ "limit": 30, "decison": "simple" }),
+                "limits.max_um.decison: unknown setting `decison` (did you mean `decision`?)",
+            ),
+            (
+                json!({ "limit": 30, "decision": "simpel" }),
+                "limits.max_um.decision: unknown choice `simpel` (did you mean `simple`?)",
+            ),
+            (
+                json!({ "limit": 30, "decision": { "rule": "simpel" } }),
+                "limits.max_um.decision.rule: unknown choice `simpel` (did you mean `simple`?)",
+            ),
+            (
+                json!({ "limit": 30, "decision": "guard-band" }),
+                "limits.max_um.decision: unknown choice `guard-band` (possible are: simple)",
+            ),
+            (json!({ "limit": 30, "decision": {} }), "limits.max_um.decision: the setting `rule` is missing"),
+            (
+                json!({ "limit": 30, "decision": { "rule": "simple", "probability": 0.95 } }),
+                "limits.max_um.decision: unknown setting `probability`",
+            ),
+            (
+                json!({ "limit": 30, "decision": 0.95 }),
+                "limits.max_um.decision: the number 0.95 was found; the name of a rule, `simple`, or a map \
+                 `{ rule: simple }` was expected",
+            ),
+        ];
+        for (form, expected) in cases {
+            let error = from_settings::<Settings>(&json!({ "limits": { "max_um": form } })).unwrap_err();
+            assert_eq!(error.to_string(), expected, "{form}");
+        }
+    }
+
+    #[test]
+    fn editors_know_both_forms() {
+        let limits = &schema_of::<Settings>()["properties"]["limits"];
+        assert_eq!(limits["default"], json!({}));
+        let limit = &limits["additionalProperties"];
+        assert_eq!(limit["anyOf"][0], json!({ "type": "number" }));
+        let map = &limit["anyOf"][1];
+        assert_eq!((&map["required"], &map["additionalProperties"]), (&json!(["limit"]), &json!(false)));
+        let [name, set] = [0, 1].map(|form| &map["properties"]["decision"]["anyOf"][form]);
+        assert_eq!(name["enum"], json!(["simple"]));
+        assert_eq!(set["oneOf"][0]["properties"]["rule"]["const"], "simple");
+        assert_eq!(set["oneOf"][0]["additionalProperties"], false);
+    }
+}
