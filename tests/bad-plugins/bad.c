@@ -1,7 +1,9 @@
 /* A plugin library that does what none should. How the library as a whole is wrong is chosen when it is compiled (LIBRARY_...),
- * what its model does wrong by its setting `mode`. */
+ * what its model does wrong by its setting `mode`. After `away-` it does so only where a parameter is not zero, and writes on
+ * standard error every time that it is asked there. */
 #include <fenv.h>
 #include <math.h>
+#include <stdio.h>
 #include <stdlib.h>
 #include <string.h>
 #include <unistd.h>
@@ -10,7 +12,10 @@
 
 typedef struct {
     char mode[32];
+    int away;
 } Bad;
+
+static const Bad GOOD = { "good", 0 };
 
 static void say(const AbbeReply *reply, const char *text)
 {
@@ -26,6 +31,15 @@ static int is(const Bad *bad, const char *mode)
 static uint32_t poses(void *handle, const AbbePoses *batch, const AbbeReply *reply)
 {
     const Bad *bad = handle;
+    if (bad->away) {
+        int at_start = 1;
+        for (uint64_t i = 0; i < batch->value_count; i++)
+            at_start = at_start && batch->values[i] == 0;
+        if (at_start)
+            bad = &GOOD;
+        else
+            fputs("asked away from the start\n", stderr);
+    }
     int *volatile nowhere = (int *)16;
     static void *volatile lost;
     if (is(bad, "abort"))
@@ -40,6 +54,14 @@ static uint32_t poses(void *handle, const AbbePoses *batch, const AbbeReply *rep
     if (is(bad, "fail")) {
         say(reply, "the vendor says no");
         return ABBE_FAILED;
+    }
+    if (is(bad, "fault")) {
+        say(reply, "{\"message\":\"the licence has expired\",\"fault\":true}");
+        return ABBE_FAILED_WITH_DETAILS;
+    }
+    if (is(bad, "panic")) {
+        say(reply, "a bug of the vendor");
+        return ABBE_PANICKED;
     }
     if (batch->orientations && !is(bad, "orientation")) {
         say(reply, "this machine gives no orientations");
@@ -139,6 +161,10 @@ static uint32_t create(const AbbePlugin *plugin, AbbeText settings, AbbeText bas
         return ABBE_FAILED;
     }
     memcpy(bad->mode, settings.data + skip, settings.length - skip - 2);
+    if (strncmp(bad->mode, "away-", 5) == 0) {
+        bad->away = 1;
+        memmove(bad->mode, bad->mode + 5, sizeof bad->mode - 5);
+    }
     if (is(bad, "abort-in-create"))
         abort();
     AbbeObject object = { &TABLE, bad };

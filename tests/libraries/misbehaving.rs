@@ -77,6 +77,34 @@ fn what_would_end_the_program_ends_an_isolated_plugin_only() {
 }
 
 #[test]
+fn a_plugin_that_fails_at_a_step_ends_the_run_and_one_that_refuses_it_is_asked_for_a_smaller_one() {
+    let cases = [
+        ("away-nan", &[false, true][..], "gave positions that are not finite numbers"),
+        ("away-status", &[false, true], "gave the unknown status 77"),
+        ("away-not-utf8", &[false, true], "gave a text that is not UTF-8"),
+        ("away-beyond", &[false, true], "wrote beyond the end of the room that it was given"),
+        ("away-panic", &[false, true], "panicked: a bug of the vendor"),
+        ("away-fault", &[false, true], "the licence has expired"),
+        ("away-abort", &[true], "ended by signal 6 (SIGABRT)"),
+        ("away-exit", &[true], "ended its process, with exit status: 0"),
+        ("away-hang", &[true], "gave no answer within 1 s"),
+    ];
+    for (mode, isolations, expected) in cases {
+        for &isolate in isolations {
+            let (printed, text) = misbehave(mode, isolate);
+            assert!(printed.status == 1 && text.contains(expected), "{mode}: {text}");
+            assert_eq!(text.matches("asked away from the start").count(), 1, "{mode}: {text}");
+        }
+    }
+    // The whole step and 19 halves are refused; then the refusal is told.
+    for isolate in [false, true] {
+        let (printed, text) = misbehave("away-fail", isolate);
+        assert!(printed.status == 1 && text.contains("the vendor says no"), "{text}");
+        assert_eq!(text.matches("asked away from the start").count(), 20, "{text}");
+    }
+}
+
+#[test]
 fn wrong_libraries_are_refused() {
     let folder = temporary();
     let at = folder.path();

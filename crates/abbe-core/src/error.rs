@@ -54,11 +54,24 @@ pub struct Error {
     /// The one of the poses that a model evaluated together that is concerned; the problem turns it into a place.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub pose: Option<usize>,
+    /// The code that was asked failed (it died, gave no answer, panicked, broke its promises), whatever numbers it was asked
+    /// with. Without it an evaluation that fails refuses these numbers, and others may do.
+    #[serde(default, skip_serializing_if = "std::ops::Not::not")]
+    pub fault: bool,
 }
 
 impl Error {
     fn new(class: Class, message: impl Into<String>) -> Self {
-        Self { class, message: message.into(), help: None, place: None, stage: None, setting: Vec::new(), pose: None }
+        Self {
+            class,
+            message: message.into(),
+            help: None,
+            place: None,
+            stage: None,
+            setting: Vec::new(),
+            pose: None,
+            fault: false,
+        }
     }
 
     /// Wrong use of the recipe or of the command.
@@ -100,6 +113,12 @@ impl Error {
     /// Says which of the poses that were evaluated together is to blame.
     pub fn of_pose(mut self, pose: usize) -> Self {
         self.pose = Some(pose);
+        self
+    }
+
+    /// Says that the code that was asked failed, and not the numbers that it was asked with.
+    pub fn fault(mut self) -> Self {
+        self.fault = true;
         self
     }
 

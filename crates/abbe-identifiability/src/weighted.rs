@@ -101,6 +101,10 @@ impl<'a> Weighted<'a> {
 impl LeastSquares for Weighted<'_> {
     type Error = Error;
 
+    fn is_final(&self, error: &Error) -> bool {
+        error.fault
+    }
+
     fn unknowns(&self) -> usize {
         self.problem.unknowns.len() + self.columns.len()
     }

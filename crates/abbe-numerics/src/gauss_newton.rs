@@ -12,6 +12,12 @@ pub trait LeastSquares {
     /// What can go wrong in an evaluation.
     type Error;
 
+    /// Whether nothing can be evaluated any more after this error. Any other one refuses the values that it was asked with, as
+    /// where a mechanism does not close: a step that leads there is shortened.
+    fn is_final(&self, _: &Self::Error) -> bool {
+        false
+    }
+
     /// Number of unknowns.
     fn unknowns(&self) -> usize;
 
@@ -87,7 +93,10 @@ pub(crate) fn factorise<P: LeastSquares + ?Sized>(
 /// Minimises the sum of squares from `start`; see [`Options`].
 ///
 /// Every step is that of the linearised problem, columns scaled, within its first `rank` singular directions, and is
-/// halved while it does not make the sum of squares smaller.
+/// halved while it does not make the sum of squares smaller, or leads to where nothing can be evaluated.
+///
+/// Fails if the start cannot be evaluated, with the last error if no part of a step could be, and at once with an error that is
+/// final ([`LeastSquares::is_final`]).
 pub fn solve<P: LeastSquares + ?Sized>(problem: &P, start: &[f64], options: &Options) -> Result<Solution, P::Error> {
     solve_from(problem, start, None, options)
 }
@@ -179,6 +188,9 @@ const NEARLY_SETTLED: f64 = 1e-3;
 /// Most rounds of robust weights: they settle slowly where a row is about to be left out.
 const ROUNDS: usize = 200;
 
+/// Smallest part of a step that is tried.
+const LEAST_PART: f64 = 1e-6;
+
 /// Where an iteration ended.
 struct Minimum {
     x: Vec<f64>,
@@ -220,19 +232,9 @@ fn minimise<P: LeastSquares + ?Sized>(
             return Ok(Minimum { x, end: End::Converged, iterations, factor });
         }
         last_size = size;
-        let cost = factor.cost();
-        let mut part = 1.0;
-        loop {
-            let mut trial = x.clone();
-            add(&mut trial, &step, part);
-            let trial_factor = factorise(problem, &trial, weights)?;
-            let differentiable = trial_factor.norms().iter().all(|norm| norm.is_finite());
-            if differentiable && trial_factor.cost() <= cost * (1.0 + 1e-12) + f64::MIN_POSITIVE {
-                (x, factor) = (trial, trial_factor);
-                break;
-            }
-            part *= 0.5;
-            if part < 1e-6 {
+        match downhill(problem, (&x, &step), factor.cost(), weights)? {
+            Some(lower) => (x, factor) = lower,
+            None => {
                 // Nothing below helps: this is as low as rounding allows, or the model is not smooth here.
                 let end = if size < SMALL { End::Converged } else { End::NoProgress };
                 return Ok(Minimum { x, end, iterations, factor });
@@ -240,6 +242,34 @@ fn minimise<P: LeastSquares + ?Sized>(
         }
     }
     Ok(Minimum { x, end: End::IterationLimit, iterations: options.iterations, factor })
+}
+
+/// The first of a step from x, its half, its quarter and so on that does not make the sum of squares larger than `cost`, with the
+/// factor there; None if no part does.
+fn downhill<P: LeastSquares + ?Sized>(
+    problem: &P,
+    (x, step): (&[f64], &[f64]),
+    cost: f64,
+    weights: Option<&[f64]>,
+) -> Result<Option<(Vec<f64>, Factor)>, P::Error> {
+    let (mut evaluated, mut refused, mut part) = (false, None, 1.0);
+    while part >= LEAST_PART {
+        let mut trial = x.to_vec();
+        add(&mut trial, step, part);
+        match factorise(problem, &trial, weights) {
+            Ok(factor) => {
+                evaluated = true;
+                let differentiable = factor.norms().iter().all(|norm| norm.is_finite());
+                if differentiable && factor.cost() <= cost * (1.0 + 1e-12) + f64::MIN_POSITIVE {
+                    return Ok(Some((trial, factor)));
+                }
+            }
+            Err(error) if problem.is_final(&error) => return Err(error),
+            Err(error) => refused = Some(error),
+        }
+        part *= 0.5;
+    }
+    refused.filter(|_| !evaluated).map_or(Ok(None), Err)
 }
 
 fn add(x: &mut [f64], step: &[f64], part: f64) {

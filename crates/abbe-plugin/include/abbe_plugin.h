@@ -25,7 +25,8 @@ struct AbbeReply;
 #define ABBE_FAILED 1
 
 // An error; the text of the reply is JSON: `message`, and whatever of `help`, `class` ("use" or "data"), `setting` (of stages)
-// or `path` (of settings), `place`, `pose` (of those that were evaluated together, from 0) there is.
+// or `path` (of settings), `place`, `pose` (of those that were evaluated together, from 0) there is. An evaluation that fails
+// refuses the numbers that it was asked with, and an estimator tries others, unless `fault` is true: the code itself failed.
 #define ABBE_FAILED_WITH_DETAILS 2
 
 // The code panicked; the text says how.

@@ -30,7 +30,8 @@ pub const ABBE_OK: u32 = 0;
 /// An error; the text of the reply is one sentence.
 pub const ABBE_FAILED: u32 = 1;
 /// An error; the text of the reply is JSON: `message`, and whatever of `help`, `class` ("use" or "data"), `setting` (of stages)
-/// or `path` (of settings), `place`, `pose` (of those that were evaluated together, from 0) there is.
+/// or `path` (of settings), `place`, `pose` (of those that were evaluated together, from 0) there is. An evaluation that fails
+/// refuses the numbers that it was asked with, and an estimator tries others, unless `fault` is true: the code itself failed.
 pub const ABBE_FAILED_WITH_DETAILS: u32 = 2;
 /// The code panicked; the text says how.
 pub const ABBE_PANICKED: u32 = 3;

@@ -1,6 +1,7 @@
 //! One object of the other side, whatever lies between: a library's table of functions, or a pipe to another process.
 
 use std::any::Any;
+use std::fmt::Display;
 use std::sync::Arc;
 
 use abbe_core::{Class, Error, PathItem, Place, PoseValues, Poses, SettingsError, Variable};
@@ -65,7 +66,7 @@ pub(crate) struct Failure {
 }
 
 /// The text of [`ABBE_FAILED_WITH_DETAILS`].
-#[derive(Deserialize)]
+#[derive(Default, Deserialize)]
 struct Details {
     message: String,
     #[serde(default)]
@@ -81,38 +82,36 @@ struct Details {
     #[serde(default)]
     pose: Option<usize>,
     #[serde(default)]
+    fault: bool,
+    #[serde(default)]
     path: Vec<PathItem>,
     #[serde(default)]
     #[cfg_attr(not(feature = "host"), allow(dead_code, reason = "a vendor's side asks for no stages"))]
     key: bool,
 }
 
+/// The error for what the other side did that it must not do; names it. No setting is to blame for that.
+pub(crate) fn broken(who: &str, what: impl Display) -> Error {
+    Error::data(format!("{who} {what}")).fault()
+}
+
 impl Failure {
-    /// What the other side did that it must not do; names it. No setting is to blame for that.
-    pub fn of(who: &str, what: impl std::fmt::Display) -> Self {
-        Error::data(format!("{who} {what}")).into()
+    /// What the other side did that it must not do; names it.
+    pub fn of(who: &str, what: impl Display) -> Self {
+        broken(who, what).into()
     }
 
     fn details(self, who: &str) -> Details {
-        let plain = |message: String| Details {
-            message,
-            help: None,
-            class: None,
-            place: None,
-            stage: None,
-            pose: None,
-            setting: Vec::new(),
-            path: Vec::new(),
-            key: false,
-        };
+        let refusal = |message| Details { message, ..Details::default() };
+        let fault = |what: String| Details { message: format!("{who} {what}"), fault: true, ..Details::default() };
         match self.status {
-            ABBE_FAILED if self.text.trim().is_empty() => plain(format!("{who} failed without a message")),
-            ABBE_FAILED => plain(self.text),
+            ABBE_FAILED if self.text.trim().is_empty() => refusal(format!("{who} failed without a message")),
+            ABBE_FAILED => refusal(self.text),
             ABBE_FAILED_WITH_DETAILS => serde_json::from_str(&self.text)
-                .unwrap_or_else(|error| plain(format!("{who} failed with details that cannot be read: {error}"))),
-            ABBE_PANICKED => plain(format!("{who} panicked: {}", self.text)),
-            ABBE_UNKNOWN_METHOD => plain(format!("{who} lacks a function: {}", self.text)),
-            other => plain(format!("{who} gave the unknown status {other}: {}", self.text)),
+                .unwrap_or_else(|error| fault(format!("failed with details that cannot be read: {error}"))),
+            ABBE_PANICKED => fault(format!("panicked: {}", self.text)),
+            ABBE_UNKNOWN_METHOD => fault(format!("lacks a function: {}", self.text)),
+            other => fault(format!("gave the unknown status {other}: {}", self.text)),
         }
     }
 
@@ -124,7 +123,7 @@ impl Failure {
             _ => Error::data(details.message),
         };
         (error.help, error.place, error.stage) = (details.help, details.place, details.stage);
-        error.pose = details.pose;
+        (error.pose, error.fault) = (details.pose, details.fault);
         error.setting = if details.setting.is_empty() { details.path } else { details.setting };
         error
     }
@@ -156,6 +155,6 @@ impl From<SettingsError> for Failure {
 
 impl From<serde_json::Error> for Failure {
     fn from(error: serde_json::Error) -> Self {
-        Self { status: ABBE_FAILED, text: format!("a text that crosses the border cannot be read: {error}") }
+        Error::data(format!("a text that crosses the border cannot be read: {error}")).fault().into()
     }
 }

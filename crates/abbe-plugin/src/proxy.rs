@@ -16,7 +16,7 @@ use abbe_core::{Error, Result};
 use serde::Serialize;
 use serde::de::DeserializeOwned;
 
-use crate::peer::{Answer, Peer};
+use crate::peer::{Answer, Peer, broken};
 use crate::served::Served;
 
 #[cfg(feature = "host")]
@@ -35,8 +35,8 @@ fn ask<Q: Serialize + ?Sized, A: DeserializeOwned>(
     objects: &[Arc<Served>],
 ) -> Result<A> {
     let answer = ask_whole(peer, method, question, objects)?;
-    let broken = |error| Error::data(format!("{} gave an answer that cannot be read: {error}", peer.who()));
-    serde_json::from_str(&answer.text).map_err(broken)
+    serde_json::from_str(&answer.text)
+        .map_err(|error| broken(peer.who(), format!("gave an answer that cannot be read: {error}")))
 }
 
 fn ask_whole<Q: Serialize + ?Sized>(
@@ -46,7 +46,7 @@ fn ask_whole<Q: Serialize + ?Sized>(
     objects: &[Arc<Served>],
 ) -> Result<Answer> {
     let text = serde_json::to_string(question)
-        .map_err(|error| Error::data(format!("what {} is asked cannot be written: {error}", peer.who())))?;
+        .map_err(|error| Error::data(format!("what {} is asked cannot be written: {error}", peer.who())).fault())?;
     peer.call(method, &text, objects).map_err(|failure| failure.error(peer.who()))
 }
 
@@ -56,7 +56,7 @@ fn finite<'a>(peer: &dyn Peer, what: &str, values: impl IntoIterator<Item = &'a 
     let sum: f64 = values.into_iter().map(|value| value * 0.0).sum();
     match sum == 0.0 {
         true => Ok(()),
-        false => Err(Error::data(format!("{} gave {what} that are not finite numbers", peer.who()))),
+        false => Err(broken(peer.who(), format!("gave {what} that are not finite numbers"))),
     }
 }
 

@@ -3,8 +3,8 @@
 use std::sync::{Arc, PoisonError, RwLock};
 
 use abbe_core::{
-    Artefact, Build, Calibration, Context, Dataset, Error, Estimate, Export, Fit, Identifiability, Ingest,
-    KinematicModel, Model, Observations, Plugin, SettingsError, Validate,
+    Artefact, Build, Calibration, Context, Dataset, Estimate, Export, Fit, Identifiability, Ingest, KinematicModel,
+    Model, Observations, Plugin, SettingsError, Validate,
 };
 use serde::Serialize;
 use serde::de::DeserializeOwned;
@@ -63,7 +63,7 @@ impl Served {
             Self::Machine(machine) => with(machine.as_ref()),
             Self::Lent(lent) => match *lent.0.read().unwrap_or_else(PoisonError::into_inner) {
                 Some(machine) => with(machine),
-                None => Err(Error::data("a machine was used after the call that lent it had ended").into()),
+                None => Err(Failure::of("a machine", "was used after the call that lent it had ended")),
             },
             _ => Err(unknown("this object is no machine")),
         }

@@ -352,8 +352,10 @@ impl GaussNewton {
         };
         let options = self.options(rank, 1e-3, false);
         let at_start = Some(of_reduced).filter(|_| reduced.is_judged_as_recorded());
-        let Ok(solution) = self.iterate(&self.weighted(&reduced)?, &reduced.start(), at_start, &options) else {
-            return Ok(None);
+        let solution = match self.iterate(&self.weighted(&reduced)?, &reduced.start(), at_start, &options) {
+            Ok(solution) => solution,
+            Err(error) if error.fault => return Err(error),
+            Err(_) => return Ok(None),
         };
         let started = Problem { unknowns: problem.unknowns.clone(), ..reduced.at(&solution.x) };
         let factor = judged_factor(&started, &started.start())?;

@@ -9,6 +9,8 @@
 mod draws;
 mod settings;
 
+use std::sync::atomic::{AtomicBool, Ordering};
+
 use abbe_core::{
     Build, Calibration, Constructor, Context, Covariance, Error, Estimate, Fit, GumComparison, Identifiability,
     MonteCarlo, Plugin, Problem, Result, SettingsError, SimulatedParameter, in_parallel, inventory,
@@ -103,7 +105,7 @@ struct Found {
 }
 
 impl Propagation {
-    /// Adds `count` trials, in the order of their numbers.
+    /// Adds `count` trials, in the order of their numbers; ends with the first one in which the code itself fails.
     fn solve(
         &self,
         draws: &Draws<'_>,
@@ -115,12 +117,21 @@ impl Propagation {
         let first = found.trials.count() + found.failed;
         let numbers: Vec<u64> = (first as u64..(first + count) as u64).collect();
         let mut last_failure = None;
+        let ended = AtomicBool::new(false);
         for chunk in numbers.chunks(CHUNK) {
+            // None once a fault of the code has ended it.
             let results = in_parallel(chunk, self.settings.threads, |&number| {
+                if ended.load(Ordering::Relaxed) {
+                    return None;
+                }
                 let mut generator = Generator::new(self.settings.seed, number);
-                draws.trial(&mut generator, |problem| fit.estimator.values(problem))
+                let values = draws.trial(&mut generator, |problem| fit.estimator.values(problem));
+                if values.as_ref().is_err_and(|error| error.fault) {
+                    ended.store(true, Ordering::Relaxed);
+                }
+                Some(values)
             });
-            for result in results {
+            for result in results.into_iter().flatten() {
                 match result {
                     Ok(values) => {
                         found.trials.push(&values);
@@ -128,6 +139,7 @@ impl Propagation {
                             batch.push(&values);
                         }
                     }
+                    Err(error) if error.fault => return Err(error),
                     Err(error) => {
                         found.failed += 1;
                         last_failure = Some(error);

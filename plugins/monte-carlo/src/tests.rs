@@ -1,11 +1,13 @@
 //! Trials against the closed form on random linear problems, the same bytes on any number of threads, and refusals.
 
 use std::sync::Arc;
+use std::sync::atomic::{AtomicUsize, Ordering};
 
 use abbe_core::{
     Absent, Axis, Build, Calibration, Contact, Context, CovarianceBlock, Dataset, EquationUncertainty, Equations,
-    Estimate, Feature, Fit, Kind, KinematicModel, KnownInput, Layout, ObservationSet, Observations, Parameter, Pooled,
-    PoseValues, Poses, Problem, Quantity, Registry, Result, StatusColumn, Unit, Variable, path_text,
+    Error, Estimate, Feature, Fit, Identifiability, Kind, KinematicModel, KnownInput, Layout, ObservationSet,
+    Observations, Parameter, Pooled, PoseValues, Poses, Problem, Quantity, Registry, Result, StatusColumn, Unit,
+    Variable, path_text,
 };
 use abbe_gauss_newton as _;
 use abbe_numerics::Generator;
@@ -244,6 +246,48 @@ fn trials_agree_with_the_closed_form_of_linear_problems() {
             assert!(shortest_high - shortest_low <= high - low);
         }
     }
+}
+
+/// An estimator whose trials all fail; counts them.
+struct Failing {
+    error: Error,
+    asked: AtomicUsize,
+}
+
+impl Estimate for Failing {
+    fn estimate(&self, _: &Problem) -> Result<Calibration> {
+        Err(self.error.clone())
+    }
+
+    fn identify(&self, _: &Problem) -> Result<Identifiability> {
+        Err(self.error.clone())
+    }
+
+    fn values(&self, _: &Problem) -> Result<Vec<f64>> {
+        self.asked.fetch_add(1, Ordering::Relaxed);
+        Err(self.error.clone())
+    }
+}
+
+#[test]
+fn a_fault_of_the_code_ends_all_trials_and_refused_numbers_one() {
+    let run = |error: Error, threads: usize| {
+        let failing = Arc::new(Failing { error, asked: AtomicUsize::new(0) });
+        let fit = Fit { estimator: failing.clone(), ..fit(problem(1, Rows::Independent)) };
+        let settings = json!({ "trials": 2000, "threads": threads });
+        let error = estimator("monte-carlo", &settings).unwrap().reconsider(&fit).unwrap_err();
+        (error.message, failing.asked.load(Ordering::Relaxed))
+    };
+    let fault = || Error::data("the machine has died").fault();
+    assert_eq!(run(fault(), 1), ("the machine has died".to_owned(), 1));
+    let (message, asked) = run(fault(), 4);
+    assert!(message == "the machine has died" && asked <= 4, "{asked}: {message}");
+    let (message, asked) = run(Error::data("such numbers have no pose"), 1);
+    assert_eq!(asked, 2000);
+    assert!(
+        message.starts_with("2000 of 2000 trials failed") && message.ends_with("such numbers have no pose"),
+        "{message}"
+    );
 }
 
 #[test]

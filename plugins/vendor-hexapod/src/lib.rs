@@ -43,3 +43,6 @@ impl Model for Description {
         Ok(self.machine.clone())
     }
 }
+
+#[cfg(test)]
+mod tests;

@@ -1,7 +1,9 @@
 //! Proves the iteration on problems with known minima: it converges, halves steps that overshoot, says how it ended,
 //! takes the shortest way where directions are lost, and does not care about the order of rows.
 
-use abbe_numerics::{End, Options, Solution, solve};
+use std::cell::Cell;
+
+use abbe_numerics::{End, LeastSquares, Options, Sink, Solution, solve};
 
 use crate::problems::{Given, Linear, Linearised, Random, dot, given, norm};
 
@@ -77,6 +79,100 @@ fn steps_into_what_is_not_finite_are_halved() {
     let found = run(&problem, &[4.0], &Options { rank: 1, ..FULL });
     assert_eq!(found.end, End::Converged);
     assert!((found.x[0] - 0.25).abs() < 1e-14, "{:?}", found.x);
+}
+
+/// A residual with its derivative to the one unknown, where there is one.
+struct Partial<F> {
+    at: F,
+    /// Evaluations that are done before one is refused for good.
+    lives: usize,
+    asked: Cell<usize>,
+}
+
+/// Why nothing is there.
+#[derive(Debug, PartialEq)]
+enum Nothing {
+    /// The function is not defined at this value.
+    At(f64),
+    /// It is defined nowhere any more.
+    Anywhere,
+}
+
+impl<F: Fn(f64) -> Option<(f64, f64)>> Partial<F> {
+    fn new(at: F) -> Self {
+        Self { at, lives: usize::MAX, asked: Cell::new(0) }
+    }
+
+    fn solve(&self, start: f64) -> Result<Solution, Nothing> {
+        self.asked.set(0);
+        solve(self, &[start], &Options { rank: 1, ..FULL })
+    }
+}
+
+impl<F: Fn(f64) -> Option<(f64, f64)>> LeastSquares for Partial<F> {
+    type Error = Nothing;
+
+    fn is_final(&self, error: &Nothing) -> bool {
+        *error == Nothing::Anywhere
+    }
+
+    fn unknowns(&self) -> usize {
+        1
+    }
+
+    fn rows(&self) -> usize {
+        1
+    }
+
+    fn linearise(&self, x: &[f64], sink: Sink<'_>) -> Result<(), Nothing> {
+        self.asked.set(self.asked.get() + 1);
+        if self.asked.get() > self.lives {
+            return Err(Nothing::Anywhere);
+        }
+        let (residual, slope) = (self.at)(x[0]).ok_or(Nothing::At(x[0]))?;
+        sink(0, &[residual], &[slope]);
+        Ok(())
+    }
+
+    fn residuals(&self, x: &[f64]) -> Result<Vec<f64>, Nothing> {
+        (self.at)(x[0]).map(|(residual, _)| vec![residual]).ok_or(Nothing::At(x[0]))
+    }
+}
+
+/// The logarithm, of positive numbers alone: from above e the full step leads to a negative one.
+fn logarithm(x: f64) -> Option<(f64, f64)> {
+    (x > 0.0).then(|| (x.ln(), 1.0 / x))
+}
+
+#[test]
+fn steps_to_where_nothing_can_be_evaluated_are_halved() {
+    for start in [3.0, 8.0, 1e3, 1e6] {
+        let found = Partial::new(logarithm).solve(start).expect("the solution is inside");
+        assert_eq!(found.end, End::Converged);
+        assert!((found.x[0] - 1.0).abs() < 1e-12, "{:?}", found.x);
+    }
+}
+
+#[test]
+fn where_no_part_of_a_step_can_be_evaluated_the_last_error_is_shown() {
+    // Defined at the start alone. Half of the step from 3 to 2 twenty times over: 2^-19 of it is the last that is tried.
+    let problem = Partial::new(|x| (x == 3.0).then_some((1.0, 1.0)));
+    assert_eq!(problem.solve(3.0).map(|found| found.x), Err(Nothing::At(3.0 - 0.5_f64.powi(19))));
+    assert_eq!(problem.asked.get(), 21);
+    // Some parts can be evaluated and lead up: that is no progress, as if all could be.
+    let found = Partial::new(|x| (x >= 2.5).then_some((4.0 - x, 1.0))).solve(3.0).expect("an end");
+    assert_eq!((found.end, found.x), (End::NoProgress, vec![3.0]));
+    // The start itself cannot be evaluated.
+    assert_eq!(Partial::new(logarithm).solve(-1.0).map(|found| found.x), Err(Nothing::At(-1.0)));
+}
+
+#[test]
+fn an_error_that_is_final_ends_the_iteration_at_once() {
+    for lives in 0..4 {
+        let problem = Partial { lives, ..Partial::new(logarithm) };
+        assert_eq!(problem.solve(8.0).map(|found| found.x), Err(Nothing::Anywhere));
+        assert_eq!(problem.asked.get(), lives + 1);
+    }
 }
 
 #[test]

@@ -2,12 +2,12 @@
 
 use std::sync::Arc;
 
-use abbe_core::{Calibration, Error, Estimate, Fit, Identifiability, Problem, Result};
+use abbe_core::{Calibration, Estimate, Fit, Identifiability, Problem, Result};
 use serde::de::DeserializeOwned;
 
 use super::{Unsaid, ask};
 use crate::abi::*;
-use crate::peer::{Peer, Transit};
+use crate::peer::{Peer, Transit, broken};
 use crate::served::Served;
 use crate::texts::{FitText, ProblemText};
 
@@ -27,11 +27,11 @@ struct NoEstimator;
 
 impl Estimate for NoEstimator {
     fn estimate(&self, _: &Problem) -> Result<Calibration> {
-        Err(Error::data("the other side gave an object that is no estimator"))
+        Err(broken("the other side", "gave an object that is no estimator"))
     }
 
     fn identify(&self, _: &Problem) -> Result<Identifiability> {
-        Err(Error::data("the other side gave an object that is no estimator"))
+        Err(broken("the other side", "gave an object that is no estimator"))
     }
 }
 
@@ -56,7 +56,7 @@ impl Estimator {
     /// A calibration has to be as good as one in a file.
     fn checked(&self, calibration: Calibration) -> Result<Calibration> {
         let text = calibration.to_json().and_then(|text| Calibration::from_json(&text));
-        text.map_err(|error| Error::data(format!("{} gave a wrong calibration: {error}", self.peer.who())))
+        text.map_err(|error| broken(self.peer.who(), format!("gave a wrong calibration: {error}")))
     }
 }
 
@@ -73,12 +73,10 @@ impl Estimate for Estimator {
         let values: Vec<f64> = self.ask(ABBE_VALUES, problem)?;
         match values.len() == problem.unknowns.len() {
             true => Ok(values),
-            false => Err(Error::data(format!(
-                "{} gave {} values for {} unknowns",
-                self.peer.who(),
-                values.len(),
-                problem.unknowns.len()
-            ))),
+            false => {
+                let what = format!("gave {} values for {} unknowns", values.len(), problem.unknowns.len());
+                Err(broken(self.peer.who(), what))
+            }
         }
     }
 

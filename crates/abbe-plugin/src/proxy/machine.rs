@@ -5,13 +5,13 @@ use std::collections::BTreeSet;
 use std::sync::Arc;
 
 use abbe_core::{
-    Axis, Error, ErrorFunction, KinematicModel, MotionError, Parameter, Period, Poses, Result, StatusColumn, Variable,
+    Axis, ErrorFunction, KinematicModel, MotionError, Parameter, Period, Poses, Result, StatusColumn, Variable,
 };
 use serde_json::Value;
 
 use super::{ask, finite};
 use crate::abi::*;
-use crate::peer::{Failure, Peer, Transit};
+use crate::peer::{Failure, Peer, Transit, broken};
 use crate::served::Served;
 use crate::texts::{MachineText, MotionText};
 
@@ -124,7 +124,7 @@ impl KinematicModel for Machine {
         let norm = |turn: &[f64; 4]| turn.iter().map(|part| part * part).sum::<f64>();
         // A comparison that NaN fails too.
         if !out.orientations.iter().all(|turn| (norm(turn) - 1.0).abs() < 1e-6) {
-            return Err(Error::data(format!("{} gave orientations that are no unit quaternions", peer.who())));
+            return Err(broken(peer.who(), "gave orientations that are no unit quaternions"));
         }
         finite(peer, "derivatives of orientations", out.rotation_derivatives.as_flattened())
     }
@@ -151,7 +151,7 @@ impl KinematicModel for Machine {
         let peer = self.peer.as_ref();
         let error: MotionError = ask(peer, ABBE_MOTION_ERROR, &question, &[])?;
         if error.derivatives.iter().any(|by| by.0 >= self.text.parameters.len()) {
-            return Err(Error::data(format!("{} gave a derivative to a parameter that is not there", peer.who())));
+            return Err(broken(peer.who(), "gave a derivative to a parameter that is not there"));
         }
         finite(peer, "motion errors", std::iter::once(&error.value).chain(error.derivatives.iter().map(|by| &by.1)))?;
         Ok(error)

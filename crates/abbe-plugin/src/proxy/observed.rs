@@ -4,13 +4,12 @@ use std::any::Any;
 use std::sync::Arc;
 
 use abbe_core::{
-    Contact, Dataset, Equations, Error, Feature, KnownInput, Layout, Observations, Parameter, PoseValues, Quantity,
-    Result,
+    Contact, Dataset, Equations, Feature, KnownInput, Layout, Observations, Parameter, PoseValues, Quantity, Result,
 };
 
 use super::{Unsaid, ask, finite};
 use crate::abi::*;
-use crate::peer::{Failure, Known, Peer, Transit};
+use crate::peer::{Failure, Known, Peer, Transit, broken};
 use crate::served::Served;
 use crate::texts::{ObservationsText, TipText};
 
@@ -170,21 +169,16 @@ impl Observed {
         let turned = if self.text.needs_orientation { poses } else { 0 };
         let found = (given.residuals().len(), given.by_position().len(), given.by_rotation().len());
         if found != (equations, poses, turned) {
-            return Err(Error::data(format!(
-                "{} gave {} equations with {} derivatives to positions and {} to rotations; {equations}, {poses} and {turned} were expected",
-                peer.who(),
-                found.0,
-                found.1,
-                found.2
-            )));
+            let what = format!(
+                "gave {} equations with {} derivatives to positions and {} to rotations; {equations}, {poses} and {turned} were expected",
+                found.0, found.1, found.2
+            );
+            return Err(broken(peer.who(), what));
         }
         let outside = given.by_own().iter().any(|by| by.1 >= self.text.unknowns.len())
             || given.by_input().iter().any(|by| by.1 >= self.text.inputs.len());
         if outside {
-            return Err(Error::data(format!(
-                "{} gave a derivative to an unknown or input that is not there",
-                peer.who()
-            )));
+            return Err(broken(peer.who(), "gave a derivative to an unknown or input that is not there"));
         }
         finite(peer, "residuals", given.residuals())?;
         finite(peer, "derivatives", given.by_position().as_flattened())?;

@@ -12,7 +12,7 @@ use serde::Serialize;
 
 use super::{ask, ask_whole, machine, observations};
 use crate::abi::*;
-use crate::peer::{Peer, Transit};
+use crate::peer::{Peer, Transit, broken};
 use crate::served::{Lent, Served};
 use crate::texts::{CheckText, FileText, FitText, InputText, JudgeText};
 
@@ -24,7 +24,7 @@ fn ask_object<Q: Serialize + ?Sized>(
     objects: &[Arc<Served>],
 ) -> Result<Transit> {
     let answer = ask_whole(peer, method, question, objects)?;
-    answer.objects.into_iter().next().ok_or_else(|| Error::data(format!("{} gave no object", peer.who())))
+    answer.objects.into_iter().next().ok_or_else(|| broken(peer.who(), "gave no object"))
 }
 
 /// Texts that live for ever: names of settings, of which a library has a handful.
@@ -84,14 +84,13 @@ impl Ingest for Stage {
         });
         if let Some(column) = wrong {
             let name = &column.header.header;
-            return Err(Error::data(format!(
-                "{} gave a column `{name}` that has not {rows} cells, or cells that are not finite numbers",
-                self.peer.who()
-            )));
+            let what =
+                format!("gave a column `{name}` that has not {rows} cells, or cells that are not finite numbers");
+            return Err(broken(self.peer.who(), what));
         }
         match data.origins.iter().all(|origin| origin.file < data.files.len()) {
             true => Ok(data),
-            false => Err(Error::data(format!("{} gave rows of a file that it does not name", self.peer.who()))),
+            false => Err(broken(self.peer.who(), "gave rows of a file that it does not name")),
         }
     }
 }
@@ -112,9 +111,8 @@ impl Artefact for Stage {
         let observed = observations(&object, Some(data)).map_err(|failure| failure.error(peer.who()))?;
         let (poses, width) = (&observed.layout().poses, model.status().len());
         if !poses.is_empty() && poses.row(0).len() != width {
-            let message =
-                format!("{} gave poses of {} statuses; the machine has {width}", peer.who(), poses.row(0).len());
-            return Err(Error::data(message));
+            let given = poses.row(0).len();
+            return Err(broken(peer.who(), format!("gave poses of {given} statuses; the machine has {width}")));
         }
         Ok(observed)
     }
@@ -182,7 +180,7 @@ fn stays_inside<'a>(peer: &dyn Peer, mut names: impl Iterator<Item = &'a String>
         name.is_empty() || path.components().any(|part| !matches!(part, std::path::Component::Normal(_)))
     };
     match names.find(outside) {
-        Some(name) => Err(Error::data(format!("{} wants to write `{name}`, outside of its folder", peer.who()))),
+        Some(name) => Err(broken(peer.who(), format!("wants to write `{name}`, outside of its folder"))),
         None => Ok(()),
     }
 }

@@ -1,15 +1,16 @@
-//! Motion errors and nominal values across the border.
+//! Motion errors and nominal values across the border; which failures are refusals and which are faults.
 
 use std::any::Any;
 use std::sync::Arc;
 
 use abbe_core::{
-    Absent, Axis, AxisKind, Branch, Equations, Error, ErrorFunction, KinematicModel, MotionError, Parameter,
-    PoseValues, Poses, Quantity, Result, StatusColumn, Unit, Variable,
+    Absent, Axis, AxisKind, Branch, Dataset, Equations, Error, ErrorFunction, KinematicModel, Layout, MotionError,
+    Parameter, PoseValues, Poses, Quantity, Result, StatusColumn, Unit, Variable,
 };
-use serde_json::Value;
+use serde_json::{Value, json};
 
-use super::machine;
+use super::{machine, observations};
+use crate::abi::*;
 use crate::peer::{Answer, Failure, Known, Peer, Transit};
 use crate::served::Served;
 
@@ -175,5 +176,102 @@ fn nominal_values_are_zero_unless_told_and_one_a_parameter() {
     assert_eq!(uncertain(&[]).unwrap().nominal_uncertainties(), [0.0, 0.0]);
     for wrong in [&[0.0][..], &[0.0, -1.0], &[0.0, f64::NAN]] {
         assert!(uncertain(wrong).is_err(), "{wrong:?}");
+    }
+}
+
+#[test]
+fn what_the_code_does_is_a_fault_and_what_it_says_of_the_numbers_is_none() {
+    let error = |status: u32, text: &str| Failure { status, text: text.to_owned() }.error("the plugin `x`");
+    let cases = [
+        (ABBE_FAILED, "no such pose", false),
+        (ABBE_FAILED, "", false),
+        (ABBE_FAILED_WITH_DETAILS, r#"{"message":"no such pose","pose":3}"#, false),
+        (ABBE_FAILED_WITH_DETAILS, r#"{"message":"the licence has expired","fault":true}"#, true),
+        (ABBE_FAILED_WITH_DETAILS, "no such pose", true),
+        (ABBE_PANICKED, "a bug", true),
+        (ABBE_UNKNOWN_METHOD, "it has no `poses`", true),
+        (77, "what is this", true),
+    ];
+    for (status, text, fault) in cases {
+        let error = error(status, text);
+        assert_eq!(error.fault, fault, "{status}: {error}");
+        // Through more borders.
+        let mut again = Failure::from(error.clone()).error("the plugin `y`");
+        again = Failure::from(again).error("the plugin `z`");
+        assert_eq!(again, error);
+    }
+    assert!(Failure::of("the plugin `x`", "is gone").error("").fault);
+    let unreadable: serde_json::Error = serde_json::from_str::<f64>("{").unwrap_err();
+    assert!(Failure::from(unreadable).error("").fault);
+    // Absent where it says nothing, so that nobody who reads such texts has to know it.
+    assert!(!Failure::from(Error::data("no such pose")).text.contains("fault"));
+}
+
+#[test]
+fn a_broken_promise_of_a_machine_is_a_fault_and_a_refusal_is_none() {
+    let there = across(Wave::new(&[0.0, 0.635])).unwrap();
+    let function = &there.error_functions()[0];
+    let refused = there.motion_error(function, &[0.1, 0.7], &[101.0, f64::NAN]).unwrap_err();
+    assert!(!refused.fault, "{refused}");
+    let outside = across(Wave { amplitude: 2, ..Wave::new(&[]) }).unwrap();
+    assert!(outside.motion_error(function, &[0.0, 1.0], &AT).unwrap_err().fault);
+    // 3.7 / 0 is infinite, its sine none.
+    assert!(there.motion_error(function, &[0.1, 0.0], &AT).unwrap_err().fault);
+    let mut out = Poses::default();
+    assert!(there.evaluate(&AT, &[0.0, 1.0], &[], false, &mut out).unwrap_err().fault, "it has no poses");
+    for (what, turn) in [(f64::NAN, [1.0, 0.0, 0.0, 0.0]), (1.0, [1.0, 1.0, 0.0, 0.0])] {
+        let peer = Answering { text: json!(crate::texts::MachineText::of(&Wave::new(&[]))), gives: vec![what], turn };
+        let there = machine(&Transit::Remote(Arc::new(peer))).ok().unwrap();
+        assert!(there.evaluate(&AT, &[0.0, 1.0], &[], true, &mut out).unwrap_err().fault, "{what} {turn:?}");
+    }
+}
+
+/// The other side, which answers always the same.
+struct Answering {
+    text: Value,
+    gives: Vec<f64>,
+    turn: [f64; 4],
+}
+
+impl Peer for Answering {
+    fn who(&self) -> &str {
+        "the plugin `answering`"
+    }
+
+    fn call(&self, _: u32, _: &str, _: &[Arc<Served>]) -> Result<Answer, Failure> {
+        Ok(Answer { text: self.text.to_string(), objects: Vec::new() })
+    }
+
+    fn poses(&self, _: &[f64], _: &[f64], _: &[Variable], out: &mut Poses) -> Result<(), Failure> {
+        out.positions.fill([self.gives[0]; 3]);
+        out.orientations.fill(self.turn);
+        Ok(())
+    }
+
+    fn equations(&self, _: &[usize], _: PoseValues<'_>, _: Known<'_>, out: &mut Equations) -> Result<(), Failure> {
+        self.gives.iter().for_each(|residual| out.equation(*residual));
+        Ok(())
+    }
+
+    fn as_any(&self) -> &dyn Any {
+        self
+    }
+}
+
+#[test]
+fn equations_of_another_number_or_that_are_none_are_faults() {
+    let data = Arc::new(Dataset::default());
+    let mut layout = Layout::new(&data, &Wave::new(&[]), &[]).unwrap();
+    layout.push_constraint(&[1e-3, 1e-3]);
+    let evaluate = |gives: &[f64]| {
+        let text = json!({ "layout": layout, "contact": { "reading": "r" } });
+        let peer = Answering { text, gives: gives.to_vec(), turn: [0.0; 4] };
+        let there = observations(&Transit::Remote(Arc::new(peer)), Some(&data)).ok().unwrap();
+        let poses = PoseValues { positions: &[], orientations: &[] };
+        there.try_evaluate(&[0], poses, &[], &[], &mut Equations::default())
+    };
+    evaluate(&[0.0, 1.0]).unwrap();
+    for wrong in [&[][..], &[0.0], &[0.0; 3], &[0.0, f64::NAN]] {
+        assert!(evaluate(wrong).unwrap_err().fault, "{wrong:?}");
     }
 }
