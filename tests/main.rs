@@ -27,3 +27,4 @@ mod sphere;
 mod support;
 mod truth;
 mod uncertainty;
+mod variance;

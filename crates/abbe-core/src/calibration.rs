@@ -221,6 +221,9 @@ pub struct FitReport {
     /// Motion errors that the functions chosen for them tell apart, and not the machine.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub same_motion: Vec<SameMotion>,
+    /// The factors on the stated uncertainties of every artefact, where each was given its own.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub variance: Vec<VarianceFactor>,
     /// How well the calibrations agree of which this one was combined.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub agreement: Option<CombinedAgreement>,
@@ -248,9 +251,22 @@ impl FitReport {
             weakest: Vec::new(),
             selection: None,
             same_motion: Vec::new(),
+            variance: Vec::new(),
             agreement: None,
         }
     }
+}
+
+/// How much the readings of an artefact scatter compared with what was stated of them.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct VarianceFactor {
+    /// The artefact stage.
+    pub stage: String,
+    /// The factor on its standard uncertainties.
+    pub factor: f64,
+    /// Its degrees of freedom; none if the readings cannot tell it, so that what was stated counts.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub degrees_of_freedom: Option<f64>,
 }
 
 /// Whether calibrations that were combined agree within their uncertainties.

@@ -43,7 +43,7 @@ pub use calibration::{
     CALIBRATION_FORMAT, Calibration, Combination, CombinedAgreement, ConsideredInput, Contribution, Correlated,
     Covariance, DataRecord, Estimated, FitReport, GumComparison, Identifiability, JointCoverage, ModelRecord,
     MonteCarlo, NullVector, Outlier, ParameterBudget, SameMotion, Selection, SelectionDirection, SelectionStep,
-    SimulatedParameter, Status, Termination, UncertaintyBudget,
+    SimulatedParameter, Status, Termination, UncertaintyBudget, VarianceFactor,
 };
 pub use considered::{Considered, Input};
 pub use contact::Variation;

@@ -296,6 +296,21 @@ impl Problem {
         }
     }
 
+    /// The same problem with the standard uncertainties of the readings of every set multiplied by a factor; those of
+    /// constraints stay what their certificates state.
+    pub fn with_variance_factors(&self, factors: &[f64]) -> Self {
+        let mut problem = self.clone();
+        for (set, &factor) in problem.sets.iter_mut().zip(factors).filter(|(_, factor)| **factor != 1.0) {
+            let uncertainty = Arc::make_mut(&mut set.uncertainty);
+            for row in set.observations.layout().rows.iter().filter(|row| row.data_row.is_some()) {
+                let own = row.first_equation..row.first_equation + row.equations;
+                uncertainty.standard[own].iter_mut().for_each(|standard| *standard *= factor);
+            }
+            uncertainty.blocks.iter_mut().for_each(|block| block.covariance *= factor * factor);
+        }
+        problem
+    }
+
     /// Number of equations.
     pub fn equations(&self) -> usize {
         self.sets.iter().map(|set| set.equations(&set.rows)).sum()

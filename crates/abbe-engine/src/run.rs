@@ -161,6 +161,13 @@ impl Prepared {
         tracing::info!("{}: {} equations, {} unknowns", stage.name, problem.equations(), problem.unknowns.len());
         problem.remarks().iter().for_each(|remark| tracing::warn!("{}: {remark}", stage.name));
         let calibration = self.located(stage, estimator.explain(&problem))?;
+        // Whoever asks about the rows asks about them as they were weighed.
+        let factor = |set: &ObservationSet| {
+            let found = calibration.fit.variance.iter().find(|found| found.stage == set.name);
+            found.map_or(1.0, |found| found.factor)
+        };
+        let factors: Vec<f64> = problem.sets.iter().map(factor).collect();
+        let problem = problem.with_variance_factors(&factors);
         Ok(Fit { name: stage.name.clone(), problem: Arc::new(problem), estimator, calibration })
     }
 

@@ -121,6 +121,7 @@ impl System {
             weakest: self.found.weakest.clone(),
             selection: None,
             same_motion: Vec::new(),
+            variance: Vec::new(),
             agreement: None,
         };
         Ok(problem.calibration(x, self.covariance(&standard, scale), Vec::new(), fit))

@@ -27,7 +27,9 @@ struct Part {
     covariance: Vec<Vec<f64>>,
     /// Whether the a-posteriori factor applies: the uncertainty of rows was stated, not found by repeats.
     stated: bool,
-    /// Degrees of freedom of what was found by repeats.
+    /// That factor; 1 where it does not apply.
+    scale: f64,
+    /// Degrees of freedom of the factor, or of what was found by repeats.
     degrees_of_freedom: f64,
 }
 
@@ -36,10 +38,26 @@ pub struct Propagation {
     parts: Vec<Part>,
     /// Covariance of unknowns (rows) with what is considered (columns).
     cross: Vec<Vec<f64>>,
-    /// The a-posteriori factor.
-    scale: f64,
-    /// Its degrees of freedom; infinite if stated uncertainties are trusted.
-    degrees_of_freedom: f64,
+    /// The a-posteriori factors.
+    scales: Scales,
+}
+
+/// The a-posteriori factors on stated uncertainties, with their degrees of freedom.
+#[derive(Clone)]
+pub enum Scales {
+    /// One for all readings; its degrees of freedom are infinite if stated uncertainties are trusted.
+    Common(f64, f64),
+    /// One for every set; the problem has it in its uncertainties already.
+    PerSet(Vec<(f64, f64)>),
+}
+
+impl Scales {
+    fn of_set(&self, set: usize) -> (f64, f64) {
+        match self {
+            Self::Common(scale, freedom) => (*scale, *freedom),
+            Self::PerSet(all) => all[set],
+        }
+    }
 }
 
 /// Where a covariance is to be propagated.
@@ -58,7 +76,7 @@ pub struct Place<'a> {
 
 impl Propagation {
     /// Propagates all inputs; `split`: every artefact by itself.
-    pub fn new(place: &Place<'_>, (scale, degrees_of_freedom): (f64, f64), split: bool) -> Result<Self> {
+    pub fn new(place: &Place<'_>, scales: Scales, split: bool) -> Result<Self> {
         let Place { problem, x, kept, factor, rank } = *place;
         let whitener = factor.whitener(rank);
         let scatters = problem.scatters();
@@ -67,9 +85,18 @@ impl Propagation {
         let constraints = problem.constraints();
         let constrained = constraints.contains(&true);
         let mut parts = Vec::new();
-        let stated = |input: String, covariance| Part { input, covariance, stated: true, degrees_of_freedom };
-        if !split && scatters.is_empty() && !constrained {
-            parts.push(stated("rows".to_owned(), whitener.covariance()));
+        let stated = |input: String, mut covariance: Vec<Vec<f64>>, (scale, degrees_of_freedom): (f64, f64)| {
+            if let Scales::PerSet(_) = scales {
+                covariance.iter_mut().flatten().for_each(|entry| *entry /= scale * scale);
+            }
+            Part { input, covariance, stated: true, scale, degrees_of_freedom }
+        };
+        if let Scales::Common(scale, freedom) = scales
+            && !split
+            && scatters.is_empty()
+            && !constrained
+        {
+            parts.push(stated("rows".to_owned(), whitener.covariance(), (scale, freedom)));
         } else {
             let ranges = problem.equation_ranges();
             let scatter = |(equation, constraint): (usize, &bool)| match (constraint, kept) {
@@ -81,12 +108,12 @@ impl Propagation {
             let factors = Weighted::new(problem)?.factors(x, scattering.as_deref().or(kept), &ranges)?;
             for (index, (set, factor)) in problem.sets.iter().zip(&factors).enumerate() {
                 if !repeated(index) {
-                    parts.push(stated(set.name.clone(), whitener.part(factor)));
+                    parts.push(stated(set.name.clone(), whitener.part(factor), scales.of_set(index)));
                 }
             }
         }
         let cross = answers(place, &whitener, &scatters, &mut parts)?;
-        Ok(Self { parts, cross, scale, degrees_of_freedom })
+        Ok(Self { parts, cross, scales })
     }
 
     /// Whether the a-posteriori factor has something to multiply: not where all rows are known by their repeats.
@@ -94,16 +121,12 @@ impl Propagation {
         self.parts.iter().any(|part| part.stated)
     }
 
-    fn factor_of(&self, part: &Part) -> f64 {
-        if part.stated { self.scale * self.scale } else { 1.0 }
-    }
-
     /// The covariance of the unknowns, followed by what is considered.
     pub fn covariance(&self, problem: &Problem) -> Vec<Vec<f64>> {
         let own = problem.unknowns.len();
         let mut covariance = vec![vec![0.0; own]; own];
         for part in &self.parts {
-            let factor = self.factor_of(part);
+            let factor = part.scale.powi(2);
             for (row, line) in covariance.iter_mut().zip(&part.covariance) {
                 row.iter_mut().zip(line).for_each(|(value, part)| *value += factor * part);
             }
@@ -123,16 +146,18 @@ impl Propagation {
         let parameters = problem.unknowns.iter().enumerate().map(|(index, unknown)| {
             let variance = |part: &Part| part.covariance[index][index].max(0.0);
             let parts: Vec<(f64, &Part)> =
-                self.parts.iter().map(|part| (self.factor_of(part) * variance(part), part)).collect();
+                self.parts.iter().map(|part| (part.scale.powi(2) * variance(part), part)).collect();
             let standard_uncertainty = parts.iter().map(|(variance, _)| variance).sum::<f64>().sqrt();
-            let of_rows = parts.iter().filter(|(_, part)| part.stated).map(|(variance, _)| variance).sum::<f64>();
-            let mut freedom = vec![(of_rows, self.degrees_of_freedom)];
-            freedom.extend(
-                parts
-                    .iter()
-                    .filter(|(_, part)| !part.stated)
-                    .map(|(variance, part)| (*variance, part.degrees_of_freedom)),
-            );
+            let own = |of_rows: bool| {
+                let parts = parts.iter().filter(move |(_, part)| part.stated == of_rows);
+                parts.map(|(variance, part)| (*variance, part.degrees_of_freedom))
+            };
+            // One factor for all readings is one estimate.
+            let mut freedom: Vec<(f64, f64)> = match self.scales {
+                Scales::Common(_, freedom) => vec![(own(true).map(|(variance, _)| variance).sum(), freedom)],
+                Scales::PerSet(_) => own(true).collect(),
+            };
+            freedom.extend(own(false));
             let freedom = effective_degrees_of_freedom(&freedom);
             let coverage_factor = coverage_factor(probability, freedom);
             let mut contributions: Vec<Contribution> = parts
@@ -163,7 +188,10 @@ impl Propagation {
         let ellipsoid_factor = joint_coverage_factor(machine.max(1), probability, freedom);
         UncertaintyBudget {
             coverage_probability: probability,
-            scale: self.scale,
+            scale: match self.scales {
+                Scales::Common(scale, _) => scale,
+                Scales::PerSet(_) => 1.0,
+            },
             joint: JointCoverage {
                 quantities: machine,
                 degrees_of_freedom: freedom.is_finite().then_some(freedom),
@@ -202,6 +230,7 @@ fn answers(
             input: format!("{} (repeats pooled by {})", names.join(", "), pooled.by),
             covariance: symmetric(own, |row, column| dot(root[row], root[column]) / degrees_of_freedom),
             stated: false,
+            scale: 1.0,
             degrees_of_freedom,
         });
         first += repetitions;
@@ -227,7 +256,7 @@ fn answers(
         let own_answer = |row: usize| -> Vec<f64> { members.iter().map(|&member| answer[row][member]).collect() };
         let covariance = symmetric(own, |row, column| dot(&of_source[row], &own_answer(column)));
         let degrees_of_freedom = f64::INFINITY;
-        parts.push(Part { input: source.clone(), covariance, stated: false, degrees_of_freedom });
+        parts.push(Part { input: source.clone(), covariance, stated: false, scale: 1.0, degrees_of_freedom });
     }
     Ok(cross)
 }

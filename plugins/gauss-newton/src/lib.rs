@@ -8,6 +8,7 @@ mod covariance;
 mod identifiability;
 mod result;
 mod select;
+mod variance;
 
 use abbe_core::{
     Build, Calibration, Constructor, Context, Error, Estimate, FitReport, Identifiability, Owner, PathItem, Plugin,
@@ -19,10 +20,11 @@ use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use serde_json::{Value, json};
 
-use covariance::{Place, Propagation};
+use covariance::{Place, Propagation, Scales};
 use identifiability::{confounded, identifiability, separated, weakest};
 use result::{Constraints, Spread, outliers};
 use select::{Select, reduced};
+use variance::{Components, components};
 
 inventory::submit! {
     Plugin::built_in(
@@ -53,6 +55,9 @@ struct Settings {
     /// Take the stated standard uncertainties as they are, without the a-posteriori factor of the residuals.
     #[serde(default)]
     trust_uncertainties: bool,
+    /// Whether all readings scatter by one factor more than stated, or those of every artefact by their own.
+    #[serde(default)]
+    variance: Variance,
     /// Probability that expanded uncertainties cover.
     #[serde(default = "default_probability")]
     coverage_probability: f64,
@@ -85,6 +90,17 @@ enum OnConfounded {
     Drop,
     /// Take the solution with the smallest effect of the unknowns, and mark those that take part.
     MinimumNorm,
+}
+
+/// How readings scatter compared with what was stated of them.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize, JsonSchema)]
+#[serde(rename_all = "kebab-case")]
+enum Variance {
+    /// All by one factor.
+    #[default]
+    Common,
+    /// Those of every artefact stage by a factor of their own, which weighs them, too.
+    PerStage,
 }
 
 /// Robust weights: the name of a loss, or a loss with its tuning.
@@ -173,6 +189,10 @@ fn build(settings: &Value, _: &Context) -> Result<Box<dyn Estimate>, SettingsErr
     {
         return Err(SettingsError::new("robust", "cutoff and outlier_at have to be positive"));
     }
+    if settings.variance == Variance::PerStage && settings.trust_uncertainties {
+        let message = "stated uncertainties that are trusted leave no factors to estimate";
+        return Err(SettingsError::new("variance", message).help("leave out `variance`, or `trust_uncertainties`"));
+    }
     Ok(Box::new(GaussNewton { settings }))
 }
 
@@ -233,6 +253,12 @@ impl GaussNewton {
         explained: bool,
     ) -> Result<Calibration> {
         let rank = lost.as_ref().map_or(problem.unknowns.len(), |lost| lost.rank);
+        let components = match self.settings.variance {
+            Variance::Common => None,
+            Variance::PerStage => Some(self.components(problem, rank)?),
+        };
+        let scaled = components.as_ref().map(|found| problem.with_variance_factors(&found.factors).at(&found.x));
+        let (problem, at_start) = scaled.as_ref().map_or((problem, at_start), |scaled| (scaled, None));
         let weighted = self.weighted(problem)?;
         let as_recorded = problem.is_judged_as_recorded();
         let at_start = at_start.filter(|_| as_recorded).cloned();
@@ -268,7 +294,13 @@ impl GaussNewton {
         );
         let place =
             Place { problem: &judged, x: &solution.x, kept: kept.as_deref(), factor: &factor, rank: found.rank };
-        let propagation = Propagation::new(&place, self.scale(&spread), explained)?;
+        let scales = match &components {
+            None => self.scale(&spread),
+            Some(found) => {
+                Scales::PerSet(found.factors.iter().copied().zip(found.degrees_of_freedom.iter().copied()).collect())
+            }
+        };
+        let propagation = Propagation::new(&place, scales, explained)?;
         // Who estimates again without some rows asks for values and predictions, and may well use up all rows.
         let told = explained && !self.settings.trust_uncertainties;
         if spread.redundancy == 0.0 && told && propagation.is_scaled() {
@@ -303,6 +335,7 @@ impl GaussNewton {
             weakest: if explained { weakest(problem, &factor.spectrum(), found.rank) } else { Vec::new() },
             selection: None,
             same_motion: if explained { same_motion(problem)? } else { Vec::new() },
+            variance: components.as_ref().map_or_else(Vec::new, |found| found.named(problem)),
             agreement: None,
         };
         let mut calibration = problem.calibration(&solution.x, propagation.covariance(problem), outliers, fit);
@@ -310,11 +343,22 @@ impl GaussNewton {
         Ok(calibration)
     }
 
+    /// The factors on the stated uncertainties of every set.
+    fn components(&self, problem: &Problem, rank: usize) -> Result<Components> {
+        let solve = |problem: &Problem| {
+            let options = self.options(rank, 1e-9, false);
+            self.iterate(&self.weighted(problem)?, &problem.start(), None, &options)
+        };
+        let found = components(problem, (rank, self.robust()), solve)?;
+        found.warn(problem);
+        Ok(found)
+    }
+
     /// The a-posteriori factor on stated uncertainties, and its degrees of freedom.
-    fn scale(&self, spread: &Spread) -> (f64, f64) {
+    fn scale(&self, spread: &Spread) -> Scales {
         match self.settings.trust_uncertainties || spread.redundancy == 0.0 {
-            true => (1.0, f64::INFINITY),
-            false => (spread.sigma, spread.redundancy),
+            true => Scales::Common(1.0, f64::INFINITY),
+            false => Scales::Common(spread.sigma, spread.redundancy),
         }
     }
 
@@ -458,7 +502,7 @@ impl Estimate for GaussNewton {
         found.same_motion = same_motion(problem)?;
         if found.rank == found.unknowns {
             let place = Place { problem: &judged, x: &x, kept: None, factor, rank: found.rank };
-            let propagation = Propagation::new(&place, (1.0, f64::INFINITY), true)?;
+            let propagation = Propagation::new(&place, Scales::Common(1.0, f64::INFINITY), true)?;
             if found.observations <= found.rank && !self.settings.trust_uncertainties && propagation.is_scaled() {
                 found.remarks.push(
                     "no degrees of freedom are left, so that the scatter of the residuals will say nothing: set \

@@ -96,16 +96,7 @@ impl Spread {
         };
         let free = if redundancy > LEAST_REDUNDANCY { redundancy } else { 1.0 };
         let mean_square = readings.iter().map(|&row| influence(row)).sum::<f64>() / free;
-        let correction = match (report, robust) {
-            (Some(report), Some(robust)) if count > 0 => {
-                let slopes: Vec<f64> =
-                    readings.iter().map(|&row| robust.influence_slope(report.studentised[row])).collect();
-                let mean = slopes.iter().sum::<f64>() / count as f64;
-                let variance = slopes.iter().map(|slope| (slope - mean).powi(2)).sum::<f64>() / count as f64;
-                (1.0 + told / count as f64 * variance / mean.powi(2)) / mean
-            }
-            _ => 1.0,
-        };
+        let correction = correction(&readings, report, robust, told);
         let (angles, lengths): (Vec<usize>, Vec<usize>) =
             used.iter().partition(|&&row| quantities[row] == Quantity::Angle);
         let sizes = |rows: &[usize]| Sizes::of(&rows.iter().map(|&row| residuals[row]).collect::<Vec<_>>());
@@ -118,6 +109,17 @@ impl Spread {
             angles: sizes(&angles),
         }
     }
+}
+
+/// Huber's correction of the scatter of some rows that determine `told` unknowns: by the mean slope of their influence, and for
+/// the number of unknowns. 1 without robust weights.
+pub fn correction(rows: &[usize], report: Option<&RobustReport>, robust: Option<Robust>, told: f64) -> f64 {
+    let (Some(report), Some(robust), false) = (report, robust, rows.is_empty()) else { return 1.0 };
+    let count = rows.len() as f64;
+    let slopes: Vec<f64> = rows.iter().map(|&row| robust.influence_slope(report.studentised[row])).collect();
+    let mean = slopes.iter().sum::<f64>() / count;
+    let variance = slopes.iter().map(|slope| (slope - mean).powi(2)).sum::<f64>() / count;
+    (1.0 + told / count * variance / mean.powi(2)) / mean
 }
 
 /// The rows with an equation beyond the limit, largest first.

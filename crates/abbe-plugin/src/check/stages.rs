@@ -131,6 +131,7 @@ fn fit(values: &[f64]) -> Fit {
             weakest: Vec::new(),
             selection: None,
             same_motion: Vec::new(),
+            variance: Vec::new(),
             agreement: None,
         },
         uncertainty: None,

@@ -1,0 +1,194 @@
+//! Variance components: how much the readings of every artefact scatter compared with what was stated of them.
+//!
+//! Group g has the stated standard uncertainties times an unknown factor `s_g`. With the weights of the current factors, the
+//! weighted residuals v and the share `M_g` of the information that the rows of g have (all shares add up to the identity),
+//! the squares of a group are expected to be
+//!
+//! ```text
+//! E(v_g^T v_g) = sum over h of S_gh t_h,    S_gg = n_g - 2 tr M_g + tr M_g^2,    S_gh = tr(M_g M_h)
+//! ```
+//!
+//! where `t_h` is the square of what the factor of h is still off by. Solved for t and repeated until all t are 1, that is the
+//! restricted maximum likelihood estimate (Patterson & Thompson 1971), and the fixed point of Förstner's (1979) almost unbiased
+//! estimate `t_g = v_g^T v_g / r_g` with the redundancy `r_g = n_g - tr M_g`, which serves where a solution is no variance.
+//! The variance of `s_g^2` is `2 s_g^4 (S^-1)_gg`, so that it has `1 / (S^-1)_gg` degrees of freedom. What certificates state
+//! keeps its uncertainty: their t is 1.
+
+use abbe_core::{Error, Problem, Result, VarianceFactor};
+use abbe_identifiability::Weighted;
+use abbe_numerics::{Factor, Robust, RobustReport, Solution};
+use nalgebra::{DMatrix, DVector};
+
+use crate::result::correction;
+
+/// Most rounds of estimating factors.
+const ROUNDS: usize = 100;
+
+/// Logarithms of squares of factors below this are none: they move no standard uncertainty by more than half of it.
+const SETTLED: f64 = 1e-8;
+
+/// Redundancy below which a group cannot tell its own factor: less than one reading is checked by others.
+const LEAST_REDUNDANCY: f64 = 1.0;
+
+/// Smallest factor: readings that scatter less were not measured, they are exact.
+const LEAST_FACTOR: f64 = 1e-4;
+
+/// The factors of all sets of a problem.
+pub struct Components {
+    /// The factor on the standard uncertainties of every set.
+    pub factors: Vec<f64>,
+    /// Their degrees of freedom; infinite where a set cannot tell its own.
+    pub degrees_of_freedom: Vec<f64>,
+    /// Values of the unknowns with these weights.
+    pub x: Vec<f64>,
+    told: Vec<bool>,
+}
+
+impl Components {
+    /// The factors by name.
+    pub fn named(&self, problem: &Problem) -> Vec<VarianceFactor> {
+        let sets = problem.sets.iter().enumerate();
+        let named = sets.map(|(index, set)| VarianceFactor {
+            stage: set.name.clone(),
+            factor: self.factors[index],
+            degrees_of_freedom: Some(self.degrees_of_freedom[index]).filter(|_| self.told[index]),
+        });
+        named.collect()
+    }
+
+    /// Tells people which factors are what was stated.
+    pub fn warn(&self, problem: &Problem) {
+        for (set, _) in problem.sets.iter().zip(&self.told).filter(|(_, told)| !**told) {
+            tracing::warn!(
+                "{}: the rows of {} cannot tell how much they scatter (less than one of them is checked by others): what was stated counts",
+                problem.name,
+                set.name
+            );
+        }
+    }
+}
+
+/// What one solution tells of the groups.
+struct Round {
+    /// Weighted sum of squares of every group.
+    squares: Vec<f64>,
+    redundancies: Vec<f64>,
+    /// Expected squares for every pair of groups.
+    expected: DMatrix<f64>,
+    /// What certificates add to the expected squares of every group.
+    constrained: Vec<f64>,
+}
+
+impl Round {
+    fn new(problem: &Problem, solution: &Solution, robust: Option<Robust>, rank: usize) -> Result<Self> {
+        let weighted = Weighted::new(problem)?;
+        let residuals = weighted.in_uncertainties(problem.residuals(&solution.x)?);
+        let constraints = problem.constraints();
+        let report = solution.robust.as_ref();
+        let used = |equation: usize| report.is_none_or(|report| report.weights[equation] > 0.0);
+        let kept: Vec<f64> = (0..residuals.len()).map(|equation| f64::from(used(equation))).collect();
+        let readings: Vec<f64> =
+            kept.iter().zip(&constraints).map(|(kept, is)| if *is { 0.0 } else { *kept }).collect();
+        let ranges = problem.equation_ranges();
+        let whitener = weighted.factor(&solution.x, Some(&kept))?.whitener(rank);
+        let factors: Vec<Factor> = weighted.factors(&solution.x, Some(&readings), &ranges)?;
+        let shares: Vec<_> = factors.iter().map(|factor| whitener.information(factor)).collect();
+        let count = ranges.len();
+        let (mut squares, mut redundancies) = (Vec::new(), Vec::new());
+        let mut expected = DMatrix::<f64>::zeros(count, count);
+        for (group, range) in ranges.iter().enumerate() {
+            let rows: Vec<usize> = range.clone().filter(|&equation| readings[equation] > 0.0).collect();
+            let told = shares[group].trace();
+            squares.push(influence(&rows, &residuals, report) * correction(&rows, report, robust, told).powi(2));
+            redundancies.push(rows.len() as f64 - told);
+            for other in 0..count {
+                expected[(group, other)] = shares[group].product_trace(&shares[other]);
+            }
+            expected[(group, group)] += rows.len() as f64 - 2.0 * told;
+        }
+        // Rows that hang together in a projection: r_g is the sum over all groups, certificates included.
+        let constrained = (0..count).map(|group| redundancies[group] - expected.row(group).sum()).collect();
+        Ok(Self { squares, redundancies, expected, constrained })
+    }
+
+    /// The squares of what the factors of the groups in `free` are off by, and their degrees of freedom.
+    fn solve(&self, free: &[usize]) -> (Vec<f64>, Vec<f64>) {
+        let size = free.len();
+        let matrix = DMatrix::from_fn(size, size, |row, column| self.expected[(free[row], free[column])]);
+        let rest = |group: usize| -> f64 {
+            let held = (0..self.squares.len()).filter(|other| !free.contains(other));
+            held.map(|other| self.expected[(group, other)]).sum::<f64>() + self.constrained[group]
+        };
+        let right = DVector::from_fn(size, |row, _| self.squares[free[row]] - rest(free[row]));
+        let almost_unbiased =
+            || -> Vec<f64> { free.iter().map(|&group| self.squares[group] / self.redundancies[group]).collect() };
+        let Some(inverse) = matrix.try_inverse() else {
+            let redundancies = free.iter().map(|&group| self.redundancies[group]).collect();
+            return (almost_unbiased(), redundancies);
+        };
+        let solved: Vec<f64> = (&inverse * right).iter().copied().collect();
+        let freedom = (0..size).map(|row| 1.0 / inverse[(row, row)]).collect();
+        let near = solved.iter().all(|value| (0.25..4.0).contains(value));
+        (if near { solved } else { almost_unbiased() }, freedom)
+    }
+}
+
+/// Weighted squares of some rows; robust weights act on the residuals, as on their influence.
+fn influence(rows: &[usize], residuals: &[f64], report: Option<&RobustReport>) -> f64 {
+    let weight = |row: usize| report.map_or(1.0, |report| report.weights[row]);
+    rows.iter().map(|&row| (weight(row) * residuals[row]).powi(2)).sum()
+}
+
+/// The factors of all sets. `solve` gives the solution of a problem from its start values.
+pub fn components(
+    problem: &Problem,
+    (rank, robust): (usize, Option<Robust>),
+    solve: impl Fn(&Problem) -> Result<Solution>,
+) -> Result<Components> {
+    let count = problem.sets.len();
+    let mut factors = vec![1.0; count];
+    let mut told = vec![true; count];
+    let mut exact = vec![false; count];
+    let mut x = problem.start();
+    for _ in 0..ROUNDS {
+        let scaled = problem.with_variance_factors(&factors).at(&x);
+        let solution = solve(&scaled)?;
+        x.clone_from(&solution.x);
+        let round = Round::new(&scaled, &solution, robust, rank)?;
+        let silent: Vec<usize> =
+            (0..count).filter(|&group| told[group] && round.redundancies[group] < LEAST_REDUNDANCY).collect();
+        if !silent.is_empty() {
+            for group in silent {
+                (told[group], factors[group]) = (false, 1.0);
+            }
+            continue;
+        }
+        let free: Vec<usize> = (0..count).filter(|&group| told[group] && !exact[group]).collect();
+        let (off, freedom) = round.solve(&free);
+        let mut change = 0.0_f64;
+        for (&group, off) in free.iter().zip(&off) {
+            let factor = factors[group] * off.max(0.0).sqrt();
+            if factor < LEAST_FACTOR {
+                (factors[group], exact[group]) = (LEAST_FACTOR, true);
+                change = 1.0;
+            } else {
+                change = change.max(off.ln().abs());
+                factors[group] = factor;
+            }
+        }
+        if change < SETTLED {
+            let mut degrees_of_freedom = vec![f64::INFINITY; count];
+            free.iter().zip(freedom).for_each(|(&group, freedom)| degrees_of_freedom[group] = freedom);
+            (0..count)
+                .filter(|&group| exact[group])
+                .for_each(|group| degrees_of_freedom[group] = round.redundancies[group]);
+            if let Some(group) = free.iter().copied().find(|&group| degrees_of_freedom[group] < LEAST_REDUNDANCY) {
+                (told[group], factors[group]) = (false, 1.0);
+                continue;
+            }
+            return Ok(Components { factors, degrees_of_freedom, x, told });
+        }
+    }
+    let error = Error::data(format!("the variance factors of the artefacts still change after {ROUNDS} rounds"));
+    Err(error.help("use one factor for all, `variance: common`, or trust what is stated").setting("variance"))
+}
