@@ -1,7 +1,7 @@
 //! What readings scatter by, and what certificates state: factors of every artefact by itself, and certificates that do not
 //! scatter.
 
-use abbe_core::{Calibration, in_parallel};
+use abbe_core::{Calibration, Fit, in_parallel};
 use abbe_numerics::{Generator, binomial_band};
 use abbe_simulation::{Noise, Sigma, Truth, measure};
 use serde_json::{Value, json};
@@ -176,40 +176,41 @@ fn a_certificate_does_not_scatter_as_touches_do() {
 
     // Trials say the same.
     let mut trials = recipe.clone();
-    trials.0["stages"]["trials"] = json!({ "estimate": "monte-carlo", "of": "fit", "trials": 4000, "seed": 5 });
+    trials.0["stages"]["trials"] = json!({ "estimate": "monte-carlo", "of": "fit", "trials": 2000, "seed": 5 });
     let outcome = trials.run();
     let simulated = fit(&outcome, "trials").calibration.monte_carlo.clone().expect("trials");
     for parameter in simulated.parameters.iter().filter(|it| !it.name.contains('.')) {
         let budget = budgets.iter().find(|budget| budget.name == parameter.name).expect("a budget");
         let ratio = parameter.standard_uncertainty / budget.standard_uncertainty;
-        assert!((ratio - 1.0).abs() < 0.06, "{}: {ratio}", parameter.name);
+        assert!((ratio - 1.0).abs() < 0.08, "{}: {ratio}", parameter.name);
     }
+}
+
+/// The distance of the centres of the two balls that the certificate is about.
+fn distance(fit: &Fit) -> f64 {
+    let features = fit.problem.sets[0].observations.features();
+    let centre = |label: &str| -> [f64; 3] {
+        let ball = features.iter().find(|feature| feature.label == label).expect("the ball");
+        let own = |axis: &str| fit.calibration.get(&format!("balls.ball[{label}].{axis}")).expect("a centre").value;
+        [0, 1, 2].map(|axis| ball.point[axis] + own(["x", "y", "z"][axis]))
+    };
+    let (one, other) = (centre("25"), centre("26"));
+    (0..3).map(|axis| (one[axis] - other[axis]).powi(2)).sum::<f64>().sqrt()
 }
 
 #[test]
 fn a_certificate_is_never_weighed_down() {
-    // A certificate that is off by 20 um goes against all touches: it stays, as does its influence.
-    let recipe = samba(0.7).set("fit", "robust", json!("tukey"));
+    // A certificate that is off by 20 um goes against many touches: they lose weight, it does not.
+    let recipe = samba(0.7).set("fit", "robust", json!("huber"));
     let off = |by: f64| {
         let mut wrong = recipe.clone();
         let distance = &mut wrong.stage("balls")["distances"][0];
         distance["length_mm"] = json!(distance["length_mm"].as_f64().expect("a length") + by);
-        let outcome = wrong.run();
-        fit(&outcome, "fit").calibration.clone()
+        let mut outcome = wrong.run();
+        outcome.fits.remove(0)
     };
     let (right, wrong) = (off(0.0), off(0.02));
-    assert!(wrong.outliers.iter().all(|outlier| !outlier.file.is_empty()), "{:?}", wrong.outliers);
-    let scale = |it: &Calibration| it.get("EXX[1]").expect("a scale").value;
-    let part = (scale(&wrong) - scale(&right)).abs() / (0.02 / 304.6686);
-    println!("the scale follows the certificate to {part:.3}");
-    let plain = samba(0.7).set("fit", "robust", Value::Null);
-    let mut longer = plain.clone();
-    let distance = &mut longer.stage("balls")["distances"][0];
-    distance["length_mm"] = json!(distance["length_mm"].as_f64().expect("a length") + 0.02);
-    let follows = |one: &Variant, other: &Variant| {
-        let (one, other) = (one.run(), other.run());
-        (scale(&fit(&one, "fit").calibration) - scale(&fit(&other, "fit").calibration)).abs() / (0.02 / 304.6686)
-    };
-    let expected = follows(&longer, &plain);
-    assert!(part > 0.8 * expected, "{part}, without robust weights {expected}");
+    assert!(wrong.calibration.outliers.iter().all(|outlier| !outlier.file.is_empty()), "constraints are no outliers");
+    let follows = (distance(&wrong) - distance(&right)) / 0.02;
+    assert!(follows > 0.9, "the distance follows its certificate by {follows:.3}");
 }

@@ -13,6 +13,8 @@ pub struct Weighted<'a> {
     place: Vec<Option<(usize, usize)>>,
     /// More columns: what is added to all residuals by one unit of something.
     columns: &'a [Vec<f64>],
+    /// Which equations are constraints.
+    constraints: Vec<bool>,
 }
 
 /// Equations that are correlated.
@@ -58,7 +60,7 @@ impl<'a> Weighted<'a> {
         for (index, block) in blocks.iter().enumerate() {
             block.equations.iter().enumerate().for_each(|(row, &equation)| place[equation] = Some((index, row)));
         }
-        Ok(Self { problem, uncertainties, blocks, place, columns })
+        Ok(Self { problem, uncertainties, blocks, place, columns, constraints: problem.constraints() })
     }
 
     /// Whether rows are combinations of several equations.
@@ -111,6 +113,10 @@ impl LeastSquares for Weighted<'_> {
 
     fn rows(&self) -> usize {
         self.uncertainties.len()
+    }
+
+    fn keeps_weight(&self, row: usize) -> bool {
+        self.constraints[row]
     }
 
     fn linearise(&self, x: &[f64], sink: &mut dyn FnMut(usize, &[f64], &[f64])) -> Result<()> {

@@ -18,6 +18,12 @@ pub trait LeastSquares {
         false
     }
 
+    /// Whether a row keeps its weight whatever its residual, and tells nothing of the scale of the others: something known and
+    /// not measured.
+    fn keeps_weight(&self, _row: usize) -> bool {
+        false
+    }
+
     /// Number of unknowns.
     fn unknowns(&self) -> usize;
 
@@ -133,9 +139,13 @@ pub fn solve_from<P: LeastSquares + ?Sized>(
         settled = false;
         for _ in 0..*rounds {
             studentised = studentised_residuals(problem, &minimum, &weights, options.rank)?;
-            let spread = scale(&studentised);
+            let spread = scale(&measured(problem, &studentised));
             let before = std::mem::take(&mut weights);
-            weights = studentised.iter().map(|size| phase.weight(size / spread)).collect();
+            let weight = |(row, size): (usize, &f64)| match problem.keeps_weight(row) {
+                true => 1.0,
+                false => phase.weight(size / spread),
+            };
+            weights = studentised.iter().enumerate().map(weight).collect();
             let changed = weights.iter().zip(&before).map(|(now, before)| (now - before).abs()).fold(0.0, f64::max);
             settled = changed < if options.near { NEARLY_SETTLED } else { SETTLED };
             // With step control: where the rows hardly determine a direction, bare steps go astray.
@@ -151,10 +161,16 @@ pub fn solve_from<P: LeastSquares + ?Sized>(
     if !settled && minimum.end == End::Converged {
         minimum.end = End::IterationLimit;
     }
-    let spread = scale(&studentised);
+    let spread = scale(&measured(problem, &studentised));
     studentised.iter_mut().for_each(|size| *size /= spread);
     let robust = Some(RobustReport { weights, studentised });
     Ok(Solution { x: minimum.x, iterations, end: minimum.end, robust, factor: minimum.factor })
+}
+
+/// The studentised residuals of rows that were measured.
+fn measured<P: LeastSquares + ?Sized>(problem: &P, studentised: &[f64]) -> Vec<f64> {
+    let rows = studentised.iter().enumerate().filter(|(row, _)| !problem.keeps_weight(*row));
+    rows.map(|(_, size)| *size).collect()
 }
 
 /// Residuals at a minimum over their own standard deviations.

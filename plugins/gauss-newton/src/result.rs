@@ -126,8 +126,9 @@ pub fn correction(rows: &[usize], report: Option<&RobustReport>, robust: Option<
 pub fn outliers(problem: &Problem, residuals: &[f64], report: &RobustReport, robust: Robust) -> Vec<Outlier> {
     let mut found: Vec<Outlier> = Vec::new();
     let (mut last, quantities) = (None, problem.quantities());
+    let constraints = problem.constraints();
     for (equation, (set, row)) in problem.equation_rows().into_iter().enumerate() {
-        if report.studentised[equation].abs() < robust.outlier_at {
+        if constraints[equation] || report.studentised[equation].abs() < robust.outlier_at {
             continue;
         }
         let residual_um = residuals[equation] * if quantities[equation] == Quantity::Angle { 1e6 } else { 1e3 };
