@@ -174,6 +174,8 @@ pub enum Termination {
     NoProgress,
     /// The limit of iterations was reached.
     IterationLimit,
+    /// The limit of rounds of robust weights was reached, and they still change.
+    RoundLimit,
 }
 
 /// How the fit went.
@@ -195,6 +197,13 @@ pub struct FitReport {
     pub iterations: usize,
     /// How they ended.
     pub termination: Termination,
+    /// Size of the last step, in standard uncertainties of all rows together; none where nothing was iterated.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub last_step: Option<f64>,
+    /// Largest cosine of the angle between the weighted residuals and a column of the derivatives, where the last step was
+    /// computed.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub gradient_cosine: Option<f64>,
     /// Largest absolute residual of lengths (without outliers), µm.
     pub residual_max_um: f64,
     /// Mean absolute residual of lengths, µm.
@@ -241,6 +250,8 @@ impl FitReport {
             sigma: 1.0,
             iterations: 0,
             termination: Termination::Converged,
+            last_step: None,
+            gradient_cosine: None,
             residual_max_um: 0.0,
             residual_mean_abs_um: 0.0,
             residual_rms_um: 0.0,

@@ -5,6 +5,7 @@ use std::path::{Path, PathBuf};
 
 use serde::{Deserialize, Serialize};
 
+use crate::calibration::Termination;
 use crate::settings::PathItem;
 
 /// Shorthand of this crate's results.
@@ -58,6 +59,26 @@ pub struct Error {
     /// with. Without it an evaluation that fails refuses these numbers, and others may do.
     #[serde(default, skip_serializing_if = "std::ops::Not::not")]
     pub fault: bool,
+    /// How far an iteration came that does not converge.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub convergence: Option<Box<Convergence>>,
+}
+
+/// How far an iteration came.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct Convergence {
+    /// How it ended.
+    pub termination: Termination,
+    /// Iterations done.
+    pub iterations: usize,
+    /// Size of the last step, in standard uncertainties of all rows together; none if no step could be computed.
+    #[serde(default)]
+    pub last_step: Option<f64>,
+    /// What it has to come down to.
+    pub tolerance: f64,
+    /// Largest cosine of the angle between the residuals and a column of the derivatives.
+    #[serde(default)]
+    pub gradient_cosine: Option<f64>,
 }
 
 impl Error {
@@ -71,6 +92,7 @@ impl Error {
             setting: Vec::new(),
             pose: None,
             fault: false,
+            convergence: None,
         }
     }
 
@@ -119,6 +141,12 @@ impl Error {
     /// Says that the code that was asked failed, and not the numbers that it was asked with.
     pub fn fault(mut self) -> Self {
         self.fault = true;
+        self
+    }
+
+    /// Adds how far the iteration came.
+    pub fn convergence(mut self, convergence: Convergence) -> Self {
+        self.convergence = Some(Box::new(convergence));
         self
     }
 

@@ -49,7 +49,7 @@ pub use considered::{Considered, Input};
 pub use contact::Variation;
 pub use dataset::{Column, ColumnHeader, Dataset, RowOrigin, Values};
 pub use decision::{Decision, Rule};
-pub use error::{Class, Error, Place, Result, nearest};
+pub use error::{Class, Convergence, Error, Place, Result, nearest};
 pub use identity::Certificate;
 pub use input_uncertainty::{Ids, InputUncertainty, PooledRepeats, RowUncertainty, SharedError};
 pub use limit::Limit;

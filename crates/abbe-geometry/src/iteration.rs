@@ -6,10 +6,6 @@ use abbe_numerics::{Accumulator, End, LeastSquares, Options, Sink, solve};
 
 use crate::error::FitError;
 
-/// The error of a point that counts as one while iterating, as part of the spread of the points. Small, so that whatever
-/// the iteration takes for a small step is one.
-const UNIT: f64 = 1e-6;
-
 /// Smallest singular value, over the largest, of derivatives (columns of norm 1) that still determine all parameters: an
 /// arc of 0.01 degrees has more.
 const RANK: f64 = 1e-9;
@@ -48,22 +44,17 @@ impl<T: Distances> LeastSquares for Weighted<'_, T> {
     fn linearise(&self, x: &[f64], sink: Sink<'_>) -> Result<(), Infallible> {
         let mut derivatives = vec![0.0; self.0.parameters()];
         for point in 0..self.0.points() {
-            let residual = self.0.distance(point, x, &mut derivatives) / UNIT;
-            derivatives.iter_mut().for_each(|derivative| *derivative /= UNIT);
+            let residual = self.0.distance(point, x, &mut derivatives);
             sink(point, &[residual], &derivatives);
         }
         Ok(())
-    }
-
-    fn residuals(&self, x: &[f64]) -> Result<Vec<f64>, Infallible> {
-        Ok(self.0.distances(x).into_iter().map(|distance| distance / UNIT).collect())
     }
 }
 
 /// The parameters with the smallest sum of squared distances, for points that spread by about 1.
 pub fn minimise<T: Distances>(shape: &'static str, distances: &T, start: &[f64]) -> Result<Vec<f64>, FitError> {
-    let options =
-        Options { iterations: 200, tolerance: 1e-15 / UNIT, rank: distances.parameters(), robust: None, near: false };
+    // Points spread by about 1, and no error of theirs is known: the iteration goes on until rounding is all that is left.
+    let options = Options { tolerance: 1e-15, rounding: 1e-9, ..Options::new(distances.parameters()) };
     let Ok(solution) = solve(&Weighted(distances), start, &options);
     match solution.end {
         End::Converged => Ok(solution.x),

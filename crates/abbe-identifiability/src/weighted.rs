@@ -169,10 +169,6 @@ impl LeastSquares for Weighted<'_> {
         }
         Ok(())
     }
-
-    fn residuals(&self, x: &[f64]) -> Result<Vec<f64>> {
-        Ok(self.in_uncertainties(self.problem.residuals(x)?))
-    }
 }
 
 impl Weighted<'_> {

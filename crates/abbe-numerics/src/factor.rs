@@ -115,6 +115,16 @@ impl Factor {
         step.iter().all(|value| value.is_finite()).then_some(step)
     }
 
+    /// Largest cosine of the angle between r and a column of J: zero at a minimum, and where r is zero.
+    pub fn gradient_cosine(&self) -> f64 {
+        let size = self.cost().sqrt();
+        let cosine = |column: usize| {
+            let along: f64 = (0..=column).map(|row| self.triangle[(row, column)] * self.right[row]).sum();
+            if size > 0.0 && self.norms[column] > 0.0 { along.abs() / self.norms[column] / size } else { 0.0 }
+        };
+        (0..self.unknowns()).map(cosine).fold(0.0, f64::max)
+    }
+
     /// Norm of `J x`: by how much x moves all rows together.
     pub fn effect(&self, x: &[f64]) -> f64 {
         let n = self.unknowns();

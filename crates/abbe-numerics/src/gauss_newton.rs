@@ -33,18 +33,33 @@ pub trait LeastSquares {
     /// Calls `sink` with (first row, residuals, derivatives row by row) for all rows, both divided by the standard
     /// uncertainty of the row.
     fn linearise(&self, x: &[f64], sink: Sink<'_>) -> Result<(), Self::Error>;
-
-    /// The residuals alone, divided by the standard uncertainty of the row.
-    fn residuals(&self, x: &[f64]) -> Result<Vec<f64>, Self::Error>;
 }
 
-/// How to iterate.
+/// How to iterate, and what converged means.
+///
+/// The size of a step is by how many standard uncertainties it moves all rows together, `|J dx|`. A step is the last one if
+///
+/// 1. its size is at most `tolerance`, and the ratios of the next line do not tell that more is left; or
+/// 2. it is below `rounding` and, if steps go on shrinking as the last full steps did, what is left after it is at most
+///    `tolerance`: `size q / (1 - q)` with the larger of the last two ratios q of successive sizes. The first two steps tell
+///    none; or
+/// 3. it is below `rounding` and not smaller than the smallest before it, or no part of it makes the sum of squares smaller:
+///    only rounding is left of it. Steps of a slow iteration still shrink.
+///
+/// Robust weights have settled when none changes by more than `settled`; up to then steps below `rounding` are small enough.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Options {
     /// Most iterations.
     pub iterations: usize,
-    /// Converged when a step moves all rows together by less than this many standard uncertainties.
+    /// What the estimate may be off by when the iteration ends, in standard uncertainties of all rows together.
     pub tolerance: f64,
+    /// Steps above this are never taken for rounding, nor for the last but one.
+    pub rounding: f64,
+    /// Largest change of robust weights that have settled: what is left moves no estimate by more than about this part of its
+    /// uncertainty.
+    pub settled: f64,
+    /// Most rounds of robust weights: they settle slowly where a row is about to be left out.
+    pub rounds: usize,
     /// Number of directions to move in: the rank.
     pub rank: usize,
     /// Robust weights.
@@ -53,15 +68,33 @@ pub struct Options {
     pub near: bool,
 }
 
+impl Options {
+    /// As is right for most problems: 200 iterations to 1e-9 standard uncertainties, without robust weights.
+    pub const fn new(rank: usize) -> Self {
+        Self {
+            iterations: 200,
+            tolerance: 1e-9,
+            rounding: 1e-3,
+            settled: 1e-4,
+            rounds: 200,
+            rank,
+            robust: None,
+            near: false,
+        }
+    }
+}
+
 /// How the iteration ended.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum End {
-    /// The last step was below the tolerance, or below what rounding lets through.
+    /// The last step was one by the rule of [`Options`].
     Converged,
     /// No step along the direction of descent made the residuals smaller.
     NoProgress,
     /// Out of iterations.
     IterationLimit,
+    /// Out of rounds of robust weights, which still change.
+    RoundLimit,
 }
 
 /// The last iterate, whatever the end.
@@ -73,6 +106,10 @@ pub struct Solution {
     pub iterations: usize,
     /// How it ended.
     pub end: End,
+    /// Size of the last step; of the next one where the iteration has not converged.
+    pub last_step: f64,
+    /// Largest cosine of the angle between the residuals and a column of the derivatives, where the last step was computed.
+    pub gradient_cosine: f64,
     /// Weights and studentised residuals of a robust estimate.
     pub robust: Option<RobustReport>,
     /// The factor of the weighted rows at x, or one small step before it.
@@ -119,18 +156,18 @@ pub fn solve_from<P: LeastSquares + ?Sized>(
         None => factorise(problem, start, None)?,
     };
     let Some(robust) = options.robust else {
-        let Minimum { x, end, iterations, factor } = minimise(problem, start.to_vec(), factor, None, options)?;
-        return Ok(Solution { x, iterations, end, robust: None, factor });
+        let minimum = minimise(problem, start.to_vec(), factor, None, options)?;
+        return Ok(minimum.solution(None));
     };
     let mut minimum = match options.near {
         false => minimise(problem, start.to_vec(), factor, None, options)?,
-        true => Minimum { x: start.to_vec(), end: End::Converged, iterations: 0, factor },
+        true => Minimum { x: start.to_vec(), end: End::Converged, iterations: 0, last_step: 0.0, factor },
     };
     let mut iterations = minimum.iterations;
     // Huber's loss has one minimum and takes the estimate near enough for Tukey's, which has many.
     let phases: &[(Robust, usize)] = match robust.loss {
-        Loss::Tukey if !options.near => &[(Robust::HUBER, 5), (robust, ROUNDS)],
-        _ => &[(robust, ROUNDS)],
+        Loss::Tukey if !options.near => &[(Robust::HUBER, 5), (robust, options.rounds)],
+        _ => &[(robust, options.rounds)],
     };
     let mut weights = vec![1.0; problem.rows()];
     let mut studentised = Vec::new();
@@ -147,9 +184,9 @@ pub fn solve_from<P: LeastSquares + ?Sized>(
             };
             weights = studentised.iter().enumerate().map(weight).collect();
             let changed = weights.iter().zip(&before).map(|(now, before)| (now - before).abs()).fold(0.0, f64::max);
-            settled = changed < if options.near { NEARLY_SETTLED } else { SETTLED };
+            settled = changed < options.settled;
             // With step control: where the rows hardly determine a direction, bare steps go astray.
-            let tolerance = if settled { options.tolerance } else { SMALL };
+            let tolerance = if settled { options.tolerance } else { options.tolerance.max(options.rounding) };
             let factor = factorise(problem, &minimum.x, Some(&weights))?;
             minimum = minimise(problem, minimum.x, factor, Some(&weights), &Options { tolerance, ..*options })?;
             iterations += minimum.iterations;
@@ -159,12 +196,12 @@ pub fn solve_from<P: LeastSquares + ?Sized>(
         }
     }
     if !settled && minimum.end == End::Converged {
-        minimum.end = End::IterationLimit;
+        minimum.end = End::RoundLimit;
     }
     let spread = scale(&measured(problem, &studentised));
     studentised.iter_mut().for_each(|size| *size /= spread);
-    let robust = Some(RobustReport { weights, studentised });
-    Ok(Solution { x: minimum.x, iterations, end: minimum.end, robust, factor: minimum.factor })
+    minimum.iterations = iterations;
+    Ok(minimum.solution(Some(RobustReport { weights, studentised })))
 }
 
 /// The studentised residuals of rows that were measured.
@@ -191,19 +228,6 @@ fn studentised_residuals<P: LeastSquares + ?Sized>(
     Ok(studentise(&residuals, weights, &leverages))
 }
 
-/// Steps that move all rows together by less than this many standard uncertainties are as good as none.
-const SMALL: f64 = 1e-3;
-
-/// Robust weights that change by less than this have settled: what is left moves no estimate by more than about this part
-/// of its uncertainty.
-const SETTLED: f64 = 1e-4;
-
-/// The same for an estimate that is one of thousands.
-const NEARLY_SETTLED: f64 = 1e-3;
-
-/// Most rounds of robust weights: they settle slowly where a row is about to be left out.
-const ROUNDS: usize = 200;
-
 /// Smallest part of a step that is tried.
 const LEAST_PART: f64 = 1e-6;
 
@@ -212,8 +236,23 @@ struct Minimum {
     x: Vec<f64>,
     end: End,
     iterations: usize,
+    last_step: f64,
     /// The factor at x, or one small step before it.
     factor: Factor,
+}
+
+impl Minimum {
+    fn solution(self, robust: Option<RobustReport>) -> Solution {
+        Solution {
+            x: self.x,
+            iterations: self.iterations,
+            end: self.end,
+            last_step: self.last_step,
+            gradient_cosine: self.factor.gradient_cosine(),
+            robust,
+            factor: self.factor,
+        }
+    }
 }
 
 /// The step within the first `rank` singular directions, and by how many standard uncertainties it moves all rows
@@ -234,40 +273,49 @@ fn minimise<P: LeastSquares + ?Sized>(
     weights: Option<&[f64]>,
     options: &Options,
 ) -> Result<Minimum, P::Error> {
-    let mut last_size = f64::INFINITY;
+    // Size of the last step if it was a full one, its ratio to the one before, and the size of the smallest.
+    let (mut last, mut last_ratio, mut smallest) = (None, None, f64::INFINITY);
     for iterations in 1..=options.iterations {
         let Some((step, size)) = step_of(&factor, options.rank) else {
-            return Ok(Minimum { x, end: End::NoProgress, iterations, factor });
+            return Ok(Minimum { x, end: End::NoProgress, iterations, last_step: f64::NAN, factor });
         };
-        // Once steps are small they shrink fast, unless rounding is all that is left of them.
-        let rounding = size < SMALL && size > 0.5 * last_size;
-        // What the next step would be, if it shrinks as this one did.
-        let next = size * (size / last_size);
-        if size <= options.tolerance || (size < SMALL && 2.0 * next <= options.tolerance) || rounding {
+        let small = size < options.rounding;
+        let ratio = last.map(|last: f64| size / last);
+        // One direction may shrink fast and hide another: the slower of two ratios is less often chance.
+        let slower = ratio.zip(last_ratio).map(|(one, other): (f64, f64)| one.max(other));
+        let left = slower.filter(|ratio| *ratio < 1.0).map(|ratio| size * ratio / (1.0 - ratio));
+        let (near, far) =
+            (left.is_some_and(|left| left <= options.tolerance), left.is_some_and(|left| left > options.tolerance));
+        if (size <= options.tolerance && !far) || (small && (near || size >= smallest)) {
             add(&mut x, &step, 1.0);
-            return Ok(Minimum { x, end: End::Converged, iterations, factor });
+            return Ok(Minimum { x, end: End::Converged, iterations, last_step: size, factor });
         }
-        last_size = size;
+        smallest = smallest.min(size);
         match downhill(problem, (&x, &step), factor.cost(), weights)? {
-            Some(lower) => (x, factor) = lower,
+            Some((lower, there, part)) => {
+                (x, factor) = (lower, there);
+                last = (part == 1.0).then_some(size);
+                last_ratio = ratio.filter(|_| part == 1.0);
+            }
             None => {
                 // Nothing below helps: this is as low as rounding allows, or the model is not smooth here.
-                let end = if size < SMALL { End::Converged } else { End::NoProgress };
-                return Ok(Minimum { x, end, iterations, factor });
+                let end = if small { End::Converged } else { End::NoProgress };
+                return Ok(Minimum { x, end, iterations, last_step: size, factor });
             }
         }
     }
-    Ok(Minimum { x, end: End::IterationLimit, iterations: options.iterations, factor })
+    let next = step_of(&factor, options.rank).map_or(f64::NAN, |(_, size)| size);
+    Ok(Minimum { x, end: End::IterationLimit, iterations: options.iterations, last_step: next, factor })
 }
 
 /// The first of a step from x, its half, its quarter and so on that does not make the sum of squares larger than `cost`, with the
-/// factor there; None if no part does.
+/// factor there and the part that it is; None if no part does.
 fn downhill<P: LeastSquares + ?Sized>(
     problem: &P,
     (x, step): (&[f64], &[f64]),
     cost: f64,
     weights: Option<&[f64]>,
-) -> Result<Option<(Vec<f64>, Factor)>, P::Error> {
+) -> Result<Option<(Vec<f64>, Factor, f64)>, P::Error> {
     let (mut evaluated, mut refused, mut part) = (false, None, 1.0);
     while part >= LEAST_PART {
         let mut trial = x.to_vec();
@@ -277,7 +325,7 @@ fn downhill<P: LeastSquares + ?Sized>(
                 evaluated = true;
                 let differentiable = factor.norms().iter().all(|norm| norm.is_finite());
                 if differentiable && factor.cost() <= cost * (1.0 + 1e-12) + f64::MIN_POSITIVE {
-                    return Ok(Some((trial, factor)));
+                    return Ok(Some((trial, factor, part)));
                 }
             }
             Err(error) if problem.is_final(&error) => return Err(error),

@@ -4,7 +4,7 @@ use std::any::Any;
 use std::fmt::Display;
 use std::sync::Arc;
 
-use abbe_core::{Class, Error, PathItem, Place, PoseValues, Poses, SettingsError, Variable};
+use abbe_core::{Class, Convergence, Error, PathItem, Place, PoseValues, Poses, SettingsError, Variable};
 use serde::{Deserialize, Serialize};
 use serde_json::json;
 
@@ -84,6 +84,8 @@ struct Details {
     #[serde(default)]
     fault: bool,
     #[serde(default)]
+    convergence: Option<Box<Convergence>>,
+    #[serde(default)]
     path: Vec<PathItem>,
     #[serde(default)]
     #[cfg_attr(not(feature = "host"), allow(dead_code, reason = "a vendor's side asks for no stages"))]
@@ -123,7 +125,7 @@ impl Failure {
             _ => Error::data(details.message),
         };
         (error.help, error.place, error.stage) = (details.help, details.place, details.stage);
-        (error.pose, error.fault) = (details.pose, details.fault);
+        (error.pose, error.fault, error.convergence) = (details.pose, details.fault, details.convergence);
         error.setting = if details.setting.is_empty() { details.path } else { details.setting };
         error
     }

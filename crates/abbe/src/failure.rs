@@ -95,5 +95,6 @@ pub fn json(error: &Error) -> Value {
         "file": place.map(|place| place.file.display().to_string()),
         "line": place.and_then(|place| place.line),
         "column": place.and_then(|place| place.column),
+        "convergence": error.convergence,
     } })
 }

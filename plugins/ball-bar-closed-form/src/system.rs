@@ -110,6 +110,8 @@ impl System {
             sigma,
             iterations: 1,
             termination: Termination::Converged,
+            last_step: None,
+            gradient_cosine: None,
             residual_max_um: residuals.iter().fold(0.0_f64, |most, residual| most.max(residual.abs())) * 1e3,
             residual_mean_abs_um: residuals.iter().map(|residual| residual.abs()).sum::<f64>() / count as f64 * 1e3,
             residual_rms_um: (residuals.iter().map(|residual| residual.powi(2)).sum::<f64>() / count as f64).sqrt()

@@ -11,8 +11,8 @@ mod select;
 mod variance;
 
 use abbe_core::{
-    Build, Calibration, Constructor, Context, Error, Estimate, FitReport, Identifiability, Owner, PathItem, Plugin,
-    Problem, Result, SettingsError, Status, Termination, Unknown, inventory,
+    Build, Calibration, Constructor, Context, Convergence, Error, Estimate, FitReport, Identifiability, Owner,
+    PathItem, Plugin, Problem, Result, SettingsError, Status, Termination, Unknown, inventory,
 };
 use abbe_identifiability::{Weighted, same_motion};
 use abbe_numerics::{End, Factor, Loss, Options, Robust, Solution, solve_from};
@@ -64,6 +64,19 @@ struct Settings {
     /// Most iterations.
     #[serde(default = "default_iterations")]
     iterations: usize,
+    /// What the estimate may be off by when the iteration ends, in standard uncertainties of all rows together.
+    #[serde(default = "default_convergence")]
+    tolerance: f64,
+}
+
+/// Robust weights that change by less than this have settled.
+const SETTLED: f64 = 1e-4;
+
+/// The same for an estimate that is one of thousands.
+const NEARLY_SETTLED: f64 = 1e-3;
+
+fn default_convergence() -> f64 {
+    1e-9
 }
 
 fn default_probability() -> f64 {
@@ -178,6 +191,9 @@ fn build(settings: &Value, _: &Context) -> Result<Box<dyn Estimate>, SettingsErr
     if !(settings.coverage_probability > 0.0 && settings.coverage_probability < 1.0) {
         return Err(SettingsError::new("coverage_probability", "a number between 0 and 1 was expected"));
     }
+    if !(settings.tolerance > 0.0 && settings.tolerance <= 1e-3) {
+        return Err(SettingsError::new("tolerance", "a number above 0, at most 0.001, was expected"));
+    }
     if settings.iterations == 0 {
         return Err(SettingsError::new("iterations", "at least one iteration is needed"));
     }
@@ -222,7 +238,9 @@ impl GaussNewton {
     }
 
     fn options(&self, rank: usize, tolerance: f64, near: bool) -> Options {
-        Options { iterations: self.settings.iterations, tolerance, rank, robust: self.robust(), near }
+        let settled = if near { NEARLY_SETTLED } else { SETTLED };
+        let (iterations, robust) = (self.settings.iterations, self.robust());
+        Options { iterations, tolerance, settled, robust, near, ..Options::new(rank) }
     }
 
     /// The values of the unknowns; fails where the iteration does not converge.
@@ -234,14 +252,36 @@ impl GaussNewton {
         options: &Options,
     ) -> Result<Solution> {
         let solution = solve_from(weighted, start, factor, options)?;
-        let failed = match solution.end {
+        let (termination, failed) = match solution.end {
             End::Converged => return Ok(solution),
-            End::NoProgress => "no step makes the residuals smaller".to_owned(),
-            End::IterationLimit => format!("it still moves at the limit of {} iterations", self.settings.iterations),
+            End::NoProgress => (Termination::NoProgress, "no step makes the residuals smaller".to_owned()),
+            End::IterationLimit => (
+                Termination::IterationLimit,
+                format!("it still moves at the limit of {} iterations", options.iterations),
+            ),
+            End::RoundLimit => {
+                (Termination::RoundLimit, format!("robust weights still change after {} rounds", options.rounds))
+            }
         };
-        Err(Error::data(format!("the iteration does not converge: {failed}")).help(
+        let told = |value: f64| value.is_finite().then_some(value);
+        let convergence = Convergence {
+            termination,
+            iterations: solution.iterations,
+            last_step: told(solution.last_step),
+            tolerance: options.tolerance,
+            gradient_cosine: told(solution.gradient_cosine),
+        };
+        let far = convergence.last_step.map_or_else(String::new, |step| {
+            let (tolerance, cosine) = (options.tolerance, solution.gradient_cosine);
+            format!(
+                "; the next step would move all rows together by {step:.1e} standard uncertainties ({tolerance:.0e} is asked), the largest \
+                 gradient cosine is {cosine:.1e}"
+            )
+        });
+        let error = Error::data(format!("the iteration does not converge: {failed}{far}")).help(
             "check units, signs and features of the data, choose fewer parameters, `start` from a calibration, or allow more `iterations`",
-        ))
+        );
+        Err(error.convergence(convergence))
     }
 
     /// Solves a problem; `at_start` is its factor at the contact points of the start values.
@@ -262,7 +302,8 @@ impl GaussNewton {
         let weighted = self.weighted(problem)?;
         let as_recorded = problem.is_judged_as_recorded();
         let at_start = at_start.filter(|_| as_recorded).cloned();
-        let solution = self.iterate(&weighted, &problem.start(), at_start, &self.options(rank, 1e-9, false))?;
+        let solution =
+            self.iterate(&weighted, &problem.start(), at_start, &self.options(rank, self.settings.tolerance, false))?;
         let judged = problem.as_judged(&solution.x)?;
         // What is left out by its weight does not inform; what is weighed down still does.
         let kept: Option<Vec<f64>> = (solution.robust.as_ref())
@@ -325,6 +366,8 @@ impl GaussNewton {
             sigma: spread.sigma,
             iterations: solution.iterations,
             termination: Termination::Converged,
+            last_step: Some(solution.last_step),
+            gradient_cosine: Some(solution.gradient_cosine),
             residual_max_um: spread.lengths.max * 1e3,
             residual_mean_abs_um: spread.lengths.mean_abs * 1e3,
             residual_rms_um: spread.lengths.rms * 1e3,
@@ -346,7 +389,7 @@ impl GaussNewton {
     /// The factors on the stated uncertainties of every set.
     fn components(&self, problem: &Problem, rank: usize) -> Result<Components> {
         let solve = |problem: &Problem| {
-            let options = self.options(rank, 1e-9, false);
+            let options = self.options(rank, self.settings.tolerance, false);
             self.iterate(&self.weighted(problem)?, &problem.start(), None, &options)
         };
         let found = components(problem, (rank, self.robust()), solve)?;

@@ -157,12 +157,6 @@ impl LeastSquares for Curve {
         }
         Ok(())
     }
-
-    fn residuals(&self, parameters: &[f64]) -> Result<Vec<f64>, Self::Error> {
-        let mut all = Vec::new();
-        self.linearise(parameters, &mut |_, residuals, _| all.extend_from_slice(residuals))?;
-        Ok(all)
-    }
 }
 
 fn numbers(value: &Value) -> Vec<f64> {
@@ -184,7 +178,7 @@ fn it_ends_at_the_certified_values_or_says_that_it_does_not() {
         let x = set["x"].as_array().expect("a list").iter().map(numbers).collect();
         let curve = Curve { formula, x, y, count: certified.len(), unit };
         for start in ["start_1", "start_2"] {
-            let options = Options { iterations: 500, tolerance: 1e-9, rank: curve.count, robust: None, near: false };
+            let options = Options { iterations: 500, ..Options::new(curve.count) };
             let Ok(solution) = solve(&curve, &numbers(&set[start]), &options);
             let off = solution.x.iter().zip(&certified).map(|(found, exact)| ((found - exact) / exact).abs());
             let digits = -off.fold(1e-16, f64::max).log10();

@@ -123,10 +123,6 @@ impl<F: Fn(&[f64]) -> Linearised> LeastSquares for Given<F> {
         }
         Ok(())
     }
-
-    fn residuals(&self, x: &[f64]) -> Result<Vec<f64>, Self::Error> {
-        Ok((self.at)(x).0)
-    }
 }
 
 /// A straight line through points: unknowns are offset and slope.

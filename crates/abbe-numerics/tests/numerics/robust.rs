@@ -34,7 +34,7 @@ fn planted(seed: u64, rows: usize, every: usize, least: f64) -> Planted {
 }
 
 fn estimate(problem: &Linear, robust: Option<Robust>, rank: usize) -> Solution {
-    let options = Options { iterations: 100, tolerance: 1e-9, rank, robust, near: false };
+    let options = Options { iterations: 100, robust, ..Options::new(rank) };
     let Ok(solution) = solve(&given(problem), &vec![0.0; problem.unknowns()], &options);
     solution
 }
@@ -153,7 +153,7 @@ fn a_robust_estimate_that_has_not_arrived_does_not_say_so() {
             (vec![model(1.0) - 400.0, model(2.0) - 9000.0], vec![row(1.0), row(2.0)])
         },
     };
-    let options = Options { iterations: 1, tolerance: 1e-9, rank: 2, robust: Some(Robust::HUBER), near: false };
+    let options = Options { iterations: 1, robust: Some(Robust::HUBER), ..Options::new(2) };
     let Ok(short) = solve(&problem, &[1.0, 1.0], &options);
     assert_eq!(short.end, End::IterationLimit);
     let Ok(long) = solve(&problem, &[1.0, 1.0], &Options { iterations: 50, ..options });

@@ -7,7 +7,7 @@ use abbe_numerics::{End, LeastSquares, Options, Sink, Solution, solve};
 
 use crate::problems::{Given, Linear, Linearised, Random, dot, given, norm};
 
-const FULL: Options = Options { iterations: 50, tolerance: 1e-10, rank: 2, robust: None, near: false };
+const FULL: Options = Options { iterations: 50, tolerance: 1e-10, ..Options::new(2) };
 
 /// `a exp(b t)` through points.
 fn exponential(t: &[f64], y: &[f64]) -> Given<impl Fn(&[f64]) -> Linearised> {
@@ -132,10 +132,6 @@ impl<F: Fn(f64) -> Option<(f64, f64)>> LeastSquares for Partial<F> {
         let (residual, slope) = (self.at)(x[0]).ok_or(Nothing::At(x[0]))?;
         sink(0, &[residual], &[slope]);
         Ok(())
-    }
-
-    fn residuals(&self, x: &[f64]) -> Result<Vec<f64>, Nothing> {
-        (self.at)(x[0]).map(|(residual, _)| vec![residual]).ok_or(Nothing::At(x[0]))
     }
 }
 
@@ -263,4 +259,75 @@ fn the_order_of_rows_does_not_matter() {
             assert!((value / first - 1.0).abs() < 1e-9);
         }
     }
+}
+
+/// One unknown and two rows: a line, and a curve with so much residual that Gauss-Newton shrinks its error by `rate` a step.
+/// The minimum is at zero.
+fn slow(rate: f64) -> Given<impl Fn(&[f64]) -> Linearised> {
+    // r = (x, c + k x² / 2): the gradient is x (1 + k c) + ..., Gauss-Newton's curvature 1, so that steps leave -k c of x.
+    let at = move |x: &[f64]| {
+        let x = x[0];
+        (vec![x, -rate + 0.5 * x * x], vec![vec![1.0], vec![x]])
+    };
+    Given { unknowns: 1, rows: 2, at }
+}
+
+#[test]
+fn slow_convergence_is_no_rounding() {
+    for rate in [0.3, 0.6, 0.9, 0.95] {
+        for tolerance in [1e-6, 1e-9] {
+            for start in [0.5, 1e-2, 8e-4, 1e-5] {
+                let options = Options { iterations: 1000, tolerance, ..Options::new(1) };
+                let found = run(&slow(rate), &[start], &options);
+                assert_eq!(found.end, End::Converged, "{rate} from {start}");
+                // The curve makes the rest of the step a little larger than its series says, never by more than this.
+                let allowed = tolerance * (1.0 + rate / (1.0 - rate));
+                assert!(found.x[0].abs() <= allowed, "{rate} from {start} to {tolerance}: {:e}", found.x[0]);
+                assert!(found.gradient_cosine < 1e-2, "{:e}", found.gradient_cosine);
+            }
+        }
+    }
+}
+
+#[test]
+fn a_first_step_below_the_threshold_of_rounding_is_not_the_last() {
+    // One step of 5e-4 leaves a third of itself, far above the tolerance.
+    let found = run(&slow(0.33), &[7e-4], &Options { tolerance: 1e-9, ..Options::new(1) });
+    assert_eq!(found.end, End::Converged);
+    assert!(found.iterations > 5 && found.x[0].abs() < 2e-9, "{} iterations, {:e}", found.iterations, found.x[0]);
+    assert!(found.last_step <= 1e-8, "{:e}", found.last_step);
+}
+
+#[test]
+fn random_problems_end_within_the_tolerance() {
+    // Exponentials with noise: the minimum by a far stricter iteration, in standard uncertainties of all rows.
+    let random = &mut Random::new(5);
+    for case in 0..2000 {
+        let t = times(12);
+        let noise = 10_f64.powi(-(case % 6));
+        let y: Vec<f64> = t
+            .iter()
+            .map(|t| (1.0 + random.signed().abs()) * (random.signed() * t).exp() + noise * random.normal())
+            .collect();
+        let problem = exponential(&t, &y);
+        let strict = Options { iterations: 2000, tolerance: 1e-13, rounding: 1e-6, ..Options::new(2) };
+        let minimum = run(&problem, &[1.0, 0.0], &strict);
+        let tolerance = [1e-4, 1e-6, 1e-8][case as usize % 3];
+        let found = run(&problem, &[1.0, 0.0], &Options { iterations: 2000, tolerance, ..Options::new(2) });
+        if minimum.end != End::Converged {
+            continue;
+        }
+        assert_eq!(found.end, End::Converged);
+        let off: Vec<f64> = found.x.iter().zip(&minimum.x).map(|(one, other)| one - other).collect();
+        let off = minimum.factor.effect(&off);
+        assert!(off <= 3.0 * tolerance, "case {case}: {off:e} off, {tolerance:e} asked");
+    }
+}
+
+#[test]
+fn who_does_not_converge_says_how_far_it_came() {
+    let found = run(&slow(0.9), &[0.5], &Options { iterations: 5, ..Options::new(1) });
+    assert_eq!((found.end, found.iterations), (End::IterationLimit, 5));
+    // The next step is nearly all that is left of x, times 1 - rate.
+    assert!(found.last_step > 0.01 && found.gradient_cosine > 1e-3, "{} {}", found.last_step, found.gradient_cosine);
 }

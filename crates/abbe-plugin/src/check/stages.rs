@@ -121,6 +121,8 @@ fn fit(values: &[f64]) -> Fit {
             sigma: 0.0,
             iterations: 0,
             termination: Termination::Converged,
+            last_step: None,
+            gradient_cosine: None,
             residual_max_um: 0.0,
             residual_mean_abs_um: 0.0,
             residual_rms_um: 0.0,

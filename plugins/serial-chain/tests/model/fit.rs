@@ -119,10 +119,6 @@ impl LeastSquares for Positioning<'_> {
         sink(0, &self.residuals_of(&poses), &derivatives);
         Ok(())
     }
-
-    fn residuals(&self, x: &[f64]) -> Result<Vec<f64>, Self::Error> {
-        Ok(self.residuals_of(&self.poses(x)))
-    }
 }
 
 #[test]
@@ -150,7 +146,7 @@ fn a_wavelength_is_found_from_the_nominal_pitch() {
     let readings = poses.positions.iter().map(|tip| tip[0]).collect();
     let mut problem =
         Positioning { model: &*model, statuses, readings, values: model.nominal(), unknowns: names.to_vec() };
-    let options = |rank| Options { iterations: 60, tolerance: 1e-9, rank, robust: None, near: false };
+    let options = |rank| Options { iterations: 60, ..Options::new(rank) };
     let Ok(amplitudes) = solve(&problem, &[0.0; 5], &options(5));
     assert_eq!(amplitudes.end, End::Converged);
     problem.unknowns.push(wavelength);
