@@ -183,8 +183,8 @@ mod tests {
                 "limits.max_um.decision.rule: unknown choice `simpel` (did you mean `simple`?)",
             ),
             (
-                json!({ "limit": 30, "decision": "guard-band" }),
-                "limits.max_um.decision: unknown choice `guard-band` (possible are: simple)",
+                json!({ "limit": 30, "decision": "toss-up" }),
+                "limits.max_um.decision: unknown choice `toss-up` (possible are: simple)",
             ),
             (json!({ "limit": 30, "decision": {} }), "limits.max_um.decision: the setting `rule` is missing"),
             (
