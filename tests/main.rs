@@ -7,6 +7,7 @@ mod coverage;
 mod errors;
 mod files;
 mod first_order;
+mod frozen;
 mod gcode;
 mod interrupted;
 mod laws;

@@ -14,6 +14,7 @@ mod contact;
 mod dataset;
 mod error;
 mod first_order;
+mod format;
 mod input_uncertainty;
 mod model;
 mod observations;
@@ -44,6 +45,7 @@ pub use calibration::{
 pub use contact::Variation;
 pub use dataset::{Column, ColumnHeader, Dataset, RowOrigin, Values};
 pub use error::{Class, Error, Place, Result, nearest};
+pub use format::FileFormat;
 pub use input_uncertainty::{InputUncertainty, PooledRepeats, RowUncertainty, SharedError};
 pub use model::{
     Absent, Axis, AxisKind, Branch, ErrorFunction, KinematicModel, MotionError, Parameter, Period, Poses, PosesMut,
@@ -67,7 +69,7 @@ pub use settings::{
 pub use stage::{Artefact, Estimate, Export, ExportedFile, Fit, Ingest, InputFile, Model, Validate};
 pub use uncertainty::{CovarianceBlock, EquationUncertainty, Pooled};
 pub use unit::{Quantity, Unit};
-pub use verdict::{Figure, Findings, Verdict};
+pub use verdict::{Figure, Findings, VERDICTS_FORMAT, Verdict};
 
 /// Re-exported so that a plugin registers with the very version that the registry collects.
 pub use inventory;

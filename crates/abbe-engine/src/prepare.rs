@@ -11,7 +11,7 @@ use abbe_core::{
 use abbe_recipe::{Library, Recipe, Stage};
 use serde_json::Value;
 
-use crate::outcome::PluginRecord;
+use crate::record::PluginRecord;
 use crate::uncertainty::RowsOf;
 
 /// The stages of a recipe, built and checked as far as that goes without data rows.

@@ -10,8 +10,9 @@ use abbe_core::{
 };
 use abbe_recipe::Stage;
 
-use crate::outcome::{Outcome, input_records};
+use crate::outcome::Outcome;
 use crate::prepare::{Prepared, build_model};
+use crate::record::input_records;
 
 /// What is going on.
 #[derive(Debug, Clone, Copy, PartialEq)]
