@@ -9,6 +9,7 @@ mod decisions;
 mod errors;
 mod files;
 mod first_order;
+mod frozen;
 mod gcode;
 mod interrupted;
 mod laws;

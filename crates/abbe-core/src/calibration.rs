@@ -1,8 +1,8 @@
 //! Calibrations: the result of an estimate, and the reader and writer of its file.
 //!
 //! `calibration.json` is a stable format that others read: its number stands in the key `abbe_calibration`, its schema
-//! in `docs/schemas/calibration.schema.json`. A calibration is self-contained: pose predictions and compensation need
-//! nothing else.
+//! in `docs/schemas/calibration.schema.json`; `docs/formats.md` says what may change. A calibration is self-contained: pose
+//! predictions and compensation need nothing else.
 
 use std::collections::BTreeSet;
 
@@ -11,10 +11,13 @@ use serde::{Deserialize, Serialize};
 use serde_json::Value;
 
 use crate::error::{Error, Result};
+use crate::format::FileFormat;
 use crate::unit::{Quantity, Unit};
 
 /// The number of the file format.
 pub const CALIBRATION_FORMAT: u32 = 1;
+
+const FORMAT: FileFormat = FileFormat { name: "calibration", key: "abbe_calibration", number: CALIBRATION_FORMAT };
 
 /// What an estimate found out about a machine and its artefacts.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
@@ -605,24 +608,10 @@ pub struct GumComparison {
 impl Calibration {
     /// Reads a calibration file.
     ///
-    /// Fails on text that is not JSON, on another format number, on missing parts, units that are not known, values
-    /// that are not finite and a covariance whose shape does not match its names.
+    /// Keys that are not known are left alone. Fails on text that is not JSON, on another format number, on missing parts, units
+    /// that are not known, values that are not finite and a covariance whose shape does not match its names.
     pub fn from_json(text: &str) -> Result<Self> {
-        let value: Value =
-            serde_json::from_str(text).map_err(|error| Error::data(format!("this is not a JSON file: {error}")))?;
-        match value.get("abbe_calibration").and_then(Value::as_u64) {
-            Some(number) if number == u64::from(CALIBRATION_FORMAT) => {}
-            Some(number) => {
-                return Err(Error::data(format!(
-                    "calibration format {number} was found, this program reads format {CALIBRATION_FORMAT}"
-                )));
-            }
-            None => {
-                return Err(Error::data("this is not a calibration: the key `abbe_calibration` is missing"));
-            }
-        }
-        let calibration: Self = serde_json::from_value(value)
-            .map_err(|error| Error::data(format!("this calibration is broken: {error}")))?;
+        let calibration: Self = FORMAT.read(text)?;
         calibration.check()?;
         Ok(calibration)
     }

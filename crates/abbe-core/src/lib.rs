@@ -16,6 +16,7 @@ mod dataset;
 mod decision;
 mod error;
 mod first_order;
+mod format;
 mod identity;
 mod input_uncertainty;
 mod limit;
@@ -50,6 +51,7 @@ pub use contact::Variation;
 pub use dataset::{Column, ColumnHeader, Dataset, RowOrigin, Values};
 pub use decision::{Decision, Rule};
 pub use error::{Class, Convergence, Error, Place, Result, nearest};
+pub use format::FileFormat;
 pub use identity::Certificate;
 pub use input_uncertainty::{Ids, InputUncertainty, PooledRepeats, RowUncertainty, SharedError};
 pub use limit::Limit;
@@ -75,7 +77,7 @@ pub use settings::{
 pub use stage::{Artefact, Estimate, Export, ExportedFile, Fit, Ingest, InputFile, Model, Validate};
 pub use uncertainty::{CovarianceBlock, EquationUncertainty, Pooled};
 pub use unit::{Quantity, Unit};
-pub use verdict::{Figure, Findings, Verdict};
+pub use verdict::{Figure, Findings, VERDICTS_FORMAT, Verdict};
 
 /// Re-exported so that a plugin registers with the very version that the registry collects.
 pub use inventory;

@@ -1,8 +1,18 @@
 //! What a validator found: figures, their limits, and what is decided of them.
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 
 use serde::{Deserialize, Serialize};
+use serde_json::Value;
+
+use crate::error::{Error, Result};
+use crate::format::{FileFormat, parse};
+
+/// The number of the format of `verdicts.json`: a list, in which no number stands. A later one would be a map that has it under
+/// `abbe_verdicts`.
+pub const VERDICTS_FORMAT: u32 = 1;
+
+const FORMAT: FileFormat = FileFormat { name: "verdicts", key: "abbe_verdicts", number: VERDICTS_FORMAT };
 
 use crate::decision::{Decision, Rule};
 use crate::limit::Limit;
@@ -147,6 +157,25 @@ impl Verdict {
             decision,
             figures,
             remarks: findings.remarks,
+        }
+    }
+
+    /// Reads the text of a `verdicts.json`: the verdicts of all validate stages of a run, in their order.
+    ///
+    /// Keys that are not known are left alone. Fails on text that is not JSON, on another format number, on anything but a list, on
+    /// missing or wrong parts (with line and column), and on two verdicts of one stage.
+    pub fn list_from_json(text: &str) -> Result<Vec<Self>> {
+        match parse(text)? {
+            Value::Array(_) => {}
+            Value::Object(map) if map.contains_key(FORMAT.key) => FORMAT.check(&map[FORMAT.key])?,
+            _ => return Err(Error::data("these are no verdicts: a list was expected")),
+        }
+        let verdicts: Vec<Self> =
+            serde_json::from_str(text).map_err(|error| Error::data(format!("these verdicts are broken: {error}")))?;
+        let mut stages = BTreeSet::new();
+        match verdicts.iter().find(|verdict| !stages.insert(verdict.stage.as_str())) {
+            Some(twice) => Err(Error::data(format!("the stage `{}` has two verdicts", twice.stage))),
+            None => Ok(verdicts),
         }
     }
 }

@@ -4,13 +4,14 @@
 //! can determine; [`Prepared::run`] does the work and keeps the results in memory; [`Outcome::write`] puts them on disk.
 //! [`Prepared::plan`] chooses which measurements to make; [`Prepared::simulate`] measures the programme of a recipe on a virtual machine instead.
 
+mod evidence;
 mod folder;
 mod outcome;
 mod places;
 mod plan;
 mod prepare;
 mod recalled;
-mod records;
+mod record;
 mod run;
 mod simulate;
 mod uncertainty;
@@ -20,5 +21,6 @@ pub use folder::can_write_folder;
 pub use outcome::Outcome;
 pub use plan::Measurements;
 pub use prepare::{Prepared, prepare};
+pub use record::{InputRecord, PluginRecord, RUN_FORMAT, RunRecord};
 pub use run::{Event, Listener, Planned, model_of};
 pub use simulate::{Simulated, SimulatedFile, UnchangedFile};

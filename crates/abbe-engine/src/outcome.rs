@@ -1,13 +1,14 @@
 //! The results of a run, and how they get on disk: whole or not at all.
 
 use std::fs;
-use std::io::{self, Read};
+use std::io;
 use std::path::{Path, PathBuf};
 use std::time::{Duration, SystemTime, UNIX_EPOCH};
 
-use abbe_core::{Decision, Error, ExportedFile, Fit, Origin, Plugin, Result, Verdict};
+use abbe_core::{Decision, Error, ExportedFile, Fit, Result, Verdict};
 use serde::Serialize;
-use sha2::{Digest, Sha256};
+
+use crate::record::{InputRecord, PluginRecord, RUN_FORMAT, RunRecord};
 
 /// Everything that a run found, in memory.
 pub struct Outcome {
@@ -23,59 +24,6 @@ pub struct Outcome {
     pub(crate) plugins: Vec<PluginRecord>,
     pub(crate) started: SystemTime,
     pub(crate) duration: Duration,
-}
-
-/// `run.json`: what was run on what.
-#[derive(Debug, Serialize)]
-struct RunRecord {
-    abbe_run: u32,
-    version: &'static str,
-    recipe: String,
-    inputs: Vec<InputRecord>,
-    plugins: Vec<PluginRecord>,
-    started_unix_s: u64,
-    duration_s: f64,
-}
-
-/// A file that a run reads.
-#[derive(Debug, Clone, PartialEq, Serialize)]
-pub(crate) struct InputRecord {
-    pub file: String,
-    pub sha256: String,
-}
-
-/// What is read, each file once. Taken before the run, so that it tells what the run was started on.
-pub(crate) fn input_records(files: &[PathBuf]) -> Result<Vec<InputRecord>> {
-    let mut records: Vec<InputRecord> = Vec::new();
-    for path in files {
-        let file = path.display().to_string();
-        if records.iter().all(|record| record.file != file) {
-            records.push(InputRecord { file, sha256: sha256(path)? });
-        }
-    }
-    Ok(records)
-}
-
-/// A plugin that does work in a run.
-#[derive(Debug, Clone, PartialEq, Serialize)]
-pub(crate) struct PluginRecord {
-    kind: &'static str,
-    name: String,
-    origin: String,
-    #[serde(skip_serializing_if = "Option::is_none")]
-    sha256: Option<String>,
-    version: String,
-}
-
-impl PluginRecord {
-    pub fn of(plugin: &Plugin) -> Self {
-        let (origin, sha256) = match &plugin.origin {
-            Origin::BuiltIn => ("built-in".to_owned(), None),
-            Origin::Library { file, sha256 } => (file.display().to_string(), Some(sha256.clone())),
-        };
-        let (name, version) = (plugin.name.to_string(), plugin.version.to_string());
-        Self { kind: plugin.kind().key(), name, origin, sha256, version }
-    }
 }
 
 impl Outcome {
@@ -121,10 +69,11 @@ impl Outcome {
         Ok(target)
     }
 
-    fn record(&self) -> RunRecord {
+    /// What was run on what, as it stands in `run.json`.
+    pub fn record(&self) -> RunRecord {
         RunRecord {
-            abbe_run: 1,
-            version: env!("CARGO_PKG_VERSION"),
+            abbe_run: RUN_FORMAT,
+            version: env!("CARGO_PKG_VERSION").to_owned(),
             recipe: self.recipe.clone(),
             inputs: self.inputs.clone(),
             plugins: self.plugins.clone(),
@@ -200,18 +149,4 @@ fn json<T: Serialize>(value: &T) -> Result<String> {
     serde_json::to_string_pretty(value)
         .map(|text| text + "\n")
         .map_err(|error| Error::data(format!("a result cannot be written: {error}")))
-}
-
-fn sha256(file: &Path) -> Result<String> {
-    let unreadable = |error: io::Error| Error::data(format!("the file cannot be read: {error}")).in_file(file);
-    let mut reader = fs::File::open(file).map_err(unreadable)?;
-    let mut digest = Sha256::new();
-    let mut buffer = [0; 1 << 16];
-    loop {
-        match reader.read(&mut buffer).map_err(unreadable)? {
-            0 => break,
-            count => digest.update(&buffer[..count]),
-        }
-    }
-    Ok(digest.finalize().iter().map(|byte| format!("{byte:02x}")).collect())
 }

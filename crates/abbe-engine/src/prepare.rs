@@ -11,8 +11,8 @@ use abbe_core::{
 use abbe_recipe::{Library, Recipe, Stage};
 use serde_json::Value;
 
-use crate::outcome::PluginRecord;
 use crate::recalled::{self, Recalled};
+use crate::record::PluginRecord;
 use crate::run::{has_problem, has_rows};
 use crate::uncertainty::RowsOf;
 

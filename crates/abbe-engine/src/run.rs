@@ -10,10 +10,11 @@ use abbe_core::{
 };
 use abbe_recipe::Stage;
 
-use crate::outcome::{InputRecord, Outcome, input_records};
+use crate::evidence;
+use crate::outcome::Outcome;
 use crate::prepare::{Prepared, build_model};
 use crate::recalled::fit_without_rows;
-use crate::records;
+use crate::record::{InputRecord, input_records};
 
 /// What is going on.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -220,29 +221,29 @@ impl Prepared {
     fn evidence(
         &self,
         problems: &BTreeMap<String, Problem>,
-        digests: &records::Digests,
+        digests: &evidence::Digests,
     ) -> Result<BTreeMap<String, Vec<DataRecord>>> {
-        let mut evidence: BTreeMap<String, Vec<DataRecord>> = BTreeMap::new();
+        let mut all_rows: BTreeMap<String, Vec<DataRecord>> = BTreeMap::new();
         for stage in self.stages(Kind::Estimate) {
             let name = &stage.name;
             let mut all = match self.recalled.get(name) {
                 Some(recalled) => recalled.calibration.data.clone(),
-                None => problems.get(name).map_or_else(Vec::new, |problem| records::of_problem(problem, digests)),
+                None => problems.get(name).map_or_else(Vec::new, |problem| evidence::of_problem(problem, digests)),
             };
             for key in ["known", "of"] {
                 for earlier in stage.reference(key) {
-                    let theirs = &evidence[earlier];
-                    let shared = records::shared(&all, theirs);
+                    let theirs = &all_rows[earlier];
+                    let shared = evidence::shared(&all, theirs);
                     if !shared.is_empty() && !stage.shared_rows {
                         let between = format!("`{name}` rests on rows on which `{earlier}` rests already");
-                        return self.located(stage, Err(records::counted_twice(&shared, &between).setting(key)));
+                        return self.located(stage, Err(evidence::counted_twice(&shared, &between).setting(key)));
                     }
-                    all = records::joined(all, theirs);
+                    all = evidence::joined(all, theirs);
                 }
             }
-            evidence.insert(name.clone(), all);
+            all_rows.insert(name.clone(), all);
         }
-        Ok(evidence)
+        Ok(all_rows)
     }
 
     /// Model and observations of an estimate.
@@ -363,7 +364,7 @@ pub(crate) fn has_rows(stage: &&Stage) -> bool {
 }
 
 /// The digests of input files.
-fn digests(inputs: &[InputRecord]) -> records::Digests {
+fn digests(inputs: &[InputRecord]) -> evidence::Digests {
     inputs.iter().map(|input| (input.file.clone(), input.sha256.clone())).collect()
 }
 

@@ -1,0 +1,50 @@
+//! Numbered file formats: what every reader of a result file asks first.
+
+use serde::de::DeserializeOwned;
+use serde_json::Value;
+
+use crate::error::{Error, Result};
+
+/// A file format with a number.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct FileFormat {
+    /// What such a file is, in words.
+    pub name: &'static str,
+    /// The key that has the number.
+    pub key: &'static str,
+    /// The number that this program reads and writes.
+    pub number: u32,
+}
+
+impl FileFormat {
+    /// Reads the text of a file. Keys that are not known are left alone: a later program may add some (`docs/formats.md`).
+    ///
+    /// Fails on text that is no JSON, without a number or with another one, and on missing or wrong parts, with line and column.
+    pub fn read<T: DeserializeOwned>(self, text: &str) -> Result<T> {
+        let Self { name, key, .. } = self;
+        match parse(text)?.get(key) {
+            None => return Err(Error::data(format!("this is not a {name}: the key `{key}` is missing"))),
+            Some(found) => self.check(found)?,
+        }
+        // From the text once more, because a value has forgotten its line.
+        serde_json::from_str(text).map_err(|error| Error::data(format!("this {name} is broken: {error}")))
+    }
+
+    /// Refuses another number than that of this format.
+    pub(crate) fn check(self, found: &Value) -> Result<()> {
+        let Self { name, key, number } = self;
+        match found.as_u64() {
+            Some(found) if found == u64::from(number) => Ok(()),
+            Some(found) => {
+                let error = format!("{name} format {found} was found, this program reads format {number}");
+                Err(Error::data(error).help("read it with the version of Abbe that wrote it, or a later one"))
+            }
+            None => Err(Error::data(format!("`{key}` is {found}: the number of the format was expected"))),
+        }
+    }
+}
+
+/// JSON of any kind.
+pub(crate) fn parse(text: &str) -> Result<Value> {
+    serde_json::from_str(text).map_err(|error| Error::data(format!("this is not a JSON file: {error}")))
+}

@@ -1,0 +1,117 @@
+//! `run.json`: what was run on what, and when; its reader.
+//!
+//! Its number stands in the key `abbe_run`, its schema in `docs/schemas/run.schema.json`; `docs/formats.md` says what may change.
+
+use std::fs;
+use std::io::{self, Read};
+use std::path::{Path, PathBuf};
+
+use abbe_core::{Error, FileFormat, Kind, Origin, Plugin, Result};
+use serde::{Deserialize, Serialize};
+use sha2::{Digest, Sha256};
+
+/// The number of the format of `run.json`.
+pub const RUN_FORMAT: u32 = 1;
+
+const FORMAT: FileFormat = FileFormat { name: "run record", key: "abbe_run", number: RUN_FORMAT };
+
+/// What was run on what, and when.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct RunRecord {
+    /// Number of the format, [`RUN_FORMAT`].
+    pub abbe_run: u32,
+    /// Version of the program.
+    pub version: String,
+    /// Name of the recipe.
+    pub recipe: String,
+    /// Every file that was read, the recipe first.
+    pub inputs: Vec<InputRecord>,
+    /// Every plugin that took part.
+    pub plugins: Vec<PluginRecord>,
+    /// Start, seconds since 1970-01-01 UTC.
+    pub started_unix_s: u64,
+    /// How long it took without writing the results, s.
+    pub duration_s: f64,
+}
+
+/// A file that a run read.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct InputRecord {
+    /// Its path as the run had it.
+    pub file: String,
+    /// Hash of its content when the run began, 64 hexadecimal digits.
+    pub sha256: String,
+}
+
+/// A plugin that took part in a run.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct PluginRecord {
+    /// Its kind.
+    pub kind: Kind,
+    /// Its name.
+    pub name: String,
+    /// `built-in`, or the file of a library.
+    pub origin: String,
+    /// Hash of the library, 64 hexadecimal digits; none of what is built in.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub sha256: Option<String>,
+    /// Its version.
+    pub version: String,
+}
+
+impl RunRecord {
+    /// Reads the text of a `run.json`.
+    ///
+    /// Keys that are not known are left alone. Fails on text that is not JSON, on another format number, on missing or wrong parts
+    /// (with line and column), on a hash that is none and on a negative duration.
+    pub fn from_json(text: &str) -> Result<Self> {
+        let record: Self = FORMAT.read(text)?;
+        let inputs = record.inputs.iter().map(|input| (&input.file, &input.sha256));
+        let libraries = record.plugins.iter().filter_map(|plugin| Some((&plugin.origin, plugin.sha256.as_ref()?)));
+        let is_hash = |text: &str| text.len() == 64 && text.bytes().all(|digit| digit.is_ascii_hexdigit());
+        if let Some((file, sha256)) = inputs.chain(libraries).find(|(_, sha256)| !is_hash(sha256)) {
+            return Err(Error::data(format!("`{file}`: `{sha256}` is no SHA-256, which has 64 hexadecimal digits")));
+        }
+        match record.duration_s >= 0.0 {
+            true => Ok(record),
+            false => Err(Error::data(format!("a run cannot have taken {} s", record.duration_s))),
+        }
+    }
+}
+
+/// What is read, each file once. Taken before the run, so that it tells what the run was started on.
+pub(crate) fn input_records(files: &[PathBuf]) -> Result<Vec<InputRecord>> {
+    let mut records: Vec<InputRecord> = Vec::new();
+    for path in files {
+        let file = path.display().to_string();
+        if records.iter().all(|record| record.file != file) {
+            records.push(InputRecord { file, sha256: sha256(path)? });
+        }
+    }
+    Ok(records)
+}
+
+impl PluginRecord {
+    pub(crate) fn of(plugin: &Plugin) -> Self {
+        let (origin, sha256) = match &plugin.origin {
+            Origin::BuiltIn => ("built-in".to_owned(), None),
+            Origin::Library { file, sha256 } => (file.display().to_string(), Some(sha256.clone())),
+        };
+        let (name, version) = (plugin.name.to_string(), plugin.version.to_string());
+        Self { kind: plugin.kind(), name, origin, sha256, version }
+    }
+}
+
+fn sha256(file: &Path) -> Result<String> {
+    let unreadable = |error: io::Error| Error::data(format!("the file cannot be read: {error}")).in_file(file);
+    let mut reader = fs::File::open(file).map_err(unreadable)?;
+    let mut digest = Sha256::new();
+    let mut buffer = [0; 1 << 16];
+    loop {
+        match reader.read(&mut buffer).map_err(unreadable)? {
+            0 => break,
+            count => digest.update(&buffer[..count]),
+        }
+    }
+    Ok(digest.finalize().iter().map(|byte| format!("{byte:02x}")).collect())
+}
