@@ -119,18 +119,18 @@ fn intervals_cover_where_stages_scatter_differently() {
             let estimate = calibration.get(&parameter.name).expect("an estimate").value;
             (estimate - parameters[&parameter.name]).abs() <= parameter.expanded_uncertainty
         });
-        (covers.collect::<Vec<bool>>(), factor(&calibration, "even").0, factor(&calibration, "odd").0)
+        (covers.collect::<Vec<bool>>(), ["even", "odd"].map(|half| factor(&calibration, half).0))
     });
     let count = covered[0].0.len();
     let (low, high) = binomial_band(sets, 0.95, 1.0 - 0.01 / count as f64);
     let mut all = 0;
     for parameter in 0..count {
-        let hits = covered.iter().filter(|(covers, ..)| covers[parameter]).count();
+        let hits = covered.iter().filter(|(covers, _)| covers[parameter]).count();
         all += hits;
         assert!((low..=high).contains(&hits), "parameter {parameter}: {hits} of {sets}, {low} to {high} expected");
     }
-    let mean = |of: &dyn Fn(&(Vec<bool>, f64, f64)) -> f64| covered.iter().map(of).sum::<f64>() / sets as f64;
-    let (even, odd) = (mean(&|it| it.1.powi(2)).sqrt(), mean(&|it| it.2.powi(2)).sqrt());
+    let factors = |half: usize| covered.iter().map(move |(_, factors)| factors[half].powi(2));
+    let [even, odd] = [0, 1].map(|half| (factors(half).sum::<f64>() / sets as f64).sqrt());
     println!("{sets} sets: {:.2} % cover; factors {even:.3} and {odd:.3}", 100.0 * all as f64 / (sets * count) as f64);
     assert!((even / 0.5 - 1.0).abs() < 0.03 && (odd / 3.0 - 1.0).abs() < 0.03, "{even}, {odd}");
 }

@@ -292,10 +292,11 @@ fn minimise<P: LeastSquares + ?Sized>(
         }
         smallest = smallest.min(size);
         match downhill(problem, (&x, &step), factor.cost(), weights)? {
-            Some((lower, there, part)) => {
-                (x, factor) = (lower, there);
-                last = (part == 1.0).then_some(size);
-                last_ratio = ratio.filter(|_| part == 1.0);
+            Some(lower) => {
+                let whole = lower.part == 1.0;
+                (x, factor) = (lower.x, lower.factor);
+                last = whole.then_some(size);
+                last_ratio = ratio.filter(|_| whole);
             }
             None => {
                 // Nothing below helps: this is as low as rounding allows, or the model is not smooth here.
@@ -308,6 +309,14 @@ fn minimise<P: LeastSquares + ?Sized>(
     Ok(Minimum { x, end: End::IterationLimit, iterations: options.iterations, last_step: next, factor })
 }
 
+/// Where a part of a step leads that makes the sum of squares no larger.
+struct Lower {
+    x: Vec<f64>,
+    factor: Factor,
+    /// The part of the step.
+    part: f64,
+}
+
 /// The first of a step from x, its half, its quarter and so on that does not make the sum of squares larger than `cost`, with the
 /// factor there and the part that it is; None if no part does.
 fn downhill<P: LeastSquares + ?Sized>(
@@ -315,7 +324,7 @@ fn downhill<P: LeastSquares + ?Sized>(
     (x, step): (&[f64], &[f64]),
     cost: f64,
     weights: Option<&[f64]>,
-) -> Result<Option<(Vec<f64>, Factor, f64)>, P::Error> {
+) -> Result<Option<Lower>, P::Error> {
     let (mut evaluated, mut refused, mut part) = (false, None, 1.0);
     while part >= LEAST_PART {
         let mut trial = x.to_vec();
@@ -325,7 +334,7 @@ fn downhill<P: LeastSquares + ?Sized>(
                 evaluated = true;
                 let differentiable = factor.norms().iter().all(|norm| norm.is_finite());
                 if differentiable && factor.cost() <= cost * (1.0 + 1e-12) + f64::MIN_POSITIVE {
-                    return Ok(Some((trial, factor, part)));
+                    return Ok(Some(Lower { x: trial, factor, part }));
                 }
             }
             Err(error) if problem.is_final(&error) => return Err(error),
