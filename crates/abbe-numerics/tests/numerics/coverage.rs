@@ -184,15 +184,15 @@ fn degrees_of_freedom_add_up_as_those_of_the_end_gauge() {
 #[test]
 fn the_squared_distance_of_a_found_covariance_is_wider_than_chi_squared() {
     let t = coverage_factor(0.95, 12.0);
-    assert!((abbe_numerics::hotelling_quantile(0.95, 1, 12.0) / (t * t) - 1.0).abs() < 1e-9);
-    assert!((abbe_numerics::hotelling_quantile(0.95, 2, 10.0) - 20.0 / 9.0 * 4.2565).abs() < 1e-3);
-    let stated = abbe_numerics::hotelling_quantile(0.95, 4, f64::INFINITY);
+    assert!((hotelling_quantile(0.95, 1, 12.0) / (t * t) - 1.0).abs() < 1e-9);
+    assert!((hotelling_quantile(0.95, 2, 10.0) - 20.0 / 9.0 * 4.2565).abs() < 1e-3);
+    let stated = hotelling_quantile(0.95, 4, f64::INFINITY);
     assert!((stated - 9.4877).abs() < 1e-4);
-    assert!((abbe_numerics::hotelling_upper_tail(stated, 4, f64::INFINITY) - 0.05).abs() < 1e-9);
-    let found = abbe_numerics::hotelling_quantile(0.95, 4, 15.0);
-    assert!((abbe_numerics::hotelling_upper_tail(found, 4, 15.0) - 0.05).abs() < 1e-9);
-    assert!(abbe_numerics::hotelling_quantile(0.95, 16, 15.0).is_nan());
-    assert!(abbe_numerics::hotelling_quantile(0.95, 16, 15.4).is_nan());
+    assert!((hotelling_upper_tail(stated, 4, f64::INFINITY) - 0.05).abs() < 1e-9);
+    let found = hotelling_quantile(0.95, 4, 15.0);
+    assert!((hotelling_upper_tail(found, 4, 15.0) - 0.05).abs() < 1e-9);
+    assert!(hotelling_quantile(0.95, 16, 15.0).is_nan());
+    assert!(hotelling_quantile(0.95, 16, 15.4).is_nan());
     // F(0.95; 3, 13) = 3.4105; chi-squared gives 2.80.
     let position = joint_coverage_factor(3, 0.95, 15.0);
     assert!((position - (45.0 / 13.0 * 3.4105_f64).sqrt()).abs() < 1e-3 && (position - 3.44).abs() < 5e-3);
