@@ -8,6 +8,7 @@ mod errors;
 mod files;
 mod first_order;
 mod gcode;
+mod instruction_sets;
 mod interrupted;
 mod laws;
 mod libraries;

@@ -42,6 +42,8 @@ pub struct ObservationSet {
     pub(crate) moved: Option<Arc<PoseTable>>,
     /// What is added to the residuals, in the order of the layout.
     pub(crate) disturbances: Option<Arc<Vec<f64>>>,
+    /// Whether the rows stand where rank is judged, and not where they were recorded: derivatives that are rounding are zero.
+    pub(crate) judged: bool,
 }
 
 impl ObservationSet {
@@ -57,6 +59,7 @@ impl ObservationSet {
             uncertainty: Arc::new(EquationUncertainty::independent(standard)),
             moved: None,
             disturbances: None,
+            judged: false,
             observations,
         }
     }
@@ -615,13 +618,17 @@ impl Problem {
         out.jacobian.clear();
         out.jacobian.resize(equations * count, 0.0);
         let jacobian = &mut out.jacobian;
-        work.chain(set, rows, columns.wanted.len(), |equation, derivatives, weight| {
+        work.chain(set, rows, columns.wanted.len(), |equation, _, derivatives, weight| {
             if *weight == [0.0; 3] {
                 return;
             }
             let line = &mut jacobian[equation * count..(equation + 1) * count];
+            let rounding = if set.judged { PERPENDICULAR * size(weight) } else { 0.0 };
             for (derivative, &column) in derivatives.iter().zip(&columns.machine) {
-                line[column] += dot(derivative, weight);
+                let effect = dot(derivative, weight);
+                // What is not finite is not smaller: it stays to be told.
+                let is_rounding = effect.abs() < rounding * size(derivative);
+                line[column] += if is_rounding { 0.0 } else { effect };
             }
         });
         let (own, inputs) = &columns.of_sets[index];
@@ -706,6 +713,10 @@ impl Problem {
         ranges.collect()
     }
 }
+
+/// Cosine below which an equation does not see a motion of the tip: what rounding leaves of a right angle. Taken for an effect, it
+/// would make an unknown that nothing sees look determined, since rank is judged with columns of norm 1.
+const PERPENDICULAR: f64 = 1e-14;
 
 /// Where the derivatives of a problem go.
 struct Columns {
@@ -814,31 +825,36 @@ pub(crate) struct Workspace {
 }
 
 impl Workspace {
-    /// Calls `add` with (equation, derivatives of a pose to the variables, d(residual)/d(that pose)) for every equation
-    /// and pose; once for positions and, where they are needed, once for rotations.
+    /// Calls `add` with (equation, number of the pair of equation and pose, derivatives of the pose to the variables,
+    /// d(residual)/d(that pose)) for every equation and pose; once for positions and, where they are needed, once for rotations.
     pub(crate) fn chain(
         &self,
         set: &ObservationSet,
         rows: &[usize],
         variables: usize,
-        mut add: impl FnMut(usize, &[[f64; 3]], &[f64; 3]),
+        mut add: impl FnMut(usize, usize, &[[f64; 3]], &[f64; 3]),
     ) {
-        let (mut equation, mut weight, mut first_pose) = (0, 0, 0);
+        let (mut equation, mut pair, mut first_pose) = (0, 0, 0);
         for row in rows.iter().map(|&row| &set.observations.layout().rows[row]) {
             for _ in 0..row.equations {
                 for pose in first_pose..first_pose + row.poses {
                     let range = pose * variables..(pose + 1) * variables;
-                    add(equation, &self.poses.position_derivatives[range.clone()], &self.equations.by_position[weight]);
-                    if let Some(by_rotation) = self.equations.by_rotation.get(weight) {
-                        add(equation, &self.poses.rotation_derivatives[range], by_rotation);
+                    let by_position = &self.equations.by_position[pair];
+                    add(equation, pair, &self.poses.position_derivatives[range.clone()], by_position);
+                    if let Some(by_rotation) = self.equations.by_rotation.get(pair) {
+                        add(equation, pair, &self.poses.rotation_derivatives[range], by_rotation);
                     }
-                    weight += 1;
+                    pair += 1;
                 }
                 equation += 1;
             }
             first_pose += row.poses;
         }
     }
+}
+
+fn size(a: &[f64; 3]) -> f64 {
+    a[0].abs() + a[1].abs() + a[2].abs()
 }
 
 pub(crate) fn dot(a: &[f64; 3], b: &[f64; 3]) -> f64 {
