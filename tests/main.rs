@@ -11,6 +11,7 @@ mod files;
 mod first_order;
 mod frozen;
 mod gcode;
+mod instruction_sets;
 mod interrupted;
 mod laws;
 mod libraries;

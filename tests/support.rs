@@ -3,6 +3,7 @@
 use std::collections::BTreeMap;
 use std::ffi::OsStr;
 use std::fs;
+use std::io::Write as _;
 use std::path::{Path, PathBuf};
 use std::process::Command;
 
@@ -42,6 +43,13 @@ pub fn abbe<S: AsRef<OsStr>>(at: &Path, arguments: &[S]) -> Printed {
         stdout: text(output.stdout),
         stderr: text(output.stderr),
     }
+}
+
+/// Says that a test was skipped, and why; `cargo xtask ci` tells it again at its end.
+pub fn skipped(test: &str, reason: &str) {
+    // What is not printed by a macro is not kept from those who run the tests.
+    let line = format!("\nSKIPPED: {test}: {reason}\n");
+    std::io::stdout().write_all(line.as_bytes()).expect("standard output is open");
 }
 
 /// The recipes of the repository, by name.

@@ -1,12 +1,14 @@
 //! The same results as built in: from Rust and from C, isolated or not.
 
+use std::path::Path;
+
 use abbe_core::{Quantity, Registry};
 use abbe_engine::{Outcome, prepare};
 use abbe_plugin::Library;
 use serde_json::{Value, json};
 
 use super::{c_library, cargo_library, lengths, limits, three_axes};
-use crate::support::{Variant, fit, recipes, temporary, values};
+use crate::support::{Variant, fit, recipes, temporary, values, write};
 
 /// The built-in plugins, and those of a library under `vendor-<name>`.
 fn with_renamed(mut library: Library) -> Registry {
@@ -106,6 +108,57 @@ fn equations_of_lengths_and_of_angles_are_told_apart_on_either_side() {
     let file = cargo_library("abbe-stock-library");
     for library in [abbe_plugin::load(&file, None), abbe_plugin::isolated(&file, None, &limits(60.0))] {
         same(&expected, &run(&by_vendor(&recipe), &with_renamed(library.expect("it loads"))));
+    }
+}
+
+/// Circles of a bar of unknown length on a machine with unknown scales, about a ball that is not quite where the file has it.
+fn circles(folder: &Path) -> Variant {
+    let mut rows = "X_mm,Y_mm,Z_mm,test,reading_mm\n".to_owned();
+    for test in 0..3 {
+        for sample in 0..24 {
+            let angle = f64::from(sample) * 15.0_f64.to_radians();
+            let mut tip = [50.0, -30.0, 20.0];
+            tip[test] += 100.0 * angle.cos();
+            tip[(test + 1) % 3] += 100.0 * angle.sin();
+            let centre = [50.1, -30.05, 20.08];
+            let length: f64 = (0..3).map(|axis| (tip[axis] - centre[axis]) * (tip[axis] - centre[axis])).sum();
+            rows.push_str(&format!("{},{},{},{test},{}\n", tip[0], tip[1], tip[2], length.sqrt() - 100.0));
+        }
+    }
+    write(&folder.join("rows.csv"), &rows);
+    write(&folder.join("balls.csv"), "feature,x_mm,y_mm,z_mm\n1,50.02,-30,20.01\n");
+    Variant(json!({
+        "abbe": 1,
+        "name": "Circles",
+        "stages": {
+            "rows": { "ingest": "csv", "path": folder.join("rows.csv") },
+            "bar": {
+                "artefact": "ball-bar", "from": "rows", "nominal": folder.join("balls.csv"), "bars_mm": { "one": 100 },
+                "lengths": "estimated", "standard_uncertainty_um": 0.5, "tool_ball_standard_uncertainty_um": 0.2,
+            },
+            "machine": {
+                "model": "serial-chain", "chain": "w b X Y Z t", "tool_length_mm": 0, "stylus_radius_mm": 0,
+                "errors": [{ "polynomial": ["EXX", "EYY", "EZZ"], "degrees": [1] }, { "location": ["EC0Y", "EA0Z", "EB0Z"] }],
+            },
+            "fit": {
+                "estimate": "gauss-newton", "machine": "machine", "observations": ["bar"], "parameters": ["E*", "bar.*"],
+                "on_confounded": "drop",
+            },
+        },
+    }))
+}
+
+#[test]
+fn readings_are_judged_alike_on_either_side() {
+    let folder = temporary();
+    let recipe = circles(folder.path());
+    let expected = run(&recipe, &Registry::built_in().expect("the built-in plugins"));
+    assert_eq!(fit(&expected, "fit").calibration.fit.null_space.len(), 1);
+    let file = cargo_library("abbe-stock-library");
+    for library in [abbe_plugin::load(&file, None), abbe_plugin::isolated(&file, None, &limits(60.0))] {
+        let found = run(&by_vendor(&recipe), &with_renamed(library.expect("it loads")));
+        assert_eq!(fit(&found, "fit").calibration.fit.null_space.len(), 1);
+        same(&expected, &found);
     }
 }
 

@@ -67,13 +67,16 @@ fn ci() -> Outcome {
     tests()
 }
 
-/// Runs all tests, and closes with how many there were.
+/// What a test prints before its name and the reason why it was skipped.
+const SKIPPED: &str = "SKIPPED: ";
+
+/// Runs all tests, and closes with how many there were and which were skipped, and why.
 fn tests() -> Outcome {
     let mut command = cargo(&["test", "--workspace", "--locked", "--no-fail-fast"]);
     command.env("INSTA_UPDATE", "no").stdout(Stdio::piped());
     println!("$ {command:?}");
     let mut child = command.spawn().map_err(|error| format!("cargo test cannot be run: {error}"))?;
-    let (mut passed, mut failed) = (0, 0);
+    let (mut passed, mut failed, mut skipped) = (0, 0, Vec::new());
     for line in BufReader::new(child.stdout.take().ok_or("cargo test has no output")?).lines().map_while(Result::ok) {
         println!("{line}");
         let count = |what: &str| -> usize {
@@ -84,9 +87,12 @@ fn tests() -> Outcome {
             passed += count(" passed;");
             failed += count(" failed;");
         }
+        // Others may print at the same time: the line may begin with what they do.
+        skipped.extend(line.split_once(SKIPPED).map(|(_, what)| what.to_owned()));
     }
     let status = child.wait().map_err(|error| format!("cargo test: {error}"))?;
-    println!("{passed} passed, {failed} failed");
+    println!("{passed} passed, {failed} failed, {} skipped", skipped.len());
+    skipped.iter().for_each(|what| println!("  skipped: {what}"));
     if status.success() && passed > 0 { Ok(()) } else { Err(format!("cargo test ended with {status}")) }
 }
 

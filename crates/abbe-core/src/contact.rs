@@ -72,7 +72,9 @@ impl Problem {
     /// The same problem where, by the model at `x`, its rank and condition are judged: at nominal contact.
     ///
     /// At recorded positions the residuals, and the offsets with which features are met beside their points, act as if they
-    /// were information: they lift the singular values that are really zero. Rows that are met anywhere stay where they are.
+    /// were information: they lift the singular values that are really zero. So do readings that follow from errors: their rows move
+    /// to [`Observations::nominal_reading`](crate::Observations::nominal_reading). Rows that are met anywhere, and rows whose
+    /// readings tell more than errors do, stay where they are.
     pub fn as_judged(&self, x: &[f64]) -> Result<Self> {
         self.with_contacts(x, ObservationSet::moves_to_be_judged)
     }
@@ -221,7 +223,11 @@ impl ObservationSet {
     }
 
     fn moves_to_be_judged(&self) -> bool {
-        self.moves_to_contact() && !self.observations.is_met_anywhere()
+        match self.observations.contact() {
+            Contact::LinearAxes => !self.observations.is_met_anywhere(),
+            Contact::Reading(_) => self.rows.iter().any(|&row| self.observations.nominal_reading(row).is_some()),
+            Contact::NotSimulated(_) => false,
+        }
     }
 
     fn row(&self, row: usize) -> Row {
@@ -251,14 +257,13 @@ impl ObservationSet {
     /// Moves the linear axes of every row by the smallest step that brings its linearised equations to the goal; returns
     /// the largest step in mm. `work` holds the evaluation of these rows with derivatives to the linear axes.
     fn step(&mut self, rows: &[usize], linear: &LinearAxes, work: &Workspace, goal: Goal<'_>) -> f64 {
-        if !work.equations.by_rotation.is_empty() {
+        let touched = self.moves_to_contact();
+        if touched && !work.equations.by_rotation.is_empty() {
             return 0.0; // Orientations are not touched into place by linear axes.
         }
         let count = linear.count();
         let mut gradients = work.gradients(self, rows, count);
-        if let Goal::Residuals(_) = goal {
-            self.only_approaching(rows, linear, &mut gradients);
-        }
+        self.only_moving(rows, linear, goal, &mut gradients);
         let (mut equation, mut entry, mut pose, mut largest) = (0, 0, 0, 0.0_f64);
         let mut steps: Vec<f64> = Vec::new();
         for &index in rows {
@@ -266,14 +271,16 @@ impl ObservationSet {
             let equations = equation..equation + row.equations;
             let gradient = &gradients[entry * count..(entry + row.equations * row.poses) * count];
             let residuals = &work.equations.residuals[equations.clone()];
-            let contact = match goal {
-                Goal::Contact if row.poses == 1 => self.contact_step(index, pose, work, count),
-                _ => None,
-            };
-            let step = contact.or_else(|| match goal {
-                Goal::Contact => smallest_step(gradient, residuals, &vec![0.0; row.equations]),
+            let step = match goal {
                 Goal::Residuals(errors) => smallest_step(gradient, residuals, &errors[equations]),
-            });
+                Goal::Contact if touched => (row.poses == 1)
+                    .then(|| self.contact_step(index, pose, work, count))
+                    .flatten()
+                    .or_else(|| smallest_step(gradient, residuals, &vec![0.0; row.equations])),
+                Goal::Contact => {
+                    self.nominal_residuals(index).and_then(|wanted| smallest_step(gradient, residuals, &wanted))
+                }
+            };
             steps.extend(step.unwrap_or_else(|| vec![0.0; row.poses * count]));
             equation += row.equations;
             entry += row.equations * row.poses;
@@ -292,20 +299,36 @@ impl ObservationSet {
         largest
     }
 
-    /// Takes the effects of axes that do not move until contact out of the gradients of some rows.
-    fn only_approaching(&self, rows: &[usize], linear: &LinearAxes, gradients: &mut [f64]) {
+    /// Takes the effects of axes that do not move out of the gradients of some rows: where one axis alone approaches, and
+    /// where axes stand while a reading is taken.
+    fn only_moving(&self, rows: &[usize], linear: &LinearAxes, goal: Goal<'_>, gradients: &mut [f64]) {
         let mut entries = gradients.chunks_exact_mut(linear.count().max(1));
         for &index in rows {
-            let (row, approach) = (self.row(index), self.observations.approach(index));
+            let row = self.row(index);
+            let axes: Option<Vec<usize>> = match goal {
+                Goal::Residuals(_) => self.observations.approach(index).map(|approach| vec![approach.axis]),
+                Goal::Contact => self.observations.nominal_reading(index).map(|nominal| nominal.axes.clone()),
+            };
             for entry in entries.by_ref().take(row.equations * row.poses) {
-                let Some(approach) = &approach else { continue };
+                let Some(axes) = &axes else { continue };
                 for (effect, command) in entry.iter_mut().zip(&linear.commands) {
-                    if *command != Variable::Command(approach.axis) {
+                    if !axes.iter().any(|&axis| *command == Variable::Command(axis)) {
                         *effect = 0.0;
                     }
                 }
             }
         }
+    }
+
+    /// The residuals of a row at which its readings are the nominal ones, with what is added to residuals here.
+    fn nominal_residuals(&self, index: usize) -> Option<Vec<f64>> {
+        let (row, nominal) = (self.row(index), self.observations.nominal_reading(index)?);
+        let mut residuals = nominal.residuals.clone();
+        if let Some(disturbances) = &self.disturbances {
+            let added = &disturbances[row.first_equation..row.first_equation + row.equations];
+            residuals.iter_mut().zip(added).for_each(|(residual, added)| *residual += added);
+        }
+        Some(residuals)
     }
 
     /// The step that brings the tip of a row with one pose to nominal contact, where that is known.
@@ -357,9 +380,10 @@ fn smallest_step_of_three(gradient: &[f64], values: &[f64], wanted: &[f64]) -> O
 impl Workspace {
     /// Derivatives of every equation to the linear axes of every pose of its row: equations x poses x axes.
     fn gradients(&self, set: &ObservationSet, rows: &[usize], count: usize) -> Vec<f64> {
-        let mut gradients = Vec::with_capacity(self.equations.by_position.len() * count);
-        self.chain(set, rows, count, |_, derivatives, weight| {
-            gradients.extend(derivatives.iter().map(|derivative| dot(derivative, weight)));
+        let mut gradients = vec![0.0; self.equations.by_position.len() * count];
+        self.chain(set, rows, count, |_, pair, derivatives, weight| {
+            let effects = gradients[pair * count..(pair + 1) * count].iter_mut().zip(derivatives);
+            effects.for_each(|(effect, derivative)| *effect += dot(derivative, weight));
         });
         gradients
     }

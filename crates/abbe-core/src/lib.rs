@@ -60,7 +60,7 @@ pub use model::{
     StatusColumn, Variable,
 };
 pub use observations::{
-    Approach, Contact, Equations, Feature, KnownInput, Layout, Observations, PoseValues, Row, Target,
+    Approach, Contact, Equations, Feature, KnownInput, Layout, NominalReading, Observations, PoseValues, Row, Target,
 };
 pub use parallel::in_parallel;
 pub use pattern::matches;

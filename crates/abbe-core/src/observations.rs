@@ -84,6 +84,18 @@ pub enum Contact {
     NotSimulated(String),
 }
 
+/// Nominal contact of a row that gives way by a reading: linear axes move until it reads what is nominal.
+///
+/// Nothing moves so when it is really measured; rank and condition are judged there, without what the reading owes to errors.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct NominalReading {
+    /// What the residual of each of its equations is there, mm or rad: nominal less recorded reading.
+    pub residuals: Vec<f64>,
+    /// The linear axes, by their indices among the axes of the model, that move while the row is measured. The others stand, and
+    /// stay where they are.
+    pub axes: Vec<usize>,
+}
+
 /// How a row is touched that only one axis approaches.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Approach {
@@ -356,6 +368,12 @@ pub trait Observations: Send + Sync {
     /// Where the tip of a row's pose is in nominal contact, table frame, given where it is by the model: on the feature as
     /// estimated, without the sideways offset with which it was met. None where contact does not fix the tip.
     fn contact_tip(&self, _row: usize, _tip: [f64; 3], _own: &[f64], _inputs: &[f64]) -> Option<[f64; 3]> {
+        None
+    }
+
+    /// Nominal contact of a row that gives way by a reading; none if the row is judged as recorded, since its reading
+    /// tells more than errors do.
+    fn nominal_reading(&self, _row: usize) -> Option<&NominalReading> {
         None
     }
 

@@ -531,7 +531,7 @@ impl Problem {
         out.jacobian.clear();
         out.jacobian.resize(equations * count, 0.0);
         let jacobian = &mut out.jacobian;
-        work.chain(set, rows, columns.wanted.len(), |equation, derivatives, weight| {
+        work.chain(set, rows, columns.wanted.len(), |equation, _, derivatives, weight| {
             if *weight == [0.0; 3] {
                 return;
             }
@@ -682,25 +682,26 @@ pub(crate) struct Workspace {
 }
 
 impl Workspace {
-    /// Calls `add` with (equation, derivatives of a pose to the variables, d(residual)/d(that pose)) for every equation
-    /// and pose; once for positions and, where they are needed, once for rotations.
+    /// Calls `add` with (equation, number of the pair of equation and pose, derivatives of the pose to the variables,
+    /// d(residual)/d(that pose)) for every equation and pose; once for positions and, where they are needed, once for rotations.
     pub(crate) fn chain(
         &self,
         set: &ObservationSet,
         rows: &[usize],
         variables: usize,
-        mut add: impl FnMut(usize, &[[f64; 3]], &[f64; 3]),
+        mut add: impl FnMut(usize, usize, &[[f64; 3]], &[f64; 3]),
     ) {
-        let (mut equation, mut weight, mut first_pose) = (0, 0, 0);
+        let (mut equation, mut pair, mut first_pose) = (0, 0, 0);
         for row in rows.iter().map(|&row| &set.observations.layout().rows[row]) {
             for _ in 0..row.equations {
                 for pose in first_pose..first_pose + row.poses {
                     let range = pose * variables..(pose + 1) * variables;
-                    add(equation, &self.poses.position_derivatives[range.clone()], &self.equations.by_position[weight]);
-                    if let Some(by_rotation) = self.equations.by_rotation.get(weight) {
-                        add(equation, &self.poses.rotation_derivatives[range], by_rotation);
+                    let by_position = &self.equations.by_position[pair];
+                    add(equation, pair, &self.poses.position_derivatives[range.clone()], by_position);
+                    if let Some(by_rotation) = self.equations.by_rotation.get(pair) {
+                        add(equation, pair, &self.poses.rotation_derivatives[range], by_rotation);
                     }
-                    weight += 1;
+                    pair += 1;
                 }
                 equation += 1;
             }

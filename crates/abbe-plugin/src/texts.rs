@@ -1,13 +1,13 @@
 //! The texts that cross the border, beyond those that `abbe-core` has itself: what refers to objects does so by index.
 
-use std::collections::BTreeSet;
+use std::collections::{BTreeMap, BTreeSet};
 use std::path::PathBuf;
 use std::sync::Arc;
 
 use abbe_core::{
     Axis, Calibration, ColumnHeader, Considered, Contact, Dataset, EquationUncertainty, ErrorFunction, ExportedFile,
-    Feature, Fit, Input, InputFile, KinematicModel, KnownInput, Layout, ObservationSet, Observations, Parameter,
-    Period, PoseTable, Problem, Quantity, StatusColumn, Unknown,
+    Feature, Fit, Input, InputFile, KinematicModel, KnownInput, Layout, NominalReading, ObservationSet, Observations,
+    Parameter, Period, PoseTable, Problem, Quantity, StatusColumn, Unknown,
 };
 use serde::{Deserialize, Serialize};
 use serde_json::Value;
@@ -78,6 +78,9 @@ pub(crate) struct ObservationsText {
     pub contact: Contact,
     #[serde(default)]
     pub met_anywhere: bool,
+    /// Nominal contact of rows that give way by a reading, by their index; rows without one are judged as recorded.
+    #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
+    pub nominal_readings: BTreeMap<usize, NominalReading>,
     #[serde(default)]
     pub own_are_offsets: bool,
 }
@@ -98,9 +101,16 @@ impl ObservationsText {
             features: observations.features(),
             contact: observations.contact(),
             met_anywhere: observations.is_met_anywhere(),
+            nominal_readings: nominal_readings(observations),
             own_are_offsets: observations.own_are_offsets(),
         }
     }
+}
+
+/// The rows that are judged at nominal contact though they give way by a reading.
+fn nominal_readings(observations: &dyn Observations) -> BTreeMap<usize, NominalReading> {
+    let rows = 0..observations.layout().rows.len();
+    rows.filter_map(|row| observations.nominal_reading(row).map(|nominal| (row, nominal.clone()))).collect()
 }
 
 /// The equations that are of angles.

@@ -175,6 +175,19 @@ fn a_reading_makes_up_for_the_difference() {
 }
 
 #[test]
+fn readings_without_a_nominal_one_are_judged_as_recorded() {
+    let read = problem("reading_um", 0, Some("reading"));
+    for problem in [read.clone(), read.disturbed(&[0.1, 0.2, -0.3])] {
+        assert!(problem.is_judged_as_recorded());
+        assert_eq!(problem.as_judged(&TRUE).unwrap().sets[0].poses(), problem.sets[0].poses());
+    }
+    // The same rows without a reading are touches.
+    let touched = problem("note_mm", 0, None);
+    assert!(!touched.is_judged_as_recorded());
+    assert_ne!(touched.as_judged(&TRUE).unwrap().sets[0].poses(), touched.sets[0].poses());
+}
+
+#[test]
 fn readings_have_noise_and_resolution() {
     let programme = problem("reading_um", 0, Some("reading"));
     let noise = Noise { probing_sigma_mm: Sigma::All(0.01), resolution_mm: 0.001, ..Noise::default() };

@@ -5,6 +5,7 @@
 //! share pivot balls, so that a ball that was not moved between two tests has one offset (Jiang & Cripps 2015, section 3).
 
 mod ingest;
+mod nominal;
 mod observed;
 
 use std::collections::BTreeMap;
@@ -203,7 +204,7 @@ impl Artefact for BallBar {
             inputs.extend(TOOL_BALL.map(|name| KnownInput::new(parameter(name), 0.0, aligned).shared()));
         }
         let bars = bars(&self.settings, &used_bars, &mut unknowns, &mut inputs);
-        let observed = Observed {
+        let mut observed = Observed {
             layout,
             unknowns,
             inputs,
@@ -213,8 +214,9 @@ impl Artefact for BallBar {
             bar_of_row,
             readings,
             tool_ball: aligned > 0.0,
+            nominal: Vec::new(),
         };
-        observed.away_from_the_pivot(model)?;
+        observed.nominal = nominal::readings(&observed, model)?;
         Ok(Arc::new(observed))
     }
 

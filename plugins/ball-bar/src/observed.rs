@@ -1,8 +1,6 @@
 //! The equations of a ball bar.
 
-use abbe_core::{
-    Contact, Equations, Feature, KinematicModel, KnownInput, Layout, Observations, Parameter, PoseValues, Poses, Result,
-};
+use abbe_core::{Contact, Equations, Feature, KnownInput, Layout, NominalReading, Observations, Parameter, PoseValues};
 use nalgebra::{Quaternion, UnitQuaternion, Vector3};
 
 /// Names of the known inputs that are the tool ball's place relative to the tip, in the directions of the tool.
@@ -39,23 +37,8 @@ pub struct Observed {
     pub readings: Vec<f64>,
     /// Whether the tool ball's place is a known input.
     pub tool_ball: bool,
-}
-
-impl Observed {
-    /// Refuses rows whose nominal tool ball stands in the pivot: the direction of the bar is not defined there.
-    pub fn away_from_the_pivot(&self, model: &dyn KinematicModel) -> Result<()> {
-        let mut poses = Poses::default();
-        let nominal = model.nominal();
-        for (index, row) in self.layout.rows.iter().enumerate() {
-            model.evaluate(self.layout.poses.row(row.first_pose), &nominal, &[], false, &mut poses)?;
-            let ball = &self.balls[self.ball_of_row[index]];
-            if (Vector3::from(poses.positions[0]) - ball.centre).norm() < 1e-3 {
-                let data_row = row.data_row.unwrap_or_default();
-                return Err(crate::at_the_pivot(&self.layout.data, data_row, &ball.label));
-            }
-        }
-        Ok(())
-    }
+    /// Nominal contact of the rows that have one.
+    pub nominal: Vec<Option<NominalReading>>,
 }
 
 impl Observations for Observed {
@@ -133,5 +116,9 @@ impl Observations for Observed {
 
     fn contact(&self) -> Contact {
         Contact::Reading("reading".to_owned())
+    }
+
+    fn nominal_reading(&self, row: usize) -> Option<&NominalReading> {
+        self.nominal[row].as_ref()
     }
 }

@@ -200,6 +200,8 @@ fn vector_by_rotation(vector: &Vector3<f64>) -> Matrix3<f64> {
 
 #[cfg(test)]
 mod tests {
+    use nalgebra::SMatrix;
+
     use super::*;
     use crate::tests::Random;
 
@@ -259,6 +261,40 @@ mod tests {
                 let error = (found - expected).norm();
                 assert!(error < 1e-6 * (1.0 + expected.norm()), "trial {trial}, {unknown}: {found} {expected}");
             }
+        }
+    }
+
+    /// Why rank can be judged with whatever was seen: it changes a row by an invertible factor.
+    #[test]
+    fn derivatives_of_what_was_seen_are_those_of_what_was_predicted_times_an_invertible_matrix() {
+        let mut random = Random(2);
+        for trial in 0..400 {
+            let pose = if trial % 2 == 0 { Pose::TargetInObserver } else { Pose::ObserverInTarget };
+            let frames = [(); 3].map(|()| random.pose(500.0));
+            let at: Vec<f64> = (0..18).map(|_| 0.3 * random.number()).collect();
+            let derivatives = |observed: &Isometry3<f64>| {
+                let row = residuals(pose, observed, &at, &frames);
+                let mut all = SMatrix::<f64, 6, 18>::zeros();
+                for (index, by) in [row.by_tool, row.by_target, row.by_observer].iter().enumerate() {
+                    all.fixed_view_mut::<6, 6>(0, 6 * index).copy_from(by);
+                }
+                (row.residuals, all)
+            };
+            let any = random.pose(500.0);
+            let (residuals, seen) = derivatives(&any);
+            let turn: Vector3<f64> = residuals.fixed_rows::<3>(3).into_owned();
+            let predicted = Isometry3::from_parts(
+                (any.translation.vector - residuals.fixed_rows::<3>(0)).into(),
+                UnitQuaternion::from_scaled_axis(-turn) * any.rotation,
+            );
+            let (none, exact) = derivatives(&predicted);
+            assert!(none.norm() < 1e-9);
+            let mut factor = Matrix6::identity();
+            factor.fixed_view_mut::<3, 3>(3, 3).copy_from(&vector_by_rotation(&turn));
+            assert!((factor * exact - seen).norm() < 1e-9 * seen.norm(), "trial {trial}");
+            // Half a turn, the largest there is, has a condition of pi/2.
+            let values = factor.singular_values();
+            assert!(values.max() / values.min() < 1.6, "trial {trial}: {values}");
         }
     }
 

@@ -3,10 +3,10 @@
 use std::fs;
 use std::sync::Arc;
 
-use abbe_core::{Calibration, Estimate, Kind, ObservationSet, Problem, Registry};
+use abbe_core::{Calibration, Estimate, Identifiability, Kind, ObservationSet, Problem, Registry};
 use abbe_gauss_newton as _;
 use abbe_serial_chain as _;
-use nalgebra::Vector3;
+use nalgebra::{DMatrix, DVector, Vector3};
 
 use super::*;
 
@@ -100,6 +100,17 @@ impl Scene {
 
     /// The table that is observed at commands (mm or degrees), with target and observer as given.
     fn seen(&self, commands: &[Vec<f64>], target: &Isometry3<f64>, observer: &Isometry3<f64>) -> String {
+        self.seen_off(commands, target, observer, |_| Isometry3::identity())
+    }
+
+    /// The same, every observed pose turned and shifted by what `off` says of its row.
+    fn seen_off(
+        &self,
+        commands: &[Vec<f64>],
+        target: &Isometry3<f64>,
+        observer: &Isometry3<f64>,
+        mut off: impl FnMut(usize) -> Isometry3<f64>,
+    ) -> String {
         let model = self.model();
         let place = |name: &str| model.parameters().iter().position(|parameter| parameter.name == name).unwrap();
         let mut values = model.nominal();
@@ -116,6 +127,9 @@ impl Scene {
             let poses = PoseValues { positions: &poses.positions, orientations: &poses.orientations };
             let observer = tools(poses).next().unwrap() * observer;
             let seen = if self.sees_target() { observer.inverse() * target } else { target.inverse() * observer };
+            let off = off(row);
+            let shifted = seen.translation.vector + off.translation.vector;
+            let seen = Isometry3::from_parts(shifted.into(), off.rotation * seen.rotation);
             let (p, q) = (seen.translation.vector, seen.rotation);
             let sign = if row % 2 == 0 { 1.0 } else { -1.005 }; // Neither sign nor a norm of almost 1 matters.
             let q = [q.w, q.i, q.j, q.k].map(|part| part * sign);
@@ -133,6 +147,13 @@ impl Scene {
         let sets = vec![ObservationSet::new("seen", self.observe(text).unwrap())];
         let patterns: Vec<String> = self.errors.iter().map(|(name, _)| (*name).to_owned()).collect();
         let patterns = [patterns, vec!["seen.*".to_owned()]].concat();
+        Problem::new("fit", "serial-chain", self.model(), sets, &patterns).unwrap()
+    }
+
+    /// The problem of everything that machine and artefact know.
+    fn problem_of_all(&self, text: &str) -> Problem {
+        let sets = vec![ObservationSet::new("seen", self.observe(text).unwrap())];
+        let patterns = ["E*", "seen.*"].map(str::to_owned);
         Problem::new("fit", "serial-chain", self.model(), sets, &patterns).unwrap()
     }
 
@@ -220,6 +241,104 @@ fn rank_is_judged_at_the_recorded_poses() {
     assert_eq!(at_contact.sets[0].poses(), problem.sets[0].poses());
     let found = estimator().identify(&problem).unwrap();
     assert_eq!((found.rank, found.unknowns), (10, 10));
+}
+
+/// The scenes with many more errors than poses of a target tell apart, with as few of them true.
+fn scenes_with_lost_directions() -> Vec<Scene> {
+    let mut scenes = scenes();
+    for (index, scene) in scenes.iter_mut().enumerate() {
+        let rotary = index % 2 == 0;
+        scene.machine["errors"] = match rotary {
+            true => json!([{ "location": ["E?0A", "E?0C"] }]),
+            false => json!([{ "location": ["E?0?"] }, { "polynomial": ["EXX", "EYY", "EZZ"], "degrees": [1] }]),
+        };
+        if !rotary && index < 2 {
+            scene.settings["observer"] = json!("estimated");
+        }
+    }
+    scenes
+}
+
+/// Columns of norm 1 that span what is lost, with the norm of every unknown's column (1 where it has no effect).
+struct Lost {
+    basis: DMatrix<f64>,
+    norms: Vec<f64>,
+}
+
+impl Lost {
+    /// By differences and a singular value decomposition, and nothing else.
+    fn by_differences(problem: &Problem) -> Self {
+        let (start, uncertainties) = (problem.start(), problem.standard_uncertainties());
+        let column = |unknown: usize| {
+            let step = if problem.unknowns[unknown].unit == abbe_core::Unit::MM { 1e-2 } else { 1e-5 };
+            let [up, down] = [step, -step].map(|step| {
+                let mut x = start.clone();
+                x[unknown] += step;
+                problem.residuals(&x).unwrap()
+            });
+            let differences = up.iter().zip(&down).zip(&uncertainties);
+            DVector::from_iterator(
+                uncertainties.len(),
+                differences.map(|((up, down), uncertainty)| (up - down) / (2.0 * step * uncertainty)),
+            )
+        };
+        let mut columns: Vec<DVector<f64>> = (0..start.len()).map(column).collect();
+        let mut norms = Vec::new();
+        for column in &mut columns {
+            let norm = column.norm();
+            // A unit of any unknown is 1e2 standard uncertainties or more; of nothing, differences leave 1e-5.
+            *column *= if norm > 1e-2 { 1.0 / norm } else { 0.0 };
+            norms.push(if norm > 1e-2 { norm } else { 1.0 });
+        }
+        let svd = DMatrix::from_columns(&columns).svd(false, true);
+        let (values, vectors) = (svd.singular_values, svd.v_t.unwrap());
+        assert!(values.iter().all(|value| !(1e-6..1e-4).contains(value)), "it is open what is lost: {values}");
+        let lost: Vec<usize> = (0..norms.len()).filter(|&k| values[k] < 1e-6).collect();
+        Self { basis: vectors.select_rows(&lost).transpose(), norms }
+    }
+
+    /// How much of what an estimator calls lost is not.
+    fn outside(&self, problem: &Problem, found: &Identifiability) -> f64 {
+        let outside = found.null_space.iter().map(|vector| {
+            let change = problem.unknowns.iter().zip(&self.norms).map(|(unknown, norm)| {
+                let part = vector.combination.iter().find(|part| part.name == unknown.name);
+                part.map_or(0.0, |part| part.coefficient * norm)
+            });
+            let change = DVector::from_iterator(self.norms.len(), change).normalize();
+            (&change - &self.basis * (self.basis.transpose() * &change)).norm()
+        });
+        outside.fold(0.0, f64::max)
+    }
+}
+
+#[test]
+fn what_is_lost_does_not_depend_on_what_was_seen() {
+    let mut random = Random(6);
+    for trial in 0..48 {
+        let scene = &scenes_with_lost_directions()[trial % 4];
+        let (target, observer) = (random.pose(300.0), scene.observer(&mut random));
+        let commands = scene.commands(&mut random);
+        let exact = scene.problem_of_all(&scene.seen(&commands, &target, &observer));
+        let lost = Lost::by_differences(&exact);
+        assert!(lost.basis.ncols() > 0);
+        // As seen exactly, with noise, with noise that no instrument has, and with every tenth row all wrong.
+        for (place, (shift, turn, wrong)) in
+            [(0.0, 0.0, false), (0.02, 5e-5, false), (1.0, 1e-2, false), (0.02, 5e-5, true)].into_iter().enumerate()
+        {
+            let text = scene.seen_off(&commands, &target, &observer, |row| match wrong && row % 10 == 2 {
+                true => Isometry3::new(random.vector() * 200.0, random.vector() * 0.5),
+                false => Isometry3::new(random.vector() * shift, random.vector() * turn),
+            });
+            let problem = scene.problem_of_all(&text);
+            let found = estimator().identify(&problem).unwrap();
+            assert_eq!(found.unknowns - found.rank, lost.basis.ncols(), "{trial} {place}");
+            // Where target and observer start depends on what was seen, and with it by how much they change.
+            let there = Lost::by_differences(&problem);
+            assert_eq!(there.basis.ncols(), lost.basis.ncols(), "{trial} {place}");
+            let outside = there.outside(&problem, &found);
+            assert!(outside < 1e-7, "{trial} {place}: {outside:e}");
+        }
+    }
 }
 
 #[test]

@@ -4,7 +4,8 @@ use std::any::Any;
 use std::sync::Arc;
 
 use abbe_core::{
-    Contact, Dataset, Equations, Feature, KnownInput, Layout, Observations, Parameter, PoseValues, Quantity, Result,
+    Contact, Dataset, Equations, Feature, KnownInput, Layout, NominalReading, Observations, Parameter, PoseValues,
+    Quantity, Result,
 };
 
 use super::{Unsaid, ask, finite};
@@ -64,6 +65,12 @@ fn check_observations(text: &ObservationsText) -> Result<(), String> {
     }
     if let Some(equation) = text.angles.iter().find(|equation| **equation >= equations) {
         return Err(format!("says that equation {equation} is of an angle, and there is no such equation"));
+    }
+    for (index, nominal) in &text.nominal_readings {
+        let equations = layout.rows.get(*index).map(|row| row.equations);
+        if equations != Some(nominal.residuals.len()) || !nominal.residuals.iter().all(|value| value.is_finite()) {
+            return Err(format!("gives a nominal reading of row {index} that is not one finite number an equation"));
+        }
     }
     let unknown = |(index, _): &(usize, [f64; 3])| *index >= text.unknowns.len();
     match text.features.iter().find(|feature| feature.shifts.iter().any(unknown)) {
@@ -156,6 +163,10 @@ impl Observations for Observed {
 
     fn is_met_anywhere(&self) -> bool {
         self.text.met_anywhere
+    }
+
+    fn nominal_reading(&self, row: usize) -> Option<&NominalReading> {
+        self.text.nominal_readings.get(&row)
     }
 }
 

@@ -1,0 +1,126 @@
+//! Nominal contact of a bar's rows, where rank is judged: what a reading owes to errors is taken out.
+//!
+//! A machine and its bars may all be too large by the same part: no reading of a bar of constant length tells. The length of
+//! a bar whose readings vary seems to tell, because the readings do not grow with it. Of a double ball bar that is worth nothing:
+//! readings of 0.1 mm are due to a ball that is not quite where it should be, and they would have the scale of the machine as wrong as
+//! the gain of the transducer. So rank is judged with the bar at one length. A bar that telescopes over many millimetres does
+//! tell the scale by its readings; its rows are judged as recorded.
+
+use std::collections::BTreeMap;
+
+use abbe_core::{AxisKind, KinematicModel, NominalReading, Poses, Result, Variable};
+use nalgebra::Vector3;
+
+use crate::observed::{Bar, Observed};
+
+/// Readings of a bar that differ by more than this, mm, are those of a bar that telescopes: a double ball bar has a stroke of
+/// about 2 mm, and errors of machine and set-up stay within it.
+const STROKE: f64 = 3.0;
+
+/// An axis whose positions in a test differ by no more than this, mm, stands: recorded positions of an axis that is held
+/// differ by micrometres, compensated ones by what errors are.
+const STANDS: f64 = 0.1;
+
+/// The least part of a bar's length that lies along the axes that move: across them they would have to move by far more than
+/// the reading.
+const ALONG: f64 = 0.1;
+
+/// A row as the nominal machine has it.
+struct NominalRow {
+    /// Distance of tool ball and pivot, mm.
+    length: f64,
+    /// How it changes with each linear axis, mm/mm.
+    by_axis: Vec<f64>,
+    /// Position of each linear axis, mm.
+    positions: Vec<f64>,
+}
+
+/// Nominal contact of every row; none of rows that are judged as recorded.
+///
+/// Fails for a row whose nominal tool ball stands in the pivot: the direction of the bar is not defined there.
+pub fn readings(observed: &Observed, model: &dyn KinematicModel) -> Result<Vec<Option<NominalReading>>> {
+    let axes = model.axes().iter().enumerate().filter(|(_, axis)| axis.kind == AxisKind::Linear);
+    let axes: Vec<(usize, usize)> = axes.map(|(index, axis)| (index, axis.status)).collect();
+    let rows = nominal_rows(observed, model, &axes)?;
+    let references: Vec<Option<f64>> = (0..observed.bars.len()).map(|bar| reference(observed, &rows, bar)).collect();
+    let mut nominal = vec![None; rows.len()];
+    for test in tests(observed) {
+        let moving = moving(test.iter().map(|&row| &rows[row]), axes.len());
+        let along = |row: &usize| moving.iter().map(|&axis| rows[*row].by_axis[axis].powi(2)).sum::<f64>().sqrt();
+        if moving.is_empty() || test.iter().any(|row| along(row) < ALONG) {
+            continue;
+        }
+        for row in test {
+            nominal[row] = references[observed.bar_of_row[row]].map(|reference| NominalReading {
+                residuals: vec![reference - observed.readings[row]],
+                axes: moving.iter().map(|&axis| axes[axis].0).collect(),
+            });
+        }
+    }
+    Ok(nominal)
+}
+
+fn nominal_rows(observed: &Observed, model: &dyn KinematicModel, axes: &[(usize, usize)]) -> Result<Vec<NominalRow>> {
+    let wanted: Vec<Variable> = axes.iter().map(|(index, _)| Variable::Command(*index)).collect();
+    let (mut poses, values) = (Poses::default(), model.nominal());
+    let mut rows = Vec::with_capacity(observed.layout.rows.len());
+    for (index, row) in observed.layout.rows.iter().enumerate() {
+        let status = observed.layout.poses.row(row.first_pose);
+        model.evaluate(status, &values, &wanted, false, &mut poses)?;
+        let ball = &observed.balls[observed.ball_of_row[index]];
+        let bar = Vector3::from(poses.positions[0]) - ball.centre;
+        let length = bar.norm();
+        if length < 1e-3 {
+            let data_row = row.data_row.unwrap_or_default();
+            return Err(crate::at_the_pivot(&observed.layout.data, data_row, &ball.label));
+        }
+        let by_axis = poses.position_derivatives.iter().map(|by| bar.dot(&Vector3::from(*by)) / length).collect();
+        let positions = axes.iter().map(|(_, place)| status[*place]).collect();
+        rows.push(NominalRow { length, by_axis, positions });
+    }
+    Ok(rows)
+}
+
+/// What a bar reads at nominal contact: the middle of its readings, if they vary by no more than those of a double ball bar.
+///
+/// Before anything is measured the readings of a programme are all the same: what the nominal machine reads stands in for them.
+fn reference(observed: &Observed, rows: &[NominalRow], bar: usize) -> Option<f64> {
+    let of_bar = || (0..rows.len()).filter(|&row| observed.bar_of_row[row] == bar);
+    let length = match observed.bars[bar] {
+        Bar::Known { input } => observed.inputs[input].value,
+        Bar::Unknown { nominal, .. } => nominal,
+    };
+    let (mut least, mut most) = range(of_bar().map(|row| observed.readings[row]));
+    if least == most {
+        (least, most) = range(of_bar().map(|row| rows[row].length - length));
+    }
+    (most - least <= STROKE).then_some((least + most) / 2.0)
+}
+
+/// The rows of every test: those of one file and label in the column `test`, with one bar on one ball.
+fn tests(observed: &Observed) -> Vec<Vec<usize>> {
+    let data = &observed.layout.data;
+    let labels = data.labels("test");
+    let mut tests: BTreeMap<(usize, Option<&String>, usize, usize), Vec<usize>> = BTreeMap::new();
+    for (index, row) in observed.layout.rows.iter().enumerate() {
+        let data_row = row.data_row.unwrap_or_default();
+        let label = labels.map(|labels| &labels[data_row]);
+        let test = (data.origins[data_row].file, label, observed.ball_of_row[index], observed.bar_of_row[index]);
+        tests.entry(test).or_default().push(index);
+    }
+    tests.into_values().collect()
+}
+
+/// The linear axes that move in some rows.
+fn moving<'a>(rows: impl Iterator<Item = &'a NominalRow> + Clone, axes: usize) -> Vec<usize> {
+    let travel = |axis: usize| {
+        let (least, most) = range(rows.clone().map(|row| row.positions[axis]));
+        most - least
+    };
+    (0..axes).filter(|&axis| travel(axis) > STANDS).collect()
+}
+
+/// The least and the largest of some numbers.
+fn range(numbers: impl Iterator<Item = f64>) -> (f64, f64) {
+    numbers.fold((f64::INFINITY, f64::NEG_INFINITY), |(least, most), number| (least.min(number), most.max(number)))
+}
