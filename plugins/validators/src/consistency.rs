@@ -318,6 +318,7 @@ impl Difference {
 mod tests {
     use super::*;
     use crate::testing::{UPWARDS, figure_of, validator};
+    use abbe_core::ConsideredInput;
     use tempfile::TempDir;
 
     type Known<'a> = (&'a [(&'a str, f64)], &'a [&'a [f64]]);
@@ -369,6 +370,45 @@ mod tests {
         assert!((figure_of(&found, "b", "chi-squared") - 0.25).abs() < 1e-12);
         assert_eq!(figure_of(&found, "a", "chi-squared"), 0.0);
         assert!(found.remarks.iter().any(|remark| remark.starts_with("a against a: both use rows of ")));
+    }
+
+    /// Two calibrations of dxt and dyt that hang on one bar, µm.
+    fn with_a_bar(name: &str, values: [f64; 2], sensitivities: [f64; 2], rows: &[&[f64]]) -> (TempDir, Fit) {
+        let (folder, mut fit) = fit(name, (&[("dxt", values[0]), ("dyt", values[1])], rows));
+        fit.calibration.inputs = Some(vec![ConsideredInput {
+            name: format!("{name}.length"),
+            identity: "bar 7: length".to_owned(),
+            value: 300.0,
+            unit: "mm".to_owned(),
+            standard_uncertainty: 1e-3,
+            sensitivities: sensitivities.to_vec(),
+        }]);
+        (folder, fit)
+    }
+
+    #[test]
+    fn what_both_share_is_no_part_of_their_difference() {
+        // The bar, u = 1 um, moves dxt of both by as much as it is off, and dyt by twice as much, in the second one backwards. Of
+        // C1 = C2 = (3, 2; 2, 7) it is (1, 2; 2, 4) and (1, -2; -2, 4); C12 = (1, -2; 2, -4).
+        let (_a, first) = with_a_bar("a", [1.0, 0.0], [1.0, 2.0], &[&[3.0, 2.0], &[2.0, 7.0]]);
+        let (_b, mut other) = with_a_bar("b", [3.0, 0.0], [1.0, -2.0], &[&[3.0, -2.0], &[-2.0, 7.0]]);
+        // C = C1 + C2 - C12 - C12' = (4, 0; 0, 22).
+        let found = judge(&json!({}), &[&first, &other]).unwrap();
+        assert!((figure_of(&found, "b", "chi-squared") - 1.0).abs() < 1e-12);
+        assert!((figure_of(&found, "b", "largest normalised difference") - 1.0).abs() < 1e-12);
+        assert!(found.remarks.iter().any(|remark| remark.ends_with("both share the errors of a.length")));
+        // Another bar: C = (6, 0; 0, 14).
+        other.calibration.inputs.as_mut().unwrap()[0].identity = "bar 8: length".to_owned();
+        let found = judge(&json!({}), &[&first, &other]).unwrap();
+        assert!((figure_of(&found, "b", "chi-squared") - 4.0 / 6.0).abs() < 1e-12);
+        // Nothing but the bar: what both know is the same, whatever it is, and a difference cannot be chance.
+        let rows: &[&[f64]] = &[&[1.0, 2.0], &[2.0, 4.0]];
+        let (_a, first) = with_a_bar("a", [1.0, 0.0], [1.0, 2.0], rows);
+        for (value, chi_squared) in [(1.0, Some(0.0)), (1.1, None)] {
+            let (_b, other) = with_a_bar("b", [value, 0.0], [1.0, 2.0], rows);
+            let found = judge(&json!({}), &[&first, &other]).unwrap();
+            assert_eq!((found.figures[0].value, figure_of(&found, "b", "degrees of freedom")), (chi_squared, 0.0));
+        }
     }
 
     #[test]
