@@ -489,7 +489,7 @@ fn what_is_lost_at_the_start_is_lost_at_the_solution() {
         let setup = linear.recorded(&mut random, sampled);
         let readings = setup.readings(&mut random, 0.1);
         let problem = setup.problem(&readings, &setup.patterns());
-        let error = estimator(&json!({})).estimate(&problem).err().expect("it is confounded").to_string();
+        let error = estimator(&json!({})).estimate(&problem).expect_err("it is confounded").to_string();
         assert!(error.contains("EXX[1]") && error.contains("do not change when all of these do"), "{error}");
         let expected = estimator(&json!({})).identify(&problem).unwrap();
         for choice in ["minimum-norm", "drop"] {
