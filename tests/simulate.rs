@@ -5,9 +5,10 @@ use std::fs;
 use std::path::{Path, PathBuf};
 use std::sync::{Arc, OnceLock};
 
-use abbe_core::{Lobing, Problem};
+use abbe_core::Problem;
 use abbe_engine::prepare;
 use abbe_simulation::{Drift, Noise, Outliers, RandomOutliers, Sigma, Truth, measure};
+use abbe_simulation::{Lobing, contact_directions};
 use serde_json::{Value, json};
 
 use crate::support::{
@@ -136,7 +137,7 @@ fn nominal_positions_are_enough_to_start_from() {
     let mut programme = tango().clone();
     programme.machine = programme.model.nominal();
     programme.sets.iter_mut().for_each(|set| set.own.fill(0.0));
-    let nominal = programme.at_contact(&[]).expect("nominal contact");
+    let nominal = abbe_estimation::at_contact(&programme, &[]).expect("nominal contact");
     let measured = measure(&nominal, &truth(), 1).expect("a measurement");
     assert_eq!(measured.machine, nominal.machine);
     let mut at = tango().clone();
@@ -246,7 +247,7 @@ fn drift_moves_the_parameter_in_time() {
 fn lobing_follows_the_direction_of_approach() {
     let lobing = Lobing { amplitude: 0.001, lobes: 3, phase: 0.3 };
     let measured = simulated(&with(Noise { lobing: Some(lobing), ..Noise::default() }), 1);
-    let directions = measured.contact_directions().expect("directions");
+    let directions = contact_directions(&measured).expect("directions");
     let found = residuals(&measured);
     for (residual, direction) in found.iter().zip(&directions) {
         let expected = direction.map_or(0.0, |[x, y, z]| lobing.at([-x, -y, -z]));

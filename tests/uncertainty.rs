@@ -1,8 +1,9 @@
 //! How far to trust results: pooled repeats against what the data were simulated with, known inputs against closed forms,
 //! covariances stated in different ways, and what goes wrong with them.
 
-use abbe_core::{Calibration, Lobing, ParameterBudget, Status};
+use abbe_core::{Calibration, ParameterBudget, Status};
 use abbe_engine::prepare;
+use abbe_simulation::{Lobing, contact_directions};
 use serde_json::{Value, json};
 
 use crate::support::{Small, Variant, fit, json_file, recipes, registry, root, temporary, write};
@@ -156,7 +157,7 @@ fn lobing_of_the_probe_adds_its_share_to_trials() {
     let outcome = recipe.run();
     let stated = fit(&outcome, "stated");
     let problem = stated.problem.at(&stated.problem.values_of(&stated.calibration));
-    let directions = problem.contact_directions().expect("directions");
+    let directions = contact_directions(&problem).expect("directions");
     let answers: Vec<Vec<f64>> = [0.0, std::f64::consts::FRAC_PI_2]
         .map(|phase| {
             let lobing = Lobing { amplitude: 2e-3, lobes: 3, phase };

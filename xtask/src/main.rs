@@ -104,13 +104,13 @@ const BORDERS: [(&str, &[&str]); 13] = [
     ("abbe-numerics", &[]),
     ("abbe-geometry", &["abbe-numerics"]),
     ("abbe-table", &["abbe-core"]),
-    ("abbe-identifiability", &["abbe-core", "abbe-numerics"]),
+    ("abbe-estimation", &["abbe-core", "abbe-numerics"]),
     ("abbe-volumetric", &["abbe-core", "abbe-numerics"]),
     ("abbe-plugin", &["abbe-core"]),
-    ("abbe-planning", &["abbe-core", "abbe-numerics"]),
-    ("abbe-recipe", &["abbe-core"]),
-    ("abbe-simulation", &["abbe-core", "abbe-numerics"]),
-    ("abbe-engine", &["abbe-core", "abbe-planning", "abbe-recipe", "abbe-simulation", "abbe-table"]),
+    ("abbe-planning", &["abbe-core", "abbe-estimation", "abbe-numerics"]),
+    ("abbe-recipe", &["abbe-core", "abbe-planning"]),
+    ("abbe-simulation", &["abbe-core", "abbe-estimation", "abbe-numerics"]),
+    ("abbe-engine", &["abbe-core", "abbe-estimation", "abbe-planning", "abbe-recipe", "abbe-simulation", "abbe-table"]),
 ];
 
 /// Checks the borders between the crates of the workspace.

@@ -5,7 +5,7 @@ use std::path::{Path, PathBuf};
 
 use serde::{Deserialize, Serialize};
 
-use crate::calibration::Termination;
+use crate::result::Termination;
 use crate::settings::PathItem;
 
 /// Shorthand of this crate's results.

@@ -8,14 +8,9 @@
 //!
 //! In memory every quantity is in mm, rad, s, °C or N. Columns and settings say their unit in their name.
 
-mod aliasing;
-mod calibration;
-mod considered;
-mod contact;
 mod dataset;
 mod decision;
 mod error;
-mod first_order;
 mod format;
 mod identity;
 mod input_uncertainty;
@@ -24,30 +19,17 @@ mod model;
 mod observations;
 mod parallel;
 mod pattern;
-mod planning;
 mod pose_table;
-mod probing;
 mod problem;
-mod reach;
 mod registry;
-mod remarks;
+mod result;
 mod serial;
 mod series;
 mod settings;
-mod solved;
 mod stage;
 mod uncertainty;
 mod unit;
-mod verdict;
 
-pub use calibration::{
-    CALIBRATION_FORMAT, Calibration, Combination, CombinedAgreement, ConsideredInput, Contribution, Correlated,
-    Covariance, DataRecord, Estimated, FitReport, GumComparison, Identifiability, JointCoverage, ModelRecord,
-    MonteCarlo, NullVector, Outlier, ParameterBudget, SameMotion, Selection, SelectionDirection, SelectionStep,
-    SimulatedParameter, Status, Termination, UncertaintyBudget, VarianceFactor,
-};
-pub use considered::{Considered, Input};
-pub use contact::Variation;
 pub use dataset::{Column, ColumnHeader, Dataset, RowOrigin, Values};
 pub use decision::{Decision, Rule};
 pub use error::{Class, Convergence, Error, Place, Result, nearest};
@@ -64,12 +46,16 @@ pub use observations::{
 };
 pub use parallel::in_parallel;
 pub use pattern::matches;
-pub use planning::{GeneratedLengths, Generation, Planning, PlanningCriterion};
 pub use pose_table::{ColumnNaming, PoseTable, StatusSource, plain_naming, pose_columns};
-pub use probing::Lobing;
-pub use problem::{Block, ObservationSet, Owner, Problem, Scatter, Unknown};
-pub use reach::Reach;
+pub use problem::{Block, CHUNK, Considered, Evaluation, Input, ObservationSet, Owner, Problem, Scatter, Unknown};
 pub use registry::{Basis, Build, Constructor, Context, Kind, Origin, Plugin, Provider, Registry};
+pub use result::{
+    CALIBRATION_FORMAT, Calibration, Combination, CombinedAgreement, ConsideredInput, Contribution, Correlated,
+    Covariance, DataRecord, Estimated, Figure, Findings, FitReport, GumComparison, Identifiability, JointCoverage,
+    ModelRecord, MonteCarlo, NullVector, Outlier, ParameterBudget, SameMotion, Selection, SelectionDirection,
+    SelectionStep, SimulatedParameter, Status, Termination, UncertaintyBudget, VERDICTS_FORMAT, VarianceFactor,
+    Verdict,
+};
 pub use series::{EvenSeries, Series};
 pub use settings::{
     Label, Names, PathItem, SettingsError, from_settings, not_negative, path_text, positive, schema_of,
@@ -77,7 +63,6 @@ pub use settings::{
 pub use stage::{Artefact, Estimate, Export, ExportedFile, Fit, Ingest, InputFile, Model, Validate};
 pub use uncertainty::{CovarianceBlock, EquationUncertainty, Pooled};
 pub use unit::{Quantity, Unit};
-pub use verdict::{Figure, Findings, VERDICTS_FORMAT, Verdict};
 
 /// Re-exported so that a plugin registers with the very version that the registry collects.
 pub use inventory;

@@ -6,13 +6,13 @@
 use std::path::PathBuf;
 use std::sync::Arc;
 
-use crate::calibration::{Calibration, Identifiability};
 use crate::dataset::{ColumnHeader, Dataset};
 use crate::error::{Error, Result};
 use crate::model::KinematicModel;
 use crate::observations::{Observations, Target};
 use crate::problem::Problem;
-use crate::verdict::Findings;
+use crate::result::Findings;
+use crate::result::{Calibration, Identifiability};
 
 /// A file that a stage reads.
 #[derive(Debug, Clone, PartialEq, Eq)]

@@ -5,8 +5,8 @@ use std::fs;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
-use abbe_core::{Dataset, Error, Generation, Identifiability, NullVector, Planning, Result};
-use abbe_planning::{Plan, PlanFigures, generate, plan};
+use abbe_core::{Dataset, Error, Identifiability, NullVector, Result};
+use abbe_planning::{Generation, Plan, PlanFigures, Planning, generate, plan};
 use abbe_recipe::Stage;
 use serde_json::{Value, json};
 

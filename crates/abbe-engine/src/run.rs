@@ -8,6 +8,7 @@ use abbe_core::{
     Basis, Calibration, DataRecord, Dataset, Error, ExportedFile, Fit, Identifiability, Kind, KinematicModel,
     ObservationSet, Owner, Poses, Problem, Registry, Result, Verdict, in_parallel,
 };
+use abbe_estimation::remarks;
 use abbe_recipe::Stage;
 
 use crate::evidence;
@@ -63,7 +64,7 @@ impl Prepared {
             let Some(problem) = problems.get(&stage.name) else { continue };
             let estimator = &self.estimators[&stage.name];
             let mut identifiability = self.located(stage, estimator.identify(problem))?;
-            identifiability.remarks.extend(problem.remarks());
+            identifiability.remarks.extend(remarks(&problem));
             let accepted = estimator.accepts(&identifiability);
             let own = problem.unknowns.iter().filter(|unknown| unknown.owner == Owner::Machine);
             let machine = own.map(|unknown| unknown.name.clone()).collect();
@@ -143,7 +144,7 @@ impl Prepared {
 
     /// The result of an estimate stage; `fits` has all that it refers to.
     fn estimate(&self, stage: &Stage, problem: Option<&Problem>, fits: &[Fit]) -> Result<Fit> {
-        let Some(problem) = problem else { return self.fit_anew(stage, fits) };
+        let Some(problem) = problem else { return self.fit_again(stage, fits) };
         let estimator = self.estimators[&stage.name].clone();
         let calibration = match stage.basis {
             Basis::Measurements => {
@@ -160,7 +161,7 @@ impl Prepared {
     fn fit(&self, stage: &Stage, problem: Problem) -> Result<Fit> {
         let estimator = self.estimators[&stage.name].clone();
         tracing::info!("{}: {} equations, {} unknowns", stage.name, problem.equations(), problem.unknowns.len());
-        problem.remarks().iter().for_each(|remark| tracing::warn!("{}: {remark}", stage.name));
+        remarks(&problem).iter().for_each(|remark| tracing::warn!("{}: {remark}", stage.name));
         let calibration = self.located(stage, estimator.explain(&problem))?;
         // Whoever asks about the rows asks about them as they were weighed.
         let factor = |set: &ObservationSet| {
@@ -173,7 +174,7 @@ impl Prepared {
     }
 
     /// A new look at an earlier estimate: the same problem, which its own estimator solves on other rows.
-    fn fit_anew(&self, stage: &Stage, fits: &[Fit]) -> Result<Fit> {
+    fn fit_again(&self, stage: &Stage, fits: &[Fit]) -> Result<Fit> {
         let of = named(stage.reference("of"), fits);
         let fit = of.first().ok_or_else(|| Error::usage("the estimate under `of` is not there").stage(&stage.name))?;
         let mut calibration = self.located(stage, self.estimators[&stage.name].reconsider(fit))?;
@@ -374,7 +375,7 @@ pub(crate) type Taken = BTreeMap<String, BTreeSet<usize>>;
 /// The problem with what it takes over from earlier estimates: start values, or values that are known.
 fn start(stage: &Stage, problem: Problem, fits: &[Fit]) -> Result<Problem> {
     let known = named(stage.reference("known"), fits);
-    let problem = known.iter().try_fold(problem, |problem, fit| problem.knowing(&fit.calibration))?;
+    let problem = known.iter().try_fold(problem, |problem, fit| problem.with_prior(&fit.calibration))?;
     let start = named(stage.reference("start"), fits);
     Ok(start.iter().fold(problem, |problem, fit| problem.at(&problem.values_of(&fit.calibration))))
 }

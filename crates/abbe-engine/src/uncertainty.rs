@@ -7,6 +7,7 @@ use abbe_core::{
     EquationUncertainty, InputUncertainty, KinematicModel, ObservationSet, Observations, Problem, Result,
     SettingsError, from_settings,
 };
+use abbe_estimation::row_uncertainty;
 use abbe_recipe::Stage;
 
 /// What the recipe says of an artefact's rows.
@@ -19,7 +20,7 @@ impl RowsOf {
     /// Reads and checks the settings of an artefact stage.
     pub fn new(stage: &Stage, base: &std::path::Path) -> Result<Self, SettingsError> {
         let settings: InputUncertainty = from_settings(&stage.input_uncertainty)?;
-        settings.check()?;
+        row_uncertainty::check(&settings)?;
         if settings.pooled.is_none() && !stage.reference("repeats").is_empty() {
             return Err(SettingsError::new(
                 "repeats",
@@ -47,14 +48,14 @@ impl RowsOf {
         let mut uncertainty = EquationUncertainty::independent(layout.standard_uncertainties.clone());
         if let Some(rows) = &self.settings.uncertainty {
             let table = self.covariance.as_ref().map(|path| abbe_table::read(path)).transpose()?;
-            uncertainty = rows.of_rows(observations.as_ref(), table.as_ref())?;
+            uncertainty = row_uncertainty::of_rows(rows, observations.as_ref(), table.as_ref())?;
         }
         if let Some(pooled) = &self.settings.pooled {
             let repeats = repeats.unwrap_or_else(|| observations.clone());
             // Differences between repeats are asked for: those at nominal values are as good as any.
             let sets = vec![ObservationSet::new(name, repeats.clone())];
             let residuals = Problem::new(name, "", model.clone(), sets, &[])?.residuals(&[])?;
-            uncertainty.pooled = Some(pooled.of_rows(layout, repeats.layout(), &residuals)?);
+            uncertainty.pooled = Some(row_uncertainty::pooled(pooled, layout, repeats.layout(), &residuals)?);
         }
         let mut set = ObservationSet::new(name, observations);
         if let Some(ids) = &self.settings.id {

@@ -79,5 +79,5 @@ pub fn covariance<T: Distances>(
     if factor.singular_values().rank(RANK) < count {
         return Err(FitError::Undetermined { shape, because: "many fit them equally well" });
     }
-    Ok(factor.whitener(count).covariance())
+    Ok(factor.covariance_root(count).covariance())
 }

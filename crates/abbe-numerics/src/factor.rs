@@ -21,7 +21,7 @@ pub struct Factor {
 
 /// What one more unknown would do.
 #[derive(Debug, Clone, PartialEq)]
-pub struct Joining {
+pub struct CandidateTerm {
     /// Its number.
     pub unknown: usize,
     /// Its least squares value.
@@ -69,18 +69,18 @@ impl Factor {
 
     /// What each unknown from number `own` on would do if it alone joined those before it, which are all determined, at their
     /// least squares values. An unknown that does nothing that they cannot do is left out.
-    pub fn joining(&self, own: usize) -> Vec<Joining> {
+    pub fn candidate_terms(&self, own: usize) -> Vec<CandidateTerm> {
         let n = self.unknowns();
-        let mut joining = Vec::new();
+        let mut terms = Vec::new();
         for unknown in own..n {
             let new: Vec<f64> = (own..n).map(|row| self.triangle[(row, unknown)]).collect();
             let size = norm(new.iter().copied());
             if size > 1e-9 * self.norms[unknown] {
                 let along: f64 = new.iter().zip(&self.right[own..]).map(|(new, right)| new * right).sum::<f64>() / size;
-                joining.push(Joining { unknown, value: -along / size, explained: along * along });
+                terms.push(CandidateTerm { unknown, value: -along / size, explained: along * along });
             }
         }
-        joining
+        terms
     }
 
     /// Sum of squares of r that remains after the step of the first `own` unknowns alone.
@@ -132,13 +132,13 @@ impl Factor {
     }
 
     /// The root of the covariance within the first `rank` singular directions.
-    pub fn whitener(&self, rank: usize) -> Whitener {
+    pub fn covariance_root(&self, rank: usize) -> CovarianceRoot {
         if rank < self.unknowns() {
-            return self.spectrum().whitener(rank);
+            return self.spectrum().covariance_root(rank);
         }
         let scale = self.scale();
         let inverse = self.inverse(&self.scaled(&scale));
-        Whitener(Mat::from_fn(scale.len(), scale.len(), |row, column| scale[row] * inverse[(row, column)]))
+        CovarianceRoot(Mat::from_fn(scale.len(), scale.len(), |row, column| scale[row] * inverse[(row, column)]))
     }
 
     /// What makes every column of J a column of norm 1; a column of zeros is left as it is.
@@ -197,13 +197,13 @@ impl Factor {
 
 /// A matrix A with `A A^T = (J^T J)^-1`, unknowns x directions.
 #[derive(Debug, Clone)]
-pub struct Whitener(Mat<f64>);
+pub struct CovarianceRoot(Mat<f64>);
 
-impl Whitener {
+impl CovarianceRoot {
     /// How the least squares values answer to more columns K of the same rows, `-A A^T J^T K`, unknowns x columns.
     ///
     /// `extended` is the factor of `[J K | r]`; a change of the residuals by `K k` changes the values by the answer times k.
-    pub fn answer(&self, extended: &Factor) -> Vec<Vec<f64>> {
+    pub fn sensitivities(&self, extended: &Factor) -> Vec<Vec<f64>> {
         let n = self.0.nrows();
         let own = extended.triangle.get(..n, ..n);
         let others = extended.triangle.get(..n, n..);
@@ -322,9 +322,9 @@ impl Spectrum {
     }
 
     /// The root of the covariance within the first `rank` singular directions.
-    pub fn whitener(&self, rank: usize) -> Whitener {
+    pub fn covariance_root(&self, rank: usize) -> CovarianceRoot {
         let entry = |row: usize, k: usize| self.scale[row] * self.vectors[(row, k)] / self.singular_values.0[k];
-        Whitener(Mat::from_fn(self.scale.len(), rank, entry))
+        CovarianceRoot(Mat::from_fn(self.scale.len(), rank, entry))
     }
 
     /// A basis of what is lost beyond `rank`, as sparse as elimination makes it: the relative singular value and the

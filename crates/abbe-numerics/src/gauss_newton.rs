@@ -217,13 +217,13 @@ fn studentised_residuals<P: LeastSquares + ?Sized>(
     weights: &[f64],
     rank: usize,
 ) -> Result<Vec<f64>, P::Error> {
-    let whitener = minimum.factor.whitener(rank);
+    let covariance_root = minimum.factor.covariance_root(rank);
     let mut residuals = vec![0.0; problem.rows()];
     let mut leverages = vec![0.0; problem.rows()];
     problem.linearise(&minimum.x, &mut |first, block, derivatives| {
         let rows = first..first + block.len();
         residuals[rows.clone()].copy_from_slice(block);
-        leverages[rows].copy_from_slice(&whitener.leverages(derivatives));
+        leverages[rows].copy_from_slice(&covariance_root.leverages(derivatives));
     })?;
     Ok(studentise(&residuals, weights, &leverages))
 }

@@ -2,6 +2,53 @@
 //! with step control, robust weights, and the tests of significance that go with them; coverage factors, and the
 //! propagation of distributions by random trials; the choice of measurements by optimal design.
 //!
+//! # Least squares
+//! A [`LeastSquares`] problem gives rows of unit variance: residuals `e(x)` and derivatives `A`. Householder reflections
+//! reduce them, block by block, to the upper triangle R of `A D^-1 = Q R`, where D are the norms of the columns, so that nobody
+//! holds A ([`Accumulator`], [`Factor`]). The step of Gauss-Newton is
+//!
+//! ```text
+//! R y = -Q^T e,    dx = D^-1 y
+//! ```
+//!
+//! halved as long as it makes `e^T W e` larger; it has converged when what the estimate is off by is below the tolerance, in
+//! standard uncertainties of all rows together ([`Options`] has the rule with its constants).
+//!
+//! # Rank and covariance
+//! The singular values of R decide rank and condition; vectors that belong to those below a part of the largest span the null
+//! space ([`Spectrum`]). With `A^T A = D R^T R D` the covariance of the estimates is `P P^T`, `P = D^-1 R^-1` ([`CovarianceRoot`]);
+//! short of full rank, P has the singular vectors over the singular values that count instead. Sensitivities to further
+//! columns B are `G = -P P^T A^T B`.
+//!
+//! # Robust weights
+//! Weights are a function of studentised residuals over their scale ([`Robust`]; Huber 1964, Beaton & Tukey 1974). They are
+//! found in rounds until they change no more.
+//!
+//! # Example
+//! A line through three points:
+//!
+//! ```
+//! use abbe_numerics::{LeastSquares, Options, Sink, solve};
+//!
+//! struct Line;
+//!
+//! impl LeastSquares for Line {
+//!     type Error = std::convert::Infallible;
+//!     fn unknowns(&self) -> usize { 2 }
+//!     fn rows(&self) -> usize { 3 }
+//!     fn linearise(&self, x: &[f64], sink: Sink<'_>) -> Result<(), Self::Error> {
+//!         for (row, (at, measured)) in [(0.0, 1.0), (1.0, 3.0), (2.0, 5.0)].into_iter().enumerate() {
+//!             sink(row, &[x[0] + x[1] * at - measured], &[1.0, at]);
+//!         }
+//!         Ok(())
+//!     }
+//! }
+//!
+//! let found = solve(&Line, &[0.0, 0.0], &Options::new(2)).unwrap();
+//! assert!((found.x[0] - 1.0).abs() < 1e-12 && (found.x[1] - 2.0).abs() < 1e-12);
+//! assert_eq!(found.factor.singular_values().rank(1e-10), 2);
+//! ```
+//!
 //! **Architecture invariant:** this crate knows rows of numbers, not machines. faer runs single-threaded (its parallel
 //! feature is off), because its results would otherwise depend on the number of cores.
 
@@ -24,7 +71,7 @@ pub use coverage::{
     hotelling_quantile, hotelling_upper_tail, joint_coverage_factor, rectangular_coverage_factor,
 };
 pub use design::{Choice, Criterion, Design, DesignFigures};
-pub use factor::{Factor, Information, Joining, SingularValues, Spectrum, Whitener};
+pub use factor::{CandidateTerm, CovarianceRoot, Factor, Information, SingularValues, Spectrum};
 pub use gauss_newton::{End, LeastSquares, Options, Sink, Solution, solve, solve_from};
 pub use linear::{DesignMatrix, LinearFit, fit_linear};
 pub use monte_carlo::{Adaptive, Agreement, Interval, Trials, gum_agrees, least_trials, numerical_tolerance};

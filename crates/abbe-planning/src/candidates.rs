@@ -2,8 +2,9 @@
 
 use std::collections::BTreeMap;
 
-use abbe_core::{Dataset, Label, PathItem, Planning, Problem, Result};
+use abbe_core::{Dataset, Label, PathItem, Problem, Result};
 
+use crate::settings::Planning;
 use crate::wrong;
 
 /// Measurements that are made together.

@@ -3,11 +3,10 @@
 use std::collections::BTreeSet;
 use std::fmt::Write;
 
-use abbe_core::{
-    Absent, Artefact, AxisKind, Error, GeneratedLengths, Generation, KinematicModel, PathItem, Poses, Reach, Result,
-    Series, Target,
-};
+use abbe_core::{Absent, Artefact, AxisKind, Error, KinematicModel, PathItem, Poses, Result, Series, Target};
+use abbe_estimation::Reach;
 
+use crate::settings::{GeneratedLengths, Generation};
 use crate::wrong;
 
 /// More candidates than this are a slip of the pen.

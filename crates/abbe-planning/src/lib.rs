@@ -7,11 +7,14 @@
 
 mod candidates;
 mod generate;
+mod settings;
 
-use abbe_core::{Error, PathItem, Planning, PlanningCriterion, Problem, Result, Unknown, in_parallel, matches};
+use abbe_core::{Error, PathItem, Problem, Result, Unknown, in_parallel, matches};
+use abbe_estimation::rank_point;
 use abbe_numerics::{Choice, Criterion, Design, DesignFigures, Generator};
 
 pub use generate::generate;
+pub use settings::{GeneratedLengths, Generation, Planning, PlanningCriterion};
 
 use candidates::{Candidate, candidates};
 
@@ -91,7 +94,7 @@ impl PlanFigures {
 /// Fails for names that the problem does not know, candidates that cannot determine the unknowns however many are measured,
 /// and numbers or budgets that are too small.
 pub fn plan(problem: &Problem, wanted: &Planning) -> Result<Plan> {
-    let contact = problem.as_judged(&problem.start())?;
+    let contact = rank_point(problem, &problem.start())?;
     let order = order(problem, wanted)?;
     let found = candidates(&contact, wanted)?;
     let scaled = Scaled::new(&contact, &found, &order)?;

@@ -62,9 +62,9 @@ fn finite<'a>(peer: &dyn Peer, what: &str, values: impl IntoIterator<Item = &'a 
 
 /// The first failure of a method that has no result to tell it by: what can fail tells it, from then on.
 #[derive(Default)]
-struct Unsaid(OnceLock<Error>);
+struct FirstFailure(OnceLock<Error>);
 
-impl Unsaid {
+impl FirstFailure {
     /// What was found, or what stands for it.
     fn keep<T>(&self, found: Result<T>, instead: T) -> T {
         found.unwrap_or_else(|error| {

@@ -14,7 +14,8 @@ mod tests;
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
-use abbe_core::{Basis, Error, Kind, PathItem, Place, Planning, Plugin, Registry, SettingsError, nearest, path_text};
+use abbe_core::{Basis, Error, Kind, PathItem, Place, Plugin, Registry, SettingsError, nearest, path_text};
+use abbe_planning::Planning;
 use serde_json::{Map, Value};
 
 use document::{At, Document, Node};

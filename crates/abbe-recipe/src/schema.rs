@@ -1,6 +1,7 @@
 //! The JSON Schema of recipes, for editors.
 
-use abbe_core::{Basis, InputUncertainty, Kind, Planning, Plugin, Registry};
+use abbe_core::{Basis, InputUncertainty, Kind, Plugin, Registry};
+use abbe_planning::Planning;
 use serde_json::{Map, Value, json};
 
 use crate::graph::{ANEW, references};

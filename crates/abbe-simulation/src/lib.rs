@@ -8,11 +8,13 @@
 //! **Architecture invariant:** this crate does no I/O. It gets a [`Problem`] and gives one, which any estimator solves
 //! without a file in between.
 
+mod lobing;
 mod measure;
 mod names;
 mod noise;
 mod truth;
 
+pub use lobing::{Lobing, contact_directions};
 pub use measure::measure;
 pub use names::LeftOut;
 pub use noise::{Drift, Noise, Outliers, RandomOutliers, Sigma};

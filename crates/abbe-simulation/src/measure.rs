@@ -1,6 +1,7 @@
 //! From a programme of measurement to what a machine with errors records.
 
 use abbe_core::{Contact, ObservationSet, Problem, Result};
+use abbe_estimation::{at_contact, contact};
 
 use crate::noise::Noise;
 use crate::truth::Truth;
@@ -18,9 +19,9 @@ use crate::truth::Truth;
 pub fn measure(problem: &Problem, truth: &Truth, seed: u64) -> Result<Problem> {
     truth.check()?;
     truth.left_out(problem)?.warn();
-    let machine = truth.of(&nominal(problem).at_contact(&[])?);
+    let machine = truth.of(&at_contact(&nominal(problem), &[])?);
     let errors = truth.noise.errors(&machine, seed)?;
-    let mut measured = machine.measured(&errors, &truth.noise.variations(&machine)?)?;
+    let mut measured = contact::measured(&machine, &errors, &truth.noise.variations(&machine)?)?;
     measured.machine.clone_from(&problem.machine);
     for (set, of) in measured.sets.iter_mut().zip(&problem.sets) {
         set.own.clone_from(&of.own);
@@ -64,7 +65,7 @@ fn recorded(mut problem: Problem, noise: &Noise) -> Problem {
                 });
                 by_rounding.extend(changes);
             }
-            // `Problem::measured` refuses it.
+            // `contact::measured` refuses it.
             Contact::NotSimulated(_) => by_rounding.extend(rows_of(set).flat_map(|row| vec![0.0; row.equations])),
         }
     }

@@ -4,12 +4,15 @@ use std::collections::{BTreeMap, BTreeSet};
 use std::f64::consts::TAU;
 
 use abbe_core::{
-    Contact, Error, Lobing, ObservationSet, Problem, Quantity, Result, Row, SettingsError, Variation, from_settings,
-    not_negative, positive,
+    Contact, Error, ObservationSet, Problem, Quantity, Result, Row, SettingsError, from_settings, not_negative,
+    positive,
 };
+use abbe_estimation::Variation;
 use abbe_numerics::Generator;
 use serde::Deserialize;
 use serde_json::{Map, Value};
+
+use crate::lobing::{Lobing, contact_directions};
 
 use crate::measure::is_length;
 use crate::truth::{key, known_only, machine_parameter};
@@ -183,7 +186,7 @@ impl Noise {
     /// nominal contact.
     pub(crate) fn errors(&self, problem: &Problem, seed: u64) -> Result<Vec<f64>> {
         self.known_stages(problem)?;
-        let directions = self.lobing.map(|_| problem.contact_directions()).transpose()?;
+        let directions = self.lobing.map(|_| contact_directions(problem)).transpose()?;
         let listed = Listed::new(&self.outliers.listed, problem);
         let mut errors = Vec::with_capacity(problem.equations());
         for (index, set) in problem.sets.iter().enumerate() {

@@ -9,6 +9,7 @@ use abbe_core::{
     KnownInput, Layout, ObservationSet, Observations, Parameter, PoseValues, Poses, Problem, Quantity, Result,
     RowOrigin, StatusColumn, Unit, Values, Variable, plain_naming,
 };
+use abbe_estimation::{is_judged_as_recorded, rank_point};
 use abbe_simulation::{Noise, Sigma, Truth, measure};
 use serde_json::Value;
 
@@ -178,13 +179,13 @@ fn a_reading_makes_up_for_the_difference() {
 fn readings_without_a_nominal_one_are_judged_as_recorded() {
     let read = problem("reading_um", 0, Some("reading"));
     for problem in [read.clone(), read.disturbed(&[0.1, 0.2, -0.3])] {
-        assert!(problem.is_judged_as_recorded());
-        assert_eq!(problem.as_judged(&TRUE).unwrap().sets[0].poses(), problem.sets[0].poses());
+        assert!(is_judged_as_recorded(&problem));
+        assert_eq!(rank_point(&problem, &TRUE).unwrap().sets[0].poses(), problem.sets[0].poses());
     }
     // The same rows without a reading are touches.
     let touched = problem("note_mm", 0, None);
-    assert!(!touched.is_judged_as_recorded());
-    assert_ne!(touched.as_judged(&TRUE).unwrap().sets[0].poses(), touched.sets[0].poses());
+    assert!(!is_judged_as_recorded(&touched));
+    assert_ne!(rank_point(&touched, &TRUE).unwrap().sets[0].poses(), touched.sets[0].poses());
 }
 
 #[test]

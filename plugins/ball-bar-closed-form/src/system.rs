@@ -8,6 +8,7 @@
 use abbe_core::{
     Calibration, Combination, FitReport, Identifiability, NullVector, Owner, Problem, Result, Termination,
 };
+use abbe_estimation::calibration;
 use nalgebra::{DMatrix, DVector};
 
 use crate::evaluation::Evaluated;
@@ -82,7 +83,7 @@ impl System {
     }
 
     /// The answer of the unknowns to errors of the equations: unknowns x equations.
-    fn answer(&self) -> DMatrix<f64> {
+    fn sensitivities(&self) -> DMatrix<f64> {
         let own = self.inverse.columns(0, self.reduction.nrows()) * &self.reduction;
         let mut answer = -own;
         for (mut row, scale) in answer.row_iter_mut().zip(self.scale.iter()) {
@@ -126,13 +127,13 @@ impl System {
             variance: Vec::new(),
             agreement: None,
         };
-        Ok(problem.calibration(x, self.covariance(&standard, scale), Vec::new(), fit))
+        Ok(calibration(problem, x, self.covariance(&standard, scale), Vec::new(), fit))
     }
 
     /// Covariance of the unknowns, then of what is considered.
     fn covariance(&self, standard: &[f64], scale: f64) -> Vec<Vec<f64>> {
         let problem = &self.nominal;
-        let answer = self.answer();
+        let answer = self.sensitivities();
         let own = answer.nrows();
         let scatters = problem.scatters();
         let ranges = problem.equation_ranges();

@@ -15,6 +15,7 @@ use abbe_core::{
     Basis, Build, Calibration, CombinedAgreement, ConsideredInput, Constructor, Context, Error, Estimate, Fit,
     FitReport, Identifiability, Plugin, Problem, Result, SettingsError, Status, inventory,
 };
+use abbe_estimation::calibration;
 use abbe_numerics::chi_squared_upper_tail;
 use nalgebra::{DMatrix, DVector};
 use schemars::JsonSchema;
@@ -410,7 +411,7 @@ impl Estimate for Combination {
             problem.consider(input, "combined")?;
         }
         let covariance = covariance(&combined);
-        Ok(problem.calibration(combined.x.as_slice(), covariance, Vec::new(), report))
+        Ok(calibration(&problem, combined.x.as_slice(), covariance, Vec::new(), report))
     }
 
     fn estimate(&self, _: &Problem) -> Result<Calibration> {

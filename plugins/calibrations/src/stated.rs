@@ -10,6 +10,7 @@ use abbe_core::{
     Basis, Build, Calibration, Constructor, Context, Dataset, Error, Estimate, FitReport, Identifiability, InputFile,
     PathItem, Plugin, Problem, Result, SettingsError, Unit, inventory, matches,
 };
+use abbe_estimation::calibration;
 use schemars::JsonSchema;
 use serde::Deserialize;
 use serde_json::{Value, json};
@@ -206,7 +207,7 @@ impl Statement {
             false => 0.0,
         };
         let covariance = (0..count).map(|row| (0..count).map(|column| variance(row, column)).collect()).collect();
-        Ok(problem.calibration(&x, covariance, Vec::new(), FitReport::without_rows(count)))
+        Ok(calibration(&problem, &x, covariance, Vec::new(), FitReport::without_rows(count)))
     }
 }
 

@@ -4,27 +4,22 @@
 //! of the start values, before anything is solved, and again at the solution; a direction that they cannot determine is an
 //! error, unless `on_confounded` says what to do with it.
 
-mod covariance;
-mod identifiability;
-mod result;
 mod select;
-mod variance;
 
 use abbe_core::{
-    Build, Calibration, Constructor, Context, Convergence, Error, Estimate, FitReport, Identifiability, Owner,
-    PathItem, Plugin, Problem, Result, SettingsError, Status, Termination, Unknown, inventory,
+    Build, Calibration, Constructor, Context, Convergence, Error, Estimate, Identifiability, Owner, PathItem, Plugin,
+    Problem, Result, SettingsError, Status, Termination, Unknown, inventory,
 };
-use abbe_identifiability::{Weighted, same_motion};
+use abbe_estimation::{
+    Components, Manner, Solved, Weighted, components, confounded, identifiability, is_judged_as_recorded,
+    judged_factor, separated,
+};
 use abbe_numerics::{End, Factor, Loss, Options, Robust, Solution, solve_from};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use serde_json::{Value, json};
 
-use covariance::{Place, Propagation, Scales};
-use identifiability::{confounded, identifiability, separated, weakest};
-use result::{Constraints, Spread, outliers};
 use select::{Select, reduced};
-use variance::{Components, components};
 
 inventory::submit! {
     Plugin::built_in(
@@ -299,91 +294,25 @@ impl GaussNewton {
         };
         let scaled = components.as_ref().map(|found| problem.with_variance_factors(&found.factors).at(&found.x));
         let (problem, at_start) = scaled.as_ref().map_or((problem, at_start), |scaled| (scaled, None));
+        let at_start = at_start.filter(|_| is_judged_as_recorded(problem)).cloned();
         let weighted = self.weighted(problem)?;
-        let as_recorded = problem.is_judged_as_recorded();
-        let at_start = at_start.filter(|_| as_recorded).cloned();
-        let solution =
-            self.iterate(&weighted, &problem.start(), at_start, &self.options(rank, self.settings.tolerance, false))?;
-        let judged = problem.as_judged(&solution.x)?;
-        // What is left out by its weight does not inform; what is weighed down still does.
-        let kept: Option<Vec<f64>> = (solution.robust.as_ref())
-            .map(|robust| robust.weights.iter().map(|weight| f64::from(*weight > 0.0)).collect());
-        let factor = match as_recorded && solution.robust.is_none() {
-            true => solution.factor,
-            false => Weighted::new(&judged)?.factor(&solution.x, kept.as_deref())?,
+        let options = self.options(rank, self.settings.tolerance, false);
+        let Solution { x, iterations, robust, last_step, gradient_cosine, factor, .. } =
+            self.iterate(&weighted, &problem.start(), at_start, &options)?;
+        let solved = Solved {
+            x,
+            factor: Some(factor).filter(|_| robust.is_none()),
+            robust: robust.zip(self.robust()),
+            iterations,
+            last_step: Some(last_step),
+            gradient_cosine: Some(gradient_cosine),
         };
-        let mut found = identifiability(problem, &factor, self.settings.rank_tolerance);
-        match lost {
-            None if found.rank < rank => return Err(confounded(&separated(problem, &solution.x, found))),
-            None => {}
-            Some(lost) => {
-                // Second order must not make look determined at the solution what is not at the start.
-                let condition = factor.singular_values().condition(rank);
-                found = Identifiability { observations: found.observations, condition, ..lost };
-            }
-        }
-        let residuals = problem.residuals(&solution.x)?;
-        let in_uncertainties = weighted.in_uncertainties(residuals.clone());
-        let constraints = Constraints::new(&judged, &solution.x, &factor.whitener(found.rank))?;
-        let spread = Spread::new(
-            &residuals,
-            &problem.quantities(),
-            &in_uncertainties,
-            solution.robust.as_ref(),
-            self.robust(),
-            (rank, &constraints),
-        );
-        let place =
-            Place { problem: &judged, x: &solution.x, kept: kept.as_deref(), factor: &factor, rank: found.rank };
-        let scales = match &components {
-            None => self.scale(&spread),
-            Some(found) => {
-                Scales::PerSet(found.factors.iter().copied().zip(found.degrees_of_freedom.iter().copied()).collect())
-            }
-        };
-        let propagation = Propagation::new(&place, scales, explained)?;
-        // Who estimates again without some rows asks for values and predictions, and may well use up all rows.
-        let told = explained && !self.settings.trust_uncertainties;
-        if spread.redundancy == 0.0 && told && propagation.is_scaled() {
-            return Err(Error::data(format!(
-                "the data leave no degrees of freedom ({} equations for {rank} unknowns): the scatter of the residuals says nothing",
-                spread.used
-            ))
-            .help("set `trust_uncertainties: true` to take the stated uncertainties, or measure more")
-            .setting("trust_uncertainties"));
-        }
-        let outliers = match (&solution.robust, self.robust()) {
-            (Some(report), Some(robust)) => outliers(problem, &residuals, report, robust),
-            _ => Vec::new(),
-        };
-        let angles = Some(&spread.angles).filter(|angles| angles.count > 0);
-        let fit = FitReport {
-            observations: spread.used,
-            unknowns: problem.unknowns.len(),
-            rank: found.rank,
-            condition: found.condition,
-            degrees_of_freedom: spread.degrees_of_freedom,
-            sigma: spread.sigma,
-            iterations: solution.iterations,
-            termination: Termination::Converged,
-            last_step: Some(solution.last_step),
-            gradient_cosine: Some(solution.gradient_cosine),
-            residual_max_um: spread.lengths.max * 1e3,
-            residual_mean_abs_um: spread.lengths.mean_abs * 1e3,
-            residual_rms_um: spread.lengths.rms * 1e3,
-            residual_max_urad: angles.map(|angles| angles.max * 1e6),
-            residual_mean_abs_urad: angles.map(|angles| angles.mean_abs * 1e6),
-            residual_rms_urad: angles.map(|angles| angles.rms * 1e6),
-            null_space: found.null_space,
-            weakest: if explained { weakest(problem, &factor.spectrum(), found.rank) } else { Vec::new() },
-            selection: None,
-            same_motion: if explained { same_motion(problem)? } else { Vec::new() },
-            variance: components.as_ref().map_or_else(Vec::new, |found| found.named(problem)),
-            agreement: None,
-        };
-        let mut calibration = problem.calibration(&solution.x, propagation.covariance(problem), outliers, fit);
-        calibration.uncertainty = explained.then(|| propagation.budget(problem, self.settings.coverage_probability));
-        Ok(calibration)
+        self.manner(explained).calibration(problem, solved, lost, components.as_ref())
+    }
+
+    fn manner(&self, explained: bool) -> Manner {
+        let Settings { rank_tolerance, trust_uncertainties, coverage_probability, .. } = self.settings;
+        Manner { rank_tolerance, trust_uncertainties, coverage_probability, explained }
     }
 
     /// The factors on the stated uncertainties of every set.
@@ -395,14 +324,6 @@ impl GaussNewton {
         let found = components(problem, (rank, self.robust()), solve)?;
         found.warn(problem);
         Ok(found)
-    }
-
-    /// The a-posteriori factor on stated uncertainties, and its degrees of freedom.
-    fn scale(&self, spread: &Spread) -> Scales {
-        match self.settings.trust_uncertainties || spread.redundancy == 0.0 {
-            true => Scales::Common(1.0, f64::INFINITY),
-            false => Scales::Common(spread.sigma, spread.redundancy),
-        }
     }
 
     /// The rows of a problem; robust weights need rows that stand for themselves.
@@ -438,7 +359,7 @@ impl GaussNewton {
             false => of_reduced.singular_values().rank(self.settings.rank_tolerance),
         };
         let options = self.options(rank, 1e-3, false);
-        let at_start = Some(of_reduced).filter(|_| reduced.is_judged_as_recorded());
+        let at_start = Some(of_reduced).filter(|_| is_judged_as_recorded(&reduced));
         let solution = match self.iterate(&self.weighted(&reduced)?, &reduced.start(), at_start, &options) {
             Ok(solution) => solution,
             Err(error) if error.fault => return Err(error),
@@ -539,27 +460,6 @@ impl Estimate for GaussNewton {
         let factor = judged_factor(problem, &problem.start())?;
         let started = self.started(problem, &factor)?;
         let (problem, factor) = started.as_ref().map_or((problem, &factor), |(problem, factor)| (problem, factor));
-        let (x, judged) = (problem.start(), problem.as_judged(&problem.start())?);
-        let mut found = separated(problem, &x, identifiability(problem, factor, self.settings.rank_tolerance));
-        found.weakest = weakest(problem, &factor.spectrum(), found.rank);
-        found.same_motion = same_motion(problem)?;
-        if found.rank == found.unknowns {
-            let place = Place { problem: &judged, x: &x, kept: None, factor, rank: found.rank };
-            let propagation = Propagation::new(&place, Scales::Common(1.0, f64::INFINITY), true)?;
-            if found.observations <= found.rank && !self.settings.trust_uncertainties && propagation.is_scaled() {
-                found.remarks.push(
-                    "no degrees of freedom are left, so that the scatter of the residuals will say nothing: set \
-                     `trust_uncertainties: true`, or measure more"
-                        .to_owned(),
-                );
-            }
-            found.uncertainty = Some(propagation.budget(problem, self.settings.coverage_probability));
-        }
-        Ok(found)
+        self.manner(true).identify(problem, factor)
     }
-}
-
-/// The factor of a problem where its rank is judged.
-fn judged_factor(problem: &Problem, x: &[f64]) -> Result<Factor> {
-    Weighted::new(&problem.as_judged(x)?)?.factor(x, None)
 }

@@ -1,9 +1,8 @@
 //! What varies from trial to trial.
 
-use abbe_core::{
-    CovarianceBlock, Error, Fit, Lobing, Owner, PathItem, Problem, Quantity, Result, Scatter, Unknown, matches,
-};
+use abbe_core::{CovarianceBlock, Error, Fit, Owner, PathItem, Problem, Quantity, Result, Scatter, Unknown, matches};
 use abbe_numerics::Generator;
+use abbe_simulation::{Lobing, contact_directions};
 use nalgebra::{DMatrix, DVector, SymmetricEigen};
 
 use crate::settings::{Distribution, LobingSetting, Neglected, Settings};
@@ -447,7 +446,7 @@ impl Pretravel {
             return Err(wrong(Error::usage(message).suggest(&setting.artefact, names)));
         };
         let range = problem.equation_ranges()[set].clone();
-        let directions = problem.contact_directions()?.into_iter().enumerate();
+        let directions = contact_directions(problem)?.into_iter().enumerate();
         let touches: Vec<(usize, [f64; 3])> = directions
             .filter_map(|(equation, direction)| Some((equation, direction?)))
             .filter(|(equation, _)| range.contains(equation))

@@ -237,7 +237,7 @@ fn rank_is_judged_at_the_recorded_poses() {
     let scene = five_axes();
     let (target, observer) = (random.pose(300.0), scene.observer(&mut random));
     let problem = scene.problem(&scene.seen(&scene.commands(&mut random), &target, &observer));
-    let at_contact = problem.at_contact(&problem.start()).unwrap();
+    let at_contact = abbe_estimation::at_contact(&problem, &problem.start()).unwrap();
     assert_eq!(at_contact.sets[0].poses(), problem.sets[0].poses());
     let found = estimator().identify(&problem).unwrap();
     assert_eq!((found.rank, found.unknowns), (10, 10));

@@ -9,8 +9,8 @@ use abbe_core::{
     AxisKind, Build, Constructor, Context, Dataset, Figure, Findings, Fit, InputFile, KinematicModel, Owner, Plugin,
     Problem, Result, SettingsError, Unknown, Validate, inventory, matches,
 };
-use abbe_identifiability::Weighted;
-use abbe_numerics::{Joining, f_test};
+use abbe_estimation::Weighted;
+use abbe_numerics::{CandidateTerm, f_test};
 use schemars::JsonSchema;
 use serde::Deserialize;
 use serde_json::{Value, json};
@@ -126,18 +126,19 @@ impl Cause {
         let kept: Vec<f64> = (problem.equation_rows().iter()).map(|row| f64::from(!outliers.contains(row))).collect();
         let factor = Weighted::new(&problem)?.factor(&problem.start(), Some(&kept))?;
         let left = factor.remaining_cost_of(own);
-        let mut joining = factor.joining(own);
-        joining.sort_by(|one, other| other.explained.total_cmp(&one.explained));
+        let mut terms = factor.candidate_terms(own);
+        terms.sort_by(|one, other| other.explained.total_cmp(&one.explained));
         let freedom = kept.iter().filter(|kept| **kept > 0.0).count().saturating_sub(own + 1);
-        let Some(best) = joining.first().filter(|_| freedom > 0 && left > 0.0) else {
+        let Some(best) = terms.first().filter(|_| freedom > 0 && left > 0.0) else {
             findings
                 .remarks
                 .push(format!("{}: nothing is left to be explained, or nothing that could explain it", fit.name));
             return Ok(());
         };
-        let test = |one: &Joining| one.explained / ((left - one.explained).max(f64::MIN_POSITIVE) / freedom as f64);
-        let chance = |one: &Joining| f_test(test(one), 1, freedom).unwrap_or(1.0);
-        for one in joining.iter().take(SHOWN) {
+        let test =
+            |one: &CandidateTerm| one.explained / ((left - one.explained).max(f64::MIN_POSITIVE) / freedom as f64);
+        let chance = |one: &CandidateTerm| f_test(test(one), 1, freedom).unwrap_or(1.0);
+        for one in terms.iter().take(SHOWN) {
             let unknown = &problem.unknowns[one.unknown];
             let (unit, factor) = unknown.unit.for_people();
             let figure = |what: &str, value: f64, unit: &str| {
@@ -147,7 +148,7 @@ impl Cause {
             findings.figures.push(figure("share", one.explained / left, ONE));
             findings.figures.push(figure("F", test(one), ONE));
         }
-        let level = self.settings.significance / joining.len() as f64;
+        let level = self.settings.significance / terms.len() as f64;
         if chance(best) > level {
             findings
                 .remarks
@@ -156,8 +157,8 @@ impl Cause {
         }
         // Of those that the data cannot tell apart the simplest is named first: where an axis lies before how it moves.
         let variance = (left - best.explained).max(f64::MIN_POSITIVE) / freedom as f64;
-        let mut rivals: Vec<&Joining> =
-            joining.iter().filter(|other| best.explained - other.explained < RIVAL * variance).collect();
+        let mut rivals: Vec<&CandidateTerm> =
+            terms.iter().filter(|other| best.explained - other.explained < RIVAL * variance).collect();
         let model = problem.model.as_ref();
         rivals.sort_by_key(|one| meaning(&problem.unknowns[one.unknown].name, model).is_empty());
         let best = rivals[0];

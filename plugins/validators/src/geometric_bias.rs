@@ -11,6 +11,7 @@ use abbe_core::{
     AxisKind, Build, Constructor, Contact, Context, Dataset, Error, Figure, Findings, Fit, InputFile, Plugin, Problem,
     Result, SettingsError, Validate, inventory, matches, positive,
 };
+use abbe_estimation::at_contact;
 use schemars::JsonSchema;
 use serde::Deserialize;
 use serde_json::{Value, json};
@@ -113,7 +114,7 @@ impl GeometricBias {
         let nominal = self.nominal(problem, None)?;
         let recorded = positions(problem, set, &rows);
         let met = |problem: &Problem| -> Result<Positions> {
-            Ok(positions(&problem.at_contact(&problem.start())?, set, &rows))
+            Ok(positions(&at_contact(problem, &problem.start())?, set, &rows))
         };
         let (of_nominal, of_calibrated) = (met(&nominal)?, met(&calibrated)?);
         let mut figures = Vec::new();

@@ -166,10 +166,10 @@ fn rows(fit: &Fit) -> Result<Vec<Row>> {
             }
         }
     })?;
-    let whitener = accumulator.finish().whitener(fit.calibration.fit.rank.min(count));
+    let covariance_root = accumulator.finish().covariance_root(fit.calibration.fit.rank.min(count));
     let mut rows = Vec::new();
     problem.linearise(&x, |block| {
-        let leverages = whitener.leverages(block.jacobian);
+        let leverages = covariance_root.leverages(block.jacobian);
         for (row, residual) in block.residuals.iter().enumerate() {
             let equation = block.first + row;
             if takes_part[equation] {

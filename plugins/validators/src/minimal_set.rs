@@ -11,7 +11,7 @@ use abbe_core::{
     AxisKind, Build, Constructor, Context, Dataset, Figure, Findings, Fit, InputFile, KinematicModel, Owner, Plugin,
     Problem, Result, SettingsError, Unknown, Validate, inventory, matches,
 };
-use abbe_identifiability::Weighted;
+use abbe_estimation::{Weighted, rank_point};
 use abbe_numerics::{Factor, LeftOut};
 use schemars::JsonSchema;
 use serde::Deserialize;
@@ -137,7 +137,7 @@ impl MinimalSet {
         for set in &mut candidates.sets {
             set.own = set.observations.start();
         }
-        candidates.as_judged(&candidates.start())
+        rank_point(&candidates, &candidates.start())
     }
 
     /// The candidates in the order of preference, and those that do nothing.

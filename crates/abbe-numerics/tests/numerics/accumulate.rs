@@ -1,12 +1,12 @@
 //! Proves that a factor accumulated in many small pieces is that of one QR, and what it says by the definitions: norms,
 //! costs, step, leverage, covariance.
 
-use abbe_numerics::{Accumulator, Factor, Whitener};
+use abbe_numerics::{Accumulator, CovarianceRoot, Factor};
 
 use crate::problems::{Linear, Random, dot, line, norm};
 
-fn of_full_rank(factor: &Factor) -> Whitener {
-    factor.whitener(factor.unknowns())
+fn of_full_rank(factor: &Factor) -> CovarianceRoot {
+    factor.covariance_root(factor.unknowns())
 }
 
 fn close(a: f64, b: f64, scale: f64) -> f64 {
@@ -85,11 +85,11 @@ fn a_factor_says_what_its_rows_say() {
             note(5, close(*full, of_spectrum, norm(&step)));
         }
         for (full, of_spectrum) in
-            of_full_rank(&factor).covariance().concat().iter().zip(spectrum.whitener(n).covariance().concat())
+            of_full_rank(&factor).covariance().concat().iter().zip(spectrum.covariance_root(n).covariance().concat())
         {
             note(5, close(*full, of_spectrum, norm(&of_full_rank(&factor).covariance().concat())));
         }
-        let (full, of_spectrum) = (of_full_rank(&factor), spectrum.whitener(n));
+        let (full, of_spectrum) = (of_full_rank(&factor), spectrum.covariance_root(n));
         let rows = problem.rows.concat();
         for (full, of_spectrum) in full.leverages(&rows).iter().zip(of_spectrum.leverages(&rows)) {
             note(5, close(*full, of_spectrum, 1.0));
@@ -119,7 +119,7 @@ fn the_covariance_of_a_line_is_the_one_of_the_textbook() {
     let step = factor.step().expect("full rank");
     assert!((step[1] - slope).abs() < 1e-13 && (step[0] - (mean_y - slope * mean_x)).abs() < 1e-12);
     let textbook = [[1.0 / m + mean_x * mean_x / sxx, -mean_x / sxx], [-mean_x / sxx, 1.0 / sxx]];
-    for covariance in [of_full_rank(&factor).covariance(), factor.spectrum().whitener(2).covariance()] {
+    for covariance in [of_full_rank(&factor).covariance(), factor.spectrum().covariance_root(2).covariance()] {
         for (row, expected) in covariance.iter().zip(&textbook) {
             for (value, expected) in row.iter().zip(expected) {
                 assert!((value / expected - 1.0).abs() < 1e-12, "{value} {expected}");
@@ -182,8 +182,8 @@ fn the_answer_is_what_shifting_a_known_unknown_does() {
             reduced.factor(40)
         };
         let step = |factor: Factor| factor.step().expect("full rank");
-        let whitener = reduced(None).whitener(own);
-        let (before, answers) = (step(reduced(None)), whitener.answer(&factor));
+        let covariance_root = reduced(None).covariance_root(own);
+        let (before, answers) = (step(reduced(None)), covariance_root.sensitivities(&factor));
         for known in 0..others {
             for ((after, before), answer) in step(reduced(Some(known))).iter().zip(&before).zip(&answers) {
                 worst = worst.max((after - before - answer[known]).abs());
@@ -200,17 +200,18 @@ fn the_parts_of_all_rows_are_the_covariance() {
         let mut random = Random::new(1900 + seed);
         let count = 2 + random.below(5);
         let problem = Linear::random(&mut random, 40, count);
-        let whitener = problem.factor(40).whitener(count);
+        let covariance_root = problem.factor(40).covariance_root(count);
         let group = |first: usize, last: usize| {
             let mut group = problem.clone();
             group.rows = problem.rows[first..last].to_vec();
             group.residuals = problem.residuals[first..last].to_vec();
-            whitener.part(&group.factor(40))
+            covariance_root.part(&group.factor(40))
         };
         let (one, other) = (group(0, 3), group(3, 40));
-        for (row, line) in whitener.covariance().iter().enumerate() {
+        for (row, line) in covariance_root.covariance().iter().enumerate() {
             for (column, whole) in line.iter().enumerate() {
-                let size = (whitener.covariance()[row][row] * whitener.covariance()[column][column]).sqrt();
+                let size =
+                    (covariance_root.covariance()[row][row] * covariance_root.covariance()[column][column]).sqrt();
                 assert!((one[row][column] + other[row][column] - whole).abs() < 1e-11 * size, "{row} {column}");
             }
         }

@@ -102,7 +102,7 @@ fn coefficients_are_the_certified_ones() {
         let by_spectrum = digits(&factor.spectrum().step(certified.len()), &certified);
         let freedom = (factor.rows() - factor.unknowns()) as f64;
         let variance = factor.remaining_cost() / freedom;
-        let covariance = factor.whitener(certified.len()).covariance();
+        let covariance = factor.covariance_root(certified.len()).covariance();
         let deviations: Vec<f64> = (0..certified.len()).map(|k| (variance * covariance[k][k]).sqrt()).collect();
         let published = numbers(&set["exact"]["standard_deviations"]);
         let of_spread = if published[0] > 0.0 { digits(&deviations, &published) } else { 0.0 };

@@ -41,7 +41,7 @@ fn estimate(problem: &Linear, robust: Option<Robust>, rank: usize) -> Solution {
 
 /// Largest difference of two estimates in standard uncertainties of the clean rows.
 fn apart(a: &[f64], b: &[f64], clean: &Linear) -> f64 {
-    let covariance = clean.factor(clean.rows.len()).whitener(clean.unknowns()).covariance();
+    let covariance = clean.factor(clean.rows.len()).covariance_root(clean.unknowns()).covariance();
     (0..a.len()).map(|k| (a[k] - b[k]).abs() / covariance[k][k].sqrt()).fold(0.0, f64::max)
 }
 

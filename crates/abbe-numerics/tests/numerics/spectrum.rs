@@ -141,7 +141,7 @@ fn of_all_steps_the_shortest() {
             worst[1] = worst[1].max(dot(&vector, &scaled).abs() / norm(&vector) / norm(&scaled));
         }
         // Moore and Penrose: J C J^T J = J with C the covariance, and leverages that add up to the rank.
-        let covariance = spectrum.whitener(rank).covariance();
+        let covariance = spectrum.covariance_root(rank).covariance();
         let unit = 1.0 / spectrum.scale()[0];
         let column = problem.column(0);
         let gradient: Vec<f64> = (0..problem.unknowns()).map(|k| dot(&problem.column(k), &column)).collect();
@@ -149,7 +149,7 @@ fn of_all_steps_the_shortest() {
         let again = problem.apply(&x);
         let missed: Vec<f64> = again.iter().zip(&column).map(|(again, value)| again - value).collect();
         worst[2] = worst[2].max(norm(&missed) / unit);
-        let leverages: f64 = spectrum.whitener(rank).leverages(&problem.rows.concat()).iter().sum();
+        let leverages: f64 = spectrum.covariance_root(rank).leverages(&problem.rows.concat()).iter().sum();
         worst[3] = worst[3].max((leverages - rank as f64).abs());
     }
     println!("largest deviations: {}", worst.map(|value| format!("{value:.0e}")).join(" "));

@@ -5,7 +5,7 @@ use std::sync::Arc;
 use abbe_core::{Calibration, Estimate, Fit, Identifiability, Problem, Result};
 use serde::de::DeserializeOwned;
 
-use super::{Unsaid, ask};
+use super::{FirstFailure, ask};
 use crate::abi::*;
 use crate::peer::{Peer, Transit, broken};
 use crate::served::Served;
@@ -38,16 +38,16 @@ impl Estimate for NoEstimator {
 /// An estimator of the other side.
 pub(crate) struct Estimator {
     peer: Arc<dyn Peer>,
-    unsaid: Unsaid,
+    failure: FirstFailure,
 }
 
 impl Estimator {
     pub fn new(peer: Arc<dyn Peer>) -> Self {
-        Self { peer, unsaid: Unsaid::default() }
+        Self { peer, failure: FirstFailure::default() }
     }
 
     fn ask<A: DeserializeOwned>(&self, method: u32, problem: &Problem) -> Result<A> {
-        self.unsaid.told()?;
+        self.failure.told()?;
         let mut objects = Vec::new();
         let text = ProblemText::of(problem, &mut objects);
         ask(self.peer.as_ref(), method, &text, &objects)
@@ -91,6 +91,6 @@ impl Estimate for Estimator {
     }
 
     fn accepts(&self, found: &Identifiability) -> bool {
-        self.unsaid.keep(ask(self.peer.as_ref(), ABBE_ACCEPTS, found, &[]), false)
+        self.failure.keep(ask(self.peer.as_ref(), ABBE_ACCEPTS, found, &[]), false)
     }
 }

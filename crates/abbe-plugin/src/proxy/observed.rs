@@ -8,7 +8,7 @@ use abbe_core::{
     Quantity, Result,
 };
 
-use super::{Unsaid, ask, finite};
+use super::{FirstFailure, ask, finite};
 use crate::abi::*;
 use crate::peer::{Failure, Known, Peer, Transit, broken};
 use crate::served::Served;
@@ -18,7 +18,7 @@ use crate::texts::{ObservationsText, TipText};
 pub(super) struct Observed {
     pub peer: Arc<dyn Peer>,
     text: ObservationsText,
-    unsaid: Unsaid,
+    failure: FirstFailure,
 }
 
 /// The observations that came over, made of the data set `given`.
@@ -36,7 +36,7 @@ pub(crate) fn observations(object: &Transit, given: Option<&Arc<Dataset>>) -> Re
                 (None, None) => return Err(Failure::of(peer.who(), "gives observations without a data set")),
             };
             check_observations(&text).map_err(|what| Failure::of(peer.who(), what))?;
-            Ok(Arc::new(Observed { peer: peer.clone(), text, unsaid: Unsaid::default() }))
+            Ok(Arc::new(Observed { peer: peer.clone(), text, failure: FirstFailure::default() }))
         }
     }
 }
@@ -127,7 +127,7 @@ impl Observations for Observed {
         inputs: &[f64],
         out: &mut Equations,
     ) -> Result<()> {
-        self.unsaid.told()?;
+        self.failure.told()?;
         let peer = self.peer.as_ref();
         let mut given = Equations::default();
         peer.equations(rows, poses, Known { own, inputs }, &mut given).map_err(|failure| failure.error(peer.who()))?;
@@ -146,7 +146,7 @@ impl Observations for Observed {
         let tip = ask(peer, ABBE_CONTACT_TIP, &question, &[]).and_then(|tip: Option<[f64; 3]>| {
             finite(peer, "points of contact", tip.as_slice().as_flattened()).map(|()| tip)
         });
-        self.unsaid.keep(tip, None)
+        self.failure.keep(tip, None)
     }
 
     fn features(&self) -> Vec<Feature> {

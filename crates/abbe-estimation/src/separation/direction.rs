@@ -3,7 +3,7 @@
 use abbe_core::{NullVector, Owner, Poses, Problem, Result, Unknown, Variable};
 use nalgebra::Vector3;
 
-use crate::Measured;
+use super::Measured;
 
 /// Derivatives below this, in mm or rad per unit of the unknown, are what rounding leaves of zero.
 const ZERO: f64 = 1e-9;
@@ -144,5 +144,5 @@ fn listed_features(members: &[(Unknown, f64)]) -> String {
             features.push(feature.to_owned());
         }
     }
-    crate::listed(&features)
+    super::listed(&features)
 }

@@ -6,9 +6,9 @@ use std::sync::Arc;
 
 use abbe_balls as _;
 use abbe_core::{Build, Context, Kind, NullVector, ObservationSet, Plugin, Problem, Registry};
+use abbe_estimation::Trials;
 use abbe_facets as _;
 use abbe_gauss_newton as _;
-use abbe_identifiability::Trials;
 use abbe_length as _;
 use abbe_serial_chain as _;
 use serde_json::{Value, json};
@@ -316,6 +316,6 @@ fn a_direction_of_another_problem_is_refused() {
     let problem = problem(folder.path(), &machine, &[("facets", settings, "touches.csv")], &["dzt", "table.*"]);
     let (mut vector, _) = told(&problem).remove(0);
     vector.combination[0].name = "EXX[1]".to_owned();
-    let error = abbe_identifiability::separating_measurements(&problem, &problem.start(), &vector).unwrap_err();
+    let error = abbe_estimation::separating_measurements(&problem, &problem.start(), &vector).unwrap_err();
     assert!(error.to_string().contains("`EXX[1]` is no unknown of `fit`"));
 }

@@ -2,9 +2,9 @@
 
 use abbe_core::{AxisKind, Problem};
 
-use crate::Measured;
-use crate::direction::Direction;
-use crate::places::recorded_statuses;
+use super::Measured;
+use super::direction::Direction;
+use super::places::recorded_statuses;
 
 /// Most stretches of an axis that are tried, the longest ones.
 const TRIED: usize = 8;

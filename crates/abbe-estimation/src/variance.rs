@@ -15,11 +15,11 @@
 //! keeps its uncertainty: their t is 1.
 
 use abbe_core::{Error, Problem, Result, VarianceFactor};
-use abbe_identifiability::Weighted;
 use abbe_numerics::{Factor, Robust, RobustReport, Solution};
 use nalgebra::{DMatrix, DVector};
 
-use crate::result::correction;
+use crate::residuals::correction;
+use crate::weighted::Weighted;
 
 /// Most rounds of estimating factors.
 const ROUNDS: usize = 100;
@@ -90,9 +90,9 @@ impl Round {
         let readings: Vec<f64> =
             kept.iter().zip(&constraints).map(|(kept, is)| if *is { 0.0 } else { *kept }).collect();
         let ranges = problem.equation_ranges();
-        let whitener = weighted.factor(&solution.x, Some(&kept))?.whitener(rank);
+        let covariance_root = weighted.factor(&solution.x, Some(&kept))?.covariance_root(rank);
         let factors: Vec<Factor> = weighted.factors(&solution.x, Some(&readings), &ranges)?;
-        let shares: Vec<_> = factors.iter().map(|factor| whitener.information(factor)).collect();
+        let shares: Vec<_> = factors.iter().map(|factor| covariance_root.information(factor)).collect();
         let count = ranges.len();
         let (mut squares, mut redundancies) = (Vec::new(), Vec::new());
         let mut expected = DMatrix::<f64>::zeros(count, count);

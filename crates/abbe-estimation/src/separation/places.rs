@@ -1,8 +1,9 @@
 //! Trials elsewhere on the table: a feature that is not known, and a length that is.
 
-use abbe_core::{AxisKind, Problem, Reach, Result};
+use abbe_core::{AxisKind, Problem, Result};
 
-use crate::{Group, Measured, Trial};
+use super::{Group, Measured, Trial};
+use crate::reach::Reach;
 
 /// How far from what is touched a feature is tried, mm.
 const BEYOND: f64 = 100.0;

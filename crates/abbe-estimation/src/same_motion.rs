@@ -7,7 +7,8 @@
 
 use abbe_core::{Combination, ErrorFunction, Owner, Poses, Problem, Result, SameMotion, Unit, Variable};
 
-use crate::thinned;
+use crate::contact::rank_point;
+use crate::separation::thinned;
 
 /// Part of an effect that rounding leaves of zero.
 const ROUNDING: f64 = 1e-9;
@@ -40,7 +41,7 @@ pub fn same_motion(problem: &Problem) -> Result<Vec<SameMotion>> {
 
 /// The problem at nominal contact, or as recorded where no contact is found.
 fn judged(problem: &Problem) -> Problem {
-    problem.as_judged(&problem.start()).unwrap_or_else(|_| problem.clone())
+    rank_point(problem, &problem.start()).unwrap_or_else(|_| problem.clone())
 }
 
 /// What each of some errors of an axis does to the pose, mm and rad per mm or rad of the error, at all poses where all of them

@@ -2,12 +2,12 @@
 
 use serde::{Deserialize, Serialize};
 
-use crate::calibration::{Calibration, ConsideredInput};
 use crate::error::{Error, Result};
 use crate::identity::Certificate;
 use crate::model::{KinematicModel, Parameter};
 use crate::observations::{Equations, PoseValues};
 use crate::problem::{ObservationSet, Owner, Problem, Unknown};
+use crate::result::{Calibration, ConsideredInput};
 use crate::unit::Unit;
 
 /// A known input of a problem, with everybody who uses it.
@@ -215,7 +215,7 @@ impl Problem {
     ///
     /// Inputs of the calibration stay inputs here: one that this problem uses, too, is counted once, with its correlation to
     /// what the calibration knows. Fails where the two state it differently.
-    pub fn knowing(&self, calibration: &Calibration) -> Result<Self> {
+    pub fn with_prior(&self, calibration: &Calibration) -> Result<Self> {
         let mut problem = self.starting_from(calibration);
         let order = &calibration.covariance.order;
         let records = calibration.inputs.as_deref().unwrap_or_default();

@@ -1,8 +1,9 @@
 //! What the data determine: rank, lost directions, weak ones.
 
 use abbe_core::{Combination, Error, Identifiability, NullVector, Problem};
-use abbe_identifiability::Trials;
 use abbe_numerics::{Factor, Spectrum};
+
+use crate::separation::Trials;
 
 /// Number of weakest combinations that are told.
 const WEAKEST: usize = 5;

@@ -1,9 +1,10 @@
 //! Trials of the recorded rows at other statuses: other positions of an axis, the other direction of approach, another
 //! stylus.
 
-use abbe_core::{Axis, AxisKind, ObservationSet, PoseTable, Problem, Quantity, Reach, Result, StatusColumn};
+use abbe_core::{Axis, AxisKind, ObservationSet, PoseTable, Problem, Quantity, Result, StatusColumn};
 
-use crate::{Group, Measured, Trial, listed};
+use super::{Group, Measured, Trial, listed};
+use crate::reach::Reach;
 
 /// Positions that are tried, degrees: of a rotary axis and of one that is indexed.
 const ROTARY: [f64; 7] = [90.0, -90.0, 60.0, -60.0, 30.0, -30.0, 0.0];

@@ -8,10 +8,11 @@
 use abbe_core::{
     Contribution, Correlated, JointCoverage, Owner, ParameterBudget, Problem, Result, Scatter, UncertaintyBudget,
 };
-use abbe_identifiability::Weighted;
 use abbe_numerics::{
     Factor, coverage_factor, effective_degrees_of_freedom, joint_coverage_factor, rectangular_coverage_factor,
 };
+
+use crate::weighted::Weighted;
 
 /// Correlations above this are listed.
 const STRONG: f64 = 0.95;
@@ -61,7 +62,7 @@ impl Scales {
 }
 
 /// Where a covariance is to be propagated.
-pub struct Place<'a> {
+pub struct Linearisation<'a> {
     /// The problem at its contact points.
     pub problem: &'a Problem,
     /// The unknowns.
@@ -76,9 +77,9 @@ pub struct Place<'a> {
 
 impl Propagation {
     /// Propagates all inputs; `split`: every artefact by itself.
-    pub fn new(place: &Place<'_>, scales: Scales, split: bool) -> Result<Self> {
-        let Place { problem, x, kept, factor, rank } = *place;
-        let whitener = factor.whitener(rank);
+    pub fn new(at: &Linearisation<'_>, scales: Scales, split: bool) -> Result<Self> {
+        let Linearisation { problem, x, kept, factor, rank } = *at;
+        let covariance_root = factor.covariance_root(rank);
         let scatters = problem.scatters();
         let repeated = |set: usize| scatters.iter().any(|scatter| scatter.sets.contains(&set));
         // What a certificate states weighs as a row, but its uncertainty is that of the input which states it.
@@ -96,7 +97,7 @@ impl Propagation {
             && scatters.is_empty()
             && !constrained
         {
-            parts.push(stated("rows".to_owned(), whitener.covariance(), (scale, freedom)));
+            parts.push(stated("rows".to_owned(), covariance_root.covariance(), (scale, freedom)));
         } else {
             let ranges = problem.equation_ranges();
             let scatter = |(equation, constraint): (usize, &bool)| match (constraint, kept) {
@@ -108,11 +109,11 @@ impl Propagation {
             let factors = Weighted::new(problem)?.factors(x, scattering.as_deref().or(kept), &ranges)?;
             for (index, (set, factor)) in problem.sets.iter().zip(&factors).enumerate() {
                 if !repeated(index) {
-                    parts.push(stated(set.name.clone(), whitener.part(factor), scales.of_set(index)));
+                    parts.push(stated(set.name.clone(), covariance_root.part(factor), scales.of_set(index)));
                 }
             }
         }
-        let cross = answers(place, &whitener, &scatters, &mut parts)?;
+        let cross = propagate_shared(at, &covariance_root, &scatters, &mut parts)?;
         Ok(Self { parts, cross, scales })
     }
 
@@ -205,13 +206,13 @@ impl Propagation {
 }
 
 /// Adds what repeats and known inputs do; gives the covariance of the unknowns with what is considered.
-fn answers(
-    place: &Place<'_>,
-    whitener: &abbe_numerics::Whitener,
+fn propagate_shared(
+    at: &Linearisation<'_>,
+    covariance_root: &abbe_numerics::CovarianceRoot,
     scatters: &[Scatter],
     parts: &mut Vec<Part>,
 ) -> Result<Vec<Vec<f64>>> {
-    let Place { problem, x, kept, .. } = *place;
+    let Linearisation { problem, x, kept, .. } = *at;
     let (own, considered) = (problem.unknowns.len(), &problem.considered);
     if considered.unknowns.is_empty() && scatters.is_empty() {
         return Ok(vec![Vec::new(); own]);
@@ -219,7 +220,8 @@ fn answers(
     let mut extended = problem.at(x);
     extended.unknowns.extend(considered.unknowns.iter().cloned());
     let columns: Vec<Vec<f64>> = scatters.iter().flat_map(|scatter| scatter.pooled.deviations.clone()).collect();
-    let answer = whitener.answer(&Weighted::with_columns(&extended, &columns)?.factor(&extended.start(), kept)?);
+    let answer =
+        covariance_root.sensitivities(&Weighted::with_columns(&extended, &columns)?.factor(&extended.start(), kept)?);
     let mut first = considered.unknowns.len();
     for scatter in scatters {
         let (pooled, repetitions) = (&scatter.pooled, scatter.pooled.repetitions.len());

@@ -1,11 +1,12 @@
 //! What the residuals of a solution tell: their scatter, outliers.
 
 use abbe_core::{Outlier, Problem, Quantity, Result};
-use abbe_identifiability::Weighted;
-use abbe_numerics::{Robust, RobustReport, Whitener};
+use abbe_numerics::{CovarianceRoot, Robust, RobustReport};
+
+use crate::weighted::Weighted;
 
 /// How the residuals scatter.
-pub struct Spread {
+pub struct ResidualStatistics {
     /// Equations that take part, constraints included.
     pub used: usize,
     /// Their number less the rank.
@@ -14,7 +15,9 @@ pub struct Spread {
     pub redundancy: f64,
     /// The a-posteriori factor on the stated uncertainties of the readings.
     pub sigma: f64,
+    /// How large the residuals of lengths are.
     pub lengths: Sizes,
+    /// How large those of angles are.
     pub angles: Sizes,
 }
 
@@ -30,14 +33,14 @@ pub struct Constraints {
 }
 
 impl Constraints {
-    /// The constraints of a problem; `whitener` is of all its rows at x.
-    pub fn new(problem: &Problem, x: &[f64], whitener: &Whitener) -> Result<Self> {
+    /// The constraints of a problem; `covariance_root` is of all its rows at x.
+    pub fn new(problem: &Problem, x: &[f64], covariance_root: &CovarianceRoot) -> Result<Self> {
         let equations = problem.constraints();
         if !equations.contains(&true) {
             return Ok(Self::default());
         }
         let alone: Vec<f64> = equations.iter().map(|constraint| f64::from(*constraint)).collect();
-        let told = whitener.information(&Weighted::new(problem)?.factor(x, Some(&alone))?).trace();
+        let told = covariance_root.information(&Weighted::new(problem)?.factor(x, Some(&alone))?).trace();
         Ok(Self { equations, told })
     }
 
@@ -48,9 +51,13 @@ impl Constraints {
 
 /// How large residuals are, mm or rad; zero where there are none.
 pub struct Sizes {
+    /// Their number.
     pub count: usize,
+    /// The largest absolute value.
     pub max: f64,
+    /// The mean absolute value.
     pub mean_abs: f64,
+    /// The root mean square.
     pub rms: f64,
 }
 
@@ -68,7 +75,7 @@ impl Sizes {
     }
 }
 
-impl Spread {
+impl ResidualStatistics {
     /// Of the rows that are not left out by their weight. The a-posteriori factor of a robust estimate is that of Huber
     /// (1981, section 7.6): the mean square of the influence over the square of its mean slope, with his correction for
     /// the number of unknowns.

@@ -1,9 +1,7 @@
 //! Where the linear axes have to stand for the tip to be at a point.
 
+use abbe_core::{AxisKind, KinematicModel, Poses, Result, Variable};
 use nalgebra::{DMatrix, DVector};
-
-use crate::error::Result;
-use crate::model::{AxisKind, KinematicModel, Poses, Variable};
 
 /// Distance from a point at which the tip is on it, mm.
 const ON: f64 = 1e-6;

@@ -2,11 +2,9 @@
 
 use std::collections::BTreeMap;
 
+use abbe_core::{Label, PathItem, Series, SettingsError, positive};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
-
-use crate::series::Series;
-use crate::settings::{Label, PathItem, SettingsError, positive};
 
 /// The key `plan` of a recipe: which measurements to choose, and what makes a choice good.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]

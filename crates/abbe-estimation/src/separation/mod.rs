@@ -1,4 +1,4 @@
-//! What measurements tell: the weighted rows of a problem, and which measurements tell apart what recorded ones cannot.
+//! Which measurements tell apart what recorded ones cannot.
 //!
 //! A lost direction is a change of parameters that no recorded row sees. Here it is tried on measurements that were not made:
 //! the features that are touched at other positions of an axis, from the other direction of approach or with another
@@ -9,19 +9,16 @@
 mod direction;
 mod gaps;
 mod places;
-mod same_motion;
 mod statuses;
-mod weighted;
 
 use abbe_core::{NullVector, Problem, Result};
+
+use crate::contact::rank_point;
 
 use direction::{Direction, Effect};
 use gaps::{Gap, gaps};
 use places::{places, recorded_statuses};
 use statuses::statuses;
-
-pub use same_motion::same_motion;
-pub use weighted::Weighted;
 
 /// Ratio of the change along a lost direction to the largest change by one of its unknowns alone, from which a measurement
 /// sees the direction. What is lost leaves about 1e-12, dimensionless.
@@ -83,7 +80,7 @@ pub struct Trials {
 impl Trials {
     /// The trials for a problem whose unknowns have the values `x`. Rows are moved to nominal contact.
     pub fn new(problem: &Problem, x: &[f64]) -> Result<Self> {
-        let recorded = thinned(problem).as_judged(x)?;
+        let recorded = rank_point(&thinned(problem), x)?;
         let mut trials = statuses(problem, &recorded)?;
         trials.extend(places(problem, &recorded)?);
         Ok(Self { recorded, trials, gaps: gaps(problem) })
@@ -141,7 +138,7 @@ pub fn separating_measurements(problem: &Problem, x: &[f64], vector: &NullVector
 }
 
 /// The problem with few rows of every set, evenly spread but in no step with any order of features.
-fn thinned(problem: &Problem) -> Problem {
+pub(crate) fn thinned(problem: &Problem) -> Problem {
     const GOLDEN: f64 = 0.618_033_988_749_894_9;
     let mut problem = problem.clone();
     for set in &mut problem.sets {

@@ -1,0 +1,286 @@
+//! Residuals and derivatives of a problem: the one place where models and artefacts are chained.
+
+use std::sync::mpsc::{channel, sync_channel};
+
+use super::rows::ObservationSet;
+use super::{Owner, Problem};
+use crate::error::{Error, Result};
+use crate::model::{Poses, Variable};
+use crate::observations::{Contact, Equations, PoseValues};
+use crate::parallel::{cores, is_one_of_several};
+
+/// Rows that are evaluated together: enough to amortise a call, few enough for their derivatives to stay in the cache.
+pub const CHUNK: usize = 128;
+
+/// Residuals and derivatives of some equations of a problem; equations come in the order of sets and rows.
+#[derive(Debug)]
+pub struct Block<'a> {
+    /// The first equation of the block.
+    pub first: usize,
+    /// Residuals, mm or rad.
+    pub residuals: &'a [f64],
+    /// Derivatives, equations x unknowns, row by row.
+    pub jacobian: &'a [f64],
+}
+
+impl Problem {
+    /// Residuals at `x`, in the order of the equations.
+    pub fn residuals(&self, x: &[f64]) -> Result<Vec<f64>> {
+        let mut residuals = Vec::with_capacity(self.equations());
+        let problem = self.without(|_| true);
+        problem.at_values(self, x).linearise(&[], |block| residuals.extend_from_slice(block.residuals))?;
+        Ok(residuals)
+    }
+
+    fn at_values(mut self, other: &Self, x: &[f64]) -> Self {
+        let values = other.at(x);
+        self.machine = values.machine;
+        for (set, with) in self.sets.iter_mut().zip(values.sets) {
+            set.own = with.own;
+        }
+        self
+    }
+
+    /// Residuals and derivatives at `x`, block by block, in the order of the equations.
+    ///
+    /// Where there is much to do and a core is free, the next blocks are evaluated while the sink takes the last one.
+    pub fn linearise(&self, x: &[f64], mut sink: impl FnMut(Block<'_>)) -> Result<()> {
+        let at = self.at(x);
+        let columns = Columns::of(self);
+        let chunks =
+            || at.sets.iter().enumerate().flat_map(|(set, of)| of.rows.chunks(CHUNK).map(move |rows| (set, rows)));
+        let mut first = 0;
+        let mut take = |linear: &Linearised| {
+            sink(Block { first, residuals: &linear.residuals, jacobian: &linear.jacobian });
+            first += linear.residuals.len();
+        };
+        let threads = self.threads(self.unknowns.len());
+        if threads == 1 {
+            let (mut work, mut linear) = (Evaluation::default(), Linearised::default());
+            for (set, rows) in chunks() {
+                at.linearise_rows(set, rows, &columns, &mut work, &mut linear)?;
+                take(&linear);
+            }
+            return Ok(());
+        }
+        let chunks: Vec<(usize, &[usize])> = chunks().collect();
+        std::thread::scope(|scope| {
+            let (at, columns, chunks) = (&at, &columns, &chunks);
+            // Every thread evaluates every so many-th chunk; they are taken in turn.
+            let from = (0..threads).map(|first| {
+                let (send, receive) = sync_channel::<Result<Linearised>>(AHEAD);
+                let (give_back, used) = channel::<Linearised>();
+                scope.spawn(move || {
+                    let mut work = Evaluation::default();
+                    for &(set, rows) in chunks.iter().skip(first).step_by(threads) {
+                        let mut linear = used.try_recv().unwrap_or_default();
+                        let done = at.linearise_rows(set, rows, columns, &mut work, &mut linear).map(|()| linear);
+                        let failed = done.is_err();
+                        // Nobody listens any more after an error.
+                        if send.send(done).is_err() || failed {
+                            return;
+                        }
+                    }
+                });
+                (receive, give_back)
+            });
+            let from: Vec<_> = from.collect();
+            for (receive, give_back) in from.iter().cycle() {
+                // The first that has no more was the next in turn.
+                let Ok(linear) = receive.recv() else { break };
+                let linear = linear?;
+                take(&linear);
+                // The other side may be done.
+                let _ = give_back.send(linear);
+            }
+            Ok(())
+        })
+    }
+
+    /// Threads that are worth starting for an evaluation of all rows with derivatives to so many variables.
+    pub fn threads(&self, variables: usize) -> usize {
+        let work = self.equations() * (POSE + variables);
+        if work < WORTH_A_THREAD || is_one_of_several() { 1 } else { cores() }
+    }
+
+    /// Residuals and derivatives of some rows of a set at the problem's own values.
+    fn linearise_rows(
+        &self,
+        index: usize,
+        rows: &[usize],
+        columns: &Columns,
+        work: &mut Evaluation,
+        out: &mut Linearised,
+    ) -> Result<()> {
+        let (set, count) = (&self.sets[index], self.unknowns.len());
+        self.evaluate(index, rows, &columns.wanted, work)?;
+        let equations = work.equations.residuals.len();
+        out.residuals.clear();
+        out.residuals.extend_from_slice(&work.equations.residuals);
+        out.jacobian.clear();
+        out.jacobian.resize(equations * count, 0.0);
+        let jacobian = &mut out.jacobian;
+        work.chain(set, rows, columns.wanted.len(), |equation, _, derivatives, weight| {
+            if *weight == [0.0; 3] {
+                return;
+            }
+            let line = &mut jacobian[equation * count..(equation + 1) * count];
+            for (derivative, &column) in derivatives.iter().zip(&columns.machine) {
+                line[column] += dot(derivative, weight);
+            }
+        });
+        let (own, inputs) = &columns.of_sets[index];
+        let own = work.equations.by_own.iter().map(|by| (by, own));
+        let inputs = work.equations.by_input.iter().map(|by| (by, inputs));
+        for (&(equation, index, derivative), columns) in own.chain(inputs) {
+            if let Some(column) = columns[index] {
+                jacobian[equation * count + column] += derivative;
+            }
+        }
+        Ok(())
+    }
+
+    /// Evaluates poses and equations of some rows of a set at the problem's own values.
+    pub fn evaluate(&self, set: usize, rows: &[usize], wanted: &[Variable], work: &mut Evaluation) -> Result<()> {
+        self.evaluate_poses(set, rows, wanted, work).map_err(|error| self.of_row(set, rows, error))?;
+        let set = &self.sets[set];
+        work.equations.clear();
+        let poses = PoseValues { positions: &work.poses.positions, orientations: &work.poses.orientations };
+        set.observations.try_evaluate(rows, poses, &set.own, &set.inputs, &mut work.equations)?;
+        if let Some(disturbances) = &set.disturbances {
+            let equations = rows.iter().map(|&row| set.observations.layout().rows[row]);
+            let equations = equations.flat_map(|row| row.first_equation..row.first_equation + row.equations);
+            work.equations.residuals.iter_mut().zip(equations).for_each(|(value, at)| *value += disturbances[at]);
+        }
+        Ok(())
+    }
+
+    fn evaluate_poses(&self, set: usize, rows: &[usize], wanted: &[Variable], work: &mut Evaluation) -> Result<()> {
+        let set = &self.sets[set];
+        let orientation = set.observations.needs_orientation();
+        work.statuses.clear();
+        set.poses_of(rows).for_each(|pose| work.statuses.extend_from_slice(set.poses().row(pose)));
+        match orientation && set.observations.first_order_orientation() {
+            true => self.first_order(&work.statuses, wanted, &mut work.poses),
+            false => self.model.evaluate(&work.statuses, &self.machine, wanted, orientation, &mut work.poses),
+        }
+    }
+
+    /// An error with the place of the row whose pose it names.
+    fn of_row(&self, set: usize, rows: &[usize], mut error: Error) -> Error {
+        let Some(pose) = error.pose.take().filter(|_| error.place.is_none()) else { return error };
+        let poses = |row: &&usize| self.sets[set].poses_of(std::slice::from_ref(*row)).count();
+        let mut before = 0;
+        let row = rows.iter().find(|row| {
+            before += poses(row);
+            before > pose
+        });
+        let error = match row {
+            Some(&row) => self.at_row(set, row, error),
+            None => error,
+        };
+        let recorded = self.sets[set].moved.is_none() || self.sets[set].observations.contact() != Contact::LinearAxes;
+        match &error.help {
+            Some(help) if !recorded => {
+                let help = format!(
+                    "{help}; the place is where the model meets the artefact: if the row has another, check stylus and placement"
+                );
+                error.help(help)
+            }
+            _ => error,
+        }
+    }
+}
+
+/// Where the derivatives of a problem go.
+struct Columns {
+    /// The parameters of the model that are unknown, and the column of each.
+    wanted: Vec<Variable>,
+    machine: Vec<usize>,
+    of_sets: Vec<ColumnsOfSet>,
+}
+
+/// The columns of the own unknowns of a set, and of its known inputs; none for those that are not unknown.
+type ColumnsOfSet = (Vec<Option<usize>>, Vec<Option<usize>>);
+
+impl Columns {
+    fn of(problem: &Problem) -> Self {
+        let none = |set: &ObservationSet| (vec![None; set.own.len()], vec![None; set.inputs.len()]);
+        let (mut wanted, mut machine) = (Vec::new(), Vec::new());
+        let mut of_sets: Vec<_> = problem.sets.iter().map(none).collect();
+        for (column, unknown) in problem.unknowns.iter().enumerate() {
+            match unknown.owner {
+                Owner::Machine => {
+                    wanted.push(Variable::Parameter(unknown.index));
+                    machine.push(column);
+                }
+                Owner::Set(set) => of_sets[set].0[unknown.index] = Some(column),
+                Owner::Input => {
+                    for &(set, input) in &problem.inputs[unknown.index].users {
+                        of_sets[set].1[input] = Some(column);
+                    }
+                }
+            }
+        }
+        Self { wanted, machine, of_sets }
+    }
+}
+
+/// Residuals and derivatives (equations x unknowns, row by row) of some rows.
+#[derive(Default)]
+struct Linearised {
+    residuals: Vec<f64>,
+    jacobian: Vec<f64>,
+}
+
+/// Derivatives from which a thread of their own is worth starting.
+const WORTH_A_THREAD: usize = 50_000;
+
+/// Derivatives that cost as much as a pose without any.
+const POSE: usize = 25;
+
+/// Blocks that a thread evaluates ahead of those that are taken.
+const AHEAD: usize = 4;
+
+/// Poses and equations of some rows, and the buffers of their evaluation.
+#[derive(Debug, Default)]
+pub struct Evaluation {
+    statuses: Vec<f64>,
+    /// The poses, one after another in the order of the rows.
+    pub poses: Poses,
+    /// The equations, in the same order.
+    pub equations: Equations,
+}
+
+impl Evaluation {
+    /// Calls `add` with (equation, number of the pair of equation and pose, derivatives of the pose to the variables,
+    /// d(residual)/d(that pose)) for every equation and pose; once for positions and, where they are needed, once for rotations.
+    pub fn chain(
+        &self,
+        set: &ObservationSet,
+        rows: &[usize],
+        variables: usize,
+        mut add: impl FnMut(usize, usize, &[[f64; 3]], &[f64; 3]),
+    ) {
+        let (mut equation, mut pair, mut first_pose) = (0, 0, 0);
+        for row in rows.iter().map(|&row| &set.observations.layout().rows[row]) {
+            for _ in 0..row.equations {
+                for pose in first_pose..first_pose + row.poses {
+                    let range = pose * variables..(pose + 1) * variables;
+                    let by_position = &self.equations.by_position[pair];
+                    add(equation, pair, &self.poses.position_derivatives[range.clone()], by_position);
+                    if let Some(by_rotation) = self.equations.by_rotation.get(pair) {
+                        add(equation, pair, &self.poses.rotation_derivatives[range], by_rotation);
+                    }
+                    pair += 1;
+                }
+                equation += 1;
+            }
+            first_pose += row.poses;
+        }
+    }
+}
+
+fn dot(a: &[f64; 3], b: &[f64; 3]) -> f64 {
+    a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
+}

@@ -1,0 +1,214 @@
+//! A problem: model + observations + chosen unknowns + selected rows.
+//!
+//! Whoever holds a problem can have it solved again, on other rows (hold-out), with other inputs (Monte Carlo) or from
+//! other start values, by any estimator.
+
+mod considered;
+mod first_order;
+mod linearise;
+mod rows;
+
+use std::sync::Arc;
+
+use serde::{Deserialize, Serialize};
+
+use crate::error::{Error, Result};
+use crate::model::KinematicModel;
+use crate::pattern::matches;
+use crate::result::{Calibration, ModelRecord};
+use crate::unit::Unit;
+
+use considered::{candidates, check_constraints, consider_parameters, inputs};
+
+pub use considered::{Considered, Input};
+pub use linearise::{Block, CHUNK, Evaluation};
+pub use rows::{ObservationSet, Scatter};
+
+/// Whose an unknown is.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum Owner {
+    /// A parameter of the model.
+    Machine,
+    /// An own unknown of the observation set with this index.
+    Set(usize),
+    /// A known input of the problem ([`Problem::inputs`]); never estimated.
+    Input,
+}
+
+/// Something to be estimated.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct Unknown {
+    /// Name in results: `EXX[1]`, `table.facet[7].d`.
+    pub name: String,
+    /// Unit of its value.
+    pub unit: Unit,
+    /// Whose it is.
+    pub owner: Owner,
+    /// Its index among the parameters of its owner.
+    pub index: usize,
+}
+
+/// Model, observations, unknowns and rows: what an estimator solves.
+#[derive(Clone)]
+pub struct Problem {
+    /// Name of the estimate.
+    pub name: String,
+    /// The model.
+    pub model: Arc<dyn KinematicModel>,
+    /// Its plugin.
+    pub model_plugin: String,
+    /// The observations.
+    pub sets: Vec<ObservationSet>,
+    /// What is estimated: machine parameters in the model's order, then the sets' own unknowns.
+    pub unknowns: Vec<Unknown>,
+    /// Start or fixed value of every model parameter.
+    pub machine: Vec<f64>,
+    /// The known inputs of all sets; those of the machine stand here once.
+    pub inputs: Vec<Input>,
+    /// What is considered: not estimated, but its uncertainty counts.
+    pub considered: Considered,
+}
+
+impl Problem {
+    /// A problem over all rows, everything unknown starting from zero.
+    ///
+    /// `patterns` choose the unknowns by name; one that matches nothing is an error with its index in the setting
+    /// `parameters`.
+    pub fn new(
+        name: &str,
+        model_plugin: &str,
+        model: Arc<dyn KinematicModel>,
+        sets: Vec<ObservationSet>,
+        patterns: &[String],
+    ) -> Result<Self> {
+        let mut candidates = candidates(model.as_ref(), &sets);
+        let mut chosen = vec![false; candidates.len()];
+        for (index, pattern) in patterns.iter().enumerate() {
+            let mut found = false;
+            for (chosen, candidate) in chosen.iter_mut().zip(&candidates) {
+                if matches(pattern, &candidate.name) {
+                    (*chosen, found) = (true, true);
+                }
+            }
+            if !found {
+                let names = candidates.iter().map(|candidate| candidate.name.as_str());
+                let mut error = Error::usage(format!(
+                    "`{pattern}` matches no parameter of the machine and none of the observed artefacts"
+                ))
+                .help("a machine parameter exists only if the model's `errors` list it")
+                .suggest(pattern, names);
+                error.setting = vec![
+                    crate::settings::PathItem::Key("parameters".to_owned()),
+                    crate::settings::PathItem::Index(index),
+                ];
+                return Err(error);
+            }
+        }
+        let mut chosen = chosen.into_iter();
+        candidates.retain(|_| chosen.next() == Some(true));
+        let machine = model.nominal();
+        let (inputs, mut considered) = inputs(&sets)?;
+        consider_parameters(&mut considered, model.as_ref(), &candidates);
+        sets.iter().try_for_each(check_constraints)?;
+        Ok(Self {
+            name: name.to_owned(),
+            model,
+            model_plugin: model_plugin.to_owned(),
+            sets,
+            unknowns: candidates,
+            machine,
+            inputs,
+            considered,
+        })
+    }
+
+    /// The model with the settings that the fit used.
+    pub fn model_record(&self) -> ModelRecord {
+        ModelRecord { plugin: self.model_plugin.clone(), settings: self.model.settings() }
+    }
+
+    /// The same problem on other rows of one set.
+    pub fn with_rows(&self, set: usize, rows: Vec<usize>) -> Self {
+        let mut problem = self.clone();
+        problem.sets[set].rows = rows;
+        problem
+    }
+
+    /// The same problem without some of its unknowns, which stay at their start values.
+    pub fn without(&self, dropped: impl Fn(&Unknown) -> bool) -> Self {
+        let mut problem = self.clone();
+        problem.unknowns.retain(|unknown| !dropped(unknown));
+        problem
+    }
+
+    /// The same problem with the values of a calibration as start (and as fixed values of what is not estimated).
+    pub fn starting_from(&self, calibration: &Calibration) -> Self {
+        let mut problem = self.clone();
+        for (value, parameter) in problem.machine.iter_mut().zip(problem.model.parameters()) {
+            if let Some(known) = calibration.parameters.iter().find(|known| known.name == parameter.name) {
+                *value = known.value;
+            }
+        }
+        for set in &mut problem.sets {
+            for (value, parameter) in set.own.iter_mut().zip(set.observations.unknowns()) {
+                let name = format!("{}.{}", set.name, parameter.name);
+                if let Some(known) = calibration.artefacts.iter().find(|known| known.name == name) {
+                    *value = known.value;
+                }
+            }
+        }
+        problem
+    }
+
+    /// Adds `change` to the value of something that is not estimated.
+    pub fn shift(&mut self, unknown: &Unknown, change: f64) {
+        match unknown.owner {
+            Owner::Machine => self.machine[unknown.index] += change,
+            Owner::Set(set) => self.sets[set].own[unknown.index] += change,
+            Owner::Input => {
+                for &(set, input) in &self.inputs[unknown.index].users {
+                    self.sets[set].inputs[input] += change;
+                }
+            }
+        }
+    }
+
+    /// The start value of every unknown.
+    pub fn start(&self) -> Vec<f64> {
+        self.unknowns
+            .iter()
+            .map(|unknown| match unknown.owner {
+                Owner::Machine => self.machine[unknown.index],
+                Owner::Set(set) => self.sets[set].own[unknown.index],
+                Owner::Input => self.inputs[unknown.index].value(&self.sets),
+            })
+            .collect()
+    }
+
+    /// The problem with the unknowns' start values replaced by `x`.
+    pub fn at(&self, x: &[f64]) -> Self {
+        let mut problem = self.clone();
+        for (unknown, &value) in self.unknowns.iter().zip(x) {
+            match unknown.owner {
+                Owner::Machine => problem.machine[unknown.index] = value,
+                Owner::Set(set) => problem.sets[set].own[unknown.index] = value,
+                Owner::Input => {
+                    for &(set, input) in &self.inputs[unknown.index].users {
+                        problem.sets[set].inputs[input] = value;
+                    }
+                }
+            }
+        }
+        problem
+    }
+
+    /// The estimated values of a calibration in the order of this problem's unknowns; start values where it has none.
+    pub fn values_of(&self, calibration: &Calibration) -> Vec<f64> {
+        let start = self.start();
+        let unknowns = self.unknowns.iter().zip(start);
+        unknowns
+            .map(|(unknown, start)| calibration.get(&unknown.name).map_or(start, |estimated| estimated.value))
+            .collect()
+    }
+}

@@ -1,0 +1,259 @@
+//! The rows of a problem: which take part, how uncertain they are, where they were read.
+
+use std::ops::Range;
+use std::sync::Arc;
+
+use super::Problem;
+use crate::dataset::RowOrigin;
+use crate::error::Error;
+use crate::observations::Observations;
+use crate::pose_table::PoseTable;
+use crate::uncertainty::{CovarianceBlock, EquationUncertainty, Pooled};
+use crate::unit::Quantity;
+
+/// The observations of one artefact stage, with the rows that take part.
+#[derive(Clone)]
+pub struct ObservationSet {
+    /// Name of the artefact stage.
+    pub name: String,
+    /// The observations.
+    pub observations: Arc<dyn Observations>,
+    /// Indices of the rows that take part, ascending.
+    pub rows: Vec<usize>,
+    /// Values of the known inputs.
+    pub inputs: Vec<f64>,
+    /// Who they are, as far as it was declared.
+    pub ids: Vec<Option<String>>,
+    /// Start or fixed values of the own unknowns.
+    pub own: Vec<f64>,
+    /// How uncertain the equations are, in the order of the layout.
+    pub uncertainty: Arc<EquationUncertainty>,
+    /// Statuses that stand in for the recorded ones.
+    pub(super) moved: Option<Arc<PoseTable>>,
+    /// What is added to the residuals, in the order of the layout.
+    pub(super) disturbances: Option<Arc<Vec<f64>>>,
+}
+
+impl ObservationSet {
+    /// All rows of some observations, with their nominal inputs, own unknowns at their start values and equations as
+    /// uncertain as the artefact says, independent of one another.
+    pub fn new(name: &str, observations: Arc<dyn Observations>) -> Self {
+        let standard = observations.layout().standard_uncertainties.clone();
+        Self {
+            name: name.to_owned(),
+            rows: (0..observations.layout().rows.len()).collect(),
+            inputs: observations.inputs().iter().map(|input| input.value).collect(),
+            ids: vec![None; observations.inputs().len()],
+            own: observations.start(),
+            uncertainty: Arc::new(EquationUncertainty::independent(standard)),
+            moved: None,
+            disturbances: None,
+            observations,
+        }
+    }
+
+    /// The statuses of all poses: recorded, or where contact was found.
+    pub fn poses(&self) -> &PoseTable {
+        self.moved.as_deref().unwrap_or_else(|| &self.observations.layout().poses)
+    }
+
+    /// Makes these the statuses of all poses, in the order of the layout, instead of the recorded ones.
+    pub fn move_to(&mut self, poses: PoseTable) {
+        self.moved = Some(Arc::new(poses));
+    }
+
+    /// What is added to the residuals of the equations, in the order of the layout; none if nothing is.
+    pub fn disturbances(&self) -> Option<&[f64]> {
+        self.disturbances.as_ref().map(|disturbances| disturbances.as_slice())
+    }
+
+    /// Makes these what is added to the residuals, in the order of the layout.
+    pub fn disturb(&mut self, disturbances: Vec<f64>) {
+        self.disturbances = Some(Arc::new(disturbances));
+    }
+
+    /// The statuses of all poses, to be changed.
+    pub fn poses_mut(&mut self) -> &mut PoseTable {
+        let recorded = || Arc::new(self.observations.layout().poses.clone());
+        Arc::make_mut(self.moved.get_or_insert_with(recorded))
+    }
+
+    /// What is added to the residuals, in the order of the layout, to be changed.
+    pub fn disturbances_mut(&mut self) -> &mut [f64] {
+        let none = || Arc::new(vec![0.0; self.observations.layout().standard_uncertainties.len()]);
+        let all: &mut Vec<f64> = Arc::make_mut(self.disturbances.get_or_insert_with(none));
+        all
+    }
+
+    /// The same observations with other statuses of all poses.
+    pub fn with_poses(&self, poses: PoseTable) -> Self {
+        Self { moved: Some(Arc::new(poses)), ..self.clone() }
+    }
+
+    /// The equations of the rows that take part, in the order of the layout.
+    fn taken(&self) -> Vec<usize> {
+        let rows = self.rows.iter().map(|&row| self.observations.layout().rows[row]);
+        rows.flat_map(|row| row.first_equation..row.first_equation + row.equations).collect()
+    }
+
+    /// The poses of some rows.
+    pub fn poses_of<'a>(&'a self, rows: &'a [usize]) -> impl Iterator<Item = usize> + 'a {
+        let rows = rows.iter().map(|&row| &self.observations.layout().rows[row]);
+        rows.flat_map(|row| row.first_pose..row.first_pose + row.poses)
+    }
+
+    fn equations(&self, rows: &[usize]) -> usize {
+        rows.iter().map(|&row| self.observations.layout().rows[row].equations).sum()
+    }
+}
+
+/// The scatter of repeats of some sets of a problem that were repeated together.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Scatter {
+    /// The sets.
+    pub sets: Vec<usize>,
+    /// The scatter over all equations of the problem, zero where other sets are.
+    pub pooled: Pooled,
+}
+
+impl Problem {
+    /// Standard uncertainty of every equation, mm or rad.
+    pub fn standard_uncertainties(&self) -> Vec<f64> {
+        let sets = self.sets.iter();
+        sets.flat_map(|set| set.taken().into_iter().map(|equation| set.uncertainty.standard[equation])).collect()
+    }
+
+    /// Equations of the problem that are correlated.
+    pub fn covariance_blocks(&self) -> Vec<CovarianceBlock> {
+        let mut all = Vec::new();
+        for (set, range) in self.sets.iter().zip(self.equation_ranges()) {
+            if set.uncertainty.blocks.is_empty() {
+                continue;
+            }
+            all.extend(set.uncertainty.of(&set.taken()).blocks.into_iter().map(|mut block| {
+                block.equations.iter_mut().for_each(|equation| *equation += range.start);
+                block
+            }));
+        }
+        all
+    }
+
+    /// The scatter of repeats. Sets with the same repetitions were repeated together: they share the deviations.
+    pub fn scatters(&self) -> Vec<Scatter> {
+        let mut all: Vec<Scatter> = Vec::new();
+        let equations = self.equations();
+        for (index, (set, range)) in self.sets.iter().zip(self.equation_ranges()).enumerate() {
+            let Some(pooled) = set.uncertainty.of(&set.taken()).pooled else { continue };
+            let same = |scatter: &&mut Scatter| {
+                (&scatter.pooled.by, &scatter.pooled.repetitions) == (&pooled.by, &pooled.repetitions)
+            };
+            if all.iter_mut().find(same).is_none() {
+                let deviations = vec![vec![0.0; equations]; pooled.repetitions.len()];
+                all.push(Scatter { sets: Vec::new(), pooled: Pooled { deviations, ..pooled.clone() } });
+            }
+            if let Some(scatter) = all.iter_mut().find(same) {
+                scatter.sets.push(index);
+                for (line, own) in scatter.pooled.deviations.iter_mut().zip(&pooled.deviations) {
+                    line[range.clone()].copy_from_slice(own);
+                }
+            }
+        }
+        all
+    }
+
+    /// Which equations are constraints: what a certificate states, and nobody measured here. They do not scatter, and are
+    /// never weighed down.
+    pub fn constraints(&self) -> Vec<bool> {
+        let rows = self.equation_rows().into_iter();
+        rows.map(|(set, row)| self.sets[set].observations.layout().rows[row].data_row.is_none()).collect()
+    }
+
+    /// For every equation the set and the row that it belongs to.
+    pub fn equation_rows(&self) -> Vec<(usize, usize)> {
+        let mut all = Vec::with_capacity(self.equations());
+        for (index, set) in self.sets.iter().enumerate() {
+            for &row in &set.rows {
+                all.extend(std::iter::repeat_n((index, row), set.observations.layout().rows[row].equations));
+            }
+        }
+        all
+    }
+
+    /// What each equation is an equation of, lengths or angles, in the order of the equations.
+    pub fn quantities(&self) -> Vec<Quantity> {
+        let mut all = Vec::with_capacity(self.equations());
+        for ObservationSet { observations, rows, .. } in &self.sets {
+            for &row in rows {
+                let equations = 0..observations.layout().rows[row].equations;
+                all.extend(equations.map(|equation| observations.quantity(row, equation)));
+            }
+        }
+        all
+    }
+
+    /// Where a row was read.
+    pub fn origin(&self, set: usize, row: usize) -> Option<(&std::path::Path, RowOrigin)> {
+        let observations = &self.sets[set].observations;
+        let data = &observations.layout().data;
+        let origin = data.origins[observations.layout().rows[row].data_row?];
+        Some((&data.files[origin.file], origin))
+    }
+
+    /// An error with the place where a row was read.
+    pub fn at_row(&self, set: usize, row: usize, error: Error) -> Error {
+        match self.origin(set, row) {
+            Some((file, origin)) => error.at(file, origin.line, None),
+            None => error,
+        }
+    }
+
+    /// The range of equations of every set.
+    pub fn equation_ranges(&self) -> Vec<Range<usize>> {
+        let mut first = 0;
+        let ranges = self.sets.iter().map(|set| {
+            let count = set.equations(&set.rows);
+            first += count;
+            first - count..first
+        });
+        ranges.collect()
+    }
+
+    /// Number of equations.
+    pub fn equations(&self) -> usize {
+        self.sets.iter().map(|set| set.equations(&set.rows)).sum()
+    }
+
+    /// The same problem with other errors of its readings: `disturbances`, one for every equation of the problem, are added
+    /// to its residuals.
+    pub fn disturbed(&self, disturbances: &[f64]) -> Self {
+        let mut problem = self.clone();
+        let mut rest = disturbances;
+        for set in &mut problem.sets {
+            let taken = set.taken();
+            let (own, others) = rest.split_at(taken.len());
+            rest = others;
+            let mut all = vec![0.0; set.uncertainty.standard.len()];
+            if let Some(before) = &set.disturbances {
+                all.copy_from_slice(before);
+            }
+            taken.into_iter().zip(own).for_each(|(equation, disturbance)| all[equation] += disturbance);
+            set.disturbances = Some(Arc::new(all));
+        }
+        problem
+    }
+
+    /// The same problem with the standard uncertainties of the readings of every set multiplied by a factor; those of
+    /// constraints stay what their certificates state.
+    pub fn with_variance_factors(&self, factors: &[f64]) -> Self {
+        let mut problem = self.clone();
+        for (set, &factor) in problem.sets.iter_mut().zip(factors).filter(|(_, factor)| **factor != 1.0) {
+            let uncertainty = Arc::make_mut(&mut set.uncertainty);
+            for row in set.observations.layout().rows.iter().filter(|row| row.data_row.is_some()) {
+                let own = row.first_equation..row.first_equation + row.equations;
+                uncertainty.standard[own].iter_mut().for_each(|standard| *standard *= factor);
+            }
+            uncertainty.blocks.iter_mut().for_each(|block| block.covariance *= factor * factor);
+        }
+        problem
+    }
+}

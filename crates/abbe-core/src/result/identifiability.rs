@@ -1,0 +1,151 @@
+//! What the data can tell: rank, directions that are lost, motion errors that are alike.
+
+use serde::{Deserialize, Serialize};
+
+use super::budget::UncertaintyBudget;
+use crate::unit::{Quantity, Unit};
+
+/// A motion error of an axis that moves the tip at every recorded pose as other errors of this axis do, whatever functions they
+/// are: other knots may make it look determined, the machine does not.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct SameMotion {
+    /// Symbol of the error.
+    pub error: String,
+    /// The errors of the same axis that do the same, and how much of each one unit of `error` is.
+    pub combination: Vec<Combination>,
+    /// Which of all these errors are not estimated.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub not_estimated: Vec<String>,
+}
+
+impl SameMotion {
+    /// One sentence for people.
+    pub fn describe(&self) -> String {
+        let parts = self.combination.iter().map(|part| {
+            let (symbol, factor) = part.unit.parse().map_or((part.unit.clone(), 1.0), |unit: Unit| match unit.per {
+                // As sizes of both errors that people read: per 1 µrad or 1 µm.
+                Some((per, 1)) => {
+                    let (of, factor) = Unit { of: unit.of, per: None }.for_people();
+                    (of, factor / Unit { of: per, per: None }.for_people().1)
+                }
+                _ => unit.for_people(),
+            });
+            let size = format!("{:.6}", part.coefficient * factor);
+            format!("{} {symbol} of {}", size.trim_end_matches('0').trim_end_matches('.'), part.name)
+        });
+        let does = if self.combination.len() == 1 { "does" } else { "do" };
+        let one = match self.combination.first().and_then(|part| part.unit.parse::<Unit>().ok()) {
+            Some(Unit { per: Some((Quantity::Angle, 1)), .. }) => "1 µrad",
+            _ => "1 µm",
+        };
+        let same = format!("{one} of {} moves the tip as {} {does} at every recorded pose", self.error, and(parts));
+        if self.not_estimated.is_empty() {
+            return format!("{same}: only the functions chosen for them tell them apart, not the machine");
+        }
+        let held = and(self.not_estimated.iter().cloned());
+        format!("{same}: {held} not being estimated, the values of the others contain it")
+    }
+}
+
+/// A list for people: `a, b and c`.
+fn and(parts: impl Iterator<Item = String>) -> String {
+    let mut parts: Vec<String> = parts.collect();
+    let Some(last) = parts.pop() else { return String::new() };
+    if parts.is_empty() { last } else { format!("{} and {last}", parts.join(", ")) }
+}
+
+/// A direction in which the data do not change.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct NullVector {
+    /// Singular value relative to the largest, columns normalised.
+    pub singular_value: f64,
+    /// The change of the unknowns in that direction, parameter units; the one with the largest effect is 1.
+    pub combination: Vec<Combination>,
+    /// Measurements that would tell the change: sentences.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub separated_by: Vec<String>,
+}
+
+/// One unknown of a [`NullVector`].
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct Combination {
+    /// Name.
+    pub name: String,
+    /// Change in parameter units.
+    pub coefficient: f64,
+    /// The unit.
+    pub unit: String,
+}
+
+impl NullVector {
+    /// One sentence for people: which unknowns cannot be told apart, and the sizes that cancel each other.
+    pub fn describe(&self) -> String {
+        let names: Vec<&str> = self.combination.iter().map(|part| part.name.as_str()).collect();
+        match names.as_slice() {
+            [] => "a direction without a name is lost".to_owned(),
+            [one] => format!("{one} has no effect on these measurements"),
+            [one, other] => {
+                format!("{one} and {other} cannot be told apart by these measurements ({})", self.changes())
+            }
+            [..] => format!("these measurements do not change when all of these do: {}", self.changes()),
+        }
+    }
+
+    /// The same with the measurement that separates them best, where one is known.
+    pub fn advise(&self) -> String {
+        let lost = self.describe();
+        self.separated_by.first().map_or(lost.clone(), |measurement| format!("{lost}; {measurement}"))
+    }
+
+    /// The changes in the units that people read, the first one unit large.
+    pub fn changes(&self) -> String {
+        const SHOWN: usize = 8;
+        let for_people = |part: &Combination| part.unit.parse().map_or((part.unit.clone(), 1.0), Unit::for_people);
+        let first = self.combination.first().map_or(1.0, |part| part.coefficient * for_people(part).1);
+        let changes = self.combination.iter().take(SHOWN).map(|part| {
+            let (symbol, factor) = for_people(part);
+            let change = part.coefficient * factor / first;
+            // Four digits, without an exponent where people read none.
+            match change.abs() {
+                size if (1e-3..1e5).contains(&size) => {
+                    let decimals = (3 - size.log10().floor() as i32).clamp(0, 6) as usize;
+                    let text = format!("{change:+.decimals$}");
+                    let text =
+                        if text.contains('.') { text.trim_end_matches('0').trim_end_matches('.') } else { &text };
+                    format!("{} {text} {symbol}", part.name)
+                }
+                _ => format!("{} {change:+.3e} {symbol}", part.name),
+            }
+        });
+        let more = match self.combination.len().saturating_sub(SHOWN) {
+            0 => String::new(),
+            rest => format!(" and {rest} more"),
+        };
+        changes.collect::<Vec<_>>().join(", ") + &more
+    }
+}
+
+/// What a problem can determine.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct Identifiability {
+    /// Number of equations.
+    pub observations: usize,
+    /// Number of unknowns.
+    pub unknowns: usize,
+    /// Numerical rank.
+    pub rank: usize,
+    /// Condition number, columns of norm 1, of what is determined.
+    pub condition: f64,
+    /// What is not.
+    pub null_space: Vec<NullVector>,
+    /// The combinations that are determined worst, the weakest first.
+    pub weakest: Vec<NullVector>,
+    /// Motion errors that the functions chosen for them tell apart, and not the machine.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub same_motion: Vec<SameMotion>,
+    /// The uncertainties that the stated ones of the inputs promise; none where a direction is lost.
+    pub uncertainty: Option<UncertaintyBudget>,
+    /// What people should be told besides: sentences.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub remarks: Vec<String>,
+}

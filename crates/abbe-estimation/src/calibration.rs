@@ -1,0 +1,96 @@
+//! From the solution of a problem to a calibration: every parameter with its value, unit, uncertainty and status.
+
+use abbe_core::{
+    CALIBRATION_FORMAT, Calibration, ConsideredInput, Covariance, Estimated, FitReport, Outlier, Owner, Problem,
+    Status, Unit, Unknown,
+};
+
+/// The calibration that a solution is: `x` in the order of the unknowns, and the covariance of the unknowns followed by
+/// what is considered.
+pub fn calibration(
+    problem: &Problem,
+    x: &[f64],
+    covariance: Vec<Vec<f64>>,
+    outliers: Vec<Outlier>,
+    fit: FitReport,
+) -> Calibration {
+    let considered = &problem.considered.unknowns;
+    let lost = |name: &str| fit.null_space.iter().any(|vector| vector.combination.iter().any(|part| part.name == name));
+    let estimated = |owner: Owner, index: usize, name: String, unit: Unit, fixed: f64| {
+        let here = |unknown: &Unknown| unknown.owner == owner && unknown.index == index;
+        let uncertainty = |column: usize| covariance[column][column].max(0.0).sqrt();
+        let chosen = problem.unknowns.iter().position(here);
+        let known = considered.iter().position(here);
+        let (value, standard_uncertainty, status) = match (chosen, known) {
+            (Some(column), _) => {
+                let status = if lost(&name) { Status::Confounded } else { Status::Estimated };
+                (x[column], uncertainty(column), status)
+            }
+            (None, Some(known)) => (fixed, uncertainty(problem.unknowns.len() + known), Status::Considered),
+            (None, None) => (fixed, 0.0, Status::Fixed),
+        };
+        Estimated { name, value, unit: unit.to_string(), standard_uncertainty, status }
+    };
+    let parameters = problem.model.parameters().iter().enumerate();
+    let parameters = parameters.map(|(index, parameter)| {
+        estimated(Owner::Machine, index, parameter.name.clone(), parameter.unit, problem.machine[index])
+    });
+    let mut artefacts = Vec::new();
+    for (set, observations) in problem.sets.iter().enumerate() {
+        for (index, own) in observations.observations.unknowns().iter().enumerate() {
+            let name = format!("{}.{}", observations.name, own.name);
+            artefacts.push(estimated(Owner::Set(set), index, name, own.unit, observations.own[index]));
+        }
+    }
+    for unknown in considered.iter().filter(|unknown| unknown.owner == Owner::Input) {
+        let value = problem.inputs[unknown.index].value(&problem.sets);
+        artefacts.push(estimated(Owner::Input, unknown.index, unknown.name.clone(), unknown.unit, value));
+    }
+    let inputs = considered_inputs(problem, &covariance);
+    Calibration {
+        abbe_calibration: CALIBRATION_FORMAT,
+        estimate: problem.name.clone(),
+        model: problem.model_record(),
+        parameters: parameters.collect(),
+        artefacts,
+        covariance: Covariance {
+            order: problem
+                .unknowns
+                .iter()
+                .chain(&problem.considered.unknowns)
+                .map(|unknown| unknown.name.clone())
+                .collect(),
+            rows: covariance,
+        },
+        inputs: Some(inputs),
+        data: Vec::new(),
+        outliers,
+        fit,
+        uncertainty: None,
+        monte_carlo: None,
+    }
+}
+
+/// The inputs that are considered. Since they are independent of each other, the covariance of a value with an input is
+/// its sensitivity times the variance of the input.
+fn considered_inputs(problem: &Problem, covariance: &[Vec<f64>]) -> Vec<ConsideredInput> {
+    let considered = &problem.considered;
+    let all = considered.unknowns.iter().zip(&considered.identities).enumerate();
+    let input = |(index, (unknown, identity)): (usize, (&Unknown, &Option<String>))| {
+        let (column, variance) = (problem.unknowns.len() + index, considered.covariance[index][index]);
+        let value = match unknown.owner {
+            Owner::Machine => problem.machine[unknown.index],
+            Owner::Set(set) => problem.sets[set].own[unknown.index],
+            Owner::Input => problem.inputs[unknown.index].value(&problem.sets),
+        };
+        Some(ConsideredInput {
+            name: unknown.name.clone(),
+            identity: identity.clone()?,
+            value,
+            unit: unknown.unit.to_string(),
+            standard_uncertainty: variance.sqrt(),
+            sensitivities: covariance.iter().map(|row| row[column] / variance).collect(),
+        })
+    };
+    all.filter_map(input).collect()
+}

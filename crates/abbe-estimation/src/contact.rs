@@ -1,0 +1,387 @@
+//! Contact: where the linear axes stand when the tip meets the artefact.
+
+use abbe_core::{
+    AxisKind, CHUNK, Contact, Error, Evaluation, KinematicModel, ObservationSet, PoseTable, Problem, Result, Row,
+    Variable, in_parallel,
+};
+use nalgebra::{DMatrix, DVector, Matrix3, Vector3};
+
+/// Steps after which the search for a contact ends. Newton's iteration converges quadratically: it needs three or four.
+const STEPS: usize = 20;
+
+/// How well the equations of a measured row hold, mm (rad), and the part of the largest coordinate that a double holds for
+/// certain, which is more on machines of more than a metre.
+const TOLERANCE: (f64, f64) = (1e-11, 1e-14);
+
+/// Commands whose effect on the equations of a row is smaller than this, in mm/mm, do not move the tip along them.
+const NO_EFFECT: f64 = 1e-6;
+
+/// What is added to a parameter of the model, row by row, while a problem is measured: a drift.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Variation {
+    /// Index of the parameter.
+    pub parameter: usize,
+    /// What is added to it, in its unit; one for every row that takes part, set by set.
+    pub values: Vec<f64>,
+}
+
+/// The linear axes of a model.
+struct LinearAxes {
+    /// Their commands.
+    commands: Vec<Variable>,
+    /// Where their commands stand in a status.
+    statuses: Vec<usize>,
+}
+
+impl LinearAxes {
+    fn of(model: &dyn KinematicModel) -> Self {
+        let axes = model.axes().iter().enumerate().filter(|(_, axis)| axis.kind == AxisKind::Linear);
+        let (commands, statuses) = axes.map(|(index, axis)| (Variable::Command(index), axis.status)).unzip();
+        Self { commands, statuses }
+    }
+
+    fn count(&self) -> usize {
+        self.commands.len()
+    }
+}
+
+/// Where a row is to be brought.
+#[derive(Clone, Copy)]
+enum Goal<'a> {
+    /// Nominal contact: the tip of the feature, or equations that hold.
+    Contact,
+    /// These values of its equations, one after another for the rows of the chunk.
+    Residuals(&'a [f64]),
+}
+
+/// The same problem with every touched row moved to where, by the model at `x`, nominal contact is: the linear axes
+/// bring the tip to [`Observations::contact_tip`](abbe_core::Observations::contact_tip), or move by as little as possible
+/// until the row's equations hold.
+///
+/// Rank and condition are judged there ([`rank_point`]).
+pub fn at_contact(problem: &Problem, x: &[f64]) -> Result<Problem> {
+    with_contacts(problem, x, moves_to_contact)
+}
+
+/// The same problem where, by the model at `x`, its rank and condition are judged: at nominal contact.
+///
+/// At recorded positions the residuals, and the offsets with which features are met beside their points, act as if they
+/// were information: they lift the singular values that are really zero. So do readings that follow from errors: their rows move
+/// to [`Observations::nominal_reading`](abbe_core::Observations::nominal_reading). Rows that are met anywhere, and rows whose
+/// readings tell more than errors do, stay where they are.
+pub fn rank_point(problem: &Problem, x: &[f64]) -> Result<Problem> {
+    with_contacts(problem, x, moves_to_be_judged)
+}
+
+/// Whether the rows are judged where they were recorded.
+pub fn is_judged_as_recorded(problem: &Problem) -> bool {
+    !problem.sets.iter().any(moves_to_be_judged)
+}
+
+/// The same problem at `x` with the rows of those sets that move at nominal contact.
+fn with_contacts(problem: &Problem, x: &[f64], moves: impl Fn(&ObservationSet) -> bool) -> Result<Problem> {
+    let mut moved = problem.at(x);
+    let linear = LinearAxes::of(problem.model.as_ref());
+    let threads = problem.threads(linear.count());
+    for (index, set) in problem.sets.iter().enumerate() {
+        if !moves(set) || linear.count() == 0 || set.rows.is_empty() {
+            continue;
+        }
+        let shares: Vec<&[usize]> = set.rows.chunks(set.rows.len().div_ceil(threads)).collect();
+        let tables = in_parallel(&shares, Some(threads), |rows| contacts(&moved, index, rows, &linear));
+        let mut contacts = set.poses().clone();
+        for (rows, table) in shares.into_iter().zip(tables) {
+            let table = table?;
+            set.poses_of(rows).for_each(|pose| contacts.row_mut(pose).copy_from_slice(table.row(pose)));
+        }
+        moved.sets[index].move_to(contacts);
+    }
+    Ok(moved)
+}
+
+/// The statuses of a set with some of its rows at contact.
+fn contacts(problem: &Problem, set: usize, rows: &[usize], linear: &LinearAxes) -> Result<PoseTable> {
+    let (mut moved, mut work) = (problem.clone(), Evaluation::default());
+    for chunk in rows.chunks(CHUNK) {
+        // Newton's iteration converges quadratically: a step below 1e-5 mm leaves nothing that a double holds.
+        for _ in 0..8 {
+            moved.evaluate(set, chunk, &linear.commands, &mut work)?;
+            if move_by_step(&mut moved.sets[set], chunk, linear, &work, Goal::Contact) < 1e-5 {
+                break;
+            }
+        }
+    }
+    Ok(moved.sets[set].poses().clone())
+}
+
+/// The same problem as it is measured if its own values are the truth: the linear axes of every touched row move from
+/// where they are, by as little as possible (or the one that approaches), until each of its equations (the exact one) equals
+/// its error; where a reading gives way, the reading makes up for the difference.
+///
+/// `errors` has one value for every equation, mm or rad; constraints keep their residuals. `variations` change
+/// parameters of the model from row to row. Fails for artefacts that are not simulated and, with the place of the row,
+/// if the axes cannot make the equations equal their errors to 1e-11 mm.
+pub fn measured(problem: &Problem, errors: &[f64], variations: &[Variation]) -> Result<Problem> {
+    let mut moved = problem.clone();
+    let linear = LinearAxes::of(problem.model.as_ref());
+    let mut work = Evaluation::default();
+    // Rows on one chunk share the parameters of the model.
+    let size = if variations.is_empty() { CHUNK } else { 1 };
+    let (mut first_row, mut first_equation) = (0, 0);
+    for set in 0..moved.sets.len() {
+        for chunk in problem.sets[set].rows.chunks(size) {
+            let equations: usize = chunk.iter().map(|&row| row_of(&moved.sets[set], row).equations).sum();
+            let errors = &errors[first_equation..first_equation + equations];
+            vary(&mut moved, &problem.machine, variations, first_row);
+            match moved.sets[set].observations.contact() {
+                Contact::LinearAxes => touch(&mut moved, set, chunk, &linear, errors, &mut work)?,
+                Contact::Reading(_) => read(&mut moved, set, chunk, errors, &mut work)?,
+                Contact::NotSimulated(why) => {
+                    let error = Error::usage(format!("this artefact cannot be simulated yet: {why}"));
+                    return Err(error.stage(&problem.sets[set].name));
+                }
+            }
+            first_row += chunk.len();
+            first_equation += equations;
+        }
+    }
+    moved.machine.copy_from_slice(&problem.machine);
+    Ok(moved)
+}
+
+/// Sets the parameters to what they are on a row, counted over all sets.
+fn vary(problem: &mut Problem, machine: &[f64], variations: &[Variation], row: usize) {
+    for Variation { parameter, .. } in variations {
+        problem.machine[*parameter] = machine[*parameter];
+    }
+    for Variation { parameter, values } in variations {
+        problem.machine[*parameter] += values[row];
+    }
+}
+
+/// Moves some rows of a set until their equations equal `errors`.
+fn touch(
+    problem: &mut Problem,
+    set: usize,
+    rows: &[usize],
+    linear: &LinearAxes,
+    errors: &[f64],
+    work: &mut Evaluation,
+) -> Result<()> {
+    for step in 0..=STEPS {
+        problem.evaluate(set, rows, &linear.commands, work)?;
+        let Some((row, off)) = not_yet(&problem.sets[set], rows, work, errors) else { return Ok(()) };
+        if step == STEPS {
+            return Err(unreachable(problem, set, row, off));
+        }
+        move_by_step(&mut problem.sets[set], rows, linear, work, Goal::Residuals(errors));
+    }
+    Ok(())
+}
+
+/// Changes the readings of some rows of a set so that their equations equal `errors`.
+fn read(problem: &mut Problem, set: usize, rows: &[usize], errors: &[f64], work: &mut Evaluation) -> Result<()> {
+    problem.evaluate(set, rows, &[], work)?;
+    let set = &mut problem.sets[set];
+    let observations = set.observations.clone();
+    let (layout, disturbances) = (observations.layout(), set.disturbances_mut());
+    let equations = rows.iter().map(|&row| layout.rows[row]).flat_map(|row| {
+        let equations = row.first_equation..row.first_equation + row.equations;
+        equations.map(move |equation| (equation, row.poses > 0))
+    });
+    for (((equation, measured), residual), error) in equations.zip(work.equations.residuals()).zip(errors) {
+        if measured {
+            disturbances[equation] += error - residual;
+        }
+    }
+    Ok(())
+}
+
+fn unreachable(problem: &Problem, set: usize, row: usize, off: f64) -> Error {
+    let feature = &problem.sets[set].name;
+    let off = if off.is_finite() {
+        format!("its equation stays off by {off:.3e} mm")
+    } else {
+        "it leaves all bounds".to_owned()
+    };
+    let error = Error::data(format!("the tip cannot reach `{feature}` in this row by its linear axes: {off}"))
+        .help("the linear axes have to be able to move along the measured direction; are the values of the truth in mm and rad?");
+    problem.at_row(set, row, error)
+}
+
+fn moves_to_contact(set: &ObservationSet) -> bool {
+    set.observations.contact() == Contact::LinearAxes
+}
+
+fn moves_to_be_judged(set: &ObservationSet) -> bool {
+    match set.observations.contact() {
+        Contact::LinearAxes => !set.observations.is_met_anywhere(),
+        Contact::Reading(_) => set.rows.iter().any(|&row| set.observations.nominal_reading(row).is_some()),
+        Contact::NotSimulated(_) => false,
+    }
+}
+
+fn row_of(set: &ObservationSet, row: usize) -> Row {
+    set.observations.layout().rows[row]
+}
+
+/// The first row whose equations are not equal to `errors` yet, and by how much they differ.
+fn not_yet(set: &ObservationSet, rows: &[usize], work: &Evaluation, errors: &[f64]) -> Option<(usize, f64)> {
+    let (mut equation, mut pose) = (0, 0);
+    for &index in rows {
+        let row = row_of(set, index);
+        let tips = &work.poses.positions[pose..pose + row.poses];
+        let size = tips.iter().flatten().fold(0.0_f64, |size, coordinate| size.max(coordinate.abs()));
+        let equations = equation..equation + row.equations;
+        let off = (work.equations.residuals()[equations.clone()].iter().zip(&errors[equations]))
+            .map(|(residual, error)| (residual - error).abs())
+            .find(|off| off.is_nan() || *off > TOLERANCE.0.max(TOLERANCE.1 * size));
+        if let Some(off) = off.filter(|_| row.poses > 0) {
+            return Some((index, off));
+        }
+        equation += row.equations;
+        pose += row.poses;
+    }
+    None
+}
+
+/// Moves the linear axes of every row by the smallest step that brings its linearised equations to the goal; returns
+/// the largest step in mm. `work` holds the evaluation of these rows with derivatives to the linear axes.
+fn move_by_step(
+    set: &mut ObservationSet,
+    rows: &[usize],
+    linear: &LinearAxes,
+    work: &Evaluation,
+    goal: Goal<'_>,
+) -> f64 {
+    let touched = moves_to_contact(set);
+    if touched && !work.equations.by_rotation().is_empty() {
+        return 0.0; // Orientations are not touched into place by linear axes.
+    }
+    let count = linear.count();
+    let mut gradients = gradients(work, set, rows, count);
+    only_moving(set, rows, linear, goal, &mut gradients);
+    let (mut equation, mut entry, mut pose, mut largest) = (0, 0, 0, 0.0_f64);
+    let mut steps: Vec<f64> = Vec::new();
+    for &index in rows {
+        let row = row_of(set, index);
+        let equations = equation..equation + row.equations;
+        let gradient = &gradients[entry * count..(entry + row.equations * row.poses) * count];
+        let residuals = &work.equations.residuals()[equations.clone()];
+        let step = match goal {
+            Goal::Residuals(errors) => smallest_step(gradient, residuals, &errors[equations]),
+            Goal::Contact if touched => (row.poses == 1)
+                .then(|| contact_step(set, index, pose, work, count))
+                .flatten()
+                .or_else(|| smallest_step(gradient, residuals, &vec![0.0; row.equations])),
+            Goal::Contact => {
+                nominal_residuals(set, index).and_then(|wanted| smallest_step(gradient, residuals, &wanted))
+            }
+        };
+        steps.extend(step.unwrap_or_else(|| vec![0.0; row.poses * count]));
+        equation += row.equations;
+        entry += row.equations * row.poses;
+        pose += row.poses;
+    }
+    let mut steps = steps.chunks_exact(count.max(1));
+    let observations = set.observations.clone();
+    let (layout, table) = (observations.layout(), set.poses_mut());
+    for row in rows.iter().map(|&row| layout.rows[row]) {
+        for pose in row.first_pose..row.first_pose + row.poses {
+            for (&status, step) in linear.statuses.iter().zip(steps.next().unwrap_or(&[])) {
+                table.row_mut(pose)[status] += step;
+                largest = largest.max(step.abs());
+            }
+        }
+    }
+    largest
+}
+
+/// Takes the effects of axes that do not move out of the gradients of some rows: where one axis alone approaches, and
+/// where axes stand while a reading is taken.
+fn only_moving(set: &ObservationSet, rows: &[usize], linear: &LinearAxes, goal: Goal<'_>, gradients: &mut [f64]) {
+    let mut entries = gradients.chunks_exact_mut(linear.count().max(1));
+    for &index in rows {
+        let row = row_of(set, index);
+        let axes: Option<Vec<usize>> = match goal {
+            Goal::Residuals(_) => set.observations.approach(index).map(|approach| vec![approach.axis]),
+            Goal::Contact => set.observations.nominal_reading(index).map(|nominal| nominal.axes.clone()),
+        };
+        for entry in entries.by_ref().take(row.equations * row.poses) {
+            let Some(axes) = &axes else { continue };
+            for (effect, command) in entry.iter_mut().zip(&linear.commands) {
+                if !axes.iter().any(|&axis| *command == Variable::Command(axis)) {
+                    *effect = 0.0;
+                }
+            }
+        }
+    }
+}
+
+/// The residuals of a row at which its readings are the nominal ones, with what is added to residuals here.
+fn nominal_residuals(set: &ObservationSet, index: usize) -> Option<Vec<f64>> {
+    let (row, nominal) = (row_of(set, index), set.observations.nominal_reading(index)?);
+    let mut residuals = nominal.residuals.clone();
+    if let Some(disturbances) = set.disturbances() {
+        let added = &disturbances[row.first_equation..row.first_equation + row.equations];
+        residuals.iter_mut().zip(added).for_each(|(residual, added)| *residual += added);
+    }
+    Some(residuals)
+}
+
+/// The step that brings the tip of a row with one pose to nominal contact, where that is known.
+fn contact_step(set: &ObservationSet, row: usize, pose: usize, work: &Evaluation, count: usize) -> Option<Vec<f64>> {
+    let tip = work.poses.positions[pose];
+    let contact = set.observations.contact_tip(row, tip, &set.own, &set.inputs)?;
+    let derivatives = &work.poses.position_derivatives[pose * count..(pose + 1) * count];
+    let gradient: Vec<f64> = (0..3).flat_map(|axis| derivatives.iter().map(move |by| by[axis])).collect();
+    smallest_step(&gradient, &tip, &contact)
+}
+
+/// The smallest step after which linearised `values` equal `wanted`, or come as close as they can; `gradient` is values x
+/// variables, row by row. None if nothing can be solved.
+fn smallest_step(gradient: &[f64], values: &[f64], wanted: &[f64]) -> Option<Vec<f64>> {
+    if gradient.is_empty() {
+        return None;
+    }
+    if let ([value], [wanted]) = (values, wanted) {
+        let square: f64 = gradient.iter().map(|slope| slope * slope).sum();
+        let factor = (square > NO_EFFECT * NO_EFFECT).then_some((wanted - value) / square)?;
+        return Some(gradient.iter().map(|slope| slope * factor).collect());
+    }
+    if let Some(step) = smallest_step_of_three(gradient, values, wanted) {
+        return Some(step);
+    }
+    let gradient = DMatrix::from_row_slice(values.len(), gradient.len() / values.len(), gradient);
+    let missing = DVector::from_iterator(values.len(), wanted.iter().zip(values).map(|(wanted, value)| wanted - value));
+    // A singular value decomposition of what is not finite would not end.
+    let finite = gradient.iter().chain(&missing).all(|value| value.is_finite());
+    let step = finite.then(|| gradient.svd(true, true).solve(&missing, NO_EFFECT))?.ok()?;
+    Some(step.as_slice().to_vec())
+}
+
+/// [`smallest_step`] to three values by normal equations, which is all that most rows need; none if they are too close to
+/// singular for that.
+fn smallest_step_of_three(gradient: &[f64], values: &[f64], wanted: &[f64]) -> Option<Vec<f64>> {
+    let ([a, b, c], [x, y, z]) = (values, wanted) else { return None };
+    let rows: Vec<&[f64]> = gradient.chunks_exact(gradient.len() / 3).collect();
+    let product = |i: usize, j: usize| rows[i].iter().zip(rows[j]).map(|(one, other)| one * other).sum::<f64>();
+    let normal = Matrix3::from_fn(product);
+    if normal.determinant() <= 1e-3 * (normal.trace() / 3.0).powi(3) {
+        return None;
+    }
+    let factors = normal.try_inverse()? * Vector3::new(x - a, y - b, z - c);
+    Some((0..rows[0].len()).map(|k| (0..3).map(|i| factors[i] * rows[i][k]).sum()).collect())
+}
+
+/// Derivatives of every equation to the linear axes of every pose of its row: equations x poses x axes.
+fn gradients(work: &Evaluation, set: &ObservationSet, rows: &[usize], count: usize) -> Vec<f64> {
+    let mut gradients = vec![0.0; work.equations.by_position().len() * count];
+    work.chain(set, rows, count, |_, pair, derivatives, weight| {
+        let effects = gradients[pair * count..(pair + 1) * count].iter_mut().zip(derivatives);
+        effects.for_each(|(effect, derivative)| {
+            *effect += (0..3).map(|axis| derivative[axis] * weight[axis]).sum::<f64>()
+        });
+    });
+    gradients
+}

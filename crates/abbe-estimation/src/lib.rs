@@ -1,0 +1,67 @@
+//! What any estimator needs around its own iteration: rows of unit variance, nominal contact, rank, propagation of
+//! uncertainty, and advice on what to measure.
+//!
+//! # Model
+//! A [`Problem`](abbe_core::Problem) has residuals `r(x)`, n equations in m unknowns x, with the covariance `V` that was stated
+//! of the readings. [`Weighted`] makes them independent with unit variance, and gives the derivatives `J` with them:
+//!
+//! ```text
+//! e(x) = L^-1 r(x),    V = L L^T,    A = L^-1 J
+//! ```
+//!
+//! An estimate makes `e^T W e` small, where W are robust weights, or 1. Whatever iteration finds it, the rest is the same.
+//!
+//! # Rank
+//! Rank, condition and null space are those of `A D^-1` (D makes the columns have norm 1) at **nominal contact**
+//! ([`rank_point`]): residuals at recorded positions act as if they were information. Singular values below a part of the
+//! largest (1e-10, say) count as zero; the vectors that belong to them are the directions that the data cannot tell.
+//!
+//! # Uncertainty
+//! Three kinds of input make the covariance of the estimates ([`Propagation`]; JCGM 102:2011, equation 3):
+//!
+//! ```text
+//! C = s^2 (A^T A)^-1  +  G K K^T G^T / f  +  G B S B^T G^T,    G = -(A^T A)^-1 A^T L^-1
+//! ```
+//!
+//! - stated scatter, times the square of the a-posteriori factor `s^2 = e^T W e / (n - m)` (one for all, or one for every
+//!   artefact: [`components`]); what a certificate states has no part in s and is not multiplied by it;
+//! - the scatter of repeats, with their deviations K and f degrees of freedom;
+//! - what is considered (known inputs, an earlier estimate), with derivatives B and covariance S.
+//!
+//! Without a unique solution C is that of the solution with the smallest effect of the unknowns, and every value that shares
+//! a lost direction is marked as confounded.
+//!
+//! # An estimator of one's own
+//! solves `Weighted` by its own iteration and hands what it found to [`Manner::calibration`]; `examples/own_estimator.rs` does
+//! so in a page.
+//!
+//! **Architecture invariant:** this crate does no I/O and knows no plugin.
+
+mod aliasing;
+mod calibration;
+pub mod contact;
+mod propagation;
+mod rank;
+mod reach;
+mod remarks;
+mod residuals;
+pub mod row_uncertainty;
+mod same_motion;
+mod separation;
+mod solved;
+mod variance;
+mod weighted;
+
+pub use aliasing::aliased;
+pub use calibration::calibration;
+pub use contact::{Variation, at_contact, is_judged_as_recorded, rank_point};
+pub use propagation::{Linearisation, Propagation, Scales};
+pub use rank::{confounded, identifiability, separated, weakest};
+pub use reach::Reach;
+pub use remarks::remarks;
+pub use residuals::{Constraints, ResidualStatistics, Sizes, outliers};
+pub use same_motion::same_motion;
+pub use separation::{Trials, separating_measurements};
+pub use solved::{Manner, Solved, judged_factor};
+pub use variance::{Components, components};
+pub use weighted::Weighted;

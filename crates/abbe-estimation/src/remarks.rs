@@ -1,0 +1,41 @@
+//! What people should know of a problem before they trust what comes out of it.
+
+use abbe_core::{Owner, Problem};
+
+use crate::aliasing::aliased;
+
+/// Forgotten unknowns that are named.
+const NAMED: usize = 3;
+
+/// Sentences on what the choice of rows and unknowns does: aliasing ([`aliased`]), and zeros of instruments that
+/// are forgotten.
+pub fn remarks(problem: &Problem) -> Vec<String> {
+    let mut remarks = aliased(problem);
+    remarks.extend(forgotten(problem));
+    remarks
+}
+
+/// Own unknowns that nobody knows beforehand ([`Observations::own_are_offsets`](abbe_core::Observations::own_are_offsets)) and that are
+/// neither estimated nor known from an earlier estimate: what they are goes into the errors of the machine.
+fn forgotten(problem: &Problem) -> Option<String> {
+    let mut names = Vec::new();
+    for (index, set) in problem.sets.iter().enumerate().filter(|(_, set)| set.observations.own_are_offsets()) {
+        let mut told = vec![false; set.own.len()];
+        for unknown in problem.unknowns.iter().chain(&problem.considered.unknowns) {
+            if unknown.owner == Owner::Set(index) {
+                told[unknown.index] = true;
+            }
+        }
+        let own = set.observations.unknowns().iter().zip(told).filter(|(_, told)| !told);
+        names.extend(own.map(|(own, _)| format!("{}.{}", set.name, own.name)));
+    }
+    let more = names.len().saturating_sub(NAMED);
+    names.truncate(NAMED);
+    let rest = if more > 0 { format!(" and {more} more") } else { String::new() };
+    (!names.is_empty()).then(|| {
+        format!(
+            "{}{rest} count as zero, and what they are goes into the errors of the machine: list them under `parameters`",
+            names.join(", ")
+        )
+    })
+}

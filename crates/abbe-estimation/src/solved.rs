@@ -1,0 +1,175 @@
+//! From the solution of an estimator to a calibration: rank, scatter, uncertainty, advice.
+
+use abbe_core::{Calibration, Error, FitReport, Identifiability, Problem, Result, Termination};
+use abbe_numerics::{Factor, Robust, RobustReport};
+
+use crate::calibration::calibration;
+use crate::contact::{is_judged_as_recorded, rank_point};
+use crate::propagation::{Linearisation, Propagation, Scales};
+use crate::rank::{confounded, identifiability, separated, weakest};
+use crate::residuals::{Constraints, ResidualStatistics, outliers};
+use crate::same_motion::same_motion;
+use crate::variance::Components;
+use crate::weighted::Weighted;
+
+/// What an estimator found by its own iteration.
+pub struct Solved {
+    /// The values of the unknowns.
+    pub x: Vec<f64>,
+    /// The factor of all rows at x, each with weight 1, if the iteration has it.
+    pub factor: Option<Factor>,
+    /// Robust weights, and the loss that they follow from.
+    pub robust: Option<(RobustReport, Robust)>,
+    /// Number of iterations.
+    pub iterations: usize,
+    /// Size of the last step, in standard uncertainties of all rows together; none where nothing was iterated.
+    pub last_step: Option<f64>,
+    /// Largest cosine of the angle between the weighted residuals and a column of the derivatives.
+    pub gradient_cosine: Option<f64>,
+}
+
+/// What is wanted of a calibration, whoever estimated it.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Manner {
+    /// Singular values below this part of the largest count as zero; columns have norm 1.
+    pub rank_tolerance: f64,
+    /// Take the stated standard uncertainties as they are, without the a-posteriori factor of the residuals.
+    pub trust_uncertainties: bool,
+    /// Probability that expanded uncertainties cover.
+    pub coverage_probability: f64,
+    /// With budgets, weak combinations and errors that move the tip alike.
+    pub explained: bool,
+}
+
+impl Manner {
+    /// The calibration that a solution is.
+    ///
+    /// `lost` is what the data cannot determine, where the estimator solved in spite of it; without it a direction that is lost at
+    /// the solution is an error. With `components` the problem has their factors in its uncertainties already. Fails where
+    /// residuals are to tell their scatter, and no degree of freedom is left for that.
+    pub fn calibration(
+        &self,
+        problem: &Problem,
+        solved: Solved,
+        lost: Option<Identifiability>,
+        components: Option<&Components>,
+    ) -> Result<Calibration> {
+        let Solved { x, factor, robust, iterations, last_step, gradient_cosine } = solved;
+        let (report, loss) = robust.unzip();
+        let rank = lost.as_ref().map_or(problem.unknowns.len(), |lost| lost.rank);
+        let weighted = Weighted::new(problem)?;
+        let judged = rank_point(problem, &x)?;
+        // What is left out by its weight does not inform; what is weighed down still does.
+        let kept: Option<Vec<f64>> =
+            (report.as_ref()).map(|report| report.weights.iter().map(|weight| f64::from(*weight > 0.0)).collect());
+        let factor = match factor.filter(|_| is_judged_as_recorded(problem) && kept.is_none()) {
+            Some(factor) => factor,
+            None => Weighted::new(&judged)?.factor(&x, kept.as_deref())?,
+        };
+        let mut found = identifiability(problem, &factor, self.rank_tolerance);
+        match lost {
+            None if found.rank < rank => return Err(confounded(&separated(problem, &x, found))),
+            None => {}
+            Some(lost) => {
+                // Second order must not make look determined at the solution what is not at the start.
+                let condition = factor.singular_values().condition(rank);
+                found = Identifiability { observations: found.observations, condition, ..lost };
+            }
+        }
+        let residuals = problem.residuals(&x)?;
+        let in_uncertainties = weighted.in_uncertainties(residuals.clone());
+        let constraints = Constraints::new(&judged, &x, &factor.covariance_root(found.rank))?;
+        let quantities = problem.quantities();
+        let statistics = ResidualStatistics::new(
+            &residuals,
+            &quantities,
+            &in_uncertainties,
+            report.as_ref(),
+            loss,
+            (rank, &constraints),
+        );
+        let place = Linearisation { problem: &judged, x: &x, kept: kept.as_deref(), factor: &factor, rank: found.rank };
+        let propagation = Propagation::new(&place, self.scales(&statistics, components), self.explained)?;
+        // Who estimates again without some rows asks for values and predictions, and may well use up all rows.
+        let told = self.explained && !self.trust_uncertainties;
+        if statistics.redundancy == 0.0 && told && propagation.is_scaled() {
+            return Err(Error::data(format!(
+                "the data leave no degrees of freedom ({} equations for {rank} unknowns): the scatter of the residuals says nothing",
+                statistics.used
+            ))
+            .help("set `trust_uncertainties: true` to take the stated uncertainties, or measure more")
+            .setting("trust_uncertainties"));
+        }
+        let outliers = match (&report, loss) {
+            (Some(report), Some(loss)) => outliers(problem, &residuals, report, loss),
+            _ => Vec::new(),
+        };
+        let angles = Some(&statistics.angles).filter(|angles| angles.count > 0);
+        let fit = FitReport {
+            observations: statistics.used,
+            unknowns: problem.unknowns.len(),
+            rank: found.rank,
+            condition: found.condition,
+            degrees_of_freedom: statistics.degrees_of_freedom,
+            sigma: statistics.sigma,
+            iterations,
+            termination: Termination::Converged,
+            last_step,
+            gradient_cosine,
+            residual_max_um: statistics.lengths.max * 1e3,
+            residual_mean_abs_um: statistics.lengths.mean_abs * 1e3,
+            residual_rms_um: statistics.lengths.rms * 1e3,
+            residual_max_urad: angles.map(|angles| angles.max * 1e6),
+            residual_mean_abs_urad: angles.map(|angles| angles.mean_abs * 1e6),
+            residual_rms_urad: angles.map(|angles| angles.rms * 1e6),
+            null_space: found.null_space,
+            weakest: if self.explained { weakest(problem, &factor.spectrum(), found.rank) } else { Vec::new() },
+            selection: None,
+            same_motion: if self.explained { same_motion(problem)? } else { Vec::new() },
+            variance: components.map_or_else(Vec::new, |found| found.named(problem)),
+            agreement: None,
+        };
+        let mut calibration = calibration(problem, &x, propagation.covariance(problem), outliers, fit);
+        calibration.uncertainty = self.explained.then(|| propagation.budget(problem, self.coverage_probability));
+        Ok(calibration)
+    }
+
+    /// What the data determine at the start values of a problem, before anything is solved; `factor` is [`judged_factor`] there.
+    ///
+    /// With the uncertainties that follow from what is stated, if all unknowns are determined.
+    pub fn identify(&self, problem: &Problem, factor: &Factor) -> Result<Identifiability> {
+        let (x, judged) = (problem.start(), rank_point(problem, &problem.start())?);
+        let mut found = separated(problem, &x, identifiability(problem, factor, self.rank_tolerance));
+        found.weakest = weakest(problem, &factor.spectrum(), found.rank);
+        found.same_motion = same_motion(problem)?;
+        if found.rank == found.unknowns {
+            let place = Linearisation { problem: &judged, x: &x, kept: None, factor, rank: found.rank };
+            let propagation = Propagation::new(&place, Scales::Common(1.0, f64::INFINITY), true)?;
+            if found.observations <= found.rank && !self.trust_uncertainties && propagation.is_scaled() {
+                found.remarks.push(
+                    "no degrees of freedom are left, so that the scatter of the residuals will say nothing: set \
+                     `trust_uncertainties: true`, or measure more"
+                        .to_owned(),
+                );
+            }
+            found.uncertainty = Some(propagation.budget(problem, self.coverage_probability));
+        }
+        Ok(found)
+    }
+
+    /// The a-posteriori factors on stated uncertainties, and their degrees of freedom.
+    fn scales(&self, statistics: &ResidualStatistics, components: Option<&Components>) -> Scales {
+        match components {
+            Some(found) => {
+                Scales::PerSet(found.factors.iter().copied().zip(found.degrees_of_freedom.iter().copied()).collect())
+            }
+            None if self.trust_uncertainties || statistics.redundancy == 0.0 => Scales::Common(1.0, f64::INFINITY),
+            None => Scales::Common(statistics.sigma, statistics.redundancy),
+        }
+    }
+}
+
+/// The factor of a problem where its rank is judged.
+pub fn judged_factor(problem: &Problem, x: &[f64]) -> Result<Factor> {
+    Weighted::new(&rank_point(problem, x)?)?.factor(x, None)
+}
