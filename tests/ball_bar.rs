@@ -303,7 +303,8 @@ fn another_trunnion_sampled_by_time_gives_its_errors_back() {
         prepared.simulate(&folder.path().join("truth-of-it.json"), 1, None).unwrap_or_else(|error| panic!("{error}"));
     let out = folder.path().join("simulated");
     simulated.write(&out).unwrap_or_else(|error| panic!("{error}"));
-    let outcome = prepare(&out.join("recipe.yaml"), &registry()).and_then(|prepared| prepared.run(&|_| {}));
+    let outcome = prepare(&out.join("recipe.yaml"), &registry())
+        .and_then(|prepared| prepared.run(&abbe_core::Monitor::default()));
     let outcome = outcome.unwrap_or_else(|error| panic!("{error}"));
     for (name, allowed) in [("fit", 1e-5), ("closed-form", 0.05)] {
         for (parameter, error, _) in errors(&fit(&outcome, name).calibration, &truth["parameters"]) {

@@ -59,7 +59,8 @@ fn with(mut recipe: Variant, stage: &str, settings: Value) -> Variant {
 
 /// Runs a recipe that was written into a folder, and leaves its results there.
 fn run(recipe: &Variant, folder: &Path) -> Outcome {
-    let outcome = prepare(&recipe.write(folder), &registry()).and_then(|prepared| prepared.run(&|_| {}));
+    let outcome =
+        prepare(&recipe.write(folder), &registry()).and_then(|prepared| prepared.run(&abbe_core::Monitor::default()));
     let outcome = outcome.unwrap_or_else(|error| panic!("{error}"));
     outcome.write(&folder.join("out")).unwrap_or_else(|error| panic!("{error}"));
     outcome
@@ -67,7 +68,9 @@ fn run(recipe: &Variant, folder: &Path) -> Outcome {
 
 fn error_of(recipe: &Variant) -> String {
     let folder = temporary();
-    match prepare(&recipe.write(folder.path()), &registry()).and_then(|prepared| prepared.run(&|_| {})) {
+    match prepare(&recipe.write(folder.path()), &registry())
+        .and_then(|prepared| prepared.run(&abbe_core::Monitor::default()))
+    {
         Ok(_) => panic!("it ran"),
         Err(error) => error.to_string(),
     }

@@ -143,7 +143,8 @@ fn unseen_observations_need_values_for_what_is_unknown_of_them() {
         let mut recipe = Variant::of(&recipes()["cmm-checking-gauge"]);
         change(&mut recipe);
         let folder = temporary();
-        let outcome = prepare(&recipe.write(folder.path()), &registry()).and_then(|prepared| prepared.run(&|_| {}));
+        let outcome = prepare(&recipe.write(folder.path()), &registry())
+            .and_then(|prepared| prepared.run(&abbe_core::Monitor::default()));
         outcome.map_or_else(|error| error.to_string(), |_| String::new())
     };
     let gauge = run(&|recipe| {
@@ -374,7 +375,8 @@ fn other_cmm(expansion: [f64; 2], parameters: Value, further: Option<Value>) -> 
         "fit": { "estimate": "gauss-newton", "machine": "cmm", "observations": "laser", "parameters": parameters },
     });
     let recipe = Variant(json!({ "abbe": 1, "name": "Moving table", "stages": stages }));
-    let outcome = prepare(&recipe.write(folder.path()), &registry()).and_then(|prepared| prepared.run(&|_| {}));
+    let outcome = prepare(&recipe.write(folder.path()), &registry())
+        .and_then(|prepared| prepared.run(&abbe_core::Monitor::default()));
     outcome.unwrap_or_else(|error| panic!("{error}"))
 }
 

@@ -43,13 +43,14 @@ struct Campaign {
 impl Campaign {
     /// The TANGO test (set-up, location errors, scale gains, reversal, facets: set S3; S4 with motion errors), its known inputs
     /// and robust weights.
-    fn tango(set: &str, robust: &Value, gross: bool) -> Self {
+    fn tango(set: &str, robust: &Value, variance: &str, gross: bool) -> Self {
         let estimate = format!("fit-{set}");
         let recipe = Variant::tango("realistic")
             .only(&[&estimate])
             .set("table", "stylus_radius_standard_uncertainty_um", json!(0.5))
             .set("bar", "reference_standard_uncertainty_um", json!(0.4))
             .set(&estimate, "robust", robust.clone())
+            .set(&estimate, "variance", json!(variance))
             .set(&estimate, "parameters", json!([format!("@{set}"), "table.*"]));
         let mut outcome = recipe.run();
         let unknowns = if set == "S3" { 46 } else { 115 };
@@ -184,7 +185,7 @@ fn gross(problem: &Problem, random: &mut Generator) -> BTreeMap<String, f64> {
 
 #[test]
 fn intervals_cover_as_often_as_they_say() {
-    Campaign::tango("S3", &Value::Null, false).check("S3", 0.0);
+    Campaign::tango("S3", &Value::Null, "common", false).check("S3", 0.0);
 }
 
 /// Without gross errors and with them; the large runs do both, the suite no more than what tells most.
@@ -195,17 +196,19 @@ fn with_gross_errors() -> &'static [bool] {
 #[test]
 fn intervals_of_robust_fits_cover_as_often_as_they_say() {
     for gross in [false, true] {
-        Campaign::tango("S3", &json!("tukey"), gross).check(&titled("S3 tukey", gross), UNSETTLED);
+        Campaign::tango("S3", &json!("tukey"), "common", gross).check(&titled("S3 tukey", gross), UNSETTLED);
     }
+    // Huber's loss bounds what gross errors of touches do, and leaves some of it in their scatter. With one factor for all that
+    // enlarges the uncertainty of the bar, too, on which the scales hang: they would be covered too often.
     for &gross in with_gross_errors() {
-        Campaign::tango("S3", &json!("huber"), gross).check(&titled("S3 huber", gross), UNSETTLED);
+        Campaign::tango("S3", &json!("huber"), "per-stage", gross).check(&titled("S3 huber", gross), UNSETTLED);
     }
 }
 
 #[test]
 fn intervals_of_robust_fits_cover_where_rows_are_few() {
     for &gross in with_gross_errors() {
-        Campaign::tango("S4", &json!("tukey"), gross).check(&titled("S4 tukey", gross), UNSETTLED_OF_MANY);
+        Campaign::tango("S4", &json!("tukey"), "common", gross).check(&titled("S4 tukey", gross), UNSETTLED_OF_MANY);
     }
 }
 

@@ -15,7 +15,7 @@ fn schema(name: &str) -> Value {
 fn results_are_as_their_schemas_say_and_calibrations_stand_on_their_own() {
     for (recipe, file) in recipes() {
         let prepared = prepare(&file, &registry()).unwrap_or_else(|error| panic!("{error}"));
-        let outcome = prepared.run(&|_| {}).unwrap_or_else(|error| panic!("{error}"));
+        let outcome = prepared.run(&abbe_core::Monitor::default()).unwrap_or_else(|error| panic!("{error}"));
         let out = temporary();
         let folder = outcome.write(out.path()).unwrap_or_else(|error| panic!("{error}"));
         valid(&recipe, &schema("verdicts"), &json_file(&folder.join("verdicts.json")));

@@ -137,7 +137,7 @@ fn the_record_of_a_run_of_format_1_is_read() {
 #[test]
 fn a_recipe_of_format_1_is_run() {
     let prepared = prepare(&folder().join("recipe-1.yaml"), &registry()).unwrap_or_else(|error| panic!("{error}"));
-    let outcome = prepared.run(&|_| {}).unwrap_or_else(|error| panic!("{error}"));
+    let outcome = prepared.run(&abbe_core::Monitor::default()).unwrap_or_else(|error| panic!("{error}"));
     let stages: Vec<&str> = outcome.verdicts.iter().map(|verdict| verdict.stage.as_str()).collect();
     assert_eq!(stages, ["residuals", "too-good", "unseen", "effects"]);
     for name in ["calibration-1.json", "calibration-1-selected.json", "calibration-1-trials.json"] {

@@ -89,3 +89,50 @@ fn partial_files(out: &std::path::Path) -> usize {
     let partial = entries.filter(|entry| entry.file_name().to_string_lossy().starts_with('.'));
     partial.map(|entry| black_box(fs::read_dir(entry.path()).into_iter().flatten().count())).sum()
 }
+
+/// Ctrl-C while a long Monte Carlo calculation runs: an end within a second, status 130, and no trace of results.
+#[cfg(unix)]
+#[test]
+fn an_interrupted_run_ends_at_once_and_says_so() {
+    use std::io::{BufRead, BufReader};
+    use std::time::{Duration, Instant};
+
+    let small = Small::new();
+    let mut recipe = crate::support::Variant::of(&small.path("recipe.yaml"));
+    recipe.0["stages"]["trials"] =
+        serde_json::json!({ "estimate": "monte-carlo", "of": "fine", "trials": 10_000_000, "seed": 1 });
+    let file = recipe.write(small.folder.path());
+    let arguments = ["run".as_ref(), file.as_os_str(), "--out".as_ref(), "out".as_ref()];
+    let arguments = [&arguments[..], &["--progress".as_ref(), "json".as_ref()]].concat();
+    let mut run = program(small.folder.path(), &arguments)
+        .stdout(Stdio::null())
+        .stderr(Stdio::piped())
+        .spawn()
+        .expect("the program starts");
+    let mut lines = BufReader::new(run.stderr.take().expect("standard error")).lines();
+    let mut events = Vec::new();
+    // Trials are under way.
+    for line in lines.by_ref().map_while(Result::ok).filter(|line| line.starts_with('{')) {
+        let event: serde_json::Value = serde_json::from_str(&line).expect("an event is JSON");
+        let trials = event["event"] == "part" && event["done"].as_u64() > Some(0);
+        events.push(event);
+        if trials {
+            break;
+        }
+    }
+    let pid = run.id().to_string();
+    let asked = Instant::now();
+    let sent = std::process::Command::new("kill").args(["-INT", &pid]).status().expect("kill is there");
+    assert!(sent.success());
+    let rest: Vec<String> = lines.map_while(Result::ok).collect();
+    let status = run.wait().expect("an interrupted run ends");
+    assert_eq!(status.code(), Some(130), "{rest:?}");
+    // Generous on a machine that does other things, too; without an end it would go on for hours.
+    assert!(asked.elapsed() < Duration::from_secs(20));
+    assert!(rest.iter().any(|line| line == "interrupted"), "{rest:?}");
+    assert!(!small.path("out").join("recipe").exists());
+    let partial = fs::read_dir(small.path("out")).into_iter().flatten().count();
+    assert_eq!(partial, 0, "something half-written stays");
+    let told = |event: &str, stage: &str| events.iter().any(|it| it["event"] == event && it["stage"] == stage);
+    assert!(told("started", "fine") && told("iteration", "fine") && told("part", "trials"), "{events:?}");
+}

@@ -221,7 +221,7 @@ fn ten_millimetre_steps_find_the_pitch_and_not_its_alias() {
         let planned = prepared.check().unwrap_or_else(|error| panic!("{error}"));
         let remarks = planned[0].identifiability.remarks.join(" ");
         assert!(remarks.contains("EXX has a period of 0.635 mm") && remarks.contains("a wave of 39.6"), "{remarks}");
-        let outcome = prepared.run(&|_| {}).unwrap_or_else(|error| panic!("{error}"));
+        let outcome = prepared.run(&abbe_core::Monitor::default()).unwrap_or_else(|error| panic!("{error}"));
         let found =
             fit(&outcome, "fit-lengths").calibration.get("EXX[per0.635].wavelength").expect("a wavelength").value;
         assert!((found - 0.635_025).abs() < 1e-5, "{name}: {found}");
@@ -512,7 +512,10 @@ fn what_cannot_be_read_is_refused() {
         }
         let at = temporary();
         let prepared = prepare(&variant.write(at.path()), &registry());
-        prepared.and_then(|prepared| prepared.run(&|_| {}).map(drop)).expect_err("it is wrong").to_string()
+        prepared
+            .and_then(|prepared| prepared.run(&abbe_core::Monitor::default()).map(drop))
+            .expect_err("it is wrong")
+            .to_string()
     };
     let cases = [
         ("lengths", "along-x", json!({ "moves": "W" }), "the machine has no axis W"),
@@ -551,7 +554,10 @@ fn what_cannot_be_read_is_refused() {
         let path = folder.path().join(file);
         write(&path, &change(crate::support::read(&path)));
         let prepared = prepare(&variant.write(folder.path()), &registry());
-        let error = prepared.and_then(|prepared| prepared.run(&|_| {}).map(drop)).expect_err("it is wrong").to_string();
+        let error = prepared
+            .and_then(|prepared| prepared.run(&abbe_core::Monitor::default()).map(drop))
+            .expect_err("it is wrong")
+            .to_string();
         assert!(error.contains(expected), "{error}");
     };
     broken("square.csv", &|text| text.replace("position_mm", "place_mm"), "there is no column `position_mm`");
@@ -564,7 +570,8 @@ fn what_cannot_be_read_is_refused() {
     let one = measurements.remove("along-x").expect("a measurement");
     measurements.insert("along-y".to_owned(), one);
     let at = temporary();
-    let error = prepare(&renamed.write(at.path()), &registry()).and_then(|prepared| prepared.run(&|_| {}).map(drop));
+    let error = prepare(&renamed.write(at.path()), &registry())
+        .and_then(|prepared| prepared.run(&abbe_core::Monitor::default()).map(drop));
     let error = error.expect_err("it is wrong").to_string();
     assert!(
         error.contains("file `along-x` is not among the `measurements`") && error.contains("did you mean"),

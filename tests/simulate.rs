@@ -88,7 +88,7 @@ fn simulate(variant: &Variant, truth: &Value, seed: u64, out: &Path) -> PathBuf 
 
 /// Runs a recipe that was written, in this process.
 fn run(recipe: &Path) -> abbe_engine::Outcome {
-    let outcome = prepare(recipe, &registry()).and_then(|prepared| prepared.run(&|_| {}));
+    let outcome = prepare(recipe, &registry()).and_then(|prepared| prepared.run(&abbe_core::Monitor::default()));
     outcome.unwrap_or_else(|error| panic!("{error}"))
 }
 

@@ -174,7 +174,8 @@ impl Variant {
     /// Runs it in this process.
     pub fn run(&self) -> Outcome {
         let folder = temporary();
-        let outcome = prepare(&self.write(folder.path()), &registry()).and_then(|prepared| prepared.run(&|_| {}));
+        let outcome = prepare(&self.write(folder.path()), &registry())
+            .and_then(|prepared| prepared.run(&abbe_core::Monitor::default()));
         outcome.unwrap_or_else(|error| panic!("{error}"))
     }
 }

@@ -469,7 +469,9 @@ fn what_is_known_of_the_expansion_of_a_scale_counts() {
         "free": estimate("warm", "EXX[expansion]", None),
     } }));
     let path = recipe.write(folder.path());
-    let outcome = prepare(&path, &registry()).and_then(|prepared| prepared.run(&|_| {})).expect("a result");
+    let outcome = prepare(&path, &registry())
+        .and_then(|prepared| prepared.run(&abbe_core::Monitor::default()))
+        .expect("a result");
     let of = |stage: &str, name: &str| fit(&outcome, stage).calibration.get(name).expect("a parameter").clone();
     let scale = of("fit", "EXX[1]");
     assert!((scale.value - 3e-5).abs() < 1e-11, "{scale:?}");

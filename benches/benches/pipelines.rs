@@ -15,7 +15,7 @@ use faer::Mat;
 /// The fits of a recipe of the repository.
 fn fits(recipe: &str) -> Result<Vec<Fit>, Error> {
     let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("../pipelines").join(recipe);
-    Ok(prepare(&path, &Registry::built_in()?)?.run(&|_| {})?.fits)
+    Ok(prepare(&path, &Registry::built_in()?)?.run(&abbe_core::Monitor::default())?.fits)
 }
 
 fn product(criterion: &mut Criterion) {
@@ -40,7 +40,7 @@ fn tango(criterion: &mut Criterion) {
         let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("../pipelines/tango-hu40t.yaml");
         bencher.iter(|| {
             let prepared = prepare(black_box(&path), &Registry::built_in()?)?;
-            prepared.run(&|_| {}).map(|outcome| outcome.fits.len())
+            prepared.run(&abbe_core::Monitor::default()).map(|outcome| outcome.fits.len())
         })
     });
 }

@@ -35,7 +35,8 @@ fn by_vendor(recipe: &Variant) -> Variant {
 
 fn run(recipe: &Variant, registry: &Registry) -> Outcome {
     let folder = temporary();
-    let outcome = prepare(&recipe.write(folder.path()), registry).and_then(|prepared| prepared.run(&|_| {}));
+    let outcome = prepare(&recipe.write(folder.path()), registry)
+        .and_then(|prepared| prepared.run(&abbe_core::Monitor::default()));
     outcome.unwrap_or_else(|error| panic!("{error}"))
 }
 
@@ -185,7 +186,7 @@ fn the_same_machine_built_in_from_rust_and_from_c_gives_the_same_estimates() {
     let c = json!({ "model": "vendor-three-axis", "tool_length_mm": 100.0 });
     let fit_of = |recipe: Value, registry: &Registry| {
         let file = Variant(recipe).write(folder.path());
-        let outcome = prepare(&file, registry).and_then(|prepared| prepared.run(&|_| {}));
+        let outcome = prepare(&file, registry).and_then(|prepared| prepared.run(&abbe_core::Monitor::default()));
         outcome.unwrap_or_else(|error| panic!("{error}"))
     };
     let estimates = |outcome: &Outcome| {

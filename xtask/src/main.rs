@@ -5,6 +5,7 @@
 //! - `cargo xtask header`: write the C header of the plugin interface.
 //! - `cargo xtask schema`: write the schemas in `docs/schemas` that follow from the code.
 
+mod borders;
 mod header;
 
 use std::collections::BTreeMap;
@@ -58,7 +59,7 @@ fn run(mut command: Command) -> Outcome {
 
 fn ci() -> Outcome {
     run(cargo(&["fmt", "--all", "--check"]))?;
-    borders()?;
+    borders::check()?;
     header::check()?;
     run(cargo(&["clippy", "--workspace", "--all-targets", "--locked", "--", "-D", "warnings"]))?;
     let mut docs = cargo(&["doc", "--workspace", "--no-deps", "--locked", "--quiet"]);
@@ -94,54 +95,6 @@ fn tests() -> Outcome {
     println!("{passed} passed, {failed} failed, {} skipped", skipped.len());
     skipped.iter().for_each(|what| println!("  skipped: {what}"));
     if status.success() && passed > 0 { Ok(()) } else { Err(format!("cargo test ended with {status}")) }
-}
-
-/// Which workspace crates a crate may depend on: arrows point one way, see docs/architecture.md.
-const BORDERS: [(&str, &[&str]); 13] = [
-    ("abbe-core", &[]),
-    ("abbe-kinematics", &["abbe-core"]),
-    ("abbe-errors", &["abbe-core"]),
-    ("abbe-numerics", &[]),
-    ("abbe-geometry", &["abbe-numerics"]),
-    ("abbe-table", &["abbe-core"]),
-    ("abbe-estimation", &["abbe-core", "abbe-numerics"]),
-    ("abbe-volumetric", &["abbe-core", "abbe-numerics"]),
-    ("abbe-plugin", &["abbe-core"]),
-    ("abbe-planning", &["abbe-core", "abbe-estimation", "abbe-numerics"]),
-    ("abbe-recipe", &["abbe-core", "abbe-planning"]),
-    ("abbe-simulation", &["abbe-core", "abbe-estimation", "abbe-numerics"]),
-    ("abbe-engine", &["abbe-core", "abbe-estimation", "abbe-planning", "abbe-recipe", "abbe-simulation", "abbe-table"]),
-];
-
-/// Checks the borders between the crates of the workspace.
-fn borders() -> Outcome {
-    let output = cargo(&["metadata", "--format-version", "1", "--no-deps", "--locked"])
-        .output()
-        .map_err(|error| format!("cargo metadata cannot be run: {error}"))?;
-    let metadata: Value = serde_json::from_slice(&output.stdout).map_err(|error| format!("cargo metadata: {error}"))?;
-    let packages = metadata["packages"].as_array().ok_or("cargo metadata names no packages")?;
-    let mut wrong = Vec::new();
-    for package in packages {
-        let name = package["name"].as_str().unwrap_or_default();
-        let plugin = package["manifest_path"].as_str().is_some_and(|path| path.contains("/plugins/"));
-        let dependencies = package["dependencies"].as_array().into_iter().flatten();
-        for dependency in dependencies.filter(|dependency| dependency["kind"].is_null()) {
-            let on = dependency["name"].as_str().unwrap_or_default();
-            if !on.starts_with("abbe") {
-                continue;
-            }
-            let allowed = match BORDERS.iter().find(|(crate_name, _)| *crate_name == name) {
-                Some((_, allowed)) => allowed.contains(&on),
-                // A plugin knows crates, but no other plugin; the bundle knows the plugins and nothing else.
-                None if plugin && name != "abbe-bundle" => BORDERS.iter().any(|(crate_name, _)| *crate_name == on),
-                None => true,
-            };
-            if !allowed {
-                wrong.push(format!("{name} must not depend on {on}"));
-            }
-        }
-    }
-    if wrong.is_empty() { Ok(()) } else { Err(wrong.join("; ")) }
 }
 
 /// The benchmark that tells how fast the machine is.

@@ -20,6 +20,8 @@ pub enum Class {
     Use,
     /// Only the data or the run show it: exit status 1.
     Data,
+    /// Nothing is wrong: the work was asked to end. Exit status 130.
+    Interrupted,
 }
 
 /// A place in a file; lines and columns count from 1.

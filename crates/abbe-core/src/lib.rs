@@ -16,6 +16,7 @@ mod identity;
 mod input_uncertainty;
 mod limit;
 mod model;
+mod monitor;
 mod observations;
 mod parallel;
 mod pattern;
@@ -23,6 +24,7 @@ mod pose_table;
 mod problem;
 mod registry;
 mod result;
+pub mod rotation;
 mod serial;
 mod series;
 mod settings;
@@ -41,6 +43,7 @@ pub use model::{
     Absent, Axis, AxisKind, Branch, ErrorFunction, KinematicModel, MotionError, Parameter, Period, Poses, PosesMut,
     StatusColumn, Variable,
 };
+pub use monitor::{Event, Monitor};
 pub use observations::{
     Approach, Contact, Equations, Feature, KnownInput, Layout, NominalReading, Observations, PoseValues, Row, Target,
 };

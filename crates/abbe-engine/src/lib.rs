@@ -22,5 +22,5 @@ pub use outcome::Outcome;
 pub use plan::Measurements;
 pub use prepare::{Prepared, prepare};
 pub use record::{InputRecord, PluginRecord, RUN_FORMAT, RunRecord};
-pub use run::{Event, Listener, Planned, model_of};
+pub use run::{Planned, model_of};
 pub use simulate::{Simulated, SimulatedFile, UnchangedFile};

@@ -5,7 +5,7 @@ use std::fs;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
-use abbe_core::{Dataset, Error, Identifiability, NullVector, Result};
+use abbe_core::{Dataset, Error, Identifiability, Monitor, NullVector, Result};
 use abbe_planning::{Generation, Plan, PlanFigures, Planning, generate, plan};
 use abbe_recipe::Stage;
 use serde_json::{Value, json};
@@ -53,7 +53,8 @@ impl Prepared {
             Some(generation) => Some(self.generated(stage, wanted, generation)?),
             None => None,
         };
-        let data = self.read(&|_| {}, generated.as_ref().map(|generated| (generated.ingest, &generated.data)))?;
+        let data =
+            self.read(&Monitor::default(), generated.as_ref().map(|generated| (generated.ingest, &generated.data)))?;
         let problem = self.located(stage, self.problem(stage, &data, &mut Taken::default()))?;
         let estimator = &self.estimators[&stage.name];
         let plan = plan(&problem, wanted).map_err(|error| self.recipe.locate_plan(error));

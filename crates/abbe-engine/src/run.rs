@@ -5,8 +5,8 @@ use std::sync::Arc;
 use std::time::{Instant, SystemTime};
 
 use abbe_core::{
-    Basis, Calibration, DataRecord, Dataset, Error, ExportedFile, Fit, Identifiability, Kind, KinematicModel,
-    ObservationSet, Owner, Poses, Problem, Registry, Result, Verdict, in_parallel,
+    Basis, Calibration, DataRecord, Dataset, Error, Event, ExportedFile, Fit, Identifiability, Kind, KinematicModel,
+    Monitor, ObservationSet, Owner, Poses, Problem, Registry, Result, Verdict, in_parallel,
 };
 use abbe_estimation::remarks;
 use abbe_recipe::Stage;
@@ -16,22 +16,6 @@ use crate::outcome::Outcome;
 use crate::prepare::{Prepared, build_model};
 use crate::recalled::fit_without_rows;
 use crate::record::{InputRecord, input_records};
-
-/// What is going on.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub enum Event<'a> {
-    /// A stage starts; `done` of `all` stages are through.
-    Started {
-        /// Its name.
-        stage: &'a str,
-        /// Its kind.
-        kind: Kind,
-        /// Stages that are through.
-        done: usize,
-        /// All stages that have something to do.
-        all: usize,
-    },
-}
 
 /// What a planned fit can determine.
 #[derive(Debug, Clone, PartialEq)]
@@ -46,16 +30,13 @@ pub struct Planned {
     pub machine: Vec<String>,
 }
 
-/// Hears what is going on, from any thread.
-pub type Listener<'a> = dyn Fn(Event<'_>) + Sync + 'a;
-
 pub(crate) type Datasets = BTreeMap<String, Arc<Dataset>>;
 
 impl Prepared {
     /// Everything but the fits: data, problems, and what the fits can determine at nominal contact points.
     pub fn check(&self) -> Result<Vec<Planned>> {
         let digests = digests(&input_records(&self.files)?);
-        let data = self.read(&|_| {}, None)?;
+        let data = self.read(&Monitor::default(), None)?;
         let mut taken = Taken::default();
         let problems = self.problems(&data, &mut taken)?;
         self.evidence(&problems, &digests)?;
@@ -75,11 +56,12 @@ impl Prepared {
         Ok(planned)
     }
 
-    /// Runs the recipe; `tell` hears what is going on. Stages that do not wait for each other run at the same time.
-    pub fn run(&self, tell: &Listener<'_>) -> Result<Outcome> {
+    /// Runs the recipe; `monitor` hears what is going on, and may end it. Stages that do not wait for each other run at the
+    /// same time.
+    pub fn run(&self, monitor: &Monitor) -> Result<Outcome> {
         let (started, clock) = (SystemTime::now(), Instant::now());
         let inputs = input_records(&self.files)?;
-        let data = self.read(tell, None)?;
+        let data = self.read(monitor, None)?;
         let mut taken = Taken::default();
         let problems = self.problems(&data, &mut taken)?;
         let evidence = self.evidence(&problems, &digests(&inputs))?;
@@ -95,8 +77,10 @@ impl Prepared {
             let ready: Vec<&Stage> = waiting.iter().copied().filter(finished).collect();
             waiting.retain(|stage| !ready.iter().any(|ready| ready.name == stage.name));
             let done = in_parallel(&ready, None, |stage| {
-                self.started(stage, tell);
-                let mut fit = self.estimate(stage, problems.get(&stage.name), &fits)?;
+                self.started(stage, monitor)?;
+                let problem =
+                    problems.get(&stage.name).map(|problem| problem.watched_by(monitor.of_stage(&stage.name)));
+                let mut fit = self.estimate(stage, problem.as_ref(), &fits, monitor)?;
                 fit.calibration.data.clone_from(&evidence[&stage.name]);
                 Ok(fit)
             });
@@ -104,8 +88,11 @@ impl Prepared {
         }
         let stages: Vec<&Stage> = self.stages(Kind::Validate).collect();
         let verdicts = in_parallel(&stages, None, |stage| {
-            self.started(stage, tell);
-            let fits: Vec<&Fit> = named(stage.reference("of"), &fits);
+            self.started(stage, monitor)?;
+            let watched: Vec<Fit> = (named(stage.reference("of"), &fits).into_iter())
+                .map(|fit| watched(fit, monitor.of_stage(&stage.name)))
+                .collect();
+            let fits: Vec<&Fit> = watched.iter().collect();
             let others = fits.iter().filter_map(|fit| {
                 let problem = unseen.get(&(stage.name.as_str(), fit.name.as_str()))?;
                 Some(self.located(stage, predicting(fit, problem)))
@@ -122,7 +109,7 @@ impl Prepared {
             verdicts.into_iter().collect::<Result<Vec<_>>>()?.into_iter().unzip();
         exports.retain(|(_, files)| !files.is_empty());
         for stage in self.stages(Kind::Export) {
-            self.started(stage, tell);
+            self.started(stage, monitor)?;
             for fit in named(stage.reference("of"), &fits) {
                 let exporter = &self.exporters[&stage.name];
                 let files = self.located(stage, exporter.export(&fit.calibration, fit.problem.model.as_ref()))?;
@@ -143,8 +130,8 @@ impl Prepared {
     }
 
     /// The result of an estimate stage; `fits` has all that it refers to.
-    fn estimate(&self, stage: &Stage, problem: Option<&Problem>, fits: &[Fit]) -> Result<Fit> {
-        let Some(problem) = problem else { return self.fit_again(stage, fits) };
+    fn estimate(&self, stage: &Stage, problem: Option<&Problem>, fits: &[Fit], monitor: &Monitor) -> Result<Fit> {
+        let Some(problem) = problem else { return self.fit_again(stage, fits, monitor) };
         let estimator = self.estimators[&stage.name].clone();
         let calibration = match stage.basis {
             Basis::Measurements => {
@@ -174,10 +161,11 @@ impl Prepared {
     }
 
     /// A new look at an earlier estimate: the same problem, which its own estimator solves on other rows.
-    fn fit_again(&self, stage: &Stage, fits: &[Fit]) -> Result<Fit> {
+    fn fit_again(&self, stage: &Stage, fits: &[Fit], monitor: &Monitor) -> Result<Fit> {
         let of = named(stage.reference("of"), fits);
         let fit = of.first().ok_or_else(|| Error::usage("the estimate under `of` is not there").stage(&stage.name))?;
-        let mut calibration = self.located(stage, self.estimators[&stage.name].reconsider(fit))?;
+        let mut calibration =
+            self.located(stage, self.estimators[&stage.name].reconsider(&watched(fit, monitor.of_stage(&stage.name))))?;
         calibration.estimate = stage.name.clone();
         let (problem, estimator) = (fit.problem.clone(), fit.estimator.clone());
         Ok(Fit { name: stage.name.clone(), problem, estimator, calibration })
@@ -188,18 +176,21 @@ impl Prepared {
         result.map_err(|error| self.recipe.locate(error.stage(&stage.name)))
     }
 
-    fn started(&self, stage: &Stage, tell: &Listener<'_>) {
+    /// Tells that a stage starts; ends before it does if that is asked for.
+    fn started(&self, stage: &Stage, monitor: &Monitor) -> Result<()> {
         let works = |stage: &&Stage| !matches!(stage.kind, Kind::Artefact | Kind::Model);
         let working: Vec<&Stage> = self.recipe.stages.iter().filter(works).collect();
         let done = working.iter().position(|other| other.name == stage.name).unwrap_or(0);
-        tell(Event::Started { stage: &stage.name, kind: stage.kind, done, all: working.len() });
+        let kind = stage.kind.key();
+        monitor.tell(&Event::Started { stage: &stage.name, kind, done, all: working.len() });
+        monitor.check()
     }
 
     /// What the ingest stages read; one of them may have been made instead.
-    pub(crate) fn read(&self, tell: &Listener<'_>, made: Option<(&str, &Arc<Dataset>)>) -> Result<Datasets> {
+    pub(crate) fn read(&self, monitor: &Monitor, made: Option<(&str, &Arc<Dataset>)>) -> Result<Datasets> {
         let mut data = BTreeMap::new();
         for stage in self.stages(Kind::Ingest) {
-            self.started(stage, tell);
+            self.started(stage, monitor)?;
             let read = match made.filter(|(ingest, _)| *ingest == stage.name) {
                 Some((_, made)) => made.clone(),
                 None => Arc::new(self.located(stage, self.ingests[&stage.name].read())?),
@@ -414,5 +405,15 @@ fn heard(fit: &Fit) -> Result<()> {
     match model.behind() {
         Some(_) => model.evaluate(&[], values, &[], false, &mut Poses::default()),
         None => Ok(()),
+    }
+}
+
+/// The same fit; whatever is done with its problem is watched by `monitor`.
+fn watched(fit: &Fit, monitor: Monitor) -> Fit {
+    Fit {
+        name: fit.name.clone(),
+        problem: Arc::new(fit.problem.watched_by(monitor)),
+        estimator: fit.estimator.clone(),
+        calibration: fit.calibration.clone(),
     }
 }

@@ -107,6 +107,10 @@ impl LeastSquares for Weighted<'_> {
         error.fault
     }
 
+    fn has_stepped(&self, iteration: usize, size: f64) {
+        self.problem.monitor.iteration(iteration, size);
+    }
+
     fn unknowns(&self) -> usize {
         self.problem.unknowns.len() + self.columns.len()
     }

@@ -24,6 +24,9 @@ pub trait LeastSquares {
         false
     }
 
+    /// Hears that an iteration has taken its `iteration`-th step, which moved all rows together by `size` of their uncertainties.
+    fn has_stepped(&self, _iteration: usize, _size: f64) {}
+
     /// Number of unknowns.
     fn unknowns(&self) -> usize;
 
@@ -293,6 +296,7 @@ fn minimise<P: LeastSquares + ?Sized>(
         smallest = smallest.min(size);
         match downhill(problem, (&x, &step), factor.cost(), weights)? {
             Some(lower) => {
+                problem.has_stepped(iterations, size * lower.part);
                 let whole = lower.part == 1.0;
                 (x, factor) = (lower.x, lower.factor);
                 last = whole.then_some(size);

@@ -6,8 +6,8 @@ use std::sync::Arc;
 
 use abbe_core::{
     Axis, Calibration, ColumnHeader, Considered, Contact, Dataset, EquationUncertainty, ErrorFunction, ExportedFile,
-    Feature, Fit, Input, InputFile, KinematicModel, KnownInput, Layout, NominalReading, ObservationSet, Observations,
-    Parameter, Period, PoseTable, Problem, Quantity, StatusColumn, Unknown,
+    Feature, Fit, Input, InputFile, KinematicModel, KnownInput, Layout, Monitor, NominalReading, ObservationSet,
+    Observations, Parameter, Period, PoseTable, Problem, Quantity, StatusColumn, Unknown,
 };
 use serde::{Deserialize, Serialize};
 use serde_json::Value;
@@ -279,6 +279,7 @@ impl ProblemText {
             machine: self.machine,
             inputs: self.inputs,
             considered: self.considered,
+            monitor: Monitor::default(),
         })
     }
 }

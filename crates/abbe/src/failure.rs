@@ -88,7 +88,7 @@ fn span_at(text: &str, line: usize, column: Option<usize>) -> SourceSpan {
 pub fn json(error: &Error) -> Value {
     let place = error.place.as_ref();
     json!({ "error": {
-        "class": match error.class { Class::Use => "use", Class::Data => "data" },
+        "class": match error.class { Class::Use => "use", Class::Data => "data", Class::Interrupted => "interrupted" },
         "message": error.message,
         "help": error.help,
         "stage": error.stage,

@@ -3,16 +3,14 @@
 use std::collections::BTreeMap;
 use std::sync::Arc;
 
+use abbe_core::rotation::inverse_left_jacobian;
 use abbe_core::{
     Contact, Dataset, Equations, Feature, KinematicModel, KnownInput, Layout, Observations, Parameter, PoseValues,
     Poses, Quantity, Result, Unit, Values,
 };
-use nalgebra::{Matrix3, Quaternion, UnitQuaternion, Vector3};
+use nalgebra::{Quaternion, UnitQuaternion, Vector3};
 
 use crate::line::{self, Leg, Line, Tilt};
-
-/// Below this angle, rad, series of angles are taken for what would lose its digits.
-const SMALL: f64 = 1e-3;
 
 /// One reading.
 #[derive(Debug, Clone)]
@@ -210,17 +208,6 @@ fn rotation([w, x, y, z]: [f64; 4]) -> UnitQuaternion<f64> {
     UnitQuaternion::from_quaternion(Quaternion::new(w, x, y, z))
 }
 
-/// The change of a rotation vector that follows a small rotation, axes of the fixed frame: the inverse of its left Jacobian
-/// (Barfoot, State Estimation for Robotics, 2017, chapter 7).
-fn vector_by_rotation(vector: &Vector3<f64>) -> Matrix3<f64> {
-    let (angle, cross) = (vector.norm(), vector.cross_matrix());
-    let rest = match angle < SMALL {
-        true => 1.0 / 12.0 + angle.powi(2) / 720.0,
-        false => (1.0 - angle / 2.0 / (angle / 2.0).tan()) / angle.powi(2),
-    };
-    Matrix3::identity() - cross * 0.5 + cross * cross * rest
-}
-
 impl Observations for Observed {
     fn layout(&self) -> &Layout {
         &self.layout
@@ -263,7 +250,7 @@ impl Observations for Observed {
                     let turned = (rotation(poses.orientations[index]) * orientations[row].inverse()).scaled_axis();
                     out.equation(reading.sensitivity.dot(&turned) + line);
                     out.position([0.0; 3]);
-                    out.rotation((vector_by_rotation(&turned).transpose() * reading.sensitivity).into());
+                    out.rotation((inverse_left_jacobian(&turned).transpose() * reading.sensitivity).into());
                 }
             }
             reading.own.iter().for_each(|&(unknown, factor)| out.own(unknown, factor));

@@ -55,7 +55,8 @@ struct Pretravel {
 impl<'a> Draws<'a> {
     /// The inputs of a fit as the settings vary them.
     pub fn new(settings: &'a Settings, fit: &Fit) -> Result<Self> {
-        let problem = fit.problem.at(&fit.problem.values_of(&fit.calibration));
+        let problem = fit.problem.watched_by(fit.problem.monitor.quiet());
+        let problem = problem.at(&problem.values_of(&fit.calibration));
         // Rows scatter as the estimate found, unless it trusts what was stated.
         let scale = fit.calibration.uncertainty.as_ref().map_or(1.0, |budget| budget.scale);
         let mut independent: Vec<f64> =

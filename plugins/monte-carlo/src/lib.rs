@@ -119,6 +119,9 @@ impl Propagation {
         let mut last_failure = None;
         let ended = AtomicBool::new(false);
         for chunk in numbers.chunks(CHUNK) {
+            let done = found.trials.count() + found.failed;
+            let all = self.settings.adaptive.is_none().then_some(self.settings.trials);
+            fit.problem.monitor.part("trials", done, all);
             // None once a fault of the code has ended it.
             let results = in_parallel(chunk, self.settings.threads, |&number| {
                 if ended.load(Ordering::Relaxed) {

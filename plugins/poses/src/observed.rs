@@ -1,5 +1,6 @@
 //! The equations of observed poses and their derivatives.
 
+use abbe_core::rotation::{inverse_right_jacobian, left_jacobian};
 use abbe_core::{Contact, Equations, Feature, KnownInput, Layout, Observations, Parameter, PoseValues, Quantity, Unit};
 use nalgebra::{Isometry3, Matrix3, Matrix6, Translation3, UnitQuaternion, Vector3, Vector6};
 
@@ -40,7 +41,7 @@ impl Placed {
         let turn = Vector3::new(own[3], own[4], own[5]);
         let rotation = UnitQuaternion::from_scaled_axis(turn) * start.rotation;
         let pose = Isometry3::from_parts(Translation3::new(own[0], own[1], own[2]), rotation);
-        Self { pose, turn: rotation_by_vector(&turn) }
+        Self { pose, turn: left_jacobian(&turn) }
     }
 }
 
@@ -67,7 +68,7 @@ impl Row {
         // How the residuals follow small motions of both frames: shift of the origin and turn about it, table axes.
         let to_seeing = matrix(&seeing.rotation).transpose();
         let between = (seen.translation.vector - seeing.translation.vector).cross_matrix();
-        let turned = vector_by_rotation(&turn) * to_seeing;
+        let turned = inverse_right_jacobian(&turn) * to_seeing;
         let by_seen = blocks([-to_seeing, Matrix3::zeros(), -turned]);
         let by_seeing = blocks([to_seeing, -to_seeing * between, turned]);
         let (by_target, by_observer) = match pose {
@@ -173,31 +174,6 @@ fn blocks([shift, lever, turn]: [Matrix3<f64>; 3]) -> Matrix6<f64> {
     all
 }
 
-/// Below this angle, rad, series of angles are taken for what would lose its digits.
-const SMALL: f64 = 1e-3;
-
-/// The small rotation, axes of the fixed frame, that follows a change of a rotation vector: its left Jacobian
-/// (Barfoot, State Estimation for Robotics, 2017, chapter 7).
-fn rotation_by_vector(vector: &Vector3<f64>) -> Matrix3<f64> {
-    let (angle, cross) = (vector.norm(), vector.cross_matrix());
-    let (half, rest) = match angle < SMALL {
-        true => (0.5 - angle.powi(2) / 24.0, 1.0 / 6.0 - angle.powi(2) / 120.0),
-        false => ((1.0 - angle.cos()) / angle.powi(2), (angle - angle.sin()) / angle.powi(3)),
-    };
-    Matrix3::identity() + cross * half + cross * cross * rest
-}
-
-/// The change of a rotation vector that follows a small rotation which acts before it: the inverse of its right Jacobian
-/// (Barfoot 2017, chapter 7).
-fn vector_by_rotation(vector: &Vector3<f64>) -> Matrix3<f64> {
-    let (angle, cross) = (vector.norm(), vector.cross_matrix());
-    let rest = match angle < SMALL {
-        true => 1.0 / 12.0 + angle.powi(2) / 720.0,
-        false => (1.0 - angle / 2.0 / (angle / 2.0).tan()) / angle.powi(2),
-    };
-    Matrix3::identity() + cross * 0.5 + cross * cross * rest
-}
-
 #[cfg(test)]
 mod tests {
     use nalgebra::SMatrix;
@@ -290,20 +266,11 @@ mod tests {
             let (none, exact) = derivatives(&predicted);
             assert!(none.norm() < 1e-9);
             let mut factor = Matrix6::identity();
-            factor.fixed_view_mut::<3, 3>(3, 3).copy_from(&vector_by_rotation(&turn));
+            factor.fixed_view_mut::<3, 3>(3, 3).copy_from(&inverse_right_jacobian(&turn));
             assert!((factor * exact - seen).norm() < 1e-9 * seen.norm(), "trial {trial}");
             // Half a turn, the largest there is, has a condition of pi/2.
             let values = factor.singular_values();
             assert!(values.max() / values.min() < 1.6, "trial {trial}: {values}");
-        }
-    }
-
-    #[test]
-    fn series_of_small_angles_join_the_closed_forms() {
-        for function in [rotation_by_vector, vector_by_rotation] {
-            let direction = Vector3::new(1.0, -2.0, 2.0) / 3.0;
-            let jump = function(&(direction * SMALL * 0.999_999)) - function(&(direction * SMALL * 1.000_001));
-            assert!(jump.norm() < 3e-9, "{jump}");
         }
     }
 }

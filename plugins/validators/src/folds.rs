@@ -133,7 +133,8 @@ impl Fold {
     /// Estimates again, by the estimator of the fit, without the rows of this fold.
     pub fn train(&self, fit: &Fit, set: usize) -> Result<Trained> {
         let rows = fit.problem.sets[set].rows.iter().copied();
-        let training = fit.problem.with_rows(set, rows.filter(|row| self.rows.binary_search(row).is_err()).collect());
+        let kept = rows.filter(|row| self.rows.binary_search(row).is_err()).collect();
+        let training = fit.problem.watched_by(fit.problem.monitor.quiet()).with_rows(set, kept);
         let count = training.unknowns.len();
         let mut touched = vec![false; count];
         training.linearise(&training.values_of(&fit.calibration), |block| {

@@ -85,7 +85,8 @@ impl HoldOut {
         let left_out = outliers(problem, &fit.calibration);
         let (mut all, mut groups) = (ResidualSample::default(), Groups::default());
         let (mut predicted, mut skipped) = (0_usize, 0_usize);
-        for fold in &folds {
+        for (done, fold) in folds.iter().enumerate() {
+            problem.monitor.part("folds", done, Some(folds.len()));
             let trained = fold.train(fit, set)?;
             findings.remarks.extend(trained.remark);
             let good = fold.rows.iter().copied().filter(|row| !left_out.contains(&(set, *row)));

@@ -122,7 +122,7 @@ impl Repeats {
         let repeats = repeats(&fit.problem, &self.settings.by)?;
         let start = fit.problem.values_of(&fit.calibration);
         let estimated = in_parallel(&repeats, None, |(label, rows)| {
-            let mut problem = fit.problem.at(&start);
+            let mut problem = fit.problem.watched_by(fit.problem.monitor.quiet()).at(&start);
             for (set, rows) in problem.sets.iter_mut().zip(rows) {
                 set.rows.clone_from(rows);
                 // Values are asked for; what repeats scatter by is what comes out.

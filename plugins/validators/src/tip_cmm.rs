@@ -155,9 +155,11 @@ impl TipCmm {
             let rows = fit.problem.sets[set].rows.clone();
             return Ok(vec![Part { calibration: fit.calibration.clone(), lost: Vec::new(), rows, remark: None }]);
         };
-        let folds = folds.split(&fit.problem, set, &self.settings.column)?.into_iter();
-        folds
-            .map(|fold| {
+        let folds = folds.split(&fit.problem, set, &self.settings.column)?;
+        let all = folds.len();
+        (folds.into_iter().enumerate())
+            .map(|(done, fold)| {
+                fit.problem.monitor.part("folds", done, Some(all));
                 let Trained { calibration, lost, remark } = fold.train(fit, set)?;
                 Ok(Part { calibration, lost, rows: fold.rows, remark })
             })

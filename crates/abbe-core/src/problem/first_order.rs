@@ -1,13 +1,11 @@
 //! Orientations to first order in the errors, for observations that add up angular errors.
 
-use nalgebra::{Matrix3, Quaternion, UnitQuaternion, Vector3};
+use nalgebra::{Quaternion, UnitQuaternion, Vector3};
 
 use crate::error::Result;
 use crate::model::{Poses, Variable};
 use crate::problem::Problem;
-
-/// Below this angle, rad, series of angles are taken for what would lose its digits.
-const SMALL: f64 = 1e-3;
+use crate::rotation::left_jacobian;
 
 impl Problem {
     /// Evaluates poses whose orientation is the nominal one, turned by the sum of what each parameter alone turns it by:
@@ -58,7 +56,7 @@ impl Problem {
             let nominal = UnitQuaternion::from_quaternion(Quaternion::new(w, x, y, z));
             let turned = UnitQuaternion::from_scaled_axis(turn) * nominal;
             out.orientations.push([turned.w, turned.i, turned.j, turned.k]);
-            let rotation = rotation_by_vector(&turn);
+            let rotation = left_jacobian(&turn);
             let derivatives = &mut out.rotation_derivatives[pose * wanted.len()..(pose + 1) * wanted.len()];
             for (derivative, variable) in derivatives.iter_mut().zip(wanted) {
                 if let Some(place) = linear(variable).and_then(|index| column[index]) {
@@ -68,15 +66,4 @@ impl Problem {
         }
         Ok(())
     }
-}
-
-/// The small rotation, axes of the fixed frame, that follows a change of a rotation vector: its left Jacobian
-/// (Barfoot, State Estimation for Robotics, 2017, chapter 7).
-fn rotation_by_vector(vector: &Vector3<f64>) -> Matrix3<f64> {
-    let (angle, cross) = (vector.norm(), vector.cross_matrix());
-    let (half, rest) = match angle < SMALL {
-        true => (0.5 - angle.powi(2) / 24.0, 1.0 / 6.0 - angle.powi(2) / 120.0),
-        false => ((1.0 - angle.cos()) / angle.powi(2), (angle - angle.sin()) / angle.powi(3)),
-    };
-    Matrix3::identity() + cross * half + cross * cross * rest
 }

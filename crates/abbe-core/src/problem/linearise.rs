@@ -142,6 +142,7 @@ impl Problem {
 
     /// Evaluates poses and equations of some rows of a set at the problem's own values.
     pub fn evaluate(&self, set: usize, rows: &[usize], wanted: &[Variable], work: &mut Evaluation) -> Result<()> {
+        self.monitor.check()?;
         self.evaluate_poses(set, rows, wanted, work).map_err(|error| self.of_row(set, rows, error))?;
         let set = &self.sets[set];
         work.equations.clear();

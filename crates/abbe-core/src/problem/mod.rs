@@ -14,6 +14,7 @@ use serde::{Deserialize, Serialize};
 
 use crate::error::{Error, Result};
 use crate::model::KinematicModel;
+use crate::monitor::Monitor;
 use crate::pattern::matches;
 use crate::result::{Calibration, ModelRecord};
 use crate::unit::Unit;
@@ -68,6 +69,8 @@ pub struct Problem {
     pub inputs: Vec<Input>,
     /// What is considered: not estimated, but its uncertainty counts.
     pub considered: Considered,
+    /// Who watches the work with it.
+    pub monitor: Monitor,
 }
 
 impl Problem {
@@ -120,12 +123,18 @@ impl Problem {
             machine,
             inputs,
             considered,
+            monitor: Monitor::default(),
         })
     }
 
     /// The model with the settings that the fit used.
     pub fn model_record(&self) -> ModelRecord {
         ModelRecord { plugin: self.model_plugin.clone(), settings: self.model.settings() }
+    }
+
+    /// The same problem, watched by another monitor.
+    pub fn watched_by(&self, monitor: Monitor) -> Self {
+        Self { monitor, ..self.clone() }
     }
 
     /// The same problem on other rows of one set.

@@ -83,6 +83,7 @@ fn rows(count: usize, value: f64) -> Dataset {
 
 fn problem() -> Problem {
     Problem {
+        monitor: abbe_core::Monitor::default(),
         name: "fit".to_owned(),
         model: Arc::new(Plain::new()),
         model_plugin: "plain".to_owned(),

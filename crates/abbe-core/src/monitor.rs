@@ -1,0 +1,156 @@
+//! Progress of long work, and its end on request.
+
+use std::fmt;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
+
+use serde::Serialize;
+
+use crate::error::{Class, Error, Result};
+
+/// What is going on.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+#[serde(tag = "event", rename_all = "kebab-case")]
+pub enum Event<'a> {
+    /// A stage starts; `done` of `all` stages are through.
+    Started {
+        /// Its name.
+        stage: &'a str,
+        /// Its kind.
+        kind: &'a str,
+        /// Stages that are through.
+        done: usize,
+        /// All stages that have something to do.
+        all: usize,
+    },
+    /// An estimate has taken a step.
+    Iteration {
+        /// The stage.
+        stage: &'a str,
+        /// Steps of this iteration so far; robust weights start a new one in every round.
+        iteration: usize,
+        /// By how many standard uncertainties it moved all rows together.
+        step: f64,
+    },
+    /// A part of work that is done many times is through: a trial, a fold.
+    Part {
+        /// The stage.
+        stage: &'a str,
+        /// What its parts are, in plural: `trials`.
+        of: &'a str,
+        /// Parts that are through.
+        done: usize,
+        /// All parts, where that is known.
+        all: Option<usize>,
+    },
+}
+
+/// Who watches some work: hears what is going on, from any thread, and may end it.
+///
+/// Problems carry it, so that whatever is done with them is heard and ends. The default hears nothing and ends nothing.
+#[derive(Clone, Default)]
+pub struct Monitor {
+    watcher: Option<Arc<Watcher>>,
+    stage: Arc<str>,
+    quiet: bool,
+}
+
+struct Watcher {
+    ended: AtomicBool,
+    hears: Box<dyn Fn(&Event<'_>) + Send + Sync>,
+}
+
+impl fmt::Debug for Monitor {
+    fn fmt(&self, formatter: &mut fmt::Formatter<'_>) -> fmt::Result {
+        formatter
+            .debug_struct("Monitor")
+            .field("stage", &self.stage)
+            .field("quiet", &self.quiet)
+            .finish_non_exhaustive()
+    }
+}
+
+impl Monitor {
+    /// A monitor that hears with `hears`.
+    pub fn new(hears: impl Fn(&Event<'_>) + Send + Sync + 'static) -> Self {
+        let watcher = Watcher { ended: AtomicBool::new(false), hears: Box::new(hears) };
+        Self { watcher: Some(Arc::new(watcher)), ..Self::default() }
+    }
+
+    /// The same for the work of a stage.
+    pub fn of_stage(&self, stage: &str) -> Self {
+        Self { stage: stage.into(), ..self.clone() }
+    }
+
+    /// The same without events of its own, for work that is done a thousand times; it still ends on request.
+    pub fn quiet(&self) -> Self {
+        Self { quiet: true, ..self.clone() }
+    }
+
+    /// Asks the work to end: whoever works gets an error from [`check`](Self::check).
+    pub fn end(&self) {
+        if let Some(watcher) = &self.watcher {
+            watcher.ended.store(true, Ordering::Relaxed);
+        }
+    }
+
+    /// An error of [`Class::Interrupted`] once the work has been asked to end.
+    pub fn check(&self) -> Result<()> {
+        match &self.watcher {
+            Some(watcher) if watcher.ended.load(Ordering::Relaxed) => {
+                Err(Error { class: Class::Interrupted, ..Error::data("interrupted").fault() })
+            }
+            _ => Ok(()),
+        }
+    }
+
+    /// Tells an event.
+    pub fn tell(&self, event: &Event<'_>) {
+        if let Some(watcher) = self.watcher.as_ref().filter(|_| !self.quiet) {
+            (watcher.hears)(event);
+        }
+    }
+
+    /// Tells that an estimate has taken a step.
+    pub fn iteration(&self, iteration: usize, step: f64) {
+        self.tell(&Event::Iteration { stage: &self.stage, iteration, step });
+    }
+
+    /// Tells that so many parts of some work are through: `of` says what they are, in plural.
+    pub fn part(&self, of: &str, done: usize, all: Option<usize>) {
+        self.tell(&Event::Part { stage: &self.stage, of, done, all });
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use std::sync::Mutex;
+
+    use super::*;
+
+    #[test]
+    fn events_are_heard_and_work_ends_on_request() {
+        let heard = Arc::new(Mutex::new(Vec::new()));
+        let into = heard.clone();
+        let monitor = Monitor::new(move |event| into.lock().unwrap().push(serde_json::to_string(event).unwrap()));
+        let of_fit = monitor.of_stage("fit");
+        of_fit.iteration(1, 0.5);
+        of_fit.quiet().iteration(2, 0.1);
+        of_fit.part("folds", 3, Some(10));
+        assert_eq!(
+            *heard.lock().unwrap(),
+            [
+                r#"{"event":"iteration","stage":"fit","iteration":1,"step":0.5}"#,
+                r#"{"event":"part","stage":"fit","of":"folds","done":3,"all":10}"#
+            ]
+        );
+        assert!(of_fit.check().is_ok());
+        monitor.end();
+        let error = of_fit.quiet().check().unwrap_err();
+        assert_eq!((error.class, error.fault), (Class::Interrupted, true));
+        // Nobody watches: nothing ends.
+        let nobody = Monitor::default();
+        nobody.end();
+        assert!(nobody.check().is_ok());
+    }
+}

@@ -1,0 +1,307 @@
+//! The command line of Abbe: `run`, `check`, `simulate`, `plan`, `plugins`, `plugin`, `schema`.
+//!
+//! Exit status: 0 no verdict failed (inconclusive ones are told); 1 what only the data or the run show; 2 wrong use, or anything that can be found
+//! without reading data rows; 3 a verdict failed; 130 interrupted by Ctrl-C.
+
+mod failure;
+mod interrupt;
+mod libraries;
+mod number;
+mod planning;
+mod progress;
+mod summary;
+mod table;
+mod trust;
+
+use std::io::{self, Write};
+use std::path::{Path, PathBuf};
+use std::process::ExitCode;
+
+use abbe_core::{Class, Error, Monitor, Origin, Registry, Result};
+use abbe_engine::{Outcome, Simulated, can_write_folder, prepare};
+use clap::{Parser, Subcommand};
+use libraries::Libraries;
+use progress::Progress;
+use serde_json::{Value, json};
+
+use abbe_bundle as _;
+
+/// Calibrates machine tools and coordinate measuring machines from declared recipes.
+#[derive(Parser)]
+#[command(name = "abbe", version, about)]
+struct Arguments {
+    #[command(subcommand)]
+    command: Command,
+    /// Say more about what is going on.
+    #[arg(short, long, global = true)]
+    verbose: bool,
+    /// A library with more plugins, beside those that a recipe names.
+    #[arg(long = "plugin", global = true, value_name = "FILE")]
+    plugins: Vec<PathBuf>,
+    /// Run the plugins of `--plugin` in processes of their own.
+    #[arg(long, global = true)]
+    isolate_plugins: bool,
+    /// Refuse to load any library.
+    #[arg(long, global = true)]
+    no_dynamic_plugins: bool,
+}
+
+#[derive(Subcommand)]
+enum Command {
+    /// Run a recipe: estimates, verdicts, exported files.
+    Run {
+        /// The recipe.
+        recipe: PathBuf,
+        /// Folder under which the results go, in a folder named after the recipe.
+        #[arg(long, default_value = "out")]
+        out: PathBuf,
+        /// Print the summary as JSON.
+        #[arg(long)]
+        json: bool,
+        /// How progress is shown, on standard error.
+        #[arg(long, value_enum, default_value_t)]
+        progress: Progress,
+    },
+    /// Check a recipe without running it, and tell what its fits could determine.
+    Check {
+        /// The recipe.
+        recipe: PathBuf,
+        /// Print the findings as JSON.
+        #[arg(long)]
+        json: bool,
+    },
+    /// Measure the programme of a recipe on a virtual machine, and write a folder in which the same recipe runs.
+    Simulate {
+        /// The recipe.
+        recipe: PathBuf,
+        /// JSON file with the true values and the noise.
+        #[arg(long)]
+        truth: PathBuf,
+        /// Seed of the random numbers: the same seed gives the same data.
+        #[arg(long)]
+        seed: u64,
+        /// Folder that is written; it must not exist or be empty.
+        #[arg(long)]
+        out: PathBuf,
+        /// The model stage that is simulated, where the estimates use several.
+        #[arg(long)]
+        machine: Option<String>,
+    },
+    /// Choose which measurements to make, as the key `plan` of a recipe says, and write the data file to fill in.
+    Plan {
+        /// The recipe.
+        recipe: PathBuf,
+        /// Folder that is written; it must not exist or be empty. Without it the plan is only told.
+        #[arg(long)]
+        out: Option<PathBuf>,
+        /// Print the plan as JSON.
+        #[arg(long)]
+        json: bool,
+    },
+    /// What vendors of plugin libraries need.
+    Plugin {
+        #[command(subcommand)]
+        command: PluginCommand,
+    },
+    /// List the plugins.
+    Plugins {
+        /// Print them as JSON, with the schemas and examples of their settings.
+        #[arg(long)]
+        json: bool,
+    },
+    /// Print the JSON Schema of recipes, for editors.
+    Schema,
+}
+
+#[derive(Subcommand)]
+enum PluginCommand {
+    /// Check whether a library keeps to what a plugin promises, each test in a process of its own.
+    Check {
+        /// The library.
+        file: PathBuf,
+        /// How long one test may take, seconds.
+        #[arg(long, default_value_t = 60.0)]
+        time_limit: f64,
+        /// Print the report as JSON.
+        #[arg(long)]
+        json: bool,
+    },
+    /// Run one test of a library in this process.
+    #[command(hide = true)]
+    Test { file: PathBuf, test: String },
+    /// Serve a library to the program that started this one.
+    #[command(hide = true)]
+    Serve { file: PathBuf, sha256: String },
+}
+
+/// Carries out the command line of this process; gives its exit status.
+pub fn main() -> ExitCode {
+    let arguments = Arguments::parse();
+    let level = if arguments.verbose { tracing::Level::INFO } else { tracing::Level::WARN };
+    tracing_subscriber::fmt().with_writer(io::stderr).with_max_level(level).without_time().with_target(false).init();
+    let machine = matches!(
+        arguments.command,
+        Command::Run { json: true, .. } | Command::Check { json: true, .. } | Command::Plan { json: true, .. }
+    );
+    let libraries = Libraries {
+        files: arguments.plugins,
+        isolate: arguments.isolate_plugins,
+        refuse: arguments.no_dynamic_plugins,
+    };
+    match dispatch(arguments.command, &libraries) {
+        Ok((text, status)) => match io::stdout().lock().write_all(text.as_bytes()) {
+            Ok(()) => ExitCode::from(status),
+            // Whoever reads our output has seen enough.
+            Err(error) if error.kind() == io::ErrorKind::BrokenPipe => ExitCode::from(status),
+            Err(error) => {
+                eprintln!("the output cannot be written: {error}");
+                ExitCode::from(1)
+            }
+        },
+        Err(_) if interrupt::happened() => {
+            eprintln!("interrupted");
+            ExitCode::from(interrupt::STATUS)
+        }
+        Err(error) => {
+            if machine {
+                println!("{}", failure::json(&error));
+            } else {
+                eprint!("{}", failure::text(&error));
+            }
+            ExitCode::from(match error.class {
+                Class::Use => 2,
+                Class::Data => 1,
+                Class::Interrupted => interrupt::STATUS,
+            })
+        }
+    }
+}
+
+/// Carries out a command; gives what to print and the exit status.
+fn dispatch(command: Command, libraries: &Libraries) -> Result<(String, u8)> {
+    match command {
+        Command::Run { recipe, out, json, progress } => {
+            let (monitor, bar) = progress.monitor();
+            interrupt::ends(monitor.clone())?;
+            let prepared = prepare(&recipe, &libraries.registry(Some(&recipe))?)?;
+            Outcome::can_write(&out, &prepared.recipe.id)?;
+            let outcome = prepared.run(&monitor)?;
+            bar.finish_and_clear();
+            let folder = interrupt::while_writing(|| outcome.write(&out))?;
+            let status = if outcome.passes() { 0 } else { 3 };
+            let text = match json {
+                true => pretty(&summary::json(&outcome, &folder))?,
+                false => summary::text(&prepared.recipe.name, &outcome, &folder),
+            };
+            Ok((text, status))
+        }
+        Command::Check { recipe, json } => {
+            interrupt::ends(Monitor::default())?;
+            let prepared = prepare(&recipe, &libraries.registry(Some(&recipe))?)?;
+            let planned = prepared.check()?;
+            let status = if planned.iter().all(|planned| planned.accepted) { 0 } else { 1 };
+            let text = match json {
+                true => pretty(&summary::planned_json(&planned))?,
+                false => summary::planned_text(&prepared.recipe, &planned),
+            };
+            Ok((text, status))
+        }
+        Command::Simulate { recipe, truth, seed, out, machine } => {
+            interrupt::ends(Monitor::default())?;
+            let prepared = prepare(&recipe, &libraries.registry(Some(&recipe))?)?;
+            can_write_folder(&out)?;
+            let simulated = prepared.simulate(&truth, seed, machine.as_deref())?;
+            interrupt::while_writing(|| simulated.write(&out))?;
+            Ok((simulated_text(&simulated, &out), 0))
+        }
+        Command::Plan { recipe, out, json } => {
+            interrupt::ends(Monitor::default())?;
+            let prepared = prepare(&recipe, &libraries.registry(Some(&recipe))?)?;
+            out.iter().try_for_each(|out| can_write_folder(out))?;
+            let measurements = prepared.plan()?;
+            interrupt::while_writing(|| out.iter().try_for_each(|out| measurements.write(out)))?;
+            let status = if measurements.accepted { 0 } else { 1 };
+            let text = match json {
+                true => measurements.record,
+                false => planning::text(&prepared.recipe.name, &measurements, out.as_deref()),
+            };
+            Ok((text, status))
+        }
+        Command::Plugin { command: PluginCommand::Check { file, time_limit, json } } => {
+            let report = abbe_plugin::check::check(&file, &libraries::this_program()?, time_limit)?;
+            let status = if report.passes() { 0 } else { 1 };
+            let text = match json {
+                true => pretty(&report.json())?,
+                false => report.text(),
+            };
+            Ok((text, status))
+        }
+        Command::Plugin { command: PluginCommand::Test { file, test } } => {
+            abbe_plugin::check::test(&file, &test).map(|text| (text, 0))
+        }
+        Command::Plugin { command: PluginCommand::Serve { file, sha256 } } => {
+            abbe_plugin::serve(&file, &sha256).map(|()| (String::new(), 0))
+        }
+        Command::Plugins { json } => {
+            let registry = libraries.registry(None)?;
+            let text = if json { pretty(&plugins_json(&registry))? } else { plugins_text(&registry) };
+            Ok((text, 0))
+        }
+        Command::Schema => Ok((pretty(&abbe_recipe::schema(&libraries.registry(None)?))?, 0)),
+    }
+}
+
+/// What was simulated, and how to go on.
+fn simulated_text(simulated: &Simulated, out: &Path) -> String {
+    let mut text = "Simulated\n".to_owned();
+    for file in &simulated.data {
+        text.push_str(&format!("  {}: {} rows measured, {} copied\n", file.file.display(), file.measured, file.copied));
+    }
+    for file in &simulated.not_simulated {
+        let readers: Vec<&str> = file.read_by.iter().map(String::as_str).collect();
+        let readers = if readers.is_empty() { "no stage".to_owned() } else { format!("{} only", readers.join(", ")) };
+        text.push_str(&format!("  not simulated: {} (read by {readers})\n", file.file.display()));
+    }
+    text.push_str("\nVaried\n");
+    simulated.varied.iter().for_each(|line| text.push_str(&format!("  {line}\n")));
+    let recipe = out.join(&simulated.recipe);
+    text.push_str(&format!("\nWritten: {}\nGo on with: abbe run {}\n", out.display(), recipe.display()));
+    text
+}
+
+fn pretty(value: &Value) -> Result<String> {
+    serde_json::to_string_pretty(value)
+        .map(|text| text + "\n")
+        .map_err(|error| Error::data(format!("the output cannot be written: {error}")))
+}
+
+fn origin(origin: &Origin) -> String {
+    match origin {
+        Origin::BuiltIn => "built-in".to_owned(),
+        Origin::Library { file, sha256 } => format!("{} ({sha256})", file.display()),
+    }
+}
+
+fn plugins_text(registry: &Registry) -> String {
+    let mut rows = vec![["kind", "name", "version", "origin", "what it does"].map(str::to_owned).to_vec()];
+    rows.extend(registry.iter().map(|plugin| {
+        let (name, version) = (plugin.name.to_string(), plugin.version.to_string());
+        vec![plugin.kind().to_string(), name, version, origin(&plugin.origin), plugin.about.to_string()]
+    }));
+    table::text(&rows, &[])
+}
+
+fn plugins_json(registry: &Registry) -> Value {
+    let plugins = registry.iter().map(|plugin| {
+        json!({
+            "kind": plugin.kind().key(),
+            "name": plugin.name,
+            "version": plugin.version,
+            "origin": origin(&plugin.origin),
+            "about": plugin.about,
+            "schema": plugin.schema.get(),
+            "example": plugin.example.get(),
+        })
+    });
+    Value::Array(plugins.collect())
+}

@@ -1,0 +1,26 @@
+//! The examples do what they say.
+
+#[allow(dead_code, reason = "its main function prints what is tested here")]
+#[path = "fit_and_predict.rs"]
+mod fit_and_predict;
+#[allow(dead_code, reason = "its main function prints what is tested here")]
+#[path = "own_estimator.rs"]
+mod own_estimator;
+
+#[test]
+fn the_tip_is_off_by_some_micrometres() {
+    let deviations = fit_and_predict::deviations().unwrap();
+    assert_eq!(deviations.len(), 1);
+    let size = deviations[0].1.iter().map(|part| part * part).sum::<f64>().sqrt();
+    assert!((1e-3..1.0).contains(&size), "{size} mm");
+}
+
+#[test]
+fn two_iterations_find_the_same() {
+    let compared = own_estimator::compared().unwrap();
+    assert!(compared.len() > 15);
+    for (name, [own, other], uncertainty) in compared {
+        // Normal equations have the square of the condition: they leave half of the digits.
+        assert!((own - other).abs() <= 1e-5 * uncertainty, "{name}: {own:e} and {other:e}");
+    }
+}

@@ -1,0 +1,151 @@
+//! Borders between the crates of the workspace: what is not allowed here is denied, in tests as well.
+
+use serde_json::Value;
+
+use crate::{Outcome, cargo};
+
+/// What a crate may depend on.
+struct Border {
+    name: &'static str,
+    /// What it uses.
+    uses: &'static [&'static str],
+    /// What its own tests use besides.
+    tested_with: &'static [&'static str],
+}
+
+const fn border(name: &'static str, uses: &'static [&'static str]) -> Border {
+    Border { name, uses, tested_with: &[] }
+}
+
+/// The folder `crates`: arrows point one way, see docs/architecture.md.
+const CRATES: [Border; 16] = [
+    border("abbe-core", &[]),
+    border("abbe-numerics", &[]),
+    border("abbe-errors", &["abbe-core"]),
+    border("abbe-geometry", &["abbe-numerics"]),
+    border("abbe-kinematics", &["abbe-core"]),
+    border("abbe-table", &["abbe-core"]),
+    Border {
+        name: "abbe-estimation",
+        uses: &["abbe-core", "abbe-numerics"],
+        tested_with: &[
+            "abbe-balls",
+            "abbe-facets",
+            "abbe-gauss-newton",
+            "abbe-length",
+            "abbe-serial-chain",
+            "abbe-table",
+        ],
+    },
+    border("abbe-planning", &["abbe-core", "abbe-estimation", "abbe-numerics"]),
+    border("abbe-simulation", &["abbe-core", "abbe-estimation", "abbe-numerics"]),
+    Border { name: "abbe-volumetric", uses: &["abbe-core", "abbe-numerics"], tested_with: &["abbe-serial-chain"] },
+    border("abbe-plugin", &["abbe-core"]),
+    border("abbe-recipe", &["abbe-core", "abbe-planning"]),
+    border(
+        "abbe-engine",
+        &["abbe-core", "abbe-estimation", "abbe-planning", "abbe-recipe", "abbe-simulation", "abbe-table"],
+    ),
+    border("abbe", &["abbe-bundle", "abbe-core", "abbe-engine", "abbe-plugin", "abbe-recipe"]),
+    // Outside `crates`: they look at everything, and nothing depends on them.
+    border("abbe-stock-library", &["abbe-bundle", "abbe-plugin"]),
+    border("xtask", &[]),
+];
+
+/// Packages that may use the whole workspace: nothing depends on them.
+const ABOVE_ALL: [&str; 3] = ["abbe-benches", "abbe-examples", "abbe-tests"];
+
+/// What plugins may use; what is left out stands above them.
+const FOR_PLUGINS: [&str; 9] = [
+    "abbe-core",
+    "abbe-errors",
+    "abbe-estimation",
+    "abbe-geometry",
+    "abbe-kinematics",
+    "abbe-numerics",
+    "abbe-simulation",
+    "abbe-table",
+    "abbe-volumetric",
+];
+
+/// What vendors' plugins may use.
+const FOR_VENDORS: [&str; 1] = ["abbe-plugin"];
+
+/// A dependency of a package of the workspace on another.
+struct Arrow<'a> {
+    from: &'a str,
+    to: &'a str,
+    /// Whether the package is in the folder `plugins`.
+    of_plugin: bool,
+    /// Whether only its tests or its build use the other.
+    tests_only: bool,
+}
+
+impl Arrow<'_> {
+    fn is_allowed(&self) -> bool {
+        let Self { from, to, of_plugin, tests_only } = *self;
+        if ABOVE_ALL.contains(&from) {
+            return true;
+        }
+        if let Some(border) = CRATES.iter().find(|border| border.name == from) {
+            return border.uses.contains(&to) || (tests_only && border.tested_with.contains(&to));
+        }
+        // The bundle knows the plugins and nothing else; a plugin knows no other, but is tested with a model and an estimator.
+        let is_plugin = |name: &str| !CRATES.iter().any(|border| border.name == name) && name != "abbe-bundle";
+        match (of_plugin, from) {
+            (false, _) => false,
+            (true, "abbe-bundle") => is_plugin(to) && !to.starts_with("abbe-vendor"),
+            (true, vendor) if vendor.starts_with("abbe-vendor") => {
+                FOR_VENDORS.contains(&to) || tests_only && is_plugin(to)
+            }
+            (true, _) => FOR_PLUGINS.contains(&to) || tests_only && is_plugin(to),
+        }
+    }
+}
+
+/// Checks the borders.
+pub fn check() -> Outcome {
+    let output = cargo(&["metadata", "--format-version", "1", "--no-deps", "--locked"])
+        .output()
+        .map_err(|error| format!("cargo metadata cannot be run: {error}"))?;
+    let metadata: Value = serde_json::from_slice(&output.stdout).map_err(|error| format!("cargo metadata: {error}"))?;
+    let packages = metadata["packages"].as_array().ok_or("cargo metadata names no packages")?;
+    let mut wrong = Vec::new();
+    for package in packages {
+        let from = package["name"].as_str().unwrap_or_default();
+        let of_plugin = package["manifest_path"].as_str().is_some_and(|path| path.contains("/plugins/"));
+        for dependency in package["dependencies"].as_array().into_iter().flatten() {
+            let to = dependency["name"].as_str().unwrap_or_default();
+            let arrow = Arrow { from, to, of_plugin, tests_only: !dependency["kind"].is_null() };
+            if to.starts_with("abbe") && !arrow.is_allowed() {
+                let what = if arrow.tests_only { "the tests of " } else { "" };
+                wrong.push(format!("{what}{from} must not depend on {to} (xtask/src/borders.rs)"));
+            }
+        }
+    }
+    if wrong.is_empty() { Ok(()) } else { Err(wrong.join("; ")) }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn what_is_not_allowed_is_denied() {
+        let arrow = |from, to, of_plugin, tests_only| Arrow { from, to, of_plugin, tests_only }.is_allowed();
+        assert!(arrow("abbe-engine", "abbe-core", false, false));
+        assert!(!arrow("abbe-core", "abbe-numerics", false, false));
+        assert!(!arrow("abbe-core", "abbe-facets", false, true));
+        assert!(arrow("abbe-estimation", "abbe-facets", false, true));
+        assert!(!arrow("abbe-estimation", "abbe-facets", false, false));
+        assert!(!arrow("abbe-new", "abbe-core", false, false));
+        assert!(arrow("abbe-facets", "abbe-core", true, false));
+        assert!(!arrow("abbe-facets", "abbe-engine", true, false));
+        assert!(!arrow("abbe-facets", "abbe-balls", true, false));
+        assert!(arrow("abbe-facets", "abbe-serial-chain", true, true));
+        assert!(!arrow("abbe-facets", "abbe-bundle", true, true));
+        assert!(arrow("abbe-bundle", "abbe-facets", true, false));
+        assert!(!arrow("abbe-bundle", "abbe-core", true, false));
+        assert!(!arrow("abbe-vendor-hexapod", "abbe-core", true, false));
+    }
+}
