@@ -7,7 +7,7 @@ use abbe_core::{
     EquationUncertainty, InputUncertainty, KinematicModel, ObservationSet, Observations, Problem, Result,
     SettingsError, from_settings,
 };
-use abbe_estimation::row_uncertainty;
+use abbe_estimation::{repeats, row_uncertainty};
 use abbe_recipe::Stage;
 
 /// What the recipe says of an artefact's rows.
@@ -51,11 +51,11 @@ impl RowsOf {
             uncertainty = row_uncertainty::of_rows(rows, observations.as_ref(), table.as_ref())?;
         }
         if let Some(pooled) = &self.settings.pooled {
-            let repeats = repeats.unwrap_or_else(|| observations.clone());
+            let repeated = repeats.unwrap_or_else(|| observations.clone());
             // Differences between repeats are asked for: those at nominal values are as good as any.
-            let sets = vec![ObservationSet::new(name, repeats.clone())];
+            let sets = vec![ObservationSet::new(name, repeated.clone())];
             let residuals = Problem::new(name, "", model.clone(), sets, &[])?.residuals(&[])?;
-            uncertainty.pooled = Some(row_uncertainty::pooled(pooled, layout, repeats.layout(), &residuals)?);
+            uncertainty.pooled = Some(repeats::pooled(pooled, layout, repeated.layout(), &residuals)?);
         }
         let mut set = ObservationSet::new(name, observations);
         if let Some(ids) = &self.settings.id {

@@ -44,6 +44,7 @@ mod propagation;
 mod rank;
 mod reach;
 mod remarks;
+pub mod repeats;
 mod residuals;
 pub mod row_uncertainty;
 mod same_motion;

@@ -6,6 +6,7 @@
 
 mod document;
 mod graph;
+mod libraries;
 mod schema;
 mod sets;
 #[cfg(test)]
@@ -14,11 +15,13 @@ mod tests;
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
-use abbe_core::{Basis, Error, Kind, PathItem, Place, Plugin, Registry, SettingsError, nearest, path_text};
+use abbe_core::{Basis, Error, Kind, PathItem, Plugin, Registry, SettingsError, nearest, path_text};
 use abbe_planning::Planning;
 use serde_json::{Map, Value};
 
 use document::{At, Document, Node};
+pub use libraries::Library;
+use libraries::libraries;
 pub use schema::schema;
 use sets::Sets;
 
@@ -29,12 +32,7 @@ const INPUT_UNCERTAINTY: [&str; 3] = ["uncertainty", "pooled", "id"];
 const SHARED_ROWS: &str = "shared_rows";
 const ACCEPTED: &str = "accepted";
 
-/// How long an isolated plugin may be silent unless the recipe says otherwise, s.
-const TIME_LIMIT_S: f64 = 60.0;
-
-/// A day: nobody waits longer for one answer.
-const LONGEST_LIMIT_S: f64 = 86_400.0;
-/// The key under which measurements are planned ([`abbe_core::Planning`]).
+/// The key under which measurements are planned ([`Planning`]).
 const PLAN: &str = "plan";
 
 /// The version of recipes that this program reads.
@@ -96,19 +94,6 @@ impl Stage {
     pub fn reference(&self, key: &str) -> &[String] {
         self.references.get(key).map_or(&[], Vec::as_slice)
     }
-}
-
-/// A library with plugins that a recipe asks for.
-#[derive(Debug, Clone, PartialEq)]
-pub struct Library {
-    /// Its file, as it can be opened.
-    pub path: PathBuf,
-    /// The SHA-256 that the file has to have, as written.
-    pub sha256: Option<String>,
-    /// Its plugins run in processes of their own, and for how long one may be silent there, s.
-    pub isolate: Option<f64>,
-    /// Where the recipe names it.
-    pub place: Option<Place>,
 }
 
 /// Where settings come from that do not stand in the recipe as the plugin sees them.
@@ -291,51 +276,6 @@ fn check_top(root: &Node<'_>) -> Result<(), Error> {
         return Err(version.error(At::Value, format!("{expected}, not {}", version.value)));
     }
     root.only(&["abbe", "name", "sets", "plugins", "stages", PLAN])
-}
-
-fn libraries(root: &Node<'_>, base: &Path) -> Result<Vec<Library>, Error> {
-    let Some(plugins) = root.get("plugins") else { return Ok(Vec::new()) };
-    let library = |node: Node<'_>| {
-        node.only(&["path", "sha256", "isolate", "time_limit_s"])?;
-        let missing = || node.missing(&["path"], "`path` is missing: the file of the library");
-        let path = node.get("path").ok_or_else(missing)?;
-        let sha256 = node.get("sha256").map(|pin| digest(&pin)).transpose()?;
-        let isolate = isolation(&node)?;
-        Ok(Library { path: base.join(path.text()?), sha256, isolate, place: path.error(At::Value, "").place })
-    };
-    plugins.list()?.into_iter().map(library).collect()
-}
-
-/// A SHA-256 in hexadecimal digits.
-fn digest(node: &Node<'_>) -> Result<String, Error> {
-    let text = node.text()?;
-    match text.len() == 64 && text.chars().all(|c| c.is_ascii_hexdigit()) {
-        true => Ok(text.to_owned()),
-        false => {
-            Err(node.error(At::Value, "sha256: 64 hexadecimal digits were expected").help("`sha256sum` prints them"))
-        }
-    }
-}
-
-/// Whether a library's plugins are isolated, and the time limit then.
-fn isolation(node: &Node<'_>) -> Result<Option<f64>, Error> {
-    let isolate = match node.get("isolate") {
-        None => false,
-        Some(isolate) => {
-            isolate.value.as_bool().ok_or_else(|| isolate.error(At::Value, "isolate: true or false was expected"))?
-        }
-    };
-    let Some(limit) = node.get("time_limit_s") else { return Ok(isolate.then_some(TIME_LIMIT_S)) };
-    match limit.value.as_f64().filter(|limit| *limit > 0.0 && *limit <= LONGEST_LIMIT_S) {
-        Some(_) if !isolate => {
-            Err(limit.error(At::Key, "`time_limit_s` holds for plugins that are isolated").help("add `isolate: true`"))
-        }
-        Some(limit) => Ok(Some(limit)),
-        None => {
-            Err(limit
-                .error(At::Value, format!("time_limit_s: a number above 0, at most {LONGEST_LIMIT_S}, was expected")))
-        }
-    }
 }
 
 fn heads<'a>(root: &Node<'a>, registry: &'a Registry) -> Result<Vec<Head<'a>>, Error> {

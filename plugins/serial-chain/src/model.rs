@@ -10,6 +10,7 @@ use nalgebra::Vector3;
 use serde_json::Value;
 
 use crate::builder::{Builder, COMPONENTS, chain_axis, finite, key, quantity_of, settle_time, temperature_is_there};
+use crate::derivatives::{At, of_one_error};
 use crate::settings::Settings;
 
 /// A serial chain with its error families.
@@ -216,7 +217,7 @@ impl Basis {
     }
 
     /// Slot, component and value of every error that its coefficients add to, if its functions are these.
-    fn errors(&self, values: &[f64], functions: &[f64]) -> impl Iterator<Item = (usize, usize, f64)> {
+    pub fn errors(&self, values: &[f64], functions: &[f64]) -> impl Iterator<Item = (usize, usize, f64)> {
         // Summed before they are added anywhere: coefficients of one error stand side by side.
         self.coefficients.chunk_by(of_one_error).map(move |coefficients| {
             let Place { slot, component, .. } = coefficients[0].1;
@@ -228,7 +229,14 @@ impl Basis {
     }
 
     /// Adds the slopes of the functions to whatever comes from `source`; gives whether anything does.
-    fn slopes_by(&self, source: Source, status: &[f64], values: &[f64], each: &mut [f64], out: &mut Vec<f64>) -> bool {
+    pub fn slopes_by(
+        &self,
+        source: Source,
+        status: &[f64],
+        values: &[f64],
+        each: &mut [f64],
+        out: &mut Vec<f64>,
+    ) -> bool {
         out.clear();
         if !self.arguments.contains(&source) {
             return false;
@@ -247,8 +255,8 @@ impl Basis {
 }
 
 /// Buffers for one pose.
-struct Work {
-    functions: Vec<f64>,
+pub(crate) struct Work {
+    pub functions: Vec<f64>,
     errors: Vec<Errors>,
     commands: Vec<f64>,
     pose: Pose,
@@ -409,106 +417,5 @@ impl KinematicModel for SerialChain {
             }
         }
         Ok(error)
-    }
-}
-
-/// Derivatives of position or rotation to the errors of every slot, and to the command of every axis.
-type ByErrorAndCommand<'a> = (&'a [[Vector3<f64>; 6]], &'a [Vector3<f64>]);
-
-/// Variables to which derivatives are wanted, with their places among all that are.
-#[derive(Default)]
-struct Wanted {
-    coefficients: Vec<(usize, Place)>,
-    /// Place, parameter, basis.
-    shapes: Vec<(usize, usize, usize)>,
-    /// Place, axis.
-    commands: Vec<(usize, usize)>,
-}
-
-/// Whether two coefficients add to the same error.
-fn of_one_error((_, one): &(usize, Place), (_, other): &(usize, Place)) -> bool {
-    (one.slot, one.component) == (other.slot, other.component)
-}
-
-/// Slopes of the functions of a basis to one argument, and to all arguments that come from one source.
-type Buffers = (Vec<f64>, Vec<f64>);
-
-/// Where derivatives are taken.
-#[derive(Clone, Copy)]
-struct At<'a> {
-    status: &'a [f64],
-    values: &'a [f64],
-    used: &'a [usize],
-}
-
-impl SerialChain {
-    /// The coefficients of an error.
-    fn coefficients_at(&self, slot: usize, component: usize) -> impl Iterator<Item = Place> {
-        self.roles.iter().filter_map(move |role| match role {
-            Role::Coefficient(place) if place.slot == slot && place.component == component => Some(*place),
-            _ => None,
-        })
-    }
-
-    /// The wanted variables, coefficients of one error together.
-    fn sorted(&self, wanted: &[Variable]) -> Wanted {
-        let mut sorted = Wanted::default();
-        for (index, variable) in wanted.iter().enumerate() {
-            match *variable {
-                Variable::Parameter(parameter) => match self.roles[parameter] {
-                    Role::Coefficient(place) => sorted.coefficients.push((index, place)),
-                    Role::Shape(basis) => sorted.shapes.push((index, parameter, basis)),
-                },
-                Variable::Command(axis) => sorted.commands.push((index, axis)),
-            }
-        }
-        sorted
-    }
-
-    /// Derivatives of position or rotation, whichever `by` has, to the wanted variables; what is zero is left out.
-    fn derivatives(
-        &self,
-        wanted: &Wanted,
-        at: At<'_>,
-        work: &Work,
-        by: ByErrorAndCommand<'_>,
-        (buffers, out): (&mut Buffers, &mut [[f64; 3]]),
-    ) {
-        for coefficients in wanted.coefficients.chunk_by(of_one_error) {
-            let by_error = by.0[coefficients[0].1.slot][coefficients[0].1.component];
-            for (index, place) in coefficients {
-                let function = work.functions[place.function];
-                // Of many pieces most are zero at a place.
-                if function != 0.0 {
-                    out[*index] = (by_error * function).into();
-                }
-            }
-        }
-        for &(index, parameter, basis) in &wanted.shapes {
-            out[index] = self.through(&self.bases[basis], Source::Parameter(parameter), at, by, buffers).into();
-        }
-        // The motion itself, and the errors that change on the way.
-        for &(index, axis) in &wanted.commands {
-            let source = Source::Status(self.axes[axis].status);
-            let bases = at.used.iter().map(|&basis| &self.bases[basis]);
-            let through = bases.fold(by.1[axis], |sum, basis| sum + self.through(basis, source, at, by, buffers));
-            out[index] = through.into();
-        }
-    }
-
-    /// What `source` does through the functions of a basis.
-    fn through(
-        &self,
-        basis: &Basis,
-        source: Source,
-        at: At<'_>,
-        by: ByErrorAndCommand<'_>,
-        (each, slopes): &mut Buffers,
-    ) -> Vector3<f64> {
-        if !basis.slopes_by(source, at.status, at.values, each, slopes) {
-            return Vector3::zeros();
-        }
-        let errors = basis.errors(at.values, slopes);
-        errors.map(|(slot, component, slope)| by.0[slot][component] * slope).sum()
     }
 }
