@@ -41,7 +41,7 @@ pub use input_uncertainty::{Ids, InputUncertainty, PooledRepeats, RowUncertainty
 pub use limit::Limit;
 pub use model::{
     Absent, Axis, AxisKind, Branch, ErrorFunction, KinematicModel, MotionError, Parameter, Period, Poses, PosesMut,
-    StatusColumn, Variable,
+    StatusColumn, StatusRole, Variable,
 };
 pub use monitor::{Event, Monitor};
 pub use observations::{

@@ -62,11 +62,67 @@ pub enum Absent {
     Taken(#[serde(deserialize_with = "number")] f64),
 }
 
+/// What a status is.
+#[derive(Debug, Clone, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum StatusRole {
+    /// The command of an axis, by its index among [`KinematicModel::axes`].
+    Command(usize),
+    /// From which side an axis came where it stands: +1 or -1, 0 if that is not known.
+    Direction(usize),
+    /// The time of the row, s.
+    Time,
+    /// The stylus that touches.
+    Stylus,
+    /// A series of measurements that has unknowns of its own: day, set-up.
+    Series,
+    /// A temperature.
+    Temperature,
+    /// The force on the workpiece.
+    Load,
+    /// Something that no one but the model knows.
+    #[default]
+    Other,
+}
+
+impl StatusRole {
+    /// What a status is by the name that columns of data give it (`X`, `dir_X`, `time`, `stylus`); for models that do not say it.
+    pub fn of_name(name: &str, axes: &[Axis]) -> Self {
+        let axis = |name: &str| axes.iter().position(|axis| axis.name == name);
+        match (axis(name), name.strip_prefix(DIRECTION).and_then(axis)) {
+            (Some(axis), _) => Self::Command(axis),
+            (None, Some(axis)) => Self::Direction(axis),
+            (None, None) if name == TIME => Self::Time,
+            (None, None) if name == STYLUS => Self::Stylus,
+            _ => Self::Other,
+        }
+    }
+
+    /// The name that columns of data give it; none if the model names it.
+    pub fn column_name(&self, axes: &[Axis]) -> Option<String> {
+        match self {
+            Self::Command(axis) => Some(axes[*axis].name.clone()),
+            Self::Direction(axis) => Some(format!("{DIRECTION}{}", axes[*axis].name)),
+            Self::Time => Some(TIME.to_owned()),
+            Self::Stylus => Some(STYLUS.to_owned()),
+            _ => None,
+        }
+    }
+}
+
+/// What columns of data are called that say the side from which an axis came, the time, and the stylus.
+const DIRECTION: &str = "dir_";
+const TIME: &str = "time";
+const STYLUS: &str = "stylus";
+
 /// A column of the status of a pose that a model takes.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct StatusColumn {
     /// Name without unit: `X`, `dir_X`, `time`, `day`, `stylus`.
     pub name: String,
+    /// What it is.
+    #[serde(default)]
+    pub role: StatusRole,
     /// Its quantity; `Label` with `levels`.
     pub quantity: Quantity,
     /// For labels: the known ones, passed to the model as their index; an unknown one as NaN.
@@ -193,6 +249,11 @@ pub trait KinematicModel: Send + Sync {
     /// The status columns that a pose of this model is made of; the row of a batch has them in this order.
     fn status(&self) -> &[StatusColumn];
 
+    /// The index of the status that is this; none if poses do not have it.
+    fn status_of(&self, role: &StatusRole) -> Option<usize> {
+        self.status().iter().position(|column| column.role == *role)
+    }
+
     /// Every parameter that exists in this model.
     fn parameters(&self) -> &[Parameter];
 
@@ -272,5 +333,38 @@ pub trait KinematicModel: Send + Sync {
     /// Fails where the status is outside the range of the error's functions.
     fn motion_error(&self, _function: &ErrorFunction, _values: &[f64], _status: &[f64]) -> Result<MotionError> {
         Ok(MotionError::default())
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn roles_follow_from_the_names_of_columns_and_give_them() {
+        let axis = |(status, name): (usize, &str)| Axis {
+            name: name.to_owned(),
+            kind: AxisKind::Linear,
+            branch: Branch::Tool,
+            sense: 1.0,
+            direction: [1.0, 0.0, 0.0],
+            range: None,
+            indexed: false,
+            status,
+        };
+        let axes: Vec<Axis> = ["X", "Z"].into_iter().enumerate().map(axis).collect();
+        for (name, role) in [
+            ("Z", StatusRole::Command(1)),
+            ("dir_X", StatusRole::Direction(0)),
+            ("time", StatusRole::Time),
+            ("stylus", StatusRole::Stylus),
+        ] {
+            assert_eq!(StatusRole::of_name(name, &axes), role);
+            assert_eq!(role.column_name(&axes).as_deref(), Some(name));
+        }
+        for name in ["dir_Y", "day", "X1", ""] {
+            assert_eq!(StatusRole::of_name(name, &axes), StatusRole::Other);
+        }
+        assert_eq!(StatusRole::Temperature.column_name(&axes), None);
     }
 }

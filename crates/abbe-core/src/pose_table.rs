@@ -6,7 +6,7 @@ use serde::{Deserialize, Serialize};
 
 use crate::dataset::{ColumnHeader, Dataset, Values, missing_column};
 use crate::error::{Error, Result};
-use crate::model::{Absent, Axis, AxisKind, KinematicModel, StatusColumn};
+use crate::model::{Absent, Axis, AxisKind, KinematicModel, StatusColumn, StatusRole};
 use crate::serial::{number, numbers};
 use crate::unit::Quantity;
 
@@ -105,7 +105,9 @@ impl PoseTable {
             let value = match source {
                 StatusSource::Taken(value) => *value,
                 StatusSource::Column(name) => match data.column(name).map(|column| &column.values) {
-                    Some(Values::Numbers(numbers)) if status.name.starts_with("dir_") && numbers[row].abs() != 1.0 => {
+                    Some(Values::Numbers(numbers))
+                        if matches!(status.role, StatusRole::Direction(_)) && numbers[row].abs() != 1.0 =>
+                    {
                         let message = format!("`{name}` is {}; +1 or -1 was expected", numbers[row]);
                         return Err(data.error_at(row, message));
                     }

@@ -3,7 +3,9 @@
 use std::collections::BTreeSet;
 use std::fmt::Write;
 
-use abbe_core::{Absent, Artefact, AxisKind, Error, KinematicModel, PathItem, Poses, Result, Series, Target};
+use abbe_core::{
+    Absent, Artefact, AxisKind, Error, KinematicModel, PathItem, Poses, Result, Series, StatusRole, Target,
+};
 use abbe_estimation::Reach;
 
 use crate::settings::{GeneratedLengths, Generation};
@@ -56,9 +58,9 @@ impl<'a> Grid<'a> {
         for (index, column) in model.status().iter().enumerate() {
             let axis = axes.iter().any(|axis| axis.status == index);
             match column.absent {
-                _ if is_approach(&column.name) => status.push(1.0),
+                _ if matches!(column.role, StatusRole::Direction(_)) => status.push(1.0),
                 Absent::Taken(value) => status.push(value),
-                Absent::Refused if axis || column.name == TIME => status.push(0.0),
+                Absent::Refused if axis || column.role == StatusRole::Time => status.push(0.0),
                 Absent::Refused => {
                     let message =
                         format!("the machine needs a column `{}`, of which the grid knows nothing", column.name);
@@ -67,11 +69,11 @@ impl<'a> Grid<'a> {
             }
         }
         let mut indexations = vec![status];
-        for axis in axes.iter().filter(|axis| axis.kind == AxisKind::Rotary) {
+        for (index, axis) in axes.iter().enumerate().filter(|(_, axis)| axis.kind == AxisKind::Rotary) {
             let positions = wanted.indexations_deg.get(&axis.name).map_or(Ok(vec![0.0]), Series::values);
             let positions = positions.map_err(|error| wrong_grid("indexations_deg", error.message))?;
             // Whoever tells backlash has to come from both sides.
-            let approach = model.status().iter().position(|column| column.name == format!("dir_{}", axis.name));
+            let approach = model.status_of(&StatusRole::Direction(index));
             let sides: &[f64] = if wanted.indexations_deg.contains_key(&axis.name) && approach.is_some() {
                 &[1.0, -1.0]
             } else {
@@ -184,10 +186,10 @@ impl<'a> Grid<'a> {
         let Some(approach) = target.approach else { return Ok(()) };
         let back = [0, 1, 2].map(|k| target.tip[k] - approach[k]);
         let Some(from) = self.reached(status, &[back])?.pop().flatten() else { return Ok(()) };
-        for axis in self.model.axes().iter().filter(|axis| axis.kind == AxisKind::Linear) {
-            let flag = format!("dir_{}", axis.name);
+        let linear = self.model.axes().iter().enumerate().filter(|(_, axis)| axis.kind == AxisKind::Linear);
+        for (index, axis) in linear {
             let moved = status[axis.status] - from[axis.status];
-            if let Some(column) = self.model.status().iter().position(|column| column.name == flag) {
+            if let Some(column) = self.model.status_of(&StatusRole::Direction(index)) {
                 status[column] = if moved < -AT_REST { -1.0 } else { 1.0 };
             }
         }
@@ -208,9 +210,9 @@ impl<'a> Grid<'a> {
         }
         // What the grid says: positions, and of a single pose the directions of approach and the time.
         let column = |index: &usize| {
-            let name = &self.model.status()[*index].name;
-            self.model.axes().iter().any(|axis| axis.status == *index)
-                || (ends.len() == 1 && (is_approach(name) || name == TIME))
+            let of_one_pose =
+                || matches!(self.model.status()[*index].role, StatusRole::Direction(_) | StatusRole::Time);
+            self.model.axes().iter().any(|axis| axis.status == *index) || (ends.len() == 1 && of_one_pose())
         };
         let columns: Vec<usize> = (0..self.model.status().len()).filter(column).collect();
         let mut text = labels.to_owned();
@@ -228,7 +230,7 @@ impl<'a> Grid<'a> {
                     let column = &self.model.status()[index];
                     let value = match self.model.axes().iter().find(|axis| axis.status == index) {
                         Some(axis) if axis.kind == AxisKind::Rotary => status[index].to_degrees(),
-                        None if column.name == TIME => row as f64 * wanted.duration_s.unwrap_or(1.0),
+                        None if column.role == StatusRole::Time => row as f64 * wanted.duration_s.unwrap_or(1.0),
                         _ => status[index],
                     };
                     // To the nanometre, without a minus sign before zero.
@@ -242,13 +244,6 @@ impl<'a> Grid<'a> {
         }
         Ok(text)
     }
-}
-
-/// The column of the time of a row.
-const TIME: &str = "time";
-
-fn is_approach(column: &str) -> bool {
-    column.starts_with("dir_")
 }
 
 fn pairs<'a>(one: &'a [f64], other: &'a [f64]) -> impl Iterator<Item = (f64, f64)> + 'a {

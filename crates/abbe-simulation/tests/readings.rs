@@ -34,6 +34,7 @@ impl Rail {
         };
         let status = StatusColumn {
             name: "X".to_owned(),
+            role: abbe_core::StatusRole::Command(0),
             quantity: Quantity::Length,
             levels: Vec::new(),
             absent: Absent::Refused,

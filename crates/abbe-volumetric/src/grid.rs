@@ -2,7 +2,9 @@
 
 use std::collections::BTreeMap;
 
-use abbe_core::{Absent, Axis, AxisKind, Error, KinematicModel, PathItem, Quantity, Result, SettingsError};
+use abbe_core::{
+    Absent, Axis, AxisKind, Error, KinematicModel, PathItem, Quantity, Result, SettingsError, StatusColumn, StatusRole,
+};
 use schemars::JsonSchema;
 use serde::Deserialize;
 
@@ -223,8 +225,8 @@ fn key(name: &str) -> PathItem {
     PathItem::Key(name.to_owned())
 }
 
-fn is_direction(name: &str) -> bool {
-    name.starts_with("dir_")
+fn is_direction(column: &StatusColumn) -> bool {
+    matches!(column.role, StatusRole::Direction(_))
 }
 
 /// The status of a pose with all axes at zero, approached in positive direction at an unknown time.
@@ -233,8 +235,8 @@ fn base(model: &dyn KinematicModel) -> Vec<f64> {
     columns
         .map(|(index, column)| match column.absent {
             _ if model.axes().iter().any(|axis| axis.status == index) => 0.0,
-            _ if is_direction(&column.name) => 1.0,
-            _ if column.name == "time" => f64::NAN,
+            _ if is_direction(column) => 1.0,
+            _ if column.role == StatusRole::Time => f64::NAN,
             Absent::Taken(value) => value,
             Absent::Refused => f64::NAN,
         })
@@ -243,7 +245,7 @@ fn base(model: &dyn KinematicModel) -> Vec<f64> {
 
 /// The same poses approached in negative direction; none if directions do not matter to the machine.
 fn reversed(model: &dyn KinematicModel, statuses: &[f64]) -> Vec<f64> {
-    let directions: Vec<bool> = model.status().iter().map(|column| is_direction(&column.name)).collect();
+    let directions: Vec<bool> = model.status().iter().map(is_direction).collect();
     if !directions.contains(&true) {
         return Vec::new();
     }

@@ -4,7 +4,7 @@ use std::collections::BTreeMap;
 
 use abbe_core::{
     Absent, Axis, AxisKind, Branch, ColumnHeader, KinematicModel, PathItem, Poses, Quantity, Result, SettingsError,
-    StatusColumn, Variable,
+    StatusColumn, StatusRole, Variable,
 };
 use nalgebra::Vector3;
 
@@ -206,11 +206,10 @@ fn legs(
     let leg = |axis: Option<usize>, direction: Vector3<f64>, by_tilt: f64| {
         let sign = sign(axis);
         let named = axis.map(|axis| &model.axes()[axis]);
-        let approach = named.map(|axis| format!("dir_{}", axis.name));
         Leg {
             name: named.map_or_else(String::new, |axis| axis.name.clone()),
             command: named.map(|axis| axis.status),
-            approach: model.status().iter().position(|status| Some(&status.name) == approach.as_ref()),
+            approach: axis.and_then(|axis| model.status_of(&StatusRole::Direction(axis))),
             sensitivity: direction * sign,
             by_tilt: by_tilt * sign,
         }

@@ -2,7 +2,9 @@
 
 use std::collections::BTreeMap;
 
-use abbe_core::{Absent, Axis, Calibration, ErrorFunction, KinematicModel, MotionError, Result, SettingsError};
+use abbe_core::{
+    Absent, Axis, Calibration, ErrorFunction, KinematicModel, MotionError, Result, SettingsError, StatusRole,
+};
 use abbe_numerics::joint_coverage_factor;
 use abbe_volumetric::{Ranges, Steps, check_ranges, points_every, range_of};
 
@@ -23,12 +25,13 @@ pub fn points(axis: &Axis, ranges: &Ranges, steps: Steps, most: usize) -> Result
 /// The status of an axis at a position (in memory's unit), approached in a direction; everything else as if the data did
 /// not mention it, other axes at zero.
 pub fn status(model: &dyn KinematicModel, axis: &Axis, position: f64, direction: f64) -> Vec<f64> {
-    let flag = format!("dir_{}", axis.name);
+    let of_axis =
+        |role: &StatusRole| matches!(role, StatusRole::Direction(of) if model.axes()[*of].status == axis.status);
     let columns = model.status().iter().enumerate();
     columns
         .map(|(index, column)| match column.absent {
             _ if index == axis.status => position,
-            _ if column.name == flag => direction,
+            _ if of_axis(&column.role) => direction,
             _ if model.axes().iter().any(|other| other.status == index) => 0.0,
             Absent::Taken(value) => value,
             Absent::Refused => 0.0,

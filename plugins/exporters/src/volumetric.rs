@@ -2,7 +2,7 @@
 
 use abbe_core::{
     Build, Calibration, Constructor, Context, Export, ExportedFile, InputFile, KinematicModel, PathItem, Plugin,
-    Result, SettingsError, inventory,
+    Result, SettingsError, StatusRole, inventory,
 };
 use abbe_volumetric::{Grid, position_unit, predict, tidy, within};
 use schemars::JsonSchema;
@@ -135,7 +135,7 @@ impl VolumetricTable {
         });
         let directions = model.status().iter().enumerate();
         let directions = directions
-            .filter(|(_, column)| self.settings.grid.both_directions && column.name.starts_with("dir_"))
+            .filter(|(_, column)| self.settings.grid.both_directions && matches!(column.role, StatusRole::Direction(_)))
             .map(|(status, column)| PositionColumn { header: column.name.clone(), status, factor: 1.0 });
         axes.chain(directions).collect()
     }

@@ -26,6 +26,7 @@ impl Linear {
         let parameter = |index| Parameter { name: name(index), unit: Unit::MM };
         let status = |index| StatusColumn {
             name: name(index),
+            role: abbe_core::StatusRole::Other,
             quantity: Quantity::Ratio,
             levels: Vec::new(),
             absent: Absent::Taken(0.0),

@@ -3,7 +3,8 @@
 use std::collections::BTreeMap;
 
 use abbe_core::{
-    Absent, Axis, AxisKind, Dataset, Parameter, PathItem, Quantity, SettingsError, StatusColumn, Unit, Values, matches,
+    Absent, Axis, AxisKind, Dataset, Parameter, PathItem, Quantity, SettingsError, StatusColumn, StatusRole, Unit,
+    Values, matches,
 };
 use abbe_errors::{Argument, Constant, Declaration, Drift, Expansion, Functions, Group, Per, StylusIs, Subject};
 use abbe_kinematics::{Chain, ChainAxis, ErrorFrame, NamedAxis, StructuralLoop};
@@ -64,7 +65,8 @@ impl Builder {
             });
             // A spindle that the data do not mention was not turned.
             let absent = if named.indexed { Absent::Taken(0.0) } else { Absent::Refused };
-            status.push(StatusColumn { name: axis.name.clone(), quantity, levels: Vec::new(), absent });
+            let (name, role) = (axis.name.clone(), StatusRole::Command(index));
+            status.push(StatusColumn { name, role, quantity, levels: Vec::new(), absent });
         }
         let mut candidates = Vec::new();
         for (index, axis) in axes.iter().enumerate() {
@@ -106,9 +108,8 @@ impl Builder {
             let levels = std::iter::once("1").chain(styli.iter().map(|(number, _)| number.as_str()));
             let levels = levels.map(str::to_owned).collect();
             self.stylus_status = Some(self.status.len());
-            let status =
-                StatusColumn { name: "stylus".into(), quantity: Quantity::Label, levels, absent: Absent::Taken(0.0) };
-            self.status.push(status);
+            let (name, role, absent) = ("stylus".to_owned(), StatusRole::Stylus, Absent::Taken(0.0));
+            self.status.push(StatusColumn { name, role, quantity: Quantity::Label, levels, absent });
         }
         let set_up: Vec<Candidate> = self.among(Group::SetUp).cloned().collect();
         for candidate in set_up {
@@ -201,7 +202,13 @@ impl Builder {
     }
 
     /// The status column of that name, added if it is new; labels that are new to it are added to it.
-    fn status(&mut self, name: String, quantity: Quantity, levels: Vec<String>, absent: f64) -> usize {
+    fn status(
+        &mut self,
+        name: String,
+        role: StatusRole,
+        (quantity, levels): (Quantity, Vec<String>),
+        absent: f64,
+    ) -> usize {
         if let Some(index) = self.status.iter().position(|status| status.name == name) {
             let known = &mut self.status[index].levels;
             for level in levels {
@@ -211,7 +218,7 @@ impl Builder {
             }
             return index;
         }
-        self.status.push(StatusColumn { name, quantity, levels, absent: Absent::Taken(absent) });
+        self.status.push(StatusColumn { name, role, quantity, levels, absent: Absent::Taken(absent) });
         self.status.len() - 1
     }
 
@@ -279,7 +286,7 @@ impl Builder {
         let Declaration::Drift(drift) = declaration else { return Vec::new() };
         let Some(column) = drift.per.column() else { return Vec::new() };
         let levels = drift.time_s.keys().cloned().collect();
-        let status = self.status(column.to_owned(), Quantity::Label, levels, f64::NAN);
+        let status = self.status(column.to_owned(), StatusRole::Series, (Quantity::Label, levels), f64::NAN);
         self.status[status].levels.clone()
     }
 
@@ -316,7 +323,7 @@ impl Builder {
                         let name = format!("{}{suffix}", candidate.symbol);
                         Source::Parameter(self.parameter(name, unit, nominal, Role::Shape(basis))?)
                     }
-                    other => Source::Status(self.argument(other, candidate.axis, declaration)),
+                    other => Source::Status(self.argument(other, candidate.axis, declaration)?),
                 });
             }
             let ends = functions.range();
@@ -328,25 +335,38 @@ impl Builder {
     }
 
     /// The status that an argument of a function is.
-    fn argument(&mut self, argument: Argument, axis: Option<usize>, declaration: &Declaration) -> usize {
-        match (argument, axis, declaration) {
+    fn argument(
+        &mut self,
+        argument: Argument,
+        axis: Option<usize>,
+        declaration: &Declaration,
+    ) -> Result<usize, SettingsError> {
+        Ok(match (argument, axis, declaration) {
             (Argument::Command, Some(axis), _) => axis,
             (Argument::CommandOf(name), axis, _) => {
-                self.axes.iter().position(|axis| axis.name == name).or(axis).unwrap_or(0)
+                self.axes.iter().position(|axis| axis.name == name).or(axis).ok_or_else(|| {
+                    SettingsError::new("errors", format!("an error follows axis {name}, which the chain does not have"))
+                })?
             }
             (Argument::Direction, Some(axis), _) => {
-                let name = format!("dir_{}", self.axes[axis].name);
-                self.status(name, Quantity::Ratio, Vec::new(), 0.0)
+                let role = StatusRole::Direction(axis);
+                self.status(role.column_name(&self.axes).unwrap_or_default(), role, (Quantity::Ratio, Vec::new()), 0.0)
             }
-            (Argument::Load, ..) => self.status("load".to_owned(), Quantity::Force, Vec::new(), 0.0),
-            (Argument::Temperature(name), ..) => self.status(name, Quantity::Temperature, Vec::new(), f64::NAN),
-            (Argument::LoadZ, ..) => self.status("load_z".to_owned(), Quantity::Length, Vec::new(), 0.0),
+            (Argument::Load, ..) => {
+                self.status("load".to_owned(), StatusRole::Load, (Quantity::Force, Vec::new()), 0.0)
+            }
+            (Argument::Temperature(name), ..) => {
+                self.status(name, StatusRole::Temperature, (Quantity::Temperature, Vec::new()), f64::NAN)
+            }
+            (Argument::LoadZ, ..) => {
+                self.status("load_z".to_owned(), StatusRole::Other, (Quantity::Length, Vec::new()), 0.0)
+            }
             (Argument::Series, _, Declaration::Drift(drift)) if drift.per.column().is_some() => {
                 let column = drift.per.column().unwrap_or_default();
-                self.status(column.to_owned(), Quantity::Label, Vec::new(), f64::NAN)
+                self.status(column.to_owned(), StatusRole::Series, (Quantity::Label, Vec::new()), f64::NAN)
             }
-            _ => self.status("time".to_owned(), Quantity::Time, Vec::new(), f64::NAN),
-        }
+            _ => self.status("time".to_owned(), StatusRole::Time, (Quantity::Time, Vec::new()), f64::NAN),
+        })
     }
 
     pub fn finish(self, settings: &Settings, resolved: Value) -> SerialChain {

@@ -62,8 +62,9 @@ impl Hexapod {
             status: strut,
         });
         let axes: Vec<Axis> = axes.collect();
-        let status = axes.iter().map(|axis| StatusColumn {
+        let status = axes.iter().enumerate().map(|(index, axis)| StatusColumn {
             name: axis.name.clone(),
+            role: StatusRole::Command(index),
             quantity: Quantity::Length,
             levels: Vec::new(),
             absent: Absent::Refused,

@@ -99,8 +99,9 @@ impl NutatingHead {
         };
         let named = [("X", Vector3::x()), ("Y", Vector3::y()), ("Z", Vector3::z()), ("B", tilted)];
         let axes: Vec<Axis> = named.into_iter().enumerate().map(axis).collect();
-        let status = axes.iter().map(|axis| StatusColumn {
+        let status = axes.iter().enumerate().map(|(index, axis)| StatusColumn {
             name: axis.name.clone(),
+            role: StatusRole::Command(index),
             quantity: if axis.kind == AxisKind::Rotary { Quantity::Angle } else { Quantity::Length },
             levels: Vec::new(),
             absent: Absent::Refused,

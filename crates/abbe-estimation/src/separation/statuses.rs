@@ -1,7 +1,7 @@
 //! Trials of the recorded rows at other statuses: other positions of an axis, the other direction of approach, another
 //! stylus.
 
-use abbe_core::{Axis, AxisKind, ObservationSet, PoseTable, Problem, Quantity, Result, StatusColumn};
+use abbe_core::{Axis, AxisKind, ObservationSet, PoseTable, Problem, Quantity, Result, StatusColumn, StatusRole};
 
 use super::{Group, Measured, Trial, listed};
 use crate::reach::Reach;
@@ -29,7 +29,7 @@ pub fn statuses(problem: &Problem, recorded: &Problem) -> Result<Vec<Trial>> {
         let axis = problem.model.axes().iter().find(|axis| axis.status == index);
         let values = values(problem, index, status);
         let group = if values.len() > 1 { Group::Further(index) } else { Group::Constant(index) };
-        for Alternative { value, sentence } in alternatives(status, axis, &values) {
+        for Alternative { value, sentence } in alternatives(status, problem.model.axes(), axis, &values) {
             if let Some(rows) = at_status(recorded, index, value)? {
                 trials.push(Trial { group, sentence, measured: Measured::Rows(Box::new(rows)) });
             }
@@ -54,16 +54,17 @@ fn poses_of(set: &ObservationSet) -> impl Iterator<Item = usize> + '_ {
     rows.flat_map(|row| row.first_pose..row.first_pose + row.poses)
 }
 
-/// Directions of approach are named so in all data.
 fn is_direction(status: &StatusColumn) -> bool {
-    status.name.starts_with("dir_")
+    matches!(status.role, StatusRole::Direction(_))
 }
 
-fn alternatives(status: &StatusColumn, axis: Option<&Axis>, values: &[f64]) -> Vec<Alternative> {
+fn alternatives(status: &StatusColumn, axes: &[Axis], axis: Option<&Axis>, values: &[f64]) -> Vec<Alternative> {
+    if let StatusRole::Direction(of) = status.role {
+        return approach(&status.name, &axes[of].name, values);
+    }
     match axis {
         Some(axis) if axis.kind == AxisKind::Rotary => rotary(axis, values),
         Some(axis) => linear(axis, values),
-        None if is_direction(status) => approach(status, values),
         None if status.quantity == Quantity::Label => levels(status, values),
         None => other(status, values),
     }
@@ -107,9 +108,8 @@ fn linear(axis: &Axis, values: &[f64]) -> Vec<Alternative> {
     tried.filter(in_range).map(|value| Alternative { value, sentence: sentence.clone() }).collect()
 }
 
-fn approach(status: &StatusColumn, values: &[f64]) -> Vec<Alternative> {
-    let name = &status.name;
-    let axis = name.trim_start_matches("dir_");
+/// `name` is the status that tells from which side the axis came.
+fn approach(name: &str, axis: &str, values: &[f64]) -> Vec<Alternative> {
     match values {
         [] => [1.0, -1.0]
             .map(|value| Alternative {

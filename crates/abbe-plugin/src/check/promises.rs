@@ -4,7 +4,7 @@ use std::sync::Arc;
 
 use abbe_core::{
     Absent, AxisKind, Build, Context, KinematicModel, Plugin, Poses, Quantity, Registry, Result, SettingsError,
-    Variable, in_parallel,
+    StatusRole, Variable, in_parallel,
 };
 use serde_json::Value;
 
@@ -61,7 +61,7 @@ pub(super) fn samples(machine: &dyn KinematicModel, poses: usize) -> (Vec<f64>, 
                     let [low, high] = axis.range.unwrap_or([-usual, usual]);
                     low + (0.05 + 0.9 * part) * (high - low)
                 }
-                None if column.name.starts_with("dir_") => {
+                None if matches!(column.role, StatusRole::Direction(_)) => {
                     if part < 0.5 {
                         -1.0
                     } else {

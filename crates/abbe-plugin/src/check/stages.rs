@@ -182,6 +182,7 @@ impl Plain {
         };
         let column = |name: &str| StatusColumn {
             name: name.to_owned(),
+            role: abbe_core::StatusRole::Other,
             quantity: Quantity::Length,
             levels: Vec::new(),
             absent: abbe_core::Absent::Refused,

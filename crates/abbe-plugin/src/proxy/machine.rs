@@ -5,7 +5,8 @@ use std::collections::BTreeSet;
 use std::sync::Arc;
 
 use abbe_core::{
-    Axis, ErrorFunction, KinematicModel, MotionError, Parameter, Period, Poses, Result, StatusColumn, Variable,
+    Axis, ErrorFunction, KinematicModel, MotionError, Parameter, Period, Poses, Result, StatusColumn, StatusRole,
+    Variable,
 };
 use serde_json::Value;
 
@@ -35,6 +36,10 @@ pub(crate) fn machine(object: &Transit) -> Result<Arc<dyn KinematicModel>, Failu
                     values.resize(text.parameters.len(), 0.0);
                 }
             }
+            // A machine that was built before there were roles tells them by its names.
+            for column in text.status.iter_mut().filter(|column| column.role == StatusRole::Other) {
+                column.role = StatusRole::of_name(&column.name, &text.axes);
+            }
             check_machine(&text).map_err(|what| Failure::of(peer.who(), what))?;
             Ok(Arc::new(Machine { peer: peer.clone(), text }))
         }
@@ -50,6 +55,13 @@ fn check_machine(text: &MachineText) -> Result<(), String> {
             "describes a machine whose axis {} has status {}, which is not there",
             axis.name, axis.status
         ));
+    }
+    let of_no_axis = |column: &&StatusColumn| match column.role {
+        StatusRole::Command(axis) | StatusRole::Direction(axis) => axis >= text.axes.len(),
+        _ => false,
+    };
+    if let Some(column) = text.status.iter().find(of_no_axis) {
+        return Err(format!("describes a machine whose status {} is of an axis that is not there", column.name));
     }
     if let Some(function) = text.error_functions.iter().find(|f| f.axis >= text.axes.len() || f.component >= 6) {
         return Err(format!("describes a machine whose error {} is of no axis or component", function.symbol));

@@ -37,16 +37,19 @@ impl Wave {
             indexed: false,
             status: 0,
         };
+        let axes = vec![axis];
         let column = |name: &str, quantity, absent| StatusColumn {
             name: name.to_owned(),
+            role: abbe_core::StatusRole::of_name(name, &axes),
             quantity,
             levels: Vec::new(),
             absent: Absent::Taken(absent),
         };
         let parameters = ["EXX[sin]", "EXX.wavelength"].map(|name| Parameter { name: name.to_owned(), unit: Unit::MM });
+        let status = vec![column("X", Quantity::Length, 0.0), column("time", Quantity::Time, f64::NAN)];
         Self {
-            axes: vec![axis],
-            status: vec![column("X", Quantity::Length, 0.0), column("time", Quantity::Time, f64::NAN)],
+            axes,
+            status,
             parameters: parameters.to_vec(),
             nominal: nominal.to_vec(),
             uncertainties: vec![0.0, 1e-4],
