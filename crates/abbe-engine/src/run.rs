@@ -45,7 +45,7 @@ impl Prepared {
             let Some(problem) = problems.get(&stage.name) else { continue };
             let estimator = &self.estimators[&stage.name];
             let mut identifiability = self.located(stage, estimator.identify(problem))?;
-            identifiability.remarks.extend(remarks(&problem));
+            identifiability.remarks.extend(remarks(problem));
             let accepted = estimator.accepts(&identifiability);
             let own = problem.unknowns.iter().filter(|unknown| unknown.owner == Owner::Machine);
             let machine = own.map(|unknown| unknown.name.clone()).collect();
