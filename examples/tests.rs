@@ -1,11 +1,21 @@
 //! The examples do what they say.
 
 #[allow(dead_code, reason = "its main function prints what is tested here")]
+#[path = "first_artefact.rs"]
+mod first_artefact;
+#[allow(dead_code, reason = "its main function prints what is tested here")]
 #[path = "fit_and_predict.rs"]
 mod fit_and_predict;
 #[allow(dead_code, reason = "its main function prints what is tested here")]
 #[path = "own_estimator.rs"]
 mod own_estimator;
+
+#[test]
+fn a_first_artefact_finds_the_scales() {
+    for (name, found, truth) in first_artefact::scales().unwrap() {
+        assert!((found - truth).abs() < 1e-14, "{name}: {found:e} and {truth:e}");
+    }
+}
 
 #[test]
 fn the_tip_is_off_by_some_micrometres() {

@@ -1,18 +1,18 @@
 //! Chores of the project.
 //!
-//! - `cargo xtask ci`: everything the gate asks for, the same on every machine.
+//! - `cargo xtask ci [--all]`: everything the gate asks for, the same on every machine; with `--all` nothing may be skipped.
 //! - `cargo xtask bench [--save]`: run the benchmarks, compare with (or write) `benches/baseline.json`.
 //! - `cargo xtask header`: write the C header of the plugin interface.
 //! - `cargo xtask schema`: write the schemas in `docs/schemas` that follow from the code.
 
 mod borders;
+mod gate;
 mod header;
 
 use std::collections::BTreeMap;
 use std::fs;
-use std::io::{BufRead, BufReader};
 use std::path::{Path, PathBuf};
-use std::process::{Command, ExitCode, Stdio};
+use std::process::{Command, ExitCode};
 
 use serde_json::{Value, json};
 
@@ -22,12 +22,13 @@ fn main() -> ExitCode {
     let arguments: Vec<String> = std::env::args().skip(1).collect();
     let arguments: Vec<&str> = arguments.iter().map(String::as_str).collect();
     let outcome = match arguments.as_slice() {
-        ["ci"] => ci(),
+        ["ci"] => gate::run(false),
+        ["ci", "--all"] => gate::run(true),
         ["bench"] => bench(false),
         ["bench", "--save"] => bench(true),
         ["header"] => header::write(),
         ["schema"] => schema(),
-        _ => Err("usage: cargo xtask ci | bench [--save] | header | schema".to_owned()),
+        _ => Err("usage: cargo xtask ci [--all] | bench [--save] | header | schema".to_owned()),
     };
     match outcome {
         Ok(()) => ExitCode::SUCCESS,
@@ -55,46 +56,6 @@ fn run(mut command: Command) -> Outcome {
         Ok(status) => Err(format!("{command:?} ended with {status}")),
         Err(error) => Err(format!("{command:?} cannot be run: {error}")),
     }
-}
-
-fn ci() -> Outcome {
-    run(cargo(&["fmt", "--all", "--check"]))?;
-    borders::check()?;
-    header::check()?;
-    run(cargo(&["clippy", "--workspace", "--all-targets", "--locked", "--", "-D", "warnings"]))?;
-    let mut docs = cargo(&["doc", "--workspace", "--no-deps", "--locked", "--quiet"]);
-    docs.env("RUSTDOCFLAGS", "-D warnings");
-    run(docs)?;
-    tests()
-}
-
-/// What a test prints before its name and the reason why it was skipped.
-const SKIPPED: &str = "SKIPPED: ";
-
-/// Runs all tests, and closes with how many there were and which were skipped, and why.
-fn tests() -> Outcome {
-    let mut command = cargo(&["test", "--workspace", "--locked", "--no-fail-fast"]);
-    command.env("INSTA_UPDATE", "no").stdout(Stdio::piped());
-    println!("$ {command:?}");
-    let mut child = command.spawn().map_err(|error| format!("cargo test cannot be run: {error}"))?;
-    let (mut passed, mut failed, mut skipped) = (0, 0, Vec::new());
-    for line in BufReader::new(child.stdout.take().ok_or("cargo test has no output")?).lines().map_while(Result::ok) {
-        println!("{line}");
-        let count = |what: &str| -> usize {
-            let before = line.split(what).next().unwrap_or_default();
-            before.rsplit(' ').next().and_then(|number| number.parse().ok()).unwrap_or(0)
-        };
-        if line.starts_with("test result:") {
-            passed += count(" passed;");
-            failed += count(" failed;");
-        }
-        // Others may print at the same time: the line may begin with what they do.
-        skipped.extend(line.split_once(SKIPPED).map(|(_, what)| what.to_owned()));
-    }
-    let status = child.wait().map_err(|error| format!("cargo test: {error}"))?;
-    println!("{passed} passed, {failed} failed, {} skipped", skipped.len());
-    skipped.iter().for_each(|what| println!("  skipped: {what}"));
-    if status.success() && passed > 0 { Ok(()) } else { Err(format!("cargo test ended with {status}")) }
 }
 
 /// The benchmark that tells how fast the machine is.

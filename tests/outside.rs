@@ -1,0 +1,4 @@
+//! Tests that need a program which Rust does not bring: they say what is missing where it is, and are the second part of the
+//! gate.
+
+mod instruction_sets;

@@ -1,0 +1,154 @@
+//! The gate, in two parts: what Rust alone can run, and what needs another program. It closes with how long each took, and with
+//! what was skipped and why.
+
+use std::io::{BufRead, BufReader};
+use std::process::{Command, Stdio};
+use std::time::{Duration, Instant};
+
+use crate::{Outcome, borders, cargo, header, root, run as run_command};
+
+/// Tests that need another program stand in a module of this name.
+const OUTSIDE: &str = "outside::";
+
+/// What a test prints before its name and the reason why it was skipped.
+const SKIPPED: &str = "SKIPPED: ";
+
+/// What the tests of a part came to.
+#[derive(Debug, Default)]
+struct Tests {
+    passed: usize,
+    failed: usize,
+    skipped: Vec<String>,
+}
+
+/// Runs both parts; `all`: what is skipped counts as failed.
+pub fn run(all: bool) -> Outcome {
+    let (mut tests, mut times) = (Tests::default(), Vec::new());
+    let mut failed = Vec::new();
+    for (name, part) in [("Rust alone", rust_alone as fn(&mut Tests) -> Outcome), ("other programs", other_programs)] {
+        let clock = Instant::now();
+        failed.extend(part(&mut tests).err().map(|error| format!("{name}: {error}")));
+        times.push((name, clock.elapsed()));
+    }
+    println!();
+    times.iter().for_each(|(name, time)| println!("{name}: {}", minutes(*time)));
+    println!("{} passed, {} failed, {} skipped", tests.passed, tests.failed, tests.skipped.len());
+    tests.skipped.iter().for_each(|what| println!("  skipped: {what}"));
+    if all && !tests.skipped.is_empty() {
+        failed.push("nothing may be skipped with --all".to_owned());
+    }
+    if failed.is_empty() { Ok(()) } else { Err(failed.join("; ")) }
+}
+
+fn minutes(time: Duration) -> String {
+    format!("{:.1} min", time.as_secs_f64() / 60.0)
+}
+
+fn rust_alone(tests: &mut Tests) -> Outcome {
+    run_command(cargo(&["fmt", "--all", "--check"]))?;
+    borders::check()?;
+    header::check()?;
+    run_command(cargo(&["clippy", "--workspace", "--all-targets", "--locked", "--", "-D", "warnings"]))?;
+    let mut docs = cargo(&["doc", "--workspace", "--no-deps", "--locked", "--quiet"]);
+    docs.env("RUSTDOCFLAGS", "-D warnings");
+    run_command(docs)?;
+    tests.run(&["test", "--workspace", "--locked", "--no-fail-fast", "--", "--skip", OUTSIDE])
+}
+
+fn other_programs(tests: &mut Tests) -> Outcome {
+    let of_tests = tests.run(&["test", "--package", "abbe-tests", "--test", "whole", "--locked", "--", OUTSIDE]);
+    let others = [tests.oldest_rust(), tests.licences()];
+    let failed: Vec<String> = [of_tests].into_iter().chain(others).filter_map(Result::err).collect();
+    if failed.is_empty() { Ok(()) } else { Err(failed.join("; ")) }
+}
+
+impl Tests {
+    /// Runs `cargo test`, and counts.
+    fn run(&mut self, arguments: &[&str]) -> Outcome {
+        let mut command = cargo(arguments);
+        command.env("INSTA_UPDATE", "no").stdout(Stdio::piped());
+        println!("$ {command:?}");
+        let mut child = command.spawn().map_err(|error| format!("cargo test cannot be run: {error}"))?;
+        let before = self.passed;
+        let lines = BufReader::new(child.stdout.take().ok_or("cargo test has no output")?).lines();
+        for line in lines.map_while(Result::ok) {
+            println!("{line}");
+            self.count(&line);
+        }
+        let status = child.wait().map_err(|error| format!("cargo test: {error}"))?;
+        match status.success() && self.passed > before {
+            true => Ok(()),
+            false => Err(format!("cargo test ended with {status}")),
+        }
+    }
+
+    fn count(&mut self, line: &str) {
+        let number = |what: &str| -> usize {
+            let before = line.split(what).next().unwrap_or_default();
+            before.rsplit(' ').next().and_then(|number| number.parse().ok()).unwrap_or(0)
+        };
+        if line.starts_with("test result:") {
+            self.passed += number(" passed;");
+            self.failed += number(" failed;");
+        }
+        // Others may print at the same time: the line may begin with what they do.
+        self.skipped.extend(line.split_once(SKIPPED).map(|(_, what)| what.to_owned()));
+    }
+
+    /// Whether the oldest Rust that the manifest promises compiles the program.
+    fn oldest_rust(&mut self) -> Outcome {
+        let manifest = std::fs::read_to_string(root().join("Cargo.toml")).map_err(|error| error.to_string())?;
+        let promised = manifest.lines().find_map(|line| line.strip_prefix("rust-version = "));
+        let version = promised.ok_or("Cargo.toml promises no Rust version")?.trim_matches('"').to_owned();
+        let mut rust = Command::new("rustup");
+        rust.args(["run", &version, "cargo"]).current_dir(root());
+        if !is_there(&mut rust) {
+            self.skipped.push(format!("oldest_rust: Rust {version} is not installed"));
+            return Ok(());
+        }
+        let mut check = Command::new("rustup");
+        check.args(["run", &version, "cargo", "check", "--package", "abbe", "--locked"]).current_dir(root());
+        check.arg("--target-dir").arg(root().join("target/oldest"));
+        // What this program was started with is not for another toolchain.
+        ["RUSTUP_TOOLCHAIN", "RUSTC", "CARGO"].iter().for_each(|name| drop(check.env_remove(name)));
+        run_command(check)?;
+        self.passed += 1;
+        Ok(())
+    }
+
+    /// Whether licences and advisories are those that `deny.toml` allows.
+    fn licences(&mut self) -> Outcome {
+        if !is_there(&mut cargo(&["deny"])) {
+            self.skipped.push("licences: cargo-deny is not installed".to_owned());
+            return Ok(());
+        }
+        run_command(cargo(&["deny", "check"]))?;
+        self.passed += 1;
+        Ok(())
+    }
+}
+
+/// Whether a program answers when it is asked for its version.
+fn is_there(command: &mut Command) -> bool {
+    let answer = command.arg("--version").stdout(Stdio::null()).stderr(Stdio::null()).status();
+    answer.is_ok_and(|status| status.success())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn lines_of_tests_are_counted() {
+        let mut tests = Tests::default();
+        for line in [
+            "test result: ok. 12 passed; 1 failed; 0 ignored; 0 measured",
+            "test some::test ... SKIPPED: another: no emulator",
+            "test result: ok. 3 passed; 0 failed; 0 ignored",
+        ] {
+            tests.count(line);
+        }
+        assert_eq!((tests.passed, tests.failed), (15, 1));
+        assert_eq!(tests.skipped, ["another: no emulator"]);
+    }
+}
