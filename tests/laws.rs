@@ -2,9 +2,10 @@
 //! tool length ends and the tool offset begins. And what must not change at all: a second run.
 
 use abbe_core::Calibration;
+use abbe_engine::prepare;
 use serde_json::{Value, json};
 
-use crate::support::{Small, Variant, abbe, fit, read, recipes, root, temporary, tree, values, write};
+use crate::support::{Small, Variant, abbe, fit, read, recipes, registry, root, temporary, tree, values, write};
 
 const FITS: [&str; 2] = ["fit-S3", "fit-S4r"];
 const DATA: [&str; 2] = ["exact", "realistic"];
@@ -163,4 +164,28 @@ fn without_times(text: &str) -> String {
         assert!(map.remove(time).is_some_and(|value| value.is_number()), "{time}");
     }
     record.to_string()
+}
+
+/// Every artefact on the data of every recipe: derivatives by differences, rows alone and together, names.
+#[test]
+fn every_artefact_keeps_the_laws() {
+    let registry = registry();
+    let mut seen = std::collections::BTreeSet::new();
+    for (recipe, file) in recipes().into_iter().filter(|(name, _)| !name.contains("uncertainty")) {
+        let prepared = prepare(&file, &registry).unwrap_or_else(|error| panic!("{error}"));
+        let outcome = prepared.run(&abbe_core::Monitor::default()).unwrap_or_else(|error| panic!("{error}"));
+        for fit in &outcome.fits {
+            let problem = fit.problem.at(&fit.problem.values_of(&fit.calibration));
+            for (index, set) in problem.sets.iter().enumerate() {
+                let stage = prepared.recipe.stages.iter().find(|stage| stage.name == set.name).expect("a stage");
+                let broken = abbe_estimation::laws::of_observations(&problem, index);
+                let broken = broken.unwrap_or_else(|error| panic!("{recipe}, {}: {error}", fit.name));
+                assert!(broken.is_empty(), "{recipe}, {}, {} ({}): {broken:#?}", fit.name, set.name, stage.plugin);
+                seen.insert(stage.plugin.clone());
+            }
+        }
+    }
+    let artefacts = registry.iter().filter(|plugin| plugin.kind() == abbe_core::Kind::Artefact);
+    let all: std::collections::BTreeSet<String> = artefacts.map(|plugin| plugin.name.to_string()).collect();
+    assert_eq!(seen, all, "an artefact is in no recipe");
 }

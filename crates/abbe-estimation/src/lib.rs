@@ -40,6 +40,7 @@
 mod aliasing;
 mod calibration;
 pub mod contact;
+pub mod laws;
 mod propagation;
 mod rank;
 mod reach;

@@ -1,0 +1,168 @@
+//! Laws that every artefact keeps, whatever it is: for its own tests, and for those of whoever ships one.
+
+use abbe_core::{Equations, Evaluation, ObservationSet, PoseValues, Problem, Quantity, Result};
+use nalgebra::{Quaternion, UnitQuaternion, Vector3};
+
+/// Most rows of a set that are looked at, evenly spread.
+const ROWS: usize = 24;
+
+/// By how much a derivative may differ from the quotient of differences, relative to the larger of it and 1.
+const ALLOWED: f64 = 1e-5;
+
+/// What is wrong with the observations of a set of a problem, at the problem's own values; nothing if they keep the laws:
+///
+/// - derivatives to tip positions, orientations, own unknowns and known inputs are those of differences;
+/// - a row gives the same alone as among others, in any order;
+/// - every row has as many equations as its layout says, and every name stands once.
+///
+/// Fails where the machine has no pose in a row.
+pub fn of_observations(problem: &Problem, set: usize) -> Result<Vec<String>> {
+    let observations = &problem.sets[set];
+    let mut broken = names(observations);
+    let rows = spread(&observations.rows);
+    let mut together = Evaluation::default();
+    problem.evaluate(set, &rows, &[], &mut together)?;
+    let mut found = Vec::new();
+    let mut backwards: Vec<usize> = rows.clone();
+    backwards.reverse();
+    for row in backwards {
+        let mut alone = Evaluation::default();
+        problem.evaluate(set, &[row], &[], &mut alone)?;
+        let wanted = observations.observations.layout().rows[row].equations;
+        if alone.equations.residuals().len() != wanted {
+            broken.push(format!("row {row} has {} equations, not {wanted}", alone.equations.residuals().len()));
+            return Ok(broken);
+        }
+        broken.extend(Row { set: observations, row, at: &alone }.derivatives()?);
+        found.push(alone.equations);
+    }
+    found.reverse();
+    let alone = found.iter().flat_map(|equations| equations.residuals().iter().copied());
+    let together = together.equations.residuals();
+    if !alone.zip(together).all(|(one, other)| (one - other).abs() <= 1e-12 * one.abs().max(1.0)) {
+        broken.push("a row gives other residuals alone than among others".to_owned());
+    }
+    Ok(broken)
+}
+
+/// Own unknowns and inputs that have a name which is empty or stands twice.
+fn names(set: &ObservationSet) -> Vec<String> {
+    let inputs = set.observations.inputs().iter().map(|input| &input.parameter);
+    let mut names: Vec<&str> =
+        set.observations.unknowns().iter().chain(inputs).map(|parameter| parameter.name.as_str()).collect();
+    names.sort_unstable();
+    let twice = names.windows(2).filter(|pair| pair[0] == pair[1]).map(|pair| format!("`{}` stands twice", pair[0]));
+    let empty = names.first().filter(|name| name.is_empty()).map(|_| "a name is empty".to_owned());
+    twice.chain(empty).collect()
+}
+
+fn spread(rows: &[usize]) -> Vec<usize> {
+    let count = rows.len().min(ROWS);
+    (0..count).map(|k| rows[k * rows.len() / count]).collect()
+}
+
+/// One row, with its poses and equations.
+struct Row<'a> {
+    set: &'a ObservationSet,
+    row: usize,
+    at: &'a Evaluation,
+}
+
+/// What a derivative is to.
+#[derive(Debug, Clone, Copy)]
+enum To {
+    Position(usize, usize),
+    Rotation(usize, usize),
+    Own(usize),
+    Input(usize),
+}
+
+impl Row<'_> {
+    /// The derivatives that are not those of differences.
+    fn derivatives(&self) -> Result<Vec<String>> {
+        let poses = self.at.poses.positions.len();
+        let turned = !self.at.equations.by_rotation().is_empty();
+        let axes = || (0..poses).flat_map(|pose| (0..3).map(move |axis| (pose, axis)));
+        let mut all: Vec<To> = axes().map(|(pose, axis)| To::Position(pose, axis)).collect();
+        all.extend(axes().filter(|_| turned).map(|(pose, axis)| To::Rotation(pose, axis)));
+        all.extend((0..self.set.own.len()).map(To::Own));
+        all.extend((0..self.set.inputs.len()).map(To::Input));
+        let mut broken = Vec::new();
+        for to in all {
+            let step = self.step(to);
+            let (up, down) = (self.residuals(to, step)?, self.residuals(to, -step)?);
+            for (equation, (up, down)) in up.iter().zip(&down).enumerate() {
+                let (given, found) = (self.given(to, equation), (up - down) / (2.0 * step));
+                if (given - found).abs() > ALLOWED * given.abs().max(found.abs()).max(1.0) {
+                    broken.push(format!(
+                        "row {}, equation {equation}: the derivative to {} is {found:.6e} by differences, and given as {given:.6e}",
+                        self.row,
+                        self.name(to)
+                    ));
+                }
+            }
+        }
+        Ok(broken)
+    }
+
+    fn name(&self, to: To) -> String {
+        match to {
+            To::Position(pose, axis) => format!("{} of the tip of pose {pose}", ["x", "y", "z"][axis]),
+            To::Rotation(pose, axis) => format!("the rotation about {} of pose {pose}", ["x", "y", "z"][axis]),
+            To::Own(index) => format!("`{}`", self.set.observations.unknowns()[index].name),
+            To::Input(index) => format!("`{}`", self.set.observations.inputs()[index].parameter.name),
+        }
+    }
+
+    /// A step that residuals answer to by micrometres and more, and by its square only by nanometres.
+    fn step(&self, to: To) -> f64 {
+        let parameter = match to {
+            To::Position(..) => return 1e-3,
+            To::Rotation(..) => return 1e-5,
+            To::Own(index) => &self.set.observations.unknowns()[index],
+            To::Input(index) => &self.set.observations.inputs()[index].parameter,
+        };
+        match (parameter.unit.of, parameter.unit.per) {
+            (Quantity::Length, None) => 1e-3,
+            (Quantity::Angle, None) => 1e-5,
+            (Quantity::Temperature, None) => 1e-1,
+            _ => 1e-6,
+        }
+    }
+
+    /// The residuals after a step.
+    fn residuals(&self, to: To, step: f64) -> Result<Vec<f64>> {
+        let (mut positions, mut orientations) = (self.at.poses.positions.clone(), self.at.poses.orientations.clone());
+        let (mut own, mut inputs) = (self.set.own.clone(), self.set.inputs.clone());
+        match to {
+            To::Position(pose, axis) => positions[pose][axis] += step,
+            To::Rotation(pose, axis) => {
+                let [w, x, y, z] = orientations[pose];
+                let turn = UnitQuaternion::from_scaled_axis(Vector3::ith(axis, step));
+                let turned = turn * UnitQuaternion::from_quaternion(Quaternion::new(w, x, y, z));
+                orientations[pose] = [turned.w, turned.i, turned.j, turned.k];
+            }
+            To::Own(index) => own[index] += step,
+            To::Input(index) => inputs[index] += step,
+        }
+        let poses = PoseValues { positions: &positions, orientations: &orientations };
+        let mut equations = Equations::default();
+        self.set.observations.try_evaluate(&[self.row], poses, &own, &inputs, &mut equations)?;
+        Ok(equations.residuals().to_vec())
+    }
+
+    /// The derivative that the artefact gives.
+    fn given(&self, to: To, equation: usize) -> f64 {
+        let (equations, poses) = (&self.at.equations, self.at.poses.positions.len());
+        let of = |list: &[(usize, usize, f64)], index: usize| {
+            let same = list.iter().filter(|(of, to, _)| (*of, *to) == (equation, index));
+            same.map(|(_, _, derivative)| derivative).sum()
+        };
+        match to {
+            To::Position(pose, axis) => equations.by_position()[equation * poses + pose][axis],
+            To::Rotation(pose, axis) => equations.by_rotation()[equation * poses + pose][axis],
+            To::Own(index) => of(equations.by_own(), index),
+            To::Input(index) => of(equations.by_input(), index),
+        }
+    }
+}
