@@ -87,33 +87,22 @@ impl LevenbergMarquardt {
                     (information, right, cost) = better;
                     (x, damping) = (next, damping * 0.1);
                     if size < 1e-9 * (1.0 + cost.sqrt()) {
-                        return Ok(Solved {
-                            x,
-                            factor: None,
-                            robust: None,
-                            iterations: iteration,
-                            last_step: Some(size),
-                            gradient_cosine: None,
-                        });
+                        return Ok(solved(x, iteration, size));
                     }
                 }
                 Err(error) if error.fault => return Err(error),
                 // At the bottom a step changes nothing but rounding.
-                _ if size < 1e-9 => {
-                    return Ok(Solved {
-                        x,
-                        factor: None,
-                        robust: None,
-                        iterations: iteration,
-                        last_step: Some(size),
-                        gradient_cosine: None,
-                    });
-                }
+                _ if size < 1e-9 => return Ok(solved(x, iteration, size)),
                 _ => damping = damping.max(1e-12) * 10.0,
             }
         }
         Err(Error::data("the iteration does not converge"))
     }
+}
+
+/// What the iteration found; rank, scatter and uncertainty follow from it.
+fn solved(x: Vec<f64>, iterations: usize, last_step: f64) -> Solved {
+    Solved { x, factor: None, robust: None, iterations, last_step: Some(last_step), gradient_cosine: None }
 }
 
 impl Estimate for LevenbergMarquardt {

@@ -6,8 +6,7 @@ use std::sync::Arc;
 use abbe_core::{
     Axis, AxisKind, Branch, Build, CALIBRATION_FORMAT, Calibration, Column, ColumnHeader, Considered, Context,
     Covariance, Dataset, Error, Estimate, Estimated, Fit, FitReport, Identifiability, KinematicModel, ModelRecord,
-    Parameter, Plugin, Poses, Problem, Quantity, Result, RowOrigin, Status, StatusColumn, Termination, Values,
-    Variable,
+    Parameter, Plugin, Poses, Problem, Quantity, Result, RowOrigin, Status, StatusColumn, Values, Variable,
 };
 use serde_json::{Value, json};
 
@@ -113,30 +112,7 @@ fn fit(values: &[f64]) -> Fit {
         inputs: None,
         data: Vec::new(),
         outliers: Vec::new(),
-        fit: FitReport {
-            observations: 0,
-            unknowns: 0,
-            rank: 0,
-            condition: 1.0,
-            degrees_of_freedom: 0,
-            sigma: 0.0,
-            iterations: 0,
-            termination: Termination::Converged,
-            last_step: None,
-            gradient_cosine: None,
-            residual_max_um: 0.0,
-            residual_mean_abs_um: 0.0,
-            residual_rms_um: 0.0,
-            residual_max_urad: None,
-            residual_mean_abs_urad: None,
-            residual_rms_urad: None,
-            null_space: Vec::new(),
-            weakest: Vec::new(),
-            selection: None,
-            same_motion: Vec::new(),
-            variance: Vec::new(),
-            agreement: None,
-        },
+        fit: FitReport::without_rows(0),
         uncertainty: None,
         monte_carlo: None,
     };
