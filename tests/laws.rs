@@ -189,3 +189,60 @@ fn every_artefact_keeps_the_laws() {
     let all: std::collections::BTreeSet<String> = artefacts.map(|plugin| plugin.name.to_string()).collect();
     assert_eq!(seen, all, "an artefact is in no recipe");
 }
+
+/// Observations whose derivative to the height of the tip has the wrong sign.
+struct Flipped(std::sync::Arc<dyn abbe_core::Observations>);
+
+impl abbe_core::Observations for Flipped {
+    fn layout(&self) -> &abbe_core::Layout {
+        self.0.layout()
+    }
+
+    fn unknowns(&self) -> &[abbe_core::Parameter] {
+        self.0.unknowns()
+    }
+
+    fn inputs(&self) -> &[abbe_core::KnownInput] {
+        self.0.inputs()
+    }
+
+    fn evaluate(
+        &self,
+        rows: &[usize],
+        poses: abbe_core::PoseValues<'_>,
+        own: &[f64],
+        inputs: &[f64],
+        out: &mut abbe_core::Equations,
+    ) {
+        let mut right = abbe_core::Equations::default();
+        self.0.evaluate(rows, poses, own, inputs, &mut right);
+        for (equation, (residual, [x, y, z])) in right.residuals().iter().zip(right.by_position()).enumerate() {
+            out.equation(*residual);
+            out.position([*x, *y, -z]);
+            let of = |list: &[(usize, usize, f64)]| -> Vec<(usize, f64)> {
+                list.iter().filter(|by| by.0 == equation).map(|by| (by.1, by.2)).collect()
+            };
+            of(right.by_own()).into_iter().for_each(|(unknown, derivative)| out.own(unknown, derivative));
+            of(right.by_input()).into_iter().for_each(|(input, derivative)| out.input(input, derivative));
+        }
+    }
+
+    fn features(&self) -> Vec<abbe_core::Feature> {
+        self.0.features()
+    }
+
+    fn contact(&self) -> abbe_core::Contact {
+        self.0.contact()
+    }
+}
+
+#[test]
+fn a_derivative_with_the_wrong_sign_breaks_a_law() {
+    let outcome = Variant::of(&recipes()["first-steps"]).run();
+    let mut problem = abbe_core::Problem::clone(&outcome.fits[0].problem);
+    let flipped = Flipped(problem.sets[0].observations.clone());
+    problem.sets[0].observations = std::sync::Arc::new(flipped);
+    let broken = abbe_estimation::laws::of_observations(&problem, 0).expect("the machine has poses");
+    assert!(!broken.is_empty());
+    assert!(broken.iter().all(|law| law.contains("the derivative to z of the tip of pose 0")), "{broken:#?}");
+}
