@@ -110,7 +110,9 @@ impl Tests {
         check.args(["run", &version, "cargo", "check", "--package", "abbe", "--locked"]).current_dir(root());
         check.arg("--target-dir").arg(root().join("target/oldest"));
         // What this program was started with is not for another toolchain.
-        ["RUSTUP_TOOLCHAIN", "RUSTC", "CARGO"].iter().for_each(|name| drop(check.env_remove(name)));
+        for name in ["RUSTUP_TOOLCHAIN", "RUSTC", "CARGO"] {
+            check.env_remove(name);
+        }
         run_command(check)?;
         self.passed += 1;
         Ok(())
