@@ -137,7 +137,8 @@ impl Observations for Touches {
     }
 }
 
-fn main() -> Result<()> {
+/// Prints what it finds.
+pub fn main() -> Result<()> {
     for (name, found, truth) in scales()? {
         println!("{name}: {:+.6} µm/m, put in: {:+.6}", found * 1e6, truth * 1e6);
     }

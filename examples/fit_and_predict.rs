@@ -10,7 +10,8 @@ use abbe_engine::{model_of, prepare};
 // Naming the bundle links the plugins of the stock program.
 use abbe_bundle as _;
 
-fn main() -> Result<()> {
+/// Prints what it finds.
+pub fn main() -> Result<()> {
     for (name, [x, y, z]) in deviations()? {
         println!("{name}: {:+.1}, {:+.1}, {:+.1} µm", x * 1e3, y * 1e3, z * 1e3);
     }

@@ -10,7 +10,7 @@ use abbe_core::{
     SettingsError, inventory,
 };
 use abbe_engine::prepare;
-use abbe_estimation::{Manner, Solved, Weighted, confounded, judged_factor};
+use abbe_estimation::{Solved, UncertaintyEvaluation, Weighted, confounded, judged_factor};
 use abbe_numerics::LeastSquares;
 use nalgebra::{DMatrix, DVector};
 use schemars::JsonSchema;
@@ -66,8 +66,12 @@ fn normal_equations(rows: &Weighted<'_>, x: &[f64]) -> Result<(DMatrix<f64>, DVe
 }
 
 impl LevenbergMarquardt {
-    const MANNER: Manner =
-        Manner { rank_tolerance: 1e-10, trust_uncertainties: false, coverage_probability: 0.95, explained: true };
+    const EVALUATION: UncertaintyEvaluation = UncertaintyEvaluation {
+        rank_tolerance: 1e-10,
+        trust_uncertainties: false,
+        coverage_probability: 0.95,
+        explained: true,
+    };
 
     /// The iteration: a damped step is taken if it makes the residuals smaller, else it is damped more.
     fn solve(&self, problem: &Problem) -> Result<Solved> {
@@ -111,15 +115,16 @@ impl Estimate for LevenbergMarquardt {
         if !self.accepts(&found) {
             return Err(confounded(&found));
         }
-        Self::MANNER.calibration(problem, self.solve(problem)?, None, None)
+        Self::EVALUATION.calibration(problem, self.solve(problem)?, None, None)
     }
 
     fn identify(&self, problem: &Problem) -> Result<Identifiability> {
-        Self::MANNER.identify(problem, &judged_factor(problem, &problem.start())?)
+        Self::EVALUATION.identify(problem, &judged_factor(problem, &problem.start())?)
     }
 }
 
-fn main() -> Result<()> {
+/// Prints what it finds.
+pub fn main() -> Result<()> {
     for (name, [ours, theirs], uncertainty) in compared()? {
         println!("{name}: {ours:e}, by gauss-newton {theirs:e}, standard uncertainty {uncertainty:.1e}");
     }

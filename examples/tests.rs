@@ -1,12 +1,9 @@
 //! The examples do what they say.
 
-#[allow(dead_code, reason = "its main function prints what is tested here")]
 #[path = "first_artefact.rs"]
 mod first_artefact;
-#[allow(dead_code, reason = "its main function prints what is tested here")]
 #[path = "fit_and_predict.rs"]
 mod fit_and_predict;
-#[allow(dead_code, reason = "its main function prints what is tested here")]
 #[path = "own_estimator.rs"]
 mod own_estimator;
 
@@ -32,5 +29,12 @@ fn two_iterations_find_the_same() {
     for (name, [own, other], uncertainty) in compared {
         // Normal equations have the square of the condition: they leave half of the digits.
         assert!((own - other).abs() <= 1e-5 * uncertainty, "{name}: {own:e} and {other:e}");
+    }
+}
+
+#[test]
+fn every_example_runs_to_its_end() {
+    for run in [first_artefact::main, fit_and_predict::main, own_estimator::main] {
+        run().unwrap();
     }
 }

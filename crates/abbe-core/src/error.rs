@@ -103,6 +103,11 @@ impl Error {
         Self::new(Class::Use, message)
     }
 
+    /// The work was asked to end; whoever tries other numbers after an error ends as well.
+    pub fn interrupted() -> Self {
+        Self::new(Class::Interrupted, "interrupted").fault()
+    }
+
     /// Wrong or insufficient data.
     pub fn data(message: impl Into<String>) -> Self {
         Self::new(Class::Data, message)

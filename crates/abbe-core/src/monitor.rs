@@ -6,7 +6,7 @@ use std::sync::atomic::{AtomicBool, Ordering};
 
 use serde::Serialize;
 
-use crate::error::{Class, Error, Result};
+use crate::error::{Error, Result};
 
 /// What is going on.
 #[derive(Debug, Clone, PartialEq, Serialize)]
@@ -94,12 +94,10 @@ impl Monitor {
         }
     }
 
-    /// An error of [`Class::Interrupted`] once the work has been asked to end.
+    /// An error of [`Class::Interrupted`](crate::Class::Interrupted) once the work has been asked to end.
     pub fn check(&self) -> Result<()> {
         match &self.watcher {
-            Some(watcher) if watcher.ended.load(Ordering::Relaxed) => {
-                Err(Error { class: Class::Interrupted, ..Error::data("interrupted").fault() })
-            }
+            Some(watcher) if watcher.ended.load(Ordering::Relaxed) => Err(Error::interrupted()),
             _ => Ok(()),
         }
     }
@@ -127,6 +125,7 @@ mod tests {
     use std::sync::Mutex;
 
     use super::*;
+    use crate::error::Class;
 
     #[test]
     fn events_are_heard_and_work_ends_on_request() {

@@ -32,7 +32,7 @@
 //! a lost direction is marked as confounded.
 //!
 //! # An estimator of one's own
-//! solves `Weighted` by its own iteration and hands what it found to [`Manner::calibration`]; `examples/own_estimator.rs` does
+//! solves `Weighted` by its own iteration and hands what it found to [`UncertaintyEvaluation::calibration`]; `examples/own_estimator.rs` does
 //! so in a page.
 //!
 //! **Architecture invariant:** this crate does no I/O and knows no plugin.
@@ -64,6 +64,6 @@ pub use remarks::remarks;
 pub use residuals::{Constraints, ResidualStatistics, Sizes, outliers};
 pub use same_motion::same_motion;
 pub use separation::{Trials, separating_measurements};
-pub use solved::{Manner, Solved, judged_factor};
+pub use solved::{Solved, UncertaintyEvaluation, judged_factor};
 pub use variance::{Components, components};
 pub use weighted::Weighted;

@@ -29,7 +29,7 @@ const LEAST_REDUNDANCY: f64 = 1e-6;
 pub struct Constraints {
     equations: Vec<bool>,
     /// How many of the unknowns' directions they determine beside the readings: the trace of their part of the hat matrix.
-    told: f64,
+    determined: f64,
 }
 
 impl Constraints {
@@ -40,8 +40,8 @@ impl Constraints {
             return Ok(Self::default());
         }
         let alone: Vec<f64> = equations.iter().map(|constraint| f64::from(*constraint)).collect();
-        let told = covariance_root.information(&Weighted::new(problem)?.factor(x, Some(&alone))?).trace();
-        Ok(Self { equations, told })
+        let determined = covariance_root.information(&Weighted::new(problem)?.factor(x, Some(&alone))?).trace();
+        Ok(Self { equations, determined })
     }
 
     fn is_one(&self, equation: usize) -> bool {
@@ -95,15 +95,15 @@ impl ResidualStatistics {
         let readings: Vec<usize> = used.iter().copied().filter(|&row| !constraints.is_one(row)).collect();
         let count = readings.len();
         let degrees_of_freedom = used.len().saturating_sub(rank);
-        let told = rank as f64 - constraints.told;
-        let redundancy = count as f64 - told;
+        let determined = rank as f64 - constraints.determined;
+        let redundancy = count as f64 - determined;
         let influence = |row: usize| {
             let weight = report.map_or(1.0, |report| report.weights[row]);
             (weight * weighted[row]).powi(2)
         };
         let free = if redundancy > LEAST_REDUNDANCY { redundancy } else { 1.0 };
         let mean_square = readings.iter().map(|&row| influence(row)).sum::<f64>() / free;
-        let correction = correction(&readings, report, robust, told);
+        let correction = correction(&readings, report, robust, determined);
         let (angles, lengths): (Vec<usize>, Vec<usize>) =
             used.iter().partition(|&&row| quantities[row] == Quantity::Angle);
         let sizes = |rows: &[usize]| Sizes::of(&rows.iter().map(|&row| residuals[row]).collect::<Vec<_>>());
@@ -118,15 +118,15 @@ impl ResidualStatistics {
     }
 }
 
-/// Huber's correction of the scatter of some rows that determine `told` unknowns: by the mean slope of their influence, and for
+/// Huber's correction of the scatter of some rows that determine `determined` unknowns: by the mean slope of their influence, and for
 /// the number of unknowns. 1 without robust weights.
-pub fn correction(rows: &[usize], report: Option<&RobustReport>, robust: Option<Robust>, told: f64) -> f64 {
+pub fn correction(rows: &[usize], report: Option<&RobustReport>, robust: Option<Robust>, determined: f64) -> f64 {
     let (Some(report), Some(robust), false) = (report, robust, rows.is_empty()) else { return 1.0 };
     let count = rows.len() as f64;
     let slopes: Vec<f64> = rows.iter().map(|&row| robust.influence_slope(report.studentised[row])).collect();
     let mean = slopes.iter().sum::<f64>() / count;
     let variance = slopes.iter().map(|slope| (slope - mean).powi(2)).sum::<f64>() / count;
-    (1.0 + told / count * variance / mean.powi(2)) / mean
+    (1.0 + determined / count * variance / mean.powi(2)) / mean
 }
 
 /// The rows with an equation beyond the limit, largest first.

@@ -30,7 +30,7 @@ pub struct Solved {
 
 /// What is wanted of a calibration, whoever estimated it.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Manner {
+pub struct UncertaintyEvaluation {
     /// Singular values below this part of the largest count as zero; columns have norm 1.
     pub rank_tolerance: f64,
     /// Take the stated standard uncertainties as they are, without the a-posteriori factor of the residuals.
@@ -41,7 +41,7 @@ pub struct Manner {
     pub explained: bool,
 }
 
-impl Manner {
+impl UncertaintyEvaluation {
     /// The calibration that a solution is.
     ///
     /// `lost` is what the data cannot determine, where the estimator solved in spite of it; without it a direction that is lost at

@@ -195,14 +195,16 @@ impl Factor {
     }
 }
 
-/// A matrix A with `A A^T = (J^T J)^-1`, unknowns x directions.
+/// A root A of the covariance of the estimates, `A A^T = (J^T J)^-1`: unknowns x directions, in the units of the unknowns.
 #[derive(Debug, Clone)]
 pub struct CovarianceRoot(Mat<f64>);
 
 impl CovarianceRoot {
-    /// How the least squares values answer to more columns K of the same rows, `-A A^T J^T K`, unknowns x columns.
+    /// Sensitivities of the estimates to further columns K of the same rows, `-A A^T J^T K`: unknowns x columns, row by row, in the
+    /// unit of the unknown per unit of the column.
     ///
-    /// `extended` is the factor of `[J K | r]`; a change of the residuals by `K k` changes the values by the answer times k.
+    /// `extended` is the factor of `[J K | r]`; a change of the residuals by `K k` changes the estimates by the sensitivities
+    /// times k.
     pub fn sensitivities(&self, extended: &Factor) -> Vec<Vec<f64>> {
         let n = self.0.nrows();
         let own = extended.triangle.get(..n, ..n);

@@ -55,7 +55,9 @@ struct AbbeReply;
 
 // Of machines and observations: what they are. Answer: JSON; of observations it lists in `angles` the equations (by their
 // index in the layout) that are of angles, rad, and all others are of lengths, mm. Of machines `nominal` has one value a parameter;
-// without it all are zero. So has `nominal_uncertainties`, the standard uncertainties of those that are known from elsewhere.
+// without it all are zero. So has `nominal_uncertainties`, the standard uncertainties of those that are known from elsewhere. A
+// status of a machine has a `role` (`{ "command": axis }`, `{ "direction": axis }`, `"time"`, `"stylus"`, ...); without one its
+// name tells. Observations have `nominal_readings` by row, `{ "residuals", "axes" }`, where readings owe to errors what they are.
 #define ABBE_DESCRIBE 1
 
 // Of stages: the files that they read. Answer: `[ { "setting", "path" } ]`.

@@ -53,7 +53,9 @@ pub const ABBE_EXPORT: u32 = 5;
 
 /// Of machines and observations: what they are. Answer: JSON; of observations it lists in `angles` the equations (by their
 /// index in the layout) that are of angles, rad, and all others are of lengths, mm. Of machines `nominal` has one value a parameter;
-/// without it all are zero. So has `nominal_uncertainties`, the standard uncertainties of those that are known from elsewhere.
+/// without it all are zero. So has `nominal_uncertainties`, the standard uncertainties of those that are known from elsewhere. A
+/// status of a machine has a `role` (`{ "command": axis }`, `{ "direction": axis }`, `"time"`, `"stylus"`, ...); without one its
+/// name tells. Observations have `nominal_readings` by row, `{ "residuals", "axes" }`, where readings owe to errors what they are.
 pub const ABBE_DESCRIBE: u32 = 1;
 /// Of stages: the files that they read. Answer: `[ { "setting", "path" } ]`.
 pub const ABBE_INPUTS: u32 = 2;

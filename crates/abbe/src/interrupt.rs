@@ -1,5 +1,6 @@
 //! Ctrl-C: the work is asked to end, and if it does not, the process ends within a second. Nothing half-written stays.
 
+use std::io::{self, Write};
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Mutex, PoisonError};
 use std::time::Duration;
@@ -23,7 +24,8 @@ pub fn ends(monitor: Monitor) -> Result<()> {
         std::thread::sleep(GRACE);
         // What is written now is soon there, whole.
         let _written = WRITING.lock().unwrap_or_else(PoisonError::into_inner);
-        eprintln!("interrupted");
+        // Nobody may be listening any more: that must not keep the process alive.
+        let _ = writeln!(io::stderr(), "interrupted");
         std::process::exit(i32::from(STATUS));
     };
     ctrlc::set_handler(end).map_err(|error| Error::data(format!("Ctrl-C cannot be handled: {error}")))
@@ -38,7 +40,7 @@ pub fn happened() -> bool {
 pub fn while_writing<T>(write: impl FnOnce() -> Result<T>) -> Result<T> {
     let _writing = WRITING.lock().unwrap_or_else(PoisonError::into_inner);
     if happened() {
-        return Err(Error::data("interrupted"));
+        return Err(Error::interrupted());
     }
     write()
 }

@@ -150,6 +150,7 @@ pub fn main() -> ExitCode {
     };
     match dispatch(arguments.command, &libraries) {
         Ok((text, status)) => match io::stdout().lock().write_all(text.as_bytes()) {
+            Ok(()) if interrupt::happened() => ExitCode::from(interrupt::STATUS),
             Ok(()) => ExitCode::from(status),
             // Whoever reads our output has seen enough.
             Err(error) if error.kind() == io::ErrorKind::BrokenPipe => ExitCode::from(status),
@@ -158,15 +159,13 @@ pub fn main() -> ExitCode {
                 ExitCode::from(1)
             }
         },
-        Err(_) if interrupt::happened() => {
-            eprintln!("interrupted");
-            ExitCode::from(interrupt::STATUS)
-        }
         Err(error) => {
-            if machine {
-                println!("{}", failure::json(&error));
-            } else {
-                eprint!("{}", failure::text(&error));
+            // Whatever else fails then follows from it: a process that was ended, too.
+            let error = if interrupt::happened() { Error::interrupted() } else { error };
+            match error.class {
+                _ if machine => println!("{}", failure::json(&error)),
+                Class::Interrupted => eprintln!("{}", error.message),
+                Class::Use | Class::Data => eprint!("{}", failure::text(&error)),
             }
             ExitCode::from(match error.class {
                 Class::Use => 2,

@@ -1,5 +1,7 @@
 //! How a run is followed: a bar on a terminal, or events as JSON lines.
 
+use std::io::{self, Write};
+
 use abbe_core::{Event, Monitor};
 use clap::ValueEnum;
 use indicatif::{ProgressBar, ProgressStyle};
@@ -25,7 +27,8 @@ impl Progress {
             Self::Bar => Monitor::new(move |event| show(&shown, event)),
             Self::Json => Monitor::new(|event| {
                 if let Ok(line) = serde_json::to_string(event) {
-                    eprintln!("{line}");
+                    // Who stops to listen does not end the run.
+                    let _ = writeln!(io::stderr(), "{line}");
                 }
             }),
             Self::None => Monitor::new(|_| {}),

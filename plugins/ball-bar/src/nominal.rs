@@ -17,6 +17,9 @@ use crate::observed::{Bar, Observed};
 /// about 2 mm, and errors of machine and set-up stay within it.
 const STROKE: f64 = 3.0;
 
+/// One in so many readings, at either end, may be a gross error.
+const GROSS: usize = 20;
+
 /// An axis whose positions in a test differ by no more than this, mm, stands: recorded positions of an axis that is held
 /// differ by micrometres, compensated ones by what errors are.
 const STANDS: f64 = 0.1;
@@ -90,11 +93,18 @@ fn reference(observed: &Observed, rows: &[NominalRow], bar: usize) -> Option<f64
         Bar::Known { input } => observed.inputs[input].value,
         Bar::Unknown { nominal, .. } => nominal,
     };
-    let (mut least, mut most) = range(of_bar().map(|row| observed.readings[row]));
-    if least == most {
-        (least, most) = range(of_bar().map(|row| rows[row].length - length));
+    let mut readings: Vec<f64> = of_bar().map(|row| observed.readings[row]).collect();
+    if readings.iter().all(|reading| *reading == readings[0]) {
+        readings = of_bar().map(|row| rows[row].length - length).collect();
     }
-    (most - least <= STROKE).then_some((least + most) / 2.0)
+    readings.sort_by(f64::total_cmp);
+    // A gross error is no stroke: what is left without the outermost readings decides if all together go too far.
+    let few = readings.len() / GROSS;
+    [0, few].into_iter().find_map(|left_out| {
+        let kept = &readings[left_out..readings.len() - left_out];
+        let (least, most) = (kept.first()?, kept.last()?);
+        (most - least <= STROKE).then_some((least + most) / 2.0)
+    })
 }
 
 /// The rows of every test: those of one file and label in the column `test`, with one bar on one ball.

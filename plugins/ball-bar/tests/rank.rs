@@ -536,6 +536,23 @@ fn a_bar_that_telescopes_or_is_known_tells_the_scale() {
 }
 
 #[test]
+fn a_gross_reading_is_no_stroke() {
+    let mut random = Random(7);
+    for trial in 0..60 {
+        let sweep = [Sweep::Planes, Sweep::Arcs, Sweep::Dome][trial % 3];
+        let setup = Linear::on(&CHAINS, sweep, &mut random, 0.1).recorded(&mut random, 0.01);
+        let mut readings = setup.readings(&mut random, 0.1);
+        let rank = |readings: &[f64]| {
+            estimator(&json!({})).identify(&setup.problem(readings, &setup.patterns())).unwrap().rank
+        };
+        let expected = rank(&readings);
+        let hit = (random.between(0.0, readings.len() as f64) as usize).min(readings.len() - 1);
+        readings[hit] += random.between(5.0, 40.0) * random.number().signum();
+        assert_eq!(rank(&readings), expected, "{trial} {sweep:?}");
+    }
+}
+
+#[test]
 fn a_programme_is_judged_as_what_it_will_measure() {
     let mut random = Random(5);
     for trial in 0..60 {

@@ -11,8 +11,8 @@ use abbe_core::{
     Problem, Result, SettingsError, Status, Termination, Unknown, inventory,
 };
 use abbe_estimation::{
-    Components, Manner, Solved, Weighted, components, confounded, identifiability, is_judged_as_recorded,
-    judged_factor, separated,
+    Components, Solved, UncertaintyEvaluation, Weighted, components, confounded, identifiability,
+    is_judged_as_recorded, judged_factor, separated,
 };
 use abbe_numerics::{End, Factor, Loss, Options, Robust, Solution, solve_from};
 use schemars::JsonSchema;
@@ -307,12 +307,12 @@ impl GaussNewton {
             last_step: Some(last_step),
             gradient_cosine: Some(gradient_cosine),
         };
-        self.manner(explained).calibration(problem, solved, lost, components.as_ref())
+        self.evaluation(explained).calibration(problem, solved, lost, components.as_ref())
     }
 
-    fn manner(&self, explained: bool) -> Manner {
+    fn evaluation(&self, explained: bool) -> UncertaintyEvaluation {
         let Settings { rank_tolerance, trust_uncertainties, coverage_probability, .. } = self.settings;
-        Manner { rank_tolerance, trust_uncertainties, coverage_probability, explained }
+        UncertaintyEvaluation { rank_tolerance, trust_uncertainties, coverage_probability, explained }
     }
 
     /// The factors on the stated uncertainties of every set.
@@ -460,6 +460,6 @@ impl Estimate for GaussNewton {
         let factor = judged_factor(problem, &problem.start())?;
         let started = self.started(problem, &factor)?;
         let (problem, factor) = started.as_ref().map_or((problem, &factor), |(problem, factor)| (problem, factor));
-        self.manner(true).identify(problem, factor)
+        self.evaluation(true).identify(problem, factor)
     }
 }
