@@ -7,7 +7,7 @@ use std::sync::Arc;
 
 use abbe_core::{
     Artefact, Build, ColumnHeader, Constructor, Contact, Context, Dataset, Equations, Feature, InputFile,
-    KinematicModel, KnownInput, Layout, Observations, Parameter, Plugin, PoseValues, Quantity, Registry, Result,
+    KinematicModel, Layout, Observations, ObservationsInfo, Plugin, Quantity, Registry, Result, RowBatch,
     SettingsError, Target, inventory, plain_naming, pose_columns, positive,
 };
 use abbe_engine::prepare;
@@ -80,7 +80,12 @@ impl Artefact for KnownPoints {
             point_of_row.push(place.ok_or_else(|| data.error_at(row, format!("there is no point `{label}`")))?);
             layout.push(model, row, &[self.standard_uncertainty; 3])?;
         }
-        Ok(Arc::new(Touches { layout, points, point_of_row }))
+        let feature =
+            |(label, point): &(String, [f64; 3])| Feature { label: label.clone(), point: *point, shifts: Vec::new() };
+        let features = points.iter().map(feature).collect();
+        // No unknowns, no known inputs; the linear axes move until there is contact.
+        let info = ObservationsInfo { features, ..ObservationsInfo::new(layout, Vec::new(), Contact::LinearAxes) };
+        Ok(Arc::new(Touches { info, points, point_of_row }))
     }
 
     fn targets(&self, _stylus_radius: f64) -> Result<Vec<Target>> {
@@ -90,27 +95,19 @@ impl Artefact for KnownPoints {
 }
 
 struct Touches {
-    layout: Layout,
+    info: ObservationsInfo,
     points: Vec<(String, [f64; 3])>,
     point_of_row: Vec<usize>,
 }
 
 // 3. The observations: residuals as functions of tip positions, with their derivatives. No machine is in sight.
 impl Observations for Touches {
-    fn layout(&self) -> &Layout {
-        &self.layout
+    fn info(&self) -> &ObservationsInfo {
+        &self.info
     }
 
-    fn unknowns(&self) -> &[Parameter] {
-        &[]
-    }
-
-    fn inputs(&self) -> &[KnownInput] {
-        &[]
-    }
-
-    fn evaluate(&self, rows: &[usize], poses: PoseValues<'_>, _own: &[f64], _inputs: &[f64], out: &mut Equations) {
-        for (&row, position) in rows.iter().zip(poses.positions) {
+    fn evaluate(&self, batch: RowBatch<'_>, out: &mut Equations) -> Result<()> {
+        for (&row, position) in batch.rows.iter().zip(batch.positions) {
             let (_, point) = &self.points[self.point_of_row[row]];
             for axis in 0..3 {
                 out.equation(position[axis] - point[axis]);
@@ -119,21 +116,12 @@ impl Observations for Touches {
                 out.position(derivative);
             }
         }
+        Ok(())
     }
 
     // Rank is judged where the tip is on the point, whatever the machine's errors are.
-    fn contact_tip(&self, row: usize, _tip: [f64; 3], _own: &[f64], _inputs: &[f64]) -> Option<[f64; 3]> {
-        Some(self.points[self.point_of_row[row]].1)
-    }
-
-    fn features(&self) -> Vec<Feature> {
-        let feature =
-            |(label, point): &(String, [f64; 3])| Feature { label: label.clone(), point: *point, shifts: Vec::new() };
-        self.points.iter().map(feature).collect()
-    }
-
-    fn contact(&self) -> Contact {
-        Contact::LinearAxes
+    fn contact_tip(&self, row: usize, _tip: [f64; 3], _own: &[f64], _inputs: &[f64]) -> Result<Option<[f64; 3]>> {
+        Ok(Some(self.points[self.point_of_row[row]].1))
     }
 }
 

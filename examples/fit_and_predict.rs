@@ -27,7 +27,7 @@ pub fn deviations() -> Result<Vec<(String, [f64; 3])>> {
     for fit in &outcome.fits {
         // A calibration carries its model: a calibration.json from disk (`Calibration::from_json`) does as well.
         let model = model_of(&fit.calibration, &registry)?;
-        let status: Vec<f64> = (model.status().iter())
+        let status: Vec<f64> = (model.info().status.iter())
             .map(|column| match column.name.as_str() {
                 "B" => 90_f64.to_radians(),
                 "C" => 180_f64.to_radians(),
@@ -37,10 +37,10 @@ pub fn deviations() -> Result<Vec<(String, [f64; 3])>> {
         let values: Vec<f64> = fit.calibration.parameters.iter().map(|parameter| parameter.value).collect();
         let tip = |values: &[f64]| -> Result<[f64; 3]> {
             let mut poses = Poses::default();
-            model.evaluate(&status, values, &[], false, &mut poses)?;
+            model.poses(&status, values, &[], false, &mut poses)?;
             Ok(poses.positions[0])
         };
-        let (real, nominal) = (tip(&values)?, tip(&model.nominal())?);
+        let (real, nominal) = (tip(&values)?, tip(&model.info().nominal)?);
         all.push((fit.name.clone(), [0, 1, 2].map(|axis| real[axis] - nominal[axis])));
     }
     Ok(all)

@@ -112,7 +112,7 @@ fn solved(x: Vec<f64>, iterations: usize, last_step: f64) -> Solved {
 impl Estimate for LevenbergMarquardt {
     fn estimate(&self, problem: &Problem) -> Result<Calibration> {
         let found = self.identify(problem)?;
-        if !self.accepts(&found) {
+        if !self.accepts(&found)? {
             return Err(confounded(&found));
         }
         Self::EVALUATION.calibration(problem, self.solve(problem)?, None, None)

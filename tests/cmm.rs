@@ -51,12 +51,12 @@ fn largest_errors(fit: &Fit, true_values: &[f64]) -> (f64, f64) {
     let model = fit.problem.model.as_ref();
     let found = fit.problem.starting_from(&fit.calibration).machine;
     let (mut length, mut angle) = (0.0_f64, 0.0_f64);
-    for function in model.error_functions() {
-        let [from, to] = model.axes()[function.axis].range.expect("a range");
+    for function in &model.info().error_functions {
+        let [from, to] = model.info().axes[function.axis].range.expect("a range");
         for step in 0..=100 {
-            let mut status = vec![0.0; model.status().len()];
-            status[model.axes()[function.axis].status] = from + (to - from) * f64::from(step) / 100.0;
-            let at = |values: &[f64]| model.motion_error(&function, values, &status).expect("within the travel").value;
+            let mut status = vec![0.0; model.info().status.len()];
+            status[model.info().axes[function.axis].status] = from + (to - from) * f64::from(step) / 100.0;
+            let at = |values: &[f64]| model.motion_error(function, values, &status).expect("within the travel").value;
             let off = (at(&found) - at(true_values)).abs();
             match function.quantity {
                 Quantity::Angle => angle = angle.max(off),
@@ -69,7 +69,7 @@ fn largest_errors(fit: &Fit, true_values: &[f64]) -> (f64, f64) {
 
 fn true_values(model: &dyn KinematicModel, truth: &Value) -> Vec<f64> {
     let known = |name: &str| truth["parameters"].get(name).and_then(Value::as_f64);
-    model.parameters().iter().map(|parameter| known(&parameter.name).unwrap_or(0.0)).collect()
+    model.info().parameters.iter().map(|parameter| known(&parameter.name).unwrap_or(0.0)).collect()
 }
 
 #[test]

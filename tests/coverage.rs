@@ -173,7 +173,7 @@ fn gross(problem: &Problem, random: &mut Generator) -> BTreeMap<String, f64> {
     // Between 0 and 1.
     let mut chance = || 0.5 * (random.uniform() / 3.0_f64.sqrt() + 1.0);
     let mut hit = BTreeMap::new();
-    for touch in problem.sets.iter().filter_map(|set| set.observations.layout().data.labels("touch")).flatten() {
+    for touch in problem.sets.iter().filter_map(|set| set.observations.info().layout.data.labels("touch")).flatten() {
         let (is_hit, size, sign) = (chance() < GROSS_PART, chance(), chance());
         if is_hit {
             let size = GROSS[0] + size * (GROSS[1] - GROSS[0]);

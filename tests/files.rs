@@ -29,16 +29,20 @@ fn results_are_as_their_schemas_say_and_calibrations_stand_on_their_own() {
             assert!(read == fit.calibration, "{what} is read as something else than what was written");
 
             let model = model_of(&read, &registry()).unwrap_or_else(|error| panic!("{what}: {error}"));
-            assert_eq!(model.parameters(), fit.problem.model.parameters(), "{what}");
+            assert_eq!(model.info().parameters, fit.problem.model.info().parameters, "{what}");
             // As text, because a status that is unknown without its column is NaN.
-            assert_eq!(format!("{:?}", model.status()), format!("{:?}", fit.problem.model.status()), "{what}");
+            assert_eq!(
+                format!("{:?}", model.info().status),
+                format!("{:?}", fit.problem.model.info().status),
+                "{what}"
+            );
             let values: Vec<f64> = read.parameters.iter().map(|parameter| parameter.value).collect();
             for set in &fit.problem.sets {
-                let table = &set.observations.layout().poses;
+                let table = &set.observations.info().layout.poses;
                 let statuses: Vec<f64> = (0..table.len()).flat_map(|pose| table.row(pose).to_vec()).collect();
                 let tips = |model: &dyn abbe_core::KinematicModel| {
                     let mut poses = Poses::default();
-                    let evaluated = model.evaluate(&statuses, &values, &[], true, &mut poses);
+                    let evaluated = model.poses(&statuses, &values, &[], true, &mut poses);
                     evaluated.unwrap_or_else(|error| panic!("{what}: {error}"));
                     assert_eq!(poses.positions.len(), table.len());
                     poses

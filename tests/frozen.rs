@@ -159,7 +159,7 @@ fn models_of_frozen_calibrations_are_built() {
     for file in files_in(&folder()).iter().filter(|file| stem(file).starts_with("calibration-")) {
         let calibration = Calibration::from_json(&read(file)).unwrap_or_else(|error| panic!("{error}"));
         let model = model_of(&calibration, &registry()).unwrap_or_else(|error| panic!("{}: {error}", file.display()));
-        let names: Vec<&str> = model.parameters().iter().map(|parameter| parameter.name.as_str()).collect();
+        let names: Vec<&str> = model.info().parameters.iter().map(|parameter| parameter.name.as_str()).collect();
         let kept: Vec<&str> = calibration.parameters.iter().map(|parameter| parameter.name.as_str()).collect();
         assert_eq!(names, kept, "{}", file.display());
     }

@@ -58,13 +58,13 @@ fn off_curves(
     let values: Vec<f64> = calibration.parameters.iter().map(|parameter| parameter.value).collect();
     let mut largest: f64 = 0.0;
     let mut compared = 0;
-    for function in model.error_functions().iter().filter(|function| known(&function.symbol)) {
-        let axis = &model.axes()[function.axis];
+    for function in model.info().error_functions.iter().filter(|function| known(&function.symbol)) {
+        let axis = &model.info().axes[function.axis];
         let [from, to] = axis.range.expect("a range");
         let is_angle = function.component > 2;
         for step in 0..=300 {
             let q = from + (to - from) * f64::from(step) / 300.0;
-            let mut status = vec![0.0; model.status().len()];
+            let mut status = vec![0.0; model.info().status.len()];
             status[axis.status] = q;
             let found = model.motion_error(function, &values, &status).expect("within the range").value;
             let mut expected = polynomial(truth, &function.symbol, q);

@@ -46,12 +46,12 @@ fn tango() -> &'static Problem {
 fn at_truth(problem: &Arc<Problem>) -> Problem {
     let (mut at, truth) = (problem.as_ref().clone(), truth().parameters);
     let value = |name: &str| truth.get(name).copied().unwrap_or(0.0);
-    for (parameter, own) in problem.model.parameters().iter().zip(&mut at.machine) {
+    for (parameter, own) in problem.model.info().parameters.iter().zip(&mut at.machine) {
         *own = value(&parameter.name);
     }
     for set in &mut at.sets {
         let names = set.observations.clone();
-        names.unknowns().iter().zip(&mut set.own).for_each(|(parameter, own)| *own = value(&parameter.name));
+        names.info().unknowns.iter().zip(&mut set.own).for_each(|(parameter, own)| *own = value(&parameter.name));
     }
     at
 }
@@ -135,7 +135,7 @@ fn the_data_set_is_measured_again() {
 #[test]
 fn nominal_positions_are_enough_to_start_from() {
     let mut programme = tango().clone();
-    programme.machine = programme.model.nominal();
+    programme.machine = programme.model.info().nominal.clone();
     programme.sets.iter_mut().for_each(|set| set.own.fill(0.0));
     let nominal = abbe_estimation::at_contact(&programme, &[]).expect("nominal contact");
     let measured = measure(&nominal, &truth(), 1).expect("a measurement");
@@ -186,7 +186,7 @@ fn positions_are_rounded_to_the_resolution() {
     let measured = simulated(&with(Noise { resolution_mm: 0.0005, ..Noise::default() }), 1);
     for set in &measured.sets {
         for pose in 0..set.poses().len() {
-            for axis in measured.model.axes().iter().filter(|axis| axis.kind == abbe_core::AxisKind::Linear) {
+            for axis in measured.model.info().axes.iter().filter(|axis| axis.kind == abbe_core::AxisKind::Linear) {
                 let steps = set.poses().row(pose)[axis.status] / 0.0005;
                 assert!((steps - steps.round()).abs() < 1e-6, "{steps}");
             }
@@ -223,8 +223,8 @@ fn drift_moves_the_parameter_in_time() {
     let noise = Noise { drift: BTreeMap::from([(String::new(), drift.clone())]), ..Noise::default() };
     let measured = simulated(&with(noise.clone()), 1);
     assert_eq!(drift.at(0.0), 0.0);
-    let dzt = measured.model.parameters().iter().position(|parameter| parameter.name == "dzt").expect("dzt");
-    let layout = measured.sets[0].observations.layout();
+    let dzt = measured.model.info().parameters.iter().position(|parameter| parameter.name == "dzt").expect("dzt");
+    let layout = &measured.sets[0].observations.info().layout;
     let times = layout.data.numbers("time").expect("times");
     let mut moved = 0.0_f64;
     for row in [0, 100, 200, 382] {

@@ -188,7 +188,7 @@ fn a_certificate_does_not_scatter_as_touches_do() {
 
 /// The distance of the centres of the two balls that the certificate is about.
 fn distance(fit: &Fit) -> f64 {
-    let features = fit.problem.sets[0].observations.features();
+    let features = &fit.problem.sets[0].observations.info().features;
     let centre = |label: &str| -> [f64; 3] {
         let ball = features.iter().find(|feature| feature.label == label).expect("the ball");
         let own = |axis: &str| fit.calibration.get(&format!("balls.ball[{label}].{axis}")).expect("a centre").value;

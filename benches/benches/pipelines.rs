@@ -101,7 +101,7 @@ fn border(criterion: &mut Criterion) {
         let plugins = library?.plugins;
         let model = plugins.iter().find(|plugin| plugin.name == "serial-chain").map(|plugin| &plugin.build);
         let Some(Build::Model(model)) = model else { return Err(Error::data("the library has no serial chain")) };
-        let built = model.build(&fit.problem.model.settings(), &Context { base: PathBuf::new() });
+        let built = model.build(&fit.problem.model.info().settings, &Context { base: PathBuf::new() });
         let model = built.map_err(|error| Error::data(error.to_string()))?.build(&[])?;
         Ok(Problem { model, ..fit.problem.as_ref().clone() })
     };

@@ -110,18 +110,24 @@ static uint32_t poses(void *handle, const AbbePoses *batch, const AbbeReply *rep
 
 #define AXIS(name, index, x, y, z) \
     "{\"name\":\"" name "\",\"kind\":\"linear\",\"branch\":\"tool\",\"sense\":1,\"direction\":[" x "," y "," z "],\"status\":" index "}"
-#define STATUS(name) "{\"name\":\"" name "\",\"quantity\":\"length\",\"absent\":\"refused\"}"
-#define PARAMETER(name, unit) "{\"name\":\"" name "\",\"unit\":\"" unit "\"}"
+#define STATUS(name, axis) "{\"name\":\"" name "\",\"role\":{\"command\":" axis "},\"quantity\":\"length\",\"absent\":\"refused\"}"
+#define PARAMETER(name, unit, role) "{\"name\":\"" name "\",\"unit\":\"" unit "\",\"role\":" role "}"
+#define OF_AXIS(kind, axis, component) "{\"" kind "\":{\"axis\":" axis ",\"component\":" component "}}"
+#define SET_UP "\"set-up\""
 
 static uint32_t describe(const Machine *machine, const AbbeReply *reply)
 {
     char text[2048];
     snprintf(text, sizeof text,
              "{\"axes\":[" AXIS("X", "0", "1", "0", "0") "," AXIS("Y", "1", "0", "1", "0") "," AXIS("Z", "2", "0", "0", "1")
-             "],\"status\":[" STATUS("X") "," STATUS("Y") "," STATUS("Z") "],\"parameters\":["
-             PARAMETER("EXX[1]", "mm/mm") "," PARAMETER("EYY[1]", "mm/mm") "," PARAMETER("EZZ[1]", "mm/mm") ","
-             PARAMETER("EC0Y", "rad") "," PARAMETER("EA0Z", "rad") "," PARAMETER("EB0Z", "rad") ","
-             PARAMETER("dxt", "mm") "," PARAMETER("dyt", "mm") "," PARAMETER("dzt", "mm")
+             "],\"status\":[" STATUS("X", "0") "," STATUS("Y", "1") "," STATUS("Z", "2") "],\"parameters\":["
+             PARAMETER("EXX[1]", "mm/mm", OF_AXIS("motion", "0", "0")) ","
+             PARAMETER("EYY[1]", "mm/mm", OF_AXIS("motion", "1", "1")) ","
+             PARAMETER("EZZ[1]", "mm/mm", OF_AXIS("motion", "2", "2")) ","
+             PARAMETER("EC0Y", "rad", OF_AXIS("location", "1", "5")) ","
+             PARAMETER("EA0Z", "rad", OF_AXIS("location", "2", "3")) ","
+             PARAMETER("EB0Z", "rad", OF_AXIS("location", "2", "4")) ","
+             PARAMETER("dxt", "mm", SET_UP) "," PARAMETER("dyt", "mm", SET_UP) "," PARAMETER("dzt", "mm", SET_UP)
              "],\"stylus_radius\":0,\"settings\":{\"tool_length_mm\":%.17g}}", machine->tool_length);
     say(reply, text);
     return ABBE_OK;

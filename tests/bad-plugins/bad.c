@@ -115,9 +115,9 @@ static const AbbeTable NO_POSES = { sizeof(AbbeTable), NULL, release, call, NULL
 
 #define AXIS(name, index, x, y, z) \
     "{\"name\":\"" name "\",\"kind\":\"linear\",\"branch\":\"tool\",\"sense\":1,\"direction\":[" x "," y "," z "],\"status\":" index "}"
-#define STATUS(name) "{\"name\":\"" name "\",\"quantity\":\"length\",\"absent\":\"refused\"}"
+#define STATUS(name, axis) "{\"name\":\"" name "\",\"role\":{\"command\":" axis "},\"quantity\":\"length\",\"absent\":\"refused\"}"
 #define REST(axis) "{\"axes\":[" AXIS("X", "0", "1", "0", "0") "," AXIS("Y", "1", "0", "1", "0") "," AXIS("Z", axis, "0", "0", "1") \
-    "],\"status\":[" STATUS("X") "," STATUS("Y") "," STATUS("Z") "],\"parameters\":[{\"name\":\"EXX[1]\",\"unit\":\"mm/mm\"}," \
+    "],\"status\":[" STATUS("X", "0") "," STATUS("Y", "1") "," STATUS("Z", "2") "],\"parameters\":[{\"name\":\"EXX[1]\",\"unit\":\"mm/mm\"}," \
     "{\"name\":\"EYY[1]\",\"unit\":\"mm/mm\"},{\"name\":\"EZZ[1]\",\"unit\":\"mm/mm\"}],\"settings\":{}}"
 
 static uint32_t call(void *handle, uint32_t method, const AbbeQuestion *question, const AbbeReply *reply)

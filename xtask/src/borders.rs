@@ -40,7 +40,7 @@ const CRATES: [Border; 16] = [
     border("abbe-planning", &["abbe-core", "abbe-estimation", "abbe-numerics"]),
     border("abbe-simulation", &["abbe-core", "abbe-estimation", "abbe-numerics"]),
     Border { name: "abbe-volumetric", uses: &["abbe-core", "abbe-numerics"], tested_with: &["abbe-serial-chain"] },
-    border("abbe-plugin", &["abbe-core"]),
+    border("abbe-plugin", &["abbe-core", "abbe-estimation"]),
     border("abbe-recipe", &["abbe-core", "abbe-planning"]),
     border(
         "abbe-engine",

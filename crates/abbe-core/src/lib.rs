@@ -40,12 +40,13 @@ pub use identity::Certificate;
 pub use input_uncertainty::{Ids, InputUncertainty, PooledRepeats, RowUncertainty, SharedError};
 pub use limit::Limit;
 pub use model::{
-    Absent, Axis, AxisKind, Branch, ErrorFunction, KinematicModel, MotionError, Parameter, Period, Poses, PosesMut,
-    StatusColumn, StatusRole, Variable,
+    Absent, Axis, AxisKind, Branch, ErrorFunction, KinematicModel, ModelInfo, MotionError, Parameter, ParameterRole,
+    Period, PoseBatch, Poses, PosesMut, StatusColumn, StatusRole, Variable,
 };
 pub use monitor::{Event, Monitor};
 pub use observations::{
-    Approach, Contact, Equations, Feature, KnownInput, Layout, NominalReading, Observations, PoseValues, Row, Target,
+    Approach, Contact, Equations, Feature, KnownInput, Layout, NominalReading, Observations, ObservationsInfo,
+    Orientation, RankPoint, Row, RowBatch, Target,
 };
 pub use parallel::in_parallel;
 pub use pattern::matches;
@@ -54,8 +55,8 @@ pub use problem::{Block, CHUNK, Considered, Evaluation, Input, ObservationSet, O
 pub use registry::{Basis, Build, Constructor, Context, Kind, Origin, Plugin, Provider, Registry};
 pub use result::{
     CALIBRATION_FORMAT, Calibration, Combination, CombinedAgreement, ConsideredInput, Contribution, Correlated,
-    Covariance, DataRecord, Estimated, Figure, Findings, FitReport, GumComparison, Identifiability, JointCoverage,
-    ModelRecord, MonteCarlo, NullVector, Outlier, ParameterBudget, SameMotion, Selection, SelectionDirection,
+    DataRecord, Estimated, Figure, Findings, FitReport, GumComparison, Identifiability, JointCoverage, ModelRecord,
+    MonteCarlo, NamedCovariance, NullVector, Outlier, ParameterBudget, SameMotion, Selection, SelectionDirection,
     SelectionStep, SimulatedParameter, Status, Termination, UncertaintyBudget, VERDICTS_FORMAT, VarianceFactor,
     Verdict,
 };

@@ -5,7 +5,7 @@ use std::any::Any;
 use serde::{Deserialize, Serialize};
 use serde_json::Value;
 
-use crate::error::{Error, Result};
+use crate::error::Result;
 use crate::serial::number;
 use crate::unit::{Quantity, Unit};
 
@@ -48,7 +48,7 @@ pub struct Axis {
     /// Indexed and not interpolated (a spindle).
     #[serde(default)]
     pub indexed: bool,
-    /// Index of the command among [`KinematicModel::status`].
+    /// Index of the command among [`ModelInfo::status`].
     pub status: usize,
 }
 
@@ -66,7 +66,7 @@ pub enum Absent {
 #[derive(Debug, Clone, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum StatusRole {
-    /// The command of an axis, by its index among [`KinematicModel::axes`].
+    /// The command of an axis, by its index among [`ModelInfo::axes`].
     Command(usize),
     /// From which side an axis came where it stands: +1 or -1, 0 if that is not known.
     Direction(usize),
@@ -80,24 +80,22 @@ pub enum StatusRole {
     Temperature,
     /// The force on the workpiece.
     Load,
+    /// The feed, mm/s or rad/s.
+    Feed,
+    /// The velocity of an axis, mm/s or rad/s.
+    Velocity(usize),
+    /// The reading of a sensor of the machine, by its name.
+    Sensor(String),
+    /// The thermal state of a part of the machine, by its name: what a thermal model makes of temperatures and times.
+    ThermalState(String),
+    /// What the probe is: its kind, or how it triggers.
+    Probe,
     /// Something that no one but the model knows.
     #[default]
     Other,
 }
 
 impl StatusRole {
-    /// What a status is by the name that columns of data give it (`X`, `dir_X`, `time`, `stylus`); for models that do not say it.
-    pub fn of_name(name: &str, axes: &[Axis]) -> Self {
-        let axis = |name: &str| axes.iter().position(|axis| axis.name == name);
-        match (axis(name), name.strip_prefix(DIRECTION).and_then(axis)) {
-            (Some(axis), _) => Self::Command(axis),
-            (None, Some(axis)) => Self::Direction(axis),
-            (None, None) if name == TIME => Self::Time,
-            (None, None) if name == STYLUS => Self::Stylus,
-            _ => Self::Other,
-        }
-    }
-
     /// The name that columns of data give it; none if the model names it.
     pub fn column_name(&self, axes: &[Axis]) -> Option<String> {
         match self {
@@ -132,22 +130,65 @@ pub struct StatusColumn {
     pub absent: Absent,
 }
 
-/// A parameter or an unknown: name and unit. Its nominal value is zero, unless a model says otherwise
-/// ([`KinematicModel::nominal`]).
+/// What a parameter or an unknown is.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum ParameterRole {
+    /// A coefficient of an error motion of an axis (ISO 230-1: `EXX`).
+    Motion {
+        /// The axis, by its index among [`ModelInfo::axes`].
+        axis: usize,
+        /// 0..6: x, y, z, a, b, c.
+        component: usize,
+    },
+    /// A coefficient of a position or orientation error of an axis (ISO 230-1: `EX0C`).
+    Location {
+        /// The axis, by its index among [`ModelInfo::axes`].
+        axis: usize,
+        /// 0..6: x, y, z, a, b, c.
+        component: usize,
+    },
+    /// What the set-up decides, and nobody knows beforehand: the offset of a tool, the zero of an instrument.
+    SetUp,
+    /// What shapes a function that coefficients multiply: a wavelength.
+    Shape,
+    /// The place or the size of a feature of an artefact.
+    Feature,
+    /// Something else.
+    #[default]
+    Other,
+}
+
+/// A parameter or an unknown: name, unit, and what it is.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Parameter {
     /// Name as in the conventions, e.g. `EXX[1]`.
     pub name: String,
     /// Unit of its value.
     pub unit: Unit,
+    /// What it is.
+    #[serde(default)]
+    pub role: ParameterRole,
+}
+
+impl Parameter {
+    /// A parameter of which no more is said than name and unit.
+    pub fn new(name: impl Into<String>, unit: Unit) -> Self {
+        Self { name: name.into(), unit, role: ParameterRole::Other }
+    }
+
+    /// Says what it is.
+    pub fn with_role(self, role: ParameterRole) -> Self {
+        Self { role, ..self }
+    }
 }
 
 /// What a derivative is taken with respect to.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Variable {
-    /// Index into [`KinematicModel::parameters`].
+    /// Index into [`ModelInfo::parameters`].
     Parameter(usize),
-    /// The command of an axis: index into [`KinematicModel::axes`].
+    /// The command of an axis: index into [`ModelInfo::axes`].
     Command(usize),
 }
 
@@ -204,6 +245,16 @@ pub struct PosesMut<'a> {
     pub rotation_derivatives: &'a mut [[f64; 3]],
 }
 
+impl PosesMut<'_> {
+    /// Copies poses of the same lengths.
+    pub fn copy_from(self, poses: &Poses) {
+        self.positions.copy_from_slice(&poses.positions);
+        self.orientations.copy_from_slice(&poses.orientations);
+        self.position_derivatives.copy_from_slice(&poses.position_derivatives);
+        self.rotation_derivatives.copy_from_slice(&poses.rotation_derivatives);
+    }
+}
+
 /// A motion error of an axis, for those who sample or compensate it.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct ErrorFunction {
@@ -239,93 +290,91 @@ pub struct MotionError {
     pub derivatives: Vec<(usize, f64)>,
 }
 
+/// What a kinematic model is: all that there is to know of it without evaluating a pose.
+#[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
+pub struct ModelInfo {
+    /// The axes, in the order of the structural loop.
+    pub axes: Vec<Axis>,
+    /// The status columns that a pose of this model is made of; the row of a batch has them in this order.
+    pub status: Vec<StatusColumn>,
+    /// Every parameter that exists in this model.
+    pub parameters: Vec<Parameter>,
+    /// Nominal value of every parameter: zero, apart from those that shape a function, such as a wavelength.
+    #[serde(default)]
+    pub nominal: Vec<f64>,
+    /// Standard uncertainty of every nominal value: zero, apart from those that are known from elsewhere, such as a
+    /// coefficient of expansion. It counts as long as the parameter is not estimated.
+    #[serde(default)]
+    pub nominal_uncertainties: Vec<f64>,
+    /// Effective stylus radius in mm.
+    #[serde(default)]
+    pub stylus_radius: f64,
+    /// Settings from which the same plugin builds this very model again, without any data.
+    pub settings: Value,
+    /// The motion errors that this model can tell one by one.
+    #[serde(default)]
+    pub error_functions: Vec<ErrorFunction>,
+    /// The parts of motion errors that repeat along their axes.
+    #[serde(default)]
+    pub periods: Vec<Period>,
+}
+
+impl ModelInfo {
+    /// A model whose parameters are all nominally zero, and known to be.
+    pub fn new(axes: Vec<Axis>, status: Vec<StatusColumn>, parameters: Vec<Parameter>, settings: Value) -> Self {
+        let zero = vec![0.0; parameters.len()];
+        let (nominal, nominal_uncertainties) = (zero.clone(), zero);
+        Self { axes, status, parameters, nominal, nominal_uncertainties, settings, ..Self::default() }
+    }
+
+    /// The index of the status that is this; none if poses do not have it.
+    pub fn status_of(&self, role: &StatusRole) -> Option<usize> {
+        self.status.iter().position(|column| column.role == *role)
+    }
+
+    /// The index of the parameter of this name.
+    pub fn parameter(&self, name: &str) -> Option<usize> {
+        self.parameters.iter().position(|parameter| parameter.name == name)
+    }
+}
+
+/// A batch of poses that are asked for.
+#[derive(Debug, Clone, Copy)]
+pub struct PoseBatch<'a> {
+    /// Poses x [`ModelInfo::status`], pose by pose.
+    pub statuses: &'a [f64],
+    /// One value a parameter.
+    pub values: &'a [f64],
+    /// The variables that derivatives are wanted for.
+    pub wanted: &'a [Variable],
+    /// Whether orientations (and their derivatives) are wanted.
+    pub orientation: bool,
+}
+
 /// A machine: where its tool is relative to its workpiece, given axis positions, status and parameters.
 ///
 /// Implementations are immutable and may be called from several threads at once.
-pub trait KinematicModel: Send + Sync {
-    /// The axes, in the order of the structural loop.
-    fn axes(&self) -> &[Axis];
+pub trait KinematicModel: Any + Send + Sync {
+    /// What the model is.
+    fn info(&self) -> &ModelInfo;
 
-    /// The status columns that a pose of this model is made of; the row of a batch has them in this order.
-    fn status(&self) -> &[StatusColumn];
-
-    /// The index of the status that is this; none if poses do not have it.
-    fn status_of(&self, role: &StatusRole) -> Option<usize> {
-        self.status().iter().position(|column| column.role == *role)
-    }
-
-    /// Every parameter that exists in this model.
-    fn parameters(&self) -> &[Parameter];
-
-    /// Nominal value of every parameter: zero, apart from those that shape a function, such as a wavelength.
-    fn nominal(&self) -> Vec<f64> {
-        vec![0.0; self.parameters().len()]
-    }
-
-    /// Standard uncertainty of every nominal value: zero, apart from those that are known from elsewhere, such as a coefficient
-    /// of expansion. It counts as long as the parameter is not estimated.
-    fn nominal_uncertainties(&self) -> Vec<f64> {
-        vec![0.0; self.parameters().len()]
-    }
-
-    /// Effective stylus radius in mm.
-    fn stylus_radius(&self) -> f64;
-
-    /// Poses and derivatives for a batch.
+    /// Poses and derivatives of a batch, written where `out` says: slices of the right lengths, zero before the call.
     ///
-    /// `statuses` is rows x [`status`](Self::status), row by row; `values` has one value a parameter; derivatives are
-    /// given for the `wanted` variables only; orientations (and their derivatives) only if `orientation` is set.
-    fn evaluate(
+    /// Fails where there is no pose, or none within the range of the model; the error names the pose
+    /// ([`Error::of_pose`](crate::Error::of_pose)).
+    fn evaluate(&self, batch: PoseBatch<'_>, out: PosesMut<'_>) -> Result<()>;
+
+    /// Makes room in `out` and evaluates a batch into it.
+    fn poses(
         &self,
         statuses: &[f64],
         values: &[f64],
         wanted: &[Variable],
         orientation: bool,
         out: &mut Poses,
-    ) -> Result<()>;
-
-    /// The same into slices that somebody else owns, already of the right lengths and zero: what crosses the border of a
-    /// dynamic plugin. Models in a hurry write there directly; this one copies.
-    fn evaluate_into(
-        &self,
-        statuses: &[f64],
-        values: &[f64],
-        wanted: &[Variable],
-        orientation: bool,
-        out: PosesMut<'_>,
     ) -> Result<()> {
-        let mut poses = Poses::default();
-        self.evaluate(statuses, values, wanted, orientation, &mut poses)?;
-        let fits = poses.positions.len() == out.positions.len()
-            && poses.orientations.len() == out.orientations.len()
-            && poses.position_derivatives.len() == out.position_derivatives.len()
-            && poses.rotation_derivatives.len() == out.rotation_derivatives.len();
-        if !fits {
-            return Err(Error::data("the model gave another number of poses or derivatives than it was asked for"));
-        }
-        out.positions.copy_from_slice(&poses.positions);
-        out.orientations.copy_from_slice(&poses.orientations);
-        out.position_derivatives.copy_from_slice(&poses.position_derivatives);
-        out.rotation_derivatives.copy_from_slice(&poses.rotation_derivatives);
-        Ok(())
-    }
-
-    /// What stands behind a model that lives on the other side of a border; none if it lives here.
-    fn behind(&self) -> Option<&dyn Any> {
-        None
-    }
-
-    /// Settings from which the same plugin builds this very model again, without any data.
-    fn settings(&self) -> Value;
-
-    /// The motion errors that this model can tell one by one; none by default.
-    fn error_functions(&self) -> Vec<ErrorFunction> {
-        Vec::new()
-    }
-
-    /// The parts of motion errors that repeat along their axes; none by default.
-    fn periods(&self) -> Vec<Period> {
-        Vec::new()
+        out.reset(statuses.len() / self.info().status.len().max(1), wanted.len(), orientation);
+        self.evaluate(PoseBatch { statuses, values, wanted, orientation }, out.as_mut())
     }
 
     /// A motion error at a status; `values` has one value a parameter.
@@ -341,7 +390,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn roles_follow_from_the_names_of_columns_and_give_them() {
+    fn some_roles_give_the_names_of_columns() {
         let axis = |(status, name): (usize, &str)| Axis {
             name: name.to_owned(),
             kind: AxisKind::Linear,
@@ -353,17 +402,13 @@ mod tests {
             status,
         };
         let axes: Vec<Axis> = ["X", "Z"].into_iter().enumerate().map(axis).collect();
-        for (name, role) in [
-            ("Z", StatusRole::Command(1)),
-            ("dir_X", StatusRole::Direction(0)),
-            ("time", StatusRole::Time),
-            ("stylus", StatusRole::Stylus),
+        for (role, name) in [
+            (StatusRole::Command(1), "Z"),
+            (StatusRole::Direction(0), "dir_X"),
+            (StatusRole::Time, "time"),
+            (StatusRole::Stylus, "stylus"),
         ] {
-            assert_eq!(StatusRole::of_name(name, &axes), role);
             assert_eq!(role.column_name(&axes).as_deref(), Some(name));
-        }
-        for name in ["dir_Y", "day", "X1", ""] {
-            assert_eq!(StatusRole::of_name(name, &axes), StatusRole::Other);
         }
         assert_eq!(StatusRole::Temperature.column_name(&axes), None);
     }

@@ -1,6 +1,7 @@
 //! What an artefact makes of a data set: rows of equations that tie poses, own unknowns and known inputs.
 
 use std::any::Any;
+use std::collections::{BTreeMap, BTreeSet};
 use std::sync::Arc;
 
 use serde::{Deserialize, Serialize};
@@ -10,7 +11,7 @@ use crate::error::Result;
 use crate::identity::Certificate;
 use crate::model::{KinematicModel, Parameter};
 use crate::pose_table::{ColumnNaming, PoseTable, StatusSource, pose_columns};
-use crate::unit::Quantity;
+use crate::unit::{Quantity, Unit};
 
 /// A named number that is not estimated but whose uncertainty all rows that use it share.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
@@ -36,6 +37,12 @@ impl KnownInput {
         Self { parameter, value, standard_uncertainty, shared: false, certificate: None }
     }
 
+    /// The stylus radius of a machine, one quantity for all artefacts that are touched; its standard uncertainty in mm.
+    pub fn stylus_radius(model: &dyn KinematicModel, standard_uncertainty: f64) -> Self {
+        let parameter = Parameter::new("stylus_radius", Unit::MM);
+        Self::new(parameter, model.info().stylus_radius, standard_uncertainty).shared()
+    }
+
     /// Makes it the machine's: one quantity for all artefacts that have an input of this name.
     pub fn shared(mut self) -> Self {
         self.shared = true;
@@ -50,7 +57,7 @@ impl KnownInput {
 
     /// What states it.
     pub fn certificate(&self) -> Certificate {
-        let Self { parameter: Parameter { name, unit }, value, standard_uncertainty, .. } = self;
+        let Self { parameter: Parameter { name, unit, .. }, value, standard_uncertainty, .. } = self;
         let stated =
             || Certificate::new(name, format!("{name} = {value:e} {unit}, u = {standard_uncertainty:e} {unit}"));
         self.certificate.clone().unwrap_or_else(stated)
@@ -72,7 +79,7 @@ pub struct Row {
     pub data_row: Option<usize>,
 }
 
-/// What gives way until the equations of a row hold, when the row is really measured.
+/// What moves, or is read, until the equations of a row hold when the row is really measured.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Contact {
@@ -84,7 +91,7 @@ pub enum Contact {
     NotSimulated(String),
 }
 
-/// Nominal contact of a row that gives way by a reading: linear axes move until it reads what is nominal.
+/// Nominal contact of a row that is met by a reading: linear axes move until it reads what is nominal.
 ///
 /// Nothing moves so when it is really measured; rank and condition are judged there, without what the reading owes to errors.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
@@ -96,8 +103,37 @@ pub struct NominalReading {
     pub axes: Vec<usize>,
 }
 
+/// Whether the equations depend on the orientation of the tool, and on which.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum Orientation {
+    /// They do not.
+    #[default]
+    Unused,
+    /// On the orientation that the model has.
+    Exact,
+    /// On the orientation to first order in the errors: turned from the nominal one by the sum of what each error alone turns
+    /// the tool by. Angles are so told by instruments that add up angular errors; products of rotations, which are second
+    /// order, have no part in it.
+    FirstOrder,
+}
+
+/// Where rank and condition of the rows are judged.
+#[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum RankPoint {
+    /// Where they were recorded: they tell as much there as in nominal contact. A known length is a length between any two
+    /// poses, and no unknown takes up what it is off by.
+    #[default]
+    AsRecorded,
+    /// In nominal contact ([`Observations::contact_tip`]).
+    InContact,
+    /// At nominal readings, by the index of the row; rows without one are judged as recorded.
+    NominalReading(BTreeMap<usize, NominalReading>),
+}
+
 /// How a row is touched that only one axis approaches.
-#[derive(Debug, Clone, PartialEq, Eq)]
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Approach {
     /// Index of the linear axis that moves until contact; the others stay where they are.
     pub axis: usize,
@@ -127,13 +163,19 @@ pub struct Target {
     pub approach: Option<[f64; 3]>,
 }
 
-/// Poses of some rows, one after another in the order of the rows.
+/// Rows that are evaluated together, with all that their equations depend on.
 #[derive(Debug, Clone, Copy)]
-pub struct PoseValues<'a> {
-    /// Tip positions in the table frame, mm.
+pub struct RowBatch<'a> {
+    /// Indices of the rows.
+    pub rows: &'a [usize],
+    /// Tip positions of their poses, one after another in the order of the rows, table frame, mm.
     pub positions: &'a [[f64; 3]],
     /// Tool orientations as unit quaternions w, x, y, z; empty unless the observations ask for them.
     pub orientations: &'a [[f64; 4]],
+    /// Values of the own unknowns.
+    pub own: &'a [f64],
+    /// Values of the known inputs.
+    pub inputs: &'a [f64],
 }
 
 /// Residuals and derivatives as an artefact writes them, equation by equation.
@@ -311,92 +353,101 @@ fn unknown_axis(data: &Dataset, sources: &[Vec<StatusSource>]) -> Result<()> {
     Ok(())
 }
 
-/// The observations that an artefact made of a data set. Immutable; used from several threads at once.
-pub trait Observations: Send + Sync {
+/// What observations are: all that there is to know of them without evaluating an equation.
+///
+/// ```
+/// # use abbe_core::{Contact, Layout, ObservationsInfo, Orientation, Parameter, Unit};
+/// # fn info(layout: Layout) -> ObservationsInfo {
+/// let zero = Parameter::new("zero", Unit::MM);
+/// ObservationsInfo {
+///     orientation: Orientation::Exact,
+///     ..ObservationsInfo::new(layout, vec![zero], Contact::Reading("reading".to_owned()))
+/// }
+/// # }
+/// ```
+#[derive(Debug, Clone, Serialize, Deserialize)]
+pub struct ObservationsInfo {
     /// The data set, the rows with their poses and equations, and how uncertain each equation is.
-    fn layout(&self) -> &Layout;
-
+    pub layout: Layout,
     /// Own unknowns, with own names (`facet[7].d`).
-    fn unknowns(&self) -> &[Parameter];
-
-    /// Start values of the own unknowns; zero unless said otherwise.
-    fn start(&self) -> Vec<f64> {
-        vec![0.0; self.unknowns().len()]
-    }
-
+    #[serde(default)]
+    pub unknowns: Vec<Parameter>,
+    /// Their start values.
+    #[serde(default)]
+    pub start: Vec<f64>,
     /// Known inputs.
-    fn inputs(&self) -> &[KnownInput];
+    #[serde(default)]
+    pub inputs: Vec<KnownInput>,
+    /// Whether the equations depend on tool orientations.
+    #[serde(default)]
+    pub orientation: Orientation,
+    /// Equations, by their index in the layout, that are of angles (rad); all others are of lengths (mm).
+    #[serde(default)]
+    pub angles: BTreeSet<usize>,
+    /// The features in the table frame, for those who compare or draw them.
+    #[serde(default)]
+    pub features: Vec<Feature>,
+    /// What moves, or is read, until the equations hold when a row is really measured.
+    pub contact: Contact,
+    /// Where rank and condition are judged.
+    #[serde(default)]
+    pub rank_point: RankPoint,
+    /// For every row the only axis that moves until contact; empty if all linear axes move.
+    #[serde(default)]
+    pub approaches: Vec<Approach>,
+}
+
+impl ObservationsInfo {
+    /// Observations of lengths, without known inputs and features, whose unknowns start from zero; judged in nominal contact if
+    /// linear axes move until there is contact, else as recorded.
+    pub fn new(layout: Layout, unknowns: Vec<Parameter>, contact: Contact) -> Self {
+        let rank_point = if contact == Contact::LinearAxes { RankPoint::InContact } else { RankPoint::AsRecorded };
+        Self {
+            layout,
+            start: vec![0.0; unknowns.len()],
+            unknowns,
+            inputs: Vec::new(),
+            orientation: Orientation::Unused,
+            angles: BTreeSet::new(),
+            features: Vec::new(),
+            contact,
+            rank_point,
+            approaches: Vec::new(),
+        }
+    }
 
     /// What an equation of a row is an equation of: lengths (mm) or angles (rad).
-    fn quantity(&self, _row: usize, _equation: usize) -> Quantity {
-        Quantity::Length
+    pub fn quantity(&self, row: usize, equation: usize) -> Quantity {
+        match self.angles.contains(&(self.layout.rows[row].first_equation + equation)) {
+            true => Quantity::Angle,
+            false => Quantity::Length,
+        }
     }
 
-    /// Whether the equations depend on tool orientations.
-    fn needs_orientation(&self) -> bool {
-        false
+    /// Nominal contact of a row that is met by a reading; none if the row is judged as recorded, since its reading tells more
+    /// than errors do.
+    pub fn nominal_reading(&self, row: usize) -> Option<&NominalReading> {
+        match &self.rank_point {
+            RankPoint::NominalReading(rows) => rows.get(&row),
+            _ => None,
+        }
     }
+}
 
-    /// Whether orientations are wanted to first order in the errors: turned from the nominal one by the sum of what each
-    /// error alone turns the tool by. Angles are so told by instruments that add up angular errors; products of rotations, which
-    /// are second order, have no part in it.
-    fn first_order_orientation(&self) -> bool {
-        false
-    }
+/// The observations that an artefact made of a data set. Immutable; used from several threads at once.
+pub trait Observations: Any + Send + Sync {
+    /// What the observations are.
+    fn info(&self) -> &ObservationsInfo;
 
-    /// Residuals and derivatives of some rows, in the order of `rows`; `poses` has their poses one after another.
-    fn evaluate(&self, rows: &[usize], poses: PoseValues<'_>, own: &[f64], inputs: &[f64], out: &mut Equations);
-
-    /// The same where it can fail: of observations on the other side of a border.
-    fn try_evaluate(
-        &self,
-        rows: &[usize],
-        poses: PoseValues<'_>,
-        own: &[f64],
-        inputs: &[f64],
-        out: &mut Equations,
-    ) -> Result<()> {
-        self.evaluate(rows, poses, own, inputs, out);
-        Ok(())
-    }
-
-    /// What stands behind observations that live on the other side of a border; none if they live here.
-    fn behind(&self) -> Option<&dyn Any> {
-        None
-    }
+    /// Residuals and derivatives of some rows, in the order of the batch. The equations of a row depend on nothing but the row
+    /// and what the batch has of it.
+    ///
+    /// Fails where they have none; observations on the other side of a border fail in other ways, too.
+    fn evaluate(&self, batch: RowBatch<'_>, out: &mut Equations) -> Result<()>;
 
     /// Where the tip of a row's pose is in nominal contact, table frame, given where it is by the model: on the feature as
     /// estimated, without the sideways offset with which it was met. None where contact does not fix the tip.
-    fn contact_tip(&self, _row: usize, _tip: [f64; 3], _own: &[f64], _inputs: &[f64]) -> Option<[f64; 3]> {
-        None
-    }
-
-    /// Nominal contact of a row that gives way by a reading; none if the row is judged as recorded, since its reading
-    /// tells more than errors do.
-    fn nominal_reading(&self, _row: usize) -> Option<&NominalReading> {
-        None
-    }
-
-    /// The only axis that moves until contact when a row is really measured; none if all linear axes give way.
-    fn approach(&self, _row: usize) -> Option<Approach> {
-        None
-    }
-
-    /// The features in the table frame, for those who compare or draw them.
-    fn features(&self) -> Vec<Feature>;
-
-    /// What gives way when a row is really measured.
-    fn contact(&self) -> Contact;
-
-    /// Whether own unknowns are such that nobody knows them beforehand, as the zero of an instrument. One that is left out of an
-    /// estimate was forgotten, which is told.
-    fn own_are_offsets(&self) -> bool {
-        false
-    }
-
-    /// Whether the rows tell as much where they were recorded as at nominal contact: a known length is a length between any two
-    /// poses, and no unknown takes up what it is off by.
-    fn is_met_anywhere(&self) -> bool {
-        false
+    fn contact_tip(&self, _row: usize, _tip: [f64; 3], _own: &[f64], _inputs: &[f64]) -> Result<Option<[f64; 3]>> {
+        Ok(None)
     }
 }

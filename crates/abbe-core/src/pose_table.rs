@@ -51,8 +51,8 @@ pub fn pose_columns(
         None => error,
     };
     let mut columns = Vec::new();
-    for (index, status) in model.status().iter().enumerate() {
-        let axis = model.axes().iter().find(|axis| axis.status == index);
+    for (index, status) in model.info().status.iter().enumerate() {
+        let axis = model.info().axes.iter().find(|axis| axis.status == index);
         let (names, absent) = naming(status, axis);
         let found = names.iter().find_map(|name| headers.iter().find(|header| header.name == *name));
         match (found, absent) {
@@ -90,7 +90,7 @@ pub fn pose_columns(
 impl PoseTable {
     /// An empty table for a model.
     pub fn new(model: &dyn KinematicModel) -> Self {
-        Self { width: model.status().len(), values: Vec::new() }
+        Self { width: model.info().status.len(), values: Vec::new() }
     }
 
     /// Appends the pose of one data row, read from `columns` (see [`pose_columns`]).
@@ -101,7 +101,7 @@ impl PoseTable {
         model: &dyn KinematicModel,
         columns: &[StatusSource],
     ) -> Result<()> {
-        for (status, source) in model.status().iter().zip(columns) {
+        for (status, source) in model.info().status.iter().zip(columns) {
             let value = match source {
                 StatusSource::Taken(value) => *value,
                 StatusSource::Column(name) => match data.column(name).map(|column| &column.values) {

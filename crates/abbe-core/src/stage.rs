@@ -91,7 +91,7 @@ pub trait Estimate: Send + Sync {
     }
 
     /// A new look at an earlier estimate, which the recipe names under `of`.
-    fn reconsider(&self, _fit: &Fit) -> Result<Calibration> {
+    fn analyse(&self, _fit: &Fit) -> Result<Calibration> {
         Err(Error::usage("this estimator makes its own estimate; it takes no other one by `of`").setting("of"))
     }
 
@@ -99,8 +99,8 @@ pub trait Estimate: Send + Sync {
     fn identify(&self, problem: &Problem) -> Result<Identifiability>;
 
     /// Whether it would solve a problem that can determine this much.
-    fn accepts(&self, found: &Identifiability) -> bool {
-        found.rank == found.unknowns
+    fn accepts(&self, found: &Identifiability) -> Result<bool> {
+        Ok(found.rank == found.unknowns)
     }
 }
 

@@ -11,7 +11,7 @@ pub(crate) type Digests = BTreeMap<String, String>;
 pub(crate) fn of_problem(problem: &Problem, digests: &Digests) -> Vec<DataRecord> {
     let mut rows: BTreeMap<String, BTreeSet<usize>> = BTreeMap::new();
     for set in &problem.sets {
-        let layout = set.observations.layout();
+        let layout = &set.observations.info().layout;
         let data = &layout.data;
         let own = set.rows.iter().filter_map(|&row| layout.rows[row].data_row);
         for row in own.chain(layout.merged.iter().copied()) {

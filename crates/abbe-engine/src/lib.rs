@@ -6,6 +6,7 @@
 
 mod evidence;
 mod folder;
+mod laws;
 mod outcome;
 mod places;
 mod plan;
@@ -18,6 +19,7 @@ mod uncertainty;
 
 pub use abbe_planning::{Plan, PlanFigures};
 pub use folder::can_write_folder;
+pub use laws::Laws;
 pub use outcome::Outcome;
 pub use plan::Measurements;
 pub use prepare::{Prepared, prepare};

@@ -64,7 +64,7 @@ impl Prepared {
             _ => error,
         })?;
         let identifiability = self.located(stage, estimator.identify(&plan.problem))?;
-        let accepted = estimator.accepts(&identifiability);
+        let accepted = self.located(stage, estimator.accepts(&identifiability))?;
         let mut files = match &generated {
             Some(generated) => {
                 BTreeMap::from([(PathBuf::from(GENERATED), chosen(&generated.text, &plan.data_rows, &generated.data))])

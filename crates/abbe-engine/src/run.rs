@@ -6,7 +6,7 @@ use std::time::{Instant, SystemTime};
 
 use abbe_core::{
     Basis, Calibration, DataRecord, Dataset, Error, Event, ExportedFile, Fit, Identifiability, Kind, KinematicModel,
-    Monitor, ObservationSet, Owner, Poses, Problem, Registry, Result, Verdict, in_parallel,
+    Monitor, ObservationSet, Owner, Problem, Registry, Result, Verdict, in_parallel,
 };
 use abbe_estimation::remarks;
 use abbe_recipe::Stage;
@@ -46,7 +46,7 @@ impl Prepared {
             let estimator = &self.estimators[&stage.name];
             let mut identifiability = self.located(stage, estimator.identify(problem))?;
             identifiability.remarks.extend(remarks(problem));
-            let accepted = estimator.accepts(&identifiability);
+            let accepted = self.located(stage, estimator.accepts(&identifiability))?;
             let own = problem.unknowns.iter().filter(|unknown| unknown.owner == Owner::Machine);
             let machine = own.map(|unknown| unknown.name.clone()).collect();
             planned.push(Planned { estimate: stage.name.clone(), identifiability, accepted, machine });
@@ -113,7 +113,6 @@ impl Prepared {
             for fit in named(stage.reference("of"), &fits) {
                 let exporter = &self.exporters[&stage.name];
                 let files = self.located(stage, exporter.export(&fit.calibration, fit.problem.model.as_ref()))?;
-                self.located(stage, heard(fit))?;
                 exports.push((stage.name.clone(), files));
             }
         }
@@ -165,7 +164,7 @@ impl Prepared {
         let of = named(stage.reference("of"), fits);
         let fit = of.first().ok_or_else(|| Error::usage("the estimate under `of` is not there").stage(&stage.name))?;
         let mut calibration =
-            self.located(stage, self.estimators[&stage.name].reconsider(&watched(fit, monitor.of_stage(&stage.name))))?;
+            self.located(stage, self.estimators[&stage.name].analyse(&watched(fit, monitor.of_stage(&stage.name))))?;
         calibration.estimate = stage.name.clone();
         let (problem, estimator) = (fit.problem.clone(), fit.estimator.clone());
         Ok(Fit { name: stage.name.clone(), problem, estimator, calibration })
@@ -201,7 +200,7 @@ impl Prepared {
     }
 
     /// The problems of all estimates, those of calibrations from elsewhere included.
-    fn problems(&self, data: &Datasets, taken: &mut Taken) -> Result<BTreeMap<String, Problem>> {
+    pub(crate) fn problems(&self, data: &Datasets, taken: &mut Taken) -> Result<BTreeMap<String, Problem>> {
         let mut problems = BTreeMap::new();
         for stage in self.stages(Kind::Estimate).filter(has_problem) {
             problems.insert(stage.name.clone(), self.located(stage, self.problem(stage, data, taken))?);
@@ -293,8 +292,8 @@ impl Prepared {
         for name in names {
             let (ingest, artefact) = self.artefact(name)?;
             let observations = artefact.observe(&data[ingest], model.as_ref()).map_err(|error| error.stage(name))?;
-            let rows = observations.layout().rows.iter().filter_map(|row| row.data_row);
-            let merged = observations.layout().merged.iter().copied();
+            let rows = observations.info().layout.rows.iter().filter_map(|row| row.data_row);
+            let merged = observations.info().layout.merged.iter().copied();
             taken.entry(ingest.to_owned()).or_default().extend(rows.chain(merged));
             let repeats = self.repeats(name)?.map(|repeats| artefact.observe(&data[repeats], model.as_ref()));
             let repeats = repeats.transpose().map_err(|error| error.stage(name))?;
@@ -374,7 +373,7 @@ fn start(stage: &Stage, problem: Problem, fits: &[Fit]) -> Result<Problem> {
 /// A fit whose problem is another one without unknowns, with the values of the fit: what is left are errors of prediction.
 fn predicting(fit: &Fit, other: &Problem) -> Result<Fit> {
     let own = |set: &ObservationSet| -> Vec<String> {
-        set.observations.unknowns().iter().map(|unknown| format!("{}.{}", set.name, unknown.name)).collect()
+        set.observations.info().unknowns.iter().map(|unknown| format!("{}.{}", set.name, unknown.name)).collect()
     };
     let known = |name: &String| fit.calibration.artefacts.iter().any(|known| known.name == *name);
     if let Some(name) = other.sets.iter().flat_map(own).find(|name| !known(name)) {
@@ -397,15 +396,6 @@ pub fn model_of(calibration: &Calibration, registry: &Registry) -> Result<Arc<dy
         .find(Kind::Model, &calibration.model.plugin)
         .map_err(|error| Error::data(format!("the model of this calibration: {error}")))?;
     build_model(plugin, &calibration.model.settings)?.build(&[])
-}
-
-/// What failed on the other side of a border in a method that has no result to say so: the next evaluation says it.
-fn heard(fit: &Fit) -> Result<()> {
-    let (model, values) = (&fit.problem.model, &fit.problem.machine);
-    match model.behind() {
-        Some(_) => model.evaluate(&[], values, &[], false, &mut Poses::default()),
-        None => Ok(()),
-    }
 }
 
 /// The same fit; whatever is done with its problem is watched by `monitor`.

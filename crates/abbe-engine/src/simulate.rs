@@ -181,18 +181,18 @@ impl Prepared {
         for (artefact, from) in sources {
             let observations = self.artefacts[&artefact.name].observe(&data[from], model.as_ref());
             let observations = self.located(artefact, observations)?;
-            if let Contact::NotSimulated(why) = observations.contact() {
+            if let Contact::NotSimulated(why) = &observations.info().contact {
                 let error = Error::usage(format!("the artefact `{}` cannot be simulated yet: {why}", artefact.plugin));
                 return self.located(artefact, Err(error));
             }
-            match observations.layout().merged.is_empty() && !data[from].averaged {
+            match observations.info().layout.merged.is_empty() && !data[from].averaged {
                 true => sets.push(claimed.unclaimed(&artefact.name, observations)),
                 false => combined.push((artefact, observations)),
             }
         }
         for (artefact, observations) in combined {
             // What is recorded are the single touches: they have to be measured by an artefact that takes them as such.
-            if !claimed.has_all(observations.layout()) {
+            if !claimed.has_all(&observations.info().layout) {
                 let error =
                     Error::usage("its rows combine several recorded ones, which cannot be told from the combination");
                 let error =
@@ -204,8 +204,8 @@ impl Prepared {
             // Data of another kind, which these artefacts do not take, stay as they are; the summary tells which.
             let data = self.data(from)?;
             let Ok(observations) = self.artefacts[artefact].observe(&data, model.as_ref()) else { continue };
-            let measures = observations.layout().merged.is_empty();
-            if measures && !matches!(observations.contact(), Contact::NotSimulated(_)) {
+            let measures = observations.info().layout.merged.is_empty();
+            if measures && !matches!(observations.info().contact, Contact::NotSimulated(_)) {
                 let set = claimed.unclaimed(artefact, observations);
                 sets.extend(Some(set).filter(|set| !set.rows.is_empty()));
             }
@@ -213,7 +213,7 @@ impl Prepared {
         // Nothing is estimated here: neither unknowns nor the uncertainty of inputs matter.
         Ok(Problem {
             name: machine.to_owned(),
-            machine: model.nominal(),
+            machine: model.info().nominal.clone(),
             model,
             model_plugin: self.model_plugin(stage)?,
             sets,
@@ -270,7 +270,7 @@ impl Claimed {
     /// Observations with those of their rows that nobody has claimed yet.
     fn unclaimed(&mut self, name: &str, observations: Arc<dyn Observations>) -> ObservationSet {
         let mut set = ObservationSet::new(name, observations);
-        let layout = set.observations.layout();
+        let layout = &set.observations.info().layout;
         set.rows.retain(|&row| layout.rows[row].data_row.is_some_and(|row| self.0.insert(place(layout, row))));
         set
     }
@@ -290,25 +290,25 @@ fn place(layout: &Layout, row: usize) -> (PathBuf, usize) {
 
 /// What is recorded in which cells of which files.
 fn recorded(measured: &Problem, resolution: f64) -> Result<BTreeMap<PathBuf, Cells>> {
-    let axes = measured.model.axes().iter().filter(|axis| axis.kind == AxisKind::Linear);
+    let axes = measured.model.info().axes.iter().filter(|axis| axis.kind == AxisKind::Linear);
     let axes: Vec<usize> = axes.map(|axis| axis.status).collect();
     let mut files: BTreeMap<PathBuf, Cells> = BTreeMap::new();
     for set in &measured.sets {
-        let layout = set.observations.layout();
+        let layout = &set.info().layout;
         for &index in &set.rows {
             let row = &layout.rows[index];
             let Some(data_row) = row.data_row else { continue };
             let origin = layout.data.origins[data_row];
-            let cells = match set.observations.contact() {
+            let cells = match &set.observations.info().contact {
                 Contact::LinearAxes => {
                     let mut cells = positions(set, row, &axes)?;
-                    if let Some(Approach { axis, reading }) = set.observations.approach(index) {
-                        let triggered = set.poses().row(row.first_pose)[measured.model.axes()[axis].status];
-                        cells.push((header(layout, &reading)?, triggered));
+                    if let Some(Approach { axis, reading }) = set.info().approaches.get(index) {
+                        let triggered = set.poses().row(row.first_pose)[measured.model.info().axes[*axis].status];
+                        cells.push((header(layout, reading)?, triggered));
                     }
                     cells
                 }
-                Contact::Reading(column) => reading(set, row, data_row, &column)?,
+                Contact::Reading(column) => reading(set, row, data_row, column)?,
                 Contact::NotSimulated(_) => continue,
             };
             let line = files.entry(layout.data.files[origin.file].clone()).or_default().entry(origin.line).or_default();
@@ -326,7 +326,7 @@ fn recorded(measured: &Problem, resolution: f64) -> Result<BTreeMap<PathBuf, Cel
 
 /// The positions of the linear axes at the poses of a row, by the header of their columns.
 fn positions(set: &ObservationSet, row: &Row, axes: &[usize]) -> Result<Vec<(String, f64)>> {
-    let layout = set.observations.layout();
+    let layout = &set.observations.info().layout;
     let mut found = Vec::new();
     for pose in 0..row.poses {
         let (status, before) = (set.poses().row(row.first_pose + pose), layout.poses.row(row.first_pose + pose));
@@ -347,7 +347,7 @@ fn positions(set: &ObservationSet, row: &Row, axes: &[usize]) -> Result<Vec<(Str
 
 /// The reading of a row, by the header of its column.
 fn reading(set: &ObservationSet, row: &Row, data_row: usize, column: &str) -> Result<Vec<(String, f64)>> {
-    let layout = set.observations.layout();
+    let layout = &set.observations.info().layout;
     let before = layout.data.required_numbers(column)?[data_row];
     // The equation has the reading with a minus sign: what is added to the one is taken from the other.
     let change = set.disturbances().map_or(0.0, |disturbances| disturbances[row.first_equation]);

@@ -44,7 +44,7 @@ impl RowsOf {
         repeats: Option<Arc<dyn Observations>>,
         model: &Arc<dyn KinematicModel>,
     ) -> Result<ObservationSet> {
-        let layout = observations.layout();
+        let layout = &observations.info().layout;
         let mut uncertainty = EquationUncertainty::independent(layout.standard_uncertainties.clone());
         if let Some(rows) = &self.settings.uncertainty {
             let table = self.covariance.as_ref().map(|path| abbe_table::read(path)).transpose()?;
@@ -55,11 +55,11 @@ impl RowsOf {
             // Differences between repeats are asked for: those at nominal values are as good as any.
             let sets = vec![ObservationSet::new(name, repeated.clone())];
             let residuals = Problem::new(name, "", model.clone(), sets, &[])?.residuals(&[])?;
-            uncertainty.pooled = Some(repeats::pooled(pooled, layout, repeated.layout(), &residuals)?);
+            uncertainty.pooled = Some(repeats::pooled(pooled, layout, &repeated.info().layout, &residuals)?);
         }
         let mut set = ObservationSet::new(name, observations);
         if let Some(ids) = &self.settings.id {
-            set.ids = ids.of_inputs(set.observations.inputs())?;
+            set.ids = ids.of_inputs(&set.observations.info().inputs)?;
         }
         set.uncertainty = Arc::new(uncertainty);
         Ok(set)

@@ -19,12 +19,12 @@ pub fn aliased(problem: &Problem) -> Vec<String> {
         let machine = problem.unknowns.iter().filter(|unknown| unknown.owner == Owner::Machine);
         machine.into_iter().any(|unknown| period.parameters.contains(&unknown.index))
     };
-    let periods = problem.model.periods().into_iter().filter(estimated);
+    let periods = problem.model.info().periods.clone().into_iter().filter(estimated);
     periods.filter_map(|period| aliased_period(problem, &period)).collect()
 }
 
 fn aliased_period(problem: &Problem, period: &Period) -> Option<String> {
-    let axis = &problem.model.axes()[period.axis];
+    let axis = &problem.model.info().axes[period.axis];
     let grid = grid(travelled(problem, axis.status), period.length)?;
     let length = period.length;
     if grid <= 0.5 * length {
@@ -53,7 +53,7 @@ fn aliased_period(problem: &Problem, period: &Period) -> Option<String> {
 fn travelled(problem: &Problem, status: usize) -> Vec<f64> {
     let mut commands = Vec::new();
     for set in &problem.sets {
-        let rows = set.rows.iter().map(|&row| set.observations.layout().rows[row]);
+        let rows = set.rows.iter().map(|&row| set.info().layout.rows[row]);
         let poses = rows.flat_map(|row| row.first_pose..row.first_pose + row.poses);
         let all: Vec<f64> = poses.map(|pose| set.poses().row(pose)[status]).collect();
         for pair in all.windows(2).filter(|pair| (pair[0] - pair[1]).abs() > SAME) {

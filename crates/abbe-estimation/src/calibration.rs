@@ -1,7 +1,7 @@
 //! From the solution of a problem to a calibration: every parameter with its value, unit, uncertainty and status.
 
 use abbe_core::{
-    CALIBRATION_FORMAT, Calibration, ConsideredInput, Covariance, Estimated, FitReport, Outlier, Owner, Problem,
+    CALIBRATION_FORMAT, Calibration, ConsideredInput, Estimated, FitReport, NamedCovariance, Outlier, Owner, Problem,
     Status, Unit, Unknown,
 };
 
@@ -31,13 +31,13 @@ pub fn calibration(
         };
         Estimated { name, value, unit: unit.to_string(), standard_uncertainty, status }
     };
-    let parameters = problem.model.parameters().iter().enumerate();
+    let parameters = problem.model.info().parameters.iter().enumerate();
     let parameters = parameters.map(|(index, parameter)| {
         estimated(Owner::Machine, index, parameter.name.clone(), parameter.unit, problem.machine[index])
     });
     let mut artefacts = Vec::new();
     for (set, observations) in problem.sets.iter().enumerate() {
-        for (index, own) in observations.observations.unknowns().iter().enumerate() {
+        for (index, own) in observations.observations.info().unknowns.iter().enumerate() {
             let name = format!("{}.{}", observations.name, own.name);
             artefacts.push(estimated(Owner::Set(set), index, name, own.unit, observations.own[index]));
         }
@@ -53,7 +53,7 @@ pub fn calibration(
         model: problem.model_record(),
         parameters: parameters.collect(),
         artefacts,
-        covariance: Covariance {
+        covariance: NamedCovariance {
             order: problem
                 .unknowns
                 .iter()

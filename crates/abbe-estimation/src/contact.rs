@@ -1,8 +1,8 @@
 //! Contact: where the linear axes stand when the tip meets the artefact.
 
 use abbe_core::{
-    AxisKind, CHUNK, Contact, Error, Evaluation, KinematicModel, ObservationSet, PoseTable, Problem, Result, Row,
-    Variable, in_parallel,
+    AxisKind, CHUNK, Contact, Error, Evaluation, KinematicModel, ObservationSet, PoseTable, Problem, RankPoint, Result,
+    Row, Variable, in_parallel,
 };
 use nalgebra::{DMatrix, DVector, Matrix3, Vector3};
 
@@ -35,7 +35,7 @@ struct LinearAxes {
 
 impl LinearAxes {
     fn of(model: &dyn KinematicModel) -> Self {
-        let axes = model.axes().iter().enumerate().filter(|(_, axis)| axis.kind == AxisKind::Linear);
+        let axes = model.info().axes.iter().enumerate().filter(|(_, axis)| axis.kind == AxisKind::Linear);
         let (commands, statuses) = axes.map(|(index, axis)| (Variable::Command(index), axis.status)).unzip();
         Self { commands, statuses }
     }
@@ -106,7 +106,7 @@ fn contacts(problem: &Problem, set: usize, rows: &[usize], linear: &LinearAxes) 
         // Newton's iteration converges quadratically: a step below 1e-5 mm leaves nothing that a double holds.
         for _ in 0..8 {
             moved.evaluate(set, chunk, &linear.commands, &mut work)?;
-            if move_by_step(&mut moved.sets[set], chunk, linear, &work, Goal::Contact) < 1e-5 {
+            if move_by_step(&mut moved.sets[set], chunk, linear, &work, Goal::Contact)? < 1e-5 {
                 break;
             }
         }
@@ -133,7 +133,7 @@ pub fn measured(problem: &Problem, errors: &[f64], variations: &[Variation]) -> 
             let equations: usize = chunk.iter().map(|&row| row_of(&moved.sets[set], row).equations).sum();
             let errors = &errors[first_equation..first_equation + equations];
             vary(&mut moved, &problem.machine, variations, first_row);
-            match moved.sets[set].observations.contact() {
+            match &moved.sets[set].info().contact {
                 Contact::LinearAxes => touch(&mut moved, set, chunk, &linear, errors, &mut work)?,
                 Contact::Reading(_) => read(&mut moved, set, chunk, errors, &mut work)?,
                 Contact::NotSimulated(why) => {
@@ -174,7 +174,7 @@ fn touch(
         if step == STEPS {
             return Err(unreachable(problem, set, row, off));
         }
-        move_by_step(&mut problem.sets[set], rows, linear, work, Goal::Residuals(errors));
+        move_by_step(&mut problem.sets[set], rows, linear, work, Goal::Residuals(errors))?;
     }
     Ok(())
 }
@@ -184,7 +184,7 @@ fn read(problem: &mut Problem, set: usize, rows: &[usize], errors: &[f64], work:
     problem.evaluate(set, rows, &[], work)?;
     let set = &mut problem.sets[set];
     let observations = set.observations.clone();
-    let (layout, disturbances) = (observations.layout(), set.disturbances_mut());
+    let (layout, disturbances) = (observations.info().layout.clone(), set.disturbances_mut());
     let equations = rows.iter().map(|&row| layout.rows[row]).flat_map(|row| {
         let equations = row.first_equation..row.first_equation + row.equations;
         equations.map(move |equation| (equation, row.poses > 0))
@@ -210,19 +210,19 @@ fn unreachable(problem: &Problem, set: usize, row: usize, off: f64) -> Error {
 }
 
 fn moves_to_contact(set: &ObservationSet) -> bool {
-    set.observations.contact() == Contact::LinearAxes
+    set.info().contact == Contact::LinearAxes
 }
 
 fn moves_to_be_judged(set: &ObservationSet) -> bool {
-    match set.observations.contact() {
-        Contact::LinearAxes => !set.observations.is_met_anywhere(),
-        Contact::Reading(_) => set.rows.iter().any(|&row| set.observations.nominal_reading(row).is_some()),
-        Contact::NotSimulated(_) => false,
+    match &set.info().rank_point {
+        RankPoint::AsRecorded => false,
+        RankPoint::InContact => true,
+        RankPoint::NominalReading(rows) => set.rows.iter().any(|row| rows.contains_key(row)),
     }
 }
 
 fn row_of(set: &ObservationSet, row: usize) -> Row {
-    set.observations.layout().rows[row]
+    set.info().layout.rows[row]
 }
 
 /// The first row whose equations are not equal to `errors` yet, and by how much they differ.
@@ -253,10 +253,10 @@ fn move_by_step(
     linear: &LinearAxes,
     work: &Evaluation,
     goal: Goal<'_>,
-) -> f64 {
+) -> Result<f64> {
     let touched = moves_to_contact(set);
     if touched && !work.equations.by_rotation().is_empty() {
-        return 0.0; // Orientations are not touched into place by linear axes.
+        return Ok(0.0); // Orientations are not touched into place by linear axes.
     }
     let count = linear.count();
     let mut gradients = gradients(work, set, rows, count);
@@ -270,10 +270,10 @@ fn move_by_step(
         let residuals = &work.equations.residuals()[equations.clone()];
         let step = match goal {
             Goal::Residuals(errors) => smallest_step(gradient, residuals, &errors[equations]),
-            Goal::Contact if touched => (row.poses == 1)
-                .then(|| contact_step(set, index, pose, work, count))
-                .flatten()
-                .or_else(|| smallest_step(gradient, residuals, &vec![0.0; row.equations])),
+            Goal::Contact if touched => {
+                let known = if row.poses == 1 { contact_step(set, index, pose, work, count)? } else { None };
+                known.or_else(|| smallest_step(gradient, residuals, &vec![0.0; row.equations]))
+            }
             Goal::Contact => {
                 nominal_residuals(set, index).and_then(|wanted| smallest_step(gradient, residuals, &wanted))
             }
@@ -285,7 +285,7 @@ fn move_by_step(
     }
     let mut steps = steps.chunks_exact(count.max(1));
     let observations = set.observations.clone();
-    let (layout, table) = (observations.layout(), set.poses_mut());
+    let (layout, table) = (observations.info().layout.clone(), set.poses_mut());
     for row in rows.iter().map(|&row| layout.rows[row]) {
         for pose in row.first_pose..row.first_pose + row.poses {
             for (&status, step) in linear.statuses.iter().zip(steps.next().unwrap_or(&[])) {
@@ -294,7 +294,7 @@ fn move_by_step(
             }
         }
     }
-    largest
+    Ok(largest)
 }
 
 /// Takes the effects of axes that do not move out of the gradients of some rows: where one axis alone approaches, and
@@ -304,8 +304,8 @@ fn only_moving(set: &ObservationSet, rows: &[usize], linear: &LinearAxes, goal: 
     for &index in rows {
         let row = row_of(set, index);
         let axes: Option<Vec<usize>> = match goal {
-            Goal::Residuals(_) => set.observations.approach(index).map(|approach| vec![approach.axis]),
-            Goal::Contact => set.observations.nominal_reading(index).map(|nominal| nominal.axes.clone()),
+            Goal::Residuals(_) => set.info().approaches.get(index).map(|approach| vec![approach.axis]),
+            Goal::Contact => set.info().nominal_reading(index).map(|nominal| nominal.axes.clone()),
         };
         for entry in entries.by_ref().take(row.equations * row.poses) {
             let Some(axes) = &axes else { continue };
@@ -320,7 +320,7 @@ fn only_moving(set: &ObservationSet, rows: &[usize], linear: &LinearAxes, goal: 
 
 /// The residuals of a row at which its readings are the nominal ones, with what is added to residuals here.
 fn nominal_residuals(set: &ObservationSet, index: usize) -> Option<Vec<f64>> {
-    let (row, nominal) = (row_of(set, index), set.observations.nominal_reading(index)?);
+    let (row, nominal) = (row_of(set, index), set.info().nominal_reading(index)?);
     let mut residuals = nominal.residuals.clone();
     if let Some(disturbances) = set.disturbances() {
         let added = &disturbances[row.first_equation..row.first_equation + row.equations];
@@ -330,12 +330,18 @@ fn nominal_residuals(set: &ObservationSet, index: usize) -> Option<Vec<f64>> {
 }
 
 /// The step that brings the tip of a row with one pose to nominal contact, where that is known.
-fn contact_step(set: &ObservationSet, row: usize, pose: usize, work: &Evaluation, count: usize) -> Option<Vec<f64>> {
+fn contact_step(
+    set: &ObservationSet,
+    row: usize,
+    pose: usize,
+    work: &Evaluation,
+    count: usize,
+) -> Result<Option<Vec<f64>>> {
     let tip = work.poses.positions[pose];
-    let contact = set.observations.contact_tip(row, tip, &set.own, &set.inputs)?;
+    let Some(contact) = set.observations.contact_tip(row, tip, &set.own, &set.inputs)? else { return Ok(None) };
     let derivatives = &work.poses.position_derivatives[pose * count..(pose + 1) * count];
     let gradient: Vec<f64> = (0..3).flat_map(|axis| derivatives.iter().map(move |by| by[axis])).collect();
-    smallest_step(&gradient, &tip, &contact)
+    Ok(smallest_step(&gradient, &tip, &contact))
 }
 
 /// The smallest step after which linearised `values` equal `wanted`, or come as close as they can; `gradient` is values x

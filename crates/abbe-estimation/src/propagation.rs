@@ -9,7 +9,7 @@ use abbe_core::{
     Contribution, Correlated, JointCoverage, Owner, ParameterBudget, Problem, Result, Scatter, UncertaintyBudget,
 };
 use abbe_numerics::{
-    Factor, coverage_factor, effective_degrees_of_freedom, joint_coverage_factor, rectangular_coverage_factor,
+    Factor, coverage_factor, dot, effective_degrees_of_freedom, joint_coverage_factor, rectangular_coverage_factor,
 };
 
 use crate::weighted::Weighted;
@@ -266,10 +266,6 @@ fn propagate_shared(
 /// A symmetric matrix from the entries of its lower triangle.
 fn symmetric(size: usize, entry: impl Fn(usize, usize) -> f64) -> Vec<Vec<f64>> {
     (0..size).map(|row| (0..size).map(|column| entry(row.max(column), row.min(column))).collect()).collect()
-}
-
-fn dot(a: &[f64], b: &[f64]) -> f64 {
-    a.iter().zip(b).map(|(a, b)| a * b).sum()
 }
 
 /// Pairs of unknowns with an absolute correlation above [`STRONG`], the strongest first.

@@ -21,7 +21,7 @@ pub struct Reach<'a> {
 impl<'a> Reach<'a> {
     /// For a model with these values of its parameters; the axis with the status `held` does not move.
     pub fn new(model: &'a dyn KinematicModel, values: &'a [f64], held: Option<usize>) -> Self {
-        let axes = model.axes().iter().enumerate();
+        let axes = model.info().axes.iter().enumerate();
         let linear = axes.filter(|(_, axis)| axis.kind == AxisKind::Linear && Some(axis.status) != held);
         let (wanted, linear) =
             linear.map(|(index, axis)| (Variable::Command(index), (axis.status, axis.range))).unzip();
@@ -30,7 +30,7 @@ impl<'a> Reach<'a> {
 
     fn evaluate(&self, statuses: &[Vec<f64>], wanted: &[Variable]) -> Result<Poses> {
         let mut poses = Poses::default();
-        self.model.evaluate(&statuses.concat(), self.values, wanted, false, &mut poses)?;
+        self.model.poses(&statuses.concat(), self.values, wanted, false, &mut poses)?;
         Ok(poses)
     }
 

@@ -1,6 +1,6 @@
 //! What people should know of a problem before they trust what comes out of it.
 
-use abbe_core::{Owner, Problem};
+use abbe_core::{Owner, ParameterRole, Problem};
 
 use crate::aliasing::aliased;
 
@@ -15,18 +15,18 @@ pub fn remarks(problem: &Problem) -> Vec<String> {
     remarks
 }
 
-/// Own unknowns that nobody knows beforehand ([`Observations::own_are_offsets`](abbe_core::Observations::own_are_offsets)) and that are
-/// neither estimated nor known from an earlier estimate: what they are goes into the errors of the machine.
+/// Own unknowns that nobody knows beforehand ([`ParameterRole::SetUp`]) and that are neither estimated nor known from an earlier estimate: what they are goes into the errors of the machine.
 fn forgotten(problem: &Problem) -> Option<String> {
     let mut names = Vec::new();
-    for (index, set) in problem.sets.iter().enumerate().filter(|(_, set)| set.observations.own_are_offsets()) {
+    for (index, set) in problem.sets.iter().enumerate() {
         let mut told = vec![false; set.own.len()];
         for unknown in problem.unknowns.iter().chain(&problem.considered.unknowns) {
             if unknown.owner == Owner::Set(index) {
                 told[unknown.index] = true;
             }
         }
-        let own = set.observations.unknowns().iter().zip(told).filter(|(_, told)| !told);
+        let own = set.info().unknowns.iter().zip(told);
+        let own = own.filter(|(own, told)| own.role == ParameterRole::SetUp && !told);
         names.extend(own.map(|(own, _)| format!("{}.{}", set.name, own.name)));
     }
     let more = names.len().saturating_sub(NAMED);

@@ -96,8 +96,8 @@ fn shared_of(error: &SharedError, quantity: Quantity) -> Option<f64> {
 
 /// What every equation of observations is an equation of.
 fn quantities(observations: &dyn Observations) -> Vec<Quantity> {
-    let rows = observations.layout().rows.iter().enumerate();
-    rows.flat_map(|(index, row)| (0..row.equations).map(move |equation| observations.quantity(index, equation)))
+    let rows = observations.info().layout.rows.iter().enumerate();
+    rows.flat_map(|(index, row)| (0..row.equations).map(move |equation| observations.info().quantity(index, equation)))
         .collect()
 }
 
@@ -184,16 +184,16 @@ pub fn of_rows(
     observations: &dyn Observations,
     covariance: Option<&Dataset>,
 ) -> Result<EquationUncertainty> {
-    let (layout, quantities) = (observations.layout(), quantities(observations));
+    let (layout, quantities) = (observations.info().layout.clone(), quantities(observations));
     let mut uncertainty = EquationUncertainty::independent(layout.standard_uncertainties.clone());
     if let Some(covariance) = covariance {
-        return full(layout, &quantities, covariance);
+        return full(&layout, &quantities, covariance);
     }
-    set_standard(rows, layout, &quantities, &mut uncertainty.standard)?;
+    set_standard(rows, &layout, &quantities, &mut uncertainty.standard)?;
     if rows.shared.is_empty() && !has_row_covariance(rows) {
         return Ok(uncertainty);
     }
-    let parts = covariances(rows, layout, &quantities, &uncertainty.standard)?;
+    let parts = covariances(rows, &layout, &quantities, &uncertainty.standard)?;
     let joined = components(uncertainty.standard.len(), &parts);
     for (index, members) in joined.iter().enumerate() {
         let place: BTreeMap<usize, usize> = members.iter().enumerate().map(|(row, member)| (*member, row)).collect();

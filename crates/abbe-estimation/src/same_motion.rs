@@ -5,7 +5,10 @@
 //! does not show that, so it is judged here from the errors themselves, whatever they are functions of: the derivatives of the pose to
 //! the errors of an axis, at all poses together (Soons 1993, section 5.2, leaves such errors out by hand).
 
-use abbe_core::{Combination, ErrorFunction, Owner, Poses, Problem, Result, SameMotion, Unit, Variable};
+use abbe_core::{
+    Combination, ErrorFunction, Orientation, Owner, ParameterRole, Poses, Problem, Result, SameMotion, Unit, Variable,
+};
+use abbe_numerics::norm;
 
 use crate::contact::rank_point;
 use crate::separation::thinned;
@@ -17,16 +20,16 @@ const ROUNDING: f64 = 1e-9;
 ///
 /// Poses are those of nominal contact on the nominal machine: deviations of recorded ones pose as information.
 pub fn same_motion(problem: &Problem) -> Result<Vec<SameMotion>> {
-    let functions = problem.model.error_functions();
+    let functions = &problem.model.info().error_functions;
     if functions.len() < 2 {
         return Ok(Vec::new());
     }
     let mut nominal = problem.clone();
-    nominal.machine = problem.model.nominal();
+    nominal.machine = problem.model.info().nominal.clone();
     let few = judged(&thinned(&nominal));
     let mut all: Option<Problem> = None;
     let mut found = Vec::new();
-    for axis in 0..problem.model.axes().len() {
+    for axis in 0..problem.model.info().axes.len() {
         let of_axis: Vec<&ErrorFunction> = functions.iter().filter(|function| function.axis == axis).collect();
         // All poses only if a part of them leaves a doubt.
         if of_axis.len() < 2 || dependent(&effects(&few, &of_axis)?).is_empty() {
@@ -50,8 +53,8 @@ fn effects(problem: &Problem, functions: &[&ErrorFunction]) -> Result<Vec<Vec<f6
     let mut effects = vec![Vec::new(); functions.len()];
     let mut poses = Poses::default();
     for set in &problem.sets {
-        let turned = set.observations.needs_orientation();
-        let rows = set.rows.iter().map(|&row| set.observations.layout().rows[row]);
+        let turned = set.info().orientation != Orientation::Unused;
+        let rows = set.rows.iter().map(|&row| set.info().layout.rows[row]);
         for pose in rows.flat_map(|row| row.first_pose..row.first_pose + row.poses) {
             let status = set.poses().row(pose);
             let Some(known) = functions.iter().map(|function| known(problem, function, status)).collect() else {
@@ -59,7 +62,7 @@ fn effects(problem: &Problem, functions: &[&ErrorFunction]) -> Result<Vec<Vec<f6
             };
             let known: Vec<(usize, f64)> = known;
             let wanted: Vec<Variable> = known.iter().map(|(parameter, _)| Variable::Parameter(*parameter)).collect();
-            problem.model.evaluate(status, &problem.machine, &wanted, turned, &mut poses)?;
+            problem.model.poses(status, &problem.machine, &wanted, turned, &mut poses)?;
             for (index, (effect, (_, by))) in effects.iter_mut().zip(&known).enumerate() {
                 effect.extend(poses.position_derivatives[index].map(|derivative| derivative / by));
                 if turned {
@@ -119,17 +122,13 @@ fn dependent(effects: &[Vec<f64>]) -> Vec<Dependent> {
     found
 }
 
-fn norm(effect: &[f64]) -> f64 {
-    effect.iter().map(|value| value * value).sum::<f64>().sqrt()
-}
-
 /// With names; none if it has no effect at all (rank says so) or nothing of it is estimated.
 fn named(problem: &Problem, functions: &[&ErrorFunction], (error, of): &Dependent) -> Option<SameMotion> {
+    let parameters = &problem.model.info().parameters;
     let estimated = |index: usize| {
-        let own = format!("{}[", functions[index].symbol);
-        let symbol = &functions[index].symbol;
+        let ErrorFunction { axis, component, .. } = *functions[index];
         let mut unknowns = problem.unknowns.iter().filter(|unknown| unknown.owner == Owner::Machine);
-        unknowns.any(|unknown| unknown.name == *symbol || unknown.name.starts_with(&own))
+        unknowns.any(|unknown| parameters[unknown.index].role == ParameterRole::Motion { axis, component })
     };
     if of.is_empty() || !(estimated(*error) || of.iter().any(|(other, _)| estimated(*other))) {
         return None;

@@ -3,7 +3,8 @@
 use faer::linalg::solvers::Qr;
 use faer::{Mat, MatRef};
 
-use crate::factor::{Factor, norm};
+use crate::factor::Factor;
+use crate::vector::norm_of;
 
 /// Memory that the buffer of rows may take, in numbers; small problems are factorised in one go.
 const BUFFER: usize = 1 << 21;
@@ -159,7 +160,7 @@ impl Accumulator {
             }
         }
         let right = (0..n).map(|row| triangle.entry(row, n)).collect();
-        let norms = (0..n).map(|column| norm((0..=column).map(|row| values[(row, column)]))).collect();
+        let norms = (0..n).map(|column| norm_of((0..=column).map(|row| values[(row, column)]))).collect();
         Factor::new(values, right, norms, triangle.entry(n, n).powi(2), self.rows)
     }
 }

@@ -358,7 +358,7 @@ impl Choice {
     fn response_variances(&self, covariance: &Mat<f64>) -> [f64; 2] {
         let (mut sum, mut largest) = (0.0, 0.0_f64);
         for row in self.rows.chunks_exact(self.unknowns) {
-            let variance = dot(row, &times(covariance, row, 0));
+            let variance = dot_in_lanes(row, &times(covariance, row, 0));
             sum += variance;
             largest = largest.max(variance);
         }
@@ -382,14 +382,14 @@ impl Variances {
         let information = choice.information(chosen, RIDGE).submatrix(first, first, count, count).to_owned();
         let covariance = inverse(&information)?;
         let rows = choice.rows.chunks_exact(choice.unknowns);
-        let of_rows = rows.map(|row| dot(&row[first..], &times(&covariance, row, first))).collect();
+        let of_rows = rows.map(|row| dot_in_lanes(&row[first..], &times(&covariance, row, first))).collect();
         Some(Self { first, covariance, of_rows })
     }
 
     /// Covariances of what a row measures with what all rows do.
     fn covariances(&self, choice: &Choice, index: usize) -> Vec<f64> {
         let weights = times(&self.covariance, choice.candidate(index), self.first);
-        choice.rows.chunks_exact(choice.unknowns).map(|row| dot(&row[self.first..], &weights)).collect()
+        choice.rows.chunks_exact(choice.unknowns).map(|row| dot_in_lanes(&row[self.first..], &weights)).collect()
     }
 
     /// The factor on the determinant if one row takes the place of another.
@@ -407,7 +407,7 @@ impl Variances {
         let weights = times(&self.covariance, choice.candidate(index), self.first);
         let factor = sign / (1.0 + sign * self.of_rows[index]);
         for (variance, row) in self.of_rows.iter_mut().zip(choice.rows.chunks_exact(choice.unknowns)) {
-            *variance -= factor * dot(&row[self.first..], &weights).powi(2);
+            *variance -= factor * dot_in_lanes(&row[self.first..], &weights).powi(2);
         }
         for column in 0..weights.len() {
             for row in 0..weights.len() {
@@ -426,7 +426,7 @@ fn best(candidates: impl Iterator<Item = (usize, f64)>) -> Option<(usize, f64)> 
 }
 
 /// The inner product, as independent sums that a processor does together: searches consist of little else.
-fn dot(one: &[f64], other: &[f64]) -> f64 {
+fn dot_in_lanes(one: &[f64], other: &[f64]) -> f64 {
     const LANES: usize = 8;
     let mut sums = [0.0; LANES];
     let (ones, others) = (one.chunks_exact(LANES), other.chunks_exact(LANES));
@@ -442,7 +442,7 @@ fn dot(one: &[f64], other: &[f64]) -> f64 {
 /// A symmetric matrix times the entries of a row from `first` on.
 fn times(matrix: &Mat<f64>, row: &[f64], first: usize) -> Vec<f64> {
     let column = |k: usize| matrix.col(k).try_as_col_major().map(|column| column.as_slice());
-    (first..row.len()).map(|k| column(k - first).map_or(0.0, |column| dot(column, &row[first..]))).collect()
+    (first..row.len()).map(|k| column(k - first).map_or(0.0, |column| dot_in_lanes(column, &row[first..]))).collect()
 }
 
 /// Adds the information of some rows.

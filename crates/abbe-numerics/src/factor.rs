@@ -4,10 +4,7 @@ use faer::linalg::solvers::Svd;
 use faer::{Mat, MatRef};
 
 use crate::accumulate::Accumulator;
-
-pub(crate) fn norm(values: impl Iterator<Item = f64>) -> f64 {
-    values.map(|value| value * value).sum::<f64>().sqrt()
-}
+use crate::vector::{norm, norm_of};
 
 /// Triangular factor of `[J | r]`: `J = Q R`, with `Q^T r` and the sum of squares that no step can take away.
 #[derive(Debug, Clone)]
@@ -74,7 +71,7 @@ impl Factor {
         let mut terms = Vec::new();
         for unknown in own..n {
             let new: Vec<f64> = (own..n).map(|row| self.triangle[(row, unknown)]).collect();
-            let size = norm(new.iter().copied());
+            let size = norm(&new);
             if size > 1e-9 * self.norms[unknown] {
                 let along: f64 = new.iter().zip(&self.right[own..]).map(|(new, right)| new * right).sum::<f64>() / size;
                 terms.push(CandidateTerm { unknown, value: -along / size, explained: along * along });
@@ -128,7 +125,7 @@ impl Factor {
     /// Norm of `J x`: by how much x moves all rows together.
     pub fn effect(&self, x: &[f64]) -> f64 {
         let n = self.unknowns();
-        norm((0..n).map(|row| (row..n).map(|column| self.triangle[(row, column)] * x[column]).sum()))
+        norm_of((0..n).map(|row| (row..n).map(|column| self.triangle[(row, column)] * x[column]).sum()))
     }
 
     /// The root of the covariance within the first `rank` singular directions.
@@ -403,7 +400,7 @@ fn owners(basis: &[Vec<f64>]) -> Vec<usize> {
     let mut owners: Vec<usize> = Vec::new();
     for _ in basis {
         let count = left.first().map_or(0, Vec::len);
-        let size = |column: usize| norm(left.iter().map(|vector| vector[column]));
+        let size = |column: usize| norm_of(left.iter().map(|vector| vector[column]));
         let sizes: Vec<f64> =
             (0..count).map(|column| if owners.contains(&column) { 0.0 } else { size(column) }).collect();
         let largest = sizes.iter().copied().fold(0.0, f64::max);

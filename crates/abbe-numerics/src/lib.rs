@@ -64,6 +64,7 @@ mod robust;
 mod sampling;
 mod selection;
 mod significance;
+mod vector;
 
 pub use accumulate::Accumulator;
 pub use coverage::{
@@ -80,3 +81,4 @@ pub use robust::{Loss, Robust, RobustReport};
 pub use sampling::Generator;
 pub use selection::{LeftOut, Selection};
 pub use significance::{f_test, two_sided_normal};
+pub use vector::{dot, norm};

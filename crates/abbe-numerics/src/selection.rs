@@ -3,6 +3,7 @@
 use faer::Mat;
 
 use crate::factor::{Factor, SingularValues};
+use crate::vector::dot;
 
 /// Parts of a combination below this, unknowns measured by their effect, are rounding.
 const NOTHING: f64 = 1e-8;
@@ -72,10 +73,6 @@ impl Factor {
         values.sort_by(|a, b| b.total_cmp(a));
         Selection { kept, left_out, condition: SingularValues::new(values).condition(size) }
     }
-}
-
-fn dot(a: &[f64], b: &[f64]) -> f64 {
-    a.iter().zip(b).map(|(a, b)| a * b).sum()
 }
 
 /// The combination of the columns of an upper triangle that gives `right`, by substitution.

@@ -34,7 +34,7 @@ pub fn candidates(problem: &Problem, wanted: &Planning) -> Result<Vec<Candidate>
         let message = format!("`{}` does not observe `{}`", wanted.estimate, wanted.candidates);
         wrong("candidates", message).suggest(&wanted.candidates, problem.sets.iter().map(|set| set.name.as_str()))
     })?;
-    let layout = problem.sets[set].observations.layout();
+    let layout = &problem.sets[set].info().layout;
     let data = &layout.data;
     let labels =
         wanted.by.as_deref().map(|by| data.required_labels(by).map_err(|error| error.setting("by"))).transpose()?;

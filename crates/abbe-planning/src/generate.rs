@@ -7,6 +7,7 @@ use abbe_core::{
     Absent, Artefact, AxisKind, Error, KinematicModel, PathItem, Poses, Result, Series, StatusRole, Target,
 };
 use abbe_estimation::Reach;
+use abbe_numerics::dot;
 
 use crate::settings::{GeneratedLengths, Generation};
 use crate::wrong;
@@ -25,7 +26,7 @@ pub fn generate(wanted: &Generation, artefact: &dyn Artefact, model: &dyn Kinema
     let grid = Grid::new(wanted, model)?;
     match &wanted.lengths {
         Some(lengths) => grid.lengths(wanted, lengths),
-        None => grid.touches(wanted, &artefact.targets(model.stylus_radius())?),
+        None => grid.touches(wanted, &artefact.targets(model.info().stylus_radius)?),
     }
 }
 
@@ -46,7 +47,7 @@ struct Grid<'a> {
 
 impl<'a> Grid<'a> {
     fn new(wanted: &Generation, model: &'a dyn KinematicModel) -> Result<Self> {
-        let axes = model.axes();
+        let axes = &model.info().axes;
         for name in wanted.indexations_deg.keys() {
             let rotary = || axes.iter().filter(|axis| axis.kind == AxisKind::Rotary).map(|axis| axis.name.as_str());
             if !rotary().any(|axis| axis == name) {
@@ -55,7 +56,7 @@ impl<'a> Grid<'a> {
             }
         }
         let mut status = Vec::new();
-        for (index, column) in model.status().iter().enumerate() {
+        for (index, column) in model.info().status.iter().enumerate() {
             let axis = axes.iter().any(|axis| axis.status == index);
             match column.absent {
                 _ if matches!(column.role, StatusRole::Direction(_)) => status.push(1.0),
@@ -73,7 +74,7 @@ impl<'a> Grid<'a> {
             let positions = wanted.indexations_deg.get(&axis.name).map_or(Ok(vec![0.0]), Series::values);
             let positions = positions.map_err(|error| wrong_grid("indexations_deg", error.message))?;
             // Whoever tells backlash has to come from both sides.
-            let approach = model.status_of(&StatusRole::Direction(index));
+            let approach = model.info().status_of(&StatusRole::Direction(index));
             let sides: &[f64] = if wanted.indexations_deg.contains_key(&axis.name) && approach.is_some() {
                 &[1.0, -1.0]
             } else {
@@ -96,7 +97,7 @@ impl<'a> Grid<'a> {
             })
         };
         indexations.retain(in_range);
-        Ok(Self { model, nominal: model.nominal(), indexations })
+        Ok(Self { model, nominal: model.info().nominal.clone(), indexations })
     }
 
     /// Where the linear axes bring tips to points of the table frame; none where they do not get there.
@@ -116,7 +117,7 @@ impl<'a> Grid<'a> {
         for (group, indexation) in self.indexations.iter().enumerate() {
             let spindle_side = self.spindle_side(indexation)?;
             let accessible =
-                |target: &Target| target.approach.is_none_or(|approach| -dot(approach, spindle_side) >= least);
+                |target: &Target| target.approach.is_none_or(|approach| -dot(&approach, &spindle_side) >= least);
             for (target, status) in targets.iter().zip(self.reached(indexation, &tips)?) {
                 let Some(mut status) = status.filter(|_| accessible(target)) else { continue };
                 self.approach(&mut status, target)?;
@@ -175,7 +176,7 @@ impl<'a> Grid<'a> {
     /// From the tip into the spindle, unit vector of the table frame.
     fn spindle_side(&self, indexation: &[f64]) -> Result<[f64; 3]> {
         let mut poses = Poses::default();
-        self.model.evaluate(indexation, &self.nominal, &[], true, &mut poses)?;
+        self.model.poses(indexation, &self.nominal, &[], true, &mut poses)?;
         let [w, x, y, z] = poses.orientations[0];
         // The z axis of the tool frame, turned by the quaternion.
         Ok([2.0 * (x * z + w * y), 2.0 * (y * z - w * x), 1.0 - 2.0 * (x * x + y * y)])
@@ -186,10 +187,10 @@ impl<'a> Grid<'a> {
         let Some(approach) = target.approach else { return Ok(()) };
         let back = [0, 1, 2].map(|k| target.tip[k] - approach[k]);
         let Some(from) = self.reached(status, &[back])?.pop().flatten() else { return Ok(()) };
-        let linear = self.model.axes().iter().enumerate().filter(|(_, axis)| axis.kind == AxisKind::Linear);
+        let linear = self.model.info().axes.iter().enumerate().filter(|(_, axis)| axis.kind == AxisKind::Linear);
         for (index, axis) in linear {
             let moved = status[axis.status] - from[axis.status];
-            if let Some(column) = self.model.status_of(&StatusRole::Direction(index)) {
+            if let Some(column) = self.model.info().status_of(&StatusRole::Direction(index)) {
                 status[column] = if moved < -AT_REST { -1.0 } else { 1.0 };
             }
         }
@@ -211,14 +212,14 @@ impl<'a> Grid<'a> {
         // What the grid says: positions, and of a single pose the directions of approach and the time.
         let column = |index: &usize| {
             let of_one_pose =
-                || matches!(self.model.status()[*index].role, StatusRole::Direction(_) | StatusRole::Time);
-            self.model.axes().iter().any(|axis| axis.status == *index) || (ends.len() == 1 && of_one_pose())
+                || matches!(self.model.info().status[*index].role, StatusRole::Direction(_) | StatusRole::Time);
+            self.model.info().axes.iter().any(|axis| axis.status == *index) || (ends.len() == 1 && of_one_pose())
         };
-        let columns: Vec<usize> = (0..self.model.status().len()).filter(column).collect();
+        let columns: Vec<usize> = (0..self.model.info().status.len()).filter(column).collect();
         let mut text = labels.to_owned();
         for end in ends {
             for &index in &columns {
-                let status = &self.model.status()[index];
+                let status = &self.model.info().status[index];
                 let _ = write!(text, ",{}{end}{}", status.name, status.quantity.usual_suffix());
             }
         }
@@ -227,8 +228,8 @@ impl<'a> Grid<'a> {
             text.push_str(labels);
             for status in poses {
                 for &index in &columns {
-                    let column = &self.model.status()[index];
-                    let value = match self.model.axes().iter().find(|axis| axis.status == index) {
+                    let column = &self.model.info().status[index];
+                    let value = match self.model.info().axes.iter().find(|axis| axis.status == index) {
                         Some(axis) if axis.kind == AxisKind::Rotary => status[index].to_degrees(),
                         None if column.role == StatusRole::Time => row as f64 * wanted.duration_s.unwrap_or(1.0),
                         _ => status[index],
@@ -248,8 +249,4 @@ impl<'a> Grid<'a> {
 
 fn pairs<'a>(one: &'a [f64], other: &'a [f64]) -> impl Iterator<Item = (f64, f64)> + 'a {
     one.iter().flat_map(move |&a| other.iter().map(move |&b| (a, b)))
-}
-
-fn dot(a: [f64; 3], b: [f64; 3]) -> f64 {
-    a.iter().zip(b).map(|(a, b)| a * b).sum()
 }

@@ -318,7 +318,7 @@ fn chosen(candidates: &[Candidate], design: &[usize], required: &[usize]) -> Vec
 /// The rows of the candidates' data set that the plan has, in its order.
 fn data_rows(problem: &Problem, candidates: &[Candidate], design: &[usize], wanted: &Planning) -> Vec<usize> {
     let Some(set) = problem.sets.iter().find(|set| set.name == wanted.candidates) else { return Vec::new() };
-    let layout = set.observations.layout();
+    let layout = &set.info().layout;
     let rows = design.iter().flat_map(|&index| &candidates[index].rows);
     let mut rows: Vec<usize> = rows.filter_map(|&row| layout.rows[row].data_row).collect();
     rows.sort_unstable();

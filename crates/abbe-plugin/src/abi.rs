@@ -18,7 +18,7 @@
 use std::ffi::{c_char, c_void};
 
 /// The major number: another one is refused.
-pub const ABBE_ABI_MAJOR: u32 = 1;
+pub const ABBE_ABI_MAJOR: u32 = 2;
 /// The minor number: a higher one has more functions.
 pub const ABBE_ABI_MINOR: u32 = 0;
 
@@ -51,11 +51,19 @@ pub const ABBE_VALIDATE: u32 = 4;
 /// A plugin that writes files.
 pub const ABBE_EXPORT: u32 = 5;
 
-/// Of machines and observations: what they are. Answer: JSON; of observations it lists in `angles` the equations (by their
-/// index in the layout) that are of angles, rad, and all others are of lengths, mm. Of machines `nominal` has one value a parameter;
-/// without it all are zero. So has `nominal_uncertainties`, the standard uncertainties of those that are known from elsewhere. A
-/// status of a machine has a `role` (`{ "command": axis }`, `{ "direction": axis }`, `"time"`, `"stylus"`, ...); without one its
-/// name tells. Observations have `nominal_readings` by row, `{ "residuals", "axes" }`, where readings owe to errors what they are.
+/// Of machines and observations: what they are. Answer: JSON.
+///
+/// A machine has `axes`, `status`, `parameters`, `settings`, and whatever of `stylus_radius`, `nominal`, `nominal_uncertainties` (one
+/// value a parameter; without them all are zero), `error_functions` and `periods` there is. A status has a `role`: `{ "command": axis }`
+/// for the status of every axis, else `{ "direction": axis }`, `"time"`, `"stylus"`, `"series"`, `"temperature"`, `"load"`, `"feed"`,
+/// `{ "velocity": axis }`, `{ "sensor": name }`, `{ "thermal-state": name }`, `"probe"` or `"other"`. A parameter has one, too:
+/// `{ "motion": { "axis", "component" } }` (component 0..6), `{ "location": { "axis", "component" } }`, `"set-up"`, `"shape"`, `"feature"`
+/// or `"other"`. Without a role it is `"other"`.
+///
+/// Observations have `layout`, `contact`, and whatever of `unknowns` (parameters), `start`, `inputs`, `features`, `orientation` (`"unused"`,
+/// `"exact"`, `"first-order"`), `angles` (equations, by their index in the layout, that are of angles, rad; all others are of
+/// lengths, mm), `rank_point` (`"as-recorded"`, `"in-contact"`, `{ "nominal-reading": { row: { "residuals", "axes" } } }`), `approaches`
+/// and `data` there is.
 pub const ABBE_DESCRIBE: u32 = 1;
 /// Of stages: the files that they read. Answer: `[ { "setting", "path" } ]`.
 pub const ABBE_INPUTS: u32 = 2;
@@ -82,8 +90,8 @@ pub const ABBE_SOLVE: u32 = 11;
 pub const ABBE_EXPLAIN: u32 = 12;
 /// Estimate: the values of the unknowns alone. Answer: a list of numbers.
 pub const ABBE_VALUES: u32 = 13;
-/// Estimate: a new look at a fit. Question: a fit. Answer: a calibration.
-pub const ABBE_RECONSIDER: u32 = 14;
+/// Estimate: analyses a fit. Question: a fit. Answer: a calibration.
+pub const ABBE_ANALYSE: u32 = 14;
 /// Estimate: what the problem can determine. Question: a problem.
 pub const ABBE_IDENTIFY: u32 = 15;
 /// Estimate: whether it would solve what can be determined this far. Answer: `true` or `false`.

@@ -2,10 +2,10 @@
 //!
 //! Every test runs in a process of its own with a time limit, so that a crash or a hang is a result like any other.
 
-mod derivatives;
 mod promises;
 mod stages;
 
+use std::ffi::OsStr;
 use std::io::Read;
 use std::path::Path;
 use std::process::{Command, Stdio};
@@ -24,7 +24,7 @@ struct Test {
     run: fn(&Library, &mut Findings),
 }
 
-const TESTS: [Test; 10] = [
+const TESTS: [Test; 11] = [
     Test { name: "abi", asks: "the library loads and speaks this version of the interface", run: |_, _| {} },
     Test {
         name: "names",
@@ -36,7 +36,16 @@ const TESTS: [Test; 10] = [
         asks: "the example builds, unknown and wrong settings are refused",
         run: promises::settings,
     },
-    Test { name: "derivatives", asks: "derivatives are those of the poses", run: derivatives::derivatives },
+    Test {
+        name: "derivatives",
+        asks: "machines keep the laws: derivatives, poses alone and together, names",
+        run: promises::derivatives,
+    },
+    Test {
+        name: "estimators",
+        asks: "estimators find the errors of a virtual machine, whatever the order and the origin",
+        run: promises::estimators,
+    },
     Test { name: "not-a-number", asks: "numbers that are none do no harm", run: promises::not_a_number },
     Test { name: "no-data", asks: "data that are none are refused or used, without a bug", run: stages::no_data },
     Test { name: "empty-batch", asks: "no poses give no poses", run: promises::empty_batch },
@@ -51,14 +60,21 @@ const TESTS: [Test; 10] = [
 
 /// What a test found.
 #[derive(Debug, Default, Serialize, Deserialize)]
-pub(crate) struct Findings {
+pub struct Findings {
     /// What is wrong.
-    wrong: Vec<String>,
+    pub wrong: Vec<String>,
     /// What was not looked at.
-    skipped: Vec<String>,
+    pub skipped: Vec<String>,
 }
 
 impl Findings {
+    /// As the last line that a test prints.
+    pub fn line(&self) -> Result<String> {
+        let line = serde_json::to_string(self);
+        line.map(|line| format!("\n{line}\n"))
+            .map_err(|error| Error::data(format!("findings cannot be written: {error}")))
+    }
+
     fn wrong(&mut self, what: impl Into<String>) {
         self.wrong.push(what.into());
     }
@@ -108,8 +124,16 @@ impl Report {
     }
 }
 
-/// Runs all tests of a library; `program` is started as `program plugin test FILE NAME` and calls [`test()`].
-pub fn check(file: &Path, program: &Path, time_limit_s: f64) -> Result<Report> {
+/// The test that runs over a recipe, where there is one.
+const RECIPE: Test = Test {
+    name: "recipe",
+    asks: "what the recipe uses keeps the laws, on data that a virtual machine makes",
+    run: |_, _| {},
+};
+
+/// Runs all tests of a library; `program` is started as `program plugin test FILE NAME` and calls [`test()`]. With a recipe it is
+/// started once more, with `--recipe RECIPE`, to run the laws over that.
+pub fn check(file: &Path, program: &Path, time_limit_s: f64, recipe: Option<&Path>) -> Result<Report> {
     if !(time_limit_s > 0.0 && time_limit_s < 1e6) {
         return Err(Error::usage(format!("a time limit of {time_limit_s} s: a positive number was expected")));
     }
@@ -118,8 +142,12 @@ pub fn check(file: &Path, program: &Path, time_limit_s: f64) -> Result<Report> {
     }
     let limit = Duration::from_secs_f64(time_limit_s);
     let mut report = Report { file: file.display().to_string(), results: Vec::new() };
-    for test in &TESTS {
-        let findings = apart(file, program, test.name, limit)?;
+    for test in TESTS.iter().chain(recipe.map(|_| &RECIPE)) {
+        let mut arguments = vec![file.as_os_str(), test.name.as_ref()];
+        if let Some(recipe) = recipe.filter(|_| test.name == RECIPE.name) {
+            arguments.extend(["--recipe".as_ref(), recipe.as_os_str()]);
+        }
+        let findings = apart(program, &arguments, limit)?;
         let loads = test.name != "abi" || findings.wrong.is_empty();
         report.results.push((test, findings));
         if !loads {
@@ -130,10 +158,11 @@ pub fn check(file: &Path, program: &Path, time_limit_s: f64) -> Result<Report> {
 }
 
 /// One test in a process of its own.
-fn apart(file: &Path, program: &Path, test: &str, limit: Duration) -> Result<Findings> {
+fn apart(program: &Path, arguments: &[&OsStr], limit: Duration) -> Result<Findings> {
+    let test = arguments[1].display();
     let failed = |error: std::io::Error| Error::data(format!("the test `{test}` cannot be run: {error}"));
     let mut command = Command::new(program);
-    command.args(["plugin", "test"]).arg(file).arg(test).stdin(Stdio::null());
+    command.args(["plugin", "test"]).args(arguments).stdin(Stdio::null());
     let mut child = command.stdout(Stdio::piped()).stderr(Stdio::piped()).spawn().map_err(failed)?;
     let (out, err) = (child.stdout.take(), child.stderr.take());
     let read = |from: Option<Box<dyn Read + Send>>| {
@@ -188,6 +217,5 @@ pub fn test(file: &Path, name: &str) -> Result<String> {
     if std::env::current_dir().ok() != directory {
         findings.wrong("the working directory is another one than before");
     }
-    let line = serde_json::to_string(&findings);
-    line.map(|line| format!("\n{line}\n")).map_err(|error| Error::data(format!("findings cannot be written: {error}")))
+    findings.line()
 }

@@ -16,10 +16,10 @@ use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::thread::ThreadId;
 use std::time::Duration;
 
-use abbe_core::{Equations, Error, Origin, PoseValues, Poses, Result, Variable};
+use abbe_core::{Equations, Error, Origin, Poses, Result, RowBatch, Variable};
 
 use crate::loader::{About, Create, Library, hashed};
-use crate::peer::{Answer, Failure, Known, Peer, Transit};
+use crate::peer::{Answer, Failure, Peer, Transit};
 use crate::served::Served;
 use wire::{Frame, Reference, Wire};
 
@@ -140,7 +140,7 @@ impl Connection {
                 let wanted: Vec<Variable> = wanted.iter().copied().map(wire::variable).collect();
                 let mut out = Poses::default();
                 self.object(object)?
-                    .machine(|machine| Ok(machine.evaluate(statuses, values, &wanted, orientation, &mut out)?))?;
+                    .machine(|machine| Ok(machine.poses(statuses, values, &wanted, orientation, &mut out)?))?;
                 let lists = wire::poses_lists(&out);
                 Ok((Frame::Numbers { lengths: lists.iter().map(Vec::len).collect() }, lists))
             }
@@ -151,12 +151,9 @@ impl Connection {
                     return Err(Failure::of("the other side", "asks an object for equations that has none"));
                 };
                 let rows: Vec<usize> = rows.iter().map(|&row| row as usize).collect();
-                let poses = PoseValues {
-                    positions: wire::points(positions).0,
-                    orientations: wire::quaternions(orientations).0,
-                };
+                let (positions, orientations) = (wire::points(positions).0, wire::quaternions(orientations).0);
                 let mut out = Equations::default();
-                observations.try_evaluate(&rows, poses, own, inputs, &mut out)?;
+                observations.evaluate(RowBatch { rows: &rows, positions, orientations, own, inputs }, &mut out)?;
                 let lists = wire::equation_lists(&out);
                 Ok((Frame::Numbers { lengths: lists.iter().map(Vec::len).collect() }, lists))
             }
@@ -273,15 +270,10 @@ impl Peer for Remote {
         wire::read_poses(&answer, &numbers, out).map_err(|what| Failure::of(&self.who, what))
     }
 
-    fn equations(
-        &self,
-        rows: &[usize],
-        poses: PoseValues<'_>,
-        known: Known<'_>,
-        out: &mut Equations,
-    ) -> Result<(), Failure> {
+    fn equations(&self, batch: RowBatch<'_>, out: &mut Equations) -> Result<(), Failure> {
+        let RowBatch { rows, positions, orientations, own, inputs } = batch;
         let rows: Vec<f64> = rows.iter().map(|&row| row as f64).collect();
-        let lists = [&rows, poses.positions.as_flattened(), poses.orientations.as_flattened(), known.own, known.inputs];
+        let lists = [&rows, positions.as_flattened(), orientations.as_flattened(), own, inputs];
         let question = Frame::Equations { object: self.object, lengths: lists.map(<[f64]>::len) };
         let (answer, numbers) = self.connection.ask(&question, &lists)?;
         wire::read_equations(&answer, &numbers, out).map_err(|what| Failure::of(&self.who, what))

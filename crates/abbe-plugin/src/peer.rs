@@ -4,7 +4,7 @@ use std::any::Any;
 use std::fmt::Display;
 use std::sync::Arc;
 
-use abbe_core::{Class, Convergence, Error, PathItem, Place, PoseValues, Poses, SettingsError, Variable};
+use abbe_core::{Class, Convergence, Equations, Error, PathItem, Place, Poses, RowBatch, SettingsError, Variable};
 use serde::{Deserialize, Serialize};
 use serde_json::json;
 
@@ -23,25 +23,10 @@ pub(crate) trait Peer: Send + Sync {
     fn poses(&self, statuses: &[f64], values: &[f64], wanted: &[Variable], out: &mut Poses) -> Result<(), Failure>;
 
     /// Equations of some rows.
-    fn equations(
-        &self,
-        rows: &[usize],
-        poses: PoseValues<'_>,
-        known: Known<'_>,
-        out: &mut abbe_core::Equations,
-    ) -> Result<(), Failure>;
+    fn equations(&self, batch: RowBatch<'_>, out: &mut Equations) -> Result<(), Failure>;
 
     /// For those who hand the object back to where it lives.
     fn as_any(&self) -> &dyn Any;
-}
-
-/// Values that equations depend on beside poses.
-#[derive(Debug, Clone, Copy)]
-pub(crate) struct Known<'a> {
-    /// Own unknowns.
-    pub own: &'a [f64],
-    /// Known inputs.
-    pub inputs: &'a [f64],
 }
 
 /// What a method answers.

@@ -10,7 +10,7 @@ mod stage;
 mod tests;
 
 use std::any::Any;
-use std::sync::{Arc, OnceLock};
+use std::sync::Arc;
 
 use abbe_core::{Error, Result};
 use serde::Serialize;
@@ -60,26 +60,7 @@ fn finite<'a>(peer: &dyn Peer, what: &str, values: impl IntoIterator<Item = &'a 
     }
 }
 
-/// The first failure of a method that has no result to tell it by: what can fail tells it, from then on.
-#[derive(Default)]
-struct FirstFailure(OnceLock<Error>);
-
-impl FirstFailure {
-    /// What was found, or what stands for it.
-    fn keep<T>(&self, found: Result<T>, instead: T) -> T {
-        found.unwrap_or_else(|error| {
-            // A later failure follows from the first one, or is as good.
-            let _ = self.0.set(error);
-            instead
-        })
-    }
-
-    fn told(&self) -> Result<()> {
-        self.0.get().cloned().map_or(Ok(()), Err)
-    }
-}
-
-/// What is behind a proxy.
+/// The object of the other side that a machine or observations only stand for; none if they live here.
 pub(crate) fn behind(proxy: &dyn Any) -> Option<Arc<dyn Peer>> {
     let machine = proxy.downcast_ref::<machine::Machine>().map(|machine| machine.peer.clone());
     machine.or_else(|| proxy.downcast_ref::<observed::Observed>().map(|observed| observed.peer.clone()))

@@ -14,7 +14,7 @@ use crate::abi::*;
 use crate::peer::{Failure, Peer, Transit};
 use crate::proxy;
 use crate::texts::{
-    CheckText, FileText, FitText, InputText, JudgeText, MachineText, MotionText, ObservationsText, ProblemText, TipText,
+    CheckText, FileText, FitText, InputText, JudgeText, MotionText, ObservationsText, ProblemText, TipText,
 };
 
 /// An object that the other side may use.
@@ -72,8 +72,8 @@ impl Served {
     /// The other side's own object that this one only stands for.
     pub fn behind(&self) -> Option<Arc<dyn Peer>> {
         match self {
-            Self::Machine(machine) => proxy::behind(machine.behind()?),
-            Self::Observations(observations, _) => proxy::behind(observations.behind()?),
+            Self::Machine(machine) => proxy::behind(machine.as_ref()),
+            Self::Observations(observations, _) => proxy::behind(observations.as_ref()),
             _ => None,
         }
     }
@@ -126,13 +126,13 @@ fn machine(objects: &[Transit]) -> Result<Arc<dyn KinematicModel>, Failure> {
 
 fn of_machine(machine: &dyn KinematicModel, method: u32, text: &str) -> Result<String, Failure> {
     match method {
-        ABBE_DESCRIBE => write(MachineText::of(machine)),
+        ABBE_DESCRIBE => write(machine.info()),
         ABBE_MOTION_ERROR => {
             let question: MotionText = read(text)?;
-            let known = question.function.axis < machine.axes().len()
+            let known = question.function.axis < machine.info().axes.len()
                 && question.function.component < 6
-                && question.values.len() == machine.parameters().len()
-                && question.status.len() == machine.status().len();
+                && question.values.len() == machine.info().parameters.len()
+                && question.status.len() == machine.info().status.len();
             if !known {
                 return Err(Failure::of("the other side", "asked for a motion error of another machine"));
             }
@@ -153,7 +153,7 @@ fn of_observations(
         ABBE_DESCRIBE => write(ObservationsText::of(observations, given)),
         ABBE_CONTACT_TIP => {
             let question: TipText = read(text)?;
-            write(observations.contact_tip(question.row, question.tip, &question.own, &question.inputs))
+            write(observations.contact_tip(question.row, question.tip, &question.own, &question.inputs)?)
         }
         _ => Err(no_method(method)),
     }
@@ -209,9 +209,9 @@ fn of_estimator(stage: &dyn Estimate, method: u32, text: &str, objects: &[Transi
         ABBE_SOLVE => write(stage.estimate(&problem()?)?),
         ABBE_EXPLAIN => write(stage.explain(&problem()?)?),
         ABBE_VALUES => write(stage.values(&problem()?)?),
-        ABBE_RECONSIDER => write(stage.reconsider(&read::<FitText>(text)?.fit(objects)?)?),
+        ABBE_ANALYSE => write(stage.analyse(&read::<FitText>(text)?.fit(objects)?)?),
         ABBE_IDENTIFY => write(stage.identify(&problem()?)?),
-        ABBE_ACCEPTS => write(stage.accepts(&read::<Identifiability>(text)?)),
+        ABBE_ACCEPTS => write(stage.accepts(&read::<Identifiability>(text)?)?),
         _ => Err(no_method(method)),
     }
 }

@@ -1,126 +1,34 @@
 //! The texts that cross the border, beyond those that `abbe-core` has itself: what refers to objects does so by index.
 
-use std::collections::{BTreeMap, BTreeSet};
 use std::path::PathBuf;
 use std::sync::Arc;
 
 use abbe_core::{
-    Axis, Calibration, ColumnHeader, Considered, Contact, Dataset, EquationUncertainty, ErrorFunction, ExportedFile,
-    Feature, Fit, Input, InputFile, KinematicModel, KnownInput, Layout, Monitor, NominalReading, ObservationSet,
-    Observations, Parameter, Period, PoseTable, Problem, Quantity, StatusColumn, Unknown,
+    Calibration, ColumnHeader, Considered, Dataset, EquationUncertainty, ErrorFunction, ExportedFile, Fit, Input,
+    InputFile, Monitor, ObservationSet, Observations, ObservationsInfo, PoseTable, Problem, Unknown,
 };
 use serde::{Deserialize, Serialize};
-use serde_json::Value;
 
 use crate::peer::{Failure, Transit};
 use crate::proxy;
 use crate::served::Served;
 
-/// What a machine is.
-#[derive(Serialize, Deserialize)]
-pub(crate) struct MachineText {
-    pub axes: Vec<Axis>,
-    pub status: Vec<StatusColumn>,
-    pub parameters: Vec<Parameter>,
-    /// One value a parameter; none at all if all are zero.
-    #[serde(default)]
-    pub nominal: Vec<f64>,
-    /// Their standard uncertainties; none at all if all are zero.
-    #[serde(default)]
-    pub nominal_uncertainties: Vec<f64>,
-    #[serde(default)]
-    pub stylus_radius: f64,
-    pub settings: Value,
-    #[serde(default)]
-    pub error_functions: Vec<ErrorFunction>,
-    #[serde(default)]
-    pub periods: Vec<Period>,
-}
-
-impl MachineText {
-    pub fn of(model: &dyn KinematicModel) -> Self {
-        Self {
-            axes: model.axes().to_vec(),
-            status: model.status().to_vec(),
-            parameters: model.parameters().to_vec(),
-            nominal: model.nominal(),
-            nominal_uncertainties: model.nominal_uncertainties(),
-            stylus_radius: model.stylus_radius(),
-            settings: model.settings(),
-            error_functions: model.error_functions(),
-            periods: model.periods(),
-        }
-    }
-}
-
 /// What observations are.
 #[derive(Serialize, Deserialize)]
 pub(crate) struct ObservationsText {
-    pub layout: Layout,
+    #[serde(flatten)]
+    pub info: ObservationsInfo,
     /// The data set; none if it is the one that they were made of.
     #[serde(default)]
     pub data: Option<Dataset>,
-    #[serde(default)]
-    pub unknowns: Vec<Parameter>,
-    #[serde(default)]
-    pub start: Vec<f64>,
-    #[serde(default)]
-    pub inputs: Vec<KnownInput>,
-    #[serde(default)]
-    pub needs_orientation: bool,
-    #[serde(default)]
-    pub first_order_orientation: bool,
-    /// Equations, by their index in the layout, that are of angles (rad); all others are of lengths.
-    #[serde(default)]
-    pub angles: BTreeSet<usize>,
-    #[serde(default)]
-    pub features: Vec<Feature>,
-    pub contact: Contact,
-    #[serde(default)]
-    pub met_anywhere: bool,
-    /// Nominal contact of rows that give way by a reading, by their index; rows without one are judged as recorded.
-    #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
-    pub nominal_readings: BTreeMap<usize, NominalReading>,
-    #[serde(default)]
-    pub own_are_offsets: bool,
 }
 
 impl ObservationsText {
     pub fn of(observations: &dyn Observations, given: Option<&Arc<Dataset>>) -> Self {
-        let layout = observations.layout().clone();
-        let same = given.is_some_and(|given| Arc::ptr_eq(given, &layout.data));
-        Self {
-            data: (!same).then(|| layout.data.as_ref().clone()),
-            layout,
-            unknowns: observations.unknowns().to_vec(),
-            start: observations.start(),
-            inputs: observations.inputs().to_vec(),
-            needs_orientation: observations.needs_orientation(),
-            first_order_orientation: observations.first_order_orientation(),
-            angles: angles(observations),
-            features: observations.features(),
-            contact: observations.contact(),
-            met_anywhere: observations.is_met_anywhere(),
-            nominal_readings: nominal_readings(observations),
-            own_are_offsets: observations.own_are_offsets(),
-        }
+        let info = observations.info().clone();
+        let same = given.is_some_and(|given| Arc::ptr_eq(given, &info.layout.data));
+        Self { data: (!same).then(|| info.layout.data.as_ref().clone()), info }
     }
-}
-
-/// The rows that are judged at nominal contact though they give way by a reading.
-fn nominal_readings(observations: &dyn Observations) -> BTreeMap<usize, NominalReading> {
-    let rows = 0..observations.layout().rows.len();
-    rows.filter_map(|row| observations.nominal_reading(row).map(|nominal| (row, nominal.clone()))).collect()
-}
-
-/// The equations that are of angles.
-fn angles(observations: &dyn Observations) -> BTreeSet<usize> {
-    let rows = observations.layout().rows.iter().enumerate();
-    let equations = rows.flat_map(|(index, row)| {
-        let angle = move |equation: &usize| observations.quantity(index, *equation) == Quantity::Angle;
-        (0..row.equations).filter(angle).map(|equation| row.first_equation + equation)
-    });
-    equations.collect()
 }
 
 /// A file that a stage reads.

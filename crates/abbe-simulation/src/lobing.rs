@@ -1,6 +1,6 @@
 //! What a touch probe does to a touch.
 
-use abbe_core::{Contact, Equations, PoseValues, Poses, Problem, Result};
+use abbe_core::{Contact, Equations, Poses, Problem, Result};
 use nalgebra::{Quaternion, UnitQuaternion, Vector3};
 
 /// Lobing of a probe: how its pre-travel varies with the direction of contact.
@@ -32,17 +32,16 @@ pub fn contact_directions(problem: &Problem) -> Result<Vec<Option<[f64; 3]>>> {
     let mut directions = Vec::with_capacity(problem.equations());
     let (mut poses, mut equations) = (Poses::default(), Equations::default());
     for set in &problem.sets {
-        let layout = set.observations.layout();
+        let layout = &set.info().layout;
         for &index in &set.rows {
             let row = layout.rows[index];
-            if row.poses != 1 || row.equations != 1 || set.observations.contact() != Contact::LinearAxes {
+            if row.poses != 1 || row.equations != 1 || set.info().contact != Contact::LinearAxes {
                 directions.extend(std::iter::repeat_n(None, row.equations));
                 continue;
             }
-            problem.model.evaluate(set.poses().row(row.first_pose), &problem.machine, &[], true, &mut poses)?;
+            problem.model.poses(set.poses().row(row.first_pose), &problem.machine, &[], true, &mut poses)?;
             equations.clear();
-            let values = PoseValues { positions: &poses.positions, orientations: &poses.orientations };
-            set.observations.try_evaluate(&[index], values, &set.own, &set.inputs, &mut equations)?;
+            set.observations.evaluate(set.batch(&[index], &poses), &mut equations)?;
             let [w, x, y, z] = poses.orientations[0];
             let tool = UnitQuaternion::from_quaternion(Quaternion::new(w, x, y, z));
             let normal = Vector3::from(equations.by_position()[0]).try_normalize(0.0);

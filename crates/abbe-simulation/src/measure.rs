@@ -33,10 +33,10 @@ pub fn measure(problem: &Problem, truth: &Truth, seed: u64) -> Result<Problem> {
 /// The problem with a perfect machine, nominal artefacts and nominal inputs.
 fn nominal(problem: &Problem) -> Problem {
     let mut nominal = problem.clone();
-    nominal.machine = nominal.model.nominal();
+    nominal.machine = nominal.model.info().nominal.clone();
     for set in &mut nominal.sets {
-        set.own = set.observations.start();
-        set.inputs = set.observations.inputs().iter().map(|input| input.value).collect();
+        set.own = set.info().start.clone();
+        set.inputs = set.info().inputs.iter().map(|input| input.value).collect();
     }
     nominal
 }
@@ -47,17 +47,17 @@ fn recorded(mut problem: Problem, noise: &Noise) -> Problem {
     if resolution <= 0.0 {
         return problem;
     }
-    let axes = problem.model.axes().iter().filter(|axis| axis.kind == abbe_core::AxisKind::Linear);
+    let axes = problem.model.info().axes.iter().filter(|axis| axis.kind == abbe_core::AxisKind::Linear);
     let statuses: Vec<usize> = axes.map(|axis| axis.status).collect();
     let mut by_rounding = Vec::new();
     for set in &mut problem.sets {
-        match set.observations.contact() {
+        match &set.info().contact {
             Contact::LinearAxes => {
                 round_positions(set, &statuses, resolution);
                 by_rounding.extend(rows_of(set).flat_map(|row| std::iter::repeat_n(0.0, row.equations)));
             }
             Contact::Reading(column) => {
-                let readings = readings(set, &column);
+                let readings = readings(set, column);
                 let changes = readings.iter().map(|reading| match reading {
                     // The residual has the reading with a minus sign.
                     Some(reading) => reading - round(*reading, resolution),
@@ -73,7 +73,7 @@ fn recorded(mut problem: Problem, noise: &Noise) -> Problem {
 }
 
 fn rows_of(set: &ObservationSet) -> impl Iterator<Item = abbe_core::Row> {
-    set.rows.iter().map(|&row| set.observations.layout().rows[row])
+    set.rows.iter().map(|&row| set.info().layout.rows[row])
 }
 
 fn round_positions(set: &mut ObservationSet, statuses: &[usize], resolution: f64) {
@@ -87,7 +87,7 @@ fn round_positions(set: &mut ObservationSet, statuses: &[usize], resolution: f64
 
 /// What is read in every equation of a set, mm; none where nothing is, or an angle.
 fn readings(set: &ObservationSet, column: &str) -> Vec<Option<f64>> {
-    let recorded = if is_length(set, column) { set.observations.layout().data.numbers(column) } else { None };
+    let recorded = if is_length(set, column) { set.info().layout.data.numbers(column) } else { None };
     let disturbances = set.disturbances();
     let mut all = Vec::new();
     for row in rows_of(set) {
@@ -101,7 +101,7 @@ fn readings(set: &ObservationSet, column: &str) -> Vec<Option<f64>> {
 
 /// Whether a column of a set holds lengths.
 pub(crate) fn is_length(set: &ObservationSet, column: &str) -> bool {
-    let column = set.observations.layout().data.column(column);
+    let column = set.info().layout.data.column(column);
     column.is_some_and(|column| column.header.quantity == abbe_core::Quantity::Length)
 }
 

@@ -62,11 +62,11 @@ impl Known {
     fn of(problem: &Problem) -> Self {
         let mut own = Vec::new();
         for set in &problem.sets {
-            let inputs = set.observations.inputs().iter().map(|input| &input.parameter);
-            let parameters = set.observations.unknowns().iter().chain(inputs);
+            let inputs = set.info().inputs.iter().map(|input| &input.parameter);
+            let parameters = set.info().unknowns.iter().chain(inputs);
             own.extend(parameters.map(|parameter| (set.name.clone(), parameter.name.clone())));
         }
-        Self { machine: problem.model.parameters().iter().map(|parameter| parameter.name.clone()).collect(), own }
+        Self { machine: problem.model.info().parameters.iter().map(|parameter| parameter.name.clone()).collect(), own }
     }
 
     /// Whether it is the name of an error that this machine does not have.

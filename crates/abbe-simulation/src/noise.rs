@@ -193,7 +193,7 @@ impl Noise {
             let sigma = self.probing_sigma_mm.of(set).hypot(self.surface_sigma_mm.of(set));
             let is_measured = takes_noise(set);
             for &row in &set.rows {
-                let Row { equations, data_row, .. } = set.observations.layout().rows[row];
+                let Row { equations, data_row, .. } = set.info().layout.rows[row];
                 let Some(data_row) = data_row.filter(|_| is_measured) else {
                     errors.extend(std::iter::repeat_n(0.0, equations));
                     continue;
@@ -243,9 +243,9 @@ impl Noise {
             variations.insert(drift.parameter.as_str(), drift.variation(problem, rows)?);
         }
         for (index, set) in problem.sets.iter().enumerate() {
-            let times = set.observations.layout().data.numbers("time");
+            let times = set.info().layout.data.numbers("time");
             for &row in &set.rows {
-                let data_row = set.observations.layout().rows[row].data_row;
+                let data_row = set.info().layout.rows[row].data_row;
                 // Rows without a time see no drift.
                 if let Some((times, data_row)) = times.zip(data_row)
                     && let Some(drift) = problem.origin(index, row).and_then(|(file, _)| self.drift_of(file))
@@ -312,9 +312,9 @@ impl Noise {
 
 /// Whether distances are added to the equations of a set: not to angles that are read.
 fn takes_noise(set: &ObservationSet) -> bool {
-    match set.observations.contact() {
+    match &set.info().contact {
         Contact::LinearAxes => true,
-        Contact::Reading(column) => is_length(set, &column),
+        Contact::Reading(column) => is_length(set, column),
         Contact::NotSimulated(_) => false,
     }
 }
@@ -342,14 +342,14 @@ impl Drift {
     /// A variation of its parameter that is zero on all rows.
     fn variation(&self, problem: &Problem, rows: usize) -> Result<Variation> {
         let name = &self.parameter;
-        let names = || problem.model.parameters().iter().map(|parameter| parameter.name.as_str());
+        let names = || problem.model.info().parameters.iter().map(|parameter| parameter.name.as_str());
         let parameter = machine_parameter(problem, name).ok_or_else(|| {
             Error::usage(format!("noise.drift: the machine has no parameter `{name}`"))
                 .help("the set-up parameters dxt, dyt, dzt always exist, others if the model's `errors` list them")
                 .suggest(name, names())
         })?;
-        if problem.model.parameters()[parameter].unit.of != Quantity::Length
-            || problem.model.parameters()[parameter].unit.per.is_some()
+        if problem.model.info().parameters[parameter].unit.of != Quantity::Length
+            || problem.model.info().parameters[parameter].unit.per.is_some()
         {
             return Err(Error::usage(format!("noise.drift: `{name}` is no length; drifts are in mm")));
         }
@@ -388,11 +388,11 @@ struct Listed<'a> {
 
 impl<'a> Listed<'a> {
     fn new(distances: &'a BTreeMap<String, f64>, problem: &Problem) -> Self {
-        let by_touch = problem.sets.iter().any(|set| set.observations.layout().data.labels("touch").is_some());
+        let by_touch = problem.sets.iter().any(|set| set.info().layout.data.labels("touch").is_some());
         let mut names = BTreeSet::new();
         if !distances.is_empty() {
             for set in &problem.sets {
-                let rows = set.observations.layout().rows.iter().filter_map(|row| row.data_row);
+                let rows = set.info().layout.rows.iter().filter_map(|row| row.data_row);
                 names.extend(rows.filter_map(|row| name(set, row, by_touch)));
             }
         }
@@ -416,7 +416,7 @@ impl<'a> Listed<'a> {
 
 /// What a row is called among the outliers.
 fn name(set: &ObservationSet, data_row: usize, by_touch: bool) -> Option<String> {
-    let data = &set.observations.layout().data;
+    let data = &set.info().layout.data;
     match by_touch {
         true => Some(data.labels("touch")?[data_row].clone()),
         false => Some(data.origins[data_row].row.to_string()),

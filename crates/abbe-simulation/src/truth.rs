@@ -87,13 +87,13 @@ impl Truth {
                 }
             }
         };
-        for (parameter, value) in problem.model.parameters().iter().zip(&mut truth.machine) {
+        for (parameter, value) in problem.model.info().parameters.iter().zip(&mut truth.machine) {
             take(&parameter.name, &parameter.name, value);
         }
         for set in &mut truth.sets {
             let (observations, prefix) = (set.observations.clone(), set.name.clone());
-            let own = observations.unknowns().iter().zip(&mut set.own);
-            let inputs = observations.inputs().iter().map(|input| &input.parameter).zip(&mut set.inputs);
+            let own = observations.info().unknowns.iter().zip(&mut set.own);
+            let inputs = observations.info().inputs.iter().map(|input| &input.parameter).zip(&mut set.inputs);
             for (parameter, value) in own.chain(inputs) {
                 take(&format!("{prefix}.{}", parameter.name), &parameter.name, value);
             }
@@ -111,10 +111,10 @@ impl Truth {
             // A stage has several sets if its rows are repeated.
             let (mut unknowns, mut inputs) = (BTreeMap::new(), BTreeMap::new());
             for set in truth.sets.iter().filter(|other| other.name == set.name) {
-                let (observations, start) = (&set.observations, set.observations.start());
-                let own = observations.unknowns().iter().zip(set.own.iter().zip(start));
+                let (observations, start) = (&set.observations, set.info().start.clone());
+                let own = observations.info().unknowns.iter().zip(set.own.iter().zip(start));
                 unknowns.extend(own.map(|(parameter, (value, start))| (&parameter.name, *value != start)));
-                let own = observations.inputs().iter().zip(&set.inputs);
+                let own = observations.info().inputs.iter().zip(&set.inputs);
                 inputs.extend(own.map(|(input, value)| (&input.parameter.name, *value != input.value)));
             }
             let varied = |values: &BTreeMap<&String, bool>| values.values().filter(|varied| **varied).count();
@@ -178,5 +178,5 @@ pub(crate) fn known_only(place: &str, settings: &Map<String, Value>, known: &[&s
 
 /// Whether a problem has a parameter of the machine of this name: its index.
 pub(crate) fn machine_parameter(problem: &Problem, name: &str) -> Option<usize> {
-    problem.model.parameters().iter().position(|parameter| parameter.name == name)
+    problem.model.info().parameters.iter().position(|parameter| parameter.name == name)
 }

@@ -5,20 +5,16 @@ use std::path::PathBuf;
 use std::sync::Arc;
 
 use abbe_core::{
-    Absent, Axis, AxisKind, Branch, Column, ColumnHeader, Contact, Dataset, Equations, Feature, KinematicModel,
-    KnownInput, Layout, ObservationSet, Observations, Parameter, PoseValues, Poses, Problem, Quantity, Result,
-    RowOrigin, StatusColumn, Unit, Values, Variable, plain_naming,
+    Absent, Axis, AxisKind, Branch, Column, ColumnHeader, Contact, Dataset, Equations, KinematicModel, Layout,
+    ModelInfo, ObservationSet, Observations, ObservationsInfo, Parameter, PoseBatch, PosesMut, Problem, Quantity,
+    Result, RowBatch, RowOrigin, StatusColumn, Unit, Values, Variable, plain_naming,
 };
 use abbe_estimation::{is_judged_as_recorded, rank_point};
 use abbe_simulation::{Noise, Sigma, Truth, measure};
 use serde_json::Value;
 
 /// The tip is at (X (1 + EXX[1]) + dxt, 0, 0).
-struct Rail {
-    axes: Vec<Axis>,
-    status: Vec<StatusColumn>,
-    parameters: Vec<Parameter>,
-}
+struct Rail(ModelInfo);
 
 impl Rail {
     fn new() -> Self {
@@ -39,38 +35,19 @@ impl Rail {
             levels: Vec::new(),
             absent: Absent::Refused,
         };
-        let gain = Parameter { name: "EXX[1]".to_owned(), unit: Unit::per(Quantity::Length, Quantity::Length, 1) };
-        let tool = Parameter { name: "dxt".to_owned(), unit: Unit::MM };
-        Self { axes: vec![axis], status: vec![status], parameters: vec![gain, tool] }
+        let gain = Parameter::new("EXX[1]", Unit::per(Quantity::Length, Quantity::Length, 1));
+        let tool = Parameter::new("dxt", Unit::MM);
+        Self(ModelInfo::new(vec![axis], vec![status], vec![gain, tool], Value::Null))
     }
 }
 
 impl KinematicModel for Rail {
-    fn axes(&self) -> &[Axis] {
-        &self.axes
+    fn info(&self) -> &ModelInfo {
+        &self.0
     }
 
-    fn status(&self) -> &[StatusColumn] {
-        &self.status
-    }
-
-    fn parameters(&self) -> &[Parameter] {
-        &self.parameters
-    }
-
-    fn stylus_radius(&self) -> f64 {
-        0.0
-    }
-
-    fn evaluate(
-        &self,
-        statuses: &[f64],
-        values: &[f64],
-        wanted: &[Variable],
-        orientation: bool,
-        out: &mut Poses,
-    ) -> Result<()> {
-        out.reset(statuses.len(), wanted.len(), orientation);
+    fn evaluate(&self, batch: PoseBatch<'_>, out: PosesMut<'_>) -> Result<()> {
+        let PoseBatch { statuses, values, wanted, .. } = batch;
         for (pose, x) in statuses.iter().enumerate() {
             out.positions[pose] = [x * (1.0 + values[0]) + values[1], 0.0, 0.0];
             for (k, variable) in wanted.iter().enumerate() {
@@ -84,50 +61,31 @@ impl KinematicModel for Rail {
         }
         Ok(())
     }
-
-    fn settings(&self) -> Value {
-        Value::Null
-    }
 }
 
 /// `p[axis] - (zero + reading) = 0`; without a column of readings the axis moves instead.
 struct Dial {
-    layout: Layout,
+    info: ObservationsInfo,
     axis: usize,
     column: Option<&'static str>,
-    unknowns: Vec<Parameter>,
 }
 
 impl Observations for Dial {
-    fn layout(&self) -> &Layout {
-        &self.layout
+    fn info(&self) -> &ObservationsInfo {
+        &self.info
     }
 
-    fn unknowns(&self) -> &[Parameter] {
-        &self.unknowns
-    }
-
-    fn inputs(&self) -> &[KnownInput] {
-        &[]
-    }
-
-    fn evaluate(&self, rows: &[usize], poses: PoseValues<'_>, own: &[f64], _: &[f64], out: &mut Equations) {
-        for (&row, tip) in rows.iter().zip(poses.positions) {
-            let reading = self.column.and_then(|column| self.layout.data.numbers(column)).map_or(0.0, |all| all[row]);
-            out.equation(tip[self.axis] - own[0] - reading);
+    fn evaluate(&self, batch: RowBatch<'_>, out: &mut Equations) -> Result<()> {
+        for (&row, tip) in batch.rows.iter().zip(batch.positions) {
+            let data = &self.info.layout.data;
+            let reading = self.column.and_then(|column| data.numbers(column)).map_or(0.0, |all| all[row]);
+            out.equation(tip[self.axis] - batch.own[0] - reading);
             let mut unit = [0.0; 3];
             unit[self.axis] = 1.0;
             out.position(unit);
             out.own(0, -1.0);
         }
-    }
-
-    fn features(&self) -> Vec<Feature> {
-        Vec::new()
-    }
-
-    fn contact(&self) -> Contact {
-        self.column.map_or(Contact::LinearAxes, |column| Contact::Reading(column.to_owned()))
+        Ok(())
     }
 }
 
@@ -145,8 +103,9 @@ fn problem(header: &str, axis: usize, column: Option<&'static str>) -> Problem {
     let model: Arc<dyn KinematicModel> = Arc::new(Rail::new());
     let mut layout = Layout::new(&data, model.as_ref(), &[&plain_naming]).unwrap();
     (0..3).for_each(|row| layout.push(model.as_ref(), row, &[1e-3]).unwrap());
-    let unknowns = vec![Parameter { name: "zero".to_owned(), unit: Unit::MM }];
-    let set = ObservationSet::new("dial", Arc::new(Dial { layout, axis, column, unknowns }));
+    let contact = column.map_or(Contact::LinearAxes, |column| Contact::Reading(column.to_owned()));
+    let info = ObservationsInfo::new(layout, vec![Parameter::new("zero", Unit::MM)], contact);
+    let set = ObservationSet::new("dial", Arc::new(Dial { info, axis, column }));
     Problem::new("fit", "rail", model, vec![set], &["*".to_owned()]).unwrap()
 }
 

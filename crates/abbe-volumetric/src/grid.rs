@@ -142,7 +142,7 @@ impl Grid {
             }
         }
         let mut varied: Vec<(usize, Vec<f64>)> = Vec::new();
-        for axis in model.axes() {
+        for axis in &model.info().axes {
             if let Some(spacing) = self.spacing(axis, held.contains(&axis.status))? {
                 varied.push((axis.status, self.positions(axis, spacing)?));
             }
@@ -231,10 +231,10 @@ fn is_direction(column: &StatusColumn) -> bool {
 
 /// The status of a pose with all axes at zero, approached in positive direction at an unknown time.
 fn base(model: &dyn KinematicModel) -> Vec<f64> {
-    let columns = model.status().iter().enumerate();
+    let columns = model.info().status.iter().enumerate();
     columns
         .map(|(index, column)| match column.absent {
-            _ if model.axes().iter().any(|axis| axis.status == index) => 0.0,
+            _ if model.info().axes.iter().any(|axis| axis.status == index) => 0.0,
             _ if is_direction(column) => 1.0,
             _ if column.role == StatusRole::Time => f64::NAN,
             Absent::Taken(value) => value,
@@ -245,7 +245,7 @@ fn base(model: &dyn KinematicModel) -> Vec<f64> {
 
 /// The same poses approached in negative direction; none if directions do not matter to the machine.
 fn reversed(model: &dyn KinematicModel, statuses: &[f64]) -> Vec<f64> {
-    let directions: Vec<bool> = model.status().iter().map(is_direction).collect();
+    let directions: Vec<bool> = model.info().status.iter().map(is_direction).collect();
     if !directions.contains(&true) {
         return Vec::new();
     }
@@ -298,7 +298,7 @@ mod tests {
     /// B in degrees, X, Y, S, then the direction of both axes.
     fn poses(settings: Value) -> Vec<[f64; 5]> {
         let model = machine();
-        let names: Vec<&str> = model.status().iter().map(|column| column.name.as_str()).collect();
+        let names: Vec<&str> = model.info().status.iter().map(|column| column.name.as_str()).collect();
         assert_eq!(names, ["B", "X", "Y", "S", "dir_X", "dir_B", "time"]);
         let statuses = grid(settings).unwrap().statuses(model.as_ref()).unwrap();
         let rows = statuses.chunks_exact(7).map(|row| {

@@ -53,22 +53,22 @@ impl Volumetric {
 ///
 /// Fails if `statuses` has no whole number of rows, or where the model fails.
 pub fn predict(model: &dyn KinematicModel, calibration: &Calibration, statuses: &[f64]) -> Result<Vec<Volumetric>> {
-    let width = model.status().len().max(1);
+    let width = model.info().status.len().max(1);
     if !statuses.len().is_multiple_of(width) {
         return Err(Error::usage(format!("{} numbers are no poses of {width} statuses each", statuses.len())));
     }
-    let without = model.nominal();
-    let values: Vec<f64> = (model.parameters().iter().zip(&without))
+    let without = &model.info().nominal;
+    let values: Vec<f64> = (model.info().parameters.iter().zip(without))
         .map(|(parameter, nominal)| calibration.get(&parameter.name).map_or(*nominal, |known| known.value))
         .collect();
-    let is_machine = |name: &str| model.parameters().iter().any(|parameter| parameter.name == name);
+    let is_machine = |name: &str| model.info().parameters.iter().any(|parameter| parameter.name == name);
     let degrees_of_freedom = calibration.degrees_of_freedom(is_machine);
     let (wanted, covariance) = machine_covariance(model, calibration);
     let (mut actual, mut nominal) = (Poses::default(), Poses::default());
     let mut errors = Vec::with_capacity(statuses.len() / width);
     for chunk in statuses.chunks(width * CHUNK) {
-        model.evaluate(chunk, &values, &wanted, false, &mut actual)?;
-        model.evaluate(chunk, &without, &[], false, &mut nominal)?;
+        model.poses(chunk, &values, &wanted, false, &mut actual)?;
+        model.poses(chunk, without, &[], false, &mut nominal)?;
         let poses = actual.positions.len();
         // One column for each component of each pose: F^T and C F^T.
         let derivatives = DMatrix::from_fn(wanted.len(), 3 * poses, |parameter, column| {
@@ -89,16 +89,11 @@ pub fn predict(model: &dyn KinematicModel, calibration: &Calibration, statuses: 
 
 /// The parameters of the model that a calibration has a covariance of, and that covariance.
 fn machine_covariance(model: &dyn KinematicModel, calibration: &Calibration) -> (Vec<Variable>, DMatrix<f64>) {
-    let order = &calibration.covariance.order;
-    let (wanted, places): (Vec<Variable>, Vec<usize>) = (model.parameters().iter().enumerate())
-        .filter_map(|(index, parameter)| {
-            let place = order.iter().position(|name| *name == parameter.name)?;
-            Some((Variable::Parameter(index), place))
-        })
-        .unzip();
-    let rows = &calibration.covariance.rows;
-    let size = places.len();
-    (wanted, DMatrix::from_fn(size, size, |row, column| rows[places[row]][places[column]]))
+    let parameters = model.info().parameters.iter().enumerate();
+    let known = parameters.filter(|(_, parameter)| calibration.covariance.index(&parameter.name).is_some());
+    let (wanted, names): (Vec<Variable>, Vec<&str>) =
+        known.map(|(index, parameter)| (Variable::Parameter(index), parameter.name.as_str())).unzip();
+    (wanted, calibration.covariance.block(&names))
 }
 
 #[cfg(test)]
@@ -138,7 +133,7 @@ mod tests {
 
     /// 150 poses all over the place, both directions.
     fn statuses(model: &dyn KinematicModel) -> Vec<f64> {
-        let names: Vec<&str> = model.status().iter().map(|column| column.name.as_str()).collect();
+        let names: Vec<&str> = model.info().status.iter().map(|column| column.name.as_str()).collect();
         assert_eq!(names, ["B", "X", "Y", "Z", "dir_X"]);
         let pose = |i: usize| {
             let t = i as f64;
@@ -151,9 +146,9 @@ mod tests {
 
     fn tips(model: &dyn KinematicModel, statuses: &[f64], values: &[(&str, f64)]) -> Vec<[f64; 3]> {
         let value = |name: &str| values.iter().find(|(other, _)| *other == name).map_or(0.0, |(_, value)| *value);
-        let values: Vec<f64> = model.parameters().iter().map(|parameter| value(&parameter.name)).collect();
+        let values: Vec<f64> = model.info().parameters.iter().map(|parameter| value(&parameter.name)).collect();
         let mut poses = Poses::default();
-        model.evaluate(statuses, &values, &[], false, &mut poses).unwrap();
+        model.poses(statuses, &values, &[], false, &mut poses).unwrap();
         poses.positions
     }
 

@@ -83,9 +83,10 @@ pub fn within(mut error: Error, outer: &[&str]) -> Error {
 
 /// The axis of that name; refuses one that the machine does not have.
 pub(crate) fn axis_of<'a>(model: &'a dyn KinematicModel, name: &str) -> Result<&'a Axis> {
-    let names = || model.axes().iter().map(|axis| axis.name.as_str());
+    let names = || model.info().axes.iter().map(|axis| axis.name.as_str());
     model
-        .axes()
+        .info()
+        .axes
         .iter()
         .find(|axis| axis.name == name)
         .ok_or_else(|| Error::usage(format!("the machine has no axis {name}")).suggest(name, names()))

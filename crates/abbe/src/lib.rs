@@ -19,6 +19,7 @@ use std::process::ExitCode;
 
 use abbe_core::{Class, Error, Monitor, Origin, Registry, Result};
 use abbe_engine::{Outcome, Simulated, can_write_folder, prepare};
+use abbe_plugin::check::Findings;
 use clap::{Parser, Subcommand};
 use libraries::Libraries;
 use progress::Progress;
@@ -119,6 +120,9 @@ enum PluginCommand {
     Check {
         /// The library.
         file: PathBuf,
+        /// A recipe that uses its plugins: the laws run over all that the recipe uses, on data that a virtual machine makes.
+        #[arg(long)]
+        recipe: Option<PathBuf>,
         /// How long one test may take, seconds.
         #[arg(long, default_value_t = 60.0)]
         time_limit: f64,
@@ -128,7 +132,12 @@ enum PluginCommand {
     },
     /// Run one test of a library in this process.
     #[command(hide = true)]
-    Test { file: PathBuf, test: String },
+    Test {
+        file: PathBuf,
+        test: String,
+        #[arg(long)]
+        recipe: Option<PathBuf>,
+    },
     /// Serve a library to the program that started this one.
     #[command(hide = true)]
     Serve { file: PathBuf, sha256: String },
@@ -226,8 +235,9 @@ fn dispatch(command: Command, libraries: &Libraries) -> Result<(String, u8)> {
             };
             Ok((text, status))
         }
-        Command::Plugin { command: PluginCommand::Check { file, time_limit, json } } => {
-            let report = abbe_plugin::check::check(&file, &libraries::this_program()?, time_limit)?;
+        Command::Plugin { command: PluginCommand::Check { file, recipe, time_limit, json } } => {
+            let program = libraries::this_program()?;
+            let report = abbe_plugin::check::check(&file, &program, time_limit, recipe.as_deref())?;
             let status = if report.passes() { 0 } else { 1 };
             let text = match json {
                 true => pretty(&report.json())?,
@@ -235,9 +245,10 @@ fn dispatch(command: Command, libraries: &Libraries) -> Result<(String, u8)> {
             };
             Ok((text, status))
         }
-        Command::Plugin { command: PluginCommand::Test { file, test } } => {
-            abbe_plugin::check::test(&file, &test).map(|text| (text, 0))
-        }
+        Command::Plugin { command: PluginCommand::Test { file, test, recipe } } => match recipe {
+            None => abbe_plugin::check::test(&file, &test).map(|text| (text, 0)),
+            Some(recipe) => Ok((laws(&recipe, file, libraries)?.line()?, 0)),
+        },
         Command::Plugin { command: PluginCommand::Serve { file, sha256 } } => {
             abbe_plugin::serve(&file, &sha256).map(|()| (String::new(), 0))
         }
@@ -248,6 +259,17 @@ fn dispatch(command: Command, libraries: &Libraries) -> Result<(String, u8)> {
         }
         Command::Schema => Ok((pretty(&abbe_recipe::schema(&libraries.registry(None)?))?, 0)),
     }
+}
+
+/// The laws over all that a recipe uses, among it the plugins of a library.
+fn laws(recipe: &Path, library: PathBuf, libraries: &Libraries) -> Result<Findings> {
+    let files = libraries.files.iter().cloned().chain([library]).collect();
+    let libraries = Libraries { files, ..*libraries };
+    let found = libraries.registry(Some(recipe)).and_then(|registry| prepare(recipe, &registry)?.laws());
+    Ok(match found {
+        Ok(laws) => Findings { wrong: laws.broken, skipped: laws.skipped },
+        Err(error) => Findings { wrong: vec![error.to_string()], skipped: Vec::new() },
+    })
 }
 
 /// What was simulated, and how to go on.

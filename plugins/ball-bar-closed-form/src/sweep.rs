@@ -98,7 +98,7 @@ struct Sample {
 
 /// The rows of a set by test, in the order in which the tests appear.
 fn labelled(set: &ObservationSet, first: usize, column: &str) -> Result<Vec<(String, Vec<Sample>)>> {
-    let layout = set.observations.layout();
+    let layout = &set.info().layout;
     let labels = abbe_table::labels(&layout.data, column).map_err(|error| {
         let help = error.help.clone().unwrap_or_else(|| "name the column that tells the tests apart".to_owned());
         Error { place: None, ..error }.help(help).setting("tests")
@@ -129,14 +129,14 @@ fn no_distance() -> Error {
 struct Pivots<'a> {
     problem: &'a Problem,
     set: usize,
-    features: Vec<Feature>,
+    features: &'a [Feature],
     /// Residuals and derivatives to the shifts of all features, in their order.
     linear: Linear,
 }
 
 impl<'a> Pivots<'a> {
     fn new(problem: &'a Problem, set: usize) -> Result<Self> {
-        let features = problem.sets[set].observations.features();
+        let features = &problem.sets[set].info().features;
         let shifts = features.iter().flat_map(|feature| &feature.shifts);
         let unknowns =
             shifts.map(|&(index, _)| Unknown { name: String::new(), unit: Unit::MM, owner: Owner::Set(set), index });
@@ -174,13 +174,13 @@ impl<'a> Pivots<'a> {
     fn sweep(&self, name: String, samples: &[Sample]) -> Result<Sweep> {
         let model = self.problem.model.as_ref();
         let set = &self.problem.sets[self.set];
-        let status = |sample: &Sample| set.poses().row(set.observations.layout().rows[sample.row].first_pose);
+        let status = |sample: &Sample| set.poses().row(set.info().layout.rows[sample.row].first_pose);
         let statuses: Vec<&[f64]> = samples.iter().map(status).collect();
         let axis = moving(model, &name, &statuses)?;
-        let angles: Vec<f64> = statuses.iter().map(|status| status[model.axes()[axis].status]).collect();
+        let angles: Vec<f64> = statuses.iter().map(|status| status[model.info().axes[axis].status]).collect();
         let mut poses = Poses::default();
         let wanted = [Variable::Command(axis)];
-        model.evaluate(&statuses.concat(), &self.problem.machine, &wanted, true, &mut poses)?;
+        model.poses(&statuses.concat(), &self.problem.machine, &wanted, true, &mut poses)?;
         let of_rows = samples.iter().map(|sample| self.pivot(sample.equation).ok_or_else(no_distance));
         let of_rows = of_rows.collect::<Result<Vec<_>>>()?;
         let pivot = of_rows[0].0;
@@ -226,7 +226,7 @@ impl<'a> Pivots<'a> {
             radius,
             height,
         };
-        sweep.check(&model.axes()[axis].name, beside.norm())?;
+        sweep.check(&model.info().axes[axis].name, beside.norm())?;
         Ok(sweep)
     }
 }
@@ -234,21 +234,21 @@ impl<'a> Pivots<'a> {
 /// The one rotary axis under the table that moves in a test.
 fn moving(model: &dyn KinematicModel, name: &str, statuses: &[&[f64]]) -> Result<usize> {
     let moves = |index: &usize| {
-        let axis = &model.axes()[*index];
+        let axis = &model.info().axes[*index];
         let values = statuses.iter().map(|status| status[axis.status]);
         let (least, most) =
             values.fold((f64::INFINITY, f64::NEG_INFINITY), |(a, b), value| (a.min(value), b.max(value)));
         most - least > if axis.kind == AxisKind::Linear { STILL } else { STILL_ANGLE }
     };
-    let moving: Vec<usize> = (0..model.axes().len()).filter(moves).collect();
+    let moving: Vec<usize> = (0..model.info().axes.len()).filter(moves).collect();
     let help =
         "the column under `tests` has to tell the tests apart; use `gauss-newton` for tests with several moving axes";
     let [axis] = moving.as_slice() else {
-        let names: Vec<&str> = moving.iter().map(|&axis| model.axes()[axis].name.as_str()).collect();
+        let names: Vec<&str> = moving.iter().map(|&axis| model.info().axes[axis].name.as_str()).collect();
         let what = if names.is_empty() { "no axis moves".to_owned() } else { format!("{} move", names.join(" and ")) };
         return Err(Error::data(format!("in test `{name}` {what}; one rotary axis was expected to")).help(help));
     };
-    let moved = &model.axes()[*axis];
+    let moved = &model.info().axes[*axis];
     if moved.kind != AxisKind::Rotary || moved.branch != Branch::Workpiece {
         let message = format!(
             "in test `{name}` {} moves; the closed form takes rotary axes that carry the table, one a test",

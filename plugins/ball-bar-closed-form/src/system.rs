@@ -179,7 +179,7 @@ impl System {
 
 /// The problem with its unknowns at nominal, whatever they start from: what is read off a circle does not depend on a start.
 fn at_nominal(problem: &Problem) -> Problem {
-    let starts: Vec<Vec<f64>> = problem.sets.iter().map(|set| set.observations.start()).collect();
+    let starts: Vec<Vec<f64>> = problem.sets.iter().map(|set| set.info().start.clone()).collect();
     let nominal = |owner: Owner, index: usize, start: f64| match owner {
         Owner::Machine => 0.0,
         Owner::Set(set) => starts[set][index],

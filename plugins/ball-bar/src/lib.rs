@@ -13,16 +13,17 @@ use std::path::PathBuf;
 use std::sync::Arc;
 
 use abbe_core::{
-    Artefact, Build, ColumnHeader, Constructor, Context, Dataset, Error, InputFile, KinematicModel, KnownInput, Layout,
-    Observations, Parameter, PathItem, Plugin, Quantity, Result, SettingsError, Target, Unit, inventory, not_negative,
-    plain_naming, pose_columns, positive,
+    Artefact, Build, ColumnHeader, Constructor, Contact, Context, Dataset, Error, InputFile, KinematicModel,
+    KnownInput, Layout, Observations, ObservationsInfo, Orientation, Parameter, ParameterRole, PathItem, Plugin,
+    Quantity, RankPoint, Result, SettingsError, Target, Unit, inventory, not_negative, plain_naming, pose_columns,
+    positive,
 };
 use nalgebra::Vector3;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use serde_json::{Value, json};
 
-use observed::{Ball, Bar, Observed, TOOL_BALL};
+use observed::{Ball, Bar, Observed, TOOL_BALL, features};
 
 inventory::submit! {
     Plugin::built_in(
@@ -128,11 +129,16 @@ fn places(data: &Dataset, column: &str, known: &[&str], what: &str) -> Result<Ve
     labels.map(place).collect()
 }
 
+/// A place or a length of the artefact.
+fn feature(name: String) -> Parameter {
+    Parameter::new(name, Unit::MM).with_role(ParameterRole::Feature)
+}
+
 /// The known or unknown lengths of the bars that are used, in the order of their labels.
 fn bars(settings: &Settings, used: &[&str], unknowns: &mut Vec<Parameter>, inputs: &mut Vec<KnownInput>) -> Vec<Bar> {
     let bar = |label: &&str| {
         let nominal = settings.bars_mm[*label];
-        let parameter = Parameter { name: format!("bar[{label}].length"), unit: Unit::MM };
+        let parameter = feature(format!("bar[{label}].length"));
         match settings.lengths {
             Lengths::Estimated => {
                 unknowns.push(parameter);
@@ -194,29 +200,30 @@ impl Artefact for BallBar {
             }
             layout.push(model, row, &[self.settings.standard_uncertainty_um * 1e-3])?;
         }
-        let own = |ball: &Ball, axis: &str| Parameter { name: format!("ball[{}].{axis}", ball.label), unit: Unit::MM };
+        let own = |ball: &Ball, axis: &str| feature(format!("ball[{}].{axis}", ball.label));
         let mut unknowns: Vec<Parameter> =
             balls.iter().flat_map(|ball| ["x", "y", "z"].map(|axis| own(ball, axis))).collect();
         let mut inputs = Vec::new();
         let aligned = self.settings.tool_ball_standard_uncertainty_um * 1e-3;
         if aligned > 0.0 {
-            let parameter = |name: &str| Parameter { name: name.to_owned(), unit: Unit::MM };
+            let parameter = |name: &str| Parameter::new(name, Unit::MM);
             inputs.extend(TOOL_BALL.map(|name| KnownInput::new(parameter(name), 0.0, aligned).shared()));
         }
         let bars = bars(&self.settings, &used_bars, &mut unknowns, &mut inputs);
-        let mut observed = Observed {
-            layout,
-            unknowns,
+        let tool_ball = aligned > 0.0;
+        let mut info = ObservationsInfo {
             inputs,
-            balls,
-            ball_of_row,
-            bars,
-            bar_of_row,
-            readings,
-            tool_ball: aligned > 0.0,
-            nominal: Vec::new(),
+            features: features(&balls),
+            orientation: if tool_ball { Orientation::Exact } else { Orientation::Unused },
+            ..ObservationsInfo::new(layout, unknowns, Contact::Reading("reading".to_owned()))
         };
-        observed.nominal = nominal::readings(&observed, model)?;
+        for bar in &bars {
+            if let Bar::Unknown { own, nominal } = bar {
+                info.start[*own] = *nominal;
+            }
+        }
+        let mut observed = Observed { info, balls, ball_of_row, bars, bar_of_row, readings, tool_ball };
+        observed.info.rank_point = RankPoint::NominalReading(nominal::readings(&observed, model)?);
         Ok(Arc::new(observed))
     }
 

@@ -38,15 +38,15 @@ struct NominalRow {
     positions: Vec<f64>,
 }
 
-/// Nominal contact of every row; none of rows that are judged as recorded.
+/// Nominal contact of the rows, by their index, apart from those that are judged as recorded.
 ///
 /// Fails for a row whose nominal tool ball stands in the pivot: the direction of the bar is not defined there.
-pub fn readings(observed: &Observed, model: &dyn KinematicModel) -> Result<Vec<Option<NominalReading>>> {
-    let axes = model.axes().iter().enumerate().filter(|(_, axis)| axis.kind == AxisKind::Linear);
+pub fn readings(observed: &Observed, model: &dyn KinematicModel) -> Result<BTreeMap<usize, NominalReading>> {
+    let axes = model.info().axes.iter().enumerate().filter(|(_, axis)| axis.kind == AxisKind::Linear);
     let axes: Vec<(usize, usize)> = axes.map(|(index, axis)| (index, axis.status)).collect();
     let rows = nominal_rows(observed, model, &axes)?;
     let references: Vec<Option<f64>> = (0..observed.bars.len()).map(|bar| reference(observed, &rows, bar)).collect();
-    let mut nominal = vec![None; rows.len()];
+    let mut nominal = BTreeMap::new();
     for test in tests(observed) {
         let moving = moving(test.iter().map(|&row| &rows[row]), axes.len());
         let along = |row: &usize| moving.iter().map(|&axis| rows[*row].by_axis[axis].powi(2)).sum::<f64>().sqrt();
@@ -54,10 +54,10 @@ pub fn readings(observed: &Observed, model: &dyn KinematicModel) -> Result<Vec<O
             continue;
         }
         for row in test {
-            nominal[row] = references[observed.bar_of_row[row]].map(|reference| NominalReading {
-                residuals: vec![reference - observed.readings[row]],
-                axes: moving.iter().map(|&axis| axes[axis].0).collect(),
-            });
+            let Some(reference) = references[observed.bar_of_row[row]] else { continue };
+            let residuals = vec![reference - observed.readings[row]];
+            let axes = moving.iter().map(|&axis| axes[axis].0).collect();
+            nominal.insert(row, NominalReading { residuals, axes });
         }
     }
     Ok(nominal)
@@ -65,17 +65,17 @@ pub fn readings(observed: &Observed, model: &dyn KinematicModel) -> Result<Vec<O
 
 fn nominal_rows(observed: &Observed, model: &dyn KinematicModel, axes: &[(usize, usize)]) -> Result<Vec<NominalRow>> {
     let wanted: Vec<Variable> = axes.iter().map(|(index, _)| Variable::Command(*index)).collect();
-    let (mut poses, values) = (Poses::default(), model.nominal());
-    let mut rows = Vec::with_capacity(observed.layout.rows.len());
-    for (index, row) in observed.layout.rows.iter().enumerate() {
-        let status = observed.layout.poses.row(row.first_pose);
-        model.evaluate(status, &values, &wanted, false, &mut poses)?;
+    let mut poses = Poses::default();
+    let mut rows = Vec::with_capacity(observed.info.layout.rows.len());
+    for (index, row) in observed.info.layout.rows.iter().enumerate() {
+        let status = observed.info.layout.poses.row(row.first_pose);
+        model.poses(status, &model.info().nominal, &wanted, false, &mut poses)?;
         let ball = &observed.balls[observed.ball_of_row[index]];
         let bar = Vector3::from(poses.positions[0]) - ball.centre;
         let length = bar.norm();
         if length < 1e-3 {
             let data_row = row.data_row.unwrap_or_default();
-            return Err(crate::at_the_pivot(&observed.layout.data, data_row, &ball.label));
+            return Err(crate::at_the_pivot(&observed.info.layout.data, data_row, &ball.label));
         }
         let by_axis = poses.position_derivatives.iter().map(|by| bar.dot(&Vector3::from(*by)) / length).collect();
         let positions = axes.iter().map(|(_, place)| status[*place]).collect();
@@ -90,7 +90,7 @@ fn nominal_rows(observed: &Observed, model: &dyn KinematicModel, axes: &[(usize,
 fn reference(observed: &Observed, rows: &[NominalRow], bar: usize) -> Option<f64> {
     let of_bar = || (0..rows.len()).filter(|&row| observed.bar_of_row[row] == bar);
     let length = match observed.bars[bar] {
-        Bar::Known { input } => observed.inputs[input].value,
+        Bar::Known { input } => observed.info.inputs[input].value,
         Bar::Unknown { nominal, .. } => nominal,
     };
     let mut readings: Vec<f64> = of_bar().map(|row| observed.readings[row]).collect();
@@ -109,10 +109,10 @@ fn reference(observed: &Observed, rows: &[NominalRow], bar: usize) -> Option<f64
 
 /// The rows of every test: those of one file and label in the column `test`, with one bar on one ball.
 fn tests(observed: &Observed) -> Vec<Vec<usize>> {
-    let data = &observed.layout.data;
+    let data = &observed.info.layout.data;
     let labels = data.labels("test");
     let mut tests: BTreeMap<(usize, Option<&String>, usize, usize), Vec<usize>> = BTreeMap::new();
-    for (index, row) in observed.layout.rows.iter().enumerate() {
+    for (index, row) in observed.info.layout.rows.iter().enumerate() {
         let data_row = row.data_row.unwrap_or_default();
         let label = labels.map(|labels| &labels[data_row]);
         let test = (data.origins[data_row].file, label, observed.ball_of_row[index], observed.bar_of_row[index]);

@@ -1,6 +1,6 @@
 //! The equations of a ball bar.
 
-use abbe_core::{Contact, Equations, Feature, KnownInput, Layout, NominalReading, Observations, Parameter, PoseValues};
+use abbe_core::{Equations, Feature, Observations, ObservationsInfo, Result, RowBatch};
 use nalgebra::{Quaternion, UnitQuaternion, Vector3};
 
 /// Names of the known inputs that are the tool ball's place relative to the tip, in the directions of the tool.
@@ -24,11 +24,9 @@ pub enum Bar {
 
 /// Readings of a ball bar.
 pub struct Observed {
-    pub layout: Layout,
-    /// Three offsets for every ball, then the lengths if they are estimated.
-    pub unknowns: Vec<Parameter>,
-    /// The tool ball's place if it is uncertain, then the lengths if they are known.
-    pub inputs: Vec<KnownInput>,
+    /// Own unknowns: three offsets for every ball, then the lengths if they are estimated. Known inputs: the tool ball's place if
+    /// it is uncertain, then the lengths if they are known.
+    pub info: ObservationsInfo,
     pub balls: Vec<Ball>,
     pub ball_of_row: Vec<usize>,
     pub bars: Vec<Bar>,
@@ -37,40 +35,17 @@ pub struct Observed {
     pub readings: Vec<f64>,
     /// Whether the tool ball's place is a known input.
     pub tool_ball: bool,
-    /// Nominal contact of the rows that have one.
-    pub nominal: Vec<Option<NominalReading>>,
 }
 
 impl Observations for Observed {
-    fn layout(&self) -> &Layout {
-        &self.layout
+    fn info(&self) -> &ObservationsInfo {
+        &self.info
     }
 
-    fn unknowns(&self) -> &[Parameter] {
-        &self.unknowns
-    }
-
-    fn start(&self) -> Vec<f64> {
-        let mut start = vec![0.0; self.unknowns.len()];
-        for bar in &self.bars {
-            if let Bar::Unknown { own, nominal } = bar {
-                start[*own] = *nominal;
-            }
-        }
-        start
-    }
-
-    fn inputs(&self) -> &[KnownInput] {
-        &self.inputs
-    }
-
-    fn needs_orientation(&self) -> bool {
-        self.tool_ball
-    }
-
-    fn evaluate(&self, rows: &[usize], poses: PoseValues<'_>, own: &[f64], inputs: &[f64], out: &mut Equations) {
-        for (place, (&row, position)) in rows.iter().zip(poses.positions).enumerate() {
-            let orientation = match poses.orientations.get(place) {
+    fn evaluate(&self, batch: RowBatch<'_>, out: &mut Equations) -> Result<()> {
+        let RowBatch { own, inputs, .. } = batch;
+        for (place, (&row, position)) in batch.rows.iter().zip(batch.positions).enumerate() {
+            let orientation = match batch.orientations.get(place) {
                 Some(&[w, x, y, z]) if self.tool_ball => {
                     Some(UnitQuaternion::new_unchecked(Quaternion::new(w, x, y, z)))
                 }
@@ -100,25 +75,17 @@ impl Observations for Observed {
                 (0..3).for_each(|axis| out.input(axis, in_tool[axis]));
             }
         }
+        Ok(())
     }
+}
 
-    fn features(&self) -> Vec<Feature> {
-        let balls = self.balls.iter().enumerate();
-        let unit = |axis: usize| std::array::from_fn(|index| if index == axis { 1.0 } else { 0.0 });
-        balls
-            .map(|(index, ball)| Feature {
-                label: ball.label.clone(),
-                point: ball.centre.into(),
-                shifts: (0..3).map(|axis| (3 * index + axis, unit(axis))).collect(),
-            })
-            .collect()
-    }
-
-    fn contact(&self) -> Contact {
-        Contact::Reading("reading".to_owned())
-    }
-
-    fn nominal_reading(&self, row: usize) -> Option<&NominalReading> {
-        self.nominal[row].as_ref()
-    }
+/// The balls as features, each shifted by its three offsets.
+pub fn features(balls: &[Ball]) -> Vec<Feature> {
+    let unit = |axis: usize| std::array::from_fn(|index| if index == axis { 1.0 } else { 0.0 });
+    let feature = |(index, ball): (usize, &Ball)| Feature {
+        label: ball.label.clone(),
+        point: ball.centre.into(),
+        shifts: (0..3).map(|axis| (3 * index + axis, unit(axis))).collect(),
+    };
+    balls.iter().enumerate().map(feature).collect()
 }

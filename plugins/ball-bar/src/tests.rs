@@ -127,7 +127,7 @@ fn rows_that_make_no_sense_are_refused() {
     let plain = "X_mm,Y_mm,Z_mm,A_deg,C_deg,reading_um\n0,0,160,0,200,5\n";
     let one = "feature,x_mm,y_mm,z_mm\n2,100,0,0\n";
     let problem = observed(one, plain, &set("bars_mm", json!({ "100": 100.0 }))).unwrap();
-    assert_eq!(problem.sets[0].observations.unknowns()[0].name, "ball[2].x");
+    assert_eq!(problem.sets[0].observations.info().unknowns[0].name, "ball[2].x");
     assert!(
         observed(BALLS, plain, &set("bars_mm", json!({ "100": 100.0 })))
             .err()

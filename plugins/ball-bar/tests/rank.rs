@@ -104,7 +104,7 @@ impl Setup {
             writeln!(balls, "{},{},{},{}", index + 1, ball.x, ball.y, ball.z).unwrap();
         }
         fs::write(folder.path().join("balls.csv"), balls).unwrap();
-        let axes = model.axes();
+        let axes = &model.info().axes;
         let columns: Vec<String> = (axes.iter())
             .map(|axis| format!("{}{}", axis.name, if axis.kind == AxisKind::Linear { "_mm" } else { "_rad" }))
             .collect();
@@ -154,13 +154,13 @@ impl Setup {
 
     /// The commands that bring the tip of the nominal machine to a point of the table, other statuses as given.
     fn reach(&self, model: &dyn KinematicModel, status: &[f64], target: &Vector3<f64>) -> Vec<f64> {
-        let axes = model.axes().iter().enumerate().filter(|(_, axis)| axis.kind == AxisKind::Linear);
+        let axes = model.info().axes.iter().enumerate().filter(|(_, axis)| axis.kind == AxisKind::Linear);
         let (wanted, places): (Vec<Variable>, Vec<usize>) =
             axes.map(|(index, axis)| (Variable::Command(index), axis.status)).unzip();
         let mut status = status.to_vec();
         for _ in 0..3 {
             let mut poses = Poses::default();
-            model.evaluate(&status, &model.nominal(), &wanted, false, &mut poses).unwrap();
+            model.poses(&status, &model.info().nominal, &wanted, false, &mut poses).unwrap();
             let jacobian = DMatrix::from_fn(3, wanted.len(), |row, k| poses.position_derivatives[k][row]);
             let missing = target - Vector3::from(poses.positions[0]);
             let step = jacobian.svd(true, true).solve(&DVector::from_column_slice(missing.as_slice()), 1e-9).unwrap();
@@ -330,8 +330,8 @@ impl Linear {
         let settings = json!({ "lengths": "estimated" });
         let setup = Setup { machine, settings, balls, bars, rows: Vec::new(), parameters };
         let model = setup.model();
-        let mut standing = vec![0.0; model.status().len()];
-        for axis in model.axes().iter().filter(|axis| axis.kind == AxisKind::Rotary) {
+        let mut standing = vec![0.0; model.info().status.len()];
+        for axis in model.info().axes.iter().filter(|axis| axis.kind == AxisKind::Rotary) {
             standing[axis.status] = 0.7 * random.number();
         }
         let mut points = Vec::new();
@@ -379,7 +379,7 @@ impl Linear {
         let mut setup = self.setup.clone();
         let model = setup.model();
         let places: Vec<usize> =
-            ["X", "Y", "Z"].map(|name| model.axes().iter().find(|axis| axis.name == name).unwrap().status).into();
+            ["X", "Y", "Z"].map(|name| model.info().axes.iter().find(|axis| axis.name == name).unwrap().status).into();
         let at = |target: &Vector3<f64>| {
             let status = setup.reach(model.as_ref(), &self.standing, target);
             [0, 1, 2].map(|axis| status[places[axis]])
@@ -400,16 +400,16 @@ impl Linear {
     fn similarity(&self, problem: &Problem, readings: &[f64]) -> Vec<Combination> {
         let model = &problem.model;
         let mut poses = Poses::default();
-        model.evaluate(&self.standing, &model.nominal(), &[], false, &mut poses).unwrap();
+        model.poses(&self.standing, &model.info().nominal, &[], false, &mut poses).unwrap();
         let origin = Vector3::from(poses.positions[0]);
         // An axis that carries the workpiece may well be positive where its scale moves the tip back.
         let sign = |scale: &abbe_core::Unknown| {
-            let axis = model.axes().iter().position(|axis| axis.name == scale.name[2..3]).unwrap();
+            let axis = model.info().axes.iter().position(|axis| axis.name == scale.name[2..3]).unwrap();
             let mut status = self.standing.clone();
-            status[model.axes()[axis].status] = 1.0;
+            status[model.info().axes[axis].status] = 1.0;
             let wanted = [Variable::Parameter(scale.index), Variable::Command(axis)];
             let mut poses = Poses::default();
-            model.evaluate(&status, &model.nominal(), &wanted, false, &mut poses).unwrap();
+            model.poses(&status, &model.info().nominal, &wanted, false, &mut poses).unwrap();
             Vector3::from(poses.position_derivatives[0]).dot(&Vector3::from(poses.position_derivatives[1])).signum()
         };
         let combination = problem.unknowns.iter().map(|unknown| {
@@ -592,7 +592,7 @@ fn with_rotary_tests(
         }
     };
     let model = model(&both[0].machine);
-    let place = |name: &str| model.axes().iter().find(|axis| axis.name == name).unwrap().status;
+    let place = |name: &str| model.info().axes.iter().find(|axis| axis.name == name).unwrap().status;
     let ball = both[0].balls.len();
     let length = both[0].bars[0];
     // Both tests reach it: from the tilting axis along the third direction, from C along the first or second.
@@ -609,7 +609,7 @@ fn with_rotary_tests(
         across[along] = 0.0;
         let mut tip = Vector3::zeros();
         tip[along] = centre[along] + (length * length - across.norm_squared()).sqrt();
-        let mut status = both[0].reach(model.as_ref(), &vec![0.0; model.status().len()], &tip);
+        let mut status = both[0].reach(model.as_ref(), &vec![0.0; model.info().status.len()], &tip);
         for sample in 0..24 {
             status[place(axis)] = (from + (to - from) * f64::from(sample) / 24.0).to_radians();
             rows.push(Planned { status: status.clone(), ball, bar: 0, test: test + index });

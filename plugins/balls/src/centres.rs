@@ -68,7 +68,7 @@ pub fn of_touches(
         let status = mean_status(&touches, model, group).map_err(wrong)?;
         let tips = tips(&touches, model, group)?;
         let ball = &balls[group.ball];
-        let centre = centre(&tips, ball.centre, ball.radius + model.stylus_radius()).ok_or_else(|| {
+        let centre = centre(&tips, ball.centre, ball.radius + model.info().stylus_radius).ok_or_else(|| {
             wrong(format!(
                 "{} touches of ball {} with {by} {} do not determine its centre",
                 tips.len(),
@@ -89,7 +89,7 @@ pub fn of_touches(
 /// The mean of the statuses of a group; those of rotary axes have to be the same.
 fn mean_status(touches: &Layout, model: &dyn KinematicModel, group: &Group) -> Result<Vec<f64>, String> {
     let rows: Vec<&[f64]> = group.rows.iter().map(|&row| touches.poses.row(row)).collect();
-    for axis in model.axes().iter().filter(|axis| axis.kind == AxisKind::Rotary) {
+    for axis in model.info().axes.iter().filter(|axis| axis.kind == AxisKind::Rotary) {
         if rows.iter().any(|row| (row[axis.status] - rows[0][axis.status]).abs() > 1e-9) {
             return Err(format!("touches of one centre are to be made at one position of {}", axis.name));
         }
@@ -102,7 +102,7 @@ fn mean_status(touches: &Layout, model: &dyn KinematicModel, group: &Group) -> R
 fn tips(touches: &Layout, model: &dyn KinematicModel, group: &Group) -> Result<Vec<Vector3<f64>>> {
     let statuses: Vec<f64> = group.rows.iter().flat_map(|&row| touches.poses.row(row).to_vec()).collect();
     let mut poses = Poses::default();
-    model.evaluate(&statuses, &model.nominal(), &[], false, &mut poses)?;
+    model.poses(&statuses, &model.info().nominal, &[], false, &mut poses)?;
     Ok(poses.positions.iter().map(|position| Vector3::from(*position)).collect())
 }
 
@@ -135,13 +135,13 @@ fn centre(tips: &[Vector3<f64>], start: Vector3<f64>, radius: f64) -> Option<Cen
 
 /// The status at which the tip of the nominal machine is at a point of the table frame, by its linear axes.
 fn reach(model: &dyn KinematicModel, mut status: Vec<f64>, point: Vector3<f64>) -> Result<Vec<f64>> {
-    let linear = model.axes().iter().enumerate().filter(|(_, axis)| axis.kind == AxisKind::Linear);
+    let linear = model.info().axes.iter().enumerate().filter(|(_, axis)| axis.kind == AxisKind::Linear);
     let (commands, columns): (Vec<Variable>, Vec<usize>) =
         linear.map(|(index, axis)| (Variable::Command(index), axis.status)).unzip();
-    let nominal = model.nominal();
+    let nominal = &model.info().nominal;
     let mut poses = Poses::default();
     for _ in 0..20 {
-        model.evaluate(&status, &nominal, &commands, false, &mut poses)?;
+        model.poses(&status, nominal, &commands, false, &mut poses)?;
         let off = point - Vector3::from(poses.positions[0]);
         if off.norm() < 1e-11 * (1.0 + point.norm()) {
             return Ok(status);

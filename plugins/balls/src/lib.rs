@@ -12,8 +12,9 @@ use std::sync::Arc;
 
 use abbe_core::{
     Artefact, Build, ColumnHeader, Constructor, Contact, Context, Dataset, Equations, Error, Feature, InputFile,
-    KinematicModel, KnownInput, Label, Layout, Observations, Parameter, PathItem, Plugin, PoseValues, Quantity, Result,
-    SettingsError, Target, Unit, inventory, not_negative, plain_naming, pose_columns, positive,
+    KinematicModel, KnownInput, Label, Layout, Observations, ObservationsInfo, Parameter, ParameterRole, PathItem,
+    Plugin, Quantity, Result, RowBatch, SettingsError, Target, Unit, inventory, not_negative, plain_naming,
+    pose_columns, positive,
 };
 use nalgebra::Vector3;
 use schemars::JsonSchema;
@@ -226,12 +227,12 @@ impl Artefact for Balls {
         let estimated = self.settings.radius == Radius::Estimated;
         for ball in &balls {
             for own in ["x", "y", "z", "radius"].iter().take(if estimated { 4 } else { 3 }) {
-                unknowns.push(Parameter { name: format!("ball[{}].{own}", ball.label), unit: Unit::MM });
+                let parameter = Parameter::new(format!("ball[{}].{own}", ball.label), Unit::MM);
+                unknowns.push(parameter.with_role(ParameterRole::Feature));
             }
         }
-        let radius = Parameter { name: "stylus_radius".to_owned(), unit: Unit::MM };
         let of_radius = self.settings.stylus_radius_standard_uncertainty_um * 1e-3;
-        let mut inputs = vec![KnownInput::new(radius, model.stylus_radius(), of_radius).shared()];
+        let mut inputs = vec![KnownInput::stylus_radius(model, of_radius)];
         let mut distances = Vec::new();
         for distance in &self.settings.distances {
             let find = |label: &Label| {
@@ -247,21 +248,22 @@ impl Artefact for Balls {
             layout.push_constraint(&[uncertainty]);
             let name = format!("length[{}-{}]", from.0, to.0);
             let content = format!("distance of balls {} and {}: {length:e} mm, u = {uncertainty:e} mm", from.0, to.0);
-            let parameter = Parameter { name: name.clone(), unit: Unit::MM };
+            let parameter = Parameter::new(&name, Unit::MM);
             inputs.push(KnownInput::new(parameter, length, uncertainty).certified(name, content));
         }
         let rows = if self.settings.centres_by.is_some() { Rows::Centres } else { self.settings.rows };
-        Ok(Arc::new(Touches {
-            layout,
-            unknowns,
-            inputs,
-            balls,
-            ball_of_row,
-            centre_by_radius,
-            distances,
-            rows,
-            estimated,
-        }))
+        let features = balls.iter().enumerate().map(|(index, ball)| {
+            let first = first_own(index, estimated);
+            Feature {
+                label: ball.label.clone(),
+                point: ball.centre.into(),
+                shifts: vec![(first, [1.0, 0.0, 0.0]), (first + 1, [0.0, 1.0, 0.0]), (first + 2, [0.0, 0.0, 1.0])],
+            }
+        });
+        let features = features.collect();
+        let info =
+            ObservationsInfo { inputs, features, ..ObservationsInfo::new(layout, unknowns, Contact::LinearAxes) };
+        Ok(Arc::new(Touches { info, balls, ball_of_row, centre_by_radius, distances, rows, estimated }))
     }
 
     fn targets(&self, stylus_radius: f64) -> Result<Vec<Target>> {
@@ -287,9 +289,7 @@ impl Artefact for Balls {
 
 /// Touches on balls.
 struct Touches {
-    layout: Layout,
-    unknowns: Vec<Parameter>,
-    inputs: Vec<KnownInput>,
+    info: ObservationsInfo,
     balls: Vec<Ball>,
     ball_of_row: Vec<usize>,
     /// Of centres that were fitted: their derivative to the stylus radius.
@@ -299,10 +299,14 @@ struct Touches {
     estimated: bool,
 }
 
+/// Index of the first unknown of a ball, whose radius may be estimated, too.
+fn first_own(ball: usize, estimated: bool) -> usize {
+    ball * if estimated { 4 } else { 3 }
+}
+
 impl Touches {
-    /// Index of the first unknown of a ball.
     fn first_own(&self, ball: usize) -> usize {
-        ball * if self.estimated { 4 } else { 3 }
+        first_own(ball, self.estimated)
     }
 
     fn centre(&self, ball: usize, own: &[f64]) -> Vector3<f64> {
@@ -313,7 +317,7 @@ impl Touches {
     /// What another stylus radius than that of the fit changes in the centre of a row.
     fn by_stylus(&self, row: usize, inputs: &[f64]) -> Vector3<f64> {
         let by_radius = self.centre_by_radius.get(row).copied().unwrap_or_default();
-        by_radius * (inputs[0] - self.inputs[0].value)
+        by_radius * (inputs[0] - self.info.inputs[0].value)
     }
 
     /// Derivatives to the offsets of a ball's centre.
@@ -325,20 +329,13 @@ impl Touches {
 }
 
 impl Observations for Touches {
-    fn layout(&self) -> &Layout {
-        &self.layout
+    fn info(&self) -> &ObservationsInfo {
+        &self.info
     }
 
-    fn unknowns(&self) -> &[Parameter] {
-        &self.unknowns
-    }
-
-    fn inputs(&self) -> &[KnownInput] {
-        &self.inputs
-    }
-
-    fn evaluate(&self, rows: &[usize], poses: PoseValues<'_>, own: &[f64], inputs: &[f64], out: &mut Equations) {
-        let mut positions = poses.positions.iter();
+    fn evaluate(&self, batch: RowBatch<'_>, out: &mut Equations) -> Result<()> {
+        let RowBatch { rows, own, inputs, .. } = batch;
+        let mut positions = batch.positions.iter();
         for &row in rows {
             let Some(&ball) = self.ball_of_row.get(row) else {
                 let distance = row - self.ball_of_row.len();
@@ -350,7 +347,7 @@ impl Observations for Touches {
                 out.input(1 + distance, -1.0);
                 continue;
             };
-            let Some(position) = positions.next() else { return };
+            let Some(position) = positions.next() else { break };
             let from_centre = Vector3::from(*position) - self.centre(ball, own);
             match self.rows {
                 Rows::Touches => {
@@ -379,35 +376,18 @@ impl Observations for Touches {
                 }
             }
         }
+        Ok(())
     }
 
-    fn contact_tip(&self, row: usize, tip: [f64; 3], own: &[f64], inputs: &[f64]) -> Option<[f64; 3]> {
-        let ball = *self.ball_of_row.get(row)?;
+    fn contact_tip(&self, row: usize, tip: [f64; 3], own: &[f64], inputs: &[f64]) -> Result<Option<[f64; 3]>> {
+        let Some(&ball) = self.ball_of_row.get(row) else { return Ok(None) };
         let centre = self.centre(ball, own);
         if self.rows == Rows::Centres {
-            return Some((centre - self.by_stylus(row, inputs)).into());
+            return Ok(Some((centre - self.by_stylus(row, inputs)).into()));
         }
-        let outward = (Vector3::from(tip) - centre).try_normalize(0.0)?;
+        let Some(outward) = (Vector3::from(tip) - centre).try_normalize(0.0) else { return Ok(None) };
         let more = if self.estimated { own[self.first_own(ball) + 3] } else { 0.0 };
         let distance = self.balls[ball].radius + more + inputs[0];
-        Some((centre + distance * outward).into())
-    }
-
-    fn features(&self) -> Vec<Feature> {
-        let balls = self.balls.iter().enumerate();
-        balls
-            .map(|(index, ball)| {
-                let first = self.first_own(index);
-                Feature {
-                    label: ball.label.clone(),
-                    point: ball.centre.into(),
-                    shifts: vec![(first, [1.0, 0.0, 0.0]), (first + 1, [0.0, 1.0, 0.0]), (first + 2, [0.0, 0.0, 1.0])],
-                }
-            })
-            .collect()
-    }
-
-    fn contact(&self) -> Contact {
-        Contact::LinearAxes
+        Ok(Some((centre + distance * outward).into()))
     }
 }

@@ -13,8 +13,8 @@ use std::path::PathBuf;
 use std::sync::Arc;
 
 use abbe_core::{
-    Artefact, Build, ColumnHeader, Constructor, Contact, Context, Dataset, Equations, Feature, InputFile,
-    KinematicModel, KnownInput, Layout, Observations, Parameter, Plugin, PoseValues, Quantity, Result, SettingsError,
+    Artefact, Build, ColumnHeader, Constructor, Contact, Context, Dataset, Equations, InputFile, KinematicModel,
+    KnownInput, Layout, Observations, ObservationsInfo, Parameter, Plugin, Quantity, Result, RowBatch, SettingsError,
     Target, Unit, inventory, not_negative, plain_naming, pose_columns, positive,
 };
 use nalgebra::Vector3;
@@ -234,7 +234,7 @@ impl Artefact for CalibratedPoints {
             let placement = used.partition_point(|placement| *placement < placed[row]);
             rows.push(Measurement { point, placement, directions: directions[row].clone() });
         }
-        let named = |name: String, of| Parameter { name, unit: Unit { of, per: None } };
+        let named = |name: String, of| Parameter::new(name, Unit { of, per: None });
         let name = &self.settings.name;
         let unknowns = used.iter().flat_map(|&placement| {
             let label = &placements.labels[placement];
@@ -254,10 +254,12 @@ impl Artefact for CalibratedPoints {
                 KnownInput::new(parameter, 0.0, uncertainty).certified(quantity, &content)
             })
         });
-        Ok(Arc::new(Measured {
-            layout,
-            unknowns: unknowns.collect(),
+        let info = ObservationsInfo {
             inputs: inputs.collect(),
+            ..ObservationsInfo::new(layout, unknowns.collect(), Contact::LinearAxes)
+        };
+        Ok(Arc::new(Measured {
+            info,
             points: touched.features.iter().map(|&point| points.items[point]).collect(),
             placements: used.iter().map(|&placement| placements.items[placement].clone()).collect(),
             rows,
@@ -286,11 +288,9 @@ struct Measurement {
     directions: Vec<usize>,
 }
 
-/// Measured points.
+/// Measured points. No features are told: a point has as many places as the artefact has placements.
 struct Measured {
-    layout: Layout,
-    unknowns: Vec<Parameter>,
-    inputs: Vec<KnownInput>,
+    info: ObservationsInfo,
     points: Vec<Vector3<f64>>,
     placements: Vec<Placement>,
     rows: Vec<Measurement>,
@@ -304,25 +304,17 @@ impl Measured {
 }
 
 impl Observations for Measured {
-    fn layout(&self) -> &Layout {
-        &self.layout
+    fn info(&self) -> &ObservationsInfo {
+        &self.info
     }
 
-    fn unknowns(&self) -> &[Parameter] {
-        &self.unknowns
-    }
-
-    fn inputs(&self) -> &[KnownInput] {
-        &self.inputs
-    }
-
-    fn evaluate(&self, rows: &[usize], poses: PoseValues<'_>, own: &[f64], inputs: &[f64], out: &mut Equations) {
-        for (&row, position) in rows.iter().zip(poses.positions) {
+    fn evaluate(&self, batch: RowBatch<'_>, out: &mut Equations) -> Result<()> {
+        for (&row, position) in batch.rows.iter().zip(batch.positions) {
             let measurement = &self.rows[row];
             let first = 6 * measurement.placement;
             let placement = &self.placements[measurement.placement];
-            let seen = placement.seen(&Vector3::from(*position), &own[first..first + 6]);
-            let from_point = seen.point - self.point(measurement, inputs);
+            let seen = placement.seen(&Vector3::from(*position), &batch.own[first..first + 6]);
+            let from_point = seen.point - self.point(measurement, batch.inputs);
             for &direction in &measurement.directions {
                 out.equation(from_point[direction]);
                 out.position(seen.by_point.row(direction).transpose().into());
@@ -332,22 +324,14 @@ impl Observations for Measured {
                 out.input(3 * measurement.point + direction, -1.0);
             }
         }
+        Ok(())
     }
 
-    fn contact_tip(&self, row: usize, _: [f64; 3], own: &[f64], inputs: &[f64]) -> Option<[f64; 3]> {
+    fn contact_tip(&self, row: usize, _: [f64; 3], own: &[f64], inputs: &[f64]) -> Result<Option<[f64; 3]>> {
         let measurement = &self.rows[row];
         let first = 6 * measurement.placement;
         let placement = &self.placements[measurement.placement];
-        Some(placement.place(&self.point(measurement, inputs), &own[first..first + 6]).into())
-    }
-
-    fn features(&self) -> Vec<Feature> {
-        // A point has as many places as the artefact has placements.
-        Vec::new()
-    }
-
-    fn contact(&self) -> Contact {
-        Contact::LinearAxes
+        Ok(Some(placement.place(&self.point(measurement, inputs), &own[first..first + 6]).into()))
     }
 }
 

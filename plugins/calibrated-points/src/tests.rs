@@ -42,12 +42,12 @@ fn observed(points: &str, placements: &str, data: &str) -> Result<Arc<dyn Observ
 #[test]
 fn names_are_those_of_placements_and_points_that_occur() {
     let observed = observed(POINTS, PLACEMENTS, &DATA.replace("1,2,45", "1,1,45")).unwrap();
-    let names: Vec<&str> = observed.unknowns().iter().map(|unknown| unknown.name.as_str()).collect();
+    let names: Vec<&str> = observed.info().unknowns.iter().map(|unknown| unknown.name.as_str()).collect();
     assert_eq!(names, ["bar[1].x", "bar[1].y", "bar[1].z", "bar[1].a", "bar[1].b", "bar[1].c"]);
-    assert_eq!(observed.inputs().len(), 9);
-    assert_eq!(observed.inputs()[4].parameter.name, "point[1].y");
-    assert_eq!(observed.inputs()[4].standard_uncertainty, 2e-4);
-    assert_eq!(observed.layout().standard_uncertainties.len(), 3 + 2 + 1 + 3);
+    assert_eq!(observed.info().inputs.len(), 9);
+    assert_eq!(observed.info().inputs[4].parameter.name, "point[1].y");
+    assert_eq!(observed.info().inputs[4].standard_uncertainty, 2e-4);
+    assert_eq!(observed.info().layout.standard_uncertainties.len(), 3 + 2 + 1 + 3);
 }
 
 #[test]
@@ -74,7 +74,7 @@ fn what_is_wrong_is_named() {
 #[test]
 fn rows_of_other_artefacts_are_left_to_them() {
     let observed = observed(POINTS, PLACEMENTS, &DATA.replace("\n1,2,45", "\nother,2,45")).unwrap();
-    assert_eq!(observed.layout().rows.len(), 3);
+    assert_eq!(observed.info().layout.rows.len(), 3);
 }
 
 #[test]

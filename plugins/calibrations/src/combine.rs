@@ -99,7 +99,7 @@ struct Known<'a> {
 impl<'a> Known<'a> {
     fn new(fit: &'a Fit, problem: &Problem) -> Result<Self> {
         let calibration = &fit.calibration;
-        let order = &calibration.covariance.order;
+        let covariance = &calibration.covariance;
         let (mut places, mut columns) = (Vec::new(), Vec::new());
         for (place, unknown) in problem.unknowns.iter().enumerate() {
             let Some(found) = calibration.parameters.iter().find(|parameter| parameter.name == unknown.name) else {
@@ -116,8 +116,8 @@ impl<'a> Known<'a> {
                 let message = format!("the data of `{}` cannot separate `{}` from others", fit.name, unknown.name);
                 return Err(Error::data(message).help("leave it out by `parameters`").setting("of"));
             }
-            let column = order.iter().position(|name| *name == unknown.name);
-            if let Some(column) = column.filter(|&column| calibration.covariance.rows[column][column] > 0.0) {
+            let column = covariance.index(&unknown.name);
+            if let Some(column) = column.filter(|&column| covariance.rows[column][column] > 0.0) {
                 places.push(place);
                 columns.push(column);
             }
@@ -126,8 +126,7 @@ impl<'a> Known<'a> {
             let message = format!("`{}` has estimated none of the parameters that are combined", fit.name);
             return Err(Error::data(message).setting("of"));
         }
-        let rows = &calibration.covariance.rows;
-        let size = columns.len();
+        let (rows, size) = (&covariance.rows, columns.len());
         let mut noise = DMatrix::from_fn(size, size, |row, column| rows[columns[row]][columns[column]]);
         let mut inputs = Vec::new();
         for input in calibration.inputs.iter().flatten() {
@@ -136,7 +135,7 @@ impl<'a> Known<'a> {
             inputs.push((input, sensitivity));
         }
         let of_order = |name: &String| calibration.get(name).map_or(f64::NAN, |found| found.value);
-        let values = DVector::from_iterator(size, columns.iter().map(|&column| of_order(&order[column])));
+        let values = DVector::from_iterator(size, columns.iter().map(|&column| of_order(&covariance.order[column])));
         let weight = inverse(&noise).ok_or_else(|| {
             Error::data(format!("the covariance of `{}` is singular without the inputs that it considers", fit.name))
                 .help("leave out by `parameters` what its measurements do not tell by themselves")
@@ -384,12 +383,12 @@ impl Estimate for Combination {
             );
         }
         let estimated = |name: &str| {
-            let known = |fit: &&&Fit| fit.calibration.covariance.order.iter().any(|other| other == name);
+            let known = |fit: &&&Fit| fit.calibration.covariance.index(name).is_some();
             fits.iter().any(|fit| known(&fit))
         };
         let missing =
             fits.iter().flat_map(|fit| fit.calibration.parameters.iter().map(move |it| (fit, it))).find(|(_, it)| {
-                let here = problem.model.parameters().iter().any(|parameter| parameter.name == it.name);
+                let here = problem.model.info().parameters.iter().any(|parameter| parameter.name == it.name);
                 it.status == Status::Estimated && !here
             });
         if let Some((fit, parameter)) = missing {
@@ -426,7 +425,7 @@ impl Estimate for Combination {
 /// The problem with the values of what a calibration knows or holds of the machine.
 fn held(problem: &Problem, calibration: &Calibration) -> Problem {
     let mut problem = problem.clone();
-    for (value, parameter) in problem.machine.iter_mut().zip(problem.model.parameters()) {
+    for (value, parameter) in problem.machine.iter_mut().zip(&problem.model.info().parameters) {
         let known = calibration.parameters.iter().find(|known| known.name == parameter.name);
         if let Some(known) = known.filter(|known| known.status == Status::Fixed && known.value != 0.0) {
             *value = known.value;

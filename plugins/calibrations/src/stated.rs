@@ -142,7 +142,7 @@ impl Statement {
     }
 
     fn unit(&self, name: &str, problem: &Problem) -> Result<Unit, String> {
-        let parameters = problem.model.parameters();
+        let parameters = &problem.model.info().parameters;
         let found = parameters.iter().find(|parameter| parameter.name == *name);
         found.map(|parameter| parameter.unit).ok_or_else(|| no_parameter(name, problem))
     }
@@ -183,7 +183,7 @@ impl Statement {
             if self.ignores(&name) {
                 continue;
             }
-            let parameters = problem.model.parameters();
+            let parameters = &problem.model.info().parameters;
             let index = parameters.iter().position(|parameter| parameter.name == name);
             let index = index.ok_or_else(|| place(no_parameter(&name, &problem)))?;
             if seen.contains(&name) {
@@ -212,7 +212,7 @@ impl Statement {
 }
 
 fn no_parameter(name: &str, problem: &Problem) -> String {
-    let names = problem.model.parameters().iter().map(|parameter| parameter.name.as_str());
+    let names = problem.model.info().parameters.iter().map(|parameter| parameter.name.as_str());
     match abbe_core::nearest(name, names) {
         Some(near) => format!("`{name}` is no parameter of the machine; did you mean `{near}`?"),
         None => format!(

@@ -312,7 +312,7 @@ impl Settings {
             abbe_table::require(headers, file, &[("reading", quantity)])?;
             for axis in measurement.moving() {
                 let axis = line::axis(model, axis).map_err(|error| at(label, error))?;
-                let commands = model.status()[model.axes()[axis].status].quantity;
+                let commands = model.info().status[model.info().axes[axis].status].quantity;
                 abbe_table::require(headers, file, &[("position", commands)])?;
             }
             if measurement.kind == Kind::Square {

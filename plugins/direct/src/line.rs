@@ -63,7 +63,7 @@ pub fn naming(status: &StatusColumn, axis: Option<&Axis>) -> (Vec<String>, Absen
 
 /// The index of an axis.
 pub fn axis(model: &dyn KinematicModel, name: &str) -> Result<usize, SettingsError> {
-    let names = || model.axes().iter().map(|axis| axis.name.as_str());
+    let names = || model.info().axes.iter().map(|axis| axis.name.as_str());
     names()
         .position(|axis| axis == name)
         .ok_or_else(|| SettingsError::new("moves", format!("the machine has no axis {name}")).suggest(name, names()))
@@ -123,7 +123,7 @@ fn statuses(
         for (name, value) in given {
             let under = |error: SettingsError| error.under([PathItem::Key(setting.to_owned())]);
             let index = axis(model, name).map_err(|error| under(SettingsError { path: Vec::new(), ..error }))?;
-            let axis = &model.axes()[index];
+            let axis = &model.info().axes[index];
             if axis.kind != kind {
                 let right = if kind == AxisKind::Linear { "at_deg" } else { "at_mm" };
                 return Err(under(SettingsError::new(name, format!("this axis belongs under `{right}`"))));
@@ -132,7 +132,7 @@ fn statuses(
         }
     }
     let moving = measurement.moving();
-    for axis in model.axes() {
+    for axis in &model.info().axes {
         // Along a square an axis moves on its own leg and rests on the other.
         let moves = moving.len() == 1 && moving[0] == axis.name;
         if moves && statuses.contains_key(&axis.status) {
@@ -154,7 +154,7 @@ fn statuses(
         }
     }
     if let Some(stylus) = &measurement.stylus {
-        let column = model.status().iter().enumerate().find(|(_, status)| status.name == "stylus");
+        let column = model.info().status.iter().enumerate().find(|(_, status)| status.name == "stylus");
         let levels = column.map_or(&[][..], |(_, status)| &status.levels);
         match (column, levels.iter().position(|level| *level == stylus.0)) {
             (Some((status, _)), Some(level)) => drop(statuses.insert(status, level as f64)),
@@ -172,10 +172,10 @@ fn statuses(
 
 /// The direction in which a linear axis moves the tip relative to the table; zero for a rotary one.
 fn motion(axis: usize, at: &BTreeMap<usize, f64>, model: &dyn KinematicModel) -> Result<Vector3<f64>> {
-    if model.axes()[axis].kind == AxisKind::Rotary {
+    if model.info().axes[axis].kind == AxisKind::Rotary {
         return Ok(Vector3::zeros());
     }
-    let status: Vec<f64> = (model.status().iter().enumerate())
+    let status: Vec<f64> = (model.info().status.iter().enumerate())
         .map(|(index, status)| match (at.get(&index), status.absent) {
             (Some(value), _) => *value,
             (None, Absent::Taken(value)) => value,
@@ -183,7 +183,7 @@ fn motion(axis: usize, at: &BTreeMap<usize, f64>, model: &dyn KinematicModel) ->
         })
         .collect();
     let mut poses = Poses::default();
-    model.evaluate(&status, &model.nominal(), &[Variable::Command(axis)], false, &mut poses)?;
+    model.poses(&status, &model.info().nominal, &[Variable::Command(axis)], false, &mut poses)?;
     Ok(Vector3::from(poses.position_derivatives[0]).try_normalize(1e-9).unwrap_or_else(Vector3::zeros))
 }
 
@@ -199,17 +199,17 @@ fn legs(
         Direction::Named(Letter::Z) => Vector3::z(),
         Direction::Vector(vector) => Vector3::from(*vector).normalize(),
     });
-    let sign = |axis: Option<usize>| match (measurement.body, axis.map(|axis| model.axes()[axis].branch)) {
+    let sign = |axis: Option<usize>| match (measurement.body, axis.map(|axis| model.info().axes[axis].branch)) {
         (Some(Body::Table), _) | (None, Some(Branch::Workpiece)) => -1.0,
         _ => 1.0,
     };
     let leg = |axis: Option<usize>, direction: Vector3<f64>, by_tilt: f64| {
         let sign = sign(axis);
-        let named = axis.map(|axis| &model.axes()[axis]);
+        let named = axis.map(|axis| &model.info().axes[axis]);
         Leg {
             name: named.map_or_else(String::new, |axis| axis.name.clone()),
             command: named.map(|axis| axis.status),
-            approach: axis.and_then(|axis| model.status_of(&StatusRole::Direction(axis))),
+            approach: axis.and_then(|axis| model.info().status_of(&StatusRole::Direction(axis))),
             sensitivity: direction * sign,
             by_tilt: by_tilt * sign,
         }
@@ -225,7 +225,7 @@ fn legs(
             return Ok(vec![leg(Some(one), second, -1.0), leg(Some(other), first, 1.0)]);
         }
     };
-    let (direction, name) = (said.unwrap_or(along), &model.axes()[axis].name);
+    let (direction, name) = (said.unwrap_or(along), &model.info().axes[axis].name);
     let cosine = direction.dot(&along).abs();
     let (help, wrong) = match measurement.kind {
         Kind::Displacement => ("a motion across is read as `kind: straightness`", cosine < ALONG),
@@ -245,7 +245,7 @@ fn legs(
 
 /// The quantity of a tilt per unit of position.
 pub fn of_tilt(model: &dyn KinematicModel, leg: &Leg) -> abbe_core::Unit {
-    let commands = leg.command.map_or(Quantity::Length, |status| model.status()[status].quantity);
+    let commands = leg.command.map_or(Quantity::Length, |status| model.info().status[status].quantity);
     match commands {
         Quantity::Angle => abbe_core::Unit::per(Quantity::Length, Quantity::Angle, 1),
         _ => abbe_core::Unit::RAD,

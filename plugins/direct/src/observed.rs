@@ -5,8 +5,8 @@ use std::sync::Arc;
 
 use abbe_core::rotation::inverse_left_jacobian;
 use abbe_core::{
-    Contact, Dataset, Equations, Feature, KinematicModel, KnownInput, Layout, Observations, Parameter, PoseValues,
-    Poses, Quantity, Result, Unit, Values,
+    Contact, Dataset, Equations, KinematicModel, Layout, Observations, ObservationsInfo, Orientation, Parameter,
+    ParameterRole, Poses, Quantity, Result, RowBatch, Unit, Values,
 };
 use nalgebra::{Quaternion, UnitQuaternion, Vector3};
 
@@ -31,8 +31,7 @@ enum Nominal {
 
 /// All readings.
 struct Observed {
-    layout: Layout,
-    unknowns: Vec<Parameter>,
+    info: ObservationsInfo,
     readings: Vec<Reading>,
     nominal: Nominal,
 }
@@ -47,7 +46,7 @@ struct Unknowns {
 impl Unknowns {
     fn get(&mut self, name: String, unit: Unit) -> usize {
         *self.index.entry(name).or_insert_with_key(|name| {
-            self.all.push(Parameter { name: name.clone(), unit });
+            self.all.push(Parameter::new(name, unit).with_role(ParameterRole::SetUp));
             self.all.len() - 1
         })
     }
@@ -101,7 +100,13 @@ pub fn observe(
     }
     let angles = lines.values().any(|line| line.angle);
     let nominal = nominal(&layout, model, angles)?;
-    Ok(Arc::new(Observed { layout, unknowns: unknowns.all, readings, nominal }))
+    // No features: a line is none.
+    let mut info = ObservationsInfo::new(layout, unknowns.all, Contact::Reading("reading".to_owned()));
+    if angles {
+        info.orientation = Orientation::FirstOrder;
+        info.angles = (0..info.layout.standard_uncertainties.len()).collect();
+    }
+    Ok(Arc::new(Observed { info, readings, nominal }))
 }
 
 /// The name of what has an offset of its own: `EXX[1]`, `EXX` where nothing is told apart.
@@ -197,7 +202,7 @@ impl<'a> Columns<'a> {
 fn nominal(layout: &Layout, model: &dyn KinematicModel, angles: bool) -> Result<Nominal> {
     let statuses: Vec<f64> = (0..layout.poses.len()).flat_map(|pose| layout.poses.row(pose)).copied().collect();
     let mut poses = Poses::default();
-    model.evaluate(&statuses, &model.nominal(), &[], angles, &mut poses)?;
+    model.poses(&statuses, &model.info().nominal, &[], angles, &mut poses)?;
     Ok(match angles {
         true => Nominal::Orientations(poses.orientations.iter().map(|at| rotation(*at)).collect()),
         false => Nominal::Tips(poses.positions.iter().map(|tip| Vector3::from(*tip)).collect()),
@@ -209,45 +214,23 @@ fn rotation([w, x, y, z]: [f64; 4]) -> UnitQuaternion<f64> {
 }
 
 impl Observations for Observed {
-    fn layout(&self) -> &Layout {
-        &self.layout
+    fn info(&self) -> &ObservationsInfo {
+        &self.info
     }
 
-    fn unknowns(&self) -> &[Parameter] {
-        &self.unknowns
-    }
-
-    fn inputs(&self) -> &[KnownInput] {
-        &[]
-    }
-
-    fn quantity(&self, _: usize, _: usize) -> Quantity {
-        match self.nominal {
-            Nominal::Tips(_) => Quantity::Length,
-            Nominal::Orientations(_) => Quantity::Angle,
-        }
-    }
-
-    fn needs_orientation(&self) -> bool {
-        matches!(self.nominal, Nominal::Orientations(_))
-    }
-
-    fn first_order_orientation(&self) -> bool {
-        self.needs_orientation()
-    }
-
-    fn evaluate(&self, rows: &[usize], poses: PoseValues<'_>, own: &[f64], _: &[f64], out: &mut Equations) {
+    fn evaluate(&self, batch: RowBatch<'_>, out: &mut Equations) -> Result<()> {
+        let RowBatch { rows, own, .. } = batch;
         for (index, &row) in rows.iter().enumerate() {
             let reading = &self.readings[row];
             let line = reading.own.iter().map(|&(unknown, factor)| factor * own[unknown]).sum::<f64>() - reading.value;
             match &self.nominal {
                 Nominal::Tips(tips) => {
-                    let moved = Vector3::from(poses.positions[index]) - tips[row];
+                    let moved = Vector3::from(batch.positions[index]) - tips[row];
                     out.equation(reading.sensitivity.dot(&moved) + line);
                     out.position(reading.sensitivity.into());
                 }
                 Nominal::Orientations(orientations) => {
-                    let turned = (rotation(poses.orientations[index]) * orientations[row].inverse()).scaled_axis();
+                    let turned = (rotation(batch.orientations[index]) * orientations[row].inverse()).scaled_axis();
                     out.equation(reading.sensitivity.dot(&turned) + line);
                     out.position([0.0; 3]);
                     out.rotation((inverse_left_jacobian(&turned).transpose() * reading.sensitivity).into());
@@ -255,18 +238,6 @@ impl Observations for Observed {
             }
             reading.own.iter().for_each(|&(unknown, factor)| out.own(unknown, factor));
         }
-    }
-
-    fn features(&self) -> Vec<Feature> {
-        // A line is no feature of an artefact.
-        Vec::new()
-    }
-
-    fn contact(&self) -> Contact {
-        Contact::Reading("reading".to_owned())
-    }
-
-    fn own_are_offsets(&self) -> bool {
-        true
+        Ok(())
     }
 }

@@ -83,14 +83,14 @@ impl Export for ErrorTable {
 
     fn export(&self, calibration: &Calibration, model: &dyn KinematicModel) -> Result<Vec<ExportedFile>> {
         check_axes(&self.settings.ranges, RANGES, model)?;
-        let functions = model.error_functions();
+        let functions = &model.info().error_functions;
         if functions.is_empty() {
             return Err(Error::usage("the model has no motion errors to tabulate")
                 .help("list some under `errors` of the model, e.g. `{ polynomial: [E?X], degrees: [1, 2, 3] }`"));
         }
         let values = Values::new(calibration, model);
         let mut files = Vec::new();
-        for (index, axis) in model.axes().iter().enumerate() {
+        for (index, axis) in model.info().axes.iter().enumerate() {
             let of_axis: Vec<&ErrorFunction> = functions.iter().filter(|function| function.axis == index).collect();
             if of_axis.is_empty() {
                 continue;

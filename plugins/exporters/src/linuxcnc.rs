@@ -131,12 +131,12 @@ impl Export for LinuxCnc {
 
     fn export(&self, calibration: &Calibration, model: &dyn KinematicModel) -> Result<Vec<ExportedFile>> {
         check_axes(&self.settings.ranges, RANGES, model)?;
-        let functions = model.error_functions();
+        let functions = &model.info().error_functions;
         let values = Values::new(calibration, model);
         let mut files = Vec::new();
         let mut ini = INI_HEADER.to_owned();
-        for index in self.axes(model, &functions)? {
-            let axis = &model.axes()[index];
+        for index in self.axes(model, functions)? {
+            let axis = &model.info().axes[index];
             let (unit, factor) = position_unit(axis);
             let points = points(axis, &self.settings.ranges, self.settings.steps(), MOST)?;
             let mut text = String::new();
@@ -144,7 +144,7 @@ impl Export for LinuxCnc {
                 let at = |direction: f64| -> Result<f64> {
                     let status = status(model, axis, point / factor, direction);
                     let mut error = 0.0;
-                    for (part, function) in along(index, axis, &functions) {
+                    for (part, function) in along(index, axis, functions) {
                         error += part * values.motion_error(model, function, &status)?.0;
                     }
                     // A positive command moves the body by its sense, and the body is what is off.
@@ -184,10 +184,10 @@ const INI_HEADER: &str = "\
 impl LinuxCnc {
     /// The axes to compensate.
     fn axes(&self, model: &dyn KinematicModel, functions: &[ErrorFunction]) -> Result<Vec<usize>> {
-        let positions = |index: usize| !along(index, &model.axes()[index], functions).is_empty();
+        let positions = |index: usize| !along(index, &model.info().axes[index], functions).is_empty();
         let Some(names) = &self.settings.axes else {
-            let all = 0..model.axes().len();
-            let axes: Vec<usize> = all.filter(|&index| !model.axes()[index].indexed && positions(index)).collect();
+            let all = 0..model.info().axes.len();
+            let axes: Vec<usize> = all.filter(|&index| !model.info().axes[index].indexed && positions(index)).collect();
             if axes.is_empty() {
                 return Err(Error::usage("no axis of the model has a positioning error to compensate")
                     .help("list some under `errors` of the model, e.g. `{ polynomial: [EXX], degrees: [1, 2, 3] }`"));
@@ -196,10 +196,10 @@ impl LinuxCnc {
         };
         let mut axes = Vec::new();
         for (place, name) in names.iter().enumerate() {
-            let found = model.axes().iter().position(|axis| axis.name == *name);
+            let found = model.info().axes.iter().position(|axis| axis.name == *name);
             let mut error = match found {
                 None => Error::usage(format!("the machine has no axis {name}"))
-                    .suggest(name, model.axes().iter().map(|axis| axis.name.as_str())),
+                    .suggest(name, model.info().axes.iter().map(|axis| axis.name.as_str())),
                 Some(index) if axes.contains(&index) => Error::usage(format!("axis {name} is listed twice")),
                 Some(index) if positions(index) => {
                     axes.push(index);
@@ -251,7 +251,7 @@ mod tests {
 
     fn tip(model: &dyn KinematicModel, status: &[f64], values: &[f64]) -> [f64; 3] {
         let mut poses = Poses::default();
-        model.evaluate(status, values, &[], false, &mut poses).unwrap();
+        model.poses(status, values, &[], false, &mut poses).unwrap();
         poses.positions[0]
     }
 
@@ -281,10 +281,10 @@ mod tests {
         ];
         for (loop_, name, axes, errors) in cases {
             let model = chain(loop_, axes, errors);
-            let axis = model.axes().iter().find(|axis| axis.name == name).unwrap();
+            let axis = model.info().axes.iter().find(|axis| axis.name == name).unwrap();
             let (_, factor) = position_unit(axis);
             let mut values = Vec::new();
-            for parameter in model.parameters() {
+            for parameter in &model.info().parameters {
                 let size = match parameter.name.get(3..) {
                     Some("[1]") if parameter.name.starts_with('E') => 3e-5,
                     Some("[2]") if axis.kind == AxisKind::Linear => 2e-8,

@@ -26,13 +26,13 @@ pub fn points(axis: &Axis, ranges: &Ranges, steps: Steps, most: usize) -> Result
 /// not mention it, other axes at zero.
 pub fn status(model: &dyn KinematicModel, axis: &Axis, position: f64, direction: f64) -> Vec<f64> {
     let of_axis =
-        |role: &StatusRole| matches!(role, StatusRole::Direction(of) if model.axes()[*of].status == axis.status);
-    let columns = model.status().iter().enumerate();
+        |role: &StatusRole| matches!(role, StatusRole::Direction(of) if model.info().axes[*of].status == axis.status);
+    let columns = model.info().status.iter().enumerate();
     columns
         .map(|(index, column)| match column.absent {
             _ if index == axis.status => position,
             _ if of_axis(&column.role) => direction,
-            _ if model.axes().iter().any(|other| other.status == index) => 0.0,
+            _ if model.info().axes.iter().any(|other| other.status == index) => 0.0,
             Absent::Taken(value) => value,
             Absent::Refused => 0.0,
         })
@@ -53,12 +53,12 @@ impl<'a> Values<'a> {
             calibration.parameters.iter().map(|parameter| (parameter.name.as_str(), parameter.value)).collect();
         let order: BTreeMap<&str, usize> =
             calibration.covariance.order.iter().enumerate().map(|(row, name)| (name.as_str(), row)).collect();
-        let parameters = model.parameters().iter().map(|parameter| parameter.name.as_str());
+        let parameters = model.info().parameters.iter().map(|parameter| parameter.name.as_str());
         Self {
             values: parameters
                 .clone()
-                .zip(model.nominal())
-                .map(|(name, nominal)| known.get(name).copied().unwrap_or(nominal))
+                .zip(&model.info().nominal)
+                .map(|(name, nominal)| known.get(name).copied().unwrap_or(*nominal))
                 .collect(),
             calibration,
             rows: parameters.map(|name| order.get(name).copied()).collect(),

@@ -18,17 +18,17 @@ pub fn chain(structure: &str, axes: Value, errors: Value) -> Arc<dyn KinematicMo
 /// A calibration with some values, the others zero, without covariance.
 pub fn calibration(model: &dyn KinematicModel, values: &[(&str, f64)]) -> Calibration {
     for (name, _) in values {
-        assert!(model.parameters().iter().any(|parameter| parameter.name == *name), "{name}");
+        assert!(model.info().parameters.iter().any(|parameter| parameter.name == *name), "{name}");
     }
     let value = |name: &str| values.iter().find(|(other, _)| *other == name).map_or(0.0, |(_, value)| *value);
-    let parameters = model.parameters().iter().map(|parameter| {
+    let parameters = model.info().parameters.iter().map(|parameter| {
         let (value, unit) = (value(&parameter.name), parameter.unit.to_string());
         json!({ "name": parameter.name, "value": value, "unit": unit, "standard_uncertainty": 0, "status": "fixed" })
     });
     let text = json!({
         "abbe_calibration": CALIBRATION_FORMAT,
         "estimate": "fit",
-        "model": { "plugin": "serial-chain", "settings": model.settings() },
+        "model": { "plugin": "serial-chain", "settings": model.info().settings },
         "parameters": parameters.collect::<Vec<_>>(),
         "artefacts": [],
         "covariance": { "order": [], "rows": [] },

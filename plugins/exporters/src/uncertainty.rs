@@ -1,7 +1,7 @@
 //! Exporter `uncertainty`: values, standard uncertainties, covariances and correlations of a calibration, as CSV.
 
 use abbe_core::{
-    Build, Calibration, Constructor, Context, Covariance, Export, ExportedFile, InputFile, KinematicModel, Plugin,
+    Build, Calibration, Constructor, Context, Export, ExportedFile, InputFile, KinematicModel, NamedCovariance, Plugin,
     Result, SettingsError, Status, inventory,
 };
 use schemars::JsonSchema;
@@ -42,7 +42,7 @@ impl Export for Uncertainty {
     }
 
     fn export(&self, calibration: &Calibration, _: &dyn KinematicModel) -> Result<Vec<ExportedFile>> {
-        let Covariance { order, rows } = &calibration.covariance;
+        let NamedCovariance { order, rows } = &calibration.covariance;
         let standard: Vec<f64> = (0..order.len()).map(|index| rows[index][index].max(0.0).sqrt()).collect();
         let correlation = |row: usize, column: usize| match standard[row] * standard[column] {
             0.0 => String::new(),

@@ -95,7 +95,7 @@ impl Export for VolumetricTable {
         let mut text = self.settings.task.comment().to_owned();
         columns.iter().for_each(|column| text.extend([column.header.as_str(), ","]));
         text.push_str(COLUMNS);
-        for (status, error) in statuses.chunks(model.status().len()).zip(&errors) {
+        for (status, error) in statuses.chunks(model.info().status.len()).zip(&errors) {
             let ellipsoid = error.ellipsoid(self.settings.probability)?;
             let um = |value: &f64| fixed(value * 1e3);
             let mut cells: Vec<String> =
@@ -129,11 +129,11 @@ struct PositionColumn {
 impl VolumetricTable {
     /// The axes, then the directions of approach if they differ from row to row.
     fn position_columns(&self, model: &dyn KinematicModel) -> Vec<PositionColumn> {
-        let axes = model.axes().iter().map(|axis| {
+        let axes = model.info().axes.iter().map(|axis| {
             let (unit, factor) = position_unit(axis);
             PositionColumn { header: format!("{}_{unit}", axis.name), status: axis.status, factor }
         });
-        let directions = model.status().iter().enumerate();
+        let directions = model.info().status.iter().enumerate();
         let directions = directions
             .filter(|(_, column)| self.settings.grid.both_directions && matches!(column.role, StatusRole::Direction(_)))
             .map(|(status, column)| PositionColumn { header: column.name.clone(), status, factor: 1.0 });

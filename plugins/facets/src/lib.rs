@@ -13,8 +13,9 @@ use std::sync::Arc;
 
 use abbe_core::{
     Artefact, Build, ColumnHeader, Constructor, Contact, Context, Dataset, Equations, Error, Feature, InputFile,
-    KinematicModel, KnownInput, Label, Layout, Observations, Parameter, PathItem, Plugin, PoseValues, Quantity, Result,
-    SettingsError, Target, Unit, inventory, not_negative, plain_naming, pose_columns, positive,
+    KinematicModel, KnownInput, Label, Layout, Observations, ObservationsInfo, Parameter, ParameterRole, PathItem,
+    Plugin, Quantity, Result, RowBatch, SettingsError, Target, Unit, inventory, not_negative, plain_naming,
+    pose_columns, positive,
 };
 use nalgebra::Vector3;
 use schemars::JsonSchema;
@@ -211,12 +212,21 @@ impl Artefact for Facets {
         }
         let facet_of_row = touched.rows.iter().map(|(_, facet)| *facet).collect();
         let facets: Vec<Facet> = touched.features.iter().map(|&facet| nominal[facet].clone()).collect();
-        let unknowns =
-            facets.iter().map(|facet| Parameter { name: format!("facet[{}].d", facet.label), unit: Unit::MM });
-        let radius = Parameter { name: "stylus_radius".to_owned(), unit: Unit::MM };
+        let unknowns = facets.iter().map(|facet| {
+            Parameter::new(format!("facet[{}].d", facet.label), Unit::MM).with_role(ParameterRole::Feature)
+        });
+        let features = facets.iter().enumerate().map(|(index, facet)| Feature {
+            label: facet.label.clone(),
+            point: facet.point.into(),
+            shifts: vec![(index, facet.normal.into())],
+        });
         let uncertainty = self.settings.stylus_radius_standard_uncertainty_um * 1e-3;
-        let radius = KnownInput::new(radius, model.stylus_radius(), uncertainty).shared();
-        Ok(Arc::new(Touches { layout, unknowns: unknowns.collect(), inputs: vec![radius], facets, facet_of_row }))
+        let info = ObservationsInfo {
+            inputs: vec![KnownInput::stylus_radius(model, uncertainty)],
+            features: features.collect(),
+            ..ObservationsInfo::new(layout, unknowns.collect(), Contact::LinearAxes)
+        };
+        Ok(Arc::new(Touches { info, facets, facet_of_row }))
     }
 
     fn targets(&self, stylus_radius: f64) -> Result<Vec<Target>> {
@@ -231,55 +241,31 @@ impl Artefact for Facets {
 
 /// Touches on facets.
 struct Touches {
-    layout: Layout,
-    unknowns: Vec<Parameter>,
-    inputs: Vec<KnownInput>,
+    info: ObservationsInfo,
     facets: Vec<Facet>,
     facet_of_row: Vec<usize>,
 }
 
 impl Observations for Touches {
-    fn layout(&self) -> &Layout {
-        &self.layout
+    fn info(&self) -> &ObservationsInfo {
+        &self.info
     }
 
-    fn unknowns(&self) -> &[Parameter] {
-        &self.unknowns
-    }
-
-    fn inputs(&self) -> &[KnownInput] {
-        &self.inputs
-    }
-
-    fn evaluate(&self, rows: &[usize], poses: PoseValues<'_>, own: &[f64], inputs: &[f64], out: &mut Equations) {
-        for (&row, position) in rows.iter().zip(poses.positions) {
+    fn evaluate(&self, batch: RowBatch<'_>, out: &mut Equations) -> Result<()> {
+        for (&row, position) in batch.rows.iter().zip(batch.positions) {
             let index = self.facet_of_row[row];
             let (distance, outward) = self.facets[index].distance(Vector3::from(*position));
-            out.equation(distance - own[index] - inputs[0]);
+            out.equation(distance - batch.own[index] - batch.inputs[0]);
             out.position(outward.into());
             out.own(index, -1.0);
             out.input(0, -1.0);
         }
+        Ok(())
     }
 
-    fn contact_tip(&self, row: usize, _: [f64; 3], own: &[f64], inputs: &[f64]) -> Option<[f64; 3]> {
+    fn contact_tip(&self, row: usize, _: [f64; 3], own: &[f64], inputs: &[f64]) -> Result<Option<[f64; 3]>> {
         let index = self.facet_of_row[row];
         let Facet { point, normal, .. } = &self.facets[index];
-        Some((point + (own[index] + inputs[0]) * normal).into())
-    }
-
-    fn features(&self) -> Vec<Feature> {
-        let facets = self.facets.iter().enumerate();
-        facets
-            .map(|(index, facet)| Feature {
-                label: facet.label.clone(),
-                point: facet.point.into(),
-                shifts: vec![(index, facet.normal.into())],
-            })
-            .collect()
-    }
-
-    fn contact(&self) -> Contact {
-        Contact::LinearAxes
+        Ok(Some((point + (own[index] + inputs[0]) * normal).into()))
     }
 }

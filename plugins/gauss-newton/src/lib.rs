@@ -342,7 +342,7 @@ impl GaussNewton {
     /// A wavelength has no effect as long as the amplitudes that go with it are zero: those come first, without it. It is told by its
     /// nominal value, which is not zero; any other unknown without effect is one that the data do not see.
     fn started(&self, problem: &Problem, factor: &Factor) -> Result<Option<(Problem, Factor)>> {
-        let nominal = problem.model.nominal();
+        let nominal = &problem.model.info().nominal;
         let idle = |factor: &Factor| -> Vec<String> {
             let shapes = |unknown: &Unknown| unknown.owner == Owner::Machine && nominal[unknown.index] != 0.0;
             let idle = problem.unknowns.iter().zip(factor.norms()).filter(|(_, norm)| **norm == 0.0);
@@ -452,8 +452,8 @@ impl Estimate for GaussNewton {
         Ok(self.iterate(&self.weighted(problem)?, &problem.start(), None, &options)?.x)
     }
 
-    fn accepts(&self, found: &Identifiability) -> bool {
-        found.rank == found.unknowns || self.settings.on_confounded != OnConfounded::Error
+    fn accepts(&self, found: &Identifiability) -> Result<bool> {
+        Ok(found.rank == found.unknowns || self.settings.on_confounded != OnConfounded::Error)
     }
 
     fn identify(&self, problem: &Problem) -> Result<Identifiability> {

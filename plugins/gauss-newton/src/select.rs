@@ -99,7 +99,7 @@ impl Select {
 pub fn reduced(problem: &Problem, selection: &Selection) -> Problem {
     let left_out = |unknown: &Unknown| selection.left_out.contains(&unknown.name);
     let mut reduced = problem.without(left_out);
-    let nominal = problem.model.nominal();
+    let nominal = &problem.model.info().nominal;
     for unknown in problem.unknowns.iter().filter(|unknown| left_out(unknown)) {
         reduced.machine[unknown.index] = nominal[unknown.index];
     }

@@ -9,9 +9,9 @@ use std::sync::Arc;
 
 use abbe_core::{
     Absent, Artefact, Axis, AxisKind, Build, ColumnHeader, Constructor, Contact, Context, Dataset, Equations, Error,
-    Feature, InputFile, KinematicModel, KnownInput, Layout, Observations, Parameter, PathItem, Plugin, PoseValues,
-    Poses, Quantity, Result, SettingsError, StatusColumn, Target, Unit, inventory, not_negative, pose_columns,
-    positive,
+    InputFile, KinematicModel, KnownInput, Layout, Observations, ObservationsInfo, Parameter, ParameterRole, PathItem,
+    Plugin, Poses, Quantity, RankPoint, Result, RowBatch, SettingsError, StatusColumn, Target, Unit, inventory,
+    not_negative, pose_columns, positive,
 };
 use nalgebra::Vector3;
 use schemars::JsonSchema;
@@ -150,10 +150,7 @@ impl Artefact for Lengths {
             return Err(data.error_at(row, format!("the reference length is {} mm", references[row])));
         }
         let mut lengths = Measured {
-            layout,
-            unknowns: Vec::new(),
-            start: Vec::new(),
-            inputs: Vec::new(),
+            info: ObservationsInfo::new(layout, Vec::new(), Contact::LinearAxes),
             references,
             own: Vec::new(),
             calibrations: Vec::new(),
@@ -161,7 +158,10 @@ impl Artefact for Lengths {
         };
         match self.settings.length {
             Length::Estimated => lengths.estimate(model)?,
-            Length::Known => lengths.know(&self.settings)?,
+            Length::Known => {
+                lengths.info.rank_point = RankPoint::AsRecorded;
+                lengths.know(&self.settings)?;
+            }
         }
         Ok(Arc::new(lengths))
     }
@@ -174,10 +174,7 @@ impl Artefact for Lengths {
 
 /// Measured lengths.
 struct Measured {
-    layout: Layout,
-    unknowns: Vec<Parameter>,
-    start: Vec<f64>,
-    inputs: Vec<KnownInput>,
+    info: ObservationsInfo,
     references: Vec<f64>,
     /// The unknown of every row, if lengths are estimated.
     own: Vec<usize>,
@@ -196,17 +193,19 @@ fn of_bar(bars: Option<&[String]>, row: usize, own: &str) -> String {
 impl Measured {
     /// Makes the lengths known, each but for the error of its bar's calibration and for its expansion.
     fn know(&mut self, settings: &Settings) -> Result<()> {
-        let data = self.layout.data.clone();
+        let data = self.info.layout.data.clone();
         let bars = data.labels("bar");
         for row in 0..data.rows() {
             let name = of_bar(bars, row, "reference_error");
-            let known = self.inputs.iter().position(|input| input.parameter.name == name).unwrap_or_else(|| {
+            let known = self.info.inputs.iter().position(|input| input.parameter.name == name).unwrap_or_else(|| {
                 // Added to the reference: zero unless the calibration is off.
-                let parameter = Parameter { name, unit: Unit::MM };
+                let parameter = Parameter::new(name, Unit::MM);
                 let uncertainty = settings.reference_standard_uncertainty_um * 1e-3;
                 let content = self.certificate(bars, row, uncertainty);
-                self.inputs.push(KnownInput::new(parameter, 0.0, uncertainty).certified("reference_error", content));
-                self.inputs.len() - 1
+                self.info
+                    .inputs
+                    .push(KnownInput::new(parameter, 0.0, uncertainty).certified("reference_error", content));
+                self.info.inputs.len() - 1
             });
             self.calibrations.push(known);
         }
@@ -222,12 +221,12 @@ impl Measured {
             }
         };
         let excess = temperatures.iter().map(|temperature| temperature - REFERENCE_TEMPERATURE).collect();
-        self.excess = Some((self.inputs.len(), excess));
+        self.excess = Some((self.info.inputs.len(), excess));
         let known = |name: &str, of, value, standard_uncertainty| {
-            let parameter = Parameter { name: name.to_owned(), unit: Unit { of, per: None } };
+            let parameter = Parameter::new(name, Unit { of, per: None });
             KnownInput::new(parameter, value, standard_uncertainty)
         };
-        self.inputs.extend([
+        self.info.inputs.extend([
             known(
                 "expansion_coefficient",
                 Quantity::PerTemperature,
@@ -263,27 +262,28 @@ impl Measured {
 
     /// Makes the lengths unknown, starting from what the nominal machine measures.
     fn estimate(&mut self, model: &dyn KinematicModel) -> Result<()> {
-        let data = self.layout.data.clone();
+        let data = self.info.layout.data.clone();
         let bars = data.labels("bar");
         let mut counts: Vec<f64> = Vec::new();
         let mut poses = Poses::default();
-        let nominal = model.nominal();
-        for (row, layout) in self.layout.rows.iter().enumerate() {
+        let nominal = &model.info().nominal;
+        for (row, layout) in self.info.layout.rows.iter().enumerate() {
             let name = of_bar(bars, row, "length");
-            let own = self.unknowns.iter().position(|unknown| unknown.name == name).unwrap_or_else(|| {
-                self.unknowns.push(Parameter { name, unit: Unit::MM });
-                self.start.push(0.0);
+            let own = self.info.unknowns.iter().position(|unknown| unknown.name == name).unwrap_or_else(|| {
+                self.info.unknowns.push(Parameter::new(name, Unit::MM).with_role(ParameterRole::Feature));
+                self.info.start.push(0.0);
                 counts.push(0.0);
-                self.unknowns.len() - 1
+                self.info.unknowns.len() - 1
             });
             self.own.push(own);
             let ends =
-                [self.layout.poses.row(layout.first_pose), self.layout.poses.row(layout.first_pose + 1)].concat();
-            model.evaluate(&ends, &nominal, &[], false, &mut poses)?;
-            self.start[own] += (Vector3::from(poses.positions[1]) - Vector3::from(poses.positions[0])).norm();
+                [self.info.layout.poses.row(layout.first_pose), self.info.layout.poses.row(layout.first_pose + 1)]
+                    .concat();
+            model.poses(&ends, nominal, &[], false, &mut poses)?;
+            self.info.start[own] += (Vector3::from(poses.positions[1]) - Vector3::from(poses.positions[0])).norm();
             counts[own] += 1.0;
         }
-        for (start, count) in self.start.iter_mut().zip(counts) {
+        for (start, count) in self.info.start.iter_mut().zip(counts) {
             *start /= count;
         }
         Ok(())
@@ -291,33 +291,21 @@ impl Measured {
 }
 
 impl Observations for Measured {
-    fn layout(&self) -> &Layout {
-        &self.layout
+    fn info(&self) -> &ObservationsInfo {
+        &self.info
     }
 
-    fn unknowns(&self) -> &[Parameter] {
-        &self.unknowns
-    }
-
-    fn start(&self) -> Vec<f64> {
-        self.start.clone()
-    }
-
-    fn inputs(&self) -> &[KnownInput] {
-        &self.inputs
-    }
-
-    fn evaluate(&self, rows: &[usize], poses: PoseValues<'_>, own: &[f64], inputs: &[f64], out: &mut Equations) {
-        for (&row, ends) in rows.iter().zip(poses.positions.chunks_exact(2)) {
+    fn evaluate(&self, batch: RowBatch<'_>, out: &mut Equations) -> Result<()> {
+        for (&row, ends) in batch.rows.iter().zip(batch.positions.chunks_exact(2)) {
             let between = Vector3::from(ends[1]) - Vector3::from(ends[0]);
             let direction = between.normalize();
             match self.own.get(row) {
                 Some(&unknown) => {
-                    out.equation(between.norm() - own[unknown]);
+                    out.equation(between.norm() - batch.own[unknown]);
                     out.own(unknown, -1.0);
                 }
                 None => {
-                    let (length, derivatives) = self.reference(row, inputs);
+                    let (length, derivatives) = self.reference(row, batch.inputs);
                     out.equation(between.norm() - length);
                     derivatives.iter().for_each(|&(input, derivative)| out.input(input, -derivative));
                 }
@@ -325,17 +313,6 @@ impl Observations for Measured {
             out.position((-direction).into());
             out.position(direction.into());
         }
-    }
-
-    fn features(&self) -> Vec<Feature> {
-        Vec::new()
-    }
-
-    fn contact(&self) -> Contact {
-        Contact::LinearAxes
-    }
-
-    fn is_met_anywhere(&self) -> bool {
-        self.unknowns.is_empty()
+        Ok(())
     }
 }

@@ -310,14 +310,8 @@ fn stated(settings: &Settings, fit: &Fit) -> Result<Option<DMatrix<f64>>> {
         let message = format!("`{}` brings no rows: its values are drawn by their covariance alone", fit.name);
         return Err(Error::usage(message).setting(setting));
     }
-    let covariance = &fit.calibration.covariance;
-    let place = |unknown: &Unknown| covariance.order.iter().position(|name| *name == unknown.name);
-    let places: Vec<Option<usize>> = fit.problem.unknowns.iter().map(place).collect();
-    let entry = |row: usize, column: usize| match (places[row], places[column]) {
-        (Some(row), Some(column)) => covariance.rows[row][column],
-        _ => 0.0,
-    };
-    Ok(Some(root(&DMatrix::from_fn(places.len(), places.len(), entry))))
+    let names: Vec<&str> = fit.problem.unknowns.iter().map(|unknown| unknown.name.as_str()).collect();
+    Ok(Some(root(&fit.calibration.covariance.block(&names))))
 }
 
 /// The considered parameters, those of one source together.
@@ -367,7 +361,7 @@ impl Neglected {
             error
         };
         let mut found: Vec<(Unknown, Distribution, f64)> = Vec::new();
-        let parameters = problem.model.parameters();
+        let parameters = &problem.model.info().parameters;
         for (index, pattern) in self.parameters.iter().enumerate() {
             let path = [PathItem::Key("parameters".to_owned()), PathItem::Index(index)];
             let before = found.len();
@@ -418,12 +412,12 @@ impl Neglected {
 
 /// The largest factor with which a parameter takes part in its motion error at the recorded statuses.
 fn largest_factor(parameter: usize, problem: &Problem) -> Result<f64> {
-    let functions = problem.model.error_functions();
+    let functions = &problem.model.info().error_functions;
     let mut largest = 0.0_f64;
     for set in &problem.sets {
-        for row in set.rows.iter().map(|&row| set.observations.layout().rows[row]) {
+        for row in set.rows.iter().map(|&row| set.info().layout.rows[row]) {
             for pose in row.first_pose..row.first_pose + row.poses {
-                for function in &functions {
+                for function in functions {
                     let error = problem.model.motion_error(function, &problem.machine, set.poses().row(pose))?;
                     let own = error.derivatives.iter().filter(|(index, _)| *index == parameter);
                     largest = own.fold(largest, |largest, (_, factor)| largest.max(factor.abs()));

@@ -12,8 +12,8 @@ mod settings;
 use std::sync::atomic::{AtomicBool, Ordering};
 
 use abbe_core::{
-    Build, Calibration, Constructor, Context, Covariance, Error, Estimate, Fit, GumComparison, Identifiability,
-    MonteCarlo, Plugin, Problem, Result, SettingsError, SimulatedParameter, in_parallel, inventory,
+    Build, Calibration, Constructor, Context, Error, Estimate, Fit, GumComparison, Identifiability, MonteCarlo,
+    NamedCovariance, Plugin, Problem, Result, SettingsError, SimulatedParameter, in_parallel, inventory,
 };
 use abbe_numerics::{Adaptive, Generator, Trials, gum_agrees, least_trials, numerical_tolerance};
 use serde_json::{Value, json};
@@ -66,7 +66,7 @@ impl Estimate for Propagation {
         Err(of_is_missing())
     }
 
-    fn reconsider(&self, fit: &Fit) -> Result<Calibration> {
+    fn analyse(&self, fit: &Fit) -> Result<Calibration> {
         if let Some(lost) = fit.calibration.fit.null_space.first() {
             let message = format!("`{}` does not determine all it estimates: {}", fit.name, lost.describe());
             return Err(Error::data(message).help("propagate an estimate of what the data determine").setting("of"));
@@ -212,7 +212,7 @@ impl Propagation {
             inputs: draws.described(),
             parameters: parameters.collect(),
         });
-        let before = std::mem::replace(&mut calibration.covariance, Covariance { order, rows: covariance });
+        let before = std::mem::replace(&mut calibration.covariance, NamedCovariance { order, rows: covariance });
         for input in calibration.inputs.iter_mut().flatten() {
             let place = |name: &String| before.order.iter().position(|other| other == name);
             let of_name = |name: &String| place(name).map_or(0.0, |place| input.sensitivities[place]);

@@ -4,10 +4,10 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicUsize, Ordering};
 
 use abbe_core::{
-    Absent, Axis, Build, Calibration, Contact, Context, CovarianceBlock, Dataset, EquationUncertainty, Equations,
-    Error, Estimate, Feature, Fit, Identifiability, Kind, KinematicModel, KnownInput, Layout, ObservationSet,
-    Observations, Parameter, Pooled, PoseValues, Poses, Problem, Quantity, Registry, Result, StatusColumn, Unit,
-    Variable, path_text,
+    Absent, Build, Calibration, Contact, Context, CovarianceBlock, Dataset, EquationUncertainty, Equations, Error,
+    Estimate, Fit, Identifiability, Kind, KinematicModel, KnownInput, Layout, ModelInfo, ObservationSet, Observations,
+    ObservationsInfo, Parameter, Pooled, PoseBatch, PosesMut, Problem, Quantity, Registry, Result, RowBatch,
+    StatusColumn, Unit, Variable, path_text,
 };
 use abbe_gauss_newton as _;
 use abbe_numerics::Generator;
@@ -15,15 +15,12 @@ use nalgebra::DMatrix;
 use serde_json::{Value, json};
 
 /// A machine whose tip position along x is a linear function of its parameters: the factors are its status.
-struct Linear {
-    parameters: Vec<Parameter>,
-    status: Vec<StatusColumn>,
-}
+struct Linear(ModelInfo);
 
 impl Linear {
     fn new(parameters: usize) -> Self {
         let name = |index: usize| format!("p{index}");
-        let parameter = |index| Parameter { name: name(index), unit: Unit::MM };
+        let parameter = |index| Parameter::new(name(index), Unit::MM);
         let status = |index| StatusColumn {
             name: name(index),
             role: abbe_core::StatusRole::Other,
@@ -31,37 +28,18 @@ impl Linear {
             levels: Vec::new(),
             absent: Absent::Taken(0.0),
         };
-        Self { parameters: (0..parameters).map(parameter).collect(), status: (0..parameters).map(status).collect() }
+        let (status, parameters) = ((0..parameters).map(status).collect(), (0..parameters).map(parameter).collect());
+        Self(ModelInfo::new(Vec::new(), status, parameters, Value::Null))
     }
 }
 
 impl KinematicModel for Linear {
-    fn axes(&self) -> &[Axis] {
-        &[]
+    fn info(&self) -> &ModelInfo {
+        &self.0
     }
 
-    fn status(&self) -> &[StatusColumn] {
-        &self.status
-    }
-
-    fn parameters(&self) -> &[Parameter] {
-        &self.parameters
-    }
-
-    fn stylus_radius(&self) -> f64 {
-        0.0
-    }
-
-    fn evaluate(
-        &self,
-        statuses: &[f64],
-        values: &[f64],
-        wanted: &[Variable],
-        orientation: bool,
-        out: &mut Poses,
-    ) -> Result<()> {
-        let width = self.status.len();
-        out.reset(statuses.len() / width, wanted.len(), orientation);
+    fn evaluate(&self, batch: PoseBatch<'_>, out: PosesMut<'_>) -> Result<()> {
+        let (PoseBatch { statuses, values, wanted, .. }, width) = (batch, self.0.status.len());
         for (index, factors) in statuses.chunks_exact(width).enumerate() {
             out.positions[index] = [factors.iter().zip(values).map(|(factor, value)| factor * value).sum(), 0.0, 0.0];
             for (k, variable) in wanted.iter().enumerate() {
@@ -72,47 +50,27 @@ impl KinematicModel for Linear {
         }
         Ok(())
     }
-
-    fn settings(&self) -> Value {
-        Value::Null
-    }
 }
 
 /// Readings of that position, all off by one known input with a factor of their own.
 struct Readings {
-    layout: Layout,
+    info: ObservationsInfo,
     readings: Vec<f64>,
-    inputs: Vec<KnownInput>,
     factors: Vec<f64>,
 }
 
 impl Observations for Readings {
-    fn layout(&self) -> &Layout {
-        &self.layout
+    fn info(&self) -> &ObservationsInfo {
+        &self.info
     }
 
-    fn unknowns(&self) -> &[Parameter] {
-        &[]
-    }
-
-    fn inputs(&self) -> &[KnownInput] {
-        &self.inputs
-    }
-
-    fn evaluate(&self, rows: &[usize], poses: PoseValues<'_>, _: &[f64], inputs: &[f64], out: &mut Equations) {
-        for (&row, position) in rows.iter().zip(poses.positions) {
-            out.equation(position[0] - self.readings[row] - self.factors[row] * inputs[0]);
+    fn evaluate(&self, batch: RowBatch<'_>, out: &mut Equations) -> Result<()> {
+        for (&row, position) in batch.rows.iter().zip(batch.positions) {
+            out.equation(position[0] - self.readings[row] - self.factors[row] * batch.inputs[0]);
             out.position([1.0, 0.0, 0.0]);
             out.input(0, -self.factors[row]);
         }
-    }
-
-    fn features(&self) -> Vec<Feature> {
-        Vec::new()
-    }
-
-    fn contact(&self) -> Contact {
-        Contact::Reading("reading".to_owned())
+        Ok(())
     }
 }
 
@@ -151,12 +109,12 @@ fn problem(seed: u64, kind: Rows) -> Problem {
     for row in 0..ROWS {
         layout.push(model.as_ref(), row, &[uncertainty(&mut random)]).unwrap();
     }
-    let input = KnownInput::new(Parameter { name: "scale".to_owned(), unit: Unit::MM }, 0.0, 5e-4);
+    let input = KnownInput::new(Parameter::new("scale", Unit::MM), 0.0, 5e-4);
+    let contact = Contact::Reading("reading".to_owned());
     let readings = Readings {
         readings: (0..ROWS).map(|_| random.normal()).collect(),
         factors: (0..ROWS).map(|_| random.normal()).collect(),
-        inputs: vec![input],
-        layout,
+        info: ObservationsInfo { inputs: vec![input], ..ObservationsInfo::new(layout, Vec::new(), contact) },
     };
     let mut set = ObservationSet::new("rows", Arc::new(readings));
     let mut uncertainty = EquationUncertainty::clone(&set.uncertainty);
@@ -201,7 +159,7 @@ fn fit(problem: Problem) -> Fit {
 }
 
 fn trials(settings: &Value, fit: &Fit) -> Result<Calibration, String> {
-    let found = estimator("monte-carlo", settings)?.reconsider(fit);
+    let found = estimator("monte-carlo", settings)?.analyse(fit);
     found.map_err(|error| format!("{}: {error}", path_text(&error.setting)))
 }
 
@@ -276,7 +234,7 @@ fn a_fault_of_the_code_ends_all_trials_and_refused_numbers_one() {
         let failing = Arc::new(Failing { error, asked: AtomicUsize::new(0) });
         let fit = Fit { estimator: failing.clone(), ..fit(problem(1, Rows::Independent)) };
         let settings = json!({ "trials": 2000, "threads": threads });
-        let error = estimator("monte-carlo", &settings).unwrap().reconsider(&fit).unwrap_err();
+        let error = estimator("monte-carlo", &settings).unwrap().analyse(&fit).unwrap_err();
         (error.message, failing.asked.load(Ordering::Relaxed))
     };
     let fault = || Error::data("the machine has died").fault();

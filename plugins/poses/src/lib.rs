@@ -13,7 +13,7 @@ use std::sync::Arc;
 
 use abbe_core::{
     Artefact, Build, ColumnHeader, Constructor, Context, Dataset, InputFile, KinematicModel, Layout, Observations,
-    Plugin, PoseValues, Quantity, Result, SettingsError, Target, inventory, plain_naming, pose_columns, positive,
+    Plugin, Quantity, Result, SettingsError, Target, inventory, plain_naming, pose_columns, positive,
 };
 use nalgebra::{Isometry3, Quaternion, Translation3, UnitQuaternion};
 use schemars::JsonSchema;
@@ -155,15 +155,15 @@ fn read(data: &Dataset) -> Result<Vec<Isometry3<f64>>> {
 /// Where the nominal machine has the tool at every pose, table frame.
 fn nominal_tools(layout: &Layout, model: &dyn KinematicModel) -> Result<Vec<Isometry3<f64>>> {
     let statuses: Vec<f64> = (0..layout.poses.len()).flat_map(|pose| layout.poses.row(pose)).copied().collect();
-    let nominal = model.nominal();
+    let nominal = &model.info().nominal;
     let mut poses = abbe_core::Poses::default();
-    model.evaluate(&statuses, &nominal, &[], true, &mut poses)?;
-    Ok(tools(PoseValues { positions: &poses.positions, orientations: &poses.orientations }).collect())
+    model.poses(&statuses, nominal, &[], true, &mut poses)?;
+    Ok(tools(&poses.positions, &poses.orientations).collect())
 }
 
 /// Tool poses as rigid motions from the tool frame to the table frame.
-fn tools(poses: PoseValues<'_>) -> impl Iterator<Item = Isometry3<f64>> {
-    poses.positions.iter().zip(poses.orientations).map(|(&position, &[w, x, y, z])| {
+fn tools(positions: &[[f64; 3]], orientations: &[[f64; 4]]) -> impl Iterator<Item = Isometry3<f64>> {
+    positions.iter().zip(orientations).map(|(&position, &[w, x, y, z])| {
         let orientation = UnitQuaternion::from_quaternion(Quaternion::new(w, x, y, z));
         Isometry3::from_parts(Translation3::from(position), orientation)
     })

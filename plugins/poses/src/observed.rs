@@ -1,7 +1,9 @@
 //! The equations of observed poses and their derivatives.
 
 use abbe_core::rotation::{inverse_right_jacobian, left_jacobian};
-use abbe_core::{Contact, Equations, Feature, KnownInput, Layout, Observations, Parameter, PoseValues, Quantity, Unit};
+use abbe_core::{
+    Contact, Equations, Layout, Observations, ObservationsInfo, Orientation, Parameter, Result, RowBatch, Unit,
+};
 use nalgebra::{Isometry3, Matrix3, Matrix6, Translation3, UnitQuaternion, Vector3, Vector6};
 
 use crate::start::Start;
@@ -13,13 +15,12 @@ const OF_A_FRAME: [(&str, Unit); 6] =
 
 /// Observed poses.
 pub struct Observed {
-    layout: Layout,
+    info: ObservationsInfo,
     /// The observed pose of every row.
     observed: Vec<Isometry3<f64>>,
     pose: Pose,
     observer: Observer,
     start: Start,
-    unknowns: Vec<Parameter>,
 }
 
 /// A frame at some values of its unknowns.
@@ -92,48 +93,40 @@ impl Observed {
     pub fn new(layout: Layout, observed: Vec<Isometry3<f64>>, pose: Pose, observer: Observer, start: Start) -> Self {
         let frames: &[&str] = if observer == Observer::Estimated { &["target", "observer"] } else { &["target"] };
         let own = frames.iter().flat_map(|frame| OF_A_FRAME.map(|(own, unit)| (format!("{frame}.{own}"), unit)));
-        let unknowns = own.map(|(name, unit)| Parameter { name, unit }).collect();
-        Self { layout, observed, pose, observer, start, unknowns }
+        let unknowns: Vec<Parameter> = own.map(|(name, unit)| Parameter::new(name, unit)).collect();
+        let values = [start.target, start.observer].map(|frame| {
+            let [x, y, z] = frame.translation.vector.into();
+            [x, y, z, 0.0, 0.0, 0.0]
+        });
+        // Nothing moves: all six readings would take up the difference, of which three and a quaternion are recorded.
+        let contact = Contact::NotSimulated(
+            "what is recorded is a quaternion, not one column for each of the six equations".to_owned(),
+        );
+        // No features: the target has no nominal place that it could be compared with.
+        let info = ObservationsInfo {
+            start: values.into_iter().flatten().take(unknowns.len()).collect(),
+            orientation: Orientation::Exact,
+            angles: layout.rows.iter().flat_map(|row| row.first_equation + 3..row.first_equation + 6).collect(),
+            ..ObservationsInfo::new(layout, unknowns, contact)
+        };
+        Self { info, observed, pose, observer, start }
     }
 }
 
 impl Observations for Observed {
-    fn layout(&self) -> &Layout {
-        &self.layout
+    fn info(&self) -> &ObservationsInfo {
+        &self.info
     }
 
-    fn unknowns(&self) -> &[Parameter] {
-        &self.unknowns
-    }
-
-    fn start(&self) -> Vec<f64> {
-        let frames = [self.start.target, self.start.observer].map(|frame| {
-            let [x, y, z] = frame.translation.vector.into();
-            [x, y, z, 0.0, 0.0, 0.0]
-        });
-        frames.into_iter().flatten().take(self.unknowns.len()).collect()
-    }
-
-    fn inputs(&self) -> &[KnownInput] {
-        &[]
-    }
-
-    fn quantity(&self, _: usize, equation: usize) -> Quantity {
-        if equation < 3 { Quantity::Length } else { Quantity::Angle }
-    }
-
-    fn needs_orientation(&self) -> bool {
-        true
-    }
-
-    fn evaluate(&self, rows: &[usize], poses: PoseValues<'_>, own: &[f64], _: &[f64], out: &mut Equations) {
+    fn evaluate(&self, batch: RowBatch<'_>, out: &mut Equations) -> Result<()> {
+        let RowBatch { rows, own, .. } = batch;
         let (of_target, of_observer) = own.split_at(OF_A_FRAME.len());
         let target = Placed::at(&self.start.target, of_target);
         let observer = match self.observer {
             Observer::Estimated => Placed::at(&self.start.observer, of_observer),
             Observer::AtTool => Placed::fixed(self.start.observer),
         };
-        for (&row, tool) in rows.iter().zip(tools(poses)) {
+        for (&row, tool) in rows.iter().zip(tools(batch.positions, batch.orientations)) {
             let row = Row::new(self.pose, &self.observed[row], &tool, &target, &observer);
             for (equation, residual) in row.residuals.iter().enumerate() {
                 let by = |matrix: &Matrix6<f64>, first: usize| [0, 1, 2].map(|i| matrix[(equation, first + i)]);
@@ -142,22 +135,11 @@ impl Observations for Observed {
                 out.rotation(by(&row.by_tool, 3));
                 let columns = row.by_target.row(equation).into_owned();
                 let others = row.by_observer.row(equation).into_owned();
-                let own = columns.iter().chain(&others).take(self.unknowns.len());
+                let own = columns.iter().chain(&others).take(self.info.unknowns.len());
                 own.enumerate().for_each(|(unknown, derivative)| out.own(unknown, *derivative));
             }
         }
-    }
-
-    fn features(&self) -> Vec<Feature> {
-        // The target has no nominal place that it could be compared with.
-        Vec::new()
-    }
-
-    fn contact(&self) -> Contact {
-        // Nothing moves: all six readings would take up the difference, of which three and a quaternion are recorded.
-        Contact::NotSimulated(
-            "what is recorded is a quaternion, not one column for each of the six equations".to_owned(),
-        )
+        Ok(())
     }
 }
 

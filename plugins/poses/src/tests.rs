@@ -112,20 +112,19 @@ impl Scene {
         mut off: impl FnMut(usize) -> Isometry3<f64>,
     ) -> String {
         let model = self.model();
-        let place = |name: &str| model.parameters().iter().position(|parameter| parameter.name == name).unwrap();
-        let mut values = model.nominal();
+        let place = |name: &str| model.info().parameters.iter().position(|parameter| parameter.name == name).unwrap();
+        let mut values = model.info().nominal.clone();
         self.errors.iter().for_each(|(name, value)| values[place(name)] = *value);
         let mut text = format!("{},x_mm,y_mm,z_mm,qw,qx,qy,qz\n", self.columns);
         for (row, commands) in commands.iter().enumerate() {
-            let status = model.status().iter().map(|status| {
+            let status = model.info().status.iter().map(|status| {
                 let column = self.columns.split(',').position(|column| column.starts_with(&status.name));
                 let factor = if status.quantity == Quantity::Angle { 1_f64.to_radians() } else { 1.0 };
                 column.map_or(0.0, |column| commands[column] * factor)
             });
             let mut poses = abbe_core::Poses::default();
-            model.evaluate(&status.collect::<Vec<_>>(), &values, &[], true, &mut poses).unwrap();
-            let poses = PoseValues { positions: &poses.positions, orientations: &poses.orientations };
-            let observer = tools(poses).next().unwrap() * observer;
+            model.poses(&status.collect::<Vec<_>>(), &values, &[], true, &mut poses).unwrap();
+            let observer = tools(&poses.positions, &poses.orientations).next().unwrap() * observer;
             let seen = if self.sees_target() { observer.inverse() * target } else { target.inverse() * observer };
             let off = off(row);
             let shifted = seen.translation.vector + off.translation.vector;

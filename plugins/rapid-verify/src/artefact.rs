@@ -5,8 +5,8 @@ use std::sync::Arc;
 
 use abbe_core::{
     Approach, Artefact, Build, ColumnHeader, Constructor, Contact, Context, Dataset, Equations, Error, Feature,
-    InputFile, KinematicModel, KnownInput, Layout, Observations, Parameter, Plugin, PoseValues, Quantity, Result,
-    SettingsError, Target, Unit, inventory, plain_naming, pose_columns, positive,
+    InputFile, KinematicModel, KnownInput, Layout, Observations, ObservationsInfo, Parameter, ParameterRole, Plugin,
+    Quantity, Result, RowBatch, SettingsError, Target, Unit, inventory, plain_naming, pose_columns, positive,
 };
 use nalgebra::Vector3;
 use schemars::JsonSchema;
@@ -76,7 +76,7 @@ impl Artefact for ProbedPoints {
             let axis = axis_index(model, &point.axis).map_err(|message| data.error_at(row, message))?;
             layout.push(model, row, &[self.standard_uncertainty])?;
             // What triggered is the reading; the column of the axis may hold where it was sent.
-            layout.poses.row_mut(layout.poses.len() - 1)[model.axes()[axis].status] = measured[row];
+            layout.poses.row_mut(layout.poses.len() - 1)[model.info().axes[axis].status] = measured[row];
             let known = facets.iter().position(|facet| facet.facet == point.facet);
             let facet = known.unwrap_or_else(|| {
                 facets.push(point.clone());
@@ -88,11 +88,22 @@ impl Artefact for ProbedPoints {
             let error = Error::data(format!("no row touches a point of {}", self.nominal.display()));
             return Err(error.help("`point` in the data and in the nominal file have to agree"));
         }
-        let unknowns =
-            facets.iter().map(|facet| Parameter { name: format!("facet[{}].d", facet.facet), unit: Unit::MM });
-        let radius = Parameter { name: "stylus_radius".to_owned(), unit: Unit::MM };
-        let radius = KnownInput::new(radius, model.stylus_radius(), 0.0).shared();
-        Ok(Arc::new(Touches { layout, unknowns: unknowns.collect(), inputs: vec![radius], facets, points }))
+        let unknowns = facets.iter().map(|facet| {
+            Parameter::new(format!("facet[{}].d", facet.facet), Unit::MM).with_role(ParameterRole::Feature)
+        });
+        let features = facets.iter().enumerate().map(|(index, facet)| Feature {
+            label: facet.facet.clone(),
+            point: facet.position.into(),
+            shifts: vec![(index, facet.normal.into())],
+        });
+        let approach = |touched: &Touched| Approach { axis: touched.axis, reading: "measured".to_owned() };
+        let info = ObservationsInfo {
+            inputs: vec![KnownInput::stylus_radius(model, 0.0)],
+            features: features.collect(),
+            approaches: points.iter().map(approach).collect(),
+            ..ObservationsInfo::new(layout, unknowns.collect(), Contact::LinearAxes)
+        };
+        Ok(Arc::new(Touches { info, points }))
     }
 
     fn targets(&self, stylus_radius: f64) -> Result<Vec<Target>> {
@@ -116,58 +127,30 @@ struct Touched {
 
 /// Touches on points.
 struct Touches {
-    layout: Layout,
-    unknowns: Vec<Parameter>,
-    inputs: Vec<KnownInput>,
-    /// The first point of every facet that is touched.
-    facets: Vec<Point>,
+    info: ObservationsInfo,
     /// What every row touches.
     points: Vec<Touched>,
 }
 
 impl Observations for Touches {
-    fn layout(&self) -> &Layout {
-        &self.layout
+    fn info(&self) -> &ObservationsInfo {
+        &self.info
     }
 
-    fn unknowns(&self) -> &[Parameter] {
-        &self.unknowns
-    }
-
-    fn inputs(&self) -> &[KnownInput] {
-        &self.inputs
-    }
-
-    fn evaluate(&self, rows: &[usize], poses: PoseValues<'_>, own: &[f64], inputs: &[f64], out: &mut Equations) {
-        for (&row, tip) in rows.iter().zip(poses.positions) {
+    fn evaluate(&self, batch: RowBatch<'_>, out: &mut Equations) -> Result<()> {
+        for (&row, tip) in batch.rows.iter().zip(batch.positions) {
             let Touched { point, facet, .. } = &self.points[row];
-            out.equation(point.normal.dot(&(Vector3::from(*tip) - point.position)) - own[*facet] - inputs[0]);
+            let distance = point.normal.dot(&(Vector3::from(*tip) - point.position));
+            out.equation(distance - batch.own[*facet] - batch.inputs[0]);
             out.position(point.normal.into());
             out.own(*facet, -1.0);
             out.input(0, -1.0);
         }
+        Ok(())
     }
 
-    fn contact_tip(&self, row: usize, _: [f64; 3], own: &[f64], inputs: &[f64]) -> Option<[f64; 3]> {
+    fn contact_tip(&self, row: usize, _: [f64; 3], own: &[f64], inputs: &[f64]) -> Result<Option<[f64; 3]>> {
         let Touched { point, facet, .. } = &self.points[row];
-        Some((point.position + (own[*facet] + inputs[0]) * point.normal).into())
-    }
-
-    fn approach(&self, row: usize) -> Option<Approach> {
-        Some(Approach { axis: self.points[row].axis, reading: "measured".to_owned() })
-    }
-
-    fn features(&self) -> Vec<Feature> {
-        let facets = self.facets.iter().enumerate();
-        let feature = |(index, facet): (usize, &Point)| Feature {
-            label: facet.facet.clone(),
-            point: facet.position.into(),
-            shifts: vec![(index, facet.normal.into())],
-        };
-        facets.map(feature).collect()
-    }
-
-    fn contact(&self) -> Contact {
-        Contact::LinearAxes
+        Ok(Some((point.position + (own[*facet] + inputs[0]) * point.normal).into()))
     }
 }

@@ -50,7 +50,7 @@ impl Baseline {
         let nominal = Points::read(nominal)?;
         let problem = fit.problem.starting_from(&fit.calibration);
         let has_points = |set: &&abbe_core::ObservationSet| {
-            let data = &set.observations.layout().data;
+            let data = &set.info().layout.data;
             data.labels("point").is_some() && data.numbers("measured").is_some()
         };
         let set = problem.sets.iter().find(has_points).ok_or_else(|| {
@@ -58,7 +58,7 @@ impl Baseline {
                 .help("`of` takes the estimate of the baseline: an artefact stage with the columns `point` and `measured_mm`")
                 .setting("of")
         })?;
-        let layout = set.observations.layout();
+        let layout = &set.info().layout;
         let (labels, measured) = (layout.data.required_labels("point")?, layout.data.required_numbers("measured")?);
         let mut points = Vec::new();
         for point in &nominal.list {
@@ -69,7 +69,7 @@ impl Baseline {
             let mean = readings.iter().sum::<f64>() / readings.len() as f64;
             let status = set.poses().row(first.first_pose);
             let mut touch = Touch::new(problem.model.as_ref(), point, status)?;
-            touch.status[problem.model.axes()[touch.axis].status] = mean;
+            touch.status[problem.model.info().axes[touch.axis].status] = mean;
             points.push(Probed {
                 point: point.clone(),
                 min: readings.iter().copied().fold(f64::INFINITY, f64::min),
@@ -154,7 +154,7 @@ impl Baseline {
 
     /// Refuses a row whose axes do not stand where they stood at the baseline.
     fn is_there(&self, data: &Dataset, row: usize, probed: &Probed) -> Result<()> {
-        for axis in self.problem.model.axes().iter().filter(|axis| axis.name != probed.point.axis) {
+        for axis in self.problem.model.info().axes.iter().filter(|axis| axis.name != probed.point.axis) {
             let Some(commands) = data.numbers(&axis.name) else { continue };
             let (allowed, unit, factor) = match axis.kind {
                 AxisKind::Linear => (ELSEWHERE.0, "mm", 1.0),

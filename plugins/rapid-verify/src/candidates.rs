@@ -36,7 +36,7 @@ impl Candidates {
     /// The candidates and what can happen to the artefact, without their effects. What is among `together` under its own name
     /// is no candidate by itself.
     pub fn of(&self, model: &dyn KinematicModel) -> Result<Vec<Pattern>> {
-        let parameters = model.parameters();
+        let parameters = &model.info().parameters;
         let mut chosen = vec![false; parameters.len()];
         for (index, pattern) in self.names.0.iter().enumerate() {
             let found = found(model, pattern).map_err(|error| at(error, "candidates", PathItem::Index(index)))?;
@@ -76,7 +76,7 @@ impl Candidates {
 
 /// The parameters that a pattern matches.
 pub fn found(model: &dyn KinematicModel, pattern: &str) -> Result<Vec<usize>> {
-    let parameters = model.parameters();
+    let parameters = &model.info().parameters;
     let found: Vec<usize> = (0..parameters.len()).filter(|&index| matches(pattern, &parameters[index].name)).collect();
     if found.is_empty() {
         let names = parameters.iter().map(|parameter| parameter.name.as_str());

@@ -1,6 +1,8 @@
 //! Combinations of point deviations that answer to one error alone (announced in Muelaner et al. 2014, section 4.1, but not printed
 //! there): blind to a shift, a turn and the expansion of the artefact, with the least sum of absolute weights.
 
+use abbe_numerics::{dot, norm};
+
 /// Weights of the points and what the combination gains.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Weights {
@@ -119,14 +121,6 @@ fn pivot(tableau: &mut [Vec<f64>], row: usize, column: usize) {
             other.iter_mut().zip(&line).for_each(|(value, own)| *value -= factor * own);
         }
     }
-}
-
-fn dot(one: &[f64], other: &[f64]) -> f64 {
-    one.iter().zip(other).map(|(one, other)| one * other).sum()
-}
-
-fn norm(vector: &[f64]) -> f64 {
-    dot(vector, vector).sqrt()
 }
 
 /// A vector without its parts along orthonormal ones; twice, for what the first pass leaves by rounding.

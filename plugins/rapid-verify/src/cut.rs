@@ -131,9 +131,9 @@ fn stocks(fit: &Fit, points: &Points, data: &Dataset) -> Result<Vec<(usize, f64)
         table.push(data, row, model, &columns)?;
         let mut touch = Touch::new(model, &points.list[index], table.row(0))?;
         if let Some(measured) = measured {
-            touch.status[model.axes()[touch.axis].status] = measured[row];
+            touch.status[model.info().axes[touch.axis].status] = measured[row];
         }
-        found.push((index, touch.distance_here(&problem.machine)? - model.stylus_radius()));
+        found.push((index, touch.distance_here(&problem.machine)? - model.info().stylus_radius));
     }
     Ok(found)
 }

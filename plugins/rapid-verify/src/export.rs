@@ -70,7 +70,7 @@ impl Export for Sensitivity {
         let points = Points::read(&self.nominal)?;
         let (names, together) = (self.settings.candidates.clone(), self.settings.together.clone());
         let mut machine = Candidates { names, together }.of(model)?;
-        let (statuses, nominal) = (points.in_contact(model)?, model.nominal());
+        let (statuses, nominal) = (points.in_contact(model)?, model.info().nominal.clone());
         for (row, point) in points.list.iter().enumerate() {
             let touch = Touch::new(model, point, statuses.row(row))?;
             candidates::add_effects(&mut machine, &touch, &nominal)?;

@@ -84,11 +84,11 @@ impl Motion {
             let wrong = |message: String| points.data.error_at(row, message);
             let status = statuses.row(row);
             let direction = |axis: &str| points.data.numbers(&format!("dir_{axis}")).map(|directions| directions[row]);
-            let contact = status[model.axes()[axis_index(model, &point.axis).map_err(wrong)?].status];
+            let contact = status[model.info().axes[axis_index(model, &point.axis).map_err(wrong)?].status];
             let (start, end) = (contact - point.sense * self.clearance_mm, contact + point.sense * self.overtravel_mm);
             let (mut rotary, mut lateral): (Vec<Turn>, Vec<Turn>) = (Vec::new(), Vec::new());
             let mut lowered = 0.0;
-            for (index, axis) in model.axes().iter().enumerate() {
+            for (index, axis) in model.info().axes.iter().enumerate() {
                 let probes = axis.name == point.axis;
                 let at = if probes { start } else { status[axis.status] };
                 let range = axis.range.unwrap_or([f64::NEG_INFINITY, f64::INFINITY]);

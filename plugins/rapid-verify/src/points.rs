@@ -113,7 +113,7 @@ impl Points {
         let mut table = self.statuses(model)?;
         for (row, point) in self.list.iter().enumerate() {
             axis_index(model, &point.axis).map_err(|message| self.data.error_at(row, message))?;
-            let tip = point.position + model.stylus_radius() * point.normal;
+            let tip = point.position + model.info().stylus_radius * point.normal;
             if !reach(model, table.row_mut(row), tip)? {
                 let message = format!("the linear axes cannot bring the tip to point {}", point.label);
                 return Err(self.data.error_at(row, message).help("is the chain that of this artefact's machine?"));
@@ -135,9 +135,10 @@ fn approach(text: &str) -> Result<(String, f64), String> {
 /// The index of the linear axis of that name.
 pub fn axis_index(model: &dyn KinematicModel, name: &str) -> Result<usize, String> {
     let linear = |axis: &&Axis| axis.kind == AxisKind::Linear;
-    let names: Vec<&str> = model.axes().iter().filter(linear).map(|axis| axis.name.as_str()).collect();
+    let names: Vec<&str> = model.info().axes.iter().filter(linear).map(|axis| axis.name.as_str()).collect();
     model
-        .axes()
+        .info()
+        .axes
         .iter()
         .position(|axis| axis.name == name && axis.kind == AxisKind::Linear)
         .ok_or_else(|| format!("the approach is along {name}; the linear axes of the machine are {}", names.join(", ")))
@@ -152,12 +153,12 @@ const NOTHING: f64 = 1e-10;
 /// Moves the linear axes of a status, by as little as possible, until the nominal tip is at `goal`; false if they cannot.
 fn reach(model: &dyn KinematicModel, status: &mut [f64], goal: Vector3<f64>) -> Result<bool> {
     let linear: Vec<usize> =
-        (0..model.axes().len()).filter(|&axis| model.axes()[axis].kind == AxisKind::Linear).collect();
+        (0..model.info().axes.len()).filter(|&axis| model.info().axes[axis].kind == AxisKind::Linear).collect();
     let wanted: Vec<Variable> = linear.iter().map(|&axis| Variable::Command(axis)).collect();
-    let nominal = model.nominal();
+    let nominal = &model.info().nominal;
     let mut poses = Poses::default();
     for _ in 0..STEPS {
-        model.evaluate(status, &nominal, &wanted, false, &mut poses)?;
+        model.poses(status, nominal, &wanted, false, &mut poses)?;
         let missing = goal - Vector3::from(poses.positions[0]);
         if missing.norm() < NOTHING {
             return Ok(true);
@@ -168,7 +169,7 @@ fn reach(model: &dyn KinematicModel, status: &mut [f64], goal: Vector3<f64>) -> 
         let step = finite.then(|| by.svd(true, true).solve(&missing, 1e-9)).and_then(Result::ok);
         let Some(step) = step else { return Ok(false) };
         for (axis, step) in linear.iter().zip(&step) {
-            status[model.axes()[*axis].status] += step;
+            status[model.info().axes[*axis].status] += step;
         }
     }
     Ok(false)
@@ -199,7 +200,7 @@ impl<'a> Touch<'a> {
     /// Distance of the tip from the nominal facet, without radius and offset, and its derivatives.
     fn distance(&self, values: &[f64], status: &[f64], wanted: &[Variable]) -> Result<(f64, Vec<f64>)> {
         let mut poses = Poses::default();
-        self.model.evaluate(status, values, wanted, false, &mut poses)?;
+        self.model.poses(status, values, wanted, false, &mut poses)?;
         let distance = self.point.normal.dot(&(Vector3::from(poses.positions[0]) - self.point.position));
         let by = poses.position_derivatives.iter();
         Ok((distance, by.map(|by| self.point.normal.dot(&Vector3::from(*by))).collect()))
@@ -213,7 +214,7 @@ impl<'a> Touch<'a> {
     /// The position of the approach axis at which the distance of the tip from the nominal facet is `goal`: the full
     /// nonlinear touch.
     pub fn reading(&self, values: &[f64], goal: f64) -> Result<f64> {
-        let place = self.model.axes()[self.axis].status;
+        let place = self.model.info().axes[self.axis].status;
         let mut status = self.status.clone();
         for _ in 0..STEPS {
             let (distance, by) = self.distance(values, &status, &[Variable::Command(self.axis)])?;
@@ -291,23 +292,23 @@ mod tests {
         for (machine, chain) in [("three-axis", "w X' Y' b Z t"), ("five-axis", "w C' A' b Y X Z t")] {
             let (model, points) = (model(chain), Points::read(&folder(machine).join("points.csv")).unwrap());
             let statuses = points.in_contact(model.as_ref()).unwrap();
-            let all: Vec<usize> = (0..model.parameters().len()).collect();
-            let place = |name: &str| model.parameters().iter().position(|other| other.name == name).unwrap();
+            let all: Vec<usize> = (0..model.info().parameters.len()).collect();
+            let place = |name: &str| model.info().parameters.iter().position(|other| other.name == name).unwrap();
             // A machine with errors, so that second order counts.
-            let mut values = model.nominal();
+            let mut values = model.info().nominal.clone();
             for (name, value) in [("EXX[1]", 3e-5), ("EC0X", -2e-5), ("EA0Z", 1e-5), ("EYX[2]", 4e-7), ("dyt", 0.01)] {
                 values[place(name)] = value;
             }
             for (row, point) in points.list.iter().enumerate() {
                 let mut touch = Touch::new(model.as_ref(), point, statuses.row(row)).unwrap();
-                let goal = model.stylus_radius() + 0.004;
+                let goal = model.info().stylus_radius + 0.004;
                 let reading = touch.reading(&values, goal).unwrap();
-                touch.status[model.axes()[touch.axis].status] = reading;
+                touch.status[model.info().axes[touch.axis].status] = reading;
                 assert!((touch.distance_here(&values).unwrap() - goal).abs() < 1e-9);
                 let (by_parameter, by_artefact) = touch.sensitivities(&values, &all).unwrap();
                 for (index, by) in by_parameter.iter().enumerate() {
                     // A tenth of a micrometre at the end of the travel.
-                    let unit = model.parameters()[index].unit;
+                    let unit = model.info().parameters[index].unit;
                     let size = if unit.of == Quantity::Angle { 1e-6 } else { 1e-4 };
                     let step = unit.per.map_or(size, |(_, power)| size / 300.0_f64.powi(i32::from(power)));
                     let at = |change: f64| {
@@ -316,7 +317,7 @@ mod tests {
                         touch.reading(&changed, goal).unwrap()
                     };
                     let difference = (at(step) - at(-step)) / (2.0 * step);
-                    let name = &model.parameters()[index].name;
+                    let name = &model.info().parameters[index].name;
                     let off = (by - difference).abs();
                     // A picometre of the readings, and what is of third order.
                     assert!(off <= 1e-9 / step + 1e-5 * by.abs(), "{} {name}: {by} {difference}", point.label);

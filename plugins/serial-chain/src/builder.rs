@@ -3,8 +3,8 @@
 use std::collections::BTreeMap;
 
 use abbe_core::{
-    Absent, Axis, AxisKind, Dataset, Parameter, PathItem, Quantity, SettingsError, StatusColumn, StatusRole, Unit,
-    Values, matches,
+    Absent, Axis, AxisKind, Dataset, ErrorFunction, ModelInfo, Parameter, ParameterRole, PathItem, Period, Quantity,
+    SettingsError, StatusColumn, StatusRole, Unit, Values, matches,
 };
 use abbe_errors::{Argument, Constant, Declaration, Drift, Expansion, Functions, Group, Per, StylusIs, Subject};
 use abbe_kinematics::{Chain, ChainAxis, ErrorFrame, NamedAxis, StructuralLoop};
@@ -41,6 +41,7 @@ struct Candidate {
     slot: usize,
     component: usize,
     axis: Option<usize>,
+    role: ParameterRole,
 }
 
 impl Builder {
@@ -71,16 +72,19 @@ impl Builder {
         let mut candidates = Vec::new();
         for (index, axis) in axes.iter().enumerate() {
             for (component, letter) in COMPONENTS.iter().enumerate() {
-                let mut add = |group, symbol, slot| {
-                    candidates.push((group, Candidate { symbol, slot, component, axis: Some(index) }));
+                let mut add = |group, role, symbol, slot| {
+                    candidates.push((group, Candidate { symbol, slot, component, axis: Some(index), role }));
                 };
-                add(Group::Location, format!("E{letter}0{}", axis.name), chain.location_slot(index));
-                add(Group::Motion, format!("E{letter}{}", axis.name), chain.motion_slot(index));
+                let location = ParameterRole::Location { axis: index, component };
+                add(Group::Location, location, format!("E{letter}0{}", axis.name), chain.location_slot(index));
+                let motion = ParameterRole::Motion { axis: index, component };
+                add(Group::Motion, motion, format!("E{letter}{}", axis.name), chain.motion_slot(index));
             }
         }
         for (symbols, slot) in [(TOOL_SET_UP, chain.tool_slot()), (WORKPIECE_SET_UP, chain.workpiece_slot())] {
             for (component, symbol) in symbols.iter().enumerate() {
-                let candidate = Candidate { symbol: (*symbol).to_owned(), slot, component, axis: None };
+                let (symbol, role) = ((*symbol).to_owned(), ParameterRole::SetUp);
+                let candidate = Candidate { symbol, slot, component, axis: None, role };
                 candidates.push((Group::SetUp, candidate));
             }
         }
@@ -125,7 +129,8 @@ impl Builder {
             self.tips.push(tip);
             for (component, letter) in ["x", "y", "z"].iter().enumerate() {
                 let symbol = format!("stylus[{number}].{letter}");
-                let candidate = Candidate { symbol, slot: self.chain.tool_slot(), component, axis: None };
+                let (slot, role) = (self.chain.tool_slot(), ParameterRole::SetUp);
+                let candidate = Candidate { symbol, slot, component, axis: None, role };
                 let arguments = self.stylus_status.map(Source::Status).into_iter().collect();
                 let first = self.basis(Box::new(StylusIs(index + 1)), arguments, None);
                 self.add(&candidate, first, &[])?;
@@ -185,17 +190,18 @@ impl Builder {
             }
             let function = self.bases[basis].first + index;
             let place = Place { slot: candidate.slot, component: candidate.component, function, basis };
-            let parameter = self.parameter(name, term.unit(of, command), nominal, Role::Coefficient(place))?;
+            let parameter = Parameter::new(name, term.unit(of, command)).with_role(candidate.role);
+            let parameter = self.parameter(parameter, nominal, Role::Coefficient(place))?;
             self.bases[basis].coefficients.push((parameter, place));
         }
         Ok(())
     }
 
-    fn parameter(&mut self, name: String, unit: Unit, nominal: f64, role: Role) -> Result<usize, SettingsError> {
-        if self.parameters.iter().any(|parameter| parameter.name == name) {
-            return Err(SettingsError::new("", format!("`{name}` is declared twice")));
+    fn parameter(&mut self, parameter: Parameter, nominal: f64, role: Role) -> Result<usize, SettingsError> {
+        if self.parameters.iter().any(|other| other.name == parameter.name) {
+            return Err(SettingsError::new("", format!("`{}` is declared twice", parameter.name)));
         }
-        self.parameters.push(Parameter { name, unit });
+        self.parameters.push(parameter);
         self.nominal.push(nominal);
         self.roles.push(role);
         Ok(self.parameters.len() - 1)
@@ -321,7 +327,8 @@ impl Builder {
                     Argument::Shape(suffix, nominal) => {
                         let unit = Unit::per(subject.command, Quantity::Ratio, 0);
                         let name = format!("{}{suffix}", candidate.symbol);
-                        Source::Parameter(self.parameter(name, unit, nominal, Role::Shape(basis))?)
+                        let shape = Parameter::new(name, unit).with_role(ParameterRole::Shape);
+                        Source::Parameter(self.parameter(shape, nominal, Role::Shape(basis))?)
                     }
                     other => Source::Status(self.argument(other, candidate.axis, declaration)?),
                 });
@@ -370,21 +377,63 @@ impl Builder {
     }
 
     pub fn finish(self, settings: &Settings, resolved: Value) -> SerialChain {
+        let info = ModelInfo {
+            error_functions: self.error_functions(),
+            periods: self.periods(),
+            nominal_uncertainties: self.nominal_uncertainties(),
+            nominal: self.nominal,
+            stylus_radius: settings.stylus_radius_mm,
+            ..ModelInfo::new(self.axes, self.status, self.parameters, resolved)
+        };
         SerialChain {
             chain: self.chain,
-            axes: self.axes,
-            status: self.status,
-            parameters: self.parameters,
-            nominal: self.nominal,
+            info,
             roles: self.roles,
             bases: self.bases,
             functions: self.functions,
             tips: self.tips,
             stylus_status: self.stylus_status,
-            stylus_radius: settings.stylus_radius_mm,
             first_order: settings.evaluation == Evaluation::FirstOrder,
-            resolved,
         }
+    }
+
+    fn nominal_uncertainties(&self) -> Vec<f64> {
+        let of = |role: &Role| match role {
+            Role::Coefficient(place) => self.bases[place.basis].functions.nominal_uncertainty(),
+            Role::Shape(_) => 0.0,
+        };
+        self.roles.iter().map(of).collect()
+    }
+
+    /// The motion errors that have coefficients.
+    fn error_functions(&self) -> Vec<ErrorFunction> {
+        let motions = self.candidates.iter().filter(|(group, _)| *group == Group::Motion);
+        let there = motions.filter_map(|(_, candidate)| {
+            let of_it = |place: &Place| place.slot == candidate.slot && place.component == candidate.component;
+            let mut places = self.bases.iter().flat_map(|basis| &basis.coefficients);
+            let axis = candidate.axis.filter(|_| places.any(|(_, place)| of_it(place)))?;
+            let (symbol, component) = (candidate.symbol.clone(), candidate.component);
+            Some(ErrorFunction { symbol, axis, component, quantity: quantity_of(component) })
+        });
+        there.collect()
+    }
+
+    /// The parts of motion errors that repeat.
+    fn periods(&self) -> Vec<Period> {
+        let mut periods = Vec::new();
+        for basis in &self.bases {
+            let arguments = basis.arguments_at(&vec![0.0; self.status.len()], &self.nominal);
+            let Some(length) = basis.functions.period(&arguments[..basis.arguments.len()]) else { continue };
+            for (_, candidate) in self.candidates.iter().filter(|(group, _)| *group == Group::Motion) {
+                let of_it = |place: &Place| place.slot == candidate.slot && place.component == candidate.component;
+                let own = basis.coefficients.iter().filter(|(_, place)| of_it(place));
+                let parameters: Vec<usize> = own.map(|(parameter, _)| *parameter).collect();
+                if let (Some(axis), false) = (candidate.axis, parameters.is_empty()) {
+                    periods.push(Period { symbol: candidate.symbol.clone(), axis, length, parameters });
+                }
+            }
+        }
+        periods
     }
 }
 

@@ -35,14 +35,6 @@ pub(crate) struct At<'a> {
 }
 
 impl SerialChain {
-    /// The coefficients of an error.
-    pub fn coefficients_at(&self, slot: usize, component: usize) -> impl Iterator<Item = Place> {
-        self.roles.iter().filter_map(move |role| match role {
-            Role::Coefficient(place) if place.slot == slot && place.component == component => Some(*place),
-            _ => None,
-        })
-    }
-
     /// The wanted variables, coefficients of one error together.
     pub fn sorted(&self, wanted: &[Variable]) -> Wanted {
         let mut sorted = Wanted::default();
@@ -82,7 +74,7 @@ impl SerialChain {
         }
         // The motion itself, and the errors that change on the way.
         for &(index, axis) in &wanted.commands {
-            let source = Source::Status(self.axes[axis].status);
+            let source = Source::Status(self.info.axes[axis].status);
             let bases = at.used.iter().map(|&basis| &self.bases[basis]);
             let through = bases.fold(by.1[axis], |sum, basis| sum + self.through(basis, source, at, by, buffers));
             out[index] = through.into();

@@ -1,25 +1,21 @@
 //! The kinematic model of a serial chain: parameters, statuses, poses in batches.
 
 use abbe_core::{
-    Axis, AxisKind, Dataset, Error, ErrorFunction, KinematicModel, MotionError, Parameter, PathItem, Period, Poses,
-    PosesMut, Result, SettingsError, StatusColumn, Variable,
+    Axis, AxisKind, Dataset, Error, ErrorFunction, KinematicModel, ModelInfo, MotionError, PathItem, PoseBatch,
+    PosesMut, Result, SettingsError, Variable,
 };
 use abbe_errors::{Declaration, Functions};
 use abbe_kinematics::{Chain, Derivatives, Errors, Evaluation as Pose, StructuralLoop};
 use nalgebra::Vector3;
-use serde_json::Value;
 
-use crate::builder::{Builder, COMPONENTS, chain_axis, finite, key, quantity_of, settle_time, temperature_is_there};
+use crate::builder::{Builder, chain_axis, finite, key, settle_time, temperature_is_there};
 use crate::derivatives::{At, of_one_error};
 use crate::settings::Settings;
 
 /// A serial chain with its error families.
 pub struct SerialChain {
     pub(crate) chain: Chain,
-    pub(crate) axes: Vec<Axis>,
-    pub(crate) status: Vec<StatusColumn>,
-    pub(crate) parameters: Vec<Parameter>,
-    pub(crate) nominal: Vec<f64>,
+    pub(crate) info: ModelInfo,
     /// What each parameter does.
     pub(crate) roles: Vec<Role>,
     pub(crate) bases: Vec<Basis>,
@@ -27,9 +23,7 @@ pub struct SerialChain {
     pub(crate) functions: usize,
     pub(crate) tips: Vec<Vector3<f64>>,
     pub(crate) stylus_status: Option<usize>,
-    pub(crate) stylus_radius: f64,
     pub(crate) first_order: bool,
-    pub(crate) resolved: Value,
 }
 
 /// What a parameter does.
@@ -156,7 +150,7 @@ impl SerialChain {
         Work {
             functions: vec![0.0; self.functions],
             errors: vec![[0.0; 6]; self.chain.slots()],
-            commands: vec![0.0; self.axes.len()],
+            commands: vec![0.0; self.info.axes.len()],
             pose: Pose::default(),
         }
     }
@@ -184,7 +178,7 @@ impl SerialChain {
     /// The functions of a basis at a status.
     fn functions_at(&self, basis: &Basis, status: &[f64], values: &[f64], out: &mut [f64]) -> Result<()> {
         if let Some(range) = &basis.range {
-            range.check(status, &self.axes)?;
+            range.check(status, &self.info.axes)?;
         }
         let arguments = basis.arguments_at(status, values);
         basis.functions.values(&arguments[..basis.arguments.len()], &mut out[basis.first..basis.first + basis.count]);
@@ -205,7 +199,7 @@ impl SerialChain {
 pub(crate) const ARGUMENTS: usize = 9;
 
 impl Basis {
-    fn arguments_at(&self, status: &[f64], values: &[f64]) -> [f64; ARGUMENTS] {
+    pub fn arguments_at(&self, status: &[f64], values: &[f64]) -> [f64; ARGUMENTS] {
         let mut arguments = [0.0; ARGUMENTS];
         for (argument, source) in arguments.iter_mut().zip(&self.arguments) {
             *argument = match source {
@@ -263,55 +257,13 @@ pub(crate) struct Work {
 }
 
 impl KinematicModel for SerialChain {
-    fn axes(&self) -> &[Axis] {
-        &self.axes
+    fn info(&self) -> &ModelInfo {
+        &self.info
     }
 
-    fn status(&self) -> &[StatusColumn] {
-        &self.status
-    }
-
-    fn parameters(&self) -> &[Parameter] {
-        &self.parameters
-    }
-
-    fn nominal(&self) -> Vec<f64> {
-        self.nominal.clone()
-    }
-
-    fn nominal_uncertainties(&self) -> Vec<f64> {
-        let of = |role: &Role| match role {
-            Role::Coefficient(place) => self.bases[place.basis].functions.nominal_uncertainty(),
-            Role::Shape(_) => 0.0,
-        };
-        self.roles.iter().map(of).collect()
-    }
-
-    fn stylus_radius(&self) -> f64 {
-        self.stylus_radius
-    }
-
-    fn evaluate(
-        &self,
-        statuses: &[f64],
-        values: &[f64],
-        wanted: &[Variable],
-        orientation: bool,
-        out: &mut Poses,
-    ) -> Result<()> {
-        out.reset(statuses.len() / self.status.len().max(1), wanted.len(), orientation);
-        self.evaluate_into(statuses, values, wanted, orientation, out.as_mut())
-    }
-
-    fn evaluate_into(
-        &self,
-        statuses: &[f64],
-        values: &[f64],
-        wanted: &[Variable],
-        orientation: bool,
-        out: PosesMut<'_>,
-    ) -> Result<()> {
-        let width = self.status.len();
+    fn evaluate(&self, batch: PoseBatch<'_>, out: PosesMut<'_>) -> Result<()> {
+        let PoseBatch { statuses, values, wanted, orientation } = batch;
+        let width = self.info.status.len();
         let mut work = self.work();
         let mut buffers = (vec![0.0; self.functions], Vec::new());
         let used = self.in_use(values, wanted);
@@ -333,7 +285,7 @@ impl KinematicModel for SerialChain {
                     work.errors[slot][component] += error;
                 }
             }
-            work.commands.copy_from_slice(&status[..self.axes.len()]);
+            work.commands.copy_from_slice(&status[..self.info.axes.len()]);
             let tip = self.tip(status).map_err(|error| error.of_pose(index))?;
             if self.first_order {
                 self.chain.evaluate_first_order(&work.commands, &work.errors, tip, &mut work.pose);
@@ -353,43 +305,6 @@ impl KinematicModel for SerialChain {
             }
         }
         Ok(())
-    }
-
-    fn settings(&self) -> Value {
-        self.resolved.clone()
-    }
-
-    fn error_functions(&self) -> Vec<ErrorFunction> {
-        let mut functions = Vec::new();
-        for (axis, named) in self.axes.iter().enumerate() {
-            for (component, letter) in COMPONENTS.iter().enumerate() {
-                let slot = self.chain.motion_slot(axis);
-                if self.coefficients_at(slot, component).next().is_some() {
-                    let symbol = format!("E{letter}{}", named.name);
-                    functions.push(ErrorFunction { symbol, axis, component, quantity: quantity_of(component) });
-                }
-            }
-        }
-        functions
-    }
-
-    fn periods(&self) -> Vec<Period> {
-        let mut periods = Vec::new();
-        for basis in &self.bases {
-            let arguments = basis.arguments_at(&vec![0.0; self.status.len()], &self.nominal);
-            let Some(length) = basis.functions.period(&arguments[..basis.arguments.len()]) else { continue };
-            for (axis, named) in self.axes.iter().enumerate() {
-                let slot = self.chain.motion_slot(axis);
-                for (component, letter) in COMPONENTS.iter().enumerate() {
-                    let own = basis.coefficients.iter().filter(|(_, at)| at.slot == slot && at.component == component);
-                    let parameters: Vec<usize> = own.map(|(parameter, _)| *parameter).collect();
-                    if !parameters.is_empty() {
-                        periods.push(Period { symbol: format!("E{letter}{}", named.name), axis, length, parameters });
-                    }
-                }
-            }
-        }
-        periods
     }
 
     fn motion_error(&self, function: &ErrorFunction, values: &[f64], status: &[f64]) -> Result<MotionError> {

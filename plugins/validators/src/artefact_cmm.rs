@@ -82,7 +82,7 @@ impl ArtefactCmm {
         let estimated = |own: usize| {
             fit.problem.unknowns.iter().any(|unknown| unknown.owner == Owner::Set(set) && unknown.index == own)
         };
-        let mut features = fit.problem.sets[set].observations.features();
+        let mut features = fit.problem.sets[set].info().features.clone();
         features.retain(|feature: &Feature| feature.shifts.iter().all(|(own, _)| estimated(*own)));
         if features.is_empty() {
             return Err(Error::usage(format!("{} estimates no feature of `{}`", fit.name, self.settings.features))

@@ -87,9 +87,9 @@ impl Validate for Cause {
 impl Cause {
     /// The parameters that may be the cause.
     fn candidates(&self, problem: &Problem) -> Result<Vec<Unknown>> {
-        let nominal = problem.model.nominal();
+        let nominal = &problem.model.info().nominal;
         let known = |name: &str| problem.unknowns.iter().any(|unknown| unknown.name == name);
-        let parameters = problem.model.parameters();
+        let parameters = &problem.model.info().parameters;
         for (index, pattern) in self.settings.candidates.iter().enumerate() {
             if !parameters.iter().any(|parameter| matches(pattern, &parameter.name)) {
                 let names = parameters.iter().map(|parameter| parameter.name.as_str());
@@ -186,7 +186,7 @@ fn meaning(name: &str, model: &dyn KinematicModel) -> String {
         return String::new();
     };
     let axis = letters.as_str();
-    match model.axes().iter().find(|other| other.name == axis).map(|axis| axis.kind) {
+    match model.info().axes.iter().find(|other| other.name == axis).map(|axis| axis.kind) {
         Some(AxisKind::Linear) if "ABC".contains(component) => format!(", the squareness of {axis},"),
         Some(_) => format!(", the location of {axis},"),
         None => String::new(),

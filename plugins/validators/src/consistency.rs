@@ -8,8 +8,8 @@ use std::collections::BTreeSet;
 use std::path::Path;
 
 use abbe_core::{
-    Build, Constructor, Context, Dataset, Error, Estimated, Figure, Findings, Fit, InputFile, Limit, PathItem, Plugin,
-    Problem, Result, SettingsError, Status, Validate, inventory, matches,
+    Build, ConsideredInput, Constructor, Context, Dataset, Error, Estimated, Figure, Findings, Fit, InputFile, Limit,
+    NamedCovariance, PathItem, Plugin, Problem, Result, SettingsError, Status, Validate, inventory, matches,
 };
 use abbe_numerics::{hotelling_quantile, hotelling_upper_tail};
 use nalgebra::{DMatrix, DVector};
@@ -235,26 +235,17 @@ struct Test {
 
 impl Difference {
     fn new(first: &Fit, other: &Fit, common: &[(&Estimated, &Estimated)]) -> Result<Self> {
-        let size = common.len();
-        let places = |fit: &Fit| -> Vec<Option<usize>> {
-            let order = &fit.calibration.covariance.order;
-            common.iter().map(|(one, _)| order.iter().position(|other| *other == one.name)).collect()
-        };
-        let (of_first, of_other) = (places(first), places(other));
-        let of = |fit: &Fit, places: &[Option<usize>]| {
-            let rows = &fit.calibration.covariance.rows;
-            DMatrix::from_fn(size, size, |row, column| match (places[row], places[column]) {
-                (Some(row), Some(column)) => rows[row][column],
-                _ => 0.0,
-            })
-        };
-        let mut covariance = of(first, &of_first) + of(other, &of_other);
+        let names: Vec<&str> = common.iter().map(|(one, _)| one.name.as_str()).collect();
+        let (of_first, of_other) = (&first.calibration.covariance, &other.calibration.covariance);
+        let mut covariance = of_first.block(&names) + of_other.block(&names);
         let variances = covariance.diagonal().iter().copied().collect();
         for (one, two) in first.calibration.shared_inputs(&other.calibration)? {
-            let of = |sensitivities: &[f64], places: &[Option<usize>]| {
-                DVector::from_iterator(size, places.iter().map(|place| place.map_or(0.0, |place| sensitivities[place])))
+            let of = |input: &ConsideredInput, known: &NamedCovariance| {
+                let places = names.iter().map(|name| known.index(name));
+                let values = places.map(|place| place.map_or(0.0, |place| input.sensitivities[place]));
+                DVector::from_iterator(names.len(), values)
             };
-            let (one, other) = (of(&one.sensitivities, &of_first), of(&two.sensitivities, &of_other));
+            let (one, other) = (of(one, of_first), of(two, of_other));
             let shared = one * other.transpose() * two.standard_uncertainty.powi(2);
             covariance -= &shared + shared.transpose();
         }

@@ -40,7 +40,7 @@ pub fn test(fit: &Fit, left_out: &BTreeSet<(usize, usize)>) -> Result<Vec<Drift>
     let mut extended = Problem::clone(problem);
     let mut tested: Vec<(&'static str, usize)> = Vec::new();
     for name in PARAMETERS {
-        let parameters = problem.model.parameters();
+        let parameters = &problem.model.info().parameters;
         let Some(index) = parameters.iter().position(|parameter| parameter.name == name) else { continue };
         let known = extended.unknowns.iter().position(|unknown| unknown.name == name);
         tested.push((name, known.unwrap_or(extended.unknowns.len())));
@@ -151,13 +151,13 @@ fn orthogonal(column: DVectorView<'_, f64>, basis: &DMatrix<f64>) -> DVector<f64
 fn scaled_times(problem: &Problem, rows: &[(usize, usize)]) -> Option<Vec<f64>> {
     let of_set: Vec<Option<&[f64]>> = (problem.sets.iter())
         .map(|set| {
-            let data = &set.observations.layout().data;
+            let data = &set.info().layout.data;
             data.column("time").filter(|column| column.header.quantity == Quantity::Time)?;
             data.numbers("time")
         })
         .collect();
     let time = |&(set, row): &(usize, usize)| {
-        let data_row = problem.sets[set].observations.layout().rows[row].data_row?;
+        let data_row = problem.sets[set].info().layout.rows[row].data_row?;
         Some(of_set[set]?[data_row])
     };
     let times: Vec<f64> = rows.iter().map(|row| time(row).unwrap_or(f64::NAN)).collect();

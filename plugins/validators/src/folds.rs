@@ -50,7 +50,7 @@ impl Folds {
     /// The folds of the rows of a set by the labels of `column`.
     pub fn split(&self, problem: &Problem, set: usize, column: &str) -> Result<Vec<Fold>> {
         let set = &problem.sets[set];
-        let layout = set.observations.layout();
+        let layout = &set.info().layout;
         let labels = abbe_table::labels(&layout.data, column).map_err(|error| error.setting("column"))?;
         let mut order: Vec<&str> = Vec::new();
         let mut rows: BTreeMap<&str, Vec<usize>> = BTreeMap::new();
@@ -209,7 +209,7 @@ pub fn contained(problem: &Problem) -> Result<Vec<BTreeSet<usize>>> {
 /// An own unknown of a set.
 pub fn own_unknown(problem: &Problem, set: usize, index: usize) -> Unknown {
     let observations = &problem.sets[set];
-    let parameter = &observations.observations.unknowns()[index];
+    let parameter = &observations.observations.info().unknowns[index];
     let name = format!("{}.{}", observations.name, parameter.name);
     Unknown { name, unit: parameter.unit, owner: Owner::Set(set), index }
 }

@@ -104,7 +104,7 @@ impl GeometricBias {
         let problem = fit.problem.as_ref();
         let missing = || Error::usage(format!("`{}` is not observed", self.settings.rows)).setting("rows");
         let set = problem.sets.iter().position(|set| set.name == self.settings.rows).ok_or_else(missing)?;
-        if problem.sets[set].observations.contact() != Contact::LinearAxes {
+        if problem.sets[set].info().contact != Contact::LinearAxes {
             let error = Error::usage(format!("`{}` is read, not met by the linear axes", self.settings.rows));
             return Err(error.setting("rows"));
         }
@@ -146,7 +146,7 @@ impl GeometricBias {
     /// The rows that count.
     fn rows(&self, problem: &Problem, set: usize) -> Result<Vec<usize>> {
         let set = &problem.sets[set];
-        let layout = set.observations.layout();
+        let layout = &set.info().layout;
         let labels = match &self.settings.first_of {
             Some(column) => Some(abbe_table::labels(&layout.data, column).map_err(|error| error.setting("first_of"))?),
             None => None,
@@ -163,12 +163,12 @@ impl GeometricBias {
     /// The machine without errors, apart from those that are compensated, which have the values of `values`.
     fn nominal(&self, problem: &Problem, values: Option<&Problem>) -> Result<Problem> {
         let mut nominal = problem.clone();
-        nominal.machine = nominal.model.nominal();
+        nominal.machine = nominal.model.info().nominal.clone();
         for set in &mut nominal.sets {
-            set.own = set.observations.start();
+            set.own = set.info().start.clone();
         }
         let Some(values) = values else { return Ok(nominal) };
-        let parameters = problem.model.parameters();
+        let parameters = &problem.model.info().parameters;
         for (index, pattern) in self.settings.compensated.iter().enumerate() {
             let named = (0..parameters.len()).filter(|&place| matches(pattern, &parameters[place].name));
             let named: Vec<usize> = named.collect();
@@ -188,10 +188,10 @@ impl GeometricBias {
 
 /// Where the linear axes stand at the poses of some rows.
 fn positions(problem: &Problem, set: usize, rows: &[usize]) -> Positions {
-    let axes = problem.model.axes().iter().filter(|axis| axis.kind == AxisKind::Linear);
+    let axes = problem.model.info().axes.iter().filter(|axis| axis.kind == AxisKind::Linear);
     let axes: Vec<usize> = axes.map(|axis| axis.status).collect();
     let set = &problem.sets[set];
-    let layout = set.observations.layout();
+    let layout = &set.info().layout;
     let poses = rows.iter().flat_map(|&row| {
         let row = layout.rows[row];
         row.first_pose..row.first_pose + row.poses

@@ -80,7 +80,7 @@ impl HoldOut {
         let (problem, column) = (&fit.problem, &self.settings.column);
         let set = set_of(fit, "rows", &self.settings.rows)?;
         let folds = self.settings.folds.split(problem, set, column)?;
-        let layout = problem.sets[set].observations.layout();
+        let layout = &problem.sets[set].info().layout;
         let labels = abbe_table::labels(&layout.data, column)?;
         let left_out = outliers(problem, &fit.calibration);
         let (mut all, mut groups) = (ResidualSample::default(), Groups::default());

@@ -213,7 +213,7 @@ fn places(problem: &Problem, rows: &[Row], of: &[usize]) -> String {
 
 /// One line an equation: where it stands, where the axes stood, and what it does to the fit.
 fn table(problem: &Problem, rows: &[Row], told: &Diagnostics) -> String {
-    let axes = problem.model.axes();
+    let axes = &problem.model.info().axes;
     let mut text = "stage,file,line".to_owned();
     for axis in axes {
         text.push_str(&format!(",{}_{}", axis.name, position_unit(axis).0));
@@ -241,9 +241,9 @@ fn place(problem: &Problem, row: &Row) -> String {
         .origin(row.set, row.row)
         .map_or_else(Default::default, |(file, origin)| (file.display().to_string(), origin.line.to_string()));
     let file = if file.contains([',', '"']) { format!("\"{}\"", file.replace('"', "\"\"")) } else { file };
-    let layout = set.observations.layout().rows[row.row];
+    let layout = set.info().layout.rows[row.row];
     let mut text = format!("{},{file},{line}", set.name);
-    for axis in problem.model.axes() {
+    for axis in &problem.model.info().axes {
         let position =
             (layout.poses > 0).then(|| set.poses().row(layout.first_pose)[axis.status] * position_unit(axis).1);
         text.push_str(&position.map_or(",".to_owned(), |position| format!(",{}", (position * 1e6).round() / 1e6)));

@@ -135,7 +135,7 @@ impl MinimalSet {
             error
         })?;
         for set in &mut candidates.sets {
-            set.own = set.observations.start();
+            set.own = set.info().start.clone();
         }
         rank_point(&candidates, &candidates.start())
     }
@@ -211,7 +211,7 @@ impl Convention {
         let mut zero = Vec::new();
         // The primary and the secondary linear axis: the first two directions of x, y, z that the machine has.
         let mut linear: Vec<(usize, &str)> = Vec::new();
-        for axis in model.axes() {
+        for axis in &model.info().axes {
             let (name, direction) = (axis.name.as_str(), main(&axis.direction));
             match axis.kind {
                 AxisKind::Linear => {

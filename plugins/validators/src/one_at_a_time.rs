@@ -76,7 +76,7 @@ impl Sensitivity {
     /// Fails for a name that matches no parameter, a parameter for whose unit there is no value and a value that no parameter
     /// takes.
     pub fn errors(&self, model: &dyn KinematicModel) -> Result<Vec<SingleError>> {
-        let parameters = model.parameters();
+        let parameters = &model.info().parameters;
         for (index, pattern) in self.parameters.iter().enumerate() {
             if !parameters.iter().any(|parameter| matches(pattern, &parameter.name)) {
                 let names = parameters.iter().map(|parameter| parameter.name.as_str());
@@ -114,12 +114,12 @@ impl<'a> Programme<'a> {
     /// nominal model, along lines through the centre, so that model tells where they lead; where the nominal sphere is not
     /// known, the one that the nominal model measured stands for it.
     pub fn of(touches: &Touches, model: &'a dyn KinematicModel) -> Result<Self> {
-        let axes = model.axes().iter().enumerate().filter(|(_, axis)| axis.kind == AxisKind::Linear);
+        let axes = model.info().axes.iter().enumerate().filter(|(_, axis)| axis.kind == AxisKind::Linear);
         let (commands, places): (Vec<Variable>, Vec<usize>) =
             axes.map(|(index, axis)| (Variable::Command(index), axis.status)).unzip();
         let mut poses = Poses::default();
-        let nominal = model.nominal();
-        model.evaluate(&touches.statuses, &nominal, &commands, false, &mut poses)?;
+        let nominal = &model.info().nominal;
+        model.poses(&touches.statuses, nominal, &commands, false, &mut poses)?;
         let tips: Vec<Vector3<f64>> = poses.positions.iter().map(|tip| Vector3::from(*tip)).collect();
         let measured = touches.through(&tips)?.shape;
         let centre = touches.centre.unwrap_or(measured.centre);
@@ -140,19 +140,19 @@ impl<'a> Programme<'a> {
 
     /// The tips by the nominal model if the machine really has this error.
     pub fn measured_with(&self, error: &SingleError) -> Result<Vec<Vector3<f64>>> {
-        let nominal = self.model.nominal();
+        let nominal = &self.model.info().nominal;
         let mut real = nominal.clone();
         real[error.index] = error.value;
-        tips(self.model, &self.touched(&real)?, &nominal)
+        tips(self.model, &self.touched(&real)?, nominal)
     }
 
     /// The statuses in which the tips of a machine with these values touch the sphere.
     fn touched(&self, values: &[f64]) -> Result<Vec<f64>> {
-        let width = self.model.status().len();
+        let width = self.model.info().status.len();
         let count = self.commands.len();
         let (mut statuses, mut poses) = (self.statuses.clone(), Poses::default());
         for _ in 0..STEPS {
-            self.model.evaluate(&statuses, values, &self.commands, false, &mut poses)?;
+            self.model.poses(&statuses, values, &self.commands, false, &mut poses)?;
             let mut all = true;
             for (index, (status, retraction)) in statuses.chunks_exact_mut(width).zip(&self.retraction).enumerate() {
                 let from_centre = Vector3::from(poses.positions[index]) - self.centre;

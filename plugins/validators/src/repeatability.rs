@@ -148,7 +148,7 @@ impl Repeatability {
     fn judge_residuals(&self, fit: &Fit, rows: &str, findings: &mut Findings) -> Result<()> {
         let problem = &fit.problem;
         let set = set_of(fit, "rows", rows)?;
-        let layout = problem.sets[set].observations.layout();
+        let layout = &problem.sets[set].info().layout;
         if let Some(row) = problem.sets[set].rows.iter().find(|&&row| {
             let row = &layout.rows[row];
             row.data_row.is_some() && row.equations != 1
@@ -161,10 +161,8 @@ impl Repeatability {
         let residuals = problem.residuals(&problem.values_of(&fit.calibration))?;
         let of_set = problem.equation_rows().into_iter().zip(residuals).filter(|((of, _), _)| *of == set);
         let kept = of_set.filter(|(row, _)| !left_out.contains(row));
-        let angles = problem.sets[set]
-            .rows
-            .iter()
-            .any(|&row| problem.sets[set].observations.quantity(row, 0) == Quantity::Angle);
+        let angles =
+            problem.sets[set].rows.iter().any(|&row| problem.sets[set].info().quantity(row, 0) == Quantity::Angle);
         let (unit, factor) = if angles { (URAD, 1e6) } else { (UM, 1e3) };
         let readings: Vec<Reading> = kept
             .filter_map(|((_, row), value)| Some(Reading { row: layout.rows[row].data_row?, value: value * factor }))
@@ -194,8 +192,8 @@ impl Repeatability {
 
     /// Refuses a point that is measured at different positions of rotary axes: these would not be repeats.
     fn same_positions(&self, problem: &Problem, set: usize, points: &Labelled) -> Result<()> {
-        let layout = problem.sets[set].observations.layout();
-        let axes = problem.model.axes();
+        let layout = &problem.sets[set].info().layout;
+        let axes = &problem.model.info().axes;
         let rotary = || axes.iter().filter(|axis| axis.kind == AxisKind::Rotary);
         let mut first: BTreeMap<&str, usize> = BTreeMap::new();
         for &row in &problem.sets[set].rows {

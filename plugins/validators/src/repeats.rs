@@ -156,17 +156,16 @@ impl Repeats {
 /// The labels of the repeats, in the order in which they appear, and the rows of each set that belong to each.
 fn repeats(problem: &Problem, by: &str) -> Result<Vec<(String, Vec<Vec<usize>>)>> {
     let mut found: Vec<(String, Vec<Vec<usize>>)> = Vec::new();
-    let of_rows: Vec<Option<&[String]>> =
-        problem.sets.iter().map(|set| set.observations.layout().data.labels(by)).collect();
+    let of_rows: Vec<Option<&[String]>> = problem.sets.iter().map(|set| set.info().layout.data.labels(by)).collect();
     let at_column = |error: Error| Error { place: None, ..error }.setting("by");
     if of_rows.iter().all(Option::is_none) {
         let set = problem.sets.first().ok_or_else(|| Error::data("there are no observations"))?;
-        abbe_table::labels(&set.observations.layout().data, by).map_err(at_column)?;
+        abbe_table::labels(&set.info().layout.data, by).map_err(at_column)?;
     }
     let empty = || vec![Vec::new(); problem.sets.len()];
     for (index, (set, labels)) in problem.sets.iter().zip(&of_rows).enumerate() {
         for &row in &set.rows {
-            let data_row = set.observations.layout().rows[row].data_row;
+            let data_row = set.info().layout.rows[row].data_row;
             let Some((labels, data_row)) = labels.zip(data_row) else { continue };
             let label = &labels[data_row];
             match found.iter_mut().find(|(other, _)| other == label) {
@@ -181,7 +180,7 @@ fn repeats(problem: &Problem, by: &str) -> Result<Vec<(String, Vec<Vec<usize>>)>
     }
     // What was not repeated takes part in every repeat.
     for (index, (set, labels)) in problem.sets.iter().zip(&of_rows).enumerate() {
-        let fixed = |row: &&usize| labels.is_none() || set.observations.layout().rows[**row].data_row.is_none();
+        let fixed = |row: &&usize| labels.is_none() || set.info().layout.rows[**row].data_row.is_none();
         let always: Vec<usize> = set.rows.iter().filter(fixed).copied().collect();
         for (_, rows) in &mut found {
             rows[index].extend(&always);

@@ -121,7 +121,7 @@ impl Residuals {
     fn columns(&self, problem: &Problem) -> Result<Vec<String>> {
         let Some(by) = &self.settings.by else { return Ok(vec!["group".to_owned(), "feature".to_owned()]) };
         for (index, name) in by.iter().enumerate() {
-            let columns = || problem.sets.iter().flat_map(|set| &set.observations.layout().data.columns);
+            let columns = || problem.sets.iter().flat_map(|set| &set.info().layout.data.columns);
             let of_labels = || columns().filter(|column| matches!(column.values, Values::Labels(_)));
             if !of_labels().any(|column| column.header.name == *name) {
                 let mut error = Error::usage(format!("no observed data set has a column of labels `{name}`"))
@@ -138,7 +138,7 @@ impl Residuals {
 fn group(problem: &Problem, residuals: &[Kept], column: &str) -> Groups {
     let mut groups = Groups::default();
     for &Kept { row: (set, row), quantity, residual } in residuals {
-        let layout = problem.sets[set].observations.layout();
+        let layout = &problem.sets[set].info().layout;
         if let (Some(labels), Some(data_row)) = (layout.data.labels(column), layout.rows[row].data_row) {
             groups.push(&labels[data_row], quantity, residual);
         }
@@ -162,7 +162,7 @@ fn follow_time(fit: &Fit, left_out: &BTreeSet<(usize, usize)>, findings: &mut Fi
     let p = if first.p > 0.0 { format!("p = {:.0e}", first.p) } else { "p < 1e-300".to_owned() };
     let terms = if first.terms == 1 { "1 term".to_owned() } else { format!("{} terms", first.terms) };
     let prefix = format!("{parameter}[");
-    let modelled = fit.problem.model.parameters().iter().filter(|other| other.name.starts_with(&prefix)).count();
+    let modelled = fit.problem.model.info().parameters.iter().filter(|other| other.name.starts_with(&prefix)).count();
     let estimated = fit.problem.unknowns.iter().filter(|other| other.name.starts_with(&prefix)).count();
     let mut advice = if modelled == 0 {
         let degrees: Vec<String> = (1..=DEGREES).map(|degree| degree.to_string()).collect();

@@ -31,20 +31,23 @@ impl Touches {
     /// Fails if the artefact's rows are no touches on spheres.
     pub fn of_rows(fit: &Fit, set: usize, left_out: impl Fn(usize) -> bool, column: Option<&str>) -> Result<Vec<Self>> {
         let set = &fit.problem.sets[set];
-        let layout = set.observations.layout();
+        let layout = &set.info().layout;
         let rows = set.rows.iter().copied().filter(|&row| layout.rows[row].poses > 0 && !left_out(row));
         let labels = Labels::of(&layout.data, column)?;
-        let features = set.observations.features();
+        let features = &set.info().features;
         let mut groups = Groups::default();
         for row in rows {
             let data_row = layout.rows[row].data_row.unwrap_or_default();
             let feature =
                 labels.feature.and_then(|labels| features.iter().find(|other| other.label == labels[data_row]));
             let one = || features.first().filter(|_| features.len() == 1);
-            let touched =
-                feature.or_else(one).and_then(|feature| nominal_touch(set, row, feature)).ok_or_else(|| {
-                    Error::data(format!("the rows of `{}` are no touches on spheres", set.name)).setting("rows")
-                })?;
+            let touched = match feature.or_else(one) {
+                Some(feature) => nominal_touch(set, row, feature)?,
+                None => None,
+            };
+            let touched = touched.ok_or_else(|| {
+                Error::data(format!("the rows of `{}` are no touches on spheres", set.name)).setting("rows")
+            })?;
             let touches = groups.of(labels.text(data_row), touched);
             touches.statuses.extend_from_slice(set.poses().row(layout.rows[row].first_pose));
         }
@@ -90,24 +93,26 @@ impl Touches {
 /// Tip positions in the table frame, mm.
 pub fn tips(model: &dyn KinematicModel, statuses: &[f64], values: &[f64]) -> Result<Vec<Vector3<f64>>> {
     let mut poses = Poses::default();
-    model.evaluate(statuses, values, &[], false, &mut poses)?;
+    model.poses(statuses, values, &[], false, &mut poses)?;
     Ok(poses.positions.into_iter().map(Vector3::from).collect())
 }
 
-/// Nominal centre of the sphere that a row touches and nominal distance of the tip from it; none if the row is no touch on a
-/// sphere.
-fn nominal_touch(set: &ObservationSet, row: usize, feature: &Feature) -> Option<(Option<Vector3<f64>>, Option<f64>)> {
-    let Layout { rows, .. } = set.observations.layout();
+/// Nominal centre of the sphere that is touched, and nominal distance of the tip from it; none where they are not known.
+type NominalTouch = (Option<Vector3<f64>>, Option<f64>);
+
+/// What a row touches; none if it is no touch on a sphere.
+fn nominal_touch(set: &ObservationSet, row: usize, feature: &Feature) -> Result<Option<NominalTouch>> {
+    let rows = &set.info().layout.rows;
     // What can be off in all directions and gives one equation a touch is met at some distance from its centre.
     if rows[row].poses != 1 || rows[row].equations != 1 || feature.shifts.len() != 3 {
-        return None;
+        return Ok(None);
     }
-    let own = set.observations.start();
+    let own = &set.info().start;
     let shifts = feature.shifts.iter().map(|(index, direction)| own[*index] * Vector3::from(*direction));
     let centre = Vector3::from(feature.point) + shifts.sum::<Vector3<f64>>();
     let outside = centre + Vector3::z();
-    let contact = set.observations.contact_tip(row, outside.into(), &own, &set.inputs)?;
-    Some((Some(centre), Some((Vector3::from(contact) - centre).norm())))
+    let contact = set.observations.contact_tip(row, outside.into(), own, &set.inputs)?;
+    Ok(contact.map(|contact| (Some(centre), Some((Vector3::from(contact) - centre).norm()))))
 }
 
 /// The labels that tell touches apart.
@@ -139,7 +144,7 @@ struct Groups {
 }
 
 impl Groups {
-    fn of(&mut self, label: Vec<String>, (centre, reach): (Option<Vector3<f64>>, Option<f64>)) -> &mut Touches {
+    fn of(&mut self, label: Vec<String>, (centre, reach): NominalTouch) -> &mut Touches {
         let index = match self.index.get(&label) {
             Some(&index) => index,
             None => {

@@ -97,8 +97,8 @@ impl Validate for Sphericity {
         for fit in fits {
             let (touches, skipped) = self.touches(fit, data)?;
             let model = fit.problem.model.as_ref();
-            let zero = model.nominal();
-            let mut of_nominal = Form::all(&touches, model, &zero)?.figures(NOMINAL, model.stylus_radius());
+            let zero = &model.info().nominal;
+            let mut of_nominal = Form::all(&touches, model, zero)?.figures(NOMINAL, model.info().stylus_radius);
             if !nominal.contains(&of_nominal) {
                 nominal.push(of_nominal.clone());
                 if nominal.len() > 1 {
@@ -108,7 +108,7 @@ impl Validate for Sphericity {
                 findings.figures.extend(of_nominal);
             }
             let values = fit.problem.starting_from(&fit.calibration).machine;
-            let mut figures = Form::all(&touches, model, &values)?.figures(&fit.name, model.stylus_radius());
+            let mut figures = Form::all(&touches, model, &values)?.figures(&fit.name, model.info().stylus_radius);
             figures.extend(skipped.map(|skipped| Figure::new(&fit.name, "outliers", skipped as f64, ONE)));
             set_limits(&self.settings.limits, &mut figures);
             findings.figures.extend(figures);
@@ -137,7 +137,7 @@ impl Sphericity {
                 Ok((touches, Some(left_out.iter().filter(|(of, _)| *of == set).count())))
             }
             (None, [data]) => {
-                let reach = self.settings.diameter_mm.map(|diameter| diameter / 2.0 + model.stylus_radius());
+                let reach = self.settings.diameter_mm.map(|diameter| diameter / 2.0 + model.info().stylus_radius);
                 Ok((Touches::of_data(data, model, reach, column)?, None))
             }
             (Some(_), _) => {

@@ -96,8 +96,8 @@ impl TipCmm {
     fn judge(&self, fit: &Fit, cmm: &Cmm, findings: &mut Findings) -> Result<()> {
         let problem = &fit.problem;
         let set = set_of(fit, "features", &self.settings.features)?;
-        let features = problem.sets[set].observations.features();
-        let matched = cmm.matched(&features)?;
+        let features = &problem.sets[set].info().features;
+        let matched = cmm.matched(features)?;
         let measured: Vec<Unknown> = matched.shifts.iter().map(|shift| own_unknown(problem, set, shift.own)).collect();
         let all_shifts = features.iter().flat_map(|feature| &feature.shifts);
         let unmeasured: Vec<Unknown> =
@@ -105,7 +105,7 @@ impl TipCmm {
         findings.remarks.extend(matched.left_out.iter().map(|text| format!("{}: {text}", fit.name)));
 
         let left_out = outliers(problem, &fit.calibration);
-        let layout = problem.sets[set].observations.layout();
+        let layout = &problem.sets[set].info().layout;
         let (mut skipped, mut unpredicted) = (0_usize, 0_usize);
         let mut cases = Vec::new();
         for part in self.parts(fit, set)? {

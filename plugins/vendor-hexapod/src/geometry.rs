@@ -2,7 +2,6 @@
 
 use abbe_plugin::sdk::*;
 use nalgebra::{Matrix6, UnitQuaternion, Vector3, Vector6};
-use serde_json::Value;
 
 use crate::settings::Settings;
 
@@ -21,9 +20,7 @@ const STEPS: usize = 30;
 /// A hexapod.
 pub struct Hexapod {
     settings: Settings,
-    axes: Vec<Axis>,
-    status: Vec<StatusColumn>,
-    parameters: Vec<Parameter>,
+    info: ModelInfo,
 }
 
 /// Joints and lengths, errors included.
@@ -72,13 +69,16 @@ impl Hexapod {
         let status = status.collect();
         let of_strut = |strut: usize| {
             let names = ["length", "base.x", "base.y", "base.z", "platform.x", "platform.y", "platform.z"];
-            names.map(|name| Parameter { name: format!("strut[{}].{name}", strut + 1), unit: Unit::MM })
+            names.map(|name| Parameter::new(format!("strut[{}].{name}", strut + 1), Unit::MM))
         };
-        let tip = TIP.map(|name| Parameter { name: name.to_owned(), unit: Unit::MM });
+        let tip = TIP.map(|name| Parameter::new(name, Unit::MM).with_role(ParameterRole::SetUp));
         let parameters = (0..6).flat_map(of_strut).chain(tip).collect();
-        let hexapod = Self { settings, axes, status, parameters };
+        let written = serde_json::to_value(&settings).unwrap_or_default();
+        let stylus_radius = settings.stylus_radius_mm;
+        let info = ModelInfo { stylus_radius, ..ModelInfo::new(axes, status, parameters, written) };
+        let hexapod = Self { settings, info };
         let middle = [(low + high) / 2.0; 6];
-        let home = hexapod.actual(&middle, &hexapod.nominal());
+        let home = hexapod.actual(&middle, &hexapod.info.nominal);
         let singular = |_| {
             SettingsError::new(
                 "",
@@ -178,42 +178,12 @@ fn unit(component: usize) -> Vector3<f64> {
 }
 
 impl KinematicModel for Hexapod {
-    fn axes(&self) -> &[Axis] {
-        &self.axes
+    fn info(&self) -> &ModelInfo {
+        &self.info
     }
 
-    fn status(&self) -> &[StatusColumn] {
-        &self.status
-    }
-
-    fn parameters(&self) -> &[Parameter] {
-        &self.parameters
-    }
-
-    fn stylus_radius(&self) -> f64 {
-        self.settings.stylus_radius_mm
-    }
-
-    fn evaluate(
-        &self,
-        statuses: &[f64],
-        values: &[f64],
-        wanted: &[Variable],
-        orientation: bool,
-        out: &mut Poses,
-    ) -> Result<()> {
-        out.reset(statuses.len() / 6, wanted.len(), orientation);
-        self.evaluate_into(statuses, values, wanted, orientation, out.as_mut())
-    }
-
-    fn evaluate_into(
-        &self,
-        statuses: &[f64],
-        values: &[f64],
-        wanted: &[Variable],
-        orientation: bool,
-        out: PosesMut<'_>,
-    ) -> Result<()> {
+    fn evaluate(&self, batch: PoseBatch<'_>, out: PosesMut<'_>) -> Result<()> {
+        let PoseBatch { statuses, values, wanted, orientation } = batch;
         let tip = self.tip(values);
         for (pose, commands) in statuses.chunks_exact(6).enumerate() {
             let actual = self.actual(commands, values);
@@ -235,9 +205,5 @@ impl KinematicModel for Hexapod {
             }
         }
         Ok(())
-    }
-
-    fn settings(&self) -> Value {
-        serde_json::to_value(&self.settings).unwrap_or_default()
     }
 }

@@ -31,25 +31,17 @@ impl Random {
 
 /// Positions of the tip, each measured at six strut lengths.
 struct Centres {
-    layout: Layout,
+    info: ObservationsInfo,
     measured: Vec<[f64; 3]>,
 }
 
 impl Observations for Centres {
-    fn layout(&self) -> &Layout {
-        &self.layout
+    fn info(&self) -> &ObservationsInfo {
+        &self.info
     }
 
-    fn unknowns(&self) -> &[Parameter] {
-        &[]
-    }
-
-    fn inputs(&self) -> &[KnownInput] {
-        &[]
-    }
-
-    fn evaluate(&self, rows: &[usize], poses: PoseValues<'_>, _: &[f64], _: &[f64], out: &mut Equations) {
-        for (&row, position) in rows.iter().zip(poses.positions) {
+    fn evaluate(&self, batch: RowBatch<'_>, out: &mut Equations) -> Result<()> {
+        for (&row, position) in batch.rows.iter().zip(batch.positions) {
             for component in 0..3 {
                 out.equation(position[component] - self.measured[row][component]);
                 let mut derivative = [0.0; 3];
@@ -57,14 +49,7 @@ impl Observations for Centres {
                 out.position(derivative);
             }
         }
-    }
-
-    fn features(&self) -> Vec<Feature> {
-        Vec::new()
-    }
-
-    fn contact(&self) -> Contact {
-        Contact::Reading("centre".to_owned())
+        Ok(())
     }
 }
 
@@ -75,37 +60,14 @@ struct Counting {
 }
 
 impl KinematicModel for Counting {
-    fn axes(&self) -> &[Axis] {
-        self.hexapod.axes()
+    fn info(&self) -> &ModelInfo {
+        self.hexapod.info()
     }
 
-    fn status(&self) -> &[StatusColumn] {
-        self.hexapod.status()
-    }
-
-    fn parameters(&self) -> &[Parameter] {
-        self.hexapod.parameters()
-    }
-
-    fn stylus_radius(&self) -> f64 {
-        0.0
-    }
-
-    fn evaluate(
-        &self,
-        statuses: &[f64],
-        values: &[f64],
-        wanted: &[Variable],
-        orientation: bool,
-        out: &mut Poses,
-    ) -> Result<()> {
-        let done = self.hexapod.evaluate(statuses, values, wanted, orientation, out);
+    fn evaluate(&self, batch: PoseBatch<'_>, out: PosesMut<'_>) -> Result<()> {
+        let done = self.hexapod.evaluate(batch, out);
         self.refused.fetch_add(usize::from(done.is_err()), Ordering::Relaxed);
         done
-    }
-
-    fn settings(&self) -> serde_json::Value {
-        self.hexapod.settings()
     }
 }
 
@@ -152,7 +114,8 @@ fn a_step_to_where_struts_hold_no_platform_is_halved() {
     });
     let mut layout = Layout::new(&data, model.as_ref(), &[&plain_naming]).expect("a layout");
     (0..POSES).for_each(|row| layout.push(model.as_ref(), row, &[1e-3; 3]).expect("a row"));
-    let sets = vec![ObservationSet::new("centres", Arc::new(Centres { layout, measured }))];
+    let info = ObservationsInfo::new(layout, Vec::new(), Contact::Reading("centre".to_owned()));
+    let sets = vec![ObservationSet::new("centres", Arc::new(Centres { info, measured }))];
     let patterns = ["strut[?].length", "strut[?].base.?", "d?t"].map(str::to_owned);
     let problem = Problem::new("fit", "vendor-hexapod", model.clone(), sets, &patterns).expect("a problem");
 

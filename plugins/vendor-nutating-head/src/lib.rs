@@ -79,9 +79,7 @@ const PARAMETERS: [(&str, Unit); 8] = [
 
 struct NutatingHead {
     settings: Settings,
-    axes: Vec<Axis>,
-    status: Vec<StatusColumn>,
-    parameters: Vec<Parameter>,
+    info: ModelInfo,
 }
 
 impl NutatingHead {
@@ -107,8 +105,16 @@ impl NutatingHead {
             absent: Absent::Refused,
         });
         let status = status.collect();
-        let parameters = PARAMETERS.map(|(name, unit)| Parameter { name: name.to_owned(), unit }).to_vec();
-        Self { settings, axes, status, parameters }
+        let parameters = PARAMETERS.map(|(name, unit)| match name {
+            "dxt" | "dyt" | "dzt" => Parameter::new(name, unit).with_role(ParameterRole::SetUp),
+            _ => Parameter::new(name, unit),
+        });
+        let written = serde_json::to_value(&settings).unwrap_or_default();
+        let info = ModelInfo {
+            stylus_radius: settings.stylus_radius_mm,
+            ..ModelInfo::new(axes, status, parameters.to_vec(), written)
+        };
+        Self { settings, info }
     }
 }
 
@@ -118,31 +124,12 @@ fn line(tilt: f64) -> Vector3<f64> {
 }
 
 impl KinematicModel for NutatingHead {
-    fn axes(&self) -> &[Axis] {
-        &self.axes
+    fn info(&self) -> &ModelInfo {
+        &self.info
     }
 
-    fn status(&self) -> &[StatusColumn] {
-        &self.status
-    }
-
-    fn parameters(&self) -> &[Parameter] {
-        &self.parameters
-    }
-
-    fn stylus_radius(&self) -> f64 {
-        self.settings.stylus_radius_mm
-    }
-
-    fn evaluate(
-        &self,
-        statuses: &[f64],
-        values: &[f64],
-        wanted: &[Variable],
-        orientation: bool,
-        out: &mut Poses,
-    ) -> Result<()> {
-        out.reset(statuses.len() / 4, wanted.len(), orientation);
+    fn evaluate(&self, batch: PoseBatch<'_>, out: PosesMut<'_>) -> Result<()> {
+        let PoseBatch { statuses, values, wanted, orientation } = batch;
         let tilt = self.settings.tilt_deg.to_radians() + values[0];
         let along = line(tilt);
         // Perpendicular to the line, in the plane of the tilt: where the line goes when the tilt grows.
@@ -177,10 +164,6 @@ impl KinematicModel for NutatingHead {
             }
         }
         Ok(())
-    }
-
-    fn settings(&self) -> Value {
-        serde_json::to_value(&self.settings).unwrap_or_default()
     }
 }
 

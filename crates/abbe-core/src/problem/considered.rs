@@ -4,8 +4,8 @@ use serde::{Deserialize, Serialize};
 
 use crate::error::{Error, Result};
 use crate::identity::Certificate;
-use crate::model::{KinematicModel, Parameter};
-use crate::observations::{Equations, PoseValues};
+use crate::model::{KinematicModel, ModelInfo, Parameter, Poses};
+use crate::observations::Equations;
 use crate::problem::{ObservationSet, Owner, Problem, Unknown};
 use crate::result::{Calibration, ConsideredInput};
 use crate::unit::Unit;
@@ -96,7 +96,7 @@ impl Considered {
 impl ObservationSet {
     /// Who a known input is: by its declared `id`, or by what its certificate says.
     pub fn identity(&self, input: usize) -> String {
-        let certificate = self.observations.inputs()[input].certificate();
+        let certificate = self.observations.info().inputs[input].certificate();
         match self.ids.get(input).and_then(Option::as_deref) {
             Some(id) => certificate.declared(id),
             None => certificate.identity(),
@@ -112,7 +112,7 @@ pub(crate) fn inputs(sets: &[ObservationSet]) -> Result<(Vec<Input>, Considered)
     let mut inputs: Vec<Input> = Vec::new();
     let mut shared: Vec<Option<&str>> = Vec::new();
     for (set, observations) in sets.iter().enumerate() {
-        for (index, input) in observations.observations.inputs().iter().enumerate() {
+        for (index, input) in observations.observations.info().inputs.iter().enumerate() {
             let own = input.parameter.name.as_str();
             // What is exact shares no error.
             let identity = match input.standard_uncertainty > 0.0 {
@@ -177,8 +177,9 @@ fn agree(known: &Input, value: f64, uncertainty: f64, sets: &[ObservationSet], o
 
 /// Adds the parameters of a model that are known from elsewhere and not chosen.
 pub(crate) fn consider_parameters(considered: &mut Considered, model: &dyn KinematicModel, chosen: &[Unknown]) {
-    let all = model.parameters().iter().zip(model.nominal_uncertainties()).zip(model.nominal()).enumerate();
-    for (index, ((Parameter { name, unit }, uncertainty), value)) in all {
+    let ModelInfo { parameters, nominal, nominal_uncertainties, .. } = model.info();
+    let all = parameters.iter().zip(nominal_uncertainties).zip(nominal).enumerate();
+    for (index, ((Parameter { name, unit, .. }, &uncertainty), value)) in all {
         let is_chosen = chosen.iter().any(|unknown| unknown.owner == Owner::Machine && unknown.index == index);
         if uncertainty > 0.0 && !is_chosen {
             let unknown = Unknown { name: name.clone(), unit: *unit, owner: Owner::Machine, index };
@@ -190,12 +191,11 @@ pub(crate) fn consider_parameters(considered: &mut Considered, model: &dyn Kinem
 
 /// Refuses constraints that hang on no uncertain input: what a certificate states would be without uncertainty.
 pub(crate) fn check_constraints(set: &ObservationSet) -> Result<()> {
-    let rows = &set.observations.layout().rows;
-    let none = PoseValues { positions: &[], orientations: &[] };
+    let (rows, none) = (&set.info().layout.rows, Poses::default());
     for row in (0..rows.len()).filter(|&row| rows[row].data_row.is_none() && rows[row].poses == 0) {
         let mut equations = Equations::default();
-        set.observations.try_evaluate(&[row], none, &set.own, &set.inputs, &mut equations)?;
-        let uncertain = |input: usize| set.observations.inputs()[input].standard_uncertainty > 0.0;
+        set.observations.evaluate(set.batch(&[row], &none), &mut equations)?;
+        let uncertain = |input: usize| set.info().inputs[input].standard_uncertainty > 0.0;
         let stated = |equation| equations.by_input().iter().any(|&(of, input, _)| of == equation && uncertain(input));
         if !(0..rows[row].equations).all(stated) {
             let message = "a constraint of this artefact hangs on no known input that has an uncertainty";
@@ -224,7 +224,7 @@ impl Problem {
         let (mut known, mut places) = (Vec::new(), Vec::new());
         let parameters = self.candidates();
         for unknown in parameters.into_iter().filter(|unknown| !chosen(&unknown.name)) {
-            let Some(place) = order.iter().position(|name| *name == unknown.name) else { continue };
+            let Some(place) = calibration.covariance.index(&unknown.name) else { continue };
             let identity = identity(&unknown.name);
             known.push((unknown, identity));
             places.push(place);
@@ -313,9 +313,9 @@ impl Problem {
 
 /// The parameters of a model and the own unknowns of some sets, in this order.
 pub(crate) fn candidates(model: &dyn KinematicModel, sets: &[ObservationSet]) -> Vec<Unknown> {
-    let machine = model.parameters().iter().enumerate();
+    let machine = model.info().parameters.iter().enumerate();
     let mut candidates: Vec<Unknown> = machine
-        .map(|(index, Parameter { name, unit })| Unknown {
+        .map(|(index, Parameter { name, unit, .. })| Unknown {
             name: name.clone(),
             unit: *unit,
             owner: Owner::Machine,
@@ -323,7 +323,7 @@ pub(crate) fn candidates(model: &dyn KinematicModel, sets: &[ObservationSet]) ->
         })
         .collect();
     for (set, observations) in sets.iter().enumerate() {
-        let own = observations.observations.unknowns().iter().enumerate();
+        let own = observations.observations.info().unknowns.iter().enumerate();
         candidates.extend(own.map(|(index, parameter)| Unknown {
             name: format!("{}.{}", observations.name, parameter.name),
             unit: parameter.unit,

@@ -15,18 +15,18 @@ impl Problem {
     /// Positions are exact. Derivatives to shapes and commands are those of the exact rotation, which differ by products
     /// of errors.
     pub(crate) fn first_order(&self, statuses: &[f64], wanted: &[Variable], out: &mut Poses) -> Result<()> {
-        let nominal = self.model.nominal();
+        let nominal = &self.model.info().nominal;
         let linear = |variable: &Variable| match variable {
             Variable::Parameter(index) => Some(*index).filter(|index| nominal[*index] == 0.0),
             Variable::Command(_) => None,
         };
         let exact = wanted.iter().any(|variable| linear(variable).is_none());
-        self.model.evaluate(statuses, &self.machine, wanted, exact, out)?;
+        self.model.poses(statuses, &self.machine, wanted, exact, out)?;
 
         let values: Vec<f64> = self
             .machine
             .iter()
-            .zip(&nominal)
+            .zip(nominal)
             .map(|(value, nominal)| if *nominal == 0.0 { 0.0 } else { *value })
             .collect();
         let mut column = vec![None; nominal.len()];
@@ -39,7 +39,7 @@ impl Problem {
             });
         }
         let mut at_nominal = Poses::default();
-        self.model.evaluate(statuses, &values, &variables, true, &mut at_nominal)?;
+        self.model.poses(statuses, &values, &variables, true, &mut at_nominal)?;
 
         let poses = at_nominal.orientations.len();
         out.orientations.clear();

@@ -2,11 +2,13 @@
 
 use std::sync::mpsc::{channel, sync_channel};
 
+use nalgebra::Vector3;
+
 use super::rows::ObservationSet;
 use super::{Owner, Problem};
 use crate::error::{Error, Result};
 use crate::model::{Poses, Variable};
-use crate::observations::{Contact, Equations, PoseValues};
+use crate::observations::{Contact, Equations, Orientation};
 use crate::parallel::{cores, is_one_of_several};
 
 /// Rows that are evaluated together: enough to amortise a call, few enough for their derivatives to stay in the cache.
@@ -124,9 +126,10 @@ impl Problem {
             if *weight == [0.0; 3] {
                 return;
             }
+            let weight = Vector3::from(*weight);
             let line = &mut jacobian[equation * count..(equation + 1) * count];
             for (derivative, &column) in derivatives.iter().zip(&columns.machine) {
-                line[column] += dot(derivative, weight);
+                line[column] += Vector3::from(*derivative).dot(&weight);
             }
         });
         let (own, inputs) = &columns.of_sets[index];
@@ -146,10 +149,9 @@ impl Problem {
         self.evaluate_poses(set, rows, wanted, work).map_err(|error| self.of_row(set, rows, error))?;
         let set = &self.sets[set];
         work.equations.clear();
-        let poses = PoseValues { positions: &work.poses.positions, orientations: &work.poses.orientations };
-        set.observations.try_evaluate(rows, poses, &set.own, &set.inputs, &mut work.equations)?;
+        set.observations.evaluate(set.batch(rows, &work.poses), &mut work.equations)?;
         if let Some(disturbances) = &set.disturbances {
-            let equations = rows.iter().map(|&row| set.observations.layout().rows[row]);
+            let equations = rows.iter().map(|&row| set.info().layout.rows[row]);
             let equations = equations.flat_map(|row| row.first_equation..row.first_equation + row.equations);
             work.equations.residuals.iter_mut().zip(equations).for_each(|(value, at)| *value += disturbances[at]);
         }
@@ -158,12 +160,14 @@ impl Problem {
 
     fn evaluate_poses(&self, set: usize, rows: &[usize], wanted: &[Variable], work: &mut Evaluation) -> Result<()> {
         let set = &self.sets[set];
-        let orientation = set.observations.needs_orientation();
         work.statuses.clear();
         set.poses_of(rows).for_each(|pose| work.statuses.extend_from_slice(set.poses().row(pose)));
-        match orientation && set.observations.first_order_orientation() {
-            true => self.first_order(&work.statuses, wanted, &mut work.poses),
-            false => self.model.evaluate(&work.statuses, &self.machine, wanted, orientation, &mut work.poses),
+        match set.info().orientation {
+            Orientation::FirstOrder => self.first_order(&work.statuses, wanted, &mut work.poses),
+            orientation => {
+                let exact = orientation == Orientation::Exact;
+                self.model.poses(&work.statuses, &self.machine, wanted, exact, &mut work.poses)
+            }
         }
     }
 
@@ -180,7 +184,7 @@ impl Problem {
             Some(&row) => self.at_row(set, row, error),
             None => error,
         };
-        let recorded = self.sets[set].moved.is_none() || self.sets[set].observations.contact() != Contact::LinearAxes;
+        let recorded = self.sets[set].moved.is_none() || self.sets[set].info().contact != Contact::LinearAxes;
         match &error.help {
             Some(help) if !recorded => {
                 let help = format!(
@@ -264,7 +268,7 @@ impl Evaluation {
         mut add: impl FnMut(usize, usize, &[[f64; 3]], &[f64; 3]),
     ) {
         let (mut equation, mut pair, mut first_pose) = (0, 0, 0);
-        for row in rows.iter().map(|&row| &set.observations.layout().rows[row]) {
+        for row in rows.iter().map(|&row| &set.info().layout.rows[row]) {
             for _ in 0..row.equations {
                 for pose in first_pose..first_pose + row.poses {
                     let range = pose * variables..(pose + 1) * variables;
@@ -280,8 +284,4 @@ impl Evaluation {
             first_pose += row.poses;
         }
     }
-}
-
-fn dot(a: &[f64; 3], b: &[f64; 3]) -> f64 {
-    a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
 }

@@ -110,7 +110,7 @@ impl Problem {
         }
         let mut chosen = chosen.into_iter();
         candidates.retain(|_| chosen.next() == Some(true));
-        let machine = model.nominal();
+        let machine = model.info().nominal.clone();
         let (inputs, mut considered) = inputs(&sets)?;
         consider_parameters(&mut considered, model.as_ref(), &candidates);
         sets.iter().try_for_each(check_constraints)?;
@@ -129,7 +129,7 @@ impl Problem {
 
     /// The model with the settings that the fit used.
     pub fn model_record(&self) -> ModelRecord {
-        ModelRecord { plugin: self.model_plugin.clone(), settings: self.model.settings() }
+        ModelRecord { plugin: self.model_plugin.clone(), settings: self.model.info().settings.clone() }
     }
 
     /// The same problem, watched by another monitor.
@@ -154,13 +154,13 @@ impl Problem {
     /// The same problem with the values of a calibration as start (and as fixed values of what is not estimated).
     pub fn starting_from(&self, calibration: &Calibration) -> Self {
         let mut problem = self.clone();
-        for (value, parameter) in problem.machine.iter_mut().zip(problem.model.parameters()) {
+        for (value, parameter) in problem.machine.iter_mut().zip(&problem.model.info().parameters) {
             if let Some(known) = calibration.parameters.iter().find(|known| known.name == parameter.name) {
                 *value = known.value;
             }
         }
         for set in &mut problem.sets {
-            for (value, parameter) in set.own.iter_mut().zip(set.observations.unknowns()) {
+            for (value, parameter) in set.own.iter_mut().zip(&set.observations.info().unknowns) {
                 let name = format!("{}.{}", set.name, parameter.name);
                 if let Some(known) = calibration.artefacts.iter().find(|known| known.name == name) {
                     *value = known.value;

@@ -6,7 +6,8 @@ use std::sync::Arc;
 use super::Problem;
 use crate::dataset::RowOrigin;
 use crate::error::Error;
-use crate::observations::Observations;
+use crate::model::Poses;
+use crate::observations::{Observations, ObservationsInfo, RowBatch};
 use crate::pose_table::PoseTable;
 use crate::uncertainty::{CovarianceBlock, EquationUncertainty, Pooled};
 use crate::unit::Quantity;
@@ -38,13 +39,14 @@ impl ObservationSet {
     /// All rows of some observations, with their nominal inputs, own unknowns at their start values and equations as
     /// uncertain as the artefact says, independent of one another.
     pub fn new(name: &str, observations: Arc<dyn Observations>) -> Self {
-        let standard = observations.layout().standard_uncertainties.clone();
+        let info = observations.info();
+        let standard = info.layout.standard_uncertainties.clone();
         Self {
             name: name.to_owned(),
-            rows: (0..observations.layout().rows.len()).collect(),
-            inputs: observations.inputs().iter().map(|input| input.value).collect(),
-            ids: vec![None; observations.inputs().len()],
-            own: observations.start(),
+            rows: (0..info.layout.rows.len()).collect(),
+            inputs: info.inputs.iter().map(|input| input.value).collect(),
+            ids: vec![None; info.inputs.len()],
+            own: info.start.clone(),
             uncertainty: Arc::new(EquationUncertainty::independent(standard)),
             moved: None,
             disturbances: None,
@@ -52,9 +54,20 @@ impl ObservationSet {
         }
     }
 
+    /// What the observations are.
+    pub fn info(&self) -> &ObservationsInfo {
+        self.observations.info()
+    }
+
+    /// Some rows as they are evaluated: at these poses, and at the values that the set has.
+    pub fn batch<'a>(&'a self, rows: &'a [usize], poses: &'a Poses) -> RowBatch<'a> {
+        let Poses { positions, orientations, .. } = poses;
+        RowBatch { rows, positions, orientations, own: &self.own, inputs: &self.inputs }
+    }
+
     /// The statuses of all poses: recorded, or where contact was found.
     pub fn poses(&self) -> &PoseTable {
-        self.moved.as_deref().unwrap_or_else(|| &self.observations.layout().poses)
+        self.moved.as_deref().unwrap_or_else(|| &self.info().layout.poses)
     }
 
     /// Makes these the statuses of all poses, in the order of the layout, instead of the recorded ones.
@@ -74,13 +87,13 @@ impl ObservationSet {
 
     /// The statuses of all poses, to be changed.
     pub fn poses_mut(&mut self) -> &mut PoseTable {
-        let recorded = || Arc::new(self.observations.layout().poses.clone());
+        let recorded = || Arc::new(self.observations.info().layout.poses.clone());
         Arc::make_mut(self.moved.get_or_insert_with(recorded))
     }
 
     /// What is added to the residuals, in the order of the layout, to be changed.
     pub fn disturbances_mut(&mut self) -> &mut [f64] {
-        let none = || Arc::new(vec![0.0; self.observations.layout().standard_uncertainties.len()]);
+        let none = || Arc::new(vec![0.0; self.observations.info().layout.standard_uncertainties.len()]);
         let all: &mut Vec<f64> = Arc::make_mut(self.disturbances.get_or_insert_with(none));
         all
     }
@@ -92,18 +105,18 @@ impl ObservationSet {
 
     /// The equations of the rows that take part, in the order of the layout.
     fn taken(&self) -> Vec<usize> {
-        let rows = self.rows.iter().map(|&row| self.observations.layout().rows[row]);
+        let rows = self.rows.iter().map(|&row| self.info().layout.rows[row]);
         rows.flat_map(|row| row.first_equation..row.first_equation + row.equations).collect()
     }
 
     /// The poses of some rows.
     pub fn poses_of<'a>(&'a self, rows: &'a [usize]) -> impl Iterator<Item = usize> + 'a {
-        let rows = rows.iter().map(|&row| &self.observations.layout().rows[row]);
+        let rows = rows.iter().map(|&row| &self.info().layout.rows[row]);
         rows.flat_map(|row| row.first_pose..row.first_pose + row.poses)
     }
 
     fn equations(&self, rows: &[usize]) -> usize {
-        rows.iter().map(|&row| self.observations.layout().rows[row].equations).sum()
+        rows.iter().map(|&row| self.info().layout.rows[row].equations).sum()
     }
 }
 
@@ -165,7 +178,7 @@ impl Problem {
     /// never weighed down.
     pub fn constraints(&self) -> Vec<bool> {
         let rows = self.equation_rows().into_iter();
-        rows.map(|(set, row)| self.sets[set].observations.layout().rows[row].data_row.is_none()).collect()
+        rows.map(|(set, row)| self.sets[set].info().layout.rows[row].data_row.is_none()).collect()
     }
 
     /// For every equation the set and the row that it belongs to.
@@ -173,7 +186,7 @@ impl Problem {
         let mut all = Vec::with_capacity(self.equations());
         for (index, set) in self.sets.iter().enumerate() {
             for &row in &set.rows {
-                all.extend(std::iter::repeat_n((index, row), set.observations.layout().rows[row].equations));
+                all.extend(std::iter::repeat_n((index, row), set.info().layout.rows[row].equations));
             }
         }
         all
@@ -184,8 +197,8 @@ impl Problem {
         let mut all = Vec::with_capacity(self.equations());
         for ObservationSet { observations, rows, .. } in &self.sets {
             for &row in rows {
-                let equations = 0..observations.layout().rows[row].equations;
-                all.extend(equations.map(|equation| observations.quantity(row, equation)));
+                let equations = 0..observations.info().layout.rows[row].equations;
+                all.extend(equations.map(|equation| observations.info().quantity(row, equation)));
             }
         }
         all
@@ -194,8 +207,8 @@ impl Problem {
     /// Where a row was read.
     pub fn origin(&self, set: usize, row: usize) -> Option<(&std::path::Path, RowOrigin)> {
         let observations = &self.sets[set].observations;
-        let data = &observations.layout().data;
-        let origin = data.origins[observations.layout().rows[row].data_row?];
+        let data = &observations.info().layout.data;
+        let origin = data.origins[observations.info().layout.rows[row].data_row?];
         Some((&data.files[origin.file], origin))
     }
 
@@ -248,7 +261,7 @@ impl Problem {
         let mut problem = self.clone();
         for (set, &factor) in problem.sets.iter_mut().zip(factors).filter(|(_, factor)| **factor != 1.0) {
             let uncertainty = Arc::make_mut(&mut set.uncertainty);
-            for row in set.observations.layout().rows.iter().filter(|row| row.data_row.is_some()) {
+            for row in set.observations.info().layout.rows.iter().filter(|row| row.data_row.is_some()) {
                 let own = row.first_equation..row.first_equation + row.equations;
                 uncertainty.standard[own].iter_mut().for_each(|standard| *standard *= factor);
             }

@@ -11,6 +11,7 @@ use serde::{Deserialize, Serialize};
 use serde_json::Value;
 
 use super::budget::{MonteCarlo, UncertaintyBudget};
+use super::covariance::NamedCovariance;
 use super::identifiability::{NullVector, SameMotion};
 use crate::error::{Error, Result};
 use crate::format::FileFormat;
@@ -34,8 +35,8 @@ pub struct Calibration {
     pub parameters: Vec<Estimated>,
     /// Every own unknown of the artefacts, as `<stage>.<own name>`.
     pub artefacts: Vec<Estimated>,
-    /// Covariance of everything that was estimated.
-    pub covariance: Covariance,
+    /// NamedCovariance of everything that was estimated.
+    pub covariance: NamedCovariance,
     /// The inputs that were considered, independent of each other, and how the estimates hang on them. None in files that were
     /// written before there were identities: what they share with others is not known.
     #[serde(default, skip_serializing_if = "Option::is_none")]
@@ -91,15 +92,6 @@ pub struct Estimated {
     pub standard_uncertainty: f64,
     /// What the value is worth.
     pub status: Status,
-}
-
-/// Covariance of the estimated values, in the units of the parameters.
-#[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
-pub struct Covariance {
-    /// Names, in the order of rows and columns.
-    pub order: Vec<String>,
-    /// The full symmetric matrix.
-    pub rows: Vec<Vec<f64>>,
 }
 
 /// An input that is not estimated but whose uncertainty counts: a certificate, a stylus, a sensor.
@@ -358,7 +350,7 @@ impl Calibration {
                 return Err(Error::data(format!("`{name}` stands here twice")));
             }
         }
-        let Covariance { order, rows } = &self.covariance;
+        let NamedCovariance { order, rows } = &self.covariance;
         if let Some(unknown) = order.iter().find(|name| !names.contains(name)) {
             return Err(Error::data(format!("the covariance names `{unknown}`, which is no parameter")));
         }

@@ -88,7 +88,7 @@ impl<'a> Direction<'a> {
         let (wanted, changes): (Vec<Variable>, Vec<f64>) =
             of_machine.map(|(unknown, change)| (Variable::Parameter(unknown.index), change)).unzip();
         let mut poses = Poses::default();
-        self.problem.model.evaluate(&statuses.concat(), &self.problem.machine, &wanted, false, &mut poses)?;
+        self.problem.model.poses(&statuses.concat(), &self.problem.machine, &wanted, false, &mut poses)?;
         let mut field = Field { changes: vec![Vector3::zeros(); statuses.len()], single: 0.0 };
         let count = wanted.len().max(1);
         for (sum, derivatives) in field.changes.iter_mut().zip(poses.position_derivatives.chunks_exact(count)) {

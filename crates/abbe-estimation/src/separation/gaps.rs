@@ -22,7 +22,7 @@ pub fn gaps(problem: &Problem) -> Vec<Gap> {
     let statuses = recorded_statuses(problem);
     let Some(first) = statuses.first() else { return Vec::new() };
     let mut gaps = Vec::new();
-    for axis in problem.model.axes() {
+    for axis in &problem.model.info().axes {
         let mut positions: Vec<f64> = statuses.iter().map(|status| status[axis.status]).collect();
         positions.extend(axis.range.into_iter().flatten());
         positions.retain(|position| position.is_finite());

@@ -134,7 +134,7 @@ fn length(reach: &Reach<'_>, indexation: &[f64], centre: [f64; 3], axis: usize) 
 
 /// Where things are touched, table frame: the features, or the tips where artefacts have none.
 fn touched(recorded: &Problem) -> Result<Vec<[f64; 3]>> {
-    let features = recorded.sets.iter().flat_map(|set| set.observations.features());
+    let features = recorded.sets.iter().flat_map(|set| set.info().features.clone());
     let points: Vec<[f64; 3]> = features.map(|feature| feature.point).collect();
     if points.is_empty() {
         return Reach::new(recorded.model.as_ref(), &recorded.machine, None).tips(&recorded_statuses(recorded));
@@ -146,7 +146,7 @@ fn touched(recorded: &Problem) -> Result<Vec<[f64; 3]>> {
 pub fn recorded_statuses(problem: &Problem) -> Vec<Vec<f64>> {
     let mut all = Vec::new();
     for set in &problem.sets {
-        for row in set.rows.iter().map(|&row| set.observations.layout().rows[row]) {
+        for row in set.rows.iter().map(|&row| set.info().layout.rows[row]) {
             all.extend((row.first_pose..row.first_pose + row.poses).map(|pose| set.poses().row(pose).to_vec()));
         }
     }
@@ -155,7 +155,7 @@ pub fn recorded_statuses(problem: &Problem) -> Vec<Vec<f64>> {
 
 /// The statuses of the rotary axes.
 fn rotary(problem: &Problem) -> Vec<usize> {
-    let axes = problem.model.axes().iter();
+    let axes = problem.model.info().axes.iter();
     axes.filter(|axis| axis.kind == AxisKind::Rotary).map(|axis| axis.status).collect()
 }
 

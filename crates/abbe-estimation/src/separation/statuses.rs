@@ -25,11 +25,11 @@ struct Alternative {
 /// A trial for every other value of every status.
 pub fn statuses(problem: &Problem, recorded: &Problem) -> Result<Vec<Trial>> {
     let mut trials = Vec::new();
-    for (index, status) in problem.model.status().iter().enumerate() {
-        let axis = problem.model.axes().iter().find(|axis| axis.status == index);
+    for (index, status) in problem.model.info().status.iter().enumerate() {
+        let axis = problem.model.info().axes.iter().find(|axis| axis.status == index);
         let values = values(problem, index, status);
         let group = if values.len() > 1 { Group::Further(index) } else { Group::Constant(index) };
-        for Alternative { value, sentence } in alternatives(status, problem.model.axes(), axis, &values) {
+        for Alternative { value, sentence } in alternatives(status, &problem.model.info().axes, axis, &values) {
             if let Some(rows) = at_status(recorded, index, value)? {
                 trials.push(Trial { group, sentence, measured: Measured::Rows(Box::new(rows)) });
             }
@@ -50,7 +50,7 @@ fn values(problem: &Problem, index: usize, status: &StatusColumn) -> Vec<f64> {
 
 /// The poses of the rows that take part.
 fn poses_of(set: &ObservationSet) -> impl Iterator<Item = usize> + '_ {
-    let rows = set.rows.iter().map(|&row| set.observations.layout().rows[row]);
+    let rows = set.rows.iter().map(|&row| set.info().layout.rows[row]);
     rows.flat_map(|row| row.first_pose..row.first_pose + row.poses)
 }
 
@@ -160,7 +160,7 @@ fn at_status(recorded: &Problem, status: usize, value: f64) -> Result<Option<Pro
         let mut poses = set.poses().clone();
         let touched: Vec<usize> = poses_of(set).collect();
         let reached = carried(&reach, &mut poses, &touched, (status, value))?;
-        let layout = set.observations.layout();
+        let layout = &set.observations.info().layout;
         set.rows.retain(|&row| {
             let row = layout.rows[row];
             row.poses > 0 && (row.first_pose..row.first_pose + row.poses).all(|pose| reached.contains(&pose))

@@ -63,7 +63,8 @@ pub(crate) unsafe fn read_library(entry: AbbeEntry, host: &'static AbbeHost) -> 
         let (major, size) = ((*library).abi_major, (*library).size);
         if major != ABBE_ABI_MAJOR {
             return Err(format!(
-                "speaks version {major} of the plugin interface, this program speaks version {ABBE_ABI_MAJOR}"
+                "speaks version {major} of the plugin interface, this program speaks version {ABBE_ABI_MAJOR}: build it again with the \
+                 header or the crate `abbe-plugin` of this program"
             ));
         }
         if size < size_of::<AbbeLibrary>() as u64 {

@@ -7,7 +7,7 @@ use std::sync::Arc;
 
 #[cfg(feature = "sdk")]
 use abbe_core::{Context, Plugin};
-use abbe_core::{Equations, PoseValues, PosesMut, Variable};
+use abbe_core::{Equations, PoseBatch, PosesMut, RowBatch, Variable};
 
 use super::theirs::take;
 use super::{slice, slice_mut};
@@ -139,10 +139,10 @@ unsafe extern "C" fn poses(handle: *mut c_void, batch: *const AbbePoses, reply: 
                 let statuses = slice(batch.statuses, batch.status_count)?;
                 let values = slice(batch.values, batch.value_count)?;
                 let wanted = slice(batch.wanted, batch.wanted_count)?;
-                let wanted = variables(wanted, machine.parameters().len(), machine.axes().len())?;
-                let width = machine.status().len();
-                if statuses.len() as u64 != batch.pose_count.saturating_mul(width as u64)
-                    || values.len() != machine.parameters().len()
+                let info = machine.info();
+                let wanted = &variables(wanted, info.parameters.len(), info.axes.len())?;
+                if statuses.len() as u64 != batch.pose_count.saturating_mul(info.status.len() as u64)
+                    || values.len() != info.parameters.len()
                 {
                     return Err(Failure::of("the other side", "gave statuses or values of another machine"));
                 }
@@ -153,7 +153,7 @@ unsafe extern "C" fn poses(handle: *mut c_void, batch: *const AbbePoses, reply: 
                     position_derivatives: slice_mut(batch.position_derivatives.cast(), derivatives)?,
                     rotation_derivatives: slice_mut(batch.rotation_derivatives.cast(), turns)?,
                 };
-                Ok(machine.evaluate_into(statuses, values, &wanted, turned, out)?)
+                Ok(machine.evaluate(PoseBatch { statuses, values, wanted, orientation: turned }, out)?)
             })?;
             Ok((String::new(), Vec::new()))
         })
@@ -174,23 +174,26 @@ unsafe extern "C" fn equations(
             let Served::Observations(observations, _) = &*handle.cast::<Served>() else {
                 return Err(Failure { status: ABBE_UNKNOWN_METHOD, text: "this object is no observations".to_owned() });
             };
-            let all = &observations.layout().rows;
+            let info = observations.info();
+            let all = &info.layout.rows;
             let indices: Vec<usize> = slice(rows.rows, rows.row_count)?.iter().map(|&row| row as usize).collect();
             let poses: usize = indices.iter().filter_map(|&row| all.get(row)).map(|row| row.poses).sum();
             if indices.iter().any(|&row| row >= all.len()) || poses as u64 != rows.pose_count {
                 return Err(Failure::of("the other side", "asked for rows that are not there, or with other poses"));
             }
             let turned = if rows.orientations.is_null() { 0 } else { rows.pose_count };
-            let values = PoseValues {
+            let batch = RowBatch {
+                rows: &indices,
                 positions: slice(rows.positions.cast(), rows.pose_count)?,
                 orientations: slice(rows.orientations.cast(), turned)?,
+                own: slice(rows.own, rows.own_count)?,
+                inputs: slice(rows.inputs, rows.input_count)?,
             };
-            let (own, inputs) = (slice(rows.own, rows.own_count)?, slice(rows.inputs, rows.input_count)?);
-            if own.len() != observations.unknowns().len() || inputs.len() != observations.inputs().len() {
+            if batch.own.len() != info.unknowns.len() || batch.inputs.len() != info.inputs.len() {
                 return Err(Failure::of("the other side", "gave values of other unknowns or inputs"));
             }
             let mut out = Equations::default();
-            observations.try_evaluate(&indices, values, own, inputs, &mut out)?;
+            observations.evaluate(batch, &mut out)?;
             write_equations(&out, sink)?;
             Ok((String::new(), Vec::new()))
         })

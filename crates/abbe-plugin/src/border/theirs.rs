@@ -6,12 +6,12 @@ use std::ffi::c_void;
 use std::ptr::NonNull;
 use std::sync::Arc;
 
-use abbe_core::{Equations, PoseValues, Poses, Variable};
+use abbe_core::{Equations, Poses, RowBatch, Variable};
 
 use super::ours::TABLE;
 use crate::abi::*;
 use crate::float_control;
-use crate::peer::{Answer, Failure, Known, Peer, Transit};
+use crate::peer::{Answer, Failure, Peer, Transit};
 use crate::served::Served;
 
 /// An object behind a table of functions.
@@ -220,17 +220,11 @@ impl Peer for Foreign {
         }
     }
 
-    fn equations(
-        &self,
-        rows: &[usize],
-        poses: PoseValues<'_>,
-        known: Known<'_>,
-        out: &mut Equations,
-    ) -> Result<(), Failure> {
+    fn equations(&self, batch: RowBatch<'_>, out: &mut Equations) -> Result<(), Failure> {
         let lacks = || Failure { status: ABBE_UNKNOWN_METHOD, text: "it has no `equations`".to_owned() };
         let equations = self.table.equations.ok_or_else(lacks)?;
-        let indices: Vec<u64> = rows.iter().map(|&row| row as u64).collect();
-        let orientations = match poses.orientations {
+        let indices: Vec<u64> = batch.rows.iter().map(|&row| row as u64).collect();
+        let orientations = match batch.orientations {
             [] => std::ptr::null(),
             some => some.as_ptr().cast(),
         };
@@ -238,13 +232,13 @@ impl Peer for Foreign {
             size: size_of::<AbbeRows>() as u64,
             rows: indices.as_ptr(),
             row_count: indices.len() as u64,
-            positions: poses.positions.as_ptr().cast(),
+            positions: batch.positions.as_ptr().cast(),
             orientations,
-            pose_count: poses.positions.len() as u64,
-            own: known.own.as_ptr(),
-            own_count: known.own.len() as u64,
-            inputs: known.inputs.as_ptr(),
-            input_count: known.inputs.len() as u64,
+            pose_count: batch.positions.len() as u64,
+            own: batch.own.as_ptr(),
+            own_count: batch.own.len() as u64,
+            inputs: batch.inputs.as_ptr(),
+            input_count: batch.inputs.len() as u64,
         };
         let mut taken = Taken { equations: out, early: false };
         let sink = AbbeEquations {

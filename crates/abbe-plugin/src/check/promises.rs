@@ -2,10 +2,8 @@
 
 use std::sync::Arc;
 
-use abbe_core::{
-    Absent, AxisKind, Build, Context, KinematicModel, Plugin, Poses, Quantity, Registry, Result, SettingsError,
-    StatusRole, Variable, in_parallel,
-};
+use abbe_core::{Build, Context, KinematicModel, Plugin, Poses, Registry, Result, SettingsError, Variable, in_parallel};
+use abbe_estimation::laws::{self, samples};
 use serde_json::Value;
 
 use super::Findings;
@@ -26,11 +24,11 @@ fn build(plugin: &Plugin, settings: &Value) -> Result<(), SettingsError> {
 }
 
 /// The machines of the library's models, built from their examples without data.
-pub(super) fn machines(library: &Library, findings: &mut Findings) -> Vec<(String, Arc<dyn KinematicModel>)> {
+fn machines(library: &Library, findings: &mut Findings) -> Vec<(String, Arc<dyn KinematicModel>)> {
     let mut machines = Vec::new();
     for plugin in &library.plugins {
         let Build::Model(constructor) = &plugin.build else {
-            findings.skip(format!("`{}`: needs data that the kit does not have", plugin.name));
+            findings.skip(format!("`{}`: needs data; a recipe that uses it has them (`--recipe`)", plugin.name));
             continue;
         };
         let context = Context { base: std::env::temp_dir() };
@@ -43,51 +41,34 @@ pub(super) fn machines(library: &Library, findings: &mut Findings) -> Vec<(Strin
     machines
 }
 
-/// Statuses all over the range of a machine, values of its parameters as they occur, near the nominal ones; the same ones every time.
-pub(super) fn samples(machine: &dyn KinematicModel, poses: usize) -> (Vec<f64>, Vec<f64>) {
-    // Weyl's sequence: spread evenly, without a random number.
-    let spread = |index: usize, salt: usize| {
-        let step = (index as f64 + 1.0) * 0.618_033_988_749_894_9 + salt as f64 * 0.414_213_562_373_095_1;
-        step - step.floor()
-    };
-    let mut statuses = Vec::new();
-    for pose in 0..poses {
-        for (index, column) in machine.status().iter().enumerate() {
-            let axis = machine.axes().iter().find(|axis| axis.status == index);
-            let part = spread(pose, index);
-            statuses.push(match axis {
-                Some(axis) => {
-                    let usual = if axis.kind == AxisKind::Linear { 100.0 } else { 0.8 };
-                    let [low, high] = axis.range.unwrap_or([-usual, usual]);
-                    low + (0.05 + 0.9 * part) * (high - low)
-                }
-                None if matches!(column.role, StatusRole::Direction(_)) => {
-                    if part < 0.5 {
-                        -1.0
-                    } else {
-                        1.0
-                    }
-                }
-                None if column.quantity == Quantity::Label => 0.0,
-                None => match column.absent {
-                    Absent::Taken(value) if value.is_finite() => value,
-                    _ => part,
-                },
-            });
-        }
-    }
-    let small = |index: usize| match machine.parameters()[index].unit.per {
-        None => (spread(index, 7) - 0.5) * 2e-3,
-        Some(_) => (spread(index, 7) - 0.5) * 1e-7,
-    };
-    let values = machine.nominal().into_iter().enumerate().map(|(index, nominal)| nominal + small(index));
-    (statuses, values.collect())
+/// Everything that a machine has derivatives to.
+fn variables(machine: &dyn KinematicModel) -> Vec<Variable> {
+    let parameters = (0..machine.info().parameters.len()).map(Variable::Parameter);
+    parameters.chain((0..machine.info().axes.len()).map(Variable::Command)).collect()
 }
 
-/// Everything that a machine has derivatives to.
-pub(super) fn variables(machine: &dyn KinematicModel) -> Vec<Variable> {
-    let parameters = (0..machine.parameters().len()).map(Variable::Parameter);
-    parameters.chain((0..machine.axes().len()).map(Variable::Command)).collect()
+pub(super) fn derivatives(library: &Library, findings: &mut Findings) {
+    for (name, machine) in machines(library, findings) {
+        let (statuses, values) = samples(machine.as_ref(), 1);
+        match machine.poses(&statuses, &values, &[], true, &mut Poses::default()) {
+            // It may have none and say so; what names the plugin is the host's own complaint, and the laws find it, too.
+            Err(error) if !error.fault => findings.skip(format!("orientations of `{name}`: {error}")),
+            _ => {}
+        }
+        laws::of_model(machine.as_ref()).iter().for_each(|law| findings.wrong(format!("`{name}`: {law}")));
+    }
+}
+
+pub(super) fn estimators(library: &Library, findings: &mut Findings) {
+    for plugin in &library.plugins {
+        let Build::Estimate(constructor) = &plugin.build else { continue };
+        // An example that cannot be built is for the test of settings.
+        let Ok(stage) = constructor.build(&plugin.example.get(), &Context { base: std::env::temp_dir() }) else { continue };
+        match laws::of_estimator(stage.as_ref()) {
+            Ok(broken) => broken.iter().for_each(|law| findings.wrong(format!("`{}`: {law}", plugin.name))),
+            Err(error) => findings.skip(format!("`{}`: {error}", plugin.name)),
+        }
+    }
 }
 
 pub(super) fn names(library: &Library, findings: &mut Findings) {
@@ -178,11 +159,11 @@ pub(super) fn not_a_number(library: &Library, findings: &mut Findings) {
             let kept = statuses.clone();
             statuses.fill(bad);
             // An error or numbers, either is an answer; what is not shows as a crash of this process.
-            let _ = machine.evaluate(&statuses, &values, &wanted, false, &mut out);
+            let _ = machine.poses(&statuses, &values, &wanted, false, &mut out);
             statuses = kept;
             let kept = values.clone();
             values.fill(bad);
-            let _ = machine.evaluate(&statuses, &values, &wanted, false, &mut out);
+            let _ = machine.poses(&statuses, &values, &wanted, false, &mut out);
             values = kept;
         }
     }
@@ -193,13 +174,13 @@ pub(super) fn empty_batch(library: &Library, findings: &mut Findings) {
         let (_, values) = samples(machine.as_ref(), 0);
         let mut out = Poses::default();
         for wanted in [Vec::new(), variables(machine.as_ref())] {
-            match machine.evaluate(&[], &values, &wanted, false, &mut out) {
+            match machine.poses(&[], &values, &wanted, false, &mut out) {
                 Ok(()) => {}
                 Err(error) => findings.wrong(format!("`{name}` refuses a batch without poses: {error}")),
             }
         }
         let (statuses, _) = samples(machine.as_ref(), 3);
-        if let Err(error) = machine.evaluate(&statuses, &values, &[], false, &mut out) {
+        if let Err(error) = machine.poses(&statuses, &values, &[], false, &mut out) {
             findings.wrong(format!("`{name}` refuses poses without derivatives: {error}"));
         }
     }
@@ -211,7 +192,7 @@ pub(super) fn threads(library: &Library, findings: &mut Findings) {
         let wanted = variables(machine.as_ref());
         let evaluate = |_: &usize| {
             let mut out = Poses::default();
-            machine.evaluate(&statuses, &values, &wanted, false, &mut out).map(|()| out)
+            machine.poses(&statuses, &values, &wanted, false, &mut out).map(|()| out)
         };
         let expected = evaluate(&0);
         let rounds: Vec<usize> = (0..400).collect();
@@ -251,7 +232,7 @@ pub(super) fn leaks(library: &Library, findings: &mut Findings) {
         let wanted = variables(machine.as_ref());
         let mut out = Poses::default();
         grows(findings, &format!("`{name}`: poses"), || {
-            let _ = machine.evaluate(&statuses, &values, &wanted, false, &mut out);
+            let _ = machine.poses(&statuses, &values, &wanted, false, &mut out);
         });
     }
 }
@@ -271,7 +252,7 @@ pub(super) fn surroundings(library: &Library, findings: &mut Findings) {
     for (name, machine) in machines(library, findings) {
         let (statuses, values) = samples(machine.as_ref(), 3);
         let mut out = Poses::default();
-        let _ = machine.evaluate(&statuses, &values, &variables(machine.as_ref()), false, &mut out);
+        let _ = machine.poses(&statuses, &values, &variables(machine.as_ref()), false, &mut out);
         if std::env::current_dir().ok() != directory {
             findings.wrong(format!("`{name}` changes the working directory"));
         }

@@ -4,11 +4,12 @@ use std::path::PathBuf;
 use std::sync::Arc;
 
 use abbe_core::{
-    Axis, AxisKind, Branch, Build, CALIBRATION_FORMAT, Calibration, Column, ColumnHeader, Considered, Context,
-    Covariance, Dataset, Error, Estimate, Estimated, Fit, FitReport, Identifiability, KinematicModel, ModelRecord,
-    Parameter, Plugin, Poses, Problem, Quantity, Result, RowOrigin, Status, StatusColumn, Values, Variable,
+    Absent, Axis, AxisKind, Branch, Build, CALIBRATION_FORMAT, Calibration, Column, ColumnHeader, Considered, Context,
+    Dataset, Error, Estimate, Estimated, Fit, FitReport, Identifiability, KinematicModel, ModelInfo, ModelRecord,
+    NamedCovariance, Plugin, PoseBatch, PosesMut, Problem, Quantity, Result, RowOrigin, Status, StatusColumn,
+    StatusRole, Values, Variable,
 };
-use serde_json::{Value, json};
+use serde_json::json;
 
 use super::Findings;
 use crate::loader::Library;
@@ -108,7 +109,7 @@ fn fit(values: &[f64]) -> Fit {
         model: ModelRecord { plugin: "plain".to_owned(), settings: json!({}) },
         parameters: values.iter().enumerate().map(estimated).collect(),
         artefacts: Vec::new(),
-        covariance: Covariance::default(),
+        covariance: NamedCovariance::default(),
         inputs: None,
         data: Vec::new(),
         outliers: Vec::new(),
@@ -135,10 +136,7 @@ impl Estimate for Nobody {
 const AXES: [&str; 3] = ["X", "Y", "Z"];
 
 /// Three axes without errors.
-struct Plain {
-    axes: Vec<Axis>,
-    status: Vec<StatusColumn>,
-}
+struct Plain(ModelInfo);
 
 impl Plain {
     fn new() -> Self {
@@ -156,54 +154,31 @@ impl Plain {
                 status,
             }
         };
-        let column = |name: &str| StatusColumn {
-            name: name.to_owned(),
-            role: abbe_core::StatusRole::Other,
+        let column = |axis: usize| StatusColumn {
+            name: AXES[axis].to_owned(),
+            role: StatusRole::Command(axis),
             quantity: Quantity::Length,
             levels: Vec::new(),
-            absent: abbe_core::Absent::Refused,
+            absent: Absent::Refused,
         };
-        Self { axes: (0..3).map(axis).collect(), status: AXES.map(column).into() }
+        let (axes, status) = ((0..3).map(axis).collect(), (0..3).map(column).collect());
+        Self(ModelInfo::new(axes, status, Vec::new(), json!({})))
     }
 }
 
 impl KinematicModel for Plain {
-    fn axes(&self) -> &[Axis] {
-        &self.axes
+    fn info(&self) -> &ModelInfo {
+        &self.0
     }
 
-    fn status(&self) -> &[StatusColumn] {
-        &self.status
-    }
-
-    fn parameters(&self) -> &[Parameter] {
-        &[]
-    }
-
-    fn stylus_radius(&self) -> f64 {
-        0.0
-    }
-
-    fn evaluate(
-        &self,
-        statuses: &[f64],
-        _: &[f64],
-        wanted: &[Variable],
-        orientation: bool,
-        out: &mut Poses,
-    ) -> Result<()> {
-        out.reset(statuses.len() / 3, wanted.len(), orientation);
-        out.positions.as_flattened_mut().copy_from_slice(statuses);
+    fn evaluate(&self, batch: PoseBatch<'_>, out: PosesMut<'_>) -> Result<()> {
+        out.positions.as_flattened_mut().copy_from_slice(batch.statuses);
         out.orientations.fill([1.0, 0.0, 0.0, 0.0]);
-        for (by, variable) in out.position_derivatives.iter_mut().zip(wanted.iter().cycle()) {
+        for (by, variable) in out.position_derivatives.iter_mut().zip(batch.wanted.iter().cycle()) {
             if let Variable::Command(axis) = *variable {
                 by[axis] = 1.0;
             }
         }
         Ok(())
-    }
-
-    fn settings(&self) -> Value {
-        json!({})
     }
 }

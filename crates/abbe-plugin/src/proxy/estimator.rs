@@ -5,7 +5,7 @@ use std::sync::Arc;
 use abbe_core::{Calibration, Estimate, Fit, Identifiability, Problem, Result};
 use serde::de::DeserializeOwned;
 
-use super::{FirstFailure, ask};
+use super::ask;
 use crate::abi::*;
 use crate::peer::{Peer, Transit, broken};
 use crate::served::Served;
@@ -38,16 +38,14 @@ impl Estimate for NoEstimator {
 /// An estimator of the other side.
 pub(crate) struct Estimator {
     peer: Arc<dyn Peer>,
-    failure: FirstFailure,
 }
 
 impl Estimator {
     pub fn new(peer: Arc<dyn Peer>) -> Self {
-        Self { peer, failure: FirstFailure::default() }
+        Self { peer }
     }
 
     fn ask<A: DeserializeOwned>(&self, method: u32, problem: &Problem) -> Result<A> {
-        self.failure.told()?;
         let mut objects = Vec::new();
         let text = ProblemText::of(problem, &mut objects);
         ask(self.peer.as_ref(), method, &text, &objects)
@@ -80,17 +78,17 @@ impl Estimate for Estimator {
         }
     }
 
-    fn reconsider(&self, fit: &Fit) -> Result<Calibration> {
+    fn analyse(&self, fit: &Fit) -> Result<Calibration> {
         let mut objects = Vec::new();
         let text = FitText::of(fit, &mut objects);
-        ask(self.peer.as_ref(), ABBE_RECONSIDER, &text, &objects).and_then(|calibration| self.checked(calibration))
+        ask(self.peer.as_ref(), ABBE_ANALYSE, &text, &objects).and_then(|calibration| self.checked(calibration))
     }
 
     fn identify(&self, problem: &Problem) -> Result<Identifiability> {
         self.ask(ABBE_IDENTIFY, problem)
     }
 
-    fn accepts(&self, found: &Identifiability) -> bool {
-        self.failure.keep(ask(self.peer.as_ref(), ABBE_ACCEPTS, found, &[]), false)
+    fn accepts(&self, found: &Identifiability) -> Result<bool> {
+        ask(self.peer.as_ref(), ABBE_ACCEPTS, found, &[])
     }
 }

@@ -109,7 +109,7 @@ impl Artefact for Stage {
         let peer = self.peer.as_ref();
         let object = Lent::during(model, |lent| ask_object(peer, ABBE_OBSERVE, data.as_ref(), &[lent]))?;
         let observed = observations(&object, Some(data)).map_err(|failure| failure.error(peer.who()))?;
-        let (poses, width) = (&observed.layout().poses, model.status().len());
+        let (poses, width) = (&observed.info().layout.poses, model.info().status.len());
         if !poses.is_empty() && poses.row(0).len() != width {
             let given = poses.row(0).len();
             return Err(broken(peer.who(), format!("gave poses of {given} statuses; the machine has {width}")));

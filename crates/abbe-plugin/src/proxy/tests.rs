@@ -4,23 +4,20 @@ use std::any::Any;
 use std::sync::Arc;
 
 use abbe_core::{
-    Absent, Axis, AxisKind, Branch, Dataset, Equations, Error, ErrorFunction, KinematicModel, Layout, MotionError,
-    Parameter, PoseValues, Poses, Quantity, Result, StatusColumn, Unit, Variable,
+    Absent, Axis, AxisKind, Branch, Dataset, Equations, Error, ErrorFunction, KinematicModel, Layout, ModelInfo,
+    MotionError, Parameter, ParameterRole, PoseBatch, Poses, PosesMut, Quantity, Result, RowBatch, StatusColumn,
+    StatusRole, Unit, Variable,
 };
 use serde_json::{Value, json};
 
 use super::{machine, observations};
 use crate::abi::*;
-use crate::peer::{Answer, Failure, Known, Peer, Transit};
+use crate::peer::{Answer, Failure, Peer, Transit};
 use crate::served::Served;
 
 /// A machine with the error EXX = amplitude sin(x / wavelength).
 struct Wave {
-    axes: Vec<Axis>,
-    status: Vec<StatusColumn>,
-    parameters: Vec<Parameter>,
-    nominal: Vec<f64>,
-    uncertainties: Vec<f64>,
+    info: ModelInfo,
     /// The parameter that it names as the amplitude.
     amplitude: usize,
 }
@@ -38,61 +35,42 @@ impl Wave {
             status: 0,
         };
         let axes = vec![axis];
-        let column = |name: &str, quantity, absent| StatusColumn {
+        let column = |name: &str, role, quantity, absent| StatusColumn {
             name: name.to_owned(),
-            role: abbe_core::StatusRole::of_name(name, &axes),
+            role,
             quantity,
             levels: Vec::new(),
             absent: Absent::Taken(absent),
         };
-        let parameters = ["EXX[sin]", "EXX.wavelength"].map(|name| Parameter { name: name.to_owned(), unit: Unit::MM });
-        let status = vec![column("X", Quantity::Length, 0.0), column("time", Quantity::Time, f64::NAN)];
-        Self {
-            axes,
-            status,
-            parameters: parameters.to_vec(),
+        let parameters = ["EXX[sin]", "EXX.wavelength"].map(|name| Parameter::new(name, Unit::MM)).to_vec();
+        let status = vec![
+            column("X", StatusRole::Command(0), Quantity::Length, 0.0),
+            column("time", StatusRole::Time, Quantity::Time, f64::NAN),
+        ];
+        let exx = ErrorFunction { symbol: "EXX".to_owned(), axis: 0, component: 0, quantity: Quantity::Length };
+        let info = ModelInfo {
             nominal: nominal.to_vec(),
-            uncertainties: vec![0.0, 1e-4],
-            amplitude: 0,
-        }
+            nominal_uncertainties: vec![0.0, 1e-4],
+            error_functions: vec![exx],
+            ..ModelInfo::new(axes, status, parameters, Value::Null)
+        };
+        Self { info, amplitude: 0 }
+    }
+
+    /// The same with something else changed.
+    fn with(mut self, change: impl FnOnce(&mut ModelInfo)) -> Self {
+        change(&mut self.info);
+        self
     }
 }
 
 impl KinematicModel for Wave {
-    fn axes(&self) -> &[Axis] {
-        &self.axes
+    fn info(&self) -> &ModelInfo {
+        &self.info
     }
 
-    fn status(&self) -> &[StatusColumn] {
-        &self.status
-    }
-
-    fn parameters(&self) -> &[Parameter] {
-        &self.parameters
-    }
-
-    fn nominal(&self) -> Vec<f64> {
-        self.nominal.clone()
-    }
-
-    fn nominal_uncertainties(&self) -> Vec<f64> {
-        self.uncertainties.clone()
-    }
-
-    fn stylus_radius(&self) -> f64 {
-        0.0
-    }
-
-    fn evaluate(&self, _: &[f64], _: &[f64], _: &[Variable], _: bool, _: &mut Poses) -> Result<()> {
+    fn evaluate(&self, _: PoseBatch<'_>, _: PosesMut<'_>) -> Result<()> {
         Err(Error::data("not needed here"))
-    }
-
-    fn settings(&self) -> Value {
-        Value::Null
-    }
-
-    fn error_functions(&self) -> Vec<ErrorFunction> {
-        vec![ErrorFunction { symbol: "EXX".to_owned(), axis: 0, component: 0, quantity: Quantity::Length }]
     }
 
     fn motion_error(&self, _: &ErrorFunction, values: &[f64], status: &[f64]) -> Result<MotionError> {
@@ -123,7 +101,7 @@ impl Peer for Opposite {
         Err(Failure::of(self.who(), "has no poses"))
     }
 
-    fn equations(&self, _: &[usize], _: PoseValues<'_>, _: Known<'_>, _: &mut Equations) -> Result<(), Failure> {
+    fn equations(&self, _: RowBatch<'_>, _: &mut Equations) -> Result<(), Failure> {
         Err(Failure::of(self.who(), "has no equations"))
     }
 
@@ -142,9 +120,9 @@ const AT: [f64; 2] = [3.7, f64::NAN];
 fn nominal_values_and_motion_errors_cross_the_border() {
     let here = Wave::new(&[0.0, 0.635]);
     let there = across(Wave::new(&[0.0, 0.635])).unwrap();
-    assert_eq!(there.nominal(), [0.0, 0.635]);
-    assert_eq!(there.nominal_uncertainties(), [0.0, 1e-4]);
-    let function = &there.error_functions()[0];
+    assert_eq!(there.info().nominal, [0.0, 0.635]);
+    assert_eq!(there.info().nominal_uncertainties, [0.0, 1e-4]);
+    let function = &there.info().error_functions[0];
     let values = [0.1, 0.7];
     let found = there.motion_error(function, &values, &AT).unwrap();
     assert_eq!(found, here.motion_error(function, &values, &AT).unwrap());
@@ -159,7 +137,7 @@ fn what_is_no_motion_error_is_refused() {
         across(wave).unwrap().motion_error(function, values, &AT).unwrap_err().message
     };
     let wave = || Wave::new(&[0.0, 0.635]);
-    let function = wave().error_functions().remove(0);
+    let function = wave().info.error_functions.remove(0);
     let of_another = ErrorFunction { axis: 1, ..function.clone() };
     assert!(refused(wave(), &of_another, &[0.0, 1.0]).contains("a motion error of another machine"));
     assert!(refused(wave(), &function, &[1.0]).contains("a motion error of another machine"));
@@ -171,15 +149,48 @@ fn what_is_no_motion_error_is_refused() {
 
 #[test]
 fn nominal_values_are_zero_unless_told_and_one_a_parameter() {
-    assert_eq!(across(Wave::new(&[])).unwrap().nominal(), [0.0, 0.0]);
+    assert_eq!(across(Wave::new(&[])).unwrap().info().nominal, [0.0, 0.0]);
     for wrong in [&[0.0][..], &[0.0, 1.0, 2.0], &[0.0, f64::NAN]] {
         assert!(across(Wave::new(wrong)).is_err(), "{wrong:?}");
     }
-    let uncertain = |uncertainties: &[f64]| across(Wave { uncertainties: uncertainties.to_vec(), ..Wave::new(&[]) });
-    assert_eq!(uncertain(&[]).unwrap().nominal_uncertainties(), [0.0, 0.0]);
+    let uncertain =
+        |uncertainties: &[f64]| across(Wave::new(&[]).with(|info| info.nominal_uncertainties = uncertainties.to_vec()));
+    assert_eq!(uncertain(&[]).unwrap().info().nominal_uncertainties, [0.0, 0.0]);
     for wrong in [&[0.0][..], &[0.0, -1.0], &[0.0, f64::NAN]] {
         assert!(uncertain(wrong).is_err(), "{wrong:?}");
     }
+}
+
+#[test]
+fn roles_of_what_is_not_there_are_refused() {
+    let refused = |change: fn(&mut ModelInfo)| match across(Wave::new(&[]).with(change)) {
+        Err(failure) => failure.error("").message,
+        Ok(_) => panic!("it was taken"),
+    };
+    let message = refused(|info| info.status[0].role = StatusRole::Other);
+    assert!(message.contains("axis X has status 0, whose role is not the command of this axis"), "{message}");
+    let message = refused(|info| info.status[1].role = StatusRole::Velocity(1));
+    assert!(message.contains("status time is of an axis that is not there"), "{message}");
+    for role in [ParameterRole::Motion { axis: 1, component: 0 }, ParameterRole::Location { axis: 0, component: 6 }] {
+        let Err(failure) = across(Wave::new(&[]).with(|info| info.parameters[0].role = role)) else { panic!("taken") };
+        assert!(failure.error("").message.contains("parameter EXX[sin] is of no axis or component"));
+    }
+}
+
+#[test]
+fn roles_cross_as_words() {
+    let sensor = StatusRole::Sensor("T_ball_screw".to_owned());
+    let motion = ParameterRole::Motion { axis: 0, component: 3 };
+    let there = across(Wave::new(&[]).with(|info| {
+        info.status[1].role = sensor.clone();
+        info.parameters[0].role = motion;
+    }));
+    let there = there.expect("roles that are there");
+    assert_eq!((&there.info().status[1].role, there.info().parameters[0].role), (&sensor, motion));
+    assert_eq!(json!(there.info().status[0].role), json!({ "command": 0 }));
+    assert_eq!(json!(motion), json!({ "motion": { "axis": 0, "component": 3 } }));
+    assert_eq!(json!(StatusRole::ThermalState("head".to_owned())), json!({ "thermal-state": "head" }));
+    assert_eq!(json!(ParameterRole::SetUp), json!("set-up"));
 }
 
 #[test]
@@ -213,7 +224,7 @@ fn what_the_code_does_is_a_fault_and_what_it_says_of_the_numbers_is_none() {
 #[test]
 fn a_broken_promise_of_a_machine_is_a_fault_and_a_refusal_is_none() {
     let there = across(Wave::new(&[0.0, 0.635])).unwrap();
-    let function = &there.error_functions()[0];
+    let function = &there.info().error_functions[0];
     let refused = there.motion_error(function, &[0.1, 0.7], &[101.0, f64::NAN]).unwrap_err();
     assert!(!refused.fault, "{refused}");
     let outside = across(Wave { amplitude: 2, ..Wave::new(&[]) }).unwrap();
@@ -221,11 +232,11 @@ fn a_broken_promise_of_a_machine_is_a_fault_and_a_refusal_is_none() {
     // 3.7 / 0 is infinite, its sine none.
     assert!(there.motion_error(function, &[0.1, 0.0], &AT).unwrap_err().fault);
     let mut out = Poses::default();
-    assert!(there.evaluate(&AT, &[0.0, 1.0], &[], false, &mut out).unwrap_err().fault, "it has no poses");
+    assert!(there.poses(&AT, &[0.0, 1.0], &[], false, &mut out).unwrap_err().fault, "it has no poses");
     for (what, turn) in [(f64::NAN, [1.0, 0.0, 0.0, 0.0]), (1.0, [1.0, 1.0, 0.0, 0.0])] {
-        let peer = Answering { text: json!(crate::texts::MachineText::of(&Wave::new(&[]))), gives: vec![what], turn };
+        let peer = Answering { text: json!(Wave::new(&[]).info()), gives: vec![what], turn };
         let there = machine(&Transit::Remote(Arc::new(peer))).ok().unwrap();
-        assert!(there.evaluate(&AT, &[0.0, 1.0], &[], true, &mut out).unwrap_err().fault, "{what} {turn:?}");
+        assert!(there.poses(&AT, &[0.0, 1.0], &[], true, &mut out).unwrap_err().fault, "{what} {turn:?}");
     }
 }
 
@@ -251,7 +262,7 @@ impl Peer for Answering {
         Ok(())
     }
 
-    fn equations(&self, _: &[usize], _: PoseValues<'_>, _: Known<'_>, out: &mut Equations) -> Result<(), Failure> {
+    fn equations(&self, _: RowBatch<'_>, out: &mut Equations) -> Result<(), Failure> {
         self.gives.iter().for_each(|residual| out.equation(*residual));
         Ok(())
     }
@@ -270,8 +281,8 @@ fn equations_of_another_number_or_that_are_none_are_faults() {
         let text = json!({ "layout": layout, "contact": { "reading": "r" } });
         let peer = Answering { text, gives: gives.to_vec(), turn: [0.0; 4] };
         let there = observations(&Transit::Remote(Arc::new(peer)), Some(&data)).ok().unwrap();
-        let poses = PoseValues { positions: &[], orientations: &[] };
-        there.try_evaluate(&[0], poses, &[], &[], &mut Equations::default())
+        let batch = RowBatch { rows: &[0], positions: &[], orientations: &[], own: &[], inputs: &[] };
+        there.evaluate(batch, &mut Equations::default())
     };
     evaluate(&[0.0, 1.0]).unwrap();
     for wrong in [&[][..], &[0.0], &[0.0; 3], &[0.0, f64::NAN]] {

@@ -41,7 +41,7 @@ fn count(axes: &[&str], bed: usize, random: &mut Random) -> (usize, usize, f64) 
         "errors": [{ "location": ["E?0*"] }],
     });
     let model = subject::model(&settings, &[]);
-    let names: Vec<&str> = model.parameters().iter().map(|parameter| parameter.name.as_str()).collect();
+    let names: Vec<&str> = model.info().parameters.iter().map(|parameter| parameter.name.as_str()).collect();
     let set_up: Vec<usize> = (0..names.len()).filter(|&index| SET_UP.contains(&names[index])).collect();
     let all: Vec<usize> =
         (0..names.len()).filter(|&index| names[index].starts_with('E') || set_up.contains(&index)).collect();
@@ -49,7 +49,7 @@ fn count(axes: &[&str], bed: usize, random: &mut Random) -> (usize, usize, f64) 
     let statuses = subject::statuses(&*model, random, 60);
     let wanted: Vec<Variable> = (0..names.len()).map(Variable::Parameter).collect();
     let mut poses = Poses::default();
-    model.evaluate(&statuses, &vec![0.0; names.len()], &wanted, false, &mut poses).expect("poses");
+    model.poses(&statuses, &vec![0.0; names.len()], &wanted, false, &mut poses).expect("poses");
     let (of_set_up, _) = rank(&poses, wanted.len(), &set_up);
     let (of_all, smallest) = rank(&poses, wanted.len(), &all);
     (of_all - of_set_up, of_set_up, smallest)

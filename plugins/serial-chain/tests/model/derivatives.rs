@@ -30,7 +30,7 @@ fn differences(step: f64, mut at: impl FnMut(f64) -> Poses) -> Vec<[Vector3<f64>
 /// A command moved in all poses.
 fn commanded(model: &dyn KinematicModel, statuses: &[f64], axis: usize, by: f64) -> Vec<f64> {
     let mut moved = statuses.to_vec();
-    moved.chunks_exact_mut(model.status().len()).for_each(|row| row[axis] += by);
+    moved.chunks_exact_mut(model.info().status.len()).for_each(|row| row[axis] += by);
     moved
 }
 
@@ -90,9 +90,9 @@ fn worst(seeds: std::ops::Range<u64>, evaluation: &str, mm: f64, rad: f64) -> [f
         let model = subject::model(&settings, &[]);
         let statuses = subject::statuses(&*model, random, if seed % 4 == 0 { 3 } else { 1 });
         let values = subject::parameter_values(&*model, random, mm, rad);
-        let wanted: Vec<Variable> = (0..model.parameters().len())
+        let wanted: Vec<Variable> = (0..model.info().parameters.len())
             .map(Variable::Parameter)
-            .chain((0..model.axes().len()).map(Variable::Command))
+            .chain((0..model.info().axes.len()).map(Variable::Command))
             .collect();
         let analytic = subject::poses(&*model, &statuses, &values, &wanted);
         let poses = analytic.positions.len();
@@ -109,7 +109,7 @@ fn worst(seeds: std::ops::Range<u64>, evaluation: &str, mm: f64, rad: f64) -> [f
                     // A step with an effect of half a millimetre or a milliradian; both are within the model's curvature.
                     let step = (0.5 / largest[0].max(1e-6)).min(1e-3 / largest[1].max(1e-6));
                     // A wavelength bends what it shapes long before that.
-                    let shape = model.nominal()[parameter];
+                    let shape = model.info().nominal[parameter];
                     let step = if shape == 0.0 { step } else { step.min(1e-5 * shape) };
                     differences(step, |by| {
                         let mut values = values.clone();
@@ -119,7 +119,7 @@ fn worst(seeds: std::ops::Range<u64>, evaluation: &str, mm: f64, rad: f64) -> [f
                 }
                 Variable::Command(axis) => {
                     // Small, because second derivatives jump at knots.
-                    let step = if model.axes()[axis].kind == AxisKind::Linear { 1e-4 } else { 1e-6 };
+                    let step = if model.info().axes[axis].kind == AxisKind::Linear { 1e-4 } else { 1e-6 };
                     differences(step, |by| {
                         subject::poses(&*model, &commanded(&*model, &statuses, axis, by), &values, &[])
                     })
@@ -131,7 +131,7 @@ fn worst(seeds: std::ops::Range<u64>, evaluation: &str, mm: f64, rad: f64) -> [f
                     // Nothing moves at all by what is small against a micrometre or a nanoradian a unit of effect.
                     let relative_to = largest[part].max(1e-3 * largest[1 - part]).max(1e-6);
                     // A difference over a knot of a periodic error is off by the jump of the second derivative there.
-                    let shape = matches!(*variable, Variable::Parameter(index) if model.nominal()[index] != 0.0);
+                    let shape = matches!(*variable, Variable::Parameter(index) if model.info().nominal[index] != 0.0);
                     let relative_to = if shape { 1e4 * relative_to } else { relative_to };
                     worst[part] = worst[part].max(deviation / relative_to);
                 }
@@ -193,7 +193,7 @@ fn values_that_are_zero_by_definition_are_no_parameters() {
     };
     let fourier = json!({ "fourier": ["EXC"], "orders": [2] });
     let model = subject::model(&settings("EYX[spl?]", fourier.clone()), &[]);
-    let names: Vec<&str> = model.parameters().iter().map(|parameter| parameter.name.as_str()).collect();
+    let names: Vec<&str> = model.info().parameters.iter().map(|parameter| parameter.name.as_str()).collect();
     let motion: Vec<&&str> = names.iter().filter(|name| name.starts_with('E')).collect();
     assert_eq!(motion, ["EXX[spl0]", "EXX[spl1]", "EXX[spl2]", "EXX[spl3]", "EXC[cos2]", "EXC[sin2]"].each_ref());
     // What is no coefficient of the line is named, and so are families that an axis cannot have.
@@ -227,8 +227,8 @@ fn motion_errors_have_the_derivatives_that_they_tell() {
         let model = subject::model(&settings, &[]);
         let row = subject::statuses(&*model, random, 1);
         let values = subject::parameter_values(&*model, random, 0.2, 5e-4);
-        for function in model.error_functions() {
-            let at = |values: &[f64]| model.motion_error(&function, values, &row).expect("within all ranges");
+        for function in &model.info().error_functions {
+            let at = |values: &[f64]| model.motion_error(function, values, &row).expect("within all ranges");
             for (parameter, derivative) in at(&values).derivatives {
                 let step = if values[parameter] == 0.0 { 1e-3 } else { 1e-6 * values[parameter].abs() };
                 let [above, below] = [step, -step].map(|by| {
@@ -296,12 +296,13 @@ fn commands_outside_the_range_are_refused_where_they_matter() {
         }),
         &[],
     );
-    let index = model.parameters().iter().position(|parameter| parameter.name == "EXX[leg1]").expect("a parameter");
-    let x = model.axes().iter().find(|axis| axis.name == "X").expect("an axis").status;
+    let index =
+        model.info().parameters.iter().position(|parameter| parameter.name == "EXX[leg1]").expect("a parameter");
+    let x = model.info().axes.iter().find(|axis| axis.name == "X").expect("an axis").status;
     let at = |place: f64, wanted: &[Variable]| {
-        let mut row = vec![0.0; model.status().len()];
+        let mut row = vec![0.0; model.info().status.len()];
         row[x] = place;
-        model.evaluate(&row, &model.nominal(), wanted, false, &mut Poses::default())
+        model.poses(&row, &model.info().nominal, wanted, false, &mut Poses::default())
     };
     // An error that is neither there nor wanted is no matter; a command at the very end is none either.
     assert!(at(300.0, &[]).is_ok() && at(201.0, &[Variable::Parameter(index)]).is_ok());

@@ -21,16 +21,16 @@ fn data(rows: &[(&str, f64)]) -> Dataset {
 
 /// d(z)/d(parameter) with all axes at zero on a day, at a time.
 fn effect(model: &dyn KinematicModel, parameter: &str, day: &str, time: f64) -> f64 {
-    let index = model.parameters().iter().position(|known| known.name == parameter).expect("the parameter");
-    let row: Vec<f64> = (model.status().iter())
+    let index = model.info().parameters.iter().position(|known| known.name == parameter).expect("the parameter");
+    let row: Vec<f64> = (model.info().status.iter())
         .map(|status| match status.name.as_str() {
             "day" => status.levels.iter().position(|level| level == day).map_or(f64::NAN, |level| level as f64),
             "time" => time,
             _ => 0.0,
         })
         .collect();
-    let values = model.nominal();
-    subject::poses(model, &row, &values, &[Variable::Parameter(index)]).position_derivatives[0][2]
+    let values = &model.info().nominal;
+    subject::poses(model, &row, values, &[Variable::Parameter(index)]).position_derivatives[0][2]
 }
 
 #[test]
@@ -45,9 +45,10 @@ fn the_scale_comes_from_the_data_and_stays() {
     let second = data(&[("tue", 140.0), ("mon", 20.0)]);
     let fitted = subject::model(&settings, &[&first, &second]);
     // Built again from what it says of itself, without data.
-    let again = subject::model(&fitted.settings(), &[]);
+    let again = subject::model(&fitted.info().settings, &[]);
     for model in [&fitted, &again] {
-        let names: Vec<&str> = model.parameters().iter().skip(12).map(|parameter| parameter.name.as_str()).collect();
+        let names: Vec<&str> =
+            model.info().parameters.iter().skip(12).map(|parameter| parameter.name.as_str()).collect();
         let expected = ["dzt[t1]", "dzt[t2]", "dzt[daymon.t1]", "dzt[daymon.t2]", "dzt[daytue.t1]", "dzt[daytue.t2]"];
         assert_eq!(names, expected);
         let cases = [

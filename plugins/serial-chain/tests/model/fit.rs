@@ -13,10 +13,10 @@ use crate::subject;
 /// Residuals of the fit to `readings` of the positions at `statuses`.
 fn residuals(settings: &Value, statuses: &[f64], readings: &[f64]) -> Vec<f64> {
     let model = subject::model(settings, &[]);
-    let count = model.parameters().len();
+    let count = model.info().parameters.len();
     let wanted: Vec<Variable> = (0..count).map(Variable::Parameter).collect();
     let mut poses = Poses::default();
-    model.evaluate(statuses, &vec![0.0; count], &wanted, false, &mut poses).expect("poses");
+    model.poses(statuses, &vec![0.0; count], &wanted, false, &mut poses).expect("poses");
     let row = |equation: usize| -> Vec<f64> {
         let derivatives = &poses.position_derivatives[equation / 3 * count..(equation / 3 + 1) * count];
         derivatives.iter().map(|derivative| derivative[equation % 3]).collect()
@@ -92,7 +92,7 @@ impl Positioning<'_> {
         self.unknowns.iter().zip(x).for_each(|(&unknown, value)| values[unknown] = *value);
         let wanted: Vec<Variable> = self.unknowns.iter().copied().map(Variable::Parameter).collect();
         let mut poses = Poses::default();
-        self.model.evaluate(&self.statuses, &values, &wanted, false, &mut poses).expect("poses");
+        self.model.poses(&self.statuses, &values, &wanted, false, &mut poses).expect("poses");
         poses
     }
 
@@ -132,20 +132,25 @@ fn a_wavelength_is_found_from_the_nominal_pitch() {
         ],
     });
     let model = subject::model(&settings, &[]);
-    let named = |name: &str| model.parameters().iter().position(|it| it.name == name).expect("a parameter");
+    let named = |name: &str| model.info().parameters.iter().position(|it| it.name == name).expect("a parameter");
     let names = ["EXX[1]", "EXX[2]", "EXX[per0.635:1]", "EXX[per0.635:2]", "EXX[per0.635:3]"].map(named);
     let wavelength = named("EXX[per0.635].wavelength");
-    let mut truth = model.nominal();
+    let mut truth = model.info().nominal.clone();
     assert_eq!(truth[wavelength], 0.635);
     names.iter().zip([1.1e-5, 2.7e-8, 0.057, -0.011, -0.038]).for_each(|(&name, value)| truth[name] = value);
     truth[wavelength] = 0.635025;
     let coarse = (0..=233).map(|step| 3.0 * f64::from(step));
     let statuses: Vec<f64> = coarse.chain((0..1000).map(|step| 0.025 * f64::from(step))).collect();
     let mut poses = Poses::default();
-    model.evaluate(&statuses, &truth, &[], false, &mut poses).expect("poses");
+    model.poses(&statuses, &truth, &[], false, &mut poses).expect("poses");
     let readings = poses.positions.iter().map(|tip| tip[0]).collect();
-    let mut problem =
-        Positioning { model: &*model, statuses, readings, values: model.nominal(), unknowns: names.to_vec() };
+    let mut problem = Positioning {
+        model: &*model,
+        statuses,
+        readings,
+        values: model.info().nominal.clone(),
+        unknowns: names.to_vec(),
+    };
     let options = |rank| Options { iterations: 60, ..Options::new(rank) };
     let Ok(amplitudes) = solve(&problem, &[0.0; 5], &options(5));
     assert_eq!(amplitudes.end, End::Converged);

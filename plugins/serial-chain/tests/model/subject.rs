@@ -77,8 +77,8 @@ pub fn random(random: &mut Random, evaluation: &str) -> (Machine, Vec<&'static s
 pub fn statuses(model: &dyn KinematicModel, random: &mut Random, count: usize) -> Vec<f64> {
     let mut all = Vec::new();
     for _ in 0..count {
-        for (index, status) in model.status().iter().enumerate() {
-            all.push(match model.axes().get(index).map(|axis| axis.kind) {
+        for (index, status) in model.info().status.iter().enumerate() {
+            all.push(match model.info().axes.get(index).map(|axis| axis.kind) {
                 Some(AxisKind::Linear) => 400.0 * random.signed(),
                 Some(AxisKind::Rotary) => 2.0 * random.signed(),
                 None if status.name.starts_with("dir_") => [1.0, -1.0, 0.0][random.below(3)],
@@ -94,7 +94,7 @@ pub fn statuses(model: &dyn KinematicModel, random: &mut Random, count: usize) -
 
 pub fn poses(model: &dyn KinematicModel, statuses: &[f64], values: &[f64], wanted: &[Variable]) -> Poses {
     let mut out = Poses::default();
-    model.evaluate(statuses, values, wanted, true, &mut out).expect("poses");
+    model.poses(statuses, values, wanted, true, &mut out).expect("poses");
     out
 }
 
@@ -108,9 +108,9 @@ pub fn parameter_values(model: &dyn KinematicModel, random: &mut Random, mm: f64
             None => effect,
         }
     };
-    let parameters = model.parameters().iter().zip(model.nominal());
+    let parameters = model.info().parameters.iter().zip(&model.info().nominal);
     parameters
-        .map(|(parameter, nominal)| match nominal == 0.0 {
+        .map(|(parameter, nominal)| match *nominal == 0.0 {
             true => size(parameter) * random.signed(),
             // A shape, such as a wavelength.
             false => nominal * (1.0 + 1e-3 * random.signed()),

@@ -19,12 +19,12 @@ struct Status<'a> {
 
 impl Status<'_> {
     fn number(&self, name: &str) -> f64 {
-        let found = self.model.status().iter().position(|status| status.name == name);
+        let found = self.model.info().status.iter().position(|status| status.name == name);
         self.row[found.unwrap_or_else(|| panic!("no status {name}"))]
     }
 
     fn label(&self, name: &str) -> &str {
-        let status = self.model.status().iter().find(|status| status.name == name).expect("a status");
+        let status = self.model.info().status.iter().find(|status| status.name == name).expect("a status");
         &status.levels[self.number(name) as usize]
     }
 }
@@ -52,7 +52,7 @@ fn function(bracket: &str, axis: Option<&str>, status: &Status) -> f64 {
 fn errors_of(names: &[&str], status: &Status, values: &[f64]) -> MachineErrors {
     let mut errors = MachineErrors::none(names.len());
     let stylus = status.label("stylus");
-    for (parameter, value) in status.model.parameters().iter().zip(values) {
+    for (parameter, value) in status.model.info().parameters.iter().zip(values) {
         let component = |letter: &str, all: &str| all.find(letter).expect("a component");
         let (symbol, bracket) = match parameter.name.strip_prefix("stylus[") {
             Some(rest) => {
@@ -103,7 +103,7 @@ fn parameters_do_what_their_names_say() {
         let statuses = subject::statuses(&*model, random, 5);
         let values = subject::parameter_values(&*model, random, 0.2, 5e-4);
         let found = subject::poses(&*model, &statuses, &values, &[]);
-        for (pose, row) in statuses.chunks_exact(model.status().len()).enumerate() {
+        for (pose, row) in statuses.chunks_exact(model.info().status.len()).enumerate() {
             let status = Status { model: &*model, row };
             let errors = errors_of(&names, &status, &values);
             let machine = Machine { tip: tips[status.number("stylus") as usize], ..machine.clone() };
@@ -130,10 +130,10 @@ fn motion_errors_are_the_linear_combinations_that_the_model_tells() {
         let row = subject::statuses(&*model, random, 1);
         let values = subject::parameter_values(&*model, random, 0.2, 5e-4);
         let errors = errors_of(&names, &Status { model: &*model, row: &row }, &values);
-        let functions = model.error_functions();
+        let functions = &model.info().error_functions;
         assert_eq!(functions.len(), 6 * names.len());
         for function in functions {
-            let error = model.motion_error(&function, &values, &row).expect("within all ranges");
+            let error = model.motion_error(function, &values, &row).expect("within all ranges");
             let sum: f64 = error.derivatives.iter().map(|(parameter, factor)| values[*parameter] * factor).sum();
             assert!((sum - error.value).abs() <= 1e-15, "{sum} {}", error.value);
             let expected = errors.motion[function.axis][function.component];

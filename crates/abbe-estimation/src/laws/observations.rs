@@ -1,7 +1,9 @@
-//! Laws that every artefact keeps, whatever it is: for its own tests, and for those of whoever ships one.
+//! Laws of observations.
 
-use abbe_core::{Equations, Evaluation, ObservationSet, PoseValues, Problem, Quantity, Result};
+use abbe_core::{Equations, Evaluation, ObservationSet, Problem, Quantity, Result, RowBatch};
 use nalgebra::{Quaternion, UnitQuaternion, Vector3};
+
+use super::{agrees, names};
 
 /// Most rows of a set that are looked at, evenly spread.
 const ROWS: usize = 24;
@@ -18,7 +20,8 @@ const ALLOWED: f64 = 1e-5;
 /// Fails where the machine has no pose in a row.
 pub fn of_observations(problem: &Problem, set: usize) -> Result<Vec<String>> {
     let observations = &problem.sets[set];
-    let mut broken = names(observations);
+    let inputs = observations.info().inputs.iter().map(|input| &input.parameter);
+    let mut broken = names(observations.info().unknowns.iter().chain(inputs));
     let rows = spread(&observations.rows);
     let mut together = Evaluation::default();
     problem.evaluate(set, &rows, &[], &mut together)?;
@@ -28,7 +31,7 @@ pub fn of_observations(problem: &Problem, set: usize) -> Result<Vec<String>> {
     for row in backwards {
         let mut alone = Evaluation::default();
         problem.evaluate(set, &[row], &[], &mut alone)?;
-        let wanted = observations.observations.layout().rows[row].equations;
+        let wanted = observations.info().layout.rows[row].equations;
         if alone.equations.residuals().len() != wanted {
             broken.push(format!("row {row} has {} equations, not {wanted}", alone.equations.residuals().len()));
             return Ok(broken);
@@ -43,17 +46,6 @@ pub fn of_observations(problem: &Problem, set: usize) -> Result<Vec<String>> {
         broken.push("a row gives other residuals alone than among others".to_owned());
     }
     Ok(broken)
-}
-
-/// Own unknowns and inputs that have a name which is empty or stands twice.
-fn names(set: &ObservationSet) -> Vec<String> {
-    let inputs = set.observations.inputs().iter().map(|input| &input.parameter);
-    let mut names: Vec<&str> =
-        set.observations.unknowns().iter().chain(inputs).map(|parameter| parameter.name.as_str()).collect();
-    names.sort_unstable();
-    let twice = names.windows(2).filter(|pair| pair[0] == pair[1]).map(|pair| format!("`{}` stands twice", pair[0]));
-    let empty = names.first().filter(|name| name.is_empty()).map(|_| "a name is empty".to_owned());
-    twice.chain(empty).collect()
 }
 
 fn spread(rows: &[usize]) -> Vec<usize> {
@@ -93,7 +85,7 @@ impl Row<'_> {
             let (up, down) = (self.residuals(to, step)?, self.residuals(to, -step)?);
             for (equation, (up, down)) in up.iter().zip(&down).enumerate() {
                 let (given, found) = (self.given(to, equation), (up - down) / (2.0 * step));
-                if (given - found).abs() > ALLOWED * given.abs().max(found.abs()).max(1.0) {
+                if !agrees(given, found, ALLOWED) {
                     broken.push(format!(
                         "row {}, equation {equation}: the derivative to {} is {found:.6e} by differences, and given as {given:.6e}",
                         self.row,
@@ -109,8 +101,8 @@ impl Row<'_> {
         match to {
             To::Position(pose, axis) => format!("{} of the tip of pose {pose}", ["x", "y", "z"][axis]),
             To::Rotation(pose, axis) => format!("the rotation about {} of pose {pose}", ["x", "y", "z"][axis]),
-            To::Own(index) => format!("`{}`", self.set.observations.unknowns()[index].name),
-            To::Input(index) => format!("`{}`", self.set.observations.inputs()[index].parameter.name),
+            To::Own(index) => format!("`{}`", self.set.info().unknowns[index].name),
+            To::Input(index) => format!("`{}`", self.set.info().inputs[index].parameter.name),
         }
     }
 
@@ -119,8 +111,8 @@ impl Row<'_> {
         let parameter = match to {
             To::Position(..) => return 1e-3,
             To::Rotation(..) => return 1e-5,
-            To::Own(index) => &self.set.observations.unknowns()[index],
-            To::Input(index) => &self.set.observations.inputs()[index].parameter,
+            To::Own(index) => &self.set.info().unknowns[index],
+            To::Input(index) => &self.set.info().inputs[index].parameter,
         };
         match (parameter.unit.of, parameter.unit.per) {
             (Quantity::Length, None) => 1e-3,
@@ -145,9 +137,10 @@ impl Row<'_> {
             To::Own(index) => own[index] += step,
             To::Input(index) => inputs[index] += step,
         }
-        let poses = PoseValues { positions: &positions, orientations: &orientations };
+        let (positions, orientations) = (&positions, &orientations);
+        let batch = RowBatch { rows: &[self.row], positions, orientations, own: &own, inputs: &inputs };
         let mut equations = Equations::default();
-        self.set.observations.try_evaluate(&[self.row], poses, &own, &inputs, &mut equations)?;
+        self.set.observations.evaluate(batch, &mut equations)?;
         Ok(equations.residuals().to_vec())
     }
 

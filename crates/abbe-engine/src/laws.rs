@@ -1,0 +1,105 @@
+//! The laws of models, artefacts and estimators over all that a recipe uses, on data that a virtual machine makes.
+
+use std::collections::BTreeSet;
+
+use abbe_core::{Class, Contact, Kind, Problem, Result};
+use abbe_estimation::laws;
+use abbe_simulation::{Noise, Truth, measure};
+
+use crate::prepare::Prepared;
+use crate::run::{Taken, has_rows};
+
+/// What the errors of the virtual machine amount to where they matter most, mm or rad: small, so that who linearises once
+/// finds them to the nanometre, too.
+const SIZE: f64 = 2e-3;
+
+/// What came of the laws.
+#[derive(Debug, Clone, PartialEq, Eq, Default)]
+pub struct Laws {
+    /// What is broken, with the stage.
+    pub broken: Vec<String>,
+    /// What was not looked at, with the stage and the reason.
+    pub skipped: Vec<String>,
+    /// What was looked at: stage and plugin.
+    pub seen: BTreeSet<(String, String)>,
+}
+
+impl Prepared {
+    /// Whether the models, artefacts and estimators of the recipe's estimates keep the laws ([`abbe_estimation::laws`]).
+    ///
+    /// Every estimate is made from what its programme, the rows of the recipe's data, would have measured on a machine with
+    /// errors of a few micrometres in all that is estimated. Fails where a run would fail before its first fit.
+    pub fn laws(&self) -> Result<Laws> {
+        let data = self.read(&abbe_core::Monitor::default(), None)?;
+        let problems = self.problems(&data, &mut Taken::default())?;
+        let mut found = Laws::default();
+        for stage in self.stages(Kind::Estimate).filter(has_rows) {
+            let Some(problem) = problems.get(&stage.name).filter(|problem| !problem.sets.is_empty()) else { continue };
+            let machine = self.machine_stage(stage)?;
+            if found.seen.insert((machine.name.clone(), machine.plugin.clone())) {
+                let broken = laws::of_model(problem.model.as_ref());
+                found.broken.extend(broken.into_iter().map(|law| format!("{}: {law}", machine.name)));
+            }
+            let (measured, solution, made) = match self.located(stage, virtual_measurement(problem)) {
+                Ok((measured, solution)) => (measured, solution, true),
+                // Its own data have to do.
+                Err(error) => {
+                    found.skipped.push(format!("{}: a virtual machine makes no data: {}", stage.name, error.message));
+                    (problem.clone(), problem.start(), false)
+                }
+            };
+            let at = measured.at(&solution);
+            for (index, set) in at.sets.iter().enumerate() {
+                let artefact = self.recipe.stages.iter().find(|stage| stage.name == set.name);
+                let plugin = artefact.map_or_else(String::new, |stage| stage.plugin.clone());
+                found.seen.insert((set.name.clone(), plugin));
+                let broken = laws::of_observations(&at, index)?;
+                found.broken.extend(broken.into_iter().map(|law| format!("{}, {}: {law}", stage.name, set.name)));
+            }
+            if !made {
+                continue;
+            }
+            let estimator = self.estimators[&stage.name].as_ref();
+            let identified = self.located(stage, estimator.identify(&measured))?;
+            if identified.rank < identified.unknowns {
+                let (rank, unknowns) = (identified.rank, identified.unknowns);
+                found.skipped.push(format!("{}: its data determine {rank} of {unknowns} unknowns", stage.name));
+                continue;
+            }
+            match laws::of_estimate(estimator, &measured, &solution) {
+                Ok(broken) => found.broken.extend(broken.into_iter().map(|law| format!("{}: {law}", stage.name))),
+                Err(error) if error.class == Class::Use => {
+                    found.skipped.push(format!("{}: {}", stage.name, error.message));
+                    continue;
+                }
+                Err(error) => found.broken.push(format!("{}: it fails: {error}", stage.name)),
+            }
+            found.seen.insert((stage.name.clone(), stage.plugin.clone()));
+        }
+        Ok(found)
+    }
+}
+
+/// What the rows of a problem would have measured exactly on a machine with errors in everything that is unknown, and these
+/// errors.
+fn virtual_measurement(problem: &Problem) -> Result<(Problem, Vec<f64>)> {
+    let start = problem.start();
+    let mut largest = vec![0.0_f64; start.len()];
+    problem.linearise(&start, |block| {
+        for line in block.jacobian.chunks_exact(start.len().max(1)) {
+            largest.iter_mut().zip(line).for_each(|(largest, by)| *largest = largest.max(by.abs()));
+        }
+    })?;
+    let error = |(index, largest): (usize, &f64)| {
+        let sign = if index % 2 == 0 { 1.0 } else { -1.0 };
+        // What shows nowhere stays what it is.
+        if *largest > 0.0 { sign * SIZE * (0.5 + 0.1 * (index % 6) as f64) / largest } else { 0.0 }
+    };
+    let errors = largest.iter().enumerate().map(error);
+    let solution: Vec<f64> = start.iter().zip(errors).map(|(start, error)| start + error).collect();
+    let named = problem.unknowns.iter().zip(&solution).map(|(unknown, value)| (unknown.name.clone(), *value));
+    let truth = Truth { parameters: named.collect(), noise: Noise::default() };
+    let measured = measure(problem, &truth, 1)?;
+    debug_assert!(measured.sets.iter().all(|set| !matches!(set.info().contact, Contact::NotSimulated(_))));
+    Ok((measured, solution))
+}
