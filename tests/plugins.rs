@@ -5,7 +5,7 @@ use std::path::PathBuf;
 use abbe_core::{Build, Context, PathItem};
 use serde_json::{Value, json};
 
-use crate::support::{abbe, json_file, read, recipes, registry, root};
+use crate::support::{abbe, json_file, read, recipes, registry, root, temporary, tree};
 
 #[test]
 fn every_plugin_can_be_built_from_its_example() {
@@ -16,6 +16,10 @@ fn every_plugin_can_be_built_from_its_example() {
         let what = format!("{} {}", plugin.kind(), plugin.name);
         assert!(!plugin.about.is_empty() && !plugin.about.contains('\n'), "{what}: about: {:?}", plugin.about);
         assert!(!plugin.about.ends_with('.'), "{what}: a line of a list has no full stop");
+        let headings: Vec<&str> = plugin.reference.lines().filter(|line| line.starts_with('#')).collect();
+        let wanted = ["## When to use it", "## Equation", "## Notes", "## Source"];
+        let without_notes = [wanted[0], wanted[1], wanted[3]];
+        assert!(headings == wanted || headings == without_notes, "{what}: its reference has {headings:?}");
         let (schema, example) = (plugin.schema.get(), plugin.example.get());
         valid(&what, &schema, &example);
         let refuse = jsonschema::validator_for(&schema).expect("a schema");
@@ -167,4 +171,24 @@ fn every_limit_has_a_rule_of_decision() {
             "verify-cut /tolerance_um",
         ]
     );
+}
+
+#[test]
+fn the_pages_of_plugins_are_up_to_date() {
+    let folder = temporary();
+    let printed = abbe(&root(), &["plugins", "--pages", &folder.path().to_string_lossy()]);
+    assert_eq!(printed.status, 0, "{}", printed.stderr);
+    let kept = root().join("docs/plugins");
+    let names = |folder: &std::path::Path| tree(folder).into_iter().collect::<Vec<_>>();
+    assert_eq!(
+        names(folder.path()),
+        names(&kept),
+        "run `cargo xtask schema`, and remove pages of plugins that are gone"
+    );
+    for name in names(&kept) {
+        let (made, kept) = (read(&folder.path().join(&name)), read(&kept.join(&name)));
+        assert!(made == kept, "docs/plugins/{} is out of date: run `cargo xtask schema`", name.display());
+        let long = kept.lines().find(|line| line.chars().count() > 120);
+        assert_eq!(long, None, "{}", name.display());
+    }
 }

@@ -3,7 +3,7 @@
 //! - `cargo xtask ci [--all]`: everything the gate asks for, the same on every machine; with `--all` nothing may be skipped.
 //! - `cargo xtask bench [--save]`: run the benchmarks, compare with (or write) `benches/baseline.json`.
 //! - `cargo xtask header`: write the C header of the plugin interface.
-//! - `cargo xtask schema`: write the schemas in `docs/schemas` that follow from the code.
+//! - `cargo xtask schema`: write what follows from the plugins: the schema of recipes and the pages in `docs/plugins`.
 
 mod borders;
 mod gate;
@@ -93,7 +93,7 @@ fn bench(save: bool) -> Outcome {
     Ok(())
 }
 
-/// Writes what follows from the code: the schema of recipes.
+/// Writes what follows from the plugins: the schema of recipes, and their reference pages.
 fn schema() -> Outcome {
     let output = cargo(&["run", "--quiet", "--release", "--bin", "abbe", "--", "schema"])
         .output()
@@ -102,5 +102,6 @@ fn schema() -> Outcome {
         return Err(String::from_utf8_lossy(&output.stderr).into_owned());
     }
     let file = root().join("docs/schemas/recipe.schema.json");
-    fs::write(&file, output.stdout).map_err(|error| format!("{}: {error}", file.display()))
+    fs::write(&file, output.stdout).map_err(|error| format!("{}: {error}", file.display()))?;
+    run(cargo(&["run", "--quiet", "--release", "--bin", "abbe", "--", "plugins", "--pages", "docs/plugins"]))
 }

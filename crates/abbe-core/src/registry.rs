@@ -157,6 +157,9 @@ pub struct Plugin {
     pub name: Cow<'static, str>,
     /// One line that says what it does.
     pub about: Cow<'static, str>,
+    /// What its reference page says beside its settings, as Markdown with headings of level 2: when to use it, equation,
+    /// notes, source. May be empty.
+    pub reference: &'static str,
     /// The version of the program or library that it is part of.
     pub version: Cow<'static, str>,
     /// Where it comes from.
@@ -183,6 +186,7 @@ impl Plugin {
         Self {
             name: Cow::Borrowed(name),
             about: Cow::Borrowed(about),
+            reference: "",
             version: Cow::Borrowed(env!("CARGO_PKG_VERSION")),
             origin: Origin::BuiltIn,
             schema: Provider::Static(schema),
@@ -190,6 +194,12 @@ impl Plugin {
             build,
             basis: Basis::Measurements,
         }
+    }
+
+    /// Gives the text of its reference page.
+    pub const fn with_reference(mut self, reference: &'static str) -> Self {
+        self.reference = reference;
+        self
     }
 
     /// Says what its estimates are made of.

@@ -2,7 +2,7 @@
 
 use std::collections::BTreeSet;
 
-use abbe_core::{Class, Contact, Kind, Problem, Result};
+use abbe_core::{Class, Kind, Problem, Result};
 use abbe_estimation::laws;
 use abbe_simulation::{Noise, Truth, measure};
 
@@ -100,6 +100,9 @@ fn virtual_measurement(problem: &Problem) -> Result<(Problem, Vec<f64>)> {
     let named = problem.unknowns.iter().zip(&solution).map(|(unknown, value)| (unknown.name.clone(), *value));
     let truth = Truth { parameters: named.collect(), noise: Noise::default() };
     let measured = measure(problem, &truth, 1)?;
-    debug_assert!(measured.sets.iter().all(|set| !matches!(set.info().contact, Contact::NotSimulated(_))));
-    Ok((measured, solution))
+    // What a certificate states is what the artefact of this machine has.
+    let residuals = measured.residuals(&solution)?;
+    let constraints = measured.constraints().into_iter().zip(residuals);
+    let stated: Vec<f64> = constraints.map(|(stated, residual)| if stated { -residual } else { 0.0 }).collect();
+    Ok((measured.disturbed(&stated), solution))
 }

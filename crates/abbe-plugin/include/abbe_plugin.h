@@ -279,6 +279,9 @@ typedef struct AbbePlugin {
                        struct AbbeText settings,
                        struct AbbeText base,
                        const struct AbbeReply *reply);
+    // What its reference page says beside its settings, as Markdown with headings of level 2: when to use it, equation,
+    // source. May be empty.
+    struct AbbeText reference;
 } AbbePlugin;
 
 // What a library has.

@@ -288,6 +288,9 @@ pub struct AbbePlugin {
             reply: *const AbbeReply,
         ) -> u32,
     >,
+    /// What its reference page says beside its settings, as Markdown with headings of level 2: when to use it, equation,
+    /// source. May be empty.
+    pub reference: AbbeText,
 }
 
 /// What a library has.

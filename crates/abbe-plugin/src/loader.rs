@@ -128,6 +128,7 @@ pub fn load(path: &Path, pin: Option<&str>) -> Result<Library> {
             name: plugin.name,
             version: version.clone(),
             about: plugin.about,
+            reference: plugin.reference,
             schema: plugin.schema,
             example: plugin.example,
         };
@@ -179,6 +180,7 @@ pub(crate) struct About {
     pub name: String,
     pub version: String,
     pub about: String,
+    pub reference: String,
     pub schema: String,
     pub example: String,
 }
@@ -206,6 +208,8 @@ impl About {
         Ok(Plugin {
             version: Cow::Owned(self.version),
             about: Cow::Owned(self.about),
+            // Libraries stay for ever, and so does what they say.
+            reference: self.reference.leak(),
             origin: origin.clone(),
             schema: Provider::Value(schema),
             example: Provider::Value(example),

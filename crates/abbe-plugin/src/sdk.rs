@@ -88,6 +88,7 @@ pub unsafe fn library(host: *const AbbeHost, name: &'static str, version: &'stat
                 schema: forever(plugin.schema.get().to_string()),
                 example: forever(plugin.example.get().to_string()),
                 create: Some(create),
+                reference: AbbeText::of(plugin.reference),
             };
             &raw const Box::leak(Box::new(Exported { record, plugin })).record
         });

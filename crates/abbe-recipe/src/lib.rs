@@ -7,6 +7,7 @@
 mod document;
 mod graph;
 mod libraries;
+mod page;
 mod schema;
 mod sets;
 #[cfg(test)]
@@ -22,6 +23,7 @@ use serde_json::{Map, Value};
 use document::{At, Document, Node};
 pub use libraries::Library;
 use libraries::libraries;
+pub use page::{index, page, page_name};
 pub use schema::schema;
 use sets::Sets;
 

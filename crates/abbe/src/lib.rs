@@ -109,6 +109,9 @@ enum Command {
         /// Print them as JSON, with the schemas and examples of their settings.
         #[arg(long)]
         json: bool,
+        /// Write a reference page of each, and a list of them, into this folder.
+        #[arg(long, conflicts_with = "json")]
+        pages: Option<PathBuf>,
     },
     /// Print the JSON Schema of recipes, for editors.
     Schema,
@@ -252,13 +255,27 @@ fn dispatch(command: Command, libraries: &Libraries) -> Result<(String, u8)> {
         Command::Plugin { command: PluginCommand::Serve { file, sha256 } } => {
             abbe_plugin::serve(&file, &sha256).map(|()| (String::new(), 0))
         }
-        Command::Plugins { json } => {
+        Command::Plugins { json, pages } => {
             let registry = libraries.registry(None)?;
+            if let Some(folder) = pages {
+                return write_pages(&registry, &folder).map(|text| (text, 0));
+            }
             let text = if json { pretty(&plugins_json(&registry))? } else { plugins_text(&registry) };
             Ok((text, 0))
         }
         Command::Schema => Ok((pretty(&abbe_recipe::schema(&libraries.registry(None)?))?, 0)),
     }
+}
+
+/// Writes the reference pages of all plugins, and a list of them.
+fn write_pages(registry: &Registry, folder: &Path) -> Result<String> {
+    let wrong = |error: io::Error| Error::usage(format!("{}: {error}", folder.display()));
+    std::fs::create_dir_all(folder).map_err(wrong)?;
+    for plugin in registry.iter() {
+        std::fs::write(folder.join(abbe_recipe::page_name(plugin)), abbe_recipe::page(plugin)).map_err(wrong)?;
+    }
+    std::fs::write(folder.join("README.md"), abbe_recipe::index(registry.iter())).map_err(wrong)?;
+    Ok(format!("{} pages in {}\n", registry.iter().count(), folder.display()))
 }
 
 /// The laws over all that a recipe uses, among it the plugins of a library.

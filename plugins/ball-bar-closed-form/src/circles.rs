@@ -23,6 +23,7 @@ inventory::submit! {
         example,
         Build::Validate(Constructor::Static(build)),
     )
+    .with_reference(include_str!("../reference/validate-ball-bar-circles.md"))
 }
 
 /// Settings of the circles.

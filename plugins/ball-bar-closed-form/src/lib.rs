@@ -31,6 +31,7 @@ inventory::submit! {
         example,
         Build::Estimate(Constructor::Static(build)),
     )
+    .with_reference(include_str!("../reference/estimate-ball-bar-closed-form.md"))
 }
 
 /// Settings of the closed form.

@@ -181,7 +181,7 @@ impl System {
 fn at_nominal(problem: &Problem) -> Problem {
     let starts: Vec<Vec<f64>> = problem.sets.iter().map(|set| set.info().start.clone()).collect();
     let nominal = |owner: Owner, index: usize, start: f64| match owner {
-        Owner::Machine => 0.0,
+        Owner::Machine => problem.model.info().nominal[index],
         Owner::Set(set) => starts[set][index],
         Owner::Input => start,
     };

@@ -80,6 +80,7 @@ inventory::submit! {
         example,
         Build::Ingest(Constructor::Static(build)),
     )
+    .with_reference(include_str!("../reference/ingest-ball-bar.md"))
 }
 
 fn example() -> Value {

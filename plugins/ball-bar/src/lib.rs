@@ -33,6 +33,7 @@ inventory::submit! {
         example,
         Build::Artefact(Constructor::Static(build)),
     )
+    .with_reference(include_str!("../reference/artefact-ball-bar.md"))
 }
 
 /// Settings of the ball bar.

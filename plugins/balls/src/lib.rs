@@ -29,6 +29,7 @@ inventory::submit! {
         example,
         Build::Artefact(Constructor::Static(build)),
     )
+    .with_reference(include_str!("../reference/artefact-balls.md"))
 }
 
 /// Settings of the balls.

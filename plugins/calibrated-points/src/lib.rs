@@ -32,6 +32,7 @@ inventory::submit! {
         example,
         Build::Artefact(Constructor::Static(build)),
     )
+    .with_reference(include_str!("../reference/artefact-calibrated-points.md"))
 }
 
 /// Settings of an artefact with calibrated points.

@@ -30,6 +30,7 @@ inventory::submit! {
         example,
         Build::Estimate(Constructor::Static(build)),
     )
+    .with_reference(include_str!("../reference/estimate-combine.md"))
     .made_of(Basis::Estimates)
 }
 

@@ -18,6 +18,7 @@ inventory::submit! {
         example,
         Build::Estimate(Constructor::Static(build)),
     )
+    .with_reference(include_str!("../reference/estimate-calibration.md"))
     .made_of(Basis::Calibration)
 }
 

@@ -23,6 +23,7 @@ inventory::submit! {
         example,
         Build::Estimate(Constructor::Static(build)),
     )
+    .with_reference(include_str!("../reference/estimate-stated.md"))
     .made_of(Basis::Statement)
 }
 

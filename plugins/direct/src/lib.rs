@@ -35,6 +35,7 @@ inventory::submit! {
         example,
         Build::Artefact(Constructor::Static(build)),
     )
+    .with_reference(include_str!("../reference/artefact-direct.md"))
 }
 
 /// Settings of direct measurements.

@@ -22,6 +22,7 @@ inventory::submit! {
         example,
         Build::Export(Constructor::Static(build)),
     )
+    .with_reference(include_str!("../reference/export-error-table.md"))
 }
 
 /// Settings of the tables.

@@ -23,6 +23,7 @@ inventory::submit! {
         example,
         Build::Export(Constructor::Static(build)),
     )
+    .with_reference(include_str!("../reference/export-linuxcnc.md"))
 }
 
 /// Settings of the compensation files.

@@ -18,6 +18,7 @@ inventory::submit! {
         example,
         Build::Export(Constructor::Static(build)),
     )
+    .with_reference(include_str!("../reference/export-uncertainty.md"))
 }
 
 /// There is nothing to set.

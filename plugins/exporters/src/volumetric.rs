@@ -19,6 +19,7 @@ inventory::submit! {
         example,
         Build::Export(Constructor::Static(build)),
     )
+    .with_reference(include_str!("../reference/export-volumetric.md"))
 }
 
 /// Settings of the table.

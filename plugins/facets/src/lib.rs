@@ -30,6 +30,7 @@ inventory::submit! {
         example,
         Build::Artefact(Constructor::Static(build)),
     )
+    .with_reference(include_str!("../reference/artefact-facets.md"))
 }
 
 /// Settings of the facets.

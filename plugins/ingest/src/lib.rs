@@ -89,6 +89,7 @@ inventory::submit! {
         example,
         Build::Ingest(Constructor::Static(build)),
     )
+    .with_reference(include_str!("../reference/ingest-csv.md"))
 }
 
 fn example() -> Value {

@@ -26,6 +26,7 @@ inventory::submit! {
         example,
         Build::Artefact(Constructor::Static(build)),
     )
+    .with_reference(include_str!("../reference/artefact-length.md"))
 }
 
 /// Settings of the lengths.

@@ -29,6 +29,7 @@ inventory::submit! {
         example,
         Build::Estimate(Constructor::Static(build)),
     )
+    .with_reference(include_str!("../reference/estimate-monte-carlo.md"))
 }
 
 fn example() -> Value {

@@ -23,6 +23,7 @@ inventory::submit! {
         example,
         Build::Artefact(Constructor::Static(build)),
     )
+    .with_reference(include_str!("../reference/artefact-probed-points.md"))
 }
 
 /// Settings of the points.

@@ -23,6 +23,7 @@ inventory::submit! {
         example,
         Build::Validate(Constructor::Static(build)),
     )
+    .with_reference(include_str!("../reference/validate-verify-cut.md"))
 }
 
 /// Settings of the check.

@@ -24,6 +24,7 @@ inventory::submit! {
         example,
         Build::Export(Constructor::Static(build)),
     )
+    .with_reference(include_str!("../reference/export-verify-sensitivity.md"))
 }
 
 /// Settings of the sensitivities.

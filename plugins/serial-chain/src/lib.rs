@@ -22,6 +22,7 @@ inventory::submit! {
         example,
         Build::Model(Constructor::Static(build)),
     )
+    .with_reference(include_str!("../reference/model-serial-chain.md"))
 }
 
 fn build(settings: &serde_json::Value, _: &Context) -> Result<Box<dyn Model>, SettingsError> {

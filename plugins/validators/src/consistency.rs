@@ -27,6 +27,7 @@ inventory::submit! {
         example,
         Build::Validate(Constructor::Static(build)),
     )
+    .with_reference(include_str!("../reference/validate-consistency.md"))
 }
 
 /// Settings of the comparison.

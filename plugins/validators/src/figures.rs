@@ -127,7 +127,7 @@ impl Sample {
     }
 }
 
-/// ResidualSample as people read them, lengths and angles apart: they do not add up.
+/// Residuals as people read them, lengths and angles apart: they do not add up.
 #[derive(Debug, Clone, Default)]
 pub struct ResidualSample {
     /// µm
@@ -170,7 +170,7 @@ pub fn residual_limits<'a>(further: &[&'a str]) -> Vec<&'a str> {
     [&["max_um", "mean_um", "rms_um", "max_urad", "mean_urad", "rms_urad"], further].concat()
 }
 
-/// ResidualSample by label, in the order in which the labels appear first.
+/// Residuals by label, in the order in which the labels appear first.
 #[derive(Debug, Clone, Default)]
 pub struct Groups {
     index: BTreeMap<String, usize>,

@@ -29,6 +29,7 @@ inventory::submit! {
         example,
         Build::Validate(Constructor::Static(build)),
     )
+    .with_reference(include_str!("../reference/validate-geometric-bias.md"))
 }
 
 /// Settings of the geometric bias.

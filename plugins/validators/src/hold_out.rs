@@ -19,6 +19,7 @@ inventory::submit! {
         example,
         Build::Validate(Constructor::Static(build)),
     )
+    .with_reference(include_str!("../reference/validate-hold-out.md"))
 }
 
 /// Settings of the hold-out.

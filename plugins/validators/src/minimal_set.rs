@@ -27,6 +27,7 @@ inventory::submit! {
         example,
         Build::Validate(Constructor::Static(build)),
     )
+    .with_reference(include_str!("../reference/validate-minimal-set.md"))
 }
 
 /// Settings of the selection.

@@ -25,6 +25,7 @@ inventory::submit! {
         example,
         Build::Validate(Constructor::Static(build)),
     )
+    .with_reference(include_str!("../reference/validate-repeatability.md"))
 }
 
 /// Settings of the repeatability.

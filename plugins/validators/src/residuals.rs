@@ -22,6 +22,7 @@ inventory::submit! {
         example,
         Build::Validate(Constructor::Static(build)),
     )
+    .with_reference(include_str!("../reference/validate-residuals.md"))
 }
 
 /// Settings of the residuals.

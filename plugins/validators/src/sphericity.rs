@@ -26,6 +26,7 @@ inventory::submit! {
         example,
         Build::Validate(Constructor::Static(build)),
     )
+    .with_reference(include_str!("../reference/validate-sphericity.md"))
 }
 
 /// Settings of the sphericity.

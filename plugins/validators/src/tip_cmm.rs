@@ -24,6 +24,7 @@ inventory::submit! {
         example,
         Build::Validate(Constructor::Static(build)),
     )
+    .with_reference(include_str!("../reference/validate-tip-cmm.md"))
 }
 
 /// Settings of the comparison.

@@ -93,7 +93,7 @@ fn has_orientations(model: &dyn KinematicModel) -> bool {
 fn derivatives(model: &dyn KinematicModel) -> Result<Vec<String>> {
     let (statuses, values) = samples(model, POSES);
     let (wanted, orientation) = (variables(model), has_orientations(model));
-    let (mut at, mut broken) = (Poses::default(), Vec::new());
+    let (mut at, mut broken, info) = (Poses::default(), Vec::new(), model.info());
     model.poses(&statuses, &values, &wanted, orientation, &mut at)?;
     for (k, &variable) in wanted.iter().enumerate() {
         let column = |list: &[[f64; 3]]| -> Vec<Vector3<f64>> {
@@ -101,15 +101,22 @@ fn derivatives(model: &dyn KinematicModel) -> Result<Vec<String>> {
         };
         let (moves, turns) = (column(&at.position_derivatives), column(&at.rotation_derivatives));
         let largest = moves.iter().chain(&turns).map(Vector3::norm).fold(0.0, f64::max);
-        // A step that moves the tip by micrometres; a micrometre or microradian itself where nothing seems to move.
-        let step = if largest > 0.0 { 1e-3 / largest } else { 1e-3 };
+        // A step that moves the tip by micrometres; a micrometre or microradian itself where nothing seems to move. What
+        // shapes a function turns its phase by far more than that at the end of a long axis.
+        let step = match variable {
+            Variable::Parameter(index) if info.parameters[index].role == ParameterRole::Shape => {
+                3e-7 * info.nominal[index].abs()
+            }
+            _ if largest > 0.0 => 1e-3 / largest,
+            _ => 1e-3,
+        };
         let shifted = |step: f64| -> Result<Poses> {
             let (mut statuses, mut values, mut out) = (statuses.clone(), values.clone(), Poses::default());
             match variable {
                 Variable::Parameter(index) => values[index] += step,
                 Variable::Command(index) => {
-                    let column = model.info().axes[index].status;
-                    let width = model.info().status.len();
+                    let column = info.axes[index].status;
+                    let width = info.status.len();
                     statuses.chunks_exact_mut(width).for_each(|status| status[column] += step);
                 }
             }

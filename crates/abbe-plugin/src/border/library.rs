@@ -40,6 +40,7 @@ pub(crate) struct PluginText {
     pub kind: u32,
     pub name: String,
     pub about: String,
+    pub reference: String,
     pub schema: String,
     pub example: String,
     pub record: Record,
@@ -99,6 +100,7 @@ unsafe fn read_plugin(record: *const AbbePlugin) -> Result<PluginText, String> {
         Ok(PluginText {
             kind: plugin.kind,
             about: plugin.about.read()?,
+            reference: plugin.reference.read()?,
             schema: plugin.schema.read()?,
             example: plugin.example.read()?,
             record: Record { record, create },

@@ -2,7 +2,9 @@
 
 use std::sync::Arc;
 
-use abbe_core::{Build, Context, KinematicModel, Plugin, Poses, Registry, Result, SettingsError, Variable, in_parallel};
+use abbe_core::{
+    Build, Context, KinematicModel, Plugin, Poses, Registry, Result, SettingsError, Variable, in_parallel,
+};
 use abbe_estimation::laws::{self, samples};
 use serde_json::Value;
 
@@ -63,7 +65,9 @@ pub(super) fn estimators(library: &Library, findings: &mut Findings) {
     for plugin in &library.plugins {
         let Build::Estimate(constructor) = &plugin.build else { continue };
         // An example that cannot be built is for the test of settings.
-        let Ok(stage) = constructor.build(&plugin.example.get(), &Context { base: std::env::temp_dir() }) else { continue };
+        let Ok(stage) = constructor.build(&plugin.example.get(), &Context { base: std::env::temp_dir() }) else {
+            continue;
+        };
         match laws::of_estimator(stage.as_ref()) {
             Ok(broken) => broken.iter().for_each(|law| findings.wrong(format!("`{}`: {law}", plugin.name))),
             Err(error) => findings.skip(format!("`{}`: {error}", plugin.name)),

@@ -63,6 +63,7 @@ fn listed(library: &Library) -> String {
         name: plugin.name.to_string(),
         version: plugin.version.to_string(),
         about: plugin.about.to_string(),
+        reference: plugin.reference.to_string(),
         schema: plugin.schema.get().to_string(),
         example: plugin.example.get().to_string(),
     });

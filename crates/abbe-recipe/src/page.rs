@@ -1,0 +1,295 @@
+//! The reference page of a plugin, made of its own record.
+
+use abbe_core::{Kind, Plugin};
+use serde_json::{Map, Value};
+
+use crate::graph::references;
+
+/// Longest line of a page.
+const WIDTH: usize = 116;
+
+/// The page of a plugin as Markdown: what it does, what its record says of it (when to use it, equation, source), its
+/// settings with units and defaults as the schema has them, and the stage that its example makes.
+pub fn page(plugin: &Plugin) -> String {
+    let kind = plugin.kind();
+    let mut page = format!("# `{kind}: {}`\n\n", plugin.name);
+    page.push_str(&wrapped("", &format!("{}.", capital(&plugin.about))));
+    if !plugin.reference.is_empty() {
+        page.push_str(&format!("\n{}\n", plugin.reference.trim()));
+    }
+    page.push_str("\n## Settings\n");
+    let schema = plugin.schema.get();
+    let mut settings = String::new();
+    list(&schema, &schema, 0, &mut settings);
+    page.push_str(if settings.is_empty() { "None of its own.\n" } else { &settings });
+    let mut more: Vec<String> =
+        references(plugin).into_iter().map(|reference| format!("`{}`", reference.key)).collect();
+    more.extend(
+        ["`uncertainty`", "`pooled`", "`id`"].iter().filter(|_| kind == Kind::Artefact).map(|key| (*key).into()),
+    );
+    more.extend(Some("`file`".to_owned()).filter(|_| kind == Kind::Model));
+    if !more.is_empty() {
+        let text =
+            format!("The keys of all such stages are explained in [recipes.md](../recipes.md): {}.", more.join(", "));
+        page.push_str(&format!("\n{}", wrapped("", &text)));
+    }
+    page.push_str(&format!("\n## Example\n```yaml\n{}```\n", example(plugin)));
+    page
+}
+
+/// The file of the page among those of other plugins.
+pub fn page_name(plugin: &Plugin) -> String {
+    format!("{}-{}.md", plugin.kind(), plugin.name)
+}
+
+/// The page that lists those of some plugins, by kind.
+pub fn index<'a>(plugins: impl Iterator<Item = &'a Plugin>) -> String {
+    let mut text = "# Plugins\nWhat each plugin does, when to use it, its equation, settings and source. These pages are made of the \
+                    plugins' own\nrecords by `abbe plugins --pages docs/plugins`.\n"
+        .to_owned();
+    let mut last = None;
+    for plugin in plugins {
+        if last != Some(plugin.kind()) {
+            text.push_str(&format!("\n## {}\n", plugin.kind()));
+            last = Some(plugin.kind());
+        }
+        text.push_str(&wrapped("  ", &format!("- [{}]({}): {}", plugin.name, page_name(plugin), plugin.about)));
+    }
+    text
+}
+
+/// The stage that the plugin's example makes, references left to be filled in.
+fn example(plugin: &Plugin) -> String {
+    let mut stage = Map::new();
+    stage.insert(plugin.kind().key().to_owned(), Value::from(plugin.name.as_ref()));
+    for reference in references(plugin).into_iter().filter(|reference| reference.required) {
+        stage.insert(reference.key.to_owned(), Value::from("a-stage"));
+    }
+    if let Value::Object(settings) = plugin.example.get() {
+        stage.extend(settings);
+    }
+    serde_yaml::to_string(&Value::Object([("my-stage".to_owned(), Value::Object(stage))].into_iter().collect()))
+        .unwrap_or_default()
+}
+
+/// The properties of a map, one item each, with those of the maps in it below.
+fn list(root: &Value, schema: &Value, depth: usize, out: &mut String) {
+    let required: Vec<&str> = schema["required"].as_array().into_iter().flatten().filter_map(Value::as_str).collect();
+    for (key, property) in schema["properties"].as_object().into_iter().flatten() {
+        let property = plain(root, property);
+        let mut traits = vec![kind_of(root, property)];
+        traits.extend(unit(key).map(str::to_owned));
+        if required.contains(&key.as_str()) {
+            traits.push("required".to_owned());
+        } else if let Some(default) = property.get("default").filter(|default| is_told(default)) {
+            traits.push(format!("default `{}`", shown(default)));
+        }
+        item(out, depth, &format!("`{key}` ({})", traits.join(", ")), property);
+        below(root, property, depth + 1, out);
+    }
+}
+
+/// What stands in a setting: the maps in it, and alternatives that say what they are.
+fn below(root: &Value, schema: &Value, depth: usize, out: &mut String) {
+    if schema["properties"].is_object() {
+        return list(root, schema, depth, out);
+    }
+    for inner in ["items", "additionalProperties"] {
+        if schema[inner].is_object() {
+            return below(root, plain(root, &schema[inner]), depth, out);
+        }
+    }
+    for alternative in alternatives(schema) {
+        let alternative = plain(root, alternative);
+        if let Some(constant) = alternative.get("const").filter(|_| alternative["description"].is_string()) {
+            item(out, depth, &format!("`{}`", shown(constant)), alternative);
+        } else if alternative["properties"].is_object() {
+            let what = if alternative["description"].is_string() { "a map" } else { "a map of" };
+            item(out, depth, what, alternative);
+            list(root, alternative, depth + 1, out);
+        } else if !alternatives(alternative).is_empty() {
+            below(root, alternative, depth, out);
+        }
+    }
+}
+
+fn item(out: &mut String, depth: usize, what: &str, schema: &Value) {
+    let indent = "  ".repeat(depth);
+    let description =
+        schema["description"].as_str().unwrap_or_default().split_whitespace().collect::<Vec<_>>().join(" ");
+    let text = match description.is_empty() {
+        true => format!("{indent}- {what}"),
+        false => format!("{indent}- {what}: {description}"),
+    };
+    out.push_str(&wrapped(&format!("{indent}  "), &text));
+}
+
+/// A schema with its reference resolved, and without the alternative that it is absent.
+fn plain<'a>(root: &'a Value, schema: &'a Value) -> &'a Value {
+    if let Some(name) = schema["$ref"].as_str().and_then(|path| path.strip_prefix("#/$defs/")) {
+        return &root["$defs"][name];
+    }
+    schema
+}
+
+fn alternatives(schema: &Value) -> Vec<&Value> {
+    let all = ["oneOf", "anyOf"].into_iter().filter_map(|key| schema[key].as_array()).flatten();
+    all.filter(|alternative| alternative["type"] != "null").collect()
+}
+
+/// What may be written, in a few words.
+fn kind_of(root: &Value, schema: &Value) -> String {
+    if let Some(constant) = schema.get("const") {
+        return format!("`{}`", shown(constant));
+    }
+    if let Some(listed) = schema["enum"].as_array() {
+        return listed.iter().map(|value| format!("`{}`", shown(value))).collect::<Vec<_>>().join(" or ");
+    }
+    let alternatives = alternatives(schema);
+    if !alternatives.is_empty() {
+        let mut all: Vec<String> = alternatives.iter().map(|one| kind_of(root, plain(root, one))).collect();
+        all.dedup();
+        return all.join(" or ");
+    }
+    let listed = schema["type"].as_array().into_iter().flatten().filter_map(Value::as_str);
+    let types: Vec<&str> = schema["type"].as_str().into_iter().chain(listed).filter(|kind| *kind != "null").collect();
+    let words = types.into_iter().map(|kind| match kind {
+        "string" => "text".to_owned(),
+        "integer" => "whole number".to_owned(),
+        "boolean" => "true or false".to_owned(),
+        "array" => match kind_of(root, plain(root, &schema["items"])) {
+            what if what.contains(" or ") => format!("list, each {what}"),
+            what if what.is_empty() => "list".to_owned(),
+            what => format!("list of {}", plural(&what)),
+        },
+        "object" if schema["additionalProperties"].is_object() => {
+            match kind_of(root, plain(root, &schema["additionalProperties"])) {
+                what if what.is_empty() => "map by name".to_owned(),
+                what => format!("map, by name {}", with_article(&what)),
+            }
+        }
+        "object" => "map".to_owned(),
+        other => other.to_owned(),
+    });
+    words.collect::<Vec<_>>().join(" or ")
+}
+
+fn plural(what: &str) -> String {
+    match what {
+        "text" => "texts".to_owned(),
+        "true or false" => "true or false".to_owned(),
+        _ if what.starts_with(['`', 'l', 'm']) && what.contains(' ') => what.to_owned(),
+        _ => format!("{what}s"),
+    }
+}
+
+fn with_article(what: &str) -> String {
+    if what.starts_with('`') || what.starts_with("true") { what.to_owned() } else { format!("a {what}") }
+}
+
+/// The unit that the name of a setting ends with.
+fn unit(key: &str) -> Option<&'static str> {
+    const UNITS: [(&str, &str); 19] = [
+        ("_mm_per_min", "mm/min"),
+        ("_mm_per_s", "mm/s"),
+        ("_um_per_m", "µm/m"),
+        ("_per_K", "1/K"),
+        ("_um2", "µm²"),
+        ("_urad2", "µrad²"),
+        ("_mm", "mm"),
+        ("_um", "µm"),
+        ("_nm", "nm"),
+        ("_m", "m"),
+        ("_deg", "deg"),
+        ("_urad", "µrad"),
+        ("_rad", "rad"),
+        ("_degC", "°C"),
+        ("_K", "K"),
+        ("_N", "N"),
+        ("_Hz", "Hz"),
+        ("_min", "min"),
+        ("_s", "s"),
+    ];
+    UNITS.iter().find(|(suffix, _)| key.ends_with(suffix)).map(|(_, unit)| *unit)
+}
+
+/// Whether a default says more than that nothing is there.
+fn is_told(default: &Value) -> bool {
+    match default {
+        Value::Null => false,
+        Value::Array(list) => !list.is_empty(),
+        Value::Object(map) => !map.is_empty(),
+        _ => true,
+    }
+}
+
+fn shown(value: &Value) -> String {
+    match value {
+        Value::String(text) => text.clone(),
+        other => other.to_string(),
+    }
+}
+
+fn capital(text: &str) -> String {
+    let mut letters = text.chars();
+    letters.next().map_or_else(String::new, |first| first.to_uppercase().chain(letters).collect())
+}
+
+/// Text in lines of [`WIDTH`]; further lines begin with `indent`.
+fn wrapped(indent: &str, text: &str) -> String {
+    let (first, text) = (text.len() - text.trim_start().len(), text.trim_start());
+    let mut out = " ".repeat(first);
+    let mut length = first;
+    for (index, word) in text.split(' ').enumerate() {
+        let size = word.chars().count();
+        if index > 0 && length + 1 + size > WIDTH {
+            out.push_str(&format!("\n{indent}"));
+            length = indent.len();
+        } else if index > 0 {
+            out.push(' ');
+            length += 1;
+        }
+        out.push_str(word);
+        length += size;
+    }
+    out + "\n"
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use serde_json::json;
+
+    #[test]
+    fn settings_say_what_they_take() {
+        let schema = json!({
+            "type": "object",
+            "required": ["nominal"],
+            "properties": {
+                "nominal": { "type": "string", "description": "File." },
+                "standard_uncertainty_um": { "type": ["number", "null"], "default": 0.5, "description": "Of one\ntouch." },
+                "rows": { "oneOf": [
+                    { "const": "touches", "description": "One touch." }, { "const": "centres", "description": "Centres." },
+                ], "default": "touches" },
+                "distances": { "type": "array", "items": { "type": "object", "properties": {
+                    "between": { "type": "array", "items": { "type": "string" } },
+                } } },
+            },
+        });
+        let mut found = String::new();
+        list(&schema, &schema, 0, &mut found);
+        let expected = "- `nominal` (text, required): File.\n\
+                        - `standard_uncertainty_um` (number, µm, default `0.5`): Of one touch.\n\
+                        - `rows` (`touches` or `centres`, default `touches`)\n  \
+                          - `touches`: One touch.\n  - `centres`: Centres.\n\
+                        - `distances` (list of maps)\n  - `between` (list of texts)\n";
+        assert_eq!(found, expected);
+    }
+
+    #[test]
+    fn lines_are_short() {
+        let text = format!("- `a`: {}", "word ".repeat(60).trim());
+        let lines: Vec<String> = wrapped("  ", &text).lines().map(str::to_owned).collect();
+        assert!(lines.len() > 2 && lines.iter().all(|line| line.len() <= WIDTH) && lines[1].starts_with("  word"));
+    }
+}
