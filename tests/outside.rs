@@ -1,4 +1,5 @@
 //! Tests that need a program which Rust does not bring: they say what is missing where it is, and are the second part of the
 //! gate.
 
+mod first_error_family;
 mod instruction_sets;

@@ -234,6 +234,12 @@ static const AbbePlugin THREE_AXIS = {
               "\"required\":[\"tool_length_mm\"],\"additionalProperties\":false}"),
     ABBE_TEXT("{\"tool_length_mm\":100}"),
     create,
+    ABBE_TEXT("## When to use it\n"
+              "For a machine with three linear axes on the tool side, as an example of a plugin in C.\n"
+              "\n## Equation\n"
+              "tip = (X (1 + EXX[1]), 0, 0) + Rz(EC0Y) ((0, Y (1 + EYY[1]), 0) +\n"
+              "      Ry(EB0Z) Rx(EA0Z) ((0, 0, Z (1 + EZZ[1])) + tool))\n"
+              "\n## Source\nThis project.\n"),
 };
 
 static const AbbePlugin *const PLUGINS[] = { &THREE_AXIS };

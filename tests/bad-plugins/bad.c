@@ -187,6 +187,7 @@ static const AbbePlugin MODEL = {
 #else
     create,
 #endif
+    ABBE_TEXT(""),
 };
 
 static const AbbePlugin *const PLUGINS[] = {

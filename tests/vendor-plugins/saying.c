@@ -63,7 +63,7 @@ static uint32_t create(const AbbePlugin *plugin, AbbeText settings, AbbeText bas
 static const AbbePlugin SAYING = {
     sizeof(AbbePlugin), ABBE_VALIDATE, ABBE_TEXT("vendor-saying"), ABBE_TEXT("finds what it is told"),
     ABBE_TEXT("{\"type\":\"object\",\"properties\":{\"findings\":{\"type\":\"object\"}},\"additionalProperties\":false}"),
-    ABBE_TEXT("{\"findings\":{\"figures\":[],\"remarks\":[]}}"), create,
+    ABBE_TEXT("{\"findings\":{\"figures\":[],\"remarks\":[]}}"), create, ABBE_TEXT(""),
 };
 
 static const AbbePlugin *const PLUGINS[] = { &SAYING };

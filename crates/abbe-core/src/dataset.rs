@@ -4,9 +4,9 @@ use std::path::PathBuf;
 
 use serde::{Deserialize, Serialize};
 
-use crate::error::{Error, Result, nearest};
-use crate::serial::numbers;
-use crate::unit::Quantity;
+use abbe_settings::Quantity;
+use abbe_settings::serial::numbers;
+use abbe_settings::{Error, Result, nearest};
 
 /// The name of a column, as found in a file's header.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]

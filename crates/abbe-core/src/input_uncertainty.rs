@@ -5,10 +5,10 @@ use std::collections::BTreeMap;
 use schemars::JsonSchema;
 use serde::Deserialize;
 
-use crate::error::{Error, Result};
 use crate::observations::KnownInput;
-use crate::pattern::matches;
-use crate::settings::{Label, Names, PathItem};
+use abbe_settings::matches;
+use abbe_settings::{Error, Result};
+use abbe_settings::{Label, Names, PathItem};
 
 /// The uncertainty of an artefact's rows, beyond the one number that the artefact itself takes.
 #[derive(Debug, Clone, PartialEq, Default, Deserialize, JsonSchema)]

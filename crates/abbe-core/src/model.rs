@@ -5,9 +5,9 @@ use std::any::Any;
 use serde::{Deserialize, Serialize};
 use serde_json::Value;
 
-use crate::error::Result;
-use crate::serial::number;
-use crate::unit::{Quantity, Unit};
+use abbe_settings::Result;
+use abbe_settings::serial::number;
+use abbe_settings::{Quantity, Unit};
 
 /// Linear or rotary.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
@@ -128,6 +128,17 @@ pub struct StatusColumn {
     pub levels: Vec<String>,
     /// What an absent column means.
     pub absent: Absent,
+}
+
+impl StatusColumn {
+    /// The name of its column where a row has several poses, counted from 1: `X1`, `dir1_X`.
+    pub fn column_of_pose(&self, pose: usize) -> String {
+        let axis = self.name.strip_prefix(DIRECTION).filter(|_| matches!(self.role, StatusRole::Direction(_)));
+        match axis {
+            Some(axis) => format!("{}{pose}_{axis}", DIRECTION.trim_end_matches('_')),
+            None => format!("{}{pose}", self.name),
+        }
+    }
 }
 
 /// What a parameter or an unknown is.

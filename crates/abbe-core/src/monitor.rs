@@ -6,7 +6,7 @@ use std::sync::atomic::{AtomicBool, Ordering};
 
 use serde::Serialize;
 
-use crate::error::{Error, Result};
+use abbe_settings::{Error, Result};
 
 /// What is going on.
 #[derive(Debug, Clone, PartialEq, Serialize)]
@@ -125,7 +125,7 @@ mod tests {
     use std::sync::Mutex;
 
     use super::*;
-    use crate::error::Class;
+    use abbe_settings::Class;
 
     #[test]
     fn events_are_heard_and_work_ends_on_request() {

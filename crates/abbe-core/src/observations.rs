@@ -7,11 +7,11 @@ use std::sync::Arc;
 use serde::{Deserialize, Serialize};
 
 use crate::dataset::Dataset;
-use crate::error::Result;
 use crate::identity::Certificate;
 use crate::model::{KinematicModel, Parameter};
 use crate::pose_table::{ColumnNaming, PoseTable, StatusSource, pose_columns};
-use crate::unit::{Quantity, Unit};
+use abbe_settings::Result;
+use abbe_settings::{Quantity, Unit};
 
 /// A named number that is not estimated but whose uncertainty all rows that use it share.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]

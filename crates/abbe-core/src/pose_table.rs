@@ -5,10 +5,10 @@ use std::path::PathBuf;
 use serde::{Deserialize, Serialize};
 
 use crate::dataset::{ColumnHeader, Dataset, Values, missing_column};
-use crate::error::{Error, Result};
 use crate::model::{Absent, Axis, AxisKind, KinematicModel, StatusColumn, StatusRole};
-use crate::serial::{number, numbers};
-use crate::unit::Quantity;
+use abbe_settings::Quantity;
+use abbe_settings::serial::{number, numbers};
+use abbe_settings::{Error, Result};
 
 /// Statuses of poses, row by row, in the column order of the model that they were gathered for.
 #[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]

@@ -8,9 +8,9 @@ use std::sync::Arc;
 use serde::{Deserialize, Serialize};
 use serde_json::Value;
 
-use crate::error::{Error, Result, nearest};
-use crate::settings::SettingsError;
 use crate::stage::{Artefact, Estimate, Export, Ingest, Model, Validate};
+use abbe_settings::SettingsError;
+use abbe_settings::{Error, Result, nearest};
 
 /// The six kinds of stage, in the order in which data flow.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
@@ -222,6 +222,43 @@ impl Plugin {
 }
 
 inventory::collect!(Plugin);
+
+/// Registers a built-in plugin: kind, name, the line that says what it does, type of its settings, function that gives an
+/// example of them, function that builds the stage from settings and context, and the file with the text of its reference
+/// page. Last, for estimators, what estimates are made of ([`Basis`]) if that is not measurements.
+///
+/// ```ignore
+/// abbe_core::register!(
+///     Validate,
+///     "largest",
+///     "the largest residual",
+///     Settings,
+///     || json!({ "limit_um": 10 }),
+///     build,
+///     "../reference/validate-largest.md",
+/// );
+///
+/// fn build(settings: Settings, context: &Context) -> Result<Box<dyn Validate>, SettingsError> {
+/// ```
+#[macro_export]
+macro_rules! register {
+    ($kind:ident, $name:literal, $about:literal, $settings:ty, $example:expr, $build:path, $page:literal
+        $(, $basis:expr)? $(,)?) => {
+        $crate::inventory::submit! {
+            $crate::Plugin::built_in(
+                $name,
+                $about,
+                $crate::schema_of::<$settings>,
+                $example,
+                $crate::Build::$kind($crate::Constructor::Static(|settings, context| {
+                    $build($crate::from_settings::<$settings>(settings)?, context)
+                })),
+            )
+            .with_reference(include_str!($page))
+            $(.made_of($basis))?
+        }
+    };
+}
 
 /// All plugins that a run can use, sorted by kind and name.
 pub struct Registry {

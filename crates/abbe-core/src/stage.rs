@@ -7,12 +7,12 @@ use std::path::PathBuf;
 use std::sync::Arc;
 
 use crate::dataset::{ColumnHeader, Dataset};
-use crate::error::{Error, Result};
 use crate::model::KinematicModel;
 use crate::observations::{Observations, Target};
 use crate::problem::Problem;
-use crate::result::Findings;
-use crate::result::{Calibration, Identifiability};
+use abbe_results::Findings;
+use abbe_results::{Calibration, Identifiability};
+use abbe_settings::{Error, Result};
 
 /// A file that a stage reads.
 #[derive(Debug, Clone, PartialEq, Eq)]
@@ -53,14 +53,16 @@ pub trait Artefact: Send + Sync {
 /// A machine description.
 pub trait Model: Send + Sync {
     /// The files that it reads.
-    fn inputs(&self) -> Vec<InputFile>;
+    fn inputs(&self) -> Vec<InputFile> {
+        Vec::new()
+    }
 
     /// The kinematic model. What depends on the data (the time scale of a drift) is settled from `data`; without data
     /// it has to be in the settings, or the model is good for checking names only.
     fn build(&self, data: &[&Dataset]) -> Result<Arc<dyn KinematicModel>>;
 }
 
-/// A solver of problems, or whoever has a calibration by other means ([`Basis`](crate::Basis)).
+/// A solver of problems, or a source of calibrations that were made by other means ([`Basis`](crate::Basis)).
 pub trait Estimate: Send + Sync {
     /// The files that it reads.
     fn inputs(&self) -> Vec<InputFile> {
@@ -119,7 +121,9 @@ pub struct Fit {
 /// A judge of calibrations.
 pub trait Validate: Send + Sync {
     /// The files that it reads.
-    fn inputs(&self) -> Vec<InputFile>;
+    fn inputs(&self) -> Vec<InputFile> {
+        Vec::new()
+    }
 
     /// The observations that its settings name: (setting, stage).
     fn observations(&self) -> Vec<(&'static str, String)> {
@@ -154,7 +158,9 @@ pub struct ExportedFile {
 /// A writer of what others take: controllers, spreadsheets.
 pub trait Export: Send + Sync {
     /// The files that it reads.
-    fn inputs(&self) -> Vec<InputFile>;
+    fn inputs(&self) -> Vec<InputFile> {
+        Vec::new()
+    }
 
     /// The files for a calibration; `model` is the calibration's own.
     fn export(&self, calibration: &Calibration, model: &dyn KinematicModel) -> Result<Vec<ExportedFile>>;

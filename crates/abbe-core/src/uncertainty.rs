@@ -3,7 +3,7 @@
 use nalgebra::DMatrix;
 use serde::{Deserialize, Serialize};
 
-use crate::error::{Error, Result};
+use abbe_settings::{Error, Result};
 
 /// Covariance of some equations with one another.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
@@ -11,7 +11,7 @@ pub struct CovarianceBlock {
     /// Indices of the equations, ascending.
     pub equations: Vec<usize>,
     /// Their covariance, mm² (rad²), positive definite.
-    #[serde(with = "crate::serial::matrix")]
+    #[serde(with = "matrix")]
     pub covariance: DMatrix<f64>,
 }
 
@@ -137,6 +137,27 @@ impl EquationUncertainty {
             .as_ref()
             .map(|pooled| Pooled { deviations: pooled.deviations.iter().map(pick).collect(), ..pooled.clone() });
         Self { standard: pick(&self.standard), blocks, pooled }
+    }
+}
+
+/// A matrix as a list of rows.
+mod matrix {
+    use nalgebra::DMatrix;
+    use serde::de::Error;
+    use serde::{Deserialize, Deserializer, Serialize, Serializer};
+
+    pub fn serialize<S: Serializer>(matrix: &DMatrix<f64>, serializer: S) -> Result<S::Ok, S::Error> {
+        let rows: Vec<Vec<f64>> = matrix.row_iter().map(|row| row.iter().copied().collect()).collect();
+        rows.serialize(serializer)
+    }
+
+    pub fn deserialize<'de, D: Deserializer<'de>>(deserializer: D) -> Result<DMatrix<f64>, D::Error> {
+        let rows = Vec::<Vec<f64>>::deserialize(deserializer)?;
+        let columns = rows.first().map_or(0, Vec::len);
+        if rows.iter().any(|row| row.len() != columns) {
+            return Err(D::Error::custom("the rows of a matrix have different lengths"));
+        }
+        Ok(DMatrix::from_fn(rows.len(), columns, |row, column| rows[row][column]))
     }
 }
 

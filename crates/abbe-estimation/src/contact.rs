@@ -116,7 +116,7 @@ fn contacts(problem: &Problem, set: usize, rows: &[usize], linear: &LinearAxes) 
 
 /// The same problem as it is measured if its own values are the truth: the linear axes of every touched row move from
 /// where they are, by as little as possible (or the one that approaches), until each of its equations (the exact one) equals
-/// its error; where a reading gives way, the reading makes up for the difference.
+/// its error; where a reading is taken, the reading makes up for the difference.
 ///
 /// `errors` has one value for every equation, mm or rad; constraints keep their residuals. `variations` change
 /// parameters of the model from row to row. Fails for artefacts that are not simulated and, with the place of the row,

@@ -63,7 +63,7 @@ pub use reach::Reach;
 pub use remarks::remarks;
 pub use residuals::{Constraints, ResidualStatistics, Sizes, outliers};
 pub use same_motion::same_motion;
-pub use separation::{Trials, separating_measurements};
+pub use separation::{SeparationTrials, separating_measurements};
 pub use solved::{Solved, UncertaintyEvaluation, judged_factor};
 pub use variance::{Components, components};
 pub use weighted::Weighted;

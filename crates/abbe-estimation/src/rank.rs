@@ -3,7 +3,7 @@
 use abbe_core::{Combination, Error, Identifiability, NullVector, Problem};
 use abbe_numerics::{Factor, Spectrum};
 
-use crate::separation::Trials;
+use crate::separation::SeparationTrials;
 
 /// Number of weakest combinations that are told.
 const WEAKEST: usize = 5;
@@ -70,7 +70,7 @@ pub fn separated(problem: &Problem, x: &[f64], mut found: Identifiability) -> Id
     if found.null_space.is_empty() {
         return found;
     }
-    if let Ok(trials) = Trials::new(problem, x) {
+    if let Ok(trials) = SeparationTrials::new(problem, x) {
         for vector in &mut found.null_space {
             vector.separated_by = trials.separating(vector).unwrap_or_default();
         }

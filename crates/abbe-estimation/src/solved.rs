@@ -28,7 +28,7 @@ pub struct Solved {
     pub gradient_cosine: Option<f64>,
 }
 
-/// What is wanted of a calibration, whoever estimated it.
+/// What is asked of a calibration; the same for all estimators.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct UncertaintyEvaluation {
     /// Singular values below this part of the largest count as zero; columns have norm 1.

@@ -41,7 +41,7 @@ pub struct Components {
     pub degrees_of_freedom: Vec<f64>,
     /// Values of the unknowns with these weights.
     pub x: Vec<f64>,
-    told: Vec<bool>,
+    trace: Vec<bool>,
 }
 
 impl Components {
@@ -51,14 +51,14 @@ impl Components {
         let named = sets.map(|(index, set)| VarianceFactor {
             stage: set.name.clone(),
             factor: self.factors[index],
-            degrees_of_freedom: Some(self.degrees_of_freedom[index]).filter(|_| self.told[index]),
+            degrees_of_freedom: Some(self.degrees_of_freedom[index]).filter(|_| self.trace[index]),
         });
         named.collect()
     }
 
     /// Tells people which factors are what was stated.
     pub fn warn(&self, problem: &Problem) {
-        for (set, _) in problem.sets.iter().zip(&self.told).filter(|(_, told)| !**told) {
+        for (set, _) in problem.sets.iter().zip(&self.trace).filter(|(_, trace)| !**trace) {
             tracing::warn!(
                 "{}: the rows of {} cannot tell how much they scatter (less than one of them is checked by others): what was stated counts",
                 problem.name,
@@ -98,13 +98,13 @@ impl Round {
         let mut expected = DMatrix::<f64>::zeros(count, count);
         for (group, range) in ranges.iter().enumerate() {
             let rows: Vec<usize> = range.clone().filter(|&equation| readings[equation] > 0.0).collect();
-            let told = shares[group].trace();
-            squares.push(influence(&rows, &residuals, report) * correction(&rows, report, robust, told).powi(2));
-            redundancies.push(rows.len() as f64 - told);
+            let trace = shares[group].trace();
+            squares.push(influence(&rows, &residuals, report) * correction(&rows, report, robust, trace).powi(2));
+            redundancies.push(rows.len() as f64 - trace);
             for other in 0..count {
                 expected[(group, other)] = shares[group].product_trace(&shares[other]);
             }
-            expected[(group, group)] += rows.len() as f64 - 2.0 * told;
+            expected[(group, group)] += rows.len() as f64 - 2.0 * trace;
         }
         // Rows that hang together in a projection: r_g is the sum over all groups, certificates included.
         let constrained = (0..count).map(|group| redundancies[group] - expected.row(group).sum()).collect();
@@ -147,7 +147,7 @@ pub fn components(
 ) -> Result<Components> {
     let count = problem.sets.len();
     let mut factors = vec![1.0; count];
-    let mut told = vec![true; count];
+    let mut trace = vec![true; count];
     let mut exact = vec![false; count];
     let mut x = problem.start();
     for _ in 0..ROUNDS {
@@ -156,14 +156,14 @@ pub fn components(
         x.clone_from(&solution.x);
         let round = Round::new(&scaled, &solution, robust, rank)?;
         let silent: Vec<usize> =
-            (0..count).filter(|&group| told[group] && round.redundancies[group] < LEAST_REDUNDANCY).collect();
+            (0..count).filter(|&group| trace[group] && round.redundancies[group] < LEAST_REDUNDANCY).collect();
         if !silent.is_empty() {
             for group in silent {
-                (told[group], factors[group]) = (false, 1.0);
+                (trace[group], factors[group]) = (false, 1.0);
             }
             continue;
         }
-        let free: Vec<usize> = (0..count).filter(|&group| told[group] && !exact[group]).collect();
+        let free: Vec<usize> = (0..count).filter(|&group| trace[group] && !exact[group]).collect();
         let (off, freedom) = round.solve(&free);
         let mut change = 0.0_f64;
         for (&group, off) in free.iter().zip(&off) {
@@ -183,10 +183,10 @@ pub fn components(
                 .filter(|&group| exact[group])
                 .for_each(|group| degrees_of_freedom[group] = round.redundancies[group]);
             if let Some(group) = free.iter().copied().find(|&group| degrees_of_freedom[group] < LEAST_REDUNDANCY) {
-                (told[group], factors[group]) = (false, 1.0);
+                (trace[group], factors[group]) = (false, 1.0);
                 continue;
             }
-            return Ok(Components { factors, degrees_of_freedom, x, told });
+            return Ok(Components { factors, degrees_of_freedom, x, trace });
         }
     }
     let error = Error::data(format!("the variance factors of the artefacts still change after {ROUNDS} rounds"));

@@ -6,7 +6,7 @@ use std::sync::Arc;
 
 use abbe_balls as _;
 use abbe_core::{Build, Context, Kind, NullVector, ObservationSet, Plugin, Problem, Registry};
-use abbe_estimation::Trials;
+use abbe_estimation::SeparationTrials;
 use abbe_facets as _;
 use abbe_gauss_newton as _;
 use abbe_length as _;
@@ -52,7 +52,7 @@ fn told(problem: &Problem) -> Vec<(NullVector, Vec<String>)> {
         _ => None,
     });
     let lost = estimator.identify(problem).unwrap().null_space;
-    let trials = Trials::new(problem, &problem.start()).unwrap();
+    let trials = SeparationTrials::new(problem, &problem.start()).unwrap();
     let told = lost.into_iter().map(|vector| {
         let sentences = trials.separating(&vector).unwrap();
         println!("{}\n    {}", vector.describe(), sentences.join("\n    "));

@@ -123,7 +123,7 @@ impl Factor {
     }
 
     /// Norm of `J x`: by how much x moves all rows together.
-    pub fn effect(&self, x: &[f64]) -> f64 {
+    pub fn row_norm(&self, x: &[f64]) -> f64 {
         let n = self.unknowns();
         norm_of((0..n).map(|row| (row..n).map(|column| self.triangle[(row, column)] * x[column]).sum()))
     }

@@ -265,7 +265,7 @@ fn step_of(factor: &Factor, rank: usize) -> Option<(Vec<f64>, f64)> {
         Some(step) => step,
         None => factor.spectrum().step(rank),
     };
-    let size = factor.effect(&step);
+    let size = factor.row_norm(&step);
     (size.is_finite() && step.iter().all(|value| value.is_finite())).then_some((step, size))
 }
 

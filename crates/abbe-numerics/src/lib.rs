@@ -76,7 +76,7 @@ pub use factor::{CandidateTerm, CovarianceRoot, Factor, Information, SingularVal
 pub use gauss_newton::{End, LeastSquares, Options, Sink, Solution, solve, solve_from};
 pub use linear::{DesignMatrix, LinearFit, fit_linear};
 pub use monte_carlo::{Adaptive, Agreement, Interval, Trials, gum_agrees, least_trials, numerical_tolerance};
-pub use regression::{Direction, Influence, SelectionStep, StepwiseSelection};
+pub use regression::{Influence, SelectionStep, StepwiseDirection, StepwiseSelection};
 pub use robust::{Loss, Robust, RobustReport};
 pub use sampling::Generator;
 pub use selection::{LeftOut, Selection};

@@ -40,7 +40,7 @@ impl Influence {
 
 /// In which direction terms are selected.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum Direction {
+pub enum StepwiseDirection {
     /// Starting from none, terms come in.
     Forward,
     /// Starting from all, terms go out.
@@ -81,20 +81,20 @@ impl Factor {
         candidates: &[usize],
         degrees_of_freedom: usize,
         level: f64,
-        direction: Direction,
+        direction: StepwiseDirection,
     ) -> Option<StepwiseSelection> {
         let terms = Terms::new(self, x, candidates, degrees_of_freedom)?;
         let mut kept: Vec<usize> =
-            if direction == Direction::Backward { (0..candidates.len()).collect() } else { vec![] };
+            if direction == StepwiseDirection::Backward { (0..candidates.len()).collect() } else { vec![] };
         let (mut steps, mut seen) = (Vec::new(), vec![kept.clone()]);
         loop {
             let fit = terms.fit(&kept)?;
             let leaves = fit.leaves(&terms, &kept).filter(|step| step.probability > level);
             let enters = || fit.enters(&terms, &kept).filter(|step| step.probability < level);
             let next = match direction {
-                Direction::Forward => enters().into_iter().collect(),
-                Direction::Backward => leaves.into_iter().collect(),
-                Direction::Both => match leaves.or_else(enters) {
+                StepwiseDirection::Forward => enters().into_iter().collect(),
+                StepwiseDirection::Backward => leaves.into_iter().collect(),
+                StepwiseDirection::Both => match leaves.or_else(enters) {
                     Some(step) => vec![step],
                     None => terms.replacement(&kept, fit.cost),
                 },

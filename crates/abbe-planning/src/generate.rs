@@ -73,7 +73,7 @@ impl<'a> Grid<'a> {
         for (index, axis) in axes.iter().enumerate().filter(|(_, axis)| axis.kind == AxisKind::Rotary) {
             let positions = wanted.indexations_deg.get(&axis.name).map_or(Ok(vec![0.0]), Series::values);
             let positions = positions.map_err(|error| wrong_grid("indexations_deg", error.message))?;
-            // Whoever tells backlash has to come from both sides.
+            // Backlash shows only if a position is approached from both sides.
             let approach = model.info().status_of(&StatusRole::Direction(index));
             let sides: &[f64] = if wanted.indexations_deg.contains_key(&axis.name) && approach.is_some() {
                 &[1.0, -1.0]

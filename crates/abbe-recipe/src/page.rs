@@ -22,8 +22,7 @@ pub fn page(plugin: &Plugin) -> String {
     let mut settings = String::new();
     list(&schema, &schema, 0, &mut settings);
     page.push_str(if settings.is_empty() { "None of its own.\n" } else { &settings });
-    let mut more: Vec<String> =
-        references(plugin).into_iter().map(|reference| format!("`{}`", reference.key)).collect();
+    let mut more: Vec<String> = references(plugin).iter().map(|reference| format!("`{}`", reference.key)).collect();
     more.extend(
         ["`uncertainty`", "`pooled`", "`id`"].iter().filter(|_| kind == Kind::Artefact).map(|key| (*key).into()),
     );
@@ -62,7 +61,7 @@ pub fn index<'a>(plugins: impl Iterator<Item = &'a Plugin>) -> String {
 fn example(plugin: &Plugin) -> String {
     let mut stage = Map::new();
     stage.insert(plugin.kind().key().to_owned(), Value::from(plugin.name.as_ref()));
-    for reference in references(plugin).into_iter().filter(|reference| reference.required) {
+    for reference in references(plugin).iter().filter(|reference| reference.required) {
         stage.insert(reference.key.to_owned(), Value::from("a-stage"));
     }
     if let Value::Object(settings) = plugin.example.get() {

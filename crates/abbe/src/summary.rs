@@ -205,7 +205,7 @@ fn verdict(verdict: &Verdict) -> String {
     let judged = verdict.figures.iter().any(|figure| figure.decision.is_some());
     let result = if judged { verdict.decision.to_string().to_uppercase() } else { "no limit set".to_owned() };
     let mut text = section(&format!("{} ({}): {result}", verdict.stage, verdict.plugin), &figures(&verdict.figures));
-    for (figure, why) in verdict.figures.iter().filter_map(cannot_be_told) {
+    for (figure, why) in verdict.figures.iter().filter_map(undecided) {
         let of = figure.of.as_ref().map_or(String::new(), |of| format!("{of}: "));
         text.push_str(&format!("  ? {of}{} cannot be told: {why}\n", figure.name));
     }
@@ -216,7 +216,7 @@ fn verdict(verdict: &Verdict) -> String {
 }
 
 /// A shown figure of whose limit the validator cannot tell, and why.
-fn cannot_be_told(figure: &Figure) -> Option<(&Figure, &str)> {
+fn undecided(figure: &Figure) -> Option<(&Figure, &str)> {
     let inconclusive = figure.decision == Some(Decision::Inconclusive) && !figure.detail;
     figure.inconclusive.as_deref().filter(|_| inconclusive).map(|why| (figure, why))
 }

@@ -1,10 +1,7 @@
 //! Validator `ball-bar-circles`: how far the circles of ball bar tests are off centre, how round they are, and what the polar plot
 //! makes of them.
 
-use abbe_core::{
-    Build, Constructor, Context, Dataset, Figure, Findings, Fit, InputFile, Limit, PathItem, Plugin, Result,
-    SettingsError, Validate, inventory, positive,
-};
+use abbe_core::{Context, Dataset, Figure, Findings, Fit, Limit, PathItem, Result, SettingsError, Validate, positive};
 use schemars::JsonSchema;
 use serde::Deserialize;
 use serde_json::{Value, json};
@@ -15,16 +12,15 @@ use crate::sweep::Sweep;
 use crate::system::System;
 use crate::{ECCENTRIC, Evaluation, default_column};
 
-inventory::submit! {
-    Plugin::built_in(
-        "ball-bar-circles",
-        "centre offsets and roundness of ball bar tests, and the error of their polar plots",
-        abbe_core::schema_of::<Settings>,
-        example,
-        Build::Validate(Constructor::Static(build)),
-    )
-    .with_reference(include_str!("../reference/validate-ball-bar-circles.md"))
-}
+abbe_core::register!(
+    Validate,
+    "ball-bar-circles",
+    "centre offsets and roundness of ball bar tests, and the error of their polar plots",
+    Settings,
+    example,
+    build,
+    "../reference/validate-ball-bar-circles.md",
+);
 
 /// Settings of the circles.
 #[derive(Debug, Clone, PartialEq, Deserialize, JsonSchema)]
@@ -57,8 +53,7 @@ fn example() -> Value {
     json!({ "tests": "test", "limits": { "eccentricity_um": 100 } })
 }
 
-fn build(settings: &Value, _: &Context) -> Result<Box<dyn Validate>, SettingsError> {
-    let settings: Settings = abbe_core::from_settings(settings)?;
+fn build(settings: Settings, _: &Context) -> Result<Box<dyn Validate>, SettingsError> {
     let limits = &settings.limits;
     for (name, limit) in [
         ("eccentricity_um", limits.eccentricity_um),
@@ -85,10 +80,6 @@ pub fn eccentric(test: &str, offset: f64) -> String {
 }
 
 impl Validate for Circles {
-    fn inputs(&self) -> Vec<InputFile> {
-        Vec::new()
-    }
-
     fn validate(&self, fits: &[&Fit], _: &[&Dataset]) -> Result<Findings> {
         let mut findings = Findings::default();
         for fit in fits {

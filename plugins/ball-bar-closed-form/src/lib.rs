@@ -12,10 +12,7 @@ mod reduction;
 mod sweep;
 mod system;
 
-use abbe_core::{
-    Build, Calibration, Constructor, Context, Error, Estimate, Identifiability, Plugin, Problem, Result, SettingsError,
-    inventory,
-};
+use abbe_core::{Calibration, Context, Error, Estimate, Identifiability, Problem, Result, SettingsError};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use serde_json::{Value, json};
@@ -23,16 +20,15 @@ use serde_json::{Value, json};
 use evaluation::Evaluated;
 use system::System;
 
-inventory::submit! {
-    Plugin::built_in(
-        "ball-bar-closed-form",
-        "circle and cone evaluation of ball bar tests of rotary axes, without iteration",
-        abbe_core::schema_of::<Settings>,
-        example,
-        Build::Estimate(Constructor::Static(build)),
-    )
-    .with_reference(include_str!("../reference/estimate-ball-bar-closed-form.md"))
-}
+abbe_core::register!(
+    Estimate,
+    "ball-bar-closed-form",
+    "circle and cone evaluation of ball bar tests of rotary axes, without iteration",
+    Settings,
+    example,
+    build,
+    "../reference/estimate-ball-bar-closed-form.md",
+);
 
 /// Settings of the closed form.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
@@ -69,8 +65,8 @@ fn example() -> Value {
     json!({ "evaluation": "polar-plot", "tests": "test" })
 }
 
-fn build(settings: &Value, _: &Context) -> Result<Box<dyn Estimate>, SettingsError> {
-    Ok(Box::new(ClosedForm { settings: abbe_core::from_settings(settings)? }))
+fn build(settings: Settings, _: &Context) -> Result<Box<dyn Estimate>, SettingsError> {
+    Ok(Box::new(ClosedForm { settings }))
 }
 
 struct ClosedForm {

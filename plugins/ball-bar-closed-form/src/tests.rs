@@ -5,7 +5,7 @@ use std::path::Path;
 use std::sync::Arc;
 
 use abbe_ball_bar as _;
-use abbe_core::{Kind, ObservationSet, Registry};
+use abbe_core::{Build, Kind, ObservationSet, Registry};
 use abbe_serial_chain as _;
 use nalgebra::Vector2;
 
@@ -44,7 +44,7 @@ fn problem(folder: &Path, chain: &str, rows: &str, parameters: &[&str]) -> Probl
 }
 
 fn estimator(settings: &Value) -> Box<dyn Estimate> {
-    build(settings, &Context { base: std::path::PathBuf::new() }).unwrap()
+    build(abbe_core::from_settings(settings).unwrap(), &Context { base: std::path::PathBuf::new() }).unwrap()
 }
 
 /// The message of what a problem is refused with.

@@ -9,8 +9,8 @@ use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
 use abbe_core::{
-    Build, Column, ColumnHeader, Constructor, Context, Dataset, Error, Ingest, InputFile, Label, PathItem, Plugin,
-    Quantity, Result, RowOrigin, SettingsError, Values, from_settings, inventory, positive, schema_of,
+    Column, ColumnHeader, Context, Dataset, Error, Ingest, InputFile, Label, PathItem, Quantity, Result, RowOrigin,
+    SettingsError, Values, positive,
 };
 use schemars::JsonSchema;
 use serde::Deserialize;
@@ -19,7 +19,7 @@ use serde_json::{Value, json};
 /// Ball bar tests.
 #[derive(Debug, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
-struct Settings {
+pub(crate) struct Settings {
     /// The tests, one file each.
     tests: Vec<Test>,
 }
@@ -72,16 +72,15 @@ struct Feed {
 /// What the limits of a range may be missed by, rad: rounding of a file with four decimals of a degree.
 const AT_LIMIT: f64 = 1e-6;
 
-inventory::submit! {
-    Plugin::built_in(
-        "ball-bar",
-        "tests of a double ball bar, by angle or by time and feed, without overshoot",
-        schema_of::<Settings>,
-        example,
-        Build::Ingest(Constructor::Static(build)),
-    )
-    .with_reference(include_str!("../reference/ingest-ball-bar.md"))
-}
+abbe_core::register!(
+    Ingest,
+    "ball-bar",
+    "tests of a double ball bar, by angle or by time and feed, without overshoot",
+    Settings,
+    example,
+    build,
+    "../reference/ingest-ball-bar.md",
+);
 
 fn example() -> Value {
     json!({ "tests": [
@@ -92,8 +91,7 @@ fn example() -> Value {
     ] })
 }
 
-pub(crate) fn build(settings: &Value, context: &Context) -> Result<Box<dyn Ingest>, SettingsError> {
-    let settings: Settings = from_settings(settings)?;
+pub(crate) fn build(settings: Settings, context: &Context) -> Result<Box<dyn Ingest>, SettingsError> {
     if settings.tests.is_empty() {
         return Err(SettingsError::new("tests", "at least one test was expected"));
     }

@@ -13,10 +13,9 @@ use std::path::PathBuf;
 use std::sync::Arc;
 
 use abbe_core::{
-    Artefact, Build, ColumnHeader, Constructor, Contact, Context, Dataset, Error, InputFile, KinematicModel,
-    KnownInput, Layout, Observations, ObservationsInfo, Orientation, Parameter, ParameterRole, PathItem, Plugin,
-    Quantity, RankPoint, Result, SettingsError, Target, Unit, inventory, not_negative, plain_naming, pose_columns,
-    positive,
+    Artefact, ColumnHeader, Contact, Context, Dataset, Error, InputFile, KinematicModel, KnownInput, Layout,
+    Observations, ObservationsInfo, Orientation, Parameter, ParameterRole, PathItem, Quantity, RankPoint, Result,
+    SettingsError, Target, Unit, not_negative, plain_naming, pose_columns, positive,
 };
 use nalgebra::Vector3;
 use schemars::JsonSchema;
@@ -25,16 +24,15 @@ use serde_json::{Value, json};
 
 use observed::{Ball, Bar, Observed, TOOL_BALL, features};
 
-inventory::submit! {
-    Plugin::built_in(
-        "ball-bar",
-        "lengths of a double ball bar between the tool ball and pivot balls on the table",
-        abbe_core::schema_of::<Settings>,
-        example,
-        Build::Artefact(Constructor::Static(build)),
-    )
-    .with_reference(include_str!("../reference/artefact-ball-bar.md"))
-}
+abbe_core::register!(
+    Artefact,
+    "ball-bar",
+    "lengths of a double ball bar between the tool ball and pivot balls on the table",
+    Settings,
+    example,
+    build,
+    "../reference/artefact-ball-bar.md",
+);
 
 /// Settings of the ball bar.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
@@ -80,8 +78,7 @@ fn example() -> Value {
     })
 }
 
-fn build(settings: &Value, context: &Context) -> Result<Box<dyn Artefact>, SettingsError> {
-    let settings: Settings = abbe_core::from_settings(settings)?;
+fn build(settings: Settings, context: &Context) -> Result<Box<dyn Artefact>, SettingsError> {
     positive("standard_uncertainty_um", settings.standard_uncertainty_um)?;
     not_negative("length_standard_uncertainty_um", settings.length_standard_uncertainty_um)?;
     not_negative("tool_ball_standard_uncertainty_um", settings.tool_ball_standard_uncertainty_um)?;

@@ -3,7 +3,7 @@
 use std::fs;
 use std::path::Path;
 
-use abbe_core::{Ingest, Kind, ObservationSet, Problem, Registry, path_text};
+use abbe_core::{Build, Ingest, Kind, ObservationSet, Problem, Registry, path_text};
 use abbe_serial_chain as _;
 
 use super::*;
@@ -35,7 +35,9 @@ fn observed(balls: &str, rows: &str, settings: &Value) -> Result<Problem, String
     let folder = tempfile::tempdir().unwrap();
     write(folder.path(), &[("balls.csv", balls), ("rows.csv", rows)]);
     let context = Context { base: folder.path().to_owned() };
-    let artefact = build(settings, &context).map_err(|error| format!("{}: {error}", path_text(&error.path)))?;
+    let artefact = abbe_core::from_settings(settings)
+        .and_then(|settings| build(settings, &context))
+        .map_err(|error| format!("{}: {error}", path_text(&error.path)))?;
     let model = model();
     let made = || {
         let data = Arc::new(abbe_table::read(&folder.path().join("rows.csv"))?);
@@ -140,7 +142,8 @@ fn read(files: &[(&str, &str)], tests: Value) -> Result<Dataset, String> {
     let folder = tempfile::tempdir().unwrap();
     write(folder.path(), files);
     let context = Context { base: folder.path().to_owned() };
-    let stage: Box<dyn Ingest> = ingest::build(&json!({ "tests": tests }), &context)
+    let stage: Box<dyn Ingest> = abbe_core::from_settings(&json!({ "tests": tests }))
+        .and_then(|settings| ingest::build(settings, &context))
         .map_err(|error| format!("{}: {}", path_text(&error.path), error.message))?;
     let headers = stage.headers();
     let data = stage.read().map_err(|error| {

@@ -11,26 +11,24 @@ use std::path::PathBuf;
 use std::sync::Arc;
 
 use abbe_core::{
-    Artefact, Build, ColumnHeader, Constructor, Contact, Context, Dataset, Equations, Error, Feature, InputFile,
-    KinematicModel, KnownInput, Label, Layout, Observations, ObservationsInfo, Parameter, ParameterRole, PathItem,
-    Plugin, Quantity, Result, RowBatch, SettingsError, Target, Unit, inventory, not_negative, plain_naming,
-    pose_columns, positive,
+    Artefact, ColumnHeader, Contact, Context, Dataset, Equations, Error, Feature, InputFile, KinematicModel,
+    KnownInput, Label, Layout, Observations, ObservationsInfo, Parameter, ParameterRole, PathItem, Quantity, Result,
+    RowBatch, SettingsError, Target, Unit, not_negative, plain_naming, pose_columns, positive,
 };
 use nalgebra::Vector3;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use serde_json::{Value, json};
 
-inventory::submit! {
-    Plugin::built_in(
-        "balls",
-        "touches on balls or their fitted centres, with calibrated distances between balls",
-        abbe_core::schema_of::<Settings>,
-        example,
-        Build::Artefact(Constructor::Static(build)),
-    )
-    .with_reference(include_str!("../reference/artefact-balls.md"))
-}
+abbe_core::register!(
+    Artefact,
+    "balls",
+    "touches on balls or their fitted centres, with calibrated distances between balls",
+    Settings,
+    example,
+    build,
+    "../reference/artefact-balls.md",
+);
 
 /// Settings of the balls.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
@@ -100,8 +98,7 @@ fn example() -> Value {
     })
 }
 
-fn build(settings: &Value, context: &Context) -> Result<Box<dyn Artefact>, SettingsError> {
-    let settings: Settings = abbe_core::from_settings(settings)?;
+fn build(settings: Settings, context: &Context) -> Result<Box<dyn Artefact>, SettingsError> {
     positive("standard_uncertainty_um", settings.standard_uncertainty_um)?;
     not_negative("stylus_radius_standard_uncertainty_um", settings.stylus_radius_standard_uncertainty_um)?;
     if settings.centres_by.is_some() && settings.rows == Rows::Centres {

@@ -13,9 +13,9 @@ use std::path::PathBuf;
 use std::sync::Arc;
 
 use abbe_core::{
-    Artefact, Build, ColumnHeader, Constructor, Contact, Context, Dataset, Equations, InputFile, KinematicModel,
-    KnownInput, Layout, Observations, ObservationsInfo, Parameter, Plugin, Quantity, Result, RowBatch, SettingsError,
-    Target, Unit, inventory, not_negative, plain_naming, pose_columns, positive,
+    Artefact, ColumnHeader, Contact, Context, Dataset, Equations, InputFile, KinematicModel, KnownInput, Layout,
+    Observations, ObservationsInfo, Parameter, Quantity, Result, RowBatch, SettingsError, Target, Unit, not_negative,
+    plain_naming, pose_columns, positive,
 };
 use nalgebra::Vector3;
 use schemars::JsonSchema;
@@ -24,16 +24,15 @@ use serde_json::{Value, json};
 
 use placement::Placement;
 
-inventory::submit! {
-    Plugin::built_in(
-        "calibrated-points",
-        "a bar or plate with calibrated points, placed on the table and measured point by point",
-        abbe_core::schema_of::<Settings>,
-        example,
-        Build::Artefact(Constructor::Static(build)),
-    )
-    .with_reference(include_str!("../reference/artefact-calibrated-points.md"))
-}
+abbe_core::register!(
+    Artefact,
+    "calibrated-points",
+    "a bar or plate with calibrated points, placed on the table and measured point by point",
+    Settings,
+    example,
+    build,
+    "../reference/artefact-calibrated-points.md",
+);
 
 /// Settings of an artefact with calibrated points.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
@@ -89,8 +88,7 @@ fn example() -> Value {
     })
 }
 
-fn build(settings: &Value, context: &Context) -> Result<Box<dyn Artefact>, SettingsError> {
-    let settings: Settings = abbe_core::from_settings(settings)?;
+fn build(settings: Settings, context: &Context) -> Result<Box<dyn Artefact>, SettingsError> {
     positive("standard_uncertainty_um", settings.standard_uncertainty_um)?;
     not_negative("calibration_standard_uncertainty_um", settings.calibration_standard_uncertainty_um)?;
     if settings.name.is_empty() || settings.name.contains(['[', ']', '*', '?']) {

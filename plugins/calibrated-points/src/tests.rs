@@ -2,7 +2,7 @@
 
 use std::fs;
 
-use abbe_core::{Kind, ObservationSet, Problem, Registry};
+use abbe_core::{Build, Kind, ObservationSet, Problem, Registry};
 use abbe_serial_chain as _;
 use proptest::prelude::*;
 
@@ -31,7 +31,8 @@ fn observed(points: &str, placements: &str, data: &str) -> Result<Arc<dyn Observ
     }
     let settings = json!({ "points": "points.csv", "placements": "placements.csv", "standard_uncertainty_um": 1,
         "calibration_standard_uncertainty_um": 0.2 });
-    let artefact = build(&settings, &Context { base: folder.path().to_owned() }).unwrap();
+    let artefact =
+        build(abbe_core::from_settings(&settings).unwrap(), &Context { base: folder.path().to_owned() }).unwrap();
     let data = Arc::new(abbe_table::read(&folder.path().join("data.csv")).unwrap());
     let observed = artefact
         .check(&data.headers(), data.files.first(), model().as_ref())

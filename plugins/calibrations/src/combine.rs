@@ -12,8 +12,8 @@
 use std::collections::BTreeMap;
 
 use abbe_core::{
-    Basis, Build, Calibration, CombinedAgreement, ConsideredInput, Constructor, Context, Error, Estimate, Fit,
-    FitReport, Identifiability, Plugin, Problem, Result, SettingsError, Status, inventory,
+    Basis, Calibration, CombinedAgreement, ConsideredInput, Context, Error, Estimate, Fit, FitReport, Identifiability,
+    Problem, Result, SettingsError, Status,
 };
 use abbe_estimation::calibration;
 use abbe_numerics::chi_squared_upper_tail;
@@ -22,17 +22,16 @@ use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use serde_json::{Value, json};
 
-inventory::submit! {
-    Plugin::built_in(
-        "combine",
-        "one calibration of several, with the inputs that they share, and whether they agree",
-        abbe_core::schema_of::<Settings>,
-        example,
-        Build::Estimate(Constructor::Static(build)),
-    )
-    .with_reference(include_str!("../reference/estimate-combine.md"))
-    .made_of(Basis::Estimates)
-}
+abbe_core::register!(
+    Estimate,
+    "combine",
+    "one calibration of several, with the inputs that they share, and whether they agree",
+    Settings,
+    example,
+    build,
+    "../reference/estimate-combine.md",
+    Basis::Estimates,
+);
 
 /// Settings of a combination.
 #[derive(Debug, Clone, PartialEq, Deserialize, JsonSchema)]
@@ -65,8 +64,7 @@ fn example() -> Value {
     json!({ "significance": 0.01 })
 }
 
-fn build(settings: &Value, _: &Context) -> Result<Box<dyn Estimate>, SettingsError> {
-    let settings: Settings = abbe_core::from_settings(settings)?;
+fn build(settings: Settings, _: &Context) -> Result<Box<dyn Estimate>, SettingsError> {
     if !(settings.significance > 0.0 && settings.significance < 1.0) {
         return Err(SettingsError::new("significance", "a number between 0 and 1 was expected"));
     }
@@ -294,7 +292,7 @@ fn agreement(known: &[Known<'_>], combined: &Combined<'_>) -> (CombinedAgreement
         }
         covariance += &sensitivity * sensitivity.transpose() * input.standard_uncertainty.powi(2);
     }
-    // What is judged is small beside what cancels in it: sizes are those of the values, not of what is left of them.
+    // What is judged is small beside what cancels in it: sizes are those of the values, not of their differences.
     let scale: Vec<f64> = (0..stacked).map(|row| covariance[(row, row)].sqrt()).collect();
     let projection = DMatrix::identity(stacked, stacked) - &design * &gain;
     let of_residuals = &projection * &covariance * projection.transpose();

@@ -3,24 +3,22 @@
 use std::path::PathBuf;
 
 use abbe_core::{
-    Basis, Build, Calibration, Constructor, Context, Error, Estimate, Identifiability, InputFile, Plugin, Problem,
-    Result, SettingsError, inventory,
+    Basis, Calibration, Context, Error, Estimate, Identifiability, InputFile, Problem, Result, SettingsError,
 };
 use schemars::JsonSchema;
 use serde::Deserialize;
 use serde_json::{Value, json};
 
-inventory::submit! {
-    Plugin::built_in(
-        "calibration",
-        "recalls the calibration of another run: values, covariance, inputs and machine",
-        abbe_core::schema_of::<Settings>,
-        example,
-        Build::Estimate(Constructor::Static(build)),
-    )
-    .with_reference(include_str!("../reference/estimate-calibration.md"))
-    .made_of(Basis::Calibration)
-}
+abbe_core::register!(
+    Estimate,
+    "calibration",
+    "recalls the calibration of another run: values, covariance, inputs and machine",
+    Settings,
+    example,
+    build,
+    "../reference/estimate-calibration.md",
+    Basis::Calibration,
+);
 
 /// Settings of a recalled calibration.
 #[derive(Debug, Clone, PartialEq, Deserialize, JsonSchema)]
@@ -34,8 +32,7 @@ fn example() -> Value {
     json!({ "path": "../monday/fit.calibration.json" })
 }
 
-fn build(settings: &Value, context: &Context) -> Result<Box<dyn Estimate>, SettingsError> {
-    let settings: Settings = abbe_core::from_settings(settings)?;
+fn build(settings: Settings, context: &Context) -> Result<Box<dyn Estimate>, SettingsError> {
     Ok(Box::new(Recalled { path: context.path(&settings.path) }))
 }
 
@@ -43,7 +40,7 @@ struct Recalled {
     path: PathBuf,
 }
 
-/// The error for whoever wants it solved again.
+/// The error for an attempt to solve it again.
 fn made_elsewhere() -> Error {
     Error::usage("this calibration was made elsewhere: its measurements are not here, so that it cannot be made again")
 }

@@ -7,25 +7,24 @@ use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
 use abbe_core::{
-    Basis, Build, Calibration, Constructor, Context, Dataset, Error, Estimate, FitReport, Identifiability, InputFile,
-    PathItem, Plugin, Problem, Result, SettingsError, Unit, inventory, matches,
+    Basis, Calibration, Context, Dataset, Error, Estimate, FitReport, Identifiability, InputFile, PathItem, Problem,
+    Result, SettingsError, Unit, matches,
 };
 use abbe_estimation::calibration;
 use schemars::JsonSchema;
 use serde::Deserialize;
 use serde_json::{Value, json};
 
-inventory::submit! {
-    Plugin::built_in(
-        "stated",
-        "takes what a report or a truth states of a machine: values with standard uncertainties",
-        abbe_core::schema_of::<Settings>,
-        example,
-        Build::Estimate(Constructor::Static(build)),
-    )
-    .with_reference(include_str!("../reference/estimate-stated.md"))
-    .made_of(Basis::Statement)
-}
+abbe_core::register!(
+    Estimate,
+    "stated",
+    "takes what a report or a truth states of a machine: values with standard uncertainties",
+    Settings,
+    example,
+    build,
+    "../reference/estimate-stated.md",
+    Basis::Statement,
+);
 
 /// Settings of what is stated.
 #[derive(Debug, Clone, PartialEq, Deserialize, JsonSchema)]
@@ -60,8 +59,7 @@ fn example() -> Value {
     json!({ "values": { "EXX[1]": { "value": -8.6, "standard_uncertainty": 0.4, "unit": "um/m" } } })
 }
 
-fn build(settings: &Value, context: &Context) -> Result<Box<dyn Estimate>, SettingsError> {
-    let settings: Settings = abbe_core::from_settings(settings)?;
+fn build(settings: Settings, context: &Context) -> Result<Box<dyn Estimate>, SettingsError> {
     if settings.path.is_none() && settings.values.is_empty() {
         return Err(SettingsError::new("", "`path` or `values` was expected: what is stated?"));
     }

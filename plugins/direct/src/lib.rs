@@ -17,9 +17,8 @@ use std::path::PathBuf;
 use std::sync::Arc;
 
 use abbe_core::{
-    Artefact, Build, ColumnHeader, Constructor, Context, Dataset, Error, InputFile, KinematicModel, Label,
-    Observations, PathItem, Plugin, Quantity, Result, SettingsError, Target, inventory, nearest, pose_columns,
-    positive,
+    Artefact, ColumnHeader, Context, Dataset, Error, InputFile, KinematicModel, Label, Observations, PathItem,
+    Quantity, Result, SettingsError, Target, nearest, pose_columns, positive,
 };
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
@@ -27,16 +26,15 @@ use serde_json::{Value, json};
 
 use crate::line::Line;
 
-inventory::submit! {
-    Plugin::built_in(
-        "direct",
-        "single errors read along a line: laser interferometer, straightness probe, square, level",
-        abbe_core::schema_of::<Settings>,
-        example,
-        Build::Artefact(Constructor::Static(build)),
-    )
-    .with_reference(include_str!("../reference/artefact-direct.md"))
-}
+abbe_core::register!(
+    Artefact,
+    "direct",
+    "single errors read along a line: laser interferometer, straightness probe, square, level",
+    Settings,
+    example,
+    build,
+    "../reference/artefact-direct.md",
+);
 
 /// Settings of direct measurements.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
@@ -167,8 +165,7 @@ fn example() -> Value {
     })
 }
 
-fn build(settings: &Value, _: &Context) -> Result<Box<dyn Artefact>, SettingsError> {
-    let settings: Settings = abbe_core::from_settings(settings)?;
+fn build(settings: Settings, _: &Context) -> Result<Box<dyn Artefact>, SettingsError> {
     if settings.measurements.is_empty() {
         return Err(SettingsError::new("measurements", "at least one measurement was expected"));
     }

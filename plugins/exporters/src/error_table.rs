@@ -4,8 +4,7 @@
 //! standard uncertainty; on request the half width of the band in which the whole curve lies. All other axes stand at zero.
 
 use abbe_core::{
-    Build, Calibration, Constructor, Context, Error, ErrorFunction, Export, ExportedFile, InputFile, KinematicModel,
-    Plugin, Quantity, Result, SettingsError, inventory,
+    Calibration, Context, Error, ErrorFunction, Export, ExportedFile, KinematicModel, Quantity, Result, SettingsError,
 };
 use abbe_volumetric::{Ranges, Steps, check_axes, position_unit};
 use schemars::JsonSchema;
@@ -14,16 +13,15 @@ use serde_json::{Value, json};
 
 use crate::sampling::{RANGES, Values, check, fixed, points, status};
 
-inventory::submit! {
-    Plugin::built_in(
-        "error-table",
-        "motion errors of every axis with standard uncertainties, as CSV",
-        abbe_core::schema_of::<Settings>,
-        example,
-        Build::Export(Constructor::Static(build)),
-    )
-    .with_reference(include_str!("../reference/export-error-table.md"))
-}
+abbe_core::register!(
+    Export,
+    "error-table",
+    "motion errors of every axis with standard uncertainties, as CSV",
+    Settings,
+    example,
+    build,
+    "../reference/export-error-table.md",
+);
 
 /// Settings of the tables.
 #[derive(Debug, Clone, PartialEq, Deserialize, JsonSchema)]
@@ -58,8 +56,7 @@ fn example() -> Value {
     json!({ "step_mm": 50, "step_deg": 15, "ranges": { "X": { "from_mm": -400, "to_mm": 400 } } })
 }
 
-fn build(settings: &Value, _: &Context) -> Result<Box<dyn Export>, SettingsError> {
-    let settings: Settings = abbe_core::from_settings(settings)?;
+fn build(settings: Settings, _: &Context) -> Result<Box<dyn Export>, SettingsError> {
     check(&settings.ranges, settings.steps())?;
     if settings.band_probability.is_some_and(|probability| !(probability > 0.0 && probability < 1.0)) {
         return Err(SettingsError::new("band_probability", "a probability between 0 and 1 was expected"));
@@ -78,10 +75,6 @@ struct ErrorTable {
 }
 
 impl Export for ErrorTable {
-    fn inputs(&self) -> Vec<InputFile> {
-        Vec::new()
-    }
-
     fn export(&self, calibration: &Calibration, model: &dyn KinematicModel) -> Result<Vec<ExportedFile>> {
         check_axes(&self.settings.ranges, RANGES, model)?;
         let functions = &model.info().error_functions;
@@ -141,7 +134,7 @@ fn value_unit(function: &ErrorFunction) -> (&'static str, f64) {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::testing::{calibration, chain, key_error};
+    use crate::testing::{built, calibration, chain, key_error};
 
     #[test]
     fn errors_and_uncertainties_over_the_range() {
@@ -154,7 +147,7 @@ mod tests {
         );
         calibration.covariance.order = vec!["EXX[b]".to_owned(), "EXX[1]".to_owned()];
         calibration.covariance.rows = vec![vec![4e-8, -1e-10], vec![-1e-10, 1e-12]];
-        let files = build(&json!({ "step_mm": 100 }), &Context { base: "".into() }).unwrap();
+        let files = built(&json!({ "step_mm": 100 }), build).unwrap();
         let files = files.export(&calibration, model.as_ref()).unwrap();
         assert_eq!(files.len(), 1);
         assert_eq!(files[0].name, "error-table-X.csv");
@@ -172,7 +165,7 @@ mod tests {
         assert_eq!(String::from_utf8(files[0].content.clone()).unwrap(), expected);
 
         // Two estimated parameters, known without degrees of freedom: sqrt(chi-squared(0.95; 2)) = 2.4477. EAX has none.
-        let stage = build(&json!({ "step_mm": 100, "band_probability": 0.95 }), &Context { base: "".into() }).unwrap();
+        let stage = built(&json!({ "step_mm": 100, "band_probability": 0.95 }), build).unwrap();
         let files = stage.export(&calibration, model.as_ref()).unwrap();
         let text = String::from_utf8(files[0].content.clone()).unwrap();
         let lines: Vec<Vec<&str>> = text.lines().map(|line| line.split(',').collect()).collect();
@@ -198,13 +191,13 @@ mod tests {
         ];
         for (errors, settings, expected) in cases {
             let model = chain("w b X Y Z t", json!({}), errors);
-            let stage = build(&settings, &Context { base: "".into() }).unwrap();
+            let stage = built(&settings, build).unwrap();
             assert_eq!(key_error(stage.export(&calibration(model.as_ref(), &[]), model.as_ref())), expected);
         }
     }
 
     #[test]
     fn the_example_builds() {
-        assert!(build(&example(), &Context { base: "".into() }).is_ok());
+        assert!(built(&example(), build).is_ok());
     }
 }

@@ -5,8 +5,8 @@
 //! command and keeps it beyond both ends.
 
 use abbe_core::{
-    Axis, AxisKind, Build, Calibration, Constructor, Context, Error, ErrorFunction, Export, ExportedFile, InputFile,
-    KinematicModel, PathItem, Plugin, Result, SettingsError, inventory,
+    Axis, AxisKind, Calibration, Context, Error, ErrorFunction, Export, ExportedFile, KinematicModel, PathItem, Result,
+    SettingsError,
 };
 use abbe_volumetric::{Ranges, Steps, check_axes, position_unit};
 use schemars::JsonSchema;
@@ -15,16 +15,15 @@ use serde_json::{Value, json};
 
 use crate::sampling::{RANGES, Values, check, fixed, points, status};
 
-inventory::submit! {
-    Plugin::built_in(
-        "linuxcnc",
-        "screw compensation files of LinuxCNC from the positioning errors",
-        abbe_core::schema_of::<Settings>,
-        example,
-        Build::Export(Constructor::Static(build)),
-    )
-    .with_reference(include_str!("../reference/export-linuxcnc.md"))
-}
+abbe_core::register!(
+    Export,
+    "linuxcnc",
+    "screw compensation files of LinuxCNC from the positioning errors",
+    Settings,
+    example,
+    build,
+    "../reference/export-linuxcnc.md",
+);
 
 /// Settings of the compensation files.
 #[derive(Debug, Clone, PartialEq, Deserialize, JsonSchema)]
@@ -92,8 +91,7 @@ fn example() -> Value {
     json!({ "step_mm": 20, "step_deg": 10, "type": 0, "axes": ["X", "Y"] })
 }
 
-fn build(settings: &Value, _: &Context) -> Result<Box<dyn Export>, SettingsError> {
-    let settings: Settings = abbe_core::from_settings(settings)?;
+fn build(settings: Settings, _: &Context) -> Result<Box<dyn Export>, SettingsError> {
     check(&settings.ranges, settings.steps())?;
     if settings.axes.as_ref().is_some_and(Vec::is_empty) {
         return Err(SettingsError::new("axes", "at least one axis was expected"));
@@ -126,10 +124,6 @@ fn along<'a>(index: usize, axis: &Axis, functions: &'a [ErrorFunction]) -> Vec<(
 }
 
 impl Export for LinuxCnc {
-    fn inputs(&self) -> Vec<InputFile> {
-        Vec::new()
-    }
-
     fn export(&self, calibration: &Calibration, model: &dyn KinematicModel) -> Result<Vec<ExportedFile>> {
         check_axes(&self.settings.ranges, RANGES, model)?;
         let functions = &model.info().error_functions;
@@ -218,7 +212,7 @@ impl LinuxCnc {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::testing::{calibration, chain, key_error};
+    use crate::testing::{built, calibration, chain, key_error};
     use abbe_core::Poses;
 
     /// The trims that LinuxCNC makes of a file: (nominal, forward, reverse).
@@ -302,8 +296,7 @@ mod tests {
             let values: Vec<f64> = values.iter().map(|(_, value)| *value).collect();
             let zero = vec![0.0; values.len()];
             for kind in [0, 1] {
-                let stage =
-                    build(&json!({ "type": kind, "step_mm": 75, "step_deg": 40 }), &Context { base: "".into() });
+                let stage = built(&json!({ "type": kind, "step_mm": 75, "step_deg": 40 }), build);
                 let files = stage.unwrap().export(&calibration, model.as_ref()).unwrap();
                 assert_eq!(files.len(), 2);
                 assert_eq!(files[0].name, format!("{}.comp", name.to_lowercase()));
@@ -337,7 +330,7 @@ mod tests {
         let model = chain("w B' b X Y Z (S) t", axes, errors);
         let values = [("EXX[b]", 0.002), ("EXX[1]", 1e-4), ("EBB[b]", (0.001_f64).to_radians())];
         let calibration = calibration(model.as_ref(), &values);
-        let stage = build(&json!({ "step_mm": 10, "step_deg": 20 }), &Context { base: "".into() }).unwrap();
+        let stage = built(&json!({ "step_mm": 10, "step_deg": 20 }), build).unwrap();
         let files = stage.export(&calibration, model.as_ref()).unwrap();
         let found: Vec<(&str, &str)> =
             files.iter().map(|file| (file.name.as_str(), std::str::from_utf8(&file.content).unwrap())).collect();
@@ -372,11 +365,11 @@ mod tests {
         ];
         let model = chain("w b X Y Z t", json!({ "X": { "range_mm": [-300, 300] } }), errors);
         for (settings, expected) in cases {
-            let stage = build(&settings, &Context { base: "".into() }).unwrap();
+            let stage = built(&settings, build).unwrap();
             assert_eq!(key_error(stage.export(&calibration(model.as_ref(), &[]), model.as_ref())), expected);
         }
         let bare = chain("w b X Y Z t", json!({}), json!([{ "polynomial": ["EYX"], "degrees": [1] }]));
-        let stage = build(&json!({}), &Context { base: "".into() }).unwrap();
+        let stage = built(&json!({}), build).unwrap();
         assert_eq!(
             key_error(stage.export(&calibration(bare.as_ref(), &[]), bare.as_ref())),
             ": no axis of the model has a positioning error to compensate (list some under `errors` of the model, e.g. \
@@ -391,9 +384,9 @@ mod tests {
             ),
         ];
         for (settings, expected) in refused {
-            let found = build(&settings, &Context { base: "".into() }).err().unwrap().to_string();
+            let found = built(&settings, build).err().unwrap().to_string();
             assert_eq!(found, expected);
         }
-        assert!(build(&example(), &Context { base: "".into() }).is_ok());
+        assert!(built(&example(), build).is_ok());
     }
 }

@@ -2,8 +2,12 @@
 
 use std::sync::Arc;
 
-use abbe_core::{Build, CALIBRATION_FORMAT, Calibration, Context, Error, Kind, KinematicModel, Registry, path_text};
+use abbe_core::{
+    Build, CALIBRATION_FORMAT, Calibration, Context, Error, Export, Kind, KinematicModel, Registry, SettingsError,
+    path_text,
+};
 use abbe_serial_chain as _;
+use serde::de::DeserializeOwned;
 use serde_json::{Value, json};
 
 /// A serial chain with a tool of 100 mm.
@@ -46,4 +50,12 @@ pub fn calibration(model: &dyn KinematicModel, values: &[(&str, f64)]) -> Calibr
 pub fn key_error<T>(result: Result<T, Error>) -> String {
     let error = result.err().unwrap();
     format!("{}: {error}", path_text(&error.setting))
+}
+
+/// What becomes of the settings of an exporter.
+type Built = Result<Box<dyn Export>, SettingsError>;
+
+/// An exporter as a recipe with these settings would have it.
+pub fn built<S: DeserializeOwned>(settings: &Value, build: fn(S, &Context) -> Built) -> Built {
+    abbe_core::from_settings(settings).and_then(|settings| build(settings, &Context { base: "".into() }))
 }

@@ -1,8 +1,7 @@
 //! Exporter `uncertainty`: values, standard uncertainties, covariances and correlations of a calibration, as CSV.
 
 use abbe_core::{
-    Build, Calibration, Constructor, Context, Export, ExportedFile, InputFile, KinematicModel, NamedCovariance, Plugin,
-    Result, SettingsError, Status, inventory,
+    Calibration, Context, Export, ExportedFile, KinematicModel, NamedCovariance, Result, SettingsError, Status,
 };
 use schemars::JsonSchema;
 use serde::Deserialize;
@@ -10,16 +9,15 @@ use serde_json::{Value, json};
 
 use crate::sampling::{exact, fixed};
 
-inventory::submit! {
-    Plugin::built_in(
-        "uncertainty",
-        "values, standard uncertainties, correlations and covariances of all parameters, as CSV",
-        abbe_core::schema_of::<Settings>,
-        example,
-        Build::Export(Constructor::Static(build)),
-    )
-    .with_reference(include_str!("../reference/export-uncertainty.md"))
-}
+abbe_core::register!(
+    Export,
+    "uncertainty",
+    "values, standard uncertainties, correlations and covariances of all parameters, as CSV",
+    Settings,
+    example,
+    build,
+    "../reference/export-uncertainty.md",
+);
 
 /// There is nothing to set.
 #[derive(Debug, Clone, PartialEq, Deserialize, JsonSchema)]
@@ -30,18 +28,13 @@ fn example() -> Value {
     json!({})
 }
 
-fn build(settings: &Value, _: &Context) -> Result<Box<dyn Export>, SettingsError> {
-    let Settings {} = abbe_core::from_settings(settings)?;
+fn build(_: Settings, _: &Context) -> Result<Box<dyn Export>, SettingsError> {
     Ok(Box::new(Uncertainty))
 }
 
 struct Uncertainty;
 
 impl Export for Uncertainty {
-    fn inputs(&self) -> Vec<InputFile> {
-        Vec::new()
-    }
-
     fn export(&self, calibration: &Calibration, _: &dyn KinematicModel) -> Result<Vec<ExportedFile>> {
         let NamedCovariance { order, rows } = &calibration.covariance;
         let standard: Vec<f64> = (0..order.len()).map(|index| rows[index][index].max(0.0).sqrt()).collect();
@@ -107,7 +100,7 @@ fn cell(name: &str) -> String {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::testing::{calibration, chain};
+    use crate::testing::{built, calibration, chain};
 
     #[test]
     fn parameters_and_matrices() {
@@ -126,7 +119,7 @@ mod tests {
         }
         calibration.covariance.order = ["dxt", "table.facet[1,5].d", "EC0Y"].map(str::to_owned).to_vec();
         calibration.covariance.rows = vec![vec![4e-6, 0.0, -1e-9], vec![0.0, 0.0, 0.0], vec![-1e-9, 0.0, 1e-12]];
-        let stage = build(&example(), &Context { base: "".into() }).unwrap();
+        let stage = built(&example(), build).unwrap();
         let files = stage.export(&calibration, model.as_ref()).unwrap();
         let text = |index: usize| String::from_utf8(files[index].content.clone()).unwrap();
         let names: Vec<&str> = files.iter().map(|file| file.name.as_str()).collect();

@@ -1,8 +1,7 @@
 //! Exporter `volumetric`: the volumetric error over the workspace, with its covariance and its region of uncertainty.
 
 use abbe_core::{
-    Build, Calibration, Constructor, Context, Export, ExportedFile, InputFile, KinematicModel, PathItem, Plugin,
-    Result, SettingsError, StatusRole, inventory,
+    Calibration, Context, Export, ExportedFile, KinematicModel, PathItem, Result, SettingsError, StatusRole,
 };
 use abbe_volumetric::{Grid, position_unit, predict, tidy, within};
 use schemars::JsonSchema;
@@ -11,16 +10,15 @@ use serde_json::{Value, json};
 
 use crate::sampling::{exact, fixed};
 
-inventory::submit! {
-    Plugin::built_in(
-        "volumetric",
-        "volumetric error over the workspace with its uncertainty ellipsoids, as CSV",
-        abbe_core::schema_of::<Settings>,
-        example,
-        Build::Export(Constructor::Static(build)),
-    )
-    .with_reference(include_str!("../reference/export-volumetric.md"))
-}
+abbe_core::register!(
+    Export,
+    "volumetric",
+    "volumetric error over the workspace with its uncertainty ellipsoids, as CSV",
+    Settings,
+    example,
+    build,
+    "../reference/export-volumetric.md",
+);
 
 /// Settings of the table.
 #[derive(Debug, Clone, PartialEq, Deserialize, JsonSchema)]
@@ -71,8 +69,7 @@ fn example() -> Value {
     json!({ "grid": { "points": 5, "axes": { "X": { "from_mm": -400, "to_mm": 400 } } }, "probability": 0.95 })
 }
 
-fn build(settings: &Value, _: &Context) -> Result<Box<dyn Export>, SettingsError> {
-    let settings: Settings = abbe_core::from_settings(settings)?;
+fn build(settings: Settings, _: &Context) -> Result<Box<dyn Export>, SettingsError> {
     settings.grid.check().map_err(|error| error.under([PathItem::Key("grid".to_owned())]))?;
     if !(settings.probability > 0.0 && settings.probability < 1.0) {
         return Err(SettingsError::new("probability", "a number between 0 and 1 was expected"));
@@ -85,10 +82,6 @@ struct VolumetricTable {
 }
 
 impl Export for VolumetricTable {
-    fn inputs(&self) -> Vec<InputFile> {
-        Vec::new()
-    }
-
     fn export(&self, calibration: &Calibration, model: &dyn KinematicModel) -> Result<Vec<ExportedFile>> {
         let statuses = self.settings.grid.statuses(model).map_err(|error| within(error, &["grid"]))?;
         let errors = predict(model, calibration, &statuses)?;
@@ -145,10 +138,10 @@ impl VolumetricTable {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::testing::{calibration, chain, key_error};
+    use crate::testing::{built, calibration, chain, key_error};
 
     fn table(settings: Value, calibration: &Calibration, model: &dyn KinematicModel) -> String {
-        let files = build(&settings, &Context { base: "".into() }).unwrap().export(calibration, model).unwrap();
+        let files = built(&settings, build).unwrap().export(calibration, model).unwrap();
         assert_eq!(files.len(), 1);
         assert_eq!(files[0].name, "volumetric.csv");
         String::from_utf8(files[0].content.clone()).unwrap()
@@ -198,7 +191,7 @@ mod tests {
     #[test]
     fn errors_point_at_the_setting() {
         let model = chain("w b X Y Z t", json!({}), json!([]));
-        let stage = |settings| build(&settings, &Context { base: "".into() });
+        let stage = |settings| built(&settings, build);
         let export = stage(json!({ "grid": { "poses": [{ "V_mm": 1 }] } })).unwrap();
         assert_eq!(
             key_error(export.export(&calibration(model.as_ref(), &[]), model.as_ref())),

@@ -12,26 +12,24 @@ use std::path::PathBuf;
 use std::sync::Arc;
 
 use abbe_core::{
-    Artefact, Build, ColumnHeader, Constructor, Contact, Context, Dataset, Equations, Error, Feature, InputFile,
-    KinematicModel, KnownInput, Label, Layout, Observations, ObservationsInfo, Parameter, ParameterRole, PathItem,
-    Plugin, Quantity, Result, RowBatch, SettingsError, Target, Unit, inventory, not_negative, plain_naming,
-    pose_columns, positive,
+    Artefact, ColumnHeader, Contact, Context, Dataset, Equations, Error, Feature, InputFile, KinematicModel,
+    KnownInput, Label, Layout, Observations, ObservationsInfo, Parameter, ParameterRole, PathItem, Quantity, Result,
+    RowBatch, SettingsError, Target, Unit, not_negative, plain_naming, pose_columns, positive,
 };
 use nalgebra::Vector3;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use serde_json::{Value, json};
 
-inventory::submit! {
-    Plugin::built_in(
-        "facets",
-        "touches on plane facets that are known nominally: a machine table, a fixture, a part",
-        abbe_core::schema_of::<Settings>,
-        example,
-        Build::Artefact(Constructor::Static(build)),
-    )
-    .with_reference(include_str!("../reference/artefact-facets.md"))
-}
+abbe_core::register!(
+    Artefact,
+    "facets",
+    "touches on plane facets that are known nominally: a machine table, a fixture, a part",
+    Settings,
+    example,
+    build,
+    "../reference/artefact-facets.md",
+);
 
 /// Settings of the facets.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
@@ -67,8 +65,7 @@ fn example() -> Value {
     json!({ "nominal": "facets.csv", "standard_uncertainty_um": 1.6 })
 }
 
-fn build(settings: &Value, context: &Context) -> Result<Box<dyn Artefact>, SettingsError> {
-    let settings: Settings = abbe_core::from_settings(settings)?;
+fn build(settings: Settings, context: &Context) -> Result<Box<dyn Artefact>, SettingsError> {
     positive("standard_uncertainty_um", settings.standard_uncertainty_um)?;
     not_negative("stylus_radius_standard_uncertainty_um", settings.stylus_radius_standard_uncertainty_um)?;
     for (index, curved) in settings.curved.iter().enumerate() {

@@ -7,8 +7,8 @@
 mod select;
 
 use abbe_core::{
-    Build, Calibration, Constructor, Context, Convergence, Error, Estimate, Identifiability, Owner, PathItem, Plugin,
-    Problem, Result, SettingsError, Status, Termination, Unknown, inventory,
+    Calibration, Context, Convergence, Error, Estimate, Identifiability, Owner, PathItem, Problem, Result,
+    SettingsError, Status, Termination, Unknown,
 };
 use abbe_estimation::{
     Components, Solved, UncertaintyEvaluation, Weighted, components, confounded, identifiability,
@@ -21,16 +21,15 @@ use serde_json::{Value, json};
 
 use select::{Select, reduced};
 
-inventory::submit! {
-    Plugin::built_in(
-        "gauss-newton",
-        "weighted least squares on all observations at once, robust on request",
-        abbe_core::schema_of::<Settings>,
-        example,
-        Build::Estimate(Constructor::Static(build)),
-    )
-    .with_reference(include_str!("../reference/estimate-gauss-newton.md"))
-}
+abbe_core::register!(
+    Estimate,
+    "gauss-newton",
+    "weighted least squares on all observations at once, robust on request",
+    Settings,
+    example,
+    build,
+    "../reference/estimate-gauss-newton.md",
+);
 
 /// Settings of the estimator.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
@@ -179,8 +178,7 @@ fn example() -> Value {
     json!({ "robust": "tukey", "on_confounded": "error" })
 }
 
-fn build(settings: &Value, _: &Context) -> Result<Box<dyn Estimate>, SettingsError> {
-    let settings: Settings = abbe_core::from_settings(settings)?;
+fn build(settings: Settings, _: &Context) -> Result<Box<dyn Estimate>, SettingsError> {
     if !(settings.rank_tolerance > 0.0 && settings.rank_tolerance < 1.0) {
         return Err(SettingsError::new("rank_tolerance", "a number between 0 and 1 was expected"));
     }
@@ -259,13 +257,13 @@ impl GaussNewton {
                 (Termination::RoundLimit, format!("robust weights still change after {} rounds", options.rounds))
             }
         };
-        let told = |value: f64| value.is_finite().then_some(value);
+        let finite = |value: f64| value.is_finite().then_some(value);
         let convergence = Convergence {
             termination,
             iterations: solution.iterations,
-            last_step: told(solution.last_step),
+            last_step: finite(solution.last_step),
             tolerance: options.tolerance,
-            gradient_cosine: told(solution.gradient_cosine),
+            gradient_cosine: finite(solution.gradient_cosine),
         };
         let far = convergence.last_step.map_or_else(String::new, |step| {
             let (tolerance, cosine) = (options.tolerance, solution.gradient_cosine);
@@ -340,7 +338,7 @@ impl GaussNewton {
     /// The problem with start values from which more unknowns have an effect than from its own, with its factor; None if
     /// there are none.
     ///
-    /// A wavelength has no effect as long as the amplitudes that go with it are zero: those come first, without it. It is told by its
+    /// A wavelength has no effect as long as the amplitudes that go with it are zero: those come first, without it. It is known by its
     /// nominal value, which is not zero; any other unknown without effect is one that the data do not see.
     fn started(&self, problem: &Problem, factor: &Factor) -> Result<Option<(Problem, Factor)>> {
         let nominal = &problem.model.info().nominal;
@@ -418,7 +416,7 @@ impl GaussNewton {
                 tracing::warn!("{}: left at their start values: {}", problem.name, names.join(", "));
                 let reduced = problem.without(|unknown| names.contains(&unknown.name.as_str()));
                 let mut calibration = self.solve(&reduced, None, None, explained)?;
-                // Whoever shares a lost direction has a value only as long as those left behind have theirs.
+                // Parameters that share a lost direction have a value only as long as those left out have theirs.
                 let parts = found.null_space.iter().flat_map(|vector| &vector.combination);
                 let shared: Vec<&str> = parts.map(|part| part.name.as_str()).collect();
                 for estimated in calibration.parameters.iter_mut().chain(&mut calibration.artefacts) {

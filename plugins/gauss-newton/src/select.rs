@@ -4,7 +4,7 @@ use abbe_core::{
     Error, Owner, PathItem, Problem, Result, Selection, SelectionDirection, SelectionStep, SettingsError, Unknown,
     matches,
 };
-use abbe_numerics::{Direction, Factor};
+use abbe_numerics::{Factor, StepwiseDirection};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
@@ -67,9 +67,9 @@ impl Select {
         degrees_of_freedom: usize,
     ) -> Result<Selection> {
         let direction = match self.direction {
-            SelectionDirection::Backward => Direction::Backward,
-            SelectionDirection::Forward => Direction::Forward,
-            SelectionDirection::Both => Direction::Both,
+            SelectionDirection::Backward => StepwiseDirection::Backward,
+            SelectionDirection::Forward => StepwiseDirection::Forward,
+            SelectionDirection::Both => StepwiseDirection::Both,
         };
         let found = factor.stepwise(x, candidates, degrees_of_freedom, self.level, direction).ok_or_else(|| {
             Error::data("the significance of parameters cannot be told: some have no effect of their own")

@@ -12,8 +12,8 @@ use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
 use abbe_core::{
-    Build, Column, ColumnHeader, Constructor, Context, Dataset, Error, Ingest, InputFile, Label, PathItem, Plugin,
-    Result, RowOrigin, SettingsError, Values, from_settings, inventory, schema_of,
+    Column, ColumnHeader, Context, Dataset, Error, Ingest, InputFile, Label, PathItem, Result, RowOrigin,
+    SettingsError, Values,
 };
 use schemars::JsonSchema;
 use serde::Deserialize;
@@ -81,16 +81,15 @@ enum Constant {
     Label(String),
 }
 
-inventory::submit! {
-    Plugin::built_in(
-        "csv",
-        "reads CSV files whose column names carry units",
-        schema_of::<Settings>,
-        example,
-        Build::Ingest(Constructor::Static(build)),
-    )
-    .with_reference(include_str!("../reference/ingest-csv.md"))
-}
+abbe_core::register!(
+    Ingest,
+    "csv",
+    "reads CSV files whose column names carry units",
+    Settings,
+    example,
+    build,
+    "../reference/ingest-csv.md",
+);
 
 fn example() -> Value {
     json!({
@@ -103,8 +102,7 @@ fn example() -> Value {
     })
 }
 
-fn build(settings: &Value, context: &Context) -> Result<Box<dyn Ingest>, SettingsError> {
-    let settings: Settings = from_settings(settings)?;
+fn build(settings: Settings, context: &Context) -> Result<Box<dyn Ingest>, SettingsError> {
     let paths = match settings.path {
         Paths::One(path) => vec![path],
         Paths::Many(paths) => paths,

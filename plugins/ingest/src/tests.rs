@@ -10,7 +10,9 @@ use crate::{build, example};
 type Files<'a> = &'a [(&'a str, &'a str)];
 
 fn stage(folder: &Path, settings: &Value) -> Result<Box<dyn Ingest>, String> {
-    build(settings, &Context { base: folder.to_owned() }).map_err(|error| format!("settings: {error}"))
+    abbe_core::from_settings(settings)
+        .and_then(|settings| build(settings, &Context { base: folder.to_owned() }))
+        .map_err(|error| format!("settings: {error}"))
 }
 
 /// Reads `files` with `settings`; what is wrong is told with class and setting, and paths without the folder.

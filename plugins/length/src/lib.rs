@@ -8,26 +8,25 @@ use std::path::PathBuf;
 use std::sync::Arc;
 
 use abbe_core::{
-    Absent, Artefact, Axis, AxisKind, Build, ColumnHeader, Constructor, Contact, Context, Dataset, Equations, Error,
-    InputFile, KinematicModel, KnownInput, Layout, Observations, ObservationsInfo, Parameter, ParameterRole, PathItem,
-    Plugin, Poses, Quantity, RankPoint, Result, RowBatch, SettingsError, StatusColumn, Target, Unit, inventory,
-    not_negative, pose_columns, positive,
+    Absent, Artefact, Axis, AxisKind, ColumnHeader, Contact, Context, Dataset, Equations, Error, InputFile,
+    KinematicModel, KnownInput, Layout, Observations, ObservationsInfo, Parameter, ParameterRole, PathItem, Poses,
+    Quantity, RankPoint, Result, RowBatch, SettingsError, StatusColumn, Target, Unit, not_negative, pose_columns,
+    positive,
 };
 use nalgebra::Vector3;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use serde_json::{Value, json};
 
-inventory::submit! {
-    Plugin::built_in(
-        "length",
-        "lengths between two poses: scale bars, laser interferometer, step gauges",
-        abbe_core::schema_of::<Settings>,
-        example,
-        Build::Artefact(Constructor::Static(build)),
-    )
-    .with_reference(include_str!("../reference/artefact-length.md"))
-}
+abbe_core::register!(
+    Artefact,
+    "length",
+    "lengths between two poses: scale bars, laser interferometer, step gauges",
+    Settings,
+    example,
+    build,
+    "../reference/artefact-length.md",
+);
 
 /// Settings of the lengths.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
@@ -83,8 +82,7 @@ fn example() -> Value {
     json!({ "standard_uncertainty_um": 0.9 })
 }
 
-fn build(settings: &Value, _: &Context) -> Result<Box<dyn Artefact>, SettingsError> {
-    let settings: Settings = abbe_core::from_settings(settings)?;
+fn build(settings: Settings, _: &Context) -> Result<Box<dyn Artefact>, SettingsError> {
     positive("standard_uncertainty_um", settings.standard_uncertainty_um)?;
     not_negative("reference_standard_uncertainty_um", settings.reference_standard_uncertainty_um)?;
     if let Some(expansion) = &settings.expansion {
@@ -111,10 +109,7 @@ struct Lengths {
 fn naming(end: usize) -> impl Fn(&StatusColumn, Option<&Axis>) -> (Vec<String>, Absent) {
     move |status, axis| {
         let name = &status.name;
-        let numbered = match name.strip_prefix("dir_") {
-            Some(axis) => format!("dir{end}_{axis}"),
-            None => format!("{name}{end}"),
-        };
+        let numbered = status.column_of_pose(end);
         match axis.map(|axis| axis.kind) {
             Some(AxisKind::Linear) => (vec![numbered], status.absent),
             Some(AxisKind::Rotary) => (vec![numbered, name.clone()], Absent::Taken(0.0)),

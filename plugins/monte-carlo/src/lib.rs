@@ -12,8 +12,8 @@ mod settings;
 use std::sync::atomic::{AtomicBool, Ordering};
 
 use abbe_core::{
-    Build, Calibration, Constructor, Context, Error, Estimate, Fit, GumComparison, Identifiability, MonteCarlo,
-    NamedCovariance, Plugin, Problem, Result, SettingsError, SimulatedParameter, in_parallel, inventory,
+    Calibration, Context, Error, Estimate, Fit, GumComparison, Identifiability, MonteCarlo, NamedCovariance, Problem,
+    Result, SettingsError, SimulatedParameter, in_parallel,
 };
 use abbe_numerics::{Adaptive, Generator, Trials, gum_agrees, least_trials, numerical_tolerance};
 use serde_json::{Value, json};
@@ -21,16 +21,15 @@ use serde_json::{Value, json};
 use draws::Draws;
 use settings::Settings;
 
-inventory::submit! {
-    Plugin::built_in(
-        "monte-carlo",
-        "propagates distributions of rows and inputs through another estimate, with full fits",
-        abbe_core::schema_of::<Settings>,
-        example,
-        Build::Estimate(Constructor::Static(build)),
-    )
-    .with_reference(include_str!("../reference/estimate-monte-carlo.md"))
-}
+abbe_core::register!(
+    Estimate,
+    "monte-carlo",
+    "propagates distributions of rows and inputs through another estimate, with full fits",
+    Settings,
+    example,
+    build,
+    "../reference/estimate-monte-carlo.md",
+);
 
 fn example() -> Value {
     json!({
@@ -41,8 +40,7 @@ fn example() -> Value {
     })
 }
 
-fn build(settings: &Value, _: &Context) -> Result<Box<dyn Estimate>, SettingsError> {
-    let settings: Settings = abbe_core::from_settings(settings)?;
+fn build(settings: Settings, _: &Context) -> Result<Box<dyn Estimate>, SettingsError> {
     settings.check()?;
     Ok(Box::new(Propagation { settings }))
 }

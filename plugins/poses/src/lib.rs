@@ -12,8 +12,8 @@ use std::path::PathBuf;
 use std::sync::Arc;
 
 use abbe_core::{
-    Artefact, Build, ColumnHeader, Constructor, Context, Dataset, InputFile, KinematicModel, Layout, Observations,
-    Plugin, Quantity, Result, SettingsError, Target, inventory, plain_naming, pose_columns, positive,
+    Artefact, ColumnHeader, Context, Dataset, InputFile, KinematicModel, Layout, Observations, Quantity, Result,
+    SettingsError, Target, plain_naming, pose_columns, positive,
 };
 use nalgebra::{Isometry3, Quaternion, Translation3, UnitQuaternion};
 use schemars::JsonSchema;
@@ -22,16 +22,15 @@ use serde_json::{Value, json};
 
 use crate::observed::Observed;
 
-inventory::submit! {
-    Plugin::built_in(
-        "poses",
-        "six-degree-of-freedom poses of a target on the table: cameras, laser trackers, R-tests",
-        abbe_core::schema_of::<Settings>,
-        example,
-        Build::Artefact(Constructor::Static(build)),
-    )
-    .with_reference(include_str!("../reference/artefact-poses.md"))
-}
+abbe_core::register!(
+    Artefact,
+    "poses",
+    "six-degree-of-freedom poses of a target on the table: cameras, laser trackers, R-tests",
+    Settings,
+    example,
+    build,
+    "../reference/artefact-poses.md",
+);
 
 /// Settings of the poses.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
@@ -81,8 +80,7 @@ fn example() -> Value {
     json!({ "standard_uncertainty_um": 20.0, "standard_uncertainty_urad": 50.0, "observer": "estimated" })
 }
 
-fn build(settings: &Value, _: &Context) -> Result<Box<dyn Artefact>, SettingsError> {
-    let settings: Settings = abbe_core::from_settings(settings)?;
+fn build(settings: Settings, _: &Context) -> Result<Box<dyn Artefact>, SettingsError> {
     positive("standard_uncertainty_um", settings.standard_uncertainty_um)?;
     positive("standard_uncertainty_urad", settings.standard_uncertainty_urad)?;
     Ok(Box::new(Poses { settings }))

@@ -3,7 +3,7 @@
 use std::fs;
 use std::sync::Arc;
 
-use abbe_core::{Calibration, Estimate, Identifiability, Kind, ObservationSet, Problem, Registry};
+use abbe_core::{Build, Calibration, Estimate, Identifiability, Kind, ObservationSet, Problem, Registry};
 use abbe_gauss_newton as _;
 use abbe_serial_chain as _;
 use nalgebra::{DMatrix, DVector, Vector3};
@@ -65,7 +65,7 @@ fn five_axes() -> Scene {
 }
 
 fn artefact(settings: &Value) -> Box<dyn Artefact> {
-    build(settings, &Context { base: PathBuf::new() }).unwrap()
+    build(abbe_core::from_settings(settings).unwrap(), &Context { base: PathBuf::new() }).unwrap()
 }
 
 fn model(settings: &Value) -> Arc<dyn KinematicModel> {
@@ -380,11 +380,15 @@ fn bad_poses_are_refused() {
     let text = artefact(&scene.settings).check(&headers, None, scene.model().as_ref()).unwrap_err().to_string();
     assert!(text.contains("the column `x` does not say its unit"), "{text}");
     let settings = json!({ "standard_uncertainty_um": 20, "standard_uncertainty_urad": 0 });
-    let text = build(&settings, &Context { base: PathBuf::new() }).err().unwrap().to_string();
+    let text = abbe_core::from_settings(&settings)
+        .and_then(|settings| build(settings, &Context { base: PathBuf::new() }))
+        .err()
+        .unwrap()
+        .to_string();
     assert_eq!(text, "standard_uncertainty_urad: 0: a positive number was expected");
 }
 
 #[test]
 fn the_example_builds() {
-    assert!(build(&example(), &Context { base: PathBuf::new() }).is_ok());
+    assert!(build(abbe_core::from_settings(&example()).unwrap(), &Context { base: PathBuf::new() }).is_ok());
 }

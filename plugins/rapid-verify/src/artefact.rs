@@ -4,9 +4,9 @@ use std::path::PathBuf;
 use std::sync::Arc;
 
 use abbe_core::{
-    Approach, Artefact, Build, ColumnHeader, Constructor, Contact, Context, Dataset, Equations, Error, Feature,
-    InputFile, KinematicModel, KnownInput, Layout, Observations, ObservationsInfo, Parameter, ParameterRole, Plugin,
-    Quantity, Result, RowBatch, SettingsError, Target, Unit, inventory, plain_naming, pose_columns, positive,
+    Approach, Artefact, ColumnHeader, Contact, Context, Dataset, Equations, Error, Feature, InputFile, KinematicModel,
+    KnownInput, Layout, Observations, ObservationsInfo, Parameter, ParameterRole, Quantity, Result, RowBatch,
+    SettingsError, Target, Unit, plain_naming, pose_columns, positive,
 };
 use nalgebra::Vector3;
 use schemars::JsonSchema;
@@ -15,16 +15,15 @@ use serde_json::{Value, json};
 
 use crate::points::{Point, Points, axis_index, check_headers};
 
-inventory::submit! {
-    Plugin::built_in(
-        "probed-points",
-        "points of an uncalibrated artefact, each touched along one axis: rapid verification",
-        abbe_core::schema_of::<Settings>,
-        example,
-        Build::Artefact(Constructor::Static(build)),
-    )
-    .with_reference(include_str!("../reference/artefact-probed-points.md"))
-}
+abbe_core::register!(
+    Artefact,
+    "probed-points",
+    "points of an uncalibrated artefact, each touched along one axis: rapid verification",
+    Settings,
+    example,
+    build,
+    "../reference/artefact-probed-points.md",
+);
 
 /// Settings of the points.
 #[derive(Debug, Clone, PartialEq, Deserialize, JsonSchema)]
@@ -40,8 +39,7 @@ fn example() -> Value {
     json!({ "nominal": "points.csv", "standard_uncertainty_um": 0.5 })
 }
 
-fn build(settings: &Value, context: &Context) -> Result<Box<dyn Artefact>, SettingsError> {
-    let settings: Settings = abbe_core::from_settings(settings)?;
+fn build(settings: Settings, context: &Context) -> Result<Box<dyn Artefact>, SettingsError> {
     positive("standard_uncertainty_um", settings.standard_uncertainty_um)?;
     Ok(Box::new(ProbedPoints {
         nominal: context.path(&settings.nominal),

@@ -2,7 +2,9 @@
 
 use std::path::PathBuf;
 
-use abbe_core::{ExportedFile, InputFile, KinematicModel, PathItem, Result, SettingsError, positive};
+use abbe_core::{
+    Calibration, Context, Export, ExportedFile, InputFile, KinematicModel, PathItem, Result, SettingsError, positive,
+};
 
 use crate::plan::Motion;
 use crate::points::Points;
@@ -10,16 +12,29 @@ use crate::program::{Programme, Step};
 
 /// What every controller is told.
 pub struct Common {
-    /// The nominal file.
-    pub nominal: PathBuf,
-    /// Tolerance, µm.
-    pub tolerance_um: f64,
-    /// How the machine moves.
-    pub motion: Motion,
+    nominal: PathBuf,
+    tolerance_um: f64,
+    motion: Motion,
+}
+
+/// The exporter of both programs in the language of a controller.
+struct Programs<D> {
+    common: Common,
+    dialect: D,
+}
+
+impl<D: Dialect> Export for Programs<D> {
+    fn inputs(&self) -> Vec<InputFile> {
+        vec![InputFile { setting: "nominal", path: self.common.nominal.clone() }]
+    }
+
+    fn export(&self, _: &Calibration, model: &dyn KinematicModel) -> Result<Vec<ExportedFile>> {
+        self.common.write(&self.dialect, model)
+    }
 }
 
 /// A controller's language.
-pub trait Dialect {
+pub trait Dialect: Send + Sync + 'static {
     /// The text of a program.
     fn program(&self, programme: &Programme, kind: Kind, steps: &[Step]) -> Result<String>;
 
@@ -37,19 +52,20 @@ pub enum Kind {
 }
 
 impl Common {
-    /// Refuses settings that cannot be.
-    pub fn check(&self) -> Result<(), SettingsError> {
-        positive("tolerance_um", self.tolerance_um)?;
-        self.motion.check().map_err(|error| error.under([PathItem::Key("motion".to_owned())]))
+    /// From the settings that all exporters of programs have: nominal file, tolerance in µm, and how the machine moves.
+    pub fn new(context: &Context, nominal: &str, tolerance_um: f64, motion: &Motion) -> Result<Self, SettingsError> {
+        positive("tolerance_um", tolerance_um)?;
+        motion.check().map_err(|error| error.under([PathItem::Key("motion".to_owned())]))?;
+        Ok(Self { nominal: context.path(nominal), tolerance_um, motion: motion.clone() })
     }
 
-    /// The nominal file.
-    pub fn inputs(&self) -> Vec<InputFile> {
-        vec![InputFile { setting: "nominal", path: self.nominal.clone() }]
+    /// The exporter of the programs in a controller's language.
+    pub fn exporter(self, dialect: impl Dialect) -> Box<dyn Export> {
+        Box::new(Programs { common: self, dialect })
     }
 
     /// Both programs.
-    pub fn write(&self, dialect: &dyn Dialect, model: &dyn KinematicModel) -> Result<Vec<ExportedFile>> {
+    fn write(&self, dialect: &dyn Dialect, model: &dyn KinematicModel) -> Result<Vec<ExportedFile>> {
         let points = Points::read(&self.nominal)?;
         let programme = self.motion.programme(&points, model, self.tolerance_um * 1e-3)?;
         let programs = [(Kind::Baseline, programme.baseline()), (Kind::Verify, programme.verify())];

@@ -6,8 +6,8 @@
 use std::path::PathBuf;
 
 use abbe_core::{
-    Build, Constructor, Context, Dataset, Error, Figure, Findings, Fit, InputFile, Limit, Plugin, PoseTable, Quantity,
-    Result, SettingsError, Validate, inventory, plain_naming, pose_columns, positive,
+    Context, Dataset, Error, Figure, Findings, Fit, InputFile, Limit, PoseTable, Quantity, Result, SettingsError,
+    Validate, plain_naming, pose_columns, positive,
 };
 use schemars::JsonSchema;
 use serde::Deserialize;
@@ -15,16 +15,15 @@ use serde_json::{Value, json};
 
 use crate::points::{Points, Touch};
 
-inventory::submit! {
-    Plugin::built_in(
-        "verify-cut",
-        "the stock that a pre-finishing cut left, against the planned allowance, point by point",
-        abbe_core::schema_of::<Settings>,
-        example,
-        Build::Validate(Constructor::Static(build)),
-    )
-    .with_reference(include_str!("../reference/validate-verify-cut.md"))
-}
+abbe_core::register!(
+    Validate,
+    "verify-cut",
+    "the stock that a pre-finishing cut left, against the planned allowance, point by point",
+    Settings,
+    example,
+    build,
+    "../reference/validate-verify-cut.md",
+);
 
 /// Settings of the check.
 #[derive(Debug, Clone, PartialEq, Deserialize, JsonSchema)]
@@ -44,8 +43,7 @@ fn example() -> Value {
     json!({ "nominal": "part.csv", "stock_mm": 0.3, "tolerance_um": 20 })
 }
 
-fn build(settings: &Value, context: &Context) -> Result<Box<dyn Validate>, SettingsError> {
-    let settings: Settings = abbe_core::from_settings(settings)?;
+fn build(settings: Settings, context: &Context) -> Result<Box<dyn Validate>, SettingsError> {
     positive("tolerance_um", settings.tolerance_um.value)?;
     settings.stock_mm.map_or(Ok(0.0), |stock| abbe_core::not_negative("stock_mm", stock))?;
     Ok(Box::new(VerifyCut { nominal: context.path(&settings.nominal), settings }))

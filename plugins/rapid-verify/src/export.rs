@@ -4,8 +4,7 @@
 use std::path::PathBuf;
 
 use abbe_core::{
-    Build, Calibration, Constructor, Context, Export, ExportedFile, InputFile, KinematicModel, PathItem, Plugin,
-    Result, SettingsError, inventory, positive,
+    Calibration, Context, Export, ExportedFile, InputFile, KinematicModel, PathItem, Result, SettingsError, positive,
 };
 use schemars::JsonSchema;
 use serde::Deserialize;
@@ -16,16 +15,15 @@ use crate::combination::combination;
 use crate::diagnosis::Pattern;
 use crate::points::{Points, Touch};
 
-inventory::submit! {
-    Plugin::built_in(
-        "verify-sensitivity",
-        "what each error does to each probed point, what tolerances detect, and combinations that answer to one error alone",
-        abbe_core::schema_of::<Settings>,
-        example,
-        Build::Export(Constructor::Static(build)),
-    )
-    .with_reference(include_str!("../reference/export-verify-sensitivity.md"))
-}
+abbe_core::register!(
+    Export,
+    "verify-sensitivity",
+    "what each error does to each probed point, what tolerances detect, and combinations that answer to one error alone",
+    Settings,
+    example,
+    build,
+    "../reference/export-verify-sensitivity.md",
+);
 
 /// Settings of the sensitivities.
 #[derive(Debug, Clone, PartialEq, Deserialize, JsonSchema)]
@@ -48,8 +46,7 @@ fn example() -> Value {
     json!({ "nominal": "points.csv", "candidates": ["E*", "d?t"], "compare_um": [4, 12, 20] })
 }
 
-fn build(settings: &Value, context: &Context) -> Result<Box<dyn Export>, SettingsError> {
-    let settings: Settings = abbe_core::from_settings(settings)?;
+fn build(settings: Settings, context: &Context) -> Result<Box<dyn Export>, SettingsError> {
     for (index, tolerance) in settings.compare_um.iter().enumerate() {
         let path = vec![PathItem::Key("compare_um".to_owned()), PathItem::Index(index)];
         positive("", *tolerance).map_err(|error| SettingsError { path, ..error })?;

@@ -4,10 +4,7 @@
 //! hold the end of the block. The program runs in a work offset that is zero, which it checks, so that these are machine
 //! coordinates. Variables follow Table 2 of Muelaner et al. 2014: tolerance, readings, minima, maxima, flags, without gaps.
 
-use abbe_core::{
-    Build, Calibration, Constructor, Context, Error, Export, ExportedFile, InputFile, KinematicModel, Plugin, Result,
-    SettingsError, inventory,
-};
+use abbe_core::{Context, Error, Export, Result, SettingsError};
 use schemars::JsonSchema;
 use serde::Deserialize;
 use serde_json::{Value as Json, json};
@@ -16,16 +13,15 @@ use crate::controller::{Common, Dialect, Kind, number, plain};
 use crate::plan::Motion;
 use crate::program::{Condition, Fault, Programme, Step, Target, Value, Variable};
 
-inventory::submit! {
-    Plugin::built_in(
-        "verify-fanuc",
-        "baseline and verify programs for Fanuc and Haas controllers, which need no computer beside the machine",
-        abbe_core::schema_of::<Settings>,
-        example,
-        Build::Export(Constructor::Static(build)),
-    )
-    .with_reference(include_str!("../reference/export-verify-fanuc.md"))
-}
+abbe_core::register!(
+    Export,
+    "verify-fanuc",
+    "baseline and verify programs for Fanuc and Haas controllers, which need no computer beside the machine",
+    Settings,
+    example,
+    build,
+    "../reference/export-verify-fanuc.md",
+);
 
 /// Settings of the programs.
 #[derive(Debug, Clone, PartialEq, Deserialize, JsonSchema)]
@@ -94,8 +90,7 @@ fn is_block(name: &str, text: &str) -> Result<(), SettingsError> {
     }
 }
 
-fn build(settings: &Json, context: &Context) -> Result<Box<dyn Export>, SettingsError> {
-    let settings: Settings = abbe_core::from_settings(settings)?;
+fn build(settings: Settings, context: &Context) -> Result<Box<dyn Export>, SettingsError> {
     if !(1..=9998).contains(&settings.program) {
         return Err(SettingsError::new("program", "a number from 1 to 9998 was expected"));
     }
@@ -108,28 +103,12 @@ fn build(settings: &Json, context: &Context) -> Result<Box<dyn Export>, Settings
     is_block("skip", &settings.skip)?;
     is_block("work_offset", &settings.work_offset)?;
     is_block("orientation", &settings.orientation)?;
-    let common = Common {
-        nominal: context.path(&settings.nominal),
-        tolerance_um: settings.tolerance_um,
-        motion: settings.motion.clone(),
-    };
-    common.check()?;
-    Ok(Box::new(Fanuc { common, settings }))
+    let common = Common::new(context, &settings.nominal, settings.tolerance_um, &settings.motion)?;
+    Ok(common.exporter(Fanuc { settings }))
 }
 
 struct Fanuc {
-    common: Common,
     settings: Settings,
-}
-
-impl Export for Fanuc {
-    fn inputs(&self) -> Vec<InputFile> {
-        self.common.inputs()
-    }
-
-    fn export(&self, _: &Calibration, model: &dyn KinematicModel) -> Result<Vec<ExportedFile>> {
-        self.common.write(self, model)
-    }
 }
 
 /// The last common variable.

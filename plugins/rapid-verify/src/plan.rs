@@ -1,6 +1,6 @@
 //! From nominal points to stops of a program: where each axis goes, from which side, and where probing begins and ends.
 
-use abbe_core::{AxisKind, KinematicModel, Result, SettingsError, not_negative, positive};
+use abbe_core::{AxisKind, KinematicModel, Result, SettingsError, StatusRole, not_negative, positive};
 use schemars::JsonSchema;
 use serde::Deserialize;
 
@@ -83,7 +83,10 @@ impl Motion {
         for (row, point) in points.list.iter().enumerate() {
             let wrong = |message: String| points.data.error_at(row, message);
             let status = statuses.row(row);
-            let direction = |axis: &str| points.data.numbers(&format!("dir_{axis}")).map(|directions| directions[row]);
+            let direction = |axis: usize| {
+                let column = StatusRole::Direction(axis).column_name(&model.info().axes)?;
+                points.data.numbers(&column).map(|directions| directions[row])
+            };
             let contact = status[model.info().axes[axis_index(model, &point.axis).map_err(wrong)?].status];
             let (start, end) = (contact - point.sense * self.clearance_mm, contact + point.sense * self.overtravel_mm);
             let (mut rotary, mut lateral): (Vec<Turn>, Vec<Turn>) = (Vec::new(), Vec::new());
@@ -95,7 +98,7 @@ impl Motion {
                 if [at, if probes { end } else { at }].iter().any(|place| !(range[0]..=range[1]).contains(place)) {
                     return Err(wrong(format!("point {} takes {} out of its range", point.label, axis.name)));
                 }
-                let from = direction(&axis.name).filter(|_| !probes);
+                let from = direction(index).filter(|_| !probes);
                 match axis.kind {
                     _ if index == retract => {
                         lowered = at;

@@ -4,10 +4,7 @@
 //! deletion of the distance to go; `$AC_MEA[1]` then says whether the probe switched, `$AA_MM[axis]` where, in machine coordinates.
 //! Results are R parameters in blocks of a hundred, as in the paper: values, minima, maxima, tolerance (Muelaner et al. 2014, 4.1).
 
-use abbe_core::{
-    Build, Calibration, Constructor, Context, Error, Export, ExportedFile, InputFile, KinematicModel, Plugin, Result,
-    SettingsError, inventory,
-};
+use abbe_core::{Context, Error, Export, Result, SettingsError};
 use schemars::JsonSchema;
 use serde::Deserialize;
 use serde_json::{Value as Json, json};
@@ -16,16 +13,15 @@ use crate::controller::{Common, Dialect, Kind, number, plain};
 use crate::plan::Motion;
 use crate::program::{Condition, Programme, Step, Target, Value, Variable};
 
-inventory::submit! {
-    Plugin::built_in(
-        "verify-siemens",
-        "baseline and verify programs for Siemens controllers, which need no computer beside the machine",
-        abbe_core::schema_of::<Settings>,
-        example,
-        Build::Export(Constructor::Static(build)),
-    )
-    .with_reference(include_str!("../reference/export-verify-siemens.md"))
-}
+abbe_core::register!(
+    Export,
+    "verify-siemens",
+    "baseline and verify programs for Siemens controllers, which need no computer beside the machine",
+    Settings,
+    example,
+    build,
+    "../reference/export-verify-siemens.md",
+);
 
 /// Settings of the programs.
 #[derive(Debug, Clone, PartialEq, Deserialize, JsonSchema)]
@@ -74,8 +70,7 @@ fn example() -> Json {
     json!({ "nominal": "points.csv", "tolerance_um": 12, "motion": { "retract_mm": 150 }, "first_variable": 1000 })
 }
 
-fn build(settings: &Json, context: &Context) -> Result<Box<dyn Export>, SettingsError> {
-    let settings: Settings = abbe_core::from_settings(settings)?;
+fn build(settings: Settings, context: &Context) -> Result<Box<dyn Export>, SettingsError> {
     if !(1..=2).contains(&settings.probe_input) {
         return Err(SettingsError::new("probe_input", "1 or 2 was expected"));
     }
@@ -93,28 +88,12 @@ fn build(settings: &Json, context: &Context) -> Result<Box<dyn Export>, Settings
     if !settings.spindle_deg.is_finite() {
         return Err(SettingsError::new("spindle_deg", "a finite number was expected"));
     }
-    let common = Common {
-        nominal: context.path(&settings.nominal),
-        tolerance_um: settings.tolerance_um,
-        motion: settings.motion.clone(),
-    };
-    common.check()?;
-    Ok(Box::new(Siemens { common, settings }))
+    let common = Common::new(context, &settings.nominal, settings.tolerance_um, &settings.motion)?;
+    Ok(common.exporter(Siemens { settings }))
 }
 
 struct Siemens {
-    common: Common,
     settings: Settings,
-}
-
-impl Export for Siemens {
-    fn inputs(&self) -> Vec<InputFile> {
-        self.common.inputs()
-    }
-
-    fn export(&self, _: &Calibration, model: &dyn KinematicModel) -> Result<Vec<ExportedFile>> {
-        self.common.write(self, model)
-    }
 }
 
 /// The highest R parameter that a controller can have.

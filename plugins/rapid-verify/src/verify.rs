@@ -6,8 +6,8 @@
 use std::path::PathBuf;
 
 use abbe_core::{
-    Build, Constructor, Context, Dataset, Error, Figure, Findings, Fit, InputFile, Limit, PathItem, Plugin, Result,
-    SettingsError, Unit, Validate, inventory, matches, not_negative, positive,
+    Context, Dataset, Error, Figure, Findings, Fit, InputFile, Limit, PathItem, Result, SettingsError, Unit, Validate,
+    matches, not_negative, positive,
 };
 use schemars::JsonSchema;
 use serde::Deserialize;
@@ -18,16 +18,15 @@ use crate::candidates::{Candidates, Names, Together};
 use crate::diagnosis::{Cause, Diagnosis, Judge, Pattern, Scatter};
 use crate::material::ArtefactSettings;
 
-inventory::submit! {
-    Plugin::built_in(
-        "verify",
-        "go or no-go of probing runs against a baseline, and the likely source of deviations",
-        abbe_core::schema_of::<Settings>,
-        example,
-        Build::Validate(Constructor::Static(build)),
-    )
-    .with_reference(include_str!("../reference/validate-verify.md"))
-}
+abbe_core::register!(
+    Validate,
+    "verify",
+    "go or no-go of probing runs against a baseline, and the likely source of deviations",
+    Settings,
+    example,
+    build,
+    "../reference/validate-verify.md",
+);
 
 /// Settings of the verification.
 #[derive(Debug, Clone, PartialEq, Deserialize, JsonSchema)]
@@ -121,8 +120,7 @@ fn example() -> Value {
     })
 }
 
-fn build(settings: &Value, context: &Context) -> Result<Box<dyn Validate>, SettingsError> {
-    let settings: Settings = abbe_core::from_settings(settings)?;
+fn build(settings: Settings, context: &Context) -> Result<Box<dyn Validate>, SettingsError> {
     settings.tolerance_um.map_or(Ok(0.0), |tolerance| positive("tolerance_um", tolerance.value))?;
     for (index, tolerance) in settings.compare_um.iter().enumerate() {
         let at = |error: SettingsError| SettingsError { path: at("compare_um", index), ..error };

@@ -11,7 +11,7 @@ use abbe_kinematics::{Chain, ChainAxis, ErrorFrame, NamedAxis, StructuralLoop};
 use nalgebra::Vector3;
 use serde_json::Value;
 
-use crate::model::{Basis, Place, Range, Role, SerialChain, Source};
+use crate::model::{CoefficientPlace, FunctionBasis, ParameterUse, Range, SerialChain, Source};
 use crate::settings::{self, Evaluation, Settings};
 
 /// Letters of the six components of an error, in the order of slots.
@@ -26,8 +26,8 @@ pub(crate) struct Builder {
     status: Vec<StatusColumn>,
     parameters: Vec<Parameter>,
     nominal: Vec<f64>,
-    roles: Vec<Role>,
-    bases: Vec<Basis>,
+    uses: Vec<ParameterUse>,
+    bases: Vec<FunctionBasis>,
     functions: usize,
     tips: Vec<Vector3<f64>>,
     stylus_status: Option<usize>,
@@ -94,7 +94,7 @@ impl Builder {
             status,
             parameters: Vec::new(),
             nominal: Vec::new(),
-            roles: Vec::new(),
+            uses: Vec::new(),
             bases: Vec::new(),
             functions: 0,
             tips: Vec::new(),
@@ -173,7 +173,7 @@ impl Builder {
     fn basis(&mut self, functions: Box<dyn Functions>, arguments: Vec<Source>, range: Option<Range>) -> usize {
         let count = functions.terms().len();
         let first = self.functions;
-        self.bases.push(Basis { functions, arguments, first, count, range, coefficients: Vec::new() });
+        self.bases.push(FunctionBasis { functions, arguments, first, count, range, coefficients: Vec::new() });
         self.functions += count;
         self.bases.len() - 1
     }
@@ -189,21 +189,21 @@ impl Builder {
                 continue;
             }
             let function = self.bases[basis].first + index;
-            let place = Place { slot: candidate.slot, component: candidate.component, function, basis };
+            let place = CoefficientPlace { slot: candidate.slot, component: candidate.component, function, basis };
             let parameter = Parameter::new(name, term.unit(of, command)).with_role(candidate.role);
-            let parameter = self.parameter(parameter, nominal, Role::Coefficient(place))?;
+            let parameter = self.parameter(parameter, nominal, ParameterUse::Coefficient(place))?;
             self.bases[basis].coefficients.push((parameter, place));
         }
         Ok(())
     }
 
-    fn parameter(&mut self, parameter: Parameter, nominal: f64, role: Role) -> Result<usize, SettingsError> {
+    fn parameter(&mut self, parameter: Parameter, nominal: f64, role: ParameterUse) -> Result<usize, SettingsError> {
         if self.parameters.iter().any(|other| other.name == parameter.name) {
             return Err(SettingsError::new("", format!("`{}` is declared twice", parameter.name)));
         }
         self.parameters.push(parameter);
         self.nominal.push(nominal);
-        self.roles.push(role);
+        self.uses.push(role);
         Ok(self.parameters.len() - 1)
     }
 
@@ -328,7 +328,7 @@ impl Builder {
                         let unit = Unit::per(subject.command, Quantity::Ratio, 0);
                         let name = format!("{}{suffix}", candidate.symbol);
                         let shape = Parameter::new(name, unit).with_role(ParameterRole::Shape);
-                        Source::Parameter(self.parameter(shape, nominal, Role::Shape(basis))?)
+                        Source::Parameter(self.parameter(shape, nominal, ParameterUse::Shape(basis))?)
                     }
                     other => Source::Status(self.argument(other, candidate.axis, declaration)?),
                 });
@@ -372,7 +372,21 @@ impl Builder {
                 let column = drift.per.column().unwrap_or_default();
                 self.status(column.to_owned(), StatusRole::Series, (Quantity::Label, Vec::new()), f64::NAN)
             }
-            _ => self.status("time".to_owned(), StatusRole::Time, (Quantity::Time, Vec::new()), f64::NAN),
+            (Argument::Time, ..) => {
+                self.status("time".to_owned(), StatusRole::Time, (Quantity::Time, Vec::new()), f64::NAN)
+            }
+            (Argument::Stylus, ..) if self.stylus_status.is_some() => self.stylus_status.unwrap_or_default(),
+            (
+                other @ (Argument::Command
+                | Argument::Direction
+                | Argument::Series
+                | Argument::Stylus
+                | Argument::Shape(..)),
+                ..,
+            ) => {
+                let message = format!("an error follows {other:?}, which it does not have here");
+                return Err(SettingsError::new("errors", message));
+            }
         })
     }
 
@@ -388,7 +402,7 @@ impl Builder {
         SerialChain {
             chain: self.chain,
             info,
-            roles: self.roles,
+            uses: self.uses,
             bases: self.bases,
             functions: self.functions,
             tips: self.tips,
@@ -398,18 +412,19 @@ impl Builder {
     }
 
     fn nominal_uncertainties(&self) -> Vec<f64> {
-        let of = |role: &Role| match role {
-            Role::Coefficient(place) => self.bases[place.basis].functions.nominal_uncertainty(),
-            Role::Shape(_) => 0.0,
+        let of = |role: &ParameterUse| match role {
+            ParameterUse::Coefficient(place) => self.bases[place.basis].functions.nominal_uncertainty(),
+            ParameterUse::Shape(_) => 0.0,
         };
-        self.roles.iter().map(of).collect()
+        self.uses.iter().map(of).collect()
     }
 
     /// The motion errors that have coefficients.
     fn error_functions(&self) -> Vec<ErrorFunction> {
         let motions = self.candidates.iter().filter(|(group, _)| *group == Group::Motion);
         let there = motions.filter_map(|(_, candidate)| {
-            let of_it = |place: &Place| place.slot == candidate.slot && place.component == candidate.component;
+            let of_it =
+                |place: &CoefficientPlace| place.slot == candidate.slot && place.component == candidate.component;
             let mut places = self.bases.iter().flat_map(|basis| &basis.coefficients);
             let axis = candidate.axis.filter(|_| places.any(|(_, place)| of_it(place)))?;
             let (symbol, component) = (candidate.symbol.clone(), candidate.component);
@@ -425,7 +440,8 @@ impl Builder {
             let arguments = basis.arguments_at(&vec![0.0; self.status.len()], &self.nominal);
             let Some(length) = basis.functions.period(&arguments[..basis.arguments.len()]) else { continue };
             for (_, candidate) in self.candidates.iter().filter(|(group, _)| *group == Group::Motion) {
-                let of_it = |place: &Place| place.slot == candidate.slot && place.component == candidate.component;
+                let of_it =
+                    |place: &CoefficientPlace| place.slot == candidate.slot && place.component == candidate.component;
                 let own = basis.coefficients.iter().filter(|(_, place)| of_it(place));
                 let parameters: Vec<usize> = own.map(|(parameter, _)| *parameter).collect();
                 if let (Some(axis), false) = (candidate.axis, parameters.is_empty()) {

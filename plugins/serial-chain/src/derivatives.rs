@@ -3,7 +3,7 @@
 use abbe_core::Variable;
 use nalgebra::Vector3;
 
-use crate::model::{Basis, Place, Role, SerialChain, Source, Work};
+use crate::model::{CoefficientPlace, FunctionBasis, ParameterUse, SerialChain, Source, Work};
 
 /// Derivatives of position or rotation to the errors of every slot, and to the command of every axis.
 pub(crate) type ByErrorAndCommand<'a> = (&'a [[Vector3<f64>; 6]], &'a [Vector3<f64>]);
@@ -11,15 +11,15 @@ pub(crate) type ByErrorAndCommand<'a> = (&'a [[Vector3<f64>; 6]], &'a [Vector3<f
 /// Variables to which derivatives are wanted, with their places among all that are.
 #[derive(Default)]
 pub(crate) struct Wanted {
-    pub coefficients: Vec<(usize, Place)>,
-    /// Place, parameter, basis.
+    pub coefficients: Vec<(usize, CoefficientPlace)>,
+    /// CoefficientPlace, parameter, basis.
     pub shapes: Vec<(usize, usize, usize)>,
-    /// Place, axis.
+    /// CoefficientPlace, axis.
     pub commands: Vec<(usize, usize)>,
 }
 
 /// Whether two coefficients add to the same error.
-pub(crate) fn of_one_error((_, one): &(usize, Place), (_, other): &(usize, Place)) -> bool {
+pub(crate) fn of_one_error((_, one): &(usize, CoefficientPlace), (_, other): &(usize, CoefficientPlace)) -> bool {
     (one.slot, one.component) == (other.slot, other.component)
 }
 
@@ -40,9 +40,9 @@ impl SerialChain {
         let mut sorted = Wanted::default();
         for (index, variable) in wanted.iter().enumerate() {
             match *variable {
-                Variable::Parameter(parameter) => match self.roles[parameter] {
-                    Role::Coefficient(place) => sorted.coefficients.push((index, place)),
-                    Role::Shape(basis) => sorted.shapes.push((index, parameter, basis)),
+                Variable::Parameter(parameter) => match self.uses[parameter] {
+                    ParameterUse::Coefficient(place) => sorted.coefficients.push((index, place)),
+                    ParameterUse::Shape(basis) => sorted.shapes.push((index, parameter, basis)),
                 },
                 Variable::Command(axis) => sorted.commands.push((index, axis)),
             }
@@ -84,7 +84,7 @@ impl SerialChain {
     /// What `source` does through the functions of a basis.
     fn through(
         &self,
-        basis: &Basis,
+        basis: &FunctionBasis,
         source: Source,
         at: At<'_>,
         by: ByErrorAndCommand<'_>,

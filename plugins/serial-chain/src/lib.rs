@@ -6,9 +6,7 @@ mod model;
 mod settings;
 
 use abbe_core::inventory;
-use abbe_core::{
-    Build, Constructor, Context, Dataset, InputFile, KinematicModel, Model, Plugin, Result, SettingsError,
-};
+use abbe_core::{Build, Constructor, Context, Dataset, KinematicModel, Model, Plugin, Result, SettingsError};
 use std::sync::Arc;
 
 use model::SerialChain;
@@ -20,13 +18,12 @@ inventory::submit! {
         "any serial machine in ISO 10791-6 notation, e.g. w C' B' X' b Z Y (S) t",
         schema,
         example,
-        Build::Model(Constructor::Static(build)),
+        Build::Model(Constructor::Static(|settings, context| build(abbe_core::from_settings(settings)?, context))),
     )
     .with_reference(include_str!("../reference/model-serial-chain.md"))
 }
 
-fn build(settings: &serde_json::Value, _: &Context) -> Result<Box<dyn Model>, SettingsError> {
-    let settings: Settings = abbe_core::from_settings(settings)?;
+fn build(settings: Settings, _: &Context) -> Result<Box<dyn Model>, SettingsError> {
     // Whatever can be wrong without data is found here, before anything runs.
     SerialChain::new(&settings, &[])?;
     Ok(Box::new(Description { settings }))
@@ -37,10 +34,6 @@ struct Description {
 }
 
 impl Model for Description {
-    fn inputs(&self) -> Vec<InputFile> {
-        Vec::new()
-    }
-
     fn build(&self, data: &[&Dataset]) -> Result<Arc<dyn KinematicModel>> {
         let model = SerialChain::new(&self.settings, data).map_err(|error| {
             let mut wrong = abbe_core::Error::usage(error.message);

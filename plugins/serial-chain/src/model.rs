@@ -17,8 +17,8 @@ pub struct SerialChain {
     pub(crate) chain: Chain,
     pub(crate) info: ModelInfo,
     /// What each parameter does.
-    pub(crate) roles: Vec<Role>,
-    pub(crate) bases: Vec<Basis>,
+    pub(crate) uses: Vec<ParameterUse>,
+    pub(crate) bases: Vec<FunctionBasis>,
     /// Number of functions of all bases together.
     pub(crate) functions: usize,
     pub(crate) tips: Vec<Vector3<f64>>,
@@ -28,16 +28,16 @@ pub struct SerialChain {
 
 /// What a parameter does.
 #[derive(Debug, Clone, Copy)]
-pub(crate) enum Role {
+pub(crate) enum ParameterUse {
     /// It multiplies a function, at a place.
-    Coefficient(Place),
+    Coefficient(CoefficientPlace),
     /// It is an argument of the functions of a basis: a wavelength.
     Shape(usize),
 }
 
 /// Where a coefficient acts: slot and component of the chain, and its function among all functions.
 #[derive(Debug, Clone, Copy)]
-pub(crate) struct Place {
+pub(crate) struct CoefficientPlace {
     pub slot: usize,
     pub component: usize,
     pub function: usize,
@@ -55,7 +55,7 @@ pub(crate) enum Source {
 
 /// Functions that several errors share, with what they are functions of.
 #[derive(Debug)]
-pub(crate) struct Basis {
+pub(crate) struct FunctionBasis {
     pub functions: Box<dyn Functions>,
     pub arguments: Vec<Source>,
     pub first: usize,
@@ -63,7 +63,7 @@ pub(crate) struct Basis {
     /// The axis on whose command they are defined, the range of commands there, and an error that they are for.
     pub range: Option<Range>,
     /// The coefficients: parameters with their places.
-    pub coefficients: Vec<(usize, Place)>,
+    pub coefficients: Vec<(usize, CoefficientPlace)>,
 }
 
 /// A range of commands.
@@ -158,8 +158,8 @@ impl SerialChain {
     /// The bases that matter: those of coefficients that are not zero, or whose derivatives are wanted.
     fn in_use(&self, values: &[f64], wanted: &[Variable]) -> Vec<usize> {
         let mut used = vec![false; self.bases.len()];
-        for (role, value) in self.roles.iter().zip(values) {
-            if let Role::Coefficient(place) = role
+        for (role, value) in self.uses.iter().zip(values) {
+            if let ParameterUse::Coefficient(place) = role
                 && *value != 0.0
             {
                 used[place.basis] = true;
@@ -167,7 +167,7 @@ impl SerialChain {
         }
         for variable in wanted {
             if let Variable::Parameter(index) = variable
-                && let Role::Coefficient(place) = self.roles[*index]
+                && let ParameterUse::Coefficient(place) = self.uses[*index]
             {
                 used[place.basis] = true;
             }
@@ -176,7 +176,7 @@ impl SerialChain {
     }
 
     /// The functions of a basis at a status.
-    fn functions_at(&self, basis: &Basis, status: &[f64], values: &[f64], out: &mut [f64]) -> Result<()> {
+    fn functions_at(&self, basis: &FunctionBasis, status: &[f64], values: &[f64], out: &mut [f64]) -> Result<()> {
         if let Some(range) = &basis.range {
             range.check(status, &self.info.axes)?;
         }
@@ -198,7 +198,7 @@ impl SerialChain {
 /// Most arguments that a function has.
 pub(crate) const ARGUMENTS: usize = 9;
 
-impl Basis {
+impl FunctionBasis {
     pub fn arguments_at(&self, status: &[f64], values: &[f64]) -> [f64; ARGUMENTS] {
         let mut arguments = [0.0; ARGUMENTS];
         for (argument, source) in arguments.iter_mut().zip(&self.arguments) {
@@ -214,7 +214,7 @@ impl Basis {
     pub fn errors(&self, values: &[f64], functions: &[f64]) -> impl Iterator<Item = (usize, usize, f64)> {
         // Summed before they are added anywhere: coefficients of one error stand side by side.
         self.coefficients.chunk_by(of_one_error).map(move |coefficients| {
-            let Place { slot, component, .. } = coefficients[0].1;
+            let CoefficientPlace { slot, component, .. } = coefficients[0].1;
             let terms = coefficients
                 .iter()
                 .map(|(parameter, place)| values[*parameter] * functions[place.function - self.first]);
@@ -312,7 +312,7 @@ impl KinematicModel for SerialChain {
         let (mut functions, mut each, mut slopes) = (vec![0.0; self.functions], vec![0.0; self.functions], Vec::new());
         let slot = self.chain.motion_slot(function.axis);
         for basis in &self.bases {
-            let own = |place: &Place| place.slot == slot && place.component == function.component;
+            let own = |place: &CoefficientPlace| place.slot == slot && place.component == function.component;
             let coefficients: Vec<_> = basis.coefficients.iter().filter(|(_, place)| own(place)).collect();
             if coefficients.is_empty() {
                 continue;

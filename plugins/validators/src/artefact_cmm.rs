@@ -4,27 +4,25 @@
 use std::path::PathBuf;
 
 use abbe_core::{
-    Build, Constructor, Context, Dataset, Error, Feature, Figure, Findings, Fit, InputFile, Owner, Plugin, Result,
-    SettingsError, Validate, inventory,
+    Context, Dataset, Error, Feature, Figure, Findings, Fit, InputFile, Owner, Result, SettingsError, Validate,
 };
 use schemars::JsonSchema;
 use serde::Deserialize;
 use serde_json::{Value, json};
 
-use crate::cmm::{Cmm, Rigid, best_motion, rank_remark};
-use crate::figures::{Limits, ONE, Sample, UM, check_limits, set_limits};
+use crate::cmm::{Cmm, Rigid, against_cmm, best_motion, differences, rank_remark};
+use crate::figures::{Limits, ONE, Sample, UM, check_limits};
 use crate::folds::set_of;
 
-inventory::submit! {
-    Plugin::built_in(
-        "artefact-cmm",
-        "the estimated artefact against the same artefact measured on a CMM",
-        abbe_core::schema_of::<Settings>,
-        example,
-        Build::Validate(Constructor::Static(build)),
-    )
-    .with_reference(include_str!("../reference/validate-artefact-cmm.md"))
-}
+abbe_core::register!(
+    Validate,
+    "artefact-cmm",
+    "the estimated artefact against the same artefact measured on a CMM",
+    Settings,
+    example,
+    build,
+    "../reference/validate-artefact-cmm.md",
+);
 
 /// Settings of the comparison.
 #[derive(Debug, Clone, PartialEq, Deserialize, JsonSchema)]
@@ -44,8 +42,7 @@ fn example() -> Value {
     json!({ "features": "table", "cmm": "facets-cmm.csv", "limits": { "standard_deviation_um": 5 } })
 }
 
-fn build(settings: &Value, context: &Context) -> Result<Box<dyn Validate>, SettingsError> {
-    let settings: Settings = abbe_core::from_settings(settings)?;
+fn build(settings: Settings, context: &Context) -> Result<Box<dyn Validate>, SettingsError> {
     // Figures with a sign have no limit: a large negative one would keep it.
     check_limits(&settings.limits, &["max_absolute_um", "standard_deviation_um", "range_um"])?;
     Ok(Box::new(ArtefactCmm { cmm: context.path(&settings.cmm), settings }))
@@ -66,13 +63,8 @@ impl Validate for ArtefactCmm {
     }
 
     fn validate(&self, fits: &[&Fit], _: &[&Dataset]) -> Result<Findings> {
-        let cmm = Cmm::read(&self.cmm)?;
-        let mut findings = Findings::default();
-        for fit in fits {
-            self.judge(fit, &cmm, &mut findings)?;
-        }
-        set_limits(&self.settings.limits, &mut findings.figures);
-        Ok(findings)
+        let judge = |fit: &Fit, cmm: &Cmm, findings: &mut Findings| self.judge(fit, cmm, findings);
+        against_cmm(&self.cmm, fits, &self.settings.limits, judge)
     }
 }
 
@@ -99,12 +91,8 @@ impl ArtefactCmm {
         findings.remarks.extend(rank_remark(&fit.name, rank));
         let left = raw.iter().zip(&effects).map(|(raw, effect)| (raw - effect.dot(&motion)) * 1e3);
         let left = Sample(left.collect());
+        findings.figures.extend(differences(&fit.name, &left));
         findings.figures.extend([
-            Figure::new(&fit.name, "max", left.max(), UM),
-            Figure::new(&fit.name, "min", left.min(), UM),
-            Figure::new(&fit.name, "max absolute", left.max_absolute(), UM),
-            Figure::new(&fit.name, "mean", left.mean(), UM),
-            Figure::new(&fit.name, "standard deviation", left.standard_deviation(), UM),
             Figure::new(&fit.name, "range", left.max() - left.min(), UM),
             Figure::new(&fit.name, "features", matched.features as f64, ONE),
         ]);

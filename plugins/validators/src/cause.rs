@@ -6,8 +6,8 @@
 //! (Soons 1993, section 5.1.1: a plate in three planes tells a squareness).
 
 use abbe_core::{
-    AxisKind, Build, Constructor, Context, Dataset, Figure, Findings, Fit, InputFile, KinematicModel, Owner, Plugin,
-    Problem, Result, SettingsError, Unknown, Validate, inventory, matches,
+    AxisKind, Context, Dataset, Figure, Findings, Fit, KinematicModel, Owner, Problem, Result, SettingsError, Unknown,
+    Validate, matches,
 };
 use abbe_estimation::Weighted;
 use abbe_numerics::{CandidateTerm, f_test};
@@ -17,16 +17,15 @@ use serde_json::{Value, json};
 
 use crate::figures::{ONE, ascii, outliers};
 
-inventory::submit! {
-    Plugin::built_in(
-        "cause",
-        "which single error of the machine explains the residuals of a fit best",
-        abbe_core::schema_of::<Settings>,
-        example,
-        Build::Validate(Constructor::Static(build)),
-    )
-    .with_reference(include_str!("../reference/validate-cause.md"))
-}
+abbe_core::register!(
+    Validate,
+    "cause",
+    "which single error of the machine explains the residuals of a fit best",
+    Settings,
+    example,
+    build,
+    "../reference/validate-cause.md",
+);
 
 /// Settings of the search.
 #[derive(Debug, Clone, PartialEq, Deserialize, JsonSchema)]
@@ -55,8 +54,7 @@ fn example() -> Value {
     json!({ "candidates": ["E?0?"], "significance": 0.01 })
 }
 
-fn build(settings: &Value, _: &Context) -> Result<Box<dyn Validate>, SettingsError> {
-    let settings: Settings = abbe_core::from_settings(settings)?;
+fn build(settings: Settings, _: &Context) -> Result<Box<dyn Validate>, SettingsError> {
     if !(settings.significance > 0.0 && settings.significance < 1.0) {
         return Err(SettingsError::new("significance", "a number between 0 and 1 was expected"));
     }
@@ -68,10 +66,6 @@ struct Cause {
 }
 
 impl Validate for Cause {
-    fn inputs(&self) -> Vec<InputFile> {
-        Vec::new()
-    }
-
     fn questions_rows(&self) -> bool {
         true
     }

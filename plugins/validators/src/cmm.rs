@@ -2,8 +2,10 @@
 
 use std::path::{Path, PathBuf};
 
-use abbe_core::{Dataset, Error, Feature, Quantity, Result};
+use abbe_core::{Dataset, Error, Feature, Figure, Findings, Fit, Quantity, Result};
 use nalgebra::{DMatrix, DVector, Vector3, Vector6};
+
+use crate::figures::{Limits, Sample, UM, set_limits};
 
 /// How far nominal points (mm) and normals of the CMM file may be from those of the artefact.
 const AGREEMENT: f64 = 1e-3;
@@ -183,6 +185,31 @@ pub fn rank_remark(fit: &str, rank: usize) -> Option<String> {
              fit equally well the smallest was taken"
         )
     })
+}
+
+/// The findings of `judge` on every fit, against what the CMM measured.
+pub fn against_cmm(
+    file: &Path,
+    fits: &[&Fit],
+    limits: &Limits,
+    judge: impl Fn(&Fit, &Cmm, &mut Findings) -> Result<()>,
+) -> Result<Findings> {
+    let cmm = Cmm::read(file)?;
+    let mut findings = Findings::default();
+    fits.iter().try_for_each(|fit| judge(fit, &cmm, &mut findings))?;
+    set_limits(limits, &mut findings.figures);
+    Ok(findings)
+}
+
+/// The figures of what is left after the best rigid motion.
+pub fn differences(fit: &str, left: &Sample) -> [Figure; 5] {
+    [
+        Figure::new(fit, "max", left.max(), UM),
+        Figure::new(fit, "min", left.min(), UM),
+        Figure::new(fit, "max absolute", left.max_absolute(), UM),
+        Figure::new(fit, "mean", left.mean(), UM),
+        Figure::new(fit, "standard deviation", left.standard_deviation(), UM),
+    ]
 }
 
 #[cfg(test)]

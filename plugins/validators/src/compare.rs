@@ -1,9 +1,6 @@
 //! Validator `compare`: what several fits claim about themselves, side by side.
 
-use abbe_core::{
-    Build, Constructor, Context, Dataset, Figure, Findings, Fit, InputFile, Plugin, Result, SettingsError, Validate,
-    inventory,
-};
+use abbe_core::{Context, Dataset, Figure, Findings, Fit, Result, SettingsError, Validate};
 use schemars::JsonSchema;
 use serde::Deserialize;
 use serde_json::{Value, json};
@@ -11,16 +8,15 @@ use serde_json::{Value, json};
 use crate::figures::{Limits, ONE, UM, URAD, check_limits, set_limits};
 use crate::folds::not_converged;
 
-inventory::submit! {
-    Plugin::built_in(
-        "compare",
-        "unknowns, rank, condition number and residuals of several fits side by side",
-        abbe_core::schema_of::<Settings>,
-        example,
-        Build::Validate(Constructor::Static(build)),
-    )
-    .with_reference(include_str!("../reference/validate-compare.md"))
-}
+abbe_core::register!(
+    Validate,
+    "compare",
+    "unknowns, rank, condition number and residuals of several fits side by side",
+    Settings,
+    example,
+    build,
+    "../reference/validate-compare.md",
+);
 
 /// Settings of the comparison.
 #[derive(Debug, Clone, PartialEq, Deserialize, JsonSchema)]
@@ -36,8 +32,7 @@ fn example() -> Value {
     json!({ "limits": { "condition": 1000, "residual_rms_um": 3 } })
 }
 
-fn build(settings: &Value, _: &Context) -> Result<Box<dyn Validate>, SettingsError> {
-    let settings: Settings = abbe_core::from_settings(settings)?;
+fn build(settings: Settings, _: &Context) -> Result<Box<dyn Validate>, SettingsError> {
     let mut keys = vec!["condition", "sigma", "unknowns", "rank"];
     keys.extend(["residual_max_um", "residual_mean_um", "residual_rms_um"]);
     keys.extend(["residual_max_urad", "residual_mean_urad", "residual_rms_urad"]);
@@ -50,10 +45,6 @@ struct Compare {
 }
 
 impl Validate for Compare {
-    fn inputs(&self) -> Vec<InputFile> {
-        Vec::new()
-    }
-
     fn validate(&self, fits: &[&Fit], _: &[&Dataset]) -> Result<Findings> {
         let mut figures = Vec::new();
         for fit in fits {

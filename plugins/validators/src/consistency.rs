@@ -8,8 +8,8 @@ use std::collections::BTreeSet;
 use std::path::Path;
 
 use abbe_core::{
-    Build, ConsideredInput, Constructor, Context, Dataset, Error, Estimated, Figure, Findings, Fit, InputFile, Limit,
-    NamedCovariance, PathItem, Plugin, Problem, Result, SettingsError, Status, Validate, inventory, matches,
+    ConsideredInput, Context, Dataset, Error, Estimated, Figure, Findings, Fit, Limit, NamedCovariance, PathItem,
+    Problem, Result, SettingsError, Status, Validate, matches,
 };
 use abbe_numerics::{hotelling_quantile, hotelling_upper_tail};
 use nalgebra::{DMatrix, DVector};
@@ -19,16 +19,15 @@ use serde_json::{Value, json};
 
 use crate::figures::ONE;
 
-inventory::submit! {
-    Plugin::built_in(
-        "consistency",
-        "agreement of calibrations from independent data within their uncertainties",
-        abbe_core::schema_of::<Settings>,
-        example,
-        Build::Validate(Constructor::Static(build)),
-    )
-    .with_reference(include_str!("../reference/validate-consistency.md"))
-}
+abbe_core::register!(
+    Validate,
+    "consistency",
+    "agreement of calibrations from independent data within their uncertainties",
+    Settings,
+    example,
+    build,
+    "../reference/validate-consistency.md",
+);
 
 /// Settings of the comparison.
 #[derive(Debug, Clone, PartialEq, Deserialize, JsonSchema)]
@@ -50,8 +49,7 @@ fn example() -> Value {
     json!({ "parameters": ["E*"], "significance": 0.05 })
 }
 
-fn build(settings: &Value, _: &Context) -> Result<Box<dyn Validate>, SettingsError> {
-    let settings: Settings = abbe_core::from_settings(settings)?;
+fn build(settings: Settings, _: &Context) -> Result<Box<dyn Validate>, SettingsError> {
     if !(settings.significance > 0.0 && settings.significance < 1.0) {
         return Err(SettingsError::new("significance", "a number between 0 and 1 was expected"));
     }
@@ -66,10 +64,6 @@ struct Consistency {
 }
 
 impl Validate for Consistency {
-    fn inputs(&self) -> Vec<InputFile> {
-        Vec::new()
-    }
-
     fn validate(&self, fits: &[&Fit], _: &[&Dataset]) -> Result<Findings> {
         let Some((first, others)) = fits.split_first().filter(|(_, others)| !others.is_empty()) else {
             return Err(

@@ -8,8 +8,8 @@
 use std::collections::BTreeSet;
 
 use abbe_core::{
-    AxisKind, Build, Constructor, Contact, Context, Dataset, Error, Figure, Findings, Fit, InputFile, Plugin, Problem,
-    Result, SettingsError, Validate, inventory, matches, positive,
+    AxisKind, Contact, Context, Dataset, Error, Figure, Findings, Fit, Problem, Result, SettingsError, Validate,
+    matches, positive,
 };
 use abbe_estimation::at_contact;
 use schemars::JsonSchema;
@@ -21,16 +21,15 @@ use crate::figures::{Limits, ONE, Sample, UM, check_limits, set_limits};
 /// Unit of percentages in figures.
 const PERCENT: &str = "percent";
 
-inventory::submit! {
-    Plugin::built_in(
-        "geometric-bias",
-        "positions of the linear axes against those of the nominal and of the calibrated machine",
-        abbe_core::schema_of::<Settings>,
-        example,
-        Build::Validate(Constructor::Static(build)),
-    )
-    .with_reference(include_str!("../reference/validate-geometric-bias.md"))
-}
+abbe_core::register!(
+    Validate,
+    "geometric-bias",
+    "positions of the linear axes against those of the nominal and of the calibrated machine",
+    Settings,
+    example,
+    build,
+    "../reference/validate-geometric-bias.md",
+);
 
 /// Settings of the geometric bias.
 #[derive(Debug, Clone, PartialEq, Deserialize, JsonSchema)]
@@ -57,8 +56,7 @@ fn example() -> Value {
     json!({ "rows": "sphere", "first_of": "config", "compensated": ["E??[spl*]"], "limits": { "residue_mean_um": 10 } })
 }
 
-fn build(settings: &Value, _: &Context) -> Result<Box<dyn Validate>, SettingsError> {
-    let settings: Settings = abbe_core::from_settings(settings)?;
+fn build(settings: Settings, _: &Context) -> Result<Box<dyn Validate>, SettingsError> {
     let keys = ["bias", "compensated", "remaining_bias", "residue"]
         .iter()
         .flat_map(|name| [format!("{name}_mean_um"), format!("{name}_max_um")]);
@@ -75,10 +73,6 @@ struct GeometricBias {
 }
 
 impl Validate for GeometricBias {
-    fn inputs(&self) -> Vec<InputFile> {
-        Vec::new()
-    }
-
     fn observations(&self) -> Vec<(&'static str, String)> {
         vec![("rows", self.settings.rows.clone())]
     }

@@ -1,9 +1,6 @@
 //! Validator `hold-out`: how well a fit predicts rows that it has not seen.
 
-use abbe_core::{
-    Build, Constructor, Context, Dataset, Figure, Findings, Fit, InputFile, Plugin, Result, SettingsError, Validate,
-    inventory,
-};
+use abbe_core::{Context, Dataset, Figure, Findings, Fit, Result, SettingsError, Validate};
 use schemars::JsonSchema;
 use serde::Deserialize;
 use serde_json::{Value, json};
@@ -11,16 +8,15 @@ use serde_json::{Value, json};
 use crate::figures::{Groups, Limits, ONE, ResidualSample, check_limits, outliers, residual_limits, set_limits};
 use crate::folds::{Folds, contained, default_column, reduced, set_of};
 
-inventory::submit! {
-    Plugin::built_in(
-        "hold-out",
-        "estimates again without some rows and predicts them",
-        abbe_core::schema_of::<Settings>,
-        example,
-        Build::Validate(Constructor::Static(build)),
-    )
-    .with_reference(include_str!("../reference/validate-hold-out.md"))
-}
+abbe_core::register!(
+    Validate,
+    "hold-out",
+    "estimates again without some rows and predicts them",
+    Settings,
+    example,
+    build,
+    "../reference/validate-hold-out.md",
+);
 
 /// Settings of the hold-out.
 #[derive(Debug, Clone, PartialEq, Deserialize, JsonSchema)]
@@ -42,8 +38,7 @@ fn example() -> Value {
     json!({ "rows": "table", "column": "group", "folds": [[5, 8, 10], [16, 19]], "limits": { "rms_um": 5 } })
 }
 
-fn build(settings: &Value, _: &Context) -> Result<Box<dyn Validate>, SettingsError> {
-    let settings: Settings = abbe_core::from_settings(settings)?;
+fn build(settings: Settings, _: &Context) -> Result<Box<dyn Validate>, SettingsError> {
     settings.folds.check()?;
     check_limits(&settings.limits, &residual_limits(&["outliers"]))?;
     Ok(Box::new(HoldOut { settings }))
@@ -54,10 +49,6 @@ struct HoldOut {
 }
 
 impl Validate for HoldOut {
-    fn inputs(&self) -> Vec<InputFile> {
-        Vec::new()
-    }
-
     fn observations(&self) -> Vec<(&'static str, String)> {
         vec![("rows", self.settings.rows.clone())]
     }

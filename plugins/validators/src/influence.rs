@@ -6,10 +6,7 @@
 
 use std::collections::BTreeMap;
 
-use abbe_core::{
-    Build, Constructor, Context, Dataset, Error, Figure, Findings, Fit, InputFile, Plugin, Problem, Quantity, Result,
-    SettingsError, Validate, inventory,
-};
+use abbe_core::{Context, Dataset, Error, Figure, Findings, Fit, Problem, Quantity, Result, SettingsError, Validate};
 use abbe_numerics::{Accumulator, Influence as Diagnostics, coverage_factor};
 use abbe_volumetric::position_unit;
 use schemars::JsonSchema;
@@ -18,16 +15,15 @@ use serde_json::{Value, json};
 
 use crate::figures::{Limits, ONE, check_limits, outliers, set_limits};
 
-inventory::submit! {
-    Plugin::built_in(
-        "influence",
-        "which rows hold a fit, and which do not go with the others; residuals as a table",
-        abbe_core::schema_of::<Settings>,
-        example,
-        Build::Validate(Constructor::Static(build)),
-    )
-    .with_reference(include_str!("../reference/validate-influence.md"))
-}
+abbe_core::register!(
+    Validate,
+    "influence",
+    "which rows hold a fit, and which do not go with the others; residuals as a table",
+    Settings,
+    example,
+    build,
+    "../reference/validate-influence.md",
+);
 
 /// Settings of the diagnostics.
 #[derive(Debug, Clone, PartialEq, Deserialize, JsonSchema)]
@@ -58,8 +54,7 @@ fn example() -> Value {
     json!({ "significance": 0.05, "limits": { "largest_cook_distance": 1 } })
 }
 
-fn build(settings: &Value, _: &Context) -> Result<Box<dyn Validate>, SettingsError> {
-    let settings: Settings = abbe_core::from_settings(settings)?;
+fn build(settings: Settings, _: &Context) -> Result<Box<dyn Validate>, SettingsError> {
     check_limits(&settings.limits, &FIGURES)?;
     if !(settings.significance > 0.0 && settings.significance < 1.0) {
         return Err(SettingsError::new("significance", "a probability between 0 and 1 was expected"));
@@ -72,10 +67,6 @@ struct Influence {
 }
 
 impl Validate for Influence {
-    fn inputs(&self) -> Vec<InputFile> {
-        Vec::new()
-    }
-
     fn questions_rows(&self) -> bool {
         true
     }

@@ -8,8 +8,8 @@
 //! machine of Viprey et al. (2019) this gives their Table 1.
 
 use abbe_core::{
-    AxisKind, Build, Constructor, Context, Dataset, Figure, Findings, Fit, InputFile, KinematicModel, Owner, Plugin,
-    Problem, Result, SettingsError, Unknown, Validate, inventory, matches,
+    AxisKind, Context, Dataset, Figure, Findings, Fit, KinematicModel, Owner, Problem, Result, SettingsError, Unknown,
+    Validate, matches,
 };
 use abbe_estimation::{Weighted, rank_point};
 use abbe_numerics::{Factor, LeftOut};
@@ -19,16 +19,15 @@ use serde_json::{Value, json};
 
 use crate::figures::{Limits, ONE, check_limits, set_limits};
 
-inventory::submit! {
-    Plugin::built_in(
-        "minimal-set",
-        "which parameters the measurements can tell apart, and why each of the others is left out",
-        abbe_core::schema_of::<Settings>,
-        example,
-        Build::Validate(Constructor::Static(build)),
-    )
-    .with_reference(include_str!("../reference/validate-minimal-set.md"))
-}
+abbe_core::register!(
+    Validate,
+    "minimal-set",
+    "which parameters the measurements can tell apart, and why each of the others is left out",
+    Settings,
+    example,
+    build,
+    "../reference/validate-minimal-set.md",
+);
 
 /// Settings of the selection.
 #[derive(Debug, Clone, PartialEq, Deserialize, JsonSchema)]
@@ -56,8 +55,7 @@ fn example() -> Value {
     json!({ "candidates": ["E?0?", "d??"], "prefer": ["d??"], "limits": { "condition": 100 } })
 }
 
-fn build(settings: &Value, _: &Context) -> Result<Box<dyn Validate>, SettingsError> {
-    let settings: Settings = abbe_core::from_settings(settings)?;
+fn build(settings: Settings, _: &Context) -> Result<Box<dyn Validate>, SettingsError> {
     check_limits(&settings.limits, &["condition", "left_out"])?;
     if !(settings.tolerance > 0.0 && settings.tolerance < 1.0) {
         return Err(SettingsError::new("tolerance", "a number between 0 and 1 was expected"));
@@ -73,10 +71,6 @@ struct MinimalSet {
 const NO_EFFECT: f64 = 1e-12;
 
 impl Validate for MinimalSet {
-    fn inputs(&self) -> Vec<InputFile> {
-        Vec::new()
-    }
-
     fn questions_rows(&self) -> bool {
         true
     }

@@ -7,8 +7,8 @@
 use std::collections::{BTreeMap, BTreeSet};
 
 use abbe_core::{
-    AxisKind, Build, Constructor, Context, Dataset, Error, Figure, Findings, Fit, InputFile, Names, PathItem, Plugin,
-    Problem, Quantity, Result, SettingsError, Validate, inventory,
+    AxisKind, Context, Dataset, Error, Figure, Findings, Fit, Names, PathItem, Problem, Quantity, Result,
+    SettingsError, Validate,
 };
 use schemars::JsonSchema;
 use serde::Deserialize;
@@ -17,16 +17,15 @@ use serde_json::{Value, json};
 use crate::figures::{Limits, ONE, Sample, UM, URAD, check_limits, key, outliers, set_limits};
 use crate::folds::set_of;
 
-inventory::submit! {
-    Plugin::built_in(
-        "repeatability",
-        "repeatability, surface and drift in repeated measurements of the same points",
-        abbe_core::schema_of::<Settings>,
-        example,
-        Build::Validate(Constructor::Static(build)),
-    )
-    .with_reference(include_str!("../reference/validate-repeatability.md"))
-}
+abbe_core::register!(
+    Validate,
+    "repeatability",
+    "repeatability, surface and drift in repeated measurements of the same points",
+    Settings,
+    example,
+    build,
+    "../reference/validate-repeatability.md",
+);
 
 /// Settings of the repeatability.
 #[derive(Debug, Clone, PartialEq, Deserialize, JsonSchema)]
@@ -87,8 +86,7 @@ fn example() -> Value {
     json!({ "rows": "table", "point": ["feature", "group"], "cycle": ["day", "cycle"], "window": 5, "limits": { "repeatability_um": 1 } })
 }
 
-fn build(settings: &Value, _: &Context) -> Result<Box<dyn Validate>, SettingsError> {
-    let settings: Settings = abbe_core::from_settings(settings)?;
+fn build(settings: Settings, _: &Context) -> Result<Box<dyn Validate>, SettingsError> {
     if settings.rows.is_some() == settings.value.is_some() {
         let message = "either `rows`, an artefact stage, or `value`, a column of the data under `from`, was expected";
         return Err(SettingsError::new("", message));
@@ -106,10 +104,6 @@ struct Repeatability {
 }
 
 impl Validate for Repeatability {
-    fn inputs(&self) -> Vec<InputFile> {
-        Vec::new()
-    }
-
     fn observations(&self) -> Vec<(&'static str, String)> {
         self.settings.rows.iter().map(|rows| ("rows", rows.clone())).collect()
     }

@@ -7,8 +7,8 @@
 use std::sync::Arc;
 
 use abbe_core::{
-    Build, Constructor, Context, Dataset, Error, Figure, Findings, Fit, InputFile, Owner, PathItem, Plugin, Problem,
-    Result, SettingsError, Unknown, Validate, in_parallel, inventory, matches,
+    Context, Dataset, Error, Figure, Findings, Fit, Owner, PathItem, Problem, Result, SettingsError, Unknown, Validate,
+    in_parallel, matches,
 };
 use schemars::JsonSchema;
 use serde::Deserialize;
@@ -16,16 +16,15 @@ use serde_json::{Value, json};
 
 use crate::figures::{Limits, ONE, Sample, ascii, check_finite, relative_uncertainty, suffix};
 
-inventory::submit! {
-    Plugin::built_in(
-        "repeats",
-        "mean and standard deviation of the estimates of repeats, each estimated by itself",
-        abbe_core::schema_of::<Settings>,
-        example,
-        Build::Validate(Constructor::Static(build)),
-    )
-    .with_reference(include_str!("../reference/validate-repeats.md"))
-}
+abbe_core::register!(
+    Validate,
+    "repeats",
+    "mean and standard deviation of the estimates of repeats, each estimated by itself",
+    Settings,
+    example,
+    build,
+    "../reference/validate-repeats.md",
+);
 
 /// Settings of the repeats.
 #[derive(Debug, Clone, PartialEq, Deserialize, JsonSchema)]
@@ -53,8 +52,7 @@ fn example() -> Value {
 /// What the keys of limits begin with.
 const LIMITED: &str = "standard_deviation";
 
-fn build(settings: &Value, _: &Context) -> Result<Box<dyn Validate>, SettingsError> {
-    let settings: Settings = abbe_core::from_settings(settings)?;
+fn build(settings: Settings, _: &Context) -> Result<Box<dyn Validate>, SettingsError> {
     for (key, limit) in &settings.limits {
         let under = |error: SettingsError| error.under([PathItem::Key("limits".to_owned())]);
         if !key.starts_with(LIMITED) {
@@ -72,10 +70,6 @@ struct Repeats {
 }
 
 impl Validate for Repeats {
-    fn inputs(&self) -> Vec<InputFile> {
-        Vec::new()
-    }
-
     fn questions_rows(&self) -> bool {
         true
     }
@@ -84,9 +78,9 @@ impl Validate for Repeats {
         let mut findings = Findings::default();
         let mut units: Vec<String> = Vec::new();
         for fit in fits {
-            let told = self.told(&fit.problem)?;
-            units.extend(told.iter().map(|(_, unknown)| suffix(&unknown.unit.for_people().0)));
-            self.judge(fit, &told, &mut findings)?;
+            let chosen = self.chosen(&fit.problem)?;
+            units.extend(chosen.iter().map(|(_, unknown)| suffix(&unknown.unit.for_people().0)));
+            self.judge(fit, &chosen, &mut findings)?;
         }
         let unused =
             self.settings.limits.keys().find(|key| !units.iter().any(|unit| **key == format!("{LIMITED}{unit}")));
@@ -102,8 +96,8 @@ impl Validate for Repeats {
 }
 
 impl Repeats {
-    /// The unknowns that are told, with their places.
-    fn told<'a>(&self, problem: &'a Problem) -> Result<Vec<(usize, &'a Unknown)>> {
+    /// The unknowns whose scatter is reported, with their places.
+    fn chosen<'a>(&self, problem: &'a Problem) -> Result<Vec<(usize, &'a Unknown)>> {
         let all = || problem.unknowns.iter().enumerate();
         let Some(patterns) = &self.settings.parameters else {
             return Ok(all().filter(|(_, unknown)| unknown.owner == Owner::Machine).collect());
@@ -119,7 +113,7 @@ impl Repeats {
         Ok(all().filter(|(_, unknown)| patterns.iter().any(|pattern| matches(pattern, &unknown.name))).collect())
     }
 
-    fn judge(&self, fit: &Fit, told: &[(usize, &Unknown)], findings: &mut Findings) -> Result<()> {
+    fn judge(&self, fit: &Fit, chosen: &[(usize, &Unknown)], findings: &mut Findings) -> Result<()> {
         let repeats = repeats(&fit.problem, &self.settings.by)?;
         let start = fit.problem.values_of(&fit.calibration);
         let estimated = in_parallel(&repeats, None, |(label, rows)| {
@@ -135,7 +129,7 @@ impl Repeats {
             })
         });
         let values = estimated.into_iter().collect::<Result<Vec<Vec<f64>>>>()?;
-        for &(place, unknown) in told {
+        for &(place, unknown) in chosen {
             let (symbol, factor) = unknown.unit.for_people();
             let unit = ascii(&symbol);
             let sample = Sample(values.iter().map(|values| values[place] * factor).collect());

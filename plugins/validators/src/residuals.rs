@@ -4,8 +4,8 @@
 use std::collections::BTreeSet;
 
 use abbe_core::{
-    Build, Constructor, Context, Dataset, Error, Figure, Findings, Fit, InputFile, PathItem, Plugin, Problem, Quantity,
-    Result, SettingsError, Validate, Values, inventory,
+    Context, Dataset, Error, Figure, Findings, Fit, PathItem, Problem, Quantity, Result, SettingsError, Validate,
+    Values,
 };
 use schemars::JsonSchema;
 use serde::Deserialize;
@@ -14,16 +14,15 @@ use serde_json::{Value, json};
 use crate::drift::{self, DEGREES};
 use crate::figures::{Groups, Limits, ONE, ResidualSample, check_limits, outliers, residual_limits, set_limits};
 
-inventory::submit! {
-    Plugin::built_in(
-        "residuals",
-        "residuals of a fit by indexation and feature, and whether they follow time",
-        abbe_core::schema_of::<Settings>,
-        example,
-        Build::Validate(Constructor::Static(build)),
-    )
-    .with_reference(include_str!("../reference/validate-residuals.md"))
-}
+abbe_core::register!(
+    Validate,
+    "residuals",
+    "residuals of a fit by indexation and feature, and whether they follow time",
+    Settings,
+    example,
+    build,
+    "../reference/validate-residuals.md",
+);
 
 /// Settings of the residuals.
 #[derive(Debug, Clone, PartialEq, Deserialize, JsonSchema)]
@@ -42,8 +41,7 @@ fn example() -> Value {
     json!({ "by": ["group", "feature"], "limits": { "max_um": 30, "mean_um": 5 } })
 }
 
-fn build(settings: &Value, _: &Context) -> Result<Box<dyn Validate>, SettingsError> {
-    let settings: Settings = abbe_core::from_settings(settings)?;
+fn build(settings: Settings, _: &Context) -> Result<Box<dyn Validate>, SettingsError> {
     check_limits(&settings.limits, &residual_limits(&["outliers"]))?;
     Ok(Box::new(Residuals { settings }))
 }
@@ -60,10 +58,6 @@ struct Kept {
 }
 
 impl Validate for Residuals {
-    fn inputs(&self) -> Vec<InputFile> {
-        Vec::new()
-    }
-
     fn judges_other_rows(&self) -> bool {
         true
     }

@@ -5,8 +5,7 @@
 //! the nominal model all errors of the machine, a calibrated one those that it does not describe.
 
 use abbe_core::{
-    Build, Constructor, Context, Dataset, Error, Figure, Findings, Fit, InputFile, KinematicModel, PathItem, Plugin,
-    Result, SettingsError, Validate, inventory, positive,
+    Context, Dataset, Error, Figure, Findings, Fit, KinematicModel, PathItem, Result, SettingsError, Validate, positive,
 };
 use abbe_geometry::{Fitted, Sphere};
 use schemars::JsonSchema;
@@ -18,16 +17,15 @@ use crate::folds::set_of;
 use crate::one_at_a_time::{Programme, Sensitivity};
 use crate::sphere_touches::Touches;
 
-inventory::submit! {
-    Plugin::built_in(
-        "sphericity",
-        "form and size of a sphere as the machine measures it, by the nominal and by the calibrated model",
-        abbe_core::schema_of::<Settings>,
-        example,
-        Build::Validate(Constructor::Static(build)),
-    )
-    .with_reference(include_str!("../reference/validate-sphericity.md"))
-}
+abbe_core::register!(
+    Validate,
+    "sphericity",
+    "form and size of a sphere as the machine measures it, by the nominal and by the calibrated model",
+    Settings,
+    example,
+    build,
+    "../reference/validate-sphericity.md",
+);
 
 /// Settings of the sphericity.
 #[derive(Debug, Clone, PartialEq, Deserialize, JsonSchema)]
@@ -62,8 +60,7 @@ fn example() -> Value {
     })
 }
 
-fn build(settings: &Value, _: &Context) -> Result<Box<dyn Validate>, SettingsError> {
-    let settings: Settings = abbe_core::from_settings(settings)?;
+fn build(settings: Settings, _: &Context) -> Result<Box<dyn Validate>, SettingsError> {
     if let Some(diameter) = settings.diameter_mm {
         positive("diameter_mm", diameter)?;
         if settings.rows.is_some() {
@@ -83,10 +80,6 @@ struct Sphericity {
 }
 
 impl Validate for Sphericity {
-    fn inputs(&self) -> Vec<InputFile> {
-        Vec::new()
-    }
-
     fn observations(&self) -> Vec<(&'static str, String)> {
         self.settings.rows.iter().map(|rows| ("rows", rows.clone())).collect()
     }

@@ -4,28 +4,27 @@
 use std::path::PathBuf;
 
 use abbe_core::{
-    Build, Calibration, Constructor, Context, Dataset, Error, Figure, Findings, Fit, InputFile, Plugin, Problem,
-    Result, SettingsError, Unknown, Validate, inventory,
+    Calibration, Context, Dataset, Error, Figure, Findings, Fit, InputFile, Problem, Result, SettingsError, Unknown,
+    Validate,
 };
 use nalgebra::Vector6;
 use schemars::JsonSchema;
 use serde::Deserialize;
 use serde_json::{Value, json};
 
-use crate::cmm::{Cmm, Rigid, Shift, best_motion, rank_remark};
-use crate::figures::{Limits, ONE, Sample, UM, check_limits, outliers, set_limits};
+use crate::cmm::{Cmm, Rigid, Shift, against_cmm, best_motion, differences, rank_remark};
+use crate::figures::{Limits, ONE, Sample, UM, check_limits, outliers};
 use crate::folds::{Folds, Trained, contained, default_column, own_unknown, reduced, set_of};
 
-inventory::submit! {
-    Plugin::built_in(
-        "tip-cmm",
-        "tip positions predicted by the model against the artefact measured on a CMM",
-        abbe_core::schema_of::<Settings>,
-        example,
-        Build::Validate(Constructor::Static(build)),
-    )
-    .with_reference(include_str!("../reference/validate-tip-cmm.md"))
-}
+abbe_core::register!(
+    Validate,
+    "tip-cmm",
+    "tip positions predicted by the model against the artefact measured on a CMM",
+    Settings,
+    example,
+    build,
+    "../reference/validate-tip-cmm.md",
+);
 
 /// Settings of the comparison.
 #[derive(Debug, Clone, PartialEq, Deserialize, JsonSchema)]
@@ -52,8 +51,7 @@ fn example() -> Value {
     json!({ "features": "table", "cmm": "facets-cmm.csv", "folds": 4, "limits": { "rms_um": 10 } })
 }
 
-fn build(settings: &Value, context: &Context) -> Result<Box<dyn Validate>, SettingsError> {
-    let settings: Settings = abbe_core::from_settings(settings)?;
+fn build(settings: Settings, context: &Context) -> Result<Box<dyn Validate>, SettingsError> {
     settings.folds.as_ref().map_or(Ok(()), Folds::check)?;
     // Figures with a sign have no limit: a large negative one would keep it.
     check_limits(&settings.limits, &["max_absolute_um", "standard_deviation_um", "rms_um", "outliers"])?;
@@ -75,13 +73,8 @@ impl Validate for TipCmm {
     }
 
     fn validate(&self, fits: &[&Fit], _: &[&Dataset]) -> Result<Findings> {
-        let cmm = Cmm::read(&self.cmm)?;
-        let mut findings = Findings::default();
-        for fit in fits {
-            self.judge(fit, &cmm, &mut findings)?;
-        }
-        set_limits(&self.settings.limits, &mut findings.figures);
-        Ok(findings)
+        let judge = |fit: &Fit, cmm: &Cmm, findings: &mut Findings| self.judge(fit, cmm, findings);
+        against_cmm(&self.cmm, fits, &self.settings.limits, judge)
     }
 }
 
@@ -138,12 +131,8 @@ impl TipCmm {
         }
         let (residuals, rank) = place(&cases, &matched.shifts)?;
         findings.remarks.extend(rank_remark(&fit.name, rank));
+        findings.figures.extend(differences(&fit.name, &residuals));
         findings.figures.extend([
-            Figure::new(&fit.name, "max", residuals.max(), UM),
-            Figure::new(&fit.name, "min", residuals.min(), UM),
-            Figure::new(&fit.name, "max absolute", residuals.max_absolute(), UM),
-            Figure::new(&fit.name, "mean", residuals.mean(), UM),
-            Figure::new(&fit.name, "standard deviation", residuals.standard_deviation(), UM),
             Figure::new(&fit.name, "rms", residuals.rms(), UM),
             Figure::new(&fit.name, "touches", touches as f64, ONE),
             Figure::new(&fit.name, "outliers", skipped as f64, ONE),

@@ -4,8 +4,8 @@ use std::collections::BTreeMap;
 use std::fmt;
 
 use abbe_core::{
-    Build, Calibration, Constructor, Context, Dataset, Error, Estimated, Figure, Findings, Fit, InputFile, Limit,
-    PathItem, Plugin, Result, SettingsError, Status, Unit, Validate, inventory, matches, positive,
+    Calibration, Context, Dataset, Error, Estimated, Figure, Findings, Fit, Limit, PathItem, Result, SettingsError,
+    Status, Unit, Validate, matches, positive,
 };
 use abbe_volumetric::{Grid, Volumetric, predict, within};
 use schemars::JsonSchema;
@@ -15,16 +15,15 @@ use serde_json::{Value, json};
 
 use crate::figures::{ONE, Sample, UM, ascii, relative_uncertainty, suffix};
 
-inventory::submit! {
-    Plugin::built_in(
-        "uncertainty",
-        "limits of the uncertainty of parameters and of the tip over the workspace",
-        abbe_core::schema_of::<Settings>,
-        example,
-        Build::Validate(Constructor::Static(build)),
-    )
-    .with_reference(include_str!("../reference/validate-uncertainty.md"))
-}
+abbe_core::register!(
+    Validate,
+    "uncertainty",
+    "limits of the uncertainty of parameters and of the tip over the workspace",
+    Settings,
+    example,
+    build,
+    "../reference/validate-uncertainty.md",
+);
 
 /// Settings of the uncertainties.
 #[derive(Debug, Clone, PartialEq, Deserialize, JsonSchema)]
@@ -111,8 +110,7 @@ fn example() -> Value {
     })
 }
 
-fn build(settings: &Value, _: &Context) -> Result<Box<dyn Validate>, SettingsError> {
-    let settings: Settings = abbe_core::from_settings(settings)?;
+fn build(settings: Settings, _: &Context) -> Result<Box<dyn Validate>, SettingsError> {
     settings.coverage_factor.map_or(Ok(0.0), |factor| positive("coverage_factor", factor))?;
     if settings.parameters.is_empty() && settings.volumetric.is_none() {
         return Err(SettingsError::new("", "`parameters` or `volumetric` were expected: nothing is judged"));
@@ -211,10 +209,6 @@ struct Uncertainty {
 }
 
 impl Validate for Uncertainty {
-    fn inputs(&self) -> Vec<InputFile> {
-        Vec::new()
-    }
-
     fn validate(&self, fits: &[&Fit], _: &[&Dataset]) -> Result<Findings> {
         let mut findings = Findings::default();
         for fit in fits {

@@ -35,10 +35,6 @@ struct Description {
 }
 
 impl Model for Description {
-    fn inputs(&self) -> Vec<InputFile> {
-        Vec::new()
-    }
-
     fn build(&self, _: &[&Dataset]) -> Result<Arc<dyn KinematicModel>> {
         Ok(self.machine.clone())
     }

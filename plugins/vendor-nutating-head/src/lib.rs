@@ -56,10 +56,6 @@ fn build(settings: &Value, _: &Context) -> Result<Box<dyn Model>, SettingsError>
 struct Description(Arc<NutatingHead>);
 
 impl Model for Description {
-    fn inputs(&self) -> Vec<InputFile> {
-        Vec::new()
-    }
-
     fn build(&self, _: &[&Dataset]) -> Result<Arc<dyn KinematicModel>> {
         Ok(self.0.clone())
     }

@@ -2,13 +2,13 @@
 
 use serde::{Deserialize, Serialize};
 
-use crate::error::{Error, Result};
 use crate::identity::Certificate;
 use crate::model::{KinematicModel, ModelInfo, Parameter, Poses};
 use crate::observations::Equations;
 use crate::problem::{ObservationSet, Owner, Problem, Unknown};
-use crate::result::{Calibration, ConsideredInput};
-use crate::unit::Unit;
+use abbe_results::{Calibration, ConsideredInput};
+use abbe_settings::Unit;
+use abbe_settings::{Error, Result};
 
 /// A known input of a problem, with everybody who uses it.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]

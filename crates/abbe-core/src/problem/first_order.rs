@@ -2,10 +2,10 @@
 
 use nalgebra::{Quaternion, UnitQuaternion, Vector3};
 
-use crate::error::Result;
 use crate::model::{Poses, Variable};
 use crate::problem::Problem;
 use crate::rotation::left_jacobian;
+use abbe_settings::Result;
 
 impl Problem {
     /// Evaluates poses whose orientation is the nominal one, turned by the sum of what each parameter alone turns it by:

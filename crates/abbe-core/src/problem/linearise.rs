@@ -6,10 +6,10 @@ use nalgebra::Vector3;
 
 use super::rows::ObservationSet;
 use super::{Owner, Problem};
-use crate::error::{Error, Result};
 use crate::model::{Poses, Variable};
 use crate::observations::{Contact, Equations, Orientation};
 use crate::parallel::{cores, is_one_of_several};
+use abbe_settings::{Error, Result};
 
 /// Rows that are evaluated together: enough to amortise a call, few enough for their derivatives to stay in the cache.
 pub const CHUNK: usize = 128;

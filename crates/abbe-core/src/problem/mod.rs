@@ -12,12 +12,12 @@ use std::sync::Arc;
 
 use serde::{Deserialize, Serialize};
 
-use crate::error::{Error, Result};
 use crate::model::KinematicModel;
 use crate::monitor::Monitor;
-use crate::pattern::matches;
-use crate::result::{Calibration, ModelRecord};
-use crate::unit::Unit;
+use abbe_results::{Calibration, ModelRecord};
+use abbe_settings::Unit;
+use abbe_settings::matches;
+use abbe_settings::{Error, Result};
 
 use considered::{candidates, check_constraints, consider_parameters, inputs};
 
@@ -101,10 +101,8 @@ impl Problem {
                 ))
                 .help("a machine parameter exists only if the model's `errors` list it")
                 .suggest(pattern, names);
-                error.setting = vec![
-                    crate::settings::PathItem::Key("parameters".to_owned()),
-                    crate::settings::PathItem::Index(index),
-                ];
+                error.setting =
+                    vec![abbe_settings::PathItem::Key("parameters".to_owned()), abbe_settings::PathItem::Index(index)];
                 return Err(error);
             }
         }

@@ -5,12 +5,12 @@ use std::sync::Arc;
 
 use super::Problem;
 use crate::dataset::RowOrigin;
-use crate::error::Error;
 use crate::model::Poses;
 use crate::observations::{Observations, ObservationsInfo, RowBatch};
 use crate::pose_table::PoseTable;
 use crate::uncertainty::{CovarianceBlock, EquationUncertainty, Pooled};
-use crate::unit::Quantity;
+use abbe_settings::Error;
+use abbe_settings::Quantity;
 
 /// The observations of one artefact stage, with the rows that take part.
 #[derive(Clone)]
@@ -23,7 +23,7 @@ pub struct ObservationSet {
     pub rows: Vec<usize>,
     /// Values of the known inputs.
     pub inputs: Vec<f64>,
-    /// Who they are, as far as it was declared.
+    /// The declared identities of the known inputs; none where none was declared.
     pub ids: Vec<Option<String>>,
     /// Start or fixed values of the own unknowns.
     pub own: Vec<f64>,

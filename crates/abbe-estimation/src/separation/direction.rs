@@ -27,13 +27,13 @@ impl Effect {
 }
 
 /// A change of unknowns.
-pub struct Direction<'a> {
+pub struct LostDirection<'a> {
     problem: &'a Problem,
     /// The unknowns, and by how much each changes in its unit.
     members: Vec<(Unknown, f64)>,
 }
 
-impl<'a> Direction<'a> {
+impl<'a> LostDirection<'a> {
     pub fn new(problem: &'a Problem, vector: &NullVector) -> Result<Self> {
         let mut members = Vec::new();
         for part in &vector.combination {

@@ -3,7 +3,7 @@
 use abbe_core::{AxisKind, Problem};
 
 use super::Measured;
-use super::direction::Direction;
+use super::direction::LostDirection;
 use super::places::recorded_statuses;
 
 /// Most stretches of an axis that are tried, the longest ones.
@@ -44,7 +44,7 @@ pub fn gaps(problem: &Problem) -> Vec<Gap> {
 
 /// The sentence of the stretch in which a direction moves the tip most, as a multiple of what one of its unknowns does there; none if it
 /// does so in no stretch by more than `seen`.
-pub fn told(gaps: &[Gap], direction: &Direction<'_>, seen: f64) -> Option<String> {
+pub fn sentence(gaps: &[Gap], direction: &LostDirection<'_>, seen: f64) -> Option<String> {
     let mut best: Option<(f64, &str)> = None;
     for gap in gaps {
         // Where the model tells nothing there is nothing to measure.

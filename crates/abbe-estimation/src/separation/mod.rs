@@ -15,7 +15,7 @@ use abbe_core::{NullVector, Problem, Result};
 
 use crate::contact::rank_point;
 
-use direction::{Direction, Effect};
+use direction::{Effect, LostDirection};
 use gaps::{Gap, gaps};
 use places::{places, recorded_statuses};
 use statuses::statuses;
@@ -38,7 +38,7 @@ const ROWS: usize = 60;
 
 /// A measurement that was not made.
 struct Trial {
-    /// Trials of one group differ in where they measure; one of them is told.
+    /// SeparationTrials of one group differ in where they measure; one of them is told.
     group: Group,
     /// What to do.
     sentence: String,
@@ -70,14 +70,14 @@ enum Measured {
 }
 
 /// The measurements that can be tried on a machine, beside those that were made.
-pub struct Trials {
+pub struct SeparationTrials {
     /// The recorded rows (not all of many) at contact, with the unknowns at their values.
     recorded: Problem,
     trials: Vec<Trial>,
     gaps: Vec<Gap>,
 }
 
-impl Trials {
+impl SeparationTrials {
     /// The trials for a problem whose unknowns have the values `x`. Rows are moved to nominal contact.
     pub fn new(problem: &Problem, x: &[f64]) -> Result<Self> {
         let recorded = rank_point(&thinned(problem), x)?;
@@ -89,7 +89,7 @@ impl Trials {
     /// Sentences that tell which measurements separate a lost direction, the best first, at most three; what to do instead
     /// if none does. Fails on a direction whose unknowns are not those of the problem.
     pub fn separating(&self, vector: &NullVector) -> Result<Vec<String>> {
-        let direction = Direction::new(&self.recorded, vector)?;
+        let direction = LostDirection::new(&self.recorded, vector)?;
         let lost = direction.effect(&Measured::Rows(Box::new(self.recorded.clone())))?;
         // A direction is as exact as its smallest entries: what the recorded rows see of it tells nothing.
         let seen = SEEN.max(10.0 * lost.relative());
@@ -102,7 +102,7 @@ impl Trials {
             let recorded = direction.effect(&Measured::Point(recorded_statuses(&self.recorded)))?;
             // What moves nothing where it was measured may move something in between.
             let still = recorded.moved <= seen * recorded.single;
-            if let Some(sentence) = gaps::told(&self.gaps, &direction, seen).filter(|_| still) {
+            if let Some(sentence) = gaps::sentence(&self.gaps, &direction, seen).filter(|_| still) {
                 return Ok(vec![sentence]);
             }
             effects.push(recorded);
@@ -132,9 +132,9 @@ impl Trials {
 
 /// Sentences that tell which measurements separate a lost direction of a problem whose unknowns have the values `x`.
 ///
-/// For one direction; see [`Trials`] for several.
+/// For one direction; see [`SeparationTrials`] for several.
 pub fn separating_measurements(problem: &Problem, x: &[f64], vector: &NullVector) -> Result<Vec<String>> {
-    Trials::new(problem, x)?.separating(vector)
+    SeparationTrials::new(problem, x)?.separating(vector)
 }
 
 /// The problem with few rows of every set, evenly spread but in no step with any order of features.

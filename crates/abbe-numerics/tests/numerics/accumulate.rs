@@ -79,7 +79,7 @@ fn a_factor_says_what_its_rows_say() {
             }
         }
         note(4, (of_full_rank(&factor).leverages(&problem.rows.concat()).iter().sum::<f64>() - n as f64).abs());
-        note(5, close(factor.effect(&step), norm(&problem.apply(&step)), norm(r)));
+        note(5, close(factor.row_norm(&step), norm(&problem.apply(&step)), norm(r)));
         let spectrum = factor.spectrum();
         for (full, of_spectrum) in step.iter().zip(spectrum.step(n)) {
             note(5, close(*full, of_spectrum, norm(&step)));

@@ -2,7 +2,8 @@
 //! terms on data that are made of some of them.
 
 use abbe_numerics::{
-    Accumulator, DesignMatrix, Direction, Influence, LinearFit, StepwiseSelection, coverage_factor, f_test, fit_linear,
+    Accumulator, DesignMatrix, Influence, LinearFit, StepwiseDirection, StepwiseSelection, coverage_factor, f_test,
+    fit_linear,
 };
 
 use crate::problems::{Linear, Random};
@@ -64,7 +65,7 @@ fn stepwise(
     right: &[f64],
     always: &[usize],
     level: f64,
-    direction: Direction,
+    direction: StepwiseDirection,
 ) -> Option<StepwiseSelection> {
     let mut accumulator = Accumulator::new(terms.len(), right.len());
     for row in 0..right.len() {
@@ -82,7 +83,7 @@ fn selection_finds_the_terms_that_made_the_data() {
     let terms: Vec<Vec<f64>> = (0..8).map(|_| (0..60).map(|_| random.signed()).collect()).collect();
     let noise: Vec<f64> = (0..60).map(|_| 0.05 * random.normal()).collect();
     let right: Vec<f64> = (0..60).map(|row| 1.5 * terms[2][row] - 0.8 * terms[5][row] + noise[row]).collect();
-    for direction in [Direction::Forward, Direction::Backward, Direction::Both] {
+    for direction in [StepwiseDirection::Forward, StepwiseDirection::Backward, StepwiseDirection::Both] {
         let selection = stepwise(&terms, &right, &[], 1e-4, direction).expect("separable terms");
         assert_eq!(selection.kept, [2, 5], "{direction:?}");
         let kept = stepwise(&terms, &right, &[0], 1e-4, direction).expect("separable terms").kept;
@@ -91,19 +92,19 @@ fn selection_finds_the_terms_that_made_the_data() {
         assert_eq!(kept, [5], "{direction:?}");
     }
     // The strongest comes first.
-    let forward = stepwise(&terms, &right, &[], 1e-4, Direction::Forward).expect("separable terms");
+    let forward = stepwise(&terms, &right, &[], 1e-4, StepwiseDirection::Forward).expect("separable terms");
     assert_eq!(forward.steps[0].term, 2);
     assert!(forward.steps.iter().all(|step| step.entered && step.probability < 1e-4));
     // A term that others make superfluous goes out again: a mixture of two others is the best single one.
     let both: Vec<f64> = (0..60).map(|row| terms[2][row] + terms[5][row] + noise[row]).collect();
     let near: Vec<f64> = (0..60).map(|row| terms[2][row] + 0.6 * terms[5][row] + 0.2 * terms[7][row]).collect();
     let candidates = vec![terms[2].clone(), terms[5].clone(), near];
-    let selection = stepwise(&candidates, &both, &[], 1e-4, Direction::Both).expect("separable terms");
+    let selection = stepwise(&candidates, &both, &[], 1e-4, StepwiseDirection::Both).expect("separable terms");
     assert_eq!(selection.kept, [0, 1], "{:?}", selection.steps);
     assert_eq!(selection.steps[0].term, 2);
     assert!(selection.steps.iter().any(|step| step.term == 2 && !step.entered));
     // Noise alone keeps nothing at a strict level.
-    assert!(stepwise(&terms, &noise, &[], 1e-6, Direction::Both).expect("separable terms").kept.is_empty());
+    assert!(stepwise(&terms, &noise, &[], 1e-6, StepwiseDirection::Both).expect("separable terms").kept.is_empty());
 }
 
 #[test]
@@ -116,9 +117,11 @@ fn every_step_of_a_selection_is_an_f_test_of_two_fits() {
             rows.iter().map(|row| [0].iter().chain(terms).map(|&term| row[term]).collect()).collect();
         fit_linear(&DesignMatrix::new(&rows), &residuals).expect("full rank").cost()
     };
-    for (direction, mut terms) in [(Direction::Forward, vec![]), (Direction::Backward, (1..7).collect::<Vec<_>>())] {
+    for (direction, mut terms) in
+        [(StepwiseDirection::Forward, vec![]), (StepwiseDirection::Backward, (1..7).collect::<Vec<_>>())]
+    {
         // A level at which everything comes in, or everything goes out.
-        let level = if direction == Direction::Forward { 1.0 } else { 0.0 };
+        let level = if direction == StepwiseDirection::Forward { 1.0 } else { 0.0 };
         let steps = stepwise(&columns, &residuals, &[0], level, direction).expect("separable terms").steps;
         assert_eq!(steps.len(), 6);
         for step in steps {
@@ -135,7 +138,7 @@ fn every_step_of_a_selection_is_an_f_test_of_two_fits() {
     }
     // A term that follows from others.
     let twice = [&columns[..], &[columns[1].iter().map(|value| 2.0 * value).collect()]].concat();
-    assert_eq!(stepwise(&twice, &residuals, &[], 1e-4, Direction::Both), None);
+    assert_eq!(stepwise(&twice, &residuals, &[], 1e-4, StepwiseDirection::Both), None);
 }
 
 #[test]

@@ -319,7 +319,7 @@ fn random_problems_end_within_the_tolerance() {
         }
         assert_eq!(found.end, End::Converged);
         let off: Vec<f64> = found.x.iter().zip(&minimum.x).map(|(one, other)| one - other).collect();
-        let off = minimum.factor.effect(&off);
+        let off = minimum.factor.row_norm(&off);
         assert!(off <= 3.0 * tolerance, "case {case}: {off:e} off, {tolerance:e} asked");
     }
 }

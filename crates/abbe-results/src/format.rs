@@ -3,7 +3,7 @@
 use serde::de::DeserializeOwned;
 use serde_json::Value;
 
-use crate::error::{Error, Result};
+use abbe_settings::{Error, Result};
 
 /// A file format with a number.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]

@@ -10,12 +10,11 @@ use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use serde_json::Value;
 
-use super::budget::{MonteCarlo, UncertaintyBudget};
-use super::covariance::NamedCovariance;
-use super::identifiability::{NullVector, SameMotion};
-use crate::error::{Error, Result};
+use crate::budget::{MonteCarlo, UncertaintyBudget};
+use crate::covariance::NamedCovariance;
 use crate::format::FileFormat;
-use crate::unit::Unit;
+use crate::identifiability::{NullVector, SameMotion};
+use abbe_settings::{Error, Result, Termination, Unit};
 
 /// The number of the file format.
 pub const CALIBRATION_FORMAT: u32 = 1;
@@ -159,20 +158,6 @@ pub struct Outlier {
     pub residual_um: f64,
     /// The weight that it was left with, 0 to 1.
     pub weight: f64,
-}
-
-/// How an iteration ended.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
-#[serde(rename_all = "kebab-case")]
-pub enum Termination {
-    /// The last step was below the tolerance.
-    Converged,
-    /// No step made the residuals smaller, and the last one was not small.
-    NoProgress,
-    /// The limit of iterations was reached.
-    IterationLimit,
-    /// The limit of rounds of robust weights was reached, and they still change.
-    RoundLimit,
 }
 
 /// How the fit went.

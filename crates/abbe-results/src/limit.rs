@@ -123,7 +123,7 @@ impl JsonSchema for Limit {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::{from_settings, schema_of};
+    use abbe_settings::{from_settings, schema_of};
     use serde_json::json;
     use std::collections::BTreeMap;
 

@@ -2,8 +2,8 @@
 
 use serde::{Deserialize, Serialize};
 
-use super::budget::UncertaintyBudget;
-use crate::unit::{Quantity, Unit};
+use crate::budget::UncertaintyBudget;
+use abbe_settings::{Quantity, Unit};
 
 /// A motion error of an axis that moves the tip at every recorded pose as other errors of this axis do, whatever functions they
 /// are: other knots may make it look determined, the machine does not.

@@ -5,7 +5,6 @@ use std::path::{Path, PathBuf};
 
 use serde::{Deserialize, Serialize};
 
-use crate::result::Termination;
 use crate::settings::PathItem;
 
 /// Shorthand of this crate's results.
@@ -64,6 +63,20 @@ pub struct Error {
     /// How far an iteration came that does not converge.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub convergence: Option<Box<Convergence>>,
+}
+
+/// How an iteration ended.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum Termination {
+    /// The last step was below the tolerance.
+    Converged,
+    /// No step made the residuals smaller, and the last one was not small.
+    NoProgress,
+    /// The limit of iterations was reached.
+    IterationLimit,
+    /// The limit of rounds of robust weights was reached, and they still change.
+    RoundLimit,
 }
 
 /// How far an iteration came.

@@ -1,9 +1,13 @@
-//! What comes out: calibrations, what they rest on, and verdicts.
+//! What comes out: calibrations, what they rest on and what they can tell, verdicts, the rules that decide them, and the
+//! numbers of their file formats.
 
 mod budget;
 mod covariance;
+mod decision;
 mod fit;
+mod format;
 mod identifiability;
+mod limit;
 mod verdict;
 
 pub use budget::{
@@ -11,9 +15,12 @@ pub use budget::{
     UncertaintyBudget,
 };
 pub use covariance::NamedCovariance;
+pub use decision::{Decision, Rule};
 pub use fit::{
     CALIBRATION_FORMAT, Calibration, CombinedAgreement, ConsideredInput, DataRecord, Estimated, FitReport, ModelRecord,
-    Outlier, Selection, SelectionDirection, SelectionStep, Status, Termination, VarianceFactor,
+    Outlier, Selection, SelectionDirection, SelectionStep, Status, VarianceFactor,
 };
+pub use format::FileFormat;
 pub use identifiability::{Combination, Identifiability, NullVector, SameMotion};
+pub use limit::Limit;
 pub use verdict::{Figure, Findings, VERDICTS_FORMAT, Verdict};

@@ -5,8 +5,8 @@ use std::collections::{BTreeMap, BTreeSet};
 use serde::{Deserialize, Serialize};
 use serde_json::Value;
 
-use crate::error::{Error, Result};
 use crate::format::{FileFormat, parse};
+use abbe_settings::{Error, Result};
 
 /// The number of the format of `verdicts.json`: a list, in which no number stands. A later one would be a map that has it under
 /// `abbe_verdicts`.

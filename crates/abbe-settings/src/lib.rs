@@ -1,0 +1,35 @@
+//! What settings of stages are made of: errors that say which setting is wrong, units, series of numbers, patterns of
+//! names, and the reading of all that from JSON.
+//!
+//! In memory every quantity is in mm, rad, s, °C or N. Columns and settings say their unit in their name.
+//!
+//! ```
+//! use abbe_settings::{Quantity, from_settings, positive};
+//! use serde::Deserialize;
+//!
+//! #[derive(Debug, Deserialize)]
+//! #[serde(deny_unknown_fields)]
+//! struct Settings {
+//!     step_mm: f64,
+//! }
+//!
+//! let wrong = from_settings::<Settings>(&serde_json::json!({ "step_m": 1 })).unwrap_err();
+//! assert_eq!(wrong.help.as_deref(), Some("did you mean `step_mm`?"));
+//! assert!(positive("step_mm", -1.0).is_err());
+//! assert_eq!(Quantity::of_column("X_um").0, "X");
+//! ```
+
+mod error;
+mod pattern;
+pub mod serial;
+mod series;
+mod settings;
+mod unit;
+
+pub use error::{Class, Convergence, Error, Place, Result, Termination, nearest};
+pub use pattern::matches;
+pub use series::{EvenSeries, Series};
+pub use settings::{
+    Label, Names, PathItem, SettingsError, from_settings, not_negative, path_text, positive, schema_of,
+};
+pub use unit::{Quantity, Unit};
