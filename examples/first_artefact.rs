@@ -6,27 +6,28 @@ use std::path::PathBuf;
 use std::sync::Arc;
 
 use abbe_core::{
-    Artefact, Build, ColumnHeader, Constructor, Contact, Context, Dataset, Equations, Feature, InputFile,
-    KinematicModel, Layout, Observations, ObservationsInfo, Plugin, Quantity, Registry, Result, RowBatch,
-    SettingsError, Target, inventory, plain_naming, pose_columns, positive,
+    Artefact, ColumnHeader, Contact, Context, Dataset, Equations, Feature, InputFile, KinematicModel, Layout,
+    Observations, ObservationsInfo, Quantity, Registry, Result, RowBatch, SettingsError, Target, plain_naming,
+    pose_columns, positive,
 };
 use abbe_engine::prepare;
 use schemars::JsonSchema;
 use serde::Deserialize;
-use serde_json::{Value, json};
+use serde_json::json;
 
 use abbe_bundle as _;
 
-// 1. The plugin registers itself: name, one line, settings, an example of them, and how it is built.
-inventory::submit! {
-    Plugin::built_in(
-        "known-points",
-        "points whose places are known, touched by the tip",
-        abbe_core::schema_of::<Settings>,
-        || json!({ "nominal": "points.csv", "standard_uncertainty_um": 1.0 }),
-        Build::Artefact(Constructor::Static(build)),
-    )
-}
+// 1. The plugin registers itself: kind, name, one line, settings, an example of them, how it is built, and the text of its
+//    reference page.
+abbe_core::register!(
+    Artefact,
+    "known-points",
+    "points whose places are known, touched by the tip",
+    Settings,
+    || json!({ "nominal": "points.csv", "standard_uncertainty_um": 1.0 }),
+    build,
+    "first_artefact.md",
+);
 
 /// Settings of known points. What stands here is what the schema of recipes says.
 #[derive(Debug, Clone, Deserialize, JsonSchema)]
@@ -38,8 +39,7 @@ struct Settings {
     standard_uncertainty_um: f64,
 }
 
-fn build(settings: &Value, context: &Context) -> Result<Box<dyn Artefact>, SettingsError> {
-    let settings: Settings = abbe_core::from_settings(settings)?;
+fn build(settings: Settings, context: &Context) -> Result<Box<dyn Artefact>, SettingsError> {
     positive("standard_uncertainty_um", settings.standard_uncertainty_um)?;
     // Files are read later: building a stage does nothing that could be slow.
     let nominal = context.path(&settings.nominal);

@@ -118,7 +118,12 @@ fn wrong_libraries_are_refused() {
         (at.join("missing.so"), "does not exist"),
         (text, "cannot be loaded"),
         (truncated, "cannot be loaded"),
-        (bad(at, "abi", &["-DABI=7"]), "speaks version 7 of the plugin interface, this program speaks version 1"),
+        (
+            bad(at, "abi", &["-DABI=7"]),
+            "speaks version 7 of the plugin interface, this program speaks version 2: build it again",
+        ),
+        // The number before there were roles.
+        (bad(at, "abi-1", &["-DABI=1"]), "speaks version 1 of the plugin interface, this program speaks version 2"),
         (bad(at, "symbol", &["-DLIBRARY_WITHOUT_SYMBOL"]), "exports no `abbe_plugin`: it is no plugin library"),
         (bad(at, "null", &["-DLIBRARY_GIVES_NULL"]), "gives no table: it refuses to work with this program"),
         (bad(at, "create", &["-DLIBRARY_WITHOUT_CREATE"]), "has a plugin `bad-model` without a function `create`"),

@@ -4,7 +4,8 @@ use std::any::Any;
 use std::collections::{BTreeMap, BTreeSet};
 use std::sync::Arc;
 
-use serde::{Deserialize, Serialize};
+use serde::de::Error as _;
+use serde::{Deserialize, Deserializer, Serialize};
 
 use crate::dataset::Dataset;
 use crate::identity::Certificate;
@@ -129,7 +130,14 @@ pub enum RankPoint {
     /// In nominal contact ([`Observations::contact_tip`]).
     InContact,
     /// At nominal readings, by the index of the row; rows without one are judged as recorded.
-    NominalReading(BTreeMap<usize, NominalReading>),
+    NominalReading(#[serde(deserialize_with = "by_row")] BTreeMap<usize, NominalReading>),
+}
+
+/// A map by row: the keys of a JSON object are texts, and stay that where they pass through another type.
+fn by_row<'de, D: Deserializer<'de>>(deserializer: D) -> Result<BTreeMap<usize, NominalReading>, D::Error> {
+    let by_text = BTreeMap::<String, NominalReading>::deserialize(deserializer)?;
+    let row = |text: &str| text.parse().map_err(|_| D::Error::custom(format!("`{text}` is no index of a row")));
+    by_text.into_iter().map(|(text, nominal)| Ok((row(&text)?, nominal))).collect()
 }
 
 /// How a row is touched that only one axis approaches.

@@ -140,9 +140,11 @@ pub enum Origin {
 /// What an estimate is made of, which decides what its stage names in a recipe.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub enum Basis {
-    /// Measurements on a machine (`machine`, `observations`, `parameters`), or another estimate looked at anew (`of`).
+    /// Measurements on a machine (`machine`, `observations`, `parameters`), or another estimate that it analyses (`of`).
     #[default]
     Measurements,
+    /// Another estimate, which it analyses (`of`).
+    Estimate,
     /// What is stated of a machine (`machine`).
     Statement,
     /// A calibration that was made elsewhere: it brings its machine.
@@ -172,6 +174,13 @@ pub struct Plugin {
     pub build: Build,
     /// What its estimates are made of, if it makes some.
     pub basis: Basis,
+}
+
+impl Basis {
+    /// Whether an estimate may analyse another one.
+    pub fn may_analyse(self) -> bool {
+        matches!(self, Self::Measurements | Self::Estimate)
+    }
 }
 
 impl Plugin {

@@ -244,7 +244,7 @@ impl Prepared {
     pub(crate) fn own_estimate(&self, name: &str) -> Result<&Stage> {
         let stage = self.recipe_stage(name)?;
         match stage.reference("of").first() {
-            Some(of) if stage.kind == Kind::Estimate && stage.basis == Basis::Measurements => self.own_estimate(of),
+            Some(of) if stage.kind == Kind::Estimate && stage.basis.may_analyse() => self.own_estimate(of),
             _ => Ok(stage),
         }
     }

@@ -133,7 +133,7 @@ impl Prepared {
         let Some(problem) = problem else { return self.fit_again(stage, fits, monitor) };
         let estimator = self.estimators[&stage.name].clone();
         let calibration = match stage.basis {
-            Basis::Measurements => {
+            Basis::Measurements | Basis::Estimate => {
                 return self.fit(stage, self.located(stage, start(stage, problem.clone(), fits))?);
             }
             Basis::Calibration => Ok(self.recalled[&stage.name].calibration.clone()),
@@ -159,7 +159,7 @@ impl Prepared {
         Ok(Fit { name: stage.name.clone(), problem: Arc::new(problem), estimator, calibration })
     }
 
-    /// A new look at an earlier estimate: the same problem, which its own estimator solves on other rows.
+    /// The analysis of an earlier estimate: the same problem, which its own estimator solves on other rows.
     fn fit_again(&self, stage: &Stage, fits: &[Fit], monitor: &Monitor) -> Result<Fit> {
         let of = named(stage.reference("of"), fits);
         let fit = of.first().ok_or_else(|| Error::usage("the estimate under `of` is not there").stage(&stage.name))?;
@@ -344,9 +344,9 @@ impl Prepared {
     }
 }
 
-/// Whether an estimate is not just another look at one that has a problem.
+/// Whether an estimate has a problem of its own, and is no analysis of another one.
 pub(crate) fn has_problem(stage: &&Stage) -> bool {
-    stage.basis != Basis::Measurements || stage.reference("of").is_empty()
+    !stage.basis.may_analyse() || stage.reference("of").is_empty()
 }
 
 /// Whether an estimate is made of measurements of its own.

@@ -57,7 +57,6 @@ mod coverage;
 mod design;
 mod factor;
 mod gauss_newton;
-mod linear;
 mod monte_carlo;
 mod regression;
 mod robust;
@@ -74,7 +73,6 @@ pub use coverage::{
 pub use design::{Choice, Criterion, Design, DesignFigures};
 pub use factor::{CandidateTerm, CovarianceRoot, Factor, Information, SingularValues, Spectrum};
 pub use gauss_newton::{End, LeastSquares, Options, Sink, Solution, solve, solve_from};
-pub use linear::{DesignMatrix, LinearFit, fit_linear};
 pub use monte_carlo::{Adaptive, Agreement, Interval, Trials, gum_agrees, least_trials, numerical_tolerance};
 pub use regression::{Influence, SelectionStep, StepwiseDirection, StepwiseSelection};
 pub use robust::{Loss, Robust, RobustReport};

@@ -42,6 +42,7 @@ pub(crate) fn references(plugin: &Plugin) -> &'static [Reference] {
         reference("start", Kind::Estimate, false, false),
         reference("of", Kind::Estimate, false, false),
     ];
+    const ANALYSIS: &[Reference] = &[reference(ANEW, Kind::Estimate, true, false)];
     const VALIDATE: &[Reference] = &[
         reference("of", Kind::Estimate, true, true),
         reference("from", Kind::Ingest, false, true),
@@ -54,6 +55,7 @@ pub(crate) fn references(plugin: &Plugin) -> &'static [Reference] {
         Kind::Artefact => ARTEFACT,
         Kind::Estimate => match plugin.basis {
             Basis::Measurements => ESTIMATE,
+            Basis::Estimate => ANALYSIS,
             Basis::Statement => STATEMENT,
             Basis::Calibration => &[],
             Basis::Estimates => ESTIMATES,
@@ -63,12 +65,12 @@ pub(crate) fn references(plugin: &Plugin) -> &'static [Reference] {
     }
 }
 
-/// The key of an estimate that looks at another one anew, and takes machine, observations and parameters from it.
+/// The key of an estimate that analyses another one, and takes machine, observations and parameters from it.
 pub(crate) const ANEW: &str = "of";
 
-/// Whether a stage looks at another estimate anew.
+/// Whether a stage analyses another estimate.
 pub(crate) fn is_anew(stage: &Head<'_>) -> bool {
-    stage.plugin.kind() == Kind::Estimate && stage.plugin.basis == Basis::Measurements && stage.node.get(ANEW).is_some()
+    stage.plugin.kind() == Kind::Estimate && stage.plugin.basis.may_analyse() && stage.node.get(ANEW).is_some()
 }
 
 impl Reference {

@@ -1,6 +1,6 @@
 //! The reference page of a plugin, made of its own record.
 
-use abbe_core::{Kind, Plugin};
+use abbe_core::{Basis, Kind, Plugin};
 use serde_json::{Map, Value};
 
 use crate::graph::references;
@@ -23,6 +23,9 @@ pub fn page(plugin: &Plugin) -> String {
     list(&schema, &schema, 0, &mut settings);
     page.push_str(if settings.is_empty() { "None of its own.\n" } else { &settings });
     let mut more: Vec<String> = references(plugin).iter().map(|reference| format!("`{}`", reference.key)).collect();
+    if kind == Kind::Estimate && matches!(plugin.basis, Basis::Measurements | Basis::Estimates) {
+        more.extend(["`parameters`", "`shared_rows`"].map(str::to_owned));
+    }
     more.extend(
         ["`uncertainty`", "`pooled`", "`id`"].iter().filter(|_| kind == Kind::Artefact).map(|key| (*key).into()),
     );
@@ -63,6 +66,9 @@ fn example(plugin: &Plugin) -> String {
     stage.insert(plugin.kind().key().to_owned(), Value::from(plugin.name.as_ref()));
     for reference in references(plugin).iter().filter(|reference| reference.required) {
         stage.insert(reference.key.to_owned(), Value::from("a-stage"));
+    }
+    if plugin.kind() == Kind::Estimate && plugin.basis == Basis::Measurements {
+        stage.insert("parameters".to_owned(), Value::from(vec!["E*"]));
     }
     if let Value::Object(settings) = plugin.example.get() {
         stage.extend(settings);

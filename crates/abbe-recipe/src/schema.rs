@@ -95,7 +95,7 @@ fn stage(plugin: &Plugin) -> Value {
         properties.insert(crate::SHARED_ROWS.to_owned(), accepted);
     }
     if kind == Kind::Estimate && plugin.basis == Basis::Measurements {
-        // An estimate of its own, or a new look at another one.
+        // An estimate of its own, or the analysis of another one.
         let own = json!({ "required": ["machine", "observations", "parameters"] });
         settings.insert("anyOf".to_owned(), json!([own, { "required": [ANEW] }]));
     }

@@ -6,7 +6,7 @@ use serde::{Deserialize, Serialize};
 /// Covariance of named values, in the units of these.
 ///
 /// ```
-/// use abbe_core::NamedCovariance;
+/// use abbe_results::NamedCovariance;
 ///
 /// let order = ["EXX[1]", "EC0Y"].map(str::to_owned).to_vec();
 /// let known = NamedCovariance { order, rows: vec![vec![4.0, 3.0], vec![3.0, 9.0]] };

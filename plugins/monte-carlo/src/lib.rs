@@ -12,8 +12,8 @@ mod settings;
 use std::sync::atomic::{AtomicBool, Ordering};
 
 use abbe_core::{
-    Calibration, Context, Error, Estimate, Fit, GumComparison, Identifiability, MonteCarlo, NamedCovariance, Problem,
-    Result, SettingsError, SimulatedParameter, in_parallel,
+    Basis, Calibration, Context, Error, Estimate, Fit, GumComparison, Identifiability, MonteCarlo, NamedCovariance,
+    Problem, Result, SettingsError, SimulatedParameter, in_parallel,
 };
 use abbe_numerics::{Adaptive, Generator, Trials, gum_agrees, least_trials, numerical_tolerance};
 use serde_json::{Value, json};
@@ -29,6 +29,7 @@ abbe_core::register!(
     example,
     build,
     "../reference/estimate-monte-carlo.md",
+    Basis::Estimate,
 );
 
 fn example() -> Value {

@@ -3,16 +3,16 @@
 use std::collections::BTreeMap;
 
 use abbe_core::{
-    Absent, Axis, AxisKind, Dataset, ErrorFunction, ModelInfo, Parameter, ParameterRole, PathItem, Period, Quantity,
-    SettingsError, StatusColumn, StatusRole, Unit, Values, matches,
+    Absent, Axis, AxisKind, ErrorFunction, ModelInfo, Parameter, ParameterRole, PathItem, Period, Quantity,
+    SettingsError, StatusColumn, StatusRole, Unit, matches,
 };
-use abbe_errors::{Argument, Constant, Declaration, Drift, Expansion, Functions, Group, Per, StylusIs, Subject};
-use abbe_kinematics::{Chain, ChainAxis, ErrorFrame, NamedAxis, StructuralLoop};
+use abbe_errors::{Argument, Constant, Declaration, Functions, Group, StylusIs, Subject};
+use abbe_kinematics::{Chain, StructuralLoop};
 use nalgebra::Vector3;
 use serde_json::Value;
 
 use crate::model::{CoefficientPlace, FunctionBasis, ParameterUse, Range, SerialChain, Source};
-use crate::settings::{self, Evaluation, Settings};
+use crate::settings::{Evaluation, Settings};
 
 /// Letters of the six components of an error, in the order of slots.
 pub(crate) const COMPONENTS: [char; 6] = ['X', 'Y', 'Z', 'A', 'B', 'C'];
@@ -463,91 +463,4 @@ pub(crate) fn key(name: &str) -> PathItem {
 
 pub(crate) fn finite(setting: &str, value: f64) -> Result<(), SettingsError> {
     if value.is_finite() { Ok(()) } else { Err(SettingsError::new(setting, "a finite number was expected")) }
-}
-
-/// Nominal geometry of one axis.
-pub(crate) fn chain_axis(named: &NamedAxis, settings: &Settings) -> Result<ChainAxis, SettingsError> {
-    let given = settings.axes.get(&named.name).cloned().unwrap_or_default();
-    let at = |setting: &str, message: String| {
-        Err(SettingsError::new(setting, message).under([key("axes"), key(&named.name)]))
-    };
-    let kind = named.kind();
-    let (fits, wrong, right) = match kind {
-        AxisKind::Linear => (given.range_mm, given.range_deg.map(|_| "range_deg"), "a length: `range_mm`"),
-        AxisKind::Rotary => (given.range_deg, given.range_mm.map(|_| "range_mm"), "an angle: `range_deg`"),
-    };
-    if let Some(wrong) = wrong {
-        return at(wrong, format!("the range of axis {} is {right}", named.name));
-    }
-    if let Some([from, to]) = fits
-        && !(from.is_finite() && to.is_finite() && from < to)
-    {
-        let setting = if kind == AxisKind::Linear { "range_mm" } else { "range_deg" };
-        return at(setting, "a range is two numbers, the smaller one first".to_owned());
-    }
-    let direction = Vector3::from(given.direction.unwrap_or(named.direction()));
-    if !(direction.norm() > 1e-6 && direction.norm().is_finite()) {
-        return at("direction", "a direction is three numbers that are not all zero".to_owned());
-    }
-    let point = Vector3::from(given.point_mm.unwrap_or_default());
-    if !point.norm().is_finite() {
-        return at("point_mm", "three finite numbers were expected".to_owned());
-    }
-    let error_frame = match given.error_frame.unwrap_or(settings.error_frame) {
-        settings::ErrorFrame::Moving => ErrorFrame::Moving,
-        settings::ErrorFrame::Fixed => ErrorFrame::Fixed,
-    };
-    let name = named.name.clone();
-    Ok(ChainAxis { name, kind, branch: named.branch, direction, point, reverse: given.reverse, error_frame })
-}
-
-/// Refuses data that do not say how warm a scale was: at the reference temperature it would silently not expand.
-pub(crate) fn temperature_is_there(expansion: &Expansion, data: &[&Dataset]) -> Result<(), SettingsError> {
-    // Data with several poses a row may have one column for each: `T_X`, or `T_X1` and `T_X2`.
-    let of_scale = |name: &str| {
-        name.strip_prefix(expansion.temperature.as_str())
-            .is_some_and(|end| end.chars().all(|digit| digit.is_ascii_digit()))
-    };
-    let lacks = |data: &&&Dataset| !data.columns.iter().any(|column| of_scale(&column.header.name));
-    let Some(data) = data.iter().find(lacks) else { return Ok(()) };
-    let file = data.files.first().map_or_else(|| "a data set".to_owned(), |file| file.display().to_string());
-    let column = format!("{}_degC", expansion.temperature);
-    let message = format!(
-        "{file} has no column `{column}`, the temperature of the scale; write it into the file, or `constants: {{ {column}: 20 }}` at its ingest stage"
-    );
-    Err(SettingsError::new("temperature", message))
-}
-
-/// First and last time of every series of a drift: those of the settings, else those of the data. The scale so stays
-/// the same in folds and subsets of the rows.
-pub(crate) fn settle_time(drift: &mut Drift, data: &[&Dataset]) -> Result<(), SettingsError> {
-    if drift.time_s.is_empty() {
-        for data in data {
-            let Some(times) = data.numbers("time") else { continue };
-            let labels = drift.per.column().and_then(|column| data.column(column)).map(|column| &column.values);
-            for (row, &time) in times.iter().enumerate() {
-                let label = match (drift.per, labels) {
-                    (Per::DataSet, _) => "",
-                    (_, Some(Values::Labels(labels))) => &labels[row],
-                    _ => continue,
-                };
-                let range = drift.time_s.entry(label.to_owned()).or_insert([time, time]);
-                *range = [range[0].min(time), range[1].max(time)];
-            }
-        }
-        if drift.time_s.is_empty() && !data.is_empty() {
-            let columns = drift.per.column().map_or(String::new(), |column| format!(" and `{column}`"));
-            return Err(SettingsError::new("drift", format!("no data set has the columns `time_s`{columns}")));
-        }
-    }
-    if drift.time_s.is_empty() && drift.per == Per::DataSet {
-        drift.time_s.insert(String::new(), [0.0, 1.0]);
-    }
-    match drift.time_s.iter().find(|(_, range)| !data.is_empty() && range[0] >= range[1]) {
-        None => Ok(()),
-        Some((label, range)) => Err(SettingsError::new(
-            "drift",
-            format!("the series `{label}` has the single time {} s; a drift needs a span of time", range[0]),
-        )),
-    }
 }

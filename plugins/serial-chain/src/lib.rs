@@ -3,6 +3,7 @@
 mod builder;
 mod derivatives;
 mod model;
+mod nominal;
 mod settings;
 
 use abbe_core::inventory;

@@ -8,8 +8,9 @@ use abbe_errors::{Declaration, Functions};
 use abbe_kinematics::{Chain, Derivatives, Errors, Evaluation as Pose, StructuralLoop};
 use nalgebra::Vector3;
 
-use crate::builder::{Builder, chain_axis, finite, key, settle_time, temperature_is_there};
+use crate::builder::{Builder, finite, key};
 use crate::derivatives::{At, of_one_error};
+use crate::nominal::{chain_axis, settle_time, temperature_is_there};
 use crate::settings::Settings;
 
 /// A serial chain with its error families.

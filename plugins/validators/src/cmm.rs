@@ -5,7 +5,7 @@ use std::path::{Path, PathBuf};
 use abbe_core::{Dataset, Error, Feature, Figure, Findings, Fit, Quantity, Result};
 use nalgebra::{DMatrix, DVector, Vector3, Vector6};
 
-use crate::figures::{Limits, Sample, UM, set_limits};
+use crate::figures::{Limits, Sample, UM, judged};
 
 /// How far nominal points (mm) and normals of the CMM file may be from those of the artefact.
 const AGREEMENT: f64 = 1e-3;
@@ -195,10 +195,7 @@ pub fn against_cmm(
     judge: impl Fn(&Fit, &Cmm, &mut Findings) -> Result<()>,
 ) -> Result<Findings> {
     let cmm = Cmm::read(file)?;
-    let mut findings = Findings::default();
-    fits.iter().try_for_each(|fit| judge(fit, &cmm, &mut findings))?;
-    set_limits(limits, &mut findings.figures);
-    Ok(findings)
+    judged(fits, limits, |fit, findings| judge(fit, &cmm, findings))
 }
 
 /// The figures of what is left after the best rigid motion.

@@ -2,7 +2,7 @@
 
 use std::collections::{BTreeMap, BTreeSet};
 
-use abbe_core::{Calibration, Figure, Limit, PathItem, Problem, Quantity, SettingsError};
+use abbe_core::{Calibration, Figure, Findings, Fit, Limit, PathItem, Problem, Quantity, Result, SettingsError};
 
 /// Largest admissible values by [`key`].
 pub type Limits = BTreeMap<String, Limit>;
@@ -213,6 +213,14 @@ pub fn outliers(problem: &Problem, calibration: &Calibration) -> BTreeSet<(usize
         }
     }
     found
+}
+
+/// The findings of `judge` on every fit, with the limits of the settings.
+pub fn judged(fits: &[&Fit], limits: &Limits, judge: impl Fn(&Fit, &mut Findings) -> Result<()>) -> Result<Findings> {
+    let mut findings = Findings::default();
+    fits.iter().try_for_each(|fit| judge(fit, &mut findings))?;
+    set_limits(limits, &mut findings.figures);
+    Ok(findings)
 }
 
 #[cfg(test)]

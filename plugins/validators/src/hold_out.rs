@@ -5,7 +5,7 @@ use schemars::JsonSchema;
 use serde::Deserialize;
 use serde_json::{Value, json};
 
-use crate::figures::{Groups, Limits, ONE, ResidualSample, check_limits, outliers, residual_limits, set_limits};
+use crate::figures::{Groups, Limits, ONE, ResidualSample, check_limits, judged, outliers, residual_limits};
 use crate::folds::{Folds, contained, default_column, reduced, set_of};
 
 abbe_core::register!(
@@ -58,12 +58,7 @@ impl Validate for HoldOut {
     }
 
     fn validate(&self, fits: &[&Fit], _: &[&Dataset]) -> Result<Findings> {
-        let mut findings = Findings::default();
-        for fit in fits {
-            self.judge(fit, &mut findings)?;
-        }
-        set_limits(&self.settings.limits, &mut findings.figures);
-        Ok(findings)
+        judged(fits, &self.settings.limits, |fit, findings| self.judge(fit, findings))
     }
 }
 

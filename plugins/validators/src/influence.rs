@@ -13,7 +13,7 @@ use schemars::JsonSchema;
 use serde::Deserialize;
 use serde_json::{Value, json};
 
-use crate::figures::{Limits, ONE, check_limits, outliers, set_limits};
+use crate::figures::{Limits, ONE, check_limits, judged, outliers};
 
 abbe_core::register!(
     Validate,
@@ -72,12 +72,7 @@ impl Validate for Influence {
     }
 
     fn validate(&self, fits: &[&Fit], _: &[&Dataset]) -> Result<Findings> {
-        let mut found = Findings::default();
-        for fit in fits {
-            self.judge(fit, &mut found)?;
-        }
-        set_limits(&self.settings.limits, &mut found.figures);
-        Ok(found)
+        judged(fits, &self.settings.limits, |fit, found| self.judge(fit, found))
     }
 }
 

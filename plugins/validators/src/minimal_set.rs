@@ -17,7 +17,7 @@ use schemars::JsonSchema;
 use serde::Deserialize;
 use serde_json::{Value, json};
 
-use crate::figures::{Limits, ONE, check_limits, set_limits};
+use crate::figures::{Limits, ONE, check_limits, judged};
 
 abbe_core::register!(
     Validate,
@@ -76,12 +76,7 @@ impl Validate for MinimalSet {
     }
 
     fn validate(&self, fits: &[&Fit], _: &[&Dataset]) -> Result<Findings> {
-        let mut found = Findings::default();
-        for fit in fits {
-            self.select(fit, &mut found)?;
-        }
-        set_limits(&self.settings.limits, &mut found.figures);
-        Ok(found)
+        judged(fits, &self.settings.limits, |fit, found| self.select(fit, found))
     }
 }
 

@@ -12,7 +12,7 @@ use serde::Deserialize;
 use serde_json::{Value, json};
 
 use crate::drift::{self, DEGREES};
-use crate::figures::{Groups, Limits, ONE, ResidualSample, check_limits, outliers, residual_limits, set_limits};
+use crate::figures::{Groups, Limits, ONE, ResidualSample, check_limits, judged, outliers, residual_limits};
 
 abbe_core::register!(
     Validate,
@@ -67,12 +67,7 @@ impl Validate for Residuals {
     }
 
     fn validate(&self, fits: &[&Fit], _: &[&Dataset]) -> Result<Findings> {
-        let mut findings = Findings::default();
-        for fit in fits {
-            self.judge(fit, &mut findings)?;
-        }
-        set_limits(&self.settings.limits, &mut findings.figures);
-        Ok(findings)
+        judged(fits, &self.settings.limits, |fit, findings| self.judge(fit, findings))
     }
 }
 

@@ -4,6 +4,7 @@
 mod accumulate;
 mod coverage;
 mod design;
+mod linear;
 mod monte_carlo;
 mod nist;
 mod nist_nonlinear;

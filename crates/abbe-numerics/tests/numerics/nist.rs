@@ -1,9 +1,10 @@
 //! Proves the coefficients and their standard deviations against the certified ones of NIST's linear reference problems,
 //! to as many digits as the condition of each leaves in double precision.
 
-use abbe_numerics::{DesignMatrix, End, Options, fit_linear, solve};
+use abbe_numerics::{End, Options, solve};
 use serde_json::Value;
 
+use crate::linear::{DesignMatrix, fit_linear};
 use crate::problems::{Linear, given};
 
 fn numbers(value: &Value) -> Vec<f64> {

@@ -1,11 +1,9 @@
 //! Proves diagnostics against numbers found by hand and against their definitions by leaving rows out, and the selection of
 //! terms on data that are made of some of them.
 
-use abbe_numerics::{
-    Accumulator, DesignMatrix, Influence, LinearFit, StepwiseDirection, StepwiseSelection, coverage_factor, f_test,
-    fit_linear,
-};
+use abbe_numerics::{Accumulator, Influence, StepwiseDirection, StepwiseSelection, coverage_factor, f_test};
 
+use crate::linear::{DesignMatrix, LinearFit, fit_linear};
 use crate::problems::{Linear, Random};
 
 fn line(y: &[f64]) -> LinearFit {

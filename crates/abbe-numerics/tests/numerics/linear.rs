@@ -1,8 +1,9 @@
-//! Linear least squares held in memory, refined until the coefficients are right to working precision.
+//! A solver to compare with: linear least squares held in memory, refined until the coefficients are right to working
+//! precision.
 //!
 //! Plain QR loses as many digits as the condition number has, and its square counts where residuals are large. Refinement of
 //! coefficients and residuals together (Björck 1967), with what is left of the equations summed in doubled precision, gives
-//! them back as long as the condition number is below 1e16. The iteration of [`solve`](crate::solve) does not do this: its
+//! them back as long as the condition number is below 1e16. The iteration of `abbe_numerics::solve` does not do this: its
 //! residuals come from a model that has rounding of its own.
 
 use faer::Mat;
