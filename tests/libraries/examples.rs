@@ -111,3 +111,30 @@ fn the_nutating_head_is_calibrated_end_to_end() {
     NUTATING_HEAD.copy(folder.path());
     within(&NUTATING_HEAD.run(folder.path(), "nutating-head.yaml"));
 }
+
+#[test]
+fn what_a_recipe_uses_keeps_the_laws_and_a_recipe_that_cannot_run_does_not() {
+    for example in [&HEXAPOD, &NUTATING_HEAD] {
+        let folder = temporary();
+        example.copy(folder.path());
+        let recipe = format!("{}.yaml", example.recipe);
+        let check = |recipe: &str| {
+            abbe(
+                folder.path(),
+                &["plugin", "check", example.library, "--recipe", recipe, "--time-limit", "120", "--json"],
+            )
+        };
+        let printed = check(&recipe);
+        assert_eq!(printed.status, 0, "{}{}", printed.stdout, printed.stderr);
+        let report: Value = serde_json::from_str(&printed.stdout).expect("JSON");
+        let tests = report["tests"].as_array().expect("tests");
+        let last = tests.last().expect("a test");
+        assert_eq!((tests.len(), &last["test"], &last["skipped"]), (12, &json!("recipe"), &json!([])), "{report:#}");
+
+        let text = read(&folder.path().join(&recipe));
+        write(&folder.path().join("wrong.yaml"), &text.replace("model: ", "model: no-"));
+        let printed = check("wrong.yaml");
+        assert_eq!(printed.status, 1, "{}", printed.stdout);
+        assert!(printed.stdout.contains("there is no model plugin `no-"), "{}", printed.stdout);
+    }
+}
