@@ -133,6 +133,19 @@ pub enum RankPoint {
     NominalReading(#[serde(deserialize_with = "by_row")] BTreeMap<usize, NominalReading>),
 }
 
+impl RankPoint {
+    /// Where rows are judged unless more is said: in nominal contact if linear axes move until there is contact, else as
+    /// recorded.
+    pub fn of(contact: &Contact) -> Self {
+        if *contact == Contact::LinearAxes { Self::InContact } else { Self::AsRecorded }
+    }
+
+    /// What a text without it means, until [`of`](Self::of) settles it: no row has a nominal reading.
+    fn not_said() -> Self {
+        Self::NominalReading(BTreeMap::new())
+    }
+}
+
 /// A map by row: the keys of a JSON object are texts, and stay that where they pass through another type.
 fn by_row<'de, D: Deserializer<'de>>(deserializer: D) -> Result<BTreeMap<usize, NominalReading>, D::Error> {
     let by_text = BTreeMap::<String, NominalReading>::deserialize(deserializer)?;
@@ -398,7 +411,7 @@ pub struct ObservationsInfo {
     /// What moves, or is read, until the equations hold when a row is really measured.
     pub contact: Contact,
     /// Where rank and condition are judged.
-    #[serde(default)]
+    #[serde(default = "RankPoint::not_said")]
     pub rank_point: RankPoint,
     /// For every row the only axis that moves until contact; empty if all linear axes move.
     #[serde(default)]
@@ -409,7 +422,7 @@ impl ObservationsInfo {
     /// Observations of lengths, without known inputs and features, whose unknowns start from zero; judged in nominal contact if
     /// linear axes move until there is contact, else as recorded.
     pub fn new(layout: Layout, unknowns: Vec<Parameter>, contact: Contact) -> Self {
-        let rank_point = if contact == Contact::LinearAxes { RankPoint::InContact } else { RankPoint::AsRecorded };
+        let rank_point = RankPoint::of(&contact);
         Self {
             layout,
             start: vec![0.0; unknowns.len()],

@@ -144,13 +144,13 @@ pub enum Basis {
     #[default]
     Measurements,
     /// Another estimate, which it analyses (`of`).
-    Estimate,
+    Analysis,
     /// What is stated of a machine (`machine`).
     Statement,
     /// A calibration that was made elsewhere: it brings its machine.
     Calibration,
     /// Several other estimates (`of`), and a `machine` unless the first of them has all that they know.
-    Estimates,
+    Combination,
 }
 
 /// One record of the registry, the same for built-in and for loaded plugins.
@@ -179,7 +179,7 @@ pub struct Plugin {
 impl Basis {
     /// Whether an estimate may analyse another one.
     pub fn may_analyse(self) -> bool {
-        matches!(self, Self::Measurements | Self::Estimate)
+        matches!(self, Self::Measurements | Self::Analysis)
     }
 }
 
@@ -248,6 +248,8 @@ inventory::collect!(Plugin);
 /// );
 ///
 /// fn build(settings: Settings, context: &Context) -> Result<Box<dyn Validate>, SettingsError> {
+///     Ok(Box::new(Largest { settings }))
+/// }
 /// ```
 #[macro_export]
 macro_rules! register {

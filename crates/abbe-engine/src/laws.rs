@@ -9,8 +9,8 @@ use abbe_simulation::{Noise, Truth, measure};
 use crate::prepare::Prepared;
 use crate::run::{Taken, has_rows};
 
-/// What the errors of the virtual machine amount to where they matter most, mm or rad: small, so that who linearises once
-/// finds them to the nanometre, too.
+/// What the errors of the virtual machine amount to where they matter most, mm or rad: so small that an estimator which
+/// linearises only once finds them to the nanometre, too.
 const SIZE: f64 = 2e-3;
 
 /// What came of the laws.
@@ -42,7 +42,11 @@ impl Prepared {
             }
             let (measured, solution, made) = match self.located(stage, virtual_measurement(problem)) {
                 Ok((measured, solution)) => (measured, solution, true),
-                // Its own data have to do.
+                Err(error) if error.fault => {
+                    found.broken.push(format!("{}: {error}", stage.name));
+                    continue;
+                }
+                // The laws of artefacts are then looked at on the recorded data.
                 Err(error) => {
                     found.skipped.push(format!("{}: a virtual machine makes no data: {}", stage.name, error.message));
                     (problem.clone(), problem.start(), false)
@@ -53,14 +57,20 @@ impl Prepared {
                 let artefact = self.recipe.stages.iter().find(|stage| stage.name == set.name);
                 let plugin = artefact.map_or_else(String::new, |stage| stage.plugin.clone());
                 found.seen.insert((set.name.clone(), plugin));
-                let broken = laws::of_observations(&at, index)?;
+                let broken = laws::of_observations(&at, index).unwrap_or_else(|error| vec![error.to_string()]);
                 found.broken.extend(broken.into_iter().map(|law| format!("{}, {}: {law}", stage.name, set.name)));
             }
             if !made {
                 continue;
             }
             let estimator = self.estimators[&stage.name].as_ref();
-            let identified = self.located(stage, estimator.identify(&measured))?;
+            let identified = match estimator.identify(&measured) {
+                Ok(identified) => identified,
+                Err(error) => {
+                    found.broken.push(format!("{}: {error}", stage.name));
+                    continue;
+                }
+            };
             if identified.rank < identified.unknowns {
                 let (rank, unknowns) = (identified.rank, identified.unknowns);
                 found.skipped.push(format!("{}: its data determine {rank} of {unknowns} unknowns", stage.name));
@@ -92,7 +102,7 @@ fn virtual_measurement(problem: &Problem) -> Result<(Problem, Vec<f64>)> {
     })?;
     let error = |(index, largest): (usize, &f64)| {
         let sign = if index % 2 == 0 { 1.0 } else { -1.0 };
-        // What shows nowhere stays what it is.
+        // A parameter that has no effect on any row stays at its start value.
         if *largest > 0.0 { sign * SIZE * (0.5 + 0.1 * (index % 6) as f64) / largest } else { 0.0 }
     };
     let errors = largest.iter().enumerate().map(error);

@@ -133,12 +133,12 @@ impl Prepared {
         let Some(problem) = problem else { return self.fit_again(stage, fits, monitor) };
         let estimator = self.estimators[&stage.name].clone();
         let calibration = match stage.basis {
-            Basis::Measurements | Basis::Estimate => {
+            Basis::Measurements | Basis::Analysis => {
                 return self.fit(stage, self.located(stage, start(stage, problem.clone(), fits))?);
             }
             Basis::Calibration => Ok(self.recalled[&stage.name].calibration.clone()),
             Basis::Statement => estimator.explain(problem),
-            Basis::Estimates => estimator.combine(problem, &named(stage.reference("of"), fits)),
+            Basis::Combination => estimator.combine(problem, &named(stage.reference("of"), fits)),
         };
         let fit = |calibration| fit_without_rows(calibration, problem.model.clone(), estimator);
         self.located(stage, calibration.and_then(fit))

@@ -19,8 +19,8 @@ pub fn aliased(problem: &Problem) -> Vec<String> {
         let machine = problem.unknowns.iter().filter(|unknown| unknown.owner == Owner::Machine);
         machine.into_iter().any(|unknown| period.parameters.contains(&unknown.index))
     };
-    let periods = problem.model.info().periods.clone().into_iter().filter(estimated);
-    periods.filter_map(|period| aliased_period(problem, &period)).collect()
+    let periods = problem.model.info().periods.iter().filter(|period| estimated(period));
+    periods.filter_map(|period| aliased_period(problem, period)).collect()
 }
 
 fn aliased_period(problem: &Problem, period: &Period) -> Option<String> {

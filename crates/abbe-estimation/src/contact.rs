@@ -67,7 +67,7 @@ pub fn at_contact(problem: &Problem, x: &[f64]) -> Result<Problem> {
 ///
 /// At recorded positions the residuals, and the offsets with which features are met beside their points, act as if they
 /// were information: they lift the singular values that are really zero. So do readings that follow from errors: their rows move
-/// to [`Observations::nominal_reading`](abbe_core::Observations::nominal_reading). Rows that are met anywhere, and rows whose
+/// to [`ObservationsInfo::nominal_reading`](abbe_core::ObservationsInfo::nominal_reading). Rows that are met anywhere, and rows whose
 /// readings tell more than errors do, stay where they are.
 pub fn rank_point(problem: &Problem, x: &[f64]) -> Result<Problem> {
     with_contacts(problem, x, moves_to_be_judged)
@@ -184,7 +184,7 @@ fn read(problem: &mut Problem, set: usize, rows: &[usize], errors: &[f64], work:
     problem.evaluate(set, rows, &[], work)?;
     let set = &mut problem.sets[set];
     let observations = set.observations.clone();
-    let (layout, disturbances) = (observations.info().layout.clone(), set.disturbances_mut());
+    let (layout, disturbances) = (&observations.info().layout, set.disturbances_mut());
     let equations = rows.iter().map(|&row| layout.rows[row]).flat_map(|row| {
         let equations = row.first_equation..row.first_equation + row.equations;
         equations.map(move |equation| (equation, row.poses > 0))
@@ -285,7 +285,7 @@ fn move_by_step(
     }
     let mut steps = steps.chunks_exact(count.max(1));
     let observations = set.observations.clone();
-    let (layout, table) = (observations.info().layout.clone(), set.poses_mut());
+    let (layout, table) = (&observations.info().layout, set.poses_mut());
     for row in rows.iter().map(|&row| layout.rows[row]) {
         for pose in row.first_pose..row.first_pose + row.poses {
             for (&status, step) in linear.statuses.iter().zip(steps.next().unwrap_or(&[])) {

@@ -15,18 +15,19 @@ pub fn remarks(problem: &Problem) -> Vec<String> {
     remarks
 }
 
-/// Own unknowns that nobody knows beforehand ([`ParameterRole::SetUp`]) and that are neither estimated nor known from an earlier estimate: what they are goes into the errors of the machine.
+/// Own unknowns of the set-up ([`ParameterRole::SetUp`]) that are neither estimated nor known from an earlier estimate: their
+/// values go into the errors of the machine.
 fn forgotten(problem: &Problem) -> Option<String> {
     let mut names = Vec::new();
     for (index, set) in problem.sets.iter().enumerate() {
-        let mut told = vec![false; set.own.len()];
+        let mut settled = vec![false; set.own.len()];
         for unknown in problem.unknowns.iter().chain(&problem.considered.unknowns) {
             if unknown.owner == Owner::Set(index) {
-                told[unknown.index] = true;
+                settled[unknown.index] = true;
             }
         }
-        let own = set.info().unknowns.iter().zip(told);
-        let own = own.filter(|(own, told)| own.role == ParameterRole::SetUp && !told);
+        let own = set.info().unknowns.iter().zip(settled);
+        let own = own.filter(|(own, settled)| own.role == ParameterRole::SetUp && !settled);
         names.extend(own.map(|(own, _)| format!("{}.{}", set.name, own.name)));
     }
     let more = names.len().saturating_sub(NAMED);

@@ -184,16 +184,16 @@ pub fn of_rows(
     observations: &dyn Observations,
     covariance: Option<&Dataset>,
 ) -> Result<EquationUncertainty> {
-    let (layout, quantities) = (observations.info().layout.clone(), quantities(observations));
+    let (layout, quantities) = (&observations.info().layout, quantities(observations));
     let mut uncertainty = EquationUncertainty::independent(layout.standard_uncertainties.clone());
     if let Some(covariance) = covariance {
-        return full(&layout, &quantities, covariance);
+        return full(layout, &quantities, covariance);
     }
-    set_standard(rows, &layout, &quantities, &mut uncertainty.standard)?;
+    set_standard(rows, layout, &quantities, &mut uncertainty.standard)?;
     if rows.shared.is_empty() && !has_row_covariance(rows) {
         return Ok(uncertainty);
     }
-    let parts = covariances(rows, &layout, &quantities, &uncertainty.standard)?;
+    let parts = covariances(rows, layout, &quantities, &uncertainty.standard)?;
     let joined = components(uncertainty.standard.len(), &parts);
     for (index, members) in joined.iter().enumerate() {
         let place: BTreeMap<usize, usize> = members.iter().enumerate().map(|(row, member)| (*member, row)).collect();

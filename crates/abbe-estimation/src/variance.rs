@@ -41,7 +41,7 @@ pub struct Components {
     pub degrees_of_freedom: Vec<f64>,
     /// Values of the unknowns with these weights.
     pub x: Vec<f64>,
-    trace: Vec<bool>,
+    determined: Vec<bool>,
 }
 
 impl Components {
@@ -51,14 +51,14 @@ impl Components {
         let named = sets.map(|(index, set)| VarianceFactor {
             stage: set.name.clone(),
             factor: self.factors[index],
-            degrees_of_freedom: Some(self.degrees_of_freedom[index]).filter(|_| self.trace[index]),
+            degrees_of_freedom: Some(self.degrees_of_freedom[index]).filter(|_| self.determined[index]),
         });
         named.collect()
     }
 
     /// Tells people which factors are what was stated.
     pub fn warn(&self, problem: &Problem) {
-        for (set, _) in problem.sets.iter().zip(&self.trace).filter(|(_, trace)| !**trace) {
+        for (set, _) in problem.sets.iter().zip(&self.determined).filter(|(_, determined)| !**determined) {
             tracing::warn!(
                 "{}: the rows of {} cannot tell how much they scatter (less than one of them is checked by others): what was stated counts",
                 problem.name,
@@ -147,7 +147,7 @@ pub fn components(
 ) -> Result<Components> {
     let count = problem.sets.len();
     let mut factors = vec![1.0; count];
-    let mut trace = vec![true; count];
+    let mut determined = vec![true; count];
     let mut exact = vec![false; count];
     let mut x = problem.start();
     for _ in 0..ROUNDS {
@@ -156,14 +156,14 @@ pub fn components(
         x.clone_from(&solution.x);
         let round = Round::new(&scaled, &solution, robust, rank)?;
         let silent: Vec<usize> =
-            (0..count).filter(|&group| trace[group] && round.redundancies[group] < LEAST_REDUNDANCY).collect();
+            (0..count).filter(|&group| determined[group] && round.redundancies[group] < LEAST_REDUNDANCY).collect();
         if !silent.is_empty() {
             for group in silent {
-                (trace[group], factors[group]) = (false, 1.0);
+                (determined[group], factors[group]) = (false, 1.0);
             }
             continue;
         }
-        let free: Vec<usize> = (0..count).filter(|&group| trace[group] && !exact[group]).collect();
+        let free: Vec<usize> = (0..count).filter(|&group| determined[group] && !exact[group]).collect();
         let (off, freedom) = round.solve(&free);
         let mut change = 0.0_f64;
         for (&group, off) in free.iter().zip(&off) {
@@ -183,10 +183,10 @@ pub fn components(
                 .filter(|&group| exact[group])
                 .for_each(|group| degrees_of_freedom[group] = round.redundancies[group]);
             if let Some(group) = free.iter().copied().find(|&group| degrees_of_freedom[group] < LEAST_REDUNDANCY) {
-                (trace[group], factors[group]) = (false, 1.0);
+                (determined[group], factors[group]) = (false, 1.0);
                 continue;
             }
-            return Ok(Components { factors, degrees_of_freedom, x, trace });
+            return Ok(Components { factors, degrees_of_freedom, x, determined });
         }
     }
     let error = Error::data(format!("the variance factors of the artefacts still change after {ROUNDS} rounds"));

@@ -64,8 +64,8 @@ struct AbbeReply;
 //
 // Observations have `layout`, `contact`, and whatever of `unknowns` (parameters), `start`, `inputs`, `features`, `orientation` (`"unused"`,
 // `"exact"`, `"first-order"`), `angles` (equations, by their index in the layout, that are of angles, rad; all others are of
-// lengths, mm), `rank_point` (`"as-recorded"`, `"in-contact"`, `{ "nominal-reading": { row: { "residuals", "axes" } } }`), `approaches`
-// and `data` there is.
+// lengths, mm), `rank_point` (`"as-recorded"`; `"in-contact"`, only and by default with the contact `"linear-axes"`;
+// `{ "nominal-reading": { row: { "residuals", "axes" } } }`, only with a reading), `approaches` and `data` there is.
 #define ABBE_DESCRIBE 1
 
 // Of stages: the files that they read. Answer: `[ { "setting", "path" } ]`.

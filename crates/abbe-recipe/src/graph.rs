@@ -42,7 +42,7 @@ pub(crate) fn references(plugin: &Plugin) -> &'static [Reference] {
         reference("start", Kind::Estimate, false, false),
         reference("of", Kind::Estimate, false, false),
     ];
-    const ANALYSIS: &[Reference] = &[reference(ANEW, Kind::Estimate, true, false)];
+    const ANALYSIS: &[Reference] = &[reference(ANALYSED, Kind::Estimate, true, false)];
     const VALIDATE: &[Reference] = &[
         reference("of", Kind::Estimate, true, true),
         reference("from", Kind::Ingest, false, true),
@@ -55,10 +55,10 @@ pub(crate) fn references(plugin: &Plugin) -> &'static [Reference] {
         Kind::Artefact => ARTEFACT,
         Kind::Estimate => match plugin.basis {
             Basis::Measurements => ESTIMATE,
-            Basis::Estimate => ANALYSIS,
+            Basis::Analysis => ANALYSIS,
             Basis::Statement => STATEMENT,
             Basis::Calibration => &[],
-            Basis::Estimates => ESTIMATES,
+            Basis::Combination => ESTIMATES,
         },
         Kind::Validate => VALIDATE,
         Kind::Export => EXPORT,
@@ -66,11 +66,11 @@ pub(crate) fn references(plugin: &Plugin) -> &'static [Reference] {
 }
 
 /// The key of an estimate that analyses another one, and takes machine, observations and parameters from it.
-pub(crate) const ANEW: &str = "of";
+pub(crate) const ANALYSED: &str = "of";
 
 /// Whether a stage analyses another estimate.
-pub(crate) fn is_anew(stage: &Head<'_>) -> bool {
-    stage.plugin.kind() == Kind::Estimate && stage.plugin.basis.may_analyse() && stage.node.get(ANEW).is_some()
+pub(crate) fn is_analysis(stage: &Head<'_>) -> bool {
+    stage.plugin.kind() == Kind::Estimate && stage.plugin.basis.may_analyse() && stage.node.get(ANALYSED).is_some()
 }
 
 impl Reference {
@@ -88,7 +88,7 @@ impl Reference {
     pub fn read<'a>(&self, stage: &Head<'a>, heads: &[Head<'a>]) -> Result<Vec<Node<'a>>, Error> {
         let Some(node) = stage.node.get(self.key) else {
             let missing = || stage.node.missing(&[self.key], format!("`{}` is missing: {}", self.key, self.takes()));
-            let inherits = is_anew(stage);
+            let inherits = is_analysis(stage);
             return if self.required && !inherits { Err(missing()) } else { Ok(Vec::new()) };
         };
         let names = if node.value.is_array() { node.list()? } else { vec![node.clone()] };

@@ -374,15 +374,15 @@ impl<'a> Head<'a> {
                 settings.insert(key.to_owned(), node.value.clone());
             }
         }
-        if graph::is_anew(self) {
+        if graph::is_analysis(self) {
             for key in ["machine", "observations", "parameters", "known", "start"] {
                 if let Some(node) = self.node.get(key) {
-                    let message = format!("`{key}` comes from the estimate that `{}` names", graph::ANEW);
+                    let message = format!("`{key}` comes from the estimate that `{}` names", graph::ANALYSED);
                     return Err(node.error(At::Key, message));
                 }
             }
         } else if kind == Kind::Estimate && self.plugin.basis != Basis::Measurements {
-            let takes_parameters = self.plugin.basis == Basis::Estimates;
+            let takes_parameters = self.plugin.basis == Basis::Combination;
             if let Some(node) = self.node.get("parameters").filter(|_| !takes_parameters) {
                 let message = format!("`{}` estimates nothing: it takes what it is given", self.plugin.name);
                 return Err(node.error(At::Key, message));

@@ -5,6 +5,9 @@ use serde_json::{Map, Value};
 
 use crate::graph::references;
 
+/// Maps within maps that are shown; a schema may refer to itself.
+const DEEPEST: usize = 8;
+
 /// Longest line of a page.
 const WIDTH: usize = 116;
 
@@ -23,7 +26,7 @@ pub fn page(plugin: &Plugin) -> String {
     list(&schema, &schema, 0, &mut settings);
     page.push_str(if settings.is_empty() { "None of its own.\n" } else { &settings });
     let mut more: Vec<String> = references(plugin).iter().map(|reference| format!("`{}`", reference.key)).collect();
-    if kind == Kind::Estimate && matches!(plugin.basis, Basis::Measurements | Basis::Estimates) {
+    if kind == Kind::Estimate && matches!(plugin.basis, Basis::Measurements | Basis::Combination) {
         more.extend(["`parameters`", "`shared_rows`"].map(str::to_owned));
     }
     more.extend(
@@ -79,49 +82,61 @@ fn example(plugin: &Plugin) -> String {
 
 /// The properties of a map, one item each, with those of the maps in it below.
 fn list(root: &Value, schema: &Value, depth: usize, out: &mut String) {
+    if depth > DEEPEST {
+        return;
+    }
     let required: Vec<&str> = schema["required"].as_array().into_iter().flatten().filter_map(Value::as_str).collect();
-    for (key, property) in schema["properties"].as_object().into_iter().flatten() {
-        let property = plain(root, property);
-        let mut traits = vec![kind_of(root, property)];
+    for (key, written) in schema["properties"].as_object().into_iter().flatten() {
+        let property = plain(root, written);
+        // What stands beside a reference is of this setting.
+        let beside = |key: &str| written.get(key).or(property.get(key));
+        let mut traits = vec![kind_of(root, property, false, 0)];
         traits.extend(unit(key).map(str::to_owned));
         if required.contains(&key.as_str()) {
             traits.push("required".to_owned());
-        } else if let Some(default) = property.get("default").filter(|default| is_told(default)) {
+        } else if let Some(default) = beside("default").filter(|default| says_something(default)) {
             traits.push(format!("default `{}`", shown(default)));
         }
-        item(out, depth, &format!("`{key}` ({})", traits.join(", ")), property);
-        below(root, property, depth + 1, out);
+        item(out, depth, &format!("`{key}` ({})", traits.join(", ")), beside("description"));
+        below(root, property, depth + 1, 0, out);
     }
 }
 
-/// What stands in a setting: the maps in it, and alternatives that say what they are.
-fn below(root: &Value, schema: &Value, depth: usize, out: &mut String) {
+/// What stands in a setting: the maps in it, after so many steps through lists, and alternatives that say what they are.
+fn below(root: &Value, schema: &Value, depth: usize, steps: usize, out: &mut String) {
+    if depth.max(steps) > DEEPEST {
+        return;
+    }
     if schema["properties"].is_object() {
         return list(root, schema, depth, out);
     }
     for inner in ["items", "additionalProperties"] {
         if schema[inner].is_object() {
-            return below(root, plain(root, &schema[inner]), depth, out);
+            return below(root, plain(root, &schema[inner]), depth, steps + 1, out);
         }
     }
     for alternative in alternatives(schema) {
         let alternative = plain(root, alternative);
         if let Some(constant) = alternative.get("const").filter(|_| alternative["description"].is_string()) {
-            item(out, depth, &format!("`{}`", shown(constant)), alternative);
+            item(out, depth, &format!("`{}`", shown(constant)), alternative.get("description"));
         } else if alternative["properties"].is_object() {
-            let what = if alternative["description"].is_string() { "a map" } else { "a map of" };
-            item(out, depth, what, alternative);
+            // The setting that it cannot do without says best which map it is.
+            let what = match alternative["required"][0].as_str() {
+                Some(key) => format!("a map with `{key}`"),
+                None => "a map".to_owned(),
+            };
+            item(out, depth, &what, alternative.get("description"));
             list(root, alternative, depth + 1, out);
         } else if !alternatives(alternative).is_empty() {
-            below(root, alternative, depth, out);
+            below(root, alternative, depth, steps + 1, out);
         }
     }
 }
 
-fn item(out: &mut String, depth: usize, what: &str, schema: &Value) {
+fn item(out: &mut String, depth: usize, what: &str, description: Option<&Value>) {
     let indent = "  ".repeat(depth);
     let description =
-        schema["description"].as_str().unwrap_or_default().split_whitespace().collect::<Vec<_>>().join(" ");
+        description.and_then(Value::as_str).unwrap_or_default().split_whitespace().collect::<Vec<_>>().join(" ");
     let text = match description.is_empty() {
         true => format!("{indent}- {what}"),
         false => format!("{indent}- {what}: {description}"),
@@ -129,7 +144,7 @@ fn item(out: &mut String, depth: usize, what: &str, schema: &Value) {
     out.push_str(&wrapped(&format!("{indent}  "), &text));
 }
 
-/// A schema with its reference resolved, and without the alternative that it is absent.
+/// A schema with its reference resolved.
 fn plain<'a>(root: &'a Value, schema: &'a Value) -> &'a Value {
     if let Some(name) = schema["$ref"].as_str().and_then(|path| path.strip_prefix("#/$defs/")) {
         return &root["$defs"][name];
@@ -142,8 +157,11 @@ fn alternatives(schema: &Value) -> Vec<&Value> {
     all.filter(|alternative| alternative["type"] != "null").collect()
 }
 
-/// What may be written, in a few words.
-fn kind_of(root: &Value, schema: &Value) -> String {
+/// What may be written, in a few words; of several such things in the plural.
+fn kind_of(root: &Value, schema: &Value, plural: bool, depth: usize) -> String {
+    if depth > DEEPEST {
+        return "...".to_owned();
+    }
     if let Some(constant) = schema.get("const") {
         return format!("`{}`", shown(constant));
     }
@@ -152,44 +170,30 @@ fn kind_of(root: &Value, schema: &Value) -> String {
     }
     let alternatives = alternatives(schema);
     if !alternatives.is_empty() {
-        let mut all: Vec<String> = alternatives.iter().map(|one| kind_of(root, plain(root, one))).collect();
+        let mut all: Vec<String> =
+            alternatives.iter().map(|one| kind_of(root, plain(root, one), plural, depth + 1)).collect();
         all.dedup();
         return all.join(" or ");
     }
+    let of = |inner: &str| kind_of(root, plain(root, &schema[inner]), true, depth + 1);
     let listed = schema["type"].as_array().into_iter().flatten().filter_map(Value::as_str);
     let types: Vec<&str> = schema["type"].as_str().into_iter().chain(listed).filter(|kind| *kind != "null").collect();
-    let words = types.into_iter().map(|kind| match kind {
-        "string" => "text".to_owned(),
-        "integer" => "whole number".to_owned(),
-        "boolean" => "true or false".to_owned(),
-        "array" => match kind_of(root, plain(root, &schema["items"])) {
-            what if what.contains(" or ") => format!("list, each {what}"),
-            what if what.is_empty() => "list".to_owned(),
-            what => format!("list of {}", plural(&what)),
-        },
-        "object" if schema["additionalProperties"].is_object() => {
-            match kind_of(root, plain(root, &schema["additionalProperties"])) {
-                what if what.is_empty() => "map by name".to_owned(),
-                what => format!("map, by name {}", with_article(&what)),
-            }
-        }
-        "object" => "map".to_owned(),
-        other => other.to_owned(),
+    let words = types.into_iter().map(|kind| {
+        let (one, rest) = match kind {
+            "string" => ("text", String::new()),
+            "number" => ("number", String::new()),
+            "integer" => ("whole number", String::new()),
+            "boolean" => return "true or false".to_owned(),
+            "array" => ("list", of("items")),
+            "object" if schema["additionalProperties"].is_object() => ("map", of("additionalProperties")),
+            "object" => ("map", String::new()),
+            other => return other.to_owned(),
+        };
+        let by_name = if kind == "object" && !rest.is_empty() { " by name" } else { "" };
+        let rest = if rest.is_empty() { rest } else { format!(" of {rest}") };
+        format!("{one}{}{rest}{by_name}", if plural { "s" } else { "" })
     });
     words.collect::<Vec<_>>().join(" or ")
-}
-
-fn plural(what: &str) -> String {
-    match what {
-        "text" => "texts".to_owned(),
-        "true or false" => "true or false".to_owned(),
-        _ if what.starts_with(['`', 'l', 'm']) && what.contains(' ') => what.to_owned(),
-        _ => format!("{what}s"),
-    }
-}
-
-fn with_article(what: &str) -> String {
-    if what.starts_with('`') || what.starts_with("true") { what.to_owned() } else { format!("a {what}") }
 }
 
 /// The unit that the name of a setting ends with.
@@ -219,7 +223,7 @@ fn unit(key: &str) -> Option<&'static str> {
 }
 
 /// Whether a default says more than that nothing is there.
-fn is_told(default: &Value) -> bool {
+fn says_something(default: &Value) -> bool {
     match default {
         Value::Null => false,
         Value::Array(list) => !list.is_empty(),
@@ -289,6 +293,18 @@ mod tests {
                           - `touches`: One touch.\n  - `centres`: Centres.\n\
                         - `distances` (list of maps)\n  - `between` (list of texts)\n";
         assert_eq!(found, expected);
+    }
+
+    #[test]
+    fn a_schema_that_holds_itself_comes_to_an_end() {
+        let node = json!({ "type": "object", "properties": { "children": { "type": "array", "items": { "$ref": "#/$defs/node" } },
+            "more": { "$ref": "#/$defs/list", "description": "Lists of lists." } } });
+        let list_of_lists = json!({ "type": "array", "items": { "$ref": "#/$defs/list" } });
+        let schema = json!({ "$defs": { "node": node, "list": list_of_lists }, "properties": { "tree": { "$ref": "#/$defs/node" } } });
+        let mut found = String::new();
+        list(&schema, &schema, 0, &mut found);
+        assert!(found.starts_with("- `tree` (map)\n  - `children` (list of maps)\n"), "{found}");
+        assert!(found.contains("Lists of lists.") && found.len() < 100_000, "{}", found.len());
     }
 
     #[test]

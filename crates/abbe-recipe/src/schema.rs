@@ -4,7 +4,7 @@ use abbe_core::{Basis, InputUncertainty, Kind, Plugin, Registry};
 use abbe_planning::Planning;
 use serde_json::{Map, Value, json};
 
-use crate::graph::{ANEW, references};
+use crate::graph::{ANALYSED, references};
 
 /// The JSON Schema (2020-12) of the recipes that the plugins of the registry can run.
 pub fn schema(registry: &Registry) -> Value {
@@ -85,7 +85,7 @@ fn stage(plugin: &Plugin) -> Value {
     {
         properties.extend(common.clone());
     }
-    if kind == Kind::Estimate && matches!(plugin.basis, Basis::Measurements | Basis::Estimates) {
+    if kind == Kind::Estimate && matches!(plugin.basis, Basis::Measurements | Basis::Combination) {
         let description = "What is estimated: names, patterns with ? and *, sets as \"@S1\"";
         let patterns =
             json!({ "type": "array", "items": { "type": "string" }, "minItems": 1, "description": description });
@@ -97,7 +97,7 @@ fn stage(plugin: &Plugin) -> Value {
     if kind == Kind::Estimate && plugin.basis == Basis::Measurements {
         // An estimate of its own, or the analysis of another one.
         let own = json!({ "required": ["machine", "observations", "parameters"] });
-        settings.insert("anyOf".to_owned(), json!([own, { "required": [ANEW] }]));
+        settings.insert("anyOf".to_owned(), json!([own, { "required": [ANALYSED] }]));
     }
     if kind == Kind::Model {
         let description = "YAML file whose settings hold where this stage says nothing else";

@@ -44,7 +44,7 @@ impl Volumetric {
     }
 }
 
-/// The volumetric error of a batch of poses: `statuses` is rows x [`status`](KinematicModel::status), row by row.
+/// The volumetric error of a batch of poses: `statuses` is rows x [`status`](abbe_core::ModelInfo::status), row by row.
 ///
 /// The error is the tip with the values of the calibration minus the tip with nominal ones. Its covariance is
 /// `F C F^T` (Soons 1993, equation A.4), with F the derivatives of the tip to those parameters of the machine that the

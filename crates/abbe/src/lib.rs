@@ -17,7 +17,7 @@ use std::io::{self, Write};
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 
-use abbe_core::{Class, Error, Monitor, Origin, Registry, Result};
+use abbe_core::{Class, Error, Kind, Monitor, Origin, Registry, Result};
 use abbe_engine::{Outcome, Simulated, can_write_folder, prepare};
 use abbe_plugin::check::Findings;
 use clap::{Parser, Subcommand};
@@ -280,13 +280,28 @@ fn write_pages(registry: &Registry, folder: &Path) -> Result<String> {
 
 /// The laws over all that a recipe uses, among it the plugins of a library.
 fn laws(recipe: &Path, library: PathBuf, libraries: &Libraries) -> Result<Findings> {
-    let files = libraries.files.iter().cloned().chain([library]).collect();
+    let files = libraries.files.iter().cloned().chain([library.clone()]).collect();
     let libraries = Libraries { files, ..*libraries };
-    let found = libraries.registry(Some(recipe)).and_then(|registry| prepare(recipe, &registry)?.laws());
-    Ok(match found {
-        Ok(laws) => Findings { wrong: laws.broken, skipped: laws.skipped },
-        Err(error) => Findings { wrong: vec![error.to_string()], skipped: Vec::new() },
-    })
+    let found =
+        libraries.registry(Some(recipe)).and_then(|registry| Ok((prepare(recipe, &registry)?.laws()?, registry)));
+    let (laws, registry) = match found {
+        Ok(found) => found,
+        Err(error) => return Ok(Findings { wrong: vec![error.to_string()], skipped: Vec::new() }),
+    };
+    let mut findings = Findings { wrong: laws.broken, skipped: laws.skipped };
+    // Laws are those of these kinds; a library may be under another path in the recipe.
+    let name = library.file_name();
+    let own = registry.iter().filter(|plugin| {
+        let of_library = matches!(&plugin.origin, Origin::Library { file, .. } if file.file_name() == name);
+        of_library && matches!(plugin.kind(), Kind::Artefact | Kind::Model | Kind::Estimate)
+    });
+    let (seen, unseen): (Vec<_>, Vec<_>) =
+        own.partition(|plugin| laws.seen.iter().any(|(_, seen)| *seen == plugin.name));
+    if seen.is_empty() {
+        findings.wrong.push("the recipe uses no model, artefact or estimator of the library".to_owned());
+    }
+    findings.skipped.extend(unseen.iter().map(|plugin| format!("`{}`: the recipe does not use it", plugin.name)));
+    Ok(findings)
 }
 
 /// What was simulated, and how to go on.

@@ -30,7 +30,7 @@ abbe_core::register!(
     example,
     build,
     "../reference/estimate-combine.md",
-    Basis::Estimates,
+    Basis::Combination,
 );
 
 /// Settings of a combination.

@@ -29,7 +29,7 @@ abbe_core::register!(
     example,
     build,
     "../reference/estimate-monte-carlo.md",
-    Basis::Estimate,
+    Basis::Analysis,
 );
 
 fn example() -> Value {

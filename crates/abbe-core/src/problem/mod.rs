@@ -85,6 +85,7 @@ impl Problem {
         sets: Vec<ObservationSet>,
         patterns: &[String],
     ) -> Result<Self> {
+        check_lengths(model.as_ref(), &sets)?;
         let mut candidates = candidates(model.as_ref(), &sets);
         let mut chosen = vec![false; candidates.len()];
         for (index, pattern) in patterns.iter().enumerate() {
@@ -217,5 +218,17 @@ impl Problem {
         unknowns
             .map(|(unknown, start)| calibration.get(&unknown.name).map_or(start, |estimated| estimated.value))
             .collect()
+    }
+}
+
+/// Refuses models and observations that do not give one value for each of their parameters.
+fn check_lengths(model: &dyn KinematicModel, sets: &[ObservationSet]) -> Result<()> {
+    let info = model.info();
+    if [info.nominal.len(), info.nominal_uncertainties.len()] != [info.parameters.len(); 2] {
+        return Err(Error::data("the model has not one nominal value, and one uncertainty of it, a parameter").fault());
+    }
+    match sets.iter().find(|set| set.info().start.len() != set.info().unknowns.len()) {
+        Some(set) => Err(Error::data("the artefact has not one start value an unknown").fault().stage(&set.name)),
+        None => Ok(()),
     }
 }

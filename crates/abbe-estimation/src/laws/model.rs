@@ -1,7 +1,8 @@
 //! Laws of kinematic models.
 
 use abbe_core::{
-    Absent, AxisKind, ErrorFunction, KinematicModel, ParameterRole, Poses, Quantity, Result, StatusRole, Variable,
+    Absent, AxisKind, ErrorFunction, KinematicModel, ModelInfo, ParameterRole, Poses, Quantity, Result, StatusRole,
+    Variable,
 };
 use nalgebra::{Quaternion, UnitQuaternion, Vector3};
 
@@ -22,7 +23,19 @@ const TOLERANCE: f64 = 1e-5;
 ///
 /// A model may refuse orientations as a whole, but no pose within its range.
 pub fn of_model(model: &dyn KinematicModel) -> Vec<String> {
-    let mut broken = names(model.info().parameters.iter());
+    let info = model.info();
+    let mut broken = names(info.parameters.iter());
+    if info.nominal.len() != info.parameters.len() || info.nominal_uncertainties.len() != info.parameters.len() {
+        broken.push("it has not one nominal value, and one uncertainty of it, for every parameter".to_owned());
+        return broken;
+    }
+    for function in &info.error_functions {
+        let ErrorFunction { symbol, axis, component, .. } = function;
+        let role = ParameterRole::Motion { axis: *axis, component: *component };
+        if !info.parameters.iter().any(|parameter| parameter.role == role) {
+            broken.push(format!("no parameter has the role of the motion error {symbol}"));
+        }
+    }
     for (what, found) in [
         ("a pose", derivatives(model)),
         ("a pose", alone_and_together(model)),
@@ -105,9 +118,9 @@ fn derivatives(model: &dyn KinematicModel) -> Result<Vec<String>> {
         // shapes a function turns its phase by far more than that at the end of a long axis.
         let step = match variable {
             Variable::Parameter(index) if info.parameters[index].role == ParameterRole::Shape => {
-                3e-7 * info.nominal[index].abs()
+                shape_step(info, index)
             }
-            _ if largest > 0.0 => 1e-3 / largest,
+            _ if largest > 1e-9 => 1e-3 / largest,
             _ => 1e-3,
         };
         let shifted = |step: f64| -> Result<Poses> {
@@ -143,6 +156,11 @@ fn derivatives(model: &dyn KinematicModel) -> Result<Vec<String>> {
         }
     }
     Ok(broken)
+}
+
+/// A step of what shapes a function: a small part of its nominal value, if that is not zero.
+fn shape_step(info: &ModelInfo, index: usize) -> f64 {
+    3e-7 * if info.nominal[index] == 0.0 { 1.0 } else { info.nominal[index].abs() }
 }
 
 fn named(model: &dyn KinematicModel, variable: Variable) -> String {
@@ -207,8 +225,8 @@ fn motion_error(
         if !own && given == 0.0 {
             continue;
         }
-        // Coefficients are linear, wavelengths are not: a step that is a small part of the value.
-        let step = if values[index].abs() > 1e-2 { 1e-5 * values[index].abs() } else { 1e-5 };
+        let info = model.info();
+        let step = if parameter.role == ParameterRole::Shape { shape_step(info, index) } else { 1e-5 };
         let shifted = |step: f64| {
             let mut values = values.to_vec();
             values[index] += step;
@@ -229,7 +247,7 @@ fn motion_error(
 mod tests {
     use super::super::virtual_problem;
     use super::*;
-    use abbe_core::{ModelInfo, MotionError, PoseBatch, PosesMut};
+    use abbe_core::{MotionError, PoseBatch, PosesMut};
 
     /// The virtual machine, spoilt.
     struct Spoilt {

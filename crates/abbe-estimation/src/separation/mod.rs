@@ -38,7 +38,7 @@ const ROWS: usize = 60;
 
 /// A measurement that was not made.
 struct Trial {
-    /// SeparationTrials of one group differ in where they measure; one of them is told.
+    /// Trials of one group differ in where they measure; one of them is told.
     group: Group,
     /// What to do.
     sentence: String,

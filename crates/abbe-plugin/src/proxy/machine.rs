@@ -73,8 +73,23 @@ fn check_machine(info: &ModelInfo) -> Result<(), String> {
     if let Some(parameter) = info.parameters.iter().find(of_no_axis) {
         return Err(format!("describes a machine whose parameter {} is of no axis or component", parameter.name));
     }
+    let roles = (0..info.axes.len()).map(StatusRole::Direction).chain([StatusRole::Time, StatusRole::Stylus]);
+    for role in roles {
+        let name = role.column_name(&info.axes);
+        let meant = |column: &&StatusColumn| column.role == StatusRole::Other && name.as_ref() == Some(&column.name);
+        if let Some(column) = info.status.iter().find(meant) {
+            return Err(format!("describes a machine whose status {} does not say its role", column.name));
+        }
+    }
     if let Some(function) = info.error_functions.iter().find(|f| f.axis >= info.axes.len() || f.component >= 6) {
         return Err(format!("describes a machine whose error {} is of no axis or component", function.symbol));
+    }
+    let own = |function: &ErrorFunction, parameter: &Parameter| {
+        parameter.role == ParameterRole::Motion { axis: function.axis, component: function.component }
+    };
+    let without = |function: &&ErrorFunction| !info.parameters.iter().any(|parameter| own(function, parameter));
+    if let Some(function) = info.error_functions.iter().find(without) {
+        return Err(format!("describes a machine whose error {} no parameter has the role of", function.symbol));
     }
     let wrong = |period: &&Period| {
         let outside = period.parameters.iter().any(|parameter| *parameter >= info.parameters.len());

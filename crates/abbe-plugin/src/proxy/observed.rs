@@ -3,7 +3,9 @@
 use std::collections::BTreeMap;
 use std::sync::Arc;
 
-use abbe_core::{Dataset, Equations, Observations, ObservationsInfo, Orientation, RankPoint, Result, RowBatch};
+use abbe_core::{
+    Contact, Dataset, Equations, Observations, ObservationsInfo, Orientation, RankPoint, Result, RowBatch,
+};
 
 use super::{ask, finite};
 use crate::abi::*;
@@ -33,6 +35,9 @@ pub(crate) fn observations(object: &Transit, given: Option<&Arc<Dataset>>) -> Re
             };
             if info.start.is_empty() {
                 info.start.resize(info.unknowns.len(), 0.0);
+            }
+            if info.rank_point == RankPoint::NominalReading(BTreeMap::new()) {
+                info.rank_point = RankPoint::of(&info.contact);
             }
             check_observations(&info).map_err(|what| Failure::of(peer.who(), what))?;
             Ok(Arc::new(Observed { peer: peer.clone(), info }))
@@ -64,6 +69,15 @@ fn check_observations(info: &ObservationsInfo) -> Result<(), String> {
     }
     if let Some(equation) = info.angles.iter().find(|equation| **equation >= equations) {
         return Err(format!("says that equation {equation} is of an angle, and there is no such equation"));
+    }
+    let fits = matches!(
+        (&info.rank_point, &info.contact),
+        (RankPoint::AsRecorded, _)
+            | (RankPoint::InContact, Contact::LinearAxes)
+            | (RankPoint::NominalReading(_), Contact::Reading(_))
+    );
+    if !fits {
+        return Err("gives observations whose `rank_point` does not go with their `contact`".to_owned());
     }
     let none = BTreeMap::new();
     let nominal_readings = if let RankPoint::NominalReading(rows) = &info.rank_point { rows } else { &none };

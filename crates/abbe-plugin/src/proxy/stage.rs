@@ -1,12 +1,12 @@
 //! Stages of the other side.
 
-use std::collections::BTreeSet;
+use std::collections::{BTreeMap, BTreeSet};
 use std::path::PathBuf;
 use std::sync::{Arc, Mutex, PoisonError};
 
 use abbe_core::{
-    Artefact, Calibration, ColumnHeader, Dataset, Error, Export, ExportedFile, Figure, Findings, Fit, Ingest,
-    InputFile, KinematicModel, Model, Observations, Result, Target, Validate,
+    Artefact, AxisKind, Calibration, ColumnHeader, Dataset, Error, Export, ExportedFile, Figure, Findings, Fit, Ingest,
+    InputFile, KinematicModel, Model, Observations, RankPoint, Result, Target, Validate,
 };
 use serde::Serialize;
 
@@ -114,7 +114,18 @@ impl Artefact for Stage {
             let given = poses.row(0).len();
             return Err(broken(peer.who(), format!("gave poses of {given} statuses; the machine has {width}")));
         }
-        Ok(observed)
+        let info = observed.info();
+        let approached = info.approaches.iter().map(|approach| approach.axis);
+        let none = BTreeMap::new();
+        let readings = if let RankPoint::NominalReading(rows) = &info.rank_point { rows } else { &none };
+        let mut moving = approached.chain(readings.values().flat_map(|nominal| nominal.axes.iter().copied()));
+        let linear = |axis: usize| model.info().axes.get(axis).is_some_and(|axis| axis.kind == AxisKind::Linear);
+        match moving.find(|axis| !linear(*axis)) {
+            Some(axis) => {
+                Err(broken(peer.who(), format!("gave rows that axis {axis} meets, which is no linear axis here")))
+            }
+            None => Ok(observed),
+        }
     }
 
     fn targets(&self, stylus_radius: f64) -> Result<Vec<Target>> {

@@ -5,8 +5,8 @@ use std::sync::Arc;
 
 use abbe_core::{
     Absent, Axis, AxisKind, Branch, Dataset, Equations, Error, ErrorFunction, KinematicModel, Layout, ModelInfo,
-    MotionError, Parameter, ParameterRole, PoseBatch, Poses, PosesMut, Quantity, Result, RowBatch, StatusColumn,
-    StatusRole, Unit, Variable,
+    MotionError, Parameter, ParameterRole, PoseBatch, Poses, PosesMut, Quantity, RankPoint, Result, RowBatch,
+    StatusColumn, StatusRole, Unit, Variable,
 };
 use serde_json::{Value, json};
 
@@ -42,7 +42,10 @@ impl Wave {
             levels: Vec::new(),
             absent: Absent::Taken(absent),
         };
-        let parameters = ["EXX[sin]", "EXX.wavelength"].map(|name| Parameter::new(name, Unit::MM)).to_vec();
+        let parameters = ["EXX[sin]", "EXX.wavelength"].map(|name| Parameter::new(name, Unit::MM));
+        let [amplitude, wavelength] = parameters;
+        let motion = ParameterRole::Motion { axis: 0, component: 0 };
+        let parameters = vec![amplitude.with_role(motion), wavelength.with_role(ParameterRole::Shape)];
         let status = vec![
             column("X", StatusRole::Command(0), Quantity::Length, 0.0),
             column("time", StatusRole::Time, Quantity::Time, f64::NAN),
@@ -171,6 +174,10 @@ fn roles_of_what_is_not_there_are_refused() {
     assert!(message.contains("axis X has status 0, whose role is not the command of this axis"), "{message}");
     let message = refused(|info| info.status[1].role = StatusRole::Velocity(1));
     assert!(message.contains("status time is of an axis that is not there"), "{message}");
+    let message = refused(|info| info.status[1].role = StatusRole::Other);
+    assert!(message.contains("status time does not say its role"), "{message}");
+    let message = refused(|info| info.parameters[0].role = ParameterRole::Other);
+    assert!(message.contains("error EXX no parameter has the role of"), "{message}");
     for role in [ParameterRole::Motion { axis: 1, component: 0 }, ParameterRole::Location { axis: 0, component: 6 }] {
         let Err(failure) = across(Wave::new(&[]).with(|info| info.parameters[0].role = role)) else { panic!("taken") };
         assert!(failure.error("").message.contains("parameter EXX[sin] is of no axis or component"));
@@ -180,15 +187,16 @@ fn roles_of_what_is_not_there_are_refused() {
 #[test]
 fn roles_cross_as_words() {
     let sensor = StatusRole::Sensor("T_ball_screw".to_owned());
-    let motion = ParameterRole::Motion { axis: 0, component: 3 };
+    let location = ParameterRole::Location { axis: 0, component: 3 };
     let there = across(Wave::new(&[]).with(|info| {
         info.status[1].role = sensor.clone();
-        info.parameters[0].role = motion;
+        info.parameters[1].role = location;
     }));
     let there = there.expect("roles that are there");
-    assert_eq!((&there.info().status[1].role, there.info().parameters[0].role), (&sensor, motion));
+    assert_eq!((&there.info().status[1].role, there.info().parameters[1].role), (&sensor, location));
     assert_eq!(json!(there.info().status[0].role), json!({ "command": 0 }));
-    assert_eq!(json!(motion), json!({ "motion": { "axis": 0, "component": 3 } }));
+    assert_eq!(json!(location), json!({ "location": { "axis": 0, "component": 3 } }));
+    assert_eq!(json!(there.info().parameters[0].role), json!({ "motion": { "axis": 0, "component": 0 } }));
     assert_eq!(json!(StatusRole::ThermalState("head".to_owned())), json!({ "thermal-state": "head" }));
     assert_eq!(json!(ParameterRole::SetUp), json!("set-up"));
 }
@@ -288,4 +296,26 @@ fn equations_of_another_number_or_that_are_none_are_faults() {
     for wrong in [&[][..], &[0.0], &[0.0; 3], &[0.0, f64::NAN]] {
         assert!(evaluate(wrong).unwrap_err().fault, "{wrong:?}");
     }
+}
+
+#[test]
+fn where_rank_is_judged_follows_from_contact_and_may_not_contradict_it() {
+    let data = Arc::new(Dataset::default());
+    let mut layout = Layout::new(&data, &Wave::new(&[]), &[]).unwrap();
+    layout.push_constraint(&[1e-3]);
+    let of = |contact: &Value, rank_point: Option<&Value>| {
+        let mut text = json!({ "layout": layout, "contact": contact });
+        if let Some(rank_point) = rank_point {
+            text["rank_point"] = rank_point.clone();
+        }
+        let peer = Answering { text, gives: Vec::new(), turn: [0.0; 4] };
+        observations(&Transit::Remote(Arc::new(peer)), Some(&data)).map(|found| found.info().rank_point.clone()).ok()
+    };
+    let (axes, reading) = (json!("linear-axes"), json!({ "reading": "r" }));
+    let nominal = json!({ "nominal-reading": { "0": { "residuals": [0.0], "axes": [0] } } });
+    assert_eq!(of(&axes, None), Some(RankPoint::InContact));
+    assert_eq!(of(&reading, None), Some(RankPoint::AsRecorded));
+    assert_eq!(of(&axes, Some(&json!("as-recorded"))), Some(RankPoint::AsRecorded));
+    assert!(matches!(of(&reading, Some(&nominal)), Some(RankPoint::NominalReading(rows)) if rows.len() == 1));
+    assert_eq!((of(&axes, Some(&nominal)), of(&reading, Some(&json!("in-contact")))), (None, None));
 }
