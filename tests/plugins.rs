@@ -5,7 +5,7 @@ use std::path::PathBuf;
 use abbe_core::{Build, Context, PathItem};
 use serde_json::{Value, json};
 
-use crate::support::{abbe, json_file, read, recipes, registry, root, temporary, tree};
+use crate::support::{abbe, json_file, read, recipes, registry, root, temporary, tree, write};
 
 #[test]
 fn every_plugin_can_be_built_from_its_example() {
@@ -191,4 +191,15 @@ fn the_pages_of_plugins_are_up_to_date() {
         let long = kept.lines().find(|line| line.chars().count() > 120);
         assert_eq!(long, None, "{}", name.display());
     }
+}
+
+#[test]
+fn a_file_that_is_no_page_is_never_replaced() {
+    let folder = temporary();
+    write(&folder.path().join("README.md"), "# My own notes\n");
+    let printed = abbe(&root(), &["plugins", "--pages", &folder.path().to_string_lossy()]);
+    assert_eq!(printed.status, 2, "{}", printed.stdout);
+    assert!(printed.stderr.contains("README.md is there and is no page of a plugin"), "{}", printed.stderr);
+    assert_eq!(tree(folder.path()).len(), 1);
+    assert_eq!(read(&folder.path().join("README.md")), "# My own notes\n");
 }

@@ -257,7 +257,7 @@ pub struct PosesMut<'a> {
 }
 
 impl PosesMut<'_> {
-    /// Copies poses of the same lengths.
+    /// Copies poses. Panics unless all lists have the same lengths.
     pub fn copy_from(self, poses: &Poses) {
         self.positions.copy_from_slice(&poses.positions);
         self.orientations.copy_from_slice(&poses.orientations);

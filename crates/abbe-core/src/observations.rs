@@ -140,6 +140,12 @@ impl RankPoint {
         if *contact == Contact::LinearAxes { Self::InContact } else { Self::AsRecorded }
     }
 
+    /// The rows that have a nominal reading, by their index.
+    pub fn nominal_readings(&self) -> impl Iterator<Item = (&usize, &NominalReading)> {
+        let rows = if let Self::NominalReading(rows) = self { Some(rows) } else { None };
+        rows.into_iter().flatten()
+    }
+
     /// What a text without it means, until [`of`](Self::of) settles it: no row has a nominal reading.
     fn not_said() -> Self {
         Self::NominalReading(BTreeMap::new())

@@ -94,12 +94,7 @@ impl Prepared {
 /// errors.
 fn virtual_measurement(problem: &Problem) -> Result<(Problem, Vec<f64>)> {
     let start = problem.start();
-    let mut largest = vec![0.0_f64; start.len()];
-    problem.linearise(&start, |block| {
-        for line in block.jacobian.chunks_exact(start.len().max(1)) {
-            largest.iter_mut().zip(line).for_each(|(largest, by)| *largest = largest.max(by.abs()));
-        }
-    })?;
+    let largest = laws::largest_derivatives(problem, &start)?;
     let error = |(index, largest): (usize, &f64)| {
         let sign = if index % 2 == 0 { 1.0 } else { -1.0 };
         // A parameter that has no effect on any row stays at its start value.

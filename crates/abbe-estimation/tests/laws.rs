@@ -74,5 +74,5 @@ fn who_takes_no_measurements_is_not_judged() {
         }
     }
     assert_eq!(of_estimator(&Other).unwrap_err().message, "it takes circles of a ball bar");
-    assert_eq!(virtual_problem().1.len(), 9);
+    assert_eq!(virtual_problem().unwrap().1.len(), 9);
 }

@@ -23,7 +23,7 @@ use serde_json::{Map, Value};
 use document::{At, Document, Node};
 pub use libraries::Library;
 use libraries::libraries;
-pub use page::{index, page, page_name};
+pub use page::{PAGE_MARK, index, page, page_name};
 pub use schema::schema;
 use sets::Sets;
 

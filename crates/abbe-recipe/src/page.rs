@@ -8,6 +8,10 @@ use crate::graph::references;
 /// Maps within maps that are shown; a schema may refer to itself.
 const DEEPEST: usize = 8;
 
+/// How every page begins: what begins otherwise is not ours to replace.
+pub const PAGE_MARK: &str =
+    "<!-- Made by `abbe plugins --pages` from the plugins' own records: changes here are lost. -->";
+
 /// Longest line of a page.
 const WIDTH: usize = 116;
 
@@ -15,7 +19,7 @@ const WIDTH: usize = 116;
 /// settings with units and defaults as the schema has them, and the stage that its example makes.
 pub fn page(plugin: &Plugin) -> String {
     let kind = plugin.kind();
-    let mut page = format!("# `{kind}: {}`\n\n", plugin.name);
+    let mut page = format!("{PAGE_MARK}\n\n# `{kind}: {}`\n\n", plugin.name);
     page.push_str(&wrapped("", &format!("{}.", capital(&plugin.about))));
     if !plugin.reference.is_empty() {
         page.push_str(&format!("\n{}\n", plugin.reference.trim()));
@@ -49,9 +53,9 @@ pub fn page_name(plugin: &Plugin) -> String {
 
 /// The page that lists those of some plugins, by kind.
 pub fn index<'a>(plugins: impl Iterator<Item = &'a Plugin>) -> String {
-    let mut text = "# Plugins\nWhat each plugin does, when to use it, its equation, settings and source. These pages are made of the \
-                    plugins' own\nrecords by `abbe plugins --pages docs/plugins`.\n"
-        .to_owned();
+    let mut text = format!(
+        "{PAGE_MARK}\n\n# Plugins\nWhat each plugin does, when to use it, its equation, settings and source.\n"
+    );
     let mut last = None;
     for plugin in plugins {
         if last != Some(plugin.kind()) {

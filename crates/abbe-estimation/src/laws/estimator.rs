@@ -58,7 +58,7 @@ pub fn of_estimate(estimator: &dyn Estimate, problem: &Problem, solution: &[f64]
         broken.push(format!("it gives {} values for {} unknowns", values.len(), solution.len()));
         return Ok(broken);
     }
-    let sizes = sizes(problem, solution)?;
+    let sizes = largest_derivatives(problem, solution)?;
     for ((unknown, &expected), (size, value)) in problem.unknowns.iter().zip(solution).zip(sizes.iter().zip(values)) {
         let name = &unknown.name;
         let Some(estimated) = found.get(name).filter(|estimated| estimated.status == Status::Estimated) else {
@@ -95,11 +95,14 @@ fn uncertainty(calibration: &Calibration, name: &str, stated: f64) -> Option<Str
     }
 }
 
-/// The largest derivative of an equation to each unknown.
-fn sizes(problem: &Problem, x: &[f64]) -> Result<Vec<f64>> {
+/// The largest absolute derivative of an equation to each unknown at `x`, mm or rad per unit of the unknown: what an error
+/// of the unknown amounts to where it matters most.
+///
+/// Fails where the machine has no pose in a row.
+pub fn largest_derivatives(problem: &Problem, x: &[f64]) -> Result<Vec<f64>> {
     let mut sizes = vec![0.0_f64; x.len()];
     problem.linearise(x, |block| {
-        for line in block.jacobian.chunks_exact(sizes.len()) {
+        for line in block.jacobian.chunks_exact(sizes.len().max(1)) {
             sizes.iter_mut().zip(line).for_each(|(size, by)| *size = size.max(by.abs()));
         }
     })?;

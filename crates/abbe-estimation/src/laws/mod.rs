@@ -15,7 +15,7 @@ mod model;
 mod observations;
 mod virtual_machine;
 
-pub use estimator::{of_estimate, of_estimator};
+pub use estimator::{largest_derivatives, of_estimate, of_estimator};
 pub use model::{of_model, samples};
 pub use observations::of_observations;
 pub use virtual_machine::virtual_problem;

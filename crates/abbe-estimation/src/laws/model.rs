@@ -29,6 +29,17 @@ pub fn of_model(model: &dyn KinematicModel) -> Vec<String> {
         broken.push("it has not one nominal value, and one uncertainty of it, for every parameter".to_owned());
         return broken;
     }
+    let of_no_axis = |role: &StatusRole| match role {
+        StatusRole::Command(axis) | StatusRole::Direction(axis) | StatusRole::Velocity(axis) => {
+            *axis >= info.axes.len()
+        }
+        _ => false,
+    };
+    let no_status = info.axes.iter().any(|axis| axis.status >= info.status.len());
+    if no_status || info.status.iter().any(|column| of_no_axis(&column.role)) {
+        broken.push("an axis has no status, or a status is of an axis that is not there".to_owned());
+        return broken;
+    }
     for function in &info.error_functions {
         let ErrorFunction { symbol, axis, component, .. } = function;
         let role = ParameterRole::Motion { axis: *axis, component: *component };
@@ -278,7 +289,7 @@ mod tests {
     }
 
     fn spoilt() -> Spoilt {
-        let machine = virtual_problem().0.model;
+        let machine = virtual_problem().unwrap().0.model;
         Spoilt { info: machine.info().clone(), machine, spoil: |_| {}, silent: false }
     }
 
@@ -309,6 +320,16 @@ mod tests {
         let mut spoilt = spoilt();
         spoilt.info.parameters[1].name = "EXX[1]".to_owned();
         assert_eq!(of_model(&spoilt), ["`EXX[1]` stands twice"]);
+    }
+
+    #[test]
+    fn what_is_of_no_axis_is_found() {
+        let (mut status, mut axis) = (spoilt(), spoilt());
+        status.info.status[0].role = StatusRole::Direction(3);
+        axis.info.axes[2].status = 3;
+        for spoilt in [status, axis] {
+            assert_eq!(of_model(&spoilt), ["an axis has no status, or a status is of an axis that is not there"]);
+        }
     }
 
     #[test]

@@ -46,9 +46,12 @@ pub(super) struct Measurement {
 }
 
 /// A problem that every estimator of measurements can solve, with its solution: a machine of three linear axes touches
-/// twelve points that are known. Nine unknowns, thirty-six equations that hold exactly at the solution.
-pub fn virtual_problem() -> (Problem, Vec<f64>) {
-    measured(&Measurement::default()).expect("the virtual machine has poses wherever it is asked")
+/// twelve points that are known. Nine unknowns, thirty-six equations that hold exactly at the solution (mm and rad, in the
+/// order of the unknowns).
+///
+/// Does not fail as long as the checks of [`Problem::new`] let a right problem pass.
+pub fn virtual_problem() -> Result<(Problem, Vec<f64>)> {
+    measured(&Measurement::default())
 }
 
 /// The problem of a measurement, with its solution.

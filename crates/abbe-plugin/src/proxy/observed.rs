@@ -79,9 +79,7 @@ fn check_observations(info: &ObservationsInfo) -> Result<(), String> {
     if !fits {
         return Err("gives observations whose `rank_point` does not go with their `contact`".to_owned());
     }
-    let none = BTreeMap::new();
-    let nominal_readings = if let RankPoint::NominalReading(rows) = &info.rank_point { rows } else { &none };
-    for (index, nominal) in nominal_readings {
+    for (index, nominal) in info.rank_point.nominal_readings() {
         let equations = layout.rows.get(*index).map(|row| row.equations);
         if equations != Some(nominal.residuals.len()) || !nominal.residuals.iter().all(|value| value.is_finite()) {
             return Err(format!("gives a nominal reading of row {index} that is not one finite number an equation"));

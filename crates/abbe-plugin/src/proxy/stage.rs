@@ -1,12 +1,12 @@
 //! Stages of the other side.
 
-use std::collections::{BTreeMap, BTreeSet};
+use std::collections::BTreeSet;
 use std::path::PathBuf;
 use std::sync::{Arc, Mutex, PoisonError};
 
 use abbe_core::{
     Artefact, AxisKind, Calibration, ColumnHeader, Dataset, Error, Export, ExportedFile, Figure, Findings, Fit, Ingest,
-    InputFile, KinematicModel, Model, Observations, RankPoint, Result, Target, Validate,
+    InputFile, KinematicModel, Model, Observations, ObservationsInfo, Result, Target, Validate,
 };
 use serde::Serialize;
 
@@ -95,6 +95,14 @@ impl Ingest for Stage {
     }
 }
 
+/// An axis that should move until contact, or while a reading is taken, and is no linear axis of the machine.
+fn not_linear(info: &ObservationsInfo, model: &dyn KinematicModel) -> Option<usize> {
+    let approached = info.approaches.iter().map(|approach| approach.axis);
+    let read = info.rank_point.nominal_readings().flat_map(|(_, nominal)| nominal.axes.iter().copied());
+    let linear = |axis: usize| model.info().axes.get(axis).is_some_and(|axis| axis.kind == AxisKind::Linear);
+    approached.chain(read).find(|axis| !linear(*axis))
+}
+
 impl Artefact for Stage {
     fn inputs(&self) -> Vec<InputFile> {
         self.inputs.clone()
@@ -114,13 +122,7 @@ impl Artefact for Stage {
             let given = poses.row(0).len();
             return Err(broken(peer.who(), format!("gave poses of {given} statuses; the machine has {width}")));
         }
-        let info = observed.info();
-        let approached = info.approaches.iter().map(|approach| approach.axis);
-        let none = BTreeMap::new();
-        let readings = if let RankPoint::NominalReading(rows) = &info.rank_point { rows } else { &none };
-        let mut moving = approached.chain(readings.values().flat_map(|nominal| nominal.axes.iter().copied()));
-        let linear = |axis: usize| model.info().axes.get(axis).is_some_and(|axis| axis.kind == AxisKind::Linear);
-        match moving.find(|axis| !linear(*axis)) {
+        match not_linear(observed.info(), model) {
             Some(axis) => {
                 Err(broken(peer.who(), format!("gave rows that axis {axis} meets, which is no linear axis here")))
             }
