@@ -10,7 +10,7 @@ use abbe_core::{
     SettingsError, inventory,
 };
 use abbe_engine::prepare;
-use abbe_estimation::{Solved, UncertaintyEvaluation, Weighted, confounded, judged_factor};
+use abbe_estimation::{Judgement, Solved, UncertaintyEvaluation, Weighted, confounded};
 use abbe_numerics::LeastSquares;
 use nalgebra::{DMatrix, DVector};
 use schemars::JsonSchema;
@@ -119,7 +119,7 @@ impl Estimate for LevenbergMarquardt {
     }
 
     fn identify(&self, problem: &Problem) -> Result<Identifiability> {
-        Self::EVALUATION.identify(problem, &judged_factor(problem, &problem.start())?)
+        Self::EVALUATION.identify(problem, &Judgement::new(problem, None)?)
     }
 }
 

@@ -290,6 +290,9 @@ pub struct Period {
     pub length: f64,
     /// Indices of its parameters.
     pub parameters: Vec<usize>,
+    /// Indices of the parameters that shape it: its length, where that may be estimated.
+    #[serde(default)]
+    pub shapes: Vec<usize>,
 }
 
 /// The value of a motion error at a status, and how it depends on parameters.

@@ -5,10 +5,11 @@ use std::io;
 use std::path::{Path, PathBuf};
 use std::time::{Duration, SystemTime, UNIX_EPOCH};
 
-use abbe_core::{Decision, Error, ExportedFile, Fit, Result, Verdict};
+use abbe_core::{Decision, Error, ExportedFile, Fit, Kind, Result, Verdict};
+use abbe_recipe::Stage;
 use serde::Serialize;
 
-use crate::record::{InputRecord, PluginRecord, RUN_FORMAT, RunRecord};
+use crate::record::{FailureRecord, InputRecord, PluginRecord, RUN_FORMAT, RunRecord};
 
 /// Everything that a run found, in memory.
 pub struct Outcome {
@@ -20,10 +21,36 @@ pub struct Outcome {
     pub verdicts: Vec<Verdict>,
     /// Exported files and tables of validators by stage.
     pub exports: Vec<(String, Vec<ExportedFile>)>,
+    /// The stages that failed, and those that were left out because they need one of them.
+    pub failures: Vec<Failure>,
     pub(crate) inputs: Vec<InputRecord>,
     pub(crate) plugins: Vec<PluginRecord>,
     pub(crate) started: SystemTime,
     pub(crate) duration: Duration,
+}
+
+/// A stage without a result.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Failure {
+    /// Its name.
+    pub stage: String,
+    /// Its kind.
+    pub kind: Kind,
+    /// Why it has no result.
+    pub error: Error,
+    /// The stage that failed and that it needs; none if it failed itself.
+    pub needs: Option<String>,
+}
+
+impl Failure {
+    pub(crate) fn own(stage: &Stage, error: Error) -> Self {
+        Self { stage: stage.name.clone(), kind: stage.kind, error, needs: None }
+    }
+
+    pub(crate) fn of_needed(stage: &Stage, needed: &str) -> Self {
+        let error = Error::data(format!("it needs `{needed}`, which failed")).stage(&stage.name);
+        Self { stage: stage.name.clone(), kind: stage.kind, error, needs: Some(needed.to_owned()) }
+    }
 }
 
 impl Outcome {
@@ -32,9 +59,9 @@ impl Outcome {
         Decision::of_all(self.verdicts.iter().map(|verdict| verdict.decision))
     }
 
-    /// Whether no verdict fails.
+    /// Whether no stage failed and no verdict fails.
     pub fn passes(&self) -> bool {
-        self.decision().passes()
+        self.failures.is_empty() && self.decision().passes()
     }
 
     /// Writes the results into `<out>/<recipe>/`, replacing what an earlier run left there; gives that folder.
@@ -77,6 +104,7 @@ impl Outcome {
             recipe: self.recipe.clone(),
             inputs: self.inputs.clone(),
             plugins: self.plugins.clone(),
+            failures: self.failures.iter().map(FailureRecord::of).collect(),
             started_unix_s: self.started.duration_since(UNIX_EPOCH).map_or(0, |since| since.as_secs()),
             duration_s: self.duration.as_secs_f64(),
         }

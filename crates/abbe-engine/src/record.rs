@@ -10,6 +10,8 @@ use abbe_core::{Error, FileFormat, Kind, Origin, Plugin, Result};
 use serde::{Deserialize, Serialize};
 use sha2::{Digest, Sha256};
 
+use crate::outcome::Failure;
+
 /// The number of the format of `run.json`.
 pub const RUN_FORMAT: u32 = 1;
 
@@ -28,6 +30,9 @@ pub struct RunRecord {
     pub inputs: Vec<InputRecord>,
     /// Every plugin that took part.
     pub plugins: Vec<PluginRecord>,
+    /// The stages without a result; none in a run that is complete.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub failures: Vec<FailureRecord>,
     /// Start, seconds since 1970-01-01 UTC.
     pub started_unix_s: u64,
     /// How long it took without writing the results, s.
@@ -57,6 +62,44 @@ pub struct PluginRecord {
     pub sha256: Option<String>,
     /// Its version.
     pub version: String,
+}
+
+/// A stage of a run that has no result.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct FailureRecord {
+    /// Its kind.
+    pub kind: Kind,
+    /// Its name.
+    pub stage: String,
+    /// Why it has none.
+    pub message: String,
+    /// What to do.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub help: Option<String>,
+    /// The file that is concerned.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub file: Option<String>,
+    /// The line in it, from 1.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub line: Option<usize>,
+    /// The stage that failed and that it needs; none if it failed itself.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub needs: Option<String>,
+}
+
+impl FailureRecord {
+    pub(crate) fn of(failure: &Failure) -> Self {
+        let place = failure.error.place.as_ref();
+        Self {
+            kind: failure.kind,
+            stage: failure.stage.clone(),
+            message: failure.error.message.clone(),
+            help: failure.error.help.clone(),
+            file: place.map(|place| place.file.display().to_string()),
+            line: place.and_then(|place| place.line),
+            needs: failure.needs.clone(),
+        }
+    }
 }
 
 impl RunRecord {

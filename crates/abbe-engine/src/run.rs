@@ -5,14 +5,14 @@ use std::sync::Arc;
 use std::time::{Instant, SystemTime};
 
 use abbe_core::{
-    Basis, Calibration, DataRecord, Dataset, Error, Event, ExportedFile, Fit, Identifiability, Kind, KinematicModel,
-    Monitor, ObservationSet, Owner, Problem, Registry, Result, Verdict, in_parallel,
+    Basis, Calibration, Class, DataRecord, Dataset, Error, Event, ExportedFile, Fit, Identifiability, Kind,
+    KinematicModel, Monitor, ObservationSet, Owner, Problem, Registry, Result, Verdict, in_parallel,
 };
 use abbe_estimation::remarks;
 use abbe_recipe::Stage;
 
 use crate::evidence;
-use crate::outcome::Outcome;
+use crate::outcome::{Failure, Outcome};
 use crate::prepare::{Prepared, build_model};
 use crate::recalled::fit_without_rows;
 use crate::record::{InputRecord, input_records};
@@ -30,6 +30,9 @@ pub struct Planned {
     pub machine: Vec<String>,
 }
 
+/// Files by the stage that made them.
+type Exports = Vec<(String, Vec<ExportedFile>)>;
+
 pub(crate) type Datasets = BTreeMap<String, Arc<Dataset>>;
 
 impl Prepared {
@@ -40,19 +43,21 @@ impl Prepared {
         let mut taken = Taken::default();
         let problems = self.problems(&data, &mut taken)?;
         self.evidence(&problems, &digests)?;
-        let mut planned = Vec::new();
+        let (mut planned, mut found) = (Vec::new(), BTreeMap::new());
         for stage in self.stages(Kind::Estimate).filter(has_rows) {
             let Some(problem) = problems.get(&stage.name) else { continue };
             let estimator = &self.estimators[&stage.name];
             let mut identifiability = self.located(stage, estimator.identify(problem))?;
+            found.insert(stage.name.clone(), identifiability.clone());
             identifiability.remarks.extend(remarks(problem));
             let accepted = self.located(stage, estimator.accepts(&identifiability))?;
             let own = problem.unknowns.iter().filter(|unknown| unknown.owner == Owner::Machine);
             let machine = own.map(|unknown| unknown.name.clone()).collect();
             planned.push(Planned { estimate: stage.name.clone(), identifiability, accepted, machine });
         }
-        self.unseen(&problems, &data, &mut taken)?;
+        let unseen = self.unseen(&problems, &data, &mut taken)?;
         self.nothing_left_over(&data, &taken)?;
+        self.rehearse(true, &problems, &found, &unseen, &data)?;
         Ok(planned)
     }
 
@@ -68,13 +73,51 @@ impl Prepared {
         let unseen = self.unseen(&problems, &data, &mut taken)?;
         // Before the first fit, so that a feature that nobody knows does not cost a long run.
         self.nothing_left_over(&data, &taken)?;
+        self.rehearse(false, &problems, &BTreeMap::new(), &unseen, &data)?;
+        let mut failures = Vec::new();
+        let fits = self.estimates(&problems, &evidence, monitor, &mut failures)?;
+        if let (true, Some(failure)) = (fits.is_empty(), failures.first()) {
+            // Nothing to write: an earlier run keeps its results.
+            return Err(failure.error.clone());
+        }
+        let (verdicts, mut exports) = self.verdicts(&fits, &unseen, &data, monitor, &mut failures)?;
+        exports.extend(self.exports(&fits, monitor, &mut failures)?);
+        Ok(Outcome {
+            recipe: self.recipe.id.clone(),
+            fits,
+            verdicts,
+            exports,
+            failures,
+            inputs,
+            plugins: self.plugins.clone(),
+            started,
+            duration: clock.elapsed(),
+        })
+    }
+
+    /// All estimates, each as soon as those are there that it needs. One that fails costs those alone that need it.
+    fn estimates(
+        &self,
+        problems: &BTreeMap<String, Problem>,
+        evidence: &BTreeMap<String, Vec<DataRecord>>,
+        monitor: &Monitor,
+        failures: &mut Vec<Failure>,
+    ) -> Result<Vec<Fit>> {
         let mut fits: Vec<Fit> = Vec::new();
         let mut waiting: Vec<&Stage> = self.stages(Kind::Estimate).collect();
         while !waiting.is_empty() {
+            let needs = |stage: &Stage| -> Vec<String> {
+                ["start", "known", "of"].iter().flat_map(|key| stage.reference(key).to_vec()).collect()
+            };
+            waiting.retain(|stage| match failed(&needs(stage), failures) {
+                Some(failure) => {
+                    failures.push(failure(stage));
+                    false
+                }
+                None => true,
+            });
             let done = |name: &String| fits.iter().any(|fit| fit.name == *name);
-            let finished =
-                |stage: &&Stage| ["start", "known", "of"].iter().all(|key| stage.reference(key).iter().all(done));
-            let ready: Vec<&Stage> = waiting.iter().copied().filter(finished).collect();
+            let ready: Vec<&Stage> = waiting.iter().copied().filter(|stage| needs(stage).iter().all(done)).collect();
             waiting.retain(|stage| !ready.iter().any(|ready| ready.name == stage.name));
             let done = in_parallel(&ready, None, |stage| {
                 self.started(stage, monitor)?;
@@ -84,12 +127,33 @@ impl Prepared {
                 fit.calibration.data.clone_from(&evidence[&stage.name]);
                 Ok(fit)
             });
-            fits.extend(done.into_iter().collect::<Result<Vec<Fit>>>()?);
+            for (stage, result) in ready.into_iter().zip(done) {
+                fits.extend(unless_failed(stage, result, failures)?);
+            }
         }
-        let stages: Vec<&Stage> = self.stages(Kind::Validate).collect();
-        let verdicts = in_parallel(&stages, None, |stage| {
+        Ok(fits)
+    }
+
+    /// The verdicts, and the tables that go with them.
+    fn verdicts(
+        &self,
+        fits: &[Fit],
+        unseen: &BTreeMap<(&str, &str), Problem>,
+        data: &Datasets,
+        monitor: &Monitor,
+        failures: &mut Vec<Failure>,
+    ) -> Result<(Vec<Verdict>, Exports)> {
+        let mut stages: Vec<&Stage> = self.stages(Kind::Validate).collect();
+        stages.retain(|stage| match failed(stage.reference("of"), failures) {
+            Some(failure) => {
+                failures.push(failure(stage));
+                false
+            }
+            None => true,
+        });
+        let judged = in_parallel(&stages, None, |stage| {
             self.started(stage, monitor)?;
-            let watched: Vec<Fit> = (named(stage.reference("of"), &fits).into_iter())
+            let watched: Vec<Fit> = (named(stage.reference("of"), fits).into_iter())
                 .map(|fit| watched(fit, monitor.of_stage(&stage.name)))
                 .collect();
             let fits: Vec<&Fit> = watched.iter().collect();
@@ -105,27 +169,30 @@ impl Prepared {
             let files = tables.into_iter().map(|(name, text)| ExportedFile { name, content: text.into_bytes() });
             Ok((Verdict::new(&stage.name, &stage.plugin, findings), (stage.name.clone(), files.collect())))
         });
-        let (verdicts, mut exports): (Vec<Verdict>, Vec<(String, Vec<ExportedFile>)>) =
-            verdicts.into_iter().collect::<Result<Vec<_>>>()?.into_iter().unzip();
+        let mut found: Vec<(Verdict, (String, Vec<ExportedFile>))> = Vec::new();
+        for (stage, result) in stages.into_iter().zip(judged) {
+            found.extend(unless_failed(stage, result, failures)?);
+        }
+        let (verdicts, mut exports): (Vec<Verdict>, Exports) = found.into_iter().unzip();
         exports.retain(|(_, files)| !files.is_empty());
+        Ok((verdicts, exports))
+    }
+
+    /// The files of all exporters. An exporter of several estimates writes those of the ones that are there.
+    fn exports(&self, fits: &[Fit], monitor: &Monitor, failures: &mut Vec<Failure>) -> Result<Exports> {
+        let mut exports = Vec::new();
         for stage in self.stages(Kind::Export) {
             self.started(stage, monitor)?;
-            for fit in named(stage.reference("of"), &fits) {
+            if let Some(failure) = failed(stage.reference("of"), failures) {
+                failures.push(failure(stage));
+            }
+            for fit in named(stage.reference("of"), fits) {
                 let exporter = &self.exporters[&stage.name];
-                let files = self.located(stage, exporter.export(&fit.calibration, fit.problem.model.as_ref()))?;
-                exports.push((stage.name.clone(), files));
+                let files = self.located(stage, exporter.export(&fit.calibration, fit.problem.model.as_ref()));
+                exports.extend(unless_failed(stage, files, failures)?.map(|files| (stage.name.clone(), files)));
             }
         }
-        Ok(Outcome {
-            recipe: self.recipe.id.clone(),
-            fits,
-            verdicts,
-            exports,
-            inputs,
-            plugins: self.plugins.clone(),
-            started,
-            duration: clock.elapsed(),
-        })
+        Ok(exports)
     }
 
     /// The result of an estimate stage; `fits` has all that it refers to.
@@ -354,6 +421,24 @@ pub(crate) fn has_rows(stage: &&Stage) -> bool {
     !stage.reference("observations").is_empty()
 }
 
+/// What a stage found; none if it failed, which is noted. An interruption ends the run.
+fn unless_failed<T>(stage: &Stage, result: Result<T>, failures: &mut Vec<Failure>) -> Result<Option<T>> {
+    match result {
+        Ok(found) => Ok(Some(found)),
+        Err(error) if error.class == Class::Interrupted => Err(error),
+        Err(error) => {
+            failures.push(Failure::own(stage, error));
+            Ok(None)
+        }
+    }
+}
+
+/// How a stage fails that needs these, if one of them failed.
+fn failed(needed: &[String], failures: &[Failure]) -> Option<impl Fn(&Stage) -> Failure + use<>> {
+    let failed = needed.iter().find(|name| failures.iter().any(|failure| failure.stage == **name))?.clone();
+    Some(move |stage: &Stage| Failure::of_needed(stage, &failed))
+}
+
 /// The digests of input files.
 fn digests(inputs: &[InputRecord]) -> evidence::Digests {
     inputs.iter().map(|input| (input.file.clone(), input.sha256.clone())).collect()
@@ -371,7 +456,7 @@ fn start(stage: &Stage, problem: Problem, fits: &[Fit]) -> Result<Problem> {
 }
 
 /// A fit whose problem is another one without unknowns, with the values of the fit: what is left are errors of prediction.
-fn predicting(fit: &Fit, other: &Problem) -> Result<Fit> {
+pub(crate) fn predicting(fit: &Fit, other: &Problem) -> Result<Fit> {
     let own = |set: &ObservationSet| -> Vec<String> {
         set.observations.info().unknowns.iter().map(|unknown| format!("{}.{}", set.name, unknown.name)).collect()
     };
@@ -386,7 +471,7 @@ fn predicting(fit: &Fit, other: &Problem) -> Result<Fit> {
     Ok(Fit { name, problem: Arc::new(other.starting_from(&fit.calibration)), estimator, calibration })
 }
 
-fn named<'a>(names: &[String], fits: &'a [Fit]) -> Vec<&'a Fit> {
+pub(crate) fn named<'a>(names: &[String], fits: &'a [Fit]) -> Vec<&'a Fit> {
     names.iter().filter_map(|name| fits.iter().find(|fit| fit.name == *name)).collect()
 }
 

@@ -9,7 +9,8 @@ use abbe_core::{
     Contribution, Correlated, JointCoverage, Owner, ParameterBudget, Problem, Result, Scatter, UncertaintyBudget,
 };
 use abbe_numerics::{
-    Factor, coverage_factor, dot, effective_degrees_of_freedom, joint_coverage_factor, rectangular_coverage_factor,
+    CovarianceRoot, coverage_factor, dot, effective_degrees_of_freedom, joint_coverage_factor,
+    rectangular_coverage_factor,
 };
 
 use crate::weighted::Weighted;
@@ -69,17 +70,15 @@ pub struct Linearisation<'a> {
     pub x: &'a [f64],
     /// Rows that take part, 0 or 1.
     pub kept: Option<&'a [f64]>,
-    /// Factor of all rows there.
-    pub factor: &'a Factor,
-    /// Number of directions that are determined.
-    pub rank: usize,
+    /// A root of the covariance of the unknowns that follows from all rows there.
+    pub root: CovarianceRoot,
 }
 
 impl Propagation {
     /// Propagates all inputs; `split`: every artefact by itself.
     pub fn new(at: &Linearisation<'_>, scales: Scales, split: bool) -> Result<Self> {
-        let Linearisation { problem, x, kept, factor, rank } = *at;
-        let covariance_root = factor.covariance_root(rank);
+        let Linearisation { problem, x, kept, root: covariance_root } = at;
+        let (problem, x, kept) = (*problem, *x, *kept);
         let scatters = problem.scatters();
         let repeated = |set: usize| scatters.iter().any(|scatter| scatter.sets.contains(&set));
         // What a certificate states weighs as a row, but its uncertainty is that of the input which states it.
@@ -113,7 +112,7 @@ impl Propagation {
                 }
             }
         }
-        let cross = propagate_shared(at, &covariance_root, &scatters, &mut parts)?;
+        let cross = propagate_shared(at, &scatters, &mut parts)?;
         Ok(Self { parts, cross, scales })
     }
 
@@ -206,13 +205,9 @@ impl Propagation {
 }
 
 /// Adds what repeats and known inputs do; gives the covariance of the unknowns with what is considered.
-fn propagate_shared(
-    at: &Linearisation<'_>,
-    covariance_root: &abbe_numerics::CovarianceRoot,
-    scatters: &[Scatter],
-    parts: &mut Vec<Part>,
-) -> Result<Vec<Vec<f64>>> {
-    let Linearisation { problem, x, kept, .. } = *at;
+fn propagate_shared(at: &Linearisation<'_>, scatters: &[Scatter], parts: &mut Vec<Part>) -> Result<Vec<Vec<f64>>> {
+    let Linearisation { problem, x, kept, root: covariance_root } = at;
+    let (problem, x, kept) = (*problem, *x, *kept);
     let (own, considered) = (problem.unknowns.len(), &problem.considered);
     if considered.unknowns.is_empty() && scatters.is_empty() {
         return Ok(vec![Vec::new(); own]);

@@ -3,6 +3,7 @@
 use abbe_core::{Combination, Error, Identifiability, NullVector, Problem};
 use abbe_numerics::{Factor, Spectrum};
 
+use crate::judgement::at_nominal_geometry;
 use crate::separation::SeparationTrials;
 
 /// Number of weakest combinations that are told.
@@ -65,17 +66,48 @@ fn named(problem: &Problem, spectrum: &Spectrum, singular_value: f64, direction:
     NullVector { singular_value, combination: combination.collect(), separated_by: Vec::new() }
 }
 
-/// The same with the measurements that separate what is lost at `x`. Where none can be told, nothing is.
-pub fn separated(problem: &Problem, x: &[f64], mut found: Identifiability) -> Identifiability {
+/// The same with the measurements that separate what is lost. Where none can be told, nothing is.
+pub fn separated(problem: &Problem, mut found: Identifiability) -> Identifiability {
     if found.null_space.is_empty() {
         return found;
     }
-    if let Ok(trials) = SeparationTrials::new(problem, x) {
+    let nominal = at_nominal_geometry(problem);
+    if let Ok(trials) = SeparationTrials::new(&nominal, &nominal.start()) {
         for vector in &mut found.null_space {
             vector.separated_by = trials.separating(vector).unwrap_or_default();
         }
     }
     found
+}
+
+/// The condition from which unknowns are at the mercy of the noise: an error of one reading by its uncertainty moves them by a million
+/// times what it moves an unknown that the readings tell directly.
+const ILL_CONDITIONED: f64 = 1e6;
+
+/// What people should know of the combinations that the data hardly determine; none if there are none. `factor` is that of a
+/// [`Judgement`](crate::Judgement).
+pub fn ill_conditioned(problem: &Problem, factor: &Factor, tolerance: f64) -> Option<String> {
+    let singular_values = factor.singular_values();
+    let rank = singular_values.rank(tolerance);
+    let condition = singular_values.condition(rank);
+    if condition <= ILL_CONDITIONED {
+        return None;
+    }
+    let mut weak = weakest(problem, &factor.spectrum(), rank);
+    weak.retain(|vector| vector.singular_value * ILL_CONDITIONED < 1.0);
+    let nominal = at_nominal_geometry(problem);
+    let trials = SeparationTrials::new(&nominal, &nominal.start()).ok();
+    let told = weak.iter().map(|vector| {
+        let advice = trials.as_ref().and_then(|trials| trials.separating(vector).ok()?.into_iter().next());
+        let advice = advice.map_or_else(String::new, |advice| format!("; {advice}"));
+        format!("- {} (to one part in {:.0e}){advice}", vector.changes(), 1.0 / vector.singular_value)
+    });
+    Some(format!(
+        "the condition is {condition:.1e}: the data hardly tell these changes, and what they are is at the mercy of the noise:\n{}\nmeasure \
+         what tells them apart, leave one of each out, or let a `rank_tolerance` above {:.0e} count them as lost, with `on_confounded: drop`",
+        told.collect::<Vec<_>>().join("\n"),
+        weak.iter().map(|vector| vector.singular_value).fold(0.0, f64::max)
+    ))
 }
 
 /// The error for data that cannot determine what was chosen.

@@ -1,12 +1,13 @@
 //! From the solution of an estimator to a calibration: rank, scatter, uncertainty, advice.
 
 use abbe_core::{Calibration, Error, FitReport, Identifiability, Problem, Result, Termination};
-use abbe_numerics::{Factor, Robust, RobustReport};
+use abbe_numerics::{Directions, Factor, Robust, RobustReport};
 
 use crate::calibration::calibration;
 use crate::contact::{is_judged_as_recorded, rank_point};
+use crate::judgement::Judgement;
 use crate::propagation::{Linearisation, Propagation, Scales};
-use crate::rank::{confounded, identifiability, separated, weakest};
+use crate::rank::{confounded, identifiability, ill_conditioned, separated, weakest};
 use crate::residuals::{Constraints, ResidualStatistics, outliers};
 use crate::same_motion::same_motion;
 use crate::variance::Components;
@@ -28,6 +29,14 @@ pub struct Solved {
     pub gradient_cosine: Option<f64>,
 }
 
+/// What the data cannot determine of a problem that was solved in spite of it.
+pub struct Lost {
+    /// The lost directions, with names.
+    pub found: Identifiability,
+    /// The directions that were estimated; along others the unknowns stay where they started.
+    pub determined: Directions,
+}
+
 /// What is asked of a calibration; the same for all estimators.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct UncertaintyEvaluation {
@@ -45,18 +54,18 @@ impl UncertaintyEvaluation {
     /// The calibration that a solution is.
     ///
     /// `lost` is what the data cannot determine, where the estimator solved in spite of it; without it a direction that is lost at
-    /// the solution is an error. With `components` the problem has their factors in its uncertainties already. Fails where
+    /// the solution, or without the rows that weigh nothing, is an error. With `components` the problem has their factors in its uncertainties already. Fails where
     /// residuals are to tell their scatter, and no degree of freedom is left for that.
     pub fn calibration(
         &self,
         problem: &Problem,
         solved: Solved,
-        lost: Option<Identifiability>,
+        lost: Option<Lost>,
         components: Option<&Components>,
     ) -> Result<Calibration> {
         let Solved { x, factor, robust, iterations, last_step, gradient_cosine } = solved;
         let (report, loss) = robust.unzip();
-        let rank = lost.as_ref().map_or(problem.unknowns.len(), |lost| lost.rank);
+        let rank = lost.as_ref().map_or(problem.unknowns.len(), |lost| lost.determined.count());
         let weighted = Weighted::new(problem)?;
         let judged = rank_point(problem, &x)?;
         // What is left out by its weight does not inform; what is weighed down still does.
@@ -66,19 +75,31 @@ impl UncertaintyEvaluation {
             Some(factor) => factor,
             None => Weighted::new(&judged)?.factor(&x, kept.as_deref())?,
         };
-        let mut found = identifiability(problem, &factor, self.rank_tolerance);
-        match lost {
-            None if found.rank < rank => return Err(confounded(&separated(problem, &x, found))),
-            None => {}
-            Some(lost) => {
-                // Second order must not make look determined at the solution what is not at the start.
-                let condition = factor.singular_values().condition(rank);
-                found = Identifiability { observations: found.observations, condition, ..lost };
+        let (found, root) = match lost {
+            None => {
+                let found = identifiability(problem, &factor, self.rank_tolerance);
+                let found = match kept.as_ref().filter(|kept| found.rank == rank && kept.contains(&0.0)) {
+                    Some(kept) => {
+                        let judged = Judgement::new(problem, Some(kept))?;
+                        let without = identifiability(problem, judged.factor(), self.rank_tolerance);
+                        if without.rank < rank { without } else { found }
+                    }
+                    None => found,
+                };
+                if found.rank < rank {
+                    return Err(confounded(&separated(problem, found)));
+                }
+                (found, factor.covariance_root(rank))
             }
-        }
+            Some(Lost { found, determined }) => {
+                let condition = factor.singular_values().condition(rank);
+                let found = Identifiability { observations: factor.rows(), condition, ..found };
+                (found, determined.covariance_root(&factor))
+            }
+        };
         let residuals = problem.residuals(&x)?;
         let in_uncertainties = weighted.in_uncertainties(residuals.clone());
-        let constraints = Constraints::new(&judged, &x, &factor.covariance_root(found.rank))?;
+        let constraints = Constraints::new(&judged, &x, &root)?;
         let quantities = problem.quantities();
         let statistics = ResidualStatistics::new(
             &residuals,
@@ -88,7 +109,7 @@ impl UncertaintyEvaluation {
             loss,
             (rank, &constraints),
         );
-        let place = Linearisation { problem: &judged, x: &x, kept: kept.as_deref(), factor: &factor, rank: found.rank };
+        let place = Linearisation { problem: &judged, x: &x, kept: kept.as_deref(), root };
         let propagation = Propagation::new(&place, self.scales(&statistics, components), self.explained)?;
         // Who estimates again without some rows asks for values and predictions, and may well use up all rows.
         let told = self.explained && !self.trust_uncertainties;
@@ -122,7 +143,9 @@ impl UncertaintyEvaluation {
             residual_max_urad: angles.map(|angles| angles.max * 1e6),
             residual_mean_abs_urad: angles.map(|angles| angles.mean_abs * 1e6),
             residual_rms_urad: angles.map(|angles| angles.rms * 1e6),
+            rank_tolerance: Some(self.rank_tolerance),
             null_space: found.null_space,
+            dropped: Vec::new(),
             weakest: if self.explained { weakest(problem, &factor.spectrum(), found.rank) } else { Vec::new() },
             selection: None,
             same_motion: if self.explained { same_motion(problem)? } else { Vec::new() },
@@ -134,16 +157,18 @@ impl UncertaintyEvaluation {
         Ok(calibration)
     }
 
-    /// What the data determine at the start values of a problem, before anything is solved; `factor` is [`judged_factor`] there.
+    /// What the data determine of a problem, before anything is solved.
     ///
     /// With the uncertainties that follow from what is stated, if all unknowns are determined.
-    pub fn identify(&self, problem: &Problem, factor: &Factor) -> Result<Identifiability> {
-        let (x, judged) = (problem.start(), rank_point(problem, &problem.start())?);
-        let mut found = separated(problem, &x, identifiability(problem, factor, self.rank_tolerance));
+    pub fn identify(&self, problem: &Problem, judged: &Judgement) -> Result<Identifiability> {
+        let factor = judged.factor();
+        let mut found = separated(problem, identifiability(problem, factor, self.rank_tolerance));
         found.weakest = weakest(problem, &factor.spectrum(), found.rank);
         found.same_motion = same_motion(problem)?;
+        found.remarks.extend(ill_conditioned(problem, factor, self.rank_tolerance));
         if found.rank == found.unknowns {
-            let place = Linearisation { problem: &judged, x: &x, kept: None, factor, rank: found.rank };
+            let (problem, root) = (judged.problem(), factor.covariance_root(found.rank));
+            let place = Linearisation { problem, x: &problem.start(), kept: None, root };
             let propagation = Propagation::new(&place, Scales::Common(1.0, f64::INFINITY), true)?;
             if found.observations <= found.rank && !self.trust_uncertainties && propagation.is_scaled() {
                 found.remarks.push(
@@ -167,9 +192,4 @@ impl UncertaintyEvaluation {
             None => Scales::Common(statistics.sigma, statistics.redundancy),
         }
     }
-}
-
-/// The factor of a problem where its rank is judged.
-pub fn judged_factor(problem: &Problem, x: &[f64]) -> Result<Factor> {
-    Weighted::new(&rank_point(problem, x)?)?.factor(x, None)
 }

@@ -15,7 +15,7 @@
 //! keeps its uncertainty: their t is 1.
 
 use abbe_core::{Error, Problem, Result, VarianceFactor};
-use abbe_numerics::{Factor, Robust, RobustReport, Solution};
+use abbe_numerics::{Directions, Factor, Robust, RobustReport, Solution};
 use nalgebra::{DMatrix, DVector};
 
 use crate::residuals::correction;
@@ -80,7 +80,12 @@ struct Round {
 }
 
 impl Round {
-    fn new(problem: &Problem, solution: &Solution, robust: Option<Robust>, rank: usize) -> Result<Self> {
+    fn new(
+        problem: &Problem,
+        solution: &Solution,
+        robust: Option<Robust>,
+        determined: Option<&Directions>,
+    ) -> Result<Self> {
         let weighted = Weighted::new(problem)?;
         let residuals = weighted.in_uncertainties(problem.residuals(&solution.x)?);
         let constraints = problem.constraints();
@@ -90,7 +95,11 @@ impl Round {
         let readings: Vec<f64> =
             kept.iter().zip(&constraints).map(|(kept, is)| if *is { 0.0 } else { *kept }).collect();
         let ranges = problem.equation_ranges();
-        let covariance_root = weighted.factor(&solution.x, Some(&kept))?.covariance_root(rank);
+        let factor = weighted.factor(&solution.x, Some(&kept))?;
+        let covariance_root = match determined {
+            Some(determined) => determined.covariance_root(&factor),
+            None => factor.covariance_root(factor.unknowns()),
+        };
         let factors: Vec<Factor> = weighted.factors(&solution.x, Some(&readings), &ranges)?;
         let shares: Vec<_> = factors.iter().map(|factor| covariance_root.information(factor)).collect();
         let count = ranges.len();
@@ -139,10 +148,11 @@ fn influence(rows: &[usize], residuals: &[f64], report: Option<&RobustReport>) -
     rows.iter().map(|&row| (weight(row) * residuals[row]).powi(2)).sum()
 }
 
-/// The factors of all sets. `solve` gives the solution of a problem from its start values.
+/// The factors of all sets. `solve` gives the solution of a problem from its start values, within the directions that are
+/// `directions`, if not all are determined.
 pub fn components(
     problem: &Problem,
-    (rank, robust): (usize, Option<Robust>),
+    (directions, robust): (Option<&Directions>, Option<Robust>),
     solve: impl Fn(&Problem) -> Result<Solution>,
 ) -> Result<Components> {
     let count = problem.sets.len();
@@ -154,7 +164,7 @@ pub fn components(
         let scaled = problem.with_variance_factors(&factors).at(&x);
         let solution = solve(&scaled)?;
         x.clone_from(&solution.x);
-        let round = Round::new(&scaled, &solution, robust, rank)?;
+        let round = Round::new(&scaled, &solution, robust, directions)?;
         let silent: Vec<usize> =
             (0..count).filter(|&group| determined[group] && round.redundancies[group] < LEAST_REDUNDANCY).collect();
         if !silent.is_empty() {

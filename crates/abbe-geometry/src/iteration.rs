@@ -54,7 +54,7 @@ impl<T: Distances> LeastSquares for Weighted<'_, T> {
 /// The parameters with the smallest sum of squared distances, for points that spread by about 1.
 pub fn minimise<T: Distances>(shape: &'static str, distances: &T, start: &[f64]) -> Result<Vec<f64>, FitError> {
     // Points spread by about 1, and no error of theirs is known: the iteration goes on until rounding is all that is left.
-    let options = Options { tolerance: 1e-15, rounding: 1e-9, ..Options::new(distances.parameters()) };
+    let options = Options { tolerance: 1e-15, rounding: 1e-9, ..Options::USUAL };
     let Ok(solution) = solve(&Weighted(distances), start, &options);
     match solution.end {
         End::Converged => Ok(solution.x),

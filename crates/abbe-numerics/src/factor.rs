@@ -4,6 +4,7 @@ use faer::linalg::solvers::Svd;
 use faer::{Mat, MatRef};
 
 use crate::accumulate::Accumulator;
+use crate::directions::Directions;
 use crate::vector::{norm, norm_of};
 
 /// Triangular factor of `[J | r]`: `J = Q R`, with `Q^T r` and the sum of squares that no step can take away.
@@ -15,6 +16,10 @@ pub struct Factor {
     rest: f64,
     rows: usize,
 }
+
+/// Part of the largest share in a lost direction from which an unknown may be the one that is left out: what is left is worse
+/// conditioned by at most its inverse.
+const LEAST_SHARE: f64 = 1e-2;
 
 /// What one more unknown would do.
 #[derive(Debug, Clone, PartialEq)]
@@ -52,6 +57,30 @@ impl Factor {
         (0..self.unknowns()).map(|row| self.triangle[(row, unknown)]).collect()
     }
 
+    pub(crate) fn triangle(&self) -> &Mat<f64> {
+        &self.triangle
+    }
+
+    pub(crate) fn right(&self) -> &[f64] {
+        &self.right
+    }
+
+    pub(crate) fn of_rows(self, rows: usize) -> Self {
+        Self { rows, ..self }
+    }
+
+    /// The factor of the same rows with zeros in the columns of some unknowns.
+    pub fn with_zeros(&self, zero: &[bool]) -> Self {
+        let mut accumulator = Accumulator::new(self.unknowns(), self.unknowns() + 1);
+        for row in 0..self.unknowns() {
+            let entry = |(unknown, zero): (usize, &bool)| if *zero { 0.0 } else { self.triangle[(row, unknown)] };
+            let line: Vec<f64> = zero.iter().enumerate().map(entry).collect();
+            accumulator.push(&line, self.right[row], 1.0);
+        }
+        accumulator.push(&vec![0.0; self.unknowns()], self.rest.sqrt(), 1.0);
+        accumulator.finish().of_rows(self.rows)
+    }
+
     /// The factor of the same rows without some unknowns.
     pub fn without(&self, dropped: impl Fn(usize) -> bool) -> Self {
         let kept: Vec<usize> = (0..self.unknowns()).filter(|&unknown| !dropped(unknown)).collect();
@@ -61,7 +90,7 @@ impl Factor {
             accumulator.push(&line, self.right[row], 1.0);
         }
         accumulator.push(&vec![0.0; kept.len()], self.rest.sqrt(), 1.0);
-        Self { rows: self.rows, ..accumulator.finish() }
+        accumulator.finish().of_rows(self.rows)
     }
 
     /// What each unknown from number `own` on would do if it alone joined those before it, which are all determined, at their
@@ -197,6 +226,11 @@ impl Factor {
 pub struct CovarianceRoot(Mat<f64>);
 
 impl CovarianceRoot {
+    /// `B A`: the root for what is `B y`, where this one is that for y.
+    pub(crate) fn seen_through(&self, directions: &Mat<f64>) -> Self {
+        Self(directions * &self.0)
+    }
+
     /// Sensitivities of the estimates to further columns K of the same rows, `-A A^T J^T K`: unknowns x columns, row by row, in the
     /// unit of the unknown per unit of the column.
     ///
@@ -326,6 +360,11 @@ impl Spectrum {
         CovarianceRoot(Mat::from_fn(self.scale.len(), rank, entry))
     }
 
+    /// The first `rank` singular directions, in the units of the unknowns.
+    pub fn determined(&self, rank: usize) -> Directions {
+        Directions::new(Mat::from_fn(self.scale.len(), rank, |row, k| self.scale[row] * self.vectors[(row, k)]))
+    }
+
     /// A basis of what is lost beyond `rank`, as sparse as elimination makes it: the relative singular value and the
     /// direction in scaled unknowns, its largest entry 1, what is below `1e-5` set to zero.
     ///
@@ -363,24 +402,25 @@ impl Spectrum {
         named
     }
 
-    /// One unknown for every lost direction such that the others are determined without them: greedily those that
-    /// take part most.
-    pub fn dependent(&self, rank: usize) -> Vec<usize> {
+    /// One unknown for every lost direction such that the others are determined without them: of those that take part enough in
+    /// what is lost ([`LEAST_SHARE`]), the last in the order of preference goes first.
+    ///
+    /// `order` has all unknowns, the most preferred first.
+    pub fn dependent(&self, rank: usize, order: &[usize]) -> Vec<usize> {
         let n = self.scale.len();
         let mut lost: Vec<Vec<f64>> = (0..n).map(|row| (rank..n).map(|k| self.vectors[(row, k)]).collect()).collect();
         let mut chosen = Vec::new();
         for _ in rank..n {
-            let size = |row: &Vec<f64>| row.iter().map(|value| value * value).sum::<f64>();
-            let best =
-                (0..n).filter(|row| !chosen.contains(row)).max_by(|&a, &b| size(&lost[a]).total_cmp(&size(&lost[b])));
-            let Some(best) = best else { break };
-            let length = size(&lost[best]).sqrt().max(f64::MIN_POSITIVE);
-            let direction: Vec<f64> = lost[best].iter().map(|value| value / length).collect();
+            let free = || order.iter().rev().copied().filter(|row| !chosen.contains(row));
+            let largest = free().map(|row| norm(&lost[row])).fold(0.0, f64::max);
+            let Some(next) = free().find(|&row| norm(&lost[row]) >= LEAST_SHARE * largest) else { break };
+            let length = norm(&lost[next]).max(f64::MIN_POSITIVE);
+            let direction: Vec<f64> = lost[next].iter().map(|value| value / length).collect();
             for row in &mut lost {
                 let along: f64 = row.iter().zip(&direction).map(|(value, direction)| value * direction).sum();
                 row.iter_mut().zip(&direction).for_each(|(value, direction)| *value -= along * direction);
             }
-            chosen.push(best);
+            chosen.push(next);
         }
         chosen.sort_unstable();
         chosen

@@ -2,7 +2,7 @@
 
 use crate::accumulate::Accumulator;
 use crate::factor::Factor;
-use crate::robust::{Loss, Robust, RobustReport, scale, studentise};
+use crate::robust::{Robust, RobustReport, deviations, m_scale, scale, studentised};
 
 /// Takes rows: index of the first, residuals, derivatives row by row.
 pub type Sink<'a> = &'a mut dyn FnMut(usize, &[f64], &[f64]);
@@ -63,8 +63,6 @@ pub struct Options {
     pub settled: f64,
     /// Most rounds of robust weights: they settle slowly where a row is about to be left out.
     pub rounds: usize,
-    /// Number of directions to move in: the rank.
-    pub rank: usize,
     /// Robust weights.
     pub robust: Option<Robust>,
     /// The start is almost the solution: robust weights are found from there, without the way that leads to it from afar.
@@ -73,18 +71,15 @@ pub struct Options {
 
 impl Options {
     /// As is right for most problems: 200 iterations to 1e-9 standard uncertainties, without robust weights.
-    pub const fn new(rank: usize) -> Self {
-        Self {
-            iterations: 200,
-            tolerance: 1e-9,
-            rounding: 1e-3,
-            settled: 1e-4,
-            rounds: 200,
-            rank,
-            robust: None,
-            near: false,
-        }
-    }
+    pub const USUAL: Self = Self {
+        iterations: 200,
+        tolerance: 1e-9,
+        rounding: 1e-3,
+        settled: 1e-4,
+        rounds: 200,
+        robust: None,
+        near: false,
+    };
 }
 
 /// How the iteration ended.
@@ -138,8 +133,7 @@ pub(crate) fn factorise<P: LeastSquares + ?Sized>(
 
 /// Minimises the sum of squares from `start`; see [`Options`].
 ///
-/// Every step is that of the linearised problem, columns scaled, within its first `rank` singular directions, and is
-/// halved while it does not make the sum of squares smaller, or leads to where nothing can be evaluated.
+/// Every step is that of the linearised problem, columns scaled, and is halved while it does not make the sum of squares smaller, or leads to where nothing can be evaluated.
 ///
 /// Fails if the start cannot be evaluated, with the last error if no part of a step could be, and at once with an error that is
 /// final ([`LeastSquares::is_final`]).
@@ -158,77 +152,135 @@ pub fn solve_from<P: LeastSquares + ?Sized>(
         Some(factor) => factor,
         None => factorise(problem, start, None)?,
     };
-    let Some(robust) = options.robust else {
-        let minimum = minimise(problem, start.to_vec(), factor, None, options)?;
-        return Ok(minimum.solution(None));
+    let minimum = match (options.robust, options.near) {
+        (Some(_), true) => Minimum { x: start.to_vec(), end: End::Converged, iterations: 0, last_step: 0.0, factor },
+        _ => minimise(problem, start.to_vec(), factor, None, options)?,
     };
-    let mut minimum = match options.near {
-        false => minimise(problem, start.to_vec(), factor, None, options)?,
-        true => Minimum { x: start.to_vec(), end: End::Converged, iterations: 0, last_step: 0.0, factor },
-    };
-    let mut iterations = minimum.iterations;
-    // Huber's loss has one minimum and takes the estimate near enough for Tukey's, which has many.
-    let phases: &[(Robust, usize)] = match robust.loss {
-        Loss::Tukey if !options.near => &[(Robust::HUBER, 5), (robust, options.rounds)],
-        _ => &[(robust, options.rounds)],
-    };
-    let mut weights = vec![1.0; problem.rows()];
-    let mut studentised = Vec::new();
+    match options.robust {
+        None => Ok(minimum.solution(None)),
+        Some(robust) => solve_robust(problem, minimum, robust, options),
+    }
+}
+
+/// Rounds of Huber's weights after which their scale is near enough to be held.
+const SCALE_ROUNDS: usize = 10;
+
+/// Huber's weights that change by less than this tell a scale that is near enough.
+const SCALE_SETTLED: f64 = 1e-2;
+
+/// The second half of MM estimation (Yohai 1987), from a minimum where all rows count alike.
+///
+/// Huber's loss, which has one minimum, tells what a residual is compared with: its studentised size over one scale of all of
+/// them. Both are then held. So every later round lowers one and the same objective, and weights cannot cycle.
+fn solve_robust<P: LeastSquares + ?Sized>(
+    problem: &P,
+    mut minimum: Minimum,
+    robust: Robust,
+    options: &Options,
+) -> Result<Solution, P::Error> {
+    let mut rounds = Rounds { problem, options, weights: vec![1.0; problem.rows()], iterations: minimum.iterations };
     let mut settled = false;
-    for (phase, rounds) in phases {
+    for _ in 0..SCALE_ROUNDS {
+        let studentised = rounds.compared(&minimum)?.studentised();
+        let spread = scale(&rounds.measured(&studentised));
+        let changed = rounds.reweigh(Robust::HUBER, &studentised, spread);
+        minimum = rounds.minimise(minimum, false)?;
+        settled = changed < SCALE_SETTLED;
+        if settled || minimum.end == End::NoProgress {
+            break;
+        }
+    }
+    let mut compared = rounds.compared(&minimum)?;
+    let spread = m_scale(&rounds.measured(&compared.studentised()));
+    let mut sizes = Vec::new();
+    if minimum.end != End::NoProgress {
         settled = false;
-        for _ in 0..*rounds {
-            studentised = studentised_residuals(problem, &minimum, &weights, options.rank)?;
-            let spread = scale(&measured(problem, &studentised));
-            let before = std::mem::take(&mut weights);
-            let weight = |(row, size): (usize, &f64)| match problem.keeps_weight(row) {
-                true => 1.0,
-                false => phase.weight(size / spread),
-            };
-            weights = studentised.iter().enumerate().map(weight).collect();
-            let changed = weights.iter().zip(&before).map(|(now, before)| (now - before).abs()).fold(0.0, f64::max);
-            settled = changed < options.settled;
-            // With step control: where the rows hardly determine a direction, bare steps go astray.
-            let tolerance = if settled { options.tolerance } else { options.tolerance.max(options.rounding) };
-            let factor = factorise(problem, &minimum.x, Some(&weights))?;
-            minimum = minimise(problem, minimum.x, factor, Some(&weights), &Options { tolerance, ..*options })?;
-            iterations += minimum.iterations;
+        for _ in 0..options.rounds {
+            sizes = compared.studentised();
+            settled = rounds.reweigh(robust, &sizes, spread) < options.settled;
+            minimum = rounds.minimise(minimum, settled)?;
             if settled || minimum.end == End::NoProgress {
                 break;
             }
+            compared.residuals = rounds.residuals(&minimum.x)?;
         }
     }
     if !settled && minimum.end == End::Converged {
         minimum.end = End::RoundLimit;
     }
-    let spread = scale(&measured(problem, &studentised));
-    studentised.iter_mut().for_each(|size| *size /= spread);
-    minimum.iterations = iterations;
-    Ok(minimum.solution(Some(RobustReport { weights, studentised })))
+    let studentised = sizes.iter().map(|size| size / spread).collect();
+    minimum.iterations = rounds.iterations;
+    Ok(minimum.solution(Some(RobustReport { weights: rounds.weights, studentised })))
 }
 
-/// The studentised residuals of rows that were measured.
-fn measured<P: LeastSquares + ?Sized>(problem: &P, studentised: &[f64]) -> Vec<f64> {
-    let rows = studentised.iter().enumerate().filter(|(row, _)| !problem.keeps_weight(*row));
-    rows.map(|(_, size)| *size).collect()
+/// Residuals, and their own standard deviations in units of the noise; none where the fit follows a row whatever it says.
+struct Compared {
+    residuals: Vec<f64>,
+    deviations: Vec<Option<f64>>,
 }
 
-/// Residuals at a minimum over their own standard deviations.
-fn studentised_residuals<P: LeastSquares + ?Sized>(
-    problem: &P,
-    minimum: &Minimum,
-    weights: &[f64],
-    rank: usize,
-) -> Result<Vec<f64>, P::Error> {
-    let covariance_root = minimum.factor.covariance_root(rank);
-    let mut residuals = vec![0.0; problem.rows()];
-    let mut leverages = vec![0.0; problem.rows()];
-    problem.linearise(&minimum.x, &mut |first, block, derivatives| {
-        let rows = first..first + block.len();
-        residuals[rows.clone()].copy_from_slice(block);
-        leverages[rows].copy_from_slice(&covariance_root.leverages(derivatives));
-    })?;
-    Ok(studentise(&residuals, weights, &leverages))
+impl Compared {
+    fn studentised(&self) -> Vec<f64> {
+        studentised(&self.residuals, &self.deviations)
+    }
+}
+
+/// Rounds of robust weights.
+struct Rounds<'a, P: ?Sized> {
+    problem: &'a P,
+    options: &'a Options,
+    weights: Vec<f64>,
+    iterations: usize,
+}
+
+impl<P: LeastSquares + ?Sized> Rounds<'_, P> {
+    /// Residuals at a minimum with what they are compared with.
+    fn compared(&self, minimum: &Minimum) -> Result<Compared, P::Error> {
+        let covariance_root = minimum.factor.covariance_root(minimum.factor.unknowns());
+        let mut residuals = vec![0.0; self.problem.rows()];
+        let mut leverages = vec![0.0; self.problem.rows()];
+        self.problem.linearise(&minimum.x, &mut |first, block, derivatives| {
+            let rows = first..first + block.len();
+            residuals[rows.clone()].copy_from_slice(block);
+            leverages[rows].copy_from_slice(&covariance_root.leverages(derivatives));
+        })?;
+        Ok(Compared { residuals, deviations: deviations(&self.weights, &leverages) })
+    }
+
+    fn residuals(&self, x: &[f64]) -> Result<Vec<f64>, P::Error> {
+        let mut residuals = vec![0.0; self.problem.rows()];
+        self.problem
+            .linearise(x, &mut |first, block, _| residuals[first..first + block.len()].copy_from_slice(block))?;
+        Ok(residuals)
+    }
+
+    /// The studentised residuals of rows that were measured.
+    fn measured(&self, studentised: &[f64]) -> Vec<f64> {
+        let rows = studentised.iter().enumerate().filter(|(row, _)| !self.problem.keeps_weight(*row));
+        rows.map(|(_, size)| *size).collect()
+    }
+
+    /// Weighs every row by its size; gives the largest change of a weight.
+    fn reweigh(&mut self, robust: Robust, studentised: &[f64], spread: f64) -> f64 {
+        let mut changed = 0.0_f64;
+        for (row, (weight, size)) in self.weights.iter_mut().zip(studentised).enumerate() {
+            let now = if self.problem.keeps_weight(row) { 1.0 } else { robust.weight(size / spread) };
+            changed = changed.max((now - *weight).abs());
+            *weight = now;
+        }
+        changed
+    }
+
+    /// The minimum with the weights as they are; with step control, for where rows hardly determine a direction, bare steps go
+    /// astray.
+    fn minimise(&mut self, from: Minimum, settled: bool) -> Result<Minimum, P::Error> {
+        let Options { tolerance, rounding, .. } = *self.options;
+        let options = Options { tolerance: if settled { tolerance } else { tolerance.max(rounding) }, ..*self.options };
+        let factor = factorise(self.problem, &from.x, Some(&self.weights))?;
+        let minimum = minimise(self.problem, from.x, factor, Some(&self.weights), &options)?;
+        self.iterations += minimum.iterations;
+        Ok(minimum)
+    }
 }
 
 /// Smallest part of a step that is tried.
@@ -258,15 +310,11 @@ impl Minimum {
     }
 }
 
-/// The step within the first `rank` singular directions, and by how many standard uncertainties it moves all rows
-/// together; None if there are fewer directions than that.
-fn step_of(factor: &Factor, rank: usize) -> Option<(Vec<f64>, f64)> {
-    let step = match factor.step().filter(|_| rank == factor.unknowns()) {
-        Some(step) => step,
-        None => factor.spectrum().step(rank),
-    };
+/// The step of the linearised problem, and by how many standard uncertainties it moves all rows together; None if it has none.
+fn step_of(factor: &Factor) -> Option<(Vec<f64>, f64)> {
+    let step = factor.step()?;
     let size = factor.row_norm(&step);
-    (size.is_finite() && step.iter().all(|value| value.is_finite())).then_some((step, size))
+    size.is_finite().then_some((step, size))
 }
 
 fn minimise<P: LeastSquares + ?Sized>(
@@ -279,7 +327,7 @@ fn minimise<P: LeastSquares + ?Sized>(
     // Size of the last step if it was a full one, its ratio to the one before, and the size of the smallest.
     let (mut last, mut last_ratio, mut smallest) = (None, None, f64::INFINITY);
     for iterations in 1..=options.iterations {
-        let Some((step, size)) = step_of(&factor, options.rank) else {
+        let Some((step, size)) = step_of(&factor) else {
             return Ok(Minimum { x, end: End::NoProgress, iterations, last_step: f64::NAN, factor });
         };
         let small = size < options.rounding;
@@ -309,7 +357,7 @@ fn minimise<P: LeastSquares + ?Sized>(
             }
         }
     }
-    let next = step_of(&factor, options.rank).map_or(f64::NAN, |(_, size)| size);
+    let next = step_of(&factor).map_or(f64::NAN, |(_, size)| size);
     Ok(Minimum { x, end: End::IterationLimit, iterations: options.iterations, last_step: next, factor })
 }
 

@@ -44,7 +44,7 @@
 //!     }
 //! }
 //!
-//! let found = solve(&Line, &[0.0, 0.0], &Options::new(2)).unwrap();
+//! let found = solve(&Line, &[0.0, 0.0], &Options::USUAL).unwrap();
 //! assert!((found.x[0] - 1.0).abs() < 1e-12 && (found.x[1] - 2.0).abs() < 1e-12);
 //! assert_eq!(found.factor.singular_values().rank(1e-10), 2);
 //! ```
@@ -55,6 +55,7 @@
 mod accumulate;
 mod coverage;
 mod design;
+mod directions;
 mod factor;
 mod gauss_newton;
 mod monte_carlo;
@@ -71,6 +72,7 @@ pub use coverage::{
     hotelling_quantile, hotelling_upper_tail, joint_coverage_factor, rectangular_coverage_factor,
 };
 pub use design::{Choice, Criterion, Design, DesignFigures};
+pub use directions::{Directions, Within};
 pub use factor::{CandidateTerm, CovarianceRoot, Factor, Information, SingularValues, Spectrum};
 pub use gauss_newton::{End, LeastSquares, Options, Sink, Solution, solve, solve_from};
 pub use monte_carlo::{Adaptive, Agreement, Interval, Trials, gum_agrees, least_trials, numerical_tolerance};

@@ -80,15 +80,41 @@ pub(crate) fn scale(sizes: &[f64]) -> f64 {
     (1.4826 * *median).max(LEAST_SCALE)
 }
 
-/// Residuals over their own standard deviation (in units of the noise), given statistical weights and
-/// `g_i = j_i (J^T W J)^-1 j_i^T`. Rows that the fit follows whatever they say have no size.
-pub(crate) fn studentise(residuals: &[f64], weights: &[f64], leverages: &[f64]) -> Vec<f64> {
-    let rows = residuals.iter().zip(weights).zip(leverages);
-    rows.map(|((residual, weight), leverage)| {
-        let variance = 1.0 + leverage * (1.0 - 2.0 * weight);
-        if variance > 1e-6 { residual / variance.sqrt() } else { 0.0 }
-    })
-    .collect()
+/// Cutoff of Tukey's loss for a scale that half of the rows may be wrong for (Rousseeuw & Yohai 1984).
+const SCALE_CUTOFF: f64 = 1.547_645;
+
+/// M-scale of studentised residuals: s where the mean of Tukey's bounded loss of `size / s` is half of its bound (Huber 1964;
+/// Rousseeuw & Yohai 1984). It is that of normal noise where there are no gross errors, stays bounded as long as fewer than half of
+/// the rows are wrong, and changes smoothly with every residual, as a median does not.
+pub(crate) fn m_scale(sizes: &[f64]) -> f64 {
+    let sizes: Vec<f64> = sizes.iter().map(|size| size.abs()).filter(|size| *size > 0.0).collect();
+    let loss = |t: f64| 1.0 - (1.0 - (t / SCALE_CUTOFF).powi(2)).max(0.0).powi(3);
+    let mut spread = scale(&sizes);
+    // Huber's fixed point: it rises or falls towards the one solution.
+    for _ in 0..200 {
+        let mean = sizes.iter().map(|size| loss(size / spread)).sum::<f64>() / sizes.len().max(1) as f64;
+        let next = (spread * (2.0 * mean).sqrt()).max(LEAST_SCALE);
+        let settled = (next / spread - 1.0).abs() < 1e-10;
+        spread = next;
+        if settled {
+            break;
+        }
+    }
+    spread
+}
+
+/// Standard deviations of residuals in units of the noise, given statistical weights and `g_i = j_i (J^T W J)^-1 j_i^T`; none for
+/// rows that the fit follows whatever they say.
+pub(crate) fn deviations(weights: &[f64], leverages: &[f64]) -> Vec<Option<f64>> {
+    let variance = |(weight, leverage): (&f64, &f64)| 1.0 + leverage * (1.0 - 2.0 * weight);
+    let rows = weights.iter().zip(leverages).map(variance);
+    rows.map(|variance| (variance > 1e-6).then(|| variance.sqrt())).collect()
+}
+
+/// Residuals over their own standard deviations. Rows that the fit follows whatever they say have no size.
+pub(crate) fn studentised(residuals: &[f64], deviations: &[Option<f64>]) -> Vec<f64> {
+    let rows = residuals.iter().zip(deviations);
+    rows.map(|(residual, deviation)| deviation.map_or(0.0, |deviation| residual / deviation)).collect()
 }
 
 #[cfg(test)]

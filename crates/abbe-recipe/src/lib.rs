@@ -103,8 +103,21 @@ impl Stage {
 struct Origin {
     /// The file of a model.
     file: Option<Document>,
-    /// The way in the recipe to each of the expanded `parameters`.
-    parameters: Vec<Vec<PathItem>>,
+    /// The lists in which sets stood.
+    expanded: Vec<Expanded>,
+}
+
+/// A list with sets in place of their names: its way in the settings, and the way in the recipe to each of its entries.
+type Expanded = (Vec<PathItem>, Vec<Vec<PathItem>>);
+
+impl Origin {
+    /// The way in the recipe to an entry of a list in which sets stood, and the rest of the way to a setting.
+    fn expanded<'a>(&'a self, setting: &'a [PathItem]) -> Option<(&'a [PathItem], &'a [PathItem])> {
+        self.expanded.iter().find_map(|(list, entries)| match setting.strip_prefix(list.as_slice())? {
+            [PathItem::Index(index), rest @ ..] => Some((entries.get(*index)?.as_slice(), rest)),
+            _ => None,
+        })
+    }
 }
 
 /// A stage whose kind and plugin are known.
@@ -237,11 +250,8 @@ impl Recipe {
 
     fn place(&self, error: Error, stage: &str, setting: &[PathItem], at: At) -> Error {
         let Some(origin) = self.origins.get(stage) else { return error.in_file(&self.path) };
-        if let [PathItem::Key(key), PathItem::Index(index), ..] = setting
-            && key == "parameters"
-            && let Some(path) = origin.parameters.get(*index)
-        {
-            return self.document.locate(error, path, at);
+        if let Some((path, rest)) = origin.expanded(setting) {
+            return self.document.locate(error, &[path, rest].concat(), at);
         }
         let path = [&[PathItem::Key("stages".to_owned()), PathItem::Key(stage.to_owned())], setting].concat();
         let known = self.document.known(&path);
@@ -352,7 +362,7 @@ impl<'a> Head<'a> {
         let mut input_uncertainty = Map::new();
         let mut parameters = Vec::new();
         let mut shared_rows = false;
-        let mut origin = Origin { file: None, parameters: Vec::new() };
+        let mut origin = Origin { file: None, expanded: Vec::new() };
         for (key, node) in self.node.map()? {
             if key == kind.key() || known.iter().any(|reference| reference.key == key) {
                 continue;
@@ -362,7 +372,8 @@ impl<'a> Head<'a> {
             } else if kind == Kind::Estimate && key == "parameters" {
                 let patterns = sets.expand(None, node.list()?)?;
                 parameters = patterns.iter().filter_map(|pattern| pattern.value.as_str()).map(str::to_owned).collect();
-                origin.parameters = patterns.into_iter().map(|pattern| pattern.path).collect();
+                let places = patterns.into_iter().map(|pattern| pattern.path).collect();
+                origin.expanded.push((vec![PathItem::Key(key.to_owned())], places));
             } else if kind == Kind::Estimate && key == SHARED_ROWS {
                 if node.text()? != ACCEPTED {
                     return Err(node.error(At::Value, format!("`{ACCEPTED}` was expected, or nothing")));
@@ -371,7 +382,8 @@ impl<'a> Head<'a> {
             } else if kind == Kind::Artefact && INPUT_UNCERTAINTY.contains(&key) {
                 input_uncertainty.insert(key.to_owned(), node.value.clone());
             } else {
-                settings.insert(key.to_owned(), node.value.clone());
+                let path = vec![PathItem::Key(key.to_owned())];
+                settings.insert(key.to_owned(), with_sets(&node, path, sets, &mut origin.expanded)?);
             }
         }
         if graph::is_analysis(self) {
@@ -432,6 +444,40 @@ impl<'a> Head<'a> {
             }
         }
         Ok(described)
+    }
+}
+
+/// A setting with sets in place of their names, in whatever list they stand; `expanded` gets the places of the entries of each such
+/// list.
+fn with_sets<'a>(
+    node: &Node<'a>,
+    path: Vec<PathItem>,
+    sets: &Sets<'a>,
+    expanded: &mut Vec<Expanded>,
+) -> Result<Value, Error> {
+    let below = |item: PathItem| path.iter().cloned().chain([item]).collect::<Vec<_>>();
+    match node.value {
+        Value::Array(list) => {
+            let names_set = |value: &Value| value.as_str().is_some_and(|text| text.starts_with('@'));
+            let nodes = match list.iter().any(names_set) {
+                false => node.list()?,
+                true => {
+                    let nodes = sets.expand(None, node.list()?)?;
+                    expanded.push((path.clone(), nodes.iter().map(|node| node.path.clone()).collect()));
+                    nodes
+                }
+            };
+            let entries = nodes.iter().enumerate();
+            entries.map(|(index, entry)| with_sets(entry, below(PathItem::Index(index)), sets, expanded)).collect()
+        }
+        Value::Object(_) => {
+            let mut map = Map::new();
+            for (key, entry) in node.map()? {
+                map.insert(key.to_owned(), with_sets(&entry, below(PathItem::Key(key.to_owned())), sets, expanded)?);
+            }
+            Ok(Value::Object(map))
+        }
+        _ => Ok(node.value.clone()),
     }
 }
 

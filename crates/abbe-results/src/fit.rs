@@ -201,8 +201,14 @@ pub struct FitReport {
     /// Root mean square of the residuals of angles, µrad.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub residual_rms_urad: Option<f64>,
+    /// Singular values below this part of the largest count as zero; none where nothing was solved.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub rank_tolerance: Option<f64>,
     /// What the data cannot determine.
     pub null_space: Vec<NullVector>,
+    /// Unknowns that were left at their start values, so that others could be estimated.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub dropped: Vec<String>,
     /// The combinations that they determine worst, the weakest first.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub weakest: Vec<NullVector>,
@@ -240,7 +246,9 @@ impl FitReport {
             residual_max_urad: None,
             residual_mean_abs_urad: None,
             residual_rms_urad: None,
+            rank_tolerance: None,
             null_space: Vec::new(),
+            dropped: Vec::new(),
             weakest: Vec::new(),
             selection: None,
             same_motion: Vec::new(),

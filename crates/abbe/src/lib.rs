@@ -199,12 +199,18 @@ fn dispatch(command: Command, libraries: &Libraries) -> Result<(String, u8)> {
             let outcome = prepared.run(&monitor)?;
             bar.finish_and_clear();
             let folder = interrupt::while_writing(|| outcome.write(&out))?;
-            let status = if outcome.passes() { 0 } else { 3 };
-            let text = match json {
-                true => pretty(&summary::json(&outcome, &folder))?,
-                false => summary::text(&prepared.recipe.name, &outcome, &folder),
+            let status = match (outcome.failures.is_empty(), outcome.passes()) {
+                (false, _) => 1,
+                (true, false) => 3,
+                (true, true) => 0,
             };
-            Ok((text, status))
+            if json {
+                return Ok((pretty(&summary::json(&outcome, &folder))?, status));
+            }
+            for failure in outcome.failures.iter().filter(|failure| failure.needs.is_none()) {
+                eprint!("{}", failure::text(&failure.error));
+            }
+            Ok((summary::text(&prepared.recipe.name, &outcome, &folder), status))
         }
         Command::Check { recipe, json } => {
             interrupt::ends(Monitor::default())?;

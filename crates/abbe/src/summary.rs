@@ -3,7 +3,7 @@
 use std::path::Path;
 
 use abbe_core::{Decision, Estimated, Figure, Fit, NullVector, Outlier, Owner, Status, Unit, Verdict};
-use abbe_engine::{Outcome, Planned};
+use abbe_engine::{Failure, Outcome, Planned};
 use abbe_recipe::Recipe;
 use serde_json::{Value, json};
 
@@ -25,8 +25,18 @@ pub fn text(name: &str, outcome: &Outcome, folder: &Path) -> String {
         parts.extend(unlikely(&outcome.fits));
     }
     parts.extend(outcome.verdicts.iter().map(verdict));
+    parts.extend(failures(&outcome.failures));
     parts.push(format!("Results: {}\n", folder.display()));
     parts.join("\n")
+}
+
+/// The stages without a result, and the beginning of why.
+fn failures(failures: &[Failure]) -> Option<String> {
+    let line = |failure: &Failure| {
+        let message = failure.error.message.lines().next().unwrap_or_default();
+        format!("  {} ({}): {message}\n", failure.stage, failure.kind.key())
+    };
+    (!failures.is_empty()).then(|| section("Failed", &failures.iter().map(line).collect::<String>()))
 }
 
 fn section(title: &str, body: &str) -> String {
@@ -298,6 +308,7 @@ pub fn json(outcome: &Outcome, folder: &Path) -> Value {
         "decision": outcome.decision(),
         "estimates": estimates.collect::<Vec<_>>(),
         "verdicts": outcome.verdicts,
+        "failures": outcome.record().failures,
     })
 }
 

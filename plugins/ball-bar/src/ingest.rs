@@ -72,6 +72,12 @@ struct Feed {
 /// What the limits of a range may be missed by, rad: rounding of a file with four decimals of a degree.
 const AT_LIMIT: f64 = 1e-6;
 
+/// An axis that moves less than this, rad, stands still: rounding of a file with three decimals of a degree.
+const STILL: f64 = 2e-5;
+
+/// Part of the sweep of the axis that moves by which another one may follow its command badly.
+const OF_MOVER: f64 = 1e-3;
+
 abbe_core::register!(
     Ingest,
     "ball-bar",
@@ -199,12 +205,51 @@ impl Named {
         self.swept(data)
     }
 
+    /// Refuses commands that contradict `moves`: the axis stands still, or another rotary axis moves as well.
+    fn only_mover(&self, data: &Dataset, angles: &[f64]) -> Result<()> {
+        let own = sweep(angles);
+        let rotary = |column: &&Column| {
+            let name = column.header.name.trim_end_matches(|c: char| c.is_ascii_digit());
+            column.header.quantity == Quantity::Angle && ["A", "B", "C"].contains(&name)
+        };
+        let others = data.columns.iter().filter(rotary).filter(|column| column.header.name != self.test.moves);
+        let moving = others.filter_map(|column| match &column.values {
+            Values::Numbers(angles) => Some((&column.header.name, sweep(angles))),
+            Values::Labels(_) => None,
+        });
+        let other = moving.max_by(|(_, one), (_, other)| one.total_cmp(other)).filter(|(_, sweep)| *sweep > STILL);
+        let name = &self.test.moves;
+        let message = match other {
+            Some((other, sweep)) if own <= STILL => {
+                format!(
+                    "stands still in `{}`, and {other} moves over {:.3} deg",
+                    self.path.display(),
+                    sweep.to_degrees()
+                )
+            }
+            Some((other, sweep)) if sweep > STILL + OF_MOVER * own => {
+                format!(
+                    "is not the only one that moves in `{}`: {other} does, over {:.3} deg",
+                    self.path.display(),
+                    sweep.to_degrees()
+                )
+            }
+            None if own <= STILL && data.rows() > 1 => format!("stands still in `{}`", self.path.display()),
+            _ => return Ok(()),
+        };
+        Err(self.wrong(
+            "moves",
+            Error::data(format!("{name} {message}")).help("one rotary axis moves in a test; name that one"),
+        ))
+    }
+
     /// The rows within the range, those of a cycle in the order of the angle.
     fn swept(&self, data: Dataset) -> Result<Dataset> {
         let angles = abbe_table::numbers(&data, &self.test.moves, Quantity::Angle).map_err(|error| {
             let help = error.help.clone().unwrap_or_else(|| "samples by time need a `feed`".to_owned());
             self.wrong("moves", error.help(help))
         })?;
+        self.only_mover(&data, angles)?;
         let [from, to] = self.test.range_deg.unwrap_or([f64::NEG_INFINITY, f64::INFINITY]).map(f64::to_radians);
         let within = |row: &usize| (from - AT_LIMIT..=to + AT_LIMIT).contains(&angles[*row]);
         let mut rows: Vec<usize> = (0..data.rows()).filter(within).collect();
@@ -225,6 +270,14 @@ impl Named {
         rows.sort_by(|&a, &b| cycles[a].cmp(&cycles[b]).then(angles[a].total_cmp(&angles[b])));
         Ok(picked(&data, &rows))
     }
+}
+
+/// How far an axis moves, rad.
+fn sweep(angles: &[f64]) -> f64 {
+    let ends = angles
+        .iter()
+        .fold((f64::INFINITY, f64::NEG_INFINITY), |(least, most), angle| (least.min(*angle), most.max(*angle)));
+    (ends.1 - ends.0).max(0.0)
 }
 
 /// The number of every row's cycle, in the order in which cycles appear.

@@ -197,7 +197,13 @@ fn time_and_feed_give_the_angle() {
 
 #[test]
 fn tests_that_make_no_sense_are_refused() {
-    let files = [("a.csv", "A_deg,reading_um\n0,1\n1,2\n"), ("c.csv", "C_deg,time_s,reading_um\n0,1,1\n")];
+    let files = [
+        ("a.csv", "A_deg,reading_um\n0,1\n1,2\n"),
+        ("c.csv", "C_deg,time_s,reading_um\n0,1,1\n"),
+        ("still.csv", "A_deg,C_deg,reading_um\n5,0,1\n5,90,2\n"),
+        ("both.csv", "A_deg,C_deg,reading_um\n0,0,1\n10,0.1,2\n"),
+        ("none.csv", "A_deg,reading_um\n5,1\n5,2\n"),
+    ];
     let feed = json!({ "mm_per_min": 500, "radius_mm": 100, "from_deg": 0, "to_deg": 90 });
     let still = json!({ "mm_per_min": 500, "radius_mm": 100, "from_deg": 0, "to_deg": 0 });
     let cases = [
@@ -208,6 +214,15 @@ fn tests_that_make_no_sense_are_refused() {
         ),
         (json!([{ "file": "a.csv", "moves": "A", "range_deg": [6, 5] }]), "tests[0].range_deg: 6 to 5 is no range"),
         (json!([{ "file": "a.csv", "moves": "C" }]), "tests[0].moves: a.csv: there is no column `C_deg`"),
+        (
+            json!([{ "file": "still.csv", "moves": "A" }]),
+            "tests[0].moves: A stands still in `still.csv`, and C moves over 90.000 deg",
+        ),
+        (
+            json!([{ "file": "both.csv", "moves": "A" }]),
+            "tests[0].moves: A is not the only one that moves in `both.csv`: C does, over 0.100 deg",
+        ),
+        (json!([{ "file": "none.csv", "moves": "A" }]), "tests[0].moves: A stands still in `none.csv`"),
         (
             json!([{ "file": "a.csv", "moves": "A" }, { "file": "a.csv", "moves": "A" }]),
             "tests[1].name: there is a test `a` already",

@@ -6,15 +6,17 @@
 
 mod select;
 
+use std::collections::BTreeSet;
+
 use abbe_core::{
     Calibration, Context, Convergence, Error, Estimate, Identifiability, Owner, PathItem, Problem, Result,
     SettingsError, Status, Termination, Unknown,
 };
 use abbe_estimation::{
-    Components, Solved, UncertaintyEvaluation, Weighted, components, confounded, identifiability,
-    is_judged_as_recorded, judged_factor, separated,
+    Components, Judgement, Lost, Solved, UncertaintyEvaluation, Weighted, components, confounded, identifiability,
+    ill_conditioned, in_order_of_preference, separated,
 };
-use abbe_numerics::{End, Factor, Loss, Options, Robust, Solution, solve_from};
+use abbe_numerics::{Directions, End, Factor, LeastSquares, Loss, Options, Robust, Solution, Within, solve_from};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use serde_json::{Value, json};
@@ -38,6 +40,9 @@ struct Settings {
     /// What to do when the data cannot separate the chosen parameters.
     #[serde(default)]
     on_confounded: OnConfounded,
+    /// What is rather estimated than dropped, the most preferred first: names and patterns (`on_confounded: drop`).
+    #[serde(default)]
+    prefer: Vec<String>,
     /// Singular values below this part of the largest count as zero; columns have norm 1.
     #[serde(default = "default_tolerance")]
     rank_tolerance: f64,
@@ -63,6 +68,9 @@ struct Settings {
     #[serde(default = "default_convergence")]
     tolerance: f64,
 }
+
+/// Part of the largest effect in a lost direction from which the value of a parameter tells how far the direction may be off.
+const MAIN_PART: f64 = 0.1;
 
 /// Robust weights that change by less than this have settled.
 const SETTLED: f64 = 1e-4;
@@ -199,6 +207,10 @@ fn build(settings: Settings, _: &Context) -> Result<Box<dyn Estimate>, SettingsE
     {
         return Err(SettingsError::new("robust", "cutoff and outlier_at have to be positive"));
     }
+    if !settings.prefer.is_empty() && settings.on_confounded != OnConfounded::Drop {
+        let message = "nothing is dropped, so that nothing can be preferred";
+        return Err(SettingsError::new("prefer", message).help("set `on_confounded: drop`, or leave out `prefer`"));
+    }
     if settings.variance == Variance::PerStage && settings.trust_uncertainties {
         let message = "stated uncertainties that are trusted leave no factors to estimate";
         return Err(SettingsError::new("variance", message).help("leave out `variance`, or `trust_uncertainties`"));
@@ -231,16 +243,31 @@ impl GaussNewton {
         Ok(())
     }
 
-    fn options(&self, rank: usize, tolerance: f64, near: bool) -> Options {
+    fn options(&self, tolerance: f64, near: bool) -> Options {
         let settled = if near { NEARLY_SETTLED } else { SETTLED };
         let (iterations, robust) = (self.settings.iterations, self.robust());
-        Options { iterations, tolerance, settled, robust, near, ..Options::new(rank) }
+        Options { iterations, tolerance, settled, robust, near, ..Options::USUAL }
     }
 
-    /// The values of the unknowns; fails where the iteration does not converge.
-    fn iterate(
+    /// The solution from a start, within the directions that are determined, if not all are; along others the unknowns stay where
+    /// they start. Fails where the iteration does not converge.
+    fn iterate_within(
         &self,
         weighted: &Weighted<'_>,
+        start: &[f64],
+        determined: Option<&Directions>,
+        options: &Options,
+    ) -> Result<Solution> {
+        let Some(directions) = determined else { return self.iterate(weighted, start, None, options) };
+        let within = Within { problem: weighted, origin: start, directions };
+        let solution = self.iterate(&within, &vec![0.0; directions.count()], None, options)?;
+        Ok(Solution { x: within.place(&solution.x), ..solution })
+    }
+
+    /// The solution of rows from a start; fails where the iteration does not converge.
+    fn iterate(
+        &self,
+        weighted: &impl LeastSquares<Error = Error>,
         start: &[f64],
         factor: Option<Factor>,
         options: &Options,
@@ -278,29 +305,31 @@ impl GaussNewton {
         Err(error.convergence(convergence))
     }
 
-    /// Solves a problem; `at_start` is its factor at the contact points of the start values.
+    /// Solves a problem; `at_start` is its factor at the start values, if it is known.
     fn solve(
         &self,
         problem: &Problem,
         at_start: Option<&Factor>,
-        lost: Option<Identifiability>,
+        lost: Option<Lost>,
         explained: bool,
     ) -> Result<Calibration> {
-        let rank = lost.as_ref().map_or(problem.unknowns.len(), |lost| lost.rank);
+        let determined = lost.as_ref().map(|lost| &lost.determined);
         let components = match self.settings.variance {
             Variance::Common => None,
-            Variance::PerStage => Some(self.components(problem, rank)?),
+            Variance::PerStage => Some(self.components(problem, determined)?),
         };
         let scaled = components.as_ref().map(|found| problem.with_variance_factors(&found.factors).at(&found.x));
         let (problem, at_start) = scaled.as_ref().map_or((problem, at_start), |scaled| (scaled, None));
-        let at_start = at_start.filter(|_| is_judged_as_recorded(problem)).cloned();
         let weighted = self.weighted(problem)?;
-        let options = self.options(rank, self.settings.tolerance, false);
-        let Solution { x, iterations, robust, last_step, gradient_cosine, factor, .. } =
-            self.iterate(&weighted, &problem.start(), at_start, &options)?;
+        let options = self.options(self.settings.tolerance, false);
+        let solution = match determined {
+            Some(_) => self.iterate_within(&weighted, &problem.start(), determined, &options),
+            None => self.iterate(&weighted, &problem.start(), at_start.cloned(), &options),
+        };
+        let Solution { x, iterations, robust, last_step, gradient_cosine, factor, .. } = solution?;
         let solved = Solved {
             x,
-            factor: Some(factor).filter(|_| robust.is_none()),
+            factor: Some(factor).filter(|_| robust.is_none() && lost.is_none()),
             robust: robust.zip(self.robust()),
             iterations,
             last_step: Some(last_step),
@@ -315,12 +344,12 @@ impl GaussNewton {
     }
 
     /// The factors on the stated uncertainties of every set.
-    fn components(&self, problem: &Problem, rank: usize) -> Result<Components> {
+    fn components(&self, problem: &Problem, determined: Option<&Directions>) -> Result<Components> {
         let solve = |problem: &Problem| {
-            let options = self.options(rank, self.settings.tolerance, false);
-            self.iterate(&self.weighted(problem)?, &problem.start(), None, &options)
+            let options = self.options(self.settings.tolerance, false);
+            self.iterate_within(&self.weighted(problem)?, &problem.start(), determined, &options)
         };
-        let found = components(problem, (rank, self.robust()), solve)?;
+        let found = components(problem, (determined, self.robust()), solve)?;
         found.warn(problem);
         Ok(found)
     }
@@ -335,38 +364,46 @@ impl GaussNewton {
         Ok(weighted)
     }
 
-    /// The problem with start values from which more unknowns have an effect than from its own, with its factor; None if
-    /// there are none.
+    /// The judgement of a problem, and the problem with better start values, if they make more unknowns have an effect.
     ///
     /// A wavelength has no effect as long as the amplitudes that go with it are zero: those come first, without it. It is known by its
     /// nominal value, which is not zero; any other unknown without effect is one that the data do not see.
-    fn started(&self, problem: &Problem, factor: &Factor) -> Result<Option<(Problem, Factor)>> {
+    fn judge(&self, problem: &Problem) -> Result<(Option<Problem>, Judgement)> {
         let nominal = &problem.model.info().nominal;
-        let idle = |factor: &Factor| -> Vec<String> {
-            let shapes = |unknown: &Unknown| unknown.owner == Owner::Machine && nominal[unknown.index] != 0.0;
+        let shapes = |unknown: &Unknown| unknown.owner == Owner::Machine && nominal[unknown.index] != 0.0;
+        let idle = |factor: &Factor| -> Vec<&str> {
             let idle = problem.unknowns.iter().zip(factor.norms()).filter(|(_, norm)| **norm == 0.0);
-            idle.filter(|(unknown, _)| shapes(unknown)).map(|(unknown, _)| unknown.name.clone()).collect()
+            idle.filter(|(unknown, _)| shapes(unknown)).map(|(unknown, _)| unknown.name.as_str()).collect()
         };
-        let first = idle(factor);
-        let reduced = problem.without(|unknown| first.contains(&unknown.name));
+        let judged = Judgement::new(problem, None)?;
+        let first = idle(judged.factor());
+        let reduced = problem.without(|unknown| first.contains(&unknown.name.as_str()));
         if first.is_empty() || reduced.unknowns.is_empty() {
-            return Ok(None);
+            return Ok((None, judged));
         }
-        let of_reduced = factor.without(|unknown| first.contains(&problem.unknowns[unknown].name));
-        let rank = match of_reduced.is_surely_full_rank(self.settings.rank_tolerance) {
-            true => reduced.unknowns.len(),
-            false => of_reduced.singular_values().rank(self.settings.rank_tolerance),
-        };
-        let options = self.options(rank, 1e-3, false);
-        let at_start = Some(of_reduced).filter(|_| is_judged_as_recorded(&reduced));
-        let solution = match self.iterate(&self.weighted(&reduced)?, &reduced.start(), at_start, &options) {
+        let factor = judged.factor().without(|unknown| first.contains(&problem.unknowns[unknown].name.as_str()));
+        let determined = self.determined(&factor);
+        let options = self.options(1e-3, false);
+        let found = self.iterate_within(&self.weighted(&reduced)?, &reduced.start(), determined.as_ref(), &options);
+        let solution = match found {
             Ok(solution) => solution,
             Err(error) if error.fault => return Err(error),
-            Err(_) => return Ok(None),
+            Err(_) => return Ok((None, judged)),
         };
         let started = Problem { unknowns: problem.unknowns.clone(), ..reduced.at(&solution.x) };
-        let factor = judged_factor(&started, &started.start())?;
-        Ok((idle(&factor).len() < first.len()).then_some((started, factor)))
+        let again = Judgement::new(&started, None)?;
+        let better = idle(again.factor()).len() < first.len();
+        Ok(if better { (Some(started), again) } else { (None, judged) })
+    }
+
+    /// The directions that some rows determine; none if they determine all.
+    fn determined(&self, factor: &Factor) -> Option<Directions> {
+        let tolerance = self.settings.rank_tolerance;
+        if factor.is_surely_full_rank(tolerance) {
+            return None;
+        }
+        let rank = factor.singular_values().rank(tolerance);
+        (rank < factor.unknowns()).then(|| factor.spectrum().determined(rank))
     }
 
     fn estimate(&self, problem: &Problem, explained: bool) -> Result<Calibration> {
@@ -383,7 +420,7 @@ impl GaussNewton {
         let x = problem.values_of(&all);
         let weighted = self.weighted(problem)?;
         let weights = match self.settings.robust {
-            Some(_) => self.iterate(&weighted, &x, None, &self.options(x.len(), 1e-6, true))?.robust,
+            Some(_) => self.iterate(&weighted, &x, None, &self.options(1e-6, true))?.robust,
             None => None,
         };
         let factor = weighted.factor(&x, weights.as_ref().map(|report| report.weights.as_slice()))?;
@@ -395,40 +432,105 @@ impl GaussNewton {
 
     fn estimate_all(&self, problem: &Problem, explained: bool) -> Result<Calibration> {
         Self::check(problem)?;
-        let factor = judged_factor(problem, &problem.start())?;
-        let started = self.started(problem, &factor)?;
-        let (problem, factor) = started.as_ref().map_or((problem, &factor), |(problem, factor)| (problem, factor));
-        if factor.is_surely_full_rank(self.settings.rank_tolerance) {
-            return self.solve(problem, Some(factor), None, explained);
-        }
+        let (started, judged) = self.judge(problem)?;
+        let (problem, factor) = (started.as_ref().unwrap_or(problem), judged.factor());
+        let Some(determined) = self.determined(factor) else {
+            let at_start = judged.factor_at_start().filter(|_| started.is_none());
+            return self.solve(problem, at_start, None, explained).map_err(|error| self.ill(problem, factor, error));
+        };
         let found = identifiability(problem, factor, self.settings.rank_tolerance);
-        if found.rank == found.unknowns {
-            return self.solve(problem, Some(factor), None, explained);
-        }
         let wanted = explained || self.settings.on_confounded == OnConfounded::Error;
-        let found = if wanted { separated(problem, &problem.start(), found) } else { found };
+        let found = if wanted { separated(problem, found) } else { found };
         match self.settings.on_confounded {
             OnConfounded::Error => Err(confounded(&found)),
-            OnConfounded::MinimumNorm => self.solve(problem, Some(factor), Some(found), explained),
+            OnConfounded::MinimumNorm => {
+                let solve = |problem: &Problem, explained: bool| {
+                    let lost = Lost { found: found.clone(), determined: determined.clone() };
+                    self.solve(problem, None, Some(lost), explained)
+                };
+                let mut calibration = solve(problem, explained)?;
+                self.mark_shared((problem, factor), &found, &mut calibration, explained, |problem| {
+                    solve(problem, false)
+                })?;
+                Ok(calibration)
+            }
             OnConfounded::Drop => {
-                let dropped = factor.spectrum().dependent(found.rank);
+                let order = in_order_of_preference(problem, &self.settings.prefer)?;
+                let dropped = factor.spectrum().dependent(found.rank, &order);
                 let names: Vec<&str> = dropped.iter().map(|&index| problem.unknowns[index].name.as_str()).collect();
-                tracing::warn!("{}: left at their start values: {}", problem.name, names.join(", "));
-                let reduced = problem.without(|unknown| names.contains(&unknown.name.as_str()));
-                let mut calibration = self.solve(&reduced, None, None, explained)?;
-                // Parameters that share a lost direction have a value only as long as those left out have theirs.
-                let parts = found.null_space.iter().flat_map(|vector| &vector.combination);
-                let shared: Vec<&str> = parts.map(|part| part.name.as_str()).collect();
-                for estimated in calibration.parameters.iter_mut().chain(&mut calibration.artefacts) {
-                    if shared.contains(&estimated.name.as_str()) || names.contains(&estimated.name.as_str()) {
-                        estimated.status = Status::Confounded;
-                    }
+                if explained {
+                    tracing::warn!("{}: left at their start values: {}", problem.name, names.join(", "));
                 }
+                let solve = |problem: &Problem, explained: bool| {
+                    let reduced = problem.without(|unknown| names.contains(&unknown.name.as_str()));
+                    self.solve(&reduced, None, None, explained)
+                };
+                let mut calibration = solve(problem, explained)?;
                 calibration.fit.unknowns = found.unknowns;
-                calibration.fit.null_space = found.null_space;
+                calibration.fit.null_space.clone_from(&found.null_space);
+                calibration.fit.dropped = names.iter().map(|&name| name.to_owned()).collect();
+                self.mark_shared((problem, factor), &found, &mut calibration, explained, |problem| {
+                    solve(problem, false)
+                })?;
                 Ok(calibration)
             }
         }
+    }
+
+    /// Marks every value that hangs on a lost direction: those that share it, and those that move by more than their standard
+    /// uncertainty where it is taken to be another, by products of errors.
+    ///
+    /// How far a lost direction may be off nobody knows; it is tried with the largest value that was found for what has a main part in
+    /// it.
+    /// `solve` gives the calibration from start values with the lost directions as they are there.
+    fn mark_shared(
+        &self,
+        (problem, factor): (&Problem, &Factor),
+        found: &Identifiability,
+        calibration: &mut Calibration,
+        explained: bool,
+        solve: impl Fn(&Problem) -> Result<Calibration>,
+    ) -> Result<()> {
+        let parts = found.null_space.iter().flat_map(|vector| &vector.combination);
+        let mut shared: BTreeSet<String> = parts.map(|part| part.name.clone()).collect();
+        let (start, x) = (problem.start(), problem.values_of(calibration));
+        for vector in found.null_space.iter().filter(|vector| explained && vector.combination.len() > 1) {
+            let members = problem.unknowns.iter().enumerate().filter_map(|(index, unknown)| {
+                let part = vector.combination.iter().find(|part| part.name == unknown.name)?;
+                Some((index, part.coefficient))
+            });
+            let members: Vec<(usize, f64)> = members.collect();
+            let effect = |&(index, part): &(usize, f64)| factor.norms()[index] * part.abs();
+            let largest = members.iter().map(effect).fold(0.0, f64::max);
+            let size = |&(index, part): &(usize, f64)| (x[index] - start[index]).abs() / part.abs();
+            let main = members.iter().filter(|member| effect(member) >= MAIN_PART * largest);
+            let size = main.map(size).fold(0.0, f64::max);
+            let mut shifted = x.clone();
+            members.iter().for_each(|(index, part)| shifted[*index] += size * part);
+            let Ok(other) = solve(&problem.at(&shifted)) else { continue };
+            for estimated in calibration.parameters.iter().chain(&calibration.artefacts) {
+                let moved = other.get(&estimated.name).map_or(0.0, |other| (other.value - estimated.value).abs());
+                if estimated.status == Status::Estimated && moved > estimated.standard_uncertainty {
+                    shared.insert(estimated.name.clone());
+                }
+            }
+        }
+        for estimated in calibration.parameters.iter_mut().chain(&mut calibration.artefacts) {
+            if shared.contains(&estimated.name) {
+                estimated.status = Status::Confounded;
+            }
+        }
+        Ok(())
+    }
+
+    /// The error of a fit that did not converge, with what the data hardly tell before the rest of its help.
+    fn ill(&self, problem: &Problem, factor: &Factor, error: Error) -> Error {
+        if error.convergence.is_none() {
+            return error;
+        }
+        let Some(remark) = ill_conditioned(problem, factor, self.settings.rank_tolerance) else { return error };
+        let help = error.help.clone().map_or(remark.clone(), |help| format!("{remark}\nelse {help}"));
+        error.help(help)
     }
 }
 
@@ -446,8 +548,12 @@ impl Estimate for GaussNewton {
             // Other data may well select others.
             return Ok(problem.values_of(&self.estimate(problem, false)?));
         }
+        if self.settings.on_confounded != OnConfounded::Error {
+            // What these rows determine may well be less than all.
+            return Ok(problem.values_of(&self.estimate_all(problem, false)?));
+        }
         // Near the solution: what is left after this step is its square.
-        let options = self.options(problem.unknowns.len(), 1e-6, true);
+        let options = self.options(1e-6, true);
         Ok(self.iterate(&self.weighted(problem)?, &problem.start(), None, &options)?.x)
     }
 
@@ -456,9 +562,8 @@ impl Estimate for GaussNewton {
     }
 
     fn identify(&self, problem: &Problem) -> Result<Identifiability> {
-        let factor = judged_factor(problem, &problem.start())?;
-        let started = self.started(problem, &factor)?;
-        let (problem, factor) = started.as_ref().map_or((problem, &factor), |(problem, factor)| (problem, factor));
-        self.evaluation(true).identify(problem, factor)
+        in_order_of_preference(problem, &self.settings.prefer)?;
+        let (started, judged) = self.judge(problem)?;
+        self.evaluation(true).identify(started.as_ref().unwrap_or(problem), &judged)
     }
 }

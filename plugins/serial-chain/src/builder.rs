@@ -439,13 +439,19 @@ impl Builder {
         for basis in &self.bases {
             let arguments = basis.arguments_at(&vec![0.0; self.status.len()], &self.nominal);
             let Some(length) = basis.functions.period(&arguments[..basis.arguments.len()]) else { continue };
+            let shapes = basis.arguments.iter().filter_map(|source| match source {
+                Source::Parameter(index) => Some(*index),
+                Source::Status(_) => None,
+            });
+            let shapes: Vec<usize> = shapes.collect();
             for (_, candidate) in self.candidates.iter().filter(|(group, _)| *group == Group::Motion) {
                 let of_it =
                     |place: &CoefficientPlace| place.slot == candidate.slot && place.component == candidate.component;
                 let own = basis.coefficients.iter().filter(|(_, place)| of_it(place));
                 let parameters: Vec<usize> = own.map(|(parameter, _)| *parameter).collect();
                 if let (Some(axis), false) = (candidate.axis, parameters.is_empty()) {
-                    periods.push(Period { symbol: candidate.symbol.clone(), axis, length, parameters });
+                    let (symbol, shapes) = (candidate.symbol.clone(), shapes.clone());
+                    periods.push(Period { symbol, axis, length, parameters, shapes });
                 }
             }
         }

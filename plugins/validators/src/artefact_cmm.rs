@@ -10,7 +10,7 @@ use schemars::JsonSchema;
 use serde::Deserialize;
 use serde_json::{Value, json};
 
-use crate::cmm::{Cmm, Rigid, against_cmm, best_motion, differences, rank_remark};
+use crate::cmm::{Cmm, Placement, against_cmm, best_placement, differences, rank_remark};
 use crate::figures::{Limits, ONE, Sample, UM, check_limits};
 use crate::folds::set_of;
 
@@ -84,13 +84,12 @@ impl ArtefactCmm {
         let matched = cmm.matched(&features)?;
         findings.remarks.extend(matched.left_out.iter().map(|text| format!("{}: {text}", fit.name)));
 
-        let rigid = Rigid::of(&matched.shifts);
-        let effects: Vec<_> = matched.shifts.iter().map(|shift| rigid.effect(shift)).collect();
-        let raw: Vec<f64> = matched.shifts.iter().map(|shift| values[shift.own] - shift.measured).collect();
-        let (motion, rank) = best_motion(&effects, &raw);
+        let (left, rank) = best_placement(Placement::of(&matched.shifts), |placement| {
+            let left = matched.shifts.iter().map(|shift| values[shift.own] - placement.shift(shift));
+            Ok((left.collect(), matched.shifts.iter().map(|shift| -placement.effect(shift)).collect()))
+        })?;
         findings.remarks.extend(rank_remark(&fit.name, rank));
-        let left = raw.iter().zip(&effects).map(|(raw, effect)| (raw - effect.dot(&motion)) * 1e3);
-        let left = Sample(left.collect());
+        let left = Sample(left.into_iter().map(|left| left * 1e3).collect());
         findings.figures.extend(differences(&fit.name, &left));
         findings.figures.extend([
             Figure::new(&fit.name, "range", left.max() - left.min(), UM),

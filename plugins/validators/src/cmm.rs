@@ -3,7 +3,7 @@
 use std::path::{Path, PathBuf};
 
 use abbe_core::{Dataset, Error, Feature, Figure, Findings, Fit, Quantity, Result};
-use nalgebra::{DMatrix, DVector, Vector3, Vector6};
+use nalgebra::{DMatrix, DVector, UnitQuaternion, Vector3, Vector6};
 
 use crate::figures::{Limits, Sample, UM, judged};
 
@@ -32,6 +32,10 @@ pub struct Shift {
     pub direction: Vector3<f64>,
     /// Measured shift, mm.
     pub measured: f64,
+    /// The measured point in the frame of the CMM, mm: a centre, or a point of a facet.
+    pub found: Vector3<f64>,
+    /// Whether a plane was measured, of which only the offset along its normal counts.
+    pub plane: bool,
 }
 
 /// The features that both sides have.
@@ -109,7 +113,8 @@ impl Cmm {
         let Some((normals, offsets)) = &self.offsets else {
             let shift = |&(own, direction): &(usize, [f64; 3])| {
                 let direction = Vector3::from(direction);
-                Shift { own, point, direction, measured: direction.dot(&(self.points[row] - point)) }
+                let (found, plane) = (self.points[row], false);
+                Shift { own, point, direction, measured: direction.dot(&(found - point)), found, plane }
             };
             return Ok(feature.shifts.iter().map(shift).collect());
         };
@@ -134,38 +139,95 @@ impl Cmm {
                 normals[row].angle(&direction)
             ));
         }
-        Ok(vec![Shift { own, point, direction, measured: offsets[row] }])
+        let (measured, found) = (offsets[row], point + direction * offsets[row]);
+        Ok(vec![Shift { own, point, direction, measured, found, plane: true }])
     }
 }
 
-/// Small rigid motions of an artefact, `t + w x P`. Turns are measured by the way that they move points at the artefact's
-/// own size, so that all six unknowns are lengths and the shortest motion means something.
-pub struct Rigid {
+/// Where an artefact is on the machine, seen from the frame of the CMM: a rigid motion, turns and all.
+///
+/// Turns are measured by the way that they move points at the artefact's own size, so that all six unknowns of a motion are lengths
+/// and the shortest one means something.
+#[derive(Clone)]
+pub struct Placement {
     origin: Vector3<f64>,
     size: f64,
+    rotation: UnitQuaternion<f64>,
+    translation: Vector3<f64>,
 }
 
-impl Rigid {
-    /// The motions of an artefact with these shifts.
+impl Placement {
+    /// Both frames the same, for an artefact with these shifts.
     pub fn of(shifts: &[Shift]) -> Self {
         let count = shifts.len().max(1) as f64;
         let origin = shifts.iter().map(|shift| shift.point).sum::<Vector3<f64>>() / count;
         let squares: f64 = shifts.iter().map(|shift| (shift.point - origin).norm_squared()).sum();
         let size = (squares / count).sqrt();
-        Self { origin, size: if size > 0.0 { size } else { 1.0 } }
+        let size = if size > 0.0 { size } else { 1.0 };
+        Self { origin, size, rotation: UnitQuaternion::identity(), translation: Vector3::zeros() }
     }
 
-    /// What the six motions do to a feature in the direction of its shift.
-    pub fn effect(&self, shift: &Shift) -> Vector6<f64> {
-        let turn = (shift.point - self.origin).cross(&shift.direction) / self.size;
-        let along = shift.direction;
-        Vector6::new(along.x, along.y, along.z, turn.x, turn.y, turn.z)
+    /// The same after one more motion: translation and turn times size, mm.
+    pub fn moved(&self, motion: &Vector6<f64>) -> Self {
+        let turn = UnitQuaternion::from_scaled_axis(motion.fixed_rows::<3>(3) / self.size);
+        let translation = self.translation + motion.fixed_rows::<3>(0);
+        Self { rotation: turn * self.rotation, translation, ..self.clone() }
     }
+
+    /// How far the feature as the CMM measured it is off its nominal point on the machine, along the direction of its shift: a
+    /// facet where its plane, tilted as it is, meets the line along the nominal normal.
+    pub fn shift(&self, shift: &Shift) -> f64 {
+        let (normal, off, _) = self.place(shift);
+        normal.dot(&off) / normal.dot(&shift.direction)
+    }
+
+    /// What a further motion does to that, to first order.
+    pub fn effect(&self, shift: &Shift) -> Vector6<f64> {
+        let (normal, off, lever) = self.place(shift);
+        let along = normal.dot(&shift.direction);
+        let mut turn = lever.cross(&normal);
+        if shift.plane {
+            turn += normal.cross(&off) - normal.cross(&shift.direction) * (normal.dot(&off) / along);
+        }
+        let (step, turn) = (normal / along, turn / along / self.size);
+        Vector6::new(step.x, step.y, step.z, turn.x, turn.y, turn.z)
+    }
+
+    /// The direction that counts, where the measured point is from the nominal one, and where it is from the origin of turns.
+    fn place(&self, shift: &Shift) -> (Vector3<f64>, Vector3<f64>, Vector3<f64>) {
+        let lever = self.rotation * (shift.found - self.origin);
+        let off = self.origin + lever + self.translation - shift.point;
+        (if shift.plane { self.rotation * shift.direction } else { shift.direction }, off, lever)
+    }
+}
+
+/// Most steps to the best placement; each leaves the square of what the last one left.
+const STEPS: usize = 20;
+
+/// The placement with the smallest residuals, these residuals, and how many of the six motions they tell.
+///
+/// `linearise` gives residuals at a placement and what a further motion adds to them.
+pub fn best_placement(
+    start: Placement,
+    linearise: impl Fn(&Placement) -> Result<(Vec<f64>, Vec<Vector6<f64>>)>,
+) -> Result<(Vec<f64>, usize)> {
+    let mut placement = start;
+    for _ in 0..STEPS {
+        let (residuals, effects) = linearise(&placement)?;
+        let (step, rank) = best_motion(&effects, &residuals);
+        if step.amax() < 1e-12 {
+            return Ok((residuals, rank));
+        }
+        placement = placement.moved(&-step);
+    }
+    let (residuals, effects) = linearise(&placement)?;
+    let rank = best_motion(&effects, &residuals).1;
+    Ok((residuals, rank))
 }
 
 /// The least squares solution of `effects * motion = values`, of all such the shortest, and how many of the six motions
 /// the effects tell.
-pub fn best_motion(effects: &[Vector6<f64>], values: &[f64]) -> (Vector6<f64>, usize) {
+fn best_motion(effects: &[Vector6<f64>], values: &[f64]) -> (Vector6<f64>, usize) {
     let finite = effects.iter().flat_map(|effect| effect.iter()).chain(values).all(|value| value.is_finite());
     if effects.is_empty() || !finite {
         return (Vector6::zeros(), 0);
@@ -288,29 +350,63 @@ mod tests {
         }
     }
 
-    #[test]
-    fn a_rigid_motion_is_found() {
-        // Nine facets of a cube, moved by t and w.
-        let (t, w) = (Vector3::new(0.01, -0.02, 0.03), Vector3::new(1e-4, 2e-4, -1e-4));
+    /// Nine facets of a cube, and three balls.
+    fn features() -> Vec<Shift> {
         let mut shifts = Vec::new();
         for axis in 0..3 {
             for (u, v) in [(50.0, 20.0), (-40.0, 30.0), (10.0, -60.0)] {
                 let mut point = Vector3::repeat(100.0);
                 point[(axis + 1) % 3] = u;
                 point[(axis + 2) % 3] = v;
-                let direction = Vector3::ith(axis, 1.0);
-                let measured = direction.dot(&(t + w.cross(&point)));
-                shifts.push(Shift { own: shifts.len(), point, direction, measured });
+                let (direction, measured) = (Vector3::ith(axis, 1.0), 0.01 * (u - v) / 100.0);
+                let found = point + direction * measured;
+                shifts.push(Shift { own: shifts.len(), point, direction, measured, found, plane: true });
+            }
+            let point = Vector3::new(70.0, -80.0, 90.0) - Vector3::ith(axis, 120.0);
+            let found = point + Vector3::new(0.02, -0.01, 0.015);
+            shifts.extend((0..3).map(|along| {
+                let direction = Vector3::ith(along, 1.0);
+                Shift { own: 0, point, direction, measured: direction.dot(&(found - point)), found, plane: false }
+            }));
+        }
+        shifts
+    }
+
+    #[test]
+    fn a_rigid_motion_is_found_however_large() {
+        let shifts = features();
+        let start = Placement::of(&shifts);
+        for size in [1e-3, 1.0, 20.0] {
+            let truth = start.moved(&(Vector6::new(0.1, -0.2, 0.3, 0.1, 0.2, -0.1) * size));
+            let own: Vec<f64> = shifts.iter().map(|shift| truth.shift(shift)).collect();
+            // What a plane is on the machine, told by two points of it.
+            for shift in shifts.iter().filter(|shift| shift.plane) {
+                let on_plane =
+                    |point: Vector3<f64>| truth.rotation * (point - truth.origin) + truth.origin + truth.translation;
+                let met = shift.point + shift.direction * truth.shift(shift);
+                let normal = truth.rotation * shift.direction;
+                assert!(normal.dot(&(met - on_plane(shift.found))).abs() < 1e-12);
+            }
+            let (left, rank) = best_placement(start.clone(), |placement| {
+                let residuals = shifts.iter().zip(&own).map(|(shift, own)| placement.shift(shift) - own);
+                Ok((residuals.collect(), shifts.iter().map(|shift| placement.effect(shift)).collect()))
+            })
+            .unwrap();
+            let largest = left.iter().fold(0.0, |largest: f64, left| largest.max(left.abs()));
+            assert!(rank == 6 && largest < 1e-11, "{size}: {rank} {largest:e}");
+        }
+    }
+
+    #[test]
+    fn effects_are_derivatives() {
+        let shifts = features();
+        let at = Placement::of(&shifts).moved(&Vector6::new(1.0, -2.0, 3.0, 4.0, 5.0, -6.0));
+        for (index, shift) in shifts.iter().enumerate() {
+            for k in 0..6 {
+                let along = Vector6::ith(k, 1e-4);
+                let difference = (at.moved(&along).shift(shift) - at.moved(&-along).shift(shift)) / 2e-4;
+                assert!((difference - at.effect(shift)[k]).abs() < 1e-8, "{index} {k}");
             }
         }
-        let rigid = Rigid::of(&shifts);
-        let effects: Vec<Vector6<f64>> = shifts.iter().map(|shift| rigid.effect(shift)).collect();
-        let values: Vec<f64> = shifts.iter().map(|shift| shift.measured).collect();
-        let (motion, rank) = best_motion(&effects, &values);
-        assert_eq!(rank, 6);
-        for (effect, value) in effects.iter().zip(&values) {
-            assert!((effect.dot(&motion) - value).abs() < 1e-14);
-        }
-        assert!((motion.fixed_rows::<3>(3) / rigid.size - w).norm() < 1e-14);
     }
 }

@@ -3,10 +3,14 @@
 use std::collections::{BTreeMap, BTreeSet};
 
 use abbe_core::{
-    Calibration, Error, Fit, Label, Owner, PathItem, Problem, Result, SettingsError, Termination, Unknown,
+    Calibration, Error, Figure, Findings, Fit, Label, Limit, Owner, PathItem, Problem, Result, SettingsError,
+    Termination, Unknown,
 };
+use abbe_estimation::Judgement;
 use schemars::JsonSchema;
 use serde::Deserialize;
+
+use crate::figures::ONE;
 
 /// Which rows are held out together.
 #[derive(Debug, Clone, PartialEq, Deserialize, JsonSchema)]
@@ -123,7 +127,7 @@ pub struct Fold {
 pub struct Trained {
     /// Its result.
     pub calibration: Calibration,
-    /// Unknowns of the full fit that no row touches any more.
+    /// Unknowns of the full fit that have no effect on the rows any more.
     pub lost: Vec<Unknown>,
     /// What people should be told: that the iteration did not converge.
     pub remark: Option<String>,
@@ -135,14 +139,8 @@ impl Fold {
         let rows = fit.problem.sets[set].rows.iter().copied();
         let kept = rows.filter(|row| self.rows.binary_search(row).is_err()).collect();
         let training = fit.problem.watched_by(fit.problem.monitor.quiet()).with_rows(set, kept);
-        let count = training.unknowns.len();
-        let mut touched = vec![false; count];
-        training.linearise(&training.values_of(&fit.calibration), |block| {
-            for line in block.jacobian.chunks_exact(count.max(1)) {
-                touched.iter_mut().zip(line).for_each(|(touched, derivative)| *touched |= *derivative != 0.0);
-            }
-        })?;
-        let lost = training.unknowns.iter().zip(touched).filter(|(_, touched)| !touched);
+        let judged = Judgement::new(&training.at(&training.values_of(&fit.calibration)), None)?;
+        let lost = training.unknowns.iter().zip(judged.factor().norms()).filter(|(_, norm)| **norm == 0.0);
         let lost: Vec<Unknown> = lost.map(|(unknown, _)| unknown.clone()).collect();
         let calibration = fit.estimator.estimate(&training.without(|unknown| lost.contains(unknown)));
         let name = format!("{} without {}", fit.name, self.labels.join(", "));
@@ -152,6 +150,40 @@ impl Fold {
         })?;
         let remark = not_converged(&name, &calibration);
         Ok(Trained { calibration, lost, remark })
+    }
+}
+
+/// The results of `train` for every fold; a fold that fails is reported, and costs no other one.
+///
+/// Fails if all folds do, if the estimator cannot be used any more, and where the work was asked to end.
+pub fn trained<T>(
+    fit: &Fit,
+    folds: Vec<Fold>,
+    findings: &mut Findings,
+    mut train: impl FnMut(&Fold) -> Result<T>,
+) -> Result<Vec<(Fold, T)>> {
+    let (all, mut done, mut failures) = (folds.len(), Vec::new(), Vec::new());
+    for (index, fold) in folds.into_iter().enumerate() {
+        fit.problem.monitor.part("folds", index, Some(all));
+        match train(&fold) {
+            Ok(result) => done.push((fold, result)),
+            Err(error) if error.fault => return Err(error),
+            Err(error) => failures.push(error),
+        }
+    }
+    if let (true, Some(error)) = (done.is_empty(), failures.first()) {
+        return Err(error.clone());
+    }
+    report(fit, "failed folds", failures, findings);
+    Ok(done)
+}
+
+/// Reports estimates that failed, of which none may.
+pub fn report(fit: &Fit, name: &str, failures: Vec<Error>, findings: &mut Findings) {
+    if !failures.is_empty() {
+        let figure = Figure::new(&fit.name, name, failures.len() as f64, ONE);
+        findings.figures.push(figure.limited(Limit::from(0.0)).detail());
+        findings.remarks.extend(failures.into_iter().map(|error| format!("not judged: {}", error.message)));
     }
 }
 

@@ -6,7 +6,7 @@ use serde::Deserialize;
 use serde_json::{Value, json};
 
 use crate::figures::{Groups, Limits, ONE, ResidualSample, check_limits, judged, outliers, residual_limits};
-use crate::folds::{Folds, contained, default_column, reduced, set_of};
+use crate::folds::{Folds, contained, default_column, reduced, set_of, trained};
 
 abbe_core::register!(
     Validate,
@@ -72,9 +72,7 @@ impl HoldOut {
         let left_out = outliers(problem, &fit.calibration);
         let (mut all, mut groups) = (ResidualSample::default(), Groups::default());
         let (mut predicted, mut skipped) = (0_usize, 0_usize);
-        for (done, fold) in folds.iter().enumerate() {
-            problem.monitor.part("folds", done, Some(folds.len()));
-            let trained = fold.train(fit, set)?;
+        for (fold, trained) in trained(fit, folds, findings, |fold| fold.train(fit, set))? {
             findings.remarks.extend(trained.remark);
             let good = fold.rows.iter().copied().filter(|row| !left_out.contains(&(set, *row)));
             let good: Vec<usize> = good.collect();

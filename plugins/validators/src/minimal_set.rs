@@ -1,18 +1,11 @@
 //! Validator `minimal-set`: which of many candidate parameters the measurements can tell apart, and for each of the others why
 //! it is left out: it has no effect, or others that are kept do the same.
 //!
-//! Of parameters that do the same, the one that people prefer is kept. The order is: what `prefer` lists, in its order; offsets
-//! of tool and workpiece, which are different in every set-up; location errors; motion errors; unknowns of artefacts; location
-//! errors that are zero by convention, because they say where the machine's own frame is (ISO 230-1: zero positions of axes, both
-//! orientations of the primary linear axis, that of the secondary one about the primary); turns of tool and workpiece. On the
-//! machine of Viprey et al. (2019) this gives their Table 1.
+//! Of parameters that do the same, the one that people prefer is kept ([`in_order_of_preference`]).
 
-use abbe_core::{
-    AxisKind, Context, Dataset, Figure, Findings, Fit, KinematicModel, Owner, Problem, Result, SettingsError, Unknown,
-    Validate, matches,
-};
-use abbe_estimation::{Weighted, rank_point};
-use abbe_numerics::{Factor, LeftOut};
+use abbe_core::{Context, Dataset, Figure, Findings, Fit, Problem, Result, SettingsError, Validate};
+use abbe_estimation::{Judgement, in_order_of_preference};
+use abbe_numerics::LeftOut;
 use schemars::JsonSchema;
 use serde::Deserialize;
 use serde_json::{Value, json};
@@ -39,16 +32,12 @@ struct Settings {
     /// What is rather kept than others, the most preferred first: names and patterns.
     #[serde(default)]
     prefer: Vec<String>,
-    /// A candidate of whose effect less than this part is its own is left out.
-    #[serde(default = "default_tolerance")]
-    tolerance: f64,
+    /// A candidate of whose effect less than this part is its own is left out; the `rank_tolerance` of the fit if it is not given.
+    #[serde(default)]
+    tolerance: Option<f64>,
     /// Largest admissible values: `condition`, `left_out`.
     #[serde(default)]
     limits: Limits,
-}
-
-fn default_tolerance() -> f64 {
-    1e-8
 }
 
 fn example() -> Value {
@@ -57,7 +46,7 @@ fn example() -> Value {
 
 fn build(settings: Settings, _: &Context) -> Result<Box<dyn Validate>, SettingsError> {
     check_limits(&settings.limits, &["condition", "left_out"])?;
-    if !(settings.tolerance > 0.0 && settings.tolerance < 1.0) {
+    if settings.tolerance.is_some_and(|tolerance| !(tolerance > 0.0 && tolerance < 1.0)) {
         return Err(SettingsError::new("tolerance", "a number between 0 and 1 was expected"));
     }
     Ok(Box::new(MinimalSet { settings }))
@@ -67,8 +56,8 @@ struct MinimalSet {
     settings: Settings,
 }
 
-/// Effects below this part of the largest effect of an unknown of the same unit are rounding.
-const NO_EFFECT: f64 = 1e-12;
+/// The tolerance for fits that say none.
+const DEFAULT_TOLERANCE: f64 = 1e-8;
 
 impl Validate for MinimalSet {
     fn questions_rows(&self) -> bool {
@@ -83,15 +72,15 @@ impl Validate for MinimalSet {
 impl MinimalSet {
     fn select(&self, fit: &Fit, found: &mut Findings) -> Result<()> {
         let problem = self.candidates(&fit.problem)?;
-        let factor = Weighted::new(&problem)?.factor(&problem.start(), None)?;
-        let (order, idle) = self.order(&problem, &factor)?;
-        let selection = factor.select(&order, self.settings.tolerance);
-        let left_out = idle.len() + selection.left_out.len();
+        let judged = Judgement::new(&problem, None)?;
+        let order = in_order_of_preference(judged.problem(), &self.settings.prefer)?;
+        let tolerance = self.settings.tolerance.or(fit.calibration.fit.rank_tolerance).unwrap_or(DEFAULT_TOLERANCE);
+        let selection = judged.factor().select(&order, tolerance);
         let figure = |name: &str, value: f64| Figure::new(&fit.name, name, value, ONE);
         found.figures.extend([
             figure("candidates", problem.unknowns.len() as f64),
             figure("rank", selection.kept.len() as f64),
-            figure("left out", left_out as f64),
+            figure("left out", selection.left_out.len() as f64),
             figure("condition", selection.condition),
         ]);
         let name = |unknown: &usize| problem.unknowns[*unknown].name.clone();
@@ -99,7 +88,7 @@ impl MinimalSet {
         kept.sort_unstable();
         let kept: Vec<String> = kept.iter().map(name).collect();
         found.remarks.push(format!("{}: kept are {}", fit.name, kept.join(" ")));
-        let without: Vec<String> = idle.iter().chain(none(&selection.left_out)).map(name).collect();
+        let without: Vec<String> = none(&selection.left_out).map(name).collect();
         if !without.is_empty() {
             found.remarks.push(format!("{}: no effect: {}", fit.name, without.join(" ")));
         }
@@ -127,34 +116,7 @@ impl MinimalSet {
         for set in &mut candidates.sets {
             set.own = set.info().start.clone();
         }
-        rank_point(&candidates, &candidates.start())
-    }
-
-    /// The candidates in the order of preference, and those that do nothing.
-    fn order(&self, problem: &Problem, factor: &Factor) -> Result<(Vec<usize>, Vec<usize>)> {
-        for (index, pattern) in self.settings.prefer.iter().enumerate() {
-            if !problem.unknowns.iter().any(|unknown| matches(pattern, &unknown.name)) {
-                let names = problem.unknowns.iter().map(|unknown| unknown.name.as_str());
-                let mut error = abbe_core::Error::usage(format!("`{pattern}` matches no candidate"));
-                error = error.suggest(pattern, names);
-                error.setting = vec![abbe_core::PathItem::Key("prefer".to_owned()), abbe_core::PathItem::Index(index)];
-                return Err(error);
-            }
-        }
-        let convention = Convention::of(problem.model.as_ref());
-        let rank = |unknown: &Unknown| {
-            let preferred = self.settings.prefer.iter().position(|pattern| matches(pattern, &unknown.name));
-            (preferred.unwrap_or(usize::MAX), convention.rank(unknown))
-        };
-        let norms = factor.norms();
-        let largest = |unknown: &Unknown| {
-            let same = problem.unknowns.iter().zip(norms).filter(|(other, _)| other.unit == unknown.unit);
-            same.fold(0.0, |largest: f64, (_, norm)| largest.max(*norm))
-        };
-        let idle = |index: &usize| norms[*index] <= NO_EFFECT * largest(&problem.unknowns[*index]);
-        let (idle, mut order): (Vec<usize>, Vec<usize>) = (0..problem.unknowns.len()).partition(idle);
-        order.sort_by_key(|&index| rank(&problem.unknowns[index]));
-        Ok((order, idle))
+        Ok(candidates)
     }
 }
 
@@ -181,59 +143,6 @@ fn sum(parts: &[(usize, f64)], name: impl Fn(&usize) -> String) -> String {
         text.push_str(&format!("{sign}{size}{}", name(unknown)));
     }
     text
-}
-
-/// What is zero by convention on a machine.
-struct Convention {
-    zero: Vec<String>,
-}
-
-impl Convention {
-    /// Letters of the components of location errors about and along x, y, z.
-    const ALONG: [char; 3] = ['X', 'Y', 'Z'];
-    const ABOUT: [char; 3] = ['A', 'B', 'C'];
-
-    fn of(model: &dyn KinematicModel) -> Self {
-        // The direction among x, y, z that an axis is closest to.
-        let main = |direction: &[f64; 3]| {
-            (0..3).max_by(|&a, &b| direction[a].abs().total_cmp(&direction[b].abs())).unwrap_or_default()
-        };
-        let mut zero = Vec::new();
-        // The primary and the secondary linear axis: the first two directions of x, y, z that the machine has.
-        let mut linear: Vec<(usize, &str)> = Vec::new();
-        for axis in &model.info().axes {
-            let (name, direction) = (axis.name.as_str(), main(&axis.direction));
-            match axis.kind {
-                AxisKind::Linear => {
-                    zero.push(format!("E{}0{name}", Self::ALONG[direction]));
-                    linear.push((direction, name));
-                }
-                AxisKind::Rotary => zero.push(format!("E{}0{name}", Self::ABOUT[direction])),
-            }
-        }
-        linear.sort_by_key(|(direction, _)| *direction);
-        if let Some((primary, name)) = linear.first() {
-            zero.extend(Self::ABOUT.iter().map(|about| format!("E{about}0{name}")));
-            if let Some((_, name)) = linear.iter().find(|(direction, _)| direction != primary) {
-                zero.push(format!("E{}0{name}", Self::ABOUT[*primary]));
-            }
-        }
-        Self { zero }
-    }
-
-    /// The place of an unknown in the order of preference, the smaller the better.
-    fn rank(&self, unknown: &Unknown) -> usize {
-        let name = unknown.name.as_str();
-        let set_up = |pattern| matches(pattern, name);
-        match unknown.owner {
-            Owner::Machine if ["dxt", "dyt", "dzt", "dxw", "dyw", "dzw"].contains(&name) => 0,
-            Owner::Machine if ["da?", "db?", "dc?"].into_iter().any(set_up) => 5,
-            Owner::Machine if self.zero.iter().any(|zero| zero == name) => 4,
-            Owner::Machine if matches("E?0*", name) => 1,
-            Owner::Machine => 2,
-            Owner::Set(_) | Owner::Input => 3,
-        }
-    }
 }
 
 #[cfg(test)]
@@ -273,6 +182,6 @@ mod tests {
         let told = judged(&prefer).unwrap().remarks.join("\n");
         assert!(told.contains(&format!("dzt = -{set}.facet[a].d")), "{told}");
         let wrong = judged(&json!({ "prefer": ["dxw"] })).unwrap_err();
-        assert!(wrong.contains("`dxw` matches no candidate"), "{wrong}");
+        assert!(wrong.contains("`dxw` matches nothing that is to be estimated"), "{wrong}");
     }
 }

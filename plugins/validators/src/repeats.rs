@@ -15,6 +15,7 @@ use serde::Deserialize;
 use serde_json::{Value, json};
 
 use crate::figures::{Limits, ONE, Sample, ascii, check_finite, relative_uncertainty, suffix};
+use crate::folds::report;
 
 abbe_core::register!(
     Validate,
@@ -128,7 +129,19 @@ impl Repeats {
                 ..error
             })
         });
-        let values = estimated.into_iter().collect::<Result<Vec<Vec<f64>>>>()?;
+        let (mut values, mut failures) = (Vec::new(), Vec::new());
+        for result in estimated {
+            match result {
+                Ok(found) => values.push(found),
+                Err(error) if error.fault => return Err(error),
+                Err(error) => failures.push(error),
+            }
+        }
+        match failures.first() {
+            // A scatter needs two.
+            Some(error) if values.len() < 2 => return Err(error.clone()),
+            _ => report(fit, "failed repeats", failures, findings),
+        }
         for &(place, unknown) in chosen {
             let (symbol, factor) = unknown.unit.for_people();
             let unit = ascii(&symbol);

@@ -12,9 +12,9 @@ use schemars::JsonSchema;
 use serde::Deserialize;
 use serde_json::{Value, json};
 
-use crate::cmm::{Cmm, Rigid, Shift, against_cmm, best_motion, differences, rank_remark};
+use crate::cmm::{Cmm, Placement, Shift, against_cmm, best_placement, differences, rank_remark};
 use crate::figures::{Limits, ONE, Sample, UM, check_limits, outliers};
-use crate::folds::{Folds, Trained, contained, default_column, own_unknown, reduced, set_of};
+use crate::folds::{Fold, Folds, Trained, contained, default_column, own_unknown, reduced, set_of, trained};
 
 abbe_core::register!(
     Validate,
@@ -102,7 +102,7 @@ impl TipCmm {
         let layout = &problem.sets[set].info().layout;
         let (mut skipped, mut unpredicted) = (0_usize, 0_usize);
         let mut cases = Vec::new();
-        for part in self.parts(fit, set)? {
+        for part in self.parts(fit, set, findings)? {
             findings.remarks.extend(part.remark);
             let mut rows = part.rows;
             rows.retain(|&row| layout.rows[row].poses > 0);
@@ -140,35 +140,27 @@ impl TipCmm {
         Ok(())
     }
 
-    fn parts(&self, fit: &Fit, set: usize) -> Result<Vec<Part>> {
+    fn parts(&self, fit: &Fit, set: usize, findings: &mut Findings) -> Result<Vec<Part>> {
         let Some(folds) = &self.settings.folds else {
             let rows = fit.problem.sets[set].rows.clone();
             return Ok(vec![Part { calibration: fit.calibration.clone(), lost: Vec::new(), rows, remark: None }]);
         };
         let folds = folds.split(&fit.problem, set, &self.settings.column)?;
-        let all = folds.len();
-        (folds.into_iter().enumerate())
-            .map(|(done, fold)| {
-                fit.problem.monitor.part("folds", done, Some(all));
-                let Trained { calibration, lost, remark } = fold.train(fit, set)?;
-                Ok(Part { calibration, lost, rows: fold.rows, remark })
-            })
-            .collect()
+        let trained = trained(fit, folds, findings, |fold| fold.train(fit, set))?;
+        let part = |(fold, trained): (Fold, Trained)| {
+            let Trained { calibration, lost, remark } = trained;
+            Part { calibration, lost, rows: fold.rows, remark }
+        };
+        Ok(trained.into_iter().map(part).collect())
     }
 }
 
 /// Residuals in µm after the rigid motion of the artefact, common to all cases, that makes them smallest.
 fn place(cases: &[Problem], shifts: &[Shift]) -> Result<(Sample, usize)> {
-    let rigid = Rigid::of(shifts);
-    let by_shift: Vec<Vector6<f64>> = shifts.iter().map(|shift| rigid.effect(shift)).collect();
-    let mut motion = Vector6::zeros();
-    let (mut residuals, mut rank) = (Vec::new(), 0);
-    // Touches on balls are not quite linear in the motion; the frames are near each other, so a few steps do.
-    for iteration in 0..10 {
-        let own: Vec<f64> =
-            shifts.iter().zip(&by_shift).map(|(shift, effect)| shift.measured + effect.dot(&motion)).collect();
-        residuals.clear();
-        let mut effects = Vec::new();
+    let (residuals, rank) = best_placement(Placement::of(shifts), |placement| {
+        let own: Vec<f64> = shifts.iter().map(|shift| placement.shift(shift)).collect();
+        let by_shift: Vec<Vector6<f64>> = shifts.iter().map(|shift| placement.effect(shift)).collect();
+        let (mut residuals, mut effects) = (Vec::new(), Vec::new());
         for case in cases {
             case.linearise(&own, |block| {
                 for (line, residual) in block.jacobian.chunks_exact(shifts.len().max(1)).zip(block.residuals) {
@@ -177,13 +169,8 @@ fn place(cases: &[Problem], shifts: &[Shift]) -> Result<(Sample, usize)> {
                 }
             })?;
         }
-        let (step, found) = best_motion(&effects, &residuals);
-        rank = found;
-        if step.amax() < 1e-9 || iteration == 9 {
-            break;
-        }
-        motion -= step;
-    }
+        Ok((residuals, effects))
+    })?;
     Ok((Sample(residuals.iter().map(|residual| residual * 1e3).collect()), rank))
 }
 

@@ -107,7 +107,7 @@ fn coefficients_are_the_certified_ones() {
         let deviations: Vec<f64> = (0..certified.len()).map(|k| (variance * covariance[k][k]).sqrt()).collect();
         let published = numbers(&set["exact"]["standard_deviations"]);
         let of_spread = if published[0] > 0.0 { digits(&deviations, &published) } else { 0.0 };
-        let options = Options { iterations: 20, tolerance: 1e-14, ..Options::new(certified.len()) };
+        let options = Options { iterations: 20, tolerance: 1e-14, ..Options::USUAL };
         let Ok(solution) = solve(&given(&problem), &vec![0.0; certified.len()], &options);
         let iterated = digits(&solution.x, &certified);
         println!(

@@ -178,7 +178,7 @@ fn it_ends_at_the_certified_values_or_says_that_it_does_not() {
         let x = set["x"].as_array().expect("a list").iter().map(numbers).collect();
         let curve = Curve { formula, x, y, count: certified.len(), unit };
         for start in ["start_1", "start_2"] {
-            let options = Options { iterations: 500, ..Options::new(curve.count) };
+            let options = Options { iterations: 500, ..Options::USUAL };
             let Ok(solution) = solve(&curve, &numbers(&set[start]), &options);
             let off = solution.x.iter().zip(&certified).map(|(found, exact)| ((found - exact) / exact).abs());
             let digits = -off.fold(1e-16, f64::max).log10();

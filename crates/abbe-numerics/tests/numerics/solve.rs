@@ -2,12 +2,13 @@
 //! takes the shortest way where directions are lost, and does not care about the order of rows.
 
 use std::cell::Cell;
+use std::convert::Infallible;
 
-use abbe_numerics::{End, LeastSquares, Options, Sink, Solution, solve};
+use abbe_numerics::{Accumulator, End, LeastSquares, Options, Sink, Solution, Within, solve};
 
 use crate::problems::{Given, Linear, Linearised, Random, dot, given, norm};
 
-const FULL: Options = Options { iterations: 50, tolerance: 1e-10, ..Options::new(2) };
+const FULL: Options = Options { iterations: 50, tolerance: 1e-10, ..Options::USUAL };
 
 /// `a exp(b t)` through points.
 fn exponential(t: &[f64], y: &[f64]) -> Given<impl Fn(&[f64]) -> Linearised> {
@@ -24,7 +25,7 @@ fn times(count: usize) -> Vec<f64> {
     (0..count).map(|i| 2.0 * i as f64 / count as f64 - 1.0).collect()
 }
 
-fn run<F: Fn(&[f64]) -> Linearised>(problem: &Given<F>, start: &[f64], options: &Options) -> Solution {
+fn run(problem: &impl LeastSquares<Error = Infallible>, start: &[f64], options: &Options) -> Solution {
     let Ok(solution) = solve(problem, start, options);
     solution
 }
@@ -76,7 +77,7 @@ fn steps_into_what_is_not_finite_are_halved() {
     // The first full step leads to a negative argument of the square root, the next one to where it has no derivative.
     let problem =
         Given { unknowns: 1, rows: 1, at: |x: &[f64]| (vec![x[0].sqrt() - 0.5], vec![vec![0.5 / x[0].sqrt()]]) };
-    let found = run(&problem, &[4.0], &Options { rank: 1, ..FULL });
+    let found = run(&problem, &[4.0], &Options { ..FULL });
     assert_eq!(found.end, End::Converged);
     assert!((found.x[0] - 0.25).abs() < 1e-14, "{:?}", found.x);
 }
@@ -105,7 +106,7 @@ impl<F: Fn(f64) -> Option<(f64, f64)>> Partial<F> {
 
     fn solve(&self, start: f64) -> Result<Solution, Nothing> {
         self.asked.set(0);
-        solve(self, &[start], &Options { rank: 1, ..FULL })
+        solve(self, &[start], &Options { ..FULL })
     }
 }
 
@@ -174,7 +175,7 @@ fn an_error_that_is_final_ends_the_iteration_at_once() {
 #[test]
 fn a_direction_that_does_not_lead_down_is_no_progress() {
     let problem = Given { unknowns: 1, rows: 1, at: |x: &[f64]| (vec![x[0] - 3.0], vec![vec![-1.0]]) };
-    let found = run(&problem, &[1.0], &Options { rank: 1, ..FULL });
+    let found = run(&problem, &[1.0], &Options { ..FULL });
     assert_eq!((found.end, found.x), (End::NoProgress, vec![1.0]));
     // Neither does one along an unknown that has no effect, if it counts as determined.
     let problem = Given { unknowns: 2, rows: 2, at: |x: &[f64]| (vec![x[0] - 3.0; 2], vec![vec![1.0, 0.0]; 2]) };
@@ -197,7 +198,7 @@ fn running_out_of_iterations_is_said() {
     // One step is not let run away either.
     let problem =
         Given { unknowns: 1, rows: 1, at: |x: &[f64]| (vec![x[0].atan()], vec![vec![1.0 / (1.0 + x[0] * x[0])]]) };
-    let found = run(&problem, &[5.0], &Options { iterations: 1, rank: 1, ..FULL });
+    let found = run(&problem, &[5.0], &Options { iterations: 1, ..FULL });
     assert_eq!(found.end, End::IterationLimit);
     assert!(found.x[0].abs() < 5.0, "{:?}", found.x);
 }
@@ -213,6 +214,20 @@ fn a_linear_problem_takes_one_step() {
     }
 }
 
+/// The unknowns at the minimum within the first `rank` singular directions at the start.
+fn run_within(problem: &impl LeastSquares<Error = Infallible>, start: &[f64], rank: usize) -> Vec<f64> {
+    let mut accumulator = Accumulator::new(start.len(), problem.rows());
+    let Ok(()) = problem.linearise(start, &mut |_, residuals, derivatives| {
+        let rows = residuals.iter().zip(derivatives.chunks_exact(start.len()));
+        rows.for_each(|(residual, derivatives)| accumulator.push(derivatives, *residual, 1.0));
+    });
+    let directions = accumulator.finish().spectrum().determined(rank);
+    let within = Within { problem, origin: start, directions: &directions };
+    let found = run(&within, &vec![0.0; rank], &FULL);
+    assert_eq!(found.end, End::Converged);
+    within.place(&found.x)
+}
+
 #[test]
 fn lost_directions_are_gone_the_shortest_way() {
     // Only the product of 2 a and exp(b) counts beside c; effects are shared where the problem is linear.
@@ -222,10 +237,9 @@ fn lost_directions_are_gone_the_shortest_way() {
         linear.rows.push(vec![1.0, 100.0, *t]);
         linear.residuals.push(-(4.0 + 3.0 * t));
     }
-    let found = run(&given(&linear), &[0.0; 3], &FULL);
-    assert_eq!(found.end, End::Converged);
+    let found = run_within(&given(&linear), &[0.0; 3], 2);
     // The effect 4 is shared alike, each in its own unit.
-    for (found, expected) in found.x.iter().zip([2.0, 0.02, 3.0]) {
+    for (found, expected) in found.iter().zip([2.0, 0.02, 3.0]) {
         assert!((found - expected).abs() < 1e-13, "{:?}", found);
     }
     let truth: Vec<f64> = t.iter().map(|t| 3.0 * (0.5 * t).exp()).collect();
@@ -238,9 +252,8 @@ fn lost_directions_are_gone_the_shortest_way() {
             (t.iter().zip(&truth).map(|(&t, y)| model(t) - y).collect(), rows)
         },
     };
-    let found = run(&problem, &[1.0, 2.0, 0.1], &FULL);
-    assert_eq!(found.end, End::Converged);
-    assert!((found.x[0] * found.x[1] - 3.0).abs() < 1e-13 && (found.x[2] - 0.5).abs() < 1e-13, "{:?}", found.x);
+    let found = run_within(&problem, &[1.0, 2.0, 0.1], 2);
+    assert!((found[0] * found[1] - 3.0).abs() < 1e-13 && (found[2] - 0.5).abs() < 1e-13, "{found:?}");
 }
 
 #[test]
@@ -277,7 +290,7 @@ fn slow_convergence_is_no_rounding() {
     for rate in [0.3, 0.6, 0.9, 0.95] {
         for tolerance in [1e-6, 1e-9] {
             for start in [0.5, 1e-2, 8e-4, 1e-5] {
-                let options = Options { iterations: 1000, tolerance, ..Options::new(1) };
+                let options = Options { iterations: 1000, tolerance, ..Options::USUAL };
                 let found = run(&slow(rate), &[start], &options);
                 assert_eq!(found.end, End::Converged, "{rate} from {start}");
                 // The curve makes the rest of the step a little larger than its series says, never by more than this.
@@ -292,7 +305,7 @@ fn slow_convergence_is_no_rounding() {
 #[test]
 fn a_first_step_below_the_threshold_of_rounding_is_not_the_last() {
     // One step of 5e-4 leaves a third of itself, far above the tolerance.
-    let found = run(&slow(0.33), &[7e-4], &Options { tolerance: 1e-9, ..Options::new(1) });
+    let found = run(&slow(0.33), &[7e-4], &Options { tolerance: 1e-9, ..Options::USUAL });
     assert_eq!(found.end, End::Converged);
     assert!(found.iterations > 5 && found.x[0].abs() < 2e-9, "{} iterations, {:e}", found.iterations, found.x[0]);
     assert!(found.last_step <= 1e-8, "{:e}", found.last_step);
@@ -310,10 +323,10 @@ fn random_problems_end_within_the_tolerance() {
             .map(|t| (1.0 + random.signed().abs()) * (random.signed() * t).exp() + noise * random.normal())
             .collect();
         let problem = exponential(&t, &y);
-        let strict = Options { iterations: 2000, tolerance: 1e-13, rounding: 1e-6, ..Options::new(2) };
+        let strict = Options { iterations: 2000, tolerance: 1e-13, rounding: 1e-6, ..Options::USUAL };
         let minimum = run(&problem, &[1.0, 0.0], &strict);
         let tolerance = [1e-4, 1e-6, 1e-8][case as usize % 3];
-        let found = run(&problem, &[1.0, 0.0], &Options { iterations: 2000, tolerance, ..Options::new(2) });
+        let found = run(&problem, &[1.0, 0.0], &Options { iterations: 2000, tolerance, ..Options::USUAL });
         if minimum.end != End::Converged {
             continue;
         }
@@ -326,7 +339,7 @@ fn random_problems_end_within_the_tolerance() {
 
 #[test]
 fn who_does_not_converge_says_how_far_it_came() {
-    let found = run(&slow(0.9), &[0.5], &Options { iterations: 5, ..Options::new(1) });
+    let found = run(&slow(0.9), &[0.5], &Options { iterations: 5, ..Options::USUAL });
     assert_eq!((found.end, found.iterations), (End::IterationLimit, 5));
     // The next step is nearly all that is left of x, times 1 - rate.
     assert!(found.last_step > 0.01 && found.gradient_cosine > 1e-3, "{} {}", found.last_step, found.gradient_cosine);

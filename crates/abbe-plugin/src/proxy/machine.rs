@@ -92,7 +92,8 @@ fn check_machine(info: &ModelInfo) -> Result<(), String> {
         return Err(format!("describes a machine whose error {} no parameter has the role of", function.symbol));
     }
     let wrong = |period: &&Period| {
-        let outside = period.parameters.iter().any(|parameter| *parameter >= info.parameters.len());
+        let named = period.parameters.iter().chain(&period.shapes);
+        let outside = named.into_iter().any(|parameter| *parameter >= info.parameters.len());
         outside || period.axis >= info.axes.len() || !(period.length > 0.0 && period.length.is_finite())
     };
     if let Some(period) = info.periods.iter().find(wrong) {

@@ -1,0 +1,144 @@
+//! A rehearsal: validators and exporters are asked before anything is estimated, so that a setting that names something which is
+//! not there does not cost a long run.
+//!
+//! They get estimates of the nominal machine with the uncertainties that are to be expected, and an estimator that solves nothing.
+//! What they find means nothing and is forgotten; what they refuse because of a setting stands.
+
+use std::collections::BTreeMap;
+use std::sync::Arc;
+
+use abbe_core::{
+    Calibration, Class, Error, Estimate, Fit, FitReport, Identifiability, Kind, Problem, Result, UncertaintyBudget,
+    Unknown,
+};
+use abbe_estimation::calibration;
+use abbe_recipe::Stage;
+
+use crate::prepare::Prepared;
+use crate::recalled::fit_without_rows;
+use crate::run::{Datasets, has_problem, has_rows, named, predicting};
+
+/// An estimator that solves nothing.
+struct Unsolved {
+    /// The uncertainties that are to be expected, if they are known.
+    budget: Option<UncertaintyBudget>,
+}
+
+impl Unsolved {
+    /// The estimate that is to be expected: start values, and the uncertainties that were told, or none.
+    fn expected(&self, problem: &Problem) -> Calibration {
+        let budget = self.budget.as_ref();
+        let standard_uncertainty = |unknown: &Unknown| {
+            let told = budget.and_then(|budget| budget.parameters.iter().find(|other| other.name == unknown.name));
+            told.map_or(0.0, |told| told.standard_uncertainty)
+        };
+        let unknowns: Vec<&Unknown> = problem.unknowns.iter().chain(&problem.considered.unknowns).collect();
+        let mut covariance = vec![vec![0.0; unknowns.len()]; unknowns.len()];
+        for (index, unknown) in unknowns.iter().enumerate() {
+            covariance[index][index] = standard_uncertainty(unknown).powi(2);
+        }
+        let (own, considered) = (problem.unknowns.len(), &problem.considered.covariance);
+        for (row, line) in considered.iter().enumerate() {
+            covariance[own + row][own..].copy_from_slice(line);
+        }
+        let equations = problem.equations();
+        let fit = FitReport {
+            observations: equations,
+            degrees_of_freedom: equations.saturating_sub(own),
+            ..FitReport::without_rows(own)
+        };
+        let mut expected = calibration(problem, &problem.start(), covariance, Vec::new(), fit);
+        expected.uncertainty = self.budget.clone();
+        expected
+    }
+}
+
+impl Estimate for Unsolved {
+    fn estimate(&self, problem: &Problem) -> Result<Calibration> {
+        Ok(self.expected(problem))
+    }
+
+    fn identify(&self, problem: &Problem) -> Result<Identifiability> {
+        Err(Error::data(format!("{} is not solved in a rehearsal", problem.name)))
+    }
+}
+
+impl Prepared {
+    /// Asks validators and exporters for what they would say of the estimates that are to be expected; `found` is what these
+    /// determine, as far as that is known. Plugins of libraries are asked if `libraries` says so. Fails with the first setting that
+    /// is refused.
+    pub(crate) fn rehearse(
+        &self,
+        libraries: bool,
+        problems: &BTreeMap<String, Problem>,
+        found: &BTreeMap<String, Identifiability>,
+        unseen: &BTreeMap<(&str, &str), Problem>,
+        data: &Datasets,
+    ) -> Result<()> {
+        let mut fits: Vec<Fit> = Vec::new();
+        for stage in self.stages(Kind::Estimate) {
+            fits.extend(self.expected(stage, problems, found, &fits));
+        }
+        let is_asked = |stage: &Stage| {
+            let mut plugins = self.plugins.iter();
+            let plugin = plugins.find(|plugin| plugin.kind == stage.kind && plugin.name == stage.plugin);
+            libraries || plugin.is_none_or(|plugin| plugin.sha256.is_none())
+        };
+        let has_all = |stage: &Stage| stage.reference("of").iter().all(|name| fits.iter().any(|fit| fit.name == *name));
+        for stage in self.stages(Kind::Validate).filter(|stage| has_all(stage) && is_asked(stage)) {
+            let of = named(stage.reference("of"), &fits);
+            let other = |fit: &&Fit| Some(predicting(fit, unseen.get(&(stage.name.as_str(), fit.name.as_str()))?));
+            let others: Vec<Fit> =
+                of.iter().filter_map(other).collect::<Result<_>>().or_else(|error| self.located(stage, Err(error)))?;
+            let judged: Vec<&Fit> = if others.is_empty() { of } else { others.iter().collect() };
+            let evidence: Vec<_> = stage.reference("from").iter().map(|name| data[name].as_ref()).collect();
+            let said = self.validators[&stage.name].validate(&judged, &evidence).map(drop);
+            self.located(stage, unless_by_value(said))?;
+        }
+        for stage in self.stages(Kind::Export).filter(|stage| is_asked(stage)) {
+            for fit in named(stage.reference("of"), &fits) {
+                let said = self.exporters[&stage.name].export(&fit.calibration, fit.problem.model.as_ref()).map(drop);
+                self.located(stage, unless_by_value(said))?;
+            }
+        }
+        Ok(())
+    }
+
+    /// The estimate that is to be expected of a stage; none where nothing can be said before.
+    fn expected(
+        &self,
+        stage: &Stage,
+        problems: &BTreeMap<String, Problem>,
+        found: &BTreeMap<String, Identifiability>,
+        fits: &[Fit],
+    ) -> Option<Fit> {
+        if let Some(recalled) = self.recalled.get(&stage.name) {
+            let model = problems.get(&stage.name)?.model.clone();
+            return fit_without_rows(recalled.calibration.clone(), model, self.estimators[&stage.name].clone()).ok();
+        }
+        if has_rows(&stage) && has_problem(&stage) {
+            let problem = problems.get(&stage.name)?.clone();
+            let budget = found.get(&stage.name).and_then(|found| found.uncertainty.clone());
+            let estimator = Unsolved { budget };
+            let calibration = estimator.expected(&problem);
+            let (name, problem) = (stage.name.clone(), Arc::new(problem));
+            return Some(Fit { name, problem, estimator: Arc::new(estimator), calibration });
+        }
+        // A new look at another estimate is that estimate, as far as anybody knows.
+        let of = self.own_estimate(&stage.name).ok().filter(|of| of.name != stage.name)?;
+        let fit = fits.iter().find(|fit| fit.name == of.name)?;
+        let (problem, estimator) = (fit.problem.clone(), fit.estimator.clone());
+        let mut calibration = fit.calibration.clone();
+        calibration.estimate.clone_from(&stage.name);
+        Some(Fit { name: stage.name.clone(), problem, estimator, calibration })
+    }
+}
+
+/// What is wrong with a setting stands; what is wrong with values that nobody has estimated does not, nor does what another
+/// process could not do with them.
+fn unless_by_value(said: Result<()>) -> Result<()> {
+    said.or_else(|error: Error| {
+        let of_setting = error.class == Class::Interrupted || (error.class == Class::Use && !error.fault);
+        if of_setting { Err(error) } else { Ok(()) }
+    })
+}

@@ -1,0 +1,341 @@
+//! Where rank is judged: at nominal geometry, in nominal contact, to first order. One rule for all who ask.
+
+use std::collections::BTreeSet;
+
+use abbe_core::{
+    CHUNK, Evaluation, ObservationSet, Owner, ParameterRole, Poses, Problem, Quantity, Result, StatusRole, Unit,
+    Unknown, Variable,
+};
+use abbe_numerics::{Factor, LeastSquares};
+
+use crate::contact::{is_judged_as_recorded, rank_point};
+use crate::weighted::Weighted;
+
+/// Part of the terms that a column is the sum of below which it is rounding: contact is solved to 1e-13 of the coordinates.
+const ROUNDING: f64 = 1e-11;
+
+/// Part of its terms from which a column is far above anything that the digits of the data make of zero.
+const CLEAR: f64 = 1e-2;
+
+/// Columns that are smaller than this many times what half a digit of the data changes of them are digits.
+const DIGITS: f64 = 3.0;
+
+/// The coarsest step, in mm and in degrees, that is one of digits: what is rounder was commanded and is exact.
+const COARSEST: f64 = 1e-3;
+
+/// The steps that are looked for, mm or degrees. Numbers that need finer ones were written as they were computed.
+const DIGIT_STEPS: [f64; 10] = [1.0, 1e-1, 1e-2, 1e-3, 1e-4, 1e-5, 1e-6, 1e-7, 1e-8, 1e-9];
+
+/// How far from a whole number of steps rounding leaves a number, in steps.
+const ON_GRID: f64 = 1e-3;
+
+const RADIANS_PER_DEGREE: f64 = std::f64::consts::PI / 180.0;
+
+/// Rounding of a position, in parts of it.
+const POSITION: f64 = 64.0 * f64::EPSILON;
+
+/// A problem where its rank is judged, and what its rows tell there.
+///
+/// That is nominal geometry: errors move rows by products of errors only, and such products make what the data cannot tell apart look
+/// determined, with uncertainties that mean nothing. It does not depend on what is known of the errors, so that a recipe that is
+/// checked and one that is run are judged alike. What shapes a function has its present value, and so have the parameters that it
+/// shapes: without an amplitude no data tell a wavelength.
+pub struct Judgement {
+    problem: Problem,
+    factor: Factor,
+    at_start: bool,
+}
+
+impl Judgement {
+    /// Judges a problem; `kept` has 0 for rows that do not count.
+    pub fn new(problem: &Problem, kept: Option<&[f64]>) -> Result<Self> {
+        let nominal = at_nominal_geometry(problem);
+        let at_start = kept.is_none() && nominal.start() == problem.start() && nominal.machine == problem.machine;
+        let at_start = at_start && is_judged_as_recorded(problem);
+        let judged = rank_point(&nominal, &nominal.start())?;
+        let factor = Weighted::new(&judged)?.factor(&judged.start(), kept)?;
+        let idle = without_effect(&nominal, &judged, &factor, kept)?;
+        let factor = if idle.contains(&true) { factor.with_zeros(&idle) } else { factor };
+        Ok(Self { problem: judged, factor, at_start })
+    }
+
+    /// The problem at nominal geometry, its rows in nominal contact.
+    pub fn problem(&self) -> &Problem {
+        &self.problem
+    }
+
+    /// The factor of its rows. Unknowns without effect have columns of zeros.
+    pub fn factor(&self) -> &Factor {
+        &self.factor
+    }
+
+    /// The factor, if it is also that of the problem at its start values as recorded.
+    pub fn factor_at_start(&self) -> Option<&Factor> {
+        Some(&self.factor).filter(|_| self.at_start)
+    }
+}
+
+/// The same problem with the machine and the artefacts as they are nominally.
+pub(crate) fn at_nominal_geometry(problem: &Problem) -> Problem {
+    let nominal_values = &problem.model.info().nominal;
+    let held = held(problem);
+    let mut nominal = problem.clone();
+    for (index, (value, nominal)) in nominal.machine.iter_mut().zip(nominal_values).enumerate() {
+        if !held.contains(&index) {
+            *value = *nominal;
+        }
+    }
+    for set in &mut nominal.sets {
+        set.own = set.info().start.clone();
+    }
+    nominal
+}
+
+/// The parameters that shape functions and are estimated, and those whose effect they shape: of a model that does not say
+/// which, all.
+fn held(problem: &Problem) -> BTreeSet<usize> {
+    let info = problem.model.info();
+    let mut held = BTreeSet::new();
+    for unknown in problem.unknowns.iter().filter(|unknown| unknown.owner == Owner::Machine) {
+        let shape = unknown.index;
+        if info.parameters[shape].role != ParameterRole::Shape {
+            continue;
+        }
+        let shaped: Vec<usize> = (info.periods.iter().filter(|period| period.shapes.contains(&shape)))
+            .flat_map(|period| period.parameters.iter().copied())
+            .collect();
+        held.insert(shape);
+        match shaped.is_empty() {
+            true => held.extend(0..info.parameters.len()),
+            false => held.extend(shaped),
+        }
+    }
+    held
+}
+
+/// Which unknowns have no effect on the rows of a problem.
+///
+/// A column is zero where it is no more than rounding leaves of the terms that cancel in it (the lever arms of a tip on the axis, a
+/// motion along the surface), or than the digits of the recorded positions make of zero.
+fn without_effect(nominal: &Problem, judged: &Problem, factor: &Factor, kept: Option<&[f64]>) -> Result<Vec<bool>> {
+    let norms = factor.norms();
+    let terms = norms_of_terms(judged, kept)?;
+    let mut idle: Vec<bool> = norms.iter().zip(&terms).map(|(norm, terms)| *norm <= ROUNDING * terms).collect();
+    let doubtful = |index: usize| !idle[index] && norms[index] < CLEAR * terms[index];
+    let doubtful: Vec<usize> = (0..idle.len()).filter(|&index| doubtful(index)).collect();
+    if doubtful.is_empty() {
+        return Ok(idle);
+    }
+    let unknowns: Vec<Unknown> = doubtful.iter().map(|&index| judged.unknowns[index].clone()).collect();
+    let moved = moved_by_digits(nominal);
+    let moved = Problem { unknowns: unknowns.clone(), ..rank_point(&moved, &moved.start())? };
+    let changes = column_changes(&Problem { unknowns, ..judged.clone() }, &moved, kept)?;
+    for (&index, change) in doubtful.iter().zip(changes) {
+        idle[index] = norms[index] <= DIGITS * change;
+    }
+    Ok(idle)
+}
+
+/// Norms of the columns if no term of their entries cancelled another.
+///
+/// A rotation moves a point by at most the size of its coordinates, whatever lever is left of them; a motion acts along a surface
+/// as much as along its normal.
+fn norms_of_terms(problem: &Problem, kept: Option<&[f64]>) -> Result<Vec<f64>> {
+    let uncertainties = problem.standard_uncertainties();
+    let machine: Vec<(usize, Variable)> = (problem.unknowns.iter().enumerate())
+        .filter(|(_, unknown)| unknown.owner == Owner::Machine)
+        .map(|(column, unknown)| (column, Variable::Parameter(unknown.index)))
+        .collect();
+    let wanted: Vec<Variable> = machine.iter().map(|(_, variable)| *variable).collect();
+    let mut squares = vec![0.0; problem.unknowns.len()];
+    let (mut work, mut poses) = (Evaluation::default(), Poses::default());
+    let mut first = 0;
+    for (index, set) in problem.sets.iter().enumerate() {
+        let own = columns_of(problem, index);
+        for rows in set.rows.chunks(CHUNK) {
+            problem.evaluate(index, rows, &[], &mut work)?;
+            let statuses: Vec<f64> = set.poses_of(rows).flat_map(|pose| set.poses().row(pose).to_vec()).collect();
+            let turned = problem.model.poses(&statuses, &problem.machine, &wanted, true, &mut poses);
+            if turned.as_ref().is_err_and(|error| error.fault) {
+                turned?;
+            } else if turned.is_err() {
+                // A model may give no orientations: then what is an angle turns by itself.
+                problem.model.poses(&statuses, &problem.machine, &wanted, false, &mut poses)?;
+            }
+            let weights: Vec<f64> = (first..first + work.equations.residuals().len())
+                .map(|equation| kept.map_or(1.0, |kept| kept[equation]) / uncertainties[equation])
+                .collect();
+            let levers = Levers::new(set, rows, &work);
+            for (place, (column, _)) in machine.iter().enumerate() {
+                let angle = f64::from(problem.unknowns[*column].unit == Unit::RAD);
+                let moves = |pose: usize| {
+                    let at = pose * machine.len() + place;
+                    (size(&poses.position_derivatives[at]), poses.rotation_derivatives.get(at).map_or(angle, size))
+                };
+                let terms = levers.terms(moves).zip(&weights);
+                squares[*column] += terms.map(|(term, weight)| (term * weight).powi(2)).sum::<f64>();
+            }
+            for &(equation, unknown, derivative) in work.equations.by_own() {
+                if let Some(column) = own[unknown] {
+                    let term = levers.own_term(equation, problem.unknowns[column].unit).max(derivative.abs());
+                    squares[column] += (term * weights[equation]).powi(2);
+                }
+            }
+            first += weights.len();
+        }
+    }
+    Ok(squares.into_iter().map(f64::sqrt).collect())
+}
+
+/// The column of every own unknown of a set; none for those that are not estimated.
+fn columns_of(problem: &Problem, set: usize) -> Vec<Option<usize>> {
+    let column = |own: usize| {
+        problem.unknowns.iter().position(|unknown| unknown.owner == Owner::Set(set) && unknown.index == own)
+    };
+    (0..problem.sets[set].own.len()).map(column).collect()
+}
+
+/// What motions of the poses of some rows can do to their equations.
+struct Levers {
+    /// For every equation its poses: their index, and the sizes of its derivatives to position and to rotation.
+    pairs: Vec<Vec<(usize, f64, f64)>>,
+    /// Size of the coordinates of every pose, mm.
+    reach: Vec<f64>,
+}
+
+impl Levers {
+    fn new(set: &ObservationSet, rows: &[usize], work: &Evaluation) -> Self {
+        let info = set.info();
+        let (by_position, by_rotation) = (work.equations.by_position(), work.equations.by_rotation());
+        let (mut pairs, mut pair, mut first_pose) = (Vec::new(), 0, 0);
+        for row in rows.iter().map(|&row| info.layout.rows[row]) {
+            for _ in 0..row.equations {
+                let of_pose = |k: usize| {
+                    (first_pose + k, size(&by_position[pair + k]), by_rotation.get(pair + k).map_or(0.0, size))
+                };
+                pairs.push((0..row.poses).map(of_pose).collect());
+                pair += row.poses;
+            }
+            first_pose += row.poses;
+        }
+        Self { pairs, reach: work.poses.positions.iter().map(size).collect() }
+    }
+
+    /// For every equation the largest that a unit of a parameter could do, given how far it moves and turns each pose.
+    fn terms(&self, moves: impl Fn(usize) -> (f64, f64)) -> impl Iterator<Item = f64> {
+        self.pairs.iter().map(move |poses| {
+            let term = |&(pose, by_position, by_rotation): &(usize, f64, f64)| {
+                let (moved, turned) = moves(pose);
+                by_position * (moved + self.reach[pose] * turned) + by_rotation * turned
+            };
+            poses.iter().map(term).sum()
+        })
+    }
+
+    /// The largest that a unit of an own unknown could do to an equation: that of a point, or of a turn.
+    fn own_term(&self, equation: usize, unit: Unit) -> f64 {
+        let term = |&(pose, by_position, by_rotation): &(usize, f64, f64)| match unit {
+            Unit::MM => by_position,
+            Unit::RAD => by_position * self.reach[pose] + by_rotation,
+            _ => 0.0,
+        };
+        self.pairs[equation].iter().map(term).fold(0.0, f64::max)
+    }
+}
+
+fn size(vector: &[f64; 3]) -> f64 {
+    vector.iter().map(|entry| entry * entry).sum::<f64>().sqrt()
+}
+
+/// The same problem with every recorded position changed by up to half a digit of what was written, and by its rounding.
+fn moved_by_digits(problem: &Problem) -> Problem {
+    let mut moved = problem.clone();
+    for (index, set) in problem.sets.iter().enumerate() {
+        let mut poses = set.poses().clone();
+        for (status, column) in problem.model.info().status.iter().enumerate() {
+            if !matches!(column.role, StatusRole::Command(_)) {
+                continue;
+            }
+            let step = digit_step((0..poses.len()).map(|pose| poses.row(pose)[status]), column.quantity);
+            for pose in 0..poses.len() {
+                let value = &mut poses.row_mut(pose)[status];
+                *value += noise(pose as u64, status as u64) * (step + POSITION * value.abs());
+            }
+        }
+        moved.sets[index].move_to(poses);
+    }
+    moved
+}
+
+/// The last digit that some positions, mm or rad, were written with; zero if they are rounder than measured ones, or not rounded.
+fn digit_step(values: impl Iterator<Item = f64> + Clone, quantity: Quantity) -> f64 {
+    let of_unit = |unit: f64| {
+        let is_step = |step: f64| values.clone().all(|value| off_grid(value / unit / step) <= ON_GRID);
+        let mut steps = DIGIT_STEPS.into_iter().filter(|step| is_step(*step));
+        steps.next().map(|step| step * unit)
+    };
+    let units: &[f64] = if quantity == Quantity::Angle { &[RADIANS_PER_DEGREE, 1.0] } else { &[1.0] };
+    let found = units.iter().find_map(|unit| of_unit(*unit).map(|step| (step, unit)));
+    found.filter(|(step, unit)| *step <= COARSEST * **unit * (1.0 + ON_GRID)).map_or(0.0, |(step, _)| step)
+}
+
+/// How far a number is from a whole one.
+fn off_grid(value: f64) -> f64 {
+    (value - value.round()).abs()
+}
+
+/// A number between -1/2 and 1/2 that hangs on nothing but the pose and the status (the finaliser of SplitMix64, Steele et al. 2014).
+fn noise(pose: u64, status: u64) -> f64 {
+    let mut bits = (pose << 8 | status).wrapping_add(1).wrapping_mul(0x9e37_79b9_7f4a_7c15);
+    bits = (bits ^ (bits >> 30)).wrapping_mul(0xbf58_476d_1ce4_e5b9);
+    bits = (bits ^ (bits >> 27)).wrapping_mul(0x94d0_49bb_1331_11eb);
+    ((bits ^ (bits >> 31)) >> 11) as f64 / (1_u64 << 53) as f64 - 0.5
+}
+
+/// Norms of the differences of the columns of two problems with the same rows and unknowns.
+fn column_changes(one: &Problem, other: &Problem, kept: Option<&[f64]>) -> Result<Vec<f64>> {
+    let count = one.unknowns.len();
+    let columns = |problem: &Problem| -> Result<Vec<f64>> {
+        let weighted = Weighted::new(problem)?;
+        let mut all = vec![0.0; weighted.rows() * count];
+        weighted.linearise(&problem.start(), &mut |first, _, derivatives| {
+            all[first * count..first * count + derivatives.len()].copy_from_slice(derivatives);
+        })?;
+        Ok(all)
+    };
+    let mut squares = vec![0.0; count];
+    for (row, (one, other)) in columns(one)?.chunks_exact(count).zip(columns(other)?.chunks_exact(count)).enumerate() {
+        let weight = kept.map_or(1.0, |kept| kept[row]);
+        let changes = one.iter().zip(other).map(|(one, other)| weight * (one - other).powi(2));
+        squares.iter_mut().zip(changes).for_each(|(square, change)| *square += change);
+    }
+    Ok(squares.into_iter().map(f64::sqrt).collect())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn digits_are_those_of_measured_positions() {
+        let step = |values: &[f64], quantity| digit_step(values.iter().copied(), quantity);
+        assert_eq!(step(&[10.0, 20.5, -3.25], Quantity::Length), 0.0);
+        assert_eq!(step(&[10.0, 20.512, -3.2], Quantity::Length), 1e-3);
+        assert_eq!(step(&[10.123_456, 1020.5], Quantity::Length), 1e-6);
+        assert_eq!(step(&[10.0 / 3.0, 20.0], Quantity::Length), 0.0);
+        let degrees = [30.0_f64, 45.1234, -90.0].map(f64::to_radians);
+        assert!((step(&degrees, Quantity::Angle) - 1e-4_f64.to_radians()).abs() < 1e-18);
+        assert_eq!(step(&[0.5_f64, 90.0].map(f64::to_radians), Quantity::Angle), 0.0);
+        assert_eq!(step(&[0.123_456, 1.5], Quantity::Angle), 1e-6);
+        assert_eq!(step(&[], Quantity::Length), 0.0);
+    }
+
+    #[test]
+    fn noise_fills_its_range_evenly() {
+        let all: Vec<f64> = (0..10_000).map(|pose| noise(pose, pose % 7)).collect();
+        let mean = all.iter().sum::<f64>() / 1e4;
+        let square = all.iter().map(|value| value * value).sum::<f64>() / 1e4;
+        assert!(mean.abs() < 0.01 && (square - 1.0 / 12.0).abs() < 0.003, "{mean} {square}");
+        assert!(all.iter().all(|value| value.abs() <= 0.5));
+    }
+}
