@@ -1,5 +1,5 @@
-//! An estimator of one's own: Levenberg and Marquardt's iteration, as a plugin that recipes name. What it does not write is
-//! rank, uncertainty, advice and the file: `abbe-estimation` has them.
+//! An estimator of one's own: Levenberg and Marquardt's iteration, as a plugin that recipes name. Rank, uncertainty, advice
+//! and the file come from `abbe-estimation`.
 //!
 //!     cargo run --release -p abbe-examples --example own_estimator
 
@@ -95,7 +95,7 @@ impl LevenbergMarquardt {
                     }
                 }
                 Err(error) if error.fault => return Err(error),
-                // At the bottom a step changes nothing but rounding.
+                // At the minimum a step changes only rounding.
                 _ if size < 1e-9 => return Ok(solved(x, iteration, size)),
                 _ => damping = damping.max(1e-12) * 10.0,
             }

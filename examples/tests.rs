@@ -27,7 +27,7 @@ fn two_iterations_find_the_same() {
     let compared = own_estimator::compared().unwrap();
     assert!(compared.len() > 15);
     for (name, [own, other], uncertainty) in compared {
-        // Normal equations have the square of the condition: they leave half of the digits.
+        // Normal equations have the square of the condition number: half of the digits are lost.
         assert!((own - other).abs() <= 1e-5 * uncertainty, "{name}: {own:e} and {other:e}");
     }
 }

@@ -61,7 +61,7 @@ fn exact_data_give_the_truth_back() {
     assert!((report.condition / expected - 1.0).abs() < 1e-3, "{} {expected}", report.condition);
 }
 
-/// The closed form is not the least squares estimate: it is off by what an independent evaluation of the same data is off by.
+/// The closed form is not the least squares estimate: its errors are those of an independent evaluation of the same data.
 #[test]
 fn the_closed_form_is_the_published_one() {
     let outcome = run("ballbar-c600u-exact");
@@ -205,12 +205,12 @@ fn repeats_and_the_tool_ball_make_the_uncertainty() {
     let (outcome, truth) = (run("ballbar-c600u"), &kept("realistic")["parameters"]);
     for (name, limit) in [("fit", 1.3), ("closed-form", 2.0), ("squared-length", 1.3)] {
         for (parameter, _, off) in errors(&fit(&outcome, name).calibration, truth) {
-            // Offsets of the balls are not asked for: what the bar is off by goes into them.
+            // The offsets of the balls have a wider limit: the error of the bar goes into them.
             let limit = if parameter.starts_with("bar.") { 4.0 } else { limit };
             assert!(off < limit, "{name}: {parameter} is off by {off} standard uncertainties");
         }
     }
-    // Samples that are taken for independent promise far too much.
+    // If samples are taken as independent, the stated uncertainties are far too small.
     let mut alone = Variant::of(&recipes()["ballbar-c600u"]).only(&["fit"]);
     let bar = alone.stage("bar").as_object_mut().expect("settings");
     for key in ["pooled", "length_standard_uncertainty_um", "tool_ball_standard_uncertainty_um"] {

@@ -1,5 +1,5 @@
-//! Calibrations that travel: what one recipe found, known, started from, judged and combined in another; inputs that both
-//! share are counted once.
+//! Calibrations that one recipe estimates and another one uses: as known values, as start, for validation and in a
+//! combination. Inputs that both share are counted once.
 
 use std::path::Path;
 
@@ -154,7 +154,7 @@ fn combined_against_joint(machine: &[&str], allowed: f64) {
 fn what_monday_knows_is_known_on_tuesday_as_in_a_joint_estimate() {
     let folder = temporary();
     monday(&folder.path().join("monday"));
-    // One touch on every facet: it tells where the facet is, and nothing of the machine.
+    // One touch on every facet: it determines the place of the facet and nothing of the machine.
     let data = recipes()["tango-uncertainty"].parent().expect("a folder").join("data/tango-hu40t/repeats/touches.csv");
     let mut seen = std::collections::BTreeSet::new();
     let text = read(&data);
@@ -200,7 +200,7 @@ fn what_monday_knows_is_known_on_tuesday_as_in_a_joint_estimate() {
     println!("known against joint: values {values:.1e}, covariances {covariances:.1e} standard uncertainties");
     assert!(values < 1e-6 && covariances < 1e-6, "{values:e}, {covariances:e}");
 
-    // Both hang on the inputs alike, under one identity.
+    // Both depend on the inputs in the same way, under one identity.
     let inputs = |it: &Calibration| -> Vec<(String, Vec<f64>)> {
         let names: Vec<usize> = (0..it.covariance.order.len()).filter(|&at| of(&it.covariance.order[at])).collect();
         let sorted = |input: &abbe_core::ConsideredInput| {
@@ -222,7 +222,7 @@ fn what_monday_knows_is_known_on_tuesday_as_in_a_joint_estimate() {
             assert!((one - other).abs() < 1e-6 * largest, "{identity}: {one:e}, {other:e}");
         }
     }
-    // What was known by its bar is used up: a third recipe that knows both would be told.
+    // The calibration lists the files that it was made of: a third recipe that knows both days gets a message.
     assert!(known.data.len() == 3 && known.data.iter().all(|record| record.sha256.is_some()), "{:?}", known.data);
 }
 

@@ -129,7 +129,7 @@ fn known_lengths_are_judged_where_they_were_recorded() {
     let fit = fit(outcome("cmm-brute-force", "realistic"), "fit");
     let x = fit.problem.start();
     assert_eq!(rank_point(&fit.problem, &x).expect("contact").sets[0].poses(), fit.problem.sets[0].poses());
-    // Nothing that is lost hides behind the residuals: at contact rank and condition are the same.
+    // At contact rank and condition are the same: residuals hide no lost direction.
     let judged = fit.estimator.identify(&fit.problem).expect("rank");
     let met = fit.estimator.identify(&at_contact(&fit.problem, &x).expect("contact")).expect("rank");
     assert_ne!(at_contact(&fit.problem, &x).expect("contact").sets[0].poses(), fit.problem.sets[0].poses());
@@ -205,7 +205,7 @@ fn what_one_probe_offset_cannot_separate_is_named() {
         let checked = prepare(&recipe.write(folder.path()), &registry()).and_then(|prepared| prepared.check());
         checked.unwrap_or_else(|error| panic!("{error}")).remove(0).identifiability
     };
-    // Other knots of the scales make 4 of 20 terms look determined.
+    // With other knots of the scales 4 of 20 terms seem to be determined.
     let all = check(&with_confounded(json!(["E*"])));
     assert_eq!((all.unknowns, all.rank), (93, 77));
     let expected = [

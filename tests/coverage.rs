@@ -198,8 +198,8 @@ fn intervals_of_robust_fits_cover_as_often_as_they_say() {
     for gross in [false, true] {
         Campaign::tango("S3", &json!("tukey"), "common", gross).check(&titled("S3 tukey", gross), UNSETTLED);
     }
-    // Huber's loss bounds what gross errors of touches do, and leaves some of it in their scatter. With one factor for all that
-    // enlarges the uncertainty of the bar, too, on which the scales hang: they would be covered too often.
+    // Huber's loss bounds the effect of gross errors on touches, but part of it stays in their scatter. One factor for all
+    // rows would also enlarge the uncertainty of the bar, which determines the scales: their intervals would cover too often.
     for &gross in with_gross_errors() {
         Campaign::tango("S3", &json!("huber"), "per-stage", gross).check(&titled("S3 huber", gross), UNSETTLED);
     }

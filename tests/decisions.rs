@@ -1,4 +1,4 @@
-//! The three answers: what is decided of figures, verdicts and runs, and how people and machines are told.
+//! The three decisions pass, fail and inconclusive: of figures, verdicts and runs, as text and as JSON.
 
 use std::fmt::Write;
 

@@ -301,7 +301,7 @@ fn what_the_data_cannot_tell() {
 fn results_that_cannot_be_written() {
     check("output_folder_is_a_file", 1, &[Write("out", "not a folder")]);
 
-    // What is not ours is not replaced.
+    // Files that are not ours are not replaced.
     let small = Small::new();
     small.write("out/recipe/diary.txt", "Dear diary");
     let printed = small.abbe(&["run", RECIPE, "--out", "out"]);

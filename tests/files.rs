@@ -1,4 +1,4 @@
-//! The files of a run: their schemas, and that a calibration stands on its own.
+//! The files of a run: their schemas, and that a calibration can be read without other files.
 
 use abbe_core::{Calibration, Poses, Problem, Quantity};
 use abbe_engine::{model_of, prepare};

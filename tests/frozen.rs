@@ -1,4 +1,4 @@
-//! Files of every format number, as the program wrote them that brought the number: they stay readable, and mean what they did.
+//! Files of every format number, written by the program that introduced the number. They stay readable with the same meaning.
 
 use std::path::PathBuf;
 

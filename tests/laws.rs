@@ -1,5 +1,5 @@
-//! What must not change an estimate: the order of rows, the names of features, how data are spread over files, where the
-//! tool length ends and the tool offset begins. And what must not change at all: a second run.
+//! Changes that must not change an estimate: the order of rows, the names of features, the distribution of data over files,
+//! the border between tool length and tool offset. A second run must change nothing at all.
 
 use abbe_core::Calibration;
 use abbe_engine::prepare;

@@ -61,8 +61,8 @@ fn strings(value: &Value) -> Vec<String> {
     list.iter().filter_map(|item| item.as_str().map(str::to_owned)).collect()
 }
 
-/// The points that are out, for certain; and those that are off by just the tolerance, which keep it: binary fractions decide
-/// about them wherever nobody rounds.
+/// The points that are certainly out of tolerance, and those with a deviation equal to the tolerance, which are within it.
+/// Without rounding, binary fractions would decide about the latter.
 fn points_out(machine: &str, data: &str, run: &str, tolerance: &str) -> (Vec<String>, usize) {
     let (one, two) = (readings(machine, data, "baseline"), readings(machine, data, &format!("verify-{run}")));
     let limit: f64 = tolerance.parse().expect("a number");
@@ -106,7 +106,7 @@ fn the_likely_source_is_what_was_changed_in_every_run() {
             let what = format!("{machine} {data} {run}: {named:?} {touches:?}");
             match behind["fault"]["parameter"].as_str() {
                 Some(changed) => {
-                    // Several names are a tie, which is said: what is in it has one pattern.
+                    // Several names are a tie, and the text says so: all of them have one pattern.
                     assert!(named.iter().any(|name| name == changed), "{what}: {changed} was changed");
                     let others: Vec<&String> =
                         named.iter().filter(|name| *name != changed && !name.contains("artefact")).collect();
@@ -232,7 +232,7 @@ fn sensitivities_and_detectable_sizes_are_those_of_the_data_set() {
                             row[0]
                         );
                     }
-                    // Several points are most sensitive alike.
+                    // Several points have the same largest sensitivity.
                     _ if name == "most_sensitive" => {
                         let size = |point: &str| row[column(point)].parse::<f64>().expect("a number").abs();
                         assert!((size(cell) - size(own)).abs() < 1e-6, "{machine} {} {name}", row[0]);
@@ -282,8 +282,8 @@ fn combinations_answer_to_one_error_with_the_least_weights() {
             let off = cost(&own, gain) / best - 1.0;
             assert!(off.abs() < 3e-3, "{machine} {}: {off} {row:?} {expected:?}", row[0]);
         }
-        // Healthy runs differ by seat and temperature: to a combination they are nearly nothing. (The scales and the head of the
-        // machine take part in the temperature.)
+        // Healthy runs differ by seat and temperature, to which a combination is almost insensitive. (The scales and the head
+        // of the machine also change with the temperature.)
         let healthy: Vec<String> = runs(&truth(machine, "exact"))
             .filter(|(_, behind)| behind["healthy"] == true)
             .map(|(run, _)| run.clone())
@@ -481,7 +481,7 @@ fn repeats_of_the_baseline_widen_what_is_go() {
         let path: Vec<String> = names.iter().map(|name| format!("{}/{name}.csv", folder(machine, data))).collect();
         json!({ "path": path })
     };
-    // Beyond what the baseline and run 10 read, run 10 is not.
+    // Compared with the baseline and run 10, run 10 is within tolerance.
     let folder = root().join("pipelines");
     let repeated = recipe(machine, data).only(&["calibrated", "trials"]).set(
         "baseline",

@@ -1,7 +1,7 @@
 //! Every recipe of the repository: what `run` and `check` print, and what stands in the calibrations.
 //!
-//! Numbers are rounded so that they hold on other machines: to three digits in the summary, and in calibrations to what
-//! the data tell. In recipes without noise (`*-exact`) what is only rounding is blotted out.
+//! Numbers are rounded so that they hold on other machines: to three digits in the summary, and in calibrations to the digits
+//! that the data determine. In recipes without noise (`*-exact`) numbers that are only rounding are replaced.
 
 use std::fmt::Write;
 use std::path::Path;

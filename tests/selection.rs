@@ -1,4 +1,4 @@
-//! Terms that chance alone explains are left out: a laser along one axis whose scale bends at two knots of nine.
+//! Terms that chance alone explains are left out: a laser along one axis with a scale that bends at two knots of nine.
 
 use abbe_core::SelectionDirection;
 use abbe_numerics::Generator;
@@ -71,7 +71,7 @@ fn knots_that_bend_the_scale_are_kept_and_others_dropped() {
             }
             assert_eq!(selection.kept.len() + selection.left_out.len(), 9);
             surplus += selection.kept.len() - 2;
-            // What is left out is zero and takes no part; what is kept has the values of a fit of its own.
+            // A parameter that is left out is zero and is not used. The kept ones have the values of a fit of them alone.
             assert_eq!(calibration.fit.rank, 2 + selection.kept.len());
             for name in &selection.left_out {
                 let left_out = calibration.get(name).expect("a parameter");

@@ -47,7 +47,7 @@ pub fn abbe<S: AsRef<OsStr>>(at: &Path, arguments: &[S]) -> Printed {
 
 /// Says that a test was skipped, and why; `cargo xtask ci` tells it again at its end.
 pub fn skipped(test: &str, reason: &str) {
-    // What is not printed by a macro is not kept from those who run the tests.
+    // Written to the stream directly: the test harness captures only what macros print.
     let line = format!("\nSKIPPED: {test}: {reason}\n");
     std::io::stdout().write_all(line.as_bytes()).expect("standard output is open");
 }

@@ -1,5 +1,5 @@
-//! How far to trust results: pooled repeats against what the data were simulated with, known inputs against closed forms,
-//! covariances stated in different ways, and what goes wrong with them.
+//! The uncertainty of results: pooled repeats against the noise of the simulated data, known inputs against closed forms,
+//! covariances stated in different ways, and errors about them.
 
 use abbe_core::{Calibration, ParameterBudget, Status};
 use abbe_engine::prepare;

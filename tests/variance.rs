@@ -1,5 +1,5 @@
-//! What readings scatter by, and what certificates state: factors of every artefact by itself, and certificates that do not
-//! scatter.
+//! The scatter of readings and the statements of certificates: a factor for every artefact, and certificates, whose
+//! uncertainty is not scaled.
 
 use abbe_core::{Calibration, Fit, in_parallel};
 use abbe_numerics::{Generator, binomial_band};
@@ -200,7 +200,7 @@ fn distance(fit: &Fit) -> f64 {
 
 #[test]
 fn a_certificate_is_never_weighed_down() {
-    // A certificate that is off by 20 um goes against many touches: they lose weight, it does not.
+    // A certificate that is off by 20 um contradicts many touches: the touches lose weight, the certificate does not.
     let recipe = samba(0.7).set("fit", "robust", json!("huber"));
     let off = |by: f64| {
         let mut wrong = recipe.clone();

@@ -1,4 +1,4 @@
-//! How long the work takes, beside a plain matrix product that tells how fast the machine is.
+//! How long the pipelines take, beside the time of a plain matrix product, which tells how fast the machine is.
 
 use std::hint::black_box;
 use std::path::{Path, PathBuf};
@@ -70,7 +70,7 @@ fn mill(criterion: &mut Criterion) {
     });
 }
 
-/// Builds packages as they are benchmarked; gives the folder that they are in.
+/// Builds packages in the profile of the benchmarks; returns the folder of the built files.
 fn built(packages: &[&str]) -> PathBuf {
     let root = Path::new(env!("CARGO_MANIFEST_DIR")).join("..");
     let target = std::env::var_os("CARGO_TARGET_DIR").map_or_else(|| root.join("target"), PathBuf::from);

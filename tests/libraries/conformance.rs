@@ -1,4 +1,4 @@
-//! The conformance kit on the examples and on what is wrong.
+//! The conformance tests on the examples and on faulty libraries.
 
 use serde_json::Value;
 

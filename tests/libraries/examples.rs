@@ -89,7 +89,7 @@ impl Example {
     }
 }
 
-/// Estimates that are off by what their uncertainties say.
+/// Asserts that estimates differ from the truth by no more than their uncertainties allow.
 fn within(found: &[(String, f64, f64)]) {
     for (name, off, uncertainty) in found {
         assert!(

@@ -1,5 +1,6 @@
-//! The same program on a processor with other instructions. Linear algebra takes what the processor has, and so does the C
-//! library for sines: other instructions round otherwise. What is promised in spite of that is held here.
+//! The same program on a processor with other instructions. Linear algebra and the sines of the C library use the
+//! instructions of the processor, and other instructions round differently. These tests hold what is promised in spite of
+//! that.
 
 use std::path::{Path, PathBuf};
 use std::process::Command;

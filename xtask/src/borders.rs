@@ -1,4 +1,4 @@
-//! Borders between the crates of the workspace: what is not allowed here is denied, in tests as well.
+//! Borders between the crates of the workspace: dependencies that are not listed here are refused, in tests as well.
 
 use serde_json::Value;
 
@@ -49,7 +49,7 @@ const CRATES: [Border; 18] = [
         &["abbe-core", "abbe-estimation", "abbe-planning", "abbe-recipe", "abbe-simulation", "abbe-table"],
     ),
     border("abbe", &["abbe-bundle", "abbe-core", "abbe-engine", "abbe-plugin", "abbe-recipe"]),
-    // Outside `crates`: they look at everything, and nothing depends on them.
+    // Outside `crates`: nothing depends on them.
     border("abbe-stock-library", &["abbe-bundle", "abbe-plugin"]),
     border("xtask", &[]),
 ];
@@ -57,7 +57,7 @@ const CRATES: [Border; 18] = [
 /// Packages that may use the whole workspace: nothing depends on them.
 const ABOVE_ALL: [&str; 3] = ["abbe-benches", "abbe-examples", "abbe-tests"];
 
-/// What plugins may use; what is left out stands above them.
+/// The crates that plugins may use.
 const FOR_PLUGINS: [&str; 9] = [
     "abbe-core",
     "abbe-errors",

@@ -1,5 +1,5 @@
-//! The gate, in two parts: what Rust alone can run, and what needs another program. It closes with how long each took, and with
-//! what was skipped and why.
+//! The gate, in two parts: tests that need only Rust, and tests that need another program. It ends with the time of each
+//! part, and with the skipped tests and the reasons.
 
 use std::io::{BufRead, BufReader};
 use std::process::{Command, Stdio};
@@ -13,7 +13,7 @@ const OUTSIDE: &str = "outside::";
 /// What a test prints before its name and the reason why it was skipped.
 const SKIPPED: &str = "SKIPPED: ";
 
-/// What the tests of a part came to.
+/// The numbers of tests of a part, by result.
 #[derive(Debug, Default)]
 struct Tests {
     passed: usize,
@@ -21,7 +21,7 @@ struct Tests {
     skipped: Vec<String>,
 }
 
-/// Runs both parts; `all`: what is skipped counts as failed.
+/// Runs both parts. With `all`, skipped tests count as failed.
 pub fn run(all: bool) -> Outcome {
     let (mut tests, mut times) = (Tests::default(), Vec::new());
     let mut failed = Vec::new();

@@ -48,14 +48,14 @@ fn generated() -> Outcome<String> {
         trailer: Some(LAST.to_owned()),
         no_includes: true,
         sys_includes: vec!["stdint.h".to_owned()],
-        // Named in a list of arguments before it is described: C would take it for another one.
+        // Declared first: its first use is in a list of arguments, where C would declare another structure.
         after_includes: Some("\nstruct AbbeReply;".to_owned()),
         documentation_style: DocumentationStyle::C99,
         usize_is_size_t: true,
         line_length: 120,
         tab_width: 4,
         export: ExportConfig {
-            // It leads to all others.
+            // All other types follow from it.
             include: vec!["AbbeEntry".to_owned()],
             exclude: vec!["ENTRY".to_owned()],
             ..ExportConfig::default()
@@ -67,7 +67,7 @@ fn generated() -> Outcome<String> {
     let mut text = Vec::new();
     bindings.write(&mut text);
     let text = String::from_utf8(text).map_err(|error| format!("{SOURCE}: {error}"))?;
-    // Links of the documentation are none in C.
+    // C has no links of the documentation.
     Ok(text.replace("[`", "`").replace("`]", "`"))
 }
 

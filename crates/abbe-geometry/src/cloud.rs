@@ -4,10 +4,10 @@ use nalgebra::{DMatrix, DVector, SVector};
 
 use crate::error::FitError;
 
-/// Points that spread less than this part of their largest extent in some direction count as flat there.
+/// A spread below this part of the largest spread counts as zero: the points are flat in that direction.
 const FLAT: f64 = 1e-10;
 
-/// Roundings of coordinates that may add up in a spread.
+/// Number of rounding errors of coordinates that a spread may accumulate.
 const ROUNDINGS: f64 = 8.0;
 
 /// Centred and scaled points.
@@ -16,13 +16,13 @@ pub struct Cloud<const D: usize> {
     pub centroid: SVector<f64, D>,
     /// Root mean square distance from the centroid.
     pub scale: f64,
-    /// The points less the centroid, over the scale.
+    /// The points minus the centroid, divided by the scale.
     pub points: Vec<SVector<f64, D>>,
     /// Directions of the largest to the smallest spread.
     pub directions: Vec<SVector<f64, D>>,
     /// Spread in these directions, relative to the largest.
     spreads: Vec<f64>,
-    /// What rounding of the coordinates does to a relative spread.
+    /// Relative spread that rounding of the coordinates alone can make.
     rounding: f64,
 }
 
@@ -35,7 +35,7 @@ impl<const D: usize> Cloud<D> {
         if let Some(point) = points.iter().position(|point| point.iter().any(|value| !value.is_finite())) {
             return Err(FitError::NotFinite { point });
         }
-        // From one of the points, so that a sum of many coordinates that are far from the origin loses nothing.
+        // Sums differences from the first point: a plain sum of coordinates far from the origin would lose digits.
         let count = points.len() as f64;
         let centroid = points[0] + points.iter().map(|point| point - points[0]).sum::<SVector<f64, D>>() / count;
         let centred: Vec<SVector<f64, D>> = points.iter().map(|point| point - centroid).collect();
@@ -57,12 +57,12 @@ impl<const D: usize> Cloud<D> {
         self.spreads[direction] <= FLAT.max(self.rounding)
     }
 
-    /// Whether the points spread in the two most extended directions alike, so that neither stands out.
+    /// Whether the two largest spreads are equal, so that the points have no main direction.
     pub fn is_round(&self) -> bool {
         1.0 - self.spreads[1] <= FLAT.max(self.rounding)
     }
 
-    /// Turns a place among the scaled points into one of the space of the points.
+    /// Converts scaled coordinates to coordinates of the points.
     pub fn place(&self, scaled: SVector<f64, D>) -> SVector<f64, D> {
         self.centroid + scaled * self.scale
     }

@@ -39,7 +39,7 @@ const STARTS: usize = 4;
 /// Residuals are radial, positive outside. Covariance: shift of the axis at `point` along the two directions of [`across`] the
 /// axis, then the changes of its direction along them (rad), radius.
 ///
-/// Fails for points that coincide, lie on a line or in a plane, and for those that leave the cylinder open otherwise.
+/// Fails for points that coincide, lie on a line or in a plane, or do not determine the cylinder for another reason.
 pub fn cylinder(points: &[Vector3<f64>]) -> Result<Fitted<Cylinder>, FitError> {
     let cloud = Cloud::of(SHAPE, 5, points)?;
     for (direction, because) in [(1, "they lie on a line"), (2, "they lie in a plane")] {

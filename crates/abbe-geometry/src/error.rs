@@ -43,7 +43,7 @@ impl fmt::Display for FitError {
 impl std::error::Error for FitError {}
 
 impl FitError {
-    /// The same for the shape that was really asked for.
+    /// The same error with the name of the shape that the caller asked for.
     pub(crate) fn of(self, asked: &'static str) -> Self {
         match self {
             Self::TooFew { needed, found, .. } => Self::TooFew { shape: asked, needed, found },

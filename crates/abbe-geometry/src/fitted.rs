@@ -11,7 +11,7 @@ pub struct Fitted<S> {
     /// Covariance of the parameters of the shape if every coordinate has an independent error of standard deviation 1;
     /// multiply by the variance of the noise. The fit says which parameters in which order.
     pub covariance: Vec<Vec<f64>>,
-    /// Number of independent distances (two a point for a line, else one) less number of parameters.
+    /// Number of independent distances (two per point for a line, else one) minus the number of parameters.
     pub degrees_of_freedom: usize,
 }
 

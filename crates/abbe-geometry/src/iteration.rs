@@ -1,4 +1,4 @@
-//! Gauss-Newton on orthogonal distances, and what is left at the minimum.
+//! Gauss-Newton iteration on orthogonal distances, and the covariance at the minimum.
 
 use std::convert::Infallible;
 
@@ -6,8 +6,8 @@ use abbe_numerics::{Accumulator, End, LeastSquares, Options, Sink, solve};
 
 use crate::error::FitError;
 
-/// Smallest singular value, over the largest, of derivatives (columns of norm 1) that still determine all parameters: an
-/// arc of 0.01 degrees has more.
+/// Smallest singular value, relative to the largest, with which all parameters count as determined. The columns of the
+/// derivatives have norm 1. An arc of 0.01 degrees is above this value.
 const RANK: f64 = 1e-9;
 
 /// Distances of points from a shape with some parameters.

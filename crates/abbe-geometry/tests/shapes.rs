@@ -401,12 +401,13 @@ fn points_that_determine_nothing_are_refused() {
     }
 }
 
-/// Scans of spheres of 50 mm radius; a third of their points is on what holds them.
+/// Scans of spheres of 50 mm radius; a third of the points are on the holder of the sphere.
 #[test]
 fn real_scans() {
     let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../../shared/real/spheres");
     if !folder.is_dir() {
-        // What is not printed by a macro is not kept from those who run the tests; `cargo xtask ci` tells it again at its end.
+        // Written to the stream directly: the test harness captures only what macros print. `cargo xtask ci` tells it again
+        // at its end.
         let told = b"\nSKIPPED: real_scans: the scans that others measured are not shipped\n";
         return std::io::Write::write_all(&mut std::io::stdout(), told).unwrap();
     }

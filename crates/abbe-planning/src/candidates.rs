@@ -1,4 +1,4 @@
-//! What there is to choose from.
+//! The candidates of a plan.
 
 use std::collections::BTreeMap;
 
@@ -28,7 +28,7 @@ const DURATION: &str = "duration";
 
 /// The candidates in the order of the data.
 ///
-/// Fails for a stage that the estimate does not observe, a column that is not there and candidates that are not.
+/// Fails if the estimate does not observe the stage, if a column is missing, and if a named candidate does not exist.
 pub fn candidates(problem: &Problem, wanted: &Planning) -> Result<Vec<Candidate>> {
     let set = problem.sets.iter().position(|set| set.name == wanted.candidates).ok_or_else(|| {
         let message = format!("`{}` does not observe `{}`", wanted.estimate, wanted.candidates);
@@ -64,7 +64,7 @@ pub fn candidates(problem: &Problem, wanted: &Planning) -> Result<Vec<Candidate>
     Ok(found)
 }
 
-/// What a row is called that is a candidate by itself: `113`, or `beams:113` where there are several files.
+/// Name of a row that is a candidate by itself: `113`, or `beams:113` where there are several files.
 fn own_label(data: &Dataset, data_row: usize) -> String {
     let origin = data.origins[data_row];
     let several = data.files.get(origin.file).filter(|_| data.files.len() > 1);

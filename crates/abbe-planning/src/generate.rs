@@ -1,4 +1,4 @@
-//! Candidates on a grid: where the nominal machine reaches what there is to measure.
+//! Candidates on a grid: the measurements that the nominal machine can reach.
 
 use std::collections::BTreeSet;
 use std::fmt::Write;
@@ -12,16 +12,16 @@ use abbe_numerics::dot;
 use crate::settings::{GeneratedLengths, Generation};
 use crate::wrong;
 
-/// More candidates than this are a slip of the pen.
+/// A larger number of candidates is taken as a mistake in the settings.
 const MOST: usize = 1_000_000;
 
-/// Parts of an approach below this leave an axis at rest, mm/mm: it came there forwards.
+/// An axis that moves by less than this during the approach stands still, mm/mm. Its direction of approach is then positive.
 const AT_REST: f64 = 1e-6;
 
 /// The candidates as the text of a data file, nominal positions of all axes in every row.
 ///
-/// Fails for axes that the machine does not have, an artefact without features, a machine that needs columns of which the grid
-/// knows nothing, and a grid of which the machine reaches nothing.
+/// Fails for axes that the machine does not have, an artefact without features, a machine that needs other columns than the
+/// grid has, and a grid of which the machine reaches no candidate.
 pub fn generate(wanted: &Generation, artefact: &dyn Artefact, model: &dyn KinematicModel) -> Result<String> {
     let grid = Grid::new(wanted, model)?;
     match &wanted.lengths {
@@ -73,7 +73,7 @@ impl<'a> Grid<'a> {
         for (index, axis) in axes.iter().enumerate().filter(|(_, axis)| axis.kind == AxisKind::Rotary) {
             let positions = wanted.indexations_deg.get(&axis.name).map_or(Ok(vec![0.0]), Series::values);
             let positions = positions.map_err(|error| wrong_grid("indexations_deg", error.message))?;
-            // Backlash shows only if a position is approached from both sides.
+            // Backlash is visible only if a position is approached from both sides.
             let approach = model.info().status_of(&StatusRole::Direction(index));
             let sides: &[f64] = if wanted.indexations_deg.contains_key(&axis.name) && approach.is_some() {
                 &[1.0, -1.0]
@@ -100,7 +100,7 @@ impl<'a> Grid<'a> {
         Ok(Self { model, nominal: model.info().nominal.clone(), indexations })
     }
 
-    /// Where the linear axes bring tips to points of the table frame; none where they do not get there.
+    /// Statuses in which the linear axes bring the tip to points of the table frame; none for points that they do not reach.
     fn reached(&self, indexation: &[f64], points: &[[f64; 3]]) -> Result<Vec<Option<Vec<f64>>>> {
         Reach::new(self.model, &self.nominal, None).at(vec![indexation.to_vec(); points.len()], points)
     }
@@ -152,7 +152,8 @@ impl<'a> Grid<'a> {
                 for (x, y) in pairs(&x, &y) {
                     for &z in &z {
                         let pair = [[x, y, z], [x + length * along[0], y + length * along[1], z + length * along[2]]];
-                        // Upright, every azimuth is the same. (A length from its other end is another one where axes reverse.)
+                        // A vertical length is the same at every azimuth. A length and its reverse are two candidates: the
+                        // axes move in opposite directions.
                         if tried.insert(pair.map(|end| end.map(|coordinate| (coordinate * 1e6).round() as i64))) {
                             ends.extend(pair);
                             known.push(length);
@@ -173,7 +174,7 @@ impl<'a> Grid<'a> {
         self.table("group,reference_mm", &["1", "2"], wanted, rows)
     }
 
-    /// From the tip into the spindle, unit vector of the table frame.
+    /// Direction from the tip to the spindle, unit vector in the table frame.
     fn spindle_side(&self, indexation: &[f64]) -> Result<[f64; 3]> {
         let mut poses = Poses::default();
         self.model.poses(indexation, &self.nominal, &[], true, &mut poses)?;
@@ -209,7 +210,7 @@ impl<'a> Grid<'a> {
             return Err(wrong("generate", "the machine reaches nothing of this")
                 .help("are the ranges of its axes, the nominal places and `reach_deg` right?"));
         }
-        // What the grid says: positions, and of a single pose the directions of approach and the time.
+        // Columns of the grid: positions of axes and, for rows of a single pose, directions of approach and time.
         let column = |index: &usize| {
             let of_one_pose =
                 || matches!(self.model.info().status[*index].role, StatusRole::Direction(_) | StatusRole::Time);

@@ -2,8 +2,8 @@
 //! section 4.4; Rahman 2016, section 8.3).
 //!
 //! A candidate is a row of an artefact's data, or all rows with one label: an indexation. What the estimate observes beside
-//! the candidates has been measured already. Everything follows from the derivatives of the problem at nominal contact, so
-//! that nothing here knows a machine or an artefact.
+//! the candidates has been measured already. The plan follows from the derivatives of the problem at nominal contact alone,
+//! so that this crate knows no machine and no artefact.
 
 mod candidates;
 mod generate;
@@ -18,10 +18,10 @@ pub use settings::{GeneratedLengths, Generation, Planning, PlanningCriterion};
 
 use candidates::{Candidate, candidates};
 
-/// Random designs that a plan is compared with.
+/// Number of random designs with which a plan is compared.
 const RANDOM: u64 = 200;
 
-/// The stream of random numbers of the first of these; searches have the lower ones.
+/// Number of the first stream of random numbers for these designs; searches use lower numbers.
 const RANDOM_STREAM: u64 = 1 << 32;
 
 /// A plan of measurements.
@@ -29,21 +29,22 @@ const RANDOM_STREAM: u64 = 1 << 32;
 pub struct Plan {
     /// The chosen candidates in the order of the data.
     pub chosen: Vec<Chosen>,
-    /// Number of candidates there were.
+    /// Number of candidates to choose from.
     pub candidates: usize,
-    /// Rows of the data set of the candidates, in their order; those of a candidate that is measured twice stand twice.
+    /// Rows of the candidates' data set, ascending. The rows of a candidate that is measured twice occur twice.
     pub data_rows: Vec<usize>,
-    /// The problem with what has been measured and the chosen rows.
+    /// The problem with the rows that are measured already and the chosen rows.
     pub problem: Problem,
     /// Figures of the plan.
     pub figures: PlanFigures,
-    /// Figures of candidates that are spread evenly over the list: what one would do without a plan. None if they leave
-    /// something open.
+    /// Figures of candidates that are spread evenly over the list, as one would choose without a plan. None if they do not
+    /// determine all unknowns.
     pub evenly: Option<PlanFigures>,
-    /// The p-th root of the determinant that the median of random plans of the same number reaches, as part of this plan's; none if
-    /// half of them leave something open.
+    /// D-efficiency of random plans relative to this plan: ratio of the p-th roots of the determinants, p being the number of
+    /// unknowns that count. The median of random plans with the same number of candidates. None if half of them do not
+    /// determine all unknowns.
     pub random_efficiency: Option<f64>,
-    /// In how many of the searches this plan, or one that is as good, was found.
+    /// Number of searches that found this plan or one that is as good.
     pub found: usize,
 }
 
@@ -61,7 +62,7 @@ pub struct Chosen {
 /// How well a plan determines the unknowns that count.
 #[derive(Debug, Clone, PartialEq)]
 pub struct PlanFigures {
-    /// Number of equations, those measured already included.
+    /// Number of equations, including those that are measured already.
     pub equations: usize,
     /// Logarithm of the determinant of the information of the unknowns that count, in the units of memory.
     pub log_determinant: f64,
@@ -83,7 +84,8 @@ impl PlanFigures {
         (0..unknowns).map(|index| self.covariance[index * unknowns + index].sqrt()).collect()
     }
 
-    /// Part of the measurements of this plan with which another one, if it were as good by the determinant, would do.
+    /// D-efficiency of another plan relative to this one: ratio of the p-th roots of the determinants, p being the number of
+    /// unknowns that count. This plan with that part of its measurements would be as good as the other one.
     pub fn efficiency_of(&self, other: &Self) -> f64 {
         ((other.log_determinant - self.log_determinant) / self.of_interest as f64).exp()
     }
@@ -175,14 +177,14 @@ fn count(problem: &Problem, wanted: &Planning) -> usize {
     problem.unknowns.iter().filter(|unknown| counts(unknown, wanted)).count()
 }
 
-/// The weighted derivatives with columns of norm 1 over all rows there are.
+/// The weighted derivatives of all rows, with columns of norm 1.
 struct Scaled {
     /// Rows of the candidates, one candidate after another.
     rows: Vec<f64>,
     ends: Vec<usize>,
-    /// Information of the other rows.
+    /// Information matrix of the rows that are no candidates.
     measured: Vec<f64>,
-    /// Number of the other rows.
+    /// Number of the rows that are no candidates.
     measured_rows: usize,
     /// Norms of the columns.
     norms: Vec<f64>,
@@ -202,7 +204,7 @@ impl Scaled {
             }
         })?;
         let norm = |column: usize| all.iter().skip(column).step_by(p).map(|value| value * value).sum::<f64>().sqrt();
-        // A column that nobody sees is found later: no plan determines it.
+        // A column of zeros is reported later: no plan determines its unknown.
         let norms: Vec<f64> = (0..p).map(norm).map(|norm| if norm > 0.0 { norm } else { 1.0 }).collect();
         all.chunks_exact_mut(p).for_each(|row| row.iter_mut().zip(&norms).for_each(|(value, norm)| *value /= norm));
         let (mut rows, mut ends) = (Vec::new(), Vec::new());
@@ -284,8 +286,8 @@ fn evenly(choice: &Choice, number: usize) -> Vec<usize> {
     choice.required.iter().copied().chain(spread).collect()
 }
 
-/// The part of the plan's efficiency that the median of random designs of the same number reaches: the ratio of the p-th
-/// roots of the determinants.
+/// D-efficiency of random designs of the same number relative to the plan, the ratio of the p-th roots of the determinants:
+/// that of the median. None if half of them do not determine all unknowns.
 fn random(choice: &Choice, seed: u64, design: &[usize], log_determinant: f64) -> Option<f64> {
     let allowed: Vec<usize> = (0..choice.candidates()).filter(|&index| choice.allowed[index]).collect();
     let of_one = |trial: u64| {
@@ -315,7 +317,7 @@ fn chosen(candidates: &[Candidate], design: &[usize], required: &[usize]) -> Vec
         .collect()
 }
 
-/// The rows of the candidates' data set that the plan has, in its order.
+/// The rows of the candidates' data set that the plan contains, ascending.
 fn data_rows(problem: &Problem, candidates: &[Candidate], design: &[usize], wanted: &Planning) -> Vec<usize> {
     let Some(set) = problem.sets.iter().find(|set| set.name == wanted.candidates) else { return Vec::new() };
     let layout = &set.info().layout;
@@ -325,7 +327,7 @@ fn data_rows(problem: &Problem, candidates: &[Candidate], design: &[usize], want
     rows
 }
 
-/// The problem with the chosen rows alone, each once, beside what has been measured.
+/// The problem with the chosen rows, each once, and the rows that are measured already.
 fn restricted(problem: &Problem, candidates: &[Candidate], design: &[usize], wanted: &Planning) -> Problem {
     let Some(set) = problem.sets.iter().position(|set| set.name == wanted.candidates) else { return problem.clone() };
     let possible = |row: &usize| candidates.iter().any(|candidate| candidate.rows.contains(row));

@@ -154,7 +154,7 @@ fn restarts() -> u32 {
 }
 
 impl Planning {
-    /// Refuses what no data can make right.
+    /// Refuses settings that are wrong whatever the data.
     pub fn check(&self) -> Result<(), SettingsError> {
         if self.number.is_none() && self.budget_s.is_none() {
             return Err(SettingsError::new("", "`number` or `budget_s` is missing: how many may be measured?"));

@@ -1,4 +1,4 @@
-//! The border itself: our objects as tables of functions, and tables of functions as objects.
+//! The border in C: tables of functions for our objects, and objects for the tables of the other side.
 #![allow(unsafe_code, reason = "the C ABI; every block says why it is sound")]
 
 #[cfg(feature = "host")]
@@ -14,7 +14,7 @@ pub(crate) use library::{LibraryText, Record, read_library};
 #[cfg(feature = "sdk")]
 pub(crate) use ours::create_for;
 
-/// The longest text that is taken for one, bytes: more is a wild length.
+/// Longest text that is accepted, bytes. A larger length is taken as an error of the other side.
 const LONGEST: u64 = 1 << 32;
 
 impl AbbeText {

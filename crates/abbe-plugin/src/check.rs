@@ -1,4 +1,4 @@
-//! The conformance kit: whether a library keeps to what a plugin promises.
+//! The conformance tests: whether a library keeps the rules for plugins.
 //!
 //! Every test runs in a process of its own with a time limit, so that a crash or a hang is a result like any other.
 
@@ -63,12 +63,12 @@ const TESTS: [Test; 11] = [
 pub struct Findings {
     /// What is wrong.
     pub wrong: Vec<String>,
-    /// What was not looked at.
+    /// What was not tested.
     pub skipped: Vec<String>,
 }
 
 impl Findings {
-    /// As the last line that a test prints.
+    /// The findings as the last line that a test prints.
     pub fn line(&self) -> Result<String> {
         let line = serde_json::to_string(self);
         line.map(|line| format!("\n{line}\n"))
@@ -96,7 +96,7 @@ impl Report {
         self.results.iter().all(|(_, findings)| findings.wrong.is_empty())
     }
 
-    /// For people.
+    /// The report as text, one line for every test.
     pub fn text(&self) -> String {
         let mut text = format!("{}\n", self.file);
         for (test, findings) in &self.results {
@@ -114,7 +114,7 @@ impl Report {
         text
     }
 
-    /// For machines.
+    /// The report as JSON.
     pub fn json(&self) -> Value {
         let results = self.results.iter().map(|(test, findings)| {
             json!({ "test": test.name, "asks": test.asks, "pass": findings.wrong.is_empty(), "wrong": findings.wrong,

@@ -44,13 +44,13 @@ fn set(state: u64) {
 /// Whether a library has changed the state in this process.
 static CHANGED: AtomicBool = AtomicBool::new(false);
 
-/// Whether a library has changed the state in this process; it was put back.
+/// Whether a library has changed the state in this process; the state was restored.
 #[cfg(all(feature = "host", unix))]
 pub(crate) fn changed() -> bool {
     CHANGED.load(Ordering::Relaxed)
 }
 
-/// Runs `work` and puts the state back if it changed.
+/// Runs `work` and restores the state if `work` changed it.
 pub(crate) fn kept<T>(work: impl FnOnce() -> T) -> T {
     let before = state();
     let result = work();

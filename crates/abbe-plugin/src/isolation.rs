@@ -36,7 +36,7 @@ pub struct Limits {
     pub silence: Duration,
 }
 
-/// A thread that holds something.
+/// The thread that uses the socket; none if it is free.
 type Holder = Option<ThreadId>;
 
 /// One end of the socket.
@@ -45,15 +45,15 @@ pub(crate) struct Connection {
     /// The thread that uses the socket.
     holder: Mutex<Holder>,
     objects: Mutex<Objects>,
-    /// Objects of the other side that are let go of with the next question.
+    /// Objects of the other side that are released with the next question.
     released: Mutex<Vec<u64>>,
-    /// The other process, if it is ours.
+    /// The other process; none in the process that was started for a plugin.
     child: Option<Mutex<Child>>,
     who: String,
     silence: Duration,
 }
 
-/// Our objects that the other side knows by number.
+/// Our objects for the other side, by number.
 #[derive(Default)]
 struct Objects {
     served: BTreeMap<u64, Arc<Served>>,
@@ -166,7 +166,7 @@ impl Connection {
         object.ok_or_else(|| Failure::of("the other side", format!("names the object {number}, which is not there")))
     }
 
-    /// Numbers an object of ours for the other side; one that only stands for theirs goes home as that.
+    /// Gives an object of ours a number for the other side. A proxy for an object of the other side is sent as that object.
     fn give(self: &Arc<Self>, object: &Arc<Served>) -> Reference {
         if let Some(behind) = object.behind()
             && let Some(theirs) = behind.as_any().downcast_ref::<Remote>()
@@ -190,7 +190,7 @@ impl Connection {
         }
     }
 
-    /// Why the other side does not answer; ends it.
+    /// The reason why the other side does not answer. Ends its process.
     fn lost(&self, error: &std::io::Error) -> Failure {
         let Some(child) = &self.child else { return Failure::of(&self.who, format!("is gone: {error}")) };
         let mut child = locked(child);
@@ -200,7 +200,7 @@ impl Connection {
             let limit = self.silence.as_secs_f64();
             return Failure::of(&self.who, format!("gave no answer within {limit} s; its process was ended"));
         }
-        // It has closed the socket, so it is ending, or is of no use.
+        // The other side has closed the socket: its process is ending, or cannot be used any more.
         let status = (0..100).find_map(|_| match child.try_wait() {
             Ok(None) => {
                 std::thread::sleep(Duration::from_millis(10));

@@ -5,8 +5,8 @@
 //! - `load` and `isolated` (feature `host`) give the plugins of a library as records of the registry, like built-in ones; the
 //!   latter runs them in processes of their own.
 //!
-//! **Architecture invariant:** this is the only crate with unsafe code, and every block says why it is sound. What comes from
-//! the other side is checked here; behind the proxies it is as good as built in.
+//! **Architecture invariant:** this is the only crate with unsafe code, and every block says why it is sound. Everything from
+//! the other side is checked here: other crates use a proxy like a built-in plugin.
 
 pub mod abi;
 mod border;

@@ -1,4 +1,4 @@
-//! Loads plugin libraries: hash first, then that very file, then its table.
+//! Loads plugin libraries: hashes the file, opens the same file, then reads its table.
 #![allow(unsafe_code, reason = "runs the code of libraries; every block says why it is sound")]
 
 use std::borrow::Cow;
@@ -107,13 +107,13 @@ fn truncated(bytes: &[u8]) -> bool {
 
 /// Loads a library into this program, unless its hash is not `pin`.
 ///
-/// Fails on a file that is no library, exports no table or a wrong one, and on the names that its plugins must not have.
-/// Loading runs the code of the library, and a bad one can end the program: [`isolated`](crate::isolated) keeps it away.
+/// Fails for a file that is no library, for a missing or wrong table, and for forbidden names of plugins. Loading runs the
+/// code of the library, and a faulty library can end the program. [`isolated`](crate::isolated) prevents that.
 pub fn load(path: &Path, pin: Option<&str>) -> Result<Library> {
     let Hashed { file, sha256 } = hashed(path, pin)?;
     let wrong = |what: String| Error::usage(format!("the plugin library {} {what}", path.display()));
     let opened = open(path, file).map_err(|error| wrong(format!("cannot be loaded: {}", reason(&error))))?;
-    // SAFETY: the symbol is the entry of Abbe's ABI; a library that exports another function under this name is beyond help.
+    // SAFETY: the symbol is the entry of Abbe's ABI. Another function under this name cannot be detected.
     let entry = unsafe { opened.get::<AbbeEntry>(ENTRY.as_bytes()) };
     let entry = *entry.map_err(|_| wrong(format!("exports no `{ENTRY}`: it is no plugin library")))?;
     // A library is never unloaded: its code may run, or be registered somewhere, at any time.
@@ -138,13 +138,13 @@ pub fn load(path: &Path, pin: Option<&str>) -> Result<Library> {
     Ok(Library { file: path.to_owned(), sha256, name, version, plugins })
 }
 
-/// The reason of a library that cannot be opened.
+/// The reason why a library cannot be opened.
 fn reason(error: &libloading::Error) -> String {
     use std::error::Error as _;
     error.source().map_or_else(|| error.to_string(), ToString::to_string)
 }
 
-/// Opens the very file that was hashed.
+/// Opens the same file that was hashed.
 fn open(path: &Path, file: File) -> Result<libloading::Library, libloading::Error> {
     #[cfg(target_os = "linux")]
     {
@@ -152,7 +152,8 @@ fn open(path: &Path, file: File) -> Result<libloading::Library, libloading::Erro
         use std::os::fd::AsRawFd;
         let _ = path;
         let opened = format!("/proc/self/fd/{}", file.as_raw_fd());
-        // Kept open: the loader knows libraries by name, and another file under this number would be taken for this one.
+        // Kept open: the loader identifies libraries by name, and would take another file with this descriptor number for
+        // this one.
         std::mem::forget(file);
         // SAFETY: runs the constructors of a library that the user named; the floating-point state is put back.
         float_control::kept(|| unsafe { Library::open(Some(opened), RTLD_NOW | RTLD_LOCAL) }).map(Into::into)
@@ -166,14 +167,14 @@ fn open(path: &Path, file: File) -> Result<libloading::Library, libloading::Erro
     }
 }
 
-/// What builds stages: settings and folder to an object; `who` is for messages.
+/// Builds stages: settings and folder to an object; `who` is for messages.
 pub(crate) type Create = Arc<dyn Fn(&str, &str, &str) -> Result<Transit, Failure> + Send + Sync>;
 
 fn in_process(record: Record) -> Create {
     Arc::new(move |settings, base, who| record.create(settings, base, who))
 }
 
-/// What a plugin says of itself.
+/// The description of a plugin.
 #[derive(Debug, Clone, serde::Serialize, serde::Deserialize)]
 pub(crate) struct About {
     pub kind: u32,
@@ -208,7 +209,7 @@ impl About {
         Ok(Plugin {
             version: Cow::Owned(self.version),
             about: Cow::Owned(self.about),
-            // Libraries stay for ever, and so does what they say.
+            // Libraries are never unloaded, so their texts may live for ever.
             reference: self.reference.leak(),
             origin: origin.clone(),
             schema: Provider::Value(schema),
@@ -230,7 +231,7 @@ fn build(kind: Kind, create: Create, who: String) -> Build {
             Transit::Local(_) => Err(SettingsError::new("", format!("{who} gave one of the program's own objects"))),
         }
     };
-    /// What goes wrong when a stage is first asked has the place of its settings.
+    /// Errors of the first questions to a stage get the place of its settings.
     fn wrong(error: Error) -> SettingsError {
         let Error { class, setting, message, help, .. } = error;
         SettingsError { path: setting, key: false, message, help, class }

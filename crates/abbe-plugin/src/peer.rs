@@ -1,4 +1,4 @@
-//! One object of the other side, whatever lies between: a library's table of functions, or a pipe to another process.
+//! One object of the other side, which is a library's table of functions or another process.
 
 use std::any::Any;
 use std::fmt::Display;
@@ -25,7 +25,7 @@ pub(crate) trait Peer: Send + Sync {
     /// Equations of some rows.
     fn equations(&self, batch: RowBatch<'_>, out: &mut Equations) -> Result<(), Failure>;
 
-    /// For those who hand the object back to where it lives.
+    /// The concrete type: an object that returns to its own side is sent as what it is there.
     fn as_any(&self) -> &dyn Any;
 }
 
@@ -36,7 +36,7 @@ pub(crate) struct Answer {
     pub objects: Vec<Transit>,
 }
 
-/// An object that came over: of the other side, or one of our own that comes home.
+/// An object that was received: one of the other side, or one of ours that returns.
 #[derive(Clone)]
 pub(crate) enum Transit {
     Remote(Arc<dyn Peer>),
@@ -77,13 +77,13 @@ struct Details {
     key: bool,
 }
 
-/// The error for what the other side did that it must not do; names it. No setting is to blame for that.
+/// The error for a violation of the interface; names the other side. No setting is the cause.
 pub(crate) fn broken(who: &str, what: impl Display) -> Error {
     Error::data(format!("{who} {what}")).fault()
 }
 
 impl Failure {
-    /// What the other side did that it must not do; names it.
+    /// A violation of the interface; names the other side.
     pub fn of(who: &str, what: impl Display) -> Self {
         broken(who, what).into()
     }
@@ -115,7 +115,8 @@ impl Failure {
         error
     }
 
-    /// The error of settings: they are to blame if the plugin says so itself.
+    /// The error of settings: of the class "use" if the plugin refuses them, of the class "data" if the plugin itself fails.
+    /// A class that the plugin states counts first.
     #[cfg(feature = "host")]
     pub fn settings_error(self, who: &str) -> SettingsError {
         let refused = matches!(self.status, ABBE_FAILED | ABBE_FAILED_WITH_DETAILS);

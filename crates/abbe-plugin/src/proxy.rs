@@ -1,5 +1,5 @@
-//! The traits of `abbe-core` for objects of the other side. What they say of themselves is checked once, what they compute
-//! every time: nothing behind this border may make the program panic or go on with numbers that are none.
+//! The traits of `abbe-core` for objects of the other side. Descriptions are checked once, results every time. So no plugin
+//! can make the program panic or use values that are not finite.
 
 mod estimator;
 mod machine;
@@ -50,7 +50,7 @@ fn ask_whole<Q: Serialize + ?Sized>(
     peer.call(method, &text, objects).map_err(|failure| failure.error(peer.who()))
 }
 
-/// Every value has to be a number.
+/// Refuses values that are not finite.
 fn finite<'a>(peer: &dyn Peer, what: &str, values: impl IntoIterator<Item = &'a f64>) -> Result<()> {
     // Zero times anything finite is zero: one sum instead of a branch for each number.
     let sum: f64 = values.into_iter().map(|value| value * 0.0).sum();
@@ -60,7 +60,7 @@ fn finite<'a>(peer: &dyn Peer, what: &str, values: impl IntoIterator<Item = &'a 
     }
 }
 
-/// The object of the other side that a machine or observations only stand for; none if they live here.
+/// The object of the other side behind a proxy of a machine or of observations; none if the object is our own.
 pub(crate) fn behind(proxy: &dyn Any) -> Option<Arc<dyn Peer>> {
     let machine = proxy.downcast_ref::<machine::Machine>().map(|machine| machine.peer.clone());
     machine.or_else(|| proxy.downcast_ref::<observed::Observed>().map(|observed| observed.peer.clone()))

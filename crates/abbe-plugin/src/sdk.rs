@@ -11,7 +11,7 @@ pub use {nalgebra, schemars, serde, serde_json};
 use crate::abi::*;
 use crate::border::create_for;
 
-/// A plugin's record with what it is the record of.
+/// The record of a plugin for the other side, and the plugin itself.
 #[repr(C)]
 struct Exported {
     // First, so that a pointer to it is a pointer to this.
@@ -19,7 +19,7 @@ struct Exported {
     plugin: &'static Plugin,
 }
 
-/// The library's table with what it points to.
+/// The library's table and the data to which it points.
 struct Library(AbbeLibrary);
 
 // SAFETY: tables are constant once made, and what they point to lives for ever.
@@ -27,19 +27,19 @@ unsafe impl Send for Library {}
 // SAFETY: as above.
 unsafe impl Sync for Library {}
 
-/// The log of the program, once it is known.
+/// The log of the program; empty until the program gives it.
 static LOG: OnceLock<unsafe extern "C" fn(u32, AbbeText)> = OnceLock::new();
 
-/// How much a line of the log matters.
+/// Severity of a line of the log.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Level {
-    /// Something is wrong.
+    /// An error.
     Error = 0,
-    /// Something may be wrong.
+    /// A warning.
     Warning = 1,
-    /// What is going on.
+    /// Information about the work.
     Information = 2,
-    /// For those who look for a fault.
+    /// Details for the search for a fault.
     Detail = 3,
 }
 

@@ -33,7 +33,7 @@ pub(crate) enum Served {
     Observations(Arc<dyn Observations>, Option<Arc<Dataset>>),
 }
 
-/// A machine that is taken back when the call is over: who kept it gets errors from then on.
+/// A machine that is lent for one call. Its use after that call is an error.
 pub(crate) struct Lent(RwLock<Option<&'static dyn KinematicModel>>);
 
 impl Lent {
@@ -69,7 +69,7 @@ impl Served {
         }
     }
 
-    /// The other side's own object that this one only stands for.
+    /// The object of the other side for which this one is a proxy, if it is one.
     pub fn behind(&self) -> Option<Arc<dyn Peer>> {
         match self {
             Self::Machine(machine) => proxy::behind(machine.as_ref()),

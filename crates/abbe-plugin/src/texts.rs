@@ -1,4 +1,4 @@
-//! The texts that cross the border, beyond those that `abbe-core` has itself: what refers to objects does so by index.
+//! The texts that cross the border, beside those of `abbe-core`. They refer to objects by index.
 
 use std::path::PathBuf;
 use std::sync::Arc;
@@ -13,12 +13,12 @@ use crate::peer::{Failure, Transit};
 use crate::proxy;
 use crate::served::Served;
 
-/// What observations are.
+/// The description of observations.
 #[derive(Serialize, Deserialize)]
 pub(crate) struct ObservationsText {
     #[serde(flatten)]
     pub info: ObservationsInfo,
-    /// The data set; none if it is the one that they were made of.
+    /// The data set; none if it is the one from which the observations were made.
     #[serde(default)]
     pub data: Option<Dataset>,
 }

@@ -10,7 +10,7 @@ use serde_json::Value;
 /// Line and column, from 1.
 type Mark = (usize, usize);
 
-/// Nesting that no recipe needs; it bounds the work that a hostile file can make.
+/// Deepest accepted nesting. It bounds the work that a hostile file can cause.
 const DEEPEST: usize = 64;
 
 /// Where a value stands, and its key; in a list both are the same.
@@ -55,7 +55,7 @@ impl Document {
         Node { document: self, path: Vec::new(), value: &self.value }
     }
 
-    /// The length of the longest beginning of `path` that has a place; below an alias places are missing.
+    /// The length of the longest prefix of `path` that has a place. Values below an alias have no places.
     pub fn known(&self, path: &[PathItem]) -> usize {
         (0..=path.len()).rev().find(|&length| self.places.contains_key(&path[..length])).unwrap_or(0)
     }
@@ -68,7 +68,7 @@ impl Document {
         })
     }
 
-    /// Puts an error at `path`, or at what encloses it where that has no place of its own.
+    /// Puts an error at `path`, or at the value that contains it if `path` has no place.
     pub fn locate(&self, error: Error, path: &[PathItem], at: At) -> Error {
         let known = self.known(path);
         let (line, column) = match self.places.get(&path[..known]) {
@@ -148,7 +148,7 @@ impl<'a> Node<'a> {
         }
     }
 
-    /// An error about a missing key, placed at the misspelt key if there is one that is near.
+    /// An error about a missing key, at the place of a similar key if there is one: a probable misspelling.
     pub fn missing(&self, keys: &[&str], message: impl Into<String>) -> Error {
         let near = self.value.as_object().into_iter().flatten().find_map(|(key, value)| {
             let near = abbe_core::nearest(key, keys.iter().copied())?;
@@ -175,7 +175,7 @@ enum Frame {
     List(usize),
 }
 
-/// The place of every key and value; refuses what a recipe cannot mean.
+/// The place of every key and value. Refuses YAML that recipes do not allow.
 fn places(text: &str) -> Result<BTreeMap<Vec<PathItem>, Marks>, Refusal> {
     let mark_of = |marker: Marker| (marker.line(), marker.col() + 1);
     let refuse = |mark, message: String| Err(Refusal { mark, message, at_sign: false });

@@ -139,7 +139,7 @@ pub(crate) fn order(heads: &[Head<'_>], references: &[Vec<Node<'_>>]) -> Result<
             }
         }
     }
-    // What still waits refers to something that waits: going on from there leads into the circle.
+    // Every stage that waits refers to another stage that waits: following these references leads to the cycle.
     let Some(mut stage) = waits.iter().position(|&count| count > 0) else { return Ok(order) };
     let mut way: Vec<(usize, &Node<'_>)> = Vec::new();
     loop {

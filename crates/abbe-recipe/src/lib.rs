@@ -1,8 +1,8 @@
 //! Recipes in YAML: a checked graph of stages, errors that point at line and column, and a JSON Schema for editors.
 //!
 //! **Architecture invariant:** no other crate knows YAML, and this one reads nothing but recipes and the YAML files
-//! that the `file` settings of model stages name. No stage is built here: its settings go on as JSON values, and what
-//! its plugin says about them comes back to be given its place ([`Recipe::settings_error`]).
+//! that the `file` settings of model stages name. It builds no stage: it passes the settings on as JSON values, and gives
+//! errors of a plugin about them their place ([`Recipe::settings_error`]).
 
 mod document;
 mod graph;
@@ -30,7 +30,7 @@ use sets::Sets;
 /// The keys of an artefact stage that are the same for all artefact plugins ([`abbe_core::InputUncertainty`]).
 const INPUT_UNCERTAINTY: [&str; 3] = ["uncertainty", "pooled", "id"];
 
-/// The key of an estimate that may use rows which went into what it knows already, and the only thing that it says.
+/// The key of an estimate that may use rows again from which its known values were estimated, and the only value of this key.
 const SHARED_ROWS: &str = "shared_rows";
 const ACCEPTED: &str = "accepted";
 
@@ -40,7 +40,7 @@ const PLAN: &str = "plan";
 /// The version of recipes that this program reads.
 const VERSION: u64 = 1;
 
-/// A recipe whose references are right; the settings of its stages are still to be judged by the plugins.
+/// A recipe whose references are valid. The plugins check the settings of its stages later.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Recipe {
     /// The file.
@@ -61,7 +61,7 @@ pub struct Recipe {
     pub plan: Option<Planning>,
     document: Document,
     origins: BTreeMap<String, Origin>,
-    /// The keys of every stage that its plugin does not see.
+    /// The keys of every stage that are not passed on to its plugin.
     taken: BTreeMap<String, Vec<&'static str>>,
 }
 
@@ -74,16 +74,16 @@ pub struct Stage {
     pub kind: Kind,
     /// The plugin that does the work.
     pub plugin: String,
-    /// What an estimate is made of.
+    /// What an estimate is made from.
     pub basis: Basis,
     /// The plugin's settings, an object; a model's file is merged in.
     pub settings: Value,
-    /// What an estimate estimates: patterns of names, sets expanded. Empty for other kinds, and for an estimate that looks at
-    /// another one anew.
+    /// Unknowns of an estimate: patterns of names, sets expanded. Empty for other kinds, and for an estimate that analyses
+    /// another one.
     pub parameters: Vec<String>,
-    /// What is said of the uncertainty of an artefact's rows, an object; the same for all artefact plugins.
+    /// The statements about the uncertainty of an artefact's rows, an object; the same for all artefact plugins.
     pub input_uncertainty: Value,
-    /// Whether an estimate may use rows again that went into what it knows already.
+    /// Whether an estimate may use rows again from which its known values were estimated.
     pub shared_rows: bool,
     /// The names of stages under each reference key, as in the recipe.
     pub references: BTreeMap<String, Vec<String>>,
@@ -98,7 +98,7 @@ impl Stage {
     }
 }
 
-/// Where settings come from that do not stand in the recipe as the plugin sees them.
+/// Origin of settings that differ between the recipe and what the plugin gets.
 #[derive(Debug, Clone, PartialEq)]
 struct Origin {
     /// The file of a model.
@@ -214,7 +214,7 @@ impl Recipe {
         located
     }
 
-    /// Gives an error that names a stage (and a setting) its file, line and column, unless it has a place.
+    /// Gives an error about a stage (and a setting) its file, line and column, unless it has a place.
     pub fn locate(&self, error: Error) -> Error {
         match (&error.place, error.stage.clone()) {
             (None, Some(stage)) => {
@@ -240,7 +240,7 @@ impl Recipe {
         located
     }
 
-    /// The nearest key that a plugin cannot suggest, since the recipe takes it away before the plugin sees it.
+    /// A similar key among those that are not passed on to the plugin, which the plugin therefore cannot suggest.
     fn reference_near(&self, stage: &str, error: &SettingsError) -> Option<String> {
         let ([PathItem::Key(key)], true) = (error.path.as_slice(), error.key) else { return None };
         let taken = self.taken.get(stage)?;
@@ -277,7 +277,7 @@ fn read_text(path: &Path) -> Result<String, Error> {
     })
 }
 
-/// The version first: what other versions look like is not for this one to judge.
+/// Checks the version first: the format of other versions is not known here.
 fn check_top(root: &Node<'_>) -> Result<(), Error> {
     root.map()?;
     let expected = format!("this program reads recipes of version {VERSION}");
@@ -333,7 +333,7 @@ fn plugin<'a>(stage: &Node<'_>, registry: &'a Registry) -> Result<&'a Plugin, Er
 }
 
 impl<'a> Head<'a> {
-    /// The keys that the plugin does not see.
+    /// The keys that are not passed on to the plugin.
     fn taken(&self) -> Vec<&'static str> {
         let own: &[&'static str] = match self.plugin.kind() {
             Kind::Model => &["file"],
@@ -425,8 +425,8 @@ impl<'a> Head<'a> {
         Ok((stage, origin, nodes))
     }
 
-    /// The settings in the file of a model. Keys that the plugin does not know are notes, unless they look like a
-    /// misspelt setting: that one would be missing without a word.
+    /// The settings in the file of a model. Keys that the plugin does not know are notes. A key that looks like a misspelt
+    /// setting is an error: the setting would be ignored without a message.
     fn described(&self, file: &Document) -> Result<Map<String, Value>, Error> {
         let schema = self.plugin.schema.get();
         let known = schema.get("properties").and_then(Value::as_object);

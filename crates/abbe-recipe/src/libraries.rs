@@ -6,10 +6,10 @@ use abbe_core::{Error, Place};
 
 use crate::document::{At, Node};
 
-/// How long an isolated plugin may be silent unless the recipe says otherwise, s.
+/// Longest time without an answer from an isolated plugin, unless the recipe states another, s.
 const TIME_LIMIT_S: f64 = 60.0;
 
-/// A day: nobody waits longer for one answer.
+/// Largest time limit for one answer, s: a day.
 const LONGEST_LIMIT_S: f64 = 86_400.0;
 
 /// A library with plugins that a recipe asks for.
@@ -19,7 +19,7 @@ pub struct Library {
     pub path: PathBuf,
     /// The SHA-256 that the file has to have, as written.
     pub sha256: Option<String>,
-    /// Its plugins run in processes of their own, and for how long one may be silent there, s.
+    /// Time limit if its plugins run in processes of their own: longest time without an answer, s.
     pub isolate: Option<f64>,
     /// Where the recipe names it.
     pub place: Option<Place>,

@@ -1,4 +1,4 @@
-//! The reference page of a plugin, made of its own record.
+//! The reference page of a plugin, made from its record.
 
 use abbe_core::{Basis, Kind, Plugin};
 use serde_json::{Map, Value};
@@ -8,7 +8,7 @@ use crate::graph::references;
 /// Maps within maps that are shown; a schema may refer to itself.
 const DEEPEST: usize = 8;
 
-/// How every page begins: what begins otherwise is not ours to replace.
+/// The first line of every page. A file that begins otherwise is never replaced.
 pub const PAGE_MARK: &str =
     "<!-- Made by `abbe plugins --pages` from the plugins' own records: changes here are lost. -->";
 
@@ -92,7 +92,7 @@ fn list(root: &Value, schema: &Value, depth: usize, out: &mut String) {
     let required: Vec<&str> = schema["required"].as_array().into_iter().flatten().filter_map(Value::as_str).collect();
     for (key, written) in schema["properties"].as_object().into_iter().flatten() {
         let property = plain(root, written);
-        // What stands beside a reference is of this setting.
+        // Entries beside a reference belong to this setting.
         let beside = |key: &str| written.get(key).or(property.get(key));
         let mut traits = vec![kind_of(root, property, false, 0)];
         traits.extend(unit(key).map(str::to_owned));
@@ -106,7 +106,7 @@ fn list(root: &Value, schema: &Value, depth: usize, out: &mut String) {
     }
 }
 
-/// What stands in a setting: the maps in it, after so many steps through lists, and alternatives that say what they are.
+/// The contents of a setting: its maps, also those in lists (`steps` levels so far), and its alternatives with descriptions.
 fn below(root: &Value, schema: &Value, depth: usize, steps: usize, out: &mut String) {
     if depth.max(steps) > DEEPEST {
         return;
@@ -124,7 +124,7 @@ fn below(root: &Value, schema: &Value, depth: usize, steps: usize, out: &mut Str
         if let Some(constant) = alternative.get("const").filter(|_| alternative["description"].is_string()) {
             item(out, depth, &format!("`{}`", shown(constant)), alternative.get("description"));
         } else if alternative["properties"].is_object() {
-            // The setting that it cannot do without says best which map it is.
+            // A required setting identifies the map best.
             let what = match alternative["required"][0].as_str() {
                 Some(key) => format!("a map with `{key}`"),
                 None => "a map".to_owned(),

@@ -6,7 +6,7 @@ use abbe_core::Error;
 
 use crate::document::{At, Node};
 
-/// The sets of a recipe; none refers to an unknown one or, by whatever way, to itself.
+/// The sets of a recipe. None refers to an unknown set or, directly or through others, to itself.
 pub(crate) struct Sets<'a>(BTreeMap<&'a str, Vec<Node<'a>>>);
 
 impl<'a> Sets<'a> {

@@ -1,4 +1,4 @@
-//! What a touch probe does to a touch.
+//! Lobing of a touch probe.
 
 use abbe_core::{Contact, Equations, Poses, Problem, Result};
 use nalgebra::{Quaternion, UnitQuaternion, Vector3};
@@ -27,7 +27,7 @@ impl Lobing {
 }
 
 /// The direction of contact of every equation, from the touched feature to the probe, unit vector in the tool frame; none
-/// where an equation is no single touch.
+/// where an equation is not that of a single touch.
 pub fn contact_directions(problem: &Problem) -> Result<Vec<Option<[f64; 3]>>> {
     let mut directions = Vec::with_capacity(problem.equations());
     let (mut poses, mut equations) = (Poses::default(), Equations::default());

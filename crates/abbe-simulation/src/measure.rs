@@ -1,4 +1,4 @@
-//! From a programme of measurement to what a machine with errors records.
+//! Simulates a measurement: from a programme to what a machine with errors records.
 
 use abbe_core::{Contact, ObservationSet, Problem, Result};
 use abbe_estimation::{at_contact, contact};
@@ -9,13 +9,13 @@ use crate::truth::Truth;
 /// The same problem as if it had been measured on the machine `truth`: the statuses of its rows are those at which the
 /// erroneous tip meets the erroneous artefact, its readings what is read there.
 ///
-/// The rows of the problem are the programme: features, rotary axes, directions and times are theirs; of the linear axes
-/// they need to say no more than roughly where to start. Nothing else changes: start values, known inputs and uncertainties
-/// stay what they are, so that an estimator can solve the result at once. The same `seed` gives the same numbers; those of a
-/// row depend on the seed, the index of its set and its index in the set's layout alone.
+/// The rows of the problem are the programme: it states features, rotary axes, directions and times. The positions of the
+/// linear axes are start values only. Nothing else changes: start values, known inputs and uncertainties stay what they are,
+/// so that an estimator can solve the result at once. The same `seed` gives the same numbers. Those of a row depend only on
+/// the seed, the index of its set and its index in the set's layout.
 ///
-/// What the truth says of errors and features that the problem does not have is left out, with a warning. Fails for a truth
-/// that is no number or whose names are wrong, and for a row in which the linear axes cannot bring the tip to the artefact.
+/// Values of the truth for errors and features that the problem does not have are left out, with a warning. Fails for values
+/// that are not finite, for wrong names, and for a row in which the linear axes cannot bring the tip to the artefact.
 pub fn measure(problem: &Problem, truth: &Truth, seed: u64) -> Result<Problem> {
     truth.check()?;
     truth.left_out(problem)?.warn();
@@ -65,7 +65,7 @@ fn recorded(mut problem: Problem, noise: &Noise) -> Problem {
                 });
                 by_rounding.extend(changes);
             }
-            // `contact::measured` refuses it.
+            // `contact::measured` has refused such a set.
             Contact::NotSimulated(_) => by_rounding.extend(rows_of(set).flat_map(|row| vec![0.0; row.equations])),
         }
     }
@@ -85,7 +85,7 @@ fn round_positions(set: &mut ObservationSet, statuses: &[usize], resolution: f64
     set.move_to(poses);
 }
 
-/// What is read in every equation of a set, mm; none where nothing is, or an angle.
+/// The readings of a set, one for every equation, mm; none for equations without a reading and for angles.
 fn readings(set: &ObservationSet, column: &str) -> Vec<Option<f64>> {
     let recorded = if is_length(set, column) { set.info().layout.data.numbers(column) } else { None };
     let disturbances = set.disturbances();

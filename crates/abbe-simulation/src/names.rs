@@ -1,8 +1,8 @@
-//! Names of a truth that the problem does not have: which are right and left out, and which are wrong.
+//! Names of a truth that the problem does not have. Valid names are left out, others are errors.
 
 use abbe_core::{Error, Problem, Result, nearest};
 
-/// Values of a truth that are not zero and that nothing in the problem takes, though their names are right.
+/// Values of a truth that are not zero and have valid names, but that the problem does not have.
 #[derive(Debug, Clone, PartialEq, Eq, Default)]
 pub struct LeftOut {
     /// Parameters of the machine that the model does not have.
@@ -12,7 +12,7 @@ pub struct LeftOut {
 }
 
 impl LeftOut {
-    /// Sorts names that the problem does not have. Fails for one that looks misspelt, or that nothing could be called.
+    /// Sorts names that the problem does not have. Fails for a name that looks misspelt or has no valid form.
     pub(crate) fn of<'a>(names: impl Iterator<Item = &'a String>, problem: &Problem) -> Result<Self> {
         let known = Known::of(problem);
         let mut left_out = Self::default();
@@ -28,7 +28,7 @@ impl LeftOut {
         Ok(left_out)
     }
 
-    /// Tells what is left out.
+    /// Warns of the values that are left out.
     pub(crate) fn warn(&self) {
         if !self.artefacts.is_empty() {
             let names = self.artefacts.join(", ");
@@ -43,7 +43,7 @@ impl LeftOut {
         }
     }
 
-    /// What is left out, for people.
+    /// What is left out, as a line of the summary.
     pub(crate) fn summary(&self) -> Option<String> {
         let (machine, artefacts) = (self.machine.len(), self.artefacts.len());
         let is_empty = machine + artefacts == 0;
@@ -54,7 +54,7 @@ impl LeftOut {
 /// The names that a problem has.
 struct Known {
     machine: Vec<String>,
-    /// Own names of artefacts, with their stage.
+    /// Names of the unknowns and inputs of artefacts, each with its stage.
     own: Vec<(String, String)>,
 }
 
@@ -73,7 +73,7 @@ impl Known {
     fn lacks_of_machine(&self, name: &str) -> bool {
         let Some((symbol, term)) = machine_error(name) else { return false };
         let listed = self.machine.iter().filter_map(|known| machine_error(known)).any(|(known, _)| known == symbol);
-        // `EXX[l]` beside `EXX[1]` is a slip; `EXX[2]` is another error.
+        // `EXX[l]` beside `EXX[1]` is a misspelling; `EXX[2]` is another error.
         !listed || term.is_some_and(is_common) || nearest(name, self.machine.iter().map(String::as_str)).is_none()
     }
 

@@ -1,4 +1,4 @@
-//! What lies between the truth and what is recorded: noise, drift, lobing, outliers, resolution.
+//! Deviations of recorded values from the truth: noise, drift, lobing, outliers, resolution.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::f64::consts::TAU;
@@ -22,10 +22,10 @@ use crate::truth::{key, known_only, machine_parameter};
 pub struct Noise {
     /// Standard deviation of the probe or the reading, mm; independent from equation to equation.
     pub probing_sigma_mm: Sigma,
-    /// Standard deviation of the surface, mm; the same to a touch as that of the probe.
+    /// Standard deviation of the surface, mm. It acts on a touch in the same way as the noise of the probe.
     pub surface_sigma_mm: Sigma,
-    /// Slow changes of the machine, by the file in which they happen: the name of the file without its extension, or what
-    /// follows its last hyphens (`s1` for `touches-s1.csv`); the empty name is for all files.
+    /// Slow changes of the machine, by the file in which they happen: the name of the file without its extension, or the part
+    /// of it after a hyphen (`s1` for `touches-s1.csv`). The empty name is for all files.
     pub drift: BTreeMap<String, Drift>,
     /// Lobing of the probe; its angles are those of the direction of approach in the frame of the tool.
     pub lobing: Option<Lobing>,
@@ -57,7 +57,7 @@ impl Default for Sigma {
 pub struct Drift {
     /// The parameter, a length.
     pub parameter: String,
-    /// What it comes to in the end, mm, with its sign.
+    /// Final change without the wave, mm, with its sign.
     pub size_mm: f64,
     /// Time constant, s.
     pub tau_s: f64,
@@ -69,7 +69,7 @@ pub struct Drift {
 const WAVE: f64 = 0.12;
 
 impl Drift {
-    /// What is added to the parameter at a time in s, mm.
+    /// Change of the parameter at a time in s, mm.
     pub fn at(&self, time: f64) -> f64 {
         let wave = self.wave.map_or(0.0, |(period, phase)| (TAU * time / period + phase).sin() - phase.sin());
         self.size_mm * (1.0 - (-time / self.tau_s).exp() + WAVE * wave)
@@ -95,7 +95,7 @@ pub struct RandomOutliers {
     pub size_mm: f64,
 }
 
-/// `noise` as it stands in a truth file, without what has several forms there.
+/// `noise` as it stands in a truth file, without the keys that have several forms.
 #[derive(Deserialize)]
 struct Written {
     probing_sigma_mm: Option<Sigma>,
@@ -155,7 +155,7 @@ impl Noise {
         })
     }
 
-    /// Refuses what is no finite number, and sizes that are negative.
+    /// Refuses values that are not finite, and negative sizes.
     pub(crate) fn check(&self) -> Result<(), SettingsError> {
         for (name, sigma) in
             [("probing_sigma_mm", &self.probing_sigma_mm), ("surface_sigma_mm", &self.surface_sigma_mm)]
@@ -182,8 +182,8 @@ impl Noise {
         not_negative("resolution_mm", self.resolution_mm).map(drop)
     }
 
-    /// By how much every equation of a problem at the truth differs from zero when it is measured, mm; `problem` stands at
-    /// nominal contact.
+    /// Deviation of every equation from zero when it is measured, mm. `problem` has the true values and is at nominal
+    /// contact.
     pub(crate) fn errors(&self, problem: &Problem, seed: u64) -> Result<Vec<f64>> {
         self.known_stages(problem)?;
         let directions = self.lobing.map(|_| contact_directions(problem)).transpose()?;
@@ -198,7 +198,7 @@ impl Noise {
                     errors.extend(std::iter::repeat_n(0.0, equations));
                     continue;
                 };
-                // A stream of its own for every row: what it gets does not depend on the rows before it.
+                // Every row has its own stream: its numbers do not depend on the rows before it.
                 let mut generator = Generator::new(seed, (index as u64) << 32 | row as u64);
                 let first = errors.len();
                 errors.extend((0..equations).map(|_| sigma * generator.normal()));
@@ -215,7 +215,7 @@ impl Noise {
         Ok(errors)
     }
 
-    /// Fails if a standard deviation is stated for a stage that does not exist.
+    /// Fails if a standard deviation is stated for a stage that is not observed.
     fn known_stages(&self, problem: &Problem) -> Result<()> {
         for (name, sigma) in
             [("probing_sigma_mm", &self.probing_sigma_mm), ("surface_sigma_mm", &self.surface_sigma_mm)]
@@ -275,7 +275,7 @@ impl Noise {
         std::iter::once(stem.as_ref()).chain(parts).chain([""]).find_map(|name| self.drift.get(name))
     }
 
-    /// What varies, for people.
+    /// The deviations, as lines of the summary.
     pub(crate) fn summary(&self) -> Vec<String> {
         let um = |value: f64| format!("{:.3} µm", value * 1e3);
         let mut lines = Vec::new();
@@ -310,7 +310,7 @@ impl Noise {
     }
 }
 
-/// Whether distances are added to the equations of a set: not to angles that are read.
+/// Whether noise is added to the equations of a set. It is not added to readings of angles.
 fn takes_noise(set: &ObservationSet) -> bool {
     match &set.info().contact {
         Contact::LinearAxes => true,
@@ -379,7 +379,7 @@ impl Outliers {
     }
 }
 
-/// The listed gross errors, and how a row is called in the list.
+/// The listed gross errors, and how the list names a row.
 struct Listed<'a> {
     distances: &'a BTreeMap<String, f64>,
     by_touch: bool,
@@ -414,7 +414,7 @@ impl<'a> Listed<'a> {
     }
 }
 
-/// What a row is called among the outliers.
+/// Name of a row in the list of outliers.
 fn name(set: &ObservationSet, data_row: usize, by_touch: bool) -> Option<String> {
     let data = &set.info().layout.data;
     match by_touch {

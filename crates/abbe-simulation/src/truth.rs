@@ -1,4 +1,4 @@
-//! The truth: what the machine, the artefacts and the known inputs really are.
+//! The truth: the true values of the machine, the artefacts and the known inputs.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::Path;
@@ -15,17 +15,17 @@ pub struct Truth {
     /// Values by name, in mm and rad: parameters of the machine; own unknowns of artefacts (`facet[3].d`, or
     /// `table.facet[3].d` for those of one stage alone); known inputs (`stylus_radius`, `bar.reference_error`).
     ///
-    /// What is not named is zero, or nominal if it is an input or starts elsewhere.
+    /// A value that is not named is zero. Inputs, and unknowns whose start value is not zero, are then nominal.
     pub parameters: BTreeMap<String, f64>,
-    /// How it is measured.
+    /// How the measurement differs from the truth.
     pub noise: Noise,
 }
 
 impl Truth {
     /// Reads the text of a truth file: JSON with `parameters` and, if there is any, `noise`. Other keys are notes.
     ///
-    /// Fails, with the place, for text that is no JSON, for values that are no finite numbers and for sizes that are
-    /// negative. Keys of `noise` that nothing here simulates are told as warnings.
+    /// Fails, with the place, for text that is no JSON, for values that are not finite and for negative sizes. Keys of
+    /// `noise` that are not simulated give warnings.
     pub fn parse(file: &Path, text: &str) -> Result<Self> {
         let content: Value = serde_json::from_str(text).map_err(|error| {
             let message = error.to_string();
@@ -53,7 +53,7 @@ impl Truth {
         Ok(Self { parameters, noise })
     }
 
-    /// Refuses values that are no finite numbers, and sizes that are negative.
+    /// Refuses values that are not finite, and negative sizes.
     pub fn check(&self) -> Result<()> {
         for (name, value) in &self.parameters {
             finite(name, *value).map_err(|error| wrong(error.under([key("parameters")])))?;
@@ -66,7 +66,7 @@ impl Truth {
         self.applied(problem).0
     }
 
-    /// What is not zero here and that the problem does not have, so that it is not simulated.
+    /// Values that are not zero and that the problem does not have: they are not simulated.
     ///
     /// Fails for names that look misspelt, and for those that neither a machine nor an artefact could have.
     pub fn left_out(&self, problem: &Problem) -> Result<LeftOut> {
@@ -101,7 +101,8 @@ impl Truth {
         (truth, used)
     }
 
-    /// What differs from nominal, for people: how many values of whom, what is left out, then the noise.
+    /// Summary: numbers of values that differ from nominal, of the machine and of every stage, then what is left out, then
+    /// the noise.
     pub fn summary(&self, problem: &Problem) -> Vec<String> {
         let truth = self.of(problem);
         let machine = truth.machine.iter().filter(|value| **value != 0.0).count();
@@ -133,7 +134,7 @@ impl Truth {
     }
 }
 
-/// Tells of what describes other machines beside the one of `parameters`.
+/// Warns of entries that describe other machines than that of `parameters`.
 fn warn_of_others(content: &Value) {
     let has_parameters = |value: &Value| value.get("parameters").is_some();
     for (name, value) in content.as_object().into_iter().flatten() {
@@ -160,7 +161,7 @@ fn wrong(error: SettingsError) -> Error {
     }
 }
 
-/// A map without the keys that `known` does not list; those are told as warnings, unless they are notes.
+/// A map with the keys in `known` only. Other keys give warnings, unless they are notes.
 pub(crate) fn known_only(place: &str, settings: &Map<String, Value>, known: &[&str], notes: &[&str]) -> Value {
     let mut kept = settings.clone();
     kept.retain(|name, _| {

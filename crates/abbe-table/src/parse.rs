@@ -10,7 +10,7 @@ use crate::{empty_column, unreadable};
 
 const BYTE_ORDER_MARK: &[u8] = b"\xef\xbb\xbf";
 
-/// The columns of a file, of which no more is read than needed.
+/// The columns of a file. Only the part of the file that is needed is read.
 pub(crate) fn headers(path: &Path, mut reader: impl BufRead) -> Result<Vec<ColumnHeader>> {
     let mut bytes = Vec::new();
     loop {
@@ -131,7 +131,7 @@ impl<'a> Records<'a> {
             if self.cells.len() == 1 && self.cells[0].trim().is_empty() {
                 continue;
             }
-            // Such a cell comes from a quotation mark too many, and would swallow rows.
+            // A superfluous quotation mark makes such a cell; it would contain several rows.
             if let Some(cell) = self.cells.iter().position(|cell| cell.contains(['\n', '\r'])) {
                 return Err(self.at_cell(Error::data("a quotation mark is not closed in its line"), cell));
             }

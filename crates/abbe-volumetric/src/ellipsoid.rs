@@ -27,7 +27,7 @@ impl Ellipsoid {
     /// The ellipsoid of a covariance (square of the position's unit), known with some degrees of freedom (infinite if it was
     /// stated), for a probability between 0 and 1.
     ///
-    /// Fails on a covariance or a probability that is none.
+    /// Fails for a covariance with an entry that is not finite and for a probability that is not between 0 and 1.
     pub fn of(covariance: &[[f64; 3]; 3], probability: f64, degrees_of_freedom: f64) -> Result<Self> {
         if covariance.iter().flatten().any(|entry| !entry.is_finite()) {
             return Err(Error::data("the covariance of a position has an entry that is no finite number"));

@@ -62,7 +62,7 @@ enum Spacing {
 }
 
 impl Grid {
-    /// Refuses what no machine can make right.
+    /// Refuses settings that are wrong for every machine.
     pub fn check(&self) -> Result<(), SettingsError> {
         let steps = self.step_mm.is_some() || self.step_deg.is_some();
         match [self.points.is_some(), steps, self.poses.is_some()].iter().filter(|given| **given).count() {
@@ -97,10 +97,10 @@ impl Grid {
     /// negative direction follow all others.
     ///
     /// Directions of approach (`dir_*`) are +1 for all axes at once, or -1. The time is unknown, so that drifts have no
-    /// effect; what else the pose of a machine depends on is as if data did not mention it.
+    /// effect. All other statuses are those for data without a column for them.
     ///
-    /// Fails for axes that the machine does not have, ranges that nobody knows, no axis to vary and more than
-    /// [`MOST_POSES`]; settings are named from the grid on.
+    /// Fails for axes that the machine does not have, axes without a known range, no axis that varies, and more than
+    /// [`MOST_POSES`] poses. Errors name settings by their path in the grid.
     pub fn statuses(&self, model: &dyn KinematicModel) -> Result<Vec<f64>> {
         let mut standing = base(model);
         let held = commands(&self.at, model).map_err(|error| within(error, &["at"]))?;
@@ -187,7 +187,7 @@ impl Grid {
             }
             return Ok(count.map(Spacing::Count));
         }
-        // A spindle is not part of the workspace unless somebody says so.
+        // A spindle varies only if its range is given.
         if held || axis.indexed && !self.axes.contains_key(name) {
             return Ok(None);
         }

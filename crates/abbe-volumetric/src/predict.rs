@@ -5,7 +5,7 @@ use nalgebra::DMatrix;
 
 use crate::ellipsoid::Ellipsoid;
 
-/// Poses that are evaluated together, so that nobody holds the derivatives of all of them.
+/// Number of poses that are evaluated together: it bounds the memory for derivatives.
 const CHUNK: usize = 64;
 
 /// The volumetric error of a pose.
@@ -46,10 +46,10 @@ impl Volumetric {
 
 /// The volumetric error of a batch of poses: `statuses` is rows x [`status`](abbe_core::ModelInfo::status), row by row.
 ///
-/// The error is the tip with the values of the calibration minus the tip with nominal ones. Its covariance is
-/// `F C F^T` (Soons 1993, equation A.4), with F the derivatives of the tip to those parameters of the machine that the
-/// covariance of the calibration names, at its values, and C their covariance; unknowns of artefacts take no part.
-/// Values that the calibration does not have are nominal.
+/// The error is the tip with the values of the calibration minus the tip with nominal ones. Its covariance is `F C F^T`
+/// (Soons 1993, equation A.4). F has the derivatives of the tip, at the values of the calibration, to those parameters of the
+/// machine that the covariance of the calibration names; C is their covariance. Unknowns of artefacts are not used.
+/// Parameters that the calibration does not have are nominal.
 ///
 /// Fails if `statuses` has no whole number of rows, or where the model fails.
 pub fn predict(model: &dyn KinematicModel, calibration: &Calibration, statuses: &[f64]) -> Result<Vec<Volumetric>> {
@@ -102,7 +102,7 @@ mod tests {
     use crate::testing::{calibration, chain};
     use serde_json::json;
 
-    /// Values and factors of covariances of some parameters: two unknown causes move several of them together.
+    /// Values of some parameters and a factor of their covariance: two unknown causes move several parameters together.
     const PARAMETERS: [(&str, f64, [f64; 2]); 6] = [
         ("EC0Y", 3e-5, [2e-6, 1e-6]),
         ("EA0B", -4e-5, [0.0, 3e-6]),
@@ -131,7 +131,7 @@ mod tests {
         calibration
     }
 
-    /// 150 poses all over the place, both directions.
+    /// 150 poses in the whole workspace, approached in both directions.
     fn statuses(model: &dyn KinematicModel) -> Vec<f64> {
         let names: Vec<&str> = model.info().status.iter().map(|column| column.name.as_str()).collect();
         assert_eq!(names, ["B", "X", "Y", "Z", "dir_X"]);
@@ -152,7 +152,8 @@ mod tests {
         poses.positions
     }
 
-    /// The two causes, moved by hand, give the covariance: sum of the outer products of what they do to the tip.
+    /// The covariance is that of the two causes, each changed by itself: the sum of the outer products of their effects on
+    /// the tip.
     #[test]
     fn covariance_is_that_of_the_causes() {
         let (model, calibration) = (model(), known());
@@ -181,7 +182,7 @@ mod tests {
                 }
             }
             assert!((found.size().powi(2) - found.mean.iter().map(|x| x * x).sum::<f64>()).abs() < 1e-15);
-            // What the causes do to the size, up to what is of third order in their effect over it.
+            // Effects of the causes on the size, up to terms of third order in the effect over the size.
             let size = |tips: &[[f64; 3]]| {
                 (0..3).map(|axis| (tips[pose][axis] - nominal[pose][axis]).powi(2)).sum::<f64>().sqrt()
             };

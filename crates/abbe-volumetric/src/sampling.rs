@@ -37,7 +37,7 @@ pub struct Steps {
 }
 
 impl Steps {
-    /// Refuses steps that no axis can make right.
+    /// Refuses steps that are wrong for every axis.
     pub fn check(self) -> Result<(), SettingsError> {
         for (setting, step) in [("step_mm", self.mm), ("step_deg", self.deg)] {
             if !(step.is_finite() && step > 0.0) {
@@ -48,7 +48,7 @@ impl Steps {
     }
 }
 
-/// Refuses ranges that no axis can make right; `setting` is what they are called.
+/// Refuses ranges that are wrong for every axis. `setting` is the name of the ranges in messages.
 pub fn check_ranges(ranges: &Ranges, setting: &str) -> Result<(), SettingsError> {
     for (name, range) in ranges {
         let message = match (range.from_mm.zip(range.to_mm), range.from_deg.zip(range.to_deg)) {
@@ -133,7 +133,7 @@ pub fn points_every(axis: &Axis, (from, to): (f64, f64), steps: Steps, most: usi
         AxisKind::Linear => ("step_mm", steps.mm),
         AxisKind::Rotary => ("step_deg", steps.deg),
     };
-    // A last interval of nothing but rounding is none.
+    // A last interval that is only rounding is left out.
     let intervals = ((to - from) / step - 1e-9).ceil().max(1.0);
     if intervals.is_nan() || intervals >= most as f64 {
         return Err(Error::usage(format!(
@@ -154,7 +154,7 @@ fn step_that_fits(range: f64, intervals: usize) -> f64 {
     tidy((exact / digit - 1e-9).ceil() * digit)
 }
 
-/// Takes away what conversion from radians and sums of steps leave behind the ninth decimal.
+/// Removes the rounding of conversions from radians and of sums of steps, beyond the ninth decimal.
 pub fn tidy(position: f64) -> f64 {
     let rounded = (position * 1e9).round() / 1e9;
     if rounded.is_finite() { rounded + 0.0 } else { position }

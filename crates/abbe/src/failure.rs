@@ -1,4 +1,4 @@
-//! Errors as people and as machines read them.
+//! Errors as text and as JSON.
 
 use std::fmt;
 use std::fs;
@@ -51,7 +51,7 @@ pub fn text(error: &Error) -> String {
                 span = Some(span_at(&text, line, place.column));
                 source = Some(NamedSource::new(name, text));
             }
-            // Not text, or gone: the place has to do without the excerpt.
+            // The file is no text or does not exist: the message has its place without an excerpt.
             (Some(line), Err(_)) => message = format!("{name}:{line}: {message}"),
             (None, _) => message = format!("{name}: {message}"),
         }
@@ -67,7 +67,7 @@ pub fn text(error: &Error) -> String {
     }
 }
 
-/// The span of what stands at a line and column: to the end of the word, or the line if no column is to blame.
+/// The span at a line and column, to the end of the word. Without a column it is the line.
 fn span_at(text: &str, line: usize, column: Option<usize>) -> SourceSpan {
     let start: usize = text.split_inclusive('\n').take(line.saturating_sub(1)).map(str::len).sum();
     let content = text[start..].lines().next().unwrap_or("");

@@ -1,4 +1,4 @@
-//! Ctrl-C: the work is asked to end, and if it does not, the process ends within a second. Nothing half-written stays.
+//! Ctrl-C: the work is asked to end; if it does not, the process ends within a second. No file is left half-written.
 
 use std::io::{self, Write};
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -22,9 +22,9 @@ pub fn ends(monitor: Monitor) -> Result<()> {
         INTERRUPTED.store(true, Ordering::SeqCst);
         monitor.end();
         std::thread::sleep(GRACE);
-        // What is written now is soon there, whole.
+        // Waits until a file that is being written is complete.
         let _written = WRITING.lock().unwrap_or_else(PoisonError::into_inner);
-        // Nobody may be listening any more: that must not keep the process alive.
+        // A closed output must not keep the process alive.
         let _ = writeln!(io::stderr(), "interrupted");
         std::process::exit(i32::from(STATUS));
     };
@@ -36,7 +36,7 @@ pub fn happened() -> bool {
     INTERRUPTED.load(Ordering::SeqCst)
 }
 
-/// Writes what no interruption may cut short.
+/// Writes a file that no interruption may cut short.
 pub fn while_writing<T>(write: impl FnOnce() -> Result<T>) -> Result<T> {
     let _writing = WRITING.lock().unwrap_or_else(PoisonError::into_inner);
     if happened() {

@@ -164,7 +164,7 @@ pub fn main() -> ExitCode {
         Ok((text, status)) => match io::stdout().lock().write_all(text.as_bytes()) {
             Ok(()) if interrupt::happened() => ExitCode::from(interrupt::STATUS),
             Ok(()) => ExitCode::from(status),
-            // Whoever reads our output has seen enough.
+            // The reader of the output has closed it.
             Err(error) if error.kind() == io::ErrorKind::BrokenPipe => ExitCode::from(status),
             Err(error) => {
                 eprintln!("the output cannot be written: {error}");
@@ -172,7 +172,7 @@ pub fn main() -> ExitCode {
             }
         },
         Err(error) => {
-            // Whatever else fails then follows from it: a process that was ended, too.
+            // After an interruption other errors are its consequences, also that of a process that was ended.
             let error = if interrupt::happened() { Error::interrupted() } else { error };
             match error.class {
                 _ if machine => println!("{}", failure::json(&error)),
@@ -303,7 +303,7 @@ fn write_pages(registry: &Registry, folder: &Path) -> Result<String> {
     Ok(format!("{} pages in {}\n", pages.len() - 1, folder.display()))
 }
 
-/// The laws over all that a recipe uses, among it the plugins of a library.
+/// Checks the laws for everything that a recipe uses, including the plugins of a library.
 fn laws(recipe: &Path, library: PathBuf, libraries: &Libraries) -> Result<Findings> {
     let files = libraries.files.iter().cloned().chain([library.clone()]).collect();
     let libraries = Libraries { files, ..*libraries };
@@ -314,7 +314,7 @@ fn laws(recipe: &Path, library: PathBuf, libraries: &Libraries) -> Result<Findin
         Err(error) => return Ok(Findings { wrong: vec![error.to_string()], skipped: Vec::new() }),
     };
     let mut findings = Findings { wrong: laws.broken, skipped: laws.skipped };
-    // Laws are those of these kinds; a library may be under another path in the recipe.
+    // There are laws for these kinds only. The recipe may name the library by another path.
     let name = library.file_name();
     let own = registry.iter().filter(|plugin| {
         let of_library = matches!(&plugin.origin, Origin::Library { file, .. } if file.file_name() == name);

@@ -30,7 +30,7 @@ impl Libraries {
     pub fn registry(&self, recipe: Option<&Path>) -> Result<Registry> {
         let mut registry = Registry::built_in()?;
         let mut known: Vec<PathBuf> = Vec::new();
-        // A recipe that cannot be read is for `prepare` to judge.
+        // `prepare` reports a recipe that cannot be read.
         let named = recipe.and_then(|recipe| Some((recipe, std::fs::read_to_string(recipe).ok()?)));
         let named = named.map(|(recipe, text)| Recipe::libraries(recipe, &text)).transpose()?.unwrap_or_default();
         for library in named {

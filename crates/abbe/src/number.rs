@@ -1,4 +1,4 @@
-//! Numbers for people.
+//! Numbers as text.
 
 /// A value with its standard uncertainty to two significant digits of the latter (GUM 7.2.6): `-9.31 ± 0.41`.
 pub fn with_uncertainty(value: f64, uncertainty: f64) -> String {

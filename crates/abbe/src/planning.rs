@@ -1,4 +1,4 @@
-//! A plan of measurements, as people and as machines read it.
+//! A plan of measurements, as text and as JSON.
 
 use std::path::Path;
 

@@ -19,7 +19,7 @@ pub enum Progress {
 }
 
 impl Progress {
-    /// Who watches a run, and the bar that it moves.
+    /// The monitor of a run, and the bar that it moves.
     pub fn monitor(self) -> (Monitor, ProgressBar) {
         let bar = ProgressBar::new(0).with_style(style());
         let shown = bar.clone();
@@ -27,7 +27,7 @@ impl Progress {
             Self::Bar => Monitor::new(move |event| show(&shown, event)),
             Self::Json => Monitor::new(|event| {
                 if let Ok(line) = serde_json::to_string(event) {
-                    // Who stops to listen does not end the run.
+                    // An output that is closed does not end the run.
                     let _ = writeln!(io::stderr(), "{line}");
                 }
             }),

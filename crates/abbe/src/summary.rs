@@ -1,4 +1,4 @@
-//! What a run found, as people and as machines read it.
+//! The results of a run, as text and as JSON.
 
 use std::path::Path;
 
@@ -163,7 +163,7 @@ fn lost(fits: &[Fit]) -> Option<String> {
     (!text.is_empty()).then(|| section("Not determined", &text))
 }
 
-/// What chance alone explains, and is left out.
+/// The selections of the fits: how many candidates each kept, and which.
 fn selected(fits: &[Fit]) -> Option<String> {
     let lines = fits.iter().filter_map(|fit| {
         let selection = fit.calibration.fit.selection.as_ref()?;
@@ -175,7 +175,7 @@ fn selected(fits: &[Fit]) -> Option<String> {
     (!text.is_empty()).then(|| section("Kept as significant", &text))
 }
 
-/// What moves the tip alike.
+/// Heading for parameters that move the tip in the same way.
 const ALIKE: &str = "Told apart by the choice of functions only";
 
 fn alike(fits: &[Fit]) -> Option<String> {
@@ -194,7 +194,7 @@ fn correlated(fits: &[Fit]) -> Option<String> {
     (!text.is_empty()).then(|| section("Hardly told apart, correlation above 0.95", &text))
 }
 
-/// A scatter from which a fit is not believed: stated uncertainties are rarely off by more.
+/// Above this a fit is not trusted: stated uncertainties are rarely wrong by a larger factor.
 const UNLIKELY: f64 = 5.0;
 
 fn unlikely(fits: &[Fit]) -> Option<String> {
@@ -225,13 +225,13 @@ fn verdict(verdict: &Verdict) -> String {
     text
 }
 
-/// A shown figure of whose limit the validator cannot tell, and why.
+/// A shown figure with a limit for which the validator cannot decide, and the reason.
 fn undecided(figure: &Figure) -> Option<(&Figure, &str)> {
     let inconclusive = figure.decision == Some(Decision::Inconclusive) && !figure.detail;
     figure.inconclusive.as_deref().filter(|_| inconclusive).map(|why| (figure, why))
 }
 
-/// How the table of figures marks what is decided; what passes needs no mark.
+/// Mark of a decision in the table of figures; a figure that passes has none.
 fn mark(figure: &Figure) -> &'static str {
     match figure.decision {
         Some(Decision::Fail) => " !",

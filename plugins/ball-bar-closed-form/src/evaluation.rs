@@ -7,10 +7,10 @@ use crate::Evaluation;
 use crate::reduction::{Projection, polar_plot};
 use crate::sweep::Sweep;
 
-/// Heights that differ by less than this tell nothing of the height of the pivot, mm.
+/// Nominal heights that differ by less than this do not determine the height of the pivot, mm.
 const HEIGHTS_DIFFER: f64 = 1.0;
 
-/// Steps of the radius: an offset o changes it by o²/2R, the next step by a millionth of that.
+/// Number of steps of the radius: an offset o changes it by o²/2R, the next step changes it by a millionth of that.
 const STEPS: usize = 5;
 
 /// The circle of a test.
@@ -32,7 +32,7 @@ pub struct Evaluated {
     pub circles: Vec<Circle>,
 }
 
-/// What a test gives before the radius is known.
+/// The numbers of a test before the radius is known.
 #[derive(Clone, Copy)]
 struct Raw {
     /// Offset, or offset times radius in the squared length.
@@ -112,8 +112,8 @@ fn shapes(sweeps: &[Sweep], raw: &[Raw], evaluation: Evaluation) -> Vec<Circle> 
     shapes
 }
 
-/// Radius and height of a test from `square = radius² + height²` of all tests of its pivot and axis: heights differ by what they
-/// do nominally, and the pivot is `up` lower than nominal, so that `square - nominal height² = (radius² + up²) + 2 up height`.
+/// Radius and height of a test, from `square = radius² + height²` of all tests of its pivot and axis. Differences of heights
+/// are nominal. The pivot is `up` lower than nominal, so that `square - nominal height² = (radius² + up²) + 2 up height`.
 fn size(sweeps: &[Sweep], squares: &[f64], place: usize) -> (f64, f64) {
     let same = |sweep: &Sweep| (sweep.pivot, sweep.axis) == (sweeps[place].pivot, sweeps[place].axis);
     let together: Vec<(f64, f64)> = sweeps

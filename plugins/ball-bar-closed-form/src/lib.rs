@@ -1,10 +1,11 @@
-//! Estimator plugin `ball-bar-closed-form`: circle and cone evaluation of ball bar tests of the rotary axes that carry the table
-//! (Jiang & Cripps 2015, sections 3.3 and 3.4), and validator plugin `ball-bar-circles`: what the circles themselves tell.
+//! Estimator plugin `ball-bar-closed-form`: circle and cone evaluation of ball bar tests of the rotary axes that carry the
+//! table (Jiang & Cripps 2015, sections 3.3 and 3.4), and validator plugin `ball-bar-circles`: figures of the circles
+//! themselves.
 //!
-//! Every test, in which one rotary axis turns the pivot about the standing tool ball, is reduced to three numbers: the place of the axis
-//! relative to the tool ball, in two directions, and the size of the circle. Together they depend linearly on the errors, which one small
-//! linear system gives: without iteration, and without weights. Everything that this needs of a test follows from its equations and
-//! from the poses of the nominal machine; what does not fit is refused.
+//! In every test one rotary axis turns the pivot about the tool ball, which stands still. A test is reduced to three numbers:
+//! the place of the axis relative to the tool ball, in two directions, and the size of the circle. All numbers depend
+//! linearly on the errors, which a small linear system gives without iteration and without weights. The data of a test follow
+//! from its equations and from the poses of the nominal machine. A test that does not suit the method is refused.
 
 mod circles;
 mod evaluation;

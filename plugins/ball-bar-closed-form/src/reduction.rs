@@ -12,7 +12,7 @@ pub struct Projection {
 }
 
 impl Projection {
-    /// For the angles of a test, whose arc is long enough for three numbers.
+    /// For the angles of a test. The arc has to be long enough for three numbers.
     pub fn new(angles: &[f64]) -> Self {
         let columns: Vec<Vector3<f64>> =
             angles.iter().map(|angle| Vector3::new(1.0, angle.cos(), angle.sin())).collect();
@@ -29,7 +29,7 @@ impl Projection {
         Vector3::new(found[0], found[1], found[2])
     }
 
-    /// What a sample adds to one of the three numbers.
+    /// The factor of a sample in one of the three numbers.
     pub fn entry(&self, number: usize, sample: usize) -> f64 {
         self.matrix[(number, sample)]
     }

@@ -6,17 +6,17 @@ use abbe_core::{
 };
 use nalgebra::{DMatrix, Vector3};
 
-/// By how much axes that stand still may move in a test: mm, rad.
+/// Largest motion of axes that stand still in a test: mm, rad.
 const STILL: f64 = 1e-3;
 const STILL_ANGLE: f64 = 1e-5;
 
-/// Shortest arc that tells the centre of its circle from the radius.
+/// Shortest arc that determines centre and radius of its circle separately.
 const SHORTEST_ARC_DEG: f64 = 30.0;
 
-/// Part of the radius by which the tool ball may stand beside the line of the axis.
+/// Largest distance of the tool ball from the line of the axis, as part of the radius.
 const BESIDE: f64 = 0.1;
 
-/// How exactly the derivative of an equation has to be that of a distance.
+/// Largest deviation of the derivative of an equation from that of a distance.
 const DISTANCE: f64 = 1e-6;
 
 /// A test: one rotary axis sweeps an arc, everything else stands still.
@@ -162,7 +162,7 @@ impl<'a> Pivots<'a> {
         found
     }
 
-    /// Where a feature is with the fixed values of its unknowns.
+    /// Centre of a feature with the fixed values of its unknowns.
     fn centre(&self, feature: usize) -> Vector3<f64> {
         let own = &self.problem.sets[self.set].own;
         let shifts = self.features[feature].shifts.iter();
@@ -260,7 +260,7 @@ fn moving(model: &dyn KinematicModel, name: &str, statuses: &[&[f64]]) -> Result
 }
 
 impl Sweep {
-    /// Refuses geometry from which no circle follows.
+    /// Refuses geometry that gives no circle.
     fn check(&self, axis: &str, beside: f64) -> Result<()> {
         let name = &self.name;
         if self.radius < 1.0 || self.nominal.iter().any(|nominal| *nominal < 1.0) {

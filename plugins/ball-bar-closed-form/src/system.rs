@@ -1,9 +1,9 @@
 //! The linear system that ties the circles of the tests to the unknowns, and its uncertainty.
 //!
-//! Half the squared length of a test has the constant (R² + h² + o²)/2, the cosine R o1 and the sine R o2. An unknown that changes the
-//! length by J changes the squared length by 2 L J; its effect on the three numbers is the projection of L J on constant, cosine and
-//! sine. So the sensitivities to location errors, of the moving axis and of those under it, carried from the tool ball to the origin, in
-//! the signs of the model, are those of the model itself.
+//! Half the squared length of a test has the constant (R² + h² + o²)/2, the cosine R o1 and the sine R o2. An unknown that
+//! changes the length by J changes the squared length by 2 L J. Its effect on the three numbers is the projection of L J on
+//! constant, cosine and sine. So the sensitivities to location errors, of the moving axis and of the axes under it, are those
+//! of the model: with its signs, and from the tool ball to the origin.
 
 use abbe_core::{
     Calibration, Combination, FitReport, Identifiability, NullVector, Owner, Problem, Result, Termination,
@@ -18,10 +18,10 @@ use crate::sweep::{Linear, Sweep, sweeps};
 /// Singular values below this part of the largest count as zero; columns have norm 1.
 const RANK_TOLERANCE: f64 = 1e-9;
 
-/// Parts of a lost direction below this part of the largest are rounding.
+/// Parts of a lost direction below this part of the largest are rounding and are left out.
 const NOTHING: f64 = 1e-6;
 
-/// Number of weakest combinations that are told, and part of the largest effect from which an unknown is named in one.
+/// Number of weakest combinations that are reported. Unknowns with an effect below this part of the largest are not named.
 const WEAKEST: usize = 5;
 const NAMED: f64 = 0.1;
 
@@ -30,13 +30,13 @@ pub struct System {
     /// The problem with nominal values of all unknowns.
     nominal: Problem,
     pub sweeps: Vec<Sweep>,
-    /// Derivatives of the equations to the unknowns, then to what is considered.
+    /// Derivatives of the equations to the unknowns, then to the considered parameters.
     linear: Linear,
-    /// What the equations do to the numbers of the tests: three rows a test, mm.
+    /// Effect of the equations on the numbers of the tests: three rows a test, mm.
     reduction: DMatrix<f64>,
-    /// Effect of a unit of each unknown, scaled to norm 1: what makes it so.
+    /// Scale of every unknown: one over the norm of its effect.
     scale: DVector<f64>,
-    /// The unknowns from the numbers of the tests.
+    /// Generalised inverse: scaled unknowns from the numbers of the tests.
     inverse: DMatrix<f64>,
     found: Identifiability,
 }
@@ -52,7 +52,7 @@ impl System {
         let effects = &reduction * linear.jacobian.columns(0, nominal.unknowns.len());
         let norm = |column: usize| Some(effects.column(column).norm()).filter(|norm| *norm > 1e-12).unwrap_or(1.0);
         let scale = DVector::from_fn(effects.ncols(), |column, _| 1.0 / norm(column));
-        // As many rows as columns at least, so that lost directions are among the singular vectors.
+        // At least as many rows as columns, so that the singular vectors include the lost directions.
         let rows = effects.nrows().max(effects.ncols());
         let scaled = DMatrix::from_fn(rows, effects.ncols(), |row, column| {
             if row < effects.nrows() { effects[(row, column)] * scale[column] } else { 0.0 }
@@ -82,7 +82,7 @@ impl System {
         start.iter().zip(scaled.component_mul(&self.scale).iter()).map(|(start, change)| start + change).collect()
     }
 
-    /// The answer of the unknowns to errors of the equations: unknowns x equations.
+    /// Sensitivities of the unknowns to errors of the equations: unknowns x equations.
     fn sensitivities(&self) -> DMatrix<f64> {
         let own = self.inverse.columns(0, self.reduction.nrows()) * &self.reduction;
         let mut answer = -own;
@@ -132,7 +132,7 @@ impl System {
         Ok(calibration(problem, x, self.covariance(&standard, scale), Vec::new(), fit))
     }
 
-    /// Covariance of the unknowns, then of what is considered.
+    /// Covariance of the unknowns, then of the considered parameters.
     fn covariance(&self, standard: &[f64], scale: f64) -> Vec<Vec<f64>> {
         let problem = &self.nominal;
         let answer = self.sensitivities();
@@ -179,7 +179,7 @@ impl System {
     }
 }
 
-/// The problem with its unknowns at nominal, whatever they start from: what is read off a circle does not depend on a start.
+/// The problem with its unknowns at nominal values instead of their start values: the circles do not depend on a start.
 fn at_nominal(problem: &Problem) -> Problem {
     let starts: Vec<Vec<f64>> = problem.sets.iter().map(|set| set.info().start.clone()).collect();
     let nominal = |owner: Owner, index: usize, start: f64| match owner {
@@ -197,7 +197,7 @@ fn length(sweep: &Sweep) -> f64 {
     sweep.radius.hypot(sweep.height)
 }
 
-/// What lengths do to the numbers of the tests: size over length, and offsets in the directions of cosine and sine.
+/// Effect of lengths on the numbers of the tests: size over length, and offsets in the directions of cosine and sine.
 fn reduction(sweeps: &[Sweep], equations: usize) -> DMatrix<f64> {
     let mut matrix = DMatrix::zeros(3 * sweeps.len(), equations);
     for (place, sweep) in sweeps.iter().enumerate() {
@@ -213,7 +213,7 @@ fn reduction(sweeps: &[Sweep], equations: usize) -> DMatrix<f64> {
     matrix
 }
 
-/// The generalised inverse of the scaled effects, and what they determine.
+/// The generalised inverse of the scaled effects, and what the effects determine.
 fn solved(
     problem: &Problem,
     scaled: &DMatrix<f64>,

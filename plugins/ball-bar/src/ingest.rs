@@ -357,12 +357,12 @@ impl Ingest for Tests {
     }
 }
 
-/// Whether rows mean nothing without this column: positions, readings, what they were measured with.
+/// Whether a test cannot be used without this column: positions, readings, ball and bar.
 fn is_needed(header: &ColumnHeader) -> bool {
     [Quantity::Length, Quantity::Angle].contains(&header.quantity) || ["ball", "bar"].contains(&header.name.as_str())
 }
 
-/// Appends the rows of another test. What else only one of them has (times, numbers of samples) is left out.
+/// Appends the rows of another test. Other columns (times, numbers of samples) that only one of them has are left out.
 fn append(data: &mut Dataset, mut part: Dataset, path: &Path) -> Result<()> {
     let only = |one: &Dataset, other: &Dataset| {
         let mut headers = one.headers().into_iter().filter(is_needed);

@@ -1,10 +1,10 @@
-//! Nominal contact of a bar's rows, where rank is judged: what a reading owes to errors is taken out.
+//! Nominal contact of a bar's rows, where rank is judged: the effect of errors on the readings is taken out.
 //!
-//! A machine and its bars may all be too large by the same part: no reading of a bar of constant length tells. The length of
-//! a bar whose readings vary seems to tell, because the readings do not grow with it. Of a double ball bar that is worth nothing:
-//! readings of 0.1 mm are due to a ball that is not quite where it should be, and they would have the scale of the machine as wrong as
-//! the gain of the transducer. So rank is judged with the bar at one length. A bar that telescopes over many millimetres does
-//! tell the scale by its readings; its rows are judged as recorded.
+//! A machine and its bars may all be too large by the same factor: no reading of a bar of constant length shows that. If
+//! readings vary, the length of the bar seems to be determined, because the readings do not have the factor. For a double
+//! ball bar that is wrong: readings of 0.1 mm come from a ball that is not at its nominal place. The scale of the machine
+//! would then be as wrong as the gain of the transducer. So rank is judged with the bar at one length. A bar that telescopes
+//! over many millimetres does determine the scale by its readings; its rows are judged as recorded.
 
 use std::collections::BTreeMap;
 
@@ -17,30 +17,30 @@ use crate::observed::{Bar, Observed};
 /// about 2 mm, and errors of machine and set-up stay within it.
 const STROKE: f64 = 3.0;
 
-/// One in so many readings, at either end, may be a gross error.
+/// At either end, one in this number of readings may be a gross error.
 const GROSS: usize = 20;
 
-/// An axis whose positions in a test differ by no more than this, mm, stands: recorded positions of an axis that is held
-/// differ by micrometres, compensated ones by what errors are.
+/// An axis whose positions in a test differ by no more than this, mm, stands still. Recorded positions of such an axis differ
+/// by micrometres, compensated positions by the errors.
 const STANDS: f64 = 0.1;
 
-/// The least part of a bar's length that lies along the axes that move: across them they would have to move by far more than
-/// the reading.
+/// Smallest part of a bar's length along the axes that move. With a smaller part these axes would have to move by far more
+/// than the reading.
 const ALONG: f64 = 0.1;
 
 /// A row as the nominal machine has it.
 struct NominalRow {
     /// Distance of tool ball and pivot, mm.
     length: f64,
-    /// How it changes with each linear axis, mm/mm.
+    /// Derivative of this distance to the position of each linear axis, mm/mm.
     by_axis: Vec<f64>,
     /// Position of each linear axis, mm.
     positions: Vec<f64>,
 }
 
-/// Nominal contact of the rows, by their index, apart from those that are judged as recorded.
+/// Nominal readings of the rows, by the index of the row. Rows that are judged as recorded are left out.
 ///
-/// Fails for a row whose nominal tool ball stands in the pivot: the direction of the bar is not defined there.
+/// Fails for a row whose nominal tool ball is at the centre of the pivot ball: the bar has no direction there.
 pub fn readings(observed: &Observed, model: &dyn KinematicModel) -> Result<BTreeMap<usize, NominalReading>> {
     let axes = model.info().axes.iter().enumerate().filter(|(_, axis)| axis.kind == AxisKind::Linear);
     let axes: Vec<(usize, usize)> = axes.map(|(index, axis)| (index, axis.status)).collect();
@@ -86,7 +86,7 @@ fn nominal_rows(observed: &Observed, model: &dyn KinematicModel, axes: &[(usize,
 
 /// What a bar reads at nominal contact: the middle of its readings, if they vary by no more than those of a double ball bar.
 ///
-/// Before anything is measured the readings of a programme are all the same: what the nominal machine reads stands in for them.
+/// In a programme, before anything is measured, all readings are the same: the readings of the nominal machine replace them.
 fn reference(observed: &Observed, rows: &[NominalRow], bar: usize) -> Option<f64> {
     let of_bar = || (0..rows.len()).filter(|&row| observed.bar_of_row[row] == bar);
     let length = match observed.bars[bar] {
@@ -98,7 +98,8 @@ fn reference(observed: &Observed, rows: &[NominalRow], bar: usize) -> Option<f64
         readings = of_bar().map(|row| rows[row].length - length).collect();
     }
     readings.sort_by(f64::total_cmp);
-    // A gross error is no stroke: what is left without the outermost readings decides if all together go too far.
+    // A gross error does not show that a bar telescopes: if all readings exceed the stroke, those without the outermost
+    // decide.
     let few = readings.len() / GROSS;
     [0, few].into_iter().find_map(|left_out| {
         let kept = &readings[left_out..readings.len() - left_out];

@@ -69,7 +69,7 @@ impl Observations for Observed {
                 Bar::Unknown { own: unknown, .. } => out.own(unknown, -1.0),
             }
             if let Some(turn) = orientation {
-                // A turn w moves the tool ball by w x (its place beside the tip).
+                // A rotation w moves the tool ball by w x (position of the ball relative to the tip).
                 out.rotation(beside.cross(&direction).into());
                 let in_tool = turn.inverse() * direction;
                 (0..3).for_each(|axis| out.input(axis, in_tool[axis]));

@@ -18,9 +18,9 @@ struct Group {
 /// A centre in the table frame, by the nominal machine.
 struct Centre {
     centre: Vector3<f64>,
-    /// What one unit of every touch's standard uncertainty makes of its coordinates.
+    /// Standard uncertainties of its coordinates per unit of the standard uncertainty of a touch.
     spread: [f64; 3],
-    /// Its derivative to the radius with which it was fitted: zero where touches lie all around.
+    /// Its derivative to the radius of the fit: zero if the touches lie all around the ball.
     by_radius: Vector3<f64>,
 }
 
@@ -117,7 +117,7 @@ fn centre(tips: &[Vector3<f64>], start: Vector3<f64>, radius: f64) -> Option<Cen
             right += direction * ((tip - centre).norm() - radius);
             sum += direction;
         }
-        // Directions within some degrees of a plane leave the rest to chance.
+        // Directions that are within a few degrees of a plane do not determine the centre well enough.
         if normal.symmetric_eigenvalues().min() < 1e-2 {
             return None;
         }
@@ -175,9 +175,9 @@ mod tests {
         let differences = (at(12.5 + 1e-3).centre - at(12.5 - 1e-3).centre) / 2e-3;
         let derivative = at(12.5).by_radius;
         assert!((differences - derivative).norm() < 1e-3, "{differences} {derivative}");
-        // With a larger stylus the centre lies lower below the touch on the pole.
+        // With a larger stylus the centre of the fit lies further below the touch on the pole.
         assert!(derivative.z < -0.8, "{derivative}");
-        // The pole alone: by as much as the radius.
+        // With the pole alone: by the change of the radius.
         let pole = centre(&tips[..5], place, 12.5).unwrap().by_radius;
         assert!((pole - Vector3::new(0.0, 0.0, -1.0)).norm() < 1e-3, "{pole}");
     }

@@ -104,7 +104,7 @@ struct CalibratedPoints {
     placements: PathBuf,
 }
 
-/// What lies in a file, with its labels.
+/// The contents of a file, with their labels.
 struct Labelled<T> {
     labels: Vec<String>,
     items: Vec<T>,
@@ -287,7 +287,7 @@ struct Measurement {
     directions: Vec<usize>,
 }
 
-/// Measured points. No features are told: a point has as many places as the artefact has placements.
+/// Measured points. They are not stated as features: a point has as many positions as the artefact has placements.
 struct Measured {
     info: ObservationsInfo,
     points: Vec<Vector3<f64>>,

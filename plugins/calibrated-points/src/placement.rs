@@ -1,8 +1,8 @@
-//! Where the artefact lies: a nominal frame, and the six errors of a placement in it.
+//! Placement of the artefact: a nominal frame and its six errors.
 
 use nalgebra::{Matrix3, Matrix3x6, Rotation3, Vector3};
 
-/// Cosine of the angle between u and v from which they are no directions at right angles but a slip of the pen.
+/// Largest cosine of the angle between u and v. A larger one is taken as a mistake in the file.
 const SKEW: f64 = 1e-3;
 
 /// A nominal placement: the artefact's frame in the table frame.

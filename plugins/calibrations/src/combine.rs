@@ -1,12 +1,12 @@
 //! Estimator plugin `combine`: one calibration of several, by generalised least squares with the inputs that they share.
 //!
-//! Calibration i knows the parameters `x_i = E_i x`, with the covariance `C_i = R_i + sum over inputs of s_ik u_k^2 s_ik^T`: R_i
-//! comes from its own measurements, s_ik are its sensitivities to the inputs k. As in every estimate, measurements weigh and
-//! inputs are considered: `x = N^-1 sum E_i^T R_i^-1 x_i` with `N = sum E_i^T R_i^-1 E_i`, its sensitivities are those of the same
-//! sums, and its covariance is `N^-1 + sum over inputs of s_k u_k^2 s_k^T`, every shared input counted once. That is the estimate
-//! from all measurements at once, as far as the problems are linear.
+//! Calibration i knows the parameters `x_i = E_i x`, with the covariance `C_i = R_i + sum over inputs of s_ik u_k^2 s_ik^T`:
+//! R_i comes from its own measurements, s_ik are its sensitivities to the inputs k. As in every estimate, only measurements
+//! determine the weights; inputs are considered: `x = N^-1 sum E_i^T R_i^-1 x_i` with `N = sum E_i^T R_i^-1 E_i`. Its
+//! sensitivities follow from the same sums, and its covariance is `N^-1 + sum over inputs of s_k u_k^2 s_k^T`, where every
+//! shared input counts once. For linear problems this is the estimate from all measurements at once.
 //!
-//! Whether the calibrations agree is told by the residuals `v_i = x_i - E_i x` and their full covariance V: `v^T V^+ v` is a
+//! The residuals `v_i = x_i - E_i x` and their full covariance V show whether the calibrations agree: `v^T V^+ v` is a
 //! chi-squared quantity with the rank of V as its degrees of freedom.
 
 use std::collections::BTreeMap;
@@ -81,7 +81,7 @@ const ZERO: f64 = 1e-10;
 /// Most names that an error lists.
 const NAMED: usize = 8;
 
-/// What one calibration knows of the parameters that are combined.
+/// The values of one calibration for the parameters that are combined.
 struct Known<'a> {
     calibration: &'a Calibration,
     /// Index of each among the combined parameters.
@@ -89,7 +89,7 @@ struct Known<'a> {
     values: DVector<f64>,
     /// Covariance from its own measurements.
     noise: DMatrix<f64>,
-    /// The inverse of that.
+    /// The inverse of that covariance.
     weight: DMatrix<f64>,
     /// Sensitivities to its inputs.
     inputs: Vec<(&'a ConsideredInput, DVector<f64>)>,
@@ -156,9 +156,11 @@ fn inverse(matrix: &DMatrix<f64>) -> Option<DMatrix<f64>> {
     Some(DMatrix::from_fn(size, size, |row, column| inverse[(row, column)] / scale[row] / scale[column]))
 }
 
-/// Refuses parameters that one calibration has estimated and another one holds: what else they know does not mean the same.
+/// Refuses parameters that one calibration has estimated and another one has held fixed: the other parameters of the two then
+/// have different meanings.
 ///
-/// A statement holds nothing: it says what it says.
+///
+/// A calibration without observations, such as that of `stated`, holds no parameter in this sense.
 fn same_free_parameters(fits: &[&Fit]) -> Result<()> {
     for one in fits {
         let free = |status: Status| matches!(status, Status::Estimated | Status::Confounded);
@@ -194,7 +196,7 @@ fn same_free_parameters(fits: &[&Fit]) -> Result<()> {
 /// The combined parameters.
 struct Combined<'a> {
     x: DVector<f64>,
-    /// From measurements.
+    /// Covariance from measurements.
     noise: DMatrix<f64>,
     /// The inputs, each once, with the sensitivities of the combined parameters.
     inputs: Vec<(&'a ConsideredInput, DVector<f64>)>,
@@ -258,7 +260,7 @@ impl Known<'_> {
     }
 }
 
-/// How well the calibrations agree, and which of the stacked values is off most in units of its standard uncertainty.
+/// How well the calibrations agree, and the stacked value with the largest deviation relative to its standard uncertainty.
 fn agreement(known: &[Known<'_>], combined: &Combined<'_>) -> (CombinedAgreement, usize) {
     let stacked: usize = known.iter().map(|one| one.places.len()).sum();
     let size = combined.x.len();
@@ -292,7 +294,7 @@ fn agreement(known: &[Known<'_>], combined: &Combined<'_>) -> (CombinedAgreement
         }
         covariance += &sensitivity * sensitivity.transpose() * input.standard_uncertainty.powi(2);
     }
-    // What is judged is small beside what cancels in it: sizes are those of the values, not of their differences.
+    // The residuals are small beside the terms that cancel in them: scales are those of the values, not of the residuals.
     let scale: Vec<f64> = (0..stacked).map(|row| covariance[(row, row)].sqrt()).collect();
     let projection = DMatrix::identity(stacked, stacked) - &design * &gain;
     let of_residuals = &projection * &covariance * projection.transpose();
@@ -310,7 +312,8 @@ fn agreement(known: &[Known<'_>], combined: &Combined<'_>) -> (CombinedAgreement
     }
     let probability =
         if degrees_of_freedom == 0 { 1.0 } else { chi_squared_upper_tail(chi_squared, degrees_of_freedom as f64) };
-    // Where one difference makes all others, all are off by as much: the one with the largest share of its uncertainty is it.
+    // If there is one independent difference, all deviations have the same size: the value with the largest part of its
+    // uncertainty is chosen.
     let size = |row: usize| match scaled[(row, row)] > zero {
         true => (off[row].abs() / scaled[(row, row)].sqrt() * 1e3).round(),
         false => 0.0,
@@ -401,7 +404,7 @@ impl Estimate for Combination {
         let known = fits.iter().map(|fit| Known::new(fit, &problem)).collect::<Result<Vec<_>>>()?;
         let combined = Combined::new(&known, &problem)?;
         let report = self.judge(&known, fits, &problem, &combined)?;
-        // What all of them hold keeps its value.
+        // A parameter that all calibrations hold fixed keeps its value.
         for one in known.iter().rev() {
             problem = held(&problem, one.calibration);
         }
@@ -421,7 +424,7 @@ impl Estimate for Combination {
     }
 }
 
-/// The problem with the values of what a calibration knows or holds of the machine.
+/// The problem with the values, other than zero, of the machine parameters that a calibration holds fixed.
 fn held(problem: &Problem, calibration: &Calibration) -> Problem {
     let mut problem = problem.clone();
     for (value, parameter) in problem.machine.iter_mut().zip(&problem.model.info().parameters) {
@@ -448,7 +451,7 @@ fn covariance(combined: &Combined<'_>) -> Vec<Vec<f64>> {
         }
         all[(own + index, own + index)] = variance;
     }
-    // Symmetric to the last bit.
+    // Makes the matrix exactly symmetric.
     let entry = |row: usize, column: usize| all[(row.max(column), row.min(column))];
     (0..own + count).map(|row| (0..own + count).map(|column| entry(row, column)).collect()).collect()
 }

@@ -1,7 +1,7 @@
 //! Estimator plugin `stated`: what a report states of a machine, such as that of a laser interferometer, or a truth.
 //!
-//! Values with a standard uncertainty count as estimated, independent of each other; those without one are exact. What
-//! nobody states keeps its nominal value, and nothing is claimed of it.
+//! Values with a standard uncertainty count as estimated and independent of each other; those without one are exact. A
+//! parameter that is not stated keeps its nominal value without an uncertainty.
 
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
@@ -85,7 +85,7 @@ struct Entry {
     name: String,
     value: f64,
     standard_uncertainty: f64,
-    /// How an error about it is told.
+    /// The place of an error about it in messages.
     place: Box<dyn Fn(String) -> Error>,
 }
 

@@ -7,7 +7,8 @@
 //! angle of the block; that of an angle is `s` times the sum of the angular errors about n, tool relative to table. All
 //! have an offset and, where there is time, a drift for every run. (Soons 1993, sections 3.2 and 5.1.1.)
 //!
-//! The whole kinematics predicts a reading, so what other errors do to it by their Abbe offsets is not taken for the error that is meant.
+//! The whole kinematics predicts a reading: the effect of other errors through their Abbe offsets is not taken for the
+//! measured error.
 
 mod line;
 mod observed;
@@ -329,7 +330,7 @@ impl Settings {
     }
 }
 
-/// An error in the settings of a measurement that the machine shows.
+/// An error in the settings of a measurement that shows only on a machine.
 fn at(label: &str, error: SettingsError) -> Error {
     let error = error.under(place(label));
     Error { help: error.help, setting: error.path, ..Error::usage(error.message) }

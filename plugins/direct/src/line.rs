@@ -1,4 +1,4 @@
-//! A measurement on a machine: which axis moves, where the others stand, what is read of which body.
+//! A measurement on a machine: the axis that moves, the positions of the others, the body and direction of the reading.
 
 use std::collections::BTreeMap;
 
@@ -10,21 +10,22 @@ use nalgebra::Vector3;
 
 use crate::{Body, Direction, Kind, Letter, Measurement};
 
-/// Cosine between the direction that is read and that of the motion from which a displacement is read, below it a straightness.
+/// Smallest cosine between the directions of reading and of motion for a displacement; below it the reading is a
+/// straightness.
 const ALONG: f64 = 0.5;
 
 /// A measurement on a machine.
 #[derive(Debug, Clone)]
 pub struct Line {
-    /// What moves: one leg, of squares two.
+    /// The motions: one leg, for squares two.
     pub legs: Vec<Leg>,
     /// Whether angles are read.
     pub angle: bool,
     /// Statuses that all its poses have: (index, value).
     pub at: Vec<(usize, f64)>,
-    /// The unknown that tilts the line, where there is one: slope of a straightedge, angle of a square.
+    /// The unknown tilt of the line, if there is one: slope of a straightedge, angle of a square.
     pub tilt: Option<Tilt>,
-    /// Columns that tell apart what has an offset of its own.
+    /// Columns whose labels separate the offsets.
     pub datum: Vec<String>,
     /// Whether it drifts.
     pub drift: bool,
@@ -32,7 +33,7 @@ pub struct Line {
     pub standard_uncertainty: f64,
 }
 
-/// What tilts a line.
+/// An unknown tilt of a line.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub enum Tilt {
     /// The slope of a straightedge, with its name if it has one.
@@ -49,9 +50,9 @@ pub struct Leg {
     /// Statuses of its command and of its direction of approach.
     pub command: Option<usize>,
     pub approach: Option<usize>,
-    /// What the reading is per motion (rotation) of the tool relative to the table: s n.
+    /// Derivative of the reading to the translation (rotation) of the tool relative to the table: s n.
     pub sensitivity: Vector3<f64>,
-    /// What it is per unit of tilt and position.
+    /// Derivative of the reading to the tilt, per unit of position.
     pub by_tilt: f64,
 }
 
@@ -187,7 +188,7 @@ fn motion(axis: usize, at: &BTreeMap<usize, f64>, model: &dyn KinematicModel) ->
     Ok(Vector3::from(poses.position_derivatives[0]).try_normalize(1e-9).unwrap_or_else(Vector3::zeros))
 }
 
-/// What is read on each leg.
+/// Sensitivities of the reading on every leg.
 fn legs(
     measurement: &Measurement,
     moving: &[(usize, Vector3<f64>)],

@@ -15,15 +15,15 @@ use crate::line::{self, Leg, Line, Tilt};
 /// One reading.
 #[derive(Debug, Clone)]
 struct Reading {
-    /// What it is per motion (rotation) of the tool relative to the table.
+    /// Derivative to the translation (rotation) of the tool relative to the table.
     sensitivity: Vector3<f64>,
-    /// The unknowns that it has, with their factors: offset, drift, tilt.
+    /// The unknowns of its equation, with their factors: offset, drift, tilt.
     own: Vec<(usize, f64)>,
     /// mm or rad.
     value: f64,
 }
 
-/// What readings are compared with: the machine without errors.
+/// The machine without errors, with which readings are compared.
 enum Nominal {
     Tips(Vec<Vector3<f64>>),
     Orientations(Vec<UnitQuaternion<f64>>),
@@ -109,7 +109,7 @@ pub fn observe(
     Ok(Arc::new(Observed { info, readings, nominal }))
 }
 
-/// The name of what has an offset of its own: `EXX[1]`, `EXX` where nothing is told apart.
+/// The name of a group of readings that has its own offset: `EXX[1]`, or `EXX` if the measurement has one offset.
 fn run_of(data: &Dataset, row: usize, label: &str, line: &Line) -> String {
     let values = line.datum.iter().filter_map(|column| match data.column(column).map(|column| &column.values) {
         Some(Values::Labels(labels)) => Some(labels[row].clone()),

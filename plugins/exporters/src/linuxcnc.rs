@@ -109,7 +109,7 @@ struct LinuxCnc {
     settings: Settings,
 }
 
-/// The errors of an axis that move it along (or about) its own direction, with their part in it.
+/// The errors of an axis that move it along (or about) its own direction, each with its component in this direction.
 fn along<'a>(index: usize, axis: &Axis, functions: &'a [ErrorFunction]) -> Vec<(f64, &'a ErrorFunction)> {
     let first = match axis.kind {
         AxisKind::Linear => 0,
@@ -142,7 +142,7 @@ impl Export for LinuxCnc {
                     for (part, function) in along(index, axis, functions) {
                         error += part * values.motion_error(model, function, &status)?.0;
                     }
-                    // A positive command moves the body by its sense, and the body is what is off.
+                    // A positive command moves the body by the sense of the axis; the error is that of the body.
                     Ok(axis.sense * error * factor)
                 };
                 let [forward, reverse] = [at(1.0)?, at(-1.0)?];

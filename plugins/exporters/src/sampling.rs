@@ -8,10 +8,10 @@ use abbe_core::{
 use abbe_numerics::joint_coverage_factor;
 use abbe_volumetric::{Ranges, Steps, check_ranges, points_every, range_of};
 
-/// What exporters of one axis at a time call the ranges of the axes.
+/// The setting with the ranges of axes, the same in all exporters of single axes.
 pub const RANGES: &str = "ranges";
 
-/// Refuses ranges and steps that no axis can make right.
+/// Refuses ranges and steps that are wrong for every axis.
 pub fn check(ranges: &Ranges, steps: Steps) -> Result<(), SettingsError> {
     steps.check()?;
     check_ranges(ranges, RANGES)
@@ -22,8 +22,8 @@ pub fn points(axis: &Axis, ranges: &Ranges, steps: Steps, most: usize) -> Result
     points_every(axis, range_of(axis, ranges, RANGES)?, steps, most)
 }
 
-/// The status of an axis at a position (in memory's unit), approached in a direction; everything else as if the data did
-/// not mention it, other axes at zero.
+/// The status of an axis at a position (in memory's unit), approached in a direction. Other axes are at zero; all other
+/// statuses are those for data without a column for them.
 pub fn status(model: &dyn KinematicModel, axis: &Axis, position: f64, direction: f64) -> Vec<f64> {
     let of_axis =
         |role: &StatusRole| matches!(role, StatusRole::Direction(of) if model.info().axes[*of].status == axis.status);

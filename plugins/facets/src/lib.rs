@@ -115,7 +115,7 @@ impl Facet {
     }
 }
 
-/// Facets whose axis is further from perpendicular to the normal than this (sine) do not lie on their cylinder.
+/// Sine of the largest deviation of a cylinder's axis from perpendicular to the normal of its facet.
 const SKEW: f64 = 1e-3;
 
 impl Facets {

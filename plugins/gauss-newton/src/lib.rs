@@ -75,7 +75,7 @@ const MAIN_PART: f64 = 0.1;
 /// Robust weights that change by less than this have settled.
 const SETTLED: f64 = 1e-4;
 
-/// The same for an estimate that is one of thousands.
+/// The same limit for one of thousands of estimates, as in trials.
 const NEARLY_SETTLED: f64 = 1e-3;
 
 fn default_convergence() -> f64 {
@@ -87,7 +87,8 @@ fn default_probability() -> f64 {
 }
 
 fn default_tolerance() -> f64 {
-    // Contact is solved to 1e-11 mm in 1e2 mm: what is lost shows at 1e-14, the weakest that one can use at 1e-7.
+    // Contact is solved to 1e-11 mm in 1e2 mm. Lost directions have singular values of about 1e-14, the weakest useful one
+    // has 1e-7.
     1e-10
 }
 
@@ -228,7 +229,7 @@ impl GaussNewton {
         self.settings.robust.as_ref().map(RobustSetting::robust)
     }
 
-    /// Refuses what cannot be solved at all.
+    /// Refuses problems that no settings can solve.
     fn check(problem: &Problem) -> Result<()> {
         let (equations, unknowns) = (problem.equations(), problem.unknowns.len());
         if unknowns == 0 {
@@ -354,7 +355,7 @@ impl GaussNewton {
         Ok(found)
     }
 
-    /// The rows of a problem; robust weights need rows that stand for themselves.
+    /// The rows of a problem. Robust weights need rows that are independent.
     fn weighted<'a>(&self, problem: &'a Problem) -> Result<Weighted<'a>> {
         let weighted = Weighted::new(problem)?;
         if weighted.is_correlated() && self.settings.robust.is_some() {
@@ -413,7 +414,7 @@ impl GaussNewton {
         }
     }
 
-    /// The estimate of all unknowns, and from there that of those which are significant.
+    /// The estimate of all unknowns, then the estimate of the significant ones.
     fn estimate_selected(&self, problem: &Problem, select: &Select, explained: bool) -> Result<Calibration> {
         let candidates = select.candidates(problem)?;
         let all = self.estimate_all(problem, false)?;
@@ -545,7 +546,7 @@ impl Estimate for GaussNewton {
 
     fn values(&self, problem: &Problem) -> Result<Vec<f64>> {
         if self.settings.select.is_some() {
-            // Other data may well select others.
+            // Other data may select other terms.
             return Ok(problem.values_of(&self.estimate(problem, false)?));
         }
         if self.settings.on_confounded != OnConfounded::Error {

@@ -1,4 +1,5 @@
-//! Leaves terms out that chance alone explains (Soons 1993, section 3.2.2): stepwise regression on the solution of all of them.
+//! Leaves out terms that chance alone explains (Soons 1993, section 3.2.2): stepwise regression at the solution of all
+//! unknowns.
 
 use abbe_core::{
     Error, Owner, PathItem, Problem, Result, Selection, SelectionDirection, SelectionStep, SettingsError, Unknown,
@@ -58,7 +59,7 @@ impl Select {
         Ok(unknowns.filter(|(_, unknown)| of_machine(unknown) && chosen(unknown)).map(|(index, _)| index).collect())
     }
 
-    /// What is kept of the candidates, given the weighted rows at the solution `x` of all unknowns.
+    /// The candidates that are kept, from the weighted rows at the solution `x` of all unknowns.
     pub fn select(
         &self,
         problem: &Problem,
@@ -95,7 +96,7 @@ impl Select {
     }
 }
 
-/// The problem without what a selection leaves out, which is nominal: zero, as a rule.
+/// The problem without the terms that a selection leaves out: these are nominal, usually zero.
 pub fn reduced(problem: &Problem, selection: &Selection) -> Problem {
     let left_out = |unknown: &Unknown| selection.left_out.contains(&unknown.name);
     let mut reduced = problem.without(left_out);

@@ -37,7 +37,7 @@ impl Source {
             .into_iter()
             .flatten()
             .filter_map(|entry| entry.ok()?.file_name().into_string().ok())
-            // Hidden files are what editors and file managers leave, unless they are asked for.
+            // Editors and file managers leave hidden files: these match only a pattern that begins with a dot.
             .filter(|name| matches(pattern, name) && name.starts_with('.') == pattern.starts_with('.'))
             .filter(|name| folder.join(name).is_file())
             .collect();

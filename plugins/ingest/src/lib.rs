@@ -232,7 +232,7 @@ impl Csv {
     }
 }
 
-/// The error at a place of the settings, not of a file: what is wrong is what the recipe says about the file.
+/// The error at a place of the settings instead of a file: the statement of the recipe about the file is wrong.
 fn in_settings(error: Error, setting: &str, key: &str) -> Error {
     Error { place: None, setting: [setting, key].map(|key| PathItem::Key(key.to_owned())).into(), ..error }
 }

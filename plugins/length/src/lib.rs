@@ -187,14 +187,14 @@ fn of_bar(bars: Option<&[String]>, row: usize, own: &str) -> String {
 }
 
 impl Measured {
-    /// Makes the lengths known, each but for the error of its bar's calibration and for its expansion.
+    /// Makes the lengths known, except for the error of the bar's calibration and the thermal expansion.
     fn know(&mut self, settings: &Settings) -> Result<()> {
         let data = self.info.layout.data.clone();
         let bars = data.labels("bar");
         for row in 0..data.rows() {
             let name = of_bar(bars, row, "reference_error");
             let known = self.info.inputs.iter().position(|input| input.parameter.name == name).unwrap_or_else(|| {
-                // Added to the reference: zero unless the calibration is off.
+                // Added to the reference; zero if the calibration is correct.
                 let parameter = Parameter::new(name, Unit::MM);
                 let uncertainty = settings.reference_standard_uncertainty_um * 1e-3;
                 let content = self.certificate(bars, row, uncertainty);
@@ -256,7 +256,7 @@ impl Measured {
         (length, derivatives)
     }
 
-    /// Makes the lengths unknown, starting from what the nominal machine measures.
+    /// Makes the lengths unknown. They start from the lengths of the nominal machine.
     fn estimate(&mut self, model: &dyn KinematicModel) -> Result<()> {
         let data = self.info.layout.data.clone();
         let bars = data.labels("bar");

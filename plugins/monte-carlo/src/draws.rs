@@ -1,4 +1,4 @@
-//! What varies from trial to trial.
+//! The inputs that vary from trial to trial.
 
 use abbe_core::{CovarianceBlock, Error, Fit, Owner, PathItem, Problem, Quantity, Result, Scatter, Unknown, matches};
 use abbe_numerics::Generator;
@@ -7,7 +7,7 @@ use nalgebra::{DMatrix, DVector, SymmetricEigen};
 
 use crate::settings::{Distribution, LobingSetting, Neglected, Settings};
 
-/// One trial: the problem with its drawn inputs, and the drawn values of what is considered.
+/// One trial: the problem with its drawn inputs, and the drawn values of the considered parameters.
 pub struct Drawn {
     /// The problem.
     pub problem: Problem,
@@ -30,11 +30,11 @@ pub struct Draws<'a> {
     /// The set of every equation.
     set_of: Vec<usize>,
     considered: Vec<Source>,
-    /// Values of what is considered at the estimate.
+    /// Values of the considered parameters at the estimate.
     known: Vec<f64>,
     neglected: Vec<(Unknown, Distribution, f64)>,
     lobing: Vec<Pretravel>,
-    /// The root of the covariance of a calibration that brings no rows: all that can be drawn of it.
+    /// The root of the covariance of a calibration without rows, from which its values are drawn.
     stated: Option<DMatrix<f64>>,
 }
 
@@ -57,7 +57,7 @@ impl<'a> Draws<'a> {
     pub fn new(settings: &'a Settings, fit: &Fit) -> Result<Self> {
         let problem = fit.problem.watched_by(fit.problem.monitor.quiet());
         let problem = problem.at(&problem.values_of(&fit.calibration));
-        // Rows scatter as the estimate found, unless it trusts what was stated.
+        // Rows scatter by the factor that the estimate found, unless it trusts the stated uncertainties.
         let scale = fit.calibration.uncertainty.as_ref().map_or(1.0, |budget| budget.scale);
         let mut independent: Vec<f64> =
             problem.standard_uncertainties().iter().map(|uncertainty| uncertainty * scale).collect();
@@ -66,7 +66,7 @@ impl<'a> Draws<'a> {
         for set in scatters.iter().flat_map(|scatter| &scatter.sets) {
             independent[ranges[*set].clone()].fill(0.0);
         }
-        // What a certificate states is drawn as the input that states it.
+        // An equation that states a certificate has no noise of its own: its known input is drawn.
         for (uncertainty, _) in independent.iter_mut().zip(problem.constraints()).filter(|(_, constraint)| *constraint)
         {
             *uncertainty = 0.0;
@@ -116,7 +116,7 @@ impl<'a> Draws<'a> {
         Ok(draws)
     }
 
-    /// The estimate of one trial, followed by what is considered in it; `solve` gives the values of a problem.
+    /// The estimate of one trial, followed by its considered parameters; `solve` gives the values of a problem.
     pub fn trial(&self, generator: &mut Generator, solve: impl Fn(&Problem) -> Result<Vec<f64>>) -> Result<Vec<f64>> {
         if let Some(root) = &self.stated {
             let numbers = DVector::from_fn(root.ncols(), |_, _| generator.normal());
@@ -127,7 +127,7 @@ impl<'a> Draws<'a> {
         solve(&drawn.problem).map(|values| [values, drawn.considered].concat())
     }
 
-    /// Number of quantities of a trial: the unknowns and what is considered.
+    /// Number of quantities of a trial: the unknowns and the considered parameters.
     pub fn quantities(&self) -> usize {
         self.problem.unknowns.len() + self.known.len()
     }
@@ -246,8 +246,8 @@ fn value(problem: &Problem, unknown: &Unknown) -> f64 {
     }
 }
 
-/// For every set its residuals without outliers over the scaled standard uncertainties, of mean zero, and as large as the
-/// errors were before the estimate adapted to them.
+/// For every set its residuals without outliers, divided by the scaled standard uncertainties. Their mean is zero, and they
+/// are enlarged to the size of the errors: the estimate adapts to the errors and makes residuals smaller.
 fn residuals(fit: &Fit, problem: &Problem, scale: f64) -> Result<Vec<Vec<f64>>> {
     let all = problem.residuals(&problem.start())?;
     let report = &fit.calibration.fit;
@@ -279,7 +279,7 @@ fn residuals(fit: &Fit, problem: &Problem, scale: f64) -> Result<Vec<Vec<f64>>> 
         }
     }
     for values in &mut sets {
-        // A mean of one row is that row: it says nothing of errors.
+        // The mean of one row is the row itself: its residual tells nothing about errors.
         if values.len() > 1 {
             let mean = values.iter().sum::<f64>() / values.len() as f64;
             values.iter_mut().for_each(|value| *value -= mean);
@@ -287,7 +287,7 @@ fn residuals(fit: &Fit, problem: &Problem, scale: f64) -> Result<Vec<Vec<f64>>> 
             values.clear();
         }
     }
-    // A set that says nothing of its own errors is drawn from all.
+    // A set without residuals of its own draws from those of all sets.
     let everything: Vec<f64> = sets.concat();
     sets.iter_mut().filter(|values| values.is_empty()).for_each(|values| values.clone_from(&everything));
     if everything.is_empty() {
@@ -296,7 +296,7 @@ fn residuals(fit: &Fit, problem: &Problem, scale: f64) -> Result<Vec<Vec<f64>>> 
     Ok(sets)
 }
 
-/// What can be drawn of a calibration without rows: its values, by their covariance.
+/// The root of the covariance of a calibration without rows: only its values can be drawn.
 fn stated(settings: &Settings, fit: &Fit) -> Result<Option<DMatrix<f64>>> {
     if !fit.problem.sets.is_empty() {
         return Ok(None);
@@ -410,7 +410,7 @@ impl Neglected {
     }
 }
 
-/// The largest factor with which a parameter takes part in its motion error at the recorded statuses.
+/// The largest factor of a parameter in its motion error at the recorded statuses.
 fn largest_factor(parameter: usize, problem: &Problem) -> Result<f64> {
     let functions = &problem.model.info().error_functions;
     let mut largest = 0.0_f64;

@@ -1,10 +1,10 @@
 //! Estimator plugin `monte-carlo`: propagates the distributions of the inputs through another estimate (JCGM 101:2008, JCGM
 //! 102:2011).
 //!
-//! Every trial draws the errors of all rows, the known inputs, what an earlier estimate knows and, on request, what is
-//! neglected, and lets the estimator of the other estimate solve the problem in full. Trial k draws from its own stream of
-//! random numbers, so that the results do not depend on the number of threads. What is kept of the trials does not grow with
-//! their number.
+//! Every trial draws the errors of all rows, the known inputs, the values that come from an earlier estimate and, on request,
+//! neglected errors. The estimator of the other estimate then solves the problem in full. Trial k draws from its own stream
+//! of random numbers, so that the results do not depend on the number of threads. The memory does not grow with the number of
+//! trials.
 
 mod draws;
 mod settings;
@@ -51,10 +51,11 @@ struct Propagation {
     settings: Settings,
 }
 
-/// Trials that are solved before their results are taken up: few enough to keep, many enough to share.
+/// Number of trials that are solved before their results are added: small enough for the memory, large enough for all
+/// threads.
 const CHUNK: usize = 512;
 
-/// Part of the trials that may fail before the distribution is not believed.
+/// Largest part of the trials that may fail; with more failures the distribution is not valid.
 const MAY_FAIL: f64 = 0.01;
 
 impl Estimate for Propagation {
@@ -97,7 +98,7 @@ fn of_is_missing() -> Error {
         .help("write `of: fit` with the name of another estimate; machine, observations and parameters are its")
 }
 
-/// What the trials gave.
+/// The results of the trials.
 struct Found {
     trials: Trials,
     failed: usize,
@@ -122,7 +123,7 @@ impl Propagation {
             let done = found.trials.count() + found.failed;
             let all = self.settings.adaptive.is_none().then_some(self.settings.trials);
             fit.problem.monitor.part("trials", done, all);
-            // None once a fault of the code has ended it.
+            // None after a fault of the code.
             let results = in_parallel(chunk, self.settings.threads, |&number| {
                 if ended.load(Ordering::Relaxed) {
                     return None;

@@ -209,7 +209,7 @@ fn default_lobes() -> u32 {
 }
 
 impl Settings {
-    /// Refuses what cannot be calculated.
+    /// Refuses settings with which nothing can be calculated.
     pub fn check(&self) -> Result<(), SettingsError> {
         let probability = self.coverage_probability;
         if !(probability > 0.0 && probability < 1.0) {

@@ -126,7 +126,7 @@ impl Artefact for Poses {
     }
 
     fn targets(&self, _: f64) -> Result<Vec<Target>> {
-        // The tip is sent nowhere: whatever poses see the target are the programme.
+        // The tip is not sent to features: the poses from which the target is seen are the programme.
         Ok(Vec::new())
     }
 }

@@ -66,7 +66,8 @@ impl Row {
         let turn = (observed.rotation * predicted.rotation.inverse()).scaled_axis();
         let position = observed.translation.vector - predicted.translation.vector;
 
-        // How the residuals follow small motions of both frames: shift of the origin and turn about it, table axes.
+        // Derivatives of the residuals to small motions of both frames: shift of the origin and rotation about it, table
+        // axes.
         let to_seeing = matrix(&seeing.rotation).transpose();
         let between = (seen.translation.vector - seeing.translation.vector).cross_matrix();
         let turned = inverse_right_jacobian(&turn) * to_seeing;
@@ -98,7 +99,7 @@ impl Observed {
             let [x, y, z] = frame.translation.vector.into();
             [x, y, z, 0.0, 0.0, 0.0]
         });
-        // Nothing moves: all six readings would take up the difference, of which three and a quaternion are recorded.
+        // Not simulated: the six residuals would take up the noise, but a row records three coordinates and a quaternion.
         let contact = Contact::NotSimulated(
             "what is recorded is a quaternion, not one column for each of the six equations".to_owned(),
         );
@@ -222,7 +223,8 @@ mod tests {
         }
     }
 
-    /// Why rank can be judged with whatever was seen: it changes a row by an invertible factor.
+    /// Rank can be judged at any observed pose: another observed pose multiplies the derivatives of a row by an invertible
+    /// factor.
     #[test]
     fn derivatives_of_what_was_seen_are_those_of_what_was_predicted_times_an_invertible_matrix() {
         let mut random = Random(2);

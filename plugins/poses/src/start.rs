@@ -11,17 +11,17 @@ use nalgebra::{
     DMatrix, Isometry3, Matrix3, Matrix6, Rotation3, SMatrix, Translation3, UnitQuaternion, Vector3, Vector6,
 };
 
-/// Steps after which a singular value decomposition ends; what is finite needs far fewer.
+/// Most steps of a singular value decomposition; finite matrices need far fewer.
 const STEPS: usize = 1000;
 
-/// How far the largest singular value of the mean rotation has to be below 1, which it is if all poses share a direction:
-/// turns out of it by less than 1e-4 rad determine nothing.
+/// Smallest difference of the largest singular value of the mean rotation from 1. It is 1 if all poses share a direction:
+/// rotations out of it by less than 1e-4 rad determine nothing.
 const SPREAD: f64 = 1e-8;
 
-/// Angle, rad, beyond which half of the orientations do not agree with the nominal machine at all.
+/// If half of the orientations differ by more than this angle, rad, from the nominal machine, the data do not belong to it.
 const AGREEMENT: f64 = 0.1;
 
-/// Where target and observer stand.
+/// Start poses of target and observer.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Start {
     /// The target in the table frame, mm.
@@ -134,8 +134,8 @@ fn nearest_rotation(matrix: Matrix3<f64>) -> Option<UnitQuaternion<f64>> {
     Some(UnitQuaternion::from_rotation_matrix(&Rotation3::from_matrix_unchecked(u * turned * v_t)))
 }
 
-/// Refuses a start that half of the orientations do not agree with: gross errors are for robust estimates, but this is
-/// another machine, or the poses of another body.
+/// Refuses a start with which half of the orientations do not agree. Robust estimates are for gross errors; here the machine,
+/// or the observed body, is another one.
 fn agrees(tools: &[Isometry3<f64>], seen: &[Isometry3<f64>], start: Start) -> Result<Start> {
     let rows = tools.iter().zip(seen);
     let mut angles: Vec<f64> = rows

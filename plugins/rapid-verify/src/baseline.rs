@@ -1,4 +1,4 @@
-//! The baseline and the runs that are judged by it.
+//! The baseline and the runs that are compared with it.
 
 use std::path::Path;
 
@@ -8,7 +8,7 @@ use crate::candidates::{self, Candidates};
 use crate::diagnosis::Pattern;
 use crate::points::{Point, Points, Touch};
 
-/// What the baseline says of one point.
+/// The readings of one point in the baseline.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Probed {
     /// The nominal point.
@@ -40,8 +40,8 @@ pub struct Run {
     pub readings: Vec<f64>,
 }
 
-/// Axes that do not move until contact may stand apart from the baseline by this, mm and rad: it moves the place of the touch
-/// on a facet, not the reading.
+/// Largest difference, mm and rad, from the baseline of axes that do not move until contact. It moves the point of contact on
+/// the facet and does not change the reading.
 const ELSEWHERE: (f64, f64) = (0.05, 1e-3);
 
 impl Baseline {
@@ -88,7 +88,7 @@ impl Baseline {
         Touch::new(self.problem.model.as_ref(), &probed.point, &probed.status)
     }
 
-    /// What candidates do to the readings, then what happens to the artefact.
+    /// Effects of the candidates on the readings, then those of changes of the artefact.
     pub fn patterns(&self, candidates: &Candidates) -> Result<Vec<Pattern>> {
         let mut patterns = candidates.of(self.problem.model.as_ref())?;
         for probed in &self.points {
@@ -97,13 +97,13 @@ impl Baseline {
         Ok(patterns)
     }
 
-    /// By how much every reading changes, mm, when parameters change by `size`: full nonlinear touches.
+    /// The change of every reading, mm, when parameters change by `size`, by the full nonlinear equations of the touches.
     pub fn changes(&self, parameters: &[usize], size: f64) -> Result<Vec<f64>> {
         let mut changed = self.problem.machine.clone();
         parameters.iter().for_each(|&parameter| changed[parameter] += size);
         let change = |probed: &Probed| {
             let touch = self.touch(probed)?;
-            // By the model the baseline may miss contact by what the model lacks; that stays as it is.
+            // Errors that the model lacks make the baseline miss contact; that distance stays the same.
             let goal = touch.distance_here(&self.problem.machine)?;
             Ok(touch.reading(&changed, goal)? - probed.mean)
         };

@@ -109,7 +109,7 @@ pub fn add_effects(patterns: &mut [Pattern], touch: &Touch<'_>, values: &[f64]) 
     Ok(())
 }
 
-/// What can happen to the artefact, in the order of [`Touch::sensitivities`].
+/// The possible changes of the artefact, in the order of [`Touch::sensitivities`].
 fn of_the_artefact() -> impl Iterator<Item = Pattern> {
     let names = [
         ("shift of the artefact along x", Unit::MM),

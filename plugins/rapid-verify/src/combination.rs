@@ -1,9 +1,9 @@
-//! Combinations of point deviations that answer to one error alone (announced in Muelaner et al. 2014, section 4.1, but not printed
-//! there): blind to a shift, a turn and the expansion of the artefact, with the least sum of absolute weights.
+//! Combinations of point deviations that respond to one error alone (announced in Muelaner et al. 2014, section 4.1, but not
+//! printed there): insensitive to shift, rotation and expansion of the artefact, with the least sum of absolute weights.
 
 use abbe_numerics::{dot, norm};
 
-/// Weights of the points and what the combination gains.
+/// Weights of the points and the gain of the combination.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Weights {
     /// One weight a point; the largest is 1.
@@ -12,13 +12,13 @@ pub struct Weights {
     pub gain: f64,
 }
 
-/// What counts as zero beside numbers of size 1.
+/// Values below this count as zero where numbers are of size 1.
 const ZERO: f64 = 1e-9;
 
-/// The part of an effect that has to be left when what the artefact can do is taken away; less is rounding.
+/// Smallest part of an effect that changes of the artefact may leave over; less is rounding.
 const DISTINCT: f64 = 1e-6;
 
-/// The combination that answers to `effect` and not to `blind_to`; none if those can produce the same deviations.
+/// The combination that responds to `effect` and not to `blind_to`; none if those effects can produce the same deviations.
 pub fn combination(effect: &[f64], blind_to: &[Vec<f64>]) -> Option<Weights> {
     let blind = orthonormal(blind_to);
     let size = norm(effect);

@@ -1,7 +1,7 @@
 //! Validator `verify-cut`: the stock that a roughing or pre-finishing cut left, probed on the machine, against the allowance that was
 //! planned (Muelaner et al. 2014, sections 3.3 and 4.1).
 //!
-//! A kinematic error of the machine moves cut and probe alike and cannot be seen here: `verify` goes before.
+//! A kinematic error of the machine moves cut and probe alike and is not visible here: run `verify` before.
 
 use std::path::PathBuf;
 

@@ -1,10 +1,11 @@
-//! What a pattern of deviations comes from: the machine error, the shift of the artefact or the failing touches that explain it best.
+//! The cause of a pattern of deviations: the machine error, the change of the artefact or the failing touches that explain it
+//! best.
 //!
-//! What healthy runs differ by (probing, the seat of the artefact, its temperature) is no fault: deviations are weighted with
-//! the covariance that all of this gives them, `C = sigma² I + sum e e^T`, so that a pattern which a poor seat could
-//! produce speaks for a fault only as far as it is larger than seats usually are. Each candidate gets the generalised
-//! least-squares fit of one size; touches that are off by themselves are set apart one at a time, as long as each
-//! explains far more than chance would.
+//! Differences between healthy runs (probing, seat of the artefact, its temperature) are no fault. Deviations are weighted
+//! with the covariance of these differences, `C = sigma² I + sum e e^T`. A pattern that a poor seat could produce therefore
+//! counts as a fault only as far as it is larger than usual for seats. For each candidate one size is fitted by generalised
+//! least squares. Touches with errors of their own are set apart one at a time, as long as each explains far more than chance
+//! would.
 
 use nalgebra::{Cholesky, DMatrix, DVector};
 
@@ -17,11 +18,11 @@ pub struct Pattern {
     pub unit: abbe_core::Unit,
     /// Derivative of every reading to the size, mm/unit.
     pub effect: Vec<f64>,
-    /// Indices of the parameters of the model that change by the size; none if it is the artefact that does.
+    /// Indices of the model parameters that change by the size; none for a change of the artefact.
     pub parameters: Vec<usize>,
 }
 
-/// What healthy runs scatter by.
+/// The scatter between healthy runs.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Scatter {
     /// Standard deviation of one reading by itself, mm.
@@ -37,9 +38,9 @@ pub struct Cause {
     pub pattern: usize,
     /// Size, in its unit.
     pub size: f64,
-    /// The part of the weighted squares that it explains, 0 to 1, once the failing touches are set apart.
+    /// Part of the weighted sum of squares that it explains, 0 to 1, once the failing touches are set apart.
     pub explained: f64,
-    /// By how much its explanation is worse than the best one, in weighted squares.
+    /// Difference of its score from the best one, as a weighted sum of squares.
     pub behind: f64,
 }
 
@@ -50,28 +51,28 @@ pub struct Diagnosis {
     pub causes: Vec<Cause>,
     /// Other causes that explain this run nearly as well.
     pub rivals: Vec<Cause>,
-    /// Points whose touches are off by themselves, worst first.
+    /// Points whose touches have errors of their own, worst first.
     pub touches: Vec<usize>,
-    /// Weighted squares that are left, and how many degrees of freedom they have.
+    /// Weighted sum of squares that is not explained, and its degrees of freedom.
     pub left: (f64, usize),
 }
 
 impl Diagnosis {
-    /// Whether what is left is what healthy runs scatter by; five standard deviations of chi-squared are allowed.
+    /// Whether the rest is the scatter of healthy runs: within five standard deviations of chi-squared.
     pub fn is_complete(&self) -> bool {
         let (left, freedom) = self.left;
         left <= freedom as f64 + 5.0 * (2.0 * freedom as f64).sqrt()
     }
 }
 
-/// Weighted squares that one more failing touch has to explain: five standard deviations, far beyond the largest of some
-/// dozens of readings.
+/// Weighted sum of squares that one more failing touch has to explain: the square of five standard deviations, far above the
+/// largest of some dozens of readings.
 const TOUCH: f64 = 25.0;
 
-/// Weighted squares that a cause has to explain before it is named: three standard deviations.
+/// Weighted sum of squares that a cause has to explain before it is named: the square of three standard deviations.
 const CAUSE: f64 = 9.0;
 
-/// Patterns at a smaller angle than this are one: no measurement of these points tells them apart.
+/// Patterns with a smaller angle between them are the same: no measurement of these points separates them.
 const SAME: f64 = 1e-3;
 
 /// The points with their scatter, ready for diagnoses.
@@ -115,7 +116,7 @@ impl<'a> Judge<'a> {
         self.cholesky.l_dirty().solve_lower_triangular(&deviations).unwrap_or(deviations)
     }
 
-    /// What explains these deviations, mm, best.
+    /// The best explanation of these deviations, mm.
     pub fn diagnose(&self, deviations: &[f64]) -> Diagnosis {
         let deviations = self.weigh(deviations);
         let usable = |index: &usize| self.weighted[*index].norm() > 0.0;
@@ -141,19 +142,20 @@ impl<'a> Judge<'a> {
                 diagnosis.rivals.push(cause);
             }
         }
-        // One pattern has one score, but for rounding: machine errors go before the artefact, the rest as declared.
+        // Causes with the same pattern have the same score, except for rounding: machine errors come before the artefact, the
+        // rest as declared.
         diagnosis.causes.sort_by_key(|cause| (self.patterns[cause.pattern].parameters.is_empty(), cause.pattern));
         diagnosis
     }
 
-    /// Whether two causes have one pattern.
+    /// Whether two causes have the same pattern.
     pub fn same(&self, one: usize, other: usize) -> bool {
         let of = |index: usize| DVector::from_column_slice(&self.patterns[index].effect).normalize();
         let (one, other) = (of(one), of(other));
         (&one - one.dot(&other) * &other).norm() < SAME
     }
 
-    /// A cause, or none, with the failing touches that go with it.
+    /// The failing touches that belong to a cause, or to no cause.
     fn explain(&self, cause: Option<usize>, deviations: &DVector<f64>) -> Explanation {
         let mut basis = Basis::default();
         let mut left = deviations.clone();
@@ -176,34 +178,34 @@ impl<'a> Judge<'a> {
         Explanation { cause, touches, left: squares, score: squares + cost }
     }
 
-    /// Weighted readings without what failing touches could explain.
+    /// Weighted readings without the parts that failing touches could explain.
     fn without(&self, touches: &[usize], values: &DVector<f64>) -> DVector<f64> {
         let (mut basis, mut left) = (Basis::default(), values.clone());
         touches.iter().for_each(|&touch| basis.add(&self.single[touch], &mut left));
         left
     }
 
-    /// The size of a cause, failing touches set apart.
+    /// The size of a cause, with failing touches set apart.
     fn size(&self, cause: usize, touches: &[usize], deviations: &DVector<f64>) -> f64 {
         let pattern = self.without(touches, &self.weighted[cause]);
         pattern.dot(deviations) / pattern.norm_squared()
     }
 
-    /// The change of the size that makes up for deviations which are left, failing touches set apart.
+    /// The change of the size that explains the remaining deviations, with failing touches set apart.
     pub fn step(&self, cause: usize, touches: &[usize], left: &[f64]) -> f64 {
         self.size(cause, touches, &self.weigh(left))
     }
 }
 
-/// Orthonormal directions that are explained.
+/// Orthonormal directions that are already explained.
 #[derive(Default)]
 struct Basis(Vec<DVector<f64>>);
 
 impl Basis {
-    /// The part of a vector that nothing here explains; none if that is rounding.
+    /// The part of a vector that is not yet explained; none if this part is only rounding.
     fn new_part(&self, vector: &DVector<f64>) -> Option<DVector<f64>> {
         let mut part = vector.clone();
-        // Twice is enough: what the first pass leaves by rounding, the second takes away.
+        // The second pass removes the rounding of the first one.
         for _ in 0..2 {
             for direction in &self.0 {
                 part -= direction.dot(&part) * direction;
@@ -212,7 +214,7 @@ impl Basis {
         (part.norm() > 1e-6 * vector.norm()).then(|| part.normalize())
     }
 
-    /// Squares of `left` that a vector would explain beyond what is explained.
+    /// The additional part of the squares of `left` that a vector would explain.
     fn gain(&self, vector: &DVector<f64>, left: &DVector<f64>) -> f64 {
         self.new_part(vector).map_or(0.0, |part| part.dot(left).powi(2))
     }

@@ -1,5 +1,5 @@
-//! Exporter `verify-sensitivity`: what each error does to the reading of each point, the size that a tolerance detects, and
-//! the combinations that answer to one error alone.
+//! Exporter `verify-sensitivity`: the effect of each error on the reading of each point, the size that a tolerance detects,
+//! and the combinations that respond to one error alone.
 
 use std::path::PathBuf;
 

@@ -147,10 +147,11 @@ pub fn axis_index(model: &dyn KinematicModel, name: &str) -> Result<usize, Strin
 /// Steps after which a search ends; Newton's iteration needs three or four.
 const STEPS: usize = 20;
 
-/// What is left of a length when nothing more can be gained in double precision, mm.
+/// Lengths below this are rounding of double precision, mm.
 const NOTHING: f64 = 1e-10;
 
-/// Moves the linear axes of a status, by as little as possible, until the nominal tip is at `goal`; false if they cannot.
+/// Moves the linear axes of a status, by the smallest step, until the nominal tip is at `goal`; false if they cannot reach
+/// it.
 fn reach(model: &dyn KinematicModel, status: &mut [f64], goal: Vector3<f64>) -> Result<bool> {
     let linear: Vec<usize> =
         (0..model.info().axes.len()).filter(|&axis| model.info().axes[axis].kind == AxisKind::Linear).collect();
@@ -187,7 +188,7 @@ pub struct Touch<'a> {
     pub status: Vec<f64>,
 }
 
-/// Approach axes that move the tip by less than this along the normal, mm/mm, do not touch it.
+/// Smallest motion of the tip along the normal, mm/mm, with which an approach axis can touch a facet.
 const ALONG: f64 = 1e-3;
 
 impl<'a> Touch<'a> {
@@ -236,8 +237,8 @@ impl<'a> Touch<'a> {
             .help("the approach has to have a part along the normal of the facet"))
     }
 
-    /// Derivatives of the reading to parameters (by index), then to what happens to the artefact: shifts along and turns
-    /// about x, y, z of the table frame, and its expansion (1/1).
+    /// Derivatives of the reading to parameters (by index), then to changes of the artefact: shifts along and rotations about
+    /// x, y, z of the table frame, and its expansion (1/1).
     pub fn sensitivities(&self, values: &[f64], parameters: &[usize]) -> Result<(Vec<f64>, [f64; 7])> {
         let mut wanted: Vec<Variable> = parameters.iter().map(|&index| Variable::Parameter(index)).collect();
         wanted.push(Variable::Command(self.axis));

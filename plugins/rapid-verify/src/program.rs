@@ -1,5 +1,5 @@
-//! The baseline and the verify program, in words that no controller has: logic and motion are written here once, and each
-//! controller only says them in its language.
+//! The baseline and the verify program, independent of any controller: logic and motion are written here once, and each
+//! controller translates them into its language.
 
 /// A variable of the programs.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -67,7 +67,7 @@ impl Condition {
 /// Positions of axes by name: mm, and degrees of rotary axes.
 pub type Target = Vec<(String, f64)>;
 
-/// What can go wrong, by number.
+/// The alarms, by number.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Fault {
     /// A verify run found points out of tolerance.
@@ -104,17 +104,17 @@ pub enum Step {
     While(Condition, Vec<Step>),
     /// Rapid motion where nothing is in the way, machine coordinates.
     Rapid(Target),
-    /// Motion in feed with an eye on the probe: it stops at an obstacle, with an alarm.
+    /// Motion in feed that watches the probe: it stops at an obstacle, with an alarm.
     Guarded(String, f64),
     /// Motion in feed away from contact, one axis.
     Back(String, f64),
     /// Probing along an axis as far as this; sets [`Variable::Measured`] and [`Variable::Touched`].
     Probe(String, f64),
-    /// Stops for good.
+    /// Stops the program.
     Alarm(Fault, String),
-    /// Tells without stopping.
+    /// Shows a message without stopping.
     Message(String),
-    /// Tells, and goes on when the operator says so.
+    /// Shows a message and waits until the operator confirms it.
     Stop(String),
 }
 

@@ -1,4 +1,4 @@
-//! Validator `verify`: go or no-go of runs against the baseline, and where deviations come from.
+//! Validator `verify`: go or no-go of runs against the baseline, and the causes of deviations.
 //!
 //! No-go if any reading is outside of what the baseline had, by more than the tolerance: with repeats of the baseline each point
 //! has a smallest and a largest reading (Muelaner et al. 2014, section 4.1).
@@ -164,8 +164,8 @@ struct Verify {
 /// Unit of lengths in figures.
 const UM: &str = "um";
 
-/// By how much a reading is beyond what the baseline had, µm. Binary fractions do not hold decimal ones: a picometre is rounded
-/// away, so that a deviation of just the tolerance keeps it.
+/// Distance of a reading from the range of the baseline, µm. It is rounded to a picometre, because binary fractions do not
+/// hold decimal ones: a deviation equal to the tolerance is within it.
 fn beyond(reading: f64, probed: &Probed) -> f64 {
     let beyond = (reading - probed.max).max(0.0) + (reading - probed.min).min(0.0);
     (beyond * 1e9).round() / 1e6
@@ -206,7 +206,7 @@ impl Validate for Verify {
     }
 }
 
-/// What is told of one run.
+/// The data for the report on one run.
 struct Report<'a> {
     fit: &'a str,
     run: &'a Run,
@@ -305,7 +305,7 @@ impl Verify {
         Ok(())
     }
 
-    /// Sizes by the full model: the linear ones leave out what is of second order.
+    /// Sizes by the nonlinear model: the linear fit leaves out terms of second order.
     fn refine(&self, report: &Report<'_>, judge: &Judge<'_>, deviations: &[f64], found: &mut Diagnosis) -> Result<()> {
         for cause in found.causes.iter_mut().chain(&mut found.rivals) {
             let parameters = &report.patterns[cause.pattern].parameters;

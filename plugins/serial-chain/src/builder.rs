@@ -64,7 +64,7 @@ impl Builder {
                 indexed: named.indexed,
                 status: index,
             });
-            // A spindle that the data do not mention was not turned.
+            // A spindle that the data do not mention is at zero.
             let absent = if named.indexed { Absent::Taken(0.0) } else { Absent::Refused };
             let (name, role) = (axis.name.clone(), StatusRole::Command(index));
             status.push(StatusColumn { name, role, quantity, levels: Vec::new(), absent });
@@ -169,7 +169,7 @@ impl Builder {
         self.candidates.iter().filter(move |(own, _)| belongs(*own)).map(|(_, candidate)| candidate)
     }
 
-    /// Adds functions of some arguments; gives the index of the basis.
+    /// Adds functions of some arguments; returns the index of the basis.
     fn basis(&mut self, functions: Box<dyn Functions>, arguments: Vec<Source>, range: Option<Range>) -> usize {
         let count = functions.terms().len();
         let first = self.functions;
@@ -178,7 +178,7 @@ impl Builder {
         self.bases.len() - 1
     }
 
-    /// Adds the parameters of an error on a basis, apart from those that are zero by definition.
+    /// Adds the parameters of an error on a basis, except those that are zero by definition.
     fn add(&mut self, candidate: &Candidate, basis: usize, zero: &[String]) -> Result<(), SettingsError> {
         let of = quantity_of(candidate.component);
         let command = candidate.axis.map_or(Quantity::Ratio, |axis| self.status[axis].quantity);
@@ -287,7 +287,7 @@ impl Builder {
         })
     }
 
-    /// The labels of a drift's column. All drifts of the column share them, whichever of its series each of them has.
+    /// The labels of a drift's column. All drifts of the column share these labels, also if each has only some of the series.
     fn labels(&mut self, declaration: &Declaration) -> Vec<String> {
         let Declaration::Drift(drift) = declaration else { return Vec::new() };
         let Some(column) = drift.per.column() else { return Vec::new() };
@@ -296,7 +296,7 @@ impl Builder {
         self.status[status].levels.clone()
     }
 
-    /// The bases of a declaration for an error, with the parameters that shape them.
+    /// The bases of a declaration for an error, with the parameters that shape their functions.
     fn bases_of(
         &mut self,
         declaration: &Declaration,
@@ -341,7 +341,7 @@ impl Builder {
         Ok(bases)
     }
 
-    /// The status that an argument of a function is.
+    /// The status that is an argument of a function.
     fn argument(
         &mut self,
         argument: Argument,

@@ -8,13 +8,13 @@ use crate::model::{CoefficientPlace, FunctionBasis, ParameterUse, SerialChain, S
 /// Derivatives of position or rotation to the errors of every slot, and to the command of every axis.
 pub(crate) type ByErrorAndCommand<'a> = (&'a [[Vector3<f64>; 6]], &'a [Vector3<f64>]);
 
-/// Variables to which derivatives are wanted, with their places among all that are.
+/// Variables to which derivatives are wanted, each with its index among all of them.
 #[derive(Default)]
 pub(crate) struct Wanted {
     pub coefficients: Vec<(usize, CoefficientPlace)>,
-    /// CoefficientPlace, parameter, basis.
+    /// Index among all variables, parameter, basis.
     pub shapes: Vec<(usize, usize, usize)>,
-    /// CoefficientPlace, axis.
+    /// Index among all variables, axis.
     pub commands: Vec<(usize, usize)>,
 }
 
@@ -50,7 +50,7 @@ impl SerialChain {
         sorted
     }
 
-    /// Derivatives of position or rotation, whichever `by` has, to the wanted variables; what is zero is left out.
+    /// Derivatives of position or rotation, as in `by`, to the wanted variables. Derivatives that are zero are not written.
     pub fn derivatives(
         &self,
         wanted: &Wanted,
@@ -63,7 +63,7 @@ impl SerialChain {
             let by_error = by.0[coefficients[0].1.slot][coefficients[0].1.component];
             for (index, place) in coefficients {
                 let function = work.functions[place.function];
-                // Of many pieces most are zero at a place.
+                // Of piecewise functions most are zero at a given command.
                 if function != 0.0 {
                     out[*index] = (by_error * function).into();
                 }
@@ -72,7 +72,7 @@ impl SerialChain {
         for &(index, parameter, basis) in &wanted.shapes {
             out[index] = self.through(&self.bases[basis], Source::Parameter(parameter), at, by, buffers).into();
         }
-        // The motion itself, and the errors that change on the way.
+        // The motion itself, and the errors that change with the command.
         for &(index, axis) in &wanted.commands {
             let source = Source::Status(self.info.axes[axis].status);
             let bases = at.used.iter().map(|&basis| &self.bases[basis]);
@@ -81,7 +81,7 @@ impl SerialChain {
         }
     }
 
-    /// What `source` does through the functions of a basis.
+    /// The derivative to `source` through the functions of a basis.
     fn through(
         &self,
         basis: &FunctionBasis,

@@ -25,7 +25,7 @@ inventory::submit! {
 }
 
 fn build(settings: Settings, _: &Context) -> Result<Box<dyn Model>, SettingsError> {
-    // Whatever can be wrong without data is found here, before anything runs.
+    // Finds all errors that need no data, before anything runs.
     SerialChain::new(&settings, &[])?;
     Ok(Box::new(Description { settings }))
 }

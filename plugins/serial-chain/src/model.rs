@@ -17,7 +17,7 @@ use crate::settings::Settings;
 pub struct SerialChain {
     pub(crate) chain: Chain,
     pub(crate) info: ModelInfo,
-    /// What each parameter does.
+    /// The use of each parameter.
     pub(crate) uses: Vec<ParameterUse>,
     pub(crate) bases: Vec<FunctionBasis>,
     /// Number of functions of all bases together.
@@ -27,10 +27,10 @@ pub struct SerialChain {
     pub(crate) first_order: bool,
 }
 
-/// What a parameter does.
+/// The use of a parameter.
 #[derive(Debug, Clone, Copy)]
 pub(crate) enum ParameterUse {
-    /// It multiplies a function, at a place.
+    /// It multiplies a function, in one error of one slot of the chain.
     Coefficient(CoefficientPlace),
     /// It is an argument of the functions of a basis: a wavelength.
     Shape(usize),
@@ -54,14 +54,14 @@ pub(crate) enum Source {
     Parameter(usize),
 }
 
-/// Functions that several errors share, with what they are functions of.
+/// Functions that several errors share, with their arguments.
 #[derive(Debug)]
 pub(crate) struct FunctionBasis {
     pub functions: Box<dyn Functions>,
     pub arguments: Vec<Source>,
     pub first: usize,
     pub count: usize,
-    /// The axis on whose command they are defined, the range of commands there, and an error that they are for.
+    /// Where the functions are defined: an axis, the range of its commands, and the name of an error with these functions.
     pub range: Option<Range>,
     /// The coefficients: parameters with their places.
     pub coefficients: Vec<(usize, CoefficientPlace)>,
@@ -75,22 +75,23 @@ pub(crate) struct Range {
     pub error: String,
 }
 
-/// Commands beyond a range by this part of its width are taken for the end.
+/// Commands beyond a range by up to this part of its width are taken as its end.
 const BEYOND: f64 = 0.01;
 
 impl Range {
-    /// Refuses a command outside the range: what the functions say there is not known.
+    /// Refuses a command outside the range, where the functions are not known.
     fn check(&self, status: &[f64], axes: &[Axis]) -> Result<()> {
         let (command, [from, to]) = (status[self.axis], self.ends);
         let allowed = BEYOND * (to - from);
-        // A command that is not a number is somebody else's to tell.
+        // A command that is not a number is reported elsewhere.
         if !(command < from - allowed || command > to + allowed) {
             return Ok(());
         }
         let axis = &axes[self.axis];
         let (unit, factor) = if axis.kind == AxisKind::Rotary { ("deg", 1f64.to_degrees()) } else { ("mm", 1.0) };
         let [from, to] = [from, to].map(|end| (end * factor * 1e6).round() / 1e6);
-        // Not to more digits than tell it from the ends: contact is not quite where the data have it.
+        // Rounded to the digits that separate it from the ends: the command at contact differs a little from that of the
+        // data.
         let digits = 10_f64.powf(3.0 - (to - from).log10().floor());
         let command = (command * factor * digits).round() / digits;
         let message = format!(
@@ -156,7 +157,7 @@ impl SerialChain {
         }
     }
 
-    /// The bases that matter: those of coefficients that are not zero, or whose derivatives are wanted.
+    /// The bases that have to be evaluated: those of coefficients that are not zero, or whose derivatives are wanted.
     fn in_use(&self, values: &[f64], wanted: &[Variable]) -> Vec<usize> {
         let mut used = vec![false; self.bases.len()];
         for (role, value) in self.uses.iter().zip(values) {
@@ -211,9 +212,9 @@ impl FunctionBasis {
         arguments
     }
 
-    /// Slot, component and value of every error that its coefficients add to, if its functions are these.
+    /// Slot, component and value of every error that the coefficients contribute to, with these values of the functions.
     pub fn errors(&self, values: &[f64], functions: &[f64]) -> impl Iterator<Item = (usize, usize, f64)> {
-        // Summed before they are added anywhere: coefficients of one error stand side by side.
+        // Terms of one error are summed first: its coefficients stand side by side.
         self.coefficients.chunk_by(of_one_error).map(move |coefficients| {
             let CoefficientPlace { slot, component, .. } = coefficients[0].1;
             let terms = coefficients
@@ -223,7 +224,7 @@ impl FunctionBasis {
         })
     }
 
-    /// Adds the slopes of the functions to whatever comes from `source`; gives whether anything does.
+    /// Sums the slopes of the functions to all arguments that come from `source`; returns whether there are such arguments.
     pub fn slopes_by(
         &self,
         source: Source,

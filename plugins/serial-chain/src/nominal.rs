@@ -1,4 +1,4 @@
-//! What settings and data say before anything is put together: nominal axes, time scales of drifts, temperatures of scales.
+//! Nominal axes, time scales of drifts and temperatures of scales, from settings and data.
 
 use abbe_core::{AxisKind, Dataset, SettingsError, Values};
 use abbe_errors::{Drift, Expansion, Per};
@@ -44,7 +44,7 @@ pub(crate) fn chain_axis(named: &NamedAxis, settings: &Settings) -> Result<Chain
     Ok(ChainAxis { name, kind, branch: named.branch, direction, point, reverse: given.reverse, error_frame })
 }
 
-/// Refuses data that do not say how warm a scale was: at the reference temperature it would silently not expand.
+/// Refuses data without the temperature of a scale: its expansion would be left out without a message.
 pub(crate) fn temperature_is_there(expansion: &Expansion, data: &[&Dataset]) -> Result<(), SettingsError> {
     // Data with several poses a row may have one column for each: `T_X`, or `T_X1` and `T_X2`.
     let of_scale = |name: &str| {
@@ -61,8 +61,8 @@ pub(crate) fn temperature_is_there(expansion: &Expansion, data: &[&Dataset]) -> 
     Err(SettingsError::new("temperature", message))
 }
 
-/// First and last time of every series of a drift: those of the settings, else those of the data. The scale so stays
-/// the same in folds and subsets of the rows.
+/// First and last time of every series of a drift: those of the settings, else those of the data. So the time scale stays the
+/// same in folds and subsets of the rows.
 pub(crate) fn settle_time(drift: &mut Drift, data: &[&Dataset]) -> Result<(), SettingsError> {
     if drift.time_s.is_empty() {
         for data in data {

@@ -43,7 +43,7 @@ fn example() -> Value {
 }
 
 fn build(settings: Settings, context: &Context) -> Result<Box<dyn Validate>, SettingsError> {
-    // Figures with a sign have no limit: a large negative one would keep it.
+    // Figures with a sign have no limit: a large negative value would be within it.
     check_limits(&settings.limits, &["max_absolute_um", "standard_deviation_um", "range_um"])?;
     Ok(Box::new(ArtefactCmm { cmm: context.path(&settings.cmm), settings }))
 }

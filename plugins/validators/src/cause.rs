@@ -1,9 +1,10 @@
 //! Validator `cause`: which single error of the machine explains the residuals of a fit best.
 //!
-//! Every candidate joins the unknowns of the fit by itself, linearised at the solution. What it takes away from the weighted sum of squares
-//! is its share; whether that is more than chance tells Fisher's F test with one and the remaining degrees of freedom, at a level that is
-//! divided by the number of candidates (Bonferroni). Measurements that repeat long after a calibration so name what has worn
-//! (Soons 1993, section 5.1.1: a plate in three planes tells a squareness).
+//! Every candidate is added to the unknowns of the fit by itself, linearised at the solution. Its share is the part by which
+//! it reduces the weighted sum of squares. Fisher's F test with one and the remaining degrees of freedom shows whether that
+//! is more than chance explains, at a level divided by the number of candidates (Bonferroni). So measurements that are
+//! repeated long after a calibration show which part has worn (Soons 1993, section 5.1.1: a plate in three planes shows a
+//! squareness).
 
 use abbe_core::{
     AxisKind, Context, Dataset, Figure, Findings, Fit, KinematicModel, Owner, Problem, Result, SettingsError, Unknown,
@@ -43,8 +44,8 @@ fn default_significance() -> f64 {
     0.01
 }
 
-/// Variances of the residuals by which one cause has to explain more than another to be told from it: 1 % of a chi-squared variable with
-/// one degree of freedom is above.
+/// Difference of the explained sums of squares from which one cause counts as better than another, in units of the variance of
+/// the residuals: a chi-squared variable with one degree of freedom exceeds it with a probability of 1 %.
 const RIVAL: f64 = 6.63;
 
 /// Causes that are shown.
@@ -99,7 +100,7 @@ impl Cause {
             self.settings.candidates.is_empty() || self.settings.candidates.iter().any(|pattern| matches(pattern, name))
         };
         let all = parameters.iter().enumerate();
-        // What shapes a function is none of the errors.
+        // A parameter that shapes a function, such as a wavelength, is no error.
         let chosen = all
             .filter(|(index, parameter)| nominal[*index] == 0.0 && named(&parameter.name) && !known(&parameter.name));
         Ok(chosen
@@ -150,7 +151,7 @@ impl Cause {
                 .push(format!("{}: no single error explains the residuals better than chance does", fit.name));
             return Ok(());
         }
-        // Of those that the data cannot tell apart the simplest is named first: where an axis lies before how it moves.
+        // Of causes that the data cannot separate the simplest comes first: a location error before a motion error.
         let variance = (left - best.explained).max(f64::MIN_POSITIVE) / freedom as f64;
         let mut rivals: Vec<&CandidateTerm> =
             terms.iter().filter(|other| best.explained - other.explained < RIVAL * variance).collect();
@@ -174,7 +175,7 @@ impl Cause {
     }
 }
 
-/// What a location error is, in words: `, the squareness of Z,`.
+/// A location error in words: `, the squareness of Z,`.
 fn meaning(name: &str, model: &dyn KinematicModel) -> String {
     let mut letters = name.chars();
     let (Some('E'), Some(component), Some('0')) = (letters.next(), letters.next(), letters.next()) else {

@@ -7,7 +7,7 @@ use nalgebra::{DMatrix, DVector, UnitQuaternion, Vector3, Vector6};
 
 use crate::figures::{Limits, Sample, UM, judged};
 
-/// How far nominal points (mm) and normals of the CMM file may be from those of the artefact.
+/// Largest difference of nominal points (mm) and of normals between the CMM file and the artefact.
 const AGREEMENT: f64 = 1e-3;
 
 /// What a CMM found of the features of an artefact.
@@ -21,7 +21,7 @@ pub struct Cmm {
     offsets: Option<(Vec<Vector3<f64>>, Vec<f64>)>,
 }
 
-/// How far a feature is off its nominal place, measured on the CMM, in one of the directions in which it can be off.
+/// Measured deviation of a feature from its nominal place, in one of the directions in which it can deviate.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Shift {
     /// Index of the artefact's own unknown for it.
@@ -44,7 +44,7 @@ pub struct Matched {
     pub features: usize,
     /// Their shifts.
     pub shifts: Vec<Shift>,
-    /// What was left out and why, for people.
+    /// The features that were left out and the reason, as text.
     pub left_out: Vec<String>,
 }
 
@@ -239,7 +239,7 @@ fn best_motion(effects: &[Vector6<f64>], values: &[f64]) -> (Vector6<f64>, usize
     (motion.map_or_else(|_| Vector6::zeros(), |motion| Vector6::from_iterator(motion.iter().copied())), rank)
 }
 
-/// What to tell people about a motion that is not determined.
+/// The remark about a motion that is not determined.
 pub fn rank_remark(fit: &str, rank: usize) -> Option<String> {
     (rank < 6).then(|| {
         format!(
@@ -260,7 +260,7 @@ pub fn against_cmm(
     judged(fits, limits, |fit, findings| judge(fit, &cmm, findings))
 }
 
-/// The figures of what is left after the best rigid motion.
+/// The figures of the differences after the best rigid motion.
 pub fn differences(fit: &str, left: &Sample) -> [Figure; 5] {
     [
         Figure::new(fit, "max", left.max(), UM),

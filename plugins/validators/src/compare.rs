@@ -1,4 +1,4 @@
-//! Validator `compare`: what several fits claim about themselves, side by side.
+//! Validator `compare`: the figures of several fits side by side.
 
 use abbe_core::{Context, Dataset, Figure, Findings, Fit, Result, SettingsError, Validate};
 use schemars::JsonSchema;

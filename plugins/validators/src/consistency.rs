@@ -104,7 +104,7 @@ impl Consistency {
             0 => 0.0,
             quantities => hotelling_quantile(1.0 - self.settings.significance, quantities, known_by),
         };
-        // The test has the uncertainties in it: no other rule of decision applies.
+        // The test already contains the uncertainties: no other decision rule applies.
         let limit = limit.is_finite().then_some(Limit::from(limit));
         let normalised = difference.normalised();
         let largest = normalised.iter().copied().enumerate().max_by(|a, b| a.1.abs().total_cmp(&b.1.abs()));
@@ -207,7 +207,7 @@ struct Difference {
     values: Vec<f64>,
     /// Its covariance.
     covariance: DMatrix<f64>,
-    /// The variances of both together, beside which rounding in the covariance is judged.
+    /// The sum of both variances: rounding in the covariance is judged relative to it.
     variances: Vec<f64>,
 }
 
@@ -219,7 +219,7 @@ fn listed(names: &[&str]) -> String {
     if more > 0 { format!("{shown} and {more} more") } else { shown }
 }
 
-/// What chance says to a difference.
+/// The result of the test of a difference.
 struct Test {
     /// Infinite, if there is a difference without uncertainty.
     chi_squared: f64,
@@ -246,19 +246,19 @@ impl Difference {
         }
         let values = common.iter().map(|(one, two)| {
             let difference = two.value - one.value;
-            // What rounding leaves of equal values is no difference.
+            // A difference that is only rounding counts as zero.
             if difference.abs() > 1e-12 * one.value.abs().max(two.value.abs()) { difference } else { 0.0 }
         });
         Ok(Self { values: values.collect(), covariance, variances })
     }
 
-    /// The variance of a difference; zero where only rounding is left of it.
+    /// The variance of a difference; zero if only rounding remains.
     fn variance(&self, index: usize) -> f64 {
         let variance = self.covariance[(index, index)];
         if variance > ZERO * self.variances[index] { variance } else { 0.0 }
     }
 
-    /// The differences in their standard uncertainties; infinite where there is no uncertainty.
+    /// The differences divided by their standard uncertainties; infinite without an uncertainty.
     fn normalised(&self) -> Vec<f64> {
         let normalised = |(index, value): (usize, &f64)| match (*value, self.variance(index)) {
             (0.0, _) => 0.0,
@@ -282,7 +282,7 @@ impl Difference {
         let (mut chi_squared, mut degrees_of_freedom) = (0.0, 0);
         if size > 0 {
             let eigen = correlation.symmetric_eigen();
-            // What cancels in the covariance leaves rounding of the size of what cancelled.
+            // Terms that cancel in the covariance leave rounding in proportion to their size.
             let cancelled = uncertain.iter().map(|&index| self.variances[index] / self.variance(index));
             let zero = ZERO * cancelled.fold(eigen.eigenvalues.max(), f64::max);
             for (value, vector) in eigen.eigenvalues.iter().zip(eigen.eigenvectors.column_iter()) {
@@ -291,7 +291,7 @@ impl Difference {
                     chi_squared += along / value;
                     degrees_of_freedom += 1;
                 } else {
-                    // Ten times what the largest variance that counts as zero would let expect.
+                    // Ten standard deviations for the largest variance that counts as zero.
                     exact |= along > 100.0 * zero;
                 }
             }

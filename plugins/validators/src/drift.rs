@@ -1,7 +1,8 @@
-//! Whether residuals follow time: the test for a drift that the model leaves out.
+//! Whether residuals depend on time: the test for a drift that is not in the model.
 //!
-//! A drift of a tool set-up parameter p adds to every residual a polynomial in time times dr/dp. The part of it that the
-//! fit's own unknowns cannot imitate is regressed on the residuals, and an F test says what chance would do as well.
+//! A drift of a tool set-up parameter p adds to every residual a polynomial in time times dr/dp. The residuals are regressed
+//! on the part of it that the unknowns of the fit cannot produce. An F test gives the probability that chance explains as
+//! much.
 
 use std::collections::BTreeSet;
 
@@ -13,7 +14,7 @@ use nalgebra::{DMatrix, DVector, DVectorView};
 const PARAMETERS: [&str; 3] = ["dxt", "dyt", "dzt"];
 /// Highest degree in time.
 pub const DEGREES: usize = 4;
-/// Residuals of this part of their standard uncertainty are rounding; it may well follow time, but means nothing.
+/// Residuals below this part of their standard uncertainty are rounding: they may depend on time, but that has no meaning.
 const ROUNDING: f64 = 1e-3;
 
 /// What a drift of one parameter would explain.
@@ -27,7 +28,7 @@ pub struct Drift {
     pub share: f64,
     /// Probability of such a part without any drift.
     pub p: f64,
-    /// RMS of what would remain, over what the standard uncertainties promise.
+    /// RMS of the remaining residuals, relative to the standard uncertainties.
     pub sigma: f64,
 }
 
@@ -51,7 +52,7 @@ pub fn test(fit: &Fit, left_out: &BTreeSet<(usize, usize)>) -> Result<Vec<Drift>
     }
     let (own, width) = (problem.unknowns.len(), extended.unknowns.len());
     let uncertainties = problem.standard_uncertainties();
-    // The residual is a column like the others: what counts are the products of all of them.
+    // The residual is treated as another column: only the inner products of all columns count.
     let columns = own + DEGREES * tested.len() + 1;
     let mut accumulator = Accumulator::new(columns, rows.len());
     extended.linearise(&extended.values_of(&fit.calibration), |block| {
@@ -76,7 +77,7 @@ pub fn test(fit: &Fit, left_out: &BTreeSet<(usize, usize)>) -> Result<Vec<Drift>
     if count == 0 || factor.iter().any(|entry| !entry.is_finite()) {
         return Ok(Vec::new());
     }
-    // What unknowns that the rows determine can do is the space of as many first rows of the triangle.
+    // The first rows of the triangle span what the unknowns can produce, if the rows determine them.
     let jacobian = match fit.calibration.fit.rank == own {
         true => DMatrix::identity(factor.nrows(), own),
         false => basis(factor.columns(0, own).column_iter(), 1e-10),
@@ -84,8 +85,8 @@ pub fn test(fit: &Fit, left_out: &BTreeSet<(usize, usize)>) -> Result<Vec<Drift>
     Ok(judge(&factor, &jacobian, own, count, &tested))
 }
 
-/// The test on the triangular factor of `[J | candidates | r]`, whose columns have the same inner products, and an orthonormal basis of
-/// what J can do.
+/// The test on the triangular factor of `[J | candidates | r]`, whose columns have the same inner products, with an
+/// orthonormal basis of the columns of J.
 fn judge(
     factor: &DMatrix<f64>,
     jacobian: &DMatrix<f64>,
@@ -102,7 +103,7 @@ fn judge(
     let mut found = Vec::new();
     for (index, (parameter, _)) in tested.iter().enumerate() {
         let candidates = (0..DEGREES).map(|degree| factor.column(own + index * DEGREES + degree));
-        // What the fit has already is nothing but rounding after projection.
+        // A term that the fit already has is only rounding after projection.
         let new: Vec<DVector<f64>> = candidates
             .map(|candidate| (orthogonal(candidate, jacobian), candidate.norm()))
             .filter(|(part, norm)| part.norm() > 1e-6 * norm)
@@ -123,8 +124,8 @@ fn judge(
     found
 }
 
-/// Orthonormal basis of what columns span; columns are scaled to norm 1, and a direction whose singular value is below
-/// `tolerance` times the largest is none.
+/// Orthonormal basis of the space of some columns. Columns are scaled to norm 1; directions whose singular value is below
+/// `tolerance` times the largest are left out.
 fn basis<'a>(columns: impl Iterator<Item = DVectorView<'a, f64>>, tolerance: f64) -> DMatrix<f64> {
     let columns: Vec<DVector<f64>> =
         columns.filter(|column| column.norm() > 0.0).map(|column| column / column.norm()).collect();
@@ -140,7 +141,7 @@ fn orthogonal(column: DVectorView<'_, f64>, basis: &DMatrix<f64>) -> DVector<f64
     if basis.ncols() == 0 {
         return part;
     }
-    // Twice, because the first pass leaves rounding of the size of what it takes away.
+    // The second pass removes the rounding of the first one.
     for _ in 0..2 {
         part -= basis * (basis.transpose() * &part);
     }

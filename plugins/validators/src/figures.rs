@@ -68,13 +68,13 @@ pub fn set_limits(limits: &Limits, figures: &mut [Figure]) {
     }
 }
 
-/// Standard uncertainty of a standard deviation or standard uncertainty that was found with these degrees of freedom, as a
-/// part of it; zero if they are infinite (JCGM 100:2008, E.4.3, equation E.7, and G.4.2, equation G.3).
+/// Relative standard uncertainty of a standard deviation or standard uncertainty with these degrees of freedom; zero if they
+/// are infinite (JCGM 100:2008, E.4.3, equation E.7, and G.4.2, equation G.3).
 pub fn relative_uncertainty(degrees_of_freedom: f64) -> f64 {
     (2.0 * degrees_of_freedom).sqrt().recip()
 }
 
-/// Numbers to be summed up; what an empty one cannot tell is NaN.
+/// A sample of numbers. A statistic that needs more numbers than there are is NaN.
 #[derive(Debug, Clone, Default)]
 pub struct Sample(pub Vec<f64>);
 
@@ -83,7 +83,7 @@ impl Sample {
         self.0.iter().map(|&number| value(number)).sum::<f64>() / self.0.len() as f64
     }
 
-    /// The value that beats all others; NaN if one is NaN.
+    /// The value that is better than all others; NaN if one is NaN.
     fn best(&self, beats: impl Fn(f64, f64) -> bool) -> f64 {
         let better = |a: f64, b: f64| if b.is_nan() || beats(b, a) { b } else { a };
         self.0.iter().copied().reduce(better).unwrap_or(f64::NAN)
@@ -127,7 +127,7 @@ impl Sample {
     }
 }
 
-/// Residuals as people read them, lengths and angles apart: they do not add up.
+/// Residuals in µm and µrad. Lengths and angles are kept apart: they cannot be added.
 #[derive(Debug, Clone, Default)]
 pub struct ResidualSample {
     /// µm
@@ -145,7 +145,7 @@ impl ResidualSample {
         }
     }
 
-    /// What there is, with its unit; lengths if there is nothing.
+    /// The samples that are not empty, with their units; the lengths if both are empty.
     pub fn samples(&self) -> impl Iterator<Item = (&Sample, &'static str)> {
         let (lengths, angles) = (!self.lengths.0.is_empty(), !self.angles.0.is_empty());
         let all = [(lengths || !angles).then_some((&self.lengths, UM)), angles.then_some((&self.angles, URAD))];

@@ -23,7 +23,7 @@ pub enum Folds {
 }
 
 impl Folds {
-    /// Refuses what no data can make right.
+    /// Refuses settings that are wrong whatever the data.
     pub fn check(&self) -> Result<(), SettingsError> {
         match self {
             Self::Number(number) if *number < 2 => {
@@ -127,9 +127,9 @@ pub struct Fold {
 pub struct Trained {
     /// Its result.
     pub calibration: Calibration,
-    /// Unknowns of the full fit that have no effect on the rows any more.
+    /// Unknowns of the full fit that no remaining row depends on.
     pub lost: Vec<Unknown>,
-    /// What people should be told: that the iteration did not converge.
+    /// A remark that the iteration did not converge.
     pub remark: Option<String>,
 }
 
@@ -201,7 +201,7 @@ pub fn set_of(fit: &Fit, setting: &str, stage: &str) -> Result<usize> {
     })
 }
 
-/// A problem with the values of a calibration, reduced to some rows of one set, whose unknowns are these.
+/// A problem with the values of a calibration, reduced to some rows of one set and to these unknowns.
 pub fn reduced(
     problem: &Problem,
     calibration: &Calibration,

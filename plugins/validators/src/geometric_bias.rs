@@ -1,9 +1,9 @@
 //! Validator `geometric-bias`: how far the linear axes stand from where those of the perfect machine would, and how much of
 //! that the calibration explains (Viprey et al. 2019, eq. 2 and section 6).
 //!
-//! The tip meets a feature at given positions of the rotary axes: the bias is the recorded position of the linear axes minus
-//! that at which the tip of the nominal machine is there; the residue is the same with the calibrated machine. Both are norms
-//! over the linear axes, where people compensate.
+//! The tip meets a feature at given positions of the rotary axes. The bias is the recorded position of the linear axes minus
+//! the position at which the nominal machine brings its tip there. The residue is the same with the calibrated machine. Both
+//! are norms over the linear axes, which are the axes that are compensated.
 
 use std::collections::BTreeSet;
 
@@ -138,7 +138,7 @@ impl GeometricBias {
         Ok(figures)
     }
 
-    /// The rows that count.
+    /// The rows that are evaluated.
     fn rows(&self, problem: &Problem, set: usize) -> Result<Vec<usize>> {
         let set = &problem.sets[set];
         let layout = &set.info().layout;
@@ -181,7 +181,7 @@ impl GeometricBias {
     }
 }
 
-/// Where the linear axes stand at the poses of some rows.
+/// Positions of the linear axes at the poses of some rows.
 fn positions(problem: &Problem, set: usize, rows: &[usize]) -> Positions {
     let axes = problem.model.info().axes.iter().filter(|axis| axis.kind == AxisKind::Linear);
     let axes: Vec<usize> = axes.map(|axis| axis.status).collect();

@@ -1,4 +1,4 @@
-//! Validator `hold-out`: how well a fit predicts rows that it has not seen.
+//! Validator `hold-out`: how well a fit predicts rows that were left out of it.
 
 use abbe_core::{Context, Dataset, Figure, Findings, Fit, Result, SettingsError, Validate};
 use schemars::JsonSchema;

@@ -1,5 +1,6 @@
-//! Validator `influence`: which rows hold a fit, and which do not go with the others: leverages, studentised residuals and Cook's
-//! distances (Soons 1993, section 3.2.2; Montgomery & Peck 1982), with a table of all rows for residual plots.
+//! Validator `influence`: which rows have a large influence on a fit, and which disagree with the others: leverages,
+//! studentised residuals and Cook's distances (Soons 1993, section 3.2.2; Montgomery & Peck 1982), with a table of all rows
+//! for residual plots.
 //!
 //! Rows count as in least squares with their standard uncertainties; outliers of a robust fit are left out, and covariances
 //! between rows are not considered.
@@ -44,10 +45,10 @@ fn default_significance() -> f64 {
 const FIGURES: [&str; 4] =
     ["largest_leverage", "largest_studentised_residual", "largest_cook_distance", "standing_out"];
 
-/// Most rows that are told one by one.
+/// Largest number of rows that are named one by one.
 const TOLD: usize = 5;
 
-/// Leverages this near 1 belong to rows that nothing checks.
+/// A row with a leverage this near 1 is not checked by any other row.
 const ALONE: f64 = 1e-9;
 
 fn example() -> Value {
@@ -129,7 +130,7 @@ fn rows(fit: &Fit) -> Result<Vec<Row>> {
     let problem = &fit.problem;
     let left_out = outliers(problem, &fit.calibration);
     let estimated = |name: &String| fit.calibration.covariance.order.contains(name);
-    // What a selection left out has no part in the fit.
+    // Unknowns that a selection left out are not used.
     let problem = problem.without(|unknown| !estimated(&unknown.name)).starting_from(&fit.calibration);
     if !problem.covariance_blocks().is_empty() {
         let error = Error::usage("influence is that of rows that are independent, and these are given a covariance");
@@ -198,7 +199,7 @@ fn places(problem: &Problem, rows: &[Row], of: &[usize]) -> String {
     told.join(", ") + &rest
 }
 
-/// One line an equation: where it stands, where the axes stood, and what it does to the fit.
+/// One line an equation: its place in the data, the positions of the axes, and its influence on the fit.
 fn table(problem: &Problem, rows: &[Row], told: &Diagnostics) -> String {
     let axes = &problem.model.info().axes;
     let mut text = "stage,file,line".to_owned();
@@ -214,7 +215,7 @@ fn table(problem: &Problem, rows: &[Row], told: &Diagnostics) -> String {
             _ => (format!("{:.6}", row.residual * 1e3), String::new()),
         };
         let numbers = [row.leverage, told.studentised[index], told.deleted[index], told.cook[index]];
-        // What a row that nothing checks does not tell stays empty.
+        // Figures that do not exist for a row that no other row checks stay empty.
         let numbers = numbers.map(|value| if value.is_finite() { format!("{value:.6}") } else { String::new() });
         text.push_str(&format!("{place},{um},{urad},{}\n", numbers.join(",")));
     }

@@ -107,7 +107,7 @@ impl MinimalSet {
         let (model, sets) = (problem.model.clone(), problem.sets.clone());
         let made = Problem::new(&problem.name, &problem.model_plugin, model, sets, &patterns);
         let mut candidates = made.map_err(|mut error| {
-            // They are no `parameters` here.
+            // Here the patterns stand under the setting `candidates`, not `parameters`.
             if let Some(first) = error.setting.first_mut() {
                 *first = abbe_core::PathItem::Key("candidates".to_owned());
             }
@@ -120,7 +120,7 @@ impl MinimalSet {
     }
 }
 
-/// Those that are left out because they do nothing.
+/// The unknowns that are left out because they have no effect.
 fn none(left_out: &[LeftOut]) -> impl Iterator<Item = &usize> {
     left_out.iter().filter(|left| left.same_as.is_empty()).map(|left| &left.unknown)
 }

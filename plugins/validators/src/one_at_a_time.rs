@@ -1,4 +1,4 @@
-//! What one error at a time does to a sphere that the machine measures by its nominal model (Rahman 2016, Table 6-1).
+//! The effect of one error at a time on a sphere that the machine measures by its nominal model (Rahman 2016, Table 6-1).
 
 use std::collections::BTreeMap;
 
@@ -13,10 +13,10 @@ use crate::sphere_touches::{Touches, tips};
 /// Newton's iteration converges quadratically, and distances are almost linear along the approach: it needs three steps.
 const STEPS: usize = 20;
 
-/// How near distances have to come, mm, and as part of coordinates.
+/// Largest distance from the sphere that counts as contact, mm, and as part of coordinates.
 const TOLERANCE: (f64, f64) = (1e-11, 1e-14);
 
-/// Approaches that bring the tip nearer by less than this, mm/mm, do not end on the sphere.
+/// An approach that brings the tip nearer by less than this, mm/mm, does not reach the sphere.
 const GRAZING: f64 = 1e-3;
 
 /// Which errors are set to what.
@@ -42,12 +42,12 @@ pub struct SingleError {
 /// A programme of perfect touches on one sphere.
 pub struct Programme<'a> {
     model: &'a dyn KinematicModel,
-    /// Commands of the linear axes, and where they stand in a status.
+    /// Commands of the linear axes, and their indices in a status.
     commands: Vec<Variable>,
     places: Vec<usize>,
     /// Statuses on the approaches.
     statuses: Vec<f64>,
-    /// For every touch how the linear axes retract from the sphere, mm a mm of the tip.
+    /// For every touch the direction in which the linear axes retract from the sphere, mm per mm of the tip.
     retraction: Vec<Vec<f64>>,
     /// Centre of the sphere in the table frame, and distance of the tip from it at contact, mm.
     centre: Vector3<f64>,
@@ -55,7 +55,7 @@ pub struct Programme<'a> {
 }
 
 impl Sensitivity {
-    /// Refuses what no model can make right.
+    /// Refuses settings that are wrong for every model.
     pub fn check(&self) -> Result<(), SettingsError> {
         if self.parameters.is_empty() {
             return Err(SettingsError::new("parameters", "at least one name was expected"));
@@ -110,9 +110,9 @@ impl Sensitivity {
 }
 
 impl<'a> Programme<'a> {
-    /// Touches on the nominal sphere, approached along the same lines as those that were taken. These were programmed on the
-    /// nominal model, along lines through the centre, so that model tells where they lead; where the nominal sphere is not
-    /// known, the one that the nominal model measured stands for it.
+    /// Touches on the nominal sphere, approached along the same lines as the measured touches. These were programmed on the
+    /// nominal model, along lines through the centre, so that the nominal model gives the lines. If the nominal sphere is not
+    /// known, the sphere that the nominal model measured is used.
     pub fn of(touches: &Touches, model: &'a dyn KinematicModel) -> Result<Self> {
         let axes = model.info().axes.iter().enumerate().filter(|(_, axis)| axis.kind == AxisKind::Linear);
         let (commands, places): (Vec<Variable>, Vec<usize>) =
@@ -138,7 +138,7 @@ impl<'a> Programme<'a> {
         })
     }
 
-    /// The tips by the nominal model if the machine really has this error.
+    /// The tips by the nominal model if the machine has this error.
     pub fn measured_with(&self, error: &SingleError) -> Result<Vec<Vector3<f64>>> {
         let nominal = &self.model.info().nominal;
         let mut real = nominal.clone();

@@ -1,8 +1,9 @@
 //! Validator `repeatability`: how much of the scatter of repeated measurements is repeatability, how much is the surface
 //! and how much is drift (Rahman 2016, equations 4-9 to 4-16 and 7-1 to 7-4).
 //!
-//! Every point is measured in every cycle. Windows of a few successive measurements of one point know neither the surface
-//! nor much of the drift; means of a point over all cycles show the surface, means of a cycle over all points the drift.
+//! Every point is measured in every cycle. Windows of a few successive measurements of one point contain neither the surface
+//! nor much of the drift. The means of points over all cycles show the surface, the means of cycles over all points the
+//! drift.
 
 use std::collections::{BTreeMap, BTreeSet};
 
@@ -313,16 +314,16 @@ impl Repeatability {
     }
 }
 
-/// Positions of rotary axes that differ by less are the same, rad: read back, they are never quite.
+/// Largest difference between equal positions of rotary axes, rad: recorded positions differ a little.
 const SAME_POSITION: f64 = 1e-3;
 
-/// What one column or several together say of every row.
+/// The labels of rows by one column or several columns together.
 struct Labelled {
     /// Names of the columns, `feature.group`.
     name: String,
     /// The labels of every data row, `3.7`.
     of_rows: Vec<String>,
-    /// The place of every data row's label in the order of all, column by column.
+    /// The rank of every data row's label in the order of all, column by column.
     places: Vec<usize>,
 }
 
@@ -367,9 +368,9 @@ struct Series<'a> {
     points: Vec<(&'a str, BTreeMap<usize, f64>)>,
 }
 
-/// What a series says.
+/// The figures of a series.
 struct Variability {
-    /// As [`FIGURES`]; NaN where there is nothing to tell it from.
+    /// In the order of [`FIGURES`]; NaN where a figure is not determined.
     values: [f64; 8],
     readings: usize,
     /// Measurements that repeat an earlier one of their point.

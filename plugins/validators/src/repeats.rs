@@ -1,8 +1,8 @@
 //! Validator `repeats`: the spread of the estimates of repeated measurements, each estimated by itself.
 //!
-//! The scatter of residuals tells how well a model goes through the rows of one measurement; rows that follow one another in a sweep are
-//! not independent, and what changes between repeats (seating, direction, temperature) they do not show. The spread of the estimates of
-//! whole repeats shows it, whatever it is (Jiang & Cripps 2015, Tables 2 and 3).
+//! The scatter of residuals shows how well a model fits the rows of one measurement. Rows that follow one another in a sweep
+//! are not independent, and residuals do not show what changes between repeats (seating, direction, temperature). The spread
+//! of the estimates of whole repeats includes all of that (Jiang & Cripps 2015, Tables 2 and 3).
 
 use std::sync::Arc;
 
@@ -121,7 +121,7 @@ impl Repeats {
             let mut problem = fit.problem.watched_by(fit.problem.monitor.quiet()).at(&start);
             for (set, rows) in problem.sets.iter_mut().zip(rows) {
                 set.rows.clone_from(rows);
-                // Values are asked for; what repeats scatter by is what comes out.
+                // Only values are needed: the scatter of repeats is the result here.
                 Arc::make_mut(&mut set.uncertainty).pooled = None;
             }
             fit.estimator.estimate(&problem).map(|calibration| problem.values_of(&calibration)).map_err(|error| Error {
@@ -186,7 +186,7 @@ fn repeats(problem: &Problem, by: &str) -> Result<Vec<(String, Vec<Vec<usize>>)>
             }
         }
     }
-    // What was not repeated takes part in every repeat.
+    // Rows that were not repeated belong to every repeat.
     for (index, (set, labels)) in problem.sets.iter().zip(&of_rows).enumerate() {
         let fixed = |row: &&usize| labels.is_none() || set.info().layout.rows[**row].data_row.is_none();
         let always: Vec<usize> = set.rows.iter().filter(fixed).copied().collect();

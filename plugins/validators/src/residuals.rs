@@ -1,5 +1,5 @@
-//! Validator `residuals`: how well a fit explains what it was estimated from, or `observations` that it never saw, where it
-//! does worst, and whether what is left follows time.
+//! Validator `residuals`: how well a fit explains the rows of its estimate, or `observations` that it did not use, where its
+//! residuals are largest, and whether they depend on time.
 
 use std::collections::BTreeSet;
 
@@ -107,7 +107,7 @@ impl Residuals {
         follow_time(fit, &left_out, findings)
     }
 
-    /// The columns to sum up by. One that is asked for has to exist somewhere.
+    /// The columns by which residuals are summed up. A column of the settings has to exist in some data set.
     fn columns(&self, problem: &Problem) -> Result<Vec<String>> {
         let Some(by) = &self.settings.by else { return Ok(vec!["group".to_owned(), "feature".to_owned()]) };
         for (index, name) in by.iter().enumerate() {
@@ -136,7 +136,7 @@ fn group(problem: &Problem, residuals: &[Kept], column: &str) -> Groups {
     groups
 }
 
-/// Reports the test for drift, and says what to do about one.
+/// Reports the test for drift, with advice if there is one.
 fn follow_time(fit: &Fit, left_out: &BTreeSet<(usize, usize)>, findings: &mut Findings) -> Result<()> {
     let drifts = drift::test(fit, left_out)?;
     for drift in &drifts {
@@ -144,7 +144,7 @@ fn follow_time(fit: &Fit, left_out: &BTreeSet<(usize, usize)>, findings: &mut Fi
         findings.figures.push(Figure::new(&fit.name, name, drift.p, ONE).detail());
     }
     let Some(first) = drifts.iter().min_by(|a, b| a.p.total_cmp(&b.p)) else { return Ok(()) };
-    // Each parameter is another chance of a small p.
+    // Each parameter is another chance of a small p (Bonferroni).
     if first.p * drifts.len() as f64 >= 1e-3 {
         return Ok(());
     }
@@ -166,7 +166,7 @@ fn follow_time(fit: &Fit, left_out: &BTreeSet<(usize, usize)>, findings: &mut Fi
     } else {
         format!("let the drift of {parameter} in the model have more `degrees`")
     };
-    // Errors that the model lacks change with the indexations, and these with time.
+    // Errors that the model lacks change with the indexations, and the indexations change with time.
     if first.sigma > 3.0 {
         advice = format!(
             "but {:.0} times the stated uncertainty would remain, so look first for other errors that the model lacks",

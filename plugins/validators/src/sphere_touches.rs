@@ -1,4 +1,4 @@
-//! Touches on spheres that are fixed on the table: where they are on the artefact, by one model or another.
+//! Touches on spheres that are fixed on the table: their tip positions by different models.
 
 use std::collections::BTreeMap;
 use std::sync::Arc;
@@ -15,7 +15,7 @@ const FEATURE: &str = "feature";
 
 /// The touches on one sphere that are judged together.
 pub struct Touches {
-    /// Which they are, `feature=1, file=strategy-1`; empty if there are no others.
+    /// Label of the touches, `feature=1, file=strategy-1`; empty if there is one group only.
     pub label: String,
     /// Statuses of their poses, row by row, as the model takes them.
     pub statuses: Vec<f64>,
@@ -56,7 +56,7 @@ impl Touches {
 
     /// The touches in a data set of its own, by the column `feature`, if there is one, and by the labels of `column`.
     ///
-    /// Times are not passed on: how a model drifted while its own data were taken says nothing of these.
+    /// Times are not passed on: a drift of the model during its own data has no meaning for these touches.
     pub fn of_data(
         data: &Dataset,
         model: &dyn KinematicModel,
@@ -100,10 +100,10 @@ pub fn tips(model: &dyn KinematicModel, statuses: &[f64], values: &[f64]) -> Res
 /// Nominal centre of the sphere that is touched, and nominal distance of the tip from it; none where they are not known.
 type NominalTouch = (Option<Vector3<f64>>, Option<f64>);
 
-/// What a row touches; none if it is no touch on a sphere.
+/// The nominal touch of a row; none if it is no touch on a sphere.
 fn nominal_touch(set: &ObservationSet, row: usize, feature: &Feature) -> Result<Option<NominalTouch>> {
     let rows = &set.info().layout.rows;
-    // What can be off in all directions and gives one equation a touch is met at some distance from its centre.
+    // A feature that can be off in all directions, with one equation a touch, is touched at a distance from its centre.
     if rows[row].poses != 1 || rows[row].equations != 1 || feature.shifts.len() != 3 {
         return Ok(None);
     }

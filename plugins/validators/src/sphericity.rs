@@ -1,8 +1,8 @@
 //! Validator `sphericity`: the machine as a measuring machine, on a sphere that is fixed on the table and touched at many
 //! indexations (Rahman 2016, chapter 6).
 //!
-//! Perfect tips of a perfect model lie on one sphere. What the least squares sphere leaves over is what the model gets wrong:
-//! the nominal model all errors of the machine, a calibrated one those that it does not describe.
+//! Perfect tips of a perfect model lie on one sphere. The residuals of the least squares sphere show the errors of the model:
+//! for the nominal model all errors of the machine, for a calibrated model those that it does not describe.
 
 use abbe_core::{
     Context, Dataset, Error, Figure, Findings, Fit, KinematicModel, PathItem, Result, SettingsError, Validate, positive,
@@ -86,7 +86,7 @@ impl Validate for Sphericity {
 
     fn validate(&self, fits: &[&Fit], data: &[&Dataset]) -> Result<Findings> {
         let mut findings = Findings::default();
-        // Nominal figures of several fits are the same, unless these have other models or other outliers.
+        // Nominal figures of several fits are the same, unless the models or the outliers differ.
         let mut nominal: Vec<Vec<Figure>> = Vec::new();
         for fit in fits {
             let (touches, skipped) = self.touches(fit, data)?;
@@ -119,7 +119,7 @@ impl Validate for Sphericity {
 }
 
 impl Sphericity {
-    /// The touches to judge and, of a fit's own rows, the number of outliers that are not among them.
+    /// The touches to judge and, for a fit's own rows, the number of outliers that are left out.
     fn touches(&self, fit: &Fit, data: &[&Dataset]) -> Result<(Vec<Touches>, Option<usize>)> {
         let column = self.settings.column.as_deref();
         let model = fit.problem.model.as_ref();

@@ -53,7 +53,7 @@ fn example() -> Value {
 
 fn build(settings: Settings, context: &Context) -> Result<Box<dyn Validate>, SettingsError> {
     settings.folds.as_ref().map_or(Ok(()), Folds::check)?;
-    // Figures with a sign have no limit: a large negative one would keep it.
+    // Figures with a sign have no limit: a large negative value would be within it.
     check_limits(&settings.limits, &["max_absolute_um", "standard_deviation_um", "rms_um", "outliers"])?;
     Ok(Box::new(TipCmm { cmm: context.path(&settings.cmm), settings }))
 }
@@ -78,7 +78,7 @@ impl Validate for TipCmm {
     }
 }
 
-/// What predicts which rows.
+/// A calibration, and the rows that it predicts.
 struct Part {
     calibration: Calibration,
     lost: Vec<Unknown>,
@@ -109,7 +109,8 @@ impl TipCmm {
             let before = rows.len();
             rows.retain(|&row| !left_out.contains(&(set, row)));
             skipped += before - rows.len();
-            // The CMM replaces what is lost with a feature that only held rows touch; what else is lost, it does not.
+            // The CMM replaces the unknowns of features that only held-out rows touch. It does not replace other lost
+            // unknowns.
             let mut unknown = part.lost;
             unknown.retain(|lost| !measured.contains(lost));
             unknown.extend(unmeasured.iter().cloned());

@@ -256,7 +256,7 @@ impl Uncertainty {
                 let error = Error::usage(message).help(format!("write `{}{}`", measure.name(), suffix(&symbol)));
                 return Err(error.setting(setting));
             }
-            // Where the data cannot separate it from others, its uncertainty means nothing.
+            // If the data cannot separate it from others, its uncertainty has no meaning.
             let confounded = parameter.status == Status::Confounded;
             let value = match measure {
                 _ if confounded => f64::NAN,
@@ -297,8 +297,8 @@ fn figure(fit: &Fit, measure: Measure, name: &str, value: f64, unit: &str) -> Fi
     Figure::new(&fit.name, format!("{}[{name}]", measure.name().replace('_', " ")), value, unit)
 }
 
-/// Standard uncertainty of the uncertainties of a parameter, as a part of them, from its effective degrees of freedom. None
-/// where the calibration has no budget of it, as one found by trials.
+/// Relative standard uncertainty of the uncertainties of a parameter, from its effective degrees of freedom. None if the
+/// calibration has no budget of the parameter, as after trials.
 fn relative_to(fit: &Fit, parameter: &Estimated) -> Option<f64> {
     let budget = fit.calibration.uncertainty.as_ref()?;
     let part = budget.parameters.iter().find(|part| part.name == parameter.name)?;
@@ -330,7 +330,7 @@ fn judge_workspace(fit: &Fit, workspace: &Workspace, findings: &mut Findings) ->
     }
     let (sizes, expanded) = (Sample(errors.iter().map(|error| error.size() * 1e3).collect()), Sample(expanded));
     let figure = |name: &str, value, unit| Figure::new(&fit.name, format!("volumetric {name}"), value, unit);
-    // What the data cannot separate has a part in it that nobody knows; nor does anybody without a covariance.
+    // Not known if the data cannot separate some parameters, or without a covariance.
     let left_out = left_out(&fit.name, &fit.calibration);
     let largest = errors.iter().max_by(|one, other| one.size().total_cmp(&other.size()));
     let uncertainty = largest.filter(|_| left_out.is_none()).and_then(Volumetric::size_uncertainty);
@@ -346,7 +346,7 @@ fn judge_workspace(fit: &Fit, workspace: &Workspace, findings: &mut Findings) ->
     Ok(())
 }
 
-/// Parameters whose part in the volumetric uncertainty nobody knows.
+/// Parameters whose part in the volumetric uncertainty is not known.
 fn left_out(name: &str, calibration: &Calibration) -> Option<String> {
     let confounded = calibration.parameters.iter().filter(|parameter| parameter.status == Status::Confounded);
     let confounded: Vec<&str> = confounded.map(|parameter| parameter.name.as_str()).collect();

@@ -11,7 +11,7 @@ const OF_A_STRUT: usize = 7;
 /// The tip of the tool in the platform frame.
 const TIP: [&str; 3] = ["dxt", "dyt", "dzt"];
 
-/// A step of the iteration below which a pose is found, mm (and rad): what is left is its square.
+/// A smaller step ends the iteration, mm (and rad): the remaining error is about its square.
 const SMALL: f64 = 1e-9;
 
 /// Most steps: Newton's iteration needs five from anywhere in the workspace.
@@ -38,7 +38,7 @@ struct Frame {
 }
 
 impl Hexapod {
-    /// Fails for a geometry that is none.
+    /// Fails for settings that describe no hexapod.
     pub fn new(settings: Settings) -> Result<Self, SettingsError> {
         let [low, high] = settings.strut_range_mm;
         if !(low > 0.0 && high > low) {
@@ -107,7 +107,7 @@ impl Hexapod {
         Vector3::from(self.settings.tip_mm) + Vector3::new(errors[0], errors[1], errors[2])
     }
 
-    /// The frame of the platform for these lengths, with the inverse of what its struts change by.
+    /// The frame of the platform for these lengths, with the inverse of the derivatives of the strut lengths to the pose.
     fn solve(&self, actual: &Actual) -> Result<(Frame, Matrix6<f64>)> {
         let mut frame = Frame { at: self.settings.home_mm.into(), turn: UnitQuaternion::identity() };
         let singular = || {
@@ -134,7 +134,7 @@ impl Hexapod {
     }
 }
 
-/// By how much each strut is longer than it may be, and how that changes with position and rotation vector of the platform.
+/// Excess of each strut's length over its given length, and its derivatives to position and rotation vector of the platform.
 fn struts(actual: &Actual, frame: &Frame) -> (Vector6<f64>, Matrix6<f64>) {
     let (mut off, mut change) = (Vector6::zeros(), Matrix6::zeros());
     for strut in 0..6 {
@@ -154,9 +154,10 @@ fn arm_and_strut(actual: &Actual, frame: &Frame, strut: usize) -> (Vector3<f64>,
     (arm, frame.at + arm - actual.base[strut])
 }
 
-/// How position and rotation vector of the platform and the tip in its frame follow a variable.
+/// Derivatives of position and rotation vector of the platform, and of the tip in its frame, to a variable.
 fn follows(variable: Variable, actual: &Actual, frame: &Frame, inverse: &Matrix6<f64>) -> (Vector6<f64>, Vector3<f64>) {
-    // Strut i keeps |t + R P - B| - l = 0: what the variable adds to the left side, the platform takes away.
+    // Strut i keeps |t + R P - B| - l = 0: a change of the left side by the variable is cancelled by the motion of the
+    // platform.
     let (strut, part) = match variable {
         Variable::Command(axis) => (axis, 0),
         Variable::Parameter(index) if index < 6 * OF_A_STRUT => (index / OF_A_STRUT, index % OF_A_STRUT),

@@ -26,7 +26,7 @@ abbe_plugin::export!(Plugin::built_in(
 
 fn build(settings: &serde_json::Value, _: &Context) -> Result<Box<dyn Model>, SettingsError> {
     let settings: Settings = from_settings(settings)?;
-    // Whatever can be wrong is found here, before anything runs.
+    // Finds all errors before anything runs.
     Ok(Box::new(Description { machine: Arc::new(Hexapod::new(settings)?) }))
 }
 

@@ -46,7 +46,7 @@ pub(crate) struct PluginText {
     pub record: Record,
 }
 
-/// More plugins than a library has: a wild count.
+/// Largest accepted number of plugins of a library. A larger one is taken as an error of the library.
 const MOST_PLUGINS: u64 = 1000;
 
 /// Asks a library for its table and reads it.

@@ -26,7 +26,7 @@ pub(super) static TABLE: AbbeTable = AbbeTable {
     equations: Some(equations),
 };
 
-/// An object for the other side; holds one reference, which `release` lets go of.
+/// An object for the other side. It holds one reference; `release` drops it.
 fn give(served: Arc<Served>) -> AbbeObject {
     AbbeObject { table: &TABLE, handle: Arc::into_raw(served).cast_mut().cast() }
 }
@@ -82,7 +82,7 @@ unsafe fn say(reply: *const AbbeReply, text: &str) {
     }
 }
 
-/// Gives an object to a reply; one that takes none lets go of it.
+/// Gives an object to a reply. An object that the reply does not take is released.
 ///
 /// # Safety
 /// `reply` is null or valid, `object` is ours.
@@ -222,7 +222,7 @@ unsafe fn write_equations(out: &Equations, sink: &AbbeEquations) -> Result<(), F
                 input(context, by.1 as u64, by.2);
             }
         }
-        // Poses of a row are told apart by their order alone, which runs through all equations.
+        // Poses of a row are identified by their order alone, which runs through all equations.
         out.by_position().iter().for_each(|by| position(context, by[0], by[1], by[2]));
         out.by_rotation().iter().for_each(|by| rotation(context, by[0], by[1], by[2]));
     }

@@ -21,7 +21,7 @@ pub(crate) struct Foreign {
     who: String,
 }
 
-/// A table as far as the other side has it.
+/// The functions of a table that the other side provides.
 #[derive(Clone, Copy)]
 struct Functions {
     retain: Option<unsafe extern "C" fn(*mut c_void)>,
@@ -44,14 +44,14 @@ macro_rules! field {
     };
 }
 
-/// An object that came over. One that is only lent is retained.
+/// An object that was received. An object that is only lent is retained.
 ///
 /// # Safety
 /// `object` is as the ABI promises: a table that is valid for ever with a handle that is held.
 pub(super) unsafe fn take(object: AbbeObject, who: &str, lent: bool) -> Result<Transit, Failure> {
     if std::ptr::eq(object.table, &TABLE) {
         let handle = object.handle.cast_const().cast::<Served>();
-        // SAFETY: one of our own comes home: the handle is of `give`; a lent one gets a reference of its own.
+        // SAFETY: the object is one of ours: its handle comes from `give`; a lent one gets a reference of its own.
         return Ok(Transit::Local(unsafe {
             if lent {
                 Arc::increment_strong_count(handle);
@@ -108,7 +108,7 @@ unsafe extern "C" fn collect_object(context: *mut c_void, object: AbbeObject) {
     unsafe { (*context.cast::<Collected>()).objects.push(object) }
 }
 
-/// Calls the other side with a reply to write to, with the floating-point state as it was before.
+/// Calls the other side with a reply to write to. Restores the floating-point state afterwards.
 pub(super) fn with_reply(who: &str, work: impl FnOnce(*const AbbeReply) -> u32) -> Result<Answer, Failure> {
     let mut collected = Collected { text: Ok(String::new()), objects: Vec::new() };
     let reply = AbbeReply {
@@ -118,7 +118,7 @@ pub(super) fn with_reply(who: &str, work: impl FnOnce(*const AbbeReply) -> u32) 
         object: Some(collect_object),
     };
     let status = float_control::kept(|| work(&reply));
-    // Taken first, so that objects are let go of whatever follows.
+    // Taken first, so that every object is released also when the call failed.
     let objects: Vec<Result<Transit, Failure>> =
         // SAFETY: the other side gives objects as the ABI promises.
         collected.objects.into_iter().map(|object| unsafe { take(object, who, false) }).collect();
@@ -129,11 +129,11 @@ pub(super) fn with_reply(who: &str, work: impl FnOnce(*const AbbeReply) -> u32) 
     }
 }
 
-/// Numbers behind the end of what the other side may write to, to see whether it keeps to that.
+/// Number of marker entries behind the end of a list that the other side fills. They show whether it wrote beyond the end.
 const FENCE: usize = 8;
 const FENCE_BITS: u64 = 0x7ff8_abbe_abbe_abbe;
 
-/// Puts a fence behind a list.
+/// Writes marker entries behind the end of a list.
 fn fence<const N: usize>(list: &mut Vec<[f64; N]>) {
     list.reserve(FENCE);
     for place in list.spare_capacity_mut().iter_mut().take(FENCE) {
@@ -141,7 +141,7 @@ fn fence<const N: usize>(list: &mut Vec<[f64; N]>) {
     }
 }
 
-/// Whether the fence behind a list still stands.
+/// Whether the marker entries behind a list are unchanged.
 fn stands<const N: usize>(list: &mut Vec<[f64; N]>) -> bool {
     // SAFETY: `fence` has written these places, and the list has not been touched in between.
     let whole = |place: &std::mem::MaybeUninit<[f64; N]>| unsafe { place.assume_init() };
@@ -157,12 +157,13 @@ impl Peer for Foreign {
     fn call(&self, method: u32, text: &str, objects: &[Arc<Served>]) -> Result<Answer, Failure> {
         let lacks = || Failure { status: ABBE_UNKNOWN_METHOD, text: "it has no `call`".to_owned() };
         let call = self.table.call.ok_or_else(lacks)?;
-        // What stands for one of their objects goes home as that; the proxies outlive the call, so they are held.
+        // A proxy for an object of the other side is sent as that object. The proxies outlive the call, so the objects are
+        // held.
         let behind: Vec<Option<Arc<dyn Peer>>> = objects.iter().map(|object| object.behind()).collect();
         let lent: Vec<AbbeObject> = (objects.iter().zip(&behind))
             .map(|(object, behind)| {
                 match behind.as_ref().and_then(|peer| peer.as_any().downcast_ref::<Self>()) {
-                    // What cannot be kept goes as one of ours, which can.
+                    // An object that the other side cannot retain is sent as its proxy, which can be retained.
                     Some(foreign) if foreign.table.retain.is_some() => foreign.object,
                     _ => AbbeObject { table: &TABLE, handle: Arc::as_ptr(object).cast_mut().cast() },
                 }

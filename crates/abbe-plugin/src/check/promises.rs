@@ -1,4 +1,4 @@
-//! What every plugin promises.
+//! Tests that apply to every plugin of a library.
 
 use std::sync::Arc;
 
@@ -12,7 +12,7 @@ use super::Findings;
 use crate::float_control;
 use crate::loader::Library;
 
-/// Builds a stage and lets go of it.
+/// Builds a stage and drops it.
 fn build(plugin: &Plugin, settings: &Value) -> Result<(), SettingsError> {
     let context = Context { base: std::env::temp_dir() };
     match &plugin.build {
@@ -25,7 +25,7 @@ fn build(plugin: &Plugin, settings: &Value) -> Result<(), SettingsError> {
     }
 }
 
-/// The machines of the library's models, built from their examples without data.
+/// The machines of the library's models, built from their examples and without data.
 fn machines(library: &Library, findings: &mut Findings) -> Vec<(String, Arc<dyn KinematicModel>)> {
     let mut machines = Vec::new();
     for plugin in &library.plugins {
@@ -43,7 +43,7 @@ fn machines(library: &Library, findings: &mut Findings) -> Vec<(String, Arc<dyn 
     machines
 }
 
-/// Everything that a machine has derivatives to.
+/// All variables to which a machine has derivatives.
 fn variables(machine: &dyn KinematicModel) -> Vec<Variable> {
     let parameters = (0..machine.info().parameters.len()).map(Variable::Parameter);
     parameters.chain((0..machine.info().axes.len()).map(Variable::Command)).collect()
@@ -53,7 +53,8 @@ pub(super) fn derivatives(library: &Library, findings: &mut Findings) {
     for (name, machine) in machines(library, findings) {
         let (statuses, values) = samples(machine.as_ref(), 1);
         match machine.poses(&statuses, &values, &[], true, &mut Poses::default()) {
-            // It may have none and say so; what names the plugin is the host's own complaint, and the laws find it, too.
+            // A machine may refuse orientations. An error that is a fault of the plugin is no refusal; the laws report it
+            // too.
             Err(error) if !error.fault => findings.skip(format!("orientations of `{name}`: {error}")),
             _ => {}
         }
@@ -64,7 +65,7 @@ pub(super) fn derivatives(library: &Library, findings: &mut Findings) {
 pub(super) fn estimators(library: &Library, findings: &mut Findings) {
     for plugin in &library.plugins {
         let Build::Estimate(constructor) = &plugin.build else { continue };
-        // An example that cannot be built is for the test of settings.
+        // The test of settings reports an example that cannot be built.
         let Ok(stage) = constructor.build(&plugin.example.get(), &Context { base: std::env::temp_dir() }) else {
             continue;
         };
@@ -143,7 +144,7 @@ pub(super) fn settings(library: &Library, findings: &mut Findings) {
     }
 }
 
-/// An error has to say something.
+/// Reports an error without a message, with text that is not UTF-8, or from a panic.
 fn message(name: &str, result: Result<(), SettingsError>, findings: &mut Findings) {
     if let Err(error) = result
         && (error.message.trim().is_empty()
@@ -162,7 +163,7 @@ pub(super) fn not_a_number(library: &Library, findings: &mut Findings) {
         for bad in [f64::NAN, f64::INFINITY, f64::NEG_INFINITY, 1e308] {
             let kept = statuses.clone();
             statuses.fill(bad);
-            // An error or numbers, either is an answer; what is not shows as a crash of this process.
+            // An error and numbers are both accepted. Anything else ends this process, which the result of the test shows.
             let _ = machine.poses(&statuses, &values, &wanted, false, &mut out);
             statuses = kept;
             let kept = values.clone();
@@ -214,7 +215,7 @@ fn memory() -> Option<usize> {
     Some(text.split(' ').nth(1)?.parse::<usize>().ok()? * 4096)
 }
 
-/// Growth that is no leak: what allocators keep. A leak of a hundred bytes a call would be twice as much.
+/// Growth of memory that is no leak, bytes: allocators keep memory. A leak of a hundred bytes a call would be twice as much.
 const GROWTH: usize = 500_000;
 
 pub(super) fn leaks(library: &Library, findings: &mut Findings) {

@@ -1,4 +1,4 @@
-//! Data that are none, for plugins that are no models: an error or an answer, but no panic and no crash.
+//! Plugins with missing, empty or extreme data: an error or an answer is accepted, a panic or a crash is not.
 
 use std::path::PathBuf;
 use std::sync::Arc;
@@ -26,14 +26,14 @@ pub(super) fn no_data(library: &Library, findings: &mut Findings) {
     }
 }
 
-/// What a plugin is given, and how it took that. What ends the process shows as that.
+/// What a plugin is given, and its result. A crash ends this process, which the result of the test shows.
 fn trials(plugin: &Plugin) -> Vec<(&'static str, Result<()>)> {
     let (example, context) = (plugin.example.get(), Context { base: std::env::temp_dir() });
     let data =
         || [("no data", Dataset::default()), ("columns without rows", rows(0, 0.0)), ("huge numbers", rows(3, 1e308))];
     let fits = || [("an estimate of nothing", fit(&[])), ("an estimate of huge values", fit(&[1e308, -1e308]))];
     let machine = Plain::new();
-    // An example that cannot be built is for the test of settings.
+    // The test of settings reports an example that cannot be built.
     match &plugin.build {
         Build::Ingest(constructor) => match constructor.build(&example, &context) {
             Ok(stage) => vec![("a file that is not there", stage.read().map(drop))],

@@ -29,7 +29,7 @@ pub(super) enum Frame {
     Failed(Failure),
 }
 
-/// More bytes, or numbers, than anything has that crosses.
+/// Largest accepted number of bytes or of numbers. A larger one is taken as an error of the other side.
 const LONGEST: usize = 1 << 28;
 
 /// One end of the socket.
@@ -84,7 +84,7 @@ pub(super) fn split<const N: usize>(numbers: &[f64], lengths: [usize; N]) -> Res
     Ok(lists)
 }
 
-/// Commands stand behind all parameters that a machine can have.
+/// Number of the first command; lower numbers are those of parameters.
 const COMMANDS: f64 = 4_294_967_296.0;
 
 pub(super) fn number(variable: &Variable) -> f64 {

@@ -11,7 +11,7 @@ use crate::peer::{Peer, Transit, broken};
 use crate::served::Served;
 use crate::texts::{FitText, ProblemText};
 
-/// The estimator that came over.
+/// The estimator that was received. An object that is no estimator fails when it is used.
 pub(crate) fn estimator(object: &Transit) -> Arc<dyn Estimate> {
     match object {
         Transit::Local(served) => match served.as_ref() {
@@ -22,7 +22,7 @@ pub(crate) fn estimator(object: &Transit) -> Arc<dyn Estimate> {
     }
 }
 
-/// Stands where the other side gave something that is no estimator.
+/// Replaces an object that is no estimator: every call fails.
 struct NoEstimator;
 
 impl Estimate for NoEstimator {
@@ -51,7 +51,7 @@ impl Estimator {
         ask(self.peer.as_ref(), method, &text, &objects)
     }
 
-    /// A calibration has to be as good as one in a file.
+    /// Checks a calibration like one that is read from a file.
     fn checked(&self, calibration: Calibration) -> Result<Calibration> {
         let text = calibration.to_json().and_then(|text| Calibration::from_json(&text));
         text.map_err(|error| broken(self.peer.who(), format!("gave a wrong calibration: {error}")))

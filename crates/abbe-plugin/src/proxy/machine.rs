@@ -20,7 +20,7 @@ pub(super) struct Machine {
     info: ModelInfo,
 }
 
-/// The machine that came over.
+/// The machine that was received.
 pub(crate) fn machine(object: &Transit) -> Result<Arc<dyn KinematicModel>, Failure> {
     match object {
         Transit::Local(served) => match served.as_ref() {
@@ -128,7 +128,7 @@ impl KinematicModel for Machine {
 
     fn evaluate(&self, batch: PoseBatch<'_>, out: PosesMut<'_>) -> Result<()> {
         let PoseBatch { statuses, values, wanted, orientation } = batch;
-        // Into room of our own, where nothing that is written beyond its end does harm.
+        // Into lists of our own: they have room behind their ends, where wrong writes are detected and do no harm.
         let mut poses = Poses::default();
         poses.reset(statuses.len() / self.info.status.len(), wanted.len(), orientation);
         let peer = self.peer.as_ref();
@@ -136,7 +136,7 @@ impl KinematicModel for Machine {
         finite(peer, "positions", poses.positions.as_flattened())?;
         finite(peer, "derivatives", poses.position_derivatives.as_flattened())?;
         let norm = |turn: &[f64; 4]| turn.iter().map(|part| part * part).sum::<f64>();
-        // A comparison that NaN fails too.
+        // NaN fails this comparison, too.
         if !poses.orientations.iter().all(|turn| (norm(turn) - 1.0).abs() < 1e-6) {
             return Err(broken(peer.who(), "gave orientations that are no unit quaternions"));
         }

@@ -19,7 +19,7 @@ pub(super) struct Observed {
     info: ObservationsInfo,
 }
 
-/// The observations that came over, made of the data set `given`.
+/// The observations that were received, made of the data set `given`.
 pub(crate) fn observations(object: &Transit, given: Option<&Arc<Dataset>>) -> Result<Arc<dyn Observations>, Failure> {
     match object {
         Transit::Local(served) => match served.as_ref() {
@@ -119,7 +119,8 @@ impl Observations for Observed {
 }
 
 impl Observed {
-    /// Whether the equations are as many, and of as many poses, as the layout says, and of what there is.
+    /// Checks that the numbers of equations and derivatives are those of the layout, that derivatives are to unknowns and
+    /// inputs that exist, and that all values are finite.
     fn check(&self, rows: &[usize], given: &Equations) -> Result<()> {
         let peer = self.peer.as_ref();
         let rows = || rows.iter().map(|&row| self.info.layout.rows[row]);

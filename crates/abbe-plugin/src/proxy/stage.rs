@@ -27,7 +27,7 @@ fn ask_object<Q: Serialize + ?Sized>(
     answer.objects.into_iter().next().ok_or_else(|| broken(peer.who(), "gave no object"))
 }
 
-/// Texts that live for ever: names of settings, of which a library has a handful.
+/// A text that lives for ever. Used for names of settings only: a library has few of them.
 fn interned(text: &str) -> &'static str {
     static KNOWN: Mutex<BTreeSet<&'static str>> = Mutex::new(BTreeSet::new());
     let mut known = KNOWN.lock().unwrap_or_else(PoisonError::into_inner);
@@ -167,8 +167,8 @@ impl Validate for Stage {
     }
 }
 
-/// Refuses a figure that contradicts itself. What is decided of a limit follows from its rule; a plugin that cannot tell says so
-/// by `inconclusive`.
+/// Refuses a figure that contradicts itself. The decision about a limit follows from the rule of the limit. A plugin that
+/// cannot decide says so by `inconclusive`.
 fn is_sound(peer: &dyn Peer, figure: &Figure) -> Result<()> {
     let (who, name) = (peer.who(), &figure.name);
     if let Some(uncertainty) = figure.standard_uncertainty.filter(|uncertainty| *uncertainty < 0.0) {

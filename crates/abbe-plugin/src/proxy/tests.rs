@@ -217,7 +217,7 @@ fn what_the_code_does_is_a_fault_and_what_it_says_of_the_numbers_is_none() {
     for (status, text, fault) in cases {
         let error = error(status, text);
         assert_eq!(error.fault, fault, "{status}: {error}");
-        // Through more borders.
+        // Through several borders.
         let mut again = Failure::from(error.clone()).error("the plugin `y`");
         again = Failure::from(again).error("the plugin `z`");
         assert_eq!(again, error);
@@ -225,7 +225,7 @@ fn what_the_code_does_is_a_fault_and_what_it_says_of_the_numbers_is_none() {
     assert!(Failure::of("the plugin `x`", "is gone").error("").fault);
     let unreadable: serde_json::Error = serde_json::from_str::<f64>("{").unwrap_err();
     assert!(Failure::from(unreadable).error("").fault);
-    // Absent where it says nothing, so that nobody who reads such texts has to know it.
+    // Left out where it is empty, so that readers of such texts need not know it.
     assert!(!Failure::from(Error::data("no such pose")).text.contains("fault"));
 }
 
@@ -248,7 +248,7 @@ fn a_broken_promise_of_a_machine_is_a_fault_and_a_refusal_is_none() {
     }
 }
 
-/// The other side, which answers always the same.
+/// The other side, which always gives the same answer.
 struct Answering {
     text: Value,
     gives: Vec<f64>,
