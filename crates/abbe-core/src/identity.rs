@@ -1,14 +1,14 @@
 //! Identities: which error is the same in two estimates.
 //!
-//! Whoever uses a bar, a ball, a stylus, a sensor or a certificate shares its error. Two inputs with one identity are one
-//! quantity: it is counted once in an estimate that uses it twice, and it correlates estimates of different days.
+//! All estimates that use the same bar, ball, stylus, sensor or certificate share its error. Two inputs with one identity are
+//! one quantity. It is counted once in an estimate that uses it twice, and it correlates estimates of different days.
 
 use serde::{Deserialize, Serialize};
 use sha2::{Digest, Sha256};
 
-/// What states the value of a known input, as far as it tells it from all others.
+/// The statement of the value of a known input. It identifies the input.
 ///
-/// Without a declared `id` the identity is a hash of it.
+/// Without a declared `id` the identity of the input is a hash of this statement.
 ///
 /// ```
 /// use abbe_core::Certificate;
@@ -18,9 +18,9 @@ use sha2::{Digest, Sha256};
 /// ```
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Certificate {
-    /// What the input is on this certificate, called alike wherever the certificate is used: `length`, `point[3].x`.
+    /// Name of the quantity on this certificate, the same wherever the certificate is used: `length`, `point[3].x`.
     pub quantity: String,
-    /// What the certificate says: labels, values, units, uncertainties.
+    /// Content of the certificate: labels, values, units, uncertainties.
     pub content: String,
 }
 
@@ -33,12 +33,12 @@ impl Certificate {
     /// The identity that follows from the content: the same text gives the same identity.
     pub fn identity(&self) -> String {
         let digest = Sha256::digest(self.content.as_bytes());
-        // Half of the digest tells more certificates apart than will ever be written.
+        // Half of the digest (128 bits) is enough to distinguish all certificates.
         let digest: String = digest.iter().take(16).map(|byte| format!("{byte:02x}")).collect();
         format!("sha256:{digest}/{}", self.quantity)
     }
 
-    /// The identity of this quantity of a thing that people gave a name: `bar 0815/length`.
+    /// The identity of this quantity of an object with a declared id: `bar 0815/length`.
     pub fn declared(&self, id: &str) -> String {
         format!("{id}/{}", self.quantity)
     }

@@ -41,7 +41,7 @@ pub use registry::{Basis, Build, Constructor, Context, Kind, Origin, Plugin, Pro
 pub use stage::{Artefact, Estimate, Export, ExportedFile, Fit, Ingest, InputFile, Model, Validate};
 pub use uncertainty::{CovarianceBlock, EquationUncertainty, Pooled};
 
-// What settings and results are made of, so that plugins need this crate alone.
+// Types of settings and results. They are re-exported so that plugins need this crate alone.
 pub use abbe_results::{
     CALIBRATION_FORMAT, Calibration, Combination, CombinedAgreement, ConsideredInput, Contribution, Correlated,
     DataRecord, Decision, Estimated, Figure, FileFormat, Findings, FitReport, GumComparison, Identifiability,
@@ -54,5 +54,5 @@ pub use abbe_settings::{
     Termination, Unit, from_settings, matches, nearest, not_negative, path_text, positive, schema_of,
 };
 
-/// Re-exported so that a plugin registers with the very version that the registry collects.
+/// Re-exported so that plugins register with the same version of `inventory` that the registry uses.
 pub use inventory;

@@ -1,4 +1,4 @@
-//! What a kinematic model offers: axes, status columns, parameters, and tool poses with derivatives in batches.
+//! Kinematic models: axes, status columns, parameters, and tool poses with derivatives in batches.
 
 use std::any::Any;
 
@@ -38,7 +38,7 @@ pub struct Axis {
     pub kind: AxisKind,
     /// Side of the bed.
     pub branch: Branch,
-    /// +1 or -1: the sense in which the body that the axis carries moves along its direction for a positive command.
+    /// +1 or -1: for a positive command, the body that the axis carries moves along (about) `direction` in this sense.
     pub sense: f64,
     /// Unit direction, machine frame.
     pub direction: [f64; 3],
@@ -58,7 +58,7 @@ pub struct Axis {
 pub enum Absent {
     /// It is an error.
     Refused,
-    /// This value is taken for every row; NaN means that the status is unknown and what depends on it has no effect.
+    /// This value is used for every row. NaN means that the status is unknown; errors that depend on it then have no effect.
     Taken(#[serde(deserialize_with = "number")] f64),
 }
 
@@ -68,13 +68,13 @@ pub enum Absent {
 pub enum StatusRole {
     /// The command of an axis, by its index among [`ModelInfo::axes`].
     Command(usize),
-    /// From which side an axis came where it stands: +1 or -1, 0 if that is not known.
+    /// The direction of the last approach of an axis, by its index: +1 or -1; 0 if it is not known.
     Direction(usize),
     /// The time of the row, s.
     Time,
     /// The stylus that touches.
     Stylus,
-    /// A series of measurements that has unknowns of its own: day, set-up.
+    /// A series of measurements with its own unknowns: day, set-up.
     Series,
     /// A temperature.
     Temperature,
@@ -86,17 +86,17 @@ pub enum StatusRole {
     Velocity(usize),
     /// The reading of a sensor of the machine, by its name.
     Sensor(String),
-    /// The thermal state of a part of the machine, by its name: what a thermal model makes of temperatures and times.
+    /// The thermal state of a part of the machine, by its name: the output of a thermal model for temperatures and times.
     ThermalState(String),
     /// What the probe is: its kind, or how it triggers.
     Probe,
-    /// Something that no one but the model knows.
+    /// A status that only this model knows.
     #[default]
     Other,
 }
 
 impl StatusRole {
-    /// The name that columns of data give it; none if the model names it.
+    /// The name of its data column; none if the model chooses the name.
     pub fn column_name(&self, axes: &[Axis]) -> Option<String> {
         match self {
             Self::Command(axis) => Some(axes[*axis].name.clone()),
@@ -108,12 +108,12 @@ impl StatusRole {
     }
 }
 
-/// What columns of data are called that say the side from which an axis came, the time, and the stylus.
+/// Names of data columns: prefix of the direction of approach of an axis, time, stylus.
 const DIRECTION: &str = "dir_";
 const TIME: &str = "time";
 const STYLUS: &str = "stylus";
 
-/// A column of the status of a pose that a model takes.
+/// A status of a pose that the model needs, with its data column.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct StatusColumn {
     /// Name without unit: `X`, `dir_X`, `time`, `day`, `stylus`.
@@ -159,9 +159,9 @@ pub enum ParameterRole {
         /// 0..6: x, y, z, a, b, c.
         component: usize,
     },
-    /// What the set-up decides, and nobody knows beforehand: the offset of a tool, the zero of an instrument.
+    /// A value that depends on the set-up and is not known beforehand: the offset of a tool, the zero of an instrument.
     SetUp,
-    /// What shapes a function that coefficients multiply: a wavelength.
+    /// A parameter of the shape of a function that coefficients multiply: a wavelength.
     Shape,
     /// The place or the size of a feature of an artefact.
     Feature,
@@ -183,12 +183,12 @@ pub struct Parameter {
 }
 
 impl Parameter {
-    /// A parameter of which no more is said than name and unit.
+    /// A parameter with name and unit and the role [`ParameterRole::Other`].
     pub fn new(name: impl Into<String>, unit: Unit) -> Self {
         Self { name: name.into(), unit, role: ParameterRole::Other }
     }
 
-    /// Says what it is.
+    /// Sets its role.
     pub fn with_role(self, role: ParameterRole) -> Self {
         Self { role, ..self }
     }
@@ -243,7 +243,7 @@ impl Poses {
     }
 }
 
-/// Where poses go: the lists of [`Poses`] as slices, of the right lengths and zero, wherever they live.
+/// Output for poses: the lists of [`Poses`] as mutable slices. They have the right lengths and are filled with zeros.
 #[derive(Debug)]
 pub struct PosesMut<'a> {
     /// As [`Poses::positions`].
@@ -266,7 +266,7 @@ impl PosesMut<'_> {
     }
 }
 
-/// A motion error of an axis, for those who sample or compensate it.
+/// A motion error of an axis that can be evaluated by itself, to sample it or to compensate it.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct ErrorFunction {
     /// ISO 230-1 symbol, e.g. `EYX`.
@@ -300,32 +300,33 @@ pub struct Period {
 pub struct MotionError {
     /// Its value, mm or rad.
     pub value: f64,
-    /// Derivatives to parameters: (index, derivative). Of a coefficient that is the function that it multiplies.
+    /// Derivatives to parameters: (index, derivative). The derivative to a coefficient is the value of its function.
     pub derivatives: Vec<(usize, f64)>,
 }
 
-/// What a kinematic model is: all that there is to know of it without evaluating a pose.
+/// Description of a kinematic model: everything that is known without evaluating a pose.
 #[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
 pub struct ModelInfo {
     /// The axes, in the order of the structural loop.
     pub axes: Vec<Axis>,
-    /// The status columns that a pose of this model is made of; the row of a batch has them in this order.
+    /// The statuses of a pose. Every row of a batch has them in this order.
     pub status: Vec<StatusColumn>,
     /// Every parameter that exists in this model.
     pub parameters: Vec<Parameter>,
-    /// Nominal value of every parameter: zero, apart from those that shape a function, such as a wavelength.
+    /// Nominal value of every parameter: zero, except for parameters of the shape of a function, such as a wavelength, and
+    /// others with a known value, such as a coefficient of expansion.
     #[serde(default)]
     pub nominal: Vec<f64>,
-    /// Standard uncertainty of every nominal value: zero, apart from those that are known from elsewhere, such as a
-    /// coefficient of expansion. It counts as long as the parameter is not estimated.
+    /// Standard uncertainty of every nominal value: zero, except for values that are known from another source, such as a
+    /// coefficient of expansion. It is propagated if the parameter is not estimated.
     #[serde(default)]
     pub nominal_uncertainties: Vec<f64>,
     /// Effective stylus radius in mm.
     #[serde(default)]
     pub stylus_radius: f64,
-    /// Settings from which the same plugin builds this very model again, without any data.
+    /// Settings from which the same plugin builds the same model again, without data.
     pub settings: Value,
-    /// The motion errors that this model can tell one by one.
+    /// The motion errors that this model can evaluate one by one ([`KinematicModel::motion_error`]).
     #[serde(default)]
     pub error_functions: Vec<ErrorFunction>,
     /// The parts of motion errors that repeat along their axes.
@@ -334,14 +335,14 @@ pub struct ModelInfo {
 }
 
 impl ModelInfo {
-    /// A model whose parameters are all nominally zero, and known to be.
+    /// A model whose parameters all have the nominal value zero, with standard uncertainty zero.
     pub fn new(axes: Vec<Axis>, status: Vec<StatusColumn>, parameters: Vec<Parameter>, settings: Value) -> Self {
         let zero = vec![0.0; parameters.len()];
         let (nominal, nominal_uncertainties) = (zero.clone(), zero);
         Self { axes, status, parameters, nominal, nominal_uncertainties, settings, ..Self::default() }
     }
 
-    /// The index of the status that is this; none if poses do not have it.
+    /// The index of the status with this role; none if poses do not have it.
     pub fn status_of(&self, role: &StatusRole) -> Option<usize> {
         self.status.iter().position(|column| column.role == *role)
     }
@@ -372,9 +373,9 @@ pub trait KinematicModel: Any + Send + Sync {
     /// What the model is.
     fn info(&self) -> &ModelInfo;
 
-    /// Poses and derivatives of a batch, written where `out` says: slices of the right lengths, zero before the call.
+    /// Writes poses and derivatives of a batch into `out`. Its slices have the right lengths and are zero before the call.
     ///
-    /// Fails where there is no pose, or none within the range of the model; the error names the pose
+    /// Fails if a pose does not exist, or is outside the range of the model. The error names the pose
     /// ([`Error::of_pose`](crate::Error::of_pose)).
     fn evaluate(&self, batch: PoseBatch<'_>, out: PosesMut<'_>) -> Result<()>;
 

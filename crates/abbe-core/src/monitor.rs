@@ -1,4 +1,4 @@
-//! Progress of long work, and its end on request.
+//! Progress events of long work, and cancellation.
 
 use std::fmt;
 use std::sync::Arc;
@@ -8,17 +8,17 @@ use serde::Serialize;
 
 use abbe_settings::{Error, Result};
 
-/// What is going on.
+/// An event of the progress of some work.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 #[serde(tag = "event", rename_all = "kebab-case")]
 pub enum Event<'a> {
-    /// A stage starts; `done` of `all` stages are through.
+    /// A stage starts; `done` of `all` stages are finished.
     Started {
         /// Its name.
         stage: &'a str,
         /// Its kind.
         kind: &'a str,
-        /// Stages that are through.
+        /// Stages that are finished.
         done: usize,
         /// All stages that have something to do.
         all: usize,
@@ -29,25 +29,26 @@ pub enum Event<'a> {
         stage: &'a str,
         /// Steps of this iteration so far; robust weights start a new one in every round.
         iteration: usize,
-        /// By how many standard uncertainties it moved all rows together.
+        /// Size of the step: change of all rows together, in standard uncertainties.
         step: f64,
     },
-    /// A part of work that is done many times is through: a trial, a fold.
+    /// A part of repeated work is finished: a trial, a fold.
     Part {
         /// The stage.
         stage: &'a str,
         /// What its parts are, in plural: `trials`.
         of: &'a str,
-        /// Parts that are through.
+        /// Parts that are finished.
         done: usize,
         /// All parts, where that is known.
         all: Option<usize>,
     },
 }
 
-/// Who watches some work: hears what is going on, from any thread, and may end it.
+/// Observer of some work: receives events, from any thread, and can cancel the work.
 ///
-/// Problems carry it, so that whatever is done with them is heard and ends. The default hears nothing and ends nothing.
+/// A problem has a monitor, so that all work on the problem reports events and can be cancelled. The default monitor does
+/// nothing.
 #[derive(Clone, Default)]
 pub struct Monitor {
     watcher: Option<Arc<Watcher>>,
@@ -71,7 +72,7 @@ impl fmt::Debug for Monitor {
 }
 
 impl Monitor {
-    /// A monitor that hears with `hears`.
+    /// A monitor that passes events to `hears`.
     pub fn new(hears: impl Fn(&Event<'_>) + Send + Sync + 'static) -> Self {
         let watcher = Watcher { ended: AtomicBool::new(false), hears: Box::new(hears) };
         Self { watcher: Some(Arc::new(watcher)), ..Self::default() }
@@ -82,19 +83,19 @@ impl Monitor {
         Self { stage: stage.into(), ..self.clone() }
     }
 
-    /// The same without events of its own, for work that is done a thousand times; it still ends on request.
+    /// The same monitor without events, for work that is repeated many times. The work can still be cancelled.
     pub fn quiet(&self) -> Self {
         Self { quiet: true, ..self.clone() }
     }
 
-    /// Asks the work to end: whoever works gets an error from [`check`](Self::check).
+    /// Cancels the work: [`check`](Self::check) then returns an error.
     pub fn end(&self) {
         if let Some(watcher) = &self.watcher {
             watcher.ended.store(true, Ordering::Relaxed);
         }
     }
 
-    /// An error of [`Class::Interrupted`](crate::Class::Interrupted) once the work has been asked to end.
+    /// Fails with [`Class::Interrupted`](crate::Class::Interrupted) if the work has been cancelled.
     pub fn check(&self) -> Result<()> {
         match &self.watcher {
             Some(watcher) if watcher.ended.load(Ordering::Relaxed) => Err(Error::interrupted()),
@@ -102,19 +103,19 @@ impl Monitor {
         }
     }
 
-    /// Tells an event.
+    /// Reports an event.
     pub fn tell(&self, event: &Event<'_>) {
         if let Some(watcher) = self.watcher.as_ref().filter(|_| !self.quiet) {
             (watcher.hears)(event);
         }
     }
 
-    /// Tells that an estimate has taken a step.
+    /// Reports that an estimate has taken a step.
     pub fn iteration(&self, iteration: usize, step: f64) {
         self.tell(&Event::Iteration { stage: &self.stage, iteration, step });
     }
 
-    /// Tells that so many parts of some work are through: `of` says what they are, in plural.
+    /// Reports that `done` parts of some work are finished. `of` is the name of the parts, in plural.
     pub fn part(&self, of: &str, done: usize, all: Option<usize>) {
         self.tell(&Event::Part { stage: &self.stage, of, done, all });
     }
@@ -147,7 +148,7 @@ mod tests {
         monitor.end();
         let error = of_fit.quiet().check().unwrap_err();
         assert_eq!((error.class, error.fault), (Class::Interrupted, true));
-        // Nobody watches: nothing ends.
+        // The default monitor cannot cancel work.
         let nobody = Monitor::default();
         nobody.end();
         assert!(nobody.check().is_ok());

@@ -1,4 +1,4 @@
-//! What an artefact makes of a data set: rows of equations that tie poses, own unknowns and known inputs.
+//! Observations of an artefact, made from a data set: rows of equations between poses, own unknowns and known inputs.
 
 use std::any::Any;
 use std::collections::{BTreeMap, BTreeSet};
@@ -14,7 +14,7 @@ use crate::pose_table::{ColumnNaming, PoseTable, StatusSource, pose_columns};
 use abbe_settings::Result;
 use abbe_settings::{Quantity, Unit};
 
-/// A named number that is not estimated but whose uncertainty all rows that use it share.
+/// A named quantity that is not estimated. All rows that use it share its error.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct KnownInput {
     /// Own name, e.g. `length`.
@@ -23,11 +23,11 @@ pub struct KnownInput {
     pub value: f64,
     /// Its standard uncertainty.
     pub standard_uncertainty: f64,
-    /// It is the machine's and not the artefact's (the stylus radius): the same for all artefacts that have one of this
-    /// name.
+    /// It belongs to the machine and not to the artefact (the stylus radius): inputs of this name of all artefacts are one
+    /// quantity.
     #[serde(default)]
     pub shared: bool,
-    /// What states it; without one, name, value and uncertainty are all that tells it from others.
+    /// The certificate that states it. Without one, name, value and uncertainty identify it.
     #[serde(default)]
     pub certificate: Option<Certificate>,
 }
@@ -38,25 +38,25 @@ impl KnownInput {
         Self { parameter, value, standard_uncertainty, shared: false, certificate: None }
     }
 
-    /// The stylus radius of a machine, one quantity for all artefacts that are touched; its standard uncertainty in mm.
+    /// The stylus radius of a machine, with its standard uncertainty in mm: one quantity for all artefacts that are touched.
     pub fn stylus_radius(model: &dyn KinematicModel, standard_uncertainty: f64) -> Self {
         let parameter = Parameter::new("stylus_radius", Unit::MM);
         Self::new(parameter, model.info().stylus_radius, standard_uncertainty).shared()
     }
 
-    /// Makes it the machine's: one quantity for all artefacts that have an input of this name.
+    /// Makes it an input of the machine: one quantity for all artefacts that have an input of this name.
     pub fn shared(mut self) -> Self {
         self.shared = true;
         self
     }
 
-    /// Says what states it: the input is `quantity` on a certificate with this content.
+    /// Sets the certificate that states it: the input is `quantity` on a certificate with this content.
     pub fn certified(mut self, quantity: impl Into<String>, content: impl Into<String>) -> Self {
         self.certificate = Some(Certificate::new(quantity, content));
         self
     }
 
-    /// What states it.
+    /// The certificate that states it; without one, a certificate made from its name, value, unit and uncertainty.
     pub fn certificate(&self) -> Certificate {
         let Self { parameter: Parameter { name, unit, .. }, value, standard_uncertainty, .. } = self;
         let stated =
@@ -65,12 +65,12 @@ impl KnownInput {
     }
 }
 
-/// One measurement: which poses it ties in which equations, and the data row that it comes from.
+/// One measurement: its poses, its equations, and the data row that it comes from.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Row {
     /// First of its poses in [`Layout::poses`].
     pub first_pose: usize,
-    /// How many poses it ties: none (a calibrated distance between features), one or several.
+    /// Number of its poses: none (a calibrated distance between features), one or several.
     pub poses: usize,
     /// First of its equations.
     pub first_equation: usize,
@@ -80,7 +80,7 @@ pub struct Row {
     pub data_row: Option<usize>,
 }
 
-/// What moves, or is read, until the equations of a row hold when the row is really measured.
+/// How the equations of a row come to hold in a real measurement: axes move, or a reading takes up the difference.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Contact {
@@ -88,19 +88,20 @@ pub enum Contact {
     LinearAxes,
     /// The reading in this column (without unit) takes up the difference; nothing moves.
     Reading(String),
-    /// Such rows are estimated, but not simulated yet; the text says why not, for people.
+    /// Such rows can be estimated, but not simulated yet. The text is the reason, for messages.
     NotSimulated(String),
 }
 
-/// Nominal contact of a row that is met by a reading: linear axes move until it reads what is nominal.
+/// Nominal contact of a row that has a reading: linear axes move until the reading has its nominal value.
 ///
-/// Nothing moves so when it is really measured; rank and condition are judged there, without what the reading owes to errors.
+/// In a real measurement the axes do not move in this way. It is computed to judge rank and condition without the part of the
+/// reading that comes from errors.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct NominalReading {
-    /// What the residual of each of its equations is there, mm or rad: nominal less recorded reading.
+    /// Residual of each of its equations at the nominal reading, mm or rad: nominal reading minus recorded reading.
     pub residuals: Vec<f64>,
-    /// The linear axes, by their indices among the axes of the model, that move while the row is measured. The others stand, and
-    /// stay where they are.
+    /// The linear axes that move while the row is measured, by their indices among the axes of the model. All others keep
+    /// their commands.
     pub axes: Vec<usize>,
 }
 
@@ -108,14 +109,14 @@ pub struct NominalReading {
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Orientation {
-    /// They do not.
+    /// The equations do not depend on it.
     #[default]
     Unused,
-    /// On the orientation that the model has.
+    /// They depend on the exact orientation of the model.
     Exact,
-    /// On the orientation to first order in the errors: turned from the nominal one by the sum of what each error alone turns
-    /// the tool by. Angles are so told by instruments that add up angular errors; products of rotations, which are second
-    /// order, have no part in it.
+    /// They depend on the orientation to first order in the errors: the nominal orientation, turned by the sum of the
+    /// rotation vectors of the single errors. Products of rotations, which are of second order, are left out. Instruments
+    /// that add up angular errors are described in this way.
     FirstOrder,
 }
 
@@ -123,8 +124,8 @@ pub enum Orientation {
 #[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum RankPoint {
-    /// Where they were recorded: they tell as much there as in nominal contact. A known length is a length between any two
-    /// poses, and no unknown takes up what it is off by.
+    /// At the recorded poses, which give the same information as nominal contact. Example: a known length holds between any
+    /// two poses, and no unknown absorbs its deviation.
     #[default]
     AsRecorded,
     /// In nominal contact ([`Observations::contact_tip`]).
@@ -134,8 +135,8 @@ pub enum RankPoint {
 }
 
 impl RankPoint {
-    /// Where rows are judged unless more is said: in nominal contact if linear axes move until there is contact, else as
-    /// recorded.
+    /// The default for a kind of contact: nominal contact if linear axes move until there is contact, else the recorded
+    /// poses.
     pub fn of(contact: &Contact) -> Self {
         if *contact == Contact::LinearAxes { Self::InContact } else { Self::AsRecorded }
     }
@@ -146,29 +147,30 @@ impl RankPoint {
         rows.into_iter().flatten()
     }
 
-    /// What a text without it means, until [`of`](Self::of) settles it: no row has a nominal reading.
+    /// Placeholder where a serialised text has no rank point: no row has a nominal reading. [`of`](Self::of) then gives the
+    /// value.
     fn not_said() -> Self {
         Self::NominalReading(BTreeMap::new())
     }
 }
 
-/// A map by row: the keys of a JSON object are texts, and stay that where they pass through another type.
+/// Reads a map by row. The keys of a JSON object are texts, and serde does not always turn them into numbers.
 fn by_row<'de, D: Deserializer<'de>>(deserializer: D) -> Result<BTreeMap<usize, NominalReading>, D::Error> {
     let by_text = BTreeMap::<String, NominalReading>::deserialize(deserializer)?;
     let row = |text: &str| text.parse().map_err(|_| D::Error::custom(format!("`{text}` is no index of a row")));
     by_text.into_iter().map(|(text, nominal)| Ok((row(&text)?, nominal))).collect()
 }
 
-/// How a row is touched that only one axis approaches.
+/// Approach of a row by one linear axis.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Approach {
     /// Index of the linear axis that moves until contact; the others stay where they are.
     pub axis: usize,
-    /// The column (without unit) that records where it triggered, besides that of the axis itself.
+    /// The column (without unit) that records the trigger position, beside the column of the axis.
     pub reading: String,
 }
 
-/// A feature of an artefact in the table frame: nominal place plus what is estimated of it.
+/// A feature of an artefact in the table frame: nominal position and the unknowns that shift it.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Feature {
     /// Its label.
@@ -186,7 +188,7 @@ pub struct Target {
     pub feature: String,
     /// Nominal tip position, table frame, mm.
     pub tip: [f64; 3],
-    /// Unit direction of approach, table frame; none where any will do.
+    /// Unit direction of approach, table frame; none if any direction is possible.
     pub approach: Option<[f64; 3]>,
 }
 
@@ -235,7 +237,7 @@ impl Equations {
         &self.by_position
     }
 
-    /// Derivatives to rotation vectors, in the same order; empty where orientations do not count.
+    /// Derivatives to rotation vectors, in the same order; empty if the equations do not depend on orientations.
     pub fn by_rotation(&self) -> &[[f64; 3]] {
         &self.by_rotation
     }
@@ -261,7 +263,7 @@ impl Equations {
         self.by_input.extend(other.by_input.iter().map(moved));
     }
 
-    /// Starts the next equation with its residual, left side of the observation equation, in mm or rad.
+    /// Starts the next equation with its residual (the left side of the observation equation), mm or rad.
     pub fn equation(&mut self, residual: f64) {
         self.residuals.push(residual);
     }
@@ -288,10 +290,10 @@ impl Equations {
     }
 }
 
-/// The rows of some observations: the part that is alike for all artefacts.
+/// The rows of some observations: the part that has the same form for all artefacts.
 #[derive(Debug, Clone, Serialize, Deserialize)]
 pub struct Layout {
-    /// The data set; whoever writes a layout down writes its data set beside it.
+    /// The data set. It is not serialised with the layout; it has to be stored separately.
     #[serde(skip)]
     pub data: Arc<Dataset>,
     /// The rows, each with its poses and equations.
@@ -300,7 +302,8 @@ pub struct Layout {
     pub poses: PoseTable,
     /// Standard uncertainty of every equation, mm or rad.
     pub standard_uncertainties: Vec<f64>,
-    /// Rows of the data set that went into rows beside the one that each names: touches into a centre.
+    /// Further rows of the data set that were combined into rows of this layout, beside the `data_row` of each: the touches
+    /// of a centre.
     pub merged: Vec<usize>,
     sources: Vec<Vec<StatusSource>>,
 }
@@ -308,7 +311,7 @@ pub struct Layout {
 impl Layout {
     /// A layout without rows for a data set whose rows have one pose for each of `namings`.
     ///
-    /// Fails as [`pose_columns`] does.
+    /// Fails as [`pose_columns`] does, and if an axis moves in the data that the model does not have.
     pub fn new(data: &Arc<Dataset>, model: &dyn KinematicModel, namings: &[ColumnNaming<'_>]) -> Result<Self> {
         let headers = data.headers();
         let sources = namings.iter().map(|naming| pose_columns(&headers, data.files.first(), model, naming));
@@ -334,10 +337,10 @@ impl Layout {
         Ok(())
     }
 
-    /// Adds a constraint without poses: something known of the artefact that was not measured here.
+    /// Adds a constraint without poses: knowledge of the artefact that was not measured here.
     ///
-    /// Its standard uncertainties are weights. What counts in results is the uncertainty of the known inputs that its
-    /// equations depend on: a certificate does not scatter as the readings do.
+    /// Its standard uncertainties are used as weights only. Results get the uncertainty of the known inputs that its
+    /// equations depend on, because a certificate does not scatter as readings do.
     pub fn push_constraint(&mut self, standard_uncertainties: &[f64]) {
         self.add(self.poses.len(), 0, None, standard_uncertainties);
     }
@@ -357,7 +360,7 @@ impl Layout {
     }
 }
 
-/// Refuses data in which an axis moves that the model does not have: its motion would be lost without a word.
+/// Refuses data in which an axis moves that the model does not have: its motion would be ignored without a message.
 fn unknown_axis(data: &Dataset, sources: &[Vec<StatusSource>]) -> Result<()> {
     for column in &data.columns {
         let name = &column.header.name;
@@ -380,7 +383,7 @@ fn unknown_axis(data: &Dataset, sources: &[Vec<StatusSource>]) -> Result<()> {
     Ok(())
 }
 
-/// What observations are: all that there is to know of them without evaluating an equation.
+/// Description of observations: everything that is known without evaluating an equation.
 ///
 /// ```
 /// # use abbe_core::{Contact, Layout, ObservationsInfo, Orientation, Parameter, Unit};
@@ -394,7 +397,7 @@ fn unknown_axis(data: &Dataset, sources: &[Vec<StatusSource>]) -> Result<()> {
 /// ```
 #[derive(Debug, Clone, Serialize, Deserialize)]
 pub struct ObservationsInfo {
-    /// The data set, the rows with their poses and equations, and how uncertain each equation is.
+    /// The data set, the rows with their poses and equations, and the standard uncertainty of each equation.
     pub layout: Layout,
     /// Own unknowns, with own names (`facet[7].d`).
     #[serde(default)]
@@ -411,10 +414,10 @@ pub struct ObservationsInfo {
     /// Equations, by their index in the layout, that are of angles (rad); all others are of lengths (mm).
     #[serde(default)]
     pub angles: BTreeSet<usize>,
-    /// The features in the table frame, for those who compare or draw them.
+    /// The features in the table frame, to compare or plot them.
     #[serde(default)]
     pub features: Vec<Feature>,
-    /// What moves, or is read, until the equations hold when a row is really measured.
+    /// How the equations of a row come to hold in a real measurement.
     pub contact: Contact,
     /// Where rank and condition are judged.
     #[serde(default = "RankPoint::not_said")]
@@ -425,8 +428,8 @@ pub struct ObservationsInfo {
 }
 
 impl ObservationsInfo {
-    /// Observations of lengths, without known inputs and features, whose unknowns start from zero; judged in nominal contact if
-    /// linear axes move until there is contact, else as recorded.
+    /// Observations of lengths, without known inputs and features. The unknowns start from zero. The rank point is
+    /// [`RankPoint::of`] the contact.
     pub fn new(layout: Layout, unknowns: Vec<Parameter>, contact: Contact) -> Self {
         let rank_point = RankPoint::of(&contact);
         Self {
@@ -443,7 +446,7 @@ impl ObservationsInfo {
         }
     }
 
-    /// What an equation of a row is an equation of: lengths (mm) or angles (rad).
+    /// The quantity of an equation of a row: length (mm) or angle (rad).
     pub fn quantity(&self, row: usize, equation: usize) -> Quantity {
         match self.angles.contains(&(self.layout.rows[row].first_equation + equation)) {
             true => Quantity::Angle,
@@ -451,8 +454,8 @@ impl ObservationsInfo {
         }
     }
 
-    /// Nominal contact of a row that is met by a reading; none if the row is judged as recorded, since its reading tells more
-    /// than errors do.
+    /// Nominal contact of a row that has a reading. None if the row is judged as recorded, because its reading gives more
+    /// information than the errors do.
     pub fn nominal_reading(&self, row: usize) -> Option<&NominalReading> {
         match &self.rank_point {
             RankPoint::NominalReading(rows) => rows.get(&row),
@@ -466,14 +469,16 @@ pub trait Observations: Any + Send + Sync {
     /// What the observations are.
     fn info(&self) -> &ObservationsInfo;
 
-    /// Residuals and derivatives of some rows, in the order of the batch. The equations of a row depend on nothing but the row
-    /// and what the batch has of it.
+    /// Residuals and derivatives of some rows, in the order of the batch. The equations of a row depend only on the row and
+    /// on its values in the batch, not on other rows.
     ///
-    /// Fails where they have none; observations on the other side of a border fail in other ways, too.
+    /// Fails if an equation has no residual or derivative. Observations of a loaded plugin library can also fail because the
+    /// library fails.
     fn evaluate(&self, batch: RowBatch<'_>, out: &mut Equations) -> Result<()>;
 
-    /// Where the tip of a row's pose is in nominal contact, table frame, given where it is by the model: on the feature as
-    /// estimated, without the sideways offset with which it was met. None where contact does not fix the tip.
+    /// Tip position of a row with one pose in nominal contact, table frame, mm; `_tip` is the tip position by the model. It
+    /// is on the feature as estimated, without the lateral offset of the recorded contact. None if contact does not fix the
+    /// tip.
     fn contact_tip(&self, _row: usize, _tip: [f64; 3], _own: &[f64], _inputs: &[f64]) -> Result<Option<[f64; 3]>> {
         Ok(None)
     }

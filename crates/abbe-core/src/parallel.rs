@@ -8,7 +8,7 @@ thread_local! {
     static ONE_OF_SEVERAL: Cell<bool> = const { Cell::new(false) };
 }
 
-/// Whether this thread is one of several that work on items of a list: no core is free for more.
+/// Whether this thread is one of several that [`in_parallel`] started: no core is free for more threads.
 pub(crate) fn is_one_of_several() -> bool {
     ONE_OF_SEVERAL.get()
 }
@@ -18,8 +18,8 @@ pub(crate) fn cores() -> usize {
     std::thread::available_parallelism().map_or(1, usize::from)
 }
 
-/// Applies `work` to all items on `threads` threads (as many as there are cores if none are given); results come in the order
-/// of the items, whoever did the work.
+/// Applies `work` to all items on `threads` threads (as many as there are cores if none are given); the results are in the
+/// order of the items.
 pub fn in_parallel<T: Sync, R: Send>(items: &[T], threads: Option<usize>, work: impl Fn(&T) -> R + Sync) -> Vec<R> {
     let threads = threads.unwrap_or_else(cores).min(items.len());
     if threads <= 1 {

@@ -18,8 +18,8 @@ pub struct PoseTable {
     values: Vec<f64>,
 }
 
-/// Which column (without unit) holds a status, given the axis whose command it is, if it is one: the names to try (the
-/// first that is there is taken) and what it means if none is there.
+/// Gives the possible names (without unit) of the column of a status, and what it means if there is no such column. The first
+/// name that the data have is used. The axis is given if the status is the command of an axis.
 pub type ColumnNaming<'a> = &'a dyn Fn(&StatusColumn, Option<&Axis>) -> (Vec<String>, Absent);
 
 /// Columns are named as the statuses are.
@@ -27,7 +27,7 @@ pub fn plain_naming(status: &StatusColumn, _: Option<&Axis>) -> (Vec<String>, Ab
     (vec![status.name.clone()], status.absent)
 }
 
-/// A status and the column that holds it; `Absent::Taken` where there is none.
+/// Source of the values of a status: a column, or the value of [`Absent::Taken`] if there is no column.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum StatusSource {
@@ -39,7 +39,8 @@ pub enum StatusSource {
 
 /// Finds the column of every status of the model among `headers`.
 ///
-/// Fails for an axis without a column, a column without unit and a column with the unit of another quantity.
+/// Fails for a status without a column that has no value for this case ([`Absent::Refused`]), a column without unit, and a
+/// column with the unit of another quantity.
 pub fn pose_columns(
     headers: &[ColumnHeader],
     file: Option<&PathBuf>,

@@ -54,7 +54,7 @@ impl fmt::Display for Kind {
     }
 }
 
-/// What a stage is told besides its settings when it is built.
+/// What a stage gets, beside its settings, when it is built.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Context {
     /// Folder that relative paths in the settings start from.
@@ -62,7 +62,7 @@ pub struct Context {
 }
 
 impl Context {
-    /// A path of the settings as it can be opened.
+    /// A path of the settings, resolved from the base folder.
     pub fn path(&self, path: &str) -> PathBuf {
         self.base.join(Path::new(path))
     }
@@ -137,7 +137,7 @@ pub enum Origin {
     },
 }
 
-/// What an estimate is made of, which decides what its stage names in a recipe.
+/// The basis of an estimate: what it is made from. It decides which keys the estimate stage has in a recipe.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub enum Basis {
     /// Measurements on a machine (`machine`, `observations`, `parameters`), or another estimate that it analyses (`of`).
@@ -145,11 +145,12 @@ pub enum Basis {
     Measurements,
     /// Another estimate, which it analyses (`of`).
     Analysis,
-    /// What is stated of a machine (`machine`).
+    /// Stated values of the parameters of a machine (`machine`).
     Statement,
-    /// A calibration that was made elsewhere: it brings its machine.
+    /// A calibration that was made outside this recipe. It contains its machine.
     Calibration,
-    /// Several other estimates (`of`), and a `machine` unless the first of them has all that they know.
+    /// Several other estimates (`of`), and a `machine` unless the machine of the first of them has all parameters that they
+    /// know.
     Combination,
 }
 
@@ -159,8 +160,8 @@ pub struct Plugin {
     pub name: Cow<'static, str>,
     /// One line that says what it does.
     pub about: Cow<'static, str>,
-    /// What its reference page says beside its settings, as Markdown with headings of level 2: when to use it, equation,
-    /// notes, source. May be empty.
+    /// Text of its reference page beside the settings, as Markdown with headings of level 2: when to use it, equation, notes,
+    /// source. May be empty.
     pub reference: &'static str,
     /// The version of the program or library that it is part of.
     pub version: Cow<'static, str>,
@@ -172,7 +173,7 @@ pub struct Plugin {
     pub example: Provider,
     /// Its constructor.
     pub build: Build,
-    /// What its estimates are made of, if it makes some.
+    /// The basis of its estimates, if it is an estimator.
     pub basis: Basis,
 }
 
@@ -211,7 +212,7 @@ impl Plugin {
         self
     }
 
-    /// Says what its estimates are made of.
+    /// Sets the basis of its estimates.
     pub const fn made_of(mut self, basis: Basis) -> Self {
         self.basis = basis;
         self

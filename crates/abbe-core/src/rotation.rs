@@ -3,10 +3,10 @@
 
 use nalgebra::{Matrix3, Vector3};
 
-/// Below this angle, rad, series of angles are taken for what would lose its digits.
+/// Below this angle, rad, power series replace the closed forms, which would lose digits.
 const SMALL: f64 = 1e-3;
 
-/// The small rotation, axes of the fixed frame, that follows a change of a rotation vector: its left Jacobian.
+/// Left Jacobian of a rotation vector: the small rotation (axes of the fixed frame) per change of the rotation vector.
 ///
 /// `exp(v + dv) = exp(J dv) exp(v)` to first order in `dv`.
 pub fn left_jacobian(vector: &Vector3<f64>) -> Matrix3<f64> {
@@ -18,8 +18,7 @@ pub fn left_jacobian(vector: &Vector3<f64>) -> Matrix3<f64> {
     Matrix3::identity() + cross * half + cross * cross * rest
 }
 
-/// The change of a rotation vector that follows a small rotation, axes of the fixed frame: the inverse of
-/// [`left_jacobian`].
+/// Inverse of [`left_jacobian`]: the change of a rotation vector per small rotation (axes of the fixed frame).
 pub fn inverse_left_jacobian(vector: &Vector3<f64>) -> Matrix3<f64> {
     let (angle, cross) = (vector.norm(), vector.cross_matrix());
     let rest = match angle < SMALL {
@@ -29,7 +28,7 @@ pub fn inverse_left_jacobian(vector: &Vector3<f64>) -> Matrix3<f64> {
     Matrix3::identity() - cross * 0.5 + cross * cross * rest
 }
 
-/// The change of a rotation vector that follows a small rotation which acts before it: the inverse of its right Jacobian.
+/// Inverse of the right Jacobian: the change of a rotation vector per small rotation that acts before it.
 pub fn inverse_right_jacobian(vector: &Vector3<f64>) -> Matrix3<f64> {
     inverse_left_jacobian(&-vector)
 }

@@ -1,7 +1,7 @@
 //! The six kinds of stage.
 //!
-//! A stage is built from its settings without touching the environment; `inputs` says which files it will read, so
-//! that missing ones are found before anything runs.
+//! A stage is built from its settings without reading files. `inputs` lists the files that it will read, so that missing
+//! files are found before the run.
 
 use std::path::PathBuf;
 use std::sync::Arc;
@@ -40,13 +40,13 @@ pub trait Artefact: Send + Sync {
     /// The files that it reads.
     fn inputs(&self) -> Vec<InputFile>;
 
-    /// Whether a data set with these columns, measured on this machine, can be used; `file` is for the message.
+    /// Fails if a data set with these columns, measured on this machine, cannot be used. `file` is for the message.
     fn check(&self, headers: &[ColumnHeader], file: Option<&PathBuf>, model: &dyn KinematicModel) -> Result<()>;
 
-    /// Makes the observations; rows of features that this artefact does not know are left to others.
+    /// Makes the observations. Rows of features that this artefact does not have are skipped; other artefacts may use them.
     fn observe(&self, data: &Arc<Dataset>, model: &dyn KinematicModel) -> Result<Arc<dyn Observations>>;
 
-    /// The nominal programme: where the tip is sent for each feature.
+    /// The nominal programme: nominal tip positions for each feature.
     fn targets(&self, stylus_radius: f64) -> Result<Vec<Target>>;
 }
 
@@ -57,8 +57,8 @@ pub trait Model: Send + Sync {
         Vec::new()
     }
 
-    /// The kinematic model. What depends on the data (the time scale of a drift) is settled from `data`; without data
-    /// it has to be in the settings, or the model is good for checking names only.
+    /// The kinematic model. Settings that depend on the data (the time scale of a drift) are taken from `data`. Without data
+    /// they have to be in the settings; else the model can be used only to check names.
     fn build(&self, data: &[&Dataset]) -> Result<Arc<dyn KinematicModel>>;
 }
 
@@ -69,7 +69,7 @@ pub trait Estimate: Send + Sync {
         Vec::new()
     }
 
-    /// A calibration that was made elsewhere; it is read before anything runs.
+    /// A calibration that was made outside this recipe. It is read before the run.
     fn recall(&self) -> Result<Calibration> {
         Err(Error::usage("this estimator makes its estimates; it recalls none"))
     }
@@ -79,46 +79,47 @@ pub trait Estimate: Send + Sync {
         Err(Error::usage("this estimator makes one estimate; it combines no others").setting("of"))
     }
 
-    /// Solves the problem. What is stated of a machine comes as a problem without rows.
+    /// Solves the problem. For stated machine parameters ([`Basis::Statement`](crate::Basis::Statement)) the problem has no
+    /// rows.
     fn estimate(&self, problem: &Problem) -> Result<Calibration>;
 
-    /// Solves the problem and explains the result: what its uncertainties are made of, what is determined worst.
+    /// Solves the problem and explains the result: uncertainty budgets, and the combinations that are determined worst.
     fn explain(&self, problem: &Problem) -> Result<Calibration> {
         self.estimate(problem)
     }
 
-    /// The values of the unknowns alone, starting from values that are almost right: what is asked ten thousand times.
+    /// The values of the unknowns only, from start values that are almost right. Monte Carlo calls this for every trial.
     fn values(&self, problem: &Problem) -> Result<Vec<f64>> {
         self.estimate(problem).map(|calibration| problem.values_of(&calibration))
     }
 
-    /// A new look at an earlier estimate, which the recipe names under `of`.
+    /// Analyses an earlier estimate, which the recipe names under `of`.
     fn analyse(&self, _fit: &Fit) -> Result<Calibration> {
         Err(Error::usage("this estimator makes its own estimate; it takes no other one by `of`").setting("of"))
     }
 
-    /// What the problem can determine, judged at the contact points of its start values, without solving it.
+    /// Identifiability of the problem at its start values, judged at nominal contact, without solving it.
     fn identify(&self, problem: &Problem) -> Result<Identifiability>;
 
-    /// Whether it would solve a problem that can determine this much.
+    /// Whether it would solve a problem with this identifiability.
     fn accepts(&self, found: &Identifiability) -> Result<bool> {
         Ok(found.rank == found.unknowns)
     }
 }
 
-/// An estimate with everything needed to question it or to do it again on other rows.
+/// An estimate with everything that is needed to validate it or to repeat it on other rows.
 pub struct Fit {
     /// Name of the estimate.
     pub name: String,
-    /// What was solved.
+    /// The problem that was solved.
     pub problem: Arc<Problem>,
-    /// What solved it.
+    /// The estimator that solved it.
     pub estimator: Arc<dyn Estimate>,
     /// The result.
     pub calibration: Calibration,
 }
 
-/// A judge of calibrations.
+/// Validates calibrations.
 pub trait Validate: Send + Sync {
     /// The files that it reads.
     fn inputs(&self) -> Vec<InputFile> {
@@ -130,14 +131,14 @@ pub trait Validate: Send + Sync {
         Vec::new()
     }
 
-    /// Whether it can judge observations that took no part in a fit (the reference `observations`). It then gets fits whose problem
-    /// has these observations, the values of the calibration and no unknowns.
+    /// Whether it can judge observations that were not used in a fit (the reference `observations`). It then gets fits whose
+    /// problem has these observations, the values of the calibration and no unknowns.
     fn judges_other_rows(&self) -> bool {
         false
     }
 
-    /// Whether it asks about the rows that an estimate was made of, or has it made again. It cannot judge a calibration that
-    /// brings none, unless it is given other observations.
+    /// Whether it needs the rows of an estimate, or repeats the estimate. It cannot judge a calibration without rows, unless
+    /// it gets other observations.
     fn questions_rows(&self) -> bool {
         false
     }
@@ -155,7 +156,7 @@ pub struct ExportedFile {
     pub content: Vec<u8>,
 }
 
-/// A writer of what others take: controllers, spreadsheets.
+/// Writes files for other programs: controllers, spreadsheets.
 pub trait Export: Send + Sync {
     /// The files that it reads.
     fn inputs(&self) -> Vec<InputFile> {

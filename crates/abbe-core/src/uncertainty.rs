@@ -1,4 +1,4 @@
-//! How uncertain the equations of some observations are, each for itself and together.
+//! Uncertainty of the equations of some observations: standard uncertainties and covariances.
 
 use nalgebra::DMatrix;
 use serde::{Deserialize, Serialize};
@@ -16,8 +16,8 @@ pub struct CovarianceBlock {
 }
 
 impl CovarianceBlock {
-    /// A block for `equations`, in any order; fails unless the matrix is finite, of their number, symmetric and positive
-    /// definite. `name` says whose covariance it is, for messages.
+    /// A block for `equations`, in any order. Fails unless the matrix is finite, symmetric, positive definite, and has one
+    /// row and column for each equation. `name` is the name of the covariance in messages.
     pub fn new(name: &str, equations: &[usize], covariance: &DMatrix<f64>) -> Result<Self> {
         let size = equations.len();
         let (rows, columns) = covariance.shape();
@@ -71,7 +71,8 @@ impl CovarianceBlock {
         let correlation =
             DMatrix::from_fn(size, size, |row, column| self.covariance[(row, column)] / scale[row] / scale[column]);
         let mut lower = correlation.cholesky()?.unpack();
-        // Of a correlation matrix: what is left of a variance of one once the rows above are known.
+        // The factor is that of a correlation matrix. Its diagonal element is the conditional standard deviation of the row,
+        // given the rows above.
         if (0..size).any(|row| lower[(row, row)] < 1e-6) {
             return None;
         }
@@ -80,10 +81,10 @@ impl CovarianceBlock {
     }
 }
 
-/// What repeats of the same measurements scatter by, pooled over groups (Rahman 2016, section 5.6).
+/// Scatter of repeated measurements, pooled over groups (Rahman 2016, section 5.6).
 ///
-/// The covariance of the equations is the sum of the outer products of the deviations over the degrees of freedom. It is
-/// of low rank (there are more rows than repeats), so that it propagates to estimates but gives no weights.
+/// The covariance of the equations is the sum of the outer products of the deviations, divided by the degrees of freedom. It
+/// is of low rank (there are more rows than repeats). So it is propagated to the estimates, but gives no weights.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Pooled {
     /// The column whose groups are pooled.
@@ -96,14 +97,15 @@ pub struct Pooled {
     pub degrees_of_freedom: usize,
 }
 
-/// How uncertain the equations of some observations, or of a problem, are.
+/// Uncertainty of the equations of some observations, or of a problem.
 #[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
 pub struct EquationUncertainty {
     /// Standard uncertainty of every equation, mm (rad).
     pub standard: Vec<f64>,
     /// Equations that are correlated; blocks do not overlap, all other equations are independent.
     pub blocks: Vec<CovarianceBlock>,
-    /// The scatter of repeats; what has one propagates it instead of standard uncertainties, which are weights then.
+    /// The scatter of repeats. If there is one, it is propagated instead of the standard uncertainties; these are then
+    /// weights only.
     pub pooled: Option<Pooled>,
 }
 
@@ -113,7 +115,7 @@ impl EquationUncertainty {
         Self { standard, ..Self::default() }
     }
 
-    /// That of some of the equations, ascending, which are numbered anew.
+    /// The uncertainty of some of the equations (ascending), numbered from 0.
     pub fn of(&self, equations: &[usize]) -> Self {
         let mut place = vec![None; self.standard.len()];
         for (new, &old) in equations.iter().enumerate() {

@@ -1,4 +1,4 @@
-//! Which rows of which files an estimate rests on, so that no measurement counts twice.
+//! Rows of files that an estimate was made from, so that no measurement counts twice.
 
 use std::collections::{BTreeMap, BTreeSet};
 
@@ -27,7 +27,7 @@ pub(crate) fn of_problem(problem: &Problem, digests: &Digests) -> Vec<DataRecord
     rows.into_iter().map(record).collect()
 }
 
-/// Numbers as first and last of each run of successive ones.
+/// Ascending numbers as runs of successive numbers: first and last of each run.
 fn runs(rows: impl IntoIterator<Item = usize>) -> Vec<[usize; 2]> {
     let mut runs: Vec<[usize; 2]> = Vec::new();
     for row in rows {
@@ -39,7 +39,7 @@ fn runs(rows: impl IntoIterator<Item = usize>) -> Vec<[usize; 2]> {
     runs
 }
 
-/// Whether two records are of one file: what it holds decides, not what it is called.
+/// Whether two records are of the same file: the content decides (SHA-256), or the name if a hash is not known.
 fn same_file(one: &DataRecord, other: &DataRecord) -> bool {
     match (&one.sha256, &other.sha256) {
         (Some(one), Some(other)) => one == other,
@@ -51,7 +51,7 @@ fn rows(record: &DataRecord) -> impl Iterator<Item = usize> + '_ {
     record.rows.iter().flat_map(|&[first, last]| first..=last)
 }
 
-/// What both lists have: rows of files as the first list names them.
+/// Rows that both lists contain, with the file names of the first list.
 pub(crate) fn shared(one: &[DataRecord], other: &[DataRecord]) -> Vec<DataRecord> {
     let mut shared = Vec::new();
     for record in one {

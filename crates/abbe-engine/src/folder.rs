@@ -9,7 +9,7 @@ use abbe_core::{Error, Result};
 
 use crate::outcome::{staging, unwritable};
 
-/// Fails early if no new folder could be written at `out` in the end: it must not exist or be empty.
+/// Fails early if a new folder cannot be written at `out`. `out` has to be empty or not to exist.
 pub fn can_write_folder(out: &Path) -> Result<()> {
     let is_empty = || fs::read_dir(out).is_ok_and(|mut entries| entries.next().is_none());
     if out.exists() && !is_empty() {
@@ -36,7 +36,7 @@ pub(crate) fn write_folder(out: &Path, files: &BTreeMap<PathBuf, Vec<u8>>) -> Re
         fs::remove_dir(out).map_err(failed)?;
     }
     fs::rename(staging.path(), out).map_err(failed)?;
-    // It is in its place: there is nothing to clean up.
+    // The folder has been renamed: there is nothing to clean up.
     let _ = staging.keep();
     Ok(())
 }

@@ -1,4 +1,4 @@
-//! The laws of models, artefacts and estimators over all that a recipe uses, on data that a virtual machine makes.
+//! Checks the laws of all models, artefacts and estimators of a recipe, on data of a virtual machine.
 
 use std::collections::BTreeSet;
 
@@ -9,26 +9,27 @@ use abbe_simulation::{Noise, Truth, measure};
 use crate::prepare::Prepared;
 use crate::run::{Taken, has_rows};
 
-/// What the errors of the virtual machine amount to where they matter most, mm or rad: so small that an estimator which
-/// linearises only once finds them to the nanometre, too.
+/// Scale of the largest effect of the errors of the virtual machine on any equation, mm or rad. It is so small that an
+/// estimator which linearises only once finds the errors to the nanometre, too.
 const SIZE: f64 = 2e-3;
 
-/// What came of the laws.
+/// Results of the check of the laws.
 #[derive(Debug, Clone, PartialEq, Eq, Default)]
 pub struct Laws {
-    /// What is broken, with the stage.
+    /// Broken laws, with the stage.
     pub broken: Vec<String>,
-    /// What was not looked at, with the stage and the reason.
+    /// What was not checked, with the stage and the reason.
     pub skipped: Vec<String>,
-    /// What was looked at: stage and plugin.
+    /// What was checked: stage and plugin.
     pub seen: BTreeSet<(String, String)>,
 }
 
 impl Prepared {
-    /// Whether the models, artefacts and estimators of the recipe's estimates keep the laws ([`abbe_estimation::laws`]).
+    /// Checks whether the models, artefacts and estimators of the recipe's estimates keep the laws
+    /// ([`abbe_estimation::laws`]).
     ///
-    /// Every estimate is made from what its programme, the rows of the recipe's data, would have measured on a machine with
-    /// errors of a few micrometres in all that is estimated. Fails where a run would fail before its first fit.
+    /// Every estimate is made from simulated measurements of its programme (the rows of the recipe's data) on a machine with
+    /// errors of a few micrometres in all unknowns. Fails if a run would fail before its first fit.
     pub fn laws(&self) -> Result<Laws> {
         let data = self.read(&abbe_core::Monitor::default(), None)?;
         let problems = self.problems(&data, &mut Taken::default())?;
@@ -90,8 +91,8 @@ impl Prepared {
     }
 }
 
-/// What the rows of a problem would have measured exactly on a machine with errors in everything that is unknown, and these
-/// errors.
+/// The exact measurements of the rows of a problem on a machine with errors in all unknowns, and the values of these
+/// unknowns.
 fn virtual_measurement(problem: &Problem) -> Result<(Problem, Vec<f64>)> {
     let start = problem.start();
     let largest = laws::largest_derivatives(problem, &start)?;
@@ -105,7 +106,7 @@ fn virtual_measurement(problem: &Problem) -> Result<(Problem, Vec<f64>)> {
     let named = problem.unknowns.iter().zip(&solution).map(|(unknown, value)| (unknown.name.clone(), *value));
     let truth = Truth { parameters: named.collect(), noise: Noise::default() };
     let measured = measure(problem, &truth, 1)?;
-    // What a certificate states is what the artefact of this machine has.
+    // Constraints are shifted so that the certificate states the true value of this artefact.
     let residuals = measured.residuals(&solution)?;
     let constraints = measured.constraints().into_iter().zip(residuals);
     let stated: Vec<f64> = constraints.map(|(stated, residual)| if stated { -residual } else { 0.0 }).collect();

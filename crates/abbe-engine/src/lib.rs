@@ -1,8 +1,9 @@
-//! Resolves plugins, runs the graph of stages, tells what is going on, and leaves results whole or not at all.
+//! Resolves plugins, runs the graph of stages, reports progress, and writes results completely or not at all.
 //!
-//! [`prepare`] finds everything that can be wrong without reading data rows; [`Prepared::check`] adds what the planned fits
-//! can determine; [`Prepared::run`] does the work and keeps the results in memory; [`Outcome::write`] puts them on disk.
-//! [`Prepared::plan`] chooses which measurements to make; [`Prepared::simulate`] measures the programme of a recipe on a virtual machine instead.
+//! [`prepare`] finds all errors that can be found without reading data rows; [`Prepared::check`] adds the identifiability of
+//! the planned fits; [`Prepared::run`] does the work and keeps the results in memory; [`Outcome::write`] puts them on disk.
+//! [`Prepared::plan`] chooses which measurements to make; [`Prepared::simulate`] measures the programme of a recipe on a
+//! virtual machine instead.
 
 mod evidence;
 mod folder;

@@ -1,4 +1,4 @@
-//! The results of a run, and how they get on disk: whole or not at all.
+//! The results of a run, and how they are written to disk: completely or not at all.
 
 use std::fs;
 use std::io;
@@ -54,7 +54,7 @@ impl Failure {
 }
 
 impl Outcome {
-    /// What is decided of the run: it fails if one verdict fails, else it is inconclusive if one is, else it passes.
+    /// The decision on the run: it fails if one verdict fails, else it is inconclusive if one is, else it passes.
     pub fn decision(&self) -> Decision {
         Decision::of_all(self.verdicts.iter().map(|verdict| verdict.decision))
     }
@@ -64,10 +64,10 @@ impl Outcome {
         self.failures.is_empty() && self.decision().passes()
     }
 
-    /// Writes the results into `<out>/<recipe>/`, replacing what an earlier run left there; gives that folder.
+    /// Writes the results into `<out>/<recipe>/` and returns that folder. Results of an earlier run there are replaced.
     ///
-    /// Files are written into a temporary folder beside it, which takes its place in the end: whoever looks finds the
-    /// results of one run, whole, or none.
+    /// Files are written into a temporary folder beside it, which replaces it in the end. So at any time the folder contains
+    /// the complete results of one run, or does not exist.
     pub fn write(&self, out: &Path) -> Result<PathBuf> {
         let unwritable = |error: io::Error| unwritable(out, &error);
         is_ours(&out.join(&self.recipe))?;
@@ -96,7 +96,7 @@ impl Outcome {
         Ok(target)
     }
 
-    /// What was run on what, as it stands in `run.json`.
+    /// The record of the run, as in `run.json`.
     pub fn record(&self) -> RunRecord {
         RunRecord {
             abbe_run: RUN_FORMAT,
@@ -110,7 +110,7 @@ impl Outcome {
         }
     }
 
-    /// Fails early if the results of a recipe could not be written to `out` in the end.
+    /// Fails early if the results of a recipe cannot be written to `out`.
     pub fn can_write(out: &Path, recipe: &str) -> Result<()> {
         is_ours(&out.join(recipe))?;
         staging(out).map(drop)
@@ -128,10 +128,10 @@ fn is_ours(target: &Path) -> Result<()> {
         .help("move it away, or name another folder with `--out`"))
 }
 
-/// Puts a folder in the place of another one, or where nothing is.
+/// Replaces a folder by another one, or moves it to a new path.
 ///
-/// Where the system can exchange two folders in one step, whoever looks finds the old one or the new one, whenever the
-/// program is stopped.
+/// If the system can exchange two folders in one step, the path always has the old folder or the new one, even if the program
+/// is stopped.
 fn replace(staged: &Path, target: &Path) -> io::Result<()> {
     if !target.exists() {
         return fs::rename(staged, target);
@@ -153,14 +153,14 @@ fn replace(staged: &Path, target: &Path) -> io::Result<()> {
 /// What the names of temporary folders begin with.
 const STAGING: &str = ".abbe-partial-";
 
-/// A temporary folder in `out`; what an interrupted run left there is removed.
+/// Makes a temporary folder in `out`. Temporary folders of interrupted runs, older than a minute, are removed.
 pub(crate) fn staging(out: &Path) -> Result<tempfile::TempDir> {
     let unwritable = |error: io::Error| unwritable(out, &error);
     fs::create_dir_all(out).map_err(unwritable)?;
     for entry in fs::read_dir(out).map_err(unwritable)?.flatten() {
         let stale = entry.metadata().and_then(|data| data.modified()).ok();
         let age = stale.and_then(|modified| modified.elapsed().ok()).unwrap_or_default();
-        // A minute leaves another run on the same folder in peace: writing takes far less.
+        // Folders of another run that is writing now must stay: writing takes much less than a minute.
         if entry.file_name().to_string_lossy().starts_with(STAGING) && age > Duration::from_secs(60) {
             fs::remove_dir_all(entry.path()).map_err(unwritable)?;
         }

@@ -1,15 +1,15 @@
-//! Where the files of a recipe go when it is copied into a folder of its own.
+//! Paths of the files of a recipe when it is copied into a new folder.
 
 use std::collections::BTreeMap;
 use std::path::{Component, Path, PathBuf};
 
 use abbe_core::{Error, Result};
 
-/// Where files go inside the folder, and how the recipe has to name them there.
+/// Paths of files inside the folder, and how the recipe has to name them there.
 pub(crate) struct Places<'a> {
     base: &'a Path,
     taken: BTreeMap<PathBuf, PathBuf>,
-    /// Folders as the recipe may write them, with their names in the folder, and whether it has to write them.
+    /// Folders as written in the recipe, with their new names, and whether the recipe has to contain them.
     folders: BTreeMap<String, (String, bool)>,
 }
 
@@ -18,7 +18,7 @@ impl<'a> Places<'a> {
         Self { base, taken: BTreeMap::new(), folders: BTreeMap::new() }
     }
 
-    /// Claims a place for a file.
+    /// Reserves a path for a file.
     pub(crate) fn take(&mut self, place: &Path, source: &Path) -> Result<()> {
         match self.taken.insert(place.to_owned(), source.to_owned()) {
             Some(other) if other != source => Err(Error::usage(format!(
@@ -32,7 +32,7 @@ impl<'a> Places<'a> {
         }
     }
 
-    /// The place of a file: where the recipe has it, without what leads out of its folder.
+    /// The path of a file inside the folder: its path in the recipe without components that lead out of the recipe's folder.
     pub(crate) fn of(&mut self, source: &Path) -> Result<PathBuf> {
         let written = source.strip_prefix(self.base).unwrap_or(source);
         let normal = written.components().filter(|part| matches!(part, Component::Normal(_)));
@@ -43,7 +43,7 @@ impl<'a> Places<'a> {
         if leads_out {
             self.folders.insert(folder(written), (target, true));
         } else if source.is_absolute() {
-            // The recipe may name it by its absolute path all the same.
+            // The recipe may name it by its absolute path, too.
             self.folders.insert(folder(source), (target, false));
         }
         Ok(place)

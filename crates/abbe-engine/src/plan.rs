@@ -21,11 +21,11 @@ pub struct Measurements {
     pub estimate: String,
     /// The plan.
     pub plan: Plan,
-    /// What the planned estimate could determine from it.
+    /// Identifiability of the planned estimate with these measurements.
     pub identifiability: Identifiability,
-    /// Whether its estimator would go on with that.
+    /// Whether its estimator accepts this identifiability.
     pub accepted: bool,
-    /// The plan as `plan.json` has it.
+    /// The text of `plan.json`.
     pub record: String,
     /// The data files with the chosen rows, relative to the folder that they are written into.
     pub files: BTreeMap<PathBuf, Vec<u8>>,
@@ -59,7 +59,7 @@ impl Prepared {
         let estimator = &self.estimators[&stage.name];
         let plan = plan(&problem, wanted).map_err(|error| self.recipe.locate_plan(error));
         let plan = plan.map_err(|error| match estimator.identify(&problem) {
-            // Whatever is to be chosen, these stay open.
+            // These are not determined for any choice.
             Ok(all) if all.rank < all.unknowns => with_lost(error, &all),
             _ => error,
         })?;
@@ -79,14 +79,14 @@ impl Prepared {
     }
 }
 
-/// Candidates that were made on a grid, in the place of what an ingest stage reads.
+/// Candidates that were generated on a grid, instead of data that an ingest stage reads.
 struct Generated<'a> {
     ingest: &'a str,
     text: String,
     data: Arc<Dataset>,
 }
 
-/// The file with the chosen ones.
+/// The file with the chosen candidates, if candidates were generated.
 const GENERATED: &str = "candidates.csv";
 
 impl Prepared {
@@ -112,13 +112,13 @@ impl Measurements {
     }
 }
 
-/// The error with what all candidates together leave open.
+/// The error with the directions that all candidates together do not determine.
 fn with_lost(error: Error, all: &Identifiability) -> Error {
     let lost: Vec<String> = all.null_space.iter().map(NullVector::describe).collect();
     Error { message: format!("{}:\n- {}", error.message, lost.join("\n- ")), ..error }
 }
 
-/// The chosen rows as they stand in their files, under the header of these.
+/// The chosen rows as in their files, under the header of their file.
 fn rows(data: &Dataset, plan: &Plan) -> Result<BTreeMap<PathBuf, Vec<u8>>> {
     let mut files = BTreeMap::new();
     for (index, path) in data.files.iter().enumerate() {

@@ -25,11 +25,11 @@ pub struct Prepared {
     pub(crate) rows: BTreeMap<String, RowsOf>,
     pub(crate) models: BTreeMap<String, Box<dyn Model>>,
     pub(crate) estimators: BTreeMap<String, Arc<dyn Estimate>>,
-    /// Calibrations that were made elsewhere, by their estimate stages.
+    /// Calibrations that were made outside this recipe, by their estimate stages.
     pub(crate) recalled: BTreeMap<String, Recalled>,
     pub(crate) validators: BTreeMap<String, Box<dyn Validate>>,
     pub(crate) exporters: BTreeMap<String, Box<dyn Export>>,
-    /// The plugins that do the work.
+    /// The plugins that the recipe uses.
     pub(crate) plugins: Vec<PluginRecord>,
     /// Every file that the recipe reads, itself first.
     pub(crate) files: Vec<PathBuf>,
@@ -147,7 +147,7 @@ impl Prepared {
         }
     }
 
-    /// Checks what stages say of each other: columns against the machine, observations that a validator names.
+    /// Checks stages against each other: columns against the machine, observations that a validator names.
     fn check_stage(&self, stage: &Stage) -> Result<()> {
         match stage.kind {
             Kind::Ingest if self.is_planned(&stage.name) => Ok(()),
@@ -190,7 +190,7 @@ impl Prepared {
         }
     }
 
-    /// Whether an ingest stage has nothing to read yet: its rows are candidates that the key `plan` makes.
+    /// Whether the file of an ingest stage does not exist yet, because its rows are candidates that the key `plan` generates.
     fn is_planned(&self, ingest: &str) -> bool {
         let planned = self.recipe.plan.as_ref().filter(|plan| plan.generate.is_some());
         let stage = planned.and_then(|plan| self.recipe_stage(&plan.candidates).ok());
@@ -198,7 +198,7 @@ impl Prepared {
         reads && self.ingests.get(ingest).is_some_and(|built| built.inputs().iter().any(|input| !input.path.is_file()))
     }
 
-    /// Whether the data of some artefact stages have the columns that the machine of an estimate needs.
+    /// Fails if the data of some artefact stages do not have the columns that the machine of an estimate needs.
     fn check_columns(&self, estimate: &Stage, observations: &[String]) -> Result<()> {
         if observations.is_empty() {
             return Ok(());
@@ -240,7 +240,7 @@ impl Prepared {
         Ok(self.recipe_stage(artefact)?.reference("repeats").first().map(String::as_str))
     }
 
-    /// The estimate with machine and observations of its own that an estimate is, or goes back to.
+    /// The estimate with its own machine and observations: the estimate itself, or the one that it analyses.
     pub(crate) fn own_estimate(&self, name: &str) -> Result<&Stage> {
         let stage = self.recipe_stage(name)?;
         match stage.reference("of").first() {
@@ -249,7 +249,8 @@ impl Prepared {
         }
     }
 
-    /// The model that an estimate uses, and the stage that it comes from: a model stage, or an estimate that brings it.
+    /// The model that an estimate uses, and the stage that it comes from: a model stage, or an estimate stage with a
+    /// calibration that contains it.
     pub(crate) fn machine(&self, estimate: &Stage) -> Result<(&Stage, &dyn Model)> {
         let stage = self.machine_stage(estimate)?;
         match self.recalled.get(&stage.name) {

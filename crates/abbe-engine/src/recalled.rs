@@ -1,4 +1,4 @@
-//! Calibrations that were made elsewhere: read before anything runs, with the model that each brings.
+//! Calibrations that were made outside this recipe. They are read before the run, each with the model that it contains.
 
 use std::sync::Arc;
 
@@ -11,7 +11,7 @@ use serde_json::Value;
 
 use crate::prepare::{Prepared, build_model};
 
-/// A calibration that was made elsewhere.
+/// A calibration that was made outside this recipe.
 pub(crate) struct Recalled {
     pub calibration: Calibration,
     pub model: Box<dyn Model>,
@@ -28,15 +28,15 @@ impl Recalled {
             let model = build_model(plugin, &calibration.model.settings)?;
             Ok(Self { calibration, model })
         };
-        // Nothing has to run for this to be found out.
+        // This error is found without a run, so its class is that of wrong use.
         found().map_err(|error: Error| Error { class: Class::Use, ..error })
     }
 }
 
-/// How many entries the lists of some settings have that were there before: (key, number).
+/// Number of entries that the lists of some settings had before the merge: (key, number).
 pub(crate) type Before = Vec<(String, usize)>;
 
-/// An error about merged settings as one about those of the stage itself.
+/// Turns an error about merged settings into an error about the settings of the stage itself.
 pub(crate) fn own_place(mut error: SettingsError, before: &Before) -> SettingsError {
     if let [PathItem::Key(key), PathItem::Index(index), ..] = error.path.as_slice()
         && let Some((_, count)) = before.iter().find(|(list, _)| list == key)
@@ -50,8 +50,8 @@ pub(crate) fn own_place(mut error: SettingsError, before: &Before) -> SettingsEr
 }
 
 impl Prepared {
-    /// The settings of a model stage. With `machine` they are added to those of the machine that an estimate has: lists get
-    /// longer (`errors`), all else replaces what was there.
+    /// The settings of a model stage. With `machine` they are merged into those of the machine of an estimate: lists are
+    /// extended (`errors`), maps are merged, and all else replaces the old value.
     pub(crate) fn model_settings(&self, stage: &Stage) -> Result<(Value, Before)> {
         let Some(name) = stage.reference("machine").first() else { return Ok((stage.settings.clone(), Vec::new())) };
         let located = |error: Error| self.recipe.locate(error.stage(&stage.name));
@@ -69,7 +69,7 @@ impl Prepared {
     }
 }
 
-/// Settings with more added to them.
+/// Merges `more` into settings.
 fn added(mut settings: Value, more: &Value, before: &mut Before) -> Value {
     let (Value::Object(own), Value::Object(more)) = (&mut settings, more) else { return more.clone() };
     for (key, value) in more {
@@ -88,7 +88,7 @@ fn added(mut settings: Value, more: &Value, before: &mut Before) -> Value {
     settings
 }
 
-/// Maps are merged, anything else of `over` replaces what is `under` it.
+/// Maps are merged; any other value of `over` replaces that of `under`.
 fn merged(under: Value, over: &Value) -> Value {
     match (under, over) {
         (Value::Object(mut under), Value::Object(over)) => {
@@ -102,8 +102,8 @@ fn merged(under: Value, over: &Value) -> Value {
     }
 }
 
-/// The fit of a calibration that no rows of this recipe were solved for. Its problem has the values of the calibration,
-/// and as unknowns what it has estimated of the machine.
+/// The fit of a calibration that was not fitted to rows of this recipe. Its problem has the values of the calibration; its
+/// unknowns are the estimated machine parameters.
 pub(crate) fn fit_without_rows(
     calibration: Calibration,
     model: Arc<dyn KinematicModel>,

@@ -1,4 +1,4 @@
-//! `run.json`: what was run on what, and when; its reader.
+//! `run.json`: record of a run (recipe, files, plugins, time), and its reader.
 //!
 //! Its number stands in the key `abbe_run`, its schema in `docs/schemas/run.schema.json`; `docs/formats.md` says what may change.
 
@@ -17,7 +17,7 @@ pub const RUN_FORMAT: u32 = 1;
 
 const FORMAT: FileFormat = FileFormat { name: "run record", key: "abbe_run", number: RUN_FORMAT };
 
-/// What was run on what, and when.
+/// Record of a run: recipe, files, plugins, time.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct RunRecord {
     /// Number of the format, [`RUN_FORMAT`].
@@ -57,7 +57,7 @@ pub struct PluginRecord {
     pub name: String,
     /// `built-in`, or the file of a library.
     pub origin: String,
-    /// Hash of the library, 64 hexadecimal digits; none of what is built in.
+    /// SHA-256 of the library, 64 hexadecimal digits; none if the plugin is built in.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub sha256: Option<String>,
     /// Its version.
@@ -105,8 +105,8 @@ impl FailureRecord {
 impl RunRecord {
     /// Reads the text of a `run.json`.
     ///
-    /// Keys that are not known are left alone. Fails on text that is not JSON, on another format number, on missing or wrong parts
-    /// (with line and column), on a hash that is none and on a negative duration.
+    /// Keys that are not known are left alone. Fails on text that is not JSON, on another format number, on missing or wrong
+    /// parts (with line and column), on an invalid hash and on a negative duration.
     pub fn from_json(text: &str) -> Result<Self> {
         let record: Self = FORMAT.read(text)?;
         let inputs = record.inputs.iter().map(|input| (&input.file, &input.sha256));
@@ -122,7 +122,8 @@ impl RunRecord {
     }
 }
 
-/// What is read, each file once. Taken before the run, so that it tells what the run was started on.
+/// Records of the files that are read, each file once. They are made before the run, so that they show the content at its
+/// start.
 pub(crate) fn input_records(files: &[PathBuf]) -> Result<Vec<InputRecord>> {
     let mut records: Vec<InputRecord> = Vec::new();
     for path in files {

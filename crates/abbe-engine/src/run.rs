@@ -17,14 +17,14 @@ use crate::prepare::{Prepared, build_model};
 use crate::recalled::fit_without_rows;
 use crate::record::{InputRecord, input_records};
 
-/// What a planned fit can determine.
+/// Identifiability of a planned fit.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Planned {
     /// Name of the estimate.
     pub estimate: String,
-    /// What it can determine.
+    /// Its identifiability.
     pub identifiability: Identifiability,
-    /// Whether its estimator goes on with that.
+    /// Whether its estimator accepts this identifiability.
     pub accepted: bool,
     /// The machine parameters that it estimates.
     pub machine: Vec<String>,
@@ -36,7 +36,7 @@ type Exports = Vec<(String, Vec<ExportedFile>)>;
 pub(crate) type Datasets = BTreeMap<String, Arc<Dataset>>;
 
 impl Prepared {
-    /// Everything but the fits: data, problems, and what the fits can determine at nominal contact points.
+    /// Everything but the fits: data, problems, and the identifiability of the fits at nominal contact.
     pub fn check(&self) -> Result<Vec<Planned>> {
         let digests = digests(&input_records(&self.files)?);
         let data = self.read(&Monitor::default(), None)?;
@@ -61,7 +61,7 @@ impl Prepared {
         Ok(planned)
     }
 
-    /// Runs the recipe; `monitor` hears what is going on, and may end it. Stages that do not wait for each other run at the
+    /// Runs the recipe. `monitor` receives events and can cancel the run. Stages that do not depend on each other run at the
     /// same time.
     pub fn run(&self, monitor: &Monitor) -> Result<Outcome> {
         let (started, clock) = (SystemTime::now(), Instant::now());
@@ -71,7 +71,7 @@ impl Prepared {
         let problems = self.problems(&data, &mut taken)?;
         let evidence = self.evidence(&problems, &digests(&inputs))?;
         let unseen = self.unseen(&problems, &data, &mut taken)?;
-        // Before the first fit, so that a feature that nobody knows does not cost a long run.
+        // Before the first fit, so that a feature that no artefact has is found before a long run.
         self.nothing_left_over(&data, &taken)?;
         self.rehearse(false, &problems, &BTreeMap::new(), &unseen, &data)?;
         let mut failures = Vec::new();
@@ -216,7 +216,7 @@ impl Prepared {
         tracing::info!("{}: {} equations, {} unknowns", stage.name, problem.equations(), problem.unknowns.len());
         remarks(&problem).iter().for_each(|remark| tracing::warn!("{}: {remark}", stage.name));
         let calibration = self.located(stage, estimator.explain(&problem))?;
-        // Whoever asks about the rows asks about them as they were weighed.
+        // Later users of the problem get the rows with the uncertainties that the fit used.
         let factor = |set: &ObservationSet| {
             let found = calibration.fit.variance.iter().find(|found| found.stage == set.name);
             found.map_or(1.0, |found| found.factor)
@@ -226,7 +226,7 @@ impl Prepared {
         Ok(Fit { name: stage.name.clone(), problem: Arc::new(problem), estimator, calibration })
     }
 
-    /// The analysis of an earlier estimate: the same problem, which its own estimator solves on other rows.
+    /// The analysis of an earlier estimate. The fit keeps the problem and the estimator of that estimate.
     fn fit_again(&self, stage: &Stage, fits: &[Fit], monitor: &Monitor) -> Result<Fit> {
         let of = named(stage.reference("of"), fits);
         let fit = of.first().ok_or_else(|| Error::usage("the estimate under `of` is not there").stage(&stage.name))?;
@@ -237,12 +237,12 @@ impl Prepared {
         Ok(Fit { name: stage.name.clone(), problem, estimator, calibration })
     }
 
-    /// Errors of a stage get its name and place.
+    /// Adds the name and the place of a stage to its errors.
     pub(crate) fn located<T>(&self, stage: &Stage, result: Result<T>) -> Result<T> {
         result.map_err(|error| self.recipe.locate(error.stage(&stage.name)))
     }
 
-    /// Tells that a stage starts; ends before it does if that is asked for.
+    /// Reports that a stage starts. Fails if the run has been cancelled.
     fn started(&self, stage: &Stage, monitor: &Monitor) -> Result<()> {
         let works = |stage: &&Stage| !matches!(stage.kind, Kind::Artefact | Kind::Model);
         let working: Vec<&Stage> = self.recipe.stages.iter().filter(works).collect();
@@ -252,7 +252,7 @@ impl Prepared {
         monitor.check()
     }
 
-    /// What the ingest stages read; one of them may have been made instead.
+    /// The data sets of all ingest stages; `made` replaces the data of one of them.
     pub(crate) fn read(&self, monitor: &Monitor, made: Option<(&str, &Arc<Dataset>)>) -> Result<Datasets> {
         let mut data = BTreeMap::new();
         for stage in self.stages(Kind::Ingest) {
@@ -266,7 +266,7 @@ impl Prepared {
         Ok(data)
     }
 
-    /// The problems of all estimates, those of calibrations from elsewhere included.
+    /// The problems of all estimates, those of calibrations from outside this recipe included.
     pub(crate) fn problems(&self, data: &Datasets, taken: &mut Taken) -> Result<BTreeMap<String, Problem>> {
         let mut problems = BTreeMap::new();
         for stage in self.stages(Kind::Estimate).filter(has_problem) {
@@ -275,7 +275,7 @@ impl Prepared {
         Ok(problems)
     }
 
-    /// The rows that every estimate rests on. Refuses to count any of them twice.
+    /// The rows that every estimate was made from. Fails if a row would count twice.
     fn evidence(
         &self,
         problems: &BTreeMap<String, Problem>,
@@ -311,7 +311,7 @@ impl Prepared {
         let sets = self.sets(names, &model, data, taken)?;
         let plugin = self.model_plugin(stage)?;
         match stage.parameters.as_slice() {
-            // Whatever is stated or known of the machine.
+            // All parameters of the machine, which are stated or known.
             [] => Problem::new(&stage.name, &plugin, model, sets, &["*".to_owned()]),
             patterns => Problem::new(&stage.name, &plugin, model, sets, patterns),
         }
@@ -324,7 +324,8 @@ impl Prepared {
         Ok(recalled.map_or_else(|| stage.plugin.clone(), |recalled| recalled.calibration.model.plugin.clone()))
     }
 
-    /// The machine of an estimate. Where another estimate has it, it is that one's, with what its data settled.
+    /// The machine of an estimate. If it is that of another estimate, it has the settings that follow from the data of that
+    /// estimate.
     fn built_machine(&self, stage: &Stage, data: &Datasets) -> Result<Arc<dyn KinematicModel>> {
         let named = stage.reference("machine").first().or(stage.reference("of").first());
         if let Some(name) = named {
@@ -347,7 +348,7 @@ impl Prepared {
         model.build(&used).map_err(|error| error.stage(&machine.name))
     }
 
-    /// What some artefact stages observe on a machine.
+    /// The observation sets of some artefact stages on a machine.
     fn sets(
         &self,
         names: &[String],
@@ -390,7 +391,7 @@ impl Prepared {
         Ok(unseen)
     }
 
-    /// Refuses rows that no artefact took: a feature without nominal geometry must not vanish silently.
+    /// Fails if a row was used by no artefact: a feature without nominal geometry must not be ignored without a message.
     fn nothing_left_over(&self, data: &Datasets, taken: &Taken) -> Result<()> {
         for (ingest, rows) in taken {
             let data = &data[ingest];
@@ -411,12 +412,12 @@ impl Prepared {
     }
 }
 
-/// Whether an estimate has a problem of its own, and is no analysis of another one.
+/// Whether an estimate has its own problem and is not an analysis of another estimate.
 pub(crate) fn has_problem(stage: &&Stage) -> bool {
     !stage.basis.may_analyse() || stage.reference("of").is_empty()
 }
 
-/// Whether an estimate is made of measurements of its own.
+/// Whether an estimate has its own observations.
 pub(crate) fn has_rows(stage: &&Stage) -> bool {
     !stage.reference("observations").is_empty()
 }
@@ -447,7 +448,7 @@ fn digests(inputs: &[InputRecord]) -> evidence::Digests {
 /// Rows of each data set that some artefact took.
 pub(crate) type Taken = BTreeMap<String, BTreeSet<usize>>;
 
-/// The problem with what it takes over from earlier estimates: start values, or values that are known.
+/// The problem with the results of earlier estimates: start values, or known values with their covariance.
 fn start(stage: &Stage, problem: Problem, fits: &[Fit]) -> Result<Problem> {
     let known = named(stage.reference("known"), fits);
     let problem = known.iter().try_fold(problem, |problem, fit| problem.with_prior(&fit.calibration))?;
@@ -483,7 +484,7 @@ pub fn model_of(calibration: &Calibration, registry: &Registry) -> Result<Arc<dy
     build_model(plugin, &calibration.model.settings)?.build(&[])
 }
 
-/// The same fit; whatever is done with its problem is watched by `monitor`.
+/// The same fit; `monitor` observes the work on its problem.
 fn watched(fit: &Fit, monitor: Monitor) -> Fit {
     Fit {
         name: fit.name.clone(),

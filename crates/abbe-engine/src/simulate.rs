@@ -27,7 +27,7 @@ pub struct Simulated {
     pub recipe: PathBuf,
     /// The data files that were simulated.
     pub data: Vec<SimulatedFile>,
-    /// The data files that stay as they are: what the recipe finds in them is not of the simulated machine.
+    /// The data files that are not changed: their data are not from the simulated machine.
     pub not_simulated: Vec<UnchangedFile>,
     /// What differs from nominal, and the noise; one line each.
     pub varied: Vec<String>,
@@ -42,7 +42,7 @@ pub struct SimulatedFile {
     pub file: PathBuf,
     /// Rows that were measured.
     pub measured: usize,
-    /// Rows that no artefact takes, which are as they were.
+    /// Rows that no artefact uses; they are copied without change.
     pub copied: usize,
 }
 
@@ -55,17 +55,17 @@ pub struct UnchangedFile {
     pub read_by: BTreeSet<String>,
 }
 
-/// What the truth is called in the folder.
+/// Name of the file with the truth in the folder.
 const TRUTH: &str = "truth.json";
 
-/// Decimals of a number whose scale has no step, of a coordinate in mm: what a double holds of a metre.
+/// Most decimals of a length, which are used if the scale has no resolution: the precision of a double for a metre in mm.
 const DECIMALS: usize = 12;
 
 impl Prepared {
     /// Measures the programme of the recipe on the machine that the file `truth` describes.
     ///
-    /// `machine` says which model stage it is; it may be left out if all estimates use one. Fails for a truth that is wrong
-    /// or that the recipe does not know, and for rows in which the machine cannot reach the artefact.
+    /// `machine` is the name of its model stage; it may be left out if all estimates use one machine. Fails if the truth is
+    /// wrong or names something that the recipe does not have, and if the machine cannot reach the artefact in a row.
     pub fn simulate(&self, truth: &Path, seed: u64, machine: Option<&str>) -> Result<Simulated> {
         let bytes = fs::read(truth).map_err(|error| unreadable(truth, &error))?;
         let text = String::from_utf8_lossy(&bytes);
@@ -132,12 +132,12 @@ impl Prepared {
         for ingest in self.ingests.keys() {
             let users = self.recipe.stages.iter().filter(|stage| uses(stage, ingest));
             let users: BTreeSet<String> = users.map(|stage| stage.name.clone()).collect();
-            // Those that rows come from; what is joined to them is nothing that was measured.
+            // Only files that rows come from. Files that are joined to them contain no measurements.
             for file in &self.data(ingest)?.files {
                 readers.entry(file.clone()).or_default().extend(users.iter().cloned());
             }
         }
-        // Nominal geometry is not measured, whoever reads it.
+        // Nominal geometry is not measured, for any reader.
         let nominal: BTreeSet<PathBuf> =
             self.artefacts.values().flat_map(|artefact| artefact.inputs()).map(|file| file.path).collect();
         for (name, validator) in &self.validators {
@@ -148,8 +148,8 @@ impl Prepared {
         Ok(readers)
     }
 
-    /// Everything that the estimates with a machine observe, every row of a file once: with the first artefact stage that
-    /// takes it. Then what their artefacts take of the data that only validators judge.
+    /// All observations of the estimates of a machine, every row of a file once, with the first artefact stage that uses it.
+    /// Then the rows that their artefacts use of data that only validators judge.
     fn programme(&self, machine: &str) -> Result<Problem> {
         let mut observed: BTreeSet<&String> = BTreeSet::new();
         for estimate in self.stages(Kind::Estimate).filter(has_rows) {
@@ -191,7 +191,7 @@ impl Prepared {
             }
         }
         for (artefact, observations) in combined {
-            // What is recorded are the single touches: they have to be measured by an artefact that takes them as such.
+            // The single touches are recorded: they have to be simulated by an artefact that uses them one by one.
             if !claimed.has_all(&observations.info().layout) {
                 let error =
                     Error::usage("its rows combine several recorded ones, which cannot be told from the combination");
@@ -201,7 +201,7 @@ impl Prepared {
             }
         }
         for (artefact, from) in self.judged(machine)? {
-            // Data of another kind, which these artefacts do not take, stay as they are; the summary tells which.
+            // Data that these artefacts cannot use are not changed; they are listed in `not_simulated`.
             let data = self.data(from)?;
             let Ok(observations) = self.artefacts[artefact].observe(&data, model.as_ref()) else { continue };
             let measures = observations.info().layout.merged.is_empty();
@@ -230,7 +230,8 @@ impl Prepared {
         Ok(Arc::new(self.located(self.recipe_stage(ingest)?, read)?))
     }
 
-    /// What validators take from ingest stages, with the artefacts that the estimates that they judge observe.
+    /// Pairs (artefact, ingest stage): ingest stages that validators read, with the artefacts of the estimates that they
+    /// judge.
     fn judged(&self, machine: &str) -> Result<BTreeSet<(&str, &str)>> {
         let mut judged = BTreeSet::new();
         for stage in self.stages(Kind::Validate) {
@@ -262,12 +263,12 @@ impl Prepared {
     }
 }
 
-/// Rows of files that an artefact takes already.
+/// Rows of files that an artefact already uses: (file, line).
 #[derive(Default)]
 struct Claimed(BTreeSet<(PathBuf, usize)>);
 
 impl Claimed {
-    /// Observations with those of their rows that nobody has claimed yet.
+    /// The observations with only the rows that are not claimed yet.
     fn unclaimed(&mut self, name: &str, observations: Arc<dyn Observations>) -> ObservationSet {
         let mut set = ObservationSet::new(name, observations);
         let layout = &set.observations.info().layout;
@@ -275,7 +276,7 @@ impl Claimed {
         set
     }
 
-    /// Whether all rows are claimed that went into these observations.
+    /// Whether all rows that were used for these observations are claimed.
     fn has_all(&self, layout: &Layout) -> bool {
         let mut recorded = layout.rows.iter().filter_map(|row| row.data_row).chain(layout.merged.iter().copied());
         recorded.all(|row| self.0.contains(&place(layout, row)))
@@ -288,7 +289,7 @@ fn place(layout: &Layout, row: usize) -> (PathBuf, usize) {
     (layout.data.files[origin.file].clone(), origin.line)
 }
 
-/// What is recorded in which cells of which files.
+/// The simulated cells of every file.
 fn recorded(measured: &Problem, resolution: f64) -> Result<BTreeMap<PathBuf, Cells>> {
     let axes = measured.model.info().axes.iter().filter(|axis| axis.kind == AxisKind::Linear);
     let axes: Vec<usize> = axes.map(|axis| axis.status).collect();
@@ -349,7 +350,7 @@ fn positions(set: &ObservationSet, row: &Row, axes: &[usize]) -> Result<Vec<(Str
 fn reading(set: &ObservationSet, row: &Row, data_row: usize, column: &str) -> Result<Vec<(String, f64)>> {
     let layout = &set.observations.info().layout;
     let before = layout.data.required_numbers(column)?[data_row];
-    // The equation has the reading with a minus sign: what is added to the one is taken from the other.
+    // The reading has a minus sign in the equation, so a change of the residual is subtracted from the reading.
     let change = set.disturbances().map_or(0.0, |disturbances| disturbances[row.first_equation]);
     Ok(vec![(header(layout, column)?, before - change)])
 }
@@ -360,7 +361,7 @@ fn header(layout: &Layout, column: &str) -> Result<String> {
     layout.data.column(column).map(|column| column.header.header.clone()).ok_or_else(missing)
 }
 
-/// A value in the unit of its column, with the decimals that the resolution (mm) asks for.
+/// A value in the unit of its column, with the decimals of the resolution (mm).
 fn number(header: &str, value: f64, resolution: f64) -> String {
     let (_, quantity, factor) = Quantity::of_column(header);
     if quantity != Quantity::Length {

@@ -10,7 +10,7 @@ use abbe_core::{
 use abbe_estimation::{repeats, row_uncertainty};
 use abbe_recipe::Stage;
 
-/// What the recipe says of an artefact's rows.
+/// Settings of the recipe for the uncertainty of an artefact's rows.
 pub struct RowsOf {
     settings: InputUncertainty,
     covariance: Option<PathBuf>,
@@ -52,7 +52,7 @@ impl RowsOf {
         }
         if let Some(pooled) = &self.settings.pooled {
             let repeated = repeats.unwrap_or_else(|| observations.clone());
-            // Differences between repeats are asked for: those at nominal values are as good as any.
+            // Only differences between repeats are needed, so residuals at nominal values are sufficient.
             let sets = vec![ObservationSet::new(name, repeated.clone())];
             let residuals = Problem::new(name, "", model.clone(), sets, &[])?.residuals(&[])?;
             uncertainty.pooled = Some(repeats::pooled(pooled, layout, &repeated.info().layout, &residuals)?);

@@ -1,4 +1,4 @@
-//! What a recipe says under `errors`, one line a family: `{ polynomial: [EXX, EYX], degrees: [1, 2, 3] }`.
+//! Entries of a recipe under `errors`, one line for each family: `{ polynomial: [EXX, EYX], degrees: [1, 2, 3] }`.
 
 use abbe_core::{SettingsError, from_settings, schema_of};
 use serde::Serialize;

@@ -1,8 +1,8 @@
-//! Parametric error families: functions of the machine status (axis position, direction, time, load) that an error is a linear
-//! combination of.
+//! Parametric error families: functions of the machine status (axis position, direction, time, load). An error is a linear
+//! combination of them.
 //!
-//! A [`Declaration`] is what a recipe says under `errors`; [`Functions`] are what it becomes for one axis or set-up.
-//! A new family is a file in `families/`, with its settings ([`Family`]) and its [`Functions`], and a line in `declaration.rs`.
+//! A [`Declaration`] is an entry of a recipe under `errors`; from it the [`Functions`] for one axis or set-up are made. A new
+//! family is a file in `families/`, with its settings ([`Family`]) and its [`Functions`], and a line in `declaration.rs`.
 
 mod declaration;
 mod families;

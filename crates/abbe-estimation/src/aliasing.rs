@@ -1,19 +1,19 @@
-//! Periodic errors that were read in steps too long to tell their wavelength (Soons 1993, section 3.2).
+//! Aliasing: periodic errors that were measured in steps too long to determine their wavelength (Soons 1993, section 3.2).
 
 use abbe_core::{AxisKind, Owner, Period, Problem};
 
-/// Commands closer than this, mm or rad, are one.
+/// Commands closer than this, mm or rad, count as equal.
 const SAME: f64 = 1e-6;
 
-/// Commands that are off a grid by less than this part of a period do not tell the period.
+/// Commands count as points of a grid if their distance from it is less than this part of a period.
 const OFF: f64 = 0.05;
 
-/// Shares of a wave below this look like no wave.
+/// Fractions of a period per step below this count as zero: no wave is visible.
 const NONE: f64 = 1e-6;
 
-/// What people should know of the periodic errors that are estimated: those whose axis stood on a grid coarser than half
-/// their period wherever it moved. Such data show a long wave as well, and the wavelength is found only because it starts
-/// near the right one.
+/// Remarks on the estimated periodic errors that may be aliased: wherever their axis moved, it stood on a grid coarser than
+/// half the period. A longer wave fits such data as well. The right wavelength is found only because the iteration starts
+/// near it.
 pub fn aliased(problem: &Problem) -> Vec<String> {
     let estimated = |period: &Period| {
         let machine = problem.unknowns.iter().filter(|unknown| unknown.owner == Owner::Machine);
@@ -63,7 +63,7 @@ fn travelled(problem: &Problem, status: usize) -> Vec<f64> {
     commands
 }
 
-/// The step of the grid on which all commands lie, within a small part of a period; none if they lie on none.
+/// The step of the grid on which all commands lie, within a small part of a period; none if there is no such grid.
 fn grid(mut commands: Vec<f64>, period: f64) -> Option<f64> {
     commands.retain(|command| command.is_finite());
     commands.sort_by(f64::total_cmp);

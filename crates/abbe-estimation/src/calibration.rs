@@ -5,8 +5,8 @@ use abbe_core::{
     Status, Unit, Unknown,
 };
 
-/// The calibration that a solution is: `x` in the order of the unknowns, and the covariance of the unknowns followed by
-/// what is considered.
+/// Makes the calibration from a solution: `x` in the order of the unknowns, and the covariance of the unknowns followed by
+/// the considered quantities.
 pub fn calibration(
     problem: &Problem,
     x: &[f64],

@@ -1,4 +1,4 @@
-//! Contact: where the linear axes stand when the tip meets the artefact.
+//! Contact: commands of the linear axes at which the tip touches the artefact.
 
 use abbe_core::{
     AxisKind, CHUNK, Contact, Error, Evaluation, KinematicModel, ObservationSet, PoseTable, Problem, RankPoint, Result,
@@ -6,22 +6,22 @@ use abbe_core::{
 };
 use nalgebra::{DMatrix, DVector, Matrix3, Vector3};
 
-/// Steps after which the search for a contact ends. Newton's iteration converges quadratically: it needs three or four.
+/// Most steps of the search for a contact. Newton's iteration converges quadratically: it needs three or four.
 const STEPS: usize = 20;
 
-/// How well the equations of a measured row hold, mm (rad), and the part of the largest coordinate that a double holds for
-/// certain, which is more on machines of more than a metre.
+/// Tolerance of the equations of a measured row, mm (rad), and relative tolerance by the precision of a double: the larger of
+/// the first and of the second times the largest coordinate is used.
 const TOLERANCE: (f64, f64) = (1e-11, 1e-14);
 
-/// Commands whose effect on the equations of a row is smaller than this, in mm/mm, do not move the tip along them.
+/// An effect of commands on the equations of a row below this, mm/mm, counts as zero.
 const NO_EFFECT: f64 = 1e-6;
 
-/// What is added to a parameter of the model, row by row, while a problem is measured: a drift.
+/// Variation of a parameter of the model from row to row while a problem is measured: a drift.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Variation {
     /// Index of the parameter.
     pub parameter: usize,
-    /// What is added to it, in its unit; one for every row that takes part, set by set.
+    /// What is added to it, in its unit; one value for every row that is used, set by set.
     pub values: Vec<f64>,
 }
 
@@ -45,30 +45,30 @@ impl LinearAxes {
     }
 }
 
-/// Where a row is to be brought.
+/// What a row is moved to.
 #[derive(Clone, Copy)]
 enum Goal<'a> {
-    /// Nominal contact: the tip of the feature, or equations that hold.
+    /// Nominal contact: the contact tip of the feature, or residuals of zero, or the nominal reading.
     Contact,
-    /// These values of its equations, one after another for the rows of the chunk.
+    /// These residuals of its equations, one after another for the rows of the chunk.
     Residuals(&'a [f64]),
 }
 
-/// The same problem with every touched row moved to where, by the model at `x`, nominal contact is: the linear axes
-/// bring the tip to [`Observations::contact_tip`](abbe_core::Observations::contact_tip), or move by as little as possible
-/// until the row's equations hold.
+/// The same problem with every touched row moved to nominal contact by the model at `x`: the linear axes bring the tip to
+/// [`Observations::contact_tip`](abbe_core::Observations::contact_tip), or move by as little as possible until the row's
+/// equations hold.
 ///
 /// Rank and condition are judged there ([`rank_point`]).
 pub fn at_contact(problem: &Problem, x: &[f64]) -> Result<Problem> {
     with_contacts(problem, x, moves_to_contact)
 }
 
-/// The same problem where, by the model at `x`, its rank and condition are judged: at nominal contact.
+/// The same problem at the poses where its rank and condition are judged: at nominal contact, by the model at `x`.
 ///
-/// At recorded positions the residuals, and the offsets with which features are met beside their points, act as if they
-/// were information: they lift the singular values that are really zero. So do readings that follow from errors: their rows move
-/// to [`ObservationsInfo::nominal_reading`](abbe_core::ObservationsInfo::nominal_reading). Rows that are met anywhere, and rows whose
-/// readings tell more than errors do, stay where they are.
+/// At recorded positions, residuals and lateral offsets of the contact act as if they were information: they increase
+/// singular values that are really zero. Readings that come from errors do the same; their rows move to
+/// [`ObservationsInfo::nominal_reading`](abbe_core::ObservationsInfo::nominal_reading). Rows without a contact point, and
+/// rows whose readings give information beyond the errors, keep their recorded poses.
 pub fn rank_point(problem: &Problem, x: &[f64]) -> Result<Problem> {
     with_contacts(problem, x, moves_to_be_judged)
 }
@@ -78,7 +78,7 @@ pub fn is_judged_as_recorded(problem: &Problem) -> bool {
     !problem.sets.iter().any(moves_to_be_judged)
 }
 
-/// The same problem at `x` with the rows of those sets that move at nominal contact.
+/// The same problem at `x`. The rows of the sets for which `moves` is true are at nominal contact.
 fn with_contacts(problem: &Problem, x: &[f64], moves: impl Fn(&ObservationSet) -> bool) -> Result<Problem> {
     let mut moved = problem.at(x);
     let linear = LinearAxes::of(problem.model.as_ref());
@@ -103,7 +103,7 @@ fn with_contacts(problem: &Problem, x: &[f64], moves: impl Fn(&ObservationSet) -
 fn contacts(problem: &Problem, set: usize, rows: &[usize], linear: &LinearAxes) -> Result<PoseTable> {
     let (mut moved, mut work) = (problem.clone(), Evaluation::default());
     for chunk in rows.chunks(CHUNK) {
-        // Newton's iteration converges quadratically: a step below 1e-5 mm leaves nothing that a double holds.
+        // Newton's iteration converges quadratically: after a step below 1e-5 mm the error is below the rounding of a double.
         for _ in 0..8 {
             moved.evaluate(set, chunk, &linear.commands, &mut work)?;
             if move_by_step(&mut moved.sets[set], chunk, linear, &work, Goal::Contact)? < 1e-5 {
@@ -114,9 +114,9 @@ fn contacts(problem: &Problem, set: usize, rows: &[usize], linear: &LinearAxes) 
     Ok(moved.sets[set].poses().clone())
 }
 
-/// The same problem as it is measured if its own values are the truth: the linear axes of every touched row move from
-/// where they are, by as little as possible (or the one that approaches), until each of its equations (the exact one) equals
-/// its error; where a reading is taken, the reading makes up for the difference.
+/// Simulates the measurement of a problem whose own values are the true ones. In every touched row the linear axes (or the
+/// one axis that approaches) move by as little as possible from where they are, until each exact equation equals its error.
+/// If a row has a reading, the reading takes up the difference.
 ///
 /// `errors` has one value for every equation, mm or rad; constraints keep their residuals. `variations` change
 /// parameters of the model from row to row. Fails for artefacts that are not simulated and, with the place of the row,
@@ -125,7 +125,7 @@ pub fn measured(problem: &Problem, errors: &[f64], variations: &[Variation]) -> 
     let mut moved = problem.clone();
     let linear = LinearAxes::of(problem.model.as_ref());
     let mut work = Evaluation::default();
-    // Rows on one chunk share the parameters of the model.
+    // All rows of a chunk have the same parameters of the model.
     let size = if variations.is_empty() { CHUNK } else { 1 };
     let (mut first_row, mut first_equation) = (0, 0);
     for set in 0..moved.sets.len() {
@@ -149,7 +149,7 @@ pub fn measured(problem: &Problem, errors: &[f64], variations: &[Variation]) -> 
     Ok(moved)
 }
 
-/// Sets the parameters to what they are on a row, counted over all sets.
+/// Sets the varying parameters to their values on a row; rows are counted over all sets.
 fn vary(problem: &mut Problem, machine: &[f64], variations: &[Variation], row: usize) {
     for Variation { parameter, .. } in variations {
         problem.machine[*parameter] = machine[*parameter];
@@ -297,8 +297,8 @@ fn move_by_step(
     Ok(largest)
 }
 
-/// Takes the effects of axes that do not move out of the gradients of some rows: where one axis alone approaches, and
-/// where axes stand while a reading is taken.
+/// Sets the effects of axes that do not move to zero in the gradients of some rows: one axis alone approaches, or axes stand
+/// still while a reading is taken.
 fn only_moving(set: &ObservationSet, rows: &[usize], linear: &LinearAxes, goal: Goal<'_>, gradients: &mut [f64]) {
     let mut entries = gradients.chunks_exact_mut(linear.count().max(1));
     for &index in rows {
@@ -318,7 +318,7 @@ fn only_moving(set: &ObservationSet, rows: &[usize], linear: &LinearAxes, goal: 
     }
 }
 
-/// The residuals of a row at which its readings are the nominal ones, with what is added to residuals here.
+/// The residuals of a row at its nominal readings, with the disturbances of the set.
 fn nominal_residuals(set: &ObservationSet, index: usize) -> Option<Vec<f64>> {
     let (row, nominal) = (row_of(set, index), set.info().nominal_reading(index)?);
     let mut residuals = nominal.residuals.clone();
@@ -329,7 +329,7 @@ fn nominal_residuals(set: &ObservationSet, index: usize) -> Option<Vec<f64>> {
     Some(residuals)
 }
 
-/// The step that brings the tip of a row with one pose to nominal contact, where that is known.
+/// The step that brings the tip of a row with one pose to nominal contact; none if the artefact gives no contact tip.
 fn contact_step(
     set: &ObservationSet,
     row: usize,
@@ -360,14 +360,14 @@ fn smallest_step(gradient: &[f64], values: &[f64], wanted: &[f64]) -> Option<Vec
     }
     let gradient = DMatrix::from_row_slice(values.len(), gradient.len() / values.len(), gradient);
     let missing = DVector::from_iterator(values.len(), wanted.iter().zip(values).map(|(wanted, value)| wanted - value));
-    // A singular value decomposition of what is not finite would not end.
+    // A singular value decomposition of values that are not finite would not end.
     let finite = gradient.iter().chain(&missing).all(|value| value.is_finite());
     let step = finite.then(|| gradient.svd(true, true).solve(&missing, NO_EFFECT))?.ok()?;
     Some(step.as_slice().to_vec())
 }
 
-/// [`smallest_step`] to three values by normal equations, which is all that most rows need; none if they are too close to
-/// singular for that.
+/// [`smallest_step`] to three values by normal equations, which is enough for most rows; none if they are too close to
+/// singular.
 fn smallest_step_of_three(gradient: &[f64], values: &[f64], wanted: &[f64]) -> Option<Vec<f64>> {
     let ([a, b, c], [x, y, z]) = (values, wanted) else { return None };
     let rows: Vec<&[f64]> = gradient.chunks_exact(gradient.len() / 3).collect();

@@ -1,20 +1,20 @@
-//! What any estimator needs around its own iteration: rows of unit variance, nominal contact, rank, propagation of
+//! Everything that an estimator needs beside its own iteration: rows of unit variance, nominal contact, rank, propagation of
 //! uncertainty, and advice on what to measure.
 //!
 //! # Model
-//! A [`Problem`](abbe_core::Problem) has residuals `r(x)`, n equations in m unknowns x, with the covariance `V` that was stated
-//! of the readings. [`Weighted`] makes them independent with unit variance, and gives the derivatives `J` with them:
+//! A [`Problem`](abbe_core::Problem) has residuals `r(x)`, n equations in m unknowns x, with the stated covariance `V` of the
+//! readings. [`Weighted`] transforms them to independent rows of unit variance, together with their derivatives `J`:
 //!
 //! ```text
 //! e(x) = L^-1 r(x),    V = L L^T,    A = L^-1 J
 //! ```
 //!
-//! An estimate makes `e^T W e` small, where W are robust weights, or 1. Whatever iteration finds it, the rest is the same.
+//! An estimate minimises `e^T W e`, where W are robust weights, or 1. Everything else is the same for all kinds of iteration.
 //!
 //! # Rank
 //! Rank, condition and null space are those of `A D^-1` (D makes the columns have norm 1) at **nominal contact**
-//! ([`rank_point`]): residuals at recorded positions act as if they were information. Singular values below a part of the
-//! largest (1e-10, say) count as zero; the vectors that belong to them are the directions that the data cannot tell.
+//! ([`rank_point`]): at recorded positions the residuals would act as if they were information. Singular values below a part
+//! of the largest (1e-10, say) count as zero. Their vectors are the directions that the data cannot determine.
 //!
 //! # Uncertainty
 //! Three kinds of input make the covariance of the estimates ([`Propagation`]; JCGM 102:2011, equation 3):
@@ -24,16 +24,16 @@
 //! ```
 //!
 //! - stated scatter, times the square of the a-posteriori factor `s^2 = e^T W e / (n - m)` (one for all, or one for every
-//!   artefact: [`components`]); what a certificate states has no part in s and is not multiplied by it;
+//!   artefact: [`components`]); constraints of certificates are left out of s and are not multiplied by it;
 //! - the scatter of repeats, with their deviations K and f degrees of freedom;
-//! - what is considered (known inputs, an earlier estimate), with derivatives B and covariance S.
+//! - considered quantities (known inputs, an earlier estimate), with derivatives B and covariance S.
 //!
-//! Without a unique solution C is that of the solution with the smallest effect of the unknowns, and every value that shares
-//! a lost direction is marked as confounded.
+//! Without a unique solution, C belongs to the solution with the smallest effect of the unknowns, and every value in a lost
+//! direction is marked as confounded.
 //!
 //! # An estimator of one's own
-//! solves `Weighted` by its own iteration and hands what it found to [`UncertaintyEvaluation::calibration`]; `examples/own_estimator.rs` does
-//! so in a page.
+//! An estimator solves `Weighted` by its own iteration and passes the solution to [`UncertaintyEvaluation::calibration`].
+//! `examples/own_estimator.rs` is a short example.
 //!
 //! **Architecture invariant:** this crate does no I/O and knows no plugin.
 

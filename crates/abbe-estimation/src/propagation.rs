@@ -1,9 +1,9 @@
 //! The covariance of the estimates by the law of propagation (JCGM 100, JCGM 102:2011, eq. 3), input by input.
 //!
 //! Rows that are independent, or correlated by a covariance that is also their weight, give `(J^T W J)^-1` times the square
-//! of the a-posteriori factor. What does not weigh is propagated through the answer `G = -(J^T W J)^-1 J^T W K` of the
-//! estimates: the scatter of repeats (K = their deviations) and what is considered (K = derivatives to known inputs and to
-//! parameters of an earlier estimate), as in Rahman (2016), eq. 8-3.
+//! of the a-posteriori factor. Inputs that give no weights are propagated with the sensitivities `G = -(J^T W J)^-1 J^T W K`
+//! of the estimates: the scatter of repeats (K = their deviations) and considered quantities (K = derivatives to known inputs
+//! and to parameters of an earlier estimate), as in Rahman (2016), eq. 8-3.
 
 use abbe_core::{
     Contribution, Correlated, JointCoverage, Owner, ParameterBudget, Problem, Result, Scatter, UncertaintyBudget,
@@ -21,7 +21,7 @@ const STRONG: f64 = 0.95;
 /// Contributions below this part of a standard uncertainty are rounding.
 const NOTHING: f64 = 1e-6;
 
-/// What one independent input does to the estimates.
+/// Contribution of one independent input to the covariance of the estimates.
 struct Part {
     /// Its name in budgets.
     input: String,
@@ -31,14 +31,14 @@ struct Part {
     stated: bool,
     /// That factor; 1 where it does not apply.
     scale: f64,
-    /// Degrees of freedom of the factor, or of what was found by repeats.
+    /// Degrees of freedom of the factor, or of the scatter of repeats.
     degrees_of_freedom: f64,
 }
 
-/// The covariance of the unknowns, and how it comes about.
+/// The covariance of the unknowns, by contributions of independent inputs.
 pub struct Propagation {
     parts: Vec<Part>,
-    /// Covariance of unknowns (rows) with what is considered (columns).
+    /// Covariance of unknowns (rows) with considered quantities (columns).
     cross: Vec<Vec<f64>>,
     /// The a-posteriori factors.
     scales: Scales,
@@ -49,7 +49,7 @@ pub struct Propagation {
 pub enum Scales {
     /// One for all readings; its degrees of freedom are infinite if stated uncertainties are trusted.
     Common(f64, f64),
-    /// One for every set; the problem has it in its uncertainties already.
+    /// One for every set; the uncertainties of the problem already contain it.
     PerSet(Vec<(f64, f64)>),
 }
 
@@ -62,7 +62,7 @@ impl Scales {
     }
 }
 
-/// Where a covariance is to be propagated.
+/// The linearised problem of a propagation.
 pub struct Linearisation<'a> {
     /// The problem at its contact points.
     pub problem: &'a Problem,
@@ -75,13 +75,13 @@ pub struct Linearisation<'a> {
 }
 
 impl Propagation {
-    /// Propagates all inputs; `split`: every artefact by itself.
+    /// Propagates all inputs. With `split` every artefact is an input by itself.
     pub fn new(at: &Linearisation<'_>, scales: Scales, split: bool) -> Result<Self> {
         let Linearisation { problem, x, kept, root: covariance_root } = at;
         let (problem, x, kept) = (*problem, *x, *kept);
         let scatters = problem.scatters();
         let repeated = |set: usize| scatters.iter().any(|scatter| scatter.sets.contains(&set));
-        // What a certificate states weighs as a row, but its uncertainty is that of the input which states it.
+        // A constraint of a certificate has a weight as a row has, but its uncertainty is that of its known inputs.
         let constraints = problem.constraints();
         let constrained = constraints.contains(&true);
         let mut parts = Vec::new();
@@ -116,12 +116,12 @@ impl Propagation {
         Ok(Self { parts, cross, scales })
     }
 
-    /// Whether the a-posteriori factor has something to multiply: not where all rows are known by their repeats.
+    /// Whether the a-posteriori factor multiplies any contribution. It does not if all rows have the scatter of repeats.
     pub fn is_scaled(&self) -> bool {
         self.parts.iter().any(|part| part.stated)
     }
 
-    /// The covariance of the unknowns, followed by what is considered.
+    /// The covariance of the unknowns followed by the considered quantities.
     pub fn covariance(&self, problem: &Problem) -> Vec<Vec<f64>> {
         let own = problem.unknowns.len();
         let mut covariance = vec![vec![0.0; own]; own];
@@ -140,7 +140,7 @@ impl Propagation {
         covariance
     }
 
-    /// How the uncertainty of every unknown comes about.
+    /// The uncertainty budget of every unknown.
     pub fn budget(&self, problem: &Problem, probability: f64) -> UncertaintyBudget {
         let machine = problem.unknowns.iter().filter(|unknown| unknown.owner == Owner::Machine).count();
         let parameters = problem.unknowns.iter().enumerate().map(|(index, unknown)| {
@@ -152,7 +152,8 @@ impl Propagation {
                 let parts = parts.iter().filter(move |(_, part)| part.stated == of_rows);
                 parts.map(|(variance, part)| (*variance, part.degrees_of_freedom))
             };
-            // One factor for all readings is one estimate.
+            // One factor for all readings is one estimate: its contributions are added before the effective degrees of
+            // freedom are computed.
             let mut freedom: Vec<(f64, f64)> = match self.scales {
                 Scales::Common(_, freedom) => vec![(own(true).map(|(variance, _)| variance).sum(), freedom)],
                 Scales::PerSet(_) => own(true).collect(),

@@ -1,4 +1,4 @@
-//! What the data determine: rank, lost directions, weak ones.
+//! Identifiability: rank, lost directions, weakly determined directions.
 
 use abbe_core::{Combination, Error, Identifiability, NullVector, Problem};
 use abbe_numerics::{Factor, Spectrum};

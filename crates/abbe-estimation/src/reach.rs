@@ -1,4 +1,4 @@
-//! Where the linear axes have to stand for the tip to be at a point.
+//! Commands of the linear axes that bring the tip to a point.
 
 use abbe_core::{AxisKind, KinematicModel, Poses, Result, Variable};
 use nalgebra::{DMatrix, DVector};
@@ -39,7 +39,7 @@ impl<'a> Reach<'a> {
         Ok(self.evaluate(statuses, &[])?.positions)
     }
 
-    /// The statuses with the tips at `points`; none where linear axes within their ranges do not bring it there.
+    /// The statuses with the tips at `points`; none if the linear axes cannot bring the tip there within their ranges.
     pub fn at(&self, mut statuses: Vec<Vec<f64>>, points: &[[f64; 3]]) -> Result<Vec<Option<Vec<f64>>>> {
         let mut distances = vec![f64::INFINITY; statuses.len()];
         for _ in 0..STEPS {
@@ -57,7 +57,7 @@ impl<'a> Reach<'a> {
         Ok(found.map(|(status, distance)| (distance < ON && self.in_range(&status)).then_some(status)).collect())
     }
 
-    /// The shortest step of the linear axes that takes a tip nearest to where it has to go.
+    /// The shortest step of the linear axes that brings a tip as near as possible to its point.
     fn step(&self, poses: &Poses, pose: usize, off: &DVector<f64>, status: &mut [f64]) {
         let count = self.linear.len();
         if count == 0 {

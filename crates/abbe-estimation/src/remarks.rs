@@ -1,14 +1,14 @@
-//! What people should know of a problem before they trust what comes out of it.
+//! Remarks on a problem that users should know before they trust its results.
 
 use abbe_core::{Owner, ParameterRole, Problem};
 
 use crate::aliasing::aliased;
 
-/// Forgotten unknowns that are named.
+/// Most forgotten unknowns that a remark names.
 const NAMED: usize = 3;
 
-/// Sentences on what the choice of rows and unknowns does: aliasing ([`aliased`]), and zeros of instruments that
-/// are forgotten.
+/// Sentences on effects of the choice of rows and unknowns: aliasing ([`aliased`]), and zeros of instruments that are not
+/// estimated.
 pub fn remarks(problem: &Problem) -> Vec<String> {
     let mut remarks = aliased(problem);
     remarks.extend(forgotten(problem));
@@ -16,7 +16,7 @@ pub fn remarks(problem: &Problem) -> Vec<String> {
 }
 
 /// Own unknowns of the set-up ([`ParameterRole::SetUp`]) that are neither estimated nor known from an earlier estimate: their
-/// values go into the errors of the machine.
+/// values then change the estimated errors of the machine.
 fn forgotten(problem: &Problem) -> Option<String> {
     let mut names = Vec::new();
     for (index, set) in problem.sets.iter().enumerate() {

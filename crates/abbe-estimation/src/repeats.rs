@@ -27,8 +27,8 @@ fn repetitions(layout: &Layout) -> Result<Vec<(Vec<String>, Vec<usize>)>> {
 
 /// The scatter of `repeats` (their rows and residuals at nominal values) for the rows of `layout`.
 ///
-/// Every repetition has the rows of the others in the same order; `layout` has one repetition or several. Its scatter is
-/// that of one; several are taken for independent.
+/// Every repetition has the same rows in the same order; `layout` has one repetition or several. Each of these has the
+/// scatter of one repetition; several are treated as independent.
 pub fn pooled(settings: &PooledRepeats, layout: &Layout, repeats: &Layout, residuals: &[f64]) -> Result<Pooled> {
     let known = repetitions(repeats)?;
     let own = match repetitions(layout) {

@@ -1,4 +1,4 @@
-//! What the residuals of a solution tell: their scatter, outliers.
+//! Statistics of the residuals of a solution: scatter, outliers.
 
 use abbe_core::{Outlier, Problem, Quantity, Result};
 use abbe_numerics::{CovarianceRoot, Robust, RobustReport};
@@ -11,7 +11,7 @@ pub struct ResidualStatistics {
     pub used: usize,
     /// Their number less the rank.
     pub degrees_of_freedom: usize,
-    /// What of that belongs to the readings: constraints do not scatter.
+    /// The part of the degrees of freedom that belongs to the readings; constraints do not scatter.
     pub redundancy: f64,
     /// The a-posteriori factor on the stated uncertainties of the readings.
     pub sigma: f64,
@@ -21,7 +21,7 @@ pub struct ResidualStatistics {
     pub angles: Sizes,
 }
 
-/// A redundancy below this is rounding: whole ones are lost to it by 1e-10 at most.
+/// A redundancy below this counts as zero: rounding errors of the redundancy are at most 1e-10.
 const LEAST_REDUNDANCY: f64 = 1e-6;
 
 /// The equations of a problem that are constraints: what certificates state.
@@ -76,12 +76,12 @@ impl Sizes {
 }
 
 impl ResidualStatistics {
-    /// Of the rows that are not left out by their weight. The a-posteriori factor of a robust estimate is that of Huber
-    /// (1981, section 7.6): the mean square of the influence over the square of its mean slope, with his correction for
-    /// the number of unknowns.
+    /// Statistics of the rows whose weight is not zero. The a-posteriori factor of a robust estimate is that of Huber (1981,
+    /// section 7.6): the mean square of the influence over the square of its mean slope, with his correction for the number
+    /// of unknowns.
     ///
     /// `quantities` says which residuals are lengths and which angles; `weighted` are the residuals in units of their
-    /// uncertainties, uncorrelated. Constraints take part as rows, but they tell nothing of the scatter of readings.
+    /// uncertainties, uncorrelated. Constraints are counted as rows, but give no information on the scatter of readings.
     pub fn new(
         residuals: &[f64],
         quantities: &[Quantity],

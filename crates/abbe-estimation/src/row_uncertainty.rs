@@ -23,14 +23,14 @@ pub fn check(settings: &InputUncertainty) -> Result<(), SettingsError> {
     check_rows(rows).map_err(at)
 }
 
-/// What settings state of equations of one quantity.
+/// The settings for equations of one quantity.
 struct Stated<'a> {
     quantity: Quantity,
     /// In words.
     name: &'static str,
     /// Unit of the settings.
     unit: &'static str,
-    /// From their unit to that of memory.
+    /// Factor from their unit to the unit in memory.
     factor: f64,
     standard: &'a BTreeMap<String, f64>,
     directions: &'a [f64],
@@ -56,12 +56,12 @@ impl Stated<'_> {
         }
         let equations: Vec<usize> = (0..size).collect();
         let matrix = DMatrix::from_fn(size, size, |row, column| self.row_covariance[row][column]);
-        // Judged in its own unit, so that messages tell the numbers that were given.
+        // Checked in the unit of the settings, so that messages show the given numbers.
         let block = CovarianceBlock::new("one row", &equations, &matrix)?;
         Ok(block.covariance * self.factor.powi(2))
     }
 
-    /// Refuses what no equation is of.
+    /// Fails if no equation is of this quantity.
     fn require(&self, setting: &str, quantities: &[Quantity]) -> Result<()> {
         if quantities.contains(&self.quantity) {
             return Ok(());
@@ -70,7 +70,7 @@ impl Stated<'_> {
         Err(Error::data(message).setting("uncertainty"))
     }
 
-    /// Refuses `given` numbers for a row with other `members`.
+    /// Fails if `given` numbers are not as many as the `members` of a row.
     fn directions(&self, setting: &str, given: usize, members: usize, row: &Row) -> Result<()> {
         if given == members {
             return Ok(());
@@ -94,7 +94,7 @@ fn shared_of(error: &SharedError, quantity: Quantity) -> Option<f64> {
     if quantity == Quantity::Angle { error.standard_uncertainty_urad } else { error.standard_uncertainty_um }
 }
 
-/// What every equation of observations is an equation of.
+/// The quantity of every equation of observations.
 fn quantities(observations: &dyn Observations) -> Vec<Quantity> {
     let rows = observations.info().layout.rows.iter().enumerate();
     rows.flat_map(|(index, row)| (0..row.equations).map(move |equation| observations.info().quantity(index, equation)))
@@ -175,7 +175,7 @@ fn check_rows(rows: &RowUncertainty) -> Result<(), SettingsError> {
     Ok(())
 }
 
-/// What these settings say of the rows of observations; `covariance` is the file that they name.
+/// The uncertainty of the rows of observations by these settings; `covariance` is the file that they name.
 ///
 /// Fails on columns and labels that are not there, on numbers that are no uncertainties, on lengths for angles and angles
 /// for lengths, and on matrices that are no covariance of these rows.
@@ -281,7 +281,7 @@ fn set_standard(rows: &RowUncertainty, layout: &Layout, quantities: &[Quantity],
     Ok(())
 }
 
-/// The covariances that add up: of every equation or row by itself, and of what is shared.
+/// The covariances whose sum is the total: of every single equation or row, and of shared errors.
 fn covariances(
     rows: &RowUncertainty,
     layout: &Layout,
@@ -344,7 +344,7 @@ fn labels<'a>(data: &'a Dataset, name: &str) -> Result<&'a [String]> {
     data.required_labels(name).map_err(|error| error.setting("uncertainty"))
 }
 
-/// Equations that parts tie together, each list ascending.
+/// Groups of equations that are correlated by the parts, each list ascending.
 fn components(equations: usize, parts: &[(Vec<usize>, Part)]) -> Vec<Vec<usize>> {
     let mut root: Vec<usize> = (0..equations).collect();
     fn find(root: &mut [usize], mut at: usize) -> usize {
@@ -420,7 +420,7 @@ fn full(layout: &Layout, quantities: &[Quantity], table: &Dataset) -> Result<Equ
     for column in columns {
         numbers.push(match &column.values {
             Values::Numbers(numbers) => numbers.clone(),
-            // A unit that only covariances have: their cells come as text.
+            // `_um2` is no unit of a quantity, so the cells were read as text.
             Values::Labels(cells) => cells
                 .iter()
                 .enumerate()
@@ -432,7 +432,7 @@ fn full(layout: &Layout, quantities: &[Quantity], table: &Dataset) -> Result<Equ
     }
     let size = places.len();
     let matrix = DMatrix::from_fn(size, size, |row, column| numbers[places[column].1][places[row].0]);
-    // Judged in µm², so that messages tell the numbers that the file has.
+    // Checked in µm², so that messages show the numbers of the file.
     let mut block = CovarianceBlock::new("the rows", &equations, &matrix).map_err(|error| wrong(error.message))?;
     block.covariance *= 1e-6;
     let mut standard = layout.standard_uncertainties.clone();

@@ -1,9 +1,9 @@
-//! Motion errors of one axis that move the tip alike at every recorded pose.
+//! Motion errors of one axis that have the same effect on the tip at every recorded pose.
 //!
-//! A rotation about a tip that never leaves its place behind the axis (one constant probe offset) is a translation. What separates
-//! the two then is not the machine but the functions that they are made of: other knots, a line that one of them lacks. Rank
-//! does not show that, so it is judged here from the errors themselves, whatever they are functions of: the derivatives of the pose to
-//! the errors of an axis, at all poses together (Soons 1993, section 5.2, leaves such errors out by hand).
+//! With one constant offset between axis and tip, a rotation error moves the tip as a translation error does. Only the
+//! functions chosen for the two errors can then separate them (other knots, no line in one of them), not the machine. Rank
+//! does not show this. So the derivatives of the pose to the errors of an axis are compared here, at all poses together,
+//! without their functions (Soons 1993, section 5.2, leaves such errors out by hand).
 
 use abbe_core::{
     Combination, ErrorFunction, Orientation, Owner, ParameterRole, Poses, Problem, Result, SameMotion, Unit, Variable,
@@ -13,12 +13,14 @@ use abbe_numerics::norm;
 use crate::contact::rank_point;
 use crate::separation::thinned;
 
-/// Part of an effect that rounding leaves of zero.
+/// Parts of an effect below this are rounding.
 const ROUNDING: f64 = 1e-9;
 
-/// Motion errors that move the tip at every recorded pose as others of the same axis do, as long as some of them are estimated.
+/// Motion errors that have, at every recorded pose, the same effect on the tip as other errors of the same axis. At least one
+/// of these errors is estimated.
 ///
-/// Poses are those of nominal contact on the nominal machine: deviations of recorded ones pose as information.
+/// The poses are those of nominal contact on the nominal machine, because deviations of recorded poses act as if they were
+/// information.
 pub fn same_motion(problem: &Problem) -> Result<Vec<SameMotion>> {
     let functions = &problem.model.info().error_functions;
     if functions.len() < 2 {
@@ -31,7 +33,7 @@ pub fn same_motion(problem: &Problem) -> Result<Vec<SameMotion>> {
     let mut found = Vec::new();
     for axis in 0..problem.model.info().axes.len() {
         let of_axis: Vec<&ErrorFunction> = functions.iter().filter(|function| function.axis == axis).collect();
-        // All poses only if a part of them leaves a doubt.
+        // All poses are used only if some of them show a dependence.
         if of_axis.len() < 2 || dependent(&effects(&few, &of_axis)?).is_empty() {
             continue;
         }
@@ -47,8 +49,8 @@ fn judged(problem: &Problem) -> Problem {
     rank_point(problem, &problem.start()).unwrap_or_else(|_| problem.clone())
 }
 
-/// What each of some errors of an axis does to the pose, mm and rad per mm or rad of the error, at all poses where all of them
-/// are known.
+/// The effect of each of some errors of an axis on the pose, mm and rad per mm or rad of the error, at all poses where all of
+/// them can be evaluated.
 fn effects(problem: &Problem, functions: &[&ErrorFunction]) -> Result<Vec<Vec<f64>>> {
     let mut effects = vec![Vec::new(); functions.len()];
     let mut poses = Poses::default();
@@ -74,24 +76,26 @@ fn effects(problem: &Problem, functions: &[&ErrorFunction]) -> Result<Vec<Vec<f6
     Ok(effects)
 }
 
-/// A parameter of an error, and by how much the error changes with it; none where no function of the error is seen.
+/// A parameter of an error, and the derivative of the error to it; none if the error cannot be evaluated at this status, or
+/// all its derivatives are zero.
 fn known(problem: &Problem, function: &ErrorFunction, status: &[f64]) -> Option<(usize, f64)> {
     let error = problem.model.motion_error(function, &problem.machine, status).ok()?;
     error.derivatives.into_iter().find(|(_, by)| by.is_finite() && *by != 0.0)
 }
 
-/// An error whose effects are those of others: its index, and the index and size of each of these.
+/// An error whose effect is a combination of the effects of others: its index, and the index and coefficient of each of
+/// these.
 type Dependent = (usize, Vec<(usize, f64)>);
 
 /// The errors whose effects are combinations of those of errors before them, by orthogonalisation in turn.
 fn dependent(effects: &[Vec<f64>]) -> Vec<Dependent> {
     let mut basis: Vec<(usize, Vec<f64>)> = Vec::new();
-    // What each direction of the basis is in terms of the errors.
+    // Each direction of the basis as a combination of the errors.
     let mut meaning: Vec<Vec<f64>> = Vec::new();
     let mut found = Vec::new();
     for (index, effect) in effects.iter().enumerate() {
         let size = norm(effect);
-        // Of fewer poses than errors nothing can be told.
+        // With fewer poses than errors no decision is possible.
         if effect.len() < 3 * effects.len() {
             return Vec::new();
         }
@@ -122,7 +126,7 @@ fn dependent(effects: &[Vec<f64>]) -> Vec<Dependent> {
     found
 }
 
-/// With names; none if it has no effect at all (rank says so) or nothing of it is estimated.
+/// The result with names; none if the error has no effect at all (rank shows that) or if none of these errors is estimated.
 fn named(problem: &Problem, functions: &[&ErrorFunction], (error, of): &Dependent) -> Option<SameMotion> {
     let parameters = &problem.model.info().parameters;
     let estimated = |index: usize| {

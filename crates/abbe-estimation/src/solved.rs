@@ -13,7 +13,7 @@ use crate::same_motion::same_motion;
 use crate::variance::Components;
 use crate::weighted::Weighted;
 
-/// What an estimator found by its own iteration.
+/// Solution that an estimator found by its own iteration.
 pub struct Solved {
     /// The values of the unknowns.
     pub x: Vec<f64>,
@@ -46,16 +46,16 @@ pub struct UncertaintyEvaluation {
     pub trust_uncertainties: bool,
     /// Probability that expanded uncertainties cover.
     pub coverage_probability: f64,
-    /// With budgets, weak combinations and errors that move the tip alike.
+    /// Adds budgets, weak combinations, and motion errors with the same effect on the tip ([`same_motion`]).
     pub explained: bool,
 }
 
 impl UncertaintyEvaluation {
-    /// The calibration that a solution is.
+    /// Makes the calibration from a solution.
     ///
-    /// `lost` is what the data cannot determine, where the estimator solved in spite of it; without it a direction that is lost at
-    /// the solution, or without the rows that weigh nothing, is an error. With `components` the problem has their factors in its uncertainties already. Fails where
-    /// residuals are to tell their scatter, and no degree of freedom is left for that.
+    /// `lost` is the identifiability at the start if the estimator solved although directions are lost. Without it, a lost
+    /// direction at the solution is an error. With `components`, the uncertainties of the problem already contain their
+    /// factors. Fails if the scatter is to be estimated from the residuals and no degrees of freedom are left.
     pub fn calibration(
         &self,
         problem: &Problem,
@@ -68,7 +68,7 @@ impl UncertaintyEvaluation {
         let rank = lost.as_ref().map_or(problem.unknowns.len(), |lost| lost.determined.count());
         let weighted = Weighted::new(problem)?;
         let judged = rank_point(problem, &x)?;
-        // What is left out by its weight does not inform; what is weighed down still does.
+        // Rows with weight zero give no information. Rows with a reduced weight still do.
         let kept: Option<Vec<f64>> =
             (report.as_ref()).map(|report| report.weights.iter().map(|weight| f64::from(*weight > 0.0)).collect());
         let factor = match factor.filter(|_| is_judged_as_recorded(problem) && kept.is_none()) {
@@ -111,7 +111,7 @@ impl UncertaintyEvaluation {
         );
         let place = Linearisation { problem: &judged, x: &x, kept: kept.as_deref(), root };
         let propagation = Propagation::new(&place, self.scales(&statistics, components), self.explained)?;
-        // Who estimates again without some rows asks for values and predictions, and may well use up all rows.
+        // A repeated estimate without some rows needs only values and predictions. It may leave no degrees of freedom.
         let told = self.explained && !self.trust_uncertainties;
         if statistics.redundancy == 0.0 && told && propagation.is_scaled() {
             return Err(Error::data(format!(

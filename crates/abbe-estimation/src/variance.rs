@@ -1,18 +1,18 @@
-//! Variance components: how much the readings of every artefact scatter compared with what was stated of them.
+//! Variance components: the scatter of the readings of every artefact, relative to their stated uncertainties.
 //!
 //! Group g has the stated standard uncertainties times an unknown factor `s_g`. With the weights of the current factors, the
-//! weighted residuals v and the share `M_g` of the information that the rows of g have (all shares add up to the identity),
-//! the squares of a group are expected to be
+//! weighted residuals v and the share `M_g` of the rows of g in the information (all shares add up to the identity), the
+//! expected sum of squares of a group is
 //!
 //! ```text
 //! E(v_g^T v_g) = sum over h of S_gh t_h,    S_gg = n_g - 2 tr M_g + tr M_g^2,    S_gh = tr(M_g M_h)
 //! ```
 //!
-//! where `t_h` is the square of what the factor of h is still off by. Solved for t and repeated until all t are 1, that is the
-//! restricted maximum likelihood estimate (Patterson & Thompson 1971), and the fixed point of Förstner's (1979) almost unbiased
-//! estimate `t_g = v_g^T v_g / r_g` with the redundancy `r_g = n_g - tr M_g`, which serves where a solution is no variance.
-//! The variance of `s_g^2` is `2 s_g^4 (S^-1)_gg`, so that it has `1 / (S^-1)_gg` degrees of freedom. What certificates state
-//! keeps its uncertainty: their t is 1.
+//! where `t_h` is the square of the ratio of the true factor of h to its current factor. Solved for t and repeated until all
+//! t are 1, this gives the restricted maximum likelihood estimate (Patterson & Thompson 1971), and the fixed point of
+//! Förstner's (1979) almost unbiased estimate `t_g = v_g^T v_g / r_g` with the redundancy `r_g = n_g - tr M_g`, which is used
+//! if a solution is negative or far from 1. The variance of `s_g^2` is `2 s_g^4 (S^-1)_gg`, so that it has `1 / (S^-1)_gg`
+//! degrees of freedom. Constraints of certificates keep their uncertainty: their t is 1.
 
 use abbe_core::{Error, Problem, Result, VarianceFactor};
 use abbe_numerics::{Directions, Factor, Robust, RobustReport, Solution};
@@ -24,20 +24,21 @@ use crate::weighted::Weighted;
 /// Most rounds of estimating factors.
 const ROUNDS: usize = 100;
 
-/// Logarithms of squares of factors below this are none: they move no standard uncertainty by more than half of it.
+/// The iteration ends if the logarithms of all squared corrections of factors are below this. Standard uncertainties then
+/// change by less than half of it, relatively.
 const SETTLED: f64 = 1e-8;
 
-/// Redundancy below which a group cannot tell its own factor: less than one reading is checked by others.
+/// Least redundancy of a group from which its own factor can be determined: one reading is checked by others.
 const LEAST_REDUNDANCY: f64 = 1.0;
 
-/// Smallest factor: readings that scatter less were not measured, they are exact.
+/// Smallest factor: readings that scatter less are exact and were not measured.
 const LEAST_FACTOR: f64 = 1e-4;
 
 /// The factors of all sets of a problem.
 pub struct Components {
     /// The factor on the standard uncertainties of every set.
     pub factors: Vec<f64>,
-    /// Their degrees of freedom; infinite where a set cannot tell its own.
+    /// Their degrees of freedom; infinite if the factor of a set cannot be determined.
     pub degrees_of_freedom: Vec<f64>,
     /// Values of the unknowns with these weights.
     pub x: Vec<f64>,
@@ -56,7 +57,7 @@ impl Components {
         named.collect()
     }
 
-    /// Tells people which factors are what was stated.
+    /// Warns about sets whose factor cannot be determined, so that their stated uncertainties are used.
     pub fn warn(&self, problem: &Problem) {
         for (set, _) in problem.sets.iter().zip(&self.determined).filter(|(_, determined)| !**determined) {
             tracing::warn!(
@@ -68,14 +69,14 @@ impl Components {
     }
 }
 
-/// What one solution tells of the groups.
+/// Sums of squares of the groups for one solution.
 struct Round {
     /// Weighted sum of squares of every group.
     squares: Vec<f64>,
     redundancies: Vec<f64>,
     /// Expected squares for every pair of groups.
     expected: DMatrix<f64>,
-    /// What certificates add to the expected squares of every group.
+    /// Contribution of certificates to the expected squares of every group.
     constrained: Vec<f64>,
 }
 
@@ -115,12 +116,12 @@ impl Round {
             }
             expected[(group, group)] += rows.len() as f64 - 2.0 * trace;
         }
-        // Rows that hang together in a projection: r_g is the sum over all groups, certificates included.
+        // Property of a projection: r_g is the sum of S_gh over all groups h, certificates included.
         let constrained = (0..count).map(|group| redundancies[group] - expected.row(group).sum()).collect();
         Ok(Self { squares, redundancies, expected, constrained })
     }
 
-    /// The squares of what the factors of the groups in `free` are off by, and their degrees of freedom.
+    /// The squared corrections t of the factors of the groups in `free`, and their degrees of freedom.
     fn solve(&self, free: &[usize]) -> (Vec<f64>, Vec<f64>) {
         let size = free.len();
         let matrix = DMatrix::from_fn(size, size, |row, column| self.expected[(free[row], free[column])]);

@@ -1,5 +1,5 @@
-//! A problem as rows that are independent and of unit variance: residuals over their standard uncertainties, correlated
-//! ones combined until they are uncorrelated.
+//! A problem as independent rows of unit variance: residuals divided by their standard uncertainties. Correlated residuals
+//! are transformed to uncorrelated ones.
 
 use abbe_core::{CovarianceBlock, Error, Problem, Result};
 use abbe_numerics::{Accumulator, Factor, LeastSquares};
@@ -126,7 +126,7 @@ impl LeastSquares for Weighted<'_> {
     fn linearise(&self, x: &[f64], sink: &mut dyn FnMut(usize, &[f64], &[f64])) -> Result<()> {
         let (own, count) = (self.problem.unknowns.len(), self.unknowns());
         let (mut residuals, mut derivatives) = (Vec::new(), Vec::new());
-        // Rows of correlated blocks wait until all of their block are there: derivatives and, last, the residual.
+        // Rows of correlated blocks are kept until their block is complete: derivatives and, last, the residual.
         let width = count + 1;
         let mut waiting: Vec<Vec<f64>> =
             self.blocks.iter().map(|block| vec![0.0; block.equations.len() * width]).collect();
@@ -135,7 +135,7 @@ impl LeastSquares for Weighted<'_> {
             for (row, residual) in block.residuals.iter().enumerate() {
                 let equation = block.first + row;
                 let line = &block.jacobian[row * own..(row + 1) * own];
-                // Looking at all is faster than stopping at the first.
+                // To test all values is faster than to stop at the first one.
                 if line.iter().fold(!residual.is_finite(), |bad, derivative| bad | !derivative.is_finite()) {
                     broken.get_or_insert(equation);
                 }
@@ -176,12 +176,12 @@ impl LeastSquares for Weighted<'_> {
 }
 
 impl Weighted<'_> {
-    /// Residuals, mm or rad, as those of the rows.
+    /// Transforms residuals in mm or rad to the residuals of the rows of unit variance.
     pub fn in_uncertainties(&self, mut residuals: Vec<f64>) -> Vec<f64> {
         for block in &self.blocks {
             let mut own: Vec<f64> = block.equations.iter().map(|&equation| residuals[equation]).collect();
             block.whiten(&mut own, 1);
-            // Undone by the division below, which all rows go through.
+            // The division below, which is for all rows, cancels this factor.
             for (&equation, value) in block.equations.iter().zip(own) {
                 residuals[equation] = value * self.uncertainties[equation];
             }

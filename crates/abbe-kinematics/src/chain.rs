@@ -43,8 +43,8 @@ pub struct ChainAxis {
 impl ChainAxis {
     /// +1 or -1: the sense in which the carried body moves along (about) `direction` for a positive command.
     ///
-    /// A positive command moves the tool positively relative to the workpiece (ISO 841), so what an axis of the
-    /// workpiece branch carries moves the other way.
+    /// A positive command moves the tool positively relative to the workpiece (ISO 841), so the body that an axis of the
+    /// workpiece branch carries moves in the opposite direction.
     pub fn sense(&self) -> f64 {
         let by_branch = if self.branch == Branch::Tool { 1.0 } else { -1.0 };
         if self.reverse { -by_branch } else { by_branch }
@@ -69,7 +69,7 @@ pub struct Chain {
 struct Slot {
     /// Directions of the three translations.
     frame: Directions,
-    /// The axes of the rotations ea and eb, as they act one after another; that of ec is the third direction.
+    /// The axes of the rotations ea and eb, which act in sequence; the axis of ec is the third direction of `frame`.
     about: [Vector3<f64>; 2],
     /// The point that the rotations turn about.
     origin: Vector3<f64>,
@@ -94,7 +94,7 @@ pub enum Derivatives<'a> {
     OfPositionAndRotation(&'a [bool]),
 }
 
-/// Pose of the tool relative to the table and what moves it.
+/// Pose of the tool relative to the table, and its derivatives to errors and commands.
 #[derive(Debug, Clone, Default)]
 pub struct Evaluation {
     /// Tip in the table frame, mm.
@@ -121,8 +121,8 @@ impl Evaluation {
         [quaternion.w, quaternion.i, quaternion.j, quaternion.k]
     }
 
-    /// The derivatives, from where errors and commands act; `table` and `tip` are the table's directions and the tip, bed
-    /// coordinates.
+    /// Computes the derivatives from the recorded slots and motions; `table` and `tip` are the table's directions and the
+    /// tip, bed coordinates.
     fn differentiate(&mut self, axes: &[ChainAxis], (table, tip): (Directions, Vector3<f64>), wanted: Derivatives<'_>) {
         let (slots, turns): (&[bool], bool) = match wanted {
             Derivatives::None => (&[], false),
@@ -142,7 +142,7 @@ impl Evaluation {
             let seen = |vector: &Vector3<f64>| table.inwards(vector) * *sign;
             let lever = tip - origin;
             let turned = |axis: &Vector3<f64>| seen(&axis.cross(&lever));
-            // What an evaluation before this one left is overwritten, wanted or not.
+            // Values of the evaluation before are overwritten, also for slots that are not wanted.
             self.by_error[index] = match slots[index] {
                 true => [seen(x), seen(y), seen(z), turned(a), turned(b), turned(z)],
                 false => [still; 6],
@@ -167,8 +167,8 @@ impl Evaluation {
     }
 }
 
-/// The directions of a frame's axes in another frame: a rotation whose products are spelled out, as they are most of what a
-/// pose costs.
+/// The directions of a frame's axes in another frame: a rotation. Its products are written out, because they take most of the
+/// time of an evaluation.
 #[derive(Debug, Clone, Copy, PartialEq)]
 struct Directions([Vector3<f64>; 3]);
 
@@ -188,7 +188,7 @@ impl Directions {
     }
 }
 
-/// A frame on the way outwards, bed coordinates.
+/// The current frame on the way from the bed outwards, bed coordinates.
 struct Frame {
     directions: Directions,
     origin: Vector3<f64>,
@@ -202,10 +202,10 @@ impl Frame {
         Self { directions: Directions::SAME, origin: Vector3::zeros(), nominal: Vector3::zeros(), sign }
     }
 
-    /// Lets errors act, and records where they do.
+    /// Applies errors to the frame, and records the slot where they act.
     fn err(&mut self, errors: &Errors, slot: &mut Slot) {
         let [x, y, z] = self.directions.0;
-        // Field by field: a whole slot would be copied.
+        // Field by field, because assigning a whole slot would copy it.
         (slot.frame, slot.about, slot.sign) = (self.directions, [x, y], self.sign);
         if errors[..3] != [0.0; 3] {
             self.origin += self.directions.outwards(&Vector3::new(errors[0], errors[1], errors[2]));
@@ -223,7 +223,7 @@ impl Frame {
         }
     }
 
-    /// Moves by a command, and records how.
+    /// Applies a command to the frame; returns direction and origin of the motion.
     fn command(&mut self, axis: &ChainAxis, command: f64) -> (Vector3<f64>, Vector3<f64>) {
         let direction = self.directions.outwards(&axis.direction) * axis.sense();
         match axis.kind {
@@ -239,7 +239,8 @@ impl Frame {
     }
 }
 
-/// Sine and cosine of an angle that is small as a rule: of angles below 0.01 rad series are as exact as doubles are.
+/// Sine and cosine of an angle that is usually small. Up to 0.01 rad, power series are used, which are exact in double
+/// precision.
 fn sin_cos(angle: f64) -> (f64, f64) {
     if angle.abs() > 0.01 {
         return angle.sin_cos();
@@ -344,7 +345,7 @@ impl Chain {
     /// Position of the tip to first order in the errors: the nominal position plus the sum of each error times its
     /// 6 x 6 matrix (Soons 1993, eq. 2.24 to 2.28), carried from the tool frame into the table frame.
     ///
-    /// The difference to [`evaluate`](Self::evaluate) is what linearising costs; it shrinks with the square of the errors.
+    /// The difference to [`evaluate`](Self::evaluate) is the linearisation error; it decreases with the square of the errors.
     pub fn first_order(&self, commands: &[f64], errors: &[Errors], tip: &Vector3<f64>) -> Vector3<f64> {
         let mut nominal = Evaluation::default();
         self.evaluate(commands, &vec![[0.0; 6]; self.slots()], tip, Derivatives::None, &mut nominal);
@@ -367,10 +368,11 @@ impl Chain {
         nominal.position + nominal.rotation * sum.fixed_rows::<3>(3)
     }
 
-    /// The pose to first order in the errors, with the derivatives of that very pose: what [`evaluate`](Self::evaluate) is
-    /// replaced by to see what linearising costs.
+    /// The pose to first order in the errors, with the derivatives of this first-order pose. It replaces
+    /// [`evaluate`](Self::evaluate) to determine the linearisation error.
     ///
-    /// The position is that of [`first_order`](Self::first_order); the tool turns by the sum of the errors' turns.
+    /// The position is that of [`first_order`](Self::first_order); the rotation vector of the tool is the sum of those of the
+    /// single errors.
     pub fn evaluate_first_order(&self, commands: &[f64], errors: &[Errors], tip: &Vector3<f64>, out: &mut Evaluation) {
         self.evaluate(
             commands,
@@ -387,7 +389,7 @@ impl Chain {
                 let turn_by_error = out.turn_by_error[slot][component] * error;
                 shift += by_error;
                 turn += turn_by_error;
-                // Of two motions, the one nearer to the workpiece carries the effect of the other along.
+                // Of an error and a motion, the one nearer to the workpiece also turns the effect of the other.
                 for (axis, (shift, turn)) in by_command.iter_mut().enumerate() {
                     if self.is_beyond(slot, axis) {
                         *shift += out.turn_by_command[axis].cross(&by_error);
@@ -398,7 +400,8 @@ impl Chain {
                 }
             }
         }
-        // A rotation vector that is not zero: its derivative is not that of the rotation, but Bortz's matrix away from it.
+        // The rotation vector is not zero, so its derivative differs from that of the rotation by its left Jacobian (the
+        // matrix of Bortz).
         let angle = turn.norm();
         let (half, rest) = match angle > 1e-4 {
             true => ((1.0 - angle.cos()) / angle.powi(2), (angle - angle.sin()) / angle.powi(3)),

@@ -1,8 +1,8 @@
 //! Serial chains in ISO 10791-6 notation: exact transforms of the structural loop, where each error acts, analytic
 //! derivatives, and the first-order form.
 //!
-//! **Architecture invariant:** a chain knows six location and six motion errors of every axis, tool and workpiece
-//! set-up errors, and nothing of what these errors depend on; that is the business of `abbe-errors`.
+//! **Architecture invariant:** a chain knows six location and six motion errors of every axis, tool and workpiece set-up
+//! errors. How these errors depend on commands and other statuses is defined in `abbe-errors`.
 
 mod chain;
 mod notation;

@@ -5,7 +5,7 @@ use std::str::FromStr;
 
 use abbe_core::{AxisKind, Branch};
 
-/// What is wrong with a chain.
+/// Error in the notation of a chain.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct ChainError(pub String);
 
@@ -126,7 +126,7 @@ impl FromStr for StructuralLoop {
     }
 }
 
-/// Reads one axis; gives it, whether it has a prime, and what follows.
+/// Reads one axis; returns the axis, whether it has a prime, and the rest of the text.
 fn read_axis(text: &str, bed_passed: bool) -> Result<(NamedAxis, bool, &str), String> {
     let (indexed, inner) = match text.strip_prefix('(') {
         Some(inner) => (true, inner.trim_start()),

@@ -1,4 +1,4 @@
-//! Takes the rows of a least squares problem and keeps nothing but their triangular factor.
+//! Reduces the rows of a least squares problem to their triangular factor.
 
 use faer::linalg::solvers::Qr;
 use faer::{Mat, MatRef};
@@ -15,10 +15,11 @@ const BLOCK: usize = 1024;
 /// Problems with no more unknowns than this are factorised as if none were zero.
 const FEW: usize = 64;
 
-/// Takes rows `[J | r]` of a least squares problem and keeps nothing but their triangular factor.
+/// Reduces rows `[J | r]` of a least squares problem to their triangular factor.
 ///
-/// Rows are collected in a buffer. A full buffer is factorised over those columns that are not zero in it: where measurements
-/// come run by run, most unknowns of other runs are. The result is that of one QR of all rows, at the memory of the buffer.
+/// Rows are collected in a buffer. A full buffer is factorised over the columns that are not zero in it: if measurements come
+/// run by run, most columns of unknowns of other runs are zero. The result is that of one QR of all rows, with the memory of
+/// the buffer only.
 pub struct Accumulator {
     unknowns: usize,
     /// Most rows of the buffer.
@@ -51,7 +52,7 @@ impl Triangle {
         if row <= column && row < self.values.nrows() { self.values[(row, column)] } else { 0.0 }
     }
 
-    /// The same with these columns (their indices here) first; the others keep their order.
+    /// The same factor with these columns (their indices in this triangle) first; the others keep their order.
     fn starting_with(&self, first: &[usize]) -> Self {
         let count = self.columns.len();
         let others = (0..count).filter(|column| !first.contains(column));
@@ -93,7 +94,7 @@ impl Accumulator {
         self.rows += 1;
     }
 
-    /// Whether a row has unknowns that the buffer does not have: where the next run begins, those of the last one end.
+    /// Whether a row has unknowns that the buffer does not have: the first row of the next run.
     fn is_of_others(&mut self, derivatives: &[f64]) -> bool {
         if self.unknowns <= FEW {
             return false;
@@ -129,7 +130,8 @@ impl Accumulator {
         self.flush();
         let mut users = vec![0; self.unknowns];
         self.done.iter().flat_map(|triangle| &triangle.columns).for_each(|&column| users[column] += 1);
-        // Unknowns of one triangle alone are eliminated there, and only what is left is combined with the others.
+        // Unknowns that only one triangle has are eliminated there. Only the remaining rows are combined with other
+        // triangles.
         let (mut settled, mut shared) = (Vec::new(), Vec::new());
         for triangle in &self.done {
             let own = (0..triangle.columns.len()).filter(|&column| users[triangle.columns[column]] == 1);
@@ -169,13 +171,13 @@ impl Accumulator {
 fn present(rows: &[f64], unknowns: usize) -> Vec<bool> {
     let mut sizes = vec![0.0_f64; unknowns];
     for row in rows.chunks_exact(unknowns + 1) {
-        // Faster than to look at each one; what is no number is not zero.
+        // This sum is faster than a test of each value. NaN counts as not zero.
         sizes.iter_mut().zip(row).for_each(|(size, value)| *size += value.abs());
     }
     sizes.into_iter().map(|size| size != 0.0).collect()
 }
 
-/// The factor of all rows of some triangles, over `columns`, among which all of theirs are.
+/// The factor of all rows of some triangles, over `columns`, which contain the columns of all triangles.
 fn stacked(triangles: &[Triangle], columns: Vec<usize>) -> Triangle {
     let height = triangles.iter().map(|triangle| triangle.values.nrows()).sum();
     let mut rows = Mat::zeros(height, columns.len() + 1);

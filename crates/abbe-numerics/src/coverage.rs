@@ -1,16 +1,16 @@
-//! Coverage factors: how many standard uncertainties an interval or a region takes to hold a quantity, or several at
-//! once, with a stated probability.
+//! Coverage factors: half width of an interval, or size of a region, in standard uncertainties, that contains a quantity (or
+//! several together) with a stated probability.
 
 use statrs::distribution::{Binomial, ChiSquared, ContinuousCDF, DiscreteCDF, Normal, StudentsT};
 use statrs::function::beta::beta_reg;
 
 /// Degrees of freedom beyond which Student's quantile is the normal one with corrections.
 ///
-/// The corrections leave out what is of the order of `1 / dof^4`, less than 1e-12 here; inversion of the distribution
-/// is as good up to here and has four digits left at 1e6.
+/// The corrections leave out terms of the order of `1 / dof^4`, less than 1e-12 here. Inversion of the distribution is as
+/// exact up to this value, but has only four digits at 1e6.
 const NEARLY_NORMAL: f64 = 1e4;
 
-/// Half width of the interval that holds one quantity with `probability`, in standard uncertainties: the two-sided
+/// Half width, in standard uncertainties, of the interval that contains one quantity with `probability`: the two-sided
 /// quantile of Student's distribution (JCGM 100:2008, G.3). Infinite degrees of freedom mean the normal distribution.
 ///
 /// Degrees of freedom need not be whole. NaN unless `0 < probability < 1` and `degrees_of_freedom > 0`.
@@ -18,7 +18,7 @@ pub fn coverage_factor(probability: f64, degrees_of_freedom: f64) -> f64 {
     if !is_probability(probability) || degrees_of_freedom.is_nan() || degrees_of_freedom <= 0.0 {
         return f64::NAN;
     }
-    // The quantile of the lower tail: a tail of 1e-12 is exact where 1 - 1e-12 has lost digits.
+    // The quantile of the lower tail is used, because 1 - 1e-12 loses digits that a tail of 1e-12 has.
     let tail = (1.0 - probability) / 2.0;
     let normal = -Normal::standard().inverse_cdf(tail);
     if degrees_of_freedom > NEARLY_NORMAL {
@@ -30,7 +30,7 @@ pub fn coverage_factor(probability: f64, degrees_of_freedom: f64) -> f64 {
     }
 }
 
-/// The value that a positive quantity exceeds with probability `tail`, given its upper tail, which falls; the search starts
+/// The value that a positive quantity exceeds with probability `tail`, given its decreasing upper tail. The search starts
 /// from `start`.
 ///
 /// Regula falsi (Illinois) on logarithms within a bracket. The inversions of the library that gives the tails do not end for
@@ -107,8 +107,8 @@ pub fn rectangular_coverage_factor(quantities: usize, probability: f64, degrees_
     -Normal::standard().inverse_cdf((1.0 - probability) / (2.0 * quantities as f64))
 }
 
-/// The value that a chi-squared quantity stays below with `probability`, good to 1e-9 plus as many digits of the value:
-/// enough for all but the lower tail of one degree of freedom or less.
+/// The value that a chi-squared quantity stays below with `probability`, with an error of at most 1e-9, absolute plus
+/// relative: enough for all but the lower tail of one degree of freedom or less.
 ///
 /// NaN unless `0 < probability < 1` and `degrees_of_freedom` is positive and finite.
 pub fn chi_squared_quantile(probability: f64, degrees_of_freedom: f64) -> f64 {
@@ -167,17 +167,17 @@ pub fn hotelling_upper_tail(value: f64, quantities: usize, degrees_of_freedom: f
     }
 }
 
-/// The smallest central band of counts (both ends included) that the number of successes in `trials` independent
-/// trials stays in with at least `confidence`, when each succeeds with `probability`: neither the counts below the band
-/// nor those above have more than `(1 - confidence) / 2`.
+/// The smallest central band of counts (both ends included) that contains the number of successes in `trials` independent
+/// trials with at least `confidence`, if each succeeds with `probability`. The counts below the band have a probability of at
+/// most `(1 - confidence) / 2`, and so do those above it.
 ///
-/// All counts, if `probability` is not in 0..=1 or `confidence` not in 0..1: then nothing is known.
+/// All counts if `probability` is not in 0..=1 or `confidence` not in 0..1.
 pub fn binomial_band(trials: usize, probability: f64, confidence: f64) -> (usize, usize) {
     let Ok(distribution) = Binomial::new(probability, trials as u64) else { return (0, trials) };
     if !(0.0..1.0).contains(&confidence) {
         return (0, trials);
     }
-    // A tail that is met exactly is none too much, also when the last digits of its sum say so.
+    // A tail that is exactly equal is admissible, even if rounding makes its sum a little larger.
     let tail = (1.0 - confidence) / 2.0 * (1.0 + 1e-12);
     // Low is the first count up to which there is more than the tail, high the first beyond which there is no more.
     let low = first(trials, |count| distribution.cdf(count as u64) > tail);
@@ -199,9 +199,9 @@ fn first(last: usize, reached: impl Fn(usize) -> bool) -> usize {
     low
 }
 
-/// Degrees of freedom of a sum of independent parts by the formula of Welch and Satterthwaite (JCGM 100:2008, G.4.1),
-/// of the variance that each part contributes (sensitivities included, all in the same unit) and its degrees of
-/// freedom.
+/// Effective degrees of freedom of a sum of independent parts by the Welch-Satterthwaite formula (JCGM 100:2008, G.4.1).
+/// `parts` are (variance that the part contributes, degrees of freedom); variances include sensitivities and have the same
+/// unit.
 ///
 /// Infinite where no part that contributes has finite degrees of freedom; not rounded down to a whole number.
 pub fn effective_degrees_of_freedom(parts: &[(f64, f64)]) -> f64 {

@@ -1,22 +1,23 @@
 //! Choice of measurements: optimal designs by exchange (V. V. Fedorov, *Theory of optimal experiments*, 1972; Soons 1993,
 //! section 4.4 and appendix B).
 //!
-//! A candidate is a block of rows of a Jacobian, weighted by the uncertainty of its equations, and with columns scaled by
-//! whoever asks: of the criteria only D does not depend on units.
+//! A candidate is a block of rows of a Jacobian, weighted by the uncertainty of its equations, and with columns that the
+//! caller scales: of the criteria only D does not depend on units.
 
 use faer::linalg::solvers::DenseSolveCore;
 use faer::{Mat, Side};
 
 use crate::sampling::Generator;
 
-/// Part of the information of an average design that is added to every design, so that one that leaves something open
-/// can be compared, too.
+/// Relative ridge that is added to the information of every design, so that designs with undetermined unknowns can be
+/// compared, too.
 const RIDGE: f64 = 1e-12;
 
-/// Part of the largest eigenvalue of an information matrix with diagonal 1 below which rounding makes the smallest one.
+/// An information matrix with diagonal 1 counts as singular if its smallest eigenvalue is below this part of the largest one,
+/// because it is then rounding.
 const OPEN: f64 = 1e-13;
 
-/// What an unknown that is not seen at all counts among condition numbers: worse than any.
+/// Penalty on the condition number for each unknown without any effect on the rows: larger than any condition number.
 const UNSEEN: f64 = 1e9;
 
 /// Passes over all positions after which an exchange ends; it needs some ten.
@@ -25,10 +26,11 @@ const PASSES: usize = 200;
 /// Relative improvement from which candidates are exchanged.
 const IMPROVEMENT: f64 = 1e-9;
 
-/// Candidates, the most informative ones, that are compared by criteria which take a decomposition each.
+/// Number of candidates (those with the largest determinant) that are compared by a criterion that needs a decomposition for
+/// each.
 const COMPARED: usize = 150;
 
-/// What makes a design good.
+/// Criterion of optimality.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Criterion {
     /// Largest determinant of the information: smallest ellipsoid of the estimates. Does not depend on units.
@@ -37,18 +39,18 @@ pub enum Criterion {
     A,
     /// Smallest variance of the combination that is determined worst.
     E,
-    /// Smallest of the largest variances of what the candidates would measure.
+    /// Smallest largest variance of the predicted responses of the candidates.
     G,
     /// Smallest condition number of the Jacobian with columns of norm 1.
     Condition,
 }
 
-/// What there is to choose from and what is wanted.
+/// The candidates of a design and the requirements on it.
 #[derive(Debug, Clone)]
 pub struct Choice {
     /// Number of unknowns p.
     pub unknowns: usize,
-    /// So many of them, the first ones, count; the others have to be estimated, too.
+    /// Number of unknowns of interest, which are the first ones. The others are nuisance unknowns, which are estimated, too.
     pub of_interest: usize,
     /// Rows of all candidates, one after another: rows x unknowns.
     pub rows: Vec<f64>,
@@ -56,7 +58,7 @@ pub struct Choice {
     pub ends: Vec<usize>,
     /// Information of what has been measured already, unknowns x unknowns; zeros if nothing has.
     pub measured: Vec<f64>,
-    /// What each candidate costs.
+    /// Cost of each candidate.
     pub costs: Vec<f64>,
     /// Candidates that belong to the design; one that stands twice is measured twice.
     pub required: Vec<usize>,
@@ -68,7 +70,7 @@ pub struct Choice {
     pub number: Option<usize>,
     /// Largest sum of costs.
     pub budget: Option<f64>,
-    /// What makes a design good.
+    /// Criterion of optimality.
     pub criterion: Criterion,
 }
 
@@ -77,8 +79,8 @@ pub struct Choice {
 pub struct Design {
     /// The chosen candidates, ascending; one that stands twice is measured twice.
     pub chosen: Vec<usize>,
-    /// How good it is by the criterion, larger being better: the logarithm of the determinant, else the negative of what has to be
-    /// small. Minus infinity if it leaves something open.
+    /// Its value by the criterion, larger is better: the logarithm of the determinant for D, else the negative of the
+    /// quantity to be minimised. Minus infinity if an unknown of interest is not determined.
     pub value: f64,
 }
 
@@ -93,7 +95,7 @@ pub struct DesignFigures {
     pub worst_variance: f64,
     /// Condition number with columns of norm 1.
     pub condition: f64,
-    /// Mean and largest variance of what the candidates' rows measure.
+    /// Mean and largest variance of the predicted responses of the candidates' rows.
     pub response_variance: [f64; 2],
     /// Covariance of all unknowns, unknowns x unknowns.
     pub covariance: Vec<f64>,
@@ -112,7 +114,7 @@ impl Choice {
 
     /// A design that no exchange of one candidate makes better, from a random start.
     ///
-    /// None if the required candidates are more than wanted, or nothing fits into the budget.
+    /// None if the required candidates are more than the number or the budget allows, or if no design meets both.
     pub fn exchange(&self, generator: &mut Generator) -> Option<Design> {
         let mut chosen = self.start(generator)?;
         let fixed = self.required.len();
@@ -122,8 +124,8 @@ impl Choice {
         if design.value > f64::NEG_INFINITY || self.criterion == Criterion::D {
             return Some(design);
         }
-        // Where several combinations are open no single exchange improves what is determined worst; the determinant sees
-        // each of them.
+        // If several combinations are not determined, no single exchange improves the worst one. The determinant (with the
+        // ridge) improves with each of them.
         let mut chosen = start;
         Self { criterion: Criterion::D, ..self.clone() }.improve(&mut chosen, fixed);
         self.improve(&mut chosen, fixed);
@@ -140,20 +142,21 @@ impl Choice {
         }
     }
 
-    /// How good a given design is.
+    /// Evaluates a given design by the criterion.
     pub fn design(&self, mut chosen: Vec<usize>) -> Design {
         chosen.sort_unstable();
         let value = self.value(&self.information(&chosen, 0.0));
         Design { chosen, value }
     }
 
-    /// The logarithm of the determinant of the information of the unknowns of interest; none if the design leaves something open.
+    /// The logarithm of the determinant of the information of the unknowns of interest; none if the design does not determine
+    /// all of them.
     pub fn log_determinant(&self, chosen: &[usize]) -> Option<f64> {
         let of_interest = self.of_interest(&self.information(chosen, 0.0))?;
         condition(&of_interest).and_then(|_| log_determinant(&of_interest))
     }
 
-    /// The figures of a design; none if it leaves something open.
+    /// The figures of a design; none if it does not determine all unknowns.
     pub fn figures(&self, chosen: &[usize]) -> Option<DesignFigures> {
         let information = self.information(chosen, 0.0);
         let of_interest = self.of_interest(&information)?;
@@ -212,7 +215,7 @@ impl Choice {
         (0..self.candidates()).filter(|index| free[*index] && rest.is_none_or(|rest| cost(index) <= rest)).collect()
     }
 
-    /// What could be added without leaving the budget.
+    /// The candidates that can be added within the budget.
     fn added(&self, chosen: &[usize]) -> Vec<usize> {
         let Some(budget) = self.budget.filter(|_| self.number.is_none_or(|number| chosen.len() < number)) else {
             return Vec::new();
@@ -228,7 +231,7 @@ impl Choice {
     /// variances of both rows and their covariance: (1 + d_in) (1 - d_out) + d_in,out².
     fn exchange_rows(&self, chosen: &mut Vec<usize>, fixed: usize) {
         for _ in 0..PASSES {
-            // Anew in each pass, so that rounding does not add up.
+            // Computed again in each pass, so that rounding does not accumulate.
             let Some(mut all) = Variances::new(self, chosen, 0) else { return };
             let mut nuisance = match self.of_interest < self.unknowns {
                 true => Variances::new(self, chosen, self.of_interest),
@@ -294,7 +297,7 @@ impl Choice {
         }
     }
 
-    /// The candidate that makes the best design of what is there, and its value.
+    /// The candidate that gives the best design together with the others, and its value.
     fn best_with(&self, rest: &Mat<f64>, mut candidates: Vec<usize>) -> Option<(usize, f64)> {
         if candidates.len() > COMPARED && self.criterion != Criterion::D {
             let with = |index: usize| log_determinant(&self.with(rest, index)).unwrap_or(f64::NEG_INFINITY);
@@ -316,13 +319,14 @@ impl Choice {
         let p = self.unknowns;
         let mut information = Mat::from_fn(p, p, |row, column| self.measured[row * p + column]);
         chosen.iter().for_each(|&index| add(&mut information, self.candidate(index), p));
-        // Columns that nobody sees get a ridge, too.
+        // Unknowns without any effect on the rows get a ridge, too.
         let mean = (0..p).map(|k| information[(k, k)]).sum::<f64>() / p.max(1) as f64;
         (0..p).for_each(|k| information[(k, k)] += ridge * (information[(k, k)] + mean));
         information
     }
 
-    /// The information of the unknowns of interest once the others are estimated, too; none if these are left open.
+    /// The information on the unknowns of interest if the others are estimated, too (Schur complement). None if the others
+    /// are not determined.
     fn of_interest(&self, information: &Mat<f64>) -> Option<Mat<f64>> {
         let (q, p) = (self.of_interest, self.unknowns);
         if q == p {
@@ -333,7 +337,7 @@ impl Choice {
         Some(information.submatrix(0, 0, q, q) - across * of_others * across.transpose())
     }
 
-    /// How good this information is, larger being better.
+    /// The value of this information by the criterion, larger is better.
     fn value(&self, information: &Mat<f64>) -> f64 {
         let determined = |of_interest: &Mat<f64>| condition(of_interest).is_some();
         let value = self.of_interest(information).filter(determined).and_then(|of_interest| match self.criterion {
@@ -345,7 +349,7 @@ impl Choice {
             Criterion::E => eigenvalues(&of_interest)?.first().filter(|value| **value > 0.0).map(|value| -1.0 / value),
             Criterion::G => Some(-self.response_variances(&inverse(information)?)[1]),
             Criterion::Condition => {
-                // An unknown that nobody sees would have a column of its own, of norm 1 by the ridge: the best there is.
+                // With the ridge alone, an unknown without effect would have an independent column of norm 1, which is ideal.
                 let largest = (0..self.of_interest).map(|k| of_interest[(k, k)]).fold(0.0, f64::max);
                 let unseen = (0..self.of_interest).filter(|&k| of_interest[(k, k)] < 1e3 * RIDGE * largest).count();
                 condition(&of_interest).map(|condition| -condition - UNSEEN * unseen as f64)
@@ -354,7 +358,7 @@ impl Choice {
         value.filter(|value| !value.is_nan()).unwrap_or(f64::NEG_INFINITY)
     }
 
-    /// Mean and largest variance of what the rows of all candidates measure.
+    /// Mean and largest variance of the predicted responses of the rows of all candidates.
     fn response_variances(&self, covariance: &Mat<f64>) -> [f64; 2] {
         let (mut sum, mut largest) = (0.0, 0.0_f64);
         for row in self.rows.chunks_exact(self.unknowns) {
@@ -366,13 +370,13 @@ impl Choice {
     }
 }
 
-/// What a design tells of the rows of all candidates, by the unknowns from one on.
+/// Variances of the responses of all candidates' rows for a design, for the unknowns from number `first` on.
 struct Variances {
     /// The first of these unknowns.
     first: usize,
     /// Their covariance.
     covariance: Mat<f64>,
-    /// Variance of what every row measures.
+    /// Variance of the response of every row.
     of_rows: Vec<f64>,
 }
 
@@ -386,7 +390,7 @@ impl Variances {
         Some(Self { first, covariance, of_rows })
     }
 
-    /// Covariances of what a row measures with what all rows do.
+    /// Covariances of the response of a row with the responses of all rows.
     fn covariances(&self, choice: &Choice, index: usize) -> Vec<f64> {
         let weights = times(&self.covariance, choice.candidate(index), self.first);
         choice.rows.chunks_exact(choice.unknowns).map(|row| dot_in_lanes(&row[self.first..], &weights)).collect()
@@ -425,7 +429,7 @@ fn best(candidates: impl Iterator<Item = (usize, f64)>) -> Option<(usize, f64)> 
     })
 }
 
-/// The inner product, as independent sums that a processor does together: searches consist of little else.
+/// The inner product as independent sums, which processors compute in parallel. Searches spend most of their time here.
 fn dot_in_lanes(one: &[f64], other: &[f64]) -> f64 {
     const LANES: usize = 8;
     let mut sums = [0.0; LANES];

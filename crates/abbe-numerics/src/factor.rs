@@ -1,4 +1,4 @@
-//! The triangular factor of a least squares problem, and what it tells.
+//! The triangular factor of a least squares problem, and quantities that follow from it.
 
 use faer::linalg::solvers::Svd;
 use faer::{Mat, MatRef};
@@ -7,7 +7,7 @@ use crate::accumulate::Accumulator;
 use crate::directions::Directions;
 use crate::vector::{norm, norm_of};
 
-/// Triangular factor of `[J | r]`: `J = Q R`, with `Q^T r` and the sum of squares that no step can take away.
+/// Triangular factor of `[J | r]`: `J = Q R`, with `Q^T r` and the sum of squares that remains after the full step.
 #[derive(Debug, Clone)]
 pub struct Factor {
     triangle: Mat<f64>,
@@ -28,7 +28,7 @@ pub struct CandidateTerm {
     pub unknown: usize,
     /// Its least squares value.
     pub value: f64,
-    /// What it takes away from the sum of squares of r.
+    /// Its reduction of the sum of squares of r.
     pub explained: f64,
 }
 
@@ -47,12 +47,12 @@ impl Factor {
         self.rows
     }
 
-    /// Norm of every column of J; the measure of what one unit of the unknown does to all rows.
+    /// Norm of every column of J: the effect of one unit of the unknown on all rows together.
     pub fn norms(&self) -> &[f64] {
         &self.norms
     }
 
-    /// Column of the triangular factor; its products with other columns are those of J's.
+    /// Column of the triangular factor. Inner products of its columns equal those of the columns of J.
     pub fn column(&self, unknown: usize) -> Vec<f64> {
         (0..self.unknowns()).map(|row| self.triangle[(row, unknown)]).collect()
     }
@@ -93,8 +93,8 @@ impl Factor {
         accumulator.finish().of_rows(self.rows)
     }
 
-    /// What each unknown from number `own` on would do if it alone joined those before it, which are all determined, at their
-    /// least squares values. An unknown that does nothing that they cannot do is left out.
+    /// The effect of each unknown from number `own` on if it alone is added to the first `own` unknowns, which are all
+    /// determined, at their least squares values. An unknown whose effect is a combination of theirs is left out.
     pub fn candidate_terms(&self, own: usize) -> Vec<CandidateTerm> {
         let n = self.unknowns();
         let mut terms = Vec::new();
@@ -151,7 +151,7 @@ impl Factor {
         (0..self.unknowns()).map(cosine).fold(0.0, f64::max)
     }
 
-    /// Norm of `J x`: by how much x moves all rows together.
+    /// Norm of `J x`: the change of all rows together by x.
     pub fn row_norm(&self, x: &[f64]) -> f64 {
         let n = self.unknowns();
         norm_of((0..n).map(|row| (row..n).map(|column| self.triangle[(row, column)] * x[column]).sum()))
@@ -167,7 +167,7 @@ impl Factor {
         CovarianceRoot(Mat::from_fn(scale.len(), scale.len(), |row, column| scale[row] * inverse[(row, column)]))
     }
 
-    /// What makes every column of J a column of norm 1; a column of zeros is left as it is.
+    /// Factors that scale every column of J to norm 1; 1 for a column of zeros.
     fn scale(&self) -> Vec<f64> {
         self.norms.iter().map(|&norm| if norm > 0.0 { 1.0 / norm } else { 1.0 }).collect()
     }
@@ -178,8 +178,8 @@ impl Factor {
 
     /// Singular values of J with its columns scaled to norm 1, the largest first; NaN if J is not finite.
     ///
-    /// Scaling makes the result independent of units: without it an unknown in mm/mm^3 would pass for lost beside one in
-    /// mm. A column of zeros stays one and shows as a singular value of zero.
+    /// Scaling makes the result independent of units. Without it an unknown in mm/mm^3 would seem lost beside one in mm. A
+    /// column of zeros is not scaled and gives a singular value of zero.
     pub fn singular_values(&self) -> SingularValues {
         let scaled = self.scaled(&self.scale());
         let values = if scaled.norm_l2().is_finite() { scaled.singular_values().ok() } else { None };
@@ -201,8 +201,9 @@ impl Factor {
         Spectrum { singular_values, vectors: svd.V().to_owned(), right, scale }
     }
 
-    /// Whether the rank is full for certain: the norm of the inverse bounds the smallest singular value. Much cheaper than
-    /// [`singular_values`](Self::singular_values), which decide where this says no.
+    /// Whether the rank is certainly full: the norm of the inverse bounds the smallest singular value. This is much faster
+    /// than [`singular_values`](Self::singular_values). If it is false, the rank may still be full, and the singular values
+    /// decide.
     pub fn is_surely_full_rank(&self, tolerance: f64) -> bool {
         let n = self.unknowns();
         let scaled = self.scaled(&self.scale());
@@ -252,8 +253,8 @@ impl CovarianceRoot {
         Self(root).covariance()
     }
 
-    /// What some of the rows tell, `A^T S^T S A` with the factor S of those rows. The information of all rows together is
-    /// the identity.
+    /// The share of some of the rows in the information, `A^T S^T S A` with the factor S of those rows. The information of
+    /// all rows together is the identity.
     pub fn information(&self, of_rows: &Factor) -> Information {
         let n = self.0.nrows();
         let root = of_rows.triangle.get(..n, ..n) * &self.0;
@@ -268,7 +269,7 @@ impl CovarianceRoot {
         (0..n).map(|row| (0..n).map(|column| entry(row, column)).collect()).collect()
     }
 
-    /// `j (J^T J)^-1 j^T` of rows j that come one after another: their leverage, had they taken part with weight 1.
+    /// `j (J^T J)^-1 j^T` of rows j, one after another: their leverages if they had weight 1.
     pub fn leverages(&self, rows: &[f64]) -> Vec<f64> {
         let n = self.0.nrows();
         if n == 0 {
@@ -279,17 +280,17 @@ impl CovarianceRoot {
     }
 }
 
-/// What some rows of a problem tell of its determined directions: their share of the whole.
+/// The share of some rows of a problem in the information on its determined directions.
 #[derive(Debug, Clone)]
 pub struct Information(Mat<f64>);
 
 impl Information {
-    /// How many unknowns these rows determine; the sum of their leverages.
+    /// Number of unknowns that these rows determine (not whole): the sum of their leverages.
     pub fn trace(&self) -> f64 {
         (0..self.0.nrows()).map(|row| self.0[(row, row)]).sum()
     }
 
-    /// Trace of the product with what other rows tell.
+    /// Trace of the product with the information of other rows.
     pub fn product_trace(&self, other: &Self) -> f64 {
         let n = self.0.nrows();
         (0..n).map(|row| (0..n).map(|column| self.0[(row, column)] * other.0[(column, row)]).sum::<f64>()).sum()
@@ -346,8 +347,8 @@ impl Spectrum {
         (0..self.scale.len()).map(|row| self.vectors[(row, k)]).collect()
     }
 
-    /// The least squares step within the first `rank` singular directions: of all steps with the same effect the
-    /// shortest, unknowns measured by their effect.
+    /// The least squares step within the first `rank` singular directions: of all steps with the same effect the shortest,
+    /// with unknowns scaled by their effect.
     pub fn step(&self, rank: usize) -> Vec<f64> {
         let coefficients: Vec<f64> = (0..rank).map(|k| -self.right[k] / self.singular_values.0[k]).collect();
         let sum = |row: usize| -> f64 { (0..rank).map(|k| self.vectors[(row, k)] * coefficients[k]).sum() };
@@ -372,7 +373,7 @@ impl Spectrum {
     pub fn null_basis(&self, rank: usize) -> Vec<(f64, Vec<f64>)> {
         let n = self.scale.len();
         let mut basis: Vec<Vec<f64>> = (rank..n).map(|k| (0..n).map(|row| self.vectors[(row, k)]).collect()).collect();
-        // Reduced row echelon form: each vector owns an unknown that no other has.
+        // Reduced row echelon form: each vector has one unknown that no other vector has.
         for (index, column) in owners(&basis).into_iter().enumerate() {
             let size = |row: &usize| basis[*row][column].abs();
             let row = (index..basis.len()).max_by(|one, other| size(one).total_cmp(&size(other))).unwrap_or(index);
@@ -426,15 +427,16 @@ impl Spectrum {
         chosen
     }
 
-    /// What scales each unknown of a scaled direction to its own unit.
+    /// Factors from scaled unknowns to the units of the unknowns.
     pub fn scale(&self) -> &[f64] {
         &self.scale
     }
 }
-/// An unknown for each direction of an orthonormal basis: those that take part the most, each in what the ones before it leave.
+/// One unknown for each direction of an orthonormal basis. Each is the unknown with the largest part in the directions that
+/// remain after those before it.
 ///
-/// How much an unknown takes part does not depend on how the basis lies in its space, which is chance; of unknowns that
-/// differ by rounding only, the first is taken.
+/// The part of an unknown does not depend on the choice of the basis, which is arbitrary. Of unknowns that differ by rounding
+/// only, the first is taken.
 fn owners(basis: &[Vec<f64>]) -> Vec<usize> {
     let mut left = basis.to_vec();
     let mut owners: Vec<usize> = Vec::new();

@@ -4,27 +4,28 @@ use crate::accumulate::Accumulator;
 use crate::factor::Factor;
 use crate::robust::{Robust, RobustReport, deviations, m_scale, scale, studentised};
 
-/// Takes rows: index of the first, residuals, derivatives row by row.
+/// Function that receives rows: index of the first row, residuals, derivatives row by row.
 pub type Sink<'a> = &'a mut dyn FnMut(usize, &[f64], &[f64]);
 
 /// A least squares problem in weighted residuals. Rows come in blocks, each row once, always in the same order.
 pub trait LeastSquares {
-    /// What can go wrong in an evaluation.
+    /// Error of an evaluation.
     type Error;
 
-    /// Whether nothing can be evaluated any more after this error. Any other one refuses the values that it was asked with, as
-    /// where a mechanism does not close: a step that leads there is shortened.
+    /// Whether no evaluation is possible after this error. Any other error means that these values cannot be evaluated, such
+    /// as a mechanism that does not close; a step to such values is shortened.
     fn is_final(&self, _: &Self::Error) -> bool {
         false
     }
 
-    /// Whether a row keeps its weight whatever its residual, and tells nothing of the scale of the others: something known and
-    /// not measured.
+    /// Whether a row keeps its weight for any residual and is left out of the scale of the residuals: a constraint, which is
+    /// known and not measured.
     fn keeps_weight(&self, _row: usize) -> bool {
         false
     }
 
-    /// Hears that an iteration has taken its `iteration`-th step, which moved all rows together by `size` of their uncertainties.
+    /// Called when an iteration has taken its `iteration`-th step. `size` is the change of all rows together, in standard
+    /// uncertainties.
     fn has_stepped(&self, _iteration: usize, _size: f64) {}
 
     /// Number of unknowns.
@@ -38,34 +39,36 @@ pub trait LeastSquares {
     fn linearise(&self, x: &[f64], sink: Sink<'_>) -> Result<(), Self::Error>;
 }
 
-/// How to iterate, and what converged means.
+/// Settings of the iteration, and the rule of convergence.
 ///
-/// The size of a step is by how many standard uncertainties it moves all rows together, `|J dx|`. A step is the last one if
+/// The size of a step is `|J dx|`, the change of all rows together in standard uncertainties. A step is the last one if
 ///
-/// 1. its size is at most `tolerance`, and the ratios of the next line do not tell that more is left; or
-/// 2. it is below `rounding` and, if steps go on shrinking as the last full steps did, what is left after it is at most
-///    `tolerance`: `size q / (1 - q)` with the larger of the last two ratios q of successive sizes. The first two steps tell
-///    none; or
+/// 1. its size is at most `tolerance`, and the estimate of the next item does not show a larger remaining error; or
+/// 2. it is below `rounding` and the estimated remaining error after it is at most `tolerance`. The estimate is
+///    `size q / (1 - q)`: steps go on shrinking as the last full steps did, where q is the larger of the last two ratios of
+///    successive sizes. There is none for the first two steps; or
 /// 3. it is below `rounding` and not smaller than the smallest before it, or no part of it makes the sum of squares smaller:
-///    only rounding is left of it. Steps of a slow iteration still shrink.
+///    the step is only rounding. Steps of a slow iteration still shrink.
 ///
-/// Robust weights have settled when none changes by more than `settled`; up to then steps below `rounding` are small enough.
+/// Robust weights have settled when none changes by more than `settled`. Until then the tolerance is `rounding`, if that is
+/// larger.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Options {
     /// Most iterations.
     pub iterations: usize,
-    /// What the estimate may be off by when the iteration ends, in standard uncertainties of all rows together.
+    /// Largest remaining error of the estimate when the iteration ends, in standard uncertainties of all rows together.
     pub tolerance: f64,
-    /// Steps above this are never taken for rounding, nor for the last but one.
+    /// Steps above this are never treated as rounding, and rule 2 does not end the iteration after them.
     pub rounding: f64,
-    /// Largest change of robust weights that have settled: what is left moves no estimate by more than about this part of its
-    /// uncertainty.
+    /// Largest change of robust weights that have settled. A further round changes an estimate by about this part of its
+    /// uncertainty at most.
     pub settled: f64,
     /// Most rounds of robust weights: they settle slowly where a row is about to be left out.
     pub rounds: usize,
     /// Robust weights.
     pub robust: Option<Robust>,
-    /// The start is almost the solution: robust weights are found from there, without the way that leads to it from afar.
+    /// The start is almost the solution: robust weights are computed from there at once, without the first phases for a
+    /// distant start.
     pub near: bool,
 }
 
@@ -85,17 +88,17 @@ impl Options {
 /// How the iteration ended.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum End {
-    /// The last step was one by the rule of [`Options`].
+    /// A step was the last one by the rule of [`Options`].
     Converged,
     /// No step along the direction of descent made the residuals smaller.
     NoProgress,
-    /// Out of iterations.
+    /// The limit of iterations was reached.
     IterationLimit,
-    /// Out of rounds of robust weights, which still change.
+    /// The limit of rounds of robust weights was reached, and the weights still change.
     RoundLimit,
 }
 
-/// The last iterate, whatever the end.
+/// The last iterate, for any kind of end.
 #[derive(Debug, Clone)]
 pub struct Solution {
     /// The unknowns.
@@ -104,7 +107,7 @@ pub struct Solution {
     pub iterations: usize,
     /// How it ended.
     pub end: End,
-    /// Size of the last step; of the next one where the iteration has not converged.
+    /// Size of the last step; if the iteration has not converged, of the next step.
     pub last_step: f64,
     /// Largest cosine of the angle between the residuals and a column of the derivatives, where the last step was computed.
     pub gradient_cosine: f64,
@@ -135,13 +138,13 @@ pub(crate) fn factorise<P: LeastSquares + ?Sized>(
 ///
 /// Every step is that of the linearised problem, columns scaled, and is halved while it does not make the sum of squares smaller, or leads to where nothing can be evaluated.
 ///
-/// Fails if the start cannot be evaluated, with the last error if no part of a step could be, and at once with an error that is
-/// final ([`LeastSquares::is_final`]).
+/// Fails if the start cannot be evaluated. Fails with the last error if no part of a step can be evaluated, and at once with
+/// an error that is final ([`LeastSquares::is_final`]).
 pub fn solve<P: LeastSquares + ?Sized>(problem: &P, start: &[f64], options: &Options) -> Result<Solution, P::Error> {
     solve_from(problem, start, None, options)
 }
 
-/// The same where the factor of the rows at the start, all with weight 1, is there already.
+/// Like [`solve`], with the factor of the rows at the start (all with weight 1) if it is known already.
 pub fn solve_from<P: LeastSquares + ?Sized>(
     problem: &P,
     start: &[f64],
@@ -332,7 +335,7 @@ fn minimise<P: LeastSquares + ?Sized>(
         };
         let small = size < options.rounding;
         let ratio = last.map(|last: f64| size / last);
-        // One direction may shrink fast and hide another: the slower of two ratios is less often chance.
+        // A ratio can be small by chance, or because of one fast direction. So the larger of two ratios is used.
         let slower = ratio.zip(last_ratio).map(|(one, other): (f64, f64)| one.max(other));
         let left = slower.filter(|ratio| *ratio < 1.0).map(|ratio| size * ratio / (1.0 - ratio));
         let (near, far) =
@@ -351,7 +354,7 @@ fn minimise<P: LeastSquares + ?Sized>(
                 last_ratio = ratio.filter(|_| whole);
             }
             None => {
-                // Nothing below helps: this is as low as rounding allows, or the model is not smooth here.
+                // No part of the step makes the sum smaller: the minimum within rounding, or the model is not smooth here.
                 let end = if small { End::Converged } else { End::NoProgress };
                 return Ok(Minimum { x, end, iterations, last_step: size, factor });
             }
@@ -361,7 +364,7 @@ fn minimise<P: LeastSquares + ?Sized>(
     Ok(Minimum { x, end: End::IterationLimit, iterations: options.iterations, last_step: next, factor })
 }
 
-/// Where a part of a step leads that makes the sum of squares no larger.
+/// End point of a part of a step that does not make the sum of squares larger.
 struct Lower {
     x: Vec<f64>,
     factor: Factor,

@@ -4,25 +4,25 @@
 //!
 //! # Least squares
 //! A [`LeastSquares`] problem gives rows of unit variance: residuals `e(x)` and derivatives `A`. Householder reflections
-//! reduce them, block by block, to the upper triangle R of `A D^-1 = Q R`, where D are the norms of the columns, so that nobody
-//! holds A ([`Accumulator`], [`Factor`]). The step of Gauss-Newton is
+//! reduce them, block by block, to the upper triangle R of `A D^-1 = Q R`, where D are the norms of the columns. So A is
+//! never stored as a whole ([`Accumulator`], [`Factor`]). The step of Gauss-Newton is
 //!
 //! ```text
 //! R y = -Q^T e,    dx = D^-1 y
 //! ```
 //!
-//! halved as long as it makes `e^T W e` larger; it has converged when what the estimate is off by is below the tolerance, in
-//! standard uncertainties of all rows together ([`Options`] has the rule with its constants).
+//! It is halved as long as it makes `e^T W e` larger. The iteration has converged when the remaining error of the estimate is
+//! below the tolerance, in standard uncertainties of all rows together ([`Options`] has the rule with its constants).
 //!
 //! # Rank and covariance
-//! The singular values of R decide rank and condition; vectors that belong to those below a part of the largest span the null
-//! space ([`Spectrum`]). With `A^T A = D R^T R D` the covariance of the estimates is `P P^T`, `P = D^-1 R^-1` ([`CovarianceRoot`]);
-//! short of full rank, P has the singular vectors over the singular values that count instead. Sensitivities to further
-//! columns B are `G = -P P^T A^T B`.
+//! The singular values of R give rank and condition. The vectors of singular values below a part of the largest one span the
+//! null space ([`Spectrum`]). With `A^T A = D R^T R D` the covariance of the estimates is `P P^T`, `P = D^-1 R^-1`
+//! ([`CovarianceRoot`]); without full rank, the columns of P are the singular vectors divided by their singular values,
+//! within the rank. Sensitivities to further columns B are `G = -P P^T A^T B`.
 //!
 //! # Robust weights
-//! Weights are a function of studentised residuals over their scale ([`Robust`]; Huber 1964, Beaton & Tukey 1974). They are
-//! found in rounds until they change no more.
+//! Weights are a function of studentised residuals divided by their scale ([`Robust`]; Huber 1964, Beaton & Tukey 1974). They
+//! are computed in rounds until they no longer change.
 //!
 //! # Example
 //! A line through three points:
@@ -49,8 +49,8 @@
 //! assert_eq!(found.factor.singular_values().rank(1e-10), 2);
 //! ```
 //!
-//! **Architecture invariant:** this crate knows rows of numbers, not machines. faer runs single-threaded (its parallel
-//! feature is off), because its results would otherwise depend on the number of cores.
+//! **Architecture invariant:** this crate works on rows of numbers and knows no machines. faer runs single-threaded (its
+//! parallel feature is off), because its results would otherwise depend on the number of cores.
 
 mod accumulate;
 mod coverage;

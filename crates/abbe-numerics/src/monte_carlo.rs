@@ -1,8 +1,8 @@
-//! Propagation of distributions (JCGM 101:2008, clause 7; JCGM 102:2011, clause 7): what the results of many trials say
-//! about their quantities, and when there are enough of them.
+//! Propagation of distributions (JCGM 101:2008, clause 7; JCGM 102:2011, clause 7): statistics of the results of many trials,
+//! and the decision when there are enough trials.
 //!
-//! Nothing here runs a trial. Results are pushed in the order of the trials, whoever calculated them on whatever
-//! thread; the same trials then give the same bits.
+//! This module runs no trials. Results have to be pushed in the order of the trials, for any threads that calculated them;
+//! then the same trials give the same bits.
 
 /// Number of trials whose values are kept; later ones are only counted in bins.
 const KEPT: usize = 1 << 14;
@@ -44,13 +44,13 @@ impl Interval {
 
 /// Results of trials, one number per quantity and trial.
 ///
-/// Memory does not grow with the number of trials: the values of the first 16,384 are kept and give exact intervals.
-/// Then each quantity turns to 20,000 bins, a thousandth of its standard deviation wide, on 10 standard deviations to
-/// either side of its mean; what lies farther is counted on either side, and the extremes are known exactly. The ends
-/// of intervals are good to the width of a bin as long as they lie among the bins. A quantity that did not vary at
-/// first has one bin for its one value.
+/// Memory does not grow with the number of trials: the values of the first 16,384 are kept and give exact intervals. Then the
+/// values of each quantity are counted in 20,000 bins, a thousandth of its standard deviation wide, over 10 standard
+/// deviations to either side of its mean. Values outside are counted on either side, and the extremes are known exactly. The
+/// ends of intervals are exact to the width of a bin if they are within the bins. A quantity that was constant in the first
+/// trials has one bin for this value.
 ///
-/// A quantity with a value that is not finite has NaN for results, the others are not touched by that.
+/// A quantity with a value that is not finite has NaN for results; other quantities are not affected.
 #[derive(Debug, Clone)]
 pub struct Trials {
     count: usize,
@@ -163,8 +163,8 @@ impl Trials {
 
     /// The interval that leaves out as many values below as above (JCGM 101:2008, 7.7.2).
     ///
-    /// With fewer than [`least_trials`] it is not reliable, with very few it is all values. NaN without trials, for a
-    /// quantity that there is not, and unless `0 < probability < 1`.
+    /// With fewer than [`least_trials`] it is not reliable; with very few it covers all values. NaN without trials, for an
+    /// index without a quantity, and unless `0 < probability < 1`.
     pub fn symmetric_interval(&self, quantity: usize, probability: f64) -> Interval {
         let Some(ordered) = self.ordered(quantity) else { return Interval::UNKNOWN };
         let Some(covered) = covered(self.count, probability) else { return Interval::UNKNOWN };
@@ -245,7 +245,7 @@ struct Bins {
 impl Bins {
     fn new(mean: f64, deviation: f64) -> Self {
         let width = deviation / BINS_PER_DEVIATION as f64;
-        // Neither a deviation of zero nor one that is not a number has bins.
+        // One bin only for a deviation of zero or NaN.
         let bins = if width > 0.0 { 2 * REACH * BINS_PER_DEVIATION } else { 1 };
         let low = if width > 0.0 { mean - REACH as f64 * deviation } else { mean };
         let width = if width > 0.0 { width } else { 0.0 };
@@ -317,8 +317,8 @@ impl Ordered<'_> {
     }
 }
 
-/// By how much a standard uncertainty may be wrong if `digits` of its decimal digits are to be meaningful: half a unit
-/// of the last of them (JCGM 101:2008, 7.9.2), in the unit of the uncertainty. No digits count as one.
+/// Numerical tolerance of a standard uncertainty with `digits` meaningful decimal digits: half a unit of the last digit (JCGM
+/// 101:2008, 7.9.2), in the unit of the uncertainty. 0 digits count as 1.
 ///
 /// 0 for an uncertainty of 0, NaN for one that is not finite.
 pub fn numerical_tolerance(standard_uncertainty: f64, digits: u32) -> f64 {
@@ -333,7 +333,7 @@ pub fn numerical_tolerance(standard_uncertainty: f64, digits: u32) -> f64 {
     unit.and_then(|unit| format!("0.5e{unit}").parse().ok()).unwrap_or(f64::NAN)
 }
 
-/// How far the interval of the GUM's uncertainty framework is from one of a Monte Carlo calculation.
+/// Comparison of the interval of the GUM uncertainty framework with that of a Monte Carlo calculation.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Agreement {
     /// Distance of the lower ends, in the unit of the quantity.
@@ -371,7 +371,7 @@ pub struct Adaptive {
     progress: Vec<Progress>,
 }
 
-/// What the batches said about one quantity.
+/// Statistics of the batches for one quantity.
 #[derive(Debug, Clone, Copy, Default)]
 struct Progress {
     /// All values.
@@ -387,7 +387,7 @@ impl Progress {
         if uncertainty == 0.0 {
             return 0.0;
         }
-        // A quantity that is nothing but rounding errors cannot be told more precisely than it is rounded.
+        // A quantity whose variation is only rounding cannot be more exact than its rounding.
         let rounding = 4.0 * f64::EPSILON * self.values.mean().abs();
         let tolerance = numerical_tolerance(uncertainty, digits).max(rounding);
         let largest = self.figures.iter().map(Spread::deviation_of_mean).fold(0.0, |largest: f64, deviation| {

@@ -6,20 +6,20 @@ use faer::{Mat, MatRef};
 use crate::factor::Factor;
 use crate::significance::f_test;
 
-/// What each row does to a fit.
+/// Influence of each row on a fit.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Influence {
     /// Residuals over their own standard deviations.
     pub studentised: Vec<f64>,
     /// The same, with the standard deviation from the other rows only; infinite if these fit exactly.
     pub deleted: Vec<f64>,
-    /// Cook's distance: how far the fitted values move together when the row is left out, squared, per coefficient and variance.
+    /// Cook's distance: squared change of all fitted values together when the row is left out, per coefficient and variance.
     pub cook: Vec<f64>,
 }
 
 impl Influence {
-    /// The influence of rows with these residuals and leverages on a fit of `unknowns` unknowns. A row that the fit goes through
-    /// by itself (leverage 1) has none to tell: NaN.
+    /// The influence of rows with these residuals and leverages on a fit of `unknowns` unknowns. NaN for a row that the fit
+    /// always passes through (leverage 1).
     pub fn new(residuals: &[f64], leverages: &[f64], unknowns: usize) -> Self {
         let freedom = residuals.len() as f64 - unknowns as f64;
         let variance = residuals.iter().map(|residual| residual * residual).sum::<f64>() / freedom;
@@ -70,11 +70,12 @@ pub struct StepwiseSelection {
 }
 
 impl Factor {
-    /// Stepwise regression: of the terms whose coefficients are the unknowns `candidates`, one comes in while chance explains it
-    /// with a probability below `level`, and goes out while with one above it (partial F test; Soons 1993, section 3.2.2). All
-    /// other unknowns stay in.
+    /// Stepwise regression of the terms whose coefficients are the unknowns `candidates`. In each step a term comes in if the
+    /// probability that chance alone explains it is below `level`, or goes out if this probability is above `level` (partial
+    /// F test; Soons 1993, section 3.2.2). All other unknowns stay in.
     ///
-    /// The factor is that of the full problem at `x`, which leaves `degrees_of_freedom`. None if its unknowns cannot be separated.
+    /// The factor is that of the full problem at `x`, which has `degrees_of_freedom`. None if its unknowns cannot be
+    /// separated.
     pub fn stepwise(
         &self,
         x: &[f64],
@@ -106,7 +107,7 @@ impl Factor {
                     Err(place) => after.insert(place, step.term),
                 }
             }
-            // Nothing is left to do; and rounding must not make a term come and go for ever.
+            // Ends if nothing changes, or if a selection occurs again: rounding must not make a term come and go for ever.
             if seen.contains(&after) {
                 break;
             }
@@ -118,11 +119,11 @@ impl Factor {
     }
 }
 
-/// The candidates of a selection as columns of norm 1, with what all other unknowns can do taken off.
+/// The candidates of a selection as columns of norm 1, orthogonal to the columns of all other unknowns.
 struct Terms {
     columns: Mat<f64>,
     right: Mat<f64>,
-    /// Sum of squares that no term takes away, and the degrees of freedom with all of them.
+    /// Sum of squares that remains with all terms, and its degrees of freedom.
     rest: f64,
     degrees_of_freedom: usize,
 }
@@ -132,12 +133,12 @@ struct TermsFit {
     cost: f64,
     /// By how much the cost grows without each of the terms.
     losses: Vec<f64>,
-    /// An orthonormal basis of the terms, and what it leaves of the right side.
+    /// An orthonormal basis of the terms, and the remaining part of the right side.
     basis: Mat<f64>,
     left: Mat<f64>,
 }
 
-/// Part of the cost that a replacement has to take off: what rounding does not.
+/// Least relative reduction of the cost by a replacement, so that it is not rounding.
 const LOWER: f64 = 1e-9;
 
 /// Squares of columns of norm 1 below this are rounding: the column follows from the others.
@@ -148,7 +149,8 @@ impl Terms {
         let step = factor.step()?;
         let n = factor.unknowns();
         let others: Vec<usize> = (0..n).filter(|unknown| !candidates.contains(unknown)).collect();
-        // The right side that the full problem would have without its unknowns: J (x + step), beside what nothing explains.
+        // The right side of the full problem with all unknowns at zero: J (x + step), without the part that no unknown
+        // explains.
         let mut all = Mat::zeros(n, n + 1);
         for (place, &unknown) in others.iter().chain(candidates).enumerate() {
             let norm = factor.norms()[unknown];
@@ -203,15 +205,15 @@ impl Terms {
         finite.then(|| TermsFit { cost: self.rest + square(left.as_ref(), 0), losses, basis, left })
     }
 
-    /// The term that goes and the one that comes in its place, of all pairs the one with the lowest cost, if that is below `cost`.
+    /// The pair of a term that goes out and a term that replaces it with the lowest cost, if this is below `cost`.
     ///
-    /// Terms that came in early, beside the right ones, go only in this way (Miller 2002, section 3.3).
+    /// Wrong terms that came in early can only be removed in this way (Miller 2002, section 3.3).
     fn replacement(&self, kept: &[usize], cost: f64) -> Vec<SelectionStep> {
         let mut best = (cost * (1.0 - LOWER), Vec::new());
         for &term in kept {
             let others: Vec<usize> = kept.iter().copied().filter(|other| *other != term).collect();
             let Some(fit) = self.fit(&others) else { continue };
-            // Probability of the one that goes: without it, and with it.
+            // Probability of the term that goes out, from the costs without it and with it.
             let Some(probability) = self.probability(fit.cost - cost, cost, kept.len()) else { continue };
             let Some(enters) = fit.enters(self, &others) else { continue };
             let with: Vec<usize> = others.iter().copied().chain([enters.term]).collect();
@@ -223,7 +225,8 @@ impl Terms {
         best.1
     }
 
-    /// Probability that chance alone takes off as much as a term does, of `count` terms with it; none without degrees of freedom.
+    /// Probability that chance alone reduces the cost as much as a term does. `count` is the number of terms, this one
+    /// included. None without degrees of freedom.
     fn probability(&self, gain: f64, with: f64, count: usize) -> Option<f64> {
         let freedom = self.degrees_of_freedom + self.columns.ncols() - count;
         let f = gain / (with / freedom as f64);

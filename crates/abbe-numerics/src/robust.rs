@@ -1,11 +1,11 @@
 //! Robust weights (Huber 1964; Beaton & Tukey 1974) on studentised residuals.
 
-/// How fast the influence of a residual falls with its size.
+/// Influence of a residual as a function of its size.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub enum Loss {
-    /// Influence grows up to the cutoff and stays.
+    /// Influence grows up to the cutoff and is constant beyond.
     Huber,
-    /// Influence returns to zero at the cutoff: what lies beyond is left out.
+    /// Influence returns to zero at the cutoff: residuals beyond it are left out.
     Tukey,
 }
 
@@ -57,7 +57,7 @@ impl Robust {
     }
 }
 
-/// What robust estimation found.
+/// Results of robust estimation.
 #[derive(Debug, Clone, PartialEq)]
 pub struct RobustReport {
     /// Statistical weight of every equation, 0 to 1.
@@ -69,7 +69,7 @@ pub struct RobustReport {
 /// Smallest scale in units of the stated uncertainties: residuals far below what was stated are never outliers.
 const LEAST_SCALE: f64 = 1e-2;
 
-/// Scale of studentised residuals that outliers do not move: 1.4826 times the median absolute value.
+/// Robust scale of studentised residuals: 1.4826 times the median absolute value.
 pub(crate) fn scale(sizes: &[f64]) -> f64 {
     let mut sizes: Vec<f64> = sizes.iter().map(|size| size.abs()).filter(|size| *size > 0.0).collect();
     if sizes.is_empty() {

@@ -1,4 +1,4 @@
-//! Random numbers of one trial, the same on whatever thread and in whatever order the trials run.
+//! Random numbers of one trial. They do not depend on the thread and on the order of the trials.
 
 use rand_chacha::ChaCha8Rng;
 use rand_chacha::rand_core::{Rng, SeedableRng};
@@ -6,9 +6,9 @@ use rand_distr::{Distribution, StandardNormal, StudentT};
 
 /// Random numbers of one trial of a Monte Carlo calculation.
 ///
-/// Every trial is a stream of its own of the generator ChaCha8, so that no trial has to know how many numbers the
-/// trials before it took. ChaCha passes the tests that JCGM 101:2008, C.3 asks a generator to pass, and repeats after
-/// 2^70 bytes of each of 2^64 streams.
+/// Every trial has its own stream of the generator ChaCha8. So its numbers do not depend on how many numbers other trials
+/// use. ChaCha passes the tests that JCGM 101:2008, C.3 asks a generator to pass, and repeats after 2^70 bytes of each of
+/// 2^64 streams.
 #[derive(Debug, Clone)]
 pub struct Generator(ChaCha8Rng);
 
@@ -47,7 +47,7 @@ impl Generator {
         }
     }
 
-    /// One of `0..count`, all alike; 0 if `count` is 0.
+    /// An index of `0..count`, all with the same probability; 0 if `count` is 0.
     pub fn index(&mut self, count: usize) -> usize {
         // The high half of the product. Some indices are more probable than others by less than count / 2^64.
         ((u128::from(self.0.next_u64()) * count as u128) >> 64) as usize

@@ -1,14 +1,14 @@
-//! A selection of unknowns that rows can tell apart, in an order of preference.
+//! A selection of unknowns that the rows can separate, in an order of preference.
 
 use faer::Mat;
 
 use crate::factor::{Factor, SingularValues};
 use crate::vector::dot;
 
-/// Parts of a combination below this, unknowns measured by their effect, are rounding.
+/// Coefficients of a combination (unknowns scaled by their effect) below this are rounding.
 const NOTHING: f64 = 1e-8;
 
-/// Unknowns that are kept, and what the others are to the rows.
+/// Unknowns that are kept, and the others as combinations of them.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Selection {
     /// The unknowns that are kept, in the order of preference.
@@ -24,15 +24,15 @@ pub struct Selection {
 pub struct LeftOut {
     /// The unknown.
     pub unknown: usize,
-    /// The kept unknowns that do to the rows what one unit of it does: (unknown, how much of it in its unit). Empty if nothing
-    /// happens to any row.
+    /// The combination of kept unknowns with the same effect on the rows as one unit of it: (unknown, coefficient in its
+    /// unit). Empty if it has no effect on any row.
     pub same_as: Vec<(usize, f64)>,
 }
 
 impl Factor {
-    /// Goes through unknowns in an order of preference and keeps each that does something to the rows that those before it
-    /// cannot do: more than `tolerance` of its effect (Gram-Schmidt orthogonalisation, twice for each column). `order` may
-    /// leave unknowns out.
+    /// Goes through unknowns in an order of preference. It keeps each unknown whose effect on the rows is not a combination
+    /// of the effects of the kept ones before it: the remaining part is more than `tolerance` of its effect (Gram-Schmidt
+    /// orthogonalisation, twice for each column). `order` need not contain all unknowns.
     pub fn select(&self, order: &[usize], tolerance: f64) -> Selection {
         let (mut kept, mut left_out) = (Vec::new(), Vec::new());
         // Directions of norm 1, and the kept columns (scaled to norm 1) as combinations of them, an upper triangle.

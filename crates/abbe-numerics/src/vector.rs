@@ -1,6 +1,6 @@
 //! Products and lengths of vectors that are slices.
 
-/// The inner product; the sum of the first entries if one vector is longer.
+/// The inner product. If one vector is longer, its further entries are ignored.
 pub fn dot(one: &[f64], other: &[f64]) -> f64 {
     one.iter().zip(other).map(|(one, other)| one * other).sum()
 }
@@ -10,7 +10,7 @@ pub fn norm(vector: &[f64]) -> f64 {
     norm_of(vector.iter().copied())
 }
 
-/// The Euclidean norm of values that stand in no slice.
+/// The Euclidean norm of the values of an iterator.
 pub(crate) fn norm_of(values: impl Iterator<Item = f64>) -> f64 {
     values.map(|value| value * value).sum::<f64>().sqrt()
 }

@@ -1,8 +1,8 @@
-//! How uncertainties come about: by the law of propagation, and by propagation of distributions.
+//! Uncertainty budgets by the law of propagation of uncertainty, and results of the propagation of distributions.
 
 use serde::{Deserialize, Serialize};
 
-/// How the uncertainties of the estimates come about and what they cover (GUM; JCGM 102).
+/// Uncertainty budgets of the estimates, and coverage (GUM; JCGM 102).
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct UncertaintyBudget {
     /// Probability that the intervals and regions cover.
@@ -13,7 +13,7 @@ pub struct UncertaintyBudget {
     pub joint: JointCoverage,
     /// One entry an estimated parameter.
     pub parameters: Vec<ParameterBudget>,
-    /// Pairs that are hardly told apart: absolute correlation above 0.95.
+    /// Pairs that are strongly correlated: absolute correlation above 0.95.
     pub correlations: Vec<Correlated>,
 }
 
@@ -48,7 +48,7 @@ pub struct ParameterBudget {
     pub coverage_factor: f64,
     /// Expanded uncertainty: coverage factor times standard uncertainty.
     pub expanded_uncertainty: f64,
-    /// What it is made of, the largest first; squares add up.
+    /// Contributions to the standard uncertainty, the largest first; their squares add up to its square.
     pub contributions: Vec<Contribution>,
 }
 
@@ -57,7 +57,7 @@ pub struct ParameterBudget {
 pub struct Contribution {
     /// The input: an artefact stage (the scatter of its rows), a known input, an earlier estimate.
     pub input: String,
-    /// The standard uncertainty that it alone gives.
+    /// The standard uncertainty from this input alone.
     pub standard_uncertainty: f64,
 }
 
@@ -72,7 +72,7 @@ pub struct Correlated {
     pub correlation: f64,
 }
 
-/// What a Monte Carlo calculation found (JCGM 101; JCGM 102).
+/// Results of a Monte Carlo calculation (JCGM 101; JCGM 102).
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct MonteCarlo {
     /// Number of trials.

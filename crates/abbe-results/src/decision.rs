@@ -1,30 +1,30 @@
-//! What is decided of figures with a limit, and the rules that decide.
+//! Decisions on figures with a limit, and decision rules.
 
 use std::fmt;
 
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-/// What is decided of a figure, a verdict or a run. Of several decisions the greatest holds.
+/// The decision on a figure, a verdict or a run. Of several decisions the greatest one is the total decision.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Default, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Decision {
     /// The limit is kept, or there is none.
     #[default]
     Pass,
-    /// Nobody can tell whether the limit is kept. This fails nothing, but people are told.
+    /// It cannot be decided whether the limit is kept. This is no failure, but it is reported.
     Inconclusive,
     /// The limit is not kept.
     Fail,
 }
 
 impl Decision {
-    /// What is decided of a whole: it fails if one part fails, else it is inconclusive if one part is, else it passes.
+    /// The total decision: it fails if one part fails, else it is inconclusive if one part is, else it passes.
     pub fn of_all(parts: impl IntoIterator<Item = Self>) -> Self {
         parts.into_iter().max().unwrap_or_default()
     }
 
-    /// Whether it fails nothing.
+    /// Whether it is no failure: pass or inconclusive.
     pub fn passes(self) -> bool {
         self != Self::Fail
     }
@@ -57,9 +57,9 @@ impl Default for Rule {
 
 impl Rule {
     /// Judges a value against the largest admissible one. All three numbers have the same unit; the standard uncertainty is
-    /// none if nobody knows it.
+    /// none if it is not known.
     ///
-    /// No value (it could not be computed) fails by every rule, and so does NaN.
+    /// A value of none (it could not be computed) or NaN fails by every rule.
     pub fn decide(self, value: Option<f64>, standard_uncertainty: Option<f64>, limit: f64) -> Decision {
         let Some(value) = value.filter(|value| !value.is_nan()) else { return Decision::Fail };
         match (self, standard_uncertainty) {

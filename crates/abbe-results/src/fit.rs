@@ -21,36 +21,37 @@ pub const CALIBRATION_FORMAT: u32 = 1;
 
 const FORMAT: FileFormat = FileFormat { name: "calibration", key: "abbe_calibration", number: CALIBRATION_FORMAT };
 
-/// What an estimate found out about a machine and its artefacts.
+/// The result of an estimate for a machine and its artefacts.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Calibration {
     /// Number of the format, [`CALIBRATION_FORMAT`].
     pub abbe_calibration: u32,
     /// Name of the estimate.
     pub estimate: String,
-    /// The model, resolved.
+    /// The model, with all settings resolved.
     pub model: ModelRecord,
     /// Every parameter of the model, estimated or not.
     pub parameters: Vec<Estimated>,
-    /// Every own unknown of the artefacts, as `<stage>.<own name>`.
+    /// Every own unknown of the artefacts, as `<stage>.<own name>`, and every considered input that is no parameter of the
+    /// model.
     pub artefacts: Vec<Estimated>,
-    /// NamedCovariance of everything that was estimated.
+    /// Covariance of everything that was estimated or considered.
     pub covariance: NamedCovariance,
-    /// The inputs that were considered, independent of each other, and how the estimates hang on them. None in files that were
-    /// written before there were identities: what they share with others is not known.
+    /// The considered inputs, independent of each other, and the sensitivities of the estimates to them. None in files of
+    /// early versions without identities: the inputs that such a calibration shares with others are not known.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub inputs: Option<Vec<ConsideredInput>>,
-    /// The measurements that went in, directly or by an estimate that was known.
+    /// The measurements that were used, directly or by a known earlier estimate.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub data: Vec<DataRecord>,
-    /// Rows that the robust estimate leaves out or blames.
+    /// Rows that the robust estimate leaves out or calls outliers.
     pub outliers: Vec<Outlier>,
-    /// How the fit went.
+    /// Report of the fit.
     pub fit: FitReport,
-    /// How the uncertainties come about, and what they cover.
+    /// Uncertainty budgets and coverage.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub uncertainty: Option<UncertaintyBudget>,
-    /// What a Monte Carlo calculation found, if the estimate is one.
+    /// Results of a Monte Carlo calculation, if the estimate is one.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub monte_carlo: Option<MonteCarlo>,
 }
@@ -64,17 +65,17 @@ pub struct ModelRecord {
     pub settings: Value,
 }
 
-/// What a value of a calibration is worth.
+/// Status of a value of a calibration.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Status {
     /// Estimated from the data.
     Estimated,
-    /// Not estimated: taken as it is.
+    /// Not estimated: a fixed value without uncertainty.
     Fixed,
     /// Not estimated, but its uncertainty is taken into account.
     Considered,
-    /// The data cannot separate it from others; the value is one of many.
+    /// The data cannot separate it from other unknowns; the value is one of many possible values.
     Confounded,
 }
 
@@ -89,16 +90,17 @@ pub struct Estimated {
     pub unit: String,
     /// Standard uncertainty in `unit`.
     pub standard_uncertainty: f64,
-    /// What the value is worth.
+    /// Status of the value.
     pub status: Status,
 }
 
-/// An input that is not estimated but whose uncertainty counts: a certificate, a stylus, a sensor.
+/// An input that is not estimated but whose uncertainty is propagated: a certificate, a stylus, a sensor.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct ConsideredInput {
     /// Name in this estimate.
     pub name: String,
-    /// Who it is, in any estimate: a declared `id`, or a hash of what its certificate says, and the quantity on it.
+    /// Its identity, the same in all estimates: a declared `id`, or a hash of the content of its certificate, and the
+    /// quantity on it.
     pub identity: String,
     /// Value in `unit`.
     pub value: f64,
@@ -106,12 +108,12 @@ pub struct ConsideredInput {
     pub unit: String,
     /// Standard uncertainty in `unit`.
     pub standard_uncertainty: f64,
-    /// By how much each value changes with it, parameter unit per `unit`, in the order of the covariance.
+    /// Sensitivity of each value to it, parameter unit per `unit`, in the order of the covariance.
     pub sensitivities: Vec<f64>,
 }
 
 impl ConsideredInput {
-    /// Refuses one identity that two estimates state differently.
+    /// Fails if two estimates state a quantity of one identity differently.
     pub fn agrees_with(&self, other: &Self) -> Result<()> {
         let differ = |one: f64, other: f64| (one - other).abs() > 1e-9 * one.abs().max(other.abs());
         let value = differ(self.value, other.value) || self.unit != other.unit;
@@ -131,7 +133,7 @@ impl ConsideredInput {
     }
 }
 
-/// Rows of a file that an estimate rests on.
+/// Rows of a file that an estimate was made from.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 pub struct DataRecord {
     /// The file, as it was named.
@@ -143,7 +145,7 @@ pub struct DataRecord {
     pub rows: Vec<[usize; 2]>,
 }
 
-/// A row that does not go with the others.
+/// A row that does not agree with the others.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Outlier {
     /// Artefact stage.
@@ -156,11 +158,11 @@ pub struct Outlier {
     pub row: usize,
     /// Its residual (the largest of its equations) in µm (µrad for angles).
     pub residual_um: f64,
-    /// The weight that it was left with, 0 to 1.
+    /// Its robust weight, 0 to 1.
     pub weight: f64,
 }
 
-/// How the fit went.
+/// Report of the fit.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct FitReport {
     /// Number of equations used.
@@ -173,11 +175,12 @@ pub struct FitReport {
     pub condition: f64,
     /// Degrees of freedom.
     pub degrees_of_freedom: usize,
-    /// A-posteriori factor: weighted residual RMS over what the standard uncertainties promise; dimensionless.
+    /// A-posteriori factor: weighted residual RMS relative to the value expected from the standard uncertainties;
+    /// dimensionless.
     pub sigma: f64,
     /// Iterations.
     pub iterations: usize,
-    /// How they ended.
+    /// How the iteration ended.
     pub termination: Termination,
     /// Size of the last step, in standard uncertainties of all rows together; none where nothing was iterated.
     #[serde(default, skip_serializing_if = "Option::is_none")]
@@ -212,10 +215,10 @@ pub struct FitReport {
     /// The combinations that they determine worst, the weakest first.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub weakest: Vec<NullVector>,
-    /// What was left out of the model because chance alone explains it; none if nothing was to be selected.
+    /// The selection of parameters by their significance; none if no selection was made.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub selection: Option<Selection>,
-    /// Motion errors that the functions chosen for them tell apart, and not the machine.
+    /// Motion errors with the same effect on the tip: only the functions chosen for them separate them, not the machine.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub same_motion: Vec<SameMotion>,
     /// The factors on the stated uncertainties of every artefact, where each was given its own.
@@ -227,7 +230,7 @@ pub struct FitReport {
 }
 
 impl FitReport {
-    /// The report of so many values that no rows were solved for.
+    /// The report of a calibration with this number of unknowns that was not fitted to rows.
     pub fn without_rows(unknowns: usize) -> Self {
         Self {
             observations: 0,
@@ -258,14 +261,14 @@ impl FitReport {
     }
 }
 
-/// How much the readings of an artefact scatter compared with what was stated of them.
+/// Scatter of the readings of an artefact, relative to their stated uncertainties.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct VarianceFactor {
     /// The artefact stage.
     pub stage: String,
     /// The factor on its standard uncertainties.
     pub factor: f64,
-    /// Its degrees of freedom; none if the readings cannot tell it, so that what was stated counts.
+    /// Its degrees of freedom; none if the readings cannot determine the factor, so that the stated uncertainties are used.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub degrees_of_freedom: Option<f64>,
 }
@@ -284,9 +287,9 @@ pub struct CombinedAgreement {
 /// A selection of parameters by their significance.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Selection {
-    /// Probability with which chance may make a parameter look as significant as those that are kept.
+    /// Significance level: largest probability that chance alone makes a kept parameter look as significant.
     pub level: f64,
-    /// How it went about.
+    /// Its direction.
     pub direction: SelectionDirection,
     /// The candidates that are kept.
     pub kept: Vec<String>,
@@ -382,8 +385,7 @@ impl Calibration {
             .map_err(|error| Error::data(format!("the calibration cannot be written: {error}")))
     }
 
-    /// The smallest degrees of freedom with which the uncertainty of one of some parameters is known; infinite where they
-    /// were all stated.
+    /// The smallest degrees of freedom of the uncertainties of some parameters; infinite if all are infinite or not known.
     pub fn degrees_of_freedom(&self, is_one: impl Fn(&str) -> bool) -> f64 {
         let budgets = self.uncertainty.iter().flat_map(|budget| &budget.parameters);
         let simulated = self.monte_carlo.iter().flat_map(|found| &found.parameters);
@@ -393,9 +395,9 @@ impl Calibration {
         all.filter(|(name, _)| is_one(name)).filter_map(|(_, freedom)| freedom).fold(f64::INFINITY, f64::min)
     }
 
-    /// The inputs that this calibration and another one share, as each has them.
+    /// The inputs that this calibration and another one share: pairs of this and the other record.
     ///
-    /// Fails where the two state one differently.
+    /// Fails if the two calibrations state an input differently.
     pub fn shared_inputs<'a>(&'a self, other: &'a Self) -> Result<Vec<(&'a ConsideredInput, &'a ConsideredInput)>> {
         let mut shared = Vec::new();
         for one in self.inputs.iter().flatten() {
@@ -407,7 +409,7 @@ impl Calibration {
         Ok(shared)
     }
 
-    /// Any value of the calibration, of the machine or of an artefact.
+    /// The value with this name, of the machine or of an artefact.
     pub fn get(&self, name: &str) -> Option<&Estimated> {
         self.parameters.iter().chain(&self.artefacts).find(|estimated| estimated.name == name)
     }

@@ -1,4 +1,4 @@
-//! Numbered file formats: what every reader of a result file asks first.
+//! Numbered file formats. Every reader of a result file checks the number first.
 
 use serde::de::DeserializeOwned;
 use serde_json::Value;
@@ -26,11 +26,11 @@ impl FileFormat {
             None => return Err(Error::data(format!("this is not a {name}: the key `{key}` is missing"))),
             Some(found) => self.check(found)?,
         }
-        // From the text once more, because a value has forgotten its line.
+        // Parsed again from the text, because a parsed value has no line numbers.
         serde_json::from_str(text).map_err(|error| Error::data(format!("this {name} is broken: {error}")))
     }
 
-    /// Refuses another number than that of this format.
+    /// Fails if the number is not that of this format.
     pub(crate) fn check(self, found: &Value) -> Result<()> {
         let Self { name, key, number } = self;
         match found.as_u64() {

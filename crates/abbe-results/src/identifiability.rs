@@ -1,12 +1,12 @@
-//! What the data can tell: rank, directions that are lost, motion errors that are alike.
+//! Identifiability: rank, lost directions, motion errors with the same effect.
 
 use serde::{Deserialize, Serialize};
 
 use crate::budget::UncertaintyBudget;
 use abbe_settings::{Quantity, Unit};
 
-/// A motion error of an axis that moves the tip at every recorded pose as other errors of this axis do, whatever functions they
-/// are: other knots may make it look determined, the machine does not.
+/// A motion error of an axis that moves the tip at every recorded pose as other errors of this axis do, for any functions.
+/// Different knots may make it appear determined, but the machine does not separate it.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct SameMotion {
     /// Symbol of the error.
@@ -23,7 +23,7 @@ impl SameMotion {
     pub fn describe(&self) -> String {
         let parts = self.combination.iter().map(|part| {
             let (symbol, factor) = part.unit.parse().map_or((part.unit.clone(), 1.0), |unit: Unit| match unit.per {
-                // As sizes of both errors that people read: per 1 µrad or 1 µm.
+                // As sizes of both errors in the usual units: per 1 µrad or 1 µm.
                 Some((per, 1)) => {
                     let (of, factor) = Unit { of: unit.of, per: None }.for_people();
                     (of, factor / Unit { of: per, per: None }.for_people().1)
@@ -54,14 +54,14 @@ fn and(parts: impl Iterator<Item = String>) -> String {
     if parts.is_empty() { last } else { format!("{} and {last}", parts.join(", ")) }
 }
 
-/// A direction in which the data do not change.
+/// A direction: a change of unknowns that has no effect, or a weak one, on the data.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct NullVector {
     /// Singular value relative to the largest, columns normalised.
     pub singular_value: f64,
     /// The change of the unknowns in that direction, parameter units; the one with the largest effect is 1.
     pub combination: Vec<Combination>,
-    /// Measurements that would tell the change: sentences.
+    /// Measurements that would determine the change: sentences.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub separated_by: Vec<String>,
 }
@@ -91,13 +91,13 @@ impl NullVector {
         }
     }
 
-    /// The same with the measurement that separates them best, where one is known.
+    /// The same sentence with the measurement that separates them best, if one is known.
     pub fn advise(&self) -> String {
         let lost = self.describe();
         self.separated_by.first().map_or(lost.clone(), |measurement| format!("{lost}; {measurement}"))
     }
 
-    /// The changes in the units that people read, the first one unit large.
+    /// The changes in the usual units, scaled so that the first change is 1.
     pub fn changes(&self) -> String {
         const SHOWN: usize = 8;
         let for_people = |part: &Combination| part.unit.parse().map_or((part.unit.clone(), 1.0), Unit::for_people);
@@ -105,7 +105,7 @@ impl NullVector {
         let changes = self.combination.iter().take(SHOWN).map(|part| {
             let (symbol, factor) = for_people(part);
             let change = part.coefficient * factor / first;
-            // Four digits, without an exponent where people read none.
+            // Four digits, without an exponent for sizes from 1e-3 to 1e5.
             match change.abs() {
                 size if (1e-3..1e5).contains(&size) => {
                     let decimals = (3 - size.log10().floor() as i32).clamp(0, 6) as usize;
@@ -125,7 +125,7 @@ impl NullVector {
     }
 }
 
-/// What a problem can determine.
+/// Identifiability of a problem.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Identifiability {
     /// Number of equations.
@@ -134,18 +134,18 @@ pub struct Identifiability {
     pub unknowns: usize,
     /// Numerical rank.
     pub rank: usize,
-    /// Condition number, columns of norm 1, of what is determined.
+    /// Condition number with columns of norm 1, within the determined directions.
     pub condition: f64,
-    /// What is not.
+    /// The directions that are not determined.
     pub null_space: Vec<NullVector>,
     /// The combinations that are determined worst, the weakest first.
     pub weakest: Vec<NullVector>,
-    /// Motion errors that the functions chosen for them tell apart, and not the machine.
+    /// Motion errors with the same effect on the tip: only the functions chosen for them separate them, not the machine.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub same_motion: Vec<SameMotion>,
-    /// The uncertainties that the stated ones of the inputs promise; none where a direction is lost.
+    /// The uncertainties expected from the stated uncertainties of the inputs; none if a direction is lost.
     pub uncertainty: Option<UncertaintyBudget>,
-    /// What people should be told besides: sentences.
+    /// Further remarks for users: sentences.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub remarks: Vec<String>,
 }

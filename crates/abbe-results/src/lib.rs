@@ -1,5 +1,4 @@
-//! What comes out: calibrations, what they rest on and what they can tell, verdicts, the rules that decide them, and the
-//! numbers of their file formats.
+//! Results: calibrations, their data and identifiability, verdicts, decision rules, and the numbers of the file formats.
 
 mod budget;
 mod covariance;

@@ -48,7 +48,7 @@ impl<'de> Deserialize<'de> for Limit {
     fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
         struct Either;
 
-        // No untagged enum of serde: it forgets what is wrong, and where.
+        // An untagged enum of serde would lose what is wrong, and where.
         impl<'de> Visitor<'de> for Either {
             type Value = Limit;
 

@@ -1,4 +1,4 @@
-//! What a validator found: figures, their limits, and what is decided of them.
+//! Results of a validator: figures, their limits, and the decisions.
 
 use std::collections::{BTreeMap, BTreeSet};
 
@@ -8,8 +8,8 @@ use serde_json::Value;
 use crate::format::{FileFormat, parse};
 use abbe_settings::{Error, Result};
 
-/// The number of the format of `verdicts.json`: a list, in which no number stands. A later one would be a map that has it under
-/// `abbe_verdicts`.
+/// The number of the format of `verdicts.json`. The file of this format is a list and does not contain the number. A later
+/// format would be a map with its number under `abbe_verdicts`.
 pub const VERDICTS_FORMAT: u32 = 1;
 
 const FORMAT: FileFormat = FileFormat { name: "verdicts", key: "abbe_verdicts", number: VERDICTS_FORMAT };
@@ -35,17 +35,17 @@ pub struct Figure {
     /// The largest admissible value.
     #[serde(default)]
     pub limit: Option<f64>,
-    /// The rule that the limit is judged by, if not simple acceptance; a verdict says it of every limit.
+    /// The decision rule of the limit; simple acceptance if none. A verdict contains it for every limit.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub decision_rule: Option<Rule>,
-    /// Why the validator cannot tell whether the limit is kept, if it cannot: a sentence. The figure is inconclusive then,
-    /// whatever its value and its rule. Without a limit it changes nothing.
+    /// The reason, a sentence, if the validator cannot decide whether the limit is kept. The figure is then inconclusive for
+    /// any value and rule. Without a limit it has no effect.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub inconclusive: Option<String>,
-    /// What is decided of the figure if it has a limit; validators leave it out, [`Verdict::new`] writes it down.
+    /// The decision on the figure if it has a limit. Validators do not set it; [`Verdict::new`] does.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub decision: Option<Decision>,
-    /// A detail that a summary for people leaves out (one of many of its kind).
+    /// A detail (one of many of its kind) that summaries leave out.
     #[serde(default, skip_serializing_if = "std::ops::Not::not")]
     pub detail: bool,
 }
@@ -73,7 +73,7 @@ impl Figure {
         self
     }
 
-    /// Adds its standard uncertainty, in the unit of the value; NaN and none are the same.
+    /// Sets its standard uncertainty, in the unit of the value. A value that is not finite counts as none.
     pub fn uncertain(mut self, standard_uncertainty: impl Into<Option<f64>>) -> Self {
         self.standard_uncertainty = standard_uncertainty.into().filter(|uncertainty| uncertainty.is_finite());
         self
@@ -91,7 +91,7 @@ impl Figure {
         self.decision_rule = limit.map(|limit| limit.rule);
     }
 
-    /// What is decided of the figure; none without a limit.
+    /// The decision on the figure; none without a limit.
     pub fn decide(&self) -> Option<Decision> {
         let limit = self.limit?;
         let rule = self.decision_rule.unwrap_or_default();
@@ -101,12 +101,12 @@ impl Figure {
         })
     }
 
-    /// Whether the figure fails nothing; without a limit it does not.
+    /// Whether the figure does not fail. A figure without a limit passes.
     pub fn passes(&self) -> bool {
         self.decide().is_none_or(Decision::passes)
     }
 
-    /// The figure with what is decided of it and by which rule.
+    /// The figure with its decision and its decision rule.
     fn judged(mut self) -> Self {
         self.decision = self.decide();
         self.decision_rule = self.decision.map(|_| self.decision_rule.unwrap_or_default());
@@ -114,14 +114,14 @@ impl Figure {
     }
 }
 
-/// What a validator hands back.
+/// The return value of a validator.
 #[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
 pub struct Findings {
     /// The figures, most important first.
     pub figures: Vec<Figure>,
-    /// What people should be told besides: sentences.
+    /// Further remarks for users: sentences.
     pub remarks: Vec<String>,
-    /// Tables for others to plot: text by file name, written into the folder of the stage.
+    /// Tables to plot with other programs: text by file name, written into the folder of the stage.
     #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
     pub tables: BTreeMap<String, String>,
 }
@@ -134,13 +134,13 @@ pub struct Verdict {
     pub stage: String,
     /// Name of its plugin.
     pub plugin: String,
-    /// Whether nothing fails: an inconclusive verdict passes.
+    /// Whether no figure fails. An inconclusive verdict passes.
     pub pass: bool,
-    /// What is decided: it fails if one figure fails, else it is inconclusive if one figure is, else it passes.
+    /// The decision: it fails if one figure fails, else it is inconclusive if one figure is, else it passes.
     pub decision: Decision,
     /// The figures.
     pub figures: Vec<Figure>,
-    /// What people should be told besides.
+    /// Further remarks for users.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub remarks: Vec<String>,
 }
@@ -180,7 +180,7 @@ impl Verdict {
     }
 }
 
-/// A verdict of any version: the first one only said whether it passes.
+/// A verdict of any version. In the first version it has `pass` but no `decision`.
 #[derive(Deserialize)]
 struct VerdictText {
     stage: String,
@@ -240,7 +240,7 @@ mod tests {
         let cases = [
             (vec![], Decision::Pass),
             (vec![figure(1e9), good.clone()], Decision::Pass),
-            // Without a limit there is nothing that could not be told.
+            // Without a limit there is nothing to decide.
             (vec![unlimited], Decision::Pass),
             (vec![good.clone(), untold.clone()], Decision::Inconclusive),
             (vec![good.clone().detail(), untold.clone().detail()], Decision::Inconclusive),
@@ -266,7 +266,7 @@ mod tests {
         let told = verdict(vec![
             figure(31.0).limited(Limit::from(30.0)).uncertain(0.5),
             inconclusive(figure(1.0).limited(Limit::from(30.0))),
-            // As a plugin of an earlier version has it, and one that decides by itself.
+            // A limit without a rule, as from a plugin of an earlier version, and with a decision of the plugin.
             Figure { limit: Some(40.0), decision: Some(Decision::Fail), ..figure(31.0) },
             figure(31.0).limited(None).uncertain(None),
         ]);
@@ -287,7 +287,7 @@ mod tests {
         assert_eq!(serde_json::from_value::<Verdict>(expected).unwrap(), told);
     }
 
-    /// A file of before there were three answers.
+    /// A file of the first version, with pass or fail only.
     fn old(pass: bool) -> Value {
         json!({
             "stage": "judge", "plugin": "residuals", "pass": pass,
@@ -307,7 +307,7 @@ mod tests {
             assert_eq!((read.pass, read.decision), (pass, expected));
             let decisions: Vec<_> = read.figures.iter().map(|figure| figure.decision).collect();
             assert_eq!(decisions, [Some(expected), None, (!pass).then_some(Decision::Fail)]);
-            // Written again it only has more keys.
+            // When written again it has the same keys and some more.
             let written = json!(read);
             for (key, value) in old(pass).as_object().unwrap() {
                 assert!(key == "figures" || written[key] == *value, "{key}");

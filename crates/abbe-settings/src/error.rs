@@ -10,16 +10,16 @@ use crate::settings::PathItem;
 /// Shorthand of this crate's results.
 pub type Result<T, E = Error> = std::result::Result<T, E>;
 
-/// Who can put the error right, which decides the exit status.
+/// Class of an error. It decides the exit status.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Class {
-    /// Wrong use, or anything that can be found without reading data rows: exit status 2.
+    /// Wrong use, or any error that can be found without reading data rows: exit status 2.
     #[default]
     Use,
-    /// Only the data or the run show it: exit status 1.
+    /// An error that is found only with the data or in the run: exit status 1.
     Data,
-    /// Nothing is wrong: the work was asked to end. Exit status 130.
+    /// No error: the work was cancelled. Exit status 130.
     Interrupted,
 }
 
@@ -37,7 +37,7 @@ pub struct Place {
 /// What is wrong, where, and what to do about it.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Error {
-    /// Whose fault it is.
+    /// Its class.
     pub class: Class,
     /// What is wrong and what was expected, in one sentence.
     pub message: String,
@@ -53,14 +53,15 @@ pub struct Error {
     /// The setting of that stage that is concerned; the recipe turns it into a place.
     #[serde(default)]
     pub setting: Vec<PathItem>,
-    /// The one of the poses that a model evaluated together that is concerned; the problem turns it into a place.
+    /// Index of the pose that causes the error, among the poses that a model evaluated together. The problem turns it into a
+    /// place.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub pose: Option<usize>,
-    /// The code that was asked failed (it died, gave no answer, panicked, broke its promises), whatever numbers it was asked
-    /// with. Without it an evaluation that fails refuses these numbers, and others may do.
+    /// The code itself failed (it ended, gave no answer, panicked, broke its contract), for any numbers. If false, an
+    /// evaluation failed only for the given numbers and may succeed for others.
     #[serde(default, skip_serializing_if = "std::ops::Not::not")]
     pub fault: bool,
-    /// How far an iteration came that does not converge.
+    /// State of an iteration that does not converge.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub convergence: Option<Box<Convergence>>,
 }
@@ -79,7 +80,7 @@ pub enum Termination {
     RoundLimit,
 }
 
-/// How far an iteration came.
+/// State of an iteration at its end.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Convergence {
     /// How it ended.
@@ -89,7 +90,7 @@ pub struct Convergence {
     /// Size of the last step, in standard uncertainties of all rows together; none if no step could be computed.
     #[serde(default)]
     pub last_step: Option<f64>,
-    /// What it has to come down to.
+    /// Tolerance for the size of the last step.
     pub tolerance: f64,
     /// Largest cosine of the angle between the residuals and a column of the derivatives.
     #[serde(default)]
@@ -116,7 +117,7 @@ impl Error {
         Self::new(Class::Use, message)
     }
 
-    /// The work was asked to end; whoever tries other numbers after an error ends as well.
+    /// The work was cancelled. It is marked as a fault, so that code that tries other numbers after an error ends, too.
     pub fn interrupted() -> Self {
         Self::new(Class::Interrupted, "interrupted").fault()
     }
@@ -152,25 +153,25 @@ impl Error {
         self
     }
 
-    /// Says which of the poses that were evaluated together is to blame.
+    /// Sets the index of the pose that causes the error, among the poses that were evaluated together.
     pub fn of_pose(mut self, pose: usize) -> Self {
         self.pose = Some(pose);
         self
     }
 
-    /// Says that the code that was asked failed, and not the numbers that it was asked with.
+    /// Marks it as a failure of the code, not of the numbers that it was called with.
     pub fn fault(mut self) -> Self {
         self.fault = true;
         self
     }
 
-    /// Adds how far the iteration came.
+    /// Adds the state of the iteration.
     pub fn convergence(mut self, convergence: Convergence) -> Self {
         self.convergence = Some(Box::new(convergence));
         self
     }
 
-    /// Names the setting that is to blame.
+    /// Names the setting that causes the error.
     pub fn setting(mut self, name: &str) -> Self {
         self.setting = vec![PathItem::Key(name.to_owned())];
         self
@@ -208,12 +209,12 @@ impl fmt::Display for Error {
 
 impl std::error::Error for Error {}
 
-/// The candidate that `given` most probably meant, if any is near.
+/// The candidate that is most similar to `given`, if one is similar enough.
 pub fn nearest<'a>(given: &str, candidates: impl IntoIterator<Item = &'a str>) -> Option<&'a str> {
     candidates
         .into_iter()
         .map(|candidate| (strsim::damerau_levenshtein(&given.to_lowercase(), &candidate.to_lowercase()), candidate))
-        // Names of one or two letters are all near each other: for those only the case may differ.
+        // Short names of one or two letters are all similar: for these only upper and lower case may differ.
         .filter(|(distance, candidate)| *distance <= candidate.chars().count().max(given.chars().count()) / 3)
         .min()
         .map(|(_, candidate)| candidate)

@@ -1,5 +1,5 @@
-//! What settings of stages are made of: errors that say which setting is wrong, units, series of numbers, patterns of
-//! names, and the reading of all that from JSON.
+//! Building blocks for settings of stages: errors that say which setting is wrong, units, series of numbers, patterns of
+//! names, and functions that read settings from JSON.
 //!
 //! In memory every quantity is in mm, rad, s, °C or N. Columns and settings say their unit in their name.
 //!

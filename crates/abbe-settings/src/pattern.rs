@@ -1,4 +1,5 @@
-//! Patterns of parameter names: `?` is one character, `*` any run, everything else (brackets too) is literal.
+//! Patterns of parameter names: `?` is any one character, `*` any number of characters, everything else (brackets too) is
+//! literal.
 
 /// Whether `name` matches `pattern`.
 pub fn matches(pattern: &str, name: &str) -> bool {

@@ -1,4 +1,4 @@
-//! Numbers in JSON, which has none for "not a number": there it is `null`.
+//! Numbers in JSON. JSON has no NaN; `null` is used for it.
 
 use serde::{Deserialize, Deserializer};
 

@@ -29,7 +29,7 @@ pub struct EvenSeries {
 
 impl<'de> Deserialize<'de> for Series {
     fn deserialize<D: serde::Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
-        // Told apart here, because an untagged enum could not say what is wrong in either form.
+        // The two forms are distinguished here, because an untagged enum could not say what is wrong in them.
         match serde_json::Value::deserialize(deserializer)? {
             map @ serde_json::Value::Object(_) => crate::from_settings(&map).map(Self::Even),
             list => crate::from_settings(&list).map(Self::Listed),
@@ -38,7 +38,7 @@ impl<'de> Deserialize<'de> for Series {
     }
 }
 
-/// More than this are a slip of the pen: a step in the wrong unit.
+/// Most intervals. More are probably a mistake, such as a step in the wrong unit.
 const MOST: f64 = 1000.0;
 
 impl Series {

@@ -256,7 +256,7 @@ fn kind_of(value: &Value) -> &'static str {
     }
 }
 
-/// Deserialises a JSON value with our own error type, which keeps what serde tells about unknown names.
+/// Deserialises a JSON value with [`SettingsError`], which keeps the unknown names that serde reports.
 struct Json<'a>(&'a Value);
 
 impl<'a> IntoDeserializer<'a, SettingsError> for Json<'a> {

@@ -5,7 +5,7 @@ use std::str::FromStr;
 
 use serde::{Deserialize, Serialize};
 
-/// What a column or a parameter is a quantity of; in memory each has one unit only.
+/// The kind of quantity of a column or a parameter. In memory each kind has one unit only.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, PartialOrd, Ord, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Quantity {
@@ -78,7 +78,7 @@ impl Quantity {
         }
     }
 
-    /// The suffix that people use in files for this quantity, for messages.
+    /// The usual suffix for this quantity in files, for messages.
     pub fn usual_suffix(self) -> &'static str {
         match self {
             Self::Label | Self::Ratio => "",
@@ -120,7 +120,7 @@ impl Unit {
         Self { of, per: (power > 0).then_some((per, power)) }
     }
 
-    /// The unit in which people read the parameter, and the factor from the unit in memory: µm, µrad, µm/m, µrad/m²...
+    /// The usual unit for display of the parameter, and the factor from the unit in memory: µm, µrad, µm/m, µrad/m²...
     pub fn for_people(self) -> (String, f64) {
         let (mut symbol, mut factor) = match self.of {
             Quantity::Length => ("µm".to_owned(), 1e3),

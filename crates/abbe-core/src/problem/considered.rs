@@ -1,4 +1,5 @@
-//! What a problem does not estimate but counts: known inputs, and what an earlier estimate knows.
+//! Considered quantities of a problem: known inputs, and results of an earlier estimate. They are not estimated, but their
+//! uncertainty is propagated.
 
 use serde::{Deserialize, Serialize};
 
@@ -10,23 +11,24 @@ use abbe_results::{Calibration, ConsideredInput};
 use abbe_settings::Unit;
 use abbe_settings::{Error, Result};
 
-/// A known input of a problem, with everybody who uses it.
+/// A known input of a problem, with the sets that use it.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Input {
     /// Name in results: `bar.reference_error`, or `stylus_radius` where it is the machine's.
     pub name: String,
-    /// Who it is: inputs of one identity are one quantity, in whichever estimate.
+    /// Its identity: inputs with the same identity are one quantity, in all estimates. Empty if it has no uncertainty.
     #[serde(default)]
     pub identity: String,
     /// Unit of its value.
     #[serde(default = "length")]
     pub unit: Unit,
-    /// Its value where nobody here uses it.
+    /// Its value if no set of this problem uses it.
     #[serde(default)]
     pub stated: f64,
     /// Its standard uncertainty, in the unit of its value.
     pub standard_uncertainty: f64,
-    /// (set, index among the known inputs of its observations). Nobody, if only an earlier estimate hangs on it.
+    /// The sets that use it: (set, index among the known inputs of its observations). Empty if only an earlier estimate
+    /// depends on it.
     pub users: Vec<(usize, usize)>,
 }
 
@@ -41,23 +43,25 @@ impl Input {
     }
 }
 
-/// What is not estimated but whose uncertainty counts: known inputs, and what an earlier calibration knows.
+/// Quantities that are not estimated but whose uncertainty is propagated: known inputs, and results of an earlier
+/// calibration.
 #[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
 pub struct Considered {
     /// The parameters.
     pub unknowns: Vec<Unknown>,
     /// Their covariance, in their units.
     pub covariance: Vec<Vec<f64>>,
-    /// For each the name under which budgets list its contribution: its own, or that of the earlier estimate.
+    /// For each quantity the name of its contribution in budgets: its own name, or the name of the earlier estimate.
     pub sources: Vec<String>,
-    /// The identity of each that is an input: inputs are independent of each other. None for what was estimated from
-    /// them.
+    /// For each quantity its identity if it is an input; inputs are independent of each other. None for results of an earlier
+    /// estimate.
     #[serde(default)]
     pub identities: Vec<Option<String>>,
 }
 
 impl Considered {
-    /// Takes out those of what this problem alone considers (so independent of all others) that `taken` takes.
+    /// Removes the quantities for which `taken` is true. Only quantities that come from this problem itself are removed;
+    /// these are independent of all others.
     fn take(&mut self, taken: impl Fn(&Unknown) -> bool) {
         let stays: Vec<usize> = (0..self.unknowns.len())
             .filter(|&index| self.sources[index] != self.unknowns[index].name || !taken(&self.unknowns[index]))
@@ -73,7 +77,7 @@ impl Considered {
         };
     }
 
-    /// Adds an input: it is correlated with nothing that is there.
+    /// Adds an input, which is not correlated with the quantities that are there.
     fn push_input(&mut self, unknown: Unknown, identity: String, standard_uncertainty: f64) {
         let source = unknown.name.clone();
         self.extend(vec![(unknown, Some(identity))], &[vec![standard_uncertainty.powi(2)]], &source);
@@ -94,7 +98,7 @@ impl Considered {
 }
 
 impl ObservationSet {
-    /// Who a known input is: by its declared `id`, or by what its certificate says.
+    /// The identity of a known input: from its declared `id`, or from the content of its certificate.
     pub fn identity(&self, input: usize) -> String {
         let certificate = self.observations.info().inputs[input].certificate();
         match self.ids.get(input).and_then(Option::as_deref) {
@@ -106,15 +110,15 @@ impl ObservationSet {
 
 /// The known inputs of some sets, and those of them that are uncertain.
 ///
-/// Inputs of one identity are one quantity; so are those that are the machine's and have one name, unless different ids
-/// are declared for them.
+/// Inputs with the same identity are one quantity. Inputs of the machine with the same name are one quantity, too, unless
+/// different ids are declared for them.
 pub(crate) fn inputs(sets: &[ObservationSet]) -> Result<(Vec<Input>, Considered)> {
     let mut inputs: Vec<Input> = Vec::new();
     let mut shared: Vec<Option<&str>> = Vec::new();
     for (set, observations) in sets.iter().enumerate() {
         for (index, input) in observations.observations.info().inputs.iter().enumerate() {
             let own = input.parameter.name.as_str();
-            // What is exact shares no error.
+            // An exact input has no error to share.
             let identity = match input.standard_uncertainty > 0.0 {
                 true => observations.identity(index),
                 false => String::new(),
@@ -175,7 +179,7 @@ fn agree(known: &Input, value: f64, uncertainty: f64, sets: &[ObservationSet], o
     .help("state the same one in both, or give what are two things an `id` each"))
 }
 
-/// Adds the parameters of a model that are known from elsewhere and not chosen.
+/// Adds the parameters of a model that have a nominal uncertainty and are not estimated.
 pub(crate) fn consider_parameters(considered: &mut Considered, model: &dyn KinematicModel, chosen: &[Unknown]) {
     let ModelInfo { parameters, nominal, nominal_uncertainties, .. } = model.info();
     let all = parameters.iter().zip(nominal_uncertainties).zip(nominal).enumerate();
@@ -189,7 +193,7 @@ pub(crate) fn consider_parameters(considered: &mut Considered, model: &dyn Kinem
     }
 }
 
-/// Refuses constraints that hang on no uncertain input: what a certificate states would be without uncertainty.
+/// Fails if a constraint depends on no uncertain input: the statement of its certificate would have no uncertainty.
 pub(crate) fn check_constraints(set: &ObservationSet) -> Result<()> {
     let (rows, none) = (&set.info().layout.rows, Poses::default());
     for row in (0..rows.len()).filter(|&row| rows[row].data_row.is_none() && rows[row].poses == 0) {
@@ -210,11 +214,11 @@ pub(crate) fn check_constraints(set: &ObservationSet) -> Result<()> {
 }
 
 impl Problem {
-    /// The same problem with what a calibration knows: its values hold, those that are chosen here start from them, and the
-    /// covariance of the others counts.
+    /// The same problem with the results of a calibration. Its values replace those of this problem. Unknowns of this problem
+    /// start from these values; all others are considered with their covariance.
     ///
-    /// Inputs of the calibration stay inputs here: one that this problem uses, too, is counted once, with its correlation to
-    /// what the calibration knows. Fails where the two state it differently.
+    /// Inputs of the calibration stay inputs in this problem. An input that both use is counted once, with its correlation to
+    /// the results of the calibration. Fails if both state it differently.
     pub fn with_prior(&self, calibration: &Calibration) -> Result<Self> {
         let mut problem = self.starting_from(calibration);
         let order = &calibration.covariance.order;
@@ -235,10 +239,10 @@ impl Problem {
                 None => None,
             };
             let unknown = match record {
-                // Known to this machine, too, and taken above; or estimated here from now on.
+                // It is in the list already, or it is an unknown of this problem.
                 _ if places.contains(&place) || chosen(name) => continue,
                 Some(record) => problem.input_of(record, &calibration.estimate)?,
-                // A file without identities: the same name is all there is.
+                // The file has no identities: inputs are found by name only.
                 None => match self.inputs.iter().position(|input| input.name == *name) {
                     Some(index) => {
                         Unknown { name: name.clone(), unit: self.inputs[index].unit, owner: Owner::Input, index }
@@ -260,7 +264,7 @@ impl Problem {
         Ok(problem)
     }
 
-    /// Considers an input of other estimates; `estimate` tells its name from others where that is needed.
+    /// Considers an input of another estimate. If its name is taken, `estimate` becomes a prefix of the name.
     pub fn consider(&mut self, record: &ConsideredInput, estimate: &str) -> Result<()> {
         let unknown = self.input_of(record, estimate)?;
         self.considered.take(|other| (other.owner, other.index) == (unknown.owner, unknown.index));
@@ -273,7 +277,7 @@ impl Problem {
         candidates(self.model.as_ref(), &self.sets)
     }
 
-    /// The input of an earlier estimate: one that this problem has, or a new one that nobody here uses.
+    /// The input of an earlier estimate: an input of this problem, or a new one that no set of this problem uses.
     fn input_of(&mut self, record: &ConsideredInput, estimate: &str) -> Result<Unknown> {
         let uncertain = |input: &&Input| input.standard_uncertainty > 0.0 && input.identity == record.identity;
         if let Some(input) = self.inputs.iter().find(uncertain) {

@@ -8,9 +8,9 @@ use crate::rotation::left_jacobian;
 use abbe_settings::Result;
 
 impl Problem {
-    /// Evaluates poses whose orientation is the nominal one, turned by the sum of what each parameter alone turns it by:
-    /// derivative at the nominal values times value. What shapes a function (a nominal value that is not zero) has its
-    /// current value there, so that the functions are the current ones.
+    /// Evaluates poses whose orientation is the nominal one, turned by the sum of the rotations of the single parameters:
+    /// derivative at the nominal values times value. Parameters with a nominal value that is not zero (shapes of functions)
+    /// keep their current values, so that the functions are the current ones.
     ///
     /// Positions are exact. Derivatives to shapes and commands are those of the exact rotation, which differ by products
     /// of errors.

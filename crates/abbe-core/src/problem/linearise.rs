@@ -1,4 +1,4 @@
-//! Residuals and derivatives of a problem: the one place where models and artefacts are chained.
+//! Residuals and derivatives of a problem: the chain rule over the poses of the model and the equations of the artefacts.
 
 use std::sync::mpsc::{channel, sync_channel};
 
@@ -45,7 +45,7 @@ impl Problem {
 
     /// Residuals and derivatives at `x`, block by block, in the order of the equations.
     ///
-    /// Where there is much to do and a core is free, the next blocks are evaluated while the sink takes the last one.
+    /// If there is much to do and a core is free, the next blocks are evaluated while `sink` processes the last one.
     pub fn linearise(&self, x: &[f64], mut sink: impl FnMut(Block<'_>)) -> Result<()> {
         let at = self.at(x);
         let columns = Columns::of(self);
@@ -68,7 +68,7 @@ impl Problem {
         let chunks: Vec<(usize, &[usize])> = chunks().collect();
         std::thread::scope(|scope| {
             let (at, columns, chunks) = (&at, &columns, &chunks);
-            // Every thread evaluates every so many-th chunk; they are taken in turn.
+            // Thread k evaluates the chunks k, k + threads, and so on. The results are taken from the threads in turn.
             let from = (0..threads).map(|first| {
                 let (send, receive) = sync_channel::<Result<Linearised>>(AHEAD);
                 let (give_back, used) = channel::<Linearised>();
@@ -78,7 +78,7 @@ impl Problem {
                         let mut linear = used.try_recv().unwrap_or_default();
                         let done = at.linearise_rows(set, rows, columns, &mut work, &mut linear).map(|()| linear);
                         let failed = done.is_err();
-                        // Nobody listens any more after an error.
+                        // After an error nothing more is received.
                         if send.send(done).is_err() || failed {
                             return;
                         }
@@ -88,18 +88,19 @@ impl Problem {
             });
             let from: Vec<_> = from.collect();
             for (receive, give_back) in from.iter().cycle() {
-                // The first that has no more was the next in turn.
+                // The first thread without a result would have had the next chunk: all chunks are done.
                 let Ok(linear) = receive.recv() else { break };
                 let linear = linear?;
                 take(&linear);
-                // The other side may be done.
+                // The thread may have ended; this is no error.
                 let _ = give_back.send(linear);
             }
             Ok(())
         })
     }
 
-    /// Threads that are worth starting for an evaluation of all rows with derivatives to so many variables.
+    /// Number of threads for an evaluation of all rows with derivatives to this many variables; 1 if more would not save
+    /// time.
     pub fn threads(&self, variables: usize) -> usize {
         let work = self.equations() * (POSE + variables);
         if work < WORTH_A_THREAD || is_one_of_several() { 1 } else { cores() }
@@ -197,7 +198,7 @@ impl Problem {
     }
 }
 
-/// Where the derivatives of a problem go.
+/// Columns of the Jacobian of a problem.
 struct Columns {
     /// The parameters of the model that are unknown, and the column of each.
     wanted: Vec<Variable>,
@@ -238,10 +239,10 @@ struct Linearised {
     jacobian: Vec<f64>,
 }
 
-/// Derivatives from which a thread of their own is worth starting.
+/// Number of derivatives from which several threads save time.
 const WORTH_A_THREAD: usize = 50_000;
 
-/// Derivatives that cost as much as a pose without any.
+/// Cost of a pose without derivatives, as a number of derivatives.
 const POSE: usize = 25;
 
 /// Blocks that a thread evaluates ahead of those that are taken.

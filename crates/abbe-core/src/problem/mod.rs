@@ -1,7 +1,7 @@
 //! A problem: model + observations + chosen unknowns + selected rows.
 //!
-//! Whoever holds a problem can have it solved again, on other rows (hold-out), with other inputs (Monte Carlo) or from
-//! other start values, by any estimator.
+//! Any estimator can solve a problem again: on other rows (hold-out), with other inputs (Monte Carlo) or from other start
+//! values.
 
 mod considered;
 mod first_order;
@@ -25,7 +25,7 @@ pub use considered::{Considered, Input};
 pub use linearise::{Block, CHUNK, Evaluation};
 pub use rows::{ObservationSet, Scatter};
 
-/// Whose an unknown is.
+/// What an unknown belongs to.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Owner {
@@ -44,7 +44,7 @@ pub struct Unknown {
     pub name: String,
     /// Unit of its value.
     pub unit: Unit,
-    /// Whose it is.
+    /// What it belongs to.
     pub owner: Owner,
     /// Its index among the parameters of its owner.
     pub index: usize,
@@ -65,19 +65,21 @@ pub struct Problem {
     pub unknowns: Vec<Unknown>,
     /// Start or fixed value of every model parameter.
     pub machine: Vec<f64>,
-    /// The known inputs of all sets; those of the machine stand here once.
+    /// The known inputs of all sets. An input that several sets share is listed once.
     pub inputs: Vec<Input>,
-    /// What is considered: not estimated, but its uncertainty counts.
+    /// Quantities that are not estimated, but whose uncertainty is propagated.
     pub considered: Considered,
-    /// Who watches the work with it.
+    /// Monitor of the work on this problem.
     pub monitor: Monitor,
 }
 
 impl Problem {
-    /// A problem over all rows, everything unknown starting from zero.
+    /// A problem over all rows. Machine parameters start from their nominal values, own unknowns from the start values of
+    /// their observations.
     ///
-    /// `patterns` choose the unknowns by name; one that matches nothing is an error with its index in the setting
-    /// `parameters`.
+    /// `patterns` choose the unknowns by name. A pattern that matches nothing is an error; the error has the index of the
+    /// pattern in the setting `parameters`. Also fails if one known input has different values or uncertainties, and if a
+    /// constraint depends on no uncertain known input.
     pub fn new(
         name: &str,
         model_plugin: &str,
@@ -150,7 +152,8 @@ impl Problem {
         problem
     }
 
-    /// The same problem with the values of a calibration as start (and as fixed values of what is not estimated).
+    /// The same problem with the values of a calibration as start values, and as fixed values of parameters that are not
+    /// estimated.
     pub fn starting_from(&self, calibration: &Calibration) -> Self {
         let mut problem = self.clone();
         for (value, parameter) in problem.machine.iter_mut().zip(&problem.model.info().parameters) {
@@ -169,7 +172,7 @@ impl Problem {
         problem
     }
 
-    /// Adds `change` to the value of something that is not estimated.
+    /// Adds `change` to the value of a quantity that is not estimated.
     pub fn shift(&mut self, unknown: &Unknown, change: f64) {
         match unknown.owner {
             Owner::Machine => self.machine[unknown.index] += change,

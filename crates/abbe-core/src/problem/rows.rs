@@ -1,4 +1,4 @@
-//! The rows of a problem: which take part, how uncertain they are, where they were read.
+//! The rows of a problem: which rows are used, their uncertainty, where they were read.
 
 use std::ops::Range;
 use std::sync::Arc;
@@ -27,17 +27,17 @@ pub struct ObservationSet {
     pub ids: Vec<Option<String>>,
     /// Start or fixed values of the own unknowns.
     pub own: Vec<f64>,
-    /// How uncertain the equations are, in the order of the layout.
+    /// Uncertainty of the equations, in the order of the layout.
     pub uncertainty: Arc<EquationUncertainty>,
-    /// Statuses that stand in for the recorded ones.
+    /// Statuses that replace the recorded ones.
     pub(super) moved: Option<Arc<PoseTable>>,
     /// What is added to the residuals, in the order of the layout.
     pub(super) disturbances: Option<Arc<Vec<f64>>>,
 }
 
 impl ObservationSet {
-    /// All rows of some observations, with their nominal inputs, own unknowns at their start values and equations as
-    /// uncertain as the artefact says, independent of one another.
+    /// All rows of some observations. Known inputs have their stated values and own unknowns their start values. The
+    /// equations are independent and have the standard uncertainties of the layout.
     pub fn new(name: &str, observations: Arc<dyn Observations>) -> Self {
         let info = observations.info();
         let standard = info.layout.standard_uncertainties.clone();
@@ -59,28 +59,28 @@ impl ObservationSet {
         self.observations.info()
     }
 
-    /// Some rows as they are evaluated: at these poses, and at the values that the set has.
+    /// The batch of some rows at these poses, with the values of this set.
     pub fn batch<'a>(&'a self, rows: &'a [usize], poses: &'a Poses) -> RowBatch<'a> {
         let Poses { positions, orientations, .. } = poses;
         RowBatch { rows, positions, orientations, own: &self.own, inputs: &self.inputs }
     }
 
-    /// The statuses of all poses: recorded, or where contact was found.
+    /// The statuses of all poses: the recorded ones, or those that replace them.
     pub fn poses(&self) -> &PoseTable {
         self.moved.as_deref().unwrap_or_else(|| &self.info().layout.poses)
     }
 
-    /// Makes these the statuses of all poses, in the order of the layout, instead of the recorded ones.
+    /// Replaces the recorded statuses of all poses, in the order of the layout.
     pub fn move_to(&mut self, poses: PoseTable) {
         self.moved = Some(Arc::new(poses));
     }
 
-    /// What is added to the residuals of the equations, in the order of the layout; none if nothing is.
+    /// What is added to the residuals of the equations, in the order of the layout; none if nothing is added.
     pub fn disturbances(&self) -> Option<&[f64]> {
         self.disturbances.as_ref().map(|disturbances| disturbances.as_slice())
     }
 
-    /// Makes these what is added to the residuals, in the order of the layout.
+    /// Sets what is added to the residuals, in the order of the layout.
     pub fn disturb(&mut self, disturbances: Vec<f64>) {
         self.disturbances = Some(Arc::new(disturbances));
     }
@@ -174,8 +174,8 @@ impl Problem {
         all
     }
 
-    /// Which equations are constraints: what a certificate states, and nobody measured here. They do not scatter, and are
-    /// never weighed down.
+    /// Which equations are constraints: statements of a certificate that were not measured here. They do not scatter, and
+    /// robust weights never reduce their weight.
     pub fn constraints(&self) -> Vec<bool> {
         let rows = self.equation_rows().into_iter();
         rows.map(|(set, row)| self.sets[set].info().layout.rows[row].data_row.is_none()).collect()
@@ -192,7 +192,7 @@ impl Problem {
         all
     }
 
-    /// What each equation is an equation of, lengths or angles, in the order of the equations.
+    /// The quantity of every equation (length or angle), in the order of the equations.
     pub fn quantities(&self) -> Vec<Quantity> {
         let mut all = Vec::with_capacity(self.equations());
         for ObservationSet { observations, rows, .. } in &self.sets {
@@ -236,8 +236,8 @@ impl Problem {
         self.sets.iter().map(|set| set.equations(&set.rows)).sum()
     }
 
-    /// The same problem with other errors of its readings: `disturbances`, one for every equation of the problem, are added
-    /// to its residuals.
+    /// The same problem with other errors of its readings: adds `disturbances` to its residuals, one for every equation of
+    /// the problem.
     pub fn disturbed(&self, disturbances: &[f64]) -> Self {
         let mut problem = self.clone();
         let mut rest = disturbances;
@@ -256,7 +256,7 @@ impl Problem {
     }
 
     /// The same problem with the standard uncertainties of the readings of every set multiplied by a factor; those of
-    /// constraints stay what their certificates state.
+    /// constraints do not change.
     pub fn with_variance_factors(&self, factors: &[f64]) -> Self {
         let mut problem = self.clone();
         for (set, &factor) in problem.sets.iter_mut().zip(factors).filter(|(_, factor)| **factor != 1.0) {

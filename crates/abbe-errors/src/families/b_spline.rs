@@ -79,10 +79,10 @@ impl Family for BSpline {
 /// B-splines of inner knots and a travel, by the recursion of Cox and de Boor (de Boor 2001, ch. IX). Together they are 1 everywhere.
 #[derive(Debug, Clone, PartialEq)]
 pub struct BSplines {
-    /// The ends stand here once more than the degree.
+    /// All knots; each end occurs degree + 1 times.
     knots: Vec<f64>,
     degree: usize,
-    /// Functions at both ends that are left out.
+    /// Number of functions that are left out at each end.
     ends: usize,
 }
 
@@ -94,7 +94,7 @@ impl BSplines {
         Self { knots, degree, ends: 0 }
     }
 
-    /// Without the first and the last function: together with lines they give all the others.
+    /// The functions without the first and the last one. Together with lines, the remaining ones span the same space.
     pub fn inner(self) -> Self {
         Self { ends: 1, ..self }
     }
@@ -104,7 +104,7 @@ impl BSplines {
     }
 
     /// The `degree + 1` functions that are not zero at a command, of a lower degree if wished, and the piece that it is on;
-    /// beyond the ends those of the last piece go on.
+    /// beyond the ends those of the first or the last piece are continued.
     fn local(&self, command: f64, degree: usize) -> (usize, Vec<f64>) {
         let last = self.knots.len() - self.degree - 2;
         let piece = self.knots.partition_point(|knot| *knot <= command).clamp(self.degree + 1, last + 1) - 1;
@@ -123,7 +123,7 @@ impl BSplines {
         (piece, values)
     }
 
-    /// Puts function `index`, counted with those at the ends, where it belongs.
+    /// Adds a value of function `index` to `out`; `index` counts the functions that are left out at the ends, too.
     fn put(&self, index: usize, value: f64, out: &mut [f64]) {
         if let Some(out) = index.checked_sub(self.ends).and_then(|index| out.get_mut(index)) {
             *out += value;
@@ -150,7 +150,7 @@ impl Functions for BSplines {
         out.fill(0.0);
         let (piece, lower) = self.local(arguments[0], self.degree - 1);
         for (r, value) in lower.into_iter().enumerate() {
-            // Function j of one degree less starts at knot j, and adds to j and takes off j - 1.
+            // Function j of one degree less starts at knot j. It is added to function j and subtracted from function j - 1.
             let j = piece - (self.degree - 1) + r;
             let slope = self.degree as f64 * value / (self.knots[j + self.degree] - self.knots[j]);
             self.put(j, slope, out);

@@ -46,7 +46,7 @@ impl Functions for Constant {
     }
 }
 
-/// One for a stylus, zero for all others.
+/// The value 1 for one stylus (its index), 0 for all others.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct StylusIs(pub usize);
 

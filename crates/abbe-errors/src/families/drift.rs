@@ -51,7 +51,7 @@ impl Per {
         }
     }
 
-    /// What the names of a series' terms begin with inside the bracket: `day2.` of `dzt[day2.t1]`.
+    /// Prefix of the names of a series' terms inside the bracket: `day2.` of `dzt[day2.t1]`.
     pub fn prefix(self, label: &str) -> String {
         match self {
             Self::DataSet => String::new(),
@@ -98,7 +98,7 @@ pub struct LegendreInTime {
     pub time: [f64; 2],
     /// Index of the series' label; none if there is one series only.
     pub series: Option<usize>,
-    /// What the names begin with inside the bracket: `day2.`.
+    /// Prefix of the names inside the bracket: `day2.`.
     pub prefix: String,
 }
 

@@ -83,7 +83,7 @@ impl Family for Expansion {
     }
 }
 
-/// `s (T - reference) q`, whose coefficient is that of expansion.
+/// The function `s (T - reference) q`; its coefficient is the coefficient of thermal expansion.
 ///
 /// A scale that expanded shows too little: at an indicated q the slide is at `q (1 + a (T - reference))`, so that the error, actual minus nominal, is
 /// `+ a (T - reference) q` in the sense s in which a positive command moves the body (Soons 1993, section 2.4).

@@ -103,14 +103,14 @@ impl Family for Load {
     }
 }
 
-/// A piecewise polynomial times load over reference load, and over the place of the load: (distance - z) / distance.
+/// A piecewise polynomial times load / reference load, and times (distance - z) / distance for the position z of the load.
 #[derive(Debug, Clone, PartialEq)]
 pub struct UnderLoad {
     /// The error under the reference load at the centre.
     pub shape: PiecewisePolynomial,
     /// Reference load, N.
     pub reference: f64,
-    /// Where the load has no effect, mm along z; none if its place does not count.
+    /// Position where the load has no effect, mm along z; none if the error does not depend on the position.
     pub distance: Option<f64>,
 }
 
@@ -155,7 +155,7 @@ impl Functions for UnderLoad {
     }
 }
 
-/// A constant under load, and one per mm of the place of the load.
+/// A constant per reference load, and the same per mm of the position of the load.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct LocationUnderLoad {
     /// Reference load, N.

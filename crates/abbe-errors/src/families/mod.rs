@@ -1,4 +1,4 @@
-//! The families, one file each: what a line under `errors` says, and the functions that it becomes.
+//! The families, one file each: the settings of a line under `errors`, and the functions that are made from it.
 
 mod b_spline;
 mod constant;
@@ -37,7 +37,7 @@ pub use reversal::{Backlash, Reversal};
 pub use spline::{NaturalSpline, Spline};
 pub use travel::{Trend, Without};
 
-/// What a function is a function of; a model knows where it finds it.
+/// An argument of a function. The model finds its value in the status.
 #[derive(Debug, Clone, PartialEq)]
 pub enum Argument {
     /// The command of the moving axis, mm or rad.
@@ -63,14 +63,14 @@ pub enum Argument {
     Shape(String, f64),
 }
 
-/// One function of a family: what its name says in the bracket, and what its coefficient is per.
+/// One function of a family: the suffix of its name, and the unit of its coefficient.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Term {
     /// `[2]`, `[b]`, `[t1]`; empty for a constant.
     pub suffix: String,
     /// The power in the denominator of the coefficient's unit.
     pub power: u8,
-    /// What the power is one of; none if of the command of the moving axis.
+    /// The quantity of the power; none if it is the command of the moving axis.
     pub per: Option<Quantity>,
     /// Unit of the coefficient, if it does not follow from these.
     pub unit: Option<Unit>,
@@ -89,7 +89,7 @@ impl Term {
 
 /// Functions of the status whose linear combination is an error.
 pub trait Functions: Send + Sync + Debug {
-    /// What they are functions of; `values` and `slopes` take the arguments in this order.
+    /// Their arguments; `values` and `slopes` get them in this order.
     fn arguments(&self) -> Vec<Argument>;
 
     /// The functions.
@@ -103,12 +103,12 @@ pub trait Functions: Send + Sync + Debug {
         out.fill(0.0);
     }
 
-    /// The commands of the moving axis for which they are meant; all if there is none.
+    /// The range of commands of the moving axis for which they are defined; none if all commands are allowed.
     fn range(&self) -> Option<[f64; 2]> {
         None
     }
 
-    /// Value of the coefficients of all functions as long as they are not estimated.
+    /// Value of the coefficients of all functions if they are not estimated.
     fn nominal(&self) -> f64 {
         0.0
     }
@@ -118,18 +118,18 @@ pub trait Functions: Send + Sync + Debug {
         0.0
     }
 
-    /// The length of the moving axis' command after which they repeat, with these arguments; none if they do not.
+    /// The period of the functions in the command of the moving axis, with these arguments; none if they are not periodic.
     fn period(&self, _arguments: &[f64]) -> Option<f64> {
         None
     }
 
-    /// Commands between which they are smooth.
+    /// Commands at which they are not smooth; between these they are.
     fn breaks(&self) -> &[f64] {
         &[]
     }
 }
 
-/// Which errors a family may be one of.
+/// The kind of errors that a family can describe.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Group {
     /// Errors of the location of axes.
@@ -142,14 +142,15 @@ pub enum Group {
     SetUp,
 }
 
-/// What a family is told of the error for which it makes functions.
+/// The error for which a family makes functions.
 #[derive(Debug, Clone, Copy)]
 pub struct Subject<'a> {
     /// Whether it is an error of location.
     pub location: bool,
     /// Quantity of the commands of its axis.
     pub command: Quantity,
-    /// What a linear axis moves the body that it carries in the direction of the error for a command of 1 mm; zero of angles.
+    /// Movement of the body that a linear axis carries, in the direction of the error, for a command of 1 mm; zero for errors
+    /// that are angles.
     pub along: f64,
     /// Travel of its axis, mm or rad, if known.
     pub range: Option<[f64; 2]>,
@@ -164,7 +165,7 @@ pub trait Family {
     /// The symbols (or patterns) that the line lists.
     fn symbols(&self) -> &[String];
 
-    /// Which errors the symbols are looked for among.
+    /// The kind of errors that the symbols can match.
     fn group(&self) -> Group {
         Group::Motion
     }
@@ -179,12 +180,12 @@ pub trait Family {
         true
     }
 
-    /// Checks what can be wrong whatever the machine is.
+    /// Checks the settings as far as they do not depend on the machine.
     fn check(&self) -> Result<(), SettingsError> {
         Ok(())
     }
 
-    /// The functions for an error; fails if the family cannot be one of it.
+    /// The functions for an error; fails if the family cannot describe this error.
     fn functions(&self, subject: &Subject<'_>) -> Result<Vec<Box<dyn Functions>>, SettingsError>;
 }
 
@@ -223,7 +224,7 @@ fn suits((setting, what): (&str, &str), subject: &Subject<'_>, mm: bool, deg: bo
     }
 }
 
-/// A small power, as products: what polynomials spend their time on.
+/// A power as products, which is faster for small degrees; polynomials spend most of their time here.
 fn power(value: f64, degree: u8) -> f64 {
     match degree {
         0 => 1.0,

@@ -67,15 +67,15 @@ impl Family for Periodic {
     }
 }
 
-/// Periodic piecewise parabolas (Soons 1993, eq. 3.12-3.15): with w = 0..1 the place within the period, t = k / (count + 1) and
-/// (w - t)^2 beyond t, zero before it, function k is that minus a1 w - a2 w^2, where a1 and a2 keep value and slope from jumping
-/// from w = 1 to w = 0.
+/// Periodic piecewise parabolas (Soons 1993, eq. 3.12-3.15). w = 0..1 is the position within the period, and t = k / (count +
+/// 1). Function k is `max(w - t, 0)^2 - a1 w - a2 w^2`. The constants a1 and a2 make value and slope continuous from w = 1 to
+/// w = 0.
 ///
-/// There is no phase parameter: the second derivative of a combination may jump at any knot and at w = 0, so
-/// combinations have any phase within the family, as those of sine and cosine have.
+/// There is no phase parameter. The second derivative of a combination may jump at any knot and at w = 0, so combinations can
+/// have any phase, as those of sine and cosine can.
 #[derive(Debug, Clone, PartialEq)]
 pub struct PeriodicPieces {
-    /// What the names begin with inside the bracket: `per0.635`.
+    /// Prefix of the names inside the bracket: `per0.635`.
     pub name: String,
     /// Nominal wavelength, mm or rad.
     pub wavelength: f64,
@@ -92,7 +92,7 @@ impl PeriodicPieces {
         (periods - periods.floor(), wavelength)
     }
 
-    /// Knot, and what is taken off in w and w^2, of every function.
+    /// Knot, and the constants a1 and a2, of every function.
     fn each(&self) -> impl Iterator<Item = (f64, f64, f64)> {
         let pieces = f64::from(self.count) + 1.0;
         (1..=self.count).map(move |k| {

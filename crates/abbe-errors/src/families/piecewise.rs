@@ -74,7 +74,7 @@ impl Family for Piecewise {
         if let Some(range) = range {
             within(&knots, range, subject.command == Quantity::Angle)?;
         }
-        // A line without its line is nothing.
+        // A line without its least-squares line is zero, so degree 1 is left out.
         let powers = if self.without_line { 2..=self.degree } else { 1..=self.degree };
         let mut functions = PiecewisePolynomial::new(knots, powers, self.continuity, range);
         if self.zero_at_zero {
@@ -105,7 +105,7 @@ pub struct PiecewisePolynomial {
     powers: RangeInclusive<u8>,
     truncated: RangeInclusive<u8>,
     range: Option<[f64; 2]>,
-    /// What is taken off every function; nothing if it is empty.
+    /// Constants that are subtracted from the functions; none if empty.
     constants: Vec<f64>,
 }
 
@@ -118,8 +118,8 @@ impl PiecewisePolynomial {
 
     /// The same functions without their values at the command 0.
     ///
-    /// Pieces below 0 are known from there up to their knots only: far away from them, at 0, their sum is the small difference of large
-    /// numbers, and so would be all that is said of the error there.
+    /// Data below 0 determine the functions with knots there up to their knots only. At 0, far from the knots, the error
+    /// would be a small difference of large numbers.
     pub fn zero_at_zero(mut self) -> Self {
         let mut constants = vec![0.0; self.names().count()];
         self.each(0.0, &mut constants, |_, way, below| way * below);
@@ -127,7 +127,7 @@ impl PiecewisePolynomial {
         self
     }
 
-    /// What the bracket says, with the power.
+    /// The name inside the bracket, with the power.
     pub(super) fn names(&self) -> impl Iterator<Item = (String, u8)> {
         let powers = self.powers.clone().map(|power| (power.to_string(), power));
         let truncated = (1..=self.knots.len())
@@ -135,7 +135,8 @@ impl PiecewisePolynomial {
         powers.chain(truncated)
     }
 
-    /// Calls with the power and the way from the origin or the knot to the power before.
+    /// Calls `of` for every function with: power, distance from the origin or beyond the knot, and this distance to the power
+    /// minus 1.
     fn each(&self, command: f64, out: &mut [f64], of: impl Fn(u8, f64, f64) -> f64) {
         let last = *self.powers.end();
         let mut out = out.iter_mut();

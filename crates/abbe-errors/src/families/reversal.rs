@@ -33,10 +33,10 @@ impl Family for Backlash {
     }
 }
 
-/// The direction of approach, and it times powers of the command.
+/// The direction of approach, and its products with powers of the command.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Reversal {
-    /// The powers; the constant comes first anyway.
+    /// The powers of the command. The function without a power is always there and comes first.
     pub degrees: Vec<u8>,
 }
 

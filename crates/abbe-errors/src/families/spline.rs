@@ -48,8 +48,9 @@ impl Family for Spline {
     }
 }
 
-/// Cardinal natural cubic splines: function k is 1 at knot k and 0 at the others, with second derivatives that are continuous,
-/// zero at the ends and beyond (de Boor 2001, ch. IV). Each changes everywhere, the less the farther from its knot.
+/// Cardinal natural cubic splines: function k is 1 at knot k and 0 at the others, with second derivatives that are
+/// continuous, zero at the ends and beyond (de Boor 2001, ch. IV). Each coefficient changes the spline everywhere, but less
+/// with the distance from its knot.
 #[derive(Debug, Clone, PartialEq)]
 pub struct NaturalSpline {
     knots: Vec<f64>,
@@ -86,7 +87,7 @@ impl NaturalSpline {
         Self { knots, bends }
     }
 
-    /// The interval of a command; the first and the last one go on beyond the ends.
+    /// The interval of a command; the first and the last interval extend beyond the ends.
     fn interval(&self, command: f64) -> usize {
         self.knots.partition_point(|knot| *knot <= command).clamp(1, self.knots.len() - 1) - 1
     }
@@ -102,7 +103,7 @@ impl NaturalSpline {
         out[interval + 1] += ends[1];
     }
 
-    /// The knot beyond which a command is, with the interval there.
+    /// The first or last knot if a command is beyond it.
     fn beyond(&self, command: f64) -> Option<f64> {
         let (first, last) = (self.knots[0], self.knots[self.knots.len() - 1]);
         (command < first).then_some(first).or((command > last).then_some(last))
@@ -126,7 +127,7 @@ impl Functions for NaturalSpline {
         let (left, right) = ((to - command) / width, (command - from) / width);
         let bends = match self.beyond(command) {
             None => [left, right].map(|part| (part * part * part - part) * width * width / 6.0),
-            // The slope of the end, as far as the command is beyond it.
+            // The slope at the end times the distance of the command beyond it.
             Some(end) => slope_of_bends(if end == from { [1.0, 0.0] } else { [0.0, 1.0] }, width)
                 .map(|slope| slope * (command - end)),
         };
@@ -142,7 +143,8 @@ impl Functions for NaturalSpline {
     }
 }
 
-/// What second derivatives at both ends of an interval add to the slope; `parts` of the way to the right and to the left end.
+/// Contribution of the second derivatives at both ends of an interval to the slope. The arguments are the relative distances
+/// from the right and from the left end.
 fn slope_of_bends([left, right]: [f64; 2], width: f64) -> [f64; 2] {
     [(1.0 - 3.0 * left * left) * width / 6.0, (3.0 * right * right - 1.0) * width / 6.0]
 }

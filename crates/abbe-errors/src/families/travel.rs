@@ -1,4 +1,4 @@
-//! What families have in common that are declared over the travel of an axis: its ends, and what is taken off over it.
+//! Common part of families that are declared over the travel of an axis: its ends, and trends that are removed over it.
 
 use abbe_core::{PathItem, Quantity, SettingsError};
 
@@ -41,7 +41,7 @@ impl Travel {
         self.range(subject)?.ok_or_else(|| SettingsError::new("", message))
     }
 
-    /// The functions without what the settings take off.
+    /// The functions without the trend that the settings remove.
     pub fn without(
         &self,
         functions: Box<dyn Functions>,
@@ -59,7 +59,7 @@ impl Travel {
         Ok(Box::new(Without::new(functions, trend, self.needed(subject, &format!("`{setting}`"))?)))
     }
 
-    /// Refuses functions that would be nothing but what is taken off.
+    /// Fails if a function would be zero after the trend is removed.
     pub fn leaves(&self, setting: &str, degrees: &[u8]) -> Result<(), SettingsError> {
         match degrees.iter().position(|degree| *degree < 2) {
             Some(index) if self.without_line => {
@@ -72,7 +72,7 @@ impl Travel {
     }
 }
 
-/// What is taken off.
+/// The trend that is removed.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Trend {
     /// The least-squares line.
@@ -81,14 +81,14 @@ pub enum Trend {
     OncePerTurn,
 }
 
-/// Functions without their own least-squares line, or once-per-turn part, over the travel (Soons 1993, eq. 3.4-3.10): whatever
-/// the coefficients are, the error has none. What is taken off belongs to the location of the axis.
+/// Functions without their own least-squares line, or once-per-turn part, over the travel (Soons 1993, eq. 3.4-3.10): for any
+/// coefficients, the error has no such trend. The trend belongs to the location errors of the axis.
 #[derive(Debug)]
 pub struct Without {
     functions: Box<dyn Functions>,
     trend: Trend,
     range: [f64; 2],
-    /// What is taken off each function: coefficients of both parts of the trend.
+    /// The trend of each function: coefficients of both parts of the trend.
     parts: Vec<[f64; 2]>,
 }
 
@@ -119,7 +119,7 @@ impl Without {
     fn trend_at(&self, command: f64) -> ([f64; 2], [f64; 2]) {
         match self.trend {
             Trend::Line => {
-                // From the middle, in half widths: so both parts are of one size and independent.
+                // From the middle, in half widths: so both parts have the same size and are orthogonal.
                 let (middle, half) = (0.5 * (self.range[0] + self.range[1]), 0.5 * (self.range[1] - self.range[0]));
                 ([1.0, (command - middle) / half], [0.0, 1.0 / half])
             }
@@ -166,11 +166,11 @@ impl Functions for Without {
 /// Nodes of a rule; it is exact for polynomials up to degree `2 NODES - 1`.
 const NODES: u8 = 12;
 
-/// Parts into which every piece is cut: so sine and cosine are integrated to rounding too.
+/// Number of parts of every piece, so that sine and cosine are integrated to rounding, too.
 const PARTS: u8 = 8;
 
-/// Places and weights of an integral over a range of functions that are smooth between `breaks`: the rule of Gauss and Legendre
-/// in every piece. For piecewise polynomials that is the closed form of Soons' integrals (1993, eq. 3.8), apart from rounding.
+/// Nodes and weights for integrals over a range of functions that are smooth between `breaks`: the Gauss-Legendre rule in
+/// every piece. For piecewise polynomials that is the closed form of Soons' integrals (1993, eq. 3.8), apart from rounding.
 fn quadrature([from, to]: [f64; 2], breaks: &[f64]) -> Vec<(f64, f64)> {
     let inner = breaks.iter().copied().filter(|at| from < *at && *at < to);
     let ends: Vec<f64> = std::iter::once(from).chain(inner).chain([to]).collect();

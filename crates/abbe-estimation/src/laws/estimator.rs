@@ -4,21 +4,21 @@ use abbe_core::{Calibration, Class, Estimate, Problem, Result, Status};
 
 use super::virtual_machine::{Measurement, measured};
 
-/// What an error that comes back wrong may amount to where it matters most, mm or rad: a thousandth of a micrometre.
+/// Largest admissible effect of a deviation of an estimated value on any equation, mm or rad: a thousandth of a micrometre.
 const ALLOWED: f64 = 1e-6;
 
 /// By how much, relative to itself, a standard uncertainty may differ from the root of its variance.
 const ROUNDING: f64 = 1e-9;
 
-/// What is wrong with an estimator of measurements, on problems of a virtual machine whose solutions are known; nothing if
-/// it keeps the laws:
+/// The laws that an estimator of measurements breaks, on problems of a virtual machine whose solutions are known; empty if it
+/// keeps them:
 ///
-/// - from exact data the errors of the machine come back to the nanometre, in whatever order the rows stand, wherever the
-///   zero of the axes lies, and wherever an artefact lies whose place is unknown;
+/// - from exact data the errors of the machine are found to the nanometre, for any order of the rows, any zero of the axes,
+///   and any unknown position of the artefact;
 /// - a second run gives the same bytes;
-/// - every unknown has a value, with the uncertainty that the covariance says.
+/// - every unknown has a value, with the uncertainty of the covariance.
 ///
-/// Fails for an estimator that refuses such problems as they are, for what it is made for.
+/// Fails if the estimator refuses such problems because it is not made for them.
 pub fn of_estimator(estimator: &dyn Estimate) -> Result<Vec<String>> {
     let usual = Measurement::default();
     let measurements = [
@@ -42,8 +42,8 @@ pub fn of_estimator(estimator: &dyn Estimate) -> Result<Vec<String>> {
     Ok(broken)
 }
 
-/// What is wrong with an estimator on one problem whose solution is known, in the order of its unknowns: data that are exact,
-/// and determine everything.
+/// The laws that an estimator breaks on one problem with exact data that determine all unknowns. `solution` is the known
+/// solution, in the order of the unknowns.
 ///
 /// Fails as the estimator does.
 pub fn of_estimate(estimator: &dyn Estimate, problem: &Problem, solution: &[f64]) -> Result<Vec<String>> {
@@ -52,7 +52,7 @@ pub fn of_estimate(estimator: &dyn Estimate, problem: &Problem, solution: &[f64]
     if found.to_json()? != estimator.estimate(problem)?.to_json()? {
         broken.push("a second run gives another calibration".to_owned());
     }
-    // From values that are almost right: that is what they are asked for.
+    // The start is almost right, as it is when Monte Carlo asks for values.
     let values = estimator.values(&problem.at(&problem.values_of(&found)))?;
     if values.len() != solution.len() {
         broken.push(format!("it gives {} values for {} unknowns", values.len(), solution.len()));
@@ -95,8 +95,8 @@ fn uncertainty(calibration: &Calibration, name: &str, stated: f64) -> Option<Str
     }
 }
 
-/// The largest absolute derivative of an equation to each unknown at `x`, mm or rad per unit of the unknown: what an error
-/// of the unknown amounts to where it matters most.
+/// The largest absolute derivative of an equation to each unknown at `x`, mm or rad per unit of the unknown: the largest
+/// effect of the unknown on an equation.
 ///
 /// Fails where the machine has no pose in a row.
 pub fn largest_derivatives(problem: &Problem, x: &[f64]) -> Result<Vec<f64>> {

@@ -1,14 +1,14 @@
-//! Laws that every model, artefact and estimator keeps, whatever it is: for its own tests, for those of whoever ships one,
-//! and for `abbe plugin check`.
+//! Laws that every model, artefact and estimator has to keep. They are used in tests of plugins, and by `abbe plugin check`.
 //!
-//! - [`of_model`]: derivatives of poses and of motion errors (so those of error families) are those of differences; poses
-//!   do not depend on those beside them; names stand once.
-//! - [`of_observations`]: derivatives of equations; rows do not depend on those beside them, nor on their order; names.
-//! - [`of_estimator`]: errors that were put in come back from exact data, whatever the order of rows, the origin of the
-//!   machine and the place of the artefact; a second run gives the same bytes; uncertainties are those of the covariance.
+//! - [`of_model`]: derivatives of poses and of motion errors (so those of error families) agree with difference quotients; a
+//!   pose does not depend on other poses of its batch; names are unique.
+//! - [`of_observations`]: derivatives of equations agree with difference quotients; rows do not depend on other rows of their
+//!   batch, nor on their order; names are unique.
+//! - [`of_estimator`]: the given errors are found again from exact data, for any order of rows, origin of the machine and
+//!   position of the artefact; a second run gives the same bytes; uncertainties are those of the covariance.
 //!
-//! Each gives what is broken, in sentences; nothing if all is well. [`virtual_problem`] is a small machine with data that
-//! it made.
+//! Each gives a sentence for every broken law; an empty list if all laws are kept. [`virtual_problem`] is a small machine
+//! with its data.
 
 mod estimator;
 mod model;
@@ -31,7 +31,7 @@ fn names<'a>(parameters: impl Iterator<Item = &'a Parameter>) -> Vec<String> {
     twice.chain(empty).collect()
 }
 
-/// Whether a derivative is that of differences.
+/// Whether a derivative agrees with a difference quotient.
 fn agrees(given: f64, found: f64, allowed: f64) -> bool {
     (given - found).abs() <= allowed * given.abs().max(found.abs()).max(1.0)
 }

@@ -11,14 +11,14 @@ use super::{agrees, names};
 /// Poses that are tried.
 const POSES: usize = 7;
 
-/// By how much a difference may be off, relative to the largest derivative to its variable.
+/// Largest deviation of a difference quotient, relative to the largest derivative to its variable.
 const TOLERANCE: f64 = 1e-5;
 
-/// What is wrong with a model, at poses all over its range; nothing if it keeps the laws:
+/// The laws that a model breaks, at poses over its whole range; empty if it keeps them:
 ///
-/// - derivatives of positions and, if it has them, of orientations are those of differences;
+/// - derivatives of positions and, if it has them, of orientations agree with difference quotients;
 /// - a pose is the same alone as among others, and with derivatives as without;
-/// - a motion error has the derivatives of its value, and one to every coefficient that it has;
+/// - the derivatives of a motion error agree with difference quotients, and none is missing for a coefficient that it has;
 /// - every parameter has a name of its own.
 ///
 /// A model may refuse orientations as a whole, but no pose within its range.
@@ -60,8 +60,8 @@ pub fn of_model(model: &dyn KinematicModel) -> Vec<String> {
     broken
 }
 
-/// Statuses all over the range of a model (poses x statuses), and values of its parameters as they occur, near the nominal
-/// ones; the same ones every time.
+/// Statuses over the whole range of a model (poses x statuses), and realistic values of its parameters, near the nominal
+/// ones; the same in every call.
 pub fn samples(model: &dyn KinematicModel, poses: usize) -> (Vec<f64>, Vec<f64>) {
     let info = model.info();
     // Weyl's sequence: spread evenly, without a random number.
@@ -104,12 +104,12 @@ fn variables(model: &dyn KinematicModel) -> Vec<Variable> {
     parameters.chain((0..model.info().axes.len()).map(Variable::Command)).collect()
 }
 
-/// Whether the model has orientations: it may have none, and say so.
+/// Whether the model has orientations. A model without them has to refuse them with an error.
 fn has_orientations(model: &dyn KinematicModel) -> bool {
     let (statuses, values) = samples(model, 1);
     match model.poses(&statuses, &values, &[], true, &mut Poses::default()) {
         Ok(()) => true,
-        // A broken promise is for the comparison to find.
+        // A fault of the code is reported by the comparison of derivatives.
         Err(error) => error.fault,
     }
 }
@@ -125,8 +125,8 @@ fn derivatives(model: &dyn KinematicModel) -> Result<Vec<String>> {
         };
         let (moves, turns) = (column(&at.position_derivatives), column(&at.rotation_derivatives));
         let largest = moves.iter().chain(&turns).map(Vector3::norm).fold(0.0, f64::max);
-        // A step that moves the tip by micrometres; a micrometre or microradian itself where nothing seems to move. What
-        // shapes a function turns its phase by far more than that at the end of a long axis.
+        // A step that moves the tip by a micrometre; if nothing seems to move, 1e-3 in the unit of the variable. Shapes of
+        // functions get a smaller step, because they change the phase much more at the end of a long axis.
         let step = match variable {
             Variable::Parameter(index) if info.parameters[index].role == ParameterRole::Shape => {
                 shape_step(info, index)
@@ -155,7 +155,7 @@ fn derivatives(model: &dyn KinematicModel) -> Result<Vec<String>> {
         let off = |given: &[Vector3<f64>], found: &dyn Fn(usize) -> Vector3<f64>| {
             (0..given.len()).map(|pose| (given[pose] - found(pose)).norm()).fold(0.0, f64::max)
         };
-        // Where nothing moves by the derivative, the difference has to vanish but for rounding.
+        // If the derivative is zero, the difference has to be zero within rounding.
         let allowed = TOLERANCE * largest + 1e-9;
         for (kind, off) in [("position", off(&moves, &moved)), ("rotation", off(&turns, &turned))] {
             if off.is_nan() || off > allowed {
@@ -169,7 +169,7 @@ fn derivatives(model: &dyn KinematicModel) -> Result<Vec<String>> {
     Ok(broken)
 }
 
-/// A step of what shapes a function: a small part of its nominal value, if that is not zero.
+/// The step of a parameter of the shape of a function: a small part of its nominal value, if that is not zero.
 fn shape_step(info: &ModelInfo, index: usize) -> f64 {
     3e-7 * if info.nominal[index] == 0.0 { 1.0 } else { info.nominal[index].abs() }
 }
@@ -185,7 +185,7 @@ fn unit([w, x, y, z]: [f64; 4]) -> UnitQuaternion<f64> {
     UnitQuaternion::from_quaternion(Quaternion::new(w, x, y, z))
 }
 
-/// A batch in which every pose is what it is alone, without derivatives.
+/// Checks that every pose of a batch is the same alone and without derivatives.
 fn alone_and_together(model: &dyn KinematicModel) -> Result<Vec<String>> {
     let (statuses, values) = samples(model, POSES);
     let orientation = has_orientations(model);
@@ -205,7 +205,8 @@ fn alone_and_together(model: &dyn KinematicModel) -> Result<Vec<String>> {
     Ok(Vec::from_iter(differs.then(|| sentence.to_owned())))
 }
 
-/// Motion errors, and by that the functions of error families: derivatives by differences, and to every coefficient.
+/// Checks motion errors, and so the functions of error families: derivatives against difference quotients, for every
+/// coefficient.
 fn motion_errors(model: &dyn KinematicModel) -> Result<Vec<String>> {
     let (statuses, values) = samples(model, POSES);
     let mut broken = Vec::new();

@@ -11,11 +11,11 @@ const ROWS: usize = 24;
 /// By how much a derivative may differ from the quotient of differences, relative to the larger of it and 1.
 const ALLOWED: f64 = 1e-5;
 
-/// What is wrong with the observations of a set of a problem, at the problem's own values; nothing if they keep the laws:
+/// The laws that the observations of a set of a problem break, at the problem's own values; empty if they keep them:
 ///
-/// - derivatives to tip positions, orientations, own unknowns and known inputs are those of differences;
+/// - derivatives to tip positions, orientations, own unknowns and known inputs agree with difference quotients;
 /// - a row gives the same alone as among others, in any order;
-/// - every row has as many equations as its layout says, and every name stands once.
+/// - every row has as many equations as its layout says, and every name is unique.
 ///
 /// Fails where the machine has no pose in a row.
 pub fn of_observations(problem: &Problem, set: usize) -> Result<Vec<String>> {
@@ -60,7 +60,7 @@ struct Row<'a> {
     at: &'a Evaluation,
 }
 
-/// What a derivative is to.
+/// The variable of a derivative.
 #[derive(Debug, Clone, Copy)]
 enum To {
     Position(usize, usize),
@@ -70,7 +70,7 @@ enum To {
 }
 
 impl Row<'_> {
-    /// The derivatives that are not those of differences.
+    /// The derivatives that do not agree with difference quotients.
     fn derivatives(&self) -> Result<Vec<String>> {
         let poses = self.at.poses.positions.len();
         let turned = !self.at.equations.by_rotation().is_empty();
@@ -106,7 +106,7 @@ impl Row<'_> {
         }
     }
 
-    /// A step that residuals answer to by micrometres and more, and by its square only by nanometres.
+    /// A step that changes residuals by micrometres or more. Its second-order effect is only nanometres.
     fn step(&self, to: To) -> f64 {
         let parameter = match to {
             To::Position(..) => return 1e-3,

@@ -1,4 +1,4 @@
-//! A small machine with errors, and what it measures: data for those who bring none.
+//! A small machine with errors, and its measurements: data for tests without data.
 
 use std::path::PathBuf;
 use std::sync::Arc;
@@ -39,9 +39,10 @@ const ERRORS: [f64; 9] = [2e-5, -3e-5, 4e-5, 5e-5, -6e-5, 7e-5, 0.02, -0.03, 0.0
 pub(super) struct Measurement {
     /// The rows come in the opposite order.
     pub reversed: bool,
-    /// Where the zero of the axes lies, mm: commands are counted from there.
+    /// Position of the zero of the axes, mm: commands are counted from there.
     pub origin: [f64; 3],
-    /// Where the artefact lies, mm and rad: unknown to the problem; none if it lies where it should.
+    /// Position and orientation of the artefact, mm and rad: unknowns of the problem; none if the artefact is at its nominal
+    /// position.
     pub placement: Option<[f64; 6]>,
 }
 
@@ -49,7 +50,7 @@ pub(super) struct Measurement {
 /// twelve points that are known. Nine unknowns, thirty-six equations that hold exactly at the solution (mm and rad, in the
 /// order of the unknowns).
 ///
-/// Does not fail as long as the checks of [`Problem::new`] let a right problem pass.
+/// Fails only if [`Problem::new`] refuses a correct problem.
 pub fn virtual_problem() -> Result<(Problem, Vec<f64>)> {
     measured(&Measurement::default())
 }
@@ -73,7 +74,7 @@ pub(super) fn measured(measurement: &Measurement) -> Result<(Problem, Vec<f64>)>
         Some(_) => own.map(|(name, unit)| Parameter::new(name, unit).with_role(ParameterRole::Feature)).collect(),
         None => Vec::new(),
     };
-    // An artefact that lies anywhere takes up the offset of the tool.
+    // An unknown position of the artefact absorbs the offset of the tool.
     let known = if own.is_empty() { 9 } else { 6 };
     let info = ObservationsInfo::new(layout, own, Contact::LinearAxes);
     let set = ObservationSet::new("points", Arc::new(Touches { info, points }));
@@ -114,7 +115,7 @@ fn dataset(commands: &[[f64; 3]]) -> Dataset {
 /// Three linear axes X, Y, Z that carry one another and the tool; the workpiece stands still.
 struct Machine {
     info: ModelInfo,
-    /// Where the zero of the axes lies.
+    /// Position of the zero of the axes, mm.
     origin: Vector3<f64>,
 }
 
@@ -151,8 +152,8 @@ impl Machine {
         Self { info, origin: origin.into() }
     }
 
-    /// The tip. Errors grow with the commands, from the zero of the axes; nominally the tip stands at the commands less the
-    /// place of that.
+    /// The tip position. Errors grow with the commands, from the zero of the axes. The nominal tip position is the commands
+    /// minus the position of the zero.
     fn tip(&self, q: &[f64], p: &[f64]) -> Vector3<f64> {
         let x = q[0] * p[0] - q[1] * p[3] + q[2] * p[5] + p[6];
         let y = q[1] * p[1] - q[2] * p[4] + p[7];

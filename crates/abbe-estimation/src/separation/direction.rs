@@ -1,26 +1,26 @@
-//! A lost direction, and what hypothetical measurements see of it.
+//! A lost direction, and its effect on hypothetical measurements.
 
 use abbe_core::{NullVector, Owner, Poses, Problem, Result, Unknown, Variable};
 use nalgebra::Vector3;
 
 use super::Measured;
 
-/// Derivatives below this, in mm or rad per unit of the unknown, are what rounding leaves of zero.
+/// Derivatives below this, in mm or rad per unit of the unknown, are rounding errors of zero.
 const ZERO: f64 = 1e-9;
 
-/// How much a measurement sees of a direction.
+/// Effect of a direction on a measurement.
 #[derive(Debug, Clone, Copy, Default)]
 pub struct Effect {
     /// The largest change of a residual along the direction.
     pub change: f64,
-    /// The largest change by what moves the tip, the place of a new feature included.
+    /// The largest movement of the tip, including a common movement that the place of a new feature absorbs.
     pub moved: f64,
     /// The largest change by one of the unknowns alone.
     pub single: f64,
 }
 
 impl Effect {
-    /// The change relative to that by one of the unknowns alone; zero where none has an effect.
+    /// The change relative to the largest change by a single unknown; zero if no unknown has an effect.
     pub fn relative(&self) -> f64 {
         if self.single > 0.0 { self.change / self.single } else { 0.0 }
     }
@@ -46,7 +46,7 @@ impl<'a> LostDirection<'a> {
         Ok(Self { problem, members })
     }
 
-    /// What a measurement sees of the direction.
+    /// The effect of the direction on a measurement.
     pub fn effect(&self, measured: &Measured) -> Result<Effect> {
         match measured {
             Measured::Rows(problem) => self.on_rows(problem),
@@ -64,7 +64,7 @@ impl<'a> LostDirection<'a> {
         }
     }
 
-    /// Residuals, as multiples of their standard uncertainties.
+    /// The effect on residuals, as multiples of their standard uncertainties.
     fn on_rows(&self, problem: &Problem) -> Result<Effect> {
         let mut problem = problem.clone();
         problem.unknowns = self.members.iter().map(|(unknown, _)| unknown.clone()).collect();
@@ -135,7 +135,7 @@ impl Field {
     }
 }
 
-/// Whose the unknowns are: `table.ball[3]` for `table.ball[3].x`.
+/// The features that the unknowns belong to: `table.ball[3]` for `table.ball[3].x`.
 fn listed_features(members: &[(Unknown, f64)]) -> String {
     let mut features: Vec<String> = Vec::new();
     for (unknown, _) in members {

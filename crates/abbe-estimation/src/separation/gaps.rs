@@ -1,4 +1,4 @@
-//! Stretches of an axis where nothing was measured: what errors do there alone, no row tells.
+//! Stretches of an axis where nothing was measured: no row shows errors that have an effect only there.
 
 use abbe_core::{AxisKind, Problem};
 
@@ -42,12 +42,12 @@ pub fn gaps(problem: &Problem) -> Vec<Gap> {
     gaps
 }
 
-/// The sentence of the stretch in which a direction moves the tip most, as a multiple of what one of its unknowns does there; none if it
-/// does so in no stretch by more than `seen`.
+/// The sentence of the stretch in which a direction moves the tip most, relative to the largest movement by a single unknown
+/// there; none if this ratio is above `seen` in no stretch.
 pub fn sentence(gaps: &[Gap], direction: &LostDirection<'_>, seen: f64) -> Option<String> {
     let mut best: Option<(f64, &str)> = None;
     for gap in gaps {
-        // Where the model tells nothing there is nothing to measure.
+        // If the model cannot be evaluated there, nothing can be measured there.
         let Ok(effect) = direction.effect(&Measured::Point(vec![gap.status.clone()])) else { continue };
         let part = if effect.single > 0.0 { effect.moved / effect.single } else { 0.0 };
         if part > seen && best.is_none_or(|(most, _)| part > most) {

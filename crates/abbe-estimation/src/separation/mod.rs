@@ -1,10 +1,10 @@
-//! Which measurements tell apart what recorded ones cannot.
+//! Which further measurements separate the unknowns that the recorded ones cannot separate.
 //!
-//! A lost direction is a change of parameters that no recorded row sees. Here it is tried on measurements that were not made:
-//! the features that are touched at other positions of an axis, from the other direction of approach or with another
-//! stylus; a feature elsewhere; a calibrated length. A measurement separates the direction if the change shows in it, other
-//! than as a place of the new feature. All of it is judged by the derivatives of the model and of the observation equations,
-//! as rank is, so it holds for any chain and any artefact.
+//! A lost direction is a change of parameters that has no effect on any recorded row. Here it is tried on measurements that
+//! were not made: the features that are touched at other positions of an axis, from the other direction of approach or with
+//! another stylus; a feature elsewhere; a calibrated length. A measurement separates the direction if the change has an
+//! effect on it that is not only a shift of the new feature. As for rank, this is judged by the derivatives of the model and
+//! of the observation equations, so it holds for any chain and any artefact.
 
 mod direction;
 mod gaps;
@@ -20,17 +20,17 @@ use gaps::{Gap, gaps};
 use places::{places, recorded_statuses};
 use statuses::statuses;
 
-/// Ratio of the change along a lost direction to the largest change by one of its unknowns alone, from which a measurement
-/// sees the direction. What is lost leaves about 1e-12, dimensionless.
+/// A measurement separates a lost direction if the ratio of the change along the direction to the largest change by a single
+/// unknown is above this. A lost direction has a ratio of about 1e-12, dimensionless.
 const SEEN: f64 = 1e-6;
 
-/// The same ratio below which a measurement sees the direction too weakly to be told before others.
+/// Below this value of the same ratio a measurement separates the direction only weakly and is listed after others.
 const WEAK: f64 = 1e-3;
 
-/// Part of the largest such ratio from which a trial is as good as the one that has it.
+/// Trials whose ratio is at least this part of the largest one count as equally good.
 const ALIKE: f64 = 0.2;
 
-/// Most measurements that are told for one direction.
+/// Most measurements that are proposed for one direction.
 const TOLD: usize = 3;
 
 /// Most rows of a set that are tried at other statuses.
@@ -38,7 +38,7 @@ const ROWS: usize = 60;
 
 /// A measurement that was not made.
 struct Trial {
-    /// Trials of one group differ in where they measure; one of them is told.
+    /// Trials of one group differ in where they measure; only one of them is proposed.
     group: Group,
     /// What to do.
     sentence: String,
@@ -46,7 +46,7 @@ struct Trial {
     measured: Measured,
 }
 
-/// What is new in a measurement, the easiest first.
+/// What is new in a measurement, in the order of effort, the easiest first.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
 enum Group {
     /// A status (its index) that never varies takes another value.
@@ -71,7 +71,7 @@ enum Measured {
 
 /// The measurements that can be tried on a machine, beside those that were made.
 pub struct SeparationTrials {
-    /// The recorded rows (not all of many) at contact, with the unknowns at their values.
+    /// The recorded rows (a part of them if there are many) at nominal contact, with the unknowns at their values.
     recorded: Problem,
     trials: Vec<Trial>,
     gaps: Vec<Gap>,
@@ -86,12 +86,13 @@ impl SeparationTrials {
         Ok(Self { recorded, trials, gaps: gaps(problem) })
     }
 
-    /// Sentences that tell which measurements separate a lost direction, the best first, at most three; what to do instead
-    /// if none does. Fails on a direction whose unknowns are not those of the problem.
+    /// Sentences that say which measurements separate a lost direction, the best first, at most three. If none does, a
+    /// sentence that says what to do instead. Fails on a direction whose unknowns are not those of the problem.
     pub fn separating(&self, vector: &NullVector) -> Result<Vec<String>> {
         let direction = LostDirection::new(&self.recorded, vector)?;
         let lost = direction.effect(&Measured::Rows(Box::new(self.recorded.clone())))?;
-        // A direction is as exact as its smallest entries: what the recorded rows see of it tells nothing.
+        // A direction is rounded. So its effect on the recorded rows, which should be zero, is a lower limit for an effect
+        // that counts.
         let seen = SEEN.max(10.0 * lost.relative());
         let mut effects = Vec::with_capacity(self.trials.len());
         for trial in &self.trials {
@@ -100,7 +101,7 @@ impl SeparationTrials {
         let found = self.best(&effects, seen);
         if found.is_empty() {
             let recorded = direction.effect(&Measured::Point(recorded_statuses(&self.recorded)))?;
-            // What moves nothing where it was measured may move something in between.
+            // A direction that does not move the tip at the recorded poses may move it between them.
             let still = recorded.moved <= seen * recorded.single;
             if let Some(sentence) = gaps::sentence(&self.gaps, &direction, seen).filter(|_| still) {
                 return Ok(vec![sentence]);
@@ -121,7 +122,7 @@ impl SeparationTrials {
         for group in groups {
             let trials = || self.trials.iter().zip(effects).filter(|(trial, _)| trial.group == group);
             let largest = trials().map(|(_, effect)| effect.relative()).fold(0.0, f64::max);
-            // Of those that see it in the same order of size, the one that stands first is the simplest.
+            // Of the trials with effects of the same order of magnitude, the first is the simplest.
             let simplest = trials().find(|(_, effect)| largest > seen && effect.relative() >= ALIKE * largest);
             found.extend(simplest.map(|(trial, _)| (largest < WEAK, trial.sentence.as_str())));
         }
@@ -130,14 +131,14 @@ impl SeparationTrials {
     }
 }
 
-/// Sentences that tell which measurements separate a lost direction of a problem whose unknowns have the values `x`.
+/// Sentences that say which measurements separate a lost direction of a problem whose unknowns have the values `x`.
 ///
 /// For one direction; see [`SeparationTrials`] for several.
 pub fn separating_measurements(problem: &Problem, x: &[f64], vector: &NullVector) -> Result<Vec<String>> {
     SeparationTrials::new(problem, x)?.separating(vector)
 }
 
-/// The problem with few rows of every set, evenly spread but in no step with any order of features.
+/// The problem with at most `ROWS` rows of every set, evenly spread but not in step with any order of features.
 pub(crate) fn thinned(problem: &Problem) -> Problem {
     const GOLDEN: f64 = 0.618_033_988_749_894_9;
     let mut problem = problem.clone();

@@ -1,11 +1,11 @@
-//! Trials elsewhere on the table: a feature that is not known, and a length that is.
+//! Trials elsewhere on the table: a feature with unknown position, and a known length.
 
 use abbe_core::{AxisKind, Problem, Result};
 
 use super::{Group, Measured, Trial};
 use crate::reach::Reach;
 
-/// How far from what is touched a feature is tried, mm.
+/// Distance between the touched features and a trial feature, mm.
 const BEYOND: f64 = 100.0;
 
 /// Lengths that are tried, mm: the first that the axes reach is taken.
@@ -35,7 +35,7 @@ impl Bounds {
         (0..3).all(|axis| point[axis] > self.low[axis] - 1.0 && point[axis] < self.high[axis] + 1.0)
     }
 
-    /// Where a feature is tried: beside the centre (upwards first), at the corners of the box extended, in the middle.
+    /// Positions of trial features: beside the centre (upwards first), at the corners of the extended box, at the centre.
     fn candidates(&self) -> Vec<[f64; 3]> {
         let centre = self.centre();
         let mut points = Vec::new();
@@ -49,7 +49,8 @@ impl Bounds {
             }));
         }
         points.push(centre);
-        // Beyond what is touched first: a direction of contact is easily taken for granted.
+        // Positions outside the touched features first. For positions inside, the directions of contact matter, and these are
+        // easily overlooked.
         points.sort_by_key(|point| self.contains(point));
         points
     }
@@ -65,7 +66,7 @@ impl Bounds {
 
 const LETTERS: [&str; 3] = ["x", "y", "z"];
 
-/// Whole centimetres: nobody places a feature better for a trial.
+/// Rounds to whole centimetres, which is exact enough for the position of a trial feature.
 fn round(value: f64) -> f64 {
     (value / 10.0).round() * 10.0 + 0.0
 }
@@ -132,7 +133,7 @@ fn length(reach: &Reach<'_>, indexation: &[f64], centre: [f64; 3], axis: usize) 
     Ok(None)
 }
 
-/// Where things are touched, table frame: the features, or the tips where artefacts have none.
+/// Touched points, table frame: the features, or the tips if artefacts have no features.
 fn touched(recorded: &Problem) -> Result<Vec<[f64; 3]>> {
     let features = recorded.sets.iter().flat_map(|set| set.info().features.clone());
     let points: Vec<[f64; 3]> = features.map(|feature| feature.point).collect();

@@ -16,7 +16,7 @@ const SHIFTS: [f64; 4] = [100.0, -100.0, 20.0, -20.0];
 /// Times that are tried beside a single one, s.
 const TIMES: [f64; 2] = [0.0, 3600.0];
 
-/// A value that a status could have had, with what to do to have it.
+/// An alternative value of a status, with the sentence that says what to do.
 struct Alternative {
     value: f64,
     sentence: String,
@@ -98,7 +98,7 @@ fn degrees(value: f64) -> String {
     format!("{}°", (value.to_degrees() * 1e3).round() / 1e3 + 0.0)
 }
 
-/// Linear axes move with every touch; one that never does stands beside those that do.
+/// Linear axes usually move with every touch. An alternative is tried only for a linear axis that never moves.
 fn linear(axis: &Axis, values: &[f64]) -> Vec<Alternative> {
     let &[value] = values else { return Vec::new() };
     let sentence =
@@ -108,7 +108,7 @@ fn linear(axis: &Axis, values: &[f64]) -> Vec<Alternative> {
     tried.filter(in_range).map(|value| Alternative { value, sentence: sentence.clone() }).collect()
 }
 
-/// `name` is the status that tells from which side the axis came.
+/// `name` is the status with the direction of approach of the axis.
 fn approach(name: &str, axis: &str, values: &[f64]) -> Vec<Alternative> {
     match values {
         [] => [1.0, -1.0]
@@ -140,7 +140,7 @@ fn levels(status: &StatusColumn, values: &[f64]) -> Vec<Alternative> {
     .collect()
 }
 
-/// Time and what else a model depends on.
+/// Alternatives for time and other statuses.
 fn other(status: &StatusColumn, values: &[f64]) -> Vec<Alternative> {
     let name = &status.name;
     let sentence = match values {
@@ -152,7 +152,7 @@ fn other(status: &StatusColumn, values: &[f64]) -> Vec<Alternative> {
     TIMES.map(|shift| Alternative { value: first + shift, sentence: sentence.clone() }).into()
 }
 
-/// The rows with a status at another value and their tips where they were; none if no row gets there.
+/// The rows with another value of a status and unchanged tip positions; none if no row can reach them.
 fn at_status(recorded: &Problem, status: usize, value: f64) -> Result<Option<Problem>> {
     let reach = Reach::new(recorded.model.as_ref(), &recorded.machine, Some(status));
     let mut moved = recorded.clone();
@@ -170,7 +170,7 @@ fn at_status(recorded: &Problem, status: usize, value: f64) -> Result<Option<Pro
     Ok((moved.equations() > 0).then_some(moved))
 }
 
-/// Gives a status of some poses another value and brings their tips back; tells where that succeeds.
+/// Gives a status of some poses another value and moves their tips back; returns the poses for which this is possible.
 fn carried(
     reach: &Reach<'_>,
     poses: &mut PoseTable,
