@@ -71,7 +71,7 @@ fn error_of(recipe: &Variant) -> String {
     match prepare(&recipe.write(folder.path()), &registry())
         .and_then(|prepared| prepared.run(&abbe_core::Monitor::default()))
     {
-        Ok(_) => panic!("it ran"),
+        Ok(outcome) => outcome.failures.first().expect("a stage that fails").error.to_string(),
         Err(error) => error.to_string(),
     }
 }

@@ -55,7 +55,7 @@ const CRATES: [Border; 18] = [
 ];
 
 /// Packages that may use the whole workspace: nothing depends on them.
-const ABOVE_ALL: [&str; 3] = ["abbe-benches", "abbe-examples", "abbe-tests"];
+const ABOVE_ALL: [&str; 4] = ["abbe-benches", "abbe-campaigns", "abbe-examples", "abbe-tests"];
 
 /// The crates that plugins may use.
 const FOR_PLUGINS: [&str; 9] = [

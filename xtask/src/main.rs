@@ -2,6 +2,7 @@
 //!
 //! - `cargo xtask ci [--all]`: everything the gate asks for, the same on every machine; with `--all` nothing may be skipped.
 //! - `cargo xtask bench [--save]`: run the benchmarks, compare with (or write) `benches/baseline.json`.
+//! - `cargo xtask campaign machines|tango COUNT SEED`: run a campaign over many random cases (`tests/campaigns`).
 //! - `cargo xtask header`: write the C header of the plugin interface.
 //! - `cargo xtask schema`: write what follows from the plugins: the schema of recipes and the pages in `docs/plugins`.
 
@@ -26,9 +27,12 @@ fn main() -> ExitCode {
         ["ci", "--all"] => gate::run(true),
         ["bench"] => bench(false),
         ["bench", "--save"] => bench(true),
+        ["campaign", name, count, seed] => {
+            run(cargo(&["run", "--release", "--locked", "--package", "abbe-campaigns", "--", name, count, seed]))
+        }
         ["header"] => header::write(),
         ["schema"] => schema(),
-        _ => Err("usage: cargo xtask ci [--all] | bench [--save] | header | schema".to_owned()),
+        _ => Err("usage: cargo xtask ci [--all] | bench [--save] | campaign machines|tango COUNT SEED | header | schema".to_owned()),
     };
     match outcome {
         Ok(()) => ExitCode::SUCCESS,

@@ -8,7 +8,7 @@ use std::collections::BTreeMap;
 use std::sync::Arc;
 
 use abbe_core::{
-    Calibration, Class, Error, Estimate, Fit, FitReport, Identifiability, Kind, Problem, Result, UncertaintyBudget,
+    Basis, Calibration, Class, Error, Estimate, Fit, FitReport, Identifiability, Kind, Problem, Result, UncertaintyBudget,
     Unknown,
 };
 use abbe_estimation::calibration;
@@ -16,7 +16,7 @@ use abbe_recipe::Stage;
 
 use crate::prepare::Prepared;
 use crate::recalled::fit_without_rows;
-use crate::run::{Datasets, has_problem, has_rows, named, predicting};
+use crate::run::{Datasets, has_rows, named, predicting};
 
 /// An estimator that solves nothing.
 struct Unsolved {
@@ -77,7 +77,7 @@ impl Prepared {
     ) -> Result<()> {
         let mut fits: Vec<Fit> = Vec::new();
         for stage in self.stages(Kind::Estimate) {
-            fits.extend(self.expected(stage, problems, found, &fits));
+            fits.extend(self.expected(stage, problems, found, &fits)?);
         }
         let is_asked = |stage: &Stage| {
             let mut plugins = self.plugins.iter();
@@ -111,20 +111,29 @@ impl Prepared {
         problems: &BTreeMap<String, Problem>,
         found: &BTreeMap<String, Identifiability>,
         fits: &[Fit],
-    ) -> Option<Fit> {
+    ) -> Result<Option<Fit>> {
+        let Some(problem) = problems.get(&stage.name) else { return Ok(self.of_other(stage, fits)) };
+        let estimator = self.estimators[&stage.name].clone();
         if let Some(recalled) = self.recalled.get(&stage.name) {
-            let model = problems.get(&stage.name)?.model.clone();
-            return fit_without_rows(recalled.calibration.clone(), model, self.estimators[&stage.name].clone()).ok();
+            return Ok(fit_without_rows(recalled.calibration.clone(), problem.model.clone(), estimator).ok());
         }
-        if has_rows(&stage) && has_problem(&stage) {
-            let problem = problems.get(&stage.name)?.clone();
-            let budget = found.get(&stage.name).and_then(|found| found.uncertainty.clone());
-            let estimator = Unsolved { budget };
-            let calibration = estimator.expected(&problem);
-            let (name, problem) = (stage.name.clone(), Arc::new(problem));
-            return Some(Fit { name, problem, estimator: Arc::new(estimator), calibration });
+        if stage.basis == Basis::Statement {
+            // What is stated does not wait for anything.
+            let stated = self.located(stage, estimator.explain(problem))?;
+            return Ok(fit_without_rows(stated, problem.model.clone(), estimator).ok());
         }
-        // A new look at another estimate is that estimate, as far as anybody knows.
+        if !has_rows(&stage) {
+            return Ok(None);
+        }
+        let budget = found.get(&stage.name).and_then(|found| found.uncertainty.clone());
+        let estimator = Unsolved { budget };
+        let calibration = estimator.expected(problem);
+        let (name, problem) = (stage.name.clone(), Arc::new(problem.clone()));
+        Ok(Some(Fit { name, problem, estimator: Arc::new(estimator), calibration }))
+    }
+
+    /// A new look at another estimate, which is that estimate as far as anybody knows.
+    fn of_other(&self, stage: &Stage, fits: &[Fit]) -> Option<Fit> {
         let of = self.own_estimate(&stage.name).ok().filter(|of| of.name != stage.name)?;
         let fit = fits.iter().find(|fit| fit.name == of.name)?;
         let (problem, estimator) = (fit.problem.clone(), fit.estimator.clone());

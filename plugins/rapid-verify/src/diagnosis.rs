@@ -55,6 +55,8 @@ pub struct Diagnosis {
     pub touches: Vec<usize>,
     /// Weighted sum of squares that is not explained, and its degrees of freedom.
     pub left: (f64, usize),
+    /// Weighted sum of squares that is left, and what causes and touches cost: the smaller, the better the explanation.
+    pub score: f64,
 }
 
 impl Diagnosis {
@@ -70,7 +72,7 @@ impl Diagnosis {
 const TOUCH: f64 = 25.0;
 
 /// Weighted sum of squares that a cause has to explain before it is named: the square of three standard deviations.
-const CAUSE: f64 = 9.0;
+pub(crate) const CAUSE: f64 = 9.0;
 
 /// Patterns with a smaller angle between them are the same: no measurement of these points separates them.
 const SAME: f64 = 1e-3;
@@ -131,7 +133,7 @@ impl<'a> Judge<'a> {
             let explained = 1.0 - explanation.left / size_of_all.max(f64::MIN_POSITIVE);
             Some(Cause { pattern, size, explained, behind: explanation.score - best.score })
         };
-        let mut diagnosis = Diagnosis { touches: best.touches.clone(), ..Diagnosis::default() };
+        let mut diagnosis = Diagnosis { touches: best.touches.clone(), score: best.score, ..Diagnosis::default() };
         diagnosis.left = (best.left, deviations.len() - best.touches.len() - usize::from(best.cause.is_some()));
         let Some(first) = best.cause else { return diagnosis };
         for explanation in &found {
