@@ -32,7 +32,10 @@ fn main() -> ExitCode {
         }
         ["header"] => header::write(),
         ["schema"] => schema(),
-        _ => Err("usage: cargo xtask ci [--all] | bench [--save] | campaign machines|tango COUNT SEED | header | schema".to_owned()),
+        _ => {
+            Err("usage: cargo xtask ci [--all] | bench [--save] | campaign machines|tango COUNT SEED | header | schema"
+                .to_owned())
+        }
     };
     match outcome {
         Ok(()) => ExitCode::SUCCESS,

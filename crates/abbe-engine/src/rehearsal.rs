@@ -8,8 +8,8 @@ use std::collections::BTreeMap;
 use std::sync::Arc;
 
 use abbe_core::{
-    Basis, Calibration, Class, Error, Estimate, Fit, FitReport, Identifiability, Kind, Problem, Result, UncertaintyBudget,
-    Unknown,
+    Basis, Calibration, Class, Error, Estimate, Fit, FitReport, Identifiability, Kind, Problem, Result,
+    UncertaintyBudget, Unknown,
 };
 use abbe_estimation::calibration;
 use abbe_recipe::Stage;

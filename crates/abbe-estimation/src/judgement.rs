@@ -43,6 +43,7 @@ const POSITION: f64 = 64.0 * f64::EPSILON;
 pub struct Judgement {
     problem: Problem,
     factor: Factor,
+    terms: Vec<f64>,
     at_start: bool,
 }
 
@@ -54,9 +55,10 @@ impl Judgement {
         let at_start = at_start && is_judged_as_recorded(problem);
         let judged = rank_point(&nominal, &nominal.start())?;
         let factor = Weighted::new(&judged)?.factor(&judged.start(), kept)?;
-        let idle = without_effect(&nominal, &judged, &factor, kept)?;
+        let terms = norms_of_terms(&judged, kept)?;
+        let idle = without_effect(&nominal, &judged, (&factor, &terms), kept)?;
         let factor = if idle.contains(&true) { factor.with_zeros(&idle) } else { factor };
-        Ok(Self { problem: judged, factor, at_start })
+        Ok(Self { problem: judged, factor, terms, at_start })
     }
 
     /// The problem at nominal geometry, its rows in nominal contact.
@@ -67,6 +69,12 @@ impl Judgement {
     /// The factor of its rows. Unknowns without effect have columns of zeros.
     pub fn factor(&self) -> &Factor {
         &self.factor
+    }
+
+    /// What a unit of every unknown could do to all rows together, in standard uncertainties, if nothing cancelled: no less than
+    /// the norm of its column.
+    pub fn terms(&self) -> &[f64] {
+        &self.terms
     }
 
     /// The factor, if it is also that of the problem at its start values as recorded.
@@ -117,10 +125,14 @@ fn held(problem: &Problem) -> BTreeSet<usize> {
 ///
 /// A column is zero where it is no more than rounding leaves of the terms that cancel in it (the lever arms of a tip on the axis, a
 /// motion along the surface), or than the digits of the recorded positions make of zero.
-fn without_effect(nominal: &Problem, judged: &Problem, factor: &Factor, kept: Option<&[f64]>) -> Result<Vec<bool>> {
+fn without_effect(
+    nominal: &Problem,
+    judged: &Problem,
+    (factor, terms): (&Factor, &[f64]),
+    kept: Option<&[f64]>,
+) -> Result<Vec<bool>> {
     let norms = factor.norms();
-    let terms = norms_of_terms(judged, kept)?;
-    let mut idle: Vec<bool> = norms.iter().zip(&terms).map(|(norm, terms)| *norm <= ROUNDING * terms).collect();
+    let mut idle: Vec<bool> = norms.iter().zip(terms).map(|(norm, terms)| *norm <= ROUNDING * terms).collect();
     let doubtful = |index: usize| !idle[index] && norms[index] < CLEAR * terms[index];
     let doubtful: Vec<usize> = (0..idle.len()).filter(|&index| doubtful(index)).collect();
     if doubtful.is_empty() {

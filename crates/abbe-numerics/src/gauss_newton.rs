@@ -198,14 +198,27 @@ fn solve_robust<P: LeastSquares + ?Sized>(
     let mut sizes = Vec::new();
     if minimum.end != End::NoProgress {
         settled = false;
+        let mut last = None;
         for _ in 0..options.rounds {
             sizes = compared.studentised();
             settled = rounds.reweigh(robust, &sizes, spread) < options.settled;
+            let mut step: Vec<f64> = minimum.x.iter().map(|value| -value).collect();
             minimum = rounds.minimise(minimum, settled)?;
             if settled || minimum.end == End::NoProgress {
                 break;
             }
             compared.residuals = rounds.residuals(&minimum.x)?;
+            add(&mut step, &minimum.x, 1.0);
+            let size = minimum.factor.row_norm(&step);
+            let further = rounds.further(&minimum.x, &step, last.map_or(0.0, |last| size / last));
+            last = Some(size);
+            if let Some(x) = further {
+                let residuals = rounds.residuals(&x)?;
+                let objective = |residuals: &[f64]| compared.objective(residuals, robust, spread);
+                if objective(&residuals) < objective(&compared.residuals) {
+                    (minimum.x, compared.residuals, last) = (x, residuals, None);
+                }
+            }
         }
     }
     if !settled && minimum.end == End::Converged {
@@ -226,7 +239,19 @@ impl Compared {
     fn studentised(&self) -> Vec<f64> {
         studentised(&self.residuals, &self.deviations)
     }
+
+    /// What every round of weights lowers: the sum of the losses of these residuals.
+    fn objective(&self, residuals: &[f64], robust: Robust, spread: f64) -> f64 {
+        let loss = |(residual, deviation): (&f64, &Option<f64>)| match deviation {
+            Some(deviation) => (deviation * spread).powi(2) * robust.loss_at(residual / deviation / spread),
+            None => residual * residual / 2.0,
+        };
+        residuals.iter().zip(&self.deviations).map(loss).sum()
+    }
 }
+
+/// Ratio of the sizes of successive steps from which rounds are slow.
+const SLOW: f64 = 0.5;
 
 /// Rounds of robust weights.
 struct Rounds<'a, P: ?Sized> {
@@ -245,9 +270,21 @@ impl<P: LeastSquares + ?Sized> Rounds<'_, P> {
         self.problem.linearise(&minimum.x, &mut |first, block, derivatives| {
             let rows = first..first + block.len();
             residuals[rows.clone()].copy_from_slice(block);
-            leverages[rows].copy_from_slice(&covariance_root.leverages(derivatives));
+            // Without unknowns a fit follows no row.
+            for (own, leverage) in leverages[rows].iter_mut().zip(covariance_root.leverages(derivatives)) {
+                *own = leverage;
+            }
         })?;
-        Ok(Compared { residuals, deviations: deviations(&self.weights, &leverages) })
+        let mut deviations = deviations(&self.weights, &leverages);
+        (0..deviations.len()).filter(|&row| self.problem.keeps_weight(row)).for_each(|row| deviations[row] = None);
+        Ok(Compared { residuals, deviations })
+    }
+
+    /// Where steps that shrink by this ratio lead to in the end; none unless rounds are slow.
+    fn further(&self, x: &[f64], step: &[f64], ratio: f64) -> Option<Vec<f64>> {
+        let mut further = x.to_vec();
+        add(&mut further, step, ratio / (1.0 - ratio));
+        (SLOW..1.0).contains(&ratio).then_some(further)
     }
 
     fn residuals(&self, x: &[f64]) -> Result<Vec<f64>, P::Error> {

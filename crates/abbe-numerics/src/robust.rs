@@ -41,6 +41,16 @@ impl Robust {
         }
     }
 
+    /// The loss of a residual of studentised size `t`; its derivative is the influence `t * weight(t)`.
+    pub fn loss_at(&self, t: f64) -> f64 {
+        let (square, part) = (self.cutoff * self.cutoff, t.abs() / self.cutoff);
+        match self.loss {
+            Loss::Huber if part > 1.0 => square * (part - 0.5),
+            Loss::Huber => t * t / 2.0,
+            Loss::Tukey => square / 6.0 * (1.0 - (1.0 - part * part).max(0.0).powi(3)),
+        }
+    }
+
     /// Derivative of the influence `t * weight(t)`.
     pub fn influence_slope(&self, t: f64) -> f64 {
         let t = t.abs() / self.cutoff;
@@ -126,6 +136,8 @@ mod tests {
         for robust in [Robust::HUBER, Robust::TUKEY] {
             for t in [0.1, 1.0, 2.0, 4.0, 6.0] {
                 let influence = |t: f64| t * robust.weight(t);
+                let of_loss = (robust.loss_at(t + 1e-6) - robust.loss_at(t - 1e-6)) / 2e-6;
+                assert!((of_loss - influence(t)).abs() < 1e-8, "{robust:?} at {t}");
                 let difference = (influence(t + 1e-6) - influence(t - 1e-6)) / 2e-6;
                 assert!((difference - robust.influence_slope(t)).abs() < 1e-8, "{robust:?} at {t}");
             }

@@ -72,6 +72,9 @@ struct Settings {
 /// Part of the largest effect in a lost direction from which the value of a parameter tells how far the direction may be off.
 const MAIN_PART: f64 = 0.1;
 
+/// What errors of machines do to readings, mm.
+const TYPICAL_ERROR: f64 = 0.05;
+
 /// Robust weights that change by less than this have settled.
 const SETTLED: f64 = 1e-4;
 
@@ -444,13 +447,15 @@ impl GaussNewton {
         let found = if wanted { separated(problem, found) } else { found };
         match self.settings.on_confounded {
             OnConfounded::Error => Err(confounded(&found)),
+            // Nothing is left to be estimated.
+            _ if found.rank == 0 => Err(confounded(&found)),
             OnConfounded::MinimumNorm => {
                 let solve = |problem: &Problem, explained: bool| {
                     let lost = Lost { found: found.clone(), determined: determined.clone() };
                     self.solve(problem, None, Some(lost), explained)
                 };
                 let mut calibration = solve(problem, explained)?;
-                self.mark_shared((problem, factor), &found, &mut calibration, explained, |problem| {
+                self.mark_shared((problem, &judged), &found, &mut calibration, explained, |problem| {
                     solve(problem, false)
                 })?;
                 Ok(calibration)
@@ -470,7 +475,7 @@ impl GaussNewton {
                 calibration.fit.unknowns = found.unknowns;
                 calibration.fit.null_space.clone_from(&found.null_space);
                 calibration.fit.dropped = names.iter().map(|&name| name.to_owned()).collect();
-                self.mark_shared((problem, factor), &found, &mut calibration, explained, |problem| {
+                self.mark_shared((problem, &judged), &found, &mut calibration, explained, |problem| {
                     solve(problem, false)
                 })?;
                 Ok(calibration)
@@ -482,11 +487,11 @@ impl GaussNewton {
     /// uncertainty where it is taken to be another, by products of errors.
     ///
     /// How far a lost direction may be off nobody knows; it is tried with the largest value that was found for what has a main part in
-    /// it.
+    /// it, and at least with what errors of machines are.
     /// `solve` gives the calibration from start values with the lost directions as they are there.
     fn mark_shared(
         &self,
-        (problem, factor): (&Problem, &Factor),
+        (problem, judged): (&Problem, &Judgement),
         found: &Identifiability,
         calibration: &mut Calibration,
         explained: bool,
@@ -495,17 +500,22 @@ impl GaussNewton {
         let parts = found.null_space.iter().flat_map(|vector| &vector.combination);
         let mut shared: BTreeSet<String> = parts.map(|part| part.name.clone()).collect();
         let (start, x) = (problem.start(), problem.values_of(calibration));
-        for vector in found.null_space.iter().filter(|vector| explained && vector.combination.len() > 1) {
+        let weights = problem.standard_uncertainties().into_iter().map(|uncertainty| uncertainty.powi(-2));
+        let one_mm = weights.sum::<f64>().sqrt();
+        for vector in found.null_space.iter().filter(|_| explained) {
             let members = problem.unknowns.iter().enumerate().filter_map(|(index, unknown)| {
                 let part = vector.combination.iter().find(|part| part.name == unknown.name)?;
                 Some((index, part.coefficient))
             });
             let members: Vec<(usize, f64)> = members.collect();
-            let effect = |&(index, part): &(usize, f64)| factor.norms()[index] * part.abs();
+            // What has no effect by itself may have one on what others do.
+            let whole = |index: usize| Some(judged.factor().norms()[index]).filter(|norm| *norm > 0.0);
+            let effect = |&(index, part): &(usize, f64)| whole(index).unwrap_or(judged.terms()[index]) * part.abs();
             let largest = members.iter().map(effect).fold(0.0, f64::max);
             let size = |&(index, part): &(usize, f64)| (x[index] - start[index]).abs() / part.abs();
             let main = members.iter().filter(|member| effect(member) >= MAIN_PART * largest);
-            let size = main.map(size).fold(0.0, f64::max);
+            let typical = if largest > 0.0 { TYPICAL_ERROR * one_mm / largest } else { 0.0 };
+            let size = main.map(size).fold(typical, f64::max);
             let mut shifted = x.clone();
             members.iter().for_each(|(index, part)| shifted[*index] += size * part);
             let Ok(other) = solve(&problem.at(&shifted)) else { continue };
@@ -559,7 +569,7 @@ impl Estimate for GaussNewton {
     }
 
     fn accepts(&self, found: &Identifiability) -> Result<bool> {
-        Ok(found.rank == found.unknowns || self.settings.on_confounded != OnConfounded::Error)
+        Ok(found.rank == found.unknowns || (found.rank > 0 && self.settings.on_confounded != OnConfounded::Error))
     }
 
     fn identify(&self, problem: &Problem) -> Result<Identifiability> {

@@ -6,8 +6,8 @@
 use std::path::PathBuf;
 
 use abbe_core::{
-    AxisKind, Context, Dataset, Error, Figure, Findings, Fit, InputFile, KinematicModel, Limit, ParameterRole, PathItem,
-    Result, SettingsError, Unit, Validate, matches, not_negative, positive,
+    AxisKind, Context, Dataset, Error, Figure, Findings, Fit, InputFile, KinematicModel, Limit, ParameterRole,
+    PathItem, Result, SettingsError, Unit, Validate, matches, not_negative, positive,
 };
 use schemars::JsonSchema;
 use serde::Deserialize;
@@ -266,9 +266,9 @@ fn undeclared(model: &dyn KinematicModel) -> Vec<String> {
     let all = axes.flat_map(|(index, axis)| {
         // Of a linear axis no place is an error: it has a direction alone.
         let components = if axis.kind == AxisKind::Linear { 3..6 } else { 0..6 };
-        components.filter(move |component| !has((index, *component))).map(move |component| {
-            format!("E{}0{}", ["X", "Y", "Z", "A", "B", "C"][component], axis.name)
-        })
+        components
+            .filter(move |component| !has((index, *component)))
+            .map(move |component| format!("E{}0{}", ["X", "Y", "Z", "A", "B", "C"][component], axis.name))
     });
     all.collect()
 }

@@ -97,8 +97,8 @@ fn indexations(random: &mut Random, model: &dyn KinematicModel) -> Vec<BTreeMap<
     let rotary: Vec<usize> =
         model.info().axes.iter().filter(|axis| axis.kind == AxisKind::Rotary).map(|axis| axis.status).collect();
     // Axes that stand still leave parameters without effect.
-    let still: Vec<bool> = rotary.iter().map(|_| random.chance(0.25)).collect();
-    let count = if rotary.is_empty() { 1 } else { random.of(&[1, 4, 8, 8]) };
+    let still: Vec<bool> = rotary.iter().map(|_| random.chance(0.2)).collect();
+    let count = if rotary.is_empty() { 1 } else { random.of(&[1, 4, 12, 12, 12]) };
     let round = random.chance(0.5);
     (0..count)
         .map(|_| {
@@ -140,7 +140,8 @@ fn write(
     folder: &Path,
     programme: &Path,
 ) -> Value {
-    let place = |random: &mut Random| [random.within(150.0), random.within(150.0), random.within(100.0)].map(f64::round);
+    let place =
+        |random: &mut Random| [random.within(150.0), random.within(150.0), random.within(100.0)].map(f64::round);
     let features: Vec<[f64; 3]> = (0..random.count(3, 8)).map(|_| place(random)).collect();
     let file = |name: &str, text: &str| fs::write(folder.join(name), text).expect("the folder is there");
     let at = |point: [f64; 3], by: [f64; 3], size: f64| [0, 1, 2].map(|k| point[k] + by[k] * size);
@@ -157,11 +158,7 @@ fn write(
                 points.push(Point { labels: vec![label], tip: at([x, y, z], normal, 3.0) });
             }
             file("nominal.csv", &text);
-            (
-                "feature",
-                points,
-                json!({ "artefact": "facets", "nominal": "nominal.csv", "standard_uncertainty_um": 1 }),
-            )
+            ("feature", points, json!({ "artefact": "facets", "nominal": "nominal.csv", "standard_uncertainty_um": 1 }))
         }
         Artefact::Touches | Artefact::Centres => {
             let mut text = "feature,x_mm,y_mm,z_mm,diameter_mm\n".to_owned();
@@ -220,7 +217,8 @@ fn write(
         }
         Artefact::Plate => {
             let mut text = "point,x_mm,y_mm,z_mm\n".to_owned();
-            let own: Vec<[f64; 3]> = (0..8).map(|_| [random.within(100.0), random.within(100.0), random.within(20.0)]).collect();
+            let own: Vec<[f64; 3]> =
+                (0..8).map(|_| [random.within(100.0), random.within(100.0), random.within(20.0)]).collect();
             for (index, [x, y, z]) in own.iter().enumerate() {
                 writeln!(text, "{},{x},{y},{z}", index + 1).expect("a text");
             }
@@ -234,7 +232,8 @@ fn write(
                     .expect("a text");
                 let w = [u[1] * v[2] - u[2] * v[1], u[2] * v[0] - u[0] * v[2], u[0] * v[1] - u[1] * v[0]];
                 for (point, own) in own.iter().enumerate() {
-                    let along = |k: usize| f64::from(u[k]) * own[0] + f64::from(v[k]) * own[1] + f64::from(w[k]) * own[2];
+                    let along =
+                        |k: usize| f64::from(u[k]) * own[0] + f64::from(v[k]) * own[1] + f64::from(w[k]) * own[2];
                     let tip = [x + along(0), y + along(1), z + along(2)];
                     points.push(Point { labels: vec![format!("{}", point + 1), format!("{}", index + 1)], tip });
                 }
@@ -298,9 +297,9 @@ fn lengths(model: &dyn KinematicModel, column: &str, points: &[Point], indexatio
         let statuses = statuses(model, points, angles);
         for (ends, at) in points.chunks_exact(2).zip(statuses.chunks_exact(2)) {
             let [Some(start), Some(end)] = at else { continue };
-            let cells = [start, end].into_iter().flat_map(|status| {
-                axes.iter().map(move |(.., factor, at)| format!("{}", status[*at] * factor))
-            });
+            let cells = [start, end]
+                .into_iter()
+                .flat_map(|status| axes.iter().map(move |(.., factor, at)| format!("{}", status[*at] * factor)));
             writeln!(text, "{},{}", ends[1].labels[0], cells.collect::<Vec<_>>().join(",")).expect("a text");
         }
     }
@@ -312,8 +311,8 @@ pub fn error(random: &mut Random, parameter: &Parameter) -> f64 {
     let size = match (parameter.unit.of, parameter.unit.per) {
         (Quantity::Angle, None) => 1e-4,
         (Quantity::Length, None) => 0.05,
-        (Quantity::Angle, Some((_, degree))) => 1e-4 / 200.0_f64.powi(degree),
-        (_, Some((_, degree))) => 0.02 / 200.0_f64.powi(degree),
+        (Quantity::Angle, Some((_, degree))) => 1e-4 / 200.0_f64.powi(i32::from(degree)),
+        (_, Some((_, degree))) => 0.02 / 200.0_f64.powi(i32::from(degree)),
         _ => 1e-4,
     };
     random.within(size)
