@@ -30,3 +30,4 @@ mod support;
 mod truth;
 mod uncertainty;
 mod variance;
+mod verdicts;

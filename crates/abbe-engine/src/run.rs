@@ -312,7 +312,9 @@ impl Prepared {
         let plugin = self.model_plugin(stage)?;
         match stage.parameters.as_slice() {
             // All parameters of the machine, which are stated or known.
-            [] => Problem::new(&stage.name, &plugin, model, sets, &["*".to_owned()]),
+            [] if stage.basis != Basis::Measurements => {
+                Problem::new(&stage.name, &plugin, model, sets, &["*".to_owned()])
+            }
             patterns => Problem::new(&stage.name, &plugin, model, sets, patterns),
         }
     }

@@ -399,8 +399,9 @@ impl<'a> Head<'a> {
                 let message = format!("`{}` estimates nothing: it takes what it is given", self.plugin.name);
                 return Err(node.error(At::Key, message));
             }
-        } else if kind == Kind::Estimate && parameters.is_empty() {
-            return Err(self.node.error(At::Key, "the setting `parameters` is missing: what is to be estimated?"));
+        } else if kind == Kind::Estimate && self.node.get("parameters").is_none() {
+            let error = self.node.error(At::Key, "the setting `parameters` is missing: what is to be estimated?");
+            return Err(error.help("`parameters: []` takes the machine as it is"));
         }
         let mut settings = Value::Object(settings);
         if let Some(file) = &origin.file {

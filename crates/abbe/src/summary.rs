@@ -194,11 +194,24 @@ fn correlated(fits: &[Fit]) -> Option<String> {
     (!text.is_empty()).then(|| section("Hardly told apart, correlation above 0.95", &text))
 }
 
-/// Above this a fit is not trusted: stated uncertainties are rarely wrong by a larger factor.
-const UNLIKELY: f64 = 5.0;
+/// Stated uncertainties are rarely wrong by a larger factor.
+const MISSTATED: f64 = 2.0;
+
+/// Normal quantile of one in a million.
+const MILLIONTH: f64 = 4.75;
+
+/// The scatter of residuals, over what was stated, above which a fit is not trusted: what chance makes of stated uncertainties that are
+/// wrong by [`MISSTATED`] once in a million fits (quantile of chi-squared by Wilson & Hilferty 1931).
+fn unlikely_above(degrees_of_freedom: usize) -> f64 {
+    let part = 2.0 / 9.0 / degrees_of_freedom.max(1) as f64;
+    MISSTATED * (1.0 - part + MILLIONTH * part.sqrt()).powf(1.5)
+}
 
 fn unlikely(fits: &[Fit]) -> Option<String> {
-    let fits = fits.iter().filter(|fit| fit.calibration.fit.sigma > UNLIKELY);
+    let fits = fits.iter().filter(|fit| {
+        let report = &fit.calibration.fit;
+        report.degrees_of_freedom > 0 && report.sigma > unlikely_above(report.degrees_of_freedom)
+    });
     let lines = fits.map(|fit| {
         format!(
             "  {}: the residuals scatter {} times as much as the stated uncertainties promise: the model lacks errors, or units, \
@@ -371,4 +384,19 @@ pub fn planned_json(planned: &[Planned]) -> Value {
     let planned =
         planned.iter().map(|planned| json!({ "estimate": planned.estimate, "planned": planned.identifiability, "accepted": planned.accepted }));
     json!({ "estimates": planned.collect::<Vec<_>>() })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn what_is_unlikely_hangs_on_the_degrees_of_freedom() {
+        // Chi-squared at 0.999999: 23.93 (1), 51.97 (12, as tables have it), 6,315 (5,800); Wilson and Hilferty are within 5 %.
+        for (freedom, chi_squared) in [(1, 23.93_f64), (12, 51.97), (5800, 6315.0)] {
+            let expected = MISSTATED * (chi_squared / freedom as f64).sqrt();
+            assert!((unlikely_above(freedom) / expected - 1.0).abs() < 0.05, "{freedom}: {}", unlikely_above(freedom));
+        }
+        assert!(unlikely_above(5800) < 2.7);
+    }
 }

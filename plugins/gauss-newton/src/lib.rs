@@ -235,9 +235,6 @@ impl GaussNewton {
     /// Refuses problems that no settings can solve.
     fn check(problem: &Problem) -> Result<()> {
         let (equations, unknowns) = (problem.equations(), problem.unknowns.len());
-        if unknowns == 0 {
-            return Err(Error::usage("there is nothing to estimate").setting("parameters"));
-        }
         if equations < unknowns {
             return Err(Error::data(format!(
                 "{equations} equations cannot determine {unknowns} unknowns: there are too few touches"
@@ -436,6 +433,9 @@ impl GaussNewton {
 
     fn estimate_all(&self, problem: &Problem, explained: bool) -> Result<Calibration> {
         Self::check(problem)?;
+        if problem.unknowns.is_empty() {
+            return self.as_it_is(problem, explained);
+        }
         let (started, judged) = self.judge(problem)?;
         let (problem, factor) = (started.as_ref().unwrap_or(problem), judged.factor());
         let Some(determined) = self.determined(factor) else {
@@ -481,6 +481,13 @@ impl GaussNewton {
                 Ok(calibration)
             }
         }
+    }
+
+    /// The machine as it is: nothing is estimated, and residuals are what it was off by.
+    fn as_it_is(&self, problem: &Problem, explained: bool) -> Result<Calibration> {
+        let solved =
+            Solved { x: Vec::new(), factor: None, robust: None, iterations: 0, last_step: None, gradient_cosine: None };
+        self.evaluation(explained).calibration(problem, solved, None, None)
     }
 
     /// Marks every value that hangs on a lost direction: those that share it, and those that move by more than their standard
@@ -555,6 +562,9 @@ impl Estimate for GaussNewton {
     }
 
     fn values(&self, problem: &Problem) -> Result<Vec<f64>> {
+        if problem.unknowns.is_empty() {
+            return Ok(Vec::new());
+        }
         if self.settings.select.is_some() {
             // Other data may select other terms.
             return Ok(problem.values_of(&self.estimate(problem, false)?));

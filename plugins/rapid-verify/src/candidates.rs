@@ -2,7 +2,7 @@
 
 use std::collections::BTreeMap;
 
-use abbe_core::{Error, KinematicModel, PathItem, Quantity, Result, Unit, matches};
+use abbe_core::{AxisKind, Error, KinematicModel, ParameterRole, PathItem, Quantity, Result, Unit, matches};
 use schemars::JsonSchema;
 use serde::Deserialize;
 
@@ -40,7 +40,8 @@ impl Candidates {
         let mut chosen = vec![false; parameters.len()];
         for (index, pattern) in self.names.0.iter().enumerate() {
             let found = found(model, pattern).map_err(|error| at(error, "candidates", PathItem::Index(index)))?;
-            found.into_iter().for_each(|parameter| chosen[parameter] = true);
+            let named = |parameter: &usize| parameters[*parameter].name == *pattern || !is_zero(model, *parameter);
+            found.into_iter().filter(named).for_each(|parameter| chosen[parameter] = true);
         }
         let single = parameters.iter().enumerate().filter(|(index, _)| chosen[*index]);
         let single = single.filter(|(_, parameter)| !self.together.contains_key(&parameter.name));
@@ -85,6 +86,16 @@ pub fn found(model: &dyn KinematicModel, pattern: &str) -> Result<Vec<usize>> {
             .suggest(pattern, names));
     }
     Ok(found)
+}
+
+/// Whether a parameter is the place of a linear axis, which only says where the machine counts from: a linear axis has a direction
+/// alone (ISO 230-1). A pattern does not mean it; its name does.
+fn is_zero(model: &dyn KinematicModel, parameter: usize) -> bool {
+    let info = model.info();
+    match info.parameters[parameter].role {
+        ParameterRole::Location { axis, component } => component < 3 && info.axes[axis].kind == AxisKind::Linear,
+        _ => false,
+    }
 }
 
 /// The error at a place of a setting.
