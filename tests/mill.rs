@@ -203,6 +203,21 @@ fn stepwise_selection_keeps_the_knots_that_the_machine_has() {
 }
 
 #[test]
+fn a_wavelength_is_found_however_far_the_nominal_one_is_off() {
+    // Half a per cent: over the travel that is several waves, each with a minimum of its own.
+    for nominal in [0.612, 0.6318, 0.6365, 0.655] {
+        let mut variant = Variant::of(&recipes()["mill-direct"]).only(&["fit-angles", "fit-lengths"]);
+        let text = serde_json::to_string(&variant.0).expect("JSON");
+        let text = text.replace("\"wavelength_mm\":0.635", &format!("\"wavelength_mm\":{nominal}"));
+        variant.0 = serde_json::from_str(&text.replace("per0.635", &format!("per{nominal}"))).expect("JSON");
+        let outcome = variant.run();
+        let name = format!("EXX[per{nominal}].wavelength");
+        let found = fit(&outcome, "fit-lengths").calibration.get(&name).expect("a wavelength").clone();
+        assert!((found.value - 0.635_025).abs() < 5.0 * found.standard_uncertainty, "{nominal}: {found:?}");
+    }
+}
+
+#[test]
 fn ten_millimetre_steps_find_the_pitch_and_not_its_alias() {
     for name in ["exact", "realistic"] {
         let recipe = if name == "exact" { "mill-direct-exact" } else { "mill-direct" };

@@ -54,6 +54,7 @@ mod same_motion;
 mod separation;
 mod solved;
 mod variance;
+mod wavelength;
 mod weighted;
 
 pub use aliasing::aliased;
@@ -70,4 +71,5 @@ pub use same_motion::same_motion;
 pub use separation::{SeparationTrials, separating_measurements};
 pub use solved::{Lost, Solved, UncertaintyEvaluation};
 pub use variance::{Components, components};
+pub use wavelength::{Wavelength, rival_wavelengths, wavelengths};
 pub use weighted::Weighted;

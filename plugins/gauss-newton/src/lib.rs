@@ -14,7 +14,7 @@ use abbe_core::{
 };
 use abbe_estimation::{
     Components, Judgement, Lost, Solved, UncertaintyEvaluation, Weighted, components, confounded, identifiability,
-    ill_conditioned, in_order_of_preference, separated,
+    ill_conditioned, in_order_of_preference, rival_wavelengths, separated, wavelengths,
 };
 use abbe_numerics::{Directions, End, Factor, LeastSquares, Loss, Options, Robust, Solution, Within, solve_from};
 use schemars::JsonSchema;
@@ -222,6 +222,16 @@ fn build(settings: Settings, _: &Context) -> Result<Box<dyn Estimate>, SettingsE
     Ok(Box::new(GaussNewton { settings }))
 }
 
+/// A problem as it is judged before it is solved.
+struct Judged {
+    /// The problem with better start values, if they make more unknowns have an effect.
+    started: Option<Problem>,
+    /// What its rows tell.
+    judgement: Judgement,
+    /// What people should know.
+    remarks: Vec<String>,
+}
+
 /// The estimator.
 struct GaussNewton {
     settings: Settings,
@@ -369,7 +379,7 @@ impl GaussNewton {
     ///
     /// A wavelength has no effect as long as the amplitudes that go with it are zero: those come first, without it. It is known by its
     /// nominal value, which is not zero; any other unknown without effect is one that the data do not see.
-    fn judge(&self, problem: &Problem) -> Result<(Option<Problem>, Judgement)> {
+    fn judge(&self, problem: &Problem) -> Result<Judged> {
         let nominal = &problem.model.info().nominal;
         let shapes = |unknown: &Unknown| unknown.owner == Owner::Machine && nominal[unknown.index] != 0.0;
         let idle = |factor: &Factor| -> Vec<&str> {
@@ -380,7 +390,7 @@ impl GaussNewton {
         let first = idle(judged.factor());
         let reduced = problem.without(|unknown| first.contains(&unknown.name.as_str()));
         if first.is_empty() || reduced.unknowns.is_empty() {
-            return Ok((None, judged));
+            return Ok(Judged { started: None, judgement: judged, remarks: Vec::new() });
         }
         let factor = judged.factor().without(|unknown| first.contains(&problem.unknowns[unknown].name.as_str()));
         let determined = self.determined(&factor);
@@ -389,12 +399,29 @@ impl GaussNewton {
         let solution = match found {
             Ok(solution) => solution,
             Err(error) if error.fault => return Err(error),
-            Err(_) => return Ok((None, judged)),
+            Err(_) => return Ok(Judged { started: None, judgement: judged, remarks: Vec::new() }),
         };
-        let started = Problem { unknowns: problem.unknowns.clone(), ..reduced.at(&solution.x) };
-        let again = Judgement::new(&started, None)?;
+        let mut remarks = Vec::new();
+        let nominal = Problem { unknowns: problem.unknowns.clone(), ..reduced.at(&solution.x) };
+        let mut found = nominal.clone();
+        for unknown in problem.unknowns.iter().filter(|unknown| first.contains(&unknown.name.as_str())) {
+            // The sum of squares has many minima: the iteration starts in the lowest.
+            let minima = wavelengths(&found, unknown.index)?;
+            remarks.extend(rival_wavelengths(&unknown.name, &minima));
+            if let Some(best) = minima.into_iter().next() {
+                found.machine[unknown.index] = best.value;
+                best.amplitudes.into_iter().for_each(|(index, value)| found.machine[index] = value);
+            }
+        }
+        // A wave that has a position in every period is nothing but a constant: then the nominal one is the better start.
+        let by_search = Judgement::new(&found, None)?;
+        let (started, again) = match found.machine != nominal.machine && self.determined(by_search.factor()).is_some() {
+            true => (nominal.clone(), Judgement::new(&nominal, None)?),
+            false => (found, by_search),
+        };
         let better = idle(again.factor()).len() < first.len();
-        Ok(if better { (Some(started), again) } else { (None, judged) })
+        let (started, judgement) = if better { (Some(started), again) } else { (None, judged) };
+        Ok(Judged { started, judgement, remarks })
     }
 
     /// The directions that some rows determine; none if they determine all.
@@ -436,7 +463,10 @@ impl GaussNewton {
         if problem.unknowns.is_empty() {
             return self.as_it_is(problem, explained);
         }
-        let (started, judged) = self.judge(problem)?;
+        let Judged { started, judgement: judged, remarks } = self.judge(problem)?;
+        if explained {
+            remarks.iter().for_each(|remark| tracing::warn!("{}: {remark}", problem.name));
+        }
         let (problem, factor) = (started.as_ref().unwrap_or(problem), judged.factor());
         let Some(determined) = self.determined(factor) else {
             let at_start = judged.factor_at_start().filter(|_| started.is_none());
@@ -584,7 +614,9 @@ impl Estimate for GaussNewton {
 
     fn identify(&self, problem: &Problem) -> Result<Identifiability> {
         in_order_of_preference(problem, &self.settings.prefer)?;
-        let (started, judged) = self.judge(problem)?;
-        self.evaluation(true).identify(started.as_ref().unwrap_or(problem), &judged)
+        let Judged { started, judgement, remarks } = self.judge(problem)?;
+        let mut found = self.evaluation(true).identify(started.as_ref().unwrap_or(problem), &judgement)?;
+        found.remarks.extend(remarks);
+        Ok(found)
     }
 }

@@ -15,7 +15,7 @@ const PARAMETERS: [&str; 3] = ["dxt", "dyt", "dzt"];
 /// Highest degree in time.
 pub const DEGREES: usize = 4;
 /// Residuals below this part of their standard uncertainty are rounding: they may depend on time, but that has no meaning.
-const ROUNDING: f64 = 1e-3;
+const ROUNDING: f64 = 1e-2;
 
 /// What a drift of one parameter would explain.
 #[derive(Debug, Clone, PartialEq)]
@@ -126,7 +126,7 @@ fn judge(
 
 /// Orthonormal basis of the space of some columns. Columns are scaled to norm 1; directions whose singular value is below
 /// `tolerance` times the largest are left out.
-fn basis<'a>(columns: impl Iterator<Item = DVectorView<'a, f64>>, tolerance: f64) -> DMatrix<f64> {
+pub fn basis<'a>(columns: impl Iterator<Item = DVectorView<'a, f64>>, tolerance: f64) -> DMatrix<f64> {
     let columns: Vec<DVector<f64>> =
         columns.filter(|column| column.norm() > 0.0).map(|column| column / column.norm()).collect();
     let Some(height) = columns.first().map(DVector::len) else { return DMatrix::zeros(0, 0) };
@@ -136,7 +136,7 @@ fn basis<'a>(columns: impl Iterator<Item = DVectorView<'a, f64>>, tolerance: f64
 }
 
 /// The part of a column that is orthogonal to a basis.
-fn orthogonal(column: DVectorView<'_, f64>, basis: &DMatrix<f64>) -> DVector<f64> {
+pub fn orthogonal(column: DVectorView<'_, f64>, basis: &DMatrix<f64>) -> DVector<f64> {
     let mut part = column.into_owned();
     if basis.ncols() == 0 {
         return part;
@@ -149,7 +149,7 @@ fn orthogonal(column: DVectorView<'_, f64>, basis: &DMatrix<f64>) -> DVector<f64
 }
 
 /// Time of every equation's row, scaled to -1..1 over all rows that have one; NaN for those without.
-fn scaled_times(problem: &Problem, rows: &[(usize, usize)]) -> Option<Vec<f64>> {
+pub fn scaled_times(problem: &Problem, rows: &[(usize, usize)]) -> Option<Vec<f64>> {
     let of_set: Vec<Option<&[f64]>> = (problem.sets.iter())
         .map(|set| {
             let data = &set.info().layout.data;
@@ -169,7 +169,7 @@ fn scaled_times(problem: &Problem, rows: &[(usize, usize)]) -> Option<Vec<f64>> 
 }
 
 /// Legendre polynomials of degree 1 to [`DEGREES`]; zero without a time.
-fn legendre(t: f64) -> [f64; DEGREES] {
+pub fn legendre(t: f64) -> [f64; DEGREES] {
     if t.is_nan() {
         return [0.0; DEGREES];
     }

@@ -19,6 +19,7 @@ mod one_at_a_time;
 mod repeatability;
 mod repeats;
 mod residuals;
+mod rivals;
 mod sphere_touches;
 mod sphericity;
 #[cfg(test)]

@@ -11,8 +11,9 @@ use schemars::JsonSchema;
 use serde::Deserialize;
 use serde_json::{Value, json};
 
-use crate::drift::{self, DEGREES};
+use crate::drift::{self, DEGREES, Drift};
 use crate::figures::{Groups, Limits, ONE, ResidualSample, check_limits, judged, outliers, residual_limits};
+use crate::rivals::{self, Rival};
 
 abbe_core::register!(
     Validate,
@@ -136,6 +137,12 @@ fn group(problem: &Problem, residuals: &[Kept], column: &str) -> Groups {
     groups
 }
 
+/// Probability below which something is not chance.
+const SIGNIFICANT: f64 = 1e-3;
+
+/// Hints that are given.
+const HINTS: usize = 3;
+
 /// Reports the test for drift, with advice if there is one.
 fn follow_time(fit: &Fit, left_out: &BTreeSet<(usize, usize)>, findings: &mut Findings) -> Result<()> {
     let drifts = drift::test(fit, left_out)?;
@@ -145,12 +152,37 @@ fn follow_time(fit: &Fit, left_out: &BTreeSet<(usize, usize)>, findings: &mut Fi
     }
     let Some(first) = drifts.iter().min_by(|a, b| a.p.total_cmp(&b.p)) else { return Ok(()) };
     // Each parameter is another chance of a small p (Bonferroni).
-    if first.p * drifts.len() as f64 >= 1e-3 {
+    if first.p * drifts.len() as f64 >= SIGNIFICANT {
         return Ok(());
     }
-    let (name, parameter) = (&fit.name, first.parameter);
-    let p = if first.p > 0.0 { format!("p = {:.0e}", first.p) } else { "p < 1e-300".to_owned() };
-    let terms = if first.terms == 1 { "1 term".to_owned() } else { format!("{} terms", first.terms) };
+    let rivals = rivals::rivals(fit, left_out)?;
+    let better = |rival: &&Rival| rival.p < SIGNIFICANT && rival.share > first.share;
+    let better: Vec<&Rival> = rivals.iter().filter(better).take(HINTS).collect();
+    if !better.is_empty() {
+        let hint = |rival: &&Rival| format!("{} {:.0} %", rival.name, 100.0 * rival.share);
+        findings.remarks.push(format!(
+            "the residuals of {} look like errors that the model has and the fit does not estimate: of their sum of squares each of these \
+             would explain {}; a drift of {} would explain {:.0} %",
+            fit.name,
+            better.iter().map(hint).collect::<Vec<_>>().join(", "),
+            first.parameter,
+            100.0 * first.share
+        ));
+        return Ok(());
+    }
+    // Errors that the model lacks change with the indexations, and these with time: sure is what blocks of time agree on.
+    if rivals::by_blocks(fit, left_out, first.parameter)?.is_none_or(|p| p >= SIGNIFICANT) {
+        return Ok(());
+    }
+    findings.remarks.push(advice(fit, first));
+    Ok(())
+}
+
+/// What to do about a drift.
+fn advice(fit: &Fit, drift: &Drift) -> String {
+    let (name, parameter) = (&fit.name, drift.parameter);
+    let p = if drift.p > 0.0 { format!("p = {:.0e}", drift.p) } else { "p < 1e-300".to_owned() };
+    let terms = if drift.terms == 1 { "1 term".to_owned() } else { format!("{} terms", drift.terms) };
     let prefix = format!("{parameter}[");
     let modelled = fit.problem.model.info().parameters.iter().filter(|other| other.name.starts_with(&prefix)).count();
     let estimated = fit.problem.unknowns.iter().filter(|other| other.name.starts_with(&prefix)).count();
@@ -166,19 +198,17 @@ fn follow_time(fit: &Fit, left_out: &BTreeSet<(usize, usize)>, findings: &mut Fi
     } else {
         format!("let the drift of {parameter} in the model have more `degrees`")
     };
-    // Errors that the model lacks change with the indexations, and the indexations change with time.
-    if first.sigma > 3.0 {
+    if drift.sigma > 3.0 {
         advice = format!(
             "but {:.0} times the stated uncertainty would remain, so look first for other errors that the model lacks",
-            first.sigma
+            drift.sigma
         );
     }
-    findings.remarks.push(format!(
+    format!(
         "the residuals of {name} follow time: a drift of {parameter} ({terms}) would explain {:.0} % of their sum of \
          squares ({p}); {advice}",
-        100.0 * first.share
-    ));
-    Ok(())
+        100.0 * drift.share
+    )
 }
 
 #[cfg(test)]

@@ -1,0 +1,132 @@
+//! The wavelengths that data may have: a sum of squares over a wavelength has many minima, and an iteration ends in the nearest.
+
+use abbe_core::{Owner, ParameterRole, Period, Problem, Result, Unknown};
+
+use crate::weighted::Weighted;
+
+/// Part of the nominal wavelength on either side within which the true one is looked for.
+const RANGE: f64 = 0.05;
+
+/// Rows that are looked at: enough for the few amplitudes of a wave.
+const ROWS: usize = 300;
+
+/// Steps to one wave more or less over all positions, which is half the width of a minimum.
+const STEPS: f64 = 3.0;
+
+/// Difference of sums of squares, in units of the scatter, up to which wavelengths explain the data alike.
+const ALIKE: f64 = 16.0;
+
+/// Most wavelengths that are tried.
+const MOST: usize = 20_000;
+
+/// A wavelength at which the sum of squares has a minimum.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Wavelength {
+    /// The wavelength, in its unit.
+    pub value: f64,
+    /// The amplitudes that go with it: index of the parameter and value.
+    pub amplitudes: Vec<(usize, f64)>,
+    /// Weighted sum of squares that is left.
+    pub cost: f64,
+    /// Whether it explains the data as the best one does: within four standard deviations of the scatter that is left.
+    pub alike: bool,
+}
+
+/// The wavelengths within a twentieth of the nominal one at which the sum of squares has a minimum, the best first (of those that are
+/// alike, the one next to the nominal one); `shape` is the index of the parameter, and all others have their present values but for the
+/// amplitudes. None where the parameter is no wavelength, or
+/// no row tells it.
+///
+/// Frequencies are tried in steps of a third of a wave over all positions of the axis; minima are two waves wide (the periodogram of
+/// Lomb 1976).
+pub fn wavelengths(problem: &Problem, shape: usize) -> Result<Vec<Wavelength>> {
+    let info = problem.model.info();
+    let of_shape =
+        |period: &&Period| period.shapes.contains(&shape) && info.parameters[shape].role == ParameterRole::Shape;
+    let periods: Vec<&Period> = info.periods.iter().filter(of_shape).collect();
+    let Some(axis) = periods.first().map(|period| period.axis) else { return Ok(Vec::new()) };
+    let mut waves = problem.clone();
+    let amplitude = |unknown: &Unknown| {
+        unknown.owner == Owner::Machine && periods.iter().any(|period| period.parameters.contains(&unknown.index))
+    };
+    waves.unknowns.retain(amplitude);
+    if waves.unknowns.is_empty() {
+        return Ok(Vec::new());
+    }
+    for unknown in &waves.unknowns {
+        waves.machine[unknown.index] = 0.0;
+    }
+    let Some(travel) = keep_telling_rows(&mut waves, info.axes[axis].status)? else { return Ok(Vec::new()) };
+    let nominal = info.nominal[shape];
+    let (from, to) = (1.0 / (nominal * (1.0 + RANGE)), 1.0 / (nominal * (1.0 - RANGE)));
+    let count = ((to - from) * travel * STEPS).ceil().max(1.0) as usize;
+    let mut tried = Vec::new();
+    for step in 0..=count.min(MOST) {
+        let value = 1.0 / (from + (to - from) * step as f64 / count.min(MOST) as f64);
+        waves.machine[shape] = value;
+        let factor = Weighted::new(&waves)?.factor(&waves.start(), None)?;
+        let Some(step) = factor.step() else { continue };
+        let amplitudes = waves.unknowns.iter().zip(step).map(|(unknown, size)| (unknown.index, size)).collect();
+        tried.push(Wavelength { value, amplitudes, cost: factor.remaining_cost(), alike: false });
+    }
+    let lowest = |place: usize| {
+        let beside = [place.checked_sub(1), Some(place + 1)].into_iter().flatten();
+        beside.filter_map(|other| tried.get(other)).all(|other| tried[place].cost <= other.cost)
+    };
+    let mut minima: Vec<Wavelength> = (0..tried.len()).filter(|&at| lowest(at)).map(|at| tried[at].clone()).collect();
+    let best = minima.iter().map(|minimum| minimum.cost).fold(f64::INFINITY, f64::min);
+    let scatter = best / waves.equations().saturating_sub(waves.unknowns.len()).max(1) as f64;
+    minima.iter_mut().for_each(|minimum| minimum.alike = minimum.cost - best <= ALIKE * scatter);
+    // Of those that the data do not tell apart, the one that was expected.
+    let off = |minimum: &Wavelength| (minimum.value / nominal - 1.0).abs();
+    minima.sort_by(|one, other| {
+        let order = other.alike.cmp(&one.alike);
+        let (by_cost, by_place) = (one.cost.total_cmp(&other.cost), off(one).total_cmp(&off(other)));
+        order.then(if one.alike && other.alike { by_place } else { by_cost })
+    });
+    Ok(minima)
+}
+
+/// A sentence on wavelengths that explain the data as well as the one that is taken; none if there is no other.
+pub fn rival_wavelengths(name: &str, minima: &[Wavelength]) -> Option<String> {
+    let alike: Vec<String> =
+        minima.iter().filter(|minimum| minimum.alike).map(|it| format!("{:.6} mm", it.value)).collect();
+    let [taken, others @ ..] = alike.as_slice() else { return None };
+    (!others.is_empty()).then(|| {
+        format!(
+            "{name} may also be {}, which explain the data as well as {taken} does: the uncertainty is that of this one alone; measure in \
+             steps that are no multiple of any of them",
+            others.join(" or ")
+        )
+    })
+}
+
+/// Leaves those rows that amplitudes have an effect on, not all of many; gives the range of the axis over them, none if there are none.
+fn keep_telling_rows(problem: &mut Problem, status: usize) -> Result<Option<f64>> {
+    let (rows, count) = (problem.equation_rows(), problem.unknowns.len());
+    let mut telling: Vec<(usize, usize)> = Vec::new();
+    problem.linearise(&problem.start(), |block| {
+        for (equation, line) in block.jacobian.chunks_exact(count).enumerate() {
+            let row = rows[block.first + equation];
+            if line.iter().any(|derivative| *derivative != 0.0) && telling.last() != Some(&row) {
+                telling.push(row);
+            }
+        }
+    })?;
+    const GOLDEN: f64 = 0.618_033_988_749_894_9;
+    let mut kept = telling.clone();
+    if telling.len() > ROWS {
+        kept = (0..ROWS).map(|k| telling[((k as f64 * GOLDEN).fract() * telling.len() as f64) as usize]).collect();
+        kept.sort_unstable();
+        kept.dedup();
+    }
+    let (mut first, mut last) = (f64::INFINITY, f64::NEG_INFINITY);
+    for (index, set) in problem.sets.iter_mut().enumerate() {
+        set.rows = kept.iter().filter(|(of, _)| *of == index).map(|(_, row)| *row).collect();
+        for pose in set.poses_of(&set.rows) {
+            let position = set.poses().row(pose)[status];
+            (first, last) = (first.min(position), last.max(position));
+        }
+    }
+    Ok(Some(last - first).filter(|travel| *travel > 0.0 && kept.len() > count))
+}
