@@ -137,7 +137,7 @@ fn settings() {
             ("zero_uncertainty", &[Replace(RECIPE, "_um: 0.9", "_um: 0")]),
             ("unknown_parameter", &[Replace(RECIPE, r#"EX0C, "EXX[1]""#, r#"EX0D, "EXX[1]""#)]),
             ("pattern_matches_nothing", &[Replace(RECIPE, r#""EXX[1]", "t"#, r#""EXX[2]", "t"#)]),
-            ("no_parameters", &[Replace(RECIPE, r#"parameters: ["@tool", "table.*"]"#, "parameters: []")]),
+            ("no_parameters", &[Replace(RECIPE, r#"parameters: ["@tool", "table.*"]"#, "# none")]),
             ("unknown_limit", &[Replace(RECIPE, "max_um: 1000", "maximum_um: 1000")]),
             ("limit_without_unit", &[Replace(RECIPE, "max_um: 1000", "max: 1000")]),
             ("limit_is_text", &[Replace(RECIPE, "max_um: 1000", "max_um: small")]),

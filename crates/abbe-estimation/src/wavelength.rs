@@ -16,7 +16,11 @@ const STEPS: f64 = 3.0;
 /// Difference of sums of squares, in units of the scatter, up to which wavelengths explain the data alike.
 const ALIKE: f64 = 16.0;
 
-/// Most wavelengths that are tried.
+/// Minima that are refined, the lowest first, and steps of that: each takes a third off the bracket.
+const REFINED: usize = 8;
+const REFINEMENTS: usize = 24;
+
+/// Most wavelengths that are tried on either side.
 const MOST: usize = 20_000;
 
 /// A wavelength at which the sum of squares has a minimum.
@@ -37,8 +41,8 @@ pub struct Wavelength {
 /// amplitudes. None where the parameter is no wavelength, or
 /// no row tells it.
 ///
-/// Frequencies are tried in steps of a third of a wave over all positions of the axis; minima are two waves wide (the periodogram of
-/// Lomb 1976).
+/// Frequencies are tried in steps of a third of a wave over all positions of the axis, or of its highest overtone; minima are two waves
+/// wide (the periodogram of Lomb 1976). The lowest are refined.
 pub fn wavelengths(problem: &Problem, shape: usize) -> Result<Vec<Wavelength>> {
     let info = problem.model.info();
     let of_shape =
@@ -56,26 +60,41 @@ pub fn wavelengths(problem: &Problem, shape: usize) -> Result<Vec<Wavelength>> {
     for unknown in &waves.unknowns {
         waves.machine[unknown.index] = 0.0;
     }
+    let overtones = waves.unknowns.len().div_ceil(2) as f64;
     let Some(travel) = keep_telling_rows(&mut waves, info.axes[axis].status)? else { return Ok(Vec::new()) };
+    let redundancy = waves.equations().saturating_sub(waves.unknowns.len()).max(1) as f64;
     let nominal = info.nominal[shape];
-    let (from, to) = (1.0 / (nominal * (1.0 + RANGE)), 1.0 / (nominal * (1.0 - RANGE)));
-    let count = ((to - from) * travel * STEPS).ceil().max(1.0) as usize;
-    let mut tried = Vec::new();
-    for step in 0..=count.min(MOST) {
-        let value = 1.0 / (from + (to - from) * step as f64 / count.min(MOST) as f64);
+    let mut tried_at = |frequency: f64| -> Result<Option<Wavelength>> {
+        let value = 1.0 / frequency;
         waves.machine[shape] = value;
         let factor = Weighted::new(&waves)?.factor(&waves.start(), None)?;
-        let Some(step) = factor.step() else { continue };
-        let amplitudes = waves.unknowns.iter().zip(step).map(|(unknown, size)| (unknown.index, size)).collect();
-        tried.push(Wavelength { value, amplitudes, cost: factor.remaining_cost(), alike: false });
+        let step = factor.step();
+        Ok(step.map(|step| {
+            let amplitudes = waves.unknowns.iter().zip(step).map(|(unknown, size)| (unknown.index, size)).collect();
+            Wavelength { value, amplitudes, cost: factor.remaining_cost(), alike: false }
+        }))
+    };
+    // The amplitudes of overtones make minima narrower.
+    let step = 1.0 / travel / STEPS / overtones;
+    let count = ((RANGE / nominal / step).ceil() as usize).clamp(1, MOST) as i64;
+    let frequency = |place: i64| 1.0 / nominal + RANGE / nominal * place as f64 / count as f64;
+    let mut tried: Vec<(f64, Wavelength)> = Vec::new();
+    for place in -count..=count {
+        tried.extend(tried_at(frequency(place))?.map(|found| (frequency(place), found)));
     }
     let lowest = |place: usize| {
         let beside = [place.checked_sub(1), Some(place + 1)].into_iter().flatten();
-        beside.filter_map(|other| tried.get(other)).all(|other| tried[place].cost <= other.cost)
+        beside.filter_map(|other| tried.get(other)).all(|(_, other)| tried[place].1.cost <= other.cost)
     };
-    let mut minima: Vec<Wavelength> = (0..tried.len()).filter(|&at| lowest(at)).map(|at| tried[at].clone()).collect();
+    let mut places: Vec<usize> = (0..tried.len()).filter(|&place| lowest(place)).collect();
+    places.sort_by(|&one, &other| tried[one].1.cost.total_cmp(&tried[other].1.cost));
+    let mut minima = Vec::new();
+    for &place in places.iter().take(REFINED) {
+        let (middle, found) = &tried[place];
+        minima.push(refined(*middle, step, found.clone(), &mut tried_at)?);
+    }
     let best = minima.iter().map(|minimum| minimum.cost).fold(f64::INFINITY, f64::min);
-    let scatter = best / waves.equations().saturating_sub(waves.unknowns.len()).max(1) as f64;
+    let scatter = best / redundancy;
     minima.iter_mut().for_each(|minimum| minimum.alike = minimum.cost - best <= ALIKE * scatter);
     // Of those that the data do not tell apart, the one that was expected.
     let off = |minimum: &Wavelength| (minimum.value / nominal - 1.0).abs();
@@ -85,6 +104,28 @@ pub fn wavelengths(problem: &Problem, shape: usize) -> Result<Vec<Wavelength>> {
         order.then(if one.alike && other.alike { by_place } else { by_cost })
     });
     Ok(minima)
+}
+
+/// The minimum within a step of a frequency, by bisection of the bracket (golden section).
+fn refined(
+    middle: f64,
+    step: f64,
+    found: Wavelength,
+    tried_at: &mut impl FnMut(f64) -> Result<Option<Wavelength>>,
+) -> Result<Wavelength> {
+    const GOLDEN: f64 = 0.381_966_011_250_105_1;
+    let (mut best, mut low, mut at, mut high) = (found, middle - step, middle, middle + step);
+    for _ in 0..REFINEMENTS {
+        let next = if high - at > at - low { at + GOLDEN * (high - at) } else { at - GOLDEN * (at - low) };
+        let lower = tried_at(next)?.filter(|other| other.cost < best.cost);
+        match (lower, next > at) {
+            (Some(lower), true) => (low, at, best) = (at, next, lower),
+            (Some(lower), false) => (high, at, best) = (at, next, lower),
+            (None, true) => high = next,
+            (None, false) => low = next,
+        }
+    }
+    Ok(best)
 }
 
 /// A sentence on wavelengths that explain the data as well as the one that is taken; none if there is no other.

@@ -25,7 +25,7 @@ pub use libraries::Library;
 use libraries::libraries;
 pub use page::{PAGE_MARK, index, page, page_name};
 pub use schema::schema;
-use sets::Sets;
+use sets::{Expanded, Sets, with_sets};
 
 /// The keys of an artefact stage that are the same for all artefact plugins ([`abbe_core::InputUncertainty`]).
 const INPUT_UNCERTAINTY: [&str; 3] = ["uncertainty", "pooled", "id"];
@@ -106,9 +106,6 @@ struct Origin {
     /// The lists in which sets stood.
     expanded: Vec<Expanded>,
 }
-
-/// A list with sets in place of their names: its way in the settings, and the way in the recipe to each of its entries.
-type Expanded = (Vec<PathItem>, Vec<Vec<PathItem>>);
 
 impl Origin {
     /// The way in the recipe to an entry of a list in which sets stood, and the rest of the way to a setting.
@@ -445,40 +442,6 @@ impl<'a> Head<'a> {
             }
         }
         Ok(described)
-    }
-}
-
-/// A setting with sets in place of their names, in whatever list they stand; `expanded` gets the places of the entries of each such
-/// list.
-fn with_sets<'a>(
-    node: &Node<'a>,
-    path: Vec<PathItem>,
-    sets: &Sets<'a>,
-    expanded: &mut Vec<Expanded>,
-) -> Result<Value, Error> {
-    let below = |item: PathItem| path.iter().cloned().chain([item]).collect::<Vec<_>>();
-    match node.value {
-        Value::Array(list) => {
-            let names_set = |value: &Value| value.as_str().is_some_and(|text| text.starts_with('@'));
-            let nodes = match list.iter().any(names_set) {
-                false => node.list()?,
-                true => {
-                    let nodes = sets.expand(None, node.list()?)?;
-                    expanded.push((path.clone(), nodes.iter().map(|node| node.path.clone()).collect()));
-                    nodes
-                }
-            };
-            let entries = nodes.iter().enumerate();
-            entries.map(|(index, entry)| with_sets(entry, below(PathItem::Index(index)), sets, expanded)).collect()
-        }
-        Value::Object(_) => {
-            let mut map = Map::new();
-            for (key, entry) in node.map()? {
-                map.insert(key.to_owned(), with_sets(&entry, below(PathItem::Key(key.to_owned())), sets, expanded)?);
-            }
-            Ok(Value::Object(map))
-        }
-        _ => Ok(node.value.clone()),
     }
 }
 

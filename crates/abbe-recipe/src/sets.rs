@@ -2,7 +2,8 @@
 
 use std::collections::{BTreeMap, BTreeSet};
 
-use abbe_core::Error;
+use abbe_core::{Error, PathItem};
+use serde_json::{Map, Value};
 
 use crate::document::{At, Node};
 
@@ -59,5 +60,42 @@ impl<'a> Sets<'a> {
             }
         }
         Ok(expanded)
+    }
+}
+
+/// A list with sets in place of their names: its way in the settings, and the way in the recipe to each of its entries.
+pub(crate) type Expanded = (Vec<PathItem>, Vec<Vec<PathItem>>);
+
+/// A setting with sets in place of their names, in whatever list they stand; `expanded` gets the places of the entries of each such
+/// list.
+pub(crate) fn with_sets<'a>(
+    node: &Node<'a>,
+    path: Vec<PathItem>,
+    sets: &Sets<'a>,
+    expanded: &mut Vec<Expanded>,
+) -> Result<Value, Error> {
+    let below = |item: PathItem| path.iter().cloned().chain([item]).collect::<Vec<_>>();
+    match node.value {
+        Value::Array(list) => {
+            let names_set = |value: &Value| value.as_str().is_some_and(|text| text.starts_with('@'));
+            let nodes = match list.iter().any(names_set) {
+                false => node.list()?,
+                true => {
+                    let nodes = sets.expand(None, node.list()?)?;
+                    expanded.push((path.clone(), nodes.iter().map(|node| node.path.clone()).collect()));
+                    nodes
+                }
+            };
+            let entries = nodes.iter().enumerate();
+            entries.map(|(index, entry)| with_sets(entry, below(PathItem::Index(index)), sets, expanded)).collect()
+        }
+        Value::Object(_) => {
+            let mut map = Map::new();
+            for (key, entry) in node.map()? {
+                map.insert(key.to_owned(), with_sets(&entry, below(PathItem::Key(key.to_owned())), sets, expanded)?);
+            }
+            Ok(Value::Object(map))
+        }
+        _ => Ok(node.value.clone()),
     }
 }

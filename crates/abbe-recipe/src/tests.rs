@@ -102,7 +102,7 @@ fn wrong_recipes_are_refused_with_place_and_help() {
         (
             ", parameters: [dyt]",
             "",
-            "r.yaml:24:3: stage `fit-2`: the setting `parameters` is missing: what is to be estimated?",
+            "r.yaml:24:3: stage `fit-2`: the setting `parameters` is missing: what is to be estimated? (`parameters: []` takes the machine as it is)",
         ),
         (
             "file: machine.yaml",

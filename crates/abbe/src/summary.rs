@@ -392,10 +392,10 @@ mod tests {
 
     #[test]
     fn what_is_unlikely_hangs_on_the_degrees_of_freedom() {
-        // Chi-squared at 0.999999: 23.93 (1), 51.97 (12, as tables have it), 6,315 (5,800); Wilson and Hilferty are within 5 %.
+        // Chi-squared at 0.999999: 23.93 (1), 51.97 (12, as tables have it), 6,315 (5,800); Wilson and Hilferty are within 8 %.
         for (freedom, chi_squared) in [(1, 23.93_f64), (12, 51.97), (5800, 6315.0)] {
             let expected = MISSTATED * (chi_squared / freedom as f64).sqrt();
-            assert!((unlikely_above(freedom) / expected - 1.0).abs() < 0.05, "{freedom}: {}", unlikely_above(freedom));
+            assert!((unlikely_above(freedom) / expected - 1.0).abs() < 0.08, "{freedom}: {}", unlikely_above(freedom));
         }
         assert!(unlikely_above(5800) < 2.7);
     }

@@ -1,10 +1,10 @@
 //! Estimator plugin `gauss-newton`: weighted least squares on all observations at once, robust on request.
 //!
-//! Every equation counts with 1/u of its standard uncertainty. What the data can determine is judged at the contact points
-//! of the start values, before anything is solved, and again at the solution; a direction that they cannot determine is an
-//! error, unless `on_confounded` says what to do with it.
+//! Every equation counts with 1/u of its standard uncertainty. What the data can determine is judged for the nominal machine, before
+//! anything is solved; a direction that they cannot determine is an error, unless `on_confounded` says what to do with it.
 
 mod select;
+mod settings;
 
 use std::collections::BTreeSet;
 
@@ -16,12 +16,11 @@ use abbe_estimation::{
     Components, Judgement, Lost, Solved, UncertaintyEvaluation, Weighted, components, confounded, identifiability,
     ill_conditioned, in_order_of_preference, rival_wavelengths, separated, wavelengths,
 };
-use abbe_numerics::{Directions, End, Factor, LeastSquares, Loss, Options, Robust, Solution, Within, solve_from};
-use schemars::JsonSchema;
-use serde::{Deserialize, Serialize};
+use abbe_numerics::{Directions, End, Factor, LeastSquares, Options, Robust, Solution, Within, solve_from};
 use serde_json::{Value, json};
 
 use select::{Select, reduced};
+use settings::{OnConfounded, RobustSetting, Settings, Variance};
 
 abbe_core::register!(
     Estimate,
@@ -32,42 +31,6 @@ abbe_core::register!(
     build,
     "../reference/estimate-gauss-newton.md",
 );
-
-/// Settings of the estimator.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
-#[serde(deny_unknown_fields)]
-struct Settings {
-    /// What to do when the data cannot separate the chosen parameters.
-    #[serde(default)]
-    on_confounded: OnConfounded,
-    /// What is rather estimated than dropped, the most preferred first: names and patterns (`on_confounded: drop`).
-    #[serde(default)]
-    prefer: Vec<String>,
-    /// Singular values below this part of the largest count as zero; columns have norm 1.
-    #[serde(default = "default_tolerance")]
-    rank_tolerance: f64,
-    /// Parameters that are left out where chance alone explains them.
-    #[serde(default)]
-    select: Option<Select>,
-    /// Weights that keep gross errors from the estimate.
-    #[serde(default)]
-    robust: Option<RobustSetting>,
-    /// Take the stated standard uncertainties as they are, without the a-posteriori factor of the residuals.
-    #[serde(default)]
-    trust_uncertainties: bool,
-    /// Whether all readings scatter by one factor more than stated, or those of every artefact by their own.
-    #[serde(default)]
-    variance: Variance,
-    /// Probability that expanded uncertainties cover.
-    #[serde(default = "default_probability")]
-    coverage_probability: f64,
-    /// Most iterations.
-    #[serde(default = "default_iterations")]
-    iterations: usize,
-    /// What the estimate may be off by when the iteration ends, in standard uncertainties of all rows together.
-    #[serde(default = "default_convergence")]
-    tolerance: f64,
-}
 
 /// Part of the largest effect in a lost direction from which the value of a parameter tells how far the direction may be off.
 const MAIN_PART: f64 = 0.1;
@@ -80,111 +43,6 @@ const SETTLED: f64 = 1e-4;
 
 /// The same limit for one of thousands of estimates, as in trials.
 const NEARLY_SETTLED: f64 = 1e-3;
-
-fn default_convergence() -> f64 {
-    1e-9
-}
-
-fn default_probability() -> f64 {
-    0.95
-}
-
-fn default_tolerance() -> f64 {
-    // Contact is solved to 1e-11 mm in 1e2 mm. Lost directions have singular values of about 1e-14, the weakest useful one
-    // has 1e-7.
-    1e-10
-}
-
-fn default_iterations() -> usize {
-    200
-}
-
-/// What to do with confounded parameters.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize, JsonSchema)]
-#[serde(rename_all = "kebab-case")]
-enum OnConfounded {
-    /// Stop and name them.
-    #[default]
-    Error,
-    /// Leave as many at their start values as are lost, and mark them.
-    Drop,
-    /// Take the solution with the smallest effect of the unknowns, and mark those that take part.
-    MinimumNorm,
-}
-
-/// How readings scatter compared with what was stated of them.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize, JsonSchema)]
-#[serde(rename_all = "kebab-case")]
-enum Variance {
-    /// All by one factor.
-    #[default]
-    Common,
-    /// Those of every artefact stage by a factor of their own, which weighs them, too.
-    PerStage,
-}
-
-/// Robust weights: the name of a loss, or a loss with its tuning.
-#[derive(Debug, Clone, PartialEq, Serialize, JsonSchema)]
-#[serde(untagged)]
-enum RobustSetting {
-    /// A loss with 95 % efficiency on normal noise.
-    Name(LossName),
-    /// A loss with its tuning.
-    Tuned(Tuned),
-}
-
-/// A loss with its tuning.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
-#[serde(deny_unknown_fields)]
-struct Tuned {
-    /// The loss.
-    loss: LossName,
-    /// Cutoff in units of the residuals' scale.
-    #[serde(default)]
-    cutoff: Option<f64>,
-    /// Studentised residual from which a row is listed as an outlier.
-    #[serde(default)]
-    outlier_at: Option<f64>,
-}
-
-/// The losses.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
-#[serde(rename_all = "kebab-case")]
-enum LossName {
-    /// Large residuals keep a bounded influence.
-    Huber,
-    /// Large residuals have none.
-    Tukey,
-}
-
-impl<'de> Deserialize<'de> for RobustSetting {
-    fn deserialize<D: serde::Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
-        // Told apart here, because an untagged enum could not say what is wrong in either form.
-        match Value::deserialize(deserializer)? {
-            map @ Value::Object(_) => abbe_core::from_settings(&map).map(Self::Tuned),
-            other => abbe_core::from_settings(&other).map(Self::Name),
-        }
-        .map_err(serde::de::Error::custom)
-    }
-}
-
-impl RobustSetting {
-    fn robust(&self) -> Robust {
-        let (loss, cutoff, outlier_at) = match self {
-            Self::Name(loss) => (*loss, None, None),
-            Self::Tuned(tuned) => (tuned.loss, tuned.cutoff, tuned.outlier_at),
-        };
-        let usual = match loss {
-            LossName::Huber => Robust::HUBER,
-            LossName::Tukey => Robust::TUKEY,
-        };
-        Robust {
-            loss: if loss == LossName::Huber { Loss::Huber } else { Loss::Tukey },
-            cutoff: cutoff.unwrap_or(usual.cutoff),
-            outlier_at: outlier_at.unwrap_or(usual.outlier_at),
-        }
-    }
-}
 
 fn example() -> Value {
     json!({ "robust": "tukey", "on_confounded": "error" })

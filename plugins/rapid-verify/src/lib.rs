@@ -18,6 +18,7 @@ mod diagnosis;
 mod export;
 mod fanuc;
 mod material;
+mod others;
 mod plan;
 mod points;
 mod program;

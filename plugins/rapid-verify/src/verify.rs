@@ -6,8 +6,8 @@
 use std::path::PathBuf;
 
 use abbe_core::{
-    AxisKind, Context, Dataset, Error, Figure, Findings, Fit, InputFile, KinematicModel, Limit, ParameterRole,
-    PathItem, Result, SettingsError, Unit, Validate, matches, not_negative, positive,
+    Context, Dataset, Error, Figure, Findings, Fit, InputFile, Limit, PathItem, Result, SettingsError, Unit, Validate,
+    matches, not_negative, positive,
 };
 use schemars::JsonSchema;
 use serde::Deserialize;
@@ -15,8 +15,9 @@ use serde_json::{Value, json};
 
 use crate::baseline::{Baseline, Probed, Run};
 use crate::candidates::{Candidates, Names, Together};
-use crate::diagnosis::{CAUSE, Cause, Diagnosis, Judge, Pattern, Scatter};
+use crate::diagnosis::{Cause, Diagnosis, Judge, Pattern, Scatter};
 use crate::material::ArtefactSettings;
+use crate::others::{Others, shapes, undeclared};
 
 abbe_core::register!(
     Validate,
@@ -211,81 +212,12 @@ impl Validate for Verify {
     }
 }
 
-/// What may explain a run besides the candidates.
-struct Others<'a> {
-    /// All parameters of the model, and what can happen to the artefact.
-    patterns: &'a [Pattern],
-    judge: Option<&'a Judge<'a>>,
-    /// Names of the location errors that the chain can have and the model does not.
-    undeclared: &'a [String],
-}
-
-impl Others<'_> {
-    /// A sentence on an error that is no candidate and explains the deviations better than `found` does, or on those that the model
-    /// lacks, where several touches would have to fail at once.
-    fn sentence(&self, report: &Report<'_>, found: &Diagnosis, deviations: &[f64]) -> Option<String> {
-        let candidate = |pattern: &Pattern| report.patterns.iter().any(|other| other.name == pattern.name);
-        let better = self.judge.map(|judge| judge.diagnose(deviations)).filter(|all| all.score + CAUSE < found.score);
-        let better = better.and_then(|all| all.causes.into_iter().next());
-        if let Some(cause) = better.filter(|cause| !candidate(&self.patterns[cause.pattern])) {
-            let pattern = &self.patterns[cause.pattern];
-            let (symbol, factor) = pattern.unit.for_people();
-            return Some(format!(
-                "but the pattern is that of a change of {} ({} {symbol}), which explains {:.1} % and is not among the `candidates`",
-                pattern.name,
-                short(cause.size * factor),
-                cause.explained.clamp(0.0, 1.0) * 100.0
-            ));
-        }
-        let unlikely = found.touches.len() > 1 || !found.is_complete();
-        (unlikely && !self.undeclared.is_empty()).then(|| {
-            format!(
-                "before the probe is blamed: the model lacks {}; declare `location: [\"E?0?\"]` under `errors`, so that they can be told",
-                listed_names(self.undeclared)
-            )
-        })
-    }
-}
-
-/// Whether a pattern is that of what shapes a function, and no error.
-fn shapes(fit: &Fit, pattern: &Pattern) -> bool {
-    let parameters = &fit.problem.model.info().parameters;
-    pattern.parameters.iter().any(|&index| parameters[index].role == ParameterRole::Shape)
-}
-
-/// Location errors (ISO 230-1) that the axes of a model can have and that are not among its parameters. A model that has none of its
-/// axes describes them in another way: none.
-fn undeclared(model: &dyn KinematicModel) -> Vec<String> {
-    let info = model.info();
-    let has = |wanted: (usize, usize)| {
-        let is = |role: ParameterRole| matches!(role, ParameterRole::Location { axis, component } if (axis, component) == wanted);
-        info.parameters.iter().any(|parameter| is(parameter.role))
-    };
-    let located = info.parameters.iter().any(|parameter| matches!(parameter.role, ParameterRole::Location { .. }));
-    let axes = info.axes.iter().enumerate().filter(|_| located);
-    let all = axes.flat_map(|(index, axis)| {
-        // Of a linear axis no place is an error: it has a direction alone.
-        let components = if axis.kind == AxisKind::Linear { 3..6 } else { 0..6 };
-        components
-            .filter(move |component| !has((index, *component)))
-            .map(move |component| format!("E{}0{}", ["X", "Y", "Z", "A", "B", "C"][component], axis.name))
-    });
-    all.collect()
-}
-
-/// `EA0X, EB0X and 4 more`.
-fn listed_names(names: &[String]) -> String {
-    const SHOWN: usize = 6;
-    let shown = names.iter().take(SHOWN).cloned().collect::<Vec<_>>().join(", ");
-    if names.len() > SHOWN { format!("{shown} and {} more", names.len() - SHOWN) } else { shown }
-}
-
 /// The data for the report on one run.
-struct Report<'a> {
+pub struct Report<'a> {
     fit: &'a str,
     run: &'a Run,
     baseline: &'a Baseline,
-    patterns: &'a [Pattern],
+    pub(crate) patterns: &'a [Pattern],
 }
 
 impl Verify {
@@ -486,7 +418,7 @@ impl Report<'_> {
 }
 
 /// Four digits, without an exponent where people read none.
-fn short(value: f64) -> String {
+pub fn short(value: f64) -> String {
     match value.abs() {
         size if (1e-2..1e6).contains(&size) => {
             let decimals = (3 - size.log10().floor() as i32).clamp(0, 5) as usize;

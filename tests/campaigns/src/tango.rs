@@ -16,8 +16,9 @@ const ROBUST: [&str; 2] = ["fit-S4", "fit-S4r"];
 
 /// What one seed gives of one estimate.
 struct Found {
-    /// For every parameter of the machine: name, and whether its 95 % interval holds the truth.
-    covers: Vec<(String, bool)>,
+    /// For every parameter of the machine: name, whether its 95 % interval holds the truth, and how far off it is in standard
+    /// uncertainties.
+    covers: Vec<(String, bool, f64)>,
     /// Gross errors that were put in, and how many of them were found.
     gross: (usize, usize),
 }
@@ -53,8 +54,9 @@ pub fn run(seed: u64, count: u64) -> Report {
                 let budget = fit.calibration.uncertainty.as_ref()?;
                 let told = budget.parameters.iter().find(|told| told.name == unknown.name)?;
                 let truth = true_values["parameters"][&unknown.name].as_f64()?;
-                let value = fit.calibration.get(&unknown.name)?.value;
-                Some((unknown.name.clone(), (value - truth).abs() <= told.expanded_uncertainty))
+                let off = fit.calibration.get(&unknown.name)?.value - truth;
+                let within = off.abs() <= told.expanded_uncertainty;
+                Some((unknown.name.clone(), within, off / told.standard_uncertainty))
             });
             let gross: Vec<usize> = (true_values["noise"]["outliers"].as_object().into_iter().flatten())
                 .filter_map(|(row, _)| row.parse().ok())
@@ -79,7 +81,7 @@ fn report(found: Vec<Result<BTreeMap<String, Found>, String>>) -> Report {
     }
     for (name, runs) in all {
         let mut covered: BTreeMap<&str, usize> = BTreeMap::new();
-        for (parameter, covers) in runs.iter().flat_map(|found| &found.covers) {
+        for (parameter, covers, _) in runs.iter().flat_map(|found| &found.covers) {
             *covered.entry(parameter).or_default() += usize::from(*covers);
         }
         let count = runs.len() as f64;
@@ -106,7 +108,14 @@ fn report(found: Vec<Result<BTreeMap<String, Found>, String>>) -> Report {
             report.broken.push(format!("{name}: {:.2} % of true values are covered", 100.0 * pooled));
         }
         for (parameter, hits) in covered.iter().filter(|(_, hits)| (share(hits) - 0.95).abs() > band) {
-            report.broken.push(format!("{name}: {parameter} is covered in {:.2} %", 100.0 * share(hits)));
+            let all = runs.iter().flat_map(|found| &found.covers).filter(|(other, ..)| other == parameter);
+            let off: Vec<f64> = all.map(|(.., off)| *off).collect();
+            let mean = off.iter().sum::<f64>() / count;
+            let deviation = (off.iter().map(|off| (off - mean).powi(2)).sum::<f64>() / count).sqrt();
+            report.broken.push(format!(
+                "{name}: {parameter} is covered in {:.2} % (off by {mean:.2} ± {deviation:.2} standard uncertainties)",
+                100.0 * share(hits)
+            ));
         }
     }
     writeln!(report.text, "{} broken", report.broken.len()).expect("a text");

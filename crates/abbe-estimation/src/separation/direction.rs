@@ -3,7 +3,7 @@
 use abbe_core::{NullVector, Owner, Poses, Problem, Result, Unknown, Variable};
 use nalgebra::Vector3;
 
-use super::Measured;
+use super::{Measured, words};
 
 /// Derivatives below this, in mm or rad per unit of the unknown, are rounding errors of zero.
 const ZERO: f64 = 1e-9;
@@ -103,18 +103,20 @@ impl<'a> LostDirection<'a> {
 
     /// What to do if no measurement separates the direction, given whether it moves the tip anywhere.
     pub fn without_measurement(&self, moves: bool) -> String {
-        let alone = self.members.len() == 1;
+        let (alone, [verb, noun, _]) = (self.members.len() == 1, words(self.problem));
         if self.members.iter().all(|(unknown, _)| unknown.owner != Owner::Machine) {
-            return format!("touch {} from more directions or at more indexations", listed_features(&self.members));
+            let features = listed_features(&self.members);
+            return format!("{verb} {features} from more directions or at more indexations");
         }
         match (alone, moves) {
-            (true, false) => "leave it out: it does nothing to the tip, no touch can tell it",
-            (false, false) => "leave one out: they do the same to the tip everywhere, no touch can tell them apart",
-            (_, true) => {
-                "touch features whose places on the table are known, or leave one out: everything on the table moves alike"
+            (true, false) => format!("leave it out: it does nothing to the tip, no {noun} can tell it"),
+            (false, false) => {
+                format!("leave one out: they do the same to the tip everywhere, no {noun} can tell them apart")
             }
+            (_, true) => format!(
+                "{verb} features whose places on the table are known, or leave one out: everything on the table moves alike"
+            ),
         }
-        .to_owned()
     }
 }
 

@@ -11,7 +11,7 @@ mod gaps;
 mod places;
 mod statuses;
 
-use abbe_core::{NullVector, Problem, Result};
+use abbe_core::{Contact, NullVector, Problem, Result};
 
 use crate::contact::rank_point;
 
@@ -153,6 +153,15 @@ pub(crate) fn thinned(problem: &Problem) -> Problem {
         }
     }
     problem
+}
+
+/// What is done to a feature, what that is called, and what the feature then is: it is touched where linear axes move until there is contact; a laser, a bar or
+/// a tracker measures.
+fn words(problem: &Problem) -> [&'static str; 3] {
+    match problem.sets.iter().all(|set| set.info().contact == Contact::LinearAxes) {
+        true => ["touch", "touch", "touched"],
+        false => ["measure", "measurement", "measured"],
+    }
 }
 
 /// Numbers of a list for people: `0°, 90°`, at most six of them.

@@ -2,7 +2,7 @@
 
 use abbe_core::{AxisKind, Problem, Result};
 
-use super::{Group, Measured, Trial};
+use super::{Group, Measured, Trial, words};
 use crate::reach::Reach;
 
 /// Distance between the touched features and a trial feature, mm.
@@ -93,7 +93,7 @@ pub fn places(problem: &Problem, recorded: &Problem) -> Result<Vec<Trial>> {
         let points = vec![point; indexations.len()];
         let statuses: Vec<Vec<f64>> = reach.at(indexations.clone(), &points)?.into_iter().flatten().collect();
         if statuses.len() > 1 {
-            let sentence = place_sentence(point, &bounds);
+            let sentence = place_sentence(words(problem), point, &bounds);
             trials.push(Trial { group: Group::Place, sentence, measured: Measured::Point(statuses) });
         }
     }
@@ -104,14 +104,14 @@ pub fn places(problem: &Problem, recorded: &Problem) -> Result<Vec<Trial>> {
     Ok(trials)
 }
 
-fn place_sentence(point: [f64; 3], bounds: &Bounds) -> String {
+fn place_sentence([verb, _, done]: [&str; 3], point: [f64; 3], bounds: &Bounds) -> String {
     let near = text(point);
     match bounds.contains(&point) {
-        true => format!("touch features in other directions of contact too, for instance near {near}"),
-        false => format!(
-            "touch a feature elsewhere, for instance near {near} (what is touched lies within {} mm)",
-            bounds.text()
-        ),
+        true => format!("{verb} features in other directions of contact too, for instance near {near}"),
+        false => {
+            let bounds = bounds.text();
+            format!("{verb} a feature elsewhere, for instance near {near} (what is {done} lies within {bounds} mm)")
+        }
     }
 }
 
