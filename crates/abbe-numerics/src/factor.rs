@@ -404,7 +404,7 @@ impl Spectrum {
     }
 
     /// One unknown for every lost direction such that the others are determined without them: of those that take part enough in
-    /// what is lost ([`LEAST_SHARE`]), the last in the order of preference goes first.
+    /// what is lost (one per cent of the largest share), the last in the order of preference goes first.
     ///
     /// `order` has all unknowns, the most preferred first.
     pub fn dependent(&self, rank: usize, order: &[usize]) -> Vec<usize> {
