@@ -76,8 +76,9 @@ impl Prepared {
         self.rehearse(false, &problems, &BTreeMap::new(), &unseen, &data)?;
         let mut failures = Vec::new();
         let fits = self.estimates(&problems, &evidence, monitor, &mut failures)?;
-        if let (true, Some(failure)) = (fits.is_empty(), failures.first()) {
-            // Nothing to write: an earlier run keeps its results.
+        let from_rows = fits.iter().any(|fit| !fit.problem.sets.is_empty());
+        if let (false, Some(failure)) = (from_rows, failures.first()) {
+            // Nothing was made of measurements: an earlier run keeps its results.
             return Err(failure.error.clone());
         }
         let (verdicts, mut exports) = self.verdicts(&fits, &unseen, &data, monitor, &mut failures)?;

@@ -61,7 +61,7 @@ pub use aliasing::aliased;
 pub use calibration::calibration;
 pub use contact::{Variation, at_contact, is_judged_as_recorded, rank_point};
 pub use judgement::Judgement;
-pub use preference::in_order_of_preference;
+pub use preference::{check_preferences, in_order_of_preference};
 pub use propagation::{Linearisation, Propagation, Scales};
 pub use rank::{confounded, identifiability, ill_conditioned, separated, weakest};
 pub use reach::Reach;

@@ -7,11 +7,8 @@
 
 use abbe_core::{AxisKind, Error, KinematicModel, Owner, PathItem, Problem, Result, Unknown, matches};
 
-/// The unknowns of a problem by their indices, those first that are rather estimated than others.
-///
-/// `prefer` has names and patterns, the most preferred first. Fails where one matches no unknown, with its index in the setting
-/// `prefer`.
-pub fn in_order_of_preference(problem: &Problem, prefer: &[String]) -> Result<Vec<usize>> {
+/// Refuses a name or pattern that matches no unknown, with its index in the setting `prefer`.
+pub fn check_preferences(problem: &Problem, prefer: &[String]) -> Result<()> {
     for (index, pattern) in prefer.iter().enumerate() {
         if !problem.unknowns.iter().any(|unknown| matches(pattern, &unknown.name)) {
             let names = problem.unknowns.iter().map(|unknown| unknown.name.as_str());
@@ -21,6 +18,13 @@ pub fn in_order_of_preference(problem: &Problem, prefer: &[String]) -> Result<Ve
             return Err(error);
         }
     }
+    Ok(())
+}
+
+/// The unknowns of a problem by their indices, those first that are rather estimated than others.
+///
+/// `prefer` has names and patterns, the most preferred first; one that matches nothing prefers nothing.
+pub fn in_order_of_preference(problem: &Problem, prefer: &[String]) -> Vec<usize> {
     let convention = Convention::of(problem.model.as_ref());
     let rank = |&index: &usize| {
         let unknown = &problem.unknowns[index];
@@ -29,7 +33,7 @@ pub fn in_order_of_preference(problem: &Problem, prefer: &[String]) -> Result<Ve
     };
     let mut order: Vec<usize> = (0..problem.unknowns.len()).collect();
     order.sort_by_key(rank);
-    Ok(order)
+    order
 }
 
 /// What is zero by convention on a machine.

@@ -92,6 +92,10 @@ impl UncertaintyEvaluation {
                 (found, factor.covariance_root(rank))
             }
             Some(Lost { found, determined }) => {
+                // Rows that weigh nothing may have told more.
+                if determined.factor(&factor).singular_values().rank(self.rank_tolerance) < rank {
+                    return Err(confounded(&found));
+                }
                 let condition = factor.singular_values().condition(rank);
                 let found = Identifiability { observations: factor.rows(), condition, ..found };
                 (found, determined.covariance_root(&factor))

@@ -1,6 +1,6 @@
 //! The wavelengths that data may have: a sum of squares over a wavelength has many minima, and an iteration ends in the nearest.
 
-use abbe_core::{Owner, ParameterRole, Period, Problem, Result, Unknown};
+use abbe_core::{Owner, ParameterRole, Period, Problem, Result, Unit, Unknown};
 
 use crate::weighted::Weighted;
 
@@ -21,7 +21,7 @@ const REFINED: usize = 8;
 const REFINEMENTS: usize = 24;
 
 /// Most wavelengths that are tried on either side.
-const MOST: usize = 20_000;
+const MOST: usize = 5_000;
 
 /// A wavelength at which the sum of squares has a minimum.
 #[derive(Debug, Clone, PartialEq)]
@@ -76,8 +76,10 @@ pub fn wavelengths(problem: &Problem, shape: usize) -> Result<Vec<Wavelength>> {
     };
     // The amplitudes of overtones make minima narrower.
     let step = 1.0 / travel / STEPS / overtones;
-    let count = ((RANGE / nominal / step).ceil() as usize).clamp(1, MOST) as i64;
-    let frequency = |place: i64| 1.0 / nominal + RANGE / nominal * place as f64 / count as f64;
+    // Of a long way and a short wave the nearest wavelengths only.
+    let range = (RANGE / nominal).min(step * MOST as f64);
+    let count = (range / step).ceil().max(1.0) as i64;
+    let frequency = |place: i64| 1.0 / nominal + range * place as f64 / count as f64;
     let mut tried: Vec<(f64, Wavelength)> = Vec::new();
     for place in -count..=count {
         tried.extend(tried_at(frequency(place))?.map(|found| (frequency(place), found)));
@@ -129,14 +131,20 @@ fn refined(
 }
 
 /// A sentence on wavelengths that explain the data as well as the one that is taken; none if there is no other.
-pub fn rival_wavelengths(name: &str, minima: &[Wavelength]) -> Option<String> {
-    let alike: Vec<String> =
-        minima.iter().filter(|minimum| minimum.alike).map(|it| format!("{:.6} mm", it.value)).collect();
+pub fn rival_wavelengths(unknown: &Unknown, minima: &[Wavelength]) -> Option<String> {
+    let (symbol, factor) = match unknown.unit {
+        Unit::MM => ("mm", 1.0),
+        Unit::RAD => ("deg", 1.0_f64.to_degrees()),
+        _ => ("", 1.0),
+    };
+    let alike = minima.iter().filter(|minimum| minimum.alike);
+    let alike: Vec<String> = alike.map(|minimum| format!("{:.6} {symbol}", minimum.value * factor)).collect();
     let [taken, others @ ..] = alike.as_slice() else { return None };
     (!others.is_empty()).then(|| {
         format!(
-            "{name} may also be {}, which explain the data as well as {taken} does: the uncertainty is that of this one alone; measure in \
+            "{} may also be {}, which explain the data as well as {taken} does: the uncertainty is that of this one alone; measure in \
              steps that are no multiple of any of them",
+            unknown.name,
             others.join(" or ")
         )
     })

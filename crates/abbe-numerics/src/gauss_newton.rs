@@ -204,7 +204,7 @@ fn solve_robust<P: LeastSquares + ?Sized>(
             settled = rounds.reweigh(robust, &sizes, spread) < options.settled;
             let mut step: Vec<f64> = minimum.x.iter().map(|value| -value).collect();
             minimum = rounds.minimise(minimum, settled)?;
-            if settled || minimum.end == End::NoProgress {
+            if settled || matches!(minimum.end, End::NoProgress | End::IterationLimit) {
                 break;
             }
             compared.residuals = rounds.residuals(&minimum.x)?;
@@ -213,7 +213,12 @@ fn solve_robust<P: LeastSquares + ?Sized>(
             let further = rounds.further(&minimum.x, &step, last.map_or(0.0, |last| size / last));
             last = Some(size);
             if let Some(x) = further {
-                let residuals = rounds.residuals(&x)?;
+                let residuals = match rounds.residuals(&x) {
+                    Ok(residuals) => residuals,
+                    Err(error) if problem.is_final(&error) => return Err(error),
+                    // Too far ahead: one step at a time.
+                    Err(_) => continue,
+                };
                 let objective = |residuals: &[f64]| compared.objective(residuals, robust, spread);
                 if objective(&residuals) < objective(&compared.residuals) {
                     (minimum.x, compared.residuals, last) = (x, residuals, None);
@@ -253,6 +258,9 @@ impl Compared {
 /// Ratio of the sizes of successive steps from which rounds are slow.
 const SLOW: f64 = 0.5;
 
+/// Ratio from which no more is looked ahead: twenty steps.
+const FARTHEST: f64 = 0.95;
+
 /// Rounds of robust weights.
 struct Rounds<'a, P: ?Sized> {
     problem: &'a P,
@@ -282,9 +290,10 @@ impl<P: LeastSquares + ?Sized> Rounds<'_, P> {
 
     /// Where steps that shrink by this ratio lead to in the end; none unless rounds are slow.
     fn further(&self, x: &[f64], step: &[f64], ratio: f64) -> Option<Vec<f64>> {
-        let mut further = x.to_vec();
+        let slow = ratio < 1.0;
+        let (mut further, ratio) = (x.to_vec(), ratio.min(FARTHEST));
         add(&mut further, step, ratio / (1.0 - ratio));
-        (SLOW..1.0).contains(&ratio).then_some(further)
+        (slow && ratio >= SLOW).then_some(further)
     }
 
     fn residuals(&self, x: &[f64]) -> Result<Vec<f64>, P::Error> {

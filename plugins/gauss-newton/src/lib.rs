@@ -9,12 +9,12 @@ mod settings;
 use std::collections::BTreeSet;
 
 use abbe_core::{
-    Calibration, Context, Convergence, Error, Estimate, Identifiability, Owner, PathItem, Problem, Result,
+    Calibration, Context, Convergence, Error, Estimate, Identifiability, Owner, PathItem, Problem, Quantity, Result,
     SettingsError, Status, Termination, Unknown,
 };
 use abbe_estimation::{
-    Components, Judgement, Lost, Solved, UncertaintyEvaluation, Weighted, components, confounded, identifiability,
-    ill_conditioned, in_order_of_preference, rival_wavelengths, separated, wavelengths,
+    Components, Judgement, Lost, Solved, UncertaintyEvaluation, Weighted, check_preferences, components, confounded,
+    identifiability, ill_conditioned, in_order_of_preference, rival_wavelengths, separated, wavelengths,
 };
 use abbe_numerics::{Directions, End, Factor, LeastSquares, Options, Robust, Solution, Within, solve_from};
 use serde_json::{Value, json};
@@ -35,8 +35,9 @@ abbe_core::register!(
 /// Part of the largest effect in a lost direction from which the value of a parameter tells how far the direction may be off.
 const MAIN_PART: f64 = 0.1;
 
-/// What errors of machines do to readings, mm.
+/// What errors of machines do to readings of lengths, mm, and of angles, rad.
 const TYPICAL_ERROR: f64 = 0.05;
+const TYPICAL_TURN: f64 = 5e-5;
 
 /// Robust weights that change by less than this have settled.
 const SETTLED: f64 = 1e-4;
@@ -265,7 +266,7 @@ impl GaussNewton {
         for unknown in problem.unknowns.iter().filter(|unknown| first.contains(&unknown.name.as_str())) {
             // The sum of squares has many minima: the iteration starts in the lowest.
             let minima = wavelengths(&found, unknown.index)?;
-            remarks.extend(rival_wavelengths(&unknown.name, &minima));
+            remarks.extend(rival_wavelengths(unknown, &minima));
             if let Some(best) = minima.into_iter().next() {
                 found.machine[unknown.index] = best.value;
                 best.amplitudes.into_iter().for_each(|(index, value)| found.machine[index] = value);
@@ -273,13 +274,22 @@ impl GaussNewton {
         }
         // A wave that has a position in every period is nothing but a constant: then the nominal one is the better start.
         let by_search = Judgement::new(&found, None)?;
-        let (started, again) = match found.machine != nominal.machine && self.determined(by_search.factor()).is_some() {
-            true => (nominal.clone(), Judgement::new(&nominal, None)?),
+        let by_nominal = Judgement::new(&nominal, None)?;
+        let (started, again) = match self.rank(by_search.factor()) < self.rank(by_nominal.factor()) {
+            true => {
+                remarks.clear();
+                (nominal, by_nominal)
+            }
             false => (found, by_search),
         };
         let better = idle(again.factor()).len() < first.len();
         let (started, judgement) = if better { (Some(started), again) } else { (None, judged) };
         Ok(Judged { started, judgement, remarks })
+    }
+
+    /// The number of directions that some rows determine.
+    fn rank(&self, factor: &Factor) -> usize {
+        factor.singular_values().rank(self.settings.rank_tolerance)
     }
 
     /// The directions that some rows determine; none if they determine all.
@@ -317,7 +327,9 @@ impl GaussNewton {
     }
 
     fn estimate_all(&self, problem: &Problem, explained: bool) -> Result<Calibration> {
-        Self::check(problem)?;
+        if self.settings.on_confounded == OnConfounded::Error {
+            Self::check(problem)?;
+        }
         if problem.unknowns.is_empty() {
             return self.as_it_is(problem, explained);
         }
@@ -349,7 +361,7 @@ impl GaussNewton {
                 Ok(calibration)
             }
             OnConfounded::Drop => {
-                let order = in_order_of_preference(problem, &self.settings.prefer)?;
+                let order = in_order_of_preference(problem, &self.settings.prefer);
                 let dropped = factor.spectrum().dependent(found.rank, &order);
                 let names: Vec<&str> = dropped.iter().map(|&index| problem.unknowns[index].name.as_str()).collect();
                 if explained {
@@ -395,8 +407,14 @@ impl GaussNewton {
         let parts = found.null_space.iter().flat_map(|vector| &vector.combination);
         let mut shared: BTreeSet<String> = parts.map(|part| part.name.clone()).collect();
         let (start, x) = (problem.start(), problem.values_of(calibration));
-        let weights = problem.standard_uncertainties().into_iter().map(|uncertainty| uncertainty.powi(-2));
-        let one_mm = weights.sum::<f64>().sqrt();
+        let readings =
+            problem.standard_uncertainties().into_iter().zip(problem.quantities()).zip(problem.constraints());
+        let readings =
+            readings.filter(|(_, constraint)| !constraint).map(|((uncertainty, quantity), _)| match quantity {
+                Quantity::Angle => TYPICAL_TURN / TYPICAL_ERROR / uncertainty,
+                _ => 1.0 / uncertainty,
+            });
+        let one_mm = readings.map(|weight| weight * weight).sum::<f64>().sqrt();
         for vector in found.null_space.iter().filter(|_| explained) {
             let members = problem.unknowns.iter().enumerate().filter_map(|(index, unknown)| {
                 let part = vector.combination.iter().find(|part| part.name == unknown.name)?;
@@ -413,7 +431,15 @@ impl GaussNewton {
             let size = main.map(size).fold(typical, f64::max);
             let mut shifted = x.clone();
             members.iter().for_each(|(index, part)| shifted[*index] += size * part);
-            let Ok(other) = solve(&problem.at(&shifted)) else { continue };
+            let other = match solve(&problem.at(&shifted)) {
+                Ok(other) => other,
+                Err(error) if error.fault => return Err(error),
+                Err(error) => {
+                    let lost = vector.describe();
+                    tracing::warn!("{}: what hangs on a lost direction ({lost}) was not found: {error}", problem.name);
+                    continue;
+                }
+            };
             for estimated in calibration.parameters.iter().chain(&calibration.artefacts) {
                 let moved = other.get(&estimated.name).map_or(0.0, |other| (other.value - estimated.value).abs());
                 if estimated.status == Status::Estimated && moved > estimated.standard_uncertainty {
@@ -471,7 +497,11 @@ impl Estimate for GaussNewton {
     }
 
     fn identify(&self, problem: &Problem) -> Result<Identifiability> {
-        in_order_of_preference(problem, &self.settings.prefer)?;
+        check_preferences(problem, &self.settings.prefer)?;
+        self.weighted(problem)?;
+        if let Some(select) = &self.settings.select {
+            select.candidates(problem)?;
+        }
         let Judged { started, judgement, remarks } = self.judge(problem)?;
         let mut found = self.evaluation(true).identify(started.as_ref().unwrap_or(problem), &judgement)?;
         found.remarks.extend(remarks);

@@ -30,6 +30,8 @@ pub struct Candidates {
     pub names: Names,
     /// Parameters that change together.
     pub together: Together,
+    /// Patterns mean the places of linear axes, too.
+    pub places: bool,
 }
 
 impl Candidates {
@@ -40,7 +42,9 @@ impl Candidates {
         let mut chosen = vec![false; parameters.len()];
         for (index, pattern) in self.names.0.iter().enumerate() {
             let found = found(model, pattern).map_err(|error| at(error, "candidates", PathItem::Index(index)))?;
-            let named = |parameter: &usize| parameters[*parameter].name == *pattern || !is_zero(model, *parameter);
+            let named = |parameter: &usize| {
+                self.places || parameters[*parameter].name == *pattern || !is_zero(model, *parameter)
+            };
             found.into_iter().filter(named).for_each(|parameter| chosen[parameter] = true);
         }
         let single = parameters.iter().enumerate().filter(|(index, _)| chosen[*index]);

@@ -67,7 +67,7 @@ impl Export for Sensitivity {
     fn export(&self, _: &Calibration, model: &dyn KinematicModel) -> Result<Vec<ExportedFile>> {
         let points = Points::read(&self.nominal)?;
         let (names, together) = (self.settings.candidates.clone(), self.settings.together.clone());
-        let mut machine = Candidates { names, together }.of(model)?;
+        let mut machine = Candidates { names, together, places: false }.of(model)?;
         let (statuses, nominal) = (points.in_contact(model)?, model.info().nominal.clone());
         for (row, point) in points.list.iter().enumerate() {
             let touch = Touch::new(model, point, statuses.row(row))?;

@@ -222,7 +222,7 @@ pub struct Report<'a> {
 
 impl Verify {
     fn candidates(&self) -> Candidates {
-        Candidates { names: self.settings.candidates.clone(), together: self.settings.together.clone() }
+        Candidates { names: self.settings.candidates.clone(), together: self.settings.together.clone(), places: false }
     }
 
     /// All tolerances, ascending, each once.
@@ -236,7 +236,7 @@ impl Verify {
 
     fn scatter(&self, baseline: &Baseline) -> Result<Scatter> {
         let Healthy { point_um, shift_um, turn_urad, expansion_um_per_m, parameters } = &self.settings.healthy;
-        let all = baseline.patterns(&Candidates::default())?;
+        let all = baseline.patterns(&Candidates { places: true, ..Candidates::default() })?;
         let (machine, artefact): (Vec<_>, Vec<_>) = all.iter().partition(|pattern| !pattern.parameters.is_empty());
         let of_artefact =
             [*shift_um * 1e-3; 3].into_iter().chain([*turn_urad * 1e-6; 3]).chain([expansion_um_per_m * 1e-6]);

@@ -4,7 +4,7 @@
 //! Of parameters that do the same, the one that people prefer is kept ([`in_order_of_preference`]).
 
 use abbe_core::{Context, Dataset, Figure, Findings, Fit, Problem, Result, SettingsError, Validate};
-use abbe_estimation::{Judgement, in_order_of_preference};
+use abbe_estimation::{Judgement, check_preferences, in_order_of_preference};
 use abbe_numerics::LeftOut;
 use schemars::JsonSchema;
 use serde::Deserialize;
@@ -73,7 +73,8 @@ impl MinimalSet {
     fn select(&self, fit: &Fit, found: &mut Findings) -> Result<()> {
         let problem = self.candidates(&fit.problem)?;
         let judged = Judgement::new(&problem, None)?;
-        let order = in_order_of_preference(judged.problem(), &self.settings.prefer)?;
+        check_preferences(&problem, &self.settings.prefer)?;
+        let order = in_order_of_preference(&problem, &self.settings.prefer);
         let tolerance = self.settings.tolerance.or(fit.calibration.fit.rank_tolerance).unwrap_or(DEFAULT_TOLERANCE);
         let selection = judged.factor().select(&order, tolerance);
         let figure = |name: &str, value: f64| Figure::new(&fit.name, name, value, ONE);

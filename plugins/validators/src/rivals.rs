@@ -2,7 +2,7 @@
 
 use std::collections::BTreeSet;
 
-use abbe_core::{Fit, Owner, ParameterRole, Problem, Result, Unknown};
+use abbe_core::{Fit, Owner, ParameterRole, Problem, Result, Status, Unknown};
 use abbe_estimation::rank_point;
 use abbe_numerics::{Accumulator, f_test};
 use nalgebra::{DMatrix, DVector};
@@ -14,6 +14,9 @@ const MOST: usize = 300;
 
 /// Blocks of successive rows, each of which counts as one.
 const BLOCKS: usize = 24;
+
+/// Most numbers of a table of rows that is tested at once.
+const LARGEST: usize = 4_000_000;
 
 /// Fewest rows of a block.
 const LEAST_ROWS: usize = 4;
@@ -35,13 +38,10 @@ pub struct Rival {
 pub fn rivals(fit: &Fit, left_out: &BTreeSet<(usize, usize)>) -> Result<Vec<Rival>> {
     let problem = fit.problem.as_ref();
     let mut extended = Problem::clone(problem);
-    let settled = |index: usize| {
-        let mut all = problem.unknowns.iter().chain(&problem.considered.unknowns);
-        all.any(|unknown| unknown.owner == Owner::Machine && unknown.index == index)
-    };
+    let settled = |name: &str| fit.calibration.get(name).is_some_and(|found| found.status != Status::Fixed);
     for (index, parameter) in problem.model.info().parameters.iter().enumerate() {
         let is_error = matches!(parameter.role, ParameterRole::Motion { .. } | ParameterRole::Location { .. });
-        if is_error && !settled(index) && extended.unknowns.len() < problem.unknowns.len() + MOST {
+        if is_error && !settled(&parameter.name) && extended.unknowns.len() < problem.unknowns.len() + MOST {
             let (name, unit) = (parameter.name.clone(), parameter.unit);
             extended.unknowns.push(Unknown { name, unit, owner: Owner::Machine, index });
         }
@@ -124,6 +124,9 @@ pub fn by_blocks(fit: &Fit, left_out: &BTreeSet<(usize, usize)>, parameter: &str
     }
     let (own, width) = (problem.unknowns.len(), extended.unknowns.len());
     let uncertainties = problem.standard_uncertainties();
+    if rows.len() * width > LARGEST {
+        return Ok(None);
+    }
     // Rows of [J | time terms | r] with their times.
     let residuals = problem.residuals(&problem.values_of(&fit.calibration))?;
     let mut lines: Vec<(f64, Vec<f64>)> = Vec::new();
