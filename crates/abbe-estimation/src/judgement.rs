@@ -48,7 +48,9 @@ pub struct Judgement {
 }
 
 impl Judgement {
-    /// Judges a problem; `kept` has 0 for rows that do not count.
+    /// Judges a problem; `kept` has one number for every equation, 0 for those that do not count and 1 for all others.
+    ///
+    /// Fails where the model gives no pose, or an equation has no finite value, at nominal geometry.
     pub fn new(problem: &Problem, kept: Option<&[f64]>) -> Result<Self> {
         let nominal = at_nominal_geometry(problem);
         let at_start = kept.is_none() && nominal.start() == problem.start() && nominal.machine == problem.machine;

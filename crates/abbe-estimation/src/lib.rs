@@ -12,9 +12,10 @@
 //! An estimate minimises `e^T W e`, where W are robust weights, or 1. Everything else is the same for all kinds of iteration.
 //!
 //! # Rank
-//! Rank, condition and null space are those of `A D^-1` (D makes the columns have norm 1) at **nominal contact**
-//! ([`rank_point`]): at recorded positions the residuals would act as if they were information. Singular values below a part
-//! of the largest (1e-10, say) count as zero. Their vectors are the directions that the data cannot determine.
+//! Rank, condition and null space are those of `A D^-1` (D makes the columns have norm 1) for the nominal machine and artefact at
+//! **nominal contact** ([`Judgement`]): products of errors, and residuals at recorded positions ([`rank_point`]), act as if they were
+//! information. Columns that are rounding, or digits of the data, are zero. Singular values below a part of the largest (1e-10, say)
+//! count as zero; the vectors that belong to them are the directions that the data cannot tell.
 //!
 //! # Uncertainty
 //! Three kinds of input make the covariance of the estimates ([`Propagation`]; JCGM 102:2011, equation 3):

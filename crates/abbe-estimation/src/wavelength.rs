@@ -2,6 +2,7 @@
 
 use abbe_core::{Owner, ParameterRole, Period, Problem, Result, Unit, Unknown};
 
+use crate::separation::spread_out;
 use crate::weighted::Weighted;
 
 /// Part of the nominal wavelength on either side within which the true one is looked for.
@@ -38,8 +39,7 @@ pub struct Wavelength {
 
 /// The wavelengths within a twentieth of the nominal one at which the sum of squares has a minimum, the best first (of those that are
 /// alike, the one next to the nominal one); `shape` is the index of the parameter, and all others have their present values but for the
-/// amplitudes. None where the parameter is no wavelength, or
-/// no row tells it.
+/// amplitudes. Empty where the parameter is no wavelength, or no row tells it. Fails where the rows cannot be evaluated.
 ///
 /// Frequencies are tried in steps of a third of a wave over all positions of the axis, or of its highest overtone; minima are two waves
 /// wide (the periodogram of Lomb 1976). The lowest are refined.
@@ -93,7 +93,8 @@ pub fn wavelengths(problem: &Problem, shape: usize) -> Result<Vec<Wavelength>> {
     let mut minima = Vec::new();
     for &place in places.iter().take(REFINED) {
         let (middle, found) = &tried[place];
-        minima.push(refined(*middle, step, found.clone(), &mut tried_at)?);
+        let ends = [(middle - step).max(frequency(-count)), (middle + step).min(frequency(count))];
+        minima.push(refined(*middle, ends, found.clone(), &mut tried_at)?);
     }
     let best = minima.iter().map(|minimum| minimum.cost).fold(f64::INFINITY, f64::min);
     let scatter = best / redundancy;
@@ -108,15 +109,15 @@ pub fn wavelengths(problem: &Problem, shape: usize) -> Result<Vec<Wavelength>> {
     Ok(minima)
 }
 
-/// The minimum within a step of a frequency, by bisection of the bracket (golden section).
+/// The minimum between two frequencies, from one between them on (golden section).
 fn refined(
     middle: f64,
-    step: f64,
+    [low, high]: [f64; 2],
     found: Wavelength,
     tried_at: &mut impl FnMut(f64) -> Result<Option<Wavelength>>,
 ) -> Result<Wavelength> {
     const GOLDEN: f64 = 0.381_966_011_250_105_1;
-    let (mut best, mut low, mut at, mut high) = (found, middle - step, middle, middle + step);
+    let (mut best, mut low, mut at, mut high) = (found, low, middle, high);
     for _ in 0..REFINEMENTS {
         let next = if high - at > at - low { at + GOLDEN * (high - at) } else { at - GOLDEN * (at - low) };
         let lower = tried_at(next)?.filter(|other| other.cost < best.cost);
@@ -162,13 +163,7 @@ fn keep_telling_rows(problem: &mut Problem, status: usize) -> Result<Option<f64>
             }
         }
     })?;
-    const GOLDEN: f64 = 0.618_033_988_749_894_9;
-    let mut kept = telling.clone();
-    if telling.len() > ROWS {
-        kept = (0..ROWS).map(|k| telling[((k as f64 * GOLDEN).fract() * telling.len() as f64) as usize]).collect();
-        kept.sort_unstable();
-        kept.dedup();
-    }
+    let kept: Vec<(usize, usize)> = spread_out(telling.len(), ROWS).into_iter().map(|place| telling[place]).collect();
     let (mut first, mut last) = (f64::INFINITY, f64::NEG_INFINITY);
     for (index, set) in problem.sets.iter_mut().enumerate() {
         set.rows = kept.iter().filter(|(of, _)| *of == index).map(|(_, row)| *row).collect();

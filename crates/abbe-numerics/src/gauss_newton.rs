@@ -195,7 +195,7 @@ fn solve_robust<P: LeastSquares + ?Sized>(
     }
     let mut compared = rounds.compared(&minimum)?;
     let spread = m_scale(&rounds.measured(&compared.studentised()));
-    let mut sizes = Vec::new();
+    let mut sizes = compared.studentised();
     if minimum.end != End::NoProgress {
         settled = false;
         let mut last = None;

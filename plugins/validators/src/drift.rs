@@ -103,25 +103,42 @@ fn judge(
     let mut found = Vec::new();
     for (index, (parameter, _)) in tested.iter().enumerate() {
         let candidates = (0..DEGREES).map(|degree| factor.column(own + index * DEGREES + degree));
-        // A term that the fit already has is only rounding after projection.
-        let new: Vec<DVector<f64>> = candidates
-            .map(|candidate| (orthogonal(candidate, jacobian), candidate.norm()))
-            .filter(|(part, norm)| part.norm() > 1e-6 * norm)
-            .map(|(part, _)| part)
-            .collect();
-        let block = basis(new.iter().map(DVector::as_view), 1e-6);
-        let terms = block.ncols();
-        if terms == 0 || freedom <= terms {
-            continue;
-        }
-        let explained = (block.transpose() * &rest).norm_squared().min(squares);
-        let unexplained = ((squares - explained) / (freedom - terms) as f64).max(f64::MIN_POSITIVE);
-        let ratio = (explained / terms as f64 / unexplained).min(f64::MAX);
-        if let Some(p) = f_test(ratio, terms, freedom - terms) {
-            found.push(Drift { parameter, terms, share: explained / squares, p, sigma: unexplained.sqrt() });
+        if let Some(Explained { terms, share, p, sigma }) = explained(&beyond(candidates, jacobian), &rest, freedom) {
+            found.push(Drift { parameter, terms, share, p, sigma });
         }
     }
     found
+}
+
+/// What columns do that J cannot: an orthonormal basis. A column that J has already is only rounding after projection.
+pub fn beyond<'a>(columns: impl Iterator<Item = DVectorView<'a, f64>>, jacobian: &DMatrix<f64>) -> DMatrix<f64> {
+    let new = columns.map(|column| (orthogonal(column, jacobian), column.norm()));
+    let new: Vec<DVector<f64>> = new.filter(|(part, norm)| part.norm() > 1e-6 * norm).map(|(part, _)| part).collect();
+    basis(new.iter().map(DVector::as_view), 1e-6)
+}
+
+/// What some directions explain of residuals.
+pub struct Explained {
+    /// Number of directions.
+    pub terms: usize,
+    /// Part of the sum of squares that they explain.
+    pub share: f64,
+    /// Probability that chance explains as much, for independent rows (F test).
+    pub p: f64,
+    /// RMS of what would remain, over what the standard uncertainties promise.
+    pub sigma: f64,
+}
+
+/// What orthonormal directions explain of weighted residuals with so many degrees of freedom; none without directions, or if none of
+/// these are left.
+pub fn explained(directions: &DMatrix<f64>, residuals: &DVector<f64>, freedom: usize) -> Option<Explained> {
+    let (terms, squares) = (directions.ncols(), residuals.norm_squared());
+    let left = freedom.checked_sub(terms).filter(|left| terms > 0 && *left > 0)?;
+    let explained = (directions.transpose() * residuals).norm_squared().min(squares);
+    let unexplained = ((squares - explained) / left as f64).max(f64::MIN_POSITIVE);
+    let ratio = (explained / terms as f64 / unexplained).min(f64::MAX);
+    let p = f_test(ratio, terms, left)?;
+    Some(Explained { terms, share: explained / squares, p, sigma: unexplained.sqrt() })
 }
 
 /// Orthonormal basis of the space of some columns. Columns are scaled to norm 1; directions whose singular value is below

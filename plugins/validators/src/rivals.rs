@@ -7,7 +7,7 @@ use abbe_estimation::rank_point;
 use abbe_numerics::{Accumulator, f_test};
 use nalgebra::{DMatrix, DVector};
 
-use crate::drift::{basis, legendre, orthogonal, scaled_times};
+use crate::drift::{Explained, basis, beyond, explained, legendre, orthogonal, scaled_times};
 
 /// Columns of further parameters that are tried; models with more of them are judged by those of the first errors.
 const MOST: usize = 300;
@@ -69,7 +69,7 @@ pub fn rivals(fit: &Fit, left_out: &BTreeSet<(usize, usize)>) -> Result<Vec<Riva
     }
     let jacobian = basis(columns[..own].iter().map(DVector::as_view), 1e-10);
     let rest = orthogonal(columns[all].as_view(), &jacobian);
-    let (squares, freedom) = (rest.norm_squared(), factor.rows().saturating_sub(jacobian.ncols()));
+    let freedom = factor.rows().saturating_sub(jacobian.ncols());
     let error = |index: usize| {
         let name = extended.unknowns[index].name.as_str();
         name.split_once('[').map_or(name, |(error, _)| error)
@@ -78,20 +78,11 @@ pub fn rivals(fit: &Fit, left_out: &BTreeSet<(usize, usize)>) -> Result<Vec<Riva
     names.dedup();
     let mut found = Vec::new();
     for name in &names {
-        let new = (own..all).filter(|&index| error(index) == *name).map(|index| &columns[index]);
-        let new = new.map(|column| (orthogonal(column.as_view(), &jacobian), column.norm()));
-        let new: Vec<DVector<f64>> =
-            new.filter(|(part, norm)| part.norm() > 1e-6 * norm).map(|(part, _)| part).collect();
-        let block = basis(new.iter().map(DVector::as_view), 1e-6);
-        let terms = block.ncols();
-        if terms == 0 || freedom <= terms {
+        let new = (own..all).filter(|&index| error(index) == *name).map(|index| columns[index].as_view());
+        let Some(Explained { terms, share, p, .. }) = explained(&beyond(new, &jacobian), &rest, freedom) else {
             continue;
-        }
-        let explained = (block.transpose() * &rest).norm_squared().min(squares);
-        let left = ((squares - explained) / (freedom - terms) as f64).max(f64::MIN_POSITIVE);
-        let ratio = (explained / terms as f64 / left).min(f64::MAX);
-        let p = f_test(ratio, terms, freedom - terms).map(|p| (p * names.len() as f64).min(1.0));
-        found.extend(p.map(|p| Rival { name: (*name).to_owned(), terms, share: explained / squares, p }));
+        };
+        found.push(Rival { name: (*name).to_owned(), terms, share, p: (p * names.len() as f64).min(1.0) });
     }
     found.sort_by(|one, other| other.share.total_cmp(&one.share));
     Ok(found)
@@ -154,12 +145,7 @@ fn wald(lines: &[(f64, Vec<f64>)], own: usize) -> Option<f64> {
         return None;
     }
     let jacobian = basis(matrix.columns(0, own).column_iter(), 1e-10);
-    let new: Vec<DVector<f64>> = (own..width - 1)
-        .map(|column| (orthogonal(matrix.column(column), &jacobian), matrix.column(column).norm()))
-        .filter(|(part, norm)| part.norm() > 1e-6 * norm)
-        .map(|(part, _)| part)
-        .collect();
-    let terms = basis(new.iter().map(DVector::as_view), 1e-6);
+    let terms = beyond((own..width - 1).map(|column| matrix.column(column)), &jacobian);
     let rest = orthogonal(matrix.column(width - 1), &jacobian);
     let (count, blocks) = (terms.ncols(), BLOCKS.min(lines.len() / LEAST_ROWS));
     if count == 0 || blocks <= 2 * count {

@@ -140,19 +140,23 @@ pub fn separating_measurements(problem: &Problem, x: &[f64], vector: &NullVector
 
 /// The problem with at most `ROWS` rows of every set, evenly spread but not in step with any order of features.
 pub(crate) fn thinned(problem: &Problem) -> Problem {
-    const GOLDEN: f64 = 0.618_033_988_749_894_9;
     let mut problem = problem.clone();
     for set in &mut problem.sets {
-        let rows = &set.rows;
-        if rows.len() > ROWS {
-            let mut kept: Vec<usize> =
-                (0..ROWS).map(|k| rows[((k as f64 * GOLDEN).fract() * rows.len() as f64) as usize]).collect();
-            kept.sort_unstable();
-            kept.dedup();
-            set.rows = kept;
-        }
+        set.rows = spread_out(set.rows.len(), ROWS).into_iter().map(|place| set.rows[place]).collect();
     }
     problem
+}
+
+/// At most `most` of `count` places, ascending, spread out by the golden section: no regular pattern of rows is missed.
+pub(crate) fn spread_out(count: usize, most: usize) -> Vec<usize> {
+    const GOLDEN: f64 = 0.618_033_988_749_894_9;
+    if count <= most {
+        return (0..count).collect();
+    }
+    let mut places: Vec<usize> = (0..most).map(|k| ((k as f64 * GOLDEN).fract() * count as f64) as usize).collect();
+    places.sort_unstable();
+    places.dedup();
+    places
 }
 
 /// What is done to a feature, what that is called, and what the feature then is: it is touched where linear axes move until there is contact; a laser, a bar or
