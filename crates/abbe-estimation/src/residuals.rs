@@ -1,7 +1,7 @@
 //! Statistics of the residuals of a solution: scatter, outliers.
 
 use abbe_core::{Outlier, Problem, Quantity, Result};
-use abbe_numerics::{CovarianceRoot, Robust, RobustReport};
+use abbe_numerics::{CovarianceRoot, Robust, RobustReport, scatter_factor};
 
 use crate::weighted::Weighted;
 
@@ -76,9 +76,8 @@ impl Sizes {
 }
 
 impl ResidualStatistics {
-    /// Statistics of the rows whose weight is not zero. The a-posteriori factor of a robust estimate is that of Huber (1981,
-    /// section 7.6): the mean square of the influence over the square of its mean slope, with his correction for the number
-    /// of unknowns.
+    /// Statistics of the rows whose weight is not zero. The a-posteriori factor of a robust estimate is made of the
+    /// mean square of the influence and of its slopes ([`scatter_factor`]).
     ///
     /// `quantities` says which residuals are lengths and which angles; `weighted` are the residuals in units of their
     /// uncertainties, uncorrelated. Constraints are counted as rows, but give no information on the scatter of readings.
@@ -87,7 +86,6 @@ impl ResidualStatistics {
         quantities: &[Quantity],
         weighted: &[f64],
         report: Option<&RobustReport>,
-        robust: Option<Robust>,
         (rank, constraints): (usize, &Constraints),
     ) -> Self {
         let used: Vec<usize> =
@@ -103,7 +101,7 @@ impl ResidualStatistics {
         };
         let free = if redundancy > LEAST_REDUNDANCY { redundancy } else { 1.0 };
         let mean_square = readings.iter().map(|&row| influence(row)).sum::<f64>() / free;
-        let correction = correction(&readings, report, robust, determined);
+        let correction = correction(&readings, report, determined);
         let (angles, lengths): (Vec<usize>, Vec<usize>) =
             used.iter().partition(|&&row| quantities[row] == Quantity::Angle);
         let sizes = |rows: &[usize]| Sizes::of(&rows.iter().map(|&row| residuals[row]).collect::<Vec<_>>());
@@ -118,15 +116,11 @@ impl ResidualStatistics {
     }
 }
 
-/// Huber's correction of the scatter of some rows that determine `determined` unknowns: by the mean slope of their influence, and for
-/// the number of unknowns. 1 without robust weights.
-pub fn correction(rows: &[usize], report: Option<&RobustReport>, robust: Option<Robust>, determined: f64) -> f64 {
-    let (Some(report), Some(robust), false) = (report, robust, rows.is_empty()) else { return 1.0 };
-    let count = rows.len() as f64;
-    let slopes: Vec<f64> = rows.iter().map(|&row| robust.influence_slope(report.studentised[row])).collect();
-    let mean = slopes.iter().sum::<f64>() / count;
-    let variance = slopes.iter().map(|slope| (slope - mean).powi(2)).sum::<f64>() / count;
-    (1.0 + determined / count * variance / mean.powi(2)) / mean
+/// The factor of the scatter of some rows that determine `determined` unknowns ([`scatter_factor`]). 1 without robust weights.
+pub fn correction(rows: &[usize], report: Option<&RobustReport>, determined: f64) -> f64 {
+    let Some(report) = report else { return 1.0 };
+    let slopes: Vec<f64> = rows.iter().map(|&row| report.slopes[row]).collect();
+    scatter_factor(&slopes, determined)
 }
 
 /// The rows with an equation beyond the limit, largest first.

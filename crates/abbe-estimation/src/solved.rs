@@ -105,14 +105,8 @@ impl UncertaintyEvaluation {
         let in_uncertainties = weighted.in_uncertainties(residuals.clone());
         let constraints = Constraints::new(&judged, &x, &root)?;
         let quantities = problem.quantities();
-        let statistics = ResidualStatistics::new(
-            &residuals,
-            &quantities,
-            &in_uncertainties,
-            report.as_ref(),
-            loss,
-            (rank, &constraints),
-        );
+        let statistics =
+            ResidualStatistics::new(&residuals, &quantities, &in_uncertainties, report.as_ref(), (rank, &constraints));
         let place = Linearisation { problem: &judged, x: &x, kept: kept.as_deref(), root };
         let propagation = Propagation::new(&place, self.scales(&statistics, components), self.explained)?;
         // A repeated estimate without some rows needs only values and predictions. It may leave no degrees of freedom.

@@ -15,7 +15,7 @@
 //! degrees of freedom. Constraints of certificates keep their uncertainty: their t is 1.
 
 use abbe_core::{Error, Problem, Result, VarianceFactor};
-use abbe_numerics::{Directions, Factor, Robust, RobustReport, Solution};
+use abbe_numerics::{Directions, Factor, RobustReport, Solution};
 use nalgebra::{DMatrix, DVector};
 
 use crate::residuals::correction;
@@ -81,12 +81,7 @@ struct Round {
 }
 
 impl Round {
-    fn new(
-        problem: &Problem,
-        solution: &Solution,
-        robust: Option<Robust>,
-        determined: Option<&Directions>,
-    ) -> Result<Self> {
+    fn new(problem: &Problem, solution: &Solution, determined: Option<&Directions>) -> Result<Self> {
         let weighted = Weighted::new(problem)?;
         let residuals = weighted.in_uncertainties(problem.residuals(&solution.x)?);
         let constraints = problem.constraints();
@@ -109,7 +104,7 @@ impl Round {
         for (group, range) in ranges.iter().enumerate() {
             let rows: Vec<usize> = range.clone().filter(|&equation| readings[equation] > 0.0).collect();
             let trace = shares[group].trace();
-            squares.push(influence(&rows, &residuals, report) * correction(&rows, report, robust, trace).powi(2));
+            squares.push(influence(&rows, &residuals, report) * correction(&rows, report, trace).powi(2));
             redundancies.push(rows.len() as f64 - trace);
             for other in 0..count {
                 expected[(group, other)] = shares[group].product_trace(&shares[other]);
@@ -153,7 +148,7 @@ fn influence(rows: &[usize], residuals: &[f64], report: Option<&RobustReport>) -
 /// `directions`, if not all are determined.
 pub fn components(
     problem: &Problem,
-    (directions, robust): (Option<&Directions>, Option<Robust>),
+    directions: Option<&Directions>,
     solve: impl Fn(&Problem) -> Result<Solution>,
 ) -> Result<Components> {
     let count = problem.sets.len();
@@ -165,7 +160,7 @@ pub fn components(
         let scaled = problem.with_variance_factors(&factors).at(&x);
         let solution = solve(&scaled)?;
         x.clone_from(&solution.x);
-        let round = Round::new(&scaled, &solution, robust, directions)?;
+        let round = Round::new(&scaled, &solution, directions)?;
         let silent: Vec<usize> =
             (0..count).filter(|&group| determined[group] && round.redundancies[group] < LEAST_REDUNDANCY).collect();
         if !silent.is_empty() {

@@ -2,7 +2,7 @@
 
 use crate::accumulate::Accumulator;
 use crate::factor::Factor;
-use crate::robust::{Robust, RobustReport, deviations, m_scale, scale, studentised};
+use crate::robust::{Among, Robust, RobustReport, deviations, m_scale, pulls, scale, studentised};
 
 /// Function that receives rows: index of the first row, residuals, derivatives row by row.
 pub type Sink<'a> = &'a mut dyn FnMut(usize, &[f64], &[f64]);
@@ -184,7 +184,8 @@ fn solve_robust<P: LeastSquares + ?Sized>(
     let mut rounds = Rounds { problem, options, weights: vec![1.0; problem.rows()], iterations: minimum.iterations };
     let mut settled = false;
     for _ in 0..SCALE_ROUNDS {
-        let studentised = rounds.compared(&minimum)?.studentised();
+        let Compared { residuals, deviations, .. } = rounds.compared(&minimum)?;
+        let studentised = studentised(&residuals, &deviations);
         let spread = scale(&rounds.measured(&studentised));
         let changed = rounds.reweigh(Robust::HUBER, &studentised, spread);
         minimum = rounds.minimise(minimum, false)?;
@@ -193,35 +194,36 @@ fn solve_robust<P: LeastSquares + ?Sized>(
             break;
         }
     }
-    let mut compared = rounds.compared(&minimum)?;
-    let spread = m_scale(&rounds.measured(&compared.studentised()));
-    let mut sizes = compared.studentised();
+    let Compared { residuals, deviations, pulls } = rounds.compared(&minimum)?;
+    let spread = m_scale(&rounds.measured(&studentised(&residuals, &deviations)));
+    let held = Held { robust, spread, pulls };
+    let mut residuals = residuals;
+    let mut sizes = held.sizes(&residuals);
     if minimum.end != End::NoProgress {
         settled = false;
         let mut last = None;
         for _ in 0..options.rounds {
-            sizes = compared.studentised();
-            settled = rounds.reweigh(robust, &sizes, spread) < options.settled;
+            sizes = held.sizes(&residuals);
+            settled = rounds.reweigh(robust, &sizes, 1.0) < options.settled;
             let mut step: Vec<f64> = minimum.x.iter().map(|value| -value).collect();
             minimum = rounds.minimise(minimum, settled)?;
             if settled || matches!(minimum.end, End::NoProgress | End::IterationLimit) {
                 break;
             }
-            compared.residuals = rounds.residuals(&minimum.x)?;
+            residuals = rounds.residuals(&minimum.x)?;
             add(&mut step, &minimum.x, 1.0);
             let size = minimum.factor.row_norm(&step);
             let further = rounds.further(&minimum.x, &step, last.map_or(0.0, |last| size / last));
             last = Some(size);
             if let Some(x) = further {
-                let residuals = match rounds.residuals(&x) {
-                    Ok(residuals) => residuals,
+                let ahead = match rounds.residuals(&x) {
+                    Ok(ahead) => ahead,
                     Err(error) if problem.is_final(&error) => return Err(error),
                     // Too far ahead: one step at a time.
                     Err(_) => continue,
                 };
-                let objective = |residuals: &[f64]| compared.objective(residuals, robust, spread);
-                if objective(&residuals) < objective(&compared.residuals) {
-                    (minimum.x, compared.residuals, last) = (x, residuals, None);
+                if held.objective(&ahead) < held.objective(&residuals) {
+                    (minimum.x, residuals, last) = (x, ahead, None);
                 }
             }
         }
@@ -229,29 +231,50 @@ fn solve_robust<P: LeastSquares + ?Sized>(
     if !settled && minimum.end == End::Converged {
         minimum.end = End::RoundLimit;
     }
-    let studentised = sizes.iter().map(|size| size / spread).collect();
+    let slopes = held.slopes(&sizes);
     minimum.iterations = rounds.iterations;
-    Ok(minimum.solution(Some(RobustReport { weights: rounds.weights, studentised })))
+    Ok(minimum.solution(Some(RobustReport { weights: rounds.weights, studentised: sizes, slopes })))
 }
 
-/// Residuals, and their own standard deviations in units of the noise; none where the fit follows a row whatever it says.
+/// Residuals and what they are compared with; none where the fit follows a row whatever it says.
 struct Compared {
     residuals: Vec<f64>,
+    /// Their standard deviations in units of the noise.
     deviations: Vec<Option<f64>>,
+    /// Variances of what the other rows say, in units of the noise.
+    pulls: Vec<Option<f64>>,
 }
 
-impl Compared {
-    fn studentised(&self) -> Vec<f64> {
-        studentised(&self.residuals, &self.deviations)
+/// What is held while robust weights settle.
+struct Held {
+    robust: Robust,
+    spread: f64,
+    pulls: Vec<Option<f64>>,
+}
+
+impl Held {
+    fn among(&self, pull: Option<f64>) -> Option<Among> {
+        pull.map(|pull| Among { robust: self.robust, pull })
+    }
+
+    /// The studentised deleted residuals in units of the scale; 0 for rows that the fit follows.
+    fn sizes(&self, residuals: &[f64]) -> Vec<f64> {
+        let rows = residuals.iter().zip(&self.pulls);
+        rows.map(|(residual, pull)| self.among(*pull).map_or(0.0, |among| among.size(residual / self.spread))).collect()
+    }
+
+    fn slopes(&self, sizes: &[f64]) -> Vec<f64> {
+        let rows = sizes.iter().zip(&self.pulls);
+        rows.map(|(size, pull)| self.among(*pull).map_or(1.0, |among| among.slope(*size))).collect()
     }
 
     /// What every round of weights lowers: the sum of the losses of these residuals.
-    fn objective(&self, residuals: &[f64], robust: Robust, spread: f64) -> f64 {
-        let loss = |(residual, deviation): (&f64, &Option<f64>)| match deviation {
-            Some(deviation) => (deviation * spread).powi(2) * robust.loss_at(residual / deviation / spread),
-            None => residual * residual / 2.0,
+    fn objective(&self, residuals: &[f64]) -> f64 {
+        let loss = |((residual, size), pull): ((&f64, f64), &Option<f64>)| match self.among(*pull) {
+            Some(among) => among.loss(size),
+            None => (residual / self.spread).powi(2) / 2.0,
         };
-        residuals.iter().zip(&self.deviations).map(loss).sum()
+        residuals.iter().zip(self.sizes(residuals)).zip(&self.pulls).map(loss).sum()
     }
 }
 
@@ -283,9 +306,11 @@ impl<P: LeastSquares + ?Sized> Rounds<'_, P> {
                 *own = leverage;
             }
         })?;
-        let mut deviations = deviations(&self.weights, &leverages);
-        (0..deviations.len()).filter(|&row| self.problem.keeps_weight(row)).for_each(|row| deviations[row] = None);
-        Ok(Compared { residuals, deviations })
+        let (mut deviations, mut pulls) = (deviations(&self.weights, &leverages), pulls(&self.weights, &leverages));
+        for row in (0..deviations.len()).filter(|&row| self.problem.keeps_weight(row)) {
+            (deviations[row], pulls[row]) = (None, None);
+        }
+        Ok(Compared { residuals, deviations, pulls })
     }
 
     /// Where steps that shrink by this ratio lead to in the end; none unless rounds are slow.

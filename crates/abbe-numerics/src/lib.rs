@@ -21,8 +21,9 @@
 //! within the rank. Sensitivities to further columns B are `G = -P P^T A^T B`.
 //!
 //! # Robust weights
-//! Weights are a function of studentised residuals divided by their scale ([`Robust`]; Huber 1964, Beaton & Tukey 1974). They
-//! are computed in rounds until they no longer change.
+//! Weights are a function of studentised deleted residuals divided by their scale ([`Robust`]; Huber 1964, Beaton & Tukey 1974):
+//! how far a row is from what the others say of it. They are computed in rounds until they no longer change; each round lowers one
+//! objective. [`scatter_factor`] makes a factor of uncertainties of the influences.
 //!
 //! # Example
 //! A line through three points:
@@ -77,7 +78,7 @@ pub use factor::{CandidateTerm, CovarianceRoot, Factor, Information, SingularVal
 pub use gauss_newton::{End, LeastSquares, Options, Sink, Solution, solve, solve_from};
 pub use monte_carlo::{Adaptive, Agreement, Interval, Trials, gum_agrees, least_trials, numerical_tolerance};
 pub use regression::{Influence, SelectionStep, StepwiseDirection, StepwiseSelection};
-pub use robust::{Loss, Robust, RobustReport};
+pub use robust::{Loss, Robust, RobustReport, scatter_factor};
 pub use sampling::Generator;
 pub use selection::{LeftOut, Selection};
 pub use significance::{f_test, two_sided_normal};

@@ -219,7 +219,7 @@ impl GaussNewton {
             let options = self.options(self.settings.tolerance, false);
             self.iterate_within(&self.weighted(problem)?, &problem.start(), determined, &options)
         };
-        let found = components(problem, (determined, self.robust()), solve)?;
+        let found = components(problem, determined, solve)?;
         found.warn(problem);
         Ok(found)
     }

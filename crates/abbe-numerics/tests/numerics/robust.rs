@@ -1,7 +1,7 @@
 //! Proves that robust weights find planted gross errors, also on one side and where directions are lost, give the
 //! estimate of the clean rows, and report what the a-posteriori sigma is made of.
 
-use abbe_numerics::{End, Options, Robust, Solution, Within, solve};
+use abbe_numerics::{End, Options, Robust, Solution, Within, scatter_factor, solve};
 
 use crate::problems::{Given, Linear, Random, given, norm};
 
@@ -45,16 +45,69 @@ fn apart(a: &[f64], b: &[f64], clean: &Linear) -> f64 {
     (0..a.len()).map(|k| (a[k] - b[k]).abs() / covariance[k][k].sqrt()).fold(0.0, f64::max)
 }
 
-/// Huber's sigma from weights and studentised residuals, in units of the stated uncertainties.
-fn sigma(problem: &Linear, found: &Solution, robust: Robust) -> f64 {
+/// Sigma from weights and studentised residuals, in units of the stated uncertainties.
+fn sigma(problem: &Linear, found: &Solution) -> f64 {
     let report = found.robust.as_ref().expect("a report");
     let residuals: Vec<f64> = problem.apply(&found.x).iter().zip(&problem.residuals).map(|(by, r)| by + r).collect();
     let (m, n) = (residuals.len() as f64, found.x.len() as f64);
-    let slopes: Vec<f64> = report.studentised.iter().map(|&t| robust.influence_slope(t)).collect();
-    let mean = slopes.iter().sum::<f64>() / m;
-    let variance = slopes.iter().map(|slope| (slope - mean).powi(2)).sum::<f64>() / m;
     let influences: Vec<f64> = residuals.iter().zip(&report.weights).map(|(r, w)| r * w).collect();
-    (1.0 + n / m * variance / mean.powi(2)) / mean * norm(&influences) / (m - n).sqrt()
+    scatter_factor(&report.slopes, n) * norm(&influences) / (m - n).sqrt()
+}
+
+#[test]
+fn stated_uncertainties_are_true_however_many_unknowns_there_are() {
+    // Slopes of 0 and 1, as of Huber's loss, have a closed form: (1 - k) / (q - k), k unknowns a row, a part q of slopes 1.
+    let slopes: Vec<f64> = (0..100).map(|row| f64::from(row % 10 != 0)).collect();
+    for unknowns in [1.0, 10.0, 30.0, 60.0_f64] {
+        let expected = (1.0 - unknowns / 100.0) / (0.9 - unknowns / 100.0);
+        assert!((scatter_factor(&slopes, unknowns) / expected - 1.0).abs() < 1e-9, "{unknowns}");
+    }
+    assert!((scatter_factor(&slopes, 0.0) - 1.0 / 0.9).abs() < 1e-12);
+    assert!((scatter_factor(&[1.0; 50], 20.0) - 1.0).abs() < 1e-9);
+    assert!(scatter_factor(&slopes, 95.0).is_finite() && scatter_factor(&[], 0.0) == 1.0);
+
+    // Deviations of estimates from the truth over what is stated, in many sets of normal noise, with and without gross errors.
+    for (robust, unknowns, gross, seed) in [
+        (Robust::TUKEY, 12, 0.0, 1),
+        (Robust::TUKEY, 36, 0.0, 2),
+        (Robust::TUKEY, 36, 60.0, 3),
+        (Robust::TUKEY, 48, 0.0, 4),
+        (Robust::TUKEY, 60, 0.0, 6),
+        (Robust::HUBER, 36, 0.0, 5),
+    ] {
+        let random = &mut Random::new(seed);
+        let (mut squares, mut count) = (0.0, 0.0);
+        for _ in 0..150 {
+            let mut problem = Linear::random(random, 120, unknowns);
+            let wrong = |row: usize| gross > 0.0 && row % 40 == 7;
+            for (row, residual) in problem.residuals.iter_mut().enumerate() {
+                *residual = random.normal() + if wrong(row) { gross } else { 0.0 };
+            }
+            let found = estimate(&problem, Some(robust));
+            let report = found.robust.as_ref().expect("a report");
+            let kept: Vec<usize> = (0..120).filter(|&row| report.weights[row] > 0.0).collect();
+            let of = |all: &[f64]| kept.iter().map(|&row| all[row]).collect();
+            let used = Linear {
+                rows: kept.iter().map(|&row| problem.rows[row].clone()).collect(),
+                residuals: of(&problem.residuals),
+            };
+            let report = abbe_numerics::RobustReport {
+                weights: of(&report.weights),
+                studentised: of(&report.studentised),
+                slopes: of(&report.slopes),
+            };
+            let found = Solution { robust: Some(report), ..found };
+            let sigma = sigma(&used, &found);
+            let covariance = used.factor(used.rows.len()).covariance_root(unknowns).covariance();
+            for (k, x) in found.x.iter().enumerate() {
+                squares += x * x / (sigma * sigma * covariance[k][k]);
+                count += 1.0;
+            }
+        }
+        let ratio = (squares / count).sqrt();
+        println!("{:?}, {unknowns} unknowns of 120 rows, gross errors of {gross}: {ratio:.3}", robust.loss);
+        assert!((ratio - 1.0).abs() < 0.04, "{ratio}");
+    }
 }
 
 #[test]
@@ -82,15 +135,43 @@ fn gross_errors_are_found_and_left_out() {
             robust: Some(abbe_numerics::RobustReport {
                 weights: kept.iter().map(|&row| report.weights[row]).collect(),
                 studentised: kept.iter().map(|&row| report.studentised[row]).collect(),
+                slopes: kept.iter().map(|&row| report.slopes[row]).collect(),
             }),
             ..found.clone()
         };
-        let sigma = sigma(&case.clean, &inner, Robust::TUKEY);
+        let sigma = sigma(&case.clean, &inner);
         sigmas = (sigmas.0.min(sigma), sigmas.1.max(sigma));
     }
     println!("{farthest:.2} standard uncertainties from the clean estimate, sigma {:.3} to {:.3}", sigmas.0, sigmas.1);
     assert!(farthest < 0.6, "{farthest}");
     assert!(sigmas.0 > 0.85 && sigmas.1 < 1.15, "{sigmas:?}");
+}
+
+#[test]
+fn good_rows_of_high_leverage_are_kept_and_wrong_ones_found() {
+    let (random, mut called, mut found_wrong, mut high) = (&mut Random::new(8), 0, 0, 0.0_f64);
+    for _ in 0..100 {
+        let mut problem = Linear::random(random, 120, 24);
+        for row in problem.rows.iter_mut().step_by(12) {
+            row.iter_mut().for_each(|derivative| *derivative *= 4.0);
+        }
+        problem.residuals.iter_mut().for_each(|residual| *residual = random.normal());
+        let covariance = problem.factor(120).covariance_root(24);
+        let leverages: Vec<f64> = covariance.leverages(&problem.rows.concat());
+        high = high.max(leverages.iter().copied().fold(0.0, f64::max));
+        let outliers = |problem: &Linear| -> Vec<usize> {
+            let report = estimate(problem, Some(Robust::TUKEY)).robust.expect("a report");
+            (0..120).filter(|&row| report.studentised[row].abs() >= Robust::TUKEY.outlier_at).collect()
+        };
+        called += outliers(&problem).len();
+        // One row of high leverage is wrong by ten standard deviations of what the others say of it.
+        problem.residuals[60] += 10.0 / (1.0 - leverages[60]).sqrt();
+        found_wrong += usize::from(outliers(&problem).contains(&60));
+    }
+    println!(
+        "{called} good rows of 12,000 are called outliers; {found_wrong} of 100 wrong ones; leverages to {high:.2}"
+    );
+    assert!(high > 0.85 && called <= 4 && found_wrong >= 97, "{called} {found_wrong} {high}");
 }
 
 #[test]
@@ -105,7 +186,7 @@ fn huber_bounds_what_gross_errors_do() {
         assert_eq!(report.studentised[row].abs() > 100.0, wrong);
         assert!(report.weights[row] > 0.0 && (report.weights[row] < 0.01) == wrong);
     }
-    let sigma = sigma(&case.all, &found, Robust::HUBER);
+    let sigma = sigma(&case.all, &found);
     assert!((0.85..1.2).contains(&sigma), "{sigma}");
 }
 
