@@ -4,6 +4,7 @@
 
 mod machine;
 pub mod machines;
+mod programme;
 pub mod tango;
 
 use abbe_numerics::Generator;

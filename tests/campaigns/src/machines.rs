@@ -17,7 +17,8 @@ use abbe_estimation::at_contact;
 use serde_json::{Value, json};
 
 use crate::Random;
-use crate::machine::{Case, error};
+use crate::machine::{Artefact, Case, error};
+use crate::programme::{PoseNoise, observe};
 
 use abbe_bundle as _;
 
@@ -143,6 +144,15 @@ pub fn write(seed: u64, number: u64, folder: &Path) -> (String, Wanted) {
     fs::write(folder.join("recipe.yaml"), text).expect("the folder is there");
     let truth = json!({ "parameters": wanted.truth, "noise": { "probing_sigma_mm": wanted.noise } });
     fs::write(folder.join("truth.json"), truth.to_string()).expect("the folder is there");
+    if case.artefact == Artefact::Poses {
+        let info = case.model.info();
+        let parameters = info.parameters.iter().zip(&info.nominal);
+        let values: Vec<f64> =
+            parameters.map(|(own, nominal)| wanted.truth.get(&own.name).copied().unwrap_or(*nominal)).collect();
+        let noise = PoseNoise { length: wanted.noise, angle: wanted.noise * 1e-2 };
+        let at_tool = case.stage["observer"] == "at-tool";
+        observe(random, case.model.as_ref(), &values, at_tool, &noise, &folder.join(&case.programme));
+    }
     (format!("{:?}", case.artefact), wanted)
 }
 
@@ -150,12 +160,16 @@ pub fn write(seed: u64, number: u64, folder: &Path) -> (String, Wanted) {
 fn one(seed: u64, number: u64) -> (String, End, Vec<String>, f64) {
     let folder = tempfile::tempdir().expect("a temporary folder");
     let (kind, wanted) = write(seed, number, folder.path());
+    let is_observed = kind == format!("{:?}", Artefact::Poses);
     let other = |message: String| (kind.clone(), End::Other(message), Vec::new(), 0.0);
     let registry = Registry::built_in().expect("the plugins have different names");
     let programme = match prepare(&folder.path().join("recipe.yaml"), &registry) {
         Ok(programme) => programme,
         Err(error) => return other(format!("recipe: {}", error.message)),
     };
+    if is_observed {
+        return judge(folder.path(), &registry, &wanted, kind);
+    }
     let simulated = programme.simulate(&folder.path().join("truth.json"), number, Some("machine"));
     let measured = folder.path().join("measured");
     match simulated.map(|simulated| simulated.write(&measured)) {
