@@ -231,6 +231,14 @@ fn what_one_probe_offset_cannot_separate_is_named() {
             assert_eq!(same.not_estimated, not_estimated, "{error}");
         }
     }
+    let along: Vec<String> = all.same_motion.iter().map(|same| same.probe_offsets.iter().collect()).collect();
+    assert_eq!(along, ["XY", "YZ", "XZ", "XY"]);
+    let said = all.same_motion[0].describe();
+    assert!(said.ends_with("; another probe offset, along X or Y of the tool, would tell them apart"), "{said}");
+    // A direction that is lost is told what finds it, and a tip elsewhere on the same probe does.
+    let yaw = all.null_space.iter().filter(|lost| lost.combination.iter().any(|part| part.name.starts_with("ECX[")));
+    let advice: Vec<&String> = yaw.flat_map(|lost| &lost.separated_by).collect();
+    assert!(advice.iter().any(|advice| advice.contains("another probe offset")), "{advice:?}");
     assert!(all.same_motion[0].describe().starts_with(
         "1 µrad of ECX moves the tip as 0.025 µm of EXX and 0.04 µm of EYX do at every recorded pose: only the functions"
     ));

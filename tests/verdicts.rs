@@ -275,3 +275,73 @@ fn a_machine_can_be_judged_as_it_is() {
     assert!((before.calibration.fit.residual_max_um - largest * 1e3).abs() < 1e-9);
     assert!(largest * 1e3 > 10.0 * fit(&outcome, "fit-S3").calibration.fit.residual_max_um);
 }
+
+/// The value of a figure of a verdict.
+fn figure(outcome: &Outcome, stage: &str, name: &str) -> f64 {
+    let verdict = outcome.verdicts.iter().find(|verdict| verdict.stage == stage).expect("a verdict");
+    let figure = verdict.figures.iter().find(|figure| figure.name == name).expect("a figure");
+    figure.value.expect("a value")
+}
+
+#[test]
+fn a_stage_is_split_into_rows_that_train_and_rows_that_are_predicted() {
+    // The same by other means: `hold-out` estimates without these indexations and predicts them.
+    let split = |unseen: bool| {
+        let mut recipe = recipe("samba").only(&["fit-all", "unseen"]);
+        if unseen {
+            recipe.stage("all")["unseen"] = json!({ "group": [8, 9, 10, 11] });
+            recipe.0["stages"]["unseen"] =
+                json!({ "validate": "residuals", "of": "fit-all", "observations": "all", "limits": { "rms_um": 2 } });
+        }
+        recipe.run()
+    };
+    let (held_out, unseen) = (split(false), split(true));
+    for name in ["max", "mean", "rms"] {
+        let (expected, found) = (figure(&held_out, "unseen", name), figure(&unseen, "unseen", name));
+        assert!((found - expected).abs() < 1e-6, "{name}: {found} instead of {expected}");
+    }
+    let rows = |outcome: &Outcome| fit(outcome, "fit-all").problem.sets[0].rows.len();
+    let predicted = figure(&held_out, "unseen", "predicted");
+    assert_eq!(rows(&held_out) - rows(&unseen), predicted as usize);
+    // The calibration says which rows it rests on.
+    let count = |outcome: &Outcome| -> usize {
+        let data = fit(outcome, "fit-all").calibration.data.iter().flat_map(|record| &record.rows);
+        data.map(|[first, last]| last - first + 1).sum()
+    };
+    assert_eq!(count(&held_out) - count(&unseen), predicted as usize);
+}
+
+#[test]
+fn what_unseen_rows_alone_tell_is_not_predicted() {
+    let with = |unseen: Value, more: Value| {
+        let mut recipe = recipe("cylinder-kx8").only(&["fit-S2"]);
+        recipe.stage("s2")["unseen"] = unseen;
+        recipe.0["stages"]["unseen"] = json!({ "validate": "residuals", "of": "fit-S2", "observations": "s2" });
+        recipe.set("fit-S2", "on_confounded", more)
+    };
+    let facet = json!({ "feature": [18], "group": [2] });
+    let (planned, outcome) = both(&with(facet.clone(), json!("error")));
+    let found = &planned.expect("a plan")[0].identifiability;
+    assert_eq!(found.null_space[0].describe(), "s2.facet[18].d has no effect on these measurements");
+    assert!(outcome.err().expect("it is refused").message.contains("s2.facet[18].d has no effect"));
+    let outcome = with(facet, json!("drop")).run();
+    let verdict = outcome.verdicts.iter().find(|verdict| verdict.stage == "unseen").expect("a verdict");
+    let remark = &verdict.remarks[0];
+    assert!(remark.starts_with("fit-S2: ") && remark.ends_with(" what they depend on: s2.facet[18].d"), "{remark}");
+    assert!(figure(&outcome, "unseen", "max") < 10.0);
+
+    for (unseen, expected) in [
+        (json!({ "group": [2, 99] }), "no row of `s2` has the group 99"),
+        (json!({ "grop": [2] }), "there is no column `grop`"),
+        (json!({ "X": [2] }), "the column `X_mm` holds numbers; labels were expected"),
+        (json!({ "feature": [11, 12, 13, 14, 15, 16, 17, 18] }), "every row of `s2` is unseen"),
+    ] {
+        let (planned, outcome) = both(&with(unseen, json!("error")));
+        for error in [planned.err(), outcome.err()] {
+            let error = error.expect("it is refused");
+            let place = error.place.as_ref().expect("a place");
+            assert!(place.file.ends_with("recipe.yaml") && place.line.is_some(), "{error}");
+            assert!(error.message.contains(expected), "{error}");
+        }
+    }
+}

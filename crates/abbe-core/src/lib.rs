@@ -10,7 +10,6 @@
 
 mod dataset;
 mod identity;
-mod input_uncertainty;
 mod model;
 mod monitor;
 mod observations;
@@ -19,12 +18,12 @@ mod pose_table;
 mod problem;
 mod registry;
 pub mod rotation;
+mod row_settings;
 mod stage;
 mod uncertainty;
 
 pub use dataset::{Column, ColumnHeader, Dataset, RowOrigin, Values};
 pub use identity::Certificate;
-pub use input_uncertainty::{Ids, InputUncertainty, PooledRepeats, RowUncertainty, SharedError};
 pub use model::{
     Absent, Axis, AxisKind, Branch, ErrorFunction, KinematicModel, ModelInfo, MotionError, Parameter, ParameterRole,
     Period, PoseBatch, Poses, PosesMut, StatusColumn, StatusRole, Variable,
@@ -38,6 +37,7 @@ pub use parallel::in_parallel;
 pub use pose_table::{ColumnNaming, PoseTable, StatusSource, plain_naming, pose_columns};
 pub use problem::{Block, CHUNK, Considered, Evaluation, Input, ObservationSet, Owner, Problem, Scatter, Unknown};
 pub use registry::{Basis, Build, Constructor, Context, Kind, Origin, Plugin, Provider, Registry};
+pub use row_settings::{Ids, PooledRepeats, RowSettings, RowUncertainty, SharedError};
 pub use stage::{Artefact, Estimate, Export, ExportedFile, Fit, Ingest, InputFile, Model, Validate};
 pub use uncertainty::{CovarianceBlock, EquationUncertainty, Pooled};
 

@@ -11,13 +11,14 @@ mod laws;
 mod outcome;
 mod places;
 mod plan;
+mod prediction;
 mod prepare;
 mod recalled;
 mod record;
 mod rehearsal;
+mod row_settings;
 mod run;
 mod simulate;
-mod uncertainty;
 
 pub use abbe_planning::{Plan, PlanFigures};
 pub use folder::can_write_folder;

@@ -13,8 +13,8 @@ use serde_json::Value;
 
 use crate::recalled::{self, Recalled};
 use crate::record::PluginRecord;
+use crate::row_settings::RowsOf;
 use crate::run::{has_problem, has_rows};
-use crate::uncertainty::RowsOf;
 
 /// The stages of a recipe, built and checked as far as that goes without data rows.
 pub struct Prepared {

@@ -14,9 +14,10 @@ use abbe_core::{
 use abbe_estimation::calibration;
 use abbe_recipe::Stage;
 
+use crate::prediction::{Predicted, predicting};
 use crate::prepare::Prepared;
 use crate::recalled::fit_without_rows;
-use crate::run::{Datasets, has_rows, named, predicting};
+use crate::run::{Datasets, has_rows, named};
 
 /// An estimator that solves nothing.
 struct Unsolved {
@@ -72,7 +73,7 @@ impl Prepared {
         libraries: bool,
         problems: &BTreeMap<String, Problem>,
         found: &BTreeMap<String, Identifiability>,
-        unseen: &BTreeMap<(&str, &str), Problem>,
+        unseen: &Predicted,
         data: &Datasets,
     ) -> Result<()> {
         let mut fits: Vec<Fit> = Vec::new();

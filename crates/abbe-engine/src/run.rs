@@ -13,9 +13,11 @@ use abbe_recipe::Stage;
 
 use crate::evidence;
 use crate::outcome::{Failure, Outcome};
+use crate::prediction::{Predicted, predicting};
 use crate::prepare::{Prepared, build_model};
 use crate::recalled::fit_without_rows;
 use crate::record::{InputRecord, input_records};
+use crate::row_settings::Wanted;
 
 /// Identifiability of a planned fit.
 #[derive(Debug, Clone, PartialEq)]
@@ -55,7 +57,7 @@ impl Prepared {
             let machine = own.map(|unknown| unknown.name.clone()).collect();
             planned.push(Planned { estimate: stage.name.clone(), identifiability, accepted, machine });
         }
-        let unseen = self.unseen(&problems, &data, &mut taken)?;
+        let unseen = self.predicted(&problems, &data, &mut taken)?;
         self.nothing_left_over(&data, &taken)?;
         self.rehearse(true, &problems, &found, &unseen, &data)?;
         Ok(planned)
@@ -70,7 +72,7 @@ impl Prepared {
         let mut taken = Taken::default();
         let problems = self.problems(&data, &mut taken)?;
         let evidence = self.evidence(&problems, &digests(&inputs))?;
-        let unseen = self.unseen(&problems, &data, &mut taken)?;
+        let unseen = self.predicted(&problems, &data, &mut taken)?;
         // Before the first fit, so that a feature that no artefact has is found before a long run.
         self.nothing_left_over(&data, &taken)?;
         self.rehearse(false, &problems, &BTreeMap::new(), &unseen, &data)?;
@@ -139,7 +141,7 @@ impl Prepared {
     fn verdicts(
         &self,
         fits: &[Fit],
-        unseen: &BTreeMap<(&str, &str), Problem>,
+        unseen: &Predicted,
         data: &Datasets,
         monitor: &Monitor,
         failures: &mut Vec<Failure>,
@@ -309,7 +311,7 @@ impl Prepared {
     pub(crate) fn problem(&self, stage: &Stage, data: &Datasets, taken: &mut Taken) -> Result<Problem> {
         let names = stage.reference("observations");
         let model = self.built_machine(stage, data)?;
-        let sets = self.sets(names, &model, data, taken)?;
+        let sets = self.sets(names, &model, data, Wanted::Seen, taken)?;
         let plugin = self.model_plugin(stage)?;
         match stage.parameters.as_slice() {
             // All parameters of the machine, which are stated or known.
@@ -352,11 +354,12 @@ impl Prepared {
     }
 
     /// The observation sets of some artefact stages on a machine.
-    fn sets(
+    pub(crate) fn sets(
         &self,
         names: &[String],
         model: &Arc<dyn KinematicModel>,
         data: &Datasets,
+        wanted: Wanted,
         taken: &mut Taken,
     ) -> Result<Vec<ObservationSet>> {
         let mut sets = Vec::new();
@@ -368,30 +371,10 @@ impl Prepared {
             taken.entry(ingest.to_owned()).or_default().extend(rows.chain(merged));
             let repeats = self.repeats(name)?.map(|repeats| artefact.observe(&data[repeats], model.as_ref()));
             let repeats = repeats.transpose().map_err(|error| error.stage(name))?;
-            let set = self.rows[name].set(name, observations, repeats, model);
+            let set = self.rows[name].set(name, observations, repeats, model, wanted);
             sets.push(set.map_err(|error| error.stage(name))?);
         }
         Ok(sets)
-    }
-
-    /// For validators with observations of their own, by stage and estimate: these observations on the machine of the estimate.
-    fn unseen(
-        &self,
-        problems: &BTreeMap<String, Problem>,
-        data: &Datasets,
-        taken: &mut Taken,
-    ) -> Result<BTreeMap<(&str, &str), Problem>> {
-        let mut unseen = BTreeMap::new();
-        for stage in self.stages(Kind::Validate).filter(|stage| !stage.reference("observations").is_empty()) {
-            for name in stage.reference("of") {
-                let Some(problem) = problems.get(&self.own_estimate(name)?.name) else { continue };
-                let model = &problem.model;
-                let sets = self.located(stage, self.sets(stage.reference("observations"), model, data, taken))?;
-                let other = Problem::new(name, &problem.model_plugin, model.clone(), sets, &[]);
-                unseen.insert((stage.name.as_str(), name.as_str()), self.located(stage, other)?);
-            }
-        }
-        Ok(unseen)
     }
 
     /// Fails if a row was used by no artefact: a feature without nominal geometry must not be ignored without a message.
@@ -457,22 +440,6 @@ fn start(stage: &Stage, problem: Problem, fits: &[Fit]) -> Result<Problem> {
     let problem = known.iter().try_fold(problem, |problem, fit| problem.with_prior(&fit.calibration))?;
     let start = named(stage.reference("start"), fits);
     Ok(start.iter().fold(problem, |problem, fit| problem.at(&problem.values_of(&fit.calibration))))
-}
-
-/// A fit whose problem is another one without unknowns, with the values of the fit: what is left are errors of prediction.
-pub(crate) fn predicting(fit: &Fit, other: &Problem) -> Result<Fit> {
-    let own = |set: &ObservationSet| -> Vec<String> {
-        set.observations.info().unknowns.iter().map(|unknown| format!("{}.{}", set.name, unknown.name)).collect()
-    };
-    let known = |name: &String| fit.calibration.artefacts.iter().any(|known| known.name == *name);
-    if let Some(name) = other.sets.iter().flat_map(own).find(|name| !known(name)) {
-        let error = Error::usage(format!("`{name}` is unknown, and {} has not estimated it", fit.name));
-        return Err(error
-            .help(format!("judge an estimate of it that has `known: {}`", fit.name))
-            .setting("observations"));
-    }
-    let (name, estimator, calibration) = (fit.name.clone(), fit.estimator.clone(), fit.calibration.clone());
-    Ok(Fit { name, problem: Arc::new(other.starting_from(&fit.calibration)), estimator, calibration })
 }
 
 pub(crate) fn named<'a>(names: &[String], fits: &'a [Fit]) -> Vec<&'a Fit> {

@@ -44,6 +44,7 @@ pub mod contact;
 mod judgement;
 pub mod laws;
 mod preference;
+mod probe_offset;
 mod propagation;
 mod rank;
 mod reach;

@@ -3,13 +3,13 @@
 use std::collections::BTreeMap;
 
 use abbe_core::{
-    CovarianceBlock, Dataset, EquationUncertainty, Error, Ids, InputUncertainty, Label, Layout, Names, Observations,
-    PathItem, Quantity, Result, Row, RowUncertainty, SettingsError, SharedError, Values, positive,
+    CovarianceBlock, Dataset, EquationUncertainty, Error, Ids, Label, Layout, Names, Observations, PathItem, Quantity,
+    Result, Row, RowSettings, RowUncertainty, SettingsError, SharedError, Values, positive,
 };
 use nalgebra::DMatrix;
 
 /// Refuses settings that contradict each other, numbers that are no standard uncertainties, and ids without a letter.
-pub fn check(settings: &InputUncertainty) -> Result<(), SettingsError> {
+pub fn check(settings: &RowSettings) -> Result<(), SettingsError> {
     let ids: Vec<&Label> = match &settings.id {
         None => Vec::new(),
         Some(Ids::All(id)) => vec![id],

@@ -11,6 +11,7 @@ use abbe_core::{
 use abbe_numerics::norm;
 
 use crate::contact::rank_point;
+use crate::probe_offset::{OFFSETS, tip_offsets, with_offset};
 use crate::separation::thinned;
 
 /// Parts of an effect below this are rounding.
@@ -38,8 +39,19 @@ pub fn same_motion(problem: &Problem) -> Result<Vec<SameMotion>> {
             continue;
         }
         let all = all.get_or_insert_with(|| judged(&nominal));
-        let dependent = dependent(&effects(all, &of_axis)?);
-        found.extend(dependent.iter().filter_map(|dependent| named(problem, &of_axis, dependent)));
+        let alike = dependent(&effects(all, &of_axis)?);
+        let mut told: Vec<SameMotion> = alike.iter().filter_map(|alike| named(problem, &of_axis, alike)).collect();
+        for (letter, offset) in tip_offsets(problem) {
+            let Some(other) = with_offset(&few, &offset, OFFSETS[0])? else { continue };
+            let both = effects(&few, &of_axis)?.into_iter().zip(effects(&other, &of_axis)?);
+            let left = dependent(&both.map(|(recorded, other)| [recorded, other].concat()).collect::<Vec<_>>());
+            for same in &mut told {
+                if !left.iter().any(|(index, _)| of_axis[*index].symbol == same.error) {
+                    same.probe_offsets.push(letter);
+                }
+            }
+        }
+        found.extend(told);
     }
     Ok(found)
 }
@@ -149,5 +161,6 @@ fn named(problem: &Problem, functions: &[&ErrorFunction], (error, of): &Dependen
         error: functions[*error].symbol.clone(),
         combination: combination.collect(),
         not_estimated: held.collect(),
+        probe_offsets: Vec::new(),
     })
 }

@@ -27,8 +27,8 @@ pub use page::{PAGE_MARK, index, page, page_name};
 pub use schema::schema;
 use sets::{Expanded, Sets, with_sets};
 
-/// The keys of an artefact stage that are the same for all artefact plugins ([`abbe_core::InputUncertainty`]).
-const INPUT_UNCERTAINTY: [&str; 3] = ["uncertainty", "pooled", "id"];
+/// The keys of an artefact stage that are the same for all artefact plugins ([`abbe_core::RowSettings`]).
+const ROW_SETTINGS: [&str; 4] = ["uncertainty", "pooled", "id", "unseen"];
 
 /// The key of an estimate that may use rows again from which its known values were estimated, and the only value of this key.
 const SHARED_ROWS: &str = "shared_rows";
@@ -81,8 +81,8 @@ pub struct Stage {
     /// Unknowns of an estimate: patterns of names, sets expanded. Empty for other kinds, and for an estimate that analyses
     /// another one.
     pub parameters: Vec<String>,
-    /// The statements about the uncertainty of an artefact's rows, an object; the same for all artefact plugins.
-    pub input_uncertainty: Value,
+    /// The settings of an artefact's rows, an object; the same for all artefact plugins.
+    pub row_settings: Value,
     /// Whether an estimate may use rows again from which its known values were estimated.
     pub shared_rows: bool,
     /// The names of stages under each reference key, as in the recipe.
@@ -334,7 +334,7 @@ impl<'a> Head<'a> {
     fn taken(&self) -> Vec<&'static str> {
         let own: &[&'static str] = match self.plugin.kind() {
             Kind::Model => &["file"],
-            Kind::Artefact => &INPUT_UNCERTAINTY,
+            Kind::Artefact => &ROW_SETTINGS,
             Kind::Estimate => &[SHARED_ROWS],
             _ => &[],
         };
@@ -356,7 +356,7 @@ impl<'a> Head<'a> {
             nodes.extend(named);
         }
         let mut settings = Map::new();
-        let mut input_uncertainty = Map::new();
+        let mut row_settings = Map::new();
         let mut parameters = Vec::new();
         let mut shared_rows = false;
         let mut origin = Origin { file: None, expanded: Vec::new() };
@@ -376,8 +376,8 @@ impl<'a> Head<'a> {
                     return Err(node.error(At::Value, format!("`{ACCEPTED}` was expected, or nothing")));
                 }
                 shared_rows = true;
-            } else if kind == Kind::Artefact && INPUT_UNCERTAINTY.contains(&key) {
-                input_uncertainty.insert(key.to_owned(), node.value.clone());
+            } else if kind == Kind::Artefact && ROW_SETTINGS.contains(&key) {
+                row_settings.insert(key.to_owned(), node.value.clone());
             } else {
                 let path = vec![PathItem::Key(key.to_owned())];
                 settings.insert(key.to_owned(), with_sets(&node, path, sets, &mut origin.expanded)?);
@@ -406,20 +406,10 @@ impl<'a> Head<'a> {
         }
         let files = origin.file.iter().map(|file| file.file.clone()).collect();
         let (name, plugin) = (self.name.to_owned(), self.plugin.name.to_string());
-        let input_uncertainty = Value::Object(input_uncertainty);
+        let row_settings = Value::Object(row_settings);
         let basis = self.plugin.basis;
-        let stage = Stage {
-            name,
-            kind,
-            plugin,
-            basis,
-            settings,
-            parameters,
-            input_uncertainty,
-            shared_rows,
-            references,
-            files,
-        };
+        let stage =
+            Stage { name, kind, plugin, basis, settings, parameters, row_settings, shared_rows, references, files };
         Ok((stage, origin, nodes))
     }
 

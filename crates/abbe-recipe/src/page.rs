@@ -34,7 +34,10 @@ pub fn page(plugin: &Plugin) -> String {
         more.extend(["`parameters`", "`shared_rows`"].map(str::to_owned));
     }
     more.extend(
-        ["`uncertainty`", "`pooled`", "`id`"].iter().filter(|_| kind == Kind::Artefact).map(|key| (*key).into()),
+        ["`uncertainty`", "`pooled`", "`id`", "`unseen`"]
+            .iter()
+            .filter(|_| kind == Kind::Artefact)
+            .map(|key| (*key).into()),
     );
     more.extend(Some("`file`".to_owned()).filter(|_| kind == Kind::Model));
     if !more.is_empty() {

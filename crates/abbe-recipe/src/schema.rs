@@ -1,6 +1,6 @@
 //! The JSON Schema of recipes, for editors.
 
-use abbe_core::{Basis, InputUncertainty, Kind, Plugin, Registry};
+use abbe_core::{Basis, Kind, Plugin, Registry, RowSettings};
 use abbe_planning::Planning;
 use serde_json::{Map, Value, json};
 
@@ -80,7 +80,7 @@ fn stage(plugin: &Plugin) -> Value {
         }
     }
     if kind == Kind::Artefact
-        && let Value::Object(common) = abbe_core::schema_of::<InputUncertainty>()
+        && let Value::Object(common) = abbe_core::schema_of::<RowSettings>()
         && let Some(Value::Object(common)) = common.get("properties")
     {
         properties.extend(common.clone());

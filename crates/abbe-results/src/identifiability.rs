@@ -16,6 +16,9 @@ pub struct SameMotion {
     /// Which of all these errors are not estimated.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub not_estimated: Vec<String>,
+    /// Directions of the tool, X, Y or Z: a further probe whose tip is elsewhere along one of them separates the errors.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub probe_offsets: Vec<char>,
 }
 
 impl SameMotion {
@@ -39,11 +42,17 @@ impl SameMotion {
             _ => "1 µm",
         };
         let same = format!("{one} of {} moves the tip as {} {does} at every recorded pose", self.error, and(parts));
-        if self.not_estimated.is_empty() {
-            return format!("{same}: only the functions chosen for them tell them apart, not the machine");
+        let told = if self.not_estimated.is_empty() {
+            format!("{same}: only the functions chosen for them tell them apart, not the machine")
+        } else {
+            let held = and(self.not_estimated.iter().cloned());
+            format!("{same}: {held} not being estimated, the values of the others contain it")
+        };
+        if self.probe_offsets.is_empty() {
+            return told;
         }
-        let held = and(self.not_estimated.iter().cloned());
-        format!("{same}: {held} not being estimated, the values of the others contain it")
+        let along: Vec<String> = self.probe_offsets.iter().map(char::to_string).collect();
+        format!("{told}; another probe offset, along {} of the tool, would tell them apart", along.join(" or "))
     }
 }
 

@@ -16,6 +16,7 @@ mod hold_out;
 mod influence;
 mod minimal_set;
 mod one_at_a_time;
+mod prediction;
 mod repeatability;
 mod repeats;
 mod residuals;

@@ -13,6 +13,7 @@ use serde_json::{Value, json};
 
 use crate::drift::{self, DEGREES, Drift};
 use crate::figures::{Groups, Limits, ONE, ResidualSample, check_limits, judged, outliers, residual_limits};
+use crate::prediction::predictable;
 use crate::rivals::{self, Rival};
 
 abbe_core::register!(
@@ -74,7 +75,9 @@ impl Validate for Residuals {
 
 impl Residuals {
     fn judge(&self, fit: &Fit, findings: &mut Findings) -> Result<()> {
-        let problem = &fit.problem;
+        let (problem, unpredictable) = predictable(fit)?;
+        findings.remarks.extend(unpredictable);
+        let problem = &problem;
         let left_out = outliers(problem, &fit.calibration);
         let residuals = problem.residuals(&problem.values_of(&fit.calibration))?;
         let kept: Vec<Kept> = (problem.equation_rows().into_iter().zip(problem.quantities()).zip(residuals))

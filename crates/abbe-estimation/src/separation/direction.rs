@@ -1,7 +1,7 @@
 //! A lost direction, and its effect on hypothetical measurements.
 
 use abbe_core::{NullVector, Owner, Poses, Problem, Result, Unknown, Variable};
-use nalgebra::Vector3;
+use nalgebra::{DMatrix, DVector, Vector3};
 
 use super::{Measured, words};
 
@@ -49,7 +49,8 @@ impl<'a> LostDirection<'a> {
     /// The effect of the direction on a measurement.
     pub fn effect(&self, measured: &Measured) -> Result<Effect> {
         match measured {
-            Measured::Rows(problem) => self.on_rows(problem),
+            Measured::Rows(problem) => self.on_rows(problem, &[]),
+            Measured::OtherProbe(problem, own) => self.on_rows(problem, own),
             Measured::Point(statuses) => {
                 let field = self.field(statuses)?;
                 let mean = field.changes.iter().sum::<Vector3<f64>>() / field.changes.len().max(1) as f64;
@@ -64,21 +65,34 @@ impl<'a> LostDirection<'a> {
         }
     }
 
-    /// The effect on residuals, as multiples of their standard uncertainties.
-    fn on_rows(&self, problem: &Problem) -> Result<Effect> {
+    /// The effect on residuals, as multiples of their standard uncertainties, without what the unknowns `own` of the measurement
+    /// take up.
+    fn on_rows(&self, problem: &Problem, own: &[Unknown]) -> Result<Effect> {
         let mut problem = problem.clone();
-        problem.unknowns = self.members.iter().map(|(unknown, _)| unknown.clone()).collect();
+        let members = self.members.iter().map(|(unknown, _)| unknown);
+        problem.unknowns = members.chain(own).cloned().collect();
         let (uncertainties, start) = (problem.standard_uncertainties(), problem.start());
-        let mut effect = Effect::default();
+        let (mut effect, mut changes, mut taken_up) = (Effect::default(), Vec::new(), Vec::new());
         problem.linearise(&start, |block| {
-            let rows = block.jacobian.chunks_exact(self.members.len().max(1));
+            let rows = block.jacobian.chunks_exact(problem.unknowns.len().max(1));
             for (row, uncertainty) in rows.zip(&uncertainties[block.first..]) {
-                let parts = row.iter().zip(&self.members).map(|(by, (_, change))| clean(*by) * change / uncertainty);
+                let (of_members, of_own) = row.split_at(self.members.len());
+                let parts =
+                    of_members.iter().zip(&self.members).map(|(by, (_, change))| clean(*by) * change / uncertainty);
                 let parts: Vec<f64> = parts.collect();
-                effect.change = effect.change.max(parts.iter().sum::<f64>().abs());
+                changes.push(parts.iter().sum::<f64>());
+                taken_up.extend(of_own.iter().map(|by| by / uncertainty));
                 effect.single = parts.iter().fold(effect.single, |single, part| single.max(part.abs()));
             }
         })?;
+        let mut changes = DVector::from_vec(changes);
+        if !own.is_empty() {
+            let taken_up = DMatrix::from_row_slice(changes.len(), own.len(), &taken_up);
+            if let Ok(fitted) = taken_up.clone().svd(true, true).solve(&changes, 1e-9) {
+                changes -= taken_up * fitted;
+            }
+        }
+        effect.change = changes.iter().fold(0.0, |largest: f64, change| largest.max(change.abs()));
         Ok(effect)
     }
 

@@ -2,7 +2,7 @@
 //!
 //! A lost direction is a change of parameters that has no effect on any recorded row. Here it is tried on measurements that
 //! were not made: the features that are touched at other positions of an axis, from the other direction of approach or with
-//! another stylus; a feature elsewhere; a calibrated length. A measurement separates the direction if the change has an
+//! another stylus; a feature elsewhere; a calibrated length; another probe offset. A measurement separates the direction if the change has an
 //! effect on it that is not only a shift of the new feature. As for rank, this is judged by the derivatives of the model and
 //! of the observation equations, so it holds for any chain and any artefact.
 
@@ -11,9 +11,10 @@ mod gaps;
 mod places;
 mod statuses;
 
-use abbe_core::{Contact, NullVector, Problem, Result};
+use abbe_core::{Contact, NullVector, Problem, Result, StatusRole, Unknown};
 
 use crate::contact::rank_point;
+use crate::probe_offset::{OFFSETS, tip_offsets, with_offset};
 
 use direction::{Effect, LostDirection};
 use gaps::{Gap, gaps};
@@ -57,12 +58,16 @@ enum Group {
     Place,
     /// A length that is known.
     Length,
+    /// The recorded rows with another probe offset.
+    Probe,
 }
 
 /// What a trial measures.
 enum Measured {
     /// The rows of a problem.
     Rows(Box<Problem>),
+    /// The rows of a problem measured with a probe whose own offset is not known: changes of these unknowns.
+    OtherProbe(Box<Problem>, Vec<Unknown>),
     /// A point that is fixed on the table but not known there: the statuses at which the tip is on it.
     Point(Vec<Vec<f64>>),
     /// A length on the table along a unit vector of the table frame: the statuses at both ends.
@@ -83,6 +88,7 @@ impl SeparationTrials {
         let recorded = rank_point(&thinned(problem), x)?;
         let mut trials = statuses(problem, &recorded)?;
         trials.extend(places(problem, &recorded)?);
+        trials.extend(other_probes(&recorded)?);
         Ok(Self { recorded, trials, gaps: gaps(problem) })
     }
 
@@ -129,6 +135,32 @@ impl SeparationTrials {
         found.sort_by_key(|(weak, _)| *weak);
         found.into_iter().take(TOLD).map(|(_, sentence)| sentence.to_owned()).collect()
     }
+}
+
+/// Trials of the recorded rows with other probe offsets. A model with several styli has them among its statuses.
+fn other_probes(recorded: &Problem) -> Result<Vec<Trial>> {
+    if recorded.model.info().status_of(&StatusRole::Stylus).is_some() {
+        return Ok(Vec::new());
+    }
+    let offsets = tip_offsets(recorded);
+    let own: Vec<Unknown> = offsets.iter().map(|(_, offset)| offset.clone()).collect();
+    let mut trials = Vec::new();
+    for (letter, offset) in &offsets {
+        for shift in OFFSETS {
+            if let Some(rows) = with_offset(recorded, offset, shift)? {
+                let sentence = format!(
+                    "measure with another probe offset too, for instance a tip {} mm further along {letter} of the tool",
+                    shift.abs()
+                );
+                trials.push(Trial {
+                    group: Group::Probe,
+                    sentence,
+                    measured: Measured::OtherProbe(Box::new(rows), own.clone()),
+                });
+            }
+        }
+    }
+    Ok(trials)
 }
 
 /// Sentences that say which measurements separate a lost direction of a problem whose unknowns have the values `x`.

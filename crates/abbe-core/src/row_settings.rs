@@ -1,4 +1,4 @@
-//! What a recipe says about the uncertainty of an artefact's rows: settings that are the same for all artefacts.
+//! What a recipe says about the rows of an artefact: settings that are the same for all artefacts.
 
 use std::collections::BTreeMap;
 
@@ -10,10 +10,10 @@ use abbe_settings::matches;
 use abbe_settings::{Error, Result};
 use abbe_settings::{Label, Names, PathItem};
 
-/// The uncertainty of an artefact's rows, beyond the one number that the artefact itself takes.
+/// The uncertainty of an artefact's rows, beyond the one number that the artefact itself takes, and which rows no fit uses.
 #[derive(Debug, Clone, PartialEq, Default, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
-pub struct InputUncertainty {
+pub struct RowSettings {
     /// Standard uncertainties and covariances of rows. They weigh.
     #[serde(default)]
     pub uncertainty: Option<RowUncertainty>,
@@ -25,6 +25,9 @@ pub struct InputUncertainty {
     /// pattern (`stylus_radius`, `bar[1].*`). Without one it is told by what its certificate says.
     #[serde(default)]
     pub id: Option<Ids>,
+    /// Rows that no estimate uses: by label column, the labels of rows that validators with these `observations` predict.
+    #[serde(default)]
+    pub unseen: BTreeMap<String, Vec<Label>>,
 }
 
 /// Standard uncertainties and covariances of rows. What ends on `_um` is for equations that are lengths, what ends on `_urad`

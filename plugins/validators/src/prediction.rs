@@ -1,0 +1,85 @@
+//! Which rows an estimate can predict: those that do not change along a direction that its own data left open.
+
+use std::collections::BTreeSet;
+
+use abbe_core::{Fit, Owner, Problem, Result, Unknown};
+
+use crate::folds::own_unknown;
+
+/// Size of a derivative, relative to the largest of its equation, below which it is rounding.
+const ROUNDING: f64 = 1e-9;
+
+/// Change of an equation along a direction, relative to the largest of its terms, below which these cancel. At recorded positions
+/// they do so to first order in the errors of the machine only.
+const CANCELS: f64 = 1e-2;
+
+/// The problem of a fit that predicts `observations`, on the rows that the fit can predict; a remark on the others.
+pub fn predictable(fit: &Fit) -> Result<(Problem, Option<String>)> {
+    let problem = fit.problem.as_ref();
+    let lost = &fit.calibration.fit.null_space;
+    if lost.is_empty() || !problem.unknowns.is_empty() {
+        return Ok((problem.clone(), None));
+    }
+    let judged = Problem { unknowns: estimated(fit), ..problem.clone() };
+    let names: Vec<&str> = judged.unknowns.iter().map(|unknown| unknown.name.as_str()).collect();
+    let directions: Vec<Vec<(usize, f64)>> = (lost.iter())
+        .map(|direction| {
+            let parts = direction.combination.iter();
+            let column = |name: &str| names.iter().position(|other| *other == name);
+            parts.filter_map(|part| Some((column(&part.name)?, part.coefficient))).collect()
+        })
+        .collect();
+    let (rows, count) = (judged.equation_rows(), names.len());
+    let (mut open, mut along) = (BTreeSet::new(), BTreeSet::new());
+    judged.linearise(&judged.start(), |block| {
+        for (line, row) in block.jacobian.chunks(count).zip(&rows[block.first..]) {
+            let largest = line.iter().fold(0.0_f64, |largest, derivative| largest.max(derivative.abs()));
+            for direction in &directions {
+                let terms = direction.iter().filter(|(column, _)| line[*column].abs() > ROUNDING * largest);
+                let terms: Vec<(usize, f64)> = terms.map(|&(column, change)| (column, line[column] * change)).collect();
+                let total: f64 = terms.iter().map(|(_, term)| term).sum();
+                let size = terms.iter().fold(0.0_f64, |size, (_, term)| size.max(term.abs()));
+                if total.abs() > CANCELS * size {
+                    open.insert(*row);
+                    along.extend(terms.iter().map(|(column, _)| *column));
+                }
+            }
+        }
+    })?;
+    if open.is_empty() {
+        return Ok((problem.clone(), None));
+    }
+    let mut predicted = problem.clone();
+    for (index, set) in predicted.sets.iter_mut().enumerate() {
+        set.rows.retain(|&row| !open.contains(&(index, row)));
+    }
+    let along: Vec<&str> = along.into_iter().map(|column| names[column]).collect();
+    let remark = format!(
+        "{}: {} rows were not predicted, because its data do not determine what they depend on: {}",
+        fit.name,
+        open.len(),
+        along.join(", ")
+    );
+    Ok((predicted, Some(remark)))
+}
+
+/// The unknowns of the predicted rows that the fit has estimated, or has left open.
+fn estimated(fit: &Fit) -> Vec<Unknown> {
+    let problem = fit.problem.as_ref();
+    let parameters = problem.model.info().parameters.iter().enumerate();
+    let machine = parameters.map(|(index, parameter)| Unknown {
+        name: parameter.name.clone(),
+        unit: parameter.unit,
+        owner: Owner::Machine,
+        index,
+    });
+    let own = problem.sets.iter().enumerate().flat_map(|(set, observed)| {
+        (0..observed.info().unknowns.len()).map(move |index| own_unknown(problem, set, index))
+    });
+    let lost = fit.calibration.fit.null_space.iter().flat_map(|direction| &direction.combination);
+    let lost: BTreeSet<&str> = lost.map(|part| part.name.as_str()).collect();
+    let is_estimated = |unknown: &Unknown| {
+        lost.contains(unknown.name.as_str()) || fit.calibration.covariance.order.contains(&unknown.name)
+    };
+    machine.chain(own).filter(is_estimated).collect()
+}
