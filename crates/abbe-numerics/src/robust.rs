@@ -170,8 +170,9 @@ pub struct RobustReport {
     pub slopes: Vec<f64>,
 }
 
-/// Smallest scale in units of the stated uncertainties: residuals far below what was stated are never outliers.
-const LEAST_SCALE: f64 = 1e-2;
+/// Smallest scale in units of the stated uncertainties: residuals far below what was stated are never outliers. What products of errors
+/// leave of exact data is no noise, and would leave out rows until the others determine nothing.
+const LEAST_SCALE: f64 = 0.1;
 
 /// Robust scale of studentised residuals: 1.4826 times the median absolute value.
 pub(crate) fn scale(sizes: &[f64]) -> f64 {

@@ -3,14 +3,15 @@
 //! Every equation counts with 1/u of its standard uncertainty. What the data can determine is judged for the nominal machine, before
 //! anything is solved; a direction that they cannot determine is an error, unless `on_confounded` says what to do with it.
 
+mod convergence;
 mod select;
 mod settings;
 
 use std::collections::BTreeSet;
 
 use abbe_core::{
-    Calibration, Context, Convergence, Error, Estimate, Identifiability, Owner, PathItem, Problem, Quantity, Result,
-    SettingsError, Status, Termination, Unknown,
+    Calibration, Context, Error, Estimate, Identifiability, Owner, PathItem, Problem, Quantity, Result, SettingsError,
+    Status, Unknown,
 };
 use abbe_estimation::{
     Components, Judgement, Lost, Solved, UncertaintyEvaluation, Weighted, check_preferences, components, confounded,
@@ -19,6 +20,7 @@ use abbe_estimation::{
 use abbe_numerics::{Directions, End, Factor, LeastSquares, Options, Robust, Solution, Within, solve_from};
 use serde_json::{Value, json};
 
+use convergence::not_converged;
 use select::{Select, reduced};
 use settings::{OnConfounded, RobustSetting, Settings, Variance};
 
@@ -143,36 +145,7 @@ impl GaussNewton {
         options: &Options,
     ) -> Result<Solution> {
         let solution = solve_from(weighted, start, factor, options)?;
-        let (termination, failed) = match solution.end {
-            End::Converged => return Ok(solution),
-            End::NoProgress => (Termination::NoProgress, "no step makes the residuals smaller".to_owned()),
-            End::IterationLimit => (
-                Termination::IterationLimit,
-                format!("it still moves at the limit of {} iterations", options.iterations),
-            ),
-            End::RoundLimit => {
-                (Termination::RoundLimit, format!("robust weights still change after {} rounds", options.rounds))
-            }
-        };
-        let finite = |value: f64| value.is_finite().then_some(value);
-        let convergence = Convergence {
-            termination,
-            iterations: solution.iterations,
-            last_step: finite(solution.last_step),
-            tolerance: options.tolerance,
-            gradient_cosine: finite(solution.gradient_cosine),
-        };
-        let far = convergence.last_step.map_or_else(String::new, |step| {
-            let (tolerance, cosine) = (options.tolerance, solution.gradient_cosine);
-            format!(
-                "; the next step would move all rows together by {step:.1e} standard uncertainties ({tolerance:.0e} is asked), the largest \
-                 gradient cosine is {cosine:.1e}"
-            )
-        });
-        let error = Error::data(format!("the iteration does not converge: {failed}{far}")).help(
-            "check units, signs and features of the data, choose fewer parameters, `start` from a calibration, or allow more `iterations`",
-        );
-        Err(error.convergence(convergence))
+        if solution.end == End::Converged { Ok(solution) } else { Err(not_converged(&solution, options)) }
     }
 
     /// Solves a problem; `at_start` is its factor at the start values, if it is known.

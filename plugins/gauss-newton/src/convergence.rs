@@ -1,0 +1,47 @@
+//! What is told of an iteration that does not converge.
+
+use abbe_core::{Convergence, Error, Termination};
+use abbe_numerics::{End, Options, Solution};
+
+/// The error of an iteration that ended somewhere else than at a minimum.
+pub fn not_converged(solution: &Solution, options: &Options) -> Error {
+    let (termination, failed) = match solution.end {
+        End::Converged | End::NoProgress => {
+            (Termination::NoProgress, format!("no step makes the residuals smaller{}", left_out(solution)))
+        }
+        End::IterationLimit => {
+            (Termination::IterationLimit, format!("it still moves at the limit of {} iterations", options.iterations))
+        }
+        End::RoundLimit => {
+            (Termination::RoundLimit, format!("robust weights still change after {} rounds", options.rounds))
+        }
+    };
+    let finite = |value: f64| value.is_finite().then_some(value);
+    let convergence = Convergence {
+        termination,
+        iterations: solution.iterations,
+        last_step: finite(solution.last_step),
+        tolerance: options.tolerance,
+        gradient_cosine: finite(solution.gradient_cosine),
+    };
+    let far = convergence.last_step.map_or_else(String::new, |step| {
+        let (tolerance, cosine) = (options.tolerance, solution.gradient_cosine);
+        format!(
+            "; the next step would move all rows together by {step:.1e} standard uncertainties ({tolerance:.0e} is asked), the largest \
+             gradient cosine is {cosine:.1e}"
+        )
+    });
+    let error = Error::data(format!("the iteration does not converge: {failed}{far}")).help(
+        "check units, signs and features of the data, choose fewer parameters, `start` from a calibration, or allow more `iterations`",
+    );
+    error.convergence(convergence)
+}
+
+/// How many rows robust weights have left out, where that may be why the others determine too little.
+fn left_out(solution: &Solution) -> String {
+    let weights = solution.robust.as_ref().map_or(&[][..], |report| &report.weights);
+    match weights.iter().filter(|weight| **weight == 0.0).count() {
+        0 => String::new(),
+        count => format!(" while robust weights leave out {count} of {} equations", weights.len()),
+    }
+}
