@@ -40,16 +40,19 @@ fn an_interrupted_run_leaves_older_results_whole() {
 #[test]
 fn what_an_interrupted_run_left_is_cleared_away_by_a_later_one() {
     let small = Small::new();
-    let [old, young] = [".abbe-partial-old", ".abbe-partial-young"].map(|name| small.path("out").join(name));
-    for folder in [&old, &young] {
+    let [dead, alive] = [".abbe-partial-dead", ".abbe-partial-alive"].map(|name| small.path("out").join(name));
+    for folder in [&dead, &alive] {
         fs::create_dir_all(folder).expect("a folder");
         fs::write(folder.join("verdicts.json"), "[").expect("a file");
     }
-    let long_ago = std::time::SystemTime::UNIX_EPOCH;
-    fs::File::open(&old).and_then(|folder| folder.set_modified(long_ago)).expect("a time");
+    // As a run does that is writing now.
+    let owner = fs::File::open(&alive).expect("a folder can be opened");
+    owner.lock().expect("a folder can be locked");
     assert_eq!(small.abbe(&["run", "recipe.yaml", "--out", "out"]).status, 0);
-    // The young one may be that of a run which is still going on.
-    assert_eq!((old.exists(), young.exists()), (false, true));
+    assert_eq!((dead.exists(), alive.exists()), (false, true));
+    drop(owner);
+    assert_eq!(small.abbe(&["run", "recipe.yaml", "--out", "out"]).status, 0);
+    assert!(!alive.exists());
 }
 
 /// Prepares a folder of results, starts a run that writes into it, kills it, and lists what is in the folder then; many
@@ -90,10 +93,18 @@ fn partial_files(out: &std::path::Path) -> usize {
     partial.map(|entry| black_box(fs::read_dir(entry.path()).into_iter().flatten().count())).sum()
 }
 
-/// Ctrl-C while a long Monte Carlo calculation runs: an end within a second, status 130, and no trace of results.
+/// Ctrl-C, an order to end, or a closed terminal while a long Monte Carlo calculation runs: an end within a second, a status that
+/// says which, and no trace of results.
 #[cfg(unix)]
 #[test]
 fn an_interrupted_run_ends_at_once_and_says_so() {
+    for (signal, status) in [("-INT", 130), ("-TERM", 143), ("-HUP", 129)] {
+        interrupted_by(signal, status);
+    }
+}
+
+#[cfg(unix)]
+fn interrupted_by(signal: &str, expected: i32) {
     use std::io::{BufRead, BufReader};
     use std::time::{Duration, Instant};
 
@@ -122,17 +133,15 @@ fn an_interrupted_run_ends_at_once_and_says_so() {
     }
     let pid = run.id().to_string();
     let asked = Instant::now();
-    let sent = std::process::Command::new("kill").args(["-INT", &pid]).status().expect("kill is there");
+    let sent = std::process::Command::new("kill").args([signal, &pid]).status().expect("kill is there");
     assert!(sent.success());
     let rest: Vec<String> = lines.map_while(Result::ok).collect();
     let status = run.wait().expect("an interrupted run ends");
-    assert_eq!(status.code(), Some(130), "{rest:?}");
+    assert_eq!(status.code(), Some(expected), "{signal}: {rest:?}");
     // Generous on a machine that does other things, too; without an end it would go on for hours.
     assert!(asked.elapsed() < Duration::from_secs(20));
     assert!(rest.iter().any(|line| line == "interrupted"), "{rest:?}");
-    assert!(!small.path("out").join("recipe").exists());
-    let partial = fs::read_dir(small.path("out")).into_iter().flatten().count();
-    assert_eq!(partial, 0, "something half-written stays");
+    assert!(!small.path("out").exists(), "something half-written stays");
     let told = |event: &str, stage: &str| events.iter().any(|it| it["event"] == event && it["stage"] == stage);
     assert!(told("started", "fine") && told("iteration", "fine") && told("part", "trials"), "{events:?}");
 }

@@ -17,6 +17,7 @@ mod libraries;
 mod methods;
 mod mill;
 mod multi_feature_bar;
+mod nobodys_files;
 mod outside;
 mod planning;
 mod plugins;

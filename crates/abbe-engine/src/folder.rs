@@ -7,7 +7,7 @@ use std::path::{Path, PathBuf};
 
 use abbe_core::{Error, Result};
 
-use crate::outcome::{staging, unwritable};
+use crate::staging::{Staging, can_write, unwritable};
 
 /// Fails early if a new folder cannot be written at `out`. `out` has to be empty or not to exist.
 pub fn can_write_folder(out: &Path) -> Result<()> {
@@ -16,7 +16,7 @@ pub fn can_write_folder(out: &Path) -> Result<()> {
         return Err(Error::data(format!("{} is there already and not empty", out.display()))
             .help("move it away, or name another folder with `--out`"));
     }
-    staging(parent(out)).map(drop)
+    can_write(parent(out))
 }
 
 /// Writes files, whose names are relative to it, into the folder `out`.
@@ -24,13 +24,9 @@ pub(crate) fn write_folder(out: &Path, files: &BTreeMap<PathBuf, Vec<u8>>) -> Re
     can_write_folder(out)?;
     let parent = parent(out);
     let failed = |error: io::Error| unwritable(parent, &error);
-    let staging = staging(parent)?;
+    let staging = Staging::new(parent)?;
     for (name, content) in files {
-        let path = staging.path().join(name);
-        if let Some(folder) = path.parent() {
-            fs::create_dir_all(folder).map_err(failed)?;
-        }
-        fs::write(path, content).map_err(failed)?;
+        staging.write(name, content).map_err(failed)?;
     }
     if out.exists() {
         fs::remove_dir(out).map_err(failed)?;

@@ -1,6 +1,6 @@
 //! The results of a run, and how they are written to disk: completely or not at all.
 
-use std::fs;
+use std::borrow::Cow;
 use std::io;
 use std::path::{Path, PathBuf};
 use std::time::{Duration, SystemTime, UNIX_EPOCH};
@@ -9,7 +9,10 @@ use abbe_core::{Decision, Error, ExportedFile, Fit, Kind, Result, Verdict};
 use abbe_recipe::Stage;
 use serde::Serialize;
 
-use crate::record::{FailureRecord, InputRecord, PluginRecord, RUN_FORMAT, RunRecord};
+use crate::prepare::Prepared;
+use crate::record::{FailureRecord, FileRecord, PluginRecord, RUN_FORMAT, RunRecord, sha256};
+use crate::results::{RECORD, ResultFolder};
+use crate::staging::{Staging, can_write, unwritable};
 
 /// Everything that a run found, in memory.
 pub struct Outcome {
@@ -23,7 +26,7 @@ pub struct Outcome {
     pub exports: Vec<(String, Vec<ExportedFile>)>,
     /// The stages that failed, and those that were left out because they need one of them.
     pub failures: Vec<Failure>,
-    pub(crate) inputs: Vec<InputRecord>,
+    pub(crate) inputs: Vec<FileRecord>,
     pub(crate) plugins: Vec<PluginRecord>,
     pub(crate) started: SystemTime,
     pub(crate) duration: Duration,
@@ -64,39 +67,40 @@ impl Outcome {
         self.failures.is_empty() && self.decision().passes()
     }
 
-    /// Writes the results into `<out>/<recipe>/` and returns that folder. Results of an earlier run there are replaced.
+    /// Writes the results into `<out>/<recipe>/` and returns that folder. Results of an earlier run there are replaced, as long as
+    /// they are as that run wrote them; all else stays.
     ///
     /// Files are written into a temporary folder beside it, which replaces it in the end. So at any time the folder contains
-    /// the complete results of one run, or does not exist.
+    /// the complete results of one run, or does not exist. Fails if a file of somebody else is in the way of a result.
     pub fn write(&self, out: &Path) -> Result<PathBuf> {
-        let unwritable = |error: io::Error| unwritable(out, &error);
-        is_ours(&out.join(&self.recipe))?;
-        let staging = staging(out)?;
-        let write = |name: &str, content: &[u8]| -> Result<()> {
-            let path = staging.path().join(name);
-            if let Some(folder) = path.parent() {
-                fs::create_dir_all(folder).map_err(unwritable)?;
-            }
-            fs::write(path, content).map_err(unwritable)
-        };
-        for fit in &self.fits {
-            write(&format!("{}.calibration.json", fit.name), fit.calibration.to_json()?.as_bytes())?;
-        }
-        write("verdicts.json", json(&self.verdicts)?.as_bytes())?;
-        for (stage, files) in &self.exports {
-            for file in files {
-                write(&format!("{stage}/{}", file.name), &file.content)?;
-            }
-        }
-        write("run.json", json(&self.record())?.as_bytes())?;
-
         let target = out.join(&self.recipe);
-        let staged = staging.keep();
-        replace(&staged, &target).map_err(unwritable)?;
+        let unwritable = |error: io::Error| unwritable(out, &error);
+        let inputs: Vec<PathBuf> = self.inputs.iter().map(|input| PathBuf::from(&input.file)).collect();
+        let files = self.files()?;
+        let staging = Staging::new(out)?;
+        let record = RunRecord { outputs: outputs(&files), ..self.record() };
+        for (name, content) in &files {
+            staging.write(name, content).map_err(unwritable)?;
+        }
+        staging.write(Path::new(RECORD), json(&record)?.as_bytes()).map_err(unwritable)?;
+        ResultFolder::new(&target, &inputs)?.replace_by(staging)?;
         Ok(target)
     }
 
-    /// The record of the run, as in `run.json`.
+    /// All files of the results but the record of the run.
+    fn files(&self) -> Result<Vec<(PathBuf, Cow<'_, [u8]>)>> {
+        let mut files: Vec<(PathBuf, Cow<'_, [u8]>)> = Vec::new();
+        for fit in &self.fits {
+            files.push((calibration_file(&fit.name), fit.calibration.to_json()?.into_bytes().into()));
+        }
+        files.push((VERDICTS.into(), json(&self.verdicts)?.into_bytes().into()));
+        for (stage, exported) in &self.exports {
+            files.extend(exported.iter().map(|file| (Path::new(stage).join(&file.name), Cow::from(&file.content))));
+        }
+        Ok(files)
+    }
+
+    /// The record of the run, as in `run.json`, without what is written.
     pub fn record(&self) -> RunRecord {
         RunRecord {
             abbe_run: RUN_FORMAT,
@@ -105,72 +109,39 @@ impl Outcome {
             inputs: self.inputs.clone(),
             plugins: self.plugins.clone(),
             failures: self.failures.iter().map(FailureRecord::of).collect(),
+            outputs: Vec::new(),
             started_unix_s: self.started.duration_since(UNIX_EPOCH).map_or(0, |since| since.as_secs()),
             duration_s: self.duration.as_secs_f64(),
         }
     }
+}
 
-    /// Fails early if the results of a recipe cannot be written to `out`.
-    pub fn can_write(out: &Path, recipe: &str) -> Result<()> {
-        is_ours(&out.join(recipe))?;
-        staging(out).map(drop)
+impl Prepared {
+    /// Fails early if the results cannot be written to `out`, or if a file of somebody else is in the way of one that is known
+    /// already.
+    pub fn can_write(&self, out: &Path) -> Result<()> {
+        let folder = ResultFolder::new(&out.join(&self.recipe.id), &self.files)?;
+        let estimates = self.stages(Kind::Estimate).map(|stage| calibration_file(&stage.name));
+        let known = estimates.chain([VERDICTS.into(), RECORD.into()]);
+        known.into_iter().try_for_each(|name: PathBuf| folder.can_take(&name))?;
+        can_write(out)
     }
 }
 
-/// Refuses to replace anything but the results of an earlier run.
-fn is_ours(target: &Path) -> Result<()> {
-    let empty = || fs::read_dir(target).is_ok_and(|mut entries| entries.next().is_none());
-    let run = || fs::read_to_string(target.join("run.json")).is_ok_and(|text| text.contains("\"abbe_run\""));
-    if !target.exists() || (target.is_dir() && (run() || empty())) {
-        return Ok(());
-    }
-    Err(Error::data(format!("{} is there already and holds no results of a run", target.display()))
-        .help("move it away, or name another folder with `--out`"))
+/// The file with all verdicts.
+const VERDICTS: &str = "verdicts.json";
+
+fn calibration_file(estimate: &str) -> PathBuf {
+    format!("{estimate}.calibration.json").into()
 }
 
-/// Replaces a folder by another one, or moves it to a new path.
-///
-/// If the system can exchange two folders in one step, the path always has the old folder or the new one, even if the program
-/// is stopped.
-fn replace(staged: &Path, target: &Path) -> io::Result<()> {
-    if !target.exists() {
-        return fs::rename(staged, target);
-    }
-    #[cfg(target_os = "linux")]
-    {
-        use rustix::fs::{CWD, RenameFlags, renameat_with};
-        if renameat_with(CWD, staged, CWD, target, RenameFlags::EXCHANGE).is_ok() {
-            return fs::remove_dir_all(staged);
-        }
-    }
-    // Two renames, so that the old results are gone only once the new ones are complete.
-    let old = staged.with_extension("old");
-    fs::rename(target, &old)?;
-    fs::rename(staged, target)?;
-    fs::remove_dir_all(&old)
-}
-
-/// What the names of temporary folders begin with.
-const STAGING: &str = ".abbe-partial-";
-
-/// Makes a temporary folder in `out`. Temporary folders of interrupted runs, older than a minute, are removed.
-pub(crate) fn staging(out: &Path) -> Result<tempfile::TempDir> {
-    let unwritable = |error: io::Error| unwritable(out, &error);
-    fs::create_dir_all(out).map_err(unwritable)?;
-    for entry in fs::read_dir(out).map_err(unwritable)?.flatten() {
-        let stale = entry.metadata().and_then(|data| data.modified()).ok();
-        let age = stale.and_then(|modified| modified.elapsed().ok()).unwrap_or_default();
-        // Folders of another run that is writing now must stay: writing takes much less than a minute.
-        if entry.file_name().to_string_lossy().starts_with(STAGING) && age > Duration::from_secs(60) {
-            fs::remove_dir_all(entry.path()).map_err(unwritable)?;
-        }
-    }
-    tempfile::Builder::new().prefix(STAGING).tempdir_in(out).map_err(unwritable)
-}
-
-pub(crate) fn unwritable(out: &Path, error: &io::Error) -> Error {
-    Error::data(format!("the results cannot be written to {}: {error}", out.display()))
-        .help("name another folder with `--out`")
+/// What the record of a run says of the files that it wrote.
+fn outputs(files: &[(PathBuf, Cow<'_, [u8]>)]) -> Vec<FileRecord> {
+    let record = |(name, content): &(PathBuf, Cow<'_, [u8]>)| FileRecord {
+        file: name.components().map(|part| part.as_os_str().to_string_lossy()).collect::<Vec<_>>().join("/"),
+        sha256: sha256(content),
+    };
+    files.iter().map(record).collect()
 }
 
 fn json<T: Serialize>(value: &T) -> Result<String> {

@@ -27,24 +27,27 @@ pub struct RunRecord {
     /// Name of the recipe.
     pub recipe: String,
     /// Every file that was read, the recipe first.
-    pub inputs: Vec<InputRecord>,
+    pub inputs: Vec<FileRecord>,
     /// Every plugin that took part.
     pub plugins: Vec<PluginRecord>,
     /// The stages without a result; none in a run that is complete.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub failures: Vec<FailureRecord>,
+    /// Every file that was written, but this record. A later run replaces them as long as they have this content.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub outputs: Vec<FileRecord>,
     /// Start, seconds since 1970-01-01 UTC.
     pub started_unix_s: u64,
     /// How long it took without writing the results, s.
     pub duration_s: f64,
 }
 
-/// A file that a run read.
+/// A file that a run read or wrote.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-pub struct InputRecord {
-    /// Its path as the run had it.
+pub struct FileRecord {
+    /// Of a file that was read its path as the run had it, of one that was written its path in the folder of results, with `/`.
     pub file: String,
-    /// Hash of its content when the run began, 64 hexadecimal digits.
+    /// Hash of its content, when the run began or when it was written: 64 hexadecimal digits.
     pub sha256: String,
 }
 
@@ -109,10 +112,10 @@ impl RunRecord {
     /// parts (with line and column), on an invalid hash and on a negative duration.
     pub fn from_json(text: &str) -> Result<Self> {
         let record: Self = FORMAT.read(text)?;
-        let inputs = record.inputs.iter().map(|input| (&input.file, &input.sha256));
+        let files = record.inputs.iter().chain(&record.outputs).map(|file| (&file.file, &file.sha256));
         let libraries = record.plugins.iter().filter_map(|plugin| Some((&plugin.origin, plugin.sha256.as_ref()?)));
         let is_hash = |text: &str| text.len() == 64 && text.bytes().all(|digit| digit.is_ascii_hexdigit());
-        if let Some((file, sha256)) = inputs.chain(libraries).find(|(_, sha256)| !is_hash(sha256)) {
+        if let Some((file, sha256)) = files.chain(libraries).find(|(_, sha256)| !is_hash(sha256)) {
             return Err(Error::data(format!("`{file}`: `{sha256}` is no SHA-256, which has 64 hexadecimal digits")));
         }
         match record.duration_s >= 0.0 {
@@ -124,12 +127,13 @@ impl RunRecord {
 
 /// Records of the files that are read, each file once. They are made before the run, so that they show the content at its
 /// start.
-pub(crate) fn input_records(files: &[PathBuf]) -> Result<Vec<InputRecord>> {
-    let mut records: Vec<InputRecord> = Vec::new();
+pub(crate) fn input_records(files: &[PathBuf]) -> Result<Vec<FileRecord>> {
+    let mut records: Vec<FileRecord> = Vec::new();
     for path in files {
         let file = path.display().to_string();
         if records.iter().all(|record| record.file != file) {
-            records.push(InputRecord { file, sha256: sha256(path)? });
+            let unreadable = |error: io::Error| Error::data(format!("the file cannot be read: {error}")).in_file(path);
+            records.push(FileRecord { file, sha256: sha256_of(path).map_err(unreadable)? });
         }
     }
     Ok(records)
@@ -146,16 +150,25 @@ impl PluginRecord {
     }
 }
 
-fn sha256(file: &Path) -> Result<String> {
-    let unreadable = |error: io::Error| Error::data(format!("the file cannot be read: {error}")).in_file(file);
-    let mut reader = fs::File::open(file).map_err(unreadable)?;
+/// SHA-256 of a content, 64 hexadecimal digits.
+pub(crate) fn sha256(content: &[u8]) -> String {
+    hexadecimal(Sha256::digest(content).as_slice())
+}
+
+/// SHA-256 of the content of a file.
+pub(crate) fn sha256_of(file: &Path) -> io::Result<String> {
+    let mut reader = fs::File::open(file)?;
     let mut digest = Sha256::new();
     let mut buffer = [0; 1 << 16];
     loop {
-        match reader.read(&mut buffer).map_err(unreadable)? {
+        match reader.read(&mut buffer)? {
             0 => break,
             count => digest.update(&buffer[..count]),
         }
     }
-    Ok(digest.finalize().iter().map(|byte| format!("{byte:02x}")).collect())
+    Ok(hexadecimal(digest.finalize().as_slice()))
+}
+
+fn hexadecimal(bytes: &[u8]) -> String {
+    bytes.iter().map(|byte| format!("{byte:02x}")).collect()
 }

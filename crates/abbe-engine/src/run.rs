@@ -16,7 +16,7 @@ use crate::outcome::{Failure, Outcome};
 use crate::prediction::{Predicted, predicting};
 use crate::prepare::{Prepared, build_model};
 use crate::recalled::fit_without_rows;
-use crate::record::{InputRecord, input_records};
+use crate::record::{FileRecord, input_records};
 use crate::row_settings::Wanted;
 
 /// Identifiability of a planned fit.
@@ -427,7 +427,7 @@ fn failed(needed: &[String], failures: &[Failure]) -> Option<impl Fn(&Stage) -> 
 }
 
 /// The digests of input files.
-fn digests(inputs: &[InputRecord]) -> evidence::Digests {
+fn digests(inputs: &[FileRecord]) -> evidence::Digests {
     inputs.iter().map(|input| (input.file.clone(), input.sha256.clone())).collect()
 }
 

@@ -1,39 +1,73 @@
-//! Ctrl-C: the work is asked to end; if it does not, the process ends within a second. No file is left half-written.
+//! Ctrl-C, an order to end, a closed terminal: the work is asked to end; if it does not, the process ends within a second. No file is
+//! left half-written.
 
 use std::io::{self, Write};
-use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::atomic::{AtomicI32, Ordering};
 use std::sync::{Mutex, PoisonError};
 use std::time::Duration;
 
 use abbe_core::{Error, Monitor, Result};
 
-/// Exit status of a process that was interrupted: 128 and the number of the signal.
-pub const STATUS: u8 = 130;
-
 /// How long the work has to end by itself.
 const GRACE: Duration = Duration::from_millis(600);
 
-static INTERRUPTED: AtomicBool = AtomicBool::new(false);
+/// The signal that came; 0 as long as none has.
+static SIGNAL: AtomicI32 = AtomicI32::new(0);
 static WRITING: Mutex<()> = Mutex::new(());
 
-/// Ends the work that `monitor` watches on Ctrl-C.
+/// Ends the work that `monitor` watches when a signal asks for it.
 pub fn ends(monitor: Monitor) -> Result<()> {
-    let end = move || {
-        INTERRUPTED.store(true, Ordering::SeqCst);
+    watched(move |signal| {
+        SIGNAL.store(signal, Ordering::SeqCst);
         monitor.end();
         std::thread::sleep(GRACE);
         // Waits until a file that is being written is complete.
         let _written = WRITING.lock().unwrap_or_else(PoisonError::into_inner);
         // A closed output must not keep the process alive.
         let _ = writeln!(io::stderr(), "interrupted");
-        std::process::exit(i32::from(STATUS));
-    };
-    ctrlc::set_handler(end).map_err(|error| Error::data(format!("Ctrl-C cannot be handled: {error}")))
+        std::process::exit(i32::from(status()));
+    })
+    .map_err(|error| Error::data(format!("signals cannot be handled: {error}")))
 }
 
-/// Whether Ctrl-C was pressed.
+/// Calls `end` with the number of the first signal that asks the process to end. One that the process was told to ignore (`nohup`)
+/// stays ignored.
+#[cfg(unix)]
+fn watched(end: impl FnOnce(i32) + Send + 'static) -> io::Result<()> {
+    use signal_hook::consts::{SIGHUP, SIGINT, SIGTERM};
+    let ignored = ignored();
+    let wanted = [SIGINT, SIGTERM, SIGHUP].into_iter().filter(|signal| ignored >> (signal - 1) & 1 == 0);
+    let mut signals = signal_hook::iterator::Signals::new(wanted)?;
+    std::thread::Builder::new().name("signals".to_owned()).spawn(move || {
+        if let Some(signal) = signals.forever().next() {
+            end(signal);
+        }
+    })?;
+    Ok(())
+}
+
+/// The signals that the process was told to ignore, bit by bit; none where the system does not say.
+#[cfg(unix)]
+fn ignored() -> u64 {
+    let status = std::fs::read_to_string("/proc/self/status").unwrap_or_default();
+    let line = status.lines().find_map(|line| line.strip_prefix("SigIgn:"));
+    line.and_then(|bits| u64::from_str_radix(bits.trim(), 16).ok()).unwrap_or(0)
+}
+
+#[cfg(not(unix))]
+fn watched(end: impl FnOnce(i32) + Send + 'static) -> io::Result<()> {
+    let mut end = Some(end);
+    ctrlc::set_handler(move || drop(end.take().map(|end| end(2)))).map_err(io::Error::other)
+}
+
+/// Exit status of a process that was interrupted: 128 and the number of the signal.
+pub fn status() -> u8 {
+    u8::try_from(128 + SIGNAL.load(Ordering::SeqCst)).unwrap_or(u8::MAX)
+}
+
+/// Whether a signal has asked the process to end.
 pub fn happened() -> bool {
-    INTERRUPTED.load(Ordering::SeqCst)
+    SIGNAL.load(Ordering::SeqCst) != 0
 }
 
 /// Writes a file that no interruption may cut short.

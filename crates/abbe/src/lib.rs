@@ -1,7 +1,8 @@
 //! The command line of Abbe: `run`, `check`, `simulate`, `plan`, `plugins`, `plugin`, `schema`.
 //!
 //! Exit status: 0 no verdict failed (inconclusive ones are told); 1 what only the data or the run show; 2 wrong use, or anything that can be found
-//! without reading data rows; 3 a verdict failed; 130 interrupted by Ctrl-C.
+//! without reading data rows; 3 a verdict failed; 130 interrupted by Ctrl-C, 143 by an order to end (SIGTERM), 129 by a closed
+//! terminal (SIGHUP).
 
 mod failure;
 mod interrupt;
@@ -162,7 +163,7 @@ pub fn main() -> ExitCode {
     };
     match dispatch(arguments.command, &libraries) {
         Ok((text, status)) => match io::stdout().lock().write_all(text.as_bytes()) {
-            Ok(()) if interrupt::happened() => ExitCode::from(interrupt::STATUS),
+            Ok(()) if interrupt::happened() => ExitCode::from(interrupt::status()),
             Ok(()) => ExitCode::from(status),
             // The reader of the output has closed it.
             Err(error) if error.kind() == io::ErrorKind::BrokenPipe => ExitCode::from(status),
@@ -182,7 +183,7 @@ pub fn main() -> ExitCode {
             ExitCode::from(match error.class {
                 Class::Use => 2,
                 Class::Data => 1,
-                Class::Interrupted => interrupt::STATUS,
+                Class::Interrupted => interrupt::status(),
             })
         }
     }
@@ -195,7 +196,7 @@ fn dispatch(command: Command, libraries: &Libraries) -> Result<(String, u8)> {
             let (monitor, bar) = progress.monitor();
             interrupt::ends(monitor.clone())?;
             let prepared = prepare(&recipe, &libraries.registry(Some(&recipe))?)?;
-            Outcome::can_write(&out, &prepared.recipe.id)?;
+            prepared.can_write(&out)?;
             let outcome = prepared.run(&monitor)?;
             bar.finish_and_clear();
             let folder = interrupt::while_writing(|| outcome.write(&out))?;

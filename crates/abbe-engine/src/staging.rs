@@ -1,0 +1,116 @@
+//! Temporary folders that results are written into before they take their place.
+//!
+//! The owner of a temporary folder holds a lock on it, which the system releases when the process ends, however it ends. So the next
+//! run can tell what a killed one has left, and removes it.
+
+use std::fs::{self, File};
+use std::io;
+use std::path::{Path, PathBuf};
+
+use abbe_core::{Error, Result};
+
+/// What the names of temporary folders begin with.
+const PREFIX: &str = ".abbe-partial-";
+
+/// A temporary folder with a lock on it. Dropping it removes it, with those folders above it that were made for it and are empty.
+pub(crate) struct Staging {
+    folder: Option<tempfile::TempDir>,
+    lock: Option<File>,
+    made: MadeFolders,
+}
+
+impl Staging {
+    /// Makes a temporary folder in `parent`, and `parent` if it is not there. What killed runs have left there is removed.
+    pub fn new(parent: &Path) -> Result<Self> {
+        let failed = |error: io::Error| unwritable(parent, &error);
+        let made = MadeFolders::new(parent).map_err(failed)?;
+        remove_abandoned(parent).map_err(failed)?;
+        let folder = tempfile::Builder::new().prefix(PREFIX).tempdir_in(parent).map_err(failed)?;
+        let lock = locked(folder.path());
+        Ok(Self { folder: Some(folder), lock, made })
+    }
+
+    /// The folder.
+    pub fn path(&self) -> &Path {
+        self.folder.as_ref().map_or(Path::new(""), tempfile::TempDir::path)
+    }
+
+    /// Writes a file of the folder, with the folders in between.
+    pub fn write(&self, name: &Path, content: &[u8]) -> io::Result<()> {
+        let path = self.path().join(name);
+        if let Some(folder) = path.parent() {
+            fs::create_dir_all(folder)?;
+        }
+        fs::write(path, content)
+    }
+
+    /// Gives the folder away: it stays where it is, locked until the result is dropped.
+    pub fn keep(mut self) -> (PathBuf, Option<File>) {
+        self.made.keep();
+        let path = self.folder.take().map(tempfile::TempDir::keep).unwrap_or_default();
+        (path, self.lock.take())
+    }
+}
+
+/// Fails early if nothing can be written below `parent`, without making it.
+pub(crate) fn can_write(parent: &Path) -> Result<()> {
+    let there = parent.ancestors().find(|folder| folder.symlink_metadata().is_ok() || folder.as_os_str().is_empty());
+    let there = there.filter(|folder| !folder.as_os_str().is_empty()).unwrap_or(Path::new("."));
+    tempfile::Builder::new().prefix(PREFIX).tempdir_in(there).map(drop).map_err(|error| unwritable(parent, &error))
+}
+
+/// The error that results cannot be written.
+pub(crate) fn unwritable(out: &Path, error: &io::Error) -> Error {
+    Error::data(format!("the results cannot be written to {}: {error}", out.display()))
+        .help("name another folder with `--out`")
+}
+
+/// Folders that were made on the way to one; those that are empty are removed again unless they are kept.
+struct MadeFolders(Vec<PathBuf>);
+
+impl MadeFolders {
+    fn new(folder: &Path) -> io::Result<Self> {
+        let missing = folder.ancestors().take_while(|path| !path.as_os_str().is_empty() && !path.exists());
+        let made = Self(missing.map(Path::to_path_buf).collect());
+        fs::create_dir_all(folder)?;
+        Ok(made)
+    }
+
+    fn keep(&mut self) {
+        self.0.clear();
+    }
+}
+
+impl Drop for MadeFolders {
+    fn drop(&mut self) {
+        // The innermost first. One that holds something by now stays.
+        self.0.iter().for_each(|folder| drop(fs::remove_dir(folder)));
+    }
+}
+
+impl Drop for Staging {
+    fn drop(&mut self) {
+        // Before the folders around it.
+        drop(self.folder.take());
+    }
+}
+
+/// A lock on a folder; none on systems or disks that have no such locks.
+pub(crate) fn locked(folder: &Path) -> Option<File> {
+    let folder = File::open(folder).ok()?;
+    folder.try_lock().ok()?;
+    Some(folder)
+}
+
+/// Removes the temporary folders whose owner is dead.
+fn remove_abandoned(parent: &Path) -> io::Result<()> {
+    for entry in fs::read_dir(parent)?.flatten() {
+        let is_ours = entry.file_name().to_string_lossy().starts_with(PREFIX)
+            && entry.file_type().is_ok_and(|kind| kind.is_dir());
+        if is_ours && let Some(_lock) = locked(&entry.path()) {
+            // Somebody else may be removing it, too.
+            let _ = fs::remove_dir_all(entry.path());
+        }
+    }
+    Ok(())
+}

@@ -1,0 +1,141 @@
+//! Nobody's files are lost: a run replaces what an earlier run wrote, as it wrote it, and nothing else.
+
+use std::fs;
+use std::path::Path;
+
+use crate::support::{Small, tree};
+
+fn run(small: &Small, out: &str) -> (i32, String) {
+    let printed = small.abbe(&["run", "recipe.yaml", "--out", out]);
+    (printed.status, printed.stderr)
+}
+
+#[test]
+fn what_somebody_puts_beside_the_results_stays() {
+    let small = Small::new();
+    assert_eq!(run(&small, "out").0, 0);
+    let results = tree(&small.path("out/recipe"));
+    small.write("out/recipe/notes.txt", "mine");
+    small.write("out/recipe/written/more/notes.txt", "mine, too");
+    fs::create_dir(small.path("out/recipe/empty")).expect("a folder");
+    #[cfg(unix)]
+    std::os::unix::fs::symlink("/nowhere", small.path("out/recipe/link")).expect("a link");
+    let modified = fs::metadata(small.path("out/recipe/notes.txt")).and_then(|file| file.modified()).expect("a time");
+    // A stage less: its files were ours, and go.
+    let recipe = small.read("recipe.yaml").replace("  written: {", "  table-of-errors: {");
+    small.write("recipe.yaml", &recipe);
+    assert_eq!(run(&small, "out").0, 0);
+    assert_eq!(small.read("out/recipe/notes.txt"), "mine");
+    assert_eq!(small.read("out/recipe/written/more/notes.txt"), "mine, too");
+    assert!(small.path("out/recipe/empty").is_dir());
+    #[cfg(unix)]
+    assert_eq!(fs::read_link(small.path("out/recipe/link")).expect("it is there"), Path::new("/nowhere"));
+    let now = fs::metadata(small.path("out/recipe/notes.txt")).and_then(|file| file.modified()).expect("a time");
+    assert_eq!(now, modified);
+    assert!(!small.path("out/recipe/written").join("error-table.csv").exists());
+    assert!(small.path("out/recipe/table-of-errors").is_dir());
+    // Nothing temporary is left, and all results are there.
+    assert_eq!(fs::read_dir(small.path("out")).expect("a folder").count(), 1);
+    assert!(tree(&small.path("out/recipe")).len() >= results.len() + 3);
+}
+
+#[test]
+fn a_changed_result_is_somebodys_file() {
+    let small = Small::new();
+    assert_eq!(run(&small, "out").0, 0);
+    small.write("out/recipe/fine.calibration.json", "{ \"edited\": true }");
+    let (status, stderr) = run(&small, "out");
+    assert_eq!(status, 1, "{stderr}");
+    let name = Path::new("out/recipe/fine.calibration.json").display().to_string();
+    assert!(stderr.contains(&name) && stderr.contains("is in the way"), "{stderr}");
+    assert_eq!(small.read("out/recipe/fine.calibration.json"), "{ \"edited\": true }");
+
+    // What is known only after the run costs no results either.
+    let small = Small::new();
+    assert_eq!(run(&small, "out").0, 0);
+    let exported = tree(&small.path("out/recipe/written")).remove(0);
+    let exported = Path::new("out/recipe/written").join(exported).display().to_string();
+    small.write(&exported, "mine");
+    let (status, stderr) = run(&small, "out");
+    assert_eq!(status, 1, "{stderr}");
+    assert!(stderr.contains("recipe-new-1"), "{stderr}");
+    assert_eq!(small.read(&exported), "mine");
+    assert!(small.path("out/recipe-new-1/fine.calibration.json").exists());
+    assert!(small.path("out/recipe-new-1/run.json").exists());
+}
+
+#[test]
+fn source_data_among_copied_results_stay() {
+    let small = Small::new();
+    assert_eq!(run(&small, "out").0, 0);
+    for name in ["run.json", "verdicts.json", "fine.calibration.json"] {
+        fs::copy(small.path("out/recipe").join(name), small.path("data").join(name)).expect("a copy");
+    }
+    fs::rename(small.path("recipe.yaml"), small.path("data.yaml")).expect("a new name");
+    let before =
+        ["touches.csv", "facets.csv", "lengths.csv", "machine.yaml"].map(|name| small.read(&format!("data/{name}")));
+    let printed = small.abbe(&["run", "data.yaml", "--out", "."]);
+    assert_eq!(printed.status, 0, "{}", printed.stderr);
+    let after =
+        ["touches.csv", "facets.csv", "lengths.csv", "machine.yaml"].map(|name| small.read(&format!("data/{name}")));
+    assert_eq!(before, after);
+    assert!(small.path("data/rough.calibration.json").exists());
+}
+
+#[test]
+fn a_run_never_replaces_what_it_reads() {
+    let small = Small::new();
+    assert_eq!(run(&small, "out").0, 0);
+    let recipe = small.read("recipe.yaml").replace(
+        "  rough:\n    estimate: gauss-newton",
+        "  before: { estimate: calibration, path: out/recipe/rough.calibration.json }\n  rough:\n    estimate: gauss-newton",
+    );
+    small.write("recipe.yaml", &recipe);
+    let before = small.read("out/recipe/rough.calibration.json");
+    let (status, stderr) = run(&small, "out");
+    assert!(status == 1 && stderr.contains("is in the way"), "{stderr}");
+    assert_eq!(small.read("out/recipe/rough.calibration.json"), before);
+}
+
+#[test]
+fn a_folder_without_results_is_never_taken() {
+    let small = Small::new();
+    for (name, text) in [("out/recipe/notes.txt", "mine"), ("out2/recipe/run.json", "{ \"abbe_run\": true }")] {
+        small.write(name, text);
+        let out = name.split('/').next().expect("a folder");
+        let (status, stderr) = run(&small, out);
+        assert!(status == 1 && stderr.contains("holds no results of a run"), "{stderr}");
+        assert_eq!(small.read(name), text);
+    }
+    small.write("out3", "a file");
+    let (status, stderr) = run(&small, "out3");
+    assert!(status == 1 && stderr.contains("cannot be written"), "{stderr}");
+    assert_eq!(small.read("out3"), "a file");
+}
+
+#[cfg(unix)]
+#[test]
+fn a_link_to_a_folder_of_results_stays_one() {
+    let small = Small::new();
+    fs::create_dir_all(small.path("elsewhere/results")).expect("a folder");
+    fs::create_dir(small.path("out")).expect("a folder");
+    std::os::unix::fs::symlink("../elsewhere/results", small.path("out/recipe")).expect("a link");
+    for _ in 0..2 {
+        let (status, stderr) = run(&small, "out");
+        assert_eq!(status, 0, "{stderr}");
+        assert!(small.path("out/recipe").is_symlink());
+        assert!(small.path("elsewhere/results/run.json").exists());
+    }
+}
+
+#[test]
+fn a_run_that_fails_leaves_no_folder() {
+    let small = Small::new();
+    let touches = small.read("data/touches.csv").replacen("\n1,", "\n1,nonsense", 1);
+    let broken = touches.lines().enumerate().map(|(line, text)| if line == 3 { "1,2,x" } else { text });
+    small.write("data/touches.csv", &(broken.collect::<Vec<_>>().join("\n") + "\n"));
+    for out in ["new", "new/deeper/still"] {
+        assert_eq!(run(&small, out).0, 1);
+        assert!(!small.path("new").exists());
+    }
+}
