@@ -77,6 +77,28 @@ fn what_would_end_the_program_ends_an_isolated_plugin_only() {
 }
 
 #[test]
+fn a_plugin_in_the_process_that_ends_it_is_no_success() {
+    let (printed, text) = misbehave("exit", false);
+    assert!(text.contains("a plugin library ended the program before its work was done"), "{text}");
+    assert_eq!((printed.status, printed.stdout.as_str()), (1, ""), "{text}");
+}
+
+#[test]
+fn a_plugin_that_goes_elsewhere_takes_no_results_along() {
+    let folder = temporary();
+    lengths(folder.path());
+    let library = bad(folder.path(), "bad", &[]);
+    let mut recipe = three_axes(json!({ "model": "bad-model", "mode": "directory" }));
+    recipe["stages"]["fit"]["parameters"] = json!(["E*[1]"]);
+    recipe["plugins"] = json!([{ "path": library }]);
+    Variant(recipe).write(folder.path());
+    let printed = abbe(folder.path(), &["run", "recipe.yaml", "--out", "results-of-the-bad-model"]);
+    assert_eq!(printed.status, 0, "{}", printed.stderr);
+    assert!(folder.path().join("results-of-the-bad-model/recipe/run.json").exists());
+    assert!(!std::path::Path::new("/results-of-the-bad-model").exists());
+}
+
+#[test]
 fn a_plugin_that_fails_at_a_step_ends_the_run_and_one_that_refuses_it_is_asked_for_a_smaller_one() {
     let cases = [
         ("away-nan", &[false, true][..], "gave positions that are not finite numbers"),

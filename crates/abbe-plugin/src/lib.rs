@@ -12,6 +12,8 @@ pub mod abi;
 mod border;
 #[cfg(feature = "host")]
 pub mod check;
+#[cfg(feature = "host")]
+mod exit;
 mod float_control;
 #[cfg(all(feature = "host", unix))]
 mod isolation;
@@ -27,6 +29,8 @@ pub mod sdk;
 mod served;
 mod texts;
 
+#[cfg(feature = "host")]
+pub use exit::{expect_exit, guard_exit};
 #[cfg(feature = "host")]
 pub use isolation::{Limits, isolated, serve};
 #[cfg(feature = "host")]

@@ -25,6 +25,7 @@ pub fn ends(monitor: Monitor) -> Result<()> {
         let _written = WRITING.lock().unwrap_or_else(PoisonError::into_inner);
         // A closed output must not keep the process alive.
         let _ = writeln!(io::stderr(), "interrupted");
+        abbe_plugin::expect_exit();
         std::process::exit(i32::from(status()));
     })
     .map_err(|error| Error::data(format!("signals cannot be handled: {error}")))

@@ -150,6 +150,13 @@ enum PluginCommand {
 /// Carries out the command line of this process; gives its exit status.
 pub fn main() -> ExitCode {
     let arguments = Arguments::parse();
+    abbe_plugin::guard_exit();
+    let status = carried_out(arguments);
+    abbe_plugin::expect_exit();
+    status
+}
+
+fn carried_out(arguments: Arguments) -> ExitCode {
     let level = if arguments.verbose { tracing::Level::INFO } else { tracing::Level::WARN };
     tracing_subscriber::fmt().with_writer(io::stderr).with_max_level(level).without_time().with_target(false).init();
     let machine = matches!(
@@ -189,17 +196,35 @@ pub fn main() -> ExitCode {
     }
 }
 
+/// The folder that a command was started in. A plugin may change it under way; what the user named does not move with it.
+struct Here(Option<PathBuf>);
+
+impl Here {
+    fn now() -> Self {
+        Self(std::env::current_dir().ok())
+    }
+
+    /// A path that was named when the command started; as it was named if the folder is still the same.
+    fn path(&self, named: &Path) -> PathBuf {
+        match &self.0 {
+            Some(here) if std::env::current_dir().ok().as_ref() != Some(here) => here.join(named),
+            _ => named.to_owned(),
+        }
+    }
+}
+
 /// Carries out a command; gives what to print and the exit status.
 fn dispatch(command: Command, libraries: &Libraries) -> Result<(String, u8)> {
     match command {
         Command::Run { recipe, out, json, progress } => {
+            let here = Here::now();
             let (monitor, bar) = progress.monitor();
             interrupt::ends(monitor.clone())?;
             let prepared = prepare(&recipe, &libraries.registry(Some(&recipe))?)?;
             prepared.can_write(&out)?;
             let outcome = prepared.run(&monitor)?;
             bar.finish_and_clear();
-            let folder = interrupt::while_writing(|| outcome.write(&out))?;
+            let folder = interrupt::while_writing(|| outcome.write(&here.path(&out)))?;
             let status = match (outcome.failures.is_empty(), outcome.passes()) {
                 (false, _) => 1,
                 (true, false) => 3,
@@ -225,19 +250,21 @@ fn dispatch(command: Command, libraries: &Libraries) -> Result<(String, u8)> {
             Ok((text, status))
         }
         Command::Simulate { recipe, truth, seed, out, machine } => {
+            let here = Here::now();
             interrupt::ends(Monitor::default())?;
             let prepared = prepare(&recipe, &libraries.registry(Some(&recipe))?)?;
             can_write_folder(&out)?;
             let simulated = prepared.simulate(&truth, seed, machine.as_deref())?;
-            interrupt::while_writing(|| simulated.write(&out))?;
+            interrupt::while_writing(|| simulated.write(&here.path(&out)))?;
             Ok((simulated_text(&simulated, &out), 0))
         }
         Command::Plan { recipe, out, json } => {
+            let here = Here::now();
             interrupt::ends(Monitor::default())?;
             let prepared = prepare(&recipe, &libraries.registry(Some(&recipe))?)?;
             out.iter().try_for_each(|out| can_write_folder(out))?;
             let measurements = prepared.plan()?;
-            interrupt::while_writing(|| out.iter().try_for_each(|out| measurements.write(out)))?;
+            interrupt::while_writing(|| out.iter().try_for_each(|out| measurements.write(&here.path(out))))?;
             let status = if measurements.accepted { 0 } else { 1 };
             let text = match json {
                 true => measurements.record,
