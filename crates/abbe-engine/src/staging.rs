@@ -25,7 +25,7 @@ impl Staging {
         let failed = |error: io::Error| unwritable(parent, &error);
         let made = MadeFolders::new(parent).map_err(failed)?;
         remove_abandoned(parent).map_err(failed)?;
-        let folder = tempfile::Builder::new().prefix(PREFIX).tempdir_in(parent).map_err(failed)?;
+        let folder = temporary(parent).map_err(failed)?;
         let lock = locked(folder.path());
         Ok(Self { folder: Some(folder), lock, made })
     }
@@ -56,7 +56,14 @@ impl Staging {
 pub(crate) fn can_write(parent: &Path) -> Result<()> {
     let there = parent.ancestors().find(|folder| folder.symlink_metadata().is_ok() || folder.as_os_str().is_empty());
     let there = there.filter(|folder| !folder.as_os_str().is_empty()).unwrap_or(Path::new("."));
-    tempfile::Builder::new().prefix(PREFIX).tempdir_in(there).map(drop).map_err(|error| unwritable(parent, &error))
+    // What is there and is no folder says why.
+    let tried = if there.is_dir() { temporary(there).map(drop) } else { fs::create_dir(there) };
+    tried.map_err(|error| unwritable(parent, &error))
+}
+
+/// A new temporary folder. The error does not name it: nobody knows it.
+fn temporary(parent: &Path) -> io::Result<tempfile::TempDir> {
+    tempfile::Builder::new().prefix(PREFIX).tempdir_in(parent).map_err(|error| io::Error::from(error.kind()))
 }
 
 /// The error that results cannot be written.

@@ -19,7 +19,7 @@ use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 
 use abbe_core::{Class, Error, Kind, Monitor, Origin, Registry, Result};
-use abbe_engine::{Outcome, Simulated, can_write_folder, prepare};
+use abbe_engine::{Simulated, can_write_folder, prepare};
 use abbe_plugin::check::Findings;
 use clap::{Parser, Subcommand};
 use libraries::Libraries;
@@ -150,7 +150,10 @@ enum PluginCommand {
 /// Carries out the command line of this process; gives its exit status.
 pub fn main() -> ExitCode {
     let arguments = Arguments::parse();
-    abbe_plugin::guard_exit();
+    // Who starts this program for a library alone looks at what it answers.
+    if !matches!(arguments.command, Command::Plugin { .. }) {
+        abbe_plugin::guard_exit();
+    }
     let status = carried_out(arguments);
     abbe_plugin::expect_exit();
     status

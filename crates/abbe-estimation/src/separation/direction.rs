@@ -1,6 +1,6 @@
 //! A lost direction, and its effect on hypothetical measurements.
 
-use abbe_core::{NullVector, Owner, Poses, Problem, Result, Unknown, Variable};
+use abbe_core::{NullVector, Owner, Poses, Problem, Quantity, Result, Unknown, Variable};
 use nalgebra::{DMatrix, DVector, Vector3};
 
 use super::{Measured, words};
@@ -44,6 +44,12 @@ impl<'a> LostDirection<'a> {
             members.push((unknown.clone(), part.coefficient));
         }
         Ok(Self { problem, members })
+    }
+
+    /// Whether a rotation of the machine takes part.
+    pub fn turns(&self) -> bool {
+        let of_machine = self.members.iter().filter(|(unknown, _)| unknown.owner == Owner::Machine);
+        of_machine.into_iter().any(|(unknown, _)| unknown.unit.of == Quantity::Angle)
     }
 
     /// The effect of the direction on a measurement.

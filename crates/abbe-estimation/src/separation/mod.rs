@@ -102,7 +102,9 @@ impl SeparationTrials {
         let seen = SEEN.max(10.0 * lost.relative());
         let mut effects = Vec::with_capacity(self.trials.len());
         for trial in &self.trials {
-            effects.push(direction.effect(&trial.measured)?);
+            // Another offset is the lever of rotations. A translation it shows at other commands only, which gaps tell better.
+            let counts = trial.group != Group::Probe || direction.turns();
+            effects.push(if counts { direction.effect(&trial.measured)? } else { Effect::default() });
         }
         let found = self.best(&effects, seen);
         if found.is_empty() {
