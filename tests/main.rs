@@ -18,6 +18,7 @@ mod methods;
 mod mill;
 mod multi_feature_bar;
 mod nobodys_files;
+mod nonsense;
 mod outside;
 mod planning;
 mod plugins;

@@ -14,6 +14,7 @@ mod model;
 mod monitor;
 mod observations;
 mod parallel;
+mod plausible;
 mod pose_table;
 mod problem;
 mod registry;
@@ -34,6 +35,7 @@ pub use observations::{
     Orientation, RankPoint, Row, RowBatch, Target,
 };
 pub use parallel::in_parallel;
+pub use plausible::Plausible;
 pub use pose_table::{ColumnNaming, PoseTable, StatusSource, plain_naming, pose_columns};
 pub use problem::{Block, CHUNK, Considered, Evaluation, Input, ObservationSet, Owner, Problem, Scatter, Unknown};
 pub use registry::{Basis, Build, Constructor, Context, Kind, Origin, Plugin, Provider, Registry};
@@ -45,9 +47,9 @@ pub use uncertainty::{CovarianceBlock, EquationUncertainty, Pooled};
 pub use abbe_results::{
     CALIBRATION_FORMAT, Calibration, Combination, CombinedAgreement, ConsideredInput, Contribution, Correlated,
     DataRecord, Decision, Estimated, Figure, FileFormat, Findings, FitReport, GumComparison, Identifiability,
-    JointCoverage, Limit, ModelRecord, MonteCarlo, NamedCovariance, NullVector, Outlier, ParameterBudget, Rule,
-    SameMotion, Selection, SelectionDirection, SelectionStep, SimulatedParameter, Status, UncertaintyBudget,
-    VERDICTS_FORMAT, VarianceFactor, Verdict,
+    ImplausibleValue, JointCoverage, Limit, ModelRecord, MonteCarlo, NamedCovariance, NullVector, Outlier,
+    ParameterBudget, Rule, SameMotion, Selection, SelectionDirection, SelectionStep, SimulatedParameter, Status,
+    UncertaintyBudget, VERDICTS_FORMAT, VarianceFactor, Verdict,
 };
 pub use abbe_settings::{
     Class, Convergence, Error, EvenSeries, Label, Names, PathItem, Place, Quantity, Result, Series, SettingsError,

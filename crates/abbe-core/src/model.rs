@@ -48,6 +48,9 @@ pub struct Axis {
     /// Indexed and not interpolated (a spindle).
     #[serde(default)]
     pub indexed: bool,
+    /// It turns on without an end: commands outside `range` are right.
+    #[serde(default)]
+    pub endless: bool,
     /// Index of the command among [`ModelInfo::status`].
     pub status: usize,
 }
@@ -414,6 +417,7 @@ mod tests {
             direction: [1.0, 0.0, 0.0],
             range: None,
             indexed: false,
+            endless: false,
             status,
         };
         let axes: Vec<Axis> = ["X", "Z"].into_iter().enumerate().map(axis).collect();

@@ -11,6 +11,7 @@ mod laws;
 mod outcome;
 mod places;
 mod plan;
+mod plausibility;
 mod prediction;
 mod prepare;
 mod recalled;
@@ -21,6 +22,7 @@ mod row_settings;
 mod run;
 mod simulate;
 mod staging;
+mod travel;
 
 pub use abbe_planning::{Plan, PlanFigures};
 pub use folder::can_write_folder;

@@ -6,7 +6,7 @@ use std::sync::Arc;
 
 use abbe_core::{
     Artefact, Basis, Build, ColumnHeader, Constructor, Context, Error, Estimate, Export, Ingest, InputFile, Kind,
-    Model, Origin, Plugin, Registry, Result, SettingsError, Validate,
+    Model, Origin, PathItem, Plausible, Plugin, Registry, Result, SettingsError, Validate, from_settings,
 };
 use abbe_recipe::{Library, Recipe, Stage};
 use serde_json::Value;
@@ -27,6 +27,7 @@ pub struct Prepared {
     pub(crate) estimators: BTreeMap<String, Arc<dyn Estimate>>,
     /// Calibrations that were made outside this recipe, by their estimate stages.
     pub(crate) recalled: BTreeMap<String, Recalled>,
+    pub(crate) plausible: BTreeMap<String, Plausible>,
     pub(crate) validators: BTreeMap<String, Box<dyn Validate>>,
     pub(crate) exporters: BTreeMap<String, Box<dyn Export>>,
     /// The plugins that the recipe uses.
@@ -56,6 +57,7 @@ pub fn prepare(path: &Path, registry: &Registry) -> Result<Prepared> {
         models: BTreeMap::new(),
         estimators: BTreeMap::new(),
         recalled: BTreeMap::new(),
+        plausible: BTreeMap::new(),
         validators: BTreeMap::new(),
         exporters: BTreeMap::new(),
         files: vec![path.to_owned()],
@@ -129,6 +131,10 @@ impl Prepared {
             Build::Estimate(constructor) => {
                 let estimator: Arc<dyn Estimate> = Arc::from(constructor.build(settings, context).map_err(wrong)?);
                 let inputs = estimator.inputs();
+                let at = |error: SettingsError| error.under([PathItem::Key("plausible".to_owned())]);
+                let plausible: Plausible = from_settings(&stage.plausible).map_err(at).map_err(wrong)?;
+                plausible.check().map_err(at).map_err(wrong)?;
+                self.plausible.insert(name.clone(), plausible);
                 self.estimators.insert(name, estimator);
                 Ok(inputs)
             }

@@ -18,6 +18,7 @@ use crate::prepare::{Prepared, build_model};
 use crate::recalled::fit_without_rows;
 use crate::record::{FileRecord, input_records};
 use crate::row_settings::Wanted;
+use crate::travel::check_travel;
 
 /// Identifiability of a planned fit.
 #[derive(Debug, Clone, PartialEq)]
@@ -77,7 +78,8 @@ impl Prepared {
         self.nothing_left_over(&data, &taken)?;
         self.rehearse(false, &problems, &BTreeMap::new(), &unseen, &data)?;
         let mut failures = Vec::new();
-        let fits = self.estimates(&problems, &evidence, monitor, &mut failures)?;
+        let mut fits = self.estimates(&problems, &evidence, monitor, &mut failures)?;
+        let implausible = self.implausible(&mut fits)?;
         let from_rows = fits.iter().any(|fit| !fit.problem.sets.is_empty());
         if let (false, Some(failure)) = (from_rows, failures.first()) {
             // Nothing was made of measurements: an earlier run keeps its results.
@@ -85,6 +87,8 @@ impl Prepared {
         }
         let (verdicts, mut exports) = self.verdicts(&fits, &unseen, &data, monitor, &mut failures)?;
         exports.extend(self.exports(&fits, monitor, &mut failures)?);
+        // What needs them has been made all the same.
+        failures.extend(implausible);
         Ok(Outcome {
             recipe: self.recipe.id.clone(),
             fits,
@@ -218,7 +222,8 @@ impl Prepared {
         let estimator = self.estimators[&stage.name].clone();
         tracing::info!("{}: {} equations, {} unknowns", stage.name, problem.equations(), problem.unknowns.len());
         remarks(&problem).iter().for_each(|remark| tracing::warn!("{}: {remark}", stage.name));
-        let calibration = self.located(stage, estimator.explain(&problem))?;
+        let explained = estimator.explain(&problem).map_err(|error| self.with_mistakes(stage, &problem, error));
+        let calibration = self.located(stage, explained)?;
         // Later users of the problem get the rows with the uncertainties that the fit used.
         let factor = |set: &ObservationSet| {
             let found = calibration.fit.variance.iter().find(|found| found.stage == set.name);
@@ -273,7 +278,9 @@ impl Prepared {
     pub(crate) fn problems(&self, data: &Datasets, taken: &mut Taken) -> Result<BTreeMap<String, Problem>> {
         let mut problems = BTreeMap::new();
         for stage in self.stages(Kind::Estimate).filter(has_problem) {
-            problems.insert(stage.name.clone(), self.located(stage, self.problem(stage, data, taken))?);
+            let problem = self.located(stage, self.problem(stage, data, taken))?;
+            self.located(stage, self.plausible[&stage.name].check_names(&problem))?;
+            problems.insert(stage.name.clone(), problem);
         }
         Ok(problems)
     }
@@ -372,7 +379,9 @@ impl Prepared {
             let repeats = self.repeats(name)?.map(|repeats| artefact.observe(&data[repeats], model.as_ref()));
             let repeats = repeats.transpose().map_err(|error| error.stage(name))?;
             let set = self.rows[name].set(name, observations, repeats, model, wanted);
-            sets.push(set.map_err(|error| error.stage(name))?);
+            let set = set.map_err(|error| error.stage(name))?;
+            check_travel(&set, model.as_ref()).map_err(|error| error.stage(name))?;
+            sets.push(set);
         }
         Ok(sets)
     }

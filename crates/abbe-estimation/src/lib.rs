@@ -40,9 +40,12 @@
 
 mod aliasing;
 mod calibration;
+mod causes;
 pub mod contact;
 mod judgement;
 pub mod laws;
+mod mistakes;
+mod plausibility;
 mod preference;
 mod probe_offset;
 mod propagation;
@@ -61,8 +64,11 @@ mod weighted;
 
 pub use aliasing::aliased;
 pub use calibration::calibration;
+pub use causes::unlikely;
 pub use contact::{Variation, at_contact, is_judged_as_recorded, rank_point};
 pub use judgement::Judgement;
+pub use mistakes::likely_mistakes;
+pub use plausibility::{Large, large_errors};
 pub use preference::{check_preferences, in_order_of_preference};
 pub use propagation::{Linearisation, Propagation, Scales};
 pub use rank::{confounded, identifiability, ill_conditioned, separated, weakest};

@@ -1,6 +1,8 @@
 //! Remarks on a problem that users should know before they trust its results.
 
-use abbe_core::{Owner, ParameterRole, Problem};
+use std::collections::BTreeMap;
+
+use abbe_core::{Owner, ParameterRole, Problem, Quantity, Values};
 
 use crate::aliasing::aliased;
 
@@ -12,6 +14,73 @@ const NAMED: usize = 3;
 pub fn remarks(problem: &Problem) -> Vec<String> {
     let mut remarks = aliased(problem);
     remarks.extend(forgotten(problem));
+    remarks.extend(repeated(problem));
+    remarks.extend(missed(problem));
+    remarks
+}
+
+/// Rows of a data set that are the same in every cell: a file that was read twice, or a row that was copied.
+fn repeated(problem: &Problem) -> Vec<String> {
+    let mut remarks = Vec::new();
+    for set in &problem.sets {
+        let data = &set.info().layout.data;
+        let mut seen: BTreeMap<Vec<Cell<'_>>, usize> = BTreeMap::new();
+        let (mut count, mut first) = (0, None);
+        for row in set.rows.iter().filter_map(|&row| set.info().layout.rows[row].data_row) {
+            let cells = data.columns.iter().map(|column| match &column.values {
+                Values::Numbers(numbers) => Cell::Number(numbers[row].to_bits()),
+                Values::Labels(labels) => Cell::Label(&labels[row]),
+            });
+            if let Some(earlier) = seen.insert(cells.collect(), row) {
+                count += 1;
+                first.get_or_insert((earlier, row));
+            }
+        }
+        let Some((one, other)) = first else { continue };
+        let line = |row: usize| data.origins[row].line;
+        remarks.push(format!(
+            "{}: {} in the data twice, the same in every column (the first: lines {} and {}); each counts as a measurement of its own",
+            set.name,
+            if count == 1 { "1 row is".to_owned() } else { format!("{count} rows are") },
+            line(one),
+            line(other)
+        ));
+    }
+    remarks
+}
+
+/// A cell, to be compared with others.
+#[derive(PartialEq, Eq, PartialOrd, Ord)]
+enum Cell<'a> {
+    Number(u64),
+    Label(&'a str),
+}
+
+/// Median distance from nominal contact that is told, mm: features are where they should be within a millimetre.
+const MISSED: f64 = 1.0;
+
+/// How far the nominal machine is from contact at the recorded positions, if that is too far for a good set-up.
+fn missed(problem: &Problem) -> Vec<String> {
+    let Ok(residuals) = problem.residuals(&problem.start()) else { return Vec::new() };
+    let equations = residuals.iter().zip(problem.quantities()).zip(problem.equation_rows());
+    let mut sizes: BTreeMap<usize, Vec<f64>> = BTreeMap::new();
+    for ((residual, quantity), (set, _)) in equations {
+        if quantity == Quantity::Length {
+            sizes.entry(set).or_default().push(residual.abs());
+        }
+    }
+    let mut remarks = Vec::new();
+    for (set, mut sizes) in sizes {
+        sizes.sort_by(f64::total_cmp);
+        let (median, largest) = (sizes[sizes.len() / 2], sizes[sizes.len() - 1]);
+        if median > MISSED {
+            remarks.push(format!(
+                "{}: at the recorded positions the nominal machine is {median:.1} mm away from contact (median; {largest:.1} mm at most): a \
+                 sign, a unit, a length or a place may be wrong",
+                problem.sets[set].name
+            ));
+        }
+    }
     remarks
 }
 

@@ -146,6 +146,7 @@ impl UncertaintyEvaluation {
             dropped: Vec::new(),
             weakest: if self.explained { weakest(problem, &factor.spectrum(), found.rank) } else { Vec::new() },
             selection: None,
+            implausible: Vec::new(),
             same_motion: if self.explained { same_motion(problem)? } else { Vec::new() },
             variance: components.map_or_else(Vec::new, |found| found.named(problem)),
             agreement: None,

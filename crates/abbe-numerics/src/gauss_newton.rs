@@ -183,14 +183,15 @@ fn solve_robust<P: LeastSquares + ?Sized>(
 ) -> Result<Solution, P::Error> {
     let mut rounds = Rounds { problem, options, weights: vec![1.0; problem.rows()], iterations: minimum.iterations };
     let mut settled = false;
-    for _ in 0..SCALE_ROUNDS {
+    // Where least squares find no minimum, weights have nothing to start from.
+    for _ in 0..if minimum.end == End::Converged { SCALE_ROUNDS } else { 0 } {
         let Compared { residuals, deviations, .. } = rounds.compared(&minimum)?;
         let studentised = studentised(&residuals, &deviations);
         let spread = scale(&rounds.measured(&studentised));
         let changed = rounds.reweigh(Robust::HUBER, &studentised, spread);
         minimum = rounds.minimise(minimum, false)?;
         settled = changed < SCALE_SETTLED;
-        if settled || minimum.end == End::NoProgress {
+        if settled || minimum.end != End::Converged {
             break;
         }
     }
@@ -199,7 +200,7 @@ fn solve_robust<P: LeastSquares + ?Sized>(
     let held = Held { robust, spread, pulls };
     let mut residuals = residuals;
     let mut sizes = held.sizes(&residuals);
-    if minimum.end != End::NoProgress {
+    if minimum.end == End::Converged {
         settled = false;
         let mut last = None;
         for _ in 0..options.rounds {
@@ -284,6 +285,9 @@ const SLOW: f64 = 0.5;
 /// Ratio from which no more is looked ahead: twenty steps.
 const FARTHEST: f64 = 0.95;
 
+/// Iterations of all rounds of robust weights together, as a multiple of those that one minimum may take.
+const ALL_ROUNDS: usize = 5;
+
 /// Rounds of robust weights.
 struct Rounds<'a, P: ?Sized> {
     problem: &'a P,
@@ -350,6 +354,9 @@ impl<P: LeastSquares + ?Sized> Rounds<'_, P> {
     fn minimise(&mut self, from: Minimum, settled: bool) -> Result<Minimum, P::Error> {
         let Options { tolerance, rounding, .. } = *self.options;
         let options = Options { tolerance: if settled { tolerance } else { tolerance.max(rounding) }, ..*self.options };
+        if self.iterations >= ALL_ROUNDS * self.options.iterations {
+            return Ok(Minimum { end: End::IterationLimit, ..from });
+        }
         let factor = factorise(self.problem, &from.x, Some(&self.weights))?;
         let minimum = minimise(self.problem, from.x, factor, Some(&self.weights), &options)?;
         self.iterations += minimum.iterations;
@@ -400,6 +407,7 @@ fn minimise<P: LeastSquares + ?Sized>(
 ) -> Result<Minimum, P::Error> {
     // Size of the last step if it was a full one, its ratio to the one before, and the size of the smallest.
     let (mut last, mut last_ratio, mut smallest) = (None, None, f64::INFINITY);
+    let mut trials = 0;
     for iterations in 1..=options.iterations {
         let Some((step, size)) = step_of(&factor) else {
             return Ok(Minimum { x, end: End::NoProgress, iterations, last_step: f64::NAN, factor });
@@ -419,6 +427,16 @@ fn minimise<P: LeastSquares + ?Sized>(
         match downhill(problem, (&x, &step), factor.cost(), weights)? {
             Some(lower) => {
                 problem.has_stepped(iterations, size * lower.part);
+                trials += lower.trials;
+                if trials > TRIALS * options.iterations {
+                    return Ok(Minimum {
+                        x: lower.x,
+                        end: End::IterationLimit,
+                        iterations,
+                        last_step: size,
+                        factor: lower.factor,
+                    });
+                }
                 let whole = lower.part == 1.0;
                 (x, factor) = (lower.x, lower.factor);
                 last = whole.then_some(size);
@@ -441,7 +459,12 @@ struct Lower {
     factor: Factor,
     /// The part of the step.
     part: f64,
+    /// How many parts were tried.
+    trials: usize,
 }
+
+/// Parts of steps that are tried for each iteration that is allowed, on average: a step that has to be cut again and again leads nowhere.
+const TRIALS: usize = 3;
 
 /// The first of a step from x, its half, its quarter and so on that does not make the sum of squares larger than `cost`, with the
 /// factor there and the part that it is; None if no part does.
@@ -451,16 +474,17 @@ fn downhill<P: LeastSquares + ?Sized>(
     cost: f64,
     weights: Option<&[f64]>,
 ) -> Result<Option<Lower>, P::Error> {
-    let (mut evaluated, mut refused, mut part) = (false, None, 1.0);
+    let (mut evaluated, mut refused, mut part, mut trials) = (false, None, 1.0, 0);
     while part >= LEAST_PART {
         let mut trial = x.to_vec();
+        trials += 1;
         add(&mut trial, step, part);
         match factorise(problem, &trial, weights) {
             Ok(factor) => {
                 evaluated = true;
                 let differentiable = factor.norms().iter().all(|norm| norm.is_finite());
                 if differentiable && factor.cost() <= cost * (1.0 + 1e-12) + f64::MIN_POSITIVE {
-                    return Ok(Some(Lower { x: trial, factor, part }));
+                    return Ok(Some(Lower { x: trial, factor, part, trials }));
                 }
             }
             Err(error) if problem.is_final(&error) => return Err(error),

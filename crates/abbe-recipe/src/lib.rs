@@ -34,6 +34,9 @@ const ROW_SETTINGS: [&str; 4] = ["uncertainty", "pooled", "id", "unseen"];
 const SHARED_ROWS: &str = "shared_rows";
 const ACCEPTED: &str = "accepted";
 
+/// The key of an estimate from measurements with the largest plausible errors ([`abbe_core::Plausible`]).
+const PLAUSIBLE: &str = "plausible";
+
 /// The key under which measurements are planned ([`Planning`]).
 const PLAN: &str = "plan";
 
@@ -85,6 +88,8 @@ pub struct Stage {
     pub row_settings: Value,
     /// Whether an estimate may use rows again from which its known values were estimated.
     pub shared_rows: bool,
+    /// The largest plausible errors of an estimate from measurements, an object.
+    pub plausible: Value,
     /// The names of stages under each reference key, as in the recipe.
     pub references: BTreeMap<String, Vec<String>>,
     /// The YAML files that were merged in.
@@ -335,6 +340,7 @@ impl<'a> Head<'a> {
         let own: &[&'static str] = match self.plugin.kind() {
             Kind::Model => &["file"],
             Kind::Artefact => &ROW_SETTINGS,
+            Kind::Estimate if self.plugin.basis == Basis::Measurements => &[SHARED_ROWS, PLAUSIBLE],
             Kind::Estimate => &[SHARED_ROWS],
             _ => &[],
         };
@@ -359,6 +365,7 @@ impl<'a> Head<'a> {
         let mut row_settings = Map::new();
         let mut parameters = Vec::new();
         let mut shared_rows = false;
+        let mut plausible = Value::Object(Map::new());
         let mut origin = Origin { file: None, expanded: Vec::new() };
         for (key, node) in self.node.map()? {
             if key == kind.key() || known.iter().any(|reference| reference.key == key) {
@@ -376,6 +383,8 @@ impl<'a> Head<'a> {
                     return Err(node.error(At::Value, format!("`{ACCEPTED}` was expected, or nothing")));
                 }
                 shared_rows = true;
+            } else if kind == Kind::Estimate && key == PLAUSIBLE && self.plugin.basis == Basis::Measurements {
+                plausible = node.value.clone();
             } else if kind == Kind::Artefact && ROW_SETTINGS.contains(&key) {
                 row_settings.insert(key.to_owned(), node.value.clone());
             } else {
@@ -408,8 +417,19 @@ impl<'a> Head<'a> {
         let (name, plugin) = (self.name.to_owned(), self.plugin.name.to_string());
         let row_settings = Value::Object(row_settings);
         let basis = self.plugin.basis;
-        let stage =
-            Stage { name, kind, plugin, basis, settings, parameters, row_settings, shared_rows, references, files };
+        let stage = Stage {
+            name,
+            kind,
+            plugin,
+            basis,
+            settings,
+            parameters,
+            row_settings,
+            shared_rows,
+            plausible,
+            references,
+            files,
+        };
         Ok((stage, origin, nodes))
     }
 

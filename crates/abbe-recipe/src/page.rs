@@ -32,6 +32,7 @@ pub fn page(plugin: &Plugin) -> String {
     let mut more: Vec<String> = references(plugin).iter().map(|reference| format!("`{}`", reference.key)).collect();
     if kind == Kind::Estimate && matches!(plugin.basis, Basis::Measurements | Basis::Combination) {
         more.extend(["`parameters`", "`shared_rows`"].map(str::to_owned));
+        more.extend(Some("`plausible`".to_owned()).filter(|_| plugin.basis == Basis::Measurements));
     }
     more.extend(
         ["`uncertainty`", "`pooled`", "`id`", "`unseen`"]

@@ -1,6 +1,6 @@
 //! The JSON Schema of recipes, for editors.
 
-use abbe_core::{Basis, Kind, Plugin, Registry, RowSettings};
+use abbe_core::{Basis, Kind, Plausible, Plugin, Registry, RowSettings};
 use abbe_planning::Planning;
 use serde_json::{Map, Value, json};
 
@@ -95,6 +95,11 @@ fn stage(plugin: &Plugin) -> Value {
         properties.insert(crate::SHARED_ROWS.to_owned(), accepted);
     }
     if kind == Kind::Estimate && plugin.basis == Basis::Measurements {
+        let mut plausible = abbe_core::schema_of::<Plausible>();
+        if let Some(plausible) = plausible.as_object_mut() {
+            plausible.shift_remove("$schema");
+        }
+        properties.insert(crate::PLAUSIBLE.to_owned(), plausible);
         // An estimate of its own, or the analysis of another one.
         let own = json!({ "required": ["machine", "observations", "parameters"] });
         settings.insert("anyOf".to_owned(), json!([own, { "required": [ANALYSED] }]));

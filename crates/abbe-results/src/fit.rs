@@ -94,6 +94,17 @@ pub struct Estimated {
     pub status: Status,
 }
 
+/// An estimated error that is larger than an error of a machine can be.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct ImplausibleValue {
+    /// Name of the parameter.
+    pub name: String,
+    /// The largest error over the recorded travel that it makes, mm or rad.
+    pub size: f64,
+    /// What is plausible at most, mm or rad.
+    pub plausible: f64,
+}
+
 /// An input that is not estimated but whose uncertainty is propagated: a certificate, a stylus, a sensor.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct ConsideredInput {
@@ -221,6 +232,9 @@ pub struct FitReport {
     /// Motion errors with the same effect on the tip: only the functions chosen for them separate them, not the machine.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub same_motion: Vec<SameMotion>,
+    /// Estimated errors that are larger than an error of a machine can be.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub implausible: Vec<ImplausibleValue>,
     /// The factors on the stated uncertainties of every artefact, where each was given its own.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub variance: Vec<VarianceFactor>,
@@ -255,6 +269,7 @@ impl FitReport {
             weakest: Vec::new(),
             selection: None,
             same_motion: Vec::new(),
+            implausible: Vec::new(),
             variance: Vec::new(),
             agreement: None,
         }

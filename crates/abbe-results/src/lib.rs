@@ -16,8 +16,8 @@ pub use budget::{
 pub use covariance::NamedCovariance;
 pub use decision::{Decision, Rule};
 pub use fit::{
-    CALIBRATION_FORMAT, Calibration, CombinedAgreement, ConsideredInput, DataRecord, Estimated, FitReport, ModelRecord,
-    Outlier, Selection, SelectionDirection, SelectionStep, Status, VarianceFactor,
+    CALIBRATION_FORMAT, Calibration, CombinedAgreement, ConsideredInput, DataRecord, Estimated, FitReport,
+    ImplausibleValue, ModelRecord, Outlier, Selection, SelectionDirection, SelectionStep, Status, VarianceFactor,
 };
 pub use format::FileFormat;
 pub use identifiability::{Combination, Identifiability, NullVector, SameMotion};

@@ -26,6 +26,7 @@ impl Rail {
             direction: [1.0, 0.0, 0.0],
             range: None,
             indexed: false,
+            endless: false,
             status: 0,
         };
         let status = StatusColumn {

@@ -169,7 +169,17 @@ mod tests {
     fn axis(kind: AxisKind, range: Option<[f64; 2]>) -> Axis {
         let name = if kind == AxisKind::Linear { "X" } else { "B" }.to_owned();
         let branch = Branch::Tool;
-        Axis { name, kind, branch, sense: 1.0, direction: [1.0, 0.0, 0.0], range, indexed: false, status: 0 }
+        Axis {
+            name,
+            kind,
+            branch,
+            sense: 1.0,
+            direction: [1.0, 0.0, 0.0],
+            range,
+            indexed: false,
+            endless: false,
+            status: 0,
+        }
     }
 
     fn sampled(axis: &Axis, ranges: serde_json::Value, mm: f64, most: usize) -> Result<Vec<f64>, String> {

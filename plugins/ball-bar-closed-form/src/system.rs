@@ -126,6 +126,7 @@ impl System {
             weakest: self.found.weakest.clone(),
             selection: None,
             same_motion: Vec::new(),
+            implausible: Vec::new(),
             variance: Vec::new(),
             agreement: None,
         };

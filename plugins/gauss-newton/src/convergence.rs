@@ -1,5 +1,7 @@
 //! What is told of an iteration that does not converge.
 
+use std::cmp::Ordering;
+
 use abbe_core::{Convergence, Error, Termination};
 use abbe_numerics::{End, Options, Solution};
 
@@ -10,7 +12,16 @@ pub fn not_converged(solution: &Solution, options: &Options) -> Error {
             (Termination::NoProgress, format!("no step makes the residuals smaller{}", left_out(solution)))
         }
         End::IterationLimit => {
-            (Termination::IterationLimit, format!("it still moves at the limit of {} iterations", options.iterations))
+            let limit = match solution.iterations.cmp(&options.iterations) {
+                Ordering::Less => {
+                    format!("after {} iterations, whose steps have to be cut again and again", solution.iterations)
+                }
+                Ordering::Equal => format!("at the limit of {} iterations", options.iterations),
+                Ordering::Greater => {
+                    format!("after {} iterations in all rounds of robust weights", solution.iterations)
+                }
+            };
+            (Termination::IterationLimit, format!("it still moves {limit}"))
         }
         End::RoundLimit => {
             (Termination::RoundLimit, format!("robust weights still change after {} rounds", options.rounds))

@@ -62,6 +62,7 @@ impl Builder {
                 direction: axis.direction.into(),
                 range: given.range_mm.or(given.range_deg.map(|range| range.map(f64::to_radians))),
                 indexed: named.indexed,
+                endless: given.endless,
                 status: index,
             });
             // A spindle that the data do not mention is at zero.

@@ -28,6 +28,9 @@ pub(crate) fn chain_axis(named: &NamedAxis, settings: &Settings) -> Result<Chain
         let setting = if kind == AxisKind::Linear { "range_mm" } else { "range_deg" };
         return at(setting, "a range is two numbers, the smaller one first".to_owned());
     }
+    if given.endless && kind == AxisKind::Linear {
+        return at("endless", format!("axis {} is linear, and has an end", named.name));
+    }
     let direction = Vector3::from(given.direction.unwrap_or(named.direction()));
     if !(direction.norm() > 1e-6 && direction.norm().is_finite()) {
         return at("direction", "a direction is three numbers that are not all zero".to_owned());

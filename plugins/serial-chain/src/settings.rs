@@ -80,6 +80,9 @@ pub struct AxisSettings {
     /// Range of commands of a rotary axis.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub range_deg: Option<[f64; 2]>,
+    /// A rotary axis that turns on without an end: rows may have commands outside its range.
+    #[serde(default, skip_serializing_if = "std::ops::Not::not")]
+    pub endless: bool,
     /// Direction in the machine frame, for tilted axes; otherwise it follows from the letter.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub direction: Option<[f64; 3]>,

@@ -56,6 +56,7 @@ impl Hexapod {
             direction: [0.0, 0.0, 1.0],
             range: Some([low, high]),
             indexed: false,
+            endless: false,
             status: strut,
         });
         let axes: Vec<Axis> = axes.collect();

@@ -89,6 +89,7 @@ impl NutatingHead {
             direction: direction.into(),
             range: None,
             indexed: false,
+            endless: false,
             status,
         };
         let named = [("X", Vector3::x()), ("Y", Vector3::y()), ("Z", Vector3::z()), ("B", tilted)];

@@ -130,6 +130,7 @@ impl Machine {
             direction: Vector3::ith(status, 1.0).into(),
             range: Some([origin[status] - 200.0, origin[status] + 200.0]),
             indexed: false,
+            endless: false,
             status,
         };
         let column = |(axis, name): (usize, &str)| StatusColumn {

@@ -151,6 +151,7 @@ impl Plain {
                 direction,
                 range: None,
                 indexed: false,
+                endless: false,
                 status,
             }
         };

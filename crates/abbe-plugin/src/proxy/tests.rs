@@ -32,6 +32,7 @@ impl Wave {
             direction: [1.0, 0.0, 0.0],
             range: None,
             indexed: false,
+            endless: false,
             status: 0,
         };
         let axes = vec![axis];

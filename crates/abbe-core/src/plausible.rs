@@ -1,0 +1,49 @@
+//! What a recipe says about errors that are plausible.
+
+use std::collections::BTreeMap;
+
+use abbe_settings::{Error, PathItem, Result, SettingsError, matches, positive};
+use schemars::JsonSchema;
+use serde::Deserialize;
+
+use crate::problem::Problem;
+
+/// The largest plausible errors of some parameters, by name or pattern, where these are not what holds for their kind.
+#[derive(Debug, Clone, PartialEq, Default, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct Plausible {
+    /// Of lengths, mm: `{ EX0C: 20, "d?t": 400 }`. Of error motions it is the largest over the recorded travel.
+    #[serde(default)]
+    pub mm: BTreeMap<String, f64>,
+    /// Of angles, mrad.
+    #[serde(default)]
+    pub mrad: BTreeMap<String, f64>,
+}
+
+impl Plausible {
+    fn all(&self) -> impl Iterator<Item = ([&str; 2], f64)> {
+        let of = |key: &'static str, bounds| {
+            let bounds: &BTreeMap<String, f64> = bounds;
+            bounds.iter().map(move |(name, bound)| ([key, name.as_str()], *bound))
+        };
+        of("mm", &self.mm).chain(of("mrad", &self.mrad))
+    }
+
+    /// Refuses bounds that are no positive numbers.
+    pub fn check(&self) -> Result<(), SettingsError> {
+        let at = |path: [&str; 2]| path.map(|key| PathItem::Key(key.to_owned()));
+        self.all().try_for_each(|(path, bound)| positive("", bound).map(drop).map_err(|error| error.under(at(path))))
+    }
+
+    /// Fails if a pattern matches no parameter of the machine.
+    pub fn check_names(&self, problem: &Problem) -> Result<()> {
+        let names = || problem.model.info().parameters.iter().map(|parameter| parameter.name.as_str());
+        let Some((path, _)) = self.all().find(|([_, pattern], _)| !names().any(|name| matches(pattern, name))) else {
+            return Ok(());
+        };
+        let mut error =
+            Error::usage(format!("`{}` matches no parameter of the machine", path[1])).suggest(path[1], names());
+        error.setting = ["plausible"].iter().chain(&path).map(|key| PathItem::Key((*key).to_owned())).collect();
+        Err(error)
+    }
+}

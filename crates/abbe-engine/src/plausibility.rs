@@ -1,0 +1,74 @@
+//! Errors that no machine has: a run with them fails, with the mistake that explains them.
+
+use abbe_core::{Class, Error, Fit, ImplausibleValue, Problem, Result};
+use abbe_estimation::{Large, large_errors, likely_mistakes, unlikely};
+use abbe_recipe::Stage;
+
+use crate::outcome::Failure;
+use crate::prepare::Prepared;
+use crate::run::has_rows;
+
+/// Most implausible errors that a message names.
+const NAMED: usize = 3;
+
+impl Prepared {
+    /// The estimates from measurements with errors that are implausible; these are marked in their calibrations. What is large, and may
+    /// be real, is told only.
+    pub(crate) fn implausible(&self, fits: &mut [Fit]) -> Result<Vec<Failure>> {
+        let mut failures = Vec::new();
+        for fit in fits {
+            let stage = self.recipe_stage(&fit.name)?;
+            if !has_rows(&stage) {
+                continue;
+            }
+            let plausible = &self.plausible[&stage.name];
+            let large = self.located(stage, large_errors(plausible, &fit.problem, &fit.calibration))?;
+            let (implausible, told): (Vec<Large>, Vec<Large>) = large.into_iter().partition(Large::is_implausible);
+            for sentence in unlikely(&fit.problem, &fit.calibration, &told) {
+                tracing::warn!("{}: {sentence}", fit.name);
+            }
+            if implausible.is_empty() {
+                continue;
+            }
+            let mistakes = self.located(stage, likely_mistakes(&fit.problem, plausible))?;
+            let error =
+                implausible_error(&implausible, unlikely(&fit.problem, &fit.calibration, &implausible), mistakes);
+            fit.calibration.fit.implausible = implausible.iter().map(record).collect();
+            failures.push(Failure::own(stage, self.recipe.locate(error.stage(&stage.name))));
+        }
+        Ok(failures)
+    }
+
+    /// The error of a fit that does not converge, with the mistake that explains why.
+    pub(crate) fn with_mistakes(&self, stage: &Stage, problem: &Problem, error: Error) -> Error {
+        if error.convergence.is_none() || error.class != Class::Data || error.fault {
+            return error;
+        }
+        match likely_mistakes(problem, &self.plausible[&stage.name]) {
+            Ok(mistakes) if !mistakes.is_empty() => {
+                let help = error.help.clone().map_or_else(String::new, |help| format!("; {help}"));
+                error.help(format!("{}{help}", mistakes.join("; ")))
+            }
+            _ => error,
+        }
+    }
+}
+
+fn record(large: &Large) -> ImplausibleValue {
+    ImplausibleValue { name: large.unknown.name.clone(), size: large.size, plausible: large.bound }
+}
+
+fn implausible_error(implausible: &[Large], causes: Vec<String>, mistakes: Vec<String>) -> Error {
+    let named: Vec<String> = implausible.iter().take(NAMED).map(Large::describe).collect();
+    let more = implausible.len().saturating_sub(NAMED);
+    let rest = if more > 0 { format!(" and {more} more") } else { String::new() };
+    let first = &implausible[0];
+    let message =
+        format!("no machine has such errors: {}{rest}; {} is plausible at most", named.join(", "), first.plausible());
+    let (unit, name) = (first.setting(), &first.unknown.name);
+    let widen = format!(
+        "look for a wrong sign, column or unit in the recipe and the data, or say `plausible: {{ {unit}: {{ \"{name}\": .. }} }}`"
+    );
+    let help: Vec<String> = mistakes.into_iter().chain(causes).chain([widen]).collect();
+    Error::data(message).help(help.join("; "))
+}

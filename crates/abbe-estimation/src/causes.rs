@@ -1,0 +1,112 @@
+//! Likely causes of values that are larger than an error should be: numbers of the set-up that they look like.
+
+use abbe_core::{Calibration, Problem, Quantity};
+use serde_json::Value;
+
+use crate::plausibility::Large;
+
+/// A value looks like a number if it differs by less than this part.
+const ALIKE: f64 = 0.02;
+
+/// Least number of features that are off by the same amount.
+const FEATURES: usize = 3;
+
+/// Common deviation of features that is told, mm.
+const COMMON: f64 = 0.5;
+
+/// Features are off alike if their scatter is below this part of what they are off by.
+const SCATTER: f64 = 0.2;
+
+/// Sentences on large errors: what they are as large as, and on features that are off alike.
+pub fn unlikely(problem: &Problem, calibration: &Calibration, large: &[Large]) -> Vec<String> {
+    let numbers = lengths(&problem.model.info().settings);
+    let of_parameter = large.iter().filter_map(|large| {
+        let cause = match large.unknown.unit.of {
+            Quantity::Length if large.unknown.unit.per.is_none() => cause(large.size, &numbers),
+            _ => None,
+        };
+        match cause {
+            Some(cause) => Some(format!("{} is {cause}", large.describe())),
+            None if large.is_implausible() => None,
+            None => Some(format!("{} is large for such an error", large.describe())),
+        }
+    });
+    of_parameter.chain(alike(problem, calibration, &numbers)).collect()
+}
+
+/// What a length is as large as among the numbers of the set-up.
+fn cause(size: f64, numbers: &[(String, f64)]) -> Option<String> {
+    let ways = [
+        (1.0, "as large as"),
+        (2.0, "twice, as with a wrong sign of,"),
+        (0.5, "half, as with a diameter for a radius in,"),
+        (1.0 - 1.0 / 25.4, "what is missing if inches were taken for mm in"),
+        (24.4, "what is too much if mm were taken for inches in"),
+    ];
+    let found = ways.iter().find_map(|(factor, way)| {
+        let like = |(_, number): &&(String, f64)| (size.abs() / (number.abs() * factor) - 1.0).abs() < ALIKE;
+        numbers.iter().find(like).map(|(name, number)| format!("{way} `{name}` ({number} mm)"))
+    });
+    found
+}
+
+/// The lengths of settings that are not zero, by the keys that lead to them.
+fn lengths(settings: &Value) -> Vec<(String, f64)> {
+    fn collect(value: &Value, path: &str, is_length: bool, found: &mut Vec<(String, f64)>) {
+        match value {
+            Value::Number(number) if is_length => {
+                found.extend(number.as_f64().filter(|number| *number != 0.0).map(|number| (path.to_owned(), number)));
+            }
+            Value::Array(items) => items.iter().for_each(|item| collect(item, path, is_length, found)),
+            Value::Object(items) => {
+                items.iter().filter(|(key, _)| *key != "errors" && !key.starts_with("range")).for_each(|(key, item)| {
+                    let path = if path.is_empty() { key.clone() } else { format!("{path}.{key}") };
+                    collect(item, &path, key.ends_with("_mm"), found);
+                })
+            }
+            _ => {}
+        }
+    }
+    let mut found = Vec::new();
+    collect(settings, "", false, &mut found);
+    found
+}
+
+/// Features of one kind that are all off by the same length: what all of them have in common is wrong.
+fn alike(problem: &Problem, calibration: &Calibration, numbers: &[(String, f64)]) -> Vec<String> {
+    let mut sentences = Vec::new();
+    for set in &problem.sets {
+        let info = set.info();
+        let mut kinds: Vec<&str> = info.unknowns.iter().filter_map(|own| kind(&own.name)).collect();
+        kinds.sort_unstable();
+        kinds.dedup();
+        for wanted in kinds {
+            let own = info.unknowns.iter().zip(&info.start).filter(|(own, _)| kind(&own.name) == Some(wanted));
+            let own = own.filter(|(own, _)| own.unit.of == Quantity::Length && own.unit.per.is_none());
+            let off: Vec<f64> = own
+                .filter_map(|(own, start)| Some(calibration.get(&format!("{}.{}", set.name, own.name))?.value - start))
+                .collect();
+            let count = off.len() as f64;
+            let mean = off.iter().sum::<f64>() / count.max(1.0);
+            let scatter = (off.iter().map(|off| (off - mean).powi(2)).sum::<f64>() / count.max(1.0)).sqrt();
+            if off.len() < FEATURES || mean.abs() < COMMON || scatter > SCATTER * mean.abs() {
+                continue;
+            }
+            let inputs = info.inputs.iter().map(|input| (input.parameter.name.clone(), input.value));
+            let known: Vec<(String, f64)> =
+                numbers.iter().cloned().chain(inputs.filter(|(_, value)| *value != 0.0)).collect();
+            let why = cause(mean, &known).map_or_else(String::new, |cause| format!(", which is {cause}"));
+            sentences.push(format!(
+                "all {} `{}.*.{wanted}` are off by about {mean:.3} mm{why}: the radius of the stylus, or the place of the artefact, may be wrong",
+                off.len(),
+                set.name
+            ));
+        }
+    }
+    sentences
+}
+
+/// The last part of the name of a feature's unknown: `d` of `facet[7].d`.
+fn kind(name: &str) -> Option<&str> {
+    name.rsplit_once("].").map(|(_, kind)| kind)
+}

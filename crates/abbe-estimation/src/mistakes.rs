@@ -1,0 +1,175 @@
+//! The usual mistakes of a set-up, tried one by one: which of them explains residuals, or errors that no machine has?
+
+use abbe_core::{AxisKind, Monitor, ObservationSet, Plausible, Problem, Quantity, Result, StatusRole};
+use abbe_numerics::{End, Options, solve_from};
+
+use crate::plausibility::large_at;
+use crate::weighted::Weighted;
+
+/// A mistake, and the problem without it.
+struct Mistake {
+    /// `with B negated`.
+    without: String,
+    problem: Problem,
+}
+
+/// Iterations of a trial: what is right converges in a few.
+const ITERATIONS: usize = 15;
+
+/// A mistake explains the residuals if these fall to less than this part.
+const FALLS: f64 = 0.3;
+
+/// It explains implausible errors if residuals do not become larger than this many times.
+const STAYS: f64 = 1.5;
+
+/// Median of the residuals in standard uncertainties from which a fit is no good.
+const GOOD: f64 = 5.0;
+
+/// Most mistakes that are told.
+const TOLD: usize = 2;
+
+/// Sentences on the mistakes that explain a problem best, the best first; none if none does.
+///
+/// `plausible` tells which errors are none. Only mistakes in what was recorded are tried: signs, swapped columns, units.
+pub fn likely_mistakes(problem: &Problem, plausible: &Plausible) -> Result<Vec<String>> {
+    let quiet = problem.watched_by(Monitor::default());
+    let as_it_is = Trial::new(&quiet, plausible);
+    let mut found = Vec::new();
+    for Mistake { without, problem: other } in mistakes(&quiet) {
+        // Whoever watches the work can end it here.
+        problem.monitor.check()?;
+        let Some(trial) = Trial::new(&other, plausible) else { continue };
+        let explains = match &as_it_is {
+            None => trial.is_plausible,
+            Some(now) if now.is_plausible => trial.is_plausible && trial.median < FALLS * now.median,
+            Some(now) => trial.is_plausible && (trial.median < STAYS * now.median || trial.in_uncertainties < GOOD),
+        };
+        if explains {
+            found.push((without, trial));
+        }
+    }
+    found.sort_by(|(_, a), (_, b)| a.median.total_cmp(&b.median));
+    let least = found.first().map_or(0.0, |(_, trial)| trial.median);
+    let sentence = |(without, trial): (String, Trial)| match &as_it_is {
+        Some(now) if trial.median < FALLS * now.median => {
+            format!("{without} the residuals fall from {} to {}", now.size(), trial.size())
+        }
+        Some(_) => format!("{without} all errors are plausible, and the residuals are {}", trial.size()),
+        None => format!("{without} the fit succeeds, and the residuals are {}", trial.size()),
+    };
+    let near = found.into_iter().filter(|(_, trial)| trial.median <= 3.0 * least + 1e-6);
+    Ok(near.take(TOLD).map(sentence).collect())
+}
+
+/// A fit by plain least squares, from the nominal machine.
+struct Trial {
+    /// Median size of the residuals of lengths, or of angles where there are no lengths, mm or rad.
+    median: f64,
+    quantity: Quantity,
+    /// The same of all residuals in standard uncertainties.
+    in_uncertainties: f64,
+    is_plausible: bool,
+}
+
+impl Trial {
+    /// None if there is no solution.
+    fn new(problem: &Problem, plausible: &Plausible) -> Option<Self> {
+        let weighted = Weighted::new(problem).ok()?;
+        let options = Options { iterations: ITERATIONS, tolerance: 1e-3, ..Options::USUAL };
+        let solution = solve_from(&weighted, &problem.start(), None, &options).ok()?;
+        if solution.end == End::NoProgress && !solution.x.iter().all(|value| value.is_finite()) {
+            return None;
+        }
+        let residuals = problem.residuals(&solution.x).ok()?;
+        let quantities = problem.quantities();
+        let quantity = if quantities.contains(&Quantity::Length) { Quantity::Length } else { Quantity::Angle };
+        let in_uncertainties = median(weighted.in_uncertainties(residuals.clone()))?;
+        let of_quantity = residuals.into_iter().zip(quantities).filter(|(_, other)| *other == quantity);
+        let size = median(of_quantity.map(|(residual, _)| residual).collect())?;
+        let large = large_at(plausible, &problem.at(&solution.x)).ok()?;
+        Some(Self {
+            median: size,
+            quantity,
+            in_uncertainties,
+            is_plausible: !large.iter().any(|large| large.is_implausible()),
+        })
+    }
+
+    /// The median for people.
+    fn size(&self) -> String {
+        let (value, small, large) = match self.quantity {
+            Quantity::Angle => (self.median * 1e6, "µrad", "mrad"),
+            _ => (self.median * 1e3, "µm", "mm"),
+        };
+        if value < 1e3 { format!("{value:.2} {small}") } else { format!("{:.1} {large}", value * 1e-3) }
+    }
+}
+
+/// The median of sizes; none if there are none, or some are no numbers.
+fn median(values: Vec<f64>) -> Option<f64> {
+    let mut sizes: Vec<f64> = values.into_iter().map(f64::abs).collect();
+    sizes.sort_by(f64::total_cmp);
+    sizes.get(sizes.len() / 2).copied().filter(|median| median.is_finite())
+}
+
+/// The usual mistakes in recorded commands.
+fn mistakes(problem: &Problem) -> Vec<Mistake> {
+    let axes = &problem.model.info().axes;
+    let mut found = Vec::new();
+    for (index, axis) in axes.iter().enumerate() {
+        let direction = problem.model.info().status_of(&StatusRole::Direction(index));
+        let problem = with_commands(problem, |status| {
+            status[axis.status] = -status[axis.status];
+            if let Some(direction) = direction {
+                status[direction] = -status[direction];
+            }
+        });
+        found.push(Mistake { without: format!("with {} negated", axis.name), problem });
+    }
+    for kind in [AxisKind::Linear, AxisKind::Rotary] {
+        let alike: Vec<_> = axes.iter().filter(|axis| axis.kind == kind).collect();
+        for (place, one) in alike.iter().enumerate() {
+            for other in &alike[place + 1..] {
+                let problem = with_commands(problem, |status| status.swap(one.status, other.status));
+                found.push(Mistake { without: format!("with {} and {} swapped", one.name, other.name), problem });
+            }
+        }
+        let units: &[(f64, &str)] = match kind {
+            AxisKind::Linear => &[
+                (25.4, "in inches"),
+                (1.0 / 25.4, "in mm and not in inches"),
+                (1e3, "in metres"),
+                (1e-3, "in micrometres"),
+            ],
+            AxisKind::Rotary => {
+                &[(1.0_f64.to_degrees(), "in radians"), (1.0_f64.to_radians(), "in degrees and not in radians")]
+            }
+        };
+        let names: Vec<&str> = alike.iter().map(|axis| axis.name.as_str()).collect();
+        for (factor, unit) in units {
+            let all = with_commands(problem, |status| alike.iter().for_each(|axis| status[axis.status] *= factor));
+            if !alike.is_empty() {
+                found.push(Mistake { without: format!("with {} read as {unit}", names.join(", ")), problem: all });
+            }
+            for axis in alike.iter().filter(|_| alike.len() > 1) {
+                let problem = with_commands(problem, |status| status[axis.status] *= factor);
+                found.push(Mistake { without: format!("with {} read as {unit}", axis.name), problem });
+            }
+        }
+    }
+    found
+}
+
+/// The problem with other recorded commands.
+fn with_commands(problem: &Problem, change: impl Fn(&mut [f64])) -> Problem {
+    let mut problem = problem.clone();
+    let changed = |set: &ObservationSet| {
+        let mut poses = set.poses().clone();
+        for pose in 0..poses.len() {
+            change(poses.row_mut(pose));
+        }
+        set.with_poses(poses)
+    };
+    problem.sets = problem.sets.iter().map(changed).collect();
+    problem
+}

@@ -1,0 +1,172 @@
+//! Whether estimated errors can be errors of a machine at all.
+//!
+//! A wrong sign, a swapped column or a wrong unit is absorbed by the parameters: the fit may look good while a scale is off by 200 %.
+//! So every estimated error is held against what such an error can be.
+
+use std::collections::BTreeMap;
+
+use abbe_core::{Calibration, Owner, ParameterRole, Plausible, Problem, Quantity, Result, Status, Unknown, matches};
+
+use crate::separation::thinned;
+
+/// Largest plausible error motion over the recorded travel, mm and rad.
+const MOTION: [f64; 2] = [10.0, 20e-3];
+
+/// Largest plausible offset and tilt of an axis, mm and rad.
+const LOCATION: [f64; 2] = [10.0, 20e-3];
+
+/// Largest plausible offset and tilt of a set-up, mm and rad: tools are measured, workpieces are clamped.
+const SET_UP: [f64; 2] = [20.0, 50e-3];
+
+/// Part of a bound from which an error is told, though it may be real.
+const TOLD: f64 = 0.2;
+
+/// Standard uncertainties that a value may be off by.
+const COVERED: f64 = 3.0;
+
+/// An estimated error that is larger than it can be, or nearly so.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Large {
+    /// The parameter.
+    pub unknown: Unknown,
+    /// The error that it makes at most over the recorded travel, mm or rad, with the sign of the parameter.
+    pub size: f64,
+    /// What is plausible, mm or rad.
+    pub bound: f64,
+}
+
+impl Large {
+    /// Whether it is beyond what is plausible.
+    pub fn is_implausible(&self) -> bool {
+        self.size.abs() > self.bound
+    }
+
+    /// The error and its bound, for people.
+    pub fn describe(&self) -> String {
+        let is_error_motion = self.unknown.unit.per.is_some();
+        let over = if is_error_motion { " over the recorded travel" } else { "" };
+        format!("{} = {}{over}", self.unknown.name, self.of_size(self.size))
+    }
+
+    /// What is plausible, for people.
+    pub fn plausible(&self) -> String {
+        self.of_size(self.bound)
+    }
+
+    /// The setting that states what is plausible.
+    pub fn setting(&self) -> &'static str {
+        if self.unknown.unit.of == Quantity::Angle { "mrad" } else { "mm" }
+    }
+
+    fn of_size(&self, size: f64) -> String {
+        match self.unknown.unit.of {
+            Quantity::Angle => format!("{} mrad", rounded(size * 1e3)),
+            _ => format!("{} mm", rounded(size)),
+        }
+    }
+}
+
+/// Three digits.
+fn rounded(value: f64) -> f64 {
+    let scale = 10f64.powi(2 - value.abs().max(1e-12).log10().floor() as i32);
+    (value * scale).round() / scale
+}
+
+/// The estimated parameters of the machine that are larger than it can be, or nearly so; the largest first. What may be large by
+/// chance, for its uncertainty, is none of them.
+pub fn large_errors(plausible: &Plausible, problem: &Problem, calibration: &Calibration) -> Result<Vec<Large>> {
+    let estimated = |unknown: &&Unknown| {
+        unknown.owner == Owner::Machine
+            && calibration.get(&unknown.name).is_some_and(|found| found.status == Status::Estimated)
+    };
+    let unknowns: Vec<Unknown> = problem.unknowns.iter().filter(estimated).cloned().collect();
+    let values = |unknown: &Unknown| {
+        calibration.get(&unknown.name).map_or((0.0, 0.0), |found| (found.value, found.standard_uncertainty))
+    };
+    judged(plausible, &problem.at(&problem.values_of(calibration)), &unknowns, values)
+}
+
+/// The same of values without a calibration; the unknowns stand at them.
+pub(crate) fn large_at(plausible: &Plausible, at: &Problem) -> Result<Vec<Large>> {
+    let start = at.start();
+    let unknowns: Vec<Unknown> =
+        at.unknowns.iter().filter(|unknown| unknown.owner == Owner::Machine).cloned().collect();
+    let value = |unknown: &Unknown| {
+        let index = at.unknowns.iter().position(|other| other == unknown);
+        (index.map_or(0.0, |index| start[index]), 0.0)
+    };
+    judged(plausible, at, &unknowns, value)
+}
+
+fn judged(
+    plausible: &Plausible,
+    at: &Problem,
+    unknowns: &[Unknown],
+    value: impl Fn(&Unknown) -> (f64, f64),
+) -> Result<Vec<Large>> {
+    let per_unit = Effects::of(at)?;
+    let mut found = Vec::new();
+    for unknown in unknowns {
+        let Some(bound) = bound(plausible, at, unknown) else { continue };
+        let Some(effect) = per_unit.of_parameter(unknown) else { continue };
+        let (value, standard_uncertainty) = value(unknown);
+        let nominal = at.model.info().nominal[unknown.index];
+        let size = (value - nominal) * effect;
+        if size.abs() - COVERED * standard_uncertainty * effect > TOLD * bound {
+            found.push(Large { unknown: unknown.clone(), size, bound });
+        }
+    }
+    found.sort_by(|a, b| (b.size.abs() / b.bound).total_cmp(&(a.size.abs() / a.bound)));
+    Ok(found)
+}
+
+/// What is plausible of a parameter, mm or rad; none where nothing is known of its kind.
+fn bound(plausible: &Plausible, problem: &Problem, unknown: &Unknown) -> Option<f64> {
+    let (own, factor, index) = match unknown.unit.of {
+        Quantity::Length => (&plausible.mm, 1.0, 0),
+        Quantity::Angle => (&plausible.mrad, 1e-3, 1),
+        _ => return None,
+    };
+    // The longest pattern says most.
+    let stated = own.iter().filter(|(pattern, _)| matches(pattern, &unknown.name));
+    if let Some((_, bound)) = stated.max_by_key(|(pattern, _)| pattern.trim_matches(['*', '?']).len()) {
+        return Some(bound * factor);
+    }
+    match problem.model.info().parameters[unknown.index].role {
+        ParameterRole::Motion { .. } => Some(MOTION[index]),
+        ParameterRole::Location { .. } => Some(LOCATION[index]),
+        ParameterRole::SetUp => Some(SET_UP[index]),
+        ParameterRole::Shape | ParameterRole::Feature | ParameterRole::Other => None,
+    }
+}
+
+/// The largest error over the recorded statuses that each parameter of a model makes, mm or rad for each unit of its value.
+struct Effects(BTreeMap<usize, f64>);
+
+impl Effects {
+    fn of(problem: &Problem) -> Result<Self> {
+        let mut largest: BTreeMap<usize, f64> = BTreeMap::new();
+        for set in &thinned(problem).sets {
+            for pose in set.poses_of(&set.rows) {
+                let status = set.poses().row(pose);
+                for function in &problem.model.info().error_functions {
+                    // An error that cannot be evaluated here has no part in this row.
+                    let Ok(error) = problem.model.motion_error(function, &problem.machine, status) else { continue };
+                    for (index, by) in error.derivatives.into_iter().filter(|(_, by)| by.is_finite()) {
+                        let effect = largest.entry(index).or_default();
+                        *effect = effect.max(by.abs());
+                    }
+                }
+            }
+        }
+        Ok(Self(largest))
+    }
+
+    /// Of one parameter; none where it is not known.
+    fn of_parameter(&self, unknown: &Unknown) -> Option<f64> {
+        match unknown.unit.per {
+            None => Some(1.0),
+            Some(_) => self.0.get(&unknown.index).copied(),
+        }
+    }
+}

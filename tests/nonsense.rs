@@ -1,0 +1,164 @@
+//! Absurd calibrations do not pass: signs, columns, units and lengths that are wrong, on a recipe that is right.
+
+use std::fs;
+
+use abbe_core::{Error, Monitor};
+use abbe_engine::{Outcome, prepare};
+use serde_json::{Value, json};
+
+use crate::support::{Variant, read, recipes, registry, temporary};
+
+/// The first steps with other touches and another machine.
+fn first_steps(change: impl Fn(&str, f64) -> f64, machine: &[(&str, Value)]) -> Result<Outcome, Error> {
+    first_steps_with(change, machine, &json!({}))
+}
+
+fn first_steps_with(
+    change: impl Fn(&str, f64) -> f64,
+    machine: &[(&str, Value)],
+    plausible: &Value,
+) -> Result<Outcome, Error> {
+    let folder = temporary();
+    let mut recipe = Variant::of(&recipes()["first-steps"]);
+    let text = read(&recipe.path("touches", "path"));
+    let mut lines = text.lines().filter(|line| !line.starts_with('#'));
+    let header: Vec<&str> = lines.next().expect("a header").split(',').collect();
+    let mut written = header.join(",");
+    for line in lines {
+        let cells = line.split(',').zip(&header).map(|(cell, name)| match name.rsplit_once('_') {
+            Some((_, "mm" | "deg")) => format!("{}", change(name, cell.parse().expect("a number"))),
+            _ => cell.to_owned(),
+        });
+        written.push('\n');
+        written.push_str(&cells.collect::<Vec<_>>().join(","));
+    }
+    fs::write(folder.path().join("changed.csv"), written + "\n").expect("a file");
+    recipe.stage("touches")["path"] = json!(folder.path().join("changed.csv"));
+    for (setting, value) in machine {
+        recipe.stage("machine")[*setting] = value.clone();
+    }
+    recipe.stage("fit")["plausible"] = plausible.clone();
+    let path = recipe.write(folder.path());
+    prepare(&path, &registry())?.run(&Monitor::default())
+}
+
+/// Message and help of the estimate that no machine can have.
+fn refused(change: impl Fn(&str, f64) -> f64, machine: &[(&str, Value)]) -> (String, String) {
+    let error = match first_steps(change, machine) {
+        Err(error) => error,
+        Ok(outcome) => {
+            let failure = outcome.failures.first().expect("it fails").clone();
+            // It is written and marked all the same.
+            let fit = outcome.fits.iter().find(|fit| fit.name == failure.stage).expect("the estimate is there");
+            assert!(!fit.calibration.fit.implausible.is_empty());
+            assert!(!outcome.passes() && outcome.verdicts.len() == 1);
+            failure.error
+        }
+    };
+    (error.message, error.help.unwrap_or_default())
+}
+
+#[test]
+fn the_right_recipe_passes() {
+    let outcome = first_steps(|_, value| value, &[]).expect("it runs");
+    assert!(outcome.passes());
+    assert!(outcome.fits[0].calibration.fit.implausible.is_empty());
+}
+
+#[test]
+fn wrong_signs_columns_and_units_are_found() {
+    type Change = fn(&str, f64) -> f64;
+    let cases: [(Change, &str); 9] = [
+        (|name, value| if name == "X_mm" { -value } else { value }, "with X negated"),
+        (|name, value| if name == "Y_mm" { -value } else { value }, "with Y negated"),
+        (|name, value| if name == "B_deg" { -value } else { value }, "with B negated"),
+        (|name, value| if name == "C_deg" { -value } else { value }, "with C negated"),
+        (|name, value| if name.ends_with("mm") { value / 25.4 } else { value }, "read as in inches"),
+        (|name, value| if name.ends_with("mm") { value * 25.4 } else { value }, "read as in mm and not in inches"),
+        (|name, value| if name.ends_with("mm") { value / 1000.0 } else { value }, "read as in metres"),
+        (|name, value| if name.ends_with("deg") { value.to_radians() } else { value }, "read as in radians"),
+        (|name, value| if name == "B_deg" { value.to_radians() } else { value }, "with B read as in radians"),
+    ];
+    for (change, expected) in cases {
+        let (message, help) = refused(change, &[]);
+        assert!(help.starts_with("with ") && help.contains(expected), "{expected}: {message}; {help}");
+        // The likeliest mistake comes first.
+        assert!(help.find(expected) < help.find(';'), "{expected}: {help}");
+    }
+}
+
+#[test]
+fn swapped_columns_are_found() {
+    let folder = temporary();
+    let mut recipe = Variant::of(&recipes()["first-steps"]);
+    let text = read(&recipe.path("touches", "path")).replace("X_mm,Y_mm", "Y_mm,X_mm");
+    fs::write(folder.path().join("changed.csv"), text).expect("a file");
+    recipe.stage("touches")["path"] = json!(folder.path().join("changed.csv"));
+    let outcome =
+        prepare(&recipe.write(folder.path()), &registry()).and_then(|prepared| prepared.run(&Monitor::default()));
+    let failure = outcome.expect("it runs").failures.remove(0);
+    assert!(failure.error.message.starts_with("no machine has such errors: "), "{}", failure.error.message);
+    assert!(failure.error.help.expect("help").starts_with("with X and Y swapped"));
+}
+
+#[test]
+fn wrong_lengths_of_the_set_up_are_found() {
+    let same = |_: &str, value: f64| value;
+    let (message, help) = refused(same, &[("tool_length_mm", json!(-326.674))]);
+    assert!(message.contains("dzt = -654 mm"), "{message}");
+    assert!(help.contains("twice, as with a wrong sign of, `tool_length_mm` (-326.674 mm)"), "{help}");
+    let (message, _) = refused(same, &[("tool_length_mm", json!(8000))]);
+    assert!(message.contains("dzt = 7670 mm"), "{message}");
+    let (message, _) = refused(same, &[("tool_length_mm", json!(371.674))]);
+    assert!(message.contains("dzt = 44.8 mm; 20 mm is plausible at most"), "{message}");
+    // The recipe may say that the tool is not measured.
+    let wide = json!({ "mm": { "d?t": 100 } });
+    let outcome = first_steps_with(same, &[("tool_length_mm", json!(371.674))], &wide).expect("it runs");
+    assert!(outcome.passes(), "{:?}", outcome.failures);
+}
+
+#[test]
+fn what_is_plausible_is_said_of_parameters_that_exist() {
+    let same = |_: &str, value: f64| value;
+    for (plausible, expected) in [
+        (json!({ "mm": { "EX0Q": 1 } }), "`EX0Q` matches no parameter of the machine"),
+        (json!({ "mm": { "EX0C": -1 } }), "a positive number was expected"),
+        (json!({ "inch": {} }), "inch"),
+    ] {
+        let error = first_steps_with(same, &[], &plausible).err().expect("it is refused");
+        assert!(error.message.contains(expected), "{error}");
+        assert!(error.place.is_some_and(|place| place.line.is_some()));
+    }
+}
+
+#[test]
+fn commands_beyond_the_travel_have_their_line() {
+    let far = |name: &str, value: f64| if name == "C_deg" && value > 50.0 { 2_147_483_648.0 } else { value };
+    let error = first_steps(far, &[]).err().expect("it is refused");
+    assert!(error.message.contains("C stands at 2147483648°, beyond its travel"), "{error}");
+    assert!(error.place.as_ref().is_some_and(|place| place.line.is_some()), "{error}");
+    let axes = json!({ "X": { "range_mm": [-100, 100] } });
+    let error = first_steps(|_, value| value, &[("axes", axes)]).err().expect("it is refused");
+    assert!(error.message.contains("beyond its travel of -100 mm to 100 mm"), "{error}");
+    // Whole turns more are the same place, where an axis turns without an end.
+    let turns = |name: &str, value: f64| if name == "C_deg" { value + 36_000.0 * 360.0 } else { value };
+    assert!(first_steps(turns, &[]).is_err());
+    let outcome = first_steps(turns, &[("axes", json!({ "C": { "endless": true } }))]).expect("it runs");
+    assert!(outcome.passes(), "{:?}", outcome.failures);
+}
+
+#[test]
+fn rows_that_are_there_twice_are_told() {
+    let folder = temporary();
+    let mut recipe = Variant::of(&recipes()["first-steps"]);
+    let text = read(&recipe.path("touches", "path"));
+    let line = text.lines().nth(5).expect("a row");
+    fs::write(folder.path().join("changed.csv"), format!("{text}{line}\n")).expect("a file");
+    recipe.stage("touches")["path"] = json!(folder.path().join("changed.csv"));
+    let planned = prepare(&recipe.write(folder.path()), &registry()).and_then(|prepared| prepared.check());
+    let remarks = planned.expect("a plan").remove(0).identifiability.remarks;
+    assert!(
+        remarks.iter().any(|remark| remark.contains("1 row is in the data twice") && remark.contains("lines 6 and ")),
+        "{remarks:?}"
+    );
+}
