@@ -10,6 +10,7 @@
 
 mod dataset;
 mod identity;
+mod layout;
 mod model;
 mod monitor;
 mod observations;
@@ -25,14 +26,15 @@ mod uncertainty;
 
 pub use dataset::{Column, ColumnHeader, Dataset, RowOrigin, Values};
 pub use identity::Certificate;
+pub use layout::{Layout, Row};
 pub use model::{
     Absent, Axis, AxisKind, Branch, ErrorFunction, KinematicModel, ModelInfo, MotionError, Parameter, ParameterRole,
     Period, PoseBatch, Poses, PosesMut, StatusColumn, StatusRole, Variable,
 };
 pub use monitor::{Event, Monitor};
 pub use observations::{
-    Approach, Contact, Equations, Feature, KnownInput, Layout, NominalReading, Observations, ObservationsInfo,
-    Orientation, RankPoint, Row, RowBatch, Target,
+    Approach, Contact, Equations, Feature, KnownInput, NominalReading, Observations, ObservationsInfo, Orientation,
+    RankPoint, RowBatch, Target,
 };
 pub use parallel::in_parallel;
 pub use plausible::Plausible;
