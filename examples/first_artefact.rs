@@ -6,9 +6,9 @@ use std::path::PathBuf;
 use std::sync::Arc;
 
 use abbe_core::{
-    Artefact, ColumnHeader, Contact, Context, Dataset, Equations, Feature, InputFile, KinematicModel, Layout,
-    Observations, ObservationsInfo, Quantity, Registry, Result, RowBatch, SettingsError, Target, plain_naming,
-    pose_columns, positive,
+    Artefact, ColumnHeader, Contact, Context, DataRow, Dataset, Equations, Feature, InputFile, KinematicModel, Layout,
+    Observations, ObservationsInfo, Quantity, Registry, Result, RowBatch, RowIndex, SettingsError, Target,
+    plain_naming, pose_columns, positive,
 };
 use abbe_engine::prepare;
 use schemars::JsonSchema;
@@ -75,7 +75,7 @@ impl Artefact for KnownPoints {
         let points = self.points()?;
         let mut layout = Layout::new(data, model, &[&plain_naming])?;
         let mut point_of_row = Vec::new();
-        for (row, label) in abbe_table::labels(data, "feature")?.iter().enumerate() {
+        for (row, label) in DataRow::enumerate(abbe_table::labels(data, "feature")?) {
             let place = points.iter().position(|(known, _)| known == label);
             point_of_row.push(place.ok_or_else(|| data.error_at(row, format!("there is no point `{label}`")))?);
             layout.push(model, row, &[self.standard_uncertainty; 3])?;
@@ -120,7 +120,7 @@ impl Observations for Touches {
     }
 
     // Rank is judged where the tip is on the point, whatever the machine's errors are.
-    fn contact_tip(&self, row: usize, _tip: [f64; 3], _own: &[f64], _inputs: &[f64]) -> Result<Option<[f64; 3]>> {
+    fn contact_tip(&self, row: RowIndex, _tip: [f64; 3], _own: &[f64], _inputs: &[f64]) -> Result<Option<[f64; 3]>> {
         Ok(Some(self.points[self.point_of_row[row]].1))
     }
 }

@@ -39,7 +39,7 @@ fn results_are_as_their_schemas_say_and_calibrations_stand_on_their_own() {
             let values: Vec<f64> = read.parameters.iter().map(|parameter| parameter.value).collect();
             for set in &fit.problem.sets {
                 let table = &set.observations.info().layout.poses;
-                let statuses: Vec<f64> = (0..table.len()).flat_map(|pose| table.row(pose).to_vec()).collect();
+                let statuses: Vec<f64> = table.indices().flat_map(|pose| table.row(pose).to_vec()).collect();
                 let tips = |model: &dyn abbe_core::KinematicModel| {
                     let mut poses = Poses::default();
                     let evaluated = model.poses(&statuses, &values, &[], true, &mut poses);

@@ -5,7 +5,7 @@ use std::fs;
 use std::path::{Path, PathBuf};
 use std::sync::{Arc, OnceLock};
 
-use abbe_core::Problem;
+use abbe_core::{Problem, RowIndex, SetIndex};
 use abbe_engine::prepare;
 use abbe_simulation::{Drift, Noise, Outliers, RandomOutliers, Sigma, Truth, measure};
 use abbe_simulation::{Lobing, contact_directions};
@@ -124,7 +124,7 @@ fn the_data_set_is_measured_again() {
     let (own, again) = (tango(), simulated(&truth(), 1));
     assert!(largest(&residuals(own)) < 3e-9);
     for (own, again) in own.sets.iter().zip(&again.sets) {
-        for pose in 0..own.poses().len() {
+        for pose in own.poses().indices() {
             for (own, again) in own.poses().row(pose).iter().zip(again.poses().row(pose)) {
                 assert!((own - again).abs() < 0.05 || own.is_nan(), "pose {pose}: {own} {again}");
             }
@@ -174,7 +174,7 @@ fn residuals_at_the_truth_scatter_as_stated() {
 #[test]
 fn what_a_row_gets_does_not_depend_on_other_rows() {
     let truth = with(Noise { probing_sigma_mm: Sigma::All(0.001), ..Noise::default() });
-    let some = tango().with_rows(0, vec![7, 100, 250]);
+    let some = tango().with_rows(SetIndex(0), [7, 100, 250].map(RowIndex).to_vec());
     let (all, some) = (residuals(&simulated(&truth, 5)), residuals(&measure(&some, &truth, 5).expect("rows")));
     for (all, some) in [all[7], all[100], all[250], all[383]].into_iter().zip(some) {
         assert!((all - some).abs() < 2e-11, "{all} {some}");
@@ -185,7 +185,7 @@ fn what_a_row_gets_does_not_depend_on_other_rows() {
 fn positions_are_rounded_to_the_resolution() {
     let measured = simulated(&with(Noise { resolution_mm: 0.0005, ..Noise::default() }), 1);
     for set in &measured.sets {
-        for pose in 0..set.poses().len() {
+        for pose in set.poses().indices() {
             for axis in measured.model.info().axes.iter().filter(|axis| axis.kind == abbe_core::AxisKind::Linear) {
                 let steps = set.poses().row(pose)[axis.status] / 0.0005;
                 assert!((steps - steps.round()).abs() < 1e-6, "{steps}");
@@ -200,9 +200,8 @@ fn positions_are_rounded_to_the_resolution() {
 fn outliers_are_added_outwards() {
     let listed = BTreeMap::from([("114".to_owned(), 0.0392), ("331".to_owned(), -0.1094)]);
     let measured = simulated(&with(Noise { outliers: Outliers { listed, random: None }, ..Noise::default() }), 1);
-    for (equation, residual) in residuals(&measured).into_iter().enumerate() {
-        let (set, row) = measured.equation_rows()[equation];
-        let touch = (set == 0).then(|| measured.origin(set, row).expect("a row of a file").1.row);
+    for (residual, (set, row)) in residuals(&measured).into_iter().zip(measured.equation_rows()) {
+        let touch = (set == SetIndex(0)).then(|| measured.origin(set, row).expect("a row of a file").1.row);
         let expected = match touch {
             Some(114) => 0.0392,
             Some(331) => -0.1094,
@@ -227,8 +226,8 @@ fn drift_moves_the_parameter_in_time() {
     let layout = &measured.sets[0].observations.info().layout;
     let times = layout.data.numbers("time").expect("times");
     let mut moved = 0.0_f64;
-    for row in [0, 100, 200, 382] {
-        let mut at = measured.with_rows(0, vec![row]);
+    for row in [0, 100, 200, 382].map(RowIndex) {
+        let mut at = measured.with_rows(SetIndex(0), vec![row]);
         moved = moved.max(residuals(&at)[0].abs());
         at.machine[dzt] += drift.at(times[layout.rows[row].data_row.expect("a data row")]);
         assert!(residuals(&at)[0].abs() < 2e-11);

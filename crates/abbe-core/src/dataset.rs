@@ -4,6 +4,7 @@ use std::path::PathBuf;
 
 use serde::{Deserialize, Serialize};
 
+use crate::index::{DataRow, IndexRange};
 use abbe_settings::Quantity;
 use abbe_settings::serial::numbers;
 use abbe_settings::{Error, Result, nearest};
@@ -76,6 +77,11 @@ impl Dataset {
         self.origins.len()
     }
 
+    /// The indices of all rows.
+    pub fn row_indices(&self) -> IndexRange<DataRow> {
+        DataRow::first(self.rows())
+    }
+
     /// The headers of all columns.
     pub fn headers(&self) -> Vec<ColumnHeader> {
         self.columns.iter().map(|column| column.header.clone()).collect()
@@ -113,7 +119,7 @@ impl Dataset {
     }
 
     /// An error that points at a row.
-    pub fn error_at(&self, row: usize, message: impl Into<String>) -> Error {
+    pub fn error_at(&self, row: DataRow, message: impl Into<String>) -> Error {
         let origin = self.origins[row];
         Error::data(message).at(&self.files[origin.file], origin.line, None)
     }

@@ -5,6 +5,7 @@ use std::sync::Arc;
 use serde::{Deserialize, Serialize};
 
 use crate::dataset::Dataset;
+use crate::index::{DataRow, IndexRange, LayoutEquation, PoseIndex, RowIndex};
 use crate::model::KinematicModel;
 use crate::pose_table::{ColumnNaming, PoseTable, StatusSource, pose_columns};
 use abbe_settings::{Quantity, Result};
@@ -13,15 +14,27 @@ use abbe_settings::{Quantity, Result};
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Row {
     /// First of its poses in [`Layout::poses`].
-    pub first_pose: usize,
+    pub first_pose: PoseIndex,
     /// Number of its poses: none (a calibrated distance between features), one or several.
     pub poses: usize,
     /// First of its equations.
-    pub first_equation: usize,
+    pub first_equation: LayoutEquation,
     /// How many equations it gives.
     pub equations: usize,
     /// The row of the data set; none if it is a constraint that was not measured here.
-    pub data_row: Option<usize>,
+    pub data_row: Option<DataRow>,
+}
+
+impl Row {
+    /// Its poses.
+    pub fn pose_indices(&self) -> IndexRange<PoseIndex> {
+        IndexRange::new(self.first_pose, self.poses)
+    }
+
+    /// Its equations.
+    pub fn equation_indices(&self) -> IndexRange<LayoutEquation> {
+        IndexRange::new(self.first_equation, self.equations)
+    }
 }
 
 /// The rows of some observations: the part that has the same form for all artefacts.
@@ -38,7 +51,7 @@ pub struct Layout {
     pub standard_uncertainties: Vec<f64>,
     /// Further rows of the data set that were combined into rows of this layout, beside the `data_row` of each: the touches
     /// of a centre.
-    pub merged: Vec<usize>,
+    pub merged: Vec<DataRow>,
     sources: Vec<Vec<StatusSource>>,
 }
 
@@ -61,9 +74,19 @@ impl Layout {
         })
     }
 
+    /// The indices of all rows.
+    pub fn row_indices(&self) -> IndexRange<RowIndex> {
+        RowIndex::first(self.rows.len())
+    }
+
     /// Adds a measured row: one equation for each of `standard_uncertainties`.
-    pub fn push(&mut self, model: &dyn KinematicModel, data_row: usize, standard_uncertainties: &[f64]) -> Result<()> {
-        let first_pose = self.poses.len();
+    pub fn push(
+        &mut self,
+        model: &dyn KinematicModel,
+        data_row: DataRow,
+        standard_uncertainties: &[f64],
+    ) -> Result<()> {
+        let first_pose = self.poses.end();
         for sources in &self.sources {
             self.poses.push(&self.data, data_row, model, sources)?;
         }
@@ -76,11 +99,12 @@ impl Layout {
     /// Its standard uncertainties are used as weights only. Results get the uncertainty of the known inputs that its
     /// equations depend on, because a certificate does not scatter as readings do.
     pub fn push_constraint(&mut self, standard_uncertainties: &[f64]) {
-        self.add(self.poses.len(), 0, None, standard_uncertainties);
+        self.add(self.poses.end(), 0, None, standard_uncertainties);
     }
 
-    fn add(&mut self, first_pose: usize, poses: usize, data_row: Option<usize>, standard_uncertainties: &[f64]) {
-        let (first_equation, equations) = (self.standard_uncertainties.len(), standard_uncertainties.len());
+    fn add(&mut self, first_pose: PoseIndex, poses: usize, data_row: Option<DataRow>, standard_uncertainties: &[f64]) {
+        let first_equation = LayoutEquation(self.standard_uncertainties.len());
+        let equations = standard_uncertainties.len();
         self.standard_uncertainties.extend_from_slice(standard_uncertainties);
         self.rows.push(Row { first_pose, poses, first_equation, equations, data_row });
     }
@@ -111,7 +135,7 @@ fn unknown_axis(data: &Dataset, sources: &[Vec<StatusSource>]) -> Result<()> {
         let numbers = data.numbers(name).unwrap_or_default();
         if let Some(row) = numbers.iter().position(|number| *number != numbers[0]) {
             let message = format!("`{}` changes here, but the machine has no axis {name}", column.header.header);
-            return Err(data.error_at(row, message).help("add the axis to the chain, or take the column out"));
+            return Err(data.error_at(DataRow(row), message).help("add the axis to the chain, or take the column out"));
         }
     }
     Ok(())

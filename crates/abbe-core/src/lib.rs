@@ -10,6 +10,7 @@
 
 mod dataset;
 mod identity;
+mod index;
 mod layout;
 mod model;
 mod monitor;
@@ -26,6 +27,7 @@ mod uncertainty;
 
 pub use dataset::{Column, ColumnHeader, Dataset, RowOrigin, Values};
 pub use identity::Certificate;
+pub use index::{DataRow, EquationIndex, IndexRange, LayoutEquation, ListedBy, PoseIndex, RowIndex, SetIndex};
 pub use layout::{Layout, Row};
 pub use model::{
     Absent, Axis, AxisKind, Branch, ErrorFunction, KinematicModel, ModelInfo, MotionError, Parameter, ParameterRole,

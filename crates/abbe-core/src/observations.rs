@@ -7,6 +7,7 @@ use serde::de::Error as _;
 use serde::{Deserialize, Deserializer, Serialize};
 
 use crate::identity::Certificate;
+use crate::index::{LayoutEquation, RowIndex};
 use crate::layout::Layout;
 use crate::model::{KinematicModel, Parameter};
 use abbe_settings::Result;
@@ -114,7 +115,7 @@ pub enum RankPoint {
     /// In nominal contact ([`Observations::contact_tip`]).
     InContact,
     /// At nominal readings, by the index of the row; rows without one are judged as recorded.
-    NominalReading(#[serde(deserialize_with = "by_row")] BTreeMap<usize, NominalReading>),
+    NominalReading(#[serde(deserialize_with = "by_row")] BTreeMap<RowIndex, NominalReading>),
 }
 
 impl RankPoint {
@@ -125,7 +126,7 @@ impl RankPoint {
     }
 
     /// The rows that have a nominal reading, by their index.
-    pub fn nominal_readings(&self) -> impl Iterator<Item = (&usize, &NominalReading)> {
+    pub fn nominal_readings(&self) -> impl Iterator<Item = (&RowIndex, &NominalReading)> {
         let rows = if let Self::NominalReading(rows) = self { Some(rows) } else { None };
         rows.into_iter().flatten()
     }
@@ -138,9 +139,10 @@ impl RankPoint {
 }
 
 /// Reads a map by row. The keys of a JSON object are texts, and serde does not always turn them into numbers.
-fn by_row<'de, D: Deserializer<'de>>(deserializer: D) -> Result<BTreeMap<usize, NominalReading>, D::Error> {
+fn by_row<'de, D: Deserializer<'de>>(deserializer: D) -> Result<BTreeMap<RowIndex, NominalReading>, D::Error> {
     let by_text = BTreeMap::<String, NominalReading>::deserialize(deserializer)?;
-    let row = |text: &str| text.parse().map_err(|_| D::Error::custom(format!("`{text}` is no index of a row")));
+    let row =
+        |text: &str| text.parse().map(RowIndex).map_err(|_| D::Error::custom(format!("`{text}` is no index of a row")));
     by_text.into_iter().map(|(text, nominal)| Ok((row(&text)?, nominal))).collect()
 }
 
@@ -179,7 +181,7 @@ pub struct Target {
 #[derive(Debug, Clone, Copy)]
 pub struct RowBatch<'a> {
     /// Indices of the rows.
-    pub rows: &'a [usize],
+    pub rows: &'a [RowIndex],
     /// Tip positions of their poses, one after another in the order of the rows, table frame, mm.
     pub positions: &'a [[f64; 3]],
     /// Tool orientations as unit quaternions w, x, y, z; empty unless the observations ask for them.
@@ -303,7 +305,7 @@ pub struct ObservationsInfo {
     pub orientation: Orientation,
     /// Equations, by their index in the layout, that are of angles (rad); all others are of lengths (mm).
     #[serde(default)]
-    pub angles: BTreeSet<usize>,
+    pub angles: BTreeSet<LayoutEquation>,
     /// The features in the table frame, to compare or plot them.
     #[serde(default)]
     pub features: Vec<Feature>,
@@ -336,17 +338,22 @@ impl ObservationsInfo {
         }
     }
 
-    /// The quantity of an equation of a row: length (mm) or angle (rad).
-    pub fn quantity(&self, row: usize, equation: usize) -> Quantity {
+    /// The quantity of an equation, counted in its row: length (mm) or angle (rad).
+    pub fn quantity(&self, row: RowIndex, equation: usize) -> Quantity {
         match self.angles.contains(&(self.layout.rows[row].first_equation + equation)) {
             true => Quantity::Angle,
             false => Quantity::Length,
         }
     }
 
+    /// The approach of a row; none if all linear axes move until contact.
+    pub fn approach(&self, row: RowIndex) -> Option<&Approach> {
+        self.approaches.get(row.0)
+    }
+
     /// Nominal contact of a row that has a reading. None if the row is judged as recorded, because its reading gives more
     /// information than the errors do.
-    pub fn nominal_reading(&self, row: usize) -> Option<&NominalReading> {
+    pub fn nominal_reading(&self, row: RowIndex) -> Option<&NominalReading> {
         match &self.rank_point {
             RankPoint::NominalReading(rows) => rows.get(&row),
             _ => None,
@@ -369,7 +376,7 @@ pub trait Observations: Any + Send + Sync {
     /// Tip position of a row with one pose in nominal contact, table frame, mm; `_tip` is the tip position by the model. It
     /// is on the feature as estimated, without the lateral offset of the recorded contact. None if contact does not fix the
     /// tip.
-    fn contact_tip(&self, _row: usize, _tip: [f64; 3], _own: &[f64], _inputs: &[f64]) -> Result<Option<[f64; 3]>> {
+    fn contact_tip(&self, _row: RowIndex, _tip: [f64; 3], _own: &[f64], _inputs: &[f64]) -> Result<Option<[f64; 3]>> {
         Ok(None)
     }
 }

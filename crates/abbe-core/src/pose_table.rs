@@ -1,10 +1,12 @@
 //! From the columns of a data set to the statuses that a model takes.
 
+use std::ops::Range;
 use std::path::PathBuf;
 
 use serde::{Deserialize, Serialize};
 
 use crate::dataset::{ColumnHeader, Dataset, Values, missing_column};
+use crate::index::{DataRow, IndexRange, PoseIndex};
 use crate::model::{Absent, Axis, AxisKind, KinematicModel, StatusColumn, StatusRole};
 use abbe_settings::Quantity;
 use abbe_settings::serial::{number, numbers};
@@ -98,7 +100,7 @@ impl PoseTable {
     pub fn push(
         &mut self,
         data: &Dataset,
-        row: usize,
+        row: DataRow,
         model: &dyn KinematicModel,
         columns: &[StatusSource],
     ) -> Result<()> {
@@ -134,13 +136,28 @@ impl PoseTable {
         self.values.is_empty()
     }
 
+    /// The indices of all poses.
+    pub fn indices(&self) -> IndexRange<PoseIndex> {
+        PoseIndex::first(self.len())
+    }
+
+    /// The index of the pose that is pushed next.
+    pub fn end(&self) -> PoseIndex {
+        PoseIndex(self.len())
+    }
+
     /// The status of one pose.
-    pub fn row(&self, pose: usize) -> &[f64] {
-        &self.values[pose * self.width..(pose + 1) * self.width]
+    pub fn row(&self, pose: PoseIndex) -> &[f64] {
+        &self.values[self.place(pose)]
     }
 
     /// The status of one pose, to change it.
-    pub fn row_mut(&mut self, pose: usize) -> &mut [f64] {
-        &mut self.values[pose * self.width..(pose + 1) * self.width]
+    pub fn row_mut(&mut self, pose: PoseIndex) -> &mut [f64] {
+        let place = self.place(pose);
+        &mut self.values[place]
+    }
+
+    fn place(&self, PoseIndex(pose): PoseIndex) -> Range<usize> {
+        pose * self.width..(pose + 1) * self.width
     }
 }

@@ -3,22 +3,24 @@
 use nalgebra::DMatrix;
 use serde::{Deserialize, Serialize};
 
+use crate::index::{EquationIndex, LayoutEquation};
 use abbe_settings::{Error, Result};
 
-/// Covariance of some equations with one another.
+/// Covariance of some equations with one another, which are those of a layout ([`LayoutEquation`]) or of a problem
+/// ([`EquationIndex`]).
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-pub struct CovarianceBlock {
+pub struct CovarianceBlock<E> {
     /// Indices of the equations, ascending.
-    pub equations: Vec<usize>,
+    pub equations: Vec<E>,
     /// Their covariance, mm² (rad²), positive definite.
     #[serde(with = "matrix")]
     pub covariance: DMatrix<f64>,
 }
 
-impl CovarianceBlock {
+impl<E: Copy + Ord> CovarianceBlock<E> {
     /// A block for `equations`, in any order. Fails unless the matrix is finite, symmetric, positive definite, and has one
     /// row and column for each equation. `name` is the name of the covariance in messages.
-    pub fn new(name: &str, equations: &[usize], covariance: &DMatrix<f64>) -> Result<Self> {
+    pub fn new(name: &str, equations: &[E], covariance: &DMatrix<f64>) -> Result<Self> {
         let size = equations.len();
         let (rows, columns) = covariance.shape();
         if (rows, columns) != (size, size) {
@@ -97,13 +99,13 @@ pub struct Pooled {
     pub degrees_of_freedom: usize,
 }
 
-/// Uncertainty of the equations of some observations, or of a problem.
+/// Uncertainty of the equations of some observations, in the order of their layout.
 #[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
 pub struct EquationUncertainty {
     /// Standard uncertainty of every equation, mm (rad).
     pub standard: Vec<f64>,
     /// Equations that are correlated; blocks do not overlap, all other equations are independent.
-    pub blocks: Vec<CovarianceBlock>,
+    pub blocks: Vec<CovarianceBlock<LayoutEquation>>,
     /// The scatter of repeats. If there is one, it is propagated instead of the standard uncertainties; these are then
     /// weights only.
     pub pooled: Option<Pooled>,
@@ -115,15 +117,15 @@ impl EquationUncertainty {
         Self { standard, ..Self::default() }
     }
 
-    /// The uncertainty of some of the equations (ascending), numbered from 0.
-    pub fn of(&self, equations: &[usize]) -> Self {
+    /// The covariances of some of the equations (ascending), which are equations of a problem from `first` on.
+    pub fn blocks_of(&self, equations: &[LayoutEquation], first: EquationIndex) -> Vec<CovarianceBlock<EquationIndex>> {
         let mut place = vec![None; self.standard.len()];
-        for (new, &old) in equations.iter().enumerate() {
-            place[old] = Some(new);
+        for (&equation, number) in equations.iter().zip(0..) {
+            place[equation] = Some(first + number);
         }
         let mut blocks = Vec::new();
         for block in &self.blocks {
-            let kept: Vec<(usize, usize)> = (block.equations.iter().enumerate())
+            let kept: Vec<(usize, EquationIndex)> = (block.equations.iter().enumerate())
                 .filter_map(|(index, &equation)| Some((index, place[equation]?)))
                 .collect();
             if kept.is_empty() {
@@ -133,12 +135,14 @@ impl EquationUncertainty {
                 DMatrix::from_fn(kept.len(), kept.len(), |row, column| block.covariance[(kept[row].0, kept[column].0)]);
             blocks.push(CovarianceBlock { equations: kept.iter().map(|kept| kept.1).collect(), covariance });
         }
+        blocks
+    }
+
+    /// The scatter of repeats, of some of the equations.
+    pub fn pooled_of(&self, equations: &[LayoutEquation]) -> Option<Pooled> {
+        let pooled = self.pooled.as_ref()?;
         let pick = |values: &Vec<f64>| equations.iter().map(|&equation| values[equation]).collect();
-        let pooled = self
-            .pooled
-            .as_ref()
-            .map(|pooled| Pooled { deviations: pooled.deviations.iter().map(pick).collect(), ..pooled.clone() });
-        Self { standard: pick(&self.standard), blocks, pooled }
+        Some(Pooled { deviations: pooled.deviations.iter().map(pick).collect(), ..pooled.clone() })
     }
 }
 
@@ -167,9 +171,10 @@ mod matrix {
 mod tests {
     use super::*;
 
-    fn block(equations: &[usize], entries: &[f64]) -> Result<CovarianceBlock> {
+    fn block(equations: &[usize], entries: &[f64]) -> Result<CovarianceBlock<LayoutEquation>> {
         let size = (entries.len() as f64).sqrt() as usize;
-        CovarianceBlock::new("the rows", equations, &DMatrix::from_row_slice(size, entries.len() / size, entries))
+        let equations: Vec<_> = equations.iter().copied().map(LayoutEquation).collect();
+        CovarianceBlock::new("the rows", &equations, &DMatrix::from_row_slice(size, entries.len() / size, entries))
     }
 
     #[test]
@@ -195,12 +200,12 @@ mod tests {
             blocks: vec![block(&[2, 0], &[9.0, 1.5, 1.5, 1.0]).unwrap()],
             pooled: None,
         };
-        assert_eq!(uncertainty.blocks[0].equations, [0, 2]);
+        assert_eq!(uncertainty.blocks[0].equations, [0, 2].map(LayoutEquation));
         assert_eq!(uncertainty.blocks[0].covariance, DMatrix::from_row_slice(2, 2, &[1.0, 1.5, 1.5, 9.0]));
         let lower = uncertainty.blocks[0].lower().unwrap();
         assert!((&lower * lower.transpose() - &uncertainty.blocks[0].covariance).amax() < 1e-14);
-        let some = uncertainty.of(&[1, 2]);
-        assert_eq!((some.standard, some.blocks[0].equations.clone()), (vec![2.0, 3.0], vec![1]));
-        assert_eq!(some.blocks[0].covariance[(0, 0)], 9.0);
+        let some = uncertainty.blocks_of(&[1, 2].map(LayoutEquation), EquationIndex(5));
+        assert_eq!(some[0].equations, [EquationIndex(6)]);
+        assert_eq!(some[0].covariance[(0, 0)], 9.0);
     }
 }

@@ -2,7 +2,7 @@
 
 use std::collections::BTreeSet;
 
-use abbe_core::{Class, Kind, Problem, Result};
+use abbe_core::{Class, Kind, Problem, Result, SetIndex};
 use abbe_estimation::laws;
 use abbe_simulation::{Noise, Truth, measure};
 
@@ -54,7 +54,7 @@ impl Prepared {
                 }
             };
             let at = measured.at(&solution);
-            for (index, set) in at.sets.iter().enumerate() {
+            for (index, set) in SetIndex::enumerate(&at.sets) {
                 let artefact = self.recipe.stages.iter().find(|stage| stage.name == set.name);
                 let plugin = artefact.map_or_else(String::new, |stage| stage.plugin.clone());
                 found.seen.insert((set.name.clone(), plugin));

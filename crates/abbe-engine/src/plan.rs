@@ -5,7 +5,7 @@ use std::fs;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
-use abbe_core::{Dataset, Error, Identifiability, Monitor, NullVector, Result};
+use abbe_core::{DataRow, Dataset, Error, Identifiability, Monitor, NullVector, Result};
 use abbe_planning::{Generation, Plan, PlanFigures, Planning, generate, plan};
 use abbe_recipe::Stage;
 use serde_json::{Value, json};
@@ -122,7 +122,7 @@ fn with_lost(error: Error, all: &Identifiability) -> Error {
 fn rows(data: &Dataset, plan: &Plan) -> Result<BTreeMap<PathBuf, Vec<u8>>> {
     let mut files = BTreeMap::new();
     for (index, path) in data.files.iter().enumerate() {
-        let of_file: Vec<usize> =
+        let of_file: Vec<DataRow> =
             plan.data_rows.iter().copied().filter(|&row| data.origins[row].file == index).collect();
         if of_file.is_empty() {
             continue;
@@ -138,7 +138,7 @@ fn rows(data: &Dataset, plan: &Plan) -> Result<BTreeMap<PathBuf, Vec<u8>>> {
 }
 
 /// Some rows of a file, under its header.
-fn chosen(text: &str, rows: &[usize], data: &Dataset) -> Vec<u8> {
+fn chosen(text: &str, rows: &[DataRow], data: &Dataset) -> Vec<u8> {
     let all: Vec<&str> = text.trim_start_matches('\u{feff}').lines().collect();
     let header = all.iter().find(|line| !line.starts_with('#') && !line.trim().is_empty());
     let lines = rows.iter().filter_map(|&row| all.get(data.origins[row].line - 1));

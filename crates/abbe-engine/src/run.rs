@@ -5,7 +5,7 @@ use std::sync::Arc;
 use std::time::{Instant, SystemTime};
 
 use abbe_core::{
-    Basis, Calibration, Class, DataRecord, Dataset, Error, Event, ExportedFile, Fit, Identifiability, Kind,
+    Basis, Calibration, Class, DataRecord, DataRow, Dataset, Error, Event, ExportedFile, Fit, Identifiability, Kind,
     KinematicModel, Monitor, ObservationSet, Owner, Problem, Registry, Result, Verdict, in_parallel,
 };
 use abbe_estimation::remarks;
@@ -390,7 +390,7 @@ impl Prepared {
     fn nothing_left_over(&self, data: &Datasets, taken: &Taken) -> Result<()> {
         for (ingest, rows) in taken {
             let data = &data[ingest];
-            let Some(row) = (0..data.rows()).find(|row| !rows.contains(row)) else { continue };
+            let Some(row) = data.row_indices().find(|row| !rows.contains(row)) else { continue };
             let (feature, ignore) = match data.labels("feature") {
                 Some(labels) => (
                     format!("feature {} is taken by no artefact", labels[row]),
@@ -441,7 +441,7 @@ fn digests(inputs: &[FileRecord]) -> evidence::Digests {
 }
 
 /// Rows of each data set that some artefact took.
-pub(crate) type Taken = BTreeMap<String, BTreeSet<usize>>;
+pub(crate) type Taken = BTreeMap<String, BTreeSet<DataRow>>;
 
 /// The problem with the results of earlier estimates: start values, or known values with their covariance.
 fn start(stage: &Stage, problem: Problem, fits: &[Fit]) -> Result<Problem> {

@@ -8,8 +8,8 @@ use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
 use abbe_core::{
-    Approach, AxisKind, Contact, Dataset, Error, Kind, Layout, ObservationSet, Observations, Problem, Quantity, Result,
-    Row,
+    Approach, AxisKind, Contact, DataRow, Dataset, Error, Kind, Layout, ObservationSet, Observations, Problem,
+    Quantity, Result, Row,
 };
 use abbe_recipe::Stage;
 use abbe_simulation::{Truth, measure};
@@ -284,7 +284,7 @@ impl Claimed {
 }
 
 /// Where a row of the data stands.
-fn place(layout: &Layout, row: usize) -> (PathBuf, usize) {
+fn place(layout: &Layout, row: DataRow) -> (PathBuf, usize) {
     let origin = layout.data.origins[row];
     (layout.data.files[origin.file].clone(), origin.line)
 }
@@ -303,7 +303,7 @@ fn recorded(measured: &Problem, resolution: f64) -> Result<BTreeMap<PathBuf, Cel
             let cells = match &set.observations.info().contact {
                 Contact::LinearAxes => {
                     let mut cells = positions(set, row, &axes)?;
-                    if let Some(Approach { axis, reading }) = set.info().approaches.get(index) {
+                    if let Some(Approach { axis, reading }) = set.info().approach(index) {
                         let triggered = set.poses().row(row.first_pose)[measured.model.info().axes[*axis].status];
                         cells.push((header(layout, reading)?, triggered));
                     }
@@ -329,8 +329,8 @@ fn recorded(measured: &Problem, resolution: f64) -> Result<BTreeMap<PathBuf, Cel
 fn positions(set: &ObservationSet, row: &Row, axes: &[usize]) -> Result<Vec<(String, f64)>> {
     let layout = &set.observations.info().layout;
     let mut found = Vec::new();
-    for pose in 0..row.poses {
-        let (status, before) = (set.poses().row(row.first_pose + pose), layout.poses.row(row.first_pose + pose));
+    for (pose, index) in row.pose_indices().enumerate() {
+        let (status, before) = (set.poses().row(index), layout.poses.row(index));
         for &axis in axes {
             match layout.recorded(pose, axis) {
                 Some(column) => found.push((header(layout, column)?, status[axis])),
@@ -347,7 +347,7 @@ fn positions(set: &ObservationSet, row: &Row, axes: &[usize]) -> Result<Vec<(Str
 }
 
 /// The reading of a row, by the header of its column.
-fn reading(set: &ObservationSet, row: &Row, data_row: usize, column: &str) -> Result<Vec<(String, f64)>> {
+fn reading(set: &ObservationSet, row: &Row, data_row: DataRow, column: &str) -> Result<Vec<(String, f64)>> {
     let layout = &set.observations.info().layout;
     let before = layout.data.required_numbers(column)?[data_row];
     // The reading has a minus sign in the equation, so a change of the residual is subtracted from the reading.

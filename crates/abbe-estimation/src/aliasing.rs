@@ -53,9 +53,7 @@ fn aliased_period(problem: &Problem, period: &Period) -> Option<String> {
 fn travelled(problem: &Problem, status: usize) -> Vec<f64> {
     let mut commands = Vec::new();
     for set in &problem.sets {
-        let rows = set.rows.iter().map(|&row| set.info().layout.rows[row]);
-        let poses = rows.flat_map(|row| row.first_pose..row.first_pose + row.poses);
-        let all: Vec<f64> = poses.map(|pose| set.poses().row(pose)[status]).collect();
+        let all: Vec<f64> = set.poses_of(&set.rows).map(|pose| set.poses().row(pose)[status]).collect();
         for pair in all.windows(2).filter(|pair| (pair[0] - pair[1]).abs() > SAME) {
             commands.extend_from_slice(pair);
         }

@@ -2,7 +2,7 @@
 
 use abbe_core::{
     CALIBRATION_FORMAT, Calibration, ConsideredInput, Estimated, FitReport, NamedCovariance, Outlier, Owner, Problem,
-    Status, Unit, Unknown,
+    SetIndex, Status, Unit, Unknown,
 };
 
 /// Makes the calibration from a solution: `x` in the order of the unknowns, and the covariance of the unknowns followed by
@@ -36,7 +36,7 @@ pub fn calibration(
         estimated(Owner::Machine, index, parameter.name.clone(), parameter.unit, problem.machine[index])
     });
     let mut artefacts = Vec::new();
-    for (set, observations) in problem.sets.iter().enumerate() {
+    for (set, observations) in SetIndex::enumerate(&problem.sets) {
         for (index, own) in observations.observations.info().unknowns.iter().enumerate() {
             let name = format!("{}.{}", observations.name, own.name);
             artefacts.push(estimated(Owner::Set(set), index, name, own.unit, observations.own[index]));

@@ -1,8 +1,8 @@
 //! Contact: commands of the linear axes at which the tip touches the artefact.
 
 use abbe_core::{
-    AxisKind, CHUNK, Contact, Error, Evaluation, KinematicModel, ObservationSet, PoseTable, Problem, RankPoint, Result,
-    Row, Variable, in_parallel,
+    AxisKind, CHUNK, Contact, EquationIndex, Error, Evaluation, IndexRange, KinematicModel, ObservationSet, PoseTable,
+    Problem, RankPoint, Result, Row, RowIndex, SetIndex, Variable, in_parallel,
 };
 use nalgebra::{DMatrix, DVector, Matrix3, Vector3};
 
@@ -83,11 +83,11 @@ fn with_contacts(problem: &Problem, x: &[f64], moves: impl Fn(&ObservationSet) -
     let mut moved = problem.at(x);
     let linear = LinearAxes::of(problem.model.as_ref());
     let threads = problem.threads(linear.count());
-    for (index, set) in problem.sets.iter().enumerate() {
+    for (index, set) in SetIndex::enumerate(&problem.sets) {
         if !moves(set) || linear.count() == 0 || set.rows.is_empty() {
             continue;
         }
-        let shares: Vec<&[usize]> = set.rows.chunks(set.rows.len().div_ceil(threads)).collect();
+        let shares: Vec<&[RowIndex]> = set.rows.chunks(set.rows.len().div_ceil(threads)).collect();
         let tables = in_parallel(&shares, Some(threads), |rows| contacts(&moved, index, rows, &linear));
         let mut contacts = set.poses().clone();
         for (rows, table) in shares.into_iter().zip(tables) {
@@ -100,7 +100,7 @@ fn with_contacts(problem: &Problem, x: &[f64], moves: impl Fn(&ObservationSet) -
 }
 
 /// The statuses of a set with some of its rows at contact.
-fn contacts(problem: &Problem, set: usize, rows: &[usize], linear: &LinearAxes) -> Result<PoseTable> {
+fn contacts(problem: &Problem, set: SetIndex, rows: &[RowIndex], linear: &LinearAxes) -> Result<PoseTable> {
     let (mut moved, mut work) = (problem.clone(), Evaluation::default());
     for chunk in rows.chunks(CHUNK) {
         // Newton's iteration converges quadratically: after a step below 1e-5 mm the error is below the rounding of a double.
@@ -127,11 +127,12 @@ pub fn measured(problem: &Problem, errors: &[f64], variations: &[Variation]) -> 
     let mut work = Evaluation::default();
     // All rows of a chunk have the same parameters of the model.
     let size = if variations.is_empty() { CHUNK } else { 1 };
-    let (mut first_row, mut first_equation) = (0, 0);
-    for set in 0..moved.sets.len() {
+    let (mut first_row, mut first_equation) = (0, EquationIndex(0));
+    for set in problem.set_indices() {
         for chunk in problem.sets[set].rows.chunks(size) {
-            let equations: usize = chunk.iter().map(|&row| row_of(&moved.sets[set], row).equations).sum();
-            let errors = &errors[first_equation..first_equation + equations];
+            let equations = IndexRange::new(first_equation, moved.sets[set].equations_of(chunk).count());
+            first_equation = equations.end();
+            let errors = &errors[equations];
             vary(&mut moved, &problem.machine, variations, first_row);
             match &moved.sets[set].info().contact {
                 Contact::LinearAxes => touch(&mut moved, set, chunk, &linear, errors, &mut work)?,
@@ -142,7 +143,6 @@ pub fn measured(problem: &Problem, errors: &[f64], variations: &[Variation]) -> 
                 }
             }
             first_row += chunk.len();
-            first_equation += equations;
         }
     }
     moved.machine.copy_from_slice(&problem.machine);
@@ -162,8 +162,8 @@ fn vary(problem: &mut Problem, machine: &[f64], variations: &[Variation], row: u
 /// Moves some rows of a set until their equations equal `errors`.
 fn touch(
     problem: &mut Problem,
-    set: usize,
-    rows: &[usize],
+    set: SetIndex,
+    rows: &[RowIndex],
     linear: &LinearAxes,
     errors: &[f64],
     work: &mut Evaluation,
@@ -180,15 +180,13 @@ fn touch(
 }
 
 /// Changes the readings of some rows of a set so that their equations equal `errors`.
-fn read(problem: &mut Problem, set: usize, rows: &[usize], errors: &[f64], work: &mut Evaluation) -> Result<()> {
+fn read(problem: &mut Problem, set: SetIndex, rows: &[RowIndex], errors: &[f64], work: &mut Evaluation) -> Result<()> {
     problem.evaluate(set, rows, &[], work)?;
     let set = &mut problem.sets[set];
     let observations = set.observations.clone();
     let (layout, disturbances) = (&observations.info().layout, set.disturbances_mut());
-    let equations = rows.iter().map(|&row| layout.rows[row]).flat_map(|row| {
-        let equations = row.first_equation..row.first_equation + row.equations;
-        equations.map(move |equation| (equation, row.poses > 0))
-    });
+    let rows = rows.iter().map(|&row| layout.rows[row]);
+    let equations = rows.flat_map(|row| row.equation_indices().map(move |equation| (equation, row.poses > 0)));
     for (((equation, measured), residual), error) in equations.zip(work.equations.residuals()).zip(errors) {
         if measured {
             disturbances[equation] += error - residual;
@@ -197,7 +195,7 @@ fn read(problem: &mut Problem, set: usize, rows: &[usize], errors: &[f64], work:
     Ok(())
 }
 
-fn unreachable(problem: &Problem, set: usize, row: usize, off: f64) -> Error {
+fn unreachable(problem: &Problem, set: SetIndex, row: RowIndex, off: f64) -> Error {
     let feature = &problem.sets[set].name;
     let off = if off.is_finite() {
         format!("its equation stays off by {off:.3e} mm")
@@ -221,12 +219,12 @@ fn moves_to_be_judged(set: &ObservationSet) -> bool {
     }
 }
 
-fn row_of(set: &ObservationSet, row: usize) -> Row {
+fn row_of(set: &ObservationSet, row: RowIndex) -> Row {
     set.info().layout.rows[row]
 }
 
 /// The first row whose equations are not equal to `errors` yet, and by how much they differ.
-fn not_yet(set: &ObservationSet, rows: &[usize], work: &Evaluation, errors: &[f64]) -> Option<(usize, f64)> {
+fn not_yet(set: &ObservationSet, rows: &[RowIndex], work: &Evaluation, errors: &[f64]) -> Option<(RowIndex, f64)> {
     let (mut equation, mut pose) = (0, 0);
     for &index in rows {
         let row = row_of(set, index);
@@ -249,7 +247,7 @@ fn not_yet(set: &ObservationSet, rows: &[usize], work: &Evaluation, errors: &[f6
 /// the largest step in mm. `work` holds the evaluation of these rows with derivatives to the linear axes.
 fn move_by_step(
     set: &mut ObservationSet,
-    rows: &[usize],
+    rows: &[RowIndex],
     linear: &LinearAxes,
     work: &Evaluation,
     goal: Goal<'_>,
@@ -287,7 +285,7 @@ fn move_by_step(
     let observations = set.observations.clone();
     let (layout, table) = (&observations.info().layout, set.poses_mut());
     for row in rows.iter().map(|&row| layout.rows[row]) {
-        for pose in row.first_pose..row.first_pose + row.poses {
+        for pose in row.pose_indices() {
             for (&status, step) in linear.statuses.iter().zip(steps.next().unwrap_or(&[])) {
                 table.row_mut(pose)[status] += step;
                 largest = largest.max(step.abs());
@@ -299,12 +297,12 @@ fn move_by_step(
 
 /// Sets the effects of axes that do not move to zero in the gradients of some rows: one axis alone approaches, or axes stand
 /// still while a reading is taken.
-fn only_moving(set: &ObservationSet, rows: &[usize], linear: &LinearAxes, goal: Goal<'_>, gradients: &mut [f64]) {
+fn only_moving(set: &ObservationSet, rows: &[RowIndex], linear: &LinearAxes, goal: Goal<'_>, gradients: &mut [f64]) {
     let mut entries = gradients.chunks_exact_mut(linear.count().max(1));
     for &index in rows {
         let row = row_of(set, index);
         let axes: Option<Vec<usize>> = match goal {
-            Goal::Residuals(_) => set.info().approaches.get(index).map(|approach| vec![approach.axis]),
+            Goal::Residuals(_) => set.info().approach(index).map(|approach| vec![approach.axis]),
             Goal::Contact => set.info().nominal_reading(index).map(|nominal| nominal.axes.clone()),
         };
         for entry in entries.by_ref().take(row.equations * row.poses) {
@@ -319,11 +317,11 @@ fn only_moving(set: &ObservationSet, rows: &[usize], linear: &LinearAxes, goal: 
 }
 
 /// The residuals of a row at its nominal readings, with the disturbances of the set.
-fn nominal_residuals(set: &ObservationSet, index: usize) -> Option<Vec<f64>> {
+fn nominal_residuals(set: &ObservationSet, index: RowIndex) -> Option<Vec<f64>> {
     let (row, nominal) = (row_of(set, index), set.info().nominal_reading(index)?);
     let mut residuals = nominal.residuals.clone();
     if let Some(disturbances) = set.disturbances() {
-        let added = &disturbances[row.first_equation..row.first_equation + row.equations];
+        let added = &disturbances[row.equation_indices()];
         residuals.iter_mut().zip(added).for_each(|(residual, added)| *residual += added);
     }
     Some(residuals)
@@ -332,7 +330,7 @@ fn nominal_residuals(set: &ObservationSet, index: usize) -> Option<Vec<f64>> {
 /// The step that brings the tip of a row with one pose to nominal contact; none if the artefact gives no contact tip.
 fn contact_step(
     set: &ObservationSet,
-    row: usize,
+    row: RowIndex,
     pose: usize,
     work: &Evaluation,
     count: usize,
@@ -381,7 +379,7 @@ fn smallest_step_of_three(gradient: &[f64], values: &[f64], wanted: &[f64]) -> O
 }
 
 /// Derivatives of every equation to the linear axes of every pose of its row: equations x poses x axes.
-fn gradients(work: &Evaluation, set: &ObservationSet, rows: &[usize], count: usize) -> Vec<f64> {
+fn gradients(work: &Evaluation, set: &ObservationSet, rows: &[RowIndex], count: usize) -> Vec<f64> {
     let mut gradients = vec![0.0; work.equations.by_position().len() * count];
     work.chain(set, rows, count, |_, pair, derivatives, weight| {
         let effects = gradients[pair * count..(pair + 1) * count].iter_mut().zip(derivatives);

@@ -3,8 +3,8 @@
 use std::collections::BTreeSet;
 
 use abbe_core::{
-    CHUNK, Evaluation, ObservationSet, Owner, ParameterRole, Poses, Problem, Quantity, Result, StatusRole, Unit,
-    Unknown, Variable,
+    CHUNK, EquationIndex, Evaluation, IndexRange, ObservationSet, Owner, ParameterRole, Poses, Problem, Quantity,
+    Result, RowIndex, SetIndex, StatusRole, Unit, Unknown, Variable,
 };
 use abbe_numerics::{Factor, LeastSquares};
 
@@ -163,8 +163,8 @@ fn norms_of_terms(problem: &Problem, kept: Option<&[f64]>) -> Result<Vec<f64>> {
     let wanted: Vec<Variable> = machine.iter().map(|(_, variable)| *variable).collect();
     let mut squares = vec![0.0; problem.unknowns.len()];
     let (mut work, mut poses) = (Evaluation::default(), Poses::default());
-    let mut first = 0;
-    for (index, set) in problem.sets.iter().enumerate() {
+    let mut first = EquationIndex(0);
+    for (index, set) in SetIndex::enumerate(&problem.sets) {
         let own = columns_of(problem, index);
         for rows in set.rows.chunks(CHUNK) {
             problem.evaluate(index, rows, &[], &mut work)?;
@@ -176,7 +176,7 @@ fn norms_of_terms(problem: &Problem, kept: Option<&[f64]>) -> Result<Vec<f64>> {
                 // A model may give no orientations: then what is an angle turns by itself.
                 problem.model.poses(&statuses, &problem.machine, &wanted, false, &mut poses)?;
             }
-            let weights: Vec<f64> = (first..first + work.equations.residuals().len())
+            let weights: Vec<f64> = IndexRange::new(first, work.equations.residuals().len())
                 .map(|equation| kept.map_or(1.0, |kept| kept[equation]) / uncertainties[equation])
                 .collect();
             let levers = Levers::new(set, rows, &work);
@@ -202,7 +202,7 @@ fn norms_of_terms(problem: &Problem, kept: Option<&[f64]>) -> Result<Vec<f64>> {
 }
 
 /// The column of every own unknown of a set; none for those that are not estimated.
-fn columns_of(problem: &Problem, set: usize) -> Vec<Option<usize>> {
+fn columns_of(problem: &Problem, set: SetIndex) -> Vec<Option<usize>> {
     let column = |own: usize| {
         problem.unknowns.iter().position(|unknown| unknown.owner == Owner::Set(set) && unknown.index == own)
     };
@@ -218,7 +218,7 @@ struct Levers {
 }
 
 impl Levers {
-    fn new(set: &ObservationSet, rows: &[usize], work: &Evaluation) -> Self {
+    fn new(set: &ObservationSet, rows: &[RowIndex], work: &Evaluation) -> Self {
         let info = set.info();
         let (by_position, by_rotation) = (work.equations.by_position(), work.equations.by_rotation());
         let (mut pairs, mut pair, mut first_pose) = (Vec::new(), 0, 0);
@@ -264,19 +264,19 @@ fn size(vector: &[f64; 3]) -> f64 {
 /// The same problem with every recorded position changed by up to half a digit of what was written, and by its rounding.
 fn moved_by_digits(problem: &Problem) -> Problem {
     let mut moved = problem.clone();
-    for (index, set) in problem.sets.iter().enumerate() {
+    for set in &mut moved.sets {
         let mut poses = set.poses().clone();
         for (status, column) in problem.model.info().status.iter().enumerate() {
             if !matches!(column.role, StatusRole::Command(_)) {
                 continue;
             }
-            let step = digit_step((0..poses.len()).map(|pose| poses.row(pose)[status]), column.quantity);
-            for pose in 0..poses.len() {
+            let step = digit_step(poses.indices().map(|pose| poses.row(pose)[status]), column.quantity);
+            for pose in poses.indices() {
                 let value = &mut poses.row_mut(pose)[status];
-                *value += noise(pose as u64, status as u64) * (step + POSITION * value.abs());
+                *value += noise(pose.0 as u64, status as u64) * (step + POSITION * value.abs());
             }
         }
-        moved.sets[index].move_to(poses);
+        set.move_to(poses);
     }
     moved
 }

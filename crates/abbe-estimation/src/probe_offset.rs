@@ -1,6 +1,6 @@
 //! The recorded rows measured again with another probe offset: the tip is elsewhere in the frame of the tool.
 
-use abbe_core::{Owner, ParameterRole, Problem, Result, Unit, Unknown};
+use abbe_core::{Owner, ParameterRole, PoseIndex, Problem, Result, RowIndex, Unit, Unknown};
 
 use crate::reach::Reach;
 
@@ -32,7 +32,7 @@ pub fn with_offset(recorded: &Problem, offset: &Unknown, shift: f64) -> Result<O
     let mut sets = recorded.sets.clone();
     for set in &mut sets {
         let rows = set.rows.clone();
-        let measured: Vec<usize> = set.poses_of(&rows).collect();
+        let measured: Vec<PoseIndex> = set.poses_of(&rows).collect();
         if measured.is_empty() {
             set.rows.clear();
             continue;
@@ -49,9 +49,9 @@ pub fn with_offset(recorded: &Problem, offset: &Unknown, shift: f64) -> Result<O
             }
         }
         let layout = &set.observations.info().layout;
-        let all_poses = |row: &usize| {
+        let all_poses = |row: &RowIndex| {
             let row = layout.rows[*row];
-            row.poses > 0 && (row.first_pose..row.first_pose + row.poses).all(|pose| reached.contains(&pose))
+            row.poses > 0 && row.pose_indices().all(|pose| reached.contains(&pose))
         };
         let rows = rows.into_iter().filter(all_poses).collect();
         *set = set.with_poses(poses);

@@ -6,7 +6,8 @@
 //! and to parameters of an earlier estimate), as in Rahman (2016), eq. 8-3.
 
 use abbe_core::{
-    Contribution, Correlated, JointCoverage, Owner, ParameterBudget, Problem, Result, Scatter, UncertaintyBudget,
+    Contribution, Correlated, EquationIndex, JointCoverage, Owner, ParameterBudget, Problem, Result, Scatter, SetIndex,
+    UncertaintyBudget,
 };
 use abbe_numerics::{
     CovarianceRoot, coverage_factor, dot, effective_degrees_of_freedom, joint_coverage_factor,
@@ -54,10 +55,10 @@ pub enum Scales {
 }
 
 impl Scales {
-    fn of_set(&self, set: usize) -> (f64, f64) {
+    fn of_set(&self, set: SetIndex) -> (f64, f64) {
         match self {
             Self::Common(scale, freedom) => (*scale, *freedom),
-            Self::PerSet(all) => all[set],
+            Self::PerSet(all) => all[set.0],
         }
     }
 }
@@ -80,7 +81,7 @@ impl Propagation {
         let Linearisation { problem, x, kept, root: covariance_root } = at;
         let (problem, x, kept) = (*problem, *x, *kept);
         let scatters = problem.scatters();
-        let repeated = |set: usize| scatters.iter().any(|scatter| scatter.sets.contains(&set));
+        let repeated = |set: SetIndex| scatters.iter().any(|scatter| scatter.sets.contains(&set));
         // A constraint of a certificate has a weight as a row has, but its uncertainty is that of its known inputs.
         let constraints = problem.constraints();
         let constrained = constraints.contains(&true);
@@ -99,14 +100,14 @@ impl Propagation {
             parts.push(stated("rows".to_owned(), covariance_root.covariance(), (scale, freedom)));
         } else {
             let ranges = problem.equation_ranges();
-            let scatter = |(equation, constraint): (usize, &bool)| match (constraint, kept) {
+            let scatter = |(equation, constraint): (EquationIndex, &bool)| match (constraint, kept) {
                 (true, _) => 0.0,
                 (false, kept) => kept.map_or(1.0, |kept| kept[equation]),
             };
             let scattering: Option<Vec<f64>> =
-                constrained.then(|| constraints.iter().enumerate().map(scatter).collect());
+                constrained.then(|| EquationIndex::enumerate(&constraints).map(scatter).collect());
             let factors = Weighted::new(problem)?.factors(x, scattering.as_deref().or(kept), &ranges)?;
-            for (index, (set, factor)) in problem.sets.iter().zip(&factors).enumerate() {
+            for ((index, set), factor) in SetIndex::enumerate(&problem.sets).zip(&factors) {
                 if !repeated(index) {
                     parts.push(stated(set.name.clone(), covariance_root.part(factor), scales.of_set(index)));
                 }

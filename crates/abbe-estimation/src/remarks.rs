@@ -2,7 +2,7 @@
 
 use std::collections::BTreeMap;
 
-use abbe_core::{Owner, ParameterRole, Problem, Quantity, Values};
+use abbe_core::{DataRow, Owner, ParameterRole, Problem, Quantity, SetIndex, Values};
 
 use crate::aliasing::aliased;
 
@@ -24,7 +24,7 @@ fn repeated(problem: &Problem) -> Vec<String> {
     let mut remarks = Vec::new();
     for set in &problem.sets {
         let data = &set.info().layout.data;
-        let mut seen: BTreeMap<Vec<Cell<'_>>, usize> = BTreeMap::new();
+        let mut seen: BTreeMap<Vec<Cell<'_>>, DataRow> = BTreeMap::new();
         let (mut count, mut first) = (0, None);
         for row in set.rows.iter().filter_map(|&row| set.info().layout.rows[row].data_row) {
             let cells = data.columns.iter().map(|column| match &column.values {
@@ -37,7 +37,7 @@ fn repeated(problem: &Problem) -> Vec<String> {
             }
         }
         let Some((one, other)) = first else { continue };
-        let line = |row: usize| data.origins[row].line;
+        let line = |row: DataRow| data.origins[row].line;
         remarks.push(format!(
             "{}: {} in the data twice, the same in every column (the first: lines {} and {}); each counts as a measurement of its own",
             set.name,
@@ -63,7 +63,7 @@ const MISSED: f64 = 1.0;
 fn missed(problem: &Problem) -> Vec<String> {
     let Ok(residuals) = problem.residuals(&problem.start()) else { return Vec::new() };
     let equations = residuals.iter().zip(problem.quantities()).zip(problem.equation_rows());
-    let mut sizes: BTreeMap<usize, Vec<f64>> = BTreeMap::new();
+    let mut sizes: BTreeMap<SetIndex, Vec<f64>> = BTreeMap::new();
     for ((residual, quantity), (set, _)) in equations {
         if quantity == Quantity::Length {
             sizes.entry(set).or_default().push(residual.abs());
@@ -88,7 +88,7 @@ fn missed(problem: &Problem) -> Vec<String> {
 /// values then change the estimated errors of the machine.
 fn forgotten(problem: &Problem) -> Option<String> {
     let mut names = Vec::new();
-    for (index, set) in problem.sets.iter().enumerate() {
+    for (index, set) in SetIndex::enumerate(&problem.sets) {
         let mut settled = vec![false; set.own.len()];
         for unknown in problem.unknowns.iter().chain(&problem.considered.unknowns) {
             if unknown.owner == Owner::Set(index) {

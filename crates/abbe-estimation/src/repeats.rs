@@ -1,20 +1,23 @@
 //! The scatter of repeats, pooled over groups (Rahman 2016, section 5.6).
 
-use abbe_core::{Error, Layout, Pooled, PooledRepeats, Result};
+use abbe_core::{DataRow, Error, Layout, Pooled, PooledRepeats, Result, RowIndex};
 
 /// The columns that tell repetitions apart.
 const REPETITION: [&str; 2] = ["day", "cycle"];
 
-/// The rows of a layout by repetition, in the order in which repetitions appear: label, and rows.
-fn repetitions(layout: &Layout) -> Result<Vec<(Vec<String>, Vec<usize>)>> {
+/// A repetition: its label and its rows.
+type Repetition = (Vec<String>, Vec<RowIndex>);
+
+/// The rows of a layout by repetition, in the order in which repetitions appear.
+fn repetitions(layout: &Layout) -> Result<Vec<Repetition>> {
     let data = &layout.data;
     let columns: Vec<&[String]> = REPETITION.iter().filter_map(|name| data.labels(name)).collect();
     if columns.is_empty() {
         let error = Error::data("the repeats have neither a column `cycle` nor a column `day`").setting("pooled");
         return Err(error);
     }
-    let mut all: Vec<(Vec<String>, Vec<usize>)> = Vec::new();
-    for (index, row) in layout.rows.iter().enumerate() {
+    let mut all: Vec<Repetition> = Vec::new();
+    for (index, row) in RowIndex::enumerate(&layout.rows) {
         let Some(data_row) = row.data_row else { continue };
         let label: Vec<String> = columns.iter().map(|column| column[data_row].clone()).collect();
         match all.iter_mut().find(|(other, _)| *other == label) {
@@ -34,7 +37,7 @@ pub fn pooled(settings: &PooledRepeats, layout: &Layout, repeats: &Layout, resid
     let own = match repetitions(layout) {
         Ok(own) => own,
         Err(_) => {
-            vec![(Vec::new(), (0..layout.rows.len()).filter(|&row| layout.rows[row].data_row.is_some()).collect())]
+            vec![(Vec::new(), layout.row_indices().filter(|&row| layout.rows[row].data_row.is_some()).collect())]
         }
     };
     for (_, rows) in known.iter().skip(1) {
@@ -52,9 +55,9 @@ pub fn pooled(settings: &PooledRepeats, layout: &Layout, repeats: &Layout, resid
             .help("measure again, or pool by another column")
             .setting("pooled"));
     }
-    let values = |rows: &[usize]| -> Vec<f64> {
+    let values = |rows: &[RowIndex]| -> Vec<f64> {
         let rows = rows.iter().map(|&row| repeats.rows[row]);
-        rows.flat_map(|row| residuals[row.first_equation..row.first_equation + row.equations].to_vec()).collect()
+        rows.flat_map(|row| residuals[row.equation_indices()].to_vec()).collect()
     };
     let measured: Vec<Vec<f64>> = known.iter().map(|(_, rows)| values(rows)).collect();
     let deviations: Vec<Vec<f64>> = (0..known.len())
@@ -78,10 +81,7 @@ pub fn pooled(settings: &PooledRepeats, layout: &Layout, repeats: &Layout, resid
             let mut line = vec![0.0; layout.standard_uncertainties.len()];
             let mut values = deviation.iter();
             for row in rows.iter().map(|&row| layout.rows[row]) {
-                line[row.first_equation..row.first_equation + row.equations]
-                    .iter_mut()
-                    .zip(values.by_ref())
-                    .for_each(|(to, value)| *to = *value);
+                line[row.equation_indices()].iter_mut().zip(values.by_ref()).for_each(|(to, value)| *to = *value);
             }
             pooled.repetitions.push(format!("{} <- {}", label.join("."), of.join(".")));
             pooled.deviations.push(line);
@@ -91,7 +91,7 @@ pub fn pooled(settings: &PooledRepeats, layout: &Layout, repeats: &Layout, resid
 }
 
 /// The group of every repetition.
-fn groups(settings: &PooledRepeats, repeats: &Layout, known: &[(Vec<String>, Vec<usize>)]) -> Result<Vec<usize>> {
+fn groups(settings: &PooledRepeats, repeats: &Layout, known: &[Repetition]) -> Result<Vec<usize>> {
     let Some(by) = &settings.by else { return Ok(vec![0; known.len()]) };
     let present: Vec<&str> = REPETITION.iter().copied().filter(|name| repeats.data.labels(name).is_some()).collect();
     let Some(column) = present.iter().position(|name| name == by) else {
@@ -109,8 +109,8 @@ fn groups(settings: &PooledRepeats, repeats: &Layout, known: &[(Vec<String>, Vec
 }
 
 /// Refuses repetitions whose rows do not measure the same in the same order.
-fn same_rows((one, rows): (&Layout, &[usize]), (other, others): (&Layout, &[usize])) -> Result<()> {
-    let data_row = |layout: &Layout, row: usize| layout.rows[row].data_row.unwrap_or_default();
+fn same_rows((one, rows): (&Layout, &[RowIndex]), (other, others): (&Layout, &[RowIndex])) -> Result<()> {
+    let data_row = |layout: &Layout, row: RowIndex| layout.rows[row].data_row.unwrap_or_default();
     for (&row, &other_row) in rows.iter().zip(others) {
         for name in ["feature", "group"] {
             let (expected, found) = (one.data.labels(name), other.data.labels(name));
@@ -126,7 +126,7 @@ fn same_rows((one, rows): (&Layout, &[usize]), (other, others): (&Layout, &[usiz
         }
     }
     if rows.len() != others.len() {
-        let last = others.last().map_or(0, |&row| data_row(other, row));
+        let last = others.last().map_or(DataRow(0), |&row| data_row(other, row));
         let message = format!("a repetition with {} rows ends here; the first one has {}", others.len(), rows.len());
         return Err(other.data.error_at(last, message));
     }

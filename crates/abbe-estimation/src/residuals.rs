@@ -1,6 +1,6 @@
 //! Statistics of the residuals of a solution: scatter, outliers.
 
-use abbe_core::{Outlier, Problem, Quantity, Result};
+use abbe_core::{EquationIndex, Outlier, Problem, Quantity, Result};
 use abbe_numerics::{CovarianceRoot, Robust, RobustReport, scatter_factor};
 
 use crate::weighted::Weighted;
@@ -44,8 +44,8 @@ impl Constraints {
         Ok(Self { equations, determined })
     }
 
-    fn is_one(&self, equation: usize) -> bool {
-        self.equations.get(equation).copied().unwrap_or(false)
+    fn is_one(&self, equation: EquationIndex) -> bool {
+        self.equations.get(equation.0).copied().unwrap_or(false)
     }
 }
 
@@ -88,23 +88,24 @@ impl ResidualStatistics {
         report: Option<&RobustReport>,
         (rank, constraints): (usize, &Constraints),
     ) -> Self {
-        let used: Vec<usize> =
-            (0..residuals.len()).filter(|&row| report.is_none_or(|report| report.weights[row] > 0.0)).collect();
-        let readings: Vec<usize> = used.iter().copied().filter(|&row| !constraints.is_one(row)).collect();
+        let used: Vec<EquationIndex> = EquationIndex::first(residuals.len())
+            .filter(|&row| report.is_none_or(|report| report.weights[row] > 0.0))
+            .collect();
+        let readings: Vec<EquationIndex> = used.iter().copied().filter(|&row| !constraints.is_one(row)).collect();
         let count = readings.len();
         let degrees_of_freedom = used.len().saturating_sub(rank);
         let determined = rank as f64 - constraints.determined;
         let redundancy = count as f64 - determined;
-        let influence = |row: usize| {
+        let influence = |row: EquationIndex| {
             let weight = report.map_or(1.0, |report| report.weights[row]);
             (weight * weighted[row]).powi(2)
         };
         let free = if redundancy > LEAST_REDUNDANCY { redundancy } else { 1.0 };
         let mean_square = readings.iter().map(|&row| influence(row)).sum::<f64>() / free;
         let correction = correction(&readings, report, determined);
-        let (angles, lengths): (Vec<usize>, Vec<usize>) =
+        let (angles, lengths): (Vec<EquationIndex>, Vec<EquationIndex>) =
             used.iter().partition(|&&row| quantities[row] == Quantity::Angle);
-        let sizes = |rows: &[usize]| Sizes::of(&rows.iter().map(|&row| residuals[row]).collect::<Vec<_>>());
+        let sizes = |rows: &[EquationIndex]| Sizes::of(&rows.iter().map(|&row| residuals[row]).collect::<Vec<_>>());
         Self {
             used: used.len(),
             degrees_of_freedom,
@@ -117,7 +118,7 @@ impl ResidualStatistics {
 }
 
 /// The factor of the scatter of some rows that determine `determined` unknowns ([`scatter_factor`]). 1 without robust weights.
-pub fn correction(rows: &[usize], report: Option<&RobustReport>, determined: f64) -> f64 {
+pub fn correction(rows: &[EquationIndex], report: Option<&RobustReport>, determined: f64) -> f64 {
     let Some(report) = report else { return 1.0 };
     let slopes: Vec<f64> = rows.iter().map(|&row| report.slopes[row]).collect();
     scatter_factor(&slopes, determined)
@@ -128,7 +129,7 @@ pub fn outliers(problem: &Problem, residuals: &[f64], report: &RobustReport, rob
     let mut found: Vec<Outlier> = Vec::new();
     let (mut last, quantities) = (None, problem.quantities());
     let constraints = problem.constraints();
-    for (equation, (set, row)) in problem.equation_rows().into_iter().enumerate() {
+    for (equation, (set, row)) in EquationIndex::enumerate(problem.equation_rows()) {
         if constraints[equation] || report.studentised[equation].abs() < robust.outlier_at {
             continue;
         }

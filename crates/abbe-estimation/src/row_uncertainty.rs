@@ -3,8 +3,9 @@
 use std::collections::BTreeMap;
 
 use abbe_core::{
-    CovarianceBlock, Dataset, EquationUncertainty, Error, Ids, Label, Layout, Names, Observations, PathItem, Quantity,
-    Result, Row, RowSettings, RowUncertainty, SettingsError, SharedError, Values, positive,
+    CovarianceBlock, DataRow, Dataset, EquationUncertainty, Error, Ids, Label, Layout, LayoutEquation, Names,
+    Observations, PathItem, Quantity, Result, Row, RowIndex, RowSettings, RowUncertainty, SettingsError, SharedError,
+    Values, positive,
 };
 use nalgebra::DMatrix;
 
@@ -43,9 +44,8 @@ impl Stated<'_> {
     }
 
     /// The equations of a row that are of this quantity.
-    fn members(&self, row: &Row, quantities: &[Quantity]) -> Vec<usize> {
-        let equations = row.first_equation..row.first_equation + row.equations;
-        equations.filter(|&equation| quantities[equation] == self.quantity).collect()
+    fn members(&self, row: &Row, quantities: &[Quantity]) -> Vec<LayoutEquation> {
+        row.equation_indices().filter(|&equation| quantities[equation] == self.quantity).collect()
     }
 
     /// Covariance of the equations of a row, mm² or rad².
@@ -96,7 +96,7 @@ fn shared_of(error: &SharedError, quantity: Quantity) -> Option<f64> {
 
 /// The quantity of every equation of observations.
 fn quantities(observations: &dyn Observations) -> Vec<Quantity> {
-    let rows = observations.info().layout.rows.iter().enumerate();
+    let rows = RowIndex::enumerate(&observations.info().layout.rows);
     rows.flat_map(|(index, row)| (0..row.equations).map(move |equation| observations.info().quantity(index, equation)))
         .collect()
 }
@@ -196,7 +196,8 @@ pub fn of_rows(
     let parts = covariances(rows, layout, &quantities, &uncertainty.standard)?;
     let joined = components(uncertainty.standard.len(), &parts);
     for (index, members) in joined.iter().enumerate() {
-        let place: BTreeMap<usize, usize> = members.iter().enumerate().map(|(row, member)| (*member, row)).collect();
+        let place: BTreeMap<LayoutEquation, usize> =
+            members.iter().enumerate().map(|(row, member)| (*member, row)).collect();
         let mut matrix = DMatrix::<f64>::zeros(members.len(), members.len());
         for (equations, part) in parts.iter().filter(|(equations, _)| place.contains_key(&equations[0])) {
             for (row, one) in equations.iter().enumerate() {
@@ -287,7 +288,7 @@ fn covariances(
     layout: &Layout,
     quantities: &[Quantity],
     standard: &[f64],
-) -> Result<Vec<(Vec<usize>, Part)>> {
+) -> Result<Vec<(Vec<LayoutEquation>, Part)>> {
     let mut parts = Vec::new();
     for stated in stated(rows) {
         let of_row = (!stated.row_covariance.is_empty()).then(|| stated.covariance()).transpose()?;
@@ -300,7 +301,7 @@ fn covariances(
                     parts.push((members, Part::Matrix(covariance.clone())));
                 }
                 _ => {
-                    let own = |equation: usize| (vec![equation], Part::Same(standard[equation].powi(2)));
+                    let own = |equation: LayoutEquation| (vec![equation], Part::Same(standard[equation].powi(2)));
                     parts.extend(members.into_iter().map(own));
                 }
             }
@@ -309,7 +310,7 @@ fn covariances(
             let Some(value) = shared_of(shared, stated.quantity) else { continue };
             stated.require("`shared`", quantities)?;
             let labels = labels(&layout.data, &shared.by)?;
-            let mut groups: BTreeMap<(&str, usize), Vec<usize>> = BTreeMap::new();
+            let mut groups: BTreeMap<(&str, usize), Vec<LayoutEquation>> = BTreeMap::new();
             for row in &layout.rows {
                 let Some(data_row) = row.data_row else { continue };
                 for (direction, equation) in stated.members(row, quantities).into_iter().enumerate() {
@@ -345,9 +346,9 @@ fn labels<'a>(data: &'a Dataset, name: &str) -> Result<&'a [String]> {
 }
 
 /// Groups of equations that are correlated by the parts, each list ascending.
-fn components(equations: usize, parts: &[(Vec<usize>, Part)]) -> Vec<Vec<usize>> {
-    let mut root: Vec<usize> = (0..equations).collect();
-    fn find(root: &mut [usize], mut at: usize) -> usize {
+fn components(equations: usize, parts: &[(Vec<LayoutEquation>, Part)]) -> Vec<Vec<LayoutEquation>> {
+    let mut root: Vec<LayoutEquation> = LayoutEquation::first(equations).collect();
+    fn find(root: &mut [LayoutEquation], mut at: LayoutEquation) -> LayoutEquation {
         while root[at] != at {
             root[at] = root[root[at]];
             at = root[at];
@@ -360,8 +361,8 @@ fn components(equations: usize, parts: &[(Vec<usize>, Part)]) -> Vec<Vec<usize>>
             root[one.max(other)] = one.min(other);
         }
     }
-    let mut lists: BTreeMap<usize, Vec<usize>> = BTreeMap::new();
-    for equation in 0..equations {
+    let mut lists: BTreeMap<LayoutEquation, Vec<LayoutEquation>> = BTreeMap::new();
+    for equation in LayoutEquation::first(equations) {
         let first = find(&mut root, equation);
         lists.entry(first).or_default().push(equation);
     }
@@ -421,9 +422,7 @@ fn full(layout: &Layout, quantities: &[Quantity], table: &Dataset) -> Result<Equ
         numbers.push(match &column.values {
             Values::Numbers(numbers) => numbers.clone(),
             // `_um2` is no unit of a quantity, so the cells were read as text.
-            Values::Labels(cells) => cells
-                .iter()
-                .enumerate()
+            Values::Labels(cells) => DataRow::enumerate(cells)
                 .map(|(row, cell)| {
                     cell.trim().parse().map_err(|_| table.error_at(row, format!("`{cell}` is not a number")))
                 })

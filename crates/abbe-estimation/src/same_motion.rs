@@ -68,8 +68,7 @@ fn effects(problem: &Problem, functions: &[&ErrorFunction]) -> Result<Vec<Vec<f6
     let mut poses = Poses::default();
     for set in &problem.sets {
         let turned = set.info().orientation != Orientation::Unused;
-        let rows = set.rows.iter().map(|&row| set.info().layout.rows[row]);
-        for pose in rows.flat_map(|row| row.first_pose..row.first_pose + row.poses) {
+        for pose in set.poses_of(&set.rows) {
             let status = set.poses().row(pose);
             let Some(known) = functions.iter().map(|function| known(problem, function, status)).collect() else {
                 continue;

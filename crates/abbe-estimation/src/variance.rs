@@ -14,7 +14,7 @@
 //! if a solution is negative or far from 1. The variance of `s_g^2` is `2 s_g^4 (S^-1)_gg`, so that it has `1 / (S^-1)_gg`
 //! degrees of freedom. Constraints of certificates keep their uncertainty: their t is 1.
 
-use abbe_core::{Error, Problem, Result, VarianceFactor};
+use abbe_core::{EquationIndex, Error, Problem, Result, VarianceFactor};
 use abbe_numerics::{Directions, Factor, RobustReport, Solution};
 use nalgebra::{DMatrix, DVector};
 
@@ -86,8 +86,8 @@ impl Round {
         let residuals = weighted.in_uncertainties(problem.residuals(&solution.x)?);
         let constraints = problem.constraints();
         let report = solution.robust.as_ref();
-        let used = |equation: usize| report.is_none_or(|report| report.weights[equation] > 0.0);
-        let kept: Vec<f64> = (0..residuals.len()).map(|equation| f64::from(used(equation))).collect();
+        let used = |equation: EquationIndex| report.is_none_or(|report| report.weights[equation] > 0.0);
+        let kept: Vec<f64> = EquationIndex::first(residuals.len()).map(|equation| f64::from(used(equation))).collect();
         let readings: Vec<f64> =
             kept.iter().zip(&constraints).map(|(kept, is)| if *is { 0.0 } else { *kept }).collect();
         let ranges = problem.equation_ranges();
@@ -102,7 +102,7 @@ impl Round {
         let (mut squares, mut redundancies) = (Vec::new(), Vec::new());
         let mut expected = DMatrix::<f64>::zeros(count, count);
         for (group, range) in ranges.iter().enumerate() {
-            let rows: Vec<usize> = range.clone().filter(|&equation| readings[equation] > 0.0).collect();
+            let rows: Vec<EquationIndex> = range.clone().filter(|&equation| readings[equation] > 0.0).collect();
             let trace = shares[group].trace();
             squares.push(influence(&rows, &residuals, report) * correction(&rows, report, trace).powi(2));
             redundancies.push(rows.len() as f64 - trace);
@@ -139,8 +139,8 @@ impl Round {
 }
 
 /// Weighted squares of some rows; robust weights act on the residuals, as on their influence.
-fn influence(rows: &[usize], residuals: &[f64], report: Option<&RobustReport>) -> f64 {
-    let weight = |row: usize| report.map_or(1.0, |report| report.weights[row]);
+fn influence(rows: &[EquationIndex], residuals: &[f64], report: Option<&RobustReport>) -> f64 {
+    let weight = |row: EquationIndex| report.map_or(1.0, |report| report.weights[row]);
     rows.iter().map(|&row| (weight(row) * residuals[row]).powi(2)).sum()
 }
 

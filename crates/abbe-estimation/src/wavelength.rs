@@ -1,6 +1,6 @@
 //! The wavelengths that data may have: a sum of squares over a wavelength has many minima, and an iteration ends in the nearest.
 
-use abbe_core::{Owner, ParameterRole, Period, Problem, Result, Unit, Unknown};
+use abbe_core::{Owner, ParameterRole, Period, Problem, Result, RowIndex, SetIndex, Unit, Unknown};
 
 use crate::separation::spread_out;
 use crate::weighted::Weighted;
@@ -154,18 +154,19 @@ pub fn rival_wavelengths(unknown: &Unknown, minima: &[Wavelength]) -> Option<Str
 /// Leaves those rows that amplitudes have an effect on, not all of many; gives the range of the axis over them, none if there are none.
 fn keep_telling_rows(problem: &mut Problem, status: usize) -> Result<Option<f64>> {
     let (rows, count) = (problem.equation_rows(), problem.unknowns.len());
-    let mut telling: Vec<(usize, usize)> = Vec::new();
+    let mut telling: Vec<(SetIndex, RowIndex)> = Vec::new();
     problem.linearise(&problem.start(), |block| {
-        for (equation, line) in block.jacobian.chunks_exact(count).enumerate() {
-            let row = rows[block.first + equation];
+        for (equation, _, line) in block.lines() {
+            let row = rows[equation];
             if line.iter().any(|derivative| *derivative != 0.0) && telling.last() != Some(&row) {
                 telling.push(row);
             }
         }
     })?;
-    let kept: Vec<(usize, usize)> = spread_out(telling.len(), ROWS).into_iter().map(|place| telling[place]).collect();
+    let kept: Vec<(SetIndex, RowIndex)> =
+        spread_out(telling.len(), ROWS).into_iter().map(|place| telling[place]).collect();
     let (mut first, mut last) = (f64::INFINITY, f64::NEG_INFINITY);
-    for (index, set) in problem.sets.iter_mut().enumerate() {
+    for (index, set) in SetIndex::enumerate(&mut problem.sets) {
         set.rows = kept.iter().filter(|(of, _)| *of == index).map(|(_, row)| *row).collect();
         for pose in set.poses_of(&set.rows) {
             let position = set.poses().row(pose)[status];

@@ -1,7 +1,7 @@
 //! A problem as independent rows of unit variance: residuals divided by their standard uncertainties. Correlated residuals
 //! are transformed to uncorrelated ones.
 
-use abbe_core::{CovarianceBlock, Error, Problem, Result};
+use abbe_core::{CovarianceBlock, EquationIndex, Error, IndexRange, Problem, Result};
 use abbe_numerics::{Accumulator, Factor, LeastSquares};
 
 /// A problem in weighted rows.
@@ -19,13 +19,13 @@ pub struct Weighted<'a> {
 
 /// Equations that are correlated.
 struct Correlated {
-    equations: Vec<usize>,
+    equations: Vec<EquationIndex>,
     /// The lower triangle L of their covariance `L L^T`, row by row.
     lower: Vec<Vec<f64>>,
 }
 
 impl Correlated {
-    fn new(block: &CovarianceBlock) -> Result<Self> {
+    fn new(block: &CovarianceBlock<EquationIndex>) -> Result<Self> {
         let broken = || Error::data("the covariance of some rows is singular");
         let lower = block.lower().ok_or_else(broken)?;
         let size = block.equations.len();
@@ -58,7 +58,7 @@ impl<'a> Weighted<'a> {
         let blocks = problem.covariance_blocks().iter().map(Correlated::new).collect::<Result<Vec<_>>>()?;
         let mut place = if blocks.is_empty() { Vec::new() } else { vec![None; uncertainties.len()] };
         for (index, block) in blocks.iter().enumerate() {
-            block.equations.iter().enumerate().for_each(|(row, &equation)| place[equation] = Some((index, row)));
+            block.equations.iter().enumerate().for_each(|(row, &equation)| place[equation.0] = Some((index, row)));
         }
         Ok(Self { problem, uncertainties, blocks, place, columns, constraints: problem.constraints() })
     }
@@ -70,7 +70,7 @@ impl<'a> Weighted<'a> {
 
     /// The factor at x; rows with the given statistical weights, all 1 if there are none.
     pub fn factor(&self, x: &[f64], weights: Option<&[f64]>) -> Result<Factor> {
-        let all = 0..self.rows();
+        let all = EquationIndex::first(self.rows());
         let mut factors = self.factors(x, weights, std::slice::from_ref(&all))?;
         factors.pop().ok_or_else(|| Error::data("there are no rows"))
     }
@@ -80,17 +80,18 @@ impl<'a> Weighted<'a> {
         &self,
         x: &[f64],
         weights: Option<&[f64]>,
-        ranges: &[std::ops::Range<usize>],
+        ranges: &[IndexRange<EquationIndex>],
     ) -> Result<Vec<Factor>> {
         let count = self.unknowns();
         let mut accumulators: Vec<Accumulator> =
             ranges.iter().map(|range| Accumulator::new(count, range.len())).collect();
         self.linearise(x, &mut |first, residuals, derivatives| {
             for (row, residual) in residuals.iter().enumerate() {
-                let weight = weights.map_or(1.0, |weights| weights[first + row].sqrt());
+                let equation = EquationIndex(first + row);
+                let weight = weights.map_or(1.0, |weights| weights[equation].sqrt());
                 let line = &derivatives[row * count..(row + 1) * count];
                 for (range, accumulator) in ranges.iter().zip(&mut accumulators) {
-                    if range.contains(&(first + row)) {
+                    if range.contains(equation) {
                         accumulator.push(line, *residual, weight);
                     }
                 }
@@ -124,7 +125,7 @@ impl LeastSquares for Weighted<'_> {
     }
 
     fn linearise(&self, x: &[f64], sink: &mut dyn FnMut(usize, &[f64], &[f64])) -> Result<()> {
-        let (own, count) = (self.problem.unknowns.len(), self.unknowns());
+        let count = self.unknowns();
         let (mut residuals, mut derivatives) = (Vec::new(), Vec::new());
         // Rows of correlated blocks are kept until their block is complete: derivatives and, last, the residual.
         let width = count + 1;
@@ -132,20 +133,18 @@ impl LeastSquares for Weighted<'_> {
             self.blocks.iter().map(|block| vec![0.0; block.equations.len() * width]).collect();
         let mut broken = None;
         self.problem.linearise(x, |block| {
-            for (row, residual) in block.residuals.iter().enumerate() {
-                let equation = block.first + row;
-                let line = &block.jacobian[row * own..(row + 1) * own];
+            for (equation, residual, line) in block.lines() {
                 // To test all values is faster than to stop at the first one.
                 if line.iter().fold(!residual.is_finite(), |bad, derivative| bad | !derivative.is_finite()) {
                     broken.get_or_insert(equation);
                 }
                 let more = self.columns.iter().map(|column| column[equation]);
-                if let Some((block, place)) = self.place.get(equation).copied().flatten() {
+                if let Some((block, place)) = self.place.get(equation.0).copied().flatten() {
                     let values = line.iter().copied().chain(more);
                     let waiting = &mut waiting[block][place * width..(place + 1) * width];
-                    waiting.iter_mut().zip(values.chain([*residual])).for_each(|(waiting, value)| *waiting = value);
+                    waiting.iter_mut().zip(values.chain([residual])).for_each(|(waiting, value)| *waiting = value);
                     if !residuals.is_empty() {
-                        sink(equation - residuals.len(), &residuals, &derivatives);
+                        sink(equation.0 - residuals.len(), &residuals, &derivatives);
                         residuals.clear();
                         derivatives.clear();
                     }
@@ -157,7 +156,7 @@ impl LeastSquares for Weighted<'_> {
                 }
             }
             if !residuals.is_empty() {
-                sink(block.first + block.residuals.len() - residuals.len(), &residuals, &derivatives);
+                sink(block.equations().end().0 - residuals.len(), &residuals, &derivatives);
                 residuals.clear();
                 derivatives.clear();
             }
@@ -168,7 +167,7 @@ impl LeastSquares for Weighted<'_> {
         for (block, rows) in self.blocks.iter().zip(&mut waiting) {
             block.whiten(rows, width);
             for (&equation, row) in block.equations.iter().zip(rows.chunks_exact(width)) {
-                sink(equation, &row[count..], &row[..count]);
+                sink(equation.0, &row[count..], &row[..count]);
             }
         }
         Ok(())
@@ -191,7 +190,7 @@ impl Weighted<'_> {
 }
 
 /// The error for an equation without a finite value: a pose or an artefact where the geometry is singular.
-fn not_finite(problem: &Problem, equation: usize) -> Error {
+fn not_finite(problem: &Problem, equation: EquationIndex) -> Error {
     let (set, row) = problem.equation_rows()[equation];
     let error = Error::data("the equation of this row has no finite value; its geometry is singular")
         .stage(&problem.sets[set].name);

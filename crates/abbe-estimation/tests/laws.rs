@@ -2,7 +2,9 @@
 
 use std::path::PathBuf;
 
-use abbe_core::{Build, Calibration, Context, Error, Estimate, Identifiability, Kind, Problem, Registry, Result};
+use abbe_core::{
+    Build, Calibration, Context, Error, Estimate, Identifiability, Kind, PoseIndex, Problem, Registry, Result,
+};
 use abbe_estimation::laws::{of_estimator, virtual_problem};
 use abbe_gauss_newton as _;
 
@@ -49,7 +51,7 @@ fn ten_nanometres_too_much_are_found() {
 fn what_hangs_on_the_order_of_rows_is_found() {
     let found = broken(|problem, found| {
         // The first row is another one.
-        if problem.sets[0].poses().row(0)[2] > 0.0 {
+        if problem.sets[0].poses().row(PoseIndex(0))[2] > 0.0 {
             found.parameters[3].value += 1e-6;
         }
     });

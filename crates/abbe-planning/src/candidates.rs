@@ -2,7 +2,7 @@
 
 use std::collections::BTreeMap;
 
-use abbe_core::{Dataset, Label, PathItem, Problem, Result};
+use abbe_core::{DataRow, Dataset, EquationIndex, Label, PathItem, Problem, Result, RowIndex};
 
 use crate::settings::Planning;
 use crate::wrong;
@@ -12,9 +12,9 @@ pub struct Candidate {
     /// Its label, or the number of its data row, after the name of its file if there are several.
     pub label: String,
     /// Its rows in the set of the candidates.
-    pub rows: Vec<usize>,
+    pub rows: Vec<RowIndex>,
     /// Its equations in the problem.
-    pub equations: Vec<usize>,
+    pub equations: Vec<EquationIndex>,
     /// What it takes, s; 0 where the data do not say.
     pub duration: f64,
     /// How often it is required.
@@ -30,7 +30,7 @@ const DURATION: &str = "duration";
 ///
 /// Fails if the estimate does not observe the stage, if a column is missing, and if a named candidate does not exist.
 pub fn candidates(problem: &Problem, wanted: &Planning) -> Result<Vec<Candidate>> {
-    let set = problem.sets.iter().position(|set| set.name == wanted.candidates).ok_or_else(|| {
+    let set = problem.set_named(&wanted.candidates).ok_or_else(|| {
         let message = format!("`{}` does not observe `{}`", wanted.estimate, wanted.candidates);
         wrong("candidates", message).suggest(&wanted.candidates, problem.sets.iter().map(|set| set.name.as_str()))
     })?;
@@ -44,8 +44,11 @@ pub fn candidates(problem: &Problem, wanted: &Planning) -> Result<Vec<Candidate>
     };
     let mut found: Vec<Candidate> = Vec::new();
     let mut places: BTreeMap<String, usize> = BTreeMap::new();
-    for (equation, (of, row)) in problem.equation_rows().into_iter().enumerate() {
-        let Some(data_row) = layout.rows.get(row).filter(|_| of == set).and_then(|row| row.data_row) else { continue };
+    for (equation, (of, row)) in EquationIndex::enumerate(problem.equation_rows()) {
+        if of != set {
+            continue;
+        }
+        let Some(data_row) = layout.rows[row].data_row else { continue };
         let label = labels.map_or_else(|| own_label(data, data_row), |labels| labels[data_row].clone());
         let place = *places.entry(label.clone()).or_insert_with(|| {
             let (rows, equations) = (Vec::new(), Vec::new());
@@ -65,7 +68,7 @@ pub fn candidates(problem: &Problem, wanted: &Planning) -> Result<Vec<Candidate>
 }
 
 /// Name of a row that is a candidate by itself: `113`, or `beams:113` where there are several files.
-fn own_label(data: &Dataset, data_row: usize) -> String {
+fn own_label(data: &Dataset, data_row: DataRow) -> String {
     let origin = data.origins[data_row];
     let several = data.files.get(origin.file).filter(|_| data.files.len() > 1);
     match several.and_then(|file| file.file_stem()) {

@@ -9,7 +9,7 @@ mod candidates;
 mod generate;
 mod settings;
 
-use abbe_core::{Error, PathItem, Problem, Result, Unknown, in_parallel, matches};
+use abbe_core::{DataRow, EquationIndex, Error, PathItem, Problem, Result, RowIndex, Unknown, in_parallel, matches};
 use abbe_estimation::rank_point;
 use abbe_numerics::{Choice, Criterion, Design, DesignFigures, Generator};
 
@@ -32,7 +32,7 @@ pub struct Plan {
     /// Number of candidates to choose from.
     pub candidates: usize,
     /// Rows of the candidates' data set, ascending. The rows of a candidate that is measured twice occur twice.
-    pub data_rows: Vec<usize>,
+    pub data_rows: Vec<DataRow>,
     /// The problem with the rows that are measured already and the chosen rows.
     pub problem: Problem,
     /// Figures of the plan.
@@ -198,8 +198,8 @@ impl Scaled {
         let uncertainties = contact.standard_uncertainties();
         let mut all: Vec<f64> = Vec::with_capacity(contact.equations() * p);
         contact.linearise(&contact.start(), |block| {
-            for (row, derivatives) in block.jacobian.chunks_exact(p).enumerate() {
-                let weight = 1.0 / uncertainties[block.first + row];
+            for (equation, _, derivatives) in block.lines() {
+                let weight = 1.0 / uncertainties[equation];
                 all.extend(order.iter().map(|&column| derivatives[column] * weight));
             }
         })?;
@@ -210,7 +210,7 @@ impl Scaled {
         let (mut rows, mut ends) = (Vec::new(), Vec::new());
         let mut chosen = vec![false; all.len() / p];
         for candidate in candidates {
-            for equation in candidate.equations.iter().copied() {
+            for &EquationIndex(equation) in &candidate.equations {
                 rows.extend_from_slice(&all[equation * p..(equation + 1) * p]);
                 chosen[equation] = true;
             }
@@ -318,20 +318,20 @@ fn chosen(candidates: &[Candidate], design: &[usize], required: &[usize]) -> Vec
 }
 
 /// The rows of the candidates' data set that the plan contains, ascending.
-fn data_rows(problem: &Problem, candidates: &[Candidate], design: &[usize], wanted: &Planning) -> Vec<usize> {
+fn data_rows(problem: &Problem, candidates: &[Candidate], design: &[usize], wanted: &Planning) -> Vec<DataRow> {
     let Some(set) = problem.sets.iter().find(|set| set.name == wanted.candidates) else { return Vec::new() };
     let layout = &set.info().layout;
     let rows = design.iter().flat_map(|&index| &candidates[index].rows);
-    let mut rows: Vec<usize> = rows.filter_map(|&row| layout.rows[row].data_row).collect();
+    let mut rows: Vec<DataRow> = rows.filter_map(|&row| layout.rows[row].data_row).collect();
     rows.sort_unstable();
     rows
 }
 
 /// The problem with the chosen rows, each once, and the rows that are measured already.
 fn restricted(problem: &Problem, candidates: &[Candidate], design: &[usize], wanted: &Planning) -> Problem {
-    let Some(set) = problem.sets.iter().position(|set| set.name == wanted.candidates) else { return problem.clone() };
-    let possible = |row: &usize| candidates.iter().any(|candidate| candidate.rows.contains(row));
-    let mut rows: Vec<usize> = problem.sets[set].rows.iter().copied().filter(|row| !possible(row)).collect();
+    let Some(set) = problem.set_named(&wanted.candidates) else { return problem.clone() };
+    let possible = |row: &RowIndex| candidates.iter().any(|candidate| candidate.rows.contains(row));
+    let mut rows: Vec<RowIndex> = problem.sets[set].rows.iter().copied().filter(|row| !possible(row)).collect();
     rows.extend(design.iter().flat_map(|&index| candidates[index].rows.iter().copied()));
     rows.sort_unstable();
     rows.dedup();

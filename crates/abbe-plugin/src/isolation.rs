@@ -16,7 +16,7 @@ use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::thread::ThreadId;
 use std::time::Duration;
 
-use abbe_core::{Equations, Error, Origin, Poses, Result, RowBatch, Variable};
+use abbe_core::{Equations, Error, Origin, Poses, Result, RowBatch, RowIndex, Variable};
 
 use crate::loader::{About, Create, Library, hashed};
 use crate::peer::{Answer, Failure, Peer, Transit};
@@ -150,7 +150,7 @@ impl Connection {
                 let Served::Observations(observations, _) = served.as_ref() else {
                     return Err(Failure::of("the other side", "asks an object for equations that has none"));
                 };
-                let rows: Vec<usize> = rows.iter().map(|&row| row as usize).collect();
+                let rows: Vec<RowIndex> = rows.iter().map(|&row| RowIndex(row as usize)).collect();
                 let (positions, orientations) = (wire::points(positions).0, wire::quaternions(orientations).0);
                 let mut out = Equations::default();
                 observations.evaluate(RowBatch { rows: &rows, positions, orientations, own, inputs }, &mut out)?;
@@ -272,7 +272,7 @@ impl Peer for Remote {
 
     fn equations(&self, batch: RowBatch<'_>, out: &mut Equations) -> Result<(), Failure> {
         let RowBatch { rows, positions, orientations, own, inputs } = batch;
-        let rows: Vec<f64> = rows.iter().map(|&row| row as f64).collect();
+        let rows: Vec<f64> = rows.iter().map(|row| row.0 as f64).collect();
         let lists = [&rows, positions.as_flattened(), orientations.as_flattened(), own, inputs];
         let question = Frame::Equations { object: self.object, lengths: lists.map(<[f64]>::len) };
         let (answer, numbers) = self.connection.ask(&question, &lists)?;

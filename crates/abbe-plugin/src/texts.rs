@@ -5,7 +5,7 @@ use std::sync::Arc;
 
 use abbe_core::{
     Calibration, ColumnHeader, Considered, Dataset, EquationUncertainty, ErrorFunction, ExportedFile, Fit, Input,
-    InputFile, Monitor, ObservationSet, Observations, ObservationsInfo, PoseTable, Problem, Unknown,
+    InputFile, Monitor, ObservationSet, Observations, ObservationsInfo, PoseTable, Problem, RowIndex, Unknown,
 };
 use serde::{Deserialize, Serialize};
 
@@ -63,7 +63,7 @@ pub(crate) struct MotionText {
 /// Question of `contact_tip`.
 #[derive(Serialize, Deserialize)]
 pub(crate) struct TipText {
-    pub row: usize,
+    pub row: RowIndex,
     pub tip: [f64; 3],
     pub own: Vec<f64>,
     pub inputs: Vec<f64>,
@@ -118,7 +118,7 @@ pub(crate) struct ProblemText {
 struct SetText {
     name: String,
     observations: usize,
-    rows: Vec<usize>,
+    rows: Vec<RowIndex>,
     inputs: Vec<f64>,
     own: Vec<f64>,
     uncertainty: EquationUncertainty,

@@ -78,7 +78,7 @@ fn rows_of(set: &ObservationSet) -> impl Iterator<Item = abbe_core::Row> {
 
 fn round_positions(set: &mut ObservationSet, statuses: &[usize], resolution: f64) {
     let mut poses = set.poses().clone();
-    for pose in rows_of(set).flat_map(|row| row.first_pose..row.first_pose + row.poses) {
+    for pose in set.poses_of(&set.rows) {
         let status = poses.row_mut(pose);
         statuses.iter().for_each(|&axis| status[axis] = round(status[axis], resolution));
     }
@@ -91,7 +91,7 @@ fn readings(set: &ObservationSet, column: &str) -> Vec<Option<f64>> {
     let disturbances = set.disturbances();
     let mut all = Vec::new();
     for row in rows_of(set) {
-        for equation in row.first_equation..row.first_equation + row.equations {
+        for equation in row.equation_indices() {
             let reading = recorded.zip(row.data_row).map(|(recorded, row)| recorded[row]);
             all.push(reading.map(|reading| reading - disturbances.map_or(0.0, |all| all[equation])));
         }

@@ -4,8 +4,8 @@ use std::collections::{BTreeMap, BTreeSet};
 use std::f64::consts::TAU;
 
 use abbe_core::{
-    Contact, Error, ObservationSet, Problem, Quantity, Result, Row, SettingsError, from_settings, not_negative,
-    positive,
+    Contact, DataRow, Error, ObservationSet, Problem, Quantity, Result, Row, SetIndex, SettingsError, from_settings,
+    not_negative, positive,
 };
 use abbe_estimation::Variation;
 use abbe_numerics::Generator;
@@ -189,7 +189,7 @@ impl Noise {
         let directions = self.lobing.map(|_| contact_directions(problem)).transpose()?;
         let listed = Listed::new(&self.outliers.listed, problem);
         let mut errors = Vec::with_capacity(problem.equations());
-        for (index, set) in problem.sets.iter().enumerate() {
+        for (index, set) in SetIndex::enumerate(&problem.sets) {
             let sigma = self.probing_sigma_mm.of(set).hypot(self.surface_sigma_mm.of(set));
             let is_measured = takes_noise(set);
             for &row in &set.rows {
@@ -199,7 +199,7 @@ impl Noise {
                     continue;
                 };
                 // Every row has its own stream: its numbers do not depend on the rows before it.
-                let mut generator = Generator::new(seed, (index as u64) << 32 | row as u64);
+                let mut generator = Generator::new(seed, (index.0 as u64) << 32 | row.0 as u64);
                 let first = errors.len();
                 errors.extend((0..equations).map(|_| sigma * generator.normal()));
                 let gross = listed.of(set, data_row) + self.outliers.draw(&mut generator);
@@ -242,7 +242,7 @@ impl Noise {
         for drift in self.drift.values() {
             variations.insert(drift.parameter.as_str(), drift.variation(problem, rows)?);
         }
-        for (index, set) in problem.sets.iter().enumerate() {
+        for (index, set) in SetIndex::enumerate(&problem.sets) {
             let times = set.info().layout.data.numbers("time");
             for &row in &set.rows {
                 let data_row = set.info().layout.rows[row].data_row;
@@ -400,7 +400,7 @@ impl<'a> Listed<'a> {
     }
 
     /// The gross error of a row, mm.
-    fn of(&self, set: &ObservationSet, data_row: usize) -> f64 {
+    fn of(&self, set: &ObservationSet, data_row: DataRow) -> f64 {
         if self.distances.is_empty() {
             return 0.0;
         }
@@ -415,7 +415,7 @@ impl<'a> Listed<'a> {
 }
 
 /// Name of a row in the list of outliers.
-fn name(set: &ObservationSet, data_row: usize, by_touch: bool) -> Option<String> {
+fn name(set: &ObservationSet, data_row: DataRow, by_touch: bool) -> Option<String> {
     let data = &set.info().layout.data;
     match by_touch {
         true => Some(data.labels("touch")?[data_row].clone()),

@@ -6,8 +6,8 @@ use std::sync::Arc;
 
 use abbe_core::{
     Absent, Axis, AxisKind, Branch, Column, ColumnHeader, Contact, Dataset, Equations, KinematicModel, Layout,
-    ModelInfo, ObservationSet, Observations, ObservationsInfo, Parameter, PoseBatch, PosesMut, Problem, Quantity,
-    Result, RowBatch, RowOrigin, StatusColumn, Unit, Values, Variable, plain_naming,
+    ModelInfo, ObservationSet, Observations, ObservationsInfo, Parameter, PoseBatch, PoseIndex, PosesMut, Problem,
+    Quantity, Result, RowBatch, RowOrigin, StatusColumn, Unit, Values, Variable, plain_naming,
 };
 use abbe_estimation::{is_judged_as_recorded, rank_point};
 use abbe_simulation::{Noise, Sigma, Truth, measure};
@@ -78,8 +78,9 @@ impl Observations for Dial {
 
     fn evaluate(&self, batch: RowBatch<'_>, out: &mut Equations) -> Result<()> {
         for (&row, tip) in batch.rows.iter().zip(batch.positions) {
-            let data = &self.info.layout.data;
-            let reading = self.column.and_then(|column| data.numbers(column)).map_or(0.0, |all| all[row]);
+            let Layout { data, rows, .. } = &self.info.layout;
+            let data_row = rows[row].data_row.expect("it is measured");
+            let reading = self.column.and_then(|column| data.numbers(column)).map_or(0.0, |all| all[data_row]);
             out.equation(tip[self.axis] - batch.own[0] - reading);
             let mut unit = [0.0; 3];
             unit[self.axis] = 1.0;
@@ -103,7 +104,7 @@ fn problem(header: &str, axis: usize, column: Option<&'static str>) -> Problem {
     });
     let model: Arc<dyn KinematicModel> = Arc::new(Rail::new());
     let mut layout = Layout::new(&data, model.as_ref(), &[&plain_naming]).unwrap();
-    (0..3).for_each(|row| layout.push(model.as_ref(), row, &[1e-3]).unwrap());
+    data.row_indices().for_each(|row| layout.push(model.as_ref(), row, &[1e-3]).unwrap());
     let contact = column.map_or(Contact::LinearAxes, |column| Contact::Reading(column.to_owned()));
     let info = ObservationsInfo::new(layout, vec![Parameter::new("zero", Unit::MM)], contact);
     let set = ObservationSet::new("dial", Arc::new(Dial { info, axis, column }));
@@ -175,7 +176,7 @@ fn the_axis_moves_where_there_is_no_reading() {
     let programme = problem("note_mm", 0, None);
     let measured = measure(&programme, &truth(Noise::default()), 1).unwrap();
     assert!(measured.residuals(&TRUE).unwrap().iter().all(|residual| residual.abs() < 1e-11));
-    assert!((measured.sets[0].poses().row(0)[0] - (-0.5 - 0.123456) / 1.001).abs() < 1e-10);
+    assert!((measured.sets[0].poses().row(PoseIndex(0))[0] - (-0.5 - 0.123456) / 1.001).abs() < 1e-10);
 }
 
 #[test]

@@ -13,7 +13,7 @@ use std::fs::{self, File};
 use std::io::{self, BufReader};
 use std::path::{Path, PathBuf};
 
-use abbe_core::{Column, ColumnHeader, Dataset, Error, Quantity, Result, Values};
+use abbe_core::{Column, ColumnHeader, DataRow, Dataset, Error, Quantity, Result, Values};
 
 pub use parse::number;
 pub use rewrite::{Cells, with_cells};
@@ -106,9 +106,9 @@ fn wrong_column(data: &Dataset, message: String) -> Error {
 }
 
 /// The row of each label of a column in which no label may occur twice.
-pub fn unique_labels<'a>(data: &'a Dataset, name: &str) -> Result<BTreeMap<&'a str, usize>> {
+pub fn unique_labels<'a>(data: &'a Dataset, name: &str) -> Result<BTreeMap<&'a str, DataRow>> {
     let mut rows = BTreeMap::new();
-    for (row, label) in labels(data, name)?.iter().enumerate() {
+    for (row, label) in DataRow::enumerate(labels(data, name)?) {
         if let Some(first) = rows.insert(label.as_str(), row) {
             let line = data.origins[first].line;
             return Err(data.error_at(row, format!("{name} `{label}` is in line {line} already")));
@@ -121,7 +121,7 @@ pub fn unique_labels<'a>(data: &'a Dataset, name: &str) -> Result<BTreeMap<&'a s
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Touched {
     /// Rows that touch a feature, with its index in `features`.
-    pub rows: Vec<(usize, usize)>,
+    pub rows: Vec<(DataRow, usize)>,
     /// The nominal features that are touched, ascending.
     pub features: Vec<usize>,
 }
@@ -137,7 +137,7 @@ pub fn touched(of_rows: &[Option<usize>], nominal: &Path) -> Result<Touched> {
         return Err(error.help("`feature` in the data and in the nominal file have to agree"));
     }
     let place = |feature: usize| features.binary_search(&feature).ok();
-    let rows = of_rows.iter().enumerate();
+    let rows = DataRow::enumerate(of_rows);
     let rows = rows.filter_map(|(row, feature)| feature.and_then(place).map(|place| (row, place))).collect();
     Ok(Touched { rows, features })
 }

@@ -1,7 +1,7 @@
 use std::io::Cursor;
 use std::path::{Path, PathBuf};
 
-use abbe_core::{Class, Dataset, Error, Quantity, Values};
+use abbe_core::{Class, DataRow, Dataset, Error, Quantity, Values};
 use proptest::prelude::*;
 
 use crate::{parse, points, read, read_headers, unique_labels, vectors};
@@ -84,7 +84,10 @@ fn files_are_read() {
 #[test]
 fn features_have_points_and_normals() {
     let data = table("feature,x_mm,y_um,z_mm,nx,ny,nz\n7,1,2,3,0,0,1\n8,4,5,6,1,0,0\n").unwrap();
-    assert_eq!(unique_labels(&data, "feature").unwrap().into_iter().collect::<Vec<_>>(), [("7", 0), ("8", 1)]);
+    assert_eq!(
+        unique_labels(&data, "feature").unwrap().into_iter().collect::<Vec<_>>(),
+        [("7", DataRow(0)), ("8", DataRow(1))]
+    );
     assert_eq!(points(&data, ["x", "y", "z"]).unwrap(), [[1.0, 0.002, 3.0], [4.0, 0.005, 6.0]]);
     assert_eq!(vectors(&data, ["nx", "ny", "nz"]).unwrap(), [[0.0, 0.0, 1.0], [1.0, 0.0, 0.0]]);
 

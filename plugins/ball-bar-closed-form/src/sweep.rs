@@ -1,8 +1,8 @@
 //! The tests of a problem: rows in which one rotary axis turns a pivot ball about the tool ball.
 
 use abbe_core::{
-    AxisKind, Branch, Error, Feature, KinematicModel, ObservationSet, Owner, Poses, Problem, Result, Unit, Unknown,
-    Variable,
+    AxisKind, Branch, EquationIndex, Error, Feature, IndexRange, KinematicModel, ObservationSet, Owner, Poses, Problem,
+    Result, RowIndex, SetIndex, Unit, Unknown, Variable,
 };
 use nalgebra::{DMatrix, Vector3};
 
@@ -25,11 +25,11 @@ pub struct Sweep {
     /// Its label.
     pub name: String,
     /// Equations of the problem.
-    pub equations: Vec<usize>,
+    pub equations: Vec<EquationIndex>,
     /// Index of the axis that moves.
     pub axis: usize,
     /// Set and index of the feature that is the pivot.
-    pub pivot: (usize, usize),
+    pub pivot: (SetIndex, usize),
     /// Commands of the axis, rad.
     pub angles: Vec<f64>,
     /// Distance from tool ball to pivot by the nominal machine, mm.
@@ -62,12 +62,9 @@ impl Linear {
             entries.extend_from_slice(block.jacobian);
         })?;
         if let Some(equation) = residuals.iter().position(|residual| !residual.is_finite()) {
-            let (set, row) = problem.equation_rows()[equation];
+            let (set, row) = problem.equation_rows()[EquationIndex(equation)];
             let error = Error::data("the equation of this row has no finite value").stage(&problem.sets[set].name);
-            return Err(match problem.origin(set, row) {
-                Some((file, origin)) => error.at(file, origin.line, None),
-                None => error,
-            });
+            return Err(problem.at_row(set, row, error));
         }
         Ok(Self { residuals, jacobian: DMatrix::from_row_slice(rows, columns, &entries) })
     }
@@ -76,15 +73,12 @@ impl Linear {
 /// The tests of a problem (at nominal values), told apart by the labels in `column`.
 pub fn sweeps(problem: &Problem, column: &str) -> Result<Vec<Sweep>> {
     let mut found = Vec::new();
-    let mut first = 0;
-    for (index, set) in problem.sets.iter().enumerate() {
-        let count = set.rows.len();
-        let tests = labelled(set, first, column).and_then(|tests| {
+    for ((index, set), equations) in SetIndex::enumerate(&problem.sets).zip(problem.equation_ranges()) {
+        let tests = labelled(set, equations, column).and_then(|tests| {
             let pivots = Pivots::new(problem, index)?;
             tests.into_iter().map(|(name, rows)| pivots.sweep(name, &rows)).collect::<Result<Vec<_>>>()
         });
         found.extend(tests.map_err(|error| error.stage(&set.name))?);
-        first += count;
     }
     Ok(found)
 }
@@ -92,26 +86,30 @@ pub fn sweeps(problem: &Problem, column: &str) -> Result<Vec<Sweep>> {
 /// A row of a test: its index in the layout, and its equation in the problem.
 #[derive(Debug, Clone, Copy)]
 struct Sample {
-    row: usize,
-    equation: usize,
+    row: RowIndex,
+    equation: EquationIndex,
 }
 
-/// The rows of a set by test, in the order in which the tests appear.
-fn labelled(set: &ObservationSet, first: usize, column: &str) -> Result<Vec<(String, Vec<Sample>)>> {
+/// The rows of a set (and its equations) by test, in the order in which the tests appear.
+fn labelled(
+    set: &ObservationSet,
+    equations: IndexRange<EquationIndex>,
+    column: &str,
+) -> Result<Vec<(String, Vec<Sample>)>> {
     let layout = &set.info().layout;
     let labels = abbe_table::labels(&layout.data, column).map_err(|error| {
         let help = error.help.clone().unwrap_or_else(|| "name the column that tells the tests apart".to_owned());
         Error { place: None, ..error }.help(help).setting("tests")
     })?;
     let mut tests: Vec<(String, Vec<Sample>)> = Vec::new();
-    for (place, &row) in set.rows.iter().enumerate() {
+    for (&row, equation) in set.rows.iter().zip(equations) {
         let Some(data_row) = layout.rows[row].data_row.filter(|_| layout.rows[row].poses == 1) else {
             return Err(no_distance());
         };
         if layout.rows[row].equations != 1 {
             return Err(no_distance());
         }
-        let sample = Sample { row, equation: first + place };
+        let sample = Sample { row, equation };
         match tests.iter_mut().find(|(name, _)| *name == labels[data_row]) {
             Some((_, rows)) => rows.push(sample),
             None => tests.push((labels[data_row].clone(), vec![sample])),
@@ -128,14 +126,14 @@ fn no_distance() -> Error {
 /// The features of a set as seen by its equations.
 struct Pivots<'a> {
     problem: &'a Problem,
-    set: usize,
+    set: SetIndex,
     features: &'a [Feature],
     /// Residuals and derivatives to the shifts of all features, in their order.
     linear: Linear,
 }
 
 impl<'a> Pivots<'a> {
-    fn new(problem: &'a Problem, set: usize) -> Result<Self> {
+    fn new(problem: &'a Problem, set: SetIndex) -> Result<Self> {
         let features = &problem.sets[set].info().features;
         let shifts = features.iter().flat_map(|feature| &feature.shifts);
         let unknowns =
@@ -145,7 +143,7 @@ impl<'a> Pivots<'a> {
     }
 
     /// The one feature that moves the equation of a row, and its derivatives to the shifts of that feature.
-    fn pivot(&self, equation: usize) -> Option<(usize, Vec<f64>)> {
+    fn pivot(&self, EquationIndex(equation): EquationIndex) -> Option<(usize, Vec<f64>)> {
         let mut first = 0;
         let mut found = None;
         for (index, feature) in self.features.iter().enumerate() {

@@ -150,7 +150,7 @@ impl System {
         let root = DMatrix::from_fn(own, stated.len(), |row, equation| answer[(row, equation)] * stated[equation]);
         let mut covariance = &root * root.transpose();
         for block in &blocks {
-            let part = answer.select_columns(&block.equations);
+            let part = answer.select_columns(block.equations.iter().map(|equation| &equation.0));
             covariance += &part * &block.covariance * part.transpose();
         }
         covariance *= scale * scale;
@@ -207,7 +207,7 @@ fn reduction(sweeps: &[Sweep], equations: usize) -> DMatrix<f64> {
         let units = [length(sweep), sweep.radius, sweep.radius];
         for (sample, (&equation, nominal)) in sweep.equations.iter().zip(&sweep.nominal).enumerate() {
             for (number, unit) in units.iter().enumerate() {
-                matrix[(3 * place + number, equation)] = projection.entry(number, sample) * nominal / unit;
+                matrix[(3 * place + number, equation.0)] = projection.entry(number, sample) * nominal / unit;
             }
         }
     }

@@ -5,7 +5,7 @@ use std::path::Path;
 use std::sync::Arc;
 
 use abbe_ball_bar as _;
-use abbe_core::{Build, Kind, ObservationSet, Registry};
+use abbe_core::{Build, EquationIndex, Kind, ObservationSet, Registry, SetIndex};
 use abbe_serial_chain as _;
 use nalgebra::Vector2;
 
@@ -116,9 +116,9 @@ fn off_centre(centre: Vector2<f64>, arc: f64) -> Sweep {
     };
     Sweep {
         name: "c".to_owned(),
-        equations: (0..angles.len()).collect(),
+        equations: EquationIndex::first(angles.len()).collect(),
         axis: 0,
-        pivot: (0, 0),
+        pivot: (SetIndex(0), 0),
         measured: angles.iter().map(length).collect(),
         nominal: vec![nominal; angles.len()],
         angles,

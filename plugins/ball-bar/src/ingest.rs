@@ -9,8 +9,8 @@ use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
 use abbe_core::{
-    Column, ColumnHeader, Context, Dataset, Error, Ingest, InputFile, Label, PathItem, Quantity, Result, RowOrigin,
-    SettingsError, Values, positive,
+    Column, ColumnHeader, Context, DataRow, Dataset, Error, Ingest, InputFile, Label, PathItem, Quantity, Result,
+    RowOrigin, SettingsError, Values, positive,
 };
 use schemars::JsonSchema;
 use serde::Deserialize;
@@ -251,8 +251,8 @@ impl Named {
         })?;
         self.only_mover(&data, angles)?;
         let [from, to] = self.test.range_deg.unwrap_or([f64::NEG_INFINITY, f64::INFINITY]).map(f64::to_radians);
-        let within = |row: &usize| (from - AT_LIMIT..=to + AT_LIMIT).contains(&angles[*row]);
-        let mut rows: Vec<usize> = (0..data.rows()).filter(within).collect();
+        let within = |row: &DataRow| (from - AT_LIMIT..=to + AT_LIMIT).contains(&angles[*row]);
+        let mut rows: Vec<DataRow> = data.row_indices().filter(within).collect();
         if rows.is_empty() && data.rows() > 0 {
             let (least, most) = angles
                 .iter()
@@ -267,7 +267,7 @@ impl Named {
             return Err(self.wrong("range_deg", Error::data(message)));
         }
         let cycles = cycles(&data);
-        rows.sort_by(|&a, &b| cycles[a].cmp(&cycles[b]).then(angles[a].total_cmp(&angles[b])));
+        rows.sort_by(|&a, &b| cycles[a.0].cmp(&cycles[b.0]).then(angles[a].total_cmp(&angles[b])));
         Ok(picked(&data, &rows))
     }
 }
@@ -395,7 +395,7 @@ fn append(data: &mut Dataset, mut part: Dataset, path: &Path) -> Result<()> {
 }
 
 /// Some rows, each with its origin.
-fn picked(data: &Dataset, rows: &[usize]) -> Dataset {
+fn picked(data: &Dataset, rows: &[DataRow]) -> Dataset {
     let values = |values: &Values| match values {
         Values::Numbers(numbers) => Values::Numbers(rows.iter().map(|&row| numbers[row]).collect()),
         Values::Labels(labels) => Values::Labels(rows.iter().map(|&row| labels[row].clone()).collect()),

@@ -13,7 +13,7 @@ use std::path::PathBuf;
 use std::sync::Arc;
 
 use abbe_core::{
-    Artefact, ColumnHeader, Contact, Context, Dataset, Error, InputFile, KinematicModel, KnownInput, Layout,
+    Artefact, ColumnHeader, Contact, Context, DataRow, Dataset, Error, InputFile, KinematicModel, KnownInput, Layout,
     Observations, ObservationsInfo, Orientation, Parameter, ParameterRole, PathItem, Quantity, RankPoint, Result,
     SettingsError, Target, Unit, not_negative, plain_naming, pose_columns, positive,
 };
@@ -117,8 +117,8 @@ fn places(data: &Dataset, column: &str, known: &[&str], what: &str) -> Result<Ve
     if data.column(column).is_none() && known.len() == 1 {
         return Ok(vec![0; data.rows()]);
     }
-    let labels = abbe_table::labels(data, column)?.iter().enumerate();
-    let place = |(row, label): (usize, &String)| {
+    let labels = DataRow::enumerate(abbe_table::labels(data, column)?);
+    let place = |(row, label): (DataRow, &String)| {
         known.iter().position(|known| known == label).ok_or_else(|| {
             let error = data.error_at(row, format!("{column} {label} is not among {what}"));
             error.help(format!("there are: {}", known.join(", ")))
@@ -190,8 +190,8 @@ impl Artefact for BallBar {
         let readings = abbe_table::numbers(data, "reading", Quantity::Length)?.to_vec();
 
         let mut layout = Layout::new(data, model, &[&plain_naming])?;
-        for row in 0..data.rows() {
-            let length = self.settings.bars_mm[used_bars[bar_of_row[row]]] + readings[row];
+        for (row, bar) in DataRow::enumerate(&bar_of_row) {
+            let length = self.settings.bars_mm[used_bars[*bar]] + readings[row];
             if length <= 0.0 {
                 let message = format!("the measured length is {length} mm; a positive one was expected");
                 return Err(data.error_at(row, message).help("readings are the length minus that of the bar"));
@@ -232,7 +232,7 @@ impl Artefact for BallBar {
 }
 
 /// The error for a bar whose balls would coincide.
-fn at_the_pivot(data: &Dataset, row: usize, label: &str) -> Error {
+fn at_the_pivot(data: &Dataset, row: DataRow, label: &str) -> Error {
     let error = data.error_at(row, format!("the tool ball stands in the centre of ball {label}: no bar fits between"));
     error.help("are the axis positions those of the test, and the nominal balls in the table frame?")
 }

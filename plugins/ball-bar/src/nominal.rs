@@ -8,7 +8,7 @@
 
 use std::collections::BTreeMap;
 
-use abbe_core::{AxisKind, KinematicModel, NominalReading, Poses, Result, Variable};
+use abbe_core::{AxisKind, KinematicModel, ListedBy, NominalReading, Poses, Result, RowIndex, Variable};
 use nalgebra::Vector3;
 
 use crate::observed::{Bar, Observed};
@@ -38,10 +38,12 @@ struct NominalRow {
     positions: Vec<f64>,
 }
 
+impl ListedBy<RowIndex> for NominalRow {}
+
 /// Nominal readings of the rows, by the index of the row. Rows that are judged as recorded are left out.
 ///
 /// Fails for a row whose nominal tool ball is at the centre of the pivot ball: the bar has no direction there.
-pub fn readings(observed: &Observed, model: &dyn KinematicModel) -> Result<BTreeMap<usize, NominalReading>> {
+pub fn readings(observed: &Observed, model: &dyn KinematicModel) -> Result<BTreeMap<RowIndex, NominalReading>> {
     let axes = model.info().axes.iter().enumerate().filter(|(_, axis)| axis.kind == AxisKind::Linear);
     let axes: Vec<(usize, usize)> = axes.map(|(index, axis)| (index, axis.status)).collect();
     let rows = nominal_rows(observed, model, &axes)?;
@@ -49,13 +51,13 @@ pub fn readings(observed: &Observed, model: &dyn KinematicModel) -> Result<BTree
     let mut nominal = BTreeMap::new();
     for test in tests(observed) {
         let moving = moving(test.iter().map(|&row| &rows[row]), axes.len());
-        let along = |row: &usize| moving.iter().map(|&axis| rows[*row].by_axis[axis].powi(2)).sum::<f64>().sqrt();
+        let along = |row: &RowIndex| moving.iter().map(|&axis| rows[*row].by_axis[axis].powi(2)).sum::<f64>().sqrt();
         if moving.is_empty() || test.iter().any(|row| along(row) < ALONG) {
             continue;
         }
         for row in test {
             let Some(reference) = references[observed.bar_of_row[row]] else { continue };
-            let residuals = vec![reference - observed.readings[row]];
+            let residuals = vec![reference - observed.readings[row.0]];
             let axes = moving.iter().map(|&axis| axes[axis].0).collect();
             nominal.insert(row, NominalReading { residuals, axes });
         }
@@ -67,7 +69,7 @@ fn nominal_rows(observed: &Observed, model: &dyn KinematicModel, axes: &[(usize,
     let wanted: Vec<Variable> = axes.iter().map(|(index, _)| Variable::Command(*index)).collect();
     let mut poses = Poses::default();
     let mut rows = Vec::with_capacity(observed.info.layout.rows.len());
-    for (index, row) in observed.info.layout.rows.iter().enumerate() {
+    for (index, row) in RowIndex::enumerate(&observed.info.layout.rows) {
         let status = observed.info.layout.poses.row(row.first_pose);
         model.poses(status, &model.info().nominal, &wanted, false, &mut poses)?;
         let ball = &observed.balls[observed.ball_of_row[index]];
@@ -109,11 +111,11 @@ fn reference(observed: &Observed, rows: &[NominalRow], bar: usize) -> Option<f64
 }
 
 /// The rows of every test: those of one file and label in the column `test`, with one bar on one ball.
-fn tests(observed: &Observed) -> Vec<Vec<usize>> {
+fn tests(observed: &Observed) -> Vec<Vec<RowIndex>> {
     let data = &observed.info.layout.data;
     let labels = data.labels("test");
-    let mut tests: BTreeMap<(usize, Option<&String>, usize, usize), Vec<usize>> = BTreeMap::new();
-    for (index, row) in observed.info.layout.rows.iter().enumerate() {
+    let mut tests: BTreeMap<(usize, Option<&String>, usize, usize), Vec<RowIndex>> = BTreeMap::new();
+    for (index, row) in RowIndex::enumerate(&observed.info.layout.rows) {
         let data_row = row.data_row.unwrap_or_default();
         let label = labels.map(|labels| &labels[data_row]);
         let test = (data.origins[data_row].file, label, observed.ball_of_row[index], observed.bar_of_row[index]);

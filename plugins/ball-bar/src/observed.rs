@@ -1,6 +1,6 @@
 //! The equations of a ball bar.
 
-use abbe_core::{Equations, Feature, Observations, ObservationsInfo, Result, RowBatch};
+use abbe_core::{Equations, Feature, Observations, ObservationsInfo, Result, RowBatch, RowIndex};
 use nalgebra::{Quaternion, UnitQuaternion, Vector3};
 
 /// Names of the known inputs that are the tool ball's place relative to the tip, in the directions of the tool.
@@ -44,7 +44,7 @@ impl Observations for Observed {
 
     fn evaluate(&self, batch: RowBatch<'_>, out: &mut Equations) -> Result<()> {
         let RowBatch { own, inputs, .. } = batch;
-        for (place, (&row, position)) in batch.rows.iter().zip(batch.positions).enumerate() {
+        for (place, (&RowIndex(row), position)) in batch.rows.iter().zip(batch.positions).enumerate() {
             let orientation = match batch.orientations.get(place) {
                 Some(&[w, x, y, z]) if self.tool_ball => {
                     Some(UnitQuaternion::new_unchecked(Quaternion::new(w, x, y, z)))

@@ -3,7 +3,9 @@
 use std::collections::BTreeMap;
 use std::sync::Arc;
 
-use abbe_core::{AxisKind, Dataset, Error, KinematicModel, Layout, Poses, Result, Variable, plain_naming};
+use abbe_core::{
+    AxisKind, DataRow, Dataset, Error, KinematicModel, Layout, PoseIndex, Poses, Result, Variable, plain_naming,
+};
 use nalgebra::{Matrix3, Vector3};
 
 use crate::Ball;
@@ -11,8 +13,8 @@ use crate::Ball;
 /// The touches of one ball at one indexation.
 struct Group {
     ball: usize,
-    /// Rows of the layout of touches.
-    rows: Vec<usize>,
+    /// The data row of every touch, and its pose in the layout of touches.
+    touches: Vec<(DataRow, PoseIndex)>,
 }
 
 /// A centre in the table frame, by the nominal machine.
@@ -42,7 +44,7 @@ pub struct Centres {
 pub fn of_touches(
     data: &Arc<Dataset>,
     model: &dyn KinematicModel,
-    touched: &[(usize, usize)],
+    touched: &[(DataRow, usize)],
     balls: &[Ball],
     by: &str,
     uncertainty: f64,
@@ -54,16 +56,16 @@ pub fn of_touches(
     }
     let mut index: BTreeMap<(usize, &str), usize> = BTreeMap::new();
     let mut groups: Vec<Group> = Vec::new();
-    for (row, (data_row, ball)) in touched.iter().enumerate() {
-        let place = *index.entry((*ball, &labels[*data_row])).or_insert_with(|| {
-            groups.push(Group { ball: *ball, rows: Vec::new() });
+    for (&(data_row, ball), pose) in touched.iter().zip(touches.poses.indices()) {
+        let place = *index.entry((ball, &labels[data_row])).or_insert_with(|| {
+            groups.push(Group { ball, touches: Vec::new() });
             groups.len() - 1
         });
-        groups[place].rows.push(row);
+        groups[place].touches.push((data_row, pose));
     }
     let (mut layout, mut by_radius) = (Layout::new(data, model, &[&plain_naming])?, Vec::new());
     for group in &groups {
-        let first = touched[group.rows[0]].0;
+        let first = group.touches[0].0;
         let wrong = |message: String| data.error_at(first, message);
         let status = mean_status(&touches, model, group).map_err(wrong)?;
         let tips = tips(&touches, model, group)?;
@@ -77,9 +79,9 @@ pub fn of_touches(
             ))
             .help("three touches or more in different directions are needed")
         })?;
+        let pose = layout.poses.end();
         layout.push(model, first, &centre.spread.map(|spread| spread * uncertainty))?;
-        layout.merged.extend(group.rows[1..].iter().map(|&row| touched[row].0));
-        let pose = layout.poses.len() - 1;
+        layout.merged.extend(group.touches[1..].iter().map(|(data_row, _)| *data_row));
         layout.poses.row_mut(pose).copy_from_slice(&reach(model, status, centre.centre)?);
         by_radius.push(centre.by_radius);
     }
@@ -88,7 +90,7 @@ pub fn of_touches(
 
 /// The mean of the statuses of a group; those of rotary axes have to be the same.
 fn mean_status(touches: &Layout, model: &dyn KinematicModel, group: &Group) -> Result<Vec<f64>, String> {
-    let rows: Vec<&[f64]> = group.rows.iter().map(|&row| touches.poses.row(row)).collect();
+    let rows: Vec<&[f64]> = group.touches.iter().map(|(_, pose)| touches.poses.row(*pose)).collect();
     for axis in model.info().axes.iter().filter(|axis| axis.kind == AxisKind::Rotary) {
         if rows.iter().any(|row| (row[axis.status] - rows[0][axis.status]).abs() > 1e-9) {
             return Err(format!("touches of one centre are to be made at one position of {}", axis.name));
@@ -100,7 +102,7 @@ fn mean_status(touches: &Layout, model: &dyn KinematicModel, group: &Group) -> R
 
 /// Where the tips of a group are by the nominal machine, table frame.
 fn tips(touches: &Layout, model: &dyn KinematicModel, group: &Group) -> Result<Vec<Vector3<f64>>> {
-    let statuses: Vec<f64> = group.rows.iter().flat_map(|&row| touches.poses.row(row).to_vec()).collect();
+    let statuses: Vec<f64> = group.touches.iter().flat_map(|(_, pose)| touches.poses.row(*pose).to_vec()).collect();
     let mut poses = Poses::default();
     model.poses(&statuses, &model.info().nominal, &[], false, &mut poses)?;
     Ok(poses.positions.iter().map(|position| Vector3::from(*position)).collect())

@@ -11,9 +11,9 @@ use std::path::PathBuf;
 use std::sync::Arc;
 
 use abbe_core::{
-    Artefact, ColumnHeader, Contact, Context, Dataset, Equations, Error, Feature, InputFile, KinematicModel,
+    Artefact, ColumnHeader, Contact, Context, DataRow, Dataset, Equations, Error, Feature, InputFile, KinematicModel,
     KnownInput, Label, Layout, Observations, ObservationsInfo, Parameter, ParameterRole, PathItem, Quantity, Result,
-    RowBatch, SettingsError, Target, Unit, not_negative, plain_naming, pose_columns, positive,
+    RowBatch, RowIndex, SettingsError, Target, Unit, not_negative, plain_naming, pose_columns, positive,
 };
 use nalgebra::Vector3;
 use schemars::JsonSchema;
@@ -144,7 +144,7 @@ impl Balls {
         let labels = abbe_table::labels(&table, "feature")?;
         let points = abbe_table::points(&table, ["x", "y", "z"])?;
         let diameters = abbe_table::numbers(&table, "diameter", Quantity::Length)?;
-        let rows = labels.iter().zip(points).zip(diameters).enumerate();
+        let rows = DataRow::enumerate(labels.iter().zip(points).zip(diameters));
         rows.map(|(row, ((label, point), diameter))| {
             if *diameter <= 0.0 {
                 return Err(table.error_at(row, format!("ball {label} has the diameter {diameter} mm")));
@@ -171,7 +171,7 @@ impl Balls {
         &self,
         data: &Arc<Dataset>,
         model: &dyn KinematicModel,
-        touched: &[(usize, usize)],
+        touched: &[(DataRow, usize)],
         uncertainty: f64,
     ) -> Result<(Layout, Vec<usize>)> {
         let mut layout = Layout::new(data, model, &[&plain_naming])?;
@@ -334,7 +334,7 @@ impl Observations for Touches {
     fn evaluate(&self, batch: RowBatch<'_>, out: &mut Equations) -> Result<()> {
         let RowBatch { rows, own, inputs, .. } = batch;
         let mut positions = batch.positions.iter();
-        for &row in rows {
+        for &RowIndex(row) in rows {
             let Some(&ball) = self.ball_of_row.get(row) else {
                 let distance = row - self.ball_of_row.len();
                 let (from, to) = self.distances[distance];
@@ -377,7 +377,13 @@ impl Observations for Touches {
         Ok(())
     }
 
-    fn contact_tip(&self, row: usize, tip: [f64; 3], own: &[f64], inputs: &[f64]) -> Result<Option<[f64; 3]>> {
+    fn contact_tip(
+        &self,
+        RowIndex(row): RowIndex,
+        tip: [f64; 3],
+        own: &[f64],
+        inputs: &[f64],
+    ) -> Result<Option<[f64; 3]>> {
         let Some(&ball) = self.ball_of_row.get(row) else { return Ok(None) };
         let centre = self.centre(ball, own);
         if self.rows == Rows::Centres {

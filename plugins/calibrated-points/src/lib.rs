@@ -13,9 +13,9 @@ use std::path::PathBuf;
 use std::sync::Arc;
 
 use abbe_core::{
-    Artefact, ColumnHeader, Contact, Context, Dataset, Equations, InputFile, KinematicModel, KnownInput, Layout,
-    Observations, ObservationsInfo, Parameter, Quantity, Result, RowBatch, SettingsError, Target, Unit, not_negative,
-    plain_naming, pose_columns, positive,
+    Artefact, ColumnHeader, Contact, Context, DataRow, Dataset, Equations, InputFile, KinematicModel, KnownInput,
+    Layout, ListedBy, Observations, ObservationsInfo, Parameter, Quantity, Result, RowBatch, RowIndex, SettingsError,
+    Target, Unit, not_negative, plain_naming, pose_columns, positive,
 };
 use nalgebra::Vector3;
 use schemars::JsonSchema;
@@ -138,7 +138,7 @@ impl CalibratedPoints {
         let origins = abbe_table::points(&table, ["x", "y", "z"])?;
         let along_x = abbe_table::vectors(&table, ["ux", "uy", "uz"])?;
         let along_y = abbe_table::vectors(&table, ["vx", "vy", "vz"])?;
-        let rows = origins.into_iter().zip(along_x).zip(along_y).enumerate();
+        let rows = DataRow::enumerate(origins.into_iter().zip(along_x).zip(along_y));
         let placements = rows.map(|(row, ((origin, u), v))| {
             Placement::new(origin.into(), u.into(), v.into()).ok_or_else(|| {
                 table.error_at(row, "u and v are not the x and y directions of a frame").help(
@@ -156,7 +156,7 @@ impl CalibratedPoints {
             return Ok(vec![0; data.rows()]);
         }
         let known = placements.index();
-        let labels = abbe_table::labels(data, column)?.iter().enumerate();
+        let labels = DataRow::enumerate(abbe_table::labels(data, column)?);
         let of_rows = labels.map(|(row, label)| {
             known.get(label.as_str()).copied().ok_or_else(|| {
                 let file = self.placements.display();
@@ -175,9 +175,9 @@ fn measured(data: &Dataset) -> Result<Vec<Vec<usize>>> {
             Some(_) => abbe_table::numbers(data, column, Quantity::Ratio)?.to_vec(),
             None => vec![1.0; data.rows()],
         };
-        for (row, flag) in flags.into_iter().enumerate() {
+        for (row, flag) in DataRow::enumerate(flags) {
             if flag == 1.0 {
-                rows[row].push(direction);
+                rows[row.0].push(direction);
             } else if flag != 0.0 {
                 return Err(data.error_at(row, format!("`{column}` is {flag}; 0 or 1 was expected")));
             }
@@ -185,7 +185,7 @@ fn measured(data: &Dataset) -> Result<Vec<Vec<usize>>> {
     }
     match rows.iter().position(Vec::is_empty) {
         Some(row) => Err(data
-            .error_at(row, "no direction of this point was measured")
+            .error_at(DataRow(row), "no direction of this point was measured")
             .help("one of meas_x, meas_y and meas_z has to be 1; leave the row out if none is")),
         None => Ok(rows),
     }
@@ -223,15 +223,15 @@ impl Artefact for CalibratedPoints {
 
         let mut layout = Layout::new(data, model, &[&plain_naming])?;
         let uncertainty = self.settings.standard_uncertainty_um * 1e-3;
-        let mut used: Vec<usize> = touched.rows.iter().map(|(row, _)| placed[*row]).collect();
+        let mut used: Vec<usize> = touched.rows.iter().map(|(row, _)| placed[row.0]).collect();
         used.sort_unstable();
         used.dedup();
         let mut rows = Vec::new();
         for &(row, point) in &touched.rows {
-            layout.push(model, row, &vec![uncertainty; directions[row].len()])?;
+            layout.push(model, row, &vec![uncertainty; directions[row.0].len()])?;
             // Every placement of a row is among those that are used.
-            let placement = used.partition_point(|placement| *placement < placed[row]);
-            rows.push(Measurement { point, placement, directions: directions[row].clone() });
+            let placement = used.partition_point(|placement| *placement < placed[row.0]);
+            rows.push(Measurement { point, placement, directions: directions[row.0].clone() });
         }
         let named = |name: String, of| Parameter::new(name, Unit { of, per: None });
         let name = &self.settings.name;
@@ -287,6 +287,8 @@ struct Measurement {
     directions: Vec<usize>,
 }
 
+impl ListedBy<RowIndex> for Measurement {}
+
 /// Measured points. They are not stated as features: a point has as many positions as the artefact has placements.
 struct Measured {
     info: ObservationsInfo,
@@ -326,7 +328,7 @@ impl Observations for Measured {
         Ok(())
     }
 
-    fn contact_tip(&self, row: usize, _: [f64; 3], own: &[f64], inputs: &[f64]) -> Result<Option<[f64; 3]>> {
+    fn contact_tip(&self, row: RowIndex, _: [f64; 3], own: &[f64], inputs: &[f64]) -> Result<Option<[f64; 3]>> {
         let measurement = &self.rows[row];
         let first = 6 * measurement.placement;
         let placement = &self.placements[measurement.placement];

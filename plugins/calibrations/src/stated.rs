@@ -7,8 +7,8 @@ use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
 use abbe_core::{
-    Basis, Calibration, Context, Dataset, Error, Estimate, FitReport, Identifiability, InputFile, PathItem, Problem,
-    Result, SettingsError, Unit, matches,
+    Basis, Calibration, Context, DataRow, Dataset, Error, Estimate, FitReport, Identifiability, InputFile, PathItem,
+    Problem, Result, SettingsError, Unit, matches,
 };
 use abbe_estimation::calibration;
 use schemars::JsonSchema;
@@ -154,7 +154,7 @@ impl Statement {
         abbe_table::unique_labels(&table, "parameter")?;
         let uncertainties = table.labels("standard_uncertainty");
         let mut entries = Vec::new();
-        for (row, name) in names.iter().enumerate().filter(|(_, name)| !self.ignores(name)) {
+        for (row, name) in DataRow::enumerate(names).filter(|(_, name)| !self.ignores(name)) {
             let unit = self.unit(name, problem).map_err(|message| table.error_at(row, message))?;
             let factor = factor(&units[row], unit);
             let factor = factor.ok_or_else(|| table.error_at(row, wrong_unit(name, &units[row], unit)))?;
@@ -225,7 +225,7 @@ fn wrong_unit(name: &str, given: &str, unit: Unit) -> String {
     format!("`{given}` is no unit of `{name}`; `{unit}` or `{}` was expected", unit.for_people().0)
 }
 
-fn number(table: &Dataset, row: usize, cell: &str) -> Result<f64> {
+fn number(table: &Dataset, row: DataRow, cell: &str) -> Result<f64> {
     cell.trim().parse().map_err(|_| table.error_at(row, format!("`{cell}` is not a number")))
 }
 

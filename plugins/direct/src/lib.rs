@@ -18,7 +18,7 @@ use std::path::PathBuf;
 use std::sync::Arc;
 
 use abbe_core::{
-    Artefact, ColumnHeader, Context, Dataset, Error, InputFile, KinematicModel, Label, Observations, PathItem,
+    Artefact, ColumnHeader, Context, DataRow, Dataset, Error, InputFile, KinematicModel, Label, Observations, PathItem,
     Quantity, Result, SettingsError, Target, nearest, pose_columns, positive,
 };
 use schemars::JsonSchema;
@@ -356,9 +356,9 @@ impl Direct {
     fn labels<'a>(&self, data: &'a Dataset) -> Result<&'a [String]> {
         let labels = abbe_table::labels(data, &self.settings.measurement)?;
         let known = &self.settings.measurements;
-        if let Some(row) = labels.iter().position(|label| !known.contains_key(label)) {
-            let message = format!("{} `{}` is not among the `measurements`", self.settings.measurement, labels[row]);
-            let near = nearest(&labels[row], known.keys().map(String::as_str));
+        if let Some((row, label)) = DataRow::enumerate(labels).find(|(_, label)| !known.contains_key(*label)) {
+            let message = format!("{} `{}` is not among the `measurements`", self.settings.measurement, label);
+            let near = nearest(label, known.keys().map(String::as_str));
             let help = near.map_or_else(
                 || "say what was measured there, or leave its rows out of the ingest stage".to_owned(),
                 |near| format!("did you mean `{near}`?"),

@@ -5,8 +5,8 @@ use std::sync::Arc;
 
 use abbe_core::rotation::inverse_left_jacobian;
 use abbe_core::{
-    Contact, Dataset, Equations, KinematicModel, Layout, Observations, ObservationsInfo, Orientation, Parameter,
-    ParameterRole, Poses, Quantity, Result, RowBatch, Unit, Values,
+    Contact, DataRow, Dataset, Equations, KinematicModel, Layout, LayoutEquation, Observations, ObservationsInfo,
+    Orientation, Parameter, ParameterRole, Poses, Quantity, Result, RowBatch, RowIndex, Unit, Values,
 };
 use nalgebra::{Quaternion, UnitQuaternion, Vector3};
 
@@ -54,7 +54,7 @@ impl Unknowns {
 
 /// Readings that share an offset and a drift.
 struct Run {
-    first_row: usize,
+    first_row: DataRow,
     rows: usize,
     first_time: f64,
     several_times: bool,
@@ -69,16 +69,17 @@ pub fn observe(
 ) -> Result<Arc<dyn Observations>> {
     let mut layout = Layout::new(data, model, &[&line::naming])?;
     let names: Vec<String> =
-        (0..data.rows()).map(|row| run_of(data, row, &labels[row], &lines[labels[row].as_str()])).collect();
+        data.row_indices().map(|row| run_of(data, row, &labels[row], &lines[labels[row].as_str()])).collect();
     let runs = runs(data, &names, |row| &lines[labels[row].as_str()])?;
     let columns = Columns::of(data);
     let values = data.required_numbers("reading")?;
     let (mut unknowns, mut readings) = (Unknowns::default(), Vec::new());
-    for row in 0..data.rows() {
+    for row in data.row_indices() {
         let (label, line) = (&labels[row], &lines[labels[row].as_str()]);
         let leg = columns.leg(data, row, line)?;
+        let pose = layout.poses.end();
         layout.push(model, row, &[line.standard_uncertainty])?;
-        let position = columns.settle(data, row, line, leg, layout.poses.row_mut(row))?;
+        let position = columns.settle(data, row, line, leg, layout.poses.row_mut(pose))?;
 
         let unit = if line.angle { Unit::RAD } else { Unit::MM };
         let run = &names[row];
@@ -104,13 +105,13 @@ pub fn observe(
     let mut info = ObservationsInfo::new(layout, unknowns.all, Contact::Reading("reading".to_owned()));
     if angles {
         info.orientation = Orientation::FirstOrder;
-        info.angles = (0..info.layout.standard_uncertainties.len()).collect();
+        info.angles = LayoutEquation::first(info.layout.standard_uncertainties.len()).collect();
     }
     Ok(Arc::new(Observed { info, readings, nominal }))
 }
 
 /// The name of a group of readings that has its own offset: `EXX[1]`, or `EXX` if the measurement has one offset.
-fn run_of(data: &Dataset, row: usize, label: &str, line: &Line) -> String {
+fn run_of(data: &Dataset, row: DataRow, label: &str, line: &Line) -> String {
     let values = line.datum.iter().filter_map(|column| match data.column(column).map(|column| &column.values) {
         Some(Values::Labels(labels)) => Some(labels[row].clone()),
         Some(Values::Numbers(numbers)) => Some(format!("{}", (numbers[row] * 1e9).round() / 1e9)),
@@ -126,11 +127,11 @@ fn run_of(data: &Dataset, row: usize, label: &str, line: &Line) -> String {
 fn runs<'a, 'b>(
     data: &Dataset,
     names: &'a [String],
-    line: impl Fn(usize) -> &'b Line,
+    line: impl Fn(DataRow) -> &'b Line,
 ) -> Result<BTreeMap<&'a str, Run>> {
     let times = data.numbers("time");
     let mut runs: BTreeMap<&str, Run> = BTreeMap::new();
-    for (row, name) in names.iter().enumerate() {
+    for (row, name) in DataRow::enumerate(names) {
         let time = times.map_or(0.0, |times| times[row]);
         let run = runs.entry(name).or_insert(Run { first_row: row, rows: 0, first_time: time, several_times: false });
         run.rows += 1;
@@ -167,12 +168,12 @@ impl<'a> Columns<'a> {
         }
     }
 
-    fn time(&self, row: usize) -> f64 {
+    fn time(&self, row: DataRow) -> f64 {
         self.times.map_or(0.0, |times| times[row])
     }
 
     /// The leg of a row.
-    fn leg<'b>(&self, data: &Dataset, row: usize, line: &'b Line) -> Result<&'b Leg> {
+    fn leg<'b>(&self, data: &Dataset, row: DataRow, line: &'b Line) -> Result<&'b Leg> {
         let (Some(legs), true) = (self.legs, line.legs.len() > 1) else { return Ok(&line.legs[0]) };
         line.legs.iter().find(|leg| leg.name == legs[row]).ok_or_else(|| {
             let names: Vec<&str> = line.legs.iter().map(|leg| leg.name.as_str()).collect();
@@ -181,7 +182,7 @@ impl<'a> Columns<'a> {
     }
 
     /// Completes the status of a row; gives the position of the axis that moves.
-    fn settle(&self, data: &Dataset, row: usize, line: &Line, leg: &Leg, status: &mut [f64]) -> Result<f64> {
+    fn settle(&self, data: &Dataset, row: DataRow, line: &Line, leg: &Leg, status: &mut [f64]) -> Result<f64> {
         line.at.iter().for_each(|&(index, value)| status[index] = value);
         let Some(command) = leg.command else { return Ok(0.0) };
         let position = self.positions.map_or(f64::NAN, |positions| positions[row]);
@@ -200,7 +201,7 @@ impl<'a> Columns<'a> {
 
 /// Tips or orientations of the machine without errors.
 fn nominal(layout: &Layout, model: &dyn KinematicModel, angles: bool) -> Result<Nominal> {
-    let statuses: Vec<f64> = (0..layout.poses.len()).flat_map(|pose| layout.poses.row(pose)).copied().collect();
+    let statuses: Vec<f64> = layout.poses.indices().flat_map(|pose| layout.poses.row(pose)).copied().collect();
     let mut poses = Poses::default();
     model.poses(&statuses, &model.info().nominal, &[], angles, &mut poses)?;
     Ok(match angles {
@@ -220,7 +221,7 @@ impl Observations for Observed {
 
     fn evaluate(&self, batch: RowBatch<'_>, out: &mut Equations) -> Result<()> {
         let RowBatch { rows, own, .. } = batch;
-        for (index, &row) in rows.iter().enumerate() {
+        for (index, &RowIndex(row)) in rows.iter().enumerate() {
             let reading = &self.readings[row];
             let line = reading.own.iter().map(|&(unknown, factor)| factor * own[unknown]).sum::<f64>() - reading.value;
             match &self.nominal {

@@ -12,9 +12,9 @@ use std::path::PathBuf;
 use std::sync::Arc;
 
 use abbe_core::{
-    Artefact, ColumnHeader, Contact, Context, Dataset, Equations, Error, Feature, InputFile, KinematicModel,
+    Artefact, ColumnHeader, Contact, Context, DataRow, Dataset, Equations, Error, Feature, InputFile, KinematicModel,
     KnownInput, Label, Layout, Observations, ObservationsInfo, Parameter, ParameterRole, PathItem, Quantity, Result,
-    RowBatch, SettingsError, Target, Unit, not_negative, plain_naming, pose_columns, positive,
+    RowBatch, RowIndex, SettingsError, Target, Unit, not_negative, plain_naming, pose_columns, positive,
 };
 use nalgebra::Vector3;
 use schemars::JsonSchema;
@@ -158,7 +158,7 @@ impl Facets {
         let labels = abbe_table::labels(&table, "feature")?;
         let points = abbe_table::points(&table, ["x", "y", "z"])?;
         let normals = abbe_table::vectors(&table, ["nx", "ny", "nz"])?;
-        let rows = labels.iter().zip(points).zip(normals).enumerate();
+        let rows = DataRow::enumerate(labels.iter().zip(points).zip(normals));
         rows.map(|(row, ((label, point), normal))| {
             let (label, point, normal) = (label.clone(), Vector3::from(point), Vector3::from(normal));
             // Files round their normals; one that is far from a unit vector is a mistake and not a rounding.
@@ -261,7 +261,7 @@ impl Observations for Touches {
         Ok(())
     }
 
-    fn contact_tip(&self, row: usize, _: [f64; 3], own: &[f64], inputs: &[f64]) -> Result<Option<[f64; 3]>> {
+    fn contact_tip(&self, row: RowIndex, _: [f64; 3], own: &[f64], inputs: &[f64]) -> Result<Option<[f64; 3]>> {
         let index = self.facet_of_row[row];
         let Facet { point, normal, .. } = &self.facets[index];
         Ok(Some((point + (own[index] + inputs[0]) * normal).into()))

@@ -2,7 +2,7 @@
 
 use std::collections::BTreeMap;
 
-use abbe_core::{Column, Dataset, Error, PathItem, Quantity, Result, Values};
+use abbe_core::{Column, DataRow, Dataset, Error, PathItem, Quantity, Result, Values};
 use schemars::JsonSchema;
 use serde::Deserialize;
 
@@ -37,8 +37,8 @@ impl Average {
         let by = self.by.iter().map(|name| labels("by", name)).collect::<Result<Vec<_>>>()?;
         let mut times: BTreeMap<(Vec<&str>, &str), usize> = BTreeMap::new();
         let mut places: BTreeMap<(Vec<&str>, usize), usize> = BTreeMap::new();
-        let mut groups: Vec<Vec<usize>> = Vec::new();
-        for row in 0..data.rows() {
+        let mut groups: Vec<Vec<DataRow>> = Vec::new();
+        for row in data.row_indices() {
             let point: Vec<&str> = by.iter().map(|labels| labels[row].as_str()).collect();
             let time = times.entry((point.clone(), &series[row])).or_insert(0);
             if self.first_only && *time > 0 {
@@ -59,7 +59,7 @@ impl Average {
                         same_angles(data, &header.header, numbers, &groups)?;
                     }
                     let mean =
-                        |rows: &Vec<usize>| rows.iter().map(|&row| numbers[row]).sum::<f64>() / rows.len() as f64;
+                        |rows: &Vec<DataRow>| rows.iter().map(|&row| numbers[row]).sum::<f64>() / rows.len() as f64;
                     Values::Numbers(groups.iter().map(mean).collect())
                 }
                 Values::Labels(labels) if self.by.contains(&header.name) => {
@@ -75,7 +75,7 @@ impl Average {
 }
 
 /// Refuses rows at different angles: their mean is no pose that was measured.
-fn same_angles(data: &Dataset, header: &str, angles: &[f64], groups: &[Vec<usize>]) -> Result<()> {
+fn same_angles(data: &Dataset, header: &str, angles: &[f64], groups: &[Vec<DataRow>]) -> Result<()> {
     for rows in groups {
         if let Some(other) = rows.iter().find(|&&row| (angles[row] - angles[rows[0]]).abs() > TURNED) {
             let (file, line) = (data.origins[rows[0]].file, data.origins[rows[0]].line);

@@ -12,7 +12,7 @@ use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
 use abbe_core::{
-    Column, ColumnHeader, Context, Dataset, Error, Ingest, InputFile, Label, PathItem, Result, RowOrigin,
+    Column, ColumnHeader, Context, DataRow, Dataset, Error, Ingest, InputFile, Label, PathItem, Result, RowOrigin,
     SettingsError, Values,
 };
 use schemars::JsonSchema;
@@ -302,7 +302,7 @@ fn join(data: &mut Dataset, table: &Dataset, on: &str, by_file: bool) -> Result<
     let labels = abbe_table::labels(data, on).map_err(|error| in_settings(error, "join", "on"))?;
     let path = table.files.first().map(PathBuf::as_path).unwrap_or(Path::new(""));
     let mut rows = Vec::new();
-    for (row, (label, origin)) in labels.iter().zip(&data.origins).enumerate() {
+    for (row, (label, origin)) in DataRow::enumerate(labels.iter().zip(&data.origins)) {
         let name = data.files[origin.file].file_name().and_then(|name| name.to_str()).filter(|_| by_file);
         match keys.get(label.as_str()).or_else(|| keys.get(name?)) {
             Some(&found) => rows.push(found),
@@ -323,13 +323,13 @@ fn join(data: &mut Dataset, table: &Dataset, on: &str, by_file: bool) -> Result<
 
 /// The rows that stay; each keeps its origin.
 fn selected(data: Dataset, stays: &[bool]) -> Dataset {
-    let rows: Vec<usize> = (0..data.rows()).filter(|&row| stays[row]).collect();
+    let rows: Vec<DataRow> = data.row_indices().filter(|&row| stays[row]).collect();
     let columns =
         data.columns.iter().map(|column| Column { header: column.header.clone(), values: pick(&column.values, &rows) });
     Dataset { columns: columns.collect(), origins: rows.iter().map(|&row| data.origins[row]).collect(), ..data }
 }
 
-fn pick(values: &Values, rows: &[usize]) -> Values {
+fn pick(values: &Values, rows: &[DataRow]) -> Values {
     match values {
         Values::Numbers(numbers) => Values::Numbers(rows.iter().map(|&row| numbers[row]).collect()),
         Values::Labels(labels) => Values::Labels(rows.iter().map(|&row| labels[row].clone()).collect()),

@@ -1,7 +1,7 @@
 use std::fs;
 use std::path::Path;
 
-use abbe_core::{Class, Context, Dataset, Ingest, Values, path_text};
+use abbe_core::{Class, Context, DataRow, Dataset, Ingest, Values, path_text};
 use proptest::prelude::*;
 use serde_json::{Value, json};
 
@@ -126,9 +126,9 @@ fn rows_and_columns_are_what_the_settings_say() {
 fn rows_keep_their_places() {
     let data = read(&BARS, &json!({ "path": "bar-*.csv", "keep": { "point": ["b"], "file": ["bar-2"] } })).unwrap();
     assert_eq!((data.origins[0].line, data.origins[0].row), (5, 2));
-    assert!(data.error_at(0, "x").to_string().ends_with("bar-2.csv:5: x"));
+    assert!(data.error_at(DataRow(0), "x").to_string().ends_with("bar-2.csv:5: x"));
     let data = read(&BARS, &json!({ "path": "bar-*.csv", "keep": { "file": ["bar-10"] } })).unwrap();
-    assert!(data.error_at(0, "x").to_string().ends_with("bar-10.csv:2: x"));
+    assert!(data.error_at(DataRow(0), "x").to_string().ends_with("bar-10.csv:2: x"));
 }
 
 #[test]

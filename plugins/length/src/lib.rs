@@ -8,10 +8,10 @@ use std::path::PathBuf;
 use std::sync::Arc;
 
 use abbe_core::{
-    Absent, Artefact, Axis, AxisKind, ColumnHeader, Contact, Context, Dataset, Equations, Error, InputFile,
+    Absent, Artefact, Axis, AxisKind, ColumnHeader, Contact, Context, DataRow, Dataset, Equations, Error, InputFile,
     KinematicModel, KnownInput, Layout, Observations, ObservationsInfo, Parameter, ParameterRole, PathItem, Poses,
-    Quantity, RankPoint, Result, RowBatch, SettingsError, StatusColumn, Target, Unit, not_negative, pose_columns,
-    positive,
+    Quantity, RankPoint, Result, RowBatch, RowIndex, SettingsError, StatusColumn, Target, Unit, not_negative,
+    pose_columns, positive,
 };
 use nalgebra::Vector3;
 use schemars::JsonSchema;
@@ -134,7 +134,7 @@ impl Artefact for Lengths {
 
     fn observe(&self, data: &Arc<Dataset>, model: &dyn KinematicModel) -> Result<Arc<dyn Observations>> {
         let mut layout = Layout::new(data, model, &[&naming(1), &naming(2)])?;
-        for row in 0..data.rows() {
+        for row in data.row_indices() {
             layout.push(model, row, &[self.settings.standard_uncertainty_um * 1e-3])?;
         }
         if layout.rows.is_empty() {
@@ -142,8 +142,10 @@ impl Artefact for Lengths {
         }
         let known = self.settings.length == Length::Known;
         let references = if known { data.required_numbers("reference")?.to_vec() } else { vec![0.0; data.rows()] };
-        if let Some(row) = references.iter().position(|reference| known && *reference <= 0.0) {
-            return Err(data.error_at(row, format!("the reference length is {} mm", references[row])));
+        if let Some((row, reference)) =
+            DataRow::enumerate(&references).find(|(_, reference)| known && **reference <= 0.0)
+        {
+            return Err(data.error_at(row, format!("the reference length is {reference} mm")));
         }
         let mut lengths = Measured {
             info: ObservationsInfo::new(layout, Vec::new(), Contact::LinearAxes),
@@ -182,7 +184,7 @@ struct Measured {
 }
 
 /// The name of an own quantity of the bar of a row.
-fn of_bar(bars: Option<&[String]>, row: usize, own: &str) -> String {
+fn of_bar(bars: Option<&[String]>, row: DataRow, own: &str) -> String {
     bars.map_or(own.to_owned(), |bars| format!("bar[{}].{own}", bars[row]))
 }
 
@@ -191,7 +193,7 @@ impl Measured {
     fn know(&mut self, settings: &Settings) -> Result<()> {
         let data = self.info.layout.data.clone();
         let bars = data.labels("bar");
-        for row in 0..data.rows() {
+        for row in data.row_indices() {
             let name = of_bar(bars, row, "reference_error");
             let known = self.info.inputs.iter().position(|input| input.parameter.name == name).unwrap_or_else(|| {
                 // Added to the reference; zero if the calibration is correct.
@@ -235,16 +237,17 @@ impl Measured {
     }
 
     /// What the certificate of the bar of a row says: its label and the lengths that it has.
-    fn certificate(&self, bars: Option<&[String]>, row: usize, uncertainty: f64) -> String {
-        let of_bar = |other: &usize| bars.is_none_or(|bars| bars[*other] == bars[row]);
-        let mut lengths: Vec<f64> = (0..self.references.len()).filter(of_bar).map(|row| self.references[row]).collect();
+    fn certificate(&self, bars: Option<&[String]>, row: DataRow, uncertainty: f64) -> String {
+        let of_bar = |other: &DataRow| bars.is_none_or(|bars| bars[*other] == bars[row]);
+        let mut lengths: Vec<f64> =
+            DataRow::first(self.references.len()).filter(of_bar).map(|row| self.references[row]).collect();
         lengths.sort_by(f64::total_cmp);
         lengths.dedup();
         format!("bar {}: {lengths:?} mm, u = {uncertainty:e} mm", bars.map_or("", |bars| &bars[row]))
     }
 
     /// The known length of a row, and its derivatives to known inputs.
-    fn reference(&self, row: usize, inputs: &[f64]) -> (f64, Vec<(usize, f64)>) {
+    fn reference(&self, RowIndex(row): RowIndex, inputs: &[f64]) -> (f64, Vec<(usize, f64)>) {
         let (calibration, nominal) = (self.calibrations[row], self.references[row]);
         let mut length = nominal + inputs[calibration];
         let mut derivatives = vec![(calibration, 1.0)];
@@ -263,7 +266,7 @@ impl Measured {
         let mut counts: Vec<f64> = Vec::new();
         let mut poses = Poses::default();
         let nominal = &model.info().nominal;
-        for (row, layout) in self.info.layout.rows.iter().enumerate() {
+        for (row, layout) in data.row_indices().zip(&self.info.layout.rows) {
             let name = of_bar(bars, row, "length");
             let own = self.info.unknowns.iter().position(|unknown| unknown.name == name).unwrap_or_else(|| {
                 self.info.unknowns.push(Parameter::new(name, Unit::MM).with_role(ParameterRole::Feature));
@@ -295,7 +298,7 @@ impl Observations for Measured {
         for (&row, ends) in batch.rows.iter().zip(batch.positions.chunks_exact(2)) {
             let between = Vector3::from(ends[1]) - Vector3::from(ends[0]);
             let direction = between.normalize();
-            match self.own.get(row) {
+            match self.own.get(row.0) {
                 Some(&unknown) => {
                     out.equation(between.norm() - batch.own[unknown]);
                     out.own(unknown, -1.0);

@@ -1,6 +1,9 @@
 //! The inputs that vary from trial to trial.
 
-use abbe_core::{CovarianceBlock, Error, Fit, Owner, PathItem, Problem, Quantity, Result, Scatter, Unknown, matches};
+use abbe_core::{
+    CovarianceBlock, EquationIndex, Error, Fit, Owner, PathItem, Problem, Quantity, Result, RowIndex, Scatter,
+    SetIndex, Unknown, matches,
+};
 use abbe_numerics::Generator;
 use abbe_simulation::{Lobing, contact_directions};
 use nalgebra::{DMatrix, DVector, SymmetricEigen};
@@ -23,12 +26,12 @@ pub struct Draws<'a> {
     /// Standard uncertainty of the equations that are independent; zero for all others.
     independent: Vec<f64>,
     /// Correlated equations with the root of their covariance.
-    blocks: Vec<(CovarianceBlock, DMatrix<f64>)>,
+    blocks: Vec<(CovarianceBlock<EquationIndex>, DMatrix<f64>)>,
     scatters: Vec<Scatter>,
     /// For every set the errors to draw from, over the standard uncertainties; empty unless resampled.
     residuals: Vec<Vec<f64>>,
     /// The set of every equation.
-    set_of: Vec<usize>,
+    set_of: Vec<SetIndex>,
     considered: Vec<Source>,
     /// Values of the considered parameters at the estimate.
     known: Vec<f64>,
@@ -49,7 +52,7 @@ struct Source {
 struct Pretravel {
     setting: LobingSetting,
     /// Equations with their directions of contact.
-    touches: Vec<(usize, [f64; 3])>,
+    touches: Vec<(EquationIndex, [f64; 3])>,
 }
 
 impl<'a> Draws<'a> {
@@ -134,12 +137,12 @@ impl<'a> Draws<'a> {
 
     /// What varies, in words.
     pub fn described(&self) -> Vec<String> {
-        let repeated = |set: &usize| self.scatters.iter().any(|scatter| scatter.sets.contains(set));
+        let repeated = |set: &SetIndex| self.scatters.iter().any(|scatter| scatter.sets.contains(set));
         let mut lines = Vec::new();
         if self.stated.is_some() {
             lines.push("the values of the calibration: multivariate normal".to_owned());
         }
-        for (index, set) in self.problem.sets.iter().enumerate().filter(|(index, _)| !repeated(index)) {
+        for (index, set) in SetIndex::enumerate(&self.problem.sets).filter(|(index, _)| !repeated(index)) {
             let distribution = match self.settings.rows.fixed() {
                 None => "drawn from the residuals".to_owned(),
                 Some(distribution) => words(distribution),
@@ -258,7 +261,7 @@ fn residuals(fit: &Fit, problem: &Problem, scale: f64) -> Result<Vec<Vec<f64>>> 
     }
     let taken = report.observations.max(1) as f64;
     let inflation = (taken / report.degrees_of_freedom as f64).sqrt();
-    let outlier = |set: usize, row: usize| {
+    let outlier = |set: SetIndex, row: RowIndex| {
         let name = &problem.sets[set].name;
         problem.origin(set, row).is_some_and(|(file, origin)| {
             let same = |outlier: &abbe_core::Outlier| {
@@ -415,13 +418,11 @@ fn largest_factor(parameter: usize, problem: &Problem) -> Result<f64> {
     let functions = &problem.model.info().error_functions;
     let mut largest = 0.0_f64;
     for set in &problem.sets {
-        for row in set.rows.iter().map(|&row| set.info().layout.rows[row]) {
-            for pose in row.first_pose..row.first_pose + row.poses {
-                for function in functions {
-                    let error = problem.model.motion_error(function, &problem.machine, set.poses().row(pose))?;
-                    let own = error.derivatives.iter().filter(|(index, _)| *index == parameter);
-                    largest = own.fold(largest, |largest, (_, factor)| largest.max(factor.abs()));
-                }
+        for pose in set.poses_of(&set.rows) {
+            for function in functions {
+                let error = problem.model.motion_error(function, &problem.machine, set.poses().row(pose))?;
+                let own = error.derivatives.iter().filter(|(index, _)| *index == parameter);
+                largest = own.fold(largest, |largest, (_, factor)| largest.max(factor.abs()));
             }
         }
     }
@@ -436,15 +437,15 @@ impl Pretravel {
             error
         };
         let names = problem.sets.iter().map(|set| set.name.as_str());
-        let Some(set) = problem.sets.iter().position(|set| set.name == setting.artefact) else {
+        let Some(set) = problem.set_named(&setting.artefact) else {
             let message = format!("`{}` is not among the observations of the estimate", setting.artefact);
             return Err(wrong(Error::usage(message).suggest(&setting.artefact, names)));
         };
         let range = problem.equation_ranges()[set].clone();
-        let directions = contact_directions(problem)?.into_iter().enumerate();
-        let touches: Vec<(usize, [f64; 3])> = directions
+        let directions = EquationIndex::enumerate(contact_directions(problem)?);
+        let touches: Vec<(EquationIndex, [f64; 3])> = directions
             .filter_map(|(equation, direction)| Some((equation, direction?)))
-            .filter(|(equation, _)| range.contains(equation))
+            .filter(|(equation, _)| range.contains(*equation))
             .collect();
         if touches.is_empty() {
             return Err(wrong(Error::usage(format!("the rows of `{}` are no single touches", setting.artefact))));

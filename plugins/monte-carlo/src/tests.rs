@@ -5,9 +5,9 @@ use std::sync::atomic::{AtomicUsize, Ordering};
 
 use abbe_core::{
     Absent, Build, Calibration, Contact, Context, CovarianceBlock, Dataset, EquationUncertainty, Equations, Error,
-    Estimate, Fit, Identifiability, Kind, KinematicModel, KnownInput, Layout, ModelInfo, ObservationSet, Observations,
-    ObservationsInfo, Parameter, Pooled, PoseBatch, PosesMut, Problem, Quantity, Registry, Result, RowBatch,
-    StatusColumn, Unit, Variable, path_text,
+    Estimate, Fit, Identifiability, Kind, KinematicModel, KnownInput, Layout, LayoutEquation, ModelInfo,
+    ObservationSet, Observations, ObservationsInfo, Parameter, Pooled, PoseBatch, PosesMut, Problem, Quantity,
+    Registry, Result, RowBatch, RowIndex, StatusColumn, Unit, Variable, path_text,
 };
 use abbe_gauss_newton as _;
 use abbe_numerics::Generator;
@@ -65,7 +65,7 @@ impl Observations for Readings {
     }
 
     fn evaluate(&self, batch: RowBatch<'_>, out: &mut Equations) -> Result<()> {
-        for (&row, position) in batch.rows.iter().zip(batch.positions) {
+        for (&RowIndex(row), position) in batch.rows.iter().zip(batch.positions) {
             out.equation(position[0] - self.readings[row] - self.factors[row] * batch.inputs[0]);
             out.position([1.0, 0.0, 0.0]);
             out.input(0, -self.factors[row]);
@@ -106,7 +106,7 @@ fn problem(seed: u64, kind: Rows) -> Problem {
     let data = Arc::new(data);
     let mut layout = Layout::new(&data, model.as_ref(), &[&abbe_core::plain_naming]).unwrap();
     let uncertainty = |random: &mut Generator| 1e-3 * (1.0 + 0.5 * random.uniform());
-    for row in 0..ROWS {
+    for row in data.row_indices() {
         layout.push(model.as_ref(), row, &[uncertainty(&mut random)]).unwrap();
     }
     let input = KnownInput::new(Parameter::new("scale", Unit::MM), 0.0, 5e-4);
@@ -123,7 +123,7 @@ fn problem(seed: u64, kind: Rows) -> Problem {
         Rows::Correlated => {
             let root = DMatrix::from_fn(10, 10, |_, _| 1e-3 * random.normal());
             let covariance = &root * root.transpose() + DMatrix::identity(10, 10) * 1e-7;
-            let equations: Vec<usize> = (0..20).step_by(2).collect();
+            let equations: Vec<LayoutEquation> = LayoutEquation::first(20).step_by(2).collect();
             let block = CovarianceBlock::new("the rows", &equations, &covariance).unwrap();
             for (index, &equation) in equations.iter().enumerate() {
                 uncertainty.standard[equation] = block.covariance[(index, index)].sqrt();

@@ -12,8 +12,8 @@ use std::path::PathBuf;
 use std::sync::Arc;
 
 use abbe_core::{
-    Artefact, ColumnHeader, Context, Dataset, InputFile, KinematicModel, Layout, Observations, Quantity, Result,
-    SettingsError, Target, plain_naming, pose_columns, positive,
+    Artefact, ColumnHeader, Context, DataRow, Dataset, InputFile, KinematicModel, Layout, Observations, Quantity,
+    Result, SettingsError, Target, plain_naming, pose_columns, positive,
 };
 use nalgebra::{Isometry3, Quaternion, Translation3, UnitQuaternion};
 use schemars::JsonSchema;
@@ -106,7 +106,7 @@ impl Artefact for Poses {
         let mut layout = Layout::new(data, model, &[&plain_naming])?;
         let Settings { standard_uncertainty_um: um, standard_uncertainty_urad: urad, pose, observer } = self.settings;
         let (position, turn) = (um * 1e-3, urad * 1e-6);
-        for row in 0..data.rows() {
+        for row in data.row_indices() {
             layout.push(model, row, &[position, position, position, turn, turn, turn])?;
         }
         let tools = nominal_tools(&layout, model)?;
@@ -138,7 +138,7 @@ fn read(data: &Dataset) -> Result<Vec<Isometry3<f64>>> {
     for name in ORIENTATION {
         parts.push(abbe_table::numbers(data, name, Quantity::Ratio)?);
     }
-    let rows = positions.into_iter().enumerate();
+    let rows = DataRow::enumerate(positions);
     rows.map(|(row, position)| {
         let quaternion = Quaternion::new(parts[0][row], parts[1][row], parts[2][row], parts[3][row]);
         let norm = quaternion.norm();
@@ -153,7 +153,7 @@ fn read(data: &Dataset) -> Result<Vec<Isometry3<f64>>> {
 
 /// Where the nominal machine has the tool at every pose, table frame.
 fn nominal_tools(layout: &Layout, model: &dyn KinematicModel) -> Result<Vec<Isometry3<f64>>> {
-    let statuses: Vec<f64> = (0..layout.poses.len()).flat_map(|pose| layout.poses.row(pose)).copied().collect();
+    let statuses: Vec<f64> = layout.poses.indices().flat_map(|pose| layout.poses.row(pose)).copied().collect();
     let nominal = &model.info().nominal;
     let mut poses = abbe_core::Poses::default();
     model.poses(&statuses, nominal, &[], true, &mut poses)?;

@@ -2,7 +2,8 @@
 
 use abbe_core::rotation::{inverse_right_jacobian, left_jacobian};
 use abbe_core::{
-    Contact, Equations, Layout, Observations, ObservationsInfo, Orientation, Parameter, Result, RowBatch, Unit,
+    Contact, Equations, Layout, Observations, ObservationsInfo, Orientation, Parameter, Result, RowBatch, RowIndex,
+    Unit,
 };
 use nalgebra::{Isometry3, Matrix3, Matrix6, Translation3, UnitQuaternion, Vector3, Vector6};
 
@@ -107,7 +108,7 @@ impl Observed {
         let info = ObservationsInfo {
             start: values.into_iter().flatten().take(unknowns.len()).collect(),
             orientation: Orientation::Exact,
-            angles: layout.rows.iter().flat_map(|row| row.first_equation + 3..row.first_equation + 6).collect(),
+            angles: layout.rows.iter().flat_map(|row| row.equation_indices().skip(3)).collect(),
             ..ObservationsInfo::new(layout, unknowns, contact)
         };
         Self { info, observed, pose, observer, start }
@@ -127,7 +128,7 @@ impl Observations for Observed {
             Observer::Estimated => Placed::at(&self.start.observer, of_observer),
             Observer::AtTool => Placed::fixed(self.start.observer),
         };
-        for (&row, tool) in rows.iter().zip(tools(batch.positions, batch.orientations)) {
+        for (&RowIndex(row), tool) in rows.iter().zip(tools(batch.positions, batch.orientations)) {
             let row = Row::new(self.pose, &self.observed[row], &tool, &target, &observer);
             for (equation, residual) in row.residuals.iter().enumerate() {
                 let by = |matrix: &Matrix6<f64>, first: usize| [0, 1, 2].map(|i| matrix[(equation, first + i)]);

@@ -4,9 +4,9 @@ use std::path::PathBuf;
 use std::sync::Arc;
 
 use abbe_core::{
-    Approach, Artefact, ColumnHeader, Contact, Context, Dataset, Equations, Error, Feature, InputFile, KinematicModel,
-    KnownInput, Layout, Observations, ObservationsInfo, Parameter, ParameterRole, Quantity, Result, RowBatch,
-    SettingsError, Target, Unit, plain_naming, pose_columns, positive,
+    Approach, Artefact, ColumnHeader, Contact, Context, DataRow, Dataset, Equations, Error, Feature, InputFile,
+    KinematicModel, KnownInput, Layout, ListedBy, Observations, ObservationsInfo, Parameter, ParameterRole, Quantity,
+    Result, RowBatch, RowIndex, SettingsError, Target, Unit, plain_naming, pose_columns, positive,
 };
 use nalgebra::Vector3;
 use schemars::JsonSchema;
@@ -69,13 +69,14 @@ impl Artefact for ProbedPoints {
         let mut layout = Layout::new(data, model, &[&plain_naming])?;
         let measured = abbe_table::numbers(data, "measured", Quantity::Length)?;
         let (mut points, mut facets): (Vec<Touched>, Vec<Point>) = (Vec::new(), Vec::new());
-        for (row, label) in abbe_table::labels(data, "point")?.iter().enumerate() {
+        for (row, label) in DataRow::enumerate(abbe_table::labels(data, "point")?) {
             let Some(&index) = by_label.get(label.as_str()) else { continue };
             let point = &nominal.list[index];
             let axis = axis_index(model, &point.axis).map_err(|message| data.error_at(row, message))?;
+            let pose = layout.poses.end();
             layout.push(model, row, &[self.standard_uncertainty])?;
             // What triggered is the reading; the column of the axis may hold where it was sent.
-            layout.poses.row_mut(layout.poses.len() - 1)[model.info().axes[axis].status] = measured[row];
+            layout.poses.row_mut(pose)[model.info().axes[axis].status] = measured[row];
             let known = facets.iter().position(|facet| facet.facet == point.facet);
             let facet = known.unwrap_or_else(|| {
                 facets.push(point.clone());
@@ -124,6 +125,8 @@ struct Touched {
     axis: usize,
 }
 
+impl ListedBy<RowIndex> for Touched {}
+
 /// Touches on points.
 struct Touches {
     info: ObservationsInfo,
@@ -148,7 +151,7 @@ impl Observations for Touches {
         Ok(())
     }
 
-    fn contact_tip(&self, row: usize, _: [f64; 3], own: &[f64], inputs: &[f64]) -> Result<Option<[f64; 3]>> {
+    fn contact_tip(&self, row: RowIndex, _: [f64; 3], own: &[f64], inputs: &[f64]) -> Result<Option<[f64; 3]>> {
         let Touched { point, facet, .. } = &self.points[row];
         Ok(Some((point.position + (own[*facet] + inputs[0]) * point.normal).into()))
     }

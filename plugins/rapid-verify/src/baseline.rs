@@ -2,7 +2,7 @@
 
 use std::path::Path;
 
-use abbe_core::{AxisKind, Dataset, Error, Fit, Problem, Quantity, Result};
+use abbe_core::{AxisKind, DataRow, Dataset, Error, Fit, Problem, Quantity, Result};
 
 use crate::candidates::{self, Candidates};
 use crate::diagnosis::Pattern;
@@ -128,8 +128,8 @@ impl Baseline {
                     return Err(Error::usage(format!("two runs are called `{name}`")).setting("from"));
                 }
                 let mut readings = vec![None; self.points.len()];
-                let mut last = 0;
-                for row in (0..data.rows()).filter(|&row| files[row] == *name) {
+                let mut last = DataRow(0);
+                for row in data.row_indices().filter(|&row| files[row] == *name) {
                     last = row;
                     let place = self.points.iter().position(|probed| probed.point.label == labels[row]);
                     let place = place
@@ -153,7 +153,7 @@ impl Baseline {
     }
 
     /// Refuses a row whose axes do not stand where they stood at the baseline.
-    fn is_there(&self, data: &Dataset, row: usize, probed: &Probed) -> Result<()> {
+    fn is_there(&self, data: &Dataset, row: DataRow, probed: &Probed) -> Result<()> {
         for axis in self.problem.model.info().axes.iter().filter(|axis| axis.name != probed.point.axis) {
             let Some(commands) = data.numbers(&axis.name) else { continue };
             let (allowed, unit, factor) = match axis.kind {

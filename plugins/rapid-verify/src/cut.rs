@@ -6,8 +6,8 @@
 use std::path::PathBuf;
 
 use abbe_core::{
-    Context, Dataset, Error, Figure, Findings, Fit, InputFile, Limit, PoseTable, Quantity, Result, SettingsError,
-    Validate, plain_naming, pose_columns, positive,
+    Context, DataRow, Dataset, Error, Figure, Findings, Fit, InputFile, Limit, PoseTable, Quantity, Result,
+    SettingsError, Validate, plain_naming, pose_columns, positive,
 };
 use schemars::JsonSchema;
 use serde::Deserialize;
@@ -122,13 +122,14 @@ fn stocks(fit: &Fit, points: &Points, data: &Dataset) -> Result<Vec<(usize, f64)
         data.column("measured").map(|_| abbe_table::numbers(data, "measured", Quantity::Length)).transpose()?;
     let by_label = points.by_label();
     let mut found = Vec::new();
-    for (row, label) in abbe_table::labels(data, "point")?.iter().enumerate() {
+    for (row, label) in DataRow::enumerate(abbe_table::labels(data, "point")?) {
         let Some(&index) = by_label.get(label.as_str()) else {
             return Err(data.error_at(row, format!("point {label} is not in {}", file_name(points))));
         };
         let mut table = PoseTable::new(model);
+        let pose = table.end();
         table.push(data, row, model, &columns)?;
-        let mut touch = Touch::new(model, &points.list[index], table.row(0))?;
+        let mut touch = Touch::new(model, &points.list[index], table.row(pose))?;
         if let Some(measured) = measured {
             touch.status[model.info().axes[touch.axis].status] = measured[row];
         }

@@ -69,8 +69,8 @@ impl Export for Sensitivity {
         let (names, together) = (self.settings.candidates.clone(), self.settings.together.clone());
         let mut machine = Candidates { names, together, places: false }.of(model)?;
         let (statuses, nominal) = (points.in_contact(model)?, model.info().nominal.clone());
-        for (row, point) in points.list.iter().enumerate() {
-            let touch = Touch::new(model, point, statuses.row(row))?;
+        for (pose, point) in statuses.indices().zip(&points.list) {
+            let touch = Touch::new(model, point, statuses.row(pose))?;
             candidates::add_effects(&mut machine, &touch, &nominal)?;
         }
         let of_machine = machine.iter().filter(|pattern| !pattern.parameters.is_empty()).count();

@@ -1,6 +1,6 @@
 //! From nominal points to stops of a program: where each axis goes, from which side, and where probing begins and ends.
 
-use abbe_core::{AxisKind, KinematicModel, Result, SettingsError, StatusRole, not_negative, positive};
+use abbe_core::{AxisKind, DataRow, KinematicModel, Result, SettingsError, StatusRole, not_negative, positive};
 use schemars::JsonSchema;
 use serde::Deserialize;
 
@@ -80,9 +80,9 @@ impl Motion {
         let statuses = points.in_contact(model)?;
         let mut stops = Vec::new();
         let mut turned: Vec<(f64, Option<f64>)> = Vec::new();
-        for (row, point) in points.list.iter().enumerate() {
+        for ((row, point), pose) in DataRow::enumerate(&points.list).zip(statuses.indices()) {
             let wrong = |message: String| points.data.error_at(row, message);
-            let status = statuses.row(row);
+            let status = statuses.row(pose);
             let direction = |axis: usize| {
                 let column = StatusRole::Direction(axis).column_name(&model.info().axes)?;
                 points.data.numbers(&column).map(|directions| directions[row])

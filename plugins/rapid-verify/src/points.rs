@@ -8,7 +8,7 @@ use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
 use abbe_core::{
-    Absent, Axis, AxisKind, ColumnHeader, Dataset, Error, KinematicModel, PoseTable, Poses, Quantity, Result,
+    Absent, Axis, AxisKind, ColumnHeader, DataRow, Dataset, Error, KinematicModel, PoseTable, Poses, Quantity, Result,
     StatusColumn, Variable, plain_naming, pose_columns,
 };
 use nalgebra::{DMatrix, DVector, Vector3};
@@ -70,7 +70,7 @@ impl Points {
         let positions = abbe_table::points(&data, ["x", "y", "z"])?;
         let normals = abbe_table::vectors(&data, ["nx", "ny", "nz"])?;
         let mut list: Vec<Point> = Vec::new();
-        for row in 0..data.rows() {
+        for row in data.row_indices() {
             let (position, normal) = (Vector3::from(positions[row]), Vector3::from(normals[row]));
             // Files round their normals; one that is far from a unit vector is a mistake and not a rounding.
             if (normal.norm() - 1.0).abs() > 1e-2 {
@@ -102,7 +102,7 @@ impl Points {
         };
         let columns = pose_columns(&self.data.headers(), file, model, &naming)?;
         let mut table = PoseTable::new(model);
-        for row in 0..self.data.rows() {
+        for row in self.data.row_indices() {
             table.push(&self.data, row, model, &columns)?;
         }
         Ok(table)
@@ -111,10 +111,10 @@ impl Points {
     /// The status of every point in nominal contact of a machine without errors.
     pub fn in_contact(&self, model: &dyn KinematicModel) -> Result<PoseTable> {
         let mut table = self.statuses(model)?;
-        for (row, point) in self.list.iter().enumerate() {
+        for ((row, point), pose) in DataRow::enumerate(&self.list).zip(table.indices()) {
             axis_index(model, &point.axis).map_err(|message| self.data.error_at(row, message))?;
             let tip = point.position + model.info().stylus_radius * point.normal;
-            if !reach(model, table.row_mut(row), tip)? {
+            if !reach(model, table.row_mut(pose), tip)? {
                 let message = format!("the linear axes cannot bring the tip to point {}", point.label);
                 return Err(self.data.error_at(row, message).help("is the chain that of this artefact's machine?"));
             }
@@ -300,8 +300,8 @@ mod tests {
             for (name, value) in [("EXX[1]", 3e-5), ("EC0X", -2e-5), ("EA0Z", 1e-5), ("EYX[2]", 4e-7), ("dyt", 0.01)] {
                 values[place(name)] = value;
             }
-            for (row, point) in points.list.iter().enumerate() {
-                let mut touch = Touch::new(model.as_ref(), point, statuses.row(row)).unwrap();
+            for (pose, point) in statuses.indices().zip(&points.list) {
+                let mut touch = Touch::new(model.as_ref(), point, statuses.row(pose)).unwrap();
                 let goal = model.info().stylus_radius + 0.004;
                 let reading = touch.reading(&values, goal).unwrap();
                 touch.status[model.info().axes[touch.axis].status] = reading;

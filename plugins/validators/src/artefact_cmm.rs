@@ -71,7 +71,7 @@ impl Validate for ArtefactCmm {
 impl ArtefactCmm {
     fn judge(&self, fit: &Fit, cmm: &Cmm, findings: &mut Findings) -> Result<()> {
         let set = set_of(fit, "features", &self.settings.features)?;
-        let values = fit.problem.starting_from(&fit.calibration).sets.swap_remove(set).own;
+        let values = fit.problem.starting_from(&fit.calibration).sets.swap_remove(set.0).own;
         let estimated = |own: usize| {
             fit.problem.unknowns.iter().any(|unknown| unknown.owner == Owner::Set(set) && unknown.index == own)
         };

@@ -2,7 +2,7 @@
 
 use std::path::{Path, PathBuf};
 
-use abbe_core::{Dataset, Error, Feature, Figure, Findings, Fit, Quantity, Result};
+use abbe_core::{DataRow, Dataset, Error, Feature, Figure, Findings, Fit, Quantity, Result};
 use nalgebra::{DMatrix, DVector, UnitQuaternion, Vector3, Vector6};
 
 use crate::figures::{Limits, Sample, UM, judged};
@@ -58,7 +58,7 @@ impl Cmm {
         let facets = ["nx", "ny", "nz", "d"].iter().any(|name| table.column(name).is_some());
         let offsets = if facets {
             let mut normals = Vec::new();
-            for (row, normal) in abbe_table::vectors(&table, ["nx", "ny", "nz"])?.into_iter().enumerate() {
+            for (row, normal) in DataRow::enumerate(abbe_table::vectors(&table, ["nx", "ny", "nz"])?) {
                 let normal = Vector3::from(normal);
                 if (normal.norm() - 1.0).abs() > 1e-2 {
                     let message = format!("the normal has length {:.4}; 1 was expected", normal.norm());
@@ -87,7 +87,7 @@ impl Cmm {
             match self.labels.iter().position(|label| *label == feature.label) {
                 Some(row) => {
                     matched.features += 1;
-                    matched.shifts.extend(self.shifts(row, feature)?);
+                    matched.shifts.extend(self.shifts(DataRow(row), feature)?);
                 }
                 None => absent.push(feature.label.as_str()),
             }
@@ -107,7 +107,7 @@ impl Cmm {
     }
 
     /// The shifts of the feature in a row, after a check that both sides mean the same feature.
-    fn shifts(&self, row: usize, feature: &Feature) -> Result<Vec<Shift>> {
+    fn shifts(&self, row: DataRow, feature: &Feature) -> Result<Vec<Shift>> {
         let point = Vector3::from(feature.point);
         let label = &feature.label;
         let Some((normals, offsets)) = &self.offsets else {

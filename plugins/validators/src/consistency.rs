@@ -9,7 +9,7 @@ use std::path::Path;
 
 use abbe_core::{
     ConsideredInput, Context, Dataset, Error, Estimated, Figure, Findings, Fit, Limit, NamedCovariance, PathItem,
-    Problem, Result, SettingsError, Status, Validate, matches,
+    Problem, Result, SetIndex, SettingsError, Status, Validate, matches,
 };
 use abbe_numerics::{hotelling_quantile, hotelling_upper_tail};
 use nalgebra::{DMatrix, DVector};
@@ -197,7 +197,8 @@ impl Consistency {
 
 /// The files that the rows of a problem come from.
 fn files(problem: &Problem) -> BTreeSet<&Path> {
-    let rows = problem.sets.iter().enumerate().flat_map(|(index, set)| set.rows.iter().map(move |row| (index, *row)));
+    let rows =
+        SetIndex::enumerate(&problem.sets).flat_map(|(index, set)| set.rows.iter().map(move |row| (index, *row)));
     rows.filter_map(|(set, row)| Some(problem.origin(set, row)?.0)).collect()
 }
 

@@ -6,7 +6,7 @@
 
 use std::collections::BTreeSet;
 
-use abbe_core::{Fit, Owner, Problem, Quantity, Result, Unknown};
+use abbe_core::{Fit, Owner, Problem, Quantity, Result, RowIndex, SetIndex, Unknown};
 use abbe_numerics::{Accumulator, f_test};
 use nalgebra::{DMatrix, DVector, DVectorView};
 
@@ -33,7 +33,7 @@ pub struct Drift {
 }
 
 /// Tests every tool set-up parameter; none where no row has a time or nothing is left to explain.
-pub fn test(fit: &Fit, left_out: &BTreeSet<(usize, usize)>) -> Result<Vec<Drift>> {
+pub fn test(fit: &Fit, left_out: &BTreeSet<(SetIndex, RowIndex)>) -> Result<Vec<Drift>> {
     let problem = &fit.problem;
     let rows = problem.equation_rows();
     let Some(times) = scaled_times(problem, &rows) else { return Ok(Vec::new()) };
@@ -50,23 +50,21 @@ pub fn test(fit: &Fit, left_out: &BTreeSet<(usize, usize)>) -> Result<Vec<Drift>
             extended.unknowns.push(Unknown { name: name.to_owned(), unit, owner: Owner::Machine, index });
         }
     }
-    let (own, width) = (problem.unknowns.len(), extended.unknowns.len());
+    let own = problem.unknowns.len();
     let uncertainties = problem.standard_uncertainties();
     // The residual is treated as another column: only the inner products of all columns count.
     let columns = own + DEGREES * tested.len() + 1;
     let mut accumulator = Accumulator::new(columns, rows.len());
     extended.linearise(&extended.values_of(&fit.calibration), |block| {
-        for (row, residual) in block.residuals.iter().enumerate() {
-            let equation = block.first + row;
+        for (equation, residual, line) in block.lines() {
             if left_out.contains(&rows[equation]) {
                 continue;
             }
-            let line = &block.jacobian[row * width..(row + 1) * width];
             let mut entries = line[..own].to_vec();
             for (_, column) in &tested {
                 entries.extend(legendre(times[equation]).map(|value| value * line[*column]));
             }
-            entries.push(*residual);
+            entries.push(residual);
             accumulator.push(&entries, 0.0, 1.0 / uncertainties[equation]);
         }
     })?;
@@ -166,7 +164,7 @@ pub fn orthogonal(column: DVectorView<'_, f64>, basis: &DMatrix<f64>) -> DVector
 }
 
 /// Time of every equation's row, scaled to -1..1 over all rows that have one; NaN for those without.
-pub fn scaled_times(problem: &Problem, rows: &[(usize, usize)]) -> Option<Vec<f64>> {
+pub fn scaled_times(problem: &Problem, rows: &[(SetIndex, RowIndex)]) -> Option<Vec<f64>> {
     let of_set: Vec<Option<&[f64]>> = (problem.sets.iter())
         .map(|set| {
             let data = &set.info().layout.data;
@@ -174,9 +172,9 @@ pub fn scaled_times(problem: &Problem, rows: &[(usize, usize)]) -> Option<Vec<f6
             data.numbers("time")
         })
         .collect();
-    let time = |&(set, row): &(usize, usize)| {
+    let time = |&(set, row): &(SetIndex, RowIndex)| {
         let data_row = problem.sets[set].info().layout.rows[row].data_row?;
-        Some(of_set[set]?[data_row])
+        Some(of_set[set.0]?[data_row])
     };
     let times: Vec<f64> = rows.iter().map(|row| time(row).unwrap_or(f64::NAN)).collect();
     // f64::min and f64::max pass over NaN.

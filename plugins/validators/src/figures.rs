@@ -2,7 +2,9 @@
 
 use std::collections::{BTreeMap, BTreeSet};
 
-use abbe_core::{Calibration, Figure, Findings, Fit, Limit, PathItem, Problem, Quantity, Result, SettingsError};
+use abbe_core::{
+    Calibration, Figure, Findings, Fit, Limit, PathItem, Problem, Quantity, Result, RowIndex, SetIndex, SettingsError,
+};
 
 /// Largest admissible values by [`key`].
 pub type Limits = BTreeMap<String, Limit>;
@@ -198,12 +200,12 @@ impl Groups {
 }
 
 /// The (set, row) of the rows that a calibration lists as outliers.
-pub fn outliers(problem: &Problem, calibration: &Calibration) -> BTreeSet<(usize, usize)> {
+pub fn outliers(problem: &Problem, calibration: &Calibration) -> BTreeSet<(SetIndex, RowIndex)> {
     let listed = calibration.outliers.iter();
     let listed: BTreeSet<(&str, &str, usize)> =
         listed.map(|outlier| (outlier.stage.as_str(), outlier.file.as_str(), outlier.row)).collect();
     let mut found = BTreeSet::new();
-    for (index, set) in problem.sets.iter().enumerate() {
+    for (index, set) in SetIndex::enumerate(&problem.sets) {
         for &row in &set.rows {
             if let Some((file, origin)) = problem.origin(index, row)
                 && listed.contains(&(set.name.as_str(), file.display().to_string().as_str(), origin.row))

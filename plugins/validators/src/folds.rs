@@ -3,8 +3,8 @@
 use std::collections::{BTreeMap, BTreeSet};
 
 use abbe_core::{
-    Calibration, Error, Figure, Findings, Fit, Label, Limit, Owner, PathItem, Problem, Result, SettingsError,
-    Termination, Unknown,
+    Calibration, Error, Figure, Findings, Fit, Label, Limit, Owner, PathItem, Problem, Result, RowIndex, SetIndex,
+    SettingsError, Termination, Unknown,
 };
 use abbe_estimation::Judgement;
 use schemars::JsonSchema;
@@ -52,12 +52,12 @@ impl Folds {
     }
 
     /// The folds of the rows of a set by the labels of `column`.
-    pub fn split(&self, problem: &Problem, set: usize, column: &str) -> Result<Vec<Fold>> {
+    pub fn split(&self, problem: &Problem, set: SetIndex, column: &str) -> Result<Vec<Fold>> {
         let set = &problem.sets[set];
         let layout = &set.info().layout;
         let labels = abbe_table::labels(&layout.data, column).map_err(|error| error.setting("column"))?;
         let mut order: Vec<&str> = Vec::new();
-        let mut rows: BTreeMap<&str, Vec<usize>> = BTreeMap::new();
+        let mut rows: BTreeMap<&str, Vec<RowIndex>> = BTreeMap::new();
         for &row in &set.rows {
             if let Some(data_row) = layout.rows[row].data_row {
                 let of_label = rows.entry(labels[data_row].as_str()).or_default();
@@ -120,7 +120,7 @@ pub struct Fold {
     /// Their labels.
     pub labels: Vec<String>,
     /// Their indices.
-    pub rows: Vec<usize>,
+    pub rows: Vec<RowIndex>,
 }
 
 /// A fit without the rows of a fold.
@@ -135,7 +135,7 @@ pub struct Trained {
 
 impl Fold {
     /// Estimates again, by the estimator of the fit, without the rows of this fold.
-    pub fn train(&self, fit: &Fit, set: usize) -> Result<Trained> {
+    pub fn train(&self, fit: &Fit, set: SetIndex) -> Result<Trained> {
         let rows = fit.problem.sets[set].rows.iter().copied();
         let kept = rows.filter(|row| self.rows.binary_search(row).is_err()).collect();
         let training = fit.problem.watched_by(fit.problem.monitor.quiet()).with_rows(set, kept);
@@ -194,10 +194,10 @@ pub fn not_converged(name: &str, calibration: &Calibration) -> Option<String> {
 }
 
 /// The index of the observations of a stage in a fit.
-pub fn set_of(fit: &Fit, setting: &str, stage: &str) -> Result<usize> {
-    let names = || fit.problem.sets.iter().map(|set| set.name.as_str());
-    names().position(|name| name == stage).ok_or_else(|| {
-        Error::usage(format!("{} does not observe `{stage}`", fit.name)).suggest(stage, names()).setting(setting)
+pub fn set_of(fit: &Fit, setting: &str, stage: &str) -> Result<SetIndex> {
+    fit.problem.set_named(stage).ok_or_else(|| {
+        let names = fit.problem.sets.iter().map(|set| set.name.as_str());
+        Error::usage(format!("{} does not observe `{stage}`", fit.name)).suggest(stage, names).setting(setting)
     })
 }
 
@@ -205,8 +205,8 @@ pub fn set_of(fit: &Fit, setting: &str, stage: &str) -> Result<usize> {
 pub fn reduced(
     problem: &Problem,
     calibration: &Calibration,
-    set: usize,
-    rows: Vec<usize>,
+    set: SetIndex,
+    rows: Vec<RowIndex>,
     unknowns: Vec<Unknown>,
 ) -> Problem {
     let mut reduced = problem.starting_from(calibration);
@@ -218,17 +218,15 @@ pub fn reduced(
 
 /// For every row of a [`reduced`] problem, which of its unknowns the row's equations contain.
 pub fn contained(problem: &Problem) -> Result<Vec<BTreeSet<usize>>> {
-    let count = problem.unknowns.len();
     let mut found: Vec<BTreeSet<usize>> = Vec::new();
     let (rows, mut last) = (problem.equation_rows(), None);
     problem.linearise(&problem.start(), |block| {
-        for equation in 0..block.residuals.len() {
-            let row = rows[block.first + equation];
+        for (equation, _, line) in block.lines() {
+            let row = rows[equation];
             if last != Some(row) {
                 found.push(BTreeSet::new());
                 last = Some(row);
             }
-            let line = &block.jacobian[equation * count..(equation + 1) * count];
             let columns = line.iter().enumerate().filter(|(_, derivative)| **derivative != 0.0);
             if let Some(row) = found.last_mut() {
                 row.extend(columns.map(|(column, _)| column));
@@ -239,7 +237,7 @@ pub fn contained(problem: &Problem) -> Result<Vec<BTreeSet<usize>>> {
 }
 
 /// An own unknown of a set.
-pub fn own_unknown(problem: &Problem, set: usize, index: usize) -> Unknown {
+pub fn own_unknown(problem: &Problem, set: SetIndex, index: usize) -> Unknown {
     let observations = &problem.sets[set];
     let parameter = &observations.observations.info().unknowns[index];
     let name = format!("{}.{}", observations.name, parameter.name);

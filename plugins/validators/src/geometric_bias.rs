@@ -8,8 +8,8 @@
 use std::collections::BTreeSet;
 
 use abbe_core::{
-    AxisKind, Contact, Context, Dataset, Error, Figure, Findings, Fit, Problem, Result, SettingsError, Validate,
-    matches, positive,
+    AxisKind, Contact, Context, Dataset, Error, Figure, Findings, Fit, Problem, Result, RowIndex, SetIndex,
+    SettingsError, Validate, matches, positive,
 };
 use abbe_estimation::at_contact;
 use schemars::JsonSchema;
@@ -98,7 +98,7 @@ impl GeometricBias {
     fn figures(&self, fit: &Fit) -> Result<Vec<Figure>> {
         let problem = fit.problem.as_ref();
         let missing = || Error::usage(format!("`{}` is not observed", self.settings.rows)).setting("rows");
-        let set = problem.sets.iter().position(|set| set.name == self.settings.rows).ok_or_else(missing)?;
+        let set = problem.set_named(&self.settings.rows).ok_or_else(missing)?;
         if problem.sets[set].info().contact != Contact::LinearAxes {
             let error = Error::usage(format!("`{}` is read, not met by the linear axes", self.settings.rows));
             return Err(error.setting("rows"));
@@ -139,7 +139,7 @@ impl GeometricBias {
     }
 
     /// The rows that are evaluated.
-    fn rows(&self, problem: &Problem, set: usize) -> Result<Vec<usize>> {
+    fn rows(&self, problem: &Problem, set: SetIndex) -> Result<Vec<RowIndex>> {
         let set = &problem.sets[set];
         let layout = &set.info().layout;
         let labels = match &self.settings.first_of {
@@ -147,7 +147,7 @@ impl GeometricBias {
             None => None,
         };
         let mut seen = BTreeSet::new();
-        let counts = |row: &usize| {
+        let counts = |row: &RowIndex| {
             let row = layout.rows[*row];
             row.poses > 0
                 && row.data_row.is_some_and(|data_row| labels.is_none_or(|labels| seen.insert(&labels[data_row])))
@@ -182,15 +182,11 @@ impl GeometricBias {
 }
 
 /// Positions of the linear axes at the poses of some rows.
-fn positions(problem: &Problem, set: usize, rows: &[usize]) -> Positions {
+fn positions(problem: &Problem, set: SetIndex, rows: &[RowIndex]) -> Positions {
     let axes = problem.model.info().axes.iter().filter(|axis| axis.kind == AxisKind::Linear);
     let axes: Vec<usize> = axes.map(|axis| axis.status).collect();
     let set = &problem.sets[set];
-    let layout = &set.info().layout;
-    let poses = rows.iter().flat_map(|&row| {
-        let row = layout.rows[row];
-        row.first_pose..row.first_pose + row.poses
-    });
+    let poses = set.poses_of(rows);
     poses.map(|pose| axes.iter().map(|&axis| set.poses().row(pose)[axis]).collect()).collect()
 }
 

@@ -1,6 +1,6 @@
 //! Validator `hold-out`: how well a fit predicts rows that were left out of it.
 
-use abbe_core::{Context, Dataset, Figure, Findings, Fit, Result, SettingsError, Validate};
+use abbe_core::{Context, Dataset, Figure, Findings, Fit, Result, RowIndex, SettingsError, Validate};
 use schemars::JsonSchema;
 use serde::Deserialize;
 use serde_json::{Value, json};
@@ -75,7 +75,7 @@ impl HoldOut {
         for (fold, trained) in trained(fit, folds, findings, |fold| fold.train(fit, set))? {
             findings.remarks.extend(trained.remark);
             let good = fold.rows.iter().copied().filter(|row| !left_out.contains(&(set, *row)));
-            let good: Vec<usize> = good.collect();
+            let good: Vec<RowIndex> = good.collect();
             skipped += fold.rows.len() - good.len();
             let held = reduced(problem, &trained.calibration, set, good, trained.lost);
             let lost = contained(&held)?;
@@ -83,7 +83,7 @@ impl HoldOut {
             missing.sort_unstable();
             missing.dedup();
             let rows = held.sets[set].rows.iter().zip(&lost);
-            let rows: Vec<usize> = rows.filter(|(_, lost)| lost.is_empty()).map(|(row, _)| *row).collect();
+            let rows: Vec<RowIndex> = rows.filter(|(_, lost)| lost.is_empty()).map(|(row, _)| *row).collect();
             if !missing.is_empty() {
                 let names: Vec<&str> = missing.iter().map(|&column| held.unknowns[column].name.as_str()).collect();
                 findings.remarks.push(format!(

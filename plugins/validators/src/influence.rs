@@ -7,7 +7,10 @@
 
 use std::collections::BTreeMap;
 
-use abbe_core::{Context, Dataset, Error, Figure, Findings, Fit, Problem, Quantity, Result, SettingsError, Validate};
+use abbe_core::{
+    Context, Dataset, Error, Figure, Findings, Fit, Problem, Quantity, Result, RowIndex, SetIndex, SettingsError,
+    Validate,
+};
 use abbe_numerics::{Accumulator, Influence as Diagnostics, coverage_factor};
 use abbe_volumetric::position_unit;
 use schemars::JsonSchema;
@@ -79,8 +82,8 @@ impl Validate for Influence {
 
 /// An equation that takes part.
 struct Row {
-    set: usize,
-    row: usize,
+    set: SetIndex,
+    row: RowIndex,
     quantity: Quantity,
     /// mm or rad.
     residual: f64,
@@ -143,14 +146,9 @@ fn rows(fit: &Fit) -> Result<Vec<Row>> {
     let count = problem.unknowns.len();
     let mut accumulator = Accumulator::new(count, equations.len());
     problem.linearise(&x, |block| {
-        for (row, residual) in block.residuals.iter().enumerate() {
-            let equation = block.first + row;
+        for (equation, residual, line) in block.lines() {
             if takes_part[equation] {
-                accumulator.push(
-                    &block.jacobian[row * count..(row + 1) * count],
-                    *residual,
-                    1.0 / uncertainties[equation],
-                );
+                accumulator.push(line, residual, 1.0 / uncertainties[equation]);
             }
         }
     })?;
@@ -158,18 +156,17 @@ fn rows(fit: &Fit) -> Result<Vec<Row>> {
     let mut rows = Vec::new();
     problem.linearise(&x, |block| {
         let leverages = covariance_root.leverages(block.jacobian);
-        for (row, residual) in block.residuals.iter().enumerate() {
-            let equation = block.first + row;
+        for ((equation, residual, _), leverage) in block.lines().zip(leverages) {
             if takes_part[equation] {
-                let (set, row_of_set) = equations[equation];
+                let (set, row) = equations[equation];
                 let uncertainty = uncertainties[equation];
                 rows.push(Row {
                     set,
-                    row: row_of_set,
+                    row,
                     quantity: quantities[equation],
-                    residual: *residual,
+                    residual,
                     uncertainty,
-                    leverage: (leverages[row] / (uncertainty * uncertainty)).min(1.0),
+                    leverage: (leverage / (uncertainty * uncertainty)).min(1.0),
                 });
             }
         }
@@ -207,7 +204,7 @@ fn table(problem: &Problem, rows: &[Row], told: &Diagnostics) -> String {
         text.push_str(&format!(",{}_{}", axis.name, position_unit(axis).0));
     }
     text.push_str(",residual_um,residual_urad,leverage,studentised,deleted,cook\n");
-    let mut lines: BTreeMap<(usize, usize), String> = BTreeMap::new();
+    let mut lines: BTreeMap<(SetIndex, RowIndex), String> = BTreeMap::new();
     for (index, row) in rows.iter().enumerate() {
         let place = lines.entry((row.set, row.row)).or_insert_with(|| place(problem, row));
         let (um, urad) = match row.quantity {

@@ -2,7 +2,7 @@
 
 use std::collections::BTreeSet;
 
-use abbe_core::{Fit, Owner, Problem, Result, Unknown};
+use abbe_core::{Fit, Owner, Problem, Result, SetIndex, Unknown};
 
 use crate::folds::own_unknown;
 
@@ -29,10 +29,10 @@ pub fn predictable(fit: &Fit) -> Result<(Problem, Option<String>)> {
             parts.filter_map(|part| Some((column(&part.name)?, part.coefficient))).collect()
         })
         .collect();
-    let (rows, count) = (judged.equation_rows(), names.len());
+    let rows = judged.equation_rows();
     let (mut open, mut along) = (BTreeSet::new(), BTreeSet::new());
     judged.linearise(&judged.start(), |block| {
-        for (line, row) in block.jacobian.chunks(count).zip(&rows[block.first..]) {
+        for (equation, _, line) in block.lines() {
             let largest = line.iter().fold(0.0_f64, |largest, derivative| largest.max(derivative.abs()));
             for direction in &directions {
                 let terms = direction.iter().filter(|(column, _)| line[*column].abs() > ROUNDING * largest);
@@ -40,7 +40,7 @@ pub fn predictable(fit: &Fit) -> Result<(Problem, Option<String>)> {
                 let total: f64 = terms.iter().map(|(_, term)| term).sum();
                 let size = terms.iter().fold(0.0_f64, |size, (_, term)| size.max(term.abs()));
                 if total.abs() > CANCELS * size {
-                    open.insert(*row);
+                    open.insert(rows[equation]);
                     along.extend(terms.iter().map(|(column, _)| *column));
                 }
             }
@@ -50,7 +50,7 @@ pub fn predictable(fit: &Fit) -> Result<(Problem, Option<String>)> {
         return Ok((problem.clone(), None));
     }
     let mut predicted = problem.clone();
-    for (index, set) in predicted.sets.iter_mut().enumerate() {
+    for (index, set) in SetIndex::enumerate(&mut predicted.sets) {
         set.rows.retain(|&row| !open.contains(&(index, row)));
     }
     let along: Vec<&str> = along.into_iter().map(|column| names[column]).collect();
@@ -73,7 +73,7 @@ fn estimated(fit: &Fit) -> Vec<Unknown> {
         owner: Owner::Machine,
         index,
     });
-    let own = problem.sets.iter().enumerate().flat_map(|(set, observed)| {
+    let own = SetIndex::enumerate(&problem.sets).flat_map(|(set, observed)| {
         (0..observed.info().unknowns.len()).map(move |index| own_unknown(problem, set, index))
     });
     let lost = fit.calibration.fit.null_space.iter().flat_map(|direction| &direction.combination);

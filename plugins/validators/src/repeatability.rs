@@ -8,8 +8,8 @@
 use std::collections::{BTreeMap, BTreeSet};
 
 use abbe_core::{
-    AxisKind, Context, Dataset, Error, Figure, Findings, Fit, Names, PathItem, Problem, Quantity, Result,
-    SettingsError, Validate,
+    AxisKind, Context, DataRow, Dataset, Error, Figure, Findings, Fit, Names, PathItem, Problem, Quantity, Result,
+    RowIndex, SetIndex, SettingsError, Validate,
 };
 use schemars::JsonSchema;
 use serde::Deserialize;
@@ -134,7 +134,7 @@ impl Validate for Repeatability {
 /// A measurement of a point.
 struct Reading {
     /// Row of the data set.
-    row: usize,
+    row: DataRow,
     /// In the unit of figures.
     value: f64,
 }
@@ -187,18 +187,17 @@ impl Repeatability {
     }
 
     /// Refuses a point that is measured at different positions of rotary axes: these would not be repeats.
-    fn same_positions(&self, problem: &Problem, set: usize, points: &Labelled) -> Result<()> {
+    fn same_positions(&self, problem: &Problem, set: SetIndex, points: &Labelled) -> Result<()> {
         let layout = &problem.sets[set].info().layout;
         let axes = &problem.model.info().axes;
         let rotary = || axes.iter().filter(|axis| axis.kind == AxisKind::Rotary);
-        let mut first: BTreeMap<&str, usize> = BTreeMap::new();
+        let mut first: BTreeMap<&str, RowIndex> = BTreeMap::new();
         for &row in &problem.sets[set].rows {
             let Some(data_row) = layout.rows[row].data_row else { continue };
-            let (label, poses) = (points.of_rows[data_row].as_str(), layout.rows[row].poses);
+            let label = points.of_rows[data_row].as_str();
             let other = layout.rows[*first.entry(label).or_insert(row)].first_pose;
-            for pose in 0..poses {
-                let (one, other) =
-                    (layout.poses.row(layout.rows[row].first_pose + pose), layout.poses.row(other + pose));
+            for (number, pose) in layout.rows[row].pose_indices().enumerate() {
+                let (one, other) = (layout.poses.row(pose), layout.poses.row(other + number));
                 let Some(axis) = rotary().find(|axis| (one[axis.status] - other[axis.status]).abs() > SAME_POSITION)
                 else {
                     continue;
@@ -225,7 +224,7 @@ impl Repeatability {
                 return Err(Error::usage(message).setting("value"));
             }
         };
-        let readings = numbers.iter().enumerate().map(|(row, value)| Reading { row, value: value * factor });
+        let readings = DataRow::enumerate(numbers).map(|(row, value)| Reading { row, value: value * factor });
         self.judge(None, data, &readings.collect::<Vec<_>>(), unit, findings)
     }
 
@@ -301,7 +300,7 @@ impl Repeatability {
                 all.len() - 1
             });
             let point = all[index].1.point(&points.of_rows[reading.row]);
-            let cycle = cycles.as_ref().map_or(point.len(), |cycles| cycles.places[reading.row]);
+            let cycle = cycles.as_ref().map_or(point.len(), |cycles| cycles.places[reading.row.0]);
             if point.insert(cycle, reading.value).is_some() {
                 let (name, point) = (&points.name, &points.of_rows[reading.row]);
                 let cycle = cycles.as_ref().map_or("", |cycles| cycles.of_rows[reading.row].as_str());
@@ -335,14 +334,15 @@ impl Labelled {
         let columns = names.iter().map(|name| abbe_table::labels(data, name).map_err(|error| error.setting(setting)));
         let columns: Vec<&[String]> = columns.collect::<Result<_>>()?;
         let orders: Vec<BTreeMap<&str, usize>> = columns.iter().map(|column| ordered(column)).collect();
-        let of_row = |row: usize| columns.iter().map(move |column| column[row].as_str());
-        let key = |row: usize| -> Vec<usize> { of_row(row).zip(&orders).map(|(label, order)| order[label]).collect() };
-        let keys: Vec<Vec<usize>> = (0..data.rows()).map(key).collect();
+        let of_row = |row: DataRow| columns.iter().map(move |column| column[row].as_str());
+        let key =
+            |row: DataRow| -> Vec<usize> { of_row(row).zip(&orders).map(|(label, order)| order[label]).collect() };
+        let keys: Vec<Vec<usize>> = data.row_indices().map(key).collect();
         let different: BTreeSet<&Vec<usize>> = keys.iter().collect();
         let place: BTreeMap<&Vec<usize>, usize> = different.into_iter().zip(0..).collect();
         Ok(Self {
             name: names.join("."),
-            of_rows: (0..data.rows()).map(|row| of_row(row).collect::<Vec<_>>().join(".")).collect(),
+            of_rows: data.row_indices().map(|row| of_row(row).collect::<Vec<_>>().join(".")).collect(),
             places: keys.iter().map(|key| place[key]).collect(),
         })
     }

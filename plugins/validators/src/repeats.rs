@@ -7,8 +7,8 @@
 use std::sync::Arc;
 
 use abbe_core::{
-    Context, Dataset, Error, Figure, Findings, Fit, Owner, PathItem, Problem, Result, SettingsError, Unknown, Validate,
-    in_parallel, matches,
+    Context, Dataset, Error, Figure, Findings, Fit, Owner, PathItem, Problem, Result, RowIndex, SettingsError, Unknown,
+    Validate, in_parallel, matches,
 };
 use schemars::JsonSchema;
 use serde::Deserialize;
@@ -162,8 +162,8 @@ impl Repeats {
 }
 
 /// The labels of the repeats, in the order in which they appear, and the rows of each set that belong to each.
-fn repeats(problem: &Problem, by: &str) -> Result<Vec<(String, Vec<Vec<usize>>)>> {
-    let mut found: Vec<(String, Vec<Vec<usize>>)> = Vec::new();
+fn repeats(problem: &Problem, by: &str) -> Result<Vec<(String, Vec<Vec<RowIndex>>)>> {
+    let mut found: Vec<(String, Vec<Vec<RowIndex>>)> = Vec::new();
     let of_rows: Vec<Option<&[String]>> = problem.sets.iter().map(|set| set.info().layout.data.labels(by)).collect();
     let at_column = |error: Error| Error { place: None, ..error }.setting("by");
     if of_rows.iter().all(Option::is_none) {
@@ -188,8 +188,8 @@ fn repeats(problem: &Problem, by: &str) -> Result<Vec<(String, Vec<Vec<usize>>)>
     }
     // Rows that were not repeated belong to every repeat.
     for (index, (set, labels)) in problem.sets.iter().zip(&of_rows).enumerate() {
-        let fixed = |row: &&usize| labels.is_none() || set.info().layout.rows[**row].data_row.is_none();
-        let always: Vec<usize> = set.rows.iter().filter(fixed).copied().collect();
+        let fixed = |row: &&RowIndex| labels.is_none() || set.info().layout.rows[**row].data_row.is_none();
+        let always: Vec<RowIndex> = set.rows.iter().filter(fixed).copied().collect();
         for (_, rows) in &mut found {
             rows[index].extend(&always);
             rows[index].sort_unstable();

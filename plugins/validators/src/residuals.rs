@@ -4,8 +4,8 @@
 use std::collections::BTreeSet;
 
 use abbe_core::{
-    Context, Dataset, Error, Figure, Findings, Fit, PathItem, Problem, Quantity, Result, SettingsError, Validate,
-    Values,
+    Context, Dataset, Error, Figure, Findings, Fit, PathItem, Problem, Quantity, Result, RowIndex, SetIndex,
+    SettingsError, Validate, Values,
 };
 use schemars::JsonSchema;
 use serde::Deserialize;
@@ -54,7 +54,7 @@ struct Residuals {
 
 /// A residual that counts.
 struct Kept {
-    row: (usize, usize),
+    row: (SetIndex, RowIndex),
     quantity: Quantity,
     residual: f64,
 }
@@ -147,7 +147,7 @@ const SIGNIFICANT: f64 = 1e-3;
 const HINTS: usize = 3;
 
 /// Reports the test for drift, with advice if there is one.
-fn follow_time(fit: &Fit, left_out: &BTreeSet<(usize, usize)>, findings: &mut Findings) -> Result<()> {
+fn follow_time(fit: &Fit, left_out: &BTreeSet<(SetIndex, RowIndex)>, findings: &mut Findings) -> Result<()> {
     let drifts = drift::test(fit, left_out)?;
     for drift in &drifts {
         let name = format!("drift_p[{}]", drift.parameter);

@@ -2,7 +2,7 @@
 
 use std::collections::BTreeSet;
 
-use abbe_core::{Fit, Owner, ParameterRole, Problem, Result, Status, Unknown};
+use abbe_core::{Fit, Owner, ParameterRole, Problem, Result, RowIndex, SetIndex, Status, Unknown};
 use abbe_estimation::rank_point;
 use abbe_numerics::{Accumulator, f_test};
 use nalgebra::{DMatrix, DVector};
@@ -35,7 +35,7 @@ pub struct Rival {
 }
 
 /// What errors that the model has and the fit does not estimate would explain, the most first.
-pub fn rivals(fit: &Fit, left_out: &BTreeSet<(usize, usize)>) -> Result<Vec<Rival>> {
+pub fn rivals(fit: &Fit, left_out: &BTreeSet<(SetIndex, RowIndex)>) -> Result<Vec<Rival>> {
     let problem = fit.problem.as_ref();
     let mut extended = Problem::clone(problem);
     let settled = |name: &str| fit.calibration.get(name).is_some_and(|found| found.status != Status::Fixed);
@@ -55,8 +55,7 @@ pub fn rivals(fit: &Fit, left_out: &BTreeSet<(usize, usize)>) -> Result<Vec<Riva
     let mut accumulator = Accumulator::new(all + 1, rows.len());
     let contact = in_contact(&extended, fit)?;
     contact.linearise(&contact.start(), |block| {
-        for (row, line) in block.jacobian.chunks_exact(all).enumerate() {
-            let equation = block.first + row;
+        for (equation, _, line) in block.lines() {
             if !left_out.contains(&rows[equation]) {
                 accumulator.push(&[line, &[residuals[equation]]].concat(), 0.0, 1.0 / uncertainties[equation]);
             }
@@ -100,7 +99,7 @@ fn in_contact(problem: &Problem, fit: &Fit) -> Result<Problem> {
 ///
 /// Errors that a model lacks change from indexation to indexation, and so with time; within a block they make all residuals alike, which a
 /// test that takes rows for independent mistakes for a drift. None where there are too few blocks to tell.
-pub fn by_blocks(fit: &Fit, left_out: &BTreeSet<(usize, usize)>, parameter: &str) -> Result<Option<f64>> {
+pub fn by_blocks(fit: &Fit, left_out: &BTreeSet<(SetIndex, RowIndex)>, parameter: &str) -> Result<Option<f64>> {
     let problem = fit.problem.as_ref();
     let rows = problem.equation_rows();
     let (Some(times), Some(index)) = (scaled_times(problem, &rows), problem.model.info().parameter(parameter)) else {
@@ -123,13 +122,12 @@ pub fn by_blocks(fit: &Fit, left_out: &BTreeSet<(usize, usize)>, parameter: &str
     let mut lines: Vec<(f64, Vec<f64>)> = Vec::new();
     let contact = in_contact(&extended, fit)?;
     contact.linearise(&contact.start(), |block| {
-        for (row, line) in block.jacobian.chunks_exact(width).enumerate() {
-            let equation = block.first + row;
+        for (equation, _, line) in block.lines() {
             if left_out.contains(&rows[equation]) || times[equation].is_nan() {
                 continue;
             }
             let terms = legendre(times[equation]).map(|value| value * line[column]);
-            let all = line[..own].iter().chain(&terms).chain(&residuals[equation..=equation]);
+            let all = line[..own].iter().chain(&terms).chain([&residuals[equation]]);
             lines.push((times[equation], all.map(|value| value / uncertainties[equation]).collect()));
         }
     })?;

@@ -4,8 +4,8 @@ use std::collections::BTreeMap;
 use std::sync::Arc;
 
 use abbe_core::{
-    Absent, Axis, Dataset, Error, Feature, Fit, KinematicModel, Layout, ObservationSet, Poses, Quantity, Result,
-    StatusColumn, plain_naming,
+    Absent, Axis, DataRow, Dataset, Error, Feature, Fit, KinematicModel, Layout, ObservationSet, Poses, Quantity,
+    Result, RowIndex, SetIndex, StatusColumn, plain_naming,
 };
 use abbe_geometry::{Fitted, Sphere, sphere};
 use nalgebra::Vector3;
@@ -29,7 +29,12 @@ impl Touches {
     /// The touches of an artefact's rows, without those in `left_out`, by sphere and by the labels of `column`.
     ///
     /// Fails if the artefact's rows are no touches on spheres.
-    pub fn of_rows(fit: &Fit, set: usize, left_out: impl Fn(usize) -> bool, column: Option<&str>) -> Result<Vec<Self>> {
+    pub fn of_rows(
+        fit: &Fit,
+        set: SetIndex,
+        left_out: impl Fn(RowIndex) -> bool,
+        column: Option<&str>,
+    ) -> Result<Vec<Self>> {
         let set = &fit.problem.sets[set];
         let layout = &set.info().layout;
         let rows = set.rows.iter().copied().filter(|&row| layout.rows[row].poses > 0 && !left_out(row));
@@ -70,10 +75,11 @@ impl Touches {
         let mut layout = Layout::new(&Arc::new(data.clone()), model, &[&timeless])?;
         let labels = Labels::of(data, column)?;
         let mut groups = Groups::default();
-        for row in 0..data.rows() {
+        for row in data.row_indices() {
+            let pose = layout.poses.end();
             layout.push(model, row, &[])?;
             let touches = groups.of(labels.text(row), (None, reach));
-            touches.statuses.extend_from_slice(layout.poses.row(row));
+            touches.statuses.extend_from_slice(layout.poses.row(pose));
         }
         Ok(groups.named())
     }
@@ -101,7 +107,7 @@ pub fn tips(model: &dyn KinematicModel, statuses: &[f64], values: &[f64]) -> Res
 type NominalTouch = (Option<Vector3<f64>>, Option<f64>);
 
 /// The nominal touch of a row; none if it is no touch on a sphere.
-fn nominal_touch(set: &ObservationSet, row: usize, feature: &Feature) -> Result<Option<NominalTouch>> {
+fn nominal_touch(set: &ObservationSet, row: RowIndex, feature: &Feature) -> Result<Option<NominalTouch>> {
     let rows = &set.info().layout.rows;
     // A feature that can be off in all directions, with one equation a touch, is touched at a distance from its centre.
     if rows[row].poses != 1 || rows[row].equations != 1 || feature.shifts.len() != 3 {
@@ -130,7 +136,7 @@ impl<'a> Labels<'a> {
     }
 
     /// Sphere and part of a row, for people: `["feature=1", "file=a"]`.
-    fn text(&self, row: usize) -> Vec<String> {
+    fn text(&self, row: DataRow) -> Vec<String> {
         let feature = self.feature.map(|labels| (FEATURE, labels));
         feature.into_iter().chain(self.split).map(|(name, labels)| format!("{name}={}", labels[row])).collect()
     }

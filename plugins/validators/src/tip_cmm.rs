@@ -4,8 +4,8 @@
 use std::path::PathBuf;
 
 use abbe_core::{
-    Calibration, Context, Dataset, Error, Figure, Findings, Fit, InputFile, Problem, Result, SettingsError, Unknown,
-    Validate,
+    Calibration, Context, Dataset, Error, Figure, Findings, Fit, InputFile, Problem, Result, RowIndex, SetIndex,
+    SettingsError, Unknown, Validate,
 };
 use nalgebra::Vector6;
 use schemars::JsonSchema;
@@ -82,7 +82,7 @@ impl Validate for TipCmm {
 struct Part {
     calibration: Calibration,
     lost: Vec<Unknown>,
-    rows: Vec<usize>,
+    rows: Vec<RowIndex>,
     remark: Option<String>,
 }
 
@@ -116,7 +116,7 @@ impl TipCmm {
             unknown.extend(unmeasured.iter().cloned());
             let probe = reduced(problem, &part.calibration, set, rows, unknown);
             let usable = contained(&probe)?.into_iter().zip(&probe.sets[set].rows);
-            let usable: Vec<usize> = usable.filter(|(lost, _)| lost.is_empty()).map(|(_, row)| *row).collect();
+            let usable: Vec<RowIndex> = usable.filter(|(lost, _)| lost.is_empty()).map(|(_, row)| *row).collect();
             unpredicted += probe.sets[set].rows.len() - usable.len();
             cases.push(reduced(problem, &part.calibration, set, usable, measured.clone()));
         }
@@ -141,7 +141,7 @@ impl TipCmm {
         Ok(())
     }
 
-    fn parts(&self, fit: &Fit, set: usize, findings: &mut Findings) -> Result<Vec<Part>> {
+    fn parts(&self, fit: &Fit, set: SetIndex, findings: &mut Findings) -> Result<Vec<Part>> {
         let Some(folds) = &self.settings.folds else {
             let rows = fit.problem.sets[set].rows.clone();
             return Ok(vec![Part { calibration: fit.calibration.clone(), lost: Vec::new(), rows, remark: None }]);

@@ -41,7 +41,7 @@ impl Observations for Centres {
     }
 
     fn evaluate(&self, batch: RowBatch<'_>, out: &mut Equations) -> Result<()> {
-        for (&row, position) in batch.rows.iter().zip(batch.positions) {
+        for (&RowIndex(row), position) in batch.rows.iter().zip(batch.positions) {
             for component in 0..3 {
                 out.equation(position[component] - self.measured[row][component]);
                 let mut derivative = [0.0; 3];
@@ -113,7 +113,7 @@ fn a_step_to_where_struts_hold_no_platform_is_halved() {
         averaged: false,
     });
     let mut layout = Layout::new(&data, model.as_ref(), &[&plain_naming]).expect("a layout");
-    (0..POSES).for_each(|row| layout.push(model.as_ref(), row, &[1e-3; 3]).expect("a row"));
+    data.row_indices().for_each(|row| layout.push(model.as_ref(), row, &[1e-3; 3]).expect("a row"));
     let info = ObservationsInfo::new(layout, Vec::new(), Contact::Reading("centre".to_owned()));
     let sets = vec![ObservationSet::new("centres", Arc::new(Centres { info, measured }))];
     let patterns = ["strut[?].length", "strut[?].base.?", "d?t"].map(str::to_owned);

@@ -4,6 +4,7 @@
 use serde::{Deserialize, Serialize};
 
 use crate::identity::Certificate;
+use crate::index::SetIndex;
 use crate::model::{KinematicModel, ModelInfo, Parameter, Poses};
 use crate::observations::Equations;
 use crate::problem::{ObservationSet, Owner, Problem, Unknown};
@@ -29,7 +30,7 @@ pub struct Input {
     pub standard_uncertainty: f64,
     /// The sets that use it: (set, index among the known inputs of its observations). Empty if only an earlier estimate
     /// depends on it.
-    pub users: Vec<(usize, usize)>,
+    pub users: Vec<(SetIndex, usize)>,
 }
 
 fn length() -> Unit {
@@ -115,7 +116,7 @@ impl ObservationSet {
 pub(crate) fn inputs(sets: &[ObservationSet]) -> Result<(Vec<Input>, Considered)> {
     let mut inputs: Vec<Input> = Vec::new();
     let mut shared: Vec<Option<&str>> = Vec::new();
-    for (set, observations) in sets.iter().enumerate() {
+    for (set, observations) in SetIndex::enumerate(sets) {
         for (index, input) in observations.observations.info().inputs.iter().enumerate() {
             let own = input.parameter.name.as_str();
             // An exact input has no error to share.
@@ -195,8 +196,9 @@ pub(crate) fn consider_parameters(considered: &mut Considered, model: &dyn Kinem
 
 /// Fails if a constraint depends on no uncertain input: the statement of its certificate would have no uncertainty.
 pub(crate) fn check_constraints(set: &ObservationSet) -> Result<()> {
-    let (rows, none) = (&set.info().layout.rows, Poses::default());
-    for row in (0..rows.len()).filter(|&row| rows[row].data_row.is_none() && rows[row].poses == 0) {
+    let (layout, none) = (&set.info().layout, Poses::default());
+    let rows = &layout.rows;
+    for row in layout.row_indices().filter(|&row| rows[row].data_row.is_none() && rows[row].poses == 0) {
         let mut equations = Equations::default();
         set.observations.evaluate(set.batch(&[row], &none), &mut equations)?;
         let uncertain = |input: usize| set.info().inputs[input].standard_uncertainty > 0.0;
@@ -326,7 +328,7 @@ pub(crate) fn candidates(model: &dyn KinematicModel, sets: &[ObservationSet]) ->
             index,
         })
         .collect();
-    for (set, observations) in sets.iter().enumerate() {
+    for (set, observations) in SetIndex::enumerate(sets) {
         let own = observations.observations.info().unknowns.iter().enumerate();
         candidates.extend(own.map(|(index, parameter)| Unknown {
             name: format!("{}.{}", observations.name, parameter.name),

@@ -6,6 +6,7 @@ use nalgebra::Vector3;
 
 use super::rows::ObservationSet;
 use super::{Owner, Problem};
+use crate::index::{EquationIndex, IndexRange, ListedBy, RowIndex, SetIndex};
 use crate::model::{Poses, Variable};
 use crate::observations::{Contact, Equations, Orientation};
 use crate::parallel::{cores, is_one_of_several};
@@ -18,11 +19,26 @@ pub const CHUNK: usize = 128;
 #[derive(Debug)]
 pub struct Block<'a> {
     /// The first equation of the block.
-    pub first: usize,
+    pub first: EquationIndex,
     /// Residuals, mm or rad.
     pub residuals: &'a [f64],
     /// Derivatives, equations x unknowns, row by row.
     pub jacobian: &'a [f64],
+}
+
+impl Block<'_> {
+    /// Its equations.
+    pub fn equations(&self) -> IndexRange<EquationIndex> {
+        IndexRange::new(self.first, self.residuals.len())
+    }
+
+    /// Its equations, each with its residual and its derivatives.
+    pub fn lines(&self) -> impl Iterator<Item = (EquationIndex, f64, &[f64])> {
+        let unknowns = self.jacobian.len() / self.residuals.len().max(1);
+        self.equations().zip(self.residuals).enumerate().map(move |(line, (equation, residual))| {
+            (equation, *residual, &self.jacobian[line * unknowns..(line + 1) * unknowns])
+        })
+    }
 }
 
 impl Problem {
@@ -50,8 +66,8 @@ impl Problem {
         let at = self.at(x);
         let columns = Columns::of(self);
         let chunks =
-            || at.sets.iter().enumerate().flat_map(|(set, of)| of.rows.chunks(CHUNK).map(move |rows| (set, rows)));
-        let mut first = 0;
+            || SetIndex::enumerate(&at.sets).flat_map(|(set, of)| of.rows.chunks(CHUNK).map(move |rows| (set, rows)));
+        let mut first = EquationIndex(0);
         let mut take = |linear: &Linearised| {
             sink(Block { first, residuals: &linear.residuals, jacobian: &linear.jacobian });
             first += linear.residuals.len();
@@ -65,7 +81,7 @@ impl Problem {
             }
             return Ok(());
         }
-        let chunks: Vec<(usize, &[usize])> = chunks().collect();
+        let chunks: Vec<(SetIndex, &[RowIndex])> = chunks().collect();
         std::thread::scope(|scope| {
             let (at, columns, chunks) = (&at, &columns, &chunks);
             // Thread k evaluates the chunks k, k + threads, and so on. The results are taken from the threads in turn.
@@ -109,8 +125,8 @@ impl Problem {
     /// Residuals and derivatives of some rows of a set at the problem's own values.
     fn linearise_rows(
         &self,
-        index: usize,
-        rows: &[usize],
+        index: SetIndex,
+        rows: &[RowIndex],
         columns: &Columns,
         work: &mut Evaluation,
         out: &mut Linearised,
@@ -133,7 +149,7 @@ impl Problem {
                 line[column] += Vector3::from(*derivative).dot(&weight);
             }
         });
-        let (own, inputs) = &columns.of_sets[index];
+        let ColumnsOfSet { own, inputs } = &columns.of_sets[index];
         let own = work.equations.by_own.iter().map(|by| (by, own));
         let inputs = work.equations.by_input.iter().map(|by| (by, inputs));
         for (&(equation, index, derivative), columns) in own.chain(inputs) {
@@ -145,21 +161,26 @@ impl Problem {
     }
 
     /// Evaluates poses and equations of some rows of a set at the problem's own values.
-    pub fn evaluate(&self, set: usize, rows: &[usize], wanted: &[Variable], work: &mut Evaluation) -> Result<()> {
+    pub fn evaluate(&self, set: SetIndex, rows: &[RowIndex], wanted: &[Variable], work: &mut Evaluation) -> Result<()> {
         self.monitor.check()?;
         self.evaluate_poses(set, rows, wanted, work).map_err(|error| self.of_row(set, rows, error))?;
         let set = &self.sets[set];
         work.equations.clear();
         set.observations.evaluate(set.batch(rows, &work.poses), &mut work.equations)?;
         if let Some(disturbances) = &set.disturbances {
-            let equations = rows.iter().map(|&row| set.info().layout.rows[row]);
-            let equations = equations.flat_map(|row| row.first_equation..row.first_equation + row.equations);
-            work.equations.residuals.iter_mut().zip(equations).for_each(|(value, at)| *value += disturbances[at]);
+            let residuals = work.equations.residuals.iter_mut().zip(set.equations_of(rows));
+            residuals.for_each(|(value, equation)| *value += disturbances[equation]);
         }
         Ok(())
     }
 
-    fn evaluate_poses(&self, set: usize, rows: &[usize], wanted: &[Variable], work: &mut Evaluation) -> Result<()> {
+    fn evaluate_poses(
+        &self,
+        set: SetIndex,
+        rows: &[RowIndex],
+        wanted: &[Variable],
+        work: &mut Evaluation,
+    ) -> Result<()> {
         let set = &self.sets[set];
         work.statuses.clear();
         set.poses_of(rows).for_each(|pose| work.statuses.extend_from_slice(set.poses().row(pose)));
@@ -173,9 +194,9 @@ impl Problem {
     }
 
     /// An error with the place of the row whose pose it names.
-    fn of_row(&self, set: usize, rows: &[usize], mut error: Error) -> Error {
+    fn of_row(&self, set: SetIndex, rows: &[RowIndex], mut error: Error) -> Error {
         let Some(pose) = error.pose.take().filter(|_| error.place.is_none()) else { return error };
-        let poses = |row: &&usize| self.sets[set].poses_of(std::slice::from_ref(*row)).count();
+        let poses = |row: &&RowIndex| self.sets[set].poses_of(std::slice::from_ref(*row)).count();
         let mut before = 0;
         let row = rows.iter().find(|row| {
             before += poses(row);
@@ -206,12 +227,22 @@ struct Columns {
     of_sets: Vec<ColumnsOfSet>,
 }
 
-/// The columns of the own unknowns of a set, and of its known inputs; none for those that are not unknown.
-type ColumnsOfSet = (Vec<Option<usize>>, Vec<Option<usize>>);
+/// The columns of a set; none for what is not unknown.
+struct ColumnsOfSet {
+    /// Those of its own unknowns.
+    own: Vec<Option<usize>>,
+    /// Those of its known inputs.
+    inputs: Vec<Option<usize>>,
+}
+
+impl ListedBy<SetIndex> for ColumnsOfSet {}
 
 impl Columns {
     fn of(problem: &Problem) -> Self {
-        let none = |set: &ObservationSet| (vec![None; set.own.len()], vec![None; set.inputs.len()]);
+        let none = |set: &ObservationSet| ColumnsOfSet {
+            own: vec![None; set.own.len()],
+            inputs: vec![None; set.inputs.len()],
+        };
         let (mut wanted, mut machine) = (Vec::new(), Vec::new());
         let mut of_sets: Vec<_> = problem.sets.iter().map(none).collect();
         for (column, unknown) in problem.unknowns.iter().enumerate() {
@@ -220,10 +251,10 @@ impl Columns {
                     wanted.push(Variable::Parameter(unknown.index));
                     machine.push(column);
                 }
-                Owner::Set(set) => of_sets[set].0[unknown.index] = Some(column),
+                Owner::Set(set) => of_sets[set].own[unknown.index] = Some(column),
                 Owner::Input => {
                     for &(set, input) in &problem.inputs[unknown.index].users {
-                        of_sets[set].1[input] = Some(column);
+                        of_sets[set].inputs[input] = Some(column);
                     }
                 }
             }
@@ -264,7 +295,7 @@ impl Evaluation {
     pub fn chain(
         &self,
         set: &ObservationSet,
-        rows: &[usize],
+        rows: &[RowIndex],
         variables: usize,
         mut add: impl FnMut(usize, usize, &[[f64; 3]], &[f64; 3]),
     ) {

@@ -12,6 +12,7 @@ use std::sync::Arc;
 
 use serde::{Deserialize, Serialize};
 
+use crate::index::{IndexRange, RowIndex, SetIndex};
 use crate::model::KinematicModel;
 use crate::monitor::Monitor;
 use abbe_results::{Calibration, ModelRecord};
@@ -31,8 +32,8 @@ pub use rows::{ObservationSet, Scatter};
 pub enum Owner {
     /// A parameter of the model.
     Machine,
-    /// An own unknown of the observation set with this index.
-    Set(usize),
+    /// An own unknown of this observation set.
+    Set(SetIndex),
     /// A known input of the problem ([`Problem::inputs`]); never estimated.
     Input,
 }
@@ -128,6 +129,16 @@ impl Problem {
         })
     }
 
+    /// The indices of all sets.
+    pub fn set_indices(&self) -> IndexRange<SetIndex> {
+        SetIndex::first(self.sets.len())
+    }
+
+    /// The set of this name.
+    pub fn set_named(&self, name: &str) -> Option<SetIndex> {
+        self.sets.iter().position(|set| set.name == name).map(SetIndex)
+    }
+
     /// The model with the settings that the fit used.
     pub fn model_record(&self) -> ModelRecord {
         ModelRecord { plugin: self.model_plugin.clone(), settings: self.model.info().settings.clone() }
@@ -139,7 +150,7 @@ impl Problem {
     }
 
     /// The same problem on other rows of one set.
-    pub fn with_rows(&self, set: usize, rows: Vec<usize>) -> Self {
+    pub fn with_rows(&self, set: SetIndex, rows: Vec<RowIndex>) -> Self {
         let mut problem = self.clone();
         problem.sets[set].rows = rows;
         problem

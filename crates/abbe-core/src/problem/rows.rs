@@ -1,10 +1,10 @@
 //! The rows of a problem: which rows are used, their uncertainty, where they were read.
 
-use std::ops::Range;
 use std::sync::Arc;
 
 use super::Problem;
 use crate::dataset::RowOrigin;
+use crate::index::{EquationIndex, IndexRange, LayoutEquation, PoseIndex, RowIndex, SetIndex};
 use crate::model::Poses;
 use crate::observations::{Observations, ObservationsInfo, RowBatch};
 use crate::pose_table::PoseTable;
@@ -20,7 +20,7 @@ pub struct ObservationSet {
     /// The observations.
     pub observations: Arc<dyn Observations>,
     /// Indices of the rows that take part, ascending.
-    pub rows: Vec<usize>,
+    pub rows: Vec<RowIndex>,
     /// Values of the known inputs.
     pub inputs: Vec<f64>,
     /// The declared identities of the known inputs; none where none was declared.
@@ -43,7 +43,7 @@ impl ObservationSet {
         let standard = info.layout.standard_uncertainties.clone();
         Self {
             name: name.to_owned(),
-            rows: (0..info.layout.rows.len()).collect(),
+            rows: info.layout.row_indices().collect(),
             inputs: info.inputs.iter().map(|input| input.value).collect(),
             ids: vec![None; info.inputs.len()],
             own: info.start.clone(),
@@ -60,7 +60,7 @@ impl ObservationSet {
     }
 
     /// The batch of some rows at these poses, with the values of this set.
-    pub fn batch<'a>(&'a self, rows: &'a [usize], poses: &'a Poses) -> RowBatch<'a> {
+    pub fn batch<'a>(&'a self, rows: &'a [RowIndex], poses: &'a Poses) -> RowBatch<'a> {
         let Poses { positions, orientations, .. } = poses;
         RowBatch { rows, positions, orientations, own: &self.own, inputs: &self.inputs }
     }
@@ -104,18 +104,21 @@ impl ObservationSet {
     }
 
     /// The equations of the rows that take part, in the order of the layout.
-    fn taken(&self) -> Vec<usize> {
-        let rows = self.rows.iter().map(|&row| self.info().layout.rows[row]);
-        rows.flat_map(|row| row.first_equation..row.first_equation + row.equations).collect()
+    fn taken(&self) -> Vec<LayoutEquation> {
+        self.equations_of(&self.rows).collect()
+    }
+
+    /// The equations of some rows.
+    pub fn equations_of<'a>(&'a self, rows: &'a [RowIndex]) -> impl Iterator<Item = LayoutEquation> + 'a {
+        rows.iter().flat_map(|&row| self.info().layout.rows[row].equation_indices())
     }
 
     /// The poses of some rows.
-    pub fn poses_of<'a>(&'a self, rows: &'a [usize]) -> impl Iterator<Item = usize> + 'a {
-        let rows = rows.iter().map(|&row| &self.info().layout.rows[row]);
-        rows.flat_map(|row| row.first_pose..row.first_pose + row.poses)
+    pub fn poses_of<'a>(&'a self, rows: &'a [RowIndex]) -> impl Iterator<Item = PoseIndex> + 'a {
+        rows.iter().flat_map(|&row| self.info().layout.rows[row].pose_indices())
     }
 
-    fn equations(&self, rows: &[usize]) -> usize {
+    fn equations(&self, rows: &[RowIndex]) -> usize {
         rows.iter().map(|&row| self.info().layout.rows[row].equations).sum()
     }
 }
@@ -124,7 +127,7 @@ impl ObservationSet {
 #[derive(Debug, Clone, PartialEq)]
 pub struct Scatter {
     /// The sets.
-    pub sets: Vec<usize>,
+    pub sets: Vec<SetIndex>,
     /// The scatter over all equations of the problem, zero where other sets are.
     pub pooled: Pooled,
 }
@@ -137,16 +140,12 @@ impl Problem {
     }
 
     /// Equations of the problem that are correlated.
-    pub fn covariance_blocks(&self) -> Vec<CovarianceBlock> {
+    pub fn covariance_blocks(&self) -> Vec<CovarianceBlock<EquationIndex>> {
         let mut all = Vec::new();
         for (set, range) in self.sets.iter().zip(self.equation_ranges()) {
-            if set.uncertainty.blocks.is_empty() {
-                continue;
+            if !set.uncertainty.blocks.is_empty() {
+                all.extend(set.uncertainty.blocks_of(&set.taken(), range.start()));
             }
-            all.extend(set.uncertainty.of(&set.taken()).blocks.into_iter().map(|mut block| {
-                block.equations.iter_mut().for_each(|equation| *equation += range.start);
-                block
-            }));
         }
         all
     }
@@ -155,8 +154,8 @@ impl Problem {
     pub fn scatters(&self) -> Vec<Scatter> {
         let mut all: Vec<Scatter> = Vec::new();
         let equations = self.equations();
-        for (index, (set, range)) in self.sets.iter().zip(self.equation_ranges()).enumerate() {
-            let Some(pooled) = set.uncertainty.of(&set.taken()).pooled else { continue };
+        for ((index, set), range) in SetIndex::enumerate(&self.sets).zip(self.equation_ranges()) {
+            let Some(pooled) = set.uncertainty.pooled_of(&set.taken()) else { continue };
             let same = |scatter: &&mut Scatter| {
                 (&scatter.pooled.by, &scatter.pooled.repetitions) == (&pooled.by, &pooled.repetitions)
             };
@@ -182,9 +181,9 @@ impl Problem {
     }
 
     /// For every equation the set and the row that it belongs to.
-    pub fn equation_rows(&self) -> Vec<(usize, usize)> {
+    pub fn equation_rows(&self) -> Vec<(SetIndex, RowIndex)> {
         let mut all = Vec::with_capacity(self.equations());
-        for (index, set) in self.sets.iter().enumerate() {
+        for (index, set) in SetIndex::enumerate(&self.sets) {
             for &row in &set.rows {
                 all.extend(std::iter::repeat_n((index, row), set.info().layout.rows[row].equations));
             }
@@ -205,7 +204,7 @@ impl Problem {
     }
 
     /// Where a row was read.
-    pub fn origin(&self, set: usize, row: usize) -> Option<(&std::path::Path, RowOrigin)> {
+    pub fn origin(&self, set: SetIndex, row: RowIndex) -> Option<(&std::path::Path, RowOrigin)> {
         let observations = &self.sets[set].observations;
         let data = &observations.info().layout.data;
         let origin = data.origins[observations.info().layout.rows[row].data_row?];
@@ -213,7 +212,7 @@ impl Problem {
     }
 
     /// An error with the place where a row was read.
-    pub fn at_row(&self, set: usize, row: usize, error: Error) -> Error {
+    pub fn at_row(&self, set: SetIndex, row: RowIndex, error: Error) -> Error {
         match self.origin(set, row) {
             Some((file, origin)) => error.at(file, origin.line, None),
             None => error,
@@ -221,12 +220,12 @@ impl Problem {
     }
 
     /// The range of equations of every set.
-    pub fn equation_ranges(&self) -> Vec<Range<usize>> {
-        let mut first = 0;
+    pub fn equation_ranges(&self) -> Vec<IndexRange<EquationIndex>> {
+        let mut first = EquationIndex(0);
         let ranges = self.sets.iter().map(|set| {
-            let count = set.equations(&set.rows);
-            first += count;
-            first - count..first
+            let range = IndexRange::new(first, set.equations(&set.rows));
+            first = range.end();
+            range
         });
         ranges.collect()
     }
@@ -262,8 +261,7 @@ impl Problem {
         for (set, &factor) in problem.sets.iter_mut().zip(factors).filter(|(_, factor)| **factor != 1.0) {
             let uncertainty = Arc::make_mut(&mut set.uncertainty);
             for row in set.observations.info().layout.rows.iter().filter(|row| row.data_row.is_some()) {
-                let own = row.first_equation..row.first_equation + row.equations;
-                uncertainty.standard[own].iter_mut().for_each(|standard| *standard *= factor);
+                uncertainty.standard[row.equation_indices()].iter_mut().for_each(|standard| *standard *= factor);
             }
             uncertainty.blocks.iter_mut().for_each(|block| block.covariance *= factor * factor);
         }

@@ -111,6 +111,8 @@ pub fn largest_derivatives(problem: &Problem, x: &[f64]) -> Result<Vec<f64>> {
 
 #[cfg(test)]
 mod tests {
+    use abbe_core::SetIndex;
+
     use super::*;
     use crate::laws::of_observations;
 
@@ -120,7 +122,7 @@ mod tests {
         for placement in [None, placed] {
             for origin in [[0.0; 3], [700.0, -300.0, 450.0]] {
                 let (problem, solution) = measured(&Measurement { placement, origin, reversed: false }).unwrap();
-                assert_eq!(of_observations(&problem.at(&solution), 0).unwrap(), Vec::<String>::new());
+                assert_eq!(of_observations(&problem.at(&solution), SetIndex(0)).unwrap(), Vec::<String>::new());
                 let residuals = problem.residuals(&solution).unwrap();
                 assert!(residuals.iter().all(|residual| residual.abs() < 1e-11), "{residuals:?}");
             }

@@ -1,6 +1,6 @@
 //! Laws of observations.
 
-use abbe_core::{Equations, Evaluation, ObservationSet, Problem, Quantity, Result, RowBatch};
+use abbe_core::{Equations, Evaluation, ObservationSet, Problem, Quantity, Result, RowBatch, RowIndex, SetIndex};
 use nalgebra::{Quaternion, UnitQuaternion, Vector3};
 
 use super::{agrees, names};
@@ -18,7 +18,7 @@ const ALLOWED: f64 = 1e-5;
 /// - every row has as many equations as its layout says, and every name is unique.
 ///
 /// Fails where the machine has no pose in a row.
-pub fn of_observations(problem: &Problem, set: usize) -> Result<Vec<String>> {
+pub fn of_observations(problem: &Problem, set: SetIndex) -> Result<Vec<String>> {
     let observations = &problem.sets[set];
     let inputs = observations.info().inputs.iter().map(|input| &input.parameter);
     let mut broken = names(observations.info().unknowns.iter().chain(inputs));
@@ -26,7 +26,7 @@ pub fn of_observations(problem: &Problem, set: usize) -> Result<Vec<String>> {
     let mut together = Evaluation::default();
     problem.evaluate(set, &rows, &[], &mut together)?;
     let mut found = Vec::new();
-    let mut backwards: Vec<usize> = rows.clone();
+    let mut backwards = rows.clone();
     backwards.reverse();
     for row in backwards {
         let mut alone = Evaluation::default();
@@ -48,7 +48,7 @@ pub fn of_observations(problem: &Problem, set: usize) -> Result<Vec<String>> {
     Ok(broken)
 }
 
-fn spread(rows: &[usize]) -> Vec<usize> {
+fn spread(rows: &[RowIndex]) -> Vec<RowIndex> {
     let count = rows.len().min(ROWS);
     (0..count).map(|k| rows[k * rows.len() / count]).collect()
 }
@@ -56,7 +56,7 @@ fn spread(rows: &[usize]) -> Vec<usize> {
 /// One row, with its poses and equations.
 struct Row<'a> {
     set: &'a ObservationSet,
-    row: usize,
+    row: RowIndex,
     at: &'a Evaluation,
 }
 

@@ -7,8 +7,8 @@ use abbe_core::rotation::left_jacobian;
 use abbe_core::{
     Absent, Axis, AxisKind, Branch, Column, ColumnHeader, Contact, Dataset, Equations, ErrorFunction, KinematicModel,
     Layout, ModelInfo, MotionError, ObservationSet, Observations, ObservationsInfo, Owner, Parameter, ParameterRole,
-    PoseBatch, PosesMut, Problem, Quantity, Result, RowBatch, RowOrigin, StatusColumn, StatusRole, Unit, Values,
-    Variable, plain_naming,
+    PoseBatch, PosesMut, Problem, Quantity, Result, RowBatch, RowIndex, RowOrigin, StatusColumn, StatusRole, Unit,
+    Values, Variable, plain_naming,
 };
 use nalgebra::{UnitQuaternion, Vector3};
 
@@ -66,7 +66,7 @@ pub(super) fn measured(measurement: &Measurement) -> Result<(Problem, Vec<f64>)>
     let commands: Vec<[f64; 3]> = points.iter().map(|point| model.command(place(point, &placed))).collect();
     let data = Arc::new(dataset(&commands));
     let mut layout = Layout::new(&data, model.as_ref(), &[&plain_naming])?;
-    for row in 0..points.len() {
+    for row in data.row_indices() {
         layout.push(model.as_ref(), row, &[1e-3; 3])?;
     }
     let own = ["x", "y", "z", "a", "b", "c"].into_iter().zip([Unit::MM, Unit::RAD].into_iter().flat_map(|u| [u; 3]));
@@ -216,7 +216,7 @@ impl Observations for Touches {
     }
 
     fn evaluate(&self, batch: RowBatch<'_>, out: &mut Equations) -> Result<()> {
-        for (&row, tip) in batch.rows.iter().zip(batch.positions) {
+        for (&RowIndex(row), tip) in batch.rows.iter().zip(batch.positions) {
             let placement = if batch.own.is_empty() { &[0.0; 6][..] } else { batch.own };
             let point = place(&self.points[row], placement);
             let arm = point - Vector3::new(placement[0], placement[1], placement[2]);
@@ -233,7 +233,7 @@ impl Observations for Touches {
         Ok(())
     }
 
-    fn contact_tip(&self, row: usize, _: [f64; 3], own: &[f64], _: &[f64]) -> Result<Option<[f64; 3]>> {
+    fn contact_tip(&self, RowIndex(row): RowIndex, _: [f64; 3], own: &[f64], _: &[f64]) -> Result<Option<[f64; 3]>> {
         let placement = if own.is_empty() { &[0.0; 6][..] } else { own };
         Ok(Some(place(&self.points[row], placement).into()))
     }

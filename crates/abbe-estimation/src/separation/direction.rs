@@ -80,9 +80,9 @@ impl<'a> LostDirection<'a> {
         let (uncertainties, start) = (problem.standard_uncertainties(), problem.start());
         let (mut effect, mut changes, mut taken_up) = (Effect::default(), Vec::new(), Vec::new());
         problem.linearise(&start, |block| {
-            let rows = block.jacobian.chunks_exact(problem.unknowns.len().max(1));
-            for (row, uncertainty) in rows.zip(&uncertainties[block.first..]) {
-                let (of_members, of_own) = row.split_at(self.members.len());
+            for (equation, _, line) in block.lines() {
+                let uncertainty = uncertainties[equation];
+                let (of_members, of_own) = line.split_at(self.members.len());
                 let parts =
                     of_members.iter().zip(&self.members).map(|(by, (_, change))| clean(*by) * change / uncertainty);
                 let parts: Vec<f64> = parts.collect();

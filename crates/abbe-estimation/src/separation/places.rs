@@ -147,9 +147,7 @@ fn touched(recorded: &Problem) -> Result<Vec<[f64; 3]>> {
 pub fn recorded_statuses(problem: &Problem) -> Vec<Vec<f64>> {
     let mut all = Vec::new();
     for set in &problem.sets {
-        for row in set.rows.iter().map(|&row| set.info().layout.rows[row]) {
-            all.extend((row.first_pose..row.first_pose + row.poses).map(|pose| set.poses().row(pose).to_vec()));
-        }
+        all.extend(set.poses_of(&set.rows).map(|pose| set.poses().row(pose).to_vec()));
     }
     all
 }

@@ -1,7 +1,7 @@
 //! Trials of the recorded rows at other statuses: other positions of an axis, the other direction of approach, another
 //! stylus.
 
-use abbe_core::{Axis, AxisKind, ObservationSet, PoseTable, Problem, Quantity, Result, StatusColumn, StatusRole};
+use abbe_core::{Axis, AxisKind, PoseIndex, PoseTable, Problem, Quantity, Result, StatusColumn, StatusRole};
 
 use super::{Group, Measured, Trial, listed};
 use crate::reach::Reach;
@@ -40,18 +40,12 @@ pub fn statuses(problem: &Problem, recorded: &Problem) -> Result<Vec<Trial>> {
 
 /// The values that a status has in the rows, ascending; none where it is not known.
 fn values(problem: &Problem, index: usize, status: &StatusColumn) -> Vec<f64> {
-    let poses = problem.sets.iter().flat_map(|set| poses_of(set).map(|pose| set.poses().row(pose)[index]));
+    let poses = problem.sets.iter().flat_map(|set| set.poses_of(&set.rows).map(|pose| set.poses().row(pose)[index]));
     let unknown = |value: &f64| value.is_nan() || (is_direction(status) && *value == 0.0);
     let mut values: Vec<f64> = poses.filter(|value| !unknown(value)).collect();
     values.sort_by(f64::total_cmp);
     values.dedup_by(|a, b| (*a - *b).abs() < 1e-9);
     values
-}
-
-/// The poses of the rows that take part.
-fn poses_of(set: &ObservationSet) -> impl Iterator<Item = usize> + '_ {
-    let rows = set.rows.iter().map(|&row| set.info().layout.rows[row]);
-    rows.flat_map(|row| row.first_pose..row.first_pose + row.poses)
 }
 
 fn is_direction(status: &StatusColumn) -> bool {
@@ -158,12 +152,12 @@ fn at_status(recorded: &Problem, status: usize, value: f64) -> Result<Option<Pro
     let mut moved = recorded.clone();
     for set in &mut moved.sets {
         let mut poses = set.poses().clone();
-        let touched: Vec<usize> = poses_of(set).collect();
+        let touched: Vec<PoseIndex> = set.poses_of(&set.rows).collect();
         let reached = carried(&reach, &mut poses, &touched, (status, value))?;
         let layout = &set.observations.info().layout;
         set.rows.retain(|&row| {
             let row = layout.rows[row];
-            row.poses > 0 && (row.first_pose..row.first_pose + row.poses).all(|pose| reached.contains(&pose))
+            row.poses > 0 && row.pose_indices().all(|pose| reached.contains(&pose))
         });
         *set = set.with_poses(poses);
     }
@@ -174,9 +168,9 @@ fn at_status(recorded: &Problem, status: usize, value: f64) -> Result<Option<Pro
 fn carried(
     reach: &Reach<'_>,
     poses: &mut PoseTable,
-    touched: &[usize],
+    touched: &[PoseIndex],
     (status, value): (usize, f64),
-) -> Result<Vec<usize>> {
+) -> Result<Vec<PoseIndex>> {
     if touched.is_empty() {
         return Ok(Vec::new());
     }

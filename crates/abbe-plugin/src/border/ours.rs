@@ -7,7 +7,7 @@ use std::sync::Arc;
 
 #[cfg(feature = "sdk")]
 use abbe_core::{Context, Plugin};
-use abbe_core::{Equations, PoseBatch, PosesMut, RowBatch, Variable};
+use abbe_core::{Equations, PoseBatch, PosesMut, RowBatch, RowIndex, Variable};
 
 use super::theirs::take;
 use super::{slice, slice_mut};
@@ -176,9 +176,10 @@ unsafe extern "C" fn equations(
             };
             let info = observations.info();
             let all = &info.layout.rows;
-            let indices: Vec<usize> = slice(rows.rows, rows.row_count)?.iter().map(|&row| row as usize).collect();
-            let poses: usize = indices.iter().filter_map(|&row| all.get(row)).map(|row| row.poses).sum();
-            if indices.iter().any(|&row| row >= all.len()) || poses as u64 != rows.pose_count {
+            let indices = slice(rows.rows, rows.row_count)?.iter().map(|&row| RowIndex(row as usize));
+            let indices: Vec<RowIndex> = indices.collect();
+            let poses: usize = indices.iter().filter_map(|row| all.get(row.0)).map(|row| row.poses).sum();
+            if indices.iter().any(|row| row.0 >= all.len()) || poses as u64 != rows.pose_count {
                 return Err(Failure::of("the other side", "asked for rows that are not there, or with other poses"));
             }
             let turned = if rows.orientations.is_null() { 0 } else { rows.pose_count };

@@ -224,7 +224,7 @@ impl Peer for Foreign {
     fn equations(&self, batch: RowBatch<'_>, out: &mut Equations) -> Result<(), Failure> {
         let lacks = || Failure { status: ABBE_UNKNOWN_METHOD, text: "it has no `equations`".to_owned() };
         let equations = self.table.equations.ok_or_else(lacks)?;
-        let indices: Vec<u64> = batch.rows.iter().map(|&row| row as u64).collect();
+        let indices: Vec<u64> = batch.rows.iter().map(|row| row.0 as u64).collect();
         let orientations = match batch.orientations {
             [] => std::ptr::null(),
             some => some.as_ptr().cast(),

@@ -4,7 +4,7 @@ use std::collections::BTreeMap;
 use std::sync::Arc;
 
 use abbe_core::{
-    Contact, Dataset, Equations, Observations, ObservationsInfo, Orientation, RankPoint, Result, RowBatch,
+    Contact, Dataset, Equations, Observations, ObservationsInfo, Orientation, RankPoint, Result, RowBatch, RowIndex,
 };
 
 use super::{ask, finite};
@@ -49,9 +49,9 @@ fn check_observations(info: &ObservationsInfo) -> Result<(), String> {
     let layout = &info.layout;
     let (poses, equations) = (layout.poses.len(), layout.standard_uncertainties.len());
     for (index, row) in layout.rows.iter().enumerate() {
-        let inside = row.first_pose.checked_add(row.poses).is_some_and(|end| end <= poses)
-            && row.first_equation.checked_add(row.equations).is_some_and(|end| end <= equations)
-            && row.data_row.is_none_or(|data_row| data_row < layout.data.rows());
+        let inside = row.first_pose.0.checked_add(row.poses).is_some_and(|end| end <= poses)
+            && row.first_equation.0.checked_add(row.equations).is_some_and(|end| end <= equations)
+            && row.data_row.is_none_or(|data_row| data_row.0 < layout.data.rows());
         if !inside {
             return Err(format!(
                 "gives observations whose row {index} names a pose, equation or data row that is not there"
@@ -67,7 +67,7 @@ fn check_observations(info: &ObservationsInfo) -> Result<(), String> {
     if layout.data.origins.iter().any(|origin| origin.file >= layout.data.files.len()) {
         return Err("gives data rows of a file that is not there".to_owned());
     }
-    if let Some(equation) = info.angles.iter().find(|equation| **equation >= equations) {
+    if let Some(equation) = info.angles.iter().find(|equation| equation.0 >= equations) {
         return Err(format!("says that equation {equation} is of an angle, and there is no such equation"));
     }
     let fits = matches!(
@@ -80,7 +80,7 @@ fn check_observations(info: &ObservationsInfo) -> Result<(), String> {
         return Err("gives observations whose `rank_point` does not go with their `contact`".to_owned());
     }
     for (index, nominal) in info.rank_point.nominal_readings() {
-        let equations = layout.rows.get(*index).map(|row| row.equations);
+        let equations = layout.rows.get(index.0).map(|row| row.equations);
         if equations != Some(nominal.residuals.len()) || !nominal.residuals.iter().all(|value| value.is_finite()) {
             return Err(format!("gives a nominal reading of row {index} that is not one finite number an equation"));
         }
@@ -109,7 +109,7 @@ impl Observations for Observed {
         Ok(())
     }
 
-    fn contact_tip(&self, row: usize, tip: [f64; 3], own: &[f64], inputs: &[f64]) -> Result<Option<[f64; 3]>> {
+    fn contact_tip(&self, row: RowIndex, tip: [f64; 3], own: &[f64], inputs: &[f64]) -> Result<Option<[f64; 3]>> {
         let question = TipText { row, tip, own: own.to_vec(), inputs: inputs.to_vec() };
         let peer = self.peer.as_ref();
         let tip: Option<[f64; 3]> = ask(peer, ABBE_CONTACT_TIP, &question, &[])?;
@@ -121,7 +121,7 @@ impl Observations for Observed {
 impl Observed {
     /// Checks that the numbers of equations and derivatives are those of the layout, that derivatives are to unknowns and
     /// inputs that exist, and that all values are finite.
-    fn check(&self, rows: &[usize], given: &Equations) -> Result<()> {
+    fn check(&self, rows: &[RowIndex], given: &Equations) -> Result<()> {
         let peer = self.peer.as_ref();
         let rows = || rows.iter().map(|&row| self.info.layout.rows[row]);
         let (equations, poses): (usize, usize) =

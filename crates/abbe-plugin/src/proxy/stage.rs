@@ -118,8 +118,8 @@ impl Artefact for Stage {
         let object = Lent::during(model, |lent| ask_object(peer, ABBE_OBSERVE, data.as_ref(), &[lent]))?;
         let observed = observations(&object, Some(data)).map_err(|failure| failure.error(peer.who()))?;
         let (poses, width) = (&observed.info().layout.poses, model.info().status.len());
-        if !poses.is_empty() && poses.row(0).len() != width {
-            let given = poses.row(0).len();
+        let given = poses.indices().next().map_or(width, |first| poses.row(first).len());
+        if given != width {
             return Err(broken(peer.who(), format!("gave poses of {given} statuses; the machine has {width}")));
         }
         match not_linear(observed.info(), model) {

@@ -5,7 +5,7 @@ use std::sync::Arc;
 
 use abbe_core::{
     Absent, Axis, AxisKind, Branch, Dataset, Equations, Error, ErrorFunction, KinematicModel, Layout, ModelInfo,
-    MotionError, Parameter, ParameterRole, PoseBatch, Poses, PosesMut, Quantity, RankPoint, Result, RowBatch,
+    MotionError, Parameter, ParameterRole, PoseBatch, Poses, PosesMut, Quantity, RankPoint, Result, RowBatch, RowIndex,
     StatusColumn, StatusRole, Unit, Variable,
 };
 use serde_json::{Value, json};
@@ -290,7 +290,7 @@ fn equations_of_another_number_or_that_are_none_are_faults() {
         let text = json!({ "layout": layout, "contact": { "reading": "r" } });
         let peer = Answering { text, gives: gives.to_vec(), turn: [0.0; 4] };
         let there = observations(&Transit::Remote(Arc::new(peer)), Some(&data)).ok().unwrap();
-        let batch = RowBatch { rows: &[0], positions: &[], orientations: &[], own: &[], inputs: &[] };
+        let batch = RowBatch { rows: &[RowIndex(0)], positions: &[], orientations: &[], own: &[], inputs: &[] };
         there.evaluate(batch, &mut Equations::default())
     };
     evaluate(&[0.0, 1.0]).unwrap();
