@@ -15,7 +15,7 @@ pub(crate) fn check_travel(set: &ObservationSet, model: &dyn KinematicModel) -> 
         ended.map(|axis| (axis, axis.range.unwrap_or_else(|| anywhere(axis)))).collect();
     for row in &layout.rows {
         let Some(data_row) = row.data_row else { continue };
-        for pose in row.first_pose..row.first_pose + row.poses {
+        for pose in row.pose_indices() {
             let status = layout.poses.row(pose);
             for (axis, [from, to]) in &limited {
                 let (command, beyond) = (status[axis.status], BEYOND * (to - from));

@@ -165,7 +165,7 @@ fn with_commands(problem: &Problem, change: impl Fn(&mut [f64])) -> Problem {
     let mut problem = problem.clone();
     let changed = |set: &ObservationSet| {
         let mut poses = set.poses().clone();
-        for pose in 0..poses.len() {
+        for pose in poses.indices() {
             change(poses.row_mut(pose));
         }
         set.with_poses(poses)
