@@ -10,7 +10,7 @@ use abbe_core::{
     SettingsError, inventory,
 };
 use abbe_engine::prepare;
-use abbe_estimation::{Judgement, Solved, UncertaintyEvaluation, Weighted, confounded};
+use abbe_estimation::{EstimatorSolution, Judgement, UncertaintyEvaluation, Weighted, confounded};
 use abbe_numerics::LeastSquares;
 use nalgebra::{DMatrix, DVector};
 use schemars::JsonSchema;
@@ -74,7 +74,7 @@ impl LevenbergMarquardt {
     };
 
     /// The iteration: a damped step is taken if it makes the residuals smaller, else it is damped more.
-    fn solve(&self, problem: &Problem) -> Result<Solved> {
+    fn solve(&self, problem: &Problem) -> Result<EstimatorSolution> {
         let rows = Weighted::new(problem)?;
         let (mut x, mut damping) = (problem.start(), self.damping);
         let (mut information, mut right, mut cost) = normal_equations(&rows, &x)?;
@@ -105,8 +105,8 @@ impl LevenbergMarquardt {
 }
 
 /// What the iteration found; rank, scatter and uncertainty follow from it.
-fn solved(x: Vec<f64>, iterations: usize, last_step: f64) -> Solved {
-    Solved { x, factor: None, robust: None, iterations, last_step: Some(last_step), gradient_cosine: None }
+fn solved(x: Vec<f64>, iterations: usize, last_step: f64) -> EstimatorSolution {
+    EstimatorSolution { x, factor: None, robust: None, iterations, last_step: Some(last_step), gradient_cosine: None }
 }
 
 impl Estimate for LevenbergMarquardt {

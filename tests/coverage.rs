@@ -8,7 +8,7 @@ use std::collections::BTreeMap;
 
 use abbe_core::{Fit, Problem, in_parallel};
 use abbe_numerics::{Generator, binomial_band};
-use abbe_simulation::{Noise, Outliers, Sigma, Truth, measure};
+use abbe_simulation::{Noise, Outliers, StandardDeviation, Truth, measure};
 use serde_json::{Value, json};
 
 use crate::support::{Variant, fit, json_file, recipes, root};
@@ -90,7 +90,10 @@ impl Campaign {
         let by_stage = self.noise.iter().map(|(stage, sigma)| ((*stage).to_owned(), *sigma)).collect();
         let listed = if self.gross { gross(&self.planned.problem, &mut random) } else { BTreeMap::new() };
         let outliers = Outliers { listed, random: None };
-        Truth { parameters, noise: Noise { probing_sigma_mm: Sigma::ByStage(by_stage), outliers, ..Noise::default() } }
+        Truth {
+            parameters,
+            noise: Noise { probing_sigma_mm: StandardDeviation::ByStage(by_stage), outliers, ..Noise::default() },
+        }
     }
 
     /// The errors of the estimates of one set, over their expanded uncertainties: up to 1 the interval covers the truth. None where

@@ -7,7 +7,7 @@ use std::sync::{Arc, OnceLock};
 
 use abbe_core::{Problem, RowIndex, SetIndex};
 use abbe_engine::prepare;
-use abbe_simulation::{Drift, Noise, Outliers, RandomOutliers, Sigma, Truth, measure};
+use abbe_simulation::{Drift, Noise, Outliers, RandomOutliers, StandardDeviation, Truth, measure};
 use abbe_simulation::{Lobing, contact_directions};
 use serde_json::{Value, json};
 
@@ -141,15 +141,15 @@ fn nominal_positions_are_enough_to_start_from() {
     let measured = measure(&nominal, &truth(), 1).expect("a measurement");
     assert_eq!(measured.machine, nominal.machine);
     let mut at = tango().clone();
-    at.sets.iter_mut().zip(&measured.sets).for_each(|(at, measured)| at.move_to(measured.poses().clone()));
+    at.sets.iter_mut().zip(&measured.sets).for_each(|(at, measured)| at.set_poses(measured.poses().clone()));
     assert!(largest(&residuals(&at)) < 2e-11);
 }
 
 #[test]
 fn residuals_at_the_truth_scatter_as_stated() {
     let noise = Noise {
-        probing_sigma_mm: Sigma::All(0.0006),
-        surface_sigma_mm: Sigma::ByStage(BTreeMap::from([("table".to_owned(), 0.0015)])),
+        probing_sigma_mm: StandardDeviation::All(0.0006),
+        surface_sigma_mm: StandardDeviation::ByStage(BTreeMap::from([("table".to_owned(), 0.0015)])),
         ..Noise::default()
     };
     let truth = with(noise);
@@ -173,7 +173,7 @@ fn residuals_at_the_truth_scatter_as_stated() {
 
 #[test]
 fn what_a_row_gets_does_not_depend_on_other_rows() {
-    let truth = with(Noise { probing_sigma_mm: Sigma::All(0.001), ..Noise::default() });
+    let truth = with(Noise { probing_sigma_mm: StandardDeviation::All(0.001), ..Noise::default() });
     let some = tango().with_rows(SetIndex(0), [7, 100, 250].map(RowIndex).to_vec());
     let (all, some) = (residuals(&simulated(&truth, 5)), residuals(&measure(&some, &truth, 5).expect("rows")));
     for (all, some) in [all[7], all[100], all[250], all[383]].into_iter().zip(some) {

@@ -3,7 +3,7 @@
 
 use abbe_core::{Calibration, Fit, in_parallel};
 use abbe_numerics::{Generator, binomial_band};
-use abbe_simulation::{Noise, Sigma, Truth, measure};
+use abbe_simulation::{Noise, StandardDeviation, Truth, measure};
 use serde_json::{Value, json};
 
 use crate::support::{Variant, fit, recipes};
@@ -109,7 +109,7 @@ fn intervals_cover_where_stages_scatter_differently() {
         let parameters: std::collections::BTreeMap<String, f64> = parameters.into_iter().collect();
         let truth = Truth {
             parameters: parameters.clone(),
-            noise: Noise { probing_sigma_mm: Sigma::ByStage(by_stage.into()), ..Noise::default() },
+            noise: Noise { probing_sigma_mm: StandardDeviation::ByStage(by_stage.into()), ..Noise::default() },
         };
         let measured = measure(&problem, &truth, number).unwrap_or_else(|error| panic!("{error}"));
         let calibration = planned.estimator.explain(&measured).unwrap_or_else(|error| panic!("{error}"));

@@ -379,7 +379,7 @@ pub trait KinematicModel: Any + Send + Sync {
     /// Writes poses and derivatives of a batch into `out`. Its slices have the right lengths and are zero before the call.
     ///
     /// Fails if a pose does not exist, or is outside the range of the model. The error names the pose
-    /// ([`Error::of_pose`](crate::Error::of_pose)).
+    /// ([`Error::at_pose`](crate::Error::at_pose)).
     fn evaluate(&self, batch: PoseBatch<'_>, out: PosesMut<'_>) -> Result<()>;
 
     /// Makes room in `out` and evaluates a batch into it.

@@ -89,7 +89,7 @@ impl Monitor {
     }
 
     /// Cancels the work: [`check`](Self::check) then returns an error.
-    pub fn end(&self) {
+    pub fn cancel(&self) {
         if let Some(watcher) = &self.watcher {
             watcher.ended.store(true, Ordering::Relaxed);
         }
@@ -104,7 +104,7 @@ impl Monitor {
     }
 
     /// Reports an event.
-    pub fn tell(&self, event: &Event<'_>) {
+    pub fn report(&self, event: &Event<'_>) {
         if let Some(watcher) = self.watcher.as_ref().filter(|_| !self.quiet) {
             (watcher.hears)(event);
         }
@@ -112,12 +112,12 @@ impl Monitor {
 
     /// Reports that an estimate has taken a step.
     pub fn iteration(&self, iteration: usize, step: f64) {
-        self.tell(&Event::Iteration { stage: &self.stage, iteration, step });
+        self.report(&Event::Iteration { stage: &self.stage, iteration, step });
     }
 
     /// Reports that `done` parts of some work are finished. `of` is the name of the parts, in plural.
     pub fn part(&self, of: &str, done: usize, all: Option<usize>) {
-        self.tell(&Event::Part { stage: &self.stage, of, done, all });
+        self.report(&Event::Part { stage: &self.stage, of, done, all });
     }
 }
 
@@ -145,12 +145,12 @@ mod tests {
             ]
         );
         assert!(of_fit.check().is_ok());
-        monitor.end();
+        monitor.cancel();
         let error = of_fit.quiet().check().unwrap_err();
         assert_eq!((error.class, error.fault), (Class::Interrupted, true));
         // The default monitor cannot cancel work.
         let nobody = Monitor::default();
-        nobody.end();
+        nobody.cancel();
         assert!(nobody.check().is_ok());
     }
 }

@@ -213,7 +213,7 @@ impl Plugin {
     }
 
     /// Sets the basis of its estimates.
-    pub const fn made_of(mut self, basis: Basis) -> Self {
+    pub const fn with_basis(mut self, basis: Basis) -> Self {
         self.basis = basis;
         self
     }
@@ -267,7 +267,7 @@ macro_rules! register {
                 })),
             )
             .with_reference(include_str!($page))
-            $(.made_of($basis))?
+            $(.with_basis($basis))?
         }
     };
 }

@@ -133,13 +133,13 @@ pub trait Validate: Send + Sync {
 
     /// Whether it can judge observations that were not used in a fit (the reference `observations`). It then gets fits whose
     /// problem has these observations, the values of the calibration and no unknowns.
-    fn judges_other_rows(&self) -> bool {
+    fn accepts_other_observations(&self) -> bool {
         false
     }
 
     /// Whether it needs the rows of an estimate, or repeats the estimate. It cannot judge a calibration without rows, unless
     /// it gets other observations.
-    fn questions_rows(&self) -> bool {
+    fn needs_rows(&self) -> bool {
         false
     }
 

@@ -162,14 +162,14 @@ impl Prepared {
             Kind::Estimate => self.check_columns(stage, stage.reference("observations")),
             Kind::Validate => {
                 let others = stage.reference("observations");
-                if !others.is_empty() && !self.validators[&stage.name].judges_other_rows() {
+                if !others.is_empty() && !self.validators[&stage.name].accepts_other_observations() {
                     let message =
                         format!("`{}` judges what its estimates observe; it takes no other observations", stage.plugin);
                     return Err(Error::usage(message).setting("observations"));
                 }
                 for fit in stage.reference("of") {
                     let estimate = self.own_estimate(fit)?;
-                    if others.is_empty() && !has_rows(&estimate) && self.validators[&stage.name].questions_rows() {
+                    if others.is_empty() && !has_rows(&estimate) && self.validators[&stage.name].needs_rows() {
                         let message = format!(
                             "`{}` asks about the rows that an estimate was made of, and `{fit}` brings none",
                             stage.plugin

@@ -256,7 +256,7 @@ impl Prepared {
         let working: Vec<&Stage> = self.recipe.stages.iter().filter(works).collect();
         let done = working.iter().position(|other| other.name == stage.name).unwrap_or(0);
         let kind = stage.kind.key();
-        monitor.tell(&Event::Started { stage: &stage.name, kind, done, all: working.len() });
+        monitor.report(&Event::Started { stage: &stage.name, kind, done, all: working.len() });
         monitor.check()
     }
 

@@ -94,7 +94,7 @@ fn with_contacts(problem: &Problem, x: &[f64], moves: impl Fn(&ObservationSet) -
             let table = table?;
             set.poses_of(rows).for_each(|pose| contacts.row_mut(pose).copy_from_slice(table.row(pose)));
         }
-        moved.sets[index].move_to(contacts);
+        moved.sets[index].set_poses(contacts);
     }
     Ok(moved)
 }

@@ -276,7 +276,7 @@ fn moved_by_digits(problem: &Problem) -> Problem {
                 *value += noise(pose.0 as u64, status as u64) * (step + POSITION * value.abs());
             }
         }
-        set.move_to(poses);
+        set.set_poses(poses);
     }
     moved
 }

@@ -2,7 +2,7 @@
 
 use abbe_core::{Owner, ParameterRole, PoseIndex, Problem, Result, RowIndex, Unit, Unknown};
 
-use crate::reach::Reach;
+use crate::inverse_kinematics::InverseKinematics;
 
 /// How far the tip of the other probe is from that of the recorded one, mm.
 pub const OFFSETS: [f64; 2] = [100.0, -100.0];
@@ -27,8 +27,8 @@ pub fn tip_offsets(problem: &Problem) -> Vec<(char, Unknown)> {
 pub fn with_offset(recorded: &Problem, offset: &Unknown, shift: f64) -> Result<Option<Problem>> {
     let mut moved = recorded.clone();
     moved.shift(offset, shift);
-    let recorded_tip = Reach::new(recorded.model.as_ref(), &recorded.machine, None);
-    let other_tip = Reach::new(moved.model.as_ref(), &moved.machine, None);
+    let recorded_tip = InverseKinematics::new(recorded.model.as_ref(), &recorded.machine, None);
+    let other_tip = InverseKinematics::new(moved.model.as_ref(), &moved.machine, None);
     let mut sets = recorded.sets.clone();
     for set in &mut sets {
         let rows = set.rows.clone();

@@ -14,7 +14,7 @@ use crate::variance::Components;
 use crate::weighted::Weighted;
 
 /// Solution that an estimator found by its own iteration.
-pub struct Solved {
+pub struct EstimatorSolution {
     /// The values of the unknowns.
     pub x: Vec<f64>,
     /// The factor of all rows at x, each with weight 1, if the iteration has it.
@@ -59,11 +59,11 @@ impl UncertaintyEvaluation {
     pub fn calibration(
         &self,
         problem: &Problem,
-        solved: Solved,
+        solved: EstimatorSolution,
         lost: Option<Lost>,
         components: Option<&Components>,
     ) -> Result<Calibration> {
-        let Solved { x, factor, robust, iterations, last_step, gradient_cosine } = solved;
+        let EstimatorSolution { x, factor, robust, iterations, last_step, gradient_cosine } = solved;
         let (report, loss) = robust.unzip();
         let rank = lost.as_ref().map_or(problem.unknowns.len(), |lost| lost.determined.count());
         let weighted = Weighted::new(problem)?;

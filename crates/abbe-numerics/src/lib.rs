@@ -80,6 +80,6 @@ pub use monte_carlo::{Adaptive, Agreement, Interval, Trials, gum_agrees, least_t
 pub use regression::{Influence, SelectionStep, StepwiseDirection, StepwiseSelection};
 pub use robust::{Loss, Robust, RobustReport, scatter_factor};
 pub use sampling::Generator;
-pub use selection::{LeftOut, Selection};
+pub use selection::{Selection, UnestimableUnknown};
 pub use significance::{f_test, two_sided_normal};
 pub use vector::{dot, norm};

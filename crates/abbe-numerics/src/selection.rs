@@ -14,14 +14,14 @@ pub struct Selection {
     /// The unknowns that are kept, in the order of preference.
     pub kept: Vec<usize>,
     /// The unknowns that are left out, in the order of preference.
-    pub left_out: Vec<LeftOut>,
+    pub left_out: Vec<UnestimableUnknown>,
     /// Ratio of the largest to the smallest singular value of the kept columns, scaled to norm 1.
     pub condition: f64,
 }
 
 /// An unknown that is left out.
 #[derive(Debug, Clone, PartialEq)]
-pub struct LeftOut {
+pub struct UnestimableUnknown {
     /// The unknown.
     pub unknown: usize,
     /// The combination of kept unknowns with the same effect on the rows as one unit of it: (unknown, coefficient in its
@@ -40,7 +40,7 @@ impl Factor {
         for &unknown in order {
             let norm = self.norms()[unknown];
             if norm == 0.0 {
-                left_out.push(LeftOut { unknown, same_as: Vec::new() });
+                left_out.push(UnestimableUnknown { unknown, same_as: Vec::new() });
                 continue;
             }
             let mut rest: Vec<f64> = self.column(unknown).iter().map(|value| value / norm).collect();
@@ -63,7 +63,7 @@ impl Factor {
                 let combination = combination(&parts, part);
                 let same = combination.into_iter().zip(&kept).filter(|(effect, _)| effect.abs() > NOTHING);
                 let same_as = same.map(|(effect, &other)| (other, effect * norm / self.norms()[other])).collect();
-                left_out.push(LeftOut { unknown, same_as });
+                left_out.push(UnestimableUnknown { unknown, same_as });
             }
         }
         let size = parts.len();
@@ -106,7 +106,7 @@ mod tests {
         let factor = factor(&rows);
         let first = factor.select(&[0, 1, 2, 3], 1e-9);
         assert_eq!(first.kept, [0, 1]);
-        assert_eq!(first.left_out[1], LeftOut { unknown: 3, same_as: Vec::new() });
+        assert_eq!(first.left_out[1], UnestimableUnknown { unknown: 3, same_as: Vec::new() });
         for ((unknown, found), (other, expected)) in first.left_out[0].same_as.iter().zip([(0, 2.0), (1, -3.0)]) {
             assert!(*unknown == other && (found - expected).abs() < 1e-13, "{found}");
         }

@@ -6,7 +6,7 @@ use std::fmt::Write;
 use abbe_core::{
     Absent, Artefact, AxisKind, Error, KinematicModel, PathItem, Poses, Result, Series, StatusRole, Target,
 };
-use abbe_estimation::Reach;
+use abbe_estimation::InverseKinematics;
 use abbe_numerics::dot;
 
 use crate::settings::{GeneratedLengths, Generation};
@@ -102,7 +102,7 @@ impl<'a> Grid<'a> {
 
     /// Statuses in which the linear axes bring the tip to points of the table frame; none for points that they do not reach.
     fn reached(&self, indexation: &[f64], points: &[[f64; 3]]) -> Result<Vec<Option<Vec<f64>>>> {
-        Reach::new(self.model, &self.nominal, None).at(vec![indexation.to_vec(); points.len()], points)
+        InverseKinematics::new(self.model, &self.nominal, None).at(vec![indexation.to_vec(); points.len()], points)
     }
 
     /// Features that are touched at every indexation.

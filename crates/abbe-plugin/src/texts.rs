@@ -172,7 +172,7 @@ impl ProblemText {
             taken.inputs = set.inputs;
             taken.own = set.own;
             taken.uncertainty = Arc::new(set.uncertainty);
-            taken.move_to(set.poses);
+            taken.set_poses(set.poses);
             if let Some(disturbances) = set.disturbances {
                 taken.disturb(disturbances);
             }

@@ -154,7 +154,7 @@ impl Error {
     }
 
     /// Sets the index of the pose that causes the error, among the poses that were evaluated together.
-    pub fn of_pose(mut self, pose: usize) -> Self {
+    pub fn at_pose(mut self, pose: usize) -> Self {
         self.pose = Some(pose);
         self
     }

@@ -16,8 +16,8 @@ mod truth;
 
 pub use lobing::{Lobing, contact_directions};
 pub use measure::measure;
-pub use names::LeftOut;
-pub use noise::{Drift, Noise, Outliers, RandomOutliers, Sigma};
+pub use names::NotSimulated;
+pub use noise::{Drift, Noise, Outliers, RandomOutliers, StandardDeviation};
 pub use truth::Truth;
 
 #[cfg(doc)]

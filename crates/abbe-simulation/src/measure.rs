@@ -82,7 +82,7 @@ fn round_positions(set: &mut ObservationSet, statuses: &[usize], resolution: f64
         let status = poses.row_mut(pose);
         statuses.iter().for_each(|&axis| status[axis] = round(status[axis], resolution));
     }
-    set.move_to(poses);
+    set.set_poses(poses);
 }
 
 /// The readings of a set, one for every equation, mm; none for equations without a reading and for angles.

@@ -4,14 +4,14 @@ use abbe_core::{Error, Problem, Result, nearest};
 
 /// Values of a truth that are not zero and have valid names, but that the problem does not have.
 #[derive(Debug, Clone, PartialEq, Eq, Default)]
-pub struct LeftOut {
+pub struct NotSimulated {
     /// Parameters of the machine that the model does not have.
     pub machine: Vec<String>,
     /// Parameters of features that no artefact observes.
     pub artefacts: Vec<String>,
 }
 
-impl LeftOut {
+impl NotSimulated {
     /// Sorts names that the problem does not have. Fails for a name that looks misspelt or has no valid form.
     pub(crate) fn of<'a>(names: impl Iterator<Item = &'a String>, problem: &Problem) -> Result<Self> {
         let known = Known::of(problem);

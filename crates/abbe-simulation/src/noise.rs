@@ -21,9 +21,9 @@ use crate::truth::{key, known_only, machine_parameter};
 #[derive(Debug, Clone, PartialEq, Default)]
 pub struct Noise {
     /// Standard deviation of the probe or the reading, mm; independent from equation to equation.
-    pub probing_sigma_mm: Sigma,
+    pub probing_sigma_mm: StandardDeviation,
     /// Standard deviation of the surface, mm. It acts on a touch in the same way as the noise of the probe.
-    pub surface_sigma_mm: Sigma,
+    pub surface_sigma_mm: StandardDeviation,
     /// Slow changes of the machine, by the file in which they happen: the name of the file without its extension, or the part
     /// of it after a hyphen (`s1` for `touches-s1.csv`). The empty name is for all files.
     pub drift: BTreeMap<String, Drift>,
@@ -38,14 +38,14 @@ pub struct Noise {
 /// A standard deviation, mm.
 #[derive(Debug, Clone, PartialEq, Deserialize)]
 #[serde(untagged, expecting = "a number, or a map of artefact stages and numbers, was expected")]
-pub enum Sigma {
+pub enum StandardDeviation {
     /// The same for all artefact stages.
     All(f64),
     /// By artefact stage; zero for those that are not named.
     ByStage(BTreeMap<String, f64>),
 }
 
-impl Default for Sigma {
+impl Default for StandardDeviation {
     fn default() -> Self {
         Self::All(0.0)
     }
@@ -98,8 +98,8 @@ pub struct RandomOutliers {
 /// `noise` as it stands in a truth file, without the keys that have several forms.
 #[derive(Deserialize)]
 struct Written {
-    probing_sigma_mm: Option<Sigma>,
-    surface_sigma_mm: Option<Sigma>,
+    probing_sigma_mm: Option<StandardDeviation>,
+    surface_sigma_mm: Option<StandardDeviation>,
     drift: Option<Map<String, Value>>,
     lobing: Option<Value>,
     outliers: Option<BTreeMap<String, f64>>,
@@ -161,8 +161,8 @@ impl Noise {
             [("probing_sigma_mm", &self.probing_sigma_mm), ("surface_sigma_mm", &self.surface_sigma_mm)]
         {
             match sigma {
-                Sigma::All(value) => not_negative(name, *value).map(drop)?,
-                Sigma::ByStage(values) => {
+                StandardDeviation::All(value) => not_negative(name, *value).map(drop)?,
+                StandardDeviation::ByStage(values) => {
                     for (stage, value) in values {
                         not_negative(stage, *value).map_err(|error| error.under([key(name)]))?;
                     }
@@ -220,7 +220,7 @@ impl Noise {
         for (name, sigma) in
             [("probing_sigma_mm", &self.probing_sigma_mm), ("surface_sigma_mm", &self.surface_sigma_mm)]
         {
-            let Sigma::ByStage(values) = sigma else { continue };
+            let StandardDeviation::ByStage(values) = sigma else { continue };
             let stages = || problem.sets.iter().map(|set| set.name.as_str());
             if let Some(stage) = values.keys().find(|stage| stages().all(|known| known != stage.as_str())) {
                 return Err(Error::usage(format!("noise.{name}: no artefact stage `{stage}` is observed"))
@@ -281,9 +281,9 @@ impl Noise {
         let mut lines = Vec::new();
         for (what, sigma) in [("probe", &self.probing_sigma_mm), ("surface", &self.surface_sigma_mm)] {
             match sigma {
-                Sigma::All(0.0) => {}
-                Sigma::All(sigma) => lines.push(format!("{what}: standard deviation {}", um(*sigma))),
-                Sigma::ByStage(values) => lines.extend(
+                StandardDeviation::All(0.0) => {}
+                StandardDeviation::All(sigma) => lines.push(format!("{what}: standard deviation {}", um(*sigma))),
+                StandardDeviation::ByStage(values) => lines.extend(
                     values.iter().map(|(stage, sigma)| format!("{what}, {stage}: standard deviation {}", um(*sigma))),
                 ),
             }
@@ -319,7 +319,7 @@ fn takes_noise(set: &ObservationSet) -> bool {
     }
 }
 
-impl Sigma {
+impl StandardDeviation {
     fn of(&self, set: &ObservationSet) -> f64 {
         match self {
             Self::All(sigma) => *sigma,

@@ -6,7 +6,7 @@ use std::path::Path;
 use abbe_core::{Error, PathItem, Problem, Result, SettingsError, from_settings, nearest};
 use serde_json::{Map, Value};
 
-use crate::names::LeftOut;
+use crate::names::NotSimulated;
 use crate::noise::{Noise, finite};
 
 /// The true values behind simulated measurements.
@@ -69,10 +69,10 @@ impl Truth {
     /// Values that are not zero and that the problem does not have: they are not simulated.
     ///
     /// Fails for names that look misspelt, and for those that neither a machine nor an artefact could have.
-    pub fn left_out(&self, problem: &Problem) -> Result<LeftOut> {
+    pub fn left_out(&self, problem: &Problem) -> Result<NotSimulated> {
         let (_, used) = self.applied(problem);
         let unknown = |(name, value): &(&String, &f64)| **value != 0.0 && !used.contains(name.as_str());
-        LeftOut::of(self.parameters.iter().filter(unknown).map(|(name, _)| name), problem)
+        NotSimulated::of(self.parameters.iter().filter(unknown).map(|(name, _)| name), problem)
     }
 
     /// The problem with the true values, and the names that it takes.

@@ -10,7 +10,7 @@ use abbe_core::{
     Quantity, Result, RowBatch, RowOrigin, StatusColumn, Unit, Values, Variable, plain_naming,
 };
 use abbe_estimation::{is_judged_as_recorded, rank_point};
-use abbe_simulation::{Noise, Sigma, Truth, measure};
+use abbe_simulation::{Noise, StandardDeviation, Truth, measure};
 use serde_json::Value;
 
 /// The tip is at (X (1 + EXX[1]) + dxt, 0, 0).
@@ -153,7 +153,7 @@ fn readings_without_a_nominal_one_are_judged_as_recorded() {
 #[test]
 fn readings_have_noise_and_resolution() {
     let programme = problem("reading_um", 0, Some("reading"));
-    let noise = Noise { probing_sigma_mm: Sigma::All(0.01), resolution_mm: 0.001, ..Noise::default() };
+    let noise = Noise { probing_sigma_mm: StandardDeviation::All(0.01), resolution_mm: 0.001, ..Noise::default() };
     let measured = measure(&programme, &truth(noise), 1).unwrap();
     let off = measured.residuals(&TRUE).unwrap();
     assert!(off.iter().all(|residual| residual.abs() < 0.05) && off.iter().any(|residual| residual.abs() > 1e-3));
@@ -166,7 +166,7 @@ fn readings_have_noise_and_resolution() {
 #[test]
 fn angles_that_are_read_have_no_noise_in_mm() {
     let programme = problem("tilt_urad", 0, Some("tilt"));
-    let noise = Noise { probing_sigma_mm: Sigma::All(0.01), resolution_mm: 0.001, ..Noise::default() };
+    let noise = Noise { probing_sigma_mm: StandardDeviation::All(0.01), resolution_mm: 0.001, ..Noise::default() };
     let measured = measure(&programme, &truth(noise), 1).unwrap();
     assert!(measured.residuals(&TRUE).unwrap().iter().all(|residual| residual.abs() < 1e-14));
 }

@@ -9,7 +9,7 @@ use schemars::JsonSchema;
 use serde::Deserialize;
 
 use crate::sampling::{
-    Ranges, Steps, axis_of, check_axes, check_ranges, points_every, position_unit, range_of, tidy, within,
+    Ranges, Steps, axis_of, check_axes, check_ranges, points_every, position_unit, range_of, rounded_position, within,
 };
 
 /// Most poses of a grid, both directions counted.
@@ -210,11 +210,11 @@ impl Grid {
         })?;
         let positions = match spacing {
             Spacing::Step(steps) => points_every(axis, (from, to), steps, MOST_POSES)?,
-            Spacing::Count(1) => vec![tidy((from + to) / 2.0)],
+            Spacing::Count(1) => vec![rounded_position((from + to) / 2.0)],
             Spacing::Count(count) => {
                 self.check_number(count as f64, "points")?;
                 let part = |index: usize| index as f64 / (count - 1) as f64;
-                (0..count).map(|index| tidy(from + (to - from) * part(index))).collect()
+                (0..count).map(|index| rounded_position(from + (to - from) * part(index))).collect()
             }
         };
         Ok(positions.into_iter().map(|position| position / factor).collect())
@@ -303,7 +303,7 @@ mod tests {
         let statuses = grid(settings).unwrap().statuses(model.as_ref()).unwrap();
         let rows = statuses.chunks_exact(7).map(|row| {
             assert!(row[6].is_nan() && row[4] == row[5]);
-            [tidy(row[0].to_degrees()), row[1], row[2], tidy(row[3].to_degrees()), row[4]]
+            [rounded_position(row[0].to_degrees()), row[1], row[2], rounded_position(row[3].to_degrees()), row[4]]
         });
         rows.collect()
     }

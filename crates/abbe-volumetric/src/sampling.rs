@@ -114,7 +114,7 @@ pub fn range_of(axis: &Axis, ranges: &Ranges, setting: &str) -> Result<(f64, f64
             within(Error::usage(message), &[setting, name])
         });
     }
-    let of_axis = axis.range.map(|[from, to]| (tidy(from * factor), tidy(to * factor)));
+    let of_axis = axis.range.map(|[from, to]| (rounded_position(from * factor), rounded_position(to * factor)));
     of_axis.ok_or_else(|| {
         Error::usage(format!("the range of axis {name} is not known"))
             .help(format!(
@@ -144,18 +144,20 @@ pub fn points_every(axis: &Axis, (from, to): (f64, f64), steps: Steps, most: usi
         .setting(setting));
     }
     let count = intervals as usize;
-    Ok((0..=count).map(|index| if index == count { to } else { tidy(from + index as f64 * step) }).collect())
+    Ok((0..=count)
+        .map(|index| if index == count { to } else { rounded_position(from + index as f64 * step) })
+        .collect())
 }
 
 /// The smallest step of three digits that makes no more than `intervals` of a range.
 fn step_that_fits(range: f64, intervals: usize) -> f64 {
     let exact = range / intervals as f64;
     let digit = 10_f64.powf(exact.log10().floor() - 2.0);
-    tidy((exact / digit - 1e-9).ceil() * digit)
+    rounded_position((exact / digit - 1e-9).ceil() * digit)
 }
 
 /// Removes the rounding of conversions from radians and of sums of steps, beyond the ninth decimal.
-pub fn tidy(position: f64) -> f64 {
+pub fn rounded_position(position: f64) -> f64 {
     let rounded = (position * 1e9).round() / 1e9;
     if rounded.is_finite() { rounded + 0.0 } else { position }
 }

@@ -19,7 +19,7 @@ static WRITING: Mutex<()> = Mutex::new(());
 pub fn ends(monitor: Monitor) -> Result<()> {
     watched(move |signal| {
         SIGNAL.store(signal, Ordering::SeqCst);
-        monitor.end();
+        monitor.cancel();
         std::thread::sleep(GRACE);
         // Waits until a file that is being written is complete.
         let _written = WRITING.lock().unwrap_or_else(PoisonError::into_inner);

@@ -3,7 +3,7 @@
 use abbe_core::{
     Calibration, Context, Export, ExportedFile, KinematicModel, PathItem, Result, SettingsError, StatusRole,
 };
-use abbe_volumetric::{Grid, position_unit, predict, tidy, within};
+use abbe_volumetric::{Grid, position_unit, predict, rounded_position, within};
 use schemars::JsonSchema;
 use serde::Deserialize;
 use serde_json::{Value, json};
@@ -92,8 +92,10 @@ impl Export for VolumetricTable {
         for (status, error) in statuses.chunks(model.info().status.len()).zip(&errors) {
             let ellipsoid = error.ellipsoid(self.settings.probability)?;
             let um = |value: &f64| fixed(value * 1e3);
-            let mut cells: Vec<String> =
-                columns.iter().map(|column| tidy(status[column.status] * column.factor).to_string()).collect();
+            let mut cells: Vec<String> = columns
+                .iter()
+                .map(|column| rounded_position(status[column.status] * column.factor).to_string())
+                .collect();
             cells.extend(error.mean.iter().map(|value| um(&(self.settings.task.sign() * value))));
             cells.push(um(&error.size()));
             let upper = [(0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2)];

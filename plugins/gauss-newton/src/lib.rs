@@ -14,8 +14,8 @@ use abbe_core::{
     Status, Unknown,
 };
 use abbe_estimation::{
-    Components, Judgement, Lost, Solved, UncertaintyEvaluation, Weighted, check_preferences, components, confounded,
-    identifiability, ill_conditioned, in_order_of_preference, rival_wavelengths, separated, wavelengths,
+    Components, EstimatorSolution, Judgement, Lost, UncertaintyEvaluation, Weighted, check_preferences, components,
+    confounded, identifiability, ill_conditioned, in_order_of_preference, rival_wavelengths, separated, wavelengths,
 };
 use abbe_numerics::{Directions, End, Factor, LeastSquares, Options, Robust, Solution, Within, solve_from};
 use serde_json::{Value, json};
@@ -170,7 +170,7 @@ impl GaussNewton {
             None => self.iterate(&weighted, &problem.start(), at_start.cloned(), &options),
         };
         let Solution { x, iterations, robust, last_step, gradient_cosine, factor, .. } = solution?;
-        let solved = Solved {
+        let solved = EstimatorSolution {
             x,
             factor: Some(factor).filter(|_| robust.is_none() && lost.is_none()),
             robust: robust.zip(self.robust()),
@@ -358,8 +358,14 @@ impl GaussNewton {
 
     /// The machine as it is: nothing is estimated, and residuals are what it was off by.
     fn as_it_is(&self, problem: &Problem, explained: bool) -> Result<Calibration> {
-        let solved =
-            Solved { x: Vec::new(), factor: None, robust: None, iterations: 0, last_step: None, gradient_cosine: None };
+        let solved = EstimatorSolution {
+            x: Vec::new(),
+            factor: None,
+            robust: None,
+            iterations: 0,
+            last_step: None,
+            gradient_cosine: None,
+        };
         self.evaluation(explained).calibration(problem, solved, None, None)
     }
 

@@ -21,7 +21,7 @@ impl Default for Names {
 }
 
 /// Parameters that change by the same amount, by the name of what they are together.
-pub type Together = BTreeMap<String, Vec<String>>;
+pub type ParameterGroups = BTreeMap<String, Vec<String>>;
 
 /// What may have changed, as the settings `candidates` and `together` have it.
 #[derive(Debug, Clone, PartialEq, Default)]
@@ -29,7 +29,7 @@ pub struct Candidates {
     /// Patterns of single parameters.
     pub names: Names,
     /// Parameters that change together.
-    pub together: Together,
+    pub together: ParameterGroups,
     /// Patterns mean the places of linear axes, too.
     pub places: bool,
 }

@@ -10,7 +10,7 @@ use schemars::JsonSchema;
 use serde::Deserialize;
 use serde_json::{Value, json};
 
-use crate::candidates::{self, Candidates, Names, Together};
+use crate::candidates::{self, Candidates, Names, ParameterGroups};
 use crate::combination::combination;
 use crate::diagnosis::Pattern;
 use crate::points::{Points, Touch};
@@ -36,7 +36,7 @@ struct Settings {
     candidates: Names,
     /// Parameters that change by the same amount, under the name of what they are together.
     #[serde(default)]
-    together: Together,
+    together: ParameterGroups,
     /// Tolerances whose detectable sizes are listed.
     #[serde(default)]
     compare_um: Vec<f64>,

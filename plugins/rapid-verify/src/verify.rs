@@ -14,7 +14,7 @@ use serde::Deserialize;
 use serde_json::{Value, json};
 
 use crate::baseline::{Baseline, Probed, Run};
-use crate::candidates::{Candidates, Names, Together};
+use crate::candidates::{Candidates, Names, ParameterGroups};
 use crate::diagnosis::{Cause, Diagnosis, Judge, Pattern, Scatter};
 use crate::material::ArtefactSettings;
 use crate::others::{Others, shapes, undeclared};
@@ -46,7 +46,7 @@ struct Settings {
     candidates: Names,
     /// Parameters that change by the same amount, under the name of what they are together: the tips of all styli with the probe.
     #[serde(default)]
-    together: Together,
+    together: ParameterGroups,
     /// What healthy runs scatter by.
     #[serde(default)]
     healthy: Healthy,

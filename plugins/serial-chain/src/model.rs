@@ -282,13 +282,13 @@ impl KinematicModel for SerialChain {
         for (index, status) in statuses.chunks_exact(width).enumerate() {
             work.errors.fill([0.0; 6]);
             for basis in used.iter().map(|&basis| &self.bases[basis]) {
-                self.functions_at(basis, status, values, &mut work.functions).map_err(|error| error.of_pose(index))?;
+                self.functions_at(basis, status, values, &mut work.functions).map_err(|error| error.at_pose(index))?;
                 for (slot, component, error) in basis.errors(values, &work.functions[basis.first..]) {
                     work.errors[slot][component] += error;
                 }
             }
             work.commands.copy_from_slice(&status[..self.info.axes.len()]);
-            let tip = self.tip(status).map_err(|error| error.of_pose(index))?;
+            let tip = self.tip(status).map_err(|error| error.at_pose(index))?;
             if self.first_order {
                 self.chain.evaluate_first_order(&work.commands, &work.errors, tip, &mut work.pose);
             } else {

@@ -67,7 +67,7 @@ struct Cause {
 }
 
 impl Validate for Cause {
-    fn questions_rows(&self) -> bool {
+    fn needs_rows(&self) -> bool {
         true
     }
 

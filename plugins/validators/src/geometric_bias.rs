@@ -77,7 +77,7 @@ impl Validate for GeometricBias {
         vec![("rows", self.settings.rows.clone())]
     }
 
-    fn questions_rows(&self) -> bool {
+    fn needs_rows(&self) -> bool {
         true
     }
 

@@ -53,7 +53,7 @@ impl Validate for HoldOut {
         vec![("rows", self.settings.rows.clone())]
     }
 
-    fn questions_rows(&self) -> bool {
+    fn needs_rows(&self) -> bool {
         true
     }
 

@@ -71,7 +71,7 @@ struct Influence {
 }
 
 impl Validate for Influence {
-    fn questions_rows(&self) -> bool {
+    fn needs_rows(&self) -> bool {
         true
     }
 

@@ -5,7 +5,7 @@
 
 use abbe_core::{Context, Dataset, Figure, Findings, Fit, Problem, Result, SettingsError, Validate};
 use abbe_estimation::{Judgement, check_preferences, in_order_of_preference};
-use abbe_numerics::LeftOut;
+use abbe_numerics::UnestimableUnknown;
 use schemars::JsonSchema;
 use serde::Deserialize;
 use serde_json::{Value, json};
@@ -60,7 +60,7 @@ struct MinimalSet {
 const DEFAULT_TOLERANCE: f64 = 1e-8;
 
 impl Validate for MinimalSet {
-    fn questions_rows(&self) -> bool {
+    fn needs_rows(&self) -> bool {
         true
     }
 
@@ -93,7 +93,8 @@ impl MinimalSet {
         if !without.is_empty() {
             found.remarks.push(format!("{}: no effect: {}", fit.name, without.join(" ")));
         }
-        for LeftOut { unknown, same_as } in selection.left_out.iter().filter(|left| !left.same_as.is_empty()) {
+        for UnestimableUnknown { unknown, same_as } in selection.left_out.iter().filter(|left| !left.same_as.is_empty())
+        {
             found.remarks.push(format!("{}: {} = {}", fit.name, name(unknown), sum(same_as, name)));
         }
         Ok(())
@@ -122,7 +123,7 @@ impl MinimalSet {
 }
 
 /// The unknowns that are left out because they have no effect.
-fn none(left_out: &[LeftOut]) -> impl Iterator<Item = &usize> {
+fn none(left_out: &[UnestimableUnknown]) -> impl Iterator<Item = &usize> {
     left_out.iter().filter(|left| left.same_as.is_empty()).map(|left| &left.unknown)
 }
 

@@ -71,7 +71,7 @@ struct Repeats {
 }
 
 impl Validate for Repeats {
-    fn questions_rows(&self) -> bool {
+    fn needs_rows(&self) -> bool {
         true
     }
 

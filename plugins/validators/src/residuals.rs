@@ -60,11 +60,11 @@ struct Kept {
 }
 
 impl Validate for Residuals {
-    fn judges_other_rows(&self) -> bool {
+    fn accepts_other_observations(&self) -> bool {
         true
     }
 
-    fn questions_rows(&self) -> bool {
+    fn needs_rows(&self) -> bool {
         true
     }
 

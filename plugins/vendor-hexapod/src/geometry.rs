@@ -189,7 +189,7 @@ impl KinematicModel for Hexapod {
         let tip = self.tip(values);
         for (pose, commands) in statuses.chunks_exact(6).enumerate() {
             let actual = self.actual(commands, values);
-            let (frame, inverse) = self.solve(&actual).map_err(|error| error.of_pose(pose))?;
+            let (frame, inverse) = self.solve(&actual).map_err(|error| error.at_pose(pose))?;
             let arm = frame.turn * tip;
             out.positions[pose] = (frame.at + arm).into();
             if orientation {

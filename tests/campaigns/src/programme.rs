@@ -6,7 +6,7 @@ use std::fs;
 use std::path::Path;
 
 use abbe_core::{AxisKind, KinematicModel, Poses};
-use abbe_estimation::Reach;
+use abbe_estimation::InverseKinematics;
 use nalgebra::{Quaternion, UnitQuaternion, Vector3};
 use serde_json::{Value, json};
 
@@ -142,7 +142,7 @@ fn probed(random: &mut Random, model: &dyn KinematicModel, features: &[[f64; 3]]
 /// Whether a positive command of a linear axis moves the tip against its direction relative to the table.
 fn moves_table(model: &dyn KinematicModel, status: usize) -> bool {
     let mut here = vec![0.0; model.info().status.len()];
-    let reach = Reach::new(model, &model.info().nominal, None);
+    let reach = InverseKinematics::new(model, &model.info().nominal, None);
     let axis = model.info().axes.iter().find(|axis| axis.status == status).map_or("", |axis| axis.name.as_str());
     let along = ["X", "Y", "Z"].iter().position(|name| *name == axis).unwrap_or(0);
     let start = here.clone();
@@ -210,7 +210,9 @@ fn statuses(model: &dyn KinematicModel, tips: &[[f64; 3]], angles: &Indexation) 
     let mut status = vec![0.0; model.info().status.len()];
     angles.iter().for_each(|(at, angle)| status[*at] = angle.to_radians());
     let values = &model.info().nominal;
-    Reach::new(model, values, None).at(vec![status; tips.len()], tips).expect("a serial chain has all poses")
+    InverseKinematics::new(model, values, None)
+        .at(vec![status; tips.len()], tips)
+        .expect("a serial chain has all poses")
 }
 
 /// Columns of the axes: name, unit, and the factor to it.

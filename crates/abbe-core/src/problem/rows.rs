@@ -71,7 +71,7 @@ impl ObservationSet {
     }
 
     /// Replaces the recorded statuses of all poses, in the order of the layout.
-    pub fn move_to(&mut self, poses: PoseTable) {
+    pub fn set_poses(&mut self, poses: PoseTable) {
         self.moved = Some(Arc::new(poses));
     }
 

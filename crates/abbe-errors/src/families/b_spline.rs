@@ -76,7 +76,7 @@ impl Family for BSpline {
     }
 }
 
-/// B-splines of inner knots and a travel, by the recursion of Cox and de Boor (de Boor 2001, ch. IX). Together they are 1 everywhere.
+/// B-splines of inner knots and a travel, by the recursion of Cox and de Boor (de Boor 2001, ch. IX). ParameterGroups they are 1 everywhere.
 #[derive(Debug, Clone, PartialEq)]
 pub struct BSplines {
     /// All knots; each end occurs degree + 1 times.
@@ -94,7 +94,7 @@ impl BSplines {
         Self { knots, degree, ends: 0 }
     }
 
-    /// The functions without the first and the last one. Together with lines, the remaining ones span the same space.
+    /// The functions without the first and the last one. ParameterGroups with lines, the remaining ones span the same space.
     pub fn inner(self) -> Self {
         Self { ends: 1, ..self }
     }

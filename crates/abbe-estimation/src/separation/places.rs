@@ -3,7 +3,7 @@
 use abbe_core::{AxisKind, Problem, Result};
 
 use super::{Group, Measured, Trial, words};
-use crate::reach::Reach;
+use crate::inverse_kinematics::InverseKinematics;
 
 /// Distance between the touched features and a trial feature, mm.
 const BEYOND: f64 = 100.0;
@@ -87,7 +87,7 @@ pub fn places(problem: &Problem, recorded: &Problem) -> Result<Vec<Trial>> {
     if indexations.is_empty() || !bounds.low.iter().all(|side| side.is_finite()) {
         return Ok(Vec::new());
     }
-    let reach = Reach::new(recorded.model.as_ref(), &recorded.machine, None);
+    let reach = InverseKinematics::new(recorded.model.as_ref(), &recorded.machine, None);
     let mut trials = Vec::new();
     for point in bounds.candidates() {
         let points = vec![point; indexations.len()];
@@ -116,7 +116,7 @@ fn place_sentence([verb, _, done]: [&str; 3], point: [f64; 3], bounds: &Bounds) 
 }
 
 /// A known length about a point, as long as the axes allow.
-fn length(reach: &Reach<'_>, indexation: &[f64], centre: [f64; 3], axis: usize) -> Result<Option<Trial>> {
+fn length(reach: &InverseKinematics<'_>, indexation: &[f64], centre: [f64; 3], axis: usize) -> Result<Option<Trial>> {
     for length in LENGTHS {
         let ends = [-0.5, 0.5].map(|end| shifted(centre, axis, end * length));
         let found = reach.at(vec![indexation.to_vec(); 2], &ends)?;
@@ -138,7 +138,8 @@ fn touched(recorded: &Problem) -> Result<Vec<[f64; 3]>> {
     let features = recorded.sets.iter().flat_map(|set| set.info().features.clone());
     let points: Vec<[f64; 3]> = features.map(|feature| feature.point).collect();
     if points.is_empty() {
-        return Reach::new(recorded.model.as_ref(), &recorded.machine, None).tips(&recorded_statuses(recorded));
+        return InverseKinematics::new(recorded.model.as_ref(), &recorded.machine, None)
+            .tips(&recorded_statuses(recorded));
     }
     Ok(points)
 }

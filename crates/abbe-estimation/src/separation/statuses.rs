@@ -4,7 +4,7 @@
 use abbe_core::{Axis, AxisKind, PoseIndex, PoseTable, Problem, Quantity, Result, StatusColumn, StatusRole};
 
 use super::{Group, Measured, Trial, listed};
-use crate::reach::Reach;
+use crate::inverse_kinematics::InverseKinematics;
 
 /// Positions that are tried, degrees: of a rotary axis and of one that is indexed.
 const ROTARY: [f64; 7] = [90.0, -90.0, 60.0, -60.0, 30.0, -30.0, 0.0];
@@ -148,7 +148,7 @@ fn other(status: &StatusColumn, values: &[f64]) -> Vec<Alternative> {
 
 /// The rows with another value of a status and unchanged tip positions; none if no row can reach them.
 fn at_status(recorded: &Problem, status: usize, value: f64) -> Result<Option<Problem>> {
-    let reach = Reach::new(recorded.model.as_ref(), &recorded.machine, Some(status));
+    let reach = InverseKinematics::new(recorded.model.as_ref(), &recorded.machine, Some(status));
     let mut moved = recorded.clone();
     for set in &mut moved.sets {
         let mut poses = set.poses().clone();
@@ -166,7 +166,7 @@ fn at_status(recorded: &Problem, status: usize, value: f64) -> Result<Option<Pro
 
 /// Gives a status of some poses another value and moves their tips back; returns the poses for which this is possible.
 fn carried(
-    reach: &Reach<'_>,
+    reach: &InverseKinematics<'_>,
     poses: &mut PoseTable,
     touched: &[PoseIndex],
     (status, value): (usize, f64),

@@ -10,7 +10,7 @@ const ON: f64 = 1e-6;
 const STEPS: usize = 8;
 
 /// Moves linear axes until tips are at points of the table frame.
-pub struct Reach<'a> {
+pub struct InverseKinematics<'a> {
     model: &'a dyn KinematicModel,
     values: &'a [f64],
     wanted: Vec<Variable>,
@@ -18,7 +18,7 @@ pub struct Reach<'a> {
     linear: Vec<(usize, Option<[f64; 2]>)>,
 }
 
-impl<'a> Reach<'a> {
+impl<'a> InverseKinematics<'a> {
     /// For a model with these values of its parameters; the axis with the status `held` does not move.
     pub fn new(model: &'a dyn KinematicModel, values: &'a [f64], held: Option<usize>) -> Self {
         let axes = model.info().axes.iter().enumerate();
