@@ -43,11 +43,10 @@ fn cause(size: f64, numbers: &[(String, f64)]) -> Option<String> {
         (1.0 - 1.0 / 25.4, "what is missing if inches were taken for mm in"),
         (24.4, "what is too much if mm were taken for inches in"),
     ];
-    let found = ways.iter().find_map(|(factor, way)| {
+    ways.iter().find_map(|(factor, way)| {
         let like = |(_, number): &&(String, f64)| (size.abs() / (number.abs() * factor) - 1.0).abs() < ALIKE;
         numbers.iter().find(like).map(|(name, number)| format!("{way} `{name}` ({number} mm)"))
-    });
-    found
+    })
 }
 
 /// The lengths of settings that are not zero, by the keys that lead to them.
