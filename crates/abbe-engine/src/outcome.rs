@@ -27,6 +27,8 @@ pub struct Outcome {
     /// The stages that failed, and those that were left out because they need one of them.
     pub failures: Vec<Failure>,
     pub(crate) inputs: Vec<FileRecord>,
+    /// The files that were read, by their whole paths.
+    pub(crate) input_files: Vec<PathBuf>,
     pub(crate) plugins: Vec<PluginRecord>,
     pub(crate) started: SystemTime,
     pub(crate) duration: Duration,
@@ -75,15 +77,15 @@ impl Outcome {
     pub fn write(&self, out: &Path) -> Result<PathBuf> {
         let target = out.join(&self.recipe);
         let unwritable = |error: io::Error| unwritable(out, &error);
-        let inputs: Vec<PathBuf> = self.inputs.iter().map(|input| PathBuf::from(&input.file)).collect();
         let files = self.files()?;
-        let staging = Staging::new(out)?;
+        let folder = ResultFolder::new(&target, &self.input_files)?;
+        let staging = Staging::new(folder.parent())?;
         let record = RunRecord { outputs: outputs(&files), ..self.record() };
         for (name, content) in &files {
             staging.write(name, content).map_err(unwritable)?;
         }
         staging.write(Path::new(RECORD), json(&record)?.as_bytes()).map_err(unwritable)?;
-        ResultFolder::new(&target, &inputs)?.replace_by(staging)?;
+        folder.replace_by(staging)?;
         Ok(target)
     }
 
@@ -124,7 +126,7 @@ impl Prepared {
         let estimates = self.stages(Kind::Estimate).map(|stage| calibration_file(&stage.name));
         let known = estimates.chain([VERDICTS.into(), RECORD.into()]);
         known.into_iter().try_for_each(|name: PathBuf| folder.can_take(&name))?;
-        can_write(out)
+        can_write(folder.parent())
     }
 }
 

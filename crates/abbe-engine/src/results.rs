@@ -49,7 +49,8 @@ impl ResultFolder {
             let is_input = fs::canonicalize(&path).is_ok_and(|path| inputs.contains(&path));
             let listed = record.outputs.iter().find(|output| Path::new(&output.file) == name);
             let unchanged = || listed.is_some_and(|output| has_content(&path, &output.sha256));
-            let is_ours = !is_input && (name == Path::new(RECORD) || unchanged());
+            let is_record = name == Path::new(RECORD) && !path.is_symlink();
+            let is_ours = !is_input && (is_record || unchanged());
             if is_ours { &mut folder.ours } else { &mut folder.others }.insert(name);
         }
         Ok(folder)
@@ -58,41 +59,75 @@ impl ResultFolder {
     /// Fails if a file of somebody else stands where a file of this name is to be written.
     pub fn can_take(&self, name: &Path) -> Result<()> {
         let in_the_way = |other: &&PathBuf| other.starts_with(name) || name.starts_with(other.as_path());
-        let Some(other) = self.others.iter().find(in_the_way) else { return Ok(()) };
+        self.others.iter().find(in_the_way).map_or(Ok(()), |other| Err(self.in_the_way(other)))
+    }
+
+    fn in_the_way(&self, other: &Path) -> Error {
         let path = self.place.join(other);
         let message = format!("{} is in the way: an earlier run did not write it as it is now", path.display());
-        Err(Error::data(message).help("move it away, or name another folder with `--out`"))
+        Error::data(message).help("move it away, or name another folder with `--out`")
+    }
+
+    /// The folder in which a new folder of results can be made, so that the two can change places.
+    pub fn parent(&self) -> &Path {
+        self.place.parent().filter(|parent| !parent.as_os_str().is_empty()).unwrap_or(Path::new("."))
     }
 
     /// Puts written files in the place of the folder; what others have there stays. At any time the folder has all old results or all
     /// new ones.
     ///
-    /// Fails if a file of others is in the way of a written one; the results are then beside the folder, and the message says where.
+    /// Fails if a file of others is in the way of a written one, or if the folder cannot be replaced; the results are then beside it,
+    /// and the message says where.
     pub fn replace_by(&self, staging: Staging) -> Result<()> {
-        let failed = |error: io::Error| unwritable(&self.place, &error);
         let mut written = BTreeSet::new();
-        list(staging.path(), Path::new(""), &mut written).map_err(failed)?;
-        if let Err(error) = written.iter().try_for_each(|name| self.can_take(name)) {
-            let beside = self.beside("new").map_err(failed)?;
-            let (staged, _lock) = staging.keep();
-            fs::rename(staged, &beside).map_err(failed)?;
-            let help =
-                format!("the results are in {}; move what is in the way, or name another folder", beside.display());
-            return Err(error.help(help));
-        }
+        list(staging.path(), Path::new(""), &mut written).map_err(|error| unwritable(&self.place, &error))?;
+        let free = written.iter().try_for_each(|name| self.can_take(name));
         // A second name of the same file, so that it is in both folders while these change places.
-        let (linked, unlinked): (Vec<&PathBuf>, Vec<&PathBuf>) =
-            self.others.iter().partition(|name| link(&self.place.join(name), &staging.path().join(name)).is_ok());
+        let linked = free.and_then(|()| self.linked(staging.path()));
         let (staged, _lock) = staging.keep();
-        let Some(old) = exchange(&staged, &self.place).map_err(failed)? else { return Ok(()) };
-        let _old_lock = locked(&old);
+        let exchanged = linked.and_then(|linked| {
+            let old = self.beside("old").and_then(|aside| exchange(&staged, &self.place, &aside));
+            Ok((linked, old.map_err(|error| unwritable(&self.place, &error))?))
+        });
+        match exchanged {
+            Ok((_, None)) => Ok(()),
+            Ok((linked, Some(old))) => self.emptied(&old, &linked).map_err(|error| {
+                let message = format!("the old folder of results cannot be removed: {error}");
+                Error::data(message).help(format!("what is left of it is in {}", old.display()))
+            }),
+            Err(error) => {
+                let kept = self.beside("new").and_then(|beside| fs::rename(&staged, &beside).map(|()| beside));
+                let kept = kept.unwrap_or(staged);
+                let help = error.help.clone().map_or_else(String::new, |help| format!("; {help}"));
+                Err(error.help(format!("the results are in {}{help}", kept.display())))
+            }
+        }
+    }
+
+    /// Gives the files of others second names in the folder `staged`; those that have one now. A file that stands there already, because
+    /// the disk takes its name for that of a result, is in the way.
+    fn linked(&self, staged: &Path) -> Result<BTreeSet<PathBuf>> {
+        let mut linked = BTreeSet::new();
+        for name in &self.others {
+            match link(&self.place.join(name), &staged.join(name)) {
+                Ok(()) => drop(linked.insert(name.clone())),
+                Err(error) if error.kind() == io::ErrorKind::AlreadyExists => return Err(self.in_the_way(name)),
+                // It moves over later.
+                Err(_) => {}
+            }
+        }
+        Ok(linked)
+    }
+
+    /// Moves what is not in both folders out of the old one, then removes what is ours in it, and the folder.
+    fn emptied(&self, old: &Path, linked: &BTreeSet<PathBuf>) -> io::Result<()> {
+        for name in self.others.iter().filter(|name| !linked.contains(*name)) {
+            move_over(&old.join(name), &self.place.join(name))?;
+        }
         for name in self.ours.iter().chain(linked) {
-            remove(&old.join(name)).map_err(failed)?;
+            remove(&old.join(name))?;
         }
-        for name in unlinked {
-            move_over(&old.join(name), &self.place.join(name)).map_err(failed)?;
-        }
-        self.clear(&old).map_err(failed)
+        self.clear(old)
     }
 
     /// Removes what is left of the old folder. What somebody has put there in the meantime moves over.
@@ -100,9 +135,6 @@ impl ResultFolder {
         let mut late = BTreeSet::new();
         list(old, Path::new(""), &mut late)?;
         for name in late.into_iter().filter(|name| !old.join(name).is_dir()) {
-            if self.place.join(&name).symlink_metadata().is_ok() {
-                return fs::rename(old, self.beside("old")?);
-            }
             move_over(&old.join(&name), &self.place.join(&name))?;
         }
         fs::remove_dir_all(old)
@@ -150,7 +182,11 @@ fn link(from: &Path, to: &Path) -> io::Result<()> {
     if from.symlink_metadata()?.is_dir() { fs::create_dir_all(to) } else { fs::hard_link(from, to) }
 }
 
+/// Moves a file to a place where nothing is.
 fn move_over(from: &Path, to: &Path) -> io::Result<()> {
+    if to.symlink_metadata().is_ok() {
+        return Err(io::Error::other(format!("{} is there already", to.display())));
+    }
     if let Some(folder) = to.parent() {
         fs::create_dir_all(folder)?;
     }
@@ -166,24 +202,26 @@ fn remove(path: &Path) -> io::Result<()> {
     }
 }
 
-/// Puts a folder in the place of another one; gives the path at which that one is then, if there was one.
+/// Puts a folder in the place of another one; gives the path at which that one is then, if there was one: `aside`, which no cleaning
+/// takes for a temporary folder.
 ///
 /// If the system can exchange two folders in one step, the place always has the old folder or the new one, even if the program
 /// is stopped.
-fn exchange(staged: &Path, place: &Path) -> io::Result<Option<PathBuf>> {
+fn exchange(staged: &Path, place: &Path, aside: &Path) -> io::Result<Option<PathBuf>> {
     if place.symlink_metadata().is_err() {
         return fs::rename(staged, place).map(|()| None);
     }
+    // Nobody takes the old folder for one that a killed run has left.
+    let _lock = locked(place);
     #[cfg(target_os = "linux")]
     {
         use rustix::fs::{CWD, RenameFlags, renameat_with};
         if renameat_with(CWD, staged, CWD, place, RenameFlags::EXCHANGE).is_ok() {
-            return Ok(Some(staged.to_owned()));
+            return fs::rename(staged, aside).map(|()| Some(aside.to_owned()));
         }
     }
     // Two renames. If the second one fails, the old results return.
-    let old = staged.with_extension("old");
-    fs::rename(place, &old)?;
-    fs::rename(staged, place).or_else(|error| fs::rename(&old, place).and(Err(error)))?;
-    Ok(Some(old))
+    fs::rename(place, aside)?;
+    fs::rename(staged, place).or_else(|error| fs::rename(aside, place).and(Err(error)))?;
+    Ok(Some(aside.to_owned()))
 }

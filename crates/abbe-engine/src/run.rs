@@ -69,6 +69,8 @@ impl Prepared {
     pub fn run(&self, monitor: &Monitor) -> Result<Outcome> {
         let (started, clock) = (SystemTime::now(), Instant::now());
         let inputs = input_records(&self.files)?;
+        // A plugin may change the folder that relative paths start from.
+        let input_files = self.files.iter().filter_map(|file| std::fs::canonicalize(file).ok()).collect();
         let data = self.read(monitor, None)?;
         let mut taken = Taken::default();
         let problems = self.problems(&data, &mut taken)?;
@@ -96,6 +98,7 @@ impl Prepared {
             exports,
             failures,
             inputs,
+            input_files,
             plugins: self.plugins.clone(),
             started,
             duration: clock.elapsed(),

@@ -19,7 +19,7 @@ pub(crate) fn check_travel(set: &ObservationSet, model: &dyn KinematicModel) -> 
             let status = layout.poses.row(pose);
             for (axis, [from, to]) in &limited {
                 let (command, beyond) = (status[axis.status], BEYOND * (to - from));
-                if command < from - beyond || command > to + beyond {
+                if !(command >= from - beyond && command <= to + beyond) {
                     let [command, from, to] = [command, *from, *to].map(|value| of_people(axis, value));
                     let message = format!("{} stands at {command}, beyond its travel of {from} to {to}", axis.name);
                     let endless = if axis.kind == AxisKind::Rotary { ", or `endless: true`" } else { "" };

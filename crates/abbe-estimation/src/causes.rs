@@ -40,8 +40,8 @@ fn cause(size: f64, numbers: &[(String, f64)]) -> Option<String> {
         (1.0, "as large as"),
         (2.0, "twice, as with a wrong sign of,"),
         (0.5, "half, as with a diameter for a radius in,"),
-        (1.0 - 1.0 / 25.4, "what is missing if inches were taken for mm in"),
-        (24.4, "what is too much if mm were taken for inches in"),
+        (24.4, "what is missing if inches were taken for mm in"),
+        (1.0 - 1.0 / 25.4, "what is too much if mm were taken for inches in"),
     ];
     ways.iter().find_map(|(factor, way)| {
         let like = |(_, number): &&(String, f64)| (size.abs() / (number.abs() * factor) - 1.0).abs() < ALIKE;

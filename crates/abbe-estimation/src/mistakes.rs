@@ -4,6 +4,7 @@ use abbe_core::{AxisKind, Monitor, ObservationSet, Plausible, Problem, Quantity,
 use abbe_numerics::{End, Options, solve_from};
 
 use crate::plausibility::large_at;
+use crate::separation::spread_out;
 use crate::weighted::Weighted;
 
 /// A mistake, and the problem without it.
@@ -15,6 +16,9 @@ struct Mistake {
 
 /// Iterations of a trial: what is right converges in a few.
 const ITERATIONS: usize = 15;
+
+/// Most rows of a set that mistakes are tried on, unless there are many unknowns.
+const ROWS: usize = 500;
 
 /// A mistake explains the residuals if these fall to less than this part.
 const FALLS: f64 = 0.3;
@@ -32,7 +36,8 @@ const TOLD: usize = 2;
 ///
 /// `plausible` tells which errors are none. Only mistakes in what was recorded are tried: signs, swapped columns, units.
 pub fn likely_mistakes(problem: &Problem, plausible: &Plausible) -> Result<Vec<String>> {
-    let quiet = problem.watched_by(Monitor::default());
+    // Some rows tell a sign or a unit as well as all.
+    let quiet = spread(problem).watched_by(Monitor::default());
     let as_it_is = Trial::new(&quiet, plausible);
     let mut found = Vec::new();
     for Mistake { without, problem: other } in mistakes(&quiet) {
@@ -59,6 +64,16 @@ pub fn likely_mistakes(problem: &Problem, plausible: &Plausible) -> Result<Vec<S
     };
     let near = found.into_iter().filter(|(_, trial)| trial.median <= 3.0 * least + 1e-6);
     Ok(near.take(TOLD).map(sentence).collect())
+}
+
+/// The problem with at most [`ROWS`] rows of every set, or all that it takes to determine its unknowns.
+fn spread(problem: &Problem) -> Problem {
+    let mut few = problem.clone();
+    let most = ROWS.max(4 * problem.unknowns.len());
+    for set in &mut few.sets {
+        set.rows = spread_out(set.rows.len(), most).into_iter().map(|place| set.rows[place]).collect();
+    }
+    few
 }
 
 /// A fit by plain least squares, from the nominal machine.

@@ -31,6 +31,8 @@ pub struct Large {
     pub unknown: Unknown,
     /// The error that it makes at most over the recorded travel, mm or rad, with the sign of the parameter.
     pub size: f64,
+    /// What it may be off by, mm or rad: three standard uncertainties.
+    pub margin: f64,
     /// What is plausible, mm or rad.
     pub bound: f64,
 }
@@ -38,7 +40,7 @@ pub struct Large {
 impl Large {
     /// Whether it is beyond what is plausible.
     pub fn is_implausible(&self) -> bool {
-        self.size.abs() > self.bound
+        self.size.abs() - self.margin > self.bound
     }
 
     /// The error and its bound, for people.
@@ -104,16 +106,19 @@ fn judged(
     unknowns: &[Unknown],
     value: impl Fn(&Unknown) -> (f64, f64),
 ) -> Result<Vec<Large>> {
-    let per_unit = Effects::of(at)?;
+    let motions = Motions::of(at)?;
     let mut found = Vec::new();
     for unknown in unknowns {
         let Some(bound) = bound(plausible, at, unknown) else { continue };
-        let Some(effect) = per_unit.of_parameter(unknown) else { continue };
+        let Some(effect) = motions.effect(unknown) else { continue };
         let (value, standard_uncertainty) = value(unknown);
         let nominal = at.model.info().nominal[unknown.index];
-        let size = (value - nominal) * effect;
-        if size.abs() - COVERED * standard_uncertainty * effect > TOLD * bound {
-            found.push(Large { unknown: unknown.clone(), size, bound });
+        // Terms that are large where the travel is far from zero may cancel: what counts is the error motion that they make together.
+        let whole = motions.whole(at, unknown).unwrap_or(f64::INFINITY);
+        let size = ((value - nominal) * effect).clamp(-whole, whole);
+        let margin = COVERED * standard_uncertainty * effect;
+        if size.abs() - margin > TOLD * bound {
+            found.push(Large { unknown: unknown.clone(), size, margin, bound });
         }
     }
     found.sort_by(|a, b| (b.size.abs() / b.bound).total_cmp(&(a.size.abs() / a.bound)));
@@ -140,12 +145,17 @@ fn bound(plausible: &Plausible, problem: &Problem, unknown: &Unknown) -> Option<
     }
 }
 
-/// The largest error over the recorded statuses that each parameter of a model makes, mm or rad for each unit of its value.
-struct Effects(BTreeMap<usize, f64>);
+/// Error motions over the recorded statuses.
+struct Motions {
+    /// The largest error that each parameter makes, mm or rad for each unit of its value.
+    effects: BTreeMap<usize, f64>,
+    /// The largest error of each component of each axis, mm or rad.
+    whole: BTreeMap<(usize, usize), f64>,
+}
 
-impl Effects {
+impl Motions {
     fn of(problem: &Problem) -> Result<Self> {
-        let mut largest: BTreeMap<usize, f64> = BTreeMap::new();
+        let (mut effects, mut whole): (BTreeMap<usize, f64>, BTreeMap<(usize, usize), f64>) = Default::default();
         for set in &thinned(problem).sets {
             for pose in set.poses_of(&set.rows) {
                 let status = set.poses().row(pose);
@@ -153,20 +163,30 @@ impl Effects {
                     // An error that cannot be evaluated here has no part in this row.
                     let Ok(error) = problem.model.motion_error(function, &problem.machine, status) else { continue };
                     for (index, by) in error.derivatives.into_iter().filter(|(_, by)| by.is_finite()) {
-                        let effect = largest.entry(index).or_default();
+                        let effect = effects.entry(index).or_default();
                         *effect = effect.max(by.abs());
                     }
+                    let largest = whole.entry((function.axis, function.component)).or_default();
+                    *largest = largest.max(error.value.abs());
                 }
             }
         }
-        Ok(Self(largest))
+        Ok(Self { effects, whole })
     }
 
-    /// Of one parameter; none where it is not known.
-    fn of_parameter(&self, unknown: &Unknown) -> Option<f64> {
+    /// The effect of one parameter; none where it is not known.
+    fn effect(&self, unknown: &Unknown) -> Option<f64> {
         match unknown.unit.per {
             None => Some(1.0),
-            Some(_) => self.0.get(&unknown.index).copied(),
+            Some(_) => self.effects.get(&unknown.index).copied(),
+        }
+    }
+
+    /// The whole error motion that a parameter is a part of; none for other parameters.
+    fn whole(&self, problem: &Problem, unknown: &Unknown) -> Option<f64> {
+        match problem.model.info().parameters[unknown.index].role {
+            ParameterRole::Motion { axis, component } => self.whole.get(&(axis, component)).copied(),
+            _ => None,
         }
     }
 }

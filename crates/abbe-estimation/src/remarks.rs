@@ -1,6 +1,6 @@
 //! Remarks on a problem that users should know before they trust its results.
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 
 use abbe_core::{DataRow, Owner, ParameterRole, Problem, Quantity, SetIndex, Values};
 
@@ -26,7 +26,8 @@ fn repeated(problem: &Problem) -> Vec<String> {
         let data = &set.info().layout.data;
         let mut seen: BTreeMap<Vec<Cell<'_>>, DataRow> = BTreeMap::new();
         let (mut count, mut first) = (0, None);
-        for row in set.rows.iter().filter_map(|&row| set.info().layout.rows[row].data_row) {
+        let rows: BTreeSet<DataRow> = set.rows.iter().filter_map(|&row| set.info().layout.rows[row].data_row).collect();
+        for row in rows {
             let cells = data.columns.iter().map(|column| match &column.values {
                 Values::Numbers(numbers) => Cell::Number(numbers[row].to_bits()),
                 Values::Labels(labels) => Cell::Label(&labels[row]),

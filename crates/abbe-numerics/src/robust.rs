@@ -215,28 +215,40 @@ pub(crate) fn m_scale(sizes: &[f64]) -> f64 {
 /// A row pulls the estimate, and by it its own residual, the more the larger m/n is. With g such that the mean of `1 / (1 + g slope)`
 /// is `1 - m/n`, the factor is `(1 - m/n) g / (m/n)` (El Karoui, Bean, Bickel, Lim & Yu 2013, on robust regression with many
 /// unknowns). Its first terms in m/n are those of Huber (1981, section 7.6), which are 3 % too small at m/n = 0.3 with Tukey's loss.
-/// Where so many rows have lost their slope that no g exists, it is the factor of the g that comes nearest.
+/// Where so many rows have lost their slope that there is no g, or one beyond [`LARGEST_PULL`], the factor is that of this pull: the
+/// uncertainties are large, as they are then.
 pub fn scatter_factor(slopes: &[f64], determined: f64) -> f64 {
     let count = slopes.len() as f64;
-    let mean = |of: &dyn Fn(f64) -> f64| slopes.iter().map(|&slope| of(slope)).sum::<f64>() / count;
     let share = determined / count;
-    if slopes.is_empty() || share < 1e-9 {
-        return if slopes.is_empty() { 1.0 } else { 1.0 / mean(&|slope| slope) };
+    if slopes.is_empty() || share >= 1.0 {
+        return 1.0;
+    }
+    let mean = |of: &dyn Fn(f64) -> f64| slopes.iter().map(|&slope| of(slope)).sum::<f64>() / count;
+    if share < 1e-9 {
+        return 1.0 / mean(&|slope| slope).max(1.0 / LARGEST_PULL);
     }
     // The mean is a convex function of g up to the first pole, so that Newton's steps from 0 come from one side.
     let least = slopes.iter().copied().fold(0.0, f64::min);
+    let last = if least < 0.0 { (-0.99 / least).min(LARGEST_PULL) } else { LARGEST_PULL };
     let mut g = 0.0;
     for _ in 0..100 {
         let excess = mean(&|slope| 1.0 / (1.0 + g * slope)) - (1.0 - share);
         let descent = mean(&|slope| slope / (1.0 + g * slope).powi(2));
+        if excess < 1e-12 {
+            break;
+        }
         let next = g + excess / descent;
-        if excess < 1e-12 || descent <= 0.0 || 1.0 + next * least <= 0.0 {
+        if descent <= 0.0 || next > last {
+            g = last;
             break;
         }
         g = next;
     }
     (1.0 - share) * g / share
 }
+
+/// Largest pull of a row on its own residual that is reckoned with.
+const LARGEST_PULL: f64 = 100.0;
 
 /// Standard deviations of residuals in units of the noise, given statistical weights and `g_i = j_i (J^T W J)^-1 j_i^T`; none for
 /// rows that the fit follows whatever they say.

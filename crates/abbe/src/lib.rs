@@ -154,9 +154,18 @@ pub fn main() -> ExitCode {
     if !matches!(arguments.command, Command::Plugin { .. }) {
         abbe_plugin::guard_exit();
     }
-    let status = carried_out(arguments);
-    abbe_plugin::expect_exit();
-    status
+    // Also when a panic ends this function.
+    let _end = ExpectedEnd;
+    carried_out(arguments)
+}
+
+/// Tells on its way out that the end is that of the program, and not of a plugin.
+struct ExpectedEnd;
+
+impl Drop for ExpectedEnd {
+    fn drop(&mut self) {
+        abbe_plugin::expect_exit();
+    }
 }
 
 fn carried_out(arguments: Arguments) -> ExitCode {

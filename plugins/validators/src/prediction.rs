@@ -2,16 +2,19 @@
 
 use std::collections::BTreeSet;
 
-use abbe_core::{Fit, Owner, Problem, Result, SetIndex, Unknown};
+use abbe_core::{EquationIndex, Fit, Owner, Problem, Result, SetIndex, Unknown};
 
 use crate::folds::own_unknown;
 
-/// Size of a derivative, relative to the largest of its equation, below which it is rounding.
+/// Size of a term, relative to the largest of its direction in any equation, below which it is rounding.
 const ROUNDING: f64 = 1e-9;
 
 /// Change of an equation along a direction, relative to the largest of its terms, below which these cancel. At recorded positions
 /// they do so to first order in the errors of the machine only.
 const CANCELS: f64 = 1e-2;
+
+/// The terms of an equation along a direction, with the number of the direction and their columns.
+type Terms = (EquationIndex, usize, Vec<(usize, f64)>);
 
 /// The problem of a fit that predicts `observations`, on the rows that the fit can predict; a remark on the others.
 pub fn predictable(fit: &Fit) -> Result<(Problem, Option<String>)> {
@@ -30,22 +33,27 @@ pub fn predictable(fit: &Fit) -> Result<(Problem, Option<String>)> {
         })
         .collect();
     let rows = judged.equation_rows();
-    let (mut open, mut along) = (BTreeSet::new(), BTreeSet::new());
+    let mut terms: Vec<Terms> = Vec::new();
     judged.linearise(&judged.start(), |block| {
         for (equation, _, line) in block.lines() {
-            let largest = line.iter().fold(0.0_f64, |largest, derivative| largest.max(derivative.abs()));
-            for direction in &directions {
-                let terms = direction.iter().filter(|(column, _)| line[*column].abs() > ROUNDING * largest);
-                let terms: Vec<(usize, f64)> = terms.map(|&(column, change)| (column, line[column] * change)).collect();
-                let total: f64 = terms.iter().map(|(_, term)| term).sum();
-                let size = terms.iter().fold(0.0_f64, |size, (_, term)| size.max(term.abs()));
-                if total.abs() > CANCELS * size {
-                    open.insert(rows[equation]);
-                    along.extend(terms.iter().map(|(column, _)| *column));
-                }
+            for (number, direction) in directions.iter().enumerate() {
+                let of_line = direction.iter().map(|&(column, change)| (column, line[column] * change));
+                terms.push((equation, number, of_line.collect()));
             }
         }
     })?;
+    let size = |terms: &[(usize, f64)]| terms.iter().fold(0.0_f64, |size, (_, term)| size.max(term.abs()));
+    let mut largest = vec![0.0_f64; directions.len()];
+    terms.iter().for_each(|(_, number, terms)| largest[*number] = largest[*number].max(size(terms)));
+    let (mut open, mut along) = (BTreeSet::new(), BTreeSet::new());
+    for (equation, number, mut terms) in terms {
+        terms.retain(|(_, term)| term.abs() > ROUNDING * largest[number]);
+        let total: f64 = terms.iter().map(|(_, term)| term).sum();
+        if total.abs() > CANCELS * size(&terms) {
+            open.insert(rows[equation]);
+            along.extend(terms.iter().map(|(column, _)| *column));
+        }
+    }
     if open.is_empty() {
         return Ok((problem.clone(), None));
     }

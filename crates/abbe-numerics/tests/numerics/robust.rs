@@ -64,7 +64,17 @@ fn stated_uncertainties_are_true_however_many_unknowns_there_are() {
     }
     assert!((scatter_factor(&slopes, 0.0) - 1.0 / 0.9).abs() < 1e-12);
     assert!((scatter_factor(&[1.0; 50], 20.0) - 1.0).abs() < 1e-9);
-    assert!(scatter_factor(&slopes, 95.0).is_finite() && scatter_factor(&[], 0.0) == 1.0);
+    // Where nearly all slopes are lost, the factor is large and a number; never zero or negative.
+    let lost: [(&[f64], f64); 5] =
+        [(&[0.9, -0.5], 1.0), (&[0.0; 10], 3.0), (&[0.0; 10], 0.0), (&[1.0, 0.0, 0.0, 0.0], 2.0), (&[-0.8; 9], 2.0)];
+    for (slopes, unknowns) in lost {
+        let factor = scatter_factor(slopes, unknowns);
+        assert!((0.5..1e3).contains(&factor), "{slopes:?}, {unknowns}: {factor}");
+    }
+    assert_eq!(
+        (scatter_factor(&slopes, 100.0), scatter_factor(&slopes, 120.0), scatter_factor(&[], 0.0)),
+        (1.0, 1.0, 1.0)
+    );
 
     // Deviations of estimates from the truth over what is stated, in many sets of normal noise, with and without gross errors.
     for (robust, unknowns, gross, seed) in [
