@@ -224,8 +224,9 @@ impl Prepared {
     fn fit(&self, stage: &Stage, problem: Problem) -> Result<Fit> {
         let estimator = self.estimators[&stage.name].clone();
         tracing::info!("{}: {} equations, {} unknowns", stage.name, problem.equations(), problem.unknowns.len());
-        remarks(&problem).iter().for_each(|remark| tracing::warn!("{}: {remark}", stage.name));
         let explained = estimator.explain(&problem).map_err(|error| self.with_mistakes(stage, &problem, error));
+        // After the fit: what fails first is told there.
+        remarks(&problem).iter().for_each(|remark| tracing::warn!("{}: {remark}", stage.name));
         let calibration = self.located(stage, explained)?;
         // Later users of the problem get the rows with the uncertainties that the fit used.
         let factor = |set: &ObservationSet| {
