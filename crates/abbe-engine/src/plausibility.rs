@@ -1,7 +1,7 @@
 //! Errors that no machine has: a run with them fails, with the mistake that explains them.
 
 use abbe_core::{Class, Error, Fit, ImplausibleValue, Problem, Result};
-use abbe_estimation::{Large, large_errors, likely_mistakes, unlikely};
+use abbe_estimation::{LargeError, large_errors, likely_causes, likely_mistakes};
 use abbe_recipe::Stage;
 
 use crate::outcome::Failure;
@@ -22,18 +22,18 @@ impl Prepared {
                 continue;
             }
             let plausible = &self.plausible[&stage.name];
-            let large = self.located(stage, large_errors(plausible, &fit.problem, &fit.calibration))?;
-            let (implausible, told): (Vec<Large>, Vec<Large>) = large.into_iter().partition(Large::is_implausible);
-            for sentence in unlikely(&fit.problem, &fit.calibration, &told) {
-                tracing::warn!("{}: {sentence}", fit.name);
-            }
-            if implausible.is_empty() {
+            let mut large = self.located(stage, large_errors(plausible, &fit.problem, &fit.calibration))?;
+            // Beside an error that no machine has, large ones need no word.
+            let is_implausible = large.iter().any(LargeError::is_implausible);
+            large.retain(|large| large.is_implausible() == is_implausible);
+            let causes = likely_causes(&fit.problem, &fit.calibration, &large);
+            let Some(worst) = large.first().filter(|_| is_implausible) else {
+                causes.iter().for_each(|sentence| tracing::warn!("{}: {sentence}", fit.name));
                 continue;
-            }
+            };
             let mistakes = self.located(stage, likely_mistakes(&fit.problem, plausible))?;
-            let error =
-                implausible_error(&implausible, unlikely(&fit.problem, &fit.calibration, &implausible), mistakes);
-            fit.calibration.fit.implausible = implausible.iter().map(record).collect();
+            let error = implausible_error(worst, &large, mistakes.into_iter().chain(causes));
+            fit.calibration.fit.implausible = large.iter().map(record).collect();
             failures.push(Failure::own(stage, self.recipe.locate(error.stage(&stage.name))));
         }
         Ok(failures)
@@ -54,21 +54,21 @@ impl Prepared {
     }
 }
 
-fn record(large: &Large) -> ImplausibleValue {
+fn record(large: &LargeError) -> ImplausibleValue {
     ImplausibleValue { name: large.unknown.name.clone(), size: large.size, plausible: large.bound }
 }
 
-fn implausible_error(implausible: &[Large], causes: Vec<String>, mistakes: Vec<String>) -> Error {
-    let named: Vec<String> = implausible.iter().take(NAMED).map(Large::describe).collect();
+/// `implausible` are all of them, with the worst one first.
+fn implausible_error(worst: &LargeError, implausible: &[LargeError], causes: impl Iterator<Item = String>) -> Error {
+    let named: Vec<String> = implausible.iter().take(NAMED).map(LargeError::describe).collect();
     let more = implausible.len().saturating_sub(NAMED);
     let rest = if more > 0 { format!(" and {more} more") } else { String::new() };
-    let first = &implausible[0];
     let message =
-        format!("no machine has such errors: {}{rest}; {} is plausible at most", named.join(", "), first.plausible());
-    let (unit, name) = (first.setting(), &first.unknown.name);
+        format!("no machine has such errors: {}{rest}; {} is plausible at most", named.join(", "), worst.plausible());
+    let (unit, name) = (worst.setting(), &worst.unknown.name);
     let widen = format!(
         "look for a wrong sign, column or unit in the recipe and the data, or say `plausible: {{ {unit}: {{ \"{name}\": .. }} }}`"
     );
-    let help: Vec<String> = mistakes.into_iter().chain(causes).chain([widen]).collect();
+    let help: Vec<String> = causes.chain([widen]).collect();
     Error::data(message).help(help.join("; "))
 }

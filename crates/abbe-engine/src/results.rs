@@ -11,7 +11,7 @@ use std::path::{Path, PathBuf};
 use abbe_core::{Error, Result};
 
 use crate::record::{RunRecord, sha256_of};
-use crate::staging::{Staging, locked, unwritable};
+use crate::staging::{Staging, unwritable};
 
 /// The record of a run among its results.
 pub(crate) const RECORD: &str = "run.json";
@@ -85,8 +85,11 @@ impl ResultFolder {
         // A second name of the same file, so that it is in both folders while these change places.
         let linked = free.and_then(|()| self.linked(staging.path()));
         let (staged, _lock) = staging.keep();
+        // From here on no cleaning takes the folder for one that a killed run has left: it may be the old one.
+        let named = self.beside("new").and_then(|new| fs::rename(&staged, &new).map(|()| new));
+        let new = named.as_ref().map_or(staged, PathBuf::clone);
         let exchanged = linked.and_then(|linked| {
-            let old = self.beside("old").and_then(|aside| exchange(&staged, &self.place, &aside));
+            let old = named.and_then(|new| self.exchange(&new));
             Ok((linked, old.map_err(|error| unwritable(&self.place, &error))?))
         });
         match exchanged {
@@ -96,12 +99,34 @@ impl ResultFolder {
                 Error::data(message).help(format!("what is left of it is in {}", old.display()))
             }),
             Err(error) => {
-                let kept = self.beside("new").and_then(|beside| fs::rename(&staged, &beside).map(|()| beside));
-                let kept = kept.unwrap_or(staged);
                 let help = error.help.clone().map_or_else(String::new, |help| format!("; {help}"));
-                Err(error.help(format!("the results are in {}{help}", kept.display())))
+                Err(error.help(format!("the results are in {}{help}", new.display())))
             }
         }
+    }
+
+    /// Puts a folder in the place of this one; gives the path at which the old one is then, if there was one.
+    ///
+    /// If the system can exchange two folders in one step, the place always has the old folder or the new one, even if the program
+    /// is stopped.
+    fn exchange(&self, new: &Path) -> io::Result<Option<PathBuf>> {
+        if self.place.symlink_metadata().is_err() {
+            return fs::rename(new, &self.place).map(|()| None);
+        }
+        let aside = self.beside("old")?;
+        #[cfg(target_os = "linux")]
+        {
+            use rustix::fs::{CWD, RenameFlags, renameat_with};
+            if renameat_with(CWD, new, CWD, &self.place, RenameFlags::EXCHANGE).is_ok() {
+                // Under which name it is removed does not matter.
+                let is_aside = fs::rename(new, &aside).is_ok();
+                return Ok(Some(if is_aside { aside } else { new.to_owned() }));
+            }
+        }
+        // Two renames. If the second one fails, the old results return.
+        fs::rename(&self.place, &aside)?;
+        fs::rename(new, &self.place).or_else(|error| fs::rename(&aside, &self.place).and(Err(error)))?;
+        Ok(Some(aside))
     }
 
     /// Gives the files of others second names in the folder `staged`; those that have one now. A file that stands there already, because
@@ -200,28 +225,4 @@ fn remove(path: &Path) -> io::Result<()> {
         Ok(_) => fs::remove_file(path),
         Err(_) => Ok(()),
     }
-}
-
-/// Puts a folder in the place of another one; gives the path at which that one is then, if there was one: `aside`, which no cleaning
-/// takes for a temporary folder.
-///
-/// If the system can exchange two folders in one step, the place always has the old folder or the new one, even if the program
-/// is stopped.
-fn exchange(staged: &Path, place: &Path, aside: &Path) -> io::Result<Option<PathBuf>> {
-    if place.symlink_metadata().is_err() {
-        return fs::rename(staged, place).map(|()| None);
-    }
-    // Nobody takes the old folder for one that a killed run has left.
-    let _lock = locked(place);
-    #[cfg(target_os = "linux")]
-    {
-        use rustix::fs::{CWD, RenameFlags, renameat_with};
-        if renameat_with(CWD, staged, CWD, place, RenameFlags::EXCHANGE).is_ok() {
-            return fs::rename(staged, aside).map(|()| Some(aside.to_owned()));
-        }
-    }
-    // Two renames. If the second one fails, the old results return.
-    fs::rename(place, aside)?;
-    fs::rename(staged, place).or_else(|error| fs::rename(aside, place).and(Err(error)))?;
-    Ok(Some(aside.to_owned()))
 }

@@ -103,7 +103,7 @@ impl Drop for Staging {
 }
 
 /// A lock on a folder; none on systems or disks that have no such locks.
-pub(crate) fn locked(folder: &Path) -> Option<File> {
+fn locked(folder: &Path) -> Option<File> {
     let folder = File::open(folder).ok()?;
     folder.try_lock().ok()?;
     Some(folder)

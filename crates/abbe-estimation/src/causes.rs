@@ -3,7 +3,7 @@
 use abbe_core::{Calibration, Problem, Quantity};
 use serde_json::Value;
 
-use crate::plausibility::Large;
+use crate::plausibility::LargeError;
 
 /// A value looks like a number if it differs by less than this part.
 const ALIKE: f64 = 0.02;
@@ -18,7 +18,7 @@ const COMMON: f64 = 0.5;
 const SCATTER: f64 = 0.2;
 
 /// Sentences on large errors: what they are as large as, and on features that are off alike.
-pub fn unlikely(problem: &Problem, calibration: &Calibration, large: &[Large]) -> Vec<String> {
+pub fn likely_causes(problem: &Problem, calibration: &Calibration, large: &[LargeError]) -> Vec<String> {
     let numbers = lengths(&problem.model.info().settings);
     let of_parameter = large.iter().filter_map(|large| {
         let cause = match large.unknown.unit.of {

@@ -1,6 +1,6 @@
 //! Commands of the linear axes that bring the tip to a point.
 
-use abbe_core::{AxisKind, KinematicModel, Poses, Result, Variable};
+use abbe_core::{AxisKind, KinematicModel, PoseIndex, Poses, Problem, Result, RowIndex, Variable};
 use nalgebra::{DMatrix, DVector};
 
 /// Distance from a point at which the tip is on it, mm.
@@ -74,4 +74,43 @@ impl<'a> InverseKinematics<'a> {
         let within = |status: f64, [from, to]: [f64; 2]| (from - ON..=to + ON).contains(&status);
         self.linear.iter().all(|(axis, range)| range.is_none_or(|range| within(status[*axis], range)))
     }
+}
+
+/// The rows of `recorded` as `other` would measure them, a problem with the same rows: `change` says what is different in a status, and
+/// the linear axes bring every tip back to where it was, but for the axis with the status `held`. Rows for which they cannot are left
+/// out. None if no row is left.
+pub fn measured_again(
+    recorded: &Problem,
+    mut other: Problem,
+    held: Option<usize>,
+    change: impl Fn(&mut [f64]),
+) -> Result<Option<Problem>> {
+    let tip_as_recorded = InverseKinematics::new(recorded.model.as_ref(), &recorded.machine, held);
+    let reach = InverseKinematics::new(other.model.as_ref(), &other.machine, held);
+    for set in &mut other.sets {
+        let mut poses = set.poses().clone();
+        let measured: Vec<PoseIndex> = set.poses_of(&set.rows).collect();
+        let mut reached = Vec::new();
+        // A model is not asked for no poses.
+        if !measured.is_empty() {
+            let mut statuses: Vec<Vec<f64>> = measured.iter().map(|&pose| poses.row(pose).to_vec()).collect();
+            let tips = tip_as_recorded.tips(&statuses)?;
+            statuses.iter_mut().for_each(|status| change(status));
+            for (pose, found) in measured.into_iter().zip(reach.at(statuses, &tips)?) {
+                if let Some(status) = found {
+                    poses.row_mut(pose).copy_from_slice(&status);
+                    reached.push(pose);
+                }
+            }
+        }
+        let layout = &set.observations.info().layout;
+        let is_reached = |row: &RowIndex| {
+            let row = layout.rows[*row];
+            row.poses > 0 && row.pose_indices().all(|pose| reached.contains(&pose))
+        };
+        let rows = set.rows.iter().copied().filter(is_reached).collect();
+        *set = set.with_poses(poses);
+        set.rows = rows;
+    }
+    Ok((other.equations() > 0).then_some(other))
 }

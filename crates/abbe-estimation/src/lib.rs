@@ -64,12 +64,12 @@ mod weighted;
 
 pub use aliasing::aliased;
 pub use calibration::calibration;
-pub use causes::unlikely;
+pub use causes::likely_causes;
 pub use contact::{Variation, at_contact, is_judged_as_recorded, rank_point};
 pub use inverse_kinematics::InverseKinematics;
 pub use judgement::Judgement;
 pub use mistakes::likely_mistakes;
-pub use plausibility::{Large, large_errors};
+pub use plausibility::{LargeError, large_errors};
 pub use preference::{check_preferences, in_order_of_preference};
 pub use propagation::{Linearisation, Propagation, Scales};
 pub use rank::{confounded, identifiability, ill_conditioned, separated, weakest};

@@ -1,17 +1,22 @@
 //! The usual mistakes of a set-up, tried one by one: which of them explains residuals, or errors that no machine has?
 
-use abbe_core::{AxisKind, Monitor, ObservationSet, Plausible, Problem, Quantity, Result, StatusRole};
+use std::f64::consts::PI;
+
+use abbe_core::{Axis, AxisKind, ModelInfo, Monitor, ObservationSet, Plausible, Problem, Quantity, Result, StatusRole};
 use abbe_numerics::{End, Options, solve_from};
 
 use crate::plausibility::large_at;
 use crate::separation::spread_out;
 use crate::weighted::Weighted;
 
-/// A mistake, and the problem without it.
+/// Makes of a status what it is without a mistake.
+type Correction = Box<dyn Fn(&mut [f64])>;
+
+/// A mistake in recorded commands.
 struct Mistake {
     /// `with B negated`.
     without: String,
-    problem: Problem,
+    correct: Correction,
 }
 
 /// Iterations of a trial: what is right converges in a few.
@@ -40,10 +45,10 @@ pub fn likely_mistakes(problem: &Problem, plausible: &Plausible) -> Result<Vec<S
     let quiet = spread(problem).watched_by(Monitor::default());
     let as_it_is = Trial::new(&quiet, plausible);
     let mut found = Vec::new();
-    for Mistake { without, problem: other } in mistakes(&quiet) {
+    for Mistake { without, correct } in mistakes(quiet.model.info()) {
         // Whoever watches the work can end it here.
         problem.monitor.check()?;
-        let Some(trial) = Trial::new(&other, plausible) else { continue };
+        let Some(trial) = Trial::new(&with_commands(&quiet, correct), plausible) else { continue };
         let explains = match &as_it_is {
             None => trial.is_plausible,
             Some(now) if now.is_plausible => trial.is_plausible && trial.median < FALLS * now.median,
@@ -127,52 +132,53 @@ fn median(values: Vec<f64>) -> Option<f64> {
     sizes.get(sizes.len() / 2).copied().filter(|median| median.is_finite())
 }
 
-/// The usual mistakes in recorded commands.
-fn mistakes(problem: &Problem) -> Vec<Mistake> {
-    let axes = &problem.model.info().axes;
+/// The usual mistakes in recorded commands of a machine.
+fn mistakes(machine: &ModelInfo) -> Vec<Mistake> {
     let mut found = Vec::new();
-    for (index, axis) in axes.iter().enumerate() {
-        let direction = problem.model.info().status_of(&StatusRole::Direction(index));
-        let problem = with_commands(problem, |status| {
-            status[axis.status] = -status[axis.status];
-            if let Some(direction) = direction {
-                status[direction] = -status[direction];
-            }
-        });
-        found.push(Mistake { without: format!("with {} negated", axis.name), problem });
+    let mut mistake = |without: String, correct: Correction| found.push(Mistake { without, correct });
+    for (index, axis) in machine.axes.iter().enumerate() {
+        let negated: Vec<usize> =
+            machine.status_of(&StatusRole::Direction(index)).into_iter().chain([axis.status]).collect();
+        let negate = move |status: &mut [f64]| negated.iter().for_each(|&value| status[value] = -status[value]);
+        mistake(format!("with {} negated", axis.name), Box::new(negate));
     }
     for kind in [AxisKind::Linear, AxisKind::Rotary] {
-        let alike: Vec<_> = axes.iter().filter(|axis| axis.kind == kind).collect();
-        for (place, one) in alike.iter().enumerate() {
-            for other in &alike[place + 1..] {
-                let problem = with_commands(problem, |status| status.swap(one.status, other.status));
-                found.push(Mistake { without: format!("with {} and {} swapped", one.name, other.name), problem });
+        let alike: Vec<(&str, usize)> =
+            machine.axes.iter().filter(|axis| axis.kind == kind).map(named_status).collect();
+        for (place, &(name, one)) in alike.iter().enumerate() {
+            for &(other_name, other) in &alike[place + 1..] {
+                let swap = move |status: &mut [f64]| status.swap(one, other);
+                mistake(format!("with {name} and {other_name} swapped"), Box::new(swap));
             }
         }
-        let units: &[(f64, &str)] = match kind {
-            AxisKind::Linear => &[
-                (25.4, "in inches"),
-                (1.0 / 25.4, "in mm and not in inches"),
-                (1e3, "in metres"),
-                (1e-3, "in micrometres"),
-            ],
-            AxisKind::Rotary => {
-                &[(1.0_f64.to_degrees(), "in radians"), (1.0_f64.to_radians(), "in degrees and not in radians")]
-            }
-        };
-        let names: Vec<&str> = alike.iter().map(|axis| axis.name.as_str()).collect();
-        for (factor, unit) in units {
-            let all = with_commands(problem, |status| alike.iter().for_each(|axis| status[axis.status] *= factor));
-            if !alike.is_empty() {
-                found.push(Mistake { without: format!("with {} read as {unit}", names.join(", ")), problem: all });
-            }
-            for axis in alike.iter().filter(|_| alike.len() > 1) {
-                let problem = with_commands(problem, |status| status[axis.status] *= factor);
-                found.push(Mistake { without: format!("with {} read as {unit}", axis.name), problem });
+        for &(factor, unit) in units(kind) {
+            // All of them, then one after the other.
+            let each = if alike.len() > 1 { alike.chunks(1) } else { [].chunks(1) };
+            for read in alike.chunks(alike.len().max(1)).chain(each) {
+                let (names, values): (Vec<&str>, Vec<usize>) = read.iter().copied().unzip();
+                let scale = move |status: &mut [f64]| values.iter().for_each(|&value| status[value] *= factor);
+                mistake(format!("with {} read as {unit}", names.join(", ")), Box::new(scale));
             }
         }
     }
     found
+}
+
+fn named_status(axis: &Axis) -> (&str, usize) {
+    (&axis.name, axis.status)
+}
+
+/// What numbers may be read as by mistake, with the factor that corrects them.
+fn units(kind: AxisKind) -> &'static [(f64, &'static str)] {
+    match kind {
+        AxisKind::Linear => &[
+            (25.4, "in inches"),
+            (1.0 / 25.4, "in mm and not in inches"),
+            (1e3, "in metres"),
+            (1e-3, "in micrometres"),
+        ],
+        AxisKind::Rotary => &[(180.0 / PI, "in radians"), (PI / 180.0, "in degrees and not in radians")],
+    }
 }
 
 /// The problem with other recorded commands.

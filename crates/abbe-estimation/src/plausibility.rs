@@ -26,7 +26,7 @@ const COVERED: f64 = 3.0;
 
 /// An estimated error that is larger than it can be, or nearly so.
 #[derive(Debug, Clone, PartialEq)]
-pub struct Large {
+pub struct LargeError {
     /// The parameter.
     pub unknown: Unknown,
     /// The error that it makes at most over the recorded travel, mm or rad, with the sign of the parameter.
@@ -37,7 +37,7 @@ pub struct Large {
     pub bound: f64,
 }
 
-impl Large {
+impl LargeError {
     /// Whether it is beyond what is plausible.
     pub fn is_implausible(&self) -> bool {
         self.size.abs() - self.margin > self.bound
@@ -76,7 +76,7 @@ fn rounded(value: f64) -> f64 {
 
 /// The estimated parameters of the machine that are larger than it can be, or nearly so; the largest first. What may be large by
 /// chance, for its uncertainty, is none of them.
-pub fn large_errors(plausible: &Plausible, problem: &Problem, calibration: &Calibration) -> Result<Vec<Large>> {
+pub fn large_errors(plausible: &Plausible, problem: &Problem, calibration: &Calibration) -> Result<Vec<LargeError>> {
     let estimated = |unknown: &&Unknown| {
         unknown.owner == Owner::Machine
             && calibration.get(&unknown.name).is_some_and(|found| found.status == Status::Estimated)
@@ -89,7 +89,7 @@ pub fn large_errors(plausible: &Plausible, problem: &Problem, calibration: &Cali
 }
 
 /// The same of values without a calibration; the unknowns stand at them.
-pub(crate) fn large_at(plausible: &Plausible, at: &Problem) -> Result<Vec<Large>> {
+pub(crate) fn large_at(plausible: &Plausible, at: &Problem) -> Result<Vec<LargeError>> {
     let start = at.start();
     let unknowns: Vec<Unknown> =
         at.unknowns.iter().filter(|unknown| unknown.owner == Owner::Machine).cloned().collect();
@@ -105,7 +105,7 @@ fn judged(
     at: &Problem,
     unknowns: &[Unknown],
     value: impl Fn(&Unknown) -> (f64, f64),
-) -> Result<Vec<Large>> {
+) -> Result<Vec<LargeError>> {
     let motions = Motions::of(at)?;
     let mut found = Vec::new();
     for unknown in unknowns {
@@ -118,7 +118,7 @@ fn judged(
         let size = ((value - nominal) * effect).clamp(-whole, whole);
         let margin = COVERED * standard_uncertainty * effect;
         if size.abs() - margin > TOLD * bound {
-            found.push(Large { unknown: unknown.clone(), size, margin, bound });
+            found.push(LargeError { unknown: unknown.clone(), size, margin, bound });
         }
     }
     found.sort_by(|a, b| (b.size.abs() / b.bound).total_cmp(&(a.size.abs() / a.bound)));

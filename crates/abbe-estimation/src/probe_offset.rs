@@ -1,8 +1,8 @@
 //! The recorded rows measured again with another probe offset: the tip is elsewhere in the frame of the tool.
 
-use abbe_core::{Owner, ParameterRole, PoseIndex, Problem, Result, RowIndex, Unit, Unknown};
+use abbe_core::{Owner, ParameterRole, Problem, Result, Unit, Unknown};
 
-use crate::inverse_kinematics::InverseKinematics;
+use crate::inverse_kinematics::measured_again;
 
 /// How far the tip of the other probe is from that of the recorded one, mm.
 pub const OFFSETS: [f64; 2] = [100.0, -100.0];
@@ -27,36 +27,5 @@ pub fn tip_offsets(problem: &Problem) -> Vec<(char, Unknown)> {
 pub fn with_offset(recorded: &Problem, offset: &Unknown, shift: f64) -> Result<Option<Problem>> {
     let mut moved = recorded.clone();
     moved.shift(offset, shift);
-    let recorded_tip = InverseKinematics::new(recorded.model.as_ref(), &recorded.machine, None);
-    let other_tip = InverseKinematics::new(moved.model.as_ref(), &moved.machine, None);
-    let mut sets = recorded.sets.clone();
-    for set in &mut sets {
-        let rows = set.rows.clone();
-        let measured: Vec<PoseIndex> = set.poses_of(&rows).collect();
-        if measured.is_empty() {
-            set.rows.clear();
-            continue;
-        }
-        let statuses: Vec<Vec<f64>> = measured.iter().map(|&pose| set.poses().row(pose).to_vec()).collect();
-        let tips = recorded_tip.tips(&statuses)?;
-        let found = other_tip.at(statuses, &tips)?;
-        let mut poses = set.poses().clone();
-        let mut reached = Vec::new();
-        for (pose, found) in measured.into_iter().zip(found) {
-            if let Some(status) = found {
-                poses.row_mut(pose).copy_from_slice(&status);
-                reached.push(pose);
-            }
-        }
-        let layout = &set.observations.info().layout;
-        let all_poses = |row: &RowIndex| {
-            let row = layout.rows[*row];
-            row.poses > 0 && row.pose_indices().all(|pose| reached.contains(&pose))
-        };
-        let rows = rows.into_iter().filter(all_poses).collect();
-        *set = set.with_poses(poses);
-        set.rows = rows;
-    }
-    moved.sets = sets;
-    Ok((moved.equations() > 0).then_some(moved))
+    measured_again(recorded, moved, None, |_| {})
 }

@@ -2,7 +2,7 @@
 
 use crate::accumulate::Accumulator;
 use crate::factor::Factor;
-use crate::robust::{Among, Robust, RobustReport, deviations, m_scale, pulls, scale, studentised};
+use crate::robust::{Robust, RobustReport, RowLoss, deviations, m_scale, prediction_variances, scale, studentised};
 
 /// Function that receives rows: index of the first row, residuals, derivatives row by row.
 pub type Sink<'a> = &'a mut dyn FnMut(usize, &[f64], &[f64]);
@@ -195,9 +195,9 @@ fn solve_robust<P: LeastSquares + ?Sized>(
             break;
         }
     }
-    let Compared { residuals, deviations, pulls } = rounds.compared(&minimum)?;
+    let Compared { residuals, deviations, predictions } = rounds.compared(&minimum)?;
     let spread = m_scale(&rounds.measured(&studentised(&residuals, &deviations)));
-    let held = Held { robust, spread, pulls };
+    let held = Held { robust, spread, predictions };
     let mut residuals = residuals;
     let mut sizes = held.sizes(&residuals);
     if minimum.end == End::Converged {
@@ -243,39 +243,42 @@ struct Compared {
     /// Their standard deviations in units of the noise.
     deviations: Vec<Option<f64>>,
     /// Variances of what the other rows say, in units of the noise.
-    pulls: Vec<Option<f64>>,
+    predictions: Vec<Option<f64>>,
 }
 
 /// What is held while robust weights settle.
 struct Held {
     robust: Robust,
     spread: f64,
-    pulls: Vec<Option<f64>>,
+    predictions: Vec<Option<f64>>,
 }
 
 impl Held {
-    fn among(&self, pull: Option<f64>) -> Option<Among> {
-        pull.map(|pull| Among { robust: self.robust, pull })
+    fn row_loss(&self, prediction: Option<f64>) -> Option<RowLoss> {
+        prediction.map(|prediction| RowLoss { robust: self.robust, prediction })
     }
 
     /// The studentised deleted residuals in units of the scale; 0 for rows that the fit follows.
     fn sizes(&self, residuals: &[f64]) -> Vec<f64> {
-        let rows = residuals.iter().zip(&self.pulls);
-        rows.map(|(residual, pull)| self.among(*pull).map_or(0.0, |among| among.size(residual / self.spread))).collect()
+        let rows = residuals.iter().zip(&self.predictions);
+        rows.map(|(residual, prediction)| {
+            self.row_loss(*prediction).map_or(0.0, |row| row.size(residual / self.spread))
+        })
+        .collect()
     }
 
     fn slopes(&self, sizes: &[f64]) -> Vec<f64> {
-        let rows = sizes.iter().zip(&self.pulls);
-        rows.map(|(size, pull)| self.among(*pull).map_or(1.0, |among| among.slope(*size))).collect()
+        let rows = sizes.iter().zip(&self.predictions);
+        rows.map(|(size, prediction)| self.row_loss(*prediction).map_or(1.0, |row| row.slope(*size))).collect()
     }
 
     /// What every round of weights lowers: the sum of the losses of these residuals.
     fn objective(&self, residuals: &[f64]) -> f64 {
-        let loss = |((residual, size), pull): ((&f64, f64), &Option<f64>)| match self.among(*pull) {
-            Some(among) => among.loss(size),
+        let loss = |((residual, size), prediction): ((&f64, f64), &Option<f64>)| match self.row_loss(*prediction) {
+            Some(row) => row.loss(size),
             None => (residual / self.spread).powi(2) / 2.0,
         };
-        residuals.iter().zip(self.sizes(residuals)).zip(&self.pulls).map(loss).sum()
+        residuals.iter().zip(self.sizes(residuals)).zip(&self.predictions).map(loss).sum()
     }
 }
 
@@ -310,11 +313,12 @@ impl<P: LeastSquares + ?Sized> Rounds<'_, P> {
                 *own = leverage;
             }
         })?;
-        let (mut deviations, mut pulls) = (deviations(&self.weights, &leverages), pulls(&self.weights, &leverages));
+        let mut deviations = deviations(&self.weights, &leverages);
+        let mut predictions = prediction_variances(&self.weights, &leverages);
         for row in (0..deviations.len()).filter(|&row| self.problem.keeps_weight(row)) {
-            (deviations[row], pulls[row]) = (None, None);
+            (deviations[row], predictions[row]) = (None, None);
         }
-        Ok(Compared { residuals, deviations, pulls })
+        Ok(Compared { residuals, deviations, predictions })
     }
 
     /// Where steps that shrink by this ratio lead to in the end; none unless rounds are slow.

@@ -59,32 +59,32 @@ impl Robust {
 
 /// What the other rows do to the residual of a row, in units of the scale of the noise.
 ///
-/// They say by themselves what the row should read, with a variance of `pull`. The row deviates from that by its deleted residual e,
-/// whose standard deviation is `sqrt(1 + pull)`; with the weight w the fit follows it, and leaves the residual
-/// `r = e / (1 + pull w)`. The row is weighed by the size of e, not of r. So a row that the fit would follow far is weighed by what
+/// They say by themselves what the row should read, with a variance of `prediction` (v). The row deviates from that by its deleted
+/// residual e, whose standard deviation is `sqrt(1 + v)`; with the weight w the fit follows it, and leaves the residual
+/// `r = e / (1 + v w)`. The row is weighed by the size of e, not of r. So a row that the fit would follow far is weighed by what
 /// the others think of it, and there is one weight for it whatever it had before: r rises with e.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub(crate) struct Among {
+pub(crate) struct RowLoss {
     /// The loss of e over its standard deviation.
     pub robust: Robust,
     /// Variance of what the other rows say, at least 0.
-    pub pull: f64,
+    pub prediction: f64,
 }
 
 /// Steps of the search for the deleted residual; Newton's method needs about five.
 const SEARCH: usize = 100;
 
-/// Pulls below this have a series instead of the closed form of the loss.
-const SMALL_PULL: f64 = 1e-2;
+/// Variances of predictions below this have a series instead of the closed form of the loss.
+const SMALL_PREDICTION: f64 = 1e-2;
 
-impl Among {
+impl RowLoss {
     fn deviation(&self) -> f64 {
-        (1.0 + self.pull).sqrt()
+        (1.0 + self.prediction).sqrt()
     }
 
     /// The residual that is left of a deleted residual of this studentised size.
     fn residual(&self, t: f64) -> f64 {
-        t * self.deviation() / (1.0 + self.pull * self.robust.weight(t))
+        t * self.deviation() / (1.0 + self.prediction * self.robust.weight(t))
     }
 
     /// The studentised size of the deleted residual of a row with this residual, with its sign.
@@ -102,8 +102,8 @@ impl Among {
             } else {
                 low = t
             }
-            let followed = 1.0 + self.pull * self.robust.weight(t);
-            let slope = self.deviation() * (followed - self.pull * self.decline(t)) / (followed * followed);
+            let followed = 1.0 + self.prediction * self.robust.weight(t);
+            let slope = self.deviation() * (followed - self.prediction * self.decline(t)) / (followed * followed);
             let step = t - off / slope;
             let next = if step > low && step < high { step } else { (low + high) / 2.0 };
             let settled = (next - t).abs() <= 1e-15 * t;
@@ -123,14 +123,14 @@ impl Among {
     /// The loss of a row whose deleted residual has this studentised size. Its derivative to the residual is the influence
     /// `residual * weight`.
     pub fn loss(&self, t: f64) -> f64 {
-        let Self { robust, pull } = *self;
+        let Self { robust, prediction } = *self;
         let (t, cutoff) = (t.abs(), robust.cutoff);
-        let squared = (1.0 + pull) * cutoff * cutoff;
+        let squared = (1.0 + prediction) * cutoff * cutoff;
         // The least that the row and the others lose together, as a function of e.
         let together = match robust.loss {
             Loss::Huber if t > cutoff => {
                 let beyond = t / cutoff - 1.0;
-                squared * (0.5 / (1.0 + pull) + beyond - pull * (beyond / (1.0 + pull)).ln_1p())
+                squared * (0.5 / (1.0 + prediction) + beyond - prediction * (beyond / (1.0 + prediction)).ln_1p())
             }
             Loss::Huber => t * t / 2.0,
             Loss::Tukey => {
@@ -138,24 +138,24 @@ impl Among {
                 squared / 2.0 * (self.integral(1.0) - self.integral(left))
             }
         };
-        together - pull / 2.0 * (self.residual(t) * robust.weight(t)).powi(2)
+        together - prediction / 2.0 * (self.residual(t) * robust.weight(t)).powi(2)
     }
 
-    /// The integral of `v^2 / (1 + pull v^2)` from 0.
+    /// The integral of `v^2 / (1 + prediction v^2)` from 0.
     fn integral(&self, v: f64) -> f64 {
-        let pull = self.pull;
-        if pull >= SMALL_PULL {
-            let root = pull.sqrt();
-            return (v - (root * v).atan() / root) / pull;
+        let prediction = self.prediction;
+        if prediction >= SMALL_PREDICTION {
+            let root = prediction.sqrt();
+            return (v - (root * v).atan() / root) / prediction;
         }
-        (0..8).map(|k| (-pull).powi(k) * v.powi(2 * k + 3) / f64::from(2 * k + 3)).sum()
+        (0..8).map(|k| (-prediction).powi(k) * v.powi(2 * k + 3) / f64::from(2 * k + 3)).sum()
     }
 
     /// Derivative of the influence to the residual, for a deleted residual of this studentised size.
     pub fn slope(&self, t: f64) -> f64 {
         let (weight, decline) = (self.robust.weight(t), self.decline(t));
-        let followed = 1.0 + self.pull * weight;
-        (weight * followed + decline) / (followed - self.pull * decline)
+        let followed = 1.0 + self.prediction * weight;
+        (weight * followed + decline) / (followed - self.prediction * decline)
     }
 }
 
@@ -210,12 +210,12 @@ pub(crate) fn m_scale(sizes: &[f64]) -> f64 {
 
 /// What multiplies the scatter `sqrt(sum of squared influences / (n - m))` of n rows that determine m unknowns, so that it is the
 /// factor of the standard uncertainties; `slopes` are the derivatives of the rows' influence at their studentised residuals. 1 if all
-/// are 1, as without a loss.
+/// are 1, as without a loss, and where no rows are to spare.
 ///
 /// A row pulls the estimate, and by it its own residual, the more the larger m/n is. With g such that the mean of `1 / (1 + g slope)`
 /// is `1 - m/n`, the factor is `(1 - m/n) g / (m/n)` (El Karoui, Bean, Bickel, Lim & Yu 2013, on robust regression with many
 /// unknowns). Its first terms in m/n are those of Huber (1981, section 7.6), which are 3 % too small at m/n = 0.3 with Tukey's loss.
-/// Where so many rows have lost their slope that there is no g, or one beyond [`LARGEST_PULL`], the factor is that of this pull: the
+/// Where so many rows have lost their slope that there is no g, or one beyond 100, the factor is that of this g: the
 /// uncertainties are large, as they are then.
 pub fn scatter_factor(slopes: &[f64], determined: f64) -> f64 {
     let count = slopes.len() as f64;
@@ -225,11 +225,11 @@ pub fn scatter_factor(slopes: &[f64], determined: f64) -> f64 {
     }
     let mean = |of: &dyn Fn(f64) -> f64| slopes.iter().map(|&slope| of(slope)).sum::<f64>() / count;
     if share < 1e-9 {
-        return 1.0 / mean(&|slope| slope).max(1.0 / LARGEST_PULL);
+        return 1.0 / mean(&|slope| slope).max(1.0 / LARGEST_G);
     }
     // The mean is a convex function of g up to the first pole, so that Newton's steps from 0 come from one side.
     let least = slopes.iter().copied().fold(0.0, f64::min);
-    let last = if least < 0.0 { (-0.99 / least).min(LARGEST_PULL) } else { LARGEST_PULL };
+    let last = if least < 0.0 { (-0.99 / least).min(LARGEST_G) } else { LARGEST_G };
     let mut g = 0.0;
     for _ in 0..100 {
         let excess = mean(&|slope| 1.0 / (1.0 + g * slope)) - (1.0 - share);
@@ -247,8 +247,8 @@ pub fn scatter_factor(slopes: &[f64], determined: f64) -> f64 {
     (1.0 - share) * g / share
 }
 
-/// Largest pull of a row on its own residual that is reckoned with.
-const LARGEST_PULL: f64 = 100.0;
+/// Largest g of [`scatter_factor`].
+const LARGEST_G: f64 = 100.0;
 
 /// Standard deviations of residuals in units of the noise, given statistical weights and `g_i = j_i (J^T W J)^-1 j_i^T`; none for
 /// rows that the fit follows whatever they say.
@@ -258,9 +258,9 @@ pub(crate) fn deviations(weights: &[f64], leverages: &[f64]) -> Vec<Option<f64>>
     rows.map(|variance| (variance > 1e-6).then(|| variance.sqrt())).collect()
 }
 
-/// What the rows without each row say of it: a variance in units of the noise, given statistical weights and
+/// Variance of what the rows without each row say of it, in units of the noise, given statistical weights and
 /// `g_i = j_i (J^T W J)^-1 j_i^T`; none for rows that the fit follows whatever they say.
-pub(crate) fn pulls(weights: &[f64], leverages: &[f64]) -> Vec<Option<f64>> {
+pub(crate) fn prediction_variances(weights: &[f64], leverages: &[f64]) -> Vec<Option<f64>> {
     let rows = weights.iter().zip(leverages).map(|(weight, leverage)| (1.0 - weight * leverage, leverage));
     rows.map(|(left, leverage)| (left > 1e-6).then(|| leverage / left)).collect()
 }
@@ -278,30 +278,31 @@ mod tests {
     #[test]
     fn weights_are_those_of_the_influence() {
         for robust in [Robust::HUBER, Robust::TUKEY] {
-            for pull in [0.0, 1e-3, 0.0099, 0.0101, 0.3, 4.0, 50.0] {
-                let among = Among { robust, pull };
+            for prediction in [0.0, 1e-3, 0.0099, 0.0101, 0.3, 4.0, 50.0] {
+                let row = RowLoss { robust, prediction };
                 for t in [0.1, 1.0, 2.0, 4.0, 4.6, 6.0, 100.0] {
-                    let residual = among.residual(t);
-                    assert!((among.size(residual) / t - 1.0).abs() < 1e-12, "{among:?} at {t}");
-                    assert_eq!(among.size(-residual), -among.size(residual));
+                    let residual = row.residual(t);
+                    assert!((row.size(residual) / t - 1.0).abs() < 1e-12, "{row:?} at {t}");
+                    assert_eq!(row.size(-residual), -row.size(residual));
                     // The influence is the derivative of the loss, and its own derivative is the slope.
                     let step = 1e-5 * residual;
-                    let [less, more] = [-step, step].map(|step| among.size(residual + step));
-                    let influence = |t: f64| among.residual(t) * robust.weight(t);
-                    let of_loss = (among.loss(more) - among.loss(less)) / (2.0 * step);
-                    assert!((of_loss - influence(t)).abs() < 1e-6 * (1.0 + residual), "{among:?} at {t}: {of_loss}");
+                    let [less, more] = [-step, step].map(|step| row.size(residual + step));
+                    let influence = |t: f64| row.residual(t) * robust.weight(t);
+                    let of_loss = (row.loss(more) - row.loss(less)) / (2.0 * step);
+                    assert!((of_loss - influence(t)).abs() < 1e-6 * (1.0 + residual), "{row:?} at {t}: {of_loss}");
                     let difference = (influence(more) - influence(less)) / (2.0 * step);
-                    assert!((difference - among.slope(t)).abs() < 1e-5, "{among:?} at {t}: {difference}");
+                    assert!((difference - row.slope(t)).abs() < 1e-5, "{row:?} at {t}: {difference}");
                     // The others hold a row at least as strongly as its influence falls: there is one place for it.
-                    assert!(1.0 + pull * among.slope(t) > 0.0);
+                    assert!(1.0 + prediction * row.slope(t) > 0.0);
                 }
             }
-            // Without a pull the usual loss.
-            let among = Among { robust, pull: 0.0 };
-            assert_eq!((among.size(3.0), among.slope(3.0)), (3.0, robust.influence_slope(3.0)));
+            // Without such a variance the usual loss.
+            let row = RowLoss { robust, prediction: 0.0 };
+            assert_eq!((row.size(3.0), row.slope(3.0)), (3.0, robust.influence_slope(3.0)));
         }
         assert_eq!(Robust::TUKEY.weight(5.0), 0.0);
-        let [huber, tukey] = [Robust::HUBER, Robust::TUKEY].map(|robust| Among { robust, pull: 0.0 }.loss(10.0));
+        let [huber, tukey] =
+            [Robust::HUBER, Robust::TUKEY].map(|robust| RowLoss { robust, prediction: 0.0 }.loss(10.0));
         assert!((huber - 1.345 * (10.0 - 1.345 / 2.0)).abs() < 1e-9 && (tukey - 4.685 * 4.685 / 6.0).abs() < 1e-9);
     }
 

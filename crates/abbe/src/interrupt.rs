@@ -1,5 +1,5 @@
-//! Ctrl-C, an order to end, a closed terminal: the work is asked to end; if it does not, the process ends within a second. No file is
-//! left half-written.
+//! Ctrl-C, an order to end, a closed terminal: the work is asked to end; if it does not, the process ends within a second, or when the
+//! file that is being written is complete. No file is left half-written. A second signal ends the process at once.
 
 use std::io::{self, Write};
 use std::sync::atomic::{AtomicI32, Ordering};
@@ -31,20 +31,31 @@ pub fn ends(monitor: Monitor) -> Result<()> {
     .map_err(|error| Error::data(format!("signals cannot be handled: {error}")))
 }
 
-/// Calls `end` with the number of the first signal that asks the process to end. One that the process was told to ignore (`nohup`)
-/// stays ignored.
+/// Calls `end` with the number of the first signal that asks the process to end; the second one ends it. One that the process was told
+/// to ignore (`nohup`) stays ignored.
 #[cfg(unix)]
 fn watched(end: impl FnOnce(i32) + Send + 'static) -> io::Result<()> {
     use signal_hook::consts::{SIGHUP, SIGINT, SIGTERM};
     let ignored = ignored();
     let wanted = [SIGINT, SIGTERM, SIGHUP].into_iter().filter(|signal| ignored >> (signal - 1) & 1 == 0);
     let mut signals = signal_hook::iterator::Signals::new(wanted)?;
-    std::thread::Builder::new().name("signals".to_owned()).spawn(move || {
-        if let Some(signal) = signals.forever().next() {
-            end(signal);
+    thread("signals", move || {
+        let mut signals = signals.forever();
+        if let Some(signal) = signals.next() {
+            // Without a thread there is nothing that could end the work.
+            if thread("end of work", move || end(signal)).is_err() {
+                signal_hook::low_level::exit(128 + signal);
+            }
         }
-    })?;
-    Ok(())
+        if let Some(signal) = signals.next() {
+            signal_hook::low_level::exit(128 + signal);
+        }
+    })
+}
+
+#[cfg(unix)]
+fn thread(name: &str, work: impl FnOnce() + Send + 'static) -> io::Result<()> {
+    std::thread::Builder::new().name(name.to_owned()).spawn(work).map(drop)
 }
 
 /// The signals that the process was told to ignore, bit by bit; none where the system does not say.
@@ -58,7 +69,11 @@ fn ignored() -> u64 {
 #[cfg(not(unix))]
 fn watched(end: impl FnOnce(i32) + Send + 'static) -> io::Result<()> {
     let mut end = Some(end);
-    ctrlc::set_handler(move || drop(end.take().map(|end| end(2)))).map_err(io::Error::other)
+    ctrlc::set_handler(move || match end.take() {
+        Some(end) => drop(std::thread::spawn(move || end(2))),
+        None => std::process::exit(130),
+    })
+    .map_err(io::Error::other)
 }
 
 /// Exit status of a process that was interrupted: 128 and the number of the signal.

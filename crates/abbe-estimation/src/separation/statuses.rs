@@ -1,10 +1,10 @@
 //! Trials of the recorded rows at other statuses: other positions of an axis, the other direction of approach, another
 //! stylus.
 
-use abbe_core::{Axis, AxisKind, PoseIndex, PoseTable, Problem, Quantity, Result, StatusColumn, StatusRole};
+use abbe_core::{Axis, AxisKind, Problem, Quantity, Result, StatusColumn, StatusRole};
 
 use super::{Group, Measured, Trial, listed};
-use crate::inverse_kinematics::InverseKinematics;
+use crate::inverse_kinematics::measured_again;
 
 /// Positions that are tried, degrees: of a rotary axis and of one that is indexed.
 const ROTARY: [f64; 7] = [90.0, -90.0, 60.0, -60.0, 30.0, -30.0, 0.0];
@@ -30,7 +30,8 @@ pub fn statuses(problem: &Problem, recorded: &Problem) -> Result<Vec<Trial>> {
         let values = values(problem, index, status);
         let group = if values.len() > 1 { Group::Further(index) } else { Group::Constant(index) };
         for Alternative { value, sentence } in alternatives(status, &problem.model.info().axes, axis, &values) {
-            if let Some(rows) = at_status(recorded, index, value)? {
+            let other = measured_again(recorded, recorded.clone(), Some(index), |status| status[index] = value)?;
+            if let Some(rows) = other {
                 trials.push(Trial { group, sentence, measured: Measured::Rows(Box::new(rows)) });
             }
         }
@@ -144,45 +145,4 @@ fn other(status: &StatusColumn, values: &[f64]) -> Vec<Alternative> {
     };
     let first = values.first().copied().unwrap_or(0.0);
     TIMES.map(|shift| Alternative { value: first + shift, sentence: sentence.clone() }).into()
-}
-
-/// The rows with another value of a status and unchanged tip positions; none if no row can reach them.
-fn at_status(recorded: &Problem, status: usize, value: f64) -> Result<Option<Problem>> {
-    let reach = InverseKinematics::new(recorded.model.as_ref(), &recorded.machine, Some(status));
-    let mut moved = recorded.clone();
-    for set in &mut moved.sets {
-        let mut poses = set.poses().clone();
-        let touched: Vec<PoseIndex> = set.poses_of(&set.rows).collect();
-        let reached = carried(&reach, &mut poses, &touched, (status, value))?;
-        let layout = &set.observations.info().layout;
-        set.rows.retain(|&row| {
-            let row = layout.rows[row];
-            row.poses > 0 && row.pose_indices().all(|pose| reached.contains(&pose))
-        });
-        *set = set.with_poses(poses);
-    }
-    Ok((moved.equations() > 0).then_some(moved))
-}
-
-/// Gives a status of some poses another value and moves their tips back; returns the poses for which this is possible.
-fn carried(
-    reach: &InverseKinematics<'_>,
-    poses: &mut PoseTable,
-    touched: &[PoseIndex],
-    (status, value): (usize, f64),
-) -> Result<Vec<PoseIndex>> {
-    if touched.is_empty() {
-        return Ok(Vec::new());
-    }
-    let mut statuses: Vec<Vec<f64>> = touched.iter().map(|&pose| poses.row(pose).to_vec()).collect();
-    let tips = reach.tips(&statuses)?;
-    statuses.iter_mut().for_each(|pose| pose[status] = value);
-    let mut reached = Vec::new();
-    for (&pose, found) in touched.iter().zip(reach.at(statuses, &tips)?) {
-        if let Some(found) = found {
-            poses.row_mut(pose).copy_from_slice(&found);
-            reached.push(pose);
-        }
-    }
-    Ok(reached)
 }
