@@ -383,7 +383,14 @@ fn a_scale_whose_temperature_is_not_known_is_told() {
     assert_ne!(told.status, 0);
     let text = told.stderr.split_whitespace().filter(|word| *word != "│").collect::<Vec<_>>().join(" ");
     assert!(text.contains("has no column `T_X_degC`"), "{text}");
-    small.write("scale.yaml", &recipe(", constants: { T_X_degC: 30 }"));
+    // Readings without any scatter have no uncertainty that could be estimated.
+    let known = recipe(", constants: { T_X_degC: 30 }");
+    small.write("scale.yaml", &known);
+    let told = small.abbe(&["run", "scale.yaml", "--out", "out"]);
+    assert_eq!(told.status, 1, "{}", told.stdout);
+    assert!(told.stderr.contains("all residuals are exactly zero"), "{}", told.stderr);
+    small
+        .write("scale.yaml", &known.replace("observations: laser,", "observations: laser, trust_uncertainties: true,"));
     let found = small.abbe(&["run", "scale.yaml", "--out", "out"]);
     assert_eq!(found.status, 0, "{}", found.stderr);
     let calibration: serde_json::Value =

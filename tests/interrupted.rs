@@ -115,7 +115,11 @@ fn interrupted_by(signal: &str, expected: i32) {
     let file = recipe.write(small.folder.path());
     let arguments = ["run".as_ref(), file.as_os_str(), "--out".as_ref(), "out".as_ref()];
     let arguments = [&arguments[..], &["--progress".as_ref(), "json".as_ref()]].concat();
-    let mut run = program(small.folder.path(), &arguments)
+    // What was started in the background or by `nohup` ignores signals, and hands this on.
+    let mut command = std::process::Command::new("env");
+    command.args(["--default-signal=INT,TERM,HUP", env!("CARGO_BIN_EXE_abbe-under-test")]).args(arguments);
+    let mut run = command
+        .current_dir(small.folder.path())
         .stdout(Stdio::null())
         .stderr(Stdio::piped())
         .spawn()

@@ -140,6 +140,13 @@ fn commands_beyond_the_travel_have_their_line() {
     let axes = json!({ "X": { "range_mm": [-100, 100] } });
     let error = first_steps(|_, value| value, &[("axes", axes)]).err().expect("it is refused");
     assert!(error.message.contains("beyond its travel of -100 mm to 100 mm"), "{error}");
+    // An axis that turns around gets everywhere, whichever way the control counts its turns (the touches have -270°); but not by
+    // thousands of turns.
+    let around = json!({ "C": { "range_deg": [-180, 180] } });
+    let one = |turns: f64| move |name: &str, value: f64| if name == "C_deg" { value + turns * 360.0 } else { value };
+    let outcome = first_steps(one(0.0), &[("axes", around.clone())]).expect("it runs");
+    assert!(outcome.passes(), "{:?}", outcome.failures);
+    assert!(first_steps(one(1.0), &[("axes", around)]).is_err());
     // Whole turns more are the same place, where an axis turns without an end.
     let turns = |name: &str, value: f64| if name == "C_deg" { value + 36_000.0 * 360.0 } else { value };
     assert!(first_steps(turns, &[]).is_err());

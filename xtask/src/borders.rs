@@ -18,15 +18,16 @@ const fn border(name: &'static str, uses: &'static [&'static str]) -> Border {
 }
 
 /// The folder `crates`: arrows point one way, see docs/architecture.md.
-const CRATES: [Border; 18] = [
+const CRATES: [Border; 19] = [
     border("abbe-settings", &[]),
+    border("abbe-files", &[]),
     border("abbe-results", &["abbe-settings"]),
     border("abbe-core", &["abbe-results", "abbe-settings"]),
     border("abbe-numerics", &[]),
     border("abbe-errors", &["abbe-core"]),
     border("abbe-geometry", &["abbe-numerics"]),
     border("abbe-kinematics", &["abbe-core"]),
-    border("abbe-table", &["abbe-core"]),
+    border("abbe-table", &["abbe-core", "abbe-files"]),
     Border {
         name: "abbe-estimation",
         uses: &["abbe-core", "abbe-numerics"],
@@ -42,13 +43,21 @@ const CRATES: [Border; 18] = [
     border("abbe-planning", &["abbe-core", "abbe-estimation", "abbe-numerics"]),
     border("abbe-simulation", &["abbe-core", "abbe-estimation", "abbe-numerics"]),
     Border { name: "abbe-volumetric", uses: &["abbe-core", "abbe-numerics"], tested_with: &["abbe-serial-chain"] },
-    border("abbe-plugin", &["abbe-core", "abbe-estimation"]),
-    border("abbe-recipe", &["abbe-core", "abbe-planning"]),
+    border("abbe-plugin", &["abbe-core", "abbe-estimation", "abbe-files"]),
+    border("abbe-recipe", &["abbe-core", "abbe-files", "abbe-planning"]),
     border(
         "abbe-engine",
-        &["abbe-core", "abbe-estimation", "abbe-planning", "abbe-recipe", "abbe-simulation", "abbe-table"],
+        &[
+            "abbe-core",
+            "abbe-estimation",
+            "abbe-files",
+            "abbe-planning",
+            "abbe-recipe",
+            "abbe-simulation",
+            "abbe-table",
+        ],
     ),
-    border("abbe", &["abbe-bundle", "abbe-core", "abbe-engine", "abbe-plugin", "abbe-recipe"]),
+    border("abbe", &["abbe-bundle", "abbe-core", "abbe-engine", "abbe-files", "abbe-plugin", "abbe-recipe"]),
     // Outside `crates`: nothing depends on them.
     border("abbe-stock-library", &["abbe-bundle", "abbe-plugin"]),
     border("xtask", &[]),
@@ -58,10 +67,11 @@ const CRATES: [Border; 18] = [
 const ABOVE_ALL: [&str; 4] = ["abbe-benches", "abbe-campaigns", "abbe-examples", "abbe-tests"];
 
 /// The crates that plugins may use.
-const FOR_PLUGINS: [&str; 9] = [
+const FOR_PLUGINS: [&str; 10] = [
     "abbe-core",
     "abbe-errors",
     "abbe-estimation",
+    "abbe-files",
     "abbe-geometry",
     "abbe-kinematics",
     "abbe-numerics",

@@ -3,6 +3,7 @@
 use std::fmt;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
+use std::time::{Duration, Instant};
 
 use serde::Serialize;
 
@@ -52,6 +53,8 @@ pub enum Event<'a> {
 #[derive(Clone, Default)]
 pub struct Monitor {
     watcher: Option<Arc<Watcher>>,
+    /// When the work has to end, and the time that it has in all.
+    deadline: Option<(Instant, Duration)>,
     stage: Arc<str>,
     quiet: bool,
 }
@@ -78,6 +81,12 @@ impl Monitor {
         Self { watcher: Some(Arc::new(watcher)), ..Self::default() }
     }
 
+    /// The same monitor; [`check`](Self::check) fails from `limit` from now on.
+    pub fn with_time_limit(self, limit: Duration) -> Self {
+        // A moment that the clock cannot tell is never reached.
+        Self { deadline: Instant::now().checked_add(limit).map(|end| (end, limit)), ..self }
+    }
+
     /// The same for the work of a stage.
     pub fn of_stage(&self, stage: &str) -> Self {
         Self { stage: stage.into(), ..self.clone() }
@@ -95,10 +104,14 @@ impl Monitor {
         }
     }
 
-    /// Fails with [`Class::Interrupted`](crate::Class::Interrupted) if the work has been cancelled.
+    /// Fails with [`Class::Interrupted`](crate::Class::Interrupted) if the work has been cancelled, and with
+    /// [`Error::out_of_time`] if its time is over.
     pub fn check(&self) -> Result<()> {
-        match &self.watcher {
-            Some(watcher) if watcher.ended.load(Ordering::Relaxed) => Err(Error::interrupted()),
+        if self.watcher.as_ref().is_some_and(|watcher| watcher.ended.load(Ordering::Relaxed)) {
+            return Err(Error::interrupted());
+        }
+        match self.deadline {
+            Some((end, limit)) if Instant::now() > end => Err(Error::out_of_time(limit.as_secs_f64())),
             _ => Ok(()),
         }
     }
@@ -148,6 +161,10 @@ mod tests {
         monitor.cancel();
         let error = of_fit.quiet().check().unwrap_err();
         assert_eq!((error.class, error.fault), (Class::Interrupted, true));
+        let late = Monitor::default().with_time_limit(Duration::ZERO).of_stage("fit");
+        let error = late.check().unwrap_err();
+        assert!(error.is_out_of_time() && error.fault && error.class == Class::Data);
+        assert!(Monitor::default().with_time_limit(Duration::MAX).check().is_ok());
         // The default monitor cannot cancel work.
         let nobody = Monitor::default();
         nobody.cancel();

@@ -1,7 +1,6 @@
 //! Which measurements to make: a plan with the data file to fill in.
 
 use std::collections::BTreeMap;
-use std::fs;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
@@ -127,8 +126,7 @@ fn rows(data: &Dataset, plan: &Plan) -> Result<BTreeMap<PathBuf, Vec<u8>>> {
         if of_file.is_empty() {
             continue;
         }
-        let text = fs::read_to_string(path)
-            .map_err(|error| Error::data(format!("the file cannot be read: {error}")).in_file(path))?;
+        let text = abbe_table::read_text(path)?;
         let name = path.file_name().map_or_else(|| PathBuf::from("plan.csv"), PathBuf::from);
         if files.insert(name, chosen(&text, &of_file, data)).is_some() {
             return Err(Error::usage("two files of candidates have the same name").in_file(path));
@@ -139,7 +137,7 @@ fn rows(data: &Dataset, plan: &Plan) -> Result<BTreeMap<PathBuf, Vec<u8>>> {
 
 /// Some rows of a file, under its header.
 fn chosen(text: &str, rows: &[DataRow], data: &Dataset) -> Vec<u8> {
-    let all: Vec<&str> = text.trim_start_matches('\u{feff}').lines().collect();
+    let all: Vec<&str> = text.lines().collect();
     let header = all.iter().find(|line| !line.starts_with('#') && !line.trim().is_empty());
     let lines = rows.iter().filter_map(|&row| all.get(data.origins[row].line - 1));
     let mut written = format!("# {} rows, chosen by `abbe plan`\n", rows.len());

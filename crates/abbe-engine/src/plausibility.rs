@@ -31,7 +31,10 @@ impl Prepared {
                 causes.iter().for_each(|sentence| tracing::warn!("{}: {sentence}", fit.name));
                 continue;
             };
-            let mistakes = self.located(stage, likely_mistakes(&fit.problem, plausible))?;
+            let mistakes = match likely_mistakes(&fit.problem, plausible) {
+                Err(error) if error.is_out_of_time() => Vec::new(),
+                mistakes => self.located(stage, mistakes)?,
+            };
             let error = implausible_error(worst, &large, mistakes.into_iter().chain(causes));
             fit.calibration.fit.implausible = large.iter().map(record).collect();
             failures.push(Failure::own(stage, self.recipe.locate(error.stage(&stage.name))));

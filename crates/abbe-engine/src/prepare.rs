@@ -1,6 +1,7 @@
 //! From a recipe to built stages, with all checks that need no data rows.
 
 use std::collections::BTreeMap;
+use std::io;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
@@ -73,9 +74,12 @@ pub fn prepare(path: &Path, registry: &Registry) -> Result<Prepared> {
             if !path.is_file() && prepared.is_planned(&stage.name) {
                 continue;
             }
-            if !path.is_file() {
-                let what = if path.is_dir() { "is a folder; a file was expected" } else { "does not exist" };
-                let error = Error::usage(format!("{} {what}", path.display())).setting(setting);
+            if let Err(error) = abbe_files::open(&path) {
+                let message = match error.kind() {
+                    io::ErrorKind::NotFound => format!("{} does not exist", path.display()),
+                    _ => format!("{} cannot be read: {error}", path.display()),
+                };
+                let error = Error::usage(message).setting(setting);
                 return Err(prepared.recipe.locate(error.stage(&stage.name)));
             }
             prepared.files.push(path);

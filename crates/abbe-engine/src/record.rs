@@ -2,7 +2,6 @@
 //!
 //! Its number stands in the key `abbe_run`, its schema in `docs/schemas/run.schema.json`; `docs/formats.md` says what may change.
 
-use std::fs;
 use std::io::{self, Read};
 use std::path::{Path, PathBuf};
 
@@ -157,7 +156,7 @@ pub(crate) fn sha256(content: &[u8]) -> String {
 
 /// SHA-256 of the content of a file.
 pub(crate) fn sha256_of(file: &Path) -> io::Result<String> {
-    let mut reader = fs::File::open(file)?;
+    let mut reader = abbe_files::open(file)?;
     let mut digest = Sha256::new();
     let mut buffer = [0; 1 << 16];
     loop {

@@ -9,6 +9,7 @@ use std::io;
 use std::path::{Path, PathBuf};
 
 use abbe_core::{Error, Result};
+use abbe_files::{LARGEST_RESULT, read_text};
 
 use crate::record::{RunRecord, sha256_of};
 use crate::staging::{Staging, unwritable};
@@ -40,7 +41,8 @@ impl ResultFolder {
         if all.is_empty() {
             return Ok(none(real));
         }
-        let record = fs::read_to_string(real.join(RECORD)).ok().and_then(|text| RunRecord::from_json(&text).ok());
+        let record =
+            read_text(&real.join(RECORD), LARGEST_RESULT).ok().and_then(|text| RunRecord::from_json(&text).ok());
         let Some(record) = record else { return Err(no_results(place)) };
         let inputs: BTreeSet<PathBuf> = inputs.iter().filter_map(|input| fs::canonicalize(input).ok()).collect();
         let mut folder = none(real);

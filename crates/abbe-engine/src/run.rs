@@ -192,7 +192,11 @@ impl Prepared {
     fn exports(&self, fits: &[Fit], monitor: &Monitor, failures: &mut Vec<Failure>) -> Result<Exports> {
         let mut exports = Vec::new();
         for stage in self.stages(Kind::Export) {
-            self.started(stage, monitor)?;
+            match self.started(stage, monitor) {
+                // What is estimated is written even if there was no time for all.
+                Err(error) if !error.is_out_of_time() => return Err(error),
+                _ => {}
+            }
             if let Some(failure) = failed(stage.reference("of"), failures) {
                 failures.push(failure(stage));
             }

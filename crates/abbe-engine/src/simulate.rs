@@ -2,7 +2,6 @@
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::ffi::OsStr;
-use std::fs;
 use std::io;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
@@ -11,6 +10,7 @@ use abbe_core::{
     Approach, AxisKind, Contact, DataRow, Dataset, Error, Kind, Layout, ObservationSet, Observations, Problem,
     Quantity, Result, Row,
 };
+use abbe_files::LARGEST_TEXT;
 use abbe_recipe::Stage;
 use abbe_simulation::{Truth, measure};
 use abbe_table::Cells;
@@ -67,7 +67,7 @@ impl Prepared {
     /// `machine` is the name of its model stage; it may be left out if all estimates use one machine. Fails if the truth is
     /// wrong or names something that the recipe does not have, and if the machine cannot reach the artefact in a row.
     pub fn simulate(&self, truth: &Path, seed: u64, machine: Option<&str>) -> Result<Simulated> {
-        let bytes = fs::read(truth).map_err(|error| unreadable(truth, &error))?;
+        let bytes = abbe_files::read(truth, LARGEST_TEXT).map_err(|error| unreadable(truth, &error))?;
         let text = String::from_utf8_lossy(&bytes);
         let values = Truth::parse(truth, &text)?;
         let programme = self.programme(self.simulated_machine(machine)?)?;
@@ -85,11 +85,10 @@ impl Prepared {
         let named = truth.file_name().unwrap_or(OsStr::new(TRUTH)).to_string_lossy();
         for source in self.files.iter().filter(|file| **file != self.recipe.path).collect::<BTreeSet<_>>() {
             let place = places.of(source)?;
-            let mut content = fs::read(source).map_err(|error| unreadable(source, &error))?;
+            let mut content = abbe_files::read(source, u64::MAX).map_err(|error| unreadable(source, &error))?;
             if let Some(cells) = cells.get(source) {
                 let copied = abbe_table::read(source)?.rows() - cells.len();
                 let text = abbe_table::with_cells(source, &content, cells)?;
-                let text = text.strip_prefix('\u{feff}').unwrap_or(&text);
                 content = format!("{}{text}", comment(&named, seed, copied)).into_bytes();
                 data.push(SimulatedFile { file: place.clone(), measured: cells.len(), copied });
             } else if let Some(read_by) = readers.get(source) {

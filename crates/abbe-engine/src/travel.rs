@@ -18,7 +18,7 @@ pub(crate) fn check_travel(set: &ObservationSet, model: &dyn KinematicModel) -> 
         for pose in row.pose_indices() {
             let status = layout.poses.row(pose);
             for (axis, [from, to]) in &limited {
-                let (command, beyond) = (status[axis.status], BEYOND * (to - from));
+                let (command, beyond) = (status[axis.status], beyond(axis, to - from));
                 if !(command >= from - beyond && command <= to + beyond) {
                     let [command, from, to] = [command, *from, *to].map(|value| of_people(axis, value));
                     let message = format!("{} stands at {command}, beyond its travel of {from} to {to}", axis.name);
@@ -32,6 +32,12 @@ pub(crate) fn check_travel(set: &ObservationSet, model: &dyn KinematicModel) -> 
         }
     }
     Ok(())
+}
+
+/// How far beyond its ends a command may be. An axis that turns around gets everywhere: how controls count its turns differs.
+fn beyond(axis: &Axis, travel: f64) -> f64 {
+    let turns_around = axis.kind == AxisKind::Rotary && travel >= TAU * (1.0 - 1e-9);
+    if turns_around { TAU.max(BEYOND * travel) } else { BEYOND * travel }
 }
 
 /// Where an axis may stand whose travel is not known: beyond that no machine goes.

@@ -108,6 +108,10 @@ impl LeastSquares for Weighted<'_> {
         error.fault
     }
 
+    fn is_out_of_time(&self, error: &Error) -> bool {
+        error.is_out_of_time()
+    }
+
     fn has_stepped(&self, iteration: usize, size: f64) {
         self.problem.monitor.iteration(iteration, size);
     }

@@ -18,6 +18,11 @@ pub trait LeastSquares {
         false
     }
 
+    /// Whether this error says that the time is over: the iteration then ends with its last iterate ([`End::TimeLimit`]).
+    fn is_out_of_time(&self, _: &Self::Error) -> bool {
+        false
+    }
+
     /// Whether a row keeps its weight for any residual and is left out of the scale of the residuals: a constraint, which is
     /// known and not measured.
     fn keeps_weight(&self, _row: usize) -> bool {
@@ -96,6 +101,8 @@ pub enum End {
     IterationLimit,
     /// The limit of rounds of robust weights was reached, and the weights still change.
     RoundLimit,
+    /// The time was over ([`LeastSquares::is_out_of_time`]).
+    TimeLimit,
 }
 
 /// The last iterate, for any kind of end.
@@ -139,7 +146,7 @@ pub(crate) fn factorise<P: LeastSquares + ?Sized>(
 /// Every step is that of the linearised problem, columns scaled, and is halved while it does not make the sum of squares smaller, or leads to where nothing can be evaluated.
 ///
 /// Fails if the start cannot be evaluated. Fails with the last error if no part of a step can be evaluated, and at once with
-/// an error that is final ([`LeastSquares::is_final`]).
+/// an error that is final ([`LeastSquares::is_final`]), unless the time is over and there is an iterate.
 pub fn solve<P: LeastSquares + ?Sized>(problem: &P, start: &[f64], options: &Options) -> Result<Solution, P::Error> {
     solve_from(problem, start, None, options)
 }
@@ -185,7 +192,9 @@ fn solve_robust<P: LeastSquares + ?Sized>(
     let mut settled = false;
     // Where least squares find no minimum, weights have nothing to start from.
     for _ in 0..if minimum.end == End::Converged { SCALE_ROUNDS } else { 0 } {
-        let Compared { residuals, deviations, .. } = rounds.compared(&minimum)?;
+        let Some(Compared { residuals, deviations, .. }) = in_time(problem, rounds.compared(&minimum))? else {
+            return Ok(minimum.out_of_time());
+        };
         let studentised = studentised(&residuals, &deviations);
         let spread = scale(&rounds.measured(&studentised));
         let changed = rounds.reweigh(Robust::HUBER, &studentised, spread);
@@ -195,7 +204,9 @@ fn solve_robust<P: LeastSquares + ?Sized>(
             break;
         }
     }
-    let Compared { residuals, deviations, predictions } = rounds.compared(&minimum)?;
+    let Some(Compared { residuals, deviations, predictions }) = in_time(problem, rounds.compared(&minimum))? else {
+        return Ok(minimum.out_of_time());
+    };
     let spread = m_scale(&rounds.measured(&studentised(&residuals, &deviations)));
     let held = Held { robust, spread, predictions };
     let mut residuals = residuals;
@@ -208,10 +219,13 @@ fn solve_robust<P: LeastSquares + ?Sized>(
             settled = rounds.reweigh(robust, &sizes, 1.0) < options.settled;
             let mut step: Vec<f64> = minimum.x.iter().map(|value| -value).collect();
             minimum = rounds.minimise(minimum, settled)?;
-            if settled || matches!(minimum.end, End::NoProgress | End::IterationLimit) {
+            if settled || matches!(minimum.end, End::NoProgress | End::IterationLimit | End::TimeLimit) {
                 break;
             }
-            residuals = rounds.residuals(&minimum.x)?;
+            let Some(there) = in_time(problem, rounds.residuals(&minimum.x))? else {
+                return Ok(minimum.out_of_time());
+            };
+            residuals = there;
             add(&mut step, &minimum.x, 1.0);
             let size = minimum.factor.row_norm(&step);
             let further = rounds.further(&minimum.x, &step, last.map_or(0.0, |last| size / last));
@@ -219,6 +233,7 @@ fn solve_robust<P: LeastSquares + ?Sized>(
             if let Some(x) = further {
                 let ahead = match rounds.residuals(&x) {
                     Ok(ahead) => ahead,
+                    Err(error) if problem.is_out_of_time(&error) => return Ok(minimum.out_of_time()),
                     Err(error) if problem.is_final(&error) => return Err(error),
                     // Too far ahead: one step at a time.
                     Err(_) => continue,
@@ -361,7 +376,10 @@ impl<P: LeastSquares + ?Sized> Rounds<'_, P> {
         if self.iterations >= ALL_ROUNDS * self.options.iterations {
             return Ok(Minimum { end: End::IterationLimit, ..from });
         }
-        let factor = factorise(self.problem, &from.x, Some(&self.weights))?;
+        let factor = match in_time(self.problem, factorise(self.problem, &from.x, Some(&self.weights)))? {
+            Some(factor) => factor,
+            None => return Ok(Minimum { end: End::TimeLimit, ..from }),
+        };
         let minimum = minimise(self.problem, from.x, factor, Some(&self.weights), &options)?;
         self.iterations += minimum.iterations;
         Ok(minimum)
@@ -381,7 +399,20 @@ struct Minimum {
     factor: Factor,
 }
 
+/// A value, or none if there was no more time for it.
+fn in_time<P: LeastSquares + ?Sized, T>(problem: &P, result: Result<T, P::Error>) -> Result<Option<T>, P::Error> {
+    match result {
+        Err(error) if problem.is_out_of_time(&error) => Ok(None),
+        result => result.map(Some),
+    }
+}
+
 impl Minimum {
+    /// The solution where the time was over before robust weights were settled.
+    fn out_of_time(self) -> Solution {
+        Self { end: End::TimeLimit, ..self }.solution(None)
+    }
+
     fn solution(self, robust: Option<RobustReport>) -> Solution {
         Solution {
             x: self.x,
@@ -428,7 +459,13 @@ fn minimise<P: LeastSquares + ?Sized>(
             return Ok(Minimum { x, end: End::Converged, iterations, last_step: size, factor });
         }
         smallest = smallest.min(size);
-        match downhill(problem, (&x, &step), factor.cost(), weights)? {
+        let lower = match downhill(problem, (&x, &step), factor.cost(), weights) {
+            Err(error) if problem.is_out_of_time(&error) => {
+                return Ok(Minimum { x, end: End::TimeLimit, iterations: iterations - 1, last_step: size, factor });
+            }
+            lower => lower?,
+        };
+        match lower {
             Some(lower) => {
                 problem.has_stepped(iterations, size * lower.part);
                 trials += lower.trials;

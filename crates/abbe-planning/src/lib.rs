@@ -9,7 +9,9 @@ mod candidates;
 mod generate;
 mod settings;
 
-use abbe_core::{DataRow, EquationIndex, Error, PathItem, Problem, Result, RowIndex, Unknown, in_parallel, matches};
+use abbe_core::{
+    DataRow, EquationIndex, Error, PathItem, Problem, Result, RowIndex, Unknown, Whole, in_parallel, matches,
+};
 use abbe_estimation::rank_point;
 use abbe_numerics::{Choice, Criterion, Design, DesignFigures, Generator};
 
@@ -105,7 +107,7 @@ pub fn plan(problem: &Problem, wanted: &Planning) -> Result<Plan> {
         let message = "even all candidates together leave something open";
         return Err(wrong("candidates", message).help("offer more candidates, or estimate fewer parameters"));
     }
-    let searches: Vec<u64> = (0..u64::from(wanted.restarts)).collect();
+    let searches: Vec<u64> = (0..wanted.restarts.get() as u64).collect();
     let searched = in_parallel(&searches, None, |search| choice.exchange(&mut Generator::new(wanted.seed, *search)));
     let designs: Vec<Design> = searched.into_iter().flatten().collect();
     let best = designs.iter().fold(None, |best: Option<&Design>, design| match best {
@@ -137,8 +139,8 @@ fn wrong(key: &str, message: impl Into<String>) -> Error {
 
 fn too_small(wanted: &Planning) -> Error {
     match (wanted.number, wanted.budget_s) {
-        (Some(number), _) if wanted.required.len() > number => {
-            wrong("required", format!("more than the {number} that are wanted"))
+        (Some(number), _) if wanted.required.len() > number.get() => {
+            wrong("required", format!("more than the {} that are wanted", number.get()))
         }
         (Some(_), None) => {
             wrong("number", "there are not so many candidates").help("allow `replications: true`, or want fewer")
@@ -241,7 +243,7 @@ impl Scaled {
             required,
             allowed: candidates.iter().map(|candidate| !candidate.forbidden).collect(),
             replications: wanted.replications,
-            number: wanted.number,
+            number: wanted.number.map(Whole::get),
             budget: wanted.budget_s,
             criterion: match wanted.criterion {
                 PlanningCriterion::D => Criterion::D,

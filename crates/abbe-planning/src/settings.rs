@@ -2,7 +2,7 @@
 
 use std::collections::BTreeMap;
 
-use abbe_core::{Label, PathItem, Series, SettingsError, positive};
+use abbe_core::{Label, PathItem, Series, SettingsError, Whole, positive};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
@@ -22,7 +22,7 @@ pub struct Planning {
     pub by: Option<String>,
     /// How many to choose, required ones included.
     #[serde(default, skip_serializing_if = "Option::is_none")]
-    pub number: Option<usize>,
+    pub number: Option<Whole<1, 1_000_000>>,
     /// Time that they may take together; the candidates have a column `duration_s`.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub budget_s: Option<f64>,
@@ -43,7 +43,7 @@ pub struct Planning {
     pub forbidden: Vec<Label>,
     /// Random starts of the search.
     #[serde(default = "restarts")]
-    pub restarts: u32,
+    pub restarts: Whole<1, 10_000>,
     /// Seed of the random starts.
     #[serde(default)]
     pub seed: u64,
@@ -149,8 +149,8 @@ pub enum PlanningCriterion {
     Condition,
 }
 
-fn restarts() -> u32 {
-    20
+fn restarts() -> Whole<1, 10_000> {
+    Whole::new(20)
 }
 
 impl Planning {
@@ -159,14 +159,8 @@ impl Planning {
         if self.number.is_none() && self.budget_s.is_none() {
             return Err(SettingsError::new("", "`number` or `budget_s` is missing: how many may be measured?"));
         }
-        if self.number == Some(0) {
-            return Err(SettingsError::new("number", "at least one was expected"));
-        }
         if let Some(budget) = self.budget_s {
             positive("budget_s", budget)?;
-        }
-        if self.restarts == 0 {
-            return Err(SettingsError::new("restarts", "at least one was expected"));
         }
         if let Some(generate) = &self.generate {
             generate.check().map_err(|error| error.under([PathItem::Key("generate".to_owned())]))?;

@@ -15,7 +15,7 @@ use abbe_core::{Error, Result};
 use serde::{Deserialize, Serialize};
 use serde_json::{Value, json};
 
-use crate::loader::{Library, load};
+use crate::loader::{Library, load, open_library};
 
 /// A test: its name, what it asks for, and how.
 struct Test {
@@ -133,14 +133,8 @@ const RECIPE: Test = Test {
 
 /// Runs all tests of a library; `program` is started as `program plugin test FILE NAME` and calls [`test()`]. With a recipe it is
 /// started once more, with `--recipe RECIPE`, to run the laws over that.
-pub fn check(file: &Path, program: &Path, time_limit_s: f64, recipe: Option<&Path>) -> Result<Report> {
-    if !(time_limit_s > 0.0 && time_limit_s < 1e6) {
-        return Err(Error::usage(format!("a time limit of {time_limit_s} s: a positive number was expected")));
-    }
-    if !file.is_file() {
-        return Err(Error::usage(format!("the plugin library {} does not exist", file.display())));
-    }
-    let limit = Duration::from_secs_f64(time_limit_s);
+pub fn check(file: &Path, program: &Path, limit: Duration, recipe: Option<&Path>) -> Result<Report> {
+    open_library(file)?;
     let mut report = Report { file: file.display().to_string(), results: Vec::new() };
     for test in TESTS.iter().chain(recipe.map(|_| &RECIPE)) {
         let mut arguments = vec![file.as_os_str(), test.name.as_ref()];

@@ -8,6 +8,7 @@ mod wire;
 
 use std::any::Any;
 use std::collections::BTreeMap;
+use std::io::{self, Read, Write};
 use std::os::unix::net::UnixStream;
 use std::os::unix::process::ExitStatusExt;
 use std::path::{Path, PathBuf};
@@ -16,7 +17,7 @@ use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::thread::ThreadId;
 use std::time::Duration;
 
-use abbe_core::{Equations, Error, Origin, Poses, Result, RowBatch, RowIndex, Variable};
+use abbe_core::{Equations, Error, Origin, Poses, Result, RowBatch, RowIndex, Variable, harmless};
 
 use crate::loader::{About, Create, Library, hashed};
 use crate::peer::{Answer, Failure, Peer, Transit};
@@ -92,12 +93,7 @@ impl Connection {
         }
     }
 
-    fn converse(
-        self: &Arc<Self>,
-        wire: &mut Wire,
-        frame: &Frame,
-        numbers: &[&[f64]],
-    ) -> std::io::Result<(Frame, Vec<f64>)> {
+    fn converse(self: &Arc<Self>, wire: &mut Wire, frame: &Frame, numbers: &[&[f64]]) -> io::Result<(Frame, Vec<f64>)> {
         for object in std::mem::take(&mut *locked(&self.released)) {
             wire.write(&Frame::Release { object }, &[])?;
         }
@@ -112,7 +108,7 @@ impl Connection {
     }
 
     /// Works on a question of the other side and writes the answer.
-    fn answer(self: &Arc<Self>, wire: &mut Wire, question: Frame, numbers: &[f64]) -> std::io::Result<()> {
+    fn answer(self: &Arc<Self>, wire: &mut Wire, question: Frame, numbers: &[f64]) -> io::Result<()> {
         if let Frame::Release { object } = question {
             locked(&self.objects).served.remove(&object);
             return Ok(());
@@ -191,10 +187,10 @@ impl Connection {
     }
 
     /// The reason why the other side does not answer. Ends its process.
-    fn lost(&self, error: &std::io::Error) -> Failure {
+    fn lost(&self, error: &io::Error) -> Failure {
         let Some(child) = &self.child else { return Failure::of(&self.who, format!("is gone: {error}")) };
         let mut child = locked(child);
-        if matches!(error.kind(), std::io::ErrorKind::WouldBlock | std::io::ErrorKind::TimedOut) {
+        if matches!(error.kind(), io::ErrorKind::WouldBlock | io::ErrorKind::TimedOut) {
             let _ = child.kill();
             let _ = child.wait();
             let limit = self.silence.as_secs_f64();
@@ -286,14 +282,17 @@ impl Peer for Remote {
 
 /// Starts a process that loads a library.
 fn start(path: &Path, sha256: &str, limits: &Limits, who: &str) -> Result<Arc<Connection>, Failure> {
-    let failed = |error: std::io::Error| Failure::of(who, format!("cannot be isolated: {error}"));
+    let failed = |error: io::Error| Failure::of(who, format!("cannot be isolated: {error}"));
     let (ours, theirs) = UnixStream::pair().map_err(failed)?;
     ours.set_read_timeout(Some(limits.silence)).map_err(failed)?;
     ours.set_write_timeout(Some(limits.silence)).map_err(failed)?;
     let mut command = Command::new(&limits.program);
     command.args(&limits.arguments).arg(path).arg(sha256);
     command.stdin(Stdio::from(std::os::fd::OwnedFd::from(theirs))).stdout(Stdio::null());
-    let child = command.spawn().map_err(failed)?;
+    let mut child = command.stderr(Stdio::piped()).spawn().map_err(failed)?;
+    if let Some(said) = child.stderr.take() {
+        std::thread::Builder::new().name("plugin's words".to_owned()).spawn(|| pass_on(said)).map_err(failed)?;
+    }
     Ok(Arc::new(Connection {
         wire: Mutex::new(Wire::new(ours)),
         holder: Mutex::new(None),
@@ -303,6 +302,14 @@ fn start(path: &Path, sha256: &str, limits: &Limits, who: &str) -> Result<Arc<Co
         who: who.to_owned(),
         silence: limits.silence,
     }))
+}
+
+/// Writes what a process says on its standard error to that of this one, without what a terminal would obey.
+fn pass_on(mut said: impl Read) {
+    let mut part = [0; 4096];
+    while let Ok(count @ 1..) = said.read(&mut part) {
+        let _ = io::stderr().write_all(harmless(&String::from_utf8_lossy(&part[..count])).as_bytes());
+    }
 }
 
 /// The plugins of a library that is never loaded into this program: every stage runs in a process of its own.

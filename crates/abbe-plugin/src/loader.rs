@@ -3,12 +3,13 @@
 
 use std::borrow::Cow;
 use std::fs::File;
-use std::io::{self, Read};
+use std::io::{self, Read, Write};
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
 use abbe_core::{
     Basis, Build, Constructor, Context, Error, Kind, Origin, Plugin, Provider, Registry, Result, SettingsError,
+    harmless,
 };
 use serde_json::Value;
 use sha2::{Digest, Sha256};
@@ -38,7 +39,8 @@ unsafe extern "C" fn log(level: u32, text: AbbeText) {
     // SAFETY: a text of the ABI is readable during the call.
     let Ok(text) = (unsafe { text.read() }) else { return };
     match level {
-        0 | 1 => eprintln!("{text}"),
+        // A closed output changes nothing.
+        0 | 1 => drop(writeln!(io::stderr(), "{}", harmless(&text))),
         _ => {}
     }
 }
@@ -56,15 +58,23 @@ pub(crate) struct Hashed {
     pub sha256: String,
 }
 
+/// Opens the file of a library.
+pub(crate) fn open_library(path: &Path) -> Result<File> {
+    abbe_files::open(path).map_err(|error| unreadable(path, &error))
+}
+
+fn unreadable(path: &Path, error: &io::Error) -> Error {
+    Error::usage(match error.kind() {
+        io::ErrorKind::NotFound => format!("the plugin library {} does not exist", path.display()),
+        _ => format!("the plugin library {} cannot be read: {error}", path.display()),
+    })
+}
+
 /// Opens a library and hashes it; refuses one that is not what `pin` says.
 pub(crate) fn hashed(path: &Path, pin: Option<&str>) -> Result<Hashed> {
-    let unreadable = |error: io::Error| match error.kind() {
-        io::ErrorKind::NotFound => Error::usage(format!("the plugin library {} does not exist", path.display())),
-        _ => Error::usage(format!("the plugin library {} cannot be read: {error}", path.display())),
-    };
-    let mut file = File::open(path).map_err(unreadable)?;
+    let mut file = open_library(path)?;
     let mut bytes = Vec::new();
-    file.read_to_end(&mut bytes).map_err(unreadable)?;
+    file.read_to_end(&mut bytes).map_err(|error| unreadable(path, &error))?;
     if truncated(&bytes) {
         let message =
             format!("the plugin library {} cannot be loaded: the file is shorter than it says", path.display());

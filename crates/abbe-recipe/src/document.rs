@@ -43,7 +43,8 @@ impl Document {
             if refusal.at_sign { error.help("a text that starts with @ needs quotes: \"@S1\"") } else { error }
         })?;
         let value = serde_yaml::from_str(text).map_err(|error| {
-            let message = error.to_string();
+            // That is what it says of a number with more digits than any type has.
+            let message = error.to_string().replace("JSON number out of range", "the number is too large");
             let (line, column) = error.location().map_or((1, 1), |place| (place.line(), place.column()));
             Error::usage(message.split(" at line ").next().unwrap_or_default()).at(file, line, Some(column))
         })?;

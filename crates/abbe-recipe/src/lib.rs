@@ -270,7 +270,7 @@ impl Recipe {
 }
 
 fn read_text(path: &Path) -> Result<String, Error> {
-    std::fs::read_to_string(path).map_err(|error| {
+    abbe_files::read_text(path, abbe_files::LARGEST_TEXT).map_err(|error| {
         let message = match error.kind() {
             std::io::ErrorKind::NotFound => format!("the file `{}` does not exist", path.display()),
             _ => format!("the file `{}` cannot be read: {error}", path.display()),

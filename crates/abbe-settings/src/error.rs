@@ -78,6 +78,8 @@ pub enum Termination {
     IterationLimit,
     /// The limit of rounds of robust weights was reached, and they still change.
     RoundLimit,
+    /// The time that the user allowed was over.
+    TimeLimit,
 }
 
 /// State of an iteration at its end.
@@ -120,6 +122,25 @@ impl Error {
     /// The work was cancelled. It is marked as a fault, so that code that tries other numbers after an error ends, too.
     pub fn interrupted() -> Self {
         Self::new(Class::Interrupted, "interrupted").fault()
+    }
+
+    /// The time that the user allowed, in seconds, is over. It is marked as a fault, so that code that tries other numbers after an
+    /// error ends, too.
+    pub fn out_of_time(seconds: f64) -> Self {
+        let convergence = Convergence {
+            termination: Termination::TimeLimit,
+            iterations: 0,
+            last_step: None,
+            tolerance: 0.0,
+            gradient_cosine: None,
+        };
+        let error = Self::data(format!("the time limit of {seconds} s is over")).fault().convergence(convergence);
+        error.help("allow more time with `--time-limit`, or make the recipe smaller")
+    }
+
+    /// Whether the time that the user allowed is over.
+    pub fn is_out_of_time(&self) -> bool {
+        self.convergence.as_ref().is_some_and(|convergence| convergence.termination == Termination::TimeLimit)
     }
 
     /// Wrong or insufficient data.

@@ -20,16 +20,20 @@
 //! ```
 
 mod error;
+mod harmless;
 mod pattern;
 pub mod serial;
 mod series;
 mod settings;
 mod unit;
+mod whole;
 
 pub use error::{Class, Convergence, Error, Place, Result, Termination, nearest};
+pub use harmless::{harmless, harmless_json};
 pub use pattern::matches;
 pub use series::{EvenSeries, Series};
 pub use settings::{
     Label, Names, PathItem, SettingsError, from_settings, not_negative, path_text, positive, schema_of,
 };
 pub use unit::{Quantity, Unit};
+pub use whole::Whole;

@@ -65,7 +65,11 @@ impl EvenSeries {
     fn values(self) -> Result<Vec<f64>, SettingsError> {
         let Self { from, to, step } = self;
         let intervals = (to - from) / step;
-        if !(step > 0.0 && intervals > 0.0 && intervals < MOST) {
+        if intervals >= MOST {
+            let message = format!("from {from} to {to} in steps of {step} are more than {MOST} steps");
+            return Err(SettingsError::new("step", message));
+        }
+        if !(step > 0.0 && intervals > 0.0) {
             let message = format!(
                 "from {from} to {to} in steps of {step}: a smaller `from`, a larger `to` and a positive `step` were expected"
             );

@@ -146,7 +146,10 @@ fn found(unexpected: de::Unexpected<'_>) -> String {
 fn in_words(expected: &str) -> String {
     match expected {
         "f64" | "f32" => "a number".to_owned(),
-        "u8" | "u16" | "u32" | "u64" | "usize" => "a whole number, not negative,".to_owned(),
+        "u8" => "a whole number from 0 to 255".to_owned(),
+        "u16" => "a whole number from 0 to 65535".to_owned(),
+        "u32" => "a whole number from 0 to 4294967295".to_owned(),
+        "u64" | "usize" => "a whole number, not negative,".to_owned(),
         "i8" | "i16" | "i32" | "i64" | "isize" => "a whole number".to_owned(),
         "a boolean" => "true or false".to_owned(),
         "a string" => "a text".to_owned(),
@@ -354,7 +357,7 @@ mod tests {
             (json!({ "name": "a" }), "the setting `degrees` is missing"),
             (
                 json!({ "name": "a", "degrees": [1, "two"] }),
-                "degrees[1]: the text `two` was found; a whole number, not negative, was expected",
+                "degrees[1]: the text `two` was found; a whole number from 0 to 255 was expected",
             ),
             (
                 json!({ "name": "a", "degrees": [], "on": "minimum" }),

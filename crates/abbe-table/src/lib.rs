@@ -1,15 +1,16 @@
 //! Reads CSV tables whose column names carry units.
 //!
 //! The format: UTF-8 (a byte order mark is tolerated), comma, one header row, `.` as decimal point. Lines that begin
-//! with `#` are comments, blank lines are skipped, white space around cells does not count, and lines may end in CRLF.
-//! A cell may be quoted, but stays on its line. What a column holds follows from its name
+//! with `#` are comments, blank lines are skipped, white space around cells does not count, and lines may end in CRLF or CR.
+//! A cell may be quoted, but stays on its line, and has 64 KiB at most. What a column holds follows from its name
 //! ([`abbe_core::Quantity::of_column`]); numbers are converted to the unit used in memory.
 
 mod parse;
 mod rewrite;
+mod text;
 
+use std::borrow::Cow;
 use std::collections::BTreeMap;
-use std::fs::{self, File};
 use std::io::{self, BufReader};
 use std::path::{Path, PathBuf};
 
@@ -20,13 +21,22 @@ pub use rewrite::{Cells, with_cells};
 
 /// Reads the columns of a file, not its rows.
 pub fn read_headers(path: &Path) -> Result<Vec<ColumnHeader>> {
-    let file = File::open(path).map_err(|error| unreadable(path, &error))?;
+    let file = abbe_files::open(path).map_err(|error| unreadable(path, &error))?;
     parse::headers(path, BufReader::new(file))
 }
 
 /// Reads a file.
 pub fn read(path: &Path) -> Result<Dataset> {
-    parse::dataset(path, &fs::read(path).map_err(|error| unreadable(path, &error))?)
+    parse::dataset(path, &bytes_of(path)?)
+}
+
+/// The text of a file without byte order mark, in which every line ends in LF or CRLF.
+pub fn read_text(path: &Path) -> Result<String> {
+    text::text(path, &bytes_of(path)?).map(Cow::into_owned)
+}
+
+fn bytes_of(path: &Path) -> Result<Vec<u8>> {
+    abbe_files::read(path, u64::MAX).map_err(|error| unreadable(path, &error))
 }
 
 /// The data set that a text is; `path` names it in messages.

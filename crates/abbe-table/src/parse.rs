@@ -1,27 +1,34 @@
 //! From the bytes of a file to a data set.
 
+use std::borrow::Cow;
+use std::collections::HashMap;
 use std::io::BufRead;
 use std::path::Path;
-use std::str;
 
 use abbe_core::{Class, Column, ColumnHeader, Dataset, Error, Quantity, Result, RowOrigin, Values};
 
+use crate::text::{newlines, read_line, text};
 use crate::{empty_column, unreadable};
 
-const BYTE_ORDER_MARK: &[u8] = b"\xef\xbb\xbf";
+/// Bytes of the longest cell: 64 KiB.
+const LONGEST_CELL: usize = 64 << 10;
+
+/// Characters of a cell that a message shows.
+const SHOWN: usize = 60;
 
 /// The columns of a file. Only the part of the file that is needed is read.
 pub(crate) fn headers(path: &Path, mut reader: impl BufRead) -> Result<Vec<ColumnHeader>> {
     let mut bytes = Vec::new();
     loop {
         let start = bytes.len();
-        let length = reader.read_until(b'\n', &mut bytes).map_err(|error| unreadable(path, &error))?;
-        if bytes[start..].starts_with(b"#") {
+        let is_read = read_line(&mut reader, &mut bytes).map_err(|error| unreadable(path, &error))?;
+        let line = &bytes[start..];
+        if is_read && (line.starts_with(b"#") || line.trim_ascii().is_empty()) {
             continue;
         }
-        match Records::new(path, &bytes)?.header()? {
+        match Records::new(path, &text(path, &bytes)?).header()? {
             Some(headers) => return Ok(headers),
-            None if length == 0 => return Err(empty(path)),
+            None if !is_read => return Err(empty(path)),
             None => {}
         }
     }
@@ -29,7 +36,8 @@ pub(crate) fn headers(path: &Path, mut reader: impl BufRead) -> Result<Vec<Colum
 
 /// The data set of one file.
 pub(crate) fn dataset(path: &Path, bytes: &[u8]) -> Result<Dataset> {
-    let mut records = Records::new(path, bytes)?;
+    let text = text(path, bytes)?;
+    let mut records = Records::new(path, &text);
     let mut columns: Vec<Column> =
         records.header()?.ok_or_else(|| empty(path))?.into_iter().map(empty_column).collect();
     let mut origins = Vec::new();
@@ -63,9 +71,17 @@ pub fn number(header: &str, cell: &str) -> Result<f64, String> {
     let (_, _, factor) = Quantity::of_column(header);
     match cell.parse::<f64>() {
         Ok(value) if value.is_finite() => Ok(value * factor),
-        Ok(_) => Err(format!("`{header}` is `{cell}`, which is not a finite number")),
+        Ok(_) => Err(format!("`{header}` is `{}`, which is not a finite number", shown(cell))),
         Err(_) if cell.is_empty() => Err(format!("`{header}` is empty; a number was expected")),
-        Err(_) => Err(format!("`{header}` is `{cell}`; a number was expected")),
+        Err(_) => Err(format!("`{header}` is `{}`; a number was expected", shown(cell))),
+    }
+}
+
+/// The beginning of a cell, which may be long.
+fn shown(cell: &str) -> Cow<'_, str> {
+    match cell.char_indices().nth(SHOWN) {
+        Some((end, _)) => format!("{}...", &cell[..end]).into(),
+        None => cell.into(),
     }
 }
 
@@ -104,19 +120,13 @@ struct Records<'a> {
 }
 
 impl<'a> Records<'a> {
-    fn new(path: &'a Path, bytes: &'a [u8]) -> Result<Self> {
-        let bytes = bytes.strip_prefix(BYTE_ORDER_MARK).unwrap_or(bytes);
-        let text = str::from_utf8(bytes).map_err(|error| {
-            let good = String::from_utf8_lossy(&bytes[..error.valid_up_to()]);
-            let column = good.chars().rev().take_while(|&c| c != '\n').count() + 1;
-            Error::data("the file is not text in UTF-8").at(path, 1 + newlines(&good), Some(column))
-        })?;
+    fn new(path: &'a Path, text: &'a str) -> Self {
         let reader = csv::ReaderBuilder::new()
             .has_headers(false)
             .flexible(true)
             .comment(Some(b'#'))
             .from_reader(text.as_bytes());
-        Ok(Self { path, text, reader, cells: csv::StringRecord::new(), start: 0, line: 1 })
+        Self { path, text, reader, cells: csv::StringRecord::new(), start: 0, line: 1 }
     }
 
     /// Goes to the next row; false if there is none.
@@ -135,6 +145,13 @@ impl<'a> Records<'a> {
             if let Some(cell) = self.cells.iter().position(|cell| cell.contains(['\n', '\r'])) {
                 return Err(self.at_cell(Error::data("a quotation mark is not closed in its line"), cell));
             }
+            if self.cells.as_slice().len() > LONGEST_CELL
+                && let Some(cell) = self.cells.iter().position(|cell| cell.len() > LONGEST_CELL)
+            {
+                let length = self.cells[cell].len() >> 10;
+                let message = format!("a cell has {length} KiB; at most {} are read", LONGEST_CELL >> 10);
+                return Err(self.at_cell(Error::data(message), cell));
+            }
             return Ok(true);
         }
         Ok(false)
@@ -145,10 +162,16 @@ impl<'a> Records<'a> {
         if !self.advance().map_err(|error| Error { class: Class::Use, ..error })? {
             return Ok(None);
         }
+        if let Some(separator) = other_separator(&self.cells) {
+            let message = format!("the columns are separated by {separator}; a comma was expected");
+            let error = Error::usage(message).help("save the table with commas, and with points in its numbers");
+            return Err(self.at_cell(error, 0));
+        }
         let mut headers: Vec<ColumnHeader> = Vec::new();
+        let mut names = HashMap::new();
         for (index, cell) in self.cells.iter().enumerate() {
             let header = ColumnHeader::parse(cell.trim());
-            let twin = headers.iter().find(|other| other.name == header.name);
+            let twin = names.insert(header.name.clone(), index).map(|other| &headers[other]);
             let message = match twin {
                 _ if header.name.is_empty() => "a column has no name".to_owned(),
                 Some(twin) if twin.header == header.header => format!("there are two columns `{}`", header.header),
@@ -172,8 +195,17 @@ impl<'a> Records<'a> {
     }
 }
 
-fn newlines(text: &str) -> usize {
-    text.bytes().filter(|&byte| byte == b'\n').count()
+/// What separates the columns where a header row is not separated by commas.
+fn other_separator(header: &csv::StringRecord) -> Option<&'static str> {
+    let line = header.get(0).filter(|_| header.len() == 1)?.trim();
+    let separators = [(';', "semicolons"), ('\t', "tabs"), ('|', "vertical strokes"), (' ', "spaces")];
+    // A name may have spaces in it; its unit ends it.
+    let is_column = |name: &str| ColumnHeader::parse(name).quantity != Quantity::Label;
+    let separates = |separator| match separator {
+        ' ' => line.rsplit_once(' ').is_some_and(|(before, _)| before.split(' ').any(is_column)),
+        _ => line.contains(separator),
+    };
+    separators.into_iter().find(|(separator, _)| separates(*separator)).map(|(_, name)| name)
 }
 
 /// Length of the comments and empty lines that a text begins with.

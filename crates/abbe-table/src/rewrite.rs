@@ -2,21 +2,21 @@
 
 use std::collections::BTreeMap;
 use std::path::Path;
-use std::str;
 
 use abbe_core::{Error, Result};
 
 use crate::parse;
+use crate::text::text;
 
 /// New contents of cells: by line (from 1), then by the header of the column as the file writes it.
 pub type Cells = BTreeMap<usize, BTreeMap<String, String>>;
 
-/// The text of a file in which some cells have other contents; everything else stays as it is, byte for byte.
+/// The text of a file ([`crate::read_text`]) in which some cells have other contents; everything else stays as it is.
 ///
 /// Fails for a column that the file does not have, and as reading it does.
 pub fn with_cells(path: &Path, bytes: &[u8], cells: &Cells) -> Result<String> {
     let headers = parse::headers(path, bytes)?;
-    let text = str::from_utf8(bytes).map_err(|_| Error::data("the file is not text in UTF-8").in_file(path))?;
+    let text = text(path, bytes)?;
     let mut written = String::with_capacity(text.len());
     for (index, line) in text.split_inclusive('\n').enumerate() {
         let Some(cells) = cells.get(&(index + 1)) else {

@@ -20,7 +20,10 @@ type Positions = BTreeMap<String, f64>;
 
 /// How many points an axis has.
 #[derive(Debug, Clone, PartialEq, Deserialize, JsonSchema)]
-#[serde(untagged, expecting = "a number of points, or a number for each axis by name, was expected")]
+#[serde(
+    untagged,
+    expecting = "a whole number of points (1 to 1000000), or such a number for each axis by name, was expected"
+)]
 pub enum Points {
     /// The same number along every axis, indexed spindles excepted.
     Every(usize),

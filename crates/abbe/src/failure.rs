@@ -1,10 +1,13 @@
 //! Errors as text and as JSON.
 
 use std::fmt;
-use std::fs;
+use std::path::Path;
 
-use abbe_core::{Class, Error};
-use miette::{Diagnostic, GraphicalReportHandler, GraphicalTheme, LabeledSpan, NamedSource, SourceCode, SourceSpan};
+use abbe_core::{Class, Error, harmless};
+use miette::{
+    Diagnostic, GraphicalReportHandler, GraphicalTheme, LabeledSpan, MietteError, MietteSpanContents, NamedSource,
+    SourceCode, SourceSpan, SpanContents,
+};
 use serde_json::{Value, json};
 
 /// An error with the text that it points into.
@@ -12,7 +15,7 @@ use serde_json::{Value, json};
 struct Report {
     message: String,
     help: Option<String>,
-    source: Option<NamedSource<String>>,
+    source: Option<NamedSource<Excerpt>>,
     span: Option<SourceSpan>,
 }
 
@@ -45,25 +48,108 @@ pub fn text(error: &Error) -> String {
     let mut message = format!("{stage}{}", error.message);
     let (mut source, mut span) = (None, None);
     if let Some(place) = &error.place {
-        let name = place.file.display().to_string();
-        match (place.line, fs::read_to_string(&place.file)) {
-            (Some(line), Ok(text)) => {
-                span = Some(span_at(&text, line, place.column));
-                source = Some(NamedSource::new(name, text));
+        let name = harmless(&place.file.display().to_string()).into_owned();
+        match (place.line, place.line.and_then(|line| Excerpt::of(&place.file, line))) {
+            (_, Some(excerpt)) => {
+                span = Some(excerpt.span(place.column));
+                source = Some(NamedSource::new(name, excerpt));
             }
-            // The file is no text or does not exist: the message has its place without an excerpt.
-            (Some(line), Err(_)) => message = format!("{name}:{line}: {message}"),
+            // The file is no text, does not exist, or has endless lines: the message has its place without an excerpt.
+            (Some(line), None) => {
+                let column = place.column.map_or_else(String::new, |column| format!("{column}:"));
+                message = format!("{name}:{line}:{column} {message}");
+            }
             (None, _) => message = format!("{name}: {message}"),
         }
     }
-    let report = Report { message, help: error.help.clone(), source, span };
+    let report = Report { message: readable(&message), help: error.help.as_deref().map(readable), source, span };
     let mut text = String::new();
     let colour = std::env::var_os("NO_COLOR").is_none() && std::io::IsTerminal::is_terminal(&std::io::stderr());
     let theme = if colour { GraphicalTheme::unicode() } else { GraphicalTheme::unicode_nocolor() };
     let handler = GraphicalReportHandler::new_themed(theme).with_width(120).with_context_lines(1);
     match handler.render_report(&mut text, &report) {
         Ok(()) => text,
-        Err(_) => format!("{error}\n"),
+        Err(_) => readable(&format!("{error}\n")),
+    }
+}
+
+/// Characters of the longest word of a message, and of the longest space in it: names and cells from files may be longer.
+const LONGEST_WORD: usize = 300;
+const LONGEST_SPACE: usize = 40;
+
+/// Characters of the longest message.
+const LONGEST_MESSAGE: usize = 20_000;
+
+/// Text from files and libraries as a person can read it: no characters that a terminal obeys, no endless words or spaces.
+fn readable(text: &str) -> String {
+    let mut shown = String::new();
+    let mut rest = &*harmless(text);
+    while !rest.is_empty() && shown.len() < LONGEST_MESSAGE {
+        let end = rest.find(|letter: char| !letter.is_whitespace()).unwrap_or(rest.len());
+        let (space, after) = rest.split_at(end);
+        let end = after.find(char::is_whitespace).unwrap_or(after.len());
+        let (word, after) = after.split_at(end);
+        shown.push_str(if space.len() > LONGEST_SPACE { " " } else { space });
+        match word.char_indices().nth(LONGEST_WORD) {
+            Some((end, _)) => shown.push_str(&format!("{}...", &word[..end])),
+            None => shown.push_str(word),
+        }
+        rest = after;
+    }
+    if !rest.is_empty() {
+        shown.push_str(" ...");
+    }
+    shown
+}
+
+/// Characters of the longest line that is shown.
+const LONGEST_LINE: usize = 1000;
+
+/// A line of a file, with the one before and the one after it.
+#[derive(Debug)]
+struct Excerpt {
+    /// The lines, as a terminal may have them.
+    text: String,
+    /// The number of the first one, from 0.
+    first: usize,
+    /// Which of them is meant.
+    meant: usize,
+}
+
+impl Excerpt {
+    /// None if the file is no text, or if one of the lines is too long to be looked at.
+    fn of(file: &Path, line: usize) -> Option<Self> {
+        let text = abbe_files::read_text(file, abbe_files::LARGEST_RESULT).ok()?;
+        let text = text.strip_prefix('\u{feff}').unwrap_or(&text);
+        let line = line.saturating_sub(1);
+        let first = line.saturating_sub(1);
+        let lines: Vec<&str> = lines(text).skip(first).take(2 + line - first).collect();
+        let is_short = |line: &&str| line.chars().nth(LONGEST_LINE).is_none();
+        let text: String = lines.iter().map(|line| format!("{}\n", harmless(line))).collect();
+        lines.iter().all(is_short).then_some(Self { text, first, meant: line - first })
+    }
+
+    /// The span at a column of the line that is meant, to the end of the word.
+    fn span(&self, column: Option<usize>) -> SourceSpan {
+        span_at(&self.text, self.meant + 1, column)
+    }
+}
+
+/// Lines that end in LF, CRLF or CR.
+fn lines(text: &str) -> impl Iterator<Item = &str> {
+    text.split_inclusive('\n').flat_map(|line| line.trim_end_matches(['\n', '\r']).split('\r'))
+}
+
+impl SourceCode for Excerpt {
+    fn read_span<'a>(
+        &'a self,
+        span: &SourceSpan,
+        lines_before: usize,
+        lines_after: usize,
+    ) -> Result<Box<dyn SpanContents<'a> + 'a>, MietteError> {
+        let shown = self.text.read_span(span, lines_before, lines_after)?;
+        let (line, column, count) = (shown.line() + self.first, shown.column(), shown.line_count());
+        Ok(Box::new(MietteSpanContents::new(shown.data(), *shown.span(), line, column, count)))
     }
 }
 
@@ -97,4 +183,25 @@ pub fn json(error: &Error) -> Value {
         "column": place.and_then(|place| place.column),
         "convergence": error.convergence,
     } })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn messages_are_readable() {
+        let message = "stage `fit`: a message\n  with lines  ";
+        assert_eq!(readable(message), message);
+        assert_eq!(readable(&format!("a{}b", "\n".repeat(1000))), "a b");
+        assert_eq!(readable(&"x".repeat(1000)), format!("{}...", "x".repeat(300)));
+        let long = readable(&"word ".repeat(100_000));
+        assert!(long.len() < 21_000 && long.ends_with(" ..."));
+        assert_eq!(readable("\u{1b}[2J"), "␛[2J");
+    }
+
+    #[test]
+    fn lines_end_as_files_have_them() {
+        assert_eq!(lines("a\nb\r\nc\rd").collect::<Vec<_>>(), ["a", "b", "c", "d"]);
+    }
 }

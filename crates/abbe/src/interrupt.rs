@@ -2,25 +2,33 @@
 //! file that is being written is complete. No file is left half-written. A second signal ends the process at once.
 
 use std::io::{self, Write};
-use std::sync::atomic::{AtomicI32, Ordering};
+use std::sync::atomic::{AtomicBool, AtomicI32, Ordering};
 use std::sync::{Mutex, PoisonError};
 use std::time::Duration;
 
 use abbe_core::{Error, Monitor, Result};
 
-/// How long the work has to end by itself.
-const GRACE: Duration = Duration::from_millis(600);
+use crate::failure;
+
+/// How long the work has to end by itself after a signal.
+const AFTER_SIGNAL: Duration = Duration::from_millis(600);
+
+/// How long the work has to end by itself, and to write what is finished, when its time is over.
+pub const GRACE: Duration = Duration::from_secs(5);
 
 /// The signal that came; 0 as long as none has.
 static SIGNAL: AtomicI32 = AtomicI32::new(0);
 static WRITING: Mutex<()> = Mutex::new(());
+
+/// Whether the files of the command are written: what is left is to say so.
+static WRITTEN: AtomicBool = AtomicBool::new(false);
 
 /// Ends the work that `monitor` watches when a signal asks for it.
 pub fn ends(monitor: Monitor) -> Result<()> {
     watched(move |signal| {
         SIGNAL.store(signal, Ordering::SeqCst);
         monitor.cancel();
-        std::thread::sleep(GRACE);
+        std::thread::sleep(AFTER_SIGNAL);
         // Waits until a file that is being written is complete.
         let _written = WRITING.lock().unwrap_or_else(PoisonError::into_inner);
         // A closed output must not keep the process alive.
@@ -29,6 +37,29 @@ pub fn ends(monitor: Monitor) -> Result<()> {
         std::process::exit(i32::from(status()));
     })
     .map_err(|error| Error::data(format!("signals cannot be handled: {error}")))
+}
+
+/// Ends the process when this time and `grace` are over, if the work has not ended by itself and written its files; the error is JSON
+/// on request.
+pub fn after(limit: Option<Duration>, grace: Duration, json: bool) -> Result<()> {
+    let Some(limit) = limit else { return Ok(()) };
+    let wait = move || {
+        std::thread::sleep(limit.saturating_add(grace));
+        let _written = WRITING.lock().unwrap_or_else(PoisonError::into_inner);
+        if WRITTEN.load(Ordering::SeqCst) {
+            return;
+        }
+        let error = Error::out_of_time(limit.as_secs_f64());
+        // A closed output must not keep the process alive.
+        let _ = match json {
+            true => writeln!(io::stdout(), "{}", failure::json(&error)),
+            false => io::stderr().write_all(failure::text(&error).as_bytes()),
+        };
+        abbe_plugin::expect_exit();
+        std::process::exit(1);
+    };
+    let thread = std::thread::Builder::new().name("time limit".to_owned()).spawn(wait);
+    thread.map(drop).map_err(|error| Error::data(format!("a time limit cannot be watched: {error}")))
 }
 
 /// Calls `end` with the number of the first signal that asks the process to end; the second one ends it. One that the process was told
@@ -92,5 +123,7 @@ pub fn while_writing<T>(write: impl FnOnce() -> Result<T>) -> Result<T> {
     if happened() {
         return Err(Error::interrupted());
     }
-    write()
+    let written = write()?;
+    WRITTEN.store(true, Ordering::SeqCst);
+    Ok(written)
 }

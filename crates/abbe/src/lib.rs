@@ -17,8 +17,9 @@ mod trust;
 use std::io::{self, Write};
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
+use std::time::Duration;
 
-use abbe_core::{Class, Error, Kind, Monitor, Origin, Registry, Result};
+use abbe_core::{Class, Error, Kind, Monitor, Origin, Registry, Result, harmless, harmless_json};
 use abbe_engine::{Simulated, can_write_folder, prepare};
 use abbe_plugin::check::Findings;
 use clap::{Parser, Subcommand};
@@ -63,6 +64,9 @@ enum Command {
         /// How progress is shown, on standard error.
         #[arg(long, value_enum, default_value_t)]
         progress: Progress,
+        /// How long the run may take, seconds. What is not finished then fails; what is finished is written.
+        #[arg(long, value_name = "SECONDS", value_parser = seconds)]
+        time_limit: Option<Duration>,
     },
     /// Check a recipe without running it, and tell what its fits could determine.
     Check {
@@ -71,6 +75,9 @@ enum Command {
         /// Print the findings as JSON.
         #[arg(long)]
         json: bool,
+        /// How long this may take, seconds.
+        #[arg(long, value_name = "SECONDS", value_parser = seconds)]
+        time_limit: Option<Duration>,
     },
     /// Measure the programme of a recipe on a virtual machine, and write a folder in which the same recipe runs.
     Simulate {
@@ -88,6 +95,9 @@ enum Command {
         /// The model stage that is simulated, where the estimates use several.
         #[arg(long)]
         machine: Option<String>,
+        /// How long this may take, seconds.
+        #[arg(long, value_name = "SECONDS", value_parser = seconds)]
+        time_limit: Option<Duration>,
     },
     /// Choose which measurements to make, as the key `plan` of a recipe says, and write the data file to fill in.
     Plan {
@@ -99,6 +109,9 @@ enum Command {
         /// Print the plan as JSON.
         #[arg(long)]
         json: bool,
+        /// How long this may take, seconds.
+        #[arg(long, value_name = "SECONDS", value_parser = seconds)]
+        time_limit: Option<Duration>,
     },
     /// What vendors of plugin libraries need.
     Plugin {
@@ -128,8 +141,8 @@ enum PluginCommand {
         #[arg(long)]
         recipe: Option<PathBuf>,
         /// How long one test may take, seconds.
-        #[arg(long, default_value_t = 60.0)]
-        time_limit: f64,
+        #[arg(long, value_name = "SECONDS", default_value = "60", value_parser = seconds)]
+        time_limit: Duration,
         /// Print the report as JSON.
         #[arg(long)]
         json: bool,
@@ -145,6 +158,18 @@ enum PluginCommand {
     /// Serve a library to the program that started this one.
     #[command(hide = true)]
     Serve { file: PathBuf, sha256: String },
+}
+
+/// Most seconds of a limit: a year.
+const LONGEST: f64 = 366.0 * 86_400.0;
+
+/// A time in seconds.
+fn seconds(text: &str) -> std::result::Result<Duration, String> {
+    let seconds: f64 = text.parse().map_err(|_| "a number of seconds was expected".to_owned())?;
+    match seconds > 0.0 && seconds <= LONGEST {
+        true => Ok(Duration::from_secs_f64(seconds)),
+        false => Err(format!("a number of seconds above 0, at most {LONGEST}, was expected")),
+    }
 }
 
 /// Carries out the command line of this process; gives its exit status.
@@ -170,18 +195,31 @@ impl Drop for ExpectedEnd {
 
 fn carried_out(arguments: Arguments) -> ExitCode {
     let level = if arguments.verbose { tracing::Level::INFO } else { tracing::Level::WARN };
-    tracing_subscriber::fmt().with_writer(io::stderr).with_max_level(level).without_time().with_target(false).init();
+    tracing_subscriber::fmt()
+        .with_writer(|| Harmless(io::stderr()))
+        .with_max_level(level)
+        .without_time()
+        .with_target(false)
+        .init();
     let machine = matches!(
         arguments.command,
         Command::Run { json: true, .. } | Command::Check { json: true, .. } | Command::Plan { json: true, .. }
     );
+    let is_json = machine
+        || matches!(
+            arguments.command,
+            Command::Schema
+                | Command::Plugins { json: true, .. }
+                | Command::Plugin { command: PluginCommand::Check { json: true, .. } | PluginCommand::Test { .. } }
+        );
+    let shown = |text: &str| if is_json { harmless_json(text).into_owned() } else { harmless(text).into_owned() };
     let libraries = Libraries {
         files: arguments.plugins,
         isolate: arguments.isolate_plugins,
         refuse: arguments.no_dynamic_plugins,
     };
     match dispatch(arguments.command, &libraries) {
-        Ok((text, status)) => match io::stdout().lock().write_all(text.as_bytes()) {
+        Ok((text, status)) => match io::stdout().lock().write_all(shown(&text).as_bytes()) {
             Ok(()) if interrupt::happened() => ExitCode::from(interrupt::status()),
             Ok(()) => ExitCode::from(status),
             // The reader of the output has closed it.
@@ -195,7 +233,7 @@ fn carried_out(arguments: Arguments) -> ExitCode {
             // After an interruption other errors are its consequences, also that of a process that was ended.
             let error = if interrupt::happened() { Error::interrupted() } else { error };
             match error.class {
-                _ if machine => println!("{}", failure::json(&error)),
+                _ if machine => println!("{}", harmless_json(&failure::json(&error).to_string())),
                 Class::Interrupted => eprintln!("{}", error.message),
                 Class::Use | Class::Data => eprint!("{}", failure::text(&error)),
             }
@@ -205,6 +243,20 @@ fn carried_out(arguments: Arguments) -> ExitCode {
                 Class::Interrupted => interrupt::status(),
             })
         }
+    }
+}
+
+/// A log without what a terminal would obey; every write is a whole line.
+struct Harmless<W>(W);
+
+impl<W: Write> Write for Harmless<W> {
+    fn write(&mut self, bytes: &[u8]) -> io::Result<usize> {
+        self.0.write_all(harmless(&String::from_utf8_lossy(bytes)).as_bytes())?;
+        Ok(bytes.len())
+    }
+
+    fn flush(&mut self) -> io::Result<()> {
+        self.0.flush()
     }
 }
 
@@ -228,10 +280,15 @@ impl Here {
 /// Carries out a command; gives what to print and the exit status.
 fn dispatch(command: Command, libraries: &Libraries) -> Result<(String, u8)> {
     match command {
-        Command::Run { recipe, out, json, progress } => {
+        Command::Run { recipe, out, json, progress, time_limit } => {
             let here = Here::now();
             let (monitor, bar) = progress.monitor();
+            let monitor = match time_limit {
+                Some(limit) => monitor.with_time_limit(limit),
+                None => monitor,
+            };
             interrupt::ends(monitor.clone())?;
+            interrupt::after(time_limit, interrupt::GRACE, json)?;
             let prepared = prepare(&recipe, &libraries.registry(Some(&recipe))?)?;
             prepared.can_write(&out)?;
             let outcome = prepared.run(&monitor)?;
@@ -250,8 +307,9 @@ fn dispatch(command: Command, libraries: &Libraries) -> Result<(String, u8)> {
             }
             Ok((summary::text(&prepared.recipe.name, &outcome, &folder), status))
         }
-        Command::Check { recipe, json } => {
+        Command::Check { recipe, json, time_limit } => {
             interrupt::ends(Monitor::default())?;
+            interrupt::after(time_limit, Duration::ZERO, json)?;
             let prepared = prepare(&recipe, &libraries.registry(Some(&recipe))?)?;
             let planned = prepared.check()?;
             let status = if planned.iter().all(|planned| planned.accepted) { 0 } else { 1 };
@@ -261,18 +319,20 @@ fn dispatch(command: Command, libraries: &Libraries) -> Result<(String, u8)> {
             };
             Ok((text, status))
         }
-        Command::Simulate { recipe, truth, seed, out, machine } => {
+        Command::Simulate { recipe, truth, seed, out, machine, time_limit } => {
             let here = Here::now();
             interrupt::ends(Monitor::default())?;
+            interrupt::after(time_limit, Duration::ZERO, false)?;
             let prepared = prepare(&recipe, &libraries.registry(Some(&recipe))?)?;
             can_write_folder(&out)?;
             let simulated = prepared.simulate(&truth, seed, machine.as_deref())?;
             interrupt::while_writing(|| simulated.write(&here.path(&out)))?;
             Ok((simulated_text(&simulated, &out), 0))
         }
-        Command::Plan { recipe, out, json } => {
+        Command::Plan { recipe, out, json, time_limit } => {
             let here = Here::now();
             interrupt::ends(Monitor::default())?;
+            interrupt::after(time_limit, Duration::ZERO, json)?;
             let prepared = prepare(&recipe, &libraries.registry(Some(&recipe))?)?;
             out.iter().try_for_each(|out| can_write_folder(out))?;
             let measurements = prepared.plan()?;

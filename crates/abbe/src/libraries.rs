@@ -4,6 +4,7 @@ use std::path::{Path, PathBuf};
 use std::time::Duration;
 
 use abbe_core::{Error, Registry, Result};
+use abbe_files::{LARGEST_TEXT, read_text};
 use abbe_plugin::Limits;
 use abbe_recipe::Recipe;
 
@@ -31,7 +32,7 @@ impl Libraries {
         let mut registry = Registry::built_in()?;
         let mut known: Vec<PathBuf> = Vec::new();
         // `prepare` reports a recipe that cannot be read.
-        let named = recipe.and_then(|recipe| Some((recipe, std::fs::read_to_string(recipe).ok()?)));
+        let named = recipe.and_then(|recipe| Some((recipe, read_text(recipe, LARGEST_TEXT).ok()?)));
         let named = named.map(|(recipe, text)| Recipe::libraries(recipe, &text)).transpose()?.unwrap_or_default();
         for library in named {
             let located = |mut error: Error| {

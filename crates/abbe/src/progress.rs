@@ -2,7 +2,7 @@
 
 use std::io::{self, Write};
 
-use abbe_core::{Event, Monitor};
+use abbe_core::{Event, Monitor, harmless, harmless_json};
 use clap::ValueEnum;
 use indicatif::{ProgressBar, ProgressStyle};
 
@@ -28,7 +28,7 @@ impl Progress {
             Self::Json => Monitor::new(|event| {
                 if let Ok(line) = serde_json::to_string(event) {
                     // An output that is closed does not end the run.
-                    let _ = writeln!(io::stderr(), "{line}");
+                    let _ = writeln!(io::stderr(), "{}", harmless_json(&line));
                 }
             }),
             Self::None => Monitor::new(|_| {}),
@@ -38,15 +38,16 @@ impl Progress {
 }
 
 fn show(bar: &ProgressBar, event: &Event<'_>) {
+    let set_message = |message: String| bar.set_message(harmless(&message).into_owned());
     match event {
         Event::Started { stage, kind, done, all } => {
             bar.set_length(*all as u64);
             bar.set_position(*done as u64);
-            bar.set_message(format!("{kind} {stage}"));
+            set_message(format!("{kind} {stage}"));
         }
-        Event::Iteration { stage, iteration, .. } => bar.set_message(format!("{stage}: iteration {iteration}")),
-        Event::Part { stage, of, done, all: Some(all) } => bar.set_message(format!("{stage}: {done} of {all} {of}")),
-        Event::Part { stage, of, done, all: None } => bar.set_message(format!("{stage}: {done} {of}")),
+        Event::Iteration { stage, iteration, .. } => set_message(format!("{stage}: iteration {iteration}")),
+        Event::Part { stage, of, done, all: Some(all) } => set_message(format!("{stage}: {done} of {all} {of}")),
+        Event::Part { stage, of, done, all: None } => set_message(format!("{stage}: {done} {of}")),
     }
     bar.tick();
 }

@@ -61,7 +61,7 @@ fn parameters(fits: &[Fit]) -> String {
         let mut row = vec![name.to_owned(), symbol];
         row.extend(fits.iter().map(|fit| {
             let found = fit.calibration.parameters.iter().find(|estimated| estimated.name == name);
-            found.map_or(String::new(), |estimated| cell(estimated, factor))
+            found.map_or(String::new(), |estimated| cell(estimated, factor, is_implausible(fit, name)))
         }));
         rows.push(row);
     }
@@ -78,15 +78,23 @@ fn parameters(fits: &[Fit]) -> String {
     if has(Status::Confounded) {
         text.push_str("  ? the data cannot separate this value from others; see below\n");
     }
+    if fits.iter().any(|fit| !fit.calibration.fit.implausible.is_empty()) {
+        text.push_str("  ! no machine has such an error\n");
+    }
     if has(Status::Considered) {
         text.push_str("  (in parentheses) known from an earlier estimate; its uncertainty counts\n");
     }
     text
 }
 
-fn cell(estimated: &Estimated, factor: f64) -> String {
+fn is_implausible(fit: &Fit, name: &str) -> bool {
+    fit.calibration.fit.implausible.iter().any(|value| value.name == name)
+}
+
+fn cell(estimated: &Estimated, factor: f64, is_implausible: bool) -> String {
     let value = with_uncertainty(estimated.value * factor, estimated.standard_uncertainty * factor);
     match estimated.status {
+        _ if is_implausible => format!("{value} !"),
         Status::Fixed => String::new(),
         Status::Estimated => value,
         Status::Considered => format!("({value})"),

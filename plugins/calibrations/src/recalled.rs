@@ -5,6 +5,7 @@ use std::path::PathBuf;
 use abbe_core::{
     Basis, Calibration, Context, Error, Estimate, Identifiability, InputFile, Problem, Result, SettingsError,
 };
+use abbe_files::{LARGEST_RESULT, read_text};
 use schemars::JsonSchema;
 use serde::Deserialize;
 use serde_json::{Value, json};
@@ -52,7 +53,7 @@ impl Estimate for Recalled {
 
     fn recall(&self) -> Result<Calibration> {
         let unreadable = |error: std::io::Error| Error::data(format!("the file cannot be read: {error}"));
-        let text = std::fs::read_to_string(&self.path).map_err(unreadable);
+        let text = read_text(&self.path, LARGEST_RESULT).map_err(unreadable);
         let calibration = text.and_then(|text| Calibration::from_json(&text));
         calibration.map_err(|error| error.in_file(&self.path))
     }

@@ -11,6 +11,7 @@ use abbe_core::{
     Problem, Result, SettingsError, Unit, matches,
 };
 use abbe_estimation::calibration;
+use abbe_files::{LARGEST_RESULT, read_text};
 use schemars::JsonSchema;
 use serde::Deserialize;
 use serde_json::{Value, json};
@@ -233,7 +234,7 @@ fn number(table: &Dataset, row: DataRow, cell: &str) -> Result<f64> {
 fn of_json(path: &Path) -> Result<Vec<Entry>> {
     let file = path.to_owned();
     let wrong = move |message: String| Error::data(message).in_file(&file);
-    let text = std::fs::read_to_string(path).map_err(|error| wrong(format!("the file cannot be read: {error}")))?;
+    let text = read_text(path, LARGEST_RESULT).map_err(|error| wrong(format!("the file cannot be read: {error}")))?;
     let value: Value = serde_json::from_str(&text).map_err(|error| {
         let (line, column) = (error.line(), error.column());
         Error::data(format!("this is not a JSON file: {error}")).at(path, line, Some(column))

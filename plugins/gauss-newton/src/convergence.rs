@@ -23,6 +23,14 @@ pub fn not_converged(solution: &Solution, options: &Options) -> Error {
             };
             (Termination::IterationLimit, format!("it still moves {limit}"))
         }
+        End::TimeLimit => {
+            let after = match solution.iterations {
+                0 => "before its first step".to_owned(),
+                1 => "after one iteration".to_owned(),
+                count => format!("after {count} iterations"),
+            };
+            (Termination::TimeLimit, format!("the time limit is over {after}"))
+        }
         End::RoundLimit => {
             (Termination::RoundLimit, format!("robust weights still change after {} rounds", options.rounds))
         }
@@ -42,6 +50,10 @@ pub fn not_converged(solution: &Solution, options: &Options) -> Error {
              gradient cosine is {cosine:.1e}"
         )
     });
+    if termination == Termination::TimeLimit {
+        let error = Error::data(format!("the iteration has not converged: {failed}{far}")).fault();
+        return error.convergence(convergence).help("allow more time with `--time-limit`, or make the recipe smaller");
+    }
     let error = Error::data(format!("the iteration does not converge: {failed}{far}")).help(
         "check units, signs and features of the data, choose fewer parameters, `start` from a calibration, or allow more `iterations`",
     );

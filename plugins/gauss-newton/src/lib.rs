@@ -61,9 +61,6 @@ fn build(settings: Settings, _: &Context) -> Result<Box<dyn Estimate>, SettingsE
     if !(settings.tolerance > 0.0 && settings.tolerance <= 1e-3) {
         return Err(SettingsError::new("tolerance", "a number above 0, at most 0.001, was expected"));
     }
-    if settings.iterations == 0 {
-        return Err(SettingsError::new("iterations", "at least one iteration is needed"));
-    }
     if let Some(select) = &settings.select {
         select.check().map_err(|error| error.under([PathItem::Key("select".to_owned())]))?;
     }
@@ -117,7 +114,7 @@ impl GaussNewton {
 
     fn options(&self, tolerance: f64, near: bool) -> Options {
         let settled = if near { NEARLY_SETTLED } else { SETTLED };
-        let (iterations, robust) = (self.settings.iterations, self.robust());
+        let (iterations, robust) = (self.settings.iterations.get(), self.robust());
         Options { iterations, tolerance, settled, robust, near, ..Options::USUAL }
     }
 

@@ -1,6 +1,6 @@
 //! The settings of the estimator.
 
-use abbe_core::Result;
+use abbe_core::{Result, Whole};
 use abbe_numerics::{Loss, Robust};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
@@ -38,7 +38,7 @@ pub struct Settings {
     pub coverage_probability: f64,
     /// Most iterations.
     #[serde(default = "default_iterations")]
-    pub iterations: usize,
+    pub iterations: Whole<1, 100_000>,
     /// What the estimate may be off by when the iteration ends, in standard uncertainties of all rows together.
     #[serde(default = "default_convergence")]
     pub tolerance: f64,
@@ -58,8 +58,8 @@ fn default_tolerance() -> f64 {
     1e-10
 }
 
-fn default_iterations() -> usize {
-    200
+fn default_iterations() -> Whole<1, 100_000> {
+    Whole::new(200)
 }
 
 /// What to do with confounded parameters.

@@ -175,7 +175,7 @@ impl<'a> Draws<'a> {
         }
         for Pretravel { setting, .. } in &self.lobing {
             let LobingSetting { artefact, amplitude_um, lobes, .. } = setting;
-            lines.push(format!("touches of {artefact}: {lobes} lobes of amplitude {amplitude_um} um"));
+            lines.push(format!("touches of {artefact}: {} lobes of amplitude {amplitude_um} um", lobes.get()));
         }
         lines
     }
@@ -460,7 +460,7 @@ impl Pretravel {
             // A rectangular number of unit variance lies within plus and minus the root of three.
             None => std::f64::consts::PI * generator.uniform() / 3.0_f64.sqrt(),
         };
-        let lobing = Lobing { amplitude, lobes: self.setting.lobes, phase };
+        let lobing = Lobing { amplitude, lobes: self.setting.lobes.get() as u32, phase };
         for &(equation, direction) in &self.touches {
             errors[equation] += lobing.at(direction);
         }

@@ -13,7 +13,7 @@ use std::sync::atomic::{AtomicBool, Ordering};
 
 use abbe_core::{
     Basis, Calibration, Context, Error, Estimate, Fit, GumComparison, Identifiability, MonteCarlo, NamedCovariance,
-    Problem, Result, SettingsError, SimulatedParameter, in_parallel,
+    PathItem, Problem, Result, SettingsError, SimulatedParameter, Whole, in_parallel,
 };
 use abbe_numerics::{Adaptive, Generator, Trials, gum_agrees, least_trials, numerical_tolerance};
 use serde_json::{Value, json};
@@ -73,11 +73,16 @@ impl Estimate for Propagation {
             return Err(Error::data(message).help("propagate an estimate of what the data determine").setting("of"));
         }
         let draws = Draws::new(&self.settings, fit)?;
+        self.fits_into_memory(draws.quantities())?;
         let mut found = Found { trials: Trials::new(draws.quantities()), failed: 0, stable: None };
         match &self.settings.adaptive {
-            None => self.solve(&draws, fit, self.settings.trials, &mut found, None)?,
+            None => self.solve(&draws, fit, self.settings.trials.get(), &mut found, None)?,
             Some(adaptive) => {
-                let mut stop = Adaptive::new(adaptive.digits, self.settings.coverage_probability, adaptive.most);
+                let mut stop = Adaptive::new(
+                    adaptive.digits.get() as u32,
+                    self.settings.coverage_probability,
+                    adaptive.most.get(),
+                );
                 while !stop.finished() {
                     let mut batch = Trials::new(draws.quantities());
                     self.solve(&draws, fit, stop.batch(), &mut found, Some(&mut batch))?;
@@ -121,10 +126,10 @@ impl Propagation {
         let ended = AtomicBool::new(false);
         for chunk in numbers.chunks(CHUNK) {
             let done = found.trials.count() + found.failed;
-            let all = self.settings.adaptive.is_none().then_some(self.settings.trials);
+            let all = self.settings.adaptive.is_none().then_some(self.settings.trials.get());
             fit.problem.monitor.part("trials", done, all);
             // None after a fault of the code.
-            let results = in_parallel(chunk, self.settings.threads, |&number| {
+            let results = in_parallel(chunk, self.settings.threads.map(Whole::get), |&number| {
                 if ended.load(Ordering::Relaxed) {
                     return None;
                 }
@@ -184,7 +189,7 @@ impl Propagation {
             let degrees_of_freedom = budget.and_then(|budget| budget.degrees_of_freedom);
             let gum = budget.map(|budget| {
                 let expanded = budget.expanded_uncertainty;
-                let tolerance = numerical_tolerance(standard_uncertainty, self.settings.digits);
+                let tolerance = numerical_tolerance(standard_uncertainty, self.settings.digits.get() as u32);
                 let agreement = gum_agrees(estimate, expanded, symmetric, tolerance);
                 GumComparison {
                     interval: [estimate - expanded, estimate + expanded],
@@ -221,6 +226,26 @@ impl Propagation {
         }
         calibration.uncertainty = None;
         calibration
+    }
+}
+
+/// Most values of all trials together, 8 GiB: all of them are kept, because intervals are found from them.
+const MOST_VALUES: usize = 1 << 30;
+
+impl Propagation {
+    fn fits_into_memory(&self, quantities: usize) -> Result<()> {
+        let (setting, trials) = match &self.settings.adaptive {
+            None => (vec!["trials"], self.settings.trials),
+            Some(adaptive) => (vec!["adaptive", "most"], adaptive.most),
+        };
+        if trials.get().saturating_mul(quantities) <= MOST_VALUES {
+            return Ok(());
+        }
+        let most = MOST_VALUES / quantities.max(1);
+        let message = format!("{} trials of {quantities} values each do not fit into 8 GiB of memory", trials.get());
+        let mut error = Error::data(message).help(format!("take {most} trials at most"));
+        error.setting = setting.into_iter().map(|key| PathItem::Key(key.to_owned())).collect();
+        Err(error)
     }
 }
 

@@ -2,11 +2,17 @@
 
 use std::collections::BTreeMap;
 
-use abbe_core::{PathItem, SettingsError, positive};
+use abbe_core::{PathItem, SettingsError, Whole, positive};
 use abbe_numerics::Generator;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use serde_json::Value;
+
+/// A number of trials.
+pub type TrialCount = Whole<1, 10_000_000>;
+
+/// A number of digits.
+pub type Digits = Whole<1, 4>;
 
 /// Settings of the Monte Carlo calculation.
 #[derive(Debug, Clone, PartialEq, Deserialize, JsonSchema)]
@@ -14,7 +20,7 @@ use serde_json::Value;
 pub struct Settings {
     /// Number of trials.
     #[serde(default = "default_trials")]
-    pub trials: usize,
+    pub trials: TrialCount,
     /// Go on until the figures are stable, instead of a fixed number of trials (JCGM 101, 7.9.4).
     #[serde(default)]
     pub adaptive: Option<AdaptiveSetting>,
@@ -26,7 +32,7 @@ pub struct Settings {
     pub coverage_probability: f64,
     /// Meaningful digits of the standard uncertainties, for the comparison with the GUM result (JCGM 101, clause 8).
     #[serde(default = "default_digits")]
-    pub digits: u32,
+    pub digits: Digits,
     /// Distribution of the rows' errors, with their standard uncertainties.
     #[serde(default)]
     pub rows: RowDistribution,
@@ -41,7 +47,7 @@ pub struct Settings {
     pub lobing: Vec<LobingSetting>,
     /// Number of threads; all cores unless given. It changes nothing but the time.
     #[serde(default)]
-    pub threads: Option<usize>,
+    pub threads: Option<Whole<1, 1024>>,
 }
 
 /// When to stop.
@@ -50,10 +56,10 @@ pub struct Settings {
 pub struct AdaptiveSetting {
     /// Digits of the standard uncertainties that have to be stable.
     #[serde(default = "default_digits")]
-    pub digits: u32,
+    pub digits: Digits,
     /// Most trials.
     #[serde(default = "default_most")]
-    pub most: usize,
+    pub most: TrialCount,
 }
 
 /// A distribution of zero mean and unit variance: its name, or `{ student: degrees of freedom }`.
@@ -178,14 +184,14 @@ pub struct LobingSetting {
     pub amplitude_um: f64,
     /// Lobes on a turn.
     #[serde(default = "default_lobes")]
-    pub lobes: u32,
+    pub lobes: Whole<1, 1000>,
     /// Phase in the tool frame; any is as likely as another unless given.
     #[serde(default)]
     pub phase_deg: Option<f64>,
 }
 
-fn default_trials() -> usize {
-    10_000
+fn default_trials() -> TrialCount {
+    Whole::new(10_000)
 }
 
 fn default_seed() -> u64 {
@@ -196,16 +202,16 @@ fn default_probability() -> f64 {
     0.95
 }
 
-fn default_digits() -> u32 {
-    1
+fn default_digits() -> Digits {
+    Whole::new(1)
 }
 
-fn default_most() -> usize {
-    1_000_000
+fn default_most() -> TrialCount {
+    Whole::new(1_000_000)
 }
 
-fn default_lobes() -> u32 {
-    3
+fn default_lobes() -> Whole<1, 1000> {
+    Whole::new(3)
 }
 
 impl Settings {
@@ -217,14 +223,10 @@ impl Settings {
         }
         if let Some(adaptive) = &self.adaptive {
             let under = |error: SettingsError| error.under([PathItem::Key("adaptive".to_owned())]);
-            digits(adaptive.digits).map_err(under)?;
-            crate::enough(adaptive.most, probability).map_err(|message| under(SettingsError::new("most", message)))?;
+            crate::enough(adaptive.most.get(), probability)
+                .map_err(|message| under(SettingsError::new("most", message)))?;
         } else {
-            crate::enough(self.trials, probability).map_err(|message| SettingsError::new("trials", message))?;
-        }
-        digits(self.digits)?;
-        if self.threads == Some(0) {
-            return Err(SettingsError::new("threads", "at least one thread is needed"));
+            crate::enough(self.trials.get(), probability).map_err(|message| SettingsError::new("trials", message))?;
         }
         for (index, neglected) in self.vary.iter().enumerate() {
             let under = |error: SettingsError| error.under([PathItem::Key("vary".to_owned()), PathItem::Index(index)]);
@@ -236,13 +238,6 @@ impl Settings {
             positive("amplitude_um", lobing.amplitude_um).map_err(under)?;
         }
         Ok(())
-    }
-}
-
-fn digits(digits: u32) -> Result<(), SettingsError> {
-    match (1..=4).contains(&digits) {
-        true => Ok(()),
-        false => Err(SettingsError::new("digits", "one to four digits were expected")),
     }
 }
 

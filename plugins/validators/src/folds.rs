@@ -14,7 +14,7 @@ use crate::figures::ONE;
 
 /// Which rows are held out together.
 #[derive(Debug, Clone, PartialEq, Deserialize, JsonSchema)]
-#[serde(untagged, expecting = "a number of folds or a list of lists of labels was expected")]
+#[serde(untagged, expecting = "a whole number of folds (2 or more) or a list of lists of labels was expected")]
 pub enum Folds {
     /// The labels in the order in which they appear are dealt out to this many folds.
     Number(usize),

@@ -9,7 +9,7 @@ use std::collections::{BTreeMap, BTreeSet};
 
 use abbe_core::{
     AxisKind, Context, DataRow, Dataset, Error, Figure, Findings, Fit, Names, PathItem, Problem, Quantity, Result,
-    RowIndex, SetIndex, SettingsError, Validate,
+    RowIndex, SetIndex, SettingsError, Validate, Whole,
 };
 use schemars::JsonSchema;
 use serde::Deserialize;
@@ -51,7 +51,7 @@ struct Settings {
     direction: Option<String>,
     /// Number of successive measurements of a point that drift does not reach.
     #[serde(default = "default_window")]
-    window: usize,
+    window: Whole<2, 1_000_000>,
     /// Largest admissible values: `repeatability_um`, `pooled_repeatability_um`, `surface_standard_deviation_um`,
     /// `surface_range_um`, `drift_standard_deviation_um`, `drift_range_um`, `total_standard_deviation_um`,
     /// `total_range_um`, or the same in `_urad`; `outliers`.
@@ -59,8 +59,8 @@ struct Settings {
     limits: Limits,
 }
 
-fn default_window() -> usize {
-    5
+fn default_window() -> Whole<2, 1_000_000> {
+    Whole::new(5)
 }
 
 /// The figures, in the order of [`Variability::values`].
@@ -91,9 +91,6 @@ fn build(settings: Settings, _: &Context) -> Result<Box<dyn Validate>, SettingsE
     if settings.rows.is_some() == settings.value.is_some() {
         let message = "either `rows`, an artefact stage, or `value`, a column of the data under `from`, was expected";
         return Err(SettingsError::new("", message));
-    }
-    if settings.window < 2 {
-        return Err(SettingsError::new("window", "a window needs 2 measurements or more"));
     }
     let keys: Vec<String> = [UM, URAD].into_iter().flat_map(keys).collect();
     check_limits(&settings.limits, &keys.iter().map(String::as_str).collect::<Vec<_>>())?;
@@ -251,7 +248,7 @@ impl Repeatability {
         let (mut found, points) = (Vec::new(), self.points(data)?);
         let point = &points.name;
         for (label, series) in self.series(data, readings, &points)? {
-            let variability = series.variability(self.settings.window);
+            let variability = series.variability(self.settings.window.get());
             let name = of.map_or(String::new(), |of| format!("{of}: "));
             let place = label.as_ref().map_or(String::new(), |label| format!(" in direction {label}"));
             if variability.repeats == 0 {

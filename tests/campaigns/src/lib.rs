@@ -1,10 +1,13 @@
 //! Campaigns: laws that have to hold on many random machines and seeds, where a single example proves nothing.
 //!
-//! `cargo xtask campaign machines 2000 1` and `cargo xtask campaign tango 1000 1` run them in full; the tests run some of each.
+//! `cargo xtask campaign machines 2000 1` and the like run them in full; the tests run some of each.
 
+pub mod bad_inputs;
 mod machine;
 pub mod machines;
 mod programme;
+pub mod signals;
+pub mod sizes;
 pub mod tango;
 
 use abbe_numerics::Generator;

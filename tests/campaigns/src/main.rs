@@ -1,11 +1,16 @@
-//! Runs a campaign: `machines` or `tango`, the number of cases, the seed. Ends with status 1 if a law is broken. `machine`, the
-//! number of a case, the seed and a folder write one case there.
+//! Runs a campaign: its name, the number of cases, the seed. Ends with status 1 if a law is broken. `machine`, the number of a case,
+//! the seed and a folder write one case there.
+//!
+//! `sizes` has the largest size for a number of cases. Campaigns that start the program start this one again, which is Abbe where `ABBE_CAMPAIGN_PROGRAM` is set.
 
 use std::process::ExitCode;
 
-use abbe_campaigns::{machines, tango};
+use abbe_campaigns::{bad_inputs, machines, signals, sizes, tango};
 
 fn main() -> ExitCode {
+    if std::env::var_os("ABBE_CAMPAIGN_PROGRAM").is_some() {
+        return abbe::main();
+    }
     let arguments: Vec<String> = std::env::args().skip(1).collect();
     let number = |index: usize| arguments.get(index).and_then(|text| text.parse::<u64>().ok());
     if let (Some("machine"), Some(case), Some(seed), Some(folder)) =
@@ -15,11 +20,17 @@ fn main() -> ExitCode {
         machines::write(seed, case, folder.as_ref());
         return ExitCode::SUCCESS;
     }
+    let program = std::env::current_exe().expect("this program has a file");
     let report = match (arguments.first().map(String::as_str), number(1), number(2)) {
         (Some("machines"), Some(count), Some(seed)) => machines::run(seed, count),
         (Some("tango"), Some(count), Some(seed)) => tango::run(seed, count),
+        (Some("bad-inputs"), Some(count), Some(seed)) => bad_inputs::run(&program, seed, count),
+        (Some("signals"), Some(count), Some(seed)) => signals::run(&program, seed, count),
+        (Some("sizes"), Some(largest), Some(_)) => sizes::run(&program, largest),
         _ => {
-            eprintln!("usage: abbe-campaigns machines|tango COUNT SEED, or machine CASE SEED FOLDER");
+            eprintln!(
+                "usage: abbe-campaigns machines|tango|bad-inputs|signals|sizes COUNT SEED, or machine CASE SEED FOLDER"
+            );
             return ExitCode::from(2);
         }
     };

@@ -1,6 +1,6 @@
 //! Some cases of each campaign; `cargo xtask campaign` runs them by the thousand.
 
-use abbe_campaigns::{machines, tango};
+use abbe_campaigns::{bad_inputs, machines, signals, tango};
 
 #[test]
 fn random_machines_keep_the_laws() {
@@ -19,4 +19,19 @@ fn robust_fits_settle_on_other_seeds() {
     println!("{}", report.text);
     let failed: Vec<&String> = report.broken.iter().filter(|law| law.starts_with("seed")).collect();
     assert!(failed.is_empty(), "{failed:?}");
+}
+
+/// This program is Abbe, too.
+const PROGRAM: &str = env!("CARGO_BIN_EXE_abbe-campaigns");
+
+#[test]
+fn bad_inputs_do_no_harm() {
+    let found = bad_inputs::run(PROGRAM.as_ref(), 1, 100);
+    assert!(found.broken.is_empty(), "{}", found.text);
+}
+
+#[test]
+fn signals_leave_whole_results() {
+    let found = signals::run(PROGRAM.as_ref(), 1, 20);
+    assert!(found.broken.is_empty(), "{}", found.text);
 }

@@ -1,6 +1,6 @@
 //! B-splines of the command.
 
-use abbe_core::{Quantity, SettingsError};
+use abbe_core::{Quantity, SettingsError, Whole};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
@@ -16,7 +16,7 @@ pub struct BSpline {
     #[serde(rename = "b-spline")]
     pub b_spline: Vec<String>,
     /// Degree of the pieces, 1 to 5.
-    pub degree: u8,
+    pub degree: Whole<1, 5>,
     /// Inner knots of errors of a linear axis.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub knots_mm: Option<Knots>,
@@ -59,9 +59,6 @@ impl Family for BSpline {
     }
 
     fn check(&self) -> Result<(), SettingsError> {
-        if !(1..=5).contains(&self.degree) {
-            return Err(SettingsError::new("degree", format!("degree {}: 1 to 5 was expected", self.degree)));
-        }
         knots("a B-spline", &self.knots_mm, &self.knots_deg, 1)?;
         self.travel().check()
     }
@@ -71,12 +68,12 @@ impl Family for BSpline {
         let range = self.travel().needed(subject, "a B-spline")?;
         let knots = knots("a B-spline", &self.knots_mm, &self.knots_deg, 1)?;
         within(&knots, range, subject.command == Quantity::Angle)?;
-        let splines = BSplines::new(&knots, self.degree, range);
+        let splines = BSplines::new(&knots, self.degree.get() as u8, range);
         Ok(vec![self.travel().without(Box::new(if self.without_line { splines.inner() } else { splines }), subject)?])
     }
 }
 
-/// B-splines of inner knots and a travel, by the recursion of Cox and de Boor (de Boor 2001, ch. IX). ParameterGroups they are 1 everywhere.
+/// B-splines of inner knots and a travel, by the recursion of Cox and de Boor (de Boor 2001, ch. IX). Together they are 1 everywhere.
 #[derive(Debug, Clone, PartialEq)]
 pub struct BSplines {
     /// All knots; each end occurs degree + 1 times.
@@ -94,7 +91,7 @@ impl BSplines {
         Self { knots, degree, ends: 0 }
     }
 
-    /// The functions without the first and the last one. ParameterGroups with lines, the remaining ones span the same space.
+    /// The functions without the first and the last one. Together with lines, the remaining ones span the same space.
     pub fn inner(self) -> Self {
         Self { ends: 1, ..self }
     }

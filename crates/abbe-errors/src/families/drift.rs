@@ -2,12 +2,12 @@
 
 use std::collections::BTreeMap;
 
-use abbe_core::SettingsError;
+use abbe_core::{SettingsError, Whole};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 use super::travel::legendre;
-use super::{Argument, Family, Functions, Group, Subject, Term, whole_numbers};
+use super::{Argument, Family, Functions, Group, Subject, Term, numbers, values};
 
 /// Slow drift of set-up parameters: Legendre polynomials in the time scaled to -1..1, `dzt[t1]`, `dzt[t2]`, ...
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
@@ -16,7 +16,7 @@ pub struct Drift {
     /// Set-up parameters, e.g. dzt.
     pub drift: Vec<String>,
     /// The degrees, from 1 to 9; the constant part is the set-up parameter itself.
-    pub degrees: Vec<u8>,
+    pub degrees: Vec<Whole<1, 9>>,
     /// What has a drift of its own.
     #[serde(default)]
     pub per: Per,
@@ -72,14 +72,14 @@ impl Family for Drift {
     }
 
     fn check(&self) -> Result<(), SettingsError> {
-        whole_numbers("degrees", "degree", &self.degrees, 1..=9)
+        numbers("degrees", "degree", &self.degrees).map(drop)
     }
 
     fn functions(&self, subject: &Subject<'_>) -> Result<Vec<Box<dyn Functions>>, SettingsError> {
         let several = self.per.column().is_some();
         let series = self.time_s.iter().map(|(label, time)| {
             Box::new(LegendreInTime {
-                degrees: self.degrees.clone(),
+                degrees: values(&self.degrees),
                 time: *time,
                 series: subject.labels.iter().position(|known| several && known == label),
                 prefix: self.per.prefix(label),

@@ -1,10 +1,10 @@
 //! Fourier series of the angle of a rotary axis.
 
-use abbe_core::{Quantity, SettingsError};
+use abbe_core::{Quantity, SettingsError, Whole};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-use super::{Argument, Family, Functions, Subject, Term, whole_numbers};
+use super::{Argument, Family, Functions, Subject, Term, numbers, values};
 
 /// Fourier series of the angle of a rotary axis: `EXC[cos2]`, `EXC[sin2]`, ... in the unit of the error.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
@@ -12,8 +12,8 @@ use super::{Argument, Family, Functions, Subject, Term, whole_numbers};
 pub struct Fourier {
     /// Motion errors of rotary axes by ISO 230-1 symbol, e.g. EXC; `?` and `*` are wildcards.
     pub fourier: Vec<String>,
-    /// The orders, from 1; order 2 is twice per turn.
-    pub orders: Vec<u8>,
+    /// The orders, from 1 to 99; order 2 is twice per turn.
+    pub orders: Vec<Whole<1, 99>>,
 }
 
 impl Family for Fourier {
@@ -22,14 +22,14 @@ impl Family for Fourier {
     }
 
     fn check(&self) -> Result<(), SettingsError> {
-        whole_numbers("orders", "order", &self.orders, 1..=99)
+        numbers("orders", "order", &self.orders).map(drop)
     }
 
     fn functions(&self, subject: &Subject<'_>) -> Result<Vec<Box<dyn Functions>>, SettingsError> {
         if subject.command != Quantity::Angle {
             return Err(SettingsError::new("fourier", "a Fourier series is one of the angle of a rotary axis"));
         }
-        Ok(vec![Box::new(FourierSeries { orders: self.orders.clone() })])
+        Ok(vec![Box::new(FourierSeries { orders: values(&self.orders) })])
     }
 }
 

@@ -1,6 +1,6 @@
 //! Errors under the weight of the workpiece.
 
-use abbe_core::{Quantity, SettingsError};
+use abbe_core::{Quantity, SettingsError, Whole};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
@@ -24,10 +24,10 @@ pub struct Load {
     pub guideway_distance_mm: Option<f64>,
     /// Degree of the pieces of a motion error, 1 to 9.
     #[serde(default, skip_serializing_if = "Option::is_none")]
-    pub degree: Option<u8>,
+    pub degree: Option<Whole<1, 9>>,
     /// What is continuous at knots: 0 the value, 1 the slope too. Needed with knots.
     #[serde(default, skip_serializing_if = "Option::is_none")]
-    pub continuity: Option<u8>,
+    pub continuity: Option<Whole<0, 8>>,
     /// Inner knots of errors of a linear axis; none if it is a plain polynomial.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub knots_mm: Option<Knots>,
@@ -41,7 +41,7 @@ impl Load {
         self.knots_mm.is_some() || self.knots_deg.is_some()
     }
 
-    fn motion(&self, degree: u8, subject: &Subject<'_>) -> Result<Box<dyn Functions>, SettingsError> {
+    fn motion(&self, degree: Whole<1, 9>, subject: &Subject<'_>) -> Result<Box<dyn Functions>, SettingsError> {
         suits(("knots", "knots"), subject, self.knots_mm.is_some(), self.knots_deg.is_some())?;
         let knots = match self.has_knots() {
             true => knots("a piecewise polynomial", &self.knots_mm, &self.knots_deg, 1)?,
@@ -51,7 +51,8 @@ impl Load {
             within(&knots, range, subject.command == Quantity::Angle)?;
         }
         let range = subject.range.filter(|_| self.has_knots());
-        let shape = PiecewisePolynomial::new(knots, 1..=degree, self.continuity.unwrap_or(0), range);
+        let continuity = self.continuity.unwrap_or(Whole::new(0));
+        let shape = PiecewisePolynomial::new(knots, 1..=degree.get() as u8, continuity.get() as u8, range);
         Ok(Box::new(UnderLoad { shape, reference: self.reference_n, distance: self.guideway_distance_mm }))
     }
 }
@@ -80,7 +81,7 @@ impl Family for Load {
             (None, ..) => Err(SettingsError::new("", "pieces need a `degree`")),
             (Some(_), None, true) => Err(SettingsError::new("", "knots need a `continuity`")),
             (Some(_), Some(_), false) => Err(SettingsError::new("continuity", "there are no knots")),
-            (Some(degree), continuity, _) => piecewise::check(degree, continuity.unwrap_or(0)),
+            (Some(degree), continuity, _) => piecewise::check(degree, continuity.unwrap_or(Whole::new(0))),
         }
     }
 

@@ -17,9 +17,8 @@ mod spline;
 mod travel;
 
 use std::fmt::Debug;
-use std::ops::RangeInclusive;
 
-use abbe_core::{PathItem, Quantity, SettingsError, Unit};
+use abbe_core::{PathItem, Quantity, SettingsError, Unit, Whole};
 
 pub use b_spline::{BSpline, BSplines};
 pub use constant::{Constant, Location, StylusIs};
@@ -189,24 +188,26 @@ pub trait Family {
     fn functions(&self, subject: &Subject<'_>) -> Result<Vec<Box<dyn Functions>>, SettingsError>;
 }
 
-/// Checks a list of degrees or orders: not empty, within `allowed`, each once.
-fn whole_numbers(setting: &str, one: &str, given: &[u8], allowed: RangeInclusive<u8>) -> Result<(), SettingsError> {
+/// The degrees or orders of a list; refuses one that is empty, or that has a number twice.
+fn numbers<const LEAST: u64, const MOST: u64>(
+    setting: &str,
+    one: &str,
+    given: &[Whole<LEAST, MOST>],
+) -> Result<Vec<u8>, SettingsError> {
     if given.is_empty() {
         return Err(SettingsError::new(setting, format!("at least one {one} was expected")));
     }
-    for (index, number) in given.iter().enumerate() {
-        let at = |message: String| {
-            SettingsError::new("", message).under([PathItem::Key(setting.to_owned()), PathItem::Index(index)])
-        };
-        if !allowed.contains(number) {
-            let (least, most) = (allowed.start(), allowed.end());
-            return Err(at(format!("{one} {number}: {least} to {most} was expected")));
-        }
-        if given[..index].contains(number) {
-            return Err(at(format!("{one} {number} stands here twice")));
-        }
+    let twice = given.iter().enumerate().find(|(index, number)| given[..*index].contains(number));
+    if let Some((index, number)) = twice {
+        let message = format!("{one} {} stands here twice", number.get());
+        return Err(SettingsError::new("", message).under([PathItem::Key(setting.to_owned()), PathItem::Index(index)]));
     }
-    Ok(())
+    Ok(values(given))
+}
+
+/// The numbers themselves.
+fn values<const LEAST: u64, const MOST: u64>(given: &[Whole<LEAST, MOST>]) -> Vec<u8> {
+    given.iter().map(|number| number.get() as u8).collect()
 }
 
 /// Refuses a setting in mm for a rotary axis and one in degrees for a linear one; `(setting, what)` without unit.

@@ -1,11 +1,11 @@
 //! Legendre and Chebyshev polynomials of the command.
 
-use abbe_core::SettingsError;
+use abbe_core::{SettingsError, Whole};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 use super::travel::{Travel, legendre};
-use super::{Argument, Family, Functions, Subject, Term, whole_numbers};
+use super::{Argument, Family, Functions, Subject, Term, numbers, values};
 
 /// Makes the family of one kind of orthogonal polynomials: the same settings, other polynomials.
 macro_rules! orthogonal {
@@ -17,7 +17,7 @@ macro_rules! orthogonal {
             /// Motion errors by ISO 230-1 symbol, e.g. EXX; `?` and `*` are wildcards.
             pub $key: Vec<String>,
             /// The degrees, 0 to 9.
-            pub degrees: Vec<u8>,
+            pub degrees: Vec<Whole<0, 9>>,
             /// Travel of a linear axis; that of the axis unless given.
             #[serde(default, skip_serializing_if = "Option::is_none")]
             pub range_mm: Option<[f64; 2]>,
@@ -49,14 +49,14 @@ macro_rules! orthogonal {
             }
 
             fn check(&self) -> Result<(), SettingsError> {
-                whole_numbers("degrees", "degree", &self.degrees, 0..=9)?;
+                let degrees = numbers("degrees", "degree", &self.degrees)?;
                 self.travel().check()?;
-                self.travel().leaves("degrees", &self.degrees)
+                self.travel().leaves("degrees", &degrees)
             }
 
             fn functions(&self, subject: &Subject<'_>) -> Result<Vec<Box<dyn Functions>>, SettingsError> {
                 let range = self.travel().needed(subject, concat!("a ", stringify!($family), " polynomial"))?;
-                let functions = OrthogonalPolynomial { kind: $kind, degrees: self.degrees.clone(), range };
+                let functions = OrthogonalPolynomial { kind: $kind, degrees: values(&self.degrees), range };
                 Ok(vec![self.travel().without(Box::new(functions), subject)?])
             }
         }

@@ -1,6 +1,6 @@
 //! Periodic errors of scales and screws.
 
-use abbe_core::{Quantity, SettingsError};
+use abbe_core::{Quantity, SettingsError, Whole};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
@@ -20,7 +20,7 @@ pub struct Periodic {
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub wavelength_deg: Option<f64>,
     /// Number of functions, 2 to 99; they have as many knots in each period.
-    pub functions: u8,
+    pub functions: Whole<2, 99>,
     /// Whether the wavelength is a parameter: `EXX[per0.635].wavelength`, which starts from the nominal one.
     #[serde(default, skip_serializing_if = "std::ops::Not::not")]
     pub estimate_wavelength: bool,
@@ -32,10 +32,6 @@ impl Family for Periodic {
     }
 
     fn check(&self) -> Result<(), SettingsError> {
-        if !(2..=99).contains(&self.functions) {
-            let message = format!("{} functions: 2 to 99 was expected", self.functions);
-            return Err(SettingsError::new("functions", message));
-        }
         let (setting, wavelength) = match (self.wavelength_mm, self.wavelength_deg) {
             (Some(wavelength), None) => ("wavelength_mm", wavelength),
             (None, Some(wavelength)) => ("wavelength_deg", wavelength),
@@ -61,7 +57,7 @@ impl Family for Periodic {
         Ok(vec![Box::new(PeriodicPieces {
             name: format!("per{written}"),
             wavelength,
-            count: self.functions,
+            count: self.functions.get() as u8,
             estimated: self.estimate_wavelength,
         })])
     }

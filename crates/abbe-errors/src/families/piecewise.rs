@@ -2,7 +2,7 @@
 
 use std::ops::RangeInclusive;
 
-use abbe_core::{Quantity, SettingsError};
+use abbe_core::{Quantity, SettingsError, Whole};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
@@ -18,9 +18,9 @@ pub struct Piecewise {
     /// Motion errors by ISO 230-1 symbol, e.g. EXX; `?` and `*` are wildcards.
     pub piecewise: Vec<String>,
     /// Degree of the pieces, 1 to 9.
-    pub degree: u8,
+    pub degree: Whole<1, 9>,
     /// What is continuous at knots: 0 the value, 1 the slope too.
-    pub continuity: u8,
+    pub continuity: Whole<0, 8>,
     /// Inner knots of errors of a linear axis.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub knots_mm: Option<Knots>,
@@ -75,8 +75,8 @@ impl Family for Piecewise {
             within(&knots, range, subject.command == Quantity::Angle)?;
         }
         // A line without its least-squares line is zero, so degree 1 is left out.
-        let powers = if self.without_line { 2..=self.degree } else { 1..=self.degree };
-        let mut functions = PiecewisePolynomial::new(knots, powers, self.continuity, range);
+        let powers = if self.without_line { 2 } else { 1 }..=self.degree.get() as u8;
+        let mut functions = PiecewisePolynomial::new(knots, powers, self.continuity.get() as u8, range);
         if self.zero_at_zero {
             functions = functions.zero_at_zero();
         }
@@ -84,10 +84,8 @@ impl Family for Piecewise {
     }
 }
 
-pub(super) fn check(degree: u8, continuity: u8) -> Result<(), SettingsError> {
-    if !(1..=9).contains(&degree) {
-        return Err(SettingsError::new("degree", format!("degree {degree}: 1 to 9 was expected")));
-    }
+pub(super) fn check(degree: Whole<1, 9>, continuity: Whole<0, 8>) -> Result<(), SettingsError> {
+    let (degree, continuity) = (degree.get(), continuity.get());
     if continuity >= degree {
         let message = format!(
             "pieces of degree {degree} that continue {continuity} times have no knots: 0 to {} was expected",

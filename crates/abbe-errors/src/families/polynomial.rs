@@ -1,11 +1,11 @@
 //! Ordinary polynomials of the command.
 
-use abbe_core::SettingsError;
+use abbe_core::{SettingsError, Whole};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 use super::travel::Travel;
-use super::{Argument, Family, Functions, Subject, Term, power, whole_numbers};
+use super::{Argument, Family, Functions, Subject, Term, numbers, power, values};
 
 /// Ordinary polynomials of the axis command: `EXX[1]`, `EXX[2]`, ... in the unit of the error per power of mm or rad.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
@@ -14,7 +14,7 @@ pub struct Polynomial {
     /// Motion errors by ISO 230-1 symbol, e.g. EYX; `?` and `*` are wildcards.
     pub polynomial: Vec<String>,
     /// The degrees, 0 to 9.
-    pub degrees: Vec<u8>,
+    pub degrees: Vec<Whole<0, 9>>,
     /// Travel of a linear axis over which `without_line` holds; that of the axis unless given.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub range_mm: Option<[f64; 2]>,
@@ -46,13 +46,13 @@ impl Family for Polynomial {
     }
 
     fn check(&self) -> Result<(), SettingsError> {
-        whole_numbers("degrees", "degree", &self.degrees, 0..=9)?;
+        let degrees = numbers("degrees", "degree", &self.degrees)?;
         self.travel().check()?;
-        self.travel().leaves("degrees", &self.degrees)
+        self.travel().leaves("degrees", &degrees)
     }
 
     fn functions(&self, subject: &Subject<'_>) -> Result<Vec<Box<dyn Functions>>, SettingsError> {
-        let functions = OrdinaryPolynomial { degrees: self.degrees.clone() };
+        let functions = OrdinaryPolynomial { degrees: values(&self.degrees) };
         Ok(vec![self.travel().without(Box::new(functions), subject)?])
     }
 }

@@ -1,10 +1,10 @@
 //! Reversal errors.
 
-use abbe_core::SettingsError;
+use abbe_core::{SettingsError, Whole};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-use super::{Argument, Family, Functions, Subject, Term, whole_numbers};
+use super::{Argument, Family, Functions, Subject, Term, numbers, values};
 
 /// Reversal errors: `EXX[b]` is half the reversal value, added after a positive approach and taken off after a negative one.
 /// With `degrees` it changes along the axis, and forward and backward curve are each other's equals: `EXX[b*1]`, `EXX[b*2]`, ... are
@@ -16,7 +16,7 @@ pub struct Backlash {
     pub backlash: Vec<String>,
     /// Powers of the command, 1 to 9, with which it changes along the axis.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
-    pub degrees: Vec<u8>,
+    pub degrees: Vec<Whole<1, 9>>,
 }
 
 impl Family for Backlash {
@@ -25,11 +25,11 @@ impl Family for Backlash {
     }
 
     fn check(&self) -> Result<(), SettingsError> {
-        if self.degrees.is_empty() { Ok(()) } else { whole_numbers("degrees", "degree", &self.degrees, 1..=9) }
+        if self.degrees.is_empty() { Ok(()) } else { numbers("degrees", "degree", &self.degrees).map(drop) }
     }
 
     fn functions(&self, _: &Subject<'_>) -> Result<Vec<Box<dyn Functions>>, SettingsError> {
-        Ok(vec![Box::new(Reversal { degrees: self.degrees.clone() })])
+        Ok(vec![Box::new(Reversal { degrees: values(&self.degrees) })])
     }
 }
 

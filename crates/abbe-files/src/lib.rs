@@ -1,0 +1,122 @@
+//! Opens and reads the files that people name: recipes, truths, calibrations, data, libraries.
+//!
+//! A named pipe would hang the program, and a device fill its memory. So only regular files are opened, and what is read as a whole
+//! has a bound on its size.
+
+use std::fs::{self, File, Metadata};
+use std::io::{self, Read};
+use std::path::Path;
+
+/// Bytes of the largest recipe, machine file or truth: 16 MiB. People write these.
+pub const LARGEST_TEXT: u64 = 16 << 20;
+
+/// Bytes of the largest file that a program has written as one text: 512 MiB.
+pub const LARGEST_RESULT: u64 = 512 << 20;
+
+/// Opens a regular file, or one that a link leads to.
+///
+/// # Errors
+/// As [`File::open`]; and [`io::ErrorKind::InvalidInput`] for a folder, a named pipe, a socket or a device, which are not opened.
+pub fn open(path: &Path) -> io::Result<File> {
+    // Opening a named pipe waits for somebody who writes: it is looked at first.
+    regular(&fs::metadata(path)?)?;
+    let file = File::open(path)?;
+    regular(&file.metadata()?)?;
+    Ok(file)
+}
+
+/// The content of a regular file of `most` bytes at most.
+///
+/// # Errors
+/// As [`open`]; and [`io::ErrorKind::FileTooLarge`] for a file that is larger.
+pub fn read(path: &Path, most: u64) -> io::Result<Vec<u8>> {
+    let mut content = Vec::new();
+    open(path)?.take(most.saturating_add(1)).read_to_end(&mut content)?;
+    match content.len() as u64 > most {
+        true => {
+            let message = format!("it is larger than {} MiB, the most that is read", most >> 20);
+            Err(io::Error::new(io::ErrorKind::FileTooLarge, message))
+        }
+        false => Ok(content),
+    }
+}
+
+/// The text in UTF-8 of a regular file of `most` bytes at most.
+///
+/// # Errors
+/// As [`read`]; and [`io::ErrorKind::InvalidData`] for a file that is no text in UTF-8.
+pub fn read_text(path: &Path, most: u64) -> io::Result<String> {
+    String::from_utf8(read(path, most)?).map_err(|error| {
+        let message = format!("it is no text in UTF-8 (byte {})", error.utf8_error().valid_up_to() + 1);
+        io::Error::new(io::ErrorKind::InvalidData, message)
+    })
+}
+
+fn regular(found: &Metadata) -> io::Result<()> {
+    match found.is_file() {
+        true => Ok(()),
+        false => {
+            let message = format!("it is {}; a file was expected", kind(found));
+            Err(io::Error::new(io::ErrorKind::InvalidInput, message))
+        }
+    }
+}
+
+/// What something is that is no file, with its article.
+fn kind(found: &Metadata) -> &'static str {
+    #[cfg(unix)]
+    {
+        use std::os::unix::fs::FileTypeExt;
+        let kind = found.file_type();
+        if kind.is_fifo() {
+            return "a named pipe";
+        } else if kind.is_socket() {
+            return "a socket";
+        } else if kind.is_char_device() || kind.is_block_device() {
+            return "a device";
+        }
+    }
+    if found.is_dir() { "a folder" } else { "something else" }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn refused(path: &Path) -> String {
+        read_text(path, 4).unwrap_err().to_string()
+    }
+
+    #[test]
+    fn only_files_of_bounded_size_are_read() {
+        let folder = tempfile::tempdir().unwrap();
+        let file = folder.path().join("a");
+        for (content, expected) in [(&b"12"[..], Ok("12")), (b"1234", Ok("1234")), (b"", Ok(""))] {
+            fs::write(&file, content).unwrap();
+            assert_eq!(read_text(&file, 4).as_deref().map_err(ToString::to_string), expected.map_err(str::to_owned));
+        }
+        fs::write(&file, b"12345").unwrap();
+        assert!(refused(&file).contains("larger than"));
+        fs::write(&file, b"a\xff").unwrap();
+        assert_eq!(refused(&file), "it is no text in UTF-8 (byte 2)");
+        assert_eq!(refused(folder.path()), "it is a folder; a file was expected");
+        assert_eq!(read(&folder.path().join("b"), 4).unwrap_err().kind(), io::ErrorKind::NotFound);
+    }
+
+    #[cfg(unix)]
+    #[test]
+    fn pipes_sockets_and_devices_are_not_opened() {
+        let folder = tempfile::tempdir().unwrap();
+        let pipe = folder.path().join("pipe");
+        assert!(std::process::Command::new("mkfifo").arg(&pipe).status().unwrap().success());
+        assert_eq!(refused(&pipe), "it is a named pipe; a file was expected");
+        let socket = folder.path().join("socket");
+        let _listener = std::os::unix::net::UnixListener::bind(&socket).unwrap();
+        assert_eq!(refused(&socket), "it is a socket; a file was expected");
+        assert_eq!(refused(Path::new("/dev/zero")), "it is a device; a file was expected");
+        // A link is what it leads to.
+        let link = folder.path().join("link");
+        std::os::unix::fs::symlink("/dev/zero", &link).unwrap();
+        assert_eq!(refused(&link), "it is a device; a file was expected");
+    }
+}

@@ -1,0 +1,282 @@
+//! Bounds on what the program reads, on what it takes for a number, on its time, and on what it lets a terminal do.
+
+use std::fs;
+use std::io::Read;
+use std::path::Path;
+use std::process::Stdio;
+use std::time::{Duration, Instant};
+
+use abbe_core::harmless;
+
+use crate::support::{Printed, SMALL, Small, json_file, program};
+
+const RECIPE: &str = "recipe.yaml";
+
+/// Runs the program; fails if it does not end by itself within two minutes.
+fn ended(small: &Small, arguments: &[&str]) -> Printed {
+    let mut run = program(small.folder.path(), arguments)
+        .stdin(Stdio::null())
+        .stdout(Stdio::piped())
+        .stderr(Stdio::piped())
+        .spawn()
+        .expect("the program starts");
+    let (mut stdout, mut stderr) = (run.stdout.take().expect("its output"), run.stderr.take().expect("its errors"));
+    let said = std::thread::spawn(move || {
+        let mut text = String::new();
+        stdout.read_to_string(&mut text).map(|_| text)
+    });
+    let started = Instant::now();
+    let errors = std::thread::spawn(move || {
+        let mut text = String::new();
+        stderr.read_to_string(&mut text).map(|_| text)
+    });
+    let status = loop {
+        match run.try_wait().expect("the program can be asked") {
+            Some(status) => break status,
+            None if started.elapsed() > Duration::from_secs(120) => {
+                run.kill().expect("it can be ended");
+                panic!("{arguments:?} does not end");
+            }
+            None => std::thread::sleep(Duration::from_millis(5)),
+        }
+    };
+    let text = |thread: std::thread::JoinHandle<std::io::Result<String>>| {
+        thread.join().expect("a reader").expect("the program prints UTF-8")
+    };
+    Printed { status: status.code().expect("it ends by itself"), stdout: text(said), stderr: text(errors) }
+}
+
+/// Refused with this status, these words, and no results.
+fn refused(small: &Small, arguments: &[&str], status: i32, words: &[&str]) {
+    let printed = ended(small, arguments);
+    assert_eq!(printed.status, status, "{arguments:?}: {}{}", printed.stdout, printed.stderr);
+    // Messages are broken into lines.
+    let said = printed.stderr.split_whitespace().filter(|word| *word != "│").collect::<Vec<_>>().join(" ");
+    for word in words {
+        assert!(said.contains(word), "{arguments:?}: {word} is not in {}", printed.stderr);
+    }
+    assert!(printed.stderr.len() < 4000, "{arguments:?}: {} bytes", printed.stderr.len());
+    assert!(!small.path("out/recipe").exists(), "{arguments:?}: there are results");
+}
+
+const RUN: [&str; 4] = ["run", RECIPE, "--out", "out"];
+
+#[cfg(unix)]
+#[test]
+fn pipes_devices_and_folders_are_no_files() {
+    let pipe = |path: &Path| {
+        assert!(std::process::Command::new("mkfifo").arg(path).status().expect("mkfifo").success());
+    };
+    let device = |path: &Path| std::os::unix::fs::symlink("/dev/zero", path).expect("a link");
+    let folder = |path: &Path| fs::create_dir(path).expect("a folder");
+    let kinds: [(&str, &dyn Fn(&Path)); 3] = [("a named pipe", &pipe), ("a device", &device), ("a folder", &folder)];
+    let simulate = ["simulate", RECIPE, "--truth", "truth.json", "--seed", "1", "--out", "made"];
+    let with_library = ["--plugin", "library.so", "run", RECIPE, "--out", "out"];
+    let places: [(&str, &[&str]); 9] = [
+        (RECIPE, &RUN),
+        (RECIPE, &["check", RECIPE]),
+        (RECIPE, &["plan", RECIPE]),
+        ("data/machine.yaml", &RUN),
+        ("data/touches.csv", &RUN),
+        ("data/facets.csv", &RUN),
+        ("truth.json", &simulate),
+        ("library.so", &with_library),
+        ("library.so", &["plugin", "check", "library.so"]),
+    ];
+    for (name, make) in kinds {
+        for (file, arguments) in places {
+            let small = Small::new();
+            let _ = fs::remove_file(small.path(file));
+            make(&small.path(file));
+            refused(&small, arguments, 2, &[name, "a file was expected"]);
+        }
+    }
+}
+
+#[test]
+fn calibrations_of_earlier_runs_are_files() {
+    let small = Small::new();
+    let recipe = SMALL.replace("  rough:\n", "  earlier: { estimate: calibration, path: earlier.json }\n  rough:\n");
+    small.write(RECIPE, &recipe);
+    fs::create_dir(small.path("earlier.json")).expect("a folder");
+    refused(&small, &RUN, 2, &["is a folder"]);
+}
+
+#[test]
+fn what_is_read_as_a_whole_has_a_bound() {
+    let endless = |small: &Small, file: &str, bytes: u64| {
+        fs::File::create(small.path(file)).and_then(|file| file.set_len(bytes)).expect("a file with a hole");
+    };
+    for file in [RECIPE, "data/machine.yaml"] {
+        let small = Small::new();
+        endless(&small, file, 17 << 20);
+        refused(&small, &RUN, 2, &["larger than 16 MiB"]);
+    }
+    // More than any memory has.
+    let small = Small::new();
+    endless(&small, "data/touches.csv", 1 << 40);
+    refused(&small, &RUN, 1, &["touches.csv", "zero byte"]);
+    let small = Small::new();
+    small.write("data/touches.csv", &"a".repeat(17 << 20));
+    refused(&small, &RUN, 2, &["no end within 16 MiB"]);
+}
+
+#[test]
+fn long_cells_are_refused_and_long_names_are_cut() {
+    let small = Small::new();
+    let touches = small.read("data/touches.csv");
+    let cell = |length: usize| touches.replacen("\n3,", &format!("\n{},", "x".repeat(length)), 1);
+    assert_ne!(cell(1), touches);
+    small.write("data/touches.csv", &cell(70_000));
+    refused(&small, &RUN, 1, &["touches.csv:4:", "a cell has 68 KiB; at most 64 are read"]);
+    small.write("data/touches.csv", &touches);
+    small.write(RECIPE, &SMALL.replace("from: touches", &format!("from: {}", "x".repeat(5_000))));
+    refused(&small, &RUN, 2, &["xxx..."]);
+    small.write(RECIPE, SMALL);
+    let (header, rows) = touches.split_once('\n').expect("a header");
+    let long = rows.replacen(',', &format!("{},", "9".repeat(3_000)), 30);
+    small.write("data/touches.csv", &format!("{header}\n{long}"));
+    refused(&small, &RUN, 1, &["99...`"]);
+}
+
+#[test]
+fn all_line_ends_are_read_and_other_separators_are_named() {
+    let values = |small: &Small| {
+        assert_eq!(ended(small, &RUN).status, 0);
+        json_file(&small.path("out/recipe/fine.calibration.json"))["parameters"].clone()
+    };
+    let small = Small::new();
+    let expected = values(&small);
+    let touches = small.read("data/touches.csv");
+    for end in ["\r", "\r\n", "\n\n", "\r\r"] {
+        small.write("data/touches.csv", &format!("# a comment\n{touches}").replace('\n', end));
+        assert_eq!(values(&small), expected, "{end:?}");
+    }
+    // The place of an error is the same, too.
+    for end in ["\r", "\n", "\r\n"] {
+        let small = Small::new();
+        small.write("data/touches.csv", &format!("{touches}1,2\n").replace('\n', end));
+        let line = touches.lines().count() + 1;
+        refused(&small, &RUN, 1, &["the row has 2 cells", &format!("touches.csv:{line}")]);
+    }
+    for (separator, name) in [(";", "semicolons"), ("\t", "tabs"), ("|", "vertical strokes"), (" ", "spaces")] {
+        let small = Small::new();
+        small.write("data/touches.csv", &touches.replace(',', separator));
+        refused(&small, &RUN, 2, &[&format!("separated by {name}; a comma was expected"), "touches.csv:1:1"]);
+    }
+    let small = Small::new();
+    let wide: Vec<u8> = [0xff, 0xfe].into_iter().chain(touches.encode_utf16().flat_map(u16::to_le_bytes)).collect();
+    fs::write(small.path("data/touches.csv"), wide).expect("it can be written");
+    refused(&small, &["check", RECIPE], 1, &["UTF-16; UTF-8 was expected"]);
+}
+
+#[test]
+fn whole_numbers_say_their_range() {
+    let trials = "  trials: { estimate: monte-carlo, of: fine, trials: NUMBER, seed: 1 }\n";
+    let adaptive = "  trials: { estimate: monte-carlo, of: fine, adaptive: { most: NUMBER } }\n";
+    let plan = "plan: { estimate: fine, candidates: table, number: NUMBER }\n";
+    let window = "  repeats: { validate: repeatability, of: fine, rows: table, point: feature, window: NUMBER }\n";
+    let cases = [
+        (format!("{SMALL}{trials}"), "from 1 to 10000000"),
+        (format!("{SMALL}{adaptive}"), "from 1 to 10000000"),
+        (format!("{SMALL}{plan}"), "from 1 to 1000000"),
+        (format!("{SMALL}{window}"), "from 2 to 1000000"),
+        (SMALL.replace("degrees: [1]", "degrees: [NUMBER]"), "from 0 to 9"),
+        (SMALL.replace("start: rough", "start: rough\n    iterations: NUMBER"), "from 1 to 100000"),
+        (SMALL.replace("- { backlash: [EXX] }", "- { backlash: [EXX], degrees: [NUMBER] }"), "from 1 to 9"),
+        (SMALL.replace("- { backlash: [EXX] }", "- { fourier: [EBB], orders: [NUMBER] }"), "from 1 to 99"),
+    ];
+    for (recipe, range) in cases {
+        for number in ["1e12", "18446744073709551615", "-1", "1.5", "many"] {
+            let small = Small::new();
+            small.write(RECIPE, &recipe.replace("NUMBER", number));
+            refused(&small, &RUN, 2, &[range, &format!("{RECIPE}:")]);
+        }
+    }
+}
+
+#[test]
+fn trials_that_do_not_fit_into_memory_are_refused() {
+    let small = Small::new();
+    let parameters = SMALL.replace("\"@tool\", EX0C, \"EXX[1]\", \"table.*\"", "\"@tool\", \"E*\", \"table.*\"");
+    let values = "  trials: { estimate: monte-carlo, of: fine, trials: 1e7, seed: 1 }\n";
+    small.write(RECIPE, &format!("{parameters}{values}"));
+    let printed = ended(&small, &["run", RECIPE, "--out", "out", "--time-limit", "5"]);
+    // Whether they fit hangs on the number of values; the time limit ends what fits.
+    assert_eq!(printed.status, 1, "{}{}", printed.stdout, printed.stderr);
+}
+
+/// What is finished when the time is over is written; the rest has failed.
+#[test]
+fn the_time_of_a_run_has_a_limit() {
+    let small = Small::new();
+    small.write(RECIPE, &format!("{SMALL}  trials: {{ estimate: monte-carlo, of: fine, trials: 5e6, seed: 1 }}\n"));
+    let printed = ended(&small, &["run", RECIPE, "--out", "out", "--time-limit", "6"]);
+    assert_eq!(printed.status, 1, "{}{}", printed.stdout, printed.stderr);
+    assert!(printed.stderr.contains("time limit"), "{}", printed.stderr);
+    assert!(printed.stdout.contains("trials (estimate): "), "{}", printed.stdout);
+    assert!(small.path("out/recipe/fine.calibration.json").is_file());
+    let record = json_file(&small.path("out/recipe/run.json"));
+    let failed: Vec<&str> = record["failures"]
+        .as_array()
+        .expect("failures")
+        .iter()
+        .filter_map(|failure| failure["stage"].as_str())
+        .collect();
+    assert!(failed.contains(&"trials"), "{failed:?}");
+
+    let small = Small::new();
+    for wrong in ["0", "-1", "nan", "1e12", "soon"] {
+        let limit = format!("--time-limit={wrong}");
+        refused(&small, &["run", RECIPE, "--out", "out", &limit], 2, &["a number of seconds"]);
+    }
+    // Too little for anything.
+    refused(&small, &["run", RECIPE, "--out", "out", "--time-limit", "0.000001"], 1, &["the time limit"]);
+    let printed = ended(&small, &["run", RECIPE, "--out", "out", "--json", "--time-limit", "0.000001"]);
+    let error: serde_json::Value = serde_json::from_str(&printed.stdout).expect("one error as JSON");
+    assert_eq!(error["error"]["convergence"]["termination"], "time-limit");
+}
+
+/// Escape sequences of terminals, 8-bit ones and reversed text.
+const EVIL: &str = "\u{1b}[2J\u{9b}31m\u{202e}\u{7}";
+
+#[test]
+fn no_text_from_files_reaches_a_terminal_as_it_is() {
+    let shown = |small: &Small, arguments: &[&str]| {
+        let printed = ended(small, arguments);
+        for text in [&printed.stdout, &printed.stderr] {
+            assert_eq!(harmless(text), *text, "{arguments:?}");
+        }
+        printed
+    };
+    let yaml = "\\e[2J\\x9b31m\\u202e\\a";
+    let named = SMALL.replace("name: Eight facets", &format!("name: \"Eight {yaml} facets\""));
+    let small = Small::new();
+    small.write(RECIPE, &named);
+    for arguments in
+        [&RUN[..], &["check", RECIPE], &["run", RECIPE, "--out", "out", "--json"], &["check", RECIPE, "--json"]]
+    {
+        let printed = shown(&small, arguments);
+        assert_eq!(printed.status, 0, "{arguments:?}: {}", printed.stderr);
+        assert!(printed.stdout.contains("[2J") || arguments.contains(&"--json"), "{}", printed.stdout);
+    }
+    // In wrong settings, headers, labels, cells, and in the lines that a message shows.
+    let wrong_setting = named.replace("standard_uncertainty_um: 1.6", &format!("\"standard{yaml}\": 1.6"));
+    small.write(RECIPE, &wrong_setting);
+    assert_eq!(shown(&small, &RUN).status, 2);
+    small.write(RECIPE, SMALL);
+    let touches = small.read("data/touches.csv");
+    let (header, _) = touches.split_once('\n').expect("a header");
+    let first = header.split(',').next().expect("a column");
+    let changed = [
+        touches.replacen(first, &format!("{EVIL}_mm"), 1),
+        touches.replacen("\n", &format!("\n{EVIL}"), 1),
+        touches.replacen("\n", &format!("\n# {EVIL}\n1,2 {EVIL}\n"), 1),
+    ];
+    for text in changed {
+        small.write("data/touches.csv", &text);
+        for arguments in [&RUN[..], &["run", RECIPE, "--out", "out", "--json"]] {
+            shown(&small, arguments);
+        }
+    }
+}
