@@ -69,7 +69,8 @@ fn pipes_devices_and_folders_are_no_files() {
     };
     let device = |path: &Path| std::os::unix::fs::symlink("/dev/zero", path).expect("a link");
     let folder = |path: &Path| fs::create_dir(path).expect("a folder");
-    let kinds: [(&str, &dyn Fn(&Path)); 3] = [("a named pipe", &pipe), ("a device", &device), ("a folder", &folder)];
+    type Make<'a> = &'a dyn Fn(&Path);
+    let kinds: [(&str, Make<'_>); 3] = [("a named pipe", &pipe), ("a device", &device), ("a folder", &folder)];
     let simulate = ["simulate", RECIPE, "--truth", "truth.json", "--seed", "1", "--out", "made"];
     let with_library = ["--plugin", "library.so", "run", RECIPE, "--out", "out"];
     let places: [(&str, &[&str]); 9] = [
@@ -128,7 +129,7 @@ fn long_cells_are_refused_and_long_names_are_cut() {
     let cell = |length: usize| touches.replacen("\n3,", &format!("\n{},", "x".repeat(length)), 1);
     assert_ne!(cell(1), touches);
     small.write("data/touches.csv", &cell(70_000));
-    refused(&small, &RUN, 1, &["touches.csv:4:", "a cell has 68 KiB; at most 64 are read"]);
+    refused(&small, &RUN, 1, &["touches.csv:4:", "a cell has 69 KiB; at most 64 are read"]);
     small.write("data/touches.csv", &touches);
     small.write(RECIPE, &SMALL.replace("from: touches", &format!("from: {}", "x".repeat(5_000))));
     refused(&small, &RUN, 2, &["xxx..."]);
@@ -153,10 +154,10 @@ fn all_line_ends_are_read_and_other_separators_are_named() {
         assert_eq!(values(&small), expected, "{end:?}");
     }
     // The place of an error is the same, too.
-    for end in ["\r", "\n", "\r\n"] {
+    for (end, lines) in [("\r", 1), ("\n", 1), ("\r\n", 1), ("\r\r", 2), ("\r\r\n", 2)] {
         let small = Small::new();
         small.write("data/touches.csv", &format!("{touches}1,2\n").replace('\n', end));
-        let line = touches.lines().count() + 1;
+        let line = lines * touches.lines().count() + 1;
         refused(&small, &RUN, 1, &["the row has 2 cells", &format!("touches.csv:{line}")]);
     }
     for (separator, name) in [(";", "semicolons"), ("\t", "tabs"), ("|", "vertical strokes"), (" ", "spaces")] {
@@ -179,7 +180,7 @@ fn whole_numbers_say_their_range() {
     let cases = [
         (format!("{SMALL}{trials}"), "from 1 to 10000000"),
         (format!("{SMALL}{adaptive}"), "from 1 to 10000000"),
-        (format!("{SMALL}{plan}"), "from 1 to 1000000"),
+        (format!("{SMALL}{plan}"), "from 1 to 10000"),
         (format!("{SMALL}{window}"), "from 2 to 1000000"),
         (SMALL.replace("degrees: [1]", "degrees: [NUMBER]"), "from 0 to 9"),
         (SMALL.replace("start: rough", "start: rough\n    iterations: NUMBER"), "from 1 to 100000"),
@@ -195,17 +196,6 @@ fn whole_numbers_say_their_range() {
     }
 }
 
-#[test]
-fn trials_that_do_not_fit_into_memory_are_refused() {
-    let small = Small::new();
-    let parameters = SMALL.replace("\"@tool\", EX0C, \"EXX[1]\", \"table.*\"", "\"@tool\", \"E*\", \"table.*\"");
-    let values = "  trials: { estimate: monte-carlo, of: fine, trials: 1e7, seed: 1 }\n";
-    small.write(RECIPE, &format!("{parameters}{values}"));
-    let printed = ended(&small, &["run", RECIPE, "--out", "out", "--time-limit", "5"]);
-    // Whether they fit hangs on the number of values; the time limit ends what fits.
-    assert_eq!(printed.status, 1, "{}{}", printed.stdout, printed.stderr);
-}
-
 /// What is finished when the time is over is written; the rest has failed.
 #[test]
 fn the_time_of_a_run_has_a_limit() {
@@ -213,7 +203,7 @@ fn the_time_of_a_run_has_a_limit() {
     small.write(RECIPE, &format!("{SMALL}  trials: {{ estimate: monte-carlo, of: fine, trials: 5e6, seed: 1 }}\n"));
     let printed = ended(&small, &["run", RECIPE, "--out", "out", "--time-limit", "6"]);
     assert_eq!(printed.status, 1, "{}{}", printed.stdout, printed.stderr);
-    assert!(printed.stderr.contains("time limit"), "{}", printed.stderr);
+    assert!(printed.stderr.contains("stage `trials`") && printed.stderr.contains("time limit"), "{}", printed.stderr);
     assert!(printed.stdout.contains("trials (estimate): "), "{}", printed.stdout);
     assert!(small.path("out/recipe/fine.calibration.json").is_file());
     let record = json_file(&small.path("out/recipe/run.json"));
@@ -234,7 +224,7 @@ fn the_time_of_a_run_has_a_limit() {
     refused(&small, &["run", RECIPE, "--out", "out", "--time-limit", "0.000001"], 1, &["the time limit"]);
     let printed = ended(&small, &["run", RECIPE, "--out", "out", "--json", "--time-limit", "0.000001"]);
     let error: serde_json::Value = serde_json::from_str(&printed.stdout).expect("one error as JSON");
-    assert_eq!(error["error"]["convergence"]["termination"], "time-limit");
+    assert!(error["error"]["message"].as_str().is_some_and(|message| message.contains("time limit")), "{error}");
 }
 
 /// Escape sequences of terminals, 8-bit ones and reversed text.
@@ -258,7 +248,10 @@ fn no_text_from_files_reaches_a_terminal_as_it_is() {
     {
         let printed = shown(&small, arguments);
         assert_eq!(printed.status, 0, "{arguments:?}: {}", printed.stderr);
-        assert!(printed.stdout.contains("[2J") || arguments.contains(&"--json"), "{}", printed.stdout);
+        match arguments.contains(&"--json") {
+            true => drop(serde_json::from_str::<serde_json::Value>(&printed.stdout).expect("JSON")),
+            false => assert!(printed.stdout.contains("␛[2J"), "{}", printed.stdout),
+        }
     }
     // In wrong settings, headers, labels, cells, and in the lines that a message shows.
     let wrong_setting = named.replace("standard_uncertainty_um: 1.6", &format!("\"standard{yaml}\": 1.6"));
@@ -266,17 +259,17 @@ fn no_text_from_files_reaches_a_terminal_as_it_is() {
     assert_eq!(shown(&small, &RUN).status, 2);
     small.write(RECIPE, SMALL);
     let touches = small.read("data/touches.csv");
-    let (header, _) = touches.split_once('\n').expect("a header");
-    let first = header.split(',').next().expect("a column");
     let changed = [
-        touches.replacen(first, &format!("{EVIL}_mm"), 1),
-        touches.replacen("\n", &format!("\n{EVIL}"), 1),
-        touches.replacen("\n", &format!("\n# {EVIL}\n1,2 {EVIL}\n"), 1),
+        (touches.replacen("X_mm", &format!("{EVIL}_mm"), 1), 2),
+        (touches.replacen("\n", &format!("\n# {EVIL}\n1,2 {EVIL}\n"), 1), 1),
     ];
-    for text in changed {
+    for (text, status) in changed {
         small.write("data/touches.csv", &text);
-        for arguments in [&RUN[..], &["run", RECIPE, "--out", "out", "--json"]] {
-            shown(&small, arguments);
-        }
+        let printed = shown(&small, &RUN);
+        assert_eq!(printed.status, status, "{}", printed.stderr);
+        assert!(printed.stderr.contains("␛[2J"), "{}", printed.stderr);
+        let printed = shown(&small, &["run", RECIPE, "--out", "out", "--json"]);
+        let error: serde_json::Value = serde_json::from_str(&printed.stdout).expect("an error as JSON");
+        assert!(error["error"]["message"].is_string(), "{error}");
     }
 }

@@ -223,7 +223,7 @@ fn a_derivative_with_the_wrong_sign_breaks_a_law() {
     let flipped = Flipped(problem.sets[0].observations.clone());
     problem.sets[0].observations = std::sync::Arc::new(flipped);
     let broken =
-        abbe_estimation::laws::of_observations(&problem, abbe_core::SetIndex(0)).expect("the machine has poses");
+        abbe_estimation::laws::check_observations(&problem, abbe_core::SetIndex(0)).expect("the machine has poses");
     assert!(!broken.is_empty());
     assert!(broken.iter().all(|law| law.contains("the derivative to z of the tip of pose 0")), "{broken:#?}");
 }

@@ -169,3 +169,26 @@ fn rows_that_are_there_twice_are_told() {
         "{remarks:?}"
     );
 }
+
+#[test]
+fn copies_of_files_and_of_numbered_rows_are_told() {
+    let folder = temporary();
+    let mut recipe = Variant::of(&recipes()["first-steps"]);
+    let text = read(&recipe.path("touches", "path"));
+    let copies = ["touches.csv", "touches (1).csv"].map(|name| folder.path().join(name));
+    copies.iter().for_each(|copy| fs::write(copy, &text).expect("a file"));
+    recipe.stage("touches")["path"] = json!(copies);
+    let file = recipe.write(folder.path());
+    let printed = crate::support::abbe(folder.path(), &["run".as_ref(), file.as_os_str()]);
+    assert!(printed.stderr.contains("touches (1).csv have the same content"), "{}", printed.stderr);
+
+    // A running number makes no row another one.
+    let (header, rows) = text.split_once('\n').expect("a header");
+    let rows: Vec<&str> = rows.lines().collect();
+    let numbered = rows.iter().chain(&rows[..7]).enumerate().map(|(number, row)| format!("{row},n{number}\n"));
+    fs::write(&copies[0], format!("{header},number\n{}", numbered.collect::<String>())).expect("a file");
+    recipe.stage("touches")["path"] = json!(copies[0]);
+    let planned = prepare(&recipe.write(folder.path()), &registry()).and_then(|prepared| prepared.check());
+    let remarks = planned.expect("a plan").remove(0).identifiability.remarks;
+    assert!(remarks.iter().any(|remark| remark.contains("rows are in the data twice")), "{remarks:?}");
+}

@@ -77,7 +77,7 @@ fn indexations_are_chosen_by_condition_number() {
     let found = planned(&recipe);
     assert_eq!(found.plan.chosen.len(), 12);
     assert_eq!(found.plan.candidates, 28);
-    let evenly = found.plan.evenly.as_ref().map_or(f64::INFINITY, |figures| figures.condition);
+    let evenly = found.plan.spread_evenly.as_ref().map_or(f64::INFINITY, |figures| figures.condition);
     assert!(found.plan.figures.condition < 0.8 * evenly, "{} and {evenly}", found.plan.figures.condition);
     assert!((found.identifiability.condition / found.plan.figures.condition - 1.0).abs() < 1e-6);
 
@@ -127,7 +127,7 @@ fn the_written_plan_can_be_filled_in() {
 #[test]
 fn wrong_plans_are_refused() {
     let cases: [(&str, Value, &str); 9] = [
-        ("number", json!(0), "at least one was expected"),
+        ("number", json!(0), "the number 0 was found; a whole number from 1 to"),
         ("number", json!(2), "too small to determine 3 unknowns"),
         ("candidates", json!("baar"), "there is no stage `baar` of the kind artefact"),
         ("estimate", json!("fitt"), "there is no stage `fitt` of the kind estimate"),

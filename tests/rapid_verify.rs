@@ -655,3 +655,46 @@ fn the_virtual_machine_probes_as_the_data_set_did() {
         assert_eq!(rows.len(), expected.len());
     }
 }
+
+/// No program takes an axis out of its range, moves at no feed, or ends before it has probed; a normal that points away is found.
+#[test]
+fn programs_that_would_harm_are_not_written() {
+    let failure = |variant: Variant| {
+        let folder = temporary();
+        let prepared = abbe_engine::prepare(&variant.write(folder.path()), &registry());
+        match prepared.and_then(|prepared| prepared.run(&abbe_core::Monitor::default())) {
+            Err(error) => error.to_string(),
+            Ok(outcome) => outcome.failures.first().map_or_else(String::new, |failure| failure.error.to_string()),
+        }
+    };
+    let motion = |motion: Value| recipe("three-axis", "realistic").set("siemens", "motion", motion);
+    assert_eq!(failure(motion(json!({ "retract_mm": 60 }))), "");
+    let cases = [
+        (json!({ "retract_mm": 600 }), "Z does not reach 600 mm"),
+        (json!({ "retract_mm": 1e12 }), "Z does not reach"),
+        (json!({ "retract_mm": 60, "overshoot_mm": 1e6 }), "the overshoot takes"),
+        (
+            json!({ "retract_mm": 60, "positioning_feed_mm_per_min": 1e-300 }),
+            "a number from 0.1 to 100000 was expected",
+        ),
+        (json!({ "retract_mm": 60, "probing_feed_mm_per_min": 1e308 }), "a number from 0.1 to 100000 was expected"),
+        (json!({ "retract_mm": 60, "clearance_mm": 1e-300 }), "a number from 0.01 to 1000 was expected"),
+    ];
+    for (settings, expected) in cases {
+        let told = failure(motion(settings.clone()));
+        assert!(told.contains(expected), "{settings}: {told}");
+    }
+    for setting in ["work_offset", "skip", "orientation"] {
+        let told = failure(recipe("three-axis", "realistic").set("fanuc", setting, json!("M30")));
+        assert!(told.contains("`M30` would end or leave the program"), "{told}");
+    }
+    let folder = temporary();
+    let points = root().join("pipelines/data/rapid-verify/realistic/three-axis/points.csv");
+    let turned = folder.path().join("points.csv");
+    let text = read(&points);
+    let (up, down) = (",1.000000000000,-Z", ",-1.000000000000,-Z");
+    assert!(text.contains(up), "{text}");
+    write(&turned, &text.replacen(up, down, 1));
+    let told = failure(recipe("three-axis", "realistic").set("siemens", "nominal", json!(turned)));
+    assert!(told.contains("leads away from the facet of point"), "{told}");
+}

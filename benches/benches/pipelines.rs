@@ -93,7 +93,7 @@ fn border(criterion: &mut Criterion) {
     let limits = Limits {
         program: folder.join("abbe"),
         arguments: ["plugin", "serve"].map(str::to_owned).to_vec(),
-        silence: Duration::from_secs(60),
+        answer_timeout: Duration::from_secs(60),
     };
     let fits = fits("tango-hu40t-exact.yaml").unwrap_or_else(|error| panic!("{error}"));
     let Some(fit) = fits.iter().find(|fit| fit.name == "fit-S4") else { panic!("the recipe has no fit-S4") };

@@ -61,7 +61,7 @@ fn limits(silence: f64) -> Limits {
     Limits {
         program: env!("CARGO_BIN_EXE_abbe-under-test").into(),
         arguments: ["plugin", "serve"].map(str::to_owned).to_vec(),
-        silence: Duration::from_secs_f64(silence),
+        answer_timeout: Duration::from_secs_f64(silence),
     }
 }
 

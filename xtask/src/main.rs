@@ -2,7 +2,8 @@
 //!
 //! - `cargo xtask ci [--all]`: everything the gate asks for, the same on every machine; with `--all` nothing may be skipped.
 //! - `cargo xtask bench [--save]`: run the benchmarks, compare with (or write) `benches/baseline.json`.
-//! - `cargo xtask campaign machines|tango|bad-inputs|signals|sizes COUNT SEED`: run a campaign over many random cases (`tests/campaigns`).
+//! - `cargo xtask campaign machines|tango|bad-inputs|signals|sizes COUNT SEED`: run a campaign over many random cases
+//!   (`tests/campaigns`).
 //! - `cargo xtask header`: write the C header of the plugin interface.
 //! - `cargo xtask schema`: write what follows from the plugins: the schema of recipes and the pages in `docs/plugins`.
 
@@ -22,21 +23,20 @@ type Outcome<T = ()> = Result<T, String>;
 fn main() -> ExitCode {
     let arguments: Vec<String> = std::env::args().skip(1).collect();
     let arguments: Vec<&str> = arguments.iter().map(String::as_str).collect();
-    let outcome = match arguments.as_slice() {
-        ["ci"] => gate::run(false),
-        ["ci", "--all"] => gate::run(true),
-        ["bench"] => bench(false),
-        ["bench", "--save"] => bench(true),
-        ["campaign", name, count, seed] => {
-            run(cargo(&["run", "--release", "--locked", "--package", "abbe-campaigns", "--", name, count, seed]))
-        }
-        ["header"] => header::write(),
-        ["schema"] => schema(),
-        _ => {
-            Err("usage: cargo xtask ci [--all] | bench [--save] | campaign machines|tango|bad-inputs|signals|sizes COUNT SEED | header | schema"
-                .to_owned())
-        }
-    };
+    let outcome =
+        match arguments.as_slice() {
+            ["ci"] => gate::run(false),
+            ["ci", "--all"] => gate::run(true),
+            ["bench"] => bench(false),
+            ["bench", "--save"] => bench(true),
+            ["campaign", name, count, seed] => {
+                run(cargo(&["run", "--release", "--locked", "--package", "abbe-campaigns", "--", name, count, seed]))
+            }
+            ["header"] => header::write(),
+            ["schema"] => schema(),
+            _ => Err("usage: cargo xtask ci [--all] | bench [--save] | campaign NAME COUNT SEED | header | schema"
+                .to_owned()),
+        };
     match outcome {
         Ok(()) => ExitCode::SUCCESS,
         Err(message) => {

@@ -31,7 +31,7 @@ pub use index::{DataRow, EquationIndex, IndexRange, LayoutEquation, ListedBy, Po
 pub use layout::{Layout, Row};
 pub use model::{
     Absent, Axis, AxisKind, Branch, ErrorFunction, KinematicModel, ModelInfo, MotionError, Parameter, ParameterRole,
-    Period, PoseBatch, Poses, PosesMut, StatusColumn, StatusRole, Variable,
+    PeriodicError, PoseBatch, Poses, PosesMut, StatusColumn, StatusRole, Variable,
 };
 pub use monitor::{Event, Monitor};
 pub use observations::{
@@ -41,11 +41,13 @@ pub use observations::{
 pub use parallel::in_parallel;
 pub use plausible::Plausible;
 pub use pose_table::{ColumnNaming, PoseTable, StatusSource, plain_naming, pose_columns};
-pub use problem::{Block, CHUNK, Considered, Evaluation, Input, ObservationSet, Owner, Problem, Scatter, Unknown};
+pub use problem::{
+    Block, CHUNK, Considered, Evaluation, Input, ObservationSet, Owner, Problem, RepeatedTogether, Unknown,
+};
 pub use registry::{Basis, Build, Constructor, Context, Kind, Origin, Plugin, Provider, Registry};
 pub use row_settings::{Ids, PooledRepeats, RowSettings, RowUncertainty, SharedError};
 pub use stage::{Artefact, Estimate, Export, ExportedFile, Fit, Ingest, InputFile, Model, Validate};
-pub use uncertainty::{CovarianceBlock, EquationUncertainty, Pooled};
+pub use uncertainty::{CovarianceBlock, EquationUncertainty, PooledRepeatability};
 
 // Types of settings and results. They are re-exported so that plugins need this crate alone.
 pub use abbe_results::{

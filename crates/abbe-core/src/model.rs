@@ -60,9 +60,11 @@ pub struct Axis {
 #[serde(rename_all = "kebab-case")]
 pub enum Absent {
     /// It is an error.
-    Refused,
-    /// This value is used for every row. NaN means that the status is unknown; errors that depend on it then have no effect.
-    Taken(#[serde(deserialize_with = "number")] f64),
+    #[serde(rename = "refused")]
+    Required,
+    /// It has this value in every row. NaN means that the status is unknown; errors that depend on it then have no effect.
+    #[serde(rename = "taken")]
+    Default(#[serde(deserialize_with = "number")] f64),
 }
 
 /// What a status is.
@@ -284,7 +286,7 @@ pub struct ErrorFunction {
 
 /// A part of a motion error that repeats along its axis.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-pub struct Period {
+pub struct PeriodicError {
     /// ISO 230-1 symbol of the error, e.g. `EXX`.
     pub symbol: String,
     /// Index of the moving axis.
@@ -334,7 +336,7 @@ pub struct ModelInfo {
     pub error_functions: Vec<ErrorFunction>,
     /// The parts of motion errors that repeat along their axes.
     #[serde(default)]
-    pub periods: Vec<Period>,
+    pub periods: Vec<PeriodicError>,
 }
 
 impl ModelInfo {

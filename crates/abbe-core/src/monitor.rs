@@ -111,7 +111,9 @@ impl Monitor {
             return Err(Error::interrupted());
         }
         match self.deadline {
-            Some((end, limit)) if Instant::now() > end => Err(Error::out_of_time(limit.as_secs_f64())),
+            Some((end, limit)) if Instant::now() >= end => {
+                Err(Error::out_of_time(format!("the time limit of {} s is over", limit.as_secs_f64())))
+            }
             _ => Ok(()),
         }
     }
@@ -163,7 +165,7 @@ mod tests {
         assert_eq!((error.class, error.fault), (Class::Interrupted, true));
         let late = Monitor::default().with_time_limit(Duration::ZERO).of_stage("fit");
         let error = late.check().unwrap_err();
-        assert!(error.is_out_of_time() && error.fault && error.class == Class::Data);
+        assert!(error.out_of_time && error.fault && error.class == Class::Data);
         assert!(Monitor::default().with_time_limit(Duration::MAX).check().is_ok());
         // The default monitor cannot cancel work.
         let nobody = Monitor::default();

@@ -29,7 +29,7 @@ pub fn plain_naming(status: &StatusColumn, _: Option<&Axis>) -> (Vec<String>, Ab
     (vec![status.name.clone()], status.absent)
 }
 
-/// Source of the values of a status: a column, or the value of [`Absent::Taken`] if there is no column.
+/// Source of the values of a status: a column, or the value of [`Absent::Default`] if there is no column.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum StatusSource {
@@ -41,7 +41,7 @@ pub enum StatusSource {
 
 /// Finds the column of every status of the model among `headers`.
 ///
-/// Fails for a status without a column that has no value for this case ([`Absent::Refused`]), a column without unit, and a
+/// Fails for a status without a column that has no value for this case ([`Absent::Required`]), a column without unit, and a
 /// column with the unit of another quantity.
 pub fn pose_columns(
     headers: &[ColumnHeader],
@@ -80,8 +80,8 @@ pub fn pose_columns(
                     header.header
                 ))));
             }
-            (None, Absent::Taken(value)) => columns.push(StatusSource::Taken(value)),
-            (None, Absent::Refused) => {
+            (None, Absent::Default(value)) => columns.push(StatusSource::Taken(value)),
+            (None, Absent::Required) => {
                 let name = format!("{}{}", names.first().unwrap_or(&status.name), status.quantity.usual_suffix());
                 return Err(missing_column(file, &name, headers));
             }

@@ -88,7 +88,7 @@ impl<E: Copy + Ord> CovarianceBlock<E> {
 /// The covariance of the equations is the sum of the outer products of the deviations, divided by the degrees of freedom. It
 /// is of low rank (there are more rows than repeats). So it is propagated to the estimates, but gives no weights.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-pub struct Pooled {
+pub struct PooledRepeatability {
     /// The column whose groups are pooled.
     pub by: String,
     /// Labels of the repetitions.
@@ -108,7 +108,7 @@ pub struct EquationUncertainty {
     pub blocks: Vec<CovarianceBlock<LayoutEquation>>,
     /// The scatter of repeats. If there is one, it is propagated instead of the standard uncertainties; these are then
     /// weights only.
-    pub pooled: Option<Pooled>,
+    pub pooled: Option<PooledRepeatability>,
 }
 
 impl EquationUncertainty {
@@ -139,10 +139,10 @@ impl EquationUncertainty {
     }
 
     /// The scatter of repeats, of some of the equations.
-    pub fn pooled_of(&self, equations: &[LayoutEquation]) -> Option<Pooled> {
+    pub fn pooled_of(&self, equations: &[LayoutEquation]) -> Option<PooledRepeatability> {
         let pooled = self.pooled.as_ref()?;
         let pick = |values: &Vec<f64>| equations.iter().map(|&equation| values[equation]).collect();
-        Some(Pooled { deviations: pooled.deviations.iter().map(pick).collect(), ..pooled.clone() })
+        Some(PooledRepeatability { deviations: pooled.deviations.iter().map(pick).collect(), ..pooled.clone() })
     }
 }
 

@@ -38,7 +38,7 @@ impl Prepared {
             let Some(problem) = problems.get(&stage.name).filter(|problem| !problem.sets.is_empty()) else { continue };
             let machine = self.machine_stage(stage)?;
             if found.seen.insert((machine.name.clone(), machine.plugin.clone())) {
-                let broken = laws::of_model(problem.model.as_ref());
+                let broken = laws::check_model(problem.model.as_ref());
                 found.broken.extend(broken.into_iter().map(|law| format!("{}: {law}", machine.name)));
             }
             let (measured, solution, made) = match self.located(stage, virtual_measurement(problem)) {
@@ -58,7 +58,7 @@ impl Prepared {
                 let artefact = self.recipe.stages.iter().find(|stage| stage.name == set.name);
                 let plugin = artefact.map_or_else(String::new, |stage| stage.plugin.clone());
                 found.seen.insert((set.name.clone(), plugin));
-                let broken = laws::of_observations(&at, index).unwrap_or_else(|error| vec![error.to_string()]);
+                let broken = laws::check_observations(&at, index).unwrap_or_else(|error| vec![error.to_string()]);
                 found.broken.extend(broken.into_iter().map(|law| format!("{}, {}: {law}", stage.name, set.name)));
             }
             if !made {
@@ -77,7 +77,7 @@ impl Prepared {
                 found.skipped.push(format!("{}: its data determine {rank} of {unknowns} unknowns", stage.name));
                 continue;
             }
-            match laws::of_estimate(estimator, &measured, &solution) {
+            match laws::check_estimate(estimator, &measured, &solution) {
                 Ok(broken) => found.broken.extend(broken.into_iter().map(|law| format!("{}: {law}", stage.name))),
                 Err(error) if error.class == Class::Use => {
                     found.skipped.push(format!("{}: {}", stage.name, error.message));

@@ -1,6 +1,6 @@
 //! Errors that no machine has: a run with them fails, with the mistake that explains them.
 
-use abbe_core::{Class, Error, Fit, ImplausibleValue, Problem, Result};
+use abbe_core::{Calibration, Class, Error, Fit, ImplausibleValue, Problem, Result, Status};
 use abbe_estimation::{LargeError, large_errors, likely_causes, likely_mistakes};
 use abbe_recipe::Stage;
 
@@ -32,7 +32,7 @@ impl Prepared {
                 continue;
             };
             let mistakes = match likely_mistakes(&fit.problem, plausible) {
-                Err(error) if error.is_out_of_time() => Vec::new(),
+                Err(error) if error.out_of_time => Vec::new(),
                 mistakes => self.located(stage, mistakes)?,
             };
             let error = implausible_error(worst, &large, mistakes.into_iter().chain(causes));
@@ -54,6 +54,23 @@ impl Prepared {
             }
             _ => error,
         }
+    }
+}
+
+/// Refuses a value that is called estimated with a standard uncertainty of zero: no measurement is that good.
+pub(crate) fn check_uncertainties(calibration: &Calibration) -> Result<()> {
+    let mut all = calibration.parameters.iter().chain(&calibration.artefacts);
+    let exact = all.find(|found| found.status == Status::Estimated && found.standard_uncertainty == 0.0);
+    match exact {
+        None => Ok(()),
+        Some(_) if calibration.fit.sigma == 0.0 => Err(Error::data(
+            "all residuals are exactly zero: their scatter says nothing of uncertainties",
+        )
+        .help(
+            "set `trust_uncertainties: true` to take the stated uncertainties, if these readings were really measured",
+        )),
+        Some(exact) => Err(Error::data(format!("the standard uncertainty of `{}` would be zero", exact.name))
+            .help("state the standard uncertainties of the rows that determine it")),
     }
 }
 

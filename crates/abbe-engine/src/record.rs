@@ -2,6 +2,7 @@
 //!
 //! Its number stands in the key `abbe_run`, its schema in `docs/schemas/run.schema.json`; `docs/formats.md` says what may change.
 
+use std::collections::BTreeMap;
 use std::io::{self, Read};
 use std::path::{Path, PathBuf};
 
@@ -136,6 +137,19 @@ pub(crate) fn input_records(files: &[PathBuf]) -> Result<Vec<FileRecord>> {
         }
     }
     Ok(records)
+}
+
+/// Sentences on files of data that have the same content: the rows of one that was copied count twice.
+pub(crate) fn twins(data: &[PathBuf], inputs: &[FileRecord]) -> Vec<String> {
+    let mut first: BTreeMap<&str, &str> = BTreeMap::new();
+    let mut sentences = Vec::new();
+    for record in data.iter().filter_map(|path| inputs.iter().find(|input| input.file == path.display().to_string())) {
+        let other = *first.entry(&record.sha256).or_insert(&record.file);
+        if other != record.file {
+            sentences.push(format!("{other} and {} have the same content: is one a copy?", record.file));
+        }
+    }
+    sentences
 }
 
 impl PluginRecord {

@@ -1,6 +1,7 @@
 //! Runs the graph: data sets, then estimates, validators and exporters.
 
 use std::collections::{BTreeMap, BTreeSet};
+use std::path::PathBuf;
 use std::sync::Arc;
 use std::time::{Instant, SystemTime};
 
@@ -13,10 +14,11 @@ use abbe_recipe::Stage;
 
 use crate::evidence;
 use crate::outcome::{Failure, Outcome};
+use crate::plausibility::check_uncertainties;
 use crate::prediction::{Predicted, predicting};
 use crate::prepare::{Prepared, build_model};
 use crate::recalled::fit_without_rows;
-use crate::record::{FileRecord, input_records};
+use crate::record::{FileRecord, input_records, twins};
 use crate::row_settings::Wanted;
 use crate::travel::check_travel;
 
@@ -71,6 +73,10 @@ impl Prepared {
         let inputs = input_records(&self.files)?;
         // A plugin may change the folder that relative paths start from.
         let input_files = self.files.iter().filter_map(|file| std::fs::canonicalize(file).ok()).collect();
+        let read: Vec<PathBuf> = (self.stages(Kind::Ingest))
+            .flat_map(|stage| self.ingests[&stage.name].inputs().into_iter().map(|input| input.path))
+            .collect();
+        twins(&read, &inputs).iter().for_each(|sentence| tracing::warn!("{sentence}"));
         let data = self.read(monitor, None)?;
         let mut taken = Taken::default();
         let problems = self.problems(&data, &mut taken)?;
@@ -192,10 +198,8 @@ impl Prepared {
     fn exports(&self, fits: &[Fit], monitor: &Monitor, failures: &mut Vec<Failure>) -> Result<Exports> {
         let mut exports = Vec::new();
         for stage in self.stages(Kind::Export) {
-            match self.started(stage, monitor) {
-                // What is estimated is written even if there was no time for all.
-                Err(error) if !error.is_out_of_time() => return Err(error),
-                _ => {}
+            if unless_failed(stage, self.started(stage, monitor), failures)?.is_none() {
+                continue;
             }
             if let Some(failure) = failed(stage.reference("of"), failures) {
                 failures.push(failure(stage));
@@ -232,6 +236,7 @@ impl Prepared {
         // After the fit: what fails first is told there.
         remarks(&problem).iter().for_each(|remark| tracing::warn!("{}: {remark}", stage.name));
         let calibration = self.located(stage, explained)?;
+        self.located(stage, check_uncertainties(&calibration))?;
         // Later users of the problem get the rows with the uncertainties that the fit used.
         let factor = |set: &ObservationSet| {
             let found = calibration.fit.variance.iter().find(|found| found.stage == set.name);
@@ -265,7 +270,7 @@ impl Prepared {
         let done = working.iter().position(|other| other.name == stage.name).unwrap_or(0);
         let kind = stage.kind.key();
         monitor.report(&Event::Started { stage: &stage.name, kind, done, all: working.len() });
-        monitor.check()
+        monitor.check().map_err(|error| error.stage(&stage.name))
     }
 
     /// The data sets of all ingest stages; `made` replaces the data of one of them.

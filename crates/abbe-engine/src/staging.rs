@@ -9,8 +9,9 @@ use std::path::{Path, PathBuf};
 
 use abbe_core::{Error, Result};
 
-/// What the names of temporary folders begin with.
+/// What the names of temporary folders begin with, and how many random letters and digits follow.
 const PREFIX: &str = ".abbe-partial-";
+const RANDOM: usize = 12;
 
 /// A temporary folder with a lock on it. Dropping it removes it, with those folders above it that were made for it and are empty.
 pub(crate) struct Staging {
@@ -63,7 +64,11 @@ pub(crate) fn can_write(parent: &Path) -> Result<()> {
 
 /// A new temporary folder. The error does not name it: nobody knows it.
 fn temporary(parent: &Path) -> io::Result<tempfile::TempDir> {
-    tempfile::Builder::new().prefix(PREFIX).tempdir_in(parent).map_err(|error| io::Error::from(error.kind()))
+    tempfile::Builder::new()
+        .prefix(PREFIX)
+        .rand_bytes(RANDOM)
+        .tempdir_in(parent)
+        .map_err(|error| io::Error::from(error.kind()))
 }
 
 /// The error that results cannot be written.
@@ -109,11 +114,17 @@ fn locked(folder: &Path) -> Option<File> {
     Some(folder)
 }
 
+/// Whether a folder has a name that [`temporary`] gives; what somebody else calls alike has hardly the same length.
+fn is_temporary(name: &str) -> bool {
+    let random = name.strip_prefix(PREFIX).unwrap_or_default();
+    random.len() == RANDOM && random.chars().all(|letter| letter.is_ascii_alphanumeric())
+}
+
 /// Removes the temporary folders whose owner is dead.
 fn remove_abandoned(parent: &Path) -> io::Result<()> {
     for entry in fs::read_dir(parent)?.flatten() {
-        let is_ours = entry.file_name().to_string_lossy().starts_with(PREFIX)
-            && entry.file_type().is_ok_and(|kind| kind.is_dir());
+        let is_ours =
+            is_temporary(&entry.file_name().to_string_lossy()) && entry.file_type().is_ok_and(|kind| kind.is_dir());
         if is_ours && let Some(_lock) = locked(&entry.path()) {
             // Somebody else may be removing it, too.
             let _ = fs::remove_dir_all(entry.path());

@@ -107,9 +107,15 @@ mod tests {
         let cases = [
             (json!({ "polynomal": ["EXX"] }), "polynomal: this names no error family (did you mean `polynomial`?)"),
             (json!({ "polynomial": ["EXX"] }), "the setting `degrees` is missing"),
-            (json!({ "polynomial": ["EXX"], "degrees": [1, 12] }), "degrees[1]: degree 12: 0 to 9 was expected"),
+            (
+                json!({ "polynomial": ["EXX"], "degrees": [1, 12] }),
+                "degrees[1]: the number 12 was found; a whole number from 0 to 9 was expected",
+            ),
             (json!({ "polynomial": ["EXX"], "degrees": [1, 1] }), "degrees[1]: degree 1 stands here twice"),
-            (json!({ "drift": ["dzt"], "degrees": [0] }), "degrees[0]: degree 0: 1 to 9 was expected"),
+            (
+                json!({ "drift": ["dzt"], "degrees": [0] }),
+                "degrees[0]: the number 0 was found; a whole number from 1 to 9 was expected",
+            ),
             (json!({ "drift": ["dzt"], "degrees": [] }), "degrees: at least one degree was expected"),
             (
                 json!({ "drift": ["dzt"], "degrees": [1], "per": "dya" }),
@@ -126,7 +132,10 @@ mod tests {
                 "knots_mm: from 0 to 500 in steps of -50: a smaller `from`, a larger `to` and a positive `step` were expected",
             ),
             (json!({ "spline": ["EXX"] }), "a spline needs `knots_mm` (or `knots_deg` of a rotary axis)"),
-            (json!({ "fourier": ["EXC"], "orders": [0] }), "orders[0]: order 0: 1 to 99 was expected"),
+            (
+                json!({ "fourier": ["EXC"], "orders": [0] }),
+                "orders[0]: the number 0 was found; a whole number from 1 to 99 was expected",
+            ),
             (
                 json!({ "piecewise": ["EXX"], "degree": 2, "continuity": 2, "knots_mm": [50] }),
                 "continuity: pieces of degree 2 that continue 2 times have no knots: 0 to 1 was expected",
@@ -147,7 +156,10 @@ mod tests {
                 json!({ "chebyshev": ["EYX"], "degrees": [2], "without_line": true, "without_once_per_turn": true }),
                 "without_once_per_turn: there is `without_line` already",
             ),
-            (json!({ "b-spline": ["EXX"], "degree": 0, "knots_mm": [1] }), "degree: degree 0: 1 to 5 was expected"),
+            (
+                json!({ "b-spline": ["EXX"], "degree": 0, "knots_mm": [1] }),
+                "degree: the number 0 was found; a whole number from 1 to 5 was expected",
+            ),
             (
                 json!({ "periodic": ["EXX"], "wavelength_mm": 0, "functions": 3 }),
                 "wavelength_mm: a wavelength is positive; 0 is not",
@@ -158,7 +170,7 @@ mod tests {
             ),
             (
                 json!({ "periodic": ["EXX"], "wavelength_mm": 1, "functions": 1 }),
-                "functions: 1 functions: 2 to 99 was expected",
+                "functions: the number 1 was found; a whole number from 2 to 99 was expected",
             ),
             (json!({ "product": ["EXX"], "of": [] }), "of: a product of 0 axes: 1 to 9 was expected"),
             (json!({ "load": ["EAX"], "reference_N": -1, "degree": 1 }), "reference_N: a positive force was expected"),

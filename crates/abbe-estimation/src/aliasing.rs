@@ -1,6 +1,6 @@
 //! Aliasing: periodic errors that were measured in steps too long to determine their wavelength (Soons 1993, section 3.2).
 
-use abbe_core::{AxisKind, Owner, Period, Problem};
+use abbe_core::{AxisKind, Owner, PeriodicError, Problem};
 
 /// Commands closer than this, mm or rad, count as equal.
 const SAME: f64 = 1e-6;
@@ -15,7 +15,7 @@ const NONE: f64 = 1e-6;
 /// half the period. A longer wave fits such data as well. The right wavelength is found only because the iteration starts
 /// near it.
 pub fn aliased(problem: &Problem) -> Vec<String> {
-    let estimated = |period: &Period| {
+    let estimated = |period: &PeriodicError| {
         let machine = problem.unknowns.iter().filter(|unknown| unknown.owner == Owner::Machine);
         machine.into_iter().any(|unknown| period.parameters.contains(&unknown.index))
     };
@@ -23,7 +23,7 @@ pub fn aliased(problem: &Problem) -> Vec<String> {
     periods.filter_map(|period| aliased_period(problem, period)).collect()
 }
 
-fn aliased_period(problem: &Problem, period: &Period) -> Option<String> {
+fn aliased_period(problem: &Problem, period: &PeriodicError) -> Option<String> {
     let axis = &problem.model.info().axes[period.axis];
     let grid = grid(travelled(problem, axis.status), period.length)?;
     let length = period.length;

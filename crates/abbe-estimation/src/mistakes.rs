@@ -43,16 +43,21 @@ const TOLD: usize = 2;
 pub fn likely_mistakes(problem: &Problem, plausible: &Plausible) -> Result<Vec<String>> {
     // Some rows tell a sign or a unit as well as all.
     let quiet = spread(problem).watched_by(Monitor::default());
-    let as_it_is = Trial::new(&quiet, plausible);
+    let (as_it_is, as_recorded) = (Trial::new(&quiet, plausible), off(&quiet));
     let mut found = Vec::new();
     for Mistake { without, correct } in mistakes(quiet.model.info()) {
         // Whoever watches the work can end it here.
         problem.monitor.check()?;
-        let Some(trial) = Trial::new(&with_commands(&quiet, correct), plausible) else { continue };
+        let other = with_commands(&quiet, correct);
+        // Anything fits well where all lengths are a thousand times shorter, but not at the places that are nominal.
+        if off(&other).is_none_or(|off| as_recorded.is_some_and(|recorded| off >= recorded)) {
+            continue;
+        }
+        let Some(trial) = Trial::new(&other, plausible) else { continue };
         let explains = match &as_it_is {
             None => trial.is_plausible,
             Some(now) if now.is_plausible => trial.is_plausible && trial.median < FALLS * now.median,
-            Some(now) => trial.is_plausible && (trial.median < STAYS * now.median || trial.in_uncertainties < GOOD),
+            Some(now) => trial.is_plausible && { trial.median < STAYS * now.median || trial.in_uncertainties < GOOD },
         };
         if explains {
             found.push((without, trial));
@@ -81,6 +86,19 @@ fn spread(problem: &Problem) -> Problem {
     few
 }
 
+/// How far the nominal machine is off at the recorded commands, the median of lengths (of angles where there are none).
+fn off(problem: &Problem) -> Option<f64> {
+    let residuals = problem.residuals(&problem.start()).ok()?;
+    median(of_main_quantity(residuals, problem.quantities()).1)
+}
+
+/// The residuals of lengths, or of angles where there are no lengths.
+fn of_main_quantity(residuals: Vec<f64>, quantities: Vec<Quantity>) -> (Quantity, Vec<f64>) {
+    let main = if quantities.contains(&Quantity::Length) { Quantity::Length } else { Quantity::Angle };
+    let of_main = residuals.into_iter().zip(quantities).filter(|(_, quantity)| *quantity == main);
+    (main, of_main.map(|(residual, _)| residual).collect())
+}
+
 /// A fit by plain least squares, from the nominal machine.
 struct Trial {
     /// Median size of the residuals of lengths, or of angles where there are no lengths, mm or rad.
@@ -101,11 +119,9 @@ impl Trial {
             return None;
         }
         let residuals = problem.residuals(&solution.x).ok()?;
-        let quantities = problem.quantities();
-        let quantity = if quantities.contains(&Quantity::Length) { Quantity::Length } else { Quantity::Angle };
         let in_uncertainties = median(weighted.in_uncertainties(residuals.clone()))?;
-        let of_quantity = residuals.into_iter().zip(quantities).filter(|(_, other)| *other == quantity);
-        let size = median(of_quantity.map(|(residual, _)| residual).collect())?;
+        let (quantity, residuals) = of_main_quantity(residuals, problem.quantities());
+        let size = median(residuals)?;
         let large = large_at(plausible, &problem.at(&solution.x)).ok()?;
         Some(Self {
             median: size,

@@ -6,8 +6,8 @@
 //! and to parameters of an earlier estimate), as in Rahman (2016), eq. 8-3.
 
 use abbe_core::{
-    Contribution, Correlated, EquationIndex, JointCoverage, Owner, ParameterBudget, Problem, Result, Scatter, SetIndex,
-    UncertaintyBudget,
+    Contribution, Correlated, EquationIndex, JointCoverage, Owner, ParameterBudget, Problem, RepeatedTogether, Result,
+    SetIndex, UncertaintyBudget,
 };
 use abbe_numerics::{
     CovarianceRoot, coverage_factor, dot, effective_degrees_of_freedom, joint_coverage_factor,
@@ -80,8 +80,8 @@ impl Propagation {
     pub fn new(at: &Linearisation<'_>, scales: Scales, split: bool) -> Result<Self> {
         let Linearisation { problem, x, kept, root: covariance_root } = at;
         let (problem, x, kept) = (*problem, *x, *kept);
-        let scatters = problem.scatters();
-        let repeated = |set: SetIndex| scatters.iter().any(|scatter| scatter.sets.contains(&set));
+        let repeated_together = problem.repeated_together();
+        let repeated = |set: SetIndex| repeated_together.iter().any(|together| together.sets.contains(&set));
         // A constraint of a certificate has a weight as a row has, but its uncertainty is that of its known inputs.
         let constraints = problem.constraints();
         let constrained = constraints.contains(&true);
@@ -94,7 +94,7 @@ impl Propagation {
         };
         if let Scales::Common(scale, freedom) = scales
             && !split
-            && scatters.is_empty()
+            && repeated_together.is_empty()
             && !constrained
         {
             parts.push(stated("rows".to_owned(), covariance_root.covariance(), (scale, freedom)));
@@ -113,7 +113,7 @@ impl Propagation {
                 }
             }
         }
-        let cross = propagate_shared(at, &scatters, &mut parts)?;
+        let cross = propagate_shared(at, &repeated_together, &mut parts)?;
         Ok(Self { parts, cross, scales })
     }
 
@@ -207,23 +207,28 @@ impl Propagation {
 }
 
 /// Adds what repeats and known inputs do; gives the covariance of the unknowns with what is considered.
-fn propagate_shared(at: &Linearisation<'_>, scatters: &[Scatter], parts: &mut Vec<Part>) -> Result<Vec<Vec<f64>>> {
+fn propagate_shared(
+    at: &Linearisation<'_>,
+    repeated_together: &[RepeatedTogether],
+    parts: &mut Vec<Part>,
+) -> Result<Vec<Vec<f64>>> {
     let Linearisation { problem, x, kept, root: covariance_root } = at;
     let (problem, x, kept) = (*problem, *x, *kept);
     let (own, considered) = (problem.unknowns.len(), &problem.considered);
-    if considered.unknowns.is_empty() && scatters.is_empty() {
+    if considered.unknowns.is_empty() && repeated_together.is_empty() {
         return Ok(vec![Vec::new(); own]);
     }
     let mut extended = problem.at(x);
     extended.unknowns.extend(considered.unknowns.iter().cloned());
-    let columns: Vec<Vec<f64>> = scatters.iter().flat_map(|scatter| scatter.pooled.deviations.clone()).collect();
+    let columns: Vec<Vec<f64>> =
+        repeated_together.iter().flat_map(|together| together.pooled.deviations.clone()).collect();
     let answer =
         covariance_root.sensitivities(&Weighted::with_columns(&extended, &columns)?.factor(&extended.start(), kept)?);
     let mut first = considered.unknowns.len();
-    for scatter in scatters {
-        let (pooled, repetitions) = (&scatter.pooled, scatter.pooled.repetitions.len());
+    for together in repeated_together {
+        let (pooled, repetitions) = (&together.pooled, together.pooled.repetitions.len());
         let degrees_of_freedom = pooled.degrees_of_freedom as f64;
-        let names: Vec<&str> = scatter.sets.iter().map(|&set| problem.sets[set].name.as_str()).collect();
+        let names: Vec<&str> = together.sets.iter().map(|&set| problem.sets[set].name.as_str()).collect();
         let root: Vec<&[f64]> = answer.iter().map(|row| &row[first..first + repetitions]).collect();
         parts.push(Part {
             input: format!("{} (repeats pooled by {})", names.join(", "), pooled.by),

@@ -2,7 +2,7 @@
 
 use std::collections::{BTreeMap, BTreeSet};
 
-use abbe_core::{DataRow, Owner, ParameterRole, Problem, Quantity, SetIndex, Values};
+use abbe_core::{Column, DataRow, Owner, ParameterRole, Problem, Quantity, SetIndex, Values};
 
 use crate::aliasing::aliased;
 
@@ -19,16 +19,18 @@ pub fn remarks(problem: &Problem) -> Vec<String> {
     remarks
 }
 
-/// Rows of a data set that are the same in every cell: a file that was read twice, or a row that was copied.
+/// Rows of a data set that are the same in every cell, but for a label that counts them: a file that was read twice, or a row that was
+/// copied.
 fn repeated(problem: &Problem) -> Vec<String> {
     let mut remarks = Vec::new();
     for set in &problem.sets {
         let data = &set.info().layout.data;
         let mut seen: BTreeMap<Vec<Cell<'_>>, DataRow> = BTreeMap::new();
         let (mut count, mut first) = (0, None);
+        let compared: Vec<&Column> = data.columns.iter().filter(|column| !counts_rows(column)).collect();
         let rows: BTreeSet<DataRow> = set.rows.iter().filter_map(|&row| set.info().layout.rows[row].data_row).collect();
         for row in rows {
-            let cells = data.columns.iter().map(|column| match &column.values {
+            let cells = compared.iter().map(|column| match &column.values {
                 Values::Numbers(numbers) => Cell::Number(numbers[row].to_bits()),
                 Values::Labels(labels) => Cell::Label(&labels[row]),
             });
@@ -48,6 +50,14 @@ fn repeated(problem: &Problem) -> Vec<String> {
         ));
     }
     remarks
+}
+
+/// Whether a column of labels counts the rows: a copy has another one.
+fn counts_rows(column: &Column) -> bool {
+    match &column.values {
+        Values::Labels(labels) => labels.iter().collect::<BTreeSet<_>>().len() == labels.len(),
+        Values::Numbers(_) => false,
+    }
 }
 
 /// A cell, to be compared with others.

@@ -1,6 +1,6 @@
 //! The scatter of repeats, pooled over groups (Rahman 2016, section 5.6).
 
-use abbe_core::{DataRow, Error, Layout, Pooled, PooledRepeats, Result, RowIndex};
+use abbe_core::{DataRow, Error, Layout, PooledRepeatability, PooledRepeats, Result, RowIndex};
 
 /// The columns that tell repetitions apart.
 const REPETITION: [&str; 2] = ["day", "cycle"];
@@ -32,7 +32,12 @@ fn repetitions(layout: &Layout) -> Result<Vec<Repetition>> {
 ///
 /// Every repetition has the same rows in the same order; `layout` has one repetition or several. Each of these has the
 /// scatter of one repetition; several are treated as independent.
-pub fn pooled(settings: &PooledRepeats, layout: &Layout, repeats: &Layout, residuals: &[f64]) -> Result<Pooled> {
+pub fn pooled(
+    settings: &PooledRepeats,
+    layout: &Layout,
+    repeats: &Layout,
+    residuals: &[f64],
+) -> Result<PooledRepeatability> {
     let known = repetitions(repeats)?;
     let own = match repetitions(layout) {
         Ok(own) => own,
@@ -70,7 +75,7 @@ pub fn pooled(settings: &PooledRepeats, layout: &Layout, repeats: &Layout, resid
             measured[repetition].iter().enumerate().map(|(equation, value)| value - mean(equation)).collect()
         })
         .collect();
-    let mut pooled = Pooled {
+    let mut pooled = PooledRepeatability {
         by: settings.by.clone().unwrap_or_else(|| "all".to_owned()),
         repetitions: Vec::new(),
         deviations: Vec::new(),

@@ -1,6 +1,6 @@
 //! From the solution of an estimator to a calibration: rank, scatter, uncertainty, advice.
 
-use abbe_core::{Calibration, Error, FitReport, Identifiability, Problem, Result, Status, Termination};
+use abbe_core::{Calibration, Error, FitReport, Identifiability, Problem, Result, Termination};
 use abbe_numerics::{Directions, Factor, Robust, RobustReport};
 
 use crate::calibration::calibration;
@@ -48,19 +48,6 @@ pub struct UncertaintyEvaluation {
     pub coverage_probability: f64,
     /// Adds budgets, weak combinations, and motion errors with the same effect on the tip ([`same_motion`]).
     pub explained: bool,
-}
-
-/// The error of a value that is estimated with a standard uncertainty of zero: no measurement is that good.
-fn without_doubt(calibration: &Calibration) -> Option<Error> {
-    let mut all = calibration.parameters.iter().chain(&calibration.artefacts);
-    let exact = all.find(|found| found.status == Status::Estimated && found.standard_uncertainty == 0.0)?;
-    Some(match calibration.fit.sigma == 0.0 {
-        true => Error::data("all residuals are exactly zero: their scatter says nothing of uncertainties")
-            .help("set `trust_uncertainties: true` to take the stated uncertainties; are these readings measured?")
-            .setting("trust_uncertainties"),
-        false => Error::data(format!("the standard uncertainty of `{}` would be zero", exact.name))
-            .help("state the standard uncertainties of the rows that determine it"),
-    })
 }
 
 impl UncertaintyEvaluation {
@@ -165,9 +152,6 @@ impl UncertaintyEvaluation {
             agreement: None,
         };
         let mut calibration = calibration(problem, &x, propagation.covariance(problem), outliers, fit);
-        if self.explained {
-            without_doubt(&calibration).map_or(Ok(()), Err)?;
-        }
         calibration.uncertainty = self.explained.then(|| propagation.budget(problem, self.coverage_probability));
         Ok(calibration)
     }

@@ -1,6 +1,6 @@
 //! The wavelengths that data may have: a sum of squares over a wavelength has many minima, and an iteration ends in the nearest.
 
-use abbe_core::{Owner, ParameterRole, Period, Problem, Result, RowIndex, SetIndex, Unit, Unknown};
+use abbe_core::{Owner, ParameterRole, PeriodicError, Problem, Result, RowIndex, SetIndex, Unit, Unknown};
 
 use crate::separation::spread_out;
 use crate::weighted::Weighted;
@@ -46,8 +46,8 @@ pub struct Wavelength {
 pub fn wavelengths(problem: &Problem, shape: usize) -> Result<Vec<Wavelength>> {
     let info = problem.model.info();
     let of_shape =
-        |period: &&Period| period.shapes.contains(&shape) && info.parameters[shape].role == ParameterRole::Shape;
-    let periods: Vec<&Period> = info.periods.iter().filter(of_shape).collect();
+        |period: &&PeriodicError| period.shapes.contains(&shape) && info.parameters[shape].role == ParameterRole::Shape;
+    let periods: Vec<&PeriodicError> = info.periods.iter().filter(of_shape).collect();
     let Some(axis) = periods.first().map(|period| period.axis) else { return Ok(Vec::new()) };
     let mut waves = problem.clone();
     let amplitude = |unknown: &Unknown| {

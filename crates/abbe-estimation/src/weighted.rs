@@ -109,7 +109,7 @@ impl LeastSquares for Weighted<'_> {
     }
 
     fn is_out_of_time(&self, error: &Error) -> bool {
-        error.is_out_of_time()
+        error.out_of_time
     }
 
     fn has_stepped(&self, iteration: usize, size: f64) {

@@ -5,7 +5,7 @@ use std::path::PathBuf;
 use abbe_core::{
     Build, Calibration, Context, Error, Estimate, Identifiability, Kind, PoseIndex, Problem, Registry, Result,
 };
-use abbe_estimation::laws::{of_estimator, virtual_problem};
+use abbe_estimation::laws::{check_estimator, virtual_problem};
 use abbe_gauss_newton as _;
 
 fn right() -> Box<dyn Estimate> {
@@ -32,12 +32,12 @@ impl Estimate for Changed {
 }
 
 fn broken(change: fn(&Problem, &mut Calibration)) -> Vec<String> {
-    of_estimator(&Changed(right(), change)).unwrap()
+    check_estimator(&Changed(right(), change)).unwrap()
 }
 
 #[test]
 fn least_squares_keep_the_laws() {
-    assert_eq!(of_estimator(right().as_ref()).unwrap(), Vec::<String>::new());
+    assert_eq!(check_estimator(right().as_ref()).unwrap(), Vec::<String>::new());
     assert_eq!(broken(|_, _| {}), Vec::<String>::new());
 }
 
@@ -75,6 +75,6 @@ fn who_takes_no_measurements_is_not_judged() {
             Err(Error::usage("it takes circles of a ball bar"))
         }
     }
-    assert_eq!(of_estimator(&Other).unwrap_err().message, "it takes circles of a ball bar");
+    assert_eq!(check_estimator(&Other).unwrap_err().message, "it takes circles of a ball bar");
     assert_eq!(virtual_problem().unwrap().1.len(), 9);
 }

@@ -21,5 +21,5 @@ pub use cylinder::{Cylinder, cylinder};
 pub use error::FitError;
 pub use fitted::Fitted;
 pub use flat::{Line, Plane, across, line, plane};
-pub use round::{Circle, Round, Sphere, circle, sphere};
+pub use round::{Circle, Hypersphere, Sphere, circle, sphere};
 pub use spatial::{SpatialCircle, SpatialFit, spatial_circle};

@@ -9,7 +9,7 @@ use crate::iteration::{Distances, covariance, minimise};
 
 /// All points at one distance from a centre.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Round<const D: usize> {
+pub struct Hypersphere<const D: usize> {
     /// Centre.
     pub centre: SVector<f64, D>,
     /// Radius.
@@ -17,10 +17,10 @@ pub struct Round<const D: usize> {
 }
 
 /// A circle in the plane.
-pub type Circle = Round<2>;
+pub type Circle = Hypersphere<2>;
 
 /// A sphere.
-pub type Sphere = Round<3>;
+pub type Sphere = Hypersphere<3>;
 
 /// The least squares circle of three points or more in a plane.
 ///
@@ -44,7 +44,7 @@ fn round<const D: usize>(
     shape: &'static str,
     points: &[SVector<f64, D>],
     flat: &'static str,
-) -> Result<Fitted<Round<D>>, FitError> {
+) -> Result<Fitted<Hypersphere<D>>, FitError> {
     let cloud = Cloud::of(shape, D + 1, points)?;
     let undetermined = FitError::Undetermined { shape, because: flat };
     if cloud.is_flat(D - 1) {
@@ -55,14 +55,17 @@ fn round<const D: usize>(
     // Distances and derivatives do not change with the unit of length.
     let covariance = covariance(shape, &Radial(&cloud.points), &scaled)?;
     Ok(Fitted {
-        shape: Round { centre: cloud.place(SVector::from_column_slice(&scaled[..D])), radius: scaled[D] * cloud.scale },
+        shape: Hypersphere {
+            centre: cloud.place(SVector::from_column_slice(&scaled[..D])),
+            radius: scaled[D] * cloud.scale,
+        },
         residuals: Radial(&cloud.points).distances(&scaled).iter().map(|distance| distance * cloud.scale).collect(),
         covariance,
         degrees_of_freedom: points.len() - (D + 1),
     })
 }
 
-fn parameters<const D: usize>(round: &Round<D>) -> Vec<f64> {
+fn parameters<const D: usize>(round: &Hypersphere<D>) -> Vec<f64> {
     [round.centre.as_slice(), &[round.radius]].concat()
 }
 
@@ -70,7 +73,7 @@ fn parameters<const D: usize>(round: &Round<D>) -> Vec<f64> {
 /// and linear regression*, 2010: unlike simpler ones it does not shrink on short arcs. None where it is a line or a plane.
 ///
 /// The points have to be centred.
-pub(crate) fn taubin<const D: usize>(points: &[SVector<f64, D>]) -> Option<Round<D>> {
+pub(crate) fn taubin<const D: usize>(points: &[SVector<f64, D>]) -> Option<Hypersphere<D>> {
     let mean = points.iter().map(SVector::norm_squared).sum::<f64>() / points.len() as f64;
     let (_, vectors) = right_singular(points.len(), D + 1, |row, column| match column {
         0 => (points[row].norm_squared() - mean) / (2.0 * mean.sqrt()),
@@ -80,7 +83,7 @@ pub(crate) fn taubin<const D: usize>(points: &[SVector<f64, D>]) -> Option<Round
     let factor = -mean.sqrt() / weights[0];
     let centre = SVector::<f64, D>::from_iterator((0..D).map(|axis| weights[1 + axis] * factor));
     let radius = (centre.norm_squared() + mean).sqrt();
-    radius.is_finite().then_some(Round { centre, radius })
+    radius.is_finite().then_some(Hypersphere { centre, radius })
 }
 
 /// Radial distances of points; parameters: centre, radius.

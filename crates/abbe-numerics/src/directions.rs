@@ -72,6 +72,10 @@ impl<P: LeastSquares + ?Sized> LeastSquares for Within<'_, P> {
         self.problem.is_final(error)
     }
 
+    fn is_out_of_time(&self, error: &P::Error) -> bool {
+        self.problem.is_out_of_time(error)
+    }
+
     fn keeps_weight(&self, row: usize) -> bool {
         self.problem.keeps_weight(row)
     }

@@ -61,6 +61,7 @@ mod factor;
 mod gauss_newton;
 mod monte_carlo;
 mod regression;
+mod reweighting;
 mod robust;
 mod sampling;
 mod selection;

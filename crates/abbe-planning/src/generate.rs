@@ -60,9 +60,9 @@ impl<'a> Grid<'a> {
             let axis = axes.iter().any(|axis| axis.status == index);
             match column.absent {
                 _ if matches!(column.role, StatusRole::Direction(_)) => status.push(1.0),
-                Absent::Taken(value) => status.push(value),
-                Absent::Refused if axis || column.role == StatusRole::Time => status.push(0.0),
-                Absent::Refused => {
+                Absent::Default(value) => status.push(value),
+                Absent::Required if axis || column.role == StatusRole::Time => status.push(0.0),
+                Absent::Required => {
                     let message =
                         format!("the machine needs a column `{}`, of which the grid knows nothing", column.name);
                     return Err(wrong("generate", message).help("give the candidates as a file"));

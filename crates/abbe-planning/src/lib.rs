@@ -41,7 +41,7 @@ pub struct Plan {
     pub figures: PlanFigures,
     /// Figures of candidates that are spread evenly over the list, as one would choose without a plan. None if they do not
     /// determine all unknowns.
-    pub evenly: Option<PlanFigures>,
+    pub spread_evenly: Option<PlanFigures>,
     /// D-efficiency of random plans relative to this plan: ratio of the p-th roots of the determinants, p being the number of
     /// unknowns that count. The median of random plans with the same number of candidates. None if half of them do not
     /// determine all unknowns.
@@ -125,7 +125,7 @@ pub fn plan(problem: &Problem, wanted: &Planning) -> Result<Plan> {
         chosen: chosen(&found, &best.chosen, &choice.required),
         data_rows: data_rows(&contact, &found, &best.chosen, wanted),
         problem: restricted(problem, &found, &best.chosen, wanted),
-        evenly: choice.figures(&evenly).map(|even| scaled.figures(&choice, &evenly, even)),
+        spread_evenly: choice.figures(&evenly).map(|even| scaled.figures(&choice, &evenly, even)),
         random_efficiency,
         figures,
         found: designs.iter().filter(alike).count(),

@@ -22,7 +22,7 @@ pub struct Planning {
     pub by: Option<String>,
     /// How many to choose, required ones included.
     #[serde(default, skip_serializing_if = "Option::is_none")]
-    pub number: Option<Whole<1, 1_000_000>>,
+    pub number: Option<Whole<1, 10_000>>,
     /// Time that they may take together; the candidates have a column `duration_s`.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub budget_s: Option<f64>,
@@ -43,7 +43,7 @@ pub struct Planning {
     pub forbidden: Vec<Label>,
     /// Random starts of the search.
     #[serde(default = "restarts")]
-    pub restarts: Whole<1, 10_000>,
+    pub restarts: Whole<1, 1_000>,
     /// Seed of the random starts.
     #[serde(default)]
     pub seed: u64,
@@ -149,7 +149,7 @@ pub enum PlanningCriterion {
     Condition,
 }
 
-fn restarts() -> Whole<1, 10_000> {
+fn restarts() -> Whole<1, 1_000> {
     Whole::new(20)
 }
 

@@ -20,40 +20,40 @@ use crate::loader::{Library, load, open_library};
 /// A test: its name, what it asks for, and how.
 struct Test {
     name: &'static str,
-    asks: &'static str,
+    requires: &'static str,
     run: fn(&Library, &mut Findings),
 }
 
 const TESTS: [Test; 11] = [
-    Test { name: "abi", asks: "the library loads and speaks this version of the interface", run: |_, _| {} },
+    Test { name: "abi", requires: "the library loads and speaks this version of the interface", run: |_, _| {} },
     Test {
         name: "names",
-        asks: "names, versions and descriptions are in order and taken by nobody",
+        requires: "names, versions and descriptions are in order and taken by nobody",
         run: promises::names,
     },
     Test {
         name: "settings",
-        asks: "the example builds, unknown and wrong settings are refused",
+        requires: "the example builds, unknown and wrong settings are refused",
         run: promises::settings,
     },
     Test {
         name: "derivatives",
-        asks: "machines keep the laws: derivatives, poses alone and together, names",
+        requires: "machines keep the laws: derivatives, poses alone and together, names",
         run: promises::derivatives,
     },
     Test {
         name: "estimators",
-        asks: "estimators find the errors of a virtual machine, whatever the order and the origin",
+        requires: "estimators find the errors of a virtual machine, whatever the order and the origin",
         run: promises::estimators,
     },
-    Test { name: "not-a-number", asks: "numbers that are none do no harm", run: promises::not_a_number },
-    Test { name: "no-data", asks: "data that are none are refused or used, without a bug", run: stages::no_data },
-    Test { name: "empty-batch", asks: "no poses give no poses", run: promises::empty_batch },
-    Test { name: "threads", asks: "many threads at once get the same answers", run: promises::threads },
-    Test { name: "leaks", asks: "10,000 calls leave no memory behind", run: promises::leaks },
+    Test { name: "not-a-number", requires: "numbers that are none do no harm", run: promises::not_a_number },
+    Test { name: "no-data", requires: "data that are none are refused or used, without a bug", run: stages::no_data },
+    Test { name: "empty-batch", requires: "no poses give no poses", run: promises::empty_batch },
+    Test { name: "threads", requires: "many threads at once get the same answers", run: promises::threads },
+    Test { name: "leaks", requires: "10,000 calls leave no memory behind", run: promises::leaks },
     Test {
         name: "surroundings",
-        asks: "floating-point state and working directory stay as they are",
+        requires: "floating-point state and working directory stay as they are",
         run: promises::surroundings,
     },
 ];
@@ -101,7 +101,7 @@ impl Report {
         let mut text = format!("{}\n", self.file);
         for (test, findings) in &self.results {
             let result = if findings.wrong.is_empty() { "PASS" } else { "FAIL" };
-            text.push_str(&format!("  {result}  {:<13}{}\n", test.name, test.asks));
+            text.push_str(&format!("  {result}  {:<13}{}\n", test.name, test.requires));
             findings.wrong.iter().for_each(|what| text.push_str(&format!("        {what}\n")));
             findings.skipped.iter().for_each(|what| text.push_str(&format!("        not looked at: {what}\n")));
         }
@@ -117,7 +117,7 @@ impl Report {
     /// The report as JSON.
     pub fn json(&self) -> Value {
         let results = self.results.iter().map(|(test, findings)| {
-            json!({ "test": test.name, "asks": test.asks, "pass": findings.wrong.is_empty(), "wrong": findings.wrong,
+            json!({ "test": test.name, "asks": test.requires, "pass": findings.wrong.is_empty(), "wrong": findings.wrong,
                     "skipped": findings.skipped })
         });
         json!({ "library": self.file, "pass": self.passes(), "tests": results.collect::<Vec<_>>() })
@@ -127,7 +127,7 @@ impl Report {
 /// The test that runs over a recipe, where there is one.
 const RECIPE: Test = Test {
     name: "recipe",
-    asks: "what the recipe uses keeps the laws, on data that a virtual machine makes",
+    requires: "what the recipe uses keeps the laws, on data that a virtual machine makes",
     run: |_, _| {},
 };
 

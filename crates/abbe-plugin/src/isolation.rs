@@ -8,13 +8,13 @@ mod wire;
 
 use std::any::Any;
 use std::collections::BTreeMap;
-use std::io::{self, Read, Write};
+use std::io::{self, BufRead, BufReader, Read, Write};
 use std::os::unix::net::UnixStream;
 use std::os::unix::process::ExitStatusExt;
 use std::path::{Path, PathBuf};
 use std::process::{Child, Command, Stdio};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
-use std::thread::ThreadId;
+use std::thread::{JoinHandle, ThreadId};
 use std::time::Duration;
 
 use abbe_core::{Equations, Error, Origin, Poses, Result, RowBatch, RowIndex, Variable, harmless};
@@ -34,7 +34,7 @@ pub struct Limits {
     /// Its first arguments.
     pub arguments: Vec<String>,
     /// How long a plugin may be silent while it has something to do.
-    pub silence: Duration,
+    pub answer_timeout: Duration,
 }
 
 /// The thread that uses the socket; none if it is free.
@@ -50,8 +50,10 @@ pub(crate) struct Connection {
     released: Mutex<Vec<u64>>,
     /// The other process; none in the process that was started for a plugin.
     child: Option<Mutex<Child>>,
+    /// Passes on what the other process says on its standard error.
+    words: Option<JoinHandle<()>>,
     who: String,
-    silence: Duration,
+    answer_timeout: Duration,
 }
 
 /// Our objects for the other side, by number.
@@ -71,6 +73,7 @@ impl Drop for Connection {
             let mut child = locked(child);
             let _ = child.kill();
             let _ = child.wait();
+            self.let_speak();
         }
     }
 }
@@ -186,6 +189,11 @@ impl Connection {
         }
     }
 
+    /// Waits for the last words of a process that has ended: they come before what is said of its end.
+    fn let_speak(&self) {
+        within_a_second(|| self.words.as_ref().is_none_or(JoinHandle::is_finished).then_some(()));
+    }
+
     /// The reason why the other side does not answer. Ends its process.
     fn lost(&self, error: &io::Error) -> Failure {
         let Some(child) = &self.child else { return Failure::of(&self.who, format!("is gone: {error}")) };
@@ -193,17 +201,15 @@ impl Connection {
         if matches!(error.kind(), io::ErrorKind::WouldBlock | io::ErrorKind::TimedOut) {
             let _ = child.kill();
             let _ = child.wait();
-            let limit = self.silence.as_secs_f64();
+            let limit = self.answer_timeout.as_secs_f64();
             return Failure::of(&self.who, format!("gave no answer within {limit} s; its process was ended"));
         }
         // The other side has closed the socket: its process is ending, or cannot be used any more.
-        let status = (0..100).find_map(|_| match child.try_wait() {
-            Ok(None) => {
-                std::thread::sleep(Duration::from_millis(10));
-                None
-            }
+        let status = within_a_second(|| match child.try_wait() {
+            Ok(None) => None,
             ended => Some(ended),
         });
+        self.let_speak();
         match status {
             Some(Ok(Some(status))) => match status.signal() {
                 Some(signal) => Failure::of(&self.who, format!("crashed: its process was ended by {}", name(signal))),
@@ -280,35 +286,53 @@ impl Peer for Remote {
     }
 }
 
+/// What is found, asked for again and again for a second.
+fn within_a_second<T>(mut find: impl FnMut() -> Option<T>) -> Option<T> {
+    (0..100).find_map(|_| {
+        let found = find();
+        if found.is_none() {
+            std::thread::sleep(Duration::from_millis(10));
+        }
+        found
+    })
+}
+
 /// Starts a process that loads a library.
 fn start(path: &Path, sha256: &str, limits: &Limits, who: &str) -> Result<Arc<Connection>, Failure> {
     let failed = |error: io::Error| Failure::of(who, format!("cannot be isolated: {error}"));
     let (ours, theirs) = UnixStream::pair().map_err(failed)?;
-    ours.set_read_timeout(Some(limits.silence)).map_err(failed)?;
-    ours.set_write_timeout(Some(limits.silence)).map_err(failed)?;
+    ours.set_read_timeout(Some(limits.answer_timeout)).map_err(failed)?;
+    ours.set_write_timeout(Some(limits.answer_timeout)).map_err(failed)?;
     let mut command = Command::new(&limits.program);
     command.args(&limits.arguments).arg(path).arg(sha256);
     command.stdin(Stdio::from(std::os::fd::OwnedFd::from(theirs))).stdout(Stdio::null());
     let mut child = command.stderr(Stdio::piped()).spawn().map_err(failed)?;
-    if let Some(said) = child.stderr.take() {
-        std::thread::Builder::new().name("plugin's words".to_owned()).spawn(|| pass_on(said)).map_err(failed)?;
-    }
+    let words = child.stderr.take().map(|said| {
+        std::thread::Builder::new().name("plugin's words".to_owned()).spawn(|| pass_on(said)).map_err(failed)
+    });
+    let words = words.transpose()?;
     Ok(Arc::new(Connection {
         wire: Mutex::new(Wire::new(ours)),
         holder: Mutex::new(None),
         objects: Mutex::default(),
         released: Mutex::default(),
         child: Some(Mutex::new(child)),
+        words,
         who: who.to_owned(),
-        silence: limits.silence,
+        answer_timeout: limits.answer_timeout,
     }))
 }
 
-/// Writes what a process says on its standard error to that of this one, without what a terminal would obey.
-fn pass_on(mut said: impl Read) {
-    let mut part = [0; 4096];
-    while let Ok(count @ 1..) = said.read(&mut part) {
-        let _ = io::stderr().write_all(harmless(&String::from_utf8_lossy(&part[..count])).as_bytes());
+/// Bytes of the longest line of a process that is passed on at once.
+const LONGEST_LINE: u64 = 1 << 16;
+
+/// Writes what a process says on its standard error to that of this one, line by line, without what a terminal would obey.
+fn pass_on(said: impl Read) {
+    let mut said = BufReader::new(said);
+    let mut line = Vec::new();
+    while let Ok(1..) = said.by_ref().take(LONGEST_LINE).read_until(b'\n', &mut line) {
+        let _ = io::stderr().write_all(harmless(&String::from_utf8_lossy(&line)).as_bytes());
+        line.clear();
     }
 }
 

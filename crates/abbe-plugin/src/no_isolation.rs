@@ -15,7 +15,7 @@ pub struct Limits {
     /// Its first arguments.
     pub arguments: Vec<String>,
     /// How long a plugin may be silent while it has something to do.
-    pub silence: Duration,
+    pub answer_timeout: Duration,
 }
 
 /// Refuses: there is no isolation on this system, and running the plugin without it is not what was asked for.
@@ -26,5 +26,6 @@ pub fn isolated(path: &Path, _: Option<&str>, _: &Limits) -> Result<Library> {
 
 /// Refuses, as [`isolated`] does.
 pub fn serve(path: &Path, _: &str) -> Result<()> {
-    isolated(path, None, &Limits { program: PathBuf::new(), arguments: Vec::new(), silence: Duration::ZERO }).map(drop)
+    isolated(path, None, &Limits { program: PathBuf::new(), arguments: Vec::new(), answer_timeout: Duration::ZERO })
+        .map(drop)
 }

@@ -69,6 +69,8 @@ struct Details {
     #[serde(default)]
     fault: bool,
     #[serde(default)]
+    out_of_time: bool,
+    #[serde(default)]
     convergence: Option<Box<Convergence>>,
     #[serde(default)]
     path: Vec<PathItem>,
@@ -111,6 +113,7 @@ impl Failure {
         };
         (error.help, error.place, error.stage) = (details.help, details.place, details.stage);
         (error.pose, error.fault, error.convergence) = (details.pose, details.fault, details.convergence);
+        error.out_of_time = details.out_of_time;
         error.setting = if details.setting.is_empty() { details.path } else { details.setting };
         error
     }

@@ -40,6 +40,9 @@ const PLAUSIBLE: &str = "plausible";
 /// The key under which measurements are planned ([`Planning`]).
 const PLAN: &str = "plan";
 
+/// Bytes of the longest name of a stage: files are named after stages.
+const LONGEST_NAME: usize = 200;
+
 /// The version of recipes that this program reads.
 const VERSION: u64 = 1;
 
@@ -65,7 +68,7 @@ pub struct Recipe {
     document: Document,
     origins: BTreeMap<String, Origin>,
     /// The keys of every stage that are not passed on to its plugin.
-    taken: BTreeMap<String, Vec<&'static str>>,
+    reserved_keys: BTreeMap<String, Vec<&'static str>>,
 }
 
 /// One stage.
@@ -142,7 +145,9 @@ impl Recipe {
     pub fn parse(path: &Path, text: &str, registry: &Registry) -> Result<Self, Error> {
         let document = Document::parse(path, text)?;
         let base = path.parent().unwrap_or(Path::new("")).to_owned();
-        let id = path.file_stem().map_or_else(|| "recipe".into(), |stem| stem.to_string_lossy().into_owned());
+        let stem = path.file_stem().map(|stem| stem.to_string_lossy().into_owned());
+        // A folder of results is named after the recipe, and lies in the one that `--out` names.
+        let id = stem.filter(|stem| !stem.chars().all(|letter| letter == '.')).unwrap_or_else(|| "recipe".to_owned());
         let root = document.root();
         check_top(&root)?;
         let name = root.get("name").map(|node| node.text()).transpose()?.unwrap_or(&id).to_owned();
@@ -151,9 +156,9 @@ impl Recipe {
         let heads = heads(&root, registry)?;
         let mut ready = Vec::new();
         let mut nodes = Vec::new();
-        let (mut origins, mut taken) = (BTreeMap::new(), BTreeMap::new());
+        let (mut origins, mut reserved_keys) = (BTreeMap::new(), BTreeMap::new());
         for head in &heads {
-            taken.insert(head.name.to_owned(), head.taken());
+            reserved_keys.insert(head.name.to_owned(), head.reserved_keys());
             let (stage, origin, named) = head.read(&heads, &sets, &base).map_err(|error| error.stage(head.name))?;
             ready.push(Some(stage));
             nodes.push(named);
@@ -171,7 +176,7 @@ impl Recipe {
             plan: None,
             document,
             origins,
-            taken,
+            reserved_keys,
         };
         recipe.plan = recipe.planning()?;
         Ok(recipe)
@@ -245,8 +250,7 @@ impl Recipe {
     /// A similar key among those that are not passed on to the plugin, which the plugin therefore cannot suggest.
     fn reference_near(&self, stage: &str, error: &SettingsError) -> Option<String> {
         let ([PathItem::Key(key)], true) = (error.path.as_slice(), error.key) else { return None };
-        let taken = self.taken.get(stage)?;
-        let near = nearest(key, taken.iter().copied())?;
+        let near = nearest(key, self.reserved_keys.get(stage)?.iter().copied())?;
         Some(format!("did you mean `{near}`?"))
     }
 
@@ -298,6 +302,11 @@ fn heads<'a>(root: &Node<'a>, registry: &'a Registry) -> Result<Vec<Head<'a>>, E
         .map()?
         .into_iter()
         .map(|(name, node)| {
+            if name.len() > LONGEST_NAME {
+                let message =
+                    format!("the name of a stage has {} bytes; {LONGEST_NAME} at most are expected", name.len());
+                return Err(node.error(At::Key, message));
+            }
             if name.is_empty() || !name.chars().all(|c| c.is_alphanumeric() || c == '-' || c == '_') {
                 let message = format!("`{name}` cannot name a stage: letters, digits, `-` and `_` were expected");
                 return Err(node.error(At::Key, message));
@@ -336,7 +345,7 @@ fn plugin<'a>(stage: &Node<'_>, registry: &'a Registry) -> Result<&'a Plugin, Er
 
 impl<'a> Head<'a> {
     /// The keys that are not passed on to the plugin.
-    fn taken(&self) -> Vec<&'static str> {
+    fn reserved_keys(&self) -> Vec<&'static str> {
         let own: &[&'static str] = match self.plugin.kind() {
             Kind::Model => &["file"],
             Kind::Artefact => &ROW_SETTINGS,

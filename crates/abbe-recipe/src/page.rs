@@ -190,7 +190,7 @@ fn kind_of(root: &Value, schema: &Value, plural: bool, depth: usize) -> String {
         let (one, rest) = match kind {
             "string" => ("text", String::new()),
             "number" => ("number", String::new()),
-            "integer" => ("whole number", String::new()),
+            "integer" => ("whole number", range(schema)),
             "boolean" => return "true or false".to_owned(),
             "array" => ("list", of("items")),
             "object" if schema["additionalProperties"].is_object() => ("map", of("additionalProperties")),
@@ -198,10 +198,22 @@ fn kind_of(root: &Value, schema: &Value, plural: bool, depth: usize) -> String {
             other => return other.to_owned(),
         };
         let by_name = if kind == "object" && !rest.is_empty() { " by name" } else { "" };
-        let rest = if rest.is_empty() { rest } else { format!(" of {rest}") };
+        let rest = match kind {
+            _ if rest.is_empty() => rest,
+            "integer" => format!(" {rest}"),
+            _ => format!(" of {rest}"),
+        };
         format!("{one}{}{rest}{by_name}", if plural { "s" } else { "" })
     });
     words.collect::<Vec<_>>().join(" or ")
+}
+
+/// The range of a whole number, where it says more than what a type of numbers can hold.
+fn range(schema: &Value) -> String {
+    match (schema["minimum"].as_u64(), schema["maximum"].as_u64()) {
+        (Some(least), Some(most)) if schema["format"].is_null() => format!("from {least} to {most}"),
+        _ => String::new(),
+    }
 }
 
 /// The unit that the name of a setting ends with.
@@ -288,6 +300,8 @@ mod tests {
                 "rows": { "oneOf": [
                     { "const": "touches", "description": "One touch." }, { "const": "centres", "description": "Centres." },
                 ], "default": "touches" },
+                "degrees": { "type": "array", "items": { "type": "integer", "minimum": 0, "maximum": 9 } },
+                "seed": { "type": "integer", "format": "uint64", "minimum": 0, "default": 1 },
                 "distances": { "type": "array", "items": { "type": "object", "properties": {
                     "between": { "type": "array", "items": { "type": "string" } },
                 } } },
@@ -299,6 +313,8 @@ mod tests {
                         - `standard_uncertainty_um` (number, µm, default `0.5`): Of one touch.\n\
                         - `rows` (`touches` or `centres`, default `touches`)\n  \
                           - `touches`: One touch.\n  - `centres`: Centres.\n\
+                        - `degrees` (list of whole numbers from 0 to 9)\n\
+                        - `seed` (whole number, default `1`)\n\
                         - `distances` (list of maps)\n  - `between` (list of texts)\n";
         assert_eq!(found, expected);
     }

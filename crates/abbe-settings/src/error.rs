@@ -61,6 +61,9 @@ pub struct Error {
     /// evaluation failed only for the given numbers and may succeed for others.
     #[serde(default, skip_serializing_if = "std::ops::Not::not")]
     pub fault: bool,
+    /// The time that the user allowed is over.
+    #[serde(default, skip_serializing_if = "std::ops::Not::not")]
+    pub out_of_time: bool,
     /// State of an iteration that does not converge.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub convergence: Option<Box<Convergence>>,
@@ -78,8 +81,6 @@ pub enum Termination {
     IterationLimit,
     /// The limit of rounds of robust weights was reached, and they still change.
     RoundLimit,
-    /// The time that the user allowed was over.
-    TimeLimit,
 }
 
 /// State of an iteration at its end.
@@ -110,6 +111,7 @@ impl Error {
             setting: Vec::new(),
             pose: None,
             fault: false,
+            out_of_time: false,
             convergence: None,
         }
     }
@@ -124,23 +126,10 @@ impl Error {
         Self::new(Class::Interrupted, "interrupted").fault()
     }
 
-    /// The time that the user allowed, in seconds, is over. It is marked as a fault, so that code that tries other numbers after an
-    /// error ends, too.
-    pub fn out_of_time(seconds: f64) -> Self {
-        let convergence = Convergence {
-            termination: Termination::TimeLimit,
-            iterations: 0,
-            last_step: None,
-            tolerance: 0.0,
-            gradient_cosine: None,
-        };
-        let error = Self::data(format!("the time limit of {seconds} s is over")).fault().convergence(convergence);
-        error.help("allow more time with `--time-limit`, or make the recipe smaller")
-    }
-
-    /// Whether the time that the user allowed is over.
-    pub fn is_out_of_time(&self) -> bool {
-        self.convergence.as_ref().is_some_and(|convergence| convergence.termination == Termination::TimeLimit)
+    /// The time that the user allowed is over. It is marked as a fault, so that code that tries other numbers after an error ends,
+    /// too.
+    pub fn out_of_time(message: impl Into<String>) -> Self {
+        Self { out_of_time: true, ..Self::data(message).fault() }.help("allow more time, or make the recipe smaller")
     }
 
     /// Wrong or insufficient data.

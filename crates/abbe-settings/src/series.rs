@@ -65,15 +65,15 @@ impl EvenSeries {
     fn values(self) -> Result<Vec<f64>, SettingsError> {
         let Self { from, to, step } = self;
         let intervals = (to - from) / step;
-        if intervals >= MOST {
-            let message = format!("from {from} to {to} in steps of {step} are more than {MOST} steps");
-            return Err(SettingsError::new("step", message));
-        }
         if !(step > 0.0 && intervals > 0.0) {
             let message = format!(
                 "from {from} to {to} in steps of {step}: a smaller `from`, a larger `to` and a positive `step` were expected"
             );
             return Err(SettingsError::new("", message));
+        }
+        if intervals > MOST {
+            let message = format!("from {from} to {to} in steps of {step} are more than {MOST} steps");
+            return Err(SettingsError::new("step", message));
         }
         if (intervals - intervals.round()).abs() > 1e-9 * intervals {
             let message = format!("the step {step} does not divide the way from {from} to {to}");

@@ -34,7 +34,7 @@ impl Rail {
             role: abbe_core::StatusRole::Command(0),
             quantity: Quantity::Length,
             levels: Vec::new(),
-            absent: Absent::Refused,
+            absent: Absent::Required,
         };
         let gain = Parameter::new("EXX[1]", Unit::per(Quantity::Length, Quantity::Length, 1));
         let tool = Parameter::new("dxt", Unit::MM);

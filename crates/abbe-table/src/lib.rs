@@ -11,7 +11,7 @@ mod text;
 
 use std::borrow::Cow;
 use std::collections::BTreeMap;
-use std::io::{self, BufReader};
+use std::io::{self, BufReader, Read};
 use std::path::{Path, PathBuf};
 
 use abbe_core::{Column, ColumnHeader, DataRow, Dataset, Error, Quantity, Result, Values};
@@ -35,8 +35,20 @@ pub fn read_text(path: &Path) -> Result<String> {
     text::text(path, &bytes_of(path)?).map(Cow::into_owned)
 }
 
+/// Bytes that are read at a time.
+const PART: u64 = 1 << 20;
+
 fn bytes_of(path: &Path) -> Result<Vec<u8>> {
-    abbe_files::read(path, u64::MAX).map_err(|error| unreadable(path, &error))
+    let mut file = abbe_files::open(path).map_err(|error| unreadable(path, &error))?;
+    let mut bytes = Vec::new();
+    loop {
+        let start = bytes.len();
+        let part = file.by_ref().take(PART).read_to_end(&mut bytes).map_err(|error| unreadable(path, &error))?;
+        // What follows a zero byte is not read: the text ends there with an error.
+        if part == 0 || bytes[start..].contains(&0) {
+            return Ok(bytes);
+        }
+    }
 }
 
 /// The data set that a text is; `path` names it in messages.

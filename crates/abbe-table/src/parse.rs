@@ -148,7 +148,7 @@ impl<'a> Records<'a> {
             if self.cells.as_slice().len() > LONGEST_CELL
                 && let Some(cell) = self.cells.iter().position(|cell| cell.len() > LONGEST_CELL)
             {
-                let length = self.cells[cell].len() >> 10;
+                let length = self.cells[cell].len().div_ceil(1024);
                 let message = format!("a cell has {length} KiB; at most {} are read", LONGEST_CELL >> 10);
                 return Err(self.at_cell(Error::data(message), cell));
             }

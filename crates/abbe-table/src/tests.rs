@@ -44,11 +44,38 @@ fn what_is_wrong_is_said_with_its_place() {
         (b"f,dir_X\na,+\n", "Data: t.csv:2:3: `dir_X` is `+`; a number was expected"),
         (b"f,X_mm\na,1\n\"b,2\nc,3\n", "Data: t.csv:3:1: a quotation mark is not closed in its line"),
         (b"f,X_mm\n\xc3\xa9\xff,1\n", "Data: t.csv:2:2: the file is not text in UTF-8"),
+        (b"\xef\xbb\xbff,X_mm\ra,b\r", "Data: t.csv:2:3: `X_mm` is `b`; a number was expected"),
+        (b"f,X_mm\ra,1\r\r\nb,\n", "Data: t.csv:4:3: `X_mm` is empty; a number was expected"),
+        (b"f,X_mm\r\"a\rb\",1\r", "Data: t.csv:2:1: a quotation mark is not closed in its line"),
+        (b"f,X_mm\na,1\n\0\0", "Data: t.csv:3:1: the file holds a zero byte: it is no text"),
+        (b"\0\0\0", "Data: t.csv:1:1: the file holds a zero byte: it is no text"),
+        (b"\xff\xfef\0", "Data: t.csv: the file is text in UTF-16; UTF-8 was expected (save it as UTF-8)"),
+        (
+            b"X_mm;Y_mm\n1;2\n",
+            "Use: t.csv:1:1: the columns are separated by semicolons; a comma was expected (save the table with commas, and with points in its numbers)",
+        ),
+        (
+            b"X_mm Y_mm\n1 2\n",
+            "Use: t.csv:1:1: the columns are separated by spaces; a comma was expected (save the table with commas, and with points in its numbers)",
+        ),
     ];
     for (bytes, expected) in cases {
         let error = parsed(bytes).unwrap_err();
         assert_eq!(format!("{:?}: {error}", error.class), *expected);
     }
+}
+
+#[test]
+fn cells_and_names_may_be_long() {
+    let cell = |length: usize| parsed(format!("f,X_mm\n{},1\n", "a".repeat(length)).as_bytes());
+    assert!(cell(64 << 10).is_ok());
+    let error = cell((64 << 10) + 1).unwrap_err().to_string();
+    assert_eq!(error, "t.csv:2:1: a cell has 65 KiB; at most 64 are read");
+    // Spaces and semicolons in a name separate nothing.
+    assert_eq!(parsed(b"name of the point\na b\n").unwrap().columns[0].header.name, "name of the point");
+    assert!(parsed(b"tool length_mm\n1\n").is_ok() && parsed(b"a;b,X_mm\nc;d,1\n").is_ok());
+    let error = parsed(format!("X_mm\n{}\n", "9".repeat(1000)).as_bytes()).unwrap_err().to_string();
+    assert_eq!(error, format!("t.csv:2:1: `X_mm` is `{}...`, which is not a finite number", "9".repeat(60)));
 }
 
 #[test]

@@ -240,8 +240,8 @@ fn base(model: &dyn KinematicModel) -> Vec<f64> {
             _ if model.info().axes.iter().any(|axis| axis.status == index) => 0.0,
             _ if is_direction(column) => 1.0,
             _ if column.role == StatusRole::Time => f64::NAN,
-            Absent::Taken(value) => value,
-            Absent::Refused => f64::NAN,
+            Absent::Default(value) => value,
+            Absent::Required => f64::NAN,
         })
         .collect()
 }

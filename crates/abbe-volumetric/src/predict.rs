@@ -10,7 +10,7 @@ const CHUNK: usize = 64;
 
 /// The volumetric error of a pose.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Volumetric {
+pub struct VolumetricError {
     /// Actual tip minus nominal tip, table frame, mm.
     pub mean: [f64; 3],
     /// Its covariance, mm².
@@ -20,7 +20,7 @@ pub struct Volumetric {
     pub degrees_of_freedom: f64,
 }
 
-impl Volumetric {
+impl VolumetricError {
     /// The region that holds the error with some probability.
     ///
     /// Fails as [`Ellipsoid::of`] does.
@@ -52,7 +52,11 @@ impl Volumetric {
 /// Parameters that the calibration does not have are nominal.
 ///
 /// Fails if `statuses` has no whole number of rows, or where the model fails.
-pub fn predict(model: &dyn KinematicModel, calibration: &Calibration, statuses: &[f64]) -> Result<Vec<Volumetric>> {
+pub fn predict(
+    model: &dyn KinematicModel,
+    calibration: &Calibration,
+    statuses: &[f64],
+) -> Result<Vec<VolumetricError>> {
     let width = model.info().status.len().max(1);
     if !statuses.len().is_multiple_of(width) {
         return Err(Error::usage(format!("{} numbers are no poses of {width} statuses each", statuses.len())));
@@ -81,7 +85,7 @@ pub fn predict(model: &dyn KinematicModel, calibration: &Calibration, statuses: 
                 derivatives.column(3 * pose + row.max(column)).dot(&weighted.column(3 * pose + row.min(column)))
             };
             let covariance = [0, 1, 2].map(|row| [0, 1, 2].map(|column| entry(row, column)));
-            errors.push(Volumetric { mean, covariance, degrees_of_freedom });
+            errors.push(VolumetricError { mean, covariance, degrees_of_freedom });
         }
     }
     Ok(errors)

@@ -45,7 +45,8 @@ impl Diagnostic for Report {
 /// The error for a terminal or a log: message, the place in the file, what to do.
 pub fn text(error: &Error) -> String {
     let stage = error.stage.as_ref().map_or(String::new(), |stage| format!("stage `{stage}`: "));
-    let mut message = format!("{stage}{}", error.message);
+    let message = format!("{stage}{}", error.message);
+    let mut place_before = String::new();
     let (mut source, mut span) = (None, None);
     if let Some(place) = &error.place {
         let name = harmless(&place.file.display().to_string()).into_owned();
@@ -57,12 +58,17 @@ pub fn text(error: &Error) -> String {
             // The file is no text, does not exist, or has endless lines: the message has its place without an excerpt.
             (Some(line), None) => {
                 let column = place.column.map_or_else(String::new, |column| format!("{column}:"));
-                message = format!("{name}:{line}:{column} {message}");
+                place_before = format!("{name}:{line}:{column} ");
             }
-            (None, _) => message = format!("{name}: {message}"),
+            (None, _) => place_before = format!("{name}: "),
         }
     }
-    let report = Report { message: readable(&message), help: error.help.as_deref().map(readable), source, span };
+    let report = Report {
+        message: format!("{place_before}{}", readable(&message)),
+        help: error.help.as_deref().map(readable),
+        source,
+        span,
+    };
     let mut text = String::new();
     let colour = std::env::var_os("NO_COLOR").is_none() && std::io::IsTerminal::is_terminal(&std::io::stderr());
     let theme = if colour { GraphicalTheme::unicode() } else { GraphicalTheme::unicode_nocolor() };
@@ -83,20 +89,25 @@ const LONGEST_MESSAGE: usize = 20_000;
 /// Text from files and libraries as a person can read it: no characters that a terminal obeys, no endless words or spaces.
 fn readable(text: &str) -> String {
     let mut shown = String::new();
-    let mut rest = &*harmless(text);
-    while !rest.is_empty() && shown.len() < LONGEST_MESSAGE {
+    let harmless = harmless(text);
+    let mut rest = match harmless.char_indices().nth(LONGEST_MESSAGE) {
+        Some((end, _)) => &harmless[..end],
+        None => &*harmless,
+    };
+    let is_cut = rest.len() < harmless.len();
+    while !rest.is_empty() {
         let end = rest.find(|letter: char| !letter.is_whitespace()).unwrap_or(rest.len());
         let (space, after) = rest.split_at(end);
         let end = after.find(char::is_whitespace).unwrap_or(after.len());
         let (word, after) = after.split_at(end);
-        shown.push_str(if space.len() > LONGEST_SPACE { " " } else { space });
+        shown.push_str(if space.chars().count() > LONGEST_SPACE { " " } else { space });
         match word.char_indices().nth(LONGEST_WORD) {
             Some((end, _)) => shown.push_str(&format!("{}...", &word[..end])),
             None => shown.push_str(word),
         }
         rest = after;
     }
-    if !rest.is_empty() {
+    if is_cut {
         shown.push_str(" ...");
     }
     shown
@@ -137,7 +148,10 @@ impl Excerpt {
 
 /// Lines that end in LF, CRLF or CR.
 fn lines(text: &str) -> impl Iterator<Item = &str> {
-    text.split_inclusive('\n').flat_map(|line| line.trim_end_matches(['\n', '\r']).split('\r'))
+    text.split_inclusive('\n').flat_map(|line| {
+        let line = line.strip_suffix('\n').map_or(line, |line| line.strip_suffix('\r').unwrap_or(line));
+        line.split('\r')
+    })
 }
 
 impl SourceCode for Excerpt {
@@ -203,5 +217,6 @@ mod tests {
     #[test]
     fn lines_end_as_files_have_them() {
         assert_eq!(lines("a\nb\r\nc\rd").collect::<Vec<_>>(), ["a", "b", "c", "d"]);
+        assert_eq!(lines("a\r\r\nb\r\rc\n").collect::<Vec<_>>(), ["a", "", "b", "", "c"]);
     }
 }

@@ -20,8 +20,8 @@ pub const GRACE: Duration = Duration::from_secs(5);
 static SIGNAL: AtomicI32 = AtomicI32::new(0);
 static WRITING: Mutex<()> = Mutex::new(());
 
-/// Whether the files of the command are written: what is left is to say so.
-static WRITTEN: AtomicBool = AtomicBool::new(false);
+/// Whether the command is carried out, with success or not: what is left is to say so.
+static DONE: AtomicBool = AtomicBool::new(false);
 
 /// Ends the work that `monitor` watches when a signal asks for it.
 pub fn ends(monitor: Monitor) -> Result<()> {
@@ -46,10 +46,11 @@ pub fn after(limit: Option<Duration>, grace: Duration, json: bool) -> Result<()>
     let wait = move || {
         std::thread::sleep(limit.saturating_add(grace));
         let _written = WRITING.lock().unwrap_or_else(PoisonError::into_inner);
-        if WRITTEN.load(Ordering::SeqCst) {
+        if DONE.load(Ordering::SeqCst) {
             return;
         }
-        let error = Error::out_of_time(limit.as_secs_f64());
+        let message = format!("the time limit of {} s is over, and the work does not end", limit.as_secs_f64());
+        let error = Error::out_of_time(message);
         // A closed output must not keep the process alive.
         let _ = match json {
             true => writeln!(io::stdout(), "{}", failure::json(&error)),
@@ -123,7 +124,14 @@ pub fn while_writing<T>(write: impl FnOnce() -> Result<T>) -> Result<T> {
     if happened() {
         return Err(Error::interrupted());
     }
-    let written = write()?;
-    WRITTEN.store(true, Ordering::SeqCst);
-    Ok(written)
+    let written = write();
+    // The work is at its end, whether it can be written or not.
+    DONE.store(true, Ordering::SeqCst);
+    written
+}
+
+/// The command is carried out: no time limit ends the process any more.
+pub fn done() {
+    let _writing = WRITING.lock().unwrap_or_else(PoisonError::into_inner);
+    DONE.store(true, Ordering::SeqCst);
 }

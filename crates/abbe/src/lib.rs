@@ -12,7 +12,7 @@ mod planning;
 mod progress;
 mod summary;
 mod table;
-mod trust;
+mod uncertainty_summary;
 
 use std::io::{self, Write};
 use std::path::{Path, PathBuf};
@@ -218,7 +218,9 @@ fn carried_out(arguments: Arguments) -> ExitCode {
         isolate: arguments.isolate_plugins,
         refuse: arguments.no_dynamic_plugins,
     };
-    match dispatch(arguments.command, &libraries) {
+    let result = dispatch(arguments.command, &libraries);
+    interrupt::done();
+    match result {
         Ok((text, status)) => match io::stdout().lock().write_all(shown(&text).as_bytes()) {
             Ok(()) if interrupt::happened() => ExitCode::from(interrupt::status()),
             Ok(()) => ExitCode::from(status),

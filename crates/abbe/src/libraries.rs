@@ -64,7 +64,7 @@ impl Libraries {
                 &Limits {
                     program: this_program()?,
                     arguments: ["plugin", "serve"].map(str::to_owned).to_vec(),
-                    silence: Duration::from_secs_f64(silence),
+                    answer_timeout: Duration::from_secs_f64(silence),
                 },
             )?,
         };

@@ -26,13 +26,13 @@ pub fn text(name: &str, measurements: &Measurements, out: Option<&Path>) -> Stri
     }
     let mut rows = vec![["", "plan", "spread evenly"].map(str::to_owned).to_vec()];
     let evenly = |value: fn(&abbe_engine::PlanFigures) -> f64| {
-        plan.evenly.as_ref().map_or_else(|| "not determined".to_owned(), |figures| short(value(figures)))
+        plan.spread_evenly.as_ref().map_or_else(|| "not determined".to_owned(), |figures| short(value(figures)))
     };
     for (label, value) in FIGURES {
         rows.push(vec![label.to_owned(), short(value(&plan.figures)), evenly(value)]);
     }
     text.push_str(&format!("\n{}", table::text(&rows, &[1, 2])));
-    if let Some(even) = &plan.evenly {
+    if let Some(even) = &plan.spread_evenly {
         let part = plan.figures.efficiency_of(even);
         text.push_str(&format!("\nSpread evenly {:.2} times as many would be as good\n", 1.0 / part));
     }

@@ -9,7 +9,7 @@ use serde_json::{Value, json};
 
 use crate::number::{short, with_uncertainty};
 use crate::table;
-use crate::trust;
+use crate::uncertainty_summary;
 
 /// The summary of a run for a terminal.
 pub fn text(name: &str, outcome: &Outcome, folder: &Path) -> String {
@@ -196,7 +196,7 @@ fn alike(fits: &[Fit]) -> Option<String> {
 
 fn correlated(fits: &[Fit]) -> Option<String> {
     let budgets = fits.iter().filter_map(|fit| Some((&fit.name, fit.calibration.uncertainty.as_ref()?)));
-    let lines = budgets.map(|(name, budget)| (name, trust::correlations(budget)));
+    let lines = budgets.map(|(name, budget)| (name, uncertainty_summary::correlations(budget)));
     let text: String =
         lines.filter(|(_, pairs)| !pairs.is_empty()).map(|(name, pairs)| format!("  {name}: {pairs}\n")).collect();
     (!text.is_empty()).then(|| section("Hardly told apart, correlation above 0.95", &text))
@@ -372,9 +372,9 @@ pub fn planned_text(recipe: &Recipe, planned: &[Planned]) -> String {
     for planned in planned {
         let (name, found) = (&planned.estimate, &planned.identifiability);
         let title = format!("{name}: what is determined worst (singular value, the largest being 1)");
-        text.push_str(&format!("\n{}", section(&title, &trust::weakest(&found.weakest))));
+        text.push_str(&format!("\n{}", section(&title, &uncertainty_summary::weakest(&found.weakest))));
         let Some(budget) = &found.uncertainty else { continue };
-        let pairs = trust::correlations(budget);
+        let pairs = uncertainty_summary::correlations(budget);
         if !pairs.is_empty() {
             text.push_str(&format!("\n{name}: hardly told apart, correlation above 0.95\n  {pairs}\n"));
         }
@@ -382,7 +382,7 @@ pub fn planned_text(recipe: &Recipe, planned: &[Planned]) -> String {
         let percent = budget.coverage_probability * 100.0;
         let title =
             format!("{name}: expanded uncertainty ({percent} %) from the stated ones, and where its square comes from");
-        text.push_str(&format!("\n{}", section(&title, &trust::budget(budget, machine))));
+        text.push_str(&format!("\n{}", section(&title, &uncertainty_summary::budget(budget, machine))));
     }
     text
 }

@@ -138,11 +138,11 @@ impl System {
         let problem = &self.nominal;
         let answer = self.sensitivities();
         let own = answer.nrows();
-        let scatters = problem.scatters();
+        let repeated_together = problem.repeated_together();
         let ranges = problem.equation_ranges();
         let mut stated: Vec<f64> = standard.to_vec();
-        for scatter in &scatters {
-            scatter.sets.iter().for_each(|&set| stated[ranges[set].clone()].fill(0.0));
+        for together in &repeated_together {
+            together.sets.iter().for_each(|&set| stated[ranges[set].clone()].fill(0.0));
         }
         let mut blocks = problem.covariance_blocks();
         blocks.retain(|block| block.equations.iter().all(|&equation| stated[equation] > 0.0));
@@ -154,10 +154,10 @@ impl System {
             covariance += &part * &block.covariance * part.transpose();
         }
         covariance *= scale * scale;
-        for scatter in &scatters {
-            for deviation in &scatter.pooled.deviations {
+        for together in &repeated_together {
+            for deviation in &together.pooled.deviations {
                 let shift = &answer * DVector::from_column_slice(deviation);
-                covariance += &shift * shift.transpose() / scatter.pooled.degrees_of_freedom as f64;
+                covariance += &shift * shift.transpose() / together.pooled.degrees_of_freedom as f64;
             }
         }
         let considered = &problem.considered;

@@ -58,7 +58,7 @@ pub struct Leg {
 
 /// Columns of statuses: those of axes are settled by each measurement, unless the data have them; the others are plain.
 pub fn naming(status: &StatusColumn, axis: Option<&Axis>) -> (Vec<String>, Absent) {
-    let absent = if axis.is_some() { Absent::Taken(f64::NAN) } else { status.absent };
+    let absent = if axis.is_some() { Absent::Default(f64::NAN) } else { status.absent };
     (vec![status.name.clone()], absent)
 }
 
@@ -179,8 +179,8 @@ fn motion(axis: usize, at: &BTreeMap<usize, f64>, model: &dyn KinematicModel) ->
     let status: Vec<f64> = (model.info().status.iter().enumerate())
         .map(|(index, status)| match (at.get(&index), status.absent) {
             (Some(value), _) => *value,
-            (None, Absent::Taken(value)) => value,
-            (None, Absent::Refused) => 0.0,
+            (None, Absent::Default(value)) => value,
+            (None, Absent::Required) => 0.0,
         })
         .collect();
     let mut poses = Poses::default();

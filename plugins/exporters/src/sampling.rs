@@ -33,8 +33,8 @@ pub fn status(model: &dyn KinematicModel, axis: &Axis, position: f64, direction:
             _ if index == axis.status => position,
             _ if of_axis(&column.role) => direction,
             _ if model.info().axes.iter().any(|other| other.status == index) => 0.0,
-            Absent::Taken(value) => value,
-            Absent::Refused => 0.0,
+            Absent::Default(value) => value,
+            Absent::Required => 0.0,
         })
         .collect()
 }

@@ -25,11 +25,11 @@ pub fn not_converged(solution: &Solution, options: &Options) -> Error {
         }
         End::TimeLimit => {
             let after = match solution.iterations {
-                0 => "before its first step".to_owned(),
                 1 => "after one iteration".to_owned(),
                 count => format!("after {count} iterations"),
             };
-            (Termination::TimeLimit, format!("the time limit is over {after}"))
+            let unsettled = if solution.last_step.is_nan() { ", before robust weights had settled" } else { "" };
+            (Termination::NoProgress, format!("the time limit is over {after}{unsettled}"))
         }
         End::RoundLimit => {
             (Termination::RoundLimit, format!("robust weights still change after {} rounds", options.rounds))
@@ -50,9 +50,11 @@ pub fn not_converged(solution: &Solution, options: &Options) -> Error {
              gradient cosine is {cosine:.1e}"
         )
     });
-    if termination == Termination::TimeLimit {
-        let error = Error::data(format!("the iteration has not converged: {failed}{far}")).fault();
-        return error.convergence(convergence).help("allow more time with `--time-limit`, or make the recipe smaller");
+    if solution.end == End::TimeLimit && solution.iterations == 0 {
+        return Error::out_of_time("the time limit is over");
+    }
+    if solution.end == End::TimeLimit {
+        return Error::out_of_time(format!("the iteration has not converged: {failed}{far}"));
     }
     let error = Error::data(format!("the iteration does not converge: {failed}{far}")).help(
         "check units, signs and features of the data, choose fewer parameters, `start` from a calibration, or allow more `iterations`",

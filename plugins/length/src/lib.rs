@@ -112,7 +112,7 @@ fn naming(end: usize) -> impl Fn(&StatusColumn, Option<&Axis>) -> (Vec<String>, 
         let numbered = status.column_of_pose(end);
         match axis.map(|axis| axis.kind) {
             Some(AxisKind::Linear) => (vec![numbered], status.absent),
-            Some(AxisKind::Rotary) => (vec![numbered, name.clone()], Absent::Taken(0.0)),
+            Some(AxisKind::Rotary) => (vec![numbered, name.clone()], Absent::Default(0.0)),
             None => (vec![numbered, name.clone()], status.absent),
         }
     }

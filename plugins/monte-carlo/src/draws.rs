@@ -1,7 +1,7 @@
 //! The inputs that vary from trial to trial.
 
 use abbe_core::{
-    CovarianceBlock, EquationIndex, Error, Fit, Owner, PathItem, Problem, Quantity, Result, RowIndex, Scatter,
+    CovarianceBlock, EquationIndex, Error, Fit, Owner, PathItem, Problem, Quantity, RepeatedTogether, Result, RowIndex,
     SetIndex, Unknown, matches,
 };
 use abbe_numerics::Generator;
@@ -27,7 +27,7 @@ pub struct Draws<'a> {
     independent: Vec<f64>,
     /// Correlated equations with the root of their covariance.
     blocks: Vec<(CovarianceBlock<EquationIndex>, DMatrix<f64>)>,
-    scatters: Vec<Scatter>,
+    repeated_together: Vec<RepeatedTogether>,
     /// For every set the errors to draw from, over the standard uncertainties; empty unless resampled.
     residuals: Vec<Vec<f64>>,
     /// The set of every equation.
@@ -64,9 +64,9 @@ impl<'a> Draws<'a> {
         let scale = fit.calibration.uncertainty.as_ref().map_or(1.0, |budget| budget.scale);
         let mut independent: Vec<f64> =
             problem.standard_uncertainties().iter().map(|uncertainty| uncertainty * scale).collect();
-        let scatters = problem.scatters();
+        let repeated_together = problem.repeated_together();
         let ranges = problem.equation_ranges();
-        for set in scatters.iter().flat_map(|scatter| &scatter.sets) {
+        for set in repeated_together.iter().flat_map(|together| &together.sets) {
             independent[ranges[*set].clone()].fill(0.0);
         }
         // An equation that states a certificate has no noise of its own: its known input is drawn.
@@ -107,7 +107,7 @@ impl<'a> Draws<'a> {
             settings,
             independent,
             blocks,
-            scatters,
+            repeated_together,
             residuals,
             set_of,
             considered,
@@ -137,7 +137,7 @@ impl<'a> Draws<'a> {
 
     /// What varies, in words.
     pub fn described(&self) -> Vec<String> {
-        let repeated = |set: &SetIndex| self.scatters.iter().any(|scatter| scatter.sets.contains(set));
+        let repeated = |set: &SetIndex| self.repeated_together.iter().any(|together| together.sets.contains(set));
         let mut lines = Vec::new();
         if self.stated.is_some() {
             lines.push("the values of the calibration: multivariate normal".to_owned());
@@ -151,13 +151,13 @@ impl<'a> Draws<'a> {
             let how = if correlated { "correlated, multivariate normal" } else { &distribution };
             lines.push(format!("rows of {}: {how}", set.name));
         }
-        for scatter in &self.scatters {
-            let names: Vec<&str> = scatter.sets.iter().map(|&set| self.problem.sets[set].name.as_str()).collect();
+        for together in &self.repeated_together {
+            let names: Vec<&str> = together.sets.iter().map(|&set| self.problem.sets[set].name.as_str()).collect();
             lines.push(format!(
                 "rows of {}: scatter of repeats pooled by {}, multivariate t with {} degrees of freedom",
                 names.join(", "),
-                scatter.pooled.by,
-                scatter.pooled.degrees_of_freedom
+                together.pooled.by,
+                together.pooled.degrees_of_freedom
             ));
         }
         for source in &self.considered {
@@ -188,8 +188,8 @@ impl<'a> Draws<'a> {
             let drawn = root * DVector::from_fn(block.equations.len(), |_, _| generator.normal());
             block.equations.iter().zip(drawn.iter()).for_each(|(&equation, value)| errors[equation] += value);
         }
-        for scatter in &self.scatters {
-            let pooled = &scatter.pooled;
+        for together in &self.repeated_together {
+            let pooled = &together.pooled;
             // A covariance that was itself found by repeats makes a multivariate t distribution (JCGM 101, 6.4.9).
             let freedom = pooled.degrees_of_freedom;
             let chi_squared: f64 = (0..freedom).map(|_| generator.normal().powi(2)).sum();

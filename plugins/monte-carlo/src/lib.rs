@@ -13,7 +13,7 @@ use std::sync::atomic::{AtomicBool, Ordering};
 
 use abbe_core::{
     Basis, Calibration, Context, Error, Estimate, Fit, GumComparison, Identifiability, MonteCarlo, NamedCovariance,
-    PathItem, Problem, Result, SettingsError, SimulatedParameter, Whole, in_parallel,
+    Problem, Result, SettingsError, SimulatedParameter, Whole, in_parallel,
 };
 use abbe_numerics::{Adaptive, Generator, Trials, gum_agrees, least_trials, numerical_tolerance};
 use serde_json::{Value, json};
@@ -73,7 +73,6 @@ impl Estimate for Propagation {
             return Err(Error::data(message).help("propagate an estimate of what the data determine").setting("of"));
         }
         let draws = Draws::new(&self.settings, fit)?;
-        self.fits_into_memory(draws.quantities())?;
         let mut found = Found { trials: Trials::new(draws.quantities()), failed: 0, stable: None };
         match &self.settings.adaptive {
             None => self.solve(&draws, fit, self.settings.trials.get(), &mut found, None)?,
@@ -226,26 +225,6 @@ impl Propagation {
         }
         calibration.uncertainty = None;
         calibration
-    }
-}
-
-/// Most values of all trials together, 8 GiB: all of them are kept, because intervals are found from them.
-const MOST_VALUES: usize = 1 << 30;
-
-impl Propagation {
-    fn fits_into_memory(&self, quantities: usize) -> Result<()> {
-        let (setting, trials) = match &self.settings.adaptive {
-            None => (vec!["trials"], self.settings.trials),
-            Some(adaptive) => (vec!["adaptive", "most"], adaptive.most),
-        };
-        if trials.get().saturating_mul(quantities) <= MOST_VALUES {
-            return Ok(());
-        }
-        let most = MOST_VALUES / quantities.max(1);
-        let message = format!("{} trials of {quantities} values each do not fit into 8 GiB of memory", trials.get());
-        let mut error = Error::data(message).help(format!("take {most} trials at most"));
-        error.setting = setting.into_iter().map(|key| PathItem::Key(key.to_owned())).collect();
-        Err(error)
     }
 }
 

@@ -184,7 +184,7 @@ pub struct LobingSetting {
     pub amplitude_um: f64,
     /// Lobes on a turn.
     #[serde(default = "default_lobes")]
-    pub lobes: Whole<1, 1000>,
+    pub lobes: Whole<0, 1000>,
     /// Phase in the tool frame; any is as likely as another unless given.
     #[serde(default)]
     pub phase_deg: Option<f64>,
@@ -210,7 +210,7 @@ fn default_most() -> TrialCount {
     Whole::new(1_000_000)
 }
 
-fn default_lobes() -> Whole<1, 1000> {
+fn default_lobes() -> Whole<0, 1000> {
     Whole::new(3)
 }
 

@@ -6,8 +6,8 @@ use std::sync::atomic::{AtomicUsize, Ordering};
 use abbe_core::{
     Absent, Build, Calibration, Contact, Context, CovarianceBlock, Dataset, EquationUncertainty, Equations, Error,
     Estimate, Fit, Identifiability, Kind, KinematicModel, KnownInput, Layout, LayoutEquation, ModelInfo,
-    ObservationSet, Observations, ObservationsInfo, Parameter, Pooled, PoseBatch, PosesMut, Problem, Quantity,
-    Registry, Result, RowBatch, RowIndex, StatusColumn, Unit, Variable, path_text,
+    ObservationSet, Observations, ObservationsInfo, Parameter, PooledRepeatability, PoseBatch, PosesMut, Problem,
+    Quantity, Registry, Result, RowBatch, RowIndex, StatusColumn, Unit, Variable, path_text,
 };
 use abbe_gauss_newton as _;
 use abbe_numerics::Generator;
@@ -26,7 +26,7 @@ impl Linear {
             role: abbe_core::StatusRole::Other,
             quantity: Quantity::Ratio,
             levels: Vec::new(),
-            absent: Absent::Taken(0.0),
+            absent: Absent::Default(0.0),
         };
         let (status, parameters) = ((0..parameters).map(status).collect(), (0..parameters).map(parameter).collect());
         Self(ModelInfo::new(Vec::new(), status, parameters, Value::Null))
@@ -131,7 +131,7 @@ fn problem(seed: u64, kind: Rows) -> Problem {
             uncertainty.blocks.push(block);
         }
         Rows::Repeated => {
-            uncertainty.pooled = Some(Pooled {
+            uncertainty.pooled = Some(PooledRepeatability {
                 by: "cycle".to_owned(),
                 repetitions: (0..60).map(|index| index.to_string()).collect(),
                 deviations: (0..60).map(|_| (0..ROWS).map(|_| 1e-3 * random.normal()).collect()).collect(),

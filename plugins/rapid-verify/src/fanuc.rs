@@ -84,6 +84,10 @@ fn example() -> Json {
 /// Refuses a setting that is not one word or a few of a program.
 fn is_block(name: &str, text: &str) -> Result<(), SettingsError> {
     let letters = |letter: char| letter.is_ascii_uppercase() || letter.is_ascii_digit() || ". ".contains(letter);
+    let ends = |word: &str| ["M0", "M00", "M1", "M01", "M2", "M02", "M30", "M98", "M99"].contains(&word);
+    if text.split(' ').any(ends) {
+        return Err(SettingsError::new(name, format!("`{text}` would end or leave the program")));
+    }
     match text.starts_with(|letter: char| letter.is_ascii_uppercase()) && text.chars().all(letters) {
         true => Ok(()),
         false => Err(SettingsError::new(name, format!("`{text}` is no word of a program; `G31` would be one"))),

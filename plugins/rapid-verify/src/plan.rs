@@ -1,6 +1,6 @@
 //! From nominal points to stops of a program: where each axis goes, from which side, and where probing begins and ends.
 
-use abbe_core::{AxisKind, DataRow, KinematicModel, Result, SettingsError, StatusRole, not_negative, positive};
+use abbe_core::{Axis, AxisKind, DataRow, KinematicModel, Result, SettingsError, StatusRole, not_negative};
 use schemars::JsonSchema;
 use serde::Deserialize;
 
@@ -37,6 +37,12 @@ pub struct Motion {
     pub overshoot_deg: f64,
 }
 
+/// Distances before and beyond contact that are no mistake, mm.
+const DISTANCES: [f64; 2] = [0.01, 1000.0];
+
+/// Feeds that are no mistake, mm/min.
+const FEEDS: [f64; 2] = [0.1, 100_000.0];
+
 fn z() -> String {
     "Z".to_owned()
 }
@@ -63,10 +69,14 @@ impl Motion {
         if !self.retract_mm.is_finite() {
             return Err(SettingsError::new("retract_mm", "a finite number was expected"));
         }
-        positive("clearance_mm", self.clearance_mm)?;
-        positive("overtravel_mm", self.overtravel_mm)?;
-        positive("probing_feed_mm_per_min", self.probing_feed_mm_per_min)?;
-        positive("positioning_feed_mm_per_min", self.positioning_feed_mm_per_min)?;
+        let within = |name: &str, value: f64, [least, most]: [f64; 2]| match (least..=most).contains(&value) {
+            true => Ok(()),
+            false => Err(SettingsError::new(name, format!("{value}: a number from {least} to {most} was expected"))),
+        };
+        within("clearance_mm", self.clearance_mm, DISTANCES)?;
+        within("overtravel_mm", self.overtravel_mm, DISTANCES)?;
+        within("probing_feed_mm_per_min", self.probing_feed_mm_per_min, FEEDS)?;
+        within("positioning_feed_mm_per_min", self.positioning_feed_mm_per_min, FEEDS)?;
         not_negative("overshoot_mm", self.overshoot_mm)?;
         not_negative("overshoot_deg", self.overshoot_deg)?;
         Ok(())
@@ -77,6 +87,11 @@ impl Motion {
         let retract = axis_index(model, &self.retract_axis).map_err(|message| {
             abbe_core::Error::usage(message.replace("the approach is", "`retract_axis` is")).setting("motion")
         })?;
+        if !reaches(&model.info().axes[retract], self.retract_mm) {
+            let message =
+                format!("{} does not reach {} mm: it is out of its range", self.retract_axis, self.retract_mm);
+            return Err(abbe_core::Error::usage(message).setting("motion"));
+        }
         let statuses = points.in_contact(model)?;
         let mut stops = Vec::new();
         let mut turned: Vec<(f64, Option<f64>)> = Vec::new();
@@ -94,8 +109,7 @@ impl Motion {
             for (index, axis) in model.info().axes.iter().enumerate() {
                 let probes = axis.name == point.axis;
                 let at = if probes { start } else { status[axis.status] };
-                let range = axis.range.unwrap_or([f64::NEG_INFINITY, f64::INFINITY]);
-                if [at, if probes { end } else { at }].iter().any(|place| !(range[0]..=range[1]).contains(place)) {
+                if [at, if probes { end } else { at }].iter().any(|&place| !reaches(axis, place)) {
                     return Err(wrong(format!("point {} takes {} out of its range", point.label, axis.name)));
                 }
                 let from = direction(index).filter(|_| !probes);
@@ -124,11 +138,28 @@ impl Motion {
                 turned = turn;
             }
             positioning.extend(moves(&lateral, self.overshoot_mm));
+            let beyond = |(name, at): &&(String, f64)| {
+                let axis = model.info().axes.iter().find(|axis| axis.name == *name);
+                axis.is_some_and(|axis| {
+                    let at = if axis.kind == AxisKind::Rotary { at.to_radians() } else { *at };
+                    !reaches(axis, at)
+                })
+            };
+            if let Some((axis, _)) = positioning.iter().flatten().find(beyond) {
+                let message =
+                    format!("on the way to point {} the overshoot takes {axis} out of its range", point.label);
+                return Err(wrong(message).help("shorten `overshoot_mm` or `overshoot_deg`"));
+            }
             let (label, axis) = (point.label.clone(), point.axis.clone());
             stops.push(Stop { label, axis, start, end, positioning, lowered });
         }
         Ok(Programme { stops, retract: (self.retract_axis.clone(), self.retract_mm), tolerance })
     }
+}
+
+/// Whether an axis can stand there, mm or rad.
+fn reaches(axis: &Axis, place: f64) -> bool {
+    axis.range.is_none_or(|[from, to]| (from - 1e-9..=to + 1e-9).contains(&place))
 }
 
 /// Where an axis goes, and in which direction it moves there.

@@ -97,7 +97,7 @@ impl Points {
     pub fn statuses(&self, model: &dyn KinematicModel) -> Result<PoseTable> {
         let file = self.data.files.first();
         let naming = |status: &StatusColumn, axis: Option<&Axis>| match axis {
-            Some(axis) if axis.kind == AxisKind::Linear => (Vec::new(), Absent::Taken(0.0)),
+            Some(axis) if axis.kind == AxisKind::Linear => (Vec::new(), Absent::Default(0.0)),
             _ => plain_naming(status, axis),
         };
         let columns = pose_columns(&self.data.headers(), file, model, &naming)?;
@@ -118,6 +118,11 @@ impl Points {
                 let message = format!("the linear axes cannot bring the tip to point {}", point.label);
                 return Err(self.data.error_at(row, message).help("is the chain that of this artefact's machine?"));
             }
+            let touch = Touch::new(model, point, table.row(pose))?;
+            touch.meets(&model.info().nominal).map_err(|error| match error.place {
+                None => Error { help: error.help.clone(), ..self.data.error_at(row, error.message) },
+                Some(_) => error,
+            })?;
         }
         Ok(table)
     }
@@ -228,11 +233,21 @@ impl<'a> Touch<'a> {
         Err(Error::data(format!("the approach along {} does not meet point {}", self.point.axis, self.point.label)))
     }
 
+    /// Fails if the approach does not lead against the facet.
+    fn meets(&self, values: &[f64]) -> Result<()> {
+        let (_, by) = self.distance(values, &self.status, &[Variable::Command(self.axis)])?;
+        self.slope(by[0]).map(drop)
+    }
+
     fn slope(&self, by: f64) -> Result<f64> {
-        if by.abs() > ALONG {
+        let Point { axis, label, sense, .. } = self.point;
+        if by * sense < -ALONG {
             return Ok(by);
         }
-        let Point { axis, label, .. } = self.point;
+        if by * sense > ALONG {
+            let message = format!("the approach along {axis} leads away from the facet of point {label}");
+            return Err(Error::data(message).help("`nx, ny, nz` is the outward normal, and `approach` goes against it"));
+        }
         Err(Error::data(format!("the approach along {axis} passes point {label} instead of touching its facet"))
             .help("the approach has to have a part along the normal of the facet"))
     }

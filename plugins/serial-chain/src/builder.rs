@@ -3,7 +3,7 @@
 use std::collections::BTreeMap;
 
 use abbe_core::{
-    Absent, Axis, AxisKind, ErrorFunction, ModelInfo, Parameter, ParameterRole, PathItem, Period, Quantity,
+    Absent, Axis, AxisKind, ErrorFunction, ModelInfo, Parameter, ParameterRole, PathItem, PeriodicError, Quantity,
     SettingsError, StatusColumn, StatusRole, Unit, matches,
 };
 use abbe_errors::{Argument, Constant, Declaration, Functions, Group, StylusIs, Subject};
@@ -66,7 +66,7 @@ impl Builder {
                 status: index,
             });
             // A spindle that the data do not mention is at zero.
-            let absent = if named.indexed { Absent::Taken(0.0) } else { Absent::Refused };
+            let absent = if named.indexed { Absent::Default(0.0) } else { Absent::Required };
             let (name, role) = (axis.name.clone(), StatusRole::Command(index));
             status.push(StatusColumn { name, role, quantity, levels: Vec::new(), absent });
         }
@@ -113,7 +113,7 @@ impl Builder {
             let levels = std::iter::once("1").chain(styli.iter().map(|(number, _)| number.as_str()));
             let levels = levels.map(str::to_owned).collect();
             self.stylus_status = Some(self.status.len());
-            let (name, role, absent) = ("stylus".to_owned(), StatusRole::Stylus, Absent::Taken(0.0));
+            let (name, role, absent) = ("stylus".to_owned(), StatusRole::Stylus, Absent::Default(0.0));
             self.status.push(StatusColumn { name, role, quantity: Quantity::Label, levels, absent });
         }
         let set_up: Vec<Candidate> = self.among(Group::SetUp).cloned().collect();
@@ -225,7 +225,7 @@ impl Builder {
             }
             return index;
         }
-        self.status.push(StatusColumn { name, role, quantity, levels, absent: Absent::Taken(absent) });
+        self.status.push(StatusColumn { name, role, quantity, levels, absent: Absent::Default(absent) });
         self.status.len() - 1
     }
 
@@ -435,7 +435,7 @@ impl Builder {
     }
 
     /// The parts of motion errors that repeat.
-    fn periods(&self) -> Vec<Period> {
+    fn periods(&self) -> Vec<PeriodicError> {
         let mut periods = Vec::new();
         for basis in &self.bases {
             let arguments = basis.arguments_at(&vec![0.0; self.status.len()], &self.nominal);
@@ -452,7 +452,7 @@ impl Builder {
                 let parameters: Vec<usize> = own.map(|(parameter, _)| *parameter).collect();
                 if let (Some(axis), false) = (candidate.axis, parameters.is_empty()) {
                     let (symbol, shapes) = (candidate.symbol.clone(), shapes.clone());
-                    periods.push(Period { symbol, axis, length, parameters, shapes });
+                    periods.push(PeriodicError { symbol, axis, length, parameters, shapes });
                 }
             }
         }

@@ -63,11 +63,30 @@ pub fn check_finite(key: &str, limit: &Limit) -> Result<(), SettingsError> {
     }
 }
 
-/// Sets the limits of the main figures.
-pub fn set_limits(limits: &Limits, figures: &mut [Figure]) {
-    for figure in figures.iter_mut().filter(|figure| !figure.detail) {
-        figure.set_limit(limits.get(&key(&figure.name, &figure.unit)).copied());
+/// Sets the limits of the main figures. A limit of a figure that none of them is fails: what it asks for was not measured.
+pub fn set_limits(limits: &Limits, figures: &mut Vec<Figure>) {
+    for (limited, &limit) in limits {
+        let mut found = false;
+        for figure in figures.iter_mut().filter(|figure| !figure.detail && key(&figure.name, &figure.unit) == *limited)
+        {
+            figure.set_limit(Some(limit));
+            found = true;
+        }
+        if !found && let Some(of) = figures.first().map(|figure| figure.of.clone()) {
+            let (name, unit) = named(limited);
+            let mut absent = Figure { of, ..Figure::new("", name, f64::NAN, unit) };
+            absent.set_limit(Some(limit));
+            figures.push(absent);
+        }
     }
+}
+
+/// Name and unit of the figure that a [`key`] is of.
+fn named(key: &str) -> (String, &'static str) {
+    let units = [UM, URAD, MM].into_iter();
+    let split = units.filter_map(|unit| Some((key.strip_suffix(unit)?.strip_suffix('_')?, unit))).next();
+    let (name, unit) = split.unwrap_or((key, ONE));
+    (name.replace('_', " "), unit)
 }
 
 /// Relative standard uncertainty of a standard deviation or standard uncertainty with these degrees of freedom; zero if they
@@ -238,6 +257,18 @@ mod tests {
         assert!((sample.standard_deviation() - 13.0_f64.sqrt()).abs() < 1e-15);
         assert!(Sample(vec![1.0, f64::NAN, 2.0]).max().is_nan());
         assert!(Sample::default().max().is_nan() && Sample(vec![1.0]).standard_deviation().is_nan());
+    }
+
+    #[test]
+    fn a_limit_of_what_was_not_measured_fails() {
+        let limits = Limits::from([("max_um".to_owned(), 1.0.into()), ("mean_urad".to_owned(), 2.0.into())]);
+        let mut figures = vec![Figure::new("fit", "max", 0.5, UM), Figure::new("other", "max", 0.6, UM)];
+        set_limits(&limits, &mut figures);
+        let decided: Vec<_> =
+            figures.iter().map(|figure| (figure.name.as_str(), figure.value, figure.decide())).collect();
+        let (pass, fail) = (Some(abbe_core::Decision::Pass), Some(abbe_core::Decision::Fail));
+        assert_eq!(decided, [("max", Some(0.5), pass), ("max", Some(0.6), pass), ("mean", None, fail)]);
+        assert_eq!(figures[2].unit, URAD);
     }
 
     #[test]

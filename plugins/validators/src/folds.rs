@@ -124,7 +124,7 @@ pub struct Fold {
 }
 
 /// A fit without the rows of a fold.
-pub struct Trained {
+pub struct TrainedFit {
     /// Its result.
     pub calibration: Calibration,
     /// Unknowns of the full fit that no remaining row depends on.
@@ -135,7 +135,7 @@ pub struct Trained {
 
 impl Fold {
     /// Estimates again, by the estimator of the fit, without the rows of this fold.
-    pub fn train(&self, fit: &Fit, set: SetIndex) -> Result<Trained> {
+    pub fn train(&self, fit: &Fit, set: SetIndex) -> Result<TrainedFit> {
         let rows = fit.problem.sets[set].rows.iter().copied();
         let kept = rows.filter(|row| self.rows.binary_search(row).is_err()).collect();
         let training = fit.problem.watched_by(fit.problem.monitor.quiet()).with_rows(set, kept);
@@ -149,7 +149,7 @@ impl Fold {
             error
         })?;
         let remark = not_converged(&name, &calibration);
-        Ok(Trained { calibration, lost, remark })
+        Ok(TrainedFit { calibration, lost, remark })
     }
 }
 

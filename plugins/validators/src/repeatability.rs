@@ -274,7 +274,9 @@ impl Repeatability {
             let details = FIGURES.into_iter().zip(variability.values);
             findings.figures.extend(details.map(|(name, value)| new(format!("{name}[{label}]"), value, unit).detail()));
         }
-        set_limits(&self.settings.limits, &mut findings.figures[start..]);
+        let mut own = findings.figures.split_off(start);
+        set_limits(&self.settings.limits, &mut own);
+        findings.figures.extend(own);
         Ok(())
     }
 
@@ -389,10 +391,11 @@ impl<'a> Series<'a> {
         let points: Vec<Sample> =
             self.points.iter().map(|(_, cycles)| Sample(cycles.values().copied().collect())).collect();
         let all = Sample(points.iter().flat_map(|point| point.0.iter().copied()).collect());
-        let within: Vec<Pooled> = points.iter().map(|point| Pooled::of_windows(point, window)).collect();
+        let within: Vec<PooledVariance> =
+            points.iter().map(|point| PooledVariance::of_windows(point, window)).collect();
         let repeated = within.iter().filter(|pooled| pooled.degrees_of_freedom > 0);
-        let repeatability = Sample(repeated.map(Pooled::standard_deviation).collect()).max();
-        let pooled = within.iter().fold(Pooled::default(), |sum, point| sum.and(point)).standard_deviation();
+        let repeatability = Sample(repeated.map(PooledVariance::standard_deviation).collect()).max();
+        let pooled = within.iter().fold(PooledVariance::default(), |sum, point| sum.and(point)).standard_deviation();
         let surface = Sample(points.iter().map(Sample::mean).collect());
         let drift = self.cycle_means();
         let single = self.points.iter().filter(|(_, cycles)| cycles.len() == 1);
@@ -430,12 +433,12 @@ fn range(sample: &Sample) -> f64 {
 
 /// A variance from several samples (equations 4-12 and 7-1).
 #[derive(Debug, Clone, Copy, Default)]
-struct Pooled {
+struct PooledVariance {
     squares: f64,
     degrees_of_freedom: usize,
 }
 
-impl Pooled {
+impl PooledVariance {
     /// Of windows of successive values; the last one may be shorter.
     fn of_windows(sample: &Sample, window: usize) -> Self {
         let windows = sample.0.chunks(window).map(|values| {

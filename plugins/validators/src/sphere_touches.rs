@@ -69,7 +69,7 @@ impl Touches {
         column: Option<&str>,
     ) -> Result<Vec<Self>> {
         let timeless = |status: &StatusColumn, axis: Option<&Axis>| match status.quantity {
-            Quantity::Time => (Vec::new(), Absent::Taken(f64::NAN)),
+            Quantity::Time => (Vec::new(), Absent::Default(f64::NAN)),
             _ => plain_naming(status, axis),
         };
         let mut layout = Layout::new(&Arc::new(data.clone()), model, &[&timeless])?;

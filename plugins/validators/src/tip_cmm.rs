@@ -14,7 +14,7 @@ use serde_json::{Value, json};
 
 use crate::cmm::{Cmm, Placement, Shift, against_cmm, best_placement, differences, rank_remark};
 use crate::figures::{Limits, ONE, Sample, UM, check_limits, outliers};
-use crate::folds::{Fold, Folds, Trained, contained, default_column, own_unknown, reduced, set_of, trained};
+use crate::folds::{Fold, Folds, TrainedFit, contained, default_column, own_unknown, reduced, set_of, trained};
 
 abbe_core::register!(
     Validate,
@@ -148,8 +148,8 @@ impl TipCmm {
         };
         let folds = folds.split(&fit.problem, set, &self.settings.column)?;
         let trained = trained(fit, folds, findings, |fold| fold.train(fit, set))?;
-        let part = |(fold, trained): (Fold, Trained)| {
-            let Trained { calibration, lost, remark } = trained;
+        let part = |(fold, trained): (Fold, TrainedFit)| {
+            let TrainedFit { calibration, lost, remark } = trained;
             Part { calibration, lost, rows: fold.rows, remark }
         };
         Ok(trained.into_iter().map(part).collect())

@@ -7,7 +7,7 @@ use abbe_core::{
     Calibration, Context, Dataset, Error, Estimated, Figure, Findings, Fit, Limit, PathItem, Result, SettingsError,
     Status, Unit, Validate, matches, positive,
 };
-use abbe_volumetric::{Grid, Volumetric, predict, within};
+use abbe_volumetric::{Grid, VolumetricError, predict, within};
 use schemars::JsonSchema;
 use serde::de::{Error as _, MapAccess, Visitor};
 use serde::{Deserialize, Deserializer};
@@ -317,7 +317,7 @@ fn judge_workspace(fit: &Fit, workspace: &Workspace, findings: &mut Findings) ->
     let model = fit.problem.model.as_ref();
     let statuses = workspace.grid.statuses(model).map_err(|error| within(error, &["volumetric", "grid"]))?;
     let errors = predict(model, &fit.calibration, &statuses)?;
-    let semi_axis = |error: &Volumetric| {
+    let semi_axis = |error: &VolumetricError| {
         let ellipsoid = error.ellipsoid(workspace.probability)?;
         Ok(ellipsoid.semi_axes.map_or(f64::NAN, |semi_axes| semi_axes[0] * 1e3))
     };
@@ -333,7 +333,7 @@ fn judge_workspace(fit: &Fit, workspace: &Workspace, findings: &mut Findings) ->
     // Not known if the data cannot separate some parameters, or without a covariance.
     let left_out = left_out(&fit.name, &fit.calibration);
     let largest = errors.iter().max_by(|one, other| one.size().total_cmp(&other.size()));
-    let uncertainty = largest.filter(|_| left_out.is_none()).and_then(Volumetric::size_uncertainty);
+    let uncertainty = largest.filter(|_| left_out.is_none()).and_then(VolumetricError::size_uncertainty);
     let uncertainty = uncertainty.filter(|uncertainty| *uncertainty > 0.0);
     findings.figures.extend([
         figure("error max", sizes.max(), UM).uncertain(uncertainty.map(|uncertainty| uncertainty * 1e3)),

@@ -65,7 +65,7 @@ impl Hexapod {
             role: StatusRole::Command(index),
             quantity: Quantity::Length,
             levels: Vec::new(),
-            absent: Absent::Refused,
+            absent: Absent::Required,
         });
         let status = status.collect();
         let of_strut = |strut: usize| {

@@ -99,7 +99,7 @@ impl NutatingHead {
             role: StatusRole::Command(index),
             quantity: if axis.kind == AxisKind::Rotary { Quantity::Angle } else { Quantity::Length },
             levels: Vec::new(),
-            absent: Absent::Refused,
+            absent: Absent::Required,
         });
         let status = status.collect();
         let parameters = PARAMETERS.map(|(name, unit)| match name {

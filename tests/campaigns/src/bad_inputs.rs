@@ -310,7 +310,7 @@ pub(crate) fn waited(child: &mut std::process::Child, limit: Duration) -> Option
     }
 }
 
-/// What is wrong with how the program ended; nothing else in the folder `out` than results.
+/// What is wrong with how the program ended, and with what it has left in the folder `out`.
 fn wrong(ended: Option<&Ended>, folder: &Path) -> Vec<String> {
     let Some(Ended { status, stdout, stderr }) = ended else { return vec!["it does not end".to_owned()] };
     let mut wrong = Vec::new();

@@ -10,6 +10,7 @@ use std::process::{Child, Command, Stdio};
 use std::time::{Duration, Instant};
 
 use abbe_core::in_parallel;
+use sha2::{Digest, Sha256};
 
 use crate::Random;
 use crate::bad_inputs::waited;
@@ -37,6 +38,10 @@ fn files(folder: &Path) -> Files {
         }
     }
     found
+}
+
+fn sha256(content: &[u8]) -> String {
+    Sha256::digest(content).iter().map(|byte| format!("{byte:02x}")).collect()
 }
 
 fn start(program: &Path, out: &Path) -> Child {
@@ -92,11 +97,14 @@ fn case(program: &Path, seconds: f64, seed: u64, number: u64) -> (String, Vec<St
     let is_old = of_run == before;
     let record =
         of_run.get(&out.join(RECIPE).join("run.json")).map(|text| serde_json::from_slice::<serde_json::Value>(text));
+    // What is listed has the content that is listed.
     let is_whole = match record {
         Some(Ok(record)) => record["outputs"].as_array().is_some_and(|outputs| {
-            let is_there =
-                |file: &str| of_run.get(&out.join(RECIPE).join(file)).is_some_and(|content| !content.is_empty());
-            !outputs.is_empty() && outputs.iter().all(|output| output["file"].as_str().is_some_and(is_there))
+            let has_content = |output: &serde_json::Value| {
+                let found = output["file"].as_str().and_then(|file| of_run.get(&out.join(RECIPE).join(file)));
+                found.is_some_and(|content| output["sha256"].as_str() == Some(&sha256(content)))
+            };
+            !outputs.is_empty() && outputs.iter().all(has_content)
         }),
         _ => false,
     };
@@ -122,9 +130,12 @@ pub fn run(program: &Path, seed: u64, count: u64) -> Report {
     let mut ends: BTreeMap<&str, usize> = BTreeMap::new();
     cases.iter().for_each(|(end, _)| *ends.entry(end).or_default() += 1);
     let mut text: String = ends.iter().map(|(end, count)| format!("{end}: {count}\n")).collect();
-    let broken: Vec<String> = (cases.iter().enumerate().filter(|(_, (_, wrong))| !wrong.is_empty()))
+    let mut broken: Vec<String> = (cases.iter().enumerate().filter(|(_, (_, wrong))| !wrong.is_empty()))
         .map(|(number, (_, wrong))| format!("{number}: {}", wrong.join("; ")))
         .collect();
+    if !ends.keys().any(|end| end.ends_with("by the signal")) {
+        broken.push("no run was ended by its signal".to_owned());
+    }
     text.push_str(&format!("{count} signals, seed {seed}: {} broken\n", broken.len()));
     broken.iter().for_each(|line| text.push_str(&format!("  {line}\n")));
     Report { text, broken }

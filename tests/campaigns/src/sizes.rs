@@ -57,7 +57,7 @@ fn measured(program: &Path, folder: &Path, command: &str) -> (f64, u64) {
     (start.elapsed().as_secs_f64(), most >> 10)
 }
 
-/// Measures up to `largest` columns, a fifth as many stages, and as many rows as thousands of columns times the recipe has.
+/// Measures up to `largest` more columns, a fifth as many more stages, and a hundredth of `largest` times as many rows.
 pub fn run(program: &Path, largest: u64) -> Report {
     let mut text = String::new();
     let kinds: [(&str, &str, u64); 3] = [

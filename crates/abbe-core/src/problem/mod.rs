@@ -24,7 +24,7 @@ use considered::{candidates, check_constraints, consider_parameters, inputs};
 
 pub use considered::{Considered, Input};
 pub use linearise::{Block, CHUNK, Evaluation};
-pub use rows::{ObservationSet, Scatter};
+pub use rows::{ObservationSet, RepeatedTogether};
 
 /// What an unknown belongs to.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]

@@ -8,7 +8,7 @@ use crate::index::{EquationIndex, IndexRange, LayoutEquation, PoseIndex, RowInde
 use crate::model::Poses;
 use crate::observations::{Observations, ObservationsInfo, RowBatch};
 use crate::pose_table::PoseTable;
-use crate::uncertainty::{CovarianceBlock, EquationUncertainty, Pooled};
+use crate::uncertainty::{CovarianceBlock, EquationUncertainty, PooledRepeatability};
 use abbe_settings::Error;
 use abbe_settings::Quantity;
 
@@ -123,13 +123,13 @@ impl ObservationSet {
     }
 }
 
-/// The scatter of repeats of some sets of a problem that were repeated together.
+/// Sets of a problem that were repeated together, with the scatter of their repeats.
 #[derive(Debug, Clone, PartialEq)]
-pub struct Scatter {
+pub struct RepeatedTogether {
     /// The sets.
     pub sets: Vec<SetIndex>,
     /// The scatter over all equations of the problem, zero where other sets are.
-    pub pooled: Pooled,
+    pub pooled: PooledRepeatability,
 }
 
 impl Problem {
@@ -150,22 +150,25 @@ impl Problem {
         all
     }
 
-    /// The scatter of repeats. Sets with the same repetitions were repeated together: they share the deviations.
-    pub fn scatters(&self) -> Vec<Scatter> {
-        let mut all: Vec<Scatter> = Vec::new();
+    /// The sets that were repeated together, those with the same repetitions: they share the deviations.
+    pub fn repeated_together(&self) -> Vec<RepeatedTogether> {
+        let mut all: Vec<RepeatedTogether> = Vec::new();
         let equations = self.equations();
         for ((index, set), range) in SetIndex::enumerate(&self.sets).zip(self.equation_ranges()) {
             let Some(pooled) = set.uncertainty.pooled_of(&set.taken()) else { continue };
-            let same = |scatter: &&mut Scatter| {
-                (&scatter.pooled.by, &scatter.pooled.repetitions) == (&pooled.by, &pooled.repetitions)
+            let same = |together: &&mut RepeatedTogether| {
+                (&together.pooled.by, &together.pooled.repetitions) == (&pooled.by, &pooled.repetitions)
             };
             if all.iter_mut().find(same).is_none() {
                 let deviations = vec![vec![0.0; equations]; pooled.repetitions.len()];
-                all.push(Scatter { sets: Vec::new(), pooled: Pooled { deviations, ..pooled.clone() } });
+                all.push(RepeatedTogether {
+                    sets: Vec::new(),
+                    pooled: PooledRepeatability { deviations, ..pooled.clone() },
+                });
             }
-            if let Some(scatter) = all.iter_mut().find(same) {
-                scatter.sets.push(index);
-                for (line, own) in scatter.pooled.deviations.iter_mut().zip(&pooled.deviations) {
+            if let Some(together) = all.iter_mut().find(same) {
+                together.sets.push(index);
+                for (line, own) in together.pooled.deviations.iter_mut().zip(&pooled.deviations) {
                     line[range.clone()].copy_from_slice(own);
                 }
             }

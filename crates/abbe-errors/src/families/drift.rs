@@ -7,7 +7,7 @@ use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 use super::travel::legendre;
-use super::{Argument, Family, Functions, Group, Subject, Term, numbers, values};
+use super::{Argument, Family, Functions, Group, Subject, Term, check_numbers, numbers};
 
 /// Slow drift of set-up parameters: Legendre polynomials in the time scaled to -1..1, `dzt[t1]`, `dzt[t2]`, ...
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
@@ -72,14 +72,14 @@ impl Family for Drift {
     }
 
     fn check(&self) -> Result<(), SettingsError> {
-        numbers("degrees", "degree", &self.degrees).map(drop)
+        check_numbers("degrees", "degree", &self.degrees)
     }
 
     fn functions(&self, subject: &Subject<'_>) -> Result<Vec<Box<dyn Functions>>, SettingsError> {
         let several = self.per.column().is_some();
         let series = self.time_s.iter().map(|(label, time)| {
             Box::new(LegendreInTime {
-                degrees: values(&self.degrees),
+                degrees: numbers(&self.degrees),
                 time: *time,
                 series: subject.labels.iter().position(|known| several && known == label),
                 prefix: self.per.prefix(label),

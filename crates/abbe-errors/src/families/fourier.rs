@@ -4,7 +4,7 @@ use abbe_core::{Quantity, SettingsError, Whole};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-use super::{Argument, Family, Functions, Subject, Term, numbers, values};
+use super::{Argument, Family, Functions, Subject, Term, check_numbers, numbers};
 
 /// Fourier series of the angle of a rotary axis: `EXC[cos2]`, `EXC[sin2]`, ... in the unit of the error.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
@@ -22,14 +22,14 @@ impl Family for Fourier {
     }
 
     fn check(&self) -> Result<(), SettingsError> {
-        numbers("orders", "order", &self.orders).map(drop)
+        check_numbers("orders", "order", &self.orders)
     }
 
     fn functions(&self, subject: &Subject<'_>) -> Result<Vec<Box<dyn Functions>>, SettingsError> {
         if subject.command != Quantity::Angle {
             return Err(SettingsError::new("fourier", "a Fourier series is one of the angle of a rotary axis"));
         }
-        Ok(vec![Box::new(FourierSeries { orders: values(&self.orders) })])
+        Ok(vec![Box::new(FourierSeries { orders: numbers(&self.orders) })])
     }
 }
 

@@ -188,12 +188,12 @@ pub trait Family {
     fn functions(&self, subject: &Subject<'_>) -> Result<Vec<Box<dyn Functions>>, SettingsError>;
 }
 
-/// The degrees or orders of a list; refuses one that is empty, or that has a number twice.
-fn numbers<const LEAST: u64, const MOST: u64>(
+/// Refuses a list of degrees or orders that is empty, or that has a number twice.
+fn check_numbers<const LEAST: u64, const MOST: u64>(
     setting: &str,
     one: &str,
     given: &[Whole<LEAST, MOST>],
-) -> Result<Vec<u8>, SettingsError> {
+) -> Result<(), SettingsError> {
     if given.is_empty() {
         return Err(SettingsError::new(setting, format!("at least one {one} was expected")));
     }
@@ -202,11 +202,11 @@ fn numbers<const LEAST: u64, const MOST: u64>(
         let message = format!("{one} {} stands here twice", number.get());
         return Err(SettingsError::new("", message).under([PathItem::Key(setting.to_owned()), PathItem::Index(index)]));
     }
-    Ok(values(given))
+    Ok(())
 }
 
-/// The numbers themselves.
-fn values<const LEAST: u64, const MOST: u64>(given: &[Whole<LEAST, MOST>]) -> Vec<u8> {
+/// The numbers of a list of degrees or orders.
+fn numbers<const LEAST: u64, const MOST: u64>(given: &[Whole<LEAST, MOST>]) -> Vec<u8> {
     given.iter().map(|number| number.get() as u8).collect()
 }
 

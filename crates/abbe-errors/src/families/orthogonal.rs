@@ -5,7 +5,7 @@ use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 use super::travel::{Travel, legendre};
-use super::{Argument, Family, Functions, Subject, Term, numbers, values};
+use super::{Argument, Family, Functions, Subject, Term, check_numbers, numbers};
 
 /// Makes the family of one kind of orthogonal polynomials: the same settings, other polynomials.
 macro_rules! orthogonal {
@@ -49,14 +49,14 @@ macro_rules! orthogonal {
             }
 
             fn check(&self) -> Result<(), SettingsError> {
-                let degrees = numbers("degrees", "degree", &self.degrees)?;
+                check_numbers("degrees", "degree", &self.degrees)?;
                 self.travel().check()?;
-                self.travel().leaves("degrees", &degrees)
+                self.travel().leaves("degrees", &numbers(&self.degrees))
             }
 
             fn functions(&self, subject: &Subject<'_>) -> Result<Vec<Box<dyn Functions>>, SettingsError> {
                 let range = self.travel().needed(subject, concat!("a ", stringify!($family), " polynomial"))?;
-                let functions = OrthogonalPolynomial { kind: $kind, degrees: values(&self.degrees), range };
+                let functions = OrthogonalPolynomial { kind: $kind, degrees: numbers(&self.degrees), range };
                 Ok(vec![self.travel().without(Box::new(functions), subject)?])
             }
         }

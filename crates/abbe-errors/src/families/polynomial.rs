@@ -5,7 +5,7 @@ use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 use super::travel::Travel;
-use super::{Argument, Family, Functions, Subject, Term, numbers, power, values};
+use super::{Argument, Family, Functions, Subject, Term, check_numbers, numbers, power};
 
 /// Ordinary polynomials of the axis command: `EXX[1]`, `EXX[2]`, ... in the unit of the error per power of mm or rad.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
@@ -46,13 +46,13 @@ impl Family for Polynomial {
     }
 
     fn check(&self) -> Result<(), SettingsError> {
-        let degrees = numbers("degrees", "degree", &self.degrees)?;
+        check_numbers("degrees", "degree", &self.degrees)?;
         self.travel().check()?;
-        self.travel().leaves("degrees", &degrees)
+        self.travel().leaves("degrees", &numbers(&self.degrees))
     }
 
     fn functions(&self, subject: &Subject<'_>) -> Result<Vec<Box<dyn Functions>>, SettingsError> {
-        let functions = OrdinaryPolynomial { degrees: values(&self.degrees) };
+        let functions = OrdinaryPolynomial { degrees: numbers(&self.degrees) };
         Ok(vec![self.travel().without(Box::new(functions), subject)?])
     }
 }

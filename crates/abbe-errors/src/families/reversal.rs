@@ -4,7 +4,7 @@ use abbe_core::{SettingsError, Whole};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-use super::{Argument, Family, Functions, Subject, Term, numbers, values};
+use super::{Argument, Family, Functions, Subject, Term, check_numbers, numbers};
 
 /// Reversal errors: `EXX[b]` is half the reversal value, added after a positive approach and taken off after a negative one.
 /// With `degrees` it changes along the axis, and forward and backward curve are each other's equals: `EXX[b*1]`, `EXX[b*2]`, ... are
@@ -25,11 +25,11 @@ impl Family for Backlash {
     }
 
     fn check(&self) -> Result<(), SettingsError> {
-        if self.degrees.is_empty() { Ok(()) } else { numbers("degrees", "degree", &self.degrees).map(drop) }
+        if self.degrees.is_empty() { Ok(()) } else { check_numbers("degrees", "degree", &self.degrees) }
     }
 
     fn functions(&self, _: &Subject<'_>) -> Result<Vec<Box<dyn Functions>>, SettingsError> {
-        Ok(vec![Box::new(Reversal { degrees: values(&self.degrees) })])
+        Ok(vec![Box::new(Reversal { degrees: numbers(&self.degrees) })])
     }
 }
 

@@ -19,7 +19,7 @@ const ROUNDING: f64 = 1e-9;
 /// - every unknown has a value, with the uncertainty of the covariance.
 ///
 /// Fails if the estimator refuses such problems because it is not made for them.
-pub fn of_estimator(estimator: &dyn Estimate) -> Result<Vec<String>> {
+pub fn check_estimator(estimator: &dyn Estimate) -> Result<Vec<String>> {
     let usual = Measurement::default();
     let measurements = [
         ("a virtual machine", usual),
@@ -32,7 +32,7 @@ pub fn of_estimator(estimator: &dyn Estimate) -> Result<Vec<String>> {
     ];
     let (mut broken, mut solved) = (Vec::new(), 0);
     for (what, measurement) in measurements {
-        match measured(&measurement).and_then(|(problem, solution)| of_estimate(estimator, &problem, &solution)) {
+        match measured(&measurement).and_then(|(problem, solution)| check_estimate(estimator, &problem, &solution)) {
             Err(error) if error.class == Class::Use && solved == 0 => return Err(error),
             Ok(found) => broken.extend(found.into_iter().map(|law| format!("{what}: {law}"))),
             Err(error) => broken.push(format!("{what}: it fails: {error}")),
@@ -46,7 +46,7 @@ pub fn of_estimator(estimator: &dyn Estimate) -> Result<Vec<String>> {
 /// solution, in the order of the unknowns.
 ///
 /// Fails as the estimator does.
-pub fn of_estimate(estimator: &dyn Estimate, problem: &Problem, solution: &[f64]) -> Result<Vec<String>> {
+pub fn check_estimate(estimator: &dyn Estimate, problem: &Problem, solution: &[f64]) -> Result<Vec<String>> {
     let found = estimator.estimate(problem)?;
     let mut broken = Vec::new();
     if found.to_json()? != estimator.estimate(problem)?.to_json()? {
@@ -114,7 +114,7 @@ mod tests {
     use abbe_core::SetIndex;
 
     use super::*;
-    use crate::laws::of_observations;
+    use crate::laws::check_observations;
 
     #[test]
     fn the_virtual_measurements_keep_the_laws_and_hold_at_their_solutions() {
@@ -122,7 +122,7 @@ mod tests {
         for placement in [None, placed] {
             for origin in [[0.0; 3], [700.0, -300.0, 450.0]] {
                 let (problem, solution) = measured(&Measurement { placement, origin, reversed: false }).unwrap();
-                assert_eq!(of_observations(&problem.at(&solution), SetIndex(0)).unwrap(), Vec::<String>::new());
+                assert_eq!(check_observations(&problem.at(&solution), SetIndex(0)).unwrap(), Vec::<String>::new());
                 let residuals = problem.residuals(&solution).unwrap();
                 assert!(residuals.iter().all(|residual| residual.abs() < 1e-11), "{residuals:?}");
             }

@@ -1,10 +1,10 @@
 //! Laws that every model, artefact and estimator has to keep. They are used in tests of plugins, and by `abbe plugin check`.
 //!
-//! - [`of_model`]: derivatives of poses and of motion errors (so those of error families) agree with difference quotients; a
+//! - [`check_model`]: derivatives of poses and of motion errors (so those of error families) agree with difference quotients; a
 //!   pose does not depend on other poses of its batch; names are unique.
-//! - [`of_observations`]: derivatives of equations agree with difference quotients; rows do not depend on other rows of their
+//! - [`check_observations`]: derivatives of equations agree with difference quotients; rows do not depend on other rows of their
 //!   batch, nor on their order; names are unique.
-//! - [`of_estimator`]: the given errors are found again from exact data, for any order of rows, origin of the machine and
+//! - [`check_estimator`]: the given errors are found again from exact data, for any order of rows, origin of the machine and
 //!   position of the artefact; a second run gives the same bytes; uncertainties are those of the covariance.
 //!
 //! Each gives a sentence for every broken law; an empty list if all laws are kept. [`virtual_problem`] is a small machine
@@ -15,9 +15,9 @@ mod model;
 mod observations;
 mod virtual_machine;
 
-pub use estimator::{largest_derivatives, of_estimate, of_estimator};
-pub use model::{of_model, samples};
-pub use observations::of_observations;
+pub use estimator::{check_estimate, check_estimator, largest_derivatives};
+pub use model::{check_model, samples};
+pub use observations::check_observations;
 pub use virtual_machine::virtual_problem;
 
 use abbe_core::Parameter;

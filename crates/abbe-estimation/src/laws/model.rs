@@ -22,7 +22,7 @@ const TOLERANCE: f64 = 1e-5;
 /// - every parameter has a name of its own.
 ///
 /// A model may refuse orientations as a whole, but no pose within its range.
-pub fn of_model(model: &dyn KinematicModel) -> Vec<String> {
+pub fn check_model(model: &dyn KinematicModel) -> Vec<String> {
     let info = model.info();
     let mut broken = names(info.parameters.iter());
     if info.nominal.len() != info.parameters.len() || info.nominal_uncertainties.len() != info.parameters.len() {
@@ -84,7 +84,7 @@ pub fn samples(model: &dyn KinematicModel, poses: usize) -> (Vec<f64>, Vec<f64>)
                 StatusRole::Direction(_) => 1.0,
                 _ if column.quantity == Quantity::Label => 0.0,
                 _ => match column.absent {
-                    Absent::Taken(value) if value.is_finite() => value,
+                    Absent::Default(value) if value.is_finite() => value,
                     _ => part,
                 },
             });
@@ -296,13 +296,13 @@ mod tests {
 
     #[test]
     fn the_virtual_machine_keeps_the_laws() {
-        assert_eq!(of_model(&spoilt()), Vec::<String>::new());
+        assert_eq!(check_model(&spoilt()), Vec::<String>::new());
     }
 
     #[test]
     fn a_wrong_slope_is_found() {
         let spoil = |out: &mut PosesMut<'_>| out.position_derivatives.iter_mut().for_each(|by| by[0] *= 1.001);
-        let found = of_model(&Spoilt { spoil, ..spoilt() });
+        let found = check_model(&Spoilt { spoil, ..spoilt() });
         assert!(found[0].starts_with("the derivative of the position to EXX[1] is off by"), "{found:#?}");
     }
 
@@ -312,7 +312,7 @@ mod tests {
             let last = out.positions.len() - 1;
             out.positions[last][2] += if last > 0 { 1e-9 } else { 0.0 };
         };
-        let found = of_model(&Spoilt { spoil, ..spoilt() });
+        let found = check_model(&Spoilt { spoil, ..spoilt() });
         assert!(found.iter().any(|law| law.contains("another one alone")), "{found:#?}");
     }
 
@@ -320,7 +320,7 @@ mod tests {
     fn names_that_stand_twice_are_found() {
         let mut spoilt = spoilt();
         spoilt.info.parameters[1].name = "EXX[1]".to_owned();
-        assert_eq!(of_model(&spoilt), ["`EXX[1]` stands twice"]);
+        assert_eq!(check_model(&spoilt), ["`EXX[1]` stands twice"]);
     }
 
     #[test]
@@ -329,13 +329,13 @@ mod tests {
         status.info.status[0].role = StatusRole::Direction(3);
         axis.info.axes[2].status = 3;
         for spoilt in [status, axis] {
-            assert_eq!(of_model(&spoilt), ["an axis has no status, or a status is of an axis that is not there"]);
+            assert_eq!(check_model(&spoilt), ["an axis has no status, or a status is of an axis that is not there"]);
         }
     }
 
     #[test]
     fn a_coefficient_that_an_error_does_not_tell_is_found() {
-        let found = of_model(&Spoilt { silent: true, ..spoilt() });
+        let found = check_model(&Spoilt { silent: true, ..spoilt() });
         assert!(found[0].starts_with("the derivative of EXX to EXX[1] is"), "{found:#?}");
     }
 }

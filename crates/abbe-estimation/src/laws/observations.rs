@@ -18,7 +18,7 @@ const ALLOWED: f64 = 1e-5;
 /// - every row has as many equations as its layout says, and every name is unique.
 ///
 /// Fails where the machine has no pose in a row.
-pub fn of_observations(problem: &Problem, set: SetIndex) -> Result<Vec<String>> {
+pub fn check_observations(problem: &Problem, set: SetIndex) -> Result<Vec<String>> {
     let observations = &problem.sets[set];
     let inputs = observations.info().inputs.iter().map(|input| &input.parameter);
     let mut broken = names(observations.info().unknowns.iter().chain(inputs));

@@ -138,7 +138,7 @@ impl Machine {
             role: StatusRole::Command(axis),
             quantity: Quantity::Length,
             levels: Vec::new(),
-            absent: Absent::Refused,
+            absent: Absent::Required,
         };
         let function = |(axis, name): (usize, &str)| ErrorFunction {
             symbol: format!("E{name}{name}"),

@@ -4,7 +4,7 @@
 use std::cell::Cell;
 use std::convert::Infallible;
 
-use abbe_numerics::{Accumulator, End, LeastSquares, Options, Sink, Solution, Within, solve};
+use abbe_numerics::{Accumulator, End, LeastSquares, Options, Robust, Sink, Solution, Within, solve};
 
 use crate::problems::{Given, Linear, Linearised, Random, dot, given, norm};
 
@@ -343,4 +343,86 @@ fn who_does_not_converge_says_how_far_it_came() {
     assert_eq!((found.end, found.iterations), (End::IterationLimit, 5));
     // The next step is nearly all that is left of x, times 1 - rate.
     assert!(found.last_step > 0.01 && found.gradient_cosine > 1e-3, "{} {}", found.last_step, found.gradient_cosine);
+}
+
+/// A problem whose time is over after some evaluations.
+struct Limited<'a, P> {
+    problem: &'a P,
+    left: Cell<usize>,
+}
+
+#[derive(Debug, PartialEq)]
+struct OutOfTime;
+
+impl<P: LeastSquares<Error = Infallible>> LeastSquares for Limited<'_, P> {
+    type Error = OutOfTime;
+
+    fn is_final(&self, _: &OutOfTime) -> bool {
+        true
+    }
+
+    fn is_out_of_time(&self, _: &OutOfTime) -> bool {
+        true
+    }
+
+    fn unknowns(&self) -> usize {
+        self.problem.unknowns()
+    }
+
+    fn rows(&self) -> usize {
+        self.problem.rows()
+    }
+
+    fn linearise(&self, x: &[f64], sink: Sink<'_>) -> Result<(), OutOfTime> {
+        self.left.set(self.left.get().checked_sub(1).ok_or(OutOfTime)?);
+        let Ok(()) = self.problem.linearise(x, sink);
+        Ok(())
+    }
+}
+
+/// Whenever the time is over after the start, there is an iterate that is no worse than the start; with more time the same
+/// solution as without a limit. Plain, robust, and within some directions.
+#[test]
+fn a_fit_without_time_ends_with_its_last_iterate() {
+    let t = times(30);
+    let mut y: Vec<f64> = t.iter().map(|t| 2.5 * (0.7 * t).exp() + 0.01 * (7.0 * t).sin()).collect();
+    y[4] += 0.8;
+    let problem = exponential(&t, &y);
+    let start = [1.0, 0.1];
+    let cost = |x: &[f64]| (problem.at)(x).0.iter().map(|residual| residual * residual).sum::<f64>();
+    for robust in [None, Some(Robust::TUKEY)] {
+        for within in [false, true] {
+            let options = Options { robust, ..FULL };
+            let mut accumulator = Accumulator::new(2, 30);
+            let Ok(()) = problem.linearise(&start, &mut |_, residuals, rows| {
+                residuals.iter().zip(rows.chunks(2)).for_each(|(residual, row)| accumulator.push(row, *residual, 1.0));
+            });
+            let directions = accumulator.finish().spectrum().determined(2);
+            let solved = |evaluations: usize| {
+                let limited = Limited { problem: &problem, left: Cell::new(evaluations) };
+                if !within {
+                    return solve(&limited, &start, &options);
+                }
+                let within = Within { problem: &limited, origin: &start, directions: &directions };
+                let found = solve(&within, &[0.0, 0.0], &options)?;
+                Ok(Solution { x: within.place(&found.x), ..found })
+            };
+            assert_eq!(solved(0).err(), Some(OutOfTime));
+            let whole = solved(usize::MAX).expect("a solution");
+            assert_eq!(whole.end, End::Converged);
+            let mut ends = 0;
+            let needed = (1..10_000).find(|&evaluations| {
+                let found = solved(evaluations).expect("there is an iterate");
+                if found.end == End::Converged {
+                    assert_eq!(found.x, whole.x);
+                    return true;
+                }
+                assert_eq!(found.end, End::TimeLimit, "after {evaluations}");
+                assert!(found.iterations <= whole.iterations && cost(&found.x) <= cost(&start), "after {evaluations}");
+                ends += 1;
+                false
+            });
+            assert!(needed.is_some() && ends >= 5, "{ends} ends");
+        }
+    }
 }

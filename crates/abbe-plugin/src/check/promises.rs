@@ -58,7 +58,7 @@ pub(super) fn derivatives(library: &Library, findings: &mut Findings) {
             Err(error) if !error.fault => findings.skip(format!("orientations of `{name}`: {error}")),
             _ => {}
         }
-        laws::of_model(machine.as_ref()).iter().for_each(|law| findings.wrong(format!("`{name}`: {law}")));
+        laws::check_model(machine.as_ref()).iter().for_each(|law| findings.wrong(format!("`{name}`: {law}")));
     }
 }
 
@@ -69,7 +69,7 @@ pub(super) fn estimators(library: &Library, findings: &mut Findings) {
         let Ok(stage) = constructor.build(&plugin.example.get(), &Context { base: std::env::temp_dir() }) else {
             continue;
         };
-        match laws::of_estimator(stage.as_ref()) {
+        match laws::check_estimator(stage.as_ref()) {
             Ok(broken) => broken.iter().for_each(|law| findings.wrong(format!("`{}`: {law}", plugin.name))),
             Err(error) => findings.skip(format!("`{}`: {error}", plugin.name)),
         }

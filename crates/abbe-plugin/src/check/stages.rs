@@ -160,7 +160,7 @@ impl Plain {
             role: StatusRole::Command(axis),
             quantity: Quantity::Length,
             levels: Vec::new(),
-            absent: Absent::Refused,
+            absent: Absent::Required,
         };
         let (axes, status) = ((0..3).map(axis).collect(), (0..3).map(column).collect());
         Self(ModelInfo::new(axes, status, Vec::new(), json!({})))

@@ -24,8 +24,9 @@ pub fn serve(path: &Path, sha256: &str) -> Result<()> {
         objects: Mutex::default(),
         released: Mutex::default(),
         child: None,
+        words: None,
         who: "the program".to_owned(),
-        silence: Duration::MAX,
+        answer_timeout: Duration::MAX,
     });
     let library = load(path, Some(sha256));
     loop {

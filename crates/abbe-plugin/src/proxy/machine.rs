@@ -4,8 +4,8 @@ use std::collections::BTreeSet;
 use std::sync::Arc;
 
 use abbe_core::{
-    Axis, ErrorFunction, KinematicModel, ModelInfo, MotionError, Parameter, ParameterRole, Period, PoseBatch, Poses,
-    PosesMut, Result, StatusColumn, StatusRole,
+    Axis, ErrorFunction, KinematicModel, ModelInfo, MotionError, Parameter, ParameterRole, PeriodicError, PoseBatch,
+    Poses, PosesMut, Result, StatusColumn, StatusRole,
 };
 
 use super::{ask, finite};
@@ -91,7 +91,7 @@ fn check_machine(info: &ModelInfo) -> Result<(), String> {
     if let Some(function) = info.error_functions.iter().find(without) {
         return Err(format!("describes a machine whose error {} no parameter has the role of", function.symbol));
     }
-    let wrong = |period: &&Period| {
+    let wrong = |period: &&PeriodicError| {
         let named = period.parameters.iter().chain(&period.shapes);
         let outside = named.into_iter().any(|parameter| *parameter >= info.parameters.len());
         outside || period.axis >= info.axes.len() || !(period.length > 0.0 && period.length.is_finite())

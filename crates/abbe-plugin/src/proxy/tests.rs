@@ -41,7 +41,7 @@ impl Wave {
             role,
             quantity,
             levels: Vec::new(),
-            absent: Absent::Taken(absent),
+            absent: Absent::Default(absent),
         };
         let parameters = ["EXX[sin]", "EXX.wavelength"].map(|name| Parameter::new(name, Unit::MM));
         let [amplitude, wavelength] = parameters;
