@@ -154,7 +154,9 @@ pub fn scales() -> Result<Vec<(&'static str, f64, f64)>> {
                 "model": "serial-chain", "chain": "w b X Y Z t", "tool_length_mm": 0, "stylus_radius_mm": 0,
                 "errors": [{ "polynomial": ["EXX", "EYY", "EZZ"], "degrees": [1] }],
             },
-            "fit": { "estimate": "gauss-newton", "machine": "machine", "observations": ["points"], "parameters": ["E*"] },
+            "fit": { "estimate": "gauss-newton", "machine": "machine", "observations": ["points"], "parameters": ["E*"],
+                // Readings without noise have no scatter to judge by.
+                "trust_uncertainties": true },
         },
     });
     let folder = tempfile::tempdir().expect("a folder");

@@ -126,7 +126,7 @@ fn wrong_recipes_are_refused_with_place_and_help() {
         (
             "step_mm: 20",
             "step_mm: 99999999999999999999999999",
-            "r.yaml:9:48: stages.cnc.step_mm: JSON number out of range",
+            "r.yaml:9:48: stages.cnc.step_mm: the number is too large",
         ),
         ("step_mm: 20", "[a]: 20", "r.yaml:9:39: a key has to be text or a number"),
         ("stages:", "---\nstages:", "r.yaml:8:1: a second YAML document starts here; one was expected"),

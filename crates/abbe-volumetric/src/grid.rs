@@ -381,7 +381,7 @@ mod tests {
             (json!({ "points": { "X": 2, "Y": 0 } }), "points.Y: at least one point was expected"),
             (
                 json!({ "points": "many" }),
-                "points: a number of points, or a number for each axis by name, was expected",
+                "points: a whole number of points (1 to 1000000), or such a number for each axis by name, was expected",
             ),
             (json!({ "poses": [] }), "poses: at least one pose was expected"),
             (json!({ "step_deg": -1 }), "step_deg: a positive number was expected"),

@@ -363,7 +363,7 @@ fn what_cannot_be_calculated_is_refused() {
             json!({ "lobing": [{ "artefact": "rows", "amplitude_um": 1 }] }),
             "lobing[0].artefact: the rows of `rows` are no single touches",
         ),
-        (json!({ "threads": 0 }), "threads: at least one thread is needed"),
+        (json!({ "threads": 0 }), "threads: the number 0 was found; a whole number from 1 to 1024 was expected"),
     ];
     for (settings, expected) in cases {
         assert_eq!(trials(&settings, &fit).map(drop).unwrap_err(), expected);

@@ -176,7 +176,7 @@ mod tests {
             (json!({ "rows": "table", "folds": [[1], [2, 1]] }), "folds[1]: the label 1 is listed twice"),
             (
                 json!({ "rows": "table", "folds": "many" }),
-                "folds: a number of folds or a list of lists of labels was \
+                "folds: a whole number of folds (2 or more) or a list of lists of labels was \
                 expected",
             ),
             (json!({ "rows": "table" }), "the setting `folds` is missing"),

@@ -40,7 +40,7 @@ enum End {
     Marked,
     /// Refused because the data do not determine all.
     Refused,
-    /// It was refused for another reason: too few rows.
+    /// It was refused for another reason: too few rows, or no scatter.
     Other(String),
 }
 
@@ -204,8 +204,9 @@ fn judge(folder: &Path, registry: &Registry, wanted: &Wanted, kind: String) -> (
                 (false, true) if error.message.starts_with(&refused) => End::Refused,
                 (accepted, _) => {
                     let message = shortened(&error.message);
-                    let few = message.starts_with("# equations cannot") || message.contains("degrees of freedom");
-                    if !few {
+                    // Too few rows, or exact ones: nothing is said of what they determine.
+                    let words = ["# equations cannot", "degrees of freedom", "residuals are exactly zero"];
+                    if !words.iter().any(|words| message.contains(words)) {
                         broken.push(format!(
                             "check says rank {} of {} (condition {:.1e}, accepted: {accepted}), run fails: {}",
                             found.rank,

@@ -207,7 +207,10 @@ fn settings_and_data_that_make_no_sense_are_refused() {
     let cases = [
         (json!({}), either.clone()),
         (json!({ "rows": "table", "value": "d" }), either),
-        (json!({ "value": "d", "window": 1 }), "window: a window needs 2 measurements or more".into()),
+        (
+            json!({ "value": "d", "window": 1 }),
+            "window: the number 1 was found; a whole number from 2 to 1000000 was expected".into(),
+        ),
         (
             json!({ "value": "d", "limits": { "repeatability": 1 } }),
             "limits.repeatability: there is no figure `repeatability` to limit (did you mean `repeatability_um`?)"
