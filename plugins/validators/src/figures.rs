@@ -63,18 +63,21 @@ pub fn check_finite(key: &str, limit: &Limit) -> Result<(), SettingsError> {
     }
 }
 
-/// Sets the limits of the main figures. A limit of a figure that none of them is fails: what it asks for was not measured.
+/// Sets the limits of some of the main figures.
+pub fn apply_limits(limits: &Limits, figures: &mut [Figure]) {
+    for figure in figures.iter_mut().filter(|figure| !figure.detail) {
+        figure.set_limit(limits.get(&key(&figure.name, &figure.unit)).copied());
+    }
+}
+
+/// Sets the limits of all main figures. A limit of a figure that none of them is fails: what it asks for was not measured.
 pub fn set_limits(limits: &Limits, figures: &mut Vec<Figure>) {
+    apply_limits(limits, figures);
+    let Some(of) = figures.first().map(|figure| figure.of.clone()) else { return };
     for (limited, &limit) in limits {
-        let mut found = false;
-        for figure in figures.iter_mut().filter(|figure| !figure.detail && key(&figure.name, &figure.unit) == *limited)
-        {
-            figure.set_limit(Some(limit));
-            found = true;
-        }
-        if !found && let Some(of) = figures.first().map(|figure| figure.of.clone()) {
+        if !figures.iter().any(|figure| !figure.detail && key(&figure.name, &figure.unit) == *limited) {
             let (name, unit) = named(limited);
-            let mut absent = Figure { of, ..Figure::new("", name, f64::NAN, unit) };
+            let mut absent = Figure { of: of.clone(), ..Figure::new("", name, f64::NAN, unit) };
             absent.set_limit(Some(limit));
             figures.push(absent);
         }

@@ -15,7 +15,7 @@ use schemars::JsonSchema;
 use serde::Deserialize;
 use serde_json::{Value, json};
 
-use crate::figures::{Limits, ONE, Sample, UM, URAD, check_limits, key, outliers, set_limits};
+use crate::figures::{Limits, ONE, Sample, UM, URAD, apply_limits, check_limits, key, outliers};
 use crate::folds::set_of;
 
 abbe_core::register!(
@@ -274,9 +274,7 @@ impl Repeatability {
             let details = FIGURES.into_iter().zip(variability.values);
             findings.figures.extend(details.map(|(name, value)| new(format!("{name}[{label}]"), value, unit).detail()));
         }
-        let mut own = findings.figures.split_off(start);
-        set_limits(&self.settings.limits, &mut own);
-        findings.figures.extend(own);
+        apply_limits(&self.settings.limits, &mut findings.figures[start..]);
         Ok(())
     }
 

@@ -12,7 +12,7 @@ use schemars::JsonSchema;
 use serde::Deserialize;
 use serde_json::{Value, json};
 
-use crate::figures::{Limits, MM, ONE, Sample, UM, check_limits, outliers, set_limits};
+use crate::figures::{Limits, MM, ONE, Sample, UM, apply_limits, check_limits, outliers};
 use crate::folds::set_of;
 use crate::one_at_a_time::{Programme, Sensitivity};
 use crate::sphere_touches::Touches;
@@ -104,7 +104,7 @@ impl Validate for Sphericity {
             let values = fit.problem.starting_from(&fit.calibration).machine;
             let mut figures = Form::all(&touches, model, &values)?.figures(&fit.name, model.info().stylus_radius);
             figures.extend(skipped.map(|skipped| Figure::new(&fit.name, "outliers", skipped as f64, ONE)));
-            set_limits(&self.settings.limits, &mut figures);
+            apply_limits(&self.settings.limits, &mut figures);
             findings.figures.extend(figures);
             if let Some(sensitivity) = &self.settings.sensitivity {
                 self.single_errors(fit, sensitivity, &touches, &mut findings).map_err(|mut error| {
