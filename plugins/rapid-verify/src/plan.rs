@@ -157,9 +157,9 @@ impl Motion {
     }
 }
 
-/// Whether an axis can stand there, mm or rad.
+/// Whether an axis can stand there, mm or rad; one that turns without an end can stand anywhere.
 fn reaches(axis: &Axis, place: f64) -> bool {
-    axis.range.is_none_or(|[from, to]| (from - 1e-9..=to + 1e-9).contains(&place))
+    axis.endless || axis.range.is_none_or(|[from, to]| (from - 1e-9..=to + 1e-9).contains(&place))
 }
 
 /// Where an axis goes, and in which direction it moves there.
