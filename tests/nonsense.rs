@@ -192,3 +192,67 @@ fn copies_of_files_and_of_numbered_rows_are_told() {
     let remarks = planned.expect("a plan").remove(0).identifiability.remarks;
     assert!(remarks.iter().any(|remark| remark.contains("rows are in the data twice")), "{remarks:?}");
 }
+
+/// A facet with its normal turned round, and one at another place, fit as well as the truth; they are told after the fit.
+#[test]
+fn a_feature_that_is_elsewhere_is_told() {
+    let folder = temporary();
+    for (column, change) in [(6, -1.0), (5, 0.0)] {
+        let mut recipe = Variant::of(&recipes()["first-steps"]);
+        let text = read(&recipe.path("table", "nominal"));
+        let mut lines: Vec<Vec<String>> =
+            text.lines().map(|line| line.split(',').map(str::to_owned).collect()).collect();
+        let facet = lines.iter().position(|cells| cells[0] == "3").expect("a facet");
+        for cell in &mut lines[facet][4..=column] {
+            let value: f64 = cell.parse().expect("a number");
+            *cell = if change < 0.0 { format!("{}", -value) } else { cell.clone() };
+        }
+        if change == 0.0 {
+            // Along its normal.
+            for axis in 1..=3 {
+                let [place, normal] =
+                    [axis, axis + 3].map(|index| lines[facet][index].parse::<f64>().expect("a number"));
+                lines[facet][axis] = format!("{}", place + 5.0 * normal);
+            }
+        }
+        let text: String = lines.iter().map(|cells| cells.join(",") + "\n").collect();
+        fs::write(folder.path().join("facets.csv"), text).expect("a file");
+        recipe.stage("table")["nominal"] = json!(folder.path().join("facets.csv"));
+        let file = recipe.write(folder.path());
+        let printed = crate::support::abbe(folder.path(), &["run".as_ref(), file.as_os_str()]);
+        let said = printed.stderr.split_whitespace().collect::<Vec<_>>().join(" ");
+        assert!(said.contains("`table.facet[3].d` is off by"), "{said}");
+    }
+}
+
+#[test]
+fn nothing_is_exported_beyond_the_travel() {
+    let folder = temporary();
+    let mut recipe = Variant::of(&recipes()["first-steps"]);
+    recipe.stage("machine")["axes"] = json!({ "Y": { "range_mm": [-400, 400] } });
+    let export = |to: f64| {
+        let turn = json!({ "from_deg": -90, "to_deg": 90 });
+        let travel = json!({ "from_mm": 0, "to_mm": 400 });
+        let ranges = json!({ "Y": { "from_mm": -400, "to_mm": to }, "X": travel, "Z": travel, "B": turn, "C": turn });
+        json!({ "export": "error-table", "of": "fit", "ranges": ranges, "step_mm": 100, "step_deg": 90 })
+    };
+    for (to, refused) in [(430.0, false), (4000.0, true)] {
+        recipe.0["stages"]["cnc"] = export(to);
+        let file = recipe.write(folder.path());
+        let printed = crate::support::abbe(folder.path(), &["run".as_ref(), file.as_os_str()]);
+        assert_eq!(printed.stderr.contains("is beyond its travel of -400 to 400 mm"), refused, "{}", printed.stderr);
+    }
+}
+
+/// Lengths in another unit than their column says, while the angles are right.
+#[test]
+fn residuals_of_one_quantity_that_are_too_good_are_told() {
+    let folder = temporary();
+    let mut recipe = Variant::of(&recipes()["positioner"]);
+    let text = read(&recipe.path("seen", "path")).replace("x_mm,y_mm,z_mm", "x_um,y_um,z_um");
+    fs::write(folder.path().join("poses.csv"), text).expect("a file");
+    recipe.stage("seen")["path"] = json!(folder.path().join("poses.csv"));
+    let file = recipe.write(folder.path());
+    let printed = crate::support::abbe(folder.path(), &["run".as_ref(), file.as_os_str()]);
+    assert!(printed.stdout.contains("is the unit of the lengths right?"), "{}{}", printed.stdout, printed.stderr);
+}

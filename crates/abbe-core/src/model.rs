@@ -1,6 +1,7 @@
 //! Kinematic models: axes, status columns, parameters, and tool poses with derivatives in batches.
 
 use std::any::Any;
+use std::f64::consts::TAU;
 
 use serde::{Deserialize, Serialize};
 use serde_json::Value;
@@ -53,6 +54,20 @@ pub struct Axis {
     pub endless: bool,
     /// Index of the command among [`ModelInfo::status`].
     pub status: usize,
+}
+
+/// Part of the travel by which an axis may be beyond its ends: what is written of a machine is a little less than what it can do.
+const BEYOND: f64 = 0.1;
+
+impl Axis {
+    /// Where the axis may be said to stand, mm or rad: its range and a tenth more at both ends, a turn more where it turns around,
+    /// because controls count turns in different ways. None if it turns without an end, or if its range is not known.
+    pub fn reach(&self) -> Option<[f64; 2]> {
+        let [from, to] = self.range.filter(|_| !self.endless)?;
+        let turns_around = self.kind == AxisKind::Rotary && to - from >= TAU * (1.0 - 1e-9);
+        let more = if turns_around { TAU.max(BEYOND * (to - from)) } else { BEYOND * (to - from) };
+        Some([from - more, to + more])
+    }
 }
 
 /// What happens when the data have no column for a status.

@@ -4,23 +4,21 @@ use std::f64::consts::TAU;
 
 use abbe_core::{Axis, AxisKind, KinematicModel, ObservationSet, Result};
 
-/// Part of the travel by which commands may be beyond its ends: what is written of a machine is a little less than what it can do.
-const BEYOND: f64 = 0.1;
-
 /// Fails on the first row with a command that is no number or outside the range of its axis, unless the axis turns without an end.
 pub(crate) fn check_travel(set: &ObservationSet, model: &dyn KinematicModel) -> Result<()> {
     let layout = &set.info().layout;
     let ended = model.info().axes.iter().filter(|axis| !axis.endless);
     let limited: Vec<(&Axis, [f64; 2])> =
-        ended.map(|axis| (axis, axis.range.unwrap_or_else(|| anywhere(axis)))).collect();
+        ended.map(|axis| (axis, axis.reach().unwrap_or_else(|| anywhere(axis)))).collect();
     for row in &layout.rows {
         let Some(data_row) = row.data_row else { continue };
         for pose in row.pose_indices() {
             let status = layout.poses.row(pose);
-            for (axis, [from, to]) in &limited {
-                let (command, beyond) = (status[axis.status], beyond(axis, to - from));
-                if !(command >= from - beyond && command <= to + beyond) {
-                    let [command, from, to] = [command, *from, *to].map(|value| of_people(axis, value));
+            for (axis, reach) in &limited {
+                let command = status[axis.status];
+                if !(command >= reach[0] && command <= reach[1]) {
+                    let [from, to] = axis.range.unwrap_or(*reach);
+                    let [command, from, to] = [command, from, to].map(|value| of_people(axis, value));
                     let message = format!("{} stands at {command}, beyond its travel of {from} to {to}", axis.name);
                     let endless = if axis.kind == AxisKind::Rotary { ", or `endless: true`" } else { "" };
                     return Err(layout.data.error_at(data_row, message).help(format!(
@@ -32,12 +30,6 @@ pub(crate) fn check_travel(set: &ObservationSet, model: &dyn KinematicModel) -> 
         }
     }
     Ok(())
-}
-
-/// How far beyond its ends a command may be. An axis that turns around gets everywhere: how controls count its turns differs.
-fn beyond(axis: &Axis, travel: f64) -> f64 {
-    let turns_around = axis.kind == AxisKind::Rotary && travel >= TAU * (1.0 - 1e-9);
-    if turns_around { TAU.max(BEYOND * travel) } else { BEYOND * travel }
 }
 
 /// Where an axis may stand whose travel is not known: beyond that no machine goes.

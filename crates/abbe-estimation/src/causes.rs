@@ -82,9 +82,11 @@ fn alike(problem: &Problem, calibration: &Calibration, numbers: &[(String, f64)]
         for wanted in kinds {
             let own = info.unknowns.iter().zip(&info.start).filter(|(own, _)| kind(&own.name) == Some(wanted));
             let own = own.filter(|(own, _)| own.unit.of == Quantity::Length && own.unit.per.is_none());
-            let off: Vec<f64> = own
-                .filter_map(|(own, start)| Some(calibration.get(&format!("{}.{}", set.name, own.name))?.value - start))
-                .collect();
+            let found = own.filter_map(|(own, start)| {
+                Some((own.name.as_str(), calibration.get(&format!("{}.{}", set.name, own.name))?.value - start))
+            });
+            let (names, off): (Vec<&str>, Vec<f64>) = found.unzip();
+            sentences.extend(apart(&set.name, &names, &off));
             let count = off.len() as f64;
             let mean = off.iter().sum::<f64>() / count.max(1.0);
             let scatter = (off.iter().map(|off| (off - mean).powi(2)).sum::<f64>() / count.max(1.0)).sqrt();
@@ -103,6 +105,28 @@ fn alike(problem: &Problem, calibration: &Calibration, numbers: &[(String, f64)]
         }
     }
     sentences
+}
+
+/// Distance from all others of a feature that is told, mm, and in units of their median distance from each other's median.
+const APART: f64 = 1.0;
+const SPREADS_APART: f64 = 20.0;
+
+/// Features that are off by much more than most of their kind.
+fn apart(set: &str, names: &[&str], off: &[f64]) -> Option<String> {
+    let middle = |mut values: Vec<f64>| {
+        values.sort_by(f64::total_cmp);
+        values.get(values.len() / 2).copied()
+    };
+    let median = middle(off.to_vec()).filter(|_| off.len() > 2 * FEATURES)?;
+    let far: Vec<f64> = off.iter().map(|off| (off - median).abs()).collect();
+    let limit = APART.max(SPREADS_APART * middle(far.clone())?);
+    let found: Vec<String> = (names.iter().zip(off).zip(&far))
+        .filter(|(_, far)| **far > limit)
+        .map(|((name, off), _)| format!("`{set}.{name}` is off by {off:.3} mm"))
+        .collect();
+    let told = found.iter().take(FEATURES).cloned().collect::<Vec<_>>().join(", ");
+    let more = if found.len() > FEATURES { format!(" and {} more", found.len() - FEATURES) } else { String::new() };
+    (!found.is_empty()).then(|| format!("{told}{more}, the others are not: nominal places or normals may be wrong"))
 }
 
 /// The last part of the name of a feature's unknown: `d` of `facet[7].d`.

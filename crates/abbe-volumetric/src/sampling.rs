@@ -109,10 +109,20 @@ pub fn range_of(axis: &Axis, ranges: &Ranges, setting: &str) -> Result<(f64, f64
             AxisKind::Linear => (range.from_mm.zip(range.to_mm), "a linear axis"),
             AxisKind::Rotary => (range.from_deg.zip(range.to_deg), "a rotary axis"),
         };
-        return given.ok_or_else(|| {
+        let (from, to) = given.ok_or_else(|| {
             let message = format!("{name} is {kind}: `from_{unit}` and `to_{unit}` were expected");
             within(Error::usage(message), &[setting, name])
-        });
+        })?;
+        if let (Some(reach), Some(range)) = (axis.reach(), axis.range)
+            && (from < reach[0] * factor || to > reach[1] * factor)
+        {
+            let [first, last] = range.map(|end| rounded_position(end * factor));
+            let message = format!("{name} from {from} to {to} {unit} is beyond its travel of {first} to {last} {unit}");
+            let error =
+                Error::usage(message).help("nothing was measured there; if the machine goes there, widen its range");
+            return Err(within(error, &[setting, name]));
+        }
+        return Ok((from, to));
     }
     let of_axis = axis.range.map(|[from, to]| (rounded_position(from * factor), rounded_position(to * factor)));
     of_axis.ok_or_else(|| {

@@ -2,7 +2,7 @@
 
 use std::path::Path;
 
-use abbe_core::{Decision, Estimated, Figure, Fit, NullVector, Outlier, Owner, Status, Unit, Verdict};
+use abbe_core::{Decision, Estimated, Figure, Fit, NullVector, Outlier, Owner, Quantity, Status, Unit, Verdict};
 use abbe_engine::{Failure, Outcome, Planned};
 use abbe_recipe::Recipe;
 use serde_json::{Value, json};
@@ -215,8 +215,8 @@ fn unlikely_above(degrees_of_freedom: usize) -> f64 {
     MISSTATED * (1.0 - part + MILLIONTH * part.sqrt()).powf(1.5)
 }
 
-fn unlikely(fits: &[Fit]) -> Option<String> {
-    let fits = fits.iter().filter(|fit| {
+fn unlikely(all: &[Fit]) -> Option<String> {
+    let fits = all.iter().filter(|fit| {
         let report = &fit.calibration.fit;
         report.degrees_of_freedom > 0 && report.sigma > unlikely_above(report.degrees_of_freedom)
     });
@@ -228,8 +228,34 @@ fn unlikely(fits: &[Fit]) -> Option<String> {
             short(fit.calibration.fit.sigma)
         )
     });
-    let text: String = lines.collect();
+    let text: String = lines.chain(all.iter().filter_map(too_good)).collect();
     (!text.is_empty()).then(|| section("Hard to believe", &text))
+}
+
+/// Part of what was stated below which residuals of one quantity are not believed where those of another are as stated.
+const TOO_GOOD: f64 = 0.05;
+
+/// A fit whose residuals of lengths are far smaller than stated while those of angles are not, or the other way round: the unit of one of
+/// them is wrong. Where both are small the data are exact.
+fn too_good(fit: &Fit) -> Option<String> {
+    let stated = |wanted: Quantity| {
+        let rows = fit.problem.standard_uncertainties().into_iter().zip(fit.problem.quantities());
+        let squares: Vec<f64> = rows.filter(|(_, quantity)| *quantity == wanted).map(|(u, _)| u * u).collect();
+        (squares.iter().sum::<f64>() / squares.len().max(1) as f64).sqrt()
+    };
+    let report = &fit.calibration.fit;
+    let lengths = report.residual_rms_um * 1e-3 / stated(Quantity::Length);
+    let angles = report.residual_rms_urad? * 1e-6 / stated(Quantity::Angle);
+    let (small, other, part) =
+        if lengths < angles { ("lengths", "angles", lengths) } else { ("angles", "lengths", angles) };
+    let wrong = lengths.max(angles) > 10.0 * TOO_GOOD && part < TOO_GOOD && part.is_finite();
+    wrong.then(|| {
+        format!(
+            "  {}: the residuals of {small} are {} of what is stated, those of {other} are not: is the unit of the {small} right?\n",
+            fit.name,
+            short(part)
+        )
+    })
 }
 
 fn verdict(verdict: &Verdict) -> String {
