@@ -273,3 +273,46 @@ fn no_text_from_files_reaches_a_terminal_as_it_is() {
         assert!(error["error"]["message"].is_string(), "{error}");
     }
 }
+
+/// Nobody reads what is said: the status and the results are there all the same.
+#[cfg(target_os = "linux")]
+#[test]
+fn what_cannot_be_said_ends_nothing() {
+    let small = Small::new();
+    // Rows that are there twice are told before the end.
+    let touches = small.read("data/touches.csv");
+    let line = touches.lines().nth(3).expect("a row");
+    small.write("data/touches.csv", &format!("{touches}{line}\n"));
+    for (arguments, status) in [(&RUN[..], 0), (&["run", "no-such.yaml"], 2)] {
+        let full = fs::OpenOptions::new().write(true).open("/dev/full").expect("a full disk");
+        let mut run = program(small.folder.path(), arguments);
+        let ended = run.stdin(Stdio::null()).stdout(Stdio::null()).stderr(full).status().expect("the program starts");
+        assert_eq!(ended.code(), Some(status), "{arguments:?}");
+    }
+    assert!(small.path("out/recipe/run.json").is_file());
+}
+
+#[cfg(unix)]
+#[test]
+fn links_that_lead_nowhere_are_told() {
+    let small = Small::new();
+    std::os::unix::fs::symlink("nowhere", small.path("data/touches-2.csv")).expect("a link");
+    small.write(RECIPE, &SMALL.replace("data/touches.csv", "data/touches*.csv"));
+    refused(&small, &RUN, 2, &["touches-2.csv"]);
+}
+
+#[test]
+fn temperatures_are_those_of_a_workshop() {
+    let small = Small::new();
+    let lengths = small.read("data/lengths.csv");
+    for (temperature, status) in [("20.5", 0), ("-300.0", 1), ("293.15", 1)] {
+        let rows = lengths.lines().enumerate().map(|(index, line)| match index {
+            0 => format!("{line},T_degC\n"),
+            _ => format!("{line},{temperature}\n"),
+        });
+        small.write("data/lengths.csv", &rows.collect::<String>());
+        let printed = ended(&small, &RUN);
+        assert_eq!(printed.status, status, "{}", printed.stderr);
+        assert_eq!(printed.stderr.contains("a temperature from -100 to 200 °C was expected"), status == 1);
+    }
+}

@@ -128,6 +128,11 @@ fn broken_calibrations_are_refused_with_a_reason() {
         ("unknown_unit", text(|it| it["parameters"][0]["unit"] = json!("furlong"))),
         ("unknown_status", text(|it| it["parameters"][0]["status"] = json!("guessed"))),
         ("covariance_too_small", text(|it| it["covariance"]["rows"] = json!([[1e-4]]))),
+        ("names_twice_in_the_covariance", text(|it| it["covariance"]["order"] = json!(["dzt", "dzt"]))),
+        ("negative_variance", text(|it| it["covariance"]["rows"] = json!([[-1e-4, 0.0], [0.0, 1e-4]]))),
+        ("covariance_too_large", text(|it| it["covariance"]["rows"] = json!([[1e-4, 2e-4], [2e-4, 1e-4]]))),
+        ("another_uncertainty", text(|it| it["parameters"][0]["standard_uncertainty"] = json!(0.02))),
+        ("not_in_the_covariance", text(|it| it["covariance"] = json!({ "order": [], "rows": [] }))),
         ("covariance_not_square", text(|it| it["covariance"]["rows"] = json!([[1e-4, 0.0], [0.0]]))),
     ];
     let mut said = String::new();

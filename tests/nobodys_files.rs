@@ -139,3 +139,21 @@ fn a_run_that_fails_leaves_no_folder() {
         assert!(!small.path("new").exists());
     }
 }
+
+/// Runs that end at the same time write one after the other.
+#[test]
+fn two_runs_at_once_leave_the_results_of_one() {
+    let small = Small::new();
+    for _ in 0..6 {
+        let start = |_| {
+            let mut run = crate::support::program(small.folder.path(), &["run", "recipe.yaml", "--out", "out"]);
+            run.stdout(std::process::Stdio::null()).stderr(std::process::Stdio::null()).spawn().expect("a run")
+        };
+        let runs: Vec<_> = (0..3).map(start).collect();
+        for mut run in runs {
+            assert_eq!(run.wait().expect("it ends").code(), Some(0));
+        }
+        assert_eq!(fs::read_dir(small.path("out")).expect("a folder").count(), 1);
+        fs::remove_dir_all(small.path("out")).expect("it is removed");
+    }
+}

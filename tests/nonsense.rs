@@ -123,6 +123,7 @@ fn what_is_plausible_is_said_of_parameters_that_exist() {
     for (plausible, expected) in [
         (json!({ "mm": { "EX0Q": 1 } }), "`EX0Q` matches no parameter of the machine"),
         (json!({ "mm": { "EX0C": -1 } }), "a positive number was expected"),
+        (json!({ "mrad": { "EX0C": 1 } }), "`EX0C` is no error in mrad"),
         (json!({ "inch": {} }), "inch"),
     ] {
         let error = first_steps_with(same, &[], &plausible).err().expect("it is refused");
@@ -193,6 +194,35 @@ fn copies_of_files_and_of_numbered_rows_are_told() {
     assert!(remarks.iter().any(|remark| remark.contains("rows are in the data twice")), "{remarks:?}");
 }
 
+/// The same rows under two names, read by two stages, are twice in one estimate.
+#[test]
+fn lines_that_two_stages_read_are_told() {
+    let folder = temporary();
+    let mut recipe = Variant::of(&recipes()["first-steps"]);
+    for (copy, stage) in [("touches-again", "touches"), ("table-again", "table")] {
+        let settings = recipe.stage(stage).clone();
+        recipe.0["stages"][copy] = settings;
+    }
+    recipe.stage("table-again")["from"] = json!("touches-again");
+    recipe.stage("fit")["observations"] = json!(["table", "table-again"]);
+    let planned = prepare(&recipe.write(folder.path()), &registry()).and_then(|prepared| prepared.check());
+    let remarks = planned.expect("a plan").remove(0).identifiability.remarks;
+    assert!(remarks.iter().any(|remark| remark.contains("use the same 383 lines of a file")), "{remarks:?}");
+}
+
+/// Whoever takes most of what was measured for outliers is told.
+#[test]
+fn many_outliers_are_told() {
+    let folder = temporary();
+    let mut recipe = Variant::of(&recipes()["first-steps"]);
+    for (outlier_at, is_told) in [(0.05, true), (5.0, false)] {
+        recipe.stage("fit")["robust"] = json!({ "loss": "tukey", "outlier_at": outlier_at });
+        let file = recipe.write(folder.path());
+        let printed = crate::support::abbe(folder.path(), &["run".as_ref(), file.as_os_str()]);
+        assert_eq!(printed.stdout.contains("rows are outliers: "), is_told, "{}", printed.stdout);
+    }
+}
+
 /// A facet with its normal turned round, and one at another place, fit as well as the truth; they are told after the fit.
 #[test]
 fn a_feature_that_is_elsewhere_is_told() {
@@ -236,8 +266,10 @@ fn nothing_is_exported_beyond_the_travel() {
         let ranges = json!({ "Y": { "from_mm": -400, "to_mm": to }, "X": travel, "Z": travel, "B": turn, "C": turn });
         json!({ "export": "error-table", "of": "fit", "ranges": ranges, "step_mm": 100, "step_deg": 90 })
     };
-    for (to, refused) in [(430.0, false), (4000.0, true)] {
-        recipe.0["stages"]["cnc"] = export(to);
+    let grid = |at: f64| json!({ "export": "volumetric", "of": "fit", "grid": { "poses": [{ "Y_mm": at }] } });
+    let cases = [(export(430.0), false), (export(4000.0), true), (grid(430.0), false), (grid(4000.0), true)];
+    for (stage, refused) in cases {
+        recipe.0["stages"]["cnc"] = stage;
         let file = recipe.write(folder.path());
         let printed = crate::support::abbe(folder.path(), &["run".as_ref(), file.as_os_str()]);
         assert_eq!(printed.stderr.contains("is beyond its travel of -400 to 400 mm"), refused, "{}", printed.stderr);
@@ -255,4 +287,136 @@ fn residuals_of_one_quantity_that_are_too_good_are_told() {
     let file = recipe.write(folder.path());
     let printed = crate::support::abbe(folder.path(), &["run".as_ref(), file.as_os_str()]);
     assert!(printed.stdout.contains("is the unit of the lengths right?"), "{}{}", printed.stdout, printed.stderr);
+}
+
+/// What the program prints about the first steps with another standard uncertainty, in µm.
+fn told_with_uncertainty(uncertainty: f64) -> String {
+    let folder = temporary();
+    let mut recipe = Variant::of(&recipes()["first-steps"]);
+    recipe.stage("table")["standard_uncertainty_um"] = json!(uncertainty);
+    let file = recipe.write(folder.path());
+    crate::support::abbe(folder.path(), &["run".as_ref(), file.as_os_str()]).stdout
+}
+
+#[test]
+fn stated_uncertainties_that_are_too_large_are_told() {
+    for (uncertainty, is_told) in [(1.6, false), (4.0, false), (50.0, true), (1600.0, true)] {
+        let told = told_with_uncertainty(uncertainty);
+        assert_eq!(told.contains("these are too large, or nothing was measured"), is_told, "{uncertainty}: {told}");
+    }
+}
+
+/// Rows of wrong uncertainty make a robust fit leave out the only length, which `check` cannot know.
+#[test]
+fn what_robust_weights_leave_out_is_named() {
+    let folder = temporary();
+    let mut recipe = Variant::tango("realistic").only(&["fit-S3"]);
+    recipe.stage("table")["standard_uncertainty_um"] = json!(0.16);
+    let file = recipe.write(folder.path());
+    let printed = crate::support::abbe(folder.path(), &["run".as_ref(), file.as_os_str()]);
+    let said = printed.stderr.split_whitespace().collect::<Vec<_>>().join(" ");
+    assert!(said.contains("robust weights leave out") && said.contains("without `robust` the run says more"), "{said}");
+}
+
+/// A fit that explains nothing has large uncertainties: they do not excuse large errors.
+#[test]
+fn large_errors_with_large_uncertainties_do_not_pass() {
+    let mut number = 0_u32;
+    let noisy = |name: &str, value: f64| {
+        number += 1;
+        // Noise of 20 mm that is no error of a machine.
+        let noise = f64::from(number.wrapping_mul(2_654_435_761) >> 8) / f64::from(1_u32 << 24) - 0.5;
+        match name {
+            "Z_mm" => value + 40.0 * noise,
+            "Y_mm" => 1.06 * value,
+            _ => value,
+        }
+    };
+    let noisy = std::cell::RefCell::new(noisy);
+    let failed = first_steps(|name, value| (noisy.borrow_mut())(name, value), &[]);
+    let errors: Vec<String> = match failed {
+        Err(error) => vec![error.message],
+        Ok(outcome) => outcome.failures.iter().map(|failure| failure.error.message.clone()).collect(),
+    };
+    assert!(errors.iter().any(|message| message.contains("no machine has such errors")), "{errors:?}");
+}
+
+#[test]
+fn data_that_a_validator_does_not_read_are_refused() {
+    let folder = temporary();
+    let mut recipe = Variant::of(&recipes()["first-steps"]);
+    recipe.stage("judge")["from"] = json!("touches");
+    let error = prepare(&recipe.write(folder.path()), &registry()).and_then(|prepared| prepared.check()).unwrap_err();
+    assert!(error.message.contains("it reads no data of its own"), "{error}");
+}
+
+#[test]
+fn data_of_validators_are_within_the_travel() {
+    let folder = temporary();
+    let mut recipe = Variant::of(&recipes()["sphere-hu40t"]);
+    let text = read(&recipe.path("strategy-2", "path"));
+    let (header, rows) = text.split_once('\n').expect("a header");
+    let place = header.split(',').position(|name| name == "Y_mm").expect("a column");
+    let moved = |row: &str| {
+        let mut cells: Vec<String> = row.split(',').map(str::to_owned).collect();
+        cells[place] = format!("{}", cells[place].parse::<f64>().expect("a number") + 3000.0);
+        cells.join(",") + "\n"
+    };
+    let moved: String = rows.lines().map(moved).collect();
+    fs::write(folder.path().join("moved.csv"), format!("{header}\n{moved}")).expect("a file");
+    recipe.stage("strategy-2")["path"] = json!(folder.path().join("moved.csv"));
+    let error = prepare(&recipe.write(folder.path()), &registry())
+        .and_then(|prepared| prepared.run(&Monitor::default()))
+        .err()
+        .expect("it is refused");
+    let message = error.to_string();
+    assert!(message.contains("moved.csv:2") && message.contains("beyond its travel"), "{message}");
+}
+
+#[test]
+fn balls_at_the_same_place_have_no_distance() {
+    let folder = temporary();
+    let mut recipe = Variant::of(&recipes()["samba"]);
+    let stages = recipe.0["stages"].as_object().expect("stages");
+    let (name, balls) = stages.iter().find(|(_, stage)| stage.get("distances").is_some()).expect("distances");
+    let (name, nominal) = (name.clone(), balls["nominal"].as_str().expect("a file").to_owned());
+    let text = read(std::path::Path::new(&nominal));
+    let one = text.lines().find(|line| line.starts_with("25,")).expect("ball 25").to_owned();
+    let same = |line: &str| if line.starts_with("26,") { one.replacen("25,", "26,", 1) } else { line.to_owned() };
+    let text: String = text.lines().map(|line| same(line) + "\n").collect();
+    fs::write(folder.path().join("balls.csv"), text).expect("a file");
+    recipe.stage(&name)["nominal"] = json!(folder.path().join("balls.csv"));
+    let error = prepare(&recipe.write(folder.path()), &registry()).and_then(|prepared| prepared.check()).unwrap_err();
+    assert!(error.message.contains("balls 25 and 26 have the same nominal centre"), "{error}");
+}
+
+/// A calibration that is marked, and one that contradicts its machine, are not built upon.
+#[test]
+fn absurd_calibrations_are_not_read() {
+    let small = crate::support::Small::new();
+    assert_eq!(small.abbe(&["run", "recipe.yaml", "--out", "out"]).status, 0);
+    let stages = "  saved: { estimate: calibration, path: changed.json }\n  table-of-errors: { export: error-table, of: saved, step_mm: 100, step_deg: 30 }\n";
+    small.write("again.yaml", &format!("abbe: 1\nname: Saved\nstages:\n{stages}"));
+    let saved = crate::support::json_file(&small.path("out/recipe/fine.calibration.json"));
+    type Change = fn(&mut Value);
+    let cases: [(Change, &str); 4] = [
+        (|_| {}, ""),
+        (
+            |it| it["fit"]["implausible"] = json!([{ "name": "EX0C", "size": 30.0, "plausible": 10.0 }]),
+            "this calibration is marked",
+        ),
+        (|it| it["parameters"][0]["unit"] = json!("s"), "its unit is s"),
+        (|it| it["parameters"][0]["name"] = json!("EXX[9]"), "no such parameter"),
+    ];
+    for (change, expected) in cases {
+        let mut changed = saved.clone();
+        // The first parameter that is not estimated: its uncertainty stands nowhere else.
+        let fixed = changed["parameters"].as_array_mut().expect("parameters");
+        fixed.sort_by_key(|one| one["status"] != json!("fixed"));
+        change(&mut changed);
+        small.write("changed.json", &changed.to_string());
+        let printed = small.abbe(&["run", "again.yaml", "--out", "again"]);
+        assert_eq!(printed.status == 0, expected.is_empty(), "{expected}: {}", printed.stderr);
+        assert!(printed.stderr.contains(expected), "{expected}: {}", printed.stderr);
+    }
 }

@@ -698,3 +698,30 @@ fn programs_that_would_harm_are_not_written() {
     let told = failure(recipe("three-axis", "realistic").set("siemens", "nominal", json!(turned)));
     assert!(told.contains("leads away from the facet of point"), "{told}");
 }
+
+/// A run that was probed with another stylus, or from another side, is no run of this baseline.
+#[test]
+fn runs_are_probed_as_the_baseline_was() {
+    let folder = temporary();
+    for (column, value) in [("stylus", "2"), ("approach", "+X"), ("dir_X", "-1")] {
+        let mut recipe = recipe("three-axis", "realistic");
+        let text = read(&recipe.path("today", "path"));
+        let (header, rows) = text.split_once('\n').expect("a header");
+        let place = header.split(',').position(|name| name == column).expect("a column");
+        let change = |row: &str| {
+            let mut cells: Vec<&str> = row.split(',').collect();
+            cells[place] = value;
+            cells.join(",") + "\n"
+        };
+        let file = folder.path().join("verify-2.csv");
+        write(&file, &format!("{header}\n{}", rows.lines().map(change).collect::<String>()));
+        recipe.stage("today")["path"] = json!(file);
+        let error = abbe_engine::prepare(&recipe.write(folder.path()), &registry())
+            .and_then(|prepared| prepared.run(&abbe_core::Monitor::default()));
+        let said = match error {
+            Err(error) => error.to_string(),
+            Ok(outcome) => outcome.failures.iter().map(|failure| failure.error.to_string()).collect(),
+        };
+        assert!(said.contains("verify-2.csv:2") && said.contains(&format!("is probed with {column}")), "{said}");
+    }
+}

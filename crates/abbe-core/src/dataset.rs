@@ -128,6 +128,19 @@ impl Dataset {
 /// The error for a column that is not there, with the nearest that is.
 pub(crate) fn missing_column(file: Option<&PathBuf>, name: &str, headers: &[ColumnHeader]) -> Error {
     let (base, ..) = Quantity::of_column(name);
+    let in_file = |error: Error| match file {
+        Some(file) => error.in_file(file),
+        None => error,
+    };
+    if let Some(other) = headers.iter().find(|header| header.name == name || header.header == name) {
+        let wrong = |is: &str, expected: &str| {
+            Error::usage(format!("the column `{}` has {is}; {expected} were expected", other.header))
+        };
+        return in_file(match other.quantity {
+            Quantity::Label => wrong("labels", "numbers").help("names of numbers end in their unit: `X_mm`, `B_deg`"),
+            _ => wrong("numbers", "labels"),
+        });
+    }
     let near = nearest(base, headers.iter().map(|header| header.name.as_str()));
     let near = near.and_then(|near| headers.iter().find(|header| header.name == near));
     let mut error = Error::usage(format!("there is no column `{name}`; the columns are {}", list(headers)));
@@ -135,13 +148,18 @@ pub(crate) fn missing_column(file: Option<&PathBuf>, name: &str, headers: &[Colu
         && let Some(other) = [';', '\t'].into_iter().find(|other| only.header.contains(*other))
     {
         error = error.help(format!("the cells seem to be separated by {other:?}; commas were expected"));
+    } else if let Some(other) = headers.iter().find(|header| has_unit_of_its_own(&header.header, base)) {
+        error = error.help(format!("is it `{}`? Names end in the unit: `X_mm`, `B_deg`", other.header));
     } else if let Some(near) = near {
         error = error.help(format!("did you mean `{}`?", near.header));
     }
-    match file {
-        Some(file) => error.in_file(file),
-        None => error,
-    }
+    in_file(error)
+}
+
+/// Whether a header is a name with a unit that is not read: `X [mm]`, `X_inch`.
+fn has_unit_of_its_own(header: &str, name: &str) -> bool {
+    let rest = header.strip_prefix(name).unwrap_or("");
+    rest.starts_with([' ', '_', '(', '[', '/', '-', '.'])
 }
 
 fn list(headers: &[ColumnHeader]) -> String {

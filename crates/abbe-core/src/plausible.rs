@@ -2,7 +2,7 @@
 
 use std::collections::BTreeMap;
 
-use abbe_settings::{Error, PathItem, Result, SettingsError, matches, positive};
+use abbe_settings::{Error, PathItem, Quantity, Result, SettingsError, matches, positive};
 use schemars::JsonSchema;
 use serde::Deserialize;
 
@@ -35,14 +35,19 @@ impl Plausible {
         self.all().try_for_each(|(path, bound)| positive("", bound).map(drop).map_err(|error| error.under(at(path))))
     }
 
-    /// Fails if a pattern matches no parameter of the machine.
+    /// Fails if a pattern matches no parameter of the machine that makes errors of this quantity.
     pub fn check_names(&self, problem: &Problem) -> Result<()> {
-        let names = || problem.model.info().parameters.iter().map(|parameter| parameter.name.as_str());
-        let Some((path, _)) = self.all().find(|([_, pattern], _)| !names().any(|name| matches(pattern, name))) else {
-            return Ok(());
+        let parameters = || problem.model.info().parameters.iter();
+        let has_one = |[key, pattern]: [&str; 2], any: bool| {
+            let quantity = if key == "mm" { Quantity::Length } else { Quantity::Angle };
+            parameters().any(|parameter| matches(pattern, &parameter.name) && (any || parameter.unit.of == quantity))
         };
-        let mut error =
-            Error::usage(format!("`{}` matches no parameter of the machine", path[1])).suggest(path[1], names());
+        let Some((path, _)) = self.all().find(|(path, _)| !has_one(*path, false)) else { return Ok(()) };
+        let names = parameters().map(|parameter| parameter.name.as_str());
+        let mut error = match has_one(path, true) {
+            true => Error::usage(format!("`{}` is no error in {}: it belongs under the other unit", path[1], path[0])),
+            false => Error::usage(format!("`{}` matches no parameter of the machine", path[1])).suggest(path[1], names),
+        };
         error.setting = ["plausible"].iter().chain(&path).map(|key| PathItem::Key((*key).to_owned())).collect();
         Err(error)
     }

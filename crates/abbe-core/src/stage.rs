@@ -137,6 +137,11 @@ pub trait Validate: Send + Sync {
         false
     }
 
+    /// Whether it reads data of its own (the reference `from`).
+    fn accepts_data(&self) -> bool {
+        false
+    }
+
     /// Whether it needs the rows of an estimate, or repeats the estimate. It cannot judge a calibration without rows, unless
     /// it gets other observations.
     fn needs_rows(&self) -> bool {

@@ -11,6 +11,10 @@ use crate::staging::{Staging, can_write, unwritable};
 
 /// Fails early if a new folder cannot be written at `out`. `out` has to be empty or not to exist.
 pub fn can_write_folder(out: &Path) -> Result<()> {
+    if out.is_symlink() && !out.is_dir() {
+        return Err(Error::data(format!("{} is a link that leads to no folder", out.display()))
+            .help("remove it, or name another folder with `--out`"));
+    }
     let is_empty = || fs::read_dir(out).is_ok_and(|mut entries| entries.next().is_none());
     if out.exists() && !is_empty() {
         return Err(Error::data(format!("{} is there already and not empty", out.display()))
@@ -22,8 +26,10 @@ pub fn can_write_folder(out: &Path) -> Result<()> {
 /// Writes files, whose names are relative to it, into the folder `out`.
 pub(crate) fn write_folder(out: &Path, files: &BTreeMap<PathBuf, Vec<u8>>) -> Result<()> {
     can_write_folder(out)?;
-    let parent = parent(out);
-    let failed = |error: io::Error| unwritable(parent, &error);
+    let failed = |error: io::Error| unwritable(parent(out), &error);
+    // Where a link stands, the folder that it leads to is written.
+    let place = if out.is_symlink() { fs::canonicalize(out).map_err(failed)? } else { out.to_owned() };
+    let (out, parent) = (place.as_path(), parent(&place));
     let staging = Staging::new(parent)?;
     for (name, content) in files {
         staging.write(name, content).map_err(failed)?;

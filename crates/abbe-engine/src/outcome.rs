@@ -12,7 +12,7 @@ use serde::Serialize;
 use crate::prepare::Prepared;
 use crate::record::{FailureRecord, FileRecord, PluginRecord, RUN_FORMAT, RunRecord, sha256};
 use crate::results::{RECORD, ResultFolder};
-use crate::staging::{Staging, can_write, unwritable};
+use crate::staging::{Staging, can_write, turn, unwritable};
 
 /// Everything that a run found, in memory.
 pub struct Outcome {
@@ -85,7 +85,9 @@ impl Outcome {
             staging.write(name, content).map_err(unwritable)?;
         }
         staging.write(Path::new(RECORD), json(&record)?.as_bytes()).map_err(unwritable)?;
-        folder.replace_by(staging)?;
+        // Another run may have written the folder in the meantime.
+        let _turn = turn(folder.parent());
+        ResultFolder::new(&target, &self.input_files)?.replace_by(staging)?;
         Ok(target)
     }
 

@@ -171,6 +171,10 @@ impl Prepared {
                         format!("`{}` judges what its estimates observe; it takes no other observations", stage.plugin);
                     return Err(Error::usage(message).setting("observations"));
                 }
+                if !stage.reference("from").is_empty() && !self.validators[&stage.name].accepts_data() {
+                    let message = format!("`{}` judges estimates; it reads no data of its own", stage.plugin);
+                    return Err(Error::usage(message).setting("from"));
+                }
                 for fit in stage.reference("of") {
                     let estimate = self.own_estimate(fit)?;
                     if others.is_empty() && !has_rows(&estimate) && self.validators[&stage.name].needs_rows() {

@@ -22,6 +22,12 @@ impl Recalled {
     pub fn new(stage: &Stage, estimator: &dyn Estimate, registry: &Registry) -> Result<Self> {
         let found = || {
             let mut calibration = estimator.recall()?;
+            if let Some(worst) = calibration.fit.implausible.first() {
+                let message = format!("this calibration is marked: no machine has errors like its `{}`", worst.name);
+                return Err(
+                    Error::data(message).help("correct the recipe that it comes from, or widen `plausible` there")
+                );
+            }
             calibration.estimate.clone_from(&stage.name);
             let plugin = registry.find(Kind::Model, &calibration.model.plugin);
             let plugin = plugin.map_err(|error| Error::data(format!("the model of this calibration: {error}")))?;
@@ -110,6 +116,17 @@ pub(crate) fn fit_without_rows(
     estimator: Arc<dyn Estimate>,
 ) -> Result<Fit> {
     let (name, plugin) = (calibration.estimate.clone(), calibration.model.plugin.clone());
+    for parameter in &calibration.parameters {
+        let of_model = model.info().parameters.iter().find(|known| known.name == parameter.name);
+        let wrong = match of_model {
+            None => "the model of the calibration has no such parameter".to_owned(),
+            Some(known) if known.unit.to_string() != parameter.unit => {
+                format!("its unit is {}, and in the model of the calibration {}", parameter.unit, known.unit)
+            }
+            Some(_) => continue,
+        };
+        return Err(Error::data(format!("`{}`: {wrong}", parameter.name)));
+    }
     let problem = Problem::new(&name, &plugin, model, Vec::new(), &["*".to_owned()])?;
     let estimated = |unknown: &Unknown| {
         let found = calibration.parameters.iter().find(|parameter| parameter.name == unknown.name);

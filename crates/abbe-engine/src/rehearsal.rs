@@ -18,6 +18,7 @@ use crate::prediction::{Predicted, predicting};
 use crate::prepare::Prepared;
 use crate::recalled::fit_without_rows;
 use crate::run::{Datasets, has_rows, named};
+use crate::travel::in_travel;
 
 /// An estimator that solves nothing.
 struct Unsolved {
@@ -93,6 +94,7 @@ impl Prepared {
                 of.iter().filter_map(other).collect::<Result<_>>().or_else(|error| self.located(stage, Err(error)))?;
             let judged: Vec<&Fit> = if others.is_empty() { of } else { others.iter().collect() };
             let evidence: Vec<_> = stage.reference("from").iter().map(|name| data[name].as_ref()).collect();
+            self.located(stage, in_travel(&judged, &evidence))?;
             let said = self.validators[&stage.name].validate(&judged, &evidence).map(drop);
             self.located(stage, unless_by_value(said))?;
         }

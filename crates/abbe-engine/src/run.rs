@@ -20,7 +20,7 @@ use crate::prepare::{Prepared, build_model};
 use crate::recalled::fit_without_rows;
 use crate::record::{FileRecord, input_records, twins};
 use crate::row_settings::Wanted;
-use crate::travel::check_travel;
+use crate::travel::{check_travel, in_travel};
 
 /// Identifiability of a planned fit.
 #[derive(Debug, Clone, PartialEq)]
@@ -180,6 +180,7 @@ impl Prepared {
             let others = others.collect::<Result<Vec<Fit>>>()?;
             let judged: Vec<&Fit> = if others.is_empty() { fits } else { others.iter().collect() };
             let evidence: Vec<&Dataset> = stage.reference("from").iter().map(|name| data[name].as_ref()).collect();
+            self.located(stage, in_travel(&judged, &evidence))?;
             let mut findings = self.located(stage, self.validators[&stage.name].validate(&judged, &evidence))?;
             let tables = std::mem::take(&mut findings.tables);
             let files = tables.into_iter().map(|(name, text)| ExportedFile { name, content: text.into_bytes() });

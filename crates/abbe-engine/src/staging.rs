@@ -3,9 +3,10 @@
 //! The owner of a temporary folder holds a lock on it, which the system releases when the process ends, however it ends. So the next
 //! run can tell what a killed one has left, and removes it.
 
-use std::fs::{self, File};
+use std::fs::{self, File, TryLockError};
 use std::io;
 use std::path::{Path, PathBuf};
+use std::time::Duration;
 
 use abbe_core::{Error, Result};
 
@@ -25,6 +26,8 @@ impl Staging {
     pub fn new(parent: &Path) -> Result<Self> {
         let failed = |error: io::Error| unwritable(parent, &error);
         let made = MadeFolders::new(parent).map_err(failed)?;
+        // Nobody takes the new folder for an abandoned one before it has its lock.
+        let _turn = turn(parent);
         remove_abandoned(parent).map_err(failed)?;
         let folder = temporary(parent).map_err(failed)?;
         let lock = locked(folder.path());
@@ -73,7 +76,11 @@ fn temporary(parent: &Path) -> io::Result<tempfile::TempDir> {
 
 /// The error that results cannot be written.
 pub(crate) fn unwritable(out: &Path, error: &io::Error) -> Error {
-    Error::data(format!("the results cannot be written to {}: {error}", out.display()))
+    let why = match error.kind() {
+        io::ErrorKind::AlreadyExists => "it is, or lies in, something that is no folder".to_owned(),
+        _ => error.to_string(),
+    };
+    Error::data(format!("the results cannot be written to {}: {why}", out.display()))
         .help("name another folder with `--out`")
 }
 
@@ -112,6 +119,23 @@ fn locked(folder: &Path) -> Option<File> {
     let folder = File::open(folder).ok()?;
     folder.try_lock().ok()?;
     Some(folder)
+}
+
+/// How often, and how long after each other, a turn is asked for.
+const ASKED: usize = 200;
+const PAUSE: Duration = Duration::from_millis(50);
+
+/// A lock on a folder that several runs write into, for the moment in which only one may; none if it cannot be had.
+pub(crate) fn turn(folder: &Path) -> Option<File> {
+    let folder = File::open(folder).ok()?;
+    for _ in 0..ASKED {
+        match folder.try_lock() {
+            Ok(()) => return Some(folder),
+            Err(TryLockError::WouldBlock) => std::thread::sleep(PAUSE),
+            Err(TryLockError::Error(_)) => return None,
+        }
+    }
+    None
 }
 
 /// Whether a folder has a name that [`temporary`] gives; what somebody else calls alike has hardly the same length.

@@ -2,7 +2,7 @@
 
 use std::f64::consts::TAU;
 
-use abbe_core::{Axis, AxisKind, KinematicModel, ObservationSet, Result};
+use abbe_core::{Axis, AxisKind, DataRow, Dataset, Fit, KinematicModel, ObservationSet, Result};
 
 /// Fails on the first row with a command that is no number or outside the range of its axis, unless the axis turns without an end.
 pub(crate) fn check_travel(set: &ObservationSet, model: &dyn KinematicModel) -> Result<()> {
@@ -16,20 +16,47 @@ pub(crate) fn check_travel(set: &ObservationSet, model: &dyn KinematicModel) -> 
             let status = layout.poses.row(pose);
             for (axis, reach) in &limited {
                 let command = status[axis.status];
-                if !(command >= reach[0] && command <= reach[1]) {
-                    let [from, to] = axis.range.unwrap_or(*reach);
-                    let [command, from, to] = [command, from, to].map(|value| of_people(axis, value));
-                    let message = format!("{} stands at {command}, beyond its travel of {from} to {to}", axis.name);
-                    let endless = if axis.kind == AxisKind::Rotary { ", or `endless: true`" } else { "" };
-                    return Err(layout.data.error_at(data_row, message).help(format!(
-                        "look for a wrong column or unit; if the machine goes there, widen the range of {} in the model{endless}",
-                        axis.name
-                    )));
+                if let Some((message, help)) = beyond(axis, *reach, command) {
+                    return Err(layout.data.error_at(data_row, message).help(help));
                 }
             }
         }
     }
     Ok(())
+}
+
+/// Fails if data that a validator judges are beyond the travel of a machine that it judges.
+pub(crate) fn in_travel(fits: &[&Fit], data: &[&Dataset]) -> Result<()> {
+    fits.iter().try_for_each(|fit| data.iter().try_for_each(|data| check_data(data, fit.problem.model.as_ref())))
+}
+
+/// Fails on the first row of data that validators judge, as [`check_travel`].
+fn check_data(data: &Dataset, model: &dyn KinematicModel) -> Result<()> {
+    for axis in model.info().axes.iter().filter(|axis| !axis.endless) {
+        let reach = axis.reach().unwrap_or_else(|| anywhere(axis));
+        for (row, &command) in DataRow::first(data.rows()).zip(data.numbers(&axis.name).unwrap_or_default()) {
+            if let Some((message, help)) = beyond(axis, reach, command) {
+                return Err(data.error_at(row, message).help(help));
+            }
+        }
+    }
+    Ok(())
+}
+
+/// What is wrong with a command, and what to do; none if the axis goes there.
+fn beyond(axis: &Axis, reach: [f64; 2], command: f64) -> Option<(String, String)> {
+    if command >= reach[0] && command <= reach[1] {
+        return None;
+    }
+    let [from, to] = axis.range.unwrap_or(reach);
+    let [command, from, to] = [command, from, to].map(|value| of_people(axis, value));
+    let message = format!("{} stands at {command}, beyond its travel of {from} to {to}", axis.name);
+    let endless = if axis.kind == AxisKind::Rotary { ", or `endless: true`" } else { "" };
+    let help = format!(
+        "look for a wrong column or unit; if the machine goes there, widen the range of {} in the model{endless}",
+        axis.name
+    );
+    Some((message, help))
 }
 
 /// Where an axis may stand whose travel is not known: beyond that no machine goes.
@@ -48,6 +75,6 @@ fn of_people(axis: &Axis, value: f64) -> String {
     }
 }
 
-fn rounded(value: f64) -> f64 {
-    (value * 1e6).round() / 1e6
+fn rounded(value: f64) -> String {
+    if value.abs() < 1e12 { format!("{}", (value * 1e6).round() / 1e6) } else { format!("{value:e}") }
 }

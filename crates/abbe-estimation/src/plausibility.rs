@@ -83,7 +83,9 @@ pub fn large_errors(plausible: &Plausible, problem: &Problem, calibration: &Cali
     };
     let unknowns: Vec<Unknown> = problem.unknowns.iter().filter(estimated).cloned().collect();
     let values = |unknown: &Unknown| {
-        calibration.get(&unknown.name).map_or((0.0, 0.0), |found| (found.value, found.standard_uncertainty))
+        // A fit that explains nothing has large uncertainties, which are no excuse for large errors.
+        let scale = calibration.fit.sigma.max(1.0);
+        calibration.get(&unknown.name).map_or((0.0, 0.0), |found| (found.value, found.standard_uncertainty / scale))
     };
     judged(plausible, &problem.at(&problem.values_of(calibration)), &unknowns, values)
 }

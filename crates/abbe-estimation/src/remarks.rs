@@ -2,7 +2,7 @@
 
 use std::collections::{BTreeMap, BTreeSet};
 
-use abbe_core::{Column, DataRow, Owner, ParameterRole, Problem, Quantity, SetIndex, Values};
+use abbe_core::{Column, DataRow, Owner, ParameterRole, Problem, Quantity, RowIndex, SetIndex, Values};
 
 use crate::aliasing::aliased;
 
@@ -15,6 +15,7 @@ pub fn remarks(problem: &Problem) -> Vec<String> {
     let mut remarks = aliased(problem);
     remarks.extend(forgotten(problem));
     remarks.extend(repeated(problem));
+    remarks.extend(shared(problem));
     remarks.extend(missed(problem));
     remarks
 }
@@ -50,6 +51,31 @@ fn repeated(problem: &Problem) -> Vec<String> {
         ));
     }
     remarks
+}
+
+/// Observations that two artefact stages make of the same lines: what misses contact by the same at the start is the same measurement.
+fn shared(problem: &Problem) -> Vec<String> {
+    let Ok(residuals) = problem.residuals(&problem.start()) else { return Vec::new() };
+    let mut rows: BTreeMap<(SetIndex, RowIndex), Vec<u64>> = BTreeMap::new();
+    for (row, residual) in problem.equation_rows().into_iter().zip(residuals) {
+        rows.entry(row).or_default().push(residual.to_bits());
+    }
+    let (mut first, mut pairs) = (BTreeMap::new(), BTreeMap::new());
+    for ((set, row), residuals) in rows {
+        let Some((file, origin)) = problem.origin(set, row) else { continue };
+        let other = *first.entry((file, origin.line, residuals)).or_insert(set);
+        if other != set {
+            *pairs.entry((other, set)).or_insert(0) += 1;
+        }
+    }
+    let sentence = |((one, other), count): ((SetIndex, SetIndex), usize)| {
+        let lines = if count == 1 { "1 line".to_owned() } else { format!("{count} lines") };
+        let (one, other) = (&problem.sets[one].name, &problem.sets[other].name);
+        format!(
+            "{one} and {other} use the same {lines} of a file in the same way; each counts as a measurement of its own"
+        )
+    };
+    pairs.into_iter().map(sentence).collect()
 }
 
 /// Whether a column of labels counts the rows: a copy has another one.

@@ -1,6 +1,8 @@
 //! From the solution of an estimator to a calibration: rank, scatter, uncertainty, advice.
 
-use abbe_core::{Calibration, Error, FitReport, Identifiability, Problem, Result, Termination};
+use std::collections::BTreeMap;
+
+use abbe_core::{Calibration, Error, FitReport, Identifiability, Problem, Result, SetIndex, Termination};
 use abbe_numerics::{Directions, Factor, Robust, RobustReport};
 
 use crate::calibration::calibration;
@@ -50,6 +52,26 @@ pub struct UncertaintyEvaluation {
     pub explained: bool,
 }
 
+/// The error where the rows that robust weights keep do not determine what all rows do.
+fn left_out(problem: &Problem, kept: &[f64], error: &Error) -> Error {
+    let mut of_set: BTreeMap<SetIndex, (usize, usize)> = BTreeMap::new();
+    for ((set, _), weight) in problem.equation_rows().into_iter().zip(kept) {
+        let (out, all) = of_set.entry(set).or_default();
+        *out += usize::from(*weight == 0.0);
+        *all += 1;
+    }
+    let sets = of_set.into_iter().filter(|(_, (out, _))| *out > 0);
+    let named = sets.map(|(set, (out, all))| format!("{out} of {all} equations of {}", problem.sets[set].name));
+    let named: Vec<String> = named.collect();
+    if named.is_empty() {
+        return error.clone();
+    }
+    let message = format!("robust weights leave out {}; of what is left {}", named.join(" and "), error.message);
+    Error::data(message).help(
+        "the stated uncertainties may be far too small, or a sign or a unit may be wrong: without `robust` the run says more",
+    )
+}
+
 impl UncertaintyEvaluation {
     /// Makes the calibration from a solution.
     ///
@@ -87,14 +109,16 @@ impl UncertaintyEvaluation {
                     None => found,
                 };
                 if found.rank < rank {
-                    return Err(confounded(&separated(problem, found)));
+                    let error = confounded(&separated(problem, found));
+                    return Err(kept.map_or_else(|| error.clone(), |kept| left_out(problem, &kept, &error)));
                 }
                 (found, factor.covariance_root(rank))
             }
             Some(Lost { found, determined }) => {
                 // Rows that weigh nothing may have told more.
                 if determined.factor(&factor).singular_values().rank(self.rank_tolerance) < rank {
-                    return Err(confounded(&found));
+                    let error = confounded(&found);
+                    return Err(kept.map_or_else(|| error.clone(), |kept| left_out(problem, &kept, &error)));
                 }
                 let condition = factor.singular_values().condition(rank);
                 let found = Identifiability { observations: factor.rows(), condition, ..found };

@@ -196,7 +196,9 @@ impl Weighted<'_> {
 /// The error for an equation without a finite value: a pose or an artefact where the geometry is singular.
 fn not_finite(problem: &Problem, equation: EquationIndex) -> Error {
     let (set, row) = problem.equation_rows()[equation];
-    let error = Error::data("the equation of this row has no finite value; its geometry is singular")
-        .stage(&problem.sets[set].name);
-    problem.at_row(set, row, error)
+    let has_line = problem.origin(set, row).is_some();
+    let which =
+        if has_line { "of this row".to_owned() } else { format!("{} of the artefact, which no row has,", row.0 + 1) };
+    let message = format!("the equation {which} has no finite value; its geometry is singular");
+    problem.at_row(set, row, Error::data(message).stage(&problem.sets[set].name))
 }

@@ -47,7 +47,9 @@ pub fn read(path: &Path, most: u64) -> io::Result<Vec<u8>> {
 /// As [`read`]; and [`io::ErrorKind::InvalidData`] for a file that is no text in UTF-8.
 pub fn read_text(path: &Path, most: u64) -> io::Result<String> {
     String::from_utf8(read(path, most)?).map_err(|error| {
-        let message = format!("it is no text in UTF-8 (byte {})", error.utf8_error().valid_up_to() + 1);
+        let text = &error.as_bytes()[..error.utf8_error().valid_up_to()];
+        let line = 1 + text.iter().filter(|&&byte| byte == b'\n').count();
+        let message = format!("it is no text in UTF-8 (line {line}, byte {} of the file)", text.len() + 1);
         io::Error::new(io::ErrorKind::InvalidData, message)
     })
 }
@@ -97,8 +99,8 @@ mod tests {
         }
         fs::write(&file, b"12345").unwrap();
         assert!(refused(&file).contains("larger than"));
-        fs::write(&file, b"a\xff").unwrap();
-        assert_eq!(refused(&file), "it is no text in UTF-8 (byte 2)");
+        fs::write(&file, b"\n\xff").unwrap();
+        assert_eq!(refused(&file), "it is no text in UTF-8 (line 2, byte 2 of the file)");
         assert_eq!(refused(folder.path()), "it is a folder; a file was expected");
         assert_eq!(read(&folder.path().join("b"), 4).unwrap_err().kind(), io::ErrorKind::NotFound);
     }

@@ -45,8 +45,15 @@ impl Document {
         let value = serde_yaml::from_str(text).map_err(|error| {
             // That is what it says of a number with more digits than any type has.
             let message = error.to_string().replace("JSON number out of range", "the number is too large");
-            let (line, column) = error.location().map_or((1, 1), |place| (place.line(), place.column()));
-            Error::usage(message.split(" at line ").next().unwrap_or_default()).at(file, line, Some(column))
+            let message =
+                message.replace("repetition limit exceeded", "the aliases (`*name`) repeat more than is read");
+            let message = message.split(" at line ").next().unwrap_or_default();
+            let message = message.split(" at position ").next().unwrap_or_default();
+            // The parser does not know where a control character stands.
+            let character = control_character(text).filter(|_| message.starts_with("control characters"));
+            let place = character.or(error.location().map(|place| (place.line(), place.column())));
+            let (line, column) = place.unwrap_or((1, 1));
+            Error::usage(message).at(file, line, Some(column))
         })?;
         Ok(Self { file: file.to_owned(), value, places })
     }
@@ -212,6 +219,9 @@ fn places(text: &str) -> Result<BTreeMap<Vec<PathItem>, Marks>, Refusal> {
                         let Event::Scalar(text, ..) = event else {
                             return refuse(mark, "a key has to be text or a number".to_owned());
                         };
+                        if text == "<<" {
+                            return refuse(mark, "merge keys (`<<`) are not read: write the settings out".to_owned());
+                        }
                         *waiting = Some(mark);
                         path.push(PathItem::Key(text.to_string()));
                         if places.contains_key(&path) {
@@ -243,6 +253,13 @@ fn places(text: &str) -> Result<BTreeMap<Vec<PathItem>, Marks>, Refusal> {
         }
     }
     Ok(places)
+}
+
+/// Line and column of the first control character that YAML does not allow.
+fn control_character(text: &str) -> Option<(usize, usize)> {
+    let is_wrong = |letter: char| letter.is_control() && !matches!(letter, '\t' | '\n' | '\r' | '\u{85}');
+    let lines = text.split('\n').enumerate();
+    lines.filter_map(|(line, text)| Some((line + 1, text.chars().position(is_wrong)? + 1))).next()
 }
 
 /// A value has ended: its container goes on.

@@ -384,7 +384,8 @@ impl<'a> Head<'a> {
                 origin.file = Some(read_description(&node, base)?);
             } else if kind == Kind::Estimate && key == "parameters" {
                 let patterns = sets.expand(None, node.list()?)?;
-                parameters = patterns.iter().filter_map(|pattern| pattern.value.as_str()).map(str::to_owned).collect();
+                let texts = patterns.iter().map(|pattern| pattern.text().map(str::to_owned));
+                parameters = texts.collect::<Result<_, _>>()?;
                 let places = patterns.into_iter().map(|pattern| pattern.path).collect();
                 origin.expanded.push((vec![PathItem::Key(key.to_owned())], places));
             } else if kind == Kind::Estimate && key == SHARED_ROWS {

@@ -109,6 +109,12 @@ fn wrong_recipes_are_refused_with_place_and_help() {
             "file: misspelt.yaml",
             "misspelt.yaml:1:1: stage `hu40t`: `tol_mm` is no setting of `chain` (did you mean `tool_mm`? a note needs another name)",
         ),
+        ("[dxt, dyt]", "[dxt, 3]", "r.yaml:4:13: S1[1]: text was expected, not a number"),
+        (
+            ", parameters: [dyt]",
+            ", parameters: [dyt, [dzt]]",
+            "r.yaml:24:105: stage `fit-2`: parameters[1]: text was expected, not a list",
+        ),
         ("[dxt, dyt]", "[dxt, dyt", "r.yaml:5:5: this is not YAML: illegal placement of ':' indicator"),
         (
             "[\"@S1\"",
@@ -130,6 +136,8 @@ fn wrong_recipes_are_refused_with_place_and_help() {
         ),
         ("step_mm: 20", "[a]: 20", "r.yaml:9:39: a key has to be text or a number"),
         ("stages:", "---\nstages:", "r.yaml:8:1: a second YAML document starts here; one was expected"),
+        ("stages:", "a: \"\u{7}\"\nstages:", "r.yaml:8:5: control characters are not allowed"),
+        ("stages:", "<<: { a: 1 }\nstages:", "r.yaml:8:1: merge keys (`<<`) are not read: write the settings out"),
         ("abbe: 1", "abbe: 2", "r.yaml:1:7: this program reads recipes of version 1, not 2"),
         ("abbe: 1", "abbe: \"1\"", r#"r.yaml:1:7: this program reads recipes of version 1, not "1""#),
         (
@@ -248,7 +256,7 @@ fn wrong_recipes_are_refused_with_place_and_help() {
     }
     let bomb = (1..30).map(|i| format!("a{i}: &a{i} [*a{0}, *a{0}, *a{0}]\n", i - 1)).collect::<String>();
     for (deep, expected) in [
-        (format!("a0: &a0 [1]\n{bomb}"), "r.yaml:1:1: repetition limit exceeded"),
+        (format!("a0: &a0 [1]\n{bomb}"), "r.yaml:1:1: the aliases (`*name`) repeat more than is read"),
         ("[".repeat(100_000), "r.yaml:1:256: this is not YAML: recursion limit exceeded"),
         ("[".repeat(100), "r.yaml:1:65: lists and maps are more than 64 deep here"),
         ("- ".repeat(100_000), "r.yaml:1:129: lists and maps are more than 64 deep here"),

@@ -4,7 +4,7 @@
 //! in `docs/schemas/calibration.schema.json`; `docs/formats.md` says what may change. A calibration is self-contained: pose
 //! predictions and compensation need nothing else.
 
-use std::collections::BTreeSet;
+use std::collections::{BTreeMap, BTreeSet};
 
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
@@ -338,11 +338,15 @@ pub struct SelectionStep {
     pub probability: f64,
 }
 
+/// Relative difference of numbers that are the same, but for digits that somebody has rounded away.
+const ROUNDED: f64 = 1e-3;
+
 impl Calibration {
     /// Reads a calibration file.
     ///
     /// Keys that are not known are left alone. Fails on text that is not JSON, on another format number, on missing parts, units
-    /// that are not known, values that are not finite and a covariance whose shape does not match its names.
+    /// that are not known, values that are not finite, and a covariance that does not match its names, is none, or contradicts the standard
+    /// uncertainties.
     pub fn from_json(text: &str) -> Result<Self> {
         let calibration: Self = FORMAT.read(text)?;
         calibration.check()?;
@@ -369,6 +373,7 @@ impl Calibration {
         if rows.len() != size || rows.iter().any(|row| row.len() != size) {
             return Err(Error::data(format!("the covariance is not {size} x {size} as its names promise")));
         }
+        self.check_covariance()?;
         for input in self.inputs.iter().flatten() {
             let ConsideredInput { name, value, unit, standard_uncertainty, sensitivities, .. } = input;
             unit.parse::<Unit>().map_err(|error| Error::data(format!("`{name}`: {error}")))?;
@@ -385,10 +390,48 @@ impl Calibration {
                 return Err(Error::data(format!("the input `{name}` has {given} sensitivities for {size} values")));
             }
         }
-        let entries = || (0..size).flat_map(|row| (0..row).map(move |column| (row, column)));
-        if let Some((row, column)) = entries().find(|&(row, column)| rows[row][column] != rows[column][row]) {
-            let (one, other) = (&order[row], &order[column]);
-            return Err(Error::data(format!("the covariance of `{one}` and `{other}` is not symmetric")));
+        Ok(())
+    }
+
+    /// Refuses a covariance that is none, or that contradicts the standard uncertainties of what is estimated.
+    fn check_covariance(&self) -> Result<()> {
+        let NamedCovariance { order, rows } = &self.covariance;
+        let variances: BTreeMap<&str, f64> =
+            order.iter().enumerate().map(|(index, name)| (name.as_str(), rows[index][index])).collect();
+        if let Some(twice) = order.iter().enumerate().find(|(index, name)| order[..*index].contains(name)) {
+            return Err(Error::data(format!("the covariance names `{}` twice", twice.1)));
+        }
+        for (row, one) in order.iter().enumerate() {
+            let variance = rows[row][row];
+            if !(variance.is_finite() && variance >= 0.0) {
+                return Err(Error::data(format!("the variance of `{one}` is {variance}; at least zero was expected")));
+            }
+            for (column, other) in order.iter().enumerate().take(row) {
+                let covariance = rows[row][column];
+                if covariance != rows[column][row] {
+                    return Err(Error::data(format!("the covariance of `{one}` and `{other}` is not symmetric")));
+                }
+                let most = (variance * rows[column][column]).sqrt();
+                let is_possible = covariance.abs() <= most * (1.0 + ROUNDED);
+                if !is_possible {
+                    return Err(Error::data(format!(
+                        "the covariance of `{one}` and `{other}` is larger than their variances allow"
+                    )));
+                }
+            }
+        }
+        let has_one = |estimated: &&Estimated| estimated.status == Status::Estimated;
+        for Estimated { name, standard_uncertainty, .. } in
+            self.parameters.iter().chain(&self.artefacts).filter(has_one)
+        {
+            let variance = variances.get(name.as_str());
+            let variance = variance.ok_or_else(|| Error::data(format!("`{name}` is not in the covariance")))?;
+            if (variance.sqrt() - standard_uncertainty).abs() > ROUNDED * standard_uncertainty {
+                return Err(Error::data(format!(
+                    "the standard uncertainty of `{name}` is {standard_uncertainty:e}, and by the covariance {:e}",
+                    variance.sqrt()
+                )));
+            }
         }
         Ok(())
     }

@@ -3,6 +3,7 @@
 use std::borrow::Cow;
 use std::collections::HashMap;
 use std::io::BufRead;
+use std::ops::RangeInclusive;
 use std::path::Path;
 
 use abbe_core::{Class, Column, ColumnHeader, Dataset, Error, Quantity, Result, RowOrigin, Values};
@@ -65,14 +66,26 @@ pub(crate) fn dataset(path: &Path, bytes: &[u8]) -> Result<Dataset> {
     Ok(Dataset { columns, origins, files: vec![path.to_owned()], averaged: false })
 }
 
+/// Temperatures that are read, °C: no machine is measured at others, and 293 is in kelvin.
+const TEMPERATURES: RangeInclusive<f64> = -100.0..=200.0;
+
 /// Reads a number as it stands in a cell of the column `header`, in the unit used in memory; else says what is wrong.
 pub fn number(header: &str, cell: &str) -> Result<f64, String> {
     let cell = cell.trim();
-    let (_, _, factor) = Quantity::of_column(header);
+    let (_, quantity, factor) = Quantity::of_column(header);
     match cell.parse::<f64>() {
+        Ok(value) if quantity == Quantity::Temperature && !TEMPERATURES.contains(&value) => Err(format!(
+            "`{header}` is `{}`; a temperature from {} to {} °C was expected",
+            shown(cell),
+            TEMPERATURES.start(),
+            TEMPERATURES.end()
+        )),
         Ok(value) if value.is_finite() => Ok(value * factor),
         Ok(_) => Err(format!("`{header}` is `{}`, which is not a finite number", shown(cell))),
         Err(_) if cell.is_empty() => Err(format!("`{header}` is empty; a number was expected")),
+        Err(_) if cell.replacen(',', ".", 1).parse::<f64>().is_ok() => {
+            Err(format!("`{header}` is `{}`; a number with a decimal point was expected", shown(cell)))
+        }
         Err(_) => Err(format!("`{header}` is `{}`; a number was expected", shown(cell))),
     }
 }

@@ -36,7 +36,10 @@ fn what_is_wrong_is_said_with_its_place() {
         (b"X_mm,\"Y_mm\n1,2\n", "Use: t.csv:1:6: a quotation mark is not closed in its line"),
         (b"X_mm,Y_mm\n1\n", "Data: t.csv:2: the row has 1 cell; 2 were expected"),
         (b"X_mm,Y_mm\n1,2\n# note\n\n1,2,3\n", "Data: t.csv:5: the row has 3 cells; 2 were expected"),
-        (b"f,X_mm\n\"a,\"\"b\",\"12,5\"\n", "Data: t.csv:2:9: `X_mm` is `12,5`; a number was expected"),
+        (
+            b"f,X_mm\n\"a,\"\"b\",\"12,5\"\n",
+            "Data: t.csv:2:9: `X_mm` is `12,5`; a number with a decimal point was expected",
+        ),
         (b"f,X_mm\r\n\r\n\xc3\xa9,  one\r\n", "Data: t.csv:3:5: `X_mm` is `one`; a number was expected"),
         (b"f,X_mm\na,nan\n", "Data: t.csv:2:3: `X_mm` is `nan`, which is not a finite number"),
         (b"f,X_mm\na,-1e999\n", "Data: t.csv:2:3: `X_mm` is `-1e999`, which is not a finite number"),

@@ -9,7 +9,8 @@ use schemars::JsonSchema;
 use serde::Deserialize;
 
 use crate::sampling::{
-    Ranges, Steps, axis_of, check_axes, check_ranges, points_every, position_unit, range_of, rounded_position, within,
+    Ranges, Steps, axis_of, check_axes, check_ranges, check_travel, points_every, position_unit, range_of,
+    rounded_position, within,
 };
 
 /// Most poses of a grid, both directions counted.
@@ -273,7 +274,13 @@ fn commands(positions: &Positions, model: &dyn KinematicModel) -> Result<Vec<(us
         if !value.is_finite() {
             return Err(Error::usage("a finite number was expected").setting(setting));
         }
-        commands.push((axis.status, value * factor));
+        if commands.iter().any(|(status, _)| *status == axis.status) {
+            return Err(Error::usage(format!("the position of {name} stands here twice")).setting(setting));
+        }
+        let (command, (_, per_unit)) = (value * factor, position_unit(axis));
+        let position = rounded_position(command * per_unit);
+        check_travel(axis, position, position).map_err(|error| within(error, &[setting]))?;
+        commands.push((axis.status, command));
     }
     Ok(commands)
 }

@@ -100,6 +100,19 @@ pub fn check_axes(ranges: &Ranges, setting: &str, model: &dyn KinematicModel) ->
     Ok(())
 }
 
+/// Refuses positions, in mm or deg, that are beyond the travel of an axis ([`Axis::reach`]).
+pub(crate) fn check_travel(axis: &Axis, from: f64, to: f64) -> Result<()> {
+    let (unit, factor) = position_unit(axis);
+    let (Some(reach), Some(range)) = (axis.reach(), axis.range) else { return Ok(()) };
+    if from >= reach[0] * factor && to <= reach[1] * factor {
+        return Ok(());
+    }
+    let [first, last] = range.map(|end| rounded_position(end * factor));
+    let asked = if from == to { format!("at {from} {unit}") } else { format!("from {from} to {to} {unit}") };
+    let message = format!("{} {asked} is beyond its travel of {first} to {last} {unit}", axis.name);
+    Err(Error::usage(message).help("nothing was measured there; if the machine goes there, widen its range"))
+}
+
 /// The range of an axis in mm or deg: given under `setting`, or that of the machine; one of them has to be known.
 pub fn range_of(axis: &Axis, ranges: &Ranges, setting: &str) -> Result<(f64, f64)> {
     let (unit, factor) = position_unit(axis);
@@ -113,15 +126,7 @@ pub fn range_of(axis: &Axis, ranges: &Ranges, setting: &str) -> Result<(f64, f64
             let message = format!("{name} is {kind}: `from_{unit}` and `to_{unit}` were expected");
             within(Error::usage(message), &[setting, name])
         })?;
-        if let (Some(reach), Some(range)) = (axis.reach(), axis.range)
-            && (from < reach[0] * factor || to > reach[1] * factor)
-        {
-            let [first, last] = range.map(|end| rounded_position(end * factor));
-            let message = format!("{name} from {from} to {to} {unit} is beyond its travel of {first} to {last} {unit}");
-            let error =
-                Error::usage(message).help("nothing was measured there; if the machine goes there, widen its range");
-            return Err(within(error, &[setting, name]));
-        }
+        check_travel(axis, from, to).map_err(|error| within(error, &[setting, name]))?;
         return Ok((from, to));
     }
     let of_axis = axis.range.map(|[from, to]| (rounded_position(from * factor), rounded_position(to * factor)));

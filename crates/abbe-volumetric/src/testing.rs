@@ -20,7 +20,7 @@ pub fn calibration(values: &[(&str, f64)]) -> Calibration {
     let parameters: Vec<Value> = values
         .iter()
         .map(|(name, value)| {
-            json!({ "name": name, "value": value, "unit": "mm", "standard_uncertainty": 0, "status": "estimated" })
+            json!({ "name": name, "value": value, "unit": "mm", "standard_uncertainty": 0, "status": "fixed" })
         })
         .collect();
     let text = json!({

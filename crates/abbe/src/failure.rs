@@ -86,15 +86,19 @@ const LONGEST_SPACE: usize = 40;
 /// Characters of the longest message.
 const LONGEST_MESSAGE: usize = 20_000;
 
+/// The first characters of a text, and whether it has more.
+fn cut(text: &str) -> (&str, bool) {
+    match text.char_indices().nth(LONGEST_MESSAGE) {
+        Some((end, _)) => (&text[..end], true),
+        None => (text, false),
+    }
+}
+
 /// Text from files and libraries as a person can read it: no characters that a terminal obeys, no endless words or spaces.
 fn readable(text: &str) -> String {
     let mut shown = String::new();
     let harmless = harmless(text);
-    let mut rest = match harmless.char_indices().nth(LONGEST_MESSAGE) {
-        Some((end, _)) => &harmless[..end],
-        None => &*harmless,
-    };
-    let is_cut = rest.len() < harmless.len();
+    let (mut rest, is_cut) = cut(&harmless);
     while !rest.is_empty() {
         let end = rest.find(|letter: char| !letter.is_whitespace()).unwrap_or(rest.len());
         let (space, after) = rest.split_at(end);
@@ -184,13 +188,17 @@ fn span_at(text: &str, line: usize, column: Option<usize>) -> SourceSpan {
     (start + from, word.max(1).min(content.len() - from)).into()
 }
 
-/// The error as one JSON object.
+/// The error as one JSON object. Its message has at most [`LONGEST_MESSAGE`] characters.
 pub fn json(error: &Error) -> Value {
     let place = error.place.as_ref();
+    let bounded = |text: &str| match cut(text) {
+        (start, true) => format!("{start} ..."),
+        (whole, false) => whole.to_owned(),
+    };
     json!({ "error": {
         "class": match error.class { Class::Use => "use", Class::Data => "data", Class::Interrupted => "interrupted" },
-        "message": error.message,
-        "help": error.help,
+        "message": bounded(&error.message),
+        "help": error.help.as_deref().map(bounded),
         "stage": error.stage,
         "file": place.map(|place| place.file.display().to_string()),
         "line": place.and_then(|place| place.line),
@@ -212,6 +220,10 @@ mod tests {
         let long = readable(&"word ".repeat(100_000));
         assert!(long.len() < 21_000 && long.ends_with(" ..."));
         assert_eq!(readable("\u{1b}[2J"), "␛[2J");
+        let long = json(&Error::usage("word ".repeat(100_000)).help("x".repeat(100_000)));
+        for text in ["message", "help"] {
+            assert!(long["error"][text].as_str().is_some_and(|text| text.len() < 21_000 && text.ends_with(" ...")));
+        }
     }
 
     #[test]

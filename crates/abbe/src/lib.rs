@@ -227,7 +227,7 @@ fn carried_out(arguments: Arguments) -> ExitCode {
             // The reader of the output has closed it.
             Err(error) if error.kind() == io::ErrorKind::BrokenPipe => ExitCode::from(status),
             Err(error) => {
-                eprintln!("the output cannot be written: {error}");
+                tell(&format!("the output cannot be written: {error}\n"));
                 ExitCode::from(1)
             }
         },
@@ -235,9 +235,12 @@ fn carried_out(arguments: Arguments) -> ExitCode {
             // After an interruption other errors are its consequences, also that of a process that was ended.
             let error = if interrupt::happened() { Error::interrupted() } else { error };
             match error.class {
-                _ if machine => println!("{}", harmless_json(&failure::json(&error).to_string())),
-                Class::Interrupted => eprintln!("{}", error.message),
-                Class::Use | Class::Data => eprint!("{}", failure::text(&error)),
+                _ if machine => {
+                    // The status tells, too.
+                    let _ = writeln!(io::stdout(), "{}", harmless_json(&failure::json(&error).to_string()));
+                }
+                Class::Interrupted => tell(&format!("{}\n", error.message)),
+                Class::Use | Class::Data => tell(&failure::text(&error)),
             }
             ExitCode::from(match error.class {
                 Class::Use => 2,
@@ -248,17 +251,23 @@ fn carried_out(arguments: Arguments) -> ExitCode {
     }
 }
 
-/// A log without what a terminal would obey; every write is a whole line.
+/// Text for people on standard error. Who has closed it, or has no room for it, gets the status.
+fn tell(text: &str) {
+    let _ = io::stderr().lock().write_all(text.as_bytes());
+}
+
+/// A log without what a terminal would obey; every write is a whole line. If it cannot be written the work goes on.
 struct Harmless<W>(W);
 
 impl<W: Write> Write for Harmless<W> {
     fn write(&mut self, bytes: &[u8]) -> io::Result<usize> {
-        self.0.write_all(harmless(&String::from_utf8_lossy(bytes)).as_bytes())?;
+        let _ = self.0.write_all(harmless(&String::from_utf8_lossy(bytes)).as_bytes());
         Ok(bytes.len())
     }
 
     fn flush(&mut self) -> io::Result<()> {
-        self.0.flush()
+        let _ = self.0.flush();
+        Ok(())
     }
 }
 
@@ -305,7 +314,7 @@ fn dispatch(command: Command, libraries: &Libraries) -> Result<(String, u8)> {
                 return Ok((pretty(&summary::json(&outcome, &folder))?, status));
             }
             for failure in outcome.failures.iter().filter(|failure| failure.needs.is_none()) {
-                eprint!("{}", failure::text(&failure.error));
+                tell(&failure::text(&failure.error));
             }
             Ok((summary::text(&prepared.recipe.name, &outcome, &folder), status))
         }

@@ -26,7 +26,7 @@ pub fn text(name: &str, outcome: &Outcome, folder: &Path) -> String {
     }
     parts.extend(outcome.verdicts.iter().map(verdict));
     parts.extend(failures(&outcome.failures));
-    parts.push(format!("Results: {}\n", folder.display()));
+    parts.push(format!("Results: {}\n", folder.display().to_string().replace('\n', "\u{240a}")));
     parts.join("\n")
 }
 
@@ -215,6 +215,29 @@ fn unlikely_above(degrees_of_freedom: usize) -> f64 {
     MISSTATED * (1.0 - part + MILLIONTH * part.sqrt()).powf(1.5)
 }
 
+/// Stated uncertainties are rarely too large by more than this factor.
+const OVERSTATED: f64 = 5.0;
+
+/// The scatter below which stated uncertainties are not believed; as [`unlikely_above`].
+fn unlikely_below(degrees_of_freedom: usize) -> f64 {
+    let part = 2.0 / 9.0 / degrees_of_freedom.max(1) as f64;
+    (1.0 - part - MILLIONTH * part.sqrt()).max(0.0).powf(1.5) / OVERSTATED
+}
+
+/// A fit whose residuals are far smaller than stated.
+fn overstated(fit: &Fit) -> Option<String> {
+    let report = &fit.calibration.fit;
+    (report.sigma < unlikely_below(report.degrees_of_freedom)).then(|| {
+        // How much smaller it is tells nothing more.
+        let part = if report.sigma < 1e-3 { "less than 0.001".to_owned() } else { short(report.sigma) };
+        format!(
+            "  {}: the residuals scatter only {part} times as much as the stated uncertainties promise: these are too large, or nothing was \
+             measured\n",
+            fit.name
+        )
+    })
+}
+
 fn unlikely(all: &[Fit]) -> Option<String> {
     let fits = all.iter().filter(|fit| {
         let report = &fit.calibration.fit;
@@ -228,7 +251,11 @@ fn unlikely(all: &[Fit]) -> Option<String> {
             short(fit.calibration.fit.sigma)
         )
     });
-    let text: String = lines.chain(all.iter().filter_map(too_good)).collect();
+    let text: String = lines
+        .chain(all.iter().filter_map(overstated))
+        .chain(all.iter().filter_map(too_good))
+        .chain(all.iter().filter_map(too_many_outliers))
+        .collect();
     (!text.is_empty()).then(|| section("Hard to believe", &text))
 }
 
@@ -254,6 +281,21 @@ fn too_good(fit: &Fit) -> Option<String> {
             "  {}: the residuals of {small} are {} of what is stated, those of {other} are not: is the unit of the {small} right?\n",
             fit.name,
             short(part)
+        )
+    })
+}
+
+/// Part of the rows above which outliers are no gross errors any more.
+const MOST_OUTLIERS: f64 = 0.25;
+
+/// A fit that takes much of what was measured for outliers.
+fn too_many_outliers(fit: &Fit) -> Option<String> {
+    let (outliers, rows) =
+        (fit.calibration.outliers.len(), fit.problem.sets.iter().map(|set| set.rows.len()).sum::<usize>());
+    (outliers as f64 > MOST_OUTLIERS * rows as f64).then(|| {
+        format!(
+            "  {}: {outliers} of {rows} rows are outliers: the stated uncertainties, the limit of outliers or the model are wrong\n",
+            fit.name
         )
     })
 }

@@ -241,7 +241,12 @@ impl Artefact for Balls {
                 })
             };
             let [from, to] = &distance.between;
-            distances.push((find(from)?, find(to)?));
+            let (one, other) = (find(from)?, find(to)?);
+            if balls[one].centre == balls[other].centre {
+                let message = format!("balls {} and {} have the same nominal centre, and a distance", from.0, to.0);
+                return Err(Error::data(message).setting("distances"));
+            }
+            distances.push((one, other));
             let (length, uncertainty) = (distance.length_mm, distance.standard_uncertainty_um * 1e-3);
             layout.push_constraint(&[uncertainty]);
             let name = format!("length[{}-{}]", from.0, to.0);

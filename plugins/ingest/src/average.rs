@@ -58,6 +58,16 @@ impl Average {
                     if header.quantity == Quantity::Angle {
                         same_angles(data, &header.header, numbers, &groups)?;
                     }
+                    if header.quantity == Quantity::Length {
+                        let others = strangers(numbers, series, &groups).into_iter();
+                        others.for_each(|(series, off)| {
+                            tracing::warn!(
+                                "`{}` {series}: `{}` is {off:.3} mm away from the other series (median): does it belong to them?",
+                                self.over,
+                                header.header
+                            );
+                        });
+                    }
                     let mean =
                         |rows: &Vec<DataRow>| rows.iter().map(|&row| numbers[row]).sum::<f64>() / rows.len() as f64;
                     Values::Numbers(groups.iter().map(mean).collect())
@@ -72,6 +82,29 @@ impl Average {
         let origins = groups.iter().map(|rows| data.origins[rows[0]]).collect();
         Ok(Dataset { columns, origins, files: data.files.clone(), averaged: true })
     }
+}
+
+/// Distance from the other series, in mm, that is told.
+const FAR: f64 = 0.05;
+
+/// How many times as far away as the other series.
+const FARTHER: f64 = 10.0;
+
+/// The series whose values are far from those of the others, with the median of the distances.
+fn strangers<'a>(values: &[f64], series: &'a [String], groups: &[Vec<DataRow>]) -> Vec<(&'a str, f64)> {
+    let mut away: BTreeMap<&str, Vec<f64>> = BTreeMap::new();
+    for rows in groups.iter().filter(|rows| rows.len() > 2) {
+        let middle = median(rows.iter().map(|&row| values[row]).collect());
+        rows.iter().for_each(|&row| away.entry(&series[row]).or_default().push(values[row] - middle));
+    }
+    let away: Vec<(&str, f64)> = away.into_iter().map(|(series, away)| (series, median(away))).collect();
+    let usual = median(away.iter().map(|(_, off)| off.abs()).collect());
+    away.into_iter().filter(|(_, off)| off.abs() > FAR.max(FARTHER * usual)).collect()
+}
+
+fn median(mut values: Vec<f64>) -> f64 {
+    values.sort_by(f64::total_cmp);
+    values.get(values.len() / 2).copied().unwrap_or(0.0)
 }
 
 /// Refuses rows at different angles: their mean is no pose that was measured.
@@ -89,4 +122,33 @@ fn same_angles(data: &Dataset, header: &str, angles: &[f64], groups: &[Vec<DataR
         }
     }
     Ok(())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn series_that_do_not_belong_are_found() {
+        let names = ["a", "b", "c", "d"].map(str::to_owned);
+        let found = |offset: f64| {
+            let (mut values, mut series, mut groups) = (Vec::new(), Vec::new(), vec![Vec::new(); 5]);
+            for (index, name) in names.iter().enumerate() {
+                for (group, rows) in groups.iter_mut().enumerate() {
+                    rows.push(DataRow(values.len()));
+                    let scatter = 1e-3 * ((index * 7 + group * 5) % 4) as f64;
+                    values.push(100.0 * group as f64 + scatter + if name == "c" { offset } else { 0.0 });
+                    series.push(name.clone());
+                }
+            }
+            let found = strangers(&values, &series, &groups);
+            found.into_iter().map(|(name, off)| (name.to_owned(), off)).collect::<Vec<_>>()
+        };
+        assert_eq!(found(0.0), []);
+        assert_eq!(found(0.01), []);
+        for offset in [0.1, -5.0, 20.0] {
+            let found = found(offset);
+            assert!(found.len() == 1 && found[0].0 == "c" && (found[0].1 - offset).abs() < 5e-3, "{found:?}");
+        }
+    }
 }

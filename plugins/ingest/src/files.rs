@@ -39,7 +39,7 @@ impl Source {
             .filter_map(|entry| entry.ok()?.file_name().into_string().ok())
             // Editors and file managers leave hidden files: these match only a pattern that begins with a dot.
             .filter(|name| matches(pattern, name) && name.starts_with('.') == pattern.starts_with('.'))
-            .filter(|name| folder.join(name).is_file())
+            .filter(|name| !folder.join(name).is_dir())
             .collect();
         names.sort_by(|a, b| natural(a).cmp(&natural(b)).then_with(|| a.cmp(b)));
         names.into_iter().map(|name| self.path.with_file_name(name)).collect()

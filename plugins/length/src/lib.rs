@@ -208,6 +208,12 @@ impl Measured {
             self.calibrations.push(known);
         }
         let Some(expansion) = &settings.expansion else { return Ok(()) };
+        if let Some(temperature) =
+            expansion.temperature_degC.filter(|temperature| !(-100.0..=200.0).contains(temperature))
+        {
+            let message = format!("`temperature_degC` is {temperature}; -100 to 200 was expected");
+            return Err(Error::usage(message).setting("expansion"));
+        }
         let temperatures = match (data.column("T"), expansion.temperature_degC) {
             (Some(_), _) => data.required_numbers("T")?.to_vec(),
             (None, Some(temperature)) => vec![temperature; data.rows()],

@@ -1,8 +1,9 @@
 //! The baseline and the runs that are compared with it.
 
 use std::path::Path;
+use std::sync::Arc;
 
-use abbe_core::{AxisKind, DataRow, Dataset, Error, Fit, Problem, Quantity, Result};
+use abbe_core::{AxisKind, DataRow, Dataset, Error, Fit, Problem, Quantity, Result, StatusColumn, StatusRole, Values};
 
 use crate::candidates::{self, Candidates};
 use crate::diagnosis::Pattern;
@@ -21,6 +22,8 @@ pub struct Probed {
     pub mean: f64,
     /// Status of the machine, the approach axis at the mean reading.
     status: Vec<f64>,
+    /// Its first row in the data of the baseline.
+    first: DataRow,
 }
 
 /// The machine and the artefact as they were after the calibration.
@@ -29,6 +32,8 @@ pub struct Baseline {
     problem: Problem,
     /// The points, in the order of the nominal file.
     pub points: Vec<Probed>,
+    /// The readings that it was made from.
+    data: Arc<Dataset>,
 }
 
 /// A run to be judged.
@@ -43,6 +48,16 @@ pub struct Run {
 /// Largest difference, mm and rad, from the baseline of axes that do not move until contact. It moves the point of contact on
 /// the facet and does not change the reading.
 const ELSEWHERE: (f64, f64) = (0.05, 1e-3);
+
+const AS_BEFORE: &str = "runs have to probe the points as the baseline did";
+
+/// A cell of a column, as text.
+fn cell(data: &Dataset, name: &str, row: DataRow) -> Option<String> {
+    Some(match &data.column(name)?.values {
+        Values::Numbers(numbers) => numbers[row].to_string(),
+        Values::Labels(labels) => labels[row].clone(),
+    })
+}
 
 impl Baseline {
     /// The baseline that an estimate was made from.
@@ -64,7 +79,7 @@ impl Baseline {
         for point in &nominal.list {
             let taken = set.rows.iter().map(|&row| layout.rows[row]).filter_map(|row| Some((row, row.data_row?)));
             let rows: Vec<_> = taken.filter(|(_, data_row)| labels[*data_row] == point.label).collect();
-            let Some((first, _)) = rows.first() else { continue };
+            let Some((first, first_row)) = rows.first() else { continue };
             let readings: Vec<f64> = rows.iter().map(|(_, data_row)| measured[*data_row]).collect();
             let mean = readings.iter().sum::<f64>() / readings.len() as f64;
             let status = set.poses().row(first.first_pose);
@@ -76,12 +91,14 @@ impl Baseline {
                 max: readings.iter().copied().fold(f64::NEG_INFINITY, f64::max),
                 mean,
                 status: touch.status,
+                first: *first_row,
             });
         }
         if points.is_empty() {
             return Err(Error::data("the baseline has no point of the nominal file"));
         }
-        Ok(Self { problem, points })
+        let data = layout.data.clone();
+        Ok(Self { problem, points, data })
     }
 
     fn touch<'a>(&'a self, probed: &'a Probed) -> Result<Touch<'a>> {
@@ -169,7 +186,25 @@ impl Baseline {
                     here * factor,
                     there * factor
                 );
-                return Err(data.error_at(row, message).help("runs have to probe the points as the baseline did"));
+                return Err(data.error_at(row, message).help(AS_BEFORE));
+            }
+        }
+        self.is_approached_alike(data, row, probed)
+    }
+
+    /// Refuses a row that was probed with another stylus or from another side, as far as both files say it.
+    fn is_approached_alike(&self, data: &Dataset, row: DataRow, probed: &Probed) -> Result<()> {
+        let of_stylus_or_side =
+            |status: &&StatusColumn| matches!(status.role, StatusRole::Direction(_) | StatusRole::Stylus);
+        let statuses = self.problem.model.info().status.iter().filter(of_stylus_or_side);
+        for name in statuses.map(|status| status.name.as_str()).chain(["stylus", "approach"]) {
+            let (here, there) = (cell(data, name, row), cell(&self.data, name, probed.first));
+            if let (Some(here), Some(there)) = (here, there)
+                && here != there
+            {
+                let label = &probed.point.label;
+                let message = format!("point {label} is probed with {name} {here}; at the baseline it was {there}");
+                return Err(data.error_at(row, message).help(AS_BEFORE));
             }
         }
         Ok(())

@@ -59,6 +59,10 @@ impl Validate for VerifyCut {
         vec![InputFile { setting: "nominal", path: self.nominal.clone() }]
     }
 
+    fn accepts_data(&self) -> bool {
+        true
+    }
+
     fn validate(&self, fits: &[&Fit], data: &[&Dataset]) -> Result<Findings> {
         let [fit] = fits else {
             return Err(Error::usage("one estimate was expected: that of the machine").setting("of"));

@@ -40,13 +40,23 @@ fn two() -> f64 {
     2.0
 }
 
+/// No solid expands as much, 1/K: the coefficient is in another unit.
+const LARGEST_EXPANSION: f64 = 1e-3;
+
 impl ArtefactSettings {
     /// Refuses what is not positive.
     pub fn check(&self) -> Result<(), SettingsError> {
         positive("length_mm", self.length_mm)?;
         positive("temperature_half_range_degC", self.temperature_half_range_degC)?;
         positive("safety_factor", self.safety_factor)?;
-        self.expansion_per_K.map_or(Ok(()), |expansion| positive("expansion_per_K", expansion).map(drop))
+        let Some(expansion) = self.expansion_per_K else { return Ok(()) };
+        match positive("expansion_per_K", expansion)? < LARGEST_EXPANSION {
+            true => Ok(()),
+            false => Err(SettingsError::new(
+                "expansion_per_K",
+                format!("{expansion} was found; steel has 11.5e-6, and no material {LARGEST_EXPANSION}"),
+            )),
+        }
     }
 
     /// The largest admissible coefficient at a tolerance, 1e-6/K, and what follows from it in words.

@@ -177,6 +177,10 @@ impl Validate for Verify {
         vec![InputFile { setting: "nominal", path: self.nominal.clone() }]
     }
 
+    fn accepts_data(&self) -> bool {
+        true
+    }
+
     fn validate(&self, fits: &[&Fit], data: &[&Dataset]) -> Result<Findings> {
         let [fit] = fits else {
             return Err(Error::usage("one estimate was expected: that of the baseline").setting("of"));

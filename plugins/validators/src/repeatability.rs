@@ -106,6 +106,10 @@ impl Validate for Repeatability {
         self.settings.rows.iter().map(|rows| ("rows", rows.clone())).collect()
     }
 
+    fn accepts_data(&self) -> bool {
+        true
+    }
+
     fn validate(&self, fits: &[&Fit], data: &[&Dataset]) -> Result<Findings> {
         let mut findings = Findings::default();
         match (&self.settings.rows, &self.settings.value, data) {

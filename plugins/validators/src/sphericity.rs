@@ -84,6 +84,10 @@ impl Validate for Sphericity {
         self.settings.rows.iter().map(|rows| ("rows", rows.clone())).collect()
     }
 
+    fn accepts_data(&self) -> bool {
+        true
+    }
+
     fn validate(&self, fits: &[&Fit], data: &[&Dataset]) -> Result<Findings> {
         let mut findings = Findings::default();
         // Nominal figures of several fits are the same, unless the models or the outliers differ.

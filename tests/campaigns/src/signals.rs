@@ -44,8 +44,26 @@ fn sha256(content: &[u8]) -> String {
     Sha256::digest(content).iter().map(|byte| format!("{byte:02x}")).collect()
 }
 
+fn pipelines() -> PathBuf {
+    Path::new(env!("CARGO_MANIFEST_DIR")).join("../../pipelines")
+}
+
+/// The recipe with other uncertainties: no result file has the content that it has of the recipe itself.
+fn older_recipe(folder: &Path) -> PathBuf {
+    let text = fs::read_to_string(pipelines().join(format!("{RECIPE}.yaml"))).expect("a recipe");
+    let data = format!("{}/data/", pipelines().display());
+    let changed = text.replace("data/", &data).replace("standard_uncertainty_um: 1.6", "standard_uncertainty_um: 3.2");
+    assert!(changed.contains("3.2"), "the recipe states an uncertainty");
+    let file = folder.join(format!("{RECIPE}.yaml"));
+    fs::write(&file, changed).expect("a recipe");
+    file
+}
+
 fn start(program: &Path, out: &Path) -> Child {
-    let recipe = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../pipelines").join(format!("{RECIPE}.yaml"));
+    start_recipe(program, &pipelines().join(format!("{RECIPE}.yaml")), out)
+}
+
+fn start_recipe(program: &Path, recipe: &Path, out: &Path) -> Child {
     let mut command = Command::new(program);
     command.arg("run").arg(recipe).arg("--out").arg(out).env("ABBE_CAMPAIGN_PROGRAM", "1");
     command.stdin(Stdio::null()).stdout(Stdio::null()).stderr(Stdio::null()).spawn().expect("the program starts")
@@ -64,7 +82,7 @@ fn case(program: &Path, seconds: f64, seed: u64, number: u64) -> (String, Vec<St
     };
     let has_older = random.chance(0.7);
     if has_older {
-        let older = waited(&mut start(program, &out), LIMIT);
+        let older = waited(&mut start_recipe(program, &older_recipe(folder.path()), &out), LIMIT);
         law(older.is_some_and(|status| status.success()), format!("an undisturbed run ends with {older:?}"));
         fs::write(out.join(RECIPE).join("notes.txt"), "mine").expect("a note");
     }

@@ -155,6 +155,11 @@ impl Validate for Stage {
         self.observations.clone()
     }
 
+    /// Only the library knows.
+    fn accepts_data(&self) -> bool {
+        true
+    }
+
     fn validate(&self, fits: &[&Fit], data: &[&Dataset]) -> Result<Findings> {
         let mut objects = Vec::new();
         let fits = fits.iter().map(|fit| FitText::of(fit, &mut objects)).collect();
