@@ -94,7 +94,7 @@ impl LevenbergMarquardt {
                         return Ok(solved(x, iteration, size));
                     }
                 }
-                Err(error) if error.fault => return Err(error),
+                Err(error) if error.fatal => return Err(error),
                 // At the minimum a step changes only rounding.
                 _ if size < 1e-9 => return Ok(solved(x, iteration, size)),
                 _ => damping = damping.max(1e-12) * 10.0,

@@ -49,7 +49,7 @@ fn of_truth(truth: &Value, name: &str) -> f64 {
 /// The largest differences between motion errors of a calibration and those of other values over the travels: mm, rad.
 fn largest_errors(fit: &Fit, true_values: &[f64]) -> (f64, f64) {
     let model = fit.problem.model.as_ref();
-    let found = fit.problem.starting_from(&fit.calibration).machine;
+    let found = fit.problem.starting_from(&fit.calibration).machine_values;
     let (mut length, mut angle) = (0.0_f64, 0.0_f64);
     for function in &model.info().error_functions {
         let [from, to] = model.info().axes[function.axis].range.expect("a range");
@@ -220,8 +220,8 @@ fn what_one_probe_offset_cannot_separate_is_named() {
     let held = check(&with_confounded(kept));
     assert_eq!((held.unknowns, held.rank), (73, 73));
     for (found, is_held) in [(&all, false), (&held, true)] {
-        assert_eq!(found.same_motion.len(), 4);
-        for (same, (error, parts)) in found.same_motion.iter().zip(expected) {
+        assert_eq!(found.equivalent_motion_errors.len(), 4);
+        for (same, (error, parts)) in found.equivalent_motion_errors.iter().zip(expected) {
             assert_eq!(same.error, error);
             for (part, (name, size)) in same.combination.iter().zip(parts) {
                 assert_eq!((part.name.as_str(), part.unit.as_str()), (name, "mm/rad"));
@@ -231,22 +231,23 @@ fn what_one_probe_offset_cannot_separate_is_named() {
             assert_eq!(same.not_estimated, not_estimated, "{error}");
         }
     }
-    let along: Vec<String> = all.same_motion.iter().map(|same| same.probe_offsets.iter().collect()).collect();
+    let along: Vec<String> =
+        all.equivalent_motion_errors.iter().map(|same| same.probe_offsets.iter().collect()).collect();
     assert_eq!(along, ["XY", "YZ", "XZ", "XY"]);
-    let said = all.same_motion[0].describe();
+    let said = all.equivalent_motion_errors[0].describe();
     assert!(said.ends_with("; another probe offset, along X or Y of the tool, would tell them apart"), "{said}");
     // A direction that is lost is told what finds it, and a tip elsewhere on the same probe does.
     let yaw = all.null_space.iter().filter(|lost| lost.combination.iter().any(|part| part.name.starts_with("ECX[")));
     let advice: Vec<&String> = yaw.flat_map(|lost| &lost.separated_by).collect();
     assert!(advice.iter().any(|advice| advice.contains("another probe offset")), "{advice:?}");
-    assert!(all.same_motion[0].describe().starts_with(
+    assert!(all.equivalent_motion_errors[0].describe().starts_with(
         "1 µrad of ECX moves the tip as 0.025 µm of EXX and 0.04 µm of EYX do at every recorded pose: only the functions"
     ));
     // It is told of the fit, too, and nothing is where these errors do not exist.
     let of_fit = &fit(outcome("cmm-brute-force", "exact"), "fit").calibration.fit;
-    assert!(of_fit.same_motion.is_empty());
+    assert!(of_fit.equivalent_motion_errors.is_empty());
     let [scale, yaw] = [json!(["EXX*"]), json!(["EXX[1]", "EC0X", "ECX[2]"])]
-        .map(|parameters| with_confounded(parameters).run().fits.remove(0).calibration.fit.same_motion);
+        .map(|parameters| with_confounded(parameters).run().fits.remove(0).calibration.fit.equivalent_motion_errors);
     assert_eq!(scale.iter().map(|same| same.error.as_str()).collect::<Vec<_>>(), ["ECX"]);
     assert_eq!(scale[0].not_estimated, ["ECX", "EYX"]);
     assert_eq!(yaw[0].not_estimated, ["EYX"]);
@@ -421,7 +422,7 @@ fn another_cmm_comes_back_with_the_expansion_of_its_scales() {
 fn another_offset_makes_other_errors_alike() {
     let yaw = json!({ "legendre": ["ECX"], "degrees": [1, 2] });
     let outcome = other_cmm([EXPANSION[0], EXPANSION[1]], json!(["E?0?", "E??[?]", "E??[pp*"]), Some(yaw));
-    let same = &fit(&outcome, "fit").calibration.fit.same_motion;
+    let same = &fit(&outcome, "fit").calibration.fit.equivalent_motion_errors;
     let [same] = same.as_slice() else { panic!("{same:?}") };
     assert_eq!((same.error.as_str(), same.not_estimated.as_slice()), ("ECX", ["ECX".to_owned()].as_slice()));
     for (part, (name, size)) in same.combination.iter().zip([("EXX", -TIP[1]), ("EYX", TIP[0])]) {

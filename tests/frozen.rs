@@ -57,7 +57,7 @@ fn a_calibration_of_format_1_is_read() {
     assert_eq!(fit.null_space[0].describe(), "dxt has no effect on these measurements");
     assert_eq!(fit.weakest[0].singular_value, 0.01437616033396642);
     assert_eq!(
-        fit.same_motion[0].describe(),
+        fit.equivalent_motion_errors[0].describe(),
         "1 µrad of ECY moves the tip as 0.04 µm of EYY does at every recorded pose: ECY not being estimated, the values of the \
          others contain it"
     );

@@ -185,7 +185,7 @@ fn all_that_recipes_use_keeps_the_laws() {
     let wanted = registry.iter().filter(|plugin| match plugin.kind() {
         Kind::Artefact | Kind::Model => true,
         // Others are given no measurements.
-        Kind::Estimate => plugin.basis == abbe_core::Basis::Measurements,
+        Kind::Estimate => plugin.estimate_source == abbe_core::EstimateSource::Measurements,
         _ => false,
     });
     let wanted: std::collections::BTreeSet<_> = wanted.map(|plugin| (plugin.kind(), plugin.name.to_string())).collect();

@@ -46,7 +46,7 @@ fn tango() -> &'static Problem {
 fn at_truth(problem: &Arc<Problem>) -> Problem {
     let (mut at, truth) = (problem.as_ref().clone(), truth().parameters);
     let value = |name: &str| truth.get(name).copied().unwrap_or(0.0);
-    for (parameter, own) in problem.model.info().parameters.iter().zip(&mut at.machine) {
+    for (parameter, own) in problem.model.info().parameters.iter().zip(&mut at.machine_values) {
         *own = value(&parameter.name);
     }
     for set in &mut at.sets {
@@ -58,7 +58,7 @@ fn at_truth(problem: &Arc<Problem>) -> Problem {
 
 /// The residuals at the true values.
 fn residuals(problem: &Problem) -> Vec<f64> {
-    problem.without(|_| true).residuals(&[]).expect("residuals")
+    problem.without_unknowns(|_| true).residuals(&[]).expect("residuals")
 }
 
 fn simulated(truth: &Truth, seed: u64) -> Problem {
@@ -135,11 +135,11 @@ fn the_data_set_is_measured_again() {
 #[test]
 fn nominal_positions_are_enough_to_start_from() {
     let mut programme = tango().clone();
-    programme.machine = programme.model.info().nominal.clone();
+    programme.machine_values = programme.model.info().nominal.clone();
     programme.sets.iter_mut().for_each(|set| set.own.fill(0.0));
     let nominal = abbe_estimation::at_contact(&programme, &[]).expect("nominal contact");
     let measured = measure(&nominal, &truth(), 1).expect("a measurement");
-    assert_eq!(measured.machine, nominal.machine);
+    assert_eq!(measured.machine_values, nominal.machine_values);
     let mut at = tango().clone();
     at.sets.iter_mut().zip(&measured.sets).for_each(|(at, measured)| at.set_poses(measured.poses().clone()));
     assert!(largest(&residuals(&at)) < 2e-11);
@@ -229,7 +229,7 @@ fn drift_moves_the_parameter_in_time() {
     for row in [0, 100, 200, 382].map(RowIndex) {
         let mut at = measured.with_rows(SetIndex(0), vec![row]);
         moved = moved.max(residuals(&at)[0].abs());
-        at.machine[dzt] += drift.at(times[layout.rows[row].data_row.expect("a data row")]);
+        at.machine_values[dzt] += drift.at(times[layout.rows[row].data_row.expect("a data row")]);
         assert!(residuals(&at)[0].abs() < 2e-11);
     }
     assert!(moved > 1e-3, "{moved}");
@@ -249,7 +249,7 @@ fn lobing_follows_the_direction_of_approach() {
     let directions = contact_directions(&measured).expect("directions");
     let found = residuals(&measured);
     for (residual, direction) in found.iter().zip(&directions) {
-        let expected = direction.map_or(0.0, |[x, y, z]| lobing.at([-x, -y, -z]));
+        let expected = direction.map_or(0.0, |[x, y, z]| lobing.pretravel_variation([-x, -y, -z]));
         assert!((residual - expected).abs() < 1e-9, "{residual} {expected}");
     }
     assert!(largest(&found) > 0.0009);

@@ -156,13 +156,15 @@ fn lobing_of_the_probe_adds_its_share_to_trials() {
     recipe = recipe.set("trials", "trials", json!(3000));
     let outcome = recipe.run();
     let stated = fit(&outcome, "stated");
-    let problem = stated.problem.at(&stated.problem.values_of(&stated.calibration));
+    let problem = stated.problem.with_values(&stated.problem.values_of(&stated.calibration));
     let directions = contact_directions(&problem).expect("directions");
     let answers: Vec<Vec<f64>> = [0.0, std::f64::consts::FRAC_PI_2]
         .map(|phase| {
             let lobing = Lobing { amplitude: 2e-3, lobes: 3, phase };
-            let errors: Vec<f64> =
-                directions.iter().map(|direction| direction.map_or(0.0, |direction| lobing.at(direction))).collect();
+            let errors: Vec<f64> = directions
+                .iter()
+                .map(|direction| direction.map_or(0.0, |direction| lobing.pretravel_variation(direction)))
+                .collect();
             stated.estimator.values(&problem.disturbed(&errors)).expect("an estimate")
         })
         .into();

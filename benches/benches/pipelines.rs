@@ -31,7 +31,7 @@ fn tango(criterion: &mut Criterion) {
         bencher.iter(|| fit.estimator.estimate(black_box(&fit.problem)).map(|calibration| calibration.fit.sigma))
     });
     let Some(fit) = fits.iter().find(|fit| fit.name == "fit-S3") else { panic!("the recipe has no fit-S3") };
-    let problem = fit.problem.at(&fit.problem.values_of(&fit.calibration));
+    let problem = fit.problem.with_values(&fit.problem.values_of(&fit.calibration));
     let errors: Vec<f64> = (0..problem.equations()).map(|row| 1e-3 * ((row * 7 % 11) as f64 - 5.0) / 3.0).collect();
     criterion.bench_function("tango_s3_trial", |bencher| {
         bencher.iter(|| fit.estimator.values(&problem.disturbed(black_box(&errors))).map(|values| values[0]))

@@ -15,14 +15,14 @@ const FIRST: &str = "\
  * Made of crates/abbe-plugin/src/abi.rs by `cargo xtask header`; not to be edited. All text is UTF-8; questions and answers
  * are JSON.
  *
- * Rules: structures are only appended to and begin with their size; what a call gets is lent until it returns; every function
- * may be called from several threads at once; nothing may unwind or jump out of a function. */
+ * Rules: new fields are only added at the end of a structure, and every structure has its size. Arguments of a call are lent
+ * until the call returns. Every function may be called from several threads at once. No exception may leave a function. */
 #ifndef ABBE_PLUGIN_H
 #define ABBE_PLUGIN_H";
 
 /// What a library exports; Rust declares it in the macro `export!`.
 const LAST: &str = "
-/* What a library exports. The table stays valid for ever; null refuses to work with this program. */
+/* The function that a library exports. Its table stays valid until the process ends; null refuses to work with this program. */
 #ifdef __cplusplus
 extern \"C\"
 #endif

@@ -39,7 +39,7 @@ impl Certificate {
     }
 
     /// The identity of this quantity of an object with a declared id: `bar 0815/length`.
-    pub fn declared(&self, id: &str) -> String {
+    pub fn declared_identity(&self, id: &str) -> String {
         format!("{id}/{}", self.quantity)
     }
 }

@@ -44,7 +44,7 @@ pub use pose_table::{ColumnNaming, PoseTable, StatusSource, plain_naming, pose_c
 pub use problem::{
     Block, CHUNK, Considered, Evaluation, Input, ObservationSet, Owner, Problem, RepeatedTogether, Unknown,
 };
-pub use registry::{Basis, Build, Constructor, Context, Kind, Origin, Plugin, Provider, Registry};
+pub use registry::{Build, Constructor, Context, EstimateSource, Kind, Origin, Plugin, Provider, Registry};
 pub use row_settings::{Ids, PooledRepeats, RowSettings, RowUncertainty, SharedError};
 pub use stage::{Artefact, Estimate, Export, ExportedFile, Fit, Ingest, InputFile, Model, Validate};
 pub use uncertainty::{CovarianceBlock, EquationUncertainty, PooledRepeatability};
@@ -52,10 +52,10 @@ pub use uncertainty::{CovarianceBlock, EquationUncertainty, PooledRepeatability}
 // Types of settings and results. They are re-exported so that plugins need this crate alone.
 pub use abbe_results::{
     CALIBRATION_FORMAT, Calibration, Combination, CombinedAgreement, ConsideredInput, Contribution, Correlated,
-    DataRecord, Decision, Estimated, Figure, FileFormat, Findings, FitReport, GumComparison, Identifiability,
-    ImplausibleValue, JointCoverage, Limit, ModelRecord, MonteCarlo, NamedCovariance, NullVector, Outlier,
-    ParameterBudget, Rule, SameMotion, Selection, SelectionDirection, SelectionStep, SimulatedParameter, Status,
-    UncertaintyBudget, VERDICTS_FORMAT, VarianceFactor, Verdict,
+    DataRecord, Decision, EquivalentMotionError, Estimated, Figure, FileFormat, Findings, FitReport, GumComparison,
+    Identifiability, ImplausibleValue, JointCoverage, Limit, ModelRecord, MonteCarlo, NamedCovariance, Outlier,
+    ParameterBudget, Rule, Selection, SelectionDirection, SelectionStep, SimulatedParameter, Status, UncertaintyBudget,
+    VERDICTS_FORMAT, VarianceFactor, Verdict, WeakDirection,
 };
 pub use abbe_settings::{
     Class, Convergence, Error, EvenSeries, Label, Names, PathItem, Place, Quantity, Result, Series, SettingsError,

@@ -1,4 +1,8 @@
 //! Kinematic models: axes, status columns, parameters, and tool poses with derivatives in batches.
+//!
+//! The status of a pose is all values that the pose depends on: commands of axes, directions of approach, stylus, time, load,
+//! temperatures, ... A batch has one row of values for every pose. One column of these rows is a [`StatusColumn`];
+//! [`ModelInfo::status`] lists the columns, and [`Axis::status`] is the index of the column with the command of the axis.
 
 use std::any::Any;
 use std::f64::consts::TAU;
@@ -52,7 +56,7 @@ pub struct Axis {
     /// It turns on without an end: commands outside `range` are right.
     #[serde(default)]
     pub endless: bool,
-    /// Index of the command among [`ModelInfo::status`].
+    /// The column of its command: index into [`ModelInfo::status`].
     pub status: usize,
 }
 
@@ -70,19 +74,19 @@ impl Axis {
     }
 }
 
-/// What happens when the data have no column for a status.
+/// What happens when the data have no column for a value of the status.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Absent {
     /// It is an error.
     #[serde(rename = "refused")]
     Required,
-    /// It has this value in every row. NaN means that the status is unknown; errors that depend on it then have no effect.
+    /// It has this value in every row. NaN means that the value is unknown; errors that depend on it then have no effect.
     #[serde(rename = "taken")]
     Default(#[serde(deserialize_with = "number")] f64),
 }
 
-/// What a status is.
+/// What the values in a column of the status are.
 #[derive(Debug, Clone, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum StatusRole {
@@ -110,7 +114,7 @@ pub enum StatusRole {
     ThermalState(String),
     /// What the probe is: its kind, or how it triggers.
     Probe,
-    /// A status that only this model knows.
+    /// Values that only this model knows.
     #[default]
     Other,
 }
@@ -133,7 +137,7 @@ const DIRECTION: &str = "dir_";
 const TIME: &str = "time";
 const STYLUS: &str = "stylus";
 
-/// A status of a pose that the model needs, with its data column.
+/// One column of the status of poses: a value that the model needs of every pose, and the data column that it is read from.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct StatusColumn {
     /// Name without unit: `X`, `dir_X`, `time`, `day`, `stylus`.
@@ -329,7 +333,7 @@ pub struct MotionError {
 pub struct ModelInfo {
     /// The axes, in the order of the structural loop.
     pub axes: Vec<Axis>,
-    /// The statuses of a pose. Every row of a batch has them in this order.
+    /// The columns of the status of a pose. Every row of a batch has its values in this order.
     pub status: Vec<StatusColumn>,
     /// Every parameter that exists in this model.
     pub parameters: Vec<Parameter>,
@@ -362,8 +366,8 @@ impl ModelInfo {
         Self { axes, status, parameters, nominal, nominal_uncertainties, settings, ..Self::default() }
     }
 
-    /// The index of the status with this role; none if poses do not have it.
-    pub fn status_of(&self, role: &StatusRole) -> Option<usize> {
+    /// The index of the column of the status with this role; none if the status does not have it.
+    pub fn status_index(&self, role: &StatusRole) -> Option<usize> {
         self.status.iter().position(|column| column.role == *role)
     }
 
@@ -376,7 +380,7 @@ impl ModelInfo {
 /// A batch of poses that are asked for.
 #[derive(Debug, Clone, Copy)]
 pub struct PoseBatch<'a> {
-    /// Poses x [`ModelInfo::status`], pose by pose.
+    /// The status of every pose, pose by pose: poses x columns of [`ModelInfo::status`].
     pub statuses: &'a [f64],
     /// One value a parameter.
     pub values: &'a [f64],

@@ -61,7 +61,7 @@ pub struct Monitor {
 
 struct Watcher {
     ended: AtomicBool,
-    hears: Box<dyn Fn(&Event<'_>) + Send + Sync>,
+    receive: Box<dyn Fn(&Event<'_>) + Send + Sync>,
 }
 
 impl fmt::Debug for Monitor {
@@ -75,9 +75,9 @@ impl fmt::Debug for Monitor {
 }
 
 impl Monitor {
-    /// A monitor that passes events to `hears`.
-    pub fn new(hears: impl Fn(&Event<'_>) + Send + Sync + 'static) -> Self {
-        let watcher = Watcher { ended: AtomicBool::new(false), hears: Box::new(hears) };
+    /// A monitor that passes events to `receive`.
+    pub fn new(receive: impl Fn(&Event<'_>) + Send + Sync + 'static) -> Self {
+        let watcher = Watcher { ended: AtomicBool::new(false), receive: Box::new(receive) };
         Self { watcher: Some(Arc::new(watcher)), ..Self::default() }
     }
 
@@ -93,7 +93,7 @@ impl Monitor {
     }
 
     /// The same monitor without events, for work that is repeated many times. The work can still be cancelled.
-    pub fn quiet(&self) -> Self {
+    pub fn without_events(&self) -> Self {
         Self { quiet: true, ..self.clone() }
     }
 
@@ -121,7 +121,7 @@ impl Monitor {
     /// Reports an event.
     pub fn report(&self, event: &Event<'_>) {
         if let Some(watcher) = self.watcher.as_ref().filter(|_| !self.quiet) {
-            (watcher.hears)(event);
+            (watcher.receive)(event);
         }
     }
 
@@ -131,7 +131,7 @@ impl Monitor {
     }
 
     /// Reports that `done` parts of some work are finished. `of` is the name of the parts, in plural.
-    pub fn part(&self, of: &str, done: usize, all: Option<usize>) {
+    pub fn parts_done(&self, of: &str, done: usize, all: Option<usize>) {
         self.report(&Event::Part { stage: &self.stage, of, done, all });
     }
 }
@@ -150,8 +150,8 @@ mod tests {
         let monitor = Monitor::new(move |event| into.lock().unwrap().push(serde_json::to_string(event).unwrap()));
         let of_fit = monitor.of_stage("fit");
         of_fit.iteration(1, 0.5);
-        of_fit.quiet().iteration(2, 0.1);
-        of_fit.part("folds", 3, Some(10));
+        of_fit.without_events().iteration(2, 0.1);
+        of_fit.parts_done("folds", 3, Some(10));
         assert_eq!(
             *heard.lock().unwrap(),
             [
@@ -161,11 +161,11 @@ mod tests {
         );
         assert!(of_fit.check().is_ok());
         monitor.cancel();
-        let error = of_fit.quiet().check().unwrap_err();
-        assert_eq!((error.class, error.fault), (Class::Interrupted, true));
+        let error = of_fit.without_events().check().unwrap_err();
+        assert_eq!((error.class, error.fatal), (Class::Interrupted, true));
         let late = Monitor::default().with_time_limit(Duration::ZERO).of_stage("fit");
         let error = late.check().unwrap_err();
-        assert!(error.out_of_time && error.fault && error.class == Class::Data);
+        assert!(error.out_of_time && error.fatal && error.class == Class::Data);
         assert!(Monitor::default().with_time_limit(Duration::MAX).check().is_ok());
         // The default monitor cannot cancel work.
         let nobody = Monitor::default();

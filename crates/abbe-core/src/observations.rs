@@ -50,7 +50,7 @@ impl KnownInput {
     }
 
     /// Sets the certificate that states it: the input is `quantity` on a certificate with this content.
-    pub fn certified(mut self, quantity: impl Into<String>, content: impl Into<String>) -> Self {
+    pub fn with_certificate(mut self, quantity: impl Into<String>, content: impl Into<String>) -> Self {
         self.certificate = Some(Certificate::new(quantity, content));
         self
     }

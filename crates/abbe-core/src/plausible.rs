@@ -8,14 +8,16 @@ use serde::Deserialize;
 
 use crate::problem::Problem;
 
-/// The largest plausible errors of some parameters, by name or pattern, where these are not what holds for their kind.
+/// The largest plausible errors of some parameters, by name or pattern. For other parameters the values for their kind
+/// hold.
 #[derive(Debug, Clone, PartialEq, Default, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct Plausible {
-    /// Of lengths, mm: `{ EX0C: 20, "d?t": 400 }`. Of error motions it is the largest over the recorded travel.
+    /// Errors that are lengths, mm: `{ EX0C: 20, "d?t": 400 }`. For an error motion: its largest value over the
+    /// recorded travel.
     #[serde(default)]
     pub mm: BTreeMap<String, f64>,
-    /// Of angles, mrad.
+    /// Errors that are angles, mrad.
     #[serde(default)]
     pub mrad: BTreeMap<String, f64>,
 }

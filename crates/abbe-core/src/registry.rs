@@ -137,9 +137,9 @@ pub enum Origin {
     },
 }
 
-/// The basis of an estimate: what it is made from. It decides which keys the estimate stage has in a recipe.
+/// What an estimate is made from. It decides which keys the estimate stage has in a recipe.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
-pub enum Basis {
+pub enum EstimateSource {
     /// Measurements on a machine (`machine`, `observations`, `parameters`), or another estimate that it analyses (`of`).
     #[default]
     Measurements,
@@ -173,11 +173,11 @@ pub struct Plugin {
     pub example: Provider,
     /// Its constructor.
     pub build: Build,
-    /// The basis of its estimates, if it is an estimator.
-    pub basis: Basis,
+    /// What its estimates are made from, if it is an estimator.
+    pub estimate_source: EstimateSource,
 }
 
-impl Basis {
+impl EstimateSource {
     /// Whether an estimate may analyse another one.
     pub fn may_analyse(self) -> bool {
         matches!(self, Self::Measurements | Self::Analysis)
@@ -202,7 +202,7 @@ impl Plugin {
             schema: Provider::Static(schema),
             example: Provider::Static(example),
             build,
-            basis: Basis::Measurements,
+            estimate_source: EstimateSource::Measurements,
         }
     }
 
@@ -212,9 +212,9 @@ impl Plugin {
         self
     }
 
-    /// Sets the basis of its estimates.
-    pub const fn with_basis(mut self, basis: Basis) -> Self {
-        self.basis = basis;
+    /// Sets what its estimates are made from.
+    pub const fn with_estimate_source(mut self, estimate_source: EstimateSource) -> Self {
+        self.estimate_source = estimate_source;
         self
     }
 
@@ -235,7 +235,7 @@ inventory::collect!(Plugin);
 
 /// Registers a built-in plugin: kind, name, the line that says what it does, type of its settings, function that gives an
 /// example of them, function that builds the stage from settings and context, and the file with the text of its reference
-/// page. Last, for estimators, what estimates are made of ([`Basis`]) if that is not measurements.
+/// page. Last, for estimators, what estimates are made of ([`EstimateSource`]) if that is not measurements.
 ///
 /// ```ignore
 /// abbe_core::register!(
@@ -255,7 +255,7 @@ inventory::collect!(Plugin);
 #[macro_export]
 macro_rules! register {
     ($kind:ident, $name:literal, $about:literal, $settings:ty, $example:expr, $build:path, $page:literal
-        $(, $basis:expr)? $(,)?) => {
+        $(, $estimate_source:expr)? $(,)?) => {
         $crate::inventory::submit! {
             $crate::Plugin::built_in(
                 $name,
@@ -267,7 +267,7 @@ macro_rules! register {
                 })),
             )
             .with_reference(include_str!($page))
-            $(.with_basis($basis))?
+            $(.with_estimate_source($estimate_source))?
         }
     };
 }

@@ -14,15 +14,17 @@ use abbe_settings::{Label, Names, PathItem};
 #[derive(Debug, Clone, PartialEq, Default, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct RowSettings {
-    /// Standard uncertainties and covariances of rows. They weigh.
+    /// Standard uncertainties and covariances of rows. They are the weights of the rows in the fit.
     #[serde(default)]
     pub uncertainty: Option<RowUncertainty>,
-    /// The scatter of repeats, from rows with the columns `cycle` and `day`. It propagates; it does not weigh.
+    /// The scatter of repeats, from rows with the columns `cycle` and `day`. It is part of the uncertainties of the
+    /// results, and does not change the weights of the rows.
     #[serde(default)]
     pub pooled: Option<PooledRepeats>,
-    /// Who the known inputs are: whoever has an input of the same `id` shares its error, in any estimate of any day. A text
-    /// for all inputs of the artefact (its serial number, or that of its certificate), or texts by the input's own name or
-    /// pattern (`stylus_radius`, `bar[1].*`). Without one it is told by what its certificate says.
+    /// Identities of the known inputs. Inputs with the same `id` share one error, in all estimates of all days. Either
+    /// one text for all inputs of the artefact (its serial number, or that of its certificate), or texts by the own
+    /// name of an input or a pattern of names (`stylus_radius`, `bar[1].*`). An input without an `id` is identified by
+    /// what its certificate says.
     #[serde(default)]
     pub id: Option<Ids>,
     /// Rows that no estimate uses: by label column, the labels of rows that validators with these `observations` predict.
@@ -30,8 +32,8 @@ pub struct RowSettings {
     pub unseen: BTreeMap<String, Vec<Label>>,
 }
 
-/// Standard uncertainties and covariances of rows. What ends on `_um` is for equations that are lengths, what ends on `_urad`
-/// for those that are angles.
+/// Standard uncertainties and covariances of rows. Settings that end in `_um` are for equations that are lengths, those
+/// that end in `_urad` for equations that are angles.
 #[derive(Debug, Clone, PartialEq, Default, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct RowUncertainty {
@@ -70,7 +72,7 @@ pub struct RowUncertainty {
     pub covariance: Option<String>,
 }
 
-/// An error that all rows with the same label share, beside their own.
+/// An error that all rows with the same label share, in addition to their own errors.
 #[derive(Debug, Clone, PartialEq, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct SharedError {
@@ -88,18 +90,18 @@ pub struct SharedError {
 #[derive(Debug, Clone, PartialEq, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct PooledRepeats {
-    /// `cycle`: what differs between days at the same cycle counts, what changes in the course of a day does not. `day`:
-    /// what differs between the cycles of a day counts, what changes from day to day does not. Without it all repeats are
+    /// `cycle`: the scatter is that between days at the same cycle, without changes in the course of a day. `day`: the
+    /// scatter is that between the cycles of a day, without changes from day to day. If it is missing, all repeats are
     /// one group.
     #[serde(default)]
     pub by: Option<String>,
 }
 
-/// Who the known inputs of an artefact are.
+/// Identities of the known inputs of an artefact.
 #[derive(Debug, Clone, PartialEq, Deserialize, JsonSchema)]
 #[serde(untagged, expecting = "a text, or texts by the names of known inputs, was expected")]
 pub enum Ids {
-    /// One thing brings them all, apart from those that are the machine's.
+    /// One identity for all inputs, except those of the machine.
     All(Label),
     /// By the own name of the input, or a pattern of names.
     Of(BTreeMap<String, Label>),

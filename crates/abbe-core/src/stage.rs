@@ -62,15 +62,16 @@ pub trait Model: Send + Sync {
     fn build(&self, data: &[&Dataset]) -> Result<Arc<dyn KinematicModel>>;
 }
 
-/// A solver of problems, or a source of calibrations that were made by other means ([`Basis`](crate::Basis)).
+/// A solver of problems, or a source of calibrations that were made by other means
+/// ([`EstimateSource`](crate::EstimateSource)).
 pub trait Estimate: Send + Sync {
     /// The files that it reads.
     fn inputs(&self) -> Vec<InputFile> {
         Vec::new()
     }
 
-    /// A calibration that was made outside this recipe. It is read before the run.
-    fn recall(&self) -> Result<Calibration> {
+    /// Reads a calibration that was made outside this recipe and saved in a file. It is read before the run.
+    fn read_calibration(&self) -> Result<Calibration> {
         Err(Error::usage("this estimator makes its estimates; it recalls none"))
     }
 
@@ -79,8 +80,8 @@ pub trait Estimate: Send + Sync {
         Err(Error::usage("this estimator makes one estimate; it combines no others").setting("of"))
     }
 
-    /// Solves the problem. For stated machine parameters ([`Basis::Statement`](crate::Basis::Statement)) the problem has no
-    /// rows.
+    /// Solves the problem. For stated machine parameters ([`EstimateSource::Statement`](crate::EstimateSource::Statement)) the
+    /// problem has no rows.
     fn estimate(&self, problem: &Problem) -> Result<Calibration>;
 
     /// Solves the problem and explains the result: uncertainty budgets, and the combinations that are determined worst.

@@ -43,7 +43,7 @@ impl Prepared {
             }
             let (measured, solution, made) = match self.located(stage, virtual_measurement(problem)) {
                 Ok((measured, solution)) => (measured, solution, true),
-                Err(error) if error.fault => {
+                Err(error) if error.fatal => {
                     found.broken.push(format!("{}: {error}", stage.name));
                     continue;
                 }
@@ -53,7 +53,7 @@ impl Prepared {
                     (problem.clone(), problem.start(), false)
                 }
             };
-            let at = measured.at(&solution);
+            let at = measured.with_values(&solution);
             for (index, set) in SetIndex::enumerate(&at.sets) {
                 let artefact = self.recipe.stages.iter().find(|stage| stage.name == set.name);
                 let plugin = artefact.map_or_else(String::new, |stage| stage.plugin.clone());

@@ -4,7 +4,7 @@ use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
-use abbe_core::{DataRow, Dataset, Error, Identifiability, Monitor, NullVector, Result};
+use abbe_core::{DataRow, Dataset, Error, Identifiability, Monitor, Result, WeakDirection};
 use abbe_planning::{Generation, Plan, PlanFigures, Planning, generate, plan};
 use abbe_recipe::Stage;
 use serde_json::{Value, json};
@@ -113,7 +113,7 @@ impl Measurements {
 
 /// The error with the directions that all candidates together do not determine.
 fn with_lost(error: Error, all: &Identifiability) -> Error {
-    let lost: Vec<String> = all.null_space.iter().map(NullVector::describe).collect();
+    let lost: Vec<String> = all.null_space.iter().map(WeakDirection::describe).collect();
     Error { message: format!("{}:\n- {}", error.message, lost.join("\n- ")), ..error }
 }
 
@@ -173,7 +173,7 @@ fn record(estimate: &str, plan: &Plan, found: &Identifiability) -> Value {
         "spread_evenly": plan.spread_evenly.as_ref().map(figures),
         "efficiency_spread_evenly": plan.spread_evenly.as_ref().map(|evenly| plan.figures.efficiency_of(evenly)),
         "efficiency_of_random": plan.random_efficiency,
-        "searches_that_found_it": plan.found,
+        "searches_that_found_it": plan.searches_that_found_it,
         "unknowns": unknowns.collect::<Vec<_>>(),
         "rank": found.rank,
         "null_space": found.null_space,

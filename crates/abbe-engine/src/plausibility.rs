@@ -44,7 +44,7 @@ impl Prepared {
 
     /// The error of a fit that does not converge, with the mistake that explains why.
     pub(crate) fn with_mistakes(&self, stage: &Stage, problem: &Problem, error: Error) -> Error {
-        if error.convergence.is_none() || error.class != Class::Data || error.fault {
+        if error.convergence.is_none() || error.class != Class::Data || error.fatal {
             return error;
         }
         match likely_mistakes(problem, &self.plausible[&stage.name]) {

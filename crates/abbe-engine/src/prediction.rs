@@ -36,7 +36,7 @@ impl Prepared {
 }
 
 /// A fit whose problem is another one without unknowns, with the values of the fit: what is left are errors of prediction.
-pub(crate) fn predicting(fit: &Fit, other: &Problem) -> Result<Fit> {
+pub(crate) fn prediction_fit(fit: &Fit, other: &Problem) -> Result<Fit> {
     let own = |set: &ObservationSet| -> Vec<String> {
         set.observations.info().unknowns.iter().map(|unknown| format!("{}.{}", set.name, unknown.name)).collect()
     };

@@ -6,16 +6,16 @@ use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
 use abbe_core::{
-    Artefact, Basis, Build, ColumnHeader, Constructor, Context, Error, Estimate, Export, Ingest, InputFile, Kind,
-    Model, Origin, PathItem, Plausible, Plugin, Registry, Result, SettingsError, Validate, from_settings,
+    Artefact, Build, ColumnHeader, Constructor, Context, Error, Estimate, EstimateSource, Export, Ingest, InputFile,
+    Kind, Model, Origin, PathItem, Plausible, Plugin, Registry, Result, SettingsError, Validate, from_settings,
 };
 use abbe_recipe::{Library, Recipe, Stage};
 use serde_json::Value;
 
-use crate::recalled::{self, Recalled};
 use crate::record::PluginRecord;
-use crate::row_settings::RowsOf;
+use crate::row_settings::ArtefactRowSettings;
 use crate::run::{has_problem, has_rows};
+use crate::saved::{self, SavedCalibration};
 
 /// The stages of a recipe, built and checked as far as that goes without data rows.
 pub struct Prepared {
@@ -23,11 +23,11 @@ pub struct Prepared {
     pub recipe: Recipe,
     pub(crate) ingests: BTreeMap<String, Box<dyn Ingest>>,
     pub(crate) artefacts: BTreeMap<String, Box<dyn Artefact>>,
-    pub(crate) rows: BTreeMap<String, RowsOf>,
+    pub(crate) rows: BTreeMap<String, ArtefactRowSettings>,
     pub(crate) models: BTreeMap<String, Box<dyn Model>>,
     pub(crate) estimators: BTreeMap<String, Arc<dyn Estimate>>,
     /// Calibrations that were made outside this recipe, by their estimate stages.
-    pub(crate) recalled: BTreeMap<String, Recalled>,
+    pub(crate) saved: BTreeMap<String, SavedCalibration>,
     pub(crate) plausible: BTreeMap<String, Plausible>,
     pub(crate) validators: BTreeMap<String, Box<dyn Validate>>,
     pub(crate) exporters: BTreeMap<String, Box<dyn Export>>,
@@ -57,7 +57,7 @@ pub fn prepare(path: &Path, registry: &Registry) -> Result<Prepared> {
         rows: BTreeMap::new(),
         models: BTreeMap::new(),
         estimators: BTreeMap::new(),
-        recalled: BTreeMap::new(),
+        saved: BTreeMap::new(),
         plausible: BTreeMap::new(),
         validators: BTreeMap::new(),
         exporters: BTreeMap::new(),
@@ -84,10 +84,10 @@ pub fn prepare(path: &Path, registry: &Registry) -> Result<Prepared> {
             }
             prepared.files.push(path);
         }
-        if stage.kind == Kind::Estimate && stage.basis == Basis::Calibration {
-            let recalled = Recalled::new(&stage, prepared.estimators[&stage.name].as_ref(), registry);
-            let recalled = recalled.map_err(|error| prepared.recipe.locate(error.stage(&stage.name)))?;
-            prepared.recalled.insert(stage.name.clone(), recalled);
+        if stage.kind == Kind::Estimate && stage.estimate_source == EstimateSource::Calibration {
+            let saved = SavedCalibration::new(&stage, prepared.estimators[&stage.name].as_ref(), registry);
+            let saved = saved.map_err(|error| prepared.recipe.locate(error.stage(&stage.name)))?;
+            prepared.saved.insert(stage.name.clone(), saved);
         }
     }
     prepared.files.dedup();
@@ -117,7 +117,7 @@ impl Prepared {
             }
             Build::Artefact(constructor) => {
                 let built = constructor.build(settings, context).map_err(wrong)?;
-                let rows = RowsOf::new(stage, &context.base).map_err(wrong)?;
+                let rows = ArtefactRowSettings::new(stage, &context.base).map_err(wrong)?;
                 let mut inputs = built.inputs();
                 inputs.extend(rows.input().map(|path| InputFile { setting: "uncertainty", path: path.clone() }));
                 self.artefacts.insert(name.clone(), built);
@@ -126,7 +126,7 @@ impl Prepared {
             }
             Build::Model(constructor) => {
                 let (settings, before) = self.model_settings(stage)?;
-                let wrong = |error: SettingsError| wrong(recalled::own_place(error, &before));
+                let wrong = |error: SettingsError| wrong(saved::own_place(error, &before));
                 let built = constructor.build(&settings, context).map_err(wrong)?;
                 let inputs = built.inputs();
                 self.models.insert(name, built);
@@ -258,7 +258,7 @@ impl Prepared {
     pub(crate) fn own_estimate(&self, name: &str) -> Result<&Stage> {
         let stage = self.recipe_stage(name)?;
         match stage.reference("of").first() {
-            Some(of) if stage.kind == Kind::Estimate && stage.basis.may_analyse() => self.own_estimate(of),
+            Some(of) if stage.kind == Kind::Estimate && stage.estimate_source.may_analyse() => self.own_estimate(of),
             _ => Ok(stage),
         }
     }
@@ -267,8 +267,8 @@ impl Prepared {
     /// calibration that contains it.
     pub(crate) fn machine(&self, estimate: &Stage) -> Result<(&Stage, &dyn Model)> {
         let stage = self.machine_stage(estimate)?;
-        match self.recalled.get(&stage.name) {
-            Some(recalled) => Ok((stage, recalled.model.as_ref())),
+        match self.saved.get(&stage.name) {
+            Some(saved) => Ok((stage, saved.model.as_ref())),
             None => Ok((stage, self.models[&stage.name].as_ref())),
         }
     }
@@ -276,8 +276,8 @@ impl Prepared {
     /// The stage that the model of an estimate comes from.
     pub(crate) fn machine_stage(&self, estimate: &Stage) -> Result<&Stage> {
         let stage = self.recipe_stage(&estimate.name)?;
-        let next = match (stage.kind, stage.basis) {
-            (Kind::Model, _) | (_, Basis::Calibration) => return Ok(stage),
+        let next = match (stage.kind, stage.estimate_source) {
+            (Kind::Model, _) | (_, EstimateSource::Calibration) => return Ok(stage),
             _ => stage.reference("machine").first().or(stage.reference("of").first()),
         };
         let none = || Error::usage(format!("`{}` has no machine", stage.name));

@@ -140,7 +140,7 @@ pub(crate) fn input_records(files: &[PathBuf]) -> Result<Vec<FileRecord>> {
 }
 
 /// Sentences on files of data that have the same content: the rows of one that was copied count twice.
-pub(crate) fn twins(data: &[PathBuf], inputs: &[FileRecord]) -> Vec<String> {
+pub(crate) fn files_with_same_content(data: &[PathBuf], inputs: &[FileRecord]) -> Vec<String> {
     let mut first: BTreeMap<&str, &str> = BTreeMap::new();
     let mut sentences = Vec::new();
     for record in data.iter().filter_map(|path| inputs.iter().find(|input| input.file == path.display().to_string())) {

@@ -8,16 +8,16 @@ use std::collections::BTreeMap;
 use std::sync::Arc;
 
 use abbe_core::{
-    Basis, Calibration, Class, Error, Estimate, Fit, FitReport, Identifiability, Kind, Problem, Result,
+    Calibration, Class, Error, Estimate, EstimateSource, Fit, FitReport, Identifiability, Kind, Problem, Result,
     UncertaintyBudget, Unknown,
 };
 use abbe_estimation::calibration;
 use abbe_recipe::Stage;
 
-use crate::prediction::{Predicted, predicting};
+use crate::prediction::{Predicted, prediction_fit};
 use crate::prepare::Prepared;
-use crate::recalled::fit_without_rows;
 use crate::run::{Datasets, has_rows, named};
+use crate::saved::fit_without_rows;
 use crate::travel::in_travel;
 
 /// An estimator that solves nothing.
@@ -89,7 +89,7 @@ impl Prepared {
         let has_all = |stage: &Stage| stage.reference("of").iter().all(|name| fits.iter().any(|fit| fit.name == *name));
         for stage in self.stages(Kind::Validate).filter(|stage| has_all(stage) && is_asked(stage)) {
             let of = named(stage.reference("of"), &fits);
-            let other = |fit: &&Fit| Some(predicting(fit, unseen.get(&(stage.name.as_str(), fit.name.as_str()))?));
+            let other = |fit: &&Fit| Some(prediction_fit(fit, unseen.get(&(stage.name.as_str(), fit.name.as_str()))?));
             let others: Vec<Fit> =
                 of.iter().filter_map(other).collect::<Result<_>>().or_else(|error| self.located(stage, Err(error)))?;
             let judged: Vec<&Fit> = if others.is_empty() { of } else { others.iter().collect() };
@@ -117,10 +117,10 @@ impl Prepared {
     ) -> Result<Option<Fit>> {
         let Some(problem) = problems.get(&stage.name) else { return Ok(self.of_other(stage, fits)) };
         let estimator = self.estimators[&stage.name].clone();
-        if let Some(recalled) = self.recalled.get(&stage.name) {
-            return Ok(fit_without_rows(recalled.calibration.clone(), problem.model.clone(), estimator).ok());
+        if let Some(saved) = self.saved.get(&stage.name) {
+            return Ok(fit_without_rows(saved.calibration.clone(), problem.model.clone(), estimator).ok());
         }
-        if stage.basis == Basis::Statement {
+        if stage.estimate_source == EstimateSource::Statement {
             // What is stated does not wait for anything.
             let stated = self.located(stage, estimator.explain(problem))?;
             return Ok(fit_without_rows(stated, problem.model.clone(), estimator).ok());
@@ -150,7 +150,7 @@ impl Prepared {
 /// process could not do with them.
 fn unless_by_value(said: Result<()>) -> Result<()> {
     said.or_else(|error: Error| {
-        let of_setting = error.class == Class::Interrupted || (error.class == Class::Use && !error.fault);
+        let of_setting = error.class == Class::Interrupted || (error.class == Class::Use && !error.fatal);
         if of_setting { Err(error) } else { Ok(()) }
     })
 }

@@ -21,12 +21,12 @@ pub enum Wanted {
 }
 
 /// Settings of the recipe for an artefact's rows.
-pub struct RowsOf {
+pub struct ArtefactRowSettings {
     settings: RowSettings,
     covariance: Option<PathBuf>,
 }
 
-impl RowsOf {
+impl ArtefactRowSettings {
     /// Reads and checks the settings of an artefact stage.
     pub fn new(stage: &Stage, base: &std::path::Path) -> Result<Self, SettingsError> {
         let settings: RowSettings = from_settings(&stage.row_settings)?;

@@ -6,8 +6,8 @@ use std::sync::Arc;
 use std::time::{Instant, SystemTime};
 
 use abbe_core::{
-    Basis, Calibration, Class, DataRecord, DataRow, Dataset, Error, Event, ExportedFile, Fit, Identifiability, Kind,
-    KinematicModel, Monitor, ObservationSet, Owner, Problem, Registry, Result, Verdict, in_parallel,
+    Calibration, Class, DataRecord, DataRow, Dataset, Error, EstimateSource, Event, ExportedFile, Fit, Identifiability,
+    Kind, KinematicModel, Monitor, ObservationSet, Owner, Problem, Registry, Result, Verdict, in_parallel,
 };
 use abbe_estimation::remarks;
 use abbe_recipe::Stage;
@@ -15,11 +15,11 @@ use abbe_recipe::Stage;
 use crate::evidence;
 use crate::outcome::{Failure, Outcome};
 use crate::plausibility::check_uncertainties;
-use crate::prediction::{Predicted, predicting};
+use crate::prediction::{Predicted, prediction_fit};
 use crate::prepare::{Prepared, build_model};
-use crate::recalled::fit_without_rows;
-use crate::record::{FileRecord, input_records, twins};
+use crate::record::{FileRecord, files_with_same_content, input_records};
 use crate::row_settings::Wanted;
+use crate::saved::fit_without_rows;
 use crate::travel::{check_travel, in_travel};
 
 /// Identifiability of a planned fit.
@@ -76,7 +76,7 @@ impl Prepared {
         let read: Vec<PathBuf> = (self.stages(Kind::Ingest))
             .flat_map(|stage| self.ingests[&stage.name].inputs().into_iter().map(|input| input.path))
             .collect();
-        twins(&read, &inputs).iter().for_each(|sentence| tracing::warn!("{sentence}"));
+        files_with_same_content(&read, &inputs).iter().for_each(|sentence| tracing::warn!("{sentence}"));
         let data = self.read(monitor, None)?;
         let mut taken = Taken::default();
         let problems = self.problems(&data, &mut taken)?;
@@ -175,7 +175,7 @@ impl Prepared {
             let fits: Vec<&Fit> = watched.iter().collect();
             let others = fits.iter().filter_map(|fit| {
                 let problem = unseen.get(&(stage.name.as_str(), fit.name.as_str()))?;
-                Some(self.located(stage, predicting(fit, problem)))
+                Some(self.located(stage, prediction_fit(fit, problem)))
             });
             let others = others.collect::<Result<Vec<Fit>>>()?;
             let judged: Vec<&Fit> = if others.is_empty() { fits } else { others.iter().collect() };
@@ -218,13 +218,13 @@ impl Prepared {
     fn estimate(&self, stage: &Stage, problem: Option<&Problem>, fits: &[Fit], monitor: &Monitor) -> Result<Fit> {
         let Some(problem) = problem else { return self.fit_again(stage, fits, monitor) };
         let estimator = self.estimators[&stage.name].clone();
-        let calibration = match stage.basis {
-            Basis::Measurements | Basis::Analysis => {
+        let calibration = match stage.estimate_source {
+            EstimateSource::Measurements | EstimateSource::Analysis => {
                 return self.fit(stage, self.located(stage, start(stage, problem.clone(), fits))?);
             }
-            Basis::Calibration => Ok(self.recalled[&stage.name].calibration.clone()),
-            Basis::Statement => estimator.explain(problem),
-            Basis::Combination => estimator.combine(problem, &named(stage.reference("of"), fits)),
+            EstimateSource::Calibration => Ok(self.saved[&stage.name].calibration.clone()),
+            EstimateSource::Statement => estimator.explain(problem),
+            EstimateSource::Combination => estimator.combine(problem, &named(stage.reference("of"), fits)),
         };
         let fit = |calibration| fit_without_rows(calibration, problem.model.clone(), estimator);
         self.located(stage, calibration.and_then(fit))
@@ -308,8 +308,8 @@ impl Prepared {
         let mut all_rows: BTreeMap<String, Vec<DataRecord>> = BTreeMap::new();
         for stage in self.stages(Kind::Estimate) {
             let name = &stage.name;
-            let mut all = match self.recalled.get(name) {
-                Some(recalled) => recalled.calibration.data.clone(),
+            let mut all = match self.saved.get(name) {
+                Some(saved) => saved.calibration.data.clone(),
                 None => problems.get(name).map_or_else(Vec::new, |problem| evidence::of_problem(problem, digests)),
             };
             for key in ["known", "of"] {
@@ -336,7 +336,7 @@ impl Prepared {
         let plugin = self.model_plugin(stage)?;
         match stage.parameters.as_slice() {
             // All parameters of the machine, which are stated or known.
-            [] if stage.basis != Basis::Measurements => {
+            [] if stage.estimate_source != EstimateSource::Measurements => {
                 Problem::new(&stage.name, &plugin, model, sets, &["*".to_owned()])
             }
             patterns => Problem::new(&stage.name, &plugin, model, sets, patterns),
@@ -346,8 +346,8 @@ impl Prepared {
     /// Name of the plugin of an estimate's model.
     pub(crate) fn model_plugin(&self, estimate: &Stage) -> Result<String> {
         let stage = self.machine_stage(estimate)?;
-        let recalled = self.recalled.get(&stage.name);
-        Ok(recalled.map_or_else(|| stage.plugin.clone(), |recalled| recalled.calibration.model.plugin.clone()))
+        let saved = self.saved.get(&stage.name);
+        Ok(saved.map_or_else(|| stage.plugin.clone(), |saved| saved.calibration.model.plugin.clone()))
     }
 
     /// The machine of an estimate. If it is that of another estimate, it has the settings that follow from the data of that
@@ -423,7 +423,7 @@ impl Prepared {
 
 /// Whether an estimate has its own problem and is not an analysis of another estimate.
 pub(crate) fn has_problem(stage: &&Stage) -> bool {
-    !stage.basis.may_analyse() || stage.reference("of").is_empty()
+    !stage.estimate_source.may_analyse() || stage.reference("of").is_empty()
 }
 
 /// Whether an estimate has its own observations.
@@ -462,7 +462,7 @@ fn start(stage: &Stage, problem: Problem, fits: &[Fit]) -> Result<Problem> {
     let known = named(stage.reference("known"), fits);
     let problem = known.iter().try_fold(problem, |problem, fit| problem.with_prior(&fit.calibration))?;
     let start = named(stage.reference("start"), fits);
-    Ok(start.iter().fold(problem, |problem, fit| problem.at(&problem.values_of(&fit.calibration))))
+    Ok(start.iter().fold(problem, |problem, fit| problem.with_values(&problem.values_of(&fit.calibration))))
 }
 
 pub(crate) fn named<'a>(names: &[String], fits: &'a [Fit]) -> Vec<&'a Fit> {

@@ -212,7 +212,7 @@ impl Prepared {
         // Nothing is estimated here: neither unknowns nor the uncertainty of inputs matter.
         Ok(Problem {
             name: machine.to_owned(),
-            machine: model.info().nominal.clone(),
+            machine_values: model.info().nominal.clone(),
             model,
             model_plugin: self.model_plugin(stage)?,
             sets,

@@ -33,7 +33,7 @@ pub fn calibration(
     };
     let parameters = problem.model.info().parameters.iter().enumerate();
     let parameters = parameters.map(|(index, parameter)| {
-        estimated(Owner::Machine, index, parameter.name.clone(), parameter.unit, problem.machine[index])
+        estimated(Owner::Machine, index, parameter.name.clone(), parameter.unit, problem.machine_values[index])
     });
     let mut artefacts = Vec::new();
     for (set, observations) in SetIndex::enumerate(&problem.sets) {
@@ -79,7 +79,7 @@ fn considered_inputs(problem: &Problem, covariance: &[Vec<f64>]) -> Vec<Consider
     let input = |(index, (unknown, identity)): (usize, (&Unknown, &Option<String>))| {
         let (column, variance) = (problem.unknowns.len() + index, considered.covariance[index][index]);
         let value = match unknown.owner {
-            Owner::Machine => problem.machine[unknown.index],
+            Owner::Machine => problem.machine_values[unknown.index],
             Owner::Set(set) => problem.sets[set].own[unknown.index],
             Owner::Input => problem.inputs[unknown.index].value(&problem.sets),
         };

@@ -80,7 +80,7 @@ pub fn is_judged_as_recorded(problem: &Problem) -> bool {
 
 /// The same problem at `x`. The rows of the sets for which `moves` is true are at nominal contact.
 fn with_contacts(problem: &Problem, x: &[f64], moves: impl Fn(&ObservationSet) -> bool) -> Result<Problem> {
-    let mut moved = problem.at(x);
+    let mut moved = problem.with_values(x);
     let linear = LinearAxes::of(problem.model.as_ref());
     let threads = problem.threads(linear.count());
     for (index, set) in SetIndex::enumerate(&problem.sets) {
@@ -121,7 +121,7 @@ fn contacts(problem: &Problem, set: SetIndex, rows: &[RowIndex], linear: &Linear
 /// `errors` has one value for every equation, mm or rad; constraints keep their residuals. `variations` change
 /// parameters of the model from row to row. Fails for artefacts that are not simulated and, with the place of the row,
 /// if the axes cannot make the equations equal their errors to 1e-11 mm.
-pub fn measured(problem: &Problem, errors: &[f64], variations: &[Variation]) -> Result<Problem> {
+pub fn simulate_measurement(problem: &Problem, errors: &[f64], variations: &[Variation]) -> Result<Problem> {
     let mut moved = problem.clone();
     let linear = LinearAxes::of(problem.model.as_ref());
     let mut work = Evaluation::default();
@@ -133,7 +133,7 @@ pub fn measured(problem: &Problem, errors: &[f64], variations: &[Variation]) -> 
             let equations = IndexRange::new(first_equation, moved.sets[set].equations_of(chunk).count());
             first_equation = equations.end();
             let errors = &errors[equations];
-            vary(&mut moved, &problem.machine, variations, first_row);
+            vary(&mut moved, &problem.machine_values, variations, first_row);
             match &moved.sets[set].info().contact {
                 Contact::LinearAxes => touch(&mut moved, set, chunk, &linear, errors, &mut work)?,
                 Contact::Reading(_) => read(&mut moved, set, chunk, errors, &mut work)?,
@@ -145,17 +145,17 @@ pub fn measured(problem: &Problem, errors: &[f64], variations: &[Variation]) -> 
             first_row += chunk.len();
         }
     }
-    moved.machine.copy_from_slice(&problem.machine);
+    moved.machine_values.copy_from_slice(&problem.machine_values);
     Ok(moved)
 }
 
 /// Sets the varying parameters to their values on a row; rows are counted over all sets.
 fn vary(problem: &mut Problem, machine: &[f64], variations: &[Variation], row: usize) {
     for Variation { parameter, .. } in variations {
-        problem.machine[*parameter] = machine[*parameter];
+        problem.machine_values[*parameter] = machine[*parameter];
     }
     for Variation { parameter, values } in variations {
-        problem.machine[*parameter] += values[row];
+        problem.machine_values[*parameter] += values[row];
     }
 }
 
@@ -204,7 +204,7 @@ fn unreachable(problem: &Problem, set: SetIndex, row: RowIndex, off: f64) -> Err
     };
     let error = Error::data(format!("the tip cannot reach `{feature}` in this row by its linear axes: {off}"))
         .help("the linear axes have to be able to move along the measured direction; are the values of the truth in mm and rad?");
-    problem.at_row(set, row, error)
+    problem.error_at_row(set, row, error)
 }
 
 fn moves_to_contact(set: &ObservationSet) -> bool {

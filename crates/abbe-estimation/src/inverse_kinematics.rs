@@ -40,7 +40,7 @@ impl<'a> InverseKinematics<'a> {
     }
 
     /// The statuses with the tips at `points`; none if the linear axes cannot bring the tip there within their ranges.
-    pub fn at(&self, mut statuses: Vec<Vec<f64>>, points: &[[f64; 3]]) -> Result<Vec<Option<Vec<f64>>>> {
+    pub fn solve(&self, mut statuses: Vec<Vec<f64>>, points: &[[f64; 3]]) -> Result<Vec<Option<Vec<f64>>>> {
         let mut distances = vec![f64::INFINITY; statuses.len()];
         for _ in 0..STEPS {
             let poses = self.evaluate(&statuses, &self.wanted)?;
@@ -85,8 +85,8 @@ pub fn measured_again(
     held: Option<usize>,
     change: impl Fn(&mut [f64]),
 ) -> Result<Option<Problem>> {
-    let tip_as_recorded = InverseKinematics::new(recorded.model.as_ref(), &recorded.machine, held);
-    let reach = InverseKinematics::new(other.model.as_ref(), &other.machine, held);
+    let tip_as_recorded = InverseKinematics::new(recorded.model.as_ref(), &recorded.machine_values, held);
+    let reach = InverseKinematics::new(other.model.as_ref(), &other.machine_values, held);
     for set in &mut other.sets {
         let mut poses = set.poses().clone();
         let measured: Vec<PoseIndex> = set.poses_of(&set.rows).collect();
@@ -96,7 +96,7 @@ pub fn measured_again(
             let mut statuses: Vec<Vec<f64>> = measured.iter().map(|&pose| poses.row(pose).to_vec()).collect();
             let tips = tip_as_recorded.tips(&statuses)?;
             statuses.iter_mut().for_each(|status| change(status));
-            for (pose, found) in measured.into_iter().zip(reach.at(statuses, &tips)?) {
+            for (pose, found) in measured.into_iter().zip(reach.solve(statuses, &tips)?) {
                 if let Some(status) = found {
                     poses.row_mut(pose).copy_from_slice(&status);
                     reached.push(pose);

@@ -53,7 +53,8 @@ impl Judgement {
     /// Fails where the model gives no pose, or an equation has no finite value, at nominal geometry.
     pub fn new(problem: &Problem, kept: Option<&[f64]>) -> Result<Self> {
         let nominal = at_nominal_geometry(problem);
-        let at_start = kept.is_none() && nominal.start() == problem.start() && nominal.machine == problem.machine;
+        let at_start =
+            kept.is_none() && nominal.start() == problem.start() && nominal.machine_values == problem.machine_values;
         let at_start = at_start && is_judged_as_recorded(problem);
         let judged = rank_point(&nominal, &nominal.start())?;
         let factor = Weighted::new(&judged)?.factor(&judged.start(), kept)?;
@@ -90,7 +91,7 @@ pub(crate) fn at_nominal_geometry(problem: &Problem) -> Problem {
     let nominal_values = &problem.model.info().nominal;
     let held = held(problem);
     let mut nominal = problem.clone();
-    for (index, (value, nominal)) in nominal.machine.iter_mut().zip(nominal_values).enumerate() {
+    for (index, (value, nominal)) in nominal.machine_values.iter_mut().zip(nominal_values).enumerate() {
         if !held.contains(&index) {
             *value = *nominal;
         }
@@ -169,12 +170,12 @@ fn norms_of_terms(problem: &Problem, kept: Option<&[f64]>) -> Result<Vec<f64>> {
         for rows in set.rows.chunks(CHUNK) {
             problem.evaluate(index, rows, &[], &mut work)?;
             let statuses: Vec<f64> = set.poses_of(rows).flat_map(|pose| set.poses().row(pose).to_vec()).collect();
-            let turned = problem.model.poses(&statuses, &problem.machine, &wanted, true, &mut poses);
-            if turned.as_ref().is_err_and(|error| error.fault) {
+            let turned = problem.model.poses(&statuses, &problem.machine_values, &wanted, true, &mut poses);
+            if turned.as_ref().is_err_and(|error| error.fatal) {
                 turned?;
             } else if turned.is_err() {
                 // A model may give no orientations: then what is an angle turns by itself.
-                problem.model.poses(&statuses, &problem.machine, &wanted, false, &mut poses)?;
+                problem.model.poses(&statuses, &problem.machine_values, &wanted, false, &mut poses)?;
             }
             let weights: Vec<f64> = IndexRange::new(first, work.equations.residuals().len())
                 .map(|equation| kept.map_or(1.0, |kept| kept[equation]) / uncertainties[equation])

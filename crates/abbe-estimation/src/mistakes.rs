@@ -5,7 +5,7 @@ use std::f64::consts::PI;
 use abbe_core::{Axis, AxisKind, ModelInfo, Monitor, ObservationSet, Plausible, Problem, Quantity, Result, StatusRole};
 use abbe_numerics::{End, Options, solve_from};
 
-use crate::plausibility::large_at;
+use crate::plausibility::large_errors_at;
 use crate::separation::spread_out;
 use crate::weighted::Weighted;
 
@@ -122,7 +122,7 @@ impl Trial {
         let in_uncertainties = median(weighted.in_uncertainties(residuals.clone()))?;
         let (quantity, residuals) = of_main_quantity(residuals, problem.quantities());
         let size = median(residuals)?;
-        let large = large_at(plausible, &problem.at(&solution.x)).ok()?;
+        let large = large_errors_at(plausible, &problem.with_values(&solution.x)).ok()?;
         Some(Self {
             median: size,
             quantity,
@@ -154,7 +154,7 @@ fn mistakes(machine: &ModelInfo) -> Vec<Mistake> {
     let mut mistake = |without: String, correct: Correction| found.push(Mistake { without, correct });
     for (index, axis) in machine.axes.iter().enumerate() {
         let negated: Vec<usize> =
-            machine.status_of(&StatusRole::Direction(index)).into_iter().chain([axis.status]).collect();
+            machine.status_index(&StatusRole::Direction(index)).into_iter().chain([axis.status]).collect();
         let negate = move |status: &mut [f64]| negated.iter().for_each(|&value| status[value] = -status[value]);
         mistake(format!("with {} negated", axis.name), Box::new(negate));
     }

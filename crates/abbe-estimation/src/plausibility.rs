@@ -87,11 +87,11 @@ pub fn large_errors(plausible: &Plausible, problem: &Problem, calibration: &Cali
         let scale = calibration.fit.sigma.max(1.0);
         calibration.get(&unknown.name).map_or((0.0, 0.0), |found| (found.value, found.standard_uncertainty / scale))
     };
-    judged(plausible, &problem.at(&problem.values_of(calibration)), &unknowns, values)
+    judged(plausible, &problem.with_values(&problem.values_of(calibration)), &unknowns, values)
 }
 
 /// The same of values without a calibration; the unknowns stand at them.
-pub(crate) fn large_at(plausible: &Plausible, at: &Problem) -> Result<Vec<LargeError>> {
+pub(crate) fn large_errors_at(plausible: &Plausible, at: &Problem) -> Result<Vec<LargeError>> {
     let start = at.start();
     let unknowns: Vec<Unknown> =
         at.unknowns.iter().filter(|unknown| unknown.owner == Owner::Machine).cloned().collect();
@@ -163,7 +163,9 @@ impl Motions {
                 let status = set.poses().row(pose);
                 for function in &problem.model.info().error_functions {
                     // An error that cannot be evaluated here has no part in this row.
-                    let Ok(error) = problem.model.motion_error(function, &problem.machine, status) else { continue };
+                    let Ok(error) = problem.model.motion_error(function, &problem.machine_values, status) else {
+                        continue;
+                    };
                     for (index, by) in error.derivatives.into_iter().filter(|(_, by)| by.is_finite()) {
                         let effect = effects.entry(index).or_default();
                         *effect = effect.max(by.abs());

@@ -42,19 +42,19 @@ pub struct Propagation {
     /// Covariance of unknowns (rows) with considered quantities (columns).
     cross: Vec<Vec<f64>>,
     /// The a-posteriori factors.
-    scales: Scales,
+    scales: AposterioriFactors,
 }
 
 /// The a-posteriori factors on stated uncertainties, with their degrees of freedom.
 #[derive(Clone)]
-pub enum Scales {
+pub enum AposterioriFactors {
     /// One for all readings; its degrees of freedom are infinite if stated uncertainties are trusted.
     Common(f64, f64),
     /// One for every set; the uncertainties of the problem already contain it.
     PerSet(Vec<(f64, f64)>),
 }
 
-impl Scales {
+impl AposterioriFactors {
     fn of_set(&self, set: SetIndex) -> (f64, f64) {
         match self {
             Self::Common(scale, freedom) => (*scale, *freedom),
@@ -77,7 +77,7 @@ pub struct Linearisation<'a> {
 
 impl Propagation {
     /// Propagates all inputs. With `split` every artefact is an input by itself.
-    pub fn new(at: &Linearisation<'_>, scales: Scales, split: bool) -> Result<Self> {
+    pub fn new(at: &Linearisation<'_>, scales: AposterioriFactors, split: bool) -> Result<Self> {
         let Linearisation { problem, x, kept, root: covariance_root } = at;
         let (problem, x, kept) = (*problem, *x, *kept);
         let repeated_together = problem.repeated_together();
@@ -87,12 +87,12 @@ impl Propagation {
         let constrained = constraints.contains(&true);
         let mut parts = Vec::new();
         let stated = |input: String, mut covariance: Vec<Vec<f64>>, (scale, degrees_of_freedom): (f64, f64)| {
-            if let Scales::PerSet(_) = scales {
+            if let AposterioriFactors::PerSet(_) = scales {
                 covariance.iter_mut().flatten().for_each(|entry| *entry /= scale * scale);
             }
             Part { input, covariance, stated: true, scale, degrees_of_freedom }
         };
-        if let Scales::Common(scale, freedom) = scales
+        if let AposterioriFactors::Common(scale, freedom) = scales
             && !split
             && repeated_together.is_empty()
             && !constrained
@@ -156,8 +156,10 @@ impl Propagation {
             // One factor for all readings is one estimate: its contributions are added before the effective degrees of
             // freedom are computed.
             let mut freedom: Vec<(f64, f64)> = match self.scales {
-                Scales::Common(_, freedom) => vec![(own(true).map(|(variance, _)| variance).sum(), freedom)],
-                Scales::PerSet(_) => own(true).collect(),
+                AposterioriFactors::Common(_, freedom) => {
+                    vec![(own(true).map(|(variance, _)| variance).sum(), freedom)]
+                }
+                AposterioriFactors::PerSet(_) => own(true).collect(),
             };
             freedom.extend(own(false));
             let freedom = effective_degrees_of_freedom(&freedom);
@@ -191,8 +193,8 @@ impl Propagation {
         UncertaintyBudget {
             coverage_probability: probability,
             scale: match self.scales {
-                Scales::Common(scale, _) => scale,
-                Scales::PerSet(_) => 1.0,
+                AposterioriFactors::Common(scale, _) => scale,
+                AposterioriFactors::PerSet(_) => 1.0,
             },
             joint: JointCoverage {
                 quantities: machine,
@@ -218,7 +220,7 @@ fn propagate_shared(
     if considered.unknowns.is_empty() && repeated_together.is_empty() {
         return Ok(vec![Vec::new(); own]);
     }
-    let mut extended = problem.at(x);
+    let mut extended = problem.with_values(x);
     extended.unknowns.extend(considered.unknowns.iter().cloned());
     let columns: Vec<Vec<f64>> =
         repeated_together.iter().flat_map(|together| together.pooled.deviations.clone()).collect();

@@ -1,6 +1,6 @@
 //! Identifiability: rank, lost directions, weakly determined directions.
 
-use abbe_core::{Combination, Error, Identifiability, NullVector, Problem};
+use abbe_core::{Combination, Error, Identifiability, Problem, WeakDirection};
 use abbe_numerics::{Factor, Spectrum};
 
 use crate::judgement::at_nominal_geometry;
@@ -24,20 +24,20 @@ pub fn identifiability(problem: &Problem, factor: &Factor, tolerance: f64) -> Id
         condition: singular_values.condition(rank),
         null_space,
         weakest: Vec::new(),
-        same_motion: Vec::new(),
+        equivalent_motion_errors: Vec::new(),
         uncertainty: None,
         remarks: Vec::new(),
     }
 }
 
 /// The lost directions with the names and in the units of the unknowns, those with the largest effect first.
-fn null_space(problem: &Problem, spectrum: &Spectrum, rank: usize) -> Vec<NullVector> {
+fn null_space(problem: &Problem, spectrum: &Spectrum, rank: usize) -> Vec<WeakDirection> {
     let basis = spectrum.null_basis(rank).into_iter();
     basis.map(|(singular_value, direction)| named(problem, spectrum, singular_value, &direction, 0.0)).collect()
 }
 
 /// The combinations with the smallest singular values within `rank`, the weakest first.
-pub fn weakest(problem: &Problem, spectrum: &Spectrum, rank: usize) -> Vec<NullVector> {
+pub fn weakest(problem: &Problem, spectrum: &Spectrum, rank: usize) -> Vec<WeakDirection> {
     let values = spectrum.singular_values().values();
     let largest = values.first().copied().unwrap_or(1.0);
     let weakest = (0..rank).rev().take(WEAKEST);
@@ -45,7 +45,7 @@ pub fn weakest(problem: &Problem, spectrum: &Spectrum, rank: usize) -> Vec<NullV
 }
 
 /// A direction in scaled unknowns, in the units of the unknowns; those below `least` times the largest effect are left out.
-fn named(problem: &Problem, spectrum: &Spectrum, singular_value: f64, direction: &[f64], least: f64) -> NullVector {
+fn named(problem: &Problem, spectrum: &Spectrum, singular_value: f64, direction: &[f64], least: f64) -> WeakDirection {
     let largest = direction.iter().fold(0.0, |largest: f64, effect| largest.max(effect.abs()));
     let mut parts: Vec<(f64, Combination)> = Vec::new();
     for (unknown, (&effect, &scale)) in problem.unknowns.iter().zip(direction.iter().zip(spectrum.scale())) {
@@ -63,7 +63,7 @@ fn named(problem: &Problem, spectrum: &Spectrum, singular_value: f64, direction:
         part.coefficient /= unit;
         part
     });
-    NullVector { singular_value, combination: combination.collect(), separated_by: Vec::new() }
+    WeakDirection { singular_value, combination: combination.collect(), separated_by: Vec::new() }
 }
 
 /// The same with the measurements that separate what is lost. Where none can be told, nothing is.
@@ -112,7 +112,7 @@ pub fn ill_conditioned(problem: &Problem, factor: &Factor, tolerance: f64) -> Op
 
 /// The error for data that cannot determine what was chosen.
 pub fn confounded(found: &Identifiability) -> Error {
-    let lost: Vec<String> = found.null_space.iter().map(NullVector::advise).collect();
+    let lost: Vec<String> = found.null_space.iter().map(WeakDirection::advise).collect();
     Error::data(format!(
         "the data determine {} of {} unknowns:\n- {}",
         found.rank,

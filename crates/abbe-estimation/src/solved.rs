@@ -7,12 +7,12 @@ use abbe_numerics::{Directions, Factor, Robust, RobustReport};
 
 use crate::calibration::calibration;
 use crate::contact::{is_judged_as_recorded, rank_point};
+use crate::equivalent_motion_errors::equivalent_motion_errors;
 use crate::judgement::Judgement;
-use crate::propagation::{Linearisation, Propagation, Scales};
+use crate::propagation::{AposterioriFactors, Linearisation, Propagation};
 use crate::rank::{confounded, identifiability, ill_conditioned, separated, weakest};
 use crate::residuals::{Constraints, ResidualStatistics, outliers};
-use crate::same_motion::same_motion;
-use crate::variance::Components;
+use crate::variance::VarianceComponents;
 use crate::weighted::Weighted;
 
 /// Solution that an estimator found by its own iteration.
@@ -32,7 +32,7 @@ pub struct EstimatorSolution {
 }
 
 /// What the data cannot determine of a problem that was solved in spite of it.
-pub struct Lost {
+pub struct RankDeficiency {
     /// The lost directions, with names.
     pub found: Identifiability,
     /// The directions that were estimated; along others the unknowns stay where they started.
@@ -48,7 +48,7 @@ pub struct UncertaintyEvaluation {
     pub trust_uncertainties: bool,
     /// Probability that expanded uncertainties cover.
     pub coverage_probability: f64,
-    /// Adds budgets, weak combinations, and motion errors with the same effect on the tip ([`same_motion`]).
+    /// Adds budgets, weak combinations, and motion errors with the same effect on the tip ([`equivalent_motion_errors`]).
     pub explained: bool,
 }
 
@@ -82,8 +82,8 @@ impl UncertaintyEvaluation {
         &self,
         problem: &Problem,
         solved: EstimatorSolution,
-        lost: Option<Lost>,
-        components: Option<&Components>,
+        lost: Option<RankDeficiency>,
+        components: Option<&VarianceComponents>,
     ) -> Result<Calibration> {
         let EstimatorSolution { x, factor, robust, iterations, last_step, gradient_cosine } = solved;
         let (report, loss) = robust.unzip();
@@ -114,7 +114,7 @@ impl UncertaintyEvaluation {
                 }
                 (found, factor.covariance_root(rank))
             }
-            Some(Lost { found, determined }) => {
+            Some(RankDeficiency { found, determined }) => {
                 // Rows that weigh nothing may have told more.
                 if determined.factor(&factor).singular_values().rank(self.rank_tolerance) < rank {
                     let error = confounded(&found);
@@ -171,7 +171,7 @@ impl UncertaintyEvaluation {
             weakest: if self.explained { weakest(problem, &factor.spectrum(), found.rank) } else { Vec::new() },
             selection: None,
             implausible: Vec::new(),
-            same_motion: if self.explained { same_motion(problem)? } else { Vec::new() },
+            equivalent_motion_errors: if self.explained { equivalent_motion_errors(problem)? } else { Vec::new() },
             variance: components.map_or_else(Vec::new, |found| found.named(problem)),
             agreement: None,
         };
@@ -187,12 +187,12 @@ impl UncertaintyEvaluation {
         let factor = judged.factor();
         let mut found = separated(problem, identifiability(problem, factor, self.rank_tolerance));
         found.weakest = weakest(problem, &factor.spectrum(), found.rank);
-        found.same_motion = same_motion(problem)?;
+        found.equivalent_motion_errors = equivalent_motion_errors(problem)?;
         found.remarks.extend(ill_conditioned(problem, factor, self.rank_tolerance));
         if found.rank == found.unknowns {
             let (problem, root) = (judged.problem(), factor.covariance_root(found.rank));
             let place = Linearisation { problem, x: &problem.start(), kept: None, root };
-            let propagation = Propagation::new(&place, Scales::Common(1.0, f64::INFINITY), true)?;
+            let propagation = Propagation::new(&place, AposterioriFactors::Common(1.0, f64::INFINITY), true)?;
             if found.observations <= found.rank && !self.trust_uncertainties && propagation.is_scaled() {
                 found.remarks.push(
                     "no degrees of freedom are left, so that the scatter of the residuals will say nothing: set \
@@ -206,13 +206,15 @@ impl UncertaintyEvaluation {
     }
 
     /// The a-posteriori factors on stated uncertainties, and their degrees of freedom.
-    fn scales(&self, statistics: &ResidualStatistics, components: Option<&Components>) -> Scales {
+    fn scales(&self, statistics: &ResidualStatistics, components: Option<&VarianceComponents>) -> AposterioriFactors {
         match components {
-            Some(found) => {
-                Scales::PerSet(found.factors.iter().copied().zip(found.degrees_of_freedom.iter().copied()).collect())
+            Some(found) => AposterioriFactors::PerSet(
+                found.factors.iter().copied().zip(found.degrees_of_freedom.iter().copied()).collect(),
+            ),
+            None if self.trust_uncertainties || statistics.redundancy == 0.0 => {
+                AposterioriFactors::Common(1.0, f64::INFINITY)
             }
-            None if self.trust_uncertainties || statistics.redundancy == 0.0 => Scales::Common(1.0, f64::INFINITY),
-            None => Scales::Common(statistics.sigma, statistics.redundancy),
+            None => AposterioriFactors::Common(statistics.sigma, statistics.redundancy),
         }
     }
 }

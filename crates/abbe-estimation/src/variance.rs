@@ -35,7 +35,7 @@ const LEAST_REDUNDANCY: f64 = 1.0;
 const LEAST_FACTOR: f64 = 1e-4;
 
 /// The factors of all sets of a problem.
-pub struct Components {
+pub struct VarianceComponents {
     /// The factor on the standard uncertainties of every set.
     pub factors: Vec<f64>,
     /// Their degrees of freedom; infinite if the factor of a set cannot be determined.
@@ -45,7 +45,7 @@ pub struct Components {
     determined: Vec<bool>,
 }
 
-impl Components {
+impl VarianceComponents {
     /// The factors by name.
     pub fn named(&self, problem: &Problem) -> Vec<VarianceFactor> {
         let sets = problem.sets.iter().enumerate();
@@ -150,14 +150,14 @@ pub fn components(
     problem: &Problem,
     directions: Option<&Directions>,
     solve: impl Fn(&Problem) -> Result<Solution>,
-) -> Result<Components> {
+) -> Result<VarianceComponents> {
     let count = problem.sets.len();
     let mut factors = vec![1.0; count];
     let mut determined = vec![true; count];
     let mut exact = vec![false; count];
     let mut x = problem.start();
     for _ in 0..ROUNDS {
-        let scaled = problem.with_variance_factors(&factors).at(&x);
+        let scaled = problem.with_variance_factors(&factors).with_values(&x);
         let solution = solve(&scaled)?;
         x.clone_from(&solution.x);
         let round = Round::new(&scaled, &solution, directions)?;
@@ -192,7 +192,7 @@ pub fn components(
                 (determined[group], factors[group]) = (false, 1.0);
                 continue;
             }
-            return Ok(Components { factors, degrees_of_freedom, x, determined });
+            return Ok(VarianceComponents { factors, degrees_of_freedom, x, determined });
         }
     }
     let error = Error::data(format!("the variance factors of the artefacts still change after {ROUNDS} rounds"));

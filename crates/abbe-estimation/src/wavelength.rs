@@ -58,7 +58,7 @@ pub fn wavelengths(problem: &Problem, shape: usize) -> Result<Vec<Wavelength>> {
         return Ok(Vec::new());
     }
     for unknown in &waves.unknowns {
-        waves.machine[unknown.index] = 0.0;
+        waves.machine_values[unknown.index] = 0.0;
     }
     let overtones = waves.unknowns.len().div_ceil(2) as f64;
     let Some(travel) = keep_telling_rows(&mut waves, info.axes[axis].status)? else { return Ok(Vec::new()) };
@@ -66,7 +66,7 @@ pub fn wavelengths(problem: &Problem, shape: usize) -> Result<Vec<Wavelength>> {
     let nominal = info.nominal[shape];
     let mut tried_at = |frequency: f64| -> Result<Option<Wavelength>> {
         let value = 1.0 / frequency;
-        waves.machine[shape] = value;
+        waves.machine_values[shape] = value;
         let factor = Weighted::new(&waves)?.factor(&waves.start(), None)?;
         let step = factor.step();
         Ok(step.map(|step| {

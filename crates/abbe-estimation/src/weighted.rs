@@ -105,7 +105,7 @@ impl LeastSquares for Weighted<'_> {
     type Error = Error;
 
     fn is_final(&self, error: &Error) -> bool {
-        error.fault
+        error.fatal
     }
 
     fn is_out_of_time(&self, error: &Error) -> bool {
@@ -200,5 +200,5 @@ fn not_finite(problem: &Problem, equation: EquationIndex) -> Error {
     let which =
         if has_line { "of this row".to_owned() } else { format!("{} of the artefact, which no row has,", row.0 + 1) };
     let message = format!("the equation {which} has no finite value; its geometry is singular");
-    problem.at_row(set, row, Error::data(message).stage(&problem.sets[set].name))
+    problem.error_at_row(set, row, Error::data(message).stage(&problem.sets[set].name))
 }

@@ -5,7 +5,7 @@ use std::path::Path;
 use std::sync::Arc;
 
 use abbe_balls as _;
-use abbe_core::{Build, Context, Kind, NullVector, ObservationSet, Plugin, Problem, Registry};
+use abbe_core::{Build, Context, Kind, ObservationSet, Plugin, Problem, Registry, WeakDirection};
 use abbe_estimation::SeparationTrials;
 use abbe_facets as _;
 use abbe_gauss_newton as _;
@@ -46,7 +46,7 @@ fn problem(folder: &Path, machine: &Value, artefacts: &[(&str, Value, &str)], pa
 }
 
 /// The lost directions and what is told about them.
-fn told(problem: &Problem) -> Vec<(NullVector, Vec<String>)> {
+fn told(problem: &Problem) -> Vec<(WeakDirection, Vec<String>)> {
     let estimator = plugin(Kind::Estimate, "gauss-newton", |plugin| match &plugin.build {
         Build::Estimate(constructor) => constructor.build(&json!({}), &Context { base: "".into() }).ok(),
         _ => None,
@@ -69,7 +69,7 @@ fn told_of_one(problem: &Problem) -> Vec<String> {
     told.remove(0).1
 }
 
-fn of_machine(vector: &NullVector) -> Vec<&str> {
+fn of_machine(vector: &WeakDirection) -> Vec<&str> {
     let names = vector.combination.iter().map(|part| part.name.as_str());
     let mut names: Vec<&str> = names.filter(|name| !name.starts_with("table.")).collect();
     names.sort_unstable();

@@ -47,7 +47,7 @@ pub enum Criterion {
 
 /// The candidates of a design and the requirements on it.
 #[derive(Debug, Clone)]
-pub struct Choice {
+pub struct DesignProblem {
     /// Number of unknowns p.
     pub unknowns: usize,
     /// Number of unknowns of interest, which are the first ones. The others are nuisance unknowns, which are estimated, too.
@@ -101,7 +101,7 @@ pub struct DesignFigures {
     pub covariance: Vec<f64>,
 }
 
-impl Choice {
+impl DesignProblem {
     /// Number of candidates.
     pub fn candidates(&self) -> usize {
         self.ends.len()
@@ -381,7 +381,7 @@ struct Variances {
 }
 
 impl Variances {
-    fn new(choice: &Choice, chosen: &[usize], first: usize) -> Option<Self> {
+    fn new(choice: &DesignProblem, chosen: &[usize], first: usize) -> Option<Self> {
         let count = choice.unknowns - first;
         let information = choice.information(chosen, RIDGE).submatrix(first, first, count, count).to_owned();
         let covariance = inverse(&information)?;
@@ -391,7 +391,7 @@ impl Variances {
     }
 
     /// Covariances of the response of a row with the responses of all rows.
-    fn covariances(&self, choice: &Choice, index: usize) -> Vec<f64> {
+    fn covariances(&self, choice: &DesignProblem, index: usize) -> Vec<f64> {
         let weights = times(&self.covariance, choice.candidate(index), self.first);
         choice.rows.chunks_exact(choice.unknowns).map(|row| dot_in_lanes(&row[self.first..], &weights)).collect()
     }
@@ -401,13 +401,13 @@ impl Variances {
         (1.0 + self.of_rows[index]) * (1.0 - self.of_rows[out]) + covariance * covariance
     }
 
-    fn replace(&mut self, choice: &Choice, out: usize, index: usize) {
+    fn replace(&mut self, choice: &DesignProblem, out: usize, index: usize) {
         self.update(choice, index, 1.0);
         self.update(choice, out, -1.0);
     }
 
     /// Adds a row (sign 1) or takes it away (-1), after J. Sherman and W. J. Morrison (1950).
-    fn update(&mut self, choice: &Choice, index: usize, sign: f64) {
+    fn update(&mut self, choice: &DesignProblem, index: usize, sign: f64) {
         let weights = times(&self.covariance, choice.candidate(index), self.first);
         let factor = sign / (1.0 + sign * self.of_rows[index]);
         for (variance, row) in self.of_rows.iter_mut().zip(choice.rows.chunks_exact(choice.unknowns)) {

@@ -49,7 +49,7 @@ impl Directions {
 /// A problem within some directions from an origin: `y` in `x = x0 + B y` are its unknowns.
 ///
 /// What moves along other directions stays where it is, however far the iteration goes.
-pub struct Within<'a, P: ?Sized> {
+pub struct RestrictedProblem<'a, P: ?Sized> {
     /// The problem in x.
     pub problem: &'a P,
     /// `x0`.
@@ -58,14 +58,14 @@ pub struct Within<'a, P: ?Sized> {
     pub directions: &'a Directions,
 }
 
-impl<P: LeastSquares + ?Sized> Within<'_, P> {
+impl<P: LeastSquares + ?Sized> RestrictedProblem<'_, P> {
     /// x at y.
     pub fn place(&self, y: &[f64]) -> Vec<f64> {
         self.origin.iter().zip(self.directions.combined(y)).map(|(origin, step)| origin + step).collect()
     }
 }
 
-impl<P: LeastSquares + ?Sized> LeastSquares for Within<'_, P> {
+impl<P: LeastSquares + ?Sized> LeastSquares for RestrictedProblem<'_, P> {
     type Error = P::Error;
 
     fn is_final(&self, error: &P::Error) -> bool {

@@ -82,7 +82,7 @@ impl Factor {
     }
 
     /// The factor of the same rows without some unknowns.
-    pub fn without(&self, dropped: impl Fn(usize) -> bool) -> Self {
+    pub fn without_unknowns(&self, dropped: impl Fn(usize) -> bool) -> Self {
         let kept: Vec<usize> = (0..self.unknowns()).filter(|&unknown| !dropped(unknown)).collect();
         let mut accumulator = Accumulator::new(kept.len(), self.unknowns() + 1);
         for row in 0..self.unknowns() {

@@ -73,11 +73,13 @@ pub use coverage::{
     binomial_band, chi_squared_quantile, chi_squared_upper_tail, coverage_factor, effective_degrees_of_freedom,
     hotelling_quantile, hotelling_upper_tail, joint_coverage_factor, rectangular_coverage_factor,
 };
-pub use design::{Choice, Criterion, Design, DesignFigures};
-pub use directions::{Directions, Within};
+pub use design::{Criterion, Design, DesignFigures, DesignProblem};
+pub use directions::{Directions, RestrictedProblem};
 pub use factor::{CandidateTerm, CovarianceRoot, Factor, Information, SingularValues, Spectrum};
 pub use gauss_newton::{End, LeastSquares, Options, Sink, Solution, solve, solve_from};
-pub use monte_carlo::{Adaptive, Agreement, Interval, Trials, gum_agrees, least_trials, numerical_tolerance};
+pub use monte_carlo::{
+    AdaptiveProcedure, Agreement, Interval, Trials, compare_with_gum, least_trials, numerical_tolerance,
+};
 pub use regression::{Influence, SelectionStep, StepwiseDirection, StepwiseSelection};
 pub use robust::{Loss, Robust, RobustReport, scatter_factor};
 pub use sampling::Generator;

@@ -346,7 +346,7 @@ pub struct Agreement {
 
 /// Compares `estimate - expanded` to `estimate + expanded` with the interval of a Monte Carlo calculation of the same
 /// probability (JCGM 101:2008, clause 8); the tolerance is that of [`numerical_tolerance`].
-pub fn gum_agrees(estimate: f64, expanded: f64, interval: Interval, tolerance: f64) -> Agreement {
+pub fn compare_with_gum(estimate: f64, expanded: f64, interval: Interval, tolerance: f64) -> Agreement {
     let low_difference = (estimate - expanded - interval.low).abs();
     let high_difference = (estimate + expanded - interval.high).abs();
     let agrees = low_difference <= tolerance && high_difference <= tolerance;
@@ -359,7 +359,7 @@ pub fn gum_agrees(estimate: f64, expanded: f64, interval: Interval, tolerance: f
 /// Stable is a quantity if twice the standard deviation of the average over batches of each of these four is no larger
 /// than the numerical tolerance of the standard uncertainty of all its values.
 #[derive(Debug, Clone)]
-pub struct Adaptive {
+pub struct AdaptiveProcedure {
     /// Meaningful decimal digits of the standard uncertainties, 1 or 2 as a rule.
     digits: u32,
     /// Probability of the intervals.
@@ -398,7 +398,7 @@ impl Progress {
     }
 }
 
-impl Adaptive {
+impl AdaptiveProcedure {
     /// Wants standard uncertainties with `digits` meaningful decimal digits (1 or 2 as a rule) and intervals of
     /// `probability`, with no more than `most` trials in all.
     pub fn new(digits: u32, probability: f64, most: usize) -> Self {

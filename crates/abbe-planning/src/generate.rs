@@ -74,7 +74,7 @@ impl<'a> Grid<'a> {
             let positions = wanted.indexations_deg.get(&axis.name).map_or(Ok(vec![0.0]), Series::values);
             let positions = positions.map_err(|error| wrong_grid("indexations_deg", error.message))?;
             // Backlash is visible only if a position is approached from both sides.
-            let approach = model.info().status_of(&StatusRole::Direction(index));
+            let approach = model.info().status_index(&StatusRole::Direction(index));
             let sides: &[f64] = if wanted.indexations_deg.contains_key(&axis.name) && approach.is_some() {
                 &[1.0, -1.0]
             } else {
@@ -102,7 +102,7 @@ impl<'a> Grid<'a> {
 
     /// Statuses in which the linear axes bring the tip to points of the table frame; none for points that they do not reach.
     fn reached(&self, indexation: &[f64], points: &[[f64; 3]]) -> Result<Vec<Option<Vec<f64>>>> {
-        InverseKinematics::new(self.model, &self.nominal, None).at(vec![indexation.to_vec(); points.len()], points)
+        InverseKinematics::new(self.model, &self.nominal, None).solve(vec![indexation.to_vec(); points.len()], points)
     }
 
     /// Features that are touched at every indexation.
@@ -191,7 +191,7 @@ impl<'a> Grid<'a> {
         let linear = self.model.info().axes.iter().enumerate().filter(|(_, axis)| axis.kind == AxisKind::Linear);
         for (index, axis) in linear {
             let moved = status[axis.status] - from[axis.status];
-            if let Some(column) = self.model.info().status_of(&StatusRole::Direction(index)) {
+            if let Some(column) = self.model.info().status_index(&StatusRole::Direction(index)) {
                 status[column] = if moved < -AT_REST { -1.0 } else { 1.0 };
             }
         }

@@ -13,7 +13,7 @@ use abbe_core::{
     DataRow, EquationIndex, Error, PathItem, Problem, Result, RowIndex, Unknown, Whole, in_parallel, matches,
 };
 use abbe_estimation::rank_point;
-use abbe_numerics::{Choice, Criterion, Design, DesignFigures, Generator};
+use abbe_numerics::{Criterion, Design, DesignFigures, DesignProblem, Generator};
 
 pub use generate::generate;
 pub use settings::{GeneratedLengths, Generation, Planning, PlanningCriterion};
@@ -47,7 +47,7 @@ pub struct Plan {
     /// determine all unknowns.
     pub random_efficiency: Option<f64>,
     /// Number of searches that found this plan or one that is as good.
-    pub found: usize,
+    pub searches_that_found_it: usize,
 }
 
 /// A chosen candidate.
@@ -128,7 +128,7 @@ pub fn plan(problem: &Problem, wanted: &Planning) -> Result<Plan> {
         spread_evenly: choice.figures(&evenly).map(|even| scaled.figures(&choice, &evenly, even)),
         random_efficiency,
         figures,
-        found: designs.iter().filter(alike).count(),
+        searches_that_found_it: designs.iter().filter(alike).count(),
     })
 }
 
@@ -230,10 +230,10 @@ impl Scaled {
         Ok(Self { rows, ends, measured, measured_rows, norms, order: order.to_vec() })
     }
 
-    fn choice(&self, candidates: &[Candidate], wanted: &Planning, of_interest: usize) -> Choice {
+    fn choice(&self, candidates: &[Candidate], wanted: &Planning, of_interest: usize) -> DesignProblem {
         let required = candidates.iter().enumerate();
         let required = required.flat_map(|(index, candidate)| std::iter::repeat_n(index, candidate.required)).collect();
-        Choice {
+        DesignProblem {
             unknowns: self.order.len(),
             of_interest,
             rows: self.rows.clone(),
@@ -256,7 +256,7 @@ impl Scaled {
     }
 
     /// Figures in the units of the unknowns.
-    fn figures(&self, choice: &Choice, chosen: &[usize], figures: DesignFigures) -> PlanFigures {
+    fn figures(&self, choice: &DesignProblem, chosen: &[usize], figures: DesignFigures) -> PlanFigures {
         let p = self.order.len();
         let first = |index: usize| if index == 0 { 0 } else { self.ends[index - 1] };
         let equations = chosen.iter().map(|&index| self.ends[index] - first(index)).sum::<usize>() + self.measured_rows;
@@ -281,7 +281,7 @@ impl Scaled {
 }
 
 /// As many candidates, spread evenly over the list.
-fn evenly(choice: &Choice, number: usize) -> Vec<usize> {
+fn evenly(choice: &DesignProblem, number: usize) -> Vec<usize> {
     let allowed: Vec<usize> = (0..choice.candidates()).filter(|&index| choice.allowed[index]).collect();
     let rest = number.saturating_sub(choice.required.len());
     let spread = (0..rest.min(allowed.len())).map(|k| allowed[(2 * k + 1) * allowed.len() / (2 * rest)]);
@@ -290,7 +290,7 @@ fn evenly(choice: &Choice, number: usize) -> Vec<usize> {
 
 /// D-efficiency of random designs of the same number relative to the plan, the ratio of the p-th roots of the determinants:
 /// that of the median. None if half of them do not determine all unknowns.
-fn random(choice: &Choice, seed: u64, design: &[usize], log_determinant: f64) -> Option<f64> {
+fn random(choice: &DesignProblem, seed: u64, design: &[usize], log_determinant: f64) -> Option<f64> {
     let allowed: Vec<usize> = (0..choice.candidates()).filter(|&index| choice.allowed[index]).collect();
     let of_one = |trial: u64| {
         let mut generator = Generator::new(seed, RANDOM_STREAM + trial);

@@ -10,38 +10,40 @@ use serde::{Deserialize, Serialize};
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct Planning {
-    /// The estimate that is planned. What it observes beside the candidates counts as measured already.
+    /// The estimate that is planned. Its observations other than the candidates count as measured already.
     pub estimate: String,
-    /// The artefact stage whose rows there are to choose from.
+    /// The artefact stage whose rows are the candidates.
     pub candidates: String,
-    /// Candidates that are made here; without it they are the rows of the stage's data.
+    /// Makes candidates on a grid. Default: the candidates are the rows of the stage's data.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub generate: Option<Generation>,
-    /// Column of labels whose rows are measured together (an indexation); without it every row is chosen by itself.
+    /// Column of labels: rows with the same label are measured together (an indexation). Default: every row is a
+    /// candidate by itself.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub by: Option<String>,
-    /// How many to choose, required ones included.
+    /// Number of candidates to choose, including the required ones.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub number: Option<Whole<1, 10_000>>,
-    /// Time that they may take together; the candidates have a column `duration_s`.
+    /// Largest total time of the chosen candidates. The candidates need a column `duration_s`.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub budget_s: Option<f64>,
     /// What makes a choice good.
     #[serde(default)]
     pub criterion: PlanningCriterion,
-    /// Names or patterns of the unknowns that count; all of them unless said otherwise.
+    /// Names or patterns of the unknowns that the criterion counts. Default: all unknowns.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub parameters: Vec<String>,
     /// Whether a candidate may be measured more than once.
     #[serde(default)]
     pub replications: bool,
-    /// Candidates that belong to the plan: labels of `by`, else numbers of data rows (`beams:113` where the data come from several files). One that stands twice is measured twice.
+    /// Candidates that have to be in the plan: labels of `by`, else numbers of data rows (`beams:113` where the data
+    /// come from several files). A candidate that is listed twice is measured twice.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub required: Vec<Label>,
     /// Candidates that must not be chosen.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub forbidden: Vec<Label>,
-    /// Random starts of the search.
+    /// Number of random starts of the search.
     #[serde(default = "restarts")]
     pub restarts: Whole<1, 1_000>,
     /// Seed of the random starts.
@@ -76,11 +78,11 @@ pub struct Generation {
 pub struct GeneratedLengths {
     /// The lengths.
     pub lengths_mm: Series,
-    /// Where the first end is.
+    /// Positions of the first end.
     pub x_mm: Series,
-    /// Where the first end is.
+    /// Positions of the first end.
     pub y_mm: Series,
-    /// Where the first end is.
+    /// Positions of the first end.
     pub z_mm: Series,
     /// Direction to the other end in the plane of x and y, in degrees from x.
     #[serde(default = "along_x")]

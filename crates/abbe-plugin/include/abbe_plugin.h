@@ -3,8 +3,8 @@
  * Made of crates/abbe-plugin/src/abi.rs by `cargo xtask header`; not to be edited. All text is UTF-8; questions and answers
  * are JSON.
  *
- * Rules: structures are only appended to and begin with their size; what a call gets is lent until it returns; every function
- * may be called from several threads at once; nothing may unwind or jump out of a function. */
+ * Rules: new fields are only added at the end of a structure, and every structure has its size. Arguments of a call are lent
+ * until the call returns. Every function may be called from several threads at once. No exception may leave a function. */
 #ifndef ABBE_PLUGIN_H
 #define ABBE_PLUGIN_H
 
@@ -12,10 +12,10 @@
 
 struct AbbeReply;
 
-// The major number: another one is refused.
+// The major number. A library with another major number is refused.
 #define ABBE_ABI_MAJOR 2
 
-// The minor number: a higher one has more functions.
+// The minor number. A higher minor number means more functions.
 #define ABBE_ABI_MINOR 0
 
 // Success.
@@ -24,12 +24,13 @@ struct AbbeReply;
 // An error; the text of the reply is one sentence.
 #define ABBE_FAILED 1
 
-// An error; the text of the reply is JSON: `message`, and whatever of `help`, `class` ("use" or "data"), `setting` (of stages)
-// or `path` (of settings), `place`, `pose` (of those that were evaluated together, from 0) there is. An evaluation that fails
-// refuses the numbers that it was asked with, and an estimator tries others, unless `fault` is true: the code itself failed.
+// An error; the text of the reply is JSON with a `message`. These are optional: `help`, `class` ("use" or "data"),
+// `setting` (of a stage) or `path` (in settings), `place`, `pose` (its index among the poses that are evaluated together,
+// from 0) and `fault`. If `fault` is missing or false, an evaluation failed only for the given numbers, and an estimator
+// tries others. If it is true, the code itself failed, and the run ends.
 #define ABBE_FAILED_WITH_DETAILS 2
 
-// The code panicked; the text says how.
+// The code panicked; the text is the message of the panic.
 #define ABBE_PANICKED 3
 
 // The object does not know the method.
@@ -53,22 +54,24 @@ struct AbbeReply;
 // A plugin that writes files.
 #define ABBE_EXPORT 5
 
-// Of machines and observations: what they are. Answer: JSON.
+// Machines and observations: their description. Answer: JSON.
 //
-// A machine has `axes`, `status`, `parameters`, `settings`, and whatever of `stylus_radius`, `nominal`, `nominal_uncertainties` (one
-// value a parameter; without them all are zero), `error_functions` and `periods` there is. A status has a `role`: `{ "command": axis }`
-// for the status of every axis, else `{ "direction": axis }`, `"time"`, `"stylus"`, `"series"`, `"temperature"`, `"load"`, `"feed"`,
-// `{ "velocity": axis }`, `{ "sensor": name }`, `{ "thermal-state": name }`, `"probe"` or `"other"`. A parameter has one, too:
-// `{ "motion": { "axis", "component" } }` (component 0..6), `{ "location": { "axis", "component" } }`, `"set-up"`, `"shape"`, `"feature"`
-// or `"other"`. Without a role it is `"other"`.
+// A machine has `axes`, `status` (the columns of the status of poses), `parameters` and `settings`. These are optional:
+// `stylus_radius`, `nominal` and `nominal_uncertainties` (one value for each parameter, zero if they are missing),
+// `error_functions` and `periods`. Every column of the status has a `role`: `{ "command": axis }` for the command of an
+// axis, `{ "direction": axis }`, `"time"`, `"stylus"`, `"series"`, `"temperature"`, `"load"`, `"feed"`, `{ "velocity":
+// axis }`, `{ "sensor": name }`, `{ "thermal-state": name }`, `"probe"` or `"other"`. Every parameter has a `role`, too:
+// `{ "motion": { "axis", "component" } }` (component 0 to 5), `{ "location": { "axis", "component" } }`, `"set-up"`,
+// `"shape"`, `"feature"` or `"other"`. A missing role is `"other"`.
 //
-// Observations have `layout`, `contact`, and whatever of `unknowns` (parameters), `start`, `inputs`, `features`, `orientation` (`"unused"`,
-// `"exact"`, `"first-order"`), `angles` (equations, by their index in the layout, that are of angles, rad; all others are of
-// lengths, mm), `rank_point` (`"as-recorded"`; `"in-contact"`, only and by default with the contact `"linear-axes"`;
-// `{ "nominal-reading": { row: { "residuals", "axes" } } }`, only with a reading), `approaches` and `data` there is.
+// Observations have `layout` and `contact`. These are optional: `unknowns` (parameters), `start`, `inputs`, `features`,
+// `orientation` (`"unused"`, `"exact"`, `"first-order"`), `angles` (indices in the layout of the equations that are
+// angles, rad; all other equations are lengths, mm), `rank_point`, `approaches` and `data`. `rank_point` is
+// `"as-recorded"`, `"in-contact"` (for the contact `"linear-axes"` only, where it is the default) or `{ "nominal-reading":
+// { row: { "residuals", "axes" } } }` (for a contact with a reading only).
 #define ABBE_DESCRIBE 1
 
-// Of stages: the files that they read. Answer: `[ { "setting", "path" } ]`.
+// Stages: the files that they read. Answer: `[ { "setting", "path" } ]`.
 #define ABBE_INPUTS 2
 
 // Ingest: the columns. Answer: `[ { "name", "header", "quantity" } ]`.
@@ -89,7 +92,7 @@ struct AbbeReply;
 // Model: the machine. Question: a list of data sets, which may be empty. Answer: a machine.
 #define ABBE_BUILD 8
 
-// Machine: a motion error. Question: `{ "function", "values", "status" }`, with one value a parameter. Answer:
+// Machine: a motion error. Question: `{ "function", "values", "status" }`, with one value for each parameter. Answer:
 // `{ "value", "derivatives": [ [parameter, derivative] ] }`.
 #define ABBE_MOTION_ERROR 9
 
@@ -99,31 +102,33 @@ struct AbbeReply;
 // Estimate: solve. Question: a problem. Answer: a calibration.
 #define ABBE_SOLVE 11
 
-// Estimate: solve and explain.
+// Estimate: solve and explain the result. Question: a problem. Answer: a calibration with uncertainty budgets.
 #define ABBE_EXPLAIN 12
 
-// Estimate: the values of the unknowns alone. Answer: a list of numbers.
+// Estimate: only the values of the unknowns. Question: a problem. Answer: a list of numbers.
 #define ABBE_VALUES 13
 
-// Estimate: analyses a fit. Question: a fit. Answer: a calibration.
+// Estimate: analyse a fit. Question: a fit. Answer: a calibration.
 #define ABBE_ANALYSE 14
 
-// Estimate: what the problem can determine. Question: a problem.
+// Estimate: what the data can determine, without solving. Question: a problem. Answer: an identifiability.
 #define ABBE_IDENTIFY 15
 
-// Estimate: whether it would solve what can be determined this far. Answer: `true` or `false`.
+// Estimate: whether it would solve a problem with this identifiability. Question: an identifiability. Answer: `true` or
+// `false`.
 #define ABBE_ACCEPTS 16
 
 // Validate: the observations that its settings name. Answer: `[ [setting, stage] ]`.
 #define ABBE_OBSERVATIONS 17
 
-// Validate: judge. Question: `{ "fits", "data" }`. Answer: `{ "figures", "remarks" }`.
+// Validate: judge fits and data. Question: `{ "fits", "data" }`. Answer: `{ "figures", "remarks" }`.
 #define ABBE_JUDGE 18
 
-// Export: write. Question: a calibration and a machine. Answer: `[ { "name", "text" } ]`, or `bytes` instead of `text`.
+// Export: the files. Question: a calibration and a machine. Answer: `[ { "name", "text" } ]`, or `bytes` instead of
+// `text`.
 #define ABBE_WRITE 19
 
-// A text: UTF-8, not terminated. No bytes may be a null pointer.
+// A text: UTF-8, without a zero at the end. In an empty text `data` may be null.
 typedef struct AbbeText {
     // First byte.
     const char *data;
@@ -131,7 +136,7 @@ typedef struct AbbeText {
     uint64_t length;
 } AbbeText;
 
-// What a method is asked: a text, with objects that it refers to by their index.
+// The question to a method: a text, and the objects to which the text refers by their index.
 typedef struct AbbeQuestion {
     // Size of this structure, bytes.
     uint64_t size;
@@ -139,11 +144,11 @@ typedef struct AbbeQuestion {
     struct AbbeText text;
     // The objects.
     const struct AbbeObject *objects;
-    // How many.
+    // Number of objects.
     uint64_t object_count;
 } AbbeQuestion;
 
-// What a derivative is taken to.
+// The variable of a derivative.
 typedef struct AbbeVariable {
     // 0: a parameter; 1: the command of an axis.
     uint32_t kind;
@@ -151,21 +156,21 @@ typedef struct AbbeVariable {
     uint32_t index;
 } AbbeVariable;
 
-// A batch of poses: what is given, and room for what is wanted, zero before the call.
+// A batch of poses: the inputs, and lists for the results, which contain zeros before the call.
 typedef struct AbbePoses {
     // Size of this structure, bytes.
     uint64_t size;
-    // poses x statuses of one pose.
+    // The status of every pose: poses x columns of the status.
     const double *statuses;
-    // Number of statuses in the whole batch.
+    // Number of values in `statuses`.
     uint64_t status_count;
     // Values of all parameters.
     const double *values;
-    // How many.
+    // Number of parameters.
     uint64_t value_count;
     // The variables that derivatives are wanted for.
     const struct AbbeVariable *wanted;
-    // How many.
+    // Number of these variables.
     uint64_t wanted_count;
     // Number of poses.
     uint64_t pose_count;
@@ -185,7 +190,7 @@ typedef struct AbbeRows {
     uint64_t size;
     // Indices of the rows.
     const uint64_t *rows;
-    // How many.
+    // Number of rows.
     uint64_t row_count;
     // poses x 3, in the order of the rows.
     const double *positions;
@@ -195,21 +200,21 @@ typedef struct AbbeRows {
     uint64_t pose_count;
     // Values of the own unknowns.
     const double *own;
-    // How many.
+    // Number of own unknowns.
     uint64_t own_count;
     // Values of the known inputs.
     const double *inputs;
-    // How many.
+    // Number of known inputs.
     uint64_t input_count;
 } AbbeRows;
 
-// Where residuals and derivatives go, equation by equation.
+// The functions that take residuals and derivatives, equation by equation.
 typedef struct AbbeEquations {
     // Size of this structure, bytes.
     uint64_t size;
-    // What the functions are called with.
+    // The first argument of these functions.
     void *context;
-    // Starts the next equation with its residual, mm or rad.
+    // Starts the next equation and takes its residual, mm or rad.
     void (*equation)(void *context, double residual);
     // Derivative to the tip position of the next pose of the row.
     void (*position)(void *context, double x, double y, double z);
@@ -221,19 +226,19 @@ typedef struct AbbeEquations {
     void (*input)(void *context, uint64_t input, double derivative);
 } AbbeEquations;
 
-// The functions of an object; those that it has nothing to do with may be null.
+// The functions of an object. Functions that it does not need may be null.
 typedef struct AbbeTable {
     // Size of this table, bytes.
     uint64_t size;
-    // Keeps the object: one more `release` is needed.
+    // Keeps the object. Every `retain` needs one `release`.
     void (*retain)(void *handle);
-    // Lets go of the object.
+    // Releases the object.
     void (*release)(void *handle);
     // Carries out a method.
     uint32_t (*call)(void *handle, uint32_t method, const struct AbbeQuestion *question, const struct AbbeReply *reply);
-    // Of machines: poses and derivatives of a batch.
+    // Machines only: poses and derivatives of a batch.
     uint32_t (*poses)(void *handle, const struct AbbePoses *batch, const struct AbbeReply *reply);
-    // Of observations: residuals and derivatives of some rows.
+    // Observations only: residuals and derivatives of some rows.
     uint32_t (*equations)(void *handle,
                           const struct AbbeRows *rows,
                           const struct AbbeEquations *equations,
@@ -244,19 +249,19 @@ typedef struct AbbeTable {
 typedef struct AbbeObject {
     // Its functions.
     const struct AbbeTable *table;
-    // What they are called with.
+    // The first argument of its functions.
     void *handle;
 } AbbeObject;
 
-// Where an answer goes.
+// The functions that take the answer to a question.
 typedef struct AbbeReply {
     // Size of this structure, bytes.
     uint64_t size;
-    // What the functions are called with.
+    // The first argument of these functions.
     void *context;
-    // Takes the text of the answer or of the error; a second one replaces the first.
+    // Takes the text of the answer or of the error. A second text replaces the first one.
     void (*text)(void *context, struct AbbeText text);
-    // Takes an object that the answer gives.
+    // Takes an object of the answer.
     void (*object)(void *context, struct AbbeObject object);
 } AbbeReply;
 
@@ -274,17 +279,18 @@ typedef struct AbbePlugin {
     struct AbbeText schema;
     // Settings that it can be built from, JSON.
     struct AbbeText example;
-    // Builds a stage: this record, settings as JSON, and the folder that relative paths start from. The reply gets one object.
+    // Builds a stage. Arguments: this record, the settings as JSON, and the folder to which relative paths refer. The
+    // reply gets one object, the stage.
     uint32_t (*create)(const struct AbbePlugin *plugin,
                        struct AbbeText settings,
                        struct AbbeText base,
                        const struct AbbeReply *reply);
-    // What its reference page says beside its settings, as Markdown with headings of level 2: when to use it, equation,
+    // The text of its reference page without the settings, as Markdown with headings of level 2: when to use it, equation,
     // source. May be empty.
     struct AbbeText reference;
 } AbbePlugin;
 
-// What a library has.
+// The description of a library.
 typedef struct AbbeLibrary {
     // `ABBE_ABI_MAJOR` that the library was built with.
     uint32_t abi_major;
@@ -298,11 +304,11 @@ typedef struct AbbeLibrary {
     struct AbbeText version;
     // Its plugins.
     const struct AbbePlugin *const *plugins;
-    // How many.
+    // Number of plugins.
     uint64_t plugin_count;
 } AbbeLibrary;
 
-// What the program offers to a library as a whole.
+// The functions that the program offers to every library.
 typedef struct AbbeHost {
     // `ABBE_ABI_MAJOR` of the program.
     uint32_t abi_major;
@@ -314,12 +320,12 @@ typedef struct AbbeHost {
     void (*log)(uint32_t level, struct AbbeText text);
 } AbbeHost;
 
-// The exported function: called once, before anything else. The table it gives stays valid for ever; null means that the
-// library cannot work with this program.
+// The exported function. It is called once, before all other functions. The table that it returns stays valid until the
+// process ends. Null means that the library cannot work with this program.
 typedef const struct AbbeLibrary *(*AbbeEntry)(const struct AbbeHost *host);
 
 
-/* What a library exports. The table stays valid for ever; null refuses to work with this program. */
+/* The function that a library exports. Its table stays valid until the process ends; null refuses to work with this program. */
 #ifdef __cplusplus
 extern "C"
 #endif

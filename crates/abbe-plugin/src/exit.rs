@@ -1,4 +1,4 @@
-//! A library that ends the program is told apart from an end that the program wants: it is no success.
+//! Detects a library that ends the program: this is an error, and not the end of the work.
 #![allow(unsafe_code, reason = "asks the C library to be told of the end; every block says why it is sound")]
 
 use std::ffi::c_int;
@@ -13,10 +13,10 @@ unsafe extern "C" {
 
 static EXPECTED: AtomicBool = AtomicBool::new(false);
 
-/// From now on the status of the process is 1, with a message, if it ends by `exit` without [`expect_exit`] before: then a
-/// library called `exit`.
+/// Detects a library that calls `exit`: if the process ends by `exit` without a call of [`expect_exit`] before, it writes a
+/// message and ends with the status 1.
 ///
-/// For programs whose status tells whether they did their work. What ends without any last words (`_exit`, a signal) cannot be told.
+/// This is for programs whose status shows whether they did their work. `_exit` and signals are not detected.
 pub fn guard_exit() {
     static ONCE: Once = Once::new();
     ONCE.call_once(|| {
@@ -25,7 +25,7 @@ pub fn guard_exit() {
     });
 }
 
-/// The program ends as it wants to.
+/// The program itself ends the process: the end is no error of a library.
 pub fn expect_exit() {
     EXPECTED.store(true, Ordering::SeqCst);
 }

@@ -1,7 +1,7 @@
 //! Plugins in processes of their own: a crash or a hang of a vendor's code becomes an error of its stage.
 //!
-//! Every stage gets a process, which is the program itself started again ([`serve`]). Both sides speak over one socket, the
-//! standard input of the child: one question at a time, and questions back while the other side works on it.
+//! Every stage gets a process of its own, in which the same program runs ([`serve`]). Both sides communicate over one socket, the
+//! standard input of the child. There is one question at a time; while a side works on it, it may ask questions, too.
 
 mod child;
 mod wire;
@@ -20,7 +20,7 @@ use std::time::Duration;
 use abbe_core::{Equations, Error, Origin, Poses, Result, RowBatch, RowIndex, Variable, harmless};
 
 use crate::loader::{About, Create, Library, hashed};
-use crate::peer::{Answer, Failure, Peer, Transit};
+use crate::peer::{Answer, Failure, Peer, Received};
 use crate::served::Served;
 use wire::{Frame, Reference, Wire};
 
@@ -33,7 +33,7 @@ pub struct Limits {
     pub program: PathBuf,
     /// Its first arguments.
     pub arguments: Vec<String>,
-    /// How long a plugin may be silent while it has something to do.
+    /// How long a plugin may work without sending an answer or a question.
     pub answer_timeout: Duration,
 }
 
@@ -129,7 +129,7 @@ impl Connection {
         let wrong = |what: &str| Failure::of("the other side", what);
         match question {
             Frame::Call { object, method, text, objects } => {
-                let objects: Vec<Transit> = objects.into_iter().map(|one| self.take(one)).collect::<Result<_, _>>()?;
+                let objects: Vec<Received> = objects.into_iter().map(|one| self.take(one)).collect::<Result<_, _>>()?;
                 let (text, objects) = self.object(object)?.dispatch(method, &text, &objects)?;
                 let objects = objects.into_iter().map(|object| self.give(&object)).collect();
                 Ok((Frame::Answer { text, objects }, Vec::new()))
@@ -167,8 +167,8 @@ impl Connection {
 
     /// Gives an object of ours a number for the other side. A proxy for an object of the other side is sent as that object.
     fn give(self: &Arc<Self>, object: &Arc<Served>) -> Reference {
-        if let Some(behind) = object.behind()
-            && let Some(theirs) = behind.as_any().downcast_ref::<Remote>()
+        if let Some(peer) = object.peer()
+            && let Some(theirs) = peer.as_any().downcast_ref::<Remote>()
             && Arc::ptr_eq(&theirs.connection, self)
         {
             return Reference::Yours(theirs.object);
@@ -180,16 +180,16 @@ impl Connection {
         Reference::Mine(number)
     }
 
-    fn take(self: &Arc<Self>, reference: Reference) -> Result<Transit, Failure> {
+    fn take(self: &Arc<Self>, reference: Reference) -> Result<Received, Failure> {
         match reference {
-            Reference::Yours(number) => self.object(number).map(Transit::Local),
+            Reference::Yours(number) => self.object(number).map(Received::Local),
             Reference::Mine(object) => {
-                Ok(Transit::Remote(Arc::new(Remote { connection: self.clone(), object, who: self.who.clone() })))
+                Ok(Received::Remote(Arc::new(Remote { connection: self.clone(), object, who: self.who.clone() })))
             }
         }
     }
 
-    /// Waits for the last words of a process that has ended: they come before what is said of its end.
+    /// Waits for the last messages of a process that has ended, so that they come before the error about its end.
     fn let_speak(&self) {
         within_a_second(|| self.words.as_ref().is_none_or(JoinHandle::is_finished).then_some(()));
     }
@@ -223,7 +223,7 @@ impl Connection {
     }
 }
 
-/// The name of a signal that crashes end with.
+/// The name of a signal that ends a process after a crash.
 fn name(signal: i32) -> String {
     let names = [(4, "SIGILL"), (6, "SIGABRT"), (7, "SIGBUS"), (8, "SIGFPE"), (9, "SIGKILL"), (11, "SIGSEGV")];
     let known = names.into_iter().find(|known| known.0 == signal);
@@ -286,7 +286,7 @@ impl Peer for Remote {
     }
 }
 
-/// What is found, asked for again and again for a second.
+/// Calls `find` again and again for a second, until it gives a result.
 fn within_a_second<T>(mut find: impl FnMut() -> Option<T>) -> Option<T> {
     (0..100).find_map(|_| {
         let found = find();
@@ -358,7 +358,7 @@ pub fn isolated(path: &Path, pin: Option<&str>, limits: &Limits) -> Result<Libra
     Ok(Library { file: path.to_owned(), sha256, name: listed.name, version: listed.version, plugins })
 }
 
-/// What a library has.
+/// The description of a library.
 #[derive(serde::Serialize, serde::Deserialize)]
 struct Listed {
     name: String,

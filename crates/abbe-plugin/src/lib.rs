@@ -1,6 +1,6 @@
 //! Dynamic plugins: stages that a vendor ships as a library.
 //!
-//! - [`abi`] is what crosses the border, in C.
+//! - [`abi`] is the C interface between program and library.
 //! - `sdk` (feature) is what a vendor's crate needs: the traits of Abbe and the macro `export!`.
 //! - `load` and `isolated` (feature `host`) give the plugins of a library as records of the registry, like built-in ones; the
 //!   latter runs them in processes of their own.

@@ -8,8 +8,8 @@ use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
 use abbe_core::{
-    Basis, Build, Constructor, Context, Error, Kind, Origin, Plugin, Provider, Registry, Result, SettingsError,
-    harmless,
+    Build, Constructor, Context, Error, EstimateSource, Kind, Origin, Plugin, Provider, Registry, Result,
+    SettingsError, harmless,
 };
 use serde_json::Value;
 use sha2::{Digest, Sha256};
@@ -17,7 +17,7 @@ use sha2::{Digest, Sha256};
 use crate::abi::*;
 use crate::border::{LibraryText, Record, read_library};
 use crate::float_control;
-use crate::peer::{Failure, Peer, Transit};
+use crate::peer::{Failure, Peer, Received};
 use crate::proxy::{Estimator, Stage};
 
 /// A library that is loaded, or that is run in processes of its own.
@@ -178,7 +178,7 @@ fn open(path: &Path, file: File) -> Result<libloading::Library, libloading::Erro
 }
 
 /// Builds stages: settings and folder to an object; `who` is for messages.
-pub(crate) type Create = Arc<dyn Fn(&str, &str, &str) -> Result<Transit, Failure> + Send + Sync>;
+pub(crate) type Create = Arc<dyn Fn(&str, &str, &str) -> Result<Received, Failure> + Send + Sync>;
 
 fn in_process(record: Record) -> Create {
     Arc::new(move |settings, base, who| record.create(settings, base, who))
@@ -225,7 +225,7 @@ impl About {
             schema: Provider::Value(schema),
             example: Provider::Value(example),
             build: build(kind, create, who),
-            basis: Basis::default(),
+            estimate_source: EstimateSource::default(),
             name: Cow::Owned(self.name),
         })
     }
@@ -237,8 +237,8 @@ fn build(kind: Kind, create: Create, who: String) -> Build {
         let base =
             base.ok_or_else(|| SettingsError::new("", "the folder of the recipe has a name that is not UTF-8"))?;
         match create(&settings.to_string(), base, &who).map_err(|failure| failure.settings_error(&who))? {
-            Transit::Remote(peer) => Ok(peer),
-            Transit::Local(_) => Err(SettingsError::new("", format!("{who} gave one of the program's own objects"))),
+            Received::Remote(peer) => Ok(peer),
+            Received::Local(_) => Err(SettingsError::new("", format!("{who} gave one of the program's own objects"))),
         }
     };
     /// Errors of the first questions to a stage get the place of its settings.

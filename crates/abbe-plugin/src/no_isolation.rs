@@ -14,11 +14,11 @@ pub struct Limits {
     pub program: PathBuf,
     /// Its first arguments.
     pub arguments: Vec<String>,
-    /// How long a plugin may be silent while it has something to do.
+    /// How long a plugin may work without sending an answer or a question.
     pub answer_timeout: Duration,
 }
 
-/// Refuses: there is no isolation on this system, and running the plugin without it is not what was asked for.
+/// Always an error: there is no isolation on this system, and a plugin that has to be isolated must not run without it.
 pub fn isolated(path: &Path, _: Option<&str>, _: &Limits) -> Result<Library> {
     let message = format!("the plugin library {} cannot be isolated on this system", path.display());
     Err(Error::usage(message).help("plugins run in processes of their own on Linux, macOS and other Unix systems"))

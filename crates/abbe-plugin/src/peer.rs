@@ -25,7 +25,8 @@ pub(crate) trait Peer: Send + Sync {
     /// Equations of some rows.
     fn equations(&self, batch: RowBatch<'_>, out: &mut Equations) -> Result<(), Failure>;
 
-    /// The concrete type: an object that returns to its own side is sent as what it is there.
+    /// The concrete type. It shows whether the object belongs to the side to which it is sent; it is then sent as that
+    /// side's own object.
     fn as_any(&self) -> &dyn Any;
 }
 
@@ -33,12 +34,12 @@ pub(crate) trait Peer: Send + Sync {
 pub(crate) struct Answer {
     pub text: String,
     #[cfg_attr(not(feature = "host"), allow(dead_code, reason = "a vendor's side asks for no stages"))]
-    pub objects: Vec<Transit>,
+    pub objects: Vec<Received>,
 }
 
 /// An object that was received: one of the other side, or one of ours that returns.
 #[derive(Clone)]
-pub(crate) enum Transit {
+pub(crate) enum Received {
     Remote(Arc<dyn Peer>),
     Local(Arc<Served>),
 }
@@ -66,8 +67,8 @@ struct Details {
     setting: Vec<PathItem>,
     #[serde(default)]
     pose: Option<usize>,
-    #[serde(default)]
-    fault: bool,
+    #[serde(rename = "fault", default)]
+    fatal: bool,
     #[serde(default)]
     out_of_time: bool,
     #[serde(default)]
@@ -81,7 +82,7 @@ struct Details {
 
 /// The error for a violation of the interface; names the other side. No setting is the cause.
 pub(crate) fn broken(who: &str, what: impl Display) -> Error {
-    Error::data(format!("{who} {what}")).fault()
+    Error::data(format!("{who} {what}")).fatal()
 }
 
 impl Failure {
@@ -92,15 +93,15 @@ impl Failure {
 
     fn details(self, who: &str) -> Details {
         let refusal = |message| Details { message, ..Details::default() };
-        let fault = |what: String| Details { message: format!("{who} {what}"), fault: true, ..Details::default() };
+        let fatal = |what: String| Details { message: format!("{who} {what}"), fatal: true, ..Details::default() };
         match self.status {
             ABBE_FAILED if self.text.trim().is_empty() => refusal(format!("{who} failed without a message")),
             ABBE_FAILED => refusal(self.text),
             ABBE_FAILED_WITH_DETAILS => serde_json::from_str(&self.text)
-                .unwrap_or_else(|error| fault(format!("failed with details that cannot be read: {error}"))),
-            ABBE_PANICKED => fault(format!("panicked: {}", self.text)),
-            ABBE_UNKNOWN_METHOD => fault(format!("lacks a function: {}", self.text)),
-            other => fault(format!("gave the unknown status {other}: {}", self.text)),
+                .unwrap_or_else(|error| fatal(format!("failed with details that cannot be read: {error}"))),
+            ABBE_PANICKED => fatal(format!("panicked: {}", self.text)),
+            ABBE_UNKNOWN_METHOD => fatal(format!("lacks a function: {}", self.text)),
+            other => fatal(format!("gave the unknown status {other}: {}", self.text)),
         }
     }
 
@@ -112,7 +113,7 @@ impl Failure {
             _ => Error::data(details.message),
         };
         (error.help, error.place, error.stage) = (details.help, details.place, details.stage);
-        (error.pose, error.fault, error.convergence) = (details.pose, details.fault, details.convergence);
+        (error.pose, error.fatal, error.convergence) = (details.pose, details.fatal, details.convergence);
         error.out_of_time = details.out_of_time;
         error.setting = if details.setting.is_empty() { details.path } else { details.setting };
         error
@@ -146,6 +147,6 @@ impl From<SettingsError> for Failure {
 
 impl From<serde_json::Error> for Failure {
     fn from(error: serde_json::Error) -> Self {
-        Error::data(format!("a text that crosses the border cannot be read: {error}")).fault().into()
+        Error::data(format!("a text that crosses the border cannot be read: {error}")).fatal().into()
     }
 }

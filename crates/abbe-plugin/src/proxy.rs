@@ -46,7 +46,7 @@ fn ask_whole<Q: Serialize + ?Sized>(
     objects: &[Arc<Served>],
 ) -> Result<Answer> {
     let text = serde_json::to_string(question)
-        .map_err(|error| Error::data(format!("what {} is asked cannot be written: {error}", peer.who())).fault())?;
+        .map_err(|error| Error::data(format!("what {} is asked cannot be written: {error}", peer.who())).fatal())?;
     peer.call(method, &text, objects).map_err(|failure| failure.error(peer.who()))
 }
 
@@ -61,7 +61,7 @@ fn finite<'a>(peer: &dyn Peer, what: &str, values: impl IntoIterator<Item = &'a 
 }
 
 /// The object of the other side behind a proxy of a machine or of observations; none if the object is our own.
-pub(crate) fn behind(proxy: &dyn Any) -> Option<Arc<dyn Peer>> {
+pub(crate) fn peer_of(proxy: &dyn Any) -> Option<Arc<dyn Peer>> {
     let machine = proxy.downcast_ref::<machine::Machine>().map(|machine| machine.peer.clone());
     machine.or_else(|| proxy.downcast_ref::<observed::Observed>().map(|observed| observed.peer.clone()))
 }

@@ -39,7 +39,7 @@ pub enum Level {
     Warning = 1,
     /// Information about the work.
     Information = 2,
-    /// Details for the search for a fault.
+    /// Details for finding the cause of an error.
     Detail = 3,
 }
 
@@ -51,7 +51,7 @@ pub fn log(level: Level, text: &str) {
     }
 }
 
-/// A text that lives for ever.
+/// A text that is never freed.
 fn forever(text: String) -> AbbeText {
     AbbeText::of(Box::leak(text.into_boxed_str()))
 }
@@ -106,7 +106,7 @@ pub unsafe fn library(host: *const AbbeHost, name: &'static str, version: &'stat
     &library.0
 }
 
-/// Exports the plugins of a `cdylib`: those that stand in parentheses, and whatever else registers in the library.
+/// Exports the plugins of a `cdylib`: those in the parentheses, and all others that are registered in the library.
 ///
 /// ```ignore
 /// abbe_plugin::export!(Plugin::built_in("mine", "what it does", schema, example, Build::Model(Constructor::Static(build))));

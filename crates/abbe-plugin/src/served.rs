@@ -11,7 +11,7 @@ use serde::de::DeserializeOwned;
 use serde_json::Value;
 
 use crate::abi::*;
-use crate::peer::{Failure, Peer, Transit};
+use crate::peer::{Failure, Peer, Received};
 use crate::proxy;
 use crate::texts::{
     CheckText, FileText, FitText, InputText, JudgeText, MotionText, ObservationsText, ProblemText, TipText,
@@ -70,16 +70,16 @@ impl Served {
     }
 
     /// The object of the other side for which this one is a proxy, if it is one.
-    pub fn behind(&self) -> Option<Arc<dyn Peer>> {
+    pub fn peer(&self) -> Option<Arc<dyn Peer>> {
         match self {
-            Self::Machine(machine) => proxy::behind(machine.as_ref()),
-            Self::Observations(observations, _) => proxy::behind(observations.as_ref()),
+            Self::Machine(machine) => proxy::peer_of(machine.as_ref()),
+            Self::Observations(observations, _) => proxy::peer_of(observations.as_ref()),
             _ => None,
         }
     }
 
     /// Carries out a method; gives the text and the objects of the answer.
-    pub fn dispatch(&self, method: u32, text: &str, objects: &[Transit]) -> Result<(String, Vec<Arc<Self>>), Failure> {
+    pub fn dispatch(&self, method: u32, text: &str, objects: &[Received]) -> Result<(String, Vec<Arc<Self>>), Failure> {
         if let Self::Machine(_) | Self::Lent(_) = self {
             return self.machine(|machine| of_machine(machine, method, text)).map(alone);
         }
@@ -119,7 +119,7 @@ fn write<T: Serialize>(value: T) -> Result<String, Failure> {
 }
 
 /// The machine among the objects of a question.
-fn machine(objects: &[Transit]) -> Result<Arc<dyn KinematicModel>, Failure> {
+fn machine(objects: &[Received]) -> Result<Arc<dyn KinematicModel>, Failure> {
     let object = objects.first().ok_or_else(|| Failure::of("the other side", "gives no machine"))?;
     proxy::machine(object)
 }
@@ -172,7 +172,7 @@ fn of_artefact(
     stage: &dyn Artefact,
     method: u32,
     text: &str,
-    objects: &[Transit],
+    objects: &[Received],
 ) -> Result<(String, Vec<Arc<Served>>), Failure> {
     match method {
         ABBE_INPUTS => write(InputText::of(stage.inputs())).map(alone),
@@ -203,7 +203,7 @@ fn of_model(stage: &dyn Model, method: u32, text: &str) -> Result<(String, Vec<A
     }
 }
 
-fn of_estimator(stage: &dyn Estimate, method: u32, text: &str, objects: &[Transit]) -> Result<String, Failure> {
+fn of_estimator(stage: &dyn Estimate, method: u32, text: &str, objects: &[Received]) -> Result<String, Failure> {
     let problem = || read::<ProblemText>(text)?.problem(objects);
     match method {
         ABBE_SOLVE => write(stage.estimate(&problem()?)?),
@@ -216,7 +216,7 @@ fn of_estimator(stage: &dyn Estimate, method: u32, text: &str, objects: &[Transi
     }
 }
 
-fn of_validator(stage: &dyn Validate, method: u32, text: &str, objects: &[Transit]) -> Result<String, Failure> {
+fn of_validator(stage: &dyn Validate, method: u32, text: &str, objects: &[Received]) -> Result<String, Failure> {
     match method {
         ABBE_INPUTS => write(InputText::of(stage.inputs())),
         ABBE_OBSERVATIONS => write(stage.observations()),
@@ -229,7 +229,7 @@ fn of_validator(stage: &dyn Validate, method: u32, text: &str, objects: &[Transi
     }
 }
 
-fn of_exporter(stage: &dyn Export, method: u32, text: &str, objects: &[Transit]) -> Result<String, Failure> {
+fn of_exporter(stage: &dyn Export, method: u32, text: &str, objects: &[Received]) -> Result<String, Failure> {
     match method {
         ABBE_INPUTS => write(InputText::of(stage.inputs())),
         ABBE_WRITE => {

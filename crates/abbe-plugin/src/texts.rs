@@ -9,7 +9,7 @@ use abbe_core::{
 };
 use serde::{Deserialize, Serialize};
 
-use crate::peer::{Failure, Transit};
+use crate::peer::{Failure, Received};
 use crate::proxy;
 use crate::served::Served;
 
@@ -56,7 +56,7 @@ pub(crate) struct CheckText {
 pub(crate) struct MotionText {
     pub function: ErrorFunction,
     pub values: Vec<f64>,
-    /// `null` is NaN: a status that is unknown.
+    /// `null` is NaN: an unknown value.
     pub status: Vec<Option<f64>>,
 }
 
@@ -76,7 +76,7 @@ pub(crate) struct JudgeText {
     pub data: Vec<Dataset>,
 }
 
-/// A written file: text, or bytes where it is none.
+/// A written file: a text, or bytes if it is no text.
 #[derive(Serialize, Deserialize)]
 pub(crate) struct FileText {
     name: String,
@@ -131,7 +131,7 @@ fn put(objects: &mut Vec<Arc<Served>>, object: Served) -> usize {
     objects.len() - 1
 }
 
-fn get(objects: &[Transit], index: usize) -> Result<&Transit, Failure> {
+fn get(objects: &[Received], index: usize) -> Result<&Received, Failure> {
     objects
         .get(index)
         .ok_or_else(|| Failure::of("the other side", format!("names object {index}, which it does not give")))
@@ -157,13 +157,13 @@ impl ProblemText {
             model_plugin: problem.model_plugin.clone(),
             sets: problem.sets.iter().map(|one| set(one, objects)).collect(),
             unknowns: problem.unknowns.clone(),
-            machine: problem.machine.clone(),
+            machine: problem.machine_values.clone(),
             inputs: problem.inputs.clone(),
             considered: problem.considered.clone(),
         }
     }
 
-    pub fn problem(self, objects: &[Transit]) -> Result<Problem, Failure> {
+    pub fn problem(self, objects: &[Received]) -> Result<Problem, Failure> {
         let mut sets = Vec::new();
         for set in self.sets {
             let observations = proxy::observations(get(objects, set.observations)?, None)?;
@@ -184,7 +184,7 @@ impl ProblemText {
             model_plugin: self.model_plugin,
             sets,
             unknowns: self.unknowns,
-            machine: self.machine,
+            machine_values: self.machine,
             inputs: self.inputs,
             considered: self.considered,
             monitor: Monitor::default(),
@@ -211,7 +211,7 @@ impl FitText {
         }
     }
 
-    pub fn fit(self, objects: &[Transit]) -> Result<Fit, Failure> {
+    pub fn fit(self, objects: &[Received]) -> Result<Fit, Failure> {
         Ok(Fit {
             name: self.name,
             estimator: proxy::estimator(get(objects, self.estimator)?),

@@ -2,7 +2,7 @@
 
 use std::collections::{BTreeMap, BTreeSet};
 
-use abbe_core::{Basis, Error, Kind, Plugin};
+use abbe_core::{Error, EstimateSource, Kind, Plugin};
 
 use crate::Head;
 use crate::document::{At, Node};
@@ -53,12 +53,12 @@ pub(crate) fn references(plugin: &Plugin) -> &'static [Reference] {
         Kind::Ingest => &[],
         Kind::Model => MODEL,
         Kind::Artefact => ARTEFACT,
-        Kind::Estimate => match plugin.basis {
-            Basis::Measurements => ESTIMATE,
-            Basis::Analysis => ANALYSIS,
-            Basis::Statement => STATEMENT,
-            Basis::Calibration => &[],
-            Basis::Combination => ESTIMATES,
+        Kind::Estimate => match plugin.estimate_source {
+            EstimateSource::Measurements => ESTIMATE,
+            EstimateSource::Analysis => ANALYSIS,
+            EstimateSource::Statement => STATEMENT,
+            EstimateSource::Calibration => &[],
+            EstimateSource::Combination => ESTIMATES,
         },
         Kind::Validate => VALIDATE,
         Kind::Export => EXPORT,
@@ -70,7 +70,9 @@ pub(crate) const ANALYSED: &str = "of";
 
 /// Whether a stage analyses another estimate.
 pub(crate) fn is_analysis(stage: &Head<'_>) -> bool {
-    stage.plugin.kind() == Kind::Estimate && stage.plugin.basis.may_analyse() && stage.node.get(ANALYSED).is_some()
+    stage.plugin.kind() == Kind::Estimate
+        && stage.plugin.estimate_source.may_analyse()
+        && stage.node.get(ANALYSED).is_some()
 }
 
 impl Reference {

@@ -16,7 +16,7 @@ mod tests;
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
-use abbe_core::{Basis, Error, Kind, PathItem, Plugin, Registry, SettingsError, nearest, path_text};
+use abbe_core::{Error, EstimateSource, Kind, PathItem, Plugin, Registry, SettingsError, nearest, path_text};
 use abbe_planning::Planning;
 use serde_json::{Map, Value};
 
@@ -81,7 +81,7 @@ pub struct Stage {
     /// The plugin that does the work.
     pub plugin: String,
     /// What an estimate is made from.
-    pub basis: Basis,
+    pub estimate_source: EstimateSource,
     /// The plugin's settings, an object; a model's file is merged in.
     pub settings: Value,
     /// Unknowns of an estimate: patterns of names, sets expanded. Empty for other kinds, and for an estimate that analyses
@@ -349,7 +349,7 @@ impl<'a> Head<'a> {
         let own: &[&'static str] = match self.plugin.kind() {
             Kind::Model => &["file"],
             Kind::Artefact => &ROW_SETTINGS,
-            Kind::Estimate if self.plugin.basis == Basis::Measurements => &[SHARED_ROWS, PLAUSIBLE],
+            Kind::Estimate if self.plugin.estimate_source == EstimateSource::Measurements => &[SHARED_ROWS, PLAUSIBLE],
             Kind::Estimate => &[SHARED_ROWS],
             _ => &[],
         };
@@ -393,7 +393,10 @@ impl<'a> Head<'a> {
                     return Err(node.error(At::Value, format!("`{ACCEPTED}` was expected, or nothing")));
                 }
                 shared_rows = true;
-            } else if kind == Kind::Estimate && key == PLAUSIBLE && self.plugin.basis == Basis::Measurements {
+            } else if kind == Kind::Estimate
+                && key == PLAUSIBLE
+                && self.plugin.estimate_source == EstimateSource::Measurements
+            {
                 plausible = node.value.clone();
             } else if kind == Kind::Artefact && ROW_SETTINGS.contains(&key) {
                 row_settings.insert(key.to_owned(), node.value.clone());
@@ -409,8 +412,8 @@ impl<'a> Head<'a> {
                     return Err(node.error(At::Key, message));
                 }
             }
-        } else if kind == Kind::Estimate && self.plugin.basis != Basis::Measurements {
-            let takes_parameters = self.plugin.basis == Basis::Combination;
+        } else if kind == Kind::Estimate && self.plugin.estimate_source != EstimateSource::Measurements {
+            let takes_parameters = self.plugin.estimate_source == EstimateSource::Combination;
             if let Some(node) = self.node.get("parameters").filter(|_| !takes_parameters) {
                 let message = format!("`{}` estimates nothing: it takes what it is given", self.plugin.name);
                 return Err(node.error(At::Key, message));
@@ -426,12 +429,12 @@ impl<'a> Head<'a> {
         let files = origin.file.iter().map(|file| file.file.clone()).collect();
         let (name, plugin) = (self.name.to_owned(), self.plugin.name.to_string());
         let row_settings = Value::Object(row_settings);
-        let basis = self.plugin.basis;
+        let estimate_source = self.plugin.estimate_source;
         let stage = Stage {
             name,
             kind,
             plugin,
-            basis,
+            estimate_source,
             settings,
             parameters,
             row_settings,

@@ -1,6 +1,6 @@
 //! The reference page of a plugin, made from its record.
 
-use abbe_core::{Basis, Kind, Plugin};
+use abbe_core::{EstimateSource, Kind, Plugin};
 use serde_json::{Map, Value};
 
 use crate::graph::references;
@@ -30,9 +30,11 @@ pub fn page(plugin: &Plugin) -> String {
     list(&schema, &schema, 0, &mut settings);
     page.push_str(if settings.is_empty() { "None of its own.\n" } else { &settings });
     let mut more: Vec<String> = references(plugin).iter().map(|reference| format!("`{}`", reference.key)).collect();
-    if kind == Kind::Estimate && matches!(plugin.basis, Basis::Measurements | Basis::Combination) {
+    if kind == Kind::Estimate
+        && matches!(plugin.estimate_source, EstimateSource::Measurements | EstimateSource::Combination)
+    {
         more.extend(["`parameters`", "`shared_rows`"].map(str::to_owned));
-        more.extend(Some("`plausible`".to_owned()).filter(|_| plugin.basis == Basis::Measurements));
+        more.extend(Some("`plausible`".to_owned()).filter(|_| plugin.estimate_source == EstimateSource::Measurements));
     }
     more.extend(
         ["`uncertainty`", "`pooled`", "`id`", "`unseen`"]
@@ -78,7 +80,7 @@ fn example(plugin: &Plugin) -> String {
     for reference in references(plugin).iter().filter(|reference| reference.required) {
         stage.insert(reference.key.to_owned(), Value::from("a-stage"));
     }
-    if plugin.kind() == Kind::Estimate && plugin.basis == Basis::Measurements {
+    if plugin.kind() == Kind::Estimate && plugin.estimate_source == EstimateSource::Measurements {
         stage.insert("parameters".to_owned(), Value::from(vec!["E*"]));
     }
     if let Value::Object(settings) = plugin.example.get() {

@@ -1,6 +1,6 @@
 //! The JSON Schema of recipes, for editors.
 
-use abbe_core::{Basis, Kind, Plausible, Plugin, Registry, RowSettings};
+use abbe_core::{EstimateSource, Kind, Plausible, Plugin, Registry, RowSettings};
 use abbe_planning::Planning;
 use serde_json::{Map, Value, json};
 
@@ -28,9 +28,9 @@ pub fn schema(registry: &Registry) -> Value {
                     "type": "object",
                     "properties": {
                         "path": { "type": "string", "description": "The library" },
-                        "sha256": { "type": "string", "pattern": "^[0-9A-Fa-f]{64}$", "description": "It is not loaded if its hash is another one" },
-                        "isolate": { "type": "boolean", "description": "Its plugins run in processes of their own" },
-                        "time_limit_s": { "type": "number", "exclusiveMinimum": 0, "maximum": 86400, "description": "How long an isolated plugin may be silent" },
+                        "sha256": { "type": "string", "pattern": "^[0-9A-Fa-f]{64}$", "description": "SHA-256 of its file; a file with another hash is not loaded" },
+                        "isolate": { "type": "boolean", "description": "Its plugins run in separate processes" },
+                        "time_limit_s": { "type": "number", "exclusiveMinimum": 0, "maximum": 86400, "description": "How long an isolated plugin may work without an answer or a question" },
                     },
                     "required": ["path"],
                     "additionalProperties": false,
@@ -75,7 +75,7 @@ fn stage(plugin: &Plugin) -> Value {
         let one = json!({ "type": "string" });
         let name = if reference.many { json!({ "oneOf": [one, list] }) } else { one };
         properties.insert(reference.key.to_owned(), name);
-        if reference.required && (kind != Kind::Estimate || plugin.basis != Basis::Measurements) {
+        if reference.required && (kind != Kind::Estimate || plugin.estimate_source != EstimateSource::Measurements) {
             required.push(json!(reference.key));
         }
     }
@@ -85,16 +85,18 @@ fn stage(plugin: &Plugin) -> Value {
     {
         properties.extend(common.clone());
     }
-    if kind == Kind::Estimate && matches!(plugin.basis, Basis::Measurements | Basis::Combination) {
+    if kind == Kind::Estimate
+        && matches!(plugin.estimate_source, EstimateSource::Measurements | EstimateSource::Combination)
+    {
         let description = "What is estimated: names, patterns with ? and *, sets as \"@S1\"";
         let patterns =
             json!({ "type": "array", "items": { "type": "string" }, "minItems": 1, "description": description });
         properties.insert("parameters".to_owned(), patterns);
-        let description = "`accepted`: rows may be used again that went into what is known already";
+        let description = "`accepted`: rows from which the known values were estimated may be used again";
         let accepted = json!({ "const": crate::ACCEPTED, "description": description });
         properties.insert(crate::SHARED_ROWS.to_owned(), accepted);
     }
-    if kind == Kind::Estimate && plugin.basis == Basis::Measurements {
+    if kind == Kind::Estimate && plugin.estimate_source == EstimateSource::Measurements {
         let mut plausible = abbe_core::schema_of::<Plausible>();
         if let Some(plausible) = plausible.as_object_mut() {
             plausible.shift_remove("$schema");
@@ -105,7 +107,7 @@ fn stage(plugin: &Plugin) -> Value {
         settings.insert("anyOf".to_owned(), json!([own, { "required": [ANALYSED] }]));
     }
     if kind == Kind::Model {
-        let description = "YAML file whose settings hold where this stage says nothing else";
+        let description = "YAML file with settings; those of the stage itself replace them";
         properties.insert("file".to_owned(), json!({ "type": "string", "description": description }));
     } else if let Some(Value::Array(own)) = settings.get("required") {
         required.extend(own.iter().cloned()); // those of a model may stand in its file

@@ -44,7 +44,7 @@ impl fmt::Display for Decision {
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(tag = "rule", rename_all = "kebab-case", deny_unknown_fields)]
 pub enum Rule {
-    /// Simple acceptance: the limit is kept by a value that is not above it, whatever its uncertainty.
+    /// Simple acceptance: a value that is not above the limit passes, whatever its uncertainty.
     // JCGM 106:2012, 8.2: the guard band of 8.3 with w = 0. A map, so that settings that it does not have are refused.
     Simple {},
 }

@@ -13,7 +13,7 @@ use serde_json::Value;
 use crate::budget::{MonteCarlo, UncertaintyBudget};
 use crate::covariance::NamedCovariance;
 use crate::format::FileFormat;
-use crate::identifiability::{NullVector, SameMotion};
+use crate::identifiability::{EquivalentMotionError, WeakDirection};
 use abbe_settings::{Error, Result, Termination, Unit};
 
 /// The number of the file format.
@@ -219,19 +219,19 @@ pub struct FitReport {
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub rank_tolerance: Option<f64>,
     /// What the data cannot determine.
-    pub null_space: Vec<NullVector>,
+    pub null_space: Vec<WeakDirection>,
     /// Unknowns that were left at their start values, so that others could be estimated.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub dropped: Vec<String>,
     /// The combinations that they determine worst, the weakest first.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
-    pub weakest: Vec<NullVector>,
+    pub weakest: Vec<WeakDirection>,
     /// The selection of parameters by their significance; none if no selection was made.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub selection: Option<Selection>,
     /// Motion errors with the same effect on the tip: only the functions chosen for them separate them, not the machine.
-    #[serde(default, skip_serializing_if = "Vec::is_empty")]
-    pub same_motion: Vec<SameMotion>,
+    #[serde(rename = "same_motion", default, skip_serializing_if = "Vec::is_empty")]
+    pub equivalent_motion_errors: Vec<EquivalentMotionError>,
     /// Estimated errors that are larger than an error of a machine can be.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub implausible: Vec<ImplausibleValue>,
@@ -268,7 +268,7 @@ impl FitReport {
             dropped: Vec::new(),
             weakest: Vec::new(),
             selection: None,
-            same_motion: Vec::new(),
+            equivalent_motion_errors: Vec::new(),
             implausible: Vec::new(),
             variance: Vec::new(),
             agreement: None,
@@ -318,12 +318,12 @@ pub struct Selection {
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "kebab-case")]
 pub enum SelectionDirection {
-    /// Starting from all, they go out.
+    /// Starts with all parameters and removes some.
     #[default]
     Backward,
-    /// Starting from none, they come in.
+    /// Starts with none and adds some.
     Forward,
-    /// Starting from none, they come in and may go out again, or be replaced by better ones.
+    /// Starts with none and adds some. Added parameters may be removed again, or replaced by better ones.
     Both,
 }
 

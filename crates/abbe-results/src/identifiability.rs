@@ -8,7 +8,7 @@ use abbe_settings::{Quantity, Unit};
 /// A motion error of an axis that moves the tip at every recorded pose as other errors of this axis do, for any functions.
 /// Different knots may make it appear determined, but the machine does not separate it.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-pub struct SameMotion {
+pub struct EquivalentMotionError {
     /// Symbol of the error.
     pub error: String,
     /// The errors of the same axis that do the same, and how much of each one unit of `error` is.
@@ -21,7 +21,7 @@ pub struct SameMotion {
     pub probe_offsets: Vec<char>,
 }
 
-impl SameMotion {
+impl EquivalentMotionError {
     /// One sentence for people.
     pub fn describe(&self) -> String {
         let parts = self.combination.iter().map(|part| {
@@ -63,9 +63,9 @@ fn and(parts: impl Iterator<Item = String>) -> String {
     if parts.is_empty() { last } else { format!("{} and {last}", parts.join(", ")) }
 }
 
-/// A direction: a change of unknowns that has no effect, or a weak one, on the data.
+/// A direction in the space of the unknowns: a change of them together that has no effect on the data, or a weak one.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-pub struct NullVector {
+pub struct WeakDirection {
     /// Singular value relative to the largest, columns normalised.
     pub singular_value: f64,
     /// The change of the unknowns in that direction, parameter units; the one with the largest effect is 1.
@@ -75,7 +75,7 @@ pub struct NullVector {
     pub separated_by: Vec<String>,
 }
 
-/// One unknown of a [`NullVector`].
+/// One unknown of a [`WeakDirection`].
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Combination {
     /// Name.
@@ -86,7 +86,7 @@ pub struct Combination {
     pub unit: String,
 }
 
-impl NullVector {
+impl WeakDirection {
     /// One sentence for people: which unknowns cannot be told apart, and the sizes that cancel each other.
     pub fn describe(&self) -> String {
         let names: Vec<&str> = self.combination.iter().map(|part| part.name.as_str()).collect();
@@ -146,12 +146,12 @@ pub struct Identifiability {
     /// Condition number with columns of norm 1, within the determined directions.
     pub condition: f64,
     /// The directions that are not determined.
-    pub null_space: Vec<NullVector>,
+    pub null_space: Vec<WeakDirection>,
     /// The combinations that are determined worst, the weakest first.
-    pub weakest: Vec<NullVector>,
+    pub weakest: Vec<WeakDirection>,
     /// Motion errors with the same effect on the tip: only the functions chosen for them separate them, not the machine.
-    #[serde(default, skip_serializing_if = "Vec::is_empty")]
-    pub same_motion: Vec<SameMotion>,
+    #[serde(rename = "same_motion", default, skip_serializing_if = "Vec::is_empty")]
+    pub equivalent_motion_errors: Vec<EquivalentMotionError>,
     /// The uncertainties expected from the stated uncertainties of the inputs; none if a direction is lost.
     pub uncertainty: Option<UncertaintyBudget>,
     /// Further remarks for users: sentences.

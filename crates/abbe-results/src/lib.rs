@@ -20,6 +20,6 @@ pub use fit::{
     ImplausibleValue, ModelRecord, Outlier, Selection, SelectionDirection, SelectionStep, Status, VarianceFactor,
 };
 pub use format::FileFormat;
-pub use identifiability::{Combination, Identifiability, NullVector, SameMotion};
+pub use identifiability::{Combination, EquivalentMotionError, Identifiability, WeakDirection};
 pub use limit::Limit;
 pub use verdict::{Figure, Findings, VERDICTS_FORMAT, Verdict};

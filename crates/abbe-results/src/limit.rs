@@ -37,8 +37,8 @@ impl From<f64> for Limit {
 struct Stated {
     /// The largest admissible value.
     limit: f64,
-    /// The rule that decides whether a value keeps the limit: its name, or a map with its settings. Simple acceptance
-    /// unless said otherwise.
+    /// The rule that decides whether a value keeps the limit: its name, or a map with its settings. Default: simple
+    /// acceptance.
     #[serde(default, deserialize_with = "named_or_set")]
     #[schemars(schema_with = "schema_of_rules")]
     decision: Rule,

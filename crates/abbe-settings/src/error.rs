@@ -57,10 +57,10 @@ pub struct Error {
     /// place.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub pose: Option<usize>,
-    /// The code itself failed (it ended, gave no answer, panicked, broke its contract), for any numbers. If false, an
-    /// evaluation failed only for the given numbers and may succeed for others.
-    #[serde(default, skip_serializing_if = "std::ops::Not::not")]
-    pub fault: bool,
+    /// Whether other numbers would fail, too: the code itself failed (it ended, gave no answer, panicked, broke its contract), or
+    /// the work has to end. If false, an evaluation failed only for the given numbers and may succeed for others.
+    #[serde(rename = "fault", default, skip_serializing_if = "std::ops::Not::not")]
+    pub fatal: bool,
     /// The time that the user allowed is over.
     #[serde(default, skip_serializing_if = "std::ops::Not::not")]
     pub out_of_time: bool,
@@ -110,7 +110,7 @@ impl Error {
             stage: None,
             setting: Vec::new(),
             pose: None,
-            fault: false,
+            fatal: false,
             out_of_time: false,
             convergence: None,
         }
@@ -121,15 +121,14 @@ impl Error {
         Self::new(Class::Use, message)
     }
 
-    /// The work was cancelled. It is marked as a fault, so that code that tries other numbers after an error ends, too.
+    /// The work was cancelled. It is fatal, so that code that tries other numbers after an error ends, too.
     pub fn interrupted() -> Self {
-        Self::new(Class::Interrupted, "interrupted").fault()
+        Self::new(Class::Interrupted, "interrupted").fatal()
     }
 
-    /// The time that the user allowed is over. It is marked as a fault, so that code that tries other numbers after an error ends,
-    /// too.
+    /// The time that the user allowed is over. It is fatal, so that code that tries other numbers after an error ends, too.
     pub fn out_of_time(message: impl Into<String>) -> Self {
-        Self { out_of_time: true, ..Self::data(message).fault() }.help("allow more time, or make the recipe smaller")
+        Self { out_of_time: true, ..Self::data(message).fatal() }.help("allow more time, or make the recipe smaller")
     }
 
     /// Wrong or insufficient data.
@@ -169,9 +168,9 @@ impl Error {
         self
     }
 
-    /// Marks it as a failure of the code, not of the numbers that it was called with.
-    pub fn fault(mut self) -> Self {
-        self.fault = true;
+    /// Marks it as an error that other numbers do not avoid: the code itself failed.
+    pub fn fatal(mut self) -> Self {
+        self.fatal = true;
         self
     }
 

@@ -19,11 +19,11 @@ pub enum Series {
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct EvenSeries {
-    /// The first.
+    /// The first number.
     pub from: f64,
-    /// The last.
+    /// The last number.
     pub to: f64,
-    /// From each to the next.
+    /// Distance from each number to the next.
     pub step: f64,
 }
 

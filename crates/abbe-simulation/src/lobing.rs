@@ -19,8 +19,8 @@ pub struct Lobing {
 }
 
 impl Lobing {
-    /// By how much a touch in this direction of contact (tool frame, unit vector) is off, mm.
-    pub fn at(&self, direction: [f64; 3]) -> f64 {
+    /// The variation of the pre-travel in this direction of contact (tool frame, unit vector), mm.
+    pub fn pretravel_variation(&self, direction: [f64; 3]) -> f64 {
         let [x, y, _] = direction;
         self.amplitude * (f64::from(self.lobes) * y.atan2(x) + self.phase).cos() * (x * x + y * y)
     }
@@ -39,7 +39,7 @@ pub fn contact_directions(problem: &Problem) -> Result<Vec<Option<[f64; 3]>>> {
                 directions.extend(std::iter::repeat_n(None, row.equations));
                 continue;
             }
-            problem.model.poses(set.poses().row(row.first_pose), &problem.machine, &[], true, &mut poses)?;
+            problem.model.poses(set.poses().row(row.first_pose), &problem.machine_values, &[], true, &mut poses)?;
             equations.clear();
             set.observations.evaluate(set.batch(&[index], &poses), &mut equations)?;
             let [w, x, y, z] = poses.orientations[0];

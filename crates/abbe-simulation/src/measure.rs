@@ -21,8 +21,8 @@ pub fn measure(problem: &Problem, truth: &Truth, seed: u64) -> Result<Problem> {
     truth.left_out(problem)?.warn();
     let machine = truth.of(&at_contact(&nominal(problem), &[])?);
     let errors = truth.noise.errors(&machine, seed)?;
-    let mut measured = contact::measured(&machine, &errors, &truth.noise.variations(&machine)?)?;
-    measured.machine.clone_from(&problem.machine);
+    let mut measured = contact::simulate_measurement(&machine, &errors, &truth.noise.variations(&machine)?)?;
+    measured.machine_values.clone_from(&problem.machine_values);
     for (set, of) in measured.sets.iter_mut().zip(&problem.sets) {
         set.own.clone_from(&of.own);
         set.inputs.clone_from(&of.inputs);
@@ -33,7 +33,7 @@ pub fn measure(problem: &Problem, truth: &Truth, seed: u64) -> Result<Problem> {
 /// The problem with a perfect machine, nominal artefacts and nominal inputs.
 fn nominal(problem: &Problem) -> Problem {
     let mut nominal = problem.clone();
-    nominal.machine = nominal.model.info().nominal.clone();
+    nominal.machine_values = nominal.model.info().nominal.clone();
     for set in &mut nominal.sets {
         set.own = set.info().start.clone();
         set.inputs = set.info().inputs.iter().map(|input| input.value).collect();
@@ -65,7 +65,7 @@ fn recorded(mut problem: Problem, noise: &Noise) -> Problem {
                 });
                 by_rounding.extend(changes);
             }
-            // `contact::measured` has refused such a set.
+            // `contact::simulate_measurement` has refused such a set.
             Contact::NotSimulated(_) => by_rounding.extend(rows_of(set).flat_map(|row| vec![0.0; row.equations])),
         }
     }

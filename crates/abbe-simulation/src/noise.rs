@@ -207,7 +207,7 @@ impl Noise {
                 if let (Some(lobing), Some(directions)) = (&self.lobing, &directions)
                     && let Some([x, y, z]) = directions[first]
                 {
-                    errors[first] += lobing.at([-x, -y, -z]);
+                    errors[first] += lobing.pretravel_variation([-x, -y, -z]);
                 }
             }
         }

@@ -87,7 +87,7 @@ impl Truth {
                 }
             }
         };
-        for (parameter, value) in problem.model.info().parameters.iter().zip(&mut truth.machine) {
+        for (parameter, value) in problem.model.info().parameters.iter().zip(&mut truth.machine_values) {
             take(&parameter.name, &parameter.name, value);
         }
         for set in &mut truth.sets {
@@ -105,8 +105,8 @@ impl Truth {
     /// the noise.
     pub fn summary(&self, problem: &Problem) -> Vec<String> {
         let truth = self.of(problem);
-        let machine = truth.machine.iter().filter(|value| **value != 0.0).count();
-        let mut lines = vec![format!("machine: {machine} of {} parameters are not zero", truth.machine.len())];
+        let machine = truth.machine_values.iter().filter(|value| **value != 0.0).count();
+        let mut lines = vec![format!("machine: {machine} of {} parameters are not zero", truth.machine_values.len())];
         let mut told = BTreeSet::new();
         for set in truth.sets.iter().filter(|set| told.insert(&set.name)) {
             // A stage has several sets if its rows are repeated.

@@ -36,13 +36,14 @@ pub enum Points {
 #[derive(Debug, Clone, PartialEq, Default, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct Grid {
-    /// Number of points over the range of every axis (`5`) or of the named ones (`{ X: 5, B: 3 }`); one stands in the middle.
+    /// Number of points over the range of every axis (`5`) or of the named ones (`{ X: 5, B: 3 }`). A single point is
+    /// in the middle of the range.
     #[serde(default)]
     pub points: Option<Points>,
-    /// Distance of points along every linear axis; without it they stand still.
+    /// Distance of points along every linear axis. If it is missing, linear axes stand still.
     #[serde(default)]
     pub step_mm: Option<f64>,
-    /// Distance of points along every rotary axis; without it they stand still.
+    /// Distance of points along every rotary axis. If it is missing, rotary axes stand still.
     #[serde(default)]
     pub step_deg: Option<f64>,
     /// The poses themselves: `{ X_mm: 100, B_deg: 90 }`; axes that are not named stand still.
@@ -51,10 +52,10 @@ pub struct Grid {
     /// Ranges by axis, where they are not those of the machine.
     #[serde(default)]
     pub axes: Ranges,
-    /// Where axes stand that do not vary, `{ B_deg: 90 }`; zero unless said otherwise.
+    /// Positions of axes that do not vary, `{ B_deg: 90 }`. Default: zero.
     #[serde(default)]
     pub at: Positions,
-    /// Every pose is approached in negative direction, too.
+    /// Whether every pose is also approached in negative direction.
     #[serde(default)]
     pub both_directions: bool,
 }

@@ -24,7 +24,7 @@ static WRITING: Mutex<()> = Mutex::new(());
 static DONE: AtomicBool = AtomicBool::new(false);
 
 /// Ends the work that `monitor` watches when a signal asks for it.
-pub fn ends(monitor: Monitor) -> Result<()> {
+pub fn cancel_on_signal(monitor: Monitor) -> Result<()> {
     watched(move |signal| {
         SIGNAL.store(signal, Ordering::SeqCst);
         monitor.cancel();
@@ -41,7 +41,7 @@ pub fn ends(monitor: Monitor) -> Result<()> {
 
 /// Ends the process when this time and `grace` are over, if the work has not ended by itself and written its files; the error is JSON
 /// on request.
-pub fn after(limit: Option<Duration>, grace: Duration, json: bool) -> Result<()> {
+pub fn end_after(limit: Option<Duration>, grace: Duration, json: bool) -> Result<()> {
     let Some(limit) = limit else { return Ok(()) };
     let wait = move || {
         std::thread::sleep(limit.saturating_add(grace));

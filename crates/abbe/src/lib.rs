@@ -1,8 +1,8 @@
 //! The command line of Abbe: `run`, `check`, `simulate`, `plan`, `plugins`, `plugin`, `schema`.
 //!
-//! Exit status: 0 no verdict failed (inconclusive ones are told); 1 what only the data or the run show; 2 wrong use, or anything that can be found
-//! without reading data rows; 3 a verdict failed; 130 interrupted by Ctrl-C, 143 by an order to end (SIGTERM), 129 by a closed
-//! terminal (SIGHUP).
+//! Exit status: 0 no verdict failed (inconclusive verdicts are reported); 1 an error that only the data or the run show; 2 wrong
+//! use, or an error that can be found without reading data rows; 3 a verdict failed; 130 interrupted by Ctrl-C, 143 by SIGTERM,
+//! 129 by a closed terminal (SIGHUP).
 
 mod failure;
 mod interrupt;
@@ -35,13 +35,13 @@ use abbe_bundle as _;
 struct Arguments {
     #[command(subcommand)]
     command: Command,
-    /// Say more about what is going on.
+    /// Print more messages about the work.
     #[arg(short, long, global = true)]
     verbose: bool,
-    /// A library with more plugins, beside those that a recipe names.
+    /// A library with more plugins, in addition to those that a recipe names.
     #[arg(long = "plugin", global = true, value_name = "FILE")]
     plugins: Vec<PathBuf>,
-    /// Run the plugins of `--plugin` in processes of their own.
+    /// Run the plugins of `--plugin` in separate processes.
     #[arg(long, global = true)]
     isolate_plugins: bool,
     /// Refuse to load any library.
@@ -55,7 +55,7 @@ enum Command {
     Run {
         /// The recipe.
         recipe: PathBuf,
-        /// Folder under which the results go, in a folder named after the recipe.
+        /// Folder for results: they are written into a folder in it that has the name of the recipe.
         #[arg(long, default_value = "out")]
         out: PathBuf,
         /// Print the summary as JSON.
@@ -64,18 +64,18 @@ enum Command {
         /// How progress is shown, on standard error.
         #[arg(long, value_enum, default_value_t)]
         progress: Progress,
-        /// How long the run may take, seconds. What is not finished then fails; what is finished is written.
+        /// Time limit of the run, seconds. Stages that are not finished by then fail; finished results are written.
         #[arg(long, value_name = "SECONDS", value_parser = seconds)]
         time_limit: Option<Duration>,
     },
-    /// Check a recipe without running it, and tell what its fits could determine.
+    /// Check a recipe without running it, and report what its fits can determine.
     Check {
         /// The recipe.
         recipe: PathBuf,
         /// Print the findings as JSON.
         #[arg(long)]
         json: bool,
-        /// How long this may take, seconds.
+        /// Time limit, seconds.
         #[arg(long, value_name = "SECONDS", value_parser = seconds)]
         time_limit: Option<Duration>,
     },
@@ -89,13 +89,13 @@ enum Command {
         /// Seed of the random numbers: the same seed gives the same data.
         #[arg(long)]
         seed: u64,
-        /// Folder that is written; it must not exist or be empty.
+        /// Folder to write. It must be empty, or not exist.
         #[arg(long)]
         out: PathBuf,
-        /// The model stage that is simulated, where the estimates use several.
+        /// The model stage to simulate, if the estimates use several.
         #[arg(long)]
         machine: Option<String>,
-        /// How long this may take, seconds.
+        /// Time limit, seconds.
         #[arg(long, value_name = "SECONDS", value_parser = seconds)]
         time_limit: Option<Duration>,
     },
@@ -103,17 +103,17 @@ enum Command {
     Plan {
         /// The recipe.
         recipe: PathBuf,
-        /// Folder that is written; it must not exist or be empty. Without it the plan is only told.
+        /// Folder to write. It must be empty, or not exist. Without it the plan is only printed.
         #[arg(long)]
         out: Option<PathBuf>,
         /// Print the plan as JSON.
         #[arg(long)]
         json: bool,
-        /// How long this may take, seconds.
+        /// Time limit, seconds.
         #[arg(long, value_name = "SECONDS", value_parser = seconds)]
         time_limit: Option<Duration>,
     },
-    /// What vendors of plugin libraries need.
+    /// Commands for vendors of plugin libraries.
     Plugin {
         #[command(subcommand)]
         command: PluginCommand,
@@ -123,7 +123,7 @@ enum Command {
         /// Print them as JSON, with the schemas and examples of their settings.
         #[arg(long)]
         json: bool,
-        /// Write a reference page of each, and a list of them, into this folder.
+        /// Write a reference page of every plugin, and a list of the pages, into this folder.
         #[arg(long, conflicts_with = "json")]
         pages: Option<PathBuf>,
     },
@@ -133,14 +133,15 @@ enum Command {
 
 #[derive(Subcommand)]
 enum PluginCommand {
-    /// Check whether a library keeps to what a plugin promises, each test in a process of its own.
+    /// Check whether a library keeps the rules for plugins; each test runs in its own process.
     Check {
         /// The library.
         file: PathBuf,
-        /// A recipe that uses its plugins: the laws run over all that the recipe uses, on data that a virtual machine makes.
+        /// A recipe that uses its plugins: the rules are also checked for all stages of the recipe, on data of a
+        /// virtual machine.
         #[arg(long)]
         recipe: Option<PathBuf>,
-        /// How long one test may take, seconds.
+        /// Time limit of one test, seconds.
         #[arg(long, value_name = "SECONDS", default_value = "60", value_parser = seconds)]
         time_limit: Duration,
         /// Print the report as JSON.
@@ -184,7 +185,7 @@ pub fn main() -> ExitCode {
     carried_out(arguments)
 }
 
-/// Tells on its way out that the end is that of the program, and not of a plugin.
+/// Marks the end of the process, when dropped, as intended by the program and not caused by a plugin.
 struct ExpectedEnd;
 
 impl Drop for ExpectedEnd {
@@ -298,8 +299,8 @@ fn dispatch(command: Command, libraries: &Libraries) -> Result<(String, u8)> {
                 Some(limit) => monitor.with_time_limit(limit),
                 None => monitor,
             };
-            interrupt::ends(monitor.clone())?;
-            interrupt::after(time_limit, interrupt::GRACE, json)?;
+            interrupt::cancel_on_signal(monitor.clone())?;
+            interrupt::end_after(time_limit, interrupt::GRACE, json)?;
             let prepared = prepare(&recipe, &libraries.registry(Some(&recipe))?)?;
             prepared.can_write(&out)?;
             let outcome = prepared.run(&monitor)?;
@@ -319,8 +320,8 @@ fn dispatch(command: Command, libraries: &Libraries) -> Result<(String, u8)> {
             Ok((summary::text(&prepared.recipe.name, &outcome, &folder), status))
         }
         Command::Check { recipe, json, time_limit } => {
-            interrupt::ends(Monitor::default())?;
-            interrupt::after(time_limit, Duration::ZERO, json)?;
+            interrupt::cancel_on_signal(Monitor::default())?;
+            interrupt::end_after(time_limit, Duration::ZERO, json)?;
             let prepared = prepare(&recipe, &libraries.registry(Some(&recipe))?)?;
             let planned = prepared.check()?;
             let status = if planned.iter().all(|planned| planned.accepted) { 0 } else { 1 };
@@ -332,8 +333,8 @@ fn dispatch(command: Command, libraries: &Libraries) -> Result<(String, u8)> {
         }
         Command::Simulate { recipe, truth, seed, out, machine, time_limit } => {
             let here = Here::now();
-            interrupt::ends(Monitor::default())?;
-            interrupt::after(time_limit, Duration::ZERO, false)?;
+            interrupt::cancel_on_signal(Monitor::default())?;
+            interrupt::end_after(time_limit, Duration::ZERO, false)?;
             let prepared = prepare(&recipe, &libraries.registry(Some(&recipe))?)?;
             can_write_folder(&out)?;
             let simulated = prepared.simulate(&truth, seed, machine.as_deref())?;
@@ -342,8 +343,8 @@ fn dispatch(command: Command, libraries: &Libraries) -> Result<(String, u8)> {
         }
         Command::Plan { recipe, out, json, time_limit } => {
             let here = Here::now();
-            interrupt::ends(Monitor::default())?;
-            interrupt::after(time_limit, Duration::ZERO, json)?;
+            interrupt::cancel_on_signal(Monitor::default())?;
+            interrupt::end_after(time_limit, Duration::ZERO, json)?;
             let prepared = prepare(&recipe, &libraries.registry(Some(&recipe))?)?;
             out.iter().try_for_each(|out| can_write_folder(out))?;
             let measurements = prepared.plan()?;

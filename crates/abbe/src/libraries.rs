@@ -18,7 +18,7 @@ pub struct Libraries {
     pub refuse: bool,
 }
 
-/// How long a plugin of `--plugin` may be silent when it is isolated, s.
+/// How long an isolated plugin of `--plugin` may work without an answer or a question, s.
 const SILENCE_S: f64 = 60.0;
 
 /// This very program, to be started again.

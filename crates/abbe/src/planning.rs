@@ -2,7 +2,7 @@
 
 use std::path::Path;
 
-use abbe_core::NullVector;
+use abbe_core::WeakDirection;
 use abbe_engine::Measurements;
 
 use crate::number::short;
@@ -45,7 +45,7 @@ pub fn text(name: &str, measurements: &Measurements, out: Option<&Path>) -> Stri
         rows.push(vec![unknown.name.clone(), symbol, short(uncertainty * factor)]);
     }
     text.push_str(&format!("\n{}", table::text(&rows, &[2])));
-    let lost: Vec<String> = measurements.identifiability.null_space.iter().map(NullVector::advise).collect();
+    let lost: Vec<String> = measurements.identifiability.null_space.iter().map(WeakDirection::advise).collect();
     if !lost.is_empty() {
         text.push_str("\nNot determined\n");
         lost.iter().for_each(|lost| text.push_str(&format!("  {lost}\n")));

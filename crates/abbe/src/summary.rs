@@ -2,7 +2,7 @@
 
 use std::path::Path;
 
-use abbe_core::{Decision, Estimated, Figure, Fit, NullVector, Outlier, Owner, Quantity, Status, Unit, Verdict};
+use abbe_core::{Decision, Estimated, Figure, Fit, Outlier, Owner, Quantity, Status, Unit, Verdict, WeakDirection};
 use abbe_engine::{Failure, Outcome, Planned};
 use abbe_recipe::Recipe;
 use serde_json::{Value, json};
@@ -188,7 +188,7 @@ const ALIKE: &str = "Told apart by the choice of functions only";
 
 fn alike(fits: &[Fit]) -> Option<String> {
     let lines = fits.iter().flat_map(|fit| {
-        fit.calibration.fit.same_motion.iter().map(|same| format!("  {}: {}\n", fit.name, same.describe()))
+        fit.calibration.fit.equivalent_motion_errors.iter().map(|same| format!("  {}: {}\n", fit.name, same.describe()))
     });
     let text: String = lines.collect();
     (!text.is_empty()).then(|| section(ALIKE, &text))
@@ -417,7 +417,7 @@ pub fn planned_text(recipe: &Recipe, planned: &[Planned]) -> String {
     let mut text = format!("{}: {} stages\n\n", recipe.name, recipe.stages.len());
     text.push_str(&section("Planned fits, judged at nominal contact", &table::text(&rows, &columns(4, 1))));
     let lines = planned.iter().flat_map(|planned| {
-        let lost = planned.identifiability.null_space.iter().map(NullVector::advise);
+        let lost = planned.identifiability.null_space.iter().map(WeakDirection::advise);
         lost.map(|lost| format!("  {}: {lost}\n", planned.estimate))
     });
     let lost: String = lines.collect();
@@ -425,7 +425,7 @@ pub fn planned_text(recipe: &Recipe, planned: &[Planned]) -> String {
         text.push_str(&format!("\n{}", section("Not determined", &lost)));
     }
     let lines = planned.iter().flat_map(|planned| {
-        let alike = planned.identifiability.same_motion.iter();
+        let alike = planned.identifiability.equivalent_motion_errors.iter();
         alike.map(|same| format!("  {}: {}\n", planned.estimate, same.describe()))
     });
     let alike: String = lines.collect();

@@ -1,6 +1,6 @@
 //! How far to trust estimates, for a terminal: weak combinations, correlations, budgets.
 
-use abbe_core::{NullVector, ParameterBudget, UncertaintyBudget, Unit};
+use abbe_core::{ParameterBudget, UncertaintyBudget, Unit, WeakDirection};
 
 use crate::number::short;
 use crate::table;
@@ -9,7 +9,7 @@ use crate::table;
 const PAIRS: usize = 5;
 
 /// The weakest combinations of an estimate, one line each; the number is the singular value relative to the largest.
-pub fn weakest(vectors: &[NullVector]) -> String {
+pub fn weakest(vectors: &[WeakDirection]) -> String {
     vectors.iter().map(|vector| format!("  {:>9}  {}\n", short(vector.singular_value), vector.changes())).collect()
 }
 

@@ -38,13 +38,13 @@ struct Settings {
 #[derive(Debug, Clone, PartialEq, Default, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 struct Limits {
-    /// Of the offset of a circle from the tool ball.
+    /// Limit of the offset of a circle from the tool ball.
     #[serde(default)]
     eccentricity_um: Option<Limit>,
-    /// Of the range of the lengths about their circle.
+    /// Limit of the range of the lengths about their circle.
     #[serde(default)]
     roundness_um: Option<Limit>,
-    /// Of what the polar plot shifts a centre by.
+    /// Limit of the shift of a centre by the polar plot.
     #[serde(default)]
     polar_plot_error_um: Option<Limit>,
 }

@@ -32,9 +32,9 @@ pub struct Evaluated {
     pub circles: Vec<Circle>,
 }
 
-/// The numbers of a test before the radius is known.
+/// The two numbers of a test from which its circle follows, together with those of the other tests of its pivot and axis.
 #[derive(Clone, Copy)]
-struct Raw {
+struct CircleNumbers {
     /// Offset, or offset times radius in the squared length.
     offset: Vector2<f64>,
     /// Radius² + height² (+ offset² in the squared length).
@@ -44,11 +44,11 @@ struct Raw {
 impl Evaluated {
     /// Evaluates all tests; those with one pivot and one axis share its radius and height.
     pub fn new(sweeps: &[Sweep], evaluation: Evaluation) -> Result<Self> {
-        let raw = |lengths: fn(&Sweep) -> &[f64]| -> Result<Vec<Raw>> {
-            sweeps.iter().map(|sweep| raw(sweep, lengths(sweep), evaluation)).collect()
+        let numbers = |lengths: fn(&Sweep) -> &[f64]| -> Result<Vec<CircleNumbers>> {
+            sweeps.iter().map(|sweep| circle_numbers(sweep, lengths(sweep), evaluation)).collect()
         };
-        let measured = shapes(sweeps, &raw(|sweep| &sweep.measured)?, evaluation);
-        let nominal = shapes(sweeps, &raw(|sweep| &sweep.nominal)?, evaluation);
+        let measured = shapes(sweeps, &numbers(|sweep| &sweep.measured)?, evaluation);
+        let nominal = shapes(sweeps, &numbers(|sweep| &sweep.nominal)?, evaluation);
         let circles = measured.iter().zip(&nominal).map(|(measured, nominal)| Circle {
             offset: measured.offset - nominal.offset,
             radius: measured.radius - nominal.radius,
@@ -68,22 +68,22 @@ fn no_circle(name: &str) -> Error {
         .help("are the readings, the length of the bar and the nominal balls those of this test?")
 }
 
-fn raw(sweep: &Sweep, lengths: &[f64], evaluation: Evaluation) -> Result<Raw> {
+fn circle_numbers(sweep: &Sweep, lengths: &[f64], evaluation: Evaluation) -> Result<CircleNumbers> {
     match evaluation {
         Evaluation::PolarPlot => {
             let (offset, radius) = polar_plot(sweep, lengths).ok_or_else(|| no_circle(&sweep.name))?;
-            Ok(Raw { offset, square: radius * radius + sweep.height * sweep.height })
+            Ok(CircleNumbers { offset, square: radius * radius + sweep.height * sweep.height })
         }
         // L² = h² + R² + o² + 2R (o1 cos + o2 sin), exactly, if one axis moves.
         Evaluation::SquaredLength => {
             let found = Projection::new(&sweep.angles).of(lengths.iter().map(|length| length * length));
-            Ok(Raw { offset: Vector2::new(found[1], found[2]) / 2.0, square: found[0] })
+            Ok(CircleNumbers { offset: Vector2::new(found[1], found[2]) / 2.0, square: found[0] })
         }
     }
 }
 
 /// Offsets, radii and heights of all tests.
-fn shapes(sweeps: &[Sweep], raw: &[Raw], evaluation: Evaluation) -> Vec<Circle> {
+fn shapes(sweeps: &[Sweep], numbers: &[CircleNumbers], evaluation: Evaluation) -> Vec<Circle> {
     let mut shapes: Vec<Circle> = sweeps
         .iter()
         .map(|sweep| Circle {
@@ -94,15 +94,15 @@ fn shapes(sweeps: &[Sweep], raw: &[Raw], evaluation: Evaluation) -> Vec<Circle> 
         })
         .collect();
     for _ in 0..STEPS {
-        for (shape, raw) in shapes.iter_mut().zip(raw) {
+        for (shape, numbers) in shapes.iter_mut().zip(numbers) {
             shape.offset = match evaluation {
-                Evaluation::PolarPlot => raw.offset,
-                Evaluation::SquaredLength => raw.offset / shape.radius,
+                Evaluation::PolarPlot => numbers.offset,
+                Evaluation::SquaredLength => numbers.offset / shape.radius,
             };
         }
-        let squares = shapes.iter().zip(raw).map(|(shape, raw)| match evaluation {
-            Evaluation::PolarPlot => raw.square,
-            Evaluation::SquaredLength => raw.square - shape.offset.norm_squared(),
+        let squares = shapes.iter().zip(numbers).map(|(shape, numbers)| match evaluation {
+            Evaluation::PolarPlot => numbers.square,
+            Evaluation::SquaredLength => numbers.square - shape.offset.norm_squared(),
         });
         let squares: Vec<f64> = squares.collect();
         for (place, shape) in shapes.iter_mut().enumerate() {

@@ -53,7 +53,7 @@ enum Evaluation {
     /// As published: lengths are plotted along the nominal directions of the bar, and a circle is fitted to the plot. An offset o of
     /// the circle bends it by o²/R.
     PolarPlot,
-    /// The squared length, which has a constant, a cosine and a sine of the angle and nothing else.
+    /// The squared length, which is the sum of a constant, a cosine and a sine of the angle.
     #[default]
     SquaredLength,
 }
@@ -123,7 +123,7 @@ impl Estimate for ClosedForm {
 
 /// The error for tests that cannot determine what was chosen.
 fn confounded(found: &Identifiability) -> Error {
-    let lost: Vec<String> = found.null_space.iter().map(abbe_core::NullVector::advise).collect();
+    let lost: Vec<String> = found.null_space.iter().map(abbe_core::WeakDirection::advise).collect();
     let message = format!(
         "the circles of the tests determine {} of {} unknowns:\n- {}",
         found.rank,

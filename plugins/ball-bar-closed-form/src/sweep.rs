@@ -43,13 +43,13 @@ pub struct Sweep {
 }
 
 /// Residuals and derivatives of a problem as it is.
-pub struct Linear {
+pub struct Linearisation {
     pub residuals: Vec<f64>,
     /// Equations x unknowns.
     pub jacobian: DMatrix<f64>,
 }
 
-impl Linear {
+impl Linearisation {
     /// Of a problem, to some unknowns, at the problem's own values.
     pub fn new(problem: &Problem, unknowns: Vec<Unknown>) -> Result<Self> {
         let mut problem = problem.clone();
@@ -64,7 +64,7 @@ impl Linear {
         if let Some(equation) = residuals.iter().position(|residual| !residual.is_finite()) {
             let (set, row) = problem.equation_rows()[EquationIndex(equation)];
             let error = Error::data("the equation of this row has no finite value").stage(&problem.sets[set].name);
-            return Err(problem.at_row(set, row, error));
+            return Err(problem.error_at_row(set, row, error));
         }
         Ok(Self { residuals, jacobian: DMatrix::from_row_slice(rows, columns, &entries) })
     }
@@ -129,7 +129,7 @@ struct Pivots<'a> {
     set: SetIndex,
     features: &'a [Feature],
     /// Residuals and derivatives to the shifts of all features, in their order.
-    linear: Linear,
+    linearisation: Linearisation,
 }
 
 impl<'a> Pivots<'a> {
@@ -138,8 +138,8 @@ impl<'a> Pivots<'a> {
         let shifts = features.iter().flat_map(|feature| &feature.shifts);
         let unknowns =
             shifts.map(|&(index, _)| Unknown { name: String::new(), unit: Unit::MM, owner: Owner::Set(set), index });
-        let linear = Linear::new(problem, unknowns.collect())?;
-        Ok(Self { problem, set, features, linear })
+        let linearisation = Linearisation::new(problem, unknowns.collect())?;
+        Ok(Self { problem, set, features, linearisation })
     }
 
     /// The one feature that moves the equation of a row, and its derivatives to the shifts of that feature.
@@ -149,7 +149,7 @@ impl<'a> Pivots<'a> {
         for (index, feature) in self.features.iter().enumerate() {
             let shifts = first..first + feature.shifts.len();
             first = shifts.end;
-            let by: Vec<f64> = shifts.map(|column| self.linear.jacobian[(equation, column)]).collect();
+            let by: Vec<f64> = shifts.map(|column| self.linearisation.jacobian[(equation, column)]).collect();
             if by.iter().any(|derivative| *derivative != 0.0) {
                 if found.is_some() {
                     return None;
@@ -178,7 +178,7 @@ impl<'a> Pivots<'a> {
         let angles: Vec<f64> = statuses.iter().map(|status| status[model.info().axes[axis].status]).collect();
         let mut poses = Poses::default();
         let wanted = [Variable::Command(axis)];
-        model.poses(&statuses.concat(), &self.problem.machine, &wanted, true, &mut poses)?;
+        model.poses(&statuses.concat(), &self.problem.machine_values, &wanted, true, &mut poses)?;
         let of_rows = samples.iter().map(|sample| self.pivot(sample.equation).ok_or_else(no_distance));
         let of_rows = of_rows.collect::<Result<Vec<_>>>()?;
         let pivot = of_rows[0].0;
@@ -201,7 +201,7 @@ impl<'a> Pivots<'a> {
                 return Err(no_distance());
             }
             nominal.push(bar.norm());
-            measured.push(bar.norm() - self.linear.residuals[sample.equation]);
+            measured.push(bar.norm() - self.linearisation.residuals[sample.equation]);
         }
         // Velocity v and angular velocity w of the tool seen from the table, a unit of command: v = w x (tip - line).
         let turning = |place: usize| {

@@ -6,14 +6,14 @@
 //! of the model: with its signs, and from the tool ball to the origin.
 
 use abbe_core::{
-    Calibration, Combination, FitReport, Identifiability, NullVector, Owner, Problem, Result, Termination,
+    Calibration, Combination, FitReport, Identifiability, Owner, Problem, Result, Termination, WeakDirection,
 };
 use abbe_estimation::calibration;
 use nalgebra::{DMatrix, DVector};
 
 use crate::evaluation::Evaluated;
 use crate::reduction::Projection;
-use crate::sweep::{Linear, Sweep, sweeps};
+use crate::sweep::{Linearisation, Sweep, sweeps};
 
 /// Singular values below this part of the largest count as zero; columns have norm 1.
 const RANK_TOLERANCE: f64 = 1e-9;
@@ -31,14 +31,14 @@ pub struct System {
     nominal: Problem,
     pub sweeps: Vec<Sweep>,
     /// Derivatives of the equations to the unknowns, then to the considered parameters.
-    linear: Linear,
+    linearisation: Linearisation,
     /// Effect of the equations on the numbers of the tests: three rows a test, mm.
     reduction: DMatrix<f64>,
     /// Scale of every unknown: one over the norm of its effect.
     scale: DVector<f64>,
     /// Generalised inverse: scaled unknowns from the numbers of the tests.
     inverse: DMatrix<f64>,
-    found: Identifiability,
+    identifiability: Identifiability,
 }
 
 impl System {
@@ -47,9 +47,9 @@ impl System {
         let nominal = at_nominal(problem);
         let sweeps = sweeps(&nominal, tests)?;
         let unknowns = nominal.unknowns.iter().chain(&nominal.considered.unknowns).cloned().collect();
-        let linear = Linear::new(&nominal, unknowns)?;
-        let reduction = reduction(&sweeps, linear.residuals.len());
-        let effects = &reduction * linear.jacobian.columns(0, nominal.unknowns.len());
+        let linearisation = Linearisation::new(&nominal, unknowns)?;
+        let reduction = reduction(&sweeps, linearisation.residuals.len());
+        let effects = &reduction * linearisation.jacobian.columns(0, nominal.unknowns.len());
         let norm = |column: usize| Some(effects.column(column).norm()).filter(|norm| *norm > 1e-12).unwrap_or(1.0);
         let scale = DVector::from_fn(effects.ncols(), |column, _| 1.0 / norm(column));
         // At least as many rows as columns, so that the singular vectors include the lost directions.
@@ -57,13 +57,13 @@ impl System {
         let scaled = DMatrix::from_fn(rows, effects.ncols(), |row, column| {
             if row < effects.nrows() { effects[(row, column)] * scale[column] } else { 0.0 }
         });
-        let (inverse, found) = solved(&nominal, &scaled, &scale, linear.residuals.len());
-        Ok(Self { nominal, sweeps, linear, reduction, scale, inverse, found })
+        let (inverse, identifiability) = solved(&nominal, &scaled, &scale, linearisation.residuals.len());
+        Ok(Self { nominal, sweeps, linearisation, reduction, scale, inverse, identifiability })
     }
 
     /// What the circles determine.
     pub fn identifiability(&self) -> Identifiability {
-        self.found.clone()
+        self.identifiability.clone()
     }
 
     /// The values of the unknowns.
@@ -105,8 +105,8 @@ impl System {
         let fit = FitReport {
             observations: count,
             unknowns: x.len(),
-            rank: self.found.rank,
-            condition: self.found.condition,
+            rank: self.identifiability.rank,
+            condition: self.identifiability.condition,
             degrees_of_freedom,
             sigma,
             iterations: 1,
@@ -123,9 +123,9 @@ impl System {
             rank_tolerance: None,
             null_space: Vec::new(),
             dropped: Vec::new(),
-            weakest: self.found.weakest.clone(),
+            weakest: self.identifiability.weakest.clone(),
             selection: None,
-            same_motion: Vec::new(),
+            equivalent_motion_errors: Vec::new(),
             implausible: Vec::new(),
             variance: Vec::new(),
             agreement: None,
@@ -163,7 +163,7 @@ impl System {
         let considered = &problem.considered;
         let count = considered.unknowns.len();
         let known = DMatrix::from_fn(count, count, |row, column| considered.covariance[row][column]);
-        let answer = &answer * self.linear.jacobian.columns(own, count);
+        let answer = &answer * self.linearisation.jacobian.columns(own, count);
         let cross = &answer * &known;
         covariance += &cross * answer.transpose();
         (0..own + count)
@@ -190,7 +190,7 @@ fn at_nominal(problem: &Problem) -> Problem {
     };
     let unknowns = problem.unknowns.iter().zip(problem.start());
     let values: Vec<f64> = unknowns.map(|(unknown, start)| nominal(unknown.owner, unknown.index, start)).collect();
-    problem.at(&values)
+    problem.with_values(&values)
 }
 
 /// Nominal length of the bar of a test.
@@ -245,7 +245,7 @@ fn solved(
         condition: largest / least,
         null_space,
         weakest,
-        same_motion: Vec::new(),
+        equivalent_motion_errors: Vec::new(),
         remarks: Vec::new(),
         uncertainty: None,
     };
@@ -259,7 +259,7 @@ fn direction<'a>(
     direction: impl Iterator<Item = &'a f64>,
     scale: &DVector<f64>,
     least: f64,
-) -> NullVector {
+) -> WeakDirection {
     let mut parts: Vec<(f64, Combination)> = problem
         .unknowns
         .iter()
@@ -277,5 +277,5 @@ fn direction<'a>(
         part.coefficient /= unit;
         part
     });
-    NullVector { singular_value, combination: combination.collect(), separated_by: Vec::new() }
+    WeakDirection { singular_value, combination: combination.collect(), separated_by: Vec::new() }
 }

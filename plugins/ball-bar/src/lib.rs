@@ -58,14 +58,14 @@ struct Settings {
     tool_ball_standard_uncertainty_um: f64,
 }
 
-/// What is known of the lengths.
+/// Whether the lengths are known.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "kebab-case")]
 enum Lengths {
-    /// They are those of the settings.
+    /// They are known: the lengths of the settings.
     #[default]
     Known,
-    /// They are unknowns of the artefact.
+    /// They are estimated: unknowns of the artefact.
     Estimated,
 }
 
@@ -145,7 +145,7 @@ fn bars(settings: &Settings, used: &[&str], unknowns: &mut Vec<Parameter>, input
             Lengths::Known => {
                 let uncertainty = settings.length_standard_uncertainty_um * 1e-3;
                 let content = format!("ball bar {label}: {nominal:e} mm, u = {uncertainty:e} mm");
-                inputs.push(KnownInput::new(parameter, nominal, uncertainty).certified("length", content));
+                inputs.push(KnownInput::new(parameter, nominal, uncertainty).with_certificate("length", content));
                 Bar::Known { input: inputs.len() - 1 }
             }
         }

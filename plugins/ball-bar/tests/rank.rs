@@ -499,7 +499,7 @@ fn what_is_lost_at_the_start_is_lost_at_the_solution() {
             // Of the true scale, 5e-5 at most, readings of 0.3 mm tell 0.015 um.
             assert!(calibration.fit.residual_max_um < 0.05, "{trial} {choice}: {}", calibration.fit.residual_max_um);
             // There the machine has errors, and rows are brought to contact by it.
-            let at_solution = problem.at(&problem.values_of(&calibration));
+            let at_solution = problem.with_values(&problem.values_of(&calibration));
             let found = estimator(&json!({})).identify(&at_solution).unwrap();
             assert_eq!(found.rank, expected.rank, "{trial} {sweep:?} {off} {sampled} {choice}:\n{}", told(&found));
         }

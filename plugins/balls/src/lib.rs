@@ -41,8 +41,8 @@ struct Settings {
     /// What a data row is.
     #[serde(default)]
     rows: Rows,
-    /// Fit the centre of every ball first, from its touches with the same label in this column (the indexation), and let
-    /// centres take part instead of touches.
+    /// Fit the centre of every ball first, from its touches with the same label in this column (the indexation), and
+    /// use the centres as observations instead of the touches.
     #[serde(default)]
     centres_by: Option<String>,
     /// Whether the radius of every ball is known or estimated (`ball[1].radius`, its deviation from nominal).
@@ -67,11 +67,11 @@ enum Rows {
     Centres,
 }
 
-/// What is known of the radius.
+/// Whether the radius is known.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "kebab-case")]
 enum Radius {
-    /// It is that of the nominal file.
+    /// It is known: that of the nominal file.
     #[default]
     Known,
     /// It is estimated.
@@ -252,7 +252,7 @@ impl Artefact for Balls {
             let name = format!("length[{}-{}]", from.0, to.0);
             let content = format!("distance of balls {} and {}: {length:e} mm, u = {uncertainty:e} mm", from.0, to.0);
             let parameter = Parameter::new(&name, Unit::MM);
-            inputs.push(KnownInput::new(parameter, length, uncertainty).certified(name, content));
+            inputs.push(KnownInput::new(parameter, length, uncertainty).with_certificate(name, content));
         }
         let rows = if self.settings.centres_by.is_some() { Rows::Centres } else { self.settings.rows };
         let features = balls.iter().enumerate().map(|(index, ball)| {

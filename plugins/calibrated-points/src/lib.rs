@@ -47,7 +47,8 @@ struct Settings {
     /// CSV file of the nominal placements in the table frame: label, x_mm, y_mm, z_mm of the artefact's origin, ux, uy, uz of
     /// its x direction, vx, vy, vz of its y direction.
     placements: String,
-    /// The column of the placement's label, there and in the data; with a single placement the data need none.
+    /// The column of the placement's label, there and in the data. With a single placement the data need no such
+    /// column.
     #[serde(default = "default_placement")]
     placement: String,
     /// What the unknowns of a placement are called: `bar` gives `bar[1].x`, `.y`, `.z`, `.a`, `.b`, `.c`.
@@ -250,7 +251,7 @@ impl Artefact for CalibratedPoints {
                 // Added to the calibrated coordinate: zero unless the calibration is off.
                 let parameter = named(format!("point[{label}].{own}"), Quantity::Length);
                 let quantity = parameter.name.clone();
-                KnownInput::new(parameter, 0.0, uncertainty).certified(quantity, &content)
+                KnownInput::new(parameter, 0.0, uncertainty).with_certificate(quantity, &content)
             })
         });
         let info = ObservationsInfo {

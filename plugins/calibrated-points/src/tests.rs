@@ -96,7 +96,7 @@ fn derivatives_are_those_of_the_residuals() {
         let at = |by: f64| {
             let mut x = x.clone();
             x[column] += by;
-            problem.at(&x).residuals(&x).unwrap()
+            problem.with_values(&x).residuals(&x).unwrap()
         };
         let step = 1e-5;
         for (row, (above, below)) in at(step).iter().zip(at(-step)).enumerate() {

@@ -12,8 +12,8 @@
 use std::collections::BTreeMap;
 
 use abbe_core::{
-    Basis, Calibration, CombinedAgreement, ConsideredInput, Context, Error, Estimate, Fit, FitReport, Identifiability,
-    Problem, Result, SettingsError, Status,
+    Calibration, CombinedAgreement, ConsideredInput, Context, Error, Estimate, EstimateSource, Fit, FitReport,
+    Identifiability, Problem, Result, SettingsError, Status,
 };
 use abbe_estimation::calibration;
 use abbe_numerics::chi_squared_upper_tail;
@@ -30,14 +30,14 @@ abbe_core::register!(
     example,
     build,
     "../reference/estimate-combine.md",
-    Basis::Combination,
+    EstimateSource::Combination,
 );
 
 /// Settings of a combination.
 #[derive(Debug, Clone, PartialEq, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 struct Settings {
-    /// Probability of refusing calibrations that do agree.
+    /// Probability that calibrations that agree are refused.
     #[serde(default = "default_significance")]
     significance: f64,
     /// What to do with calibrations that do not agree.
@@ -56,7 +56,7 @@ enum OnDisagreement {
     /// Stop and name the parameter that differs most.
     #[default]
     Error,
-    /// Go on; the file tells that they do not agree.
+    /// Continue; the calibration file states that they do not agree.
     Warn,
 }
 
@@ -400,7 +400,7 @@ impl Estimate for Combination {
             );
             return Err(Error::usage(message).help("name a `machine` that has the errors of all").setting("of"));
         }
-        let mut problem = problem.without(|unknown| !estimated(&unknown.name));
+        let mut problem = problem.without_unknowns(|unknown| !estimated(&unknown.name));
         let known = fits.iter().map(|fit| Known::new(fit, &problem)).collect::<Result<Vec<_>>>()?;
         let combined = Combined::new(&known, &problem)?;
         let report = self.judge(&known, fits, &problem, &combined)?;
@@ -427,7 +427,7 @@ impl Estimate for Combination {
 /// The problem with the values, other than zero, of the machine parameters that a calibration holds fixed.
 fn held(problem: &Problem, calibration: &Calibration) -> Problem {
     let mut problem = problem.clone();
-    for (value, parameter) in problem.machine.iter_mut().zip(&problem.model.info().parameters) {
+    for (value, parameter) in problem.machine_values.iter_mut().zip(&problem.model.info().parameters) {
         let known = calibration.parameters.iter().find(|known| known.name == parameter.name);
         if let Some(known) = known.filter(|known| known.status == Status::Fixed && known.value != 0.0) {
             *value = known.value;

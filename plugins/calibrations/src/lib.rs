@@ -4,5 +4,5 @@
 //! All three give a calibration like any other: for `known`, `start`, `machine` and `of`.
 
 mod combine;
-mod recalled;
+mod saved;
 mod stated;

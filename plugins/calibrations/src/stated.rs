@@ -7,8 +7,8 @@ use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
 use abbe_core::{
-    Basis, Calibration, Context, DataRow, Dataset, Error, Estimate, FitReport, Identifiability, InputFile, PathItem,
-    Problem, Result, SettingsError, Unit, matches,
+    Calibration, Context, DataRow, Dataset, Error, Estimate, EstimateSource, FitReport, Identifiability, InputFile,
+    PathItem, Problem, Result, SettingsError, Unit, matches,
 };
 use abbe_estimation::calibration;
 use abbe_files::{LARGEST_RESULT, read_text};
@@ -24,10 +24,10 @@ abbe_core::register!(
     example,
     build,
     "../reference/estimate-stated.md",
-    Basis::Statement,
+    EstimateSource::Statement,
 );
 
-/// Settings of what is stated.
+/// Settings of stated values.
 #[derive(Debug, Clone, PartialEq, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 struct Settings {
@@ -35,21 +35,21 @@ struct Settings {
     /// file with `parameters` and perhaps `standard_uncertainties` by name, in mm and rad.
     #[serde(default)]
     path: Option<String>,
-    /// What is stated, by parameter.
+    /// The stated values, by the name of the parameter.
     #[serde(default)]
     values: BTreeMap<String, Stated>,
-    /// Names and patterns in the file that are of no concern: those of artefacts.
+    /// Names and patterns in the file that are ignored, such as those of artefacts.
     #[serde(default)]
     ignore: Vec<String>,
 }
 
-/// What is stated of one parameter.
+/// The stated value of one parameter.
 #[derive(Debug, Clone, PartialEq, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 struct Stated {
     /// Its value.
     value: f64,
-    /// Its standard uncertainty; none if it is exact.
+    /// Its standard uncertainty. Default: the value is exact.
     #[serde(default)]
     standard_uncertainty: f64,
     /// Unit of both: as in calibration files (`mm`, `rad`, `mm/mm`) or as people read it (`um`, `urad`, `um/m`).
@@ -194,13 +194,13 @@ impl Statement {
                     "`{name}` needs a finite value with a standard uncertainty of at least zero"
                 )));
             }
-            problem.machine[index] = value;
+            problem.machine_values[index] = value;
             if standard_uncertainty > 0.0 {
                 uncertain.insert(name.clone(), standard_uncertainty);
             }
             seen.push(name);
         }
-        let problem = problem.without(|unknown| !uncertain.contains_key(&unknown.name));
+        let problem = problem.without_unknowns(|unknown| !uncertain.contains_key(&unknown.name));
         let (x, count) = (problem.start(), problem.unknowns.len());
         let variance = |row: usize, column: usize| match row == column {
             true => uncertain[&problem.unknowns[row].name].powi(2),

@@ -44,12 +44,12 @@ struct Settings {
     /// The column of labels that tells measurements apart.
     #[serde(default = "default_measurement")]
     measurement: String,
-    /// What was measured, by the label of the measurement.
+    /// The measurements, by their labels.
     measurements: BTreeMap<String, Measurement>,
-    /// Standard uncertainty of one reading of a length, where a measurement does not say its own.
+    /// Standard uncertainty of one reading of a length, for measurements that do not state their own.
     #[serde(default)]
     standard_uncertainty_um: Option<f64>,
-    /// Standard uncertainty of one reading of an angle, where a measurement does not say its own.
+    /// Standard uncertainty of one reading of an angle, for measurements that do not state their own.
     #[serde(default)]
     standard_uncertainty_urad: Option<f64>,
 }
@@ -62,37 +62,39 @@ fn default_measurement() -> String {
 #[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 struct Measurement {
-    /// What is read.
+    /// The kind of reading.
     kind: Kind,
-    /// The axis that moves, by the columns `position_mm` (or `position_deg`) and `direction`; none for angles at one pose.
+    /// The axis that moves; its positions are in the columns `position_mm` (or `position_deg`) and `direction`. None
+    /// for angles at one pose.
     #[serde(default)]
     moves: Option<String>,
-    /// The two axes that move along a square, by the column `leg`; each leg is read in the direction of the other.
+    /// The two axes that move along a square, as the column `leg` says. Each leg is read in the direction of the other.
     #[serde(default)]
     legs: Option<[String; 2]>,
-    /// The direction that is read, of angles the axis that they are about: X, Y or Z of the table frame, or a vector. Of a displacement
-    /// that of the motion, unless it is said.
+    /// The direction of the reading: X, Y or Z of the table frame, or a vector. For angles: the axis of the rotation.
+    /// Default for a displacement: the direction of the motion.
     #[serde(default)]
     direction: Option<Direction>,
-    /// The body whose motion is read; that which the moving axis carries, unless it is said.
+    /// The body whose motion is read. Default: the body that the moving axis carries.
     #[serde(default)]
     body: Option<Body>,
-    /// Where the other linear axes stand.
+    /// Positions of the other linear axes.
     #[serde(default)]
     at_mm: BTreeMap<String, f64>,
-    /// Where the other rotary axes stand; at 0, unless it is said.
+    /// Positions of the other rotary axes. Default: 0.
     #[serde(default)]
     at_deg: BTreeMap<String, f64>,
-    /// The stylus of the machine whose tip is the point that was measured; the tool's own, unless it is said.
+    /// The stylus of the machine whose tip is the measured point. Default: the tip of the tool.
     #[serde(default)]
     stylus: Option<Label>,
     /// Name of the straightedge, for measurements against the same face that share its slope.
     #[serde(default)]
     slope: Option<String>,
-    /// The columns that tell apart what has an offset and a drift of its own: `run`, of squares also `leg`.
+    /// The columns whose labels tell runs apart; each run has its own datum and drift. Default: `run`, for squares also
+    /// `leg`.
     #[serde(default)]
     datum: Option<Vec<String>>,
-    /// Whether a drift is estimated for every offset; it is where there is a column `time_s`.
+    /// Whether a drift is estimated for every datum. Default: yes if there is a column `time_s`.
     #[serde(default)]
     drift: Option<bool>,
     /// Standard uncertainty of one reading of a length.
@@ -103,7 +105,7 @@ struct Measurement {
     standard_uncertainty_urad: Option<f64>,
 }
 
-/// What is read.
+/// The kind of reading.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "kebab-case")]
 enum Kind {

@@ -25,8 +25,8 @@ pub struct Line {
     pub at: Vec<(usize, f64)>,
     /// The unknown tilt of the line, if there is one: slope of a straightedge, angle of a square.
     pub tilt: Option<Tilt>,
-    /// Columns whose labels separate the offsets.
-    pub datum: Vec<String>,
+    /// Columns with the labels of runs: each run has its own datum.
+    pub datum_columns: Vec<String>,
     /// Whether it drifts.
     pub drift: bool,
     /// Standard uncertainty of a reading, mm or rad.
@@ -103,7 +103,7 @@ impl Line {
             angle: measurement.kind == Kind::Angle,
             at: statuses.into_iter().collect(),
             tilt,
-            datum: measurement.datum_columns(headers),
+            datum_columns: measurement.datum_columns(headers),
             drift: measurement.drifts(headers),
             standard_uncertainty,
         }))
@@ -210,7 +210,7 @@ fn legs(
         Leg {
             name: named.map_or_else(String::new, |axis| axis.name.clone()),
             command: named.map(|axis| axis.status),
-            approach: axis.and_then(|axis| model.info().status_of(&StatusRole::Direction(axis))),
+            approach: axis.and_then(|axis| model.info().status_index(&StatusRole::Direction(axis))),
             sensitivity: direction * sign,
             by_tilt: by_tilt * sign,
         }

@@ -112,11 +112,12 @@ pub fn observe(
 
 /// The name of a group of readings that has its own offset: `EXX[1]`, or `EXX` if the measurement has one offset.
 fn run_of(data: &Dataset, row: DataRow, label: &str, line: &Line) -> String {
-    let values = line.datum.iter().filter_map(|column| match data.column(column).map(|column| &column.values) {
-        Some(Values::Labels(labels)) => Some(labels[row].clone()),
-        Some(Values::Numbers(numbers)) => Some(format!("{}", (numbers[row] * 1e9).round() / 1e9)),
-        None => None,
-    });
+    let values =
+        line.datum_columns.iter().filter_map(|column| match data.column(column).map(|column| &column.values) {
+            Some(Values::Labels(labels)) => Some(labels[row].clone()),
+            Some(Values::Numbers(numbers)) => Some(format!("{}", (numbers[row] * 1e9).round() / 1e9)),
+            None => None,
+        });
     match values.collect::<Vec<_>>().join(".") {
         none if none.is_empty() => label.to_owned(),
         values => format!("{label}[{values}]"),

@@ -38,7 +38,7 @@ struct Settings {
     /// `COMP_FILE_TYPE`: 0 writes the positions that are really reached, 1 the trims that correct them.
     #[serde(default, rename = "type")]
     kind: FileType,
-    /// The axes to compensate; all that have a positioning error unless said otherwise, spindles excepted.
+    /// The axes to compensate. Default: all that have a positioning error, except spindles.
     #[serde(default)]
     axes: Option<Vec<String>>,
     /// Ranges by axis, where they are not those of the machine.

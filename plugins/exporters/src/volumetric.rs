@@ -34,14 +34,15 @@ struct Settings {
     task: Task,
 }
 
-/// What the error is an error of (Soons 1993, eq. 2.31 and 2.34).
+/// Which error is written (Soons 1993, eq. 2.31 and 2.34).
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Deserialize, JsonSchema)]
 #[serde(rename_all = "kebab-case")]
 enum Task {
-    /// Of the tip: where it is, minus where it should be.
+    /// The error of the tip: its position minus its nominal position.
     #[default]
     Position,
-    /// Of the indicated coordinates: what they say, minus where the tip is. It is the error of the tip with the other sign.
+    /// The error of the indicated coordinates: the indicated position minus the position of the tip. It is the error of
+    /// the tip with the other sign.
     Measure,
 }
 

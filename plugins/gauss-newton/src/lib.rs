@@ -14,10 +14,11 @@ use abbe_core::{
     Status, Unknown,
 };
 use abbe_estimation::{
-    Components, EstimatorSolution, Judgement, Lost, UncertaintyEvaluation, Weighted, check_preferences, components,
-    confounded, identifiability, ill_conditioned, in_order_of_preference, rival_wavelengths, separated, wavelengths,
+    EstimatorSolution, Judgement, RankDeficiency, UncertaintyEvaluation, VarianceComponents, Weighted,
+    check_preferences, components, confounded, identifiability, ill_conditioned, in_order_of_preference,
+    rival_wavelengths, separated, wavelengths,
 };
-use abbe_numerics::{Directions, End, Factor, LeastSquares, Options, Robust, Solution, Within, solve_from};
+use abbe_numerics::{Directions, End, Factor, LeastSquares, Options, RestrictedProblem, Robust, Solution, solve_from};
 use serde_json::{Value, json};
 
 use convergence::not_converged;
@@ -128,7 +129,7 @@ impl GaussNewton {
         options: &Options,
     ) -> Result<Solution> {
         let Some(directions) = determined else { return self.iterate(weighted, start, None, options) };
-        let within = Within { problem: weighted, origin: start, directions };
+        let within = RestrictedProblem { problem: weighted, origin: start, directions };
         let solution = self.iterate(&within, &vec![0.0; directions.count()], None, options)?;
         Ok(Solution { x: within.place(&solution.x), ..solution })
     }
@@ -150,7 +151,7 @@ impl GaussNewton {
         &self,
         problem: &Problem,
         at_start: Option<&Factor>,
-        lost: Option<Lost>,
+        lost: Option<RankDeficiency>,
         explained: bool,
     ) -> Result<Calibration> {
         let determined = lost.as_ref().map(|lost| &lost.determined);
@@ -158,7 +159,8 @@ impl GaussNewton {
             Variance::Common => None,
             Variance::PerStage => Some(self.components(problem, determined)?),
         };
-        let scaled = components.as_ref().map(|found| problem.with_variance_factors(&found.factors).at(&found.x));
+        let scaled =
+            components.as_ref().map(|found| problem.with_variance_factors(&found.factors).with_values(&found.x));
         let (problem, at_start) = scaled.as_ref().map_or((problem, at_start), |scaled| (scaled, None));
         let weighted = self.weighted(problem)?;
         let options = self.options(self.settings.tolerance, false);
@@ -184,7 +186,7 @@ impl GaussNewton {
     }
 
     /// The factors on the stated uncertainties of every set.
-    fn components(&self, problem: &Problem, determined: Option<&Directions>) -> Result<Components> {
+    fn components(&self, problem: &Problem, determined: Option<&Directions>) -> Result<VarianceComponents> {
         let solve = |problem: &Problem| {
             let options = self.options(self.settings.tolerance, false);
             self.iterate_within(&self.weighted(problem)?, &problem.start(), determined, &options)
@@ -217,29 +219,30 @@ impl GaussNewton {
         };
         let judged = Judgement::new(problem, None)?;
         let first = idle(judged.factor());
-        let reduced = problem.without(|unknown| first.contains(&unknown.name.as_str()));
+        let reduced = problem.without_unknowns(|unknown| first.contains(&unknown.name.as_str()));
         if first.is_empty() || reduced.unknowns.is_empty() {
             return Ok(Judged { started: None, judgement: judged, remarks: Vec::new() });
         }
-        let factor = judged.factor().without(|unknown| first.contains(&problem.unknowns[unknown].name.as_str()));
+        let factor =
+            judged.factor().without_unknowns(|unknown| first.contains(&problem.unknowns[unknown].name.as_str()));
         let determined = self.determined(&factor);
         let options = self.options(1e-3, false);
         let found = self.iterate_within(&self.weighted(&reduced)?, &reduced.start(), determined.as_ref(), &options);
         let solution = match found {
             Ok(solution) => solution,
-            Err(error) if error.fault => return Err(error),
+            Err(error) if error.fatal => return Err(error),
             Err(_) => return Ok(Judged { started: None, judgement: judged, remarks: Vec::new() }),
         };
         let mut remarks = Vec::new();
-        let nominal = Problem { unknowns: problem.unknowns.clone(), ..reduced.at(&solution.x) };
+        let nominal = Problem { unknowns: problem.unknowns.clone(), ..reduced.with_values(&solution.x) };
         let mut found = nominal.clone();
         for unknown in problem.unknowns.iter().filter(|unknown| first.contains(&unknown.name.as_str())) {
             // The sum of squares has many minima: the iteration starts in the lowest.
             let minima = wavelengths(&found, unknown.index)?;
             remarks.extend(rival_wavelengths(unknown, &minima));
             if let Some(best) = minima.into_iter().next() {
-                found.machine[unknown.index] = best.value;
-                best.amplitudes.into_iter().for_each(|(index, value)| found.machine[index] = value);
+                found.machine_values[unknown.index] = best.value;
+                best.amplitudes.into_iter().for_each(|(index, value)| found.machine_values[index] = value);
             }
         }
         // A wave that has a position in every period is nothing but a constant: then the nominal one is the better start.
@@ -291,7 +294,7 @@ impl GaussNewton {
         };
         let factor = weighted.factor(&x, weights.as_ref().map(|report| report.weights.as_slice()))?;
         let selection = select.select(problem, &candidates, (&factor, &x), all.fit.degrees_of_freedom)?;
-        let mut calibration = self.estimate_all(&reduced(&problem.at(&x), &selection), explained)?;
+        let mut calibration = self.estimate_all(&reduced(&problem.with_values(&x), &selection), explained)?;
         calibration.fit.selection = Some(selection);
         Ok(calibration)
     }
@@ -321,7 +324,7 @@ impl GaussNewton {
             _ if found.rank == 0 => Err(confounded(&found)),
             OnConfounded::MinimumNorm => {
                 let solve = |problem: &Problem, explained: bool| {
-                    let lost = Lost { found: found.clone(), determined: determined.clone() };
+                    let lost = RankDeficiency { found: found.clone(), determined: determined.clone() };
                     self.solve(problem, None, Some(lost), explained)
                 };
                 let mut calibration = solve(problem, explained)?;
@@ -338,7 +341,7 @@ impl GaussNewton {
                     tracing::warn!("{}: left at their start values: {}", problem.name, names.join(", "));
                 }
                 let solve = |problem: &Problem, explained: bool| {
-                    let reduced = problem.without(|unknown| names.contains(&unknown.name.as_str()));
+                    let reduced = problem.without_unknowns(|unknown| names.contains(&unknown.name.as_str()));
                     self.solve(&reduced, None, None, explained)
                 };
                 let mut calibration = solve(problem, explained)?;
@@ -407,9 +410,9 @@ impl GaussNewton {
             let size = main.map(size).fold(typical, f64::max);
             let mut shifted = x.clone();
             members.iter().for_each(|(index, part)| shifted[*index] += size * part);
-            let other = match solve(&problem.at(&shifted)) {
+            let other = match solve(&problem.with_values(&shifted)) {
                 Ok(other) => other,
-                Err(error) if error.fault => return Err(error),
+                Err(error) if error.fatal => return Err(error),
                 Err(error) => {
                     let lost = vector.describe();
                     tracing::warn!("{}: what hangs on a lost direction ({lost}) was not found: {error}", problem.name);

@@ -15,10 +15,12 @@ use serde::{Deserialize, Serialize};
 pub struct Select {
     /// The parameters of the machine that may be left out: names and patterns.
     candidates: Vec<String>,
-    /// A parameter is left out if chance alone makes one look as significant with at least this probability (partial F test).
+    /// A parameter is left out if its p-value (partial F test) is at least this. The p-value is the probability that a
+    /// parameter seems as significant by chance alone.
     #[serde(default = "default_level")]
     level: f64,
-    /// Starting from all, parameters go out (`backward`); from none, they come in (`forward`), or also go out again (`both`).
+    /// `backward` starts with all parameters and removes some; `forward` starts with none and adds some; `both` also
+    /// removes added ones again.
     #[serde(default)]
     direction: SelectionDirection,
 }
@@ -99,10 +101,10 @@ impl Select {
 /// The problem without the terms that a selection leaves out: these are nominal, usually zero.
 pub fn reduced(problem: &Problem, selection: &Selection) -> Problem {
     let left_out = |unknown: &Unknown| selection.left_out.contains(&unknown.name);
-    let mut reduced = problem.without(left_out);
+    let mut reduced = problem.without_unknowns(left_out);
     let nominal = &problem.model.info().nominal;
     for unknown in problem.unknowns.iter().filter(|unknown| left_out(unknown)) {
-        reduced.machine[unknown.index] = nominal[unknown.index];
+        reduced.machine_values[unknown.index] = nominal[unknown.index];
     }
     reduced
 }

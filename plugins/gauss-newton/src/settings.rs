@@ -15,22 +15,23 @@ pub struct Settings {
     /// What to do when the data cannot separate the chosen parameters.
     #[serde(default)]
     pub on_confounded: OnConfounded,
-    /// What is rather estimated than dropped, the most preferred first: names and patterns (`on_confounded: drop`).
+    /// Unknowns that are estimated rather than dropped, the most preferred first: names and patterns (`on_confounded:
+    /// drop`).
     #[serde(default)]
     pub prefer: Vec<String>,
     /// Singular values below this part of the largest count as zero; columns have norm 1.
     #[serde(default = "default_tolerance")]
     pub rank_tolerance: f64,
-    /// Parameters that are left out where chance alone explains them.
+    /// Selection of parameters: those that are not significant are left out.
     #[serde(default)]
     pub select: Option<Select>,
-    /// Weights that keep gross errors from the estimate.
+    /// Robust weights, which reduce the effect of gross errors on the estimate.
     #[serde(default)]
     pub robust: Option<RobustSetting>,
     /// Take the stated standard uncertainties as they are, without the a-posteriori factor of the residuals.
     #[serde(default)]
     pub trust_uncertainties: bool,
-    /// Whether all readings scatter by one factor more than stated, or those of every artefact by their own.
+    /// Whether one factor on the stated uncertainties holds for all readings, or every artefact stage has its own.
     #[serde(default)]
     pub variance: Variance,
     /// Probability that expanded uncertainties cover.
@@ -39,7 +40,8 @@ pub struct Settings {
     /// Most iterations.
     #[serde(default = "default_iterations")]
     pub iterations: Whole<1, 100_000>,
-    /// What the estimate may be off by when the iteration ends, in standard uncertainties of all rows together.
+    /// Largest remaining deviation of the estimate at the end of the iteration, in standard uncertainties of all rows
+    /// together.
     #[serde(default = "default_convergence")]
     pub tolerance: f64,
 }
@@ -69,20 +71,21 @@ pub enum OnConfounded {
     /// Stop and name them.
     #[default]
     Error,
-    /// Leave as many at their start values as are lost, and mark them.
+    /// Leave as many parameters at their start values as directions are lost, and mark these parameters.
     Drop,
-    /// Take the solution with the smallest effect of the unknowns, and mark those that take part.
+    /// Take the solution with the smallest effect of the unknowns, and mark the unknowns that take part in a lost
+    /// direction.
     MinimumNorm,
 }
 
-/// How readings scatter compared with what was stated of them.
+/// Factors on the stated uncertainties of the readings.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "kebab-case")]
 pub enum Variance {
-    /// All by one factor.
+    /// One factor for all readings.
     #[default]
     Common,
-    /// Those of every artefact stage by a factor of their own, which weighs them, too.
+    /// One factor for every artefact stage, which also changes the weights of its readings.
     PerStage,
 }
 
@@ -114,9 +117,9 @@ pub struct Tuned {
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "kebab-case")]
 pub enum LossName {
-    /// Large residuals keep a bounded influence.
+    /// Large residuals have a bounded influence.
     Huber,
-    /// Large residuals have none.
+    /// Large residuals have no influence.
     Tukey,
 }
 

@@ -15,10 +15,11 @@ const TURNED: f64 = 1e-3;
 pub(crate) struct Average {
     /// The column whose labels tell the series apart, e.g. `file`.
     over: String,
-    /// Columns of labels that have to agree. What a series measures twice are two rows: its first row with the same labels is
-    /// averaged with the first ones of the others, its second with their second ones. All other columns of labels are left out.
+    /// Columns of labels that have to agree. If a series has several rows with the same labels, its first row is
+    /// averaged with the first rows of the other series, its second with their second ones, and so on. All other
+    /// columns of labels are left out.
     by: Vec<String>,
-    /// Of what a series measures several times take the first row only.
+    /// If a series has several rows with the same labels, take the first one only.
     #[serde(default)]
     first_only: bool,
 }

@@ -37,10 +37,10 @@ struct Settings {
     /// Rows to leave out: column and the labels that mark them.
     #[serde(default)]
     ignore: Filters,
-    /// Rows to take, all others being left out: column and the labels that mark them.
+    /// Rows to take; all others are left out: column and the labels that mark them.
     #[serde(default)]
     keep: Filters,
-    /// Take means of rows that were measured again and again, after `ignore` and `keep`.
+    /// Take means of repeated rows, after `ignore` and `keep`.
     average: Option<Average>,
 }
 

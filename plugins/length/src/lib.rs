@@ -41,7 +41,8 @@ struct Settings {
     /// Standard uncertainty of the calibration of the known length, shared by all rows.
     #[serde(default)]
     reference_standard_uncertainty_um: f64,
-    /// Thermal expansion of the known length; without it the references hold at the temperature of the measurement.
+    /// Thermal expansion of the known length. If it is missing, the reference lengths hold at the temperature of the
+    /// measurement.
     #[serde(default)]
     expansion: Option<Expansion>,
 }
@@ -67,14 +68,14 @@ struct Expansion {
 /// The reference temperature of all lengths, °C (ISO 1).
 const REFERENCE_TEMPERATURE: f64 = 20.0;
 
-/// What is known of the length.
+/// Whether the length is known.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "kebab-case")]
 enum Length {
-    /// It stands in the column `reference_mm`.
+    /// It is known: the column `reference_mm`.
     #[default]
     Known,
-    /// It is an unknown of the artefact.
+    /// It is estimated: an unknown of the artefact.
     Estimated,
 }
 
@@ -202,7 +203,7 @@ impl Measured {
                 let content = self.certificate(bars, row, uncertainty);
                 self.info
                     .inputs
-                    .push(KnownInput::new(parameter, 0.0, uncertainty).certified("reference_error", content));
+                    .push(KnownInput::new(parameter, 0.0, uncertainty).with_certificate("reference_error", content));
                 self.info.inputs.len() - 1
             });
             self.calibrations.push(known);

@@ -58,8 +58,8 @@ struct Pretravel {
 impl<'a> Draws<'a> {
     /// The inputs of a fit as the settings vary them.
     pub fn new(settings: &'a Settings, fit: &Fit) -> Result<Self> {
-        let problem = fit.problem.watched_by(fit.problem.monitor.quiet());
-        let problem = problem.at(&problem.values_of(&fit.calibration));
+        let problem = fit.problem.watched_by(fit.problem.monitor.without_events());
+        let problem = problem.with_values(&problem.values_of(&fit.calibration));
         // Rows scatter by the factor that the estimate found, unless it trusts the stated uncertainties.
         let scale = fit.calibration.uncertainty.as_ref().map_or(1.0, |budget| budget.scale);
         let mut independent: Vec<f64> =
@@ -243,7 +243,7 @@ fn words(distribution: Distribution) -> String {
 /// The value of something that is not estimated.
 fn value(problem: &Problem, unknown: &Unknown) -> f64 {
     match unknown.owner {
-        Owner::Machine => problem.machine[unknown.index],
+        Owner::Machine => problem.machine_values[unknown.index],
         Owner::Set(set) => problem.sets[set].own[unknown.index],
         Owner::Input => problem.inputs[unknown.index].value(&problem.sets),
     }
@@ -420,7 +420,7 @@ fn largest_factor(parameter: usize, problem: &Problem) -> Result<f64> {
     for set in &problem.sets {
         for pose in set.poses_of(&set.rows) {
             for function in functions {
-                let error = problem.model.motion_error(function, &problem.machine, set.poses().row(pose))?;
+                let error = problem.model.motion_error(function, &problem.machine_values, set.poses().row(pose))?;
                 let own = error.derivatives.iter().filter(|(index, _)| *index == parameter);
                 largest = own.fold(largest, |largest, (_, factor)| largest.max(factor.abs()));
             }
@@ -462,7 +462,7 @@ impl Pretravel {
         };
         let lobing = Lobing { amplitude, lobes: self.setting.lobes.get() as u32, phase };
         for &(equation, direction) in &self.touches {
-            errors[equation] += lobing.at(direction);
+            errors[equation] += lobing.pretravel_variation(direction);
         }
     }
 }

@@ -12,10 +12,10 @@ mod settings;
 use std::sync::atomic::{AtomicBool, Ordering};
 
 use abbe_core::{
-    Basis, Calibration, Context, Error, Estimate, Fit, GumComparison, Identifiability, MonteCarlo, NamedCovariance,
-    Problem, Result, SettingsError, SimulatedParameter, Whole, in_parallel,
+    Calibration, Context, Error, Estimate, EstimateSource, Fit, GumComparison, Identifiability, MonteCarlo,
+    NamedCovariance, Problem, Result, SettingsError, SimulatedParameter, Whole, in_parallel,
 };
-use abbe_numerics::{Adaptive, Generator, Trials, gum_agrees, least_trials, numerical_tolerance};
+use abbe_numerics::{AdaptiveProcedure, Generator, Trials, compare_with_gum, least_trials, numerical_tolerance};
 use serde_json::{Value, json};
 
 use draws::Draws;
@@ -29,7 +29,7 @@ abbe_core::register!(
     example,
     build,
     "../reference/estimate-monte-carlo.md",
-    Basis::Analysis,
+    EstimateSource::Analysis,
 );
 
 fn example() -> Value {
@@ -77,7 +77,7 @@ impl Estimate for Propagation {
         match &self.settings.adaptive {
             None => self.solve(&draws, fit, self.settings.trials.get(), &mut found, None)?,
             Some(adaptive) => {
-                let mut stop = Adaptive::new(
+                let mut stop = AdaptiveProcedure::new(
                     adaptive.digits.get() as u32,
                     self.settings.coverage_probability,
                     adaptive.most.get(),
@@ -126,15 +126,15 @@ impl Propagation {
         for chunk in numbers.chunks(CHUNK) {
             let done = found.trials.count() + found.failed;
             let all = self.settings.adaptive.is_none().then_some(self.settings.trials.get());
-            fit.problem.monitor.part("trials", done, all);
-            // None after a fault of the code.
+            fit.problem.monitor.parts_done("trials", done, all);
+            // None after a fatal error.
             let results = in_parallel(chunk, self.settings.threads.map(Whole::get), |&number| {
                 if ended.load(Ordering::Relaxed) {
                     return None;
                 }
                 let mut generator = Generator::new(self.settings.seed, number);
                 let values = draws.trial(&mut generator, |problem| fit.estimator.values(problem));
-                if values.as_ref().is_err_and(|error| error.fault) {
+                if values.as_ref().is_err_and(|error| error.fatal) {
                     ended.store(true, Ordering::Relaxed);
                 }
                 Some(values)
@@ -147,7 +147,7 @@ impl Propagation {
                             batch.push(&values);
                         }
                     }
-                    Err(error) if error.fault => return Err(error),
+                    Err(error) if error.fatal => return Err(error),
                     Err(error) => {
                         found.failed += 1;
                         last_failure = Some(error);
@@ -189,7 +189,7 @@ impl Propagation {
             let gum = budget.map(|budget| {
                 let expanded = budget.expanded_uncertainty;
                 let tolerance = numerical_tolerance(standard_uncertainty, self.settings.digits.get() as u32);
-                let agreement = gum_agrees(estimate, expanded, symmetric, tolerance);
+                let agreement = compare_with_gum(estimate, expanded, symmetric, tolerance);
                 GumComparison {
                     interval: [estimate - expanded, estimate + expanded],
                     differences: [agreement.low_difference, agreement.high_difference],

@@ -21,7 +21,7 @@ pub struct Settings {
     /// Number of trials.
     #[serde(default = "default_trials")]
     pub trials: TrialCount,
-    /// Go on until the figures are stable, instead of a fixed number of trials (JCGM 101, 7.9.4).
+    /// Continue until the results are stable, instead of a fixed number of trials (JCGM 101, 7.9.4).
     #[serde(default)]
     pub adaptive: Option<AdaptiveSetting>,
     /// Seed of the random numbers: the same seed gives the same result on any number of threads.
@@ -45,7 +45,7 @@ pub struct Settings {
     /// Lobing of the probe, of unknown amplitude and phase.
     #[serde(default)]
     pub lobing: Vec<LobingSetting>,
-    /// Number of threads; all cores unless given. It changes nothing but the time.
+    /// Number of threads. Default: all cores. The result does not depend on it.
     #[serde(default)]
     pub threads: Option<Whole<1, 1024>>,
 }
@@ -158,7 +158,7 @@ impl RowDistribution {
 #[derive(Debug, Clone, PartialEq, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct Neglected {
-    /// Patterns of names; the model's `errors` list them, the estimate does not choose them.
+    /// Names or patterns of parameters that the model has and the estimate does not choose.
     pub parameters: Vec<String>,
     /// Distribution of each.
     #[serde(default)]
@@ -174,7 +174,7 @@ pub struct Neglected {
     pub at_end_of_travel_urad: Option<f64>,
 }
 
-/// Lobing of a probe that is known by its size only.
+/// Lobing of a probe of which only the size is known.
 #[derive(Debug, Clone, PartialEq, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct LobingSetting {
@@ -182,10 +182,10 @@ pub struct LobingSetting {
     pub artefact: String,
     /// Standard uncertainty of the amplitude.
     pub amplitude_um: f64,
-    /// Lobes on a turn.
+    /// Number of lobes in one turn.
     #[serde(default = "default_lobes")]
     pub lobes: Whole<0, 1000>,
-    /// Phase in the tool frame; any is as likely as another unless given.
+    /// Phase in the tool frame. Default: all phases are equally probable.
     #[serde(default)]
     pub phase_deg: Option<f64>,
 }

@@ -237,9 +237,9 @@ fn a_fault_of_the_code_ends_all_trials_and_refused_numbers_one() {
         let error = estimator("monte-carlo", &settings).unwrap().analyse(&fit).unwrap_err();
         (error.message, failing.asked.load(Ordering::Relaxed))
     };
-    let fault = || Error::data("the machine has died").fault();
-    assert_eq!(run(fault(), 1), ("the machine has died".to_owned(), 1));
-    let (message, asked) = run(fault(), 4);
+    let fatal = || Error::data("the machine has died").fatal();
+    assert_eq!(run(fatal(), 1), ("the machine has died".to_owned(), 1));
+    let (message, asked) = run(fatal(), 4);
     assert!(message == "the machine has died" && asked <= 4, "{asked}: {message}");
     let (message, asked) = run(Error::data("such numbers have no pose"), 1);
     assert_eq!(asked, 2000);
@@ -374,14 +374,14 @@ fn what_cannot_be_calculated_is_refused() {
 fn neglected_errors_add_their_share() {
     let whole = problem(23, Rows::Independent);
     let everything = fit(whole.clone());
-    let less = fit(whole.without(|unknown| unknown.name == "p0"));
+    let less = fit(whole.without_unknowns(|unknown| unknown.name == "p0"));
     let before = trials(&json!({ "trials": 4000 }), &less).unwrap();
     let vary = json!({ "trials": 4000, "vary": [{ "parameters": ["p0"], "standard_uncertainty": 1e-2 }] });
     let after = trials(&vary, &less).unwrap();
     assert_eq!(everything.calibration.fit.unknowns, less.calibration.fit.unknowns + 1);
     // The answer of least squares to what is left out: difference of two fits with p0 shifted.
     let mut shifted = (*less.problem).clone();
-    shifted.machine[0] = 1e-2;
+    shifted.machine_values[0] = 1e-2;
     let answers = less.estimator.values(&shifted).unwrap();
     for (index, unknown) in less.problem.unknowns.iter().enumerate() {
         let answer = answers[index] - less.calibration.get(&unknown.name).unwrap().value;

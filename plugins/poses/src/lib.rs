@@ -40,7 +40,7 @@ struct Settings {
     standard_uncertainty_um: f64,
     /// Standard uncertainty of each component of an observed orientation, as a small rotation.
     standard_uncertainty_urad: f64,
-    /// What a data row is the pose of.
+    /// Which pose a data row has.
     #[serde(default)]
     pose: Pose,
     /// Whether the place of the observer in the tool frame is estimated, or the observer is the tool.
@@ -48,22 +48,22 @@ struct Settings {
     observer: Observer,
 }
 
-/// What a data row is the pose of.
+/// Which pose a data row has.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "kebab-case")]
 enum Pose {
-    /// The target, in the frame of the observer.
+    /// The pose of the target, in the frame of the observer.
     #[default]
     TargetInObserver,
-    /// The observer, in the frame of the target.
+    /// The pose of the observer, in the frame of the target.
     ObserverInTarget,
 }
 
-/// What is known of the observer.
+/// Whether the place of the observer is estimated.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "kebab-case")]
 enum Observer {
-    /// It stands somewhere in the tool frame: `observer.x`, `.y`, `.z`, `.a`, `.b`, `.c`.
+    /// Its place in the tool frame is estimated: `observer.x`, `.y`, `.z`, `.a`, `.b`, `.c`.
     #[default]
     Estimated,
     /// Its frame is the tool frame.

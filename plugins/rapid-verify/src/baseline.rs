@@ -109,19 +109,19 @@ impl Baseline {
     pub fn patterns(&self, candidates: &Candidates) -> Result<Vec<Pattern>> {
         let mut patterns = candidates.of(self.problem.model.as_ref())?;
         for probed in &self.points {
-            candidates::add_effects(&mut patterns, &self.touch(probed)?, &self.problem.machine)?;
+            candidates::add_effects(&mut patterns, &self.touch(probed)?, &self.problem.machine_values)?;
         }
         Ok(patterns)
     }
 
     /// The change of every reading, mm, when parameters change by `size`, by the full nonlinear equations of the touches.
     pub fn changes(&self, parameters: &[usize], size: f64) -> Result<Vec<f64>> {
-        let mut changed = self.problem.machine.clone();
+        let mut changed = self.problem.machine_values.clone();
         parameters.iter().for_each(|&parameter| changed[parameter] += size);
         let change = |probed: &Probed| {
             let touch = self.touch(probed)?;
             // Errors that the model lacks make the baseline miss contact; that distance stays the same.
-            let goal = touch.distance_here(&self.problem.machine)?;
+            let goal = touch.distance_here(&self.problem.machine_values)?;
             Ok(touch.reading(&changed, goal)? - probed.mean)
         };
         self.points.iter().map(change).collect()

@@ -9,7 +9,7 @@ use serde::Deserialize;
 use crate::diagnosis::Pattern;
 use crate::points::Touch;
 
-/// What may have changed.
+/// The parameters that may have changed.
 #[derive(Debug, Clone, PartialEq, Deserialize, JsonSchema)]
 #[serde(transparent)]
 pub struct Names(pub Vec<String>);

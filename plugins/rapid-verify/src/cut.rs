@@ -32,10 +32,11 @@ struct Settings {
     /// CSV file of points on the finished surface, as for `probed-points`; its column `stock_mm`, if there is one, has the
     /// allowance of each point.
     nominal: String,
-    /// Allowance where the file has none: what is to be left on the finished surface, along its normal.
+    /// Allowance of points for which the file has none: the stock that has to be left on the finished surface, along
+    /// its normal.
     #[serde(default)]
     stock_mm: Option<f64>,
-    /// How far the stock may be from the allowance.
+    /// Largest admissible difference between stock and allowance.
     tolerance_um: Limit,
 }
 
@@ -137,7 +138,7 @@ fn stocks(fit: &Fit, points: &Points, data: &Dataset) -> Result<Vec<(usize, f64)
         if let Some(measured) = measured {
             touch.status[model.info().axes[touch.axis].status] = measured[row];
         }
-        found.push((index, touch.distance_here(&problem.machine)? - model.info().stylus_radius));
+        found.push((index, touch.distance_here(&problem.machine_values)? - model.info().stylus_radius));
     }
     Ok(found)
 }

@@ -41,7 +41,7 @@ pub struct Cause {
     /// Part of the weighted sum of squares that it explains, 0 to 1, once the failing touches are set apart.
     pub explained: f64,
     /// Difference of its score from the best one, as a weighted sum of squares.
-    pub behind: f64,
+    pub score_difference: f64,
 }
 
 /// What explains the deviations of a run.
@@ -54,7 +54,7 @@ pub struct Diagnosis {
     /// Points whose touches have errors of their own, worst first.
     pub touches: Vec<usize>,
     /// Weighted sum of squares that is not explained, and its degrees of freedom.
-    pub left: (f64, usize),
+    pub unexplained: (f64, usize),
     /// Weighted sum of squares that is left, and what causes and touches cost: the smaller, the better the explanation.
     pub score: f64,
 }
@@ -62,8 +62,8 @@ pub struct Diagnosis {
 impl Diagnosis {
     /// Whether the rest is the scatter of healthy runs: within five standard deviations of chi-squared.
     pub fn is_complete(&self) -> bool {
-        let (left, freedom) = self.left;
-        left <= freedom as f64 + 5.0 * (2.0 * freedom as f64).sqrt()
+        let (squares, freedom) = self.unexplained;
+        squares <= freedom as f64 + 5.0 * (2.0 * freedom as f64).sqrt()
     }
 }
 
@@ -77,8 +77,8 @@ pub(crate) const CAUSE: f64 = 9.0;
 /// Patterns with a smaller angle between them are the same: no measurement of these points separates them.
 const SAME: f64 = 1e-3;
 
-/// The points with their scatter, ready for diagnoses.
-pub struct Judge<'a> {
+/// Finds the causes of deviations, from the patterns of the candidates and the scatter of the readings.
+pub struct Diagnoser<'a> {
     patterns: &'a [Pattern],
     cholesky: Cholesky<f64, nalgebra::Dyn>,
     /// Patterns in weighted readings.
@@ -87,15 +87,15 @@ pub struct Judge<'a> {
     single: Vec<DVector<f64>>,
 }
 
-/// One explanation.
+/// One explanation: a cause or none, and failing touches.
 struct Explanation {
     cause: Option<usize>,
     touches: Vec<usize>,
-    left: f64,
+    unexplained: f64,
     score: f64,
 }
 
-impl<'a> Judge<'a> {
+impl<'a> Diagnoser<'a> {
     /// None if the scatter of a reading is not positive.
     pub fn new(patterns: &'a [Pattern], scatter: &Scatter, points: usize) -> Option<Self> {
         let mut covariance = DMatrix::from_diagonal_element(points, points, scatter.point.powi(2));
@@ -130,11 +130,12 @@ impl<'a> Judge<'a> {
         let cause = |explanation: &Explanation| {
             let pattern = explanation.cause?;
             let size = self.size(pattern, &explanation.touches, &deviations);
-            let explained = 1.0 - explanation.left / size_of_all.max(f64::MIN_POSITIVE);
-            Some(Cause { pattern, size, explained, behind: explanation.score - best.score })
+            let explained = 1.0 - explanation.unexplained / size_of_all.max(f64::MIN_POSITIVE);
+            Some(Cause { pattern, size, explained, score_difference: explanation.score - best.score })
         };
         let mut diagnosis = Diagnosis { touches: best.touches.clone(), score: best.score, ..Diagnosis::default() };
-        diagnosis.left = (best.left, deviations.len() - best.touches.len() - usize::from(best.cause.is_some()));
+        diagnosis.unexplained =
+            (best.unexplained, deviations.len() - best.touches.len() - usize::from(best.cause.is_some()));
         let Some(first) = best.cause else { return diagnosis };
         for explanation in &found {
             let Some(cause) = cause(explanation) else { continue };
@@ -177,7 +178,7 @@ impl<'a> Judge<'a> {
         }
         let squares = left.norm_squared();
         let cost = TOUCH * touches.len() as f64 + if cause.is_some() { CAUSE } else { 0.0 };
-        Explanation { cause, touches, left: squares, score: squares + cost }
+        Explanation { cause, touches, unexplained: squares, score: squares + cost }
     }
 
     /// Weighted readings without the parts that failing touches could explain.
@@ -250,9 +251,9 @@ mod tests {
     #[test]
     fn one_pattern_is_named_with_its_size_and_with_what_has_the_same() {
         let patterns = patterns();
-        let judge = Judge::new(&patterns, &Scatter { point: 1e-3, common: Vec::new() }, 8).unwrap();
+        let diagnoser = Diagnoser::new(&patterns, &Scatter { point: 1e-3, common: Vec::new() }, 8).unwrap();
         let deviations: Vec<f64> = patterns[1].effect.iter().map(|effect| 0.004 * effect).collect();
-        let found = judge.diagnose(&deviations);
+        let found = diagnoser.diagnose(&deviations);
         let named: Vec<(usize, f64)> = found.causes.iter().map(|cause| (cause.pattern, cause.size)).collect();
         assert_eq!(named.iter().map(|named| named.0).collect::<Vec<_>>(), [1, 2]);
         assert!((named[0].1 - 0.004).abs() < 1e-15 && (named[1].1 + 0.002).abs() < 1e-15, "{named:?}");
@@ -263,25 +264,25 @@ mod tests {
     fn what_healthy_runs_do_is_no_fault() {
         let patterns = patterns();
         let common = vec![vec![0.01; 8]];
-        let judge = Judge::new(&patterns, &Scatter { point: 1e-3, common }, 8).unwrap();
-        let found = judge.diagnose(&[0.012; 8]);
+        let diagnoser = Diagnoser::new(&patterns, &Scatter { point: 1e-3, common }, 8).unwrap();
+        let found = diagnoser.diagnose(&[0.012; 8]);
         assert!(found.causes.is_empty() && found.touches.is_empty() && found.is_complete(), "{found:?}");
-        let found = judge.diagnose(&[0.1; 8]);
+        let found = diagnoser.diagnose(&[0.1; 8]);
         assert_eq!(found.causes[0].pattern, 0);
     }
 
     #[test]
     fn single_touches_are_set_apart_from_a_pattern() {
         let patterns = patterns();
-        let judge = Judge::new(&patterns, &Scatter { point: 1e-3, common: Vec::new() }, 8).unwrap();
+        let diagnoser = Diagnoser::new(&patterns, &Scatter { point: 1e-3, common: Vec::new() }, 8).unwrap();
         let mut deviations = vec![0.0; 8];
         deviations[6] = 5.5;
-        let found = judge.diagnose(&deviations);
+        let found = diagnoser.diagnose(&deviations);
         assert!(found.causes.is_empty() && found.touches == [6] && found.is_complete(), "{found:?}");
         for (deviation, effect) in deviations.iter_mut().zip(&patterns[1].effect) {
             *deviation += 0.004 * effect;
         }
-        let found = judge.diagnose(&deviations);
+        let found = diagnoser.diagnose(&deviations);
         assert_eq!((found.causes[0].pattern, found.touches.as_slice()), (1, &[6][..]));
         assert!((found.causes[0].size - 0.004).abs() < 1e-12, "{found:?}");
     }
@@ -289,8 +290,8 @@ mod tests {
     #[test]
     fn deviations_that_nothing_explains_are_not_complete() {
         let patterns = patterns();
-        let judge = Judge::new(&patterns, &Scatter { point: 1e-3, common: Vec::new() }, 8).unwrap();
-        let found = judge.diagnose(&[0.02, -0.02, 0.02, -0.02, 0.02, -0.02, 0.02, -0.02]);
+        let diagnoser = Diagnoser::new(&patterns, &Scatter { point: 1e-3, common: Vec::new() }, 8).unwrap();
+        let found = diagnoser.diagnose(&[0.02, -0.02, 0.02, -0.02, 0.02, -0.02, 0.02, -0.02]);
         assert!(!found.is_complete(), "{found:?}");
     }
 }

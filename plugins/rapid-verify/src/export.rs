@@ -34,7 +34,7 @@ struct Settings {
     /// Patterns of the parameters.
     #[serde(default)]
     candidates: Names,
-    /// Parameters that change by the same amount, under the name of what they are together.
+    /// Groups of parameters that change by the same amount, by the name of the group.
     #[serde(default)]
     together: ParameterGroups,
     /// Tolerances whose detectable sizes are listed.

@@ -33,7 +33,8 @@ struct Settings {
     tolerance_um: f64,
     /// How the machine moves.
     motion: Motion,
-    /// Variable of the tolerance; all others follow it. It has to be one that keeps its value.
+    /// Number of the variable with the tolerance; all other variables follow it. It has to be a variable that keeps its
+    /// value.
     #[serde(default = "first_variable")]
     first_variable: u32,
     /// Number of the baseline program; verify has the next one.

@@ -19,14 +19,14 @@ pub fn material(largest_expansion: f64) -> Option<&'static str> {
     MATERIALS.iter().find(|(_, coefficient)| largest_expansion > *coefficient).map(|(name, _)| *name)
 }
 
-/// What the artefact and its surroundings are.
+/// The artefact and its surroundings.
 #[derive(Debug, Clone, PartialEq, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 #[allow(non_snake_case)] // Settings end in their unit.
 pub struct ArtefactSettings {
     /// Largest length over which the artefact is probed.
     pub length_mm: f64,
-    /// Half the range of the temperature: it keeps within plus and minus this.
+    /// Half the range of the temperature: the temperature stays within plus and minus this value.
     pub temperature_half_range_degC: f64,
     /// Factor of safety; 2 in the paper.
     #[serde(default = "two")]

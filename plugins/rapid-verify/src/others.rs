@@ -2,25 +2,28 @@
 
 use abbe_core::{AxisKind, Fit, KinematicModel, ParameterRole};
 
-use crate::diagnosis::{CAUSE, Diagnosis, Judge, Pattern};
+use crate::diagnosis::{CAUSE, Diagnoser, Diagnosis, Pattern};
 use crate::verify::{Report, short};
 
 /// What may explain a run besides the candidates.
-pub struct Others<'a> {
+pub struct OtherExplanations<'a> {
     /// All parameters of the model, and what can happen to the artefact.
     pub patterns: &'a [Pattern],
-    /// What judges them; none if the scatter has no covariance.
-    pub judge: Option<&'a Judge<'a>>,
+    /// Finds their part in the deviations; none if the scatter has no covariance.
+    pub diagnoser: Option<&'a Diagnoser<'a>>,
     /// Names of the location errors that the chain can have and the model does not.
     pub undeclared: &'a [String],
 }
 
-impl Others<'_> {
+impl OtherExplanations<'_> {
     /// A sentence on an error that is no candidate and explains the deviations better than `found` does, or on those that the model
     /// lacks, where several touches would have to fail at once.
     pub fn sentence(&self, report: &Report<'_>, found: &Diagnosis, deviations: &[f64]) -> Option<String> {
         let candidate = |pattern: &Pattern| report.patterns.iter().any(|other| other.name == pattern.name);
-        let better = self.judge.map(|judge| judge.diagnose(deviations)).filter(|all| all.score + CAUSE < found.score);
+        let better = self
+            .diagnoser
+            .map(|diagnoser| diagnoser.diagnose(deviations))
+            .filter(|all| all.score + CAUSE < found.score);
         let better = better.and_then(|all| all.causes.into_iter().next());
         if let Some(cause) = better.filter(|cause| !candidate(&self.patterns[cause.pattern])) {
             let pattern = &self.patterns[cause.pattern];

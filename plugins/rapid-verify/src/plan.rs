@@ -14,13 +14,13 @@ pub struct Motion {
     /// The linear axis that retracts between points.
     #[serde(default = "z")]
     pub retract_axis: String,
-    /// Its machine position when it is retracted, from which every point is reached and above which nothing stands, however
-    /// the artefact is turned.
+    /// Its machine position when it is retracted. From there every point can be reached, and nothing is above it, at
+    /// any angle of the rotary axes.
     pub retract_mm: f64,
     /// Distance from the nominal contact at which probing begins.
     #[serde(default = "five")]
     pub clearance_mm: f64,
-    /// Distance beyond the nominal contact at which probing gives up.
+    /// Distance beyond the nominal contact at which probing ends if there was no touch.
     #[serde(default = "five")]
     pub overtravel_mm: f64,
     /// Feed of probing.
@@ -29,7 +29,7 @@ pub struct Motion {
     /// Feed of guarded moves to where probing begins, and back.
     #[serde(default = "thousand")]
     pub positioning_feed_mm_per_min: f64,
-    /// Linear axes come from this far away to their position, from the side that `dir_X` and the others state.
+    /// Distance from which linear axes come to their position, from the side that the columns `dir_X`, ... state.
     #[serde(default = "two")]
     pub overshoot_mm: f64,
     /// The same for rotary axes.

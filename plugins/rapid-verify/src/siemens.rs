@@ -42,7 +42,7 @@ struct Settings {
     /// First number of the alarms; users have 65000 to 69999.
     #[serde(default = "first_alarm")]
     first_alarm: u32,
-    /// What the names of the programs begin with.
+    /// First part of the names of the programs.
     #[serde(default = "program")]
     program: String,
     /// Orientation of the spindle with the probe, which a stylus beside the spindle line needs.

@@ -15,9 +15,9 @@ use serde_json::{Value, json};
 
 use crate::baseline::{Baseline, Probed, Run};
 use crate::candidates::{Candidates, Names, ParameterGroups};
-use crate::diagnosis::{Cause, Diagnosis, Judge, Pattern, Scatter};
+use crate::diagnosis::{Cause, Diagnoser, Diagnosis, Pattern, Scatter};
 use crate::material::ArtefactSettings;
-use crate::others::{Others, shapes, undeclared};
+use crate::others::{OtherExplanations, shapes, undeclared};
 
 abbe_core::register!(
     Validate,
@@ -38,16 +38,17 @@ struct Settings {
     /// The tolerance that decides: a run beyond it fails the verdict.
     #[serde(default)]
     tolerance_um: Option<Limit>,
-    /// Tolerances to compare; what they say is reported and fails nothing.
+    /// Further tolerances. Their results are reported and do not change the verdict.
     #[serde(default)]
     compare_um: Vec<f64>,
     /// Patterns of the parameters that may have changed.
     #[serde(default)]
     candidates: Names,
-    /// Parameters that change by the same amount, under the name of what they are together: the tips of all styli with the probe.
+    /// Groups of parameters that change by the same amount, by the name of the group: a shift of the probe moves the tips
+    /// of all styli.
     #[serde(default)]
     together: ParameterGroups,
-    /// What healthy runs scatter by.
+    /// Scatter between healthy runs.
     #[serde(default)]
     healthy: Healthy,
     /// The artefact, for the choice of its material.
@@ -55,23 +56,24 @@ struct Settings {
     material: Option<ArtefactSettings>,
 }
 
-/// Standard deviations of what differs between healthy runs. It decides what is likely, not what is go.
+/// Standard deviations of the differences between healthy runs. They decide which cause is likely, and have no effect
+/// on go or no-go.
 #[derive(Debug, Clone, PartialEq, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields, default)]
 struct Healthy {
     /// One reading by itself: probing, resolution.
     point_um: f64,
-    /// Where the artefact sits, each direction.
+    /// Position of the artefact, in each direction.
     shift_um: f64,
-    /// How it sits, about each direction.
+    /// Orientation of the artefact, about each direction.
     turn_urad: f64,
-    /// Its expansion against that of the scales.
+    /// Expansion of the artefact relative to that of the scales.
     expansion_um_per_m: f64,
     /// Parameters of the machine that vary, with the temperature of the head for example.
     parameters: Vec<Varying>,
 }
 
-/// Parameters that vary from run to run without a fault.
+/// Parameters that vary between healthy runs.
 #[derive(Debug, Clone, PartialEq, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 struct Varying {
@@ -192,17 +194,17 @@ impl Validate for Verify {
         let baseline = Baseline::new(fit, &self.nominal)?;
         let patterns = baseline.patterns(&self.candidates())?;
         let scatter = self.scatter(&baseline)?;
-        let judge = Judge::new(&patterns, &scatter, baseline.points.len())
+        let diagnoser = Diagnoser::new(&patterns, &scatter, baseline.points.len())
             .ok_or_else(|| Error::data("the scatter of healthy runs has no covariance; is `healthy` plausible?"))?;
         let everything = baseline.patterns(&Candidates { names: Names::default(), ..self.candidates() })?;
         let everything: Vec<Pattern> = everything.into_iter().filter(|pattern| !shapes(fit, pattern)).collect();
-        let all = Judge::new(&everything, &scatter, baseline.points.len());
+        let all = Diagnoser::new(&everything, &scatter, baseline.points.len());
         let missing = undeclared(fit.problem.model.as_ref());
-        let others = Others { patterns: &everything, judge: all.as_ref(), undeclared: &missing };
+        let others = OtherExplanations { patterns: &everything, diagnoser: all.as_ref(), undeclared: &missing };
         let mut findings = Findings::default();
         for run in baseline.runs(data)? {
             let report = Report { fit: &fit.name, run: &run, baseline: &baseline, patterns: &patterns };
-            self.judge(&report, &judge, &others, &mut findings)?;
+            self.judge(&report, &diagnoser, &others, &mut findings)?;
         }
         if let Some(artefact) = &self.settings.material {
             for tolerance in self.tolerances() {
@@ -275,8 +277,8 @@ impl Verify {
     fn judge(
         &self,
         report: &Report<'_>,
-        judge: &Judge<'_>,
-        others: &Others<'_>,
+        diagnoser: &Diagnoser<'_>,
+        others: &OtherExplanations<'_>,
         findings: &mut Findings,
     ) -> Result<()> {
         let Report { run, baseline, .. } = report;
@@ -313,8 +315,8 @@ impl Verify {
         };
         let noun = if out == 1 { "point is" } else { "points are" };
         text.push_str(&format!("{label} is off by {} µm, {out} {noun} beyond {tolerance} µm; ", short(beyond[worst])));
-        let mut found = judge.diagnose(&deviations);
-        self.refine(report, judge, &deviations, &mut found)?;
+        let mut found = diagnoser.diagnose(&deviations);
+        self.refine(report, diagnoser, &deviations, &mut found)?;
         text.push_str(&report.source(&found, &deviations));
         if let Some(sentence) = others.sentence(report, &found, &deviations) {
             text.push_str(&format!("; {sentence}"));
@@ -325,7 +327,13 @@ impl Verify {
     }
 
     /// Sizes by the nonlinear model: the linear fit leaves out terms of second order.
-    fn refine(&self, report: &Report<'_>, judge: &Judge<'_>, deviations: &[f64], found: &mut Diagnosis) -> Result<()> {
+    fn refine(
+        &self,
+        report: &Report<'_>,
+        diagnoser: &Diagnoser<'_>,
+        deviations: &[f64],
+        found: &mut Diagnosis,
+    ) -> Result<()> {
         for cause in found.causes.iter_mut().chain(&mut found.rivals) {
             let parameters = &report.patterns[cause.pattern].parameters;
             if parameters.is_empty() {
@@ -333,8 +341,8 @@ impl Verify {
             }
             for _ in 0..20 {
                 let changes = report.baseline.changes(parameters, cause.size)?;
-                let left: Vec<f64> = deviations.iter().zip(changes).map(|(seen, change)| seen - change).collect();
-                let step = judge.step(cause.pattern, &found.touches, &left);
+                let rest: Vec<f64> = deviations.iter().zip(changes).map(|(seen, change)| seen - change).collect();
+                let step = diagnoser.step(cause.pattern, &found.touches, &rest);
                 cause.size += step;
                 if step.abs() <= 1e-13 * cause.size.abs() {
                     break;
@@ -361,8 +369,8 @@ impl Report<'_> {
             let label = &self.baseline.points[touch].point.label;
             add(format!("failing touch[{run}]: {label}"), deviations[touch] * 1e3, UM);
         }
-        let (left, freedom) = found.left;
-        add(format!("chi-squared left[{run}]"), left, "1");
+        let (squares, freedom) = found.unexplained;
+        add(format!("chi-squared left[{run}]"), squares, "1");
         add(format!("degrees of freedom[{run}]"), freedom as f64, "1");
     }
 

@@ -6,7 +6,7 @@ use abbe_core::{
     Absent, Axis, AxisKind, ErrorFunction, ModelInfo, Parameter, ParameterRole, PathItem, PeriodicError, Quantity,
     SettingsError, StatusColumn, StatusRole, Unit, matches,
 };
-use abbe_errors::{Argument, Constant, Declaration, Functions, Group, StylusIs, Subject};
+use abbe_errors::{Argument, Constant, Declaration, Functions, Group, StylusIndicator, Subject};
 use abbe_kinematics::{Chain, StructuralLoop};
 use nalgebra::Vector3;
 use serde_json::Value;
@@ -121,7 +121,9 @@ impl Builder {
             // The offsets of the tip are stylus 1's own where there are several.
             let of_stylus = candidate.slot == self.chain.tool_slot() && candidate.component < 3;
             let first = match self.stylus_status {
-                Some(stylus) if of_stylus => self.basis(Box::new(StylusIs(0)), vec![Source::Status(stylus)], None),
+                Some(stylus) if of_stylus => {
+                    self.basis(Box::new(StylusIndicator(0)), vec![Source::Status(stylus)], None)
+                }
                 _ => self.basis(Box::new(Constant), Vec::new(), None),
             };
             self.add(&candidate, first, &[])?;
@@ -133,7 +135,7 @@ impl Builder {
                 let (slot, role) = (self.chain.tool_slot(), ParameterRole::SetUp);
                 let candidate = Candidate { symbol, slot, component, axis: None, role };
                 let arguments = self.stylus_status.map(Source::Status).into_iter().collect();
-                let first = self.basis(Box::new(StylusIs(index + 1)), arguments, None);
+                let first = self.basis(Box::new(StylusIndicator(index + 1)), arguments, None);
                 self.add(&candidate, first, &[])?;
             }
         }

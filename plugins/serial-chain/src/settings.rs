@@ -11,7 +11,7 @@ use serde_json::{Value, json};
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct Settings {
-    /// What people call the machine.
+    /// Name of the machine.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub name: Option<String>,
     /// The structural loop in the notation of ISO 10791-6, e.g. `w C' B' X' b Z Y (S) t`.
@@ -29,14 +29,14 @@ pub struct Settings {
     /// Where the motion errors of the axes act.
     #[serde(default)]
     pub error_frame: ErrorFrame,
-    /// Geometry of the axes by name; what is left out follows from the letter.
+    /// Geometry of the axes by name. Settings that are left out follow from the letter of the axis.
     #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
     pub axes: BTreeMap<String, AxisSettings>,
-    /// The errors that exist, one family a line.
+    /// The errors of the machine; each line is one error family.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     #[schemars(schema_with = "errors_schema")]
     pub errors: Vec<Value>,
-    /// Exact transforms, or the first-order form (Soons 1993, eq. 2.24-2.28) to see what linearising costs.
+    /// Exact transforms, or the first-order form (Soons 1993, eq. 2.24-2.28), which shows the errors of linearising.
     #[serde(default)]
     pub evaluation: Evaluation,
 }
@@ -80,7 +80,7 @@ pub struct AxisSettings {
     /// Range of commands of a rotary axis.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub range_deg: Option<[f64; 2]>,
-    /// A rotary axis that turns on without an end: rows may have commands outside its range.
+    /// The rotary axis turns without an end: rows may have commands outside its range.
     #[serde(default, skip_serializing_if = "std::ops::Not::not")]
     pub endless: bool,
     /// Direction in the machine frame, for tilted axes; otherwise it follows from the letter.
@@ -122,7 +122,7 @@ pub enum Evaluation {
 fn errors_schema(_: &mut schemars::SchemaGenerator) -> schemars::Schema {
     schemars::json_schema!({
         "type": "array",
-        "description": "The errors that exist, one family a line.",
+        "description": "The errors of the machine; each line is one error family.",
         "items": Declaration::schema(),
     })
 }

@@ -32,10 +32,10 @@ abbe_core::register!(
 #[derive(Debug, Clone, PartialEq, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 struct Settings {
-    /// The parameters of the machine among which the cause is looked for; all that the fit does not estimate, unless they are said.
+    /// The parameters of the machine that are tried as the cause. Default: all that the fit does not estimate.
     #[serde(default)]
     candidates: Vec<String>,
-    /// Probability with which chance alone names a cause.
+    /// Probability that a cause is named by chance alone.
     #[serde(default = "default_significance")]
     significance: f64,
 }
@@ -114,7 +114,7 @@ impl Cause {
     }
 
     fn judge(&self, fit: &Fit, findings: &mut Findings) -> Result<()> {
-        let solved = fit.problem.at(&fit.problem.values_of(&fit.calibration));
+        let solved = fit.problem.with_values(&fit.problem.values_of(&fit.calibration));
         let own = solved.unknowns.len();
         let mut problem = solved.clone();
         problem.unknowns.extend(self.candidates(&solved)?);

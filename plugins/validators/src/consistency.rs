@@ -33,10 +33,10 @@ abbe_core::register!(
 #[derive(Debug, Clone, PartialEq, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 struct Settings {
-    /// Names or patterns of the machine parameters to compare; all that both fits have estimated unless said otherwise.
+    /// Names or patterns of the machine parameters to compare. Default: all that both fits have estimated.
     #[serde(default)]
     parameters: Option<Vec<String>>,
-    /// Probability of failing calibrations that do agree.
+    /// Probability that calibrations that agree fail.
     #[serde(default = "default_significance")]
     significance: f64,
 }

@@ -16,7 +16,7 @@ use crate::figures::ONE;
 #[derive(Debug, Clone, PartialEq, Deserialize, JsonSchema)]
 #[serde(untagged, expecting = "a whole number of folds (2 or more) or a list of lists of labels was expected")]
 pub enum Folds {
-    /// The labels in the order in which they appear are dealt out to this many folds.
+    /// Number of folds. The labels are distributed to the folds in turn, in the order in which they appear.
     Number(usize),
     /// The labels of every fold.
     Labels(Vec<Vec<Label>>),
@@ -128,7 +128,7 @@ pub struct TrainedFit {
     /// Its result.
     pub calibration: Calibration,
     /// Unknowns of the full fit that no remaining row depends on.
-    pub lost: Vec<Unknown>,
+    pub undetermined: Vec<Unknown>,
     /// A remark that the iteration did not converge.
     pub remark: Option<String>,
 }
@@ -138,18 +138,18 @@ impl Fold {
     pub fn train(&self, fit: &Fit, set: SetIndex) -> Result<TrainedFit> {
         let rows = fit.problem.sets[set].rows.iter().copied();
         let kept = rows.filter(|row| self.rows.binary_search(row).is_err()).collect();
-        let training = fit.problem.watched_by(fit.problem.monitor.quiet()).with_rows(set, kept);
-        let judged = Judgement::new(&training.at(&training.values_of(&fit.calibration)), None)?;
-        let lost = training.unknowns.iter().zip(judged.factor().norms()).filter(|(_, norm)| **norm == 0.0);
-        let lost: Vec<Unknown> = lost.map(|(unknown, _)| unknown.clone()).collect();
-        let calibration = fit.estimator.estimate(&training.without(|unknown| lost.contains(unknown)));
+        let training = fit.problem.watched_by(fit.problem.monitor.without_events()).with_rows(set, kept);
+        let judged = Judgement::new(&training.with_values(&training.values_of(&fit.calibration)), None)?;
+        let undetermined = training.unknowns.iter().zip(judged.factor().norms()).filter(|(_, norm)| **norm == 0.0);
+        let undetermined: Vec<Unknown> = undetermined.map(|(unknown, _)| unknown.clone()).collect();
+        let calibration = fit.estimator.estimate(&training.without_unknowns(|unknown| undetermined.contains(unknown)));
         let name = format!("{} without {}", fit.name, self.labels.join(", "));
         let calibration = calibration.map_err(|mut error| {
             error.message = format!("{name}: {}", error.message);
             error
         })?;
         let remark = not_converged(&name, &calibration);
-        Ok(TrainedFit { calibration, lost, remark })
+        Ok(TrainedFit { calibration, undetermined, remark })
     }
 }
 
@@ -164,10 +164,10 @@ pub fn trained<T>(
 ) -> Result<Vec<(Fold, T)>> {
     let (all, mut done, mut failures) = (folds.len(), Vec::new(), Vec::new());
     for (index, fold) in folds.into_iter().enumerate() {
-        fit.problem.monitor.part("folds", index, Some(all));
+        fit.problem.monitor.parts_done("folds", index, Some(all));
         match train(&fold) {
             Ok(result) => done.push((fold, result)),
-            Err(error) if error.fault => return Err(error),
+            Err(error) if error.fatal => return Err(error),
             Err(error) => failures.push(error),
         }
     }

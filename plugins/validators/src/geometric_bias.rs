@@ -37,10 +37,11 @@ abbe_core::register!(
 struct Settings {
     /// The artefact stage whose rows count.
     rows: String,
-    /// Count only the first row with each label of this column: what is measured again to see the drift counts once.
+    /// Count only the first row with each label of this column. Features that are measured again to see the drift then
+    /// count once.
     #[serde(default)]
     first_of: Option<String>,
-    /// Parameters whose effect is taken off before: motion errors, drift; `?` and `*` are wildcards.
+    /// Parameters whose effect is subtracted first: motion errors, drift; `?` and `*` are wildcards.
     #[serde(default)]
     compensated: Vec<String>,
     /// Count the rows with a residue of this or less.
@@ -105,7 +106,7 @@ impl GeometricBias {
         }
         let rows = self.rows(problem, set)?;
         let x = problem.values_of(&fit.calibration);
-        let calibrated = problem.at(&x);
+        let calibrated = problem.with_values(&x);
         let nominal = self.nominal(problem, None)?;
         let recorded = positions(problem, set, &rows);
         let met = |problem: &Problem| -> Result<Positions> {
@@ -158,7 +159,7 @@ impl GeometricBias {
     /// The machine without errors, apart from those that are compensated, which have the values of `values`.
     fn nominal(&self, problem: &Problem, values: Option<&Problem>) -> Result<Problem> {
         let mut nominal = problem.clone();
-        nominal.machine = nominal.model.info().nominal.clone();
+        nominal.machine_values = nominal.model.info().nominal.clone();
         for set in &mut nominal.sets {
             set.own = set.info().start.clone();
         }
@@ -167,7 +168,7 @@ impl GeometricBias {
         for (index, pattern) in self.settings.compensated.iter().enumerate() {
             let named = (0..parameters.len()).filter(|&place| matches(pattern, &parameters[place].name));
             let named: Vec<usize> = named.collect();
-            named.iter().for_each(|&place| nominal.machine[place] = values.machine[place]);
+            named.iter().for_each(|&place| nominal.machine_values[place] = values.machine_values[place]);
             if named.is_empty() {
                 let names = parameters.iter().map(|parameter| parameter.name.as_str());
                 let mut error = Error::usage(format!("`{pattern}` matches no parameter of the machine"));

@@ -22,7 +22,7 @@ abbe_core::register!(
 #[derive(Debug, Clone, PartialEq, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 struct Settings {
-    /// The artefact stage whose rows are held out; the rows of all others always train.
+    /// The artefact stage whose rows are held out; the rows of all others always take part in the fit.
     rows: String,
     /// The column whose labels make up the folds.
     #[serde(default = "default_column")]
@@ -77,7 +77,7 @@ impl HoldOut {
             let good = fold.rows.iter().copied().filter(|row| !left_out.contains(&(set, *row)));
             let good: Vec<RowIndex> = good.collect();
             skipped += fold.rows.len() - good.len();
-            let held = reduced(problem, &trained.calibration, set, good, trained.lost);
+            let held = reduced(problem, &trained.calibration, set, good, trained.undetermined);
             let lost = contained(&held)?;
             let mut missing: Vec<usize> = lost.iter().flatten().copied().collect();
             missing.sort_unstable();

@@ -33,7 +33,7 @@ abbe_core::register!(
 #[derive(Debug, Clone, PartialEq, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 struct Settings {
-    /// Probability that a row stands out although all of them go together.
+    /// Probability that a row stands out by chance although all rows agree.
     #[serde(default = "default_significance")]
     significance: f64,
     /// Largest admissible values: `largest_leverage`, `largest_studentised_residual`, `largest_cook_distance`, `standing_out`.
@@ -134,7 +134,7 @@ fn rows(fit: &Fit) -> Result<Vec<Row>> {
     let left_out = outliers(problem, &fit.calibration);
     let estimated = |name: &String| fit.calibration.covariance.order.contains(name);
     // Unknowns that a selection left out are not used.
-    let problem = problem.without(|unknown| !estimated(&unknown.name)).starting_from(&fit.calibration);
+    let problem = problem.without_unknowns(|unknown| !estimated(&unknown.name)).starting_from(&fit.calibration);
     if !problem.covariance_blocks().is_empty() {
         let error = Error::usage("influence is that of rows that are independent, and these are given a covariance");
         return Err(error.help("leave the validator out, or the covariance under `uncertainty` of the artefacts"));

@@ -26,13 +26,15 @@ abbe_core::register!(
 #[derive(Debug, Clone, PartialEq, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 struct Settings {
-    /// The candidates: names and patterns of parameters and unknowns of the observations of the fit; without them the fit's own.
+    /// The candidates: names and patterns of parameters and unknowns of the observations of the fit. Default: the
+    /// unknowns of the fit.
     #[serde(default)]
     candidates: Vec<String>,
-    /// What is rather kept than others, the most preferred first: names and patterns.
+    /// Candidates that are kept rather than others, the most preferred first: names and patterns.
     #[serde(default)]
     prefer: Vec<String>,
-    /// A candidate of whose effect less than this part is its own is left out; the `rank_tolerance` of the fit if it is not given.
+    /// A candidate is left out if the others can produce all of its effect but a part smaller than this. Default: the
+    /// `rank_tolerance` of the fit.
     #[serde(default)]
     tolerance: Option<f64>,
     /// Largest admissible values: `condition`, `left_out`.

@@ -19,12 +19,12 @@ const TOLERANCE: (f64, f64) = (1e-11, 1e-14);
 /// An approach that brings the tip nearer by less than this, mm/mm, does not reach the sphere.
 const GRAZING: f64 = 1e-3;
 
-/// Which errors are set to what.
+/// The errors that are set, one at a time, and their values.
 #[derive(Debug, Clone, PartialEq, Deserialize, JsonSchema)]
 pub struct Sensitivity {
     /// Names or patterns of parameters of the model; each is set alone.
     parameters: Vec<String>,
-    /// The value for each unit in which people read parameters: `um`, `urad`, `um_per_m`, ...
+    /// The value of the errors, for each usual unit of parameters: `um`, `urad`, `um_per_m`, ...
     #[serde(flatten)]
     values: BTreeMap<String, f64>,
 }

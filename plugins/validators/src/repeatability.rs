@@ -38,18 +38,18 @@ struct Settings {
     /// The column (without unit) of the data set under `from` that holds the measurements, lengths or angles.
     #[serde(default)]
     value: Option<String>,
-    /// The column whose labels are the points, or several that tell them together; `feature`, with `group` where the data
-    /// have it and use it for nothing else.
+    /// The column whose labels name the points, or several columns that name them together. Default: `feature`, with
+    /// `group` if the data have it and it is not used for another purpose.
     #[serde(default)]
     point: Option<Names>,
-    /// The column whose labels are the cycles, or several (`[day, cycle]`), in the order of their numbers, or of their rows
-    /// if they are no numbers; without it the first measurement of each point makes the first cycle, and so on.
+    /// The column whose labels are the cycles, or several (`[day, cycle]`), in the order of their numbers, or of their
+    /// rows if they are no numbers. Default: the first measurements of all points make the first cycle, and so on.
     #[serde(default)]
     cycle: Option<Names>,
-    /// A column for whose labels everything is done separately: directions of probing.
+    /// A column for whose labels the analysis is done separately: directions of probing.
     #[serde(default)]
     direction: Option<String>,
-    /// Number of successive measurements of a point that drift does not reach.
+    /// Number of successive measurements of a point within which the drift is negligible.
     #[serde(default = "default_window")]
     window: Whole<2, 1_000_000>,
     /// Largest admissible values: `repeatability_um`, `pooled_repeatability_um`, `surface_standard_deviation_um`,

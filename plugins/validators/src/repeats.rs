@@ -34,7 +34,7 @@ struct Settings {
     /// The column whose labels tell the repeats apart. Rows of artefacts whose data do not have it take part in every repeat.
     #[serde(default = "default_column")]
     by: String,
-    /// Names or patterns of the estimated parameters to tell; those of the machine unless said otherwise.
+    /// Names or patterns of the estimated parameters to report. Default: those of the machine.
     #[serde(default)]
     parameters: Option<Vec<String>>,
     /// Largest admissible standard deviation of one repeat, by unit: `standard_deviation_um`, `standard_deviation_urad`.
@@ -118,7 +118,7 @@ impl Repeats {
         let repeats = repeats(&fit.problem, &self.settings.by)?;
         let start = fit.problem.values_of(&fit.calibration);
         let estimated = in_parallel(&repeats, None, |(label, rows)| {
-            let mut problem = fit.problem.watched_by(fit.problem.monitor.quiet()).at(&start);
+            let mut problem = fit.problem.watched_by(fit.problem.monitor.without_events()).with_values(&start);
             for (set, rows) in problem.sets.iter_mut().zip(rows) {
                 set.rows.clone_from(rows);
                 // Only values are needed: the scatter of repeats is the result here.
@@ -133,7 +133,7 @@ impl Repeats {
         for result in estimated {
             match result {
                 Ok(found) => values.push(found),
-                Err(error) if error.fault => return Err(error),
+                Err(error) if error.fatal => return Err(error),
                 Err(error) => failures.push(error),
             }
         }

@@ -30,8 +30,8 @@ abbe_core::register!(
 #[derive(Debug, Clone, PartialEq, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 struct Settings {
-    /// Label columns for whose labels the residuals are summed up; `group` and `feature` where the data have them unless
-    /// said otherwise.
+    /// Label columns for whose labels the residuals are summed up. Default: `group` and `feature`, where the data have
+    /// them.
     #[serde(default)]
     by: Option<Vec<String>>,
     /// Largest admissible values: `max_um`, `mean_um`, `rms_um`, of angles `max_urad`, `mean_urad`, `rms_urad`; `outliers`.

@@ -90,7 +90,7 @@ pub fn rivals(fit: &Fit, left_out: &BTreeSet<(SetIndex, RowIndex)>) -> Result<Ve
 /// A problem at the values of a fit, its rows in nominal contact: where they were recorded, the derivatives have a part of the residuals in
 /// them, which a direction that is lost would explain by themselves.
 fn in_contact(problem: &Problem, fit: &Fit) -> Result<Problem> {
-    let at = problem.at(&problem.values_of(&fit.calibration));
+    let at = problem.with_values(&problem.values_of(&fit.calibration));
     rank_point(&at, &at.start())
 }
 

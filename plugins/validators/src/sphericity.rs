@@ -31,16 +31,16 @@ abbe_core::register!(
 #[derive(Debug, Clone, PartialEq, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 struct Settings {
-    /// The artefact stage whose touches on spheres are judged; without it the data under `from` are.
+    /// The artefact stage whose touches on spheres are evaluated. Default: the data under `from` are evaluated.
     #[serde(default)]
     rows: Option<String>,
-    /// Diameter of the spheres of the data under `from`; without it no size error is told.
+    /// Diameter of the spheres of the data under `from`. If it is missing, no size error is reported.
     #[serde(default)]
     diameter_mm: Option<f64>,
     /// A column for whose labels spheres are fitted separately: programmes of measurement.
     #[serde(default)]
     column: Option<String>,
-    /// What single errors of the machine would do to what its nominal model measures.
+    /// The effect of single errors of the machine on what its nominal model measures.
     #[serde(default)]
     sensitivity: Option<Sensitivity>,
     /// Largest admissible values for the calibrated model: `out_of_sphericity_um`, `standard_deviation_um`,
@@ -105,7 +105,7 @@ impl Validate for Sphericity {
                 }
                 findings.figures.extend(of_nominal);
             }
-            let values = fit.problem.starting_from(&fit.calibration).machine;
+            let values = fit.problem.starting_from(&fit.calibration).machine_values;
             let mut figures = Form::all(&touches, model, &values)?.figures(&fit.name, model.info().stylus_radius);
             figures.extend(skipped.map(|skipped| Figure::new(&fit.name, "outliers", skipped as f64, ONE)));
             apply_limits(&self.settings.limits, &mut figures);

@@ -81,7 +81,7 @@ impl Validate for TipCmm {
 /// A calibration, and the rows that it predicts.
 struct Part {
     calibration: Calibration,
-    lost: Vec<Unknown>,
+    undetermined: Vec<Unknown>,
     rows: Vec<RowIndex>,
     remark: Option<String>,
 }
@@ -109,10 +109,10 @@ impl TipCmm {
             let before = rows.len();
             rows.retain(|&row| !left_out.contains(&(set, row)));
             skipped += before - rows.len();
-            // The CMM replaces the unknowns of features that only held-out rows touch. It does not replace other lost
-            // unknowns.
-            let mut unknown = part.lost;
-            unknown.retain(|lost| !measured.contains(lost));
+            // The CMM replaces the unknowns of features that only held-out rows touch. It does not replace other
+            // undetermined unknowns.
+            let mut unknown = part.undetermined;
+            unknown.retain(|own| !measured.contains(own));
             unknown.extend(unmeasured.iter().cloned());
             let probe = reduced(problem, &part.calibration, set, rows, unknown);
             let usable = contained(&probe)?.into_iter().zip(&probe.sets[set].rows);
@@ -144,13 +144,18 @@ impl TipCmm {
     fn parts(&self, fit: &Fit, set: SetIndex, findings: &mut Findings) -> Result<Vec<Part>> {
         let Some(folds) = &self.settings.folds else {
             let rows = fit.problem.sets[set].rows.clone();
-            return Ok(vec![Part { calibration: fit.calibration.clone(), lost: Vec::new(), rows, remark: None }]);
+            return Ok(vec![Part {
+                calibration: fit.calibration.clone(),
+                undetermined: Vec::new(),
+                rows,
+                remark: None,
+            }]);
         };
         let folds = folds.split(&fit.problem, set, &self.settings.column)?;
         let trained = trained(fit, folds, findings, |fold| fold.train(fit, set))?;
         let part = |(fold, trained): (Fold, TrainedFit)| {
-            let TrainedFit { calibration, lost, remark } = trained;
-            Part { calibration, lost, rows: fold.rows, remark }
+            let TrainedFit { calibration, undetermined, remark } = trained;
+            Part { calibration, undetermined, rows: fold.rows, remark }
         };
         Ok(trained.into_iter().map(part).collect())
     }

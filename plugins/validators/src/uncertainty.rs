@@ -29,14 +29,14 @@ abbe_core::register!(
 #[derive(Debug, Clone, PartialEq, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 struct Settings {
-    /// Parameters that have to be known well enough.
+    /// Parameters, with limits for their uncertainties.
     #[serde(default)]
     parameters: Vec<Entry>,
-    /// Expanded uncertainty over standard uncertainty, for limits `expanded_..`; without it the expanded uncertainty is that
-    /// of the calibration (of trials half the symmetric interval), or twice the standard one if it has none.
+    /// Coverage factor for the limits `expanded_..`. Default: the expanded uncertainty is that of the calibration (of
+    /// trials half the symmetric interval), or twice the standard uncertainty if the calibration has none.
     #[serde(default)]
     coverage_factor: Option<f64>,
-    /// The tip over the workspace.
+    /// The uncertainty of the tip over the workspace.
     #[serde(default)]
     volumetric: Option<Workspace>,
 }
@@ -82,7 +82,7 @@ impl<'de> Deserialize<'de> for Entry {
     }
 }
 
-/// The tip over the workspace.
+/// The uncertainty of the tip over the workspace.
 #[derive(Debug, Clone, PartialEq, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 struct Workspace {

@@ -10,14 +10,14 @@ use serde_json::{Value, json};
 #[serde(crate = "abbe_plugin::sdk::serde", deny_unknown_fields)]
 #[schemars(crate = "abbe_plugin::sdk::schemars")]
 pub struct Settings {
-    /// What people call the machine.
+    /// Name of the machine.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub name: Option<String>,
     /// The six joints on the base, machine frame.
     pub base_joints_mm: [[f64; 3]; 6],
     /// The six joints on the platform, platform frame.
     pub platform_joints_mm: [[f64; 3]; 6],
-    /// Where the platform's frame is when all struts are in the middle of their range: starts the iteration.
+    /// Position of the platform's frame when all struts are in the middle of their range: the start of the iteration.
     pub home_mm: [f64; 3],
     /// Range of the strut lengths.
     pub strut_range_mm: [f64; 2],

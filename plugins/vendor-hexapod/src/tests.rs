@@ -131,7 +131,7 @@ fn a_step_to_where_struts_hold_no_platform_is_halved() {
             continue;
         }
         let before = model.refused.load(Ordering::Relaxed);
-        let found = estimator.estimate(&problem.at(&start));
+        let found = estimator.estimate(&problem.with_values(&start));
         let halved = model.refused.load(Ordering::Relaxed) > before;
         match found {
             Ok(found) => {

@@ -25,9 +25,9 @@ abbe_plugin::export!(Plugin::built_in(
 #[serde(crate = "abbe_plugin::sdk::serde", deny_unknown_fields)]
 #[schemars(crate = "abbe_plugin::sdk::schemars")]
 struct Settings {
-    /// From the B line to the tip, along the spindle.
+    /// Distance from the axis line of B to the tip, along the spindle.
     tool_length_mm: f64,
-    /// Tilt of the B line against the spindle.
+    /// Tilt of the axis line of B against the spindle.
     #[serde(default = "default_tilt")]
     tilt_deg: f64,
     /// Effective stylus radius.

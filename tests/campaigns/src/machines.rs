@@ -249,7 +249,7 @@ fn shortened(message: &str) -> String {
 /// Parameters that are called estimated although residuals in nominal contact do not change when they change a lot.
 fn without_effect(fit: &Fit) -> Vec<String> {
     let mut nominal = Problem::clone(&fit.problem);
-    nominal.machine.clone_from(&nominal.model.info().nominal);
+    nominal.machine_values.clone_from(&nominal.model.info().nominal);
     nominal.sets.iter_mut().for_each(|set| set.own = set.info().start.clone());
     let Ok(contact) = at_contact(&nominal, &nominal.start()) else { return Vec::new() };
     let start = contact.start();

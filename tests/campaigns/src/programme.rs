@@ -211,7 +211,7 @@ fn statuses(model: &dyn KinematicModel, tips: &[[f64; 3]], angles: &Indexation) 
     angles.iter().for_each(|(at, angle)| status[*at] = angle.to_radians());
     let values = &model.info().nominal;
     InverseKinematics::new(model, values, None)
-        .at(vec![status; tips.len()], tips)
+        .solve(vec![status; tips.len()], tips)
         .expect("a serial chain has all poses")
 }
 

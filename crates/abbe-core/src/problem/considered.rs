@@ -103,7 +103,7 @@ impl ObservationSet {
     pub fn identity(&self, input: usize) -> String {
         let certificate = self.observations.info().inputs[input].certificate();
         match self.ids.get(input).and_then(Option::as_deref) {
-            Some(id) => certificate.declared(id),
+            Some(id) => certificate.declared_identity(id),
             None => certificate.identity(),
         }
     }

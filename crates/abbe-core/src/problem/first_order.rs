@@ -21,17 +21,17 @@ impl Problem {
             Variable::Command(_) => None,
         };
         let exact = wanted.iter().any(|variable| linear(variable).is_none());
-        self.model.poses(statuses, &self.machine, wanted, exact, out)?;
+        self.model.poses(statuses, &self.machine_values, wanted, exact, out)?;
 
         let values: Vec<f64> = self
-            .machine
+            .machine_values
             .iter()
             .zip(nominal)
             .map(|(value, nominal)| if *nominal == 0.0 { 0.0 } else { *value })
             .collect();
         let mut column = vec![None; nominal.len()];
         let mut variables = Vec::new();
-        let moved = (0..nominal.len()).filter(|&index| nominal[index] == 0.0 && self.machine[index] != 0.0);
+        let moved = (0..nominal.len()).filter(|&index| nominal[index] == 0.0 && self.machine_values[index] != 0.0);
         for index in moved.chain(wanted.iter().filter_map(linear)) {
             column[index].get_or_insert_with(|| {
                 variables.push(Variable::Parameter(index));
@@ -49,7 +49,7 @@ impl Problem {
             let mut turn = Vector3::zeros();
             for (variable, by) in variables.iter().zip(alone) {
                 if let Variable::Parameter(index) = variable {
-                    turn += Vector3::from(*by) * self.machine[*index];
+                    turn += Vector3::from(*by) * self.machine_values[*index];
                 }
             }
             let [w, x, y, z] = at_nominal.orientations[pose];

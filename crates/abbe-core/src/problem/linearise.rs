@@ -45,14 +45,14 @@ impl Problem {
     /// Residuals at `x`, in the order of the equations.
     pub fn residuals(&self, x: &[f64]) -> Result<Vec<f64>> {
         let mut residuals = Vec::with_capacity(self.equations());
-        let problem = self.without(|_| true);
+        let problem = self.without_unknowns(|_| true);
         problem.at_values(self, x).linearise(&[], |block| residuals.extend_from_slice(block.residuals))?;
         Ok(residuals)
     }
 
     fn at_values(mut self, other: &Self, x: &[f64]) -> Self {
-        let values = other.at(x);
-        self.machine = values.machine;
+        let values = other.with_values(x);
+        self.machine_values = values.machine_values;
         for (set, with) in self.sets.iter_mut().zip(values.sets) {
             set.own = with.own;
         }
@@ -63,7 +63,7 @@ impl Problem {
     ///
     /// If there is much to do and a core is free, the next blocks are evaluated while `sink` processes the last one.
     pub fn linearise(&self, x: &[f64], mut sink: impl FnMut(Block<'_>)) -> Result<()> {
-        let at = self.at(x);
+        let at = self.with_values(x);
         let columns = Columns::of(self);
         let chunks =
             || SetIndex::enumerate(&at.sets).flat_map(|(set, of)| of.rows.chunks(CHUNK).map(move |rows| (set, rows)));
@@ -188,7 +188,7 @@ impl Problem {
             Orientation::FirstOrder => self.first_order(&work.statuses, wanted, &mut work.poses),
             orientation => {
                 let exact = orientation == Orientation::Exact;
-                self.model.poses(&work.statuses, &self.machine, wanted, exact, &mut work.poses)
+                self.model.poses(&work.statuses, &self.machine_values, wanted, exact, &mut work.poses)
             }
         }
     }
@@ -203,7 +203,7 @@ impl Problem {
             before > pose
         });
         let error = match row {
-            Some(&row) => self.at_row(set, row, error),
+            Some(&row) => self.error_at_row(set, row, error),
             None => error,
         };
         let recorded = self.sets[set].moved.is_none() || self.sets[set].info().contact != Contact::LinearAxes;

@@ -65,7 +65,7 @@ pub struct Problem {
     /// What is estimated: machine parameters in the model's order, then the sets' own unknowns.
     pub unknowns: Vec<Unknown>,
     /// Start or fixed value of every model parameter.
-    pub machine: Vec<f64>,
+    pub machine_values: Vec<f64>,
     /// The known inputs of all sets. An input that several sets share is listed once.
     pub inputs: Vec<Input>,
     /// Quantities that are not estimated, but whose uncertainty is propagated.
@@ -112,7 +112,7 @@ impl Problem {
         }
         let mut chosen = chosen.into_iter();
         candidates.retain(|_| chosen.next() == Some(true));
-        let machine = model.info().nominal.clone();
+        let machine_values = model.info().nominal.clone();
         let (inputs, mut considered) = inputs(&sets)?;
         consider_parameters(&mut considered, model.as_ref(), &candidates);
         sets.iter().try_for_each(check_constraints)?;
@@ -122,7 +122,7 @@ impl Problem {
             model_plugin: model_plugin.to_owned(),
             sets,
             unknowns: candidates,
-            machine,
+            machine_values,
             inputs,
             considered,
             monitor: Monitor::default(),
@@ -157,7 +157,7 @@ impl Problem {
     }
 
     /// The same problem without some of its unknowns, which stay at their start values.
-    pub fn without(&self, dropped: impl Fn(&Unknown) -> bool) -> Self {
+    pub fn without_unknowns(&self, dropped: impl Fn(&Unknown) -> bool) -> Self {
         let mut problem = self.clone();
         problem.unknowns.retain(|unknown| !dropped(unknown));
         problem
@@ -167,7 +167,7 @@ impl Problem {
     /// estimated.
     pub fn starting_from(&self, calibration: &Calibration) -> Self {
         let mut problem = self.clone();
-        for (value, parameter) in problem.machine.iter_mut().zip(&problem.model.info().parameters) {
+        for (value, parameter) in problem.machine_values.iter_mut().zip(&problem.model.info().parameters) {
             if let Some(known) = calibration.parameters.iter().find(|known| known.name == parameter.name) {
                 *value = known.value;
             }
@@ -186,7 +186,7 @@ impl Problem {
     /// Adds `change` to the value of a quantity that is not estimated.
     pub fn shift(&mut self, unknown: &Unknown, change: f64) {
         match unknown.owner {
-            Owner::Machine => self.machine[unknown.index] += change,
+            Owner::Machine => self.machine_values[unknown.index] += change,
             Owner::Set(set) => self.sets[set].own[unknown.index] += change,
             Owner::Input => {
                 for &(set, input) in &self.inputs[unknown.index].users {
@@ -201,7 +201,7 @@ impl Problem {
         self.unknowns
             .iter()
             .map(|unknown| match unknown.owner {
-                Owner::Machine => self.machine[unknown.index],
+                Owner::Machine => self.machine_values[unknown.index],
                 Owner::Set(set) => self.sets[set].own[unknown.index],
                 Owner::Input => self.inputs[unknown.index].value(&self.sets),
             })
@@ -209,11 +209,11 @@ impl Problem {
     }
 
     /// The problem with the unknowns' start values replaced by `x`.
-    pub fn at(&self, x: &[f64]) -> Self {
+    pub fn with_values(&self, x: &[f64]) -> Self {
         let mut problem = self.clone();
         for (unknown, &value) in self.unknowns.iter().zip(x) {
             match unknown.owner {
-                Owner::Machine => problem.machine[unknown.index] = value,
+                Owner::Machine => problem.machine_values[unknown.index] = value,
                 Owner::Set(set) => problem.sets[set].own[unknown.index] = value,
                 Owner::Input => {
                     for &(set, input) in &self.inputs[unknown.index].users {
@@ -239,10 +239,10 @@ impl Problem {
 fn check_lengths(model: &dyn KinematicModel, sets: &[ObservationSet]) -> Result<()> {
     let info = model.info();
     if [info.nominal.len(), info.nominal_uncertainties.len()] != [info.parameters.len(); 2] {
-        return Err(Error::data("the model has not one nominal value, and one uncertainty of it, a parameter").fault());
+        return Err(Error::data("the model has not one nominal value, and one uncertainty of it, a parameter").fatal());
     }
     match sets.iter().find(|set| set.info().start.len() != set.info().unknowns.len()) {
-        Some(set) => Err(Error::data("the artefact has not one start value an unknown").fault().stage(&set.name)),
+        Some(set) => Err(Error::data("the artefact has not one start value an unknown").fatal().stage(&set.name)),
         None => Ok(()),
     }
 }

@@ -23,14 +23,14 @@ pub struct BSpline {
     /// Inner knots of errors of a rotary axis.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub knots_deg: Option<Knots>,
-    /// Travel of a linear axis; that of the axis unless given.
+    /// Travel of a linear axis. Default: the range of the axis.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub range_mm: Option<[f64; 2]>,
-    /// Travel of a rotary axis; that of the axis unless given.
+    /// Travel of a rotary axis. Default: the range of the axis.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub range_deg: Option<[f64; 2]>,
-    /// Straightness: without the least-squares line over the travel. The first and the last function, which then follow from
-    /// the others, do not exist.
+    /// For straightness: the error has no least-squares line over the travel. The first and the last function then
+    /// follow from the others and are left out.
     #[serde(default, skip_serializing_if = "std::ops::Not::not")]
     pub without_line: bool,
     /// Coefficients that are zero by definition and no parameters, e.g. `EXX[bs0]`; `?` and `*` are wildcards.
@@ -65,11 +65,14 @@ impl Family for BSpline {
 
     fn functions(&self, subject: &Subject<'_>) -> Result<Vec<Box<dyn Functions>>, SettingsError> {
         suits(("knots", "knots"), subject, self.knots_mm.is_some(), self.knots_deg.is_some())?;
-        let range = self.travel().needed(subject, "a B-spline")?;
+        let range = self.travel().required_range(subject, "a B-spline")?;
         let knots = knots("a B-spline", &self.knots_mm, &self.knots_deg, 1)?;
         within(&knots, range, subject.command == Quantity::Angle)?;
         let splines = BSplines::new(&knots, self.degree.get() as u8, range);
-        Ok(vec![self.travel().without(Box::new(if self.without_line { splines.inner() } else { splines }), subject)?])
+        Ok(vec![
+            self.travel()
+                .without_trend(Box::new(if self.without_line { splines.inner() } else { splines }), subject)?,
+        ])
     }
 }
 
@@ -170,7 +173,7 @@ mod tests {
 
     use super::*;
     use crate::families::testing::{names, slopes, slopes_agree, values};
-    use crate::families::{Trend, Without};
+    use crate::families::{Trend, WithoutTrend};
 
     #[test]
     fn values_by_hand() {
@@ -191,7 +194,7 @@ mod tests {
         // The rank of the values of inner functions without line, and two lines, at many places is that of all splines.
         let (range, knots) = ([0.0, 10.0], [2.0, 3.0, 7.0]);
         let all = BSplines::new(&knots, 3, range);
-        let inner = Without::new(Box::new(all.clone().inner()), Trend::Line, range);
+        let inner = WithoutTrend::new(Box::new(all.clone().inner()), Trend::Line, range);
         let place = |index: usize| 10.0 * index as f64 / 40.0;
         let mut columns: Vec<Vec<f64>> = vec![vec![1.0; 41], (0..41).map(|index| place(index) / 10.0).collect()];
         for function in 0..inner.terms().len() {

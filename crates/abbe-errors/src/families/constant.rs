@@ -48,9 +48,9 @@ impl Functions for Constant {
 
 /// The value 1 for one stylus (its index), 0 for all others.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub struct StylusIs(pub usize);
+pub struct StylusIndicator(pub usize);
 
-impl Functions for StylusIs {
+impl Functions for StylusIndicator {
     fn arguments(&self) -> Vec<Argument> {
         vec![Argument::Stylus]
     }
@@ -71,8 +71,8 @@ mod tests {
 
     #[test]
     fn a_stylus_has_its_own() {
-        assert_eq!(values(&StylusIs(1), &[1.0]), [1.0]);
-        assert_eq!(values(&StylusIs(1), &[0.0]), [0.0]);
+        assert_eq!(values(&StylusIndicator(1), &[1.0]), [1.0]);
+        assert_eq!(values(&StylusIndicator(1), &[0.0]), [0.0]);
         assert_eq!(values(&Constant, &[]), [1.0]);
     }
 }

@@ -17,15 +17,15 @@ pub struct Drift {
     pub drift: Vec<String>,
     /// The degrees, from 1 to 9; the constant part is the set-up parameter itself.
     pub degrees: Vec<Whole<1, 9>>,
-    /// What has a drift of its own.
+    /// Which rows share one drift.
     #[serde(default)]
     pub per: Per,
-    /// First and last time in s of each series; found in the data unless given.
+    /// First and last time in s of each series. Default: those of the data.
     #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
     pub time_s: BTreeMap<String, [f64; 2]>,
 }
 
-/// What has a drift of its own.
+/// Which rows share one drift.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "kebab-case")]
 pub enum Per {

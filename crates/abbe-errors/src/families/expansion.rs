@@ -6,8 +6,8 @@ use serde::{Deserialize, Serialize};
 
 use super::{Argument, Family, Functions, Subject, Term};
 
-/// Expansion of a scale, from a column with its temperature; rows without it see none. `EXX[expansion]` is the coefficient of expansion
-/// in 1/K: it has a value although it is not estimated.
+/// Expansion of a scale, from a column with its temperature. Rows without a temperature have no expansion.
+/// `EXX[expansion]` is the coefficient of expansion in 1/K. It has a value even if it is not estimated.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 #[allow(non_snake_case, reason = "units are written as in column names")]
@@ -16,12 +16,13 @@ pub struct Expansion {
     pub expansion: Vec<String>,
     /// Name of the column with the temperature of the scale, without its unit: `T_X` is the column `T_X_degC`.
     pub temperature: String,
-    /// Coefficient of linear thermal expansion: the value unless it is estimated.
+    /// Coefficient of linear thermal expansion: the value of the parameter if it is not estimated.
     pub coefficient_per_K: f64,
-    /// Standard uncertainty of the coefficient, which counts as long as it is not estimated; that of every scale by itself.
+    /// Standard uncertainty of the coefficient, which is used if the coefficient is not estimated. The errors of
+    /// different scales are independent.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub standard_uncertainty_per_K: Option<f64>,
-    /// Temperature at which the scale is right.
+    /// Temperature at which the scale has no error of expansion.
     #[serde(default = "reference", skip_serializing_if = "is_reference")]
     pub reference_degC: f64,
 }

@@ -7,9 +7,10 @@ use serde::{Deserialize, Serialize};
 use super::knots::{Knots, knots, within};
 use super::{Argument, Family, Functions, Group, PiecewisePolynomial, Subject, Term, piecewise, suits};
 
-/// Errors under the weight of the workpiece (Soons 1993, eq. 3.20), from the columns `load_N` and `load_z_mm`; absent they are zero.
-/// Motion errors: piecewise polynomials `EAX[load:1]`, `EAX[load:pp3,2]`, the error under the reference load at the centre of the
-/// table. Location errors: `EA0B[load]` and `EA0B[load*z]`, under the reference load and per mm of its way from the centre along z.
+/// Errors under the weight of the workpiece (Soons 1993, eq. 3.20), from the columns `load_N` and `load_z_mm`. A column
+/// that is missing counts as zero. Motion errors: piecewise polynomials `EAX[load:1]`, `EAX[load:pp3,2]`, the error
+/// under the reference load at the centre of the table. Location errors: `EA0B[load]`, the error under the reference
+/// load, and `EA0B[load*z]`, its change per mm of the distance of the load from the centre along z.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct Load {
@@ -18,14 +19,14 @@ pub struct Load {
     /// The load to which the coefficients refer.
     #[serde(rename = "reference_N")]
     pub reference_n: f64,
-    /// Where the load has no effect, along z from the centre of the table: the guideway that is twisted. Without it the error does
-    /// not depend on where the load sits.
+    /// Distance of the twisted guideway from the centre of the table, along z: a load at the guideway has no effect.
+    /// If it is missing, the error does not depend on the position of the load.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub guideway_distance_mm: Option<f64>,
     /// Degree of the pieces of a motion error, 1 to 9.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub degree: Option<Whole<1, 9>>,
-    /// What is continuous at knots: 0 the value, 1 the slope too. Needed with knots.
+    /// What is continuous at knots: 0 the value, 1 the slope too. Required if there are knots.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub continuity: Option<Whole<0, 8>>,
     /// Inner knots of errors of a linear axis; none if it is a plain polynomial.

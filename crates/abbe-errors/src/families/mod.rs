@@ -21,7 +21,7 @@ use std::fmt::Debug;
 use abbe_core::{PathItem, Quantity, SettingsError, Unit, Whole};
 
 pub use b_spline::{BSpline, BSplines};
-pub use constant::{Constant, Location, StylusIs};
+pub use constant::{Constant, Location, StylusIndicator};
 pub use drift::{Drift, LegendreInTime, Per};
 pub use expansion::{ExpandingScale, Expansion};
 pub use fourier::{Fourier, FourierSeries};
@@ -34,7 +34,7 @@ pub use polynomial::{OrdinaryPolynomial, Polynomial};
 pub use product::{CrossCoupling, Product};
 pub use reversal::{Backlash, Reversal};
 pub use spline::{NaturalSpline, Spline};
-pub use travel::{Trend, Without};
+pub use travel::{Trend, WithoutTrend};
 
 /// An argument of a function. The model finds its value in the status.
 #[derive(Debug, Clone, PartialEq)]

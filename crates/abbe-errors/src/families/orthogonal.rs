@@ -18,16 +18,16 @@ macro_rules! orthogonal {
             pub $key: Vec<String>,
             /// The degrees, 0 to 9.
             pub degrees: Vec<Whole<0, 9>>,
-            /// Travel of a linear axis; that of the axis unless given.
+            /// Travel of a linear axis. Default: the range of the axis.
             #[serde(default, skip_serializing_if = "Option::is_none")]
             pub range_mm: Option<[f64; 2]>,
-            /// Travel of a rotary axis; that of the axis unless given.
+            /// Travel of a rotary axis. Default: the range of the axis.
             #[serde(default, skip_serializing_if = "Option::is_none")]
             pub range_deg: Option<[f64; 2]>,
-            /// Straightness: every function without its least-squares line over the travel.
+            /// For straightness: every function is taken without its least-squares line over the travel.
             #[serde(default, skip_serializing_if = "std::ops::Not::not")]
             pub without_line: bool,
-            /// Errors of a rotary axis: every function without its once-per-turn part.
+            /// For errors of a rotary axis: every function is taken without its once-per-turn part.
             #[serde(default, skip_serializing_if = "std::ops::Not::not")]
             pub without_once_per_turn: bool,
         }
@@ -51,13 +51,13 @@ macro_rules! orthogonal {
             fn check(&self) -> Result<(), SettingsError> {
                 check_numbers("degrees", "degree", &self.degrees)?;
                 self.travel().check()?;
-                self.travel().leaves("degrees", &numbers(&self.degrees))
+                self.travel().check_degrees("degrees", &numbers(&self.degrees))
             }
 
             fn functions(&self, subject: &Subject<'_>) -> Result<Vec<Box<dyn Functions>>, SettingsError> {
-                let range = self.travel().needed(subject, concat!("a ", stringify!($family), " polynomial"))?;
+                let range = self.travel().required_range(subject, concat!("a ", stringify!($family), " polynomial"))?;
                 let functions = OrthogonalPolynomial { kind: $kind, degrees: numbers(&self.degrees), range };
-                Ok(vec![self.travel().without(Box::new(functions), subject)?])
+                Ok(vec![self.travel().without_trend(Box::new(functions), subject)?])
             }
         }
     };

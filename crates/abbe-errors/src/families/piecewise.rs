@@ -27,20 +27,20 @@ pub struct Piecewise {
     /// Inner knots of errors of a rotary axis.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub knots_deg: Option<Knots>,
-    /// Travel of a linear axis; that of the axis unless given.
+    /// Travel of a linear axis. Default: the range of the axis.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub range_mm: Option<[f64; 2]>,
-    /// Travel of a rotary axis; that of the axis unless given.
+    /// Travel of a rotary axis. Default: the range of the axis.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub range_deg: Option<[f64; 2]>,
-    /// Straightness: every function without its least-squares line over the travel.
+    /// For straightness: every function is taken without its least-squares line over the travel.
     #[serde(default, skip_serializing_if = "std::ops::Not::not")]
     pub without_line: bool,
-    /// Errors of a rotary axis: every function without its once-per-turn part.
+    /// For errors of a rotary axis: every function is taken without its once-per-turn part.
     #[serde(default, skip_serializing_if = "std::ops::Not::not")]
     pub without_once_per_turn: bool,
-    /// Every function without its value at the command 0, which is not zero where a knot is below 0: the error is zero there
-    /// whatever its coefficients are.
+    /// Every function is taken without its value at the command 0, which is not zero if a knot is below 0. The error at
+    /// the command 0 is then zero for any coefficients.
     #[serde(default, skip_serializing_if = "std::ops::Not::not")]
     pub zero_at_zero: bool,
 }
@@ -80,7 +80,7 @@ impl Family for Piecewise {
         if self.zero_at_zero {
             functions = functions.zero_at_zero();
         }
-        Ok(vec![self.travel().without(Box::new(functions), subject)?])
+        Ok(vec![self.travel().without_trend(Box::new(functions), subject)?])
     }
 }
 

@@ -15,16 +15,16 @@ pub struct Polynomial {
     pub polynomial: Vec<String>,
     /// The degrees, 0 to 9.
     pub degrees: Vec<Whole<0, 9>>,
-    /// Travel of a linear axis over which `without_line` holds; that of the axis unless given.
+    /// Travel of a linear axis over which `without_line` holds. Default: the range of the axis.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub range_mm: Option<[f64; 2]>,
-    /// Travel of a rotary axis over which `without_once_per_turn` holds; that of the axis unless given.
+    /// Travel of a rotary axis over which `without_once_per_turn` holds. Default: the range of the axis.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub range_deg: Option<[f64; 2]>,
-    /// Straightness: every function without its least-squares line over the travel.
+    /// For straightness: every function is taken without its least-squares line over the travel.
     #[serde(default, skip_serializing_if = "std::ops::Not::not")]
     pub without_line: bool,
-    /// Errors of a rotary axis: every function without its once-per-turn part.
+    /// For errors of a rotary axis: every function is taken without its once-per-turn part.
     #[serde(default, skip_serializing_if = "std::ops::Not::not")]
     pub without_once_per_turn: bool,
 }
@@ -48,12 +48,12 @@ impl Family for Polynomial {
     fn check(&self) -> Result<(), SettingsError> {
         check_numbers("degrees", "degree", &self.degrees)?;
         self.travel().check()?;
-        self.travel().leaves("degrees", &numbers(&self.degrees))
+        self.travel().check_degrees("degrees", &numbers(&self.degrees))
     }
 
     fn functions(&self, subject: &Subject<'_>) -> Result<Vec<Box<dyn Functions>>, SettingsError> {
         let functions = OrdinaryPolynomial { degrees: numbers(&self.degrees) };
-        Ok(vec![self.travel().without(Box::new(functions), subject)?])
+        Ok(vec![self.travel().without_trend(Box::new(functions), subject)?])
     }
 }
 

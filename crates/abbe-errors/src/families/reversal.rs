@@ -6,9 +6,10 @@ use serde::{Deserialize, Serialize};
 
 use super::{Argument, Family, Functions, Subject, Term, check_numbers, numbers};
 
-/// Reversal errors: `EXX[b]` is half the reversal value, added after a positive approach and taken off after a negative one.
-/// With `degrees` it changes along the axis, and forward and backward curve are each other's equals: `EXX[b*1]`, `EXX[b*2]`, ... are
-/// half the difference of the two, their mean is what the other families say.
+/// Reversal errors: `EXX[b]` is half the reversal value, added after a positive approach and subtracted after a
+/// negative one. With `degrees` the reversal value changes along the axis: `EXX[b*1]`, `EXX[b*2]`, ... are half the
+/// difference of the curves for positive and negative approach. The mean of the two curves is the error that the other
+/// families describe.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct Backlash {

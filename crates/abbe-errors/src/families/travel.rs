@@ -35,14 +35,14 @@ impl Travel {
     }
 
     /// The range, which has to be known for `what`.
-    pub fn needed(&self, subject: &Subject<'_>, what: &str) -> Result<[f64; 2], SettingsError> {
+    pub fn required_range(&self, subject: &Subject<'_>, what: &str) -> Result<[f64; 2], SettingsError> {
         let setting = if subject.command == Quantity::Angle { "range_deg" } else { "range_mm" };
         let message = format!("{what} needs the travel: `{setting}` here or of the axis");
         self.range(subject)?.ok_or_else(|| SettingsError::new("", message))
     }
 
     /// The functions without the trend that the settings remove.
-    pub fn without(
+    pub fn without_trend(
         &self,
         functions: Box<dyn Functions>,
         subject: &Subject<'_>,
@@ -56,11 +56,11 @@ impl Travel {
             let axis = if quantity == Quantity::Length { "linear" } else { "rotary" };
             return Err(SettingsError::new(setting, format!("this is for errors of a {axis} axis")));
         }
-        Ok(Box::new(Without::new(functions, trend, self.needed(subject, &format!("`{setting}`"))?)))
+        Ok(Box::new(WithoutTrend::new(functions, trend, self.required_range(subject, &format!("`{setting}`"))?)))
     }
 
     /// Fails if a function would be zero after the trend is removed.
-    pub fn leaves(&self, setting: &str, degrees: &[u8]) -> Result<(), SettingsError> {
+    pub fn check_degrees(&self, setting: &str, degrees: &[u8]) -> Result<(), SettingsError> {
         match degrees.iter().position(|degree| *degree < 2) {
             Some(index) if self.without_line => {
                 let message =
@@ -84,7 +84,7 @@ pub enum Trend {
 /// Functions without their own least-squares line, or once-per-turn part, over the travel (Soons 1993, eq. 3.4-3.10): for any
 /// coefficients, the error has no such trend. The trend belongs to the location errors of the axis.
 #[derive(Debug)]
-pub struct Without {
+pub struct WithoutTrend {
     functions: Box<dyn Functions>,
     trend: Trend,
     range: [f64; 2],
@@ -92,7 +92,7 @@ pub struct Without {
     parts: Vec<[f64; 2]>,
 }
 
-impl Without {
+impl WithoutTrend {
     /// Takes a trend off functions of the command alone.
     pub fn new(functions: Box<dyn Functions>, trend: Trend, range: [f64; 2]) -> Self {
         let count = functions.terms().len();
@@ -135,7 +135,7 @@ impl Without {
     }
 }
 
-impl Functions for Without {
+impl Functions for WithoutTrend {
     fn arguments(&self) -> Vec<Argument> {
         self.functions.arguments()
     }
@@ -231,7 +231,7 @@ mod tests {
     #[test]
     fn a_parabola_without_its_line_by_hand() {
         // q^2 over 0..6: its line is 6 q - 6, from the integrals of eq. 3.8.
-        let without = Without::new(Box::new(OrdinaryPolynomial { degrees: vec![2] }), Trend::Line, [0.0, 6.0]);
+        let without = WithoutTrend::new(Box::new(OrdinaryPolynomial { degrees: vec![2] }), Trend::Line, [0.0, 6.0]);
         for q in [0.0, 1.0, 4.5] {
             assert!((values(&without, &[q])[0] - (q * q - 6.0 * q + 6.0)).abs() < 1e-13);
         }
@@ -242,7 +242,7 @@ mod tests {
     fn the_angle_without_its_first_harmonic() {
         // On -pi..pi the angle itself is 2 sin q - sin 2q + ...
         let angle = Box::new(OrdinaryPolynomial { degrees: vec![1] });
-        let without = Without::new(angle, Trend::OncePerTurn, [-std::f64::consts::PI, std::f64::consts::PI]);
+        let without = WithoutTrend::new(angle, Trend::OncePerTurn, [-std::f64::consts::PI, std::f64::consts::PI]);
         assert!((values(&without, &[1.0])[0] - (1.0 - 2.0 * 1.0_f64.sin())).abs() < 1e-13);
     }
 
@@ -251,7 +251,7 @@ mod tests {
         // Straightness of a milling machine over 0..700 mm: constant and slope follow from the other three terms (they were found
         // independently from the integrals of eq. 3.8).
         let range = [0.0, 700.0];
-        let without = Without::new(pieces(&[350.0, 550.0], 2, range), Trend::Line, range);
+        let without = WithoutTrend::new(pieces(&[350.0, 550.0], 2, range), Trend::Line, range);
         let coefficients = [-3.75411e-8, -7.35588e-8, 2.49098e-7];
         for q in [0.0, 123.0, 400.0, 700.0] {
             let found: f64 = values(&without, &[q]).iter().zip(coefficients).map(|(value, by)| value * by).sum();
@@ -273,7 +273,7 @@ mod tests {
         fn no_line_is_left(from in -300.0..300.0_f64, width in 50.0..900.0_f64, knots in prop::collection::btree_set(1u8..99, 1..8)) {
             let range = [from, from + width];
             let knots: Vec<f64> = knots.into_iter().map(|part| from + width * f64::from(part) / 100.0).collect();
-            let without = Without::new(pieces(&knots, 2, range), Trend::Line, range);
+            let without = WithoutTrend::new(pieces(&knots, 2, range), Trend::Line, range);
             // By the rule of Simpson, exact for what is a cubic in each cell: knots are at ends of cells.
             let cells = 200;
             let mut moments = vec![[0.0; 2]; without.terms().len()];
@@ -294,7 +294,7 @@ mod tests {
         fn slopes_are_those_of_the_values(at in 0.01..0.99_f64, turn in any::<bool>()) {
             let (trend, range) = if turn { (Trend::OncePerTurn, [-3.0, 3.0]) } else { (Trend::Line, [-30.0, 50.0]) };
             let place = |part: f64| range[0] + part * (range[1] - range[0]);
-            let without = Without::new(pieces(&[place(0.3), place(0.7)], 2, range), trend, range);
+            let without = WithoutTrend::new(pieces(&[place(0.3), place(0.7)], 2, range), trend, range);
             slopes_agree(&without, place(at), 1e-5, 1e-6);
         }
 

@@ -53,7 +53,7 @@ pub fn check_estimate(estimator: &dyn Estimate, problem: &Problem, solution: &[f
         broken.push("a second run gives another calibration".to_owned());
     }
     // The start is almost right, as it is when Monte Carlo asks for values.
-    let values = estimator.values(&problem.at(&problem.values_of(&found)))?;
+    let values = estimator.values(&problem.with_values(&problem.values_of(&found)))?;
     if values.len() != solution.len() {
         broken.push(format!("it gives {} values for {} unknowns", values.len(), solution.len()));
         return Ok(broken);
@@ -122,7 +122,10 @@ mod tests {
         for placement in [None, placed] {
             for origin in [[0.0; 3], [700.0, -300.0, 450.0]] {
                 let (problem, solution) = measured(&Measurement { placement, origin, reversed: false }).unwrap();
-                assert_eq!(check_observations(&problem.at(&solution), SetIndex(0)).unwrap(), Vec::<String>::new());
+                assert_eq!(
+                    check_observations(&problem.with_values(&solution), SetIndex(0)).unwrap(),
+                    Vec::<String>::new()
+                );
                 let residuals = problem.residuals(&solution).unwrap();
                 assert!(residuals.iter().all(|residual| residual.abs() < 1e-11), "{residuals:?}");
             }

@@ -109,8 +109,8 @@ fn has_orientations(model: &dyn KinematicModel) -> bool {
     let (statuses, values) = samples(model, 1);
     match model.poses(&statuses, &values, &[], true, &mut Poses::default()) {
         Ok(()) => true,
-        // A fault of the code is reported by the comparison of derivatives.
-        Err(error) => error.fault,
+        // A fatal error is reported by the comparison of derivatives.
+        Err(error) => error.fatal,
     }
 }
 

@@ -81,7 +81,7 @@ pub(super) fn measured(measurement: &Measurement) -> Result<(Problem, Vec<f64>)>
     let names: Vec<String> = model.info.parameters.iter().take(known).map(|parameter| parameter.name.clone()).collect();
     let patterns = [names, measurement.placement.iter().map(|_| "points.*".to_owned()).collect()].concat();
     let mut problem = Problem::new("virtual", "virtual", model.clone(), vec![set], &patterns)?;
-    problem.machine[known..].copy_from_slice(&ERRORS[known..]);
+    problem.machine_values[known..].copy_from_slice(&ERRORS[known..]);
     let value = |(owner, index): (Owner, usize)| if owner == Owner::Machine { ERRORS[index] } else { placed[index] };
     let solution = problem.unknowns.iter().map(|unknown| value((unknown.owner, unknown.index))).collect();
     Ok((problem, solution))

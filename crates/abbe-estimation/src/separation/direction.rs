@@ -1,6 +1,6 @@
 //! A lost direction, and its effect on hypothetical measurements.
 
-use abbe_core::{NullVector, Owner, Poses, Problem, Quantity, Result, Unknown, Variable};
+use abbe_core::{Owner, Poses, Problem, Quantity, Result, Unknown, Variable, WeakDirection};
 use nalgebra::{DMatrix, DVector, Vector3};
 
 use super::{Measured, words};
@@ -34,7 +34,7 @@ pub struct LostDirection<'a> {
 }
 
 impl<'a> LostDirection<'a> {
-    pub fn new(problem: &'a Problem, vector: &NullVector) -> Result<Self> {
+    pub fn new(problem: &'a Problem, vector: &WeakDirection) -> Result<Self> {
         let mut members = Vec::new();
         for part in &vector.combination {
             let unknown = problem.unknowns.iter().find(|unknown| unknown.name == part.name);
@@ -108,7 +108,7 @@ impl<'a> LostDirection<'a> {
         let (wanted, changes): (Vec<Variable>, Vec<f64>) =
             of_machine.map(|(unknown, change)| (Variable::Parameter(unknown.index), change)).unzip();
         let mut poses = Poses::default();
-        self.problem.model.poses(&statuses.concat(), &self.problem.machine, &wanted, false, &mut poses)?;
+        self.problem.model.poses(&statuses.concat(), &self.problem.machine_values, &wanted, false, &mut poses)?;
         let mut field = Field { changes: vec![Vector3::zeros(); statuses.len()], single: 0.0 };
         let count = wanted.len().max(1);
         for (sum, derivatives) in field.changes.iter_mut().zip(poses.position_derivatives.chunks_exact(count)) {

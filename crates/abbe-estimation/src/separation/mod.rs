@@ -11,7 +11,7 @@ mod gaps;
 mod places;
 mod statuses;
 
-use abbe_core::{Contact, NullVector, Problem, Result, StatusRole, Unknown};
+use abbe_core::{Contact, Problem, Result, StatusRole, Unknown, WeakDirection};
 
 use crate::contact::rank_point;
 use crate::probe_offset::{OFFSETS, tip_offsets, with_offset};
@@ -94,7 +94,7 @@ impl SeparationTrials {
 
     /// Sentences that say which measurements separate a lost direction, the best first, at most three. If none does, a
     /// sentence that says what to do instead. Fails on a direction whose unknowns are not those of the problem.
-    pub fn separating(&self, vector: &NullVector) -> Result<Vec<String>> {
+    pub fn separating(&self, vector: &WeakDirection) -> Result<Vec<String>> {
         let direction = LostDirection::new(&self.recorded, vector)?;
         let lost = direction.effect(&Measured::Rows(Box::new(self.recorded.clone())))?;
         // A direction is rounded. So its effect on the recorded rows, which should be zero, is a lower limit for an effect
@@ -141,7 +141,7 @@ impl SeparationTrials {
 
 /// Trials of the recorded rows with other probe offsets. A model with several styli has them among its statuses.
 fn other_probes(recorded: &Problem) -> Result<Vec<Trial>> {
-    if recorded.model.info().status_of(&StatusRole::Stylus).is_some() {
+    if recorded.model.info().status_index(&StatusRole::Stylus).is_some() {
         return Ok(Vec::new());
     }
     let offsets = tip_offsets(recorded);
@@ -168,7 +168,7 @@ fn other_probes(recorded: &Problem) -> Result<Vec<Trial>> {
 /// Sentences that say which measurements separate a lost direction of a problem whose unknowns have the values `x`.
 ///
 /// For one direction; see [`SeparationTrials`] for several.
-pub fn separating_measurements(problem: &Problem, x: &[f64], vector: &NullVector) -> Result<Vec<String>> {
+pub fn separating_measurements(problem: &Problem, x: &[f64], vector: &WeakDirection) -> Result<Vec<String>> {
     SeparationTrials::new(problem, x)?.separating(vector)
 }
 

@@ -87,11 +87,11 @@ pub fn places(problem: &Problem, recorded: &Problem) -> Result<Vec<Trial>> {
     if indexations.is_empty() || !bounds.low.iter().all(|side| side.is_finite()) {
         return Ok(Vec::new());
     }
-    let reach = InverseKinematics::new(recorded.model.as_ref(), &recorded.machine, None);
+    let reach = InverseKinematics::new(recorded.model.as_ref(), &recorded.machine_values, None);
     let mut trials = Vec::new();
     for point in bounds.candidates() {
         let points = vec![point; indexations.len()];
-        let statuses: Vec<Vec<f64>> = reach.at(indexations.clone(), &points)?.into_iter().flatten().collect();
+        let statuses: Vec<Vec<f64>> = reach.solve(indexations.clone(), &points)?.into_iter().flatten().collect();
         if statuses.len() > 1 {
             let sentence = place_sentence(words(problem), point, &bounds);
             trials.push(Trial { group: Group::Place, sentence, measured: Measured::Point(statuses) });
@@ -119,7 +119,7 @@ fn place_sentence([verb, _, done]: [&str; 3], point: [f64; 3], bounds: &Bounds) 
 fn length(reach: &InverseKinematics<'_>, indexation: &[f64], centre: [f64; 3], axis: usize) -> Result<Option<Trial>> {
     for length in LENGTHS {
         let ends = [-0.5, 0.5].map(|end| shifted(centre, axis, end * length));
-        let found = reach.at(vec![indexation.to_vec(); 2], &ends)?;
+        let found = reach.solve(vec![indexation.to_vec(); 2], &ends)?;
         if let [Some(one), Some(other)] = found.as_slice() {
             let along = shifted([0.0; 3], axis, 1.0);
             let letter = LETTERS[axis].to_uppercase();
@@ -138,7 +138,7 @@ fn touched(recorded: &Problem) -> Result<Vec<[f64; 3]>> {
     let features = recorded.sets.iter().flat_map(|set| set.info().features.clone());
     let points: Vec<[f64; 3]> = features.map(|feature| feature.point).collect();
     if points.is_empty() {
-        return InverseKinematics::new(recorded.model.as_ref(), &recorded.machine, None)
+        return InverseKinematics::new(recorded.model.as_ref(), &recorded.machine_values, None)
             .tips(&recorded_statuses(recorded));
     }
     Ok(points)

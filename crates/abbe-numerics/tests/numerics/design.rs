@@ -1,16 +1,16 @@
 //! Exchange against trying everything, on problems that are small enough.
 
-use abbe_numerics::{Choice, Criterion, Design, Generator};
+use abbe_numerics::{Criterion, Design, DesignProblem, Generator};
 
 const ALL: [Criterion; 5] = [Criterion::D, Criterion::A, Criterion::E, Criterion::G, Criterion::Condition];
 
 /// Candidates with random rows; each of `blocks` says how many.
-fn choice(seed: u64, unknowns: usize, blocks: &[usize], criterion: Criterion) -> Choice {
+fn choice(seed: u64, unknowns: usize, blocks: &[usize], criterion: Criterion) -> DesignProblem {
     let mut generator = Generator::new(seed, 0);
     let mut ends = Vec::new();
     blocks.iter().for_each(|rows| ends.push(ends.last().copied().unwrap_or(0) + rows));
     let rows = (0..ends[blocks.len() - 1] * unknowns).map(|_| generator.normal()).collect();
-    Choice {
+    DesignProblem {
         unknowns,
         of_interest: unknowns,
         rows,
@@ -26,14 +26,14 @@ fn choice(seed: u64, unknowns: usize, blocks: &[usize], criterion: Criterion) ->
     }
 }
 
-fn by_exchange(choice: &Choice, restarts: u64) -> Design {
+fn by_exchange(choice: &DesignProblem, restarts: u64) -> Design {
     let designs = (0..restarts).filter_map(|trial| choice.exchange(&mut Generator::new(7, trial)));
     designs.max_by(|one, other| one.value.total_cmp(&other.value)).expect("a design")
 }
 
 /// The best of all designs that are allowed.
-fn by_trying(choice: &Choice) -> Design {
-    fn go(choice: &Choice, chosen: &mut Vec<usize>, from: usize, best: &mut Option<Design>) {
+fn by_trying(choice: &DesignProblem) -> Design {
+    fn go(choice: &DesignProblem, chosen: &mut Vec<usize>, from: usize, best: &mut Option<Design>) {
         let cost: f64 = chosen.iter().map(|&index| choice.costs[index]).sum();
         if choice.budget.is_some_and(|budget| cost > budget) {
             return;
@@ -63,7 +63,7 @@ fn by_trying(choice: &Choice) -> Design {
 }
 
 #[track_caller]
-fn same(choice: &Choice, what: &str) {
+fn same(choice: &DesignProblem, what: &str) {
     let (found, best) = (by_exchange(choice, 60), by_trying(choice));
     assert!(
         (found.value - best.value).abs() <= 1e-9 * best.value.abs().max(1.0),
@@ -77,9 +77,9 @@ fn the_best_of_all_designs_is_found() {
         for seed in 0..5 {
             let single = choice(seed, 3, &[1; 9], criterion);
             same(&single, &format!("{criterion:?} {seed}"));
-            same(&Choice { replications: true, ..single }, &format!("{criterion:?} {seed}, replicated"));
+            same(&DesignProblem { replications: true, ..single }, &format!("{criterion:?} {seed}, replicated"));
             let blocks = choice(seed, 4, &[2, 1, 3, 2, 1, 1, 4, 2], criterion);
-            same(&Choice { number: Some(3), ..blocks }, &format!("{criterion:?} {seed}, blocks"));
+            same(&DesignProblem { number: Some(3), ..blocks }, &format!("{criterion:?} {seed}, blocks"));
         }
     }
 }
@@ -94,7 +94,7 @@ fn what_is_required_forbidden_or_measured_counts() {
         same(&bound, "required and forbidden");
         // Three numbers more of one unknown.
         bound.measured[0] = 50.0;
-        same(&Choice { number: Some(3), ..bound }, "measured");
+        same(&DesignProblem { number: Some(3), ..bound }, "measured");
     }
 }
 
@@ -102,7 +102,10 @@ fn what_is_required_forbidden_or_measured_counts() {
 fn some_unknowns_may_count_alone() {
     for criterion in ALL {
         for seed in 20..24 {
-            same(&Choice { of_interest: 2, ..choice(seed, 4, &[1; 9], criterion) }, &format!("{criterion:?} {seed}"));
+            same(
+                &DesignProblem { of_interest: 2, ..choice(seed, 4, &[1; 9], criterion) },
+                &format!("{criterion:?} {seed}"),
+            );
         }
     }
 }
@@ -116,14 +119,14 @@ fn a_budget_is_kept() {
         let found = by_exchange(&bound, 100);
         assert!(found.chosen.iter().map(|&index| bound.costs[index]).sum::<f64>() <= 5.0);
         same(&bound, "budget");
-        assert_eq!(Choice { required: vec![4, 1, 5], ..bound }.exchange(&mut Generator::new(1, 0)), None);
+        assert_eq!(DesignProblem { required: vec![4, 1, 5], ..bound }.exchange(&mut Generator::new(1, 0)), None);
     }
 }
 
 #[test]
 fn figures_are_those_of_the_covariance() {
     // A line through y at -1, 0, 1: variances 1/3 and 1/2, uncorrelated; what is read at 1 has 1/3 + 1/2.
-    let line = Choice {
+    let line = DesignProblem {
         rows: vec![1.0, -1.0, 1.0, 0.0, 1.0, 1.0],
         ends: vec![1, 2, 3],
         ..choice(0, 2, &[1; 3], Criterion::D)

@@ -2,7 +2,8 @@
 //! against truth, definitions and sorting.
 
 use abbe_numerics::{
-    Adaptive, Generator, Interval, Trials, coverage_factor, gum_agrees, least_trials, numerical_tolerance,
+    AdaptiveProcedure, Generator, Interval, Trials, compare_with_gum, coverage_factor, least_trials,
+    numerical_tolerance,
 };
 
 /// Trials `range` of a calculation with seed 1, each writing the results of one trial.
@@ -39,7 +40,7 @@ fn a_sum_of_four_is_that_of_the_examples() {
     let framework = |u: f64| coverage_factor(0.95, f64::INFINITY) * u;
     let digits = |quantity: usize, u: f64, digits: u32| {
         let interval = trials.symmetric_interval(quantity, 0.95);
-        gum_agrees(0.0, framework(u), interval, numerical_tolerance(u, digits))
+        compare_with_gum(0.0, framework(u), interval, numerical_tolerance(u, digits))
     };
     for (quantity, u, end) in [(0, 2.0, 3.92), (1, 2.0, 3.88), (2, 10.149, 17.0)] {
         close(mean[quantity], 0.0, 4.0 * u / 200_000_f64.sqrt());
@@ -67,13 +68,13 @@ fn validation_needs_both_ends() {
     // Four rectangular quantities exactly (Irwin & Hall): the tail of x from the end is x^4 / 24.
     let end = (2.0 - 0.6_f64.powf(0.25)) * 2.0 * 3.0_f64.sqrt();
     let exact = Interval { low: -end, high: end };
-    let agreement = gum_agrees(0.0, 3.92, exact, numerical_tolerance(2.0, 2));
+    let agreement = compare_with_gum(0.0, 3.92, exact, numerical_tolerance(2.0, 2));
     assert!(agreement.agrees);
     close(agreement.low_difference, 0.04, 0.001);
     close(agreement.high_difference, 0.04, 0.001);
-    assert!(!gum_agrees(0.0, 3.92, exact, numerical_tolerance(2.0, 3)).agrees);
-    assert!(!gum_agrees(0.02, 3.92, exact, 0.05).agrees && !gum_agrees(-0.02, 3.92, exact, 0.05).agrees);
-    assert!(!gum_agrees(f64::NAN, 3.92, exact, 0.05).agrees);
+    assert!(!compare_with_gum(0.0, 3.92, exact, numerical_tolerance(2.0, 3)).agrees);
+    assert!(!compare_with_gum(0.02, 3.92, exact, 0.05).agrees && !compare_with_gum(-0.02, 3.92, exact, 0.05).agrees);
+    assert!(!compare_with_gum(f64::NAN, 3.92, exact, 0.05).agrees);
 }
 
 const VOLTAGE: [f64; 5] = [5.007, 4.994, 5.005, 4.990, 4.999];
@@ -367,7 +368,11 @@ fn tolerances_are_half_of_the_last_digit() {
 }
 
 /// Pushes batches until the procedure ends: the procedure and the number of batches.
-fn adapt(mut adaptive: Adaptive, quantities: usize, trial: impl Fn(&mut Generator, &mut [f64])) -> (Adaptive, usize) {
+fn adapt(
+    mut adaptive: AdaptiveProcedure,
+    quantities: usize,
+    trial: impl Fn(&mut Generator, &mut [f64]),
+) -> (AdaptiveProcedure, usize) {
     let mut batches = 0;
     while !adaptive.finished() {
         let first = adaptive.trials();
@@ -387,7 +392,7 @@ fn the_adaptive_procedure_stops_when_results_are_stable() {
         // A quantity that is nothing but rounding.
         results[3] = 0.3 + f64::from(generator.index(2) as u32) * 5e-17;
     };
-    let (one, batches) = adapt(Adaptive::new(1, 0.95, 1_000_000), 4, trial);
+    let (one, batches) = adapt(AdaptiveProcedure::new(1, 0.95, 1_000_000), 4, trial);
     assert!(one.stable() && one.unstable().is_empty());
     assert!(one.ratios().iter().all(|ratio| *ratio <= 1.0), "{:?}", one.ratios());
     assert_eq!(one.ratios()[1], 0.0);
@@ -402,26 +407,26 @@ fn the_adaptive_procedure_says_what_is_not_stable() {
         results[0] = 5.0;
         results[1] = 1.01 * generator.normal();
     };
-    let (three, batches) = adapt(Adaptive::new(3, 0.95, 35_000), 2, trial);
+    let (three, batches) = adapt(AdaptiveProcedure::new(3, 0.95, 35_000), 2, trial);
     assert!(!three.stable() && three.finished());
     assert_eq!((batches, three.trials(), three.unstable()), (3, 30_000, vec![1]));
     assert!(three.ratios()[1] > 1.0 && three.ratios()[0] == 0.0);
     // Not even room for a batch, or for a second one.
-    let (less, batches) = adapt(Adaptive::new(1, 0.95, 500), 2, trial);
+    let (less, batches) = adapt(AdaptiveProcedure::new(1, 0.95, 500), 2, trial);
     assert_eq!((batches, less.trials(), less.stable(), less.unstable()), (1, 500, false, vec![0, 1]));
-    let (single, batches) = adapt(Adaptive::new(1, 0.95, 19_999), 2, trial);
+    let (single, batches) = adapt(AdaptiveProcedure::new(1, 0.95, 19_999), 2, trial);
     assert_eq!((batches, single.stable()), (1, false));
-    assert_eq!(Adaptive::new(1, 0.95, 1_000_000).batch(), 10_000);
-    assert_eq!(Adaptive::new(1, 0.999, 1_000_000).batch(), 100_000);
+    assert_eq!(AdaptiveProcedure::new(1, 0.95, 1_000_000).batch(), 10_000);
+    assert_eq!(AdaptiveProcedure::new(1, 0.999, 1_000_000).batch(), 100_000);
     // What is not finite is never stable.
-    let (wrong, _) = adapt(Adaptive::new(1, 0.95, 30_000), 1, |_, results| results[0] = f64::NAN);
+    let (wrong, _) = adapt(AdaptiveProcedure::new(1, 0.95, 30_000), 1, |_, results| results[0] = f64::NAN);
     assert_eq!((wrong.stable(), wrong.unstable()), (false, vec![0]));
 }
 
 #[test]
 fn stability_is_that_of_the_definition() {
     // Three batches of two numbers: 9 and 11, 10 and 14, 8 and 10, with intervals from the one to the other.
-    let mut adaptive = Adaptive::new(1, 0.95, 10_000);
+    let mut adaptive = AdaptiveProcedure::new(1, 0.95, 10_000);
     for (low, high) in [(9.0, 11.0), (10.0, 14.0), (8.0, 10.0)] {
         let mut batch = Trials::new(1);
         batch.push(&[low]);

@@ -1,7 +1,7 @@
 //! Proves that robust weights find planted gross errors, also on one side and where directions are lost, give the
 //! estimate of the clean rows, and report what the a-posteriori sigma is made of.
 
-use abbe_numerics::{End, Options, Robust, Solution, Within, scatter_factor, solve};
+use abbe_numerics::{End, Options, RestrictedProblem, Robust, Solution, scatter_factor, solve};
 
 use crate::problems::{Given, Linear, Random, given, norm};
 
@@ -209,7 +209,7 @@ fn gross_errors_are_found_where_directions_are_lost() {
     }
     let (all, origin) = (given(&case.all), [0.0, 0.0, 0.0, 0.0, 3.0]);
     let directions = case.all.factor(50).spectrum().determined(4);
-    let within = Within { problem: &all, origin: &origin, directions: &directions };
+    let within = RestrictedProblem { problem: &all, origin: &origin, directions: &directions };
     let options = Options { iterations: 100, robust: Some(Robust::TUKEY), ..Options::USUAL };
     let Ok(found) = solve(&within, &[0.0; 4], &options);
     assert_eq!(found.end, End::Converged);

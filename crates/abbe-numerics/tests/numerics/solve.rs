@@ -4,7 +4,7 @@
 use std::cell::Cell;
 use std::convert::Infallible;
 
-use abbe_numerics::{Accumulator, End, LeastSquares, Options, Robust, Sink, Solution, Within, solve};
+use abbe_numerics::{Accumulator, End, LeastSquares, Options, RestrictedProblem, Robust, Sink, Solution, solve};
 
 use crate::problems::{Given, Linear, Linearised, Random, dot, given, norm};
 
@@ -222,7 +222,7 @@ fn run_within(problem: &impl LeastSquares<Error = Infallible>, start: &[f64], ra
         rows.for_each(|(residual, derivatives)| accumulator.push(derivatives, *residual, 1.0));
     });
     let directions = accumulator.finish().spectrum().determined(rank);
-    let within = Within { problem, origin: start, directions: &directions };
+    let within = RestrictedProblem { problem, origin: start, directions: &directions };
     let found = run(&within, &vec![0.0; rank], &FULL);
     assert_eq!(found.end, End::Converged);
     within.place(&found.x)
@@ -403,7 +403,7 @@ fn a_fit_without_time_ends_with_its_last_iterate() {
                 if !within {
                     return solve(&limited, &start, &options);
                 }
-                let within = Within { problem: &limited, origin: &start, directions: &directions };
+                let within = RestrictedProblem { problem: &limited, origin: &start, directions: &directions };
                 let found = solve(&within, &[0.0, 0.0], &options)?;
                 Ok(Solution { x: within.place(&found.x), ..found })
             };

@@ -5,7 +5,7 @@ use super::slice;
 use super::theirs::with_reply;
 use crate::abi::*;
 use crate::float_control;
-use crate::peer::{Failure, Transit};
+use crate::peer::{Failure, Received};
 
 /// A plugin of a library, to build stages with.
 pub(crate) struct Record {
@@ -20,7 +20,7 @@ unsafe impl Sync for Record {}
 
 impl Record {
     /// Builds a stage; the text after the path of the folder is lent for the call.
-    pub fn create(&self, settings: &str, base: &str, who: &str) -> Result<Transit, Failure> {
+    pub fn create(&self, settings: &str, base: &str, who: &str) -> Result<Received, Failure> {
         let (settings, base) = (AbbeText::of(settings), AbbeText::of(base));
         // SAFETY: record and function belong together and stay valid; texts and reply live through the call.
         let answer = with_reply(who, |reply| unsafe { (self.create)(self.record, settings, base, reply) })?;
@@ -28,14 +28,14 @@ impl Record {
     }
 }
 
-/// What the table of a library says.
+/// The content of the table of a library.
 pub(crate) struct LibraryText {
     pub name: String,
     pub version: String,
     pub plugins: Vec<PluginText>,
 }
 
-/// What the record of a plugin says.
+/// The content of the record of a plugin.
 pub(crate) struct PluginText {
     pub kind: u32,
     pub name: String,

@@ -11,10 +11,10 @@ use abbe_core::{Equations, Poses, RowBatch, Variable};
 use super::ours::TABLE;
 use crate::abi::*;
 use crate::float_control;
-use crate::peer::{Answer, Failure, Peer, Transit};
+use crate::peer::{Answer, Failure, Peer, Received};
 use crate::served::Served;
 
-/// An object behind a table of functions.
+/// An object of the other side, used by its table of functions.
 pub(crate) struct Foreign {
     object: AbbeObject,
     table: Functions,
@@ -48,11 +48,11 @@ macro_rules! field {
 ///
 /// # Safety
 /// `object` is as the ABI promises: a table that is valid for ever with a handle that is held.
-pub(super) unsafe fn take(object: AbbeObject, who: &str, lent: bool) -> Result<Transit, Failure> {
+pub(super) unsafe fn take(object: AbbeObject, who: &str, lent: bool) -> Result<Received, Failure> {
     if std::ptr::eq(object.table, &TABLE) {
         let handle = object.handle.cast_const().cast::<Served>();
         // SAFETY: the object is one of ours: its handle comes from `give`; a lent one gets a reference of its own.
-        return Ok(Transit::Local(unsafe {
+        return Ok(Received::Local(unsafe {
             if lent {
                 Arc::increment_strong_count(handle);
             }
@@ -80,7 +80,7 @@ pub(super) unsafe fn take(object: AbbeObject, who: &str, lent: bool) -> Result<T
         None if lent => return Err(Failure::of(who, "lends an object that cannot be kept")),
         _ => {}
     }
-    Ok(Transit::Remote(Arc::new(Foreign { object, table, who: who.to_owned() })))
+    Ok(Received::Remote(Arc::new(Foreign { object, table, who: who.to_owned() })))
 }
 
 impl Drop for Foreign {
@@ -92,7 +92,7 @@ impl Drop for Foreign {
     }
 }
 
-/// What a reply collects.
+/// The content of a reply.
 struct Collected {
     text: Result<String, String>,
     objects: Vec<AbbeObject>,
@@ -119,7 +119,7 @@ pub(super) fn with_reply(who: &str, work: impl FnOnce(*const AbbeReply) -> u32) 
     };
     let status = float_control::kept(|| work(&reply));
     // Taken first, so that every object is released also when the call failed.
-    let objects: Vec<Result<Transit, Failure>> =
+    let objects: Vec<Result<Received, Failure>> =
         // SAFETY: the other side gives objects as the ABI promises.
         collected.objects.into_iter().map(|object| unsafe { take(object, who, false) }).collect();
     let text = collected.text.map_err(|what| Failure::of(who, what))?;
@@ -159,10 +159,10 @@ impl Peer for Foreign {
         let call = self.table.call.ok_or_else(lacks)?;
         // A proxy for an object of the other side is sent as that object. The proxies outlive the call, so the objects are
         // held.
-        let behind: Vec<Option<Arc<dyn Peer>>> = objects.iter().map(|object| object.behind()).collect();
-        let lent: Vec<AbbeObject> = (objects.iter().zip(&behind))
-            .map(|(object, behind)| {
-                match behind.as_ref().and_then(|peer| peer.as_any().downcast_ref::<Self>()) {
+        let peers: Vec<Option<Arc<dyn Peer>>> = objects.iter().map(|object| object.peer()).collect();
+        let lent: Vec<AbbeObject> = (objects.iter().zip(&peers))
+            .map(|(object, peer)| {
+                match peer.as_ref().and_then(|peer| peer.as_any().downcast_ref::<Self>()) {
                     // An object that the other side cannot retain is sent as its proxy, which can be retained.
                     Some(foreign) if foreign.table.retain.is_some() => foreign.object,
                     _ => AbbeObject { table: &TABLE, handle: Arc::as_ptr(object).cast_mut().cast() },
@@ -264,7 +264,7 @@ impl Peer for Foreign {
     }
 }
 
-/// Where equations of the other side go.
+/// Takes the equations of the other side.
 struct Taken<'a> {
     equations: &'a mut Equations,
     early: bool,

@@ -53,9 +53,9 @@ pub(super) fn derivatives(library: &Library, findings: &mut Findings) {
     for (name, machine) in machines(library, findings) {
         let (statuses, values) = samples(machine.as_ref(), 1);
         match machine.poses(&statuses, &values, &[], true, &mut Poses::default()) {
-            // A machine may refuse orientations. An error that is a fault of the plugin is no refusal; the laws report it
+            // A machine may refuse orientations. A fatal error is no refusal; the laws report it
             // too.
-            Err(error) if !error.fault => findings.skip(format!("orientations of `{name}`: {error}")),
+            Err(error) if !error.fatal => findings.skip(format!("orientations of `{name}`: {error}")),
             _ => {}
         }
         laws::check_model(machine.as_ref()).iter().for_each(|law| findings.wrong(format!("`{name}`: {law}")));
@@ -215,7 +215,8 @@ fn memory() -> Option<usize> {
     Some(text.split(' ').nth(1)?.parse::<usize>().ok()? * 4096)
 }
 
-/// Growth of memory that is no leak, bytes: allocators keep memory. A leak of a hundred bytes a call would be twice as much.
+/// Growth of memory that is no leak, bytes: allocators keep memory. A leak of a hundred bytes in every call would give
+/// twice as much.
 const GROWTH: usize = 500_000;
 
 pub(super) fn leaks(library: &Library, findings: &mut Findings) {

@@ -8,7 +8,7 @@ use serde::{Deserialize, Serialize};
 
 use crate::peer::Failure;
 
-/// An object, seen from whoever writes.
+/// An object, from the point of view of the side that writes.
 #[derive(Debug, Clone, Copy, Serialize, Deserialize)]
 pub(super) enum Reference {
     Mine(u64),
@@ -118,7 +118,7 @@ pub(super) fn poses_lists(poses: &Poses) -> Vec<Vec<f64>> {
     ]
 }
 
-/// Puts an answer into poses of the size that was asked for.
+/// Reads an answer into poses of the requested size.
 pub(super) fn read_poses(answer: &Frame, numbers: &[f64], out: &mut Poses) -> Result<(), &'static str> {
     let lists: [&mut [f64]; 4] = [
         out.positions.as_flattened_mut(),

@@ -7,18 +7,18 @@ use serde::de::DeserializeOwned;
 
 use super::ask;
 use crate::abi::*;
-use crate::peer::{Peer, Transit, broken};
+use crate::peer::{Peer, Received, broken};
 use crate::served::Served;
 use crate::texts::{FitText, ProblemText};
 
 /// The estimator that was received. An object that is no estimator fails when it is used.
-pub(crate) fn estimator(object: &Transit) -> Arc<dyn Estimate> {
+pub(crate) fn estimator(object: &Received) -> Arc<dyn Estimate> {
     match object {
-        Transit::Local(served) => match served.as_ref() {
+        Received::Local(served) => match served.as_ref() {
             Served::Estimate(estimator) => estimator.clone(),
             _ => Arc::new(NoEstimator),
         },
-        Transit::Remote(peer) => Arc::new(Estimator::new(peer.clone())),
+        Received::Remote(peer) => Arc::new(Estimator::new(peer.clone())),
     }
 }
 

@@ -10,7 +10,7 @@ use abbe_core::{
 
 use super::{ask, finite};
 use crate::abi::*;
-use crate::peer::{Failure, Peer, Transit, broken};
+use crate::peer::{Failure, Peer, Received, broken};
 use crate::served::Served;
 use crate::texts::MotionText;
 
@@ -21,13 +21,13 @@ pub(super) struct Machine {
 }
 
 /// The machine that was received.
-pub(crate) fn machine(object: &Transit) -> Result<Arc<dyn KinematicModel>, Failure> {
+pub(crate) fn machine(object: &Received) -> Result<Arc<dyn KinematicModel>, Failure> {
     match object {
-        Transit::Local(served) => match served.as_ref() {
+        Received::Local(served) => match served.as_ref() {
             Served::Machine(machine) => Ok(machine.clone()),
             _ => Err(Failure::of("the other side", "gives an object that is no machine")),
         },
-        Transit::Remote(peer) => {
+        Received::Remote(peer) => {
             let mut info: ModelInfo = ask(peer.as_ref(), ABBE_DESCRIBE, &(), &[])?;
             for values in [&mut info.nominal, &mut info.nominal_uncertainties] {
                 if values.is_empty() {

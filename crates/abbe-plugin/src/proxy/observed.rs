@@ -9,7 +9,7 @@ use abbe_core::{
 
 use super::{ask, finite};
 use crate::abi::*;
-use crate::peer::{Failure, Peer, Transit, broken};
+use crate::peer::{Failure, Peer, Received, broken};
 use crate::served::Served;
 use crate::texts::{ObservationsText, TipText};
 
@@ -20,13 +20,13 @@ pub(super) struct Observed {
 }
 
 /// The observations that were received, made of the data set `given`.
-pub(crate) fn observations(object: &Transit, given: Option<&Arc<Dataset>>) -> Result<Arc<dyn Observations>, Failure> {
+pub(crate) fn observations(object: &Received, given: Option<&Arc<Dataset>>) -> Result<Arc<dyn Observations>, Failure> {
     match object {
-        Transit::Local(served) => match served.as_ref() {
+        Received::Local(served) => match served.as_ref() {
             Served::Observations(observations, _) => Ok(observations.clone()),
             _ => Err(Failure::of("the other side", "gives an object that is no observations")),
         },
-        Transit::Remote(peer) => {
+        Received::Remote(peer) => {
             let ObservationsText { mut info, data } = ask(peer.as_ref(), ABBE_DESCRIBE, &(), &[])?;
             info.layout.data = match (data, given) {
                 (Some(data), _) => Arc::new(data),

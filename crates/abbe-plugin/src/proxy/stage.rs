@@ -12,7 +12,7 @@ use serde::Serialize;
 
 use super::{ask, ask_whole, machine, observations};
 use crate::abi::*;
-use crate::peer::{Peer, Transit, broken};
+use crate::peer::{Peer, Received, broken};
 use crate::served::{Lent, Served};
 use crate::texts::{CheckText, FileText, FitText, InputText, JudgeText};
 
@@ -22,12 +22,12 @@ fn ask_object<Q: Serialize + ?Sized>(
     method: u32,
     question: &Q,
     objects: &[Arc<Served>],
-) -> Result<Transit> {
+) -> Result<Received> {
     let answer = ask_whole(peer, method, question, objects)?;
     answer.objects.into_iter().next().ok_or_else(|| broken(peer.who(), "gave no object"))
 }
 
-/// A text that lives for ever. Used for names of settings only: a library has few of them.
+/// A text that is never freed. Used for names of settings only: a library has few of them.
 fn interned(text: &str) -> &'static str {
     static KNOWN: Mutex<BTreeSet<&'static str>> = Mutex::new(BTreeSet::new());
     let mut known = KNOWN.lock().unwrap_or_else(PoisonError::into_inner);

@@ -1,4 +1,4 @@
-//! Motion errors and nominal values across the border; which failures are refusals and which are faults.
+//! Motion errors and nominal values across the border; which errors are fatal and which are refusals.
 
 use std::any::Any;
 use std::sync::Arc;
@@ -12,7 +12,7 @@ use serde_json::{Value, json};
 
 use super::{machine, observations};
 use crate::abi::*;
-use crate::peer::{Answer, Failure, Peer, Transit};
+use crate::peer::{Answer, Failure, Peer, Received};
 use crate::served::Served;
 
 /// A machine with the error EXX = amplitude sin(x / wavelength).
@@ -115,7 +115,7 @@ impl Peer for Opposite {
 }
 
 fn across(wave: Wave) -> Result<Arc<dyn KinematicModel>, Failure> {
-    machine(&Transit::Remote(Arc::new(Opposite(Served::Machine(Arc::new(wave))))))
+    machine(&Received::Remote(Arc::new(Opposite(Served::Machine(Arc::new(wave))))))
 }
 
 const AT: [f64; 2] = [3.7, f64::NAN];
@@ -203,7 +203,7 @@ fn roles_cross_as_words() {
 }
 
 #[test]
-fn what_the_code_does_is_a_fault_and_what_it_says_of_the_numbers_is_none() {
+fn a_failure_of_the_code_is_fatal_and_a_refusal_of_numbers_is_not() {
     let error = |status: u32, text: &str| Failure { status, text: text.to_owned() }.error("the plugin `x`");
     let cases = [
         (ABBE_FAILED, "no such pose", false),
@@ -215,37 +215,37 @@ fn what_the_code_does_is_a_fault_and_what_it_says_of_the_numbers_is_none() {
         (ABBE_UNKNOWN_METHOD, "it has no `poses`", true),
         (77, "what is this", true),
     ];
-    for (status, text, fault) in cases {
+    for (status, text, fatal) in cases {
         let error = error(status, text);
-        assert_eq!(error.fault, fault, "{status}: {error}");
+        assert_eq!(error.fatal, fatal, "{status}: {error}");
         // Through several borders.
         let mut again = Failure::from(error.clone()).error("the plugin `y`");
         again = Failure::from(again).error("the plugin `z`");
         assert_eq!(again, error);
     }
-    assert!(Failure::of("the plugin `x`", "is gone").error("").fault);
+    assert!(Failure::of("the plugin `x`", "is gone").error("").fatal);
     let unreadable: serde_json::Error = serde_json::from_str::<f64>("{").unwrap_err();
-    assert!(Failure::from(unreadable).error("").fault);
+    assert!(Failure::from(unreadable).error("").fatal);
     // Left out where it is empty, so that readers of such texts need not know it.
     assert!(!Failure::from(Error::data("no such pose")).text.contains("fault"));
 }
 
 #[test]
-fn a_broken_promise_of_a_machine_is_a_fault_and_a_refusal_is_none() {
+fn a_broken_promise_of_a_machine_is_fatal_and_a_refusal_is_not() {
     let there = across(Wave::new(&[0.0, 0.635])).unwrap();
     let function = &there.info().error_functions[0];
     let refused = there.motion_error(function, &[0.1, 0.7], &[101.0, f64::NAN]).unwrap_err();
-    assert!(!refused.fault, "{refused}");
+    assert!(!refused.fatal, "{refused}");
     let outside = across(Wave { amplitude: 2, ..Wave::new(&[]) }).unwrap();
-    assert!(outside.motion_error(function, &[0.0, 1.0], &AT).unwrap_err().fault);
+    assert!(outside.motion_error(function, &[0.0, 1.0], &AT).unwrap_err().fatal);
     // 3.7 / 0 is infinite, its sine none.
-    assert!(there.motion_error(function, &[0.1, 0.0], &AT).unwrap_err().fault);
+    assert!(there.motion_error(function, &[0.1, 0.0], &AT).unwrap_err().fatal);
     let mut out = Poses::default();
-    assert!(there.poses(&AT, &[0.0, 1.0], &[], false, &mut out).unwrap_err().fault, "it has no poses");
+    assert!(there.poses(&AT, &[0.0, 1.0], &[], false, &mut out).unwrap_err().fatal, "it has no poses");
     for (what, turn) in [(f64::NAN, [1.0, 0.0, 0.0, 0.0]), (1.0, [1.0, 1.0, 0.0, 0.0])] {
         let peer = Answering { text: json!(Wave::new(&[]).info()), gives: vec![what], turn };
-        let there = machine(&Transit::Remote(Arc::new(peer))).ok().unwrap();
-        assert!(there.poses(&AT, &[0.0, 1.0], &[], true, &mut out).unwrap_err().fault, "{what} {turn:?}");
+        let there = machine(&Received::Remote(Arc::new(peer))).ok().unwrap();
+        assert!(there.poses(&AT, &[0.0, 1.0], &[], true, &mut out).unwrap_err().fatal, "{what} {turn:?}");
     }
 }
 
@@ -289,13 +289,13 @@ fn equations_of_another_number_or_that_are_none_are_faults() {
     let evaluate = |gives: &[f64]| {
         let text = json!({ "layout": layout, "contact": { "reading": "r" } });
         let peer = Answering { text, gives: gives.to_vec(), turn: [0.0; 4] };
-        let there = observations(&Transit::Remote(Arc::new(peer)), Some(&data)).ok().unwrap();
+        let there = observations(&Received::Remote(Arc::new(peer)), Some(&data)).ok().unwrap();
         let batch = RowBatch { rows: &[RowIndex(0)], positions: &[], orientations: &[], own: &[], inputs: &[] };
         there.evaluate(batch, &mut Equations::default())
     };
     evaluate(&[0.0, 1.0]).unwrap();
     for wrong in [&[][..], &[0.0], &[0.0; 3], &[0.0, f64::NAN]] {
-        assert!(evaluate(wrong).unwrap_err().fault, "{wrong:?}");
+        assert!(evaluate(wrong).unwrap_err().fatal, "{wrong:?}");
     }
 }
 
@@ -310,7 +310,7 @@ fn where_rank_is_judged_follows_from_contact_and_may_not_contradict_it() {
             text["rank_point"] = rank_point.clone();
         }
         let peer = Answering { text, gives: Vec::new(), turn: [0.0; 4] };
-        observations(&Transit::Remote(Arc::new(peer)), Some(&data)).map(|found| found.info().rank_point.clone()).ok()
+        observations(&Received::Remote(Arc::new(peer)), Some(&data)).map(|found| found.info().rank_point.clone()).ok()
     };
     let (axes, reading) = (json!("linear-axes"), json!({ "reading": "r" }));
     let nominal = json!({ "nominal-reading": { "0": { "residuals": [0.0], "axes": [0] } } });

@@ -12,16 +12,16 @@ use serde_json::Value;
 use crate::prepare::{Prepared, build_model};
 
 /// A calibration that was made outside this recipe.
-pub(crate) struct Recalled {
+pub(crate) struct SavedCalibration {
     pub calibration: Calibration,
     pub model: Box<dyn Model>,
 }
 
-impl Recalled {
+impl SavedCalibration {
     /// Reads the calibration of a stage and builds its model.
     pub fn new(stage: &Stage, estimator: &dyn Estimate, registry: &Registry) -> Result<Self> {
         let found = || {
-            let mut calibration = estimator.recall()?;
+            let mut calibration = estimator.read_calibration()?;
             if let Some(worst) = calibration.fit.implausible.first() {
                 let message = format!("this calibration is marked: no machine has errors like its `{}`", worst.name);
                 return Err(
@@ -62,8 +62,8 @@ impl Prepared {
         let Some(name) = stage.reference("machine").first() else { return Ok((stage.settings.clone(), Vec::new())) };
         let located = |error: Error| self.recipe.locate(error.stage(&stage.name));
         let source = self.machine_stage(self.recipe_stage(name)?).map_err(located)?;
-        let (plugin, settings) = match self.recalled.get(&source.name) {
-            Some(recalled) => (&recalled.calibration.model.plugin, recalled.calibration.model.settings.clone()),
+        let (plugin, settings) = match self.saved.get(&source.name) {
+            Some(saved) => (&saved.calibration.model.plugin, saved.calibration.model.settings.clone()),
             None => (&source.plugin, self.model_settings(source)?.0),
         };
         if *plugin != stage.plugin {
@@ -132,6 +132,6 @@ pub(crate) fn fit_without_rows(
         let found = calibration.parameters.iter().find(|parameter| parameter.name == unknown.name);
         found.is_some_and(|parameter| matches!(parameter.status, Status::Estimated | Status::Confounded))
     };
-    let problem = problem.without(|unknown| !estimated(unknown)).starting_from(&calibration);
+    let problem = problem.without_unknowns(|unknown| !estimated(unknown)).starting_from(&calibration);
     Ok(Fit { name, problem: Arc::new(problem), estimator, calibration })
 }

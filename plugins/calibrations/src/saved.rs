@@ -3,7 +3,7 @@
 use std::path::PathBuf;
 
 use abbe_core::{
-    Basis, Calibration, Context, Error, Estimate, Identifiability, InputFile, Problem, Result, SettingsError,
+    Calibration, Context, Error, Estimate, EstimateSource, Identifiability, InputFile, Problem, Result, SettingsError,
 };
 use abbe_files::{LARGEST_RESULT, read_text};
 use schemars::JsonSchema;
@@ -18,14 +18,14 @@ abbe_core::register!(
     example,
     build,
     "../reference/estimate-calibration.md",
-    Basis::Calibration,
+    EstimateSource::Calibration,
 );
 
-/// Settings of a recalled calibration.
+/// Settings of a saved calibration.
 #[derive(Debug, Clone, PartialEq, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 struct Settings {
-    /// The file `<estimate>.calibration.json` that a run left.
+    /// The file `<estimate>.calibration.json` that a run wrote.
     path: String,
 }
 
@@ -34,10 +34,10 @@ fn example() -> Value {
 }
 
 fn build(settings: Settings, context: &Context) -> Result<Box<dyn Estimate>, SettingsError> {
-    Ok(Box::new(Recalled { path: context.path(&settings.path) }))
+    Ok(Box::new(SavedCalibration { path: context.path(&settings.path) }))
 }
 
-struct Recalled {
+struct SavedCalibration {
     path: PathBuf,
 }
 
@@ -46,12 +46,12 @@ fn made_elsewhere() -> Error {
     Error::usage("this calibration was made elsewhere: its measurements are not here, so that it cannot be made again")
 }
 
-impl Estimate for Recalled {
+impl Estimate for SavedCalibration {
     fn inputs(&self) -> Vec<InputFile> {
         vec![InputFile { setting: "path", path: self.path.clone() }]
     }
 
-    fn recall(&self) -> Result<Calibration> {
+    fn read_calibration(&self) -> Result<Calibration> {
         let unreadable = |error: std::io::Error| Error::data(format!("the file cannot be read: {error}"));
         let text = read_text(&self.path, LARGEST_RESULT).map_err(unreadable);
         let calibration = text.and_then(|text| Calibration::from_json(&text));

@@ -6,7 +6,8 @@
 //! without their functions (Soons 1993, section 5.2, leaves such errors out by hand).
 
 use abbe_core::{
-    Combination, ErrorFunction, Orientation, Owner, ParameterRole, Poses, Problem, Result, SameMotion, Unit, Variable,
+    Combination, EquivalentMotionError, ErrorFunction, Orientation, Owner, ParameterRole, Poses, Problem, Result, Unit,
+    Variable,
 };
 use abbe_numerics::norm;
 
@@ -22,13 +23,13 @@ const ROUNDING: f64 = 1e-9;
 ///
 /// The poses are those of nominal contact on the nominal machine, because deviations of recorded poses act as if they were
 /// information.
-pub fn same_motion(problem: &Problem) -> Result<Vec<SameMotion>> {
+pub fn equivalent_motion_errors(problem: &Problem) -> Result<Vec<EquivalentMotionError>> {
     let functions = &problem.model.info().error_functions;
     if functions.len() < 2 {
         return Ok(Vec::new());
     }
     let mut nominal = problem.clone();
-    nominal.machine = problem.model.info().nominal.clone();
+    nominal.machine_values = problem.model.info().nominal.clone();
     let few = judged(&thinned(&nominal));
     let mut all: Option<Problem> = None;
     let mut found = Vec::new();
@@ -40,7 +41,8 @@ pub fn same_motion(problem: &Problem) -> Result<Vec<SameMotion>> {
         }
         let all = all.get_or_insert_with(|| judged(&nominal));
         let alike = dependent(&effects(all, &of_axis)?);
-        let mut told: Vec<SameMotion> = alike.iter().filter_map(|alike| named(problem, &of_axis, alike)).collect();
+        let mut told: Vec<EquivalentMotionError> =
+            alike.iter().filter_map(|alike| named(problem, &of_axis, alike)).collect();
         for (letter, offset) in tip_offsets(problem) {
             let Some(other) = with_offset(&few, &offset, OFFSETS[0])? else { continue };
             let both = effects(&few, &of_axis)?.into_iter().zip(effects(&other, &of_axis)?);
@@ -75,7 +77,7 @@ fn effects(problem: &Problem, functions: &[&ErrorFunction]) -> Result<Vec<Vec<f6
             };
             let known: Vec<(usize, f64)> = known;
             let wanted: Vec<Variable> = known.iter().map(|(parameter, _)| Variable::Parameter(*parameter)).collect();
-            problem.model.poses(status, &problem.machine, &wanted, turned, &mut poses)?;
+            problem.model.poses(status, &problem.machine_values, &wanted, turned, &mut poses)?;
             for (index, (effect, (_, by))) in effects.iter_mut().zip(&known).enumerate() {
                 effect.extend(poses.position_derivatives[index].map(|derivative| derivative / by));
                 if turned {
@@ -90,7 +92,7 @@ fn effects(problem: &Problem, functions: &[&ErrorFunction]) -> Result<Vec<Vec<f6
 /// A parameter of an error, and the derivative of the error to it; none if the error cannot be evaluated at this status, or
 /// all its derivatives are zero.
 fn known(problem: &Problem, function: &ErrorFunction, status: &[f64]) -> Option<(usize, f64)> {
-    let error = problem.model.motion_error(function, &problem.machine, status).ok()?;
+    let error = problem.model.motion_error(function, &problem.machine_values, status).ok()?;
     error.derivatives.into_iter().find(|(_, by)| by.is_finite() && *by != 0.0)
 }
 
@@ -138,7 +140,7 @@ fn dependent(effects: &[Vec<f64>]) -> Vec<Dependent> {
 }
 
 /// The result with names; none if the error has no effect at all (rank shows that) or if none of these errors is estimated.
-fn named(problem: &Problem, functions: &[&ErrorFunction], (error, of): &Dependent) -> Option<SameMotion> {
+fn named(problem: &Problem, functions: &[&ErrorFunction], (error, of): &Dependent) -> Option<EquivalentMotionError> {
     let parameters = &problem.model.info().parameters;
     let estimated = |index: usize| {
         let ErrorFunction { axis, component, .. } = *functions[index];
@@ -156,7 +158,7 @@ fn named(problem: &Problem, functions: &[&ErrorFunction], (error, of): &Dependen
     });
     let held: Vec<usize> = std::iter::once(*error).chain(of.iter().map(|(other, _)| *other)).collect();
     let held = held.into_iter().filter(|index| !estimated(*index)).map(|index| functions[index].symbol.clone());
-    Some(SameMotion {
+    Some(EquivalentMotionError {
         error: functions[*error].symbol.clone(),
         combination: combination.collect(),
         not_estimated: held.collect(),
