@@ -104,6 +104,18 @@ fn small() -> Value {
     })
 }
 
+/// A budget of one parameter with the coverage factor 2.
+fn budget(name: &str, standard: f64, expanded: f64) -> Value {
+    json!({
+        "coverage_probability": 0.95, "scale": 1.0, "correlations": [],
+        "joint": { "quantities": 1, "ellipsoid_factor": 2.0, "rectangle_factor": 2.0 },
+        "parameters": [{
+            "name": name, "unit": "mm", "standard_uncertainty": standard, "stated_standard_uncertainty": standard,
+            "degrees_of_freedom": 10.0, "coverage_factor": 2.0, "expanded_uncertainty": expanded, "contributions": [],
+        }],
+    })
+}
+
 #[test]
 fn broken_calibrations_are_refused_with_a_reason() {
     let text = |change: fn(&mut Value)| {
@@ -112,6 +124,7 @@ fn broken_calibrations_are_refused_with_a_reason() {
         calibration.to_string()
     };
     assert!(Calibration::from_json(&text(|_| {})).is_ok());
+    assert!(Calibration::from_json(&text(|it| it["uncertainty"] = budget("dzt", 0.01, 0.02))).is_ok());
     valid("the small calibration", &schema("calibration"), &small());
     let cases: Vec<(&str, String)> = vec![
         ("not_json", "abbe".to_owned()),
@@ -132,6 +145,9 @@ fn broken_calibrations_are_refused_with_a_reason() {
         ("negative_variance", text(|it| it["covariance"]["rows"] = json!([[-1e-4, 0.0], [0.0, 1e-4]]))),
         ("covariance_too_large", text(|it| it["covariance"]["rows"] = json!([[1e-4, 2e-4], [2e-4, 1e-4]]))),
         ("another_uncertainty", text(|it| it["parameters"][0]["standard_uncertainty"] = json!(0.02))),
+        ("budget_of_nothing", text(|it| it["uncertainty"] = budget("EXX[1]", 0.01, 0.02))),
+        ("budget_of_another_uncertainty", text(|it| it["uncertainty"] = budget("dzt", 0.02, 0.04))),
+        ("negative_expanded_uncertainty", text(|it| it["uncertainty"] = budget("dzt", 0.01, -0.02))),
         ("not_in_the_covariance", text(|it| it["covariance"] = json!({ "order": [], "rows": [] }))),
         ("covariance_not_square", text(|it| it["covariance"]["rows"] = json!([[1e-4, 0.0], [0.0]]))),
     ];

@@ -5,6 +5,7 @@ mod ball_bar;
 mod bounds;
 mod calibrations;
 mod cmm;
+mod compensation;
 mod coverage;
 mod decisions;
 mod errors;

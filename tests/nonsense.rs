@@ -420,3 +420,82 @@ fn absurd_calibrations_are_not_read() {
         assert!(printed.stderr.contains(expected), "{expected}: {}", printed.stderr);
     }
 }
+
+/// What is stated, and where a calibration is from, makes no error a real one.
+#[test]
+fn absurd_statements_do_not_pass() {
+    let folder = temporary();
+    for (name, value, unit, passes) in [
+        ("EXX[1]", 8.6, "um/m", true),
+        ("EXX[1]", 8.6, "mm/mm", false),
+        ("EXX[1]", 1e308, "mm/mm", false),
+        ("EX0C", 1e6, "mm", false),
+        ("EA0C", 1.5, "rad", false),
+    ] {
+        let mut recipe = Variant::of(&recipes()["first-steps"]).only(&[]);
+        let values = json!({ name: { "value": value, "standard_uncertainty": value * 1e-2, "unit": unit } });
+        recipe.0["stages"]["report"] = json!({ "estimate": "stated", "machine": "machine", "values": values });
+        for stage in ["touches", "table"] {
+            recipe.0["stages"].as_object_mut().expect("stages").remove(stage);
+        }
+        let file = recipe.write(folder.path());
+        let printed = crate::support::abbe(folder.path(), &["run".as_ref(), file.as_os_str()]);
+        assert_eq!(printed.status == 0, passes, "{name} = {value} {unit}: {}", printed.stderr);
+        assert_eq!(printed.stderr.contains("no machine has such errors"), !passes, "{}", printed.stderr);
+    }
+}
+
+#[test]
+fn uncertainties_that_nothing_has_are_refused() {
+    let folder = temporary();
+    let mut recipe = Variant::of(&recipes()["first-steps"]);
+    for uncertainty in [5e-324, 1e-150, 1e-8, 1e12, 1e308] {
+        recipe.stage("table")["standard_uncertainty_um"] = json!(uncertainty);
+        let checked = prepare(&recipe.write(folder.path()), &registry()).and_then(|prepared| prepared.check());
+        let error = checked.expect_err("it is refused");
+        assert!(error.message.contains("1e-9 to 1e6 was expected"), "{uncertainty}: {error}");
+    }
+}
+
+#[test]
+fn styli_that_the_model_does_not_have_are_told() {
+    let folder = temporary();
+    let mut recipe = Variant::of(&recipes()["first-steps"]);
+    let text = read(&recipe.path("touches", "path"));
+    let stylus = |index: usize| match index {
+        0 => "stylus",
+        even if even % 2 == 0 => "1",
+        _ => "2",
+    };
+    let rows = text.lines().enumerate().map(|(index, line)| format!("{line},{}\n", stylus(index)));
+    fs::write(folder.path().join("changed.csv"), rows.collect::<String>()).expect("a file");
+    recipe.stage("touches")["path"] = json!(folder.path().join("changed.csv"));
+    let planned = prepare(&recipe.write(folder.path()), &registry()).and_then(|prepared| prepared.check());
+    let remarks = planned.expect("a plan").remove(0).identifiability.remarks;
+    assert!(remarks.iter().any(|remark| remark.contains("`stylus` has 2 labels")), "{remarks:?}");
+}
+
+/// Two certificates of the same length that differ: the second one is refused, and one of another pair is told.
+#[test]
+fn certificates_that_contradict_each_other_are_told() {
+    let folder = temporary();
+    let mut recipe = Variant::of(&recipes()["samba"]);
+    let stages = recipe.0["stages"].as_object().expect("stages");
+    let named = stages.iter().filter(|(_, stage)| stage.get("distances").is_some()).map(|(name, _)| name.clone());
+    let named: Vec<String> = named.collect();
+    let with = |recipe: &mut Variant, more: Value| {
+        for name in &named {
+            recipe.stage(name)["distances"].as_array_mut().expect("a list").push(more.clone());
+        }
+    };
+    let mut twice = recipe.clone();
+    with(&mut twice, json!({ "between": [26, 25], "length_mm": 305, "standard_uncertainty_um": 0.1 }));
+    let error = prepare(&twice.write(folder.path()), &registry()).err().expect("it is refused");
+    assert!(error.message.contains("a second time"), "{error}");
+    // Nominal places of balls are right to some hundredths.
+    with(&mut recipe, json!({ "between": [1, 25], "length_mm": 150, "standard_uncertainty_um": 0.1 }));
+    let file = recipe.write(folder.path());
+    let printed = crate::support::abbe(folder.path(), &["run".as_ref(), file.as_os_str()]);
+    let said = format!("{}{}", printed.stdout, printed.stderr);
+    assert!(printed.status != 0 || said.contains("certificates contradict each other"), "{said}");
+}

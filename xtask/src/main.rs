@@ -2,7 +2,7 @@
 //!
 //! - `cargo xtask ci [--all]`: everything the gate asks for, the same on every machine; with `--all` nothing may be skipped.
 //! - `cargo xtask bench [--save]`: run the benchmarks, compare with (or write) `benches/baseline.json`.
-//! - `cargo xtask campaign machines|tango|bad-inputs|signals|sizes COUNT SEED`: run a campaign over many random cases
+//! - `cargo xtask campaign machines|compensation|tango|bad-inputs|signals|sizes COUNT SEED`: run a campaign over many random cases
 //!   (`tests/campaigns`).
 //! - `cargo xtask header`: write the C header of the plugin interface.
 //! - `cargo xtask schema`: write what follows from the plugins: the schema of recipes and the pages in `docs/plugins`.

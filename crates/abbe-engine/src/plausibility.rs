@@ -1,7 +1,10 @@
 //! Errors that no machine has: a run with them fails, with the mistake that explains them.
 
-use abbe_core::{Calibration, Class, Error, Fit, ImplausibleValue, Problem, Result, Status};
-use abbe_estimation::{LargeError, large_errors, likely_causes, likely_mistakes};
+use std::iter::repeat_n;
+use std::ops::RangeInclusive;
+
+use abbe_core::{Calibration, Class, Error, Fit, ImplausibleValue, ObservationSet, Problem, Result, Status};
+use abbe_estimation::{LargeError, absurd_error, large_errors, likely_causes, likely_mistakes};
 use abbe_recipe::Stage;
 
 use crate::outcome::Failure;
@@ -19,6 +22,11 @@ impl Prepared {
         for fit in fits {
             let stage = self.recipe_stage(&fit.name)?;
             if !has_rows(&stage) {
+                if let Some(absurd) = absurd_error(&fit.problem) {
+                    let error = Error::data(format!("no machine has such errors: {absurd}"))
+                        .help("look for a wrong unit or digit in the values of this stage");
+                    failures.push(Failure::own(stage, self.recipe.locate(error.stage(&stage.name))));
+                }
                 continue;
             }
             let plausible = &self.plausible[&stage.name];
@@ -55,6 +63,29 @@ impl Prepared {
             _ => error,
         }
     }
+}
+
+/// Standard uncertainties of rows that are read, mm and rad.
+const STATED: RangeInclusive<f64> = 1e-9..=1e6;
+
+/// Refuses rows with a standard uncertainty that nothing has: it is in another unit, or a slip.
+pub(crate) fn check_stated(set: &ObservationSet) -> Result<()> {
+    let layout = &set.info().layout;
+    let rows = set.rows.iter().flat_map(|&row| repeat_n(row, layout.rows[row].equations));
+    for (row, equation) in rows.zip(set.taken()) {
+        let stated = set.uncertainty.standard[equation];
+        if STATED.contains(&stated) {
+            continue;
+        }
+        let message =
+            format!("the standard uncertainty of this row is {stated:e} (mm or rad); 1e-9 to 1e6 was expected");
+        let error = match layout.rows[row].data_row {
+            Some(data_row) => layout.data.error_at(data_row, message),
+            None => Error::data(message),
+        };
+        return Err(error.help("look at what the artefact stage states, and at its unit"));
+    }
+    Ok(())
 }
 
 /// Refuses a value that is called estimated with a standard uncertainty of zero: no measurement is that good.

@@ -14,7 +14,7 @@ use abbe_recipe::Stage;
 
 use crate::evidence;
 use crate::outcome::{Failure, Outcome};
-use crate::plausibility::check_uncertainties;
+use crate::plausibility::{check_stated, check_uncertainties};
 use crate::prediction::{Predicted, prediction_fit};
 use crate::prepare::{Prepared, build_model};
 use crate::record::{FileRecord, files_with_same_content, input_records};
@@ -394,7 +394,7 @@ impl Prepared {
             let repeats = repeats.transpose().map_err(|error| error.stage(name))?;
             let set = self.rows[name].set(name, observations, repeats, model, wanted);
             let set = set.map_err(|error| error.stage(name))?;
-            check_travel(&set, model.as_ref()).map_err(|error| error.stage(name))?;
+            check_travel(&set, model.as_ref()).and_then(|()| check_stated(&set)).map_err(|error| error.stage(name))?;
             sets.push(set);
         }
         Ok(sets)

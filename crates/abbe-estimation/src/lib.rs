@@ -70,7 +70,7 @@ pub use equivalent_motion_errors::equivalent_motion_errors;
 pub use inverse_kinematics::InverseKinematics;
 pub use judgement::Judgement;
 pub use mistakes::likely_mistakes;
-pub use plausibility::{LargeError, large_errors};
+pub use plausibility::{LargeError, absurd_error, large_errors};
 pub use preference::{check_preferences, in_order_of_preference};
 pub use propagation::{AposterioriFactors, Linearisation, Propagation};
 pub use rank::{confounded, identifiability, ill_conditioned, separated, weakest};

@@ -4,8 +4,12 @@
 //! So every estimated error is held against what such an error can be.
 
 use std::collections::BTreeMap;
+use std::f64::consts::PI;
 
-use abbe_core::{Calibration, Owner, ParameterRole, Plausible, Problem, Quantity, Result, Status, Unknown, matches};
+use abbe_core::{
+    Absent, AxisKind, Calibration, Owner, ParameterRole, Plausible, Problem, Quantity, Result, Status, StatusRole,
+    Unknown, matches,
+};
 
 use crate::separation::thinned;
 
@@ -125,6 +129,53 @@ fn judged(
     }
     found.sort_by(|a, b| (b.size.abs() / b.bound).total_cmp(&(a.size.abs() / a.bound)));
     Ok(found)
+}
+
+/// Largest errors of an axis over its travel, mm and rad, in a statement or a calibration from elsewhere: ten times what is plausible.
+const STATED: [f64; 2] = [100.0, 0.2];
+
+/// Travel, mm and rad, of an axis whose range is not known.
+const TRAVEL: [f64; 2] = [500.0, PI];
+
+/// An error that no machine has, among those of a fit without rows: the larger end of the travel of each axis counts. None if there is
+/// none.
+pub fn absurd_error(problem: &Problem) -> Option<String> {
+    let (info, values) = (problem.model.info(), &problem.machine_values);
+    let unit = |index: usize| if index == 0 { "mm" } else { "rad" };
+    let is_absurd = |size: f64, index: usize| size.is_nan() || size.abs() > STATED[index];
+    for (parameter, value) in info.parameters.iter().zip(values) {
+        let index = usize::from(parameter.unit.of == Quantity::Angle);
+        if matches!(parameter.role, ParameterRole::Location { .. }) && is_absurd(*value, index) {
+            return Some(format!("{} = {value:e} {}", parameter.name, unit(index)));
+        }
+    }
+    let at_rest: Vec<f64> = (info.status.iter())
+        .map(|column| match (&column.role, column.absent) {
+            (StatusRole::Direction(_), _) => 1.0,
+            (_, Absent::Default(value)) => value,
+            (_, Absent::Required) => 0.0,
+        })
+        .collect();
+    for function in &info.error_functions {
+        let axis = &info.axes[function.axis];
+        let travel = TRAVEL[usize::from(axis.kind == AxisKind::Rotary)];
+        let index = usize::from(function.quantity == Quantity::Angle);
+        for end in axis.range.unwrap_or([-travel, travel]) {
+            let mut status = at_rest.clone();
+            status[axis.status] = end;
+            // An error that cannot be evaluated here is not judged here.
+            let Ok(error) = problem.model.motion_error(function, values, &status) else { continue };
+            if is_absurd(error.value, index) {
+                return Some(format!(
+                    "{} = {:e} {} at an end of the travel",
+                    function.symbol,
+                    error.value,
+                    unit(index)
+                ));
+            }
+        }
+    }
+    None
 }
 
 /// What is plausible of a parameter, mm or rad; none where nothing is known of its kind.

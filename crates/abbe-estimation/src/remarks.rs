@@ -2,7 +2,7 @@
 
 use std::collections::{BTreeMap, BTreeSet};
 
-use abbe_core::{Column, DataRow, Owner, ParameterRole, Problem, Quantity, RowIndex, SetIndex, Values};
+use abbe_core::{Column, DataRow, Owner, ParameterRole, Problem, Quantity, RowIndex, SetIndex, StatusRole, Values};
 
 use crate::aliasing::aliased;
 
@@ -16,6 +16,7 @@ pub fn remarks(problem: &Problem) -> Vec<String> {
     remarks.extend(forgotten(problem));
     remarks.extend(repeated(problem));
     remarks.extend(shared(problem));
+    remarks.extend(styli(problem));
     remarks.extend(missed(problem));
     remarks
 }
@@ -51,6 +52,27 @@ fn repeated(problem: &Problem) -> Vec<String> {
         ));
     }
     remarks
+}
+
+/// Styli in the data that the model does not tell apart.
+fn styli(problem: &Problem) -> Vec<String> {
+    if problem.model.info().status_index(&StatusRole::Stylus).is_some() {
+        return Vec::new();
+    }
+    let several = problem.sets.iter().filter_map(|set| {
+        let layout = &set.info().layout;
+        let labels = layout.data.labels("stylus")?;
+        let used: BTreeSet<&String> =
+            set.rows.iter().filter_map(|&row| Some(&labels[layout.rows[row].data_row?])).collect();
+        (used.len() > 1).then(|| {
+            format!(
+                "{}: the column `stylus` has {} labels, and the model describes one stylus: all rows count as touched with it",
+                set.name,
+                used.len()
+            )
+        })
+    });
+    several.collect()
 }
 
 /// Observations that two artefact stages make of the same lines: what misses contact by the same at the start is the same measurement.

@@ -4,8 +4,6 @@
 //! in `docs/schemas/calibration.schema.json`; `docs/formats.md` says what may change. A calibration is self-contained: pose
 //! predictions and compensation need nothing else.
 
-use std::collections::{BTreeMap, BTreeSet};
-
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use serde_json::Value;
@@ -14,7 +12,7 @@ use crate::budget::{MonteCarlo, UncertaintyBudget};
 use crate::covariance::NamedCovariance;
 use crate::format::FileFormat;
 use crate::identifiability::{EquivalentMotionError, WeakDirection};
-use abbe_settings::{Error, Result, Termination, Unit};
+use abbe_settings::{Error, Result, Termination};
 
 /// The number of the file format.
 pub const CALIBRATION_FORMAT: u32 = 1;
@@ -338,9 +336,6 @@ pub struct SelectionStep {
     pub probability: f64,
 }
 
-/// Relative difference of numbers that are the same, but for digits that somebody has rounded away.
-const ROUNDED: f64 = 1e-3;
-
 impl Calibration {
     /// Reads a calibration file.
     ///
@@ -351,89 +346,6 @@ impl Calibration {
         let calibration: Self = FORMAT.read(text)?;
         calibration.check()?;
         Ok(calibration)
-    }
-
-    fn check(&self) -> Result<()> {
-        let mut names = BTreeSet::new();
-        for estimated in self.parameters.iter().chain(&self.artefacts) {
-            let name = &estimated.name;
-            estimated.unit.parse::<Unit>().map_err(|error| Error::data(format!("`{name}`: {error}")))?;
-            if !(estimated.value.is_finite() && estimated.standard_uncertainty >= 0.0) {
-                return Err(Error::data(format!("`{name}` has no finite value with an uncertainty of at least zero")));
-            }
-            if !names.insert(name) {
-                return Err(Error::data(format!("`{name}` stands here twice")));
-            }
-        }
-        let NamedCovariance { order, rows } = &self.covariance;
-        if let Some(unknown) = order.iter().find(|name| !names.contains(name)) {
-            return Err(Error::data(format!("the covariance names `{unknown}`, which is no parameter")));
-        }
-        let size = order.len();
-        if rows.len() != size || rows.iter().any(|row| row.len() != size) {
-            return Err(Error::data(format!("the covariance is not {size} x {size} as its names promise")));
-        }
-        self.check_covariance()?;
-        for input in self.inputs.iter().flatten() {
-            let ConsideredInput { name, value, unit, standard_uncertainty, sensitivities, .. } = input;
-            unit.parse::<Unit>().map_err(|error| Error::data(format!("`{name}`: {error}")))?;
-            if !(value.is_finite()
-                && *standard_uncertainty > 0.0
-                && sensitivities.iter().all(|value| value.is_finite()))
-            {
-                return Err(Error::data(format!(
-                    "the input `{name}` has a number that is not finite, or no uncertainty"
-                )));
-            }
-            if sensitivities.len() != size {
-                let given = sensitivities.len();
-                return Err(Error::data(format!("the input `{name}` has {given} sensitivities for {size} values")));
-            }
-        }
-        Ok(())
-    }
-
-    /// Refuses a covariance that is none, or that contradicts the standard uncertainties of what is estimated.
-    fn check_covariance(&self) -> Result<()> {
-        let NamedCovariance { order, rows } = &self.covariance;
-        let variances: BTreeMap<&str, f64> =
-            order.iter().enumerate().map(|(index, name)| (name.as_str(), rows[index][index])).collect();
-        if let Some(twice) = order.iter().enumerate().find(|(index, name)| order[..*index].contains(name)) {
-            return Err(Error::data(format!("the covariance names `{}` twice", twice.1)));
-        }
-        for (row, one) in order.iter().enumerate() {
-            let variance = rows[row][row];
-            if !(variance.is_finite() && variance >= 0.0) {
-                return Err(Error::data(format!("the variance of `{one}` is {variance}; at least zero was expected")));
-            }
-            for (column, other) in order.iter().enumerate().take(row) {
-                let covariance = rows[row][column];
-                if covariance != rows[column][row] {
-                    return Err(Error::data(format!("the covariance of `{one}` and `{other}` is not symmetric")));
-                }
-                let most = (variance * rows[column][column]).sqrt();
-                let is_possible = covariance.abs() <= most * (1.0 + ROUNDED);
-                if !is_possible {
-                    return Err(Error::data(format!(
-                        "the covariance of `{one}` and `{other}` is larger than their variances allow"
-                    )));
-                }
-            }
-        }
-        let has_one = |estimated: &&Estimated| estimated.status == Status::Estimated;
-        for Estimated { name, standard_uncertainty, .. } in
-            self.parameters.iter().chain(&self.artefacts).filter(has_one)
-        {
-            let variance = variances.get(name.as_str());
-            let variance = variance.ok_or_else(|| Error::data(format!("`{name}` is not in the covariance")))?;
-            if (variance.sqrt() - standard_uncertainty).abs() > ROUNDED * standard_uncertainty {
-                return Err(Error::data(format!(
-                    "the standard uncertainty of `{name}` is {standard_uncertainty:e}, and by the covariance {:e}",
-                    variance.sqrt()
-                )));
-            }
-        }
-        Ok(())
     }
 
     /// The text of the calibration file. The same calibration gives the same bytes.

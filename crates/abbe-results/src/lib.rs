@@ -1,6 +1,7 @@
 //! Results: calibrations, their data and identifiability, verdicts, decision rules, and the numbers of the file formats.
 
 mod budget;
+mod checks;
 mod covariance;
 mod decision;
 mod fit;

@@ -4,10 +4,13 @@
 //! use, or an error that can be found without reading data rows; 3 a verdict failed; 130 interrupted by Ctrl-C, 143 by SIGTERM,
 //! 129 by a closed terminal (SIGHUP).
 
+mod compensate;
+mod doubts;
 mod failure;
 mod interrupt;
 mod libraries;
 mod number;
+mod pages;
 mod planning;
 mod progress;
 mod summary;
@@ -113,6 +116,8 @@ enum Command {
         #[arg(long, value_name = "SECONDS", value_parser = seconds)]
         time_limit: Option<Duration>,
     },
+    /// Correct set-points for the errors of a calibrated machine.
+    Compensate(Box<compensate::Compensate>),
     /// Commands for vendors of plugin libraries.
     Plugin {
         #[command(subcommand)]
@@ -206,6 +211,7 @@ fn carried_out(arguments: Arguments) -> ExitCode {
         arguments.command,
         Command::Run { json: true, .. } | Command::Check { json: true, .. } | Command::Plan { json: true, .. }
     );
+    let machine = machine || matches!(&arguments.command, Command::Compensate(asked) if asked.json);
     let is_json = machine
         || matches!(
             arguments.command,
@@ -356,6 +362,12 @@ fn dispatch(command: Command, libraries: &Libraries) -> Result<(String, u8)> {
             };
             Ok((text, status))
         }
+        Command::Compensate(asked) => {
+            interrupt::cancel_on_signal(Monitor::default())?;
+            let compensated = asked.run(&libraries.registry(None)?)?;
+            interrupt::while_writing(|| compensated.write())?;
+            Ok((compensated.text, 0))
+        }
         Command::Plugin { command: PluginCommand::Check { file, recipe, time_limit, json } } => {
             let program = libraries::this_program()?;
             let report = abbe_plugin::check::check(&file, &program, time_limit, recipe.as_deref())?;
@@ -376,43 +388,13 @@ fn dispatch(command: Command, libraries: &Libraries) -> Result<(String, u8)> {
         Command::Plugins { json, pages } => {
             let registry = libraries.registry(None)?;
             if let Some(folder) = pages {
-                return write_pages(&registry, &folder).map(|text| (text, 0));
+                return pages::write(&registry, &folder).map(|text| (text, 0));
             }
             let text = if json { pretty(&plugins_json(&registry))? } else { plugins_text(&registry) };
             Ok((text, 0))
         }
         Command::Schema => Ok((pretty(&abbe_recipe::schema(&libraries.registry(None)?))?, 0)),
     }
-}
-
-/// Writes the reference pages of all plugins, and a list of them. A file that is no page is never replaced.
-fn write_pages(registry: &Registry, folder: &Path) -> Result<String> {
-    let of_plugin = |plugin| (abbe_recipe::page_name(plugin), abbe_recipe::page(plugin));
-    let mut pages: Vec<(String, String)> = registry.iter().map(of_plugin).collect();
-    pages.push(("README.md".to_owned(), abbe_recipe::index(registry.iter())));
-    let wrong = |file: &Path, error: io::Error| Error::usage(format!("{}: {error}", file.display()));
-    for (name, _) in &pages {
-        let file = folder.join(name);
-        match std::fs::read(&file) {
-            Ok(there) if !there.starts_with(abbe_recipe::PAGE_MARK.as_bytes()) => {
-                let message = format!("{} is there and is no page of a plugin; it is not replaced", file.display());
-                return Err(Error::usage(message).help("name another folder"));
-            }
-            Err(error) if error.kind() != io::ErrorKind::NotFound => return Err(wrong(&file, error)),
-            _ => {}
-        }
-    }
-    std::fs::create_dir_all(folder).map_err(|error| wrong(folder, error))?;
-    for (name, text) in &pages {
-        // Whole or not at all.
-        let (file, under_way) = (folder.join(name), folder.join(format!(".{name}.part")));
-        let written = std::fs::write(&under_way, text).and_then(|()| std::fs::rename(&under_way, &file));
-        if let Err(error) = written {
-            let _ = std::fs::remove_file(&under_way);
-            return Err(wrong(&file, error));
-        }
-    }
-    Ok(format!("{} pages in {}\n", pages.len() - 1, folder.display()))
 }
 
 /// Checks the laws for everything that a recipe uses, including the plugins of a library.

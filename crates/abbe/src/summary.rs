@@ -2,11 +2,12 @@
 
 use std::path::Path;
 
-use abbe_core::{Decision, Estimated, Figure, Fit, Outlier, Owner, Quantity, Status, Unit, Verdict, WeakDirection};
+use abbe_core::{Decision, Estimated, Figure, Fit, Outlier, Owner, Status, Unit, Verdict, WeakDirection};
 use abbe_engine::{Failure, Outcome, Planned};
 use abbe_recipe::Recipe;
 use serde_json::{Value, json};
 
+use crate::doubts::doubts;
 use crate::number::{short, with_uncertainty};
 use crate::table;
 use crate::uncertainty_summary;
@@ -22,7 +23,7 @@ pub fn text(name: &str, outcome: &Outcome, folder: &Path) -> String {
         parts.extend(lost(&outcome.fits));
         parts.extend(alike(&outcome.fits));
         parts.extend(correlated(&outcome.fits));
-        parts.extend(unlikely(&outcome.fits));
+        parts.extend(doubts(&outcome.fits).map(|text| section("Hard to believe", &text)));
     }
     parts.extend(outcome.verdicts.iter().map(verdict));
     parts.extend(failures(&outcome.failures));
@@ -202,104 +203,6 @@ fn correlated(fits: &[Fit]) -> Option<String> {
     (!text.is_empty()).then(|| section("Hardly told apart, correlation above 0.95", &text))
 }
 
-/// Stated uncertainties are rarely wrong by a larger factor.
-const MISSTATED: f64 = 2.0;
-
-/// Normal quantile of one in a million.
-const MILLIONTH: f64 = 4.75;
-
-/// The scatter of residuals, over what was stated, above which a fit is not trusted: what chance makes of stated uncertainties that are
-/// wrong by [`MISSTATED`] once in a million fits (quantile of chi-squared by Wilson & Hilferty 1931).
-fn unlikely_above(degrees_of_freedom: usize) -> f64 {
-    let part = 2.0 / 9.0 / degrees_of_freedom.max(1) as f64;
-    MISSTATED * (1.0 - part + MILLIONTH * part.sqrt()).powf(1.5)
-}
-
-/// Stated uncertainties are rarely too large by more than this factor.
-const OVERSTATED: f64 = 5.0;
-
-/// The scatter below which stated uncertainties are not believed; as [`unlikely_above`].
-fn unlikely_below(degrees_of_freedom: usize) -> f64 {
-    let part = 2.0 / 9.0 / degrees_of_freedom.max(1) as f64;
-    (1.0 - part - MILLIONTH * part.sqrt()).max(0.0).powf(1.5) / OVERSTATED
-}
-
-/// A fit whose residuals are far smaller than stated.
-fn overstated(fit: &Fit) -> Option<String> {
-    let report = &fit.calibration.fit;
-    (report.sigma < unlikely_below(report.degrees_of_freedom)).then(|| {
-        // How much smaller it is tells nothing more.
-        let part = if report.sigma < 1e-3 { "less than 0.001".to_owned() } else { short(report.sigma) };
-        format!(
-            "  {}: the residuals scatter only {part} times as much as the stated uncertainties promise: these are too large, or nothing was \
-             measured\n",
-            fit.name
-        )
-    })
-}
-
-fn unlikely(all: &[Fit]) -> Option<String> {
-    let fits = all.iter().filter(|fit| {
-        let report = &fit.calibration.fit;
-        report.degrees_of_freedom > 0 && report.sigma > unlikely_above(report.degrees_of_freedom)
-    });
-    let lines = fits.map(|fit| {
-        format!(
-            "  {}: the residuals scatter {} times as much as the stated uncertainties promise: the model lacks errors, or units, \
-             signs or uncertainties are wrong\n",
-            fit.name,
-            short(fit.calibration.fit.sigma)
-        )
-    });
-    let text: String = lines
-        .chain(all.iter().filter_map(overstated))
-        .chain(all.iter().filter_map(too_good))
-        .chain(all.iter().filter_map(too_many_outliers))
-        .collect();
-    (!text.is_empty()).then(|| section("Hard to believe", &text))
-}
-
-/// Part of what was stated below which residuals of one quantity are not believed where those of another are as stated.
-const TOO_GOOD: f64 = 0.05;
-
-/// A fit whose residuals of lengths are far smaller than stated while those of angles are not, or the other way round: the unit of one of
-/// them is wrong. Where both are small the data are exact.
-fn too_good(fit: &Fit) -> Option<String> {
-    let stated = |wanted: Quantity| {
-        let rows = fit.problem.standard_uncertainties().into_iter().zip(fit.problem.quantities());
-        let squares: Vec<f64> = rows.filter(|(_, quantity)| *quantity == wanted).map(|(u, _)| u * u).collect();
-        (squares.iter().sum::<f64>() / squares.len().max(1) as f64).sqrt()
-    };
-    let report = &fit.calibration.fit;
-    let lengths = report.residual_rms_um * 1e-3 / stated(Quantity::Length);
-    let angles = report.residual_rms_urad? * 1e-6 / stated(Quantity::Angle);
-    let (small, other, part) =
-        if lengths < angles { ("lengths", "angles", lengths) } else { ("angles", "lengths", angles) };
-    let wrong = lengths.max(angles) > 10.0 * TOO_GOOD && part < TOO_GOOD && part.is_finite();
-    wrong.then(|| {
-        format!(
-            "  {}: the residuals of {small} are {} of what is stated, those of {other} are not: is the unit of the {small} right?\n",
-            fit.name,
-            short(part)
-        )
-    })
-}
-
-/// Part of the rows above which outliers are no gross errors any more.
-const MOST_OUTLIERS: f64 = 0.25;
-
-/// A fit that takes much of what was measured for outliers.
-fn too_many_outliers(fit: &Fit) -> Option<String> {
-    let (outliers, rows) =
-        (fit.calibration.outliers.len(), fit.problem.sets.iter().map(|set| set.rows.len()).sum::<usize>());
-    (outliers as f64 > MOST_OUTLIERS * rows as f64).then(|| {
-        format!(
-            "  {}: {outliers} of {rows} rows are outliers: the stated uncertainties, the limit of outliers or the model are wrong\n",
-            fit.name
-        )
-    })
-}
-
 fn verdict(verdict: &Verdict) -> String {
     let judged = verdict.figures.iter().any(|figure| figure.decision.is_some());
     let result = if judged { verdict.decision.to_string().to_uppercase() } else { "no limit set".to_owned() };
@@ -460,19 +363,4 @@ pub fn planned_json(planned: &[Planned]) -> Value {
     let planned =
         planned.iter().map(|planned| json!({ "estimate": planned.estimate, "planned": planned.identifiability, "accepted": planned.accepted }));
     json!({ "estimates": planned.collect::<Vec<_>>() })
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn what_is_unlikely_hangs_on_the_degrees_of_freedom() {
-        // Chi-squared at 0.999999: 23.93 (1), 51.97 (12, as tables have it), 6,315 (5,800); Wilson and Hilferty are within 8 %.
-        for (freedom, chi_squared) in [(1, 23.93_f64), (12, 51.97), (5800, 6315.0)] {
-            let expected = MISSTATED * (chi_squared / freedom as f64).sqrt();
-            assert!((unlikely_above(freedom) / expected - 1.0).abs() < 0.08, "{freedom}: {}", unlikely_above(freedom));
-        }
-        assert!(unlikely_above(5800) < 2.7);
-    }
 }

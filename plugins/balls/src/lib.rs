@@ -120,6 +120,11 @@ fn build(settings: Settings, context: &Context) -> Result<Box<dyn Artefact>, Set
         if distance.between[0] == distance.between[1] {
             return Err(at(SettingsError::new("between", "two different balls were expected")));
         }
+        let [one, other] = &distance.between;
+        let same = |earlier: &Distance| earlier.between.contains(one) && earlier.between.contains(other);
+        if settings.distances[..index].iter().any(same) {
+            return Err(at(SettingsError::new("between", "the distance of these balls stands here a second time")));
+        }
     }
     Ok(Box::new(Balls { nominal: context.path(&settings.nominal), settings }))
 }

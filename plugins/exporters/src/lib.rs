@@ -1,8 +1,9 @@
-//! Exporters: tables of motion errors, volumetric errors and uncertainties, screw compensation files of LinuxCNC.
+//! Exporters: corrected set-points, tables of motion errors, volumetric errors and uncertainties, screw compensation files of LinuxCNC.
 
 mod error_table;
 mod linuxcnc;
 mod sampling;
+mod set_points;
 #[cfg(test)]
 mod testing;
 mod uncertainty;

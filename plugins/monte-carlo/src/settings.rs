@@ -90,6 +90,10 @@ pub enum RowDistribution {
     Resampled,
 }
 
+/// Fewest degrees of freedom of Student's distribution. With 2 it has no variance; with little more its variance lies in draws so rare that
+/// no number of trials has them.
+const LEAST_FREEDOM: f64 = 2.5;
+
 /// Reads a distribution: here, because the derived reader could not say what is wrong with `{ student: two }`.
 fn read(value: &Value, resampled: bool) -> Result<Option<Distribution>, String> {
     let choices = if resampled { ", uniform, resampled" } else { ", uniform" };
@@ -103,10 +107,12 @@ fn read(value: &Value, resampled: bool) -> Result<Option<Distribution>, String> 
         },
         Value::Object(map) if map.len() == 1 => {
             let freedom = map.get("student").and_then(Value::as_f64).ok_or_else(expected)?;
-            if freedom > 2.0 {
+            if freedom >= LEAST_FREEDOM {
                 return Ok(Some(Distribution::Student(freedom)));
             }
-            Err(format!("{freedom} degrees of freedom have no variance; more than 2 were expected"))
+            Err(format!(
+                "{freedom} degrees of freedom have no variance that trials could show; at least {LEAST_FREEDOM} were expected"
+            ))
         }
         _ => Err(expected()),
     }

@@ -330,7 +330,10 @@ fn what_cannot_be_calculated_is_refused() {
             "adaptive.most: 10 trials are too few for intervals of probability 0.95: at least 2000 are needed (JCGM 101, 7.9.4)",
         ),
         (json!({ "coverage_probability": 1.5 }), "coverage_probability: a number between 0 and 1 was expected"),
-        (json!({ "rows": { "student": 2 } }), "rows: 2 degrees of freedom have no variance; more than 2 were expected"),
+        (
+            json!({ "rows": { "student": 2 } }),
+            "rows: 2 degrees of freedom have no variance that trials could show; at least 2.5 were expected",
+        ),
         (
             json!({ "rows": "gauss" }),
             "rows: \"gauss\" is no distribution; normal, uniform, resampled or { student: 5 } was expected",

@@ -5,7 +5,7 @@
 
 use std::process::ExitCode;
 
-use abbe_campaigns::{bad_inputs, machines, signals, sizes, tango};
+use abbe_campaigns::{bad_inputs, compensation, machines, signals, sizes, tango};
 
 fn main() -> ExitCode {
     if std::env::var_os("ABBE_CAMPAIGN_PROGRAM").is_some() {
@@ -23,13 +23,14 @@ fn main() -> ExitCode {
     let program = std::env::current_exe().expect("this program has a file");
     let report = match (arguments.first().map(String::as_str), number(1), number(2)) {
         (Some("machines"), Some(count), Some(seed)) => machines::run(seed, count),
+        (Some("compensation"), Some(count), Some(seed)) => compensation::run(seed, count),
         (Some("tango"), Some(count), Some(seed)) => tango::run(seed, count),
         (Some("bad-inputs"), Some(count), Some(seed)) => bad_inputs::run(&program, seed, count),
         (Some("signals"), Some(count), Some(seed)) => signals::run(&program, seed, count),
         (Some("sizes"), Some(largest), Some(_)) => sizes::run(&program, largest),
         _ => {
             eprintln!(
-                "usage: abbe-campaigns machines|tango|bad-inputs|signals|sizes COUNT SEED, or machine CASE SEED FOLDER"
+                "usage: abbe-campaigns machines|compensation|tango|bad-inputs|signals|sizes COUNT SEED, or machine CASE SEED FOLDER"
             );
             return ExitCode::from(2);
         }

@@ -1,6 +1,6 @@
 //! Some cases of each campaign; `cargo xtask campaign` runs them by the thousand.
 
-use abbe_campaigns::{bad_inputs, machines, signals, tango};
+use abbe_campaigns::{bad_inputs, compensation, machines, signals, tango};
 
 #[test]
 fn random_machines_keep_the_laws() {
@@ -19,6 +19,12 @@ fn robust_fits_settle_on_other_seeds() {
     println!("{}", report.text);
     let failed: Vec<&String> = report.broken.iter().filter(|law| law.starts_with("seed")).collect();
     assert!(failed.is_empty(), "{failed:?}");
+}
+
+#[test]
+fn corrected_set_points_keep_the_laws() {
+    let report = compensation::run(1, 300);
+    assert!(report.broken.is_empty(), "{}", report.text);
 }
 
 /// This program is Abbe, too.

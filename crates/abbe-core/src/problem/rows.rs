@@ -104,7 +104,7 @@ impl ObservationSet {
     }
 
     /// The equations of the rows that take part, in the order of the layout.
-    fn taken(&self) -> Vec<LayoutEquation> {
+    pub fn taken(&self) -> Vec<LayoutEquation> {
         self.equations_of(&self.rows).collect()
     }
 

@@ -1,0 +1,72 @@
+//! What a calibration tells of a machine, and whether it may be acted upon.
+
+use abbe_core::{Calibration, Error, KinematicModel, Poses, Result, Status, Variable};
+
+/// Points that tell whether a direction moves the tool.
+const TRIED: usize = 200;
+
+/// A direction moves the tool if its parts do not cancel to this part of their sum.
+const CANCELLED: f64 = 1e-6;
+
+/// One value for every parameter of the model: that of the calibration, or the nominal one.
+pub fn values(model: &dyn KinematicModel, calibration: &Calibration) -> Vec<f64> {
+    let parameters = model.info().parameters.iter().zip(&model.info().nominal);
+    parameters
+        .map(|(parameter, nominal)| calibration.get(&parameter.name).map_or(*nominal, |known| known.value))
+        .collect()
+}
+
+/// Refuses a calibration with confounded parameters (marked `?`) whose shared direction moves the tool at some of the set-points, and
+/// one with errors that no machine has: a correction would be one of many that the measurements allow, or nonsense.
+pub fn check_confounded(model: &dyn KinematicModel, calibration: &Calibration, statuses: &[f64]) -> Result<()> {
+    if let Some(worst) = calibration.fit.implausible.first() {
+        return Err(Error::data(format!("no machine has errors like `{}` of this calibration", worst.name)));
+    }
+    let confounded = |name: &str| {
+        model.info().parameter(name).is_some()
+            && calibration.get(name).is_some_and(|known| known.status == Status::Confounded)
+    };
+    let names: Vec<&str> =
+        calibration.parameters.iter().map(|known| known.name.as_str()).filter(|name| confounded(name)).collect();
+    let Some(first) = names.first() else { return Ok(()) };
+    let help = "measure what separates them, or estimate fewer parameters";
+    if calibration.fit.null_space.is_empty() {
+        return Err(
+            Error::data(format!("the measurements do not determine `{first}`, which would be corrected")).help(help)
+        );
+    }
+    let width = model.info().status.len().max(1);
+    let every = (statuses.len() / width).div_ceil(TRIED).max(1);
+    let tried: Vec<f64> = statuses.chunks(width).step_by(every).flatten().copied().collect();
+    let values = values(model, calibration);
+    for direction in &calibration.fit.null_space {
+        let parts: Vec<(usize, f64)> = (direction.combination.iter())
+            .filter_map(|part| Some((model.info().parameter(&part.name)?, part.coefficient)))
+            .collect();
+        let wanted: Vec<Variable> = parts.iter().map(|(index, _)| Variable::Parameter(*index)).collect();
+        let mut poses = Poses::default();
+        model.poses(&tried, &values, &wanted, true, &mut poses)?;
+        for list in [&poses.position_derivatives, &poses.rotation_derivatives] {
+            for of_pose in list.chunks(wanted.len().max(1)) {
+                let (mut sum, mut sizes) = ([0.0; 3], 0_f64);
+                for (derivative, (_, coefficient)) in of_pose.iter().zip(&parts) {
+                    let part = derivative.map(|value| value * coefficient);
+                    sum.iter_mut().zip(part).for_each(|(sum, part)| *sum += part);
+                    sizes += size(&part);
+                }
+                if size(&sum) > CANCELLED * sizes {
+                    let message = format!(
+                        "the correction would hang on what the measurements do not determine: {}",
+                        direction.describe()
+                    );
+                    return Err(Error::data(message).help(help));
+                }
+            }
+        }
+    }
+    Ok(())
+}
+
+fn size(vector: &[f64; 3]) -> f64 {
+    vector.iter().map(|part| part * part).sum::<f64>().sqrt()
+}

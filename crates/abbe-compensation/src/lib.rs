@@ -1,0 +1,27 @@
+//! Corrected set-points: commands with which a machine with known errors puts its tool where the machine without errors would.
+//!
+//! The goal of a set-point is the nominal pose of the same command: tip position and tool axis in the table frame. A
+//! [`Compensator`] looks for commands `q` with
+//!
+//! `tip(q; errors) = tip(q0; nominal)` and, with five axes, `axis(q; errors) = axis(q0; nominal)`
+//!
+//! by Newton's method on the exact kinematics (Soons 1993, 2.3.5 and 5.1, whose step is [`Method::FirstOrder`]). Rotary axes correct
+//! the tool axis, linear axes then correct the tip. Directions of approach stay those of the programmed path.
+//!
+//! What a machine cannot correct is told for every set-point ([`Correction`]): the tool axis where its rotary axes do not span both
+//! tilts, corrections beyond the declared bound near a pole, ends of travel.
+
+mod calibrated;
+mod compensator;
+mod figures;
+mod path;
+mod set_points;
+mod settings;
+mod step;
+
+pub use calibrated::{check_confounded, values};
+pub use compensator::{Compensator, Correction, Deviation};
+pub use figures::{Figures, Spread, TurnedMoves, figures, turned_moves};
+pub use path::CompensatedPath;
+pub use set_points::SetPoints;
+pub use settings::{Correct, Method, Settings, Travel};

@@ -1,0 +1,78 @@
+//! A file of set-points, corrected.
+
+use std::path::Path;
+
+use abbe_core::{Calibration, KinematicModel, Result};
+
+use crate::calibrated::{check_confounded, values};
+use crate::compensator::{Compensator, Correction};
+use crate::figures::{TurnedMoves, turned_moves};
+use crate::set_points::SetPoints;
+use crate::settings::Settings;
+
+/// The set-points of a file with corrected commands.
+#[derive(Debug, Clone, PartialEq)]
+pub struct CompensatedPath {
+    /// As they are programmed.
+    pub points: SetPoints,
+    /// Their statuses with corrected commands.
+    pub statuses: Vec<f64>,
+    /// What was done at each of them.
+    pub corrections: Vec<Correction>,
+    /// Moves that the correction turns round.
+    pub turned: Vec<TurnedMoves>,
+}
+
+impl CompensatedPath {
+    /// Corrects a file for the errors of a calibration; `model` is the calibration's own.
+    ///
+    /// Fails for a calibration that may not be acted upon ([`check_confounded`]), and as [`SetPoints::read`] and
+    /// [`Compensator::correct`] do. Errors of a point name its line.
+    pub fn new(
+        model: &dyn KinematicModel,
+        calibration: &Calibration,
+        file: &Path,
+        settings: &Settings,
+    ) -> Result<Self> {
+        let points = SetPoints::read(file, model)?;
+        let values = values(model, calibration);
+        let corrected = || {
+            check_confounded(model, calibration, points.statuses())?;
+            let (statuses, corrections) = Compensator::new(model, &values, settings)?.correct(points.statuses())?;
+            let turned = turned_moves(model, &values, points.statuses(), &statuses)?;
+            Ok((statuses, corrections, turned))
+        };
+        let (statuses, corrections, turned) = corrected().map_err(|error| points.locate(error))?;
+        Ok(Self { points, statuses, corrections, turned })
+    }
+
+    /// The text of the file with corrected commands of nine decimals; all else is as it was.
+    pub fn set_points_text(&self, model: &dyn KinematicModel) -> Result<String> {
+        self.points.with_commands(model, &self.statuses)
+    }
+
+    /// A CSV table with a row for every set-point: its errors in the table frame before and after the correction.
+    pub fn errors_text(&self, model: &dyn KinematicModel) -> String {
+        let mut text = String::from(
+            "line,before_x_um,before_y_um,before_z_um,before_axis_urad,after_x_um,after_y_um,after_z_um,after_axis_urad,bounded,held\n",
+        );
+        let um = |tip: [f64; 3]| tip.map(|value| format!("{:.6}", value * 1e3 + 0.0)).join(",");
+        let urad = |angle: f64| format!("{:.6}", angle * 1e6);
+        for (point, correction) in self.corrections.iter().enumerate() {
+            let Correction { before, after, is_bounded, held, .. } = correction;
+            let held: Vec<&str> = held.iter().map(|&axis| model.info().axes[axis].name.as_str()).collect();
+            let cells = [
+                self.points.line(point).to_string(),
+                um(before.tip),
+                urad(before.angle()),
+                um(after.tip),
+                urad(after.angle()),
+                u8::from(*is_bounded).to_string(),
+                held.join(" "),
+            ];
+            text.push_str(&cells.join(","));
+            text.push('\n');
+        }
+        text
+    }
+}

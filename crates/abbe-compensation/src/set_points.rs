@@ -1,0 +1,187 @@
+//! A path: set-points with everything that the errors of a machine depend on.
+
+use std::path::{Path, PathBuf};
+
+use abbe_core::{
+    Absent, DataRow, Dataset, Error, KinematicModel, PoseTable, Quantity, Result, StatusRole, StatusSource,
+    plain_naming, pose_columns,
+};
+use abbe_table::Cells;
+
+/// Names that axes have (ISO 841). A column with such a name and the unit of a length or an angle commands an axis.
+const LETTERS: &str = "XYZABCUVW";
+
+/// The set-points of a path, in their order.
+#[derive(Debug, Clone, PartialEq)]
+pub struct SetPoints {
+    /// The file, and its text.
+    path: PathBuf,
+    text: String,
+    data: Dataset,
+    statuses: Vec<f64>,
+}
+
+impl SetPoints {
+    /// Reads the set-points of a machine from a CSV file, one a row.
+    ///
+    /// Every axis needs a column (`X_mm`, `B_deg`). Directions of approach (`dir_X`) that the file does not have are those of the
+    /// path: the sign of the last move; at the first point that of the next move; +1 before the axis has moved.
+    ///
+    /// Fails for an axis without a column, a column of an axis that the machine does not have, a value that errors of the machine
+    /// depend on and that the file does not have (time, temperature, stylus), and a command that is no number.
+    pub fn read(path: &Path, model: &dyn KinematicModel) -> Result<Self> {
+        // What is corrected is what was read.
+        let text = abbe_table::read_text(path)?;
+        let data = abbe_table::parse(path, text.as_bytes())?;
+        let file = data.files.first();
+        let in_file = |error: Error| file.map_or_else(|| error.clone(), |file| error.clone().in_file(file));
+        let info = model.info();
+        for column in &data.columns {
+            let (name, is_motion) = (&column.header.name, column.header.quantity);
+            let is_axis = name.len() == 1 && LETTERS.contains(name.as_str());
+            if is_axis
+                && matches!(is_motion, Quantity::Length | Quantity::Angle)
+                && !info.axes.iter().any(|axis| axis.name == *name)
+            {
+                let axes: Vec<&str> = info.axes.iter().map(|axis| axis.name.as_str()).collect();
+                let message = format!(
+                    "`{}` commands an axis that the machine of the calibration does not have",
+                    column.header.header
+                );
+                return Err(in_file(Error::usage(message).help(format!("its axes are {}", axes.join(", ")))));
+            }
+        }
+        let columns = pose_columns(&data.headers(), file, model, &|status, axis| {
+            let (names, absent) = plain_naming(status, axis);
+            let of_path = matches!(status.role, StatusRole::Direction(_));
+            (names, if of_path { Absent::Default(f64::NAN) } else { absent })
+        })?;
+        let mut poses = PoseTable::new(model);
+        for row in data.row_indices() {
+            poses.push(&data, row, model, &columns)?;
+        }
+        let width = info.status.len();
+        let mut statuses: Vec<f64> = poses.indices().flat_map(|pose| poses.row(pose).to_vec()).collect();
+        for (index, (status, source)) in info.status.iter().zip(&columns).enumerate() {
+            match (&status.role, source) {
+                (StatusRole::Direction(axis), StatusSource::Taken(_)) => {
+                    fill_directions(&mut statuses, width, info.axes[*axis].status, index);
+                }
+                (_, StatusSource::Taken(value)) if value.is_nan() => {
+                    let column = format!("{}{}", status.name, status.quantity.usual_suffix());
+                    let message = format!(
+                        "errors of this machine depend on `{}`: set-points need the column `{column}`",
+                        status.name
+                    );
+                    return Err(in_file(Error::usage(message)));
+                }
+                _ => {}
+            }
+            let unknown = statuses.chunks(width.max(1)).position(|pose| pose[index].is_nan());
+            if let Some(row) = unknown {
+                return Err(
+                    data.error_at(DataRow(row), format!("the calibration does not know this `{}`", status.name))
+                );
+            }
+        }
+        Ok(Self { path: path.to_owned(), text, data, statuses })
+    }
+
+    /// The statuses, point by point: points x columns of [`ModelInfo::status`](abbe_core::ModelInfo::status).
+    pub fn statuses(&self) -> &[f64] {
+        &self.statuses
+    }
+
+    /// Number of points.
+    pub fn len(&self) -> usize {
+        self.data.rows()
+    }
+
+    /// Whether there is no point.
+    pub fn is_empty(&self) -> bool {
+        self.len() == 0
+    }
+
+    /// The line of a point in its file.
+    pub fn line(&self, point: usize) -> usize {
+        self.data.origins[DataRow(point)].line
+    }
+
+    /// An error about a pose with the line of its point.
+    pub fn locate(&self, error: Error) -> Error {
+        match error.pose {
+            Some(point) if point < self.len() && error.place.is_none() => {
+                let origin = self.data.origins[DataRow(point)];
+                error.at(&self.data.files[origin.file], origin.line, None)
+            }
+            _ => error,
+        }
+    }
+
+    /// The text of the file with other commands, which have nine decimals; all else stays as it is.
+    ///
+    /// `statuses` are those of all points with other commands.
+    pub fn with_commands(&self, model: &dyn KinematicModel, statuses: &[f64]) -> Result<String> {
+        let info = model.info();
+        let headers = self.data.headers();
+        let columns: Vec<(&str, f64, usize)> = (info.axes.iter())
+            .filter_map(|axis| {
+                let header = headers.iter().find(|header| header.name == axis.name)?;
+                let (_, _, factor) = Quantity::of_column(&header.header);
+                Some((header.header.as_str(), factor, axis.status))
+            })
+            .collect();
+        let mut cells = Cells::new();
+        for (row, (status, before)) in
+            statuses.chunks(info.status.len()).zip(self.statuses.chunks(info.status.len())).enumerate()
+        {
+            // What is not corrected stays as it is written.
+            let changed = columns.iter().filter(|(_, _, index)| status[*index] != before[*index]);
+            let of_row = changed.map(|(header, factor, index)| {
+                // Without the sign of a zero.
+                let value = (status[*index] / factor * 1e9).round() / 1e9 + 0.0;
+                ((*header).to_owned(), format!("{value:.9}"))
+            });
+            cells.insert(self.line(row), of_row.collect());
+        }
+        abbe_table::with_cells(&self.path, self.text.as_bytes(), &cells)
+    }
+}
+
+/// Writes the directions of the moves of one axis.
+fn fill_directions(statuses: &mut [f64], width: usize, command: usize, direction: usize) {
+    let commands: Vec<f64> = statuses.chunks(width).map(|pose| pose[command]).collect();
+    let sign = |move_: f64| if move_ < 0.0 { -1.0 } else { 1.0 };
+    let mut last = match commands.as_slice() {
+        [first, next, ..] => sign(next - first),
+        _ => 1.0,
+    };
+    let mut has_moved = false;
+    for (index, pose) in statuses.chunks_mut(width).enumerate() {
+        let by = if index > 0 { commands[index] - commands[index - 1] } else { 0.0 };
+        if by != 0.0 {
+            (last, has_moved) = (sign(by), true);
+        } else if index > 0 && !has_moved {
+            last = 1.0;
+        }
+        pose[direction] = last;
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn directions_are_those_of_the_path() {
+        let of = |commands: &[f64]| {
+            let mut statuses: Vec<f64> = commands.iter().flat_map(|command| [*command, f64::NAN]).collect();
+            fill_directions(&mut statuses, 2, 0, 1);
+            statuses.chunks(2).map(|pose| pose[1]).collect::<Vec<_>>()
+        };
+        assert_eq!(of(&[0.0, -1.0, -1.0, 2.0, 2.0]), [-1.0, -1.0, -1.0, 1.0, 1.0]);
+        assert_eq!(of(&[5.0, 5.0, 4.0, 4.0]), [1.0, 1.0, -1.0, -1.0]);
+        assert_eq!(of(&[1.0]), [1.0]);
+        assert_eq!(of(&[1.0, 1.0]), [1.0, 1.0]);
+    }
+}

@@ -1,0 +1,143 @@
+//! What is hard to believe of a fit: for its heading in the summary.
+
+use abbe_core::{Fit, Quantity};
+
+use crate::number::short;
+
+/// Stated uncertainties are rarely wrong by a larger factor.
+const MISSTATED: f64 = 2.0;
+
+/// Normal quantile of one in a million.
+const MILLIONTH: f64 = 4.75;
+
+/// The scatter of residuals, over what was stated, above which a fit is not trusted: what chance makes of stated uncertainties that are
+/// wrong by [`MISSTATED`] once in a million fits (quantile of chi-squared by Wilson & Hilferty 1931).
+fn unlikely_above(degrees_of_freedom: usize) -> f64 {
+    let part = 2.0 / 9.0 / degrees_of_freedom.max(1) as f64;
+    MISSTATED * (1.0 - part + MILLIONTH * part.sqrt()).powf(1.5)
+}
+
+/// Stated uncertainties are rarely too large by more than this factor.
+const OVERSTATED: f64 = 5.0;
+
+/// The scatter below which stated uncertainties are not believed; as [`unlikely_above`].
+fn unlikely_below(degrees_of_freedom: usize) -> f64 {
+    let part = 2.0 / 9.0 / degrees_of_freedom.max(1) as f64;
+    (1.0 - part - MILLIONTH * part.sqrt()).max(0.0).powf(1.5) / OVERSTATED
+}
+
+/// A fit whose residuals are far smaller than stated.
+fn overstated(fit: &Fit) -> Option<String> {
+    let report = &fit.calibration.fit;
+    (report.sigma < unlikely_below(report.degrees_of_freedom)).then(|| {
+        // How much smaller it is tells nothing more.
+        let part = if report.sigma < 1e-3 { "less than 0.001".to_owned() } else { format!("only {}", short(report.sigma)) };
+        format!(
+            "  {}: the residuals scatter {part} times as much as the stated uncertainties promise: these are too large, or nothing was \
+             measured\n",
+            fit.name
+        )
+    })
+}
+
+/// One line for everything that is hard to believe of some fits; none if all is well.
+pub fn doubts(all: &[Fit]) -> Option<String> {
+    let fits = all.iter().filter(|fit| {
+        let report = &fit.calibration.fit;
+        report.degrees_of_freedom > 0 && report.sigma > unlikely_above(report.degrees_of_freedom)
+    });
+    let lines = fits.map(|fit| {
+        format!(
+            "  {}: the residuals scatter {} times as much as the stated uncertainties promise: the model lacks errors, or units, \
+             signs or uncertainties are wrong\n",
+            fit.name,
+            short(fit.calibration.fit.sigma)
+        )
+    });
+    let text: String = lines
+        .chain(all.iter().filter_map(overstated))
+        .chain(all.iter().filter_map(too_good))
+        .chain(all.iter().filter_map(too_many_outliers))
+        .chain(all.iter().filter_map(contradicted))
+        .collect();
+    (!text.is_empty()).then_some(text)
+}
+
+/// Part of what was stated below which residuals of one quantity are not believed where those of another are as stated.
+const TOO_GOOD: f64 = 0.05;
+
+/// A fit whose residuals of lengths are far smaller than stated while those of angles are not, or the other way round: the unit of one of
+/// them is wrong. Where both are small the data are exact.
+fn too_good(fit: &Fit) -> Option<String> {
+    let stated = |wanted: Quantity| {
+        let rows = fit.problem.standard_uncertainties().into_iter().zip(fit.problem.quantities());
+        let squares: Vec<f64> = rows.filter(|(_, quantity)| *quantity == wanted).map(|(u, _)| u * u).collect();
+        (squares.iter().sum::<f64>() / squares.len().max(1) as f64).sqrt()
+    };
+    let report = &fit.calibration.fit;
+    let lengths = report.residual_rms_um * 1e-3 / stated(Quantity::Length);
+    let angles = report.residual_rms_urad? * 1e-6 / stated(Quantity::Angle);
+    let (small, other, part) =
+        if lengths < angles { ("lengths", "angles", lengths) } else { ("angles", "lengths", angles) };
+    let wrong = lengths.max(angles) > 10.0 * TOO_GOOD && part < TOO_GOOD && part.is_finite();
+    wrong.then(|| {
+        format!(
+            "  {}: the residuals of {small} are {} of what is stated, those of {other} are not: is the unit of the {small} right?\n",
+            fit.name,
+            short(part)
+        )
+    })
+}
+
+/// Standard uncertainties that a certificate is off by at most.
+const OFF: f64 = 5.0;
+
+/// Certificates that the estimate contradicts: known values that it is far from.
+fn contradicted(fit: &Fit) -> Option<String> {
+    let problem = &fit.problem;
+    let residuals = problem.residuals(&problem.values_of(&fit.calibration)).ok()?;
+    let rows = residuals.into_iter().zip(problem.standard_uncertainties()).zip(problem.constraints());
+    let off = rows.zip(problem.equation_rows()).filter(|((_, is_known), _)| *is_known);
+    let (worst, set) = off
+        .map(|(((residual, u), _), (set, _))| ((residual / u).abs(), set))
+        .max_by(|(one, _), (other, _)| one.total_cmp(other))?;
+    (worst > OFF).then(|| {
+        format!(
+            "  {}: a known value of {} is off by {} of its standard uncertainties: certificates contradict each other, or the machine lacks \
+             errors\n",
+            fit.name,
+            problem.sets[set].name,
+            short(worst)
+        )
+    })
+}
+
+/// Part of the rows above which outliers are no gross errors any more.
+const MOST_OUTLIERS: f64 = 0.25;
+
+/// A fit that takes much of what was measured for outliers.
+fn too_many_outliers(fit: &Fit) -> Option<String> {
+    let (outliers, rows) =
+        (fit.calibration.outliers.len(), fit.problem.sets.iter().map(|set| set.rows.len()).sum::<usize>());
+    (outliers as f64 > MOST_OUTLIERS * rows as f64).then(|| {
+        format!(
+            "  {}: {outliers} of {rows} rows are outliers: the stated uncertainties, the limit of outliers or the model are wrong\n",
+            fit.name
+        )
+    })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn what_is_unlikely_hangs_on_the_degrees_of_freedom() {
+        // Chi-squared at 0.999999: 23.93 (1), 51.97 (12, as tables have it), 6,315 (5,800); Wilson and Hilferty are within 8 %.
+        for (freedom, chi_squared) in [(1, 23.93_f64), (12, 51.97), (5800, 6315.0)] {
+            let expected = MISSTATED * (chi_squared / freedom as f64).sqrt();
+            assert!((unlikely_above(freedom) / expected - 1.0).abs() < 0.08, "{freedom}: {}", unlikely_above(freedom));
+        }
+        assert!(unlikely_above(5800) < 2.7);
+    }
+}

@@ -1,0 +1,36 @@
+//! The reference pages of plugins.
+
+use std::io;
+use std::path::Path;
+
+use abbe_core::{Error, Registry, Result};
+
+/// Writes the reference pages of all plugins, and a list of them. A file that is no page is never replaced.
+pub fn write(registry: &Registry, folder: &Path) -> Result<String> {
+    let of_plugin = |plugin| (abbe_recipe::page_name(plugin), abbe_recipe::page(plugin));
+    let mut pages: Vec<(String, String)> = registry.iter().map(of_plugin).collect();
+    pages.push(("README.md".to_owned(), abbe_recipe::index(registry.iter())));
+    let wrong = |file: &Path, error: io::Error| Error::usage(format!("{}: {error}", file.display()));
+    for (name, _) in &pages {
+        let file = folder.join(name);
+        match std::fs::read(&file) {
+            Ok(there) if !there.starts_with(abbe_recipe::PAGE_MARK.as_bytes()) => {
+                let message = format!("{} is there and is no page of a plugin; it is not replaced", file.display());
+                return Err(Error::usage(message).help("name another folder"));
+            }
+            Err(error) if error.kind() != io::ErrorKind::NotFound => return Err(wrong(&file, error)),
+            _ => {}
+        }
+    }
+    std::fs::create_dir_all(folder).map_err(|error| wrong(folder, error))?;
+    for (name, text) in &pages {
+        // Whole or not at all.
+        let (file, under_way) = (folder.join(name), folder.join(format!(".{name}.part")));
+        let written = std::fs::write(&under_way, text).and_then(|()| std::fs::rename(&under_way, &file));
+        if let Err(error) = written {
+            let _ = std::fs::remove_file(&under_way);
+            return Err(wrong(&file, error));
+        }
+    }
+    Ok(format!("{} pages in {}\n", pages.len() - 1, folder.display()))
+}

@@ -1,0 +1,409 @@
+//! Corrected set-points: three machines with known errors, against the figures that an independent solver found for them
+//! (`tests/truth/compensation-*.json`).
+
+use std::collections::BTreeSet;
+use std::path::PathBuf;
+use std::sync::Arc;
+
+use abbe_compensation::{
+    Compensator, Correct, Figures, Method, SetPoints, Settings, Travel, figures, turned_moves, values,
+};
+use abbe_core::{Calibration, KinematicModel};
+use abbe_engine::model_of;
+use serde_json::{Value, json};
+
+use crate::support::{abbe, json_file, read, registry, root, temporary, write};
+
+const MACHINES: [&str; 3] = ["table-table", "head-table", "three-axis"];
+const PATHS: [&str; 4] = ["linear", "rotary", "cone", "s-path"];
+
+fn folder(machine: &str) -> PathBuf {
+    root().join("pipelines/data/compensation").join(machine)
+}
+
+/// The number in the brackets after a symbol, if it is one.
+fn number(name: &str, prefix: &str) -> Option<u32> {
+    name.split_once('[')?.1.strip_suffix(']')?.strip_prefix(prefix)?.parse().ok()
+}
+
+/// The lines under `errors` that declare parameters of these names.
+fn declared(names: &[String], knots: &Value) -> Vec<Value> {
+    let symbol = |name: &String| name.split('[').next().unwrap_or_default().to_owned();
+    let locations: Vec<&String> = names.iter().filter(|name| name.len() == 4 && name.as_bytes()[2] == b'0').collect();
+    let mut lines = vec![json!({ "location": locations })];
+    let symbols: BTreeSet<String> = names.iter().filter(|name| name.contains('[')).map(symbol).collect();
+    for symbol in symbols {
+        let own: Vec<&String> = names.iter().filter(|name| name.starts_with(&format!("{symbol}["))).collect();
+        let orders = |prefix: &str| own.iter().filter_map(|name| number(name, prefix)).collect::<BTreeSet<_>>();
+        if own.iter().any(|name| name.contains("[pp")) {
+            lines.push(json!({ "piecewise": [symbol], "degree": 2, "continuity": 1, "knots_mm": knots[&symbol] }));
+        } else if !orders("").is_empty() {
+            lines.push(json!({ "polynomial": [symbol], "degrees": orders("") }));
+        }
+        let waves: BTreeSet<u32> = orders("cos").union(&orders("sin")).copied().collect();
+        if !waves.is_empty() {
+            lines.push(json!({ "fourier": [symbol], "orders": waves }));
+        }
+        if own.iter().any(|name| name.ends_with("[b]")) {
+            lines.push(json!({ "backlash": [symbol] }));
+        }
+    }
+    lines
+}
+
+/// A calibration that states the truth of a machine; `status` is that of its values.
+fn calibration(machine: &str) -> Value {
+    let truth = json_file(&root().join(format!("tests/truth/compensation-{machine}.json")));
+    let names: Vec<String> = truth["parameters"].as_object().expect("parameters").keys().cloned().collect();
+    let text = read(&folder(machine).join("machine.yaml"));
+    let mut settings: Value = serde_yaml::from_str(&text).expect("YAML");
+    let settings = settings.as_object_mut().expect("settings");
+    settings.retain(|key, _| !["name", "table_frame"].contains(&key.as_str()));
+    // The first knot of Z stands at the end of its travel, or beyond it.
+    settings["axes"]["Z"]["range_mm"][0] = json!(-200);
+    settings.insert("errors".to_owned(), json!(declared(&names, &truth["knots_mm"])));
+    let unit = |name: &str| {
+        let of = if matches!(name.as_bytes()[1], b'A'..=b'C') { "rad" } else { "mm" };
+        let of = if name.starts_with('d') { "mm" } else { of };
+        let per = if name.len() > 2 && matches!(name.as_bytes()[2], b'A'..=b'C') { "rad" } else { "mm" };
+        let degree = number(name, "").or_else(|| name.contains("[pp").then_some(2));
+        match degree {
+            Some(1) => format!("{of}/{per}"),
+            Some(degree) => format!("{of}/{per}^{degree}"),
+            None => of.to_owned(),
+        }
+    };
+    let parameters: Vec<Value> = (truth["parameters"].as_object().expect("parameters").iter())
+        .map(|(name, value)| {
+            json!({ "name": name, "value": value, "unit": unit(name), "standard_uncertainty": 0, "status": "fixed" })
+        })
+        .collect();
+    json!({
+        "abbe_calibration": 1, "estimate": "truth", "parameters": parameters, "artefacts": [], "outliers": [],
+        "model": { "plugin": "serial-chain", "settings": settings },
+        "covariance": { "order": [], "rows": [] },
+        "fit": {
+            "observations": 0, "unknowns": 0, "rank": 0, "condition": 1.0, "degrees_of_freedom": 0, "sigma": 1.0,
+            "iterations": 0, "termination": "converged", "residual_max_um": 0.0, "residual_mean_abs_um": 0.0,
+            "residual_rms_um": 0.0, "null_space": [],
+        },
+    })
+}
+
+struct Known {
+    model: Arc<dyn KinematicModel>,
+    values: Vec<f64>,
+}
+
+fn known(machine: &str) -> Known {
+    let calibration = Calibration::from_json(&calibration(machine).to_string()).expect("a calibration");
+    let model = model_of(&calibration, &registry()).expect("a model");
+    let truth = json_file(&root().join(format!("tests/truth/compensation-{machine}.json")));
+    for name in truth["parameters"].as_object().expect("parameters").keys() {
+        assert!(model.info().parameter(name).is_some(), "{machine} lacks {name}");
+    }
+    let values = values(model.as_ref(), &calibration);
+    Known { model, values }
+}
+
+fn set_points(machine: &str, path: &str, model: &dyn KinematicModel) -> SetPoints {
+    let file = folder(machine).join(format!("setpoints-{path}.csv"));
+    SetPoints::read(&file, model).unwrap_or_else(|error| panic!("{error}"))
+}
+
+fn corrected(known: &Known, points: &SetPoints, settings: &Settings) -> (Vec<f64>, Figures) {
+    let compensator = Compensator::new(known.model.as_ref(), &known.values, settings).expect("settings");
+    let (statuses, corrections) = compensator.correct(points.statuses()).unwrap_or_else(|error| panic!("{error}"));
+    (statuses, figures(&corrections))
+}
+
+/// The same number to the digits that are printed (six), or both zero to `zero`.
+fn same(found: f64, expected: &Value, zero: f64, what: &str) {
+    let expected = expected.as_f64().expect("a figure");
+    let close = (found - expected).abs() <= 2e-5 * expected.abs() || (found.abs() < zero && expected.abs() < zero);
+    assert!(close, "{what}: {found} instead of {expected}");
+}
+
+/// The figures before, after an exact and after a first-order correction are those that another program found, and an exact
+/// correction takes at most four passes.
+#[test]
+fn figures_are_those_of_an_independent_solver() {
+    let expected = json_file(&root().join("tests/truth/compensation-expected.json"));
+    let mut compared = 0;
+    for machine in MACHINES {
+        let known = known(machine);
+        for path in PATHS.iter().filter(|path| folder(machine).join(format!("setpoints-{path}.csv")).is_file()) {
+            let points = set_points(machine, path, known.model.as_ref());
+            for (key, of_path) in expected[machine][path].as_object().expect("figures") {
+                let (correct, method) = match key.as_str() {
+                    "before" | "exact_position_only" => (Correct::Position, Method::Exact),
+                    "first_order_position_only" => (Correct::Position, Method::FirstOrder),
+                    "exact_five_axes" => (Correct::FiveAxes, Method::Exact),
+                    "first_order_five_axes" => (Correct::FiveAxes, Method::FirstOrder),
+                    _ => continue,
+                };
+                let is_exact = method == Method::Exact;
+                let settings = Settings { correct, method, ..Settings::default() };
+                let (_, found) = corrected(&known, &points, &settings);
+                let (tip, axis) = match key.as_str() {
+                    "before" => (found.tip_before, found.axis_before),
+                    _ => (found.tip_after, found.axis_after),
+                };
+                let what = format!("{machine} {path} {key}");
+                let zero = if key == "before" { 0.0 } else { 1e-6 };
+                if found.bounded == 0 {
+                    for (name, value) in [
+                        ("position_max_um", tip.max * 1e3),
+                        ("position_rms_um", tip.rms * 1e3),
+                        ("orientation_max_urad", axis.max * 1e6),
+                        ("orientation_rms_urad", axis.rms * 1e6),
+                    ] {
+                        same(value, &of_path[name], zero, &format!("{what} {name}"));
+                        compared += 1;
+                    }
+                }
+                if is_exact {
+                    assert!(found.tip_after.max < 1e-9, "{what}: {found:?}");
+                    assert!(found.passes <= 4, "{what}: {} passes", found.passes);
+                }
+            }
+        }
+    }
+    assert!(compared > 100, "{compared} figures were compared");
+}
+
+/// The file of another program, whose commands have nine decimals, and a path without columns of directions.
+#[test]
+fn files_are_those_of_an_independent_solver() {
+    for machine in MACHINES {
+        let known = known(machine);
+        let model = known.model.as_ref();
+        let points = set_points(machine, "cone", model);
+        let correct = if machine == "three-axis" { Correct::Position } else { Correct::FiveAxes };
+        let (statuses, found) = corrected(&known, &points, &Settings { correct, ..Settings::default() });
+        let file = folder(machine).join("setpoints-cone.csv");
+        let text = points.with_commands(model, &statuses).expect("a file");
+        let theirs = read(&folder(machine).join("compensated-cone.csv"));
+        assert_eq!(text.lines().count(), theirs.lines().count());
+        let mut compared = 0;
+        for (ours, theirs) in text.lines().zip(theirs.lines()).filter(|(line, _)| !line.starts_with('#')).skip(1) {
+            for (ours, theirs) in ours.split(',').zip(theirs.split(',')) {
+                let [one, other] = [ours, theirs].map(|cell| cell.parse::<f64>().expect("a number"));
+                assert!((one - other).abs() < 1.5e-9, "{machine}: {ours} and {theirs}");
+                compared += 1;
+            }
+        }
+        assert!(compared > 5000);
+
+        // What a machine reads from the file: within 1e-6 mm and 1e-6 rad.
+        let folder_of_file = temporary();
+        let written = folder_of_file.path().join("corrected.csv");
+        write(&written, &text);
+        let again = SetPoints::read(&written, model).expect("set-points");
+        for (now, exact) in again.statuses().iter().zip(&statuses) {
+            assert!((now - exact).abs() < 1e-9, "{now} and {exact}");
+        }
+        assert!(found.bounded == 0 && found.held == 0);
+
+        // Directions are those of the path.
+        let without: String = read(&file)
+            .lines()
+            .map(|line| {
+                let cells: Vec<&str> = line.split(',').collect();
+                cells[..cells.len() - model.info().axes.len()].join(",") + "\n"
+            })
+            .collect();
+        write(&written, &without);
+        let of_path = SetPoints::read(&written, model).expect("set-points");
+        assert_eq!(of_path.statuses(), points.statuses(), "{machine}");
+    }
+}
+
+/// Beside a pole rotary corrections are held at their bound; the tip is exact all the same, and the points are told.
+#[test]
+fn the_bound_holds_near_a_pole() {
+    let known = known("head-table");
+    let points = set_points("head-table", "rotary", known.model.as_ref());
+    let bound = |mrad: f64| Settings {
+        correct: Correct::FiveAxes,
+        largest_rotary_correction_mrad: mrad,
+        ..Settings::default()
+    };
+    let rotary = |statuses: &[f64]| {
+        let axes = known.model.info().axes.iter().filter(|axis| axis.kind == abbe_core::AxisKind::Rotary);
+        let places: Vec<usize> = axes.map(|axis| axis.status).collect();
+        let width = known.model.info().status.len();
+        let pairs = statuses.iter().zip(points.statuses()).enumerate();
+        let of_axes = pairs.filter(|(index, _)| places.contains(&(index % width)));
+        of_axes.map(|(_, (now, before))| (now - before).abs()).fold(0.0, f64::max)
+    };
+    // C is turned by 17 mrad where the tilt passes 0.24 degrees from the pole.
+    let (statuses, found) = corrected(&known, &points, &bound(50.0));
+    assert!((0.016..0.018).contains(&rotary(&statuses)), "{}", rotary(&statuses));
+    assert!(found.bounded == 0 && found.axis_after.max < 1e-9, "{found:?}");
+    let (statuses, found) = corrected(&known, &points, &bound(5.0));
+    assert!(rotary(&statuses) <= 5.0e-3 * (1.0 + 1e-9));
+    assert!(found.bounded > 0 && found.bounded < 20 && found.tip_after.max < 1e-9, "{found:?}");
+    // Only what needs more than the bound keeps a part of its error.
+    let settings = bound(5.0);
+    let compensator = Compensator::new(known.model.as_ref(), &known.values, &settings).expect("settings");
+    let (_, corrections) = compensator.correct(points.statuses()).expect("corrections");
+    for correction in corrections {
+        assert!(correction.is_bounded || correction.after.angle() < 1e-9, "{correction:?}");
+    }
+}
+
+#[test]
+fn what_cannot_or_may_not_be_corrected_is_told_or_refused() {
+    let known = known("table-table");
+    let model = known.model.as_ref();
+    let points = set_points("table-table", "linear", model);
+    let refused = |settings: &Settings| {
+        let compensator = Compensator::new(model, &known.values, settings)?;
+        compensator.correct(points.statuses()).map(drop)
+    };
+    let error = refused(&Settings { largest_tip_correction_mm: 0.05, ..Settings::default() }).unwrap_err();
+    assert!(error.message.contains("at most 0.05 mm are allowed") && error.pose.is_some(), "{error}");
+    assert!(points.locate(error).to_string().contains("setpoints-linear.csv:"));
+    let five = Settings { correct: Correct::FiveAxes, largest_axis_correction_mrad: 0.01, ..Settings::default() };
+    assert!(refused(&five).unwrap_err().message.contains("at most 0.01 mrad are allowed"));
+    for (axes, expected) in [(vec!["X", "Q"], "no axis Q"), (vec!["C"], "rotary axis"), (vec!["X", "X"], "twice")] {
+        let correct = Correct::Axes(axes.into_iter().map(str::to_owned).collect());
+        let error = refused(&Settings { correct, ..Settings::default() }).unwrap_err();
+        assert!(error.message.contains(expected), "{error}");
+    }
+
+    // Two axes leave the third component; one sensitive direction leaves what is across.
+    let along = |settings: &Settings| {
+        let compensator = Compensator::new(model, &known.values, settings).expect("settings");
+        compensator.correct(points.statuses()).expect("corrections").1
+    };
+    let two = Settings { correct: Correct::Axes(vec!["X".to_owned(), "Z".to_owned()]), ..Settings::default() };
+    for point in along(&two) {
+        let ([x, y, z], before) = (point.after.tip, point.before.tip);
+        assert!(x.abs() < 2e-5 && z.abs() < 2e-5 && (y - before[1]).abs() < 2e-5, "{point:?}");
+    }
+    let across = Settings { sensitive_direction: Some([0.0, 3.0, 4.0]), ..Settings::default() };
+    for point in along(&across) {
+        let [x, y, z] = point.after.tip;
+        assert!((0.6 * y + 0.8 * z).abs() < 1e-9 && (x - point.before.tip[0]).abs() < 1e-5, "{point:?}");
+    }
+
+    // At the end of travel an axis is refused, or held, and what remains is told.
+    let mut at_end = points.statuses()[..model.info().status.len()].to_vec();
+    let x = model.info().axes.iter().find(|axis| axis.name == "X").expect("an axis");
+    let towards = {
+        let settings = Settings::default();
+        let compensator = Compensator::new(model, &known.values, &settings).expect("settings");
+        let end = x.range.expect("a range");
+        at_end[x.status] = end[1] - 1.0;
+        let (moved, _) = compensator.correct(&at_end).expect("corrections");
+        end[usize::from(moved[x.status] > at_end[x.status])]
+    };
+    at_end[x.status] = towards;
+    let refuse = Settings::default();
+    let compensator = Compensator::new(model, &known.values, &refuse).expect("settings");
+    let error = compensator.correct(&at_end).unwrap_err();
+    assert!(error.message.contains("X would be at") && error.pose == Some(0), "{error}");
+    let hold = Settings { travel: Travel::Hold, ..Settings::default() };
+    let compensator = Compensator::new(model, &known.values, &hold).expect("settings");
+    let (held, corrections) = compensator.correct(&at_end).expect("corrections");
+    assert_eq!(held[x.status], towards);
+    assert!(!corrections[0].held.is_empty() && corrections[0].after.distance() > 1e-3);
+    assert!(corrections[0].after.distance() < corrections[0].before.distance());
+}
+
+/// A move that is shorter than the difference of its corrections turns round, and its reversal is told.
+#[test]
+fn turned_moves_are_counted() {
+    let known = known("table-table");
+    let model = known.model.as_ref();
+    let points = set_points("table-table", "rotary", model);
+    let (statuses, _) = corrected(&known, &points, &Settings { correct: Correct::FiveAxes, ..Settings::default() });
+    let found = turned_moves(model, &known.values, points.statuses(), &statuses).expect("moves");
+    let by_hand = |axis: usize| {
+        let (place, width) = (model.info().axes[axis].status, model.info().status.len());
+        let at = |statuses: &[f64], point: usize| statuses[point * width + place];
+        let by = |statuses: &[f64], point: usize| at(statuses, point) - at(statuses, point - 1);
+        (1..points.len()).filter(|&point| by(points.statuses(), point) * by(&statuses, point) < 0.0).count()
+    };
+    for (axis, of_model) in model.info().axes.iter().enumerate() {
+        let turned = found.iter().find(|turned| turned.axis == axis);
+        assert_eq!(turned.map_or(0, |turned| turned.count), by_hand(axis), "{}", of_model.name);
+        // Backlash is stated as half the reversal.
+        if let Some(turned) = turned.filter(|_| of_model.name == "X") {
+            assert!((turned.reversal - 2.0 * 0.0011215).abs() < 1e-4, "{turned:?}");
+        }
+    }
+}
+
+/// The command line: figures, files that replace nothing, and errors that say where.
+#[test]
+fn the_command_corrects_files() {
+    let place = temporary();
+    let at = |name: &str| place.path().join(name);
+    write(&at("truth.calibration.json"), &calibration("table-table").to_string());
+    let cone = folder("table-table").join("setpoints-cone.csv").display().to_string();
+    let run = |more: &[&str]| {
+        let arguments = [&["compensate", "truth.calibration.json", &cone][..], more].concat();
+        abbe(place.path(), &arguments)
+    };
+    let printed = run(&["--correct", "five-axes", "--out", "corrected.csv", "--report", "report.csv"]);
+    assert_eq!(printed.status, 0, "{}", printed.stderr);
+    for expected in ["720 set-points", "tip, largest µm            69.85", "Written: corrected.csv"] {
+        assert!(printed.stdout.contains(expected), "{expected}: {}", printed.stdout);
+    }
+    let ours = read(&at("corrected.csv"));
+    assert_eq!(ours, read(&folder("table-table").join("compensated-cone.csv")).replace("\r\n", "\n"));
+    assert_eq!(read(&at("report.csv")).lines().count(), 721);
+    let printed = run(&["--json"]);
+    let figures: Value = serde_json::from_str(&printed.stdout).expect("JSON");
+    assert_eq!(figures["points"], 720);
+
+    let refused = |more: &[&str], status: i32, words: &str| {
+        let printed = run(more);
+        assert_eq!(printed.status, status, "{more:?}: {}{}", printed.stdout, printed.stderr);
+        let said = printed.stderr.split_whitespace().collect::<Vec<_>>().join(" ");
+        assert!(said.contains(words), "{more:?}: {said}");
+    };
+    refused(&["--out", "corrected.csv"], 1, "is there already");
+    refused(&["--correct", "all"], 2, "`position`, `five-axes`");
+    refused(&["--sensitive-direction", "0,0"], 2, "three numbers");
+    refused(&["--largest-tip-correction-mm", "0"], 2, "largest_tip_correction_mm");
+    refused(&["--max-age-days", "30"], 1, "how old the calibration is");
+    assert_eq!(read(&at("corrected.csv")), ours);
+
+    // Values that the measurements do not tell, and machines that are others.
+    let change = |change: fn(&mut Value), words: &str| {
+        let mut changed = calibration("table-table");
+        change(&mut changed);
+        write(&at("changed.json"), &changed.to_string());
+        let printed = abbe(place.path(), &["compensate", "changed.json", &cone, "--out", "no.csv"]);
+        let said = printed.stderr.split_whitespace().collect::<Vec<_>>().join(" ");
+        assert!(printed.status != 0 && said.contains(words), "{words}: {}", printed.stderr);
+        assert!(!at("no.csv").exists());
+    };
+    change(
+        |it| {
+            for one in it["parameters"].as_array_mut().expect("parameters") {
+                if one["name"] == json!("EX0C") {
+                    one["status"] = json!("confounded");
+                }
+            }
+        },
+        "do not determine `EX0C`",
+    );
+    change(
+        |it| it["fit"]["implausible"] = json!([{ "name": "EX0C", "size": 30.0, "plausible": 10.0 }]),
+        "no machine has errors like `EX0C`",
+    );
+    change(|it| it["model"]["settings"]["chain"] = json!("w C' B' b X Y Z t"), "");
+    let printed = {
+        write(&at("path.csv"), "X_mm,Y_mm,Z_mm,A_deg,C_deg,B_deg\n0,0,0,0,0,0\n");
+        abbe(place.path(), &["compensate", "truth.calibration.json", "path.csv"])
+    };
+    assert!(printed.stderr.contains("`B_deg` commands an axis"), "{}", printed.stderr);
+    write(&at("path.csv"), "X_mm,Y_mm,Z_mm,A_deg\n0,0,0,0\n");
+    let printed = abbe(place.path(), &["compensate", "truth.calibration.json", "path.csv"]);
+    assert!(printed.status == 2 && printed.stderr.contains("C_deg"), "{}", printed.stderr);
+}
