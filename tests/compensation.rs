@@ -367,6 +367,8 @@ fn the_command_corrects_files() {
         assert!(said.contains(words), "{more:?}: {said}");
     };
     refused(&["--out", "corrected.csv"], 1, "is there already");
+    refused(&["--out", "same.csv", "--report", "same.csv"], 2, "the same file");
+    refused(&["--max-age-days", "nan"], 2, "a number of days");
     refused(&["--correct", "all"], 2, "`position`, `five-axes`");
     refused(&["--sensitive-direction", "0,0"], 2, "three numbers");
     refused(&["--largest-tip-correction-mm", "0"], 2, "largest_tip_correction_mm");
@@ -396,6 +398,16 @@ fn the_command_corrects_files() {
     change(
         |it| it["fit"]["implausible"] = json!([{ "name": "EX0C", "size": 30.0, "plausible": 10.0 }]),
         "no machine has errors like `EX0C`",
+    );
+    change(|it| it["fit"]["termination"] = json!("iteration-limit"), "did not converge");
+    change(
+        |it| {
+            it["model"]["settings"]["errors"]
+                .as_array_mut()
+                .expect("lines")
+                .push(json!({ "load": ["EAX"], "reference_N": 1000, "degree": 1 }))
+        },
+        "there is no column `load_N`",
     );
     change(|it| it["model"]["settings"]["chain"] = json!("w C' B' b X Y Z t"), "");
     let printed = {

@@ -1,9 +1,9 @@
 //! What a calibration tells of a machine, and whether it may be acted upon.
 
-use abbe_core::{Calibration, Error, KinematicModel, Poses, Result, Status, Variable};
+use abbe_core::{Calibration, Error, KinematicModel, Poses, Result, Status, Termination, Variable};
 
-/// Points that tell whether a direction moves the tool.
-const TRIED: usize = 200;
+/// Points that are evaluated together.
+const CHUNK: usize = 200;
 
 /// A direction moves the tool if its parts do not cancel to this part of their sum.
 const CANCELLED: f64 = 1e-6;
@@ -22,6 +22,9 @@ pub fn check_confounded(model: &dyn KinematicModel, calibration: &Calibration, s
     if let Some(worst) = calibration.fit.implausible.first() {
         return Err(Error::data(format!("no machine has errors like `{}` of this calibration", worst.name)));
     }
+    if calibration.fit.termination != Termination::Converged {
+        return Err(Error::data("the estimate of this calibration did not converge"));
+    }
     let confounded = |name: &str| {
         model.info().parameter(name).is_some()
             && calibration.get(name).is_some_and(|known| known.status == Status::Confounded)
@@ -36,8 +39,6 @@ pub fn check_confounded(model: &dyn KinematicModel, calibration: &Calibration, s
         );
     }
     let width = model.info().status.len().max(1);
-    let every = (statuses.len() / width).div_ceil(TRIED).max(1);
-    let tried: Vec<f64> = statuses.chunks(width).step_by(every).flatten().copied().collect();
     let values = values(model, calibration);
     for direction in &calibration.fit.null_space {
         let parts: Vec<(usize, f64)> = (direction.combination.iter())
@@ -45,26 +46,33 @@ pub fn check_confounded(model: &dyn KinematicModel, calibration: &Calibration, s
             .collect();
         let wanted: Vec<Variable> = parts.iter().map(|(index, _)| Variable::Parameter(*index)).collect();
         let mut poses = Poses::default();
-        model.poses(&tried, &values, &wanted, true, &mut poses)?;
-        for list in [&poses.position_derivatives, &poses.rotation_derivatives] {
-            for of_pose in list.chunks(wanted.len().max(1)) {
-                let (mut sum, mut sizes) = ([0.0; 3], 0_f64);
-                for (derivative, (_, coefficient)) in of_pose.iter().zip(&parts) {
-                    let part = derivative.map(|value| value * coefficient);
-                    sum.iter_mut().zip(part).for_each(|(sum, part)| *sum += part);
-                    sizes += size(&part);
-                }
-                if size(&sum) > CANCELLED * sizes {
-                    let message = format!(
-                        "the correction would hang on what the measurements do not determine: {}",
-                        direction.describe()
-                    );
-                    return Err(Error::data(message).help(help));
-                }
+        for (index, chunk) in statuses.chunks(width * CHUNK).enumerate() {
+            model.poses(chunk, &values, &wanted, true, &mut poses).map_err(|mut error| {
+                error.pose = error.pose.map(|pose| pose + index * CHUNK);
+                error
+            })?;
+            let moves = |list: &[[f64; 3]]| list.chunks(wanted.len().max(1)).any(|of_pose| is_moved(of_pose, &parts));
+            if moves(&poses.position_derivatives) || moves(&poses.rotation_derivatives) {
+                let message = format!(
+                    "the correction would depend on what the measurements do not determine: {}",
+                    direction.describe()
+                );
+                return Err(Error::data(message).help(help));
             }
         }
     }
     Ok(())
+}
+
+/// Whether the parts of a direction do not cancel in the motion of a pose.
+fn is_moved(derivatives: &[[f64; 3]], parts: &[(usize, f64)]) -> bool {
+    let (mut sum, mut sizes) = ([0.0; 3], 0_f64);
+    for (derivative, (_, coefficient)) in derivatives.iter().zip(parts) {
+        let part = derivative.map(|value| value * coefficient);
+        sum.iter_mut().zip(part).for_each(|(sum, part)| *sum += part);
+        sizes += size(&part);
+    }
+    size(&sum) > CANCELLED * sizes
 }
 
 fn size(vector: &[f64; 3]) -> f64 {

@@ -137,11 +137,24 @@ impl<'a> Compensator<'a> {
         let mut points: Vec<Correction> = (0..count)
             .map(|point| Correction { before: deviation(&now, &goal, point), ..Correction::default() })
             .collect();
+        let is_finite = |poses: &Poses| {
+            let mut numbers = poses.positions.iter().chain(&poses.position_derivatives).flatten();
+            numbers.all(|value| value.is_finite())
+        };
+        if !is_finite(&goal) || !is_finite(&now) {
+            return Err(Error::data("the machine has no finite poses at these set-points"));
+        }
+        let width = self.model.info().status.len();
+        for (point, status) in programmed.chunks(width).enumerate() {
+            let all: Vec<usize> = (0..self.model.info().axes.len()).collect();
+            if let Some(error) = self.beyond_travel(status, &all) {
+                return Err(error.at_pose(point));
+            }
+        }
         for (point, correction) in points.iter().enumerate() {
             self.check_size(&correction.before).map_err(|error| error.at_pose(point))?;
         }
         let mut statuses = programmed.to_vec();
-        let width = self.model.info().status.len();
         let start = match self.rotary.is_empty() {
             true => State::Standing,
             false => State::Turning { angle: f64::INFINITY, commands: Vec::new() },
@@ -163,6 +176,7 @@ impl<'a> Compensator<'a> {
                 break;
             }
         }
+        let corrected: Vec<usize> = self.linear.iter().chain(&self.rotary).copied().collect();
         for (point, correction) in points.iter_mut().enumerate() {
             correction.after = deviation(&now, &goal, point);
             let status = &statuses[point * width..(point + 1) * width];
@@ -170,7 +184,7 @@ impl<'a> Compensator<'a> {
             if self.settings.method == Method::Exact && !states[point].is_settled() {
                 return fails(Error::data("no commands are found that correct this point"));
             }
-            if let Some(error) = self.beyond_travel(status) {
+            if let Some(error) = self.beyond_travel(status, &corrected) {
                 return fails(error);
             }
         }
@@ -293,10 +307,10 @@ impl<'a> Compensator<'a> {
         Ok(())
     }
 
-    /// The error of a corrected command beyond the travel of its axis, by more than rounding.
-    fn beyond_travel(&self, status: &[f64]) -> Option<Error> {
-        let corrected = self.linear.iter().chain(&self.rotary).map(|&axis| &self.model.info().axes[axis]);
-        corrected.filter(|axis| !axis.endless).find_map(|axis| {
+    /// The error of a command beyond the travel of one of some axes, by more than rounding.
+    fn beyond_travel(&self, status: &[f64], of: &[usize]) -> Option<Error> {
+        let axes = of.iter().map(|&axis| &self.model.info().axes[axis]);
+        axes.filter(|axis| !axis.endless).find_map(|axis| {
             let ([from, to], command) = (axis.range?, status[axis.status]);
             let more = 1e-9 * (to - from);
             if command >= from - more && command <= to + more {

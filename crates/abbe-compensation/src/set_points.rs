@@ -53,8 +53,14 @@ impl SetPoints {
         }
         let columns = pose_columns(&data.headers(), file, model, &|status, axis| {
             let (names, absent) = plain_naming(status, axis);
-            let of_path = matches!(status.role, StatusRole::Direction(_));
-            (names, if of_path { Absent::Default(f64::NAN) } else { absent })
+            let absent = match status.role {
+                // Those of the path.
+                StatusRole::Direction(_) => Absent::Default(f64::NAN),
+                // What counts as zero in measurements need not be zero on the path.
+                StatusRole::Load | StatusRole::Stylus | StatusRole::Other => Absent::Required,
+                _ => absent,
+            };
+            (names, absent)
         })?;
         let mut poses = PoseTable::new(model);
         for row in data.row_indices() {

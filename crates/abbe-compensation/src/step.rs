@@ -129,6 +129,7 @@ fn solved(task: &Task, change: &Vector3<f64>, columns: &[Vector3<f64>]) -> Vec<f
     let (matrix, change) = (task.rows(columns), task.rows(&[*change]));
     let svd = matrix.svd(true, true);
     let largest = svd.singular_values.iter().copied().fold(0.0, f64::max);
-    let steps = svd.solve(&DVector::from_column_slice(change.as_slice()), PARALLEL * largest.max(f64::MIN_POSITIVE));
+    // A step of 1 mm moves the tip by 1 mm, in some direction.
+    let steps = svd.solve(&DVector::from_column_slice(change.as_slice()), PARALLEL * largest.max(1.0));
     steps.map_or_else(|_| vec![0.0; columns.len()], |steps| steps.iter().copied().collect())
 }

@@ -49,7 +49,7 @@ pub struct Compensate {
     #[arg(long, value_name = "MRAD", default_value_t = 50.0)]
     largest_rotary_correction_mrad: f64,
     /// Refuse a calibration of a run that is older than this; `run.json` beside it tells when it was.
-    #[arg(long, value_name = "DAYS")]
+    #[arg(long, value_name = "DAYS", value_parser = days)]
     max_age_days: Option<f64>,
     /// Print the figures as JSON.
     #[arg(long)]
@@ -87,6 +87,11 @@ fn direction(text: &str) -> std::result::Result<[f64; 3], String> {
     let numbers: std::result::Result<Vec<f64>, _> = text.split(',').map(|part| part.trim().parse()).collect();
     let numbers = numbers.ok().and_then(|numbers| <[f64; 3]>::try_from(numbers).ok());
     numbers.ok_or_else(|| "three numbers, `X,Y,Z`, were expected".to_owned())
+}
+
+fn days(text: &str) -> std::result::Result<f64, String> {
+    let days = text.parse::<f64>().ok().filter(|days| *days > 0.0 && days.is_finite());
+    days.ok_or_else(|| "a number of days above 0 was expected".to_owned())
 }
 
 /// What was found, and what is to be written.
@@ -143,6 +148,9 @@ impl Compensate {
 
     /// Carries it out; nothing is written yet.
     pub fn run(&self, registry: &Registry) -> Result<Compensated> {
+        if self.out.is_some() && self.out == self.report {
+            return Err(Error::usage("`--out` and `--report` name the same file"));
+        }
         let files = [&self.out, &self.report];
         files.iter().copied().flatten().try_for_each(|path| is_free(path))?;
         let unreadable = |error: std::io::Error| {
@@ -240,6 +248,10 @@ impl Compensate {
         };
         let now = SystemTime::now().duration_since(UNIX_EPOCH).unwrap_or(Duration::ZERO).as_secs_f64();
         let days = (now - run.started_unix_s as f64) / 86_400.0;
+        if days < -1.0 {
+            let message = format!("`{}` is {:.1} days in the future: is the clock right?", record.display(), -days);
+            return Err(Error::data(message).in_file(&self.calibration));
+        }
         if days > most {
             let message = format!("the calibration is {days:.1} days old; at most {most} were allowed");
             return Err(Error::data(message).help("calibrate again").in_file(&self.calibration));
