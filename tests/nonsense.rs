@@ -499,3 +499,27 @@ fn certificates_that_contradict_each_other_are_told() {
     let said = format!("{}{}", printed.stdout, printed.stderr);
     assert!(printed.status != 0 || said.contains("certificates contradict each other"), "{said}");
 }
+
+/// One of two balls that is not where its nominal file says.
+#[test]
+fn one_of_few_features_that_is_elsewhere_is_told() {
+    let folder = temporary();
+    let mut recipe = Variant::of(&recipes()["ballbar-c600u"]).only(&["fit"]);
+    let stages = recipe.0["stages"].as_object().expect("stages");
+    let (name, bar) = stages.iter().find(|(_, stage)| stage["artefact"] == json!("ball-bar")).expect("a ball bar");
+    let (name, setting) = (name.clone(), bar.as_object().expect("a map").clone());
+    let (key, nominal) = setting
+        .iter()
+        .find(|(_, value)| value.as_str().is_some_and(|text| text.ends_with("balls.csv")))
+        .expect("a file of balls");
+    let text = read(std::path::Path::new(nominal.as_str().expect("a path")));
+    assert!(text.contains("\n1,130.0000,"));
+    for (x, is_told) in [("130.0000", false), ("-130.0000", true)] {
+        fs::write(folder.path().join("balls.csv"), text.replace("\n1,130.0000,", &format!("\n1,{x},")))
+            .expect("a file");
+        recipe.stage(&name)[key] = json!(folder.path().join("balls.csv"));
+        let file = recipe.write(folder.path());
+        let printed = crate::support::abbe(folder.path(), &["run".as_ref(), file.as_os_str()]);
+        assert_eq!(printed.stderr.contains("`bar.ball[1].x` is off by"), is_told, "{}", printed.stderr);
+    }
+}

@@ -111,22 +111,27 @@ fn alike(problem: &Problem, calibration: &Calibration, numbers: &[(String, f64)]
 const APART: f64 = 1.0;
 const SPREADS_APART: f64 = 20.0;
 
-/// Features that are off by much more than most of their kind.
+/// Distance from its nominal place of one of few features that is told, mm.
+const ONE_OF_FEW: f64 = 3.0;
+
+/// Features that are off by much more than most of their kind; of few features, those that are far off.
 fn apart(set: &str, names: &[&str], off: &[f64]) -> Option<String> {
     let middle = |mut values: Vec<f64>| {
         values.sort_by(f64::total_cmp);
         values.get(values.len() / 2).copied()
     };
-    let median = middle(off.to_vec()).filter(|_| off.len() > 2 * FEATURES)?;
+    let are_few = off.len() <= 2 * FEATURES;
+    let median = if are_few { 0.0 } else { middle(off.to_vec())? };
     let far: Vec<f64> = off.iter().map(|off| (off - median).abs()).collect();
-    let limit = APART.max(SPREADS_APART * middle(far.clone())?);
+    let limit = if are_few { ONE_OF_FEW } else { APART.max(SPREADS_APART * middle(far.clone())?) };
     let found: Vec<String> = (names.iter().zip(off).zip(&far))
         .filter(|(_, far)| **far > limit)
         .map(|((name, off), _)| format!("`{set}.{name}` is off by {off:.3} mm"))
         .collect();
     let told = found.iter().take(FEATURES).cloned().collect::<Vec<_>>().join(", ");
     let more = if found.len() > FEATURES { format!(" and {} more", found.len() - FEATURES) } else { String::new() };
-    (!found.is_empty()).then(|| format!("{told}{more}, the others are not: nominal places or normals may be wrong"))
+    let others = if are_few { "" } else { ", the others are not" };
+    (!found.is_empty()).then(|| format!("{told}{more}{others}: nominal places or normals may be wrong"))
 }
 
 /// The last part of the name of a feature's unknown: `d` of `facet[7].d`.
