@@ -52,7 +52,7 @@ fn declared(names: &[String], knots: &Value) -> Vec<Value> {
 }
 
 /// A calibration that states the truth of a machine; `status` is that of its values.
-fn calibration(machine: &str) -> Value {
+pub fn calibration(machine: &str) -> Value {
     let truth = json_file(&root().join(format!("tests/truth/compensation-{machine}.json")));
     let names: Vec<String> = truth["parameters"].as_object().expect("parameters").keys().cloned().collect();
     let text = read(&folder(machine).join("machine.yaml"));
@@ -88,6 +88,11 @@ fn calibration(machine: &str) -> Value {
             "residual_rms_um": 0.0, "null_space": [],
         },
     })
+}
+
+/// One value for every parameter of a model.
+pub fn values_of(model: &dyn KinematicModel, calibration: &Calibration) -> Vec<f64> {
+    values(model, calibration)
 }
 
 struct Known {

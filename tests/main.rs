@@ -6,6 +6,7 @@ mod bounds;
 mod calibrations;
 mod cmm;
 mod compensation;
+mod controls;
 mod coverage;
 mod decisions;
 mod errors;

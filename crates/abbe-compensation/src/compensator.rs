@@ -4,12 +4,12 @@ use abbe_core::{AxisKind, Error, KinematicModel, Poses, Result, Variable, in_par
 use nalgebra::{Quaternion, UnitQuaternion, Vector3};
 
 use crate::settings::{Method, Settings, Travel};
-use crate::step::{Bounds, Task, shift, turn};
+use crate::step::{Bounds, Task, linear_steps, rotary_corrections};
 
 /// Points that are evaluated together.
 const CHUNK: usize = 128;
 
-/// Most passes of Newton's method. Errors of machines need two or three, more where the bound on rotary corrections bites.
+/// Most passes of Newton's method. Errors of machines need two or three, more where the bound on rotary corrections is reached.
 const PASSES: usize = 20;
 
 /// Steps, mm and rad, below which a pass is the last one.
@@ -49,7 +49,7 @@ pub struct Correction {
     pub before: Deviation,
     /// With the corrected one.
     pub after: Deviation,
-    /// The bound on rotary corrections bites.
+    /// The bound on rotary corrections is reached.
     pub is_bounded: bool,
     /// Axes that stand at an end of their travel: indices into [`ModelInfo::axes`](abbe_core::ModelInfo::axes).
     pub held: Vec<usize>,
@@ -131,24 +131,17 @@ impl<'a> Compensator<'a> {
         let nominal = &self.model.info().nominal;
         let (mut goal, mut now) = (Poses::default(), Poses::default());
         let of_nominal: &[Variable] = if self.settings.method == Method::FirstOrder { &self.wanted } else { &[] };
-        self.model.poses(programmed, nominal, of_nominal, true, &mut goal)?;
-        self.model.poses(programmed, self.values, &self.wanted, true, &mut now)?;
+        self.poses(programmed, nominal, of_nominal, &mut goal)?;
+        self.poses(programmed, self.values, &self.wanted, &mut now)?;
         let count = goal.positions.len();
         let mut points: Vec<Correction> = (0..count)
             .map(|point| Correction { before: deviation(&now, &goal, point), ..Correction::default() })
             .collect();
-        let is_finite = |poses: &Poses| {
-            let mut numbers = poses.positions.iter().chain(&poses.position_derivatives).flatten();
-            numbers.all(|value| value.is_finite())
-        };
-        if !is_finite(&goal) || !is_finite(&now) {
-            return Err(Error::data("the machine has no finite poses at these set-points"));
-        }
         let width = self.model.info().status.len();
         for (point, status) in programmed.chunks(width).enumerate() {
             let all: Vec<usize> = (0..self.model.info().axes.len()).collect();
-            if let Some(error) = self.beyond_travel(status, &all) {
-                return Err(error.at_pose(point));
+            if let Some(beyond) = self.beyond_travel(status, &all) {
+                return Err(Error::data(format!("{beyond}; the path cannot be run")).at_pose(point));
             }
         }
         for (point, correction) in points.iter().enumerate() {
@@ -171,7 +164,7 @@ impl<'a> Compensator<'a> {
                 self.step(&lacks, (derivatives, point), (status, place), (&mut states[point], &mut points[point]));
                 points[point].passes = pass;
             }
-            self.model.poses(&statuses, self.values, &self.wanted, true, &mut now)?;
+            self.poses(&statuses, self.values, &self.wanted, &mut now)?;
             if self.settings.method == Method::FirstOrder || states.iter().all(State::is_settled) {
                 break;
             }
@@ -184,8 +177,9 @@ impl<'a> Compensator<'a> {
             if self.settings.method == Method::Exact && !states[point].is_settled() {
                 return fails(Error::data("no commands are found that correct this point"));
             }
-            if let Some(error) = self.beyond_travel(status, &corrected) {
-                return fails(error);
+            if let Some(beyond) = self.beyond_travel(status, &corrected) {
+                let help = "`travel: hold` keeps it at its end and tells what remains";
+                return fails(Error::data(format!("corrected, {beyond}")).help(help).setting("travel"));
             }
         }
         Ok((statuses, points))
@@ -215,7 +209,7 @@ impl<'a> Compensator<'a> {
         let shifts: Vec<Vector3<f64>> =
             (0..first).map(|index| column(&derivatives.position_derivatives, index)).collect();
         let travel: Vec<Bounds> = self.linear.iter().map(|&axis| self.travel_left(axis, status)).collect();
-        let (steps, held) = shift(&self.task, &(-Vector3::from(lacks.tip) - moved), &shifts, &travel);
+        let (steps, held) = linear_steps(&self.task, &(-Vector3::from(lacks.tip) - moved), &shifts, &travel);
         let rotary = |axis: &usize| self.rotary.contains(axis);
         correction.held.retain(rotary);
         for ((&axis, step), held) in self.linear.iter().zip(steps).zip(held) {
@@ -234,7 +228,7 @@ impl<'a> Compensator<'a> {
 
     /// Commands of the rotary axes that turn the tool axis nearer to its goal.
     ///
-    /// Where the bound bites the derivatives change from pass to pass with what the bound allows. So the nearest commands are kept, and
+    /// Where the bound is reached the derivatives change from pass to pass with what the bound allows. So the nearest commands are kept, and
     /// the axes stand there once a pass brings the tool axis hardly nearer.
     fn turned(
         &self,
@@ -260,7 +254,7 @@ impl<'a> Compensator<'a> {
         let places: Vec<f64> = self.rotary.iter().map(|&axis| programmed[axes[axis].status]).collect();
         let so_far: Vec<f64> = before.iter().zip(&places).map(|(now, place)| now - place).collect();
         let bound = self.settings.largest_rotary_correction_mrad * 1e-3;
-        let (total, is_bounded) = turn(&-Vector3::from(lacks.axis), &turns, &so_far, bound);
+        let (total, is_bounded) = rotary_corrections(&-Vector3::from(lacks.axis), &turns, &so_far, bound);
         correction.is_bounded |= is_bounded;
         correction.held.clear();
         let wanted = self.rotary.iter().zip(places).zip(total);
@@ -307,8 +301,27 @@ impl<'a> Compensator<'a> {
         Ok(())
     }
 
-    /// The error of a command beyond the travel of one of some axes, by more than rounding.
-    fn beyond_travel(&self, status: &[f64], of: &[usize]) -> Option<Error> {
+    /// Poses, with orientations. Fails unless they and their derivatives are finite.
+    fn poses(&self, statuses: &[f64], values: &[f64], wanted: &[Variable], poses: &mut Poses) -> Result<()> {
+        self.model.poses(statuses, values, wanted, true, poses)?;
+        let of_pose = |list: &[[f64; 3]], pose: usize| {
+            let derivatives = list.iter().skip(pose * wanted.len()).take(wanted.len());
+            derivatives.flatten().all(|value| value.is_finite())
+        };
+        let is_finite = |&pose: &usize| {
+            let own = poses.positions[pose].iter().chain(&poses.orientations[pose]);
+            own.into_iter().all(|value| value.is_finite())
+                && of_pose(&poses.position_derivatives, pose)
+                && of_pose(&poses.rotation_derivatives, pose)
+        };
+        match (0..poses.positions.len()).find(|pose| !is_finite(pose)) {
+            Some(pose) => Err(Error::data("the machine has no finite pose here").at_pose(pose)),
+            None => Ok(()),
+        }
+    }
+
+    /// What is said of a command beyond the travel of one of some axes, by more than rounding.
+    fn beyond_travel(&self, status: &[f64], of: &[usize]) -> Option<String> {
         let axes = of.iter().map(|&axis| &self.model.info().axes[axis]);
         axes.filter(|axis| !axis.endless).find_map(|axis| {
             let ([from, to], command) = (axis.range?, status[axis.status]);
@@ -321,13 +334,7 @@ impl<'a> Compensator<'a> {
                 AxisKind::Rotary => ("deg", 1_f64.to_degrees()),
             };
             let [command, from, to] = [command, from, to].map(|value| value * factor);
-            let message =
-                format!("{} would be at {command:.6} {unit}, beyond its travel of {from} to {to} {unit}", axis.name);
-            Some(
-                Error::data(message)
-                    .help("`travel: hold` keeps it at its end and tells what remains")
-                    .setting("travel"),
-            )
+            Some(format!("{} stands at {command:.6} {unit}, beyond its travel of {from} to {to} {unit}", axis.name))
         })
     }
 }

@@ -2,11 +2,11 @@
 
 use abbe_core::{AxisKind, Error, KinematicModel, PathItem, Result, SettingsError, positive};
 use schemars::JsonSchema;
-use serde::de::Error as _;
-use serde::{Deserialize, Deserializer, Serialize, Serializer};
+use serde::{Deserialize, Serialize};
 
 /// What is corrected.
-#[derive(Debug, Clone, PartialEq, Eq, Default, JsonSchema)]
+#[derive(Debug, Clone, PartialEq, Eq, Default, Serialize, Deserialize, JsonSchema)]
+#[serde(from = "CorrectText", into = "CorrectText")]
 #[schemars(with = "CorrectText")]
 pub enum Correct {
     /// The tip, by all linear axes. The tool axis keeps its error.
@@ -19,9 +19,8 @@ pub enum Correct {
 }
 
 /// How [`Correct`] is written.
-#[derive(JsonSchema)]
-#[serde(rename_all = "kebab-case", untagged)]
-#[allow(dead_code, reason = "it is a schema")]
+#[derive(Serialize, Deserialize, JsonSchema)]
+#[serde(untagged, expecting = "`position`, `five-axes`, or a list of linear axes (`[X, Z]`) was expected")]
 enum CorrectText {
     /// `position` or `five-axes`.
     Name(CorrectName),
@@ -29,34 +28,30 @@ enum CorrectText {
     Axes(Vec<String>),
 }
 
-#[derive(Deserialize, JsonSchema)]
+#[derive(Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "kebab-case")]
 enum CorrectName {
     Position,
     FiveAxes,
 }
 
-impl Serialize for Correct {
-    fn serialize<S: Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
-        match self {
-            Self::Position => serializer.serialize_str("position"),
-            Self::FiveAxes => serializer.serialize_str("five-axes"),
-            Self::Axes(axes) => axes.serialize(serializer),
+impl From<CorrectText> for Correct {
+    fn from(text: CorrectText) -> Self {
+        match text {
+            CorrectText::Name(CorrectName::Position) => Self::Position,
+            CorrectText::Name(CorrectName::FiveAxes) => Self::FiveAxes,
+            CorrectText::Axes(axes) => Self::Axes(axes),
         }
     }
 }
 
-impl<'de> Deserialize<'de> for Correct {
-    fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
-        let value = serde_json::Value::deserialize(deserializer)?;
-        match value {
-            serde_json::Value::Array(_) => abbe_core::from_settings(&value).map(Self::Axes),
-            other => abbe_core::from_settings(&other).map(|name| match name {
-                CorrectName::Position => Self::Position,
-                CorrectName::FiveAxes => Self::FiveAxes,
-            }),
+impl From<Correct> for CorrectText {
+    fn from(correct: Correct) -> Self {
+        match correct {
+            Correct::Position => Self::Name(CorrectName::Position),
+            Correct::FiveAxes => Self::Name(CorrectName::FiveAxes),
+            Correct::Axes(axes) => Self::Axes(axes),
         }
-        .map_err(D::Error::custom)
     }
 }
 

@@ -42,13 +42,13 @@ impl Bounds {
     }
 }
 
-/// Total corrections of rotary axes, and whether the bound bites.
+/// Total corrections of rotary axes, and whether the bound is reached.
 ///
 /// `change` is what the tool axis lacks, `derivatives` what it changes with each axis (vectors in the table frame, both orthogonal to
 /// the tool axis but for second order), `so_far` the corrections until now. In the directions of the singular vectors corrections are
 /// independent of each other: each is held at the bound by itself, the one that turns the tool axis most goes first. So accuracy is
 /// lost only where a command would be beyond the bound.
-pub(crate) fn turn(
+pub(crate) fn rotary_corrections(
     change: &Vector3<f64>,
     derivatives: &[Vector3<f64>],
     so_far: &[f64],
@@ -87,7 +87,7 @@ pub(crate) fn turn(
 
 /// Steps of linear axes with which the tip moves by `change`, as well as they can; and which of them are held at the ends of
 /// `travel` (the steps that are left of it).
-pub(crate) fn shift(
+pub(crate) fn linear_steps(
     task: &Task,
     change: &Vector3<f64>,
     derivatives: &[Vector3<f64>],

@@ -46,7 +46,7 @@ pub use problem::{
 };
 pub use registry::{Build, Constructor, Context, EstimateSource, Kind, Origin, Plugin, Provider, Registry};
 pub use row_settings::{Ids, PooledRepeats, RowSettings, RowUncertainty, SharedError};
-pub use stage::{Artefact, Estimate, Export, ExportedFile, Fit, Ingest, InputFile, Model, Validate};
+pub use stage::{Artefact, CommandCorrection, Estimate, Export, ExportedFile, Fit, Ingest, InputFile, Model, Validate};
 pub use uncertainty::{CovarianceBlock, EquationUncertainty, PooledRepeatability};
 
 // Types of settings and results. They are re-exported so that plugins need this crate alone.

@@ -171,4 +171,20 @@ pub trait Export: Send + Sync {
 
     /// The files for a calibration; `model` is the calibration's own.
     fn export(&self, calibration: &Calibration, model: &dyn KinematicModel) -> Result<Vec<ExportedFile>>;
+
+    /// What a control with these files does to the commands of a program; none if the files correct nothing.
+    fn correction(
+        &self,
+        _calibration: &Calibration,
+        _model: &dyn KinematicModel,
+    ) -> Result<Option<Box<dyn CommandCorrection>>> {
+        Ok(None)
+    }
+}
+
+/// What a control does to the commands of a program before its motors get them.
+pub trait CommandCorrection: Send + Sync {
+    /// The statuses with the commands of the motors, for programmed statuses: points x columns of the status of the model. All
+    /// columns but those of commands stay: directions of approach are those of the program.
+    fn commands(&self, programmed: &[f64]) -> Result<Vec<f64>>;
 }

@@ -1,0 +1,6 @@
+//! Tables and parameters for controls, each against an emulator of the control that shares no code with the exporter.
+//!
+//! One law for all ([`law`]): the exported files go into the emulator, the commands of its motors go to the virtual machine with the
+//! errors of the calibration, and its tool is where the exporter's own prediction says. With the sign turned the law fails.
+
+pub(crate) mod law;
