@@ -170,7 +170,7 @@ fn a_certificate_does_not_scatter_as_touches_do() {
         assert!(close, "{}: {found:e}, {expected:e}", budget.name);
         judged += usize::from(found > 0.0);
     }
-    assert!(judged >= 3, "{judged} parameters hang on the certificate");
+    assert!(judged >= 3, "{judged} parameters depend on the certificate");
     let listed = calibration.inputs.as_ref().expect("inputs");
     assert!(listed.iter().any(|it| it.name == input && it.standard_uncertainty == certified), "{listed:?}");
 

@@ -1,4 +1,4 @@
-//! What a calibration tells of a machine, and whether it may be acted upon.
+//! What a calibration tells of a machine, and whether a correction may use it.
 
 use abbe_core::{Calibration, Error, KinematicModel, Poses, Result, Status, Termination, Variable};
 

@@ -21,7 +21,7 @@ mod step;
 
 pub use calibrated::{check_confounded, values};
 pub use compensator::{Compensator, Correction, Deviation};
-pub use figures::{Figures, Spread, TurnedMoves, figures, turned_moves};
+pub use figures::{Figures, ReversedMoves, Spread, figures, reversed_moves};
 pub use path::CompensatedPath;
 pub use set_points::SetPoints;
 pub use settings::{Correct, Method, Settings, Travel};

@@ -6,7 +6,7 @@ use abbe_core::{Calibration, KinematicModel, Result};
 
 use crate::calibrated::{check_confounded, values};
 use crate::compensator::{Compensator, Correction};
-use crate::figures::{TurnedMoves, turned_moves};
+use crate::figures::{ReversedMoves, reversed_moves};
 use crate::set_points::SetPoints;
 use crate::settings::Settings;
 
@@ -19,14 +19,14 @@ pub struct CompensatedPath {
     pub statuses: Vec<f64>,
     /// What was done at each of them.
     pub corrections: Vec<Correction>,
-    /// Moves that the correction turns round.
-    pub turned: Vec<TurnedMoves>,
+    /// Moves that the correction reverses.
+    pub reversed: Vec<ReversedMoves>,
 }
 
 impl CompensatedPath {
     /// Corrects a file for the errors of a calibration; `model` is the calibration's own.
     ///
-    /// Fails for a calibration that may not be acted upon ([`check_confounded`]), and as [`SetPoints::read`] and
+    /// Fails for a calibration that may not be used ([`check_confounded`]), and as [`SetPoints::read`] and
     /// [`Compensator::correct`] do. Errors of a point name its line.
     pub fn new(
         model: &dyn KinematicModel,
@@ -39,11 +39,18 @@ impl CompensatedPath {
         let corrected = || {
             check_confounded(model, calibration, points.statuses())?;
             let (statuses, corrections) = Compensator::new(model, &values, settings)?.correct(points.statuses())?;
-            let turned = turned_moves(model, &values, points.statuses(), &statuses)?;
-            Ok((statuses, corrections, turned))
+            let reversed = reversed_moves(model, &values, points.statuses(), &statuses)?;
+            Ok((statuses, corrections, reversed))
         };
-        let (statuses, corrections, turned) = corrected().map_err(|error| points.locate(error))?;
-        Ok(Self { points, statuses, corrections, turned })
+        let (statuses, corrections, reversed) = corrected().map_err(|error| points.locate(error))?;
+        Ok(Self { points, statuses, corrections, reversed })
+    }
+
+    /// Largest correction of the command of an axis, mm or rad.
+    pub fn largest_correction(&self, model: &dyn KinematicModel, axis: usize) -> f64 {
+        let (width, place) = (model.info().status.len(), model.info().axes[axis].status);
+        let pairs = self.statuses.chunks(width).zip(self.points.statuses().chunks(width));
+        pairs.map(|(now, before)| (now[place] - before[place]).abs()).fold(0.0, f64::max)
     }
 
     /// The text of the file with corrected commands of nine decimals; all else is as it was.

@@ -157,21 +157,23 @@ impl SetPoints {
 /// Writes the directions of the moves of one axis.
 fn fill_directions(statuses: &mut [f64], width: usize, command: usize, direction: usize) {
     let commands: Vec<f64> = statuses.chunks(width).map(|pose| pose[command]).collect();
+    let directions = directions_of(&commands);
+    statuses.chunks_mut(width).zip(directions).for_each(|(pose, of_point)| pose[direction] = of_point);
+}
+
+/// The directions of the last moves of an axis: at the first point that of its next move, +1 before it has moved.
+pub(crate) fn directions_of(commands: &[f64]) -> Vec<f64> {
     let sign = |move_: f64| if move_ < 0.0 { -1.0 } else { 1.0 };
-    let mut last = match commands.as_slice() {
-        [first, next, ..] => sign(next - first),
-        _ => 1.0,
-    };
-    let mut has_moved = false;
-    for (index, pose) in statuses.chunks_mut(width).enumerate() {
-        let by = if index > 0 { commands[index] - commands[index - 1] } else { 0.0 };
-        if by != 0.0 {
-            (last, has_moved) = (sign(by), true);
-        } else if index > 0 && !has_moved {
-            last = 1.0;
+    let Some(first) = commands.first() else { return Vec::new() };
+    let mut directions = vec![commands.get(1).map_or(1.0, |next| sign(next - first))];
+    let mut last = 1.0;
+    for pair in commands.windows(2) {
+        if pair[1] != pair[0] {
+            last = sign(pair[1] - pair[0]);
         }
-        pose[direction] = last;
+        directions.push(last);
     }
+    directions
 }
 
 #[cfg(test)]
@@ -180,11 +182,7 @@ mod tests {
 
     #[test]
     fn directions_are_those_of_the_path() {
-        let of = |commands: &[f64]| {
-            let mut statuses: Vec<f64> = commands.iter().flat_map(|command| [*command, f64::NAN]).collect();
-            fill_directions(&mut statuses, 2, 0, 1);
-            statuses.chunks(2).map(|pose| pose[1]).collect::<Vec<_>>()
-        };
+        let of = directions_of;
         assert_eq!(of(&[0.0, -1.0, -1.0, 2.0, 2.0]), [-1.0, -1.0, -1.0, 1.0, 1.0]);
         assert_eq!(of(&[5.0, 5.0, 4.0, 4.0]), [1.0, 1.0, -1.0, -1.0]);
         assert_eq!(of(&[1.0]), [1.0]);

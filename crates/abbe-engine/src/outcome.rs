@@ -12,7 +12,7 @@ use serde::Serialize;
 use crate::prepare::Prepared;
 use crate::record::{FailureRecord, FileRecord, PluginRecord, RUN_FORMAT, RunRecord, sha256};
 use crate::results::{RECORD, ResultFolder};
-use crate::staging::{Staging, can_write, turn, unwritable};
+use crate::staging::{Staging, can_write, exclusive_access, unwritable};
 
 /// Everything that a run found, in memory.
 pub struct Outcome {
@@ -86,7 +86,7 @@ impl Outcome {
         }
         staging.write(Path::new(RECORD), json(&record)?.as_bytes()).map_err(unwritable)?;
         // Another run may have written the folder in the meantime.
-        let _turn = turn(folder.parent());
+        let _access = exclusive_access(folder.parent());
         ResultFolder::new(&target, &self.input_files)?.replace_by(staging)?;
         Ok(target)
     }

@@ -27,7 +27,7 @@ impl Staging {
         let failed = |error: io::Error| unwritable(parent, &error);
         let made = MadeFolders::new(parent).map_err(failed)?;
         // Nobody takes the new folder for an abandoned one before it has its lock.
-        let _turn = turn(parent);
+        let _access = exclusive_access(parent);
         remove_abandoned(parent).map_err(failed)?;
         let folder = temporary(parent).map_err(failed)?;
         let lock = locked(folder.path());
@@ -121,12 +121,12 @@ fn locked(folder: &Path) -> Option<File> {
     Some(folder)
 }
 
-/// How often, and how long after each other, a turn is asked for.
+/// How often, and how long after each other, access is asked for.
 const ASKED: usize = 200;
 const PAUSE: Duration = Duration::from_millis(50);
 
 /// A lock on a folder that several runs write into, for the moment in which only one may; none if it cannot be had.
-pub(crate) fn turn(folder: &Path) -> Option<File> {
+pub(crate) fn exclusive_access(folder: &Path) -> Option<File> {
     let folder = File::open(folder).ok()?;
     for _ in 0..ASKED {
         match folder.try_lock() {

@@ -299,7 +299,7 @@ fn off_grid(value: f64) -> f64 {
     (value - value.round()).abs()
 }
 
-/// A number between -1/2 and 1/2 that hangs on nothing but the pose and the status (the finaliser of SplitMix64, Steele et al. 2014).
+/// A number between -1/2 and 1/2 that depends on nothing but the pose and the status (the finaliser of SplitMix64, Steele et al. 2014).
 fn noise(pose: u64, status: u64) -> f64 {
     let mut bits = (pose << 8 | status).wrapping_add(1).wrapping_mul(0x9e37_79b9_7f4a_7c15);
     bits = (bits ^ (bits >> 30)).wrapping_mul(0xbf58_476d_1ce4_e5b9);

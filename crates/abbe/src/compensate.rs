@@ -5,7 +5,7 @@ use std::path::{Path, PathBuf};
 use std::time::{Duration, SystemTime, UNIX_EPOCH};
 
 use abbe_compensation::{CompensatedPath, Correct, Method, Settings, Travel, figures};
-use abbe_core::{AxisKind, Calibration, Error, KinematicModel, Registry, Result};
+use abbe_core::{Axis, AxisKind, Calibration, Error, KinematicModel, Registry, Result};
 use abbe_engine::{RunRecord, model_of};
 use abbe_files::{LARGEST_RESULT, read_text};
 use clap::{Args, ValueEnum};
@@ -102,17 +102,31 @@ pub struct Compensated {
 }
 
 impl Compensated {
-    /// Writes the files, none of which may exist.
+    /// Writes the files, none of which may exist: all of them or none.
     pub fn write(&self) -> Result<()> {
         self.files.iter().try_for_each(|(path, _)| is_free(path))?;
-        self.files.iter().try_for_each(|(path, text)| {
-            let wrong = |error: std::io::Error| Error::data(format!("{} cannot be written: {error}", path.display()));
+        let wrong = |path: &Path, error: &std::io::Error| {
+            Error::data(format!("{} cannot be written: {}", path.display(), error.kind()))
+        };
+        let filled = |(path, text): &(PathBuf, String)| {
             let folder = path.parent().filter(|folder| !folder.as_os_str().is_empty()).unwrap_or(Path::new("."));
-            // Whole or not at all.
-            let mut under_way = tempfile::Builder::new().prefix(".abbe-").tempfile_in(folder).map_err(wrong)?;
-            under_way.write_all(text.as_bytes()).map_err(wrong)?;
-            under_way.persist_noclobber(path).map(drop).map_err(|error| wrong(error.error))
-        })
+            let mut file = tempfile::Builder::new().prefix(".abbe-").tempfile_in(folder)?;
+            file.write_all(text.as_bytes())?;
+            Ok(file)
+        };
+        let filled: Vec<_> = (self.files.iter())
+            .map(|file| filled(file).map_err(|error| wrong(&file.0, &error)))
+            .collect::<Result<_>>()?;
+        let mut written: Vec<&Path> = Vec::new();
+        for (file, (path, _)) in filled.into_iter().zip(&self.files) {
+            if let Err(error) = file.persist_noclobber(path) {
+                // What was written a moment ago is this program's own.
+                written.iter().for_each(|path| drop(std::fs::remove_file(path)));
+                return Err(wrong(path, &error.error));
+            }
+            written.push(path);
+        }
+        Ok(())
     }
 }
 
@@ -162,7 +176,6 @@ impl Compensate {
         let model = model_of(&calibration, registry).map_err(|error| error.in_file(&self.calibration))?;
         let model = model.as_ref();
         let path = CompensatedPath::new(model, &calibration, &self.setpoints, &self.settings())?;
-        let CompensatedPath { points, statuses, corrections, turned } = &path;
         let mut files = Vec::new();
         if let Some(out) = &self.out {
             files.push((out.clone(), path.set_points_text(model)?));
@@ -170,71 +183,90 @@ impl Compensate {
         if let Some(report) = &self.report {
             files.push((report.clone(), path.errors_text(model)));
         }
-        let found = figures(corrections);
+        let text = if self.json { self.json(model, &path, &files)? } else { self.text(model, &path, &files) };
+        Ok(Compensated { text, files })
+    }
+
+    fn json(&self, model: &dyn KinematicModel, path: &CompensatedPath, files: &[(PathBuf, String)]) -> Result<String> {
+        let found = figures(&path.corrections);
+        let of = |before: f64, after: f64| json!({ "before": before, "after": after });
+        let corrections: serde_json::Map<String, Value> = (model.info().axes.iter().enumerate())
+            .map(|(index, axis)| {
+                let (unit, factor) = position_unit(axis);
+                (format!("{}_{unit}", axis.name), json!(path.largest_correction(model, index) * factor))
+            })
+            .collect();
+        let reversed: Vec<Value> = (path.reversed.iter())
+            .map(|moves| {
+                json!({
+                    "axis": model.info().axes[moves.axis].name, "moves": moves.count,
+                    "while_standing": moves.while_standing, "reversal_um": moves.reversal * 1e3,
+                })
+            })
+            .collect();
+        crate::pretty(&json!({
+            "points": path.points.len(),
+            "tip_max_um": of(found.tip_before.max * 1e3, found.tip_after.max * 1e3),
+            "tip_rms_um": of(found.tip_before.rms * 1e3, found.tip_after.rms * 1e3),
+            "axis_max_urad": of(found.axis_before.max * 1e6, found.axis_after.max * 1e6),
+            "axis_rms_urad": of(found.axis_before.rms * 1e6, found.axis_after.rms * 1e6),
+            "largest_corrections": corrections,
+            "bounded_points": found.bounded,
+            "held_points": found.held,
+            "reversed_moves": reversed,
+            "files": files.iter().map(|(path, _)| path.display().to_string()).collect::<Vec<_>>(),
+        }))
+    }
+
+    fn text(&self, model: &dyn KinematicModel, path: &CompensatedPath, files: &[(PathBuf, String)]) -> String {
+        let found = figures(&path.corrections);
         let axes = &model.info().axes;
-        let name = |axis: usize| axes[axis].name.as_str();
-        let largest = |axis: usize| {
-            let (width, place) = (model.info().status.len(), axes[axis].status);
-            let pairs = statuses.chunks(width).zip(points.statuses().chunks(width));
-            pairs.map(|(now, before)| (now[place] - before[place]).abs()).fold(0.0, f64::max)
-        };
         let rows = [
             ("tip, largest µm", found.tip_before.max * 1e3, found.tip_after.max * 1e3),
             ("tip, RMS µm", found.tip_before.rms * 1e3, found.tip_after.rms * 1e3),
             ("tool axis, largest µrad", found.axis_before.max * 1e6, found.axis_after.max * 1e6),
             ("tool axis, RMS µrad", found.axis_before.rms * 1e6, found.axis_after.rms * 1e6),
         ];
-        if self.json {
-            let figures: Value = rows
-                .iter()
-                .map(|(name, before, after)| json!({ "name": name, "before": before, "after": after }))
-                .collect();
-            let corrections: serde_json::Map<String, Value> = (0..axes.len())
-                .map(|axis| (name(axis).to_owned(), json!(largest(axis) * position_factor(model, axis))))
-                .collect();
-            let turned: Vec<Value> = turned
-                .iter()
-                .map(|turned| json!({ "axis": name(turned.axis), "moves": turned.count, "reversal_um": turned.reversal * 1e3 }))
-                .collect();
-            let value = json!({
-                "points": points.len(), "errors": figures, "largest_corrections": corrections, "bounded": found.bounded,
-                "held": found.held, "turned_moves": turned,
-                "files": files.iter().map(|(path, _)| path.display().to_string()).collect::<Vec<_>>(),
-            });
-            return Ok(Compensated { text: crate::pretty(&value)?, files });
-        }
         let mut table = vec![["", "before", "after"].map(str::to_owned).to_vec()];
         table.extend(rows.map(|(name, before, after)| vec![name.to_owned(), short(before), short(after)]));
-        let mut text = format!("{} set-points\n\n{}", points.len(), table::text(&table, &[1, 2]));
-        let corrected: Vec<String> = (0..axes.len())
-            .filter(|&axis| largest(axis) > 0.0)
-            .map(|axis| format!("{} {}", name(axis), of_people(model, axis, largest(axis))))
+        let mut text = format!("{}\n\n{}", counted(path.points.len(), "set-point"), table::text(&table, &[1, 2]));
+        let corrected: Vec<String> = (axes.iter().enumerate())
+            .map(|(index, axis)| (axis, path.largest_correction(model, index)))
+            .filter(|(_, largest)| *largest > 0.0)
+            .map(|(axis, largest)| format!("{} {}", axis.name, of_people(axis, largest)))
             .collect();
-        text.push_str(&format!("\nLargest corrections: {}\n", corrected.join(", ")));
+        let corrected = if corrected.is_empty() { "none".to_owned() } else { corrected.join(", ") };
+        text.push_str(&format!("\nLargest corrections: {corrected}\n"));
         if found.bounded > 0 {
             text.push_str(&format!(
-                "{} points near a pole: the bound of {} mrad on rotary corrections leaves a part of the error of the tool axis\n",
-                found.bounded, self.largest_rotary_correction_mrad
+                "Near a pole: at {} the bound of {} mrad on rotary corrections leaves a part of the error of the tool axis\n",
+                counted(found.bounded, "set-point"),
+                self.largest_rotary_correction_mrad
             ));
         }
         if found.held > 0 {
-            text.push_str(&format!("{} points have an axis at the end of its travel\n", found.held));
+            let points = counted(found.held, "set-point");
+            text.push_str(&format!("Held: at {points} an axis stands at the end of its travel\n"));
         }
-        for moves in turned {
+        for moves in &path.reversed {
+            let also = match moves.while_standing {
+                0 => String::new(),
+                count => format!(", and {} while it stands in the program", counted(count, "move")),
+            };
             text.push_str(&format!(
-                "Turned round: {} of the moves of {}; its reversal there moves the tip by {} µm at most\n",
-                moves.count,
-                name(moves.axis),
+                "Reversed: {} of {}{also}; its reversal there moves the tip by {} µm at most\n",
+                counted(moves.count, "move"),
+                axes[moves.axis].name,
                 short(moves.reversal * 1e3)
             ));
         }
-        for (path, _) in &files {
+        for (path, _) in files {
             text.push_str(&format!("\nWritten: {}", path.display()));
         }
         if !files.is_empty() {
             text.push('\n');
         }
-        Ok(Compensated { text, files })
+        text
     }
 
     /// Refuses a calibration of a run that is too old, or of which the time is not known.
@@ -260,16 +292,21 @@ impl Compensate {
     }
 }
 
-/// Positions in files over positions in memory.
-fn position_factor(model: &dyn KinematicModel, axis: usize) -> f64 {
-    match model.info().axes[axis].kind {
-        AxisKind::Linear => 1.0,
-        AxisKind::Rotary => 1_f64.to_degrees(),
+/// A number of things: "1 move", "2 moves".
+fn counted(count: usize, what: &str) -> String {
+    format!("{count} {what}{}", if count == 1 { "" } else { "s" })
+}
+
+/// The unit of positions in files, and the factor from the unit in memory.
+fn position_unit(axis: &Axis) -> (&'static str, f64) {
+    match axis.kind {
+        AxisKind::Linear => ("mm", 1.0),
+        AxisKind::Rotary => ("deg", 1_f64.to_degrees()),
     }
 }
 
-fn of_people(model: &dyn KinematicModel, axis: usize, size: f64) -> String {
-    match model.info().axes[axis].kind {
+fn of_people(axis: &Axis, size: f64) -> String {
+    match axis.kind {
         AxisKind::Linear => format!("{} µm", short(size * 1e3)),
         AxisKind::Rotary => format!("{} µrad", short(size * 1e6)),
     }

@@ -105,7 +105,7 @@ fn build(settings: Settings, context: &Context) -> Result<Box<dyn Artefact>, Set
         return Err(SettingsError::new("centres_by", "the rows are centres already"));
     }
     if settings.rows == Rows::Centres && settings.stylus_radius_standard_uncertainty_um > 0.0 {
-        let message = "how the centres hang on the stylus radius is not known: their touches are";
+        let message = "how the centres depend on the stylus radius is not known: their touches are";
         return Err(SettingsError::new("stylus_radius_standard_uncertainty_um", message)
             .help("fit them from touches with `centres_by`, or state what their rows share under `uncertainty`"));
     }

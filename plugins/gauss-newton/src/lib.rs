@@ -369,7 +369,7 @@ impl GaussNewton {
         self.evaluation(explained).calibration(problem, solved, None, None)
     }
 
-    /// Marks every value that hangs on a lost direction: those that share it, and those that move by more than their standard
+    /// Marks every value that depends on a lost direction: those that share it, and those that move by more than their standard
     /// uncertainty where it is taken to be another, by products of errors.
     ///
     /// How far a lost direction may be off nobody knows; it is tried with the largest value that was found for what has a main part in
@@ -415,7 +415,10 @@ impl GaussNewton {
                 Err(error) if error.fatal => return Err(error),
                 Err(error) => {
                     let lost = vector.describe();
-                    tracing::warn!("{}: what hangs on a lost direction ({lost}) was not found: {error}", problem.name);
+                    tracing::warn!(
+                        "{}: what depends on a lost direction ({lost}) was not found: {error}",
+                        problem.name
+                    );
                     continue;
                 }
             };

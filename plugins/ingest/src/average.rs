@@ -60,7 +60,7 @@ impl Average {
                         same_angles(data, &header.header, numbers, &groups)?;
                     }
                     if header.quantity == Quantity::Length {
-                        let others = strangers(numbers, series, &groups).into_iter();
+                        let others = deviating_series(numbers, series, &groups).into_iter();
                         others.for_each(|(series, off)| {
                             tracing::warn!(
                                 "`{}` {series}: `{}` is {off:.3} mm away from the other series (median): does it belong to them?",
@@ -92,7 +92,7 @@ const FAR: f64 = 0.05;
 const FARTHER: f64 = 10.0;
 
 /// The series whose values are far from those of the others, with the median of the distances.
-fn strangers<'a>(values: &[f64], series: &'a [String], groups: &[Vec<DataRow>]) -> Vec<(&'a str, f64)> {
+fn deviating_series<'a>(values: &[f64], series: &'a [String], groups: &[Vec<DataRow>]) -> Vec<(&'a str, f64)> {
     let mut away: BTreeMap<&str, Vec<f64>> = BTreeMap::new();
     for rows in groups.iter().filter(|rows| rows.len() > 2) {
         let middle = median(rows.iter().map(|&row| values[row]).collect());
@@ -142,7 +142,7 @@ mod tests {
                     series.push(name.clone());
                 }
             }
-            let found = strangers(&values, &series, &groups);
+            let found = deviating_series(&values, &series, &groups);
             found.into_iter().map(|(name, off)| (name.to_owned(), off)).collect::<Vec<_>>()
         };
         assert_eq!(found(0.0), []);

@@ -160,7 +160,7 @@ fn case(seed: u64, number: u64) -> (Vec<String>, usize, usize) {
                 }
                 law(
                     !correction.is_bounded || span < before / BOUND * 2.0,
-                    format!("point {point}: the bound bites far from a pole"),
+                    format!("point {point}: the bound is reached far from a pole"),
                 );
             }
         }

@@ -204,7 +204,7 @@ pub(crate) fn check_constraints(set: &ObservationSet) -> Result<()> {
         let uncertain = |input: usize| set.info().inputs[input].standard_uncertainty > 0.0;
         let stated = |equation| equations.by_input().iter().any(|&(of, input, _)| of == equation && uncertain(input));
         if !(0..rows[row].equations).all(stated) {
-            let message = "a constraint of this artefact hangs on no known input that has an uncertainty";
+            let message = "a constraint of this artefact depends on no known input that has an uncertainty";
             return Err(Error::data(message)
                 .help(
                     "its plugin has to give what the certificate states as a known input with its standard uncertainty",

@@ -14,7 +14,7 @@ fn about(errors: &mut [f64; 6], v: Vector3<f64>) {
 
 /// The same machine with its origin moved by `v`; also how far the table frame moves with the origin.
 ///
-/// A rotary axis carries frames of its own: what comes after it hangs on its point. So only what stands between the bed
+/// A rotary axis carries frames of its own: what comes after it depends on its point. So only what stands between the bed
 /// and the first rotary axis of a branch notices, and the tip or the table frame if the branch has no rotary axis.
 fn moved(machine: &Machine, errors: &MachineErrors, v: Vector3<f64>) -> (Machine, MachineErrors, Vector3<f64>) {
     let (mut machine, mut errors) = (machine.clone(), errors.clone());

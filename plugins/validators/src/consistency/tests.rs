@@ -55,7 +55,7 @@ fn chi_squared_by_hand() {
     assert!(found.remarks.iter().any(|remark| remark.starts_with("a against a: both use rows of ")));
 }
 
-/// Two calibrations of dxt and dyt that hang on one bar, µm.
+/// Two calibrations of dxt and dyt that depend on one bar, µm.
 fn with_a_bar(name: &str, values: [f64; 2], sensitivities: [f64; 2], rows: &[&[f64]]) -> (TempDir, Fit) {
     let (folder, mut fit) = fit(name, (&[("dxt", values[0]), ("dyt", values[1])], rows));
     fit.calibration.inputs = Some(vec![ConsideredInput {
