@@ -5,10 +5,8 @@ use std::collections::BTreeSet;
 use std::path::PathBuf;
 use std::sync::Arc;
 
-use abbe_compensation::{
-    Compensator, Correct, Figures, Method, SetPoints, Settings, Travel, figures, reversed_moves, values,
-};
-use abbe_core::{Calibration, KinematicModel};
+use abbe_compensation::{Compensator, Correct, Figures, Method, SetPoints, Settings, Travel, figures, reversed_moves};
+use abbe_core::{Calibration, KinematicModel, machine_values};
 use abbe_engine::model_of;
 use serde_json::{Value, json};
 
@@ -90,11 +88,6 @@ pub fn calibration(machine: &str) -> Value {
     })
 }
 
-/// One value for every parameter of a model.
-pub fn values_of(model: &dyn KinematicModel, calibration: &Calibration) -> Vec<f64> {
-    values(model, calibration)
-}
-
 struct Known {
     model: Arc<dyn KinematicModel>,
     values: Vec<f64>,
@@ -107,7 +100,7 @@ fn known(machine: &str) -> Known {
     for name in truth["parameters"].as_object().expect("parameters").keys() {
         assert!(model.info().parameter(name).is_some(), "{machine} lacks {name}");
     }
-    let values = values(model.as_ref(), &calibration);
+    let values = machine_values(model.as_ref(), &calibration);
     Known { model, values }
 }
 

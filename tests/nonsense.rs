@@ -1,9 +1,10 @@
 //! Absurd calibrations do not pass: signs, columns, units and lengths that are wrong, on a recipe that is right.
 
 use std::fs;
+use std::path::Path;
 
 use abbe_core::{Error, Monitor};
-use abbe_engine::{Outcome, prepare};
+use abbe_engine::{Outcome, Planned, prepare};
 use serde_json::{Value, json};
 
 use crate::support::{Variant, read, recipes, registry, temporary};
@@ -58,6 +59,14 @@ fn refused(change: impl Fn(&str, f64) -> f64, machine: &[(&str, Value)]) -> (Str
     (error.message, error.help.unwrap_or_default())
 }
 
+fn checked(recipe: &Variant, folder: &Path) -> Result<Vec<Planned>, Error> {
+    prepare(&recipe.write(folder), &registry())?.check()
+}
+
+fn ran(recipe: &Variant, folder: &Path) -> Result<Outcome, Error> {
+    prepare(&recipe.write(folder), &registry())?.run(&Monitor::default())
+}
+
 #[test]
 fn the_right_recipe_passes() {
     let outcome = first_steps(|_, value| value, &[]).expect("it runs");
@@ -94,8 +103,7 @@ fn swapped_columns_are_found() {
     let text = read(&recipe.path("touches", "path")).replace("X_mm,Y_mm", "Y_mm,X_mm");
     fs::write(folder.path().join("changed.csv"), text).expect("a file");
     recipe.stage("touches")["path"] = json!(folder.path().join("changed.csv"));
-    let outcome =
-        prepare(&recipe.write(folder.path()), &registry()).and_then(|prepared| prepared.run(&Monitor::default()));
+    let outcome = ran(&recipe, folder.path());
     let failure = outcome.expect("it runs").failures.remove(0);
     assert!(failure.error.message.starts_with("no machine has such errors: "), "{}", failure.error.message);
     assert!(failure.error.help.expect("help").starts_with("with X and Y swapped"));
@@ -163,7 +171,7 @@ fn rows_that_are_there_twice_are_told() {
     let line = text.lines().nth(5).expect("a row");
     fs::write(folder.path().join("changed.csv"), format!("{text}{line}\n")).expect("a file");
     recipe.stage("touches")["path"] = json!(folder.path().join("changed.csv"));
-    let planned = prepare(&recipe.write(folder.path()), &registry()).and_then(|prepared| prepared.check());
+    let planned = checked(&recipe, folder.path());
     let remarks = planned.expect("a plan").remove(0).identifiability.remarks;
     assert!(
         remarks.iter().any(|remark| remark.contains("1 row is in the data twice") && remark.contains("lines 6 and ")),
@@ -189,7 +197,7 @@ fn copies_of_files_and_of_numbered_rows_are_told() {
     let numbered = rows.iter().chain(&rows[..7]).enumerate().map(|(number, row)| format!("{row},n{number}\n"));
     fs::write(&copies[0], format!("{header},number\n{}", numbered.collect::<String>())).expect("a file");
     recipe.stage("touches")["path"] = json!(copies[0]);
-    let planned = prepare(&recipe.write(folder.path()), &registry()).and_then(|prepared| prepared.check());
+    let planned = checked(&recipe, folder.path());
     let remarks = planned.expect("a plan").remove(0).identifiability.remarks;
     assert!(remarks.iter().any(|remark| remark.contains("rows are in the data twice")), "{remarks:?}");
 }
@@ -205,7 +213,7 @@ fn lines_that_two_stages_read_are_told() {
     }
     recipe.stage("table-again")["from"] = json!("touches-again");
     recipe.stage("fit")["observations"] = json!(["table", "table-again"]);
-    let planned = prepare(&recipe.write(folder.path()), &registry()).and_then(|prepared| prepared.check());
+    let planned = checked(&recipe, folder.path());
     let remarks = planned.expect("a plan").remove(0).identifiability.remarks;
     assert!(remarks.iter().any(|remark| remark.contains("use the same 383 lines of a file")), "{remarks:?}");
 }
@@ -346,7 +354,7 @@ fn data_that_a_validator_does_not_read_are_refused() {
     let folder = temporary();
     let mut recipe = Variant::of(&recipes()["first-steps"]);
     recipe.stage("judge")["from"] = json!("touches");
-    let error = prepare(&recipe.write(folder.path()), &registry()).and_then(|prepared| prepared.check()).unwrap_err();
+    let error = checked(&recipe, folder.path()).unwrap_err();
     assert!(error.message.contains("it reads no data of its own"), "{error}");
 }
 
@@ -365,10 +373,7 @@ fn data_of_validators_are_within_the_travel() {
     let moved: String = rows.lines().map(moved).collect();
     fs::write(folder.path().join("moved.csv"), format!("{header}\n{moved}")).expect("a file");
     recipe.stage("strategy-2")["path"] = json!(folder.path().join("moved.csv"));
-    let error = prepare(&recipe.write(folder.path()), &registry())
-        .and_then(|prepared| prepared.run(&Monitor::default()))
-        .err()
-        .expect("it is refused");
+    let error = ran(&recipe, folder.path()).err().expect("it is refused");
     let message = error.to_string();
     assert!(message.contains("moved.csv:2") && message.contains("beyond its travel"), "{message}");
 }
@@ -386,7 +391,7 @@ fn balls_at_the_same_place_have_no_distance() {
     let text: String = text.lines().map(|line| same(line) + "\n").collect();
     fs::write(folder.path().join("balls.csv"), text).expect("a file");
     recipe.stage(&name)["nominal"] = json!(folder.path().join("balls.csv"));
-    let error = prepare(&recipe.write(folder.path()), &registry()).and_then(|prepared| prepared.check()).unwrap_err();
+    let error = checked(&recipe, folder.path()).unwrap_err();
     assert!(error.message.contains("balls 25 and 26 have the same nominal centre"), "{error}");
 }
 
@@ -451,7 +456,7 @@ fn uncertainties_that_nothing_has_are_refused() {
     let mut recipe = Variant::of(&recipes()["first-steps"]);
     for uncertainty in [5e-324, 1e-150, 1e-8, 1e12, 1e308] {
         recipe.stage("table")["standard_uncertainty_um"] = json!(uncertainty);
-        let checked = prepare(&recipe.write(folder.path()), &registry()).and_then(|prepared| prepared.check());
+        let checked = checked(&recipe, folder.path());
         let error = checked.expect_err("it is refused");
         assert!(error.message.contains("1e-9 to 1e6 was expected"), "{uncertainty}: {error}");
     }
@@ -470,7 +475,7 @@ fn styli_that_the_model_does_not_have_are_told() {
     let rows = text.lines().enumerate().map(|(index, line)| format!("{line},{}\n", stylus(index)));
     fs::write(folder.path().join("changed.csv"), rows.collect::<String>()).expect("a file");
     recipe.stage("touches")["path"] = json!(folder.path().join("changed.csv"));
-    let planned = prepare(&recipe.write(folder.path()), &registry()).and_then(|prepared| prepared.check());
+    let planned = checked(&recipe, folder.path());
     let remarks = planned.expect("a plan").remove(0).identifiability.remarks;
     assert!(remarks.iter().any(|remark| remark.contains("`stylus` has 2 labels")), "{remarks:?}");
 }

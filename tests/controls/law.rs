@@ -3,11 +3,14 @@
 use std::collections::BTreeMap;
 use std::path::PathBuf;
 
-use abbe_core::{AxisKind, Build, Calibration, Context, Export, ExportedFile, Kind, KinematicModel, Poses, StatusRole};
+use abbe_core::{
+    AxisKind, Build, Calibration, Context, Export, ExportedFile, Kind, KinematicModel, Poses, StatusRole,
+    machine_values,
+};
 use abbe_engine::model_of;
 use serde_json::Value;
 
-use crate::compensation::{calibration, values_of};
+use crate::compensation::calibration;
 use crate::support::registry;
 
 /// Values by the name of an axis: positions in mm and degrees, directions +1 or -1.
@@ -35,7 +38,7 @@ impl Machine {
     pub fn of(calibration: &Value) -> Self {
         let calibration = Calibration::from_json(&calibration.to_string()).expect("a calibration");
         let model = model_of(&calibration, &registry()).expect("a model");
-        let values = values_of(model.as_ref(), &calibration);
+        let values = machine_values(model.as_ref(), &calibration);
         Self { calibration, model, values }
     }
 

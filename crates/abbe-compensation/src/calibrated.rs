@@ -1,20 +1,12 @@
 //! What a calibration tells of a machine, and whether a correction may use it.
 
-use abbe_core::{Calibration, Error, KinematicModel, Poses, Result, Status, Termination, Variable};
+use abbe_core::{Calibration, Error, KinematicModel, Poses, Result, Status, Termination, Variable, machine_values};
 
 /// Points that are evaluated together.
 const CHUNK: usize = 200;
 
 /// A direction moves the tool if its parts do not cancel to this part of their sum.
 const CANCELLED: f64 = 1e-6;
-
-/// One value for every parameter of the model: that of the calibration, or the nominal one.
-pub fn values(model: &dyn KinematicModel, calibration: &Calibration) -> Vec<f64> {
-    let parameters = model.info().parameters.iter().zip(&model.info().nominal);
-    parameters
-        .map(|(parameter, nominal)| calibration.get(&parameter.name).map_or(*nominal, |known| known.value))
-        .collect()
-}
 
 /// Refuses a calibration with confounded parameters (marked `?`) whose shared direction moves the tool at some of the set-points, and
 /// one with errors that no machine has: a correction would be one of many that the measurements allow, or nonsense.
@@ -39,7 +31,7 @@ pub fn check_confounded(model: &dyn KinematicModel, calibration: &Calibration, s
         );
     }
     let width = model.info().status.len().max(1);
-    let values = values(model, calibration);
+    let values = machine_values(model, calibration);
     for direction in &calibration.fit.null_space {
         let parts: Vec<(usize, f64)> = (direction.combination.iter())
             .filter_map(|part| Some((model.info().parameter(&part.name)?, part.coefficient)))

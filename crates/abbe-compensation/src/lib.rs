@@ -19,7 +19,7 @@ mod set_points;
 mod settings;
 mod step;
 
-pub use calibrated::{check_confounded, values};
+pub use calibrated::check_confounded;
 pub use compensator::{Compensator, Correction, Deviation};
 pub use figures::{Figures, ReversedMoves, Spread, figures, reversed_moves};
 pub use path::CompensatedPath;

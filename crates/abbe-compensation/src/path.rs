@@ -2,9 +2,9 @@
 
 use std::path::Path;
 
-use abbe_core::{Calibration, KinematicModel, Result};
+use abbe_core::{Calibration, KinematicModel, Result, machine_values};
 
-use crate::calibrated::{check_confounded, values};
+use crate::calibrated::check_confounded;
 use crate::compensator::{Compensator, Correction};
 use crate::figures::{ReversedMoves, reversed_moves};
 use crate::set_points::SetPoints;
@@ -35,7 +35,7 @@ impl CompensatedPath {
         settings: &Settings,
     ) -> Result<Self> {
         let points = SetPoints::read(file, model)?;
-        let values = values(model, calibration);
+        let values = machine_values(model, calibration);
         let corrected = || {
             check_confounded(model, calibration, points.statuses())?;
             let (statuses, corrections) = Compensator::new(model, &values, settings)?.correct(points.statuses())?;

@@ -31,7 +31,7 @@ pub use index::{DataRow, EquationIndex, IndexRange, LayoutEquation, ListedBy, Po
 pub use layout::{Layout, Row};
 pub use model::{
     Absent, Axis, AxisKind, Branch, ErrorFunction, KinematicModel, ModelInfo, MotionError, Parameter, ParameterRole,
-    PeriodicError, PoseBatch, Poses, PosesMut, StatusColumn, StatusRole, Variable,
+    PeriodicError, PoseBatch, Poses, PosesMut, StatusColumn, StatusRole, Variable, machine_values,
 };
 pub use monitor::{Event, Monitor};
 pub use observations::{

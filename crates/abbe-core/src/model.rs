@@ -10,6 +10,7 @@ use std::f64::consts::TAU;
 use serde::{Deserialize, Serialize};
 use serde_json::Value;
 
+use abbe_results::Calibration;
 use abbe_settings::Result;
 use abbe_settings::serial::number;
 use abbe_settings::{Quantity, Unit};
@@ -288,6 +289,14 @@ impl PosesMut<'_> {
         self.position_derivatives.copy_from_slice(&poses.position_derivatives);
         self.rotation_derivatives.copy_from_slice(&poses.rotation_derivatives);
     }
+}
+
+/// One value for every parameter of a model, in the units of memory: that of a calibration, or the nominal one where it has none.
+pub fn machine_values(model: &dyn KinematicModel, calibration: &Calibration) -> Vec<f64> {
+    let parameters = model.info().parameters.iter().zip(&model.info().nominal);
+    parameters
+        .map(|(parameter, nominal)| calibration.get(&parameter.name).map_or(*nominal, |known| known.value))
+        .collect()
 }
 
 /// A motion error of an axis that can be evaluated by itself, to sample it or to compensate it.

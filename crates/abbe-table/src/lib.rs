@@ -16,7 +16,7 @@ use std::path::{Path, PathBuf};
 
 use abbe_core::{Column, ColumnHeader, DataRow, Dataset, Error, Quantity, Result, Values};
 
-pub use parse::number;
+pub use parse::{TEMPERATURES, number};
 pub use rewrite::{Cells, with_cells};
 
 /// Reads the columns of a file, not its rows.

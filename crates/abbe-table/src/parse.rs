@@ -67,7 +67,7 @@ pub(crate) fn dataset(path: &Path, bytes: &[u8]) -> Result<Dataset> {
 }
 
 /// Temperatures that are read, °C: no machine is measured at others, and 293 is in kelvin.
-const TEMPERATURES: RangeInclusive<f64> = -100.0..=200.0;
+pub const TEMPERATURES: RangeInclusive<f64> = -100.0..=200.0;
 
 /// Reads a number as it stands in a cell of the column `header`, in the unit used in memory; else says what is wrong.
 pub fn number(header: &str, cell: &str) -> Result<f64, String> {

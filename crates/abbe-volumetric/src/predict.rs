@@ -1,6 +1,6 @@
 //! The volumetric error of poses and its covariance.
 
-use abbe_core::{Calibration, Error, KinematicModel, Poses, Result, Variable};
+use abbe_core::{Calibration, Error, KinematicModel, Poses, Result, Variable, machine_values};
 use nalgebra::DMatrix;
 
 use crate::ellipsoid::Ellipsoid;
@@ -62,9 +62,7 @@ pub fn predict(
         return Err(Error::usage(format!("{} numbers are no poses of {width} statuses each", statuses.len())));
     }
     let without = &model.info().nominal;
-    let values: Vec<f64> = (model.info().parameters.iter().zip(without))
-        .map(|(parameter, nominal)| calibration.get(&parameter.name).map_or(*nominal, |known| known.value))
-        .collect();
+    let values = machine_values(model, calibration);
     let is_machine = |name: &str| model.info().parameters.iter().any(|parameter| parameter.name == name);
     let degrees_of_freedom = calibration.degrees_of_freedom(is_machine);
     let (wanted, covariance) = machine_covariance(model, calibration);

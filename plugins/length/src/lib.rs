@@ -210,9 +210,10 @@ impl Measured {
         }
         let Some(expansion) = &settings.expansion else { return Ok(()) };
         if let Some(temperature) =
-            expansion.temperature_degC.filter(|temperature| !(-100.0..=200.0).contains(temperature))
+            expansion.temperature_degC.filter(|stated| !abbe_table::TEMPERATURES.contains(stated))
         {
-            let message = format!("`temperature_degC` is {temperature}; -100 to 200 was expected");
+            let [from, to] = [abbe_table::TEMPERATURES.start(), abbe_table::TEMPERATURES.end()];
+            let message = format!("`temperature_degC` is {temperature}; {from} to {to} was expected");
             return Err(Error::usage(message).setting("expansion"));
         }
         let temperatures = match (data.column("T"), expansion.temperature_degC) {
