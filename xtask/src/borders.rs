@@ -43,7 +43,11 @@ const CRATES: [Border; 20] = [
     border("abbe-planning", &["abbe-core", "abbe-estimation", "abbe-numerics"]),
     border("abbe-simulation", &["abbe-core", "abbe-estimation", "abbe-numerics"]),
     Border { name: "abbe-volumetric", uses: &["abbe-core", "abbe-numerics"], tested_with: &["abbe-serial-chain"] },
-    Border { name: "abbe-compensation", uses: &["abbe-core", "abbe-table"], tested_with: &["abbe-serial-chain"] },
+    Border {
+        name: "abbe-compensation",
+        uses: &["abbe-core", "abbe-numerics", "abbe-table", "abbe-volumetric"],
+        tested_with: &["abbe-serial-chain"],
+    },
     border("abbe-plugin", &["abbe-core", "abbe-estimation", "abbe-files"]),
     border("abbe-recipe", &["abbe-core", "abbe-files", "abbe-planning"]),
     border(

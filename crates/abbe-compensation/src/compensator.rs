@@ -345,7 +345,7 @@ fn tool_axis(poses: &Poses, point: usize) -> Vector3<f64> {
     UnitQuaternion::new_unchecked(Quaternion::new(w, x, y, z)) * Vector3::z()
 }
 
-fn deviation(now: &Poses, goal: &Poses, point: usize) -> Deviation {
+pub(crate) fn deviation(now: &Poses, goal: &Poses, point: usize) -> Deviation {
     let tip = [0, 1, 2].map(|axis| now.positions[point][axis] - goal.positions[point][axis]);
     Deviation { tip, axis: (tool_axis(now, point) - tool_axis(goal, point)).into() }
 }

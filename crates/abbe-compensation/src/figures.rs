@@ -15,7 +15,7 @@ pub struct Spread {
 }
 
 impl Spread {
-    fn of(values: impl Iterator<Item = f64>) -> Self {
+    pub(crate) fn of(values: impl Iterator<Item = f64>) -> Self {
         let (mut max, mut squares, mut count) = (0_f64, 0.0, 0);
         for value in values {
             (max, squares, count) = (max.max(value), squares + value * value, count + 1);

@@ -149,8 +149,18 @@ pub trait Validate: Send + Sync {
         false
     }
 
+    /// Whether it judges what controls do with exported files (the reference `exports`).
+    fn accepts_exports(&self) -> bool {
+        false
+    }
+
     /// Figures and limits for the given fits; `data` are the data sets of the stages under `from`, if any.
     fn validate(&self, fits: &[&Fit], data: &[&Dataset]) -> Result<Findings>;
+
+    /// As [`validate`](Self::validate), with the exporters of the stages under `exports` and the names of these stages.
+    fn validate_exports(&self, fits: &[&Fit], data: &[&Dataset], _exports: &[(&str, &dyn Export)]) -> Result<Findings> {
+        self.validate(fits, data)
+    }
 }
 
 /// A file to be written, whole or not at all.

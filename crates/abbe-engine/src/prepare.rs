@@ -175,6 +175,7 @@ impl Prepared {
                     let message = format!("`{}` judges estimates; it reads no data of its own", stage.plugin);
                     return Err(Error::usage(message).setting("from"));
                 }
+                self.check_exports(stage)?;
                 for fit in stage.reference("of") {
                     let estimate = self.own_estimate(fit)?;
                     if others.is_empty() && !has_rows(&estimate) && self.validators[&stage.name].needs_rows() {
@@ -202,6 +203,23 @@ impl Prepared {
             }
             Kind::Artefact | Kind::Model | Kind::Export => Ok(()),
         }
+    }
+
+    /// Fails for exports that a validator cannot judge: it takes none, or they are made of another estimate.
+    fn check_exports(&self, stage: &Stage) -> Result<()> {
+        let exports = stage.reference("exports");
+        if !exports.is_empty() && !self.validators[&stage.name].accepts_exports() {
+            let message = format!("`{}` judges no exported files", stage.plugin);
+            return Err(Error::usage(message).help("`validate: compensated` does").setting("exports"));
+        }
+        for name in exports {
+            let of = self.recipe_stage(name)?.reference("of");
+            if let Some(fit) = stage.reference("of").iter().find(|fit| !of.contains(fit)) {
+                let message = format!("`{name}` is made of {}, not of `{fit}`", of.join(", "));
+                return Err(Error::usage(message).setting("exports"));
+            }
+        }
+        Ok(())
     }
 
     /// Whether the file of an ingest stage does not exist yet, because its rows are candidates that the key `plan` generates.

@@ -95,7 +95,7 @@ impl Prepared {
             let judged: Vec<&Fit> = if others.is_empty() { of } else { others.iter().collect() };
             let evidence: Vec<_> = stage.reference("from").iter().map(|name| data[name].as_ref()).collect();
             self.located(stage, in_travel(&judged, &evidence))?;
-            let said = self.validators[&stage.name].validate(&judged, &evidence).map(drop);
+            let said = self.findings(stage, &judged, &evidence).map(drop);
             self.located(stage, unless_by_value(said))?;
         }
         for stage in self.stages(Kind::Export).filter(|stage| is_asked(stage)) {

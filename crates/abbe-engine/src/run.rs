@@ -6,8 +6,9 @@ use std::sync::Arc;
 use std::time::{Instant, SystemTime};
 
 use abbe_core::{
-    Calibration, Class, DataRecord, DataRow, Dataset, Error, EstimateSource, Event, ExportedFile, Fit, Identifiability,
-    Kind, KinematicModel, Monitor, ObservationSet, Owner, Problem, Registry, Result, Verdict, in_parallel,
+    Calibration, Class, DataRecord, DataRow, Dataset, Error, EstimateSource, Event, Export, ExportedFile, Findings,
+    Fit, Identifiability, Kind, KinematicModel, Monitor, ObservationSet, Owner, Problem, Registry, Result, Verdict,
+    in_parallel,
 };
 use abbe_estimation::remarks;
 use abbe_recipe::Stage;
@@ -181,7 +182,7 @@ impl Prepared {
             let judged: Vec<&Fit> = if others.is_empty() { fits } else { others.iter().collect() };
             let evidence: Vec<&Dataset> = stage.reference("from").iter().map(|name| data[name].as_ref()).collect();
             self.located(stage, in_travel(&judged, &evidence))?;
-            let mut findings = self.located(stage, self.validators[&stage.name].validate(&judged, &evidence))?;
+            let mut findings = self.located(stage, self.findings(stage, &judged, &evidence))?;
             let tables = std::mem::take(&mut findings.tables);
             let files = tables.into_iter().map(|(name, text)| ExportedFile { name, content: text.into_bytes() });
             Ok((Verdict::new(&stage.name, &stage.plugin, findings), (stage.name.clone(), files.collect())))
@@ -193,6 +194,17 @@ impl Prepared {
         let (verdicts, mut exports): (Vec<Verdict>, Exports) = found.into_iter().unzip();
         exports.retain(|(_, files)| !files.is_empty());
         Ok((verdicts, exports))
+    }
+
+    /// What a validator says, with the exporters that it judges.
+    pub(crate) fn findings(&self, stage: &Stage, fits: &[&Fit], data: &[&Dataset]) -> Result<Findings> {
+        let validator = &self.validators[&stage.name];
+        let exports: Vec<(&str, &dyn Export)> =
+            (stage.reference("exports").iter()).map(|name| (name.as_str(), self.exporters[name].as_ref())).collect();
+        match exports.is_empty() {
+            true => validator.validate(fits, data),
+            false => validator.validate_exports(fits, data, &exports),
+        }
     }
 
     /// The files of all exporters. An exporter of several estimates writes those of the ones that are there.

@@ -2,7 +2,7 @@
 
 use rand_chacha::ChaCha8Rng;
 use rand_chacha::rand_core::{Rng, SeedableRng};
-use rand_distr::{Distribution, StandardNormal, StudentT};
+use rand_distr::{ChiSquared, Distribution, StandardNormal, StudentT};
 
 /// Random numbers of one trial of a Monte Carlo calculation.
 ///
@@ -44,6 +44,20 @@ impl Generator {
                 student.sample(&mut self.0) * (1.0 - 2.0 / degrees_of_freedom).sqrt()
             }
             _ => f64::NAN,
+        }
+    }
+
+    /// The factor of all normal numbers of a trial that makes them Student's together: `sqrt(ν / χ²)` with the degrees of freedom ν
+    /// (JCGM 101:2008, 6.4.9.4, for several quantities). It is 1 for infinite degrees of freedom.
+    ///
+    /// NaN unless `degrees_of_freedom > 0`.
+    pub fn student_factor(&mut self, degrees_of_freedom: f64) -> f64 {
+        if degrees_of_freedom == f64::INFINITY {
+            return 1.0;
+        }
+        match ChiSquared::new(degrees_of_freedom) {
+            Ok(chi_squared) => (degrees_of_freedom / chi_squared.sample(&mut self.0)).sqrt(),
+            Err(_) => f64::NAN,
         }
     }
 

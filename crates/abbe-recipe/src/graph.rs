@@ -47,6 +47,7 @@ pub(crate) fn references(plugin: &Plugin) -> &'static [Reference] {
         reference("of", Kind::Estimate, true, true),
         reference("from", Kind::Ingest, false, true),
         reference("observations", Kind::Artefact, false, true),
+        reference("exports", Kind::Export, false, true),
     ];
     const EXPORT: &[Reference] = &[reference("of", Kind::Estimate, true, false)];
     match plugin.kind() {

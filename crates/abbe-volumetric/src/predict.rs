@@ -90,7 +90,9 @@ pub fn predict(
 }
 
 /// The parameters of the model that a calibration has a covariance of, and that covariance.
-fn machine_covariance(model: &dyn KinematicModel, calibration: &Calibration) -> (Vec<Variable>, DMatrix<f64>) {
+///
+/// The variables are all [`Variable::Parameter`]; the covariance is in the squared units of memory, in their order.
+pub fn machine_covariance(model: &dyn KinematicModel, calibration: &Calibration) -> (Vec<Variable>, DMatrix<f64>) {
     let parameters = model.info().parameters.iter().enumerate();
     let known = parameters.filter(|(_, parameter)| calibration.covariance.index(&parameter.name).is_some());
     let (wanted, names): (Vec<Variable>, Vec<&str>) =

@@ -7,6 +7,7 @@ mod artefact_cmm;
 mod cause;
 mod cmm;
 mod compare;
+mod compensated;
 mod consistency;
 mod drift;
 mod figures;
