@@ -8,7 +8,7 @@ use abbe_core::{Calibration, KinematicModel, Status};
 use abbe_engine::{Outcome, prepare};
 use serde_json::{Value, json};
 
-use crate::support::{Variant, fit, json_file, recipes, registry, root, temporary, write};
+use crate::support::{Variant, fit, json_file, read, recipes, registry, root, temporary, write};
 
 fn truth(name: &str) -> Value {
     json_file(&root().join(format!("tests/truth/mill-5axis-{name}.json")))
@@ -592,4 +592,106 @@ fn what_cannot_be_read_is_refused() {
         error.contains("file `along-x` is not among the `measurements`") && error.contains("did you mean"),
         "{error}"
     );
+}
+
+/// The plates: file, stylus, measured directions of the table frame.
+const PLATES: [(&str, &str, [usize; 2]); 3] =
+    [("plate-xy", "1", [0, 1]), ("plate-xz", "6", [0, 2]), ("plate-yz", "7", [1, 2])];
+
+/// Largest error at the holes in the measured directions once each plate lies where it fits best, mm. Plates have the same number of
+/// holes.
+fn left_of_plates(tips: &[[f64; 3]], goals: &[[f64; 3]]) -> f64 {
+    let of_each = tips.len() / PLATES.len();
+    let mut largest = 0_f64;
+    for ((tips, goals), (_, _, [a, b])) in tips.chunks(of_each).zip(goals.chunks(of_each)).zip(PLATES) {
+        let errors = tips.iter().zip(goals).flat_map(|(tip, goal)| [tip[a] - goal[a], tip[b] - goal[b]]);
+        let errors = nalgebra::DVector::from_iterator(2 * of_each, errors);
+        let place = nalgebra::DMatrix::from_fn(2 * of_each, 3, |row, column| match (row % 2, column) {
+            (0, 0) | (1, 1) => 1.0,
+            (0, 2) => -goals[row / 2][b],
+            (1, 2) => goals[row / 2][a],
+            _ => 0.0,
+        });
+        let moved = place.clone().svd(true, true).solve(&errors, 1e-12).expect("a placement");
+        largest = largest.max((errors - place * moved).amax());
+    }
+    largest
+}
+
+/// Set-points at the holes of the plates, with the stylus that was there, in the statuses of a model.
+fn holes(model: &dyn KinematicModel) -> Vec<f64> {
+    use abbe_core::StatusRole;
+    let info = model.info();
+    let mut statuses = Vec::new();
+    for (plate, stylus, _) in PLATES {
+        let text = read(&root().join(format!("pipelines/data/mill-5axis/realistic/{plate}.csv")));
+        let mut lines = text.lines().filter(|line| !line.starts_with('#'));
+        let header: Vec<&str> = lines.next().expect("a header").split(',').collect();
+        for line in lines {
+            let cells: Vec<&str> = line.split(',').collect();
+            let of = |name: &str| -> f64 {
+                let place = header.iter().position(|header| *header == name).expect("a column");
+                cells[place].parse().expect("a number")
+            };
+            statuses.extend(info.status.iter().map(|column| match &column.role {
+                StatusRole::Command(axis) if ["X", "Y", "Z"].contains(&info.axes[*axis].name.as_str()) => {
+                    of(&format!("{}_mm", info.axes[*axis].name))
+                }
+                StatusRole::Stylus => column.levels.iter().position(|level| level == stylus).expect("a stylus") as f64,
+                _ => 0.0,
+            }));
+        }
+    }
+    statuses
+}
+
+/// With the true values the tip is right at every hole; with those that realistic measurements gave it is within what they state.
+#[test]
+fn the_plates_are_right_after_a_correction() {
+    use abbe_compensation::{Compensator, Settings, Trials, figures, remaining};
+    let truth = truth("realistic");
+    let outcome = Variant::of(&recipes()["mill-hole-plate"]).only(&["fit-angles", "fit"]).run();
+    let fit = fit(&outcome, "fit");
+    let (model, calibration) = (fit.problem.model.as_ref(), &fit.calibration);
+    let true_values: Vec<f64> = (model.info().parameters.iter().zip(&model.info().nominal))
+        .map(|(parameter, nominal)| truth["parameters"][&parameter.name].as_f64().unwrap_or(*nominal))
+        .collect();
+    let programmed = holes(model);
+    let settings = Settings::default();
+    let corrected = |values: &[f64]| {
+        Compensator::new(model, values, &settings).and_then(|it| it.correct(&programmed)).expect("corrections")
+    };
+    let tips = |values: &[f64], statuses: &[f64]| {
+        let mut poses = abbe_core::Poses::default();
+        model.poses(statuses, values, &[], false, &mut poses).expect("poses");
+        poses.positions
+    };
+    let goal = tips(&model.info().nominal, &programmed);
+    let (commands, corrections) = corrected(&true_values);
+    let found = figures(&corrections);
+    let (before, after) = (found.tip_before.max * 1e3, found.tip_after.max * 1e3);
+    let [on_plates, after_on_plates] =
+        [&programmed, &commands].map(|statuses| left_of_plates(&tips(&true_values, statuses), &goal) * 1e3);
+    println!("true values: {before} um before, {after} um after; on plates {on_plates} and {after_on_plates} um");
+    assert!((105.0..108.0).contains(&on_plates) && after_on_plates < 0.01, "{on_plates} {after_on_plates}");
+    assert!(before > on_plates && after < 1e-6, "{before} {after}");
+
+    let estimate = abbe_core::machine_values(model, calibration);
+    let (commands, _) = corrected(&estimate);
+    let left = tips(&true_values, &commands);
+    let known = abbe_volumetric::predict(model, calibration, &commands).expect("uncertainties");
+    let (mut worst, mut largest) = (0_f64, 0_f64);
+    for ((goal, left), known) in goal.iter().zip(&left).zip(&known) {
+        for axis in 0..3 {
+            let off = left[axis] - goal[axis];
+            worst = worst.max(off.abs() / known.covariance[axis][axis].sqrt());
+        }
+        largest = largest.max(goal.iter().zip(left).map(|(goal, left)| (goal - left).powi(2)).sum::<f64>().sqrt());
+    }
+    let trials = Trials { number: 400, seed: 1, probability: 0.99 };
+    let expected = remaining(model, calibration, &programmed, &[&commands], &trials).expect("errors")[0];
+    println!("realistic: {} um left, {worst} u, upper limit {} um", largest * 1e3, expected.tip_max.upper * 1e3);
+    assert!(worst < 4.0, "{worst} standard uncertainties");
+    assert!(expected.tip_max.estimate < 1e-9 && largest < expected.tip_max.upper, "{largest} {expected:?}");
+    assert!(expected.tip_max.upper < 0.005, "{expected:?}");
 }
