@@ -5,11 +5,14 @@ use std::collections::BTreeSet;
 use std::path::PathBuf;
 use std::sync::Arc;
 
-use abbe_compensation::{Compensator, Correct, Figures, Method, SetPoints, Settings, Travel, figures, reversed_moves};
+use abbe_compensation::{
+    Compensator, Correct, Figures, Method, SetPoints, Settings, Travel, Trials, figures, remaining, reversed_moves,
+};
 use abbe_core::{Calibration, KinematicModel, machine_values};
 use abbe_engine::model_of;
 use serde_json::{Value, json};
 
+use crate::controls::law;
 use crate::support::{abbe, json_file, read, registry, root, temporary, write};
 
 const MACHINES: [&str; 3] = ["table-table", "head-table", "three-axis"];
@@ -350,6 +353,55 @@ fn reversed_moves_are_counted() {
     let along_x = 2.0 * known.values[info.parameter("EXX[b]").expect("a backlash")].abs();
     let reversal = small[0].2.max(small[1].2);
     assert!(reversal > 0.99 * along_x && reversal < 3.0 * along_x, "{small:?} {along_x}");
+}
+
+/// One scale with an uncertainty moves the far end of X: its upper limit is that of the normal distribution, or of Student's with the
+/// degrees of freedom of the calibration. With the programmed commands the error itself is there, too.
+#[test]
+fn the_limits_of_what_remains_are_those_of_the_distribution() {
+    let uncertainty = 2e-6;
+    for (degrees_of_freedom, quantile) in [(None, 1.960), (Some(5.0), 2.571)] {
+        let mut stated = calibration("three-axis");
+        stated["covariance"] = json!({ "order": ["EXX[1]"], "rows": [[uncertainty * uncertainty]] });
+        for one in stated["parameters"].as_array_mut().expect("parameters") {
+            if one["name"] == json!("EXX[1]") {
+                one["status"] = json!("estimated");
+                one["standard_uncertainty"] = json!(uncertainty);
+            }
+        }
+        if let Some(degrees_of_freedom) = degrees_of_freedom {
+            stated["uncertainty"] = json!({
+                "coverage_probability": 0.95, "scale": 1.0, "correlations": [],
+                "joint": { "quantities": 1, "ellipsoid_factor": quantile, "rectangle_factor": quantile },
+                "parameters": [{
+                    "name": "EXX[1]", "unit": "mm/mm", "standard_uncertainty": uncertainty,
+                    "stated_standard_uncertainty": uncertainty, "degrees_of_freedom": degrees_of_freedom,
+                    "coverage_factor": quantile, "expanded_uncertainty": quantile * uncertainty, "contributions": [],
+                }],
+            });
+        }
+        let machine = law::Machine::of(&stated);
+        let info = machine.model.info();
+        let x = info.axes.iter().find(|axis| axis.name == "X").expect("an axis");
+        let mut far = vec![0.0; info.status.len()];
+        far[x.status] = 200.0;
+        let settings = Settings::default();
+        let compensator = Compensator::new(machine.model.as_ref(), &machine.values, &settings).expect("settings");
+        let (commands, _) = compensator.correct(&far).expect("a correction");
+        let trials = Trials { number: 20_000, seed: 7, probability: 0.95 };
+        let found =
+            remaining(machine.model.as_ref(), &machine.calibration, &far, &[&far, &commands], &trials).expect("errors");
+        let expected = quantile * uncertainty * 200.0;
+        let [before, after] = [found[0].tip_max, found[1].tip_max];
+        assert!((after.upper / expected - 1.0).abs() < 0.04, "{after:?} {expected}");
+        assert!(after.estimate < 1e-9, "{after:?}");
+        let is_normal = degrees_of_freedom.is_none();
+        assert!(!is_normal || (after.standard_uncertainty / (uncertainty * 200.0) - 1.0).abs() < 0.03, "{after:?}");
+        assert!(before.estimate > 1e-3 && before.upper > before.estimate, "{before:?}");
+    }
+    for (number, probability) in [(100, 0.95), (10_000, 1.0), (5, 0.5)] {
+        assert!(Trials { number, seed: 0, probability }.check().is_err(), "{number} {probability}");
+    }
 }
 
 /// The command line: figures, files that replace nothing, and errors that say where.

@@ -567,7 +567,7 @@ fn what_cannot_be_read_is_refused() {
         let folder = temporary();
         let variant = other_machine(folder.path());
         let path = folder.path().join(file);
-        write(&path, &change(crate::support::read(&path)));
+        write(&path, &change(read(&path)));
         let prepared = prepare(&variant.write(folder.path()), &registry());
         let error = prepared
             .and_then(|prepared| prepared.run(&abbe_core::Monitor::default()).map(drop))
