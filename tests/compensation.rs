@@ -487,3 +487,62 @@ fn the_command_corrects_files() {
     let printed = abbe(place.path(), &["compensate", "truth.calibration.json", "path.csv"]);
     assert!(printed.status == 2 && printed.stderr.contains("C_deg"), "{}", printed.stderr);
 }
+
+/// Measured positions corrected, against poses of the model; a column that is there, and a machine that is another.
+#[test]
+fn measured_positions_are_corrected() {
+    let place = temporary();
+    let at = |name: &str| place.path().join(name);
+    let mut stated = calibration("table-table");
+    let uncertainty: f64 = 1e-6;
+    stated["covariance"] = json!({ "order": ["EXX[1]"], "rows": [[uncertainty * uncertainty]] });
+    write(&at("truth.calibration.json"), &stated.to_string());
+    let machine = law::Machine::of(&stated);
+    let text = "# touches\r\nname,X_mm,Y_mm,Z_mm,A_deg,C_deg,dir_X,dir_Y,dir_Z,dir_A,dir_C\r\n\
+                one,100,50,-60,0,0,1,1,-1,1,1\r\ntwo,-100,20,-80,10,30,-1,1,1,-1,1\r\n";
+    write(&at("points.csv"), text);
+    let run =
+        |more: &[&str]| abbe(place.path(), &[&["correct", "truth.calibration.json", "points.csv"][..], more].concat());
+    let printed = run(&["--out", "corrected.csv", "--without", "EXX[1]", "--without", "EXX[2]", "--json"]);
+    assert_eq!(printed.status, 0, "{}", printed.stderr);
+    let figures: Value = serde_json::from_str(&printed.stdout).expect("JSON");
+    let points = SetPoints::read(&at("points.csv"), machine.model.as_ref()).expect("points");
+    let (goal, tips) = (machine.tips(points.statuses(), false), machine.tips(points.statuses(), true));
+    let written = read(&at("corrected.csv"));
+    assert!(written.starts_with("# touches\r\nname,X_mm") && written.lines().count() == 4, "{written}");
+    let mut largest = 0_f64;
+    for (line, (tip, goal)) in written.lines().skip(2).zip(tips.iter().zip(&goal)) {
+        let cells: Vec<f64> = line.split(',').skip(11).map(|cell| cell.parse().expect("a number")).collect();
+        assert_eq!(cells.len(), 12);
+        for axis in 0..3 {
+            assert!((cells[axis] - tip[axis]).abs() < 1e-9, "{line}");
+            assert!((cells[3 + axis] - (tip[axis] - goal[axis]) * 1e3).abs() < 2e-6, "{line}");
+        }
+        // The scale of X moves the tip by X times its uncertainty, wherever that points in the table frame.
+        assert!((cells[6] + cells[7] + cells[8] - (100.0 * uncertainty * 1e3).powi(2)).abs() < 1e-6, "{line}");
+        largest = largest.max((0..3).map(|axis| (tip[axis] - goal[axis]).powi(2)).sum::<f64>().sqrt() * 1e3);
+    }
+    let figure = |name: &str| figures[name].as_f64().expect("a figure");
+    assert!((figure("correction_max_um") - largest).abs() < 1e-6, "{figures}");
+    assert!((figure("largest_standard_uncertainty_um") - 0.1).abs() < 1e-4, "{figures}");
+    // Without the scale of X the farther point is off by what it makes there.
+    let scale = |name: &str| machine.model.info().parameter(name).map_or(0.0, |index| machine.values[index]);
+    let expected = [100.0, -100.0].map(|x: f64| (scale("EXX[1]") * x + scale("EXX[2]") * x * x).abs() * 1e3);
+    assert!((figure("without_max_um") - expected[0].max(expected[1])).abs() < 0.01, "{figures} {expected:?}");
+
+    let refused = |arguments: &[&str], words: &str| {
+        let printed = run(arguments);
+        let said = printed.stderr.split_whitespace().collect::<Vec<_>>().join(" ");
+        assert!(printed.status != 0 && said.contains(words), "{words}: {said}");
+    };
+    refused(&["--out", "corrected.csv"], "is there already");
+    refused(&["--without", "EYZ[9]"], "matches no parameter");
+    let other = folder("head-table").join("machine.yaml").display().to_string();
+    refused(&["--machine", &other], "calibration of another machine: its chain is");
+    let own = read(&folder("table-table").join("machine.yaml"));
+    write(&at("own.yaml"), &own);
+    assert_eq!(run(&["--machine", "own.yaml"]).status, 0, "{}", run(&["--machine", "own.yaml"]).stderr);
+    std::fs::rename(at("corrected.csv"), at("points.csv")).expect("a file");
+    refused(&["--out", "again.csv"], "there is a column `corrected_x_mm` already");
+    assert!(!at("again.csv").exists());
+}

@@ -2,6 +2,8 @@
 
 use abbe_core::{KinematicModel, Poses, Result, StatusRole};
 
+use nalgebra::{Matrix3, SymmetricEigen};
+
 use crate::compensator::{Correction, Deviation};
 use crate::set_points::directions_of;
 
@@ -22,6 +24,12 @@ impl Spread {
         }
         Self { max, rms: (squares / f64::from(count.max(1))).sqrt() }
     }
+}
+
+/// The largest standard uncertainty in any direction, of a covariance: the root of its largest eigenvalue.
+pub(crate) fn largest_uncertainty(covariance: &[[f64; 3]; 3]) -> f64 {
+    let matrix = Matrix3::from_fn(|row, column| covariance[row][column]);
+    SymmetricEigen::new(matrix).eigenvalues.max().max(0.0).sqrt()
 }
 
 /// Errors of tip and tool axis over a path.

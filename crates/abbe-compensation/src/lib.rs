@@ -14,6 +14,7 @@
 mod calibrated;
 mod compensator;
 mod figures;
+mod measured;
 mod path;
 mod remaining;
 mod set_points;
@@ -23,6 +24,7 @@ mod step;
 pub use calibrated::check_confounded;
 pub use compensator::{Compensator, Correction, Deviation};
 pub use figures::{Figures, ReversedMoves, Spread, figures, reversed_moves};
+pub use measured::{Measured, MeasuredPoints, cost_of_leaving_out};
 pub use path::CompensatedPath;
 pub use remaining::{Expected, Remaining, Trials, remaining};
 pub use set_points::SetPoints;

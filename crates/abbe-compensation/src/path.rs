@@ -3,10 +3,11 @@
 use std::path::Path;
 
 use abbe_core::{Calibration, KinematicModel, Result, machine_values};
+use abbe_volumetric::predict;
 
 use crate::calibrated::check_confounded;
 use crate::compensator::{Compensator, Correction};
-use crate::figures::{ReversedMoves, reversed_moves};
+use crate::figures::{ReversedMoves, largest_uncertainty, reversed_moves};
 use crate::set_points::SetPoints;
 use crate::settings::Settings;
 
@@ -21,6 +22,8 @@ pub struct CompensatedPath {
     pub corrections: Vec<Correction>,
     /// Moves that the correction reverses.
     pub reversed: Vec<ReversedMoves>,
+    /// Largest standard uncertainty of the tip at each of them, in any direction, mm: what the calibration says of its parameters.
+    pub uncertainties: Vec<f64>,
 }
 
 impl CompensatedPath {
@@ -40,10 +43,12 @@ impl CompensatedPath {
             check_confounded(model, calibration, points.statuses())?;
             let (statuses, corrections) = Compensator::new(model, &values, settings)?.correct(points.statuses())?;
             let reversed = reversed_moves(model, &values, points.statuses(), &statuses)?;
-            Ok((statuses, corrections, reversed))
+            let known = predict(model, calibration, &statuses)?;
+            let uncertainties = known.iter().map(|error| largest_uncertainty(&error.covariance)).collect();
+            Ok((statuses, corrections, reversed, uncertainties))
         };
-        let (statuses, corrections, reversed) = corrected().map_err(|error| points.locate(error))?;
-        Ok(Self { points, statuses, corrections, reversed })
+        let (statuses, corrections, reversed, uncertainties) = corrected().map_err(|error| points.locate(error))?;
+        Ok(Self { points, statuses, corrections, reversed, uncertainties })
     }
 
     /// Largest correction of the command of an axis, mm or rad.
@@ -51,6 +56,11 @@ impl CompensatedPath {
         let (width, place) = (model.info().status.len(), model.info().axes[axis].status);
         let pairs = self.statuses.chunks(width).zip(self.points.statuses().chunks(width));
         pairs.map(|(now, before)| (now[place] - before[place]).abs()).fold(0.0, f64::max)
+    }
+
+    /// Largest standard uncertainty of the tip at any of the set-points, mm.
+    pub fn largest_uncertainty(&self) -> f64 {
+        self.uncertainties.iter().copied().fold(0.0, f64::max)
     }
 
     /// The text of the file with corrected commands of nine decimals; all else is as it was.
@@ -61,7 +71,8 @@ impl CompensatedPath {
     /// A CSV table with a row for every set-point: its errors in the table frame before and after the correction.
     pub fn errors_text(&self, model: &dyn KinematicModel) -> String {
         let mut text = String::from(
-            "line,before_x_um,before_y_um,before_z_um,before_axis_urad,after_x_um,after_y_um,after_z_um,after_axis_urad,bounded,held\n",
+            "line,before_x_um,before_y_um,before_z_um,before_axis_urad,after_x_um,after_y_um,after_z_um,after_axis_urad,\
+             standard_uncertainty_um,bounded,held\n",
         );
         let um = |tip: [f64; 3]| tip.map(|value| format!("{:.6}", value * 1e3 + 0.0)).join(",");
         let urad = |angle: f64| format!("{:.6}", angle * 1e6);
@@ -74,6 +85,7 @@ impl CompensatedPath {
                 urad(before.angle()),
                 um(after.tip),
                 urad(after.angle()),
+                format!("{:.6}", self.uncertainties[point] * 1e3),
                 u8::from(*is_bounded).to_string(),
                 held.join(" "),
             ];

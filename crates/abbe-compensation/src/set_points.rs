@@ -124,6 +124,14 @@ impl SetPoints {
         }
     }
 
+    /// The text of the file with columns more; all else stays as it is. `cells` are those of a point.
+    ///
+    /// Fails if the file has one of these columns.
+    pub(crate) fn with_more_columns(&self, headers: &[&str], cells: impl Fn(usize) -> Vec<String>) -> Result<String> {
+        let cells = (0..self.len()).map(|point| (self.line(point), cells(point))).collect();
+        abbe_table::with_columns(&self.path, self.text.as_bytes(), headers, &cells)
+    }
+
     /// The text of the file with other commands, which have nine decimals; all else stays as it is.
     ///
     /// `statuses` are those of all points with other commands.

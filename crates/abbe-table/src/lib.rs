@@ -17,7 +17,7 @@ use std::path::{Path, PathBuf};
 use abbe_core::{Column, ColumnHeader, DataRow, Dataset, Error, Quantity, Result, Values};
 
 pub use parse::{TEMPERATURES, number};
-pub use rewrite::{Cells, with_cells};
+pub use rewrite::{Cells, with_cells, with_columns};
 
 /// Reads the columns of a file, not its rows.
 pub fn read_headers(path: &Path) -> Result<Vec<ColumnHeader>> {

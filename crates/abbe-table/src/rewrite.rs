@@ -39,3 +39,38 @@ pub fn with_cells(path: &Path, bytes: &[u8], cells: &Cells) -> Result<String> {
     }
     Ok(written)
 }
+
+/// The text of a file ([`crate::read_text`]) with columns more after its own: `headers`, and for every line of data (from 1) their
+/// contents. Everything else stays as it is.
+///
+/// Fails if the file has one of these columns, and as reading it does.
+pub fn with_columns(
+    path: &Path,
+    bytes: &[u8],
+    headers: &[&str],
+    cells: &BTreeMap<usize, Vec<String>>,
+) -> Result<String> {
+    let own = parse::headers(path, bytes)?;
+    if let Some(taken) = headers.iter().find(|header| own.iter().any(|own| own.header == **header)) {
+        return Err(Error::data(format!("there is a column `{taken}` already")).in_file(path));
+    }
+    let text = text(path, bytes)?;
+    let mut written = String::with_capacity(2 * text.len());
+    let mut has_header = false;
+    for (index, line) in text.split_inclusive('\n').enumerate() {
+        let content = line.trim_end_matches(['\n', '\r']);
+        written.push_str(content);
+        let more = match cells.get(&(index + 1)) {
+            Some(cells) => cells.join(","),
+            // The first line that is neither a comment nor empty.
+            None if !has_header && !content.is_empty() && !content.starts_with('#') => headers.join(","),
+            None => String::new(),
+        };
+        if !more.is_empty() {
+            has_header = true;
+            written.extend([",", &more]);
+        }
+        written.push_str(&line[content.len()..]);
+    }
+    Ok(written)
+}

@@ -1,24 +1,21 @@
 //! `abbe compensate`: corrected set-points for a calibrated machine.
 
-use std::io::Write;
-use std::path::{Path, PathBuf};
-use std::time::{Duration, SystemTime, UNIX_EPOCH};
+use std::path::PathBuf;
 
 use abbe_compensation::{CompensatedPath, Correct, Method, Settings, Travel, figures};
-use abbe_core::{Axis, AxisKind, Calibration, Error, KinematicModel, Registry, Result};
-use abbe_engine::{RunRecord, model_of};
-use abbe_files::{LARGEST_RESULT, read_text};
+use abbe_core::{Axis, AxisKind, Error, KinematicModel, Registry, Result};
 use clap::{Args, ValueEnum};
 use serde_json::{Value, json};
 
+use crate::calibrated::{self, Asked, Written, counted};
 use crate::number::short;
 use crate::table;
 
 /// What `abbe compensate` is asked for.
 #[derive(Debug, Clone, Args)]
 pub struct Compensate {
-    /// The calibration: `<estimate>.calibration.json` of a run.
-    calibration: PathBuf,
+    #[command(flatten)]
+    calibrated: Asked,
     /// CSV file with the set-points: a column for the command of each axis (X_mm, B_deg), and for all that its errors depend on.
     setpoints: PathBuf,
     /// File for the corrected set-points. It must not exist. Without it only the figures are printed.
@@ -48,9 +45,6 @@ pub struct Compensate {
     /// Largest correction of the command of a rotary axis, mrad.
     #[arg(long, value_name = "MRAD", default_value_t = 50.0)]
     largest_rotary_correction_mrad: f64,
-    /// Refuse a calibration of a run that is older than this; `run.json` beside it tells when it was.
-    #[arg(long, value_name = "DAYS", value_parser = days)]
-    max_age_days: Option<f64>,
     /// Print the figures as JSON.
     #[arg(long)]
     pub json: bool,
@@ -89,57 +83,6 @@ fn direction(text: &str) -> std::result::Result<[f64; 3], String> {
     numbers.ok_or_else(|| "three numbers, `X,Y,Z`, were expected".to_owned())
 }
 
-fn days(text: &str) -> std::result::Result<f64, String> {
-    let days = text.parse::<f64>().ok().filter(|days| *days > 0.0 && days.is_finite());
-    days.ok_or_else(|| "a number of days above 0 was expected".to_owned())
-}
-
-/// What was found, and what is to be written.
-pub struct Compensated {
-    /// What to print.
-    pub text: String,
-    files: Vec<(PathBuf, String)>,
-}
-
-impl Compensated {
-    /// Writes the files, none of which may exist: all of them or none.
-    pub fn write(&self) -> Result<()> {
-        self.files.iter().try_for_each(|(path, _)| is_free(path))?;
-        let wrong = |path: &Path, error: &std::io::Error| {
-            Error::data(format!("{} cannot be written: {}", path.display(), error.kind()))
-        };
-        let filled = |(path, text): &(PathBuf, String)| {
-            let folder = path.parent().filter(|folder| !folder.as_os_str().is_empty()).unwrap_or(Path::new("."));
-            let mut file = tempfile::Builder::new().prefix(".abbe-").tempfile_in(folder)?;
-            file.write_all(text.as_bytes())?;
-            Ok(file)
-        };
-        let filled: Vec<_> = (self.files.iter())
-            .map(|file| filled(file).map_err(|error| wrong(&file.0, &error)))
-            .collect::<Result<_>>()?;
-        let mut written: Vec<&Path> = Vec::new();
-        for (file, (path, _)) in filled.into_iter().zip(&self.files) {
-            if let Err(error) = file.persist_noclobber(path) {
-                // What was written a moment ago is this program's own.
-                written.iter().for_each(|path| drop(std::fs::remove_file(path)));
-                return Err(wrong(path, &error.error));
-            }
-            written.push(path);
-        }
-        Ok(())
-    }
-}
-
-fn is_free(path: &Path) -> Result<()> {
-    match path.symlink_metadata() {
-        Ok(_) => {
-            let message = format!("{} is there already; it is not replaced", path.display());
-            Err(Error::data(message).help("name another file with `--out` or `--report`"))
-        }
-        Err(_) => Ok(()),
-    }
-}
-
 impl Compensate {
     fn settings(&self) -> Settings {
         Settings {
@@ -161,19 +104,12 @@ impl Compensate {
     }
 
     /// Carries it out; nothing is written yet.
-    pub fn run(&self, registry: &Registry) -> Result<Compensated> {
+    pub fn run(&self, registry: &Registry) -> Result<Written> {
         if self.out.is_some() && self.out == self.report {
             return Err(Error::usage("`--out` and `--report` name the same file"));
         }
-        let files = [&self.out, &self.report];
-        files.iter().copied().flatten().try_for_each(|path| is_free(path))?;
-        let unreadable = |error: std::io::Error| {
-            Error::usage(format!("the file cannot be read: {error}")).in_file(&self.calibration)
-        };
-        let text = read_text(&self.calibration, LARGEST_RESULT).map_err(unreadable)?;
-        let calibration = Calibration::from_json(&text).map_err(|error| error.in_file(&self.calibration))?;
-        self.check_age()?;
-        let model = model_of(&calibration, registry).map_err(|error| error.in_file(&self.calibration))?;
+        [&self.out, &self.report].into_iter().flatten().try_for_each(|path| calibrated::is_free(path))?;
+        let (calibration, model) = self.calibrated.read(registry)?;
         let model = model.as_ref();
         let path = CompensatedPath::new(model, &calibration, &self.setpoints, &self.settings())?;
         let mut files = Vec::new();
@@ -184,7 +120,7 @@ impl Compensate {
             files.push((report.clone(), path.errors_text(model)));
         }
         let text = if self.json { self.json(model, &path, &files)? } else { self.text(model, &path, &files) };
-        Ok(Compensated { text, files })
+        Ok(Written { text, files })
     }
 
     fn json(&self, model: &dyn KinematicModel, path: &CompensatedPath, files: &[(PathBuf, String)]) -> Result<String> {
@@ -211,6 +147,7 @@ impl Compensate {
             "axis_max_urad": of(found.axis_before.max * 1e6, found.axis_after.max * 1e6),
             "axis_rms_urad": of(found.axis_before.rms * 1e6, found.axis_after.rms * 1e6),
             "largest_corrections": corrections,
+            "largest_standard_uncertainty_um": path.largest_uncertainty() * 1e3,
             "bounded_points": found.bounded,
             "held_points": found.held,
             "reversed_moves": reversed,
@@ -237,6 +174,12 @@ impl Compensate {
             .collect();
         let corrected = if corrected.is_empty() { "none".to_owned() } else { corrected.join(", ") };
         text.push_str(&format!("\nLargest corrections: {corrected}\n"));
+        if path.largest_uncertainty() > 0.0 {
+            text.push_str(&format!(
+                "Largest standard uncertainty of the tip, from the calibration: {} µm\n",
+                short(path.largest_uncertainty() * 1e3)
+            ));
+        }
         if found.bounded > 0 {
             text.push_str(&format!(
                 "Near a pole: at {} the bound of {} mrad on rotary corrections leaves a part of the error of the tool axis\n",
@@ -268,33 +211,6 @@ impl Compensate {
         }
         text
     }
-
-    /// Refuses a calibration of a run that is too old, or of which the time is not known.
-    fn check_age(&self) -> Result<()> {
-        let Some(most) = self.max_age_days else { return Ok(()) };
-        let record = self.calibration.with_file_name("run.json");
-        let read = read_text(&record, LARGEST_RESULT).ok().and_then(|text| RunRecord::from_json(&text).ok());
-        let Some(run) = read else {
-            let message = format!("how old the calibration is cannot be told without `{}`", record.display());
-            return Err(Error::data(message).in_file(&self.calibration));
-        };
-        let now = SystemTime::now().duration_since(UNIX_EPOCH).unwrap_or(Duration::ZERO).as_secs_f64();
-        let days = (now - run.started_unix_s as f64) / 86_400.0;
-        if days < -1.0 {
-            let message = format!("`{}` is {:.1} days in the future: is the clock right?", record.display(), -days);
-            return Err(Error::data(message).in_file(&self.calibration));
-        }
-        if days > most {
-            let message = format!("the calibration is {days:.1} days old; at most {most} were allowed");
-            return Err(Error::data(message).help("calibrate again").in_file(&self.calibration));
-        }
-        Ok(())
-    }
-}
-
-/// A number of things: "1 move", "2 moves".
-fn counted(count: usize, what: &str) -> String {
-    format!("{count} {what}{}", if count == 1 { "" } else { "s" })
 }
 
 /// The unit of positions in files, and the factor from the unit in memory.

@@ -4,7 +4,9 @@
 //! use, or an error that can be found without reading data rows; 3 a verdict failed; 130 interrupted by Ctrl-C, 143 by SIGTERM,
 //! 129 by a closed terminal (SIGHUP).
 
+mod calibrated;
 mod compensate;
+mod correct;
 mod doubts;
 mod failure;
 mod interrupt;
@@ -118,6 +120,8 @@ enum Command {
     },
     /// Correct set-points for the errors of a calibrated machine.
     Compensate(Box<compensate::Compensate>),
+    /// Correct measured positions for the errors of the calibrated machine that measured them.
+    Correct(Box<correct::Correct>),
     /// Commands for vendors of plugin libraries.
     Plugin {
         #[command(subcommand)]
@@ -211,7 +215,12 @@ fn carried_out(arguments: Arguments) -> ExitCode {
         arguments.command,
         Command::Run { json: true, .. } | Command::Check { json: true, .. } | Command::Plan { json: true, .. }
     );
-    let machine = machine || matches!(&arguments.command, Command::Compensate(asked) if asked.json);
+    let machine = machine
+        || match &arguments.command {
+            Command::Compensate(asked) => asked.json,
+            Command::Correct(asked) => asked.json,
+            _ => false,
+        };
     let is_json = machine
         || matches!(
             arguments.command,
@@ -364,9 +373,11 @@ fn dispatch(command: Command, libraries: &Libraries) -> Result<(String, u8)> {
         }
         Command::Compensate(asked) => {
             interrupt::cancel_on_signal(Monitor::default())?;
-            let compensated = asked.run(&libraries.registry(None)?)?;
-            interrupt::while_writing(|| compensated.write())?;
-            Ok((compensated.text, 0))
+            written(asked.run(&libraries.registry(None)?)?)
+        }
+        Command::Correct(asked) => {
+            interrupt::cancel_on_signal(Monitor::default())?;
+            written(asked.run(&libraries.registry(None)?)?)
         }
         Command::Plugin { command: PluginCommand::Check { file, recipe, time_limit, json } } => {
             let program = libraries::this_program()?;
@@ -439,6 +450,12 @@ fn simulated_text(simulated: &Simulated, out: &Path) -> String {
     let recipe = out.join(&simulated.recipe);
     text.push_str(&format!("\nWritten: {}\nGo on with: abbe run {}\n", out.display(), recipe.display()));
     text
+}
+
+/// Writes files, then tells what was found.
+fn written(found: calibrated::Written) -> Result<(String, u8)> {
+    interrupt::while_writing(|| found.write())?;
+    Ok((found.text, 0))
 }
 
 fn pretty(value: &Value) -> Result<String> {

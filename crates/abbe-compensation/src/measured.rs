@@ -1,0 +1,121 @@
+//! The other way round: measured positions, corrected for the errors of the machine that measured them.
+
+use std::path::Path;
+
+use abbe_core::{Calibration, KinematicModel, Poses, Result, machine_values};
+use abbe_volumetric::predict;
+
+use crate::calibrated::check_confounded;
+use crate::figures::{Spread, largest_uncertainty};
+use crate::set_points::SetPoints;
+
+/// Where a tip was.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Measured {
+    /// Where the nominal machine would have had it: the indicated position, table frame, mm.
+    pub indicated: [f64; 3],
+    /// Where the calibrated machine had it, table frame, mm.
+    pub corrected: [f64; 3],
+    /// Covariance of the corrected position, mm²: what the calibration says of its parameters.
+    pub covariance: [[f64; 3]; 3],
+}
+
+/// The positions of a file, corrected (Soons 1993, 2.3.5, first half; Rahman 2004, chapter 6).
+#[derive(Debug, Clone, PartialEq)]
+pub struct MeasuredPoints {
+    /// Positions of the axes as they were read.
+    pub points: SetPoints,
+    /// Where the tip was at each of them.
+    pub tips: Vec<Measured>,
+}
+
+impl MeasuredPoints {
+    /// Corrects the positions of a file; `model` is the calibration's own. A position is that of the tip: of a probe the centre of its
+    /// ball.
+    ///
+    /// Fails as [`CompensatedPath::new`](crate::CompensatedPath::new) does, but for limits of corrections. Errors of a point name its
+    /// line.
+    pub fn new(model: &dyn KinematicModel, calibration: &Calibration, file: &Path) -> Result<Self> {
+        let points = SetPoints::read(file, model)?;
+        let corrected = || {
+            check_confounded(model, calibration, points.statuses())?;
+            let errors = predict(model, calibration, points.statuses())?;
+            let mut nominal = Poses::default();
+            model.poses(points.statuses(), &model.info().nominal, &[], false, &mut nominal)?;
+            let tips = nominal.positions.iter().zip(errors).map(|(&indicated, error)| Measured {
+                indicated,
+                corrected: [0, 1, 2].map(|axis| indicated[axis] + error.mean[axis]),
+                covariance: error.covariance,
+            });
+            Ok(tips.collect())
+        };
+        let tips = corrected().map_err(|error| points.locate(error))?;
+        Ok(Self { points, tips })
+    }
+
+    /// Distances between corrected and indicated positions, mm.
+    pub fn corrections(&self) -> Spread {
+        Spread::of(self.tips.iter().map(|tip| distance(&tip.corrected, &tip.indicated)))
+    }
+
+    /// Largest standard uncertainty of a corrected position, in any direction, mm.
+    pub fn largest_uncertainty(&self) -> f64 {
+        self.tips.iter().map(|tip| largest_uncertainty(&tip.covariance)).fold(0.0, f64::max)
+    }
+
+    /// The text of the file with columns more: the corrected position (`corrected_x_mm`, ..), the correction (`correction_x_um`, ..)
+    /// and the covariance (`xx_um2`, .., `yz_um2`).
+    ///
+    /// Fails if the file has one of these columns.
+    pub fn text(&self) -> Result<String> {
+        const UPPER: [(usize, usize); 6] = [(0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2)];
+        let headers = [
+            "corrected_x_mm",
+            "corrected_y_mm",
+            "corrected_z_mm",
+            "correction_x_um",
+            "correction_y_um",
+            "correction_z_um",
+            "xx_um2",
+            "yy_um2",
+            "zz_um2",
+            "xy_um2",
+            "xz_um2",
+            "yz_um2",
+        ];
+        self.points.with_more_columns(&headers, |point| {
+            let Measured { indicated, corrected, covariance } = &self.tips[point];
+            let positions = corrected.iter().map(|value| format!("{:.9}", value + 0.0));
+            let changes = (0..3).map(|axis| format!("{:.6}", (corrected[axis] - indicated[axis]) * 1e3 + 0.0));
+            let covariances = UPPER.iter().map(|&(row, column)| format!("{:e}", covariance[row][column] * 1e6));
+            positions.chain(changes).chain(covariances).collect()
+        })
+    }
+}
+
+/// What leaving terms out costs at the same positions: distances between the points that two sets of values give, mm (Soons 1993,
+/// 5.1.1). Parameters that `is_left_out` names have their nominal values in the second set.
+///
+/// Fails where the model has no pose.
+pub fn cost_of_leaving_out(
+    model: &dyn KinematicModel,
+    calibration: &Calibration,
+    statuses: &[f64],
+    is_left_out: impl Fn(&str) -> bool,
+) -> Result<Spread> {
+    let all = machine_values(model, calibration);
+    let parameters = model.info().parameters.iter().zip(&model.info().nominal);
+    let reduced: Vec<f64> = (parameters.zip(&all))
+        .map(|((parameter, nominal), value)| if is_left_out(&parameter.name) { *nominal } else { *value })
+        .collect();
+    let tips = |values: &[f64]| {
+        let mut poses = Poses::default();
+        model.poses(statuses, values, &[], false, &mut poses).map(|()| poses.positions)
+    };
+    let (full, reduced) = (tips(&all)?, tips(&reduced)?);
+    Ok(Spread::of(full.iter().zip(&reduced).map(|(one, other)| distance(one, other))))
+}
+
+fn distance(one: &[f64; 3], other: &[f64; 3]) -> f64 {
+    one.iter().zip(other).map(|(one, other)| (one - other).powi(2)).sum::<f64>().sqrt()
+}
