@@ -17,6 +17,8 @@ struct Mistake {
     /// `with B negated`.
     without: String,
     correct: Correction,
+    /// For a unit: the axes that are read in it, and the factor that corrects them.
+    scaled: Option<(Vec<usize>, f64)>,
 }
 
 /// Iterations of a trial: what is right converges in a few.
@@ -34,6 +36,12 @@ const STAYS: f64 = 1.5;
 /// Median of the residuals in standard uncertainties from which a fit is no good.
 const GOOD: f64 = 5.0;
 
+/// Residuals, mm and rad, that no right correction leaves: those of machines are far smaller.
+const LEFT: [f64; 2] = [1.0, 10e-3];
+
+/// Part of the travel that recorded commands cover if they are not too large by a unit.
+const COVERED: f64 = 0.1;
+
 /// Most mistakes that are told.
 const TOLD: usize = 2;
 
@@ -45,15 +53,18 @@ pub fn likely_mistakes(problem: &Problem, plausible: &Plausible) -> Result<Vec<S
     let quiet = spread(problem).watched_by(Monitor::default());
     let (as_it_is, as_recorded) = (Trial::new(&quiet, plausible), off(&quiet));
     let mut found = Vec::new();
-    for Mistake { without, correct } in mistakes(quiet.model.info()) {
+    for Mistake { without, correct, scaled } in mistakes(quiet.model.info()) {
         // Whoever watches the work can end it here.
         problem.monitor.check()?;
+        if scaled.is_some_and(|(axes, factor)| factor < 1.0 && cover_their_travel(&quiet, &axes)) {
+            continue;
+        }
         let other = with_commands(&quiet, correct);
         // Anything fits well where all lengths are a thousand times shorter, but not at the places that are nominal.
         if off(&other).is_none_or(|off| as_recorded.is_some_and(|recorded| off >= recorded)) {
             continue;
         }
-        let Some(trial) = Trial::new(&other, plausible) else { continue };
+        let Some(trial) = Trial::new(&other, plausible).filter(Trial::is_of_a_machine) else { continue };
         let explains = match &as_it_is {
             None => trial.is_plausible,
             Some(now) if now.is_plausible => trial.is_plausible && trial.median < FALLS * now.median,
@@ -131,6 +142,10 @@ impl Trial {
         })
     }
 
+    fn is_of_a_machine(&self) -> bool {
+        self.median < LEFT[usize::from(self.quantity == Quantity::Angle)]
+    }
+
     /// The median for people.
     fn size(&self) -> String {
         let (value, small, large) = match self.quantity {
@@ -151,12 +166,14 @@ fn median(values: Vec<f64>) -> Option<f64> {
 /// The usual mistakes in recorded commands of a machine.
 fn mistakes(machine: &ModelInfo) -> Vec<Mistake> {
     let mut found = Vec::new();
-    let mut mistake = |without: String, correct: Correction| found.push(Mistake { without, correct });
+    let mut mistake = |without: String, correct: Correction, scaled: Option<(Vec<usize>, f64)>| {
+        found.push(Mistake { without, correct, scaled });
+    };
     for (index, axis) in machine.axes.iter().enumerate() {
         let negated: Vec<usize> =
             machine.status_index(&StatusRole::Direction(index)).into_iter().chain([axis.status]).collect();
         let negate = move |status: &mut [f64]| negated.iter().for_each(|&value| status[value] = -status[value]);
-        mistake(format!("with {} negated", axis.name), Box::new(negate));
+        mistake(format!("with {} negated", axis.name), Box::new(negate), None);
     }
     for kind in [AxisKind::Linear, AxisKind::Rotary] {
         let alike: Vec<(&str, usize)> =
@@ -164,7 +181,7 @@ fn mistakes(machine: &ModelInfo) -> Vec<Mistake> {
         for (place, &(name, one)) in alike.iter().enumerate() {
             for &(other_name, other) in &alike[place + 1..] {
                 let swap = move |status: &mut [f64]| status.swap(one, other);
-                mistake(format!("with {name} and {other_name} swapped"), Box::new(swap));
+                mistake(format!("with {name} and {other_name} swapped"), Box::new(swap), None);
             }
         }
         for &(factor, unit) in units(kind) {
@@ -172,12 +189,28 @@ fn mistakes(machine: &ModelInfo) -> Vec<Mistake> {
             let each = if alike.len() > 1 { alike.chunks(1) } else { [].chunks(1) };
             for read in alike.chunks(alike.len().max(1)).chain(each) {
                 let (names, values): (Vec<&str>, Vec<usize>) = read.iter().copied().unzip();
+                let scaled = Some((values.clone(), factor));
                 let scale = move |status: &mut [f64]| values.iter().for_each(|&value| status[value] *= factor);
-                mistake(format!("with {} read as {unit}", names.join(", ")), Box::new(scale));
+                mistake(format!("with {} read as {unit}", names.join(", ")), Box::new(scale), scaled);
             }
         }
     }
     found
+}
+
+/// Whether the recorded commands of one of these columns of the status cover a part of the travel of their axis: then they are not too
+/// large by a unit, or they would be beyond it.
+fn cover_their_travel(problem: &Problem, columns: &[usize]) -> bool {
+    let axes = problem.model.info().axes.iter().filter(|axis| columns.contains(&axis.status));
+    axes.filter_map(|axis| Some((axis.status, axis.range?))).any(|(column, [from, to])| {
+        let commands = problem.sets.iter().flat_map(|set| {
+            let poses = set.poses();
+            poses.indices().map(move |pose| poses.row(pose)[column])
+        });
+        let [least, most] = commands
+            .fold([f64::INFINITY, f64::NEG_INFINITY], |[least, most], command| [least.min(command), most.max(command)]);
+        most - least > COVERED * (to - from)
+    })
 }
 
 fn named_status(axis: &Axis) -> (&str, usize) {

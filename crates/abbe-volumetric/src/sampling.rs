@@ -63,8 +63,14 @@ pub fn check_ranges(ranges: &Ranges, setting: &str) -> Result<(), SettingsError>
     Ok(())
 }
 
+/// No axis goes farther, mm and degrees.
+const FARTHEST: f64 = 1e6;
+
 fn increasing(from: f64, to: f64) -> Option<&'static str> {
-    (!(from.is_finite() && to.is_finite() && from < to)).then_some("the range has to end beyond its start")
+    match from.abs() <= FARTHEST && to.abs() <= FARTHEST {
+        false => Some("no axis goes farther than 1000000 mm or degrees"),
+        true => (from >= to).then_some("the range has to end beyond its start"),
+    }
 }
 
 /// The unit of positions in files: its suffix, and how many of it make one in memory.

@@ -95,8 +95,8 @@ impl Range {
         let digits = 10_f64.powf(3.0 - (to - from).log10().floor());
         let command = (command * factor * digits).round() / digits;
         let message = format!(
-            "{} stands at {command} {unit}, beyond the range of {}: {from} to {to} {unit}",
-            axis.name, self.error
+            "{} is needed with {} at {command} {unit}, beyond its range of {from} to {to} {unit}",
+            self.error, axis.name
         );
         Err(Error::data(message)
             .help("widen the range of the axis or of the line under `errors`, or leave the row out"))

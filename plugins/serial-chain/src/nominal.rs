@@ -8,6 +8,9 @@ use nalgebra::Vector3;
 use crate::builder::key;
 use crate::settings::{self, Settings};
 
+/// No axis goes farther, mm and degrees.
+const FARTHEST: f64 = 1e6;
+
 /// Nominal geometry of one axis.
 pub(crate) fn chain_axis(named: &NamedAxis, settings: &Settings) -> Result<ChainAxis, SettingsError> {
     let given = settings.axes.get(&named.name).cloned().unwrap_or_default();
@@ -23,10 +26,11 @@ pub(crate) fn chain_axis(named: &NamedAxis, settings: &Settings) -> Result<Chain
         return at(wrong, format!("the range of axis {} is {right}", named.name));
     }
     if let Some([from, to]) = fits
-        && !(from.is_finite() && to.is_finite() && from < to)
+        && !(from.abs() <= FARTHEST && to.abs() <= FARTHEST && from < to)
     {
         let setting = if kind == AxisKind::Linear { "range_mm" } else { "range_deg" };
-        return at(setting, "a range is two numbers, the smaller one first".to_owned());
+        let message = format!("a range is two numbers from -{FARTHEST} to {FARTHEST}, the smaller one first");
+        return at(setting, message);
     }
     if given.endless && kind == AxisKind::Linear {
         return at("endless", format!("axis {} is linear, and has an end", named.name));

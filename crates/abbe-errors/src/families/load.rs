@@ -71,8 +71,9 @@ impl Family for Load {
         if !(self.reference_n > 0.0 && self.reference_n.is_finite()) {
             return Err(SettingsError::new("reference_N", "a positive force was expected"));
         }
-        if self.guideway_distance_mm.is_some_and(|distance| !(distance != 0.0 && distance.is_finite())) {
-            return Err(SettingsError::new("guideway_distance_mm", "a distance that is not zero was expected"));
+        if self.guideway_distance_mm.is_some_and(|distance| !(1.0..=1e5).contains(&distance.abs())) {
+            let message = "a distance of 1 to 100000 mm, to either side, was expected";
+            return Err(SettingsError::new("guideway_distance_mm", message));
         }
         if self.has_knots() {
             knots("a piecewise polynomial", &self.knots_mm, &self.knots_deg, 1)?;

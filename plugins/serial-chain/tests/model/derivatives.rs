@@ -307,5 +307,5 @@ fn commands_outside_the_range_are_refused_where_they_matter() {
     // An error that is neither there nor wanted is no matter; a command at the very end is none either.
     assert!(at(300.0, &[]).is_ok() && at(201.0, &[Variable::Parameter(index)]).is_ok());
     let error = at(300.0, &[Variable::Parameter(index)]).expect_err("beyond the range").to_string();
-    assert!(error.contains("X stands at 300 mm, beyond the range of EXX: 0 to 200 mm"), "{error}");
+    assert!(error.contains("EXX is needed with X at 300 mm, beyond its range of 0 to 200 mm"), "{error}");
 }
