@@ -6,7 +6,8 @@ use std::process::Command;
 use std::time::Duration;
 
 use abbe_bundle as _;
-use abbe_core::{Build, Context, Error, Fit, Problem, Registry};
+use abbe_compensation::{Compensator, Correct, Settings};
+use abbe_core::{Build, Context, Error, Fit, Problem, Registry, StatusRole, machine_values};
 use abbe_engine::prepare;
 use abbe_plugin::{Library, Limits};
 use criterion::{Criterion, criterion_group, criterion_main};
@@ -70,6 +71,40 @@ fn mill(criterion: &mut Criterion) {
     });
 }
 
+/// Corrected set-points of the five-axis machine, position and tool axis: 10,000 between the ends of its travel.
+fn set_points(criterion: &mut Criterion) {
+    const COUNT: u32 = 10_000;
+    let fits = fits("tango-hu40t-exact.yaml").unwrap_or_else(|error| panic!("{error}"));
+    let Some(fit) = fits.iter().find(|fit| fit.name == "fit-S4") else { panic!("the recipe has no fit-S4") };
+    let model = fit.problem.model.as_ref();
+    let values = machine_values(model, &fit.calibration);
+    let mut statuses = Vec::new();
+    for point in 0..COUNT {
+        let part = 0.3 + 0.4 * f64::from(point) / f64::from(COUNT);
+        let mut status: Vec<f64> = (model.info().status.iter())
+            .map(|column| match column.role {
+                StatusRole::Direction(_) => 1.0,
+                _ => 0.0,
+            })
+            .collect();
+        for axis in &model.info().axes {
+            let [from, to] = axis.range.unwrap_or([-100.0, 100.0]);
+            status[axis.status] = from + part * (to - from);
+        }
+        statuses.extend(status);
+    }
+    let wide = Settings {
+        correct: Correct::FiveAxes,
+        largest_tip_correction_mm: 1e3,
+        largest_axis_correction_mrad: 1e3,
+        ..Settings::default()
+    };
+    let compensator = Compensator::new(model, &values, &wide).unwrap_or_else(|error| panic!("{error}"));
+    criterion.bench_function("set_points_10000", |bencher| {
+        bencher.iter(|| compensator.correct(black_box(&statuses)).unwrap_or_else(|error| panic!("{error}")).1.len())
+    });
+}
+
 /// Builds packages in the profile of the benchmarks; returns the folder of the built files.
 fn built(packages: &[&str]) -> PathBuf {
     let root = Path::new(env!("CARGO_MANIFEST_DIR")).join("..");
@@ -117,6 +152,6 @@ fn border(criterion: &mut Criterion) {
 criterion_group! {
     name = benches;
     config = Criterion::default().sample_size(20).warm_up_time(Duration::from_secs(1)).without_plots();
-    targets = product, tango, cmm, mill, border
+    targets = product, tango, cmm, mill, set_points, border
 }
 criterion_main!(benches);
