@@ -546,3 +546,51 @@ fn measured_positions_are_corrected() {
     refused(&["--out", "again.csv"], "there is a column `corrected_x_mm` already");
     assert!(!at("again.csv").exists());
 }
+
+/// A recipe that writes tables, and asks what they leave: without angular errors screw tables correct what lies along their axes.
+#[test]
+fn a_recipe_tells_what_its_tables_leave() {
+    let place = temporary();
+    write(&place.path().join("truth.calibration.json"), &calibration("three-axis").to_string());
+    let recipe = |validate: &str| {
+        let text = format!(
+            "abbe: 1\nname: Tables\nstages:\n  truth: {{ estimate: calibration, path: truth.calibration.json }}\n  \
+             other: {{ estimate: calibration, path: truth.calibration.json }}\n  \
+             screw: {{ export: linuxcnc, of: truth, step_mm: 10 }}\n  \
+             errors: {{ export: volumetric, of: truth, grid: {{ points: 2 }} }}\n  \
+             after: {{ of: truth, {validate} }}\n"
+        );
+        write(&place.path().join("tables.yaml"), &text);
+        abbe(place.path(), &["run", "tables.yaml", "--json"])
+    };
+    let judged = "validate: compensated, grid: { points: 5, both_directions: true }, exports: screw";
+    let printed = recipe(&format!("{judged}, limits: {{ tip_max_um: 40 }}"));
+    let verdicts = json_file(&place.path().join("out/tables/verdicts.json"));
+    assert_eq!(printed.status, 0, "{}{verdicts}", printed.stderr);
+    let figure = |name: &str| {
+        let figures = verdicts[0]["figures"].as_array().expect("figures");
+        let found = figures.iter().find(|figure| figure["name"] == json!(name));
+        found.and_then(|figure| figure["value"].as_f64()).unwrap_or_else(|| panic!("no {name} in {verdicts}"))
+    };
+    let [before, exact, screw] = ["tip max[before]", "tip max[exact]", "tip max[screw]"].map(figure);
+    assert!(exact < 1e-6 && screw > 1.0 && screw < before, "{before} {exact} {screw}");
+    let table = read(&place.path().join("out/tables/after/compensated.csv"));
+    assert!(table.starts_with("X_mm,Y_mm,Z_mm,before_um,exact_um,screw_um,standard_uncertainty_um\n"), "{table}");
+    assert_eq!(table.lines().count(), 1 + 2 * 125);
+
+    // What the control leaves decides, not what could be corrected.
+    let printed = recipe(&format!("{judged}, limits: {{ tip_max_um: 0.5 }}"));
+    assert_eq!(printed.status, 1, "{}", printed.stderr);
+    for (validate, words) in [
+        ("validate: compensated, grid: { points: 2 }, exports: errors", "the files of `errors` correct nothing"),
+        ("validate: compensated, grid: { points: 2 }, exports: nothing", "`nothing`"),
+        ("validate: uncertainty, volumetric: { grid: { points: 2 } }, exports: screw", "judges no exported files"),
+        ("validate: compensated, exports: screw", "either `grid` or `path` was expected"),
+        ("validate: compensated, grid: { points: 2 }, trials: 10", "at least 200 do"),
+        ("validate: compensated, grid: { points: 2 }, limits: { tip_um: 1 }", "there is no figure `tip_um` to limit"),
+    ] {
+        let printed = recipe(validate);
+        let said = printed.stderr.split_whitespace().collect::<Vec<_>>().join(" ");
+        assert!(printed.status != 0 && said.contains(words), "{validate}: {said}");
+    }
+}
