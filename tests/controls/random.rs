@@ -13,6 +13,8 @@ pub enum Errors {
     Any,
     /// Errors that shift the tip by a function of one axis: translations, of machines with three axes.
     OfOneAxis,
+    /// Positioning errors and reversal, of machines with three axes.
+    Positioning,
 }
 
 /// Largest coefficient of degree two of the machines, 1/mm.
@@ -59,7 +61,7 @@ fn settings(seed: u64, errors: Errors) -> Value {
     let mut random = Random(seed);
     let rotary = match errors {
         Errors::Any => random.shuffled(&["A", "B", "C"])[..(random.uniform() * 3.0) as usize].to_vec(),
-        Errors::OfOneAxis => Vec::new(),
+        Errors::OfOneAxis | Errors::Positioning => Vec::new(),
     };
     // Rotary axes outside the linear ones: these are never parallel.
     let linear = random.shuffled(&["X", "Y", "Z"]);
@@ -81,6 +83,10 @@ fn settings(seed: u64, errors: Errors) -> Value {
         Errors::OfOneAxis => json!([
             { "polynomial": own(&shifts, &linear), "degrees": [1, 2] },
             { "backlash": own(&shifts, &linear) },
+        ]),
+        Errors::Positioning => json!([
+            { "polynomial": positions, "degrees": [1, 2] },
+            { "backlash": positions },
         ]),
         Errors::Any => json!([
             { "location": ["E?0?"] },
