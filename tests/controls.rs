@@ -4,3 +4,6 @@
 //! errors of the calibration, and its tool is where the exporter's own prediction says. With the sign turned the law fails.
 
 pub(crate) mod law;
+mod linuxcnc_screw;
+mod random;
+mod siemens;

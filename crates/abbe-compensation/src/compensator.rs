@@ -84,6 +84,8 @@ pub struct Compensator<'a> {
     rotary: Vec<usize>,
     wanted: Vec<Variable>,
     task: Task,
+    /// Whether commands have to be within the travel of their axes.
+    within_travel: bool,
 }
 
 impl<'a> Compensator<'a> {
@@ -98,7 +100,12 @@ impl<'a> Compensator<'a> {
             Some(direction) => Task::Along(Vector3::from(direction).normalize()),
             None => Task::Components(settings.weights.map_or(Vector3::repeat(1.0), Vector3::from)),
         };
-        Ok(Self { model, values, settings, linear, rotary, wanted, task })
+        Ok(Self { model, values, settings, linear, rotary, wanted, task, within_travel: true })
+    }
+
+    /// The same for commands that no axis drives to: the corrections in a table, at its ends.
+    pub(crate) fn beyond_travel_too(self) -> Self {
+        Self { within_travel: false, ..self }
     }
 
     /// The statuses with corrected commands, and what was done at each point. `statuses` are points x columns of the status;
@@ -323,7 +330,7 @@ impl<'a> Compensator<'a> {
     /// What is said of a command beyond the travel of one of some axes, by more than rounding.
     fn beyond_travel(&self, status: &[f64], of: &[usize]) -> Option<String> {
         let axes = of.iter().map(|&axis| &self.model.info().axes[axis]);
-        axes.filter(|axis| !axis.endless).find_map(|axis| {
+        axes.filter(|axis| self.within_travel && !axis.endless).find_map(|axis| {
             let ([from, to], command) = (axis.range?, status[axis.status]);
             let more = 1e-9 * (to - from);
             if command >= from - more && command <= to + more {

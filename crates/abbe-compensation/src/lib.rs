@@ -20,6 +20,8 @@ mod remaining;
 mod set_points;
 mod settings;
 mod step;
+mod table_source;
+mod tables;
 
 pub use calibrated::check_confounded;
 pub use compensator::{Compensator, Correction, Deviation};
@@ -29,3 +31,5 @@ pub use path::CompensatedPath;
 pub use remaining::{Expected, Remaining, Trials, remaining};
 pub use set_points::SetPoints;
 pub use settings::{Correct, Method, Settings, Travel};
+pub use table_source::TableSource;
+pub use tables::{AxisTable, AxisTables};

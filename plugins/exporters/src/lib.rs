@@ -3,6 +3,7 @@
 mod error_table;
 mod linuxcnc;
 mod sampling;
+mod screw_file;
 mod set_points;
 #[cfg(test)]
 mod testing;

@@ -4,16 +4,21 @@
 //! comment; at most 256 points, positions increasing. LinuxCNC interpolates the trim linearly, adds it to the motor's
 //! command and keeps it beyond both ends.
 
+use std::collections::BTreeMap;
+use std::path::{Path, PathBuf};
+
+use abbe_compensation::{AxisTable, AxisTables};
 use abbe_core::{
-    Axis, AxisKind, Calibration, Context, Error, ErrorFunction, Export, ExportedFile, KinematicModel, PathItem, Result,
-    SettingsError,
+    Axis, AxisKind, Calibration, CommandCorrection, Context, Error, ErrorFunction, Export, ExportedFile, InputFile,
+    KinematicModel, PathItem, Result, SettingsError,
 };
-use abbe_volumetric::{Ranges, Steps, check_axes, position_unit};
+use abbe_volumetric::{Ranges, Steps, check_axes, position_unit, within};
 use schemars::JsonSchema;
 use serde::{Deserialize, Deserializer};
 use serde_json::{Value, json};
 
 use crate::sampling::{RANGES, Values, check, fixed, points, status};
+use crate::screw_file;
 
 abbe_core::register!(
     Export,
@@ -44,6 +49,9 @@ struct Settings {
     /// Ranges by axis, where they are not those of the machine.
     #[serde(default)]
     ranges: Ranges,
+    /// Files by axis, of the same `type`, that were active when the machine was measured: the new trims are added at their points.
+    #[serde(default)]
+    existing: BTreeMap<String, String>,
 }
 
 /// What the columns of the file are.
@@ -91,12 +99,13 @@ fn example() -> Value {
     json!({ "step_mm": 20, "step_deg": 10, "type": 0, "axes": ["X", "Y"] })
 }
 
-fn build(settings: Settings, _: &Context) -> Result<Box<dyn Export>, SettingsError> {
+fn build(settings: Settings, context: &Context) -> Result<Box<dyn Export>, SettingsError> {
     check(&settings.ranges, settings.steps())?;
     if settings.axes.as_ref().is_some_and(Vec::is_empty) {
         return Err(SettingsError::new("axes", "at least one axis was expected"));
     }
-    Ok(Box::new(LinuxCnc { settings }))
+    let existing = settings.existing.iter().map(|(axis, path)| (axis.clone(), context.path(path))).collect();
+    Ok(Box::new(LinuxCnc { settings, existing }))
 }
 
 impl Settings {
@@ -107,6 +116,17 @@ impl Settings {
 
 struct LinuxCnc {
     settings: Settings,
+    existing: BTreeMap<String, PathBuf>,
+}
+
+/// The trims of an axis, mm or degrees.
+struct Trims {
+    axis: usize,
+    positions: Vec<f64>,
+    /// What the control has already: forward and reverse.
+    before: [Vec<f64>; 2],
+    /// What it gets.
+    after: [Vec<f64>; 2],
 }
 
 /// The errors of an axis that move it along (or about) its own direction, each with its component in this direction.
@@ -124,48 +144,74 @@ fn along<'a>(index: usize, axis: &Axis, functions: &'a [ErrorFunction]) -> Vec<(
 }
 
 impl Export for LinuxCnc {
+    fn inputs(&self) -> Vec<InputFile> {
+        self.existing.values().map(|path| InputFile { setting: "existing", path: path.clone() }).collect()
+    }
+
     fn export(&self, calibration: &Calibration, model: &dyn KinematicModel) -> Result<Vec<ExportedFile>> {
-        check_axes(&self.settings.ranges, RANGES, model)?;
-        let functions = &model.info().error_functions;
-        let values = Values::new(calibration, model);
         let mut files = Vec::new();
         let mut ini = INI_HEADER.to_owned();
-        for index in self.axes(model, functions)? {
-            let axis = &model.info().axes[index];
-            let (unit, factor) = position_unit(axis);
-            let points = points(axis, &self.settings.ranges, self.settings.steps(), MOST)?;
+        for trims in self.trims(calibration, model)? {
+            let axis = &model.info().axes[trims.axis];
+            let [forward, reverse] = &trims.after;
             let mut text = String::new();
-            for point in &points {
-                let at = |direction: f64| -> Result<f64> {
-                    let status = status(model, axis, point / factor, direction);
-                    let mut error = 0.0;
-                    for (part, function) in along(index, axis, functions) {
-                        error += part * values.motion_error(model, function, &status)?.0;
-                    }
-                    // A positive command moves the body by the sense of the axis; the error is that of the body.
-                    Ok(axis.sense * error * factor)
-                };
-                let [forward, reverse] = [at(1.0)?, at(-1.0)?];
-                let [forward, reverse] = match self.settings.kind {
-                    FileType::Positions => [point + forward, point + reverse],
-                    FileType::Trims => [-forward, -reverse],
-                };
-                text.push_str(&format!("{point} {} {}\n", fixed(forward), fixed(reverse)));
+            for ((point, forward), reverse) in trims.positions.iter().zip(forward).zip(reverse) {
+                let [forward, reverse] =
+                    [forward, reverse].map(|trim| fixed(self.settings.kind.written(*point, *trim)));
+                text.push_str(&format!("{point} {forward} {reverse}\n"));
             }
             let name = format!("{}.comp", axis.name.to_lowercase());
             ini.push_str(&format!(
-                "\n# Axis {}: {} points from {} to {} {unit}; n is the number of its joint.\n[JOINT_n]\nCOMP_FILE = \
+                "\n# Axis {}: {} points from {} to {} {}; n is the number of its joint.\n[JOINT_n]\nCOMP_FILE = \
                  {name}\nCOMP_FILE_TYPE = {}\n",
                 axis.name,
-                points.len(),
-                points.first().copied().unwrap_or_default(),
-                points.last().copied().unwrap_or_default(),
+                trims.positions.len(),
+                trims.positions.first().copied().unwrap_or_default(),
+                trims.positions.last().copied().unwrap_or_default(),
+                position_unit(axis).0,
                 self.settings.kind as u8
             ));
             files.push(ExportedFile { name, content: text.into_bytes() });
         }
         files.push(ExportedFile { name: "linuxcnc.ini".to_owned(), content: ini.into_bytes() });
         Ok(files)
+    }
+
+    fn correction(
+        &self,
+        calibration: &Calibration,
+        model: &dyn KinematicModel,
+    ) -> Result<Option<Box<dyn CommandCorrection>>> {
+        let table = |trims: Trims| {
+            let factor = position_unit(&model.info().axes[trims.axis]).1;
+            let new = |side: usize| {
+                let both = trims.after[side].iter().zip(&trims.before[side]);
+                both.map(|(after, before)| (after - before) / factor).collect()
+            };
+            let positions = trims.positions.iter().map(|position| position / factor).collect();
+            let (input, output) = (trims.axis, trims.axis);
+            AxisTable { input, output, positions, forward: new(0), reverse: new(1), repeats: false }
+        };
+        let tables = self.trims(calibration, model)?.into_iter().map(table).collect();
+        Ok(Some(Box::new(AxisTables::new(model.info(), tables)?)))
+    }
+}
+
+impl FileType {
+    /// What stands in a file for a trim, with its six decimals; and the trim for what stands there.
+    fn written(self, nominal: f64, trim: f64) -> f64 {
+        let value = match self {
+            Self::Positions => nominal - trim,
+            Self::Trims => trim,
+        };
+        (value * 1e6).round() / 1e6
+    }
+
+    fn trim(self, nominal: f64, written: f64) -> f64 {
+        match self {
+            Self::Positions => nominal - written,
+            Self::Trims => written,
+        }
     }
 }
 
@@ -177,6 +223,49 @@ const INI_HEADER: &str = "\
 ";
 
 impl LinuxCnc {
+    /// The trims of all axes, as they stand in the files.
+    fn trims(&self, calibration: &Calibration, model: &dyn KinematicModel) -> Result<Vec<Trims>> {
+        check_axes(&self.settings.ranges, RANGES, model)?;
+        let functions = &model.info().error_functions;
+        let values = Values::new(calibration, model);
+        let axes = self.axes(model, functions)?;
+        let is_written = |name: &String| axes.iter().any(|&axis| model.info().axes[axis].name == *name);
+        if let Some(name) = self.existing.keys().find(|name| !is_written(name)) {
+            let error = Error::usage(format!("no file is written for {name}"));
+            return Err(within(error, &["existing", name]));
+        }
+        let of_axis = |index: usize| {
+            let axis = &model.info().axes[index];
+            let factor = position_unit(axis).1;
+            let (positions, before) = match self.existing.get(&axis.name) {
+                Some(path) => {
+                    existing(path, self.settings.kind).map_err(|error| within(error, &["existing", &axis.name]))?
+                }
+                None => {
+                    let points = points(axis, &self.settings.ranges, self.settings.steps(), MOST)?;
+                    let zero = vec![0.0; points.len()];
+                    (points, [zero.clone(), zero])
+                }
+            };
+            let after = |direction: f64, before: &[f64]| -> Result<Vec<f64>> {
+                let trim = |(point, before): (&f64, &f64)| {
+                    let status = status(model, axis, point / factor, direction);
+                    let mut error = 0.0;
+                    for (part, function) in along(index, axis, functions) {
+                        error += part * values.motion_error(model, function, &status)?.0;
+                    }
+                    // A positive command moves the body by the sense of the axis; the error is that of the body.
+                    let trim = before - axis.sense * error * factor;
+                    Ok(self.settings.kind.trim(*point, self.settings.kind.written(*point, trim)))
+                };
+                positions.iter().zip(before).map(trim).collect()
+            };
+            let after = [after(1.0, &before[0])?, after(-1.0, &before[1])?];
+            Ok(Trims { axis: index, positions, before, after })
+        };
+        axes.iter().map(|&index| of_axis(index)).collect()
+    }
+
     /// The axes to compensate.
     fn axes(&self, model: &dyn KinematicModel, functions: &[ErrorFunction]) -> Result<Vec<usize>> {
         let positions = |index: usize| !along(index, &model.info().axes[index], functions).is_empty();
@@ -207,6 +296,13 @@ impl LinuxCnc {
         }
         Ok(axes)
     }
+}
+
+/// Positions of a file, with its trims.
+fn existing(path: &Path, kind: FileType) -> Result<(Vec<f64>, [Vec<f64>; 2])> {
+    let rows = screw_file::read(path, MOST)?;
+    let trims = |column: usize| rows.iter().map(|row| kind.trim(row[0], row[column])).collect();
+    Ok((rows.iter().map(|row| row[0]).collect(), [trims(1), trims(2)]))
 }
 
 #[cfg(test)]
@@ -380,7 +476,7 @@ mod tests {
             (json!({ "axes": [] }), "axes: at least one axis was expected"),
             (
                 json!({ "step": 2 }),
-                "step: unknown setting `step` (possible are: step_mm, step_deg, type, axes, ranges)",
+                "step: unknown setting `step` (possible are: step_mm, step_deg, type, axes, ranges, existing)",
             ),
         ];
         for (settings, expected) in refused {

@@ -1,0 +1,6 @@
+//! Exporters of tables along axes: pitch and cross compensation of controls.
+
+mod existing;
+mod siemens;
+mod siemens_file;
+mod tables;

@@ -1,0 +1,115 @@
+//! Reads tables of SINUMERIK: `$AA_ENC_COMP` and `$AN_CEC`.
+
+use std::collections::BTreeMap;
+use std::path::Path;
+
+use abbe_compensation::AxisTable;
+use abbe_core::{Error, KinematicModel, Result};
+use abbe_volumetric::position_unit;
+
+use crate::existing::{text, wrong};
+
+/// Tables as they stand in files, values in mm and rad.
+#[derive(Debug, Default)]
+pub struct Tables {
+    /// `$AA_ENC_COMP`.
+    pub encoder: Vec<AxisTable>,
+    /// `$AN_CEC`.
+    pub sag: Vec<AxisTable>,
+}
+
+/// One table of a file: variables by name, values by point.
+#[derive(Debug, Default)]
+struct Raw {
+    line: usize,
+    numbers: BTreeMap<String, f64>,
+    axes: BTreeMap<String, String>,
+    values: BTreeMap<usize, f64>,
+}
+
+/// Adds the tables of a file. `machine_axis` is the index of a machine axis by its name in the control.
+pub fn read(
+    path: &Path,
+    machine_axis: &dyn Fn(&str) -> Option<usize>,
+    model: &dyn KinematicModel,
+    found: &mut Tables,
+) -> Result<()> {
+    // Encoder tables by encoder and axis, the others by their index.
+    let mut raw: BTreeMap<(bool, String), Raw> = BTreeMap::new();
+    for (line, text) in text(path)?.lines().enumerate() {
+        let text = text.split(';').next().unwrap_or_default().trim();
+        let Some((name, value)) = text.split_once('=').filter(|_| text.starts_with('$')) else { continue };
+        let fails = || wrong(path, line, format!("`{text}` is no line of a compensation table"));
+        let (name, indices) = name.trim().trim_end_matches(']').split_once('[').ok_or_else(fails)?;
+        let indices: Vec<&str> = indices.split(',').map(str::trim).collect();
+        let is_encoder = name.starts_with("$AA_ENC_COMP");
+        let Some(variable) = name.strip_prefix("$AA_ENC_COMP").or_else(|| name.strip_prefix("$AN_CEC")) else {
+            continue;
+        };
+        let (table, point) = match (is_encoder, indices.as_slice()) {
+            (true, [encoder, point, axis]) => (format!("{encoder},{axis}"), Some(*point)),
+            (true, [encoder, axis]) => (format!("{encoder},{axis}"), None),
+            (false, [table, point]) => ((*table).to_owned(), Some(*point)),
+            (false, [table]) => ((*table).to_owned(), None),
+            _ => return Err(fails()),
+        };
+        let own = raw.entry((is_encoder, table)).or_insert_with(|| Raw { line, ..Raw::default() });
+        let value = value.trim().trim_matches(|bracket| matches!(bracket, '(' | ')' | '"')).trim();
+        if variable.ends_with("_AXIS") {
+            own.axes.insert(variable.to_owned(), value.to_owned());
+            continue;
+        }
+        let value: f64 = value.parse().ok().filter(|value: &f64| value.is_finite()).ok_or_else(fails)?;
+        match point {
+            Some(point) => drop(own.values.insert(point.parse().map_err(|_| fails())?, value)),
+            None => drop(own.numbers.insert(variable.to_owned(), value)),
+        }
+    }
+    if raw.is_empty() {
+        return Err(Error::data("it has no `$AA_ENC_COMP` and no `$AN_CEC`").in_file(path).setting("existing"));
+    }
+    for ((is_encoder, name), raw) in raw {
+        let axis = name.split_once(',').map(|(_, axis)| axis.to_owned());
+        let fails = |message: String| wrong(path, raw.line, message);
+        let axis_of = |variable: &str| {
+            let name = axis.as_ref().or_else(|| raw.axes.get(variable));
+            let name = name.ok_or_else(|| fails(format!("table {name:?} has no `{variable}`")))?;
+            machine_axis(name).ok_or_else(|| fails(format!("`machine_axes` does not name {name}")))
+        };
+        let (input, output) = (axis_of("_INPUT_AXIS")?, axis_of("_OUTPUT_AXIS")?);
+        let table = table(&raw, input, output, model).map_err(fails)?;
+        let list = if is_encoder { &mut found.encoder } else { &mut found.sag };
+        match list.iter_mut().find(|other| other.is_for_same_axes(&table)) {
+            Some(other) => {
+                *other = other
+                    .plus(&table)
+                    .map_err(|_| fails("tables of the same axes have different points".to_owned()))?;
+            }
+            None => list.push(table),
+        }
+    }
+    Ok(())
+}
+
+fn table(raw: &Raw, input: usize, output: usize, model: &dyn KinematicModel) -> Result<AxisTable, String> {
+    let number = |name: &str| raw.numbers.get(name).copied();
+    let needed = |name: &str| number(name).ok_or_else(|| format!("this table has no `{name}`"));
+    let (step, from, to) = (needed("_STEP")?, needed("_MIN")?, needed("_MAX")?);
+    if number("_MULT_BY_TABLE").is_some_and(|table| table != 0.0) {
+        return Err("tables that are multiplied are not read".to_owned());
+    }
+    let last = (to - from) / step;
+    if !(step > 0.0 && last.is_finite() && (0.5..1e6).contains(&last) && (last - last.round()).abs() < 1e-6) {
+        return Err("the range of this table is no whole number of steps".to_owned());
+    }
+    let axes = &model.info().axes;
+    let (along, of) = (position_unit(&axes[input]).1, position_unit(&axes[output]).1);
+    let points = 0..=last.round() as usize;
+    let positions = points.clone().map(|point| (from + point as f64 * step) / along).collect();
+    let values: Vec<f64> = points.map(|point| raw.values.get(&point).copied().unwrap_or(0.0) / of).collect();
+    let direction = number("_DIRECTION").unwrap_or(0.0);
+    let where_used = |used: bool| if used { values.clone() } else { vec![0.0; values.len()] };
+    let (forward, reverse) = (where_used(direction >= 0.0), where_used(direction <= 0.0));
+    let repeats = number("_IS_MODULO").is_some_and(|modulo| modulo != 0.0);
+    Ok(AxisTable { input, output, positions, forward, reverse, repeats })
+}
