@@ -565,8 +565,8 @@ fn a_recipe_tells_what_its_tables_leave() {
     };
     let judged = "validate: compensated, grid: { points: 5, both_directions: true }, exports: screw";
     let printed = recipe(&format!("{judged}, limits: {{ tip_max_um: 40 }}"));
+    assert_eq!(printed.status, 0, "{}{}", printed.stdout, printed.stderr);
     let verdicts = json_file(&place.path().join("out/tables/verdicts.json"));
-    assert_eq!(printed.status, 0, "{}{verdicts}", printed.stderr);
     let figure = |name: &str| {
         let figures = verdicts[0]["figures"].as_array().expect("figures");
         let found = figures.iter().find(|figure| figure["name"] == json!(name));

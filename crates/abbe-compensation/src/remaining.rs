@@ -135,6 +135,12 @@ impl Drawn {
                 Variable::Command(_) => None,
             })
             .collect();
+        let is_machine = |name: &str| model.info().parameter(name).is_some();
+        let degrees_of_freedom = calibration.degrees_of_freedom(is_machine);
+        if parameters.is_empty() {
+            // Stated errors without an uncertainty.
+            return Self { parameters, root: covariance, degrees_of_freedom };
+        }
         // Parameters have units of their own: only correlations are decomposed.
         let sizes = DVector::from_iterator(covariance.nrows(), covariance.diagonal().iter().map(|value| value.sqrt()));
         let part = |row: usize, column: usize| covariance[(row, column)] / (sizes[row] * sizes[column]);
@@ -144,8 +150,7 @@ impl Drawn {
         let eigen = SymmetricEigen::new(correlation);
         let roots = eigen.eigenvalues.map(|value| value.max(0.0).sqrt());
         let root = DMatrix::from_diagonal(&sizes) * eigen.eigenvectors * DMatrix::from_diagonal(&roots);
-        let is_machine = |name: &str| model.info().parameter(name).is_some();
-        Self { parameters, root, degrees_of_freedom: calibration.degrees_of_freedom(is_machine) }
+        Self { parameters, root, degrees_of_freedom }
     }
 
     fn values(&self, estimate: &[f64], seed: u64, trial: usize) -> Vec<f64> {
