@@ -15,6 +15,8 @@ pub enum Errors {
     OfOneAxis,
     /// Positioning errors and reversal, of machines with three axes.
     Positioning,
+    /// Positioning errors of degree one and reversal of one rotary axis, and no others.
+    Rotary,
 }
 
 /// Largest coefficient of degree two of the machines, 1/mm.
@@ -61,6 +63,8 @@ fn settings(seed: u64, errors: Errors) -> Value {
     let mut random = Random(seed);
     let rotary = match errors {
         Errors::Any => random.shuffled(&["A", "B", "C"])[..(random.uniform() * 3.0) as usize].to_vec(),
+        // C between spindle and tool turns the tool about itself.
+        Errors::Rotary => random.shuffled(&["A", "B"])[..1].to_vec(),
         Errors::OfOneAxis | Errors::Positioning => Vec::new(),
     };
     // Rotary axes outside the linear ones: these are never parallel.
@@ -87,6 +91,10 @@ fn settings(seed: u64, errors: Errors) -> Value {
         Errors::Positioning => json!([
             { "polynomial": positions, "degrees": [1, 2] },
             { "backlash": positions },
+        ]),
+        Errors::Rotary => json!([
+            { "polynomial": positions[3..], "degrees": [1] },
+            { "backlash": positions[3..] },
         ]),
         Errors::Any => json!([
             { "location": ["E?0?"] },

@@ -166,6 +166,21 @@ fn what_depends_on_one_axis_is_corrected() {
     }
 }
 
+/// A rotary axis stands where it should: what is left are digits of the file at the radius of the tool.
+#[test]
+fn rotary_axes_are_corrected() {
+    for seed in 0..50 {
+        let machine = random::machine(seed, random::Errors::Rotary);
+        let statuses = machine.anywhere(100, &[], seed + 1);
+        let tables =
+            json!({ "positioning": machine.model.info().axes.iter().map(|axis| &axis.name).collect::<Vec<_>>() });
+        let export = exporter("siemens-tables", &settings(&machine, tables));
+        let load = |files: &[ExportedFile]| Box::new(Sinumerik::load(files, &AXES)) as Box<dyn Control>;
+        let left = holds(&machine, export.as_ref(), &load, &statuses, ROUNDING);
+        assert!(left.before > 1e-3 && left.after < 3e-5, "seed {seed}: {left:?}");
+    }
+}
+
 /// What the control has already stays, and what is new is added to it.
 #[test]
 fn tables_that_are_active_are_added() {

@@ -14,7 +14,7 @@ use serde::Deserialize;
 use serde_json::{Value, json};
 
 use crate::siemens_file::{self, Tables as InFile};
-use crate::tables::{Limits, Made, Tables, axis_of, rounded};
+use crate::tables::{Limits, Made, Pairs, Tables, axis_of, rounded};
 
 abbe_core::register!(
     Export,
@@ -187,7 +187,7 @@ impl Siemens {
             PositioningBy::Cec => ([own, cross].concat(), InFile { encoder: known.encoder, sag: Vec::new() }),
             PositioningBy::Eec => ([known.encoder, cross].concat(), InFile { encoder: Vec::new(), sag: own }),
         };
-        let limits = Limits { points: self.settings.most_points, decimals: DECIMALS, cross: true };
+        let limits = Limits { points: self.settings.most_points, decimals: DECIMALS, cross: Pairs::All };
         Ok((self.settings.tables.made(calibration, model, &limits, existing)?, kept))
     }
 

@@ -85,8 +85,17 @@ pub struct Limits {
     pub points: usize,
     /// Decimals of values in the file, in mm and degrees.
     pub decimals: i32,
-    /// Whether one axis can be corrected along another.
-    pub cross: bool,
+    /// Which axes are corrected along others if the settings do not say it.
+    pub cross: Pairs,
+}
+
+/// Pairs of linear axes.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Pairs {
+    /// Every axis along every other.
+    All,
+    /// Only pairs that are asked for, with the same values in both directions of travel.
+    Asked,
 }
 
 /// The tables of a control.
@@ -145,6 +154,7 @@ impl Tables {
         existing: Vec<AxisTable>,
     ) -> Result<Made> {
         check_axes(&self.ranges, "ranges", model)?;
+        AxisTables::new(model.info(), existing.clone())?;
         let source = TableSource::new(model, calibration, &self.places(model)?, self.largest_mm);
         let axes = &model.info().axes;
         let own = self.own(model)?;
@@ -162,6 +172,10 @@ impl Tables {
             let interpolation = source.interpolation(&exact, &turned)?;
             let repeats = before.map_or(axes[input].endless, |index| made.tables[index].repeats);
             let exact = AxisTable { repeats, ..exact };
+            let exact = match limits.cross == Pairs::Asked && output != input {
+                true => both_ways(exact, model, limits.decimals)?,
+                false => exact,
+            };
             let zero = || exact.clone().map(|_| 0.0);
             let old = before.map_or_else(zero, |index| made.tables[index].clone());
             let factor = position_unit(&axes[output]).1;
@@ -237,14 +251,11 @@ impl Tables {
         let Some(cross) = &self.cross else {
             let of = |output: usize| (0..axes.len()).filter(linear).map(move |input| (output, input));
             let all = (0..axes.len()).filter(linear).flat_map(of).filter(|(output, input)| output != input);
-            return Ok(all.filter(|_| limits.cross).collect());
+            return Ok(all.filter(|_| limits.cross == Pairs::All).collect());
         };
         let mut pairs = Vec::new();
         for (place, Cross { correct, along }) in cross.iter().enumerate() {
             let at = |error: Error, name: &'static str| in_list(error, "cross", place, Some(name));
-            if !limits.cross {
-                return Err(at(Error::usage("this exporter corrects axes along themselves only"), "correct"));
-            }
             let output = axis_of(model, correct).map_err(|error| at(error, "correct"))?;
             let input = axis_of(model, along).map_err(|error| at(error, "along"))?;
             if !linear(&output) {
@@ -319,6 +330,21 @@ impl Tables {
         }
         Ok(())
     }
+}
+
+/// The table with the mean of both directions of travel, if they differ by no more than the last digit.
+fn both_ways(table: AxisTable, model: &dyn KinematicModel, decimals: i32) -> Result<AxisTable> {
+    let (output, input) = (&model.info().axes[table.output], &model.info().axes[table.input]);
+    let pairs = || table.forward.iter().zip(&table.reverse);
+    let apart = pairs().map(|(forward, reverse)| (forward - reverse).abs()).fold(0.0, f64::max);
+    if apart * position_unit(output).1 > 0.1_f64.powi(decimals) {
+        let (name, along) = (&output.name, &input.name);
+        let message =
+            format!("the correction of {name} along {along} depends on the direction of travel; such tables do not");
+        return Err(Error::data(message).setting("cross"));
+    }
+    let mean: Vec<f64> = pairs().map(|(forward, reverse)| f64::midpoint(*forward, *reverse)).collect();
+    Ok(AxisTable { forward: mean.clone(), reverse: mean, ..table })
 }
 
 /// One line that says what a table is, how far it goes, and what it leaves.
