@@ -1,0 +1,9 @@
+//! Exporters for parameters of small controls.
+//!
+//! Each one predicts from the numbers that it writes what the control does with them
+//! ([`Export::correction`](abbe_core::Export::correction)).
+
+mod files;
+mod grbl;
+mod linear;
+mod printer_skew;
