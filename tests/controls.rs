@@ -4,6 +4,7 @@
 //! errors of the calibration, and its tool is where the exporter's own prediction says. With the sign turned the law fails.
 
 mod grbl;
+mod grid;
 pub(crate) mod law;
 mod printer_skew;
 mod three_axes;

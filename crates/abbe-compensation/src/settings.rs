@@ -75,6 +75,8 @@ pub enum Travel {
     Refuse,
     /// The axis stands at the end of its travel, and what remains of the error is told.
     Hold,
+    /// It may: for tables of a control that checks the travel of commands before it corrects them.
+    Pass,
 }
 
 /// Settings of a correction.
