@@ -3,8 +3,12 @@
 //! One law for all ([`law`]): the exported files go into the emulator, the commands of its motors go to the virtual machine with the
 //! errors of the calibration, and its tool is where the exporter's own prediction says. With the sign turned the law fails.
 
+mod grbl;
+mod grid;
 mod isg;
 pub(crate) mod law;
 mod linuxcnc_screw;
+mod printer_skew;
 mod random;
 mod siemens;
+mod three_axes;

@@ -34,6 +34,17 @@ impl Machine {
         Self::of(&calibration(name))
     }
 
+    /// A public machine with other errors: each is a random part of the public one, up to one and a half times as large, of either sign.
+    pub fn random(name: &str, seed: u64) -> Self {
+        let mut found = calibration(name);
+        let mut uniform = uniform(seed);
+        for parameter in found["parameters"].as_array_mut().expect("parameters") {
+            let value = parameter["value"].as_f64().expect("a number");
+            parameter["value"] = Value::from(value * (3.0 * uniform() - 1.5));
+        }
+        Self::of(&found)
+    }
+
     /// The machine of a calibration, as JSON.
     pub fn of(calibration: &Value) -> Self {
         let calibration = Calibration::from_json(&calibration.to_string()).expect("a calibration");
@@ -53,13 +64,7 @@ impl Machine {
     /// `count` statuses anywhere in the travel of the axes, approached from both sides. `still` axes stand at zero.
     pub fn anywhere(&self, count: usize, still: &[&str], seed: u64) -> Vec<f64> {
         let info = self.model.info();
-        let mut state = seed.wrapping_mul(0x9E37_79B9_7F4A_7C15) | 1;
-        let mut uniform = move || {
-            state ^= state << 13;
-            state ^= state >> 7;
-            state ^= state << 17;
-            (state >> 11) as f64 / (1_u64 << 53) as f64
-        };
+        let mut uniform = uniform(seed);
         let mut statuses = Vec::new();
         for _ in 0..count {
             let mut status = vec![0.0; info.status.len()];
@@ -111,8 +116,30 @@ pub fn exporter(name: &str, settings: &Value) -> Box<dyn Export> {
     constructor.build(settings, &context).unwrap_or_else(|error| panic!("{name}: {error}"))
 }
 
+/// What is said of settings that an exporter refuses.
+pub fn refused(name: &str, settings: &Value) -> String {
+    let registry = registry();
+    let plugin = registry.find(Kind::Export, name).unwrap_or_else(|error| panic!("{error}"));
+    let Build::Export(constructor) = &plugin.build else { panic!("{name} is no exporter") };
+    match constructor.build(settings, &Context { base: PathBuf::from(".") }) {
+        Ok(_) => panic!("{name} takes {settings}"),
+        Err(error) => error.to_string(),
+    }
+}
+
+/// Random numbers from 0 to 1.
+pub fn uniform(seed: u64) -> impl FnMut() -> f64 {
+    let mut state = seed.wrapping_mul(0x9E37_79B9_7F4A_7C15) | 1;
+    move || {
+        state ^= state << 13;
+        state ^= state >> 7;
+        state ^= state << 17;
+        (state >> 11) as f64 / (1_u64 << 53) as f64
+    }
+}
+
 /// A control with all of its corrections turned round.
-struct Turned<'a>(&'a dyn Control);
+pub struct Turned<'a>(pub &'a dyn Control);
 
 impl Control for Turned<'_> {
     fn motors(&self, commands: &ByAxis, directions: &ByAxis) -> ByAxis {
