@@ -4,3 +4,4 @@
 //! errors of the calibration, and its tool is where the exporter's own prediction says. With the sign turned the law fails.
 
 pub(crate) mod law;
+mod linuxcnc_kinematics;

@@ -177,7 +177,9 @@ impl<'a> Compensator<'a> {
             if self.settings.method == Method::Exact && !states[point].is_settled() {
                 return fails(Error::data("no commands are found that correct this point"));
             }
-            if let Some(beyond) = self.beyond_travel(status, &corrected) {
+            if self.settings.travel != Travel::Allow
+                && let Some(beyond) = self.beyond_travel(status, &corrected)
+            {
                 let help = "`travel: hold` keeps it at its end and tells what remains";
                 return fails(Error::data(format!("corrected, {beyond}")).help(help).setting("travel"));
             }

@@ -75,6 +75,8 @@ pub enum Travel {
     Refuse,
     /// The axis stands at the end of its travel, and what remains of the error is told.
     Hold,
+    /// It may do so, by as much as the correction: the control has limits of its own.
+    Allow,
 }
 
 /// Settings of a correction.
