@@ -7,6 +7,7 @@ mod grbl;
 mod grid;
 mod isg;
 pub(crate) mod law;
+mod linuxcnc_kinematics;
 mod linuxcnc_screw;
 mod printer_skew;
 mod random;

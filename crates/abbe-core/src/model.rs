@@ -431,6 +431,15 @@ pub trait KinematicModel: Any + Send + Sync {
     fn motion_error(&self, _function: &ErrorFunction, _values: &[f64], _status: &[f64]) -> Result<MotionError> {
         Ok(MotionError::default())
     }
+
+    /// Poses as C code: one function for each name and values of the parameters,
+    /// `static void NAME(const double *q, double *tip, double *axis)`. `q` has the commands of the axes (mm, rad), `tip` and `axis`
+    /// become tip and tool axis in the table frame. Directions of approach are 0; all else is as for data without a column for it.
+    ///
+    /// Fails for a model, or an error of it, that has no form in C.
+    fn poses_in_c(&self, _functions: &[(&str, &[f64])]) -> Result<String> {
+        Err(abbe_settings::Error::usage("this model of a machine cannot be written in C"))
+    }
 }
 
 #[cfg(test)]

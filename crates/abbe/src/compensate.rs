@@ -64,6 +64,8 @@ enum TravelName {
     Refuse,
     /// The axis stands at the end of its travel.
     Hold,
+    /// It may leave it: the control has limits of its own.
+    Allow,
 }
 
 fn correct(text: &str) -> std::result::Result<Correct, String> {
@@ -99,6 +101,7 @@ impl Compensate {
             travel: match self.travel {
                 TravelName::Refuse => Travel::Refuse,
                 TravelName::Hold => Travel::Hold,
+                TravelName::Allow => Travel::Allow,
             },
         }
     }

@@ -1,6 +1,7 @@
 //! Model plugin `serial-chain`: any serial machine in ISO 10791-6 notation with location, motion and set-up errors.
 
 mod builder;
+mod c_code;
 mod derivatives;
 mod model;
 mod nominal;

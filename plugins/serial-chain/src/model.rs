@@ -335,4 +335,8 @@ impl KinematicModel for SerialChain {
         }
         Ok(error)
     }
+
+    fn poses_in_c(&self, functions: &[(&str, &[f64])]) -> Result<String> {
+        self.in_c(functions)
+    }
 }

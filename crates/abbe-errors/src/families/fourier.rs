@@ -50,6 +50,12 @@ impl Functions for FourierSeries {
         names.map(|name| Term::new(name, 0)).collect()
     }
 
+    fn in_c(&self, arguments: &[String]) -> Option<Vec<String>> {
+        let command = arguments.first()?;
+        let of = |order: &u8| [format!("cos({order}.0 * {command})"), format!("sin({order}.0 * {command})")];
+        Some(self.orders.iter().flat_map(of).collect())
+    }
+
     fn values(&self, arguments: &[f64], out: &mut [f64]) {
         for (pair, &order) in out.chunks_exact_mut(2).zip(&self.orders) {
             let (sin, cos) = (f64::from(order) * arguments[0]).sin_cos();

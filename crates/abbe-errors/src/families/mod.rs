@@ -122,6 +122,11 @@ pub trait Functions: Send + Sync + Debug {
         None
     }
 
+    /// The value of every function as an expression of C, of arguments that are names or numbers of C; none if they have no such form.
+    fn in_c(&self, _arguments: &[String]) -> Option<Vec<String>> {
+        None
+    }
+
     /// Commands at which they are not smooth; between these they are.
     fn breaks(&self) -> &[f64] {
         &[]
@@ -234,6 +239,11 @@ fn power(value: f64, degree: u8) -> f64 {
         3 => value * value * value,
         _ => value.powi(i32::from(degree)),
     }
+}
+
+/// A power as products, in C.
+fn power_in_c(value: &str, degree: u8) -> String {
+    if degree == 0 { "1.0".to_owned() } else { vec![value; usize::from(degree)].join(" * ") }
 }
 
 #[cfg(test)]

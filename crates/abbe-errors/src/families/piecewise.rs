@@ -8,7 +8,7 @@ use serde::{Deserialize, Serialize};
 
 use super::knots::{Knots, knots, within};
 use super::travel::Travel;
-use super::{Argument, Family, Functions, Subject, Term, power, suits};
+use super::{Argument, Family, Functions, Subject, Term, power, power_in_c, suits};
 
 /// Piecewise polynomials (Soons 1993, eq. 3.2): powers `EXX[1]`, `EXX[2]` of the command up to the degree, and
 /// `EXX[pp3,2]`, the square of the way beyond knot 3 and zero before it. There is no constant.
@@ -159,6 +159,17 @@ impl Functions for PiecewisePolynomial {
 
     fn terms(&self) -> Vec<Term> {
         self.names().map(|(name, power)| Term::new(format!("[{name}]"), power)).collect()
+    }
+
+    fn in_c(&self, arguments: &[String]) -> Option<Vec<String>> {
+        let command = arguments.first()?;
+        let powers = self.powers.clone().map(|degree| power_in_c(command, degree));
+        let truncated = self.knots.iter().flat_map(|knot| {
+            let beyond = format!("fmax({command} - ({knot:e}), 0.0)");
+            self.truncated.clone().map(move |degree| power_in_c(&beyond, degree))
+        });
+        let constants = self.constants.iter().copied().chain(std::iter::repeat(0.0));
+        Some(powers.chain(truncated).zip(constants).map(|(value, less)| format!("({value} - ({less:e}))")).collect())
     }
 
     fn values(&self, arguments: &[f64], out: &mut [f64]) {

@@ -5,7 +5,7 @@ use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 use super::travel::Travel;
-use super::{Argument, Family, Functions, Subject, Term, check_numbers, numbers, power};
+use super::{Argument, Family, Functions, Subject, Term, check_numbers, numbers, power, power_in_c};
 
 /// Ordinary polynomials of the axis command: `EXX[1]`, `EXX[2]`, ... in the unit of the error per power of mm or rad.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
@@ -71,6 +71,11 @@ impl Functions for OrdinaryPolynomial {
 
     fn terms(&self) -> Vec<Term> {
         self.degrees.iter().map(|&degree| Term::new(format!("[{degree}]"), degree)).collect()
+    }
+
+    fn in_c(&self, arguments: &[String]) -> Option<Vec<String>> {
+        let command = arguments.first()?;
+        Some(self.degrees.iter().map(|&degree| power_in_c(command, degree)).collect())
     }
 
     fn values(&self, arguments: &[f64], out: &mut [f64]) {

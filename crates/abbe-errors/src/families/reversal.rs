@@ -4,7 +4,7 @@ use abbe_core::{SettingsError, Whole};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-use super::{Argument, Family, Functions, Subject, Term, check_numbers, numbers};
+use super::{Argument, Family, Functions, Subject, Term, check_numbers, numbers, power_in_c};
 
 /// Reversal errors: `EXX[b]` is half the reversal value, added after a positive approach and subtracted after a
 /// negative one. With `degrees` the reversal value changes along the axis: `EXX[b*1]`, `EXX[b*2]`, ... are half the
@@ -52,6 +52,13 @@ impl Functions for Reversal {
     fn terms(&self) -> Vec<Term> {
         let along = self.degrees.iter().map(|&degree| Term::new(format!("[b*{degree}]"), degree));
         std::iter::once(Term::new("[b]", 0)).chain(along).collect()
+    }
+
+    fn in_c(&self, arguments: &[String]) -> Option<Vec<String>> {
+        let direction = arguments.first()?;
+        let along = self.degrees.iter().zip(arguments.get(1).into_iter().cycle());
+        let along = along.map(|(&degree, command)| format!("{direction} * {}", power_in_c(command, degree)));
+        Some(std::iter::once(direction.clone()).chain(along).collect())
     }
 
     fn values(&self, arguments: &[f64], out: &mut [f64]) {
