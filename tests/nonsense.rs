@@ -385,7 +385,7 @@ fn balls_at_the_same_place_have_no_distance() {
     let stages = recipe.0["stages"].as_object().expect("stages");
     let (name, balls) = stages.iter().find(|(_, stage)| stage.get("distances").is_some()).expect("distances");
     let (name, nominal) = (name.clone(), balls["nominal"].as_str().expect("a file").to_owned());
-    let text = read(std::path::Path::new(&nominal));
+    let text = read(Path::new(&nominal));
     let one = text.lines().find(|line| line.starts_with("25,")).expect("ball 25").to_owned();
     let same = |line: &str| if line.starts_with("26,") { one.replacen("25,", "26,", 1) } else { line.to_owned() };
     let text: String = text.lines().map(|line| same(line) + "\n").collect();
@@ -517,7 +517,7 @@ fn one_of_few_features_that_is_elsewhere_is_told() {
         .iter()
         .find(|(_, value)| value.as_str().is_some_and(|text| text.ends_with("balls.csv")))
         .expect("a file of balls");
-    let text = read(std::path::Path::new(nominal.as_str().expect("a path")));
+    let text = read(Path::new(nominal.as_str().expect("a path")));
     assert!(text.contains("\n1,130.0000,"));
     for (x, is_told) in [("130.0000", false), ("-130.0000", true)] {
         fs::write(folder.path().join("balls.csv"), text.replace("\n1,130.0000,", &format!("\n1,{x},")))

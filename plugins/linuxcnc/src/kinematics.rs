@@ -3,10 +3,10 @@
 use std::path::PathBuf;
 use std::sync::Arc;
 
-use abbe_compensation::{Compensator, Correct, Settings as Correction, Travel, check_confounded, values};
+use abbe_compensation::{Compensator, Correct, Settings as Correction, Travel, check_confounded};
 use abbe_core::{
     Build, Calibration, CommandCorrection, Context, Error, Export, ExportedFile, Kind, KinematicModel, PathItem,
-    Registry, Result, SettingsError, StatusRole,
+    Registry, Result, SettingsError, StatusRole, machine_values,
 };
 use abbe_volumetric::{Ranges, Steps, check_axes, check_ranges};
 use schemars::JsonSchema;
@@ -118,7 +118,7 @@ struct Parts {
 impl Kinematics {
     fn parts(&self, calibration: &Calibration, model: &dyn KinematicModel) -> Result<Parts> {
         check_axes(&self.settings.ranges, "ranges", model)?;
-        let (joints, values) = (joints(model)?, values(model, calibration));
+        let (joints, values) = (joints(model)?, machine_values(model, calibration));
         check_confounded(model, calibration, &places(model, &joints))?;
         let ranges = &self.settings.ranges;
         let reversals = joints.iter().map(|joint| Reversal::new(model, &values, &joints, joint, ranges));
