@@ -6,10 +6,12 @@
 mod grbl;
 mod grid;
 mod isg;
+mod isg_volumetric;
 pub(crate) mod law;
 mod linuxcnc_kinematics;
 mod linuxcnc_screw;
 mod printer_skew;
 mod random;
+mod random_chains;
 mod siemens;
 mod three_axes;

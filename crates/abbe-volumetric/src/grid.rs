@@ -107,7 +107,7 @@ impl Grid {
     /// Fails for axes that the machine does not have, axes without a known range, no axis that varies, and more than
     /// [`MOST_POSES`] poses. Errors name settings by their path in the grid.
     pub fn statuses(&self, model: &dyn KinematicModel) -> Result<Vec<f64>> {
-        let mut standing = base(model);
+        let mut standing = standing(model);
         let held = commands(&self.at, model).map_err(|error| within(error, &["at"]))?;
         held.iter().for_each(|(status, position)| standing[*status] = *position);
         let mut statuses = match &self.poses {
@@ -235,7 +235,7 @@ fn is_direction(column: &StatusColumn) -> bool {
 }
 
 /// The status of a pose with all axes at zero, approached in positive direction at an unknown time.
-fn base(model: &dyn KinematicModel) -> Vec<f64> {
+pub fn standing(model: &dyn KinematicModel) -> Vec<f64> {
     let columns = model.info().status.iter().enumerate();
     columns
         .map(|(index, column)| match column.absent {

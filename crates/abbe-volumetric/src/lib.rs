@@ -12,7 +12,7 @@ mod sampling;
 mod testing;
 
 pub use ellipsoid::Ellipsoid;
-pub use grid::{Grid, MOST_POSES, Points};
+pub use grid::{Grid, MOST_POSES, Points, standing};
 pub use predict::{VolumetricError, machine_covariance, predict};
 pub use sampling::{
     Range, Ranges, Steps, check_axes, check_ranges, points_every, position_unit, range_of, rounded_position, within,

@@ -5,11 +5,11 @@ use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::time::{Duration, SystemTime, UNIX_EPOCH};
 
-use abbe_core::{Calibration, Error, KinematicModel, Registry, Result};
+use abbe_core::{Branch, Build, Calibration, Context, Error, Kind, KinematicModel, Registry, Result};
 use abbe_engine::{RunRecord, model_of};
 use abbe_files::{LARGEST_RESULT, LARGEST_TEXT, read_text};
 use clap::Args;
-use serde_json::Value;
+use serde_json::{Value, json};
 
 /// A calibration, and what is asked of it.
 #[derive(Debug, Clone, Args)]
@@ -20,7 +20,7 @@ pub struct Asked {
     #[arg(long, value_name = "FILE")]
     machine: Option<PathBuf>,
     /// Refuse a calibration of a run that is older than this; `run.json` beside it tells when it was.
-    #[arg(long, value_name = "DAYS", value_parser = days)]
+    #[arg(long, value_name = "DAYS", value_parser = days, allow_negative_numbers = true)]
     max_age_days: Option<f64>,
 }
 
@@ -30,8 +30,11 @@ impl Asked {
         let file = &self.calibration;
         let calibration = read(file)?;
         self.max_age_days.map_or(Ok(()), |most| check_age(file, most))?;
-        self.machine.as_ref().map_or(Ok(()), |machine| check_machine(&calibration, file, machine))?;
         let model = model_of(&calibration, registry).map_err(|error| error.in_file(file))?;
+        if let Some(machine) = &self.machine {
+            check_machine(model.as_ref(), &calibration.model.plugin, file, machine, registry)?;
+        }
+        tell_unknown_travel(model.as_ref());
         Ok((calibration, model))
     }
 }
@@ -69,39 +72,70 @@ fn check_age(file: &Path, most: f64) -> Result<()> {
 }
 
 /// Refuses the calibration of a machine with another chain than that of a machine file, or with axes of other directions.
-fn check_machine(calibration: &Calibration, file: &Path, machine: &Path) -> Result<()> {
+fn check_machine(
+    model: &dyn KinematicModel,
+    plugin: &str,
+    file: &Path,
+    machine: &Path,
+    registry: &Registry,
+) -> Result<()> {
     let unreadable = |error: std::io::Error| Error::usage(format!("the file cannot be read: {error}")).in_file(machine);
     let text = read_text(machine, LARGEST_TEXT).map_err(unreadable)?;
-    let wrong = |error: serde_yaml::Error| Error::usage(format!("this is no machine file: {error}")).in_file(machine);
-    let theirs: Value = serde_yaml::from_str(&text).map_err(wrong)?;
-    let ours = &calibration.model.settings;
-    let words = |settings: &Value| {
-        settings["chain"].as_str().map(|chain| chain.split_whitespace().map(str::to_owned).collect::<Vec<_>>())
+    let wrong = |error: &dyn std::fmt::Display| {
+        Error::usage(format!("this is no machine file of `{plugin}`: {error}")).in_file(machine)
     };
-    let Some(chain) = words(&theirs) else {
-        return Err(Error::usage("the machine file has no `chain`").in_file(machine));
+    let described: Value = serde_yaml::from_str(&text).map_err(|error| wrong(&error))?;
+    let nominal = json!({
+        "chain": described["chain"], "axes": described.get("axes").unwrap_or(&json!({})),
+        // Tool and stylus do not matter here.
+        "tool_length_mm": 0, "stylus_radius_mm": 0,
+    });
+    let found = registry.find(Kind::Model, plugin).map_err(|error| wrong(&error))?;
+    let Build::Model(constructor) = &found.build else { return Err(wrong(&"it is no model")) };
+    let context = Context { base: machine.parent().unwrap_or(Path::new(".")).to_owned() };
+    let other = constructor
+        .build(&nominal, &context)
+        .map_err(|error| wrong(&error))?
+        .build(&[])
+        .map_err(|error| wrong(&error))?;
+    let of = |model: &dyn KinematicModel| -> Vec<(String, Branch, [f64; 3])> {
+        let axes = model.info().axes.iter();
+        axes.map(|axis| (axis.name.clone(), axis.branch, axis.direction.map(|part| part * axis.sense))).collect()
     };
-    if words(ours).as_ref() != Some(&chain) {
-        let own = ours["chain"].as_str().unwrap_or("none");
-        let message = format!("this is the calibration of another machine: its chain is `{own}`");
-        return Err(Error::data(message).in_file(file).help(format!(
-            "{} has `{}`",
-            machine.display(),
-            chain.join(" ")
-        )));
+    let (ours, theirs) = (of(model), of(other.as_ref()));
+    let refused = |message: String| {
+        Err(Error::data(format!("this is the calibration of another machine: {message}")).in_file(file))
+    };
+    let names = |axes: &[(String, Branch, [f64; 3])]| {
+        let side = |branch| if branch == Branch::Workpiece { "'" } else { "" };
+        axes.iter().map(|(name, branch, _)| format!("{name}{}", side(*branch))).collect::<Vec<_>>().join(" ")
+    };
+    if names(&ours) != names(&theirs) {
+        let message = format!("its axes are {}, those of {} are {}", names(&ours), machine.display(), names(&theirs));
+        return refused(message);
     }
-    let axes = theirs["axes"].as_object().into_iter().flatten();
-    for (axis, described) in axes {
-        for key in ["direction", "reverse"] {
-            let (one, other) = (&described[key], &ours["axes"][axis.as_str()][key]);
-            if one != other {
-                let message = format!("this is the calibration of another machine: `{key}` of axis {axis} is {other}");
-                let help = format!("{} has {one}", machine.display());
-                return Err(Error::data(message).in_file(file).help(help));
-            }
+    for ((axis, _, own), (.., direction)) in ours.iter().zip(&theirs) {
+        let apart: f64 = own.iter().zip(direction).map(|(one, other)| (one - other).abs()).sum();
+        if apart > 1e-6 {
+            let message =
+                format!("its axis {axis} moves along {own:?}, that of {} along {direction:?}", machine.display());
+            return refused(message);
         }
     }
     Ok(())
+}
+
+/// Says which axes have no known travel: whether the machine was measured where it is asked for is then not known.
+fn tell_unknown_travel(model: &dyn KinematicModel) {
+    let axes = model.info().axes.iter().filter(|axis| axis.range.is_none() && !axis.endless);
+    let names: Vec<&str> = axes.map(|axis| axis.name.as_str()).collect();
+    if !names.is_empty() {
+        tracing::warn!(
+            "the travel of {} is not known: whether the machine was measured at these positions cannot be told; \
+             write ranges into the machine description",
+            names.join(", ")
+        );
+    }
 }
 
 /// What was found, and what is to be written.
@@ -117,7 +151,11 @@ impl Written {
     pub fn write(&self) -> Result<()> {
         self.files.iter().try_for_each(|(path, _)| is_free(path))?;
         let wrong = |path: &Path, error: &std::io::Error| {
-            Error::data(format!("{} cannot be written: {}", path.display(), error.kind()))
+            let why = match error.kind() {
+                std::io::ErrorKind::NotFound => "its folder does not exist".to_owned(),
+                other => other.to_string(),
+            };
+            Error::data(format!("{} cannot be written: {why}", path.display()))
         };
         let filled = |(path, text): &(PathBuf, String)| {
             let folder = path.parent().filter(|folder| !folder.as_os_str().is_empty()).unwrap_or(Path::new("."));

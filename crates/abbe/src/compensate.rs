@@ -37,13 +37,13 @@ pub struct Compensate {
     #[arg(long, value_name = "X,Y,Z", value_parser = direction, allow_hyphen_values = true)]
     sensitive_direction: Option<[f64; 3]>,
     /// Largest correction of the tip, mm.
-    #[arg(long, value_name = "MM", default_value_t = 1.0)]
+    #[arg(long, value_name = "MM", default_value_t = 1.0, allow_negative_numbers = true)]
     largest_tip_correction_mm: f64,
     /// Largest correction of the tool axis, mrad.
-    #[arg(long, value_name = "MRAD", default_value_t = 1.0)]
+    #[arg(long, value_name = "MRAD", default_value_t = 1.0, allow_negative_numbers = true)]
     largest_axis_correction_mrad: f64,
     /// Largest correction of the command of a rotary axis, mrad.
-    #[arg(long, value_name = "MRAD", default_value_t = 50.0)]
+    #[arg(long, value_name = "MRAD", default_value_t = 50.0, allow_negative_numbers = true)]
     largest_rotary_correction_mrad: f64,
     /// Print the figures as JSON.
     #[arg(long)]

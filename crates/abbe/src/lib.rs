@@ -70,7 +70,7 @@ enum Command {
         #[arg(long, value_enum, default_value_t)]
         progress: Progress,
         /// Time limit of the run, seconds. Stages that are not finished by then fail; finished results are written.
-        #[arg(long, value_name = "SECONDS", value_parser = seconds)]
+        #[arg(long, value_name = "SECONDS", value_parser = seconds, allow_negative_numbers = true)]
         time_limit: Option<Duration>,
     },
     /// Check a recipe without running it, and report what its fits can determine.
@@ -81,7 +81,7 @@ enum Command {
         #[arg(long)]
         json: bool,
         /// Time limit, seconds.
-        #[arg(long, value_name = "SECONDS", value_parser = seconds)]
+        #[arg(long, value_name = "SECONDS", value_parser = seconds, allow_negative_numbers = true)]
         time_limit: Option<Duration>,
     },
     /// Measure the programme of a recipe on a virtual machine, and write a folder in which the same recipe runs.
@@ -101,7 +101,7 @@ enum Command {
         #[arg(long)]
         machine: Option<String>,
         /// Time limit, seconds.
-        #[arg(long, value_name = "SECONDS", value_parser = seconds)]
+        #[arg(long, value_name = "SECONDS", value_parser = seconds, allow_negative_numbers = true)]
         time_limit: Option<Duration>,
     },
     /// Choose which measurements to make, as the key `plan` of a recipe says, and write the data file to fill in.
@@ -115,7 +115,7 @@ enum Command {
         #[arg(long)]
         json: bool,
         /// Time limit, seconds.
-        #[arg(long, value_name = "SECONDS", value_parser = seconds)]
+        #[arg(long, value_name = "SECONDS", value_parser = seconds, allow_negative_numbers = true)]
         time_limit: Option<Duration>,
     },
     /// Correct set-points for the errors of a calibrated machine.

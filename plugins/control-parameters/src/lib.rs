@@ -6,6 +6,9 @@
 mod files;
 mod grbl;
 mod grid;
+mod isg_volumetric;
 mod lattice;
 mod linear;
+mod motion_tables;
 mod printer_skew;
+mod rigid;

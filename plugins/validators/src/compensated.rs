@@ -36,7 +36,8 @@ struct Settings {
     /// The set-points, as a CSV file like that of the exporter `set-points`.
     #[serde(default)]
     path: Option<String>,
-    /// How set-points are corrected exactly. Default: the position of the tip, axes held at the ends of their travel.
+    /// How set-points are corrected exactly. Default: the position of the tip, and
+    /// corrections may leave the travel: the control has limits of its own.
     #[serde(default)]
     correction: Option<Correction>,
     /// Number of machines that are drawn from the covariance of the calibration.
@@ -112,8 +113,8 @@ impl Settings {
     }
 
     fn correction(&self) -> Correction {
-        // Grids reach to the ends of travel.
-        self.correction.clone().unwrap_or(Correction { travel: Travel::Hold, ..Correction::default() })
+        // Grids reach to the ends of travel, and corrections at the ends a little farther.
+        self.correction.clone().unwrap_or(Correction { travel: Travel::Allow, ..Correction::default() })
     }
 }
 
