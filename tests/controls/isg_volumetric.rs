@@ -302,7 +302,7 @@ fn bad_settings_are_named() {
         (json!({ "X": 1, "Y": 2, "Z": 3, "C": 4 }), "the machine has no axis C"),
     ] {
         let export = exporter("isg-volumetric", &json!({ "axis_numbers": numbers }));
-        let error = export.export(&machine.calibration, machine.model.as_ref()).err().expect("a wrong machine");
+        let error = export.export(&machine.calibration, machine.model.as_ref()).expect_err("a wrong machine");
         assert_eq!(error.message, expected);
     }
 }
