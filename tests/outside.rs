@@ -3,3 +3,4 @@
 
 mod first_error_family;
 mod instruction_sets;
+mod linuxcnc;

@@ -11,6 +11,7 @@ use serde_json::{Value, json};
 use tempfile::TempDir;
 
 use super::law::{ByAxis, Control, Machine, exporter, holds};
+use crate::compensation::calibration;
 use crate::support::{skipped, temporary, write};
 
 /// What LinuxCNC gives to a component.
@@ -243,5 +244,37 @@ fn forward_kinematics_is_the_inverse_of_the_inverse() {
             }
         }
         assert!(furthest > 0.01, "{name}: nothing was corrected");
+    }
+}
+
+#[test]
+fn what_the_control_cannot_know_is_refused() {
+    let refusal = |calibration: &Value, form: &str| {
+        let machine = Machine::of(calibration);
+        let mut settings = settings(form, "position");
+        settings.as_object_mut().expect("settings").remove("ranges");
+        settings["step_deg"] = json!(360);
+        let found = exporter("linuxcnc-kinematics", &settings).export(&machine.calibration, machine.model.as_ref());
+        found.err().map(|error| format!("{error} {}", error.help.as_deref().unwrap_or_default())).unwrap_or_default()
+    };
+    // A reversal is not taken to be the same everywhere where nobody says where the axis ends.
+    let mut endless = calibration("table-table");
+    endless["model"]["settings"]["axes"]["C"].as_object_mut().expect("settings").remove("range_deg");
+    let text = refusal(&endless, "model");
+    assert!(text.contains("the range of axis C is not known") && text.contains("range_deg"), "{text}");
+    // Temperatures.
+    let mut warm = calibration("three-axis");
+    let expansion = json!({ "expansion": ["EXX"], "temperature": "T_X", "coefficient_per_K": 11.5e-6 });
+    warm["model"]["settings"]["errors"].as_array_mut().expect("errors").push(expansion);
+    warm["parameters"].as_array_mut().expect("parameters").push(json!({
+        "name": "EXX[expansion]", "value": 11.5e-6, "unit": "1/K", "standard_uncertainty": 0, "status": "fixed"
+    }));
+    for form in ["table", "model"] {
+        let text = refusal(&warm, form);
+        assert!(!text.is_empty(), "{form}: errors with a temperature are taken");
+        assert!(form == "model" || text.contains("`T_X`, which the control does not know"), "{text}");
+    }
+    for form in ["table", "model"] {
+        assert_eq!(refusal(&calibration("three-axis"), form), "");
     }
 }

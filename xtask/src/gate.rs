@@ -5,7 +5,7 @@ use std::io::{BufRead, BufReader};
 use std::process::{Command, Stdio};
 use std::time::{Duration, Instant};
 
-use crate::{Outcome, borders, cargo, header, root, run as run_command};
+use crate::{Outcome, borders, cargo, header, linuxcnc, root, run as run_command};
 
 /// Tests that need another program stand in a module of this name.
 const OUTSIDE: &str = "outside::";
@@ -56,6 +56,7 @@ fn rust_alone(tests: &mut Tests) -> Outcome {
 }
 
 fn other_programs(tests: &mut Tests) -> Outcome {
+    linuxcnc::create_user()?;
     let of_tests = tests.run(&["test", "--package", "abbe-tests", "--test", "whole", "--locked", "--", OUTSIDE]);
     let others = [tests.oldest_rust(), tests.licences()];
     let failed: Vec<String> = [of_tests].into_iter().chain(others).filter_map(Result::err).collect();

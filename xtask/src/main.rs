@@ -5,11 +5,13 @@
 //! - `cargo xtask campaign machines|compensation|tango|bad-inputs|signals|sizes COUNT SEED`: run a campaign over many random cases
 //!   (`tests/campaigns`).
 //! - `cargo xtask header`: write the C header of the plugin interface.
+//! - `cargo xtask linuxcnc [--create-user]`: run the files for LinuxCNC on LinuxCNC itself, in simulation; it needs a user of its own.
 //! - `cargo xtask schema`: write what follows from the plugins: the schema of recipes and the pages in `docs/plugins`.
 
 mod borders;
 mod gate;
 mod header;
+mod linuxcnc;
 
 use std::collections::BTreeMap;
 use std::fs;
@@ -23,20 +25,22 @@ type Outcome<T = ()> = Result<T, String>;
 fn main() -> ExitCode {
     let arguments: Vec<String> = std::env::args().skip(1).collect();
     let arguments: Vec<&str> = arguments.iter().map(String::as_str).collect();
-    let outcome =
-        match arguments.as_slice() {
-            ["ci"] => gate::run(false),
-            ["ci", "--all"] => gate::run(true),
-            ["bench"] => bench(false),
-            ["bench", "--save"] => bench(true),
-            ["campaign", name, count, seed] => {
-                run(cargo(&["run", "--release", "--locked", "--package", "abbe-campaigns", "--", name, count, seed]))
-            }
-            ["header"] => header::write(),
-            ["schema"] => schema(),
-            _ => Err("usage: cargo xtask ci [--all] | bench [--save] | campaign NAME COUNT SEED | header | schema"
-                .to_owned()),
-        };
+    let outcome = match arguments.as_slice() {
+        ["ci"] => gate::run(false),
+        ["ci", "--all"] => gate::run(true),
+        ["bench"] => bench(false),
+        ["bench", "--save"] => bench(true),
+        ["campaign", name, count, seed] => {
+            run(cargo(&["run", "--release", "--locked", "--package", "abbe-campaigns", "--", name, count, seed]))
+        }
+        ["header"] => header::write(),
+        ["linuxcnc"] => linuxcnc::run(false),
+        ["linuxcnc", "--create-user"] => linuxcnc::run(true),
+        ["schema"] => schema(),
+        _ => Err("usage: cargo xtask ci [--all] | bench [--save] | campaign NAME COUNT SEED | header \
+                     | linuxcnc [--create-user] | schema"
+            .to_owned()),
+    };
     match outcome {
         Ok(()) => ExitCode::SUCCESS,
         Err(message) => {

@@ -1,7 +1,7 @@
 //! Reversal of joints: what the direction of the last move changes along a joint's own axis. Kinematics know no directions, so a
 //! compensation file of each joint has it.
 
-use abbe_core::{AxisKind, Error, KinematicModel, Result};
+use abbe_core::{AxisKind, Error, KinematicModel, Result, StatusRole};
 use abbe_volumetric::{Ranges, range_of};
 
 use crate::joints::{Joint, known};
@@ -21,7 +21,7 @@ const STRAIGHT: f64 = 1e-7;
 impl Reversal {
     /// The reversal of a joint; none if it has none.
     ///
-    /// Fails where the reversal along the axis is no straight line.
+    /// Fails where the reversal along the axis is no straight line, or the range of an axis with a reversal is not known.
     pub fn new(
         model: &dyn KinematicModel,
         values: &[f64],
@@ -30,17 +30,15 @@ impl Reversal {
         ranges: &Ranges,
     ) -> Result<Option<Self>> {
         let axis = &model.info().axes[joint.axis];
-        let own = |error: Error| error.setting("ranges");
-        let is_known = axis.range.is_some() || ranges.contains_key(&axis.name);
-        // Without a range the reversal is taken at zero.
-        let (from, to) = if is_known { range_of(axis, ranges, "ranges").map_err(own)? } else { (0.0, 1.0) };
+        let Some(direction_column) = model.info().status_index(&StatusRole::Direction(joint.axis)) else {
+            return Ok(None);
+        };
+        let (from, to) = range_of(axis, ranges, "ranges")?;
         let trim = |position: f64| -> Result<[f64; 2]> {
             let mut status = known(model, joints, &vec![0.0; model.info().status.len()]);
             status[joint.status] = position / joint.factor;
             let mut at = |direction: f64| -> Result<f64> {
-                if let Some(index) = model.info().status_index(&abbe_core::StatusRole::Direction(joint.axis)) {
-                    status[index] = direction;
-                }
+                status[direction_column] = direction;
                 along(model, values, joint, &status)
             };
             let middle = at(0.0)?;

@@ -1,7 +1,7 @@
 //! Corrections of the joints on a grid, with linear interpolation along each joint.
 
 use abbe_compensation::Compensator;
-use abbe_core::{Error, KinematicModel, Result};
+use abbe_core::{Absent, Error, KinematicModel, Result, StatusColumn, StatusRole};
 use abbe_volumetric::{Ranges, Steps, points_every, range_of};
 
 use crate::joints::{Joint, known};
@@ -28,6 +28,7 @@ impl Table {
         joints: &[Joint],
         (ranges, steps): (&Ranges, Steps),
     ) -> Result<Self> {
+        check_known(model)?;
         let mut places = Vec::new();
         for joint in joints {
             let axis = &model.info().axes[joint.axis];
@@ -81,6 +82,20 @@ impl Table {
         }
         sum
     }
+}
+
+/// Refuses errors that depend on what a control does not know: statuses without a value for data that lack them, as times and
+/// temperatures.
+fn check_known(model: &dyn KinematicModel) -> Result<()> {
+    let is_unknown = |column: &&StatusColumn| match (&column.role, column.absent) {
+        (StatusRole::Command(_) | StatusRole::Direction(_), _) => false,
+        (_, Absent::Required) => true,
+        (_, Absent::Default(value)) => value.is_nan(),
+    };
+    model.info().status.iter().find(is_unknown).map_or(Ok(()), |column| {
+        let message = format!("errors depend on `{}`, which the control does not know", column.name);
+        Err(Error::usage(message).help("take a calibration whose model has no such errors"))
+    })
 }
 
 /// The interval of a position, and which part of it lies before the position.
