@@ -236,7 +236,8 @@ fn wrong_settings_are_refused() {
             json!({ "tables": { "largest_slope_um_per_mm": 1e-6 } }),
             "tables.largest_slope_um_per_mm: the correction of ",
         ),
-        (json!({ "tables": { "largest_mm": 1e-4 } }), "tables."),
+        (json!({ "tables": { "largest_mm": 1e-4 } }), "tables.largest_mm: "),
+        (json!({ "first_table": 20_000 }), "first_table: "),
         (json!({ "existing": ["nowhere.ini"] }), "existing: "),
     ] {
         let found = message(change.clone());

@@ -114,6 +114,8 @@ impl Export for Isg {
         calibration: &Calibration,
         model: &dyn KinematicModel,
     ) -> Result<Option<Box<dyn CommandCorrection>>> {
+        // What cannot be written corrects nothing.
+        self.export(calibration, model)?;
         self.made(calibration, model)?.correction(model)
     }
 }

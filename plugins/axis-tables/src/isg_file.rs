@@ -10,6 +10,9 @@ use abbe_volumetric::position_unit;
 use crate::existing::{text, wrong};
 use crate::isg::SCALE;
 
+/// No list has more points.
+const MOST: f64 = 10_000.0;
+
 /// The tables of the list of an axis, values in mm and rad. `numbered` is the index of the axis of a number.
 pub fn read(
     path: &Path,
@@ -42,13 +45,17 @@ pub fn read(
             true => output,
             false => {
                 let number = needed(format!("{list}.master_ax_nr"))?;
-                numbered(number as u16).ok_or_else(|| fails(format!("`axis_numbers` does not name axis {number}")))?
+                let whole = (number.fract() == 0.0 && (0.0..65_536.0).contains(&number)).then_some(number as u16);
+                whole.and_then(numbered).ok_or_else(|| fails(format!("`axis_numbers` does not name axis {number}")))?
             }
         };
         let count = match is_screw {
             true => needed(format!("{list}.kw_nr_max"))?,
             false => needed(format!("{list}.last_index"))? + 1.0,
         };
+        if count.fract() != 0.0 || !(1.0..=MOST).contains(&count) {
+            return Err(fails(format!("`{list}` has {count} points; a whole number from 1 to {MOST} was expected")));
+        }
         let columns = if is_screw && entry("kw.ssfk.bilateral") != Some(1.0) { ["pos", "pos"] } else { columns };
         let interval = entry(&format!("{list}.interval")).filter(|interval| *interval != 0.0);
         let axes = &model.info().axes;

@@ -88,6 +88,9 @@ fn two_hundred() -> usize {
     200
 }
 
+/// No control has more tables.
+const MOST_INDEX: usize = 10_000;
+
 /// Decimals of values, mm and degrees.
 const DECIMALS: i32 = 6;
 
@@ -105,6 +108,9 @@ fn build(settings: Settings, context: &Context) -> Result<Box<dyn Export>, Setti
     let wrong = |setting: &str, message: &str| Err(SettingsError::new(setting, message));
     if settings.encoder > 1 {
         return wrong("encoder", "0 or 1 was expected");
+    }
+    if settings.first_table > MOST_INDEX {
+        return wrong("first_table", &format!("at most {MOST_INDEX} was expected"));
     }
     if settings.most_points < 2 {
         return wrong("most_points", "at least 2 was expected");
@@ -157,6 +163,8 @@ impl Export for Siemens {
         calibration: &Calibration,
         model: &dyn KinematicModel,
     ) -> Result<Option<Box<dyn CommandCorrection>>> {
+        // What cannot be written corrects nothing.
+        self.export(calibration, model)?;
         self.made(calibration, model)?.0.correction(model)
     }
 }
@@ -177,7 +185,7 @@ impl Siemens {
             found.and_then(|(axis, _)| axis_of(model, axis).ok())
         };
         for path in &self.existing {
-            siemens_file::read(path, &machine_axis, model, &mut known)?;
+            siemens_file::read(path, self.settings.encoder, &machine_axis, model, &mut known)?;
         }
         known.sag = known.sag.into_iter().map(|table| self.turned(table)).collect();
         known.encoder = known.encoder.into_iter().map(|table| table.map(|value| -value)).collect();

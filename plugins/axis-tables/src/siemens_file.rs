@@ -27,9 +27,11 @@ struct Raw {
     values: BTreeMap<usize, f64>,
 }
 
-/// Adds the tables of a file. `machine_axis` is the index of a machine axis by its name in the control.
+/// Adds the tables of a file. `machine_axis` is the index of a machine axis by its name in the control; encoder tables are those of one
+/// encoder.
 pub fn read(
     path: &Path,
+    encoder: u8,
     machine_axis: &dyn Fn(&str) -> Option<usize>,
     model: &dyn KinematicModel,
     found: &mut Tables,
@@ -69,6 +71,12 @@ pub fn read(
         return Err(Error::data("it has no `$AA_ENC_COMP` and no `$AN_CEC`").in_file(path).setting("existing"));
     }
     for ((is_encoder, name), raw) in raw {
+        if let Some(other) = name.split_once(',').map(|(index, _)| index).filter(|index| *index != encoder.to_string())
+        {
+            let message =
+                format!("this is a table of encoder {other}, and `encoder` is {encoder}: leave out what is not active");
+            return Err(wrong(path, raw.line, message));
+        }
         let axis = name.split_once(',').map(|(_, axis)| axis.to_owned());
         let fails = |message: String| wrong(path, raw.line, message);
         let axis_of = |variable: &str| {

@@ -140,9 +140,14 @@ impl Tables {
         limits: &Limits,
         existing: Vec<AxisTable>,
     ) -> Result<Made> {
-        self.unnested(calibration, model, limits, existing).map_err(|error| match error.setting.is_empty() {
-            true => error,
-            false => within(error, &["tables"]),
+        self.unnested(calibration, model, limits, existing).map_err(|mut error| match error.setting.as_mut_slice() {
+            [] => error,
+            // A setting of corrections that has another name here.
+            [PathItem::Key(name)] if name == "largest_tip_correction_mm" => {
+                "largest_mm".clone_into(name);
+                within(error, &["tables"])
+            }
+            _ => within(error, &["tables"]),
         })
     }
 
@@ -154,6 +159,16 @@ impl Tables {
         existing: Vec<AxisTable>,
     ) -> Result<Made> {
         check_axes(&self.ranges, "ranges", model)?;
+        let linear = model.info().axes.iter().filter(|axis| axis.kind == AxisKind::Linear && !axis.indexed).count();
+        if linear > 3 {
+            let message = format!("the machine has {linear} linear axes; tables are written for machines with three");
+            return Err(Error::usage(message).help("which of the parallel axes a table corrects cannot be said yet"));
+        }
+        if let Some(long) = existing.iter().find(|table| table.positions.len() > limits.points) {
+            let message =
+                format!("a table that is active has {} points; at most {} fit", long.positions.len(), limits.points);
+            return Err(Error::usage(message));
+        }
         AxisTables::new(model.info(), existing.clone())?;
         let source = TableSource::new(model, calibration, &self.places(model)?, self.largest_mm);
         let axes = &model.info().axes;

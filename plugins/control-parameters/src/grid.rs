@@ -136,7 +136,7 @@ impl Corrections {
     }
 }
 
-/// The axes that vary on a grid: X, Y and Z first.
+/// The axes that vary on a grid: linear ones first, by their names.
 fn sides(model: &dyn KinematicModel, statuses: &[f64]) -> Result<Vec<Side>> {
     let width = model.info().status.len().max(1);
     let mut sides: Vec<Side> = (model.info().axes.iter())
@@ -150,6 +150,11 @@ fn sides(model: &dyn KinematicModel, statuses: &[f64]) -> Result<Vec<Side>> {
         })
         .filter(|side| side.nodes.len() > 1)
         .collect();
+    let is_endless = |side: &&Side| model.info().axes.iter().any(|axis| axis.status == side.column && axis.endless);
+    if let Some(side) = sides.iter().find(is_endless) {
+        let message = format!("{} turns without an end, and a grid has ends: hold this axis", side.label);
+        return Err(Error::usage(message).setting("grid"));
+    }
     let is_rotary = |side: &Side| side.factor != 1.0;
     sides.sort_by(|a, b| (is_rotary(a), &a.label).cmp(&(is_rotary(b), &b.label)));
     match sides.is_empty() {

@@ -128,6 +128,10 @@ impl IsgVolumetric {
         if tables.machine.joints.iter().filter(|joint| joint.kind == AxisKind::Linear).count() != 3 {
             return Err(Error::usage("the control corrects machines with exactly three linear axes X, Y and Z"));
         }
+        if let Some(axis) = model.info().axes.iter().find(|axis| axis.endless) {
+            let message = format!("axis {} turns without an end, and a table of this control has ends", axis.name);
+            return Err(Error::usage(message).help("give the axis a range without `endless`, if it does not go beyond"));
+        }
         let everywhere = Grid {
             points: Some(Points::Every(3)),
             axes: self.settings.ranges.clone(),

@@ -37,6 +37,8 @@ int kinematicsForward(const double *joint, EmcPose *world, const KINEMATICS_FORW
         if (abbe_joints(command, found) != 0)
             return -1;
         for (i = 0; i < ABBE_JOINTS; i++) {
+            if (!(fabs(joint[i] - found[i]) < 1e300))
+                return -1;
             command[i] += joint[i] - found[i];
             most = fmax(most, fabs(joint[i] - found[i]));
         }

@@ -139,6 +139,9 @@ static int abbe_solve(const double *program, double *q)
                                   abbe_volume(shift[0], step, shift[2]) / volume,
                                   abbe_volume(shift[0], shift[1], step) / volume};
             for (i = 0; i < 3; i++) {
+                /* Axes in one plane, or a command that is no number. */
+                if (!(fabs(by[i]) < 1e300))
+                    return -1;
                 q[abbe_linear[i]] += by[i];
                 largest = fmax(largest, fabs(by[i]));
             }

@@ -32,6 +32,10 @@ impl Table {
         let mut places = Vec::new();
         for joint in joints {
             let axis = &model.info().axes[joint.axis];
+            if axis.endless {
+                let message = format!("axis {} turns without an end, and a table has ends", axis.name);
+                return Err(Error::usage(message).help("take `form: model`").setting("form"));
+            }
             places.push(points_every(axis, range_of(axis, ranges, "ranges")?, steps, MOST)?);
         }
         let count = places.iter().try_fold(joints.len(), |count, places: &Vec<f64>| count.checked_mul(places.len()));

@@ -137,6 +137,7 @@ mod every_validator {
                 "artefact-cmm",
                 "cause",
                 "compare",
+                "compensated",
                 "consistency",
                 "geometric-bias",
                 "hold-out",
