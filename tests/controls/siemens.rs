@@ -237,10 +237,11 @@ fn wrong_settings_are_refused() {
             "tables.largest_slope_um_per_mm: the correction of ",
         ),
         (json!({ "tables": { "largest_mm": 1e-4 } }), "tables.largest_mm: "),
-        (json!({ "first_table": 20_000 }), "first_table: "),
         (json!({ "existing": ["nowhere.ini"] }), "existing: "),
     ] {
         let found = message(change.clone());
         assert!(found.starts_with(expected), "{change}: {found}");
     }
+    let said = super::law::refused("siemens-tables", &json!({ "machine_axes": { "X": "AX1" }, "first_table": 20_000 }));
+    assert!(said.contains("first_table") && said.contains("at most 10000"), "{said}");
 }
