@@ -171,8 +171,11 @@ impl<'a> Compensator<'a> {
                 self.step(&lacks, (derivatives, point), (status, place), (&mut states[point], &mut points[point]));
                 points[point].passes = pass;
             }
-            self.poses(&statuses, self.values, &self.wanted, &mut now)?;
-            if self.settings.method == Method::FirstOrder || states.iter().all(State::is_settled) {
+            // Nothing follows from the derivatives of the last pass.
+            let is_last = self.settings.method == Method::FirstOrder || states.iter().all(State::is_settled);
+            let wanted: &[Variable] = if is_last { &[] } else { &self.wanted };
+            self.poses(&statuses, self.values, wanted, &mut now)?;
+            if is_last {
                 break;
             }
         }
