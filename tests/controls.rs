@@ -12,6 +12,5 @@ mod linuxcnc_kinematics;
 mod linuxcnc_screw;
 mod printer_skew;
 mod random;
-mod random_chains;
 mod siemens;
 mod three_axes;

@@ -55,10 +55,14 @@ impl Machine {
 
     /// Tips in the table frame, mm, of statuses, with the errors of the machine or without.
     pub fn tips(&self, statuses: &[f64], with_errors: bool) -> Vec<[f64; 3]> {
+        self.poses(statuses, with_errors).positions
+    }
+
+    fn poses(&self, statuses: &[f64], with_errors: bool) -> Poses {
         let values = if with_errors { &self.values } else { &self.model.info().nominal };
         let mut poses = Poses::default();
-        self.model.poses(statuses, values, &[], false, &mut poses).expect("poses");
-        poses.positions
+        self.model.poses(statuses, values, &[], true, &mut poses).expect("poses");
+        poses
     }
 
     /// `count` statuses anywhere in the travel of the axes, approached from both sides. `still` axes stand at zero.
@@ -148,7 +152,7 @@ impl Control for Turned<'_> {
     }
 }
 
-/// Largest distances of the tip, mm.
+/// Largest distances of the tip, mm, and the largest angle of the tool, rad.
 #[derive(Debug, Clone, Copy)]
 pub struct Left {
     /// From the goal, without a correction.
@@ -157,6 +161,8 @@ pub struct Left {
     pub after: f64,
     /// Between the emulated control and the exporter's prediction.
     pub from_predicted: f64,
+    /// Angle between the tool of the emulated control and that of the exporter's prediction.
+    pub turned_from_predicted: f64,
 }
 
 /// Largest distances over some statuses.
@@ -164,17 +170,39 @@ pub fn left(machine: &Machine, export: &dyn Export, control: &dyn Control, statu
     let correction = export.correction(&machine.calibration, machine.model.as_ref()).expect("a prediction");
     let predicted = correction.expect("the files correct something").commands(statuses).expect("commands");
     let goal = machine.tips(statuses, false);
-    let driven = machine.tips(&machine.driven(control, statuses), true);
+    let driven = machine.poses(&machine.driven(control, statuses), true);
+    let predicted = machine.poses(&predicted, true);
     Left {
         before: largest(&machine.tips(statuses, true), &goal),
-        after: largest(&driven, &goal),
-        from_predicted: largest(&driven, &machine.tips(&predicted, true)),
+        after: largest(&driven.positions, &goal),
+        from_predicted: largest(&driven.positions, &predicted.positions),
+        turned_from_predicted: turned(&driven.orientations, &predicted.orientations),
     }
+}
+
+/// Largest angle between unit quaternions, rad.
+fn turned(one: &[[f64; 4]], other: &[[f64; 4]]) -> f64 {
+    let angle = |(a, b): (&[f64; 4], &[f64; 4])| {
+        let apart = |sign: f64| a.iter().zip(b).map(|(a, b)| (a - sign * b).powi(2)).sum::<f64>().sqrt();
+        2.0 * apart(1.0).min(apart(-1.0))
+    };
+    one.iter().zip(other).map(angle).fold(0.0, f64::max)
 }
 
 fn largest(one: &[[f64; 3]], other: &[[f64; 3]]) -> f64 {
     let apart = |(a, b): (&[f64; 3], &[f64; 3])| a.iter().zip(b).map(|(a, b)| (a - b).powi(2)).sum::<f64>().sqrt();
     one.iter().zip(other).map(apart).fold(0.0, f64::max)
+}
+
+/// Radius at which an angle of the tool weighs as much as a distance of the tip, mm.
+const RADIUS: f64 = 10.0;
+
+/// The seeds of random machines: `usual` ones in the tests, those of `ABBE_SEEDS` (number and first seed) in a campaign.
+pub fn seeds(usual: u64) -> std::ops::Range<u64> {
+    let Ok(text) = std::env::var("ABBE_SEEDS") else { return 0..usual };
+    let numbers: Vec<u64> = text.split(' ').map(|number| number.parse().expect("ABBE_SEEDS: two numbers")).collect();
+    let [count, first] = numbers[..] else { panic!("ABBE_SEEDS: two numbers were expected, not `{text}`") };
+    first..first + count
 }
 
 /// The law: what the emulated control does is what the exporter predicts, within `rounding` mm (digits of the file, interpolation that
@@ -202,7 +230,7 @@ pub fn predicted(
     let files = export.export(&machine.calibration, machine.model.as_ref()).unwrap_or_else(|error| panic!("{error}"));
     let control = load(&files);
     let found = left(machine, export, control.as_ref(), statuses);
-    assert!(found.from_predicted <= rounding, "{found:?}");
+    assert!(found.from_predicted <= rounding && found.turned_from_predicted <= rounding / RADIUS, "{found:?}");
     let turned = left(machine, export, &Turned(control.as_ref()), statuses);
     assert!(turned.from_predicted > 10.0 * rounding, "turned round: {turned:?}");
     [found, turned]

@@ -10,7 +10,8 @@ use abbe_core::ExportedFile;
 use serde_json::{Value, json};
 use tempfile::TempDir;
 
-use super::law::{ByAxis, Control, Machine, exporter, holds};
+use super::law::{ByAxis, Control, Machine, exporter, holds, seeds};
+use super::random;
 use crate::compensation::calibration;
 use crate::support::{skipped, temporary, write};
 
@@ -192,6 +193,25 @@ fn the_model_in_c_gives_the_exact_set_points() {
             // What is left is reversal along other axes' effects, of second order.
             assert!(found.after < 1e-4 && found.before > 0.03, "{name} {correct}: {found:?}");
         }
+    }
+}
+
+/// Machines that no one has seen, with all kinds of error motions; the tool points where it should, too.
+#[test]
+fn the_model_in_c_is_that_of_random_machines() {
+    if no_compiler("linuxcnc_kinematics_random") {
+        return;
+    }
+    for seed in seeds(24) {
+        let errors = [random::Errors::Smooth, random::Errors::Any][seed as usize % 2];
+        let machine = random::machine(seed, errors);
+        let rotary = machine.model.info().axes.len() - 3;
+        let correct = if rotary == 2 && seed % 3 != 0 { "five-axes" } else { "position" };
+        let mut settings = settings("model", correct);
+        settings.as_object_mut().expect("settings").remove("ranges");
+        let export = exporter("linuxcnc-kinematics", &settings);
+        let load = |files: &[ExportedFile]| Box::new(Component::load(files, &machine)) as Box<dyn Control>;
+        holds(&machine, export.as_ref(), &load, &machine.anywhere(60, &[], seed + 1), 1e-9);
     }
 }
 

@@ -11,6 +11,8 @@ use crate::support::registry;
 pub enum Errors {
     /// Position and orientation errors of axes, motion errors of all components, reversal.
     Any,
+    /// As any, with error motions of rotary axes, error frames of either kind and axes of rotation anywhere, but without reversal.
+    Smooth,
     /// Errors that shift the tip by a function of one axis: translations, of machines with three axes.
     OfOneAxis,
     /// Positioning errors and reversal, of machines with three axes.
@@ -62,7 +64,7 @@ pub fn machine_like(seed: u64, values: u64) -> Machine {
 fn settings(seed: u64, errors: Errors) -> Value {
     let mut random = Random(seed);
     let rotary = match errors {
-        Errors::Any => random.shuffled(&["A", "B", "C"])[..(random.uniform() * 3.0) as usize].to_vec(),
+        Errors::Any | Errors::Smooth => random.shuffled(&["A", "B", "C"])[..(random.uniform() * 3.0) as usize].to_vec(),
         // C between spindle and tool turns the tool about itself.
         Errors::Rotary => random.shuffled(&["A", "B"])[..1].to_vec(),
         Errors::OfOneAxis | Errors::Positioning => Vec::new(),
@@ -72,12 +74,17 @@ fn settings(seed: u64, errors: Errors) -> Value {
     let split = (random.uniform() * 4.0) as usize;
     let (of_table, of_tool) = rotary.split_at((random.uniform() * (rotary.len() + 1) as f64) as usize);
     let chain = [&["w"][..], of_table, &linear[..split], &["b"], &linear[split..], of_tool, &["t"]].concat().join(" ");
-    let range = |axis: &str| match axis {
+    let mut range = |axis: &str| match axis {
         "X" | "Y" | "Z" => json!({ "range_mm": [-300, 300] }),
-        _ => json!({ "range_deg": [-120, 120], "point_mm": [10, -20, 30] }),
+        _ if errors != Errors::Smooth => json!({ "range_deg": [-120, 120], "point_mm": [10, -20, 30] }),
+        _ => {
+            let point = [(); 3].map(|()| random.within(150.0).round());
+            json!({ "range_deg": [-100, 100], "point_mm": point })
+        }
     };
     let axes: serde_json::Map<String, Value> =
         linear.iter().chain(&rotary).map(|axis| (axis.to_string(), range(axis))).collect();
+    let frame = if errors == Errors::Smooth && random.uniform() < 0.5 { "fixed" } else { "moving" };
     let own = |letters: &[&str], axes: &[&str]| {
         axes.iter().flat_map(|axis| letters.iter().map(move |letter| format!("E{letter}{axis}"))).collect::<Vec<_>>()
     };
@@ -102,14 +109,21 @@ fn settings(seed: u64, errors: Errors) -> Value {
             { "polynomial": own(&turns, &rotary), "degrees": [1] },
             { "backlash": positions },
         ]),
+        Errors::Smooth => json!([
+            { "location": ["E?0?"] },
+            { "polynomial": own(&[shifts, turns].concat(), &linear), "degrees": [1, 2] },
+            { "fourier": own(&[shifts, turns].concat(), &rotary), "orders": [1] },
+        ]),
     };
     let errors: Vec<&Value> = errors
         .as_array()
         .unwrap()
         .iter()
-        .filter(|line| !line["polynomial"].as_array().is_some_and(Vec::is_empty))
+        .filter(|line| ["polynomial", "fourier"].iter().all(|family| line[family] != json!([])))
         .collect();
-    json!({ "chain": chain, "tool_length_mm": 100, "stylus_radius_mm": 0, "axes": axes, "errors": errors })
+    json!({
+        "chain": chain, "tool_length_mm": 100, "stylus_radius_mm": 0, "axes": axes, "errors": errors, "error_frame": frame,
+    })
 }
 
 /// A calibration with random values for all parameters.

@@ -5,7 +5,7 @@ use std::collections::BTreeMap;
 use abbe_core::ExportedFile;
 use serde_json::{Value, json};
 
-use super::law::{ByAxis, Control, Machine, exporter, holds};
+use super::law::{ByAxis, Control, Machine, exporter, holds, seeds};
 use super::random;
 
 /// Variables by their name with indices, as in the file; and the axes of the machine by the names of machine axes.
@@ -140,7 +140,7 @@ fn the_law_holds_on_public_machines() {
 
 #[test]
 fn the_law_holds_on_random_machines() {
-    for seed in 0..100 {
+    for seed in seeds(100) {
         let machine = random::machine(seed, random::Errors::Any);
         let export = exporter("siemens-tables", &settings(&machine, json!({ "step_mm": 50 })));
         let statuses = machine.anywhere(60, &[], seed + 1);
@@ -151,7 +151,7 @@ fn the_law_holds_on_random_machines() {
 /// Where every error depends on one axis only, nothing is left but interpolation, and finer steps leave less of it.
 #[test]
 fn what_depends_on_one_axis_is_corrected() {
-    for seed in 0..40 {
+    for seed in seeds(40) {
         let machine = random::machine(seed, random::Errors::OfOneAxis);
         let statuses = machine.anywhere(100, &[], seed + 1);
         let left = [100.0, 20.0].map(|step| {
@@ -169,7 +169,7 @@ fn what_depends_on_one_axis_is_corrected() {
 /// A rotary axis stands where it should: what is left are digits of the file at the radius of the tool.
 #[test]
 fn rotary_axes_are_corrected() {
-    for seed in 0..50 {
+    for seed in seeds(50) {
         let machine = random::machine(seed, random::Errors::Rotary);
         let statuses = machine.anywhere(100, &[], seed + 1);
         let tables =
@@ -184,7 +184,7 @@ fn rotary_axes_are_corrected() {
 /// What the control has already stays, and what is new is added to it.
 #[test]
 fn tables_that_are_active_are_added() {
-    for seed in 0..10 {
+    for seed in seeds(10) {
         let machine = random::machine(seed, random::Errors::Any);
         let folder = crate::support::temporary();
         let of_other = random::machine_like(seed, seed + 1000);
