@@ -5,6 +5,7 @@
 
 mod grbl;
 mod grid;
+mod heidenhain;
 mod isg;
 mod isg_volumetric;
 pub(crate) mod law;

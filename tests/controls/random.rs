@@ -112,6 +112,17 @@ fn settings(seed: u64, errors: Errors) -> Value {
     json!({ "chain": chain, "tool_length_mm": 100, "stylus_radius_mm": 0, "axes": axes, "errors": errors })
 }
 
+/// The machine with the same errors in both directions of travel.
+pub fn without_reversal(machine: &Machine) -> Machine {
+    let mut calibration: Value = serde_json::from_str(&machine.calibration.to_json().expect("JSON")).expect("JSON");
+    for parameter in calibration["parameters"].as_array_mut().expect("parameters") {
+        if parameter["name"].as_str().is_some_and(|name| name.ends_with("[b]")) {
+            parameter["value"] = json!(0.0);
+        }
+    }
+    Machine::of(&calibration)
+}
+
 /// A calibration with random values for all parameters.
 fn with_values(settings: &Value, seed: u64) -> Machine {
     let registry = registry();

@@ -1,6 +1,8 @@
 //! Exporters of tables along axes: pitch and cross compensation of controls.
 
 mod existing;
+mod heidenhain;
+mod heidenhain_file;
 mod isg;
 mod isg_file;
 mod siemens;

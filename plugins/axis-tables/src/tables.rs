@@ -87,6 +87,8 @@ pub struct Limits {
     pub decimals: i32,
     /// Which axes are corrected along others if the settings do not say it.
     pub cross: Pairs,
+    /// All tables along an axis stand in one file: they have the same points.
+    pub same_points: bool,
 }
 
 /// Pairs of linear axes.
@@ -179,7 +181,8 @@ impl Tables {
         for (output, input) in own.into_iter().map(|axis| (axis, axis)).chain(cross) {
             let empty = AxisTable { input, output, ..AxisTable::default() };
             let before = made.tables.iter().position(|table| table.is_for_same_axes(&empty));
-            let positions = match before {
+            let in_same_file = || limits.same_points.then(|| made.tables.iter().position(|table| table.input == input));
+            let positions = match before.or_else(|| in_same_file().flatten()) {
                 Some(index) => made.tables[index].positions.clone(),
                 None => self.points(&axes[input], limits.points)?,
             };

@@ -1,0 +1,253 @@
+//! Exporter `heidenhain-tables`: nonlinear axis-error compensation of Heidenhain (`.COM`, `.CMA`).
+
+use std::collections::BTreeMap;
+use std::path::PathBuf;
+
+use abbe_compensation::AxisTable;
+use abbe_core::{
+    Calibration, CommandCorrection, Context, Error, Export, ExportedFile, InputFile, KinematicModel, Result,
+    SettingsError,
+};
+use abbe_volumetric::{position_unit, rounded_position, within};
+use schemars::JsonSchema;
+use serde::Deserialize;
+use serde_json::{Value, json};
+
+use crate::heidenhain_file;
+use crate::tables::{Limits, Made, Pairs, Tables, axis_of, rounded};
+
+abbe_core::register!(
+    Export,
+    "heidenhain-tables",
+    "nonlinear axis-error compensation of Heidenhain (.COM, .CMA)",
+    Settings,
+    example,
+    build,
+    "../reference/export-heidenhain-tables.md",
+);
+
+/// Settings of the tables.
+#[derive(Debug, Clone, PartialEq, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+struct Settings {
+    /// Which tables, and their points. Cross compensation is written for the pairs under `cross` only.
+    #[serde(default)]
+    tables: Tables,
+    /// How points are written.
+    #[serde(default)]
+    form: Form,
+    /// What the control does with a value. Manuals do not say it: try one known value on the control first.
+    values: Values,
+    /// Most points of a file.
+    #[serde(default = "most")]
+    most_points: usize,
+    /// `.COM` files by the axis that moves, active when the machine was measured: the new values are added at their points.
+    #[serde(default)]
+    existing: BTreeMap<String, String>,
+}
+
+/// How points are written.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Deserialize, JsonSchema)]
+#[serde(rename_all = "kebab-case")]
+enum Form {
+    /// Columns `AXISPOS` and `BACKLASH`: TNC 640, TNC 620, MANUALplus 620.
+    #[default]
+    AxisPositions,
+    /// First point and distance in the first line, the same in both directions of travel: iTNC 530.
+    DatumAndDistance,
+    /// The same, with distances of a power of two of 0.1 µm: TNC 407, TNC 415, TNC 425.
+    PowerOfTwo,
+}
+
+/// What the control does with a value.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Deserialize, JsonSchema)]
+#[serde(rename_all = "kebab-case")]
+enum Values {
+    /// A positive value moves the axis in positive direction.
+    Added,
+    /// A positive value is a positive error: it moves the axis in negative direction.
+    Subtracted,
+}
+
+fn most() -> usize {
+    256
+}
+
+/// Decimals of positions and values, mm and degrees.
+const DECIMALS: i32 = 4;
+
+fn example() -> Value {
+    json!({ "tables": { "step_mm": 25, "cross": [{ "correct": "Z", "along": "Y" }] }, "values": "subtracted" })
+}
+
+fn build(settings: Settings, context: &Context) -> Result<Box<dyn Export>, SettingsError> {
+    settings.tables.check()?;
+    if settings.most_points < 2 {
+        return Err(SettingsError::new("most_points", "at least 2 was expected"));
+    }
+    let existing = settings.existing.iter().map(|(axis, path)| (axis.clone(), context.path(path))).collect();
+    Ok(Box::new(Heidenhain { settings, existing }))
+}
+
+struct Heidenhain {
+    settings: Settings,
+    existing: BTreeMap<String, PathBuf>,
+}
+
+impl Export for Heidenhain {
+    fn inputs(&self) -> Vec<InputFile> {
+        self.existing.values().map(|path| InputFile { setting: "existing", path: path.clone() }).collect()
+    }
+
+    fn export(&self, calibration: &Calibration, model: &dyn KinematicModel) -> Result<Vec<ExportedFile>> {
+        let made = self.made(calibration, model)?;
+        let mut by_input: BTreeMap<usize, Vec<&AxisTable>> = BTreeMap::new();
+        made.tables.iter().for_each(|table| by_input.entry(table.input).or_default().push(table));
+        let mut files = Vec::new();
+        for (input, tables) in &by_input {
+            files.push(file(&self.name(*input, model), self.table(*input, tables, model)?));
+        }
+        files.push(file("CONFIG.CMA", self.assignment(by_input.keys().copied(), model)));
+        files.push(file("heidenhain-tables.txt", format!("{}{}\n", self.notes(), made.notes.join("\n"))));
+        Ok(files)
+    }
+
+    fn correction(
+        &self,
+        calibration: &Calibration,
+        model: &dyn KinematicModel,
+    ) -> Result<Option<Box<dyn CommandCorrection>>> {
+        // What cannot be written corrects nothing.
+        self.export(calibration, model)?;
+        self.made(calibration, model)?.correction(model)
+    }
+}
+
+fn file(name: &str, text: String) -> ExportedFile {
+    ExportedFile { name: name.to_owned(), content: text.into_bytes() }
+}
+
+impl Heidenhain {
+    fn made(&self, calibration: &Calibration, model: &dyn KinematicModel) -> Result<Made> {
+        let mut existing = Vec::new();
+        for (name, path) in &self.existing {
+            let input = axis_of(model, name).map_err(|error| within(error, &["existing", name]))?;
+            existing.extend(heidenhain_file::read(path, input, model)?.into_iter().map(|table| self.turned(table)));
+        }
+        let limits =
+            Limits { points: self.settings.most_points, decimals: DECIMALS, cross: Pairs::Asked, same_points: true };
+        self.settings.tables.made(calibration, model, &limits, existing)
+    }
+
+    /// Values of files as corrections, and corrections as values of files.
+    fn turned(&self, table: AxisTable) -> AxisTable {
+        match self.settings.values {
+            Values::Added => table,
+            Values::Subtracted => table.map(|value| -value),
+        }
+    }
+
+    fn name(&self, input: usize, model: &dyn KinematicModel) -> String {
+        let between = if self.settings.form == Form::AxisPositions { '_' } else { '-' };
+        format!("AXIS{between}{}.COM", model.info().axes[input].name)
+    }
+
+    /// The file of all axes that are corrected along one.
+    fn table(&self, input: usize, tables: &[&AxisTable], model: &dyn KinematicModel) -> Result<String> {
+        let axes = &model.info().axes;
+        let Some(first) = tables.first() else { return Ok(String::new()) };
+        let places = self.places(first, model)?;
+        let own = tables.iter().find(|table| table.output == input && !table.is_same_both_ways());
+        let name = self.name(input, model);
+        let (begin, mut head) = match self.settings.form {
+            Form::AxisPositions => (format!("BEGIN {name} MM\n"), vec!["AXISPOS"]),
+            Form::DatumAndDistance | Form::PowerOfTwo => {
+                if own.is_some() {
+                    let axis = &axes[input].name;
+                    let message = format!("the correction of {axis} depends on the direction of travel");
+                    return Err(Error::data(message).help("`axis-positions` can do that").setting("form"));
+                }
+                let distance = places.get(1).zip(places.first()).map_or(0.0, |(second, first)| second - first);
+                let datum = places.first().copied().unwrap_or_default();
+                (format!("BEGIN {name} DATUM:{datum:+.4} DISTANCE:{distance:+.4}\n"), Vec::new())
+            }
+        };
+        head.extend(own.map(|_| "BACKLASH"));
+        head.extend(tables.iter().map(|table| axes[table.output].name.as_str()));
+        let value = |table: &AxisTable, values: &[f64], point: usize| {
+            let sign = if self.settings.values == Values::Added { 1.0 } else { -1.0 };
+            let value = values.get(point).copied().unwrap_or_default();
+            rounded(sign * value * position_unit(&axes[table.output]).1, DECIMALS)
+        };
+        let mut text = begin + &line("NR", &head.iter().map(ToString::to_string).collect::<Vec<_>>());
+        for (point, place) in places.iter().enumerate() {
+            let position = (self.settings.form == Form::AxisPositions).then_some(*place);
+            let backlash = own.map(|table| value(table, &table.reverse, point));
+            let values = tables.iter().map(|table| value(table, &table.forward, point));
+            let cells: Vec<String> =
+                position.into_iter().chain(backlash).chain(values).map(|value| format!("{value:+.4}")).collect();
+            text.push_str(&line(&point.to_string(), &cells));
+        }
+        Ok(text + "[END]\n")
+    }
+
+    /// The points of a file in mm or degrees, where they can be written.
+    fn places(&self, table: &AxisTable, model: &dyn KinematicModel) -> Result<Vec<f64>> {
+        let axis = &model.info().axes[table.input];
+        let (unit, factor) = position_unit(axis);
+        let name = &axis.name;
+        let places: Vec<f64> = table.positions.iter().map(|place| rounded_position(place * factor)).collect();
+        let refused = |message: String, setting: &str| Err(within(Error::usage(message).setting(setting), &["tables"]));
+        let step = if unit == "mm" { "step_mm" } else { "step_deg" };
+        if places.iter().any(|place| (place - rounded(*place, DECIMALS)).abs() > 1e-9) {
+            return refused(format!("points of {name} need more than four decimals"), step);
+        }
+        let steps: Vec<i64> =
+            places.windows(2).map(|pair| ((pair[1] - pair[0]) * 10_f64.powi(DECIMALS)).round() as i64).collect();
+        let first = steps.first().copied().unwrap_or_default();
+        if self.settings.form != Form::AxisPositions && steps.iter().any(|step| *step != first) {
+            return refused(format!("points of {name} need equal distances"), step);
+        }
+        if self.settings.form == Form::PowerOfTwo && !u64::try_from(first).is_ok_and(u64::is_power_of_two) {
+            let message = format!("a distance of a power of two of 0.0001 {unit} was expected for {name}: 26.2144");
+            return refused(message, step);
+        }
+        let is_turn = unit == "deg" && self.settings.form != Form::AxisPositions;
+        if is_turn && places.iter().any(|place| !(0.0..=360.0).contains(place)) {
+            return refused(format!("points of {name} from 0 to 360 deg were expected"), "ranges");
+        }
+        if table.repeats && !is_turn {
+            let message = format!("{name} turns without an end; whether such a table repeats itself is not documented");
+            return refused(message, "positioning");
+        }
+        Ok(places)
+    }
+
+    /// One active line that names the file of each axis.
+    fn assignment(&self, inputs: impl Iterator<Item = usize>, model: &dyn KinematicModel) -> String {
+        let inputs: Vec<usize> = inputs.collect();
+        let names: Vec<String> = inputs.iter().map(|axis| model.info().axes[*axis].name.clone()).collect();
+        let files: Vec<String> = inputs.iter().map(|axis| self.name(*axis, model)).collect();
+        let row = |first: &str, active: &str, cells: &[String]| line(first, &[&[active.to_owned()], cells].concat());
+        format!("BEGIN CONFIG.CMA\n{}{}[END]\n", row("NR", "ACTIVE", &names), row("0", "*", &files))
+    }
+
+    fn notes(&self) -> String {
+        let (does, way) = match self.settings.values {
+            Values::Added => ("adds", "positive"),
+            Values::Subtracted => ("subtracts", "negative"),
+        };
+        format!(
+            "The manuals do not say which way a value moves the axis. These files are right if the control {does} values: \
+             a value of +0.1000 moves the axis by 0.1 mm in {way} direction.\nTry that with one known value before machining, \
+             else turn `values`.\nBeyond the first and the last point nothing is documented: stay between them.\n\
+             The layout of CONFIG.CMA is not documented in full: compare it with one that the control wrote.\n"
+        )
+    }
+}
+
+/// A line of columns of equal width.
+fn line(first: &str, cells: &[String]) -> String {
+    let cells: String = cells.iter().map(|cell| format!(" {cell:<15}")).collect();
+    format!("{first:<7}{}\n", cells.trim_end())
+}
