@@ -14,7 +14,7 @@ use serde::Deserialize;
 use serde_json::{Value, json};
 
 use crate::heidenhain_file;
-use crate::tables::{Limits, Made, Pairs, Tables, axis_of, rounded};
+use crate::tables::{Limits, Made, Pairs, Tables, Values, axis_of, rounded};
 
 abbe_core::register!(
     Export,
@@ -59,16 +59,6 @@ enum Form {
     PowerOfTwo,
 }
 
-/// What the control does with a value.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Deserialize, JsonSchema)]
-#[serde(rename_all = "kebab-case")]
-enum Values {
-    /// A positive value moves the axis in positive direction.
-    Added,
-    /// A positive value is a positive error: it moves the axis in negative direction.
-    Subtracted,
-}
-
 fn most() -> usize {
     256
 }
@@ -108,7 +98,10 @@ impl Export for Heidenhain {
             files.push(file(&self.name(*input, model), self.table(*input, tables, model)?));
         }
         files.push(file("CONFIG.CMA", self.assignment(by_input.keys().copied(), model)));
-        files.push(file("heidenhain-tables.txt", format!("{}{}\n", self.notes(), made.notes.join("\n"))));
+        files.push(file(
+            "heidenhain-tables.txt",
+            format!("{}{NOTES}{}\n", self.settings.values.warning(), made.notes.join("\n")),
+        ));
         Ok(files)
     }
 
@@ -132,19 +125,13 @@ impl Heidenhain {
         let mut existing = Vec::new();
         for (name, path) in &self.existing {
             let input = axis_of(model, name).map_err(|error| within(error, &["existing", name]))?;
-            existing.extend(heidenhain_file::read(path, input, model)?.into_iter().map(|table| self.turned(table)));
+            existing.extend(
+                heidenhain_file::read(path, input, model)?.into_iter().map(|table| self.settings.values.turned(table)),
+            );
         }
         let limits =
             Limits { points: self.settings.most_points, decimals: DECIMALS, cross: Pairs::Asked, same_points: true };
         self.settings.tables.made(calibration, model, &limits, existing)
-    }
-
-    /// Values of files as corrections, and corrections as values of files.
-    fn turned(&self, table: AxisTable) -> AxisTable {
-        match self.settings.values {
-            Values::Added => table,
-            Values::Subtracted => table.map(|value| -value),
-        }
     }
 
     fn name(&self, input: usize, model: &dyn KinematicModel) -> String {
@@ -174,16 +161,18 @@ impl Heidenhain {
         };
         head.extend(own.map(|_| "BACKLASH"));
         head.extend(tables.iter().map(|table| axes[table.output].name.as_str()));
+        let machine: Vec<AxisTable> =
+            tables.iter().map(|table| self.settings.values.turned((*table).clone())).collect();
         let value = |table: &AxisTable, values: &[f64], point: usize| {
-            let sign = if self.settings.values == Values::Added { 1.0 } else { -1.0 };
             let value = values.get(point).copied().unwrap_or_default();
-            rounded(sign * value * position_unit(&axes[table.output]).1, DECIMALS)
+            rounded(value * position_unit(&axes[table.output]).1, DECIMALS)
         };
         let mut text = begin + &line("NR", &head.iter().map(ToString::to_string).collect::<Vec<_>>());
         for (point, place) in places.iter().enumerate() {
             let position = (self.settings.form == Form::AxisPositions).then_some(*place);
+            let own = own.and_then(|_| machine.iter().find(|table| table.output == input));
             let backlash = own.map(|table| value(table, &table.reverse, point));
-            let values = tables.iter().map(|table| value(table, &table.forward, point));
+            let values = machine.iter().map(|table| value(table, &table.forward, point));
             let cells: Vec<String> =
                 position.into_iter().chain(backlash).chain(values).map(|value| format!("{value:+.4}")).collect();
             text.push_str(&line(&point.to_string(), &cells));
@@ -231,20 +220,12 @@ impl Heidenhain {
         let row = |first: &str, active: &str, cells: &[String]| line(first, &[&[active.to_owned()], cells].concat());
         format!("BEGIN CONFIG.CMA\n{}{}[END]\n", row("NR", "ACTIVE", &names), row("0", "*", &files))
     }
-
-    fn notes(&self) -> String {
-        let (does, way) = match self.settings.values {
-            Values::Added => ("adds", "positive"),
-            Values::Subtracted => ("subtracts", "negative"),
-        };
-        format!(
-            "The manuals do not say which way a value moves the axis. These files are right if the control {does} values: \
-             a value of +0.1000 moves the axis by 0.1 mm in {way} direction.\nTry that with one known value before machining, \
-             else turn `values`.\nBeyond the first and the last point nothing is documented: stay between them.\n\
-             The layout of CONFIG.CMA is not documented in full: compare it with one that the control wrote.\n"
-        )
-    }
 }
+
+const NOTES: &str = "\
+Beyond the first and the last point nothing is documented: stay between them.
+The layout of CONFIG.CMA is not documented in full: compare it with one that the control wrote.
+";
 
 /// A line of columns of equal width.
 fn line(first: &str, cells: &[String]) -> String {
