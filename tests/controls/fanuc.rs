@@ -12,15 +12,15 @@ use super::random;
 /// What no file says of an axis: its reference point in machine coordinates, whether its return ends in positive direction, and its
 /// detection unit, mm or degrees.
 #[derive(Clone, Copy)]
-struct Axis {
-    reference: f64,
-    returns_positive: bool,
-    unit: f64,
+pub(super) struct Axis {
+    pub(super) reference: f64,
+    pub(super) returns_positive: bool,
+    pub(super) unit: f64,
 }
 
-const PLAIN: Axis = Axis { reference: 0.0, returns_positive: true, unit: 1e-3 };
+pub(super) const PLAIN: Axis = Axis { reference: 0.0, returns_positive: true, unit: 1e-3 };
 
-struct Fanuc {
+pub(super) struct Fanuc {
     /// Parameters of axes, by number and axis.
     parameters: BTreeMap<(u32, u32), String>,
     points: BTreeMap<i64, i64>,
@@ -31,7 +31,7 @@ struct Fanuc {
 const NAMES: [&str; 6] = ["X", "Y", "Z", "A", "B", "C"];
 
 impl Fanuc {
-    fn load(files: &[ExportedFile], sense: f64, axis: &dyn Fn(&str) -> Axis) -> Self {
+    pub(super) fn load(files: &[ExportedFile], sense: f64, axis: &dyn Fn(&str) -> Axis) -> Self {
         let file = files.iter().find(|file| file.name == "fanuc-pitch.txt").expect("parameters");
         let text = std::str::from_utf8(&file.content).expect("text");
         assert!(text.starts_with("%\n") && text.ends_with("\n%\n"), "{text}");

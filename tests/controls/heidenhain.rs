@@ -15,7 +15,7 @@ struct Table {
 }
 
 /// The tables of the active line by moving axis, and what was found about the sense of values.
-struct Heidenhain {
+pub(super) struct Heidenhain {
     tables: BTreeMap<String, Table>,
     sense: f64,
 }
@@ -26,7 +26,7 @@ fn text_of<'a>(files: &'a [ExportedFile], name: &str) -> &'a str {
 }
 
 impl Heidenhain {
-    fn load(files: &[ExportedFile], sense: f64) -> Self {
+    pub(super) fn load(files: &[ExportedFile], sense: f64) -> Self {
         let mut lines = text_of(files, "CONFIG.CMA").lines();
         assert_eq!(lines.next(), Some("BEGIN CONFIG.CMA"));
         let head = lines.next().expect("columns");
@@ -197,8 +197,9 @@ fn older_forms_correct_what_has_no_direction() {
         let axes = ["X", "Y", "Z"];
         let pairs = axes.iter().flat_map(|correct| axes.map(|along| json!({ "correct": correct, "along": along })));
         let cross: Vec<Value> = pairs.filter(|pair| pair["correct"] != pair["along"]).collect();
-        let turn = 26.2144 * 12.0;
-        let ranges: BTreeMap<&str, [f64; 2]> = axes.map(|axis| (axis, [-turn, turn])).into();
+        let reach = 26.2144 * 12.0;
+        let ranges: BTreeMap<&str, Value> =
+            axes.map(|axis| (axis, json!({ "from_mm": -reach, "to_mm": reach }))).into();
         for (form, tables) in [
             ("datum-and-distance", json!({ "step_mm": 25, "cross": cross })),
             ("power-of-two", json!({ "step_mm": 26.2144, "cross": cross, "ranges": ranges })),
@@ -249,7 +250,7 @@ fn wrong_settings_are_refused() {
         (json!({ "most_points": 5 }), "tables.step_mm: axis "),
         (json!({ "tables": { "step_mm": 0.00005 } }), "tables.step_mm: "),
         (
-            json!({ "tables": { "ranges": { "X": [0.000_05, 100.000_05] }, "positioning": ["X"] } }),
+            json!({ "tables": { "ranges": { "X": { "from_mm": 0.000_05, "to_mm": 100.000_05 } }, "positioning": ["X"] } }),
             "tables.step_mm: points of X",
         ),
         (

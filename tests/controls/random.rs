@@ -17,6 +17,8 @@ pub enum Errors {
     Positioning,
     /// Positioning errors of degree one and reversal of one rotary axis, and no others.
     Rotary,
+    /// The same for a rotary axis that turns without an end: its errors repeat with every turn.
+    Endless,
 }
 
 /// Largest coefficient of degree two of the machines, 1/mm.
@@ -64,7 +66,7 @@ fn settings(seed: u64, errors: Errors) -> Value {
     let rotary = match errors {
         Errors::Any => random.shuffled(&["A", "B", "C"])[..(random.uniform() * 3.0) as usize].to_vec(),
         // C between spindle and tool turns the tool about itself.
-        Errors::Rotary => random.shuffled(&["A", "B"])[..1].to_vec(),
+        Errors::Rotary | Errors::Endless => random.shuffled(&["A", "B"])[..1].to_vec(),
         Errors::OfOneAxis | Errors::Positioning => Vec::new(),
     };
     // Rotary axes outside the linear ones: these are never parallel.
@@ -74,6 +76,9 @@ fn settings(seed: u64, errors: Errors) -> Value {
     let chain = [&["w"][..], of_table, &linear[..split], &["b"], &linear[split..], of_tool, &["t"]].concat().join(" ");
     let range = |axis: &str| match axis {
         "X" | "Y" | "Z" => json!({ "range_mm": [-300, 300] }),
+        _ if errors == Errors::Endless => {
+            json!({ "range_deg": [0, 360], "endless": true, "point_mm": [10, -20, 30] })
+        }
         _ => json!({ "range_deg": [-120, 120], "point_mm": [10, -20, 30] }),
     };
     let axes: serde_json::Map<String, Value> =
@@ -94,6 +99,10 @@ fn settings(seed: u64, errors: Errors) -> Value {
         ]),
         Errors::Rotary => json!([
             { "polynomial": positions[3..], "degrees": [1] },
+            { "backlash": positions[3..] },
+        ]),
+        Errors::Endless => json!([
+            { "fourier": positions[3..], "orders": [1, 2] },
             { "backlash": positions[3..] },
         ]),
         Errors::Any => json!([
