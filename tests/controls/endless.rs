@@ -175,6 +175,47 @@ fn the_reversal_is_gone_in_every_turn() {
     }
 }
 
+/// Files of the control that the new values are added to, under `existing` as each exporter wants it.
+fn existing(case: &Case, axis: &str, files: &[ExportedFile], folder: &std::path::Path) -> Value {
+    let file = &files[0];
+    let path = folder.join(&file.name);
+    std::fs::write(&path, &file.content).expect("a file");
+    match case.name {
+        "siemens-tables" => json!([path]),
+        "fanuc-pitch" => json!(path),
+        _ => json!({ axis: path }),
+    }
+}
+
+#[test]
+fn tables_that_are_active_are_added_in_every_turn() {
+    for case in cases() {
+        for seed in 0..10 {
+            let (machine, mut settings) = machine_and_settings(&case, seed);
+            let (other, _) = machine_and_settings(&case, seed);
+            // Half of the errors were corrected before.
+            let mut half: Value = serde_json::from_str(&other.calibration.to_json().expect("JSON")).expect("JSON");
+            for parameter in half["parameters"].as_array_mut().expect("parameters") {
+                parameter["value"] = json!(0.5 * parameter["value"].as_f64().expect("a number"));
+            }
+            let half = Machine::of(&half);
+            let before = exporter(case.name, &settings).export(&half.calibration, half.model.as_ref()).expect("files");
+            let folder = crate::support::temporary();
+            settings["existing"] = existing(&case, rotary(&machine), &before, folder.path());
+            let export = exporter(case.name, &settings);
+            let after = export.export(&machine.calibration, machine.model.as_ref()).expect("files");
+            let correction = export.correction(&machine.calibration, machine.model.as_ref());
+            let correction = correction.expect("a prediction").expect("tables");
+            let statuses = in_any_turn(&machine, 60, case.is_of_points, seed + 9);
+            let predicted = correction.commands(&statuses).expect("commands");
+            let [old, new] = [before, after].map(|files| machine.driven((case.load)(&files).as_ref(), &statuses));
+            for (((status, old), new), predicted) in statuses.iter().zip(old).zip(new).zip(predicted) {
+                assert!((new - old - (predicted - status)).abs() < 1e-9, "{} {seed}", case.name);
+            }
+        }
+    }
+}
+
 #[test]
 fn what_is_no_turn_is_refused() {
     let refusal = |case: &str, change: Value, tables: Value| {

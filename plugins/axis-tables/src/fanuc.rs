@@ -93,6 +93,9 @@ fn most_points() -> usize {
 /// Decimals of corrections before they become whole numbers of units, mm and degrees.
 const DECIMALS: i32 = 6;
 
+/// The largest value of a word (parameter 3627).
+const LARGEST_AT_REFERENCE: i64 = 32_767;
+
 fn example() -> Value {
     json!({
         "tables": { "step_mm": 50 },
@@ -164,6 +167,11 @@ impl Export for Fanuc {
                 next,
             );
             self.check(&points, name)?;
+            if let Some(owner) = found.owner(points.first.min(points.reference), i64::from(points.end()) - 1) {
+                let message = format!("points of {name} would overwrite those of axis {owner}");
+                let help = "use numbers after them, or name that axis under `axis_numbers`";
+                return Err(Error::usage(message).help(help).setting("first_point"));
+            }
             next = points.end();
             notes.push(format!("{name}: {}", points.note()));
             all.push((self.number(table.output, model)?, self.interval(table, model)?, points));
@@ -193,6 +201,7 @@ impl Export for Fanuc {
 const NOTES: &str = "\
 Save all parameters first. Numbers of pitch data (N10000 and following) come from secondary sources: compare them with a \
 file that the control wrote.
+Points of axes that stand neither here nor in `existing` have to have other numbers.
 Bits 1 to 7 of parameter 3605 are those of `existing`, else zero: compare them, too.
 The values are zero at the reference point, approached as in the reference return. Switch the control off and on, and \
 return to the reference points, after loading.
@@ -273,7 +282,10 @@ impl Fanuc {
         if largest > most {
             let fits = (largest * i64::from(self.settings.magnification) + most - 1) / most;
             let message = format!("a value of {name} is {largest} between two points; at most {most} are allowed");
-            let help = format!("a magnification of {fits} or a smaller step fits");
+            let help = match points.has_directions() {
+                true => "a smaller step fits".to_owned(),
+                false => format!("a magnification of {fits} or a smaller step fits"),
+            };
             return Err(Error::usage(message).help(help).setting("largest_value"));
         }
         if points.has_directions() && self.settings.magnification != 1 {
@@ -281,6 +293,11 @@ impl Fanuc {
                 "the correction of {name} depends on the direction of travel; whether parameter 3627 is magnified is not documented"
             );
             return Err(Error::usage(message).help("1 fits, with a smaller step").setting("magnification"));
+        }
+        if points.at_reference.abs() > LARGEST_AT_REFERENCE {
+            let message = format!("the reversal of {name} is {} detection units", points.at_reference);
+            let help = format!("parameter 3627 takes at most {LARGEST_AT_REFERENCE}: is the calibration right?");
+            return Err(Error::data(message).help(help));
         }
         let last = points.end().saturating_sub(1);
         if last > self.settings.last_point {

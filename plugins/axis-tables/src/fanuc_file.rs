@@ -59,13 +59,20 @@ pub struct InFile {
     pub tables: Vec<AxisTable>,
     /// Parameter 3605 by the number of the axis.
     bits: BTreeMap<u16, String>,
+    /// Axes that `axis_numbers` does not name, with the first and last numbers of their points.
+    others: Vec<(u16, [i64; 2])>,
 }
 
 impl InFile {
     /// Parameter 3605 of an axis, where bit 0 says whether both directions have their own points.
     pub fn bits(&self, axis: u16, both: bool) -> String {
         let bits = self.bits.get(&axis).map_or("00000000", String::as_str);
-        format!("{}{}", &bits[..7], u8::from(both))
+        format!("{}{}", bits.get(..7).unwrap_or("0000000"), u8::from(both))
+    }
+
+    /// The number of another axis that has one of these points.
+    pub fn owner(&self, first: i64, last: i64) -> Option<u16> {
+        self.others.iter().find(|(_, [from, to])| first <= *to && last >= *from).map(|(axis, _)| *axis)
     }
 }
 
@@ -74,6 +81,25 @@ impl InFile {
 struct Numbers {
     of_axes: BTreeMap<(u16, u16), i64>,
     points: BTreeMap<i64, i64>,
+}
+
+impl Numbers {
+    /// Points of axes without a name.
+    fn of_others(&self, numbered: &BTreeMap<u16, usize>, bits: &BTreeMap<u16, String>) -> Vec<(u16, [i64; 2])> {
+        let mut others = Vec::new();
+        for ((_, axis), _) in self.of_axes.iter().filter(|((number, _), interval)| *number == 3624 && **interval != 0) {
+            let of = |number: u16| self.of_axes.get(&(number, *axis)).copied().unwrap_or_default();
+            if numbered.contains_key(axis) {
+                continue;
+            }
+            let (first, last) = (of(3620).min(of(3621)), of(3622));
+            others.push((*axis, [first, last]));
+            if bits.get(axis).is_some_and(|bits| bits.ends_with('1')) {
+                others.push((*axis, [of(3626), of(3626) + last - first]));
+            }
+        }
+        others
+    }
 }
 
 /// The tables of a file. `numbered` has the axis of a number, `unit` is the detection unit of an axis.
@@ -109,6 +135,7 @@ pub fn read(
             _ => {}
         }
     }
+    found.others = numbers.of_others(numbered, &found.bits);
     for (number, axis) in numbered {
         if numbers.of_axes.get(&(3624, *number)).is_none_or(|interval| *interval == 0) {
             continue;
