@@ -142,42 +142,43 @@ impl Heidenhain {
     /// The file of all axes that are corrected along one.
     fn table(&self, input: usize, tables: &[&AxisTable], model: &dyn KinematicModel) -> Result<String> {
         let axes = &model.info().axes;
+        let tables: Vec<AxisTable> = tables.iter().map(|table| self.settings.values.turned((*table).clone())).collect();
         let Some(first) = tables.first() else { return Ok(String::new()) };
         let places = self.places(first, model)?;
-        let own = tables.iter().find(|table| table.output == input && !table.is_same_both_ways());
-        let name = self.name(input, model);
-        let (begin, mut head) = match self.settings.form {
-            Form::AxisPositions => (format!("BEGIN {name} MM\n"), vec!["AXISPOS"]),
-            Form::DatumAndDistance | Form::PowerOfTwo => {
-                if own.is_some() {
-                    let axis = &axes[input].name;
-                    let message = format!("the correction of {axis} depends on the direction of travel");
-                    return Err(Error::data(message).help("`axis-positions` can do that").setting("form"));
-                }
-                let distance = places.get(1).zip(places.first()).map_or(0.0, |(second, first)| second - first);
-                let datum = places.first().copied().unwrap_or_default();
-                (format!("BEGIN {name} DATUM:{datum:+.4} DISTANCE:{distance:+.4}\n"), Vec::new())
-            }
+        let column = |table: &AxisTable, values: &[f64]| -> Vec<f64> {
+            let factor = position_unit(&axes[table.output]).1;
+            values.iter().map(|value| rounded(value * factor, DECIMALS)).collect()
         };
-        head.extend(own.map(|_| "BACKLASH"));
-        head.extend(tables.iter().map(|table| axes[table.output].name.as_str()));
-        let machine: Vec<AxisTable> =
-            tables.iter().map(|table| self.settings.values.turned((*table).clone())).collect();
-        let value = |table: &AxisTable, values: &[f64], point: usize| {
-            let value = values.get(point).copied().unwrap_or_default();
-            rounded(value * position_unit(&axes[table.output]).1, DECIMALS)
-        };
-        let mut text = begin + &line("NR", &head.iter().map(ToString::to_string).collect::<Vec<_>>());
-        for (point, place) in places.iter().enumerate() {
-            let position = (self.settings.form == Form::AxisPositions).then_some(*place);
-            let own = own.and_then(|_| machine.iter().find(|table| table.output == input));
-            let backlash = own.map(|table| value(table, &table.reverse, point));
-            let values = machine.iter().map(|table| value(table, &table.forward, point));
-            let cells: Vec<String> =
-                position.into_iter().chain(backlash).chain(values).map(|value| format!("{value:+.4}")).collect();
-            text.push_str(&line(&point.to_string(), &cells));
+        let mut columns = Vec::new();
+        if self.settings.form == Form::AxisPositions {
+            columns.push(("AXISPOS", places.clone()));
         }
-        Ok(text + "[END]\n")
+        if let Some(own) = tables.iter().find(|table| table.output == input && !table.is_same_both_ways()) {
+            if self.settings.form != Form::AxisPositions {
+                let message = format!("the correction of {} depends on the direction of travel", axes[input].name);
+                return Err(Error::data(message).help("`axis-positions` can do that").setting("form"));
+            }
+            columns.push(("BACKLASH", column(own, &own.reverse)));
+        }
+        columns.extend(tables.iter().map(|table| (axes[table.output].name.as_str(), column(table, &table.forward))));
+        let names: Vec<String> = columns.iter().map(|(name, _)| (*name).to_owned()).collect();
+        let row = |point: usize| {
+            let cells: Vec<String> = columns.iter().map(|(_, values)| format!("{:+.4}", values[point])).collect();
+            line(&point.to_string(), &cells)
+        };
+        let rows: String = (0..places.len()).map(row).collect();
+        Ok(format!("{}{}{rows}[END]\n", self.begin(input, &places, model), line("NR", &names)))
+    }
+
+    /// The first line of a file.
+    fn begin(&self, input: usize, places: &[f64], model: &dyn KinematicModel) -> String {
+        let name = self.name(input, model);
+        match (self.settings.form, places) {
+            (Form::DatumAndDistance | Form::PowerOfTwo, [first, second, ..]) => {
+                format!("BEGIN {name} DATUM:{first:+.4} DISTANCE:{:+.4}\n", second - first)
+            }
+            _ => format!("BEGIN {name} MM\n"),
+        }
     }
 
     /// The points of a file in mm or degrees, where they can be written.
@@ -223,6 +224,7 @@ impl Heidenhain {
 }
 
 const NOTES: &str = "\
+CONFIG.CMA names the files of these axes only: add those of axes that the control had and that stand nowhere here.
 Beyond the first and the last point nothing is documented: stay between them.
 The layout of CONFIG.CMA is not documented in full: compare it with one that the control wrote.
 ";
