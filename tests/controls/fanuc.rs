@@ -382,6 +382,7 @@ fn wrong_settings_are_refused() {
         (json!({ "largest_value": 128 }), "largest_value"),
         (json!({ "detection_unit_um": 0 }), "detection_unit_um"),
         (json!({ "first_point": 9, "last_point": 9 }), "last_point"),
+        (json!({ "last_point": 10_000 }), "last_point"),
     ] {
         let mut settings = settings(&machine, json!({}), "added");
         change.as_object().unwrap().iter().for_each(|(name, value)| settings[name] = value.clone());

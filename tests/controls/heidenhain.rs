@@ -297,3 +297,33 @@ fn files_that_are_no_tables_are_refused() {
         assert!(error.contains(expected), "{text}: {error}");
     }
 }
+
+/// A recipe writes the files, and the validator says what they leave.
+#[test]
+fn a_recipe_writes_tables_and_judges_them() {
+    let place = crate::support::temporary();
+    let truth = crate::compensation::calibration("three-axis").to_string();
+    std::fs::write(place.path().join("truth.calibration.json"), truth).expect("a file");
+    let recipe = "abbe: 1\nname: Tables\nstages:\n  truth: { estimate: calibration, path: truth.calibration.json }\n  \
+                  tables: { export: heidenhain-tables, of: truth, values: subtracted, \
+                  tables: { step_mm: 50, cross: [{ correct: X, along: Y }] } }\n  \
+                  pitch: { export: fanuc-pitch, of: truth, values: added, axis_numbers: { X: 1, Y: 2, Z: 3 }, \
+                  tables: { step_mm: 50 }, largest_value: 127 }\n  \
+                  after: { validate: compensated, of: truth, grid: { points: 4, both_directions: true }, \
+                  exports: [tables, pitch] }\n";
+    std::fs::write(place.path().join("tables.yaml"), recipe).expect("a file");
+    let printed = crate::support::abbe(place.path(), &["run", "tables.yaml"]);
+    assert_eq!(printed.status, 0, "{}{}", printed.stdout, printed.stderr);
+    let out = place.path().join("out/tables");
+    for name in ["tables/AXIS_X.COM", "tables/AXIS_Y.COM", "tables/CONFIG.CMA", "pitch/fanuc-pitch.txt"] {
+        assert!(out.join(name).exists(), "{name}");
+    }
+    let verdicts = crate::support::json_file(&out.join("verdicts.json"));
+    let figure = |name: &str| {
+        let figures = verdicts[0]["figures"].as_array().expect("figures");
+        let found = figures.iter().find(|figure| figure["name"] == json!(name));
+        found.and_then(|figure| figure["value"].as_f64()).unwrap_or_else(|| panic!("no {name} in {verdicts}"))
+    };
+    let [before, tables, pitch] = ["tip max[before]", "tip max[tables]", "tip max[pitch]"].map(figure);
+    assert!(tables < before && pitch < before, "{before} {tables} {pitch}");
+}

@@ -93,6 +93,9 @@ fn most_points() -> usize {
 /// Decimals of corrections before they become whole numbers of units, mm and degrees.
 const DECIMALS: i32 = 6;
 
+/// No control has more points.
+const LAST_POINT: u16 = 9999;
+
 /// The largest value of a word (parameter 3627).
 const LARGEST_AT_REFERENCE: i64 = 32_767;
 
@@ -124,8 +127,8 @@ fn build(settings: Settings, context: &Context) -> Result<Box<dyn Export>, Setti
     if settings.most_points < 2 {
         return wrong("most_points", "at least 2 was expected");
     }
-    if settings.last_point <= settings.first_point {
-        return wrong("last_point", "more than `first_point` was expected");
+    if settings.last_point <= settings.first_point || settings.last_point > LAST_POINT {
+        return wrong("last_point", &format!("more than `first_point`, and at most {LAST_POINT}, was expected"));
     }
     if let Some((name, _)) = settings.reference_points.iter().find(|(_, place)| !place.is_finite()) {
         return Err(SettingsError::new(name, "a finite number was expected").under([key("reference_points")]));
@@ -150,41 +153,14 @@ impl Export for Fanuc {
 
     fn export(&self, calibration: &Calibration, model: &dyn KinematicModel) -> Result<Vec<ExportedFile>> {
         let (made, found) = self.made(calibration, model)?;
-        let places = self.places(model)?;
-        let mut next = self.settings.first_point;
-        let mut all = Vec::new();
-        let mut notes = made.notes.clone();
-        for table in &made.tables {
-            let name = &model.info().axes[table.output].name;
-            let machine = self.settings.values.turned(table.clone());
-            let counts = [&machine.forward, &machine.reverse].map(|values| self.counts(values, table.output, model));
-            let [forward, reverse] = counts;
-            let points = Points::new(
-                places.index(table, model)?,
-                &[forward?, reverse?],
-                table.repeats,
-                places.returns_negative(table.output),
-                next,
-            );
-            self.check(&points, name)?;
-            if let Some(owner) = found.owner(points.first.min(points.reference), i64::from(points.end()) - 1) {
-                let message = format!("points of {name} would overwrite those of axis {owner}");
-                let help = "use numbers after them, or name that axis under `axis_numbers`";
-                return Err(Error::usage(message).help(help).setting("first_point"));
-            }
-            next = points.end();
-            notes.push(format!("{name}: {}", points.note()));
-            all.push((self.number(table.output, model)?, self.interval(table, model)?, points));
-        }
-        if all.iter().all(|(.., points)| points.is_zero()) {
+        let axes = self.axes(&made, &found, model)?;
+        if axes.iter().all(|axis| axis.points.is_zero()) {
             return Err(Error::data("there is nothing to correct: all values are zero in detection units"));
         }
-        let text = self.text(&all, &found);
-        let notes = format!("{}{NOTES}{}\n", self.settings.values.warning(), notes.join("\n"));
-        Ok(vec![
-            ExportedFile { name: "fanuc-pitch.txt".to_owned(), content: text.into_bytes() },
-            ExportedFile { name: "fanuc-pitch-notes.txt".to_owned(), content: notes.into_bytes() },
-        ])
+        let numbers: String = axes.iter().map(|axis| format!("{}: {}\n", axis.name, axis.points.note())).collect();
+        let notes = format!("{}{NOTES}{}\n{numbers}", self.settings.values.warning(), made.notes.join("\n"));
+        let file = |name: &str, text: String| ExportedFile { name: name.to_owned(), content: text.into_bytes() };
+        Ok(vec![file("fanuc-pitch.txt", self.text(&axes, &found)), file("fanuc-pitch-notes.txt", notes)])
     }
 
     fn correction(
@@ -208,7 +184,49 @@ return to the reference points, after loading.
 Between two points the control moves by the whole value at once, or little by little; the prediction is linear.
 ";
 
+/// What is written of one axis.
+struct Axis<'a> {
+    name: &'a str,
+    number: u16,
+    /// Interval of points in 0.001 mm or degrees.
+    interval: i64,
+    points: Points,
+}
+
 impl Fanuc {
+    /// The axes in the order of their numbers, with numbered points.
+    fn axes<'a>(&self, made: &Made, found: &InFile, model: &'a dyn KinematicModel) -> Result<Vec<Axis<'a>>> {
+        let places = self.places(model)?;
+        let mut tables = Vec::new();
+        for table in &made.tables {
+            tables.push((self.number(table.output, model)?, table));
+        }
+        tables.sort_by_key(|(number, _)| *number);
+        let mut next = self.settings.first_point;
+        let mut axes = Vec::new();
+        for (number, table) in tables {
+            let name = model.info().axes[table.output].name.as_str();
+            let machine = self.settings.values.turned(table.clone());
+            let counts = |values: &[f64]| self.counts(values, table.output, model);
+            let points = Points::new(
+                places.index(table, model)?,
+                &[counts(&machine.forward)?, counts(&machine.reverse)?],
+                table.repeats,
+                places.returns_negative(table.output),
+                next,
+            );
+            self.check(&points, name)?;
+            if let Some(owner) = found.owner(points.first.min(points.reference), i64::from(points.end()) - 1) {
+                let message = format!("points of {name} would overwrite those of axis {owner}");
+                let help = "use numbers after them, or name that axis under `axis_numbers`";
+                return Err(Error::usage(message).help(help).setting("first_point"));
+            }
+            next = points.end();
+            axes.push(Axis { name, number, interval: self.interval(table, model)?, points });
+        }
+        Ok(axes)
+    }
+
     /// The tables as whole numbers of units, and what the control has already.
     fn made(&self, calibration: &Calibration, model: &dyn KinematicModel) -> Result<(Made, InFile)> {
         let mut numbered = BTreeMap::new();
@@ -330,23 +348,23 @@ impl Fanuc {
         Ok(interval.round() as i64)
     }
 
-    fn text(&self, all: &[(u16, i64, Points)], found: &InFile) -> String {
-        let parameter = |number: u16, value: &dyn Fn(&(u16, i64, Points)) -> String| {
-            let axes: String = all.iter().map(|axis| format!("A{}P{}", axis.0, value(axis))).collect();
-            format!("N{number:05}{axes}\n")
+    fn text(&self, axes: &[Axis<'_>], found: &InFile) -> String {
+        let parameter = |number: u16, value: &dyn Fn(&Axis<'_>) -> i64| {
+            let values: String = axes.iter().map(|axis| format!("A{}P{}", axis.number, value(axis))).collect();
+            format!("N{number:05}{values}\n")
         };
-        let mut text = "%\n".to_owned();
-        text += &parameter(3605, &|(axis, _, points)| found.bits(*axis, points.has_directions()));
-        let whole = |of: fn(&Points) -> i64| move |(_, _, points): &(u16, i64, Points)| of(points).to_string();
-        text += &parameter(3620, &whole(|points| points.reference));
-        text += &parameter(3621, &whole(|points| points.first));
-        text += &parameter(3622, &whole(Points::last));
-        text += &parameter(3623, &|_| self.settings.magnification.to_string());
-        text += &parameter(3624, &|(_, interval, _)| interval.to_string());
-        text += &parameter(3625, &whole(|points| if points.is_turn { 360_000 } else { 0 }));
-        text += &parameter(3626, &whole(|points| points.first_negative));
-        text += &parameter(3627, &whole(|points| points.at_reference));
-        for (number, value) in all.iter().flat_map(|(.., points)| points.values()) {
+        let bits = |axis: &Axis<'_>| found.bits(axis.number, axis.points.has_directions());
+        let bits: String = axes.iter().map(|axis| format!("A{}P{}", axis.number, bits(axis))).collect();
+        let mut text = format!("%\nN03605{bits}\n");
+        text += &parameter(3620, &|axis| axis.points.reference);
+        text += &parameter(3621, &|axis| axis.points.first);
+        text += &parameter(3622, &|axis| axis.points.last());
+        text += &parameter(3623, &|_| i64::from(self.settings.magnification));
+        text += &parameter(3624, &|axis| axis.interval);
+        text += &parameter(3625, &|axis| if axis.points.is_turn { 360_000 } else { 0 });
+        text += &parameter(3626, &|axis| axis.points.first_negative);
+        text += &parameter(3627, &|axis| axis.points.at_reference);
+        for (number, value) in axes.iter().flat_map(|axis| axis.points.values()) {
             text += &format!("N{:05}P{value}\n", 10_000 + number);
         }
         text + "%\n"

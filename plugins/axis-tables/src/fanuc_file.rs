@@ -128,7 +128,7 @@ pub fn read(
                     }
                 }
             }
-            10_000..=11_279 => {
+            10_000..=19_999 => {
                 let value = rest.strip_prefix('P').and_then(|value| value.parse().ok()).ok_or_else(fails)?;
                 numbers.points.insert(i64::from(number) - 10_000, value);
             }

@@ -91,13 +91,16 @@ impl Export for Heidenhain {
 
     fn export(&self, calibration: &Calibration, model: &dyn KinematicModel) -> Result<Vec<ExportedFile>> {
         let made = self.made(calibration, model)?;
-        let mut by_input: BTreeMap<usize, Vec<&AxisTable>> = BTreeMap::new();
-        made.tables.iter().for_each(|table| by_input.entry(table.input).or_default().push(table));
+        let name = |axis: usize| model.info().axes[axis].name.as_str();
+        // In the order of names, moving axes and columns.
+        let mut by_input: BTreeMap<&str, Vec<&AxisTable>> = BTreeMap::new();
+        made.tables.iter().for_each(|table| by_input.entry(name(table.input)).or_default().push(table));
         let mut files = Vec::new();
-        for (input, tables) in &by_input {
-            files.push(file(&self.name(*input, model), self.table(*input, tables, model)?));
+        for (input, tables) in &mut by_input {
+            tables.sort_by_key(|table| name(table.output));
+            files.push(file(&self.name(input), self.table(input, tables, model)?));
         }
-        files.push(file("CONFIG.CMA", self.assignment(by_input.keys().copied(), model)));
+        files.push(file("CONFIG.CMA", self.assignment(by_input.into_keys())));
         files.push(file(
             "heidenhain-tables.txt",
             format!("{}{NOTES}{}\n", self.settings.values.warning(), made.notes.join("\n")),
@@ -134,13 +137,13 @@ impl Heidenhain {
         self.settings.tables.made(calibration, model, &limits, existing)
     }
 
-    fn name(&self, input: usize, model: &dyn KinematicModel) -> String {
+    fn name(&self, input: &str) -> String {
         let between = if self.settings.form == Form::AxisPositions { '_' } else { '-' };
-        format!("AXIS{between}{}.COM", model.info().axes[input].name)
+        format!("AXIS{between}{input}.COM")
     }
 
     /// The file of all axes that are corrected along one.
-    fn table(&self, input: usize, tables: &[&AxisTable], model: &dyn KinematicModel) -> Result<String> {
+    fn table(&self, input: &str, tables: &[&AxisTable], model: &dyn KinematicModel) -> Result<String> {
         let axes = &model.info().axes;
         let tables: Vec<AxisTable> = tables.iter().map(|table| self.settings.values.turned((*table).clone())).collect();
         let Some(first) = tables.first() else { return Ok(String::new()) };
@@ -153,9 +156,9 @@ impl Heidenhain {
         if self.settings.form == Form::AxisPositions {
             columns.push(("AXISPOS", places.clone()));
         }
-        if let Some(own) = tables.iter().find(|table| table.output == input && !table.is_same_both_ways()) {
+        if let Some(own) = tables.iter().find(|table| table.output == table.input && !table.is_same_both_ways()) {
             if self.settings.form != Form::AxisPositions {
-                let message = format!("the correction of {} depends on the direction of travel", axes[input].name);
+                let message = format!("the correction of {input} depends on the direction of travel");
                 return Err(Error::data(message).help("`axis-positions` can do that").setting("form"));
             }
             columns.push(("BACKLASH", column(own, &own.reverse)));
@@ -167,12 +170,12 @@ impl Heidenhain {
             line(&point.to_string(), &cells)
         };
         let rows: String = (0..places.len()).map(row).collect();
-        Ok(format!("{}{}{rows}[END]\n", self.begin(input, &places, model), line("NR", &names)))
+        Ok(format!("{}{}{rows}[END]\n", self.begin(input, &places), line("NR", &names)))
     }
 
     /// The first line of a file.
-    fn begin(&self, input: usize, places: &[f64], model: &dyn KinematicModel) -> String {
-        let name = self.name(input, model);
+    fn begin(&self, input: &str, places: &[f64]) -> String {
+        let name = self.name(input);
         match (self.settings.form, places) {
             (Form::DatumAndDistance | Form::PowerOfTwo, [first, second, ..]) => {
                 format!("BEGIN {name} DATUM:{first:+.4} DISTANCE:{:+.4}\n", second - first)
@@ -214,10 +217,8 @@ impl Heidenhain {
     }
 
     /// One active line that names the file of each axis.
-    fn assignment(&self, inputs: impl Iterator<Item = usize>, model: &dyn KinematicModel) -> String {
-        let inputs: Vec<usize> = inputs.collect();
-        let names: Vec<String> = inputs.iter().map(|axis| model.info().axes[*axis].name.clone()).collect();
-        let files: Vec<String> = inputs.iter().map(|axis| self.name(*axis, model)).collect();
+    fn assignment<'a>(&self, inputs: impl Iterator<Item = &'a str>) -> String {
+        let (names, files): (Vec<String>, Vec<String>) = inputs.map(|axis| (axis.to_owned(), self.name(axis))).unzip();
         let row = |first: &str, active: &str, cells: &[String]| line(first, &[&[active.to_owned()], cells].concat());
         format!("BEGIN CONFIG.CMA\n{}{}[END]\n", row("NR", "ACTIVE", &names), row("0", "*", &files))
     }
