@@ -1,5 +1,5 @@
-//! An emulator of stored pitch error compensation of Fanuc, from the parameter manual of the Series 0i-PB (B-63980EN, pp. 99 and 100) and
-//! A-77810E (both directions). It counts the pulses of the sections between the reference point and a position.
+//! An emulator of stored pitch error compensation of Fanuc, from the parameter manual of the Series 0i-PB (B-63980EN, p. 100) and A-77810E
+//! (both directions). It counts the pulses of the sections between the reference point and a position.
 
 use std::collections::BTreeMap;
 
@@ -105,8 +105,8 @@ fn control(files: &[ExportedFile], sense: f64) -> Box<dyn Control> {
     Box::new(Fanuc::load(files, sense, &|_| PLAIN))
 }
 
-/// The examples of the manual: points 33 to 49 around the reference point 40, and the curve that is drawn for them; and a turn of eight
-/// points from 60.
+/// The examples of the manual: points 33 to 49 (around a reference point 40, every 50 mm, as follows from the curve from -400 mm that is
+/// drawn for them); and a turn of eight points from 60.
 #[test]
 fn the_control_does_what_the_manual_says() {
     let values = [2, 1, 1, -2, 0, -1, 0, -1, 2, 1, 0, -1, -1, -2, 0, 1, 2];

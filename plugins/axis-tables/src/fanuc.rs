@@ -53,7 +53,7 @@ struct Settings {
     /// Magnification of values (parameter 3623).
     #[serde(default = "once")]
     magnification: u8,
-    /// Largest value of a point: 7; 127 in some controls.
+    /// Largest value of a point: 7; 127 in some controls. Compare the manual of the control.
     #[serde(default = "seven")]
     largest_value: u8,
     /// Number of the first point that is used.
@@ -178,6 +178,7 @@ const NOTES: &str = "\
 Save all parameters first. Numbers of pitch data (N10000 and following) come from secondary sources: compare them with a \
 file that the control wrote.
 Points of axes that stand neither here nor in `existing` have to have other numbers.
+That 3627 holds against the direction of the reference return, and limits of points and values: compare the manual.
 Bits 1 to 7 of parameter 3605 are those of `existing`, else zero: compare them, too.
 The values are zero at the reference point, approached as in the reference return. Switch the control off and on, and \
 return to the reference points, after loading.

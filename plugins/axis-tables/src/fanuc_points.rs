@@ -90,7 +90,7 @@ impl Points {
 mod tests {
     use super::*;
 
-    /// Series 0i-PB, B-63980EN, pp. 99 and 100: reference point 40, points every 50 mm from -400 mm.
+    /// Series 0i-PB, B-63980EN, p. 100: points around the reference point 40 from -400 mm, every 50 mm.
     #[test]
     fn numbers_are_those_of_the_manual() {
         let curve = vec![2, 4, 5, 6, 4, 4, 3, 3, 2, 4, 5, 5, 4, 3, 1, 1, 2];
