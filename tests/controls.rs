@@ -3,8 +3,11 @@
 //! One law for all ([`law`]): the exported files go into the emulator, the commands of its motors go to the virtual machine with the
 //! errors of the calibration, and its tool is where the exporter's own prediction says. With the sign turned the law fails.
 
+mod endless;
+mod fanuc;
 mod grbl;
 mod grid;
+mod heidenhain;
 mod isg;
 mod isg_volumetric;
 pub(crate) mod law;

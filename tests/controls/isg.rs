@@ -9,14 +9,14 @@ use super::law::{ByAxis, Control, Machine, exporter, holds, predicted, seeds};
 use super::random;
 
 /// Entries of lists by axis, and which way positive values of cross compensation move.
-struct Isg {
+pub(super) struct Isg {
     lists: BTreeMap<String, BTreeMap<String, String>>,
     numbers: BTreeMap<String, String>,
     cross: f64,
 }
 
 impl Isg {
-    fn load(files: &[ExportedFile], cross: f64) -> Self {
+    pub(super) fn load(files: &[ExportedFile], cross: f64) -> Self {
         let (mut lists, mut numbers) = (BTreeMap::new(), BTreeMap::new());
         for file in files.iter().filter(|file| file.name.ends_with(".lis")) {
             let mut entries = BTreeMap::new();
@@ -36,6 +36,11 @@ impl Isg {
         let of = |index: usize, column: &str| -> f64 {
             entries[&format!("{list}.table[{index}].{column}")].parse().unwrap()
         };
+        let mut at = at;
+        if entries.get(&format!("{list}.modulo")).is_some_and(|modulo| modulo == "1") {
+            let (first, last) = (of(0, "setpoint"), of(count - 1, "setpoint"));
+            at = first + (at - first).rem_euclid(last - first);
+        }
         let mut index = 0;
         while index < count && of(index, "setpoint") < at {
             index += 1;

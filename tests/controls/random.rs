@@ -19,6 +19,8 @@ pub enum Errors {
     Positioning,
     /// Positioning errors of degree one and reversal of one rotary axis, and no others.
     Rotary,
+    /// The same for a rotary axis that turns without an end: its errors repeat with every turn.
+    Endless,
 }
 
 /// Largest coefficient of degree two of the machines, 1/mm.
@@ -28,6 +30,9 @@ const CURVATURE: f64 = 1e-7;
 pub fn bow(step: f64) -> f64 {
     3.0 * 3.0_f64.sqrt() * CURVATURE * step * step / 4.0 + 1e-5
 }
+
+/// Largest displacement of a rotary axis in each direction, mm.
+const DISPLACED: f64 = 5e-3;
 
 struct Random(u64);
 
@@ -53,12 +58,12 @@ impl Random {
 
 /// A machine of a seed.
 pub fn machine(seed: u64, errors: Errors) -> Machine {
-    with_values(&settings(seed, errors), seed)
+    of_settings(&settings(seed, errors), seed, DISPLACED)
 }
 
 /// The machine of a seed with the values of another one.
 pub fn machine_like(seed: u64, values: u64) -> Machine {
-    with_values(&settings(seed, Errors::Any), values)
+    of_settings(&settings(seed, Errors::Any), values, DISPLACED)
 }
 
 fn settings(seed: u64, errors: Errors) -> Value {
@@ -66,7 +71,7 @@ fn settings(seed: u64, errors: Errors) -> Value {
     let rotary = match errors {
         Errors::Any | Errors::Smooth => random.shuffled(&["A", "B", "C"])[..(random.uniform() * 3.0) as usize].to_vec(),
         // C between spindle and tool turns the tool about itself.
-        Errors::Rotary => random.shuffled(&["A", "B"])[..1].to_vec(),
+        Errors::Rotary | Errors::Endless => random.shuffled(&["A", "B"])[..1].to_vec(),
         Errors::OfOneAxis | Errors::Positioning => Vec::new(),
     };
     // Rotary axes outside the linear ones: these are never parallel.
@@ -76,11 +81,14 @@ fn settings(seed: u64, errors: Errors) -> Value {
     let chain = [&["w"][..], of_table, &linear[..split], &["b"], &linear[split..], of_tool, &["t"]].concat().join(" ");
     let mut range = |axis: &str| match axis {
         "X" | "Y" | "Z" => json!({ "range_mm": [-300, 300] }),
-        _ if errors != Errors::Smooth => json!({ "range_deg": [-120, 120], "point_mm": [10, -20, 30] }),
-        _ => {
+        _ if errors == Errors::Endless => {
+            json!({ "range_deg": [0, 360], "endless": true, "point_mm": [10, -20, 30] })
+        }
+        _ if errors == Errors::Smooth => {
             let point = [(); 3].map(|()| random.within(150.0).round());
             json!({ "range_deg": [-100, 100], "point_mm": point })
         }
+        _ => json!({ "range_deg": [-120, 120], "point_mm": [10, -20, 30] }),
     };
     let axes: serde_json::Map<String, Value> =
         linear.iter().chain(&rotary).map(|axis| (axis.to_string(), range(axis))).collect();
@@ -101,6 +109,10 @@ fn settings(seed: u64, errors: Errors) -> Value {
         ]),
         Errors::Rotary => json!([
             { "polynomial": positions[3..], "degrees": [1] },
+            { "backlash": positions[3..] },
+        ]),
+        Errors::Endless => json!([
+            { "fourier": positions[3..], "orders": [1, 2] },
             { "backlash": positions[3..] },
         ]),
         Errors::Any => json!([
@@ -126,8 +138,19 @@ fn settings(seed: u64, errors: Errors) -> Value {
     })
 }
 
-/// A calibration with random values for all parameters.
-fn with_values(settings: &Value, seed: u64) -> Machine {
+/// The machine with the same errors in both directions of travel.
+pub fn without_reversal(machine: &Machine) -> Machine {
+    let mut calibration: Value = serde_json::from_str(&machine.calibration.to_json().expect("JSON")).expect("JSON");
+    for parameter in calibration["parameters"].as_array_mut().expect("parameters") {
+        if parameter["name"].as_str().is_some_and(|name| name.ends_with("[b]")) {
+            parameter["value"] = json!(0.0);
+        }
+    }
+    Machine::of(&calibration)
+}
+
+/// A machine of these settings with random values of a seed; rotary axes are displaced by up to `displaced` mm in each direction.
+pub fn of_settings(settings: &Value, seed: u64, displaced: f64) -> Machine {
     let registry = registry();
     let Build::Model(plugin) = &registry.find(Kind::Model, "serial-chain").expect("built in").build else { panic!() };
     let built =
@@ -136,7 +159,9 @@ fn with_values(settings: &Value, seed: u64) -> Machine {
     let mut random = Random(seed ^ 0x5555);
     let parameters = model.info().parameters.iter().map(|parameter| {
         let unit = parameter.unit.to_string();
+        let rotary_axis_stands = parameter.name[2..].strip_prefix('0').is_some_and(|axis| "ABC".contains(axis));
         let size = match unit.as_str() {
+            "mm" if rotary_axis_stands => displaced,
             "mm" => 5e-3,
             "rad" => 3e-5,
             "mm/mm" | "rad/rad" => 3e-5,

@@ -9,13 +9,13 @@ use super::law::{ByAxis, Control, Machine, exporter, holds, seeds};
 use super::random;
 
 /// Variables by their name with indices, as in the file; and the axes of the machine by the names of machine axes.
-struct Sinumerik {
+pub(super) struct Sinumerik {
     variables: BTreeMap<String, String>,
     axes: BTreeMap<String, String>,
 }
 
 impl Sinumerik {
-    fn load(files: &[ExportedFile], axes: &[(&str, &str)]) -> Self {
+    pub(super) fn load(files: &[ExportedFile], axes: &[(&str, &str)]) -> Self {
         let mut variables = BTreeMap::new();
         for file in files {
             let text = std::str::from_utf8(&file.content).expect("text");
@@ -96,7 +96,8 @@ impl Control for Sinumerik {
     }
 }
 
-const AXES: [(&str, &str); 6] = [("X", "AX1"), ("Y", "AX2"), ("Z", "AX3"), ("A", "AX4"), ("B", "AX5"), ("C", "AX6")];
+pub(super) const AXES: [(&str, &str); 6] =
+    [("X", "AX1"), ("Y", "AX2"), ("Z", "AX3"), ("A", "AX4"), ("B", "AX5"), ("C", "AX6")];
 
 fn settings(machine: &Machine, tables: Value) -> Value {
     let own = AXES.iter().filter(|(axis, _)| machine.model.info().axes.iter().any(|other| other.name == *axis));

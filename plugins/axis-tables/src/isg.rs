@@ -141,7 +141,7 @@ impl Isg {
                 existing.push(if table.input == output { table.map(|value| -value) } else { self.turned(table)? });
             }
         }
-        let limits = Limits { points: MOST, decimals: DECIMALS, cross: Pairs::Asked };
+        let limits = Limits { points: MOST, decimals: DECIMALS, cross: Pairs::Asked, same_points: false };
         let made = self.settings.tables.made(calibration, model, &limits, existing)?;
         let cross: Vec<&AxisTable> = made.tables.iter().filter(|table| table.input != table.output).collect();
         for (index, table) in cross.iter().enumerate() {

@@ -1,6 +1,11 @@
 //! Exporters of tables along axes: pitch and cross compensation of controls.
 
 mod existing;
+mod fanuc;
+mod fanuc_file;
+mod fanuc_points;
+mod heidenhain;
+mod heidenhain_file;
 mod isg;
 mod isg_file;
 mod siemens;

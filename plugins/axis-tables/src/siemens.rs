@@ -195,7 +195,8 @@ impl Siemens {
             PositioningBy::Cec => ([own, cross].concat(), InFile { encoder: known.encoder, sag: Vec::new() }),
             PositioningBy::Eec => ([known.encoder, cross].concat(), InFile { encoder: Vec::new(), sag: own }),
         };
-        let limits = Limits { points: self.settings.most_points, decimals: DECIMALS, cross: Pairs::All };
+        let limits =
+            Limits { points: self.settings.most_points, decimals: DECIMALS, cross: Pairs::All, same_points: false };
         Ok((self.settings.tables.made(calibration, model, &limits, existing)?, kept))
     }
 

@@ -87,6 +87,8 @@ pub struct Limits {
     pub decimals: i32,
     /// Which axes are corrected along others if the settings do not say it.
     pub cross: Pairs,
+    /// All tables along an axis stand in one file: they have the same points.
+    pub same_points: bool,
 }
 
 /// Pairs of linear axes.
@@ -96,6 +98,39 @@ pub enum Pairs {
     All,
     /// Only pairs that are asked for, with the same values in both directions of travel.
     Asked,
+}
+
+/// What a control does with a value, where manuals do not say it.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Deserialize, JsonSchema)]
+#[serde(rename_all = "kebab-case")]
+pub enum Values {
+    /// A positive value moves the axis in positive direction.
+    Added,
+    /// A positive value is a positive error: it moves the axis in negative direction.
+    Subtracted,
+}
+
+impl Values {
+    /// Values of files as corrections, and corrections as values of files.
+    pub fn turned(self, table: AxisTable) -> AxisTable {
+        match self {
+            Self::Added => table,
+            Self::Subtracted => table.map(|value| -value),
+        }
+    }
+
+    /// A sentence for those who load the files.
+    pub fn warning(self) -> String {
+        let (does, way) = match self {
+            Self::Added => ("adds", "positive"),
+            Self::Subtracted => ("subtracts", "negative"),
+        };
+        format!(
+            "The manuals do not say which way a value moves the axis. These files are right if the control {does} values: \
+             a positive value moves the axis in {way} direction.\nTry that with one known value before machining, else turn \
+             `values`.\n"
+        )
+    }
 }
 
 /// The tables of a control.
@@ -109,6 +144,17 @@ pub struct Made {
 }
 
 impl Made {
+    /// The new tables with values as a file can hold them.
+    pub fn changed(mut self, change: impl Fn(&AxisTable) -> Result<AxisTable>) -> Result<Self> {
+        for part in &mut self.new {
+            let Some(table) = self.tables.iter_mut().find(|table| table.is_for_same_axes(part)) else { continue };
+            let old = table.plus(&part.clone().map(|value| -value))?;
+            *table = change(table)?;
+            *part = table.plus(&old.map(|value| -value))?;
+        }
+        Ok(self)
+    }
+
     /// What the control does beyond what it did when the calibration was measured.
     pub fn correction(self, model: &dyn KinematicModel) -> Result<Option<Box<dyn CommandCorrection>>> {
         Ok(Some(Box::new(AxisTables::new(model.info(), self.new)?)))
@@ -170,7 +216,7 @@ impl Tables {
             return Err(Error::usage(message));
         }
         AxisTables::new(model.info(), existing.clone())?;
-        let source = TableSource::new(model, calibration, &self.places(model)?, self.largest_mm);
+        let source = TableSource::new(model, calibration, &places(&self.at, "at", model)?, self.largest_mm);
         let axes = &model.info().axes;
         let own = self.own(model)?;
         let turned: Vec<usize> = own.iter().copied().filter(|&axis| axes[axis].kind == AxisKind::Rotary).collect();
@@ -179,7 +225,8 @@ impl Tables {
         for (output, input) in own.into_iter().map(|axis| (axis, axis)).chain(cross) {
             let empty = AxisTable { input, output, ..AxisTable::default() };
             let before = made.tables.iter().position(|table| table.is_for_same_axes(&empty));
-            let positions = match before {
+            let in_same_file = || limits.same_points.then(|| made.tables.iter().position(|table| table.input == input));
+            let positions = match before.or_else(|| in_same_file().flatten()) {
                 Some(index) => made.tables[index].positions.clone(),
                 None => self.points(&axes[input], limits.points)?,
             };
@@ -211,24 +258,6 @@ impl Tables {
             return Err(error.setting("positioning"));
         }
         Ok(made)
-    }
-
-    /// Places of axes by their index, mm or rad.
-    fn places(&self, model: &dyn KinematicModel) -> Result<BTreeMap<usize, f64>> {
-        let place = |(setting, value): (&String, &f64)| {
-            let (name, quantity, factor) = Quantity::of_column(setting);
-            let axis = axis_of(model, name).map_err(|error| within(error, &["at", setting]))?;
-            let expected = match model.info().axes[axis].kind {
-                AxisKind::Linear => Quantity::Length,
-                AxisKind::Rotary => Quantity::Angle,
-            };
-            if quantity != expected {
-                let message = format!("`{name}{}` was expected", expected.usual_suffix());
-                return Err(within(Error::usage(message), &["at", setting]));
-            }
-            Ok((axis, value * factor))
-        };
-        self.at.iter().map(place).collect()
     }
 
     /// The axes that are corrected along themselves.
@@ -377,6 +406,24 @@ fn note(table: &AxisTable, interpolation: f64, model: &dyn KinematicModel, const
         interpolation * factor,
         constant * factor + 0.0,
     )
+}
+
+/// Places of axes by their index, mm or rad, from a setting like `{ X_mm: 100 }`.
+pub fn places(list: &BTreeMap<String, f64>, setting: &str, model: &dyn KinematicModel) -> Result<BTreeMap<usize, f64>> {
+    let place = |(column, value): (&String, &f64)| {
+        let at = |error: Error| within(error, &[setting, column]);
+        let (name, quantity, factor) = Quantity::of_column(column);
+        let axis = axis_of(model, name).map_err(at)?;
+        let expected = match model.info().axes[axis].kind {
+            AxisKind::Linear => Quantity::Length,
+            AxisKind::Rotary => Quantity::Angle,
+        };
+        match quantity == expected {
+            true => Ok((axis, value * factor)),
+            false => Err(at(Error::usage(format!("`{name}{}` was expected", expected.usual_suffix())))),
+        }
+    };
+    list.iter().map(place).collect()
 }
 
 /// A value with some decimals, never minus zero.
