@@ -3,11 +3,13 @@
 //! One law for all ([`law`]): the exported files go into the emulator, the commands of its motors go to the virtual machine with the
 //! errors of the calibration, and its tool is where the exporter's own prediction says. With the sign turned the law fails.
 
+mod five_axes;
 mod grbl;
 mod grid;
 mod isg;
 mod isg_volumetric;
 pub(crate) mod law;
+mod linuxcnc_five_axis;
 mod linuxcnc_kinematics;
 mod linuxcnc_screw;
 mod printer_skew;

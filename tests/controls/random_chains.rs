@@ -64,10 +64,15 @@ fn machine(random: &mut Random) -> Machine {
         "chain": chain, "tool_length_mm": 150, "stylus_radius_mm": 0, "axes": axes, "errors": errors,
         "error_frame": frame,
     });
-    Machine::of(&with_values(&settings, random))
+    Machine::of(&with_values(&settings, random, 0.0))
 }
 
-fn with_values(settings: &Value, random: &mut Random) -> Value {
+/// A machine of these settings with random values of a seed; rotary axes are displaced by up to `displaced` mm in each direction.
+pub fn of_settings(settings: &Value, seed: u64, displaced: f64) -> Machine {
+    Machine::of(&with_values(settings, &mut Random(seed.wrapping_mul(0x9E37_79B9_7F4A_7C15) | 1), displaced))
+}
+
+fn with_values(settings: &Value, random: &mut Random, displaced: f64) -> Value {
     let mut calibration = json!({
         "abbe_calibration": 1, "estimate": "truth", "parameters": [], "artefacts": [], "outliers": [],
         "model": { "plugin": "serial-chain", "settings": settings },
@@ -92,6 +97,7 @@ fn with_values(settings: &Value, random: &mut Random) -> Value {
                 Some("[1]") => 3e-5,
                 Some("[2]") => 5e-8,
                 Some(_) if is_angle => 5e-5,
+                Some("A" | "B" | "C") => displaced,
                 Some(_) if is_rotary => 5e-3,
                 _ => 0.0,
             };

@@ -4,11 +4,13 @@
 //! ([`Export::correction`](abbe_core::Export::correction)).
 
 mod files;
+mod five_axis;
 mod grbl;
 mod grid;
 mod isg_volumetric;
 mod lattice;
 mod linear;
+mod linuxcnc_five_axis;
 mod motion_tables;
 mod printer_skew;
 mod rigid;
