@@ -16,4 +16,5 @@ mod printer_skew;
 mod random;
 mod random_chains;
 mod siemens;
+mod siemens_kinematics;
 mod three_axes;

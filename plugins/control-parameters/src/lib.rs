@@ -1,4 +1,4 @@
-//! Exporters for corrections over the workspace and for parameters of small controls.
+//! Exporters for corrections over the workspace, for parameters of small controls, and for five-axis transformations.
 //!
 //! Each one predicts from the numbers that it writes what the control does with them
 //! ([`Export::correction`](abbe_core::Export::correction)).
@@ -14,3 +14,4 @@ mod linuxcnc_five_axis;
 mod motion_tables;
 mod printer_skew;
 mod rigid;
+mod siemens_kinematics;
