@@ -201,6 +201,18 @@ fn line(joint: &Joint, near: &Point3<f64>) -> Line {
     }
 }
 
+/// The part of a vector across one or two directions.
+pub fn across(vector: Vector3<f64>, directions: &[Vector3<f64>]) -> Vector3<f64> {
+    let without = |vector: Vector3<f64>, direction: Vector3<f64>| vector - direction * vector.dot(&direction);
+    let (first, second) = match directions {
+        [first, second] => (*first, without(*second, *first)),
+        [first] => (*first, Vector3::zeros()),
+        _ => return vector,
+    };
+    let rest = without(vector, first);
+    if second.norm() > PARALLEL { without(rest, second.normalize()) } else { rest }
+}
+
 /// A control that knew the nominal axes and knows others now.
 struct Predicted {
     nominal: Transformation,

@@ -3,6 +3,7 @@
 //! Each one predicts from the numbers that it writes what the control does with them
 //! ([`Export::correction`](abbe_core::Export::correction)).
 
+mod fanuc_five_axis;
 mod files;
 mod five_axis;
 mod grbl;

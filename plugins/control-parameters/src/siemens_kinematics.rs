@@ -12,7 +12,7 @@ use serde::Deserialize;
 use serde_json::{Value, json};
 
 use crate::files::{file, rounded};
-use crate::five_axis::{FiveAxes, Line, Transformation};
+use crate::five_axis::{FiveAxes, Line, Transformation, across};
 
 abbe_core::register!(
     Export,
@@ -278,18 +278,6 @@ impl SiemensKinematics {
         }
         Ok(offsets)
     }
-}
-
-/// The part of a vector across one or two directions.
-fn across(vector: Vector3<f64>, directions: &[Vector3<f64>]) -> Vector3<f64> {
-    let without = |vector: Vector3<f64>, direction: Vector3<f64>| vector - direction * vector.dot(&direction);
-    let (first, second) = match directions {
-        [first, second] => (*first, without(*second, *first)),
-        [first] => (*first, Vector3::zeros()),
-        _ => return vector,
-    };
-    let rest = without(vector, first);
-    if second.norm() > SAME { without(rest, second.normalize()) } else { rest }
 }
 
 /// The present direction of an axis with its orientation errors, as it is written.
