@@ -5,15 +5,19 @@
 
 mod endless;
 mod fanuc;
+mod fanuc_five_axis;
+mod five_axes;
 mod grbl;
 mod grid;
 mod heidenhain;
 mod isg;
 mod isg_volumetric;
 pub(crate) mod law;
+mod linuxcnc_five_axis;
 mod linuxcnc_kinematics;
 mod linuxcnc_screw;
 mod printer_skew;
 mod random;
 mod siemens;
+mod siemens_kinematics;
 mod three_axes;

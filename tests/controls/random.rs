@@ -159,7 +159,8 @@ pub fn of_settings(settings: &Value, seed: u64, displaced: f64) -> Machine {
     let mut random = Random(seed ^ 0x5555);
     let parameters = model.info().parameters.iter().map(|parameter| {
         let unit = parameter.unit.to_string();
-        let rotary_axis_stands = parameter.name[2..].strip_prefix('0').is_some_and(|axis| "ABC".contains(axis));
+        let rotary_axis_stands =
+            parameter.name.get(2..).and_then(|end| end.strip_prefix('0')).is_some_and(|axis| "ABC".contains(axis));
         let size = match unit.as_str() {
             "mm" if rotary_axis_stands => displaced,
             "mm" => 5e-3,

@@ -2,6 +2,7 @@
 //!
 //! - `cargo xtask ci [--all]`: everything the gate asks for, the same on every machine; with `--all` nothing may be skipped.
 //! - `cargo xtask bench [--save]`: run the benchmarks, compare with (or write) `benches/baseline.json`.
+//! - `cargo xtask campaign controls COUNT SEED`: the laws of `tests/controls` on COUNT random machines each.
 //! - `cargo xtask campaign machines|compensation|tango|bad-inputs|signals|sizes COUNT SEED`: run a campaign over many random cases
 //!   (`tests/campaigns`).
 //! - `cargo xtask header`: write the C header of the plugin interface.
@@ -30,6 +31,11 @@ fn main() -> ExitCode {
         ["ci", "--all"] => gate::run(true),
         ["bench"] => bench(false),
         ["bench", "--save"] => bench(true),
+        ["campaign", "controls", count, seed] => {
+            let mut tests = cargo(&["test", "--release", "--locked", "--package", "abbe-tests", "--", "controls::"]);
+            tests.env("ABBE_SEEDS", format!("{count} {seed}"));
+            run(tests)
+        }
         ["campaign", name, count, seed] => {
             run(cargo(&["run", "--release", "--locked", "--package", "abbe-campaigns", "--", name, count, seed]))
         }

@@ -38,7 +38,8 @@ pub struct Joint {
     pub direction: Vector3<f64>,
     /// A point of the line of a rotary axis, nearest to the origin; the origin for a linear axis.
     pub point: Point3<f64>,
-    status: usize,
+    /// The column of its command.
+    pub status: usize,
 }
 
 impl Joint {
@@ -84,7 +85,7 @@ pub struct Machine {
     /// The tip with every axis at zero.
     pub tip: Point3<f64>,
     /// The status with every axis at zero.
-    standing: Vec<f64>,
+    pub standing: Vec<f64>,
 }
 
 impl Machine {
@@ -136,7 +137,7 @@ impl Machine {
     }
 
     /// Places of the axes among [`joints`](Self::joints), from the bed on.
-    fn branch(&self, branch: Branch) -> Vec<usize> {
+    pub fn branch(&self, branch: Branch) -> Vec<usize> {
         let own = (0..self.joints.len()).filter(|&place| self.joints[place].branch == branch);
         match branch {
             Branch::Tool => own.collect(),
