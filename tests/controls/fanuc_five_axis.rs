@@ -117,7 +117,7 @@ fn random(seed: u64, errors: Errors) -> (FiveAxes, Parameters) {
         (&[], &["C", "B"]),
     ];
     let (table, head) = layouts[seed as usize % 6];
-    let reversed: &[&str] = if seed % 4 == 0 { &table[..table.len().min(1)] } else { &[] };
+    let reversed: &[&str] = if seed.is_multiple_of(4) { &table[..table.len().min(1)] } else { &[] };
     let made = machine(seed, &Layout { table, head, reversed }, errors);
     let tool = (0.5 * made.tool).round();
     let last = made.head.last().map(|(_, point)| *point).unwrap_or_default();

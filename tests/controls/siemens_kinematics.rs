@@ -76,7 +76,7 @@ impl Carrier {
         }
     }
 
-    fn from_table(&self, place: Vector, angles: &ByAxis) -> Vector {
+    fn seen_from_table(&self, place: Vector, angles: &ByAxis) -> Vector {
         let [i2, i3, i4] = [4, 15, 18].map(|from| times(self.vector(from), -1.0));
         match self.kind {
             'P' => plus(i4, self.back(plus(i3, self.back(plus(i2, place), 0, angles)), 1, angles)),
@@ -86,7 +86,7 @@ impl Carrier {
     }
 
     fn place(&self, linear: Vector, angles: &ByAxis) -> Vector {
-        self.from_table(plus(linear, times(self.length(angles), -1.0)), angles)
+        self.seen_from_table(plus(linear, times(self.length(angles), -1.0)), angles)
     }
 
     fn linear(&self, place: Vector, angles: &ByAxis) -> Vector {
