@@ -196,6 +196,64 @@ fn grids_over_a_rotary_axis_correct_the_tip() {
     }
 }
 
+/// A grid that was active stays, and what was found with it is added.
+#[test]
+fn grids_that_are_active_are_added() {
+    let folder = crate::support::temporary();
+    let path = folder.path().join("corrections.csv");
+    for seed in seeds(20) {
+        let (machine, other) = (Machine::random("three-axis", seed + 1), Machine::random("three-axis", seed + 1000));
+        let old_points = json!({ "X": 3, "Y": 2, "Z": 2 });
+        let before = exporter("grid", &json!({ "grid": { "points": old_points } }));
+        let before = before.export(&other.calibration, machine.model.as_ref()).expect("a grid");
+        std::fs::write(&path, &before[0].content).expect("a file");
+        let format = if seed % 2 == 0 { "csv" } else { "vtk" };
+        let new = json!({ "grid": { "points": { "X": 5, "Y": 4, "Z": 3 } }, "format": format, "existing": path });
+        let export = exporter("grid", &new);
+        let after = export.export(&machine.calibration, machine.model.as_ref()).expect("a grid");
+        let correction = export.correction(&machine.calibration, machine.model.as_ref()).expect("one").expect("a grid");
+        let statuses = machine.anywhere(60, &[], seed + 3);
+        let predicted = correction.commands(&statuses).expect("commands");
+        let [old, new] = [before, after].map(|files| machine.driven(Table::load(&files).as_ref(), &statuses));
+        let mut largest = 0.0_f64;
+        for (((status, old), new), predicted) in statuses.iter().zip(old).zip(new).zip(predicted) {
+            largest = largest.max((old - status).abs());
+            assert!((new - old - (predicted - status)).abs() < ROUNDING, "seed {seed}");
+        }
+        assert!(largest > 1e-3, "the old grid corrects nothing");
+    }
+    let machine = Machine::public("three-axis");
+    let fails = |text: &str, points: Value| {
+        std::fs::write(&path, text).expect("a file");
+        let settings = json!({ "grid": { "points": points }, "correct": ["X", "Y"], "existing": path });
+        let error =
+            exporter("grid", &settings).export(&machine.calibration, machine.model.as_ref()).expect_err("wrong");
+        error.to_string()
+    };
+    let (two, head) = (json!({ "X": 2, "Y": 2 }), "set,X_mm,dX_mm\n");
+    for (text, expected) in [
+        ("", "corrections.csv:1: a line `set,X_mm,..,dX_mm,..` was expected"),
+        ("X_mm,dX_mm\n", "corrections.csv:1: the first column"),
+        ("set,V_mm,dX_mm\n", "corrections.csv:1: the machine has no axis for the column V_mm"),
+        ("set,X_mm\nforward,1\nforward,2\n", "corrections.csv:1: columns of nodes and of corrections"),
+        (&format!("{head}forward,0,a\n"), "corrections.csv:2: a number was expected"),
+        (&format!("{head}forward,0,NaN\n"), "corrections.csv:2: a number was expected"),
+        (&format!("{head}forward,0\n"), "corrections.csv:2: 2 numbers were expected"),
+        (&format!("{head}forward,0,1\n"), "corrections.csv:1: X_mm has fewer than two nodes"),
+        (&format!("{head}forward,0,1\nforward,1,1\nforward,1,2\n"), "corrections.csv:4: this node stands in two lines"),
+        (
+            &format!("{head}forward,0,1\nforward,1,1\nreverse_X,1,2\n"),
+            "corrections.csv:4: the set reverse_X has 1 nodes; 2",
+        ),
+        (&format!("{head}forward,0,1\nforward,1,1\nreverse_V,1,2\n"), "corrections.csv:4: `reverse_V` is no set"),
+        (&format!("{head}forward,0,1\nforward,1,1\n"), "corrections.csv: it has a node at X_mm 0"),
+        ("set,X_mm,dZ_mm\nforward,0,1\nforward,1,1\n", "corrections.csv: it corrects Z_mm"),
+    ] {
+        let found = fails(text, two.clone());
+        assert!(found.contains(expected), "{text}: {found}");
+    }
+}
+
 #[test]
 fn grids_that_cannot_be_written_are_refused() {
     let machine = Machine::public("table-table");

@@ -278,6 +278,76 @@ fn tables_correct_random_machines() {
     }
 }
 
+/// Tables that were active stay, and what was found with them is added, to first order.
+#[test]
+fn tables_that_are_active_are_added() {
+    let folder = crate::support::temporary();
+    for seed in seeds(20) {
+        let machine = random::machine(seed, random::Errors::Smooth);
+        let other = random::machine_of(seed, random::Errors::Smooth, seed + 1000);
+        let [old_format, new_format] =
+            if seed % 2 == 0 { ["isg-csv", "etalon-exchange"] } else { ["etalon-exchange", "isg-csv"] };
+        let mut old = settings(&machine, old_format);
+        (old["step_mm"], old["step_deg"]) = (json!(75), json!(40));
+        let before =
+            exporter("isg-volumetric", &old).export(&other.calibration, machine.model.as_ref()).expect("tables");
+        let mut paths = Vec::new();
+        for file in before.iter().filter(|file| !file.name.ends_with(".lis")) {
+            paths.push(folder.path().join(&file.name));
+            std::fs::write(paths.last().expect("a path"), &file.content).expect("a file");
+        }
+        let mut new = settings(&machine, new_format);
+        new["existing"] = json!(paths);
+        let export = exporter("isg-volumetric", &new);
+        let after = export.export(&machine.calibration, machine.model.as_ref()).expect("tables");
+        let correction = export.correction(&machine.calibration, machine.model.as_ref()).expect("one").expect("tables");
+        let statuses = machine.anywhere(60, &[], seed + 3);
+        let predicted = correction.commands(&statuses).expect("commands");
+        let [old, new] =
+            [before, after].map(|files| machine.driven(&Isg::load(&files, "isg-volumetric.lis"), &statuses));
+        let mut largest = 0.0_f64;
+        for (((status, old), new), predicted) in statuses.iter().zip(old).zip(new).zip(predicted) {
+            largest = largest.max((old - status).abs());
+            assert!(
+                (new - old - (predicted - status)).abs() < 1e-5,
+                "seed {seed}: {}",
+                new - old - (predicted - status)
+            );
+        }
+        assert!(largest > 5e-3, "seed {seed}: the old tables correct nothing");
+    }
+}
+
+#[test]
+fn tables_that_cannot_be_added_are_refused() {
+    let machine = Machine::public("three-axis");
+    let folder = crate::support::temporary();
+    let path = folder.path().join("old.csv");
+    for (text, expected) in [
+        ("X EXX\n0 1 2\n", "old.csv:2: 2 numbers were expected, here are 3"),
+        ("X EXX\n0 a\n", "old.csv:2: a number was expected"),
+        ("X EXX\n0 NaN\n", "old.csv:2: a number was expected"),
+        ("X EXX\n0 1\n0 2\n", "old.csv:1: positions of EXX have to increase"),
+        ("X EYY\n0 1\n", "old.csv:1: EYY over X is not added"),
+        ("X Y EXX\n0 0 1\n", "old.csv:1: errors over several axes"),
+        ("X EXX\n0 1\n#\nX EXX\n0 1\n", "old.csv:4: EXX stands there twice"),
+        ("P0X\n1\n2\n", "old.csv:1: one line of numbers"),
+        ("P0X\n1000\n", "P0X is 1000 in the active tables"),
+        ("// comment\nX0C\n0.1\n", "the active tables have X0C"),
+        ("[EXX]\nGridpoints = {\n0 1\n", "old.csv:1: [EXX] has no end"),
+        ("[EXX]\nGridpoints = {\n0 1 2\n}\n", "old.csv:3: a position and a value"),
+        ("[EXX\nVALUE = 1\n", "old.csv:1: a section `[NAME]`"),
+        ("[C0Y]\n1\n", "old.csv:1: `VALUE = ..`"),
+    ] {
+        std::fs::write(&path, text).expect("a file");
+        let mut settings = settings(&machine, "isg-csv");
+        settings["existing"] = json!([path]);
+        let export = exporter("isg-volumetric", &settings);
+        let error = export.export(&machine.calibration, machine.model.as_ref()).expect_err("a bad table");
+        assert!(error.to_string().contains(expected), "{text}: {error}");
+    }
+}
+
 #[test]
 fn bad_settings_are_named() {
     let registry = registry();

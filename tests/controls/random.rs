@@ -63,7 +63,12 @@ pub fn machine(seed: u64, errors: Errors) -> Machine {
 
 /// The machine of a seed with the values of another one.
 pub fn machine_like(seed: u64, values: u64) -> Machine {
-    of_settings(&settings(seed, Errors::Any), values, DISPLACED)
+    machine_of(seed, Errors::Any, values)
+}
+
+/// The same of other errors.
+pub fn machine_of(seed: u64, errors: Errors, values: u64) -> Machine {
+    of_settings(&settings(seed, errors), values, DISPLACED)
 }
 
 fn settings(seed: u64, errors: Errors) -> Value {

@@ -1,8 +1,10 @@
 //! Exporter `grid`: corrections of commands at nodes over the workspace, for software of one's own and for plots.
 
+use std::path::PathBuf;
+
 use abbe_compensation::{Compensator, Correct, Settings as Correction, Travel, check_confounded};
 use abbe_core::{
-    Calibration, CommandCorrection, Context, Error, Export, ExportedFile, KinematicModel, PathItem, Result,
+    Calibration, CommandCorrection, Context, Error, Export, ExportedFile, InputFile, KinematicModel, PathItem, Result,
     SettingsError, machine_values, positive,
 };
 use abbe_volumetric::{Grid, position_unit, rounded_position, within};
@@ -11,6 +13,7 @@ use serde::Deserialize;
 use serde_json::{Value, json};
 
 use crate::files::{file, rounded};
+use crate::grid_file;
 use crate::lattice::{Corrected, Lattice, Set, Side, When, directions};
 
 abbe_core::register!(
@@ -41,6 +44,9 @@ struct Settings {
     /// Largest correction of the tip; beyond it the errors are not believed.
     #[serde(default = "one")]
     largest_tip_correction_mm: f64,
+    /// File of corrections (CSV, from this exporter) that was active when the machine was measured: the new ones are added to them.
+    #[serde(default)]
+    existing: Option<String>,
 }
 
 /// How the file is written.
@@ -62,7 +68,7 @@ fn example() -> Value {
     json!({ "grid": { "points": { "X": 9, "Y": 9, "Z": 7 } }, "format": "csv", "correct": "position" })
 }
 
-fn build(settings: Settings, _: &Context) -> Result<Box<dyn Export>, SettingsError> {
+fn build(settings: Settings, context: &Context) -> Result<Box<dyn Export>, SettingsError> {
     let grid = [PathItem::Key("grid".to_owned())];
     settings.grid.check().map_err(|error| error.under(grid.clone()))?;
     if settings.grid.poses.is_some() {
@@ -74,7 +80,8 @@ fn build(settings: Settings, _: &Context) -> Result<Box<dyn Export>, SettingsErr
     }
     positive("largest_tip_correction_mm", settings.largest_tip_correction_mm)?;
     settings.correction().check()?;
-    Ok(Box::new(Corrections { settings }))
+    let existing = settings.existing.as_ref().map(|path| context.path(path));
+    Ok(Box::new(Corrections { settings, existing }))
 }
 
 impl Settings {
@@ -91,6 +98,7 @@ impl Settings {
 
 struct Corrections {
     settings: Settings,
+    existing: Option<PathBuf>,
 }
 
 impl Corrections {
@@ -190,8 +198,17 @@ fn differences(axes: &[Corrected], width: usize, from: &[f64], to: &[f64]) -> Ve
 }
 
 impl Export for Corrections {
+    fn inputs(&self) -> Vec<InputFile> {
+        self.existing.iter().map(|path| InputFile { setting: "existing", path: path.clone() }).collect()
+    }
+
     fn export(&self, calibration: &Calibration, model: &dyn KinematicModel) -> Result<Vec<ExportedFile>> {
-        let lattice = self.lattice(calibration, model)?;
+        let mut lattice = self.lattice(calibration, model)?;
+        if let Some(path) = &self.existing {
+            let active = grid_file::read(path, model)?;
+            let added = lattice.add(&active, DECIMALS);
+            added.map_err(|message| Error::usage(message).in_file(path).setting("existing"))?;
+        }
         Ok(vec![match self.settings.format {
             Format::Csv => file("corrections.csv", csv(&lattice)),
             Format::Vtk => file("corrections.vtk", vtk(&lattice)?),

@@ -2,11 +2,12 @@
 
 use std::collections::BTreeMap;
 use std::fmt::Write as _;
+use std::path::PathBuf;
 
 use abbe_compensation::check_confounded;
 use abbe_core::{
-    AxisKind, Branch, Calibration, CommandCorrection, Context, Error, Export, ExportedFile, KinematicModel, PathItem,
-    Result, SettingsError,
+    AxisKind, Branch, Calibration, CommandCorrection, Context, Error, Export, ExportedFile, InputFile, KinematicModel,
+    PathItem, Result, SettingsError,
 };
 use abbe_volumetric::{Grid, Points, Ranges, Steps, check_axes, check_ranges, within};
 use nalgebra::Vector3;
@@ -14,6 +15,7 @@ use schemars::JsonSchema;
 use serde::Deserialize;
 use serde_json::{Value, json};
 
+use crate::isg_existing::Active;
 use crate::motion_tables::{Curve, Tables, TipCorrection, is_named_by_kind, text};
 use crate::rigid::{Joint, Six};
 
@@ -45,6 +47,10 @@ struct Settings {
     /// Ranges by axis, where they are not those of the machine.
     #[serde(default)]
     ranges: Ranges,
+    /// Tables that were active when the machine was measured, `ISG_CSV` or `ETALON_EXCHANGE`, with errors over one axis each: the new
+    /// errors are added to theirs.
+    #[serde(default)]
+    existing: Vec<String>,
 }
 
 /// How tables are written.
@@ -70,7 +76,7 @@ fn example() -> Value {
     json!({ "axis_numbers": { "X": 1, "Y": 2, "Z": 3 }, "format": "isg-csv", "step_mm": 50 })
 }
 
-fn build(settings: Settings, _: &Context) -> Result<Box<dyn Export>, SettingsError> {
+fn build(settings: Settings, context: &Context) -> Result<Box<dyn Export>, SettingsError> {
     settings.steps().check()?;
     check_ranges(&settings.ranges, "ranges")?;
     for (name, number) in &settings.axis_numbers {
@@ -82,7 +88,8 @@ fn build(settings: Settings, _: &Context) -> Result<Box<dyn Export>, SettingsErr
             return Err(SettingsError::new(name, format!("two axes have the number {number}")).under(at));
         }
     }
-    Ok(Box::new(IsgVolumetric { settings }))
+    let existing = settings.existing.iter().map(|path| context.path(path)).collect();
+    Ok(Box::new(IsgVolumetric { settings, existing }))
 }
 
 impl Settings {
@@ -93,7 +100,11 @@ impl Settings {
 
 struct IsgVolumetric {
     settings: Settings,
+    existing: Vec<PathBuf>,
 }
+
+/// Places in active tables are those of the machine to this much, mm.
+const SAME: f64 = 1e-4;
 
 const LETTERS: [&str; 6] = ["X", "Y", "Z", "A", "B", "C"];
 
@@ -140,6 +151,35 @@ impl IsgVolumetric {
         };
         check_confounded(model, calibration, &everywhere.statuses(model)?)?;
         Ok(tables)
+    }
+
+    /// Adds what is active already.
+    fn add_existing(&self, tables: &mut Tables) -> Result<()> {
+        let mut active = Active::default();
+        self.existing.iter().try_for_each(|path| active.read(path))?;
+        let Active { mut constants, mut motions } = active;
+        for (name, expected) in places(tables) {
+            let found = constants.remove(&name).unwrap_or(expected);
+            if (found - expected).abs() > SAME {
+                let message = format!("{name} is {found} in the active tables; of this machine it is {expected:.6}");
+                return Err(Error::data(message)
+                    .help("are they those of this machine and this tool?")
+                    .setting("existing"));
+            }
+        }
+        for (joint, curve) in tables.machine.joints.iter().zip(&mut tables.curves) {
+            for (own, name) in curve.location.iter_mut().zip(location_names(&joint.name)) {
+                *own += constants.remove(&name).unwrap_or_default();
+            }
+            curve.add(&motion_names(&joint.name).map(|name| motions.remove(&name).unwrap_or_default()));
+        }
+        match constants.into_keys().chain(motions.into_keys()).next() {
+            None => Ok(()),
+            Some(name) => {
+                let message = format!("the active tables have {name}, which this exporter does not write");
+                Err(Error::data(message).setting("existing"))
+            }
+        }
     }
 
     fn configuration(&self, tables: &Tables, files: &[(String, &str)]) -> String {
@@ -247,8 +287,13 @@ fn etalon_sections(joint: &Joint, curve: &Curve) -> String {
 }
 
 impl Export for IsgVolumetric {
+    fn inputs(&self) -> Vec<InputFile> {
+        self.existing.iter().map(|path| InputFile { setting: "existing", path: path.clone() }).collect()
+    }
+
     fn export(&self, calibration: &Calibration, model: &dyn KinematicModel) -> Result<Vec<ExportedFile>> {
-        let tables = self.tables(calibration, model)?;
+        let mut tables = self.tables(calibration, model)?;
+        self.add_existing(&mut tables)?;
         let each = |write: fn(&Joint, &Curve) -> String| -> String {
             tables.iter().map(|(joint, curve)| write(joint, curve)).collect()
         };

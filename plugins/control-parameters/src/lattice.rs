@@ -1,6 +1,8 @@
 //! Values on a lattice of commands, linear between its nodes.
 
-use abbe_core::{CommandCorrection, KinematicModel, Result, StatusRole};
+use abbe_core::{CommandCorrection, KinematicModel, StatusRole};
+
+use crate::files::rounded;
 
 /// Nodes along one axis.
 #[derive(Debug, Clone, PartialEq)]
@@ -74,6 +76,43 @@ impl Lattice {
         found
     }
 
+    /// Adds the values of another lattice, rounded to so many decimals. Fails unless it is linear between the nodes of this one.
+    pub fn add(&mut self, other: &Self, decimals: i32) -> Result<(), String> {
+        for axis in &other.corrected {
+            if !self.corrected.iter().any(|own| own.label == axis.label) {
+                return Err(format!("it corrects {}; `correct` has to have this axis, too", &axis.label[1..]));
+            }
+        }
+        for side in &other.sides {
+            let own = self.sides.iter().find(|own| own.label == side.label);
+            let missing = side.nodes.iter().find(|node| own.is_none_or(|own| !own.nodes.contains(node)));
+            if let Some(node) = missing {
+                return Err(format!("it has a node at {} {node}; the new grid needs all of its nodes", side.label));
+            }
+        }
+        let mut standing = vec![0.0; self.width];
+        let nodes = self.nodes();
+        for set in &other.sets {
+            let place = self.sets.iter().position(|own| own.name == set.name).unwrap_or(self.sets.len());
+            if place == self.sets.len() {
+                let values = vec![vec![0.0; self.corrected.len()]; nodes.len()];
+                self.sets.push(Set { name: set.name.clone(), when: set.when, values });
+            }
+            for (node, values) in nodes.iter().zip(&mut self.sets[place].values) {
+                self.sides.iter().zip(node).for_each(|(side, at)| standing[side.column] = at / side.factor);
+                let corners = other.corners(&standing);
+                for (axis, value) in self.corrected.iter().zip(values) {
+                    let Some(column) = other.corrected.iter().position(|added| added.label == axis.label) else {
+                        continue;
+                    };
+                    let added: f64 = corners.iter().map(|(corner, weight)| set.values[*corner][column] * weight).sum();
+                    *value = rounded(*value + added, decimals);
+                }
+            }
+        }
+        Ok(())
+    }
+
     /// The corners around a status: index of the node and weight.
     fn corners(&self, status: &[f64]) -> Vec<(usize, f64)> {
         let mut corners = vec![(0, 1.0)];
@@ -90,7 +129,7 @@ impl Lattice {
 }
 
 impl CommandCorrection for Lattice {
-    fn commands(&self, programmed: &[f64]) -> Result<Vec<f64>> {
+    fn commands(&self, programmed: &[f64]) -> abbe_core::Result<Vec<f64>> {
         let mut found = programmed.to_vec();
         for status in found.chunks_mut(self.width.max(1)) {
             let corners = self.corners(status);

@@ -8,6 +8,8 @@ mod files;
 mod five_axis;
 mod grbl;
 mod grid;
+mod grid_file;
+mod isg_existing;
 mod isg_volumetric;
 mod lattice;
 mod linear;

@@ -32,6 +32,33 @@ pub struct Curve {
 }
 
 impl Curve {
+    /// Adds error motions of each component at other points: positions and values. Points of all are points then.
+    pub fn add(&mut self, others: &[Vec<(f64, f64)>; 6]) {
+        let mut points = self.points.clone();
+        points.extend(others.iter().flatten().map(|(point, _)| *point));
+        points.sort_by(f64::total_cmp);
+        points.dedup();
+        let of = |other: &Vec<(f64, f64)>| -> Self {
+            let motions = other.iter().map(|(_, value)| [*value; 6]).collect();
+            Self {
+                location: Six::default(),
+                points: other.iter().map(|(point, _)| *point).collect(),
+                motions,
+                factor: 1.0,
+            }
+        };
+        let others: Vec<Self> = others.iter().map(of).collect();
+        let motion = |point: &f64| {
+            let own = self.at(point / self.factor);
+            let sum = |component: usize| {
+                own[component] + others.get(component).map_or(0.0, |other| other.at(*point)[component])
+            };
+            rounded(std::array::from_fn(sum))
+        };
+        self.motions = points.iter().map(motion).collect();
+        self.points = points;
+    }
+
     /// The motion errors at a command; beyond the ends those of the ends.
     fn at(&self, command: f64) -> Six {
         let position = command * self.factor;

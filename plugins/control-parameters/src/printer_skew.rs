@@ -26,6 +26,11 @@ abbe_core::register!(
 /// Decimals of the factors: 0.01 um on a metre.
 const DECIMALS: i32 = 8;
 
+const MARLIN_NOTE: &str = "\
+; Firmware built with SKEW_CORRECTION_GCODE, and with SKEW_CORRECTION_FOR_Z for J and K.
+; That I, J and K are xy, xz and yz is from no manual: compare with what M852 without letters reports.
+";
+
 /// `S` of `M556`, mm: the height at which its deviations are given.
 const HEIGHT_MM: f64 = 100.0;
 
@@ -157,7 +162,7 @@ impl Export for PrinterSkew {
                      xy_skew = {xy}\nxz_skew = {xz}\nyz_skew = {yz}\n"
                 ),
             ),
-            Firmware::Marlin => file("skew.gcode", format!("M852 I{xy} J{xz} K{yz}\nM500\n")),
+            Firmware::Marlin => file("skew.gcode", format!("{MARLIN_NOTE}M852 I{xy} J{xz} K{yz}\nM500\n")),
             Firmware::Reprapfirmware => {
                 let matrix = skew.matrix();
                 let deviation = |row, column| rounded(matrix[(row, column)] * HEIGHT_MM, DECIMALS - 2);
