@@ -13,7 +13,7 @@ mod heidenhain;
 mod isg;
 mod isg_volumetric;
 pub(crate) mod law;
-mod linuxcnc_five_axis;
+pub(crate) mod linuxcnc_five_axis;
 mod linuxcnc_kinematics;
 mod linuxcnc_screw;
 mod printer_skew;

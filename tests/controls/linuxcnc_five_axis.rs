@@ -1,7 +1,7 @@
 //! Pins of the five-axis kinematics of LinuxCNC.
 //!
 //! Emulator: forward and inverse kinematics of `xyzac-trt-kins` and `xyzbc-trt-kins` term by term as their source has them
-//! (`trtfuncs.c`), with present pins and new ones.
+//! (`trtfuncs.c`, up to LinuxCNC 2.9 and with the pin `conventional-directions` of 2.10), with present pins and new ones.
 
 use std::collections::BTreeMap;
 
@@ -14,11 +14,14 @@ use super::law::{ByAxis, Control, Left, Machine, exporter, holds, predicted, ref
 type Pins = BTreeMap<String, f64>;
 type Place = [f64; 3];
 
+/// The pin that not all versions have.
+const DIRECTIONS: &str = "conventional-directions";
+
 /// One of the modules, with the values of its pins.
 #[derive(Clone)]
-struct Kinematics {
-    module: &'static str,
-    pins: Pins,
+pub(crate) struct Kinematics {
+    pub(crate) module: &'static str,
+    pub(crate) pins: Pins,
 }
 
 impl Kinematics {
@@ -30,7 +33,7 @@ impl Kinematics {
     fn table(&self) -> (Place, Place, f64) {
         let point = ["x-rot-point", "y-rot-point", "z-rot-point"].map(|name| self.pin(name));
         let [x, y, z] = ["x-offset", "y-offset", "z-offset"].map(|name| self.pin(name));
-        let sense = if self.pin("conventional-directions") == 0.0 { -1.0 } else { 1.0 };
+        let sense = if self.pin(DIRECTIONS) == 0.0 { -1.0 } else { 1.0 };
         (point, [x, y, z + self.pin("tool-offset")], sense)
     }
 
@@ -59,6 +62,15 @@ impl Kinematics {
         }
     }
 
+    /// Joints for what a program commands, mm and degrees.
+    pub(crate) fn joints(&self, commands: &ByAxis) -> ByAxis {
+        let angle = |name: &str| commands.get(name).copied().unwrap_or_default();
+        let places = self.inverse(["X", "Y", "Z"].map(angle), &angle);
+        let mut joints = commands.clone();
+        joints.extend(["X", "Y", "Z"].map(str::to_owned).into_iter().zip(places));
+        joints
+    }
+
     fn inverse(&self, [x, y, z]: Place, angle: &dyn Fn(&str) -> f64) -> Place {
         let (sc, cc) = angle("C").to_radians().sin_cos();
         let ([px, py, pz], [dx, dy, dz], con) = self.table();
@@ -74,8 +86,9 @@ impl Kinematics {
             }
             _ => {
                 let (sb, cb) = angle("B").to_radians().sin_cos();
-                // The source has no sense of turning in these two: `trtfuncs.c`, dpx and dpz.
-                let (ox, oz) = (-cb * dx + sb * dz + dx, -sb * dx - cb * dz + dz);
+                // `trtfuncs.c`, dpx and dpz: in 2.10 they have one sense of turning only.
+                let sb_of_offsets = if self.pins.contains_key(DIRECTIONS) { sb } else { -sb };
+                let (ox, oz) = (-cb * dx + sb_of_offsets * dz + dx, -sb_of_offsets * dx - cb * dz + dz);
                 [
                     cc * cb * vx + con * sc * cb * vy - con * sb * vz + ox + px,
                     -con * sc * vx + cc * vy + py,
@@ -87,14 +100,14 @@ impl Kinematics {
 }
 
 /// A control that had present pins when the program's places were those of the nominal machine.
-struct Linuxcnc {
+pub(crate) struct Linuxcnc {
     present: Kinematics,
-    new: Kinematics,
-    offset: Place,
+    pub(crate) new: Kinematics,
+    pub(crate) offset: Place,
 }
 
 impl Linuxcnc {
-    fn load(present: &Kinematics, files: &[ExportedFile]) -> Self {
+    pub(crate) fn load(present: &Kinematics, files: &[ExportedFile]) -> Self {
         let text = |name: &str| {
             let file = files.iter().find(|file| file.name == name).expect("a file");
             std::str::from_utf8(&file.content).expect("text").to_owned()
@@ -107,7 +120,9 @@ impl Linuxcnc {
             assert_eq!(module, present.module);
             let value = value.parse().expect("a number");
             let known = new.pins.insert(pin.to_owned(), value);
-            assert!(pin != "conventional-directions" || known == Some(value), "{pin}: {known:?}, {value}");
+            // A pin that is not there ends LinuxCNC.
+            assert!(known.is_some(), "{pin}");
+            assert!(pin != DIRECTIONS || known == Some(value), "{pin}: {known:?}, {value}");
         }
         let program = text("work-offsets.ngc");
         let line = program.lines().find(|line| line.starts_with("G10 L2 P0 ")).expect("an offset");
@@ -125,29 +140,30 @@ impl Control for Linuxcnc {
         let angle = |name: &str| commands.get(name).copied().unwrap_or_default();
         let mut place = self.present.forward(["X", "Y", "Z"].map(angle), &angle);
         place.iter_mut().zip(self.offset).for_each(|(place, by)| *place += by);
-        let joints = self.new.inverse(place, &angle);
-        let mut motors = commands.clone();
-        motors.extend(["X", "Y", "Z"].map(str::to_owned).into_iter().zip(joints));
-        motors
+        let mut program = commands.clone();
+        program.extend(["X", "Y", "Z"].map(str::to_owned).into_iter().zip(place));
+        self.new.joints(&program)
     }
 }
 
 /// A random machine for a module, and the control with its nominal numbers.
 fn random(seed: u64, errors: Errors) -> (FiveAxes, Kinematics) {
-    // `xyzbc-trt-kins` is right in conventional directions only.
-    let (module, table, conventional) = match seed % 3 {
-        0 => ("xyzac-trt-kins", ["A", "C"], true),
-        1 => ("xyzac-trt-kins", ["A", "C"], false),
-        _ => ("xyzbc-trt-kins", ["B", "C"], true),
+    // With the pin, `xyzbc-trt-kins` is right in conventional directions only.
+    let (module, table, conventional) = match seed % 5 {
+        0 => ("xyzac-trt-kins", ["A", "C"], Some(true)),
+        1 => ("xyzac-trt-kins", ["A", "C"], Some(false)),
+        2 => ("xyzbc-trt-kins", ["B", "C"], Some(true)),
+        3 => ("xyzac-trt-kins", ["A", "C"], None),
+        _ => ("xyzbc-trt-kins", ["B", "C"], None),
     };
-    let reversed = if conventional { &[][..] } else { &table };
+    let reversed = if conventional == Some(true) { &[][..] } else { &table };
     let made = machine(seed, &Layout { table: &table, head: &[], reversed }, errors);
     let pins = pins(&made.table, made.tool, conventional, seed);
     (made, Kinematics { module, pins })
 }
 
 /// The pins of nominal axes. The frame of the control has its origin where the spindle nose stands with all axes at zero.
-fn pins(table: &[(String, Place)], tool: f64, conventional: bool, seed: u64) -> Pins {
+fn pins(table: &[(String, Place)], tool: f64, conventional: Option<bool>, seed: u64) -> Pins {
     let [(tilt, [tx, ty, tz]), (_, [x, y, _])] = table else { panic!("two axes of a table") };
     let height = (100.0 * uniform(seed ^ 77)()).round();
     let across = if tilt == "A" { ("y-offset", ty - y) } else { ("x-offset", tx - x) };
@@ -158,16 +174,17 @@ fn pins(table: &[(String, Place)], tool: f64, conventional: bool, seed: u64) -> 
         across,
         ("z-offset", tz - height),
         ("tool-offset", tool),
-        ("conventional-directions", if conventional { 1.0 } else { 0.0 }),
     ];
-    found.into_iter().map(|(name, value)| (name.to_owned(), value)).collect()
+    let directions = conventional.map(|is| (DIRECTIONS, if is { 1.0 } else { 0.0 }));
+    found.into_iter().chain(directions).map(|(name, value)| (name.to_owned(), value)).collect()
 }
 
 fn settings(kinematics: &Kinematics) -> Value {
-    let kept = ["z-rot-point", "tool-offset", "conventional-directions"];
+    let kept = ["z-rot-point", "tool-offset", DIRECTIONS];
     let existing: Pins =
         kinematics.pins.clone().into_iter().filter(|(name, _)| !kept.contains(&name.as_str())).collect();
-    json!({ "module": kinematics.module, "existing": existing })
+    let has_directions = kinematics.pins.contains_key(DIRECTIONS);
+    json!({ "module": kinematics.module, "has_conventional_directions": has_directions, "existing": existing })
 }
 
 /// Forward and inverse kinematics belong to each other, and turn about the lines that the pins name.
@@ -216,11 +233,18 @@ fn what_the_pins_cannot_hold_is_left_as_predicted() {
     }
 }
 
+/// A random machine with all errors for LinuxCNC 2.9, the control with its nominal numbers, and settings of the exporter.
+pub(crate) fn random_of_2_9(seed: u64) -> (Machine, Kinematics, Value) {
+    let (made, kinematics) = random(5 * seed + 3 + seed % 2, Errors::All);
+    let settings = settings(&kinematics);
+    (made.machine, kinematics, settings)
+}
+
 #[test]
 fn the_public_table_is_corrected_by_its_pins() {
     let machine = Machine::public("table-table");
     let table = [("A".to_owned(), [0.0, 0.0, -50.0]), ("C".to_owned(), [0.0, 0.0, -50.0])];
-    let kinematics = Kinematics { module: "xyzac-trt-kins", pins: pins(&table, 120.0, true, 1) };
+    let kinematics = Kinematics { module: "xyzac-trt-kins", pins: pins(&table, 120.0, Some(true), 1) };
     let export = exporter("linuxcnc-five-axis", &settings(&kinematics));
     let load = |files: &[ExportedFile]| Box::new(Linuxcnc::load(&kinematics, files)) as Box<dyn Control>;
     for seed in 1..=5 {
@@ -235,7 +259,7 @@ fn the_public_table_is_corrected_by_its_pins() {
 fn a_module_whose_kinematics_do_not_fit_each_other_is_refused() {
     let layout = Layout { table: &["B", "C"], head: &[], reversed: &["B", "C"] };
     let made = machine(1, &layout, Errors::Places);
-    let pins = pins(&made.table, made.tool, false, 1);
+    let pins = pins(&made.table, made.tool, Some(false), 1);
     let kinematics = Kinematics { module: "xyzbc-trt-kins", pins };
     let angle = |name: &str| if name == "B" { 30.0 } else { 0.0 };
     let back = kinematics.inverse(kinematics.forward([1.0, 2.0, 3.0], &angle), &angle);
@@ -261,7 +285,11 @@ fn pins_of_other_machines_are_refused() {
         assert!(error.to_string().contains(expected), "{error}");
     }
     let machine = Machine::public("table-table");
-    let narrow = json!({ "module": "xyzac-trt-kins", "existing": pins, "largest_change_mm": 0.01 });
+    let old = exporter("linuxcnc-five-axis", &json!({ "module": "xyzac-trt-kins", "existing": pins }));
+    let error = old.export(&machine.calibration, machine.model.as_ref()).expect_err("it turns the other way");
+    assert!(error.to_string().contains("LinuxCNC 2.9 turns both axes against convention"), "{error}");
+    let narrow = json!({ "module": "xyzac-trt-kins", "has_conventional_directions": true, "existing": pins,
+        "largest_change_mm": 0.01 });
     let error = exporter("linuxcnc-five-axis", &narrow).export(&machine.calibration, machine.model.as_ref());
     assert!(error.expect_err("too much").to_string().contains("at most 0.01 mm"));
 }

@@ -12,7 +12,8 @@ use abbe_core::{AxisKind, ExportedFile, StatusRole};
 use serde_json::json;
 
 use crate::compensation::calibration;
-use crate::controls::law::{Machine, exporter};
+use crate::controls::law::{ByAxis, Machine, exporter};
+use crate::controls::linuxcnc_five_axis::{Linuxcnc, random_of_2_9};
 use crate::support::{read, root, skipped, temporary, write};
 
 /// The user that runs the control: it refuses root.
@@ -72,7 +73,7 @@ const ACCELERATION: f64 = 500.0;
 
 /// Where a joint stands at first: far from the pole of the rotary axes. LinuxCNC takes its motor to be at zero there.
 fn home(letter: &str) -> f64 {
-    if letter == "A" { 20.0 } else { 0.0 }
+    if ["A", "B"].contains(&letter) { 20.0 } else { 0.0 }
 }
 
 fn ini(machine: &Machine, kinematics: &str, compensated: &BTreeMap<String, (String, u8)>) -> String {
@@ -168,6 +169,9 @@ impl Cycle {
     }
 }
 
+/// A file that sets the pins of the kinematics, where a folder has it.
+const PINS_OF_KINEMATICS: &str = "five-axis.hal";
+
 /// Runs a program on the control.
 fn run(
     folder: &Path,
@@ -176,7 +180,11 @@ fn run(
     compensated: &BTreeMap<String, (String, u8)>,
     program: &str,
 ) -> Vec<Cycle> {
-    write(&folder.join("abbe.ini"), &ini(machine, kinematics, compensated));
+    let mut ini = ini(machine, kinematics, compensated);
+    if folder.join(PINS_OF_KINEMATICS).exists() {
+        ini = ini.replace("HALFILE = abbe.hal\n", &format!("HALFILE = abbe.hal\nHALFILE = {PINS_OF_KINEMATICS}\n"));
+    }
+    write(&folder.join("abbe.ini"), &ini);
     write(&folder.join("abbe.hal"), &hal(&letters(machine)));
     write(&folder.join("abbe.tbl"), "");
     write(&folder.join("program.ngc"), program);
@@ -290,7 +298,7 @@ fn component_holds(name: &str, form: &str, correct: &str, program: &str, toleran
     let component = format!("abbe_test_{form}");
     let mut settings = json!({ "component": component, "form": form, "step_mm": 100, "correction": { "correct": correct,
         "largest_rotary_correction_mrad": 1 } });
-    if name == "table-table" {
+    if name != "three-axis" {
         settings["ranges"] = json!({ "C": { "from_deg": -180, "to_deg": 180 } });
     }
     let export = exporter("linuxcnc-kinematics", &settings);
@@ -327,17 +335,22 @@ fn component_holds(name: &str, form: &str, correct: &str, program: &str, toleran
     let axes: Vec<(&[f64], &[f64])> = rest.iter().map(|(cycle, by)| (&cycle.axes[..], &by[..])).collect();
     let motors: Vec<(&[f64], &[f64])> = rest.iter().map(|(cycle, by)| (&cycle.motors[..], &by[..])).collect();
     let resting = largest(rest.iter().map(|(cycle, _)| &cycle.motors).zip(&predicted(&axes)));
-    // The tool of the machine against the program.
+    // The tool of the machine against the program: all the way in the servo cycle, and at rest.
+    let kinematics: Vec<(&[f64], &[f64])> = cycles.iter().map(|cycle| (&cycle.kinematics[..], &none[..])).collect();
+    let along =
+        apart(&machine.tips(&statuses(&machine, &kinematics), true), &machine.tips(&statuses(&machine, &rows), false));
     let goals = machine.tips(&statuses(&machine, &axes), false);
     let off = apart(&machine.tips(&statuses(&machine, &motors), true), &goals);
     let before = apart(&machine.tips(&statuses(&machine, &axes), true), &goals);
     println!(
         "linuxcnc {name} {form} {correct}: {} cycles, corrections to {corrected:.4}, kinematics within {in_cycle:.1e}, joints within \
-         {of_joints:.1e}, motors at {} rests within {resting:.1e}, tool within {off:.1e} of {before:.1e} mm",
+         {of_joints:.1e}, motors at {} rests within {resting:.1e}, tool at rest within {off:.1e} of {before:.1e} mm, without reversal \
+         within {along:.1e} mm all the way",
         cycles.len(),
         rest.len()
     );
     assert!(in_cycle < 1e-6 && of_joints < 1e-6 && resting < 1e-6, "{name}: {in_cycle:e} {of_joints:e} {resting:e}");
+    assert!(along < tolerance, "{name}: the tool is {along} mm off on its way");
     assert!(off < tolerance && before > 10.0 * tolerance, "{name}: the tool is {off} mm off, {before} mm before");
 }
 
@@ -355,7 +368,91 @@ fn the_control_follows_the_kinematics_component() {
     let _alone = ALONE.lock().unwrap_or_else(PoisonError::into_inner);
     component_holds("table-table", "model", "position", FIVE_AXES, 1e-6);
     component_holds("table-table", "model", "five-axes", FIVE_AXES, 1e-6);
+    let of_head = FIVE_AXES.replace('A', "B");
+    component_holds("head-table", "model", "five-axes", &of_head, 1e-6);
     component_holds("three-axis", "table", "position", THREE_AXES, 1e-3);
+}
+
+/// The interpreter of LinuxCNC alone reads a program to its end.
+fn is_read(program: &Path) -> bool {
+    let output = Command::new("timeout").args(["20", "rs274", "-g"]).arg(program).output().expect("it starts");
+    output.status.success() && String::from_utf8_lossy(&output.stdout).contains("PROGRAM_END")
+}
+
+/// Places of a program that random machines reach, for a tilting axis `A`.
+const TILTING: &str = "G21 G90 G17 G61\nG0 X20 Y-15 Z10 A40 C15\nG4 P0.3\nG1 F6000 X-20 Y25 Z-10 A15 C60\nG4 P0.3\n\
+    G2 X-10 Y25 I5 J0\nG1 X-10 Y-20 Z15 A50 C-90\nG4 P0.3\nG1 X5 Y10 Z10 A25 C5\nG4 P0.3\nM2\n";
+
+/// The stock kinematics of tilting tables with the pins of the exporter, and its program that moves work offsets.
+#[test]
+fn the_control_takes_the_pins_of_its_five_axis_kinematics() {
+    if let Some(reason) = missing() {
+        return skipped("linuxcnc_five_axis", &reason);
+    }
+    let _alone = ALONE.lock().unwrap_or_else(PoisonError::into_inner);
+    for seed in [1, 2] {
+        pins_hold(seed);
+    }
+}
+
+fn pins_hold(seed: u64) {
+    let (machine, kinematics, settings) = random_of_2_9(seed);
+    let folder = temporary();
+    let export = exporter("linuxcnc-five-axis", &settings);
+    let files = export.export(&machine.calibration, machine.model.as_ref()).unwrap_or_else(|error| panic!("{error}"));
+    put(folder.path(), &files);
+    let offsets = folder.path().join("work-offsets.ngc");
+    assert!(is_read(&offsets), "{}", read(&offsets));
+    let control = Linuxcnc::load(&kinematics, &files);
+    // What the exporter leaves as it is, the machine's own files set.
+    let own = ["z-rot-point", "tool-offset"]
+        .map(|pin| format!("setp {}.{pin} {}\n", kinematics.module, kinematics.pins[pin]));
+    let pins = read(&folder.path().join(PINS_OF_KINEMATICS));
+    write(&folder.path().join(PINS_OF_KINEMATICS), &(pins + &own.concat()));
+    let letters = letters(&machine);
+    let set = read(&offsets).replace("M2\n", "");
+    let program = format!("G54\n{set}{}", TILTING.replace('A', &letters[3]));
+    let module = format!("{} coordinates={}", kinematics.module, letters.concat());
+    let cycles = run(folder.path(), &machine, &module, &BTreeMap::new(), &program);
+    let from = cycles.iter().position(|cycle| cycle.is_coordinated).expect("a program");
+    let cycles = &cycles[from..];
+    let by_axis = |values: &[f64]| -> ByAxis { letters.iter().cloned().zip(values.iter().copied()).collect() };
+    let listed = |values: &ByAxis| -> Vec<f64> { letters.iter().map(|letter| values[letter]).collect() };
+    // Joints in every cycle: the emulated kinematics with the new pins.
+    let expected: Vec<Vec<f64>> =
+        cycles.iter().map(|cycle| listed(&control.new.joints(&by_axis(&cycle.axes)))).collect();
+    let in_cycle = largest(cycles.iter().map(|cycle| &cycle.kinematics).zip(&expected));
+    // At rest: places of the program, moved by the work offset, and the tool there.
+    let rest = at_rest(cycles);
+    assert!(rest.len() >= 3, "{} times at rest", rest.len());
+    let correction = export.correction(&machine.calibration, machine.model.as_ref()).expect("a prediction");
+    let correction = correction.expect("a correction");
+    let (mut off, mut before, mut from_predicted) = (0.0_f64, 0.0_f64, 0.0_f64);
+    for (cycle, directions) in &rest {
+        let mut program = by_axis(&cycle.axes);
+        for (letter, by) in ["X", "Y", "Z"].iter().zip(control.offset) {
+            *program.get_mut(*letter).expect("an axis") -= by;
+        }
+        let is_programmed = |at: &f64| (at / 5.0 - (at / 5.0).round()).abs() < 1e-7;
+        assert!(program.values().all(is_programmed), "no place of the program: {program:?}");
+        let joints = listed(&kinematics.joints(&program));
+        let nominal = statuses(&machine, &[(&joints, directions)]);
+        let predicted = commands(&machine, &correction.commands(&nominal).expect("commands"));
+        from_predicted = from_predicted.max(largest([(&cycle.motors, &predicted[0])].into_iter()));
+        let goal = machine.tips(&nominal, false);
+        let tip = |commands: &[f64]| machine.tips(&statuses(&machine, &[(commands, directions)]), true);
+        off = off.max(apart(&tip(&cycle.motors), &goal));
+        before = before.max(apart(&tip(&joints), &goal));
+    }
+    println!(
+        "linuxcnc pins of {}: {} cycles, kinematics within {in_cycle:.1e}, motors at {} rests within {from_predicted:.1e} of the \
+         prediction, tool within {off:.4} of {before:.4} mm",
+        kinematics.module,
+        cycles.len(),
+        rest.len()
+    );
+    assert!(in_cycle < 1e-9 && from_predicted < 1e-8, "{in_cycle:e} {from_predicted:e}");
+    assert!(off < before, "the tool is {off} mm off, {before} mm before");
 }
 
 /// A machine with errors along its axes alone.

@@ -37,6 +37,9 @@ const SAME: f64 = 1e-9;
 struct Settings {
     /// The kinematics that the control has loaded.
     module: Module,
+    /// The module has the pin `conventional-directions` (LinuxCNC 2.10; up to 2.9 there is none, and axes turn the other way).
+    #[serde(default)]
+    has_conventional_directions: bool,
     /// The pins, mm, with which the machine was measured, by their names. New ones are these and the errors.
     existing: BTreeMap<String, f64>,
     /// Largest change of a pin.
@@ -79,8 +82,8 @@ impl Module {
         }
     }
 
-    /// Whether the axes turn in conventional directions; fails for another machine.
-    fn conventional(self, nominal: &Transformation) -> Result<bool> {
+    /// Whether the axes turn in conventional directions; fails for another machine, or if the module cannot turn as this one does.
+    fn conventional(self, nominal: &Transformation, has_pin: bool) -> Result<bool> {
         let (tilting, direction, _) = self.tilting();
         let is = |line: &Line, name: &str, direction: Vector3<f64>| {
             line.name == name && (line.direction - direction).norm() < SAME
@@ -90,17 +93,21 @@ impl Module {
             _ => false,
         };
         // A table turns the workpiece the other way, so that the tool moves as commanded relative to it.
-        if turns(-1.0) {
-            return Ok(true);
-        }
-        match (turns(1.0), self) {
-            (true, Self::Xyzac) => Ok(false),
-            (true, Self::Xyzbc) => Err(Error::usage(
-                "xyzbc-trt-kins is right in conventional directions only; in the others its inverse kinematics do not fit its \
-                 forward ones",
+        match (turns(-1.0), turns(1.0), self) {
+            (true, _, _) if has_pin => Ok(true),
+            (true, _, _) => Err(Error::usage(format!(
+                "{} up to LinuxCNC 2.9 turns both axes against convention; those of this machine turn as is conventional",
+                self.name()
+            ))
+            .help("has_conventional_directions: true, where the module has this pin; else turn both axes and measure with `reverse: true`")
+            .setting("has_conventional_directions")),
+            (_, true, Self::Xyzbc) if has_pin => Err(Error::usage(
+                "xyzbc-trt-kins with the pin `conventional-directions` is right in conventional directions only; in the others its \
+                 inverse kinematics do not fit its forward ones",
             )
             .setting("module")),
-            (false, _) => {
+            (_, true, _) => Ok(false),
+            (false, false, _) => {
                 let message =
                     format!("{} knows a tilting table {tilting} with a table C on it", self.name());
                 Err(Error::usage(message)
@@ -177,7 +184,7 @@ impl LinuxcncFiveAxis {
     fn numbers(&self, calibration: &Calibration, model: &dyn KinematicModel) -> Result<Numbers> {
         let five = FiveAxes::new(calibration, model)?;
         let module = self.settings.module;
-        let conventional = module.conventional(&five.nominal)?;
+        let conventional = module.conventional(&five.nominal, self.settings.has_conventional_directions)?;
         let most = self.settings.largest_change_mm;
         let mut pins = self.existing();
         for ((pin, value), change) in module.pins().into_iter().zip(&mut pins).zip(module.changes(&five)) {
@@ -210,7 +217,9 @@ impl Export for LinuxcncFiveAxis {
         for (pin, value) in self.settings.module.pins().into_iter().zip(pins) {
             writeln!(hal, "setp {module}.{pin} {value:.6}").ok();
         }
-        writeln!(hal, "setp {module}.conventional-directions {}", u8::from(conventional)).ok();
+        if self.settings.has_conventional_directions {
+            writeln!(hal, "setp {module}.conventional-directions {}", u8::from(conventional)).ok();
+        }
         let word = |(axis, (parameter, by)): (&str, (i32, &f64))| format!(" {axis}[#[{parameter}+20*#5220]{by:+.6}]");
         let words: String = ["X", "Y", "Z"].into_iter().zip((5201..).zip(shift.iter())).map(word).collect();
         let offsets = format!(
