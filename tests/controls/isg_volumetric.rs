@@ -247,7 +247,7 @@ fn law(machine: &Machine, seed: u64) -> super::law::Left {
 }
 
 /// What the tables cannot correct: the set-up errors of the tool, and reversal, of rotary axes at most this far from the tip, mm.
-fn remains(machine: &Machine) -> f64 {
+pub fn remains(machine: &Machine) -> f64 {
     const FAR: f64 = 700.0;
     let parameters = machine.model.info().parameters.iter().zip(&machine.values);
     let of = |wanted: &dyn Fn(&str) -> bool, factor: f64| -> f64 {

@@ -1,6 +1,7 @@
 //! What a calibration tells of a machine, and whether a correction may use it.
 
 use abbe_core::{Calibration, Error, KinematicModel, Poses, Result, Status, Termination, Variable, machine_values};
+use abbe_volumetric::{Grid, Points, Ranges};
 
 /// Points that are evaluated together.
 const CHUNK: usize = 200;
@@ -54,6 +55,13 @@ pub fn check_confounded(model: &dyn KinematicModel, calibration: &Calibration, s
         }
     }
     Ok(())
+}
+
+/// The same for set-points all over the workspace, axes in these ranges where they are given.
+pub fn check_confounded_anywhere(model: &dyn KinematicModel, calibration: &Calibration, ranges: &Ranges) -> Result<()> {
+    let everywhere =
+        Grid { points: Some(Points::Every(3)), axes: ranges.clone(), both_directions: true, ..Grid::default() };
+    check_confounded(model, calibration, &everywhere.statuses(model)?)
 }
 
 /// Whether the parts of a direction do not cancel in the motion of a pose.

@@ -17,13 +17,14 @@ mod figures;
 mod measured;
 mod path;
 mod remaining;
+pub mod rigid;
 mod set_points;
 mod settings;
 mod step;
 mod table_source;
 mod tables;
 
-pub use calibrated::check_confounded;
+pub use calibrated::{check_confounded, check_confounded_anywhere};
 pub use compensator::{Compensator, Correction, Deviation};
 pub use figures::{Figures, ReversedMoves, Spread, figures, reversed_moves};
 pub use measured::{Measured, MeasuredPoints, cost_of_leaving_out};

@@ -59,12 +59,12 @@ enum Form {
     PowerOfTwo,
 }
 
-fn most() -> usize {
+pub fn most() -> usize {
     256
 }
 
 /// Decimals of positions and values, mm and degrees.
-const DECIMALS: i32 = 4;
+pub const DECIMALS: i32 = 4;
 
 fn example() -> Value {
     json!({ "tables": { "step_mm": 25, "cross": [{ "correct": "Z", "along": "Y" }] }, "values": "subtracted" })
@@ -119,7 +119,7 @@ impl Export for Heidenhain {
     }
 }
 
-fn file(name: &str, text: String) -> ExportedFile {
+pub fn file(name: &str, text: String) -> ExportedFile {
     ExportedFile { name: name.to_owned(), content: text.into_bytes() }
 }
 
@@ -219,19 +219,25 @@ impl Heidenhain {
     /// One active line that names the file of each axis.
     fn assignment<'a>(&self, inputs: impl Iterator<Item = &'a str>) -> String {
         let (names, files): (Vec<String>, Vec<String>) = inputs.map(|axis| (axis.to_owned(), self.name(axis))).unzip();
-        let row = |first: &str, active: &str, cells: &[String]| line(first, &[&[active.to_owned()], cells].concat());
-        format!("BEGIN CONFIG.CMA\n{}{}[END]\n", row("NR", "ACTIVE", &names), row("0", "*", &files))
+        assignment(&names, &files)
     }
 }
 
-const NOTES: &str = "\
+/// `CONFIG.CMA`: one active line that names the file of each axis.
+pub fn assignment(axes: &[String], files: &[String]) -> String {
+    let row = |first: &str, active: &str, cells: &[String]| line(first, &[&[active.to_owned()], cells].concat());
+    format!("BEGIN CONFIG.CMA\n{}{}[END]\n", row("NR", "ACTIVE", axes), row("0", "*", files))
+}
+
+/// What has no source in the layout of files.
+pub const NOTES: &str = "\
 CONFIG.CMA names the files of these axes only: add those of axes that the control had and that stand nowhere here.
 Beyond the first and the last point nothing is documented: stay between them.
 The layout of CONFIG.CMA is not documented in full: compare it with one that the control wrote.
 ";
 
 /// A line of columns of equal width.
-fn line(first: &str, cells: &[String]) -> String {
+pub fn line(first: &str, cells: &[String]) -> String {
     let cells: String = cells.iter().map(|cell| format!(" {cell:<15}")).collect();
     format!("{first:<7}{}\n", cells.trim_end())
 }

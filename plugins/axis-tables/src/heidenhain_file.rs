@@ -9,57 +9,78 @@ use abbe_volumetric::position_unit;
 use crate::existing::{text, wrong};
 use crate::tables::axis_of;
 
+/// A file along an axis, as it stands there: positions and values in mm and degrees.
+pub struct Columns {
+    pub positions: Vec<f64>,
+    /// All columns but `NR` and `AXISPOS`, by their names.
+    pub values: Vec<(String, Vec<f64>)>,
+}
+
+impl Columns {
+    pub fn read(path: &Path) -> Result<Self> {
+        let text = text(path)?;
+        let fails = |message: &str| Error::data(message).in_file(path).setting("existing");
+        let mut lines =
+            text.lines().enumerate().map(|(line, text)| (line, text.trim())).filter(|(_, text)| !text.is_empty());
+        let begin = lines.next().map(|(_, text)| text).filter(|text| text.starts_with("BEGIN "));
+        let begin = begin.ok_or_else(|| fails("`BEGIN` was expected in the first line"))?;
+        if begin.ends_with(" INCH") {
+            return Err(fails("a table in mm was expected"));
+        }
+        let head = lines.next().map(|(_, text)| text).filter(|text| text.starts_with("NR"));
+        let columns: Vec<&str> =
+            head.ok_or_else(|| fails("`NR` was expected in the second line"))?.split_whitespace().collect();
+        let mut rows: Vec<Vec<f64>> = Vec::new();
+        let mut has_end = false;
+        for (line, text) in lines {
+            if text == "[END]" {
+                has_end = true;
+                break;
+            }
+            let numbers: Option<Vec<f64>> = text.split_whitespace().map(|word| word.parse().ok()).collect();
+            let numbers = numbers.filter(|row| row.len() == columns.len() && row.iter().all(|value| value.is_finite()));
+            rows.push(numbers.ok_or_else(|| wrong(path, line, format!("{} numbers were expected", columns.len())))?);
+        }
+        if rows.len() < 2 || !has_end {
+            return Err(fails("at least two lines of numbers and `[END]` were expected"));
+        }
+        let column = |place: usize| rows.iter().map(|row| row[place]).collect::<Vec<f64>>();
+        let along = columns.iter().position(|name| *name == "AXISPOS");
+        let positions = match (along, after(begin, "DATUM:").zip(after(begin, "DISTANCE:"))) {
+            (Some(place), _) => column(place),
+            (None, Some((datum, distance))) => (0..rows.len()).map(|row| datum + row as f64 * distance).collect(),
+            (None, None) => return Err(fails("`AXISPOS`, or `DATUM:` and `DISTANCE:`, were expected")),
+        };
+        let values = columns.iter().enumerate().filter(|(_, name)| !["NR", "AXISPOS"].contains(name));
+        Ok(Self { positions, values: values.map(|(place, name)| ((*name).to_owned(), column(place))).collect() })
+    }
+
+    /// The values of a column.
+    pub fn get(&self, name: &str) -> Option<&Vec<f64>> {
+        self.values.iter().find(|(own, _)| own == name).map(|(_, values)| values)
+    }
+}
+
 /// The tables of a file along an axis, values in mm and rad as they stand in the file.
 pub fn read(path: &Path, input: usize, model: &dyn KinematicModel) -> Result<Vec<AxisTable>> {
-    let text = text(path)?;
-    let fails = |message: &str| Error::data(message).in_file(path).setting("existing");
-    let mut lines =
-        text.lines().enumerate().map(|(line, text)| (line, text.trim())).filter(|(_, text)| !text.is_empty());
-    let begin = lines.next().map(|(_, text)| text).filter(|text| text.starts_with("BEGIN "));
-    let begin = begin.ok_or_else(|| fails("`BEGIN` was expected in the first line"))?;
-    if begin.ends_with(" INCH") {
-        return Err(fails("a table in mm was expected"));
-    }
-    let head = lines.next().map(|(_, text)| text).filter(|text| text.starts_with("NR"));
-    let columns: Vec<&str> =
-        head.ok_or_else(|| fails("`NR` was expected in the second line"))?.split_whitespace().collect();
-    let mut rows: Vec<Vec<f64>> = Vec::new();
-    let mut has_end = false;
-    for (line, text) in lines {
-        if text == "[END]" {
-            has_end = true;
-            break;
-        }
-        let numbers: Option<Vec<f64>> = text.split_whitespace().map(|word| word.parse().ok()).collect();
-        let numbers = numbers.filter(|row| row.len() == columns.len() && row.iter().all(|value| value.is_finite()));
-        rows.push(numbers.ok_or_else(|| wrong(path, line, format!("{} numbers were expected", columns.len())))?);
-    }
-    if rows.len() < 2 || !has_end {
-        return Err(fails("at least two lines of numbers and `[END]` were expected"));
-    }
-    let column = |name: &str| {
-        let place = columns.iter().position(|column| *column == name)?;
-        Some(rows.iter().map(|row| row[place]).collect::<Vec<f64>>())
-    };
+    let file = Columns::read(path)?;
     let along = position_unit(&model.info().axes[input]).1;
-    let positions = match (column("AXISPOS"), after(begin, "DATUM:").zip(after(begin, "DISTANCE:"))) {
-        (Some(positions), _) => positions,
-        (None, Some((datum, distance))) => (0..rows.len()).map(|row| datum + row as f64 * distance).collect(),
-        (None, None) => return Err(fails("`AXISPOS`, or `DATUM:` and `DISTANCE:`, were expected")),
-    };
-    let positions: Vec<f64> = positions.into_iter().map(|place| place / along).collect();
+    let positions: Vec<f64> = file.positions.iter().map(|place| place / along).collect();
     let mut tables = Vec::new();
-    for name in columns.iter().filter(|name| !["NR", "AXISPOS", "BACKLASH"].contains(name)) {
+    for (name, forward) in file.values.iter().filter(|(name, _)| name != "BACKLASH") {
         let output = axis_of(model, name).map_err(|error| error.in_file(path).setting("existing"))?;
         let of = position_unit(&model.info().axes[output]).1;
-        let forward = column(name).unwrap_or_default();
-        let reverse = column("BACKLASH").filter(|_| output == input).unwrap_or_else(|| forward.clone());
+        let reverse = file.get("BACKLASH").filter(|_| output == input).unwrap_or(forward).clone();
         let repeats = model.info().axes[input].endless;
-        let table = AxisTable { input, output, positions: positions.clone(), forward, reverse, repeats };
+        let table =
+            AxisTable { input, output, positions: positions.clone(), forward: forward.clone(), reverse, repeats };
         tables.push(table.map(|value| value / of));
     }
-    match column("BACKLASH").is_some() && !tables.iter().any(|table| table.output == input) {
-        true => Err(fails("`BACKLASH` needs the column of the axis that moves")),
+    match file.get("BACKLASH").is_some() && !tables.iter().any(|table| table.output == input) {
+        true => {
+            let message = "`BACKLASH` needs the column of the axis that moves";
+            Err(Error::data(message).in_file(path).setting("existing"))
+        }
         false => Ok(tables),
     }
 }

@@ -6,6 +6,8 @@ mod fanuc_file;
 mod fanuc_points;
 mod heidenhain;
 mod heidenhain_file;
+mod heidenhain_kinematics;
+mod heidenhain_sequence;
 mod isg;
 mod isg_file;
 mod siemens;

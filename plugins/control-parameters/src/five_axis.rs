@@ -8,11 +8,11 @@
 //! from the programmed place `p` of the workpiece, with the turns of its rotary axes about the lines that it knows.
 
 use abbe_compensation::check_confounded;
+use abbe_compensation::rigid::{Errors, Joint, Machine, Part};
 use abbe_core::{AxisKind, Branch, Calibration, CommandCorrection, Error, KinematicModel, Result};
 use nalgebra::{Isometry3, Point3, Translation3, UnitQuaternion, Vector3};
 
 use crate::linear::AXES;
-use crate::rigid::{Errors, Joint, Machine, Part};
 
 /// The nominal transformation has to place the tip as the model does, to this distance, mm.
 const SAME: f64 = 1e-6;

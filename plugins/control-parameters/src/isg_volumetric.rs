@@ -4,20 +4,20 @@ use std::collections::BTreeMap;
 use std::fmt::Write as _;
 use std::path::PathBuf;
 
-use abbe_compensation::check_confounded;
+use abbe_compensation::check_confounded_anywhere;
+use abbe_compensation::rigid::{Joint, LETTERS, Six};
 use abbe_core::{
     AxisKind, Branch, Calibration, CommandCorrection, Context, Error, Export, ExportedFile, InputFile, KinematicModel,
     PathItem, Result, SettingsError,
 };
-use abbe_volumetric::{Grid, Points, Ranges, Steps, check_axes, check_ranges, within};
+use abbe_volumetric::{Ranges, Steps, check_axes, check_ranges, within};
 use nalgebra::Vector3;
 use schemars::JsonSchema;
 use serde::Deserialize;
 use serde_json::{Value, json};
 
 use crate::isg_existing::Active;
-use crate::motion_tables::{Curve, Tables, TipCorrection, is_named_by_kind, text};
-use crate::rigid::{Joint, Six};
+use crate::motion_tables::{Curve, Tables, TipCorrection, text};
 
 abbe_core::register!(
     Export,
@@ -106,8 +106,6 @@ struct IsgVolumetric {
 /// Places in active tables are those of the machine to this much, mm.
 const SAME: f64 = 1e-4;
 
-const LETTERS: [&str; 6] = ["X", "Y", "Z", "A", "B", "C"];
-
 const NOTE: &str = "\
 Errors of ISO 230-1, actual minus nominal, mm and rad, of the body that the axis carries, in the directions of the machine
 axes at zero; linear axes: told at the origin, rotary axes: at their centre PXA, ... The origin is that of the table frame with
@@ -125,7 +123,7 @@ impl IsgVolumetric {
         check_axes(&self.settings.ranges, "ranges", model)?;
         let tables = Tables::new(calibration, model, (&self.settings.ranges, "ranges"), self.settings.steps())?;
         for joint in &tables.machine.joints {
-            check_axis(joint)?;
+            joint.letter()?;
             if !self.settings.axis_numbers.contains_key(&joint.name) {
                 let message = format!("the number of axis {} in the control is missing", joint.name);
                 return Err(Error::usage(message).setting("axis_numbers"));
@@ -143,13 +141,7 @@ impl IsgVolumetric {
             let message = format!("axis {} turns without an end, and a table of this control has ends", axis.name);
             return Err(Error::usage(message).help("give the axis a range without `endless`, if it does not go beyond"));
         }
-        let everywhere = Grid {
-            points: Some(Points::Every(3)),
-            axes: self.settings.ranges.clone(),
-            both_directions: true,
-            ..Grid::default()
-        };
-        check_confounded(model, calibration, &everywhere.statuses(model)?)?;
+        check_confounded_anywhere(model, calibration, &self.settings.ranges)?;
         Ok(tables)
     }
 
@@ -201,22 +193,6 @@ impl IsgVolumetric {
         }
         text
     }
-}
-
-/// Refuses axes that the six letters of the control do not describe.
-fn check_axis(joint: &Joint) -> Result<()> {
-    let name = &joint.name;
-    let letter = LETTERS.iter().position(|letter| letter == name).filter(|_| is_named_by_kind(joint));
-    let Some(letter) = letter else {
-        return Err(Error::usage(format!("the control knows axes X, Y, Z, A, B and C; it has no axis {name}")));
-    };
-    let mut direction = Vector3::zeros();
-    direction[letter % 3] = if joint.branch == Branch::Tool { 1.0 } else { -1.0 };
-    if (joint.direction - direction).norm() > 1e-9 {
-        let message = format!("axis {name} does not move along or about its own letter as in ISO 841");
-        return Err(Error::usage(message).help("axes in other directions or senses are not written for this control"));
-    }
-    Ok(())
 }
 
 /// Names of the location errors of an axis: `X0C`, ..., `C0C`.

@@ -16,5 +16,4 @@ mod linear;
 mod linuxcnc_five_axis;
 mod motion_tables;
 mod printer_skew;
-mod rigid;
 mod siemens_kinematics;

@@ -1,10 +1,9 @@
 //! Errors of axes on points along each axis, rounded as files have them, linear between points.
 
-use abbe_core::{AxisKind, Calibration, CommandCorrection, KinematicModel, Result};
+use abbe_compensation::rigid::{Errors, Joint, Machine, Part, Six};
+use abbe_core::{Calibration, CommandCorrection, KinematicModel, Result};
 use abbe_volumetric::{Ranges, Steps, points_every, position_unit, range_of};
 use nalgebra::Isometry3;
-
-use crate::rigid::{Errors, Joint, Machine, Part, Six};
 
 /// Most points along an axis.
 const MOST: usize = 10_000;
@@ -133,10 +132,4 @@ impl CommandCorrection for TipCorrection {
         }
         Ok(all)
     }
-}
-
-/// The letter of an axis is one of those of ISO 841 for its kind.
-pub fn is_named_by_kind(joint: &Joint) -> bool {
-    let letters = if joint.kind == AxisKind::Linear { "XYZ" } else { "ABC" };
-    joint.name.len() == 1 && letters.contains(&joint.name)
 }

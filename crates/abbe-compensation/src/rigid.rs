@@ -26,13 +26,22 @@ const PASSES: usize = 30;
 /// Distance, mm, to which the tip is brought.
 const SETTLED: f64 = 1e-9;
 
+/// Letters of axes, and of the components of errors.
+pub const LETTERS: [&str; 6] = ["X", "Y", "Z", "A", "B", "C"];
+
+/// Directions of axes are those of the frame to this much.
+const PARALLEL: f64 = 1e-9;
+
 /// An axis of the nominal machine.
 #[derive(Debug, Clone)]
 pub struct Joint {
     /// Index into [`ModelInfo::axes`](abbe_core::ModelInfo::axes).
     pub axis: usize,
+    /// Its name.
     pub name: String,
+    /// Linear or rotary.
     pub kind: AxisKind,
+    /// The side of the bed on which it sits.
     pub branch: Branch,
     /// Unit direction in which, or about which, a positive command moves the body that the axis carries.
     pub direction: Vector3<f64>,
@@ -43,8 +52,28 @@ pub struct Joint {
 }
 
 impl Joint {
+    /// Its letter among [`LETTERS`]. Fails for an axis that does not move the tool, as seen from the workpiece, along or about its own
+    /// letter (ISO 841).
+    pub fn letter(&self) -> Result<usize> {
+        let name = &self.name;
+        let own = if self.kind == AxisKind::Linear { 0..3 } else { 3..6 };
+        let letter = own.clone().find(|letter| LETTERS[*letter] == name);
+        let letter = letter.ok_or_else(|| {
+            Error::usage(format!("the control knows axes X, Y, Z, A, B and C; it has no axis {name}"))
+        })?;
+        let mut direction = Vector3::zeros();
+        direction[letter % 3] = if self.branch == Branch::Tool { 1.0 } else { -1.0 };
+        if (self.direction - direction).norm() > PARALLEL {
+            let message = format!("axis {name} does not move along or about its own letter as in ISO 841");
+            return Err(
+                Error::usage(message).help("axes in other directions or senses are not written for this control")
+            );
+        }
+        Ok(letter)
+    }
+
     /// What a command does to the body that the axis carries.
-    fn motion(&self, command: f64) -> Isometry3<f64> {
+    pub fn motion(&self, command: f64) -> Isometry3<f64> {
         match self.kind {
             AxisKind::Linear => Translation3::from(self.direction * command).into(),
             AxisKind::Rotary => {
@@ -84,6 +113,8 @@ pub struct Machine {
     pub joints: Vec<Joint>,
     /// The tip with every axis at zero.
     pub tip: Point3<f64>,
+    /// Direction from the tip to the spindle, with every axis at zero.
+    pub tool: Vector3<f64>,
     /// The status with every axis at zero.
     pub standing: Vec<f64>,
 }
@@ -92,9 +123,10 @@ impl Machine {
     /// Fails if the model is no chain of such axes.
     pub fn new(model: &dyn KinematicModel) -> Result<Self> {
         let standing = standing(model);
-        let mut machine = Self { joints: Vec::new(), tip: Point3::origin(), standing };
         let nominal = &model.info().nominal;
-        machine.tip = pose(model, &machine.standing, nominal)? * Point3::origin();
+        let tool = pose(model, &standing, nominal)?;
+        let mut machine =
+            Self { joints: Vec::new(), tip: tool * Point3::origin(), tool: tool * Vector3::z(), standing };
         for (index, axis) in model.info().axes.iter().enumerate().filter(|(_, axis)| !axis.indexed) {
             let mut joint = Joint {
                 axis: index,
@@ -226,6 +258,7 @@ pub struct Errors<'a> {
 }
 
 impl<'a> Errors<'a> {
+    /// The errors of a calibration.
     pub fn new(model: &'a dyn KinematicModel, machine: &'a Machine, calibration: &Calibration) -> Self {
         Self { model, machine, values: machine_values(model, calibration) }
     }
