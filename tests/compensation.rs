@@ -440,6 +440,14 @@ fn the_command_corrects_files() {
     refused(&["--max-age-days", "nan"], 2, "a number of days");
     refused(&["--correct", "all"], 2, "`position`, `five-axes`");
     refused(&["--sensitive-direction", "0,0"], 2, "three numbers");
+    refused(&["--weights", "1,1,0", "--correct", "X,Z"], 2, "three positive numbers");
+    // A heavier component is left with less.
+    let left = |weights: &str| -> f64 {
+        let printed = run(&["--json", "--correct", "X,Z", "--weights", weights]);
+        let figures: Value = serde_json::from_str(&printed.stdout).expect("JSON");
+        figures["tip_rms_um"]["after"].as_f64().expect("a number")
+    };
+    assert!(left("1,1,1") < left("1,100,1"), "{} {}", left("1,1,1"), left("1,100,1"));
     refused(&["--largest-tip-correction-mm", "0"], 2, "largest_tip_correction_mm");
     refused(&["--largest-tip-correction-mm", "-1"], 2, "largest_tip_correction_mm");
     refused(&["--out", "nowhere/new.csv"], 1, "its folder does not exist");

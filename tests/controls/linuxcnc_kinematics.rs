@@ -211,7 +211,9 @@ fn the_model_in_c_is_that_of_random_machines() {
         settings.as_object_mut().expect("settings").remove("ranges");
         let export = exporter("linuxcnc-kinematics", &settings);
         let load = |files: &[ExportedFile]| Box::new(Component::load(files, &machine)) as Box<dyn Control>;
-        holds(&machine, export.as_ref(), &load, &machine.anywhere(60, &[], seed + 1), 1e-9);
+        // Near a pole the passes of both leave other parts of the angle.
+        let left = holds(&machine, export.as_ref(), &load, &machine.anywhere(60, &[], seed + 1), 1e-7);
+        assert!(left.from_predicted < 1e-9, "seed {seed}: {left:?}");
     }
 }
 

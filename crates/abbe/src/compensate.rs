@@ -34,8 +34,11 @@ pub struct Compensate {
     #[arg(long, value_enum, default_value_t)]
     travel: TravelName,
     /// Correct only the component of the error in this direction of the table frame: `0,0,1`.
-    #[arg(long, value_name = "X,Y,Z", value_parser = direction, allow_hyphen_values = true)]
+    #[arg(long, value_name = "X,Y,Z", value_parser = three, allow_hyphen_values = true)]
     sensitive_direction: Option<[f64; 3]>,
+    /// Weights of the components of the error in the table frame, where less than three linear axes correct: `1,1,4`.
+    #[arg(long, value_name = "X,Y,Z", value_parser = three, allow_hyphen_values = true)]
+    weights: Option<[f64; 3]>,
     /// Largest correction of the tip, mm.
     #[arg(long, value_name = "MM", default_value_t = 1.0, allow_negative_numbers = true)]
     largest_tip_correction_mm: f64,
@@ -79,7 +82,7 @@ fn correct(text: &str) -> std::result::Result<Correct, String> {
     }
 }
 
-fn direction(text: &str) -> std::result::Result<[f64; 3], String> {
+fn three(text: &str) -> std::result::Result<[f64; 3], String> {
     let numbers: std::result::Result<Vec<f64>, _> = text.split(',').map(|part| part.trim().parse()).collect();
     let numbers = numbers.ok().and_then(|numbers| <[f64; 3]>::try_from(numbers).ok());
     numbers.ok_or_else(|| "three numbers, `X,Y,Z`, were expected".to_owned())
@@ -93,7 +96,7 @@ impl Compensate {
                 MethodName::Exact => Method::Exact,
                 MethodName::FirstOrder => Method::FirstOrder,
             },
-            weights: None,
+            weights: self.weights,
             sensitive_direction: self.sensitive_direction,
             largest_rotary_correction_mrad: self.largest_rotary_correction_mrad,
             largest_tip_correction_mm: self.largest_tip_correction_mm,
