@@ -18,7 +18,7 @@ const fn border(name: &'static str, uses: &'static [&'static str]) -> Border {
 }
 
 /// The folder `crates`: arrows point one way, see docs/architecture.md.
-const CRATES: [Border; 20] = [
+const CRATES: [Border; 21] = [
     border("abbe-settings", &[]),
     border("abbe-files", &[]),
     border("abbe-results", &["abbe-settings"]),
@@ -28,6 +28,7 @@ const CRATES: [Border; 20] = [
     border("abbe-geometry", &["abbe-numerics"]),
     border("abbe-kinematics", &["abbe-core"]),
     border("abbe-table", &["abbe-core", "abbe-files"]),
+    border("abbe-thermal", &["abbe-core", "abbe-numerics"]),
     Border {
         name: "abbe-estimation",
         uses: &["abbe-core", "abbe-numerics"],
@@ -84,7 +85,7 @@ const CRATES: [Border; 20] = [
 const ABOVE_ALL: [&str; 4] = ["abbe-benches", "abbe-campaigns", "abbe-examples", "abbe-tests"];
 
 /// The crates that plugins may use.
-const FOR_PLUGINS: [&str; 11] = [
+const FOR_PLUGINS: [&str; 12] = [
     "abbe-compensation",
     "abbe-core",
     "abbe-errors",
@@ -95,6 +96,7 @@ const FOR_PLUGINS: [&str; 11] = [
     "abbe-numerics",
     "abbe-simulation",
     "abbe-table",
+    "abbe-thermal",
     "abbe-volumetric",
 ];
 

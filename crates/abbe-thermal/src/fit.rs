@@ -1,0 +1,506 @@
+//! Gains and time constants by variable projection.
+
+use abbe_core::{Error, Result};
+use faer::linalg::solvers::Qr;
+use faer::{Mat, MatRef};
+
+use crate::log::SensorLog;
+use crate::response::Response;
+use crate::starts::starts;
+
+/// What follows thermal states.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Output {
+    /// Its name.
+    pub name: String,
+    /// Times of its readings, s, within the log of inputs.
+    pub times: Vec<f64>,
+    /// Its readings, counted from its reference.
+    pub values: Vec<f64>,
+    /// Standard uncertainty of a reading, if it is known: else it follows from the residuals of this output.
+    pub standard_uncertainty: Option<f64>,
+}
+
+/// Which terms an output has.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Structure {
+    /// Sensors that drive states, by their index in the log.
+    pub inputs: Vec<usize>,
+    /// Sensors that outputs follow at once.
+    pub at_once: Vec<usize>,
+    /// Number of time constants, shared by all inputs and outputs.
+    pub time_constants: usize,
+    /// States at the beginning of the log are unknown: one for each time constant and output.
+    pub starts_warm: bool,
+    /// First guesses of the time constants, s. Without them several are tried.
+    pub guess: Option<Vec<f64>>,
+}
+
+impl Structure {
+    /// Gains of an output: states by input and time constant, then what it follows at once, then states at the beginning.
+    pub fn gains(&self) -> usize {
+        let beginnings = if self.starts_warm { self.time_constants } else { 0 };
+        self.inputs.len() * self.time_constants + self.at_once.len() + beginnings
+    }
+
+    /// The place of a gain among those of an output: `input` counts among [`inputs`](Self::inputs), `time_constant` from 0.
+    pub fn gain(&self, input: usize, time_constant: usize) -> usize {
+        input * self.time_constants + time_constant
+    }
+}
+
+/// What a log and its outputs tell.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Fitted {
+    /// The structure that was fitted.
+    pub structure: Structure,
+    /// Time constants, s, shortest first.
+    pub time_constants: Vec<f64>,
+    /// Standard uncertainties of the logarithms of the time constants: relative ones of the time constants. From residuals alone; where
+    /// inputs are noisy, or the model lacks something, this is optimistic.
+    pub relative_uncertainties: Vec<f64>,
+    /// For each output its gains, as [`Structure::gain`] orders them.
+    pub gains: Vec<Vec<f64>>,
+    /// Standard uncertainties of the gains, in the same order. Optimistic in the same way.
+    pub gain_uncertainties: Vec<Vec<f64>>,
+    /// For each output the root mean square of its residuals, by degrees of freedom.
+    pub scatter: Vec<f64>,
+    /// Passes of the iteration.
+    pub passes: usize,
+}
+
+/// Most passes of the search for time constants.
+const PASSES: usize = 200;
+
+/// Relative change of time constants below which they stand.
+const SETTLED: f64 = 1e-13;
+
+/// Time constants nearer to each other than this ratio are one.
+const SAME: f64 = 1.05;
+
+/// Columns are dependent below this part of their size.
+const DEPENDENT: f64 = 1e-10;
+
+/// Fits outputs to the states of a log.
+///
+/// Fails for readings outside the log, for fewer readings than gains, for inputs that do not tell their terms apart, and where two
+/// time constants become one.
+pub fn fit(log: &SensorLog, outputs: &[Output], structure: &Structure) -> Result<Fitted> {
+    check(log, outputs, structure)?;
+    let guesses = match &structure.guess {
+        Some(guess) => vec![guess.clone()],
+        None => starts(log.times(), structure.time_constants),
+    };
+    let scales: Vec<f64> =
+        outputs.iter().map(|output| output.standard_uncertainty.unwrap_or_else(|| size(&output.values))).collect();
+    let mut best: Option<Search<'_>> = None;
+    let mut told = None;
+    for guess in guesses {
+        let mut search =
+            Search::new(log, outputs, structure, scales.clone(), guess.iter().map(|time| time.ln()).collect());
+        match search.run() {
+            Ok(()) if best.as_ref().is_none_or(|best| search.cost < best.cost) => best = Some(search),
+            Ok(()) => {}
+            Err(error) => told = Some(error),
+        }
+    }
+    let Some(mut search) = best else {
+        return Err(told.unwrap_or_else(|| Error::data("no time constants are found")));
+    };
+    // Outputs weigh by what they scatter; where nothing scatters but rounding, this is one weight for all.
+    let scatter = search.scatter()?;
+    let is_exact = scatter.iter().zip(&search.scales).any(|(scatter, scale)| *scatter < 1e-8 * scale);
+    if !is_exact {
+        search.scales = (outputs.iter().zip(&scatter))
+            .map(|(output, scatter)| output.standard_uncertainty.unwrap_or(*scatter))
+            .collect();
+        search.run()?;
+    }
+    search.fitted()
+}
+
+/// Root mean square, or 1 for an output that does not move.
+fn size(values: &[f64]) -> f64 {
+    let size = (values.iter().map(|value| value * value).sum::<f64>() / values.len().max(1) as f64).sqrt();
+    if size > 0.0 { size } else { 1.0 }
+}
+
+fn check(log: &SensorLog, outputs: &[Output], structure: &Structure) -> Result<()> {
+    if outputs.is_empty() {
+        return Err(Error::usage("at least one output was expected"));
+    }
+    if structure.inputs.is_empty() != (structure.time_constants == 0) {
+        return Err(Error::usage("inputs and time constants belong together: both, or none of them, were expected"));
+    }
+    if let Some(sensor) = structure.inputs.iter().chain(&structure.at_once).find(|sensor| **sensor >= log.names().len())
+    {
+        return Err(Error::usage(format!("the log has no sensor number {sensor}")));
+    }
+    if let Some(guess) = &structure.guess {
+        let is_time = |time: &f64| time.is_finite() && *time > 0.0;
+        if guess.len() != structure.time_constants || !guess.iter().all(is_time) {
+            let message = format!("{} times above 0 s were expected as first guess", structure.time_constants);
+            return Err(Error::usage(message));
+        }
+    }
+    for output in outputs {
+        if output.times.len() != output.values.len() {
+            return Err(Error::usage(format!("{} has as many times as readings", output.name)));
+        }
+        if let Some(row) = output.values.iter().position(|value| !value.is_finite()) {
+            return Err(Error::data(format!("{} has no reading in row {}", output.name, row + 1)));
+        }
+        if output.standard_uncertainty.is_some_and(|value| !(value.is_finite() && value > 0.0)) {
+            return Err(Error::usage(format!("the standard uncertainty of {} has to be above 0", output.name)));
+        }
+        if output.values.len() <= structure.gains() + structure.time_constants {
+            let message = format!(
+                "{} has {} readings, and {} gains and {} time constants are to be found",
+                output.name,
+                output.values.len(),
+                structure.gains(),
+                structure.time_constants
+            );
+            return Err(Error::data(message));
+        }
+    }
+    Ok(())
+}
+
+/// States of all terms at the readings of some outputs, and what they change with each time constant.
+struct Basis {
+    columns: Mat<f64>,
+    /// Derivatives of columns to the logarithm of the time constant that each has; none for what outputs follow at once.
+    slopes: Mat<f64>,
+    qr: Qr<f64>,
+    thin: Mat<f64>,
+}
+
+impl Basis {
+    fn new(log: &SensorLog, structure: &Structure, logarithms: &[f64], times: &[f64]) -> Result<Self> {
+        let (rows, count) = (times.len(), structure.gains());
+        let (mut columns, mut slopes) = (Mat::zeros(rows, count), Mat::zeros(rows, count));
+        let mut put = |place: usize, response: Response| {
+            for (row, (value, slope)) in response.values.iter().zip(&response.slopes).enumerate() {
+                (columns[(row, place)], slopes[(row, place)]) = (*value, *slope);
+            }
+        };
+        for (input, sensor) in structure.inputs.iter().enumerate() {
+            for (index, logarithm) in logarithms.iter().enumerate() {
+                put(structure.gain(input, index), Response::new(log, *sensor, logarithm.exp(), times)?);
+            }
+        }
+        let own = structure.inputs.len() * structure.time_constants;
+        for (place, sensor) in structure.at_once.iter().enumerate() {
+            let values = times.iter().map(|time| log.at(*sensor, *time)).collect::<Result<Vec<f64>>>()?;
+            put(own + place, Response { slopes: vec![0.0; values.len()], values });
+        }
+        if structure.starts_warm {
+            for (index, logarithm) in logarithms.iter().enumerate() {
+                let place = own + structure.at_once.len() + index;
+                put(place, Response::of_beginning(log, logarithm.exp(), times));
+            }
+        }
+        let qr = columns.as_ref().qr();
+        let thin = qr.compute_thin_Q();
+        Ok(Self { columns, slopes, qr, thin })
+    }
+
+    /// The first column that the ones before it explain.
+    fn dependent(&self) -> Option<usize> {
+        let upper = self.qr.thin_R();
+        (0..self.columns.ncols()).find(|&column| {
+            let norm = self.columns.col(column).norm_l2();
+            upper[(column, column)].abs() <= DEPENDENT * norm || norm == 0.0
+        })
+    }
+
+    /// Gains with the least squares.
+    fn gains(&self, values: MatRef<'_, f64>) -> Mat<f64> {
+        let mut gains = self.thin.transpose() * values;
+        faer::linalg::triangular_solve::solve_upper_triangular_in_place(
+            self.qr.thin_R(),
+            gains.as_mut(),
+            faer::Par::Seq,
+        );
+        gains
+    }
+
+    /// What columns do not explain of vectors.
+    fn rest(&self, vectors: Mat<f64>) -> Mat<f64> {
+        let explained = &self.thin * (self.thin.transpose() * &vectors);
+        vectors - explained
+    }
+}
+
+/// The search for the logarithms of the time constants.
+struct Search<'a> {
+    log: &'a SensorLog,
+    structure: &'a Structure,
+    outputs: &'a [Output],
+    /// Outputs with the same times share their states: the first of each group, and the group of each output.
+    groups: Vec<Vec<usize>>,
+    /// What an output is divided by.
+    scales: Vec<f64>,
+    logarithms: Vec<f64>,
+    cost: f64,
+    passes: usize,
+}
+
+/// Normal equations of the logarithms, gains projected out.
+struct Normal {
+    matrix: Mat<f64>,
+    gradient: Mat<f64>,
+    cost: f64,
+}
+
+impl<'a> Search<'a> {
+    fn new(
+        log: &'a SensorLog,
+        outputs: &'a [Output],
+        structure: &'a Structure,
+        scales: Vec<f64>,
+        logarithms: Vec<f64>,
+    ) -> Self {
+        let mut groups: Vec<Vec<usize>> = Vec::new();
+        for (index, output) in outputs.iter().enumerate() {
+            match groups.iter_mut().find(|group| outputs[group[0]].times == output.times) {
+                Some(group) => group.push(index),
+                None => groups.push(vec![index]),
+            }
+        }
+        Self { log, structure, outputs, groups, scales, logarithms, cost: f64::INFINITY, passes: 0 }
+    }
+
+    /// The readings of a group of outputs, divided by their scales, and the states at their times.
+    fn group(&self, group: &[usize], logarithms: &[f64]) -> Result<(Mat<f64>, Basis)> {
+        let first = &self.outputs[group[0]];
+        let values = Mat::from_fn(first.times.len(), group.len(), |row, place| {
+            self.outputs[group[place]].values[row] / self.scales[group[place]]
+        });
+        Ok((values, Basis::new(self.log, self.structure, logarithms, &first.times)?))
+    }
+
+    /// The term of an output that each logarithm changes.
+    fn changed(&self, basis: &Basis, gains: &Mat<f64>, time_constant: usize) -> Mat<f64> {
+        let structure = self.structure;
+        let own = structure.inputs.len() * structure.time_constants + structure.at_once.len();
+        let beginning = structure.starts_warm.then_some(own + time_constant);
+        let mut changed = Mat::zeros(basis.columns.nrows(), gains.ncols());
+        let states = (0..structure.inputs.len()).map(|input| structure.gain(input, time_constant));
+        for column in states.chain(beginning) {
+            changed += basis.slopes.as_ref().subcols(column, 1) * gains.as_ref().subrows(column, 1);
+        }
+        changed
+    }
+
+    fn normal(&self, logarithms: &[f64]) -> Result<Normal> {
+        let count = logarithms.len();
+        let (mut matrix, mut gradient, mut cost) = (Mat::zeros(count, count), Mat::zeros(count, 1), 0.0);
+        for group in &self.groups {
+            let (values, basis) = self.group(group, logarithms)?;
+            let gains = basis.gains(values.as_ref());
+            let residuals = &values - &basis.columns * &gains;
+            cost += residuals.squared_norm_l2();
+            let columns: Vec<Mat<f64>> =
+                (0..count).map(|index| basis.rest(self.changed(&basis, &gains, index))).collect();
+            for (row, one) in columns.iter().enumerate() {
+                gradient[(row, 0)] += product(one, &residuals);
+                for (column, other) in columns.iter().enumerate() {
+                    matrix[(row, column)] += product(one, other);
+                }
+            }
+        }
+        Ok(Normal { matrix, gradient, cost })
+    }
+
+    /// Levenberg's and Marquardt's steps until time constants stand.
+    fn run(&mut self) -> Result<()> {
+        let count = self.logarithms.len();
+        let mut now = self.normal(&self.logarithms)?;
+        self.cost = now.cost;
+        if count == 0 {
+            return self.check();
+        }
+        let mut damping = 1e-3;
+        for pass in 1..=PASSES {
+            self.passes = pass;
+            let mut damped = now.matrix.clone();
+            (0..count).for_each(|index| damped[(index, index)] *= 1.0 + damping);
+            let step = solved(&damped, &now.gradient);
+            let largest = step.iter().fold(0.0_f64, |largest, part| largest.max(part.abs()));
+            if !largest.is_finite() {
+                return Err(Error::data("the readings do not determine the time constants"));
+            }
+            // A time constant changes by a factor of e at most.
+            let part = (1.0 / largest).min(1.0);
+            let next: Vec<f64> = self.logarithms.iter().zip(&step).map(|(own, by)| own + part * by).collect();
+            let found = self.normal(&next)?;
+            if largest < SETTLED {
+                break;
+            }
+            if found.cost < now.cost {
+                (self.logarithms, now, damping) = (next, found, (damping * 0.1).max(1e-15));
+            } else if largest < 1e-9 || damping > 1e12 {
+                // Rounding alone moves the cost.
+                break;
+            } else {
+                damping *= 10.0;
+            }
+        }
+        self.cost = now.cost;
+        self.check()
+    }
+
+    /// Fails where terms cannot be told apart.
+    fn check(&self) -> Result<()> {
+        let mut sorted = self.logarithms.clone();
+        sorted.sort_by(f64::total_cmp);
+        if let Some(pair) = sorted.windows(2).find(|pair| pair[1] - pair[0] < SAME.ln()) {
+            let message = format!("two time constants become one, {:.0} s", pair[0].exp());
+            return Err(Error::data(message).help("fewer time constants explain these readings"));
+        }
+        for group in &self.groups {
+            let (_, basis) = self.group(group, &self.logarithms)?;
+            if let Some(column) = basis.dependent() {
+                let name = self.term(column);
+                let output = &self.outputs[group[0]].name;
+                let message = format!("{output}: {name} cannot be told from the terms before it");
+                return Err(Error::data(message).help("leave out an input, or record one that moves by itself"));
+            }
+        }
+        Ok(())
+    }
+
+    /// What a gain belongs to.
+    fn term(&self, column: usize) -> String {
+        let structure = self.structure;
+        let states = structure.inputs.len() * structure.time_constants;
+        let names = self.log.names();
+        if column < states {
+            let input = &names[structure.inputs[column / structure.time_constants]];
+            return format!("{input} with time constant {}", column % structure.time_constants + 1);
+        }
+        match structure.at_once.get(column - states) {
+            Some(sensor) => format!("{} at once", names[*sensor]),
+            None => "the state at the beginning".to_owned(),
+        }
+    }
+
+    /// Root mean squares of residuals by degrees of freedom, in the units of the outputs.
+    fn scatter(&self) -> Result<Vec<f64>> {
+        let mut scatter = vec![0.0; self.outputs.len()];
+        let shared = self.logarithms.len() as f64 / self.outputs.len() as f64;
+        for group in &self.groups {
+            let (values, basis) = self.group(group, &self.logarithms)?;
+            let residuals = &values - &basis.columns * basis.gains(values.as_ref());
+            let freedom = values.nrows() as f64 - self.structure.gains() as f64 - shared;
+            for (place, &output) in group.iter().enumerate() {
+                let squares = residuals.col(place).squared_norm_l2();
+                scatter[output] = self.scales[output] * (squares / freedom.max(1.0)).sqrt();
+            }
+        }
+        Ok(scatter)
+    }
+
+    fn fitted(&self) -> Result<Fitted> {
+        let mut order: Vec<usize> = (0..self.logarithms.len()).collect();
+        order.sort_by(|one, other| self.logarithms[*one].total_cmp(&self.logarithms[*other]));
+        let logarithms: Vec<f64> = order.iter().map(|&index| self.logarithms[index]).collect();
+        let sorted = Self { logarithms, groups: self.groups.clone(), scales: self.scales.clone(), ..*self };
+        sorted.all()
+    }
+
+    /// Gains and uncertainties; the logarithms are sorted.
+    fn all(&self) -> Result<Fitted> {
+        let scatter = self.scatter()?;
+        let count = self.logarithms.len();
+        let normal = self.normal(&self.logarithms)?;
+        // With weights that are not those of the scatter: sandwich of Huber, White.
+        let bread = inverse(&normal.matrix);
+        let mut meat = Mat::<f64>::zeros(count, count);
+        let mut gains = vec![Vec::new(); self.outputs.len()];
+        let mut follow = vec![Mat::zeros(0, 0); self.outputs.len()];
+        let mut own = vec![Vec::new(); self.outputs.len()];
+        for group in &self.groups {
+            let (values, basis) = self.group(group, &self.logarithms)?;
+            let found = basis.gains(values.as_ref());
+            let roots = inverse_of_upper(basis.qr.thin_R());
+            for (place, &output) in group.iter().enumerate() {
+                let scale = self.scales[output];
+                let of_output = found.as_ref().subcols(place, 1).to_owned();
+                let moved: Vec<Mat<f64>> = (0..count).map(|index| self.changed(&basis, &of_output, index)).collect();
+                let relative = scatter[output] / scale;
+                for row in 0..count {
+                    let rest = basis.rest(moved[row].clone());
+                    for column in 0..count {
+                        meat[(row, column)] += relative * relative * product(&rest, &moved[column]);
+                    }
+                }
+                follow[output] = Mat::from_fn(found.nrows(), count, |_, _| 0.0);
+                for (index, moved) in moved.iter().enumerate() {
+                    let with = basis.gains(moved.as_ref());
+                    (0..found.nrows()).for_each(|gain| follow[output][(gain, index)] = scale * with[(gain, 0)]);
+                }
+                gains[output] = (0..found.nrows()).map(|gain| scale * found[(gain, place)]).collect();
+                own[output] = (0..found.nrows())
+                    .map(|gain| scatter[output] * scatter[output] * roots.row(gain).squared_norm_l2())
+                    .collect::<Vec<f64>>();
+            }
+        }
+        let covariance = &bread * meat * &bread;
+        let uncertainty = |output: usize| -> Vec<f64> {
+            let spread = &follow[output] * &covariance * follow[output].transpose();
+            own[output].iter().enumerate().map(|(gain, own)| (own + spread[(gain, gain)].max(0.0)).sqrt()).collect()
+        };
+        Ok(Fitted {
+            structure: self.structure.clone(),
+            time_constants: self.logarithms.iter().map(|logarithm| logarithm.exp()).collect(),
+            relative_uncertainties: (0..count).map(|index| covariance[(index, index)].max(0.0).sqrt()).collect(),
+            gain_uncertainties: (0..self.outputs.len()).map(uncertainty).collect(),
+            gains,
+            scatter,
+            passes: self.passes,
+        })
+    }
+}
+
+fn product(one: &Mat<f64>, other: &Mat<f64>) -> f64 {
+    let columns = one.col_iter().zip(other.col_iter());
+    columns.map(|(one, other)| one.iter().zip(other.iter()).map(|(a, b)| a * b).sum::<f64>()).sum()
+}
+
+/// The solution of a small symmetric system, columns scaled; infinite where it has none.
+fn solved(matrix: &Mat<f64>, right: &Mat<f64>) -> Vec<f64> {
+    let scaled = inverse(matrix) * right;
+    (0..right.nrows()).map(|row| scaled[(row, 0)]).collect()
+}
+
+/// The inverse of a small symmetric matrix, by QR of the scaled one.
+fn inverse(matrix: &Mat<f64>) -> Mat<f64> {
+    use faer::linalg::solvers::Solve;
+    let count = matrix.nrows();
+    let size = |index: usize| matrix[(index, index)].sqrt();
+    let scaled = Mat::from_fn(count, count, |row, column| matrix[(row, column)] / (size(row) * size(column)));
+    let found = scaled.as_ref().col_piv_qr().solve(Mat::<f64>::identity(count, count));
+    Mat::from_fn(count, count, |row, column| found[(row, column)] / (size(row) * size(column)))
+}
+
+fn inverse_of_upper(upper: MatRef<'_, f64>) -> Mat<f64> {
+    let mut inverse = Mat::identity(upper.ncols(), upper.ncols());
+    faer::linalg::triangular_solve::solve_upper_triangular_in_place(upper, inverse.as_mut(), faer::Par::Seq);
+    inverse
+}
+
+impl Fitted {
+    /// An output at some times of a log, also another one than it was fitted to: sensors are those of the same indices.
+    ///
+    /// Fails for times outside the log.
+    pub fn predict(&self, log: &SensorLog, output: usize, times: &[f64]) -> Result<Vec<f64>> {
+        let logarithms: Vec<f64> = self.time_constants.iter().map(|time| time.ln()).collect();
+        let basis = Basis::new(log, &self.structure, &logarithms, times)?;
+        let gains = Mat::from_fn(self.gains[output].len(), 1, |gain, _| self.gains[output][gain]);
+        let found = &basis.columns * gains;
+        Ok((0..times.len()).map(|row| found[(row, 0)]).collect())
+    }
+}

@@ -1,0 +1,176 @@
+//! Logs of sensors with their own clock.
+
+use abbe_core::{Error, Result};
+
+/// How an input runs between two samples.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+pub enum Hold {
+    /// Along a straight line: temperatures.
+    #[default]
+    FirstOrder,
+    /// It stays until the next sample: speeds.
+    ZeroOrder,
+}
+
+/// From which value inputs are counted.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub enum Reference {
+    /// From that of the first row.
+    FirstRow,
+    /// From the mean of rows up to this time, s: idle minutes.
+    MeanUntil(f64),
+    /// From this one, for all sensors: the machine was at one temperature.
+    Value(f64),
+}
+
+/// What sensors read over time.
+#[derive(Debug, Clone, PartialEq)]
+pub struct SensorLog {
+    times: Vec<f64>,
+    names: Vec<String>,
+    /// For each sensor its readings.
+    values: Vec<Vec<f64>>,
+    hold: Hold,
+}
+
+impl SensorLog {
+    /// A log of sensors, each with a reading at every time (s). Readings may be further apart than `longest_gap` nowhere.
+    ///
+    /// Fails for times that do not increase, for gaps, for readings that are no numbers, and for names that are there twice.
+    pub fn new(
+        times: Vec<f64>,
+        sensors: Vec<(String, Vec<f64>)>,
+        hold: Hold,
+        longest_gap: Option<f64>,
+    ) -> Result<Self> {
+        if times.len() < 2 {
+            return Err(Error::data("a log of at least two rows was expected"));
+        }
+        if let Some(row) = times.iter().position(|time| !time.is_finite()) {
+            return Err(Error::data(format!("row {} of the log has no time", row + 1)));
+        }
+        for (row, pair) in times.windows(2).enumerate() {
+            let by = pair[1] - pair[0];
+            if by <= 0.0 {
+                let message = format!("time goes from {} s to {} s in row {} of the log", pair[0], pair[1], row + 2);
+                return Err(Error::data(message).help("did the clock jump, or are rows there twice?"));
+            }
+            if longest_gap.is_some_and(|longest| by > longest) {
+                let message = format!("the log has a gap of {by} s before row {}", row + 2);
+                return Err(Error::data(message)
+                    .help("states are not known behind a gap; allow a longer one, or cut the log there"));
+            }
+        }
+        for (place, (name, values)) in sensors.iter().enumerate() {
+            if sensors[..place].iter().any(|(other, _)| other == name) {
+                return Err(Error::data(format!("the sensor {name} is in the log twice")));
+            }
+            if values.len() != times.len() {
+                let message = format!("{name} has {} readings, and the log {} rows", values.len(), times.len());
+                return Err(Error::data(message));
+            }
+            if let Some(row) = values.iter().position(|value| !value.is_finite()) {
+                return Err(Error::data(format!("{name} has no reading in row {} of the log", row + 1)));
+            }
+        }
+        let (names, values) = sensors.into_iter().unzip();
+        Ok(Self { times, names, values, hold })
+    }
+
+    /// Times of the rows, s.
+    pub fn times(&self) -> &[f64] {
+        &self.times
+    }
+
+    /// Names of the sensors.
+    pub fn names(&self) -> &[String] {
+        &self.names
+    }
+
+    /// How inputs run between two rows.
+    pub fn hold(&self) -> Hold {
+        self.hold
+    }
+
+    /// The readings of a sensor.
+    pub fn values(&self, sensor: usize) -> &[f64] {
+        &self.values[sensor]
+    }
+
+    /// The index of a sensor; fails if there is none of this name.
+    pub fn sensor(&self, name: &str) -> Result<usize> {
+        self.names.iter().position(|own| own == name).ok_or_else(|| {
+            Error::data(format!("the log has no sensor {name}")).suggest(name, self.names.iter().map(String::as_str))
+        })
+    }
+
+    /// The same log, each sensor counted from its reference.
+    ///
+    /// Fails if no row is within the span of the reference.
+    pub fn elevations(mut self, reference: Reference) -> Result<Self> {
+        let rows = match reference {
+            Reference::MeanUntil(until) => self.times.partition_point(|time| *time <= until),
+            Reference::FirstRow | Reference::Value(_) => 1,
+        };
+        if rows == 0 {
+            return Err(Error::data(format!(
+                "the log begins at {} s, behind the span of its reference",
+                self.times[0]
+            )));
+        }
+        for values in &mut self.values {
+            let from = match reference {
+                Reference::Value(value) => value,
+                _ => values[..rows].iter().sum::<f64>() / rows as f64,
+            };
+            values.iter_mut().for_each(|value| *value -= from);
+        }
+        Ok(self)
+    }
+
+    /// Sensors that read the same number all the time while others move: they are stuck, or not connected.
+    pub fn stuck(&self) -> Vec<&str> {
+        let moves = |values: &[f64]| values.iter().any(|value| *value != values[0]);
+        if !self.values.iter().any(|values| moves(values)) {
+            return Vec::new();
+        }
+        let names = self.names.iter().zip(&self.values).filter(|(_, values)| !moves(values));
+        names.map(|(name, _)| name.as_str()).collect()
+    }
+
+    /// The interval of a time (index of its first row) and the time in it, s.
+    ///
+    /// Fails for a time outside the log.
+    pub(crate) fn interval(&self, time: f64) -> Result<(usize, f64)> {
+        let last = self.times.len() - 1;
+        if !(self.times[0]..=self.times[last]).contains(&time) {
+            let message =
+                format!("{time} s is outside the log, which goes from {} s to {} s", self.times[0], self.times[last]);
+            return Err(Error::data(message).help("do both clocks count from the same beginning?"));
+        }
+        let row = self.times.partition_point(|own| *own <= time).clamp(1, last) - 1;
+        Ok((row, time - self.times[row]))
+    }
+
+    /// Readings of a sensor at both ends of the part of an interval up to `within` (s), as its hold says.
+    pub(crate) fn ends(&self, sensor: usize, row: usize, within: f64) -> [f64; 2] {
+        let values = &self.values[sensor];
+        let before = values[row];
+        match self.hold {
+            Hold::ZeroOrder => [before, before],
+            Hold::FirstOrder => {
+                let part = within / (self.times[row + 1] - self.times[row]);
+                [before, before + part * (values[row + 1] - before)]
+            }
+        }
+    }
+
+    /// What a sensor reads at a time, between its samples as its hold says.
+    ///
+    /// Fails for a time outside the log.
+    pub fn at(&self, sensor: usize, time: f64) -> Result<f64> {
+        let (row, within) = self.interval(time)?;
+        let is_next = self.hold == Hold::ZeroOrder && time == self.times[row + 1];
+        Ok(if is_next { self.values[sensor][row + 1] } else { self.ends(sensor, row, within)[1] })
+    }
+}
