@@ -21,11 +21,13 @@
 //! # Units
 //! Times in s; inputs and outputs in any unit, gains in theirs.
 
+mod beam;
 mod fit;
 mod log;
 mod response;
 mod starts;
 
+pub use beam::{Beam, SectionDisplacement, Segment, TemperaturePlane};
 pub use fit::{Fitted, Output, Structure, fit};
 pub use log::{Hold, Reference, SensorLog};
 pub use response::Response;
