@@ -179,6 +179,41 @@ fn rows_that_are_there_twice_are_told() {
     );
 }
 
+/// Rows that are copied before means are made of them.
+#[test]
+fn rows_that_are_there_twice_in_means_are_told() {
+    let folder = temporary();
+    let mut recipe = Variant::of(&recipes()["mfb-ucp710"]);
+    let pattern = recipe.path("centres-once", "path");
+    let data = pattern.parent().expect("a folder");
+    for entry in fs::read_dir(data).expect("a folder").map(|entry| entry.expect("a file")) {
+        let name = entry.file_name().into_string().expect("a name");
+        if name.starts_with("sphere-") {
+            let text = read(&entry.path());
+            let last = text.lines().last().expect("a row");
+            let again = if name == "sphere-8.csv" { format!("{last}\n") } else { String::new() };
+            fs::write(folder.path().join(name), format!("{text}{again}")).expect("a file");
+        }
+    }
+    recipe.stage("centres-once")["path"] = json!(folder.path().join("sphere-*.csv"));
+    let file = recipe.write(folder.path());
+    let printed = crate::support::abbe(folder.path(), &["run".as_ref(), file.as_os_str()]);
+    assert!(printed.stderr.contains("1 row is in `"), "{}", printed.stderr);
+    assert!(printed.stderr.contains("sphere-8.csv` twice"), "{}", printed.stderr);
+}
+
+/// No tool and no stylus is a kilometre long.
+#[test]
+fn lengths_beyond_measure_are_refused() {
+    for setting in ["tool_length_mm", "stylus_radius_mm"] {
+        let folder = temporary();
+        let mut recipe = Variant::of(&recipes()["first-steps"]);
+        recipe.stage("machine")[setting] = json!(1e308);
+        let error = prepare(&recipe.write(folder.path()), &registry()).err().expect("it is refused");
+        assert!(error.to_string().contains("at most 1000000 mm"), "{error}");
+    }
+}
+
 #[test]
 fn copies_of_files_and_of_numbered_rows_are_told() {
     let folder = temporary();

@@ -1,5 +1,6 @@
 //! Data sets: named columns, one row a measurement.
 
+use std::collections::{BTreeMap, BTreeSet};
 use std::path::PathBuf;
 
 use serde::{Deserialize, Serialize};
@@ -80,6 +81,24 @@ impl Dataset {
     /// The indices of all rows.
     pub fn row_indices(&self) -> IndexRange<DataRow> {
         DataRow::first(self.rows())
+    }
+
+    /// Rows that are the same in every column as an earlier one, each with that one. Labels that count the rows are not compared: a
+    /// copy of a row has another one.
+    pub fn repeated_rows(&self, rows: impl IntoIterator<Item = DataRow>) -> Vec<(DataRow, DataRow)> {
+        let compared: Vec<&Column> = self.columns.iter().filter(|column| !counts_rows(column)).collect();
+        let mut seen: BTreeMap<Vec<Cell<'_>>, DataRow> = BTreeMap::new();
+        let mut repeated = Vec::new();
+        for row in rows {
+            let cells = compared.iter().map(|column| match &column.values {
+                Values::Numbers(numbers) => Cell::Number(numbers[row].to_bits()),
+                Values::Labels(labels) => Cell::Label(&labels[row]),
+            });
+            if let Some(earlier) = seen.insert(cells.collect(), row) {
+                repeated.push((earlier, row));
+            }
+        }
+        repeated
     }
 
     /// The headers of all columns.
@@ -164,4 +183,19 @@ fn has_unit_of_its_own(header: &str, name: &str) -> bool {
 
 fn list(headers: &[ColumnHeader]) -> String {
     headers.iter().map(|header| format!("`{}`", header.header)).collect::<Vec<_>>().join(", ")
+}
+
+/// Whether a column of labels counts the rows: a copy has another one.
+fn counts_rows(column: &Column) -> bool {
+    match &column.values {
+        Values::Labels(labels) => labels.iter().collect::<BTreeSet<_>>().len() == labels.len(),
+        Values::Numbers(_) => false,
+    }
+}
+
+/// A cell, to be compared with others.
+#[derive(PartialEq, Eq, PartialOrd, Ord)]
+enum Cell<'a> {
+    Number(u64),
+    Label(&'a str),
 }

@@ -2,7 +2,7 @@
 
 use std::collections::{BTreeMap, BTreeSet};
 
-use abbe_core::{Column, DataRow, Owner, ParameterRole, Problem, Quantity, RowIndex, SetIndex, StatusRole, Values};
+use abbe_core::{DataRow, Owner, ParameterRole, Problem, Quantity, RowIndex, SetIndex, StatusRole};
 
 use crate::aliasing::aliased;
 
@@ -27,21 +27,9 @@ fn repeated(problem: &Problem) -> Vec<String> {
     let mut remarks = Vec::new();
     for set in &problem.sets {
         let data = &set.info().layout.data;
-        let mut seen: BTreeMap<Vec<Cell<'_>>, DataRow> = BTreeMap::new();
-        let (mut count, mut first) = (0, None);
-        let compared: Vec<&Column> = data.columns.iter().filter(|column| !counts_rows(column)).collect();
         let rows: BTreeSet<DataRow> = set.rows.iter().filter_map(|&row| set.info().layout.rows[row].data_row).collect();
-        for row in rows {
-            let cells = compared.iter().map(|column| match &column.values {
-                Values::Numbers(numbers) => Cell::Number(numbers[row].to_bits()),
-                Values::Labels(labels) => Cell::Label(&labels[row]),
-            });
-            if let Some(earlier) = seen.insert(cells.collect(), row) {
-                count += 1;
-                first.get_or_insert((earlier, row));
-            }
-        }
-        let Some((one, other)) = first else { continue };
+        let repeated = data.repeated_rows(rows);
+        let (Some(&(one, other)), count) = (repeated.first(), repeated.len()) else { continue };
         let line = |row: DataRow| data.origins[row].line;
         remarks.push(format!(
             "{}: {} in the data twice, the same in every column (the first: lines {} and {}); each counts as a measurement of its own",
@@ -98,21 +86,6 @@ fn shared(problem: &Problem) -> Vec<String> {
         )
     };
     pairs.into_iter().map(sentence).collect()
-}
-
-/// Whether a column of labels counts the rows: a copy has another one.
-fn counts_rows(column: &Column) -> bool {
-    match &column.values {
-        Values::Labels(labels) => labels.iter().collect::<BTreeSet<_>>().len() == labels.len(),
-        Values::Numbers(_) => false,
-    }
-}
-
-/// A cell, to be compared with others.
-#[derive(PartialEq, Eq, PartialOrd, Ord)]
-enum Cell<'a> {
-    Number(u64),
-    Label(&'a str),
 }
 
 /// Median distance from nominal contact that is told, mm: features are where they should be within a millimetre.

@@ -36,12 +36,18 @@ pub struct Steps {
     pub deg: f64,
 }
 
+/// No axis goes farther, mm and degrees.
+const LARGEST_STEP: f64 = 1e6;
+
 impl Steps {
     /// Refuses steps that are wrong for every axis.
     pub fn check(self) -> Result<(), SettingsError> {
         for (setting, step) in [("step_mm", self.mm), ("step_deg", self.deg)] {
-            if !(step.is_finite() && step > 0.0) {
-                return Err(SettingsError::new(setting, "a positive number was expected"));
+            if !(step > 0.0 && step <= LARGEST_STEP) {
+                return Err(SettingsError::new(
+                    setting,
+                    format!("a positive number, at most {LARGEST_STEP}, was expected"),
+                ));
             }
         }
         Ok(())

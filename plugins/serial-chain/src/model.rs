@@ -10,7 +10,7 @@ use nalgebra::Vector3;
 
 use crate::builder::{Builder, finite, key};
 use crate::derivatives::{At, of_one_error};
-use crate::nominal::{chain_axis, settle_time, temperature_is_there};
+use crate::nominal::{FARTHEST, chain_axis, settle_time, temperature_is_there};
 use crate::settings::Settings;
 
 /// A serial chain with its error families.
@@ -120,8 +120,14 @@ impl SerialChain {
                 return Err(error.under([key("axes"), key(name)]));
             }
         }
-        finite("tool_length_mm", settings.tool_length_mm)?;
-        finite("stylus_radius_mm", settings.stylus_radius_mm)?;
+        for (setting, length) in
+            [("tool_length_mm", settings.tool_length_mm), ("stylus_radius_mm", settings.stylus_radius_mm)]
+        {
+            finite(setting, length)?;
+            if length.abs() > FARTHEST {
+                return Err(SettingsError::new(setting, format!("a length of at most {FARTHEST} mm was expected")));
+            }
+        }
         if settings.stylus_radius_mm < 0.0 {
             return Err(SettingsError::new("stylus_radius_mm", "a radius cannot be negative"));
         }

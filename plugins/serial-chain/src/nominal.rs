@@ -9,7 +9,7 @@ use crate::builder::key;
 use crate::settings::{self, Settings};
 
 /// No axis goes farther, mm and degrees.
-const FARTHEST: f64 = 1e6;
+pub(crate) const FARTHEST: f64 = 1e6;
 
 /// Nominal geometry of one axis.
 pub(crate) fn chain_axis(named: &NamedAxis, settings: &Settings) -> Result<ChainAxis, SettingsError> {
