@@ -178,14 +178,28 @@ fn positioning_errors_and_reversal_are_corrected() {
 /// A rotary axis stands where it should: what is left are 0.0001 degrees at the radius of the tool.
 #[test]
 fn rotary_axes_are_corrected() {
+    let (mut all, mut below) = (0, 0);
     for seed in seeds(50) {
         let machine = random::machine(seed, random::Errors::Rotary);
         let statuses = machine.anywhere(100, &[], seed + 1);
         let export = exporter("heidenhain-tables", &settings(json!({}), "added"));
+        all += 1;
+        // Errors below the last digit of the file.
+        if export
+            .export(&machine.calibration, machine.model.as_ref())
+            .is_err_and(|error| error.message.contains(NOTHING))
+        {
+            below += 1;
+            continue;
+        }
         let left = holds(&machine, export.as_ref(), &|files| control(files, 1.0), &statuses, ROUNDING);
         assert!(left.before > left.after && left.after < 1e-3, "seed {seed}: {left:?}");
     }
+    assert!(below * 50 <= all, "{below} of {all} machines have nothing to correct");
 }
+
+/// What the exporter says then.
+const NOTHING: &str = "there is nothing to correct";
 
 /// Older controls: points by datum and distance, the same in both directions of travel.
 #[test]

@@ -1,8 +1,10 @@
-//! Reads tables of Heidenhain (`.COM`).
+//! Reads tables of Heidenhain: errors along axes (`.COM`), location errors of kinematics tables (`.TAB`).
 
+use std::collections::BTreeMap;
 use std::path::Path;
 
 use abbe_compensation::AxisTable;
+use abbe_compensation::rigid::{LETTERS, Six};
 use abbe_core::{Error, KinematicModel, Result};
 use abbe_volumetric::position_unit;
 
@@ -58,6 +60,61 @@ impl Columns {
     /// The values of a column.
     pub fn get(&self, name: &str) -> Option<&Vec<f64>> {
         self.values.iter().find(|(own, _)| own == name).map(|(_, values)| values)
+    }
+}
+
+/// What a kinematics table holds besides the nominal machine.
+pub struct Located {
+    /// Axes in the order of their lines.
+    pub axes: Vec<String>,
+    /// Location errors by axis, mm and degrees: the lines that are named `X0C` and the like.
+    pub errors: BTreeMap<String, Six>,
+}
+
+impl Located {
+    pub fn read(path: &Path) -> Result<Self> {
+        let text = text(path)?;
+        let fails = |message: &str| Error::data(message).in_file(path).setting("existing_kinematics");
+        let mut lines = text.lines().enumerate();
+        let begin =
+            lines.next().is_some_and(|(_, line)| line.starts_with("BEGIN ") && !line.trim_end().ends_with("INCH"));
+        let head = lines.next().map(|(_, line)| line).filter(|line| begin && line.starts_with("NR"));
+        let head =
+            head.ok_or_else(|| fails("a kinematics table in mm was expected: `BEGIN`, then a line with `NR`"))?;
+        let starts = ["DOC", "KEY", "AXIS", "COORD", "COMPTAB"].map(|name| head.find(name));
+        let [Some(doc), Some(key), Some(axis), Some(coordinate), Some(source)] = starts else {
+            return Err(fails("columns DOC, KEY, AXIS, COORD and COMPTAB were expected"));
+        };
+        let mut located = Self { axes: Vec::new(), errors: BTreeMap::new() };
+        let mut has_end = false;
+        for (line, text) in lines {
+            if text.trim_end() == "[END]" {
+                has_end = true;
+                break;
+            }
+            let cell = |from: usize, to: usize| {
+                let characters = text.chars().skip(from).take(to.saturating_sub(from));
+                characters.collect::<String>().trim().to_owned()
+            };
+            let (doc, key, axis) = (cell(doc, key), cell(key, axis), cell(axis, coordinate));
+            if key == "MachAxis" {
+                located.axes.push(axis);
+                continue;
+            }
+            let letter =
+                LETTERS.iter().position(|letter| doc.strip_prefix(*letter).is_some_and(|rest| rest.starts_with('0')));
+            let (Some(six), "Trans") = (letter, key.as_str()) else { continue };
+            let value = cell(coordinate, source).parse().ok().filter(|value: &f64| value.is_finite());
+            let Some(value) = value.filter(|_| axis == LETTERS[six]) else {
+                let message = format!("a number in COORD, and {} in AXIS, were expected of `{doc}`", LETTERS[six]);
+                return Err(wrong(path, line, message));
+            };
+            located.errors.entry(doc[2..].to_owned()).or_default()[six] += value;
+        }
+        if !has_end {
+            return Err(fails("`[END]` was expected in the last line"));
+        }
+        Ok(located)
     }
 }
 

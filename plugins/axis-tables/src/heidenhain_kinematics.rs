@@ -2,7 +2,7 @@
 
 use std::collections::BTreeMap;
 use std::fmt::Write as _;
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
 use abbe_compensation::check_confounded_anywhere;
 use abbe_compensation::rigid::{Joint, LETTERS};
@@ -16,7 +16,7 @@ use serde::Deserialize;
 use serde_json::{Value, json};
 
 use crate::heidenhain::{DECIMALS, NOTES, assignment, file, line, most};
-use crate::heidenhain_file::Columns;
+use crate::heidenhain_file::{Columns, Located};
 use crate::heidenhain_sequence::{Element, Sequence};
 use crate::tables::{Values, axis_of, rounded};
 
@@ -50,9 +50,12 @@ struct Settings {
     /// Most points of a file.
     #[serde(default = "most")]
     most_points: usize,
-    /// `.COM` files by the axis that moves, active when the machine was measured: the new values are added at their points.
+    /// `.COM` files by the axis that moves, written by this exporter and active when the machine was measured: the new values are added
+    /// at their points.
     #[serde(default)]
     existing: BTreeMap<String, String>,
+    /// The kinematics table written by this exporter, where it was active then: its location errors are added.
+    existing_kinematics: Option<String>,
 }
 
 fn default_step_mm() -> f64 {
@@ -75,7 +78,8 @@ fn build(settings: Settings, context: &Context) -> Result<Box<dyn Export>, Setti
         return Err(SettingsError::new("most_points", "at least 2 was expected"));
     }
     let existing = settings.existing.iter().map(|(axis, path)| (axis.clone(), context.path(path))).collect();
-    Ok(Box::new(HeidenhainKinematics { settings, existing }))
+    let located = settings.existing_kinematics.as_ref().map(|path| context.path(path));
+    Ok(Box::new(HeidenhainKinematics { settings, existing, located }))
 }
 
 impl Settings {
@@ -105,6 +109,7 @@ impl Settings {
 struct HeidenhainKinematics {
     settings: Settings,
     existing: BTreeMap<String, PathBuf>,
+    located: Option<PathBuf>,
 }
 
 /// The file with the errors of an axis.
@@ -128,11 +133,7 @@ impl HeidenhainKinematics {
         let mut active = BTreeMap::new();
         for (name, path) in &self.existing {
             let axis = axis_of(model, name).map_err(|error| within(error, &["existing", name]))?;
-            let columns = Columns::read(path)?;
-            if columns.positions.windows(2).any(|pair| pair[1] <= pair[0]) {
-                return Err(Error::data("positions have to increase").in_file(path).setting("existing"));
-            }
-            active.insert(axis, columns);
+            active.insert(axis, Self::active(name, path)?);
         }
         if let Some(axis) = model.info().axes.iter().find(|axis| axis.endless) {
             let message = format!("axis {} turns without an end, and a table of this control has ends", axis.name);
@@ -148,11 +149,56 @@ impl HeidenhainKinematics {
             return Err(Error::usage("the control corrects machines with exactly three linear axes X, Y and Z"));
         }
         check_confounded_anywhere(model, calibration, &self.settings.ranges)?;
-        let active = active
-            .into_iter()
-            .filter_map(|(axis, columns)| Some((joints.iter().position(|joint| joint.axis == axis)?, columns)))
-            .collect();
-        Ok((sequence, active))
+        let mut by_joint = BTreeMap::new();
+        for (axis, columns) in active {
+            let joint = joints.iter().position(|joint| joint.axis == axis).ok_or_else(|| {
+                let name = &model.info().axes[axis].name;
+                let message = format!("axis {name} is not in the kinematics table: it does not move while it measures");
+                within(Error::usage(message).setting(name.as_str()), &["existing"])
+            })?;
+            by_joint.insert(joint, columns);
+        }
+        Ok((self.located(sequence)?, by_joint))
+    }
+
+    /// An active file along an axis, if it is one of those that this exporter writes.
+    fn active(axis: &str, path: &Path) -> Result<Columns> {
+        let columns = Columns::read(path)?;
+        let fails = |message: String| Err(Error::data(message).in_file(path).setting("existing"));
+        let unit = 10_f64.powi(DECIMALS);
+        let steps: Vec<f64> = columns.positions.windows(2).map(|pair| ((pair[1] - pair[0]) * unit).round()).collect();
+        if columns.positions.iter().any(|position| (position - rounded(*position, DECIMALS)).abs() > 1e-9) {
+            return fails("positions have more than four decimals".to_owned());
+        }
+        if steps.iter().any(|step| *step <= 0.0 || *step != steps[0]) {
+            return fails("positions have to increase by equal distances".to_owned());
+        }
+        let known = |name: &str| name == axis || (0..6).any(|six| name == column_name(six));
+        match columns.values.iter().find(|(name, _)| !known(name)) {
+            Some((name, _)) => fails(format!("columns {axis} and C1 to C6 were expected, not `{name}`")),
+            None => Ok(columns),
+        }
+    }
+
+    /// The sequence with the location errors of the active table.
+    fn located(&self, mut sequence: Sequence) -> Result<Sequence> {
+        let Some(path) = &self.located else { return Ok(sequence) };
+        let active = Located::read(path)?;
+        let name = |element: &Element| sequence.machine.joints[element.place].name.as_str();
+        let axes: Vec<&str> = sequence.elements.iter().map(name).collect();
+        if active.axes != axes {
+            let message = format!("axes in the order {} were expected, not {}", axes.join(" "), active.axes.join(" "));
+            return Err(Error::data(message).in_file(path).setting("existing_kinematics"));
+        }
+        if let Some(other) = active.errors.keys().find(|axis| !axes.contains(&axis.as_str())) {
+            let message = format!("location errors of `{other}`, which is no axis");
+            return Err(Error::data(message).in_file(path).setting("existing_kinematics"));
+        }
+        for element in &mut sequence.elements {
+            let Some(errors) = active.errors.get(&sequence.machine.joints[element.place].name) else { continue };
+            element.present = *errors;
+        }
+        Ok(sequence)
     }
 
     /// Columns of the file of an axis: those that are active, with the new values added.
@@ -165,17 +211,11 @@ impl HeidenhainKinematics {
         new.retain(|(_, values): &(String, Vec<f64>)| values.iter().any(|value| *value != 0.0));
         let mut columns = active.map(|active| active.values.clone()).unwrap_or_default();
         for (name, values) in new {
-            let add = |into: &mut Vec<f64>| {
-                into.iter_mut().zip(&values).for_each(|(into, value)| *into = rounded(*into + value, DECIMALS));
-            };
             match columns.iter_mut().find(|(own, _)| *own == name) {
-                Some((_, into)) => add(into),
-                None => columns.push((name.clone(), values.clone())),
-            }
-            if name == letter
-                && let Some((_, into)) = columns.iter_mut().find(|(own, _)| own == "BACKLASH")
-            {
-                add(into);
+                Some((_, into)) => {
+                    into.iter_mut().zip(&values).for_each(|(into, value)| *into = rounded(*into + value, DECIMALS));
+                }
+                None => columns.push((name, values)),
             }
         }
         columns
@@ -192,8 +232,9 @@ impl HeidenhainKinematics {
             }
             rows.shifts(&element.shift.into());
             let located = |rows: &mut Rows| {
-                for (six, value) in element.location.iter().enumerate().filter(|(_, value)| **value != 0.0) {
-                    rows.push(&format!("{}0{}", LETTERS[six], joint.name), "Trans", LETTERS[six], Some(*value), "");
+                let all = element.location.iter().zip(&element.present).map(|(new, old)| rounded(new + old, DECIMALS));
+                for (six, value) in all.enumerate().filter(|(_, value)| *value != 0.0) {
+                    rows.push(&format!("{}0{}", LETTERS[six], joint.name), "Trans", LETTERS[six], Some(value), "");
                 }
             };
             if joint.branch == Branch::Workpiece {
@@ -271,7 +312,9 @@ CONFIG.CMA names for X. Try one known value of each kind before machining.
 
 impl Export for HeidenhainKinematics {
     fn inputs(&self) -> Vec<InputFile> {
-        self.existing.values().map(|path| InputFile { setting: "existing", path: path.clone() }).collect()
+        let files = self.existing.values().map(|path| InputFile { setting: "existing", path: path.clone() });
+        let located = self.located.iter().map(|path| InputFile { setting: "existing_kinematics", path: path.clone() });
+        files.chain(located).collect()
     }
 
     fn export(&self, calibration: &Calibration, model: &dyn KinematicModel) -> Result<Vec<ExportedFile>> {

@@ -39,6 +39,8 @@ pub struct Element {
     frame: Point3<f64>,
     /// Location errors of a rotary axis: before its error motions on the side of the workpiece, behind the axis on that of the tool.
     pub location: Six,
+    /// Location errors that are active in the control already.
+    pub present: Six,
     /// Points along the axis, mm or degrees.
     pub points: Vec<f64>,
     /// Errors before the axis at points, without that of its own position.
@@ -80,7 +82,18 @@ impl Element {
             six.push(all);
         }
         let location = entries(&location, &frame);
-        Ok(Self { place, letter, shift: Vector3::zeros(), frame, location, points, errors: six, own, factor })
+        Ok(Self {
+            place,
+            letter,
+            shift: Vector3::zeros(),
+            frame,
+            location,
+            present: [0.0; 6],
+            points,
+            errors: six,
+            own,
+            factor,
+        })
     }
 
     /// Position in the table, mm or degrees: the point before and the part of the way to the next one; ends beyond them.

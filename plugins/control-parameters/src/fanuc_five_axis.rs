@@ -142,7 +142,7 @@ fn vectors(five: &FiveAxes, tool: Vector3<f64>) -> Result<(u32, Vec<Vector>)> {
         (0, 2) => Ok((2, vec![to(19709, 1), between(19712, 1, 0)])),
         (table, head) => {
             let message = format!("the machine has {table} rotary axes of the table and {head} of the tool");
-            Err(Error::usage(message).help("two rotary axes were expected"))
+            Err(Error::usage(message).help("two rotary axes were expected; `export: set-points` corrects any machine"))
         }
     }
 }

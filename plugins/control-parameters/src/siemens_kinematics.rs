@@ -102,7 +102,9 @@ impl Kind {
             (1, 1) => Ok(Self::M),
             (head, table) => {
                 let message = format!("the machine has {head} rotary axes of the tool and {table} of the part");
-                Err(Error::usage(message).help("a tool carrier with two rotary axes was expected"))
+                Err(Error::usage(message).help(
+                    "a tool carrier with two rotary axes was expected; `export: set-points` corrects any machine",
+                ))
             }
         }
     }
