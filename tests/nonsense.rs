@@ -198,8 +198,99 @@ fn rows_that_are_there_twice_in_means_are_told() {
     recipe.stage("centres-once")["path"] = json!(folder.path().join("sphere-*.csv"));
     let file = recipe.write(folder.path());
     let printed = crate::support::abbe(folder.path(), &["run".as_ref(), file.as_os_str()]);
-    assert!(printed.stderr.contains("1 row is in `"), "{}", printed.stderr);
-    assert!(printed.stderr.contains("sphere-8.csv` twice"), "{}", printed.stderr);
+    assert!(printed.stderr.contains("1 row is in the data twice"), "{}", printed.stderr);
+    assert!(printed.stderr.contains("sphere-8.csv`); each counts in the means"), "{}", printed.stderr);
+}
+
+/// Rows that are copied in a file that a validator alone reads.
+#[test]
+fn rows_that_are_there_twice_for_a_validator_are_told() {
+    let folder = temporary();
+    let mut recipe = Variant::of(&recipes()["sphere-hu40t"]);
+    let text = read(&recipe.path("strategy-2", "path"));
+    let last = text.lines().last().expect("a row");
+    fs::write(folder.path().join("again.csv"), format!("{text}{last}\n")).expect("a file");
+    recipe.stage("strategy-2")["path"] = json!(folder.path().join("again.csv"));
+    let file = recipe.write(folder.path());
+    let printed = crate::support::abbe(folder.path(), &["run".as_ref(), file.as_os_str()]);
+    let said = printed.stderr.split_whitespace().collect::<Vec<_>>().join(" ");
+    assert_eq!(said.matches("strategy-2: 1 row is in the data twice").count(), 1, "{said}");
+}
+
+/// A clock that runs backwards.
+#[test]
+fn times_that_fall_are_told() {
+    let folder = temporary();
+    let recipe = Variant::of(&recipes()["samba"]);
+    let pattern = recipe.path("touches", "path");
+    let text = read(&pattern);
+    let header = text.lines().find(|line| !line.starts_with('#')).expect("a header").to_owned();
+    let time = header.split(',').position(|name| name == "time_s").expect("times");
+    let turned = |is_turned: bool| {
+        let mut rows = Vec::new();
+        for line in text.lines().filter(|line| !line.starts_with('#')).skip(1) {
+            let mut cells: Vec<String> = line.split(',').map(str::to_owned).collect();
+            if is_turned {
+                cells[time] = format!("{}", 20_000.0 - cells[time].parse::<f64>().expect("a number"));
+            }
+            rows.push(cells.join(",") + "\n");
+        }
+        fs::write(folder.path().join("touches.csv"), format!("{header}\n{}", rows.concat())).expect("a file");
+        let mut recipe = recipe.clone();
+        recipe.stage("touches")["path"] = json!(folder.path().join("touches.csv"));
+        let remarks: Vec<String> = checked(&recipe, folder.path())
+            .expect("a plan")
+            .into_iter()
+            .flat_map(|planned| planned.identifiability.remarks)
+            .collect();
+        remarks.iter().any(|remark| remark.contains("the time falls from row to row"))
+    };
+    assert!(turned(true) && !turned(false));
+}
+
+/// One file of many in another unit.
+#[test]
+fn a_file_far_from_contact_is_told() {
+    let folder = temporary();
+    let mut recipe = Variant::of(&recipes()["mill-direct"]).only(&["fit-angles", "fit-lengths"]);
+    let mut files = recipe.stage("length-files")["path"].clone();
+    let wrong = (files.as_array_mut().expect("files").iter_mut())
+        .find(|file| file.as_str().is_some_and(|file| file.ends_with("EXY.csv")))
+        .expect("the file");
+    let text = read(Path::new(wrong.as_str().expect("a path")));
+    let row = |line: &str| match line.rsplit_once(',').and_then(|(rest, last)| Some((rest, last.parse::<f64>().ok()?)))
+    {
+        Some((rest, value)) if !line.starts_with('#') => format!("{rest},{}\n", value * 1e4),
+        _ => format!("{line}\n"),
+    };
+    let file = folder.path().join("direct-EXY.csv");
+    fs::write(&file, text.lines().map(row).collect::<String>()).expect("a file");
+    *wrong = json!(file);
+    recipe.stage("length-files")["path"] = files;
+    let planned = checked(&recipe, folder.path()).expect("a plan");
+    let remarks: Vec<&String> = planned.iter().flat_map(|planned| &planned.identifiability.remarks).collect();
+    let told: Vec<_> = remarks.iter().filter(|remark| remark.contains("away from contact")).collect();
+    assert!(told.len() == 1 && told[0].contains("direct-EXY.csv`: at the recorded positions"), "{remarks:?}");
+}
+
+/// Readings of a probing run in inches are no error of a machine.
+#[test]
+fn a_run_in_another_unit_is_no_error_of_the_machine() {
+    let folder = temporary();
+    let mut recipe = Variant::of(&recipes()["rapid-verify-three-axis"]);
+    let text = read(&recipe.path("today", "path"));
+    let rows = text.lines().map(|line| match line.rsplit_once(',') {
+        Some((rest, last)) if line.starts_with('P') => {
+            format!("{rest},{}\n", last.parse::<f64>().expect("a number") / 25.4)
+        }
+        _ => format!("{line}\n"),
+    });
+    fs::write(folder.path().join("inches.csv"), rows.collect::<String>()).expect("a file");
+    recipe.stage("today")["path"] = json!(folder.path().join("inches.csv"));
+    let file = recipe.write(folder.path());
+    let printed = crate::support::abbe(folder.path(), &["run".as_ref(), file.as_os_str()]);
+    let said = printed.stdout.split_whitespace().collect::<Vec<_>>().join(" ");
+    assert!(said.contains("which no error of a machine makes: look for another unit"), "{said}");
 }
 
 /// No tool and no stylus is a kilometre long.

@@ -101,6 +101,21 @@ impl Dataset {
         repeated
     }
 
+    /// The [repeated rows](Self::repeated_rows) in words, with the lines of the first.
+    pub fn repeated_in_words(&self, rows: impl IntoIterator<Item = DataRow>) -> Option<String> {
+        let repeated = self.repeated_rows(rows);
+        let &(one, other) = repeated.first()?;
+        let rows = if repeated.len() == 1 { "1 row is".to_owned() } else { format!("{} rows are", repeated.len()) };
+        let place = |row: DataRow| self.origins[row];
+        let file = self.files.get(place(other).file).filter(|_| self.files.len() > 1);
+        Some(format!(
+            "{rows} in the data twice, the same in every column (the first: lines {} and {}{})",
+            place(one).line,
+            place(other).line,
+            file.map_or(String::new(), |file| format!(" of `{}`", file.display()))
+        ))
+    }
+
     /// The headers of all columns.
     pub fn headers(&self) -> Vec<ColumnHeader> {
         self.columns.iter().map(|column| column.header.clone()).collect()

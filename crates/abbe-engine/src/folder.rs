@@ -15,6 +15,10 @@ pub fn can_write_folder(out: &Path) -> Result<()> {
         return Err(Error::data(format!("{} is a link that leads to no folder", out.display()))
             .help("remove it, or name another folder with `--out`"));
     }
+    if out.exists() && !out.is_dir() {
+        return Err(Error::data(format!("{} is there already, and is no folder", out.display()))
+            .help("move it away, or name another folder with `--out`"));
+    }
     let is_empty = || fs::read_dir(out).is_ok_and(|mut entries| entries.next().is_none());
     if out.exists() && !is_empty() {
         return Err(Error::data(format!("{} is there already and not empty", out.display()))

@@ -16,6 +16,7 @@ mod prediction;
 mod prepare;
 mod record;
 mod rehearsal;
+mod repeated;
 mod results;
 mod row_settings;
 mod run;

@@ -1,7 +1,6 @@
 //! Runs the graph: data sets, then estimates, validators and exporters.
 
 use std::collections::{BTreeMap, BTreeSet};
-use std::path::PathBuf;
 use std::sync::Arc;
 use std::time::{Instant, SystemTime};
 
@@ -18,7 +17,7 @@ use crate::outcome::{Failure, Outcome};
 use crate::plausibility::{check_stated, check_uncertainties};
 use crate::prediction::{Predicted, prediction_fit};
 use crate::prepare::{Prepared, build_model};
-use crate::record::{FileRecord, files_with_same_content, input_records};
+use crate::record::{FileRecord, input_records};
 use crate::row_settings::Wanted;
 use crate::saved::fit_without_rows;
 use crate::travel::{check_travel, in_travel};
@@ -74,15 +73,13 @@ impl Prepared {
         let inputs = input_records(&self.files)?;
         // A plugin may change the folder that relative paths start from.
         let input_files = self.files.iter().filter_map(|file| std::fs::canonicalize(file).ok()).collect();
-        let read: Vec<PathBuf> = (self.stages(Kind::Ingest))
-            .flat_map(|stage| self.ingests[&stage.name].inputs().into_iter().map(|input| input.path))
-            .collect();
-        files_with_same_content(&read, &inputs).iter().for_each(|sentence| tracing::warn!("{sentence}"));
+        self.same_content(&inputs).iter().for_each(|sentence| tracing::warn!("{sentence}"));
         let data = self.read(monitor, None)?;
         let mut taken = Taken::default();
         let problems = self.problems(&data, &mut taken)?;
         let evidence = self.evidence(&problems, &digests(&inputs))?;
         let unseen = self.predicted(&problems, &data, &mut taken)?;
+        self.repeated_evidence(&problems, &unseen, &data).iter().for_each(|sentence| tracing::warn!("{sentence}"));
         // Before the first fit, so that a feature that no artefact has is found before a long run.
         self.nothing_left_over(&data, &taken)?;
         self.rehearse(false, &problems, &BTreeMap::new(), &unseen, &data)?;
@@ -245,9 +242,9 @@ impl Prepared {
     fn fit(&self, stage: &Stage, problem: Problem) -> Result<Fit> {
         let estimator = self.estimators[&stage.name].clone();
         tracing::info!("{}: {} equations, {} unknowns", stage.name, problem.equations(), problem.unknowns.len());
-        let explained = estimator.explain(&problem).map_err(|error| self.with_mistakes(stage, &problem, error));
-        // After the fit: what fails first is told there.
+        // Before the fit, which may take long on data that are wrong.
         remarks(&problem).iter().for_each(|remark| tracing::warn!("{}: {remark}", stage.name));
+        let explained = estimator.explain(&problem).map_err(|error| self.with_mistakes(stage, &problem, error));
         let calibration = self.located(stage, explained)?;
         self.located(stage, check_uncertainties(&calibration))?;
         // Later users of the problem get the rows with the uncertainties that the fit used.

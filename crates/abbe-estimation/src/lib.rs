@@ -74,7 +74,7 @@ pub use plausibility::{LargeError, absurd_error, large_errors};
 pub use preference::{check_preferences, in_order_of_preference};
 pub use propagation::{AposterioriFactors, Linearisation, Propagation};
 pub use rank::{confounded, identifiability, ill_conditioned, separated, weakest};
-pub use remarks::remarks;
+pub use remarks::{remarks, repeated};
 pub use residuals::{Constraints, ResidualStatistics, Sizes, outliers};
 pub use separation::{SeparationTrials, separating_measurements};
 pub use solved::{EstimatorSolution, RankDeficiency, UncertaintyEvaluation};

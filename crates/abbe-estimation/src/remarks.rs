@@ -1,8 +1,9 @@
 //! Remarks on a problem that users should know before they trust its results.
 
 use std::collections::{BTreeMap, BTreeSet};
+use std::path::Path;
 
-use abbe_core::{DataRow, Owner, ParameterRole, Problem, Quantity, RowIndex, SetIndex, StatusRole};
+use abbe_core::{DataRow, ObservationSet, Owner, ParameterRole, Problem, Quantity, RowIndex, SetIndex, StatusRole};
 
 use crate::aliasing::aliased;
 
@@ -15,6 +16,7 @@ pub fn remarks(problem: &Problem) -> Vec<String> {
     let mut remarks = aliased(problem);
     remarks.extend(forgotten(problem));
     remarks.extend(repeated(problem));
+    remarks.extend(reversed(problem));
     remarks.extend(shared(problem));
     remarks.extend(styli(problem));
     remarks.extend(missed(problem));
@@ -23,23 +25,30 @@ pub fn remarks(problem: &Problem) -> Vec<String> {
 
 /// Rows of a data set that are the same in every cell, but for a label that counts them: a file that was read twice, or a row that was
 /// copied.
-fn repeated(problem: &Problem) -> Vec<String> {
+pub fn repeated(problem: &Problem) -> Vec<String> {
     let mut remarks = Vec::new();
     for set in &problem.sets {
         let data = &set.info().layout.data;
         let rows: BTreeSet<DataRow> = set.rows.iter().filter_map(|&row| set.info().layout.rows[row].data_row).collect();
-        let repeated = data.repeated_rows(rows);
-        let (Some(&(one, other)), count) = (repeated.first(), repeated.len()) else { continue };
-        let line = |row: DataRow| data.origins[row].line;
-        remarks.push(format!(
-            "{}: {} in the data twice, the same in every column (the first: lines {} and {}); each counts as a measurement of its own",
-            set.name,
-            if count == 1 { "1 row is".to_owned() } else { format!("{count} rows are") },
-            line(one),
-            line(other)
-        ));
+        let repeated = data.repeated_in_words(rows);
+        remarks.extend(repeated.map(|words| format!("{}: {words}; each counts as a measurement of its own", set.name)));
     }
     remarks
+}
+
+/// Times that fall in every row.
+fn reversed(problem: &Problem) -> Vec<String> {
+    let falls = |set: &&ObservationSet| {
+        let rows = || set.rows.iter().filter_map(|&row| set.info().layout.rows[row].data_row);
+        let times = set.info().layout.data.numbers("time");
+        let times: Vec<f64> = times.map_or(Vec::new(), |times| rows().map(|row| times[row]).collect());
+        // A row may have several equations.
+        times.first() > times.last() && times.windows(2).all(|pair| pair[1] <= pair[0])
+    };
+    let sentence = |set: &ObservationSet| {
+        format!("{}: the time falls from row to row: its sign, or the order of the rows, may be wrong", set.name)
+    };
+    problem.sets.iter().filter(falls).map(sentence).collect()
 }
 
 /// Styli in the data that the model does not tell apart.
@@ -91,29 +100,46 @@ fn shared(problem: &Problem) -> Vec<String> {
 /// Median distance from nominal contact that is told, mm: features are where they should be within a millimetre.
 const MISSED: f64 = 1.0;
 
-/// How far the nominal machine is from contact at the recorded positions, if that is too far for a good set-up.
+/// How far the nominal machine is from contact at the recorded positions, if that is too far for a good set-up: of a set, or of some
+/// of its files.
 fn missed(problem: &Problem) -> Vec<String> {
     let Ok(residuals) = problem.residuals(&problem.start()) else { return Vec::new() };
     let equations = residuals.iter().zip(problem.quantities()).zip(problem.equation_rows());
-    let mut sizes: BTreeMap<SetIndex, Vec<f64>> = BTreeMap::new();
-    for ((residual, quantity), (set, _)) in equations {
-        if quantity == Quantity::Length {
-            sizes.entry(set).or_default().push(residual.abs());
+    let mut of_sets: BTreeMap<SetIndex, Vec<f64>> = BTreeMap::new();
+    let mut of_files: BTreeMap<(SetIndex, &Path), Vec<f64>> = BTreeMap::new();
+    for ((residual, _), (set, row)) in equations.filter(|((_, quantity), _)| *quantity == Quantity::Length) {
+        of_sets.entry(set).or_default().push(residual.abs());
+        let layout = &problem.sets[set].info().layout;
+        let origin = layout.rows[row].data_row.map(|row| layout.data.origins[row]);
+        if let Some(file) = origin.and_then(|origin| layout.data.files.get(origin.file)) {
+            of_files.entry((set, file)).or_default().push(residual.abs());
         }
     }
+    let sentence = |of: String, (median, largest): (f64, f64)| {
+        format!(
+            "{of}: at the recorded positions the nominal machine is {median:.1} mm away from contact (median; {largest:.1} mm at most): a \
+             sign, a unit, a length or a place may be wrong"
+        )
+    };
     let mut remarks = Vec::new();
-    for (set, mut sizes) in sizes {
-        sizes.sort_by(f64::total_cmp);
-        let (median, largest) = (sizes[sizes.len() / 2], sizes[sizes.len() - 1]);
-        if median > MISSED {
-            remarks.push(format!(
-                "{}: at the recorded positions the nominal machine is {median:.1} mm away from contact (median; {largest:.1} mm at most): a \
-                 sign, a unit, a length or a place may be wrong",
-                problem.sets[set].name
-            ));
+    for (set, sizes) in of_sets {
+        let name = &problem.sets[set].name;
+        if let Some(sizes) = far(sizes) {
+            remarks.push(sentence(name.clone(), sizes));
+            continue;
         }
+        let files = of_files.iter().filter(|((own, _), _)| *own == set);
+        let files = files.filter_map(|((_, file), sizes)| Some((file.display(), far(sizes.clone())?)));
+        remarks.extend(files.map(|(file, sizes)| sentence(format!("{name}, `{file}`"), sizes)));
     }
     remarks
+}
+
+/// Median and largest of distances from contact, if they are too far.
+fn far(mut sizes: Vec<f64>) -> Option<(f64, f64)> {
+    sizes.sort_by(f64::total_cmp);
+    let (median, largest) = (*sizes.get(sizes.len() / 2)?, *sizes.last()?);
+    (median > MISSED).then_some((median, largest))
 }
 
 /// Own unknowns of the set-up ([`ParameterRole::SetUp`]) that are neither estimated nor known from an earlier estimate: their

@@ -1,6 +1,6 @@
 //! `abbe compensate`: corrected set-points for a calibrated machine.
 
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
 use abbe_compensation::{CompensatedPath, Correct, Method, Settings, Travel, figures};
 use abbe_core::{Axis, AxisKind, Error, KinematicModel, Registry, Result};
@@ -111,7 +111,9 @@ impl Compensate {
 
     /// Carries it out; nothing is written yet.
     pub fn run(&self, registry: &Registry) -> Result<Written> {
-        if self.out.is_some() && self.out == self.report {
+        if let (Some(out), Some(report)) = (&self.out, &self.report)
+            && place(out) == place(report)
+        {
             return Err(Error::usage("`--out` and `--report` name the same file"));
         }
         [&self.out, &self.report].into_iter().flatten().try_for_each(|path| calibrated::is_free(path))?;
@@ -231,5 +233,14 @@ fn of_people(axis: &Axis, size: f64) -> String {
     match axis.kind {
         AxisKind::Linear => format!("{} µm", short(size * 1e3)),
         AxisKind::Rotary => format!("{} µrad", short(size * 1e6)),
+    }
+}
+
+/// The file that a path names, whatever way there it takes.
+fn place(path: &Path) -> PathBuf {
+    let folder = path.parent().filter(|folder| *folder != Path::new("")).unwrap_or(Path::new("."));
+    match (folder.canonicalize(), path.file_name()) {
+        (Ok(folder), Some(name)) => folder.join(name),
+        _ => path.to_owned(),
     }
 }

@@ -36,16 +36,8 @@ impl Average {
         };
         let series = labels("over", &self.over)?;
         let by = self.by.iter().map(|name| labels("by", name)).collect::<Result<Vec<_>>>()?;
-        let repeated = data.repeated_rows(data.row_indices());
-        if let Some(&(one, other)) = repeated.first() {
-            let (count, line) = (repeated.len(), |row: DataRow| data.origins[row].line);
-            tracing::warn!(
-                "{} in `{}` twice, the same in every column (the first: lines {} and {}); each counts in the means as a measurement of its own",
-                if count == 1 { "1 row is".to_owned() } else { format!("{count} rows are") },
-                data.files[data.origins[other].file].display(),
-                line(one),
-                line(other)
-            );
+        if let Some(words) = data.repeated_in_words(data.row_indices()) {
+            tracing::warn!("{words}; each counts in the means as a measurement of its own");
         }
         let mut times: BTreeMap<(Vec<&str>, &str), usize> = BTreeMap::new();
         let mut places: BTreeMap<(Vec<&str>, usize), usize> = BTreeMap::new();

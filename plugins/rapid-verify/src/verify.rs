@@ -315,6 +315,10 @@ impl Verify {
         };
         let noun = if out == 1 { "point is" } else { "points are" };
         text.push_str(&format!("{label} is off by {} µm, {out} {noun} beyond {tolerance} µm; ", short(beyond[worst])));
+        if let Some(sentence) = elsewhere(&deviations) {
+            findings.remarks.push(text + &sentence);
+            return Ok(());
+        }
         let mut found = diagnoser.diagnose(&deviations);
         self.refine(report, diagnoser, &deviations, &mut found)?;
         text.push_str(&report.source(&found, &deviations));
@@ -427,6 +431,22 @@ impl Report<'_> {
         }
         parts.join("; ")
     }
+}
+
+/// Deviations, mm, of half of the points that no error of a machine makes.
+const ELSEWHERE: f64 = 5.0;
+
+/// What is wrong with a run whose points are somewhere else: no error of the machine is looked for then.
+fn elsewhere(deviations: &[f64]) -> Option<String> {
+    let mut sizes: Vec<f64> = deviations.iter().map(|deviation| deviation.abs()).collect();
+    sizes.sort_by(f64::total_cmp);
+    let median = *sizes.get(sizes.len() / 2)?;
+    (median > ELSEWHERE).then(|| {
+        format!(
+            "half of the points are off by {median:.1} mm or more, which no error of a machine makes: look for another unit, sign or \
+             column, another program, or an artefact that stands elsewhere"
+        )
+    })
 }
 
 /// Four digits, without an exponent where people read none.

@@ -1,0 +1,50 @@
+//! What a run would read twice: files with the same content, and rows that only validators read.
+
+use std::collections::BTreeMap;
+use std::path::PathBuf;
+
+use abbe_core::{Kind, Problem};
+use abbe_estimation::repeated;
+
+use crate::prediction::Predicted;
+use crate::prepare::Prepared;
+use crate::record::{FileRecord, files_with_same_content};
+use crate::run::Datasets;
+
+impl Prepared {
+    /// Files of one content that different stages read, in words.
+    pub(crate) fn same_content(&self, inputs: &[FileRecord]) -> Vec<String> {
+        let read: Vec<PathBuf> = (self.stages(Kind::Ingest))
+            .flat_map(|stage| self.ingests[&stage.name].inputs().into_iter().map(|input| input.path))
+            .collect();
+        files_with_same_content(&read, inputs)
+    }
+
+    /// Rows that are there twice in data that validators read and no estimate, in words. Estimates tell their own.
+    pub(crate) fn repeated_evidence(
+        &self,
+        problems: &BTreeMap<String, Problem>,
+        unseen: &Predicted<'_>,
+        data: &Datasets,
+    ) -> Vec<String> {
+        let estimated = |files: &[PathBuf]| {
+            problems.values().flat_map(|problem| &problem.sets).any(|set| set.info().layout.data.files == files)
+        };
+        let mut found: BTreeMap<&str, String> = BTreeMap::new();
+        for name in self.stages(Kind::Validate).flat_map(|stage| stage.reference("from")) {
+            let words = data[name].repeated_in_words(data[name].row_indices());
+            if let Some(words) = words.filter(|_| !estimated(&data[name].files)) {
+                found.insert(name, format!("{name}: {words}; each counts as a measurement of its own"));
+            }
+        }
+        let mut sentences: Vec<String> = found.into_values().collect();
+        for ((stage, _), problem) in unseen {
+            for sentence in repeated(problem).iter().map(|sentence| format!("{stage}: {sentence}")) {
+                if !sentences.contains(&sentence) {
+                    sentences.push(sentence);
+                }
+            }
+        }
+        sentences
+    }
+}
