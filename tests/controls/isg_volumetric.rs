@@ -309,7 +309,7 @@ fn tables_that_are_active_are_added() {
         for (((status, old), new), predicted) in statuses.iter().zip(old).zip(new).zip(predicted) {
             largest = largest.max((old - status).abs());
             assert!(
-                (new - old - (predicted - status)).abs() < 1e-5,
+                (new - old - (predicted - status)).abs() < 3e-5,
                 "seed {seed}: {}",
                 new - old - (predicted - status)
             );
@@ -359,7 +359,7 @@ fn bad_settings_are_named() {
         (json!({}), "the setting `axis_numbers` is missing"),
         (json!({ "axis_numbers": { "X": 0 } }), "axis_numbers.X: a number from 1 was expected"),
         (json!({ "axis_numbers": { "X": 2, "Y": 2 } }), "axis_numbers.X: two axes have the number 2"),
-        (json!({ "axis_numbers": { "X": 1 }, "step_mm": 0 }), "step_mm: a positive number was expected"),
+        (json!({ "axis_numbers": { "X": 1 }, "step_mm": 0 }), "step_mm: a positive number, at most 1000000, was expected"),
     ] {
         let error = constructor.build(&settings, &context).err().expect("bad settings");
         assert_eq!(error.to_string(), expected);
