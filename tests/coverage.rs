@@ -77,6 +77,19 @@ impl Campaign {
         Self { planned: outcome.fits.remove(0), values, inputs: &[], noise: &[("sphere", 0.65e-3)], gross }
     }
 
+    /// The TANGO test on a machine that warms up, with the temperatures that it follows.
+    fn warming() -> Self {
+        let mut outcome = Variant::of(&recipes()["tango-warming"]).only(&["fit"]).run();
+        let values = values("tango-warming");
+        Self {
+            planned: outcome.fits.remove(0),
+            values,
+            inputs: &[],
+            noise: &[("table", 1.6e-3), ("bar", 0.9e-3)],
+            gross: false,
+        }
+    }
+
     /// The truth of one set: its inputs are off as their uncertainty allows, its gross errors anywhere.
     fn truth(&self, set: u64) -> Truth {
         let mut random = Generator::new(77, set);
@@ -189,6 +202,11 @@ fn gross(problem: &Problem, random: &mut Generator) -> BTreeMap<String, f64> {
 #[test]
 fn intervals_cover_as_often_as_they_say() {
     Campaign::tango("S3", &Value::Null, "common", false).check("S3", 0.0);
+}
+
+#[test]
+fn intervals_cover_on_a_machine_that_warms_up() {
+    Campaign::warming().check("warming", 0.0);
 }
 
 /// Without gross errors and with them; the large runs do both, the suite no more than what tells most.

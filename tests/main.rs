@@ -36,3 +36,4 @@ mod truth;
 mod uncertainty;
 mod variance;
 mod verdicts;
+mod warming;

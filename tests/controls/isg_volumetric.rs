@@ -359,7 +359,10 @@ fn bad_settings_are_named() {
         (json!({}), "the setting `axis_numbers` is missing"),
         (json!({ "axis_numbers": { "X": 0 } }), "axis_numbers.X: a number from 1 was expected"),
         (json!({ "axis_numbers": { "X": 2, "Y": 2 } }), "axis_numbers.X: two axes have the number 2"),
-        (json!({ "axis_numbers": { "X": 1 }, "step_mm": 0 }), "step_mm: a positive number, at most 1000000, was expected"),
+        (
+            json!({ "axis_numbers": { "X": 1 }, "step_mm": 0 }),
+            "step_mm: a positive number, at most 1000000, was expected",
+        ),
     ] {
         let error = constructor.build(&settings, &context).err().expect("bad settings");
         assert_eq!(error.to_string(), expected);

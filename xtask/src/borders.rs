@@ -24,7 +24,7 @@ const CRATES: [Border; 21] = [
     border("abbe-results", &["abbe-settings"]),
     border("abbe-core", &["abbe-results", "abbe-settings"]),
     border("abbe-numerics", &[]),
-    border("abbe-errors", &["abbe-core"]),
+    border("abbe-errors", &["abbe-core", "abbe-thermal"]),
     border("abbe-geometry", &["abbe-numerics"]),
     border("abbe-kinematics", &["abbe-core"]),
     border("abbe-table", &["abbe-core", "abbe-files"]),

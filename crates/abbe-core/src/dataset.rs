@@ -70,6 +70,9 @@ pub struct Dataset {
     pub files: Vec<PathBuf>,
     /// Rows are means of several rows of the files; each has the origin of the first.
     pub averaged: bool,
+    /// Rows are a log of sensors with its own clock: a model gets from it what a row needs, by the time of the row.
+    #[serde(default)]
+    pub is_log: bool,
 }
 
 impl Dataset {

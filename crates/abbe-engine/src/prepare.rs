@@ -6,8 +6,9 @@ use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
 use abbe_core::{
-    Artefact, Build, ColumnHeader, Constructor, Context, Error, Estimate, EstimateSource, Export, Ingest, InputFile,
-    Kind, Model, Origin, PathItem, Plausible, Plugin, Registry, Result, SettingsError, Validate, from_settings,
+    Artefact, Build, ColumnHeader, Constructor, Context, Dataset, Error, Estimate, EstimateSource, Export, Ingest,
+    InputFile, Kind, Model, Origin, PathItem, Plausible, Plugin, Registry, Result, SettingsError, Validate,
+    from_settings,
 };
 use abbe_recipe::{Library, Recipe, Stage};
 use serde_json::Value;
@@ -289,6 +290,22 @@ impl Prepared {
             Some(saved) => Ok((stage, saved.model.as_ref())),
             None => Ok((stage, self.models[&stage.name].as_ref())),
         }
+    }
+
+    /// The logs of the sensors of a machine, and of the machine that it extends.
+    pub(crate) fn logs(
+        &self,
+        machine: &Stage,
+        read: impl Fn(&str) -> Result<Arc<Dataset>> + Copy,
+    ) -> Result<Vec<Dataset>> {
+        let mut logs = Vec::new();
+        for name in machine.reference("logs") {
+            logs.push(Dataset { is_log: true, ..read(name)?.as_ref().clone() });
+        }
+        if let (Kind::Model, Some(extended)) = (machine.kind, machine.reference("machine").first()) {
+            logs.extend(self.logs(self.machine_stage(self.recipe_stage(extended)?)?, read)?);
+        }
+        Ok(logs)
     }
 
     /// The stage that the model of an estimate comes from.

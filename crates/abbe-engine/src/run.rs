@@ -380,6 +380,8 @@ impl Prepared {
             }
         }
         let (machine, model) = self.machine(stage)?;
+        let logs = self.logs(machine, |log| Ok(data[log].clone()))?;
+        used.extend(&logs);
         model.build(&used).map_err(|error| error.stage(&machine.name))
     }
 

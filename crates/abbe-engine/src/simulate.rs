@@ -126,7 +126,7 @@ impl Prepared {
     fn readers(&self) -> Result<BTreeMap<PathBuf, BTreeSet<String>>> {
         let mut readers: BTreeMap<PathBuf, BTreeSet<String>> = BTreeMap::new();
         let uses = |stage: &Stage, ingest: &String| {
-            ["from", "repeats"].iter().any(|key| stage.reference(key).contains(ingest))
+            ["from", "repeats", "logs"].iter().any(|key| stage.reference(key).contains(ingest))
         };
         for ingest in self.ingests.keys() {
             let users = self.recipe.stages.iter().filter(|stage| uses(stage, ingest));
@@ -172,8 +172,9 @@ impl Prepared {
             }
         }
         let stage = self.recipe_stage(machine)?;
-        let used: Vec<&Dataset> = data.values().map(AsRef::as_ref).collect();
-        let (_, model) = self.machine(stage)?;
+        let (described, model) = self.machine(stage)?;
+        let logs = self.logs(described, |log| self.data(log))?;
+        let used: Vec<&Dataset> = data.values().map(AsRef::as_ref).chain(&logs).collect();
         let model = self.located(stage, model.build(&used))?;
         let mut claimed = Claimed::default();
         let (mut sets, mut combined) = (Vec::new(), Vec::new());

@@ -6,7 +6,7 @@ use serde_json::{Value, json};
 
 use crate::families::{
     BSpline, Backlash, Chebyshev, Drift, Expansion, Family, Fourier, Legendre, Load, Location, Periodic, Piecewise,
-    Polynomial, Product, Spline,
+    Polynomial, Product, Spline, Thermal,
 };
 
 /// Makes the enum of all families from a list of their keys and types.
@@ -67,6 +67,7 @@ families! {
     "expansion" => Expansion,
     "backlash" => Backlash,
     "drift" => Drift,
+    "thermal" => Thermal,
 }
 
 impl Declaration {

@@ -54,7 +54,9 @@ pub trait LeastSquares {
 ///    `size q / (1 - q)`: steps go on shrinking as the last full steps did, where q is the larger of the last two ratios of
 ///    successive sizes. There is none for the first two steps; or
 /// 3. it is below `rounding` and not smaller than the smallest before it, or no part of it makes the sum of squares smaller:
-///    the step is only rounding. Steps of a slow iteration still shrink.
+///    the step is only rounding. Steps of a slow iteration still shrink; or
+/// 4. it is below 1e-6, and steps have been cut again and again: the sum of squares bends more than the linearised problem says, so
+///    that steps go too far and less than the last one is left.
 ///
 /// Robust weights have settled when none changes by more than `settled`. Until then the tolerance is `rounding`, if that is
 /// larger.
@@ -244,13 +246,9 @@ pub(crate) fn minimise<P: LeastSquares + ?Sized>(
                 problem.has_stepped(iterations, size * lower.part);
                 trials += lower.trials;
                 if trials > TRIALS * options.iterations {
-                    return Ok(Minimum {
-                        x: lower.x,
-                        end: End::IterationLimit,
-                        iterations,
-                        last_step: size,
-                        factor: lower.factor,
-                    });
+                    // Steps that are cut go too far: less than the last one is left.
+                    let end = if size <= CUT { End::Converged } else { End::IterationLimit };
+                    return Ok(Minimum { x: lower.x, end, iterations, last_step: size, factor: lower.factor });
                 }
                 let whole = lower.part == 1.0;
                 (x, factor) = (lower.x, lower.factor);
@@ -280,6 +278,9 @@ struct Lower {
 
 /// Parts of steps that are tried for each iteration that is allowed, on average: a step that has to be cut again and again leads nowhere.
 const TRIALS: usize = 3;
+
+/// Size of steps, in standard uncertainties of all rows together, below which it does not matter that they have to be cut.
+const CUT: f64 = 1e-6;
 
 /// The first of a step from x, its half, its quarter and so on that does not make the sum of squares larger than `cost`, with the
 /// factor there and the part that it is; None if no part does.

@@ -32,7 +32,8 @@ const fn machine(required: bool) -> Reference {
 pub(crate) fn references(plugin: &Plugin) -> &'static [Reference] {
     const ARTEFACT: &[Reference] =
         &[reference("from", Kind::Ingest, true, false), reference("repeats", Kind::Ingest, false, false)];
-    const MODEL: &[Reference] = &[reference("machine", Kind::Estimate, false, false)];
+    const MODEL: &[Reference] =
+        &[reference("machine", Kind::Estimate, false, false), reference("logs", Kind::Ingest, false, true)];
     const STATEMENT: &[Reference] = &[machine(true)];
     const ESTIMATES: &[Reference] = &[reference("of", Kind::Estimate, true, true), machine(false)];
     const ESTIMATE: &[Reference] = &[

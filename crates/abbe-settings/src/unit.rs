@@ -93,9 +93,17 @@ impl Quantity {
     }
 
     fn from_symbol(symbol: &str) -> Option<Self> {
-        [Self::Ratio, Self::Length, Self::Angle, Self::Time, Self::Temperature, Self::Force, Self::PerTemperature]
-            .into_iter()
-            .find(|quantity| quantity.symbol() == symbol)
+        const ALL: [Quantity; 8] = [
+            Quantity::Ratio,
+            Quantity::Length,
+            Quantity::Angle,
+            Quantity::Time,
+            Quantity::Temperature,
+            Quantity::Force,
+            Quantity::PerTemperature,
+            Quantity::RotationalSpeed,
+        ];
+        ALL.into_iter().find(|quantity| quantity.symbol() == symbol)
     }
 }
 
@@ -125,12 +133,13 @@ impl Unit {
         let (mut symbol, mut factor) = match self.of {
             Quantity::Length => ("µm".to_owned(), 1e3),
             Quantity::Angle => ("µrad".to_owned(), 1e6),
+            Quantity::PerTemperature => ("µm/(m K)".to_owned(), 1e6),
             other => (other.symbol().to_owned(), 1.0),
         };
         if let Some((per, power)) = self.per {
             let (per_symbol, per_factor) = match per {
                 Quantity::Length => ("m", 1e3),
-                other => (other.symbol(), 1.0),
+                other => (denominator(other), 1.0),
             };
             symbol = format!("{symbol}/{per_symbol}");
             if power > 1 {
@@ -143,12 +152,20 @@ impl Unit {
     }
 }
 
+/// Differences of temperature.
+const KELVIN: &str = "K";
+
+/// The symbol of a quantity below the line.
+fn denominator(quantity: Quantity) -> &'static str {
+    if quantity == Quantity::Temperature { KELVIN } else { quantity.symbol() }
+}
+
 impl fmt::Display for Unit {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         match self.per {
             None => f.write_str(self.of.symbol()),
-            Some((per, 1)) => write!(f, "{}/{}", self.of.symbol(), per.symbol()),
-            Some((per, power)) => write!(f, "{}/{}^{power}", self.of.symbol(), per.symbol()),
+            Some((per, 1)) => write!(f, "{}/{}", self.of.symbol(), denominator(per)),
+            Some((per, power)) => write!(f, "{}/{}^{power}", self.of.symbol(), denominator(per)),
         }
     }
 }
@@ -181,7 +198,8 @@ impl FromStr for Unit {
             Some((per, power)) => (per, power.parse().map_err(|_| unknown())?),
         };
         let quantity = |symbol| Quantity::from_symbol(symbol).ok_or_else(unknown);
-        Ok(Self { of: quantity(of)?, per: Some((quantity(per)?, power)) })
+        let per = if per == KELVIN { Quantity::Temperature } else { quantity(per)? };
+        Ok(Self { of: quantity(of)?, per: Some((per, power)) })
     }
 }
 
@@ -214,6 +232,8 @@ mod tests {
             (Unit::per(Quantity::Length, Quantity::Length, 1), "mm/mm", "µm/m", 1e6),
             (Unit::per(Quantity::Angle, Quantity::Length, 3), "rad/mm^3", "µrad/m³", 1e15),
             (Unit::per(Quantity::Length, Quantity::Angle, 2), "mm/rad^2", "µm/rad²", 1e3),
+            (Unit::per(Quantity::Length, Quantity::Temperature, 1), "mm/K", "µm/K", 1e3),
+            (Unit::per(Quantity::Angle, Quantity::RotationalSpeed, 1), "rad/rpm", "µrad/rpm", 1e6),
         ];
         for (unit, text, people, factor) in cases {
             assert_eq!(unit.to_string(), text);

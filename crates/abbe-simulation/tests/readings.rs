@@ -101,6 +101,7 @@ fn problem(header: &str, axis: usize, column: Option<&'static str>) -> Problem {
         origins: (0..3).map(|row| RowOrigin { file: 0, line: row + 2, row: row + 1 }).collect(),
         files: vec![PathBuf::from("dial.csv")],
         averaged: false,
+        is_log: false,
     });
     let model: Arc<dyn KinematicModel> = Arc::new(Rail::new());
     let mut layout = Layout::new(&data, model.as_ref(), &[&plain_naming]).unwrap();

@@ -109,6 +109,7 @@ pub fn require(headers: &[ColumnHeader], file: Option<&PathBuf>, columns: &[(&st
         origins: Vec::new(),
         files: file.into_iter().cloned().collect(),
         averaged: false,
+        is_log: false,
     };
     for (name, quantity) in columns {
         match quantity {

@@ -63,7 +63,7 @@ pub(crate) fn dataset(path: &Path, bytes: &[u8]) -> Result<Dataset> {
     if origins.is_empty() {
         return Err(Error::data("the file has no data rows").in_file(path));
     }
-    Ok(Dataset { columns, origins, files: vec![path.to_owned()], averaged: false })
+    Ok(Dataset { columns, origins, files: vec![path.to_owned()], averaged: false, is_log: false })
 }
 
 /// Temperatures that are read, °C: no machine is measured at others, and 293 is in kelvin.

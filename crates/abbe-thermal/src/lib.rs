@@ -21,6 +21,7 @@
 //! # Units
 //! Times in s; inputs and outputs in any unit, gains in theirs.
 
+mod basis;
 mod beam;
 mod fit;
 mod log;
@@ -30,4 +31,4 @@ mod starts;
 pub use beam::{Beam, SectionDisplacement, Segment, TemperaturePlane};
 pub use fit::{Fitted, Output, Structure, fit};
 pub use log::{Hold, Reference, SensorLog};
-pub use response::Response;
+pub use response::{History, Response};

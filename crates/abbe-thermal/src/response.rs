@@ -36,23 +36,47 @@ fn step([state, slope]: [f64; 2], [from, to]: [f64; 2], a: f64) -> [f64; 2] {
     [next, next_slope]
 }
 
+/// The state of a sensor's input over a log, for one time constant.
+#[derive(Debug, Clone, PartialEq)]
+pub struct History {
+    sensor: usize,
+    time_constant: f64,
+    /// State and slope at the rows of the log.
+    rows: Vec<[f64; 2]>,
+}
+
+impl History {
+    /// The state at all rows of the log; it is zero at the beginning.
+    pub fn new(log: &SensorLog, sensor: usize, time_constant: f64) -> Self {
+        let times = log.times();
+        let mut now = [0.0; 2];
+        let mut rows = vec![now];
+        for row in 0..times.len() - 1 {
+            let length = times[row + 1] - times[row];
+            now = step(now, log.ends(sensor, row, length), length / time_constant);
+            rows.push(now);
+        }
+        Self { sensor, time_constant, rows }
+    }
+
+    /// State and its derivative to ln(time constant) at a time; `log` is the one that it was made from.
+    ///
+    /// Fails for a time outside the log.
+    pub fn at(&self, log: &SensorLog, time: f64) -> Result<[f64; 2]> {
+        let (row, within) = log.interval(time)?;
+        Ok(step(self.rows[row], log.ends(self.sensor, row, within), within / self.time_constant))
+    }
+}
+
 impl Response {
     /// The state of a sensor's input at some times; it is zero at the beginning of the log.
     ///
     /// Fails for a time outside the log.
     pub fn new(log: &SensorLog, sensor: usize, time_constant: f64, times: &[f64]) -> Result<Self> {
-        let rows = log.times();
-        let mut at_rows = vec![[0.0; 2]];
-        let mut now = [0.0; 2];
-        for row in 0..rows.len() - 1 {
-            let length = rows[row + 1] - rows[row];
-            now = step(now, log.ends(sensor, row, length), length / time_constant);
-            at_rows.push(now);
-        }
+        let history = History::new(log, sensor, time_constant);
         let mut found = Self::default();
         for time in times {
-            let (row, within) = log.interval(*time)?;
-            let [value, slope] = step(at_rows[row], log.ends(sensor, row, within), within / time_constant);
+            let [value, slope] = history.at(log, *time)?;
             found.values.push(value);
             found.slopes.push(slope);
         }

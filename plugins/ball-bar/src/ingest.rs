@@ -343,7 +343,7 @@ impl Ingest for Tests {
         // What `read` does, on tables without rows: so the columns cannot differ.
         let without_rows = |path: &Path| {
             let columns = abbe_table::read_headers(path)?.into_iter().map(abbe_table::empty_column).collect();
-            Ok(Dataset { columns, origins: Vec::new(), files: vec![path.to_owned()], averaged: false })
+            Ok(Dataset { columns, origins: Vec::new(), files: vec![path.to_owned()], averaged: false, is_log: false })
         };
         Ok(self.assemble(&without_rows)?.headers())
     }
@@ -408,5 +408,6 @@ fn picked(data: &Dataset, rows: &[DataRow]) -> Dataset {
         origins: rows.iter().map(|&row| data.origins[row]).collect(),
         files: data.files.clone(),
         averaged: data.averaged,
+        is_log: false,
     }
 }

@@ -152,7 +152,7 @@ impl Ingest for Csv {
         // What `read` does, on tables without rows: so the columns cannot differ.
         let without_rows = |path: &Path| {
             let columns = abbe_table::read_headers(path)?.into_iter().map(abbe_table::empty_column).collect();
-            Ok(Dataset { columns, origins: Vec::new(), files: vec![path.to_owned()], averaged: false })
+            Ok(Dataset { columns, origins: Vec::new(), files: vec![path.to_owned()], averaged: false, is_log: false })
         };
         let data = self.assemble(&without_rows)?;
         Ok(match &self.average {

@@ -167,6 +167,7 @@ impl Builder {
     fn among(&self, group: Group) -> impl Iterator<Item = &Candidate> {
         let belongs = move |own: Group| match group {
             Group::LocationOrMotion => own != Group::SetUp,
+            Group::Any => true,
             other => own == other,
         };
         self.candidates.iter().filter(move |(own, _)| belongs(*own)).map(|(_, candidate)| candidate)
@@ -280,6 +281,7 @@ impl Builder {
             Group::Motion => "motion",
             Group::LocationOrMotion => "location or motion",
             Group::SetUp => "set-up",
+            Group::Any => "location, motion or set-up",
         };
         let symbols = self.among(group).map(|candidate| candidate.symbol.as_str());
         let near = abbe_core::nearest(pattern, symbols).map(|near| format!("did you mean `{near}`?"));
@@ -312,6 +314,7 @@ impl Builder {
         let axis = candidate.axis.map(|axis| &self.axes[axis]);
         let subject = Subject {
             location,
+            of: quantity_of(candidate.component),
             command: axis.map_or(Quantity::Ratio, |axis| self.status[axis.status].quantity),
             along: match (axis, candidate.component) {
                 (Some(axis), component @ 0..3) => axis.sense * axis.direction[component],
@@ -333,6 +336,9 @@ impl Builder {
                         let shape = Parameter::new(name, unit).with_role(ParameterRole::Shape);
                         Source::Parameter(self.parameter(shape, nominal, ParameterUse::Shape(basis))?)
                     }
+                    Argument::SharedShape(name, nominal, unit) => {
+                        Source::Parameter(self.shared_shape(name, nominal, unit, basis)?)
+                    }
                     other => Source::Status(self.argument(other, candidate.axis, declaration)?),
                 });
             }
@@ -342,6 +348,22 @@ impl Builder {
             bases.push(self.basis(functions, arguments, range));
         }
         Ok(bases)
+    }
+
+    /// The parameter of that name that shapes functions of several errors, added if it is new.
+    fn shared_shape(&mut self, name: String, nominal: f64, unit: Unit, basis: usize) -> Result<usize, SettingsError> {
+        let known = self.parameters.iter().position(|parameter| parameter.name == name);
+        match known {
+            Some(index) if self.nominal[index] == nominal => Ok(index),
+            Some(index) => {
+                let message = format!("`{name}` is {} in another line, and {nominal} here", self.nominal[index]);
+                Err(SettingsError::new("", message).help("all lines share it"))
+            }
+            None => {
+                let shape = Parameter::new(name, unit).with_role(ParameterRole::Shape);
+                self.parameter(shape, nominal, ParameterUse::Shape(basis))
+            }
+        }
     }
 
     /// The status that is an argument of a function.
@@ -384,7 +406,8 @@ impl Builder {
                 | Argument::Direction
                 | Argument::Series
                 | Argument::Stylus
-                | Argument::Shape(..)),
+                | Argument::Shape(..)
+                | Argument::SharedShape(..)),
                 ..,
             ) => {
                 let message = format!("an error follows {other:?}, which it does not have here");

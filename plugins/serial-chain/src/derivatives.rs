@@ -12,8 +12,8 @@ pub(crate) type ByErrorAndCommand<'a> = (&'a [[Vector3<f64>; 6]], &'a [Vector3<f
 #[derive(Default)]
 pub(crate) struct Wanted {
     pub coefficients: Vec<(usize, CoefficientPlace)>,
-    /// Index among all variables, parameter, basis.
-    pub shapes: Vec<(usize, usize, usize)>,
+    /// Index among all variables, parameter, bases.
+    pub shapes: Vec<(usize, usize, Vec<usize>)>,
     /// Index among all variables, axis.
     pub commands: Vec<(usize, usize)>,
 }
@@ -42,7 +42,13 @@ impl SerialChain {
             match *variable {
                 Variable::Parameter(parameter) => match self.uses[parameter] {
                     ParameterUse::Coefficient(place) => sorted.coefficients.push((index, place)),
-                    ParameterUse::Shape(basis) => sorted.shapes.push((index, parameter, basis)),
+                    ParameterUse::Shape(first) => {
+                        let follows = |basis: &usize| {
+                            let arguments = &self.bases[*basis].arguments;
+                            *basis == first || arguments.contains(&Source::Parameter(parameter))
+                        };
+                        sorted.shapes.push((index, parameter, (0..self.bases.len()).filter(follows).collect()));
+                    }
                 },
                 Variable::Command(axis) => sorted.commands.push((index, axis)),
             }
@@ -69,8 +75,11 @@ impl SerialChain {
                 }
             }
         }
-        for &(index, parameter, basis) in &wanted.shapes {
-            out[index] = self.through(&self.bases[basis], Source::Parameter(parameter), at, by, buffers).into();
+        for (index, parameter, bases) in &wanted.shapes {
+            let through = bases
+                .iter()
+                .map(|&basis| self.through(&self.bases[basis], Source::Parameter(*parameter), at, by, buffers));
+            out[*index] = through.sum::<Vector3<f64>>().into();
         }
         // The motion itself, and the errors that change with the command.
         for &(index, axis) in &wanted.commands {

@@ -10,7 +10,7 @@ use nalgebra::Vector3;
 
 use crate::builder::{Builder, finite, key};
 use crate::derivatives::{At, of_one_error};
-use crate::nominal::{FARTHEST, chain_axis, settle_time, temperature_is_there};
+use crate::nominal::{FARTHEST, chain_axis, settle_time, temperature_is_there, time_is_there};
 use crate::settings::Settings;
 
 /// A serial chain with its error families.
@@ -32,7 +32,7 @@ pub struct SerialChain {
 pub(crate) enum ParameterUse {
     /// It multiplies a function, in one error of one slot of the chain.
     Coefficient(CoefficientPlace),
-    /// It is an argument of the functions of a basis: a wavelength.
+    /// It is an argument of the functions of a basis, and maybe of others: a wavelength, a time constant.
     Shape(usize),
 }
 
@@ -144,6 +144,9 @@ impl SerialChain {
             if let Declaration::Expansion(expansion) = &declaration {
                 temperature_is_there(expansion, data).map_err(|error| error.under(at.clone()))?;
             }
+            if let Declaration::Thermal(thermal) = &mut declaration {
+                thermal.settle(data).and_then(|()| time_is_there(data)).map_err(|error| error.under(at.clone()))?;
+            }
             builder.declare(&declaration).map_err(|error| error.under(at))?;
             declarations.push(declaration);
         }
@@ -189,6 +192,9 @@ impl SerialChain {
             range.check(status, &self.info.axes)?;
         }
         let arguments = basis.arguments_at(status, values);
+        if let Some(why) = basis.functions.refused(&arguments[..basis.arguments.len()]) {
+            return Err(Error::data(why));
+        }
         basis.functions.values(&arguments[..basis.arguments.len()], &mut out[basis.first..basis.first + basis.count]);
         Ok(())
     }

@@ -58,7 +58,7 @@ pub(crate) fn temperature_is_there(expansion: &Expansion, data: &[&Dataset]) -> 
         name.strip_prefix(expansion.temperature.as_str())
             .is_some_and(|end| end.chars().all(|digit| digit.is_ascii_digit()))
     };
-    let lacks = |data: &&&Dataset| !data.columns.iter().any(|column| of_scale(&column.header.name));
+    let lacks = |data: &&&Dataset| !data.is_log && !data.columns.iter().any(|column| of_scale(&column.header.name));
     let Some(data) = data.iter().find(lacks) else { return Ok(()) };
     let file = data.files.first().map_or_else(|| "a data set".to_owned(), |file| file.display().to_string());
     let column = format!("{}_degC", expansion.temperature);
@@ -68,11 +68,22 @@ pub(crate) fn temperature_is_there(expansion: &Expansion, data: &[&Dataset]) -> 
     Err(SettingsError::new("temperature", message))
 }
 
+/// Refuses data without times: their thermal errors would be left out without a message.
+pub(crate) fn time_is_there(data: &[&Dataset]) -> Result<(), SettingsError> {
+    let lacks = |data: &&&Dataset| data.numbers("time").is_none();
+    let Some(data) = data.iter().find(lacks) else { return Ok(()) };
+    let file = data.files.first().map_or_else(|| "a data set".to_owned(), |file| file.display().to_string());
+    let error =
+        SettingsError::new("thermal", format!("{file} has no column `time_s`, by which temperatures are found"));
+    Err(error
+        .help("write it into the file, on the clock of the log, or `constants: { time_s: 0 }` at its ingest stage"))
+}
+
 /// First and last time of every series of a drift: those of the settings, else those of the data. So the time scale stays the
 /// same in folds and subsets of the rows.
 pub(crate) fn settle_time(drift: &mut Drift, data: &[&Dataset]) -> Result<(), SettingsError> {
     if drift.time_s.is_empty() {
-        for data in data {
+        for data in data.iter().filter(|data| !data.is_log) {
             let Some(times) = data.numbers("time") else { continue };
             let labels = drift.per.column().and_then(|column| data.column(column)).map(|column| &column.values);
             for (row, &time) in times.iter().enumerate() {

@@ -14,6 +14,7 @@ mod polynomial;
 mod product;
 mod reversal;
 mod spline;
+mod thermal;
 mod travel;
 
 use std::fmt::Debug;
@@ -34,6 +35,7 @@ pub use polynomial::{OrdinaryPolynomial, Polynomial};
 pub use product::{CrossCoupling, Product};
 pub use reversal::{Backlash, Reversal};
 pub use spline::{NaturalSpline, Spline};
+pub use thermal::{Thermal, ThermalTerms};
 pub use travel::{Trend, WithoutTrend};
 
 /// An argument of a function. The model finds its value in the status.
@@ -60,6 +62,8 @@ pub enum Argument {
     /// A parameter of the function itself in the unit of the command, one for each error: suffix of its name and nominal
     /// value.
     Shape(String, f64),
+    /// A parameter that functions of several errors share: its name, nominal value and unit.
+    SharedShape(String, f64, Unit),
 }
 
 /// One function of a family: the suffix of its name, and the unit of its coefficient.
@@ -117,6 +121,11 @@ pub trait Functions: Send + Sync + Debug {
         0.0
     }
 
+    /// Why they are not known at these arguments; none if they are.
+    fn refused(&self, _arguments: &[f64]) -> Option<String> {
+        None
+    }
+
     /// The period of the functions in the command of the moving axis, with these arguments; none if they are not periodic.
     fn period(&self, _arguments: &[f64]) -> Option<f64> {
         None
@@ -144,6 +153,8 @@ pub enum Group {
     LocationOrMotion,
     /// Set-up parameters of tool and workpiece.
     SetUp,
+    /// All of them.
+    Any,
 }
 
 /// The error for which a family makes functions.
@@ -151,6 +162,8 @@ pub enum Group {
 pub struct Subject<'a> {
     /// Whether it is an error of location.
     pub location: bool,
+    /// Its quantity: length or angle.
+    pub of: Quantity,
     /// Quantity of the commands of its axis.
     pub command: Quantity,
     /// Movement of the body that a linear axis carries, in the direction of the error, for a command of 1 mm; zero for errors

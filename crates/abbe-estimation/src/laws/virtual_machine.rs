@@ -109,6 +109,7 @@ fn dataset(commands: &[[f64; 3]]) -> Dataset {
         origins: (0..commands.len()).map(|row| RowOrigin { file: 0, line: row + 2, row: row + 1 }).collect(),
         files: vec![PathBuf::from("virtual.csv")],
         averaged: false,
+        is_log: false,
     }
 }
 

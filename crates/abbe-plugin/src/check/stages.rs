@@ -78,6 +78,7 @@ fn rows(count: usize, value: f64) -> Dataset {
         origins: (0..count).map(origin).collect(),
         files: vec![PathBuf::from("none.csv")],
         averaged: false,
+        is_log: false,
     }
 }
 

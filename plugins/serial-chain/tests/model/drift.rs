@@ -16,6 +16,7 @@ fn data(rows: &[(&str, f64)]) -> Dataset {
         origins: (0..rows.len()).map(|row| RowOrigin { file: 0, line: row + 2, row: row + 1 }).collect(),
         files: vec!["data.csv".into()],
         averaged: false,
+        is_log: false,
     }
 }
 
