@@ -314,6 +314,57 @@ fn what_cannot_or_may_not_be_corrected_is_told_or_refused() {
     assert!(corrections[0].after.distance() < corrections[0].before.distance());
 }
 
+/// Only ratios of weights matter, and small ones switch nothing off.
+#[test]
+fn weights_have_no_size() {
+    let known = known("table-table");
+    let model = known.model.as_ref();
+    let points = set_points("table-table", "cone", model);
+    let with = |weights: [f64; 3]| {
+        let correct = Correct::Axes(vec!["X".to_owned(), "Z".to_owned()]);
+        corrected(&known, &points, &Settings { correct, weights: Some(weights), ..Settings::default() })
+    };
+    let (plain, figures) = with([1.0; 3]);
+    assert!(figures.tip_after.max < 0.9 * figures.tip_before.max, "{figures:?}");
+    for size in [1e-9, 5e-4, 1e6] {
+        let (scaled, _) = with([size; 3]);
+        let apart = plain.iter().zip(&scaled).map(|(one, other)| (one - other).abs()).fold(0.0, f64::max);
+        assert!(apart < 1e-9, "{size}: {apart}");
+    }
+    // What matters less is corrected as well where nothing stands against it.
+    let settings = Settings { weights: Some([1.0, 1.0, 5e-4]), ..Settings::default() };
+    let (_, figures) = corrected(&known, &points, &settings);
+    assert!(figures.tip_after.max < 1e-9, "{figures:?}");
+}
+
+/// Where a linear axis cannot follow, rotary axes do not move the tip away.
+#[test]
+fn no_tip_gets_worse_where_linear_axes_cannot_follow() {
+    let both =
+        Settings { correct: Correct::FiveAxes, sensitive_direction: Some([0.0, 0.0, 1.0]), ..Settings::default() };
+    assert!(both.check().is_err());
+    for machine in ["head-table", "table-table"] {
+        let known = known(machine);
+        let points = set_points(machine, "rotary", known.model.as_ref());
+        let axes = &known.model.info().axes;
+        let linear: Vec<_> = axes.iter().filter(|axis| axis.kind == abbe_core::AxisKind::Linear).collect();
+        let width = known.model.info().status.len();
+        for axis in linear {
+            for end in axis.range.expect("a range") {
+                let mut statuses = points.statuses().to_vec();
+                statuses.chunks_mut(width).for_each(|status| status[axis.status] = end);
+                let settings = Settings { correct: Correct::FiveAxes, travel: Travel::Hold, ..Settings::default() };
+                let compensator = Compensator::new(known.model.as_ref(), &known.values, &settings).expect("settings");
+                let (_, corrections) = compensator.correct(&statuses).expect("corrections");
+                for correction in &corrections {
+                    let (before, after) = (correction.before.distance(), correction.after.distance());
+                    assert!(after <= before + 1e-9, "{machine} {} {end}: {correction:?}", axis.name);
+                }
+            }
+        }
+    }
+}
+
 /// Slow moves of X beside fast ones of Y: where the correction of X changes by more than X moves, it reverses the moves in one of the
 /// two directions, and so it does while X stands.
 #[test]

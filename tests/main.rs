@@ -34,6 +34,7 @@ mod sphere;
 mod support;
 mod truth;
 mod uncertainty;
+mod undetermined;
 mod variance;
 mod verdicts;
 mod warming;

@@ -1,7 +1,12 @@
 //! What a calibration tells of a machine, and whether a correction may use it.
 
-use abbe_core::{Calibration, Error, KinematicModel, Poses, Result, Status, Termination, Variable, machine_values};
-use abbe_volumetric::{Grid, Points, Ranges};
+use std::collections::BTreeMap;
+
+use abbe_core::{
+    AxisKind, Calibration, Error, KinematicModel, Poses, Result, Status, StatusRole, Termination, Variable,
+    machine_values,
+};
+use abbe_volumetric::{Grid, Ranges, position_unit, range_of};
 
 /// Points that are evaluated together.
 const CHUNK: usize = 200;
@@ -57,11 +62,61 @@ pub fn check_confounded(model: &dyn KinematicModel, calibration: &Calibration, s
     Ok(())
 }
 
-/// The same for set-points all over the workspace, axes in these ranges where they are given.
+/// Set-points all over the workspace: no knot, no symmetry and no ripple of an error meets them all.
+const ANYWHERE: usize = 600;
+
+/// Half of the range of an axis whose range is not known, mm and rad.
+const UNKNOWN_RANGE: [f64; 2] = [500.0, std::f64::consts::PI];
+
+/// The same for set-points all over the workspace and in both directions of travel, axes in these ranges where they are given.
 pub fn check_confounded_anywhere(model: &dyn KinematicModel, calibration: &Calibration, ranges: &Ranges) -> Result<()> {
-    let everywhere =
-        Grid { points: Some(Points::Every(3)), axes: ranges.clone(), both_directions: true, ..Grid::default() };
-    check_confounded(model, calibration, &everywhere.statuses(model)?)
+    check_confounded(model, calibration, &anywhere(model, ranges)?)
+}
+
+/// Statuses anywhere between the ends of all axes (sequence of Halton 1960), directions of approach in turn; all else as it is for data
+/// without a column.
+fn anywhere(model: &dyn KinematicModel, ranges: &Ranges) -> Result<Vec<f64>> {
+    let info = model.info();
+    let mut standing = Grid { poses: Some(vec![BTreeMap::new()]), ..Grid::default() }.statuses(model)?;
+    standing.truncate(info.status.len());
+    let ends = info.axes.iter().map(|axis| match (ranges.contains_key(&axis.name), axis.range) {
+        (false, None) => {
+            let half = UNKNOWN_RANGE[usize::from(axis.kind == AxisKind::Rotary)];
+            Ok([-half, half])
+        }
+        _ => range_of(axis, ranges, "ranges").map(|(from, to)| [from, to].map(|end| end / position_unit(axis).1)),
+    });
+    let ends = ends.collect::<Result<Vec<[f64; 2]>>>()?;
+    let mut statuses = Vec::with_capacity(ANYWHERE * standing.len());
+    for point in 0..ANYWHERE {
+        let mut status = standing.clone();
+        for ((axis, [from, to]), base) in info.axes.iter().zip(&ends).zip(BASES.iter().cycle()) {
+            // The first points are the ends themselves.
+            let part = if point < 2 { point as f64 } else { van_der_corput(point, *base) };
+            status[axis.status] = from + part * (to - from);
+        }
+        for (place, column) in info.status.iter().enumerate() {
+            if let StatusRole::Direction(axis) = column.role {
+                status[place] = if (point >> (axis % 8)) & 1 == 0 { 1.0 } else { -1.0 };
+            }
+        }
+        statuses.extend(status);
+    }
+    Ok(statuses)
+}
+
+/// The first prime numbers.
+const BASES: [usize; 10] = [2, 3, 5, 7, 11, 13, 17, 19, 23, 29];
+
+/// The digits of a number behind the point, in reverse order (van der Corput 1935).
+fn van_der_corput(mut number: usize, base: usize) -> f64 {
+    let (mut value, mut digit) = (0.0, 1.0);
+    while number > 0 {
+        digit /= base as f64;
+        value += digit * (number % base) as f64;
+        number /= base;
+    }
+    value
 }
 
 /// Whether the parts of a direction do not cancel in the motion of a pose.

@@ -1,6 +1,6 @@
 //! Corrected commands for the statuses of set-points.
 
-use abbe_core::{AxisKind, Error, KinematicModel, Poses, Result, Variable, in_parallel};
+use abbe_core::{Axis, AxisKind, Error, KinematicModel, Poses, Result, Variable, in_parallel};
 use nalgebra::{Quaternion, UnitQuaternion, Vector3};
 
 use crate::settings::{Method, Settings, Travel};
@@ -20,6 +20,9 @@ const WORTHWHILE: f64 = 0.5;
 
 /// Distance of the tip, mm, and angle of the tool axis, rad, below which nothing is left to correct.
 const THERE: f64 = 1e-11;
+
+/// Distance of the tip, mm, that is not left where linear axes can bring it to its goal.
+const NEAR: f64 = 1e-6;
 
 /// How far a tool is from where it should be.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
@@ -182,7 +185,21 @@ impl<'a> Compensator<'a> {
         let corrected: Vec<usize> = self.linear.iter().chain(&self.rotary).copied().collect();
         for (point, correction) in points.iter_mut().enumerate() {
             correction.after = deviation(&now, &goal, point);
-            let status = &statuses[point * width..(point + 1) * width];
+            let own = point * width..(point + 1) * width;
+            let is_exact = self.settings.method == Method::Exact;
+            if is_exact && !self.rotary.is_empty() && correction.after.distance() > NEAR {
+                let (standing, of_standing) =
+                    self.with_rotary_axes_standing().corrected(&programmed[own.clone()]).map_err(|mut error| {
+                        error.pose = error.pose.map(|_| point);
+                        error
+                    })?;
+                if of_standing[0].after.distance() < correction.after.distance() {
+                    statuses[own.clone()].copy_from_slice(&standing);
+                    *correction = of_standing[0].clone();
+                    states[point] = State::Settled;
+                }
+            }
+            let status = &statuses[own];
             let fails = |error: Error| Err(error.at_pose(point));
             if self.settings.method == Method::Exact && !states[point].is_settled() {
                 return fails(Error::data("no commands are found that correct this point"));
@@ -195,6 +212,20 @@ impl<'a> Compensator<'a> {
             }
         }
         Ok((statuses, points))
+    }
+
+    /// The same without corrections of rotary axes: where linear axes cannot follow them, the tip is nearer then.
+    fn with_rotary_axes_standing(&self) -> Self {
+        Self {
+            model: self.model,
+            values: self.values,
+            settings: self.settings,
+            linear: self.linear.clone(),
+            rotary: Vec::new(),
+            wanted: self.wanted[..self.linear.len()].to_vec(),
+            task: self.task.clone(),
+            within_travel: self.within_travel,
+        }
     }
 
     /// Moves the commands of a point.
@@ -335,20 +366,23 @@ impl<'a> Compensator<'a> {
     /// What is said of a command beyond the travel of one of some axes, by more than rounding.
     fn beyond_travel(&self, status: &[f64], of: &[usize]) -> Option<String> {
         let axes = of.iter().map(|&axis| &self.model.info().axes[axis]);
-        axes.filter(|axis| self.within_travel && !axis.endless).find_map(|axis| {
-            let ([from, to], command) = (axis.range?, status[axis.status]);
-            let more = 1e-9 * (to - from);
-            if command >= from - more && command <= to + more {
-                return None;
-            }
-            let (unit, factor) = match axis.kind {
-                AxisKind::Linear => ("mm", 1.0),
-                AxisKind::Rotary => ("deg", 1_f64.to_degrees()),
-            };
-            let [command, from, to] = [command, from, to].map(|value| value * factor);
-            Some(format!("{} stands at {command:.6} {unit}, beyond its travel of {from} to {to} {unit}", axis.name))
-        })
+        axes.filter(|_| self.within_travel).find_map(|axis| beyond(axis, status))
     }
+}
+
+/// What is said of a command beyond the travel of an axis, by more than rounding.
+pub(crate) fn beyond(axis: &Axis, status: &[f64]) -> Option<String> {
+    let ([from, to], command) = (axis.range.filter(|_| !axis.endless)?, status[axis.status]);
+    let more = 1e-9 * (to - from);
+    if command >= from - more && command <= to + more {
+        return None;
+    }
+    let (unit, factor) = match axis.kind {
+        AxisKind::Linear => ("mm", 1.0),
+        AxisKind::Rotary => ("deg", 1_f64.to_degrees()),
+    };
+    let [command, from, to] = [command, from, to].map(|value| value * factor);
+    Some(format!("{} stands at {command:.6} {unit}, beyond its travel of {from} to {to} {unit}", axis.name))
 }
 
 /// The tool axis of a pose, table frame.

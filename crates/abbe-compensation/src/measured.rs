@@ -2,10 +2,11 @@
 
 use std::path::Path;
 
-use abbe_core::{Calibration, KinematicModel, Poses, Result, machine_values};
+use abbe_core::{Calibration, Error, KinematicModel, Poses, Result, machine_values};
 use abbe_volumetric::predict;
 
 use crate::calibrated::check_confounded;
+use crate::compensator::beyond;
 use crate::figures::{Spread, largest_uncertainty};
 use crate::set_points::SetPoints;
 
@@ -30,14 +31,19 @@ pub struct MeasuredPoints {
 }
 
 impl MeasuredPoints {
-    /// Corrects the positions of a file; `model` is the calibration's own. A position is that of the tip: of a probe the centre of its
-    /// ball.
+    /// Corrects the positions of a file by `largest` mm at most; `model` is the calibration's own. A position is that of the tip: of a
+    /// probe the centre of its ball.
     ///
-    /// Fails as [`CompensatedPath::new`](crate::CompensatedPath::new) does, but for limits of corrections. Errors of a point name its
+    /// Fails as [`CompensatedPath::new`](crate::CompensatedPath::new) does, and for positions beyond the travel. Errors of a point name its
     /// line.
-    pub fn new(model: &dyn KinematicModel, calibration: &Calibration, file: &Path) -> Result<Self> {
+    pub fn new(model: &dyn KinematicModel, calibration: &Calibration, file: &Path, largest: f64) -> Result<Self> {
         let points = SetPoints::read(file, model)?;
         let corrected = || {
+            for (point, status) in points.statuses().chunks(model.info().status.len().max(1)).enumerate() {
+                if let Some(beyond) = model.info().axes.iter().find_map(|axis| beyond(axis, status)) {
+                    return Err(Error::data(format!("{beyond}: the machine was not calibrated there")).at_pose(point));
+                }
+            }
             check_confounded(model, calibration, points.statuses())?;
             let errors = predict(model, calibration, points.statuses())?;
             let mut nominal = Poses::default();
@@ -47,7 +53,18 @@ impl MeasuredPoints {
                 corrected: [0, 1, 2].map(|axis| indicated[axis] + error.mean[axis]),
                 covariance: error.covariance,
             });
-            Ok(tips.collect())
+            let tips: Vec<Measured> = tips.collect();
+            let size = |tip: &Measured| distance(&tip.corrected, &tip.indicated);
+            match tips.iter().position(|tip| size(tip) > largest || size(tip).is_nan()) {
+                None => Ok(tips),
+                Some(point) => {
+                    let size = size(&tips[point]);
+                    let message =
+                        format!("this position would be corrected by {size:.3} mm; at most {largest} mm are allowed");
+                    let help = "is the calibration that of this machine and this tool? else allow more";
+                    Err(Error::data(message).help(help).at_pose(point))
+                }
+            }
         };
         let tips = corrected().map_err(|error| points.locate(error))?;
         Ok(Self { points, tips })

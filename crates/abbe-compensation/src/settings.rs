@@ -145,6 +145,12 @@ impl Settings {
         if self.weights.is_some_and(|weights| !weights.iter().all(|weight| weight.is_finite() && *weight > 0.0)) {
             return wrong("weights", "three positive numbers were expected");
         }
+        if self.correct == Correct::FiveAxes && self.sensitive_direction.is_some() {
+            return wrong(
+                "sensitive_direction",
+                "rotary axes move the tip in all directions: `five-axes` corrects them all",
+            );
+        }
         let length = |direction: [f64; 3]| direction.iter().map(|part| part * part).sum::<f64>().sqrt();
         if self.sensitive_direction.is_some_and(|direction| !(length(direction) > 0.0 && length(direction).is_finite()))
         {

@@ -117,6 +117,8 @@ pub(crate) fn linear_steps(
 }
 
 /// The smallest steps that leave the least.
+///
+/// Which directions axes cannot correct is judged without weights: these say what matters where not all can be corrected.
 fn solved(task: &Task, change: &Vector3<f64>, columns: &[Vector3<f64>]) -> Vec<f64> {
     if let (Task::Components(_), [x, y, z]) = (task, columns) {
         let matrix = Matrix3::from_columns(&[*x, *y, *z]);
@@ -126,10 +128,20 @@ fn solved(task: &Task, change: &Vector3<f64>, columns: &[Vector3<f64>]) -> Vec<f
             return steps.iter().copied().collect();
         }
     }
-    let (matrix, change) = (task.rows(columns), task.rows(&[*change]));
-    let svd = matrix.svd(true, true);
+    let plain = match task {
+        Task::Components(_) => Task::Components(Vector3::repeat(1.0)),
+        Task::Along(_) => task.clone(),
+    };
+    let svd = plain.rows(columns).svd(true, true);
     let largest = svd.singular_values.iter().copied().fold(0.0, f64::max);
     // A step of 1 mm moves the tip by 1 mm, in some direction.
-    let steps = svd.solve(&DVector::from_column_slice(change.as_slice()), PARALLEL * largest.max(1.0));
-    steps.map_or_else(|_| vec![0.0; columns.len()], |steps| steps.iter().copied().collect())
+    let spanned = |value: &f64| *value > PARALLEL * largest.max(1.0);
+    let Some(v_t) = &svd.v_t else { return vec![0.0; columns.len()] };
+    let kept: Vec<usize> =
+        (0..svd.singular_values.len()).filter(|&index| spanned(&svd.singular_values[index])).collect();
+    let directions = DMatrix::from_fn(columns.len(), kept.len(), |axis, index| v_t[(kept[index], axis)]);
+    let weighted = task.rows(columns) * &directions;
+    let change = DVector::from_column_slice(task.rows(&[*change]).as_slice());
+    let parts = weighted.svd(true, true).solve(&change, 0.0);
+    parts.map_or_else(|_| vec![0.0; columns.len()], |parts| (directions * parts).iter().copied().collect())
 }

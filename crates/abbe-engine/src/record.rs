@@ -106,6 +106,12 @@ impl FailureRecord {
 }
 
 impl RunRecord {
+    /// Whether the run wrote a file of this name, in the folder of its results, with this content.
+    pub fn wrote(&self, file: &str, content: &[u8]) -> bool {
+        let hash = sha256(content);
+        self.outputs.iter().any(|output| output.file == file && output.sha256 == hash)
+    }
+
     /// Reads the text of a `run.json`.
     ///
     /// Keys that are not known are left alone. Fails on text that is not JSON, on another format number, on missing or wrong

@@ -37,7 +37,6 @@ pub struct Planned {
 
 /// Files by the stage that made them.
 type Exports = Vec<(String, Vec<ExportedFile>)>;
-
 pub(crate) type Datasets = BTreeMap<String, Arc<Dataset>>;
 
 impl Prepared {
@@ -71,7 +70,7 @@ impl Prepared {
     pub fn run(&self, monitor: &Monitor) -> Result<Outcome> {
         let (started, clock) = (SystemTime::now(), Instant::now());
         let inputs = input_records(&self.files)?;
-        // A plugin may change the folder that relative paths start from.
+        // Before a plugin may change the folder that relative paths start from.
         let input_files = self.files.iter().filter_map(|file| std::fs::canonicalize(file).ok()).collect();
         self.same_content(&inputs).iter().for_each(|sentence| tracing::warn!("{sentence}"));
         let data = self.read(monitor, None)?;
@@ -229,7 +228,10 @@ impl Prepared {
         let estimator = self.estimators[&stage.name].clone();
         let calibration = match stage.estimate_source {
             EstimateSource::Measurements | EstimateSource::Analysis => {
-                return self.fit(stage, self.located(stage, start(stage, problem.clone(), fits))?);
+                let mut fit = self.fit(stage, self.located(stage, start(stage, problem.clone(), fits))?)?;
+                let known = named(stage.reference("known"), fits);
+                known.iter().for_each(|known| fit.calibration.keep_limits_of_known(&known.calibration));
+                return Ok(fit);
             }
             EstimateSource::Calibration => Ok(self.saved[&stage.name].calibration.clone()),
             EstimateSource::Statement => estimator.explain(problem),
@@ -242,7 +244,6 @@ impl Prepared {
     fn fit(&self, stage: &Stage, problem: Problem) -> Result<Fit> {
         let estimator = self.estimators[&stage.name].clone();
         tracing::info!("{}: {} equations, {} unknowns", stage.name, problem.equations(), problem.unknowns.len());
-        // Before the fit, which may take long on data that are wrong.
         remarks(&problem).iter().for_each(|remark| tracing::warn!("{}: {remark}", stage.name));
         let explained = estimator.explain(&problem).map_err(|error| self.with_mistakes(stage, &problem, error));
         let calibration = self.located(stage, explained)?;
@@ -257,7 +258,7 @@ impl Prepared {
         Ok(Fit { name: stage.name.clone(), problem: Arc::new(problem), estimator, calibration })
     }
 
-    /// The analysis of an earlier estimate. The fit keeps the problem and the estimator of that estimate.
+    /// The analysis of an earlier estimate, with its problem and its estimator.
     fn fit_again(&self, stage: &Stage, fits: &[Fit], monitor: &Monitor) -> Result<Fit> {
         let of = named(stage.reference("of"), fits);
         let fit = of.first().ok_or_else(|| Error::usage("the estimate under `of` is not there").stage(&stage.name))?;

@@ -4,6 +4,8 @@
 //! in `docs/schemas/calibration.schema.json`; `docs/formats.md` says what may change. A calibration is self-contained: pose
 //! predictions and compensation need nothing else.
 
+use std::collections::BTreeMap;
+
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use serde_json::Value;
@@ -239,6 +241,9 @@ pub struct FitReport {
     /// How well the calibrations agree of which this one was combined.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub agreement: Option<CombinedAgreement>,
+    /// Degrees of freedom of parameters that were known from an earlier estimate, where they are finite.
+    #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
+    pub known_degrees_of_freedom: BTreeMap<String, f64>,
 }
 
 impl FitReport {
@@ -270,6 +275,7 @@ impl FitReport {
             implausible: Vec::new(),
             variance: Vec::new(),
             agreement: None,
+            known_degrees_of_freedom: BTreeMap::new(),
         }
     }
 }
@@ -355,6 +361,28 @@ impl Calibration {
             .map_err(|error| Error::data(format!("the calibration cannot be written: {error}")))
     }
 
+    /// Takes over what an earlier estimate did not know well of the parameters that it gave: those that were confounded stay so, with
+    /// the directions that they share, and degrees of freedom stay as few.
+    pub fn keep_limits_of_known(&mut self, known: &Self) {
+        for parameter in self.parameters.iter_mut().filter(|parameter| parameter.status == Status::Considered) {
+            if known.get(&parameter.name).is_some_and(|known| known.status == Status::Confounded) {
+                parameter.status = Status::Confounded;
+            }
+            let freedom = known.degrees_of_freedom(|name| name == parameter.name);
+            if freedom.is_finite() {
+                self.fit.known_degrees_of_freedom.insert(parameter.name.clone(), freedom);
+            }
+        }
+        let confounded = |name: &str| {
+            let own = self.parameters.iter().find(|parameter| parameter.name == name);
+            own.is_some_and(|own| own.status == Status::Confounded)
+        };
+        let shared =
+            known.fit.null_space.iter().filter(|one| one.combination.iter().any(|part| confounded(&part.name)));
+        let kept: Vec<WeakDirection> = shared.filter(|one| !self.fit.null_space.contains(one)).cloned().collect();
+        self.fit.null_space.extend(kept);
+    }
+
     /// The smallest degrees of freedom of the uncertainties of some parameters; infinite if all are infinite or not known.
     pub fn degrees_of_freedom(&self, is_one: impl Fn(&str) -> bool) -> f64 {
         let budgets = self.uncertainty.iter().flat_map(|budget| &budget.parameters);
@@ -362,7 +390,9 @@ impl Calibration {
         let all = budgets
             .map(|parameter| (&parameter.name, parameter.degrees_of_freedom))
             .chain(simulated.map(|parameter| (&parameter.name, parameter.degrees_of_freedom)));
-        all.filter(|(name, _)| is_one(name)).filter_map(|(_, freedom)| freedom).fold(f64::INFINITY, f64::min)
+        let known = self.fit.known_degrees_of_freedom.iter().map(|(name, freedom)| (name, Some(*freedom)));
+        let all = all.chain(known).filter(|(name, _)| is_one(name));
+        all.filter_map(|(_, freedom)| freedom).fold(f64::INFINITY, f64::min)
     }
 
     /// The inputs that this calibration and another one share: pairs of this and the other record.

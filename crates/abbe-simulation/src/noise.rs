@@ -161,10 +161,10 @@ impl Noise {
             [("probing_sigma_mm", &self.probing_sigma_mm), ("surface_sigma_mm", &self.surface_sigma_mm)]
         {
             match sigma {
-                StandardDeviation::All(value) => not_negative(name, *value).map(drop)?,
+                StandardDeviation::All(value) => size(name, *value)?,
                 StandardDeviation::ByStage(values) => {
                     for (stage, value) in values {
-                        not_negative(stage, *value).map_err(|error| error.under([key(name)]))?;
+                        size(stage, *value).map_err(|error| error.under([key(name)]))?;
                     }
                 }
             }
@@ -174,12 +174,12 @@ impl Noise {
             drift.check().map_err(|error| error.under(place.into_iter().take(if file.is_empty() { 1 } else { 2 })))?;
         }
         if let Some(lobing) = &self.lobing {
-            not_negative("amplitude_mm", lobing.amplitude)
-                .and_then(|_| finite("phase_rad", lobing.phase))
+            size("amplitude_mm", lobing.amplitude)
+                .and_then(|()| finite("phase_rad", lobing.phase))
                 .map_err(|error| error.under([key("lobing")]))?;
         }
         self.outliers.check().map_err(|error| error.under([key("outliers")]))?;
-        not_negative("resolution_mm", self.resolution_mm).map(drop)
+        size("resolution_mm", self.resolution_mm)
     }
 
     /// Deviation of every equation from zero when it is measured, mm. `problem` has the true values and is at nominal
@@ -479,5 +479,17 @@ pub(crate) fn finite(name: &str, value: f64) -> Result<(), SettingsError> {
     match value.is_finite() {
         true => Ok(()),
         false => Err(SettingsError::new(name, format!("{value}: a finite number was expected"))),
+    }
+}
+
+/// No probe, no surface and no scale is off by as much, mm.
+const LARGEST: f64 = 100.0;
+
+/// Refuses a size that is negative, not finite, or larger than anything that is simulated.
+fn size(setting: &str, value: f64) -> Result<(), SettingsError> {
+    not_negative(setting, value)?;
+    match value <= LARGEST {
+        true => Ok(()),
+        false => Err(SettingsError::new(setting, format!("at most {LARGEST} mm were expected"))),
     }
 }

@@ -191,4 +191,11 @@ fn values_that_are_no_numbers_are_refused() {
     let wrong = |name: &str| Truth { parameters: BTreeMap::from([(name.to_owned(), f64::NAN)]), ..Truth::default() };
     let error = measure(&problem("note_mm", 0, None), &wrong("dxt"), 1).err().unwrap().to_string();
     assert_eq!(error, "parameters.dxt: NaN: a finite number was expected");
+    for (noise, setting) in [
+        (Noise { resolution_mm: 1e308, ..Noise::default() }, "resolution_mm"),
+        (Noise { probing_sigma_mm: StandardDeviation::All(1e12), ..Noise::default() }, "probing_sigma_mm"),
+    ] {
+        let error = measure(&problem("note_mm", 0, None), &truth(noise), 1).err().unwrap().to_string();
+        assert!(error.contains(setting) && error.contains("at most 100 mm were expected"), "{error}");
+    }
 }

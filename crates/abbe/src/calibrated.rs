@@ -5,7 +5,7 @@ use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::time::{Duration, SystemTime, UNIX_EPOCH};
 
-use abbe_core::{Branch, Build, Calibration, Context, Error, Kind, KinematicModel, Registry, Result};
+use abbe_core::{AxisKind, Branch, Build, Calibration, Context, Error, Kind, KinematicModel, Poses, Registry, Result};
 use abbe_engine::{RunRecord, model_of};
 use abbe_files::{LARGEST_RESULT, LARGEST_TEXT, read_text};
 use clap::Args;
@@ -32,7 +32,7 @@ impl Asked {
         self.max_age_days.map_or(Ok(()), |most| check_age(file, most))?;
         let model = model_of(&calibration, registry).map_err(|error| error.in_file(file))?;
         if let Some(machine) = &self.machine {
-            check_machine(model.as_ref(), &calibration.model.plugin, file, machine, registry)?;
+            check_machine(model.as_ref(), &calibration, file, machine, registry)?;
         }
         tell_unknown_travel(model.as_ref());
         Ok((calibration, model))
@@ -43,6 +43,12 @@ fn read(file: &Path) -> Result<Calibration> {
     let unreadable = |error: std::io::Error| Error::usage(format!("the file cannot be read: {error}")).in_file(file);
     let text = read_text(file, LARGEST_RESULT).map_err(unreadable)?;
     Calibration::from_json(&text).map_err(|error| error.in_file(file))
+}
+
+/// A length above 0.
+pub fn positive_mm(text: &str) -> std::result::Result<f64, String> {
+    let length = text.parse::<f64>().ok().filter(|length| *length > 0.0 && length.is_finite());
+    length.ok_or_else(|| "a number of mm above 0 was expected".to_owned())
 }
 
 fn days(text: &str) -> std::result::Result<f64, String> {
@@ -58,6 +64,11 @@ fn check_age(file: &Path, most: f64) -> Result<()> {
         let message = format!("how old the calibration is cannot be told without `{}`", record.display());
         return Err(Error::data(message).in_file(file));
     };
+    let name = file.file_name().unwrap_or_default().to_string_lossy();
+    if !abbe_files::read(file, LARGEST_RESULT).is_ok_and(|content| run.wrote(&name, &content)) {
+        let message = format!("`{}` is not of the run that wrote this file as it is now", record.display());
+        return Err(Error::data(message).help("use the calibration in the folder of its run").in_file(file));
+    }
     let now = SystemTime::now().duration_since(UNIX_EPOCH).unwrap_or(Duration::ZERO).as_secs_f64();
     let days = (now - run.started_unix_s as f64) / 86_400.0;
     if days < -1.0 {
@@ -74,11 +85,12 @@ fn check_age(file: &Path, most: f64) -> Result<()> {
 /// Refuses the calibration of a machine with another chain than that of a machine file, or with axes of other directions.
 fn check_machine(
     model: &dyn KinematicModel,
-    plugin: &str,
+    calibration: &Calibration,
     file: &Path,
     machine: &Path,
     registry: &Registry,
 ) -> Result<()> {
+    let plugin = &calibration.model.plugin;
     let unreadable = |error: std::io::Error| Error::usage(format!("the file cannot be read: {error}")).in_file(machine);
     let text = read_text(machine, LARGEST_TEXT).map_err(unreadable)?;
     let wrong = |error: &dyn std::fmt::Display| {
@@ -87,8 +99,10 @@ fn check_machine(
     let described: Value = serde_yaml::from_str(&text).map_err(|error| wrong(&error))?;
     let nominal = json!({
         "chain": described["chain"], "axes": described.get("axes").unwrap_or(&json!({})),
-        // Tool and stylus do not matter here.
-        "tool_length_mm": 0, "stylus_radius_mm": 0,
+        // Tool and stylus do not matter here: those of the calibration.
+        "tool_length_mm": calibration.model.settings.get("tool_length_mm").unwrap_or(&json!(0)),
+        "probe_offset_mm": calibration.model.settings.get("probe_offset_mm").unwrap_or(&Value::Null),
+        "stylus_radius_mm": 0,
     });
     let found = registry.find(Kind::Model, plugin).map_err(|error| wrong(&error))?;
     let Build::Model(constructor) = &found.build else { return Err(wrong(&"it is no model")) };
@@ -122,7 +136,41 @@ fn check_machine(
             return refused(message);
         }
     }
+    let apart = tips_apart(model, other.as_ref())?;
+    if apart > SAME_TIP {
+        let message = format!(
+            "without errors its tip is up to {apart:.6} mm from that of {}: points or directions of axes differ",
+            machine.display()
+        );
+        return refused(message);
+    }
     Ok(())
+}
+
+/// Distance of tips, mm, that is rounding of numbers in files.
+const SAME_TIP: f64 = 1e-6;
+
+/// The largest distance of the nominal tips of two machines with the same axes, at some commands.
+fn tips_apart(one: &dyn KinematicModel, other: &dyn KinematicModel) -> Result<f64> {
+    let tips = |model: &dyn KinematicModel| -> Result<Vec<[f64; 3]>> {
+        let info = model.info();
+        let mut statuses = Vec::new();
+        for point in 0..8_u32 {
+            let mut status = vec![0.0; info.status.len()];
+            for (place, axis) in info.axes.iter().enumerate() {
+                // No two axes and no two points have the same command.
+                let part = (f64::from(point) * 0.618 + place as f64 * 0.287).fract() - 0.5;
+                status[axis.status] = part * if axis.kind == AxisKind::Linear { 100.0 } else { 2.0 };
+            }
+            statuses.extend(status);
+        }
+        let mut poses = Poses::default();
+        model.poses(&statuses, &info.nominal, &[], false, &mut poses)?;
+        Ok(poses.positions)
+    };
+    let distance =
+        |(one, other): ([f64; 3], [f64; 3])| (0..3).map(|axis| (one[axis] - other[axis]).powi(2)).sum::<f64>().sqrt();
+    Ok(tips(one)?.into_iter().zip(tips(other)?).map(distance).fold(0.0, f64::max))
 }
 
 /// Says which axes have no known travel: whether the machine was measured where it is asked for is then not known.

@@ -23,6 +23,9 @@ pub struct Correct {
     /// Tell what it costs to leave these parameters out, by patterns: `EA?[*]`. May be repeated.
     #[arg(long, value_name = "PATTERN")]
     without: Vec<String>,
+    /// Largest correction of a position, mm; beyond it the errors are not believed.
+    #[arg(long, value_name = "MM", default_value_t = 1.0, value_parser = crate::calibrated::positive_mm, allow_negative_numbers = true)]
+    largest_correction_mm: f64,
     /// Print the figures as JSON.
     #[arg(long)]
     pub json: bool,
@@ -35,7 +38,7 @@ impl Correct {
         let (calibration, model) = self.calibrated.read(registry)?;
         let model = model.as_ref();
         self.check_patterns(model)?;
-        let found = MeasuredPoints::new(model, &calibration, &self.points)?;
+        let found = MeasuredPoints::new(model, &calibration, &self.points, self.largest_correction_mm)?;
         let files = self.out.iter().map(|out| Ok((out.clone(), found.text()?))).collect::<Result<Vec<_>>>()?;
         let corrections = found.corrections();
         let is_left_out = |name: &str| self.without.iter().any(|pattern| matches(pattern, name));

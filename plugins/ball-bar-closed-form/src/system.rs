@@ -5,6 +5,8 @@
 //! constant, cosine and sine. So the sensitivities to location errors, of the moving axis and of the axes under it, are those
 //! of the model: with its signs, and from the tool ball to the origin.
 
+use std::collections::BTreeMap;
+
 use abbe_core::{
     Calibration, Combination, FitReport, Identifiability, Owner, Problem, Result, Termination, WeakDirection,
 };
@@ -129,6 +131,7 @@ impl System {
             implausible: Vec::new(),
             variance: Vec::new(),
             agreement: None,
+            known_degrees_of_freedom: BTreeMap::new(),
         };
         Ok(calibration(problem, x, self.covariance(&standard, scale), Vec::new(), fit))
     }

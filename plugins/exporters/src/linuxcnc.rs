@@ -7,7 +7,7 @@
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
-use abbe_compensation::{AxisTable, AxisTables};
+use abbe_compensation::{AxisTable, AxisTables, check_confounded};
 use abbe_core::{
     Axis, AxisKind, Calibration, CommandCorrection, Context, Error, ErrorFunction, Export, ExportedFile, InputFile,
     KinematicModel, PathItem, Result, SettingsError,
@@ -229,6 +229,7 @@ impl LinuxCnc {
         let functions = &model.info().error_functions;
         let values = Values::new(calibration, model);
         let axes = self.axes(model, functions)?;
+        self.check_confounded(calibration, model, &axes)?;
         let is_written = |name: &String| axes.iter().any(|&axis| model.info().axes[axis].name == *name);
         if let Some(name) = self.existing.keys().find(|name| !is_written(name)) {
             let error = Error::usage(format!("no file is written for {name}"));
@@ -264,6 +265,22 @@ impl LinuxCnc {
             Ok(Trims { axis: index, positions, before, after })
         };
         axes.iter().map(|&index| of_axis(index)).collect()
+    }
+
+    /// Refuses what no measurement determines, along the axes that are written and in both directions of travel.
+    fn check_confounded(&self, calibration: &Calibration, model: &dyn KinematicModel, axes: &[usize]) -> Result<()> {
+        let mut statuses = Vec::new();
+        for &index in axes {
+            let axis = &model.info().axes[index];
+            let factor = position_unit(axis).1;
+            let points = points(axis, &self.settings.ranges, self.settings.steps(), MOST)?;
+            let between = points.windows(2).map(|pair| 0.37 * pair[0] + 0.63 * pair[1]);
+            for point in points.iter().copied().chain(between) {
+                statuses.extend(status(model, axis, point / factor, 1.0));
+                statuses.extend(status(model, axis, point / factor, -1.0));
+            }
+        }
+        check_confounded(model, calibration, &statuses)
     }
 
     /// The axes to compensate.

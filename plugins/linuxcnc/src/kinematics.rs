@@ -3,7 +3,7 @@
 use std::path::PathBuf;
 use std::sync::Arc;
 
-use abbe_compensation::{Compensator, Correct, Settings as Correction, Travel, check_confounded};
+use abbe_compensation::{Compensator, Correct, Settings as Correction, Travel, check_confounded_anywhere};
 use abbe_core::{
     Build, Calibration, CommandCorrection, Context, Error, Export, ExportedFile, Kind, KinematicModel, PathItem,
     Registry, Result, SettingsError, StatusRole, machine_values,
@@ -119,7 +119,7 @@ impl Kinematics {
     fn parts(&self, calibration: &Calibration, model: &dyn KinematicModel) -> Result<Parts> {
         check_axes(&self.settings.ranges, "ranges", model)?;
         let (joints, values) = (joints(model)?, machine_values(model, calibration));
-        check_confounded(model, calibration, &places(model, &joints))?;
+        check_confounded_anywhere(model, calibration, &self.settings.ranges)?;
         let ranges = &self.settings.ranges;
         let reversals = joints.iter().map(|joint| Reversal::new(model, &values, &joints, joint, ranges));
         let reversals = reversals.collect::<Result<_>>()?;

@@ -3,7 +3,8 @@
 use std::path::PathBuf;
 
 use abbe_compensation::{
-    Compensator, Expected, Remaining, SetPoints, Settings as Correction, Travel, Trials, check_confounded, remaining,
+    Compensator, Expected, Remaining, SetPoints, Settings as Correction, Travel, Trials, check_confounded,
+    check_confounded_anywhere, remaining,
 };
 use abbe_core::{
     Context, Dataset, Error, Export, Figure, Findings, Fit, InputFile, KinematicModel, Limit, PathItem, Result,
@@ -165,7 +166,11 @@ impl Compensated {
             (None, Some(grid)) => grid.statuses(model).map_err(|error| within(error, &["grid"]))?,
             (None, None) => return Err(Error::usage("either `grid` or `path` was expected")),
         };
-        check_confounded(model, calibration, &programmed).map_err(locate)?;
+        match &self.settings.grid {
+            // A grid stands for all that is between its points.
+            Some(grid) if points.is_none() => check_confounded_anywhere(model, calibration, &grid.axes)?,
+            _ => check_confounded(model, calibration, &programmed).map_err(locate)?,
+        }
         let correction = self.settings.correction();
         let values = machine_values(model, calibration);
         let exact = Compensator::new(model, &values, &correction).and_then(|exact| exact.correct(&programmed));
