@@ -122,19 +122,7 @@ impl Functions for LegendreInTime {
             *value = legendre(degree, scaled).0;
         }
     }
-
-    fn refused(&self, arguments: &[f64]) -> Option<String> {
-        let elsewhere = self.series.is_some_and(|series| arguments[1] != series as f64);
-        let ([from, to], time) = (self.time, arguments[0]);
-        let more = BEYOND * (to - from);
-        let is_far = time < from - more || time > to + more;
-        (is_far && more > 0.0 && !elsewhere)
-            .then(|| format!("the time {time} s is far from the {from} s to {to} s in which the drift was measured"))
-    }
 }
-
-/// How far beyond its series, in parts of its span, a polynomial still tells something.
-const BEYOND: f64 = 0.5;
 
 #[cfg(test)]
 mod tests {

@@ -104,7 +104,12 @@ impl SeparationTrials {
         for trial in &self.trials {
             // Another offset is the lever of rotations. A translation it shows at other commands only, which gaps tell better.
             let counts = trial.group != Group::Probe || direction.turns();
-            effects.push(if counts { direction.effect(&trial.measured)? } else { Effect::default() });
+            effects.push(match direction.effect(&trial.measured) {
+                Err(error) if error.fatal => return Err(error),
+                Ok(effect) if counts => effect,
+                // If the model cannot be evaluated there, nothing can be measured there.
+                Ok(_) | Err(_) => Effect::default(),
+            });
         }
         let found = self.best(&effects, seen);
         if found.is_empty() {

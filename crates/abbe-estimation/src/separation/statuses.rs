@@ -30,8 +30,10 @@ pub fn statuses(problem: &Problem, recorded: &Problem) -> Result<Vec<Trial>> {
         let values = values(problem, index, status);
         let group = if values.len() > 1 { Group::Further(index) } else { Group::Constant(index) };
         for Alternative { value, sentence } in alternatives(status, &problem.model.info().axes, axis, &values) {
-            let other = measured_again(recorded, recorded.clone(), Some(index), |status| status[index] = value)?;
-            if let Some(rows) = other {
+            let other = measured_again(recorded, recorded.clone(), Some(index), |status| status[index] = value);
+            if other.as_ref().is_err_and(|error| error.fatal) {
+                other?;
+            } else if let Ok(Some(rows)) = other {
                 trials.push(Trial { group, sentence, measured: Measured::Rows(Box::new(rows)) });
             }
         }
