@@ -13,6 +13,7 @@ use std::os::unix::net::UnixStream;
 use std::os::unix::process::ExitStatusExt;
 use std::path::{Path, PathBuf};
 use std::process::{Child, Command, Stdio};
+use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::thread::{JoinHandle, ThreadId};
 use std::time::Duration;
@@ -54,6 +55,8 @@ pub(crate) struct Connection {
     words: Option<JoinHandle<()>>,
     who: String,
     answer_timeout: Duration,
+    /// The other process was ended because it gave no answer in time.
+    was_silent: AtomicBool,
 }
 
 /// Our objects for the other side, by number.
@@ -198,7 +201,10 @@ impl Connection {
     fn lost(&self, error: &io::Error) -> Failure {
         let Some(child) = &self.child else { return Failure::of(&self.who, format!("is gone: {error}")) };
         let mut child = locked(child);
-        if matches!(error.kind(), io::ErrorKind::WouldBlock | io::ErrorKind::TimedOut) {
+        let is_silent = matches!(error.kind(), io::ErrorKind::WouldBlock | io::ErrorKind::TimedOut);
+        // Who asks after that finds the socket closed, for the same reason.
+        if is_silent || self.was_silent.load(Ordering::Acquire) {
+            self.was_silent.store(true, Ordering::Release);
             let _ = child.kill();
             let _ = child.wait();
             let limit = self.answer_timeout.as_secs_f64();
@@ -320,6 +326,7 @@ fn start(path: &Path, sha256: &str, limits: &Limits, who: &str) -> Result<Arc<Co
         words,
         who: who.to_owned(),
         answer_timeout: limits.answer_timeout,
+        was_silent: AtomicBool::new(false),
     }))
 }
 

@@ -392,7 +392,7 @@ mod tests {
                 "points: a whole number of points (1 to 1000000), or such a number for each axis by name, was expected",
             ),
             (json!({ "poses": [] }), "poses: at least one pose was expected"),
-            (json!({ "step_deg": -1 }), "step_deg: a positive number was expected"),
+            (json!({ "step_deg": -1 }), "step_deg: a positive number, at most 1000000, was expected"),
             (
                 json!({ "points": 2, "axes": { "X": { "from_mm": 2, "to_mm": 1 } } }),
                 "axes.X: the range has to end beyond its start",

@@ -267,7 +267,7 @@ mod tests {
         }
         assert_eq!(
             Steps { mm: 0.0, deg: 1.0 }.check().unwrap_err().to_string(),
-            "step_mm: a positive number was expected"
+            "step_mm: a positive number, at most 1000000, was expected"
         );
     }
 }

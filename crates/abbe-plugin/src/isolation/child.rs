@@ -3,6 +3,7 @@
 use std::os::fd::AsFd;
 use std::os::unix::net::UnixStream;
 use std::path::Path;
+use std::sync::atomic::AtomicBool;
 use std::sync::{Arc, Mutex};
 use std::time::Duration;
 
@@ -27,6 +28,7 @@ pub fn serve(path: &Path, sha256: &str) -> Result<()> {
         words: None,
         who: "the program".to_owned(),
         answer_timeout: Duration::MAX,
+        was_silent: AtomicBool::new(false),
     });
     let library = load(path, Some(sha256));
     loop {
