@@ -10,6 +10,7 @@ use abbe_compensation::{Compensator, Correct, Settings};
 use abbe_core::{Build, Context, Error, Fit, Problem, Registry, StatusRole, machine_values};
 use abbe_engine::prepare;
 use abbe_plugin::{Library, Limits};
+use abbe_thermal::{Hold, Output, Reference, SensorLog, Structure};
 use criterion::{Criterion, criterion_group, criterion_main};
 use faer::Mat;
 
@@ -68,6 +69,37 @@ fn mill(criterion: &mut Criterion) {
     let Some(fit) = fits.iter().find(|fit| fit.name == "fit") else { panic!("the recipe has no fit") };
     criterion.bench_function("mill_joint_fit", |bencher| {
         bencher.iter(|| fit.estimator.estimate(black_box(&fit.problem)).map(|calibration| calibration.fit.sigma))
+    });
+}
+
+/// Three time constants and 207 gains from 19,573 readings of a spindle that warms up (Soons 1993, 3.4).
+fn thermal(criterion: &mut Criterion) {
+    const INPUTS: [&str; 3] = ["T34", "T52", "T01"];
+    let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("../pipelines/data/thermal-spindle/exact/thermal-const.csv");
+    let data = abbe_table::read(&path).unwrap_or_else(|error| panic!("{error}"));
+    let times = data.numbers("time").unwrap_or_else(|| panic!("no times")).to_vec();
+    let sensors = data.columns.iter().filter_map(|column| {
+        let name = column.header.name.clone();
+        let values = data.numbers(&name).filter(|_| !["time", "speed"].contains(&name.as_str()))?;
+        Some((name, values.to_vec()))
+    });
+    let log = SensorLog::new(times.clone(), sensors.collect(), Hold::FirstOrder, None)
+        .and_then(|log| log.elevations(Reference::FirstRow))
+        .unwrap_or_else(|error| panic!("{error}"));
+    let is_output = |name: &&String| !INPUTS.contains(&name.as_str());
+    let outputs: Vec<Output> = (log.names().iter().enumerate())
+        .filter(|(_, name)| is_output(name))
+        .map(|(sensor, name)| Output {
+            name: name.clone(),
+            times: times.clone(),
+            values: log.values(sensor).to_vec(),
+            standard_uncertainty: None,
+        })
+        .collect();
+    let inputs = INPUTS.iter().filter_map(|name| log.sensor(name).ok()).collect();
+    let structure = Structure { inputs, at_once: Vec::new(), time_constants: 3, starts_warm: false, guess: None };
+    criterion.bench_function("thermal_spindle_fit", |bencher| {
+        bencher.iter(|| abbe_thermal::fit(black_box(&log), &outputs, &structure).map(|fitted| fitted.passes))
     });
 }
 
@@ -152,6 +184,6 @@ fn border(criterion: &mut Criterion) {
 criterion_group! {
     name = benches;
     config = Criterion::default().sample_size(20).warm_up_time(Duration::from_secs(1)).without_plots();
-    targets = product, tango, cmm, mill, set_points, border
+    targets = product, tango, cmm, mill, thermal, set_points, border
 }
 criterion_main!(benches);
