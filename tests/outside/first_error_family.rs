@@ -6,7 +6,8 @@ use std::process::Command;
 use crate::support::{read, root, skipped, temporary, write};
 
 /// What an error family needs of the workspace.
-const CRATES: [&str; 4] = ["abbe-settings", "abbe-results", "abbe-core", "abbe-errors"];
+const CRATES: [&str; 6] =
+    ["abbe-settings", "abbe-results", "abbe-core", "abbe-numerics", "abbe-thermal", "abbe-errors"];
 
 fn copy(from: &Path, to: &Path) {
     std::fs::create_dir_all(to).expect("a folder");
