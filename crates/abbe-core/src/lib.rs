@@ -19,6 +19,7 @@ mod parallel;
 mod plausible;
 mod pose_table;
 mod problem;
+mod quantities;
 mod registry;
 pub mod rotation;
 mod row_settings;
@@ -44,6 +45,7 @@ pub use pose_table::{ColumnNaming, PoseTable, StatusSource, plain_naming, pose_c
 pub use problem::{
     Block, CHUNK, Considered, Evaluation, Input, ObservationSet, Owner, Problem, RepeatedTogether, Unknown,
 };
+pub use quantities::Quantities;
 pub use registry::{Build, Constructor, Context, EstimateSource, Kind, Origin, Plugin, Provider, Registry};
 pub use row_settings::{Ids, PooledRepeats, RowSettings, RowUncertainty, SharedError};
 pub use stage::{Artefact, CommandCorrection, Estimate, Export, ExportedFile, Fit, Ingest, InputFile, Model, Validate};

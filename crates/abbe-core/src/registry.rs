@@ -152,6 +152,8 @@ pub enum EstimateSource {
     /// Several other estimates (`of`), and a `machine` unless the machine of the first of them has all parameters that they
     /// know.
     Combination,
+    /// Readings that are no geometry (`from`): temperatures, displacement sensors, tool setters. There is no machine.
+    Readings,
 }
 
 /// One record of the registry, the same for built-in and for loaded plugins.

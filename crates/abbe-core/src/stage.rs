@@ -80,6 +80,19 @@ pub trait Estimate: Send + Sync {
         Err(Error::usage("this estimator makes one estimate; it combines no others").setting("of"))
     }
 
+    /// Fails if readings with these columns cannot be used: one list for each stage under `from`
+    /// ([`EstimateSource::Readings`](crate::EstimateSource::Readings)).
+    fn check_readings(&self, _headers: &[Vec<ColumnHeader>]) -> Result<()> {
+        Ok(())
+    }
+
+    /// What readings tell that are no geometry, in the order of `from`
+    /// ([`EstimateSource::Readings`](crate::EstimateSource::Readings)). The result has the settings of this estimator in place of
+    /// those of a model, so that it can be used again without the readings.
+    fn estimate_readings(&self, _name: &str, _data: &[&Dataset]) -> Result<Calibration> {
+        Err(Error::usage("this estimator solves problems of a machine; it takes no readings by `from`").setting("from"))
+    }
+
     /// Solves the problem. For stated machine parameters ([`EstimateSource::Statement`](crate::EstimateSource::Statement)) the
     /// problem has no rows.
     fn estimate(&self, problem: &Problem) -> Result<Calibration>;
@@ -149,6 +162,11 @@ pub trait Validate: Send + Sync {
         false
     }
 
+    /// Whether it can judge an estimate of readings that are no geometry, which has no machine.
+    fn accepts_readings(&self) -> bool {
+        false
+    }
+
     /// Whether it judges what controls do with exported files (the reference `exports`).
     fn accepts_exports(&self) -> bool {
         false
@@ -177,6 +195,11 @@ pub trait Export: Send + Sync {
     /// The files that it reads.
     fn inputs(&self) -> Vec<InputFile> {
         Vec::new()
+    }
+
+    /// Whether it can export an estimate of readings that are no geometry, which has no machine.
+    fn accepts_readings(&self) -> bool {
+        false
     }
 
     /// The files for a calibration; `model` is the calibration's own.

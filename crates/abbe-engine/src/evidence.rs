@@ -2,7 +2,11 @@
 
 use std::collections::{BTreeMap, BTreeSet};
 
-use abbe_core::{DataRecord, Error, Problem};
+use abbe_core::{DataRecord, Error, Kind, Problem, Result};
+
+use crate::prepare::Prepared;
+use crate::readings::{self, has_readings};
+use crate::run::Datasets;
 
 /// SHA-256 of the files that a recipe reads, by the file as it is named.
 pub(crate) type Digests = BTreeMap<String, String>;
@@ -19,6 +23,11 @@ pub(crate) fn of_problem(problem: &Problem, digests: &Digests) -> Vec<DataRecord
             rows.entry(data.files[origin.file].display().to_string()).or_default().insert(origin.row);
         }
     }
+    of_rows(rows, digests)
+}
+
+/// Records of the rows of files.
+pub(crate) fn of_rows(rows: BTreeMap<String, BTreeSet<usize>>, digests: &Digests) -> Vec<DataRecord> {
     let record = |(file, rows): (String, BTreeSet<usize>)| DataRecord {
         sha256: digests.get(&file).cloned(),
         rows: runs(rows),
@@ -94,6 +103,39 @@ pub(crate) fn counted_twice(shared: &[DataRecord], between: &str) -> Error {
     let rows: Vec<String> = shared.iter().map(of_file).collect();
     Error::usage(format!("{between}: what they tell would count twice: {}", rows.join("; ")))
         .help("estimate all at once, observe other rows, or write `shared_rows: accepted` where that does no harm")
+}
+
+impl Prepared {
+    /// The rows that every estimate was made from. Fails if a row would count twice.
+    pub(crate) fn evidence(
+        &self,
+        problems: &BTreeMap<String, Problem>,
+        data: &Datasets,
+        digests: &Digests,
+    ) -> Result<BTreeMap<String, Vec<DataRecord>>> {
+        let mut all_rows: BTreeMap<String, Vec<DataRecord>> = BTreeMap::new();
+        for stage in self.stages(Kind::Estimate) {
+            let name = &stage.name;
+            let mut all = match self.saved.get(name) {
+                Some(saved) => saved.calibration.data.clone(),
+                None if has_readings(stage) => readings::rows(stage, data, digests),
+                None => problems.get(name).map_or_else(Vec::new, |problem| of_problem(problem, digests)),
+            };
+            for key in ["known", "of"] {
+                for earlier in stage.reference(key) {
+                    let theirs = &all_rows[earlier];
+                    let shared = shared(&all, theirs);
+                    if !shared.is_empty() && !stage.shared_rows {
+                        let between = format!("`{name}` rests on rows on which `{earlier}` rests already");
+                        return self.located(stage, Err(counted_twice(&shared, &between).setting(key)));
+                    }
+                    all = joined(all, theirs);
+                }
+            }
+            all_rows.insert(name.clone(), all);
+        }
+        Ok(all_rows)
+    }
 }
 
 #[cfg(test)]

@@ -14,6 +14,7 @@ mod plan;
 mod plausibility;
 mod prediction;
 mod prepare;
+mod readings;
 mod record;
 mod rehearsal;
 mod repeated;

@@ -163,6 +163,7 @@ impl Prepared {
         match stage.kind {
             Kind::Ingest if self.is_planned(&stage.name) => Ok(()),
             Kind::Ingest => self.headers(&stage.name).map(drop),
+            Kind::Estimate if stage.estimate_source == EstimateSource::Readings => self.check_readings(stage),
             Kind::Estimate if !has_problem(&stage) => Ok(()),
             Kind::Estimate => self.check_columns(stage, stage.reference("observations")),
             Kind::Validate => {
@@ -177,6 +178,7 @@ impl Prepared {
                     return Err(Error::usage(message).setting("from"));
                 }
                 self.check_exports(stage)?;
+                self.check_machines(stage, self.validators[&stage.name].accepts_readings())?;
                 for fit in stage.reference("of") {
                     let estimate = self.own_estimate(fit)?;
                     if others.is_empty() && !has_rows(&estimate) && self.validators[&stage.name].needs_rows() {
@@ -202,7 +204,8 @@ impl Prepared {
                 }
                 Ok(())
             }
-            Kind::Artefact | Kind::Model | Kind::Export => Ok(()),
+            Kind::Export => self.check_machines(stage, self.exporters[&stage.name].accepts_readings()),
+            Kind::Artefact | Kind::Model => Ok(()),
         }
     }
 
@@ -250,7 +253,7 @@ impl Prepared {
         Ok(())
     }
 
-    fn headers(&self, ingest: &str) -> Result<Vec<ColumnHeader>> {
+    pub(crate) fn headers(&self, ingest: &str) -> Result<Vec<ColumnHeader>> {
         self.ingests[ingest].headers().map_err(|error| error.stage(ingest))
     }
 

@@ -17,6 +17,7 @@ use crate::outcome::{Failure, Outcome};
 use crate::plausibility::{check_stated, check_uncertainties};
 use crate::prediction::{Predicted, prediction_fit};
 use crate::prepare::{Prepared, build_model};
+use crate::readings::has_readings;
 use crate::record::{FileRecord, input_records};
 use crate::row_settings::Wanted;
 use crate::saved::fit_without_rows;
@@ -46,7 +47,7 @@ impl Prepared {
         let data = self.read(&Monitor::default(), None)?;
         let mut taken = Taken::default();
         let problems = self.problems(&data, &mut taken)?;
-        self.evidence(&problems, &digests)?;
+        self.evidence(&problems, &data, &digests)?;
         let (mut planned, mut found) = (Vec::new(), BTreeMap::new());
         for stage in self.stages(Kind::Estimate).filter(has_rows) {
             let Some(problem) = problems.get(&stage.name) else { continue };
@@ -76,16 +77,16 @@ impl Prepared {
         let data = self.read(monitor, None)?;
         let mut taken = Taken::default();
         let problems = self.problems(&data, &mut taken)?;
-        let evidence = self.evidence(&problems, &digests(&inputs))?;
+        let evidence = self.evidence(&problems, &data, &digests(&inputs))?;
         let unseen = self.predicted(&problems, &data, &mut taken)?;
         self.repeated_evidence(&problems, &unseen, &data).iter().for_each(|sentence| tracing::warn!("{sentence}"));
         // Before the first fit, so that a feature that no artefact has is found before a long run.
         self.nothing_left_over(&data, &taken)?;
         self.rehearse(false, &problems, &BTreeMap::new(), &unseen, &data)?;
         let mut failures = Vec::new();
-        let mut fits = self.estimates(&problems, &evidence, monitor, &mut failures)?;
+        let mut fits = self.estimates(&problems, &data, &evidence, monitor, &mut failures)?;
         let implausible = self.implausible(&mut fits)?;
-        let from_rows = fits.iter().any(|fit| !fit.problem.sets.is_empty());
+        let from_rows = fits.iter().any(|fit| !fit.problem.sets.is_empty()) || self.has_readings(&fits);
         if let (false, Some(failure)) = (from_rows, failures.first()) {
             // Nothing was made of measurements: an earlier run keeps its results.
             return Err(failure.error.clone());
@@ -112,6 +113,7 @@ impl Prepared {
     fn estimates(
         &self,
         problems: &BTreeMap<String, Problem>,
+        data: &Datasets,
         evidence: &BTreeMap<String, Vec<DataRecord>>,
         monitor: &Monitor,
         failures: &mut Vec<Failure>,
@@ -136,7 +138,10 @@ impl Prepared {
                 self.started(stage, monitor)?;
                 let problem =
                     problems.get(&stage.name).map(|problem| problem.watched_by(monitor.of_stage(&stage.name)));
-                let mut fit = self.estimate(stage, problem.as_ref(), &fits, monitor)?;
+                let mut fit = match has_readings(stage) {
+                    true => self.of_readings(stage, data)?,
+                    false => self.estimate(stage, problem.as_ref(), &fits, monitor)?,
+                };
                 fit.calibration.data.clone_from(&evidence[&stage.name]);
                 Ok(fit)
             });
@@ -227,7 +232,7 @@ impl Prepared {
         let Some(problem) = problem else { return self.fit_again(stage, fits, monitor) };
         let estimator = self.estimators[&stage.name].clone();
         let calibration = match stage.estimate_source {
-            EstimateSource::Measurements | EstimateSource::Analysis => {
+            EstimateSource::Measurements | EstimateSource::Analysis | EstimateSource::Readings => {
                 let mut fit = self.fit(stage, self.located(stage, start(stage, problem.clone(), fits))?)?;
                 let known = named(stage.reference("known"), fits);
                 known.iter().for_each(|known| fit.calibration.keep_limits_of_known(&known.calibration));
@@ -307,35 +312,6 @@ impl Prepared {
             problems.insert(stage.name.clone(), problem);
         }
         Ok(problems)
-    }
-
-    /// The rows that every estimate was made from. Fails if a row would count twice.
-    fn evidence(
-        &self,
-        problems: &BTreeMap<String, Problem>,
-        digests: &evidence::Digests,
-    ) -> Result<BTreeMap<String, Vec<DataRecord>>> {
-        let mut all_rows: BTreeMap<String, Vec<DataRecord>> = BTreeMap::new();
-        for stage in self.stages(Kind::Estimate) {
-            let name = &stage.name;
-            let mut all = match self.saved.get(name) {
-                Some(saved) => saved.calibration.data.clone(),
-                None => problems.get(name).map_or_else(Vec::new, |problem| evidence::of_problem(problem, digests)),
-            };
-            for key in ["known", "of"] {
-                for earlier in stage.reference(key) {
-                    let theirs = &all_rows[earlier];
-                    let shared = evidence::shared(&all, theirs);
-                    if !shared.is_empty() && !stage.shared_rows {
-                        let between = format!("`{name}` rests on rows on which `{earlier}` rests already");
-                        return self.located(stage, Err(evidence::counted_twice(&shared, &between).setting(key)));
-                    }
-                    all = evidence::joined(all, theirs);
-                }
-            }
-            all_rows.insert(name.clone(), all);
-        }
-        Ok(all_rows)
     }
 
     /// Model and observations of an estimate.
@@ -435,7 +411,7 @@ impl Prepared {
 
 /// Whether an estimate has its own problem and is not an analysis of another estimate.
 pub(crate) fn has_problem(stage: &&Stage) -> bool {
-    !stage.estimate_source.may_analyse() || stage.reference("of").is_empty()
+    !has_readings(stage) && (!stage.estimate_source.may_analyse() || stage.reference("of").is_empty())
 }
 
 /// Whether an estimate has its own observations.

@@ -3,18 +3,21 @@
 use std::sync::Arc;
 
 use abbe_core::{
-    Calibration, Class, Error, Estimate, Fit, Kind, KinematicModel, Model, PathItem, Problem, Registry, Result,
-    SettingsError, Status, Unknown,
+    Calibration, Class, Error, Estimate, EstimateSource, Fit, Kind, KinematicModel, Model, PathItem, Problem, Registry,
+    Result, SettingsError, Status, Unknown,
 };
 use abbe_recipe::Stage;
 use serde_json::Value;
 
 use crate::prepare::{Prepared, build_model};
+use crate::readings::SavedQuantities;
 
 /// A calibration that was made outside this recipe.
 pub(crate) struct SavedCalibration {
     pub calibration: Calibration,
     pub model: Box<dyn Model>,
+    /// It was made of readings that are no geometry, and has no machine.
+    pub of_readings: bool,
 }
 
 impl SavedCalibration {
@@ -29,14 +32,24 @@ impl SavedCalibration {
                 );
             }
             calibration.estimate.clone_from(&stage.name);
+            if is_of_readings(&calibration, registry) {
+                let model = Box::new(SavedQuantities(calibration.clone()));
+                return Ok(Self { calibration, model, of_readings: true });
+            }
             let plugin = registry.find(Kind::Model, &calibration.model.plugin);
             let plugin = plugin.map_err(|error| Error::data(format!("the model of this calibration: {error}")))?;
             let model = build_model(plugin, &calibration.model.settings)?;
-            Ok(Self { calibration, model })
+            Ok(Self { calibration, model, of_readings: false })
         };
         // This error is found without a run, so its class is that of wrong use.
         found().map_err(|error: Error| Error { class: Class::Use, ..error })
     }
+}
+
+/// Whether a calibration was made of readings that are no geometry.
+fn is_of_readings(calibration: &Calibration, registry: &Registry) -> bool {
+    let made_by = registry.find(Kind::Estimate, &calibration.model.plugin);
+    made_by.is_ok_and(|plugin| plugin.estimate_source == EstimateSource::Readings)
 }
 
 /// Number of entries that the lists of some settings had before the merge: (key, number).

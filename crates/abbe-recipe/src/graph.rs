@@ -43,6 +43,7 @@ pub(crate) fn references(plugin: &Plugin) -> &'static [Reference] {
         reference("start", Kind::Estimate, false, false),
         reference("of", Kind::Estimate, false, false),
     ];
+    const READINGS: &[Reference] = &[reference("from", Kind::Ingest, true, true)];
     const ANALYSIS: &[Reference] = &[reference(ANALYSED, Kind::Estimate, true, false)];
     const VALIDATE: &[Reference] = &[
         reference("of", Kind::Estimate, true, true),
@@ -61,6 +62,7 @@ pub(crate) fn references(plugin: &Plugin) -> &'static [Reference] {
             EstimateSource::Statement => STATEMENT,
             EstimateSource::Calibration => &[],
             EstimateSource::Combination => ESTIMATES,
+            EstimateSource::Readings => READINGS,
         },
         Kind::Validate => VALIDATE,
         Kind::Export => EXPORT,

@@ -115,9 +115,9 @@ fn fits(fits: &[Fit]) -> String {
         ("rank", |fit| fit.calibration.fit.rank.to_string()),
         ("condition", |fit| short(fit.calibration.fit.condition)),
         ("sigma", |fit| short(fit.calibration.fit.sigma)),
-        ("residual, largest µm", |fit| short(fit.calibration.fit.residual_max_um)),
-        ("residual, mean size µm", |fit| short(fit.calibration.fit.residual_mean_abs_um)),
-        ("residual, RMS µm", |fit| short(fit.calibration.fit.residual_rms_um)),
+        ("residual, largest µm", |fit| length(fit, fit.calibration.fit.residual_max_um)),
+        ("residual, mean size µm", |fit| length(fit, fit.calibration.fit.residual_mean_abs_um)),
+        ("residual, RMS µm", |fit| length(fit, fit.calibration.fit.residual_rms_um)),
         ("residual, largest µrad", |fit| if_any(fit.calibration.fit.residual_max_urad)),
         ("residual, mean size µrad", |fit| if_any(fit.calibration.fit.residual_mean_abs_urad)),
         ("residual, RMS µrad", |fit| if_any(fit.calibration.fit.residual_rms_urad)),
@@ -135,6 +135,12 @@ fn fits(fits: &[Fit]) -> String {
         }
     }
     table::text(&rows, &columns(fits.len(), 1))
+}
+
+/// A figure of residuals of lengths. Readings that are no geometry may have none.
+fn length(fit: &Fit, value: f64) -> String {
+    let has_machine = !fit.problem.model.info().axes.is_empty();
+    if has_machine || value > 0.0 { short(value) } else { String::new() }
 }
 
 /// A figure that not every fit has.
