@@ -18,7 +18,7 @@ const fn border(name: &'static str, uses: &'static [&'static str]) -> Border {
 }
 
 /// The folder `crates`: arrows point one way, see docs/architecture.md.
-const CRATES: [Border; 21] = [
+const CRATES: [Border; 22] = [
     border("abbe-settings", &[]),
     border("abbe-files", &[]),
     border("abbe-results", &["abbe-settings"]),
@@ -27,6 +27,7 @@ const CRATES: [Border; 21] = [
     border("abbe-errors", &["abbe-core", "abbe-thermal"]),
     border("abbe-geometry", &["abbe-numerics"]),
     border("abbe-kinematics", &["abbe-core"]),
+    border("abbe-standards", &[]),
     border("abbe-table", &["abbe-core", "abbe-files"]),
     border("abbe-thermal", &["abbe-core", "abbe-numerics"]),
     Border {
@@ -85,7 +86,7 @@ const CRATES: [Border; 21] = [
 const ABOVE_ALL: [&str; 4] = ["abbe-benches", "abbe-campaigns", "abbe-examples", "abbe-tests"];
 
 /// The crates that plugins may use.
-const FOR_PLUGINS: [&str; 12] = [
+const FOR_PLUGINS: [&str; 13] = [
     "abbe-compensation",
     "abbe-core",
     "abbe-errors",
@@ -95,6 +96,7 @@ const FOR_PLUGINS: [&str; 12] = [
     "abbe-kinematics",
     "abbe-numerics",
     "abbe-simulation",
+    "abbe-standards",
     "abbe-table",
     "abbe-thermal",
     "abbe-volumetric",

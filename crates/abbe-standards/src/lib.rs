@@ -1,0 +1,7 @@
+//! Figures that standards and published rules define, as pure functions of readings.
+//!
+//! A module is a standard, or the part of one that belongs together. Functions take numbers in the units that their page says and
+//! give numbers; what they cannot answer is `None`. Where the text of a standard was not at hand its module says so.
+
+pub mod material;
+pub mod thermal_drift;
