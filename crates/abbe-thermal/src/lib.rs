@@ -24,11 +24,13 @@
 mod basis;
 mod beam;
 mod fit;
+mod fitted;
 mod log;
 mod response;
 mod starts;
 
 pub use beam::{Beam, SectionDisplacement, Segment, TemperaturePlane};
-pub use fit::{Fitted, Output, Structure, fit};
-pub use log::{Hold, Reference, SensorLog};
+pub use fit::{Fitted, Output, Readings, Structure, fit};
+pub use fitted::Bootstrap;
+pub use log::{Counting, Hold, Reference, SensorLog};
 pub use response::{History, Response};

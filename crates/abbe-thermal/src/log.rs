@@ -23,6 +23,23 @@ pub enum Reference {
     Value(f64),
 }
 
+/// How a log is counted.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Counting {
+    /// How inputs run between two rows.
+    pub hold: Hold,
+    /// From which value they count.
+    pub reference: Reference,
+    /// Longest time between two rows, s. None: five times the median.
+    pub longest_gap: Option<f64>,
+}
+
+/// The longest gap, in medians of the times between rows.
+const GAP: f64 = 5.0;
+
+/// Rows in which no sensor that works reads the same.
+const LONG: usize = 20;
+
 /// What sensors read over time.
 #[derive(Debug, Clone, PartialEq)]
 pub struct SensorLog {
@@ -75,6 +92,30 @@ impl SensorLog {
         }
         let (names, values) = sensors.into_iter().unzip();
         Ok(Self { times, names, values, hold })
+    }
+
+    /// The log of sensors of a machine, each counted from its reference.
+    ///
+    /// Fails as [`new`](Self::new) and [`elevations`](Self::elevations) do, and for a sensor that reads the same all the time: it is
+    /// stuck, or not connected.
+    pub fn counted(times: Vec<f64>, sensors: Vec<(String, Vec<f64>)>, how: &Counting) -> Result<Self> {
+        let longest = how.longest_gap.or_else(|| Some(GAP * median_step(&times)?));
+        let log = Self::new(times, sensors, how.hold, longest)?;
+        let is_long = log.times().len() >= LONG;
+        if let Some(name) = log.stuck().first().filter(|_| is_long) {
+            return Err(Error::data(format!(
+                "the sensor {name} reads the same all the time, and others move: it is stuck"
+            )));
+        }
+        let log = log.elevations(how.reference)?;
+        let still = (0..log.names().len()).find(|&sensor| log.values(sensor).iter().all(|value| value.abs() < 1e-9));
+        match still.filter(|_| is_long) {
+            None => Ok(log),
+            Some(sensor) => {
+                let name = &log.names()[sensor];
+                Err(Error::data(format!("{name} reads the same all the time: the sensor is stuck, or not connected")))
+            }
+        }
     }
 
     /// Times of the rows, s.
@@ -173,4 +214,11 @@ impl SensorLog {
         let is_next = self.hold == Hold::ZeroOrder && time == self.times[row + 1];
         Ok(if is_next { self.values[sensor][row + 1] } else { self.ends(sensor, row, within)[1] })
     }
+}
+
+/// The median of the times between rows.
+fn median_step(times: &[f64]) -> Option<f64> {
+    let mut steps: Vec<f64> = times.windows(2).map(|pair| pair[1] - pair[0]).collect();
+    steps.sort_by(f64::total_cmp);
+    steps.get(steps.len() / 2).copied()
 }

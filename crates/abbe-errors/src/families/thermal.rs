@@ -4,7 +4,7 @@ use std::collections::BTreeMap;
 use std::sync::{Arc, RwLock};
 
 use abbe_core::{Dataset, PathItem, Quantity, SettingsError, Unit, positive};
-use abbe_thermal::{History, Hold, Reference, SensorLog};
+use abbe_thermal::{Counting, History, Hold, Reference, SensorLog};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
@@ -55,12 +55,6 @@ pub struct Thermal {
 
 /// The column of times.
 const TIME: &str = "time_s";
-
-/// The longest gap, in medians of the times between rows.
-const GAP: f64 = 5.0;
-
-/// Rows in which no sensor that works reads the same.
-const LONG: usize = 20;
 
 /// Most time constants: states of more than three are hardly ever told apart.
 const MOST: usize = 6;
@@ -135,29 +129,14 @@ impl Thermal {
                 sensors.push((name.to_owned(), values.clone()));
             }
         }
-        let longest = self.longest_gap_s.or_else(|| Some(GAP * median_step(&times)?));
-        let hold = if self.zero_order_hold { Hold::ZeroOrder } else { Hold::FirstOrder };
         let reference = match (self.reference_degC, self.reference_until_s) {
             (Some(value), _) => Reference::Value(value),
             (None, Some(until)) => Reference::MeanUntil(until),
             (None, None) => Reference::FirstRow,
         };
-        let log = SensorLog::new(times, sensors, hold, longest).map_err(wrong)?;
-        let is_long = log.times().len() >= LONG;
-        if let Some(name) = log.stuck().first().filter(|_| is_long) {
-            let message = format!("the sensor {name} reads the same all the time, and others move: it is stuck");
-            return Err(SettingsError::new("log", message));
-        }
-        let log = log.elevations(reference).map_err(wrong)?;
-        let still = (0..log.names().len()).find(|&sensor| log.values(sensor).iter().all(|value| value.abs() < 1e-9));
-        match still.filter(|_| is_long) {
-            None => Ok(Some(log)),
-            Some(sensor) => {
-                let name = &log.names()[sensor];
-                let message = format!("{name} reads the same all the time: the sensor is stuck, or not connected");
-                Err(SettingsError::new("log", message))
-            }
-        }
+        let hold = if self.zero_order_hold { Hold::ZeroOrder } else { Hold::FirstOrder };
+        let how = Counting { hold, reference, longest_gap: self.longest_gap_s };
+        SensorLog::counted(times, sensors, &how).map(Some).map_err(wrong)
     }
 
     /// The quantity of a column; temperature before the log is known.
@@ -165,13 +144,6 @@ impl Thermal {
         let of = self.log.keys().map(|header| Quantity::of_column(header));
         of.into_iter().find(|(own, ..)| *own == name).map_or(Quantity::Temperature, |(_, quantity, _)| quantity)
     }
-}
-
-/// The median of the times between rows.
-fn median_step(times: &[f64]) -> Option<f64> {
-    let mut steps: Vec<f64> = times.windows(2).map(|pair| pair[1] - pair[0]).collect();
-    steps.sort_by(f64::total_cmp);
-    steps.get(steps.len() / 2).copied()
 }
 
 impl Family for Thermal {
