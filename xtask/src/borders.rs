@@ -18,7 +18,7 @@ const fn border(name: &'static str, uses: &'static [&'static str]) -> Border {
 }
 
 /// The folder `crates`: arrows point one way, see docs/architecture.md.
-const CRATES: [Border; 22] = [
+const CRATES: [Border; 23] = [
     border("abbe-settings", &[]),
     border("abbe-files", &[]),
     border("abbe-results", &["abbe-settings"]),
@@ -64,6 +64,11 @@ const CRATES: [Border; 22] = [
             "abbe-table",
         ],
     ),
+    Border {
+        name: "abbe-report",
+        uses: &["abbe-core", "abbe-engine", "abbe-files", "abbe-volumetric"],
+        tested_with: &["abbe-serial-chain"],
+    },
     border(
         "abbe",
         &[
@@ -74,6 +79,7 @@ const CRATES: [Border; 22] = [
             "abbe-files",
             "abbe-plugin",
             "abbe-recipe",
+            "abbe-report",
             "abbe-table",
         ],
     ),

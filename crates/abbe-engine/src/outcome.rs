@@ -10,7 +10,7 @@ use abbe_recipe::Stage;
 use serde::Serialize;
 
 use crate::prepare::Prepared;
-use crate::record::{FailureRecord, FileRecord, PluginRecord, RUN_FORMAT, RunRecord, sha256};
+use crate::record::{FailureRecord, FileRecord, PluginRecord, RUN_FORMAT, Remark, RunRecord, sha256};
 use crate::results::{RECORD, ResultFolder};
 use crate::staging::{Staging, can_write, exclusive_access, unwritable};
 
@@ -18,6 +18,8 @@ use crate::staging::{Staging, can_write, exclusive_access, unwritable};
 pub struct Outcome {
     /// Name of the recipe, which names the folder.
     pub recipe: String,
+    /// What the recipe says that it is.
+    pub title: String,
     /// The estimates.
     pub fits: Vec<Fit>,
     /// The verdicts.
@@ -26,6 +28,10 @@ pub struct Outcome {
     pub exports: Vec<(String, Vec<ExportedFile>)>,
     /// The stages that failed, and those that were left out because they need one of them.
     pub failures: Vec<Failure>,
+    /// What users should know before they trust the results.
+    pub remarks: Vec<Remark>,
+    /// Further files among the results, by their names in the folder: the report and what it is made of.
+    pub attached: Vec<(PathBuf, Vec<u8>)>,
     pub(crate) inputs: Vec<FileRecord>,
     /// The files that were read, by their whole paths.
     pub(crate) input_files: Vec<PathBuf>,
@@ -101,6 +107,7 @@ impl Outcome {
         for (stage, exported) in &self.exports {
             files.extend(exported.iter().map(|file| (Path::new(stage).join(&file.name), Cow::from(&file.content))));
         }
+        files.extend(self.attached.iter().map(|(name, content)| (name.clone(), Cow::from(content))));
         Ok(files)
     }
 
@@ -110,9 +117,11 @@ impl Outcome {
             abbe_run: RUN_FORMAT,
             version: env!("CARGO_PKG_VERSION").to_owned(),
             recipe: self.recipe.clone(),
+            title: self.title.clone(),
             inputs: self.inputs.clone(),
             plugins: self.plugins.clone(),
             failures: self.failures.iter().map(FailureRecord::of).collect(),
+            remarks: self.remarks.clone(),
             outputs: Vec::new(),
             started_unix_s: self.started.duration_since(UNIX_EPOCH).map_or(0, |since| since.as_secs()),
             duration_s: self.duration.as_secs_f64(),
@@ -126,17 +135,29 @@ impl Prepared {
     pub fn can_write(&self, out: &Path) -> Result<()> {
         let folder = ResultFolder::new(&out.join(&self.recipe.id), &self.files)?;
         let estimates = self.stages(Kind::Estimate).map(|stage| calibration_file(&stage.name));
-        let known = estimates.chain([VERDICTS.into(), RECORD.into()]);
+        let residuals = self.stages(Kind::Estimate).map(|stage| residuals_file(&stage.name));
+        let known = estimates.chain(residuals).chain([VERDICTS.into(), REPORT.into(), RECORD.into()]);
         known.into_iter().try_for_each(|name: PathBuf| folder.can_take(&name))?;
         can_write(folder.parent())
     }
 }
 
 /// The file with all verdicts.
-const VERDICTS: &str = "verdicts.json";
+pub const VERDICTS: &str = "verdicts.json";
+
+/// The page about a run.
+pub const REPORT: &str = "report.html";
+
+/// What the names of calibrations end in.
+pub const CALIBRATION: &str = ".calibration.json";
 
 fn calibration_file(estimate: &str) -> PathBuf {
-    format!("{estimate}.calibration.json").into()
+    format!("{estimate}{CALIBRATION}").into()
+}
+
+/// The file with the residuals of an estimate.
+pub fn residuals_file(estimate: &str) -> PathBuf {
+    format!("{estimate}.residuals.csv").into()
 }
 
 /// What the record of a run says of the files that it wrote.

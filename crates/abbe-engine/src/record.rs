@@ -17,6 +17,15 @@ pub const RUN_FORMAT: u32 = 1;
 
 const FORMAT: FileFormat = FileFormat { name: "run record", key: "abbe_run", number: RUN_FORMAT };
 
+/// What users should know of an estimate before they trust it.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+pub struct Remark {
+    /// The estimate.
+    pub estimate: String,
+    /// A sentence.
+    pub text: String,
+}
+
 /// Record of a run: recipe, files, plugins, time.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct RunRecord {
@@ -26,6 +35,9 @@ pub struct RunRecord {
     pub version: String,
     /// Name of the recipe.
     pub recipe: String,
+    /// What the recipe says that it is; empty in records of early versions.
+    #[serde(default, skip_serializing_if = "String::is_empty")]
+    pub title: String,
     /// Every file that was read, the recipe first.
     pub inputs: Vec<FileRecord>,
     /// Every plugin that took part.
@@ -33,6 +45,9 @@ pub struct RunRecord {
     /// The stages without a result; none in a run that is complete.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub failures: Vec<FailureRecord>,
+    /// What users should know before they trust the results.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub remarks: Vec<Remark>,
     /// Every file that was written, but this record. A later run replaces them as long as they have this content.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub outputs: Vec<FileRecord>,

@@ -18,7 +18,7 @@ use crate::plausibility::{check_stated, check_uncertainties};
 use crate::prediction::{Predicted, prediction_fit};
 use crate::prepare::{Prepared, build_model};
 use crate::readings::has_readings;
-use crate::record::{FileRecord, input_records};
+use crate::record::{FileRecord, Remark, input_records};
 use crate::row_settings::Wanted;
 use crate::saved::fit_without_rows;
 use crate::travel::{check_travel, in_travel};
@@ -95,8 +95,17 @@ impl Prepared {
         exports.extend(self.exports(&fits, monitor, &mut failures)?);
         // What needs them has been made all the same.
         failures.extend(implausible);
+        let told = |(name, problem): (&String, &Problem)| {
+            let is_there = fits.iter().any(|fit| fit.name == *name);
+            let texts = if is_there { remarks(problem) } else { Vec::new() };
+            texts.into_iter().map(|text| Remark { estimate: name.clone(), text }).collect::<Vec<_>>()
+        };
+        let remarks = problems.iter().filter(|(_, problem)| !problem.sets.is_empty()).flat_map(told).collect();
         Ok(Outcome {
             recipe: self.recipe.id.clone(),
+            title: self.recipe.name.clone(),
+            remarks,
+            attached: Vec::new(),
             fits,
             verdicts,
             exports,

@@ -4,6 +4,7 @@
 //! The error of a pose is the actual tip minus the nominal tip, table frame (VIM 2.16). Its uncertainty is that of the
 //! calibrated parameters, propagated with their covariance (Soons 1993, appendix A.2).
 
+mod causes;
 mod ellipsoid;
 mod grid;
 mod predict;
@@ -11,6 +12,7 @@ mod sampling;
 #[cfg(test)]
 mod testing;
 
+pub use causes::{Cause, Causes, Known, causes, is_machine_error};
 pub use ellipsoid::Ellipsoid;
 pub use grid::{Grid, MOST_POSES, Points, standing};
 pub use predict::{VolumetricError, machine_covariance, predict};

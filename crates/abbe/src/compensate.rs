@@ -8,8 +8,8 @@ use clap::{Args, ValueEnum};
 use serde_json::{Value, json};
 
 use crate::calibrated::{self, Asked, Written, counted};
-use crate::number::short;
 use crate::table;
+use abbe_report::number::short;
 
 /// What `abbe compensate` is asked for.
 #[derive(Debug, Clone, Args)]

@@ -8,7 +8,7 @@ use clap::Args;
 use serde_json::json;
 
 use crate::calibrated::{self, Asked, Written, counted};
-use crate::number::short;
+use abbe_report::number::short;
 
 /// What `abbe correct` is asked for.
 #[derive(Debug, Clone, Args)]

@@ -1,8 +1,9 @@
 //! What is hard to believe of a fit: for its heading in the summary.
 
 use abbe_core::{Fit, Quantity};
+use abbe_engine::Remark;
 
-use crate::number::short;
+use abbe_report::number::short;
 
 /// Stated uncertainties are rarely wrong by a larger factor.
 const MISSTATED: f64 = 2.0;
@@ -38,6 +39,16 @@ fn overstated(fit: &Fit) -> Option<String> {
             fit.name
         )
     })
+}
+
+/// The same as remarks.
+pub fn remarks(all: &[Fit]) -> Vec<Remark> {
+    let text = doubts(all).unwrap_or_default();
+    let remark = |line: &str| {
+        let (estimate, text) = line.trim_start().split_once(": ")?;
+        Some(Remark { estimate: estimate.to_owned(), text: text.to_owned() })
+    };
+    text.lines().filter_map(remark).collect()
 }
 
 /// One line for everything that is hard to believe of some fits; none if all is well.

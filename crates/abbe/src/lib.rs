@@ -1,9 +1,10 @@
-//! The command line of Abbe: `run`, `check`, `simulate`, `plan`, `plugins`, `plugin`, `schema`.
+//! The command line of Abbe: `run`, `report`, `check`, `simulate`, `plan`, `plugins`, `plugin`, `schema`.
 //!
 //! Exit status: 0 no verdict failed (inconclusive verdicts are reported); 1 an error that only the data or the run show; 2 wrong
 //! use, or an error that can be found without reading data rows; 3 a verdict failed; 130 interrupted by Ctrl-C, 143 by SIGTERM,
 //! 129 by a closed terminal (SIGHUP).
 
+mod brief;
 mod calibrated;
 mod compensate;
 mod correct;
@@ -11,10 +12,10 @@ mod doubts;
 mod failure;
 mod interrupt;
 mod libraries;
-mod number;
 mod pages;
 mod planning;
 mod progress;
+mod report;
 mod summary;
 mod table;
 mod uncertainty_summary;
@@ -40,7 +41,7 @@ use abbe_bundle as _;
 struct Arguments {
     #[command(subcommand)]
     command: Command,
-    /// Print more messages about the work.
+    /// Print all results of a run and not their summary, and more messages about the work.
     #[arg(short, long, global = true)]
     verbose: bool,
     /// A library with more plugins, in addition to those that a recipe names.
@@ -72,6 +73,15 @@ enum Command {
         /// Time limit of the run, seconds. Stages that are not finished by then fail; finished results are written.
         #[arg(long, value_name = "SECONDS", value_parser = seconds, allow_negative_numbers = true)]
         time_limit: Option<Duration>,
+    },
+    /// Make the page about a run again, or one page about several runs or calibrations beside each other.
+    Report {
+        /// Folders that `abbe run` wrote, or calibrations.
+        #[arg(required = true, value_name = "FOLDER|CALIBRATION")]
+        results: Vec<PathBuf>,
+        /// The page to write; nothing is replaced.
+        #[arg(long, default_value = "report.html")]
+        out: PathBuf,
     },
     /// Check a recipe without running it, and report what its fits can determine.
     Check {
@@ -231,13 +241,15 @@ fn carried_out(arguments: Arguments) -> ExitCode {
                 | Command::Plugins { json: true, .. }
                 | Command::Plugin { command: PluginCommand::Check { json: true, .. } | PluginCommand::Test { .. } }
         );
-    let shown = |text: &str| if is_json { harmless_json(text).into_owned() } else { harmless(text).into_owned() };
+    let shown = |text: &str| {
+        if is_json { harmless_json(text).into_owned() } else { brief::coloured(&harmless(text)).into_owned() }
+    };
     let libraries = Libraries {
         files: arguments.plugins,
         isolate: arguments.isolate_plugins,
         refuse: arguments.no_dynamic_plugins,
     };
-    let result = dispatch(arguments.command, &libraries);
+    let result = dispatch(arguments.command, &libraries, arguments.verbose);
     interrupt::done();
     match result {
         Ok((text, status)) => match io::stdout().lock().write_all(shown(&text).as_bytes()) {
@@ -308,7 +320,7 @@ impl Here {
 }
 
 /// Carries out a command; gives what to print and the exit status.
-fn dispatch(command: Command, libraries: &Libraries) -> Result<(String, u8)> {
+fn dispatch(command: Command, libraries: &Libraries, verbose: bool) -> Result<(String, u8)> {
     match command {
         Command::Run { recipe, out, json, progress, time_limit } => {
             let here = Here::now();
@@ -321,7 +333,8 @@ fn dispatch(command: Command, libraries: &Libraries) -> Result<(String, u8)> {
             interrupt::end_after(time_limit, interrupt::GRACE, json)?;
             let prepared = prepare(&recipe, &libraries.registry(Some(&recipe))?)?;
             prepared.can_write(&out)?;
-            let outcome = prepared.run(&monitor)?;
+            let mut outcome = prepared.run(&monitor)?;
+            let made = report::attach(&mut outcome);
             bar.finish_and_clear();
             let folder = interrupt::while_writing(|| outcome.write(&here.path(&out)))?;
             let status = match (outcome.failures.is_empty(), outcome.passes()) {
@@ -335,8 +348,13 @@ fn dispatch(command: Command, libraries: &Libraries) -> Result<(String, u8)> {
             for failure in outcome.failures.iter().filter(|failure| failure.needs.is_none()) {
                 tell(&failure::text(&failure.error));
             }
-            Ok((summary::text(&prepared.recipe.name, &outcome, &folder), status))
+            let text = match made {
+                Some(made) if !verbose => brief::text(&made, &folder, brief::width()),
+                _ => summary::text(&prepared.recipe.name, &outcome, &folder),
+            };
+            Ok((text, status))
         }
+        Command::Report { results, out } => written(report::beside(&results, out, &libraries.registry(None)?)?),
         Command::Check { recipe, json, time_limit } => {
             interrupt::cancel_on_signal(Monitor::default())?;
             interrupt::end_after(time_limit, Duration::ZERO, json)?;

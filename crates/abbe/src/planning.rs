@@ -5,8 +5,8 @@ use std::path::Path;
 use abbe_core::WeakDirection;
 use abbe_engine::Measurements;
 
-use crate::number::short;
 use crate::table;
+use abbe_report::number::short;
 
 /// Chosen candidates in a line.
 const IN_A_LINE: usize = 12;

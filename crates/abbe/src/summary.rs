@@ -8,9 +8,9 @@ use abbe_recipe::Recipe;
 use serde_json::{Value, json};
 
 use crate::doubts::doubts;
-use crate::number::{short, with_uncertainty};
 use crate::table;
 use crate::uncertainty_summary;
+use abbe_report::number::{short, with_uncertainty};
 
 /// The summary of a run for a terminal.
 pub fn text(name: &str, outcome: &Outcome, folder: &Path) -> String {

@@ -2,8 +2,8 @@
 
 use abbe_core::{ParameterBudget, UncertaintyBudget, Unit, WeakDirection};
 
-use crate::number::short;
 use crate::table;
+use abbe_report::number::short;
 
 /// Correlated pairs that are shown of an estimate.
 const PAIRS: usize = 5;

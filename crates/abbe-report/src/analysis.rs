@@ -1,0 +1,229 @@
+//! What the page says of one estimate: which errors make its volumetric error.
+
+use std::collections::BTreeMap;
+
+use abbe_core::{AxisKind, Calibration, KinematicModel, Result, Status, StatusRole};
+use abbe_volumetric::{Cause, Known, causes, standing};
+
+use crate::run::{FitResult, Run};
+use crate::words::{groups, meaning, remedy};
+
+/// Most poses of the grid, one direction.
+const MOST_POSES: usize = 400;
+
+/// Points along an axis at most.
+const MOST_POINTS: usize = 7;
+
+/// The volumetric error of a calibrated machine and its causes, in the travel that was measured.
+pub struct Analysis {
+    /// Root mean square over the workspace, mm.
+    pub rms: Known,
+    /// The largest, mm.
+    pub largest: Known,
+    /// Where it is largest: commands with units.
+    pub at: String,
+    /// Root mean square of its standard uncertainty, mm.
+    pub unknown: f64,
+    /// The causes, those first without which the error falls most.
+    pub causes: Vec<NamedCause>,
+    /// Root mean square without the three largest, mm; none with fewer.
+    pub without_three: Option<f64>,
+    /// Over which travel: text.
+    pub travel: String,
+    /// Number of poses.
+    pub poses: usize,
+}
+
+/// A cause with its name.
+pub struct NamedCause {
+    /// Its symbol.
+    pub name: String,
+    /// What it is.
+    pub meaning: String,
+    /// What to do about it.
+    pub remedy: &'static str,
+    /// Its part.
+    pub part: Cause,
+    /// The data cannot tell it from other errors.
+    pub is_confounded: bool,
+}
+
+/// How the text of a probable direction of approach is for people.
+const NEGATIVE: &str = ", approached in negative direction";
+
+impl Analysis {
+    /// The analysis; none for an estimate without axes or without errors of axes.
+    ///
+    /// Fails where the model fails in the measured travel.
+    pub fn of(fit: &FitResult) -> Result<Option<Self>> {
+        let (model, calibration) = (fit.model.as_ref(), &fit.calibration);
+        let info = model.info();
+        let mut groups = groups(info);
+        groups.retain(|group| group.parameters.iter().any(|index| is_known(calibration, info, *index)));
+        let grid = Grid::of(fit);
+        if groups.is_empty() || grid.varied.is_empty() {
+            return Ok(None);
+        }
+        let statuses = grid.statuses(model);
+        let parameters: Vec<Vec<usize>> = groups.iter().map(|group| group.parameters.clone()).collect();
+        let found = causes(model, calibration, &statuses, &parameters)?;
+        let confounded = |index: &usize| {
+            let known = calibration.get(&info.parameters[*index].name);
+            known.is_some_and(|known| known.status == Status::Confounded)
+        };
+        let mut named: Vec<NamedCause> = groups
+            .iter()
+            .zip(found.causes)
+            .map(|(group, part)| NamedCause {
+                name: group.name.clone(),
+                meaning: meaning(info, group),
+                remedy: remedy(info, group),
+                part,
+                is_confounded: group.parameters.iter().any(confounded),
+            })
+            .collect();
+        named.sort_by(|one, other| other.part.loss.value.total_cmp(&one.part.loss.value));
+        let three: Vec<usize> = named
+            .iter()
+            .take(3)
+            .filter_map(|cause| groups.iter().find(|group| group.name == cause.name))
+            .flat_map(|group| group.parameters.clone())
+            .collect();
+        let without_three = match named.len() > 3 {
+            true => causes(model, calibration, &statuses, &[three])?.causes.first().map(|part| part.without),
+            false => None,
+        };
+        let width = info.status.len().max(1);
+        let at = statuses.chunks(width).nth(found.at).map_or(String::new(), |status| place(model, &grid, status));
+        let (rms, largest, unknown) = (found.rms, found.largest, found.unknown);
+        let poses = statuses.len() / width;
+        Ok(Some(Self { rms, largest, at, unknown, causes: named, without_three, travel: grid.text(), poses }))
+    }
+}
+
+/// Whether a parameter has a value of its own.
+fn is_known(calibration: &Calibration, info: &abbe_core::ModelInfo, index: usize) -> bool {
+    let known = calibration.get(&info.parameters[index].name);
+    known.is_some_and(|known| known.status != Status::Fixed || known.value != info.nominal[index])
+}
+
+/// Commands of a status, for people.
+fn place(model: &dyn KinematicModel, grid: &Grid, status: &[f64]) -> String {
+    let info = model.info();
+    let commands = grid.varied.iter().map(|(axis, _)| {
+        let axis = &info.axes[*axis];
+        let (unit, factor) = unit(axis.kind);
+        format!("{} {:.0} {unit}", axis.name, status[axis.status] * factor)
+    });
+    let text = commands.collect::<Vec<_>>().join(", ");
+    let is_negative = info
+        .status
+        .iter()
+        .zip(status)
+        .any(|(column, value)| matches!(column.role, StatusRole::Direction(_)) && *value < 0.0);
+    if is_negative { text + NEGATIVE } else { text }
+}
+
+/// The unit of commands for people, and how many of it make one in memory.
+pub fn unit(kind: AxisKind) -> (&'static str, f64) {
+    match kind {
+        AxisKind::Linear => ("mm", 1.0),
+        AxisKind::Rotary => ("°", 180.0 / std::f64::consts::PI),
+    }
+}
+
+/// The travel of every axis of a fit in mm or rad: where it was measured, else the travel of the machine. None if neither is
+/// known.
+pub fn travel(fit: &FitResult) -> Vec<Option<[f64; 2]>> {
+    let axes = fit.model.info().axes.iter();
+    axes.map(|axis| {
+        let factor = unit(axis.kind).1;
+        let measured = fit.residuals.travel(&axis.name).map(|range| range.map(|end| end / factor));
+        measured.or_else(|| axis.range.filter(|_| !axis.endless))
+    })
+    .collect()
+}
+
+/// Poses that stand for the travel.
+struct Grid {
+    /// Axes that vary, and their positions.
+    varied: Vec<(usize, Vec<f64>)>,
+    /// Positions of all axes that stand still, by axis.
+    held: BTreeMap<usize, f64>,
+    ranges: Vec<String>,
+}
+
+impl Grid {
+    fn of(fit: &FitResult) -> Self {
+        let axes = &fit.model.info().axes;
+        let travel = travel(fit);
+        let varies = |axis: usize| {
+            let wide = |[from, to]: [f64; 2]| to - from > 1e-6;
+            !axes[axis].indexed && travel[axis].is_some_and(wide)
+        };
+        let count = (0..axes.len()).filter(|axis| varies(*axis)).count();
+        let points = (2..=MOST_POINTS).rev().find(|points| points.pow(count as u32) <= MOST_POSES).unwrap_or(2);
+        let mut grid = Self { varied: Vec::new(), held: BTreeMap::new(), ranges: Vec::new() };
+        for (axis, range) in travel.iter().enumerate() {
+            let Some([from, to]) = *range else { continue };
+            if !varies(axis) {
+                grid.held.insert(axis, from.midpoint(to));
+                continue;
+            }
+            let part = |index: usize| index as f64 / (points - 1) as f64;
+            let (unit, factor) = unit(axes[axis].kind);
+            grid.ranges.push(format!("{} {:.0} to {:.0} {unit}", axes[axis].name, from * factor, to * factor));
+            grid.varied.push((axis, (0..points).map(|index| from + (to - from) * part(index)).collect()));
+        }
+        grid
+    }
+
+    fn text(&self) -> String {
+        self.ranges.join(", ")
+    }
+
+    /// All combinations of positions, in both directions of approach where these matter.
+    fn statuses(&self, model: &dyn KinematicModel) -> Vec<f64> {
+        let info = model.info();
+        let mut first = standing(model);
+        for (axis, position) in &self.held {
+            first[info.axes[*axis].status] = *position;
+        }
+        let mut rows = vec![first];
+        for (axis, positions) in &self.varied {
+            let place = info.axes[*axis].status;
+            let moved = |row: &Vec<f64>, at: f64| {
+                let mut row = row.clone();
+                row[place] = at;
+                row
+            };
+            rows = rows.iter().flat_map(|row| positions.iter().map(move |at| moved(row, *at))).collect();
+        }
+        let is_direction = |column: usize| matches!(info.status[column].role, StatusRole::Direction(_));
+        if (0..info.status.len()).any(is_direction) {
+            let turned = |row: &Vec<f64>| -> Vec<f64> {
+                row.iter().enumerate().map(|(at, value)| if is_direction(at) { -value } else { *value }).collect()
+            };
+            let backward: Vec<Vec<f64>> = rows.iter().map(turned).collect();
+            rows.extend(backward);
+        }
+        rows.concat()
+    }
+}
+
+/// The estimate that the page is about first: the one that most stages with limits judge; of several the first, without
+/// limits the one with most unknowns.
+pub fn main_fit(run: &Run) -> Option<&FitResult> {
+    let judged = |fit: &FitResult| {
+        let by = |verdict: &&abbe_core::Verdict| {
+            let mut figures = verdict.figures.iter();
+            figures.any(|figure| figure.decision.is_some() && figure.of.as_deref() == Some(fit.name.as_str()))
+        };
+        run.verdicts.iter().filter(by).count()
+    };
+    let most = run.fits.iter().map(judged).max().unwrap_or(0);
+    // The last of several with as many.
+    let largest =
+        || run.fits.iter().max_by_key(|fit| (fit.calibration.fit.observations > 0, fit.calibration.fit.unknowns));
+    if most == 0 { largest() } else { run.fits.iter().find(|fit| judged(fit) == most) }
+}

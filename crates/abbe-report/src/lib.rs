@@ -1,0 +1,22 @@
+//! The page about a run, `report.html`, and what it is made of.
+//!
+//! [`Run`] holds the results of one run, from memory or from its folder; [`page`] makes one file of one or several runs.
+//! It needs nothing from elsewhere and asks for nothing; the same results give the same bytes. It is readable without
+//! scripts and on paper.
+
+mod analysis;
+mod chart;
+mod html;
+pub mod number;
+mod page;
+mod residuals;
+mod run;
+mod sections;
+mod words;
+
+pub use abbe_volumetric::Known;
+pub use analysis::{Analysis, NamedCause, main_fit};
+pub use page::page;
+pub use residuals::{Residual, Residuals};
+pub use run::{Files, FitResult, Run};
+pub use sections::{decided, judged, used, valued};

@@ -1,0 +1,132 @@
+//! The page as one file.
+
+use sha2::{Digest, Sha256};
+
+use crate::analysis::main_fit;
+use crate::html::{details, escape};
+use crate::run::{FitResult, Run};
+use crate::sections::{
+    budget, causes, compared, correlations, curves, parameters, provenance, residuals, tables, untold, verdict,
+};
+
+const STYLE: &str = include_str!("style.css");
+const SCRIPT: &str = include_str!("script.js");
+
+/// One page about one run, or about several beside each other.
+pub fn page(runs: &[Run]) -> String {
+    let title = match runs {
+        [one] => one.title.clone(),
+        _ => format!("{} calibrations beside each other", runs.len()),
+    };
+    let mut body = String::new();
+    let mut parts: Vec<(String, String)> = Vec::new();
+    let mut part = |id: &str, name: &str, html: &str| {
+        body.push_str(&format!("<section id=\"{id}\">\n<h2>{}</h2>\n{html}</section>\n", escape(name)));
+        parts.push((id.to_owned(), name.to_owned()));
+    };
+    if runs.len() > 1 {
+        part("compared", "Beside each other", &compared(runs));
+    }
+    for (number, run) in runs.iter().enumerate() {
+        // One run has short names.
+        let (id, of) = match runs.len() {
+            1 => (String::new(), String::new()),
+            _ => (format!("{}-", number + 1), format!(", {}", run.name)),
+        };
+        part(&format!("{id}verdict"), &format!("Verdict{of}"), &verdict(run));
+        part(&format!("{id}causes"), &format!("Worst figure and causes{of}"), &causes(run));
+        part(&format!("{id}untold"), &format!("What the data cannot tell{of}"), &untold(run));
+    }
+    let named: Vec<(String, &FitResult)> = runs
+        .iter()
+        .flat_map(|run| run.fits.iter().map(move |fit| (run, fit)))
+        .map(|(run, fit)| (if runs.len() == 1 { fit.name.clone() } else { format!("{}: {}", run.name, fit.name) }, fit))
+        .collect();
+    part("parameters", "Parameters", &parameters(&named));
+    for (number, run) in runs.iter().enumerate() {
+        let (id, of) = match runs.len() {
+            1 => (String::new(), String::new()),
+            _ => (format!("{}-", number + 1), format!(", {}", run.name)),
+        };
+        let main = main_fit(run);
+        part(&format!("{id}residuals"), &format!("Residuals{of}"), &all_residuals(run, main));
+        if let Some(main) = main.filter(|main| !main.model.info().error_functions.is_empty()) {
+            let heading = format!("Errors along axes, {}{of}", main.name);
+            part(&format!("{id}curves"), &heading, &curves(main));
+        }
+        if let Some(main) = main {
+            part(&format!("{id}correlations"), &format!("Correlations, {}{of}", main.name), &correlations(main));
+        }
+        part(&format!("{id}figures"), &format!("Fits and validators{of}"), &tables(run));
+        let budgets = run.fits.iter().filter(|fit| fit.calibration.uncertainty.is_some());
+        let budgets: String = budgets.map(|fit| details(&fit.name, false, &budget(fit))).collect();
+        if !budgets.is_empty() {
+            part(&format!("{id}budget"), &format!("Budgets of uncertainty{of}"), &budgets);
+        }
+        part(&format!("{id}provenance"), &format!("Provenance{of}"), &provenance(run));
+    }
+    whole(&title, runs, &parts, &body)
+}
+
+/// The residuals of all estimates; those of the main one are open.
+fn all_residuals(run: &Run, main: Option<&FitResult>) -> String {
+    let is_main = |fit: &FitResult| main.is_some_and(|main| main.name == fit.name);
+    let known = run.fits.iter().filter(|fit| !fit.residuals.rows.is_empty());
+    let html: String = known.map(|fit| details(&fit.name, is_main(fit), &residuals(fit))).collect();
+    if html.is_empty() { "<p>No residuals are known.</p>\n".to_owned() } else { html }
+}
+
+fn whole(title: &str, runs: &[Run], parts: &[(String, String)], body: &str) -> String {
+    let links: String =
+        parts.iter().map(|(id, name)| format!("<li><a href=\"#{id}\">{}</a></li>\n", escape(name))).collect();
+    let names: Vec<&str> = runs.iter().map(|run| run.name.as_str()).collect();
+    let policy = format!(
+        "default-src 'none'; style-src 'sha256-{}'; script-src 'sha256-{}'; base-uri 'none'; form-action 'none'",
+        hash(STYLE),
+        hash(SCRIPT)
+    );
+    format!(
+        "<!DOCTYPE html>\n<html lang=\"en\">\n<head>\n<meta charset=\"utf-8\">\n<meta http-equiv=\"Content-Security-Policy\" \
+         content=\"{policy}\">\n<meta name=\"viewport\" content=\"width=device-width, initial-scale=1\">\n<meta name=\"color-scheme\" \
+         content=\"light dark\">\n<title>{title}</title>\n<style>{STYLE}</style>\n</head>\n<body>\n<a class=\"skip\" \
+         href=\"#main\">To the content</a>\n<header>\n<h1>{title}</h1>\n<p>{names}</p>\n<nav aria-label=\"Parts of the \
+         page\">\n<ul>\n{links}</ul>\n</nav>\n</header>\n<main id=\"main\">\n{body}</main>\n<script>{SCRIPT}</script>\n</body>\n</html>\n",
+        title = escape(title),
+        names = escape(&names.join(", ")),
+    )
+}
+
+/// SHA-256 of a text as base64, as content security policies have it.
+fn hash(text: &str) -> String {
+    base64(&Sha256::digest(text.as_bytes()))
+}
+
+/// Bytes as base64 (RFC 4648, section 4).
+fn base64(bytes: &[u8]) -> String {
+    const DIGITS: &[u8; 64] = b"ABCDEFGHIJKLMNOPQRSTUVWXYZabcdefghijklmnopqrstuvwxyz0123456789+/";
+    let mut text = String::with_capacity(bytes.len().div_ceil(3) * 4);
+    for chunk in bytes.chunks(3) {
+        let byte = |index: usize| u32::from(chunk.get(index).copied().unwrap_or(0));
+        let bits = byte(0) << 16 | byte(1) << 8 | byte(2);
+        for digit in 0..4 {
+            let is_padding = digit > chunk.len();
+            let value = (bits >> (18 - 6 * digit)) as usize % 64;
+            text.push(if is_padding { '=' } else { char::from(DIGITS[value]) });
+        }
+    }
+    text
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn base64_of_the_standard() {
+        let cases =
+            [("", ""), ("f", "Zg=="), ("fo", "Zm8="), ("foo", "Zm9v"), ("foob", "Zm9vYg=="), ("foobar", "Zm9vYmFy")];
+        for (text, expected) in cases {
+            assert_eq!(base64(text.as_bytes()), expected);
+        }
+    }
+}

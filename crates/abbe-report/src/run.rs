@@ -1,0 +1,144 @@
+//! The results of a run, from memory or from its folder.
+
+use std::path::{Path, PathBuf};
+use std::sync::Arc;
+
+use abbe_core::{Calibration, Error, EstimateSource, Kind, KinematicModel, Quantities, Registry, Result, Verdict};
+use abbe_engine::{CALIBRATION, Outcome, RunRecord, VERDICTS, model_of, residuals_file};
+use abbe_files::{LARGEST_RESULT, LARGEST_TEXT, read_text};
+use sha2::{Digest, Sha256};
+
+use crate::residuals::Residuals;
+
+/// An estimate with what the page needs of it.
+pub struct FitResult {
+    /// Its name.
+    pub name: String,
+    /// Its result.
+    pub calibration: Calibration,
+    /// The machine, or the quantities in its place.
+    pub model: Arc<dyn KinematicModel>,
+    /// Its residuals; none if they are not known.
+    pub residuals: Residuals,
+}
+
+/// Files by their names in the folder of a run.
+pub type Files = Vec<(PathBuf, Vec<u8>)>;
+
+/// The results of one run.
+pub struct Run {
+    /// The name that tells it from others on the page.
+    pub name: String,
+    /// What its recipe says that it is.
+    pub title: String,
+    /// The estimates.
+    pub fits: Vec<FitResult>,
+    /// The verdicts.
+    pub verdicts: Vec<Verdict>,
+    /// The record; none for a calibration without its run.
+    pub record: Option<RunRecord>,
+    /// Text of the recipe, if it is as it was.
+    pub recipe: Option<String>,
+}
+
+impl Run {
+    /// The results of a run, and the tables of residuals that belong into its folder.
+    ///
+    /// Fails where a model fails at the values of its calibration.
+    pub fn of(outcome: &Outcome) -> Result<(Self, Files)> {
+        let mut tables = Vec::new();
+        let mut fits = Vec::new();
+        for fit in &outcome.fits {
+            let mut residuals = Residuals::default();
+            if !fit.problem.sets.is_empty() {
+                // What is written is what is shown.
+                let table = Residuals::of(fit)?.to_csv()?;
+                residuals = Residuals::from_csv(&table)?;
+                tables.push((residuals_file(&fit.name), table.into_bytes()));
+            }
+            let (calibration, model) = (fit.calibration.clone(), fit.problem.model.clone());
+            fits.push(FitResult { name: fit.name.clone(), calibration, model, residuals });
+        }
+        let record = outcome.record();
+        let run = Self {
+            name: outcome.recipe.clone(),
+            title: outcome.title.clone(),
+            fits,
+            verdicts: outcome.verdicts.clone(),
+            recipe: recipe_of(&record),
+            record: Some(record),
+        };
+        Ok((run, tables))
+    }
+
+    /// Reads the folder of a run, or one calibration.
+    ///
+    /// Fails on a path that is neither, and on files that are wrong.
+    pub fn read(path: &Path, registry: &Registry) -> Result<Self> {
+        if path.is_dir() { Self::of_folder(path, registry) } else { Self::of_calibration(path, registry) }
+    }
+
+    fn of_folder(folder: &Path, registry: &Registry) -> Result<Self> {
+        let file = folder.join("run.json");
+        let text = read_text(&file, LARGEST_RESULT).map_err(|error| {
+            let message = format!("{} is no folder with the results of a run: run.json {error}", folder.display());
+            Error::usage(message).help("name the folder that `abbe run` wrote, or a calibration")
+        })?;
+        let record = RunRecord::from_json(&text).map_err(|error| error.in_file(&file))?;
+        let names = record.outputs.iter().filter_map(|output| output.file.strip_suffix(CALIBRATION));
+        let names: Vec<&str> = names.filter(|name| !name.contains('/')).collect();
+        let fits = names.iter().map(|name| {
+            let mut fit = fit_result(&folder.join(format!("{name}{CALIBRATION}")), registry)?;
+            (*name).clone_into(&mut fit.name);
+            let table = residuals_file(name);
+            if record.outputs.iter().any(|output| Path::new(&output.file) == table) {
+                let table = folder.join(table);
+                let text = read_text(&table, LARGEST_RESULT).map_err(|error| unreadable(&table, &error))?;
+                fit.residuals = Residuals::from_csv(&text).map_err(|error| error.in_file(&table))?;
+            }
+            Ok(fit)
+        });
+        let fits = fits.collect::<Result<_>>()?;
+        let file = folder.join(VERDICTS);
+        let text = read_text(&file, LARGEST_RESULT).map_err(|error| unreadable(&file, &error))?;
+        let verdicts = Verdict::list_from_json(&text).map_err(|error| error.in_file(&file))?;
+        let title = if record.title.is_empty() { record.recipe.clone() } else { record.title.clone() };
+        let recipe = recipe_of(&record);
+        Ok(Self { name: record.recipe.clone(), title, fits, verdicts, record: Some(record), recipe })
+    }
+
+    fn of_calibration(file: &Path, registry: &Registry) -> Result<Self> {
+        let fit = fit_result(file, registry)?;
+        let title = format!("Calibration {}", fit.name);
+        Ok(Self { name: fit.name.clone(), title, fits: vec![fit], verdicts: Vec::new(), record: None, recipe: None })
+    }
+
+    /// The estimate of that name.
+    pub fn fit(&self, name: &str) -> Option<&FitResult> {
+        self.fits.iter().find(|fit| fit.name == name)
+    }
+}
+
+fn unreadable(file: &Path, error: &std::io::Error) -> Error {
+    Error::data(format!("the file cannot be read: {error}")).in_file(file)
+}
+
+fn fit_result(file: &Path, registry: &Registry) -> Result<FitResult> {
+    let text = read_text(file, LARGEST_RESULT).map_err(|error| unreadable(file, &error))?;
+    let calibration = Calibration::from_json(&text).map_err(|error| error.in_file(file))?;
+    let plugin = registry.find(Kind::Estimate, &calibration.model.plugin);
+    let of_readings = plugin.is_ok_and(|plugin| plugin.estimate_source == EstimateSource::Readings);
+    let model: Arc<dyn KinematicModel> = match of_readings {
+        true => Arc::new(Quantities::of(&calibration).map_err(|error| error.in_file(file))?),
+        false => model_of(&calibration, registry).map_err(|error| error.in_file(file))?,
+    };
+    Ok(FitResult { name: calibration.estimate.clone(), calibration, model, residuals: Residuals::default() })
+}
+
+/// The recipe of a run, if its file is there and as it was.
+fn recipe_of(record: &RunRecord) -> Option<String> {
+    let recipe = record.inputs.first()?;
+    let text = read_text(Path::new(&recipe.file), LARGEST_TEXT).ok()?;
+    let digest: String = Sha256::digest(text.as_bytes()).iter().map(|byte| format!("{byte:02x}")).collect();
+    (digest == recipe.sha256).then_some(text)
+}

@@ -1,0 +1,132 @@
+//! The worst figure, the errors behind it, and what correcting them would gain.
+
+use super::verdict::{judged, used};
+use super::{micrometres, valued};
+use crate::analysis::{Analysis, NamedCause, main_fit};
+use crate::html::{Cell, details, escape, paragraph, table};
+use crate::number::short;
+use crate::run::Run;
+
+/// Causes that are shown at once.
+const FIRST: usize = 3;
+
+/// The section: worst figure and causes.
+pub fn causes(run: &Run) -> String {
+    let mut html = "<h3>The worst figure</h3>\n".to_owned();
+    if let Some((verdict, figure)) = judged(run).next() {
+        let value = figure.value.map_or("none".to_owned(), |value| valued(value, &figure.unit));
+        let uncertainty =
+            figure.standard_uncertainty.map_or("; its uncertainty is not known".to_owned(), |uncertainty| {
+                format!(" ± {} (k = 2)", valued(2.0 * uncertainty, &figure.unit))
+            });
+        let part = used(figure);
+        let percent = if part.is_finite() { format!(", {:.0} % of its limit", part * 100.0) } else { String::new() };
+        let of = figure.of.as_ref().map_or(String::new(), |of| format!(" of {of}"));
+        html.push_str(&paragraph(&format!("{} {}{of}: {value}{uncertainty}{percent}.", verdict.stage, figure.name)));
+    }
+    let Some(fit) = main_fit(run) else { return html + &paragraph("There is no estimate.") };
+    match Analysis::of(fit) {
+        Ok(Some(found)) => html + &told(&fit.name, &found, fit.calibration.fit.residual_rms_um),
+        Ok(None) => {
+            html + &paragraph(&format!(
+                "{} has no errors of axes in a known travel, so there is no volumetric error and no share of causes; its values stand \
+                 below.",
+                fit.name
+            ))
+        }
+        Err(error) => html + &paragraph(&format!("The volumetric error of {} cannot be computed: {error}.", fit.name)),
+    }
+}
+
+fn told(fit: &str, found: &Analysis, residual_rms_um: f64) -> String {
+    let mut html = format!(
+        "<p>Largest volumetric error by <b>{}</b>: <b>{}</b> at {}. Root mean square {} (k = 2) over {} poses in {}.</p>\n",
+        escape(fit),
+        escape(&micrometres(found.largest)),
+        escape(&found.at),
+        escape(&micrometres(found.rms)),
+        found.poses,
+        escape(&found.travel)
+    );
+    html.push_str("<h3>The largest causes</h3>\n");
+    let proven = found.causes.iter().filter(|cause| cause.part.loss.value > 0.0 && cause.part.alone > 0.0);
+    let (first, more): (Vec<_>, Vec<_>) = proven.enumerate().partition(|(index, _)| *index < FIRST);
+    let cells = |(_, cause): &(usize, &NamedCause)| row(cause, found);
+    let head = ["error", "what it is", "RMS without it", "loss of RMS", "", "what to do"];
+    if first.is_empty() {
+        return html + &paragraph("No error alone makes the volumetric error larger.");
+    }
+    let caption = "If this error alone were zero, the RMS volumetric error would fall by this much; ± is k = 2";
+    html.push_str(&table(caption, &head, &first.iter().map(cells).collect::<Vec<_>>()));
+    html.push_str(&paragraph(
+        "These losses need not add up: errors can hide or strengthen each other. They are those of the estimated values.",
+    ));
+    if first.iter().chain(&more).any(|(_, cause)| cause.is_confounded) {
+        html.push_str(&paragraph("? The data cannot tell this error from others; its share may belong to them."));
+    }
+    if !more.is_empty() {
+        let body = table(caption, &head, &more.iter().map(cells).collect::<Vec<_>>());
+        html.push_str(&details(&format!("{} smaller causes", more.len()), false, &body));
+    }
+    html.push_str("<h3>What a correction would gain</h3>\n");
+    let three = found.without_three.map_or(String::new(), |left| {
+        format!(" Without the three largest causes it would be {} µm.", short(left * 1e3))
+    });
+    html.push_str(&paragraph(&format!(
+        "The RMS volumetric error is {} µm now.{three} If everything that was estimated were corrected, at least {} µm would stay: the \
+         standard uncertainty of the calibration. What the model does not describe comes on top; the residuals have an RMS of {} µm.",
+        short(found.rms.value * 1e3),
+        short(found.unknown * 1e3),
+        short(residual_rms_um)
+    )));
+    html
+}
+
+fn row(cause: &NamedCause, found: &Analysis) -> Vec<Cell> {
+    let mark = if cause.is_confounded { " ?" } else { "" };
+    let part = (cause.part.loss.value / found.rms.value.max(f64::MIN_POSITIVE)).clamp(0.0, 1.0);
+    let bar = format!(
+        "<svg viewBox=\"0 0 120 12\" width=\"120\" height=\"12\" aria-hidden=\"true\"><rect class=\"gauge\" x=\"0\" y=\"2\" width=\"{:.1}\" \
+         height=\"8\"/></svg>",
+        120.0 * part
+    );
+    let is_sure = cause.part.loss.value > 2.0 * cause.part.loss.uncertainty;
+    let loss = format!("{}{}", micrometres(cause.part.loss), if is_sure { "" } else { " (not proven)" });
+    vec![
+        Cell::text(format!("{}{mark}", cause.name)),
+        Cell::text(&cause.meaning),
+        Cell::figure(format!("{} µm", short(cause.part.without * 1e3))),
+        Cell::figure(loss),
+        Cell::Html(bar),
+        Cell::text(cause.remedy),
+    ]
+}
+
+/// Several runs beside each other: before and after.
+pub fn compared(runs: &[Run]) -> String {
+    let rows = runs.iter().map(|run| {
+        let (word, class, _) = super::verdict::decided(run);
+        let decision = Cell::Html(format!("<span class=\"{class}\">{word}</span>"));
+        let analysis = main_fit(run).and_then(|fit| Some((fit, Analysis::of(fit).ok().flatten()?)));
+        let cells = match &analysis {
+            Some((fit, found)) => {
+                let cause =
+                    found.causes.first().map_or(String::new(), |cause| format!("{}: {}", cause.name, cause.meaning));
+                [fit.name.clone(), micrometres(found.rms), micrometres(found.largest), cause]
+            }
+            None => [String::new(), String::new(), String::new(), String::new()],
+        };
+        let [fit, rms, largest, cause] = cells;
+        vec![
+            Cell::text(&run.name),
+            decision,
+            Cell::text(fit),
+            Cell::figure(rms),
+            Cell::figure(largest),
+            Cell::text(cause),
+        ]
+    });
+    let head = ["run", "verdict", "estimate", "RMS volumetric error", "largest", "largest cause"];
+    table("The runs beside each other; ± is k = 2", &head, &rows.collect::<Vec<_>>())
+        + &paragraph("Each run has its own travel: errors of different travels cannot be compared by size.")
+}

@@ -1,0 +1,45 @@
+//! The parts of the page, from verdict to provenance.
+
+mod causes;
+mod curves;
+mod parameters;
+mod provenance;
+mod residuals;
+mod tables;
+mod uncertainty;
+mod untold;
+mod verdict;
+
+pub use causes::{causes, compared};
+pub use curves::curves;
+pub use parameters::parameters;
+pub use provenance::provenance;
+pub use residuals::residuals;
+pub use tables::tables;
+pub use uncertainty::{budget, correlations};
+pub use untold::untold;
+pub use verdict::{decided, judged, used, verdict};
+
+use crate::number::{short, with_uncertainty};
+
+/// A length in mm as µm, with its expanded uncertainty (k = 2).
+pub fn micrometres(known: abbe_volumetric::Known) -> String {
+    format!("{} µm", with_uncertainty(known.value * 1e3, 2.0 * known.uncertainty * 1e3))
+}
+
+/// The unit of a figure for people.
+pub fn unit_of(unit: &str) -> &str {
+    match unit {
+        "1" => "",
+        "um" => "µm",
+        "urad" => "µrad",
+        other => other,
+    }
+}
+
+/// The value of a figure with its unit.
+pub fn valued(value: f64, unit: &str) -> String {
+    let counted = unit == "1" && value.fract() == 0.0 && value.abs() < 1e9;
+    let text = if counted { format!("{value:.0}") } else { short(value) };
+    if unit == "1" { text } else { format!("{text} {}", unit_of(unit)) }
+}

@@ -1,0 +1,62 @@
+//! What the data cannot tell, and which measurement would.
+
+use crate::html::{escape, list, paragraph};
+use crate::run::{FitResult, Run};
+
+/// Most directions that are listed for one estimate.
+const MOST: usize = 12;
+
+/// The section.
+pub fn untold(run: &Run) -> String {
+    let mut html = String::new();
+    for fit in &run.fits {
+        html.push_str(&of_fit(fit));
+    }
+    let remarks = run.record.iter().flat_map(|record| &record.remarks);
+    let remarks: Vec<String> = remarks.map(|remark| format!("{}: {}", remark.estimate, remark.text)).collect();
+    if !remarks.is_empty() {
+        html.push_str("<h3>Look at this before you trust the results</h3>\n");
+        html.push_str(&list(&remarks));
+    }
+    if html.is_empty() {
+        return paragraph("Nothing is lost: the data determine everything that was estimated.");
+    }
+    html
+}
+
+fn of_fit(fit: &FitResult) -> String {
+    let report = &fit.calibration.fit;
+    let mut items = String::new();
+    for direction in report.null_space.iter().take(MOST) {
+        items.push_str(&format!("<li>{}", escape(&direction.describe())));
+        if !direction.separated_by.is_empty() {
+            items.push_str(".<br><b>Measure:</b> ");
+            items.push_str(&escape(&direction.separated_by.join("; or ")));
+        }
+        items.push_str("</li>\n");
+    }
+    if report.null_space.len() > MOST {
+        items.push_str(&format!(
+            "<li>{} more directions stand in the calibration</li>\n",
+            report.null_space.len() - MOST
+        ));
+    }
+    for same in &report.equivalent_motion_errors {
+        items.push_str(&format!("<li>{}</li>\n", escape(&same.describe())));
+    }
+    if let Some(budget) = &fit.calibration.uncertainty {
+        let mut pairs: Vec<_> = budget.correlations.iter().collect();
+        pairs.sort_by(|one, other| other.correlation.abs().total_cmp(&one.correlation.abs()));
+        let named =
+            pairs.iter().take(5).map(|pair| format!("{} and {} ({:+.3})", pair.one, pair.other, pair.correlation));
+        if !pairs.is_empty() {
+            let more = if pairs.len() > 5 { format!(", and {} more pairs", pairs.len() - 5) } else { String::new() };
+            let text = format!("hardly told apart: {}{more}", named.collect::<Vec<_>>().join(", "));
+            items.push_str(&format!("<li>{}</li>\n", escape(&text)));
+        }
+    }
+    for value in &report.implausible {
+        items.push_str(&format!("<li>{}</li>\n", escape(&format!("{}: no machine has such an error", value.name))));
+    }
+    if items.is_empty() { items } else { format!("<h3>{}</h3>\n<ul>\n{items}</ul>\n", escape(&fit.name)) }
+}

@@ -1,0 +1,133 @@
+//! Whether the limits are kept.
+
+use abbe_core::{Decision, Figure, Verdict};
+
+use super::valued;
+use crate::html::{Cell, escape, list, paragraph, table};
+use crate::run::Run;
+
+/// The decision of a run in a word, its class, and a sentence.
+pub fn decided(run: &Run) -> (&'static str, &'static str, String) {
+    let judged: Vec<(&Verdict, &Figure)> = judged(run).collect();
+    let of = |decision| judged.iter().filter(|(_, figure)| figure.decision == Some(decision)).count();
+    let (failed, untold, all) = (of(Decision::Fail), of(Decision::Inconclusive), judged.len());
+    let failures = run.record.as_ref().map_or(0, |record| record.failures.len());
+    let limits = |count: usize| if count == 1 { "1 limit".to_owned() } else { format!("{count} limits") };
+    let are = |count: usize| if count == 1 { "is" } else { "are" };
+    match (failures, failed, untold, all) {
+        (1.., ..) => {
+            let stages = if failures == 1 { "1 stage".to_owned() } else { format!("{failures} stages") };
+            ("Failed", "fail", format!("{stages} of the recipe came to no result. What is below is not complete."))
+        }
+        (_, 1.., _, _) => ("Fail", "fail", format!("{} of {} {} broken.", failed, limits(all), are(failed))),
+        (_, _, 1.., _) => {
+            ("Inconclusive", "unsure", format!("Of {}, {untold} cannot be decided; none is broken.", limits(all)))
+        }
+        (.., 0) => {
+            let text = "The recipe sets no limit, so nothing says whether this is good enough. Set limits in a validator: \
+                        `limits: { max_um: 10 }`.";
+            ("No limit set", "none", text.to_owned())
+        }
+        _ => (
+            "Pass",
+            "pass",
+            if all == 1 { "The only limit is kept.".to_owned() } else { format!("All {all} limits are kept.") },
+        ),
+    }
+}
+
+/// The figures with a limit, the worst first.
+pub fn judged(run: &Run) -> impl Iterator<Item = (&Verdict, &Figure)> {
+    let all = run.verdicts.iter().flat_map(|verdict| verdict.figures.iter().map(move |figure| (verdict, figure)));
+    let mut all: Vec<(&Verdict, &Figure)> = all.filter(|(_, figure)| figure.decision.is_some()).collect();
+    all.sort_by(|(_, one), (_, other)| {
+        (other.decision, used(other)).partial_cmp(&(one.decision, used(one))).unwrap_or(std::cmp::Ordering::Equal)
+    });
+    all.into_iter()
+}
+
+/// The part of its limit that a figure uses.
+pub fn used(figure: &Figure) -> f64 {
+    match (figure.value, figure.limit) {
+        (Some(value), Some(limit)) if limit > 0.0 => value.abs() / limit,
+        (Some(value), Some(limit)) if value <= limit => 0.0,
+        _ => f64::INFINITY,
+    }
+}
+
+/// Most figures with limits that are shown; all stand in `verdicts.json`.
+const MOST: usize = 40;
+
+/// The section.
+pub fn verdict(run: &Run) -> String {
+    let (word, class, sentence) = decided(run);
+    let mark = match class {
+        "pass" => "✓",
+        "fail" => "✗",
+        _ => "?",
+    };
+    let mut html = format!("<p class=\"verdict {class}\"><span aria-hidden=\"true\">{mark}</span> {word}</p>\n");
+    html.push_str(&paragraph(&sentence));
+    if let Some(record) = &run.record {
+        let failures = record.failures.iter().map(|failure| {
+            let place = match (&failure.file, failure.line) {
+                (Some(file), Some(line)) => format!(" ({file}:{line})"),
+                (Some(file), None) => format!(" ({file})"),
+                _ => String::new(),
+            };
+            let help = failure.help.as_ref().map_or(String::new(), |help| format!(" To do: {help}."));
+            format!("{} {}: {}{place}.{help}", failure.kind.key(), failure.stage, failure.message)
+        });
+        html.push_str(&list(&failures.collect::<Vec<_>>()));
+    }
+    let all: Vec<(&Verdict, &Figure)> = judged(run).collect();
+    if all.is_empty() {
+        return html;
+    }
+    let rows: Vec<Vec<Cell>> = all.iter().take(MOST).map(|(verdict, figure)| row(verdict, figure)).collect();
+    let head = ["figure", "of", "value", "limit", "used", "part of the limit", "decision"];
+    html.push_str(&table("Figures with limits, the worst first; ± is the expanded uncertainty, k = 2", &head, &rows));
+    if all.len() > MOST {
+        html.push_str(&paragraph(&format!("{} more stand in verdicts.json.", all.len() - MOST)));
+    }
+    html
+}
+
+fn row(verdict: &Verdict, figure: &Figure) -> Vec<Cell> {
+    let value = match (figure.value, figure.standard_uncertainty) {
+        (None, _) => "could not be computed".to_owned(),
+        (Some(value), None) => valued(value, &figure.unit),
+        (Some(value), Some(uncertainty)) => {
+            format!("{} ± {}", valued(value, &figure.unit), valued(2.0 * uncertainty, &figure.unit))
+        }
+    };
+    let limit = figure.limit.map_or(String::new(), |limit| valued(limit, &figure.unit));
+    let part = used(figure);
+    let (class, word) = match figure.decision {
+        Some(Decision::Fail) => ("fail", "✗ fail".to_owned()),
+        Some(Decision::Inconclusive) => (
+            "unsure",
+            format!("? inconclusive{}", figure.inconclusive.as_ref().map_or(String::new(), |why| format!(": {why}"))),
+        ),
+        _ => ("pass", "✓ pass".to_owned()),
+    };
+    let percent = if part.is_finite() { format!("{:.0} %", part * 100.0) } else { "–".to_owned() };
+    vec![
+        Cell::text(format!("{} {}", verdict.stage, figure.name)),
+        Cell::text(figure.of.clone().unwrap_or_default()),
+        Cell::figure(value),
+        Cell::figure(limit),
+        Cell::figure(percent),
+        Cell::Html(gauge(part, class)),
+        Cell::Html(format!("<span class=\"{class}\">{}</span>", escape(&word))),
+    ]
+}
+
+/// A bar up to a limit, which stands at two thirds.
+fn gauge(part: f64, class: &str) -> String {
+    let width = (part * 80.0).clamp(0.0, 120.0);
+    format!(
+        "<svg viewBox=\"0 0 120 12\" width=\"120\" height=\"12\" aria-hidden=\"true\"><rect class=\"gauge {class}\" x=\"0\" y=\"2\" \
+         width=\"{width:.1}\" height=\"8\"/><path class=\"z\" d=\"M80 0V12\"/></svg>"
+    )
+}
