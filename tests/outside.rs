@@ -1,6 +1,7 @@
 //! Tests that need a program which Rust does not bring: they say what is missing where it is, and are the second part of the
 //! gate.
 
+mod browser;
 mod first_error_family;
 mod instruction_sets;
 mod linuxcnc;

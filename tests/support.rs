@@ -34,8 +34,22 @@ pub fn program<S: AsRef<OsStr>>(at: &Path, arguments: &[S]) -> Command {
     command
 }
 
-/// Runs the program in the folder `at`.
+/// Runs the program in the folder `at`. A run prints all of its results (`--verbose`); what the log says of its work is left out.
 pub fn abbe<S: AsRef<OsStr>>(at: &Path, arguments: &[S]) -> Printed {
+    let mut all: Vec<&OsStr> = arguments.iter().map(AsRef::as_ref).collect();
+    let is_run = all.first().is_some_and(|command| *command == "run");
+    if !is_run {
+        return as_typed(at, &all);
+    }
+    all.push("--verbose".as_ref());
+    let printed = as_typed(at, &all);
+    let of_interest = |line: &&str| !line.trim_start().starts_with("INFO ");
+    let stderr = printed.stderr.split_inclusive('\n').filter(of_interest).collect();
+    Printed { stderr, ..printed }
+}
+
+/// Runs the program in the folder `at` as a user does.
+pub fn as_typed<S: AsRef<OsStr>>(at: &Path, arguments: &[S]) -> Printed {
     let output = program(at, arguments).output().expect("the program starts");
     let text = |bytes| String::from_utf8(bytes).expect("the program prints UTF-8");
     Printed {

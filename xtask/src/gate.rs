@@ -52,7 +52,10 @@ fn rust_alone(tests: &mut Tests) -> Outcome {
     let mut docs = cargo(&["doc", "--workspace", "--no-deps", "--locked", "--quiet"]);
     docs.env("RUSTDOCFLAGS", "-D warnings");
     run_command(docs)?;
-    tests.run(&["test", "--workspace", "--locked", "--no-fail-fast", "--", "--skip", OUTSIDE])
+    let of_tests = tests.run(&["test", "--workspace", "--locked", "--no-fail-fast", "--", "--skip", OUTSIDE]);
+    // What the recipes find is what was reviewed.
+    let of_recipes = run_command(cargo(&["run", "--quiet", "--locked", "--bin", "abbe", "--", "test", "pipelines"]));
+    of_tests.and(of_recipes)
 }
 
 fn other_programs(tests: &mut Tests) -> Outcome {

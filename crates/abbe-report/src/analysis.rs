@@ -32,6 +32,8 @@ pub struct Analysis {
     pub travel: String,
     /// Number of poses.
     pub poses: usize,
+    /// For every pose the nominal tip in the table frame and the error, mm.
+    pub field: Vec<([f64; 3], [f64; 3])>,
 }
 
 /// A cause with its name.
@@ -97,7 +99,8 @@ impl Analysis {
         let at = statuses.chunks(width).nth(found.at).map_or(String::new(), |status| place(model, &grid, status));
         let (rms, largest, unknown) = (found.rms, found.largest, found.unknown);
         let poses = statuses.len() / width;
-        Ok(Some(Self { rms, largest, at, unknown, causes: named, without_three, travel: grid.text(), poses }))
+        let field = found.field;
+        Ok(Some(Self { field, rms, largest, at, unknown, causes: named, without_three, travel: grid.text(), poses }))
     }
 }
 

@@ -5,6 +5,7 @@
 //! scripts and on paper.
 
 mod analysis;
+mod base64;
 mod chart;
 mod html;
 pub mod number;

@@ -3,10 +3,11 @@
 use sha2::{Digest, Sha256};
 
 use crate::analysis::main_fit;
+use crate::base64::base64;
 use crate::html::{details, escape};
 use crate::run::{FitResult, Run};
 use crate::sections::{
-    budget, causes, compared, correlations, curves, parameters, provenance, residuals, tables, untold, verdict,
+    budget, causes, compared, correlations, curves, parameters, provenance, residuals, scene, tables, untold, verdict,
 };
 
 const STYLE: &str = include_str!("style.css");
@@ -49,7 +50,14 @@ pub fn page(runs: &[Run]) -> String {
             _ => (format!("{}-", number + 1), format!(", {}", run.name)),
         };
         let main = main_fit(run);
-        part(&format!("{id}residuals"), &format!("Residuals{of}"), &all_residuals(run, main));
+        part(&format!("{id}residuals"), &format!("Residuals{of}"), &all_residuals(run, main, number == 0));
+        // One viewer a page.
+        if let (0, Some(main)) = (number, main) {
+            let view = scene(main);
+            if !view.is_empty() {
+                part(&format!("{id}scene"), &format!("Where it was measured, {}{of}", main.name), &view);
+            }
+        }
         if let Some(main) = main.filter(|main| !main.model.info().error_functions.is_empty()) {
             let heading = format!("Errors along axes, {}{of}", main.name);
             part(&format!("{id}curves"), &heading, &curves(main));
@@ -69,10 +77,11 @@ pub fn page(runs: &[Run]) -> String {
 }
 
 /// The residuals of all estimates; those of the main one are open.
-fn all_residuals(run: &Run, main: Option<&FitResult>) -> String {
+fn all_residuals(run: &Run, main: Option<&FitResult>, has_view: bool) -> String {
     let is_main = |fit: &FitResult| main.is_some_and(|main| main.name == fit.name);
     let known = run.fits.iter().filter(|fit| !fit.residuals.rows.is_empty());
-    let html: String = known.map(|fit| details(&fit.name, is_main(fit), &residuals(fit))).collect();
+    let html: String =
+        known.map(|fit| details(&fit.name, is_main(fit), &residuals(fit, has_view && is_main(fit)))).collect();
     if html.is_empty() { "<p>No residuals are known.</p>\n".to_owned() } else { html }
 }
 
@@ -99,34 +108,4 @@ fn whole(title: &str, runs: &[Run], parts: &[(String, String)], body: &str) -> S
 /// SHA-256 of a text as base64, as content security policies have it.
 fn hash(text: &str) -> String {
     base64(&Sha256::digest(text.as_bytes()))
-}
-
-/// Bytes as base64 (RFC 4648, section 4).
-fn base64(bytes: &[u8]) -> String {
-    const DIGITS: &[u8; 64] = b"ABCDEFGHIJKLMNOPQRSTUVWXYZabcdefghijklmnopqrstuvwxyz0123456789+/";
-    let mut text = String::with_capacity(bytes.len().div_ceil(3) * 4);
-    for chunk in bytes.chunks(3) {
-        let byte = |index: usize| u32::from(chunk.get(index).copied().unwrap_or(0));
-        let bits = byte(0) << 16 | byte(1) << 8 | byte(2);
-        for digit in 0..4 {
-            let is_padding = digit > chunk.len();
-            let value = (bits >> (18 - 6 * digit)) as usize % 64;
-            text.push(if is_padding { '=' } else { char::from(DIGITS[value]) });
-        }
-    }
-    text
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn base64_of_the_standard() {
-        let cases =
-            [("", ""), ("f", "Zg=="), ("fo", "Zm8="), ("foo", "Zm9v"), ("foob", "Zm9vYg=="), ("foobar", "Zm9vYmFy")];
-        for (text, expected) in cases {
-            assert_eq!(base64(text.as_bytes()), expected);
-        }
-    }
 }

@@ -38,6 +38,8 @@ pub struct Residual {
     pub time: Option<f64>,
     /// Tip in the table frame, mm; none for an equation without a pose.
     pub tip: Option<[f64; 3]>,
+    /// Unit direction in which the residual grows when the tip moves, table frame; none if it depends on no tip.
+    pub direction: Option<[f64; 3]>,
     /// Labels in the order of the columns.
     pub labels: Vec<String>,
     /// Commands of the axes, mm or degrees.
@@ -60,7 +62,7 @@ impl Residual {
 const CHUNK: usize = 256;
 
 /// Columns of the table that are always there.
-const FIXED: [&str; 12] = [
+const FIXED: [&str; 15] = [
     "stage",
     "file",
     "line",
@@ -73,6 +75,9 @@ const FIXED: [&str; 12] = [
     "tip_x_mm",
     "tip_y_mm",
     "tip_z_mm",
+    "direction_x",
+    "direction_y",
+    "direction_z",
 ];
 
 impl Residuals {
@@ -98,7 +103,7 @@ impl Residuals {
             let times = data.numbers("time");
             for rows in set.rows.chunks(CHUNK) {
                 problem.evaluate(index, rows, &[], &mut work)?;
-                let mut pose = 0;
+                let (mut pose, mut slope) = (0, 0);
                 for &row in rows {
                     let its = &layout.rows[row];
                     let first = its.poses > 0;
@@ -112,6 +117,9 @@ impl Residuals {
                             uncertainties[abbe_core::EquationIndex(equation)] * factor,
                         );
                         equation += 1;
+                        let direction =
+                            work.equations.by_position().get(slope).filter(|_| first).copied().and_then(of_length_one);
+                        slope += its.poses;
                         let Some(data_row) = its.data_row else { continue };
                         let origin = data.origins[data_row];
                         found.rows.push(Residual {
@@ -124,6 +132,7 @@ impl Residuals {
                             uncertainty,
                             time: times.map(|times| times[data_row]),
                             tip,
+                            direction,
                             labels: found.labels.iter().map(|name| label(data, name, data_row)).collect(),
                             commands: commands(fit, set.poses(), layout, row),
                         });
@@ -152,6 +161,7 @@ impl Residuals {
             cells.extend(lengths.into_iter().chain(angles));
             cells.push(row.time.filter(|time| time.is_finite()).map_or(String::new(), |time| fixed(time, 3)));
             cells.extend([0, 1, 2].map(|part| row.tip.map_or(String::new(), |tip| fixed(tip[part], 4))));
+            cells.extend([0, 1, 2].map(|part| row.direction.map_or(String::new(), |to| fixed(to[part], 4))));
             cells.extend(row.labels.iter().cloned());
             cells.extend(row.commands.iter().map(|command| fixed(*command, 5)));
             writer.write_record(&cells).map_err(|error| wrong(&error))?;
@@ -193,7 +203,10 @@ impl Residuals {
             let optional = |column: usize| if text(column).is_empty() { Ok(None) } else { number(column).map(Some) };
             let is_angle = text(4).is_empty();
             let at = if is_angle { 6 } else { 4 };
-            let tip = [optional(9)?, optional(10)?, optional(11)?];
+            let three = |from: usize| -> Result<Option<[f64; 3]>> {
+                let parts = [optional(from)?, optional(from + 1)?, optional(from + 2)?];
+                Ok(if let [Some(x), Some(y), Some(z)] = parts { Some([x, y, z]) } else { None })
+            };
             let commands = FIXED.len() + labels.len();
             rows.push(Residual {
                 stage: text(0).to_owned(),
@@ -204,7 +217,8 @@ impl Residuals {
                 value: number(at)?,
                 uncertainty: number(at + 1)?,
                 time: optional(8)?,
-                tip: if let [Some(x), Some(y), Some(z)] = tip { Some([x, y, z]) } else { None },
+                tip: three(9)?,
+                direction: three(12)?,
                 labels: (0..labels.len()).map(|label| text(FIXED.len() + label).to_owned()).collect(),
                 commands: (0..axes.len()).map(|axis| number(commands + axis)).collect::<Result<_>>()?,
             });
@@ -219,6 +233,12 @@ impl Residuals {
         let range = positions.fold([f64::INFINITY, f64::NEG_INFINITY], |[from, to], at| [from.min(at), to.max(at)]);
         (range[0] <= range[1]).then_some(range)
     }
+}
+
+/// A direction of length 1; none of what has no direction.
+fn of_length_one(slope: [f64; 3]) -> Option<[f64; 3]> {
+    let size = slope.iter().map(|part| part * part).sum::<f64>().sqrt();
+    (size > 0.0 && size.is_finite()).then(|| slope.map(|part| part / size))
 }
 
 /// A number with so many decimals; zero has no sign.
@@ -277,6 +297,7 @@ mod tests {
             uncertainty: 1.6,
             time: Some(40.5),
             tip: (!is_angle).then_some([1.0, -2.5, 0.0]),
+            direction: (!is_angle).then_some([0.0, -0.6, 0.8]),
             labels: vec!["a \"quoted\"\nlabel".to_owned()],
             commands: vec![-179.1025, f64::NAN],
         };

@@ -31,6 +31,8 @@ pub struct Causes {
     pub unknown: f64,
     /// One for each group of parameters that was asked for.
     pub causes: Vec<Cause>,
+    /// For every pose the nominal tip in the table frame and the error, mm.
+    pub field: Vec<([f64; 3], [f64; 3])>,
 }
 
 /// The part of a group of parameters.
@@ -127,6 +129,7 @@ pub fn causes(
         at,
         unknown: (variances / errors.len().max(1) as f64).sqrt(),
         causes: found,
+        field: nominal.positions.into_iter().zip(errors).collect(),
     })
 }
 

@@ -1,4 +1,4 @@
-//! The command line of Abbe: `run`, `report`, `check`, `simulate`, `plan`, `plugins`, `plugin`, `schema`.
+//! The command line of Abbe: `run`, `report`, `test`, `check`, `simulate`, `plan`, `plugins`, `plugin`, `schema`.
 //!
 //! Exit status: 0 no verdict failed (inconclusive verdicts are reported); 1 an error that only the data or the run show; 2 wrong
 //! use, or an error that can be found without reading data rows; 3 a verdict failed; 130 interrupted by Ctrl-C, 143 by SIGTERM,
@@ -9,6 +9,7 @@ mod calibrated;
 mod compensate;
 mod correct;
 mod doubts;
+mod expected;
 mod failure;
 mod interrupt;
 mod libraries;
@@ -18,6 +19,7 @@ mod progress;
 mod report;
 mod summary;
 mod table;
+mod test;
 mod uncertainty_summary;
 
 use std::io::{self, Write};
@@ -83,6 +85,8 @@ enum Command {
         #[arg(long, default_value = "report.html")]
         out: PathBuf,
     },
+    /// Run recipes and compare what they find with what is expected of them, a file beside each.
+    Test(Box<test::Test>),
     /// Check a recipe without running it, and report what its fits can determine.
     Check {
         /// The recipe.
@@ -355,6 +359,11 @@ fn dispatch(command: Command, libraries: &Libraries, verbose: bool) -> Result<(S
             Ok((text, status))
         }
         Command::Report { results, out } => written(report::beside(&results, out, &libraries.registry(None)?)?),
+        Command::Test(asked) => {
+            let monitor = Monitor::default();
+            interrupt::cancel_on_signal(monitor.clone())?;
+            asked.run(libraries, &monitor)
+        }
         Command::Check { recipe, json, time_limit } => {
             interrupt::cancel_on_signal(Monitor::default())?;
             interrupt::end_after(time_limit, Duration::ZERO, json)?;

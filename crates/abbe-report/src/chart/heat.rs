@@ -13,7 +13,7 @@ pub fn heat_map(title: &str, names: &[String], correlation: impl Fn(usize, usize
     let cell = (600.0 / count.max(1) as f64).clamp(4.0, 16.0);
     let left = 96.0;
     let size = cell * count as f64;
-    let mut canvas = Canvas::new(left + size + 110.0, size + 22.0, title);
+    let mut canvas = Canvas::new(left + size + 150.0, size + 22.0, title);
     let mut paths = vec![String::new(); 2 * STEPS.len()];
     for row in 0..count {
         for column in 0..row {

@@ -1,6 +1,7 @@
 //! Residuals: one by one, by group, against quantiles, around an axis.
 
 use super::{Canvas, Scale, range};
+use crate::number::short;
 
 /// A point of a scatter plot.
 pub struct Point {
@@ -14,21 +15,28 @@ pub struct Point {
     pub tip: String,
 }
 
-/// Residuals in the order in which they were measured. Those with a text are ringed.
-pub fn scatter(title: &str, [x_name, y_name]: [&str; 2], points: &[Point]) -> String {
+/// Residuals in the order in which they were measured. Those with a text are ringed. `within` bounds the values: what is beyond
+/// stands at the edge, with its value.
+pub fn scatter(title: &str, [x_name, y_name]: [&str; 2], points: &[Point], within: [f64; 2]) -> String {
     let (left, right, top, bottom) = (52.0, 712.0, 20.0, 232.0);
     let mut canvas = Canvas::new(720.0, 266.0, title);
     let x = Scale::new(range(points.iter().map(|point| point.x)), [left, right]);
-    let y = Scale::new(range(points.iter().map(|point| point.y).chain([0.0])), [bottom, top]);
+    let y = Scale::new(range(within.into_iter().chain([0.0])), [bottom, top]);
     canvas.bottom(x, [bottom, top], 8, x_name);
     canvas.left(y, [left, right], 6);
     canvas.text("t", [4.0, 12.0], y_name);
     for series in 0..super::SERIES {
         let of = points.iter().filter(|point| point.series % super::SERIES == series);
-        canvas.dots(&format!("s{series} p"), of.map(|point| [x.at(point.x), y.at(point.y)]));
+        let at = |point: &Point| [x.at(point.x), y.at(point.y).clamp(top, bottom)];
+        canvas.dots(&format!("s{series} p"), of.map(at));
     }
     for point in points.iter().filter(|point| !point.tip.is_empty()) {
-        canvas.ring("o", [x.at(point.x), y.at(point.y)], 5.0, &point.tip);
+        let at = [x.at(point.x), y.at(point.y).clamp(top, bottom)];
+        canvas.ring("o", at, 5.0, &point.tip);
+        if point.y < within[0] || point.y > within[1] {
+            let inside = if point.y < within[0] { -9.0 } else { 15.0 };
+            canvas.text("m t", [at[0], at[1] + inside], &short(point.y));
+        }
     }
     canvas.svg()
 }
@@ -137,7 +145,7 @@ mod tests {
     fn points_groups_and_circles() {
         let point = |x: f64, y: f64, tip: &str| Point { x, y, series: 0, tip: tip.to_owned() };
         let points = [point(1.0, 0.5, ""), point(2.0, -0.5, ""), point(3.0, 8.0, "a.csv:3")];
-        insta::assert_snapshot!("scatter", scatter("Residuals", ["row", "µm"], &points));
+        insta::assert_snapshot!("scatter", scatter("Residuals", ["row", "µm"], &points, [-1.0, 1.0]));
         insta::assert_snapshot!("groups", groups("By feature", "µm", &[("7".to_owned(), -0.5, 1.25, 3)]));
         insta::assert_snapshot!("quantiles", quantiles("QQ", &[-1.2, -0.1, 0.2, 1.4]));
         let told = Polar { axis: "C".to_owned(), points: vec![(0.0, 1.0), (90.0, -2.0)] };

@@ -10,6 +10,9 @@ use crate::run::Run;
 /// Causes that are shown at once.
 const FIRST: usize = 3;
 
+/// Part of the whole from which an error is large by itself.
+const HIDDEN: f64 = 0.5;
+
 /// The section: worst figure and causes.
 pub fn causes(run: &Run) -> String {
     let mut html = "<h3>The worst figure</h3>\n".to_owned();
@@ -49,10 +52,11 @@ fn told(fit: &str, found: &Analysis, residual_rms_um: f64) -> String {
         escape(&found.travel)
     );
     html.push_str("<h3>The largest causes</h3>\n");
-    let proven = found.causes.iter().filter(|cause| cause.part.loss.value > 0.0 && cause.part.alone > 0.0);
-    let (first, more): (Vec<_>, Vec<_>) = proven.enumerate().partition(|(index, _)| *index < FIRST);
+    let some = found.causes.iter().filter(|cause| cause.part.alone > 0.0);
+    let (first, more): (Vec<_>, Vec<_>) =
+        some.enumerate().partition(|(index, cause)| *index < FIRST && cause.part.loss.value > 0.0);
     let cells = |(_, cause): &(usize, &NamedCause)| row(cause, found);
-    let head = ["error", "what it is", "RMS without it", "loss of RMS", "", "what to do"];
+    let head = ["error", "what it is", "RMS by it alone", "RMS without it", "loss of RMS", "", "what to do"];
     if first.is_empty() {
         return html + &paragraph("No error alone makes the volumetric error larger.");
     }
@@ -61,12 +65,26 @@ fn told(fit: &str, found: &Analysis, residual_rms_um: f64) -> String {
     html.push_str(&paragraph(
         "These losses need not add up: errors can hide or strengthen each other. They are those of the estimated values.",
     ));
+    let hidden = more.iter().map(|(_, cause)| *cause).filter(|cause| cause.part.alone > HIDDEN * found.rms.value);
+    let hidden: Vec<String> = hidden
+        .map(|cause| format!("{} ({}, {} µm)", cause.name, cause.meaning, short(cause.part.alone * 1e3)))
+        .collect();
+    if !hidden.is_empty() {
+        html.push_str(&paragraph(&format!(
+            "Large by themselves, but partly hidden by other errors here: {}. Correct these together, not one alone.",
+            hidden.join("; ")
+        )));
+    }
     if first.iter().chain(&more).any(|(_, cause)| cause.is_confounded) {
         html.push_str(&paragraph("? The data cannot tell this error from others; its share may belong to them."));
     }
     if !more.is_empty() {
         let body = table(caption, &head, &more.iter().map(cells).collect::<Vec<_>>());
-        html.push_str(&details(&format!("{} smaller causes", more.len()), false, &body));
+        html.push_str(&details(
+            &format!("{} smaller causes, and errors that hide others (negative loss)", more.len()),
+            false,
+            &body,
+        ));
     }
     html.push_str("<h3>What a correction would gain</h3>\n");
     let three = found.without_three.map_or(String::new(), |left| {
@@ -95,6 +113,7 @@ fn row(cause: &NamedCause, found: &Analysis) -> Vec<Cell> {
     vec![
         Cell::text(format!("{}{mark}", cause.name)),
         Cell::text(&cause.meaning),
+        Cell::figure(format!("{} µm", short(cause.part.alone * 1e3))),
         Cell::figure(format!("{} µm", short(cause.part.without * 1e3))),
         Cell::figure(loss),
         Cell::Html(bar),

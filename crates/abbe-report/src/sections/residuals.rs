@@ -1,9 +1,10 @@
 //! The residuals of an estimate: over time, by group, against quantiles, the largest with their places.
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 
+use super::scene_rows;
 use crate::chart::{Point, Polar, SERIES, groups, polar, quantiles, scatter};
-use crate::html::{Cell, figure, paragraph, table};
+use crate::html::{Cell, escape, figure, paragraph, table};
 use crate::number::short;
 use crate::residuals::Residual;
 use crate::run::FitResult;
@@ -14,25 +15,31 @@ const POINTS: usize = 4000;
 /// Groups of a chart.
 const GROUPS: usize = 60;
 
+/// Groups beyond which a column tells rows apart and makes no groups.
+const MOST_GROUPS: usize = 120;
+
+/// Different degrees from which on an axis turns.
+const TURNING: usize = 45;
+
 /// Largest residuals with their places.
 const LARGEST: usize = 15;
 
 /// Standard uncertainties from which a residual is ringed.
 const RINGED: f64 = 4.0;
 
-/// The charts and tables of one estimate; nothing if its residuals are not known.
-pub fn residuals(fit: &FitResult) -> String {
+/// The charts and tables of one estimate. If the viewer shows it, its rows are links to their points.
+pub fn residuals(fit: &FitResult, is_in_view: bool) -> String {
     let mut html = String::new();
     for (is_angle, unit) in [(false, "µm"), (true, "µrad")] {
         let rows: Vec<&Residual> = fit.residuals.rows.iter().filter(|row| row.is_angle == is_angle).collect();
         if !rows.is_empty() {
-            html.push_str(&of_quantity(fit, &rows, unit));
+            html.push_str(&of_quantity(fit, &rows, unit, is_in_view));
         }
     }
     if html.is_empty() { paragraph("Its residuals are not known.") } else { html }
 }
 
-fn of_quantity(fit: &FitResult, rows: &[&Residual], unit: &str) -> String {
+fn of_quantity(fit: &FitResult, rows: &[&Residual], unit: &str, is_in_view: bool) -> String {
     let stages = distinct(rows.iter().map(|row| row.stage.as_str()));
     let is_outlier = |row: &Residual| {
         let outliers = &fit.calibration.outliers;
@@ -63,7 +70,7 @@ fn of_quantity(fit: &FitResult, rows: &[&Residual], unit: &str) -> String {
     let points: Vec<Point> = (0..rows.len()).filter(shown).map(point).collect();
     let mut caption = format!("{} residuals of {}", rows.len(), stages.join(", "));
     if points.len() < rows.len() {
-        caption.push_str(&format!("; {} are drawn: the largest, and every {every}th of the others", points.len()));
+        caption.push_str(&format!("; {} are drawn: the largest, and one in {every} of the others", points.len()));
     }
     caption.push_str(". Ringed: outliers and residuals above four standard uncertainties.");
     if stages.len() > SERIES {
@@ -71,14 +78,19 @@ fn of_quantity(fit: &FitResult, rows: &[&Residual], unit: &str) -> String {
     }
     let x_name = if has_time { "time s" } else { "row, in the order of the data" };
     let title = format!("Residuals of {} in the order of measurement", fit.name);
-    let mut html = figure(&scatter(&title, [x_name, unit], &points), &caption);
-    let mut ordered: Vec<f64> = rows.iter().map(|row| row.normalised()).filter(|value| value.is_finite()).collect();
+    let good: Vec<&Residual> = rows.iter().copied().filter(|row| !is_outlier(row)).collect();
+    let within = good.iter().fold([0.0_f64; 2], |[least, most], row| [least.min(row.value), most.max(row.value)]);
+    if good.len() < rows.len() {
+        caption.push_str(" Outliers stand at the edge with their values; the charts below are without them.");
+    }
+    let mut html = figure(&scatter(&title, [x_name, unit], &points, within), &caption);
+    let mut ordered: Vec<f64> = good.iter().map(|row| row.normalised()).filter(|value| value.is_finite()).collect();
     ordered.sort_by(f64::total_cmp);
     html.push_str("<div class=\"pair\">\n");
     let caption = "Residuals over their standard uncertainties, against those of a normal distribution. On the line they scatter as stated; \
                    steeper means more.";
     html.push_str(&figure(&quantiles(&format!("Quantiles of {}", fit.name), &ordered), caption));
-    for told in around(fit, rows) {
+    for told in around(fit, &good) {
         let title = format!("Residuals of {} around {}", fit.name, told.axis);
         html.push_str(&figure(
             &polar(&title, unit, &told),
@@ -86,8 +98,9 @@ fn of_quantity(fit: &FitResult, rows: &[&Residual], unit: &str) -> String {
         ));
     }
     html.push_str("</div>\n");
-    html.push_str(&by_group(fit, rows, unit));
-    html + &largest(rows, unit, &is_outlier)
+    html.push_str(&by_group(fit, &good, unit));
+    let seen = if is_in_view { scene_rows(fit) } else { Vec::new() };
+    html + &largest(&seen, rows, unit, &is_outlier)
 }
 
 fn distinct<'a>(all: impl Iterator<Item = &'a str>) -> Vec<&'a str> {
@@ -113,7 +126,7 @@ fn by_group(fit: &FitResult, rows: &[&Residual], unit: &str) -> String {
                 found.entry((length, label)).or_default().push(row.value);
             }
         }
-        if found.len() < 2 || found.len() * 2 > rows.len() {
+        if found.len() < 2 || found.len() * 2 > rows.len() || found.len() > MOST_GROUPS {
             return;
         }
         let mut told: Vec<(String, f64, f64, usize)> = found
@@ -138,6 +151,13 @@ fn by_group(fit: &FitResult, rows: &[&Residual], unit: &str) -> String {
         html.push_str(&figure(&groups(&title, unit, &told), &caption));
     };
     chart("stage", &|row| row.stage.clone());
+    let count = |of: &dyn Fn(&Residual) -> &str| distinct(rows.iter().map(|row| of(row))).len();
+    let is_same = count(&|row| row.file.as_str()) == count(&|row| row.stage.as_str());
+    let mut chart = |name: &str, of: &dyn Fn(&Residual) -> String| {
+        if name != "file" || !is_same {
+            chart(name, of);
+        }
+    };
     chart("file", &|row| row.file.rsplit(['/', '\\']).next().unwrap_or_default().to_owned());
     for (index, name) in fit.residuals.labels.iter().enumerate() {
         chart(name, &|row| row.labels[index].clone());
@@ -145,19 +165,20 @@ fn by_group(fit: &FitResult, rows: &[&Residual], unit: &str) -> String {
     html
 }
 
-/// Residuals around the rotary axes that turn most in some stage: a quarter of a turn at least, with many rows.
+/// Residuals around the rotary axes, of the files in which they turn by many steps.
 fn around(fit: &FitResult, rows: &[&Residual]) -> Vec<Polar> {
     let mut found = Vec::new();
     for (index, (axis, _)) in fit.residuals.axes.iter().enumerate().filter(|(_, (_, unit))| unit == "deg") {
-        let at: Vec<(f64, f64)> = rows
-            .iter()
-            .map(|row| (row.commands[index], row.value))
-            .filter(|(degrees, _)| degrees.is_finite())
-            .collect();
-        let mut different: Vec<i64> = at.iter().map(|(degrees, _)| degrees.round() as i64).collect();
-        different.sort_unstable();
-        different.dedup();
-        if different.len() < 45 {
+        let mut of_file: BTreeMap<(&str, &str), Vec<(f64, f64)>> = BTreeMap::new();
+        for row in rows.iter().filter(|row| row.commands[index].is_finite()) {
+            of_file.entry((&row.stage, &row.file)).or_default().push((row.commands[index], row.value));
+        }
+        let turns = |at: &Vec<(f64, f64)>| {
+            let steps: BTreeSet<i64> = at.iter().map(|(degrees, _)| degrees.round() as i64).collect();
+            steps.len() >= TURNING
+        };
+        let at: Vec<(f64, f64)> = of_file.into_values().filter(turns).flatten().collect();
+        if at.is_empty() {
             continue;
         }
         let every = (at.len() / POINTS).max(1);
@@ -168,12 +189,17 @@ fn around(fit: &FitResult, rows: &[&Residual]) -> Vec<Polar> {
 }
 
 /// The largest residuals, in standard uncertainties, with file and line.
-fn largest(rows: &[&Residual], unit: &str, is_outlier: &dyn Fn(&Residual) -> bool) -> String {
+fn largest(seen: &[&Residual], rows: &[&Residual], unit: &str, is_outlier: &dyn Fn(&Residual) -> bool) -> String {
+    // A row that the viewer shows is a link to it.
+    let place = |row: &Residual| match seen.iter().position(|seen| std::ptr::eq(*seen, row)) {
+        Some(index) => Cell::Html(format!("<a href=\"#point-{index}\">{}</a>", escape(&row.place()))),
+        None => Cell::text(row.place()),
+    };
     let mut order: Vec<&&Residual> = rows.iter().collect();
     order.sort_by(|one, other| other.normalised().abs().total_cmp(&one.normalised().abs()));
     let cells = order.iter().take(LARGEST).map(|row| {
         vec![
-            Cell::text(row.place()),
+            place(row),
             Cell::text(&row.stage),
             Cell::text(row.labels.iter().filter(|label| !label.is_empty()).cloned().collect::<Vec<_>>().join(", ")),
             Cell::figure(format!("{} {unit}", short(row.value))),

@@ -1,6 +1,7 @@
 //! What the data cannot tell, and which measurement would.
 
-use crate::html::{escape, list, paragraph};
+use crate::analysis::main_fit;
+use crate::html::{details, escape, list, paragraph};
 use crate::run::{FitResult, Run};
 
 /// Most directions that are listed for one estimate.
@@ -9,8 +10,13 @@ const MOST: usize = 12;
 /// The section.
 pub fn untold(run: &Run) -> String {
     let mut html = String::new();
-    for fit in &run.fits {
-        html.push_str(&of_fit(fit));
+    let main = main_fit(run).map(|fit| fit.name.as_str());
+    let (first, others): (Vec<&FitResult>, Vec<&FitResult>) =
+        run.fits.iter().partition(|fit| Some(fit.name.as_str()) == main);
+    html.extend(first.into_iter().map(of_fit));
+    let others: String = others.into_iter().map(of_fit).collect();
+    if !others.is_empty() {
+        html.push_str(&details("The other estimates", html.is_empty(), &others));
     }
     let remarks = run.record.iter().flat_map(|record| &record.remarks);
     let remarks: Vec<String> = remarks.map(|remark| format!("{}: {}", remark.estimate, remark.text)).collect();
@@ -45,7 +51,10 @@ fn of_fit(fit: &FitResult) -> String {
         items.push_str(&format!("<li>{}</li>\n", escape(&same.describe())));
     }
     if let Some(budget) = &fit.calibration.uncertainty {
-        let mut pairs: Vec<_> = budget.correlations.iter().collect();
+        // Places on an artefact go together because the artefact moves as a whole: they say nothing of the machine.
+        let of_machine = |name: &str| fit.calibration.parameters.iter().any(|parameter| parameter.name == name);
+        let mut pairs: Vec<_> =
+            budget.correlations.iter().filter(|pair| of_machine(&pair.one) && of_machine(&pair.other)).collect();
         pairs.sort_by(|one, other| other.correlation.abs().total_cmp(&one.correlation.abs()));
         let named =
             pairs.iter().take(5).map(|pair| format!("{} and {} ({:+.3})", pair.one, pair.other, pair.correlation));

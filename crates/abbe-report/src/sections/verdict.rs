@@ -87,6 +87,9 @@ pub fn verdict(run: &Run) -> String {
     let rows: Vec<Vec<Cell>> = all.iter().take(MOST).map(|(verdict, figure)| row(verdict, figure)).collect();
     let head = ["figure", "of", "value", "limit", "used", "part of the limit", "decision"];
     html.push_str(&table("Figures with limits, the worst first; ± is the expanded uncertainty, k = 2", &head, &rows));
+    html.push_str(&paragraph(
+        "A verdict is as wide as its limits: an error of the machine counts in it only where one of these figures shows it.",
+    ));
     if all.len() > MOST {
         html.push_str(&paragraph(&format!("{} more stand in verdicts.json.", all.len() - MOST)));
     }

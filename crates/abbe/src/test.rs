@@ -1,0 +1,260 @@
+//! `abbe test`: runs recipes and compares what they find with what is expected of them.
+
+use std::path::{Path, PathBuf};
+use std::time::Instant;
+
+use abbe_core::{Class, Error, Monitor, Result};
+use abbe_engine::prepare;
+use abbe_files::{LARGEST_TEXT, read_text};
+use clap::Args;
+
+use crate::expected::Expected;
+use crate::libraries::Libraries;
+use crate::report;
+
+/// What is asked of the command.
+#[derive(Debug, Clone, Args)]
+pub struct Test {
+    /// Recipes, or folders with recipes.
+    #[arg(default_value = ".")]
+    recipes: Vec<PathBuf>,
+    /// Take what was found as what is expected from now on.
+    #[arg(long)]
+    accept: bool,
+    /// Part of its standard uncertainty by which a value may differ, and of itself by which an uncertainty may.
+    #[arg(long, default_value = "0.1", value_parser = part)]
+    part: f64,
+    /// Write the results as JUnit XML.
+    #[arg(long, value_name = "FILE")]
+    junit: Option<PathBuf>,
+    /// Write a summary as Markdown.
+    #[arg(long, value_name = "FILE")]
+    markdown: Option<PathBuf>,
+    /// Folder for the results and reports of the runs; without it they are not kept.
+    #[arg(long)]
+    out: Option<PathBuf>,
+}
+
+fn part(text: &str) -> std::result::Result<f64, String> {
+    let part = text.parse::<f64>().ok().filter(|part| *part > 0.0 && *part <= 10.0);
+    part.ok_or_else(|| "a part above 0 was expected, 10 at most".to_owned())
+}
+
+/// How the test of one recipe ended.
+enum Ending {
+    Same,
+    Accepted(usize),
+    Changed(Vec<String>),
+    /// Nothing is expected of it yet.
+    New,
+    Error(String),
+}
+
+/// One recipe.
+struct Tested {
+    recipe: String,
+    ending: Ending,
+    seconds: f64,
+}
+
+impl Tested {
+    fn is_good(&self) -> bool {
+        matches!(self.ending, Ending::Same | Ending::Accepted(_))
+    }
+
+    fn word(&self) -> String {
+        match &self.ending {
+            Ending::Same => "as expected".to_owned(),
+            Ending::Accepted(0) => "accepted: nothing had changed".to_owned(),
+            Ending::Accepted(count) => format!("accepted: {} changes", count),
+            Ending::Changed(found) => format!("CHANGED: {} differences", found.len()),
+            Ending::New => "NEW: nothing is expected of it yet; `--accept` takes what it found".to_owned(),
+            Ending::Error(_) => "ERROR".to_owned(),
+        }
+    }
+
+    fn lines(&self) -> Vec<&str> {
+        match &self.ending {
+            Ending::Changed(found) => found.iter().map(String::as_str).collect(),
+            Ending::Error(error) => error.lines().collect(),
+            _ => Vec::new(),
+        }
+    }
+}
+
+impl Test {
+    /// Runs the recipes one after another; gives what to print and the exit status.
+    ///
+    /// Fails if there are no recipes, if a file cannot be written, and after an interruption.
+    pub fn run(&self, libraries: &Libraries, monitor: &Monitor) -> Result<(String, u8)> {
+        let mut all = Vec::new();
+        for recipe in self.listed()? {
+            let clock = Instant::now();
+            let ending = match self.one(&recipe, libraries, monitor) {
+                Ok(ending) => ending,
+                Err(error) if error.class == Class::Interrupted => return Err(error),
+                Err(error) => Ending::Error(crate::failure::text(&error)),
+            };
+            let seconds = clock.elapsed().as_secs_f64();
+            all.push(Tested { recipe: recipe.display().to_string(), ending, seconds });
+        }
+        for (file, content) in [(&self.junit, junit(&all)), (&self.markdown, markdown(&all))] {
+            let Some(file) = file else { continue };
+            write(file, &content)?;
+        }
+        let status = u8::from(!all.iter().all(Tested::is_good));
+        Ok((text(&all), status))
+    }
+
+    /// The recipes: those that are named, and those in folders that are named, by name.
+    fn listed(&self) -> Result<Vec<PathBuf>> {
+        let mut all = Vec::new();
+        for path in &self.recipes {
+            if !path.is_dir() {
+                all.push(path.clone());
+                continue;
+            }
+            let unreadable =
+                |error: std::io::Error| Error::usage(format!("{} cannot be read: {error}", path.display()));
+            let entries = std::fs::read_dir(path).map_err(unreadable)?.flatten().map(|entry| entry.path());
+            let is_yaml = |file: &PathBuf| file.extension().is_some_and(|ending| ending == "yaml" || ending == "yml");
+            let mut recipes: Vec<PathBuf> = entries.filter(is_yaml).filter(|file| is_recipe(file)).collect();
+            if recipes.is_empty() {
+                return Err(Error::usage(format!("there are no recipes in {}", path.display()))
+                    .help("name recipes, or a folder with some"));
+            }
+            recipes.sort();
+            all.append(&mut recipes);
+        }
+        let here = Path::new(".");
+        Ok(all.into_iter().map(|file| file.strip_prefix(here).map(Path::to_owned).unwrap_or(file)).collect())
+    }
+
+    fn one(&self, recipe: &Path, libraries: &Libraries, monitor: &Monitor) -> Result<Ending> {
+        let prepared = prepare(recipe, &libraries.registry(Some(recipe))?)?;
+        let mut outcome = prepared.run(monitor)?;
+        let found = Expected::of(&outcome);
+        if let Some(out) = &self.out {
+            report::attach(&mut outcome);
+            outcome.write(out)?;
+        }
+        let file = recipe.with_extension("expected");
+        let before = match file.symlink_metadata().is_ok() {
+            true => {
+                let unreadable = |error: std::io::Error| Error::data(format!("the file cannot be read: {error}"));
+                let text = read_text(&file, LARGEST_TEXT).map_err(|error| unreadable(error).in_file(&file))?;
+                Some(Expected::read(&text).map_err(|error| error.in_file(&file))?)
+            }
+            false => None,
+        };
+        let differences = before.as_ref().map(|before| before.differences(&found, self.part));
+        if self.accept {
+            let count = differences.as_ref().map_or(1, Vec::len);
+            // A file that still holds is not touched, so that digits alone make no difference.
+            if count > 0 {
+                let name = recipe.file_name().unwrap_or_default().to_string_lossy();
+                write(&file, &found.text(&name))?;
+            }
+            return Ok(Ending::Accepted(count));
+        }
+        Ok(match differences {
+            None => Ending::New,
+            Some(differences) if differences.is_empty() => Ending::Same,
+            Some(differences) => Ending::Changed(differences),
+        })
+    }
+}
+
+/// Whether a YAML file says that it is a recipe.
+fn is_recipe(file: &Path) -> bool {
+    read_text(file, LARGEST_TEXT).is_ok_and(|text| text.lines().any(|line| line.starts_with("abbe:")))
+}
+
+fn write(file: &Path, content: &str) -> Result<()> {
+    std::fs::write(file, content).map_err(|error| Error::data(format!("{} cannot be written: {error}", file.display())))
+}
+
+fn text(all: &[Tested]) -> String {
+    let mut text = String::new();
+    for tested in all {
+        text.push_str(&format!("{}: {} ({:.1} s)\n", tested.recipe, tested.word(), tested.seconds));
+        tested.lines().iter().for_each(|line| text.push_str(&format!("  {line}\n")));
+    }
+    let bad = all.iter().filter(|tested| !tested.is_good()).count();
+    let recipes = crate::calibrated::counted(all.len(), "recipe");
+    match bad {
+        0 => text + &format!("{recipes}, all as expected\n"),
+        bad => text + &format!("{recipes}, {bad} not as expected\n"),
+    }
+}
+
+fn markdown(all: &[Tested]) -> String {
+    // A cell ends at a bar, and a line at its end; markup of files shows as it is.
+    let plain = |text: &str| {
+        let escaped = text.replace('\n', " ").replace('&', "&amp;").replace('<', "&lt;").replace('|', "\\|");
+        escaped.replace('`', "'").replace('*', "\\*").replace('[', "\\[")
+    };
+    let mut text = "| recipe | result | s |\n|---|---|---|\n".to_owned();
+    for tested in all {
+        let mark = if tested.is_good() { "✅" } else { "❌" };
+        text.push_str(&format!("| {} | {mark} {} | {:.1} |\n", plain(&tested.recipe), tested.word(), tested.seconds));
+    }
+    for tested in all.iter().filter(|tested| !tested.lines().is_empty()) {
+        text.push_str(&format!("\n**{}**\n\n", plain(&tested.recipe)));
+        tested.lines().iter().for_each(|line| text.push_str(&format!("- {}\n", plain(line))));
+    }
+    text
+}
+
+fn junit(all: &[Tested]) -> String {
+    let plain = |text: &str| {
+        let escaped = text.replace('&', "&amp;").replace('<', "&lt;").replace('>', "&gt;").replace('"', "&quot;");
+        // XML 1.0 has no other control characters.
+        escaped.replace(|letter: char| letter.is_control() && letter != '\n' && letter != '\t', " ")
+    };
+    let count = |is: fn(&Ending) -> bool| all.iter().filter(|tested| is(&tested.ending)).count();
+    let failures = count(|ending| matches!(ending, Ending::Changed(_) | Ending::New));
+    let errors = count(|ending| matches!(ending, Ending::Error(_)));
+    let seconds: f64 = all.iter().map(|tested| tested.seconds).sum();
+    let mut text = format!(
+        "<?xml version=\"1.0\" encoding=\"UTF-8\"?>\n<testsuites>\n<testsuite name=\"abbe test\" tests=\"{}\" failures=\"{failures}\" \
+         errors=\"{errors}\" time=\"{seconds:.3}\">\n",
+        all.len()
+    );
+    for tested in all {
+        let name = plain(&tested.recipe);
+        text.push_str(&format!("<testcase classname=\"abbe\" name=\"{name}\" time=\"{:.3}\"", tested.seconds));
+        let tag = if matches!(tested.ending, Ending::Error(_)) { "error" } else { "failure" };
+        match tested.is_good() {
+            true => text.push_str("/>\n"),
+            false => text.push_str(&format!(
+                ">\n<{tag} message=\"{}\">{}</{tag}>\n</testcase>\n",
+                plain(&tested.word()),
+                plain(&tested.lines().join("\n"))
+            )),
+        }
+    }
+    text + "</testsuite>\n</testsuites>\n"
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn all() -> Vec<Tested> {
+        let tested = |recipe: &str, ending| Tested { recipe: recipe.to_owned(), ending, seconds: 1.25 };
+        vec![
+            tested("a.yaml", Ending::Same),
+            tested("b <|>.yaml", Ending::Changed(vec!["fit EXX[1]: 3 ± 1 µm & \u{1b}[31m \"so\"".to_owned()])),
+            tested("c.yaml", Ending::New),
+            tested("d.yaml", Ending::Error("the file does not exist\nhelp: name another\n".to_owned())),
+        ]
+    }
+
+    #[test]
+    fn results_for_people_and_machines() {
+        insta::assert_snapshot!("test_text", text(&all()));
+        insta::assert_snapshot!("test_junit", junit(&all()));
+        insta::assert_snapshot!("test_markdown", markdown(&all()));
+    }
+}

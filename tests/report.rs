@@ -1,0 +1,137 @@
+//! The page about a run, and the summary on the terminal, as users get them.
+
+use std::path::Path;
+
+use crate::support::{Small, as_typed, read, recipes, root, temporary};
+
+/// Recipes that show most of what a page can have, and are quick.
+const SHOWN: [&str; 4] = ["tango-hu40t", "ballbar-c600u", "tango-warming", "cylinder-kx8"];
+
+fn run(recipe: &Path, out: &Path) -> String {
+    let arguments = ["run".as_ref(), recipe.as_os_str(), "--out".as_ref(), out.as_os_str()];
+    let printed = as_typed(&root(), &arguments);
+    assert_eq!(printed.status, 0, "{}{}", printed.stdout, printed.stderr);
+    printed.stdout
+}
+
+#[test]
+fn pages_are_small_and_come_back_from_their_folders() {
+    let out = temporary();
+    for name in SHOWN {
+        let file = recipes()[name].clone();
+        let file = file.strip_prefix(root()).expect("a recipe of the workspace");
+        let summary = run(file, out.path());
+        assert!(summary.lines().count() <= 30, "{name}: {summary}");
+        assert!(summary.lines().all(|line| line.chars().count() <= 120 || line.contains('/')), "{name}: {summary}");
+        let first = summary.lines().next().expect("a line");
+        assert!(["PASS: ", "FAIL: ", "NO LIMIT SET: "].iter().any(|word| first.starts_with(word)), "{first}");
+        let folder = out.path().join(name);
+        let page = read(&folder.join("report.html"));
+        assert!(page.len() < 3_000_000, "{name}: {} bytes", page.len());
+        let again = out.path().join(format!("{name}.html"));
+        let arguments = ["report".as_ref(), folder.as_os_str(), "--out".as_ref(), again.as_os_str()];
+        let printed = as_typed(&root(), &arguments);
+        assert_eq!((printed.status, printed.stderr.as_str()), (0, ""), "{name}");
+        assert!(read(&again) == page, "{name}: the page from the folder differs");
+        // Nothing from elsewhere: no address but those of namespaces, no attribute that loads.
+        for asks in ["http://", "https://", " src=", "@import", "url(", "<link", "<iframe", "fetch("] {
+            assert!(!page.contains(asks), "{name}: {asks}");
+        }
+        for part in ["verdict", "causes", "untold", "parameters", "residuals", "figures", "provenance"] {
+            assert!(page.contains(&format!("<section id=\"{part}\">")), "{name}: {part}");
+        }
+    }
+}
+
+#[test]
+fn the_page_does_not_say_when_the_run_was() {
+    let small = Small::new();
+    let pages = ["one", "two"].map(|out| {
+        assert_eq!(small.abbe(&["run", "recipe.yaml", "--out", out]).status, 0);
+        small.read(&format!("{out}/recipe/report.html"))
+    });
+    assert!(pages[0] == pages[1]);
+}
+
+/// What stands in files shows as text, in the page and in the summary.
+#[test]
+fn nothing_from_files_becomes_markup() {
+    let small = Small::new();
+    let recipe = small.read("recipe.yaml").replace("name: Eight facets", "name: '<script>alert(1)</script>\"&'");
+    // A feature is a label of the data.
+    let hostile = "<img src=x onerror=alert(2)>";
+    let data = small.read("data/touches.csv").replace("\n", "\n").lines().enumerate().fold(
+        String::new(),
+        |text, (at, line)| {
+            text + &if at == 0 {
+                format!("{line},remark\n")
+            } else {
+                format!("{line},{}\n", if at % 2 == 0 { hostile } else { "b" })
+            }
+        },
+    );
+    small.write("data/touches.csv", &data);
+    small.write("recipe.yaml", &recipe);
+    let printed = small.abbe(&["run", "recipe.yaml", "--out", "out"]);
+    assert_eq!(printed.status, 0, "{}{}", printed.stdout, printed.stderr);
+    let page = small.read("out/recipe/report.html");
+    assert!(page.contains("&lt;script&gt;alert(1)&lt;/script&gt;"));
+    assert!(page.contains("&lt;img src=x onerror"));
+    assert!(!page.contains("<script>alert") && !page.contains("<img"));
+}
+
+#[test]
+fn several_runs_and_a_calibration_stand_beside_each_other() {
+    let small = Small::new();
+    assert_eq!(small.abbe(&["run", "recipe.yaml", "--out", "before"]).status, 0);
+    let better = small.read("recipe.yaml").replace("max_um: 1000", "max_um: 0.001");
+    small.write("recipe.yaml", &better);
+    assert_eq!(small.abbe(&["run", "recipe.yaml", "--out", "after"]).status, 3);
+    let printed = small.abbe(&["report", "before/recipe", "after/recipe", "before/recipe/fine.calibration.json"]);
+    assert_eq!((printed.status, printed.stdout.as_str()), (0, "Written: report.html\n"), "{}", printed.stderr);
+    let page = small.read("report.html");
+    for part in ["Beside each other", "before/recipe: fine", "after/recipe: fine", "Fail", "Pass", "No limit set"] {
+        assert!(page.contains(part), "{part}");
+    }
+    // The text of the first recipe is gone.
+    assert!(page.contains("The recipe is not there any more as it was"));
+    let printed = small.abbe(&["report", "before/recipe"]);
+    assert_eq!(printed.status, 1);
+    assert!(printed.stderr.contains("report.html is there already; it is not replaced"), "{}", printed.stderr);
+}
+
+#[test]
+fn what_is_no_result_is_refused() {
+    let small = Small::new();
+    let told = |arguments: &[&str], part: &str| {
+        let printed = small.abbe(arguments);
+        assert_ne!(printed.status, 0, "{arguments:?}");
+        assert!(printed.stderr.contains(part), "{arguments:?}: {}", printed.stderr);
+    };
+    told(&["report", "data"], "data is no folder with the results of a run");
+    told(&["report", "nowhere.json"], "the file cannot be read");
+    told(&["report", "recipe.yaml"], "calibration");
+    assert_eq!(small.abbe(&["run", "recipe.yaml"]).status, 0);
+    small.write("out/recipe/fine.residuals.csv", "a,b\n");
+    told(&["report", "out/recipe"], "this is no table of residuals");
+}
+
+/// The summary shortens; the whole text is there on demand.
+#[test]
+fn verbose_prints_all() {
+    let small = Small::new();
+    let brief = as_typed(small.folder.path(), &["run", "recipe.yaml"]).stdout;
+    let whole = small.abbe(&["run", "recipe.yaml"]).stdout;
+    assert!(brief.starts_with("PASS: Eight facets\n") && brief.contains("Report: out/recipe/report.html\n"), "{brief}");
+    assert!(whole.starts_with("Eight facets\n") && whole.contains("Estimated parameters"), "{whole}");
+    insta::assert_snapshot!("brief_summary", rounded(&brief));
+}
+
+/// Numbers with three digits: others are those of the computer.
+fn rounded(text: &str) -> String {
+    let word = |word: &str| match word.trim_end_matches(',').parse::<f64>() {
+        Ok(number) if word.contains('.') => format!("{number:.2e}"),
+        _ => word.to_owned(),
+    };
+    text.lines().map(|line| line.split(' ').map(word).collect::<Vec<_>>().join(" ") + "\n").collect()
+}
