@@ -2,7 +2,9 @@
 
 use std::path::Path;
 
-use crate::support::{Small, as_typed, read, recipes, root, temporary};
+use serde_json::{Value, json};
+
+use crate::support::{Small, as_typed, read, recipes, root, temporary, write};
 
 /// Recipes that show most of what a page can have, and are quick.
 const SHOWN: [&str; 4] = ["tango-hu40t", "ballbar-c600u", "tango-warming", "cylinder-kx8"];
@@ -110,7 +112,7 @@ fn what_is_no_result_is_refused() {
     };
     told(&["report", "data"], "data is no folder with the results of a run");
     told(&["report", "nowhere.json"], "the file cannot be read");
-    told(&["report", "recipe.yaml"], "calibration");
+    told(&["report", "recipe.yaml"], "this is not a JSON file");
     assert_eq!(small.abbe(&["run", "recipe.yaml"]).status, 0);
     small.write("out/recipe/fine.residuals.csv", "a,b\n");
     told(&["report", "out/recipe"], "this is no table of residuals");
@@ -134,4 +136,80 @@ fn rounded(text: &str) -> String {
         _ => word.to_owned(),
     };
     text.lines().map(|line| line.split(' ').map(word).collect::<Vec<_>>().join(" ") + "\n").collect()
+}
+
+/// The machine of the first steps with these errors, as a virtual machine measures it; gives page and summary.
+fn simulated(parameters: &Value, seed: u64, change: impl Fn(String) -> String) -> (String, String) {
+    let folder = temporary();
+    let truth = json!({ "parameters": parameters, "noise": { "probing_sigma_mm": 0.0006, "surface_sigma_mm": { "table": 0.0015 } } });
+    write(&folder.path().join("truth.json"), &truth.to_string());
+    let recipe = recipes()["first-steps"].clone();
+    let (out, seed) = (folder.path().join("out"), seed.to_string());
+    let truth = folder.path().join("truth.json");
+    let arguments: [&std::ffi::OsStr; 8] = [
+        "simulate".as_ref(),
+        recipe.as_ref(),
+        "--truth".as_ref(),
+        truth.as_ref(),
+        "--seed".as_ref(),
+        seed.as_ref(),
+        "--out".as_ref(),
+        out.as_ref(),
+    ];
+    let printed = as_typed(&root(), &arguments);
+    assert_eq!(printed.status, 0, "{}", printed.stderr);
+    let recipe = out.join("first-steps.yaml");
+    write(&recipe, &change(read(&recipe)));
+    let summary = run(&recipe, folder.path());
+    (read(&folder.path().join("first-steps/report.html")), summary)
+}
+
+/// The first row of the table of causes.
+fn first_cause(page: &str) -> &str {
+    let causes = page.split("<h3>The largest causes</h3>").nth(1).expect("causes");
+    let row = causes.split("<tbody>\n<tr>").nth(1).expect("a table");
+    row.split("</tr>").next().expect("a row")
+}
+
+/// Somebody who reads nothing but the page: what is wrong with this machine, and what is to be done?
+#[test]
+fn the_page_says_what_is_wrong_and_what_to_do() {
+    for seed in [1, 2, 3] {
+        let (page, summary) = simulated(&json!({ "EC0Y": 4e-4, "EXX[b]": 1e-3 }), seed, |recipe| recipe);
+        let row = first_cause(&page);
+        assert!(row.contains(">EC0Y<") && row.contains("Y out of square, turned about Z"), "{seed}: {row}");
+        assert!(row.contains("squareness compensation") && !row.contains("not proven"), "{seed}: {row}");
+        assert!(summary.contains("without EC0Y"), "{summary}");
+
+        let (page, summary) = simulated(&json!({ "EC0Y": 1e-5, "EXX[b]": 0.06 }), seed, |recipe| recipe);
+        let row = first_cause(&page);
+        assert!(row.contains(">EXX[b]<") && row.contains("lost motion (backlash) of X"), "{seed}: {row}");
+        assert!(row.contains("backlash compensation"), "{seed}: {row}");
+        assert!(summary.contains("lost motion (backlash) of X at reversal"), "{summary}");
+
+        // A scale without a length: the plan is wrong, and a length is to be measured.
+        let confounded = |recipe: String| {
+            let free = recipe.replace("\"EYY[1]\", \"EZZ[1]\"", "\"E??[1]\"");
+            free.replace("robust: tukey", "on_confounded: minimum-norm")
+        };
+        let (page, summary) = simulated(&json!({ "EC0Y": 1e-5 }), seed, confounded);
+        let untold = page
+            .split("<section id=\"untold\">")
+            .nth(1)
+            .expect("a section")
+            .split("</section>")
+            .next()
+            .expect("its end");
+        assert!(untold.contains("EXX[1]") && untold.contains("<b>Measure:</b>"), "{seed}: {untold}");
+        assert!(summary.contains("Not determined"), "{summary}");
+    }
+}
+
+/// A good machine has no cause that is larger than a few micrometres.
+#[test]
+fn a_good_machine_has_small_causes() {
+    let (page, summary) = simulated(&json!({ "EC0Y": 1e-6 }), 5, |recipe| recipe);
+    assert!(page.contains("<span aria-hidden=\"true\">✓</span> Pass"));
+    let rms = summary.split("RMS ").nth(1).and_then(|rest| rest.split(' ').next()).expect("an RMS");
+    assert!(rms.parse::<f64>().expect("a number") < 5.0, "{summary}");
 }

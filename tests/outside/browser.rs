@@ -9,6 +9,9 @@ use crate::support::{as_typed, read, recipes, root, skipped, temporary, write};
 /// Names of the browser.
 const BROWSERS: [&str; 3] = ["chromium", "chromium-browser", "google-chrome"];
 
+/// Whom the browser asks for itself.
+const MAKER: [&str; 2] = ["google.com", "googleapis.com"];
+
 fn answers(program: &str, arguments: &[&str]) -> bool {
     Command::new(program).args(arguments).output().is_ok_and(|output| output.status.success())
 }
@@ -34,7 +37,8 @@ fn see(browser: &str, page: &Path, fragment: &str, more: &[String]) -> Seen {
     let log = folder.path().join("net.json");
     let mut command = Command::new(browser);
     command.args(["--headless", "--disable-gpu", "--hide-scrollbars", "--enable-logging=stderr", "--v=0"]);
-    // The browser itself asks for nothing.
+    // Nothing leaves the computer: names have no addresses. The browser itself asks its maker all the same.
+    command.arg("--host-resolver-rules=MAP * ~NOTFOUND, EXCLUDE 127.0.0.1");
     command.args(["--no-first-run", "--disable-background-networking", "--disable-component-update", "--disable-sync"]);
     command.args(["--use-gl=angle", "--use-angle=swiftshader", "--enable-unsafe-swiftshader"]);
     command.arg("--virtual-time-budget=4000");
@@ -54,7 +58,8 @@ fn see(browser: &str, page: &Path, fragment: &str, more: &[String]) -> Seen {
     // Addresses of requests; names of the log's own constants have none.
     let text = read(&log);
     let asked = text.split("\"url\":\"").skip(1).filter_map(|rest| rest.split('"').next()).map(str::to_owned);
-    let asked = asked.filter(|url| !url.starts_with("file:") && !url.starts_with("data:")).collect();
+    let is_own = |url: &String| MAKER.iter().any(|host| url.split('/').nth(2).is_some_and(|name| name.ends_with(host)));
+    let asked = asked.filter(|url| url.contains("://") && !url.starts_with("file:") && !is_own(url)).collect();
     Seen { dom: String::from_utf8_lossy(&output.stdout).into_owned(), console, asked }
 }
 
@@ -79,6 +84,30 @@ fn a_page_says_nothing_to_the_console_and_asks_for_nothing() {
     }
 }
 
+/// A point is picked by its address, as by a click on a row of the largest residuals: file, line and residual are told.
+#[test]
+fn a_picked_point_says_where_it_was_read() {
+    let test = "a_picked_point_says_where_it_was_read";
+    let Some(browser) = browser(test) else { return };
+    let out = temporary();
+    let page = page_of("first-steps", out.path());
+    let seen = see(browser, &page, "#point-3", &[]);
+    assert_eq!(seen.console, [""; 0]);
+    if seen.dom.contains("<div id=\"viewer\" hidden") {
+        return skipped(test, "the browser has no WebGL 2");
+    }
+    let said = seen.dom.split("<output id=\"picked\" aria-live=\"polite\">").nth(1).expect("the output");
+    let said = said.split("</output>").next().expect("its end");
+    // The fourth residual is that of the fourth row of the table.
+    let table = read(&page.with_file_name("fit.residuals.csv"));
+    let cells: Vec<&str> = table.lines().nth(4).expect("a row").split(',').collect();
+    let expected = format!("{}:{} (row {}), {}: residual ", cells[1], cells[2], cells[3], cells[0]);
+    assert!(said.starts_with(&expected), "{said}, not {expected}");
+    let told: f64 = said[expected.len()..].split(' ').next().and_then(|number| number.parse().ok()).expect("a number");
+    let residual: f64 = cells[4].parse().expect("a number");
+    assert!((told - residual).abs() <= 1e-3 * residual.abs(), "{told}, not {residual}");
+}
+
 /// The two tests above can fail: a script that is not the page's own is refused and told, and so is an image from elsewhere.
 #[test]
 fn what_does_not_belong_into_a_page_is_refused() {
@@ -92,6 +121,11 @@ fn what_does_not_belong_into_a_page_is_refused() {
     assert!(seen.console.iter().any(|line| line.contains("script")), "{:?}", seen.console);
     assert!(seen.console.iter().any(|line| line.contains("x.png")), "{:?}", seen.console);
     assert!(!seen.dom.contains("<title>taken</title>"));
+    assert_eq!(seen.asked, [""; 0]);
+    // Without its policy the page would ask.
+    write(&other, &read(&other).replace("Content-Security-Policy", "X-Other"));
+    let seen = see(browser, &other, "", &[]);
+    assert!(seen.asked.iter().any(|url| url.contains("x.png")), "{:?}", seen.asked);
 }
 
 #[test]

@@ -64,11 +64,7 @@ const CRATES: [Border; 23] = [
             "abbe-table",
         ],
     ),
-    Border {
-        name: "abbe-report",
-        uses: &["abbe-core", "abbe-engine", "abbe-files", "abbe-volumetric"],
-        tested_with: &["abbe-serial-chain"],
-    },
+    border("abbe-report", &["abbe-core", "abbe-engine", "abbe-files", "abbe-volumetric"]),
     border(
         "abbe",
         &[

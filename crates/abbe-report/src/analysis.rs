@@ -214,8 +214,8 @@ impl Grid {
     }
 }
 
-/// The estimate that the page is about first: the one that most stages with limits judge; of several the first, without
-/// limits the one with most unknowns.
+/// The estimate that the page is about first: the one that most stages with limits judge; of several the one with most unknowns,
+/// of these the first.
 pub fn main_fit(run: &Run) -> Option<&FitResult> {
     let judged = |fit: &FitResult| {
         let by = |verdict: &&abbe_core::Verdict| {
@@ -224,9 +224,10 @@ pub fn main_fit(run: &Run) -> Option<&FitResult> {
         };
         run.verdicts.iter().filter(by).count()
     };
-    let most = run.fits.iter().map(judged).max().unwrap_or(0);
-    // The last of several with as many.
-    let largest =
-        || run.fits.iter().max_by_key(|fit| (fit.calibration.fit.observations > 0, fit.calibration.fit.unknowns));
-    if most == 0 { largest() } else { run.fits.iter().find(|fit| judged(fit) == most) }
+    let key = |fit: &FitResult| {
+        let report = &fit.calibration.fit;
+        (judged(fit), report.observations > 0, report.unknowns)
+    };
+    // Of equal ones the last is found: from behind this is the first.
+    run.fits.iter().rev().max_by_key(|fit| key(fit))
 }

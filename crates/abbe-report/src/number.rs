@@ -18,6 +18,12 @@ pub fn with_uncertainty(value: f64, uncertainty: f64) -> String {
     format!("{value:.3e} ± {uncertainty:.1e}")
 }
 
+/// A size with its uncertainty for people: an uncertainty that is rounding beside the value, or below `least`, is left out.
+pub fn sized(value: f64, uncertainty: f64, least: f64) -> String {
+    let is_rounding = uncertainty < least || uncertainty < 1e-6 * value.abs();
+    if is_rounding { short(value) } else { with_uncertainty(value, uncertainty) }
+}
+
 /// Zero has no sign.
 fn unsigned_zero(text: String) -> String {
     match text.strip_prefix('-') {
@@ -57,6 +63,8 @@ mod tests {
         for (value, uncertainty, expected) in cases {
             assert_eq!(with_uncertainty(value, uncertainty), expected);
         }
+        assert_eq!(sized(80.0, 1e-10, 1e-4), "80.00");
+        assert_eq!(sized(80.0, 0.5, 1e-4), "80.00 ± 0.50");
         assert_eq!(short(0.0), "0");
         assert_eq!(short(1.0276e5), "1.028e5");
         assert_eq!(short(4.2345), "4.234");

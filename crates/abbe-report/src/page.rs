@@ -109,3 +109,87 @@ fn whole(title: &str, runs: &[Run], parts: &[(String, String)], body: &str) -> S
 fn hash(text: &str) -> String {
     base64(&Sha256::digest(text.as_bytes()))
 }
+
+#[cfg(test)]
+mod tests {
+    use std::sync::Arc;
+
+    use super::*;
+    use abbe_core::{Calibration, Figure, Findings, Limit, Quantities, Verdict};
+    use serde_json::json;
+
+    /// The result of readings that are no geometry: no axes, no rows.
+    fn without_a_machine() -> Run {
+        let text = json!({
+            "abbe_calibration": 1,
+            "estimate": "spindle",
+            "model": { "plugin": "growth", "settings": {} },
+            "parameters": [
+                { "name": "gain", "value": 0.002, "unit": "mm", "standard_uncertainty": 1e-4, "status": "estimated" },
+                { "name": "time_constant_s", "value": 900, "unit": "s", "standard_uncertainty": 20, "status": "estimated" },
+            ],
+            "artefacts": [],
+            "covariance": { "order": ["gain", "time_constant_s"], "rows": [[1e-8, 0], [0, 400]] },
+            "outliers": [],
+            "fit": {
+                "observations": 100, "unknowns": 2, "rank": 2, "condition": 1, "degrees_of_freedom": 98, "sigma": 1,
+                "iterations": 1, "termination": "converged", "residual_max_um": 0, "residual_mean_abs_um": 0,
+                "residual_rms_um": 0, "null_space": []
+            }
+        });
+        let calibration = Calibration::from_json(&text.to_string()).unwrap();
+        let model = Arc::new(Quantities::of(&calibration).unwrap());
+        let figure = Figure::new("spindle", "growth", 12.0, "um").uncertain(0.5).limited(Limit::from(10.0));
+        let findings =
+            Findings { figures: vec![figure], remarks: vec!["a <remark>".to_owned()], ..Findings::default() };
+        Run {
+            name: "warm".to_owned(),
+            title: "A spindle & its \"growth\"".to_owned(),
+            fits: vec![FitResult {
+                name: "spindle".to_owned(),
+                calibration,
+                model,
+                residuals: crate::Residuals::default(),
+            }],
+            verdicts: vec![Verdict::new("judge", "growth", findings)],
+            record: None,
+            recipe: None,
+        }
+    }
+
+    #[test]
+    fn an_estimate_without_a_machine_has_a_page() {
+        let run = without_a_machine();
+        let page = page(std::slice::from_ref(&run));
+        for part in
+            ["✗</span> Fail", "gain", "time_constant_s", "there is no volumetric error", "a &lt;remark&gt;", "120 %"]
+        {
+            assert!(page.contains(part), "{part}: {page}");
+        }
+        assert!(page.contains("<title>A spindle &amp; its &quot;growth&quot;</title>"));
+        assert!(!page.contains("NaN") && !page.contains("id=\"viewer\""));
+        assert_eq!(super::page(std::slice::from_ref(&run)), page);
+    }
+
+    #[test]
+    fn a_run_without_estimates_has_a_page() {
+        let run = Run { fits: Vec::new(), ..without_a_machine() };
+        assert!(page(&[run]).contains("There is no estimate."));
+    }
+
+    #[test]
+    fn the_policy_allows_the_own_script_and_style_alone() {
+        let page = page(&[without_a_machine()]);
+        let between = |start: &str, end: &str| {
+            let from = page.find(start).unwrap() + start.len();
+            page[from..][..page[from..].find(end).unwrap()].to_owned()
+        };
+        let policy = between("Content-Security-Policy\" content=\"", "\"");
+        assert!(policy.starts_with("default-src 'none'; "), "{policy}");
+        for (start, end) in [("<style>", "</style>"), ("<script>", "</script>")] {
+            assert!(policy.contains(&format!("'sha256-{}'", hash(&between(start, end)))), "{start}");
+            assert_eq!(page.matches(start).count(), 1);
+        }
+        assert!(!policy.contains("unsafe"));
+    }
+}

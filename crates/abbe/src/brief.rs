@@ -4,8 +4,8 @@ use std::borrow::Cow;
 use std::io::{self, IsTerminal};
 use std::path::Path;
 
-use abbe_report::number::{short, with_uncertainty};
-use abbe_report::{Analysis, FitResult, Run, decided, judged, main_fit, used, valued};
+use abbe_report::number::short;
+use abbe_report::{Analysis, FitResult, Run, decided, judged, main_fit, micrometres, undetermined, used, valued};
 
 /// Lines of each part: figures with limits, estimates, what is lost, remarks, failures.
 const FIGURES: usize = 3;
@@ -27,7 +27,8 @@ pub fn width() -> usize {
 /// The summary; no line is longer than `width`, but for paths.
 pub fn text(run: &Run, folder: &Path, width: usize) -> String {
     let (word, _, sentence) = decided(run);
-    let mut lines = vec![format!("{}: {}", word.to_uppercase(), run.title), format!("  {sentence}")];
+    let mut lines =
+        vec![format!("{}: {}", word.to_uppercase(), run.title), format!("  {sentence}{}", undetermined(run))];
     lines.extend(failures(run));
     lines.extend(figures(run));
     if let Some(fit) = main_fit(run) {
@@ -91,14 +92,13 @@ fn figures(run: &Run) -> Vec<String> {
 /// The volumetric error of an estimate and its largest causes.
 fn volumetric(fit: &FitResult) -> Vec<String> {
     let Ok(Some(found)) = Analysis::of(fit) else { return Vec::new() };
-    let told = |known: abbe_report::Known| with_uncertainty(known.value * 1e3, 2.0 * known.uncertainty * 1e3);
     let mut lines = vec![
         String::new(),
         format!(
-            "Volumetric error by {}, k = 2: RMS {} µm, largest {} µm",
+            "Volumetric error by {}, k = 2: RMS {}, largest {}",
             fit.name,
-            told(found.rms),
-            told(found.largest)
+            micrometres(found.rms),
+            micrometres(found.largest)
         ),
         format!("  largest at {}", found.at),
     ];
@@ -106,8 +106,8 @@ fn volumetric(fit: &FitResult) -> Vec<String> {
     let wide = causes.iter().map(|cause| cause.name.chars().count()).max().unwrap_or(0);
     for cause in causes {
         let doubt = if cause.is_confounded { " ?" } else { "" };
-        let (name, loss) = (&cause.name, told(cause.part.loss));
-        lines.push(format!("  without {name:<wide$}  RMS less by {loss} µm: {}{doubt}", cause.meaning));
+        let (name, loss) = (&cause.name, micrometres(cause.part.loss));
+        lines.push(format!("  without {name:<wide$}  RMS less by {loss}: {}{doubt}", cause.meaning));
     }
     lines
 }

@@ -20,13 +20,16 @@ pub use scene::{scene, scene_rows};
 pub use tables::tables;
 pub use uncertainty::{budget, correlations};
 pub use untold::untold;
-pub use verdict::{decided, judged, used, verdict};
+pub use verdict::{decided, judged, undetermined, used, verdict};
 
-use crate::number::{short, with_uncertainty};
+use crate::number::{short, sized};
+
+/// Uncertainties below this are rounding, µm.
+pub const ROUNDING_UM: f64 = 1e-4;
 
 /// A length in mm as µm, with its expanded uncertainty (k = 2).
 pub fn micrometres(known: abbe_volumetric::Known) -> String {
-    format!("{} µm", with_uncertainty(known.value * 1e3, 2.0 * known.uncertainty * 1e3))
+    format!("{} µm", sized(known.value * 1e3, 2.0 * known.uncertainty * 1e3, ROUNDING_UM))
 }
 
 /// The unit of a figure for people.

@@ -30,7 +30,7 @@ pub fn scene(fit: &FitResult) -> String {
     let points: Vec<([f64; 3], f64)> = rows.iter().map(|row| (row.tip.unwrap_or_default(), row.value)).collect();
     let mut html = viewer(&rows, &field);
     let caption = format!(
-        "{} places of the tip in the table frame, in three views; dark: residual below zero, light: above. Lines: volumetric error, \
+        "{} places of the tip in the table frame, in three views; blue: residual below zero, orange: above. Lines: volumetric error, \
          exaggerated.",
         rows.len()
     );

@@ -3,7 +3,8 @@
 use abbe_core::{Decision, Figure, Verdict};
 
 use super::valued;
-use crate::html::{Cell, escape, list, paragraph, table};
+use crate::analysis::main_fit;
+use crate::html::{Cell, details, escape, list, paragraph, table};
 use crate::run::Run;
 
 /// The decision of a run in a word, its class, and a sentence.
@@ -31,7 +32,23 @@ pub fn decided(run: &Run) -> (&'static str, &'static str, String) {
         _ => (
             "Pass",
             "pass",
-            if all == 1 { "The only limit is kept.".to_owned() } else { format!("All {all} limits are kept.") },
+            match all {
+                1 => "The only limit is kept.".to_owned(),
+                2 => "Both limits are kept.".to_owned(),
+                all => format!("All {all} limits are kept."),
+            },
+        ),
+    }
+}
+
+/// How much of the main estimate the data leave open, as a sentence; empty if nothing.
+pub fn undetermined(run: &Run) -> String {
+    match main_fit(run).map_or(0, |fit| fit.calibration.fit.null_space.len()) {
+        0 => String::new(),
+        1 => " But the data leave one combination of parameters undetermined: its values are one choice of many."
+            .to_owned(),
+        count => format!(
+            " But the data leave {count} combinations of parameters undetermined: their values are one choice of many."
         ),
     }
 }
@@ -56,7 +73,10 @@ pub fn used(figure: &Figure) -> f64 {
 }
 
 /// Most figures with limits that are shown; all stand in `verdicts.json`.
-const MOST: usize = 40;
+const MOST: usize = 200;
+
+/// Figures that are shown at once.
+const FIRST: usize = 5;
 
 /// The section.
 pub fn verdict(run: &Run) -> String {
@@ -66,6 +86,7 @@ pub fn verdict(run: &Run) -> String {
         "fail" => "✗",
         _ => "?",
     };
+    let sentence = sentence + &undetermined(run);
     let mut html = format!("<p class=\"verdict {class}\"><span aria-hidden=\"true\">{mark}</span> {word}</p>\n");
     html.push_str(&paragraph(&sentence));
     if let Some(record) = &run.record {
@@ -84,9 +105,23 @@ pub fn verdict(run: &Run) -> String {
     if all.is_empty() {
         return html;
     }
-    let rows: Vec<Vec<Cell>> = all.iter().take(MOST).map(|(verdict, figure)| row(verdict, figure)).collect();
+    // All that does not pass, and the next ones.
+    let open = all.iter().filter(|(_, figure)| figure.decision != Some(Decision::Pass)).count().max(FIRST);
+    let rows = |figures: &[(&Verdict, &Figure)]| -> Vec<Vec<Cell>> {
+        figures.iter().map(|(verdict, figure)| row(verdict, figure)).collect()
+    };
     let head = ["figure", "of", "value", "limit", "used", "part of the limit", "decision"];
-    html.push_str(&table("Figures with limits, the worst first; ± is the expanded uncertainty, k = 2", &head, &rows));
+    let caption = "Figures with limits, the worst first; ± is the expanded uncertainty, k = 2";
+    let shown = &all[..all.len().min(MOST)];
+    let (first, others) = shown.split_at(open.min(shown.len()));
+    html.push_str(&table(caption, &head, &rows(first)));
+    if !others.is_empty() {
+        html.push_str(&details(
+            &format!("{} more, all kept", others.len()),
+            false,
+            &table(caption, &head, &rows(others)),
+        ));
+    }
     html.push_str(&paragraph(
         "A verdict is as wide as its limits: an error of the machine counts in it only where one of these figures shows it.",
     ));
