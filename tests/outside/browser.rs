@@ -54,7 +54,9 @@ fn see(browser: &str, page: &Path, fragment: &str, more: &[String]) -> Seen {
     let output = command.args(more).arg(format!("file://{}{fragment}", page.display())).output().expect("it starts");
     assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
     let said = String::from_utf8_lossy(&output.stderr).into_owned();
-    let console = said.lines().filter(|line| line.contains("CONSOLE")).map(str::to_owned).collect();
+    // A driver without a graphics card tells how slow it is; that is none of the page.
+    let of_page = |line: &&str| line.contains("CONSOLE") && !line.contains("GL Driver Message");
+    let console = said.lines().filter(of_page).map(str::to_owned).collect();
     // Addresses of requests; names of the log's own constants have none.
     let text = read(&log);
     let asked = text.split("\"url\":\"").skip(1).filter_map(|rest| rest.split('"').next()).map(str::to_owned);
