@@ -62,16 +62,13 @@ fn nothing_from_files_becomes_markup() {
     let recipe = small.read("recipe.yaml").replace("name: Eight facets", "name: '<script>alert(1)</script>\"&'");
     // A feature is a label of the data.
     let hostile = "<img src=x onerror=alert(2)>";
-    let data = small.read("data/touches.csv").replace("\n", "\n").lines().enumerate().fold(
-        String::new(),
-        |text, (at, line)| {
-            text + &if at == 0 {
-                format!("{line},remark\n")
-            } else {
-                format!("{line},{}\n", if at % 2 == 0 { hostile } else { "b" })
-            }
-        },
-    );
+    let data = small.read("data/touches.csv").lines().enumerate().fold(String::new(), |text, (at, line)| {
+        text + &if at == 0 {
+            format!("{line},remark\n")
+        } else {
+            format!("{line},{}\n", if at % 2 == 0 { hostile } else { "b" })
+        }
+    });
     small.write("data/touches.csv", &data);
     small.write("recipe.yaml", &recipe);
     let printed = small.abbe(&["run", "recipe.yaml", "--out", "out"]);

@@ -13,6 +13,7 @@ mod expected;
 mod failure;
 mod interrupt;
 mod libraries;
+mod listed;
 mod pages;
 mod planning;
 mod progress;
@@ -33,7 +34,7 @@ use abbe_plugin::check::Findings;
 use clap::{Parser, Subcommand};
 use libraries::Libraries;
 use progress::Progress;
-use serde_json::{Value, json};
+use serde_json::Value;
 
 use abbe_bundle as _;
 
@@ -431,7 +432,7 @@ fn dispatch(command: Command, libraries: &Libraries, verbose: bool) -> Result<(S
             if let Some(folder) = pages {
                 return pages::write(&registry, &folder).map(|text| (text, 0));
             }
-            let text = if json { pretty(&plugins_json(&registry))? } else { plugins_text(&registry) };
+            let text = if json { pretty(&listed::plugins_json(&registry))? } else { listed::plugins_text(&registry) };
             Ok((text, 0))
         }
         Command::Schema => Ok((pretty(&abbe_recipe::schema(&libraries.registry(None)?))?, 0)),
@@ -492,35 +493,4 @@ fn pretty(value: &Value) -> Result<String> {
     serde_json::to_string_pretty(value)
         .map(|text| text + "\n")
         .map_err(|error| Error::data(format!("the output cannot be written: {error}")))
-}
-
-fn origin(origin: &Origin) -> String {
-    match origin {
-        Origin::BuiltIn => "built-in".to_owned(),
-        Origin::Library { file, sha256 } => format!("{} ({sha256})", file.display()),
-    }
-}
-
-fn plugins_text(registry: &Registry) -> String {
-    let mut rows = vec![["kind", "name", "version", "origin", "what it does"].map(str::to_owned).to_vec()];
-    rows.extend(registry.iter().map(|plugin| {
-        let (name, version) = (plugin.name.to_string(), plugin.version.to_string());
-        vec![plugin.kind().to_string(), name, version, origin(&plugin.origin), plugin.about.to_string()]
-    }));
-    table::text(&rows, &[])
-}
-
-fn plugins_json(registry: &Registry) -> Value {
-    let plugins = registry.iter().map(|plugin| {
-        json!({
-            "kind": plugin.kind().key(),
-            "name": plugin.name,
-            "version": plugin.version,
-            "origin": origin(&plugin.origin),
-            "about": plugin.about,
-            "schema": plugin.schema.get(),
-            "example": plugin.example.get(),
-        })
-    });
-    Value::Array(plugins.collect())
 }
