@@ -32,6 +32,7 @@ mod selection;
 mod simulate;
 mod sphere;
 mod support;
+mod thermal;
 mod truth;
 mod uncertainty;
 mod undetermined;
