@@ -19,6 +19,7 @@ mod laws;
 mod libraries;
 mod methods;
 mod mill;
+mod misread;
 mod multi_feature_bar;
 mod nobodys_files;
 mod nonsense;

@@ -146,6 +146,9 @@ impl SerialChain {
             }
             if let Declaration::Thermal(thermal) = &mut declaration {
                 thermal.settle(data).and_then(|()| time_is_there(data)).map_err(|error| error.under(at.clone()))?;
+                if !data.is_empty() {
+                    thermal.faults().iter().for_each(|fault| tracing::warn!("{fault}"));
+                }
             }
             builder.declare(&declaration).map_err(|error| error.under(at))?;
             declarations.push(declaration);

@@ -1,7 +1,7 @@
 //! Which columns of a run drive states, which follow, and how both are counted.
 
 use abbe_core::{ColumnHeader, Dataset, Error, PathItem, Quantity, Result, SettingsError, Unit, matches, positive};
-use abbe_thermal::{Bootstrap, Counting, Hold, Readings, Reference, SensorLog, Structure};
+use abbe_thermal::{Bootstrap, Counting, Hold, Readings, Reference, SensorLog, Structure, possible_temperature};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
@@ -142,10 +142,7 @@ impl Settings {
         ] {
             value.map_or(Ok(()), |value| positive(setting, value).map(drop))?;
         }
-        match self.reference_degC.is_some_and(|value| !value.is_finite()) {
-            true => Err(SettingsError::new("reference_degC", "a finite number was expected")),
-            false => Ok(()),
-        }
+        self.reference_degC.map_or(Ok(()), possible_temperature)
     }
 
     /// Number of time constants.

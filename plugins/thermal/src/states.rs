@@ -8,6 +8,7 @@ use abbe_thermal::{Fitted, Output, Readings, SensorLog, fit, select};
 use serde_json::{Value, json};
 
 use crate::settings::{Run, Settings, Uncertainty, gain_unit, quantity};
+use crate::validate::run_name;
 
 /// Name of the plugin, and of the model in its calibrations.
 pub const NAME: &str = "thermal-states";
@@ -48,6 +49,11 @@ impl Estimate for ThermalStates {
         let runs = data.iter().map(|data| self.settings.run(data)).collect::<Result<Vec<Run>>>()?;
         let outputs = outputs(&runs)?;
         let logs: Vec<SensorLog> = runs.iter().map(|run| run.log.clone()).collect();
+        for (log, data) in logs.iter().zip(data) {
+            let is_temperature = |sensor: &usize| quantity(data, &log.names()[*sensor]) == Quantity::Temperature;
+            let faults = (0..log.names().len()).filter(is_temperature).flat_map(|sensor| log.faults(sensor));
+            faults.for_each(|fault| tracing::warn!("{name}: {}: {fault}", run_name(data)));
+        }
         let mut structure = self.settings.structure();
         if self.settings.select.is_some() {
             let (smallest, tried) = select(&logs, &outputs, &structure, WORSE)?;

@@ -4,7 +4,7 @@ use std::collections::BTreeMap;
 use std::sync::{Arc, RwLock};
 
 use abbe_core::{Dataset, PathItem, Quantity, SettingsError, Unit, positive};
-use abbe_thermal::{Counting, History, Hold, Reference, SensorLog};
+use abbe_thermal::{Counting, History, Hold, Reference, SensorLog, possible_temperature};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
@@ -96,8 +96,26 @@ impl Thermal {
                 }
             }
         }
+        for data in data.iter().filter(|data| !data.is_log) {
+            if let Some(name) = self.columns().find(|name| data.numbers(name).is_some()) {
+                let file = data.files.first().map_or(String::new(), |file| format!(" ({})", file.display()));
+                let message = format!(
+                    "the rows{file} have a column `{name}` of their own, and so has the log: which one counts?"
+                );
+                return Err(
+                    SettingsError::new("thermal", message).help("take it out of the rows: the log gives it by time")
+                );
+            }
+        }
         // What is wrong with it is told now, and not by the first row that needs it.
         self.sensor_log().map(drop)
+    }
+
+    /// What looks like faults of its sensors of temperature, in words.
+    pub fn faults(&self) -> Vec<String> {
+        let Ok(Some(log)) = self.sensor_log() else { return Vec::new() };
+        let is_temperature = |sensor: &usize| self.quantity(&log.names()[*sensor]) == Quantity::Temperature;
+        (0..log.names().len()).filter(is_temperature).flat_map(|sensor| log.faults(sensor)).collect()
     }
 
     /// Inputs, then what is followed at once.
@@ -199,6 +217,7 @@ impl Family for Thermal {
                 return Err(SettingsError::new(setting, "a finite number was expected"));
             }
         }
+        self.reference_degC.map_or(Ok(()), possible_temperature)?;
         self.longest_gap_s.map_or(Ok(()), |gap| positive("longest_gap_s", gap).map(drop))
     }
 
