@@ -31,6 +31,7 @@ mod recipes;
 mod selection;
 mod simulate;
 mod sphere;
+mod spindle;
 mod support;
 mod truth;
 mod uncertainty;

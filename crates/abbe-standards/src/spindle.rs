@@ -99,9 +99,8 @@ pub struct Fundamental {
 impl Fundamental {
     /// Of motions along x and along y, a quarter of a turn further on.
     pub fn of(x: &Harmonics, y: &Harmonics) -> Self {
-        let one = |motion: &Harmonics| {
-            (motion.cos.get(1).copied().unwrap_or(0.0), motion.sin.get(1).copied().unwrap_or(0.0))
-        };
+        let one =
+            |motion: &Harmonics| (motion.cos.get(1).copied().unwrap_or(0.0), motion.sin.get(1).copied().unwrap_or(0.0));
         let ((x_cos, x_sin), (y_cos, y_sin)) = (one(x), one(y));
         Self {
             eccentricity: [0.5 * (x_cos + y_sin), 0.5 * (y_cos - x_sin)],
@@ -331,10 +330,7 @@ mod tests {
         let of = |fundamental: Fundamental| {
             let [x, y] = fundamental.along().map(|[cos, sin]| Harmonics { cos: vec![0.0, cos], sin: vec![0.0, sin] });
             let back = Fundamental::of(&x, &y);
-            for (one, other) in [
-                (back.eccentricity, fundamental.eccentricity),
-                (back.backward, fundamental.backward),
-            ] {
+            for (one, other) in [(back.eccentricity, fundamental.eccentricity), (back.backward, fundamental.backward)] {
                 assert!((one[0] - other[0]).hypot(one[1] - other[1]) < 1e-15);
             }
             rotating(&x, &y)

@@ -109,7 +109,10 @@ pub fn fit(run: &Run<'_>, highest: usize, linear_drift: bool) -> Result<Fitted> 
         }
         let factor = rows.finish();
         if first.is_none() {
-            let spectrum = factor.spectrum();
+            // A column of rounding is none: scaled to norm 1 it would look like one.
+            let least = RANK_TOLERANCE * (count as f64).sqrt();
+            let zero: Vec<bool> = factor.norms().iter().map(|norm| *norm < least).collect();
+            let spectrum = factor.with_zeros(&zero).spectrum();
             let rank = spectrum.singular_values().rank(RANK_TOLERANCE);
             if rank < unknowns {
                 return Err(aliases(run, &basis, &spectrum, rank));

@@ -246,8 +246,10 @@ impl Motion {
         if let Some((sector, count)) = of_sensors[0].fewest()
             && count < 2
         {
-            let message = format!("sector {sector} of {} has {count} readings, two at least were expected", self.sectors);
-            let help = format!("choose fewer `sectors`: there are {:.0} readings a turn", run.angles.len() as f64 / run.turns);
+            let message =
+                format!("sector {sector} of {} has {count} readings, two at least were expected", self.sectors);
+            let help =
+                format!("choose fewer `sectors`: there are {:.0} readings a turn", run.angles.len() as f64 / run.turns);
             return Err(run.error(message).help(help));
         }
         let names = self.radial.keys().chain(&self.axial).cloned();
@@ -264,7 +266,11 @@ impl Motion {
         let size = |parts: [&str; 2]| {
             let of = |part: &str| {
                 let name = format!("run[{name}].{part}");
-                found.parameters.iter().find(|parameter| parameter.name == name).map_or(0.0, |parameter| parameter.value)
+                found
+                    .parameters
+                    .iter()
+                    .find(|parameter| parameter.name == name)
+                    .map_or(0.0, |parameter| parameter.value)
             };
             of(parts[0]).hypot(of(parts[1])) * 1e3
         };

@@ -50,9 +50,8 @@ impl Found {
             pairs.map(|((row, one), (column, other))| one * other * covariance[(*row, *column)]).sum()
         };
         let size = combined.len();
-        let own = DMatrix::from_fn(size, size, |row, column| {
-            product(&combined[row.min(column)], &combined[row.max(column)])
-        });
+        let own =
+            DMatrix::from_fn(size, size, |row, column| product(&combined[row.min(column)], &combined[row.max(column)]));
         for (place, Combined { name, unit, terms }) in combined.iter().enumerate() {
             self.freedom.insert(name.clone(), freedom);
             self.parameters.push(Estimated {
@@ -63,9 +62,14 @@ impl Found {
                 status: Status::Estimated,
             });
         }
-        let own = DMatrix::from_fn(size, size, |row, column| {
-            if row == column { own[(row, row)].max(0.0) } else { own[(row, column)] }
-        });
+        let own =
+            DMatrix::from_fn(
+                size,
+                size,
+                |row, column| {
+                    if row == column { own[(row, row)].max(0.0) } else { own[(row, column)] }
+                },
+            );
         self.blocks.push((combined.iter().map(|combined| combined.name.clone()).collect(), own));
     }
 

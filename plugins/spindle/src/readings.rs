@@ -128,7 +128,8 @@ impl<'a> Run<'a> {
         let Columns { angle, time, .. } = expected.columns;
         let readings = expected.sensors.iter().map(|sensor| part(sensor)).collect::<Result<Vec<_>>>()?;
         let angles = expected.encoder.counted(part(angle)?);
-        let mut run = Self { data, rows: rows.clone(), label, angles, times: part(time)?, readings, turns: 0.0, speed: 0.0 };
+        let mut run =
+            Self { data, rows: rows.clone(), label, angles, times: part(time)?, readings, turns: 0.0, speed: 0.0 };
         encoder::check(&mut run, expected.encoder)?;
         for (name, readings) in expected.sensors.iter().zip(&run.readings) {
             check_sensor(&run, name, readings, expected.plausible)?;

@@ -1,8 +1,8 @@
 //! Estimator plugin `donaldson-reversal`: the form of the artefact, and the motion of the spindle without it.
 
 use abbe_core::{
-    Calibration, ColumnHeader, Combination, Context, Dataset, Error, Estimate, EstimateSource, Identifiability, Problem,
-    Result, SettingsError, Status, WeakDirection,
+    Calibration, ColumnHeader, Combination, Context, Dataset, Error, Estimate, EstimateSource, Identifiability,
+    Problem, Result, SettingsError, Status, WeakDirection,
 };
 use nalgebra::DMatrix;
 use schemars::JsonSchema;
@@ -138,7 +138,8 @@ impl Reversal {
             let of = |setup: usize, [cos, sin]: [f64; 2]| {
                 [part(fundamental(setup, "cos"), -cos), part(fundamental(setup, "sin"), -sin)]
             };
-            let others = of(1, in_first).into_iter().chain(of(2, in_second)).filter(|part| part.coefficient.abs() > 1e-12);
+            let others =
+                of(1, in_first).into_iter().chain(of(2, in_second)).filter(|part| part.coefficient.abs() > 1e-12);
             WeakDirection {
                 singular_value: 0.0,
                 combination: [part(name.clone(), 1.0)].into_iter().chain(others).collect(),
@@ -156,15 +157,19 @@ impl Reversal {
 
     fn check_pair(&self, runs: &[Run<'_>]) -> Result<()> {
         let [one, other] = runs else {
-            let message = format!("{} runs were found, and two were expected: before and after the reversal", runs.len());
+            let message =
+                format!("{} runs were found, and two were expected: before and after the reversal", runs.len());
             return Err(Error::data(message).setting("from"));
         };
         if (one.speed / other.speed - 1.0).abs() > SAME_SPEED {
             let message = format!("it has {:.0} rpm, and the other one {:.0} rpm", other.speed, one.speed);
-            return Err(other.error(message).help("the motion of a spindle changes with its speed: reverse at one speed"));
+            return Err(other
+                .error(message)
+                .help("the motion of a spindle changes with its speed: reverse at one speed"));
         }
         if one.readings == other.readings {
-            let message = "its readings are those of the first set-up: the artefact was not reversed, or a file is there twice";
+            let message =
+                "its readings are those of the first set-up: the artefact was not reversed, or a file is there twice";
             return Err(other.error(message));
         }
         Ok(())

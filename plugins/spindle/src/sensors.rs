@@ -55,9 +55,13 @@ pub fn between(radial: &RadialSensors) -> Option<f64> {
 /// Fewest equal extremes that are told as clipped.
 const EQUAL: usize = 5;
 
+/// Part of the range by which equal readings may differ: rounding.
+const SAME: f64 = 1e-9;
+
 /// Fails for readings that stand still, move more or less than a spindle does, or are cut off at one end.
 pub fn check_sensor(run: &Run<'_>, name: &str, readings: &[f64], plausible: [f64; 2]) -> Result<()> {
-    let [lowest, highest] = readings.iter().fold([f64::MAX, f64::MIN], |[low, high], &value| [low.min(value), high.max(value)]);
+    let [lowest, highest] =
+        readings.iter().fold([f64::MAX, f64::MIN], |[low, high], &value| [low.min(value), high.max(value)]);
     let range = highest - lowest;
     if range == 0.0 {
         let message = format!("{name} reads {} um all the time", lowest * 1e3);
@@ -74,7 +78,7 @@ pub fn check_sensor(run: &Run<'_>, name: &str, readings: &[f64], plausible: [f64
     }
     for (end, word) in [(highest, "largest"), (lowest, "smallest")] {
         let sign = if end == highest { 1.0 } else { -1.0 };
-        let at_end = Levels::of(readings, sign);
+        let at_end = Levels::of(readings, sign, SAME * range);
         if at_end.is_clipped() {
             let first = readings.iter().position(|value| *value == end).unwrap_or_default();
             let message = format!(
@@ -83,7 +87,9 @@ pub fn check_sensor(run: &Run<'_>, name: &str, readings: &[f64], plausible: [f64
                 at_end.0[0].1,
                 at_end.nearby()
             );
-            return Err(run.error_at(first, message).help("set the sensor to the middle of its range, or centre the artefact"));
+            return Err(run
+                .error_at(first, message)
+                .help("set the sensor to the middle of its range, or centre the artefact"));
         }
     }
     Ok(())
@@ -95,11 +101,11 @@ struct Levels(Vec<(f64, usize)>);
 impl Levels {
     const COUNT: usize = 4;
 
-    fn of(readings: &[f64], sign: f64) -> Self {
+    fn of(readings: &[f64], sign: f64, same: f64) -> Self {
         let mut levels: Vec<(f64, usize)> = Vec::new();
         for value in readings.iter().map(|value| sign * value) {
-            match levels.iter().position(|level| level.0 <= value) {
-                Some(place) if levels[place].0 == value => levels[place].1 += 1,
+            match levels.iter().position(|level| level.0 <= value + same) {
+                Some(place) if levels[place].0 >= value - same => levels[place].1 += 1,
                 Some(place) => levels.insert(place, (value, 1)),
                 None => levels.push((value, 1)),
             }

@@ -125,7 +125,7 @@ impl Sampling {
 
 /// The run of a simulated spindle; `disturb` adds what does not come back, for each of three sensors.
 fn run(spindle: &Simulated, angles: &[f64], sign: f64, mut disturb: impl FnMut(usize, f64) -> f64) -> Dataset {
-    let times: Vec<f64> = angles.iter().map(|angle| (angle - angles[0]) / TAU * 60.0 / spindle.rpm).collect();
+    let times: Vec<f64> = angles.iter().map(|angle| (angle - angles[0]).abs() / TAU * 60.0 / spindle.rpm).collect();
     let mut readings = [Vec::new(), Vec::new(), Vec::new()];
     for angle in angles {
         let all = spindle.readings(*angle, sign);
@@ -258,7 +258,8 @@ fn a_reversal_tells_form_and_motion_apart_and_says_that_order_one_is_lost() {
         for (setup, sign) in [(0, 1.0), (1, -1.0)] {
             let turns = 12;
             let (per_turn, jitter) = if setup == 0 { (40.0, 0.0) } else { (37.4, 0.2) };
-            let angles = Sampling { turns: f64::from(turns), per_turn, jitter, start: 3.0 * random.uniform() }.angles(&mut random);
+            let angles = Sampling { turns: f64::from(turns), per_turn, jitter, start: 3.0 * random.uniform() }
+                .angles(&mut random);
             // Each set-up has an eccentricity of its own.
             spindle.eccentricity = [random.between(-4e-3, 4e-3), random.between(-4e-3, 4e-3)];
             let mut swing = swing(&mut random, 12);
@@ -319,30 +320,43 @@ fn said(settings: &Value, columns: &[(&str, Vec<f64>)]) -> String {
 #[test]
 fn bad_readings_are_refused_with_what_is_wrong() {
     type Change = fn(&mut Value, &mut Vec<(&'static str, Vec<f64>)>);
-    let cases: [(Change, &str); 18] = [
+    let cases: [(Change, &str); 19] = [
         (|_, _| (), "nothing"),
         (|_, c| c[0].1[100..].iter_mut().for_each(|s| *s += 0.05), "run.csv:102: the angle of the spindle goes on by"),
         (|_, c| c[0].1[100..].iter_mut().for_each(|s| *s -= 0.5), "run.csv:102: the angle of the spindle goes back"),
         (|_, c| c[0].1.iter_mut().for_each(|s| *s %= TAU), "write `encoder: wrapped`"),
-        (|s, c| {
-            c[0].1.iter_mut().for_each(|s| *s %= TAU);
-            s["encoder"] = json!("wrapped");
-        }, "nothing"),
+        (
+            |s, c| {
+                c[0].1.iter_mut().for_each(|s| *s %= TAU);
+                s["encoder"] = json!("wrapped");
+            },
+            "nothing",
+        ),
         (|_, c| c.iter_mut().for_each(|c| c.1.truncate(70)), "its angle covers 1.46 turns"),
         (|_, c| c[0].1.iter_mut().for_each(|s| *s *= TAU / 360.0), "is the angle in the unit"),
-        (|_, c| c.iter_mut().for_each(|c| drop(c.1.drain(100..120))), "run.csv:102: readings are missing before this one: over 157.5 deg"),
+        (
+            |_, c| c.iter_mut().for_each(|c| drop(c.1.drain(100..120))),
+            "run.csv:102: readings are missing before this one: over 157.5 deg",
+        ),
         (|_, c| c[0].1.iter_mut().for_each(|s| *s = 1.0), "the angle of the spindle stands"),
-        (|_, c| c[1].1[200..].iter_mut().enumerate().for_each(|(row, t)| *t += 0.3 * row as f64 * 0.002_083), "is"),
+        (
+            |_, c| c[1].1[200..].iter_mut().enumerate().for_each(|(row, t)| *t += 0.3 * row as f64 * 0.002_083),
+            "turn 1 has 600 rpm, the run",
+        ),
         (|_, c| c[1].1.swap(20, 30), "the time goes back"),
-        (|_, c| {
-            let other = c[2].1.clone();
-            c[2].1 = std::mem::replace(&mut c[3].1, other);
-        }, "are r1 and r2 swapped?"),
+        (
+            |_, c| {
+                let other = c[2].1.clone();
+                c[2].1 = std::mem::replace(&mut c[3].1, other);
+            },
+            "are r1 and r2 swapped?",
+        ),
         (|_, c| c[2].1.iter_mut().for_each(|r| *r = r.min(0.0215)), "r1 reads its largest value, 21.5000 um,"),
         (|_, c| c[4].1.iter_mut().for_each(|r| *r = r.max(0.0299)), "z reads its smallest value, 29.9000 um,"),
         (|_, c| c[4].1.fill(0.4), "z reads 400 um all the time"),
         (|_, c| c[3].1.iter_mut().for_each(|r| *r *= 1e3), "r2 moves by"),
         (|s, _| s["harmonics"] = json!(24), "which tell 23 harmonics at most"),
+        (|s, _| s["harmonics"] = json!(25), "do not tell apart sin 24 S; cos 23 S and cos 25 S; sin 23 S and sin 25 S"),
         (|s, _| s["sectors"] = json!(100), "choose fewer `sectors`: there are 48 readings a turn"),
     ];
     for (number, (change, expected)) in cases.into_iter().enumerate() {

@@ -198,7 +198,8 @@ impl Spindle {
         let mut all = Estimates::default();
         for &fit in fits {
             let record = &fit.calibration.model;
-            let broken = |error: SettingsError| Error::data(format!("the settings of `{}`: {error}", fit.name)).setting("of");
+            let broken =
+                |error: SettingsError| Error::data(format!("the settings of `{}`: {error}", fit.name)).setting("of");
             match record.plugin.as_str() {
                 motion::PLUGIN => {
                     let motion: Motion = from_settings(&record.settings).map_err(broken)?;

@@ -79,7 +79,8 @@ impl WarmUp {
         match data {
             [one] => Ok(one),
             _ => {
-                Err(Error::usage(format!("{} data sets were found; one warm-up was expected", data.len())).setting("from"))
+                Err(Error::usage(format!("{} data sets were found; one warm-up was expected", data.len()))
+                    .setting("from"))
             }
         }
     }
@@ -152,7 +153,9 @@ impl Estimate for WarmUp {
             return Err(Error::data("three rows at least were expected of a warm-up").setting("from"));
         }
         if let Some(row) = (1..times.len()).find(|row| times[*row] <= times[row - 1]) {
-            return Err(data.error_at(DataRow(row), "the time does not go on").help("did the clock jump, or are rows there twice?"));
+            return Err(data
+                .error_at(DataRow(row), "the time does not go on")
+                .help("did the clock jump, or are rows there twice?"));
         }
         let mut found = Found::default();
         let (mut sizes, mut condition, mut unknowns) = (Sizes::default(), 1.0, 0);
@@ -173,8 +176,8 @@ impl Estimate for WarmUp {
                 guess: None,
             };
             let fitted = abbe_thermal::fit(&log, &outputs, &structure)?;
-            let (inverse, worst) =
-                inverse_of(&log).ok_or_else(|| Error::data("the temperatures cannot be told apart").setting("temperatures"))?;
+            let (inverse, worst) = inverse_of(&log)
+                .ok_or_else(|| Error::data("the temperatures cannot be told apart").setting("temperatures"))?;
             for (output, readings) in outputs.iter().enumerate() {
                 self.gains(&mut found, &fitted, &log, output, &inverse);
                 let predicted = fitted.predict(&log, output, times)?;

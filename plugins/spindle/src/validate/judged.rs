@@ -48,7 +48,8 @@ pub fn runs(settings: &Spindle, estimates: &Estimates<'_>, data: &[&Dataset], fi
     if !estimates.motions.is_empty() {
         findings.tables.insert("speeds.csv".to_owned(), speeds.text());
         findings.remarks.push(of_form(form.is_some(), estimates.reversal.is_some()).to_owned());
-        if settings.centre == CentreName::PolarChart && estimates.motions.iter().any(|(_, motion)| motion.radial.len() == 1)
+        if settings.centre == CentreName::PolarChart
+            && estimates.motions.iter().any(|(_, motion)| motion.radial.len() == 1)
         {
             let remark = "one radial sensor does not tell its eccentricity: from the centre of the polar chart it is in the figures";
             findings.remarks.push(remark.to_owned());
@@ -164,7 +165,8 @@ fn changes(
     let changed: Vec<Figure> = own.iter().filter_map(change).collect();
     own.extend(changed);
     let sensors = motion.radial.keys().chain(&motion.axial).enumerate();
-    let orders = sensors.flat_map(|(number, sensor)| (2..=usize::from(motion.harmonics)).map(move |order| (number, sensor, order)));
+    let orders = sensors
+        .flat_map(|(number, sensor)| (2..=usize::from(motion.harmonics)).map(move |order| (number, sensor, order)));
     let by = |number: usize, order: usize| {
         let (now, then) = (checked.sensor(number, &checked.values), before.sensor(number, &before.values));
         now.combined(1.0, &then, -1.0).amplitude(order) * 1e3

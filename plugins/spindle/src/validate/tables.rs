@@ -12,7 +12,8 @@ use crate::motion::Motion;
 
 /// A name that a file can have.
 fn file(kind: &str, run: &str) -> String {
-    let own: String = run.chars().map(|letter| if letter.is_alphanumeric() || letter == '.' { letter } else { '-' }).collect();
+    let own: String =
+        run.chars().map(|letter| if letter.is_alphanumeric() || letter == '.' { letter } else { '-' }).collect();
     format!("{kind}-{own}.csv")
 }
 

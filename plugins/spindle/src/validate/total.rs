@@ -68,7 +68,10 @@ fn of_run(fit: &Fit, motion: &Motion, checked: &Checked, run: &Run<'_>, findings
     let taken = taken(&fit.calibration, motion, checked, run);
     let sensors = taken.lines.len();
     let only = |motion: Harmonics, orders: usize| -> Harmonics {
-        Harmonics { cos: motion.cos.into_iter().take(orders + 1).collect(), sin: motion.sin.into_iter().take(orders + 1).collect() }
+        Harmonics {
+            cos: motion.cos.into_iter().take(orders + 1).collect(),
+            sin: motion.sin.into_iter().take(orders + 1).collect(),
+        }
     };
     // The least squares circle: mean and fundamental of the synchronous part. Axial motions keep their fundamental.
     let circles: Vec<Harmonics> = (0..sensors)
@@ -99,7 +102,8 @@ fn of_run(fit: &Fit, motion: &Motion, checked: &Checked, run: &Run<'_>, findings
         }
     }
     let uncertainty = motion.standard_uncertainty_um.map(|reading| reading * std::f64::consts::SQRT_2);
-    let figure = |name: String, span: Span| Figure::new(&fit.name, name, (span.1 - span.0) * 1e3, "um").uncertain(uncertainty);
+    let figure =
+        |name: String, span: Span| Figure::new(&fit.name, name, (span.1 - span.0) * 1e3, "um").uncertain(uncertainty);
     let mut all = Vec::new();
     if pair.is_some() {
         all.push(figure(format!("total rotating[{}]", checked.run), turning));
