@@ -87,11 +87,16 @@ fn exact_data_give_the_truth_back() {
 
 #[test]
 fn realistic_data_hold_the_truth_within_their_uncertainty() {
-    for (name, value, truth, uncertainty) in harmonics("realistic") {
+    let all = harmonics("realistic");
+    let mut outside = 0;
+    for (name, value, truth, uncertainty) in &all {
         let off = (value - truth).abs() / uncertainty;
-        assert!(off < 2.0, "{name} is {off} standard uncertainties off");
-        assert!(uncertainty < if name.contains("drift_") { 1e-5 } else { 2e-5 }, "{name}: {uncertainty:e}");
+        // 31 degrees of freedom: 95 % are within 2.04, and 99.9 % of 530 values within 4.9.
+        outside += usize::from(off > 2.04);
+        assert!(off < 3.0, "{name} is {off} standard uncertainties off");
+        assert!(*uncertainty < if name.contains("drift_") { 1e-5 } else { 2e-5 }, "{name}: {uncertainty:e}");
     }
+    assert!(outside * 20 <= all.len(), "{outside} of {}", all.len());
 }
 
 fn figures(data: &str) -> &'static [Figure] {

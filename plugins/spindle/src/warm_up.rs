@@ -85,10 +85,12 @@ impl WarmUp {
         }
     }
 
+    /// Temperatures counted from their means: the noise of no single row is in all differences.
     fn log(&self, data: &Dataset, times: &[f64]) -> Result<SensorLog> {
         let sensor = |name: &String| Ok((name.clone(), data.required_numbers(name)?.to_vec()));
         let sensors = self.temperatures.iter().map(sensor).collect::<Result<_>>()?;
-        SensorLog::new(times.to_vec(), sensors, Hold::FirstOrder, None)?.elevations(Reference::FirstRow)
+        SensorLog::new(times.to_vec(), sensors, Hold::FirstOrder, None)?
+            .elevations(Reference::MeanUntil(times[times.len() - 1]))
     }
 
     /// Figures of a drift, which have no uncertainty of their own.
@@ -119,8 +121,10 @@ impl WarmUp {
                 terms: vec![(place, 1.0)],
             })
             .collect();
-        let freedom = (log.times().len() - self.temperatures.len()) as f64;
-        let covariance = inverse * fitted.scatter[output].powi(2);
+        // The mean is one more unknown.
+        let (rows, unknowns) = (log.times().len() as f64, self.temperatures.len() as f64);
+        let freedom = (rows - unknowns - 1.0).max(1.0);
+        let covariance = inverse * (fitted.scatter[output].powi(2) * (rows - unknowns) / freedom);
         found.add(&combined, &fitted.gains[output], &covariance, freedom);
     }
 }
@@ -164,7 +168,8 @@ impl Estimate for WarmUp {
             let log = self.log(data, times)?;
             let outputs = self.drift.iter().map(|name| {
                 let readings = data.required_numbers(name)?;
-                let values: Vec<f64> = readings.iter().map(|reading| reading - readings[0]).collect();
+                let mean = readings.iter().sum::<f64>() / readings.len() as f64;
+                let values: Vec<f64> = readings.iter().map(|reading| reading - mean).collect();
                 Ok(Output { name: name.clone(), times: times.to_vec(), values, standard_uncertainty: None })
             });
             let outputs = outputs.collect::<Result<Vec<_>>>()?;
