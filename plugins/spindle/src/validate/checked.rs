@@ -183,7 +183,7 @@ impl Checked {
     }
 
     /// An amplitude and its standard uncertainty, mm.
-    fn amplitude(&self, [cos, sin]: [&dyn Fn(&[f64]) -> f64; 2]) -> (f64, f64) {
+    fn amplitude(&self, cos: impl Fn(&[f64]) -> f64, sin: impl Fn(&[f64]) -> f64) -> (f64, f64) {
         let (one, other) = (cos(&self.values), sin(&self.values));
         let size = one.hypot(other);
         let slope = |by: &[f64]| if size > 0.0 { (one * cos(by) + other * sin(by)) / size } else { 0.0 };
@@ -193,14 +193,14 @@ impl Checked {
     /// Size and phase (rad) of the eccentricity with the standard uncertainty of its size; none without a pair.
     pub fn eccentricity(&self) -> Option<(f64, f64, f64)> {
         let [x, y] = self.eccentric[..] else { return None };
-        let (size, uncertainty) = self.amplitude([&|values| values[x], &|values| values[y]]);
+        let (size, uncertainty) = self.amplitude(|values| values[x], |values| values[y]);
         Some((size, uncertainty, self.values[y].atan2(self.values[x])))
     }
 
     /// Amplitude of the fundamental that goes round against the spindle.
     pub fn backward(&self) -> Option<(f64, f64)> {
         let [cos, sin] = self.backward[..] else { return None };
-        Some(self.amplitude([&|values| values[cos], &|values| values[sin]]))
+        Some(self.amplitude(|values| values[cos], |values| values[sin]))
     }
 
     /// Amplitude of an order of a sensor, mm.
@@ -209,7 +209,7 @@ impl Checked {
         let sum = |terms: &[(usize, f64)], values: &[f64]| -> f64 {
             terms.iter().map(|(place, factor)| values[*place] * factor).sum()
         };
-        self.amplitude([&|values| sum(&linear.cos[order], values), &|values| sum(&linear.sin[order], values)])
+        self.amplitude(|values| sum(&linear.cos[order], values), |values| sum(&linear.sin[order], values))
     }
 }
 

@@ -64,9 +64,12 @@ pub fn bands(motion: &Motion, checked: &Checked, bands: &[Sectors], findings: &m
     findings.tables.insert(file("total", &checked.run), text);
 }
 
-/// Figures against speed.
+/// Values by the names of their columns.
+type Row = Vec<(String, f64)>;
+
+/// Figures against speed: name of the run, rpm, figures.
 #[derive(Default)]
-pub struct Speeds(Vec<(String, f64, Vec<(String, f64)>)>);
+pub struct Speeds(Vec<(String, f64, Row)>);
 
 impl Speeds {
     /// Adds the figures of a run.
