@@ -32,6 +32,7 @@ mod recipes;
 mod selection;
 mod simulate;
 mod sphere;
+mod spindle;
 mod support;
 mod thermal;
 mod truth;

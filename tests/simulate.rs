@@ -328,6 +328,11 @@ fn every_recipe_is_simulated_with_the_truth_of_its_own_data() {
                 prepare(&written, &registry()).unwrap_or_else(|error| panic!("{name}: {error}"));
             }
             Err(error) if error.to_string().contains("cannot be simulated yet") => not_yet.push(name),
+            // Readings that are no geometry have no machine that could be simulated.
+            Err(error) if error.to_string().contains("no estimate uses a machine") => {
+                let kinds = prepared.recipe.stages.iter().map(|stage| stage.kind);
+                assert!(!kinds.into_iter().any(|kind| kind == abbe_core::Kind::Model), "{name}: {error}");
+            }
             // Means of series, of which nobody takes the single rows.
             Err(error) if name == "mfb-ucp710" && error.to_string().contains("combine several recorded ones") => {}
             Err(error) => panic!("{name}: {error}"),
