@@ -251,8 +251,15 @@ impl Estimate for Sequential {
         Ok(found)
     }
 
+    fn counts_priors(&self) -> bool {
+        true
+    }
+
     /// Whether the new rows alone determine all says little: what is known is not there before the recipe runs.
     fn accepts(&self, _: &Identifiability) -> Result<bool> {
         Ok(true)
     }
 }
+
+#[cfg(test)]
+mod tests;
