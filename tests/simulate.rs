@@ -312,12 +312,15 @@ fn every_recipe_is_simulated_with_the_truth_of_its_own_data() {
         let folder = temporary();
         let truth = truth_in(folder.path(), &truth_behind(&file));
         let prepared = prepare(&file, &registry()).unwrap_or_else(|error| panic!("{name}: {error}"));
-        match prepared.simulate(Path::new(&truth), 1, None) {
+        // Every day has a machine with the log of that day; this one is that of last month.
+        let machine = (name == "tango-warming-retrain").then_some("hu40t");
+        match prepared.simulate(Path::new(&truth), 1, machine) {
             Ok(simulated) => {
                 assert!(!simulated.data.is_empty(), "{name}");
                 for kept in &simulated.not_simulated {
                     // Those of a CMM: its artefact is the one that was really measured. Temperatures are as they were.
                     let is_kept = ["facets-cmm.csv", "temperatures.csv"].iter().any(|own| kept.file.ends_with(own));
+                    let is_kept = is_kept || machine.is_some();
                     assert!(is_kept && !kept.read_by.is_empty(), "{name}: {kept:?}");
                 }
                 let stages: BTreeSet<&str> =

@@ -20,6 +20,7 @@ use abbe_linuxcnc as _;
 use abbe_monte_carlo as _;
 use abbe_poses as _;
 use abbe_rapid_verify as _;
+use abbe_sequential as _;
 use abbe_serial_chain as _;
 use abbe_thermal_plugins as _;
 use abbe_spindle as _;
