@@ -1,6 +1,6 @@
 //! Bodies between the frames of a chain: where they act, and the factor that multiplies what they do.
 
-use abbe_core::{AxisKind, Branch, Parameter, Quantity, SettingsError, Unit};
+use abbe_core::{AxisKind, Branch, Parameter, ParameterRole, Quantity, SettingsError, Unit};
 use abbe_errors::{Body, BodyKind, BodyTerms, Functions, Guide, Mount};
 use abbe_kinematics::{Chain, ErrorFrame};
 use nalgebra::Vector3;
@@ -98,7 +98,7 @@ impl Builder {
         }
         let basis = self.basis(Box::new(terms), arguments, None);
         let unit = Unit { of: Quantity::Ratio, per: None };
-        let factor = Parameter::new(format!("body[{name}].factor"), unit);
+        let factor = Parameter::new(format!("body[{name}].factor"), unit).with_role(ParameterRole::Factor);
         let parameter = self.parameter(factor, 1.0, ParameterUse::Factor(basis))?;
         let first = self.bases[basis].first;
         let place = |component| CoefficientPlace { slot, component, function: first + component, basis };

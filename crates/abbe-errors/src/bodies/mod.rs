@@ -301,8 +301,9 @@ impl Body {
         }
         if let (Some(name), Some(_), false) = (self.sensors_of_rows().first(), self.reference_until_s, data.is_empty())
         {
-            let message = format!("`{name}` is no column of a log, which has idle minutes: `reference_degC`");
-            return Err(SettingsError::new("reference_until_s", message));
+            let message = format!("`{name}` is no column of a log of the machine; only a log has idle minutes");
+            let error = SettingsError::new("reference_until_s", message);
+            return Err(error.help("name the log by `logs: sensors` at the machine, or give `reference_degC`"));
         }
         temperatures::Temperatures::new(self).map(drop)
     }

@@ -58,6 +58,14 @@ struct Twist {
     turn: Vector,
 }
 
+impl Twist {
+    /// ex, ey, ez, ea, eb, ec.
+    fn six(self) -> [f64; 6] {
+        let Self { shift, turn } = self;
+        [shift[0], shift[1], shift[2], turn[0], turn[1], turn[2]]
+    }
+}
+
 /// The six errors of a frame that follow the temperatures of a body, in the unit of memory; the coefficient of all of them is the factor
 /// of the body. They are zero where a temperature is not known.
 #[derive(Debug)]
@@ -144,11 +152,6 @@ impl BodyTerms {
         })
     }
 
-    /// The place on the body that the axis is at.
-    fn place(&self, command: f64) -> f64 {
-        (self.at_zero + self.rate * command).clamp(0.0, self.beam.length())
-    }
-
     fn beyond(&self, command: f64) -> bool {
         let place = self.at_zero + self.rate * command;
         let allowed = BEYOND * self.beam.length();
@@ -199,72 +202,115 @@ impl BodyTerms {
         self.sections.iter().map(of_section).collect()
     }
 
-    /// The twist in the directions of the body at the point where it acts, and how it changes with the command.
-    fn twist(&self, planes: &[TemperaturePlane], command: f64) -> Result<[Twist; 2]> {
-        let (fixed, place) = (self.beam.at(planes, self.held)?, self.place(command));
-        let (seen, from) = match self.reach {
+    /// What is seen and from where, on the body.
+    fn places(&self, command: f64) -> (f64, f64) {
+        let place = (self.at_zero + self.rate * command).clamp(0.0, self.beam.length());
+        match self.reach {
             Reach::Held => (self.beam.length(), self.held),
             Reach::Slides => (self.beam.length(), place),
             Reach::Guideway | Reach::Scale(_) => (place, self.held),
-        };
+        }
+    }
+
+    /// The twist in the directions of the body at the point where it acts.
+    fn twist(&self, planes: &[TemperaturePlane], command: f64) -> Result<Twist> {
+        let (seen, from) = self.places(command);
         let (there, here) = (self.beam.at(planes, seen)?, self.beam.at(planes, from)?);
         let lever = seen - from;
-        // Its own part of the elongation is that of the scale, wherever the body is guided.
-        let mut now = Twist {
+        // Elongation is that of the scale, wherever the body is guided.
+        let fixed = if self.reach == Reach::Slides { self.beam.at(planes, self.held)? } else { here };
+        Ok(self.what_counts(Twist {
             shift: [
                 there.elongation - fixed.elongation,
                 there.deflection_y - here.deflection_y - here.rotation_z * lever,
                 there.deflection_z - here.deflection_z + here.rotation_y * lever,
             ],
             turn: [0.0, there.rotation_y - here.rotation_y, there.rotation_z - here.rotation_z],
-        };
-        let change = self.beam.slope_at(planes, place)?;
-        let mut slope = match self.reach {
-            Reach::Held => Twist::default(),
-            Reach::Slides => Twist {
-                shift: [0.0, -change.rotation_z * lever, change.rotation_y * lever],
-                turn: [0.0, -change.rotation_y, -change.rotation_z],
-            },
-            Reach::Guideway | Reach::Scale(_) => Twist {
-                shift: [change.elongation, there.rotation_z - here.rotation_z, here.rotation_y - there.rotation_y],
-                turn: [0.0, change.rotation_y, change.rotation_z],
-            },
-        };
-        for twist in [&mut now, &mut slope] {
-            match self.reach {
-                // The scale says how far the carriage goes.
-                Reach::Guideway => twist.shift[0] = 0.0,
-                Reach::Scale(sign) => *twist = Twist { shift: [sign * twist.shift[0], 0.0, 0.0], turn: [0.0; 3] },
-                Reach::Held | Reach::Slides => (),
-            }
-        }
-        slope.shift = times(slope.shift, self.rate);
-        slope.turn = times(slope.turn, self.rate);
-        Ok([now, slope])
+        }))
     }
 
-    /// The errors at the frame and how they change with the command.
-    fn errors(&self, elevations: &[f64], arguments: &[f64]) -> Option<[[f64; 6]; 2]> {
-        let command = self.command().map_or(0.0, |place| arguments[place]);
-        let [now, slope] = self.twist(&self.planes(elevations), command).ok()?.map(|twist| self.to_machine(twist));
+    /// How the twist changes with the command.
+    fn twist_slope(&self, planes: &[TemperaturePlane], command: f64) -> Result<Twist> {
+        let (seen, from) = self.places(command);
+        let lever = seen - from;
+        let slope = match self.reach {
+            Reach::Held => Twist::default(),
+            Reach::Slides => {
+                let change = self.beam.slope_at(planes, from)?;
+                Twist {
+                    shift: [0.0, -change.rotation_z * lever, change.rotation_y * lever],
+                    turn: [0.0, -change.rotation_y, -change.rotation_z],
+                }
+            }
+            Reach::Guideway | Reach::Scale(_) => {
+                let (change, here) = (self.beam.slope_at(planes, seen)?, self.beam.at(planes, from)?);
+                Twist {
+                    shift: [
+                        change.elongation,
+                        change.deflection_y - here.rotation_z,
+                        change.deflection_z + here.rotation_y,
+                    ],
+                    turn: [0.0, change.rotation_y, change.rotation_z],
+                }
+            }
+        };
+        let Twist { shift, turn } = self.what_counts(slope);
+        Ok(Twist { shift: times(shift, self.rate), turn: times(turn, self.rate) })
+    }
+
+    /// The part of a twist that a guideway or a scale says.
+    fn what_counts(&self, Twist { shift, turn }: Twist) -> Twist {
+        match self.reach {
+            Reach::Held | Reach::Slides => Twist { shift, turn },
+            Reach::Guideway => Twist { shift: [0.0, shift[1], shift[2]], turn },
+            Reach::Scale(sign) => Twist { shift: [sign * shift[0], 0.0, 0.0], turn: [0.0; 3] },
+        }
+    }
+
+    /// The point where the twist acts, to the origin of the frame.
+    fn lever(&self, arguments: &[f64]) -> Option<Vector> {
         let stylus = self.stylus().map_or(0, |place| arguments[place] as usize);
         let origin = *self.mount.origins.get(stylus)?;
-        let [along, ..] = self.directions;
-        let (mut place, mut lever_slope) = (self.beam.length(), 0.0);
-        if self.reach == Reach::Guideway {
-            // A frame that moves goes with the carriage, one that is fixed is left behind.
-            let moving = self.mount.guide.as_ref().is_some_and(|guide| guide.moving);
-            place = if moving { self.at_zero } else { self.at_zero + self.rate * command };
-            lever_slope = if moving { 0.0 } else { -self.rate };
-        }
-        let lever = difference(origin, sum(self.begin, times(along, place)));
-        let shift = |twist: Twist| {
-            let by_scale = times(along, -dot(along, cross(twist.turn, self.to_scale)));
-            sum(sum(twist.shift, cross(twist.turn, lever)), by_scale)
+        let place = match self.reach {
+            Reach::Guideway if self.is_left_behind() => self.at_zero + self.rate * self.command_of(arguments),
+            // A frame that moves goes with the carriage.
+            Reach::Guideway => self.at_zero,
+            _ => self.beam.length(),
         };
-        let slope_shift = sum(shift(slope), times(cross(now.turn, along), lever_slope));
-        let six = |shift: Vector, turn: Vector| [shift[0], shift[1], shift[2], turn[0], turn[1], turn[2]];
-        Some([six(shift(now), now.turn), six(slope_shift, slope.turn)])
+        Some(difference(origin, sum(self.begin, times(self.directions[0], place))))
+    }
+
+    /// Motion errors act in a frame that does not go with the carriage.
+    fn is_left_behind(&self) -> bool {
+        self.mount.guide.as_ref().is_some_and(|guide| !guide.moving)
+    }
+
+    fn command_of(&self, arguments: &[f64]) -> f64 {
+        self.command().map_or(0.0, |place| arguments[place])
+    }
+
+    /// Shift and rotation of the frame at its origin.
+    fn at_origin(&self, twist: Twist, lever: Vector) -> Twist {
+        let by_scale = times(self.directions[0], -dot(self.directions[0], cross(twist.turn, self.to_scale)));
+        Twist { shift: sum(sum(twist.shift, cross(twist.turn, lever)), by_scale), turn: twist.turn }
+    }
+
+    /// The errors at the frame.
+    fn errors(&self, elevations: &[f64], arguments: &[f64]) -> Option<Twist> {
+        let twist = self.twist(&self.planes(elevations), self.command_of(arguments)).ok()?;
+        Some(self.at_origin(self.to_machine(twist), self.lever(arguments)?))
+    }
+
+    /// How the errors change with the command.
+    fn errors_slope(&self, elevations: &[f64], arguments: &[f64]) -> Option<Twist> {
+        let (planes, command) = (self.planes(elevations), self.command_of(arguments));
+        let slope = self.to_machine(self.twist_slope(&planes, command).ok()?);
+        let mut found = self.at_origin(slope, self.lever(arguments)?);
+        if self.reach == Reach::Guideway && self.is_left_behind() {
+            let turn = self.to_machine(self.twist(&planes, command).ok()?).turn;
+            found.shift = sum(found.shift, times(cross(turn, self.directions[0]), -self.rate));
+        }
+        Some(found)
     }
 
     fn to_machine(&self, twist: Twist) -> Twist {
@@ -333,19 +379,19 @@ impl Functions for BodyTerms {
     }
 
     fn values(&self, arguments: &[f64], out: &mut [f64]) {
-        let errors = self.elevations(arguments).and_then(|elevations| self.errors(&elevations, arguments));
-        out.copy_from_slice(&errors.map_or([0.0; 6], |[now, _]| now));
+        let found = self.elevations(arguments).and_then(|elevations| self.errors(&elevations, arguments));
+        out.copy_from_slice(&found.unwrap_or_default().six());
     }
 
     fn slopes(&self, by: usize, arguments: &[f64], out: &mut [f64]) {
         out.fill(0.0);
         let Some(elevations) = self.elevations(arguments) else { return };
         let found = match by.checked_sub(self.first()) {
-            Some(place) => self.errors(&self.temperatures.slope(place), arguments).map(|[now, _]| now),
-            None if Some(by) == self.command() => self.errors(&elevations, arguments).map(|[_, slope]| slope),
+            Some(place) => self.errors(&self.temperatures.slope(place), arguments),
+            None if Some(by) == self.command() => self.errors_slope(&elevations, arguments),
             None => None,
         };
-        out.copy_from_slice(&found.unwrap_or([0.0; 6]));
+        out.copy_from_slice(&found.unwrap_or_default().six());
     }
 
     fn nominal(&self) -> f64 {
