@@ -108,7 +108,7 @@ fn what_bends_is_no_geometry() {
 }
 
 /// Mean square of error over uncertainty, of the geometry, if coefficients of expansion are off as their uncertainty says.
-fn chi_square(recipe: &Variant, sets: usize) -> (f64, Calibration) {
+fn chi_square(recipe: &Variant, sets: u64) -> (f64, Calibration) {
     let outcome = recipe.run();
     let planned = fit(&outcome, "fit-stated");
     let uncertainties = [0.6 / 10.5, 0.6 / 11.5, 0.6 / 11.5, 0.6 / 11.5, 0.3 / 10.6];
@@ -255,4 +255,28 @@ fn temperatures_that_are_not_there_are_told() {
         variant.stage("touches")["path"] = json!(folder.path().join("touches.csv"));
     });
     assert!(said.contains("has no column `time_s`, by which temperatures are found"), "{said}");
+}
+
+/// Temperatures in the rows of the touches themselves: a head that is 5 K too warm all the time is a longer one, with the uncertainty of
+/// its material.
+#[test]
+fn temperatures_may_be_columns_of_the_touches() {
+    let mut variant = recipe().only(&["fit-stated"]);
+    let mut mill = variant.stage("cold-mill").clone();
+    let mut head = machine()["bodies"]["head"].clone();
+    head.as_object_mut().expect("a body").remove("reference_until_s");
+    mill["bodies"] = json!({ "head": head });
+    variant.0["stages"]["head-mill"] = mill;
+    variant.0["stages"]["with"] = variant.0["stages"]["fit-stated"].clone();
+    variant.stage("with")["machine"] = json!("head-mill");
+    variant.stage("fit-stated")["machine"] = json!("cold-mill");
+    variant.stage("touches")["constants"] = json!({ "H1_degC": 25, "H2_degC": 25, "H3_degC": 25, "H4_degC": 25 });
+    let outcome = variant.run();
+    let [with, without] = ["with", "fit-stated"].map(|name| fit(&outcome, name).calibration.clone());
+    let dzt = |calibration: &Calibration| calibration.get("dzt").expect("an unknown").value;
+    let longer = 100.0 * 11.5e-6 * 5.0;
+    assert!((dzt(&with) - dzt(&without) - longer).abs() < 1e-9, "{} {}", dzt(&with), dzt(&without));
+    let variance = |calibration: &Calibration| calibration.get("dzt").expect("an unknown").standard_uncertainty.powi(2);
+    let more = (variance(&with) - variance(&without)).sqrt();
+    assert!((more / (longer * 0.6 / 11.5) - 1.0).abs() < 0.02, "{more}");
 }
