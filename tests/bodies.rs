@@ -76,7 +76,7 @@ fn exact_touches_give_geometry_and_factors_back() {
         let problem = measured(&planned.problem, &truth, 0.0, seed);
         let calibration = planned.estimator.estimate(&problem).unwrap_or_else(|error| panic!("{seed}: {error}"));
         let found = errors(&calibration, &truth);
-        assert_eq!(found.len(), 25);
+        assert_eq!(found.len(), 10);
         for (name, error, _) in found {
             assert!(error.abs() < exactly(&problem, &name), "seed {seed}: {name} is off by {error:e}");
         }
@@ -195,7 +195,10 @@ fn temperatures_that_are_not_there_are_told() {
         let mut variant = recipe().only(&["fit"]);
         fs::write(folder.path().join("log.csv"), log).expect("a file");
         variant.stage("sensors")["path"] = json!(folder.path().join("log.csv"));
-        variant.stage("mill")["bodies"] = machine()["bodies"].clone();
+        // What stands in a file cannot be taken away from a recipe.
+        let mill = variant.stage("mill").as_object_mut().expect("a stage");
+        mill.remove("file");
+        mill.extend(machine().as_object().expect("a machine").clone());
         change(&mut variant);
         let prepared = prepare(&variant.write(folder.path()), &registry());
         let error = prepared.and_then(|prepared| prepared.check().map(drop)).expect_err("it is refused");
