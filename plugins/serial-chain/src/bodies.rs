@@ -43,11 +43,11 @@ fn name(chain: &Chain, frame: Frame) -> &str {
 fn origin(chain: &Chain, branch: Branch, frame: Frame) -> Vector3<f64> {
     let frames = frames(chain, branch);
     let up_to = frames.iter().position(|other| *other == frame).map_or(0, |place| place + 1);
-    let points = frames[..up_to].iter().filter_map(|frame| match frame {
+    let mut points = frames[..up_to].iter().filter_map(|frame| match frame {
         Frame::Axis(axis) => Some(&chain.axes()[*axis]).filter(|axis| axis.kind == AxisKind::Rotary),
         Frame::Tool | Frame::Workpiece => None,
     });
-    points.last().map_or_else(Vector3::zeros, |axis| axis.point)
+    points.next_back().map_or_else(Vector3::zeros, |axis| axis.point)
 }
 
 /// The frame that a body carries, and the one before it; none if that is the bed.

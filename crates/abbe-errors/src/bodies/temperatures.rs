@@ -3,7 +3,7 @@
 use abbe_core::{Quantity, SettingsError};
 use abbe_thermal::{History, Hold, Reference, SensorLog};
 
-use super::{Body, REFERENCE};
+use super::{Body, REFERENCE, Turning};
 use crate::log;
 
 /// Where the reading of a sensor comes from.
@@ -15,6 +15,9 @@ enum Source {
     Row(usize),
 }
 
+/// A body's own elevation at the first row of the log, K, and how it goes on from there.
+type Slow = (f64, History);
+
 /// The temperatures of the sensors of a body.
 #[derive(Debug)]
 pub(super) struct Temperatures {
@@ -23,8 +26,8 @@ pub(super) struct Temperatures {
     sources: Vec<Source>,
     /// Elevations by time.
     log: Option<SensorLog>,
-    /// Where the body follows its sensors slowly: its own elevations at the first row, and how they go on.
-    slow: Vec<(f64, History)>,
+    /// One for each sensor, if the body follows them slowly.
+    slow: Vec<Slow>,
     reference: f64,
 }
 
@@ -58,10 +61,12 @@ impl Temperatures {
         }
         let reference = body.reference_until_s.map_or(Reference::Value(found.reference), Reference::MeanUntil);
         let log = log::sensor_log(&body.log, columns.iter().copied(), Hold::FirstOrder, body.longest_gap_s, reference)?;
-        if body.turning.is_some() {
-            (found.log, found.slow) = turned(body, &log)?;
-        } else {
-            found.log = Some(log);
+        match &body.turning {
+            Some(turning) => {
+                let (tends, slow) = turned(body, turning, &log)?;
+                (found.log, found.slow) = (Some(tends), slow);
+            }
+            None => found.log = Some(log),
         }
         Ok(found)
     }
@@ -100,8 +105,7 @@ impl Temperatures {
 }
 
 /// What a body that turns tends to, above its first value, and how it follows.
-fn turned(body: &Body, log: &SensorLog) -> Result<(Option<SensorLog>, Vec<(f64, History)>), SettingsError> {
-    let Some(turning) = &body.turning else { return Ok((None, Vec::new())) };
+fn turned(body: &Body, turning: &Turning, log: &SensorLog) -> Result<(SensorLog, Vec<Slow>), SettingsError> {
     let lacks = || SettingsError::new("turning", format!("the log has no column of numbers `{}`", turning.speed));
     let speeds = log::readings(&body.log, &turning.speed).ok_or_else(lacks)?;
     let wrong = |error: abbe_core::Error| SettingsError::new("turning", error.message);
@@ -121,5 +125,5 @@ fn turned(body: &Body, log: &SensorLog) -> Result<(Option<SensorLog>, Vec<(f64, 
     let tends = SensorLog::new(log.times().to_vec(), tends, Hold::FirstOrder, None).map_err(wrong)?;
     let history = |(sensor, first)| (first, History::new(&tends, sensor, turning.time_constant_s));
     let slow = firsts.into_iter().enumerate().map(history).collect();
-    Ok((Some(tends), slow))
+    Ok((tends, slow))
 }
