@@ -2,6 +2,7 @@
 //! the results whatever the code looks like inside.
 
 mod ball_bar;
+mod bodies;
 mod bounds;
 mod calibrations;
 mod cmm;
