@@ -170,7 +170,7 @@ impl Estimate for WarmUp {
                 let readings = data.required_numbers(name)?;
                 let mean = readings.iter().sum::<f64>() / readings.len() as f64;
                 let values: Vec<f64> = readings.iter().map(|reading| reading - mean).collect();
-                Ok(Output { name: name.clone(), times: times.to_vec(), values, standard_uncertainty: None })
+                Ok(Output::of_run(name, times.to_vec(), values))
             });
             let outputs = outputs.collect::<Result<Vec<_>>>()?;
             let structure = Structure {
@@ -180,13 +180,13 @@ impl Estimate for WarmUp {
                 starts_warm: false,
                 guess: None,
             };
-            let fitted = abbe_thermal::fit(&log, &outputs, &structure)?;
+            let fitted = abbe_thermal::fit(std::slice::from_ref(&log), &outputs, &structure)?;
             let (inverse, worst) = inverse_of(&log)
                 .ok_or_else(|| Error::data("the temperatures cannot be told apart").setting("temperatures"))?;
             for (output, readings) in outputs.iter().enumerate() {
                 self.gains(&mut found, &fitted, &log, output, &inverse);
                 let predicted = fitted.predict(&log, output, times)?;
-                readings.values.iter().zip(predicted).for_each(|(value, predicted)| sizes.push(value - predicted));
+                readings.runs[0].values.iter().zip(predicted).for_each(|(value, predicted)| sizes.push(value - predicted));
                 unknowns += self.temperatures.len();
             }
             condition = worst;
