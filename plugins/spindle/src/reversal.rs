@@ -128,7 +128,7 @@ impl Reversal {
         let forms = of_order("form", 1);
         forms.iter().chain(&motions).for_each(|name| found.fixed(name.clone(), 0.0, "mm"));
         for parameter in &mut found.parameters {
-            let is_first = parameter.name.starts_with("reversal[") || forms.contains(&parameter.name);
+            let is_first = parameter.name.contains("].fundamental.") || forms.contains(&parameter.name);
             if is_first || motions.contains(&parameter.name) {
                 parameter.status = Status::Confounded;
             }
