@@ -42,7 +42,7 @@ fn lists_that_are_too_long_are_refused() {
     let mut recipe = Variant::of(&recipes()["mill-direct"]).only(&["fit-angles"]);
     let machine = recipe.stage("mill");
     machine["styli"] = json!({ "2": { "tip_mm": [0, -35, 0, -130, 0] } });
-    let error = checked(&recipe, folder.path()).err().expect("it is refused");
+    let error = checked(&recipe, folder.path()).expect_err("it is refused");
     let said = format!("{} {}", error.message, error.help.unwrap_or_default());
     assert!(said.contains("a list of 5 items") && said.contains("decimals are written with a point"), "{said}");
     for (stage, setting, value) in [
@@ -109,7 +109,7 @@ fn negative_loads_are_refused() {
         |row, cell| if row == 1 { format!("-{cell}") } else { cell.to_owned() },
     );
     recipe.stage("table-files")["path"] = json!(negative);
-    let error = checked(&recipe, folder.path()).err().expect("it is refused");
+    let error = checked(&recipe, folder.path()).expect_err("it is refused");
     assert!(error.to_string().contains("a load of -1750 N"), "{error}");
 }
 
@@ -123,7 +123,7 @@ fn temperatures_in_kelvin_and_those_of_two_places_are_refused() {
     let mut recipe = warming();
     recipe.stage("hu40t")["errors"][5] =
         json!({ "thermal": ["EA0B"], "at_once": ["T_column"], "reference_degC": 293.15 });
-    let error = checked(&recipe, folder.path()).err().expect("it is refused");
+    let error = checked(&recipe, folder.path()).expect_err("it is refused");
     assert!(error.message.contains("from -100 to 200 °C"), "{error}");
     // Touches that have the column of the log.
     let mut recipe = warming();
@@ -140,7 +140,7 @@ fn temperatures_in_kelvin_and_those_of_two_places_are_refused() {
     let touches = folder.path().join("touches.csv");
     fs::write(&touches, rows.collect::<String>()).expect("a file");
     recipe.stage("touches")["path"] = json!(touches);
-    let error = checked(&recipe, folder.path()).err().expect("it is refused");
+    let error = checked(&recipe, folder.path()).expect_err("it is refused");
     assert!(error.message.contains("`T_column` of their own, and so has the log"), "{error}");
 }
 

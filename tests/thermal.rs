@@ -193,7 +193,7 @@ fn wandering(seed: u64, noise: f64) -> String {
             }
             for (sensor, states) in states.iter_mut().enumerate() {
                 for (state, time) in states.iter_mut().zip(times) {
-                    let (a, e) = (step / time, (-step / time as f64).exp());
+                    let (a, e) = (step / time, f64::exp(-step / time));
                     let (from, to): (f64, f64) = (before[sensor] - 20.0, levels[sensor] - 20.0);
                     *state = e * *state + (1.0 - e) * from + (1.0 - (1.0 - e) / a) * (to - from);
                 }

@@ -145,7 +145,7 @@ pub fn fit(logs: &[SensorLog], outputs: &[Output], structure: &Structure) -> Res
     for guess in guesses {
         let logarithms = guess.iter().map(|time| time.ln()).collect();
         let mut search = Search::new(logs, outputs, structure, sizes(outputs), logarithms);
-        match search.from_guess() {
+        match search.search_from_guess() {
             Ok(likelihood) if best.as_ref().is_none_or(|(best, _)| likelihood < *best) => {
                 best = Some((likelihood, search));
             }
@@ -307,7 +307,7 @@ impl<'a> Search<'a> {
     /// with its sign turned, that of unknown scatter.
     ///
     /// Fails where time constants do not stand, or are none that the logs can tell.
-    fn from_guess(&mut self) -> Result<f64> {
+    fn search_from_guess(&mut self) -> Result<f64> {
         for round in 0..ROUNDS {
             let scatter = self.scatter()?;
             // Where nothing scatters but rounding, all outputs weigh by their size.

@@ -186,7 +186,11 @@ impl Estimate for WarmUp {
             for (output, readings) in outputs.iter().enumerate() {
                 self.gains(&mut found, &fitted, &log, output, &inverse);
                 let predicted = fitted.predict(&log, output, times)?;
-                readings.runs[0].values.iter().zip(predicted).for_each(|(value, predicted)| sizes.push(value - predicted));
+                readings.runs[0]
+                    .values
+                    .iter()
+                    .zip(predicted)
+                    .for_each(|(value, predicted)| sizes.push(value - predicted));
                 unknowns += self.temperatures.len();
             }
             condition = worst;
