@@ -137,7 +137,7 @@ fn set(rows: &Rows, model: &Arc<dyn KinematicModel>) -> ObservationSet {
     }
     let data = Arc::new(data);
     let mut layout = Layout::new(&data, model.as_ref(), &[&abbe_core::plain_naming]).unwrap();
-    for (row, uncertainty) in data.row_indices().into_iter().zip(&rows.uncertainties) {
+    for (row, uncertainty) in data.row_indices().zip(&rows.uncertainties) {
         layout.push(model.as_ref(), row, &[*uncertainty]).unwrap();
     }
     let input = |(name, size): &(&str, f64)| KnownInput::new(Parameter::new(*name, Unit::MM), 0.0, *size);
