@@ -21,4 +21,5 @@ use abbe_monte_carlo as _;
 use abbe_poses as _;
 use abbe_rapid_verify as _;
 use abbe_serial_chain as _;
+use abbe_tools as _;
 use abbe_validators as _;
