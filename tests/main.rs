@@ -32,6 +32,7 @@ mod selection;
 mod simulate;
 mod sphere;
 mod support;
+mod tools;
 mod truth;
 mod uncertainty;
 mod undetermined;

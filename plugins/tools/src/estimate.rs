@@ -4,8 +4,8 @@ use std::path::PathBuf;
 
 use abbe_core::{
     CALIBRATION_FORMAT, Calibration, Certificate, ColumnHeader, ConsideredInput, Context, Dataset, Error, Estimate,
-    EstimateSource, Estimated, FitReport, Identifiability, InputFile, ModelRecord, NamedCovariance, Problem, Quantity as Kind,
-    Result, SettingsError, Status, Unit,
+    EstimateSource, Estimated, FitReport, Identifiability, InputFile, ModelRecord, NamedCovariance, Problem,
+    Quantity as Kind, Result, SettingsError, Status, Unit,
 };
 use nalgebra::DMatrix;
 
@@ -58,11 +58,8 @@ impl Estimate for ToolDimensions {
             return Err(Error::data("no tool has a dimension: the log has the master alone, or no repeats that agree"));
         }
         let master_variance = (settings.master.standard_uncertainty_um * 1e-3).powi(2);
-        let of_value = |it: &crate::dimensions::Dimension| Measured {
-            check: it.check,
-            quantity: it.quantity,
-            value: it.value,
-        };
+        let of_value =
+            |it: &crate::dimensions::Dimension| Measured { check: it.check, quantity: it.quantity, value: it.value };
         let store = Store {
             record: Record {
                 settings: settings.clone(),

@@ -71,7 +71,9 @@ pub fn tools(path: &Path, settings: &Settings) -> Result<Vec<(Tool, usize)>> {
 /// A name that stands in names of results.
 fn usable(name: &str) -> std::result::Result<(), String> {
     match name.is_empty() || name.contains([',', '[', ']', ';', '(', ')', '"']) {
-        true => Err(format!("`{name}` is no name of a tool or a session: it is empty or has brackets, `,`, `;` or `\"`")),
+        true => {
+            Err(format!("`{name}` is no name of a tool or a session: it is empty or has brackets, `,`, `;` or `\"`"))
+        }
         false => Ok(()),
     }
 }
@@ -236,7 +238,9 @@ impl<'a> Log<'a> {
         if temperatures.is_empty() {
             return Err(self
                 .error(rows[0].at, format!("session {} has no reading of the master, tool {master}", session.name))
-                .help("without it neither bias of the setter nor growth of the spindle is known: leave the session out"));
+                .help(
+                    "without it neither bias of the setter nor growth of the spindle is known: leave the session out",
+                ));
         }
         let temperature = temperatures.iter().sum::<f64>() / temperatures.len() as f64;
         for row in rows {
@@ -280,8 +284,7 @@ impl<'a> Log<'a> {
             error
         };
         let quantity = Quantity::ALL.into_iter().find(|quantity| quantity.name() == row.quantity);
-        let quantity =
-            quantity.ok_or_else(|| unknown("quantity", row.quantity, &Quantity::ALL.map(Quantity::name)))?;
+        let quantity = quantity.ok_or_else(|| unknown("quantity", row.quantity, &Quantity::ALL.map(Quantity::name)))?;
         let methods: Vec<&str> = settings.repeatability_um.keys().map(String::as_str).collect();
         match methods.contains(&row.method) {
             true => Ok((quantity, row.method.to_owned())),
@@ -295,7 +298,10 @@ impl<'a> Log<'a> {
         match change.abs() <= most {
             true => Ok(()),
             false => Err(self
-                .error(row.at, format!("the spindle is {change:+.2} K from where it was with the master (at most {most} K)"))
+                .error(
+                    row.at,
+                    format!("the spindle is {change:+.2} K from where it was with the master (at most {most} K)"),
+                )
                 .help("measure the master again, as a session of its own, or raise `temperature_limit_K`")),
         }
     }
@@ -328,7 +334,9 @@ impl<'a> Log<'a> {
                         quantity.name(),
                         visit.tool
                     );
-                    return Err(self.error(readings[0].at, message).help("the master corrects every quantity and method"));
+                    return Err(self
+                        .error(readings[0].at, message)
+                        .help("the master corrects every quantity and method"));
                 }
             }
         }
@@ -375,7 +383,9 @@ impl<'a> Log<'a> {
         for visit in self.sessions.iter().flat_map(|session| &session.visits) {
             if !names.contains(&visit.tool.as_str()) {
                 let message = format!("tool {} is not in the table {}", visit.tool, table.display());
-                return Err(self.error(visit.first, message).help("add its presets, or leave it out of the log by `ignore`"));
+                return Err(self
+                    .error(visit.first, message)
+                    .help("add its presets, or leave it out of the log by `ignore`"));
             }
             seen.insert(visit.tool.as_str());
         }
@@ -399,7 +409,8 @@ fn rows_of<'a>(index: usize, data: &'a Dataset) -> Result<Vec<Row<'a>>> {
     let mut rows = Vec::new();
     for row in data.row_indices() {
         let at = At { data: index, row };
-        let numbers = [("value", value[row]), ("time", time[row]), ("temperature", spindle[row]), ("cutting", cutting[row])];
+        let numbers =
+            [("value", value[row]), ("time", time[row]), ("temperature", spindle[row]), ("cutting", cutting[row])];
         if let Some((name, _)) = numbers.iter().find(|(_, number)| !number.is_finite()) {
             return Err(data.error_at(row, format!("the {name} is missing")));
         }

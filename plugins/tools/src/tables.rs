@@ -16,10 +16,11 @@ fn cell(value: Option<f64>, decimals: usize) -> String {
 
 /// All verdicts.
 pub fn verdicts(store: &Store, judged: &[Judged]) -> String {
-    let mut text = "session,tool,cutting_min,verdict,looks_like,rule,quantity,value_um,limit_um,expanded_uncertainty_um,\
+    let mut text =
+        "session,tool,cutting_min,verdict,looks_like,rule,quantity,value_um,limit_um,expanded_uncertainty_um,\
                     length_deviation_um,length_expanded_uncertainty_um,radius_deviation_um,\
                     radius_expanded_uncertainty_um\n"
-        .to_owned();
+            .to_owned();
     for it in judged {
         let check = &store.record.checks[it.check];
         let mut cells = vec![

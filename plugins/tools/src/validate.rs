@@ -2,9 +2,7 @@
 
 use std::collections::BTreeMap;
 
-use abbe_core::{
-    Context, Dataset, Figure, Findings, Fit, Label, Limit, Result, SettingsError, Validate,
-};
+use abbe_core::{Context, Dataset, Figure, Findings, Fit, Label, Limit, Result, SettingsError, Validate};
 use schemars::JsonSchema;
 use serde::Deserialize;
 use serde_json::{Value, json};
@@ -34,7 +32,7 @@ struct Settings {
     /// The tools that the next cut needs: each has to be measured in the last session. Default: all that a session has.
     #[serde(default)]
     tools: Option<Vec<Label>>,
-    /// Verdicts that fail.
+    /// Verdicts that fail. An empty list reports only.
     #[serde(default = "bad")]
     fail: Vec<Name>,
     /// Verdicts by which a tool is on the list of locked ones.
@@ -151,7 +149,8 @@ impl Tools {
         let figure = if it.name == Name::Ok || !decides { figure.detail() } else { figure };
         let fails = self.settings.fail.contains(&it.name);
         match it.name {
-            _ if !decides => figure,
+            // Where nothing may fail, nothing is decided.
+            _ if !decides || self.settings.fail.is_empty() => figure,
             Name::Ok => figure.limited(Limit::from(it.limit_um)),
             // Not below the limit minus U: the acceptance limit of the guard band decides.
             Name::Recheck if fails => figure.limited(Limit::from((it.limit_um - it.expanded_um).next_down())),
@@ -216,9 +215,8 @@ fn wear_figures(of: &str, store: &Store, wear: &[Wear]) -> Vec<Figure> {
         time(one).total_cmp(&time(other))
     });
     let minutes = |name: String, it: &Wear| {
-        it.reached.map(|reached| {
-            Figure::new(of, name, reached.time / 60.0, "min").uncertain(reached.uncertainty / 60.0)
-        })
+        it.reached
+            .map(|reached| Figure::new(of, name, reached.time / 60.0, "min").uncertain(reached.uncertainty / 60.0))
     };
     if let Some(it) = first {
         figures.extend(minutes(format!("first limit reached: wear[{}].{}", it.tool, it.quantity.name()), it));

@@ -34,9 +34,7 @@ pub fn lines(store: &Store, judged: &[Judged]) -> Vec<Line> {
         for quantity in Quantity::ALL {
             let is_used = |index: &usize| {
                 let value = &store.values[*index];
-                value.quantity == quantity
-                    && counts[&value.check]
-                    && store.record.checks[value.check].tool == tool.tool
+                value.quantity == quantity && counts[&value.check] && store.record.checks[value.check].tool == tool.tool
             };
             let used: Vec<usize> = (0..store.values.len()).filter(is_used).collect();
             lines.extend(line(store, &tool.tool, quantity, &used));
