@@ -81,7 +81,9 @@ fn told(calibration: &Calibration, exact: bool) -> String {
         let status = serde_json::to_value(status).expect("a status is text");
         let status = status.as_str().expect("a status is text");
         // What an earlier fit of exact data knows is rounding here, too.
-        let rounding = noise || (exact && known && *standard_uncertainty < tolerance(unit));
+        // Times and speeds have no effect at the tip.
+        let has_effect = unit.starts_with("mm") || unit.starts_with("rad");
+        let rounding = has_effect && (noise || (exact && known && *standard_uncertainty < tolerance(unit)));
         let step = if rounding { tolerance(unit) } else { ten_to(standard_uncertainty * 0.01) };
         let value = if rounding { untied(*value, step) } else { to_step(*value, step) };
         write!(text, "{name:<22}{unit:<12}{status:<12}{value:>11.3e}").expect("text");

@@ -89,17 +89,14 @@ fn thermal(criterion: &mut Criterion) {
     let is_output = |name: &&String| !INPUTS.contains(&name.as_str());
     let outputs: Vec<Output> = (log.names().iter().enumerate())
         .filter(|(_, name)| is_output(name))
-        .map(|(sensor, name)| Output {
-            name: name.clone(),
-            times: times.clone(),
-            values: log.values(sensor).to_vec(),
-            standard_uncertainty: None,
-        })
+        .map(|(sensor, name)| Output::of_run(name, times.clone(), log.values(sensor).to_vec()))
         .collect();
     let inputs = INPUTS.iter().filter_map(|name| log.sensor(name).ok()).collect();
     let structure = Structure { inputs, at_once: Vec::new(), time_constants: 3, starts_warm: false, guess: None };
     criterion.bench_function("thermal_spindle_fit", |bencher| {
-        bencher.iter(|| abbe_thermal::fit(black_box(&log), &outputs, &structure).map(|fitted| fitted.passes))
+        bencher.iter(|| {
+            abbe_thermal::fit(std::slice::from_ref(black_box(&log)), &outputs, &structure).map(|fitted| fitted.passes)
+        })
     });
 }
 

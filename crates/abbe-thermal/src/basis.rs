@@ -21,29 +21,19 @@ pub struct Basis {
 }
 
 impl Basis {
-    pub fn new(log: &SensorLog, structure: &Structure, logarithms: &[f64], times: &[f64]) -> Result<Self> {
-        let (rows, count) = (times.len(), structure.gains());
+    /// The basis at the times of each run.
+    pub fn new(logs: &[SensorLog], structure: &Structure, logarithms: &[f64], times: &[&[f64]]) -> Result<Self> {
+        let (rows, count) = (times.iter().map(|times| times.len()).sum(), structure.gains(logs.len()));
         let (mut columns, mut slopes) = (Mat::zeros(rows, count), Mat::zeros(rows, count));
-        let mut put = |place: usize, response: Response| {
-            for (row, (value, slope)) in response.values.iter().zip(&response.slopes).enumerate() {
-                (columns[(row, place)], slopes[(row, place)]) = (*value, *slope);
-            }
-        };
-        for (input, sensor) in structure.inputs.iter().enumerate() {
-            for (index, logarithm) in logarithms.iter().enumerate() {
-                put(structure.gain(input, index), Response::new(log, *sensor, logarithm.exp(), times)?);
-            }
-        }
-        let own = structure.inputs.len() * structure.time_constants;
-        for (place, sensor) in structure.at_once.iter().enumerate() {
-            let values = times.iter().map(|time| log.at(*sensor, *time)).collect::<Result<Vec<f64>>>()?;
-            put(own + place, Response { slopes: vec![0.0; values.len()], values });
-        }
-        if structure.starts_warm {
-            for (index, logarithm) in logarithms.iter().enumerate() {
-                let place = own + structure.at_once.len() + index;
-                put(place, Response::of_beginning(log, logarithm.exp(), times));
-            }
+        let mut first = 0;
+        for (run, (log, times)) in logs.iter().zip(times).enumerate() {
+            let put = |place: usize, response: Response| {
+                for (row, (value, slope)) in response.values.iter().zip(&response.slopes).enumerate() {
+                    (columns[(first + row, place)], slopes[(first + row, place)]) = (*value, *slope);
+                }
+            };
+            of_run(log, structure, logarithms, times, run, put)?;
+            first += times.len();
         }
         let qr = columns.as_ref().qr();
         let thin = qr.compute_thin_Q();
@@ -75,4 +65,32 @@ impl Basis {
         let explained = &self.thin * (self.thin.transpose() * &vectors);
         vectors - explained
     }
+}
+
+/// Puts the terms at the times of one run where they belong.
+fn of_run(
+    log: &SensorLog,
+    structure: &Structure,
+    logarithms: &[f64],
+    times: &[f64],
+    run: usize,
+    mut put: impl FnMut(usize, Response),
+) -> Result<()> {
+    for (input, sensor) in structure.inputs.iter().enumerate() {
+        for (index, logarithm) in logarithms.iter().enumerate() {
+            put(structure.gain(input, index), Response::new(log, *sensor, logarithm.exp(), times)?);
+        }
+    }
+    let own = structure.inputs.len() * structure.time_constants;
+    for (place, sensor) in structure.at_once.iter().enumerate() {
+        let values = times.iter().map(|time| log.at(*sensor, *time)).collect::<Result<Vec<f64>>>()?;
+        put(own + place, Response { slopes: vec![0.0; values.len()], values });
+    }
+    if structure.starts_warm {
+        for (index, logarithm) in logarithms.iter().enumerate() {
+            let place = structure.of_any_run() + run * structure.time_constants + index;
+            put(place, Response::of_beginning(log, logarithm.exp(), times));
+        }
+    }
+    Ok(())
 }

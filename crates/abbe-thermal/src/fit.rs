@@ -7,17 +7,46 @@ use crate::basis::Basis;
 use crate::log::SensorLog;
 use crate::starts::starts;
 
+/// Readings of an output during one run.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Readings {
+    /// Their times, s, within the log of the run.
+    pub times: Vec<f64>,
+    /// The readings, counted from the reference of the output in this run.
+    pub values: Vec<f64>,
+}
+
 /// What follows thermal states.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Output {
     /// Its name.
     pub name: String,
-    /// Times of its readings, s, within the log of inputs.
-    pub times: Vec<f64>,
-    /// Its readings, counted from its reference.
-    pub values: Vec<f64>,
+    /// Its readings of each run, as many as there are logs.
+    pub runs: Vec<Readings>,
     /// Standard uncertainty of a reading, if it is known: else it follows from the residuals of this output.
     pub standard_uncertainty: Option<f64>,
+}
+
+impl Output {
+    /// An output of one run.
+    pub fn of_run(name: impl Into<String>, times: Vec<f64>, values: Vec<f64>) -> Self {
+        Self { name: name.into(), runs: vec![Readings { times, values }], standard_uncertainty: None }
+    }
+
+    /// Number of its readings.
+    pub fn count(&self) -> usize {
+        self.runs.iter().map(|run| run.values.len()).sum()
+    }
+
+    /// All its readings, run by run.
+    pub(crate) fn values(&self) -> impl Iterator<Item = f64> + '_ {
+        self.runs.iter().flat_map(|run| run.values.iter().copied())
+    }
+
+    /// Its times, run by run.
+    pub(crate) fn times(&self) -> Vec<&[f64]> {
+        self.runs.iter().map(|run| run.times.as_slice()).collect()
+    }
 }
 
 /// Which terms an output has.
@@ -29,17 +58,23 @@ pub struct Structure {
     pub at_once: Vec<usize>,
     /// Number of time constants, shared by all inputs and outputs.
     pub time_constants: usize,
-    /// States at the beginning of the log are unknown: one for each time constant and output.
+    /// States at the beginning of a run are unknown: one for each run, time constant and output.
     pub starts_warm: bool,
     /// First guesses of the time constants, s. Without them several are tried.
     pub guess: Option<Vec<f64>>,
 }
 
 impl Structure {
-    /// Gains of an output: states by input and time constant, then what it follows at once, then states at the beginning.
-    pub fn gains(&self) -> usize {
-        let beginnings = if self.starts_warm { self.time_constants } else { 0 };
-        self.inputs.len() * self.time_constants + self.at_once.len() + beginnings
+    /// Gains of an output of some runs: states by input and time constant, then what it follows at once, then states at the beginning
+    /// of each run.
+    pub fn gains(&self, runs: usize) -> usize {
+        let beginnings = if self.starts_warm { runs * self.time_constants } else { 0 };
+        self.of_any_run() + beginnings
+    }
+
+    /// Gains that any run has: all but the states at the beginning.
+    pub fn of_any_run(&self) -> usize {
+        self.inputs.len() * self.time_constants + self.at_once.len()
     }
 
     /// The place of a gain among those of an output: `input` counts among [`inputs`](Self::inputs), `time_constant` from 0.
@@ -62,8 +97,14 @@ pub struct Fitted {
     pub gains: Vec<Vec<f64>>,
     /// Standard uncertainties of the gains, in the same order. Optimistic in the same way.
     pub gain_uncertainties: Vec<Vec<f64>>,
+    /// Covariance of everything: logarithms of time constants, then the gains of each output. Optimistic in the same way.
+    pub covariance: Mat<f64>,
+    /// Condition number of the derivatives of all readings, columns of norm 1.
+    pub condition: f64,
     /// For each output the root mean square of its residuals, by degrees of freedom.
     pub scatter: Vec<f64>,
+    /// For each output its residuals, run by run.
+    pub residuals: Vec<Vec<f64>>,
     /// Passes of the iteration.
     pub passes: usize,
 }
@@ -74,56 +115,65 @@ const PASSES: usize = 200;
 /// Relative change of time constants below which they stand.
 const SETTLED: f64 = 1e-13;
 
+/// Rounds of weights: the scatter of outputs follows from what is found with the weights before.
+const ROUNDS: usize = 3;
+
+/// Weights that change by less than this part are the same.
+const SAME_WEIGHT: f64 = 0.01;
+
+/// Scatter below this part of the size of an output is rounding.
+const EXACT: f64 = 1e-8;
+
+/// A time constant longer than the longest log by this factor is none: the state is the integral of its input.
+const BEYOND: f64 = 10.0;
+
 /// Time constants nearer to each other than this ratio are one.
 const SAME: f64 = 1.05;
 
-/// Fits outputs to the states of a log.
+/// Fits outputs to the states of the logs of one or more runs. All runs share gains and time constants.
 ///
-/// Fails for readings outside the log, for fewer readings than gains, for inputs that do not tell their terms apart, and where two
+/// Fails for readings outside their log, for fewer readings than gains, for inputs that do not tell their terms apart, and where two
 /// time constants become one.
-pub fn fit(log: &SensorLog, outputs: &[Output], structure: &Structure) -> Result<Fitted> {
-    check(log, outputs, structure)?;
+pub fn fit(logs: &[SensorLog], outputs: &[Output], structure: &Structure) -> Result<Fitted> {
+    check(logs, outputs, structure)?;
     let guesses = match &structure.guess {
         Some(guess) => vec![guess.clone()],
-        None => starts(log.times(), structure.time_constants),
+        None => starts(logs, structure.time_constants),
     };
-    let scales: Vec<f64> =
-        outputs.iter().map(|output| output.standard_uncertainty.unwrap_or_else(|| size(&output.values))).collect();
-    let mut best: Option<Search<'_>> = None;
+    let mut best: Option<(f64, Search<'_>)> = None;
     let mut told = None;
     for guess in guesses {
-        let mut search =
-            Search::new(log, outputs, structure, scales.clone(), guess.iter().map(|time| time.ln()).collect());
-        match search.run() {
-            Ok(()) if best.as_ref().is_none_or(|best| search.cost < best.cost) => best = Some(search),
-            Ok(()) => {}
+        let logarithms = guess.iter().map(|time| time.ln()).collect();
+        let mut search = Search::new(logs, outputs, structure, sizes(outputs), logarithms);
+        match search.search_from_guess() {
+            Ok(likelihood) if best.as_ref().is_none_or(|(best, _)| likelihood < *best) => {
+                best = Some((likelihood, search));
+            }
+            Ok(_) => {}
             Err(error) => told = Some(error),
         }
     }
-    let Some(mut search) = best else {
-        return Err(told.unwrap_or_else(|| Error::data("no time constants are found")));
-    };
-    // Outputs weigh by what they scatter; where nothing scatters but rounding, this is one weight for all.
-    let scatter = search.scatter()?;
-    let is_exact = scatter.iter().zip(&search.scales).any(|(scatter, scale)| *scatter < 1e-8 * scale);
-    if !is_exact {
-        search.scales = (outputs.iter().zip(&scatter))
-            .map(|(output, scatter)| output.standard_uncertainty.unwrap_or(*scatter))
-            .collect();
-        search.run()?;
-    }
-    search.fitted()
+    let none = || told.unwrap_or_else(|| Error::data("no time constants are found"));
+    best.ok_or_else(none)?.1.fitted()
+}
+
+/// What outputs are divided by as long as their scatter is not known.
+fn sizes(outputs: &[Output]) -> Vec<f64> {
+    outputs.iter().map(|output| output.standard_uncertainty.unwrap_or_else(|| size(output))).collect()
 }
 
 /// Root mean square, or 1 for an output that does not move.
-fn size(values: &[f64]) -> f64 {
-    let size = (values.iter().map(|value| value * value).sum::<f64>() / values.len().max(1) as f64).sqrt();
+fn size(output: &Output) -> f64 {
+    let size = (output.values().map(|value| value * value).sum::<f64>() / output.count().max(1) as f64).sqrt();
     if size > 0.0 { size } else { 1.0 }
 }
 
-fn check(log: &SensorLog, outputs: &[Output], structure: &Structure) -> Result<()> {
-    if outputs.is_empty() {
-        return Err(Error::usage("at least one output was expected"));
+fn check(logs: &[SensorLog], outputs: &[Output], structure: &Structure) -> Result<()> {
+    let Some(log) = logs.first().filter(|_| !outputs.is_empty()) else {
+        return Err(Error::usage("at least one output and one log were expected"));
+    };
+    if logs.iter().any(|other| other.names() != log.names()) {
+        return Err(Error::data("the logs of the runs have different sensors"));
     }
     if structure.inputs.is_empty() != (structure.time_constants == 0) {
         return Err(Error::usage("inputs and time constants belong together: both, or none of them, were expected"));
@@ -140,21 +190,26 @@ fn check(log: &SensorLog, outputs: &[Output], structure: &Structure) -> Result<(
         }
     }
     for output in outputs {
-        if output.times.len() != output.values.len() {
-            return Err(Error::usage(format!("{} has as many times as readings", output.name)));
+        if output.runs.len() != logs.len() {
+            return Err(Error::usage(format!("{} has readings of as many runs as there are logs", output.name)));
         }
-        if let Some(row) = output.values.iter().position(|value| !value.is_finite()) {
-            return Err(Error::data(format!("{} has no reading in row {}", output.name, row + 1)));
+        for run in &output.runs {
+            if run.times.len() != run.values.len() {
+                return Err(Error::usage(format!("{} has as many times as readings", output.name)));
+            }
+            if let Some(row) = run.values.iter().position(|value| !value.is_finite()) {
+                return Err(Error::data(format!("{} has no reading in row {}", output.name, row + 1)));
+            }
         }
         if output.standard_uncertainty.is_some_and(|value| !(value.is_finite() && value > 0.0)) {
             return Err(Error::usage(format!("the standard uncertainty of {} has to be above 0", output.name)));
         }
-        if output.values.len() <= structure.gains() + structure.time_constants {
+        if output.count() <= structure.gains(logs.len()) + structure.time_constants {
             let message = format!(
                 "{} has {} readings, and {} gains and {} time constants are to be found",
                 output.name,
-                output.values.len(),
-                structure.gains(),
+                output.count(),
+                structure.gains(logs.len()),
                 structure.time_constants
             );
             return Err(Error::data(message));
@@ -164,29 +219,29 @@ fn check(log: &SensorLog, outputs: &[Output], structure: &Structure) -> Result<(
 }
 
 /// The search for the logarithms of the time constants.
-struct Search<'a> {
-    log: &'a SensorLog,
-    structure: &'a Structure,
-    outputs: &'a [Output],
+pub(crate) struct Search<'a> {
+    pub(crate) logs: &'a [SensorLog],
+    pub(crate) structure: &'a Structure,
+    pub(crate) outputs: &'a [Output],
     /// Outputs with the same times share their states: the first of each group, and the group of each output.
-    groups: Vec<Vec<usize>>,
+    pub(crate) groups: Vec<Vec<usize>>,
     /// What an output is divided by.
-    scales: Vec<f64>,
-    logarithms: Vec<f64>,
+    pub(crate) scales: Vec<f64>,
+    pub(crate) logarithms: Vec<f64>,
     cost: f64,
-    passes: usize,
+    pub(crate) passes: usize,
 }
 
 /// Normal equations of the logarithms, gains projected out.
-struct Normal {
-    matrix: Mat<f64>,
+pub(crate) struct Normal {
+    pub(crate) matrix: Mat<f64>,
     gradient: Mat<f64>,
     cost: f64,
 }
 
 impl<'a> Search<'a> {
-    fn new(
-        log: &'a SensorLog,
+    pub(crate) fn new(
+        logs: &'a [SensorLog],
         outputs: &'a [Output],
         structure: &'a Structure,
         scales: Vec<f64>,
@@ -194,37 +249,41 @@ impl<'a> Search<'a> {
     ) -> Self {
         let mut groups: Vec<Vec<usize>> = Vec::new();
         for (index, output) in outputs.iter().enumerate() {
-            match groups.iter_mut().find(|group| outputs[group[0]].times == output.times) {
+            match groups.iter_mut().find(|group| outputs[group[0]].times() == output.times()) {
                 Some(group) => group.push(index),
                 None => groups.push(vec![index]),
             }
         }
-        Self { log, structure, outputs, groups, scales, logarithms, cost: f64::INFINITY, passes: 0 }
+        Self { logs, structure, outputs, groups, scales, logarithms, cost: f64::INFINITY, passes: 0 }
     }
 
     /// The readings of a group of outputs, divided by their scales, and the states at their times.
-    fn group(&self, group: &[usize], logarithms: &[f64]) -> Result<(Mat<f64>, Basis)> {
+    pub(crate) fn group(&self, group: &[usize], logarithms: &[f64]) -> Result<(Mat<f64>, Basis)> {
         let first = &self.outputs[group[0]];
-        let values = Mat::from_fn(first.times.len(), group.len(), |row, place| {
-            self.outputs[group[place]].values[row] / self.scales[group[place]]
-        });
-        Ok((values, Basis::new(self.log, self.structure, logarithms, &first.times)?))
+        let mut values = Mat::zeros(first.count(), group.len());
+        for (place, &output) in group.iter().enumerate() {
+            for (row, value) in self.outputs[output].values().enumerate() {
+                values[(row, place)] = value / self.scales[output];
+            }
+        }
+        Ok((values, Basis::new(self.logs, self.structure, logarithms, &first.times())?))
     }
 
     /// The term of an output that each logarithm changes.
-    fn changed(&self, basis: &Basis, gains: &Mat<f64>, time_constant: usize) -> Mat<f64> {
+    pub(crate) fn changed(&self, basis: &Basis, gains: &Mat<f64>, time_constant: usize) -> Mat<f64> {
         let structure = self.structure;
-        let own = structure.inputs.len() * structure.time_constants + structure.at_once.len();
-        let beginning = structure.starts_warm.then_some(own + time_constant);
+        let own = structure.of_any_run();
+        let runs = if structure.starts_warm { self.logs.len() } else { 0 };
+        let beginnings = (0..runs).map(|run| own + run * structure.time_constants + time_constant);
         let mut changed = Mat::zeros(basis.columns.nrows(), gains.ncols());
         let states = (0..structure.inputs.len()).map(|input| structure.gain(input, time_constant));
-        for column in states.chain(beginning) {
+        for column in states.chain(beginnings) {
             changed += basis.slopes.as_ref().subcols(column, 1) * gains.as_ref().subrows(column, 1);
         }
         changed
     }
 
-    fn normal(&self, logarithms: &[f64]) -> Result<Normal> {
+    pub(crate) fn normal(&self, logarithms: &[f64]) -> Result<Normal> {
         let count = logarithms.len();
         let (mut matrix, mut gradient, mut cost) = (Mat::zeros(count, count), Mat::zeros(count, 1), 0.0);
         for group in &self.groups {
@@ -244,13 +303,39 @@ impl<'a> Search<'a> {
         Ok(Normal { matrix, gradient, cost })
     }
 
+    /// Searches from a guess; outputs weigh by what they scatter. Gives the logarithm of the likelihood of the time constants found,
+    /// with its sign turned, that of unknown scatter.
+    ///
+    /// Fails where time constants do not stand, or are none that the logs can tell.
+    fn search_from_guess(&mut self) -> Result<f64> {
+        for round in 0..ROUNDS {
+            let scatter = self.scatter()?;
+            // Where nothing scatters but rounding, all outputs weigh by their size.
+            let is_exact = scatter.iter().zip(sizes(self.outputs)).any(|(scatter, size)| *scatter < EXACT * size);
+            let stated = self.outputs.iter().map(|output| output.standard_uncertainty).zip(&scatter);
+            let scales = match is_exact {
+                true => sizes(self.outputs),
+                false => stated.map(|(stated, scatter)| stated.unwrap_or(*scatter)).collect(),
+            };
+            let is_same = self.scales.iter().zip(&scales).all(|(own, new)| (own / new).ln().abs() < SAME_WEIGHT);
+            self.scales = scales;
+            if round > 0 && is_same {
+                break;
+            }
+            self.run()?;
+        }
+        self.check()?;
+        let scatter = self.scatter()?.into_iter().zip(self.outputs);
+        Ok(scatter.map(|(scatter, output)| output.count() as f64 * scatter.max(1e-12 * size(output)).ln()).sum())
+    }
+
     /// Levenberg's and Marquardt's steps until time constants stand.
     fn run(&mut self) -> Result<()> {
         let count = self.logarithms.len();
         let mut now = self.normal(&self.logarithms)?;
         self.cost = now.cost;
         if count == 0 {
-            return self.check();
+            return Ok(());
         }
         let mut damping = 1e-3;
         for pass in 1..=PASSES {
@@ -267,23 +352,31 @@ impl<'a> Search<'a> {
             let next: Vec<f64> = self.logarithms.iter().zip(&step).map(|(own, by)| own + part * by).collect();
             let found = self.normal(&next)?;
             if largest < SETTLED {
-                break;
+                self.cost = now.cost;
+                return Ok(());
             }
             if found.cost < now.cost {
                 (self.logarithms, now, damping) = (next, found, (damping * 0.1).max(1e-15));
             } else if largest < 1e-9 || damping > 1e12 {
                 // Rounding alone moves the cost.
-                break;
+                self.cost = now.cost;
+                return Ok(());
             } else {
                 damping *= 10.0;
             }
         }
-        self.cost = now.cost;
-        self.check()
+        Err(Error::data("the search for time constants does not end: the readings do not determine them")
+            .help("fewer time constants may explain these readings"))
     }
 
-    /// Fails where terms cannot be told apart.
+    /// Fails where terms cannot be told apart, and for time constants that no log of this length and sampling tells.
     fn check(&self) -> Result<()> {
+        let lengths = self.logs.iter().map(|log| log.times()[log.times().len() - 1] - log.times()[0]);
+        let longest = lengths.fold(0.0, f64::max);
+        if let Some(beyond) = self.logarithms.iter().map(|time| time.exp()).find(|time| *time > BEYOND * longest) {
+            let message = format!("a time constant grows beyond {beyond:.0} s, and the longest log has {longest:.0} s");
+            return Err(Error::data(message).help("fewer time constants explain these readings"));
+        }
         let mut sorted = self.logarithms.clone();
         sorted.sort_by(f64::total_cmp);
         if let Some(pair) = sorted.windows(2).find(|pair| pair[1] - pair[0] < SAME.ln()) {
@@ -306,7 +399,7 @@ impl<'a> Search<'a> {
     fn term(&self, column: usize) -> String {
         let structure = self.structure;
         let states = structure.inputs.len() * structure.time_constants;
-        let names = self.log.names();
+        let names = self.logs[0].names();
         if column < states {
             let input = &names[structure.inputs[column / structure.time_constants]];
             return format!("{input} with time constant {}", column % structure.time_constants + 1);
@@ -318,13 +411,13 @@ impl<'a> Search<'a> {
     }
 
     /// Root mean squares of residuals by degrees of freedom, in the units of the outputs.
-    fn scatter(&self) -> Result<Vec<f64>> {
+    pub(crate) fn scatter(&self) -> Result<Vec<f64>> {
         let mut scatter = vec![0.0; self.outputs.len()];
         let shared = self.logarithms.len() as f64 / self.outputs.len() as f64;
         for group in &self.groups {
             let (values, basis) = self.group(group, &self.logarithms)?;
             let residuals = &values - &basis.columns * basis.gains(values.as_ref());
-            let freedom = values.nrows() as f64 - self.structure.gains() as f64 - shared;
+            let freedom = values.nrows() as f64 - self.structure.gains(self.logs.len()) as f64 - shared;
             for (place, &output) in group.iter().enumerate() {
                 let squares = residuals.col(place).squared_norm_l2();
                 scatter[output] = self.scales[output] * (squares / freedom.max(1.0)).sqrt();
@@ -340,62 +433,9 @@ impl<'a> Search<'a> {
         let sorted = Self { logarithms, groups: self.groups.clone(), scales: self.scales.clone(), ..*self };
         sorted.all()
     }
-
-    /// Gains and uncertainties; the logarithms are sorted.
-    fn all(&self) -> Result<Fitted> {
-        let scatter = self.scatter()?;
-        let count = self.logarithms.len();
-        let normal = self.normal(&self.logarithms)?;
-        // With weights that are not those of the scatter: sandwich of Huber, White.
-        let bread = inverse(&normal.matrix);
-        let mut meat = Mat::<f64>::zeros(count, count);
-        let mut gains = vec![Vec::new(); self.outputs.len()];
-        let mut follow = vec![Mat::zeros(0, 0); self.outputs.len()];
-        let mut own = vec![Vec::new(); self.outputs.len()];
-        for group in &self.groups {
-            let (values, basis) = self.group(group, &self.logarithms)?;
-            let found = basis.gains(values.as_ref());
-            let roots = inverse_of_upper(basis.qr.thin_R());
-            for (place, &output) in group.iter().enumerate() {
-                let scale = self.scales[output];
-                let of_output = found.as_ref().subcols(place, 1).to_owned();
-                let moved: Vec<Mat<f64>> = (0..count).map(|index| self.changed(&basis, &of_output, index)).collect();
-                let relative = scatter[output] / scale;
-                for row in 0..count {
-                    let rest = basis.rest(moved[row].clone());
-                    for column in 0..count {
-                        meat[(row, column)] += relative * relative * product(&rest, &moved[column]);
-                    }
-                }
-                follow[output] = Mat::from_fn(found.nrows(), count, |_, _| 0.0);
-                for (index, moved) in moved.iter().enumerate() {
-                    let with = basis.gains(moved.as_ref());
-                    (0..found.nrows()).for_each(|gain| follow[output][(gain, index)] = scale * with[(gain, 0)]);
-                }
-                gains[output] = (0..found.nrows()).map(|gain| scale * found[(gain, place)]).collect();
-                own[output] = (0..found.nrows())
-                    .map(|gain| scatter[output] * scatter[output] * roots.row(gain).squared_norm_l2())
-                    .collect::<Vec<f64>>();
-            }
-        }
-        let covariance = &bread * meat * &bread;
-        let uncertainty = |output: usize| -> Vec<f64> {
-            let spread = &follow[output] * &covariance * follow[output].transpose();
-            own[output].iter().enumerate().map(|(gain, own)| (own + spread[(gain, gain)].max(0.0)).sqrt()).collect()
-        };
-        Ok(Fitted {
-            structure: self.structure.clone(),
-            time_constants: self.logarithms.iter().map(|logarithm| logarithm.exp()).collect(),
-            relative_uncertainties: (0..count).map(|index| covariance[(index, index)].max(0.0).sqrt()).collect(),
-            gain_uncertainties: (0..self.outputs.len()).map(uncertainty).collect(),
-            gains,
-            scatter,
-            passes: self.passes,
-        })
-    }
 }
 
-fn product(one: &Mat<f64>, other: &Mat<f64>) -> f64 {
+pub(crate) fn product(one: &Mat<f64>, other: &Mat<f64>) -> f64 {
     let columns = one.col_iter().zip(other.col_iter());
     columns.map(|(one, other)| one.iter().zip(other.iter()).map(|(a, b)| a * b).sum::<f64>()).sum()
 }
@@ -407,7 +447,7 @@ fn solved(matrix: &Mat<f64>, right: &Mat<f64>) -> Vec<f64> {
 }
 
 /// The inverse of a small symmetric matrix, by QR of the scaled one.
-fn inverse(matrix: &Mat<f64>) -> Mat<f64> {
+pub(crate) fn inverse(matrix: &Mat<f64>) -> Mat<f64> {
     use faer::linalg::solvers::Solve;
     let count = matrix.nrows();
     let size = |index: usize| matrix[(index, index)].sqrt();
@@ -416,21 +456,8 @@ fn inverse(matrix: &Mat<f64>) -> Mat<f64> {
     Mat::from_fn(count, count, |row, column| found[(row, column)] / (size(row) * size(column)))
 }
 
-fn inverse_of_upper(upper: MatRef<'_, f64>) -> Mat<f64> {
+pub(crate) fn inverse_of_upper(upper: MatRef<'_, f64>) -> Mat<f64> {
     let mut inverse = Mat::identity(upper.ncols(), upper.ncols());
     faer::linalg::triangular_solve::solve_upper_triangular_in_place(upper, inverse.as_mut(), faer::Par::Seq);
     inverse
-}
-
-impl Fitted {
-    /// An output at some times of a log, also another one than it was fitted to: sensors are those of the same indices.
-    ///
-    /// Fails for times outside the log.
-    pub fn predict(&self, log: &SensorLog, output: usize, times: &[f64]) -> Result<Vec<f64>> {
-        let logarithms: Vec<f64> = self.time_constants.iter().map(|time| time.ln()).collect();
-        let basis = Basis::new(log, &self.structure, &logarithms, times)?;
-        let gains = Mat::from_fn(self.gains[output].len(), 1, |gain, _| self.gains[output][gain]);
-        let found = &basis.columns * gains;
-        Ok((0..times.len()).map(|row| found[(row, 0)]).collect())
-    }
 }

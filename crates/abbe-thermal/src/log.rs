@@ -1,6 +1,6 @@
 //! Logs of sensors with their own clock.
 
-use abbe_core::{Error, Result};
+use abbe_core::{Error, Result, SettingsError};
 
 /// How an input runs between two samples.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
@@ -22,6 +22,26 @@ pub enum Reference {
     /// From this one, for all sensors: the machine was at one temperature.
     Value(f64),
 }
+
+/// How a log is counted.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Counting {
+    /// How inputs run between two rows.
+    pub hold: Hold,
+    /// From which value they count.
+    pub reference: Reference,
+    /// Longest time between two rows, s. None: five times the median.
+    pub longest_gap: Option<f64>,
+}
+
+/// The longest gap, in medians of the times between rows.
+const GAP: f64 = 5.0;
+
+/// Rows in which no sensor that works reads the same.
+const LONG: usize = 20;
+
+/// A jump of a temperature and back that no machine makes from one row to the next, K.
+const SPIKE: f64 = 5.0;
 
 /// What sensors read over time.
 #[derive(Debug, Clone, PartialEq)]
@@ -75,6 +95,30 @@ impl SensorLog {
         }
         let (names, values) = sensors.into_iter().unzip();
         Ok(Self { times, names, values, hold })
+    }
+
+    /// The log of sensors of a machine, each counted from its reference.
+    ///
+    /// Fails as [`new`](Self::new) and [`elevations`](Self::elevations) do, and for a sensor that reads the same all the time: it is
+    /// stuck, or not connected.
+    pub fn counted(times: Vec<f64>, sensors: Vec<(String, Vec<f64>)>, how: &Counting) -> Result<Self> {
+        let longest = how.longest_gap.or_else(|| Some(GAP * median_step(&times)?));
+        let log = Self::new(times, sensors, how.hold, longest)?;
+        let is_long = log.times().len() >= LONG;
+        if let Some(name) = log.stuck().first().filter(|_| is_long) {
+            return Err(Error::data(format!(
+                "the sensor {name} reads the same all the time, and others move: it is stuck"
+            )));
+        }
+        let log = log.elevations(how.reference)?;
+        let still = (0..log.names().len()).find(|&sensor| log.values(sensor).iter().all(|value| value.abs() < 1e-9));
+        match still.filter(|_| is_long) {
+            None => Ok(log),
+            Some(sensor) => {
+                let name = &log.names()[sensor];
+                Err(Error::data(format!("{name} reads the same all the time: the sensor is stuck, or not connected")))
+            }
+        }
     }
 
     /// Times of the rows, s.
@@ -138,6 +182,43 @@ impl SensorLog {
         names.map(|(name, _)| name.as_str()).collect()
     }
 
+    /// What looks like the fault of a sensor of temperature, in words: a reading that jumps by many kelvin and comes back with the next
+    /// row, and one that stands still for long while the same sensor moves in most other rows.
+    pub fn faults(&self, sensor: usize) -> Vec<String> {
+        let (name, values) = (&self.names[sensor], &self.values[sensor]);
+        let mut steps: Vec<f64> = values.windows(2).map(|pair| (pair[1] - pair[0]).abs()).collect();
+        let mut faults = Vec::new();
+        let spike = (1..values.len().saturating_sub(1)).find(|&row| {
+            let (up, down) = (values[row] - values[row - 1], values[row] - values[row + 1]);
+            up * down > 0.0
+                && up.abs().min(down.abs()) > SPIKE
+                && (values[row + 1] - values[row - 1]).abs() < SPIKE / 5.0
+        });
+        if let Some(row) = spike {
+            let by = values[row] - values[row - 1];
+            faults.push(format!(
+                "{name} jumps by {by:.1} K in row {} of the log, and back: a fault of the sensor?",
+                row + 1
+            ));
+        }
+        let (first, count) = longest_stand(values);
+        let others: Vec<bool> = (1..values.len())
+            .filter(|row| !(first + 1..first + count).contains(row))
+            .map(|row| values[row] == values[row - 1])
+            .collect();
+        let still = (others.iter().filter(|still| **still).count() + 1) as f64 / (others.len() + 2) as f64;
+        steps.retain(|step| *step > 0.0);
+        // By chance it stands that long once in a thousand logs or less.
+        if count > LONG && still.powf((count - 1) as f64) * (values.len() as f64) < 1e-3 && !steps.is_empty() {
+            faults.push(format!(
+                "{name} reads the same from row {} to row {} of the log, and moves in others: was it stuck?",
+                first + 1,
+                first + count
+            ));
+        }
+        faults
+    }
+
     /// The interval of a time (index of its first row) and the time in it, s.
     ///
     /// Fails for a time outside the log.
@@ -172,5 +253,37 @@ impl SensorLog {
         let (row, within) = self.interval(time)?;
         let is_next = self.hold == Hold::ZeroOrder && time == self.times[row + 1];
         Ok(if is_next { self.values[sensor][row + 1] } else { self.ends(sensor, row, within)[1] })
+    }
+}
+
+/// The first row and the number of rows of the longest time that readings stand still.
+fn longest_stand(values: &[f64]) -> (usize, usize) {
+    let (mut longest, mut first) = ((0, 1), 0);
+    for row in 1..values.len() {
+        if values[row] != values[row - 1] {
+            first = row;
+        }
+        if row + 1 - first > longest.1 {
+            longest = (first, row + 1 - first);
+        }
+    }
+    longest
+}
+
+/// The median of the times between rows.
+fn median_step(times: &[f64]) -> Option<f64> {
+    let mut steps: Vec<f64> = times.windows(2).map(|pair| pair[1] - pair[0]).collect();
+    steps.sort_by(f64::total_cmp);
+    steps.get(steps.len() / 2).copied()
+}
+
+/// Refuses a reference that is no temperature of a machine in °C: it may be in kelvin or in degrees Fahrenheit.
+pub fn possible_temperature(value: f64) -> std::result::Result<(), SettingsError> {
+    match (-100.0..=200.0).contains(&value) {
+        true => Ok(()),
+        false => Err(SettingsError::new(
+            "reference_degC",
+            format!("{value}: a temperature from -100 to 200 °C was expected"),
+        )),
     }
 }

@@ -1,7 +1,12 @@
 //! First guesses of time constants.
 
-/// Sets of time constants, s, spread over what a log can tell, shortest first: between its sampling and its length.
-pub(crate) fn starts(times: &[f64], count: usize) -> Vec<Vec<f64>> {
+use crate::log::SensorLog;
+
+/// Sets of time constants, s, spread over what the longest log can tell, shortest first: between its sampling and its length.
+pub(crate) fn starts(logs: &[SensorLog], count: usize) -> Vec<Vec<f64>> {
+    let length = |log: &&SensorLog| log.times()[log.times().len() - 1] - log.times()[0];
+    let longest = logs.iter().max_by(|one, other| length(one).total_cmp(&length(other)));
+    let times = longest.map_or(&[0.0, 1.0][..], SensorLog::times);
     let span = times[times.len() - 1] - times[0];
     let mut steps: Vec<f64> = times.windows(2).map(|pair| pair[1] - pair[0]).collect();
     steps.sort_by(f64::total_cmp);

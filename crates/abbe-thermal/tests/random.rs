@@ -1,7 +1,7 @@
 //! Random systems: any sampling, both holds, outputs with clocks of their own.
 
 use abbe_numerics::Generator;
-use abbe_thermal::{Hold, Output, Response, SensorLog, Structure, fit};
+use abbe_thermal::{Bootstrap, Hold, Output, Readings, Response, SensorLog, Structure, fit};
 
 /// A log of inputs that wander, and outputs of a system with these time constants.
 struct System {
@@ -57,7 +57,7 @@ fn system(seed: u64, noise: f64) -> System {
             0 | 1 => times.clone(),
             _ => (0..300).map(|_| times[0] + (times[500] - times[0]) * part(&mut random)).collect(),
         };
-        let of_output: Vec<f64> = (0..structure.gains()).map(|_| 0.2 + part(&mut random)).collect();
+        let of_output: Vec<f64> = (0..structure.gains(1)).map(|_| 0.2 + part(&mut random)).collect();
         let mut values = vec![0.0; own.len()];
         let mut add = |gain: f64, by: &[f64]| values.iter_mut().zip(by).for_each(|(value, by)| *value += gain * by);
         for input in 0..sensors {
@@ -78,7 +78,7 @@ fn system(seed: u64, noise: f64) -> System {
             }
         }
         values.iter_mut().for_each(|value| *value += noise * random.normal());
-        outputs.push(Output { name: format!("y{output}"), times: own, values, standard_uncertainty: None });
+        outputs.push(Output::of_run(format!("y{output}"), own, values));
         gains.push(of_output);
     }
     System { log, structure, time_constants, gains, outputs }
@@ -86,10 +86,10 @@ fn system(seed: u64, noise: f64) -> System {
 
 #[test]
 fn exact_readings_give_random_systems_back() {
-    for seed in 0..300 {
+    for seed in 0..150 {
         let made = system(seed, 0.0);
-        let found =
-            fit(&made.log, &made.outputs, &made.structure).unwrap_or_else(|error| panic!("seed {seed}: {error}"));
+        let found = fit(std::slice::from_ref(&made.log), &made.outputs, &made.structure)
+            .unwrap_or_else(|error| panic!("seed {seed}: {error}"));
         for (found, expected) in found.time_constants.iter().zip(&made.time_constants) {
             assert!((found / expected - 1.0).abs() < 1e-7, "seed {seed}: {found} {expected}");
         }
@@ -105,7 +105,7 @@ fn slopes_are_derivatives() {
     for seed in 0..100 {
         let made = system(seed, 0.0);
         let mut random = Generator::new(seed, 1);
-        let times: Vec<f64> = made.outputs[3].times.clone();
+        let times: Vec<f64> = made.outputs[3].runs[0].times.clone();
         let time_constant = 10.0 * (1000.0_f64).powf(part(&mut random));
         let at = |factor: f64| Response::new(&made.log, 0, time_constant * factor, &times).expect("a response");
         let (here, step) = (at(1.0), 1e-5_f64);
@@ -123,8 +123,8 @@ fn uncertainties_cover() {
     let (mut inside, mut all, mut squares) = (0_u32, 0_u32, 0.0);
     for seed in 0..200 {
         let made = system(seed, 0.05);
-        let found =
-            fit(&made.log, &made.outputs, &made.structure).unwrap_or_else(|error| panic!("seed {seed}: {error}"));
+        let found = fit(std::slice::from_ref(&made.log), &made.outputs, &made.structure)
+            .unwrap_or_else(|error| panic!("seed {seed}: {error}"));
         let times = found.time_constants.iter().zip(&made.time_constants).zip(&found.relative_uncertainties);
         let of_times = times.map(|((found, expected), relative)| (found / expected).ln() / relative);
         let gains = found.gains.iter().flatten().zip(made.gains.iter().flatten());
@@ -158,12 +158,12 @@ fn what_logs_cannot_tell_is_refused() {
 
     let made = system(5, 0.01);
     let refused = |log: &SensorLog, outputs: &[Output], structure: &Structure, words: &str| {
-        let said = fit(log, outputs, structure).expect_err("no fit").to_string();
+        let said = fit(std::slice::from_ref(log), outputs, structure).expect_err("no fit").to_string();
         assert!(said.contains(words), "{said}");
     };
     // A reading from another clock.
     let mut outputs = made.outputs.clone();
-    outputs[1].times[3] = 1e9;
+    outputs[1].runs[0].times[3] = 1e9;
     refused(&made.log, &outputs, &made.structure, "outside the log");
     // Two sensors that read the same.
     let twice = SensorLog::new(
@@ -177,7 +177,7 @@ fn what_logs_cannot_tell_is_refused() {
     refused(&twice, &made.outputs, &both, "T9 with time constant 1 cannot be told from the terms before it");
     // Fewer readings than gains.
     let mut few = made.outputs.clone();
-    (few[0].times, few[0].values) = (few[0].times[..3].to_vec(), few[0].values[..3].to_vec());
+    few[0] = Output::of_run("y0", few[0].runs[0].times[..3].to_vec(), few[0].runs[0].values[..3].to_vec());
     refused(&made.log, &few, &made.structure, "y0 has 3 readings");
     let guess = Structure { guess: Some(vec![-1.0; made.structure.time_constants]), ..made.structure.clone() };
     refused(&made.log, &made.outputs, &guess, "times above 0 s");
@@ -198,7 +198,7 @@ fn time_constants_that_are_one_are_told() {
             continue;
         }
         let more = Structure { time_constants: 2, ..made.structure.clone() };
-        match fit(&made.log, &made.outputs, &more) {
+        match fit(std::slice::from_ref(&made.log), &made.outputs, &more) {
             Err(_) => told += 1,
             // The second one has no effect: its uncertainty is beyond all measure.
             Ok(found) => {
@@ -207,4 +207,84 @@ fn time_constants_that_are_one_are_told() {
         }
     }
     println!("{told} times refused");
+}
+
+/// One system seen in two runs: gains and time constants are shared, states at the beginning are not.
+#[test]
+fn several_runs_share_gains_and_time_constants() {
+    for seed in 0..60 {
+        let made = system(seed, 0.0);
+        let half = made.log.times().len() / 2;
+        // The second half as a run of its own begins warm.
+        let part = |rows: std::ops::Range<usize>| {
+            let sensors = made.log.names().iter().enumerate();
+            let sensors = sensors.map(|(sensor, name)| (name.clone(), made.log.values(sensor)[rows.clone()].to_vec()));
+            let log = SensorLog::new(made.log.times()[rows.clone()].to_vec(), sensors.collect(), made.log.hold(), None);
+            log.expect("a log")
+        };
+        let logs = [part(0..half + 1), part(half..made.log.times().len())];
+        let outputs: Vec<Output> = (made.outputs.iter())
+            .map(|output| {
+                let all = &output.runs[0];
+                let of = |log: &SensorLog| {
+                    let (first, last) = (log.times()[0], log.times()[log.times().len() - 1]);
+                    let inside = all.times.iter().zip(&all.values).filter(|(time, _)| (first..=last).contains(*time));
+                    let (times, values) = inside.map(|(time, value)| (*time, *value)).unzip();
+                    Readings { times, values }
+                };
+                Output { runs: logs.iter().map(of).collect(), ..output.clone() }
+            })
+            .collect();
+        let structure = Structure { starts_warm: true, ..made.structure.clone() };
+        let found = fit(&logs, &outputs, &structure).unwrap_or_else(|error| panic!("seed {seed}: {error}"));
+        for (found, expected) in found.time_constants.iter().zip(&made.time_constants) {
+            assert!((found / expected - 1.0).abs() < 1e-6, "seed {seed}: {found} {expected}");
+        }
+        for (found, expected) in found.gains.iter().zip(&made.gains) {
+            for (found, expected) in found.iter().zip(expected).take(structure.of_any_run()) {
+                assert!((found - expected).abs() < 1e-5, "seed {seed}: {found} {expected}");
+            }
+        }
+    }
+}
+
+/// White noise: residuals drawn again in short blocks say what the ordinary covariance says. Noise that stays for a while: the
+/// ordinary one is too small, that of blocks is not.
+#[test]
+fn blocks_of_residuals_know_noise_that_stays() {
+    let (mut white, mut ordinary_of_staying, mut drawn_of_staying, mut count) = (0.0, 0.0, 0.0, 0.0);
+    for seed in 0..60 {
+        let quiet = system(seed, 0.0);
+        let logs = std::slice::from_ref(&quiet.log);
+        for stays in [0.0, 0.95] {
+            let mut random = Generator::new(seed, 7);
+            let mut outputs = quiet.outputs[..2].to_vec();
+            for output in &mut outputs {
+                let mut noise = 0.0;
+                for value in &mut output.runs[0].values {
+                    noise = stays * noise + random.normal();
+                    *value += 0.02 * noise;
+                }
+            }
+            let found = fit(logs, &outputs, &quiet.structure).expect("a fit");
+            let how = Bootstrap { draws: 200, block: if stays > 0.0 { 4000.0 } else { 60.0 }, seed };
+            let drawn = found.bootstrap(logs, &outputs, how).expect("draws");
+            let first = quiet.time_constants.len();
+            let pairs = found.gains.iter().flatten().zip(quiet.gains[..2].iter().flatten());
+            for (place, (found_gain, expected)) in pairs.enumerate() {
+                let (at, off) = (first + place, (found_gain - expected).powi(2));
+                let (ordinary, drawn) = (found.covariance[(at, at)], drawn[(at, at)]);
+                if stays > 0.0 {
+                    ordinary_of_staying += off / ordinary;
+                    drawn_of_staying += off / drawn;
+                    count += 1.0;
+                } else {
+                    white += drawn / ordinary;
+                }
+            }
+        }
+    }
+    let [white, ordinary, drawn] = [white, ordinary_of_staying, drawn_of_staying].map(|sum| sum / count);
+    assert!((0.8..1.2).contains(&white), "{white}");
+    assert!(ordinary > 15.0 && drawn < 5.0, "{ordinary} {drawn}");
 }

@@ -36,12 +36,11 @@ fn read(kind: &str, name: &str, reference: Reference) -> (SensorLog, Vec<Output>
     let log = SensorLog::new(times.clone(), columns, Hold::FirstOrder, Some(61.0)).expect("a log");
     let log = log.elevations(reference).expect("elevations");
     let is_output = |name: &&String| !INPUTS.contains(&name.as_str()) && *name != "speed_rpm";
-    let outputs = log.names().iter().filter(is_output).map(|name| Output {
-        name: name.clone(),
-        times: times.clone(),
-        values: log.values(log.sensor(name).expect("a sensor")).to_vec(),
-        standard_uncertainty: None,
-    });
+    let outputs = log
+        .names()
+        .iter()
+        .filter(is_output)
+        .map(|name| Output::of_run(name, times.clone(), log.values(log.sensor(name).expect("a sensor")).to_vec()));
     let outputs = outputs.collect();
     (log, outputs)
 }
@@ -57,10 +56,7 @@ fn structure(log: &SensorLog) -> Structure {
 }
 
 fn truth(kind: &str) -> BTreeMap<String, f64> {
-    let path = PathBuf::from(env!("CARGO_MANIFEST_DIR"))
-        .join("../../pipelines/data/thermal-spindle")
-        .join(kind)
-        .join("truth.json");
+    let path = PathBuf::from(env!("CARGO_MANIFEST_DIR")).join(format!("../../tests/truth/thermal-spindle-{kind}.json"));
     let text = std::fs::read_to_string(path).expect("a file");
     let value: Value = serde_json::from_str(&text).expect("JSON");
     let parameters = value["parameters"].as_object().expect("parameters");
@@ -70,8 +66,8 @@ fn truth(kind: &str) -> BTreeMap<String, f64> {
 fn residuals(fitted: &Fitted, log: &SensorLog, outputs: &[Output]) -> Vec<(String, f64, f64)> {
     (outputs.iter().enumerate())
         .map(|(index, output)| {
-            let found = fitted.predict(log, index, &output.times).expect("a prediction");
-            let off: Vec<f64> = found.iter().zip(&output.values).map(|(a, b)| (a - b).abs()).collect();
+            let found = fitted.predict(log, index, &output.runs[0].times).expect("a prediction");
+            let off: Vec<f64> = found.iter().zip(&output.runs[0].values).map(|(a, b)| (a - b).abs()).collect();
             let rms = (off.iter().map(|off| off * off).sum::<f64>() / off.len() as f64).sqrt();
             (output.name.clone(), off.iter().copied().fold(0.0, f64::max), rms)
         })
@@ -82,8 +78,8 @@ fn residuals(fitted: &Fitted, log: &SensorLog, outputs: &[Output]) -> Vec<(Strin
 fn exact_readings_give_the_system_back() {
     let (log, outputs) = read("exact", "thermal-const.csv", Reference::FirstRow);
     let structure = structure(&log);
-    assert_eq!(outputs.iter().map(|output| output.values.len()).sum::<usize>(), 19_573);
-    let fitted = fit(&log, &outputs, &structure).expect("a fit");
+    assert_eq!(outputs.iter().map(|output| output.count()).sum::<usize>(), 19_573);
+    let fitted = fit(std::slice::from_ref(&log), &outputs, &structure).expect("a fit");
     let truth = truth("exact");
     for (index, found) in fitted.time_constants.iter().enumerate() {
         let expected = truth[&format!("time_constant[{}]_s", index + 1)];
@@ -117,7 +113,7 @@ fn a_zero_order_hold_does_not_explain_them() {
     let other = SensorLog::new(times, columns, Hold::ZeroOrder, None).expect("a log");
     let other = other.elevations(Reference::FirstRow).expect("elevations");
     let scatter = |log: &SensorLog| {
-        let fitted = fit(log, &outputs, &structure(log)).expect("a fit");
+        let fitted = fit(std::slice::from_ref(log), &outputs, &structure(log)).expect("a fit");
         fitted.scatter.iter().copied().fold(0.0, f64::max)
     };
     assert!(scatter(&log) < 2e-9 && scatter(&other) > 1e-4, "{:e} {:e}", scatter(&log), scatter(&other));
@@ -127,7 +123,7 @@ fn a_zero_order_hold_does_not_explain_them() {
 fn realistic_readings_predict_runs_that_were_not_seen() {
     let reference = Reference::MeanUntil(600.0);
     let (log, outputs) = read("realistic", "thermal-const.csv", reference);
-    let fitted = fit(&log, &outputs, &structure(&log)).expect("a fit");
+    let fitted = fit(std::slice::from_ref(&log), &outputs, &structure(&log)).expect("a fit");
     let truth = truth("realistic");
     for (index, (found, relative)) in fitted.time_constants.iter().zip(&fitted.relative_uncertainties).enumerate() {
         let expected = truth[&format!("time_constant[{}]_s", index + 1)];

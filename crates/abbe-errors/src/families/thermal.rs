@@ -4,11 +4,12 @@ use std::collections::BTreeMap;
 use std::sync::{Arc, RwLock};
 
 use abbe_core::{Dataset, PathItem, Quantity, SettingsError, Unit, positive};
-use abbe_thermal::{History, Hold, Reference, SensorLog};
+use abbe_thermal::{History, Hold, Reference, SensorLog, possible_temperature};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 use super::{Argument, Family, Functions, Group, Subject, Term};
+use crate::log::{self, key};
 
 /// Errors that follow the temperatures of a log: states that lag behind them (`dzt[T34:1]`, the gain at rest of the state that T34
 /// drives with `time_constant[1]_s`), temperatures themselves (`dzt[T34]`), and slopes along an axis (`EXX[1*T34:1]`) (Soons 1993, 3.4).
@@ -53,15 +54,6 @@ pub struct Thermal {
     pub log: BTreeMap<String, Vec<f64>>,
 }
 
-/// The column of times.
-const TIME: &str = "time_s";
-
-/// The longest gap, in medians of the times between rows.
-const GAP: f64 = 5.0;
-
-/// Rows in which no sensor that works reads the same.
-const LONG: usize = 20;
-
 /// Most time constants: states of more than three are hardly ever told apart.
 const MOST: usize = 6;
 
@@ -71,39 +63,32 @@ impl Thermal {
     /// Fails if no log, or more than one, has them, and for logs with gaps, clocks that jump, and sensors without a reading.
     pub fn settle(&mut self, data: &[&Dataset]) -> Result<(), SettingsError> {
         if self.log.is_empty() {
-            let logs: Vec<&&Dataset> = data.iter().filter(|data| data.is_log).collect();
-            let has = |data: &&&Dataset| {
-                data.numbers("time").is_some() && self.columns().all(|name| data.numbers(name).is_some())
+            let columns: Vec<&str> = self.columns().collect();
+            let Some(found) = log::with_columns(data, &columns).map_err(|error| error.under([key("thermal")]))? else {
+                return Ok(());
             };
-            let mut fitting = logs.iter().copied().filter(has);
-            let found = match (fitting.next(), fitting.next()) {
-                (None, _) if data.is_empty() => return Ok(()),
-                (Some(found), None) => found,
-                (Some(_), Some(_)) => {
-                    return Err(SettingsError::new("thermal", "more than one log has these columns"));
-                }
-                (None, _) if logs.is_empty() => {
-                    let error = SettingsError::new("thermal", "the machine has no log of these columns");
-                    return Err(error.help("name the ingest stage that reads it: `logs: sensors` at the machine"));
-                }
-                (None, _) => {
-                    let lacks = |name: &&str| !logs.iter().any(|log| log.numbers(name).is_some());
-                    let name = std::iter::once("time").chain(self.columns()).find(lacks).unwrap_or("time");
-                    return Err(SettingsError::new("thermal", format!("the log has no column of numbers `{name}`")));
-                }
-            };
-            for column in &found.columns {
-                let quantity = column.header.quantity;
-                let name = column.header.name.as_str();
-                if let (Some(values), true) =
-                    (found.numbers(name), name == "time" || self.columns().any(|own| own == name))
-                {
-                    self.log.insert(format!("{name}{}", quantity.usual_suffix()), values.to_vec());
-                }
+            self.log = log::kept(found, &columns);
+        }
+        for data in data.iter().filter(|data| !data.is_log) {
+            if let Some(name) = self.columns().find(|name| data.numbers(name).is_some()) {
+                let file = data.files.first().map_or(String::new(), |file| format!(" ({})", file.display()));
+                let message = format!(
+                    "the rows{file} have a column `{name}` of their own, and so has the log: which one counts?"
+                );
+                return Err(
+                    SettingsError::new("thermal", message).help("take it out of the rows: the log gives it by time")
+                );
             }
         }
         // What is wrong with it is told now, and not by the first row that needs it.
         self.sensor_log().map(drop)
+    }
+
+    /// What looks like faults of its sensors of temperature, in words.
+    pub fn faults(&self) -> Vec<String> {
+        let Ok(Some(log)) = self.sensor_log() else { return Vec::new() };
+        let is_temperature = |sensor: &usize| self.quantity(&log.names()[*sensor]) == Quantity::Temperature;
+        (0..log.names().len()).filter(is_temperature).flat_map(|sensor| log.faults(sensor)).collect()
     }
 
     /// Inputs, then what is followed at once.
@@ -116,48 +101,13 @@ impl Thermal {
         if self.log.is_empty() {
             return Ok(None);
         }
-        let wrong = |error: abbe_core::Error| {
-            let told = SettingsError::new("log", error.message);
-            match error.help {
-                Some(help) => told.help(help),
-                None => told,
-            }
-        };
-        let times = self.log.get(TIME).cloned();
-        let times = times.ok_or_else(|| SettingsError::new("log", format!("the column `{TIME}` is missing")))?;
-        let mut sensors: Vec<(String, Vec<f64>)> = Vec::new();
-        for name in self.columns() {
-            let column = self.log.iter().find(|(header, _)| Quantity::of_column(header).0 == name);
-            let Some((_, values)) = column else {
-                return Err(SettingsError::new("log", format!("the column `{name}` is missing")));
-            };
-            if !sensors.iter().any(|(known, _)| known == name) {
-                sensors.push((name.to_owned(), values.clone()));
-            }
-        }
-        let longest = self.longest_gap_s.or_else(|| Some(GAP * median_step(&times)?));
         let hold = if self.zero_order_hold { Hold::ZeroOrder } else { Hold::FirstOrder };
         let reference = match (self.reference_degC, self.reference_until_s) {
             (Some(value), _) => Reference::Value(value),
             (None, Some(until)) => Reference::MeanUntil(until),
             (None, None) => Reference::FirstRow,
         };
-        let log = SensorLog::new(times, sensors, hold, longest).map_err(wrong)?;
-        let is_long = log.times().len() >= LONG;
-        if let Some(name) = log.stuck().first().filter(|_| is_long) {
-            let message = format!("the sensor {name} reads the same all the time, and others move: it is stuck");
-            return Err(SettingsError::new("log", message));
-        }
-        let log = log.elevations(reference).map_err(wrong)?;
-        let still = (0..log.names().len()).find(|&sensor| log.values(sensor).iter().all(|value| value.abs() < 1e-9));
-        match still.filter(|_| is_long) {
-            None => Ok(Some(log)),
-            Some(sensor) => {
-                let name = &log.names()[sensor];
-                let message = format!("{name} reads the same all the time: the sensor is stuck, or not connected");
-                Err(SettingsError::new("log", message))
-            }
-        }
+        log::sensor_log(&self.log, self.columns(), hold, self.longest_gap_s, reference).map(Some)
     }
 
     /// The quantity of a column; temperature before the log is known.
@@ -165,13 +115,6 @@ impl Thermal {
         let of = self.log.keys().map(|header| Quantity::of_column(header));
         of.into_iter().find(|(own, ..)| *own == name).map_or(Quantity::Temperature, |(_, quantity, _)| quantity)
     }
-}
-
-/// The median of the times between rows.
-fn median_step(times: &[f64]) -> Option<f64> {
-    let mut steps: Vec<f64> = times.windows(2).map(|pair| pair[1] - pair[0]).collect();
-    steps.sort_by(f64::total_cmp);
-    steps.get(steps.len() / 2).copied()
 }
 
 impl Family for Thermal {
@@ -227,6 +170,7 @@ impl Family for Thermal {
                 return Err(SettingsError::new(setting, "a finite number was expected"));
             }
         }
+        self.reference_degC.map_or(Ok(()), possible_temperature)?;
         self.longest_gap_s.map_or(Ok(()), |gap| positive("longest_gap_s", gap).map(drop))
     }
 
