@@ -2,6 +2,8 @@
 
 mod bad;
 mod controls;
+mod sequence;
+mod sets;
 mod stores;
 
 use std::collections::BTreeMap;
@@ -9,12 +11,12 @@ use std::collections::BTreeMap;
 use abbe_core::Calibration;
 use serde_json::Value;
 
-use crate::support::{abbe, fit, json_file, read, recipes, root, temporary};
+use crate::support::{Variant, abbe, fit, json_file, read, recipes, root, temporary};
 
 const DATA: [(&str, &str); 2] = [("exact", "tool-check-exact"), ("realistic", "tool-check")];
 
 fn run(recipe: &str) -> (abbe_engine::Outcome, BTreeMap<String, String>) {
-    let outcome = super::support::Variant::of(&recipes()[recipe]).run();
+    let outcome = Variant::of(&recipes()[recipe]).run();
     let out = temporary();
     let file = recipes()[recipe].clone();
     let printed = abbe(&root(), &["run".as_ref(), file.as_os_str(), "--out".as_ref(), out.path().as_os_str()]);
@@ -141,11 +143,96 @@ fn all_dimensions_and_wear_rates_are_met() {
     }
 }
 
+/// The row of a tool in a session.
+fn row<'a>(rows: &'a [BTreeMap<String, String>], session: u32, tool: u32) -> &'a BTreeMap<String, String> {
+    let is = |row: &&BTreeMap<String, String>| row["session"] == session.to_string() && row["tool"] == tool.to_string();
+    rows.iter().find(is).unwrap_or_else(|| panic!("no tool {tool} in session {session}"))
+}
+
+#[test]
+fn the_figures_that_the_set_tells_in_words() {
+    for (data, recipe) in DATA {
+        let (outcome, files) = run(recipe);
+        let verdicts = table(&files, "history/verdicts.csv");
+        let near = |cell: &str, told: f64, tolerance: f64| {
+            assert!((number(cell) - told).abs() <= tolerance, "{data}: {cell} is not {told}")
+        };
+        // Expanded uncertainties of values without a spoiled reading.
+        near(&row(&verdicts, 11, 3)["length_expanded_uncertainty_um"], 2.76, 0.005);
+        near(&row(&verdicts, 11, 3)["radius_expanded_uncertainty_um"], 2.82, 0.005);
+        near(&row(&verdicts, 5, 2)["length_deviation_um"], -13310.0, 5.0);
+        near(&row(&verdicts, 9, 5)["value_um"], 7320.0, 5.0);
+        assert_eq!(row(&verdicts, 9, 5)["radius_deviation_um"], "");
+        let calibration = &fit(&outcome, "tools").calibration;
+        // Broken tools are judged without a radius: alone, the stump of tool 5 is as long as tool 2 by its preset.
+        let stump = calibration.get("length[5]").expect("a value").value - 118.236;
+        assert!((stump * 1e3 + 9.4).abs() < 3.0, "{data}: {stump}");
+        // A spoiled reading would move the mean of three by a third.
+        let by_mean = calibration.outliers.iter().map(|outlier| outlier.residual_um / 3.0);
+        for (found, told) in by_mean.zip([-17.0, 61.0, 82.0]) {
+            assert!((found - told).abs() < 0.6, "{data}: {found} {told}");
+        }
+        let checks = calibration.model.settings["checks"].as_array().expect("checks");
+        assert!(checks.len() == 101 && checks.iter().all(|check| check.get("inconsistent").is_none()), "{data}");
+        if data == "exact" {
+            assert!((stump * 1e3 + 9.4).abs() < 0.05, "{stump}");
+            near(&row(&verdicts, 6, 6)["radius_deviation_um"], -60.3, 0.06);
+            near(&row(&verdicts, 11, 3)["length_deviation_um"], -39.5, 0.05);
+            near(&row(&verdicts, 12, 3)["length_deviation_um"], -42.9, 0.05);
+            // The drop has the wear of the minutes between in it.
+            let rate = calibration.get("wear[6].radius").expect("a rate").value * 6e4;
+            let minutes = number(&row(&verdicts, 6, 6)["cutting_min"]) - number(&row(&verdicts, 5, 6)["cutting_min"]);
+            let at_once = number(&row(&verdicts, 6, 6)["value_um"]) + rate * minutes;
+            assert!((at_once - 46.7).abs() < 1e-6, "{at_once}");
+        }
+    }
+}
+
+#[test]
+fn without_the_master_most_verdicts_change() {
+    let (_, files) = run("tool-check-exact");
+    let with = table(&files, "history/verdicts.csv");
+    let text = read(&root().join("pipelines/data/tool-check/exact/tool-log.csv"));
+    let (mut lines, mut lengths) = (vec![text.lines().next().expect("a header").to_owned()], Vec::new());
+    for line in text.lines().skip(1) {
+        let mut cells: Vec<&str> = line.split(',').collect();
+        if cells[2] == "0" {
+            let own = if cells[3] == "length" { "200.0124" } else { "12.4996" };
+            if cells[3] == "length" {
+                lengths.push((cells[4].to_owned(), (number(cells[6]) - number(own)) * 1e3));
+            }
+            // A master that reads its own value corrects nothing.
+            cells[6] = own;
+        }
+        lines.push(cells.join(","));
+    }
+    // Contact and laser differ by up to 17.9 um, and the spindle grows by up to 21 um.
+    let range = |method: &str| {
+        let of = lengths.iter().filter(|(name, _)| name == method).map(|(_, off)| *off);
+        of.fold([f64::INFINITY, f64::NEG_INFINITY], |[low, high], off| [low.min(off), high.max(off)])
+    };
+    let (contact, laser) = (range("contact"), range("laser"));
+    assert!((contact[0] - laser[0] - 17.9).abs() < 0.05, "{contact:?} {laser:?}");
+    assert!((contact[1] - 6.2 - 21.0).abs() < 0.5, "{contact:?}");
+
+    let folder = temporary();
+    crate::support::write(&folder.path().join("log.csv"), &(lines.join("\n") + "\n"));
+    let recipe = Variant::of(&recipes()["tool-check-exact"]).only(&["tools", "history"]);
+    let outcome = recipe.set("log", "path", folder.path().join("log.csv").display().to_string().into()).run();
+    let (_, tables) = outcome.exports.iter().find(|(stage, _)| stage == "history").expect("tables");
+    let text = tables.iter().find(|file| file.name.ends_with("verdicts.csv")).expect("a table").content.clone();
+    let without = rows(&String::from_utf8(text).expect("text"));
+    let changed = with.iter().zip(&without).filter(|(one, other)| one["verdict"] != other["verdict"]).count();
+    assert_eq!((with.len(), without.len(), changed), (101, 101, 94));
+}
+
 /// Largest deviation of the dimensions, um, and relative to u_v; their rms deviation, um; their number.
 fn against_truth(data: &str, calibration: &Calibration) -> ((f64, f64), f64, usize) {
     let truth = rows(&read(&root().join(format!("tests/truth/tool-check-{data}-dimensions.csv"))));
     let mut last: BTreeMap<&str, &str> = BTreeMap::new();
-    truth.iter().for_each(|row| drop(last.insert(&row["tool"], &row["session"])));
+    for row in &truth {
+        last.insert(&row["tool"], &row["session"]);
+    }
     let (mut largest, mut ratio, mut squares, mut count) = (0.0_f64, 0.0_f64, 0.0, 0);
     for row in truth.iter().filter(|row| row["tool"] != "0") {
         let (tool, session, quantity) = (&row["tool"], &row["session"], &row["quantity"]);
@@ -166,7 +253,7 @@ fn against_truth(data: &str, calibration: &Calibration) -> ((f64, f64), f64, usi
 fn the_exit_status_tells_a_cell_controller() {
     let recipe = &recipes()["tool-check"];
     let variant = |settings: Value| {
-        let mut variant = super::support::Variant::of(recipe).only(&["tools", "before-the-cut"]);
+        let mut variant = Variant::of(recipe).only(&["tools", "before-the-cut"]);
         let stage = variant.stage("before-the-cut");
         *stage = settings;
         stage["validate"] = "tools".into();
@@ -202,6 +289,45 @@ fn the_exit_status_tells_a_cell_controller() {
 }
 
 #[test]
+fn what_no_rule_refuses_is_told_and_can_fail() {
+    let text = read(&root().join("pipelines/data/tool-check/exact/tool-log.csv"));
+    let lines: Vec<&str> = text.lines().collect();
+    let is = |line: &str, tool: &str, quantity: &str| {
+        let cells: Vec<&str> = line.split(',').collect();
+        cells[1..4] == ["14", tool, quantity]
+    };
+    let without = lines.iter().filter(|line| !is(line, "4", "radius")).map(|line| (*line).to_owned());
+    // Tool 7 is 2 mm longer than its preset, and no other tool is as long.
+    let longer = lines.iter().map(|line| {
+        let mut cells: Vec<String> = line.split(',').map(str::to_owned).collect();
+        if is(line, "7", "length") {
+            cells[6] = format!("{:.9}", number(&cells[6]) + 2.0);
+        }
+        cells.join(",")
+    });
+    let cases: [(Vec<String>, &str); 2] =
+        [(without.collect(), "recheck radius[tool=4,session=14]"), (longer.collect(), "too long[tool=7,session=14]")];
+    for (lines, told) in cases {
+        for (fail, status) in [(None, 0), (Some(serde_json::json!(["recheck"])), 3)] {
+            let folder = temporary();
+            crate::support::write(&folder.path().join("log.csv"), &(lines.join("\n") + "\n"));
+            let mut recipe = Variant::of(&recipes()["tool-check-exact"]).only(&["tools", "before-the-cut", "siemens"]);
+            recipe.stage("log")["path"] = "log.csv".into();
+            if let Some(fail) = &fail {
+                recipe.stage("before-the-cut")["fail"] = fail.clone();
+            }
+            let file = recipe.write(folder.path());
+            let out = folder.path().join("out");
+            let printed = abbe(folder.path(), &["run".as_ref(), file.as_os_str(), "--out".as_ref(), out.as_os_str()]);
+            assert_eq!(printed.status, status, "{told}: {}{}", printed.stdout, printed.stderr);
+            assert!(printed.stdout.contains(told), "{told}: {}", printed.stdout);
+            let locked = read(&out.join("recipe/siemens/locked.csv"));
+            assert_eq!(locked.contains("4,not-measured,14,"), told.contains("tool=4"), "{locked}");
+        }
+    }
+}
+
+#[test]
 fn a_saved_estimate_is_judged_and_exported_alike() {
     let (_, files) = run("tool-check");
     let folder = temporary();
@@ -209,7 +335,7 @@ fn a_saved_estimate_is_judged_and_exported_alike() {
     crate::support::write(&folder.path().join("saved.json"), saved.1);
     crate::support::write(
         &folder.path().join("again.yaml"),
-        "abbe: 1\nname: again\nstages:\n  old: { estimate: calibration, file: saved.json }\n  \
+        "abbe: 1\nname: again\nstages:\n  old: { estimate: calibration, path: saved.json }\n  \
          history: { validate: tools, of: old, sessions: all, fail: [] }\n  \
          fanuc: { export: tool-offsets, of: old, control: fanuc, decimals: 4 }\n",
     );

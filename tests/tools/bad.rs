@@ -22,7 +22,7 @@ fn first(lines: &[String], session: &str, tool: &str) -> usize {
     found.expect("the tool is there")
 }
 
-const CASES: [Case; 22] = [
+const CASES: [Case; 25] = [
     ("in the log only", |_, table| drop(table.remove(4)), &["tool 4 is not in the table", "tool-log.csv:50"]),
     (
         "in the table only",
@@ -54,6 +54,38 @@ const CASES: [Case; 22] = [
         "inches in millimetres",
         |log, _| set(log, 1, 6, "7.8747"),
         &["the length of the master reads 7.8747 mm", "tool-log.csv:2", "unit"],
+    ),
+    (
+        "inches in the table",
+        |_, table| {
+            for line in 1..table.len() {
+                let inches = cell(&table[line], 1).parse::<f64>().expect("a number") / 25.4;
+                set(table, line, 1, &format!("{inches:.5}"));
+            }
+        },
+        &["the length of tool 1 is 6.00051 mm here, and the setter reads 152.4", "tools.csv:2", "are the units"],
+    ),
+    (
+        "radii of the table in um",
+        |_, table| {
+            for line in 1..table.len() {
+                let um = cell(&table[line], 2).parse::<f64>().expect("a number") * 1e3;
+                set(table, line, 2, &um.to_string());
+            }
+        },
+        &["the radius of tool 1 is 10000 mm here, and the setter reads 9.99", "tools.csv:2"],
+    ),
+    (
+        "diameters in the log",
+        |log, _| {
+            for line in 1..log.len() {
+                if cell(&log[line], 3) == "radius" {
+                    let value = 2.0 * cell(&log[line], 6).parse::<f64>().expect("a number");
+                    set(log, line, 6, &value.to_string());
+                }
+            }
+        },
+        &["the radius of the master reads 24.9", "it is 12.4996 mm"],
     ),
     ("no unit", |log, _| set(log, 0, 6, "value"), &["the column `value` does not say its unit", "value_mm"]),
     ("an angle", |log, _| set(log, 0, 6, "value_deg"), &["the column `value_deg` has the wrong unit; mm was expected"]),
@@ -89,7 +121,7 @@ const CASES: [Case; 22] = [
     (
         "twice",
         |log, _| log.insert(21, log[20].clone()),
-        &["of tool 1 by contact in session 1 is in line 21 already", "tool-log.csv:22"],
+        &["of tool 1 by laser in session 1 is in line 21 already", "tool-log.csv:22"],
     ),
     (
         "minutes fall",

@@ -60,7 +60,7 @@ fn store(seed: u64, folder: &std::path::Path) -> Truth {
     let presets: Vec<[f64; 2]> = (0..TOOLS).map(|tool| [90.0 + 11.0 * tool as f64, 3.0 + 1.7 * tool as f64]).collect();
     let set: Vec<[f64; 2]> = presets.iter().map(|pair| pair.map(|value| value + random.normal(1.2e-3))).collect();
     // In um a minute: some end near their limits.
-    let rates: Vec<[f64; 2]> = (0..TOOLS).map(|_| LIMITS.map(|limit| limit / random.uniform(180.0, 700.0))).collect();
+    let rates: Vec<[f64; 2]> = (0..TOOLS).map(|_| LIMITS.map(|limit| limit / random.uniform(110.0, 320.0))).collect();
     let bias: [[f64; 2]; 2] = std::array::from_fn(|_| std::array::from_fn(|_| random.uniform(-0.015, 0.015)));
     let (swap, chip, break_at) = (2, (1, 4), (3, 6));
     let chip_size = random.uniform(40.0, 90.0);

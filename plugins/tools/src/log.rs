@@ -393,8 +393,41 @@ impl<'a> Log<'a> {
             Some((tool, line)) => Err(Error::data(format!("tool {} is in no session of the log", tool.tool))
                 .at(table, *line, None)
                 .help("measure it, or take it out of the table")),
-            None => Ok(()),
+            None => self.check_presets(tools, table),
         }
+    }
+
+    /// Refuses a table in another unit: all tools read more than five times their presets, or less than a fifth of them.
+    fn check_presets(&self, tools: &[(Tool, usize)], table: &Path) -> Result<()> {
+        let first = |tool: &str, quantity: Quantity| {
+            let visits = self.sessions.iter().flat_map(|session| &session.visits);
+            let mut repeats = visits.filter(|visit| visit.tool == tool).flat_map(|visit| &visit.repeats);
+            repeats.find(|((other, _), _)| *other == quantity).and_then(|(_, readings)| readings.first())
+        };
+        for quantity in Quantity::ALL {
+            let preset = |tool: &Tool| tool.preset[quantity.index()];
+            let read: Vec<(&Tool, usize, &Reading)> = tools
+                .iter()
+                .filter_map(|(tool, line)| first(&tool.tool, quantity).map(|reading| (tool, *line, reading)))
+                .collect();
+            let all = |is_off: fn(f64) -> bool| read.iter().all(|(tool, _, it)| is_off(it.value / preset(tool)));
+            if let Some((tool, line, reading)) = read.first()
+                && (all(|ratio| ratio > 5.0) || all(|ratio| ratio < 0.2))
+            {
+                let message = format!(
+                    "the {} of tool {} is {} mm here, and the setter reads {} mm ({}); the others are off alike",
+                    quantity.name(),
+                    tool.tool,
+                    preset(tool),
+                    reading.value,
+                    self.line(reading.at)
+                );
+                return Err(Error::data(message)
+                    .at(table, *line, None)
+                    .help("are the units of the columns right, and are the presets of this table those of this log?"));
+            }
+        }
+        Ok(())
     }
 }
 

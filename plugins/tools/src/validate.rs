@@ -136,7 +136,20 @@ impl Tools {
             let name = format!("not measured[tool={tool},session={last}]");
             figures.push(Figure::new(of, name, f64::NAN, "um").limited(Limit::from(0.0)));
         }
+        figures.extend(judged.iter().filter_map(|it| self.too_long(of, store, it)));
         figures
+    }
+
+    /// The figure of a tool that is longer or wider than it can be, and that no rule refuses: it is to be looked at.
+    fn too_long(&self, of: &str, store: &Store, it: &Judged) -> Option<Figure> {
+        let long = too_long(store, it).filter(|_| self.decides(store, it) && !self.settings.fail.is_empty())?;
+        let check = &store.record.checks[it.check];
+        let name = format!("too long[tool={},session={}]", check.tool, check.session);
+        let limits = &store.record.settings.limits;
+        let figure = Figure::new(of, name, long, "um").limited(Limit::from(limits.wrong_um));
+        let why = "longer or wider than its preset, and like no other tool: look which tool it is";
+        let fails = self.settings.fail.contains(&Name::Recheck);
+        Some(Figure { inconclusive: (!fails).then(|| why.to_owned()), ..figure })
     }
 
     /// The figure of a verdict. Only what decides has a limit; what does not, or is in order, is a detail.
@@ -153,7 +166,11 @@ impl Tools {
             _ if !decides || self.settings.fail.is_empty() => figure,
             Name::Ok => figure.limited(Limit::from(it.limit_um)),
             // Not below the limit minus U: the acceptance limit of the guard band decides.
-            Name::Recheck if fails => figure.limited(Limit::from((it.limit_um - it.expanded_um).next_down())),
+            Name::Recheck if fails && it.expanded_um.is_finite() => {
+                figure.limited(Limit::from((it.limit_um - it.expanded_um).next_down()))
+            }
+            // What was not measured has no value, and a figure without value fails.
+            Name::Recheck if fails => figure.limited(Limit::from(it.limit_um)),
             Name::Recheck => Figure {
                 inconclusive: Some(format!("{}: measure it again", it.rule)),
                 ..figure.limited(Limit::from(it.limit_um))
@@ -172,7 +189,8 @@ impl Tools {
             let check = &store.record.checks[it.check];
             if let Some(other) = &it.looks_like {
                 remarks.push(format!("session {}: tool {} looks like tool {other}", check.session, check.tool));
-            } else if let Some(long) = too_long(store, it.check) {
+            }
+            if let Some(long) = too_long(store, it) {
                 remarks.push(format!(
                     "session {}: tool {} is longer or wider than its preset by {long:.0} um, which no wear does, and looks like no \
                      tool of the table",
@@ -191,15 +209,16 @@ impl Tools {
     }
 }
 
-/// By how much a tool is longer or wider than its preset, um, if that is more than a tool may be off.
-fn too_long(store: &Store, check: usize) -> Option<f64> {
+/// By how much a tool is longer or wider than its preset, um, if that is more than a tool may be off and it looks like no other.
+fn too_long(store: &Store, it: &Judged) -> Option<f64> {
     let settings = &store.record.settings;
-    let indices = (0..store.values.len()).filter(|&index| store.values[index].check == check);
+    let indices = (0..store.values.len()).filter(|&index| store.values[index].check == it.check);
     let long = indices.map(|index| {
         let expanded = settings.coverage_factor * store.short_uncertainty_um(index);
         (-store.short_um(index), settings.limits.wrong_um + expanded)
     });
-    long.filter(|(long, most)| long > most).map(|(long, _)| long).reduce(f64::max)
+    let most = long.filter(|(long, most)| long > most).map(|(long, _)| long).reduce(f64::max);
+    most.filter(|_| it.looks_like.is_none())
 }
 
 /// Wear rates and the cutting minutes at which limits are reached; the first of those of a tool in use is shown.
