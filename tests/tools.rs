@@ -144,7 +144,7 @@ fn all_dimensions_and_wear_rates_are_met() {
 }
 
 /// The row of a tool in a session.
-fn row<'a>(rows: &'a [BTreeMap<String, String>], session: u32, tool: u32) -> &'a BTreeMap<String, String> {
+fn row(rows: &[BTreeMap<String, String>], session: u32, tool: u32) -> &BTreeMap<String, String> {
     let is = |row: &&BTreeMap<String, String>| row["session"] == session.to_string() && row["tool"] == tool.to_string();
     rows.iter().find(is).unwrap_or_else(|| panic!("no tool {tool} in session {session}"))
 }

@@ -6,13 +6,13 @@ use super::{number, run, table};
 use crate::support::{Variant, abbe, read, recipes, temporary};
 
 /// What a control knows of its tools afterwards: length and radius it works with, mm, by number.
-type Tools = BTreeMap<u32, (f64, f64)>;
+pub(super) type Tools = BTreeMap<u32, (f64, f64)>;
 
 /// What a reader found: tools with offsets, and locked ones.
 #[derive(Debug, Default, PartialEq)]
-struct Control {
-    tools: Tools,
-    locked: Vec<u32>,
+pub(super) struct Control {
+    pub(super) tools: Tools,
+    pub(super) locked: Vec<u32>,
 }
 
 fn linuxcnc(text: &str) -> Control {
@@ -130,8 +130,10 @@ fn heidenhain(text: &str) -> Control {
     control
 }
 
-/// Stage in the recipe, file, and reader of each control.
-const CONTROLS: [(&str, &str, fn(&str) -> Control); 4] = [
+/// Stage in the recipe, file, and reader of a control.
+type Reader = (&'static str, &'static str, fn(&str) -> Control);
+
+pub(super) const CONTROLS: [Reader; 4] = [
     ("linuxcnc", "tool.tbl", linuxcnc),
     ("fanuc", "offsets.nc", fanuc),
     ("siemens", "offsets.mpf", siemens),
@@ -150,7 +152,7 @@ fn wanted(files: &BTreeMap<String, String>) -> Control {
 }
 
 /// Whether a control works with the dimensions of the tools, to half an increment.
-fn agrees(found: &Control, wanted: &Control, increment: f64) -> bool {
+pub(super) fn agrees(found: &Control, wanted: &Control, increment: f64) -> bool {
     let near = |one: f64, other: f64| (one - other).abs() <= 0.5 * increment + 1e-9;
     found.locked == wanted.locked
         && found.tools.keys().eq(wanted.tools.keys())

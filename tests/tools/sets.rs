@@ -7,6 +7,7 @@ use std::fmt::Write as _;
 use abbe_core::Calibration;
 use serde_json::{Value, json};
 
+use super::controls::{CONTROLS, Control, agrees};
 use super::rows;
 use crate::support::{Variant, fit, recipes, temporary};
 
@@ -102,6 +103,36 @@ impl Events {
     }
 }
 
+/// The tools as they are.
+struct World<'a> {
+    events: &'a Events,
+    /// Minutes that each has cut.
+    minutes: Vec<f64>,
+    /// Wear, mm a minute.
+    rates: Vec<[f64; 2]>,
+    /// Sizes before the first cut, mm.
+    new: Vec<[f64; 2]>,
+    chip: f64,
+}
+
+impl World<'_> {
+    /// The size in the place of a tool; none of a tool that is out of use, and no radius of one that broke.
+    fn size(&self, session: usize, tool: usize, quantity: usize) -> Option<f64> {
+        let broken = self.events.breaks.filter(|(at, broken, _)| tool == *broken && session >= *at);
+        if broken.is_some_and(|(at, ..)| session > at || quantity == 1) {
+            return None;
+        }
+        let inside = match self.events.swap {
+            Some((at, one, other)) if at == session && tool == one => other,
+            Some((at, one, other)) if at == session && tool == other => one,
+            _ => tool,
+        };
+        let chipped = self.events.chip.filter(|(at, chipped, _)| session >= *at && inside == *chipped && quantity == 1);
+        let lost = chipped.map_or(0.0, |(_, _, times)| times * self.chip * 1e-3) + broken.map_or(0.0, |it| it.2);
+        Some(self.new[inside][quantity] - self.rates[inside][quantity] * self.minutes[inside] - lost)
+    }
+}
+
 impl Set {
     fn new(seed: u64) -> Self {
         let mut random = Random::new(seed);
@@ -132,7 +163,7 @@ impl Set {
             close: r.within(60.0, 100.0),
             wrong: r.within(120.0, 240.0),
             log: Vec::new(),
-            noise: seed % 2 == 0,
+            noise: seed.is_multiple_of(2),
             sizes: BTreeMap::new(),
             dirty: Vec::new(),
         };
@@ -144,97 +175,66 @@ impl Set {
         set
     }
 
-    /// Sizes of all tools in a session, None for a broken tool that has no such size.
     fn measure(&mut self, random: &mut Random, (sessions, repeats): (usize, usize), events: &Events) {
         let tools = self.names.len();
-        let um = 1e-3;
-        let loud = if self.noise { 1.0 } else { 0.0 };
-        let off = [(); 2].map(|()| loud * random.normal() * self.master.2 * um);
-        let set: Vec<[f64; 2]> =
-            (0..tools).map(|_| [(); 2].map(|()| loud * random.normal() * self.setting_um * um)).collect();
+        let loud = if self.noise { 1e-3 } else { 0.0 };
+        let master = self.master.1.map(|value| value + loud * random.normal() * self.master.2);
+        let mut pair = |size: f64| [(); 2].map(|()| loud * random.normal() * size);
+        let new = self.presets.iter().map(|preset| {
+            let off = pair(self.setting_um);
+            [preset[0] + off[0], preset[1] + off[1]]
+        });
+        let new = new.collect();
         let total = 30.0 * sessions as f64;
-        let rates: Vec<[f64; 2]> =
-            self.wear_um.iter().map(|pair| pair.map(|it| it * random.within(0.1, 1.6))).collect();
+        let rates = self.wear_um.iter().map(|pair| pair.map(|it| it * random.within(0.1, 1.6) / total * 1e-3));
+        let mut world = World { events, minutes: vec![0.0; tools], rates: rates.collect(), new, chip: self.chip };
         let bias: Vec<[f64; 2]> = self.methods.iter().map(|_| [(); 2].map(|()| random.within(-0.02, 0.02))).collect();
-        let mut minutes = vec![0.0; tools];
         for session in 0..sessions {
-            let growth = 0.025 * (1.0 - (-(session as f64) / 3.0).exp());
-            let present = |tool: usize| events.breaks.is_none_or(|(at, broken, _)| tool != broken || session <= at);
-            for tool in std::iter::once(None).chain((0..tools).filter(|tool| present(*tool)).map(Some)) {
-                if let Some(tool) = tool.filter(|_| session > 0) {
-                    minutes[tool] += random.within(20.0, 40.0).round();
-                }
+            let growth = [0.025 * (1.0 - (-(session as f64) / 3.0).exp()), 0.0];
+            for quantity in 0..2 {
+                let off = |method: usize| bias[method][quantity] + growth[quantity];
+                self.read((session, None, quantity), master[quantity], off, repeats, 0.0, random);
+            }
+            for tool in 0..tools {
+                world.minutes[tool] += if session > 0 { random.within(20.0, 40.0).round() } else { 0.0 };
+                let minutes = world.minutes[tool];
                 for quantity in 0..2 {
-                    let Some(size) = (match tool {
-                        None => Some(self.master.1[quantity] + off[quantity]),
-                        Some(tool) => self.size(session, tool, quantity, events, &minutes, total, &rates, &set),
-                    }) else {
-                        continue;
+                    let Some(size) = world.size(session, tool, quantity) else { continue };
+                    self.sizes.insert((session, tool, quantity), size);
+                    let is_dirty = events.dirt == Some((session, tool, quantity)) && self.methods.len() > 1;
+                    let dirt = if is_dirty { 12e-3 * self.methods[0].1[quantity] } else { 0.0 };
+                    self.dirty.extend(is_dirty.then_some((session, tool, quantity)));
+                    let off = |method: usize| {
+                        bias[method][quantity] + growth[quantity] + if method == 0 { dirt } else { 0.0 }
                     };
-                    if let Some(tool) = tool {
-                        self.sizes.insert((session, tool, quantity), size);
-                    }
-                    let grown = if quantity == 0 { growth } else { 0.0 };
-                    for method in 0..self.methods.len() {
-                        let s = self.methods[method].1[quantity];
-                        let mut around = size + grown + bias[method][quantity];
-                        if tool.is_some() && method == 0 && self.methods.len() > 1 {
-                            if events.dirt == tool.map(|tool| (session, tool, quantity)) {
-                                around += 12.0 * s * um;
-                                self.dirty.extend(tool.map(|tool| (session, tool, quantity)));
-                            }
-                        }
-                        // One bad reading at most is no majority, of three to five.
-                        let bad = (random.unit() < 0.02).then(|| random.below(repeats));
-                        for repeat in 0..repeats {
-                            let spoil = if bad == Some(repeat) { random.within(60.0, 300.0) * um } else { 0.0 };
-                            let sign = if random.unit() < 0.5 { -1.0 } else { 1.0 };
-                            let value = around + sign * spoil + loud * random.normal() * s * um;
-                            let minutes = tool.map_or(0.0, |tool| minutes[tool]);
-                            let value = (value * 1e9).round() / 1e9;
-                            let spoiled = bad == Some(repeat);
-                            self.log.push(Line { session, tool, quantity, method, repeat, value, minutes, spoiled });
-                        }
-                    }
+                    self.read((session, Some(tool), quantity), size, off, repeats, minutes, random);
                 }
             }
         }
     }
 
-    #[allow(clippy::too_many_arguments)]
-    fn size(
-        &self,
-        session: usize,
-        tool: usize,
-        quantity: usize,
-        events: &Events,
-        minutes: &[f64],
-        total: f64,
-        rates: &[[f64; 2]],
-        set: &[[f64; 2]],
-    ) -> Option<f64> {
-        let is_broken = events.breaks.is_some_and(|(at, broken, _)| (at, broken) == (session, tool));
-        if is_broken && quantity == 1 {
-            return None;
+    /// Readings of a size by all methods; one of the repeats may be bad, which is no majority.
+    fn read(
+        &mut self,
+        (session, tool, quantity): (usize, Option<usize>, usize),
+        size: f64,
+        off: impl Fn(usize) -> f64,
+        repeats: usize,
+        minutes: f64,
+        random: &mut Random,
+    ) {
+        let loud = if self.noise { 1e-3 } else { 0.0 };
+        for method in 0..self.methods.len() {
+            let bad = (random.unit() < 0.02).then(|| random.below(repeats));
+            for repeat in 0..repeats {
+                let spoiled = bad == Some(repeat);
+                let spoil = if spoiled { random.within(0.06, 0.3) } else { 0.0 };
+                let sign = if random.unit() < 0.5 { -1.0 } else { 1.0 };
+                let noise = loud * random.normal() * self.methods[method].1[quantity];
+                let value = ((size + off(method) + sign * spoil + noise) * 1e9).round() / 1e9;
+                self.log.push(Line { session, tool, quantity, method, repeat, value, minutes, spoiled });
+            }
         }
-        let inside = match events.swap {
-            Some((at, one, other)) if at == session && tool == one => other,
-            Some((at, one, other)) if at == session && tool == other => one,
-            _ => tool,
-        };
-        let mut size = self.presets[inside][quantity] + set[inside][quantity];
-        size -= rates[inside][quantity] * minutes[inside] / total * 1e-3;
-        if let Some((at, chipped, times)) = events.chip
-            && session >= at
-            && inside == chipped
-            && quantity == 1
-        {
-            size -= times * self.chip * 1e-3;
-        }
-        if is_broken {
-            size -= events.breaks.map_or(0.0, |it| it.2);
-        }
-        Some(size)
     }
 
     fn log_text(&self) -> String {
@@ -415,9 +415,12 @@ impl Rules<'_> {
             "chipped"
         } else if beyond(0, limits[0]) || beyond(1, limits[1]) {
             "worn"
-        } else if !below(0, limits[0]) || !below(1, limits[1]) || !below(0, set.breakage) {
-            "recheck"
-        } else if drop.is_some_and(|(drop, u)| drop >= set.chip - u) || own.iter().flatten().any(|own| !own.agrees) {
+        } else if !below(0, limits[0])
+            || !below(1, limits[1])
+            || !below(0, set.breakage)
+            || drop.is_some_and(|(drop, u)| drop >= set.chip - u)
+            || own.iter().flatten().any(|own| !own.agrees)
+        {
             "recheck"
         } else {
             "ok"
@@ -586,4 +589,59 @@ fn a_world_twice_as_large_has_the_same_verdicts() {
         }
         assert_eq!(set.run().named(), large.run().named(), "set {seed}");
     }
+}
+
+/// What controls have to know after the last session, by the rules.
+fn wanted(set: &Set, numbers: &[u32]) -> Control {
+    let (rules, verdicts) = (Rules(set), Rules(set).verdicts());
+    let last = set.log.last().expect("a reading").session;
+    let mut control = Control::default();
+    for (tool, number) in numbers.iter().enumerate() {
+        let session = verdicts.keys().filter(|key| key.1 == tool).map(|key| key.0).max().expect("a session");
+        let own = [0, 1].map(|quantity| rules.own(session, tool, quantity));
+        match (own, verdicts[&(session, tool)].0.as_str()) {
+            ([Some(length), Some(radius)], "ok" | "recheck") if session == last => {
+                control.tools.insert(*number, (length.value, radius.value));
+            }
+            _ => control.locked.push(*number),
+        }
+    }
+    control
+}
+
+#[test]
+fn controls_get_the_offsets_of_other_sets() {
+    let (mut tools, mut locked) = (0, 0);
+    for seed in 1..=SETS {
+        let (set, folder) = (Set::new(seed), temporary());
+        let mut recipe = set.recipe(folder.path());
+        // Numbers that are not those of the log.
+        let numbers: Vec<u32> = (0..set.names.len()).map(|tool| 301 + 3 * tool as u32).collect();
+        let by_name: BTreeMap<&String, &u32> = set.names.iter().zip(&numbers).collect();
+        let decimals = 3 + (seed % 3) as i32;
+        for (control, _, _) in CONTROLS {
+            recipe.0["stages"][control] = json!({
+                "export": "tool-offsets", "of": "tools", "control": control, "decimals": decimals, "numbers": by_name,
+            });
+        }
+        let (outcome, wanted) = (recipe.run(), wanted(&set, &numbers));
+        for (control, name, reader) in CONTROLS {
+            let (_, files) = outcome.exports.iter().find(|(stage, _)| stage == control).expect("offsets");
+            let file = files.iter().find(|file| file.name.ends_with(name)).expect("a file");
+            let mut found = reader(&String::from_utf8(file.content.clone()).expect("text"));
+            found.locked.sort_unstable();
+            let increment = 10_f64.powi(-decimals);
+            assert!(agrees(&found, &wanted, increment), "set {seed} {control}: {found:#?} {wanted:#?}");
+            // What is worn turned: a tool that is too short is told to be too long.
+            let turned = found.tools.iter().map(|(number, (length, radius))| {
+                let tool = numbers.iter().position(|other| other == number).expect("a tool");
+                (*number, (2.0 * set.presets[tool][0] - length, 2.0 * set.presets[tool][1] - radius))
+            });
+            let turned = Control { tools: turned.collect(), locked: found.locked.clone() };
+            assert!(turned.tools.is_empty() || !agrees(&turned, &wanted, increment), "set {seed} {control}");
+        }
+        tools += wanted.tools.len();
+        locked += wanted.locked.len();
+    }
+    assert!(tools > 100 && locked > 40, "{tools} {locked}");
 }

@@ -129,9 +129,9 @@ fn store(seed: u64, folder: &std::path::Path) -> Truth {
         }
     }
     for (tool, rate) in rates.iter().enumerate() {
-        for quantity in 0..2 {
+        for (quantity, rate) in rate.iter().enumerate() {
             if (tool, quantity) != (chip.0, 1) {
-                truth.rates.insert((tool, quantity), -rate[quantity] * 1e-3 / 60.0);
+                truth.rates.insert((tool, quantity), -rate * 1e-3 / 60.0);
             }
         }
     }
