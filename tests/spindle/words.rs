@@ -42,8 +42,6 @@ fn the_printed_table_is_met() {
             assert_eq!(format!("{found:.digits$}"), value, "{name} {axis}");
         }
     }
-    let condition = fit(outcome("exact"), "warm-up").calibration.fit.condition;
-    assert!((condition - 19.4).abs() < 0.05, "{condition}");
 }
 
 /// Range of the synchronous part in the rotating direction at 600 rpm, form removed, mean and fundamental taken off; with
@@ -128,7 +126,8 @@ fn swings_leak_as_much_as_single_turns_scatter() {
     let all = harmonics("realistic");
     // White noise of 6 nm would promise 0.1 nm.
     assert!((6.0 * (2.0_f64 / 4136.0).sqrt() - 0.1).abs() < 0.05);
-    let (mut motion, mut reversal, mut worst, mut count) = (0.0_f64, 0.0_f64, 0.0_f64, 0);
+    let (mut motion, mut reversal, mut worst, mut real, mut count) = (0.0_f64, 0.0_f64, 0.0_f64, 0.0_f64, 0);
+    let names: Vec<String> = truth("realistic").into_iter().map(|(name, _)| name).collect();
     for run in ["600", "3000", "9000"] {
         let text = read(&root().join(format!("pipelines/data/spindle-motion/realistic/motion-{run}.csv")));
         let mut turns: Vec<Vec<[f64; 4]>> = vec![Vec::new(); 33];
@@ -148,6 +147,9 @@ fn swings_leak_as_much_as_single_turns_scatter() {
             let mean = values.iter().sum::<f64>() / 32.0;
             let scatter = (values.iter().map(|value| (value - mean).powi(2)).sum::<f64>() / 31.0 / 32.0).sqrt();
             let off = (value - truth).abs() * 1e3;
+            if names.contains(name) {
+                real = real.max(off / scatter);
+            }
             (motion, worst, count) = (motion.max(off), worst.max(off / scatter), count + 1);
         }
     }
@@ -156,10 +158,13 @@ fn swings_leak_as_much_as_single_turns_scatter() {
             reversal = reversal.max((value - truth).abs() * 1e3);
         }
     }
-    println!("{motion} {reversal} {worst} {count}");
+    println!("{motion} {reversal} {worst} {real} {count}");
     assert_eq!(count, 432);
-    assert!(worst < 1.85, "{worst}");
-    assert!(motion > 1e-3 && motion < 3.5e-3 && reversal < 1.5e-3, "{motion} {reversal}");
+    // All that the spindle really does. Of the others, which are zero, one is 0.4 nm off and scatters by less.
+    assert!(real < 1.85, "{real}");
+    assert!(worst < 2.65, "{worst}");
+    // Up to 3 nm and 1 nm: tens of times what white noise would promise.
+    assert!((2.5e-3..4e-3).contains(&motion) && (0.5e-3..1.5e-3).contains(&reversal), "{motion} {reversal}");
 }
 
 #[test]
@@ -170,4 +175,38 @@ fn warm_up_gains_are_within_their_uncertainty() {
     for (name, value, truth, uncertainty) in gains {
         assert!((value - truth).abs() < 1.85 * uncertainty, "{name}: {value} {truth} {uncertainty}");
     }
+}
+
+#[test]
+fn the_condition_of_the_warm_up_is_that_of_its_columns() {
+    let text = read(&root().join("pipelines/data/spindle-motion/exact/thermal-warmup.csv"));
+    let mut lines = text.lines();
+    let header: Vec<&str> = lines.next().expect("a header").split(',').collect();
+    let places = ["T02_degC", "T03_degC"].map(|name| header.iter().position(|other| *other == name).expect("a column"));
+    let rows: Vec<[f64; 2]> = lines
+        .map(|line| line.split(',').collect::<Vec<_>>())
+        .map(|cells| places.map(|place| cells[place].parse().expect("a number")))
+        .collect();
+    let condition = |matrix: DMatrix<f64>| {
+        let norms: Vec<f64> = matrix.column_iter().map(|column| column.norm()).collect();
+        let sizes =
+            DMatrix::from_fn(matrix.nrows(), matrix.ncols(), |row, column| matrix[(row, column)] / norms[column])
+                .singular_values();
+        sizes.max() / sizes.min()
+    };
+    // Changes since the first row beside a constant: the figure of the data set.
+    let with_constant =
+        DMatrix::from_fn(
+            rows.len(),
+            3,
+            |row, column| {
+                if column < 2 { rows[row][column] - rows[0][column] } else { 1.0 }
+            },
+        );
+    assert!((condition(with_constant) - 19.4).abs() < 0.05);
+    // The program takes the constant out first, and tells the condition of what is left.
+    let mean = [0, 1].map(|column| rows.iter().map(|row| row[column]).sum::<f64>() / rows.len() as f64);
+    let without = DMatrix::from_fn(rows.len(), 2, |row, column| rows[row][column] - mean[column]);
+    let told = fit(outcome("exact"), "warm-up").calibration.fit.condition;
+    assert!((condition(without) / told - 1.0).abs() < 1e-6, "{told}");
 }
