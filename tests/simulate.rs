@@ -312,8 +312,13 @@ fn every_recipe_is_simulated_with_the_truth_of_its_own_data() {
         let folder = temporary();
         let truth = truth_in(folder.path(), &truth_behind(&file));
         let prepared = prepare(&file, &registry()).unwrap_or_else(|error| panic!("{name}: {error}"));
-        // Every day has a machine with the log of that day; this one is that of last month.
-        let machine = (name == "tango-warming-retrain").then_some("hu40t");
+        // Every day has a machine with the log of that day, and this one is that of last month; the cold mill is the
+        // warm one before.
+        let machine = match name.as_str() {
+            "tango-warming-retrain" => Some("hu40t"),
+            "mill-warming" => Some("mill"),
+            _ => None,
+        };
         match prepared.simulate(Path::new(&truth), 1, machine) {
             Ok(simulated) => {
                 assert!(!simulated.data.is_empty(), "{name}");
