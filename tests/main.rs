@@ -36,6 +36,7 @@ mod sphere;
 mod spindle;
 mod support;
 mod thermal;
+mod tools;
 mod truth;
 mod uncertainty;
 mod undetermined;
