@@ -47,7 +47,8 @@ pub fn check_model(model: &dyn KinematicModel) -> Vec<String> {
         let role = ParameterRole::Motion { axis: *axis, component: *component };
         let has_role = info.parameters.iter().any(|parameter| parameter.role == role);
         // One that no coefficient makes: a body that grows makes several motion errors with one factor.
-        let has_another = || model.motion_error(function, &values, &statuses).is_ok_and(|of| !of.derivatives.is_empty());
+        let has_another =
+            || model.motion_error(function, &values, &statuses).is_ok_and(|of| !of.derivatives.is_empty());
         if !has_role && !has_another() {
             broken.push(format!("no parameter has the role of the motion error {symbol}"));
         }
