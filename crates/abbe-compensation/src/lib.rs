@@ -23,6 +23,8 @@ mod settings;
 mod step;
 mod table_source;
 mod tables;
+mod temperatures;
+mod thermal;
 
 pub use calibrated::{check_confounded, check_confounded_anywhere};
 pub use compensator::{Compensator, Correction, Deviation};
@@ -34,3 +36,5 @@ pub use set_points::SetPoints;
 pub use settings::{Correct, Method, Settings, Travel};
 pub use table_source::TableSource;
 pub use tables::{AxisTable, AxisTables};
+pub use temperatures::{Temperatures, check_no_drift, follows_log};
+pub use thermal::{ThermalResponses, ThermalState};

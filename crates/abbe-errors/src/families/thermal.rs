@@ -3,8 +3,8 @@
 use std::collections::BTreeMap;
 use std::sync::{Arc, RwLock};
 
-use abbe_core::{Dataset, PathItem, Quantity, SettingsError, Unit, positive};
-use abbe_thermal::{Counting, History, Hold, Reference, SensorLog};
+use abbe_core::{PathItem, Quantity, SettingsError, Unit, positive};
+use abbe_thermal::{History, SensorLog};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
@@ -39,6 +39,13 @@ pub struct Thermal {
     /// Columns count from the mean of their rows up to this time: idle minutes.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub reference_until_s: Option<f64>,
+    /// What columns count from, by their names without units, in the units of memory (temperatures in °C): `{ T34: 20.1 }`.
+    #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
+    pub references: BTreeMap<String, f64>,
+    /// The machine had long stood at the first readings when the log begins: states begin with them. Without it they begin with the
+    /// reference.
+    #[serde(default, skip_serializing_if = "std::ops::Not::not")]
+    pub starts_at_rest: bool,
     /// Columns stay from one row to the next (speeds), and do not run straight (temperatures).
     #[serde(default, skip_serializing_if = "std::ops::Not::not")]
     pub zero_order_hold: bool,
@@ -53,98 +60,8 @@ pub struct Thermal {
     pub log: BTreeMap<String, Vec<f64>>,
 }
 
-/// The column of times.
-const TIME: &str = "time_s";
-
 /// Most time constants: states of more than three are hardly ever told apart.
 const MOST: usize = 6;
-
-impl Thermal {
-    /// Takes the log from the data set that has its columns, unless it is in the settings already.
-    ///
-    /// Fails if no log, or more than one, has them, and for logs with gaps, clocks that jump, and sensors without a reading.
-    pub fn settle(&mut self, data: &[&Dataset]) -> Result<(), SettingsError> {
-        if self.log.is_empty() {
-            let logs: Vec<&&Dataset> = data.iter().filter(|data| data.is_log).collect();
-            let has = |data: &&&Dataset| {
-                data.numbers("time").is_some() && self.columns().all(|name| data.numbers(name).is_some())
-            };
-            let mut fitting = logs.iter().copied().filter(has);
-            let found = match (fitting.next(), fitting.next()) {
-                (None, _) if data.is_empty() => return Ok(()),
-                (Some(found), None) => found,
-                (Some(_), Some(_)) => {
-                    return Err(SettingsError::new("thermal", "more than one log has these columns"));
-                }
-                (None, _) if logs.is_empty() => {
-                    let error = SettingsError::new("thermal", "the machine has no log of these columns");
-                    return Err(error.help("name the ingest stage that reads it: `logs: sensors` at the machine"));
-                }
-                (None, _) => {
-                    let lacks = |name: &&str| !logs.iter().any(|log| log.numbers(name).is_some());
-                    let name = std::iter::once("time").chain(self.columns()).find(lacks).unwrap_or("time");
-                    return Err(SettingsError::new("thermal", format!("the log has no column of numbers `{name}`")));
-                }
-            };
-            for column in &found.columns {
-                let quantity = column.header.quantity;
-                let name = column.header.name.as_str();
-                if let (Some(values), true) =
-                    (found.numbers(name), name == "time" || self.columns().any(|own| own == name))
-                {
-                    self.log.insert(format!("{name}{}", quantity.usual_suffix()), values.to_vec());
-                }
-            }
-        }
-        // What is wrong with it is told now, and not by the first row that needs it.
-        self.sensor_log().map(drop)
-    }
-
-    /// Inputs, then what is followed at once.
-    fn columns(&self) -> impl Iterator<Item = &str> {
-        self.inputs.iter().chain(&self.at_once).map(String::as_str)
-    }
-
-    /// The log, counted from its reference; none before it is known.
-    fn sensor_log(&self) -> Result<Option<SensorLog>, SettingsError> {
-        if self.log.is_empty() {
-            return Ok(None);
-        }
-        let wrong = |error: abbe_core::Error| {
-            let told = SettingsError::new("log", error.message);
-            match error.help {
-                Some(help) => told.help(help),
-                None => told,
-            }
-        };
-        let times = self.log.get(TIME).cloned();
-        let times = times.ok_or_else(|| SettingsError::new("log", format!("the column `{TIME}` is missing")))?;
-        let mut sensors: Vec<(String, Vec<f64>)> = Vec::new();
-        for name in self.columns() {
-            let column = self.log.iter().find(|(header, _)| Quantity::of_column(header).0 == name);
-            let Some((_, values)) = column else {
-                return Err(SettingsError::new("log", format!("the column `{name}` is missing")));
-            };
-            if !sensors.iter().any(|(known, _)| known == name) {
-                sensors.push((name.to_owned(), values.clone()));
-            }
-        }
-        let reference = match (self.reference_degC, self.reference_until_s) {
-            (Some(value), _) => Reference::Value(value),
-            (None, Some(until)) => Reference::MeanUntil(until),
-            (None, None) => Reference::FirstRow,
-        };
-        let hold = if self.zero_order_hold { Hold::ZeroOrder } else { Hold::FirstOrder };
-        let how = Counting { hold, reference, longest_gap: self.longest_gap_s };
-        SensorLog::counted(times, sensors, &how).map(Some).map_err(wrong)
-    }
-
-    /// The quantity of a column; temperature before the log is known.
-    fn quantity(&self, name: &str) -> Quantity {
-        let of = self.log.keys().map(|header| Quantity::of_column(header));
-        of.into_iter().find(|(own, ..)| *own == name).map_or(Quantity::Temperature, |(_, quantity, _)| quantity)
-    }
-}
 
 impl Family for Thermal {
     fn symbols(&self) -> &[String] {
@@ -190,9 +107,13 @@ impl Family for Thermal {
         if self.starts_warm && self.inputs.is_empty() {
             return Err(SettingsError::new("starts_warm", "there is no state without `inputs`"));
         }
+        if self.starts_warm && self.starts_at_rest {
+            return Err(SettingsError::new("starts_at_rest", "there is `starts_warm` already"));
+        }
         if self.reference_degC.is_some() && self.reference_until_s.is_some() {
             return Err(SettingsError::new("reference_until_s", "there is `reference_degC` already"));
         }
+        self.check_references()?;
         for (setting, value) in [("reference_degC", self.reference_degC), ("reference_until_s", self.reference_until_s)]
         {
             if value.is_some_and(|value| !value.is_finite()) {
@@ -230,6 +151,7 @@ impl Family for Thermal {
             time_constants: self.time_constants_s.clone(),
             slope: self.slope,
             start: self.starts_warm.then_some(Unit { of: subject.of, per: None }),
+            at_rest: self.starts_at_rest,
             log,
             histories: RwLock::default(),
         })])
@@ -250,6 +172,8 @@ pub struct ThermalTerms {
     slope: bool,
     /// Unit of states at the beginning, if they are unknown.
     start: Option<Unit>,
+    /// States begin with the first readings.
+    at_rest: bool,
     log: Option<Arc<SensorLog>>,
     /// States over the log, of the time constants that were needed last.
     histories: RwLock<Vec<Known>>,
@@ -273,7 +197,11 @@ impl ThermalTerms {
         if let Some(found) = self.histories.read().ok().and_then(|known| of(&known)) {
             return found;
         }
-        let made = Arc::new(History::new(log, sensor, time_constant));
+        let made = match self.at_rest {
+            true => History::from_rest(log, sensor, time_constant),
+            false => History::new(log, sensor, time_constant),
+        };
+        let made = Arc::new(made);
         if let Ok(mut known) = self.histories.write()
             && of(&known).is_none()
         {
