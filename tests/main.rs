@@ -2,6 +2,7 @@
 //! the results whatever the code looks like inside.
 
 mod ball_bar;
+mod bodies;
 mod bounds;
 mod calibrations;
 mod cmm;
@@ -19,6 +20,7 @@ mod laws;
 mod libraries;
 mod methods;
 mod mill;
+mod misread;
 mod multi_feature_bar;
 mod nobodys_files;
 mod nonsense;
@@ -31,7 +33,9 @@ mod recipes;
 mod selection;
 mod simulate;
 mod sphere;
+mod spindle;
 mod support;
+mod thermal;
 mod truth;
 mod uncertainty;
 mod undetermined;

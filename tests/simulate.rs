@@ -312,12 +312,15 @@ fn every_recipe_is_simulated_with_the_truth_of_its_own_data() {
         let folder = temporary();
         let truth = truth_in(folder.path(), &truth_behind(&file));
         let prepared = prepare(&file, &registry()).unwrap_or_else(|error| panic!("{name}: {error}"));
-        match prepared.simulate(Path::new(&truth), 1, None) {
+        // Every day has a machine with the log of that day; this one is that of last month.
+        let machine = (name == "tango-warming-retrain").then_some("hu40t");
+        match prepared.simulate(Path::new(&truth), 1, machine) {
             Ok(simulated) => {
                 assert!(!simulated.data.is_empty(), "{name}");
                 for kept in &simulated.not_simulated {
                     // Those of a CMM: its artefact is the one that was really measured. Temperatures are as they were.
                     let is_kept = ["facets-cmm.csv", "temperatures.csv"].iter().any(|own| kept.file.ends_with(own));
+                    let is_kept = is_kept || machine.is_some();
                     assert!(is_kept && !kept.read_by.is_empty(), "{name}: {kept:?}");
                 }
                 let stages: BTreeSet<&str> =
@@ -328,6 +331,11 @@ fn every_recipe_is_simulated_with_the_truth_of_its_own_data() {
                 prepare(&written, &registry()).unwrap_or_else(|error| panic!("{name}: {error}"));
             }
             Err(error) if error.to_string().contains("cannot be simulated yet") => not_yet.push(name),
+            // Readings that are no geometry have no machine that could be simulated.
+            Err(error) if error.to_string().contains("no estimate uses a machine") => {
+                let kinds = prepared.recipe.stages.iter().map(|stage| stage.kind);
+                assert!(!kinds.into_iter().any(|kind| kind == abbe_core::Kind::Model), "{name}: {error}");
+            }
             // Means of series, of which nobody takes the single rows.
             Err(error) if name == "mfb-ucp710" && error.to_string().contains("combine several recorded ones") => {}
             Err(error) => panic!("{name}: {error}"),

@@ -220,6 +220,7 @@ pub fn effect(unit: &str) -> (bool, f64) {
         "mm" => 400.0,
         "rad" => std::f64::consts::PI,
         "s" => 1000.0,
+        "K" => 10.0,
         other => panic!("what is the travel in {other}?"),
     };
     assert!(over == "mm" || over == "rad", "what is the effect of a value in {unit}?");

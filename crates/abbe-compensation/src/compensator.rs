@@ -138,7 +138,7 @@ impl<'a> Compensator<'a> {
     }
 
     fn corrected(&self, programmed: &[f64]) -> Result<(Vec<f64>, Vec<Correction>)> {
-        let nominal = &self.model.info().nominal;
+        let nominal = &self.model.info().without_errors();
         let (mut goal, mut now) = (Poses::default(), Poses::default());
         let of_nominal: &[Variable] = if self.settings.method == Method::FirstOrder { &self.wanted } else { &[] };
         self.poses(programmed, nominal, of_nominal, &mut goal)?;

@@ -56,7 +56,7 @@ impl MeasuredPoints {
             check_confounded(model, calibration, points.statuses())?;
             let errors = predict(model, calibration, points.statuses())?;
             let mut nominal = Poses::default();
-            model.poses(points.statuses(), &model.info().nominal, &[], false, &mut nominal)?;
+            model.poses(points.statuses(), &model.info().without_errors(), &[], false, &mut nominal)?;
             let tips = nominal.positions.iter().zip(errors).map(|(&indicated, error)| Measured {
                 indicated,
                 corrected: [0, 1, 2].map(|axis| indicated[axis] + error.mean[axis]),

@@ -80,7 +80,7 @@ pub fn remaining(
         return Err(Error::usage(format!("{} numbers drive {} programmed ones", other.len(), programmed.len())));
     }
     let mut goal = Poses::default();
-    model.poses(programmed, &model.info().nominal, &[], true, &mut goal)?;
+    model.poses(programmed, &model.info().without_errors(), &[], true, &mut goal)?;
     let estimate = machine_values(model, calibration);
     let of_machine = |values: &[f64]| -> Result<Vec<[f64; 4]>> {
         driven.iter().map(|statuses| sizes(model, values, statuses, &goal)).collect()

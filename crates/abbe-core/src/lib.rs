@@ -43,7 +43,7 @@ pub use parallel::in_parallel;
 pub use plausible::Plausible;
 pub use pose_table::{ColumnNaming, PoseTable, StatusSource, plain_naming, pose_columns};
 pub use problem::{
-    Block, CHUNK, Considered, Evaluation, Input, ObservationSet, Owner, Problem, RepeatedTogether, Unknown,
+    Block, CHUNK, Considered, Evaluation, Input, ObservationSet, Owner, Prior, Problem, RepeatedTogether, Unknown,
 };
 pub use quantities::Quantities;
 pub use registry::{Build, Constructor, Context, EstimateSource, Kind, Origin, Plugin, Provider, Registry};

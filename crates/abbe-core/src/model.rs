@@ -188,6 +188,9 @@ pub enum ParameterRole {
     SetUp,
     /// A parameter of the shape of a function that coefficients multiply: a wavelength.
     Shape,
+    /// A number that multiplies errors which are known from elsewhere, as the factor of a body that temperatures bend. Its nominal value
+    /// is not zero, but a machine without errors has none of them.
+    Factor,
     /// The place or the size of a feature of an artefact.
     Feature,
     /// Something else.
@@ -378,6 +381,12 @@ impl ModelInfo {
     /// The index of the column of the status with this role; none if the status does not have it.
     pub fn status_index(&self, role: &StatusRole) -> Option<usize> {
         self.status.iter().position(|column| column.role == *role)
+    }
+
+    /// Values of a machine without errors: nominal ones, and factors of known errors zero.
+    pub fn without_errors(&self) -> Vec<f64> {
+        let each = self.parameters.iter().zip(&self.nominal);
+        each.map(|(parameter, nominal)| if parameter.role == ParameterRole::Factor { 0.0 } else { *nominal }).collect()
     }
 
     /// The index of the parameter of this name.

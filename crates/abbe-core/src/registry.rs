@@ -175,7 +175,8 @@ pub struct Plugin {
     pub example: Provider,
     /// Its constructor.
     pub build: Build,
-    /// What its estimates are made from, if it is an estimator.
+    /// What its estimates are made from, if it is an estimator; [`EstimateSource::Readings`] for a validator that judges data by
+    /// itself, so that it needs no estimate.
     pub estimate_source: EstimateSource,
 }
 

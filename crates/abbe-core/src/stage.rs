@@ -115,6 +115,11 @@ pub trait Estimate: Send + Sync {
     /// Identifiability of the problem at its start values, judged at nominal contact, without solving it.
     fn identify(&self, problem: &Problem) -> Result<Identifiability>;
 
+    /// Whether what earlier estimates know of the unknowns ([`Problem::priors`]) counts; else unknowns only start there.
+    fn counts_priors(&self) -> bool {
+        false
+    }
+
     /// Whether it would solve a problem with this identifiability.
     fn accepts(&self, found: &Identifiability) -> Result<bool> {
         Ok(found.rank == found.unknowns)

@@ -220,6 +220,7 @@ impl Prepared {
             unknowns: Vec::new(),
             inputs: Vec::new(),
             considered: abbe_core::Considered::default(),
+            priors: Vec::new(),
             monitor: abbe_core::Monitor::default(),
         })
     }

@@ -2,7 +2,7 @@
 
 use std::f64::consts::TAU;
 
-use abbe_core::{Axis, AxisKind, DataRow, Dataset, Fit, KinematicModel, ObservationSet, Result};
+use abbe_core::{Axis, AxisKind, DataRow, Dataset, Fit, KinematicModel, ObservationSet, Result, StatusRole};
 
 /// Fails on the first row with a command that is no number or outside the range of its axis, unless the axis turns without an end.
 pub(crate) fn check_travel(set: &ObservationSet, model: &dyn KinematicModel) -> Result<()> {
@@ -10,10 +10,15 @@ pub(crate) fn check_travel(set: &ObservationSet, model: &dyn KinematicModel) -> 
     let ended = model.info().axes.iter().filter(|axis| !axis.endless);
     let limited: Vec<(&Axis, [f64; 2])> =
         ended.map(|axis| (axis, axis.reach().unwrap_or_else(|| anywhere(axis)))).collect();
+    let load = model.info().status_index(&StatusRole::Load);
     for row in &layout.rows {
         let Some(data_row) = row.data_row else { continue };
         for pose in row.pose_indices() {
             let status = layout.poses.row(pose);
+            if let Some(load) = load.map(|load| status[load]).filter(|load| *load < 0.0) {
+                let message = format!("a load of {load} N; a force of 0 N or more was expected");
+                return Err(layout.data.error_at(data_row, message).help("the load is a weight: it has no sign"));
+            }
             for (axis, reach) in &limited {
                 let command = status[axis.status];
                 if let Some((message, help)) = beyond(axis, *reach, command) {

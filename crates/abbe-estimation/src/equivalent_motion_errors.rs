@@ -29,7 +29,7 @@ pub fn equivalent_motion_errors(problem: &Problem) -> Result<Vec<EquivalentMotio
         return Ok(Vec::new());
     }
     let mut nominal = problem.clone();
-    nominal.machine_values = problem.model.info().nominal.clone();
+    nominal.machine_values = problem.model.info().without_errors();
     let few = judged(&thinned(&nominal));
     let mut all: Option<Problem> = None;
     let mut found = Vec::new();

@@ -88,7 +88,7 @@ impl Judgement {
 
 /// The same problem with the machine and the artefacts as they are nominally.
 pub(crate) fn at_nominal_geometry(problem: &Problem) -> Problem {
-    let nominal_values = &problem.model.info().nominal;
+    let nominal_values = &problem.model.info().without_errors();
     let held = held(problem);
     let mut nominal = problem.clone();
     for (index, (value, nominal)) in nominal.machine_values.iter_mut().zip(nominal_values).enumerate() {

@@ -194,7 +194,7 @@ fn bound(plausible: &Plausible, problem: &Problem, unknown: &Unknown) -> Option<
         ParameterRole::Motion { .. } => Some(MOTION[index]),
         ParameterRole::Location { .. } => Some(LOCATION[index]),
         ParameterRole::SetUp => Some(SET_UP[index]),
-        ParameterRole::Shape | ParameterRole::Feature | ParameterRole::Other => None,
+        ParameterRole::Shape | ParameterRole::Factor | ParameterRole::Feature | ParameterRole::Other => None,
     }
 }
 

@@ -62,7 +62,7 @@ struct AbbeReply;
 // axis, `{ "direction": axis }`, `"time"`, `"stylus"`, `"series"`, `"temperature"`, `"load"`, `"feed"`, `{ "velocity":
 // axis }`, `{ "sensor": name }`, `{ "thermal-state": name }`, `"probe"` or `"other"`. Every parameter has a `role`, too:
 // `{ "motion": { "axis", "component" } }` (component 0 to 5), `{ "location": { "axis", "component" } }`, `"set-up"`,
-// `"shape"`, `"feature"` or `"other"`. A missing role is `"other"`.
+// `"shape"`, `"factor"`, `"feature"` or `"other"`. A missing role is `"other"`.
 //
 // Observations have `layout` and `contact`. These are optional: `unknowns` (parameters), `start`, `inputs`, `features`,
 // `orientation` (`"unused"`, `"exact"`, `"first-order"`), `angles` (indices in the layout of the equations that are

@@ -5,7 +5,7 @@ use std::sync::Arc;
 
 use abbe_core::{
     Calibration, ColumnHeader, Considered, Dataset, EquationUncertainty, ErrorFunction, ExportedFile, Fit, Input,
-    InputFile, Monitor, ObservationSet, Observations, ObservationsInfo, PoseTable, Problem, RowIndex, Unknown,
+    InputFile, Monitor, ObservationSet, Observations, ObservationsInfo, PoseTable, Prior, Problem, RowIndex, Unknown,
 };
 use serde::{Deserialize, Serialize};
 
@@ -112,6 +112,9 @@ pub(crate) struct ProblemText {
     machine: Vec<f64>,
     inputs: Vec<Input>,
     considered: Considered,
+    /// Libraries of earlier programs know of none.
+    #[serde(default)]
+    priors: Vec<Prior>,
 }
 
 #[derive(Serialize, Deserialize)]
@@ -160,6 +163,7 @@ impl ProblemText {
             machine: problem.machine_values.clone(),
             inputs: problem.inputs.clone(),
             considered: problem.considered.clone(),
+            priors: problem.priors.clone(),
         }
     }
 
@@ -187,6 +191,7 @@ impl ProblemText {
             machine_values: self.machine,
             inputs: self.inputs,
             considered: self.considered,
+            priors: self.priors,
             monitor: Monitor::default(),
         })
     }

@@ -51,6 +51,8 @@ pub(crate) fn references(plugin: &Plugin) -> &'static [Reference] {
         reference("observations", Kind::Artefact, false, true),
         reference("exports", Kind::Export, false, true),
     ];
+    const VALIDATE_READINGS: &[Reference] =
+        &[reference("of", Kind::Estimate, false, true), reference("from", Kind::Ingest, true, true)];
     const EXPORT: &[Reference] = &[reference("of", Kind::Estimate, true, false)];
     match plugin.kind() {
         Kind::Ingest => &[],
@@ -64,6 +66,7 @@ pub(crate) fn references(plugin: &Plugin) -> &'static [Reference] {
             EstimateSource::Combination => ESTIMATES,
             EstimateSource::Readings => READINGS,
         },
+        Kind::Validate if plugin.estimate_source == EstimateSource::Readings => VALIDATE_READINGS,
         Kind::Validate => VALIDATE,
         Kind::Export => EXPORT,
     }

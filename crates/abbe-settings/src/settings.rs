@@ -259,6 +259,15 @@ fn kind_of(value: &Value) -> &'static str {
     }
 }
 
+/// The error for a list with more items than a setting takes.
+fn too_long(items: &[Value]) -> SettingsError {
+    let error = SettingsError::new("", format!("a list of {} items was found; fewer were expected", items.len()));
+    match items.iter().all(Value::is_number) {
+        true => error.help("decimals are written with a point: `0.5`; commas separate numbers"),
+        false => error,
+    }
+}
+
 /// Deserialises a JSON value with [`SettingsError`], which keeps the unknown names that serde reports.
 struct Json<'a>(&'a Value);
 
@@ -283,7 +292,15 @@ impl<'de> Deserializer<'de> for Json<'de> {
                 (_, _, value) => visitor.visit_f64(value.unwrap_or(f64::NAN)),
             },
             Value::String(text) => visitor.visit_borrowed_str(text),
-            Value::Array(items) => visitor.visit_seq(de::value::SeqDeserializer::new(items.iter().map(Json))),
+            Value::Array(items) => {
+                let mut rest = de::value::SeqDeserializer::new(items.iter().map(Json));
+                let value = visitor.visit_seq(&mut rest)?;
+                // A list of fixed length takes what it needs, and would forget the others.
+                match rest.end() {
+                    Ok(()) => Ok(value),
+                    Err(_) => Err(too_long(items)),
+                }
+            }
             Value::Object(map) => visitor
                 .visit_map(de::value::MapDeserializer::new(map.iter().map(|(key, value)| (key.as_str(), Json(value))))),
         }
@@ -341,6 +358,10 @@ mod tests {
         styli: BTreeMap<String, f64>,
         #[serde(default)]
         on: Option<Choice>,
+        #[serde(default)]
+        tip_mm: [f64; 3],
+        #[serde(default)]
+        ranges: BTreeMap<String, Option<(f64, f64)>>,
     }
 
     #[derive(Debug, Deserialize)]
@@ -362,6 +383,15 @@ mod tests {
             (
                 json!({ "name": "a", "degrees": [], "on": "minimum" }),
                 "on: unknown choice `minimum` (possible are: drop, minimum-norm)",
+            ),
+            (
+                json!({ "name": "a", "degrees": [], "tip_mm": [0, -35, 0, -130, 0] }),
+                "tip_mm: a list of 5 items was found; fewer were expected (decimals are written with a point: `0.5`; commas \
+                 separate numbers)",
+            ),
+            (
+                json!({ "name": "a", "degrees": [], "ranges": { "X": [0, 1, "x"] } }),
+                "ranges.X: a list of 3 items was found; fewer were expected",
             ),
         ];
         for (settings, expected) in cases {

@@ -147,25 +147,51 @@ impl Beam {
     /// Fails as [`sections`](Self::sections) does, and beyond the ends.
     pub fn at(&self, planes: &[TemperaturePlane], x: f64) -> Result<SectionDisplacement> {
         let sections = self.sections(planes)?;
+        let (index, within) = self.segment(x)?;
+        let Segment { expansion, .. } = self.segments[index];
+        Ok(sections[index].behind(within, expansion, planes[index], self.plane(planes, index, within)))
+    }
+
+    /// How the displacement changes along the beam at a place, a mm: strain, slopes, curvatures. Between two segments it is that of
+    /// the first one.
+    ///
+    /// Fails as [`at`](Self::at) does.
+    pub fn slope_at(&self, planes: &[TemperaturePlane], x: f64) -> Result<SectionDisplacement> {
+        let here = self.at(planes, x)?;
+        let (index, within) = self.segment(x)?;
+        let Segment { expansion, .. } = self.segments[index];
+        let plane = self.plane(planes, index, within);
+        Ok(SectionDisplacement {
+            elongation: expansion * plane.on_axis,
+            deflection_y: here.rotation_z,
+            deflection_z: -here.rotation_y,
+            rotation_y: expansion * plane.along_z,
+            rotation_z: -expansion * plane.along_y,
+        })
+    }
+
+    /// The segment of a place, and the way into it.
+    fn segment(&self, x: f64) -> Result<(usize, f64)> {
         if !(0.0..=self.length()).contains(&x) {
             return Err(Error::data(format!("{x} mm is not on the beam, which is {} mm long", self.length())));
         }
-        let mut start = 0.0;
-        for (index, segment) in self.segments.iter().enumerate() {
-            let within = x - start;
-            if within <= segment.length || index + 1 == self.segments.len() {
-                let (from, to) = (planes[index], planes[index + 1]);
-                let part = within / segment.length;
-                let between = |a: f64, b: f64| a + part * (b - a);
-                let here = TemperaturePlane {
-                    on_axis: between(from.on_axis, to.on_axis),
-                    along_y: between(from.along_y, to.along_y),
-                    along_z: between(from.along_z, to.along_z),
-                };
-                return Ok(sections[index].behind(within, segment.expansion, from, here));
-            }
-            start += segment.length;
+        let (mut index, mut within) = (0, x);
+        while within > self.segments[index].length && index + 1 < self.segments.len() {
+            within -= self.segments[index].length;
+            index += 1;
         }
-        Ok(SectionDisplacement::default())
+        Ok((index, within))
+    }
+
+    /// The temperatures within a segment.
+    fn plane(&self, planes: &[TemperaturePlane], segment: usize, within: f64) -> TemperaturePlane {
+        let (from, to) = (planes[segment], planes[segment + 1]);
+        let part = within / self.segments[segment].length;
+        let between = |a: f64, b: f64| a + part * (b - a);
+        TemperaturePlane {
+            on_axis: between(from.on_axis, to.on_axis),
+            along_y: between(from.along_y, to.along_y),
+            along_z: between(from.along_z, to.along_z),
+        }
     }
 }

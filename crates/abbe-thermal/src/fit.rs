@@ -115,6 +115,18 @@ const PASSES: usize = 200;
 /// Relative change of time constants below which they stand.
 const SETTLED: f64 = 1e-13;
 
+/// Rounds of weights: the scatter of outputs follows from what is found with the weights before.
+const ROUNDS: usize = 3;
+
+/// Weights that change by less than this part are the same.
+const SAME_WEIGHT: f64 = 0.01;
+
+/// Scatter below this part of the size of an output is rounding.
+const EXACT: f64 = 1e-8;
+
+/// A time constant longer than the longest log by this factor is none: the state is the integral of its input.
+const BEYOND: f64 = 10.0;
+
 /// Time constants nearer to each other than this ratio are one.
 const SAME: f64 = 1.05;
 
@@ -128,32 +140,26 @@ pub fn fit(logs: &[SensorLog], outputs: &[Output], structure: &Structure) -> Res
         Some(guess) => vec![guess.clone()],
         None => starts(logs, structure.time_constants),
     };
-    let scales: Vec<f64> =
-        outputs.iter().map(|output| output.standard_uncertainty.unwrap_or_else(|| size(output))).collect();
-    let mut best: Option<Search<'_>> = None;
+    let mut best: Option<(f64, Search<'_>)> = None;
     let mut told = None;
     for guess in guesses {
-        let mut search =
-            Search::new(logs, outputs, structure, scales.clone(), guess.iter().map(|time| time.ln()).collect());
-        match search.run() {
-            Ok(()) if best.as_ref().is_none_or(|best| search.cost < best.cost) => best = Some(search),
-            Ok(()) => {}
+        let logarithms = guess.iter().map(|time| time.ln()).collect();
+        let mut search = Search::new(logs, outputs, structure, sizes(outputs), logarithms);
+        match search.search_from_guess() {
+            Ok(likelihood) if best.as_ref().is_none_or(|(best, _)| likelihood < *best) => {
+                best = Some((likelihood, search));
+            }
+            Ok(_) => {}
             Err(error) => told = Some(error),
         }
     }
-    let Some(mut search) = best else {
-        return Err(told.unwrap_or_else(|| Error::data("no time constants are found")));
-    };
-    // Outputs weigh by what they scatter; where nothing scatters but rounding, this is one weight for all.
-    let scatter = search.scatter()?;
-    let is_exact = scatter.iter().zip(&search.scales).any(|(scatter, scale)| *scatter < 1e-8 * scale);
-    if !is_exact {
-        search.scales = (outputs.iter().zip(&scatter))
-            .map(|(output, scatter)| output.standard_uncertainty.unwrap_or(*scatter))
-            .collect();
-        search.run()?;
-    }
-    search.fitted()
+    let none = || told.unwrap_or_else(|| Error::data("no time constants are found"));
+    best.ok_or_else(none)?.1.fitted()
+}
+
+/// What outputs are divided by as long as their scatter is not known.
+fn sizes(outputs: &[Output]) -> Vec<f64> {
+    outputs.iter().map(|output| output.standard_uncertainty.unwrap_or_else(|| size(output))).collect()
 }
 
 /// Root mean square, or 1 for an output that does not move.
@@ -297,13 +303,39 @@ impl<'a> Search<'a> {
         Ok(Normal { matrix, gradient, cost })
     }
 
+    /// Searches from a guess; outputs weigh by what they scatter. Gives the logarithm of the likelihood of the time constants found,
+    /// with its sign turned, that of unknown scatter.
+    ///
+    /// Fails where time constants do not stand, or are none that the logs can tell.
+    fn search_from_guess(&mut self) -> Result<f64> {
+        for round in 0..ROUNDS {
+            let scatter = self.scatter()?;
+            // Where nothing scatters but rounding, all outputs weigh by their size.
+            let is_exact = scatter.iter().zip(sizes(self.outputs)).any(|(scatter, size)| *scatter < EXACT * size);
+            let stated = self.outputs.iter().map(|output| output.standard_uncertainty).zip(&scatter);
+            let scales = match is_exact {
+                true => sizes(self.outputs),
+                false => stated.map(|(stated, scatter)| stated.unwrap_or(*scatter)).collect(),
+            };
+            let is_same = self.scales.iter().zip(&scales).all(|(own, new)| (own / new).ln().abs() < SAME_WEIGHT);
+            self.scales = scales;
+            if round > 0 && is_same {
+                break;
+            }
+            self.run()?;
+        }
+        self.check()?;
+        let scatter = self.scatter()?.into_iter().zip(self.outputs);
+        Ok(scatter.map(|(scatter, output)| output.count() as f64 * scatter.max(1e-12 * size(output)).ln()).sum())
+    }
+
     /// Levenberg's and Marquardt's steps until time constants stand.
     fn run(&mut self) -> Result<()> {
         let count = self.logarithms.len();
         let mut now = self.normal(&self.logarithms)?;
         self.cost = now.cost;
         if count == 0 {
-            return self.check();
+            return Ok(());
         }
         let mut damping = 1e-3;
         for pass in 1..=PASSES {
@@ -320,23 +352,31 @@ impl<'a> Search<'a> {
             let next: Vec<f64> = self.logarithms.iter().zip(&step).map(|(own, by)| own + part * by).collect();
             let found = self.normal(&next)?;
             if largest < SETTLED {
-                break;
+                self.cost = now.cost;
+                return Ok(());
             }
             if found.cost < now.cost {
                 (self.logarithms, now, damping) = (next, found, (damping * 0.1).max(1e-15));
             } else if largest < 1e-9 || damping > 1e12 {
                 // Rounding alone moves the cost.
-                break;
+                self.cost = now.cost;
+                return Ok(());
             } else {
                 damping *= 10.0;
             }
         }
-        self.cost = now.cost;
-        self.check()
+        Err(Error::data("the search for time constants does not end: the readings do not determine them")
+            .help("fewer time constants may explain these readings"))
     }
 
-    /// Fails where terms cannot be told apart.
+    /// Fails where terms cannot be told apart, and for time constants that no log of this length and sampling tells.
     fn check(&self) -> Result<()> {
+        let lengths = self.logs.iter().map(|log| log.times()[log.times().len() - 1] - log.times()[0]);
+        let longest = lengths.fold(0.0, f64::max);
+        if let Some(beyond) = self.logarithms.iter().map(|time| time.exp()).find(|time| *time > BEYOND * longest) {
+            let message = format!("a time constant grows beyond {beyond:.0} s, and the longest log has {longest:.0} s");
+            return Err(Error::data(message).help("fewer time constants explain these readings"));
+        }
         let mut sorted = self.logarithms.clone();
         sorted.sort_by(f64::total_cmp);
         if let Some(pair) = sorted.windows(2).find(|pair| pair[1] - pair[0] < SAME.ln()) {

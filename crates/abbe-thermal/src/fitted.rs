@@ -5,8 +5,9 @@ use abbe_numerics::Generator;
 use faer::{Mat, MatRef, Side};
 
 use crate::basis::Basis;
-use crate::fit::{Fitted, Output, Search, inverse, inverse_of_upper, product};
+use crate::fit::{Fitted, Output, Search, Structure, inverse, inverse_of_upper, product};
 use crate::log::SensorLog;
+use crate::response::Response;
 
 /// What each output takes from a step of the time constants, and from its own readings.
 struct Parts {
@@ -155,16 +156,19 @@ impl Fitted {
     ///
     /// Fails for times outside the log.
     pub fn predict(&self, log: &SensorLog, output: usize, times: &[f64]) -> Result<Vec<f64>> {
-        let basis = self.terms(log, times)?;
-        let gains = &self.gains[output];
-        Ok((0..times.len()).map(|row| (0..basis.ncols()).map(|gain| basis[(row, gain)] * gains[gain]).sum()).collect())
+        let terms = Terms::new(log, &self.structure, &self.time_constants, times)?;
+        Ok(terms.output(&self.gains[output][..self.structure.of_any_run()]))
     }
 
-    /// The terms of gains of any run at some times of a log.
-    fn terms(&self, log: &SensorLog, times: &[f64]) -> Result<Mat<f64>> {
-        let structure = crate::Structure { starts_warm: false, ..self.structure.clone() };
-        let basis = Basis::new(std::slice::from_ref(log), &structure, &self.logarithms(), &[times])?;
-        Ok(basis.columns)
+    /// Adds what states at the beginning of one of its own runs leave.
+    pub(crate) fn add_beginnings(&self, log: &SensorLog, output: usize, run: usize, times: &[f64], values: &mut [f64]) {
+        let count = self.time_constants.len();
+        let first = self.structure.of_any_run() + run * count;
+        for (index, time_constant) in self.time_constants.iter().enumerate().filter(|_| self.structure.starts_warm) {
+            let left = Response::of_beginning(log, *time_constant, times);
+            let gain = self.gains[output][first + index];
+            values.iter_mut().zip(left.values).for_each(|(value, left)| *value += gain * left);
+        }
     }
 
     fn logarithms(&self) -> Vec<f64> {
@@ -245,4 +249,31 @@ fn drawn_rows(output: &Output, block: f64, random: &mut Generator) -> Vec<usize>
         first = until;
     }
     rows
+}
+
+/// The terms of an output at some times of one run.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Terms {
+    /// Times x gains of any run.
+    pub columns: Mat<f64>,
+    /// Derivatives of the columns to the logarithm of the time constant that each has; zero for what outputs follow at once.
+    pub slopes: Mat<f64>,
+}
+
+impl Terms {
+    /// The terms of a structure with these time constants, s. States are zero at the beginning of the log.
+    ///
+    /// Fails for times outside the log.
+    pub fn new(log: &SensorLog, structure: &Structure, time_constants: &[f64], times: &[f64]) -> Result<Self> {
+        let structure = Structure { starts_warm: false, ..structure.clone() };
+        let logarithms: Vec<f64> = time_constants.iter().map(|time| time.ln()).collect();
+        let basis = Basis::new(std::slice::from_ref(log), &structure, &logarithms, &[times])?;
+        Ok(Self { columns: basis.columns, slopes: basis.slopes })
+    }
+
+    /// An output with these gains at each time.
+    pub fn output(&self, gains: &[f64]) -> Vec<f64> {
+        let of = |row: usize| gains.iter().enumerate().map(|(gain, value)| self.columns[(row, gain)] * value).sum();
+        (0..self.columns.nrows()).map(of).collect()
+    }
 }

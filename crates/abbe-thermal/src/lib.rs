@@ -27,10 +27,12 @@ mod fit;
 mod fitted;
 mod log;
 mod response;
+mod select;
 mod starts;
 
 pub use beam::{Beam, SectionDisplacement, Segment, TemperaturePlane};
 pub use fit::{Fitted, Output, Readings, Structure, fit};
-pub use fitted::Bootstrap;
-pub use log::{Counting, Hold, Reference, SensorLog};
+pub use fitted::{Bootstrap, Terms};
+pub use log::{Counting, Hold, Reference, SensorLog, possible_temperature};
 pub use response::{History, Response};
+pub use select::{Tried, select};

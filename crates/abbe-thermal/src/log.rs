@@ -1,6 +1,6 @@
 //! Logs of sensors with their own clock.
 
-use abbe_core::{Error, Result};
+use abbe_core::{Error, Result, SettingsError};
 
 /// How an input runs between two samples.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
@@ -39,6 +39,9 @@ const GAP: f64 = 5.0;
 
 /// Rows in which no sensor that works reads the same.
 const LONG: usize = 20;
+
+/// A jump of a temperature and back that no machine makes from one row to the next, K.
+const SPIKE: f64 = 5.0;
 
 /// What sensors read over time.
 #[derive(Debug, Clone, PartialEq)]
@@ -179,6 +182,42 @@ impl SensorLog {
         names.map(|(name, _)| name.as_str()).collect()
     }
 
+    /// What looks like the fault of a sensor of temperature, in words: a reading that jumps by many kelvin and comes back with the next
+    /// row, and one that stands still for long while the same sensor moves in most rows before and after it. It may
+    /// stand at the beginning, while the machine rests.
+    pub fn faults(&self, sensor: usize) -> Vec<String> {
+        let (name, values) = (&self.names[sensor], &self.values[sensor]);
+        let mut faults = Vec::new();
+        let spike = (1..values.len().saturating_sub(1)).find(|&row| {
+            let (up, down) = (values[row] - values[row - 1], values[row] - values[row + 1]);
+            up * down > 0.0
+                && up.abs().min(down.abs()) > SPIKE
+                && (values[row + 1] - values[row - 1]).abs() < SPIKE / 5.0
+        });
+        if let Some(row) = spike {
+            let by = values[row] - values[row - 1];
+            faults.push(format!(
+                "{name} jumps by {by:.1} K in row {} of the log, and back: a fault of the sensor?",
+                row + 1
+            ));
+        }
+        let (first, count) = longest_stand(values);
+        let near = first.saturating_sub(count) + 1..(first + 2 * count).min(values.len());
+        let others: Vec<usize> = near.filter(|row| !(first + 1..first + count).contains(row)).collect();
+        let still = others.iter().filter(|&&row| values[row] == values[row - 1]).count() + 1;
+        let still = still as f64 / (others.len() + 2) as f64;
+        // By chance it stands that long once in a thousand logs or less.
+        let by_chance = still.powf((count - 1) as f64) * values.len() as f64;
+        if first > 0 && count > LONG && by_chance < 1e-3 {
+            faults.push(format!(
+                "{name} reads the same from row {} to row {} of the log, and moves in others: was it stuck?",
+                first + 1,
+                first + count
+            ));
+        }
+        faults
+    }
+
     /// The interval of a time (index of its first row) and the time in it, s.
     ///
     /// Fails for a time outside the log.
@@ -216,9 +255,34 @@ impl SensorLog {
     }
 }
 
+/// The first row and the number of rows of the longest time that readings stand still.
+fn longest_stand(values: &[f64]) -> (usize, usize) {
+    let (mut longest, mut first) = ((0, 1), 0);
+    for row in 1..values.len() {
+        if values[row] != values[row - 1] {
+            first = row;
+        }
+        if row + 1 - first > longest.1 {
+            longest = (first, row + 1 - first);
+        }
+    }
+    longest
+}
+
 /// The median of the times between rows.
 fn median_step(times: &[f64]) -> Option<f64> {
     let mut steps: Vec<f64> = times.windows(2).map(|pair| pair[1] - pair[0]).collect();
     steps.sort_by(f64::total_cmp);
     steps.get(steps.len() / 2).copied()
+}
+
+/// Refuses a reference that is no temperature of a machine in °C: it may be in kelvin or in degrees Fahrenheit.
+pub fn possible_temperature(value: f64) -> std::result::Result<(), SettingsError> {
+    match (-100.0..=200.0).contains(&value) {
+        true => Ok(()),
+        false => Err(SettingsError::new(
+            "reference_degC",
+            format!("{value}: a temperature from -100 to 200 °C was expected"),
+        )),
+    }
 }

@@ -56,10 +56,7 @@ fn structure(log: &SensorLog) -> Structure {
 }
 
 fn truth(kind: &str) -> BTreeMap<String, f64> {
-    let path = PathBuf::from(env!("CARGO_MANIFEST_DIR"))
-        .join("../../pipelines/data/thermal-spindle")
-        .join(kind)
-        .join("truth.json");
+    let path = PathBuf::from(env!("CARGO_MANIFEST_DIR")).join(format!("../../tests/truth/thermal-spindle-{kind}.json"));
     let text = std::fs::read_to_string(path).expect("a file");
     let value: Value = serde_json::from_str(&text).expect("JSON");
     let parameters = value["parameters"].as_object().expect("parameters");

@@ -61,7 +61,7 @@ pub fn predict(
     if !statuses.len().is_multiple_of(width) {
         return Err(Error::usage(format!("{} numbers are no poses of {width} statuses each", statuses.len())));
     }
-    let without = &model.info().nominal;
+    let without = &model.info().without_errors();
     let values = machine_values(model, calibration);
     let is_machine = |name: &str| model.info().parameters.iter().any(|parameter| parameter.name == name);
     let degrees_of_freedom = calibration.degrees_of_freedom(is_machine);

@@ -20,5 +20,8 @@ use abbe_linuxcnc as _;
 use abbe_monte_carlo as _;
 use abbe_poses as _;
 use abbe_rapid_verify as _;
+use abbe_sequential as _;
 use abbe_serial_chain as _;
+use abbe_spindle as _;
+use abbe_thermal_plugins as _;
 use abbe_validators as _;

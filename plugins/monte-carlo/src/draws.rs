@@ -44,6 +44,8 @@ pub struct Draws<'a> {
 /// Considered parameters that are correlated, with the root of their covariance.
 struct Source {
     members: Vec<usize>,
+    /// The prior of the problem that comes from the same earlier estimate. What it knows of unknowns comes first in the root.
+    prior: Option<usize>,
     root: DMatrix<f64>,
     distribution: Distribution,
 }
@@ -59,7 +61,10 @@ impl<'a> Draws<'a> {
     /// The inputs of a fit as the settings vary them.
     pub fn new(settings: &'a Settings, fit: &Fit) -> Result<Self> {
         let problem = fit.problem.watched_by(fit.problem.monitor.without_events());
-        let problem = problem.with_values(&problem.values_of(&fit.calibration));
+        let mut problem = problem.with_values(&problem.values_of(&fit.calibration));
+        if !fit.estimator.counts_priors() {
+            problem.priors.clear();
+        }
         // Rows scatter by the factor that the estimate found, unless it trusts the stated uncertainties.
         let scale = fit.calibration.uncertainty.as_ref().map_or(1.0, |budget| budget.scale);
         let mut independent: Vec<f64> =
@@ -161,8 +166,12 @@ impl<'a> Draws<'a> {
             ));
         }
         for source in &self.considered {
-            let names: Vec<&str> =
-                source.members.iter().map(|&member| self.problem.considered.unknowns[member].name.as_str()).collect();
+            let known = source.prior.iter().flat_map(|&prior| {
+                let prior = &self.problem.priors[prior];
+                prior.unknowns.iter().take(prior.values.len())
+            });
+            let members = source.members.iter().map(|&member| &self.problem.considered.unknowns[member]);
+            let names: Vec<&str> = known.chain(members).map(|unknown| unknown.name.as_str()).collect();
             lines.push(format!("{}: {}", names.join(", "), words(source.distribution)));
         }
         for (unknown, distribution, size) in &self.neglected {
@@ -207,7 +216,12 @@ impl<'a> Draws<'a> {
         for source in &self.considered {
             let numbers = DVector::from_fn(source.root.ncols(), |_, _| source.distribution.draw(generator));
             let drawn = &source.root * numbers;
-            for (&member, change) in source.members.iter().zip(drawn.iter()) {
+            let mut changes = drawn.iter();
+            if let Some(prior) = source.prior {
+                let known = problem.priors[prior].values.iter_mut();
+                known.zip(&mut changes).for_each(|(value, change)| *value += change);
+            }
+            for (&member, change) in source.members.iter().zip(changes) {
                 considered[member] += change;
                 problem.shift(&self.problem.considered.unknowns[member], *change);
             }
@@ -321,7 +335,7 @@ fn stated(settings: &Settings, fit: &Fit) -> Result<Option<DMatrix<f64>>> {
 fn sources(settings: &Settings, problem: &Problem) -> Result<Vec<Source>> {
     let considered = &problem.considered;
     let mut names: Vec<&String> = Vec::new();
-    for source in &considered.sources {
+    for source in considered.sources.iter().chain(problem.priors.iter().map(|prior| &prior.estimate)) {
         if !names.contains(&source) {
             names.push(source);
         }
@@ -335,13 +349,32 @@ fn sources(settings: &Settings, problem: &Problem) -> Result<Vec<Source>> {
     let sources = names.into_iter().map(|name| {
         let members: Vec<usize> =
             (0..considered.sources.len()).filter(|&member| considered.sources[member] == *name).collect();
-        let covariance = DMatrix::from_fn(members.len(), members.len(), |row, column| {
-            considered.covariance[members[row]][members[column]]
-        });
+        let prior = problem.priors.iter().position(|prior| prior.estimate == *name);
+        let covariance = joint_covariance(problem, &members, prior);
         let distribution = settings.inputs.get(name).copied().unwrap_or_default();
-        Source { root: root(&covariance), members, distribution }
+        Source { root: root(&covariance), members, prior, distribution }
     });
     Ok(sources.collect())
+}
+
+/// The covariance of what a prior knows of unknowns, if there is one, and of some of what is considered.
+fn joint_covariance(problem: &Problem, members: &[usize], prior: Option<usize>) -> DMatrix<f64> {
+    let considered = &problem.considered;
+    let prior = prior.map(|prior| &problem.priors[prior]);
+    let known = prior.map_or(0, |prior| prior.values.len());
+    let place = |member: usize| {
+        let unknown = &considered.unknowns[members[member - known]];
+        let same = |other: &Unknown| (other.owner, other.index) == (unknown.owner, unknown.index);
+        prior.and_then(|prior| prior.unknowns.iter().position(same))
+    };
+    DMatrix::from_fn(known + members.len(), known + members.len(), |row, column| {
+        if row >= known && column >= known {
+            return considered.covariance[members[row - known]][members[column - known]];
+        }
+        let of = |index: usize| if index < known { Some(index) } else { place(index) };
+        let found = prior.zip(of(row)).zip(of(column));
+        found.map_or(0.0, |((prior, row), column)| prior.covariance[row][column])
+    })
 }
 
 /// A matrix whose product with its transpose is the covariance, which may be singular.

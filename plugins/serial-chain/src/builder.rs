@@ -3,16 +3,15 @@
 use std::collections::BTreeMap;
 
 use abbe_core::{
-    Absent, Axis, AxisKind, ErrorFunction, ModelInfo, Parameter, ParameterRole, PathItem, PeriodicError, Quantity,
-    SettingsError, StatusColumn, StatusRole, Unit, matches,
+    Absent, Axis, AxisKind, Parameter, ParameterRole, PathItem, Quantity, SettingsError, StatusColumn, StatusRole,
+    Unit, matches,
 };
-use abbe_errors::{Argument, Constant, Declaration, Functions, Group, StylusIndicator, Subject};
+use abbe_errors::{Argument, Constant, Declaration, Drift, Functions, Group, StylusIndicator, Subject};
 use abbe_kinematics::{Chain, StructuralLoop};
 use nalgebra::Vector3;
-use serde_json::Value;
 
-use crate::model::{CoefficientPlace, FunctionBasis, ParameterUse, Range, SerialChain, Source};
-use crate::settings::{Evaluation, Settings};
+use crate::model::{CoefficientPlace, FunctionBasis, ParameterUse, Range, Source};
+use crate::settings::Settings;
 
 /// Letters of the six components of an error, in the order of slots.
 pub(crate) const COMPONENTS: [char; 6] = ['X', 'Y', 'Z', 'A', 'B', 'C'];
@@ -21,27 +20,27 @@ const WORKPIECE_SET_UP: [&str; 6] = ["dxw", "dyw", "dzw", "daw", "dbw", "dcw"];
 
 /// Collects statuses, bases and parameters.
 pub(crate) struct Builder {
-    chain: Chain,
-    axes: Vec<Axis>,
-    status: Vec<StatusColumn>,
-    parameters: Vec<Parameter>,
-    nominal: Vec<f64>,
-    uses: Vec<ParameterUse>,
-    bases: Vec<FunctionBasis>,
-    functions: usize,
-    tips: Vec<Vector3<f64>>,
-    stylus_status: Option<usize>,
-    candidates: Vec<(Group, Candidate)>,
+    pub chain: Chain,
+    pub axes: Vec<Axis>,
+    pub status: Vec<StatusColumn>,
+    pub parameters: Vec<Parameter>,
+    pub nominal: Vec<f64>,
+    pub uses: Vec<ParameterUse>,
+    pub bases: Vec<FunctionBasis>,
+    pub functions: usize,
+    pub tips: Vec<Vector3<f64>>,
+    pub stylus_status: Option<usize>,
+    pub candidates: Vec<(Group, Candidate)>,
 }
 
 /// An error that a family may list.
 #[derive(Debug, Clone)]
-struct Candidate {
-    symbol: String,
-    slot: usize,
-    component: usize,
-    axis: Option<usize>,
-    role: ParameterRole,
+pub(crate) struct Candidate {
+    pub symbol: String,
+    pub slot: usize,
+    pub component: usize,
+    pub axis: Option<usize>,
+    pub role: ParameterRole,
 }
 
 impl Builder {
@@ -174,7 +173,7 @@ impl Builder {
     }
 
     /// Adds functions of some arguments; returns the index of the basis.
-    fn basis(&mut self, functions: Box<dyn Functions>, arguments: Vec<Source>, range: Option<Range>) -> usize {
+    pub fn basis(&mut self, functions: Box<dyn Functions>, arguments: Vec<Source>, range: Option<Range>) -> usize {
         let count = functions.terms().len();
         let first = self.functions;
         self.bases.push(FunctionBasis { functions, arguments, first, count, range, coefficients: Vec::new() });
@@ -201,7 +200,12 @@ impl Builder {
         Ok(())
     }
 
-    fn parameter(&mut self, parameter: Parameter, nominal: f64, role: ParameterUse) -> Result<usize, SettingsError> {
+    pub fn parameter(
+        &mut self,
+        parameter: Parameter,
+        nominal: f64,
+        role: ParameterUse,
+    ) -> Result<usize, SettingsError> {
         if self.parameters.iter().any(|other| other.name == parameter.name) {
             return Err(SettingsError::new("", format!("`{}` is declared twice", parameter.name)));
         }
@@ -324,6 +328,10 @@ impl Builder {
             axes: &axes,
             labels,
         };
+        let drift = match declaration {
+            Declaration::Drift(drift) => Some(drift),
+            _ => None,
+        };
         let mut bases = Vec::new();
         for functions in declaration.family().functions(&subject)? {
             let mut arguments = Vec::new();
@@ -339,7 +347,7 @@ impl Builder {
                     Argument::SharedShape(name, nominal, unit) => {
                         Source::Parameter(self.shared_shape(name, nominal, unit, basis)?)
                     }
-                    other => Source::Status(self.argument(other, candidate.axis, declaration)?),
+                    other => Source::Status(self.argument(other, candidate.axis, drift)?),
                 });
             }
             let ends = functions.range();
@@ -367,13 +375,13 @@ impl Builder {
     }
 
     /// The status that is an argument of a function.
-    fn argument(
+    pub fn argument(
         &mut self,
         argument: Argument,
         axis: Option<usize>,
-        declaration: &Declaration,
+        drift: Option<&Drift>,
     ) -> Result<usize, SettingsError> {
-        Ok(match (argument, axis, declaration) {
+        Ok(match (argument, axis, drift) {
             (Argument::Command, Some(axis), _) => axis,
             (Argument::CommandOf(name), axis, _) => {
                 self.axes.iter().position(|axis| axis.name == name).or(axis).ok_or_else(|| {
@@ -393,7 +401,7 @@ impl Builder {
             (Argument::LoadZ, ..) => {
                 self.status("load_z".to_owned(), StatusRole::Other, (Quantity::Length, Vec::new()), 0.0)
             }
-            (Argument::Series, _, Declaration::Drift(drift)) if drift.per.column().is_some() => {
+            (Argument::Series, _, Some(drift)) if drift.per.column().is_some() => {
                 let column = drift.per.column().unwrap_or_default();
                 self.status(column.to_owned(), StatusRole::Series, (Quantity::Label, Vec::new()), f64::NAN)
             }
@@ -414,74 +422,6 @@ impl Builder {
                 return Err(SettingsError::new("errors", message));
             }
         })
-    }
-
-    pub fn finish(self, settings: &Settings, resolved: Value) -> SerialChain {
-        let info = ModelInfo {
-            error_functions: self.error_functions(),
-            periods: self.periods(),
-            nominal_uncertainties: self.nominal_uncertainties(),
-            nominal: self.nominal,
-            stylus_radius: settings.stylus_radius_mm,
-            ..ModelInfo::new(self.axes, self.status, self.parameters, resolved)
-        };
-        SerialChain {
-            chain: self.chain,
-            info,
-            uses: self.uses,
-            bases: self.bases,
-            functions: self.functions,
-            tips: self.tips,
-            stylus_status: self.stylus_status,
-            first_order: settings.evaluation == Evaluation::FirstOrder,
-        }
-    }
-
-    fn nominal_uncertainties(&self) -> Vec<f64> {
-        let of = |role: &ParameterUse| match role {
-            ParameterUse::Coefficient(place) => self.bases[place.basis].functions.nominal_uncertainty(),
-            ParameterUse::Shape(_) => 0.0,
-        };
-        self.uses.iter().map(of).collect()
-    }
-
-    /// The motion errors that have coefficients.
-    fn error_functions(&self) -> Vec<ErrorFunction> {
-        let motions = self.candidates.iter().filter(|(group, _)| *group == Group::Motion);
-        let there = motions.filter_map(|(_, candidate)| {
-            let of_it =
-                |place: &CoefficientPlace| place.slot == candidate.slot && place.component == candidate.component;
-            let mut places = self.bases.iter().flat_map(|basis| &basis.coefficients);
-            let axis = candidate.axis.filter(|_| places.any(|(_, place)| of_it(place)))?;
-            let (symbol, component) = (candidate.symbol.clone(), candidate.component);
-            Some(ErrorFunction { symbol, axis, component, quantity: quantity_of(component) })
-        });
-        there.collect()
-    }
-
-    /// The parts of motion errors that repeat.
-    fn periods(&self) -> Vec<PeriodicError> {
-        let mut periods = Vec::new();
-        for basis in &self.bases {
-            let arguments = basis.arguments_at(&vec![0.0; self.status.len()], &self.nominal);
-            let Some(length) = basis.functions.period(&arguments[..basis.arguments.len()]) else { continue };
-            let shapes = basis.arguments.iter().filter_map(|source| match source {
-                Source::Parameter(index) => Some(*index),
-                Source::Status(_) => None,
-            });
-            let shapes: Vec<usize> = shapes.collect();
-            for (_, candidate) in self.candidates.iter().filter(|(group, _)| *group == Group::Motion) {
-                let of_it =
-                    |place: &CoefficientPlace| place.slot == candidate.slot && place.component == candidate.component;
-                let own = basis.coefficients.iter().filter(|(_, place)| of_it(place));
-                let parameters: Vec<usize> = own.map(|(parameter, _)| *parameter).collect();
-                if let (Some(axis), false) = (candidate.axis, parameters.is_empty()) {
-                    let (symbol, shapes) = (candidate.symbol.clone(), shapes.clone());
-                    periods.push(PeriodicError { symbol, axis, length, parameters, shapes });
-                }
-            }
-        }
-        periods
     }
 }
 

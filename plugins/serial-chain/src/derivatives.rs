@@ -42,6 +42,10 @@ impl SerialChain {
             match *variable {
                 Variable::Parameter(parameter) => match self.uses[parameter] {
                     ParameterUse::Coefficient(place) => sorted.coefficients.push((index, place)),
+                    ParameterUse::Factor(basis) => {
+                        let coefficients = &self.bases[basis].coefficients;
+                        sorted.coefficients.extend(coefficients.iter().map(|(_, place)| (index, *place)));
+                    }
                     ParameterUse::Shape(first) => {
                         let follows = |basis: &usize| {
                             let arguments = &self.bases[*basis].arguments;
@@ -71,7 +75,9 @@ impl SerialChain {
                 let function = work.functions[place.function];
                 // Of piecewise functions most are zero at a given command.
                 if function != 0.0 {
-                    out[*index] = (by_error * function).into();
+                    // A factor acts in several errors.
+                    let effect = by_error * function;
+                    out[*index].iter_mut().zip(effect.iter()).for_each(|(sum, effect)| *sum += effect);
                 }
             }
         }

@@ -1,8 +1,10 @@
 //! Model plugin `serial-chain`: any serial machine in ISO 10791-6 notation with location, motion and set-up errors.
 
+mod bodies;
 mod builder;
 mod c_code;
 mod derivatives;
+mod finish;
 mod model;
 mod nominal;
 mod settings;

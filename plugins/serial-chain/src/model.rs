@@ -10,7 +10,7 @@ use nalgebra::Vector3;
 
 use crate::builder::{Builder, finite, key};
 use crate::derivatives::{At, of_one_error};
-use crate::nominal::{FARTHEST, chain_axis, settle_time, temperature_is_there, time_is_there};
+use crate::nominal::{FARTHEST, chain_axis, settle_body, settle_time, temperature_is_there, time_is_there};
 use crate::settings::Settings;
 
 /// A serial chain with its error families.
@@ -34,6 +34,8 @@ pub(crate) enum ParameterUse {
     Coefficient(CoefficientPlace),
     /// It is an argument of the functions of a basis, and maybe of others: a wavelength, a time constant.
     Shape(usize),
+    /// It multiplies all functions of a basis, in several errors of one slot: the factor of a body.
+    Factor(usize),
 }
 
 /// Where a coefficient acts: slot and component of the chain, and its function among all functions.
@@ -146,11 +148,18 @@ impl SerialChain {
             }
             if let Declaration::Thermal(thermal) = &mut declaration {
                 thermal.settle(data).and_then(|()| time_is_there(data)).map_err(|error| error.under(at.clone()))?;
+                if !data.is_empty() {
+                    thermal.faults().iter().for_each(|fault| tracing::warn!("{fault}"));
+                }
             }
             builder.declare(&declaration).map_err(|error| error.under(at))?;
             declarations.push(declaration);
         }
         let mut resolved = settings.clone();
+        for (name, body) in &mut resolved.bodies {
+            let at = [key("bodies"), key(name)];
+            settle_body(body, data).and_then(|()| builder.body(name, body)).map_err(|error| error.under(at))?;
+        }
         resolved.errors = declarations.iter().map(|line| serde_json::to_value(line).unwrap_or_default()).collect();
         let resolved = serde_json::to_value(resolved)
             .map_err(|error| SettingsError::new("", format!("the settings cannot be written: {error}")))?;
@@ -169,18 +178,17 @@ impl SerialChain {
     /// The bases that have to be evaluated: those of coefficients that are not zero, or whose derivatives are wanted.
     fn in_use(&self, values: &[f64], wanted: &[Variable]) -> Vec<usize> {
         let mut used = vec![false; self.bases.len()];
-        for (role, value) in self.uses.iter().zip(values) {
-            if let ParameterUse::Coefficient(place) = role
-                && *value != 0.0
-            {
-                used[place.basis] = true;
-            }
+        let basis_of = |role: &ParameterUse| match role {
+            ParameterUse::Coefficient(place) => Some(place.basis),
+            ParameterUse::Factor(basis) => Some(*basis),
+            ParameterUse::Shape(_) => None,
+        };
+        for (role, _) in self.uses.iter().zip(values).filter(|(_, value)| **value != 0.0) {
+            basis_of(role).into_iter().for_each(|basis| used[basis] = true);
         }
         for variable in wanted {
-            if let Variable::Parameter(index) = variable
-                && let ParameterUse::Coefficient(place) = self.uses[*index]
-            {
-                used[place.basis] = true;
+            if let Variable::Parameter(index) = variable {
+                basis_of(&self.uses[*index]).into_iter().for_each(|basis| used[basis] = true);
             }
         }
         (0..used.len()).filter(|basis| used[*basis]).collect()
@@ -191,11 +199,12 @@ impl SerialChain {
         if let Some(range) = &basis.range {
             range.check(status, &self.info.axes)?;
         }
-        let arguments = basis.arguments_at(status, values);
-        if let Some(why) = basis.functions.refused(&arguments[..basis.arguments.len()]) {
+        let mut room = Room::default();
+        let arguments = basis.arguments_at(status, values, &mut room);
+        if let Some(why) = basis.functions.refused(arguments) {
             return Err(Error::data(why));
         }
-        basis.functions.values(&arguments[..basis.arguments.len()], &mut out[basis.first..basis.first + basis.count]);
+        basis.functions.values(arguments, &mut out[basis.first..basis.first + basis.count]);
         Ok(())
     }
 
@@ -209,12 +218,26 @@ impl SerialChain {
     }
 }
 
-/// Most arguments that a function has.
-pub(crate) const ARGUMENTS: usize = 9;
+/// Most arguments that a function has, the temperatures of a body aside.
+const FEW: usize = 9;
+
+/// Room for the arguments of functions.
+#[derive(Default)]
+pub(crate) struct Room {
+    few: [f64; FEW],
+    many: Vec<f64>,
+}
 
 impl FunctionBasis {
-    pub fn arguments_at(&self, status: &[f64], values: &[f64]) -> [f64; ARGUMENTS] {
-        let mut arguments = [0.0; ARGUMENTS];
+    pub fn arguments_at<'a>(&self, status: &[f64], values: &[f64], room: &'a mut Room) -> &'a [f64] {
+        let count = self.arguments.len();
+        let arguments = match count <= FEW {
+            true => &mut room.few[..count],
+            false => {
+                room.many.resize(count, 0.0);
+                &mut room.many[..]
+            }
+        };
         for (argument, source) in arguments.iter_mut().zip(&self.arguments) {
             *argument = match source {
                 Source::Status(index) => status[*index],
@@ -249,10 +272,11 @@ impl FunctionBasis {
         if !self.arguments.contains(&source) {
             return false;
         }
-        let arguments = self.arguments_at(status, values);
+        let mut room = Room::default();
+        let arguments = self.arguments_at(status, values, &mut room);
         let each = &mut each[..self.count];
         for by in (0..self.arguments.len()).filter(|by| self.arguments[*by] == source) {
-            self.functions.slopes(by, &arguments[..self.arguments.len()], each);
+            self.functions.slopes(by, arguments, each);
             match out.is_empty() {
                 true => out.extend_from_slice(each),
                 false => out.iter_mut().zip(each.iter()).for_each(|(sum, slope)| *sum += *slope),

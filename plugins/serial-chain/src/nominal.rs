@@ -1,7 +1,7 @@
 //! Nominal axes, time scales of drifts and temperatures of scales, from settings and data.
 
-use abbe_core::{AxisKind, Dataset, SettingsError, Values};
-use abbe_errors::{Drift, Expansion, Per};
+use abbe_core::{AxisKind, Dataset, PathItem, SettingsError, Values};
+use abbe_errors::{Body, Drift, Expansion, Per};
 use abbe_kinematics::{ChainAxis, ErrorFrame, NamedAxis};
 use nalgebra::Vector3;
 
@@ -53,30 +53,57 @@ pub(crate) fn chain_axis(named: &NamedAxis, settings: &Settings) -> Result<Chain
 
 /// Refuses data without the temperature of a scale: its expansion would be left out without a message.
 pub(crate) fn temperature_is_there(expansion: &Expansion, data: &[&Dataset]) -> Result<(), SettingsError> {
-    // Data with several poses a row may have one column for each: `T_X`, or `T_X1` and `T_X2`.
-    let of_scale = |name: &str| {
-        name.strip_prefix(expansion.temperature.as_str())
-            .is_some_and(|end| end.chars().all(|digit| digit.is_ascii_digit()))
-    };
-    let lacks = |data: &&&Dataset| !data.is_log && !data.columns.iter().any(|column| of_scale(&column.header.name));
-    let Some(data) = data.iter().find(lacks) else { return Ok(()) };
-    let file = data.files.first().map_or_else(|| "a data set".to_owned(), |file| file.display().to_string());
-    let column = format!("{}_degC", expansion.temperature);
+    let name = expansion.temperature.as_str();
+    let Some(file) = lacks_temperature(name, data) else { return Ok(()) };
     let message = format!(
-        "{file} has no column `{column}`, the temperature of the scale; write it into the file, or `constants: {{ {column}: 20 }}` at its ingest stage"
+        "{file} has no column `{name}_degC`, the temperature of the scale; write it into the file, or `constants: {{ {name}_degC: 20 }}` at its ingest stage"
     );
     Err(SettingsError::new("temperature", message))
+}
+
+/// The first file of measurements without the column of a temperature.
+fn lacks_temperature(name: &str, data: &[&Dataset]) -> Option<String> {
+    // Data with several poses a row may have one column for each: `T_X`, or `T_X1` and `T_X2`.
+    let is_it =
+        |header: &str| header.strip_prefix(name).is_some_and(|end| end.chars().all(|digit| digit.is_ascii_digit()));
+    let lacks = |data: &&&Dataset| !data.is_log && !data.columns.iter().any(|column| is_it(&column.header.name));
+    data.iter().find(lacks).map(|data| file_of(data))
+}
+
+fn file_of(data: &Dataset) -> String {
+    data.files.first().map_or_else(|| "a data set".to_owned(), |file| file.display().to_string())
 }
 
 /// Refuses data without times: their thermal errors would be left out without a message.
 pub(crate) fn time_is_there(data: &[&Dataset]) -> Result<(), SettingsError> {
     let lacks = |data: &&&Dataset| data.numbers("time").is_none();
     let Some(data) = data.iter().find(lacks) else { return Ok(()) };
-    let file = data.files.first().map_or_else(|| "a data set".to_owned(), |file| file.display().to_string());
-    let error =
-        SettingsError::new("thermal", format!("{file} has no column `time_s`, by which temperatures are found"));
+    let error = SettingsError::new(
+        "thermal",
+        format!("{} has no column `time_s`, by which temperatures are found", file_of(data)),
+    );
     Err(error
         .help("write it into the file, on the clock of the log, or `constants: { time_s: 0 }` at its ingest stage"))
+}
+
+/// Checks a body, and takes its temperatures from the data: from a log, or from the measurements, which then have to have them.
+pub(crate) fn settle_body(body: &mut Body, data: &[&Dataset]) -> Result<(), SettingsError> {
+    body.check()?;
+    body.settle(data)?;
+    if !body.log.is_empty() {
+        let sections = |error: SettingsError| SettingsError { path: vec![key("sections")], ..error };
+        time_is_there(data).map_err(sections)?;
+    }
+    for name in body.sensors_of_rows() {
+        let Some(file) = lacks_temperature(name, data) else { continue };
+        let section = body.sections.iter().position(|section| section.sensors.contains_key(name)).unwrap_or_default();
+        let message =
+            format!("the machine has no log with the column `{name}_degC`, and {file} does not have it either");
+        let error =
+            SettingsError::new(name, message).under([key("sections"), PathItem::Index(section), key("sensors")]);
+        return Err(error.help("`logs` at the machine names the ingest stage that reads the temperatures"));
+    }
+    Ok(())
 }
 
 /// First and last time of every series of a drift: those of the settings, else those of the data. So the time scale stays the

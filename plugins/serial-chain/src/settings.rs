@@ -2,7 +2,7 @@
 
 use std::collections::BTreeMap;
 
-use abbe_errors::Declaration;
+use abbe_errors::{Body, Declaration};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use serde_json::{Value, json};
@@ -36,6 +36,10 @@ pub struct Settings {
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     #[schemars(schema_with = "errors_schema")]
     pub errors: Vec<Value>,
+    /// Bodies between the frames of the machine, by name, that grow and bend with their temperatures without any fit (Soons 1993,
+    /// eq. 3.56 to 3.62).
+    #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
+    pub bodies: BTreeMap<String, Body>,
     /// Exact transforms, or the first-order form (Soons 1993, eq. 2.24-2.28), which shows the errors of linearising.
     #[serde(default)]
     pub evaluation: Evaluation,

@@ -217,7 +217,7 @@ fn table(fit: &Fit, programmed: &[f64], ways: &[Way]) -> Result<String> {
         let mut poses = abbe_core::Poses::default();
         model.poses(statuses, values, &[], false, &mut poses).map(|()| poses.positions)
     };
-    let goal = tips(programmed, &model.info().nominal)?;
+    let goal = tips(programmed, &model.info().without_errors())?;
     let values = machine_values(model, &fit.calibration);
     let driven = ways.iter().map(|way| tips(&way.statuses, &values)).collect::<Result<Vec<_>>>()?;
     let known = predict(model, &fit.calibration, programmed)?;

@@ -8,7 +8,7 @@ use crate::index::SetIndex;
 use crate::model::{KinematicModel, ModelInfo, Parameter, Poses};
 use crate::observations::Equations;
 use crate::problem::{ObservationSet, Owner, Problem, Unknown};
-use abbe_results::{Calibration, ConsideredInput};
+use abbe_results::{Calibration, ConsideredInput, Status};
 use abbe_settings::Unit;
 use abbe_settings::{Error, Result};
 
@@ -58,6 +58,25 @@ pub struct Considered {
     /// estimate.
     #[serde(default)]
     pub identities: Vec<Option<String>>,
+}
+
+/// What an earlier estimate knows of unknowns of a problem, together with what it knows of what is considered there.
+///
+/// The problem starts from these values as well; whether they count as knowledge is the estimator's affair.
+#[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
+pub struct Prior {
+    /// Name of the earlier estimate.
+    pub estimate: String,
+    /// The unknowns of the problem that it has estimated, then what is considered of its results.
+    pub unknowns: Vec<Unknown>,
+    /// Its values of the unknowns of the problem, the first in `unknowns`, in their units. What is considered has the value
+    /// that stands in the problem.
+    pub values: Vec<f64>,
+    /// The covariance of all, in their units.
+    pub covariance: Vec<Vec<f64>>,
+    /// Unknowns of the problem that its data could not separate from others.
+    #[serde(default)]
+    pub confounded: Vec<String>,
 }
 
 impl Considered {
@@ -262,8 +281,41 @@ impl Problem {
         let rows = &calibration.covariance.rows;
         let entry = |row: usize| places.iter().map(|&column| rows[row][column]).collect();
         let covariance: Vec<Vec<f64>> = places.iter().map(|&row| entry(row)).collect();
+        problem.priors.extend(self.prior(calibration, &known, &places)?);
         problem.considered.extend(known, &covariance, &calibration.estimate);
         Ok(problem)
+    }
+
+    /// What a calibration knows of the unknowns, with what is considered of it and the places of that in its covariance. None
+    /// if it has estimated none of the unknowns. Fails if one of them has another unit there.
+    fn prior(
+        &self,
+        calibration: &Calibration,
+        considered: &[(Unknown, Option<String>)],
+        places: &[usize],
+    ) -> Result<Option<Prior>> {
+        let own = |unknown: &Unknown| Some((unknown.clone(), calibration.covariance.index(&unknown.name)?));
+        let (mut unknowns, mut all): (Vec<Unknown>, Vec<usize>) = self.unknowns.iter().filter_map(own).unzip();
+        let found = |unknown: &Unknown| calibration.get(&unknown.name);
+        let values: Vec<f64> = unknowns.iter().filter_map(|unknown| Some(found(unknown)?.value)).collect();
+        if unknowns.is_empty() || values.len() < unknowns.len() {
+            return Ok(None);
+        }
+        let of_unit = |unknown: &&Unknown| found(unknown).is_some_and(|found| found.unit != unknown.unit.to_string());
+        if let Some(unknown) = unknowns.iter().find(of_unit) {
+            let message = format!(
+                "`{}` is in {} here and has another unit in `{}`: the models differ",
+                unknown.name, unknown.unit, calibration.estimate
+            );
+            return Err(Error::data(message).setting("known"));
+        }
+        let lost = |unknown: &&Unknown| found(unknown).is_some_and(|found| found.status == Status::Confounded);
+        let confounded = unknowns.iter().filter(lost).map(|unknown| unknown.name.clone()).collect();
+        unknowns.extend(considered.iter().map(|(unknown, _)| unknown.clone()));
+        all.extend(places);
+        let rows = &calibration.covariance.rows;
+        let covariance = all.iter().map(|&row| all.iter().map(|&column| rows[row][column]).collect()).collect();
+        Ok(Some(Prior { estimate: calibration.estimate.clone(), unknowns, values, covariance, confounded }))
     }
 
     /// Considers an input of another estimate. If its name is taken, `estimate` becomes a prefix of the name.

@@ -22,7 +22,7 @@ use abbe_settings::{Error, Result};
 
 use considered::{candidates, check_constraints, consider_parameters, inputs};
 
-pub use considered::{Considered, Input};
+pub use considered::{Considered, Input, Prior};
 pub use linearise::{Block, CHUNK, Evaluation};
 pub use rows::{ObservationSet, RepeatedTogether};
 
@@ -70,6 +70,8 @@ pub struct Problem {
     pub inputs: Vec<Input>,
     /// Quantities that are not estimated, but whose uncertainty is propagated.
     pub considered: Considered,
+    /// What earlier estimates know of the unknowns. Only an estimator that says so counts it.
+    pub priors: Vec<Prior>,
     /// Monitor of the work on this problem.
     pub monitor: Monitor,
 }
@@ -125,6 +127,7 @@ impl Problem {
             machine_values,
             inputs,
             considered,
+            priors: Vec::new(),
             monitor: Monitor::default(),
         })
     }

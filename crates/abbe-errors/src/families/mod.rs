@@ -81,7 +81,7 @@ pub struct Term {
 }
 
 impl Term {
-    fn new(suffix: impl Into<String>, power: u8) -> Self {
+    pub(crate) fn new(suffix: impl Into<String>, power: u8) -> Self {
         Self { suffix: suffix.into(), power, per: None, unit: None }
     }
 

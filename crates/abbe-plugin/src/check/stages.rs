@@ -93,6 +93,7 @@ fn problem() -> Problem {
         machine_values: Vec::new(),
         inputs: Vec::new(),
         considered: Considered::default(),
+        priors: Vec::new(),
     }
 }
 

@@ -1,0 +1,349 @@
+//! Estimator plugin `spindle-motion`: harmonics of runs.
+
+use std::collections::BTreeSet;
+
+use abbe_core::{
+    Calibration, ColumnHeader, Context, Dataset, Error, Estimate, EstimateSource, Identifiability, Problem, Result,
+    SettingsError, positive,
+};
+use abbe_standards::spindle::Sectors;
+use schemars::JsonSchema;
+use serde::{Deserialize, Serialize};
+use serde_json::{Value, json};
+
+use crate::encoder::Encoder;
+use crate::harmonics::{Basis, Fitted, fit};
+use crate::parameters::{Combined, Found, Sizes, of_order};
+use crate::readings::{Columns, Expected, Run, check_columns, runs};
+use crate::sensors::{Radial, RadialSensors, between, check_radial};
+
+/// The name of the plugin.
+pub const PLUGIN: &str = "spindle-motion";
+
+abbe_core::register!(
+    Estimate,
+    "spindle-motion",
+    "error motions of a spindle: harmonics of sensors against its encoder, by runs",
+    Motion,
+    example,
+    build,
+    "../reference/estimate-spindle-motion.md",
+    EstimateSource::Readings,
+);
+
+/// Settings of the harmonics of a spindle.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct Motion {
+    /// Radial sensors by their columns without unit: a pair, one, or none. The first one by name is the direction x of the results.
+    #[serde(default)]
+    pub radial: RadialSensors,
+    /// The column of the axial sensor, without its unit.
+    #[serde(default)]
+    pub axial: Option<String>,
+    /// The highest harmonic that is fitted.
+    #[serde(default = "harmonics")]
+    #[schemars(range(min = 2, max = 500))]
+    pub harmonics: u16,
+    /// A straight line in time is fitted, too: drift while the run lasts.
+    #[serde(default)]
+    pub linear_drift: bool,
+    /// Sectors of a turn in which the range of the asynchronous part is taken.
+    #[serde(default = "sectors")]
+    #[schemars(range(min = 4, max = 10000))]
+    pub sectors: u16,
+    /// Speeds that were set: a run is called by the nearest one. Without them it is called by its speed in three digits.
+    #[serde(default)]
+    pub speeds_rpm: Vec<f64>,
+    /// What runs are called by.
+    #[serde(default)]
+    pub named_by: NamedBy,
+    /// How the angle is written.
+    #[serde(default)]
+    pub encoder: Encoder,
+    /// Columns of the angle, of the time and of the run.
+    #[serde(default)]
+    pub columns: Columns,
+    /// Standard uncertainty of a reading, for ranges of single readings. The harmonics do not need it.
+    #[serde(default)]
+    pub standard_uncertainty_um: Option<f64>,
+    /// Smallest and largest range that readings of a sensor may have.
+    #[serde(default = "plausible")]
+    pub plausible_um: [f64; 2],
+    /// Take a fundamental that goes round against the spindle even if it is larger than the eccentricity.
+    #[serde(default)]
+    pub accept_backward: bool,
+}
+
+/// What a run is called by.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize, JsonSchema)]
+#[serde(rename_all = "kebab-case")]
+pub enum NamedBy {
+    /// Its speed in revolutions per minute.
+    #[default]
+    Speed,
+    /// Its label: by default the name of its file.
+    Label,
+}
+
+fn harmonics() -> u16 {
+    24
+}
+
+fn sectors() -> u16 {
+    128
+}
+
+/// 10 nm to 1 mm.
+pub fn plausible() -> [f64; 2] {
+    [0.01, 1000.0]
+}
+
+fn example() -> Value {
+    json!({
+        "radial": { "r1": { "azimuth_deg": 0 }, "r2": { "azimuth_deg": 90 } },
+        "axial": "z",
+        "harmonics": 24,
+        "linear_drift": true,
+        "standard_uncertainty_um": 0.006,
+    })
+}
+
+/// Fails for a range that is none.
+pub fn check_plausible(plausible: [f64; 2]) -> Result<(), SettingsError> {
+    match plausible[0] > 0.0 && plausible[1] > plausible[0] && plausible[1].is_finite() {
+        true => Ok(()),
+        false => Err(SettingsError::new("plausible_um", "two numbers above zero, the larger one last, were expected")),
+    }
+}
+
+/// Fails for orders that are none.
+pub fn check_highest(harmonics: u16) -> Result<(), SettingsError> {
+    match (2..=500).contains(&harmonics) {
+        true => Ok(()),
+        false => Err(SettingsError::new("harmonics", format!("{harmonics} was found; 2 to 500 were expected"))),
+    }
+}
+
+fn build(settings: Motion, _: &Context) -> Result<Box<dyn Estimate>, SettingsError> {
+    check_radial(&settings.radial)?;
+    check_plausible(settings.plausible_um)?;
+    check_highest(settings.harmonics)?;
+    if settings.radial.is_empty() && settings.axial.is_none() {
+        return Err(SettingsError::new("radial", "at least one sensor was expected, here or under `axial`"));
+    }
+    if settings.axial.as_ref().is_some_and(|axial| settings.radial.contains_key(axial)) {
+        return Err(SettingsError::new("axial", "this sensor is a radial one already"));
+    }
+    if !(4..=10_000).contains(&settings.sectors) {
+        return Err(SettingsError::new("sectors", "4 to 10000 were expected"));
+    }
+    settings.speeds_rpm.iter().try_for_each(|speed| positive("speeds_rpm", *speed).map(drop))?;
+    if let Some(uncertainty) = settings.standard_uncertainty_um {
+        positive("standard_uncertainty_um", uncertainty)?;
+    }
+    Ok(Box::new(settings))
+}
+
+/// Part of a stated speed that a run may be off.
+const NEAR: f64 = 0.05;
+
+impl Motion {
+    /// What its readings have to be like.
+    pub fn expected(&self) -> Expected<'_> {
+        Expected {
+            columns: &self.columns,
+            encoder: self.encoder,
+            sensors: self.radial.keys().chain(&self.axial).map(String::as_str).collect(),
+            plausible: self.plausible_um.map(|value| value * 1e-3),
+        }
+    }
+
+    /// What a run is called.
+    pub fn name(&self, run: &Run<'_>) -> Result<String> {
+        if self.named_by == NamedBy::Label {
+            return Ok(run.label.clone());
+        }
+        let off = |speed: &f64| (run.speed / speed - 1.0).abs();
+        if let Some(nearest) = self.speeds_rpm.iter().copied().min_by(|one, other| off(one).total_cmp(&off(other))) {
+            if off(&nearest) > NEAR {
+                let message = format!("it has {:.1} rpm, and none of `speeds_rpm` is near", run.speed);
+                return Err(run.error(message).help("is the time in the unit that its column says (`time_s`)?"));
+            }
+            return Ok(nearest.to_string());
+        }
+        let step = 10_f64.powf(run.speed.log10().floor() - 2.0);
+        Ok(format!("{}", ((run.speed / step).round() * step * 1e6).round() / 1e6))
+    }
+
+    /// The fit of a run.
+    pub fn fit(&self, run: &Run<'_>) -> Result<Fitted> {
+        fit(run, usize::from(self.harmonics), self.linear_drift)
+    }
+
+    /// The parameters of a run as combinations of the raw coefficients of its sensors.
+    fn combined(&self, name: &str, basis: &Basis) -> Vec<Combined> {
+        let of = |own: String| format!("run[{name}].{own}");
+        let mut all = self.fundamental(&of, basis.unknowns());
+        let sensors = self.radial.keys().map(|sensor| (sensor, 2)).chain(self.axial.iter().map(|axial| (axial, 1)));
+        for (place, (sensor, lowest)) in sensors.enumerate() {
+            let first = place * basis.unknowns();
+            for order in lowest..=basis.highest {
+                let [cos, sin] = of_order(&of(format!("sync.{sensor}")), order);
+                all.push(Combined::length(cos, vec![(first + Basis::cos(order), 1.0)]));
+                all.push(Combined::length(sin, vec![(first + Basis::sin(order), 1.0)]));
+            }
+            all.push(Combined::length(of(format!("mean.{sensor}")), vec![(first, 1.0)]));
+            if let Some((line, half)) = basis.line() {
+                let terms = vec![(first + line, 1.0 / half)];
+                all.push(Combined { name: of(format!("drift.{sensor}")), unit: "mm/s", terms });
+            }
+        }
+        all
+    }
+
+    /// The fundamental of radial sensors: with the spindle and against it, or both together.
+    fn fundamental(&self, of: &dyn Fn(String) -> String, unknowns: usize) -> Vec<Combined> {
+        let (cos, sin) = (Basis::cos(1), Basis::sin(1));
+        let Some(between) = between(&self.radial) else {
+            let one = |sensor: &String| {
+                let named = |part: &str, place| {
+                    Combined::length(of(format!("fundamental.{sensor}[{part}]")), vec![(place, 1.0)])
+                };
+                [named("cos", cos), named("sin", sin)]
+            };
+            return self.radial.keys().flat_map(one).collect();
+        };
+        // The second direction is a quarter of a turn beyond the first sensor: y = (r2 - r1 cos d) / sin d.
+        let along_y = |place: usize| [(place, -between.cos() / between.sin()), (unknowns + place, 1.0 / between.sin())];
+        let half = |x: usize, x_factor: f64, y: usize, y_factor: f64| {
+            let y = along_y(y).map(|(place, factor)| (place, 0.5 * y_factor * factor));
+            [(x, 0.5 * x_factor)].into_iter().chain(y).collect::<Vec<_>>()
+        };
+        vec![
+            Combined::length(of("ecc.x".to_owned()), half(cos, 1.0, sin, 1.0)),
+            Combined::length(of("ecc.y".to_owned()), half(sin, -1.0, cos, 1.0)),
+            Combined::length(of("back.cos".to_owned()), half(cos, 1.0, sin, -1.0)),
+            Combined::length(of("back.sin".to_owned()), half(sin, 1.0, cos, 1.0)),
+        ]
+    }
+
+    /// Largest ranges of what is left within a sector, by the name of the direction.
+    fn asynchronous(&self, run: &Run<'_>, fitted: &Fitted, sizes: &mut Sizes) -> Result<Vec<(String, f64)>> {
+        let mut of_sensors = vec![Sectors::new(usize::from(self.sectors)); run.readings.len()];
+        let mut rotating = Sectors::new(usize::from(self.sectors));
+        let pair = between(&self.radial);
+        fitted.each_rest(run, |index, rest| {
+            let angle = run.angles[index];
+            for (sectors, rest) in of_sensors.iter_mut().zip(rest) {
+                sizes.push(*rest);
+                sectors.push(angle, *rest);
+            }
+            if let Some(between) = pair {
+                rotating.push(angle, along_rotating(rest, between, angle));
+            }
+        });
+        if let Some((sector, count)) = of_sensors[0].fewest()
+            && count < 2
+        {
+            let message =
+                format!("sector {sector} of {} has {count} readings, two at least were expected", self.sectors);
+            let help =
+                format!("choose fewer `sectors`: there are {:.0} readings a turn", run.angles.len() as f64 / run.turns);
+            return Err(run.error(message).help(help));
+        }
+        let names = self.radial.keys().chain(&self.axial).cloned();
+        let mut all: Vec<(String, f64)> =
+            names.zip(&of_sensors).filter_map(|(name, sectors)| Some((name, sectors.largest()?))).collect();
+        if pair.is_some() {
+            all.extend(rotating.largest().map(|largest| ("rotating".to_owned(), largest)));
+        }
+        Ok(all)
+    }
+
+    /// Fails where the fundamental goes round against the spindle.
+    fn check_sense(&self, run: &Run<'_>, found: &Found, name: &str) -> Result<()> {
+        let size = |parts: [&str; 2]| {
+            let of = |part: &str| {
+                let name = format!("run[{name}].{part}");
+                found
+                    .parameters
+                    .iter()
+                    .find(|parameter| parameter.name == name)
+                    .map_or(0.0, |parameter| parameter.value)
+            };
+            of(parts[0]).hypot(of(parts[1])) * 1e3
+        };
+        let (forward, backward) = (size(["ecc.x", "ecc.y"]), size(["back.cos", "back.sin"]));
+        if self.accept_backward || backward <= forward {
+            return Ok(());
+        }
+        let names: Vec<&str> = self.radial.keys().map(String::as_str).collect();
+        let message = format!(
+            "{backward:.3} um of its fundamental go round against the spindle, {forward:.3} um with it: are {} swapped?",
+            names.join(" and ")
+        );
+        Err(run.error(message).help(
+            "check the columns, `azimuth_deg` and the sense of the angle; if the artefact is centred so well, write \
+             `accept_backward: true`",
+        ))
+    }
+}
+
+/// What two sensors read along the direction that turns with the spindle; `between` is the angle from one to the other.
+pub fn along_rotating(readings: &[f64], between: f64, angle: f64) -> f64 {
+    let [x, y] = [readings[0], (readings[1] - readings[0] * between.cos()) / between.sin()];
+    x * angle.cos() + y * angle.sin()
+}
+
+impl Estimate for Motion {
+    fn check_readings(&self, headers: &[Vec<ColumnHeader>]) -> Result<()> {
+        check_columns(&self.expected(), headers)
+    }
+
+    fn estimate_readings(&self, name: &str, data: &[&Dataset]) -> Result<Calibration> {
+        let (mut found, mut sizes, mut names) = (Found::default(), Sizes::default(), BTreeSet::new());
+        let (mut condition, mut unknowns) = (1.0_f64, 0);
+        for run in runs(data, &self.expected())? {
+            let called = self.name(&run)?;
+            if !names.insert(called.clone()) {
+                let message = format!("there is a run called `{called}` already");
+                return Err(run.error(message).help("write `named_by: label`, or estimate repeats one by one"));
+            }
+            let fitted = self.fit(&run)?;
+            let combined = self.combined(&called, &fitted.basis);
+            found.fixed(format!("run[{called}].speed"), run.speed, "rpm");
+            found.fixed(format!("run[{called}].turns"), run.turns, "1");
+            let freedom = run.whole_turns() as f64 - 1.0;
+            found.add(&combined, &fitted.values.concat(), &fitted.covariance, freedom);
+            self.check_sense(&run, &found, &called)?;
+            for (direction, largest) in self.asynchronous(&run, &fitted, &mut sizes)? {
+                found.fixed(format!("run[{called}].async.{direction}"), largest, "mm");
+            }
+            condition = condition.max(fitted.condition);
+            unknowns += combined.len();
+        }
+        let report = sizes.report(unknowns, unknowns, condition);
+        Ok(found.calibration(name, PLUGIN, json!(self), "scatter of single turns", report))
+    }
+
+    fn estimate(&self, _: &Problem) -> Result<Calibration> {
+        Err(readings_alone())
+    }
+
+    fn identify(&self, _: &Problem) -> Result<Identifiability> {
+        Err(readings_alone())
+    }
+}
+
+/// The error for a problem of a machine.
+pub fn readings_alone() -> Error {
+    Error::usage("this estimator reads data sets under `from`; it knows no machine").setting("from")
+}
+
+/// A sensor at azimuth 0.
+impl Default for Radial {
+    fn default() -> Self {
+        Self { azimuth_deg: 0.0 }
+    }
+}

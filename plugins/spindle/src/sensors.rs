@@ -1,0 +1,127 @@
+//! Sensors: where they stand, and what readings of a working one look like.
+
+use std::collections::BTreeMap;
+
+use abbe_core::{PathItem, Result, SettingsError};
+use schemars::JsonSchema;
+use serde::{Deserialize, Serialize};
+
+use crate::readings::Run;
+
+/// A radial sensor.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct Radial {
+    /// Its direction from the axis of the spindle, in the sense in which the angle of the spindle counts.
+    pub azimuth_deg: f64,
+}
+
+/// Radial sensors by their columns without unit.
+pub type RadialSensors = BTreeMap<String, Radial>;
+
+/// Smallest sine of the angle between a pair of sensors.
+const ACROSS: f64 = 0.5;
+
+/// Fails for more than two sensors, and for two that look along one line.
+pub fn check_radial(radial: &RadialSensors) -> Result<(), SettingsError> {
+    if radial.len() > 2 {
+        return Err(SettingsError::new("radial", "one sensor, or a pair of sensors, was expected"));
+    }
+    for (name, sensor) in radial {
+        if !sensor.azimuth_deg.is_finite() {
+            let error = SettingsError::new("azimuth_deg", "a finite angle was expected");
+            return Err(error.under([PathItem::Key("radial".to_owned()), PathItem::Key(name.clone())]));
+        }
+    }
+    if let Some(between) = between(radial)
+        && between.sin().abs() < ACROSS
+    {
+        let message = format!(
+            "the sensors stand {:.0} deg apart and tell one direction alone; 90 deg were expected, 30 to 150 do",
+            between.to_degrees()
+        );
+        return Err(SettingsError::new("radial", message));
+    }
+    Ok(())
+}
+
+/// Angle from the first sensor of a pair to the second one, rad.
+pub fn between(radial: &RadialSensors) -> Option<f64> {
+    let mut azimuths = radial.values().map(|sensor| sensor.azimuth_deg);
+    let (one, other) = (azimuths.next()?, azimuths.next()?);
+    Some((other - one).to_radians())
+}
+
+/// Fewest equal extremes that are told as clipped.
+const EQUAL: usize = 5;
+
+/// Part of the range by which equal readings may differ: rounding.
+const SAME: f64 = 1e-9;
+
+/// Fails for readings that stand still, move more or less than a spindle does, or are cut off at one end.
+pub fn check_sensor(run: &Run<'_>, name: &str, readings: &[f64], plausible: [f64; 2]) -> Result<()> {
+    let [lowest, highest] =
+        readings.iter().fold([f64::MAX, f64::MIN], |[low, high], &value| [low.min(value), high.max(value)]);
+    let range = highest - lowest;
+    if range == 0.0 {
+        let message = format!("{name} reads {} um all the time", lowest * 1e3);
+        return Err(run.error(message).help("is the sensor connected, and within its range?"));
+    }
+    if !(plausible[0]..=plausible[1]).contains(&range) {
+        let message = format!(
+            "{name} moves by {:.4} um, and {} um to {} um are plausible",
+            range * 1e3,
+            plausible[0] * 1e3,
+            plausible[1] * 1e3
+        );
+        return Err(run.error(message).help("is it in the unit that its column says? else widen `plausible_um`"));
+    }
+    for (end, word) in [(highest, "largest"), (lowest, "smallest")] {
+        let sign = if end == highest { 1.0 } else { -1.0 };
+        let at_end = Levels::of(readings, sign, SAME * range);
+        if at_end.is_clipped() {
+            let first = readings.iter().position(|value| *value == end).unwrap_or_default();
+            let message = format!(
+                "{name} reads its {word} value, {:.4} um, {} times, and the next ones {} times at most: it is clipped",
+                end * 1e3,
+                at_end.0[0].1,
+                at_end.nearby()
+            );
+            return Err(run
+                .error_at(first, message)
+                .help("set the sensor to the middle of its range, or centre the artefact"));
+        }
+    }
+    Ok(())
+}
+
+/// The outermost values of readings and how often they are there.
+struct Levels(Vec<(f64, usize)>);
+
+impl Levels {
+    const COUNT: usize = 4;
+
+    fn of(readings: &[f64], sign: f64, same: f64) -> Self {
+        let mut levels: Vec<(f64, usize)> = Vec::new();
+        for value in readings.iter().map(|value| sign * value) {
+            match levels.iter().position(|level| level.0 <= value + same) {
+                Some(place) if levels[place].0 >= value - same => levels[place].1 += 1,
+                Some(place) => levels.insert(place, (value, 1)),
+                None => levels.push((value, 1)),
+            }
+            // What falls out at the end never comes back: what is further out stays.
+            levels.truncate(Self::COUNT);
+        }
+        Self(levels)
+    }
+
+    /// The most that one of the values next to the outermost is there.
+    fn nearby(&self) -> usize {
+        self.0[1..].iter().map(|level| level.1).max().unwrap_or(0)
+    }
+
+    /// A smooth signal reads its extreme at most 2.4 times as often as the values beside it, in any steps.
+    fn is_clipped(&self) -> bool {
+        self.0[0].1 >= EQUAL.max(5 * self.nearby())
+    }
+}

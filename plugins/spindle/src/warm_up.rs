@@ -1,0 +1,209 @@
+//! Estimator plugin `spindle-warm-up`: drift of a spindle while it warms up, and how it follows temperatures.
+
+use abbe_core::{
+    Calibration, ColumnHeader, Context, DataRow, Dataset, Error, Estimate, EstimateSource, Identifiability, Problem,
+    Quantity, Result, SettingsError, positive,
+};
+use abbe_standards::thermal_drift::{range, slope_at_end, time_to_part};
+use abbe_thermal::{Fitted, Hold, Output, Reference, SensorLog, Structure};
+use nalgebra::DMatrix;
+use schemars::JsonSchema;
+use serde::{Deserialize, Serialize};
+use serde_json::{Value, json};
+
+use crate::motion::readings_alone;
+use crate::parameters::{Combined, Found, Sizes};
+use crate::readings::check_column;
+
+/// The name of the plugin.
+pub const PLUGIN: &str = "spindle-warm-up";
+
+abbe_core::register!(
+    Estimate,
+    "spindle-warm-up",
+    "drift of a spindle that warms up: end, range, slope, time to 95 %, gains on temperatures",
+    WarmUp,
+    example,
+    build,
+    "../reference/estimate-spindle-warm-up.md",
+    EstimateSource::Readings,
+);
+
+/// Settings of a warm-up.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct WarmUp {
+    /// Columns of displacements, without their units.
+    pub drift: Vec<String>,
+    /// Columns of temperatures that the drift follows at once, without their units.
+    #[serde(default)]
+    pub temperatures: Vec<String>,
+    /// The column of the time, without its unit.
+    #[serde(default = "time")]
+    pub time: String,
+    /// The slope is that of the last minutes.
+    #[serde(default = "window")]
+    pub slope_over_min: f64,
+}
+
+fn time() -> String {
+    "time".to_owned()
+}
+
+fn window() -> f64 {
+    5.0
+}
+
+/// Part of the way from the first reading to the last one that the time is told of.
+const PART: f64 = 0.95;
+
+fn example() -> Value {
+    json!({ "drift": ["drift_x", "drift_y", "drift_z"], "temperatures": ["T02", "T03"], "slope_over_min": 5 })
+}
+
+fn build(settings: WarmUp, _: &Context) -> Result<Box<dyn Estimate>, SettingsError> {
+    if settings.drift.is_empty() {
+        return Err(SettingsError::new("drift", "at least one column was expected"));
+    }
+    for (key, names) in [("drift", &settings.drift), ("temperatures", &settings.temperatures)] {
+        if let Some(twice) = names.iter().enumerate().find(|(place, name)| names[..*place].contains(name)) {
+            return Err(SettingsError::new(key, format!("`{}` is there twice", twice.1)));
+        }
+    }
+    positive("slope_over_min", settings.slope_over_min)?;
+    Ok(Box::new(settings))
+}
+
+impl WarmUp {
+    fn one<'a>(&self, data: &[&'a Dataset]) -> Result<&'a Dataset> {
+        match data {
+            [one] => Ok(one),
+            _ => {
+                Err(Error::usage(format!("{} data sets were found; one warm-up was expected", data.len()))
+                    .setting("from"))
+            }
+        }
+    }
+
+    /// Temperatures counted from their means: the noise of no single row is in all differences.
+    fn log(&self, data: &Dataset, times: &[f64]) -> Result<SensorLog> {
+        let sensor = |name: &String| Ok((name.clone(), data.required_numbers(name)?.to_vec()));
+        let sensors = self.temperatures.iter().map(sensor).collect::<Result<_>>()?;
+        SensorLog::new(times.to_vec(), sensors, Hold::FirstOrder, None)?
+            .elevations(Reference::MeanUntil(times[times.len() - 1]))
+    }
+
+    /// Figures of a drift, which have no uncertainty of their own.
+    fn figures(&self, found: &mut Found, data: &Dataset, times: &[f64], name: &str) -> Result<()> {
+        let readings = data.required_numbers(name)?;
+        let last = readings.len() - 1;
+        let told = [
+            ("end", Some(readings[last]), "mm"),
+            ("range", range(times, readings, times[0], times[last]), "mm"),
+            ("slope", slope_at_end(times, readings, 60.0 * self.slope_over_min), "mm/s"),
+            ("time_to_95", time_to_part(times, readings, PART), "s"),
+        ];
+        for (what, value, unit) in told {
+            if let Some(value) = value {
+                found.fixed(format!("{name}.{what}"), value, unit);
+            }
+        }
+        Ok(())
+    }
+
+    /// Gains of a drift on temperatures, with the covariance that its residuals tell.
+    fn gains(&self, found: &mut Found, fitted: &Fitted, log: &SensorLog, output: usize, inverse: &DMatrix<f64>) {
+        let name = &self.drift[output];
+        let combined: Vec<Combined> = (self.temperatures.iter().enumerate())
+            .map(|(place, sensor)| Combined {
+                name: format!("{name}[{sensor}]"),
+                unit: "mm/K",
+                terms: vec![(place, 1.0)],
+            })
+            .collect();
+        // The mean is one more unknown.
+        let (rows, unknowns) = (log.times().len() as f64, self.temperatures.len() as f64);
+        let freedom = (rows - unknowns - 1.0).max(1.0);
+        let covariance = inverse * (fitted.scatter[output].powi(2) * (rows - unknowns) / freedom);
+        found.add(&combined, &fitted.gains[output], &covariance, freedom);
+    }
+}
+
+/// The inverse of the sums of squares and products of what sensors read, and the condition with columns of norm 1.
+fn inverse_of(log: &SensorLog) -> Option<(DMatrix<f64>, f64)> {
+    let (rows, columns) = (log.times().len(), log.names().len());
+    let matrix = DMatrix::from_fn(rows, columns, |row, column| log.values(column)[row]);
+    let norms: Vec<f64> = matrix.column_iter().map(|column| column.norm()).collect();
+    let scaled = DMatrix::from_fn(rows, columns, |row, column| matrix[(row, column)] / norms[column]);
+    let sizes = scaled.singular_values();
+    let condition = sizes.max() / sizes.min();
+    Some(((matrix.transpose() * &matrix).try_inverse()?, condition)).filter(|(_, condition)| condition.is_finite())
+}
+
+impl Estimate for WarmUp {
+    fn check_readings(&self, headers: &[Vec<ColumnHeader>]) -> Result<()> {
+        for (place, headers) in headers.iter().enumerate() {
+            check_column(place, headers, &self.time, Quantity::Time)?;
+            self.drift.iter().try_for_each(|name| check_column(place, headers, name, Quantity::Length))?;
+            self.temperatures.iter().try_for_each(|name| check_column(place, headers, name, Quantity::Temperature))?;
+        }
+        Ok(())
+    }
+
+    fn estimate_readings(&self, name: &str, data: &[&Dataset]) -> Result<Calibration> {
+        let data = self.one(data)?;
+        let times = data.required_numbers(&self.time)?;
+        if times.len() < 3 {
+            return Err(Error::data("three rows at least were expected of a warm-up").setting("from"));
+        }
+        if let Some(row) = (1..times.len()).find(|row| times[*row] <= times[row - 1]) {
+            return Err(data
+                .error_at(DataRow(row), "the time does not go on")
+                .help("did the clock jump, or are rows there twice?"));
+        }
+        let mut found = Found::default();
+        let (mut sizes, mut condition, mut unknowns) = (Sizes::default(), 1.0, 0);
+        self.drift.iter().try_for_each(|name| self.figures(&mut found, data, times, name))?;
+        if !self.temperatures.is_empty() {
+            let log = self.log(data, times)?;
+            let outputs = self.drift.iter().map(|name| {
+                let readings = data.required_numbers(name)?;
+                let mean = readings.iter().sum::<f64>() / readings.len() as f64;
+                let values: Vec<f64> = readings.iter().map(|reading| reading - mean).collect();
+                Ok(Output::of_run(name, times.to_vec(), values))
+            });
+            let outputs = outputs.collect::<Result<Vec<_>>>()?;
+            let structure = Structure {
+                inputs: Vec::new(),
+                at_once: (0..self.temperatures.len()).collect(),
+                time_constants: 0,
+                starts_warm: false,
+                guess: None,
+            };
+            let fitted = abbe_thermal::fit(std::slice::from_ref(&log), &outputs, &structure)?;
+            let (inverse, worst) = inverse_of(&log)
+                .ok_or_else(|| Error::data("the temperatures cannot be told apart").setting("temperatures"))?;
+            for (output, readings) in outputs.iter().enumerate() {
+                self.gains(&mut found, &fitted, &log, output, &inverse);
+                let predicted = fitted.predict(&log, output, times)?;
+                readings.runs[0]
+                    .values
+                    .iter()
+                    .zip(predicted)
+                    .for_each(|(value, predicted)| sizes.push(value - predicted));
+                unknowns += self.temperatures.len();
+            }
+            condition = worst;
+        }
+        let report = sizes.report(unknowns, unknowns, condition);
+        Ok(found.calibration(name, PLUGIN, json!(self), "residuals", report))
+    }
+
+    fn estimate(&self, _: &Problem) -> Result<Calibration> {
+        Err(readings_alone())
+    }
+
+    fn identify(&self, _: &Problem) -> Result<Identifiability> {
+        Err(readings_alone())
+    }
+}

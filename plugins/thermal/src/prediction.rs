@@ -1,0 +1,196 @@
+//! How well thermal states predict runs that they were not fitted to.
+
+use std::fmt::Write as _;
+
+use abbe_core::{
+    Calibration, Dataset, Error, Figure, Findings, Fit, Quantity, Result, SettingsError, from_settings, not_negative,
+};
+use abbe_thermal::Terms;
+use schemars::JsonSchema;
+use serde::Deserialize;
+
+use crate::settings::{Run, Settings};
+use crate::states::{NAME, terms};
+use crate::validate::{Limits, check_limits, limited, run_name};
+
+/// Predictions of runs that the estimate has not seen.
+#[derive(Debug, Clone, Default, PartialEq, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct PredictionSettings {
+    /// Rows before this time of a run are not judged: what a warm beginning leaves is not predicted.
+    #[serde(default)]
+    after_s: f64,
+    /// Largest admissible values over all runs: `max_um`, `rms_um` of lengths, `max_K`, `rms_K` of temperatures.
+    #[serde(default)]
+    limits: Limits,
+}
+
+/// A quantity of outputs, the unit of its figures, and the factor to it.
+const KINDS: [(Quantity, &str, f64); 3] =
+    [(Quantity::Length, "um", 1e3), (Quantity::Temperature, "K", 1.0), (Quantity::Angle, "urad", 1e6)];
+
+/// Predictions that scatter by this factor more than the estimate promises get a word.
+const OPTIMISTIC: f64 = 1.5;
+
+/// Sums over readings of one kind.
+#[derive(Default, Clone, Copy)]
+struct Sums {
+    squares: f64,
+    variances: f64,
+    largest: f64,
+    count: usize,
+}
+
+impl Sums {
+    fn add(&mut self, other: &Self) {
+        self.squares += other.squares;
+        self.variances += other.variances;
+        self.largest = self.largest.max(other.largest);
+        self.count += other.count;
+    }
+
+    fn root(&self, of: f64) -> f64 {
+        (of / self.count.max(1) as f64).sqrt()
+    }
+}
+
+impl PredictionSettings {
+    /// Refuses limits of figures that do not exist.
+    pub fn check(&self) -> Result<(), SettingsError> {
+        not_negative("after_s", self.after_s)?;
+        check_limits(&self.limits, &["max_um", "rms_um", "max_K", "rms_K", "max_urad", "rms_urad"])
+    }
+
+    /// Figures of one estimate.
+    pub fn judge(&self, fit: &Fit, data: &[&Dataset], findings: &mut Findings) -> Result<()> {
+        let calibration = &fit.calibration;
+        if calibration.model.plugin != NAME {
+            let message = format!("`{}` is no estimate of thermal states: it predicts no readings", fit.name);
+            return Err(Error::usage(message).setting("of"));
+        }
+        let known = Known::new(calibration)?;
+        let mut all = [Sums::default(); KINDS.len()];
+        let mut details = Vec::new();
+        for data in data {
+            let run = known.settings.run(data)?;
+            let name = run_name(data);
+            let mut table = String::from("time_s,output,reading,predicted,standard_uncertainty\n");
+            for output in 0..run.outputs.len() {
+                let (kind, unit, sums) = self.output(&known, &run, output, &mut table)?;
+                all[kind].add(&sums);
+                let label = format!("{}, {name}", run.outputs[output].0);
+                let detail =
+                    |what: &str, value| Figure::new(&fit.name, format!("{what}[{label}]"), value, unit).detail();
+                details.extend([detail("rms", sums.root(sums.squares)), detail("max", sums.largest)]);
+                details.push(detail("standard uncertainty of predictions", sums.root(sums.variances)));
+            }
+            findings.tables.insert(format!("prediction-{}-{name}.csv", fit.name), table);
+        }
+        for ((_, unit, _), sums) in KINDS.iter().zip(&all).filter(|(_, sums)| sums.count > 0) {
+            let figure = |what: &str, value| {
+                limited(Figure::new(&fit.name, what, value, unit), &format!("{what}_{unit}"), &self.limits)
+            };
+            let (rms, stated) = (sums.root(sums.squares), sums.root(sums.variances));
+            findings.figures.extend([figure("max", sums.largest), figure("rms", rms)]);
+            findings.figures.push(figure("standard uncertainty of predictions", stated));
+            if rms > OPTIMISTIC * stated {
+                let symbol = unit.replace('u', "µ");
+                findings.remarks.push(format!(
+                    "{}: take {rms:.3} {symbol} as standard uncertainty of a prediction; that of the estimate alone, {stated:.3} {symbol}, \
+                     knows neither the noise of readings nor what the model lacks",
+                    fit.name
+                ));
+            }
+        }
+        findings.figures.extend(details);
+        Ok(())
+    }
+
+    /// One output of one run: its kind, unit and sums.
+    fn output(
+        &self,
+        known: &Known,
+        run: &Run,
+        output: usize,
+        table: &mut String,
+    ) -> Result<(usize, &'static str, Sums)> {
+        let (name, quantity, readings) = &run.outputs[output];
+        let kind = KINDS
+            .iter()
+            .position(|(own, ..)| own == quantity)
+            .ok_or_else(|| Error::usage(format!("{name} is no length, angle or temperature: it cannot be judged")))?;
+        let (_, unit, factor) = KINDS[kind];
+        let (predicted, variances) = known.predict(run, name, &readings.times)?;
+        let mut sums = Sums::default();
+        let begin = run.log.times()[0] + self.after_s;
+        for (row, time) in readings.times.iter().enumerate().filter(|(_, time)| **time >= begin) {
+            let off = factor * (readings.values[row] - predicted[row]);
+            let variance = factor * factor * variances[row];
+            sums.squares += off * off;
+            sums.variances += variance;
+            sums.largest = sums.largest.max(off.abs());
+            sums.count += 1;
+            let (reading, predicted) = (factor * readings.values[row], factor * predicted[row]);
+            // Writing to a text does not fail.
+            let _ = writeln!(table, "{time},{name}_{unit},{reading},{predicted},{}", variance.sqrt());
+        }
+        if sums.count == 0 {
+            return Err(Error::data(format!("no reading of {name} is later than `after_s`")).setting("after_s"));
+        }
+        Ok((kind, unit, sums))
+    }
+}
+
+/// What a calibration knows of thermal states.
+struct Known<'a> {
+    settings: Settings,
+    calibration: &'a Calibration,
+    time_constants: Vec<f64>,
+}
+
+impl<'a> Known<'a> {
+    fn new(calibration: &'a Calibration) -> Result<Self> {
+        let settings: Settings = from_settings(&calibration.model.settings)
+            .map_err(|error| Error::data(format!("the settings of this calibration: {error}")))?;
+        let settings = Settings { starts_warm: false, ..settings };
+        let count = settings.structure().time_constants;
+        let time = |index: usize| value(calibration, &format!("time_constant[{}]_s", index + 1));
+        let time_constants = (0..count).map(time).collect::<Result<Vec<f64>>>()?;
+        Ok(Self { settings, calibration, time_constants })
+    }
+
+    /// An output at some times, and the variances of these predictions.
+    fn predict(&self, run: &Run, name: &str, times: &[f64]) -> Result<(Vec<f64>, Vec<f64>)> {
+        let structure = self.settings.structure();
+        let found = Terms::new(&run.log, &structure, &self.time_constants, times)?;
+        let names: Vec<String> =
+            terms(&structure, run.log.names(), 1).into_iter().map(|(suffix, _)| format!("{name}{suffix}")).collect();
+        let gains = names.iter().map(|name| value(self.calibration, name)).collect::<Result<Vec<f64>>>()?;
+        let predicted = found.output(&gains);
+        let states = self.time_constants.len();
+        let mut order: Vec<String> = (1..=states).map(|index| format!("time_constant[{index}]_s")).collect();
+        order.extend(names);
+        let covariance = self.calibration.covariance.block(&order);
+        let variance = |row: usize| {
+            let mut derivatives = vec![0.0; order.len()];
+            for gain in 0..gains.len() {
+                derivatives[states + gain] = found.columns[(row, gain)];
+                if gain < structure.inputs.len() * states {
+                    let index = gain % states;
+                    derivatives[index] += gains[gain] * found.slopes[(row, gain)] / self.time_constants[index];
+                }
+            }
+            let products = (0..order.len()).flat_map(|row| (0..order.len()).map(move |column| (row, column)));
+            products
+                .map(|(row, column)| derivatives[row] * covariance[(row, column)] * derivatives[column])
+                .sum::<f64>()
+        };
+        let variances = (0..times.len()).map(|row| variance(row).max(0.0)).collect();
+        Ok((predicted, variances))
+    }
+}
+
+fn value(calibration: &Calibration, name: &str) -> Result<f64> {
+    let found = calibration.get(name).map(|estimated| estimated.value);
+    found.ok_or_else(|| Error::data(format!("the calibration has no `{name}`")))
+}

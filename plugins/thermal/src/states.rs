@@ -1,0 +1,215 @@
+//! Estimator plugin `thermal-states`: gains and time constants of readings that follow temperatures or speeds.
+
+use abbe_core::{
+    CALIBRATION_FORMAT, Calibration, ColumnHeader, Context, Dataset, Error, Estimate, EstimateSource, Estimated,
+    FitReport, Identifiability, ModelRecord, NamedCovariance, Problem, Quantity, Result, SettingsError, Status, Unit,
+};
+use abbe_thermal::{Fitted, Output, Readings, SensorLog, fit, select};
+use serde_json::{Value, json};
+
+use crate::settings::{Run, Settings, Uncertainty, gain_unit, quantity};
+use crate::validate::run_name;
+
+/// Name of the plugin, and of the model in its calibrations.
+pub const NAME: &str = "thermal-states";
+
+abbe_core::register!(
+    Estimate,
+    "thermal-states",
+    "gains and time constants of readings that follow temperatures or speeds",
+    Settings,
+    example,
+    build,
+    "../reference/estimate-thermal-states.md",
+    EstimateSource::Readings,
+);
+
+fn example() -> Value {
+    json!({ "inputs": ["T34", "T52"], "outputs": ["T1?", "drift_*"], "time_constants": 2, "reference_until_s": 600 })
+}
+
+fn build(settings: Settings, _: &Context) -> Result<Box<dyn Estimate>, SettingsError> {
+    settings.check()?;
+    Ok(Box::new(ThermalStates { settings }))
+}
+
+struct ThermalStates {
+    settings: Settings,
+}
+
+/// Part by which a smaller structure may predict worse.
+const WORSE: f64 = 0.02;
+
+impl Estimate for ThermalStates {
+    fn check_readings(&self, headers: &[Vec<ColumnHeader>]) -> Result<()> {
+        headers.iter().try_for_each(|headers| self.settings.chosen(headers).map(drop))
+    }
+
+    fn estimate_readings(&self, name: &str, data: &[&Dataset]) -> Result<Calibration> {
+        let runs = data.iter().map(|data| self.settings.run(data)).collect::<Result<Vec<Run>>>()?;
+        let outputs = outputs(&runs)?;
+        let logs: Vec<SensorLog> = runs.iter().map(|run| run.log.clone()).collect();
+        for (log, data) in logs.iter().zip(data) {
+            let is_temperature = |sensor: &usize| quantity(data, &log.names()[*sensor]) == Quantity::Temperature;
+            let faults = (0..log.names().len()).filter(is_temperature).flat_map(|sensor| log.faults(sensor));
+            faults.for_each(|fault| tracing::warn!("{name}: {}: {fault}", run_name(data)));
+        }
+        let mut structure = self.settings.structure();
+        if self.settings.select.is_some() {
+            let (smallest, tried) = select(&logs, &outputs, &structure, WORSE)?;
+            for tried in &tried {
+                let inputs: Vec<&str> =
+                    tried.structure.inputs.iter().map(|&input| logs[0].names()[input].as_str()).collect();
+                let (inputs, count) = (inputs.join(", "), tried.structure.time_constants);
+                tracing::info!(
+                    "{name}: {inputs} with {count} time constants predict up to {:.4} of the scatter",
+                    tried.error
+                );
+            }
+            structure = smallest;
+        }
+        let fitted = fit(&logs, &outputs, &structure)?;
+        let quantities: Vec<Quantity> = runs[0].outputs.iter().map(|(_, quantity, _)| *quantity).collect();
+        let of_input = |sensor: usize| quantity(data[0], &logs[0].names()[sensor]);
+        let found = Found { fitted: &fitted, logs: &logs, outputs: &outputs, quantities: &quantities };
+        let covariance = match self.settings.uncertainty {
+            Uncertainty::Ordinary => fitted.covariance.clone(),
+            Uncertainty::Blocks => {
+                fitted.bootstrap(&logs, &outputs, self.settings.bootstrap(&logs, &fitted.time_constants))?
+            }
+        };
+        let values = found.values(of_input);
+        // Time constants are estimated by their logarithms.
+        let scale = |place: usize| fitted.time_constants.get(place).copied().unwrap_or(1.0);
+        let entry = |row: usize, column: usize| scale(row) * scale(column) * covariance[(row, column)];
+        let rows: Vec<Vec<f64>> =
+            (0..values.len()).map(|row| (0..values.len()).map(|column| entry(row, column)).collect()).collect();
+        let parameters = values.iter().enumerate().map(|(place, (name, value, unit))| Estimated {
+            name: name.clone(),
+            value: *value,
+            unit: unit.to_string(),
+            standard_uncertainty: rows[place][place].max(0.0).sqrt(),
+            status: Status::Estimated,
+        });
+        Ok(Calibration {
+            abbe_calibration: CALIBRATION_FORMAT,
+            estimate: name.to_owned(),
+            model: ModelRecord { plugin: NAME.to_owned(), settings: self.resolved(&fitted, &logs, &outputs)? },
+            parameters: parameters.collect(),
+            artefacts: Vec::new(),
+            covariance: NamedCovariance { order: values.into_iter().map(|(name, ..)| name).collect(), rows },
+            inputs: Some(Vec::new()),
+            data: Vec::new(),
+            outliers: Vec::new(),
+            fit: found.report(),
+            uncertainty: None,
+            monte_carlo: None,
+        })
+    }
+
+    fn estimate(&self, _: &Problem) -> Result<Calibration> {
+        Err(Error::usage("thermal states follow from readings, and not from poses of a machine"))
+    }
+
+    fn identify(&self, _: &Problem) -> Result<Identifiability> {
+        Err(Error::usage("thermal states follow from readings, and not from poses of a machine"))
+    }
+}
+
+impl ThermalStates {
+    /// The settings with which others predict: inputs that were selected, all outputs by their names, time constants.
+    fn resolved(&self, fitted: &Fitted, logs: &[SensorLog], outputs: &[Output]) -> Result<Value> {
+        let names = |sensors: &[usize]| sensors.iter().map(|&sensor| logs[0].names()[sensor].clone()).collect();
+        let settings = Settings {
+            inputs: names(&fitted.structure.inputs),
+            at_once: names(&fitted.structure.at_once),
+            outputs: outputs.iter().map(|output| output.name.clone()).collect(),
+            time_constants: Some(fitted.time_constants.len()),
+            time_constants_s: fitted.time_constants.clone(),
+            select: None,
+            ..self.settings.clone()
+        };
+        serde_json::to_value(settings).map_err(|error| Error::data(format!("the settings cannot be written: {error}")))
+    }
+}
+
+/// The outputs of all runs; those of the first run have to be in all.
+fn outputs(runs: &[Run]) -> Result<Vec<Output>> {
+    let first = runs.first().ok_or_else(|| Error::usage("at least one run was expected").setting("from"))?;
+    let of_runs = |name: &str| -> Result<Vec<Readings>> {
+        let in_run =
+            |run: &Run| run.outputs.iter().find(|(own, ..)| own == name).map(|(.., readings)| readings.clone());
+        let missing = || Error::data(format!("the output {name} is missing in one of the runs"));
+        runs.iter().map(|run| in_run(run).ok_or_else(missing)).collect()
+    };
+    first
+        .outputs
+        .iter()
+        .map(|(name, ..)| Ok(Output { name: name.clone(), runs: of_runs(name)?, standard_uncertainty: None }))
+        .collect()
+}
+
+/// What a fit found, with what is needed to name it.
+struct Found<'a> {
+    fitted: &'a Fitted,
+    logs: &'a [SensorLog],
+    outputs: &'a [Output],
+    quantities: &'a [Quantity],
+}
+
+impl Found<'_> {
+    /// Name, value and unit of everything that is estimated, in the order of the covariance.
+    fn values(&self, of_input: impl Fn(usize) -> Quantity) -> Vec<(String, f64, Unit)> {
+        let seconds = Unit { of: Quantity::Time, per: None };
+        let times = self.fitted.time_constants.iter().enumerate();
+        let mut values: Vec<(String, f64, Unit)> =
+            times.map(|(index, time)| (format!("time_constant[{}]_s", index + 1), *time, seconds)).collect();
+        for ((output, gains), quantity) in self.outputs.iter().zip(&self.fitted.gains).zip(self.quantities) {
+            let terms = terms(&self.fitted.structure, self.logs[0].names(), self.logs.len());
+            for ((suffix, sensor), gain) in terms.iter().zip(gains) {
+                let unit = match sensor {
+                    Some(sensor) => gain_unit(*quantity, of_input(*sensor)),
+                    None => Unit { of: *quantity, per: None },
+                };
+                values.push((format!("{}{suffix}", output.name), *gain, unit));
+            }
+        }
+        values
+    }
+
+    fn report(&self) -> FitReport {
+        let unknowns = self.fitted.covariance.nrows();
+        let observations: usize = self.outputs.iter().map(Output::count).sum();
+        let lengths: Vec<f64> = (self.fitted.residuals.iter().zip(self.quantities))
+            .filter(|(_, quantity)| **quantity == Quantity::Length)
+            .flat_map(|(residuals, _)| residuals.iter().map(|residual| 1e3 * residual))
+            .collect();
+        let mean =
+            |of: fn(f64) -> f64| lengths.iter().map(|value| of(*value)).sum::<f64>() / lengths.len().max(1) as f64;
+        FitReport {
+            observations,
+            condition: self.fitted.condition,
+            degrees_of_freedom: observations.saturating_sub(unknowns),
+            iterations: self.fitted.passes,
+            residual_max_um: lengths.iter().fold(0.0, |largest, value| value.abs().max(largest)),
+            residual_mean_abs_um: mean(f64::abs),
+            residual_rms_um: mean(|value| value * value).sqrt(),
+            ..FitReport::without_rows(unknowns)
+        }
+    }
+}
+
+/// How the gains of an output are called after its name, and the sensor of each; none for states at the beginning.
+pub fn terms(structure: &abbe_thermal::Structure, names: &[String], runs: usize) -> Vec<(String, Option<usize>)> {
+    let states = 1..=structure.time_constants;
+    let mut terms = Vec::new();
+    for &input in &structure.inputs {
+        terms.extend(states.clone().map(|state| (format!("[{}:{state}]", names[input]), Some(input))));
+    }
+    terms.extend(structure.at_once.iter().map(|&sensor| (format!("[{}]", names[sensor]), Some(sensor))));
+    for run in (1..=runs).filter(|_| structure.starts_warm) {
+        let of_run = if runs > 1 { format!(" of run {run}") } else { String::new() };
+        terms.extend(states.clone().map(|state| (format!("[start:{state}{of_run}]"), None)));
+    }
+    terms
+}

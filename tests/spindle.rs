@@ -1,0 +1,315 @@
+//! Check of a spindle: truth and expected figures of the simulated data, the last check, and bad input as users meet it.
+
+use std::sync::OnceLock;
+
+use abbe_core::{Calibration, Figure, Status};
+use abbe_engine::Outcome;
+use serde_json::{Value, json};
+
+use crate::support::{Variant, abbe, fit, json_file, read, recipes, root, temporary, write};
+
+fn recipe(data: &str) -> Variant {
+    Variant::of(&recipes()[if data == "exact" { "spindle-motion-exact" } else { "spindle-motion" }])
+}
+
+fn outcome(data: &str) -> &'static Outcome {
+    static EXACT: OnceLock<Outcome> = OnceLock::new();
+    static REALISTIC: OnceLock<Outcome> = OnceLock::new();
+    let once = if data == "exact" { &EXACT } else { &REALISTIC };
+    once.get_or_init(|| recipe(data).run())
+}
+
+fn truth(data: &str) -> Vec<(String, f64)> {
+    let file = json_file(&root().join(format!("tests/truth/spindle-motion-{data}.json")));
+    let parameters = file["parameters"].as_object().expect("parameters").iter();
+    parameters.map(|(name, value)| (name.clone(), value.as_f64().expect("a number"))).collect()
+}
+
+fn expected(data: &str) -> Value {
+    json_file(&root().join(format!("tests/truth/spindle-motion-{data}-expected.json")))
+}
+
+/// Value and standard uncertainty.
+fn found(calibration: &Calibration, name: &str) -> (f64, f64) {
+    let found = calibration.get(name).unwrap_or_else(|| panic!("no {name}"));
+    (found.value, found.standard_uncertainty)
+}
+
+/// Harmonics of runs with the form in them, the truth and the uncertainty; what the truth does not name is zero.
+fn harmonics(data: &str) -> Vec<(String, f64, f64, f64)> {
+    let (outcome, truth) = (outcome(data), truth(data));
+    let of = |name: &str| truth.iter().find(|(other, _)| other == name).map_or(0.0, |(_, value)| *value);
+    let motion = &fit(outcome, "motion").calibration;
+    let mut all = Vec::new();
+    for estimated in motion.parameters.iter().filter(|parameter| parameter.status == Status::Estimated) {
+        let name = &estimated.name;
+        if name.contains("mean.") || name.contains("drift.") {
+            continue;
+        }
+        let mut expected = of(name);
+        // h(a - S) of the artefact: sensors at 0 and at 90 degrees.
+        for (sensor, azimuth) in [("r1", 0.0_f64), ("r2", 90.0)] {
+            if let Some((_, order)) = name.split_once(&format!("sync.{sensor}[")) {
+                let (part, order) = order.trim_end_matches(']').split_at(3);
+                let (sin, cos) = (order.parse::<f64>().expect("an order") * azimuth.to_radians()).sin_cos();
+                let [form_cos, form_sin] = ["cos", "sin"].map(|part| of(&format!("form[{part}{order}]")));
+                expected +=
+                    if part == "cos" { form_cos * cos + form_sin * sin } else { form_cos * sin - form_sin * cos };
+            }
+        }
+        all.push((name.clone(), estimated.value, expected, estimated.standard_uncertainty));
+    }
+    let reversal = &fit(outcome, "reversal").calibration;
+    for estimated in reversal.parameters.iter().filter(|parameter| parameter.status == Status::Estimated) {
+        let expected = match estimated.name.strip_prefix("sync.") {
+            Some(own) => of(&format!("run[600].sync.{own}")),
+            None => of(&estimated.name),
+        };
+        all.push((format!("reversal {}", estimated.name), estimated.value, expected, estimated.standard_uncertainty));
+    }
+    let warm_up = &fit(outcome, "warm-up").calibration;
+    for estimated in warm_up.parameters.iter().filter(|parameter| parameter.status == Status::Estimated) {
+        all.push((estimated.name.clone(), estimated.value, of(&estimated.name), estimated.standard_uncertainty));
+    }
+    all
+}
+
+#[test]
+fn exact_data_give_the_truth_back() {
+    let all = harmonics("exact");
+    // Of each run 4, 2 x 46 and 48; of the reversal 92; six gains.
+    assert_eq!(all.len(), 3 * 144 + 92 + 6);
+    for (name, value, truth, _) in all {
+        let off = (value - truth).abs() * 1e3;
+        assert!(off < 3e-11, "{name} is off by {off:e} um");
+    }
+}
+
+#[test]
+fn realistic_data_hold_the_truth_within_their_uncertainty() {
+    let all = harmonics("realistic");
+    let mut outside = 0;
+    for (name, value, truth, uncertainty) in &all {
+        let off = (value - truth).abs() / uncertainty;
+        // 31 degrees of freedom: 95 % are within 2.04, and 99.9 % of 530 values within 4.9.
+        outside += usize::from(off > 2.04);
+        assert!(off < 3.0, "{name} is {off} standard uncertainties off");
+        assert!(*uncertainty < if name.contains("drift_") { 1e-5 } else { 2e-5 }, "{name}: {uncertainty:e}");
+    }
+    assert!(outside * 20 <= all.len(), "{outside} of {}", all.len());
+}
+
+fn figures(data: &str) -> &'static [Figure] {
+    let verdict = outcome(data).verdicts.iter().find(|verdict| verdict.stage == "spindle").expect("a verdict");
+    &verdict.figures
+}
+
+fn figure<'a>(figures: &'a [Figure], name: &str) -> &'a Figure {
+    figures.iter().find(|figure| figure.name == name).unwrap_or_else(|| panic!("no figure {name}"))
+}
+
+#[test]
+fn figures_are_those_that_are_expected() {
+    // Names, keys of the expected values, and whether the form makes a difference.
+    let names = [
+        ("eccentricity[R]", "eccentricity_um", false),
+        ("eccentricity phase[R]", "eccentricity_phase_deg", false),
+        ("backward fundamental[R]", "backward_fundamental_um", false),
+        ("synchronous rotating[R]", "synchronous_rotating_um", true),
+        ("asynchronous rotating[R]", "asynchronous_rotating_um", false),
+        ("synchronous fixed[R r1]", "synchronous_fixed_r1_um", true),
+        ("synchronous fixed[R r2]", "synchronous_fixed_r2_um", true),
+        ("asynchronous fixed[R r1]", "asynchronous_fixed_r1_um", false),
+        ("asynchronous fixed[R r2]", "asynchronous_fixed_r2_um", false),
+        ("synchronous axial[R]", "axial_synchronous_um", false),
+        ("fundamental axial[R]", "axial_fundamental_um", false),
+        ("residual synchronous axial[R]", "axial_residual_synchronous_um", false),
+        ("asynchronous axial[R]", "axial_asynchronous_um", false),
+    ];
+    for (data, removed) in [("exact", 1e-6), ("realistic", 2e-3)] {
+        let (all, expected) = (figures(data), expected(data));
+        for run in ["600", "3000", "9000"] {
+            let of = |form: &str, key: &str| expected[format!("motion-{run}")][form][key].as_f64().expect("a number");
+            for (name, key, by_form) in names {
+                let name = name.replace('R', run);
+                let found = figure(all, &name);
+                let off = (found.value.expect("a value") - of("form_removed", key)).abs();
+                let allowed = if by_form { removed } else { 5e-5 };
+                assert!(off < allowed, "{data} {name}: off by {off:e}");
+                assert!(found.standard_uncertainty.is_some() || data == "exact", "{data} {name}");
+                if by_form {
+                    let read = figure(all, &name.replacen('[', " as read[", 1));
+                    let off = (read.value.expect("a value") - of("as_read", key)).abs();
+                    assert!(off < 5e-5 && read.detail, "{data} {name} as read: off by {off:e}");
+                }
+            }
+        }
+        let reversal = [
+            ("form out of roundness", "form_out_of_roundness_um"),
+            ("reversal synchronous fixed[r1]", "spindle_synchronous_fixed_r1_um"),
+        ];
+        for (name, key) in reversal {
+            let found = figure(all, name);
+            let (value, uncertainty) = (found.value.expect("a value"), found.standard_uncertainty.expect("one"));
+            let off = (value - expected["reversal"][key].as_f64().expect("a number")).abs();
+            assert!(off < if data == "exact" { 1e-6 } else { 3e-3 } && uncertainty < 0.02, "{data} {name}: {off:e}");
+        }
+        for axis in ["x", "y", "z"] {
+            let of = |key: &str| expected["thermal-warmup"][axis][key].as_f64().expect("a number");
+            for (name, key) in [
+                ("warm-up end", "end_um"),
+                ("warm-up range", "range_um"),
+                ("warm-up slope", "rate_last_5_min_um_per_min"),
+            ] {
+                let value = figure(all, &format!("{name}[drift_{axis}]")).value.expect("a value");
+                assert!((value - of(key)).abs() < 1e-5, "{data} {name} {axis}: {value}");
+            }
+        }
+    }
+}
+
+#[test]
+fn a_total_motion_is_no_smaller_than_its_parts_and_no_larger_than_their_sum() {
+    for data in ["exact", "realistic"] {
+        let of = |name: String| figure(figures(data), &name).value.expect("a value");
+        for run in ["600", "3000", "9000"] {
+            for place in [format!("rotating[{run}]"), format!("fixed[{run} r1]"), format!("axial[{run}]")] {
+                let [total, synchronous, asynchronous] =
+                    ["total", "synchronous", "asynchronous"].map(|name| of(format!("{name} {place}")));
+                assert!(total > synchronous.max(asynchronous) && total < synchronous + 2.0 * asynchronous, "{place}");
+            }
+        }
+    }
+}
+
+#[test]
+fn what_changed_since_the_last_check_is_told_by_a_saved_calibration() {
+    let folder = temporary();
+    let file = folder.path().join("motion.calibration.json");
+    write(&file, &fit(outcome("exact"), "motion").calibration.to_json().expect("text"));
+    let mut now = recipe("realistic").only(&["motion", "reversal", "spindle"]);
+    now.0["stages"]["last-year"] = json!({ "estimate": "calibration", "path": file });
+    now.0["stages"]["spindle"]["of"] = json!(["motion", "reversal", "last-year"]);
+    now.0["stages"]["spindle"]["last"] = json!("last-year");
+    now.0["stages"]["spindle"]["runs"] = json!(["3000"]);
+    now.0["stages"]["spindle"]["limits"] = json!({ "change_of_synchronous_rotating_um": 0.05 });
+    let outcome = now.run();
+    let verdict = &outcome.verdicts[0];
+    let of = |data: &str| figure(figures(data), "synchronous fixed[3000 r2]").value.expect("a value");
+    let change = figure(&verdict.figures, "change of synchronous fixed[3000 r2]");
+    // The form of the exact data was removed by their own reversal.
+    assert!((change.value.expect("a value") - (of("realistic") - of("exact"))).abs() < 2e-3, "{change:?}");
+    assert!(change.standard_uncertainty.expect("one") > 0.0);
+    let limited = figure(&verdict.figures, "change of synchronous rotating[3000]");
+    assert!(limited.limit == Some(0.05) && verdict.pass, "{limited:?}");
+    assert!(verdict.remarks.iter().any(|remark| remark.contains("since `last-year` order")), "{:?}", verdict.remarks);
+    assert!(!verdict.figures.iter().any(|figure| figure.name.contains("[600")));
+}
+
+#[test]
+fn tables_can_be_plotted() {
+    let (_, files) = outcome("exact").exports.iter().find(|(stage, _)| stage == "spindle").expect("tables");
+    let names: Vec<&str> = files.iter().map(|file| file.name.rsplit('/').next().unwrap_or_default()).collect();
+    for run in ["600", "3000", "9000"] {
+        assert!(names.contains(&format!("polar-{run}.csv").as_str()), "{names:?}");
+        assert!(names.contains(&format!("total-{run}.csv").as_str()), "{names:?}");
+    }
+    let text = |name: &str| {
+        let file = files.iter().find(|file| file.name.ends_with(name)).expect("a table");
+        String::from_utf8(file.content.clone()).expect("text")
+    };
+    let polar = text("polar-600.csv");
+    let radii = |column: usize| -> Vec<f64> {
+        let cells = polar.lines().skip(1).map(|line| line.split(',').nth(column).expect("a cell"));
+        cells.map(|cell| cell.parse().expect("a number")).collect()
+    };
+    assert_eq!(polar.lines().next(), Some("S_deg,rotating_um,r1_um,r2_um,z_um"));
+    let range = radii(1).into_iter().fold([f64::MAX, f64::MIN], |[low, high], value| [low.min(value), high.max(value)]);
+    assert!((range[1] - range[0] - 0.3186).abs() < 1e-4, "{range:?}");
+    let speeds = text("speeds.csv");
+    let first: Vec<&str> = speeds.lines().map(|line| line.split(',').next().unwrap_or_default()).collect();
+    assert_eq!(first, ["run", "\"600\"", "\"3000\"", "\"9000\""]);
+}
+
+/// A message without the lines and the frame that a terminal needs.
+fn in_one_line(message: &str) -> String {
+    message
+        .split(|letter: char| letter.is_whitespace() || letter == '│')
+        .filter(|word| !word.is_empty())
+        .collect::<Vec<_>>()
+        .join(" ")
+}
+
+#[test]
+fn settings_and_stages_that_do_not_fit_are_refused_with_their_place() {
+    type Change = fn(&mut Value);
+    let cases: [(Change, i32, &str); 11] = [
+        (|s| s["motion"]["axial"] = json!("zz"), 2, "data set 1 under `from` has no column `zz_um`"),
+        (|s| s["motion"]["axial"] = json!("S"), 2, "has a column `S_deg`, and `S_um` was expected"),
+        (|s| s["motion"]["harmonics"] = json!(1), 2, "2 to 500 were expected"),
+        (|s| s["motion"]["radial"]["r2"]["azimuth_deg"] = json!(175), 2, "tell one direction alone"),
+        (|s| s["motion"]["radial"]["r2"]["azimuth_deg"] = json!(-90), 1, "are r1 and r2 swapped?"),
+        (|s| s["motion"]["speeds_rpm"] = json!([600, 3000, 10000]), 1, "none of `speeds_rpm` is near"),
+        (|s| s["motion"]["from"] = json!(["run-600", "before"]), 2, "has no column `r2_um`"),
+        (|s| s["reversal"]["from"] = json!(["before"]), 1, "two were expected: before and after the reversal"),
+        (|s| s["reversal"]["from"] = json!(["before", "run-3000"]), 1, "reverse at one speed"),
+        (|s| s["spindle"]["limits"]["synchronous_um"] = json!(1), 2, "there is no figure `synchronous_um` to limit"),
+        (|s| s["spindle"]["last"] = json!("reversal"), 1, "`reversal` is no estimate of `spindle-motion`"),
+    ];
+    for (number, (change, status, expected)) in cases.into_iter().enumerate() {
+        let (folder, mut variant) = (temporary(), recipe("exact"));
+        change(&mut variant.0["stages"]);
+        variant.write(folder.path());
+        let printed = abbe(folder.path(), &["run", "recipe.yaml", "--out", "out"]);
+        assert!(in_one_line(&printed.stderr).contains(expected), "case {number}: {}", printed.stderr);
+        assert_eq!(printed.status, status, "case {number}: {}", printed.stderr);
+    }
+}
+
+#[test]
+fn readings_in_a_file_are_refused_with_their_line() {
+    let text = read(&root().join("pipelines/data/spindle-motion/realistic/motion-3000.csv"));
+    let lines: Vec<&str> = text.lines().collect();
+    let with = |change: &dyn Fn(usize, &mut Vec<String>)| {
+        let rows = lines.iter().enumerate().map(|(index, line)| {
+            let mut cells: Vec<String> = line.split(',').map(str::to_owned).collect();
+            if index > 0 {
+                change(index, &mut cells);
+            }
+            cells.join(",")
+        });
+        rows.collect::<Vec<_>>().join("\n") + "\n"
+    };
+    let number = |cell: &str| cell.parse::<f64>().expect("a number");
+    let cases = [
+        (
+            with(&|row, cells| {
+                if row >= 2000 {
+                    cells[1] = format!("{:.2}", number(&cells[1]) + 1.4)
+                }
+            }),
+            "motion.csv:2001:1",
+        ),
+        (with(&|_, cells| cells[3] = number(&cells[3]).min(9.5).to_string()), "r1 reads its largest value, 9.5000 um"),
+        (with(&|_, cells| cells[4] = (number(&cells[4]) * 1e3).to_string()), "r2 moves by"),
+        (with(&|_, cells| cells[1] = number(&cells[1]).to_radians().to_string()), "its angle covers 0.56 turns"),
+        (with(&|_, cells| cells.swap(3, 4)), "are r1 and r2 swapped?"),
+        (lines[..200].join("\n") + "\n", "its angle covers 1.56 turns"),
+        ([&lines[..1000], &lines[1100..]].concat().join("\n") + "\n", "readings are missing before this one"),
+    ];
+    for (place, (text, expected)) in cases.into_iter().enumerate() {
+        let folder = temporary();
+        write(&folder.path().join("motion.csv"), &text);
+        let variant = recipe("realistic").set("run-3000", "path", json!("motion.csv")).only(&["motion"]);
+        variant.write(folder.path());
+        let printed = abbe(folder.path(), &["run", "recipe.yaml", "--out", "out"]);
+        assert!(in_one_line(&printed.stderr).contains(expected), "case {place}: {}", printed.stderr);
+        assert_eq!(printed.status, 1, "case {place}: {}", printed.stderr);
+    }
+    // Names of parameters follow the speeds of the data.
+    let names: Vec<&str> =
+        fit(outcome("realistic"), "motion").calibration.parameters.iter().map(|one| one.name.as_str()).collect();
+    assert!(["run[600].speed", "run[3000].speed", "run[9000].speed"].iter().all(|name| names.contains(name)));
+    let (speed, _) = found(&fit(outcome("realistic"), "motion").calibration, "run[9000].speed");
+    assert!((speed - 9000.18).abs() < 0.01, "{speed}");
+}
