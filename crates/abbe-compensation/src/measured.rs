@@ -41,12 +41,7 @@ impl MeasuredPoints {
     }
 
     /// The same for positions that are read.
-    pub fn of(
-        model: &dyn KinematicModel,
-        calibration: &Calibration,
-        points: SetPoints,
-        largest: f64,
-    ) -> Result<Self> {
+    pub fn of(model: &dyn KinematicModel, calibration: &Calibration, points: SetPoints, largest: f64) -> Result<Self> {
         let corrected = || {
             for (point, status) in points.statuses().chunks(model.info().status.len().max(1)).enumerate() {
                 if let Some(beyond) = model.info().axes.iter().find_map(|axis| beyond(axis, status)) {

@@ -43,7 +43,9 @@ impl Temperatures {
         let mut told = Vec::new();
         for (header, known) in logged(calibration) {
             let (name, ..) = Quantity::of_column(&header);
-            let (Some(own), Some([from, to])) = (self.data.numbers(name).and_then(ends), ends(&known)) else { continue };
+            let (Some(own), Some([from, to])) = (self.data.numbers(name).and_then(ends), ends(&known)) else {
+                continue;
+            };
             let more = BEYOND * (to - from);
             if own[0] < from - more || own[1] > to + more {
                 told.push(format!(
@@ -71,15 +73,19 @@ pub(crate) fn declarations(calibration: &Calibration) -> Vec<Declaration> {
     lines.into_iter().flatten().filter_map(|line| Declaration::read(line).ok()).collect()
 }
 
-/// Columns of the logs that a calibration keeps, without times: header and readings. Each stands here once.
+/// Columns of the logs that a calibration keeps for its errors and bodies, without times: header and readings. Each stands here once.
 fn logged(calibration: &Calibration) -> Vec<(String, Vec<f64>)> {
+    let bodies = calibration.model.settings.get("bodies").and_then(|bodies| bodies.as_object());
+    let kept = bodies.into_iter().flatten().filter_map(|(_, body)| body.get("log")?.as_object()).flatten();
+    let of_bodies = kept.filter_map(|(header, values)| {
+        Some((header.clone(), values.as_array()?.iter().filter_map(|value| value.as_f64()).collect::<Vec<f64>>()))
+    });
+    let of_line = |line| if let Declaration::Thermal(thermal) = line { Some(thermal.log) } else { None };
+    let of_lines = declarations(calibration).into_iter().filter_map(of_line).flatten();
     let mut columns: Vec<(String, Vec<f64>)> = Vec::new();
-    for line in declarations(calibration) {
-        let Declaration::Thermal(thermal) = line else { continue };
-        for (header, values) in thermal.log {
-            if Quantity::of_column(&header).1 != Quantity::Time && !columns.iter().any(|(known, _)| *known == header) {
-                columns.push((header, values));
-            }
+    for (header, values) in of_bodies.chain(of_lines) {
+        if Quantity::of_column(&header).1 != Quantity::Time && !columns.iter().any(|(known, _)| *known == header) {
+            columns.push((header, values));
         }
     }
     columns
@@ -101,7 +107,8 @@ pub fn check_no_drift(calibration: &Calibration) -> Result<()> {
             degree && line.family().symbols().iter().any(|own| abbe_core::matches(own, symbol))
         };
         if let Some(found) = calibration.parameters.iter().find(|known| of_line(&known.name) && known.value != 0.0) {
-            let message = format!("`{}` is a drift in the time of the calibration, which another log does not have", found.name);
+            let message =
+                format!("`{}` is a drift in the time of the calibration, which another log does not have", found.name);
             return Err(Error::data(message).help("estimate it without a drift in time, or leave out the log"));
         }
     }

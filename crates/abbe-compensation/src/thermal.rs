@@ -43,8 +43,13 @@ impl ThermalState {
         }
     }
 
+    /// The times of the log, s.
+    pub fn times(&self) -> &[f64] {
+        self.log.times()
+    }
+
     /// The row of the log at which it is largest: time and value.
-    fn largest(&self) -> Result<(f64, f64)> {
+    pub(crate) fn largest(&self) -> Result<(f64, f64)> {
         let mut found = (f64::NAN, 0.0_f64);
         for time in self.log.times() {
             let value = self.at(*time)?;
@@ -125,19 +130,9 @@ impl<'a> ThermalResponses<'a> {
         Ok(warm.iter().zip(cold).map(|(warm, cold)| (warm - cold) / value).collect())
     }
 
-    /// The time of a status, s; NaN where it has none.
-    pub fn time_of(&self, status: &[f64]) -> f64 {
-        status[self.time]
-    }
-
-    /// All states at a time of the calibration's own log; zero where the time is not known.
-    ///
-    /// Fails for a time outside the log.
-    pub fn states_at(&self, time: f64) -> Result<Vec<f64>> {
-        match time.is_nan() {
-            true => Ok(vec![0.0; self.states.len()]),
-            false => self.states.iter().map(|state| state.at(time)).collect(),
-        }
+    /// The column of the time in a status.
+    pub fn time(&self) -> usize {
+        self.time
     }
 }
 

@@ -3,18 +3,12 @@
 use std::collections::BTreeMap;
 use std::sync::{Arc, RwLock};
 
-<<<<<<< HEAD
 use abbe_core::{PathItem, Quantity, SettingsError, Unit, positive};
-use abbe_thermal::{History, SensorLog};
-=======
-use abbe_core::{Dataset, PathItem, Quantity, SettingsError, Unit, positive};
-use abbe_thermal::{History, Hold, Reference, SensorLog, possible_temperature};
->>>>>>> main
+use abbe_thermal::{History, SensorLog, possible_temperature};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 use super::{Argument, Family, Functions, Group, Subject, Term};
-use crate::log::{self, key};
 
 /// Errors that follow the temperatures of a log: states that lag behind them (`dzt[T34:1]`, the gain at rest of the state that T34
 /// drives with `time_constant[1]_s`), temperatures themselves (`dzt[T34]`), and slopes along an axis (`EXX[1*T34:1]`) (Soons 1993, 3.4).
@@ -69,69 +63,6 @@ pub struct Thermal {
 /// Most time constants: states of more than three are hardly ever told apart.
 const MOST: usize = 6;
 
-<<<<<<< HEAD
-=======
-impl Thermal {
-    /// Takes the log from the data set that has its columns, unless it is in the settings already.
-    ///
-    /// Fails if no log, or more than one, has them, and for logs with gaps, clocks that jump, and sensors without a reading.
-    pub fn settle(&mut self, data: &[&Dataset]) -> Result<(), SettingsError> {
-        if self.log.is_empty() {
-            let columns: Vec<&str> = self.columns().collect();
-            let Some(found) = log::with_columns(data, &columns).map_err(|error| error.under([key("thermal")]))? else {
-                return Ok(());
-            };
-            self.log = log::kept(found, &columns);
-        }
-        for data in data.iter().filter(|data| !data.is_log) {
-            if let Some(name) = self.columns().find(|name| data.numbers(name).is_some()) {
-                let file = data.files.first().map_or(String::new(), |file| format!(" ({})", file.display()));
-                let message = format!(
-                    "the rows{file} have a column `{name}` of their own, and so has the log: which one counts?"
-                );
-                return Err(
-                    SettingsError::new("thermal", message).help("take it out of the rows: the log gives it by time")
-                );
-            }
-        }
-        // What is wrong with it is told now, and not by the first row that needs it.
-        self.sensor_log().map(drop)
-    }
-
-    /// What looks like faults of its sensors of temperature, in words.
-    pub fn faults(&self) -> Vec<String> {
-        let Ok(Some(log)) = self.sensor_log() else { return Vec::new() };
-        let is_temperature = |sensor: &usize| self.quantity(&log.names()[*sensor]) == Quantity::Temperature;
-        (0..log.names().len()).filter(is_temperature).flat_map(|sensor| log.faults(sensor)).collect()
-    }
-
-    /// Inputs, then what is followed at once.
-    fn columns(&self) -> impl Iterator<Item = &str> {
-        self.inputs.iter().chain(&self.at_once).map(String::as_str)
-    }
-
-    /// The log, counted from its reference; none before it is known.
-    fn sensor_log(&self) -> Result<Option<SensorLog>, SettingsError> {
-        if self.log.is_empty() {
-            return Ok(None);
-        }
-        let hold = if self.zero_order_hold { Hold::ZeroOrder } else { Hold::FirstOrder };
-        let reference = match (self.reference_degC, self.reference_until_s) {
-            (Some(value), _) => Reference::Value(value),
-            (None, Some(until)) => Reference::MeanUntil(until),
-            (None, None) => Reference::FirstRow,
-        };
-        log::sensor_log(&self.log, self.columns(), hold, self.longest_gap_s, reference).map(Some)
-    }
-
-    /// The quantity of a column; temperature before the log is known.
-    fn quantity(&self, name: &str) -> Quantity {
-        let of = self.log.keys().map(|header| Quantity::of_column(header));
-        of.into_iter().find(|(own, ..)| *own == name).map_or(Quantity::Temperature, |(_, quantity, _)| quantity)
-    }
-}
-
->>>>>>> main
 impl Family for Thermal {
     fn symbols(&self) -> &[String] {
         &self.thermal

@@ -3,12 +3,10 @@
 use std::collections::BTreeMap;
 
 use abbe_core::{Dataset, PathItem, Quantity, SettingsError};
-use abbe_thermal::{Counting, Hold, Reference, SensorLog};
+use abbe_thermal::{Hold, Reference, SensorLog};
 
 use super::Thermal;
-
-/// The column of times.
-const TIME: &str = "time_s";
+use crate::log::{self, key};
 
 impl Thermal {
     /// Takes the log from the data set that has its columns. A log among the data takes the place of one that the settings keep: gains
@@ -16,59 +14,48 @@ impl Thermal {
     ///
     /// Fails if no log, or more than one, has the columns, and for logs with gaps, clocks that jump, and sensors without a reading.
     pub fn settle(&mut self, data: &[&Dataset]) -> Result<(), SettingsError> {
-        let logs: Vec<&Dataset> = data.iter().copied().filter(|data| data.is_log).collect();
-        if self.log.is_empty() && !data.is_empty() {
-            self.log = self.columns_of(self.own(&logs)?);
-        } else if !self.log.is_empty() && !logs.is_empty() {
-            let columns = self.columns_of(self.own(&logs)?);
-            self.references = self.counted_from()?;
-            (self.reference_degC, self.reference_until_s) = (None, None);
-            // What the states were when the measurement began is nothing that another log has.
-            (self.starts_warm, self.starts_at_rest) = (false, true);
-            self.log = columns;
+        let columns: Vec<String> = self.columns().map(str::to_owned).collect();
+        let columns: Vec<&str> = columns.iter().map(String::as_str).collect();
+        let has_log = data.iter().any(|data| data.is_log);
+        if self.log.is_empty() || has_log {
+            let found = log::with_columns(data, &columns).map_err(|error| error.under([key("thermal")]))?;
+            match (found, self.log.is_empty()) {
+                (Some(found), true) => self.log = log::kept(found, &columns),
+                (Some(found), false) => self.exchange(log::kept(found, &columns))?,
+                (None, true) => return Ok(()),
+                (None, false) => {}
+            }
+        }
+        for data in data.iter().filter(|data| !data.is_log) {
+            if let Some(name) = self.columns().find(|name| data.numbers(name).is_some()) {
+                let file = data.files.first().map_or(String::new(), |file| format!(" ({})", file.display()));
+                let message = format!(
+                    "the rows{file} have a column `{name}` of their own, and so has the log: which one counts?"
+                );
+                return Err(
+                    SettingsError::new("thermal", message).help("take it out of the rows: the log gives it by time")
+                );
+            }
         }
         // What is wrong with it is told now, and not by the first row that needs it.
         self.sensor_log().map(drop)
     }
 
-    /// The one log that has all columns.
-    fn own<'a>(&self, logs: &[&'a Dataset]) -> Result<&'a Dataset, SettingsError> {
-        let has = |data: &&&Dataset| {
-            data.numbers("time").is_some() && self.columns().all(|name| data.numbers(name).is_some())
-        };
-        let mut fitting = logs.iter().filter(has);
-        match (fitting.next(), fitting.next()) {
-            (Some(found), None) => Ok(found),
-            (Some(_), Some(_)) => Err(SettingsError::new("thermal", "more than one log has these columns")),
-            (None, _) if logs.is_empty() => {
-                let error = SettingsError::new("thermal", "the machine has no log of these columns");
-                Err(error.help("name the ingest stage that reads it: `logs: sensors` at the machine"))
-            }
-            (None, _) => {
-                let lacks = |name: &&str| !logs.iter().any(|log| log.numbers(name).is_some());
-                let name = std::iter::once("time").chain(self.columns()).find(lacks).unwrap_or("time");
-                Err(SettingsError::new("thermal", format!("the log has no column of numbers `{name}`")))
-            }
-        }
-    }
-
-    /// Times and own columns of a log, by their headers.
-    fn columns_of(&self, log: &Dataset) -> BTreeMap<String, Vec<f64>> {
-        let is_own = |name: &str| name == "time" || self.columns().any(|own| own == name);
-        let columns = log.columns.iter().filter(|column| is_own(&column.header.name));
-        let written = columns.filter_map(|column| {
-            let (name, quantity) = (&column.header.name, column.header.quantity);
-            Some((format!("{name}{}", quantity.usual_suffix()), log.numbers(name)?.to_vec()))
-        });
-        written.collect()
+    /// Another log in the place of that of the calibration.
+    fn exchange(&mut self, log: BTreeMap<String, Vec<f64>>) -> Result<(), SettingsError> {
+        self.references = self.counted_from()?;
+        (self.reference_degC, self.reference_until_s) = (None, None);
+        // What the states were when the measurement began is nothing that another log has.
+        (self.starts_warm, self.starts_at_rest) = (false, true);
+        self.log = log;
+        Ok(())
     }
 
     /// What each column counts from.
     fn counted_from(&self) -> Result<BTreeMap<String, f64>, SettingsError> {
         let Some(counted) = self.sensor_log()? else { return Ok(BTreeMap::new()) };
         let of = |name: &String| {
-            let column = self.log.iter().find(|(header, _)| Quantity::of_column(header).0 == name);
-            let first = column.and_then(|(_, values)| values.first())?;
+            let first = log::readings(&self.log, name)?.first()?;
             let elevation = counted.sensor(name).ok().and_then(|sensor| counted.values(sensor).first())?;
             Some((name.clone(), first - elevation))
         };
@@ -97,8 +84,15 @@ impl Thermal {
         }
     }
 
+    /// What looks like faults of its sensors of temperature, in words.
+    pub fn faults(&self) -> Vec<String> {
+        let Ok(Some(log)) = self.sensor_log() else { return Vec::new() };
+        let is_temperature = |sensor: &usize| self.quantity(&log.names()[*sensor]) == Quantity::Temperature;
+        (0..log.names().len()).filter(is_temperature).flat_map(|sensor| log.faults(sensor)).collect()
+    }
+
     /// Inputs, then what is followed at once.
-    pub(super) fn columns(&self) -> impl Iterator<Item = &str> {
+    fn columns(&self) -> impl Iterator<Item = &str> {
         self.inputs.iter().chain(&self.at_once).map(String::as_str)
     }
 
@@ -109,26 +103,6 @@ impl Thermal {
         if self.log.is_empty() {
             return Ok(None);
         }
-        let wrong = |error: abbe_core::Error| {
-            let told = SettingsError::new("log", error.message);
-            match error.help {
-                Some(help) => told.help(help),
-                None => told,
-            }
-        };
-        let times = self.log.get(TIME).cloned();
-        let times = times.ok_or_else(|| SettingsError::new("log", format!("the column `{TIME}` is missing")))?;
-        let mut sensors: Vec<(String, Vec<f64>)> = Vec::new();
-        for name in self.columns() {
-            let column = self.log.iter().find(|(header, _)| Quantity::of_column(header).0 == name);
-            let Some((_, values)) = column else {
-                return Err(SettingsError::new("log", format!("the column `{name}` is missing")));
-            };
-            let from = self.references.get(name).copied().unwrap_or(0.0);
-            if !sensors.iter().any(|(known, _)| known == name) {
-                sensors.push((name.to_owned(), values.iter().map(|value| value - from).collect()));
-            }
-        }
         let reference = match (self.reference_degC, self.reference_until_s) {
             (Some(value), _) => Reference::Value(value),
             _ if !self.references.is_empty() => Reference::Value(0.0),
@@ -136,8 +110,16 @@ impl Thermal {
             (None, None) => Reference::FirstRow,
         };
         let hold = if self.zero_order_hold { Hold::ZeroOrder } else { Hold::FirstOrder };
-        let how = Counting { hold, reference, longest_gap: self.longest_gap_s };
-        SensorLog::counted(times, sensors, &how).map(Some).map_err(wrong)
+        log::sensor_log(&self.elevations(), self.columns(), hold, self.longest_gap_s, reference).map(Some)
+    }
+
+    /// Columns of the log, less their own references if they have them.
+    fn elevations(&self) -> BTreeMap<String, Vec<f64>> {
+        let of = |(header, values): (&String, &Vec<f64>)| {
+            let from = self.references.get(Quantity::of_column(header).0).copied().unwrap_or(0.0);
+            (header.clone(), values.iter().map(|value| value - from).collect())
+        };
+        self.log.iter().map(of).collect()
     }
 
     /// The quantity of a column; temperature before the log is known.
