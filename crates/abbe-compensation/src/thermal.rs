@@ -179,7 +179,7 @@ fn found<'s>(
         let given = line.time_constants_s.get(index.wrapping_sub(1)).copied();
         value_of(&format!("time_constant[{index}]_s")).or(given).unwrap_or(f64::NAN)
     });
-    if time_constant.is_some_and(|time| !(time > 0.0)) {
+    if time_constant.is_some_and(|time| time.is_nan() || time <= 0.0) {
         return Err(Error::data(format!("the calibration does not know the time constant of {input}")));
     }
     let column = line.log.iter().find(|(header, _)| Quantity::of_column(header).0 == input);
