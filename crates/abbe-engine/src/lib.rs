@@ -33,5 +33,5 @@ pub use outcome::{Failure, Outcome};
 pub use plan::Measurements;
 pub use prepare::{Prepared, prepare};
 pub use record::{FailureRecord, FileRecord, PluginRecord, RUN_FORMAT, RunRecord};
-pub use run::{Planned, model_of};
+pub use run::{Planned, model_of, model_with_log};
 pub use simulate::{Simulated, SimulatedFile, UnchangedFile};
