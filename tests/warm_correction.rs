@@ -11,8 +11,11 @@ use crate::controls::law::{Machine, uniform};
 use crate::controls::temperature::warming;
 use crate::support::{abbe, read, temporary, write};
 
+/// Columns of a log by their headers.
+type Log = BTreeMap<&'static str, Vec<f64>>;
+
 /// A log of another day: it begins warm and at rest.
-fn another_day(seed: u64) -> BTreeMap<&'static str, Vec<f64>> {
+fn another_day(seed: u64) -> Log {
     let mut random = uniform(seed + 5);
     let times: Vec<f64> = (0..80).map(|row| 1000.0 + 45.0 * f64::from(row)).collect();
     let mut reading = |from: f64| {
@@ -22,7 +25,7 @@ fn another_day(seed: u64) -> BTreeMap<&'static str, Vec<f64>> {
     BTreeMap::from([("T_scale_degC", reading(21.0)), ("T_column_degC", reading(21.5)), ("time_s", times)])
 }
 
-fn csv(columns: &BTreeMap<&str, Vec<f64>>) -> String {
+fn csv(columns: &Log) -> String {
     let mut text = columns.keys().copied().collect::<Vec<_>>().join(",") + "\n";
     for row in 0..columns["time_s"].len() {
         let cells: Vec<String> = columns.values().map(|values| format!("{}", values[row])).collect();
@@ -32,7 +35,7 @@ fn csv(columns: &BTreeMap<&str, Vec<f64>>) -> String {
 }
 
 /// The state of the column at a time, above `reference`: fine steps, from rest at the first reading.
-fn lagged(log: &BTreeMap<&str, Vec<f64>>, constant: f64, time: f64) -> f64 {
+fn lagged(log: &Log, constant: f64, time: f64) -> f64 {
     let (times, values) = (&log["time_s"], &log["T_column_degC"]);
     let at = |time: f64| {
         let after = times.iter().position(|row| *row >= time).unwrap_or(times.len() - 1).max(1);
@@ -50,7 +53,7 @@ fn lagged(log: &BTreeMap<&str, Vec<f64>>, constant: f64, time: f64) -> f64 {
 }
 
 /// The machine as it stands at a time of a log: gains as plain offsets and slopes.
-fn frozen(warm: &Machine, reference: f64, log: &BTreeMap<&str, Vec<f64>>, time: f64) -> Machine {
+fn frozen(warm: &Machine, reference: f64, log: &Log, time: f64) -> Machine {
     let value = |name: &str| warm.calibration.get(name).map_or(0.0, |known| known.value);
     let settings = &warm.calibration.model.settings;
     let mut errors = Vec::new();
@@ -186,7 +189,7 @@ fn logs_that_do_not_fit_a_calibration_are_refused() {
     write(&at("machine.calibration.json"), &calibration.to_json().expect("JSON"));
     write(&at("points.csv"), "X_mm,Y_mm,Z_mm\n10,20,30\n");
     let log = another_day(2);
-    let with = |change: &dyn Fn(&mut BTreeMap<&'static str, Vec<f64>>)| {
+    let with = |change: &dyn Fn(&mut Log)| {
         let mut log = log.clone();
         change(&mut log);
         write(&at("log.csv"), &csv(&log));
@@ -205,12 +208,9 @@ fn logs_that_do_not_fit_a_calibration_are_refused() {
         abbe(place.path(), &arguments)
     };
     for (change, told) in [
-        (
-            &(|log: &mut BTreeMap<&'static str, Vec<f64>>| drop(log.remove("T_column_degC"))) as &dyn Fn(&mut _),
-            "T_column",
-        ),
-        (&|log: &mut BTreeMap<&'static str, Vec<f64>>| log.get_mut("time_s").unwrap()[40] = 1000.0, "time"),
-        (&|log: &mut BTreeMap<&'static str, Vec<f64>>| log.get_mut("T_scale_degC").unwrap()[4] = f64::NAN, "T_scale"),
+        (&(|log: &mut Log| drop(log.remove("T_column_degC"))) as &dyn Fn(&mut _), "T_column"),
+        (&|log: &mut Log| log.get_mut("time_s").unwrap()[40] = 1000.0, "time"),
+        (&|log: &mut Log| log.get_mut("T_scale_degC").unwrap()[4] = f64::NAN, "T_scale"),
     ] {
         let printed = with(change);
         assert!(printed.status != 0 && printed.stderr.contains(told), "{told}: {}", printed.stderr);

@@ -79,6 +79,9 @@ fn of_settings(settings: &Value, random: &mut dyn FnMut() -> f64) -> Machine {
     Machine::of(&calibration)
 }
 
+/// What a control adds at a time to commands of axes, mm, by axis.
+type Added<'a> = &'a mut dyn FnMut(f64, &[(String, f64)]) -> BTreeMap<String, f64>;
+
 impl Warming {
     /// Statuses anywhere at random times within the log.
     fn anywhere(&self, count: usize, seed: u64) -> (Vec<f64>, Vec<f64>) {
@@ -104,11 +107,7 @@ impl Warming {
     }
 
     /// Statuses with what a control adds, mm, by axis: of (readings that lag, axis, position).
-    fn driven(
-        &self,
-        statuses: &[f64],
-        added: &mut dyn FnMut(f64, &[(String, f64)]) -> BTreeMap<String, f64>,
-    ) -> Vec<f64> {
+    fn driven(&self, statuses: &[f64], added: Added<'_>) -> Vec<f64> {
         let info = self.machine.model.info();
         let time = info.status_index(&StatusRole::Time).expect("a time");
         let mut found = statuses.to_vec();
@@ -218,8 +217,8 @@ impl Plc {
             let after = rows.iter().position(|row| row.reading > reading).unwrap_or(rows.len() - 1).max(1);
             let (a, b) = (rows[after - 1], rows[after]);
             let part = ((reading - a.reading) / (b.reading - a.reading)).clamp(0.0, 1.0);
-            for index in 0..2 {
-                sum[index] += a.values[index] + part * (b.values[index] - a.values[index]);
+            for (sum, (a, b)) in sum.iter_mut().zip(a.values.iter().zip(b.values)) {
+                *sum += a + part * (b - a);
             }
         }
         sum
