@@ -22,4 +22,5 @@ mod printer_skew;
 mod random;
 mod siemens;
 mod siemens_kinematics;
+pub(crate) mod temperature;
 mod three_axes;

@@ -164,6 +164,9 @@ fn every_limit_has_a_rule_of_decision() {
     assert_eq!(
         elsewhere,
         [
+            "thermal /prediction/limits/max_um",
+            "thermal /prediction/limits/rms_K",
+            "thermal /drift/limits/range_um",
             "uncertainty /parameters/0/expanded_urad",
             "uncertainty /parameters/1/standard_uncertainty_um_per_m",
             "uncertainty /volumetric/expanded_um",

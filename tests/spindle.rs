@@ -1,5 +1,7 @@
 //! Check of a spindle: truth and expected figures of the simulated data, the last check, and bad input as users meet it.
 
+mod words;
+
 use std::sync::OnceLock;
 
 use abbe_core::{Calibration, Figure, Status};

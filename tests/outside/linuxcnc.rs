@@ -14,6 +14,7 @@ use serde_json::json;
 use crate::compensation::calibration;
 use crate::controls::law::{ByAxis, Machine, exporter};
 use crate::controls::linuxcnc_five_axis::{Linuxcnc, random_of_2_9};
+use crate::controls::temperature::warming;
 use crate::support::{read, root, skipped, temporary, write};
 
 /// The user that runs the control: it refuses root.
@@ -567,4 +568,61 @@ fn rows(file: &Path) -> Vec<[f64; 3]> {
         <[f64; 3]>::try_from(cells).expect("three numbers")
     };
     read(file).lines().map(row).collect()
+}
+
+/// A component of HAL on the control's own realtime: its pins take temperatures, and offsets go to where the prediction is, no faster than
+/// they may.
+#[test]
+fn the_temperature_component_runs_in_hal() {
+    const TEST: &str = "linuxcnc_temperature";
+    if let Some(why) = missing() {
+        return skipped(TEST, &why);
+    }
+    let _alone = ALONE.lock().unwrap_or_else(PoisonError::into_inner);
+    let warming = warming(5);
+    let machine = &warming.machine;
+    let rate = 50.0;
+    let settings = json!({ "component": "abbe_test_temp", "largest_rate_um_per_s": rate });
+    let export = exporter("linuxcnc-temperature", &settings);
+    let files = export.export(&machine.calibration, machine.model.as_ref()).unwrap_or_else(|error| panic!("{error}"));
+    let folder = temporary();
+    put(folder.path(), &files);
+    let installed = Installed::new(folder.path(), "abbe_test_temp");
+    let middle = |header: &str| {
+        let values = &warming.log[header];
+        values.iter().sum::<f64>() / values.len() as f64
+    };
+    let scale = middle("T_scale_degC");
+    let script = format!(
+        "loadrt threads name1=servo-thread period1=1000000\nloadrt abbe_test_temp\naddf abbe-test-temp servo-thread\n\
+         setp abbe-test-temp.position-x 200\nsetp abbe-test-temp.reading-t-scale {scale}\nstart\nloadusr -w sleep 3\n\
+         getp abbe-test-temp.offset-x\ngetp abbe-test-temp.counts-x\ngetp abbe-test-temp.beyond\n"
+    );
+    write(&folder.path().join("run.hal"), &script);
+    let at = folder.path().to_str().expect("a plain path");
+    assert!(answers("chown", &["-R", USER, at]));
+    let output = Command::new("timeout")
+        .args(["--kill-after=10", "60", "runuser", "-u", USER, "--", "env"])
+        .args([&format!("HOME={at}"), "halrun", "-f", "run.hal"])
+        .current_dir(folder.path())
+        .output()
+        .expect("it starts");
+    drop(installed);
+    let told = String::from_utf8_lossy(&output.stdout);
+    let mut lines = told.lines().filter_map(|line| line.trim().parse::<f64>().ok());
+    let (offset, counts) = (lines.next(), lines.next());
+    let wrong = || panic!("{told}{}", String::from_utf8_lossy(&output.stderr));
+    let (Some(offset), Some(counts)) = (offset, counts) else { wrong() };
+    // Once more by hand: states of the column rest at their reference, and that of the scale is 200 mm long.
+    let gain = machine.calibration.get("EXX[1*T_scale]").expect("a gain").value;
+    let axis = machine.model.info().axes.iter().find(|axis| axis.name == "X").expect("X");
+    assert!(axis.range.is_some());
+    let expected = -gain * 200.0 * (scale - 20.0);
+    println!("linuxcnc temperature: {offset:.6} mm, {counts} counts, expected {expected:.6} mm");
+    assert!(
+        (offset.abs() - expected.abs()).abs() < 1e-6 && offset.signum() == expected.signum(),
+        "{offset} {expected}"
+    );
+    assert!((counts * 1e-4 - offset).abs() < 0.6e-4, "{counts} {offset}");
+    assert!(told.contains("FALSE"), "{told}");
 }

@@ -47,7 +47,7 @@ const CRATES: [Border; 23] = [
     Border { name: "abbe-volumetric", uses: &["abbe-core", "abbe-numerics"], tested_with: &["abbe-serial-chain"] },
     Border {
         name: "abbe-compensation",
-        uses: &["abbe-core", "abbe-numerics", "abbe-table", "abbe-volumetric"],
+        uses: &["abbe-core", "abbe-errors", "abbe-numerics", "abbe-table", "abbe-thermal", "abbe-volumetric"],
         tested_with: &["abbe-serial-chain"],
     },
     border("abbe-plugin", &["abbe-core", "abbe-estimation", "abbe-files"]),

@@ -75,7 +75,7 @@ pub fn check_confounded_anywhere(model: &dyn KinematicModel, calibration: &Calib
 
 /// Statuses anywhere between the ends of all axes (sequence of Halton 1960), directions of approach in turn; all else as it is for data
 /// without a column.
-fn anywhere(model: &dyn KinematicModel, ranges: &Ranges) -> Result<Vec<f64>> {
+pub(crate) fn anywhere(model: &dyn KinematicModel, ranges: &Ranges) -> Result<Vec<f64>> {
     let info = model.info();
     let mut standing = Grid { poses: Some(vec![BTreeMap::new()]), ..Grid::default() }.statuses(model)?;
     standing.truncate(info.status.len());

@@ -23,6 +23,9 @@ mod settings;
 mod step;
 mod table_source;
 mod tables;
+mod temperatures;
+mod thermal;
+mod thermal_lines;
 
 pub use calibrated::{check_confounded, check_confounded_anywhere};
 pub use compensator::{Compensator, Correction, Deviation};
@@ -34,3 +37,6 @@ pub use set_points::SetPoints;
 pub use settings::{Correct, Method, Settings, Travel};
 pub use table_source::TableSource;
 pub use tables::{AxisTable, AxisTables};
+pub use temperatures::{Temperatures, check_no_drift, follows_log};
+pub use thermal::{ThermalResponses, ThermalState};
+pub use thermal_lines::{LineSettings, ThermalLine, ThermalLines};

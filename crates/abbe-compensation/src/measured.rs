@@ -37,7 +37,11 @@ impl MeasuredPoints {
     /// Fails as [`CompensatedPath::new`](crate::CompensatedPath::new) does, and for positions beyond the travel. Errors of a point name its
     /// line.
     pub fn new(model: &dyn KinematicModel, calibration: &Calibration, file: &Path, largest: f64) -> Result<Self> {
-        let points = SetPoints::read(file, model)?;
+        Self::of(model, calibration, SetPoints::read(file, model)?, largest)
+    }
+
+    /// The same for positions that are read.
+    pub fn of(model: &dyn KinematicModel, calibration: &Calibration, points: SetPoints, largest: f64) -> Result<Self> {
         let corrected = || {
             for (point, status) in points.statuses().chunks(model.info().status.len().max(1)).enumerate() {
                 if let Some(beyond) = model.info().axes.iter().find_map(|axis| beyond(axis, status)) {

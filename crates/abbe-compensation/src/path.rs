@@ -37,7 +37,16 @@ impl CompensatedPath {
         file: &Path,
         settings: &Settings,
     ) -> Result<Self> {
-        let points = SetPoints::read(file, model)?;
+        Self::of(model, calibration, SetPoints::read(file, model)?, settings)
+    }
+
+    /// The same for set-points that are read.
+    pub fn of(
+        model: &dyn KinematicModel,
+        calibration: &Calibration,
+        points: SetPoints,
+        settings: &Settings,
+    ) -> Result<Self> {
         let values = machine_values(model, calibration);
         let corrected = || {
             check_confounded(model, calibration, points.statuses())?;

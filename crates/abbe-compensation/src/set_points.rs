@@ -30,6 +30,13 @@ impl SetPoints {
     /// Fails for an axis without a column, a column of an axis that the machine does not have, a value that errors of the machine
     /// depend on and that the file does not have (time, temperature, stylus), and a command that is no number.
     pub fn read(path: &Path, model: &dyn KinematicModel) -> Result<Self> {
+        Self::read_at(path, model, None)
+    }
+
+    /// The same for set-points that are all commanded at one time, s; NaN leaves out what depends on time.
+    ///
+    /// Fails as [`read`](Self::read) does, and for a file that has times of its own.
+    pub fn read_at(path: &Path, model: &dyn KinematicModel, time: Option<f64>) -> Result<Self> {
         // What is corrected is what was read.
         let text = abbe_table::read_text(path)?;
         let data = abbe_table::parse(path, text.as_bytes())?;
@@ -72,6 +79,14 @@ impl SetPoints {
             match (&status.role, source) {
                 (StatusRole::Direction(axis), StatusSource::Taken(_)) => {
                     fill_directions(&mut statuses, width, info.axes[*axis].status, index);
+                }
+                (StatusRole::Time, StatusSource::Taken(_)) if time.is_some() => {
+                    statuses.chunks_mut(width).for_each(|pose| pose[index] = time.unwrap_or(f64::NAN));
+                    continue;
+                }
+                (StatusRole::Time, _) if time.is_some() => {
+                    let error = Error::usage("the set-points have times of their own, and one time was given for all");
+                    return Err(in_file(error.help("leave out the time, or the column `time_s`")));
                 }
                 (_, StatusSource::Taken(value)) if value.is_nan() => {
                     let column = format!("{}{}", status.name, status.quantity.usual_suffix());

@@ -33,5 +33,5 @@ pub use outcome::{CALIBRATION, Failure, Outcome, REPORT, VERDICTS, residuals_fil
 pub use plan::Measurements;
 pub use prepare::{Prepared, prepare};
 pub use record::{FailureRecord, FileRecord, PluginRecord, RUN_FORMAT, Remark, RunRecord};
-pub use run::{Planned, model_of};
+pub use run::{Planned, model_of, model_with_log};
 pub use simulate::{Simulated, SimulatedFile, UnchangedFile};

@@ -468,10 +468,21 @@ pub(crate) fn named<'a>(names: &[String], fits: &'a [Fit]) -> Vec<&'a Fit> {
 
 /// The model of a calibration, built from its own settings alone.
 pub fn model_of(calibration: &Calibration, registry: &Registry) -> Result<Arc<dyn KinematicModel>> {
+    model_with_log(calibration, None, registry)
+}
+
+/// The model of a calibration whose errors follow another log of sensors than the one of its measurement.
+///
+/// Fails for a log that does not have what its errors follow.
+pub fn model_with_log(
+    calibration: &Calibration,
+    log: Option<&Dataset>,
+    registry: &Registry,
+) -> Result<Arc<dyn KinematicModel>> {
     let plugin = registry
         .find(Kind::Model, &calibration.model.plugin)
         .map_err(|error| Error::data(format!("the model of this calibration: {error}")))?;
-    build_model(plugin, &calibration.model.settings)?.build(&[])
+    build_model(plugin, &calibration.model.settings)?.build(log.as_slice())
 }
 
 /// The same fit; `monitor` observes the work on its problem.

@@ -18,6 +18,7 @@ use abbe_table::Cells;
 use crate::folder::write_folder;
 use crate::places::Places;
 use crate::prepare::Prepared;
+use crate::readings::has_readings;
 use crate::run::has_rows;
 
 /// A recipe with simulated data, in memory.
@@ -258,9 +259,9 @@ impl Prepared {
         Ok(false)
     }
 
-    /// Whether an estimate is one of a machine.
+    /// Whether an estimate is one of a machine. Estimates of readings that are no geometry have none.
     fn is_of(&self, estimate: &Stage, machine: &str) -> Result<bool> {
-        Ok(self.machine_stage(estimate)?.name == machine)
+        Ok(!has_readings(estimate) && self.machine_stage(estimate)?.name == machine)
     }
 }
 

@@ -56,7 +56,9 @@ pub trait LeastSquares {
 /// 3. it is below `rounding` and not smaller than the smallest before it, or no part of it makes the sum of squares smaller:
 ///    the step is only rounding. Steps of a slow iteration still shrink; or
 /// 4. it is below 1e-6, and steps have been cut again and again: the sum of squares bends more than the linearised problem says, so
-///    that steps go too far and less than the last one is left.
+///    that steps go too far and less than the last one is left; or
+/// 5. it is the last one that is allowed and below 1e-6, and so is the estimated remaining error after it, or the step was cut:
+///    the iteration is slow, and what is left is nothing to the uncertainty.
 ///
 /// Robust weights have settled when none changes by more than `settled`. Until then the tolerance is `rounding`, if that is
 /// larger.
@@ -227,7 +229,7 @@ pub(crate) fn minimise<P: LeastSquares + ?Sized>(
         let ratio = last.map(|last: f64| size / last);
         // A ratio can be small by chance, or because of one fast direction. So the larger of two ratios is used.
         let slower = ratio.zip(last_ratio).map(|(one, other): (f64, f64)| one.max(other));
-        let left = slower.filter(|ratio| *ratio < 1.0).map(|ratio| size * ratio / (1.0 - ratio));
+        let left = slower.filter(|ratio| *ratio < 1.0).map(|ratio| remaining(size, ratio));
         let (near, far) =
             (left.is_some_and(|left| left <= options.tolerance), left.is_some_and(|left| left > options.tolerance));
         if (size <= options.tolerance && !far) || (small && (near || size >= smallest)) {
@@ -263,7 +265,18 @@ pub(crate) fn minimise<P: LeastSquares + ?Sized>(
         }
     }
     let next = step_of(&factor).map_or(f64::NAN, |(_, size)| size);
-    Ok(Minimum { x, end: End::IterationLimit, iterations: options.iterations, last_step: next, factor })
+    let left = match (last, last_ratio) {
+        (None, _) => next,
+        (Some(last), Some(other)) => remaining(next, other.max(next / last)),
+        (Some(_), None) => f64::INFINITY,
+    };
+    let end = if next <= CUT && left <= CUT { End::Converged } else { End::IterationLimit };
+    Ok(Minimum { x, end, iterations: options.iterations, last_step: next, factor })
+}
+
+/// What is left after a step of this size if steps go on shrinking by this ratio.
+fn remaining(size: f64, ratio: f64) -> f64 {
+    if ratio < 1.0 { size * ratio / (1.0 - ratio) } else { f64::INFINITY }
 }
 
 /// End point of a part of a step that does not make the sum of squares larger.
@@ -279,7 +292,8 @@ struct Lower {
 /// Parts of steps that are tried for each iteration that is allowed, on average: a step that has to be cut again and again leads nowhere.
 const TRIALS: usize = 3;
 
-/// Size of steps, in standard uncertainties of all rows together, below which it does not matter that they have to be cut.
+/// Size of steps, in standard uncertainties of all rows together, below which it does not matter that they have to be cut or
+/// that the iteration is slow.
 const CUT: f64 = 1e-6;
 
 /// The first of a step from x, its half, its quarter and so on that does not make the sum of squares larger than `cost`, with the

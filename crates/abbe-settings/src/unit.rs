@@ -30,7 +30,7 @@ pub enum Quantity {
 }
 
 /// Suffix, quantity, and the factor that turns a value with that suffix into the unit used in memory.
-const SUFFIXES: [(&str, Quantity, f64); 12] = [
+const SUFFIXES: [(&str, Quantity, f64); 13] = [
     ("_um_per_m", Quantity::Ratio, 1e-6),
     ("_per_K", Quantity::PerTemperature, 1.0),
     ("_mm", Quantity::Length, 1.0),
@@ -40,6 +40,7 @@ const SUFFIXES: [(&str, Quantity, f64); 12] = [
     ("_mrad", Quantity::Angle, 1e-3),
     ("_urad", Quantity::Angle, 1e-6),
     ("_s", Quantity::Time, 1.0),
+    ("_min", Quantity::Time, 60.0),
     ("_degC", Quantity::Temperature, 1.0),
     ("_N", Quantity::Force, 1.0),
     ("_rpm", Quantity::RotationalSpeed, 1.0),
@@ -49,11 +50,12 @@ impl Quantity {
     /// Splits a column name such as `X_mm` into its base name, its quantity and the factor to the unit in memory.
     ///
     /// Names without a unit are labels, except the dimensionless numbers that the conventions list (`dir_*`, `meas_*`,
-    /// components of unit vectors and quaternions).
+    /// components of unit vectors and quaternions). So are feeds (`F_mm_per_min`).
     pub fn of_column(header: &str) -> (&str, Self, f64) {
         for (suffix, quantity, factor) in SUFFIXES {
             if let Some(base) = header.strip_suffix(suffix)
                 && !base.is_empty()
+                && !(suffix == "_min" && base.ends_with("_per"))
             {
                 return (base, quantity, factor);
             }
@@ -215,6 +217,8 @@ mod tests {
             ("gain_um_per_m", "gain", Quantity::Ratio, 1e-6),
             ("T01_degC", "T01", Quantity::Temperature, 1.0),
             ("time_s", "time", Quantity::Time, 1.0),
+            ("cutting_min", "cutting", Quantity::Time, 60.0),
+            ("feed_mm_per_min", "feed_mm_per_min", Quantity::Label, 1.0),
             ("dir_X", "dir_X", Quantity::Ratio, 1.0),
             ("feature", "feature", Quantity::Label, 1.0),
             ("X", "X", Quantity::Label, 1.0),

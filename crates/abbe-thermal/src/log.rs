@@ -183,10 +183,10 @@ impl SensorLog {
     }
 
     /// What looks like the fault of a sensor of temperature, in words: a reading that jumps by many kelvin and comes back with the next
-    /// row, and one that stands still for long while the same sensor moves in most other rows.
+    /// row, and one that stands still for long while the same sensor moves in most rows before and after it. It may
+    /// stand at the beginning, while the machine rests.
     pub fn faults(&self, sensor: usize) -> Vec<String> {
         let (name, values) = (&self.names[sensor], &self.values[sensor]);
-        let mut steps: Vec<f64> = values.windows(2).map(|pair| (pair[1] - pair[0]).abs()).collect();
         let mut faults = Vec::new();
         let spike = (1..values.len().saturating_sub(1)).find(|&row| {
             let (up, down) = (values[row] - values[row - 1], values[row] - values[row + 1]);
@@ -202,14 +202,13 @@ impl SensorLog {
             ));
         }
         let (first, count) = longest_stand(values);
-        let others: Vec<bool> = (1..values.len())
-            .filter(|row| !(first + 1..first + count).contains(row))
-            .map(|row| values[row] == values[row - 1])
-            .collect();
-        let still = (others.iter().filter(|still| **still).count() + 1) as f64 / (others.len() + 2) as f64;
-        steps.retain(|step| *step > 0.0);
+        let near = first.saturating_sub(count) + 1..(first + 2 * count).min(values.len());
+        let others: Vec<usize> = near.filter(|row| !(first + 1..first + count).contains(row)).collect();
+        let still = others.iter().filter(|&&row| values[row] == values[row - 1]).count() + 1;
+        let still = still as f64 / (others.len() + 2) as f64;
         // By chance it stands that long once in a thousand logs or less.
-        if count > LONG && still.powf((count - 1) as f64) * (values.len() as f64) < 1e-3 && !steps.is_empty() {
+        let by_chance = still.powf((count - 1) as f64) * values.len() as f64;
+        if first > 0 && count > LONG && by_chance < 1e-3 {
             faults.push(format!(
                 "{name} reads the same from row {} to row {} of the log, and moves in others: was it stuck?",
                 first + 1,

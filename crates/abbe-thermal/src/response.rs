@@ -48,8 +48,17 @@ pub struct History {
 impl History {
     /// The state at all rows of the log; it is zero at the beginning.
     pub fn new(log: &SensorLog, sensor: usize, time_constant: f64) -> Self {
+        Self::from_state(log, sensor, time_constant, 0.0)
+    }
+
+    /// The same for a machine that had long stood at its first reading.
+    pub fn from_rest(log: &SensorLog, sensor: usize, time_constant: f64) -> Self {
+        Self::from_state(log, sensor, time_constant, log.values(sensor)[0])
+    }
+
+    fn from_state(log: &SensorLog, sensor: usize, time_constant: f64, state: f64) -> Self {
         let times = log.times();
-        let mut now = [0.0; 2];
+        let mut now = [state, 0.0];
         let mut rows = vec![now];
         for row in 0..times.len() - 1 {
             let length = times[row + 1] - times[row];

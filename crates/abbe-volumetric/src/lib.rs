@@ -17,5 +17,6 @@ pub use ellipsoid::Ellipsoid;
 pub use grid::{Grid, MOST_POSES, Points, standing};
 pub use predict::{VolumetricError, machine_covariance, predict};
 pub use sampling::{
-    Range, Ranges, Steps, check_axes, check_ranges, points_every, position_unit, range_of, rounded_position, within,
+    Range, Ranges, Steps, check_axes, check_ranges, places, points_every, position_unit, range_of, rounded_position,
+    within,
 };

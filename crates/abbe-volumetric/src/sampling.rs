@@ -2,7 +2,7 @@
 
 use std::collections::BTreeMap;
 
-use abbe_core::{Axis, AxisKind, Error, KinematicModel, PathItem, Result, SettingsError};
+use abbe_core::{Axis, AxisKind, Error, KinematicModel, PathItem, Quantity, Result, SettingsError};
 use schemars::JsonSchema;
 use serde::Deserialize;
 
@@ -91,6 +91,27 @@ pub fn position_unit(axis: &Axis) -> (&'static str, f64) {
 pub fn within(mut error: Error, outer: &[&str]) -> Error {
     error.setting.splice(0..0, outer.iter().map(|key| PathItem::Key((*key).to_owned())));
     error
+}
+
+/// Places of axes by their index, mm or rad, from a setting like `{ X_mm: 100 }`.
+///
+/// Fails for an axis that the machine does not have, and for a unit that is not that of its kind.
+pub fn places(list: &BTreeMap<String, f64>, setting: &str, model: &dyn KinematicModel) -> Result<BTreeMap<usize, f64>> {
+    let axes = &model.info().axes;
+    let place = |(column, value): (&String, &f64)| {
+        let at = |error: Error| within(error, &[setting, column]);
+        let (name, quantity, factor) = Quantity::of_column(column);
+        let found = axis_of(model, name).map_err(at)?;
+        let expected = match found.kind {
+            AxisKind::Linear => Quantity::Length,
+            AxisKind::Rotary => Quantity::Angle,
+        };
+        match quantity == expected {
+            true => Ok((axes.iter().position(|axis| axis.name == name).unwrap_or_default(), value * factor)),
+            false => Err(at(Error::usage(format!("`{name}{}` was expected", expected.usual_suffix())))),
+        }
+    };
+    list.iter().map(place).collect()
 }
 
 /// The axis of that name; refuses one that the machine does not have.

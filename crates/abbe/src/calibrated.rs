@@ -5,8 +5,9 @@ use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::time::{Duration, SystemTime, UNIX_EPOCH};
 
+use abbe_compensation::{Temperatures, check_no_drift, follows_log};
 use abbe_core::{AxisKind, Branch, Build, Calibration, Context, Error, Kind, KinematicModel, Poses, Registry, Result};
-use abbe_engine::{RunRecord, model_of};
+use abbe_engine::{RunRecord, model_with_log};
 use abbe_files::{LARGEST_RESULT, LARGEST_TEXT, read_text};
 use clap::Args;
 use serde_json::{Value, json};
@@ -22,21 +23,82 @@ pub struct Asked {
     /// Refuse a calibration of a run that is older than this; `run.json` beside it tells when it was.
     #[arg(long, value_name = "DAYS", value_parser = days, allow_negative_numbers = true)]
     max_age_days: Option<f64>,
+    /// Log of temperatures, CSV, where errors follow temperatures: `time_s` on the clock of the set-points, and the sensors. It takes
+    /// the place of the log of the calibration.
+    #[arg(long, value_name = "FILE")]
+    log: Option<PathBuf>,
+    /// The time of all set-points on the clock of the log, or `end` for its last row, if they have no column `time_s`.
+    #[arg(long, value_name = "SECONDS", value_parser = moment, allow_negative_numbers = true, requires = "log")]
+    at: Option<Moment>,
+    /// The machine has the temperatures from which its errors count: leave out all that follows temperatures, or time.
+    #[arg(long, conflicts_with = "log")]
+    at_reference: bool,
+}
+
+/// A time of a log.
+#[derive(Debug, Clone, Copy)]
+enum Moment {
+    Seconds(f64),
+    End,
+}
+
+fn moment(text: &str) -> std::result::Result<Moment, String> {
+    let seconds = text.parse::<f64>().ok().filter(|seconds| seconds.is_finite());
+    match (text, seconds) {
+        ("end", _) => Ok(Moment::End),
+        (_, Some(seconds)) => Ok(Moment::Seconds(seconds)),
+        _ => Err("a number of seconds, or `end`, was expected".to_owned()),
+    }
+}
+
+/// A calibration with its model, and the time of set-points if it was given.
+pub struct Known {
+    /// The calibration.
+    pub calibration: Calibration,
+    /// Its model; errors follow the log that was given.
+    pub model: Arc<dyn KinematicModel>,
+    /// The time of all set-points, s; NaN for a machine at its reference temperatures.
+    pub time: Option<f64>,
 }
 
 impl Asked {
     /// Reads the calibration and builds its model.
-    pub fn read(&self, registry: &Registry) -> Result<(Calibration, Arc<dyn KinematicModel>)> {
+    pub fn read(&self, registry: &Registry) -> Result<Known> {
         let file = &self.calibration;
         let calibration = read(file)?;
         self.max_age_days.map_or(Ok(()), |most| check_age(file, most))?;
-        let model = model_of(&calibration, registry).map_err(|error| error.in_file(file))?;
+        let log = self.log.as_deref().map(|log| temperatures(&calibration, log)).transpose()?;
+        if log.is_none() && !self.at_reference && follows_log(&calibration) {
+            let error = Error::usage("errors of this calibration follow temperatures, and the log is missing");
+            let help = "give the temperatures of now: `--log FILE`; `--at-reference` leaves them out";
+            return Err(error.help(help).in_file(file));
+        }
+        let model = model_with_log(&calibration, log.as_ref().map(Temperatures::data), registry);
+        let model = model.map_err(|error| error.in_file(self.log.as_ref().unwrap_or(file)))?;
+        let time = match (self.at, &log) {
+            (Some(Moment::Seconds(time)), _) => Some(time),
+            (Some(Moment::End), Some(log)) => Some(log.end()),
+            _ => self.at_reference.then_some(f64::NAN),
+        };
         if let Some(machine) = &self.machine {
             check_machine(model.as_ref(), &calibration, file, machine, registry)?;
         }
         tell_unknown_travel(model.as_ref());
-        Ok((calibration, model))
+        Ok(Known { calibration, model, time })
     }
+}
+
+/// The log that takes the place of the one of a calibration.
+fn temperatures(calibration: &Calibration, file: &Path) -> Result<Temperatures> {
+    if !follows_log(calibration) {
+        return Err(Error::usage("no error of this calibration follows a log of temperatures").in_file(file));
+    }
+    check_no_drift(calibration)?;
+    let log = Temperatures::read(file)?;
+    for beyond in log.beyond(calibration) {
+        tracing::warn!("{beyond}: corrections are extrapolated");
+    }
+    Ok(log)
 }
 
 fn read(file: &Path) -> Result<Calibration> {

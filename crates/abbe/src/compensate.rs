@@ -2,12 +2,12 @@
 
 use std::path::{Path, PathBuf};
 
-use abbe_compensation::{CompensatedPath, Correct, Method, Settings, Travel, figures};
+use abbe_compensation::{CompensatedPath, Correct, Method, SetPoints, Settings, Travel, figures};
 use abbe_core::{Axis, AxisKind, Error, KinematicModel, Registry, Result};
 use clap::{Args, ValueEnum};
 use serde_json::{Value, json};
 
-use crate::calibrated::{self, Asked, Written, counted};
+use crate::calibrated::{self, Asked, Known, Written, counted};
 use crate::table;
 use abbe_report::number::short;
 
@@ -117,9 +117,10 @@ impl Compensate {
             return Err(Error::usage("`--out` and `--report` name the same file"));
         }
         [&self.out, &self.report].into_iter().flatten().try_for_each(|path| calibrated::is_free(path))?;
-        let (calibration, model) = self.calibrated.read(registry)?;
+        let Known { calibration, model, time } = self.calibrated.read(registry)?;
         let model = model.as_ref();
-        let path = CompensatedPath::new(model, &calibration, &self.setpoints, &self.settings())?;
+        let points = SetPoints::read_at(&self.setpoints, model, time)?;
+        let path = CompensatedPath::of(model, &calibration, points, &self.settings())?;
         let mut files = Vec::new();
         if let Some(out) = &self.out {
             files.push((out.clone(), path.set_points_text(model)?));

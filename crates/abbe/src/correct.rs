@@ -2,12 +2,12 @@
 
 use std::path::PathBuf;
 
-use abbe_compensation::{MeasuredPoints, cost_of_leaving_out};
+use abbe_compensation::{MeasuredPoints, SetPoints, cost_of_leaving_out};
 use abbe_core::{Error, KinematicModel, Registry, Result, matches};
 use clap::Args;
 use serde_json::json;
 
-use crate::calibrated::{self, Asked, Written, counted};
+use crate::calibrated::{self, Asked, Known, Written, counted};
 use abbe_report::number::short;
 
 /// What `abbe correct` is asked for.
@@ -35,10 +35,11 @@ impl Correct {
     /// Carries it out; nothing is written yet.
     pub fn run(&self, registry: &Registry) -> Result<Written> {
         self.out.iter().try_for_each(|path| calibrated::is_free(path))?;
-        let (calibration, model) = self.calibrated.read(registry)?;
+        let Known { calibration, model, time } = self.calibrated.read(registry)?;
         let model = model.as_ref();
         self.check_patterns(model)?;
-        let found = MeasuredPoints::new(model, &calibration, &self.points, self.largest_correction_mm)?;
+        let points = SetPoints::read_at(&self.points, model, time)?;
+        let found = MeasuredPoints::of(model, &calibration, points, self.largest_correction_mm)?;
         let files = self.out.iter().map(|out| Ok((out.clone(), found.text()?))).collect::<Result<Vec<_>>>()?;
         let corrections = found.corrections();
         let is_left_out = |name: &str| self.without.iter().any(|pattern| matches(pattern, name));

@@ -128,8 +128,12 @@ const MOST_OUTLIERS: f64 = 0.25;
 
 /// A fit that takes much of what was measured for outliers.
 fn too_many_outliers(fit: &Fit) -> Option<String> {
-    let (outliers, rows) =
-        (fit.calibration.outliers.len(), fit.problem.sets.iter().map(|set| set.rows.len()).sum::<usize>());
+    let outliers = fit.calibration.outliers.len();
+    let rows = match fit.problem.sets.iter().map(|set| set.rows.len()).sum::<usize>() {
+        // An estimate of readings that are no geometry has no sets; it reports the readings that it used.
+        0 => fit.calibration.fit.observations + outliers,
+        rows => rows,
+    };
     (outliers as f64 > MOST_OUTLIERS * rows as f64).then(|| {
         format!(
             "  {}: {outliers} of {rows} rows are outliers: the stated uncertainties, the limit of outliers or the model are wrong\n",

@@ -8,14 +8,14 @@ use abbe_core::{
     AxisKind, Calibration, CommandCorrection, Context, Error, Export, ExportedFile, InputFile, KinematicModel, Result,
     SettingsError, positive,
 };
-use abbe_volumetric::{position_unit, rounded_position, within};
+use abbe_volumetric::{places, position_unit, rounded_position, within};
 use schemars::JsonSchema;
 use serde::Deserialize;
 use serde_json::{Value, json};
 
 use crate::fanuc_file::{self, InFile, Places};
 use crate::fanuc_points::Points;
-use crate::tables::{Limits, Made, Pairs, Tables, Values, axis_of, key, places};
+use crate::tables::{Limits, Made, Pairs, Tables, Values, axis_of, key};
 
 abbe_core::register!(
     Export,

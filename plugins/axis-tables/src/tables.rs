@@ -4,10 +4,11 @@ use std::collections::BTreeMap;
 
 use abbe_compensation::{AxisTable, AxisTables, TableSource};
 use abbe_core::{
-    Axis, AxisKind, Calibration, CommandCorrection, Error, KinematicModel, PathItem, Quantity, Result, SettingsError,
-    positive,
+    Axis, AxisKind, Calibration, CommandCorrection, Error, KinematicModel, PathItem, Result, SettingsError, positive,
 };
-use abbe_volumetric::{Ranges, Steps, check_axes, check_ranges, position_unit, range_of, rounded_position, within};
+use abbe_volumetric::{
+    Ranges, Steps, check_axes, check_ranges, places, position_unit, range_of, rounded_position, within,
+};
 use schemars::JsonSchema;
 use serde::Deserialize;
 
@@ -116,6 +117,14 @@ impl Values {
         match self {
             Self::Added => table,
             Self::Subtracted => table.map(|value| -value),
+        }
+    }
+
+    /// The sign of a value that moves an axis in positive direction.
+    pub fn sign(self) -> f64 {
+        match self {
+            Self::Added => 1.0,
+            Self::Subtracted => -1.0,
         }
     }
 
@@ -406,24 +415,6 @@ fn note(table: &AxisTable, interpolation: f64, model: &dyn KinematicModel, const
         interpolation * factor,
         constant * factor + 0.0,
     )
-}
-
-/// Places of axes by their index, mm or rad, from a setting like `{ X_mm: 100 }`.
-pub fn places(list: &BTreeMap<String, f64>, setting: &str, model: &dyn KinematicModel) -> Result<BTreeMap<usize, f64>> {
-    let place = |(column, value): (&String, &f64)| {
-        let at = |error: Error| within(error, &[setting, column]);
-        let (name, quantity, factor) = Quantity::of_column(column);
-        let axis = axis_of(model, name).map_err(at)?;
-        let expected = match model.info().axes[axis].kind {
-            AxisKind::Linear => Quantity::Length,
-            AxisKind::Rotary => Quantity::Angle,
-        };
-        match quantity == expected {
-            true => Ok((axis, value * factor)),
-            false => Err(at(Error::usage(format!("`{name}{}` was expected", expected.usual_suffix())))),
-        }
-    };
-    list.iter().map(place).collect()
 }
 
 /// A value with some decimals, never minus zero.

@@ -24,4 +24,5 @@ use abbe_sequential as _;
 use abbe_serial_chain as _;
 use abbe_spindle as _;
 use abbe_thermal_plugins as _;
+use abbe_tools as _;
 use abbe_validators as _;

@@ -1,6 +1,6 @@
 //! Axes of the machine as joints of LinuxCNC.
 
-use abbe_core::{Absent, AxisKind, Error, KinematicModel, Result, StatusRole};
+use abbe_core::{Absent, AxisKind, Error, KinematicModel, Result, SettingsError, StatusRole};
 use abbe_volumetric::position_unit;
 
 /// The letters of LinuxCNC in the order of its joints, with the names of their fields in `EmcPose`.
@@ -61,4 +61,14 @@ pub fn known(model: &dyn KinematicModel, joints: &[Joint], status: &[f64]) -> Ve
             (_, Absent::Default(value)) => value,
         })
         .collect()
+}
+
+/// Refuses a name that is none of a component.
+pub fn plain_name(name: &str) -> Result<(), SettingsError> {
+    let is_plain = |letter: char| letter.is_ascii_lowercase() || letter.is_ascii_digit() || letter == '_';
+    if !name.starts_with(|first: char| first.is_ascii_lowercase()) || !name.chars().all(is_plain) || name.len() > 40 {
+        let message = "a name of small letters, digits and `_` was expected, with a letter first, at most 40 of them";
+        return Err(SettingsError::new("component", message));
+    }
+    Ok(())
 }

@@ -14,7 +14,7 @@ use serde::Deserialize;
 use serde_json::{Value, json};
 
 use crate::code;
-use crate::joints::{Joint, joints, known};
+use crate::joints::{Joint, joints, known, plain_name};
 use crate::reversal::Reversal;
 use crate::table::Table;
 
@@ -81,12 +81,7 @@ fn example() -> Value {
 }
 
 fn build(settings: Settings, _: &Context) -> Result<Box<dyn Export>, SettingsError> {
-    let name = &settings.component;
-    let is_plain = |letter: char| letter.is_ascii_lowercase() || letter.is_ascii_digit() || letter == '_';
-    if !name.starts_with(|first: char| first.is_ascii_lowercase()) || !name.chars().all(is_plain) || name.len() > 40 {
-        let message = "a name of small letters, digits and `_` was expected, with a letter first, at most 40 of them";
-        return Err(SettingsError::new("component", message));
-    }
+    plain_name(&settings.component)?;
     let steps = Steps { mm: settings.step_mm, deg: settings.step_deg };
     steps.check()?;
     check_ranges(&settings.ranges, "ranges")?;

@@ -71,7 +71,10 @@ impl Sequential {
         let solution = solve_from(stack, &stack.states.problem.start(), None, &Options::USUAL)?;
         match solution.end {
             End::Converged => Ok(solution),
-            _ => Err(Error::data(format!("the iteration does not converge after {} steps", solution.iterations))
+            _ => Err(Error::data(format!(
+                "the iteration does not converge after {} steps; the next one is of {:.1e} standard uncertainties of all rows",
+                solution.iterations, solution.last_step
+            ))
                 .help("the new rows may be far from what is known: estimate them by `gauss-newton` alone first")),
         }
     }

@@ -280,11 +280,26 @@ impl Body {
         Ok(())
     }
 
-    /// Takes the columns of a log that has its sensors, unless they are in the settings already. Sensors that no log has are columns of
-    /// the measurements.
+    /// Takes the columns of a log that has its sensors. It takes the place of one that the settings keep. Sensors that no log has are
+    /// columns of the measurements.
     ///
-    /// Fails if logs have only some of the columns each, and for logs with gaps, clocks that jump, and sensors without a reading.
+    /// Fails if logs have only some of the columns each, and for logs with gaps, clocks that jump, and sensors without a reading. Another
+    /// log than that of the settings has no idle minutes that they could mean.
     pub fn settle(&mut self, data: &[&Dataset]) -> Result<(), SettingsError> {
+        if !self.log.is_empty() && data.iter().any(|data| data.is_log) {
+            if self.reference_until_s.is_some() {
+                let message =
+                    "counts from the idle minutes of the log that it was measured with, and another log is given";
+                let error = SettingsError::new("reference_until_s", message);
+                return Err(error.help("calibrate with `reference_degC`"));
+            }
+            let columns: Vec<String> = self.log.keys().map(|header| Quantity::of_column(header).0.to_owned()).collect();
+            let columns: Vec<&str> = columns.iter().map(String::as_str).filter(|name| *name != "time").collect();
+            let found = log::with_columns(data, &columns).map_err(|error| error.under([key("sections")]))?;
+            if let Some(found) = found {
+                self.log = log::kept(found, &columns);
+            }
+        }
         if self.log.is_empty() && !data.is_empty() {
             let in_a_log = |name: &&str| data.iter().any(|data| data.is_log && data.numbers(name).is_some());
             let mut columns = self.sensors();

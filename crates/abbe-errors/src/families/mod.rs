@@ -15,6 +15,7 @@ mod product;
 mod reversal;
 mod spline;
 mod thermal;
+mod thermal_log;
 mod travel;
 
 use std::fmt::Debug;

@@ -3,13 +3,12 @@
 use std::collections::BTreeMap;
 use std::sync::{Arc, RwLock};
 
-use abbe_core::{Dataset, PathItem, Quantity, SettingsError, Unit, positive};
-use abbe_thermal::{History, Hold, Reference, SensorLog, possible_temperature};
+use abbe_core::{PathItem, Quantity, SettingsError, Unit, positive};
+use abbe_thermal::{History, SensorLog, possible_temperature};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 use super::{Argument, Family, Functions, Group, Subject, Term};
-use crate::log::{self, key};
 
 /// Errors that follow the temperatures of a log: states that lag behind them (`dzt[T34:1]`, the gain at rest of the state that T34
 /// drives with `time_constant[1]_s`), temperatures themselves (`dzt[T34]`), and slopes along an axis (`EXX[1*T34:1]`) (Soons 1993, 3.4).
@@ -40,6 +39,13 @@ pub struct Thermal {
     /// Columns count from the mean of their rows up to this time: idle minutes.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub reference_until_s: Option<f64>,
+    /// What columns count from, by their names without units, in the units of memory (temperatures in °C): `{ T34: 20.1 }`.
+    #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
+    pub references: BTreeMap<String, f64>,
+    /// The machine had long stood at the first readings when the log begins: states begin with them. Without it they begin with the
+    /// reference.
+    #[serde(default, skip_serializing_if = "std::ops::Not::not")]
+    pub starts_at_rest: bool,
     /// Columns stay from one row to the next (speeds), and do not run straight (temperatures).
     #[serde(default, skip_serializing_if = "std::ops::Not::not")]
     pub zero_order_hold: bool,
@@ -56,66 +62,6 @@ pub struct Thermal {
 
 /// Most time constants: states of more than three are hardly ever told apart.
 const MOST: usize = 6;
-
-impl Thermal {
-    /// Takes the log from the data set that has its columns, unless it is in the settings already.
-    ///
-    /// Fails if no log, or more than one, has them, and for logs with gaps, clocks that jump, and sensors without a reading.
-    pub fn settle(&mut self, data: &[&Dataset]) -> Result<(), SettingsError> {
-        if self.log.is_empty() {
-            let columns: Vec<&str> = self.columns().collect();
-            let Some(found) = log::with_columns(data, &columns).map_err(|error| error.under([key("thermal")]))? else {
-                return Ok(());
-            };
-            self.log = log::kept(found, &columns);
-        }
-        for data in data.iter().filter(|data| !data.is_log) {
-            if let Some(name) = self.columns().find(|name| data.numbers(name).is_some()) {
-                let file = data.files.first().map_or(String::new(), |file| format!(" ({})", file.display()));
-                let message = format!(
-                    "the rows{file} have a column `{name}` of their own, and so has the log: which one counts?"
-                );
-                return Err(
-                    SettingsError::new("thermal", message).help("take it out of the rows: the log gives it by time")
-                );
-            }
-        }
-        // What is wrong with it is told now, and not by the first row that needs it.
-        self.sensor_log().map(drop)
-    }
-
-    /// What looks like faults of its sensors of temperature, in words.
-    pub fn faults(&self) -> Vec<String> {
-        let Ok(Some(log)) = self.sensor_log() else { return Vec::new() };
-        let is_temperature = |sensor: &usize| self.quantity(&log.names()[*sensor]) == Quantity::Temperature;
-        (0..log.names().len()).filter(is_temperature).flat_map(|sensor| log.faults(sensor)).collect()
-    }
-
-    /// Inputs, then what is followed at once.
-    fn columns(&self) -> impl Iterator<Item = &str> {
-        self.inputs.iter().chain(&self.at_once).map(String::as_str)
-    }
-
-    /// The log, counted from its reference; none before it is known.
-    fn sensor_log(&self) -> Result<Option<SensorLog>, SettingsError> {
-        if self.log.is_empty() {
-            return Ok(None);
-        }
-        let hold = if self.zero_order_hold { Hold::ZeroOrder } else { Hold::FirstOrder };
-        let reference = match (self.reference_degC, self.reference_until_s) {
-            (Some(value), _) => Reference::Value(value),
-            (None, Some(until)) => Reference::MeanUntil(until),
-            (None, None) => Reference::FirstRow,
-        };
-        log::sensor_log(&self.log, self.columns(), hold, self.longest_gap_s, reference).map(Some)
-    }
-
-    /// The quantity of a column; temperature before the log is known.
-    fn quantity(&self, name: &str) -> Quantity {
-        let of = self.log.keys().map(|header| Quantity::of_column(header));
-        of.into_iter().find(|(own, ..)| *own == name).map_or(Quantity::Temperature, |(_, quantity, _)| quantity)
-    }
-}
 
 impl Family for Thermal {
     fn symbols(&self) -> &[String] {
@@ -161,9 +107,13 @@ impl Family for Thermal {
         if self.starts_warm && self.inputs.is_empty() {
             return Err(SettingsError::new("starts_warm", "there is no state without `inputs`"));
         }
+        if self.starts_warm && self.starts_at_rest {
+            return Err(SettingsError::new("starts_at_rest", "there is `starts_warm` already"));
+        }
         if self.reference_degC.is_some() && self.reference_until_s.is_some() {
             return Err(SettingsError::new("reference_until_s", "there is `reference_degC` already"));
         }
+        self.check_references()?;
         for (setting, value) in [("reference_degC", self.reference_degC), ("reference_until_s", self.reference_until_s)]
         {
             if value.is_some_and(|value| !value.is_finite()) {
@@ -202,6 +152,7 @@ impl Family for Thermal {
             time_constants: self.time_constants_s.clone(),
             slope: self.slope,
             start: self.starts_warm.then_some(Unit { of: subject.of, per: None }),
+            at_rest: self.starts_at_rest,
             log,
             histories: RwLock::default(),
         })])
@@ -222,6 +173,8 @@ pub struct ThermalTerms {
     slope: bool,
     /// Unit of states at the beginning, if they are unknown.
     start: Option<Unit>,
+    /// States begin with the first readings.
+    at_rest: bool,
     log: Option<Arc<SensorLog>>,
     /// States over the log, of the time constants that were needed last.
     histories: RwLock<Vec<Known>>,
@@ -245,7 +198,11 @@ impl ThermalTerms {
         if let Some(found) = self.histories.read().ok().and_then(|known| of(&known)) {
             return found;
         }
-        let made = Arc::new(History::new(log, sensor, time_constant));
+        let made = match self.at_rest {
+            true => History::from_rest(log, sensor, time_constant),
+            false => History::new(log, sensor, time_constant),
+        };
+        let made = Arc::new(made);
         if let Ok(mut known) = self.histories.write()
             && of(&known).is_none()
         {

@@ -1,0 +1,116 @@
+//! Temperatures of the time at which a machine is corrected.
+
+use std::path::Path;
+
+use abbe_core::{Calibration, Dataset, Error, Quantity, Result};
+use abbe_errors::Declaration;
+
+/// A log of sensors with its own clock, which takes the place of the one that a calibration keeps.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Temperatures {
+    data: Dataset,
+}
+
+impl Temperatures {
+    /// Reads a log from a CSV file: `time_s` and a column for each sensor.
+    ///
+    /// Fails for a file that is no table, and for one without times or rows.
+    pub fn read(path: &Path) -> Result<Self> {
+        let text = abbe_table::read_text(path)?;
+        let data = Dataset { is_log: true, ..abbe_table::parse(path, text.as_bytes())? };
+        match data.numbers("time") {
+            Some([_, .., last]) if last.is_finite() => Ok(Self { data }),
+            Some(_) => Err(Error::data("a log of at least two rows was expected").in_file(path)),
+            None => {
+                let error = Error::usage("the log of temperatures has no column `time_s`").in_file(path);
+                Err(error.help("its clock has to be that of the set-points"))
+            }
+        }
+    }
+
+    /// The log as a model takes it.
+    pub fn data(&self) -> &Dataset {
+        &self.data
+    }
+
+    /// The time of its last row, s.
+    pub fn end(&self) -> f64 {
+        self.data.numbers("time").and_then(|times| times.last().copied()).unwrap_or(f64::NAN)
+    }
+
+    /// What a calibration does not know of this log: readings beyond those of its own one, by more than a tenth of their range.
+    pub fn beyond(&self, calibration: &Calibration) -> Vec<String> {
+        let mut told = Vec::new();
+        for (header, known) in logged(calibration) {
+            let (name, ..) = Quantity::of_column(&header);
+            let (Some(own), Some([from, to])) = (self.data.numbers(name).and_then(ends), ends(&known)) else {
+                continue;
+            };
+            let more = BEYOND * (to - from);
+            if own[0] < from - more || own[1] > to + more {
+                told.push(format!(
+                    "{header} goes from {:.2} to {:.2}; gains were found from {from:.2} to {to:.2}",
+                    own[0], own[1]
+                ));
+            }
+        }
+        told
+    }
+}
+
+/// Part of the range of a sensor by which readings may be beyond those of the calibration without a word.
+const BEYOND: f64 = 0.1;
+
+/// The smallest and the largest number.
+fn ends(values: &[f64]) -> Option<[f64; 2]> {
+    let first = *values.first()?;
+    Some(values.iter().fold([first; 2], |[least, most], value| [least.min(*value), most.max(*value)]))
+}
+
+/// The lines of errors of a calibration's machine; none if it is described in another way.
+pub(crate) fn declarations(calibration: &Calibration) -> Vec<Declaration> {
+    let lines = calibration.model.settings.get("errors").and_then(|lines| lines.as_array());
+    lines.into_iter().flatten().filter_map(|line| Declaration::read(line).ok()).collect()
+}
+
+/// Columns of the logs that a calibration keeps for its errors and bodies, without times: header and readings. Each stands here once.
+fn logged(calibration: &Calibration) -> Vec<(String, Vec<f64>)> {
+    let bodies = calibration.model.settings.get("bodies").and_then(|bodies| bodies.as_object());
+    let kept = bodies.into_iter().flatten().filter_map(|(_, body)| body.get("log")?.as_object()).flatten();
+    let of_bodies = kept.filter_map(|(header, values)| {
+        Some((header.clone(), values.as_array()?.iter().filter_map(|value| value.as_f64()).collect::<Vec<f64>>()))
+    });
+    let of_line = |line| if let Declaration::Thermal(thermal) = line { Some(thermal.log) } else { None };
+    let of_lines = declarations(calibration).into_iter().filter_map(of_line).flatten();
+    let mut columns: Vec<(String, Vec<f64>)> = Vec::new();
+    for (header, values) in of_bodies.chain(of_lines) {
+        if Quantity::of_column(&header).1 != Quantity::Time && !columns.iter().any(|(known, _)| *known == header) {
+            columns.push((header, values));
+        }
+    }
+    columns
+}
+
+/// Whether errors of a calibration follow the log of its measurement.
+pub fn follows_log(calibration: &Calibration) -> bool {
+    !logged(calibration).is_empty()
+}
+
+/// Refuses a calibration with a drift in time that is not zero: on the clock of another log it would be carried on without a bound.
+pub fn check_no_drift(calibration: &Calibration) -> Result<()> {
+    for line in declarations(calibration) {
+        let Declaration::Drift(_) = line else { continue };
+        let of_line = |name: &str| {
+            let (symbol, term) = name.split_once('[').unwrap_or((name, ""));
+            let term = term.trim_end_matches(']').rsplit('.').next().unwrap_or_default();
+            let degree = term.strip_prefix('t').is_some_and(|degree| degree.parse::<u8>().is_ok());
+            degree && line.family().symbols().iter().any(|own| abbe_core::matches(own, symbol))
+        };
+        if let Some(found) = calibration.parameters.iter().find(|known| of_line(&known.name) && known.value != 0.0) {
+            let message =
+                format!("`{}` is a drift in the time of the calibration, which another log does not have", found.name);
+            return Err(Error::data(message).help("estimate it without a drift in time, or leave out the log"));
+        }
+    }
+    Ok(())
+}
