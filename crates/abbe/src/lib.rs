@@ -28,7 +28,7 @@ use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 use std::time::Duration;
 
-use abbe_core::{Class, Error, Kind, Monitor, Origin, Registry, Result, harmless, harmless_json};
+use abbe_core::{Class, Error, Kind, Monitor, Origin, Result, harmless, harmless_json};
 use abbe_engine::{Simulated, can_write_folder, prepare};
 use abbe_plugin::check::Findings;
 use clap::{Parser, Subcommand};
