@@ -20,4 +20,4 @@ pub use analysis::{Analysis, NamedCause, main_fit};
 pub use page::page;
 pub use residuals::{Residual, Residuals};
 pub use run::{Files, FitResult, Run};
-pub use sections::{decided, judged, micrometres, undetermined, used, valued};
+pub use sections::{decided, judged, judged_remarks, micrometres, undetermined, used, valued};

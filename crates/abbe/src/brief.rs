@@ -5,7 +5,9 @@ use std::io::{self, IsTerminal};
 use std::path::Path;
 
 use abbe_report::number::short;
-use abbe_report::{Analysis, FitResult, Run, decided, judged, main_fit, micrometres, undetermined, used, valued};
+use abbe_report::{
+    Analysis, FitResult, Run, decided, judged, judged_remarks, main_fit, micrometres, undetermined, used, valued,
+};
 
 /// Lines of each part: figures with limits, estimates, what is lost, remarks, failures.
 const FIGURES: usize = 3;
@@ -14,6 +16,7 @@ const LOST: usize = 2;
 const REMARKS: usize = 2;
 const FAILURES: usize = 3;
 const CAUSES: usize = 3;
+const SAID: usize = 2;
 
 /// Width of what is no terminal.
 const WIDTH: usize = 120;
@@ -27,10 +30,11 @@ pub fn width() -> usize {
 /// The summary; no line is longer than `width`, but for paths.
 pub fn text(run: &Run, folder: &Path, width: usize) -> String {
     let (word, _, sentence) = decided(run);
-    let mut lines =
-        vec![format!("{}: {}", word.to_uppercase(), run.title), format!("  {sentence}{}", undetermined(run))];
+    let mut lines = vec![format!("{}: {}", word.to_uppercase(), run.title)];
+    lines.extend(wrapped(&format!("{sentence}{}", undetermined(run)), width));
     lines.extend(failures(run));
     lines.extend(figures(run));
+    lines.extend(said(run));
     if let Some(fit) = main_fit(run) {
         lines.extend(volumetric(fit));
     }
@@ -44,6 +48,23 @@ pub fn text(run: &Run, folder: &Path, width: usize) -> String {
     text.push_str(&format!("Report: {}\n", Path::new(&folder).join(abbe_engine::REPORT).display()));
     text.push_str(&format!("Results: {folder} (all values here: --verbose)\n"));
     text
+}
+
+/// Lines of words that fit, with an indent.
+fn wrapped(text: &str, width: usize) -> Vec<String> {
+    let mut lines = vec![String::new()];
+    for word in text.split_whitespace() {
+        let last = lines.len() - 1;
+        match 1 + lines[last].chars().count() + word.chars().count() > width && !lines[last].is_empty() {
+            true => lines.push(format!("  {word}")),
+            false => {
+                let space = if lines[last].is_empty() { "  " } else { " " };
+                lines[last].push_str(space);
+                lines[last].push_str(word);
+            }
+        }
+    }
+    lines
 }
 
 /// A line that fits.
@@ -87,6 +108,12 @@ fn figures(run: &Run) -> Vec<String> {
     let mut lines = told.collect();
     more(&mut lines, all.len(), FIGURES);
     lines
+}
+
+/// The first remark of each verdict on a machine or tool that has one.
+fn said(run: &Run) -> Vec<String> {
+    let first = judged_remarks(run).filter_map(|(verdict, remarks)| Some((verdict, remarks.first()?)));
+    first.take(SAID).map(|(verdict, remark)| format!("  {}: {remark}", verdict.stage)).collect()
 }
 
 /// The volumetric error of an estimate and its largest causes.
@@ -141,7 +168,11 @@ fn lost(fits: &[FitResult]) -> Vec<String> {
         .iter()
         .flat_map(|fit| {
             let report = &fit.calibration.fit;
-            let lost = report.null_space.iter().map(abbe_core::WeakDirection::advise);
+            // What to do stands first: it must not be cut.
+            let lost = report.null_space.iter().map(|direction| match direction.separated_by.first() {
+                Some(measurement) => format!("{measurement} ({})", direction.describe()),
+                None => direction.describe(),
+            });
             let same = report.equivalent_motion_errors.iter().map(abbe_core::EquivalentMotionError::describe);
             lost.chain(same).map(|text| format!("  {}: {text}", fit.name))
         })
@@ -172,8 +203,9 @@ pub fn coloured(text: &str) -> Cow<'_, str> {
 }
 
 /// What a line of a verdict begins with, and its colour.
-const COLOURS: [(&str, &str); 8] = [
+const COLOURS: [(&str, &str); 9] = [
     ("PASS:", "1;32"),
+    ("PASS, OF THE FIT ALONE:", "1"),
     ("FAIL:", "1;31"),
     ("FAILED:", "1;31"),
     ("INCONCLUSIVE:", "1;33"),
@@ -200,5 +232,7 @@ mod tests {
         assert_eq!(painted("PASS: a\nso PASS: b\n"), "\u{1b}[1;32mPASS:\u{1b}[0m a\nso PASS: b\n");
         assert_eq!((cut("µµµµ", 4), cut("µµµµµ", 4)), ("µµµµ".to_owned(), "µµµ…".to_owned()));
         assert_eq!(cut("two\nlines", 20), "two lines");
+        assert_eq!(wrapped("one two three four", 12), ["  one two", "  three four"]);
+        assert_eq!(wrapped("", 12), [""]);
     }
 }

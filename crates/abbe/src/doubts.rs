@@ -70,8 +70,21 @@ pub fn doubts(all: &[Fit]) -> Option<String> {
         .chain(all.iter().filter_map(too_good))
         .chain(all.iter().filter_map(too_many_outliers))
         .chain(all.iter().filter_map(contradicted))
+        .chain(all.iter().filter_map(disagreeing))
         .collect();
     (!text.is_empty()).then_some(text)
+}
+
+/// Probability below which new rows and what was known do not agree.
+const DISAGREEING: f64 = 0.01;
+
+/// An update whose new rows do not agree with what was known.
+fn disagreeing(fit: &Fit) -> Option<String> {
+    let found = fit.calibration.fit.agreement.as_ref().filter(|found| found.probability < DISAGREEING)?;
+    Some(format!(
+        "  {}: the new rows do not agree with what was known: chi-squared {:.1} with {} degrees of freedom, probability {:.1e}\n",
+        fit.name, found.chi_squared, found.degrees_of_freedom, found.probability
+    ))
 }
 
 /// Part of what was stated below which residuals of one quantity are not believed where those of another are as stated.

@@ -26,6 +26,8 @@ enum Content {
     Value { value: f64, uncertainty: f64, unit: String, status: String },
     /// A size, which may differ by a part of itself.
     Size { value: f64, unit: String },
+    /// Columns of numbers in a file: the sum of sizes of each, and how it leans ([`columns`]).
+    Columns(Vec<[f64; 2]>),
 }
 
 /// All that is expected of a run, in its order: (what, content).
@@ -62,11 +64,11 @@ impl Expected {
         }
         for (stage, files) in &outcome.exports {
             for file in files {
-                let (shape, numbers) = taken_apart(&String::from_utf8_lossy(&file.content));
+                let text = String::from_utf8_lossy(&file.content);
+                let (shape, numbers) = taken_apart(&text);
                 let name = format!("file {stage}/{}", file.name);
                 all.push((name.clone(), Content::Text(format!("{} numbers, text {shape:016x}", numbers.len()))));
-                let sum = numbers.iter().map(|number| number.abs()).sum::<f64>();
-                all.push((format!("{name} numbers"), Content::Size { value: sum, unit: "sum of sizes".to_owned() }));
+                all.push((format!("{name} numbers"), Content::Columns(columns(&text))));
             }
         }
         Self(distinct(all))
@@ -170,10 +172,54 @@ fn of_value(calibration: &Calibration, estimated: &Estimated) -> Content {
     Content::read(&Content::Value { value, uncertainty, unit, status: status.to_owned() }.text())
 }
 
+/// Columns of a file that are told apart; further ones count as the last.
+const COLUMNS: usize = 8;
+
+/// Of the numbers at each place of their lines, and of differences of neighbours in short lines: the sum of their sizes, and how they lean: the part of it with signs, those further down
+/// weighing more, so that turned signs are seen where positive and negative numbers are as many.
+fn columns(text: &str) -> Vec<[f64; 2]> {
+    let mut all: Vec<Vec<f64>> = Vec::new();
+    for line in text.lines() {
+        let mut numbers = taken_apart(line).1;
+        if numbers.len() <= COLUMNS / 2 {
+            // Corrected positions beside programmed ones: what matters is the difference.
+            let differences: Vec<f64> = numbers.windows(2).map(|pair| pair[1] - pair[0]).collect();
+            numbers.extend(differences);
+        }
+        for (place, number) in numbers.into_iter().enumerate() {
+            let place = place.min(COLUMNS - 1);
+            if all.len() <= place {
+                all.push(Vec::new());
+            }
+            all[place].push(number);
+        }
+    }
+    let told = |numbers: &Vec<f64>| {
+        let weighed = |of: fn(f64) -> f64| -> f64 {
+            numbers.iter().enumerate().map(|(row, number)| (row + 1) as f64 * of(*number)).sum()
+        };
+        let lean = weighed(|number| number) / weighed(f64::abs).max(f64::MIN_POSITIVE);
+        [numbers.iter().map(|number| number.abs()).sum(), (lean * 100.0).round() / 100.0 + 0.0]
+    };
+    all.iter().map(told).collect()
+}
+
+/// Sums of a column below this are rounding.
+const NOTHING: f64 = 1e-6;
+
+/// How much the lean of a column may change.
+const LEAN: f64 = 0.05;
+
 impl Content {
     fn text(&self) -> String {
         match self {
             Self::Text(text) => text.replace('\n', " "),
+            Self::Columns(columns) => {
+                let told = columns.iter().map(|[size, lean]| {
+                    format!("{} leaning {lean}", if *size == 0.0 { "0".to_owned() } else { short(*size) })
+                });
+                format!("columns {}", told.collect::<Vec<_>>().join(", "))
+            }
             // Three digits of the uncertainty: a tenth of it is still seen.
             Self::Value { value, uncertainty, unit, status } => {
                 let told = match *uncertainty > ROUNDING {
@@ -193,6 +239,16 @@ impl Content {
         if let Some((value, unit)) = text.strip_prefix("about ").and_then(|rest| rest.split_once(' ')) {
             return value.parse().map_or_else(|_| whole(), |value| Self::Size { value, unit: unit.to_owned() });
         }
+        let columns = text.strip_prefix("columns ").map(|rest| {
+            let column = |part: &str| {
+                let (size, lean) = part.split_once(" leaning ")?;
+                Some([size.parse().ok()?, lean.parse().ok()?])
+            };
+            rest.split(", ").filter(|part| !part.is_empty()).map(column).collect::<Option<Vec<_>>>()
+        });
+        if let Some(columns) = columns {
+            return columns.map_or_else(whole, Self::Columns);
+        }
         let parts = || {
             let (value, rest) = text.split_once(" ± ")?;
             let (uncertainty, rest) = rest.split_once(' ')?;
@@ -207,6 +263,13 @@ impl Content {
     fn difference(&self, found: &Self, part: f64) -> Option<String> {
         let told = || format!("{}, expected {}", found.text(), self.text());
         match (self, found) {
+            (Self::Columns(columns), Self::Columns(others)) => {
+                let differs = |([size, lean], [other, of_other]): (&[f64; 2], &[f64; 2])| {
+                    (size - other).abs() > part * size.abs().max(other.abs()) + NOTHING
+                        || (lean - of_other).abs() > LEAN && size.max(*other) > NOTHING
+                };
+                (columns.len() != others.len() || columns.iter().zip(others).any(differs)).then(told)
+            }
             (Self::Size { value, unit }, Self::Size { value: other, unit: of_other }) => {
                 let most = part * value.abs().max(other.abs()) + NO_RESIDUAL;
                 (unit != of_other || (value - other).abs() > most).then(told)
@@ -288,7 +351,8 @@ fn taken_apart(text: &str) -> (u64, Vec<f64>) {
         match text[from..at].parse::<f64>() {
             Ok(number) if number.is_finite() && text[from..at].contains(['.', 'e', 'E']) => {
                 mix(b'#');
-                numbers.push(number);
+                let is_negative = from > 0 && bytes[from - 1] == b'-';
+                numbers.push(if is_negative { -number } else { number });
             }
             // Whole numbers count things, and number lines: they have to be the same.
             _ => text.as_bytes()[from..at].iter().for_each(|byte| mix(*byte)),
@@ -353,10 +417,24 @@ mod tests {
     #[test]
     fn files_are_taken_apart() {
         let (shape, numbers) = taken_apart("N10 G1 X-1.5 Y2e-3\n");
-        assert_eq!(numbers, [1.5, 2e-3]);
+        assert_eq!(numbers, [-1.5, 2e-3]);
         assert_eq!(taken_apart("N10 G1 X1.51 Y2.1e-3\n").0, shape);
         assert_ne!(taken_apart("N11 G1 X1.51 Y2.1e-3\n").0, shape);
         assert_ne!(taken_apart("N10 G1 Z1.51 Y2.1e-3\n").0, shape);
         assert!(taken_apart("... . -\u{e9}").1.is_empty());
+    }
+
+    #[test]
+    fn turned_signs_in_files_are_a_change() {
+        let table = |sign: f64, of: f64| {
+            let row = |row: i32| format!("{:.1} {:.4}\n", 50.0 * f64::from(row), sign * of * f64::from(row - 5));
+            (0..11).map(row).collect::<String>()
+        };
+        let told = |text: &str| of(&[("f", Content::Columns(columns(text)))]);
+        let before = told(&table(1.0, 0.01));
+        assert_eq!(Expected::read(&before.text("a.yaml")).unwrap().differences(&before, 0.1), [""; 0]);
+        assert!(before.differences(&told(&table(1.0, 0.01002)), 0.1).is_empty());
+        assert_eq!(before.differences(&told(&table(-1.0, 0.01)), 0.1).len(), 1);
+        assert_eq!(before.differences(&told(&table(1.0, 0.02)), 0.1).len(), 1);
     }
 }

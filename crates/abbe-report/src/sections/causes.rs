@@ -90,6 +90,15 @@ fn told(fit: &str, found: &Analysis, residual_rms_um: f64) -> String {
     let three = found.without_three.map_or(String::new(), |left| {
         format!(" Without the three largest causes it would be {} µm.", short(left * 1e3))
     });
+    if found.unknown >= found.rms.value {
+        return html
+            + &paragraph(&format!(
+                "The RMS volumetric error is {} µm, and the standard uncertainty of the calibration {} µm: a correction would gain \
+                 nothing that is known.",
+                short(found.rms.value * 1e3),
+                short(found.unknown * 1e3)
+            ));
+    }
     html.push_str(&paragraph(&format!(
         "The RMS volumetric error is {} µm now.{three} If everything that was estimated were corrected, at least {} µm would stay: the \
          standard uncertainty of the calibration. What the model does not describe comes on top; the residuals have an RMS of {} µm.",
@@ -108,8 +117,7 @@ fn row(cause: &NamedCause, found: &Analysis) -> Vec<Cell> {
          height=\"8\"/></svg>",
         120.0 * part
     );
-    let is_sure = cause.part.loss.value > 2.0 * cause.part.loss.uncertainty;
-    let loss = format!("{}{}", micrometres(cause.part.loss), if is_sure { "" } else { " (not proven)" });
+    let loss = format!("{}{}", micrometres(cause.part.loss), if is_sure(cause) { "" } else { " (not proven)" });
     vec![
         Cell::text(format!("{}{mark}", cause.name)),
         Cell::text(&cause.meaning),
@@ -117,8 +125,13 @@ fn row(cause: &NamedCause, found: &Analysis) -> Vec<Cell> {
         Cell::figure(format!("{} µm", short(cause.part.without * 1e3))),
         Cell::figure(loss),
         Cell::Html(bar),
-        Cell::text(cause.remedy),
+        Cell::text(if is_sure(cause) { cause.remedy } else { "" }),
     ]
+}
+
+/// Whether the loss is more than its expanded uncertainty, in either direction.
+fn is_sure(cause: &NamedCause) -> bool {
+    cause.part.loss.value.abs() > 2.0 * cause.part.loss.uncertainty
 }
 
 /// Several runs beside each other: before and after.

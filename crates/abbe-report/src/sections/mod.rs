@@ -20,7 +20,7 @@ pub use scene::{scene, scene_rows};
 pub use tables::tables;
 pub use uncertainty::{budget, correlations};
 pub use untold::untold;
-pub use verdict::{decided, judged, undetermined, used, verdict};
+pub use verdict::{decided, judged, judged_remarks, undetermined, used, verdict};
 
 use crate::number::{short, sized};
 

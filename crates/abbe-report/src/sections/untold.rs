@@ -36,7 +36,7 @@ fn of_fit(fit: &FitResult) -> String {
     for direction in report.null_space.iter().take(MOST) {
         items.push_str(&format!("<li>{}", escape(&direction.describe())));
         if !direction.separated_by.is_empty() {
-            items.push_str(".<br><b>Measure:</b> ");
+            items.push_str(".<br><b>To do:</b> ");
             items.push_str(&escape(&direction.separated_by.join("; or ")));
         }
         items.push_str("</li>\n");

@@ -2,8 +2,8 @@
 
 use abbe_core::{Decision, Figure, Verdict};
 
-use super::valued;
-use crate::analysis::main_fit;
+use super::{micrometres, valued};
+use crate::analysis::{Analysis, main_fit};
 use crate::html::{Cell, details, escape, list, paragraph, table};
 use crate::run::Run;
 
@@ -29,15 +29,35 @@ pub fn decided(run: &Run) -> (&'static str, &'static str, String) {
                         `limits: { max_um: 10 }`.";
             ("No limit set", "none", text.to_owned())
         }
-        _ => (
-            "Pass",
-            "pass",
-            match all {
+        _ => {
+            let kept = match all {
                 1 => "The only limit is kept.".to_owned(),
                 2 => "Both limits are kept.".to_owned(),
                 all => format!("All {all} limits are kept."),
-            },
-        ),
+            };
+            match judged.iter().all(|(verdict, _)| OF_THE_FIT.contains(&verdict.plugin.as_str())) {
+                true => ("Pass, of the fit alone", "none", format!("{kept} {}", of_the_fit(run))),
+                false => ("Pass", "pass", kept),
+            }
+        }
+    }
+}
+
+/// Validators whose limits say how well a model explains readings, and nothing about how good the machine is.
+const OF_THE_FIT: [&str; 4] = ["residuals", "hold-out", "compare", "influence"];
+
+/// What such limits leave open, and how large the errors of the machine are.
+fn of_the_fit(run: &Run) -> String {
+    let found = main_fit(run).and_then(|fit| Analysis::of(fit).ok().flatten());
+    let open = "The limits judge how well the model explains the readings; none judges the machine.";
+    match found {
+        None => open.to_owned(),
+        Some(found) => {
+            let first = found.causes.first().filter(|cause| cause.part.loss.value > 2.0 * cause.part.loss.uncertainty);
+            let cause =
+                first.map_or(String::new(), |cause| format!(", first of all {}: {}", cause.name, cause.meaning));
+            format!("{open} Its RMS volumetric error is {}{cause}.", micrometres(found.rms))
+        }
     }
 }
 
@@ -62,6 +82,18 @@ pub fn judged(run: &Run) -> impl Iterator<Item = (&Verdict, &Figure)> {
     });
     all.into_iter()
 }
+
+/// Remarks of verdicts with limits that judge more than a fit.
+pub fn judged_remarks(run: &Run) -> impl Iterator<Item = (&Verdict, &[String])> {
+    let judges = |verdict: &&Verdict| {
+        let has_limits = verdict.figures.iter().any(|figure| figure.decision.is_some());
+        has_limits && !OF_THE_FIT.contains(&verdict.plugin.as_str())
+    };
+    run.verdicts.iter().filter(judges).map(|verdict| (verdict, verdict.remarks.as_slice()))
+}
+
+/// Remarks of a verdict that are shown at once.
+const REMARKS: usize = 4;
 
 /// The part of its limit that a figure uses.
 pub fn used(figure: &Figure) -> f64 {
@@ -122,6 +154,10 @@ pub fn verdict(run: &Run) -> String {
             &table(caption, &head, &rows(others)),
         ));
     }
+    let said = judged_remarks(run).flat_map(|(verdict, remarks)| {
+        remarks.iter().take(REMARKS).map(|remark| format!("{}: {remark}", verdict.stage))
+    });
+    html.push_str(&list(&said.collect::<Vec<_>>()));
     html.push_str(&paragraph(
         "A verdict is as wide as its limits: an error of the machine counts in it only where one of these figures shows it.",
     ));
