@@ -163,3 +163,186 @@ fn sensors_with_faults_are_told() {
         }
     }
 }
+
+/// A drift sensor that is not connected moves by nothing, and keeps every limit.
+#[test]
+fn drift_sensors_that_stand_still_are_told() {
+    let folder = temporary();
+    let source = crate::support::root().join("pipelines/data/spindle-motion/realistic/thermal-warmup.csv");
+    let judged = |log: &Path, readings: [&str; 2], judge: bool| {
+        let mut stages = json!({ "log": { "ingest": "csv", "path": log } });
+        match judge {
+            true => {
+                stages["warm-up"] = json!({ "estimate": "spindle-warm-up", "from": "log", "drift": readings });
+                stages["spindle"] =
+                    json!({ "validate": "spindle", "of": "warm-up", "limits": { "warm_up_range_um": 40 } });
+            }
+            false => {
+                stages["iso"] = json!({ "validate": "thermal", "from": "log", "drift": { "readings": readings, "limits": { "range_um": 40 } } });
+            }
+        }
+        let recipe = Variant(json!({ "abbe": 1, "name": "warm-up", "stages": stages }));
+        let file = recipe.write(folder.path());
+        let out = folder.path().join("out");
+        abbe(folder.path(), &["run".as_ref(), file.as_os_str(), "--out".as_ref(), out.as_os_str()])
+    };
+    for (column, value) in [("drift_x_um", "0"), ("drift_z_um", "12.125"), ("drift_x_um", "1e-310")] {
+        let dead = changed(&source, folder.path(), column, |_, _| value.to_owned());
+        for judge in [true, false] {
+            let printed = judged(&dead, ["drift_x", "drift_z"], judge);
+            assert!(printed.stderr.contains("is the sensor connected"), "{column} = {value}: {}", printed.stderr);
+            assert_ne!(printed.status, 0, "{}", printed.stdout);
+        }
+    }
+    let stuck = changed(
+        &source,
+        folder.path(),
+        "drift_z_um",
+        |row, cell| if row > 8 { "1.2".to_owned() } else { cell.to_owned() },
+    );
+    for judge in [true, false] {
+        let printed = judged(&stuck, ["drift_x", "drift_z"], judge);
+        assert!((printed.stdout.clone() + &printed.stderr).contains("was it stuck?"), "{}", printed.stderr);
+        let printed = judged(&source, ["drift_x", "drift_z"], judge);
+        assert!(!(printed.stdout + &printed.stderr).contains("was it stuck?"));
+    }
+}
+
+/// Limits, times and settings that no tool and no control has.
+#[test]
+fn absurd_settings_are_refused() {
+    let folder = temporary();
+    let told = |recipe: &Variant| match checked(recipe, folder.path()) {
+        Ok(_) => {
+            let file = recipe.write(folder.path());
+            let printed = abbe(folder.path(), &["run".as_ref(), file.as_os_str(), "--out".as_ref(), "out".as_ref()]);
+            printed.stderr
+        }
+        Err(error) => error.to_string(),
+    };
+    let tools = || Variant::of(&recipes()["tool-check"]);
+    let stage = {
+        let recipe = tools();
+        let stages = recipe.0["stages"].as_object().expect("stages");
+        stages
+            .iter()
+            .find(|(_, stage)| stage.get("limits").is_some_and(|limits| limits.get("breakage_um").is_some()))
+            .expect("a stage")
+            .0
+            .clone()
+    };
+    for (path, value, expected) in [
+        (vec!["limits", "breakage_um"], json!(5e8), "up to 10000"),
+        (vec!["limits", "chip_um"], json!(25000), "up to 10000"),
+        (vec!["limits", "match_um"], json!(1e300), "up to 10000"),
+        (vec!["master_limit_um"], json!(1e300), "up to 1000"),
+        (vec!["temperature_limit_K"], json!(1e300), "up to 100"),
+        (vec!["coverage_factor"], json!(1e-300), "from 1 to 10"),
+        (vec!["master", "standard_uncertainty_um"], json!(1e300), "up to 1e6"),
+    ] {
+        let mut recipe = tools();
+        let mut at = recipe.stage(&stage);
+        for key in &path {
+            at = &mut at[*key];
+        }
+        *at = value.clone();
+        let told = told(&recipe);
+        assert!(told.contains(expected), "{path:?} = {value}: {told}");
+    }
+    let mut recipe = Variant::of(&recipes()["tango-hu40t"]).only(&["fit-S1"]);
+    recipe.stage("table")["standard_uncertainty_um"] = json!(1e9);
+    assert!(told(&recipe).contains("up to 1e6"));
+    let mut recipe = Variant::of(&recipes()["tango-hu40t"]).only(&["fit-S1"]);
+    recipe.stage("table")["stylus_radius_standard_uncertainty_um"] = json!(1e300);
+    assert!(told(&recipe).contains("up to 1e6"));
+}
+
+/// Results of tests take the place of results of tests only.
+#[test]
+fn results_of_tests_replace_nobodys_files() {
+    let folder = temporary();
+    let recipe = Variant::of(&recipes()["design-2d"]);
+    let file = recipe.write(folder.path());
+    let notes = folder.path().join("notes.md");
+    fs::write(&notes, "mine\n").expect("a file");
+    let test = |option: &str, to: &Path| {
+        abbe(folder.path(), &["test".as_ref(), file.as_os_str(), option.as_ref(), to.as_os_str()])
+    };
+    for (option, to) in [("--junit", &file), ("--markdown", &notes), ("--junit", &notes), ("--markdown", &file)] {
+        let before = read(to);
+        let printed = test(option, to);
+        assert!(printed.stderr.contains("is not replaced"), "{}", printed.stderr);
+        assert_eq!(printed.status, 2);
+        assert_eq!(read(to), before);
+    }
+    let own = folder.path().join("results.xml");
+    fs::write(&own, "").expect("a file");
+    test("--junit", &own);
+    let first = read(&own);
+    assert!(first.contains("<testsuite"));
+    assert!(!test("--junit", &own).stderr.contains("is not replaced"));
+    assert!(test("--markdown", &own).stderr.contains("is not replaced"));
+    #[cfg(unix)]
+    {
+        let link = folder.path().join("link.xml");
+        std::os::unix::fs::symlink(&file, &link).expect("a link");
+        let before = read(&file);
+        assert!(test("--junit", &link).stderr.contains("is not replaced"));
+        assert_eq!(read(&file), before);
+    }
+}
+
+/// A number that is none is expected of nothing.
+#[test]
+fn expected_values_are_numbers() {
+    let folder = temporary();
+    let recipe = Variant::of(&recipes()["design-2d"]);
+    let file = recipe.write(folder.path());
+    let test = |more: &[&str]| {
+        let arguments: Vec<&std::ffi::OsStr> =
+            ["test".as_ref(), file.as_os_str()].into_iter().chain(more.iter().map(|more| more.as_ref())).collect();
+        abbe(folder.path(), &arguments)
+    };
+    test(&["--accept"]);
+    let expected = folder.path().join("recipe.expected");
+    let right = read(&expected);
+    assert_eq!(test(&[]).status, 0);
+    let line = right.lines().find(|line| line.contains(" ± ")).expect("a value").to_owned();
+    let (name, rest) = line.split_once(" = ").expect("a line");
+    let (value, tail) = rest.split_once(" ± ").expect("a value");
+    let (uncertainty, unit) = tail.split_once(' ').expect("a unit");
+    for wrong in [("nan", "nan"), ("nan", uncertainty), (value, "nan"), ("inf", "inf"), (value, "inf")] {
+        let changed = right.replace(&line, &format!("{name} = {} ± {} {unit}", wrong.0, wrong.1));
+        fs::write(&expected, changed).expect("a file");
+        assert_eq!(test(&[]).status, 1, "{wrong:?} is as expected");
+    }
+}
+
+/// A sensor of a body in another unit than the others, seen in the idle minutes.
+#[test]
+fn a_sensor_that_reads_apart_from_all_others_at_rest_is_told() {
+    let source = Variant::of(&recipes()["mill-warming"]);
+    type Change = fn(f64) -> f64;
+    let changes: [(Change, bool); 4] = [
+        (|celsius| 1.8 * celsius + 32.0, true),
+        (|celsius| -celsius, true),
+        (|celsius| celsius / 10.0, true),
+        (|celsius| celsius, false),
+    ];
+    for (change, is_wrong) in changes {
+        let folder = temporary();
+        let mut recipe = source.clone();
+        let stages = recipe.0["stages"].as_object_mut().expect("stages");
+        let log = stages
+            .values_mut()
+            .find(|stage| stage["path"].as_str().is_some_and(|path| path.ends_with("temperatures.csv")));
+        let path = &mut log.expect("a log")["path"];
+        let number = |cell: &str| cell.parse::<f64>().expect("a number");
+        *path = json!(changed(Path::new(path.as_str().expect("a path")), folder.path(), "C31_degC", |_, cell| {
+            format!("{}", change(number(cell)))
+        }));
+        let file = recipe.write(folder.path());
+        let printed = abbe(folder.path(), &["check".as_ref(), file.as_os_str()]);
+        assert_eq!(printed.stderr.contains("C31 reads"), is_wrong, "{}", printed.stderr);
+    }
+}

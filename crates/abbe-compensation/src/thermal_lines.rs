@@ -141,6 +141,11 @@ impl ThermalLines {
             let range = range_of(&model.info().axes[axis], &settings.ranges, "ranges")?;
             let (from, to) = range;
             let reference = references.get(&axis).copied().unwrap_or(0.0);
+            let of_axis = &model.info().axes[axis];
+            if of_axis.reach().is_some_and(|[low, high]| !(low..=high).contains(&reference)) {
+                let message = format!("{reference} mm is beyond the travel of {}", of_axis.name);
+                return Err(Error::usage(message).setting("reference"));
+            }
             let along = found.along(&status, axis, (from, to));
             check_confounded(model, calibration, &along)?;
             let responses = found.exact(&responses, &along)?;

@@ -181,14 +181,28 @@ pub fn from_settings<T: DeserializeOwned>(settings: &Value) -> Result<T, Setting
 
 /// Refuses a setting that is not a positive finite number.
 pub fn positive(name: &str, value: f64) -> Result<f64, SettingsError> {
+    not_absurd(name, value)?;
     match value > 0.0 && value.is_finite() {
         true => Ok(value),
         false => Err(SettingsError::new(name, format!("{value}: a positive number was expected"))),
     }
 }
 
+/// Largest standard uncertainty of a length that can be meant, µm: a metre.
+const LARGEST_UNCERTAINTY: f64 = 1e6;
+
+/// Refuses an uncertainty of a length that makes whatever is measured count for nothing.
+fn not_absurd(name: &str, value: f64) -> Result<(), SettingsError> {
+    if name.ends_with("uncertainty_um") && value > LARGEST_UNCERTAINTY {
+        let message = format!("{value:e}: a number up to 1e6 was expected");
+        return Err(SettingsError::new(name, message).help("is it in the unit of its name?"));
+    }
+    Ok(())
+}
+
 /// Refuses a setting that is negative or not finite.
 pub fn not_negative(name: &str, value: f64) -> Result<f64, SettingsError> {
+    not_absurd(name, value)?;
     match value >= 0.0 && value.is_finite() {
         true => Ok(value),
         false => Err(SettingsError::new(name, format!("{value}: a number that is not negative was expected"))),

@@ -201,14 +201,7 @@ impl SensorLog {
                 row + 1
             ));
         }
-        let (first, count) = longest_stand(values);
-        let near = first.saturating_sub(count) + 1..(first + 2 * count).min(values.len());
-        let others: Vec<usize> = near.filter(|row| !(first + 1..first + count).contains(row)).collect();
-        let still = others.iter().filter(|&&row| values[row] == values[row - 1]).count() + 1;
-        let still = still as f64 / (others.len() + 2) as f64;
-        // By chance it stands that long once in a thousand logs or less.
-        let by_chance = still.powf((count - 1) as f64) * values.len() as f64;
-        if first > 0 && count > LONG && by_chance < 1e-3 {
+        if let Some((first, count)) = stuck_part(values) {
             faults.push(format!(
                 "{name} reads the same from row {} to row {} of the log, and moves in others: was it stuck?",
                 first + 1,
@@ -253,6 +246,24 @@ impl SensorLog {
         let is_next = self.hold == Hold::ZeroOrder && time == self.times[row + 1];
         Ok(if is_next { self.values[sensor][row + 1] } else { self.ends(sensor, row, within)[1] })
     }
+}
+
+/// Whether readings are all the same, in so many rows that no sensor that works reads so.
+pub fn is_dead(values: &[f64]) -> bool {
+    values.len() >= LONG && values.iter().all(|value| *value == values[0])
+}
+
+/// Where readings stand still for long while they move in most rows before and after: the first row, and how many. They may stand at
+/// the beginning, while a machine rests.
+pub fn stuck_part(values: &[f64]) -> Option<(usize, usize)> {
+    let (first, count) = longest_stand(values);
+    let near = first.saturating_sub(count) + 1..(first + 2 * count).min(values.len());
+    let others: Vec<usize> = near.filter(|row| !(first + 1..first + count).contains(row)).collect();
+    let still = others.iter().filter(|&&row| values[row] == values[row - 1]).count() + 1;
+    let still = still as f64 / (others.len() + 2) as f64;
+    // By chance it stands that long once in a thousand logs or less.
+    let by_chance = still.powf((count - 1) as f64) * values.len() as f64;
+    (first > 0 && count > LONG && by_chance < 1e-3).then_some((first, count))
 }
 
 /// The first row and the number of rows of the longest time that readings stand still.

@@ -234,15 +234,19 @@ impl Content {
         }
     }
 
+    /// What a line says; a number that is none makes it a text, which equals no value.
     fn read(text: &str) -> Self {
+        fn number(text: &str) -> Option<f64> {
+            text.parse().ok().filter(|number: &f64| number.is_finite())
+        }
         let whole = || Self::Text(text.to_owned());
         if let Some((value, unit)) = text.strip_prefix("about ").and_then(|rest| rest.split_once(' ')) {
-            return value.parse().map_or_else(|_| whole(), |value| Self::Size { value, unit: unit.to_owned() });
+            return number(value).map_or_else(whole, |value| Self::Size { value, unit: unit.to_owned() });
         }
         let columns = text.strip_prefix("columns ").map(|rest| {
             let column = |part: &str| {
                 let (size, lean) = part.split_once(" leaning ")?;
-                Some([size.parse().ok()?, lean.parse().ok()?])
+                Some([number(size)?, number(lean)?])
             };
             rest.split(", ").filter(|part| !part.is_empty()).map(column).collect::<Option<Vec<_>>>()
         });
@@ -253,7 +257,7 @@ impl Content {
             let (value, rest) = text.split_once(" ± ")?;
             let (uncertainty, rest) = rest.split_once(' ')?;
             let (unit, status) = rest.rsplit_once(", ")?;
-            let (value, uncertainty) = (value.parse().ok()?, uncertainty.parse().ok()?);
+            let (value, uncertainty) = (number(value)?, number(uncertainty)?);
             Some(Self::Value { value, uncertainty, unit: unit.to_owned(), status: status.to_owned() })
         };
         parts().unwrap_or_else(whole)

@@ -1,5 +1,6 @@
 //! `abbe test`: runs recipes and compares what they find with what is expected of them.
 
+use std::io::Write;
 use std::path::{Path, PathBuf};
 use std::time::Instant;
 
@@ -87,6 +88,10 @@ impl Test {
     ///
     /// Fails if there are no recipes, if a file cannot be written, and after an interruption.
     pub fn run(&self, libraries: &Libraries, monitor: &Monitor) -> Result<(String, u8)> {
+        let results = [(&self.junit, JUNIT), (&self.markdown, MARKDOWN)];
+        for (file, head) in results {
+            file.as_deref().map_or(Ok(()), |file| is_own(file, head))?;
+        }
         let mut all = Vec::new();
         for recipe in self.listed()? {
             let clock = Instant::now();
@@ -100,7 +105,7 @@ impl Test {
         }
         for (file, content) in [(&self.junit, junit(&all)), (&self.markdown, markdown(&all))] {
             let Some(file) = file else { continue };
-            write(file, &content)?;
+            replace(file, &content)?;
         }
         let status = u8::from(!all.iter().all(Tested::is_good));
         Ok((text(&all), status))
@@ -170,6 +175,36 @@ fn is_recipe(file: &Path) -> bool {
     read_text(file, LARGEST_TEXT).is_ok_and(|text| text.lines().any(|line| line.starts_with("abbe:")))
 }
 
+/// How a file of results begins.
+const JUNIT: &str = "<?xml version=\"1.0\" encoding=\"UTF-8\"?>\n<testsuites>\n<testsuite name=\"abbe test\"";
+const MARKDOWN: &str = "| recipe | result | s |\n";
+
+/// Fails if there is something of this name that an earlier test did not write.
+fn is_own(file: &Path, head: &str) -> Result<()> {
+    let Ok(found) = file.symlink_metadata() else { return Ok(()) };
+    // A service may have made an empty one for it.
+    let is_own = |text: String| text.is_empty() || text.starts_with(head);
+    if found.is_file() && read_text(file, LARGEST_TEXT).is_ok_and(is_own) {
+        return Ok(());
+    }
+    let message =
+        format!("{} is there already, and no earlier `abbe test` wrote it; it is not replaced", file.display());
+    Err(Error::usage(message).help("name another file"))
+}
+
+/// Writes a file whole or not at all; what had its name is gone then, and what else was linked to that is not touched.
+fn replace(file: &Path, content: &str) -> Result<()> {
+    let folder = file.parent().filter(|folder| !folder.as_os_str().is_empty()).unwrap_or(Path::new("."));
+    let mut builder = tempfile::Builder::new();
+    #[cfg(unix)]
+    builder.permissions(std::os::unix::fs::PermissionsExt::from_mode(0o666));
+    let written = builder.prefix(".abbe-").tempfile_in(folder).and_then(|mut new| {
+        new.write_all(content.as_bytes())?;
+        new.persist(file).map_err(|error| error.error)
+    });
+    written.map(drop).map_err(|error| Error::data(format!("{} cannot be written: {error}", file.display())))
+}
+
 fn write(file: &Path, content: &str) -> Result<()> {
     std::fs::write(file, content).map_err(|error| Error::data(format!("{} cannot be written: {error}", file.display())))
 }
@@ -194,7 +229,7 @@ fn markdown(all: &[Tested]) -> String {
         let escaped = text.replace('\n', " ").replace('&', "&amp;").replace('<', "&lt;").replace('|', "\\|");
         escaped.replace('`', "'").replace('*', "\\*").replace('[', "\\[")
     };
-    let mut text = "| recipe | result | s |\n|---|---|---|\n".to_owned();
+    let mut text = format!("{MARKDOWN}|---|---|---|\n");
     for tested in all {
         let mark = if tested.is_good() { "✅" } else { "❌" };
         text.push_str(&format!("| {} | {mark} {} | {:.1} |\n", plain(&tested.recipe), tested.word(), tested.seconds));
@@ -217,7 +252,7 @@ fn junit(all: &[Tested]) -> String {
     let errors = count(|ending| matches!(ending, Ending::Error(_)));
     let seconds: f64 = all.iter().map(|tested| tested.seconds).sum();
     let mut text = format!(
-        "<?xml version=\"1.0\" encoding=\"UTF-8\"?>\n<testsuites>\n<testsuite name=\"abbe test\" tests=\"{}\" failures=\"{failures}\" \
+        "{JUNIT} tests=\"{}\" failures=\"{failures}\" \
          errors=\"{errors}\" time=\"{seconds:.3}\">\n",
         all.len()
     );

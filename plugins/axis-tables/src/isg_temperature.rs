@@ -56,8 +56,11 @@ fn build(settings: Settings, _: &Context) -> Result<Box<dyn Export>, SettingsErr
     if (1..numbers.len()).any(|index| numbers[..index].contains(&numbers[index])) {
         return Err(SettingsError::new("axis_numbers", "different axis numbers were expected"));
     }
-    if settings.cycles == Some(0) {
-        return Err(SettingsError::new("cycles", "a whole number above 0 was expected"));
+    if settings.cycles.is_some_and(|cycles| !(1..=1_000_000).contains(&cycles)) {
+        return Err(SettingsError::new("cycles", "a whole number from 1 to 1000000 was expected"));
+    }
+    if numbers.contains(&0) {
+        return Err(SettingsError::new("axis_numbers", "axis numbers from 1 were expected"));
     }
     Ok(Box::new(Isg { settings }))
 }

@@ -3,7 +3,7 @@
 use abbe_compensation::{LineSettings, ThermalLine, ThermalLines, ThermalState};
 use abbe_core::{
     Calibration, CommandCorrection, Context, Error, Export, ExportedFile, KinematicModel, PathItem, Result,
-    SettingsError, positive,
+    SettingsError,
 };
 use schemars::JsonSchema;
 use serde::Deserialize;
@@ -59,8 +59,14 @@ fn example() -> Value {
 fn build(settings: Settings, _: &Context) -> Result<Box<dyn Export>, SettingsError> {
     plain_name(&settings.component)?;
     settings.lines.check().map_err(|error| error.under([PathItem::Key("lines".to_owned())]))?;
-    positive("largest_rate_um_per_s", settings.largest_rate_um_per_s)?;
-    positive("count_um", settings.count_um)?;
+    for (name, value, [from, to]) in [
+        ("largest_rate_um_per_s", settings.largest_rate_um_per_s, [1e-3, 1e6]),
+        ("count_um", settings.count_um, [1e-3, 100.0]),
+    ] {
+        if !(from..=to).contains(&value) {
+            return Err(SettingsError::new(name, format!("{value:e}: a number from {from} to {to} was expected")));
+        }
+    }
     Ok(Box::new(Temperature { settings }))
 }
 

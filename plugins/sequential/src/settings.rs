@@ -59,12 +59,17 @@ impl Settings {
             true => Ok(()),
             false => Err(SettingsError::new(name, "a number between 0 and 1 was expected")),
         };
-        between("significance", self.significance)?;
+        if !(1e-9..=0.5).contains(&self.significance) {
+            return Err(SettingsError::new("significance", "a probability from 1e-9 to 0.5 was expected"));
+        }
         between("rank_tolerance", self.rank_tolerance)?;
         for (index, changed) in self.changed.iter().enumerate() {
             let under =
                 |error: SettingsError| error.under([PathItem::Key("changed".to_owned()), PathItem::Index(index)]);
-            abbe_core::positive("standard_uncertainty", changed.standard_uncertainty).map_err(under)?;
+            let most = "a number above 0 and up to 1e6 was expected, in the unit of the parameters (mm, rad, mm/K)";
+            if !(changed.standard_uncertainty > 0.0 && changed.standard_uncertainty <= 1e6) {
+                return Err(under(SettingsError::new("standard_uncertainty", most)));
+            }
             if changed.parameters.is_empty() {
                 return Err(under(SettingsError::new("parameters", "at least one name or pattern was expected")));
             }

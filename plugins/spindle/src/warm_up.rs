@@ -5,7 +5,7 @@ use abbe_core::{
     Quantity, Result, SettingsError, positive,
 };
 use abbe_standards::thermal_drift::{range, slope_at_end, time_to_part};
-use abbe_thermal::{Fitted, Hold, Output, Reference, SensorLog, Structure};
+use abbe_thermal::{Fitted, Hold, Output, Reference, SensorLog, Structure, is_dead, stuck_part};
 use nalgebra::DMatrix;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
@@ -97,6 +97,17 @@ impl WarmUp {
     fn figures(&self, found: &mut Found, data: &Dataset, times: &[f64], name: &str) -> Result<()> {
         let readings = data.required_numbers(name)?;
         let last = readings.len() - 1;
+        if is_dead(readings) {
+            let message = format!("{name} reads {} um in all rows", readings[0] * 1e3);
+            return Err(data.error_at(DataRow(0), message).help("is the sensor connected, and within its range?"));
+        }
+        if let Some((first, count)) = stuck_part(readings) {
+            tracing::warn!(
+                "{name} reads the same from row {} to row {}, and moves in others: was it stuck?",
+                first + 1,
+                first + count
+            );
+        }
         let told = [
             ("end", Some(readings[last]), "mm"),
             ("range", range(times, readings, times[0], times[last]), "mm"),

@@ -6,6 +6,7 @@ use abbe_core::{
     DataRow, Dataset, Error, Figure, Findings, PathItem, Quantity, Result, SettingsError, not_negative, positive,
 };
 use abbe_standards::thermal_drift::{largest_range, range, slope_at_end, time_to_part};
+use abbe_thermal::{is_dead, stuck_part};
 use schemars::JsonSchema;
 use serde::Deserialize;
 
@@ -127,6 +128,19 @@ impl DriftSettings {
         let rows = first..last;
         let times = &times[rows.clone()];
         for readings in self.all(data, rows.clone())? {
+            let Readings { name, values, .. } = &readings;
+            if is_dead(values) {
+                let message = format!("{name} reads the same in all rows that are judged");
+                return Err(data
+                    .error_at(DataRow(first), message)
+                    .help("is the sensor connected, and within its range?"));
+            }
+            if let Some((from, count)) = stuck_part(values) {
+                let (from, to) = (first + from + 1, first + from + count);
+                findings.remarks.push(format!(
+                    "{run}: {name} reads the same from row {from} to row {to}, and moves in others: was it stuck?"
+                ));
+            }
             findings.figures.extend(self.figures(times, &readings, run));
         }
         self.environment(data, rows, run, findings)

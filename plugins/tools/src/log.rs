@@ -21,6 +21,12 @@ const COLUMNS: [(&str, Kind); 9] = [
     ("cutting", Kind::Time),
 ];
 
+/// Longest time that a tool cuts, s: a thousand hours.
+const LONGEST_CUT: f64 = 3.6e6;
+
+/// Latest time of a log, s: three hundred years, so that seconds of any epoch are possible.
+const LATEST: f64 = 1e10;
+
 /// The columns of a tool table besides `tool`.
 const TABLE: [&str; 4] = ["length", "radius", "wear_limit_length", "wear_limit_radius"];
 
@@ -59,6 +65,15 @@ pub fn tools(path: &Path, settings: &Settings) -> Result<Vec<(Tool, usize)>> {
         if let Some(index) = tool.preset.iter().chain(&tool.wear_limit).position(|value| *value <= 0.0) {
             let message = format!("{} of tool {name} is not above zero", TABLE[index]);
             return Err(data.error_at(row, message));
+        }
+        if let Some(index) = (0..2).find(|&index| tool.wear_limit[index] >= tool.preset[index]) {
+            let message = format!(
+                "{} of tool {name} is {} um, and the tool has {} mm",
+                TABLE[2 + index],
+                tool.wear_limit[index] * 1e3,
+                tool.preset[index]
+            );
+            return Err(data.error_at(row, message).help("is it in the unit that its column says?"));
         }
         tools.push((tool, data.origins[row].line));
     }
@@ -449,6 +464,11 @@ fn rows_of<'a>(index: usize, data: &'a Dataset) -> Result<Vec<Row<'a>>> {
         }
         if value[row] <= 0.0 || cutting[row] < 0.0 {
             return Err(data.error_at(row, "a dimension above zero and cutting minutes from zero were expected"));
+        }
+        if cutting[row] > LONGEST_CUT || time[row].abs() > LATEST {
+            let message =
+                format!("{:e} minutes of cutting, at {:e} s: no tool lasts that long", cutting[row] / 60.0, time[row]);
+            return Err(data.error_at(row, message).help("are the columns in the units that they say?"));
         }
         rows.push(Row {
             at,

@@ -160,10 +160,13 @@ impl Settings {
     pub fn check(&self) -> Result<(), SettingsError> {
         positive("setting_standard_uncertainty_um", self.setting_standard_uncertainty_um)?;
         positive("spoiled_factor", self.spoiled_factor)?;
-        positive("coverage_factor", self.coverage_factor)?;
+        if !(1.0..=10.0).contains(&self.coverage_factor) {
+            let message = format!("{:e}: a number from 1 to 10 was expected", self.coverage_factor);
+            return Err(SettingsError::new("coverage_factor", message));
+        }
         positive("consistency_factor", self.consistency_factor)?;
-        positive("master_limit_um", self.master_limit_um)?;
-        positive("temperature_limit_K", self.temperature_limit)?;
+        up_to("master_limit_um", self.master_limit_um, LARGEST_REPEATABILITY)?;
+        up_to("temperature_limit_K", self.temperature_limit, 100.0)?;
         let key = |name: &str| PathItem::Key(name.to_owned());
         let Master { length_mm, radius_mm, standard_uncertainty_um, .. } = self.master;
         for (name, value) in
@@ -175,16 +178,31 @@ impl Settings {
         for (name, value) in
             [("breakage_um", breakage_um), ("chip_um", chip_um), ("match_um", match_um), ("wrong_um", wrong_um)]
         {
-            positive(name, value).map_err(|error| error.under([key("limits")]))?;
+            up_to(name, value, LARGEST_LIMIT).map_err(|error| error.under([key("limits")]))?;
         }
         if self.repeatability_um.is_empty() {
             return Err(SettingsError::new("repeatability_um", "at least one method was expected"));
         }
         for (method, Repeatability { length, radius }) in &self.repeatability_um {
             for (name, value) in [("length", *length), ("radius", *radius)] {
-                positive(name, value).map_err(|error| error.under([key("repeatability_um"), key(method)]))?;
+                up_to(name, value, LARGEST_REPEATABILITY)
+                    .map_err(|error| error.under([key("repeatability_um"), key(method)]))?;
             }
         }
         Ok(())
+    }
+}
+
+/// Largest limit of a dimension that tells a tool from another, µm: more is a tool of its own.
+const LARGEST_LIMIT: f64 = 1e4;
+
+/// Largest repeatability of a tool setter, µm.
+const LARGEST_REPEATABILITY: f64 = 1e3;
+
+/// A positive number up to `most`.
+fn up_to(name: &str, value: f64, most: f64) -> Result<f64, SettingsError> {
+    match positive(name, value)? <= most {
+        true => Ok(value),
+        false => Err(SettingsError::new(name, format!("{value:e}: a number up to {most} was expected"))),
     }
 }

@@ -324,6 +324,37 @@ impl Body {
     }
 }
 
+/// Difference of a sensor from the middle of all in idle minutes, K: parts of a machine at rest are not that far apart.
+const APART: f64 = 10.0;
+
+impl Body {
+    /// What looks like the fault of a sensor in the idle minutes, in words: one that reads far from what the others read there.
+    pub fn faults(&self) -> Vec<String> {
+        let (Some(until), Some(times)) = (self.reference_until_s, log::readings(&self.log, "time")) else {
+            return Vec::new();
+        };
+        let rows = times.iter().filter(|time| **time <= until).count();
+        let mean = |name: &&str| {
+            let readings = log::readings(&self.log, name)?.get(..rows).filter(|rows| !rows.is_empty())?;
+            Some(readings.iter().sum::<f64>() / readings.len() as f64)
+        };
+        let sensors = self.sensors();
+        let means: Vec<(&str, f64)> = sensors.iter().filter_map(|name| Some((*name, mean(name)?))).collect();
+        let mut sorted: Vec<f64> = means.iter().map(|(_, mean)| *mean).collect();
+        sorted.sort_by(f64::total_cmp);
+        let Some(middle) = sorted.get(sorted.len() / 2).copied().filter(|_| sorted.len() > 2) else {
+            return Vec::new();
+        };
+        let apart = means.iter().filter(|(_, mean)| (mean - middle).abs() > APART);
+        let words = |(name, mean): &(&str, f64)| {
+            format!(
+                "{name} reads {mean:.1} °C in the idle minutes, and the middle one of the sensors of this body {middle:.1} °C: is it in °C?"
+            )
+        };
+        apart.map(words).collect()
+    }
+}
+
 impl Turning {
     fn check(&self) -> Result<(), SettingsError> {
         column("speed", &self.speed)?;
