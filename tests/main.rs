@@ -28,6 +28,7 @@ mod outside;
 mod planning;
 mod plugins;
 mod poses;
+mod probe;
 mod rapid_verify;
 mod recipes;
 mod report;

@@ -18,7 +18,7 @@ const fn border(name: &'static str, uses: &'static [&'static str]) -> Border {
 }
 
 /// The folder `crates`: arrows point one way, see docs/architecture.md.
-const CRATES: [Border; 23] = [
+const CRATES: [Border; 24] = [
     border("abbe-settings", &[]),
     border("abbe-files", &[]),
     border("abbe-results", &["abbe-settings"]),
@@ -27,9 +27,10 @@ const CRATES: [Border; 23] = [
     border("abbe-errors", &["abbe-core", "abbe-thermal"]),
     border("abbe-geometry", &["abbe-numerics"]),
     border("abbe-kinematics", &["abbe-core"]),
-    border("abbe-standards", &[]),
+    border("abbe-standards", &["abbe-geometry"]),
     border("abbe-table", &["abbe-core", "abbe-files"]),
     border("abbe-thermal", &["abbe-core", "abbe-numerics"]),
+    border("abbe-probe", &["abbe-core", "abbe-table"]),
     Border {
         name: "abbe-estimation",
         uses: &["abbe-core", "abbe-numerics"],
@@ -43,7 +44,7 @@ const CRATES: [Border; 23] = [
         ],
     },
     border("abbe-planning", &["abbe-core", "abbe-estimation", "abbe-numerics"]),
-    border("abbe-simulation", &["abbe-core", "abbe-estimation", "abbe-numerics"]),
+    border("abbe-simulation", &["abbe-core", "abbe-estimation", "abbe-numerics", "abbe-probe"]),
     Border { name: "abbe-volumetric", uses: &["abbe-core", "abbe-numerics"], tested_with: &["abbe-serial-chain"] },
     Border {
         name: "abbe-compensation",
@@ -64,7 +65,7 @@ const CRATES: [Border; 23] = [
             "abbe-table",
         ],
     ),
-    border("abbe-report", &["abbe-core", "abbe-engine", "abbe-files", "abbe-volumetric"]),
+    border("abbe-report", &["abbe-core", "abbe-engine", "abbe-files", "abbe-probe", "abbe-volumetric"]),
     border(
         "abbe",
         &[
@@ -88,7 +89,7 @@ const CRATES: [Border; 23] = [
 const ABOVE_ALL: [&str; 4] = ["abbe-benches", "abbe-campaigns", "abbe-examples", "abbe-tests"];
 
 /// The crates that plugins may use.
-const FOR_PLUGINS: [&str; 13] = [
+const FOR_PLUGINS: [&str; 14] = [
     "abbe-compensation",
     "abbe-core",
     "abbe-errors",
@@ -97,6 +98,7 @@ const FOR_PLUGINS: [&str; 13] = [
     "abbe-geometry",
     "abbe-kinematics",
     "abbe-numerics",
+    "abbe-probe",
     "abbe-simulation",
     "abbe-standards",
     "abbe-table",

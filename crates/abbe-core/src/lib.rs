@@ -16,6 +16,7 @@ mod model;
 mod monitor;
 mod observations;
 mod parallel;
+mod parameter;
 mod plausible;
 mod pose_table;
 mod problem;
@@ -31,8 +32,8 @@ pub use identity::Certificate;
 pub use index::{DataRow, EquationIndex, IndexRange, LayoutEquation, ListedBy, PoseIndex, RowIndex, SetIndex};
 pub use layout::{Layout, Row};
 pub use model::{
-    Absent, Axis, AxisKind, Branch, ErrorFunction, KinematicModel, ModelInfo, MotionError, Parameter, ParameterRole,
-    PeriodicError, PoseBatch, Poses, PosesMut, StatusColumn, StatusRole, Variable, machine_values,
+    Absent, Axis, AxisKind, Branch, ErrorFunction, KinematicModel, ModelInfo, MotionError, PeriodicError, PoseBatch,
+    Poses, PosesMut, StatusColumn, StatusRole, Variable, machine_values,
 };
 pub use monitor::{Event, Monitor};
 pub use observations::{
@@ -40,6 +41,7 @@ pub use observations::{
     RankPoint, RowBatch, Target,
 };
 pub use parallel::in_parallel;
+pub use parameter::{Parameter, ParameterRole, ProbeTerm};
 pub use plausible::Plausible;
 pub use pose_table::{ColumnNaming, PoseTable, StatusSource, plain_naming, pose_columns};
 pub use problem::{

@@ -10,10 +10,11 @@ use std::f64::consts::TAU;
 use serde::{Deserialize, Serialize};
 use serde_json::Value;
 
+use crate::parameter::{Parameter, ParameterRole};
 use abbe_results::Calibration;
+use abbe_settings::Quantity;
 use abbe_settings::Result;
 use abbe_settings::serial::number;
-use abbe_settings::{Quantity, Unit};
 
 /// Linear or rotary.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
@@ -163,62 +164,6 @@ impl StatusColumn {
             Some(axis) => format!("{}{pose}_{axis}", DIRECTION.trim_end_matches('_')),
             None => format!("{}{pose}", self.name),
         }
-    }
-}
-
-/// What a parameter or an unknown is.
-#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize)]
-#[serde(rename_all = "kebab-case")]
-pub enum ParameterRole {
-    /// A coefficient of an error motion of an axis (ISO 230-1: `EXX`).
-    Motion {
-        /// The axis, by its index among [`ModelInfo::axes`].
-        axis: usize,
-        /// 0..6: x, y, z, a, b, c.
-        component: usize,
-    },
-    /// A coefficient of a position or orientation error of an axis (ISO 230-1: `EX0C`).
-    Location {
-        /// The axis, by its index among [`ModelInfo::axes`].
-        axis: usize,
-        /// 0..6: x, y, z, a, b, c.
-        component: usize,
-    },
-    /// A value that depends on the set-up and is not known beforehand: the offset of a tool, the zero of an instrument.
-    SetUp,
-    /// A parameter of the shape of a function that coefficients multiply: a wavelength.
-    Shape,
-    /// A number that multiplies errors which are known from elsewhere, as the factor of a body that temperatures bend. Its nominal value
-    /// is not zero, but a machine without errors has none of them.
-    Factor,
-    /// The place or the size of a feature of an artefact.
-    Feature,
-    /// Something else.
-    #[default]
-    Other,
-}
-
-/// A parameter or an unknown: name, unit, and what it is.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-pub struct Parameter {
-    /// Name as in the conventions, e.g. `EXX[1]`.
-    pub name: String,
-    /// Unit of its value.
-    pub unit: Unit,
-    /// What it is.
-    #[serde(default)]
-    pub role: ParameterRole,
-}
-
-impl Parameter {
-    /// A parameter with name and unit and the role [`ParameterRole::Other`].
-    pub fn new(name: impl Into<String>, unit: Unit) -> Self {
-        Self { name: name.into(), unit, role: ParameterRole::Other }
-    }
-
-    /// Sets its role.
-    pub fn with_role(self, role: ParameterRole) -> Self {
-        Self { role, ..self }
     }
 }
 

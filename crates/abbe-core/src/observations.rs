@@ -9,7 +9,8 @@ use serde::{Deserialize, Deserializer, Serialize};
 use crate::identity::Certificate;
 use crate::index::{LayoutEquation, RowIndex};
 use crate::layout::Layout;
-use crate::model::{KinematicModel, Parameter};
+use crate::model::{KinematicModel, ModelInfo};
+use crate::parameter::Parameter;
 use abbe_settings::Result;
 use abbe_settings::{Quantity, Unit};
 
@@ -29,12 +30,22 @@ pub struct KnownInput {
     /// The certificate that states it. Without one, name, value and uncertainty identify it.
     #[serde(default)]
     pub certificate: Option<Certificate>,
+    /// It is this parameter of the model, by its index, and has the value and the uncertainty that this has in a problem.
+    #[serde(default)]
+    pub of_model: Option<usize>,
 }
 
 impl KnownInput {
     /// An input of the artefact with a value and its standard uncertainty, in the unit of the parameter.
     pub fn new(parameter: Parameter, value: f64, standard_uncertainty: f64) -> Self {
-        Self { parameter, value, standard_uncertainty, shared: false, certificate: None }
+        Self { parameter, value, standard_uncertainty, shared: false, certificate: None, of_model: None }
+    }
+
+    /// A parameter of a model that equations depend on although poses do not, by its index.
+    pub fn of_model(model: &dyn KinematicModel, parameter: usize) -> Self {
+        let ModelInfo { parameters, nominal, .. } = model.info();
+        let input = Self::new(parameters[parameter].clone(), nominal[parameter], 0.0);
+        Self { of_model: Some(parameter), ..input }
     }
 
     /// The stylus radius of a machine, with its standard uncertainty in mm: one quantity for all artefacts that are touched.

@@ -2,7 +2,8 @@
 
 use serde_json::Value;
 
-use crate::model::{KinematicModel, ModelInfo, Parameter, PoseBatch, PosesMut};
+use crate::model::{KinematicModel, ModelInfo, PoseBatch, PosesMut};
+use crate::parameter::Parameter;
 use abbe_results::Calibration;
 use abbe_settings::{Error, Result, Unit};
 

@@ -156,6 +156,11 @@ pub trait Validate: Send + Sync {
         false
     }
 
+    /// Whether it finds the features of other observations itself. Else an estimate that it judges has to know their places and sizes.
+    fn finds_features(&self) -> bool {
+        false
+    }
+
     /// Whether it reads data of its own (the reference `from`).
     fn accepts_data(&self) -> bool {
         false

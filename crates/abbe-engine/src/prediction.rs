@@ -3,7 +3,7 @@
 use std::collections::BTreeMap;
 use std::sync::Arc;
 
-use abbe_core::{Error, Fit, Kind, ObservationSet, Problem, Result};
+use abbe_core::{Error, Fit, Kind, ObservationSet, Problem, Result, Validate};
 
 use crate::prepare::Prepared;
 use crate::row_settings::Wanted;
@@ -36,12 +36,15 @@ impl Prepared {
 }
 
 /// A fit whose problem is another one without unknowns, with the values of the fit: what is left are errors of prediction.
-pub(crate) fn prediction_fit(fit: &Fit, other: &Problem) -> Result<Fit> {
+///
+/// Fails if the fit has not estimated an own unknown of the observations, unless the validator finds features itself.
+pub(crate) fn prediction_fit(fit: &Fit, other: &Problem, validator: &dyn Validate) -> Result<Fit> {
     let own = |set: &ObservationSet| -> Vec<String> {
         set.observations.info().unknowns.iter().map(|unknown| format!("{}.{}", set.name, unknown.name)).collect()
     };
     let known = |name: &String| fit.calibration.artefacts.iter().any(|known| known.name == *name);
-    if let Some(name) = other.sets.iter().flat_map(own).find(|name| !known(name)) {
+    let needed = other.sets.iter().filter(|_| !validator.finds_features());
+    if let Some(name) = needed.flat_map(own).find(|name| !known(name)) {
         let error = Error::usage(format!("`{name}` is unknown, and {} has not estimated it", fit.name));
         return Err(error
             .help(format!(

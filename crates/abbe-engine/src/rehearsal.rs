@@ -89,7 +89,11 @@ impl Prepared {
         let has_all = |stage: &Stage| stage.reference("of").iter().all(|name| fits.iter().any(|fit| fit.name == *name));
         for stage in self.stages(Kind::Validate).filter(|stage| has_all(stage) && is_asked(stage)) {
             let of = named(stage.reference("of"), &fits);
-            let other = |fit: &&Fit| Some(prediction_fit(fit, unseen.get(&(stage.name.as_str(), fit.name.as_str()))?));
+            let validator = self.validators[&stage.name].as_ref();
+            let other = |fit: &&Fit| {
+                let problem = unseen.get(&(stage.name.as_str(), fit.name.as_str()))?;
+                Some(prediction_fit(fit, problem, validator))
+            };
             let others: Vec<Fit> =
                 of.iter().filter_map(other).collect::<Result<_>>().or_else(|error| self.located(stage, Err(error)))?;
             let judged: Vec<&Fit> = if others.is_empty() { of } else { others.iter().collect() };

@@ -186,7 +186,7 @@ impl Prepared {
             let fits: Vec<&Fit> = watched.iter().collect();
             let others = fits.iter().filter_map(|fit| {
                 let problem = unseen.get(&(stage.name.as_str(), fit.name.as_str()))?;
-                Some(self.located(stage, prediction_fit(fit, problem)))
+                Some(self.located(stage, prediction_fit(fit, problem, self.validators[&stage.name].as_ref())))
             });
             let others = others.collect::<Result<Vec<Fit>>>()?;
             let judged: Vec<&Fit> = if others.is_empty() { fits } else { others.iter().collect() };

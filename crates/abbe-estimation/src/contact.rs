@@ -106,7 +106,8 @@ fn contacts(problem: &Problem, set: SetIndex, rows: &[RowIndex], linear: &Linear
         // Newton's iteration converges quadratically: after a step below 1e-5 mm the error is below the rounding of a double.
         for _ in 0..8 {
             moved.evaluate(set, chunk, &linear.commands, &mut work)?;
-            if move_by_step(&mut moved.sets[set], chunk, linear, &work, Goal::Contact)? < 1e-5 {
+            let machine = &moved.machine_values;
+            if move_by_step(&mut moved.sets[set], machine, chunk, linear, &work, Goal::Contact)? < 1e-5 {
                 break;
             }
         }
@@ -174,7 +175,8 @@ fn touch(
         if step == STEPS {
             return Err(unreachable(problem, set, row, off));
         }
-        move_by_step(&mut problem.sets[set], rows, linear, work, Goal::Residuals(errors))?;
+        let machine = &problem.machine_values;
+        move_by_step(&mut problem.sets[set], machine, rows, linear, work, Goal::Residuals(errors))?;
     }
     Ok(())
 }
@@ -247,13 +249,14 @@ fn not_yet(set: &ObservationSet, rows: &[RowIndex], work: &Evaluation, errors: &
 /// the largest step in mm. `work` holds the evaluation of these rows with derivatives to the linear axes.
 fn move_by_step(
     set: &mut ObservationSet,
+    machine_values: &[f64],
     rows: &[RowIndex],
     linear: &LinearAxes,
     work: &Evaluation,
     goal: Goal<'_>,
 ) -> Result<f64> {
     let touched = moves_to_contact(set);
-    if touched && !work.equations.by_rotation().is_empty() {
+    if touched && !set.info().angles.is_empty() {
         return Ok(0.0); // Orientations are not touched into place by linear axes.
     }
     let count = linear.count();
@@ -269,7 +272,8 @@ fn move_by_step(
         let step = match goal {
             Goal::Residuals(errors) => smallest_step(gradient, residuals, &errors[equations]),
             Goal::Contact if touched => {
-                let known = if row.poses == 1 { contact_step(set, index, pose, work, count)? } else { None };
+                let known =
+                    if row.poses == 1 { contact_step(set, machine_values, index, pose, work, count)? } else { None };
                 known.or_else(|| smallest_step(gradient, residuals, &vec![0.0; row.equations]))
             }
             Goal::Contact => {
@@ -330,13 +334,15 @@ fn nominal_residuals(set: &ObservationSet, index: RowIndex) -> Option<Vec<f64>> 
 /// The step that brings the tip of a row with one pose to nominal contact; none if the artefact gives no contact tip.
 fn contact_step(
     set: &ObservationSet,
+    machine_values: &[f64],
     row: RowIndex,
     pose: usize,
     work: &Evaluation,
     count: usize,
 ) -> Result<Option<Vec<f64>>> {
     let tip = work.poses.positions[pose];
-    let Some(contact) = set.observations.contact_tip(row, tip, &set.own, &set.inputs)? else { return Ok(None) };
+    let inputs = set.inputs_with(machine_values);
+    let Some(contact) = set.observations.contact_tip(row, tip, &set.own, &inputs)? else { return Ok(None) };
     let derivatives = &work.poses.position_derivatives[pose * count..(pose + 1) * count];
     let gradient: Vec<f64> = (0..3).flat_map(|axis| derivatives.iter().map(move |by| by[axis])).collect();
     Ok(smallest_step(&gradient, &tip, &contact))

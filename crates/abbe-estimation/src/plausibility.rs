@@ -7,8 +7,8 @@ use std::collections::BTreeMap;
 use std::f64::consts::PI;
 
 use abbe_core::{
-    Absent, AxisKind, Calibration, Owner, ParameterRole, Plausible, Problem, Quantity, Result, Status, StatusRole,
-    Unknown, matches,
+    Absent, AxisKind, Calibration, Owner, ParameterRole, Plausible, ProbeTerm, Problem, Quantity, Result, Status,
+    StatusRole, Unknown, matches,
 };
 
 use crate::separation::thinned;
@@ -21,6 +21,10 @@ const LOCATION: [f64; 2] = [10.0, 20e-3];
 
 /// Largest plausible offset and tilt of a set-up, mm and rad: tools are measured, workpieces are clamped.
 const SET_UP: [f64; 2] = [20.0, 50e-3];
+
+/// Largest plausible deviation of an effective stylus radius, and of its variation with the direction, mm: styli are measured.
+const STYLUS_RADIUS: f64 = 0.5;
+const LOBE: f64 = 0.2;
 
 /// Part of a bound from which an error is told, though it may be real.
 const TOLD: f64 = 0.2;
@@ -194,6 +198,8 @@ fn bound(plausible: &Plausible, problem: &Problem, unknown: &Unknown) -> Option<
         ParameterRole::Motion { .. } => Some(MOTION[index]),
         ParameterRole::Location { .. } => Some(LOCATION[index]),
         ParameterRole::SetUp => Some(SET_UP[index]),
+        ParameterRole::Probe { term: ProbeTerm::Radius, .. } => Some(STYLUS_RADIUS),
+        ParameterRole::Probe { .. } => Some(LOBE),
         ParameterRole::Shape | ParameterRole::Factor | ParameterRole::Feature | ParameterRole::Other => None,
     }
 }

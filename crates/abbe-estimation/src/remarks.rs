@@ -4,7 +4,8 @@ use std::collections::{BTreeMap, BTreeSet};
 use std::path::Path;
 
 use abbe_core::{
-    Contact, DataRow, ObservationSet, Owner, ParameterRole, Problem, Quantity, RowIndex, SetIndex, StatusRole,
+    Axis, AxisKind, Branch, Contact, DataRow, ObservationSet, Owner, ParameterRole, ProbeTerm, Problem, Quantity,
+    RowIndex, SetIndex, StatusRole,
 };
 
 use crate::aliasing::aliased;
@@ -23,6 +24,7 @@ pub fn remarks(problem: &Problem) -> Vec<String> {
     remarks.extend(shared(problem));
     remarks.extend(styli(problem));
     remarks.extend(missed(problem));
+    remarks.extend(tilted_probe(problem));
     remarks
 }
 
@@ -130,6 +132,36 @@ fn shared(problem: &Problem) -> Vec<String> {
         )
     };
     pairs.into_iter().map(sentence).collect()
+}
+
+/// Difference of positions of a tilting axis that is told, rad.
+const TILTED: f64 = 0.02;
+
+/// A probe that lobes, and hangs differently in some rows: gravity changes its lobing (Soons 1993, section 3.3.1), which the terms of a
+/// probe do not describe.
+fn tilted_probe(problem: &Problem) -> Option<String> {
+    let info = problem.model.info();
+    let is_lobe = |index: usize| matches!(info.parameters[index].role, ParameterRole::Probe { term, .. } if !matches!(term, ProbeTerm::Radius | ProbeTerm::Delay));
+    let estimated = problem.unknowns.iter().any(|unknown| unknown.owner == Owner::Machine && is_lobe(unknown.index));
+    let known = problem.machine_values.iter().enumerate().any(|(index, value)| *value != 0.0 && is_lobe(index));
+    if !estimated && !known {
+        return None;
+    }
+    let tilts = |axis: &&Axis| {
+        axis.kind == AxisKind::Rotary && axis.branch == Branch::Tool && axis.direction[2].abs() < 1.0 - 1e-3
+    };
+    let differs = |axis: &&Axis| {
+        let touched = problem.sets.iter().filter(|set| set.info().contact == Contact::LinearAxes);
+        let positions = touched.flat_map(|set| set.poses_of(&set.rows).map(|pose| set.poses().row(pose)[axis.status]));
+        let (low, high) = positions.fold((f64::MAX, f64::MIN), |(low, high), at| (low.min(at), high.max(at)));
+        high - low > TILTED
+    };
+    let axis = info.axes.iter().filter(tilts).find(differs)?;
+    Some(format!(
+        "the probe is touched at several positions of {}, which tilts it: gravity changes its lobing with the tilt, and the terms of the \
+         probe are the same at all tilts",
+        axis.name
+    ))
 }
 
 /// Median distance from nominal contact that is told, mm: features are where they should be within a millimetre.

@@ -7,7 +7,8 @@ use crate::base64::base64;
 use crate::html::{details, escape};
 use crate::run::{FitResult, Run};
 use crate::sections::{
-    budget, causes, compared, correlations, curves, parameters, provenance, residuals, scene, tables, untold, verdict,
+    budget, causes, compared, correlations, curves, has_lobes, parameters, probe, provenance, residuals, scene, tables,
+    untold, verdict,
 };
 
 const STYLE: &str = include_str!("style.css");
@@ -61,6 +62,12 @@ pub fn page(runs: &[Run]) -> String {
         if let Some(main) = main.filter(|main| !main.model.info().error_functions.is_empty()) {
             let heading = format!("Errors along axes, {}{of}", main.name);
             part(&format!("{id}curves"), &heading, &curves(main));
+        }
+        let is_main = |fit: &FitResult| main.is_some_and(|main| main.name == fit.name);
+        let probes = run.fits.iter().filter(|fit| has_lobes(fit));
+        let probes: String = probes.map(|fit| details(&fit.name, is_main(fit), &probe(fit))).collect();
+        if !probes.is_empty() {
+            part(&format!("{id}probe"), &format!("Probe{of}"), &probes);
         }
         if let Some(main) = main {
             part(&format!("{id}correlations"), &format!("Correlations, {}{of}", main.name), &correlations(main));

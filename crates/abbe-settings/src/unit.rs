@@ -27,12 +27,16 @@ pub enum Quantity {
     PerTemperature,
     /// Revolutions per minute.
     RotationalSpeed,
+    /// mm/s.
+    Speed,
 }
 
 /// Suffix, quantity, and the factor that turns a value with that suffix into the unit used in memory.
-const SUFFIXES: [(&str, Quantity, f64); 13] = [
+const SUFFIXES: [(&str, Quantity, f64); 15] = [
     ("_um_per_m", Quantity::Ratio, 1e-6),
     ("_per_K", Quantity::PerTemperature, 1.0),
+    ("_mm_per_min", Quantity::Speed, 1.0 / 60.0),
+    ("_mm_per_s", Quantity::Speed, 1.0),
     ("_mm", Quantity::Length, 1.0),
     ("_um", Quantity::Length, 1e-3),
     ("_deg", Quantity::Angle, std::f64::consts::PI / 180.0),
@@ -50,18 +54,19 @@ impl Quantity {
     /// Splits a column name such as `X_mm` into its base name, its quantity and the factor to the unit in memory.
     ///
     /// Names without a unit are labels, except the dimensionless numbers that the conventions list (`dir_*`, `meas_*`,
-    /// components of unit vectors and quaternions). So are feeds (`F_mm_per_min`).
+    /// components of unit vectors and quaternions).
     pub fn of_column(header: &str) -> (&str, Self, f64) {
         for (suffix, quantity, factor) in SUFFIXES {
             if let Some(base) = header.strip_suffix(suffix)
                 && !base.is_empty()
-                && !(suffix == "_min" && base.ends_with("_per"))
+                && !(matches!(suffix, "_min" | "_s") && base.ends_with("_per"))
             {
                 return (base, quantity, factor);
             }
         }
         let number = ["dir_", "dir1_", "dir2_", "meas_"].iter().any(|prefix| header.starts_with(prefix))
-            || ["nx", "ny", "nz", "qw", "qx", "qy", "qz", "ux", "uy", "uz", "vx", "vy", "vz"].contains(&header);
+            || ["nx", "ny", "nz", "qw", "qx", "qy", "qz", "ux", "uy", "uz", "vx", "vy", "vz", "ax", "ay", "az"]
+                .contains(&header);
         (header, if number { Self::Ratio } else { Self::Label }, 1.0)
     }
 
@@ -77,6 +82,7 @@ impl Quantity {
             Self::Force => "N",
             Self::PerTemperature => "1/K",
             Self::RotationalSpeed => "rpm",
+            Self::Speed => "mm/s",
         }
     }
 
@@ -91,6 +97,7 @@ impl Quantity {
             Self::Force => "_N",
             Self::PerTemperature => "_per_K",
             Self::RotationalSpeed => "_rpm",
+            Self::Speed => "_mm_per_min",
         }
     }
 
@@ -218,7 +225,9 @@ mod tests {
             ("T01_degC", "T01", Quantity::Temperature, 1.0),
             ("time_s", "time", Quantity::Time, 1.0),
             ("cutting_min", "cutting", Quantity::Time, 60.0),
-            ("feed_mm_per_min", "feed_mm_per_min", Quantity::Label, 1.0),
+            ("feed_mm_per_min", "feed", Quantity::Speed, 1.0 / 60.0),
+            ("feed_mm_per_s", "feed", Quantity::Speed, 1.0),
+            ("spins_per_min", "spins_per_min", Quantity::Label, 1.0),
             ("dir_X", "dir_X", Quantity::Ratio, 1.0),
             ("feature", "feature", Quantity::Label, 1.0),
             ("X", "X", Quantity::Label, 1.0),

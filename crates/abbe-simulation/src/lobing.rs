@@ -41,7 +41,8 @@ pub fn contact_directions(problem: &Problem) -> Result<Vec<Option<[f64; 3]>>> {
             }
             problem.model.poses(set.poses().row(row.first_pose), &problem.machine_values, &[], true, &mut poses)?;
             equations.clear();
-            set.observations.evaluate(set.batch(&[index], &poses), &mut equations)?;
+            let inputs = set.inputs_with(&problem.machine_values);
+            set.observations.evaluate(set.batch(&[index], &poses, &inputs), &mut equations)?;
             let [w, x, y, z] = poses.orientations[0];
             let tool = UnitQuaternion::from_quaternion(Quaternion::new(w, x, y, z));
             let normal = Vector3::from(equations.by_position()[0]).try_normalize(0.0);

@@ -4,5 +4,6 @@
 //! give numbers; what they cannot answer is `None`. Where the text of a standard was not at hand its module says so.
 
 pub mod material;
+pub mod probing;
 pub mod spindle;
 pub mod thermal_drift;

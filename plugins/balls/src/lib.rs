@@ -1,24 +1,35 @@
 //! Artefact plugin `balls`: balls touched with the machine's probe, or their centres fitted already.
 //!
-//! Equations: one touch `|p - P - c| - R - r = 0`; a fitted centre `p - P - c = 0` (three equations); a calibrated
+//! Equations: one touch `|p - P - c| - R - f - r = 0`; a fitted centre `p - P - c = 0` (three equations); a calibrated
 //! distance between two balls `|P2 + c2 - P1 - c1| - L = 0`. p is the tip and P the nominal centre in the table frame, c
-//! the ball's own offset, R its radius, r the effective stylus radius.
+//! the ball's own offset, R its radius, f its form, r the effective stylus radius.
+//!
+//! Plugin `rings`: the inside of rings.
 
 mod centres;
+mod form;
+mod rings;
+mod size;
+mod touches;
 
 use std::collections::BTreeMap;
 use std::path::PathBuf;
 use std::sync::Arc;
 
 use abbe_core::{
-    Artefact, ColumnHeader, Contact, Context, DataRow, Dataset, Equations, Error, Feature, InputFile, KinematicModel,
-    KnownInput, Label, Layout, Observations, ObservationsInfo, Parameter, ParameterRole, PathItem, Quantity, Result,
-    RowBatch, RowIndex, SettingsError, Target, Unit, not_negative, plain_naming, pose_columns, positive,
+    Artefact, ColumnHeader, Contact, Context, DataRow, Dataset, Error, Feature, InputFile, KinematicModel, KnownInput,
+    Label, Layout, Observations, ObservationsInfo, Parameter, PathItem, Quantity, Result, SettingsError, Target, Unit,
+    not_negative, plain_naming, pose_columns, positive,
 };
+use abbe_probe::EffectiveRadius;
 use nalgebra::Vector3;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use serde_json::{Value, json};
+
+use form::Form;
+use size::{Diameter, Quantities, Size, sizes};
+use touches::{TouchedBall, Touches};
 
 abbe_core::register!(
     Artefact,
@@ -48,6 +59,12 @@ struct Settings {
     /// Whether the radius of every ball is known or estimated (`ball[1].radius`, its deviation from nominal).
     #[serde(default)]
     radius: Radius,
+    /// Diameters that are estimated (`ball[1].diameter`) or stated by a certificate with uncertainty.
+    #[serde(default)]
+    diameters: Vec<Diameter>,
+    /// Terms of the form of the balls, in the table frame: `cos2`, `sin3,1` (`ball[1].form[cos2]`).
+    #[serde(default)]
+    form: Vec<String>,
     /// Calibrated distances between centres.
     #[serde(default)]
     distances: Vec<Distance>,
@@ -113,6 +130,17 @@ fn build(settings: Settings, context: &Context) -> Result<Box<dyn Artefact>, Set
         return Err(SettingsError::new("centres_by", "centres are fitted with known radii; they cannot tell radii")
             .help("leave out `centres_by`, or `radius: estimated`"));
     }
+    if settings.radius == Radius::Estimated && !settings.diameters.is_empty() {
+        return Err(SettingsError::new("diameters", "`radius: estimated` estimates all sizes already"));
+    }
+    let centres = settings.centres_by.is_some() || settings.rows == Rows::Centres;
+    for (setting, none) in [("diameters", settings.diameters.is_empty()), ("form", settings.form.is_empty())] {
+        if centres && !none {
+            return Err(SettingsError::new(setting, "this belongs to touches, and centres are observed here"));
+        }
+    }
+    size::check(&settings.diameters)?;
+    let form = Form::read(&settings.form)?;
     for (index, distance) in settings.distances.iter().enumerate() {
         let at = |error: SettingsError| error.under([PathItem::Key("distances".to_owned()), PathItem::Index(index)]);
         positive("length_mm", distance.length_mm).map_err(at)?;
@@ -126,12 +154,13 @@ fn build(settings: Settings, context: &Context) -> Result<Box<dyn Artefact>, Set
             return Err(at(SettingsError::new("between", "the distance of these balls stands here a second time")));
         }
     }
-    Ok(Box::new(Balls { nominal: context.path(&settings.nominal), settings }))
+    Ok(Box::new(Balls { nominal: context.path(&settings.nominal), settings, form }))
 }
 
 struct Balls {
     nominal: PathBuf,
     settings: Settings,
+    form: Form,
 }
 
 /// A nominal ball, table frame.
@@ -171,6 +200,26 @@ impl Balls {
 }
 
 impl Balls {
+    /// Whether a row of the equations is one touch.
+    fn touches_are_rows(&self) -> bool {
+        self.settings.centres_by.is_none() && self.settings.rows == Rows::Touches
+    }
+
+    /// The effective stylus radius of the rows; that of centres is the same in all directions.
+    fn effective_radius(&self, model: &dyn KinematicModel, layout: &Layout) -> Result<EffectiveRadius> {
+        let uncertainty = self.settings.stylus_radius_standard_uncertainty_um * 1e-3;
+        if self.touches_are_rows() {
+            return EffectiveRadius::new(model, layout, uncertainty);
+        }
+        if self.settings.centres_by.is_some() && abbe_probe::has_terms(model) {
+            let message = "centres are fitted with one stylus radius for all directions, and the model has a `probe`";
+            return Err(Error::usage(message)
+                .setting("centres_by")
+                .help("leave `centres_by` out: touches are observations then"));
+        }
+        Ok(EffectiveRadius::constant(model, uncertainty))
+    }
+
     /// Data rows as they are, with the ball of each.
     fn rows(
         &self,
@@ -198,6 +247,9 @@ impl Artefact for Balls {
 
     fn check(&self, headers: &[ColumnHeader], file: Option<&PathBuf>, model: &dyn KinematicModel) -> Result<()> {
         pose_columns(headers, file, model, &plain_naming)?;
+        if self.touches_are_rows() {
+            abbe_probe::check_columns(headers, file, model)?;
+        }
         let nominal = abbe_table::read_headers(&self.nominal)?;
         let columns = [
             ("feature", Quantity::Label),
@@ -226,16 +278,29 @@ impl Artefact for Balls {
             }
         };
 
-        let mut unknowns = Vec::new();
-        let estimated = self.settings.radius == Radius::Estimated;
+        let radius = self.effective_radius(model, &layout)?;
+        let mut quantities = Quantities { inputs: radius.inputs().to_vec(), ..Quantities::default() };
+        let mut features = Vec::new();
+        let mut touched_balls = Vec::new();
         for ball in &balls {
-            for own in ["x", "y", "z", "radius"].iter().take(if estimated { 4 } else { 3 }) {
-                let parameter = Parameter::new(format!("ball[{}].{own}", ball.label), Unit::MM);
-                unknowns.push(parameter.with_role(ParameterRole::Feature));
+            let name = |own: &str| format!("ball[{}].{own}", ball.label);
+            let [first, ..] = ["x", "y", "z"].map(|axis| quantities.unknown(name(axis), 0.0));
+            let radius = ball.radius;
+            let estimated = self.settings.radius == Radius::Estimated;
+            let deviation = estimated.then(|| Size::Deviation(radius, quantities.unknown(name("radius"), 0.0)));
+            let form = quantities.unknowns.len();
+            for term in self.form.names() {
+                quantities.unknown(name(&format!("form[{term}]")), 0.0);
             }
+            let size = deviation.unwrap_or(Size::Known(radius));
+            touched_balls.push(TouchedBall { centre: ball.centre, first, size, form });
+            features.push(Feature {
+                label: ball.label.clone(),
+                point: ball.centre.into(),
+                shifts: vec![(first, [1.0, 0.0, 0.0]), (first + 1, [0.0, 1.0, 0.0]), (first + 2, [0.0, 0.0, 1.0])],
+            });
         }
-        let of_radius = self.settings.stylus_radius_standard_uncertainty_um * 1e-3;
-        let mut inputs = vec![KnownInput::stylus_radius(model, of_radius)];
+        let first_distance = quantities.inputs.len();
         let mut distances = Vec::new();
         for distance in &self.settings.distances {
             let find = |label: &Label| {
@@ -257,21 +322,39 @@ impl Artefact for Balls {
             let name = format!("length[{}-{}]", from.0, to.0);
             let content = format!("distance of balls {} and {}: {length:e} mm, u = {uncertainty:e} mm", from.0, to.0);
             let parameter = Parameter::new(&name, Unit::MM);
-            inputs.push(KnownInput::new(parameter, length, uncertainty).with_certificate(name, content));
+            quantities.inputs.push(KnownInput::new(parameter, length, uncertainty).with_certificate(name, content));
         }
         let rows = if self.settings.centres_by.is_some() { Rows::Centres } else { self.settings.rows };
-        let features = balls.iter().enumerate().map(|(index, ball)| {
-            let first = first_own(index, estimated);
-            Feature {
-                label: ball.label.clone(),
-                point: ball.centre.into(),
-                shifts: vec![(first, [1.0, 0.0, 0.0]), (first + 1, [0.0, 1.0, 0.0]), (first + 2, [0.0, 0.0, 1.0])],
+        let labels: Vec<(&str, f64)> = balls.iter().map(|ball| (ball.label.as_str(), 2.0 * ball.radius)).collect();
+        let (of_settings, diameters) = sizes(&self.settings.diameters, "ball", &labels, &mut quantities, &mut layout)?;
+        for (ball, size) in touched_balls.iter_mut().zip(of_settings) {
+            if !matches!(ball.size, Size::Deviation(..)) {
+                ball.size = size;
             }
-        });
-        let features = features.collect();
-        let info =
-            ObservationsInfo { inputs, features, ..ObservationsInfo::new(layout, unknowns, Contact::LinearAxes) };
-        Ok(Arc::new(Touches { info, balls, ball_of_row, centre_by_radius, distances, rows, estimated }))
+        }
+        let Quantities { unknowns, start, inputs } = quantities;
+        let orientation = radius.orientation();
+        let info = ObservationsInfo {
+            start,
+            inputs,
+            features,
+            orientation,
+            ..ObservationsInfo::new(layout, unknowns, Contact::LinearAxes)
+        };
+        let balls = touched_balls;
+        let form = self.form.clone();
+        Ok(Arc::new(Touches {
+            info,
+            balls,
+            ball_of_row,
+            centre_by_radius,
+            distances,
+            first_distance,
+            diameters,
+            rows,
+            radius,
+            form,
+        }))
     }
 
     fn targets(&self, stylus_radius: f64) -> Result<Vec<Target>> {
@@ -292,116 +375,5 @@ impl Artefact for Balls {
             }
         }
         Ok(targets)
-    }
-}
-
-/// Touches on balls.
-struct Touches {
-    info: ObservationsInfo,
-    balls: Vec<Ball>,
-    ball_of_row: Vec<usize>,
-    /// Of centres that were fitted: their derivative to the stylus radius.
-    centre_by_radius: Vec<Vector3<f64>>,
-    distances: Vec<(usize, usize)>,
-    rows: Rows,
-    estimated: bool,
-}
-
-/// Index of the first unknown of a ball, whose radius may be estimated, too.
-fn first_own(ball: usize, estimated: bool) -> usize {
-    ball * if estimated { 4 } else { 3 }
-}
-
-impl Touches {
-    fn first_own(&self, ball: usize) -> usize {
-        first_own(ball, self.estimated)
-    }
-
-    fn centre(&self, ball: usize, own: &[f64]) -> Vector3<f64> {
-        let first = self.first_own(ball);
-        self.balls[ball].centre + Vector3::new(own[first], own[first + 1], own[first + 2])
-    }
-
-    /// What another stylus radius than that of the fit changes in the centre of a row.
-    fn by_stylus(&self, row: usize, inputs: &[f64]) -> Vector3<f64> {
-        let by_radius = self.centre_by_radius.get(row).copied().unwrap_or_default();
-        by_radius * (inputs[0] - self.info.inputs[0].value)
-    }
-
-    /// Derivatives to the offsets of a ball's centre.
-    fn by_centre(&self, ball: usize, derivative: Vector3<f64>, out: &mut Equations) {
-        for (axis, value) in derivative.iter().enumerate() {
-            out.own(self.first_own(ball) + axis, *value);
-        }
-    }
-}
-
-impl Observations for Touches {
-    fn info(&self) -> &ObservationsInfo {
-        &self.info
-    }
-
-    fn evaluate(&self, batch: RowBatch<'_>, out: &mut Equations) -> Result<()> {
-        let RowBatch { rows, own, inputs, .. } = batch;
-        let mut positions = batch.positions.iter();
-        for &RowIndex(row) in rows {
-            let Some(&ball) = self.ball_of_row.get(row) else {
-                let distance = row - self.ball_of_row.len();
-                let (from, to) = self.distances[distance];
-                let between = self.centre(to, own) - self.centre(from, own);
-                out.equation(between.norm() - inputs[1 + distance]);
-                self.by_centre(to, between.normalize(), out);
-                self.by_centre(from, -between.normalize(), out);
-                out.input(1 + distance, -1.0);
-                continue;
-            };
-            let Some(position) = positions.next() else { break };
-            let from_centre = Vector3::from(*position) - self.centre(ball, own);
-            match self.rows {
-                Rows::Touches => {
-                    let radius = if self.estimated { own[self.first_own(ball) + 3] } else { 0.0 };
-                    let normal = from_centre.normalize();
-                    out.equation(from_centre.norm() - self.balls[ball].radius - radius - inputs[0]);
-                    out.position(normal.into());
-                    self.by_centre(ball, -normal, out);
-                    if self.estimated {
-                        out.own(self.first_own(ball) + 3, -1.0);
-                    }
-                    out.input(0, -1.0);
-                }
-                Rows::Centres => {
-                    let off = from_centre + self.by_stylus(row, inputs);
-                    for axis in 0..3 {
-                        let mut unit = [0.0; 3];
-                        unit[axis] = 1.0;
-                        out.equation(off[axis]);
-                        out.position(unit);
-                        out.own(self.first_own(ball) + axis, -1.0);
-                        if let Some(by_radius) = self.centre_by_radius.get(row) {
-                            out.input(0, by_radius[axis]);
-                        }
-                    }
-                }
-            }
-        }
-        Ok(())
-    }
-
-    fn contact_tip(
-        &self,
-        RowIndex(row): RowIndex,
-        tip: [f64; 3],
-        own: &[f64],
-        inputs: &[f64],
-    ) -> Result<Option<[f64; 3]>> {
-        let Some(&ball) = self.ball_of_row.get(row) else { return Ok(None) };
-        let centre = self.centre(ball, own);
-        if self.rows == Rows::Centres {
-            return Ok(Some((centre - self.by_stylus(row, inputs)).into()));
-        }
-        let Some(outward) = (Vector3::from(tip) - centre).try_normalize(0.0) else { return Ok(None) };
-        let more = if self.estimated { own[self.first_own(ball) + 3] } else { 0.0 };
-        let distance = self.balls[ball].radius + more + inputs[0];
-        Ok(Some((centre + distance * outward).into()))
     }
 }

@@ -2,6 +2,7 @@
 
 mod error_table;
 mod linuxcnc;
+mod probe;
 mod sampling;
 mod screw_file;
 mod set_points;

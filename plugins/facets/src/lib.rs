@@ -13,10 +13,11 @@ use std::sync::Arc;
 
 use abbe_core::{
     Artefact, ColumnHeader, Contact, Context, DataRow, Dataset, Equations, Error, Feature, InputFile, KinematicModel,
-    KnownInput, Label, Layout, Observations, ObservationsInfo, Parameter, ParameterRole, PathItem, Quantity, Result,
-    RowBatch, RowIndex, SettingsError, Target, Unit, not_negative, plain_naming, pose_columns, positive,
+    Label, Layout, Observations, ObservationsInfo, Parameter, ParameterRole, PathItem, Quantity, Result, RowBatch,
+    RowIndex, SettingsError, Target, Unit, not_negative, plain_naming, pose_columns, positive,
 };
-use nalgebra::Vector3;
+use abbe_probe::EffectiveRadius;
+use nalgebra::{Matrix3, Vector3};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use serde_json::{Value, json};
@@ -104,14 +105,19 @@ struct Surface {
 }
 
 impl Facet {
-    /// The distance of a tip from the nominal surface, positive outwards, and its derivative to the tip.
-    fn distance(&self, tip: Vector3<f64>) -> (f64, Vector3<f64>) {
+    /// The distance of a tip from the nominal surface, positive outwards, its derivative to the tip (the outward normal), and the
+    /// derivative of this normal to the tip.
+    fn distance(&self, tip: Vector3<f64>) -> (f64, Vector3<f64>, Matrix3<f64>) {
         let from_point = tip - self.point;
-        let Some(Surface { radius, axis }) = &self.curved else { return (self.normal.dot(&from_point), self.normal) };
+        let Some(Surface { radius, axis }) = &self.curved else {
+            return (self.normal.dot(&from_point), self.normal, Matrix3::zeros());
+        };
         let from_centre = from_point + *radius * self.normal;
         let across = axis.map_or(from_centre, |axis| from_centre - from_centre.dot(&axis) * axis);
         let outward = radius.signum() * across.normalize();
-        (radius.signum() * across.norm() - radius, outward)
+        let along = axis.map_or(Matrix3::zeros(), |axis| axis * axis.transpose());
+        let turning = (Matrix3::identity() - outward * outward.transpose() - along) * (radius.signum() / across.norm());
+        (radius.signum() * across.norm() - radius, outward, turning)
     }
 }
 
@@ -181,6 +187,7 @@ impl Artefact for Facets {
 
     fn check(&self, headers: &[ColumnHeader], file: Option<&PathBuf>, model: &dyn KinematicModel) -> Result<()> {
         pose_columns(headers, file, model, &plain_naming)?;
+        abbe_probe::check_columns(headers, file, model)?;
         abbe_table::require(headers, file, &[("feature", Quantity::Label)])?;
         let nominal = abbe_table::read_headers(&self.nominal)?;
         let columns = [
@@ -219,12 +226,14 @@ impl Artefact for Facets {
             shifts: vec![(index, facet.normal.into())],
         });
         let uncertainty = self.settings.stylus_radius_standard_uncertainty_um * 1e-3;
+        let radius = EffectiveRadius::new(model, &layout, uncertainty)?;
         let info = ObservationsInfo {
-            inputs: vec![KnownInput::stylus_radius(model, uncertainty)],
+            inputs: radius.inputs().to_vec(),
+            orientation: radius.orientation(),
             features: features.collect(),
             ..ObservationsInfo::new(layout, unknowns.collect(), Contact::LinearAxes)
         };
-        Ok(Arc::new(Touches { info, facets, facet_of_row }))
+        Ok(Arc::new(Touches { info, facets, facet_of_row, radius }))
     }
 
     fn targets(&self, stylus_radius: f64) -> Result<Vec<Target>> {
@@ -242,6 +251,7 @@ struct Touches {
     info: ObservationsInfo,
     facets: Vec<Facet>,
     facet_of_row: Vec<usize>,
+    radius: EffectiveRadius,
 }
 
 impl Observations for Touches {
@@ -250,18 +260,20 @@ impl Observations for Touches {
     }
 
     fn evaluate(&self, batch: RowBatch<'_>, out: &mut Equations) -> Result<()> {
-        for (&row, position) in batch.rows.iter().zip(batch.positions) {
+        for (pose, (&row, position)) in batch.rows.iter().zip(batch.positions).enumerate() {
             let index = self.facet_of_row[row];
-            let (distance, outward) = self.facets[index].distance(Vector3::from(*position));
-            out.equation(distance - batch.own[index] - batch.inputs[0]);
-            out.position(outward.into());
+            let (distance, outward, turning) = self.facets[index].distance(Vector3::from(*position));
+            let radius = self.radius.at(row, pose, &batch, &outward);
+            radius.write(distance - batch.own[index] - radius.value, &(outward - turning * radius.by_normal), out);
             out.own(index, -1.0);
-            out.input(0, -1.0);
         }
         Ok(())
     }
 
     fn contact_tip(&self, row: RowIndex, _: [f64; 3], own: &[f64], inputs: &[f64]) -> Result<Option<[f64; 3]>> {
+        if !self.radius.is_constant(inputs) {
+            return Ok(None);
+        }
         let index = self.facet_of_row[row];
         let Facet { point, normal, .. } = &self.facets[index];
         Ok(Some((point + (own[index] + inputs[0]) * normal).into()))

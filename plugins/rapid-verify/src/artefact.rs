@@ -5,9 +5,10 @@ use std::sync::Arc;
 
 use abbe_core::{
     Approach, Artefact, ColumnHeader, Contact, Context, DataRow, Dataset, Equations, Error, Feature, InputFile,
-    KinematicModel, KnownInput, Layout, ListedBy, Observations, ObservationsInfo, Parameter, ParameterRole, Quantity,
-    Result, RowBatch, RowIndex, SettingsError, Target, Unit, plain_naming, pose_columns, positive,
+    KinematicModel, Layout, ListedBy, Observations, ObservationsInfo, Parameter, ParameterRole, Quantity, Result,
+    RowBatch, RowIndex, SettingsError, Target, Unit, plain_naming, pose_columns, positive,
 };
+use abbe_probe::EffectiveRadius;
 use nalgebra::Vector3;
 use schemars::JsonSchema;
 use serde::Deserialize;
@@ -59,6 +60,7 @@ impl Artefact for ProbedPoints {
 
     fn check(&self, headers: &[ColumnHeader], file: Option<&PathBuf>, model: &dyn KinematicModel) -> Result<()> {
         pose_columns(headers, file, model, &plain_naming)?;
+        abbe_probe::check_columns(headers, file, model)?;
         abbe_table::require(headers, file, &[("point", Quantity::Label), ("measured", Quantity::Length)])?;
         check_headers(&self.nominal).map(drop)
     }
@@ -97,13 +99,15 @@ impl Artefact for ProbedPoints {
             shifts: vec![(index, facet.normal.into())],
         });
         let approach = |touched: &Touched| Approach { axis: touched.axis, reading: "measured".to_owned() };
+        let radius = EffectiveRadius::new(model, &layout, 0.0)?;
         let info = ObservationsInfo {
-            inputs: vec![KnownInput::stylus_radius(model, 0.0)],
+            inputs: radius.inputs().to_vec(),
+            orientation: radius.orientation(),
             features: features.collect(),
             approaches: points.iter().map(approach).collect(),
             ..ObservationsInfo::new(layout, unknowns.collect(), Contact::LinearAxes)
         };
-        Ok(Arc::new(Touches { info, points }))
+        Ok(Arc::new(Touches { info, points, radius }))
     }
 
     fn targets(&self, stylus_radius: f64) -> Result<Vec<Target>> {
@@ -132,6 +136,7 @@ struct Touches {
     info: ObservationsInfo,
     /// What every row touches.
     points: Vec<Touched>,
+    radius: EffectiveRadius,
 }
 
 impl Observations for Touches {
@@ -140,18 +145,20 @@ impl Observations for Touches {
     }
 
     fn evaluate(&self, batch: RowBatch<'_>, out: &mut Equations) -> Result<()> {
-        for (&row, tip) in batch.rows.iter().zip(batch.positions) {
+        for (pose, (&row, tip)) in batch.rows.iter().zip(batch.positions).enumerate() {
             let Touched { point, facet, .. } = &self.points[row];
             let distance = point.normal.dot(&(Vector3::from(*tip) - point.position));
-            out.equation(distance - batch.own[*facet] - batch.inputs[0]);
-            out.position(point.normal.into());
+            let radius = self.radius.at(row, pose, &batch, &point.normal);
+            radius.write(distance - batch.own[*facet] - radius.value, &point.normal, out);
             out.own(*facet, -1.0);
-            out.input(0, -1.0);
         }
         Ok(())
     }
 
     fn contact_tip(&self, row: RowIndex, _: [f64; 3], own: &[f64], inputs: &[f64]) -> Result<Option<[f64; 3]>> {
+        if !self.radius.is_constant(inputs) {
+            return Ok(None);
+        }
         let Touched { point, facet, .. } = &self.points[row];
         Ok(Some((point.position + (own[*facet] + inputs[0]) * point.normal).into()))
     }

@@ -8,6 +8,7 @@ use abbe_core::{
 };
 use abbe_errors::{Argument, Constant, Declaration, Drift, Functions, Group, StylusIndicator, Subject};
 use abbe_kinematics::{Chain, StructuralLoop};
+use abbe_probe::{parameter as probe_parameter, read as probe_term};
 use nalgebra::Vector3;
 
 use crate::model::{CoefficientPlace, FunctionBasis, ParameterUse, Range, Source};
@@ -136,6 +137,22 @@ impl Builder {
                 let arguments = self.stylus_status.map(Source::Status).into_iter().collect();
                 let first = self.basis(Box::new(StylusIndicator(index + 1)), arguments, None);
                 self.add(&candidate, first, &[])?;
+            }
+        }
+        Ok(())
+    }
+
+    /// Coefficients of the effective stylus radius, for every stylus.
+    pub fn probe(&mut self, settings: &Settings) -> Result<(), SettingsError> {
+        let further = settings.styli.keys().filter(|number| *number != "1");
+        let prefixes: Vec<String> =
+            std::iter::once(String::new()).chain(further.map(|number| format!("stylus[{number}]."))).collect();
+        for (stylus, prefix) in prefixes.iter().enumerate() {
+            for (index, text) in settings.probe.iter().enumerate() {
+                let at = |error: SettingsError| error.under([key("probe"), PathItem::Index(index)]);
+                let term = probe_term(text).map_err(|message| at(SettingsError::new("", message)))?;
+                let parameter = probe_parameter(prefix, stylus, term);
+                self.parameter(parameter, 0.0, ParameterUse::Radius).map_err(at)?;
             }
         }
         Ok(())

@@ -53,6 +53,7 @@ impl SerialChain {
                         };
                         sorted.shapes.push((index, parameter, (0..self.bases.len()).filter(follows).collect()));
                     }
+                    ParameterUse::Radius => {}
                 },
                 Variable::Command(axis) => sorted.commands.push((index, axis)),
             }

@@ -36,7 +36,7 @@ impl Builder {
             ParameterUse::Coefficient(CoefficientPlace { basis, .. }) | ParameterUse::Factor(basis) => {
                 self.bases[*basis].functions.nominal_uncertainty()
             }
-            ParameterUse::Shape(_) => 0.0,
+            ParameterUse::Shape(_) | ParameterUse::Radius => 0.0,
         };
         self.uses.iter().map(of).collect()
     }

@@ -36,6 +36,8 @@ pub(crate) enum ParameterUse {
     Shape(usize),
     /// It multiplies all functions of a basis, in several errors of one slot: the factor of a body.
     Factor(usize),
+    /// It belongs to the effective stylus radius; poses do not depend on it.
+    Radius,
 }
 
 /// Where a coefficient acts: slot and component of the chain, and its function among all functions.
@@ -155,6 +157,7 @@ impl SerialChain {
             builder.declare(&declaration).map_err(|error| error.under(at))?;
             declarations.push(declaration);
         }
+        builder.probe(settings)?;
         let mut resolved = settings.clone();
         for (name, body) in &mut resolved.bodies {
             let at = [key("bodies"), key(name)];
@@ -181,7 +184,7 @@ impl SerialChain {
         let basis_of = |role: &ParameterUse| match role {
             ParameterUse::Coefficient(place) => Some(place.basis),
             ParameterUse::Factor(basis) => Some(*basis),
-            ParameterUse::Shape(_) => None,
+            ParameterUse::Shape(_) | ParameterUse::Radius => None,
         };
         for (role, _) in self.uses.iter().zip(values).filter(|(_, value)| **value != 0.0) {
             basis_of(role).into_iter().for_each(|basis| used[basis] = true);

@@ -90,6 +90,9 @@ pub(crate) fn time_is_there(data: &[&Dataset]) -> Result<(), SettingsError> {
 pub(crate) fn settle_body(body: &mut Body, data: &[&Dataset]) -> Result<(), SettingsError> {
     body.check()?;
     body.settle(data)?;
+    if !data.is_empty() {
+        body.faults().iter().for_each(|fault| tracing::warn!("{fault}"));
+    }
     if !body.log.is_empty() {
         let sections = |error: SettingsError| SettingsError { path: vec![key("sections")], ..error };
         time_is_there(data).map_err(sections)?;

@@ -40,6 +40,11 @@ pub struct Settings {
     /// eq. 3.56 to 3.62).
     #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
     pub bodies: BTreeMap<String, Body>,
+    /// Terms of the effective stylus radius, for every stylus: `r0` (the same in all directions), `delay` (by the feed),
+    /// `lobe[cosM,J]` and `lobe[sinM,J]` (by the direction of contact: M periods around the tool axis, power J along it).
+    /// Artefacts that are touched use them.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub probe: Vec<String>,
     /// Exact transforms, or the first-order form (Soons 1993, eq. 2.24-2.28), which shows the errors of linearising.
     #[serde(default)]
     pub evaluation: Evaluation,

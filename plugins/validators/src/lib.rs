@@ -18,6 +18,7 @@ mod influence;
 mod minimal_set;
 mod one_at_a_time;
 mod prediction;
+mod probing;
 mod repeatability;
 mod repeats;
 mod residuals;

@@ -143,6 +143,7 @@ mod every_validator {
                 "hold-out",
                 "influence",
                 "minimal-set",
+                "probe",
                 "repeatability",
                 "repeats",
                 "residuals",

@@ -4,7 +4,7 @@ use std::fmt::Write as _;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
-use abbe_core::{AxisKind, Build, Context, Kind, KinematicModel, Parameter, Quantity, Registry};
+use abbe_core::{AxisKind, Build, Context, Kind, KinematicModel, Parameter, ParameterRole, Quantity, Registry};
 use serde_json::{Value, json};
 
 use crate::programme::Indexation;
@@ -45,6 +45,10 @@ pub const ARTEFACTS: [Artefact; 9] = [
     Artefact::Direct,
     Artefact::Poses,
 ];
+
+/// Terms of a probe. A delay needs feeds, which the programmes do not have.
+const PROBE: [&str; 8] =
+    ["r0", "lobe[cos0,2]", "lobe[cos2]", "lobe[sin2]", "lobe[cos3]", "lobe[sin3]", "lobe[cos3,1]", "lobe[cos6]"];
 
 /// A machine with its measurement, in a folder of its own.
 pub struct Case {
@@ -132,17 +136,25 @@ impl Case {
     /// A random machine with a random artefact, written into a folder.
     pub fn new(random: &mut Random, folder: &Path) -> Self {
         let artefact = random.of(&ARTEFACTS);
-        let machine = machine(random);
-        let model = model(&machine);
+        let mut machine = machine(random);
+        let bare = model(&machine);
         let programme = PathBuf::from("programme.csv");
-        let indexations = indexations(random, model.as_ref());
-        let stage = programme::write(random, artefact, model.as_ref(), &indexations, &folder.join(&programme));
+        let indexations = indexations(random, bare.as_ref());
+        let stage = programme::write(random, artefact, bare.as_ref(), &indexations, &folder.join(&programme));
+        if random.chance(0.35) {
+            let terms = random.count(1, PROBE.len() + 1);
+            machine["probe"] = json!(random.shuffled(&PROBE)[..terms]);
+        }
+        let model = model(&machine);
         Self { artefact, machine, model, stage, programme }
     }
 }
 
 /// A value that a parameter may have on a real machine.
 pub fn error(random: &mut Random, parameter: &Parameter) -> f64 {
+    if let ParameterRole::Probe { .. } = parameter.role {
+        return random.within(0.01);
+    }
     let size = match (parameter.unit.of, parameter.unit.per) {
         (Quantity::Angle, None) => 1e-4,
         (Quantity::Length, None) => 0.05,

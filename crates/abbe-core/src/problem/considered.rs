@@ -5,8 +5,9 @@ use serde::{Deserialize, Serialize};
 
 use crate::identity::Certificate;
 use crate::index::SetIndex;
-use crate::model::{KinematicModel, ModelInfo, Parameter, Poses};
+use crate::model::{KinematicModel, ModelInfo, Poses};
 use crate::observations::Equations;
+use crate::parameter::Parameter;
 use crate::problem::{ObservationSet, Owner, Problem, Unknown};
 use abbe_results::{Calibration, ConsideredInput, Status};
 use abbe_settings::Unit;
@@ -136,7 +137,8 @@ pub(crate) fn inputs(sets: &[ObservationSet]) -> Result<(Vec<Input>, Considered)
     let mut inputs: Vec<Input> = Vec::new();
     let mut shared: Vec<Option<&str>> = Vec::new();
     for (set, observations) in SetIndex::enumerate(sets) {
-        for (index, input) in observations.observations.info().inputs.iter().enumerate() {
+        let own = observations.observations.info().inputs.iter().enumerate();
+        for (index, input) in own.filter(|(_, input)| input.of_model.is_none()) {
             let own = input.parameter.name.as_str();
             // An exact input has no error to share.
             let identity = match input.standard_uncertainty > 0.0 {
@@ -219,7 +221,7 @@ pub(crate) fn check_constraints(set: &ObservationSet) -> Result<()> {
     let rows = &layout.rows;
     for row in layout.row_indices().filter(|&row| rows[row].data_row.is_none() && rows[row].poses == 0) {
         let mut equations = Equations::default();
-        set.observations.evaluate(set.batch(&[row], &none), &mut equations)?;
+        set.observations.evaluate(set.batch(&[row], &none, &set.inputs), &mut equations)?;
         let uncertain = |input: usize| set.info().inputs[input].standard_uncertainty > 0.0;
         let stated = |equation| equations.by_input().iter().any(|&(of, input, _)| of == equation && uncertain(input));
         if !(0..rows[row].equations).all(stated) {

@@ -166,7 +166,8 @@ impl Problem {
         self.evaluate_poses(set, rows, wanted, work).map_err(|error| self.of_row(set, rows, error))?;
         let set = &self.sets[set];
         work.equations.clear();
-        set.observations.evaluate(set.batch(rows, &work.poses), &mut work.equations)?;
+        let inputs = set.inputs_with(&self.machine_values);
+        set.observations.evaluate(set.batch(rows, &work.poses, &inputs), &mut work.equations)?;
         if let Some(disturbances) = &set.disturbances {
             let residuals = work.equations.residuals.iter_mut().zip(set.equations_of(rows));
             residuals.for_each(|(value, equation)| *value += disturbances[equation]);
@@ -250,6 +251,12 @@ impl Columns {
                 Owner::Machine => {
                     wanted.push(Variable::Parameter(unknown.index));
                     machine.push(column);
+                    for (of_set, set) in of_sets.iter_mut().zip(&problem.sets) {
+                        let inputs = of_set.inputs.iter_mut().zip(&set.info().inputs);
+                        inputs
+                            .filter(|(_, input)| input.of_model == Some(unknown.index))
+                            .for_each(|(own, _)| *own = Some(column));
+                    }
                 }
                 Owner::Set(set) => of_sets[set].own[unknown.index] = Some(column),
                 Owner::Input => {

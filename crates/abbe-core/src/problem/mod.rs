@@ -105,7 +105,7 @@ impl Problem {
                 let mut error = Error::usage(format!(
                     "`{pattern}` matches no parameter of the machine and none of the observed artefacts"
                 ))
-                .help("a machine parameter exists only if the model's `errors` list it")
+                .help("a machine parameter exists only if the model's `errors` (or `probe`) list it")
                 .suggest(pattern, names);
                 error.setting =
                     vec![abbe_settings::PathItem::Key("parameters".to_owned()), abbe_settings::PathItem::Index(index)];
@@ -243,6 +243,13 @@ fn check_lengths(model: &dyn KinematicModel, sets: &[ObservationSet]) -> Result<
     let info = model.info();
     if [info.nominal.len(), info.nominal_uncertainties.len()] != [info.parameters.len(); 2] {
         return Err(Error::data("the model has not one nominal value, and one uncertainty of it, a parameter").fatal());
+    }
+    let beyond = |set: &&ObservationSet| {
+        set.info().inputs.iter().any(|input| input.of_model.is_some_and(|index| index >= info.parameters.len()))
+    };
+    if let Some(set) = sets.iter().find(beyond) {
+        let message = "an input of the artefact is a parameter that the model does not have";
+        return Err(Error::data(message).fatal().stage(&set.name));
     }
     match sets.iter().find(|set| set.info().start.len() != set.info().unknowns.len()) {
         Some(set) => Err(Error::data("the artefact has not one start value an unknown").fatal().stage(&set.name)),

@@ -1,5 +1,6 @@
 //! The rows of a problem: which rows are used, their uncertainty, where they were read.
 
+use std::borrow::Cow;
 use std::sync::Arc;
 
 use super::Problem;
@@ -21,7 +22,7 @@ pub struct ObservationSet {
     pub observations: Arc<dyn Observations>,
     /// Indices of the rows that take part, ascending.
     pub rows: Vec<RowIndex>,
-    /// Values of the known inputs.
+    /// Values of the known inputs; those that are parameters of the model follow from its values ([`inputs_with`](Self::inputs_with)).
     pub inputs: Vec<f64>,
     /// The declared identities of the known inputs; none where none was declared.
     pub ids: Vec<Option<String>>,
@@ -59,10 +60,21 @@ impl ObservationSet {
         self.observations.info()
     }
 
-    /// The batch of some rows at these poses, with the values of this set.
-    pub fn batch<'a>(&'a self, rows: &'a [RowIndex], poses: &'a Poses) -> RowBatch<'a> {
+    /// The batch of some rows at these poses, with these values of the inputs and the own values of this set.
+    pub fn batch<'a>(&'a self, rows: &'a [RowIndex], poses: &'a Poses, inputs: &'a [f64]) -> RowBatch<'a> {
         let Poses { positions, orientations, .. } = poses;
-        RowBatch { rows, positions, orientations, own: &self.own, inputs: &self.inputs }
+        RowBatch { rows, positions, orientations, own: &self.own, inputs }
+    }
+
+    /// Values of the inputs if the parameters of the model have `machine_values`.
+    pub fn inputs_with(&self, machine_values: &[f64]) -> Cow<'_, [f64]> {
+        let mut values = Cow::Borrowed(self.inputs.as_slice());
+        for (index, input) in self.info().inputs.iter().enumerate() {
+            if let Some(parameter) = input.of_model {
+                values.to_mut()[index] = machine_values[parameter];
+            }
+        }
+        values
     }
 
     /// The statuses of all poses: the recorded ones, or those that replace them.

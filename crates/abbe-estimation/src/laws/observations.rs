@@ -22,6 +22,7 @@ pub fn check_observations(problem: &Problem, set: SetIndex) -> Result<Vec<String
     let observations = &problem.sets[set];
     let inputs = observations.info().inputs.iter().map(|input| &input.parameter);
     let mut broken = names(observations.info().unknowns.iter().chain(inputs));
+    let inputs = observations.inputs_with(&problem.machine_values);
     let rows = spread(&observations.rows);
     let mut together = Evaluation::default();
     problem.evaluate(set, &rows, &[], &mut together)?;
@@ -36,7 +37,7 @@ pub fn check_observations(problem: &Problem, set: SetIndex) -> Result<Vec<String
             broken.push(format!("row {row} has {} equations, not {wanted}", alone.equations.residuals().len()));
             return Ok(broken);
         }
-        broken.extend(Row { set: observations, row, at: &alone }.derivatives()?);
+        broken.extend(Row { set: observations, inputs: &inputs, row, at: &alone }.derivatives()?);
         found.push(alone.equations);
     }
     found.reverse();
@@ -56,6 +57,7 @@ fn spread(rows: &[RowIndex]) -> Vec<RowIndex> {
 /// One row, with its poses and equations.
 struct Row<'a> {
     set: &'a ObservationSet,
+    inputs: &'a [f64],
     row: RowIndex,
     at: &'a Evaluation,
 }
@@ -125,7 +127,7 @@ impl Row<'_> {
     /// The residuals after a step.
     fn residuals(&self, to: To, step: f64) -> Result<Vec<f64>> {
         let (mut positions, mut orientations) = (self.at.poses.positions.clone(), self.at.poses.orientations.clone());
-        let (mut own, mut inputs) = (self.set.own.clone(), self.set.inputs.clone());
+        let (mut own, mut inputs) = (self.set.own.clone(), self.inputs.to_vec());
         match to {
             To::Position(pose, axis) => positions[pose][axis] += step,
             To::Rotation(pose, axis) => {

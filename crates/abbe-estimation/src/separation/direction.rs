@@ -1,6 +1,6 @@
 //! A lost direction, and its effect on hypothetical measurements.
 
-use abbe_core::{Owner, Poses, Problem, Quantity, Result, Unknown, Variable, WeakDirection};
+use abbe_core::{Owner, ParameterRole, Poses, ProbeTerm, Problem, Quantity, Result, Unknown, Variable, WeakDirection};
 use nalgebra::{DMatrix, DVector, Vector3};
 
 use super::{Measured, words};
@@ -121,12 +121,23 @@ impl<'a> LostDirection<'a> {
         Ok(field)
     }
 
+    /// Whether the delay of a probe takes part.
+    fn has_delay(&self) -> bool {
+        let parameters = &self.problem.model.info().parameters;
+        let of_machine = self.members.iter().filter(|(unknown, _)| unknown.owner == Owner::Machine);
+        let mut roles = of_machine.map(|(unknown, _)| parameters[unknown.index].role);
+        roles.any(|role| matches!(role, ParameterRole::Probe { term: ProbeTerm::Delay, .. }))
+    }
+
     /// What to do if no measurement separates the direction, given whether it moves the tip anywhere.
     pub fn without_measurement(&self, moves: bool) -> String {
         let (alone, [verb, noun, _]) = (self.members.len() == 1, words(self.problem));
         if self.members.iter().all(|(unknown, _)| unknown.owner != Owner::Machine) {
             let features = listed_features(&self.members);
             return format!("{verb} {features} from more directions or at more indexations");
+        }
+        if self.has_delay() {
+            return format!("{verb} at other feeds as well: what a delay does follows the feed");
         }
         match (alone, moves) {
             (true, false) => format!("leave it out: it does nothing to the tip, no {noun} can tell it"),

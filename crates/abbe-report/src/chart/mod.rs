@@ -3,6 +3,7 @@
 mod curves;
 mod forest;
 mod heat;
+mod hemisphere;
 mod residuals;
 mod views;
 
@@ -14,6 +15,7 @@ use crate::number::short;
 pub use curves::{Curve, curve};
 pub use forest::{ForestRow, forest};
 pub use heat::heat_map;
+pub use hemisphere::hemisphere;
 pub use residuals::{Point, Polar, groups, polar, quantiles, scatter};
 pub use views::views;
 

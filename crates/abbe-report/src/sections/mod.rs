@@ -3,6 +3,7 @@
 mod causes;
 mod curves;
 mod parameters;
+mod probe;
 mod provenance;
 mod residuals;
 mod scene;
@@ -14,6 +15,7 @@ mod verdict;
 pub use causes::{causes, compared};
 pub use curves::curves;
 pub use parameters::parameters;
+pub use probe::{has_lobes, probe};
 pub use provenance::provenance;
 pub use residuals::residuals;
 pub use scene::{scene, scene_rows};

@@ -27,6 +27,7 @@ fn owner(info: &ModelInfo, name: &str) -> String {
             info.axes.get(axis).map_or("Machine".to_owned(), |axis| format!("Axis {}", axis.name))
         }
         Some(ParameterRole::SetUp) => "Set-up".to_owned(),
+        Some(ParameterRole::Probe { .. }) => "Probe".to_owned(),
         Some(ParameterRole::Shape) => "Shapes of errors".to_owned(),
         _ if info.axes.is_empty() => "Quantities".to_owned(),
         _ => "Other".to_owned(),
