@@ -1,10 +1,12 @@
 //! Reads CSV tables whose column names carry units.
 //!
-//! The format: UTF-8 (a byte order mark is tolerated), comma, one header row, `.` as decimal point. Lines that begin
+//! The usual format: UTF-8 (a byte order mark is tolerated), comma, one header row, `.` as decimal point. Lines that begin
 //! with `#` are comments, blank lines are skipped, white space around cells does not count, and lines may end in CRLF or CR.
 //! A cell may be quoted, but stays on its line, and has 64 KiB at most. What a column holds follows from its name
-//! ([`abbe_core::Quantity::of_column`]); numbers are converted to the unit used in memory.
+//! ([`abbe_core::Quantity::of_column`]); numbers are converted to the unit used in memory. A [`Layout`] describes files of
+//! instruments and spreadsheets that are written otherwise: nothing of it is guessed.
 
+mod layout;
 mod parse;
 mod rewrite;
 mod text;
@@ -16,6 +18,7 @@ use std::path::{Path, PathBuf};
 
 use abbe_core::{Column, ColumnHeader, DataRow, Dataset, Error, Quantity, Result, Values};
 
+pub use layout::{ColumnSource, Decimal, Encoding, Layout, Separator, Unit};
 pub use parse::{TEMPERATURES, number};
 pub use rewrite::{Cells, with_cells, with_columns};
 
@@ -27,12 +30,26 @@ pub fn read_headers(path: &Path) -> Result<Vec<ColumnHeader>> {
 
 /// Reads a file.
 pub fn read(path: &Path) -> Result<Dataset> {
-    parse::dataset(path, &bytes_of(path)?)
+    Ok(parse::dataset(path, &bytes_of(path)?, &Layout::default())?.0)
+}
+
+/// Reads the columns of a file with a layout of its own, not its rows.
+pub fn read_headers_laid_out(path: &Path, layout: &Layout) -> Result<Vec<ColumnHeader>> {
+    match *layout == Layout::default() {
+        true => read_headers(path),
+        false => parse::headers_laid_out(path, &bytes_of(path)?, layout),
+    }
+}
+
+/// Reads a file with a layout of its own. Rows that have no number where one is needed ([`Layout::no_data`]) are left out; those
+/// that stay keep their line and number; how many are left out is told beside the data set.
+pub fn read_laid_out(path: &Path, layout: &Layout) -> Result<(Dataset, usize)> {
+    parse::dataset(path, &bytes_of(path)?, layout)
 }
 
 /// The text of a file without byte order mark, in which every line ends in LF or CRLF.
 pub fn read_text(path: &Path) -> Result<String> {
-    text::text(path, &bytes_of(path)?).map(Cow::into_owned)
+    text::text(path, &bytes_of(path)?, Encoding::Utf8).map(Cow::into_owned)
 }
 
 /// Bytes that are read at a time.
@@ -44,8 +61,9 @@ fn bytes_of(path: &Path) -> Result<Vec<u8>> {
     loop {
         let start = bytes.len();
         let part = file.by_ref().take(PART).read_to_end(&mut bytes).map_err(|error| unreadable(path, &error))?;
-        // What follows a zero byte is not read: the text ends there with an error.
-        if part == 0 || bytes[start..].contains(&0) {
+        // What follows a zero byte is not read: the text ends there with an error. Text in UTF-16 has many.
+        let is_binary = !text::may_be_utf_16(&bytes) && bytes[start..].contains(&0);
+        if part == 0 || is_binary {
             return Ok(bytes);
         }
     }
@@ -53,7 +71,7 @@ fn bytes_of(path: &Path) -> Result<Vec<u8>> {
 
 /// The data set that a text is; `path` names it in messages.
 pub fn parse(path: &Path, text: &[u8]) -> Result<Dataset> {
-    parse::dataset(path, text)
+    Ok(parse::dataset(path, text, &Layout::default())?.0)
 }
 
 fn unreadable(path: &Path, error: &io::Error) -> Error {

@@ -8,6 +8,7 @@ use std::path::Path;
 
 use abbe_core::{Class, Column, ColumnHeader, Dataset, Error, Quantity, Result, RowOrigin, Values};
 
+use crate::layout::{Decimal, Encoding, Layout, Separator, Unit};
 use crate::text::{newlines, read_line, text};
 use crate::{empty_column, unreadable};
 
@@ -27,7 +28,8 @@ pub(crate) fn headers(path: &Path, mut reader: impl BufRead) -> Result<Vec<Colum
         if is_read && (line.starts_with(b"#") || line.trim_ascii().is_empty()) {
             continue;
         }
-        match Records::new(path, &text(path, &bytes)?).header()? {
+        let text = text(path, &bytes, Encoding::Utf8)?;
+        match Records::new(path, &text, Separator::Comma).header()? {
             Some(headers) => return Ok(headers),
             None if !is_read => return Err(empty(path)),
             None => {}
@@ -35,35 +37,120 @@ pub(crate) fn headers(path: &Path, mut reader: impl BufRead) -> Result<Vec<Colum
     }
 }
 
-/// The data set of one file.
-pub(crate) fn dataset(path: &Path, bytes: &[u8]) -> Result<Dataset> {
-    let text = text(path, bytes)?;
-    let mut records = Records::new(path, &text);
-    let mut columns: Vec<Column> =
-        records.header()?.ok_or_else(|| empty(path))?.into_iter().map(empty_column).collect();
-    let mut origins = Vec::new();
+/// The columns of a file that has this layout.
+pub(crate) fn headers_laid_out(path: &Path, bytes: &[u8], layout: &Layout) -> Result<Vec<ColumnHeader>> {
+    let text = text(path, bytes, layout.encoding)?;
+    let taken = Table::begin(path, &text, layout)?.taken;
+    Ok(taken.into_iter().map(|column| column.header).collect())
+}
+
+/// The data set of one file, and the number of rows that are left out because a number was not measured.
+pub(crate) fn dataset(path: &Path, bytes: &[u8], layout: &Layout) -> Result<(Dataset, usize)> {
+    let text = text(path, bytes, layout.encoding)?;
+    let Table { mut records, taken, mut width } = Table::begin(path, &text, layout)?;
+    let mut columns: Vec<Column> = taken.iter().map(|column| empty_column(column.header.clone())).collect();
+    let (mut origins, mut row, mut numbers) = (Vec::new(), 0, Vec::new());
+    for _ in 0..layout.skip_after_header {
+        records.advance()?;
+    }
     while records.advance()? {
+        row += 1;
         let found = records.cells.len();
-        if found != columns.len() {
+        let expected = *width.get_or_insert(found);
+        if found != expected {
             let cells = if found == 1 { "cell" } else { "cells" };
-            let message = format!("the row has {found} {cells}; {} were expected", columns.len());
+            let message = format!("the row has {found} {cells}; {expected} were expected");
             return Err(Error::data(message).at(path, records.line, None));
         }
-        for (index, (column, cell)) in columns.iter_mut().zip(records.cells.iter()).enumerate() {
+        if taken.iter().any(|column| column.is_absent(&records, layout)) {
+            continue;
+        }
+        numbers.clear();
+        for column in taken.iter().filter(|column| column.header.quantity != Quantity::Label) {
+            let cell = records.cell(column)?;
+            numbers.push(column.number(cell, layout.decimal).map_err(|message| {
+                let is_comma = layout.decimal == Decimal::Point && cell.contains(',');
+                let error = records.at_cell(Error::data(message), column.index);
+                if is_comma { error.help("write `decimal: comma` where it is read by `ingest: csv`") } else { error }
+            })?);
+        }
+        let mut number = numbers.iter();
+        for (column, taken) in columns.iter_mut().zip(&taken) {
             match &mut column.values {
-                Values::Numbers(numbers) => numbers.push(
-                    number(&column.header.header, cell)
-                        .map_err(|message| records.at_cell(Error::data(message), index))?,
-                ),
-                Values::Labels(labels) => labels.push(cell.trim().to_owned()),
+                Values::Numbers(numbers) => numbers.extend(number.next()),
+                Values::Labels(labels) => labels.push(records.cell(taken)?.trim().to_owned()),
             }
         }
-        origins.push(RowOrigin { file: 0, line: records.line, row: origins.len() + 1 });
+        origins.push(RowOrigin { file: 0, line: records.line, row });
     }
     if origins.is_empty() {
-        return Err(Error::data("the file has no data rows").in_file(path));
+        let message = match row {
+            0 => "the file has no data rows".to_owned(),
+            _ => format!("all {row} rows of the file hold a mark of `no_data`"),
+        };
+        return Err(Error::data(message).in_file(path));
     }
-    Ok(Dataset { columns, origins, files: vec![path.to_owned()], averaged: false, is_log: false })
+    let left_out = row - origins.len();
+    Ok((Dataset { columns, origins, files: vec![path.to_owned()], averaged: false, is_log: false }, left_out))
+}
+
+/// A column of the data set, and where it stands in the file.
+struct Taken {
+    header: ColumnHeader,
+    index: usize,
+    unit: Option<Unit>,
+}
+
+impl Taken {
+    fn number(&self, cell: &str, decimal: Decimal) -> Result<f64, String> {
+        number_of(&self.header.header, cell, self.unit, decimal)
+    }
+
+    /// Whether the row has the mark of a number that was not measured here.
+    fn is_absent(&self, records: &Records, layout: &Layout) -> bool {
+        !layout.no_data.is_empty()
+            && self.header.quantity != Quantity::Label
+            && records.cells.get(self.index).is_some_and(|cell| layout.no_data.iter().any(|mark| mark == cell.trim()))
+    }
+}
+
+/// A table whose header row has been read.
+struct Table<'a> {
+    records: Records<'a>,
+    taken: Vec<Taken>,
+    /// Cells of a row, if a header row says so.
+    width: Option<usize>,
+}
+
+impl<'a> Table<'a> {
+    fn begin(path: &'a Path, text: &'a str, layout: &Layout) -> Result<Self> {
+        let skipped: usize = text.split_inclusive('\n').take(layout.skip_lines).map(str::len).sum();
+        let mut records = Records::new(path, &text[skipped..], layout.separator);
+        records.line += newlines(&text[..skipped]);
+        let Some(columns) = &layout.columns else {
+            let headers = records.header()?.ok_or_else(|| no_header(path, layout))?;
+            let width = Some(headers.len());
+            let taken = headers.into_iter().enumerate();
+            let taken = taken.map(|(index, header)| Taken { header, index, unit: None }).collect();
+            return Ok(Self { records, taken, width });
+        };
+        let names =
+            if layout.has_header { Some(records.names()?.ok_or_else(|| no_header(path, layout))?) } else { None };
+        let mut taken = Vec::with_capacity(columns.len());
+        for (name, source) in columns {
+            let index = match &names {
+                Some(names) => records.place_of(&source.column, names)?,
+                None => {
+                    source.column.parse::<usize>().ok().and_then(|number| number.checked_sub(1)).ok_or_else(|| {
+                        let message = format!("`{}` is no number of a column; 1, 2, ... was expected", source.column);
+                        Error::usage(message).in_file(path)
+                    })?
+                }
+            };
+            taken.push(Taken { header: ColumnHeader::parse(name), index, unit: source.unit });
+        }
+        Ok(Self { records, taken, width: names.map(|names| names.len()) })
+    }
 }
 
 /// Temperatures that are read, °C: no machine is measured at others, and 293 is in kelvin.
@@ -71,22 +158,40 @@ pub const TEMPERATURES: RangeInclusive<f64> = -100.0..=200.0;
 
 /// Reads a number as it stands in a cell of the column `header`, in the unit used in memory; else says what is wrong.
 pub fn number(header: &str, cell: &str) -> Result<f64, String> {
+    number_of(header, cell, None, Decimal::Point)
+}
+
+/// The same with a unit other than that of the header, and another decimal character.
+fn number_of(header: &str, cell: &str, unit: Option<Unit>, decimal: Decimal) -> Result<f64, String> {
     let cell = cell.trim();
     let (_, quantity, factor) = Quantity::of_column(header);
-    match cell.parse::<f64>() {
-        Ok(value) if quantity == Quantity::Temperature && !TEMPERATURES.contains(&value) => Err(format!(
+    let read = |written: &str| match unit {
+        Some(unit) => unit.read(written),
+        None => written.parse().ok().map(|value: f64| value * factor),
+    };
+    let value = match decimal {
+        Decimal::Point => read(cell),
+        Decimal::Comma if cell.contains('.') => None,
+        Decimal::Comma => read(&cell.replacen(',', ".", 1)),
+    };
+    match value {
+        Some(value) if quantity == Quantity::Temperature && !TEMPERATURES.contains(&value) => Err(format!(
             "`{header}` is `{}`; a temperature from {} to {} °C was expected",
             shown(cell),
             TEMPERATURES.start(),
             TEMPERATURES.end()
         )),
-        Ok(value) if value.is_finite() => Ok(value * factor),
-        Ok(_) => Err(format!("`{header}` is `{}`, which is not a finite number", shown(cell))),
-        Err(_) if cell.is_empty() => Err(format!("`{header}` is empty; a number was expected")),
-        Err(_) if cell.replacen(',', ".", 1).parse::<f64>().is_ok() => {
+        Some(value) if value.is_finite() => Ok(value),
+        Some(_) => Err(format!("`{header}` is `{}`, which is not a finite number", shown(cell))),
+        None if cell.is_empty() => Err(format!("`{header}` is empty; a number was expected")),
+        None if decimal == Decimal::Point && read(&cell.replacen(',', ".", 1)).is_some() => {
             Err(format!("`{header}` is `{}`; a number with a decimal point was expected", shown(cell)))
         }
-        Err(_) => Err(format!("`{header}` is `{}`; a number was expected", shown(cell))),
+        None if decimal == Decimal::Comma && cell.contains('.') => Err(format!(
+            "`{header}` is `{}`; a number with a decimal comma and without separators of thousands was expected",
+            shown(cell)
+        )),
+        None => Err(format!("`{header}` is `{}`; a number was expected", shown(cell))),
     }
 }
 
@@ -120,10 +225,18 @@ fn empty(path: &Path) -> Error {
     Error::data("the file is empty").in_file(path)
 }
 
+fn no_header(path: &Path, layout: &Layout) -> Error {
+    match layout.skip_lines {
+        0 => empty(path),
+        lines => Error::usage(format!("there is no row after the {lines} lines of `skip_lines`")).in_file(path),
+    }
+}
+
 /// The rows of a text one after another, the header row too, with the place of each.
 struct Records<'a> {
     path: &'a Path,
     text: &'a str,
+    separator: Separator,
     reader: csv::Reader<&'a [u8]>,
     cells: csv::StringRecord,
     /// Where the current row begins.
@@ -133,13 +246,16 @@ struct Records<'a> {
 }
 
 impl<'a> Records<'a> {
-    fn new(path: &'a Path, text: &'a str) -> Self {
+    fn new(path: &'a Path, text: &'a str, separator: Separator) -> Self {
         let reader = csv::ReaderBuilder::new()
             .has_headers(false)
             .flexible(true)
             .comment(Some(b'#'))
+            // Where white space separates, a line is one cell for the library and is cut afterwards.
+            .delimiter(if separator == Separator::Space { 0x1F } else { separator.character() as u8 })
+            .quoting(separator != Separator::Space)
             .from_reader(text.as_bytes());
-        Self { path, text, reader, cells: csv::StringRecord::new(), start: 0, line: 1 }
+        Self { path, text, separator, reader, cells: csv::StringRecord::new(), start: 0, line: 1 }
     }
 
     /// Goes to the next row; false if there is none.
@@ -153,6 +269,9 @@ impl<'a> Records<'a> {
             self.start = start;
             if self.cells.len() == 1 && self.cells[0].trim().is_empty() {
                 continue;
+            }
+            if self.separator == Separator::Space {
+                self.cells = self.cells.iter().flat_map(str::split_whitespace).collect::<Vec<_>>().into();
             }
             // A superfluous quotation mark makes such a cell; it would contain several rows.
             if let Some(cell) = self.cells.iter().position(|cell| cell.contains(['\n', '\r'])) {
@@ -175,10 +294,13 @@ impl<'a> Records<'a> {
         if !self.advance().map_err(|error| Error { class: Class::Use, ..error })? {
             return Ok(None);
         }
-        if let Some(separator) = other_separator(&self.cells) {
-            let message = format!("the columns are separated by {separator}; a comma was expected");
-            let error = Error::usage(message).help("save the table with commas, and with points in its numbers");
-            return Err(self.at_cell(error, 0));
+        if let Some((separator, setting)) = other_separator(&self.cells, self.separator) {
+            let expected = self.separator.expected();
+            let message = format!("the columns are separated by {separator}; {expected} was expected");
+            let help = format!(
+                "write `separator: {setting}` where it is read by `ingest: csv`, or save the table with commas, and with points in its numbers"
+            );
+            return Err(self.at_cell(Error::usage(message).help(help), 0));
         }
         let mut headers: Vec<ColumnHeader> = Vec::new();
         let mut names = HashMap::new();
@@ -201,24 +323,58 @@ impl<'a> Records<'a> {
         Ok(Some(headers))
     }
 
+    /// Reads the header row, if there is one, as it is written.
+    fn names(&mut self) -> Result<Option<Vec<String>>> {
+        if !self.advance().map_err(|error| Error { class: Class::Use, ..error })? {
+            return Ok(None);
+        }
+        Ok(Some(self.cells.iter().map(|cell| cell.trim().to_owned()).collect()))
+    }
+
+    /// Where the column `name` stands in the header row, which is the current one.
+    fn place_of(&self, name: &str, names: &[String]) -> Result<usize> {
+        let mut places = (0..names.len()).filter(|&place| names[place] == name.trim());
+        match (places.next(), places.next()) {
+            (Some(place), None) => Ok(place),
+            (Some(_), Some(twin)) => {
+                Err(self.at_cell(Error::usage(format!("there are two columns `{}`", shown(name))), twin))
+            }
+            _ => {
+                let named: Vec<String> = names.iter().map(|name| format!("`{}`", shown(name))).collect();
+                let message = format!("there is no column `{}`; the columns are {}", shown(name), named.join(", "));
+                Err(Error::usage(message).at(self.path, self.line, None).help(
+                    "`skip_lines` says how many lines stand before the row of names, `separator` what is between them",
+                ))
+            }
+        }
+    }
+
+    /// A cell of the current row.
+    fn cell(&self, column: &Taken) -> Result<&str> {
+        self.cells.get(column.index).ok_or_else(|| {
+            let message = format!("the row has {} cells, and none for `{}`", self.cells.len(), column.header.header);
+            Error::data(message).at(self.path, self.line, None)
+        })
+    }
+
     /// Points at a cell of the current row.
     fn at_cell(&self, error: Error, cell: usize) -> Error {
         let row = self.text.get(self.start..).unwrap_or("");
-        error.at(self.path, self.line, Some(row[..cell_start(row, cell)].chars().count() + 1))
+        error.at(self.path, self.line, Some(row[..cell_start(row, cell, self.separator)].chars().count() + 1))
     }
 }
 
-/// What separates the columns where a header row is not separated by commas.
-fn other_separator(header: &csv::StringRecord) -> Option<&'static str> {
+/// What separates the columns where a header row is not separated as expected: for a message, and as a setting.
+fn other_separator(header: &csv::StringRecord, expected: Separator) -> Option<(&'static str, &'static str)> {
     let line = header.get(0).filter(|_| header.len() == 1)?.trim();
-    let separators = [(';', "semicolons"), ('\t', "tabs"), ('|', "vertical strokes"), (' ', "spaces")];
     // A name may have spaces in it; its unit ends it.
     let is_column = |name: &str| ColumnHeader::parse(name).quantity != Quantity::Label;
     let separates = |separator| match separator {
         ' ' => line.rsplit_once(' ').is_some_and(|(before, _)| before.split(' ').any(is_column)),
         _ => line.contains(separator),
     };
-    separators.into_iter().find(|(separator, _)| separates(*separator)).map(|(_, name)| name)
+    let mut others = Separator::ALL.into_iter().filter(|(separator, ..)| *separator != expected);
+    others.find(|(_, character, ..)| separates(*character)).map(|(_, _, name, setting)| (name, setting))
 }
 
 /// Length of the comments and empty lines that a text begins with.
@@ -234,19 +390,29 @@ fn skipped(text: &str) -> usize {
 }
 
 /// Where in a row the content of a cell begins.
-fn cell_start(row: &str, cell: usize) -> usize {
+fn cell_start(row: &str, cell: usize, separator: Separator) -> usize {
+    let is_space = |c: char| c.is_whitespace() && !['\n', '\r'].contains(&c);
+    if separator == Separator::Space {
+        let row_end = row.find(['\n', '\r']).unwrap_or(row.len());
+        let starts = row[..row_end].char_indices().scan(true, |after_space, (at, character)| {
+            let begins = *after_space && !character.is_whitespace();
+            *after_space = character.is_whitespace();
+            Some(begins.then_some(at))
+        });
+        return starts.flatten().nth(cell).unwrap_or(0);
+    }
     let (mut index, mut start, mut open) = (0, 0, false);
     for (at, character) in row.char_indices() {
         match character {
             _ if index == cell => break,
             '"' if row[start..].starts_with('"') => open = !open,
-            ',' if !open => {
+            _ if character == separator.character() && !open => {
                 index += 1;
-                start = at + 1;
+                start = at + character.len_utf8();
             }
             _ => {}
         }
     }
-    let content = row[start..].trim_start_matches(|c: char| c.is_whitespace() && !['\n', '\r'].contains(&c));
+    let content = row[start..].trim_start_matches(is_space);
     row.len() - content.len()
 }

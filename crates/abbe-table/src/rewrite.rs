@@ -5,6 +5,7 @@ use std::path::Path;
 
 use abbe_core::{Error, Result};
 
+use crate::layout::Encoding;
 use crate::parse;
 use crate::text::text;
 
@@ -16,7 +17,7 @@ pub type Cells = BTreeMap<usize, BTreeMap<String, String>>;
 /// Fails for a column that the file does not have, and as reading it does.
 pub fn with_cells(path: &Path, bytes: &[u8], cells: &Cells) -> Result<String> {
     let headers = parse::headers(path, bytes)?;
-    let text = text(path, bytes)?;
+    let text = text(path, bytes, Encoding::Utf8)?;
     let mut written = String::with_capacity(text.len());
     for (index, line) in text.split_inclusive('\n').enumerate() {
         let Some(cells) = cells.get(&(index + 1)) else {
@@ -54,7 +55,7 @@ pub fn with_columns(
     if let Some(taken) = headers.iter().find(|header| own.iter().any(|own| own.header == **header)) {
         return Err(Error::data(format!("there is a column `{taken}` already")).in_file(path));
     }
-    let text = text(path, bytes)?;
+    let text = text(path, bytes, Encoding::Utf8)?;
     let mut written = String::with_capacity(2 * text.len());
     let mut has_header = false;
     for (index, line) in text.split_inclusive('\n').enumerate() {

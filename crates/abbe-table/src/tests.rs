@@ -4,17 +4,20 @@ use std::path::{Path, PathBuf};
 use abbe_core::{Class, DataRow, Dataset, Error, Quantity, Values};
 use proptest::prelude::*;
 
-use crate::{parse, points, read, read_headers, unique_labels, vectors};
+use crate::{
+    ColumnSource, Decimal, Encoding, Layout, Separator, Unit, parse, parse::headers, parse::headers_laid_out, points,
+    read, read_headers, unique_labels, vectors,
+};
 
 fn table(text: &str) -> Result<Dataset, Error> {
-    parse::dataset(Path::new("t.csv"), text.as_bytes())
+    parse(Path::new("t.csv"), text.as_bytes())
 }
 
 /// `read` and `read_headers` as one would use them, and what has to hold between the two.
 fn parsed(bytes: &[u8]) -> Result<Dataset, Error> {
     let path = Path::new("t.csv");
-    let headers = parse::headers(path, Cursor::new(bytes));
-    let data = parse::dataset(path, bytes);
+    let headers = headers(path, Cursor::new(bytes));
+    let data = parse(path, bytes);
     match (&headers, &data) {
         (headers, Ok(data)) => assert_eq!(headers.as_ref(), Ok(&data.headers())),
         (Ok(_), Err(error)) => assert_eq!(error.class, Class::Data, "{error}: the header was found good"),
@@ -38,7 +41,7 @@ fn what_is_wrong_is_said_with_its_place() {
         (b"X_mm,Y_mm\n1,2\n# note\n\n1,2,3\n", "Data: t.csv:5: the row has 3 cells; 2 were expected"),
         (
             b"f,X_mm\n\"a,\"\"b\",\"12,5\"\n",
-            "Data: t.csv:2:9: `X_mm` is `12,5`; a number with a decimal point was expected",
+            "Data: t.csv:2:9: `X_mm` is `12,5`; a number with a decimal point was expected (write `decimal: comma` where it is read by `ingest: csv`)",
         ),
         (b"f,X_mm\r\n\r\n\xc3\xa9,  one\r\n", "Data: t.csv:3:5: `X_mm` is `one`; a number was expected"),
         (b"f,X_mm\na,nan\n", "Data: t.csv:2:3: `X_mm` is `nan`, which is not a finite number"),
@@ -52,14 +55,17 @@ fn what_is_wrong_is_said_with_its_place() {
         (b"f,X_mm\r\"a\rb\",1\r", "Data: t.csv:2:1: a quotation mark is not closed in its line"),
         (b"f,X_mm\na,1\n\0\0", "Data: t.csv:3:1: the file holds a zero byte: it is no text"),
         (b"\0\0\0", "Data: t.csv:1:1: the file holds a zero byte: it is no text"),
-        (b"\xff\xfef\0", "Data: t.csv: the file is text in UTF-16; UTF-8 was expected (save it as UTF-8)"),
+        (
+            b"\xff\xfef\0",
+            "Data: t.csv: the file is text in UTF-16; UTF-8 was expected (save it as UTF-8, or write `encoding: utf-16` where it is read by `ingest: csv`)",
+        ),
         (
             b"X_mm;Y_mm\n1;2\n",
-            "Use: t.csv:1:1: the columns are separated by semicolons; a comma was expected (save the table with commas, and with points in its numbers)",
+            "Use: t.csv:1:1: the columns are separated by semicolons; a comma was expected (write `separator: semicolon` where it is read by `ingest: csv`, or save the table with commas, and with points in its numbers)",
         ),
         (
             b"X_mm Y_mm\n1 2\n",
-            "Use: t.csv:1:1: the columns are separated by spaces; a comma was expected (save the table with commas, and with points in its numbers)",
+            "Use: t.csv:1:1: the columns are separated by spaces; a comma was expected (write `separator: space` where it is read by `ingest: csv`, or save the table with commas, and with points in its numbers)",
         ),
     ];
     for (bytes, expected) in cases {
@@ -192,4 +198,118 @@ proptest! {
             }
         }
     }
+}
+
+/// A table as a spreadsheet of some country or an instrument writes it: title lines, its separator, decimal character and encoding.
+fn written(rows: &[(f64, f64)], layout: &Layout, names: [&str; 3]) -> Vec<u8> {
+    let between = match layout.separator {
+        Separator::Space => "  \t".to_owned(),
+        other => other.character().to_string(),
+    };
+    let mut text: String = (0..layout.skip_lines).map(|line| format!("Größe; title, {line}\n")).collect();
+    if layout.has_header {
+        text.push_str(&(names.join(&between) + "\r\n"));
+    }
+    (0..layout.skip_after_header).for_each(|_| text.push_str(&(["[mm]", "[°]", "-"].join(&between) + "\r\n")));
+    for (index, (x, a)) in rows.iter().enumerate() {
+        let number = |value: f64| match layout.decimal {
+            Decimal::Point => value.to_string(),
+            Decimal::Comma if layout.separator == Separator::Comma => {
+                format!("\"{}\"", value.to_string().replace('.', ","))
+            }
+            Decimal::Comma => value.to_string().replace('.', ","),
+        };
+        text.push_str(&([number(*x), number(*a), format!("ß{index}")].join(&between) + "\r\n"));
+    }
+    match layout.encoding {
+        Encoding::Utf8 => text.into_bytes(),
+        Encoding::Utf16 => [0xFF, 0xFE].into_iter().chain(text.encode_utf16().flat_map(u16::to_le_bytes)).collect(),
+        Encoding::Latin1 => text.chars().map(|character| u8::try_from(u32::from(character)).unwrap()).collect(),
+    }
+}
+
+fn layouts() -> impl Strategy<Value = Layout> {
+    let separators = Separator::ALL.map(|(separator, ..)| separator).to_vec();
+    (
+        prop::sample::select(separators),
+        prop::sample::select(vec![Decimal::Point, Decimal::Comma]),
+        prop::sample::select(vec![Encoding::Utf8, Encoding::Utf16, Encoding::Latin1]),
+        (0usize..4, 0usize..3, any::<bool>()),
+    )
+        .prop_map(|(separator, decimal, encoding, (skip_lines, skip_after_header, has_header))| Layout {
+            separator,
+            decimal,
+            encoding,
+            skip_lines,
+            skip_after_header,
+            has_header,
+            ..Layout::default()
+        })
+}
+
+proptest! {
+    #[test]
+    fn tables_of_all_countries_are_read(layout in layouts(), rows in prop::collection::vec((-1e6..1e6f64, -400.0..400.0f64), 1..12)) {
+        let names = ["Meas_X_[mm]", "Joint_1_[°]", "Bemerkung"];
+        let bytes = written(&rows, &layout, names);
+        let place = |index: usize| if layout.has_header { names[index].to_owned() } else { (index + 1).to_string() };
+        let column = |index, unit: Option<&str>, name: &str| ColumnSource {
+            column: place(index),
+            unit: unit.map(|unit| Unit::of(unit, &abbe_core::ColumnHeader::parse(name)).unwrap()),
+        };
+        let columns = [("X_mm", column(0, Some("in"), "X_mm")), ("a_deg", column(1, None, "a_deg")), ("note", column(2, None, "note"))];
+        let layout = Layout { columns: Some(columns.map(|(name, source)| (name.to_owned(), source)).into()), ..layout };
+        let (data, left_out) = crate::parse::dataset(Path::new("t.csv"), &bytes, &layout).unwrap();
+        prop_assert_eq!(left_out, 0);
+        prop_assert_eq!(headers_laid_out(Path::new("t.csv"), &bytes, &layout).unwrap(), data.headers());
+        prop_assert_eq!(data.numbers("X").unwrap(), rows.iter().map(|row| row.0 * 25.4).collect::<Vec<_>>());
+        prop_assert_eq!(data.numbers("a").unwrap(), rows.iter().map(|row| row.1 * (std::f64::consts::PI / 180.0)).collect::<Vec<_>>());
+        let labels: Vec<String> = (0..rows.len()).map(|index| format!("ß{index}")).collect();
+        prop_assert_eq!(data.labels("note").unwrap(), labels);
+        let first = 1 + layout.skip_lines + usize::from(layout.has_header) + layout.skip_after_header;
+        prop_assert_eq!(data.origins[0].line, first);
+    }
+
+    #[test]
+    fn random_bytes_with_a_layout_do_no_harm(layout in layouts(), bytes in prop::collection::vec(any::<u8>(), 0..120)) {
+        let _ = crate::parse::dataset(Path::new("t.csv"), &bytes, &layout);
+        let columns = [("X_mm".to_owned(), ColumnSource { column: "1".to_owned(), unit: None })];
+        let _ = crate::parse::dataset(Path::new("t.csv"), &bytes, &Layout { columns: Some(columns.into()), ..layout });
+    }
+}
+
+#[test]
+fn what_a_layout_does_not_fit_is_said_with_its_place() {
+    let read = |text: &[u8], layout: Layout| {
+        crate::parse::dataset(Path::new("t.csv"), text, &layout).map(|(data, _)| data.rows()).unwrap_err().to_string()
+    };
+    let semicolon = || Layout { separator: Separator::Semicolon, decimal: Decimal::Comma, ..Layout::default() };
+    let told = read(b"X_mm,Y_mm\n1,2\n", semicolon());
+    assert!(told.starts_with("t.csv:1:1: the columns are separated by commas; a semicolon was expected"), "{told}");
+    assert_eq!(
+        read(b"X_mm;Y_mm\n1.234,5;2\n", semicolon()),
+        "t.csv:2:1: `X_mm` is `1.234,5`; a number with a decimal comma and without separators of thousands was expected"
+    );
+    let spaces = Layout { separator: Separator::Space, ..Layout::default() };
+    assert_eq!(read(b"f X_mm\n a  \tone\n", spaces), "t.csv:2:6: `X_mm` is `one`; a number was expected");
+    let named = |name: &str, no_data: &[&str]| Layout {
+        columns: Some([("X_mm".to_owned(), ColumnSource { column: name.to_owned(), unit: None })].into()),
+        no_data: no_data.iter().map(|mark| (*mark).to_owned()).collect(),
+        ..Layout::default()
+    };
+    let told = read(b"Meas X,Meas X\n1,2\n", named("Meas X", &[]));
+    assert_eq!(told, "t.csv:1:8: there are two columns `Meas X`");
+    let told = read(b"Meas X,Meas Y\n1,2\n", named("Meas Z", &[]));
+    assert!(told.starts_with("t.csv:1: there is no column `Meas Z`; the columns are `Meas X`, `Meas Y`"), "{told}");
+    assert_eq!(read(b"a\n---\n", named("a", &["---"])), "t.csv: all 1 rows of the file hold a mark of `no_data`");
+    let utf_16 = Layout { encoding: Encoding::Utf16, ..Layout::default() };
+    assert!(read(b"X_m", utf_16.clone()).contains("an odd number of bytes"));
+    assert!(read(b"\xff\xfea\0\n\0\0\xd8b\0", utf_16).starts_with("t.csv:2:1: the file is not text in UTF-16"));
+    let latin = Layout { encoding: Encoding::Latin1, ..Layout::default() };
+    assert!(read(b"\xff\xfea\0", latin).contains("write `encoding: utf-16`"));
+    // Rows without a number keep the others' lines and numbers.
+    let layout = named("a", &["---", ""]);
+    let (data, left_out) = crate::parse::dataset(Path::new("t.csv"), b"b,a\n1,2\n1,---\n3, \n4,5\n", &layout).unwrap();
+    assert_eq!((data.numbers("X").unwrap(), left_out), (&[2.0, 5.0][..], 2));
+    assert_eq!(data.origins.iter().map(|origin| (origin.line, origin.row)).collect::<Vec<_>>(), [(2, 1), (5, 4)]);
 }

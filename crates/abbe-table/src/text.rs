@@ -7,6 +7,8 @@ use std::str;
 
 use abbe_core::{Error, Result};
 
+use crate::layout::Encoding;
+
 const BYTE_ORDER_MARK: &[u8] = b"\xef\xbb\xbf";
 
 /// Byte order marks of UTF-16, in which spreadsheets write "Unicode text".
@@ -15,27 +17,94 @@ const OF_UTF_16: [&[u8]; 2] = [b"\xff\xfe", b"\xfe\xff"];
 /// Bytes of the longest line of a header: 16 MiB.
 const LONGEST_LINE: usize = 16 << 20;
 
+/// Whether bytes may be text in UTF-16: they begin with its mark, or every second of the first is zero.
+pub fn may_be_utf_16(bytes: &[u8]) -> bool {
+    OF_UTF_16.iter().any(|mark| bytes.starts_with(mark))
+        || (bytes.len() >= 4 && bytes[0] != 0 && bytes[1] == 0 && bytes[2] != 0 && bytes[3] == 0)
+}
+
 /// The text of a file without byte order mark, in which every line ends in LF or CRLF.
 ///
-/// Fails for what is no text: other encodings, zero bytes.
-pub fn text<'a>(path: &Path, bytes: &'a [u8]) -> Result<Cow<'a, str>> {
-    if OF_UTF_16.iter().any(|mark| bytes.starts_with(mark)) {
-        return Err(Error::data("the file is text in UTF-16; UTF-8 was expected")
+/// Fails for what is no text in this encoding, and for zero bytes.
+pub fn text<'a>(path: &Path, bytes: &'a [u8], encoding: Encoding) -> Result<Cow<'a, str>> {
+    let is_marked = OF_UTF_16.iter().any(|mark| bytes.starts_with(mark));
+    match encoding {
+        Encoding::Utf8 if is_marked => Err(Error::data("the file is text in UTF-16; UTF-8 was expected")
             .in_file(path)
-            .help("save it as UTF-8"));
+            .help("save it as UTF-8, or write `encoding: utf-16` where it is read by `ingest: csv`")),
+        Encoding::Utf8 => utf_8(path, bytes),
+        Encoding::Utf16 => utf_16(path, bytes),
+        Encoding::Latin1 if is_marked || bytes.starts_with(BYTE_ORDER_MARK) => {
+            let name = if is_marked { "16" } else { "8" };
+            let error = Error::data(format!("the file is text in UTF-{name}; Latin-1 was expected"));
+            Err(error.in_file(path).help(format!("write `encoding: utf-{name}`")))
+        }
+        Encoding::Latin1 => no_zeros(path, Cow::Owned(bytes.iter().map(|byte| windows_1252(*byte)).collect())),
     }
+}
+
+fn utf_8<'a>(path: &Path, bytes: &'a [u8]) -> Result<Cow<'a, str>> {
     let bytes = bytes.strip_prefix(BYTE_ORDER_MARK).unwrap_or(bytes);
-    let wrong = |message: &str, before: &[u8]| {
-        let good = with_line_feeds(Cow::Owned(String::from_utf8_lossy(before).into_owned()));
-        let column = good.chars().rev().take_while(|&c| c != '\n').count() + 1;
-        Error::data(message).at(path, 1 + newlines(&good), Some(column))
-    };
     if let Some(zero) = bytes.iter().position(|byte| *byte == 0) {
-        return Err(wrong("the file holds a zero byte: it is no text", &bytes[..zero]));
+        return Err(wrong(path, NO_TEXT, &String::from_utf8_lossy(&bytes[..zero])));
     }
-    let text =
-        str::from_utf8(bytes).map_err(|error| wrong("the file is not text in UTF-8", &bytes[..error.valid_up_to()]))?;
+    let text = str::from_utf8(bytes).map_err(|error| {
+        let before = String::from_utf8_lossy(&bytes[..error.valid_up_to()]);
+        wrong(path, "the file is not text in UTF-8", &before)
+    })?;
     Ok(with_line_feeds(Cow::Borrowed(text)))
+}
+
+fn utf_16<'a>(path: &Path, bytes: &[u8]) -> Result<Cow<'a, str>> {
+    let [low_first, high_first] = OF_UTF_16;
+    let (bytes, high) = match bytes.strip_prefix(high_first) {
+        Some(rest) => (rest, 0),
+        None => (bytes.strip_prefix(low_first).unwrap_or(bytes), 1),
+    };
+    if bytes.len() % 2 == 1 {
+        let error = Error::data("the file has an odd number of bytes, so that it is no text in UTF-16");
+        return Err(error.in_file(path).help("`encoding` has to be that of the file"));
+    }
+    let units = bytes.chunks_exact(2).map(|pair| u16::from(pair[high]) << 8 | u16::from(pair[1 - high]));
+    let mut text = String::with_capacity(bytes.len() / 2);
+    for character in char::decode_utf16(units) {
+        match character {
+            Ok(character) => text.push(character),
+            Err(_) => return Err(wrong(path, "the file is not text in UTF-16", &text)),
+        }
+    }
+    no_zeros(path, Cow::Owned(text))
+}
+
+const NO_TEXT: &str = "the file holds a zero byte: it is no text";
+
+fn no_zeros<'a>(path: &Path, text: Cow<'a, str>) -> Result<Cow<'a, str>> {
+    match text.find('\0') {
+        Some(zero) => Err(wrong(path, NO_TEXT, &text[..zero])),
+        None => Ok(with_line_feeds(text)),
+    }
+}
+
+/// An error at the place that follows this text.
+fn wrong(path: &Path, message: &str, before: &str) -> Error {
+    let good = with_line_feeds(Cow::Borrowed(before));
+    let column = good.chars().rev().take_while(|&c| c != '\n').count() + 1;
+    Error::data(message).at(path, 1 + newlines(&good), Some(column))
+}
+
+/// The characters from 0x80 to 0x9F of Windows-1252; where it has none, that of ISO 8859-1.
+const WINDOWS_1252: [u16; 32] = [
+    0x20AC, 0x81, 0x201A, 0x0192, 0x201E, 0x2026, 0x2020, 0x2021, 0x02C6, 0x2030, 0x0160, 0x2039, 0x0152, 0x8D, 0x017D,
+    0x8F, 0x90, 0x2018, 0x2019, 0x201C, 0x201D, 0x2022, 0x2013, 0x2014, 0x02DC, 0x2122, 0x0161, 0x203A, 0x0153, 0x9D,
+    0x017E, 0x0178,
+];
+
+fn windows_1252(byte: u8) -> char {
+    let code = match byte {
+        0x80..=0x9F => WINDOWS_1252[usize::from(byte - 0x80)],
+        _ => u16::from(byte),
+    };
+    char::from_u32(u32::from(code)).unwrap_or(char::REPLACEMENT_CHARACTER)
 }
 
 /// The text with a line feed where a carriage return alone ends a line.

@@ -7,6 +7,7 @@
 
 mod average;
 mod files;
+mod layout;
 
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
@@ -19,8 +20,10 @@ use schemars::JsonSchema;
 use serde::Deserialize;
 use serde_json::{Value, json};
 
+use abbe_table::Layout;
 use average::Average;
 use files::Source;
+use layout::{DecimalName, Declared, EncodingName, SeparatorName};
 
 /// Measurements in CSV files.
 #[derive(Debug, Deserialize, JsonSchema)]
@@ -29,6 +32,32 @@ struct Settings {
     /// The file or files, relative to the recipe. `*` and `?` in a file name stand for any characters and for one; the
     /// files that match come in natural order (`sphere-2` before `sphere-10`). Many files give one data set.
     path: Paths,
+    /// What separates the columns of the files.
+    #[serde(default)]
+    separator: SeparatorName,
+    /// The character before the decimals of all numbers of the files. Separators of thousands are refused.
+    #[serde(default)]
+    decimal: DecimalName,
+    /// How the characters of the files are stored.
+    #[serde(default)]
+    encoding: EncodingName,
+    /// Lines before the header row: titles.
+    #[serde(default)]
+    #[schemars(range(max = 10000))]
+    skip_lines: usize,
+    /// Rows between the header row and the first row of data, for example one with units.
+    #[serde(default)]
+    #[schemars(range(max = 10000))]
+    skip_after_header: usize,
+    /// Whether there is a header row; without one `columns` numbers the columns.
+    #[serde(default = "yes")]
+    header: bool,
+    /// What stands in the place of a number that was not measured. Rows with such a cell in a column of numbers are left out,
+    /// and counted in a remark.
+    #[serde(default)]
+    no_data: Vec<Label>,
+    /// The columns to take, all others are left out: name with unit, and the name that it has in the files.
+    columns: Option<BTreeMap<String, layout::Source>>,
     /// Columns with the same value in every row: name, with its unit where it has one, and value.
     #[serde(default)]
     constants: BTreeMap<String, Label>,
@@ -42,6 +71,10 @@ struct Settings {
     keep: Filters,
     /// Take means of repeated rows, after `ignore` and `keep`.
     average: Option<Average>,
+}
+
+fn yes() -> bool {
+    true
 }
 
 /// Columns and listed labels.
@@ -69,6 +102,7 @@ struct Join {
 /// The stage.
 struct Csv {
     sources: Vec<Source>,
+    layout: Layout,
     constants: BTreeMap<String, Constant>,
     join: Option<(PathBuf, String)>,
     ignore: Filters,
@@ -110,9 +144,20 @@ fn build(settings: Settings, context: &Context) -> Result<Box<dyn Ingest>, Setti
     if paths.is_empty() {
         return Err(SettingsError::new("path", "at least one file was expected"));
     }
+    let layout = Declared {
+        separator: settings.separator,
+        decimal: settings.decimal,
+        encoding: settings.encoding,
+        skip_lines: settings.skip_lines,
+        skip_after_header: settings.skip_after_header,
+        has_header: settings.header,
+        no_data: settings.no_data,
+        columns: settings.columns,
+    };
     let sources = paths.iter().map(|path| Source::new(path, context)).collect::<Result<_, _>>();
     Ok(Box::new(Csv {
         sources: sources.map_err(|message| SettingsError::new("path", message))?,
+        layout: layout.layout()?,
         constants: constants(settings.constants)?,
         join: settings.join.map(|join| (context.path(&join.table), join.on)),
         ignore: settings.ignore,
@@ -150,8 +195,9 @@ impl Ingest for Csv {
 
     fn headers(&self) -> Result<Vec<ColumnHeader>> {
         // What `read` does, on tables without rows: so the columns cannot differ.
-        let without_rows = |path: &Path| {
-            let columns = abbe_table::read_headers(path)?.into_iter().map(abbe_table::empty_column).collect();
+        let without_rows = |path: &Path, layout: &Layout| {
+            let headers = abbe_table::read_headers_laid_out(path, layout)?;
+            let columns = headers.into_iter().map(abbe_table::empty_column).collect();
             Ok(Dataset { columns, origins: Vec::new(), files: vec![path.to_owned()], averaged: false, is_log: false })
         };
         let data = self.assemble(&without_rows)?;
@@ -162,7 +208,7 @@ impl Ingest for Csv {
     }
 
     fn read(&self) -> Result<Dataset> {
-        let data = self.assemble(&abbe_table::read)?;
+        let data = self.assemble(&rows_of)?;
         let mut stays = vec![true; data.rows()];
         for (setting, filters, wanted) in self.filters() {
             for (name, listed) in filters {
@@ -191,7 +237,7 @@ impl Ingest for Csv {
 
 impl Csv {
     /// The data set before rows are left out, from what `load` reads of each file.
-    fn assemble(&self, load: &dyn Fn(&Path) -> Result<Dataset>) -> Result<Dataset> {
+    fn assemble(&self, load: &dyn Fn(&Path, &Layout) -> Result<Dataset>) -> Result<Dataset> {
         let mut data = Dataset::default();
         for source in &self.sources {
             let files = source.files();
@@ -199,7 +245,7 @@ impl Csv {
                 return Err(Error::usage(format!("no file matches `{}`", source.path.display())).setting("path"));
             }
             for file in files {
-                append(&mut data, load(&file)?)?;
+                append(&mut data, load(&file, &self.layout)?)?;
             }
         }
         let by_file = add_file_column(&mut data)?;
@@ -216,7 +262,7 @@ impl Csv {
             data.columns.push(Column { header, values });
         }
         if let Some((path, on)) = &self.join {
-            join(&mut data, &load(path)?, on, by_file && on == "file")?;
+            join(&mut data, &load(path, &Layout::default())?, on, by_file && on == "file")?;
         }
         for (setting, filters, _) in self.filters() {
             for name in filters.keys() {
@@ -230,6 +276,15 @@ impl Csv {
     fn filters(&self) -> [(&'static str, &Filters, bool); 2] {
         [("ignore", &self.ignore, false), ("keep", &self.keep, true)]
     }
+}
+
+fn rows_of(path: &Path, layout: &Layout) -> Result<Dataset> {
+    let (data, left_out) = abbe_table::read_laid_out(path, layout)?;
+    if left_out > 0 {
+        let rows = if left_out == 1 { "row holds" } else { "rows hold" };
+        tracing::warn!("{}: {left_out} {rows} a mark of `no_data` and are left out", path.display());
+    }
+    Ok(data)
 }
 
 /// The error at a place of the settings instead of a file: the statement of the recipe about the file is wrong.

@@ -307,3 +307,56 @@ fn series_are_averaged_row_by_row() {
         "Data: s-1.csv:3: `A_deg` differs from that of line 2 of `s-1.csv`, with which this row would be averaged (name under `by` of `average` all columns that tell points apart)",
     );
 }
+
+#[test]
+fn files_of_instruments_are_read_as_declared() {
+    let file = "Titel;;\nMeas X;Joint 1 [°];;T\n[in];[dms];;[F]\n1,5;-0 30 0;x;68\n---;1 0 0;x;68\n2;90;y;50\n";
+    let settings = json!({
+        "path": "a.txt", "separator": "semicolon", "decimal": "comma", "skip_lines": 1, "skip_after_header": 1,
+        "no_data": ["---"],
+        "columns": {
+            "X_mm": { "column": "Meas X", "unit": "in" }, "a_rad": { "column": "Joint 1 [°]", "unit": "dms" },
+            "T_degC": { "column": "T", "unit": "degF" }
+        }
+    });
+    let data = read(&[("a.txt", file)], &settings).unwrap();
+    assert_eq!(names(&data), "T_degC X_mm a_rad file");
+    assert_eq!(data.numbers("X"), Some(&[1.5 * 25.4, 50.8][..]));
+    assert_eq!(data.numbers("a"), Some(&[-0.5f64.to_radians(), 90f64.to_radians()][..]));
+    assert!((data.numbers("T").unwrap()[1] - 10.0).abs() < 1e-12);
+    assert_eq!(data.origins.iter().map(|origin| (origin.line, origin.row)).collect::<Vec<_>>(), [(4, 1), (6, 3)]);
+    // A table without a header row.
+    let settings =
+        json!({ "path": "a.txt", "separator": "space", "header": false, "columns": { "X_mm": 2, "feature": 1 } });
+    let data = read(&[("a.txt", "  7   1.5 9\n 8\t2 9\n")], &settings).unwrap();
+    assert_eq!(
+        (names(&data).as_str(), rows(&data)),
+        ("X_mm feature file", vec!["1.5 7 a".to_owned(), "2 8 a".to_owned()])
+    );
+}
+
+#[test]
+fn layouts_that_cannot_be_are_refused() {
+    let files: Files<'_> = &[("a.txt", "X;Y\n1;2\n")];
+    let with = |more: Value| {
+        let mut settings = json!({ "path": "a.txt", "separator": "semicolon" });
+        settings.as_object_mut().unwrap().extend(more.as_object().unwrap().clone());
+        settings
+    };
+    for (more, expected) in [
+        (json!({ "header": false }), "without a header row `columns` has to say what the columns are"),
+        (json!({ "columns": {} }), "at least one column was expected"),
+        (json!({ "columns": { "X_mm": { "column": "X", "unit": "deg" } } }), "`deg` is no unit of `X_mm`"),
+        (json!({ "columns": { "X_mm": { "column": "X", "unit": "inches" } } }), "there is no unit `inches`"),
+        (json!({ "columns": { "X_mm": "X", "X_deg": "Y" } }), "are both named `X`"),
+        (json!({ "columns": { "X_mm": "Z" } }), "there is no column `Z`; the columns are `X`, `Y`"),
+        (json!({ "header": false, "columns": { "X_mm": "X" } }), "`X` is no number of a column"),
+        (json!({ "header": false, "columns": { "X_mm": 3 } }), "the row has 2 cells, and none for `X_mm`"),
+        (json!({ "skip_lines": 1_000_000 }), "at most 10000 are skipped"),
+        (json!({ "skip_lines": 9, "columns": { "X_mm": "X" } }), "there is no row after the 9 lines of `skip_lines`"),
+        (json!({ "separator": "dot" }), "unknown choice `dot`"),
+    ] {
+        let error = read(files, &with(more.clone())).unwrap_err();
+        assert!(error.contains(expected), "{more}: {error}");
+    }
+}
