@@ -32,6 +32,7 @@ mod probe;
 mod rapid_verify;
 mod recipes;
 mod report;
+mod robots;
 mod selection;
 mod simulate;
 mod sphere;

@@ -6,6 +6,7 @@
 //! observed minus predicted position, and the rotation vector from predicted to observed orientation.
 
 mod observed;
+mod positions;
 mod start;
 
 use std::path::PathBuf;

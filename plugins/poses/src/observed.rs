@@ -11,7 +11,7 @@ use crate::start::Start;
 use crate::{Observer, Pose, tools};
 
 /// Unknowns of a frame: where its origin is, mm, and how it is turned from its start orientation, rad.
-const OF_A_FRAME: [(&str, Unit); 6] =
+pub(crate) const OF_A_FRAME: [(&str, Unit); 6] =
     [("x", Unit::MM), ("y", Unit::MM), ("z", Unit::MM), ("a", Unit::RAD), ("b", Unit::RAD), ("c", Unit::RAD)];
 
 /// Observed poses.
@@ -25,11 +25,11 @@ pub struct Observed {
 }
 
 /// A frame at some values of its unknowns.
-struct Placed {
+pub(crate) struct Placed {
     /// Its pose in the frame that it is fixed to.
-    pose: Isometry3<f64>,
+    pub(crate) pose: Isometry3<f64>,
     /// d(small rotation, axes of that frame)/d(a, b, c).
-    turn: Matrix3<f64>,
+    pub(crate) turn: Matrix3<f64>,
 }
 
 impl Placed {
@@ -39,7 +39,7 @@ impl Placed {
     }
 
     /// A frame at its unknowns x, y, z, a, b, c: a, b, c are the rotation vector on top of the start orientation.
-    fn at(start: &Isometry3<f64>, own: &[f64]) -> Self {
+    pub(crate) fn at(start: &Isometry3<f64>, own: &[f64]) -> Self {
         let turn = Vector3::new(own[3], own[4], own[5]);
         let rotation = UnitQuaternion::from_scaled_axis(turn) * start.rotation;
         let pose = Isometry3::from_parts(Translation3::new(own[0], own[1], own[2]), rotation);
@@ -145,7 +145,7 @@ impl Observations for Observed {
     }
 }
 
-fn matrix(rotation: &UnitQuaternion<f64>) -> Matrix3<f64> {
+pub(crate) fn matrix(rotation: &UnitQuaternion<f64>) -> Matrix3<f64> {
     rotation.to_rotation_matrix().into_inner()
 }
 

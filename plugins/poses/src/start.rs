@@ -128,7 +128,7 @@ fn decomposed(matrix: Matrix3<f64>) -> Option<(Matrix3<f64>, f64, Matrix3<f64>)>
 }
 
 /// The rotation that is nearest to a matrix of positive determinant.
-fn nearest_rotation(matrix: Matrix3<f64>) -> Option<UnitQuaternion<f64>> {
+pub fn nearest_rotation(matrix: Matrix3<f64>) -> Option<UnitQuaternion<f64>> {
     let (u, _, v_t) = decomposed(matrix)?;
     let turned = Matrix3::from_diagonal(&Vector3::new(1.0, 1.0, (u * v_t).determinant().signum()));
     Some(UnitQuaternion::from_rotation_matrix(&Rotation3::from_matrix_unchecked(u * turned * v_t)))

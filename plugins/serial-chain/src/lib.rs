@@ -7,6 +7,7 @@ mod derivatives;
 mod finish;
 mod model;
 mod nominal;
+mod robot;
 mod settings;
 
 use abbe_core::inventory;
@@ -28,6 +29,7 @@ inventory::submit! {
 }
 
 fn build(settings: Settings, _: &Context) -> Result<Box<dyn Model>, SettingsError> {
+    let settings = robot::resolved(settings)?;
     // Finds all errors that need no data, before anything runs.
     SerialChain::new(&settings, &[])?;
     Ok(Box::new(Description { settings }))

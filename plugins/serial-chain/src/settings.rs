@@ -7,6 +7,8 @@ use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use serde_json::{Value, json};
 
+use crate::robot::Robot;
+
 /// Settings of a serial chain.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
@@ -15,7 +17,11 @@ pub struct Settings {
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub name: Option<String>,
     /// The structural loop in the notation of ISO 10791-6, e.g. `w C' B' X' b Z Y (S) t`.
+    #[serde(default)]
     pub chain: String,
+    /// In the place of `chain`: a robot by Denavit-Hartenberg parameters or by the lines of its joints.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub robot: Option<Robot>,
     /// Nominal tool length: the tip is at (0, 0, -length) of the last tool-branch frame.
     pub tool_length_mm: f64,
     /// Effective stylus radius; 0 if nothing is touched.
