@@ -33,6 +33,7 @@ mod rapid_verify;
 mod recipes;
 mod report;
 mod selection;
+mod senses;
 mod simulate;
 mod sphere;
 mod spindle;
