@@ -34,6 +34,7 @@ mod recipes;
 mod report;
 mod robots;
 mod selection;
+mod senses;
 mod simulate;
 mod sphere;
 mod spindle;

@@ -14,7 +14,7 @@ fn checked(recipe: &Variant, folder: &Path) -> Result<Vec<Planned>, Error> {
 }
 
 /// A copy of a CSV file in a folder with a change of the cells of a column.
-fn changed(file: &Path, folder: &Path, column: &str, change: impl Fn(usize, &str) -> String) -> PathBuf {
+pub(crate) fn changed(file: &Path, folder: &Path, column: &str, change: impl Fn(usize, &str) -> String) -> PathBuf {
     let text = read(file);
     let (mut place, mut row) = (None, 0);
     let lines = text.lines().map(|line| {

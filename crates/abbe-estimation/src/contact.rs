@@ -385,7 +385,7 @@ fn smallest_step_of_three(gradient: &[f64], values: &[f64], wanted: &[f64]) -> O
 }
 
 /// Derivatives of every equation to the linear axes of every pose of its row: equations x poses x axes.
-fn gradients(work: &Evaluation, set: &ObservationSet, rows: &[RowIndex], count: usize) -> Vec<f64> {
+pub(crate) fn gradients(work: &Evaluation, set: &ObservationSet, rows: &[RowIndex], count: usize) -> Vec<f64> {
     let mut gradients = vec![0.0; work.equations.by_position().len() * count];
     work.chain(set, rows, count, |_, pair, derivatives, weight| {
         let effects = gradients[pair * count..(pair + 1) * count].iter_mut().zip(derivatives);

@@ -42,6 +42,7 @@ mod aliasing;
 mod calibration;
 mod causes;
 pub mod contact;
+mod directions;
 mod equivalent_motion_errors;
 mod inverse_kinematics;
 mod judgement;

@@ -9,6 +9,7 @@ use abbe_core::{
 };
 
 use crate::aliasing::aliased;
+use crate::directions::turned;
 
 /// Most forgotten unknowns that a remark names.
 const NAMED: usize = 3;
@@ -25,6 +26,7 @@ pub fn remarks(problem: &Problem) -> Vec<String> {
     remarks.extend(styli(problem));
     remarks.extend(missed(problem));
     remarks.extend(tilted_probe(problem));
+    remarks.extend(turned(problem));
     remarks
 }
 

@@ -10,5 +10,5 @@
 mod radius;
 mod term;
 
-pub use radius::{ContactRadius, EffectiveRadius, check_columns, deviation, has_delay, has_terms};
+pub use radius::{ContactRadius, EffectiveRadius, LARGEST_FEED, check_columns, deviation, has_delay, has_terms};
 pub use term::{name, parameter, polynomial, read, value};

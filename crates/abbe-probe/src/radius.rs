@@ -3,8 +3,8 @@
 use std::path::PathBuf;
 
 use abbe_core::{
-    ColumnHeader, Equations, KinematicModel, KnownInput, Layout, Orientation, ParameterRole, ProbeTerm, Quantity,
-    Result, RowBatch, RowIndex, StatusRole,
+    ColumnHeader, DataRow, Dataset, Equations, KinematicModel, KnownInput, Layout, Orientation, ParameterRole,
+    ProbeTerm, Quantity, Result, RowBatch, RowIndex, StatusRole,
 };
 use nalgebra::{Quaternion, UnitQuaternion, Vector3};
 
@@ -45,6 +45,21 @@ pub fn check_columns(headers: &[ColumnHeader], file: Option<&PathBuf>, model: &d
     })
 }
 
+/// Largest feed of a probe, mm/min: the rapid traverse of the fastest machines.
+pub const LARGEST_FEED: f64 = 1e5;
+
+/// Refuses a feed that no touch has: it has no sign, and does not stand still.
+fn check_feed(data: &Dataset, row: DataRow, feed: f64) -> Result<()> {
+    let feed = feed * 60.0;
+    if feed > 0.0 && feed <= LARGEST_FEED {
+        return Ok(());
+    }
+    let message = format!("a feed of {feed} mm/min; more than 0 and {LARGEST_FEED} mm/min at most were expected");
+    Err(data
+        .error_at(row, message)
+        .help("a feed has no sign: the direction of a touch is that of the surface. Is its unit that of the column?"))
+}
+
 /// The effective stylus radius of the rows of some observations: known inputs and what they do.
 ///
 /// Its inputs come first among those of the observations: the stylus radius, then one for every term of the model's probe.
@@ -74,6 +89,9 @@ impl EffectiveRadius {
             let stylus = model.info().status_index(&StatusRole::Stylus);
             for row in &layout.rows {
                 let feed = feeds.zip(row.data_row).map_or(0.0, |(feeds, data_row)| feeds[data_row]);
+                if let (Some(_), Some(data_row)) = (feeds, row.data_row) {
+                    check_feed(&layout.data, data_row, feed)?;
+                }
                 // A stylus that the model does not describe is refused with the poses.
                 let stylus =
                     stylus.filter(|_| row.poses > 0).map_or(0.0, |column| layout.poses.row(row.first_pose)[column]);

@@ -31,6 +31,16 @@ impl From<f64> for Limit {
     }
 }
 
+/// Largest size of a limit, in the unit of its key: in µm a metre. A larger one judges nothing.
+const LARGEST: f64 = 1e6;
+
+fn bounded<E: Error>(value: f64) -> Result<f64, E> {
+    match value.is_finite() && value.abs() > LARGEST {
+        true => Err(E::custom(format_args!("{value:e}: a limit up to 1e6 was expected"))),
+        false => Ok(value),
+    }
+}
+
 /// A limit with the rule that decides.
 #[derive(Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
@@ -57,20 +67,20 @@ impl<'de> Deserialize<'de> for Limit {
             }
 
             fn visit_f64<E: Error>(self, value: f64) -> Result<Limit, E> {
-                Ok(value.into())
+                bounded(value).map(Limit::from)
             }
 
             fn visit_u64<E: Error>(self, value: u64) -> Result<Limit, E> {
-                Ok((value as f64).into())
+                bounded(value as f64).map(Limit::from)
             }
 
             fn visit_i64<E: Error>(self, value: i64) -> Result<Limit, E> {
-                Ok((value as f64).into())
+                bounded(value as f64).map(Limit::from)
             }
 
             fn visit_map<A: MapAccess<'de>>(self, map: A) -> Result<Limit, A::Error> {
                 let Stated { limit, decision } = Stated::deserialize(MapAccessDeserializer::new(map))?;
-                Ok(Limit { value: limit, rule: decision })
+                Ok(Limit { value: bounded(limit)?, rule: decision })
             }
         }
 

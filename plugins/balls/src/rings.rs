@@ -119,6 +119,24 @@ impl Rings {
     }
 }
 
+impl Rings {
+    /// The nominal rings, if a stylus of this radius goes into all of them.
+    fn read_nominal_of(&self, stylus_radius: f64) -> Result<Vec<Ring>> {
+        let rings = self.read_nominal()?;
+        let narrow = rings.iter().position(|ring| ring.diameter <= 2.0 * stylus_radius);
+        let Some(row) = narrow else { return Ok(rings) };
+        let table = abbe_table::read(&self.nominal)?;
+        let message = format!(
+            "ring {} has the diameter {} mm, and the ball of the stylus {} mm: it does not go in",
+            rings[row].label,
+            rings[row].diameter,
+            2.0 * stylus_radius
+        );
+        let help = "is `diameter_mm` a radius, and is `stylus_radius_mm` of the model right?";
+        Err(table.error_at(DataRow(row), message).help(help))
+    }
+}
+
 impl Artefact for Rings {
     fn inputs(&self) -> Vec<InputFile> {
         vec![InputFile { setting: "nominal", path: self.nominal.clone() }]
@@ -143,7 +161,7 @@ impl Artefact for Rings {
     }
 
     fn observe(&self, data: &Arc<Dataset>, model: &dyn KinematicModel) -> Result<Arc<dyn Observations>> {
-        let nominal = self.read_nominal()?;
+        let nominal = self.read_nominal_of(model.info().stylus_radius)?;
         let by_label: BTreeMap<&str, usize> =
             nominal.iter().enumerate().map(|(index, ring)| (ring.label.as_str(), index)).collect();
         let labels = abbe_table::labels(data, "feature")?.iter();

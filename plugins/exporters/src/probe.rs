@@ -72,6 +72,18 @@ fn build(settings: Settings, _: &Context) -> Result<Box<dyn Export>, SettingsErr
     }
     for (index, feed) in settings.feeds_mm_per_min.iter().enumerate() {
         positive("", *feed).map_err(|error| error.under(indexed("feeds_mm_per_min", index)))?;
+        if *feed > abbe_probe::LARGEST_FEED {
+            let message = format!("{feed:e}: a number up to {} was expected", abbe_probe::LARGEST_FEED);
+            return Err(SettingsError::new("", message).under(indexed("feeds_mm_per_min", index)));
+        }
+    }
+    for (key, values) in
+        [("elevations_deg", &settings.elevations_deg), ("feeds_mm_per_min", &settings.feeds_mm_per_min)]
+    {
+        let twice = (1..values.len()).find(|&index| values[..index].contains(&values[index]));
+        if let Some(index) = twice {
+            return Err(SettingsError::new("", format!("{} is there twice", values[index])).under(indexed(key, index)));
+        }
     }
     let lines = turns as usize * settings.elevations_deg.len() * settings.feeds_mm_per_min.len().max(1);
     if lines > MOST {

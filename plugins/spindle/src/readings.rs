@@ -117,6 +117,11 @@ impl<'a> Run<'a> {
         (self.turns + 1e-6).floor() as usize
     }
 
+    /// Whether its angle grows.
+    pub fn is_forward(&self) -> bool {
+        self.angles.first().zip(self.angles.last()).is_some_and(|(first, last)| last > first)
+    }
+
     /// The turn of a reading, from 0.
     pub fn turn(&self, index: usize) -> usize {
         let turned = (self.angles[index] - self.angles[0]).abs() / TAU;

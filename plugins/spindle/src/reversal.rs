@@ -167,6 +167,11 @@ impl Reversal {
                 .error(message)
                 .help("the motion of a spindle changes with its speed: reverse at one speed"));
         }
+        if one.is_forward() != other.is_forward() {
+            return Err(other
+                .error("the angle of the spindle falls in one set-up and grows in the other")
+                .help("a spindle moves otherwise when it turns the other way: measure both set-ups in one sense, and see that the angle has one sign in both files"));
+        }
         if one.readings == other.readings {
             let message =
                 "its readings are those of the first set-up: the artefact was not reversed, or a file is there twice";

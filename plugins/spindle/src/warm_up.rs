@@ -101,13 +101,7 @@ impl WarmUp {
             let message = format!("{name} reads {} um in all rows", readings[0] * 1e3);
             return Err(data.error_at(DataRow(0), message).help("is the sensor connected, and within its range?"));
         }
-        if let Some((first, count)) = stuck_part(readings) {
-            tracing::warn!(
-                "{name} reads the same from row {} to row {}, and moves in others: was it stuck?",
-                first + 1,
-                first + count
-            );
-        }
+        tell_stuck(name, readings);
         let told = [
             ("end", Some(readings[last]), "mm"),
             ("range", range(times, readings, times[0], times[last]), "mm"),
@@ -137,6 +131,17 @@ impl WarmUp {
         let freedom = (rows - unknowns - 1.0).max(1.0);
         let covariance = inverse * (fitted.scatter[output].powi(2) * (rows - unknowns) / freedom);
         found.add(&combined, &fitted.gains[output], &covariance, freedom);
+    }
+}
+
+/// Tells of a sensor that reads the same for a long time and not in the rest.
+fn tell_stuck(name: &str, readings: &[f64]) {
+    if let Some((first, count)) = stuck_part(readings) {
+        let last = first + count;
+        tracing::warn!(
+            "{name} reads the same from row {} to row {last}, and moves in others: was it stuck?",
+            first + 1
+        );
     }
 }
 
@@ -175,6 +180,9 @@ impl Estimate for WarmUp {
         let mut found = Found::default();
         let (mut sizes, mut condition, mut unknowns) = (Sizes::default(), 1.0, 0);
         self.drift.iter().try_for_each(|name| self.figures(&mut found, data, times, name))?;
+        for name in &self.temperatures {
+            tell_stuck(name, data.required_numbers(name)?);
+        }
         if !self.temperatures.is_empty() {
             let log = self.log(data, times)?;
             let outputs = self.drift.iter().map(|name| {

@@ -87,6 +87,9 @@ pub const TIME: &str = "time";
 /// Most time constants: states of more than three are hardly ever told apart.
 const MOST: usize = 6;
 
+/// Numbers of draws: few tell no scatter, more tell nothing more.
+const DRAWS: std::ops::RangeInclusive<usize> = 50..=100_000;
+
 /// One run: its log of inputs, counted from its reference, and what followed.
 pub struct Run {
     pub log: SensorLog,
@@ -141,6 +144,11 @@ impl Settings {
             ("block_s", self.block_s),
         ] {
             value.map_or(Ok(()), |value| positive(setting, value).map(drop))?;
+        }
+        if !DRAWS.contains(&self.draws) {
+            let message =
+                format!("{}: a whole number from {} to {} was expected", self.draws, DRAWS.start(), DRAWS.end());
+            return Err(SettingsError::new("draws", message));
         }
         self.reference_degC.map_or(Ok(()), possible_temperature)
     }

@@ -1,5 +1,7 @@
 //! Reads the log of a tool setter and the tool table, and refuses what contradicts itself.
 
+mod dead;
+
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::Path;
 
@@ -483,5 +485,6 @@ fn rows_of<'a>(index: usize, data: &'a Dataset) -> Result<Vec<Row<'a>>> {
             cutting: cutting[row],
         });
     }
+    dead::tell_dead(&rows);
     Ok(rows)
 }

@@ -94,11 +94,22 @@ impl ToolOffsets {
         })
     }
 
+    /// The number of a tool, if the control has such numbers.
+    fn number_within(&self, tool: &str) -> Result<u32> {
+        let (number, most) = (self.number(tool)?, Range::of(self.settings.control).number);
+        match (1..=most).contains(&number) {
+            true => Ok(number),
+            false => Err(Error::usage(format!("tool `{tool}`: {number}; the control has numbers from 1 to {most}"))
+                .help(format!("state one of them: `numbers: {{ {tool}: 12 }}`"))
+                .setting("numbers")),
+        }
+    }
+
     /// Fails if two tools have one number, or if a number is stated of a tool that there is not.
     fn check_numbers(&self, store: &Store) -> Result<()> {
         let mut seen: BTreeMap<u32, &str> = BTreeMap::new();
         for tool in &store.record.tools {
-            if let Some(other) = seen.insert(self.number(&tool.tool)?, &tool.tool) {
+            if let Some(other) = seen.insert(self.number_within(&tool.tool)?, &tool.tool) {
                 let message = format!("tools {other} and {} have the same number in the control", tool.tool);
                 return Err(Error::usage(message).setting("numbers"));
             }
@@ -108,6 +119,39 @@ impl ToolOffsets {
             Some(name) => Err(Error::usage(format!("the table has no tool `{name}`")).setting("numbers")),
             None => Ok(()),
         }
+    }
+}
+
+/// What a control takes: numbers of tools, and sizes of dimensions and of what is worn, mm.
+struct Range {
+    number: u32,
+    dimension: f64,
+    worn: f64,
+}
+
+impl Range {
+    fn of(control: Control) -> Self {
+        match control {
+            Control::Linuxcnc => Self { number: 99_999, dimension: f64::INFINITY, worn: f64::INFINITY },
+            Control::Fanuc => Self { number: 999, dimension: 1000.0, worn: 100.0 },
+            Control::Siemens => Self { number: 32_000, dimension: f64::INFINITY, worn: f64::INFINITY },
+            Control::Heidenhain => Self { number: 32_767, dimension: 100_000.0, worn: 100.0 },
+        }
+    }
+
+    /// Fails for offsets that the control does not take.
+    fn check(&self, tool: &str, preset: [f64; 2], value: [f64; 2]) -> Result<()> {
+        for (what, (preset, value)) in ["length", "radius"].into_iter().zip(preset.into_iter().zip(value)) {
+            for (name, size, most) in [("", preset, self.dimension), ("wear of the ", value - preset, self.worn)] {
+                if size.abs() >= most {
+                    let message =
+                        format!("tool `{tool}`: a {name}{what} of {size:.4} mm; the control takes less than {most} mm");
+                    return Err(Error::data(message)
+                        .help("is the preset of the tool table right? Set the tool anew, or lock it"));
+                }
+            }
+        }
+        Ok(())
     }
 }
 
@@ -133,6 +177,7 @@ impl Export for ToolOffsets {
             // A tool that lacks one of them is locked.
             let (Some(length), Some(radius)) = (value(Quantity::Length), value(Quantity::Radius)) else { continue };
             let recheck = judged.get(check).is_some_and(|it| it.name == Name::Recheck);
+            Range::of(self.settings.control).check(&tool.tool, tool.preset, [length, radius])?;
             entries.push(Entry { number, preset: tool.preset, value: [length, radius], recheck });
         }
         let decimals = self.settings.decimals.unwrap_or(if self.settings.control == Control::Fanuc { 3 } else { 4 });

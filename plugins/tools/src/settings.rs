@@ -159,12 +159,16 @@ impl Settings {
     /// Fails for numbers that are not positive and for names that results could not tell apart.
     pub fn check(&self) -> Result<(), SettingsError> {
         positive("setting_standard_uncertainty_um", self.setting_standard_uncertainty_um)?;
-        positive("spoiled_factor", self.spoiled_factor)?;
         if !(1.0..=10.0).contains(&self.coverage_factor) {
             let message = format!("{:e}: a number from 1 to 10 was expected", self.coverage_factor);
             return Err(SettingsError::new("coverage_factor", message));
         }
-        positive("consistency_factor", self.consistency_factor)?;
+        for (name, factor) in [("spoiled_factor", self.spoiled_factor), ("consistency_factor", self.consistency_factor)]
+        {
+            if !(1.0..=100.0).contains(&factor) {
+                return Err(SettingsError::new(name, format!("{factor:e}: a number from 1 to 100 was expected")));
+            }
+        }
         up_to("master_limit_um", self.master_limit_um, LARGEST_REPEATABILITY)?;
         up_to("temperature_limit_K", self.temperature_limit, 100.0)?;
         let key = |name: &str| PathItem::Key(name.to_owned());
