@@ -101,7 +101,7 @@ pub fn resolved(mut settings: Settings) -> Result<Settings, SettingsError> {
     settings.chain = format!("w b {} t", names.join(" "));
     let mut origin = Vector3::zeros();
     for (joint, name) in joints.iter().zip(&names) {
-        let axis = settings.axes.entry(name.clone()).or_insert_with(AxisSettings::default);
+        let axis = settings.axes.entry(name.clone()).or_default();
         if axis.direction.is_some() || axis.point_mm.is_some() {
             let error = SettingsError::new(name, "the line of this axis follows from `robot`");
             return Err(error.help("leave `direction` and `point_mm` out").under([PathItem::Key("axes".to_owned())]));
