@@ -8,7 +8,7 @@ use nalgebra::{Isometry3, Point3, Translation3, UnitQuaternion, Vector3};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-use crate::settings::{AxisSettings, Settings};
+use crate::settings::Settings;
 
 /// A robot: the joints from the base to the flange in one of three conventions, and the tip.
 #[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize, JsonSchema)]
