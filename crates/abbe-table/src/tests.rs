@@ -5,8 +5,8 @@ use abbe_core::{Class, DataRow, Dataset, Error, Quantity, Values};
 use proptest::prelude::*;
 
 use crate::{
-    ColumnSource, Decimal, Encoding, Layout, Separator, Unit, parse, parse::headers, parse::headers_laid_out, points,
-    read, read_headers, unique_labels, vectors,
+    ColumnSource, Decimal, Encoding, Layout, Separator, Unit, parse, parse::dataset, parse::headers,
+    parse::headers_laid_out, points, read, read_headers, unique_labels, vectors,
 };
 
 fn table(text: &str) -> Result<Dataset, Error> {
@@ -259,7 +259,7 @@ proptest! {
         };
         let columns = [("X_mm", column(0, Some("in"), "X_mm")), ("a_deg", column(1, None, "a_deg")), ("note", column(2, None, "note"))];
         let layout = Layout { columns: Some(columns.map(|(name, source)| (name.to_owned(), source)).into()), ..layout };
-        let (data, left_out) = crate::parse::dataset(Path::new("t.csv"), &bytes, &layout).unwrap();
+        let (data, left_out) = dataset(Path::new("t.csv"), &bytes, &layout).unwrap();
         prop_assert_eq!(left_out, 0);
         prop_assert_eq!(headers_laid_out(Path::new("t.csv"), &bytes, &layout).unwrap(), data.headers());
         prop_assert_eq!(data.numbers("X").unwrap(), rows.iter().map(|row| row.0 * 25.4).collect::<Vec<_>>());
@@ -272,16 +272,16 @@ proptest! {
 
     #[test]
     fn random_bytes_with_a_layout_do_no_harm(layout in layouts(), bytes in prop::collection::vec(any::<u8>(), 0..120)) {
-        let _ = crate::parse::dataset(Path::new("t.csv"), &bytes, &layout);
+        let _ = dataset(Path::new("t.csv"), &bytes, &layout);
         let columns = [("X_mm".to_owned(), ColumnSource { column: "1".to_owned(), unit: None })];
-        let _ = crate::parse::dataset(Path::new("t.csv"), &bytes, &Layout { columns: Some(columns.into()), ..layout });
+        let _ = dataset(Path::new("t.csv"), &bytes, &Layout { columns: Some(columns.into()), ..layout });
     }
 }
 
 #[test]
 fn what_a_layout_does_not_fit_is_said_with_its_place() {
     let read = |text: &[u8], layout: Layout| {
-        crate::parse::dataset(Path::new("t.csv"), text, &layout).map(|(data, _)| data.rows()).unwrap_err().to_string()
+        dataset(Path::new("t.csv"), text, &layout).map(|(data, _)| data.rows()).unwrap_err().to_string()
     };
     let semicolon = || Layout { separator: Separator::Semicolon, decimal: Decimal::Comma, ..Layout::default() };
     let told = read(b"X_mm,Y_mm\n1,2\n", semicolon());
@@ -309,7 +309,7 @@ fn what_a_layout_does_not_fit_is_said_with_its_place() {
     assert!(read(b"\xff\xfea\0", latin).contains("write `encoding: utf-16`"));
     // Rows without a number keep the others' lines and numbers.
     let layout = named("a", &["---", ""]);
-    let (data, left_out) = crate::parse::dataset(Path::new("t.csv"), b"b,a\n1,2\n1,---\n3, \n4,5\n", &layout).unwrap();
+    let (data, left_out) = dataset(Path::new("t.csv"), b"b,a\n1,2\n1,---\n3, \n4,5\n", &layout).unwrap();
     assert_eq!((data.numbers("X").unwrap(), left_out), (&[2.0, 5.0][..], 2));
     assert_eq!(data.origins.iter().map(|origin| (origin.line, origin.row)).collect::<Vec<_>>(), [(2, 1), (5, 4)]);
 }
