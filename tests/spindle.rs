@@ -245,13 +245,19 @@ fn in_one_line(message: &str) -> String {
 #[test]
 fn settings_and_stages_that_do_not_fit_are_refused_with_their_place() {
     type Change = fn(&mut Value);
-    let cases: [(Change, i32, &str); 11] = [
+    let cases: [(Change, i32, &str); 13] = [
         (|s| s["motion"]["axial"] = json!("zz"), 2, "data set 1 under `from` has no column `zz_um`"),
         (|s| s["motion"]["axial"] = json!("S"), 2, "has a column `S_deg`, and `S_um` was expected"),
         (|s| s["motion"]["harmonics"] = json!(1), 2, "2 to 500 were expected"),
         (|s| s["motion"]["radial"]["r2"]["azimuth_deg"] = json!(175), 2, "tell one direction alone"),
         (|s| s["motion"]["radial"]["r2"]["azimuth_deg"] = json!(-90), 1, "are r1 and r2 swapped?"),
-        (|s| s["motion"]["speeds_rpm"] = json!([600, 3000, 10000]), 1, "none of `speeds_rpm` is near"),
+        (
+            |s| s["motion"]["speeds_rpm"] = json!([600, 3000, 10000]),
+            1,
+            "the speeds that were set are 600, 3000, 10000 rpm",
+        ),
+        (|s| s["reversal"]["speed_rpm"] = json!(10), 1, "with a time in min it would have 10.0 rpm"),
+        (|s| s["motion"]["plausible_rpm"] = json!([100, 10]), 2, "the larger one last"),
         (|s| s["motion"]["from"] = json!(["run-600", "before"]), 2, "has no column `r2_um`"),
         (|s| s["reversal"]["from"] = json!(["before"]), 1, "two were expected: before and after the reversal"),
         (|s| s["reversal"]["from"] = json!(["before", "run-3000"]), 1, "reverse at one speed"),

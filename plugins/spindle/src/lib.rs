@@ -11,6 +11,7 @@ mod parameters;
 mod readings;
 mod reversal;
 mod sensors;
+mod speed;
 mod validate;
 mod warm_up;
 

@@ -16,6 +16,7 @@ use crate::harmonics::{Basis, Fitted, fit};
 use crate::parameters::{Combined, Found, Sizes, of_order};
 use crate::readings::{Columns, Expected, Run, check_columns, runs};
 use crate::sensors::{Radial, RadialSensors, between, check_radial};
+use crate::speed::{Speeds, check_speeds, plausible_rpm};
 
 /// The name of the plugin.
 pub const PLUGIN: &str = "spindle-motion";
@@ -52,9 +53,13 @@ pub struct Motion {
     #[serde(default = "sectors")]
     #[schemars(range(min = 4, max = 10000))]
     pub sectors: u16,
-    /// Speeds that were set: a run is called by the nearest one. Without them it is called by its speed in three digits.
+    /// Speeds that were set: a run is called by the nearest one, and one that is off by more than 5 % is refused. Without
+    /// them it is called by its speed in three digits, and a time in another unit may not be seen.
     #[serde(default)]
     pub speeds_rpm: Vec<f64>,
+    /// Slowest and fastest speed of a run where none is stated.
+    #[serde(default = "plausible_rpm")]
+    pub plausible_rpm: [f64; 2],
     /// What runs are called by.
     #[serde(default)]
     pub named_by: NamedBy,
@@ -138,15 +143,12 @@ fn build(settings: Motion, _: &Context) -> Result<Box<dyn Estimate>, SettingsErr
     if !(4..=10_000).contains(&settings.sectors) {
         return Err(SettingsError::new("sectors", "4 to 10000 were expected"));
     }
-    settings.speeds_rpm.iter().try_for_each(|speed| positive("speeds_rpm", *speed).map(drop))?;
+    check_speeds(settings.plausible_rpm, &settings.speeds_rpm)?;
     if let Some(uncertainty) = settings.standard_uncertainty_um {
         positive("standard_uncertainty_um", uncertainty)?;
     }
     Ok(Box::new(settings))
 }
-
-/// Part of a stated speed that a run may be off.
-const NEAR: f64 = 0.05;
 
 impl Motion {
     /// What its readings have to be like.
@@ -156,24 +158,24 @@ impl Motion {
             encoder: self.encoder,
             sensors: self.radial.keys().chain(&self.axial).map(String::as_str).collect(),
             plausible: self.plausible_um.map(|value| value * 1e-3),
+            speeds: self.speeds(),
         }
     }
 
+    fn speeds(&self) -> Speeds<'_> {
+        Speeds { plausible: self.plausible_rpm, stated: &self.speeds_rpm }
+    }
+
     /// What a run is called.
-    pub fn name(&self, run: &Run<'_>) -> Result<String> {
+    pub fn name(&self, run: &Run<'_>) -> String {
         if self.named_by == NamedBy::Label {
-            return Ok(run.label.clone());
+            return run.label.clone();
         }
-        let off = |speed: &f64| (run.speed / speed - 1.0).abs();
-        if let Some(nearest) = self.speeds_rpm.iter().copied().min_by(|one, other| off(one).total_cmp(&off(other))) {
-            if off(&nearest) > NEAR {
-                let message = format!("it has {:.1} rpm, and none of `speeds_rpm` is near", run.speed);
-                return Err(run.error(message).help("is the time in the unit that its column says (`time_s`)?"));
-            }
-            return Ok(nearest.to_string());
+        if let Some(nearest) = self.speeds().nearest(run.speed) {
+            return nearest.to_string();
         }
         let step = 10_f64.powf(run.speed.log10().floor() - 2.0);
-        Ok(format!("{}", ((run.speed / step).round() * step * 1e6).round() / 1e6))
+        format!("{}", ((run.speed / step).round() * step * 1e6).round() / 1e6)
     }
 
     /// The fit of a run.
@@ -305,7 +307,7 @@ impl Estimate for Motion {
         let (mut found, mut sizes, mut names) = (Found::default(), Sizes::default(), BTreeSet::new());
         let (mut condition, mut unknowns) = (1.0_f64, 0);
         for run in runs(data, &self.expected())? {
-            let called = self.name(&run)?;
+            let called = self.name(&run);
             if !names.insert(called.clone()) {
                 let message = format!("there is a run called `{called}` already");
                 return Err(run.error(message).help("write `named_by: label`, or estimate repeats one by one"));

@@ -10,6 +10,7 @@ use serde::{Deserialize, Serialize};
 
 use crate::encoder::{self, Encoder};
 use crate::sensors::check_sensor;
+use crate::speed::Speeds;
 
 /// Where readings stand in their columns.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
@@ -52,6 +53,8 @@ pub struct Expected<'a> {
     pub sensors: Vec<&'a str>,
     /// Smallest and largest range of the readings of a sensor, mm.
     pub plausible: [f64; 2],
+    /// Speeds that a run may have.
+    pub speeds: Speeds<'a>,
 }
 
 /// Fails if readings with these columns cannot be used.
@@ -136,6 +139,7 @@ impl<'a> Run<'a> {
         let mut run =
             Self { data, rows: rows.clone(), label, angles, times: part(time)?, readings, turns: 0.0, speed: 0.0 };
         encoder::check(&mut run, expected.encoder)?;
+        expected.speeds.check(&run)?;
         for (name, readings) in expected.sensors.iter().zip(&run.readings) {
             check_sensor(&run, name, readings, expected.plausible)?;
         }

@@ -2,7 +2,7 @@
 
 use abbe_core::{
     Calibration, ColumnHeader, Combination, Context, Dataset, Error, Estimate, EstimateSource, Identifiability,
-    Problem, Result, SettingsError, Status, WeakDirection,
+    Problem, Result, SettingsError, Status, WeakDirection, positive,
 };
 use nalgebra::DMatrix;
 use schemars::JsonSchema;
@@ -15,6 +15,7 @@ use crate::motion::{check_highest, check_plausible, plausible, readings_alone};
 use crate::parameters::{Combined, Found, Sizes, of_order};
 use crate::readings::{Columns, Expected, Run, check_columns, runs};
 use crate::sensors::{RadialSensors, check_radial};
+use crate::speed::{Speeds, check_speeds, plausible_rpm};
 
 /// The name of the plugin.
 pub const PLUGIN: &str = "donaldson-reversal";
@@ -53,6 +54,12 @@ pub struct Reversal {
     /// Smallest and largest range that readings of a sensor may have.
     #[serde(default = "plausible")]
     pub plausible_um: [f64; 2],
+    /// The speed that was set: a run that is off by more than 5 % is refused.
+    #[serde(default)]
+    pub speed_rpm: Option<f64>,
+    /// Slowest and fastest speed of a run where none is stated.
+    #[serde(default = "plausible_rpm")]
+    pub plausible_rpm: [f64; 2],
 }
 
 fn harmonics() -> u16 {
@@ -66,6 +73,8 @@ fn example() -> Value {
 fn build(settings: Reversal, _: &Context) -> Result<Box<dyn Estimate>, SettingsError> {
     check_radial(&settings.radial)?;
     check_plausible(settings.plausible_um)?;
+    check_speeds(settings.plausible_rpm, &[])?;
+    settings.speed_rpm.map(|speed| positive("speed_rpm", speed)).transpose()?;
     check_highest(settings.harmonics)?;
     if settings.radial.len() != 1 {
         return Err(SettingsError::new("radial", "one sensor was expected: the one that is turned round"));
@@ -83,6 +92,7 @@ impl Reversal {
             encoder: self.encoder,
             sensors: self.radial.keys().map(String::as_str).collect(),
             plausible: self.plausible_um.map(|value| value * 1e-3),
+            speeds: Speeds { plausible: self.plausible_rpm, stated: self.speed_rpm.as_slice() },
         }
     }
 

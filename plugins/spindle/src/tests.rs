@@ -7,6 +7,7 @@ use serde_json::{Value, json};
 
 use crate::motion::Motion;
 use crate::reversal::Reversal;
+use crate::speed::check_speeds;
 
 /// Numbers without a law.
 struct Random(u64);
@@ -365,6 +366,35 @@ fn bad_readings_are_refused_with_what_is_wrong() {
         let said = said(&settings, &columns);
         assert!(said.contains(expected), "case {number}: {said}");
         assert_eq!(said == "nothing", expected == "nothing", "case {number}: {said}");
+    }
+}
+
+#[test]
+fn a_time_in_another_unit_is_refused_with_the_unit() {
+    let stated = |speed: f64| {
+        let (mut settings, columns) = usual();
+        settings["speeds_rpm"] = json!([speed, 4.0 * speed]);
+        (settings, columns)
+    };
+    let within = |slowest: f64, fastest: f64| {
+        let (mut settings, columns) = usual();
+        settings["plausible_rpm"] = json!([slowest, fastest]);
+        (settings, columns)
+    };
+    for (unit, seconds) in [("min", 60.0), ("ms", 1e-3), ("us", 1e-6), ("h", 3600.0)] {
+        for (settings, mut columns) in [usual(), stated(600.0), within(550.0, 650.0)] {
+            assert_eq!(said(&settings, &columns), "nothing");
+            columns[1].1.iter_mut().for_each(|time| *time /= seconds);
+            let said = said(&settings, &columns);
+            assert!(said.contains(&format!("with a time in {unit} it would have 600.0 rpm")), "{unit}: {said}");
+        }
+    }
+    let (settings, columns) = stated(800.0);
+    assert!(said(&settings, &columns).contains("it has 600.0000 rpm; the speeds that were set are 800, 3200 rpm"));
+    let (settings, columns) = within(1000.0, 2000.0);
+    assert!(said(&settings, &columns).contains("and 1000 to 2000 rpm were expected"));
+    for speeds in [[0.0, 10.0], [20.0, 10.0], [10.0, f64::INFINITY]] {
+        assert!(check_speeds(speeds, &[]).is_err(), "{speeds:?}");
     }
 }
 

@@ -41,7 +41,7 @@ pub fn figures(
 ) -> Result<Vec<Figure>> {
     for data in data {
         for run in runs(&[data], &motion.expected())? {
-            if motion.name(&run)? == checked.run {
+            if motion.name(&run) == checked.run {
                 return Ok(of_run(fit, motion, checked, &run, findings));
             }
         }
