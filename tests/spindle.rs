@@ -260,7 +260,14 @@ fn settings_and_stages_that_do_not_fit_are_refused_with_their_place() {
         (|s| s["motion"]["plausible_rpm"] = json!([100, 10]), 2, "the larger one last"),
         (|s| s["motion"]["from"] = json!(["run-600", "before"]), 2, "has no column `r2_um`"),
         (|s| s["reversal"]["from"] = json!(["before"]), 1, "two were expected: before and after the reversal"),
-        (|s| s["reversal"]["from"] = json!(["before", "run-3000"]), 1, "reverse at one speed"),
+        (
+            |s| {
+                s["reversal"]["from"] = json!(["before", "run-3000"]);
+                s["reversal"]["speed_rpm"] = Value::Null;
+            },
+            1,
+            "reverse at one speed",
+        ),
         (|s| s["spindle"]["limits"]["synchronous_um"] = json!(1), 2, "there is no figure `synchronous_um` to limit"),
         (|s| s["spindle"]["last"] = json!("reversal"), 1, "`reversal` is no estimate of `spindle-motion`"),
     ];

@@ -39,7 +39,7 @@ fn each_of_the_three_alone_stops_the_cut() {
     let fast = root().join("pipelines/data/spindle-motion/realistic/motion-9000.csv");
     let cases = [
         recipe().set("today", "path", json!(crashed)),
-        recipe().set("spindle-run", "path", json!(fast)),
+        recipe().set("spindle-run", "path", json!(fast)).set("motion", "speeds_rpm", json!([9000])),
         recipe().set("tools-of-the-cut", "tools", json!([1, 2, 3])),
     ];
     for (bad, recipe) in cases.iter().enumerate() {
