@@ -73,19 +73,26 @@ pub(crate) fn declarations(calibration: &Calibration) -> Vec<Declaration> {
     lines.into_iter().flatten().filter_map(|line| Declaration::read(line).ok()).collect()
 }
 
-/// Columns of the logs that a calibration keeps for its errors and bodies, without times: header and readings. Each stands here once.
+/// Columns of the logs that a calibration keeps for its errors and bodies, without times: header and readings, those of several
+/// logs one after another.
 fn logged(calibration: &Calibration) -> Vec<(String, Vec<f64>)> {
     let bodies = calibration.model.settings.get("bodies").and_then(|bodies| bodies.as_object());
     let kept = bodies.into_iter().flatten().filter_map(|(_, body)| body.get("log")?.as_object()).flatten();
     let of_bodies = kept.filter_map(|(header, values)| {
         Some((header.clone(), values.as_array()?.iter().filter_map(|value| value.as_f64()).collect::<Vec<f64>>()))
     });
-    let of_line = |line| if let Declaration::Thermal(thermal) = line { Some(thermal.log) } else { None };
-    let of_lines = declarations(calibration).into_iter().filter_map(of_line).flatten();
+    let of_line = |line| match line {
+        Declaration::Thermal(thermal) => thermal.logs.into_values().chain([thermal.log]).flatten().collect(),
+        _ => Vec::new(),
+    };
+    let of_lines = declarations(calibration).into_iter().flat_map(of_line);
     let mut columns: Vec<(String, Vec<f64>)> = Vec::new();
-    for (header, values) in of_bodies.chain(of_lines) {
-        if Quantity::of_column(&header).1 != Quantity::Time && !columns.iter().any(|(known, _)| *known == header) {
-            columns.push((header, values));
+    for (header, values) in
+        of_bodies.chain(of_lines).filter(|(header, _)| Quantity::of_column(header).1 != Quantity::Time)
+    {
+        match columns.iter_mut().find(|(known, _)| *known == header) {
+            Some((_, known)) => known.extend(values),
+            None => columns.push((header, values)),
         }
     }
     columns

@@ -87,6 +87,11 @@ impl<'a> ThermalResponses<'a> {
         let mut states: Vec<ThermalState> = Vec::new();
         for line in declarations(calibration) {
             let Declaration::Thermal(thermal) = line else { continue };
+            if let Some(series) = &thermal.series {
+                let error =
+                    Error::data(format!("this calibration has a log for each {series}; a table takes a single one"));
+                return Err(error.help("estimate the gains again, known from this calibration, with one log"));
+            }
             let log = thermal.sensor_log().map_err(|error| Error::data(error.to_string()))?;
             let Some(log) = log.map(Arc::new) else { continue };
             for (index, parameter) in info.parameters.iter().enumerate() {
@@ -145,13 +150,10 @@ enum Term<'a> {
 }
 
 impl<'a> Term<'a> {
-    /// The term of a parameter of this line: `EXX[1*T34:2]`, `dzt[T34]`, `dzt[start:1]`.
+    /// The term of a parameter of this line: `EXX[1*T34:2]`, `EYX[at0*T34:2]`, `dzt[T34]`, `dzt[start:1]`.
     fn of(name: &'a str, line: &Thermal) -> Option<Self> {
         let (symbol, bracket) = name.strip_suffix(']')?.split_once('[')?;
-        let bracket = match line.slope {
-            true => bracket.strip_prefix("1*")?,
-            false => bracket,
-        };
+        let bracket = line.without_place(bracket)?;
         if !line.thermal.iter().any(|own| abbe_core::matches(own, symbol)) {
             return None;
         }

@@ -58,8 +58,8 @@ pub use abbe_results::{
     CALIBRATION_FORMAT, Calibration, Combination, CombinedAgreement, ConsideredInput, Contribution, Correlated,
     DataRecord, Decision, EquivalentMotionError, Estimated, Figure, FileFormat, Findings, FitReport, GumComparison,
     Identifiability, ImplausibleValue, JointCoverage, Limit, ModelRecord, MonteCarlo, NamedCovariance, Outlier,
-    ParameterBudget, Rule, Selection, SelectionDirection, SelectionStep, SimulatedParameter, Status, UncertaintyBudget,
-    VERDICTS_FORMAT, VarianceFactor, Verdict, WeakDirection,
+    ParameterBudget, PredictedStructure, Rule, Selection, SelectionByPrediction, SelectionDirection, SelectionStep,
+    SimulatedParameter, Status, UncertaintyBudget, VERDICTS_FORMAT, VarianceFactor, Verdict, WeakDirection,
 };
 pub use abbe_settings::{
     Class, Convergence, Error, EvenSeries, Label, Names, PathItem, Place, Quantity, Result, Series, SettingsError,

@@ -12,7 +12,7 @@ use abbe_core::{
 };
 use abbe_files::LARGEST_TEXT;
 use abbe_recipe::Stage;
-use abbe_simulation::{Truth, measure};
+use abbe_simulation::{Sensors, Truth, measure};
 use abbe_table::Cells;
 
 use crate::folder::write_folder;
@@ -71,10 +71,13 @@ impl Prepared {
         let bytes = abbe_files::read(truth, LARGEST_TEXT).map_err(|error| unreadable(truth, &error))?;
         let text = String::from_utf8_lossy(&bytes);
         let values = Truth::parse(truth, &text)?;
-        let programme = self.programme(self.simulated_machine(machine)?)?;
+        let machine = self.simulated_machine(machine)?;
+        let programme = self.programme(machine)?;
         let of_truth = |error: Error| if error.place.is_none() { error.in_file(truth) } else { error };
         let measured = measure(&programme, &values, seed).map_err(of_truth)?;
-        let cells = recorded(&measured, values.noise.resolution_mm)?;
+        let mut cells = recorded(&measured, values.noise.resolution_mm)?;
+        let logs = self.logs(self.machine(self.recipe_stage(machine)?)?.0, |log| self.data(log))?;
+        sensed(&measured, &logs, &values.noise.sensors, seed, &mut cells).map_err(of_truth)?;
 
         let mut places = Places::new(&self.recipe.base);
         let mut files = BTreeMap::new();
@@ -325,6 +328,35 @@ fn recorded(measured: &Problem, resolution: f64) -> Result<BTreeMap<PathBuf, Cel
         }
     }
     Ok(files)
+}
+
+/// What sensors record in the logs of the machine, and beside measured rows.
+fn sensed(
+    measured: &Problem,
+    logs: &[Dataset],
+    sensors: &Sensors,
+    seed: u64,
+    files: &mut BTreeMap<PathBuf, Cells>,
+) -> Result<()> {
+    let rows: Vec<&Dataset> = measured.sets.iter().map(|set| set.info().layout.data.as_ref()).collect();
+    sensors.known(rows.iter().copied().chain(logs))?;
+    if sensors.are_exact() {
+        return Ok(());
+    }
+    for data in rows.into_iter().chain(logs) {
+        let headers = data.files.iter().map(|file| abbe_table::read_headers(file)).collect::<Result<Vec<_>>>()?;
+        for (header, readings) in sensors.recorded(data, seed) {
+            for (origin, reading) in data.origins.iter().zip(readings) {
+                let lines = files.entry(data.files[origin.file].clone()).or_default();
+                // A temperature of measured rows may be one of `constants`: that is stated, and not read.
+                let has_it = || headers[origin.file].iter().any(|own| own.header == header);
+                if data.is_log || (lines.contains_key(&origin.line) && has_it()) {
+                    lines.entry(origin.line).or_default().insert(header.clone(), format!("{reading:.6}"));
+                }
+            }
+        }
+    }
+    Ok(())
 }
 
 /// The positions of the linear axes at the poses of a row, by the header of their columns.

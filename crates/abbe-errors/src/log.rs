@@ -1,6 +1,6 @@
 //! Columns of a log that errors follow: found among the data sets, kept by a calibration, and counted from a reference.
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 
 use abbe_core::{Dataset, PathItem, Quantity, SettingsError};
 use abbe_thermal::{Counting, Hold, Reference, SensorLog};
@@ -48,6 +48,42 @@ pub(crate) fn kept(log: &Dataset, columns: &[&str]) -> BTreeMap<String, Vec<f64>
         Some((format!("{name}{}", column.header.quantity.usual_suffix()), values.to_vec()))
     });
     wanted.collect()
+}
+
+/// Logs with these columns by the labels of a series, from all data sets that have both; none if there are no data yet. Rows of a series
+/// keep their order.
+///
+/// Fails if no log has the columns, and for a label in more than one data set.
+pub(crate) fn by_series(
+    data: &[&Dataset],
+    columns: &[&str],
+    series: &str,
+) -> Result<BTreeMap<String, BTreeMap<String, Vec<f64>>>, SettingsError> {
+    let mut found: BTreeMap<String, BTreeMap<String, Vec<f64>>> = BTreeMap::new();
+    let fits = |log: &&&Dataset| {
+        log.is_log && log.labels(series).is_some() && columns.iter().all(|name| log.numbers(name).is_some())
+    };
+    for log in data.iter().filter(fits) {
+        let Some(labels) = log.labels(series) else { continue };
+        let all = kept(log, columns);
+        let own: BTreeSet<&String> = labels.iter().collect();
+        for label in own {
+            let of_label = |values: &Vec<f64>| {
+                values.iter().zip(labels).filter(|(_, own)| *own == label).map(|(value, _)| *value).collect()
+            };
+            let part = all.iter().map(|(header, values)| (header.clone(), of_label(values))).collect();
+            if found.insert(label.clone(), part).is_some() {
+                let message = format!("two logs have rows with {series} {label}");
+                return Err(SettingsError::new("series", message));
+            }
+        }
+    }
+    if !found.is_empty() || data.is_empty() {
+        return Ok(found);
+    }
+    // What is wrong with it, if it is not the column of labels alone.
+    with_columns(data, columns)?;
+    Err(SettingsError::new("series", format!("the log has no column of labels `{series}`")))
 }
 
 /// The readings of a column that was kept, by its name without unit.

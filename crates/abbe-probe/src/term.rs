@@ -91,7 +91,7 @@ pub fn read(text: &str) -> Result<ProbeTerm, String> {
 pub fn parameter(prefix: &str, stylus: usize, term: ProbeTerm) -> Parameter {
     let (name, unit) = match term {
         ProbeTerm::Radius => ("r0".to_owned(), Unit::MM),
-        ProbeTerm::Delay => ("delay".to_owned(), Unit { of: Quantity::Time, per: None }),
+        ProbeTerm::Delay => ("delay".to_owned(), Unit::of(Quantity::Time)),
         term => (format!("lobe[{}]", name(term)), Unit::MM),
     };
     Parameter::new(format!("{prefix}probe.{name}"), unit).with_role(ParameterRole::Probe { stylus, term })

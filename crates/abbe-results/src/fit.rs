@@ -229,6 +229,9 @@ pub struct FitReport {
     /// The selection of parameters by their significance; none if no selection was made.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub selection: Option<Selection>,
+    /// The selection of parameters by prediction; none if no such selection was made.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub selection_by_prediction: Option<SelectionByPrediction>,
     /// Motion errors with the same effect on the tip: only the functions chosen for them separate them, not the machine.
     #[serde(rename = "same_motion", default, skip_serializing_if = "Vec::is_empty")]
     pub equivalent_motion_errors: Vec<EquivalentMotionError>,
@@ -271,6 +274,7 @@ impl FitReport {
             dropped: Vec::new(),
             weakest: Vec::new(),
             selection: None,
+            selection_by_prediction: None,
             equivalent_motion_errors: Vec::new(),
             implausible: Vec::new(),
             variance: Vec::new(),
@@ -340,6 +344,32 @@ pub struct SelectionStep {
     pub entered: bool,
     /// Probability that chance alone makes it look as significant at this step.
     pub probability: f64,
+}
+
+/// A selection of parameters by the prediction of runs that no estimate has seen.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct SelectionByPrediction {
+    /// The runs that were left out in turn.
+    pub runs: Vec<String>,
+    /// Part by which predictions may be worse than the best ones.
+    pub worse: f64,
+    /// The parameters that are kept, of those that could be left out.
+    pub kept: Vec<String>,
+    /// Those that are left out, at their nominal values.
+    pub left_out: Vec<String>,
+    /// What was chosen.
+    pub chosen: PredictedStructure,
+    /// What was tried.
+    pub tried: Vec<PredictedStructure>,
+}
+
+/// Candidates that were left out, and how well the others predict.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct PredictedStructure {
+    /// The candidates, as the recipe names them.
+    pub left_out: Vec<String>,
+    /// Root mean square of what is predicted wrong, in stated standard uncertainties of the readings.
+    pub error: f64,
 }
 
 impl Calibration {

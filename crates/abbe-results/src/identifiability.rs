@@ -27,9 +27,9 @@ impl EquivalentMotionError {
         let parts = self.combination.iter().map(|part| {
             let (symbol, factor) = part.unit.parse().map_or((part.unit.clone(), 1.0), |unit: Unit| match unit.per {
                 // As sizes of both errors in the usual units: per 1 µrad or 1 µm.
-                Some((per, 1)) => {
-                    let (of, factor) = Unit { of: unit.of, per: None }.for_people();
-                    (of, factor / Unit { of: per, per: None }.for_people().1)
+                Some((per, 1)) if unit.and_per.is_none() => {
+                    let (of, factor) = Unit::of(unit.of).for_people();
+                    (of, factor / Unit::of(per).for_people().1)
                 }
                 _ => unit.for_people(),
             });

@@ -18,7 +18,8 @@ pub use covariance::NamedCovariance;
 pub use decision::{Decision, Rule};
 pub use fit::{
     CALIBRATION_FORMAT, Calibration, CombinedAgreement, ConsideredInput, DataRecord, Estimated, FitReport,
-    ImplausibleValue, ModelRecord, Outlier, Selection, SelectionDirection, SelectionStep, Status, VarianceFactor,
+    ImplausibleValue, ModelRecord, Outlier, PredictedStructure, Selection, SelectionByPrediction, SelectionDirection,
+    SelectionStep, Status, VarianceFactor,
 };
 pub use format::FileFormat;
 pub use identifiability::{Combination, EquivalentMotionError, Identifiability, WeakDirection};

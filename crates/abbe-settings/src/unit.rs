@@ -116,7 +116,7 @@ impl Quantity {
     }
 }
 
-/// The unit of a parameter: a quantity, or a quantity per power of another (`mm/rad^2`).
+/// The unit of a parameter: a quantity, a quantity per power of another (`mm/rad^2`), or per this and a third one (`rad/(mm K)`).
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(try_from = "String", into = "String")]
 pub struct Unit {
@@ -124,17 +124,32 @@ pub struct Unit {
     pub of: Quantity,
     /// The denominator and its power.
     pub per: Option<(Quantity, u8)>,
+    /// What else is below the line.
+    pub and_per: Option<Quantity>,
 }
 
 impl Unit {
     /// mm.
-    pub const MM: Self = Self { of: Quantity::Length, per: None };
+    pub const MM: Self = Self::of(Quantity::Length);
     /// rad.
-    pub const RAD: Self = Self { of: Quantity::Angle, per: None };
+    pub const RAD: Self = Self::of(Quantity::Angle);
+
+    /// A quantity alone.
+    pub const fn of(of: Quantity) -> Self {
+        Self { of, per: None, and_per: None }
+    }
 
     /// `of` per `per` to the `power`; power 0 is `of` alone.
     pub fn per(of: Quantity, per: Quantity, power: u8) -> Self {
-        Self { of, per: (power > 0).then_some((per, power)) }
+        Self { of, per: (power > 0).then_some((per, power)), and_per: None }
+    }
+
+    /// The same per another quantity.
+    pub fn and_per(self, per: Quantity) -> Self {
+        match self.per {
+            Some(_) => Self { and_per: Some(per), ..self },
+            None => Self { per: Some((per, 1)), ..self },
+        }
     }
 
     /// The usual unit for display of the parameter, and the factor from the unit in memory: µm, µrad, µm/m, µrad/m²...
@@ -150,11 +165,15 @@ impl Unit {
                 Quantity::Length => ("m", 1e3),
                 other => (denominator(other), 1.0),
             };
-            symbol = format!("{symbol}/{per_symbol}");
+            let mut below = per_symbol.to_owned();
             if power > 1 {
                 let digits = ["⁰", "¹", "²", "³", "⁴", "⁵", "⁶", "⁷", "⁸", "⁹"];
-                power.to_string().bytes().for_each(|digit| symbol.push_str(digits[usize::from(digit - b'0')]));
+                power.to_string().bytes().for_each(|digit| below.push_str(digits[usize::from(digit - b'0')]));
             }
+            symbol = match self.and_per {
+                Some(other) => format!("{symbol}/({below} {})", denominator(other)),
+                None => format!("{symbol}/{below}"),
+            };
             factor *= f64::powi(per_factor, i32::from(power));
         }
         (symbol, factor)
@@ -171,10 +190,12 @@ fn denominator(quantity: Quantity) -> &'static str {
 
 impl fmt::Display for Unit {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        match self.per {
-            None => f.write_str(self.of.symbol()),
-            Some((per, 1)) => write!(f, "{}/{}", self.of.symbol(), denominator(per)),
-            Some((per, power)) => write!(f, "{}/{}^{power}", self.of.symbol(), denominator(per)),
+        let Some((per, power)) = self.per else { return f.write_str(self.of.symbol()) };
+        let power = if power == 1 { String::new() } else { format!("^{power}") };
+        let (of, per) = (self.of.symbol(), denominator(per));
+        match self.and_per {
+            Some(other) => write!(f, "{of}/({per}{power} {})", denominator(other)),
+            None => write!(f, "{of}/{per}{power}"),
         }
     }
 }
@@ -199,16 +220,18 @@ impl FromStr for Unit {
     fn from_str(text: &str) -> Result<Self, String> {
         let unknown = || format!("unknown unit `{text}`");
         if let Some(of) = Quantity::from_symbol(text) {
-            return Ok(Self { of, per: None });
+            return Ok(Self::of(of));
         }
-        let (of, per) = text.split_once('/').ok_or_else(unknown)?;
+        let (of, below) = text.split_once('/').ok_or_else(unknown)?;
+        let several = below.strip_prefix('(').and_then(|below| below.strip_suffix(')')?.split_once(' '));
+        let (per, other) = several.map_or((below, None), |(per, other)| (per, Some(other)));
         let (per, power) = match per.split_once('^') {
             None => (per, 1),
             Some((per, power)) => (per, power.parse().map_err(|_| unknown())?),
         };
         let quantity = |symbol| Quantity::from_symbol(symbol).ok_or_else(unknown);
-        let per = if per == KELVIN { Quantity::Temperature } else { quantity(per)? };
-        Ok(Self { of: quantity(of)?, per: Some((per, power)) })
+        let below = |symbol| if symbol == KELVIN { Ok(Quantity::Temperature) } else { quantity(symbol) };
+        Ok(Self { of: quantity(of)?, per: Some((below(per)?, power)), and_per: other.map(below).transpose()? })
     }
 }
 
@@ -247,12 +270,27 @@ mod tests {
             (Unit::per(Quantity::Length, Quantity::Angle, 2), "mm/rad^2", "µm/rad²", 1e3),
             (Unit::per(Quantity::Length, Quantity::Temperature, 1), "mm/K", "µm/K", 1e3),
             (Unit::per(Quantity::Angle, Quantity::RotationalSpeed, 1), "rad/rpm", "µrad/rpm", 1e6),
+            (
+                Unit::per(Quantity::Angle, Quantity::Length, 1).and_per(Quantity::Temperature),
+                "rad/(mm K)",
+                "µrad/(m K)",
+                1e9,
+            ),
+            (
+                Unit::per(Quantity::Length, Quantity::Angle, 2).and_per(Quantity::RotationalSpeed),
+                "mm/(rad^2 rpm)",
+                "µm/(rad² rpm)",
+                1e3,
+            ),
+            (Unit::MM.and_per(Quantity::Temperature), "mm/K", "µm/K", 1e3),
         ];
         for (unit, text, people, factor) in cases {
             assert_eq!(unit.to_string(), text);
             assert_eq!(text.parse(), Ok(unit));
             assert_eq!(unit.for_people(), (people.to_owned(), factor));
         }
-        assert!("mm/furlong".parse::<Unit>().is_err());
+        for wrong in ["mm/furlong", "rad/(mm K", "rad/(mm)", "rad/(mm K K)", "rad/(mm^x K)"] {
+            assert!(wrong.parse::<Unit>().is_err(), "{wrong}");
+        }
     }
 }

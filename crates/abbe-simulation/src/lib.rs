@@ -12,12 +12,14 @@ mod lobing;
 mod measure;
 mod names;
 mod noise;
+mod sensors;
 mod truth;
 
 pub use lobing::{Lobing, contact_directions};
 pub use measure::measure;
 pub use names::NotSimulated;
 pub use noise::{Drift, Noise, Outliers, RandomOutliers, StandardDeviation};
+pub use sensors::{BySensor, Recorded, Sensors};
 pub use truth::Truth;
 
 #[cfg(doc)]

@@ -15,6 +15,7 @@ use serde_json::{Map, Value};
 use crate::lobing::{Lobing, contact_directions};
 
 use crate::measure::is_length;
+use crate::sensors::Sensors;
 use crate::truth::{key, known_only, machine_parameter};
 
 /// How a measurement differs from the truth.
@@ -33,6 +34,8 @@ pub struct Noise {
     pub outliers: Outliers,
     /// Step of the scales of the linear axes and of readings, mm; 0 if they have none.
     pub resolution_mm: f64,
+    /// What sensors of temperature record. [`measure`](crate::measure) does not change them: the machine follows the true temperatures.
+    pub sensors: Sensors,
 }
 
 /// A standard deviation, mm.
@@ -104,6 +107,7 @@ struct Written {
     lobing: Option<Value>,
     outliers: Option<BTreeMap<String, f64>>,
     resolution_mm: Option<f64>,
+    sensors: Option<Map<String, Value>>,
 }
 
 /// A drift as it stands in a truth file.
@@ -127,7 +131,8 @@ struct WrittenLobing {
     phase_rad: Option<f64>,
 }
 
-const KEYS: [&str; 6] = ["probing_sigma_mm", "surface_sigma_mm", "drift", "lobing", "outliers", "resolution_mm"];
+const KEYS: [&str; 7] =
+    ["probing_sigma_mm", "surface_sigma_mm", "drift", "lobing", "outliers", "resolution_mm", "sensors"];
 const DRIFT_KEYS: [&str; 8] =
     ["component", "parameter", "gain_mm", "range_mm", "tau_s", "sign", "wave_period_s", "wave_phase_rad"];
 const DRIFT_NOTES: [&str; 2] = ["formula", "duration_s"];
@@ -152,6 +157,8 @@ impl Noise {
             lobing,
             outliers: read_outliers(written.outliers.unwrap_or_default())?,
             resolution_mm: written.resolution_mm.unwrap_or(0.0),
+            sensors: Sensors::from_json(&written.sensors.unwrap_or_default())
+                .map_err(|error| error.under([key("sensors")]))?,
         })
     }
 
@@ -179,6 +186,7 @@ impl Noise {
                 .map_err(|error| error.under([key("lobing")]))?;
         }
         self.outliers.check().map_err(|error| error.under([key("outliers")]))?;
+        self.sensors.check().map_err(|error| error.under([key("sensors")]))?;
         size("resolution_mm", self.resolution_mm)
     }
 
@@ -306,6 +314,7 @@ impl Noise {
             let rounded: Option<f64> = format!("{:.9e}", self.resolution_mm * 1e3).parse().ok();
             lines.push(format!("resolution: {} µm", rounded.unwrap_or(self.resolution_mm * 1e3)));
         }
+        lines.extend(self.sensors.summary());
         lines
     }
 }

@@ -43,6 +43,20 @@ const LONG: usize = 20;
 /// A jump of a temperature and back that no machine makes from one row to the next, K.
 const SPIKE: f64 = 5.0;
 
+/// Part of the variance of the noise that is left, in the mean, between two rows that a line joins.
+const BETWEEN: f64 = 2.0 / 3.0;
+
+/// The noise of a sensor.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct SensorNoise {
+    /// Standard deviation of a reading, in its unit.
+    pub scatter: f64,
+    /// Standard deviation of what the sensor follows.
+    pub moves: f64,
+    /// Part by which the gain of what follows this sensor alone comes out too small.
+    pub share: f64,
+}
+
 /// What sensors read over time.
 #[derive(Debug, Clone, PartialEq)]
 pub struct SensorLog {
@@ -209,6 +223,36 @@ impl SensorLog {
             ));
         }
         faults
+    }
+
+    /// The noise of a sensor, seen from row to row, and what it does to the gain of a state with this time constant (zero: of what
+    /// follows at once). None for few rows and for readings that stay from row to row.
+    pub fn noise(&self, sensor: usize, time_constant: f64) -> Option<SensorNoise> {
+        let (times, values) = (&self.times, &self.values[sensor]);
+        if times.len() < LONG || self.hold == Hold::ZeroOrder {
+            return None;
+        }
+        // How far each reading is from the line through its neighbours, as noise of one reading.
+        let mut off: Vec<f64> = (1..times.len() - 1)
+            .map(|row| {
+                let part = (times[row] - times[row - 1]) / (times[row + 1] - times[row - 1]);
+                let between = (1.0 - part) * values[row - 1] + part * values[row + 1];
+                (values[row] - between).abs() / (1.0 + part.powi(2) + (1.0 - part).powi(2)).sqrt()
+            })
+            .collect();
+        off.sort_by(f64::total_cmp);
+        // Half of normal numbers are nearer than this to their mean; so it counts no steps of the temperature.
+        let scatter = off[off.len() / 2] / 0.6745;
+        let mean = values.iter().sum::<f64>() / values.len() as f64;
+        let variance = values.iter().map(|value| (value - mean).powi(2)).sum::<f64>() / values.len() as f64;
+        // Between rows the noise of both counts; a state takes the mean over its time constant.
+        let left = match time_constant > 0.0 {
+            true => (median_step(times)? / (2.0 * time_constant)).min(BETWEEN),
+            false => BETWEEN,
+        };
+        let moves = (variance - scatter * scatter).max(0.0).sqrt();
+        let share = left * scatter * scatter / (left * scatter * scatter + moves * moves);
+        share.is_finite().then_some(SensorNoise { scatter, moves, share })
     }
 
     /// The interval of a time (index of its first row) and the time in it, s.

@@ -20,6 +20,7 @@ pub fn text(name: &str, outcome: &Outcome, folder: &Path) -> String {
         parts.push(section("Fits", &fits(&outcome.fits)));
         parts.extend(outliers(&outcome.fits));
         parts.extend(selected(&outcome.fits));
+        parts.extend(predicted(&outcome.fits));
         parts.extend(lost(&outcome.fits));
         parts.extend(alike(&outcome.fits));
         parts.extend(correlated(&outcome.fits));
@@ -188,6 +189,26 @@ fn selected(fits: &[Fit]) -> Option<String> {
     });
     let text: String = lines.collect();
     (!text.is_empty()).then(|| section("Kept as significant", &text))
+}
+
+/// The selections by prediction: what each left out, and how well it predicts.
+fn predicted(fits: &[Fit]) -> Option<String> {
+    let lines = fits.iter().filter_map(|fit| {
+        let selection = fit.calibration.fit.selection_by_prediction.as_ref()?;
+        let all = selection.tried.first().map_or(f64::NAN, |all| all.error);
+        let left_out = match selection.chosen.left_out.join(" ") {
+            none if none.is_empty() => "nothing".to_owned(),
+            some => some,
+        };
+        Some(format!(
+            "  {}: {} runs are off by {:.2} standard uncertainties (RMS; with all candidates {all:.2}); left out: {left_out}\n",
+            fit.name,
+            selection.runs.len(),
+            selection.chosen.error
+        ))
+    });
+    let text: String = lines.collect();
+    (!text.is_empty()).then(|| section("Selected by the prediction of runs that were left out", &text))
 }
 
 /// Heading for parameters that move the tip in the same way.

@@ -234,7 +234,7 @@ impl Artefact for CalibratedPoints {
             let placement = used.partition_point(|placement| *placement < placed[row.0]);
             rows.push(Measurement { point, placement, directions: directions[row.0].clone() });
         }
-        let named = |name: String, of| Parameter::new(name, Unit { of, per: None });
+        let named = |name: String, of| Parameter::new(name, Unit::of(of));
         let name = &self.settings.name;
         let unknowns = used.iter().flat_map(|&placement| {
             let label = &placements.labels[placement];

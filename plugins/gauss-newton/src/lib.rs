@@ -4,6 +4,7 @@
 //! anything is solved; a direction that they cannot determine is an error, unless `on_confounded` says what to do with it.
 
 mod convergence;
+mod prediction;
 mod select;
 mod settings;
 
@@ -22,7 +23,7 @@ use abbe_numerics::{Directions, End, Factor, LeastSquares, Options, RestrictedPr
 use serde_json::{Value, json};
 
 use convergence::not_converged;
-use select::{Select, reduced};
+use select::{Select, SelectBy, reduced};
 use settings::{OnConfounded, RobustSetting, Settings, Variance};
 
 abbe_core::register!(
@@ -278,6 +279,7 @@ impl GaussNewton {
     fn estimate(&self, problem: &Problem, explained: bool) -> Result<Calibration> {
         match &self.settings.select {
             None => self.estimate_all(problem, explained),
+            Some(select) if select.by == SelectBy::Prediction => self.estimate_predicted(problem, select, explained),
             Some(select) => self.estimate_selected(problem, select, explained),
         }
     }

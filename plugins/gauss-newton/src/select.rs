@@ -1,9 +1,9 @@
 //! Leaves out terms that chance alone explains (Soons 1993, section 3.2.2): stepwise regression at the solution of all
-//! unknowns.
+//! unknowns. The settings of the selection by prediction are here, too.
 
 use abbe_core::{
     Error, Owner, PathItem, Problem, Result, Selection, SelectionDirection, SelectionStep, SettingsError, Unknown,
-    matches,
+    Whole, matches,
 };
 use abbe_numerics::{Factor, StepwiseDirection};
 use schemars::JsonSchema;
@@ -13,8 +13,21 @@ use serde::{Deserialize, Serialize};
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct Select {
-    /// The parameters of the machine that may be left out: names and patterns.
-    candidates: Vec<String>,
+    /// The parameters of the machine that may be left out: names and patterns. By prediction, all that a pattern matches is left
+    /// out together: `"*T_column*"` is a sensor, `"*:2]"` a time constant with all its states.
+    pub(crate) candidates: Vec<String>,
+    /// What decides: whether a parameter is significant in the fit, or whether runs that are left out are predicted as well without it.
+    #[serde(default)]
+    pub(crate) by: SelectBy,
+    /// By prediction: the column of labels whose rows are left out together. Default: parts of the time.
+    #[serde(default)]
+    pub(crate) runs: Option<String>,
+    /// By prediction, without `runs`: number of parts of the time from the first row to the last one.
+    #[serde(default = "default_parts")]
+    pub(crate) parts: Whole<2, 100>,
+    /// By prediction: part by which predictions may be worse than the best ones, for fewer unknowns.
+    #[serde(default = "default_worse")]
+    pub(crate) worse: f64,
     /// A parameter is left out if its p-value (partial F test) is at least this. The p-value is the probability that a
     /// parameter seems as significant by chance alone.
     #[serde(default = "default_level")]
@@ -23,6 +36,25 @@ pub struct Select {
     /// removes added ones again.
     #[serde(default)]
     direction: SelectionDirection,
+}
+
+/// What decides whether a candidate is left out.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+#[serde(rename_all = "kebab-case")]
+pub enum SelectBy {
+    /// Whether chance alone explains it.
+    #[default]
+    Significance,
+    /// Whether readings that the estimate has not seen are predicted as well without it.
+    Prediction,
+}
+
+fn default_parts() -> Whole<2, 100> {
+    Whole::new(4)
+}
+
+fn default_worse() -> f64 {
+    0.02
 }
 
 fn default_level() -> f64 {
@@ -37,6 +69,12 @@ impl Select {
         }
         if self.candidates.is_empty() {
             return Err(SettingsError::new("candidates", "there is nothing to choose from"));
+        }
+        if !(self.worse >= 0.0 && self.worse < 1.0) {
+            return Err(SettingsError::new("worse", "a number from 0 to below 1 was expected"));
+        }
+        if self.runs.is_some() && self.by == SelectBy::Significance {
+            return Err(SettingsError::new("runs", "runs are left out to be predicted: `by: prediction`"));
         }
         Ok(())
     }
@@ -98,10 +136,14 @@ impl Select {
     }
 }
 
-/// The problem without the terms that a selection leaves out: these are nominal, usually zero.
+/// The problem without the terms that a selection leaves out.
 pub fn reduced(problem: &Problem, selection: &Selection) -> Problem {
-    let left_out = |unknown: &Unknown| selection.left_out.contains(&unknown.name);
-    let mut reduced = problem.without_unknowns(left_out);
+    without(problem, |unknown| selection.left_out.contains(&unknown.name))
+}
+
+/// The problem without some parameters of the machine: these are nominal, usually zero.
+pub fn without(problem: &Problem, left_out: impl Fn(&Unknown) -> bool) -> Problem {
+    let mut reduced = problem.without_unknowns(&left_out);
     let nominal = &problem.model.info().nominal;
     for unknown in problem.unknowns.iter().filter(|unknown| left_out(unknown)) {
         reduced.machine_values[unknown.index] = nominal[unknown.index];

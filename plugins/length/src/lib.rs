@@ -229,7 +229,7 @@ impl Measured {
         let excess = temperatures.iter().map(|temperature| temperature - REFERENCE_TEMPERATURE).collect();
         self.excess = Some((self.info.inputs.len(), excess));
         let known = |name: &str, of, value, standard_uncertainty| {
-            let parameter = Parameter::new(name, Unit { of, per: None });
+            let parameter = Parameter::new(name, Unit::of(of));
             KnownInput::new(parameter, value, standard_uncertainty)
         };
         self.info.inputs.extend([

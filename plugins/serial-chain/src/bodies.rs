@@ -94,10 +94,10 @@ impl Builder {
         let components = terms.components();
         let mut arguments = Vec::new();
         for argument in terms.arguments() {
-            arguments.push(Source::Status(self.argument(argument, axis, None)?));
+            arguments.push(Source::Status(self.argument(argument, axis)?));
         }
         let basis = self.basis(Box::new(terms), arguments, None);
-        let unit = Unit { of: Quantity::Ratio, per: None };
+        let unit = Unit::of(Quantity::Ratio);
         let factor = Parameter::new(format!("body[{name}].factor"), unit).with_role(ParameterRole::Factor);
         let parameter = self.parameter(factor, 1.0, ParameterUse::Factor(basis))?;
         let first = self.bases[basis].first;

@@ -6,7 +6,7 @@ use abbe_core::{
     Absent, Axis, AxisKind, Parameter, ParameterRole, PathItem, Quantity, SettingsError, StatusColumn, StatusRole,
     Unit, matches,
 };
-use abbe_errors::{Argument, Constant, Declaration, Drift, Functions, Group, StylusIndicator, Subject};
+use abbe_errors::{Argument, Constant, Declaration, Functions, Group, StylusIndicator, Subject};
 use abbe_kinematics::{Chain, StructuralLoop};
 use abbe_probe::{parameter as probe_parameter, read as probe_term};
 use nalgebra::Vector3;
@@ -313,11 +313,15 @@ impl Builder {
         })
     }
 
-    /// The labels of a drift's column. All drifts of the column share these labels, also if each has only some of the series.
+    /// The labels of the column of series of a line. All lines of the column share these labels, also if each has only some of the
+    /// series.
     fn labels(&mut self, declaration: &Declaration) -> Vec<String> {
-        let Declaration::Drift(drift) = declaration else { return Vec::new() };
-        let Some(column) = drift.per.column() else { return Vec::new() };
-        let levels = drift.time_s.keys().cloned().collect();
+        let (column, levels) = match declaration {
+            Declaration::Drift(drift) => (drift.per.column(), drift.time_s.keys().cloned().collect()),
+            Declaration::Thermal(thermal) => (thermal.series.as_deref(), thermal.logs.keys().cloned().collect()),
+            _ => (None, Vec::new()),
+        };
+        let Some(column) = column else { return Vec::new() };
         let status = self.status(column.to_owned(), StatusRole::Series, (Quantity::Label, levels), f64::NAN);
         self.status[status].levels.clone()
     }
@@ -345,10 +349,6 @@ impl Builder {
             axes: &axes,
             labels,
         };
-        let drift = match declaration {
-            Declaration::Drift(drift) => Some(drift),
-            _ => None,
-        };
         let mut bases = Vec::new();
         for functions in declaration.family().functions(&subject)? {
             let mut arguments = Vec::new();
@@ -364,7 +364,7 @@ impl Builder {
                     Argument::SharedShape(name, nominal, unit) => {
                         Source::Parameter(self.shared_shape(name, nominal, unit, basis)?)
                     }
-                    other => Source::Status(self.argument(other, candidate.axis, drift)?),
+                    other => Source::Status(self.argument(other, candidate.axis)?),
                 });
             }
             let ends = functions.range();
@@ -392,48 +392,39 @@ impl Builder {
     }
 
     /// The status that is an argument of a function.
-    pub fn argument(
-        &mut self,
-        argument: Argument,
-        axis: Option<usize>,
-        drift: Option<&Drift>,
-    ) -> Result<usize, SettingsError> {
-        Ok(match (argument, axis, drift) {
-            (Argument::Command, Some(axis), _) => axis,
-            (Argument::CommandOf(name), axis, _) => {
+    pub fn argument(&mut self, argument: Argument, axis: Option<usize>) -> Result<usize, SettingsError> {
+        Ok(match (argument, axis) {
+            (Argument::Command, Some(axis)) => axis,
+            (Argument::CommandOf(name), axis) => {
                 self.axes.iter().position(|axis| axis.name == name).or(axis).ok_or_else(|| {
                     SettingsError::new("errors", format!("an error follows axis {name}, which the chain does not have"))
                 })?
             }
-            (Argument::Direction, Some(axis), _) => {
+            (Argument::Direction, Some(axis)) => {
                 let role = StatusRole::Direction(axis);
                 self.status(role.column_name(&self.axes).unwrap_or_default(), role, (Quantity::Ratio, Vec::new()), 0.0)
             }
-            (Argument::Load, ..) => {
-                self.status("load".to_owned(), StatusRole::Load, (Quantity::Force, Vec::new()), 0.0)
-            }
-            (Argument::Temperature(name), ..) => {
+            (Argument::Load, _) => self.status("load".to_owned(), StatusRole::Load, (Quantity::Force, Vec::new()), 0.0),
+            (Argument::Temperature(name), _) => {
                 self.status(name, StatusRole::Temperature, (Quantity::Temperature, Vec::new()), f64::NAN)
             }
-            (Argument::LoadZ, ..) => {
+            (Argument::LoadZ, _) => {
                 self.status("load_z".to_owned(), StatusRole::Other, (Quantity::Length, Vec::new()), 0.0)
             }
-            (Argument::Series, _, Some(drift)) if drift.per.column().is_some() => {
-                let column = drift.per.column().unwrap_or_default();
-                self.status(column.to_owned(), StatusRole::Series, (Quantity::Label, Vec::new()), f64::NAN)
+            (Argument::Series(column), _) => {
+                self.status(column, StatusRole::Series, (Quantity::Label, Vec::new()), f64::NAN)
             }
-            (Argument::Time, ..) => {
+            (Argument::Time, _) => {
                 self.status("time".to_owned(), StatusRole::Time, (Quantity::Time, Vec::new()), f64::NAN)
             }
-            (Argument::Stylus, ..) if self.stylus_status.is_some() => self.stylus_status.unwrap_or_default(),
+            (Argument::Stylus, _) if self.stylus_status.is_some() => self.stylus_status.unwrap_or_default(),
             (
                 other @ (Argument::Command
                 | Argument::Direction
-                | Argument::Series
                 | Argument::Stylus
                 | Argument::Shape(..)
                 | Argument::SharedShape(..)),
-                ..,
+                _,
             ) => {
                 let message = format!("an error follows {other:?}, which it does not have here");
                 return Err(SettingsError::new("errors", message));

@@ -369,7 +369,12 @@ impl KinematicModel for SerialChain {
                 let terms = coefficients
                     .iter()
                     .map(|(parameter, place)| values[*parameter] * slopes[place.function - basis.first]);
-                error.derivatives.push((shape, terms.sum()));
+                let slope: f64 = terms.sum();
+                // Several lines may share a shape.
+                match error.derivatives.iter_mut().find(|(known, _)| *known == shape) {
+                    Some((_, sum)) => *sum += slope,
+                    None => error.derivatives.push((shape, slope)),
+                }
             }
         }
         Ok(error)

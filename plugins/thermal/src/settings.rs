@@ -258,7 +258,7 @@ pub fn quantity(data: &Dataset, name: &str) -> Quantity {
 
 /// The unit of the gain of an output that follows an input.
 pub fn gain_unit(output: Quantity, input: Quantity) -> Unit {
-    if output == input { Unit { of: Quantity::Ratio, per: None } } else { Unit { of: output, per: Some((input, 1)) } }
+    if output == input { Unit::of(Quantity::Ratio) } else { Unit::per(output, input, 1) }
 }
 
 fn number_column(headers: &[ColumnHeader], name: &str) -> Result<()> {

@@ -160,7 +160,7 @@ struct Found<'a> {
 impl Found<'_> {
     /// Name, value and unit of everything that is estimated, in the order of the covariance.
     fn values(&self, of_input: impl Fn(usize) -> Quantity) -> Vec<(String, f64, Unit)> {
-        let seconds = Unit { of: Quantity::Time, per: None };
+        let seconds = Unit::of(Quantity::Time);
         let times = self.fitted.time_constants.iter().enumerate();
         let mut values: Vec<(String, f64, Unit)> =
             times.map(|(index, time)| (format!("time_constant[{}]_s", index + 1), *time, seconds)).collect();
@@ -169,7 +169,7 @@ impl Found<'_> {
             for ((suffix, sensor), gain) in terms.iter().zip(gains) {
                 let unit = match sensor {
                     Some(sensor) => gain_unit(*quantity, of_input(*sensor)),
-                    None => Unit { of: *quantity, per: None },
+                    None => Unit::of(*quantity),
                 };
                 values.push((format!("{}{suffix}", output.name), *gain, unit));
             }

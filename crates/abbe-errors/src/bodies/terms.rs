@@ -373,7 +373,7 @@ impl Functions for BodyTerms {
     }
 
     fn terms(&self) -> Vec<Term> {
-        let unit = Unit { of: Quantity::Ratio, per: None };
+        let unit = Unit::of(Quantity::Ratio);
         let term = |name: &&str| Term { unit: Some(unit), ..Term::new(format!("[{name}]"), 0) };
         ["ex", "ey", "ez", "ea", "eb", "ec"].iter().map(term).collect()
     }

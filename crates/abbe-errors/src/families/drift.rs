@@ -76,12 +76,14 @@ impl Family for Drift {
     }
 
     fn functions(&self, subject: &Subject<'_>) -> Result<Vec<Box<dyn Functions>>, SettingsError> {
-        let several = self.per.column().is_some();
         let series = self.time_s.iter().map(|(label, time)| {
             Box::new(LegendreInTime {
                 degrees: numbers(&self.degrees),
                 time: *time,
-                series: subject.labels.iter().position(|known| several && known == label),
+                series: self.per.column().and_then(|column| {
+                    let place = subject.labels.iter().position(|known| known == label)?;
+                    Some((column.to_owned(), place))
+                }),
                 prefix: self.per.prefix(label),
             }) as Box<dyn Functions>
         });
@@ -96,15 +98,16 @@ pub struct LegendreInTime {
     pub degrees: Vec<u8>,
     /// First and last time of the series, s.
     pub time: [f64; 2],
-    /// Index of the series' label; none if there is one series only.
-    pub series: Option<usize>,
+    /// The column of series and the index of this one's label; none if there is one series only.
+    pub series: Option<(String, usize)>,
     /// Prefix of the names inside the bracket: `day2.`.
     pub prefix: String,
 }
 
 impl Functions for LegendreInTime {
     fn arguments(&self) -> Vec<Argument> {
-        std::iter::once(Argument::Time).chain(self.series.map(|_| Argument::Series)).collect()
+        let series = self.series.as_ref().map(|(column, _)| Argument::Series(column.clone()));
+        std::iter::once(Argument::Time).chain(series).collect()
     }
 
     fn terms(&self) -> Vec<Term> {
@@ -112,7 +115,7 @@ impl Functions for LegendreInTime {
     }
 
     fn values(&self, arguments: &[f64], out: &mut [f64]) {
-        let elsewhere = self.series.is_some_and(|series| arguments[1] != series as f64);
+        let elsewhere = self.series.as_ref().is_some_and(|(_, series)| arguments[1] != *series as f64);
         if elsewhere || arguments[0].is_nan() {
             return out.fill(0.0);
         }
@@ -131,8 +134,12 @@ mod tests {
 
     #[test]
     fn values_at_known_times() {
-        let drift =
-            |series| LegendreInTime { degrees: vec![1, 2, 4], time: [10.0, 30.0], series, prefix: String::new() };
+        let drift = |series: Option<usize>| LegendreInTime {
+            degrees: vec![1, 2, 4],
+            time: [10.0, 30.0],
+            series: series.map(|place| ("day".to_owned(), place)),
+            prefix: String::new(),
+        };
         assert_eq!(values(&drift(None), &[10.0]), [-1.0, 1.0, 1.0]);
         assert_eq!(values(&drift(None), &[20.0]), [0.0, -0.5, 0.375]);
         assert_eq!(values(&drift(None), &[f64::NAN]), [0.0; 3]);
@@ -142,8 +149,12 @@ mod tests {
 
     #[test]
     fn names_of_terms() {
-        let drift =
-            LegendreInTime { degrees: vec![2], time: [0.0, 1.0], series: Some(0), prefix: Per::Day.prefix("2") };
+        let drift = LegendreInTime {
+            degrees: vec![2],
+            time: [0.0, 1.0],
+            series: Some(("day".to_owned(), 0)),
+            prefix: Per::Day.prefix("2"),
+        };
         assert_eq!(drift.terms()[0].suffix, "[day2.t2]");
     }
 }

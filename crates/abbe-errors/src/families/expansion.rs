@@ -115,7 +115,7 @@ impl Functions for ExpandingScale {
     }
 
     fn terms(&self) -> Vec<Term> {
-        vec![Term { unit: Some(Unit { of: Quantity::PerTemperature, per: None }), ..Term::new("[expansion]", 0) }]
+        vec![Term { unit: Some(Unit::of(Quantity::PerTemperature)), ..Term::new("[expansion]", 0) }]
     }
 
     fn values(&self, arguments: &[f64], out: &mut [f64]) {

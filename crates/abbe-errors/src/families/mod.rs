@@ -16,6 +16,7 @@ mod reversal;
 mod spline;
 mod thermal;
 mod thermal_log;
+mod thermal_terms;
 mod travel;
 
 use std::fmt::Debug;
@@ -36,7 +37,8 @@ pub use polynomial::{OrdinaryPolynomial, Polynomial};
 pub use product::{CrossCoupling, Product};
 pub use reversal::{Backlash, Reversal};
 pub use spline::{NaturalSpline, Spline};
-pub use thermal::{Thermal, ThermalTerms};
+pub use thermal::Thermal;
+pub use thermal_terms::ThermalTerms;
 pub use travel::{Trend, WithoutTrend};
 
 /// An argument of a function. The model finds its value in the status.
@@ -50,8 +52,8 @@ pub enum Argument {
     Direction,
     /// Time in s; NaN where it is not known.
     Time,
-    /// The series that a pose belongs to, as the index of its label; NaN where it belongs to none.
-    Series,
+    /// The series that a pose belongs to, as the index of its label in the column of this name; NaN where it belongs to none.
+    Series(String),
     /// The stylus, as the index of its label.
     Stylus,
     /// Weight of the workpiece, N.

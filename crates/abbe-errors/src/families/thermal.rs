@@ -1,17 +1,19 @@
 //! Errors that follow temperatures.
 
 use std::collections::BTreeMap;
-use std::sync::{Arc, RwLock};
+use std::sync::RwLock;
 
 use abbe_core::{PathItem, Quantity, SettingsError, Unit, positive};
-use abbe_thermal::{History, SensorLog, possible_temperature};
+use abbe_thermal::possible_temperature;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-use super::{Argument, Family, Functions, Group, Subject, Term};
+use super::thermal_terms::{Along, SeriesLog, ThermalTerms};
+use super::{Family, Functions, Group, Knots, Subject, suits};
 
 /// Errors that follow the temperatures of a log: states that lag behind them (`dzt[T34:1]`, the gain at rest of the state that T34
-/// drives with `time_constant[1]_s`), temperatures themselves (`dzt[T34]`), and slopes along an axis (`EXX[1*T34:1]`) (Soons 1993, 3.4).
+/// drives with `time_constant[1]_s`), temperatures themselves (`dzt[T34]`), slopes along an axis (`EXX[1*T34:1]`), and gains at
+/// positions of an axis (`EYX[at0*T34:1]`) (Soons 1993, 3.4).
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 #[allow(non_snake_case, reason = "units are written as in column names")]
@@ -27,9 +29,16 @@ pub struct Thermal {
     /// Columns of the log that the errors follow at once.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub at_once: Vec<String>,
-    /// The errors grow with the command of their axis, from its zero.
+    /// The errors grow with the command of their axis, from its zero: `EXX[1*T34:1]`.
     #[serde(default, skip_serializing_if = "std::ops::Not::not")]
     pub slope: bool,
+    /// Positions of a linear axis, each with gains of its own: `EYX[at0*T34:1]`, `EYX[at1*T34:1]`, ... Between two of them errors run
+    /// straight. There are none before the first and beyond the last one: commands there are refused.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub positions_mm: Option<Knots>,
+    /// The same for a rotary axis.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub positions_deg: Option<Knots>,
     /// States at the beginning of the log are unknown: `dzt[start:1]` is what the first one adds there.
     #[serde(default, skip_serializing_if = "std::ops::Not::not")]
     pub starts_warm: bool,
@@ -52,12 +61,19 @@ pub struct Thermal {
     /// Longest time between two rows of the log. Default: five times the median.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub longest_gap_s: Option<f64>,
+    /// Column of labels (`day`, `run`): each of its series of measurements has a log of its own, with its own clock, reference and
+    /// beginning, in rows with the same label. Gains and time constants are those of the machine.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub series: Option<String>,
     /// Patterns of coefficients that are zero.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub zero: Vec<String>,
     /// The log itself, by columns, as a calibration keeps it. Without it, that of the stage under `logs` of the machine.
     #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
     pub log: BTreeMap<String, Vec<f64>>,
+    /// The logs by the labels of `series`, as a calibration keeps them.
+    #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
+    pub logs: BTreeMap<String, BTreeMap<String, Vec<f64>>>,
 }
 
 /// Most time constants: states of more than three are hardly ever told apart.
@@ -77,6 +93,7 @@ impl Family for Thermal {
     }
 
     fn check(&self) -> Result<(), SettingsError> {
+        self.along()?;
         if self.inputs.is_empty() && self.at_once.is_empty() {
             return Err(SettingsError::new("inputs", "at least one column, here or under `at_once`, was expected"));
         }
@@ -110,6 +127,14 @@ impl Family for Thermal {
         if self.starts_warm && self.starts_at_rest {
             return Err(SettingsError::new("starts_at_rest", "there is `starts_warm` already"));
         }
+        if let Some(series) = &self.series
+            && Quantity::of_column(series).1 != Quantity::Label
+        {
+            return Err(SettingsError::new(
+                "series",
+                format!("`{series}` is a column of numbers; labels were expected"),
+            ));
+        }
         if self.reference_degC.is_some() && self.reference_until_s.is_some() {
             return Err(SettingsError::new("reference_until_s", "there is `reference_degC` already"));
         }
@@ -125,188 +150,78 @@ impl Family for Thermal {
     }
 
     fn functions(&self, subject: &Subject<'_>) -> Result<Vec<Box<dyn Functions>>, SettingsError> {
-        if self.slope && (subject.location || subject.command == Quantity::Ratio) {
-            return Err(SettingsError::new("slope", "only a motion error of an axis grows with its command"));
-        }
-        if self.slope && !(subject.of == Quantity::Length && subject.command == Quantity::Length) {
-            let message = "the slope of a length along a linear axis was expected (EXX, EYX, ..)";
-            return Err(SettingsError::new("slope", message));
-        }
-        let unit = |name: &String| {
-            let per = self.quantity(name);
-            match (self.slope, per) {
-                (false, _) => Unit { of: subject.of, per: Some((per, 1)) },
-                (true, Quantity::Temperature) => Unit { of: Quantity::PerTemperature, per: None },
-                (true, _) => Unit { of: Quantity::Ratio, per: Some((per, 1)) },
-            }
+        let along = self.along()?;
+        let (setting, what) = match (&along, &self.positions_deg) {
+            (Along::All, _) => ("", ""),
+            (Along::Slope, _) => ("slope", "grows with its command"),
+            (Along::Positions(_), None) => ("positions_mm", "has gains at positions"),
+            (Along::Positions(_), Some(_)) => ("positions_deg", "has gains at positions"),
         };
-        let log = self.sensor_log()?.map(Arc::new);
+        if !setting.is_empty() && (subject.location || subject.command == Quantity::Ratio) {
+            return Err(SettingsError::new(setting, format!("only a motion error of an axis {what}")));
+        }
+        suits(("positions", "positions"), subject, self.positions_mm.is_some(), self.positions_deg.is_some())?;
+        let of = if self.slope { Unit::per(subject.of, subject.command, 1) } else { Unit::of(subject.of) };
+        let unit = |name: &String| match (of, self.quantity(name)) {
+            (Unit { of: Quantity::Length, per: Some((Quantity::Length, _)), .. }, Quantity::Temperature) => {
+                Unit::of(Quantity::PerTemperature)
+            }
+            (of, per) => of.and_per(per),
+        };
+        let place = |label: Option<&str>| subject.labels.iter().position(|own| Some(own.as_str()) == label);
+        let logs: Vec<SeriesLog> = (self.sensor_logs()?.into_iter())
+            .map(|(label, log)| SeriesLog { label: label.map(str::to_owned), place: place(label), log })
+            .collect();
         let sensors = |names: &[String]| -> Vec<usize> {
             let names = names.iter();
-            names.filter_map(|name| log.as_ref().and_then(|log| log.sensor(name).ok())).collect()
+            names.filter_map(|name| logs.first().and_then(|own| own.log.sensor(name).ok())).collect()
         };
         Ok(vec![Box::new(ThermalTerms {
             inputs: self.inputs.iter().map(|name| (name.clone(), unit(name))).collect(),
             at_once: self.at_once.iter().map(|name| (name.clone(), unit(name))).collect(),
             sensors: [sensors(&self.inputs), sensors(&self.at_once)],
             time_constants: self.time_constants_s.clone(),
-            slope: self.slope,
-            start: self.starts_warm.then_some(Unit { of: subject.of, per: None }),
+            along,
+            start: self.starts_warm.then_some(of),
             at_rest: self.starts_at_rest,
-            log,
+            series: self.series.clone(),
+            logs,
             histories: RwLock::default(),
         })])
     }
 }
 
-/// States by input and time constant, temperatures, and what states at the beginning add; all are zero where the time, or the log, is
-/// not known.
-#[derive(Debug)]
-pub struct ThermalTerms {
-    /// Names of the inputs, and units of their gains.
-    inputs: Vec<(String, Unit)>,
-    at_once: Vec<(String, Unit)>,
-    /// Their places in the log.
-    sensors: [Vec<usize>; 2],
-    /// Nominal time constants, s.
-    time_constants: Vec<f64>,
-    slope: bool,
-    /// Unit of states at the beginning, if they are unknown.
-    start: Option<Unit>,
-    /// States begin with the first readings.
-    at_rest: bool,
-    log: Option<Arc<SensorLog>>,
-    /// States over the log, of the time constants that were needed last.
-    histories: RwLock<Vec<Known>>,
-}
+/// Fewest positions: errors run straight between two.
+const FEWEST: usize = 2;
 
-/// Sensor, bits of the time constant, and the states.
-type Known = ((usize, u64), Arc<History>);
-
-/// States that are kept: those of a step of an iteration and of its derivatives by differences.
-const KEPT: usize = 16;
-
-impl ThermalTerms {
-    /// The place of the first time constant among the arguments.
-    fn first(&self) -> usize {
-        1 + usize::from(self.slope)
-    }
-
-    fn history(&self, log: &SensorLog, sensor: usize, time_constant: f64) -> Arc<History> {
-        let key = (sensor, time_constant.to_bits());
-        let of = |known: &Vec<Known>| known.iter().find(|(own, _)| *own == key).map(|(_, history)| history.clone());
-        if let Some(found) = self.histories.read().ok().and_then(|known| of(&known)) {
-            return found;
-        }
-        let made = match self.at_rest {
-            true => History::from_rest(log, sensor, time_constant),
-            false => History::new(log, sensor, time_constant),
+impl Thermal {
+    /// How the errors depend on the command of their axis.
+    fn along(&self) -> Result<Along, SettingsError> {
+        let places = |setting: &str, positions: &Knots| {
+            let places = positions.values().map_err(|error| error.under([PathItem::Key(setting.to_owned())]))?;
+            match places.len() < FEWEST {
+                true => Err(SettingsError::new(setting, format!("{FEWEST} positions at least were expected"))),
+                false => Ok(places),
+            }
         };
-        let made = Arc::new(made);
-        if let Ok(mut known) = self.histories.write()
-            && of(&known).is_none()
-        {
-            known.push((key, made.clone()));
-            let more = known.len().saturating_sub(KEPT * self.inputs.len().max(1));
-            known.drain(..more);
-        }
-        made
-    }
-
-    /// Value and derivative to the logarithm of its time constant of every term, before it is multiplied by the command.
-    fn each(&self, arguments: &[f64], mut put: impl FnMut(usize, [f64; 2], Option<usize>)) {
-        let Some(log) = self.log.as_ref().filter(|_| !arguments[0].is_nan()) else { return };
-        let time_constants = &arguments[self.first()..];
-        let mut place = 0;
-        for &sensor in &self.sensors[0] {
-            for (index, &time_constant) in time_constants.iter().enumerate() {
-                // Iterations may try what is no time.
-                if time_constant > 0.0
-                    && let Ok(state) = self.history(log, sensor, time_constant).at(log, arguments[0])
-                {
-                    put(place, state, Some(index));
-                }
-                place += 1;
-            }
-        }
-        for &sensor in &self.sensors[1] {
-            if let Ok(value) = log.at(sensor, arguments[0]) {
-                put(place, [value, 0.0], None);
-            }
-            place += 1;
-        }
-        if self.start.is_some() {
-            for (index, &time_constant) in time_constants.iter().enumerate().filter(|(_, time)| **time > 0.0) {
-                let a = (arguments[0] - log.times()[0]) / time_constant;
-                put(place + index, [(-a).exp(), a * (-a).exp()], Some(index));
+        match (&self.positions_mm, &self.positions_deg, self.slope) {
+            (None, None, false) => Ok(Along::All),
+            (None, None, true) => Ok(Along::Slope),
+            (Some(_), Some(_), _) => Err(SettingsError::new("positions_deg", "there is `positions_mm` already")),
+            (_, _, true) => Err(SettingsError::new("slope", "there are gains at positions already")),
+            (Some(mm), ..) => places("positions_mm", mm).map(Along::Positions),
+            (_, Some(deg), _) => {
+                let places = places("positions_deg", deg)?;
+                Ok(Along::Positions(places.into_iter().map(f64::to_radians).collect()))
             }
         }
     }
 
-    fn lever(&self, arguments: &[f64]) -> f64 {
-        if self.slope { arguments[1] } else { 1.0 }
-    }
-}
-
-impl Functions for ThermalTerms {
-    fn arguments(&self) -> Vec<Argument> {
-        let unit = Unit { of: Quantity::Time, per: None };
-        let shapes = (self.time_constants.iter().enumerate())
-            .map(|(index, time)| Argument::SharedShape(format!("time_constant[{}]_s", index + 1), *time, unit));
-        let command = self.slope.then_some(Argument::Command);
-        std::iter::once(Argument::Time).chain(command).chain(shapes).collect()
-    }
-
-    fn terms(&self) -> Vec<Term> {
-        let slope = if self.slope { "1*" } else { "" };
-        let term = |suffix: String, unit: Unit| Term { unit: Some(unit), ..Term::new(suffix, 0) };
-        let mut terms = Vec::new();
-        for (name, unit) in &self.inputs {
-            let states = 1..=self.time_constants.len();
-            terms.extend(states.map(|index| term(format!("[{slope}{name}:{index}]"), *unit)));
-        }
-        terms.extend(self.at_once.iter().map(|(name, unit)| term(format!("[{slope}{name}]"), *unit)));
-        if let Some(unit) = self.start {
-            let unit = if self.slope { Unit { of: Quantity::Ratio, per: None } } else { unit };
-            let states = 1..=self.time_constants.len();
-            terms.extend(states.map(|index| term(format!("[{slope}start:{index}]"), unit)));
-        }
-        terms
-    }
-
-    fn values(&self, arguments: &[f64], out: &mut [f64]) {
-        out.fill(0.0);
-        let lever = self.lever(arguments);
-        self.each(arguments, |place, [value, _], _| out[place] = lever * value);
-    }
-
-    fn slopes(&self, by: usize, arguments: &[f64], out: &mut [f64]) {
-        out.fill(0.0);
-        if self.slope && by == 1 {
-            return self.each(arguments, |place, [value, _], _| out[place] = value);
-        }
-        let Some(wanted) = by.checked_sub(self.first()) else { return };
-        let factor = self.lever(arguments) / arguments[by];
-        self.each(arguments, |place, [_, slope], index| {
-            if index == Some(wanted) {
-                out[place] = factor * slope;
-            }
-        });
-    }
-
-    fn refused(&self, arguments: &[f64]) -> Option<String> {
-        if arguments[self.first()..].iter().any(|time| *time <= 0.0) {
-            return Some("a time constant is above 0 s".to_owned());
-        }
-        let log = self.log.as_ref().filter(|_| !arguments[0].is_nan())?;
-        let (first, last) = (log.times()[0], log.times()[log.times().len() - 1]);
-        let outside = !(first..=last).contains(&arguments[0]);
-        outside.then(|| {
-            format!(
-                "the time {} s is outside the log of temperatures, which goes from {first} s to {last} s",
-                arguments[0]
-            )
-        })
+    /// What the bracket of a coefficient of this line says without the place on the axis: `T34:1` for `1*T34:1` or `at0*T34:1`; none
+    /// if the line has no such place.
+    pub fn without_place<'a>(&self, bracket: &'a str) -> Option<&'a str> {
+        let along = self.along().ok()?;
+        (0..along.places()).find_map(|place| bracket.strip_prefix(along.prefix(place).as_str()))
     }
 }
 
@@ -371,20 +286,91 @@ mod tests {
         let many = values(functions[0].as_ref(), &[500.0, -300.0, 250.0]);
         assert!((one[1] - (-2.0_f64).exp()).abs() < 1e-15);
         assert!(one.iter().zip(many).all(|(one, many)| (-300.0 * one - many).abs() < 1e-10));
-        assert!(thermal.functions(&subject(Quantity::Angle, Quantity::Length)).is_err());
         assert!(thermal.functions(&subject(Quantity::Length, Quantity::Ratio)).is_err());
+        let location = Subject { location: true, ..subject(Quantity::Angle, Quantity::Length) };
+        assert!(thermal.functions(&location).is_err());
+    }
+
+    #[test]
+    fn units_of_slopes() {
+        let thermal = |extra: serde_json::Value| {
+            let mut settings = json!({ "thermal": ["ECX"], "inputs": ["T2"], "time_constants_s": [250.0], "starts_warm": true,
+                "log": step() });
+            settings.as_object_mut().expect("a map").extend(extra.as_object().expect("a map").clone());
+            family(settings)
+        };
+        for (of, command, gain, start) in [
+            (Quantity::Length, Quantity::Length, "1/K", "mm/mm"),
+            (Quantity::Angle, Quantity::Length, "rad/(mm K)", "rad/mm"),
+            (Quantity::Angle, Quantity::Angle, "rad/(rad K)", "rad/rad"),
+            (Quantity::Length, Quantity::Angle, "mm/(rad K)", "mm/rad"),
+        ] {
+            let functions = thermal(json!({ "slope": true })).functions(&subject(of, command)).expect("functions");
+            let units = functions[0].terms().into_iter().map(|term| term.unit(of, command).to_string());
+            assert_eq!(units.collect::<Vec<_>>(), [gain, start]);
+        }
+        let at = thermal(json!({ "positions_mm": [0, 50] })).functions(&subject(Quantity::Angle, Quantity::Length));
+        let units = at.expect("functions")[0].terms().into_iter().map(|term| term.unit.expect("a unit").to_string());
+        assert_eq!(units.collect::<Vec<_>>(), ["rad/K", "rad", "rad/K", "rad"]);
+    }
+
+    #[test]
+    fn gains_at_positions_are_interpolated_and_not_beyond() {
+        let thermal =
+            family(json!({ "thermal": ["EYX"], "inputs": ["T2"], "time_constants_s": [250.0], "at_once": ["T1"],
+            "positions_mm": [-100, 50, 300], "log": step() }));
+        let functions = thermal.functions(&subject(Quantity::Length, Quantity::Length)).expect("functions");
+        let functions = functions[0].as_ref();
+        let expected = ["[at0*T2:1]", "[at0*T1]", "[at1*T2:1]", "[at1*T1]", "[at2*T2:1]", "[at2*T1]"];
+        assert_eq!(names(functions), expected);
+        assert_eq!((functions.range(), functions.breaks()), (Some([-100.0, 300.0]), &[50.0][..]));
+        let at_rest =
+            family(json!({ "thermal": ["EYX"], "inputs": ["T2"], "time_constants_s": [250.0], "at_once": ["T1"],
+            "log": step() }));
+        let everywhere = at_rest.functions(&subject(Quantity::Length, Quantity::Length)).expect("functions");
+        let [state, reading] = values(everywhere[0].as_ref(), &[700.0, 250.0])[..] else { panic!("two terms") };
+        for (command, weights) in [
+            (-100.0, [1.0, 0.0, 0.0]),
+            (-40.0, [0.6, 0.4, 0.0]),
+            (50.0, [0.0, 1.0, 0.0]),
+            (100.0, [0.0, 0.8, 0.2]),
+            (300.0, [0.0, 0.0, 1.0]),
+            // The model refuses what is beyond by more than a hundredth of the way.
+            (302.0, [0.0, 0.0, 1.0]),
+        ] {
+            let found = values(functions, &[700.0, command, 250.0]);
+            for (place, weight) in weights.into_iter().enumerate() {
+                assert!((found[2 * place] - weight * state).abs() < 1e-15, "{command}: {found:?}");
+                assert!((found[2 * place + 1] - weight * reading).abs() < 1e-15, "{command}: {found:?}");
+            }
+        }
+        assert_eq!(thermal.without_place("at2*T2:1"), Some("T2:1"));
+        assert_eq!(thermal.without_place("at3*T2:1"), None);
+        assert_eq!(thermal.without_place("T2:1"), None);
+        assert!(thermal.functions(&subject(Quantity::Length, Quantity::Ratio)).is_err());
+        let said =
+            thermal.functions(&subject(Quantity::Length, Quantity::Angle)).expect_err("a rotary axis").to_string();
+        assert!(said.starts_with("positions_mm: the positions of a rotary axis are angles: `positions_deg`"), "{said}");
     }
 
     proptest::proptest! {
         #[test]
         fn slopes_are_those_of_the_values(time in 1.0..999.0_f64, constant in 20.0..5e3_f64, q in -500.0..500.0_f64) {
-            for slope in [false, true] {
-                let thermal = family(json!({ "thermal": ["EXX"], "inputs": ["T1", "T2"], "time_constants_s": [9.0, 250.0],
-                    "slope": slope, "starts_warm": true, "reference_degC": 20.0, "log": step() }));
+            for along in [json!(null), json!({ "slope": true }), json!({ "positions_mm": [-500, -499.5, 120, 500] })] {
+                let mut settings = json!({ "thermal": ["EXX"], "inputs": ["T1", "T2"], "time_constants_s": [9.0, 250.0],
+                    "at_once": ["T2"], "starts_warm": true, "reference_degC": 20.0, "log": step() });
+                let has_command = along.is_object();
+                settings.as_object_mut().expect("a map").extend(along.as_object().cloned().unwrap_or_default());
+                let thermal = family(settings);
                 let functions = thermal.functions(&subject(Quantity::Length, Quantity::Length)).expect("functions");
                 let mut arguments = vec![time];
-                arguments.extend(slope.then_some(q));
+                arguments.extend(has_command.then_some(q));
                 arguments.extend([constant / 10.0, constant]);
+                // Not over a position.
+                let near = |place: &f64| (q - place).abs() < 0.06;
+                if has_command && [-500.0, -499.5, 120.0, 500.0].iter().any(near) {
+                    continue;
+                }
                 for by in 1..arguments.len() {
                     slopes_agree_by(functions[0].as_ref(), by, &arguments, 1e-4 * arguments[by].abs().max(1.0), 1e-5);
                 }
@@ -416,6 +402,22 @@ mod tests {
                 "reference_until_s: there is",
             ),
             (json!({ "thermal": ["dzt"], "at_once": ["T1"], "longest_gap_s": -1 }), "longest_gap_s: "),
+            (
+                json!({ "thermal": ["EYX"], "at_once": ["T1"], "positions_mm": [5] }),
+                "positions_mm: 2 positions at least were expected",
+            ),
+            (
+                json!({ "thermal": ["EYX"], "at_once": ["T1"], "positions_mm": [5, 4] }),
+                "positions_mm[1]: these have to increase",
+            ),
+            (
+                json!({ "thermal": ["EYX"], "at_once": ["T1"], "positions_mm": [5, 6], "slope": true }),
+                "slope: there are gains at positions already",
+            ),
+            (
+                json!({ "thermal": ["EYX"], "at_once": ["T1"], "positions_mm": [5, 6], "positions_deg": [5, 6] }),
+                "positions_deg: there is `positions_mm` already",
+            ),
         ] {
             let family: Thermal = serde_json::from_value(settings).expect("settings");
             let error = family.check().expect_err(expected).to_string();

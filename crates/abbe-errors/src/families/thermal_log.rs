@@ -8,6 +8,9 @@ use abbe_thermal::{Hold, Reference, SensorLog};
 use super::Thermal;
 use crate::log::{self, key};
 
+/// Noise that makes gains smaller by this part is told.
+const TOLD: f64 = 0.01;
+
 impl Thermal {
     /// Takes the log from the data set that has its columns. A log among the data takes the place of one that the settings keep: gains
     /// hold from the reference of the latter, and states begin at rest, because nobody knows what was before.
@@ -17,18 +20,41 @@ impl Thermal {
         let columns: Vec<String> = self.columns().map(str::to_owned).collect();
         let columns: Vec<&str> = columns.iter().map(String::as_str).collect();
         let has_log = data.iter().any(|data| data.is_log);
-        if self.log.is_empty() || has_log {
-            let found = log::with_columns(data, &columns).map_err(|error| error.under([key("thermal")]))?;
-            match (found, self.log.is_empty()) {
-                (Some(found), true) => self.log = log::kept(found, &columns),
-                (Some(found), false) => self.exchange(log::kept(found, &columns))?,
-                (None, true) => return Ok(()),
-                (None, false) => {}
+        match (&self.series, self.is_settled()) {
+            (Some(series), false) => {
+                self.logs = log::by_series(data, &columns, series).map_err(|error| match error.path.is_empty() {
+                    true => error.under([key("thermal")]),
+                    false => error,
+                })?;
             }
+            (_, is_settled) if has_log || !is_settled => {
+                let found = log::with_columns(data, &columns).map_err(|error| error.under([key("thermal")]))?;
+                match (found, is_settled) {
+                    (Some(found), true) => self.exchange(log::kept(found, &columns))?,
+                    (Some(found), false) => self.log = log::kept(found, &columns),
+                    (None, _) => {}
+                }
+            }
+            _ => {}
         }
+        if !self.is_settled() {
+            return Ok(());
+        }
+        self.check_rows(data)?;
+        // What is wrong with it is told now, and not by the first row that needs it.
+        self.sensor_logs().map(drop)
+    }
+
+    /// Whether the log is known.
+    fn is_settled(&self) -> bool {
+        !self.log.is_empty() || !self.logs.is_empty()
+    }
+
+    /// Refuses rows with a column of the log, and rows of a series without a log.
+    fn check_rows(&self, data: &[&Dataset]) -> Result<(), SettingsError> {
         for data in data.iter().filter(|data| !data.is_log) {
+            let file = data.files.first().map_or(String::new(), |file| format!(" ({})", file.display()));
             if let Some(name) = self.columns().find(|name| data.numbers(name).is_some()) {
-                let file = data.files.first().map_or(String::new(), |file| format!(" ({})", file.display()));
                 let message = format!(
                     "the rows{file} have a column `{name}` of their own, and so has the log: which one counts?"
                 );
@@ -36,17 +62,37 @@ impl Thermal {
                     SettingsError::new("thermal", message).help("take it out of the rows: the log gives it by time")
                 );
             }
+            let Some(series) = &self.series else { continue };
+            let Some(labels) = data.labels(series) else {
+                let message =
+                    format!("the rows{file} have no column of labels `{series}`, by which their log is found");
+                return Err(SettingsError::new("series", message));
+            };
+            if let Some(label) = labels.iter().find(|label| !self.logs.contains_key(*label)) {
+                let message = format!("no log has rows with {series} {label}, and the rows{file} have some");
+                return Err(SettingsError::new("series", message).suggest(label, self.logs.keys().map(String::as_str)));
+            }
         }
-        // What is wrong with it is told now, and not by the first row that needs it.
-        self.sensor_log().map(drop)
+        Ok(())
     }
 
     /// Another log in the place of that of the calibration.
     fn exchange(&mut self, log: BTreeMap<String, Vec<f64>>) -> Result<(), SettingsError> {
-        self.references = self.counted_from()?;
+        match (&self.series, self.reference_degC) {
+            (None, _) => self.references = self.counted_from()?,
+            (Some(_), Some(reference)) => {
+                self.references = self.columns().map(|name| (name.to_owned(), reference)).collect();
+            }
+            (Some(series), None) => {
+                let message = format!("each {series} of the calibration counts from a reference of its own");
+                return Err(SettingsError::new("reference_degC", message)
+                    .help("gains hold for another log if all count from the same temperature: state it"));
+            }
+        }
         (self.reference_degC, self.reference_until_s) = (None, None);
         // What the states were when the measurement began is nothing that another log has.
         (self.starts_warm, self.starts_at_rest) = (false, true);
+        (self.series, self.logs) = (None, BTreeMap::new());
         self.log = log;
         Ok(())
     }
@@ -84,11 +130,41 @@ impl Thermal {
         }
     }
 
-    /// What looks like faults of its sensors of temperature, in words.
+    /// What looks like faults of its sensors of temperature, in words, and noise that makes gains small.
     pub fn faults(&self) -> Vec<String> {
-        let Ok(Some(log)) = self.sensor_log() else { return Vec::new() };
-        let is_temperature = |sensor: &usize| self.quantity(&log.names()[*sensor]) == Quantity::Temperature;
-        (0..log.names().len()).filter(is_temperature).flat_map(|sensor| log.faults(sensor)).collect()
+        let Ok(logs) = self.sensor_logs() else { return Vec::new() };
+        let mut faults = Vec::new();
+        for (label, log) in logs {
+            let of = match (&self.series, label) {
+                (Some(series), Some(label)) => format!(" ({series} {label})"),
+                _ => String::new(),
+            };
+            for (sensor, name) in log.names().iter().enumerate() {
+                if self.quantity(name) == Quantity::Temperature {
+                    faults.extend(log.faults(sensor).into_iter().map(|fault| fault + &of));
+                    faults.extend(self.noise(&log, sensor).map(|noise| noise + &of));
+                }
+            }
+        }
+        faults
+    }
+
+    /// What the noise of a sensor does to gains, if that is more than a hundredth.
+    fn noise(&self, log: &SensorLog, sensor: usize) -> Option<String> {
+        let name = &log.names()[sensor];
+        let shortest = self.time_constants_s.first().filter(|_| self.inputs.contains(name));
+        let at_once = self.at_once.contains(name).then_some(0.0);
+        let noise = log.noise(sensor, at_once.or(shortest.copied())?)?;
+        (noise.share > TOLD).then(|| {
+            format!(
+                "{name} scatters by {:.2} K from row to row, and moves by {:.2} K (RMS): gains of what follows it come out too \
+                 small by {:.0} % or more, and the covariance of the estimate does not count that; filter the log, or trust \
+                 the prediction of runs that no estimate has seen",
+                noise.scatter,
+                noise.moves,
+                100.0 * noise.share
+            )
+        })
     }
 
     /// Inputs, then what is followed at once.
@@ -96,13 +172,30 @@ impl Thermal {
         self.inputs.iter().chain(&self.at_once).map(String::as_str)
     }
 
-    /// The log, counted from its reference; none before it is known.
+    /// The log, counted from its reference; none before it is known, and where there is one for each series.
     ///
     /// Fails as [`settle`](Self::settle) does.
     pub fn sensor_log(&self) -> Result<Option<SensorLog>, SettingsError> {
-        if self.log.is_empty() {
-            return Ok(None);
+        if self.log.is_empty() { Ok(None) } else { self.counted(&self.log).map(Some) }
+    }
+
+    /// The logs by the labels of their series; a single one has no label.
+    ///
+    /// Fails as [`settle`](Self::settle) does.
+    pub fn sensor_logs(&self) -> Result<Vec<(Option<&str>, SensorLog)>, SettingsError> {
+        if let Some(log) = self.sensor_log()? {
+            return Ok(vec![(None, log)]);
         }
+        let of = |(label, log): (&'_ String, &BTreeMap<String, Vec<f64>>)| {
+            self.counted(log).map_err(|error| {
+                let series = self.series.as_deref().unwrap_or_default();
+                SettingsError { message: format!("{series} {label}: {}", error.message), ..error }
+            })
+        };
+        self.logs.iter().map(|(label, log)| Ok((Some(label.as_str()), of((label, log))?))).collect()
+    }
+
+    fn counted(&self, log: &BTreeMap<String, Vec<f64>>) -> Result<SensorLog, SettingsError> {
         let reference = match (self.reference_degC, self.reference_until_s) {
             (Some(value), _) => Reference::Value(value),
             _ if !self.references.is_empty() => Reference::Value(0.0),
@@ -110,21 +203,22 @@ impl Thermal {
             (None, None) => Reference::FirstRow,
         };
         let hold = if self.zero_order_hold { Hold::ZeroOrder } else { Hold::FirstOrder };
-        log::sensor_log(&self.elevations(), self.columns(), hold, self.longest_gap_s, reference).map(Some)
+        log::sensor_log(&self.elevations(log), self.columns(), hold, self.longest_gap_s, reference)
     }
 
-    /// Columns of the log, less their own references if they have them.
-    fn elevations(&self) -> BTreeMap<String, Vec<f64>> {
+    /// Columns of a log, less their own references if they have them.
+    fn elevations(&self, log: &BTreeMap<String, Vec<f64>>) -> BTreeMap<String, Vec<f64>> {
         let of = |(header, values): (&String, &Vec<f64>)| {
             let from = self.references.get(Quantity::of_column(header).0).copied().unwrap_or(0.0);
             (header.clone(), values.iter().map(|value| value - from).collect())
         };
-        self.log.iter().map(of).collect()
+        log.iter().map(of).collect()
     }
 
     /// The quantity of a column; temperature before the log is known.
     pub(super) fn quantity(&self, name: &str) -> Quantity {
-        let of = self.log.keys().map(|header| Quantity::of_column(header));
+        let headers = self.log.keys().chain(self.logs.values().flat_map(BTreeMap::keys));
+        let of = headers.map(|header| Quantity::of_column(header));
         of.into_iter().find(|(own, ..)| *own == name).map_or(Quantity::Temperature, |(_, quantity, _)| quantity)
     }
 }

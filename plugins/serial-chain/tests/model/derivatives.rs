@@ -34,6 +34,22 @@ fn commanded(model: &dyn KinematicModel, statuses: &[f64], axis: usize, by: f64)
     moved
 }
 
+/// Adds errors of an axis that follow temperatures: everywhere, with slopes of lengths and angles, and at positions.
+fn thermal(errors: &mut Vec<serde_json::Value>, name: &str, unit: &str, positions: &serde_json::Value) {
+    let rows: Vec<f64> = (0..=40).map(f64::from).collect();
+    let column = |of: &dyn Fn(f64) -> f64| rows.iter().map(|row| of(*row)).collect::<Vec<f64>>();
+    let log = json!({ "time_s": column(&|row| 90.0 * row), "T1_degC": column(&|row| 20.0 + 4.0 * (0.3 * row).sin()),
+        "T2_degC": column(&|row| 20.0 + 0.1 * row) });
+    let symbols = [format!("EX{name}"), format!("EC{name}")];
+    let of = |symbols: &[String], setting: &str, value: serde_json::Value| {
+        json!({ "thermal": symbols, "inputs": ["T1", "T2"], "time_constants_s": [200, 1500], "at_once": ["T2"], (setting): value,
+            "starts_warm": true, "log": log })
+    };
+    errors.push(of(&symbols, "slope", json!(true)));
+    errors.push(of(&symbols, &format!("positions_{unit}"), positions.clone()));
+    errors.push(of(&[format!("EB{name}"), format!("EB0{name}")], "slope", json!(false)));
+}
+
 /// Adds families that have a shape: for every axis all those that it can have.
 fn with_shapes(settings: &mut serde_json::Value, names: &[&str]) {
     let Some(errors) = settings["errors"].as_array_mut() else { return };
@@ -64,6 +80,7 @@ fn with_shapes(settings: &mut serde_json::Value, names: &[&str]) {
         if rotary(name) {
             errors.push(json!({ "fourier": symbols, "orders": [1, 3] }));
         }
+        thermal(errors, name, unit, &if rotary(name) { json!([-125, -20, 60, 125]) } else { json!([-410, -75, 410]) });
     }
     // The polynomials of the machine have the names of the ordinary ones here: these are in the way.
     errors.retain(|line| line.get("polynomial").is_none() && line.get("backlash").is_none());
@@ -131,7 +148,8 @@ fn worst(seeds: std::ops::Range<u64>, evaluation: &str, mm: f64, rad: f64) -> [f
                     // Nothing moves at all by what is small against a micrometre or a nanoradian a unit of effect.
                     let relative_to = largest[part].max(1e-3 * largest[1 - part]).max(1e-6);
                     // A difference over a knot of a periodic error is off by the jump of the second derivative there.
-                    let shape = matches!(*variable, Variable::Parameter(index) if model.info().nominal[index] != 0.0);
+                    let is_wave = |index: usize| model.info().parameters[index].name.ends_with(".wavelength");
+                    let shape = matches!(*variable, Variable::Parameter(index) if is_wave(index));
                     let relative_to = if shape { 1e4 * relative_to } else { relative_to };
                     worst[part] = worst[part].max(deviation / relative_to);
                 }
