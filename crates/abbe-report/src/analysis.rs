@@ -3,7 +3,7 @@
 use std::collections::BTreeMap;
 
 use abbe_core::{AxisKind, Calibration, KinematicModel, Result, Status, StatusRole};
-use abbe_volumetric::{Cause, Known, causes, standing};
+use abbe_volumetric::{Cause, Causes, Known, causes, standing};
 
 use crate::run::{FitResult, Run};
 use crate::words::{groups, meaning, remedy};
@@ -33,8 +33,15 @@ pub struct Analysis {
     /// Number of poses.
     pub poses: usize,
     /// For every pose the nominal tip in the table frame and the error, mm.
-    pub field: Vec<([f64; 3], [f64; 3])>,
+    pub field: Field,
+    /// The statuses of the poses, row by row.
+    statuses: Vec<f64>,
+    /// The parameters of the three largest causes; none with fewer.
+    three: Vec<usize>,
 }
+
+/// Places in the table frame and errors there, mm.
+pub type Field = Vec<([f64; 3], [f64; 3])>;
 
 /// A cause with its name.
 pub struct NamedCause {
@@ -44,10 +51,31 @@ pub struct NamedCause {
     pub meaning: String,
     /// What to do about it.
     pub remedy: &'static str,
+    /// Its parameters: indices into those of the model.
+    pub parameters: Vec<usize>,
     /// Its part.
     pub part: Cause,
     /// The data cannot tell it from other errors.
     pub is_confounded: bool,
+}
+
+impl NamedCause {
+    /// Whether the loss is more than its expanded uncertainty, in either direction.
+    pub fn is_proven(&self) -> bool {
+        self.part.loss.value.abs() > 2.0 * self.part.loss.uncertainty
+    }
+}
+
+/// Whether two estimates are of machines with the same axes and the same status of a pose.
+pub fn same_machine(one: &FitResult, other: &FitResult) -> bool {
+    let axes = |fit: &FitResult| -> Vec<_> {
+        let axes = fit.model.info().axes.iter();
+        axes.map(|axis| (axis.name.clone(), axis.kind, axis.branch, axis.status)).collect()
+    };
+    let columns = |fit: &FitResult| -> Vec<_> {
+        fit.model.info().status.iter().map(|column| (column.name.clone(), column.levels.clone())).collect()
+    };
+    axes(one) == axes(other) && columns(one) == columns(other)
 }
 
 /// How the text of a probable direction of approach is for people.
@@ -80,6 +108,7 @@ impl Analysis {
                 name: group.name.clone(),
                 meaning: meaning(info, group),
                 remedy: remedy(info, group),
+                parameters: group.parameters.clone(),
                 part,
                 is_confounded: group.parameters.iter().any(confounded),
             })
@@ -88,19 +117,37 @@ impl Analysis {
         let three: Vec<usize> = named
             .iter()
             .take(3)
-            .filter_map(|cause| groups.iter().find(|group| group.name == cause.name))
-            .flat_map(|group| group.parameters.clone())
+            .flat_map(|cause| cause.parameters.clone())
             .collect();
-        let without_three = match named.len() > 3 {
-            true => causes(model, calibration, &statuses, &[three])?.causes.first().map(|part| part.without),
-            false => None,
+        let three = if named.len() > 3 { three } else { Vec::new() };
+        let without_three = match three.is_empty() {
+            false => causes(model, calibration, &statuses, &[three.clone()])?.causes.first().map(|part| part.without),
+            true => None,
         };
         let width = info.status.len().max(1);
         let at = statuses.chunks(width).nth(found.at).map_or(String::new(), |status| place(model, &grid, status));
         let (rms, largest, unknown) = (found.rms, found.largest, found.unknown);
         let poses = statuses.len() / width;
         let field = found.field;
-        Ok(Some(Self { field, rms, largest, at, unknown, causes: named, without_three, travel: grid.text(), poses }))
+        let (causes, travel) = (named, grid.text());
+        Ok(Some(Self { rms, largest, at, unknown, causes, without_three, travel, poses, field, statuses, three }))
+    }
+
+    /// The statuses of the poses, row by row.
+    pub fn statuses(&self) -> &[f64] {
+        &self.statuses
+    }
+
+    /// The parameters of the three largest causes; none where there are not more.
+    pub fn three(&self) -> &[usize] {
+        &self.three
+    }
+
+    /// The volumetric error of another calibration of such a machine at the same poses.
+    ///
+    /// Fails where its model fails.
+    pub fn elsewhere(&self, fit: &FitResult) -> Result<Causes> {
+        causes(fit.model.as_ref(), &fit.calibration, &self.statuses, &[])
     }
 }
 

@@ -7,12 +7,12 @@ use crate::base64::base64;
 use crate::html::{details, escape};
 use crate::run::{FitResult, Run};
 use crate::sections::{
-    budget, causes, compared, correlations, curves, has_lobes, parameters, probe, provenance, residuals, scene, tables,
+    Scene, budget, causes, compared, correlations, curves, has_lobes, history, parameters, probe, provenance, residuals, tables,
     untold, verdict,
 };
 
 const STYLE: &str = include_str!("style.css");
-const SCRIPT: &str = include_str!("script.js");
+const SCRIPT: &str = concat!(include_str!("script.js"), include_str!("viewer.js"));
 
 /// One page about one run, or about several beside each other.
 pub fn page(runs: &[Run]) -> String {
@@ -28,6 +28,7 @@ pub fn page(runs: &[Run]) -> String {
     };
     if runs.len() > 1 {
         part("compared", "Beside each other", &compared(runs));
+        part("history", "From run to run", &history(runs));
     }
     for (number, run) in runs.iter().enumerate() {
         // One run has short names.
@@ -45,18 +46,23 @@ pub fn page(runs: &[Run]) -> String {
         .map(|(run, fit)| (if runs.len() == 1 { fit.name.clone() } else { format!("{}: {}", run.name, fit.name) }, fit))
         .collect();
     part("parameters", "Parameters", &parameters(&named));
+    let mains: Vec<(&str, &FitResult)> =
+        runs.iter().filter_map(|run| Some((run.name.as_str(), main_fit(run)?))).collect();
     for (number, run) in runs.iter().enumerate() {
         let (id, of) = match runs.len() {
             1 => (String::new(), String::new()),
             _ => (format!("{}-", number + 1), format!(", {}", run.name)),
         };
         let main = main_fit(run);
-        part(&format!("{id}residuals"), &format!("Residuals{of}"), &all_residuals(run, main, number == 0));
-        // One viewer a page.
-        if let (0, Some(main)) = (number, main) {
-            let view = scene(main);
-            if !view.is_empty() {
-                part(&format!("{id}scene"), &format!("Where it was measured, {}{of}", main.name), &view);
+        let view = main.map(|main| Scene::of(main, runs.len()));
+        let linked = view.as_ref().map(|view| (number + 1, view));
+        part(&format!("{id}residuals"), &format!("Residuals{of}"), &all_residuals(run, main, linked));
+        if let (Some(view), Some(main)) = (view, main) {
+            // The first viewer shows the fields of the other runs as well.
+            let others = mains.iter().skip(1).filter(|_| number == 0).copied().collect::<Vec<_>>();
+            let html = view.section(number + 1, main, &others);
+            if !html.is_empty() {
+                part(&format!("{id}scene"), &format!("Where it was measured, {}{of}", main.name), &html);
             }
         }
         if let Some(main) = main.filter(|main| !main.model.info().error_functions.is_empty()) {
@@ -83,12 +89,13 @@ pub fn page(runs: &[Run]) -> String {
     whole(&title, runs, &parts, &body)
 }
 
-/// The residuals of all estimates; those of the main one are open.
-fn all_residuals(run: &Run, main: Option<&FitResult>, has_view: bool) -> String {
+/// The residuals of all estimates; those of the main one are open, and linked to its viewer.
+fn all_residuals(run: &Run, main: Option<&FitResult>, view: Option<(usize, &Scene<'_>)>) -> String {
     let is_main = |fit: &FitResult| main.is_some_and(|main| main.name == fit.name);
-    let known = run.fits.iter().filter(|fit| !fit.residuals.rows.is_empty());
-    let html: String =
-        known.map(|fit| details(&fit.name, is_main(fit), &residuals(fit, has_view && is_main(fit)))).collect();
+    let known = run.fits.iter().filter(|fit| !fit.residuals.rows.is_empty() || !fit.calibration.outliers.is_empty());
+    let html: String = known
+        .map(|fit| details(&fit.name, is_main(fit), &residuals(fit, view.filter(|_| is_main(fit)), &run.verdicts)))
+        .collect();
     if html.is_empty() { "<p>No residuals are known.</p>\n".to_owned() } else { html }
 }
 

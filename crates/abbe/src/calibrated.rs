@@ -253,7 +253,7 @@ pub struct Written {
     /// What to print.
     pub text: String,
     /// The files: where, and what.
-    pub files: Vec<(PathBuf, String)>,
+    pub files: Vec<(PathBuf, Vec<u8>)>,
 }
 
 impl Written {
@@ -267,10 +267,10 @@ impl Written {
             };
             Error::data(format!("{} cannot be written: {why}", path.display()))
         };
-        let filled = |(path, text): &(PathBuf, String)| {
+        let filled = |(path, content): &(PathBuf, Vec<u8>)| {
             let folder = path.parent().filter(|folder| !folder.as_os_str().is_empty()).unwrap_or(Path::new("."));
             let mut file = tempfile::Builder::new().prefix(".abbe-").tempfile_in(folder)?;
-            file.write_all(text.as_bytes())?;
+            file.write_all(content)?;
             Ok(file)
         };
         let filled: Vec<_> = (self.files.iter())

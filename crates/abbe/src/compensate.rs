@@ -123,16 +123,16 @@ impl Compensate {
         let path = CompensatedPath::of(model, &calibration, points, &self.settings())?;
         let mut files = Vec::new();
         if let Some(out) = &self.out {
-            files.push((out.clone(), path.set_points_text(model)?));
+            files.push((out.clone(), path.set_points_text(model)?.into_bytes()));
         }
         if let Some(report) = &self.report {
-            files.push((report.clone(), path.errors_text(model)));
+            files.push((report.clone(), path.errors_text(model).into_bytes()));
         }
         let text = if self.json { self.json(model, &path, &files)? } else { self.text(model, &path, &files) };
         Ok(Written { text, files })
     }
 
-    fn json(&self, model: &dyn KinematicModel, path: &CompensatedPath, files: &[(PathBuf, String)]) -> Result<String> {
+    fn json(&self, model: &dyn KinematicModel, path: &CompensatedPath, files: &[(PathBuf, Vec<u8>)]) -> Result<String> {
         let found = figures(&path.corrections);
         let of = |before: f64, after: f64| json!({ "before": before, "after": after });
         let corrections: serde_json::Map<String, Value> = (model.info().axes.iter().enumerate())
@@ -164,7 +164,7 @@ impl Compensate {
         }))
     }
 
-    fn text(&self, model: &dyn KinematicModel, path: &CompensatedPath, files: &[(PathBuf, String)]) -> String {
+    fn text(&self, model: &dyn KinematicModel, path: &CompensatedPath, files: &[(PathBuf, Vec<u8>)]) -> String {
         let found = figures(&path.corrections);
         let axes = &model.info().axes;
         let rows = [

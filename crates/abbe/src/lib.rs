@@ -5,6 +5,7 @@
 //! 129 by a closed terminal (SIGHUP).
 
 mod brief;
+mod browser;
 mod calibrated;
 mod compensate;
 mod correct;
@@ -82,7 +83,8 @@ enum Command {
         /// Folders that `abbe run` wrote, or calibrations.
         #[arg(required = true, value_name = "FOLDER|CALIBRATION")]
         results: Vec<PathBuf>,
-        /// The page to write; nothing is replaced.
+        /// The file to write: `.html`, `.pdf` (printed by an installed browser), `.md` (Markdown, for comments of a CI) or `.csv` (all
+        /// parameters and figures). Nothing is replaced.
         #[arg(long, default_value = "report.html")]
         out: PathBuf,
     },

@@ -1,11 +1,12 @@
 //! The page about a run.
 
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
-use abbe_core::{Registry, Result};
+use abbe_core::{Error, Registry, Result};
 use abbe_engine::{Outcome, REPORT};
-use abbe_report::{Run, page};
+use abbe_report::{Run, csv, markdown, page};
 
+use crate::browser;
 use crate::calibrated::Written;
 use crate::doubts;
 
@@ -27,8 +28,35 @@ pub fn attach(outcome: &mut Outcome) -> Option<Run> {
     }
 }
 
-/// One page about several runs or calibrations.
+/// What results are written as.
+#[derive(Debug, Clone, Copy, PartialEq)]
+enum Format {
+    Page,
+    Paper,
+    Markdown,
+    Table,
+}
+
+impl Format {
+    /// The format that the name of a file asks for.
+    fn of(file: &Path) -> Result<Self> {
+        let ending = file.extension().and_then(|ending| ending.to_str()).unwrap_or_default().to_ascii_lowercase();
+        match ending.as_str() {
+            "html" | "htm" => Ok(Self::Page),
+            "pdf" => Ok(Self::Paper),
+            "md" => Ok(Self::Markdown),
+            "csv" => Ok(Self::Table),
+            _ => {
+                let message = format!("the name of {} does not say what to write", file.display());
+                Err(Error::usage(message).help("end it with .html, .pdf, .md (Markdown) or .csv"))
+            }
+        }
+    }
+}
+
+/// Several runs or calibrations beside each other, in the format that the name of the file asks for.
 pub fn beside(results: &[PathBuf], out: PathBuf, registry: &Registry) -> Result<Written> {
+    let format = Format::of(&out)?;
     let mut runs = Vec::new();
     for path in results {
         let mut run = Run::read(path, registry)?;
@@ -37,5 +65,11 @@ pub fn beside(results: &[PathBuf], out: PathBuf, registry: &Registry) -> Result<
         }
         runs.push(run);
     }
-    Ok(Written { text: format!("Written: {}\n", out.display()), files: vec![(out, page(&runs))] })
+    let content = match format {
+        Format::Page => page(&runs).into_bytes(),
+        Format::Paper => browser::pdf(&page(&runs))?,
+        Format::Markdown => markdown(&runs).into_bytes(),
+        Format::Table => csv(&runs)?.into_bytes(),
+    };
+    Ok(Written { text: format!("Written: {}\n", out.display()), files: vec![(out, content)] })
 }

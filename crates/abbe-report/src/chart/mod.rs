@@ -5,6 +5,7 @@ mod forest;
 mod heat;
 mod hemisphere;
 mod residuals;
+mod trend;
 mod views;
 
 use std::fmt::Write;
@@ -16,7 +17,8 @@ pub use curves::{Curve, curve};
 pub use forest::{ForestRow, forest};
 pub use heat::heat_map;
 pub use hemisphere::hemisphere;
-pub use residuals::{Point, Polar, groups, polar, quantiles, scatter};
+pub use residuals::{Pair, Point, Polar, groups, pairs, polar, quantiles, scatter};
+pub use trend::{Trend, trend};
 pub use views::views;
 
 /// Number of colours and marks that tell series apart.

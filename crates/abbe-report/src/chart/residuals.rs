@@ -62,6 +62,36 @@ pub fn groups(title: &str, unit: &str, groups: &[(String, f64, f64, usize)]) -> 
     canvas.svg()
 }
 
+/// Two values of one size under a name.
+pub struct Pair {
+    /// The name.
+    pub name: String,
+    /// The bar.
+    pub first: f64,
+    /// The mark, if it is known.
+    pub second: Option<f64>,
+}
+
+/// A bar for the first value of each pair, a mark for the second.
+pub fn pairs(title: &str, unit: &str, told: &[Pair]) -> String {
+    let (left, right, top, line) = (130.0, 700.0, 6.0, 15.0);
+    let height = line * told.len() as f64;
+    let mut canvas = Canvas::new(720.0, top + height + 36.0, title);
+    let ends = told.iter().flat_map(|pair| [Some(pair.first), pair.second]).flatten().chain([0.0]);
+    let x = Scale::new(range(ends), [left, right]);
+    canvas.bottom(x, [top + height, top], 6, unit);
+    for (index, pair) in told.iter().enumerate() {
+        let y = top + line * index as f64;
+        canvas.text("e t", [left - 6.0, y + 11.0], &pair.name);
+        canvas.rectangle("bar", [x.at(0.0), y + 3.0, x.at(pair.first) - x.at(0.0), line - 6.0]);
+        if let Some(second) = pair.second {
+            let tip = format!("{}: {} and {} {unit}", pair.name, short(pair.first), short(second));
+            canvas.mark(1, [x.at(second), y + line / 2.0], &tip);
+        }
+    }
+    canvas.svg()
+}
+
 /// Ordered values against the quantiles of the normal distribution. The line is that of values that scatter as stated.
 pub fn quantiles(title: &str, ordered: &[f64]) -> String {
     let (left, right, top, bottom) = (46.0, 312.0, 10.0, 232.0);
@@ -87,8 +117,10 @@ pub fn quantiles(title: &str, ordered: &[f64]) -> String {
 
 /// Residuals around a rotary axis.
 pub struct Polar {
-    /// Name of the axis.
+    /// Name of the axis, or of the axes that go round.
     pub axis: String,
+    /// What the angle is of.
+    pub of: String,
     /// Angles in degrees and values.
     pub points: Vec<(f64, f64)>,
 }
@@ -148,7 +180,7 @@ mod tests {
         insta::assert_snapshot!("scatter", scatter("Residuals", ["row", "µm"], &points, [-1.0, 1.0]));
         insta::assert_snapshot!("groups", groups("By feature", "µm", &[("7".to_owned(), -0.5, 1.25, 3)]));
         insta::assert_snapshot!("quantiles", quantiles("QQ", &[-1.2, -0.1, 0.2, 1.4]));
-        let told = Polar { axis: "C".to_owned(), points: vec![(0.0, 1.0), (90.0, -2.0)] };
+        let told = Polar { axis: "C".to_owned(), of: String::new(), points: vec![(0.0, 1.0), (90.0, -2.0)] };
         insta::assert_snapshot!("polar", polar("Around C", "µm", &told));
     }
 }

@@ -1,6 +1,7 @@
 //! Points in space in three plane views.
 
 use super::{Canvas, Scale, range};
+use crate::subset::subset;
 
 /// Points that are drawn at most.
 const POINTS: usize = 4000;
@@ -17,6 +18,7 @@ pub fn views(title: &str, points: &[([f64; 3], f64)], field: &[([f64; 3], [f64; 
     let ranges = [0, 1, 2].map(|part| range(places().map(|place| place[part])));
     let width = ranges.iter().map(|[from, to]| to - from).fold(1e-9, f64::max);
     let factor = if largest > 0.0 { PART * width / largest } else { 0.0 };
+    let shown = subset(points.len(), POINTS, |_| false);
     for (view, (across, up)) in [(0, 1), (0, 2), (1, 2)].into_iter().enumerate() {
         let left = 44.0 + 248.0 * view as f64;
         let (right, top, bottom) = (left + 196.0, 10.0, 232.0);
@@ -32,9 +34,8 @@ pub fn views(title: &str, points: &[([f64; 3], f64)], field: &[([f64; 3], [f64; 
             let end = [0, 1, 2].map(|part| place[part] + factor * error[part]);
             canvas.line("g e2", [x.at(place[across]), y.at(place[up]), x.at(end[across]), y.at(end[up])]);
         }
-        let every = points.len().div_ceil(POINTS).max(1);
         for (class, sign) in [("s0 p", -1.0), ("s1 p", 1.0)] {
-            let of = points.iter().step_by(every).filter(|(_, value)| (*value < 0.0) == (sign < 0.0));
+            let of = shown.iter().map(|index| &points[*index]).filter(|(_, value)| (*value < 0.0) == (sign < 0.0));
             canvas.dots(class, of.map(|(place, _)| [x.at(place[across]), y.at(place[up])]));
         }
     }

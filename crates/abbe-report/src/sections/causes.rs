@@ -1,7 +1,7 @@
 //! The worst figure, the errors behind it, and what correcting them would gain.
 
-use super::verdict::{judged, used};
-use super::{micrometres, valued};
+use super::micrometres;
+use super::verdict::{judged, told_figure, used};
 use crate::analysis::{Analysis, NamedCause, main_fit};
 use crate::html::{Cell, details, escape, paragraph, table};
 use crate::number::short;
@@ -17,11 +17,11 @@ const HIDDEN: f64 = 0.5;
 pub fn causes(run: &Run) -> String {
     let mut html = "<h3>The worst figure</h3>\n".to_owned();
     if let Some((verdict, figure)) = judged(run).next() {
-        let value = figure.value.map_or("none".to_owned(), |value| valued(value, &figure.unit));
-        let uncertainty =
-            figure.standard_uncertainty.map_or("; its uncertainty is not known".to_owned(), |uncertainty| {
-                format!(" ± {} (k = 2)", valued(2.0 * uncertainty, &figure.unit))
-            });
+        let (value, _) = told_figure(figure);
+        let uncertainty = match figure.standard_uncertainty {
+            Some(_) => " (k = 2)",
+            None => "; its uncertainty is not known",
+        };
         let part = used(figure);
         let percent = if part.is_finite() { format!(", {:.0} % of its limit", part * 100.0) } else { String::new() };
         let of = figure.of.as_ref().map_or(String::new(), |of| format!(" of {of}"));
@@ -117,7 +117,7 @@ fn row(cause: &NamedCause, found: &Analysis) -> Vec<Cell> {
          height=\"8\"/></svg>",
         120.0 * part
     );
-    let loss = format!("{}{}", micrometres(cause.part.loss), if is_sure(cause) { "" } else { " (not proven)" });
+    let loss = format!("{}{}", micrometres(cause.part.loss), if cause.is_proven() { "" } else { " (not proven)" });
     vec![
         Cell::text(format!("{}{mark}", cause.name)),
         Cell::text(&cause.meaning),
@@ -125,13 +125,23 @@ fn row(cause: &NamedCause, found: &Analysis) -> Vec<Cell> {
         Cell::figure(format!("{} µm", short(cause.part.without * 1e3))),
         Cell::figure(loss),
         Cell::Html(bar),
-        Cell::text(if is_sure(cause) { cause.remedy } else { "" }),
+        Cell::text(if cause.is_proven() { cause.remedy } else { "" }),
     ]
 }
 
-/// Whether the loss is more than its expanded uncertainty, in either direction.
-fn is_sure(cause: &NamedCause) -> bool {
-    cause.part.loss.value.abs() > 2.0 * cause.part.loss.uncertainty
+/// A run in the table of several: name, verdict, estimate, RMS volumetric error, largest, largest cause.
+pub fn compared_cells(run: &Run) -> [String; 6] {
+    let (word, _, _) = super::verdict::decided(run);
+    let analysis = main_fit(run).and_then(|fit| Some((fit, Analysis::of(fit).ok().flatten()?)));
+    let [fit, rms, largest, cause] = match &analysis {
+        Some((fit, found)) => {
+            let cause =
+                found.causes.first().map_or(String::new(), |cause| format!("{}: {}", cause.name, cause.meaning));
+            [fit.name.clone(), micrometres(found.rms), micrometres(found.largest), cause]
+        }
+        None => [(); 4].map(|()| String::new()),
+    };
+    [run.name.clone(), word.to_owned(), fit, rms, largest, cause]
 }
 
 /// Several runs beside each other: before and after.
@@ -139,24 +149,8 @@ pub fn compared(runs: &[Run]) -> String {
     let rows = runs.iter().map(|run| {
         let (word, class, _) = super::verdict::decided(run);
         let decision = Cell::Html(format!("<span class=\"{class}\">{word}</span>"));
-        let analysis = main_fit(run).and_then(|fit| Some((fit, Analysis::of(fit).ok().flatten()?)));
-        let cells = match &analysis {
-            Some((fit, found)) => {
-                let cause =
-                    found.causes.first().map_or(String::new(), |cause| format!("{}: {}", cause.name, cause.meaning));
-                [fit.name.clone(), micrometres(found.rms), micrometres(found.largest), cause]
-            }
-            None => [String::new(), String::new(), String::new(), String::new()],
-        };
-        let [fit, rms, largest, cause] = cells;
-        vec![
-            Cell::text(&run.name),
-            decision,
-            Cell::text(fit),
-            Cell::figure(rms),
-            Cell::figure(largest),
-            Cell::text(cause),
-        ]
+        let [name, _, fit, rms, largest, cause] = compared_cells(run);
+        vec![Cell::text(name), decision, Cell::text(fit), Cell::figure(rms), Cell::figure(largest), Cell::text(cause)]
     });
     let head = ["run", "verdict", "estimate", "RMS volumetric error", "largest", "largest cause"];
     table("The runs beside each other; ± is k = 2", &head, &rows.collect::<Vec<_>>())

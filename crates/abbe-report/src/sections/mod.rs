@@ -1,7 +1,10 @@
 //! The parts of the page, from verdict to provenance.
 
+mod around;
 mod causes;
 mod curves;
+mod held_out;
+mod history;
 mod parameters;
 mod probe;
 mod provenance;
@@ -12,17 +15,19 @@ mod uncertainty;
 mod untold;
 mod verdict;
 
-pub use causes::{causes, compared};
+pub use causes::{causes, compared, compared_cells};
 pub use curves::curves;
+pub use history::history;
 pub use parameters::parameters;
 pub use probe::{has_lobes, probe};
 pub use provenance::provenance;
+use residuals::RINGED;
 pub use residuals::residuals;
-pub use scene::{scene, scene_rows};
+pub use scene::Scene;
 pub use tables::tables;
 pub use uncertainty::{budget, correlations};
 pub use untold::untold;
-pub use verdict::{decided, judged, judged_remarks, undetermined, used, verdict};
+pub use verdict::{decided, judged, judged_remarks, told_figure, undetermined, used, verdict};
 
 use crate::number::{short, sized};
 

@@ -2,12 +2,17 @@
 
 use std::collections::{BTreeMap, BTreeSet};
 
-use super::scene_rows;
-use crate::chart::{Point, Polar, SERIES, groups, polar, quantiles, scatter};
+use abbe_core::Verdict;
+
+use super::around::around;
+use super::held_out::held_out;
+use super::Scene;
+use crate::chart::{Point, SERIES, groups, polar, quantiles, scatter};
 use crate::html::{Cell, escape, figure, paragraph, table};
 use crate::number::short;
 use crate::residuals::Residual;
 use crate::run::FitResult;
+use crate::subset::{SEED, subset};
 
 /// Points of a chart; of more, those that stand out and some of the others are shown.
 const POINTS: usize = 4000;
@@ -18,45 +23,72 @@ const GROUPS: usize = 60;
 /// Groups beyond which a column tells rows apart and makes no groups.
 const MOST_GROUPS: usize = 120;
 
-/// Different degrees from which on an axis turns.
-const TURNING: usize = 45;
-
 /// Largest residuals with their places.
 const LARGEST: usize = 15;
 
-/// Standard uncertainties from which a residual is ringed.
-const RINGED: f64 = 4.0;
+/// Outliers that are listed of an estimate without residuals.
+const MOST_OUTLIERS: usize = 60;
 
-/// The charts and tables of one estimate. If the viewer shows it, its rows are links to their points.
-pub fn residuals(fit: &FitResult, is_in_view: bool) -> String {
+/// Standard uncertainties from which a residual is ringed.
+pub const RINGED: f64 = 4.0;
+
+/// The charts and tables of one estimate. Rows that a viewer shows are links to their points; `verdicts` have what was predicted
+/// without its fold.
+pub fn residuals(fit: &FitResult, view: Option<(usize, &Scene<'_>)>, verdicts: &[Verdict]) -> String {
     let mut html = String::new();
     for (is_angle, unit) in [(false, "µm"), (true, "µrad")] {
         let rows: Vec<&Residual> = fit.residuals.rows.iter().filter(|row| row.is_angle == is_angle).collect();
         if !rows.is_empty() {
-            html.push_str(&of_quantity(fit, &rows, unit, is_in_view));
+            html.push_str(&of_quantity(fit, &rows, unit, view));
         }
     }
+    if fit.residuals.rows.is_empty() {
+        html.push_str(&outliers(fit));
+    }
+    html.push_str(&held_out(fit, verdicts));
     if html.is_empty() { paragraph("Its residuals are not known.") } else { html }
 }
 
-fn of_quantity(fit: &FitResult, rows: &[&Residual], unit: &str, is_in_view: bool) -> String {
-    let stages = distinct(rows.iter().map(|row| row.stage.as_str()));
-    let is_outlier = |row: &Residual| {
-        let outliers = &fit.calibration.outliers;
-        outliers.iter().any(|outlier| (&outlier.stage, &outlier.file, outlier.row) == (&row.stage, &row.file, row.row))
+/// The outliers of an estimate whose residuals are not known: of readings that are no geometry.
+fn outliers(fit: &FitResult) -> String {
+    let mut order: Vec<_> = fit.calibration.outliers.iter().collect();
+    order.sort_by(|one, other| other.residual_um.abs().total_cmp(&one.residual_um.abs()));
+    let all = order.len();
+    let rows = order.into_iter().take(MOST_OUTLIERS).map(|outlier| {
+        vec![
+            Cell::text(format!("{}:{} (row {})", outlier.file, outlier.line, outlier.row)),
+            Cell::text(&outlier.stage),
+            Cell::figure(short(outlier.residual_um)),
+            Cell::figure(format!("{:.2}", outlier.weight)),
+        ]
+    });
+    let rows: Vec<Vec<Cell>> = rows.collect();
+    if rows.is_empty() {
+        return String::new();
+    }
+    let caption = match all > rows.len() {
+        true => format!("The {} largest of {all} outliers; all stand in the calibration", rows.len()),
+        false => "Readings that do not agree with the others".to_owned(),
     };
+    table(&caption, &["where", "stage", "residual µm (angles: µrad)", "weight"], &rows)
+}
+
+fn of_quantity(fit: &FitResult, rows: &[&Residual], unit: &str, view: Option<(usize, &Scene<'_>)>) -> String {
+    let stages = distinct(rows.iter().map(|row| row.stage.as_str()));
+    let outliers: BTreeSet<(&str, &str, usize)> = fit
+        .calibration
+        .outliers
+        .iter()
+        .map(|outlier| (outlier.stage.as_str(), outlier.file.as_str(), outlier.row))
+        .collect();
+    let is_outlier = |row: &Residual| outliers.contains(&(row.stage.as_str(), row.file.as_str(), row.row));
     let has_time = rows.iter().all(|row| row.time.is_some());
     let mut size: Vec<f64> = rows.iter().map(|row| row.normalised().abs()).collect();
     size.sort_by(f64::total_cmp);
     // The largest tenth of what is shown is always there.
     let large = size[size.len().saturating_sub(POINTS / 10)];
-    let every = (rows.len() / (POINTS * 9 / 10)).max(1);
-    let shown = |index: &usize| {
-        rows.len() <= POINTS
-            || index.is_multiple_of(every)
-            || rows[*index].normalised().abs() >= large
-            || is_outlier(rows[*index])
-    };
+    let stands_out = |index: usize| rows[index].normalised().abs() >= large || is_outlier(rows[index]);
+    let shown = subset(rows.len(), POINTS, stands_out);
     let point = |index: usize| {
         let row = rows[index];
         let stands_out = is_outlier(row) || row.normalised().abs() > RINGED;
@@ -67,10 +99,10 @@ fn of_quantity(fit: &FitResult, rows: &[&Residual], unit: &str, is_in_view: bool
             tip: if stands_out { format!("{}: {} {unit}", row.place(), short(row.value)) } else { String::new() },
         }
     };
-    let points: Vec<Point> = (0..rows.len()).filter(shown).map(point).collect();
+    let points: Vec<Point> = shown.into_iter().map(point).collect();
     let mut caption = format!("{} residuals of {}", rows.len(), stages.join(", "));
     if points.len() < rows.len() {
-        caption.push_str(&format!("; {} are drawn: the largest, and one in {every} of the others", points.len()));
+        caption.push_str(&format!("; {} are drawn: the largest, and others by chance (seed {SEED})", points.len()));
     }
     caption.push_str(". Ringed: outliers and residuals above four standard uncertainties.");
     if stages.len() > SERIES {
@@ -92,15 +124,12 @@ fn of_quantity(fit: &FitResult, rows: &[&Residual], unit: &str, is_in_view: bool
     html.push_str(&figure(&quantiles(&format!("Quantiles of {}", fit.name), &ordered), caption));
     for told in around(fit, &good) {
         let title = format!("Residuals of {} around {}", fit.name, told.axis);
-        html.push_str(&figure(
-            &polar(&title, unit, &told),
-            "Residuals against the angle of the axis, outwards positive.",
-        ));
+        let caption = format!("Residuals against the angle {}, outwards positive.", told.of);
+        html.push_str(&figure(&polar(&title, unit, &told), &caption));
     }
     html.push_str("</div>\n");
     html.push_str(&by_group(fit, &good, unit));
-    let seen = if is_in_view { scene_rows(fit) } else { Vec::new() };
-    html + &largest(&seen, rows, unit, &is_outlier)
+    html + &largest(view, rows, unit, &is_outlier)
 }
 
 fn distinct<'a>(all: impl Iterator<Item = &'a str>) -> Vec<&'a str> {
@@ -165,36 +194,20 @@ fn by_group(fit: &FitResult, rows: &[&Residual], unit: &str) -> String {
     html
 }
 
-/// Residuals around the rotary axes, of the files in which they turn by many steps.
-fn around(fit: &FitResult, rows: &[&Residual]) -> Vec<Polar> {
-    let mut found = Vec::new();
-    for (index, (axis, _)) in fit.residuals.axes.iter().enumerate().filter(|(_, (_, unit))| unit == "deg") {
-        let mut of_file: BTreeMap<(&str, &str), Vec<(f64, f64)>> = BTreeMap::new();
-        for row in rows.iter().filter(|row| row.commands[index].is_finite()) {
-            of_file.entry((&row.stage, &row.file)).or_default().push((row.commands[index], row.value));
-        }
-        let turns = |at: &Vec<(f64, f64)>| {
-            let steps: BTreeSet<i64> = at.iter().map(|(degrees, _)| degrees.round() as i64).collect();
-            steps.len() >= TURNING
-        };
-        let at: Vec<(f64, f64)> = of_file.into_values().filter(turns).flatten().collect();
-        if at.is_empty() {
-            continue;
-        }
-        let every = (at.len() / POINTS).max(1);
-        let points = at.into_iter().step_by(every).collect();
-        found.push(Polar { axis: axis.clone(), points });
-    }
-    found
-}
-
 /// The largest residuals, in standard uncertainties, with file and line.
-fn largest(seen: &[&Residual], rows: &[&Residual], unit: &str, is_outlier: &dyn Fn(&Residual) -> bool) -> String {
+fn largest(
+    view: Option<(usize, &Scene<'_>)>,
+    rows: &[&Residual],
+    unit: &str,
+    is_outlier: &dyn Fn(&Residual) -> bool,
+) -> String {
     // A row that the viewer shows is a link to it.
-    let place = |row: &Residual| match seen.iter().position(|seen| std::ptr::eq(*seen, row)) {
-        Some(index) => Cell::Html(format!("<a href=\"#point-{index}\">{}</a>", escape(&row.place()))),
-        None => Cell::text(row.place()),
+    let link = |row: &Residual| {
+        let (number, scene) = view?;
+        let index = scene.rows.iter().position(|seen| std::ptr::eq(*seen, row))?;
+        Some(Cell::Html(format!("<a href=\"#point-{number}-{index}\">{}</a>", escape(&row.place()))))
     };
+    let place = |row: &Residual| link(row).unwrap_or_else(|| Cell::text(row.place()));
     let mut order: Vec<&&Residual> = rows.iter().collect();
     order.sort_by(|one, other| other.normalised().abs().total_cmp(&one.normalised().abs()));
     let cells = order.iter().take(LARGEST).map(|row| {

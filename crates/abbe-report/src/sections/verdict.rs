@@ -2,9 +2,10 @@
 
 use abbe_core::{Decision, Figure, Verdict};
 
-use super::{micrometres, valued};
+use super::{micrometres, unit_of, valued};
 use crate::analysis::{Analysis, main_fit};
 use crate::html::{Cell, details, escape, list, paragraph, table};
+use crate::number::with_uncertainty;
 use crate::run::Run;
 
 /// The decision of a run in a word, its class, and a sentence.
@@ -167,15 +168,21 @@ pub fn verdict(run: &Run) -> String {
     html
 }
 
-fn row(verdict: &Verdict, figure: &Figure) -> Vec<Cell> {
+/// Value and limit of a figure with their units; a value with its expanded uncertainty, k = 2, by two digits of which it is rounded.
+pub fn told_figure(figure: &Figure) -> (String, String) {
     let value = match (figure.value, figure.standard_uncertainty) {
         (None, _) => "could not be computed".to_owned(),
-        (Some(value), None) => valued(value, &figure.unit),
-        (Some(value), Some(uncertainty)) => {
-            format!("{} ± {}", valued(value, &figure.unit), valued(2.0 * uncertainty, &figure.unit))
+        (Some(value), Some(uncertainty)) if uncertainty > 0.0 => {
+            let text = with_uncertainty(value, 2.0 * uncertainty);
+            if figure.unit == "1" { text } else { format!("{text} {}", unit_of(&figure.unit)) }
         }
+        (Some(value), _) => valued(value, &figure.unit),
     };
-    let limit = figure.limit.map_or(String::new(), |limit| valued(limit, &figure.unit));
+    (value, figure.limit.map_or(String::new(), |limit| valued(limit, &figure.unit)))
+}
+
+fn row(verdict: &Verdict, figure: &Figure) -> Vec<Cell> {
+    let (value, limit) = told_figure(figure);
     let part = used(figure);
     let (class, word) = match figure.decision {
         Some(Decision::Fail) => ("fail", "✗ fail".to_owned()),
