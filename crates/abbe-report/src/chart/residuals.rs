@@ -179,6 +179,8 @@ mod tests {
         let points = [point(1.0, 0.5, ""), point(2.0, -0.5, ""), point(3.0, 8.0, "a.csv:3")];
         insta::assert_snapshot!("scatter", scatter("Residuals", ["row", "µm"], &points, [-1.0, 1.0]));
         insta::assert_snapshot!("groups", groups("By feature", "µm", &[("7".to_owned(), -0.5, 1.25, 3)]));
+        let pair = |name: &str, second| Pair { name: name.to_owned(), first: 3.0, second };
+        insta::assert_snapshot!("pairs", pairs("Predicted", "µm", &[pair("5", Some(2.5)), pair("8", None)]));
         insta::assert_snapshot!("quantiles", quantiles("QQ", &[-1.2, -0.1, 0.2, 1.4]));
         let told = Polar { axis: "C".to_owned(), of: String::new(), points: vec![(0.0, 1.0), (90.0, -2.0)] };
         insta::assert_snapshot!("polar", polar("Around C", "µm", &told));
