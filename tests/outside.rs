@@ -2,6 +2,8 @@
 //! gate.
 
 mod browser;
+mod driver;
 mod first_error_family;
 mod instruction_sets;
 mod linuxcnc;
+mod page;

@@ -4,7 +4,7 @@ use std::path::Path;
 
 use serde_json::{Value, json};
 
-use crate::support::{Small, as_typed, read, recipes, root, temporary, write};
+use crate::support::{Small, as_typed, program, read, recipes, root, temporary, write};
 
 /// Recipes that show most of what a page can have, and are quick.
 const SHOWN: [&str; 4] = ["tango-hu40t", "ballbar-c600u", "tango-warming", "cylinder-kx8"];
@@ -120,6 +120,90 @@ fn what_is_no_result_is_refused() {
     told(&["report", "out/recipe"], "this is no table of residuals");
 }
 
+/// The name of the file says what is written.
+#[test]
+fn a_report_is_markdown_or_a_table_as_its_name_says() {
+    let small = Small::new();
+    assert_eq!(small.abbe(&["run", "recipe.yaml", "--out", "one"]).status, 0);
+    let moved = small.read("recipe.yaml").replace("max_um: 1000", "max_um: 0.001");
+    small.write("recipe.yaml", &moved);
+    assert_eq!(small.abbe(&["run", "recipe.yaml", "--out", "two"]).status, 3);
+    let report = |more: &[&str]| {
+        let printed = small.abbe(&[&["report"], more].concat());
+        assert_eq!((printed.status, printed.stderr.as_str()), (0, ""), "{more:?}");
+    };
+    report(&["one/recipe", "--out", "one.md"]);
+    insta::assert_snapshot!("markdown", rounded(&small.read("one.md")));
+    report(&["one/recipe", "two/recipe", "--out", "both.md"]);
+    let both = small.read("both.md");
+    assert!(both.starts_with("# 2 calibrations beside each other\n"), "{both}");
+    assert!(both.contains("## ✗ Fail: Eight facets (two/recipe)"), "{both}");
+    report(&["one/recipe", "two/recipe", "--out", "both.csv"]);
+    let table = small.read("both.csv");
+    let header = "run,kind,of,stage,name,value,unit,standard_uncertainty,limit,status";
+    assert_eq!(table.lines().next(), Some(header));
+    // Every parameter with all its digits, and every figure.
+    let calibration: Value = serde_json::from_str(&small.read("one/recipe/fine.calibration.json")).expect("JSON");
+    for known in calibration["parameters"].as_array().expect("a list") {
+        let value = known["value"].as_f64().expect("a number");
+        let begin = format!("one/recipe,parameter,fine,,{},", known["name"].as_str().expect("a name"));
+        let row = table.lines().find_map(|line| line.strip_prefix(&begin)).expect(&begin);
+        assert_eq!(row.split(',').next().and_then(|text| text.parse().ok()), Some(value), "{begin}{row}");
+    }
+    assert!(table.lines().any(|line| line.starts_with("two/recipe,figure,") && line.ends_with(",fail")), "{table}");
+    // What is there stays, and a name that says nothing is refused before anything is read.
+    assert_eq!(small.abbe(&["report", "one/recipe", "--out", "both.csv"]).status, 1);
+    let printed = small.abbe(&["report", "nowhere", "--out", "report.txt"]);
+    assert_eq!(printed.status, 2);
+    assert!(printed.stderr.contains("end it with .html, .pdf, .md (Markdown) or .csv"), "{}", printed.stderr);
+}
+
+/// A browser that is not there, or that is none, is told.
+#[test]
+fn a_browser_that_prints_nothing_is_told() {
+    let small = Small::new();
+    assert_eq!(small.abbe(&["run", "recipe.yaml"]).status, 0);
+    for (browser, status, part) in [
+        ("no-such-browser", 2, "the browser `no-such-browser` does not start"),
+        ("true", 1, "the browser `true` printed no page"),
+    ] {
+        let mut command = program(small.folder.path(), &["report", "out/recipe", "--out", "page.pdf"]);
+        let output = command.env("ABBE_BROWSER", browser).output().expect("it runs");
+        let said = String::from_utf8_lossy(&output.stderr);
+        assert_eq!(output.status.code(), Some(status), "{said}");
+        assert!(said.contains(part) && said.contains("ABBE_BROWSER"), "{said}");
+        assert!(!small.folder.path().join("page.pdf").exists());
+    }
+}
+
+/// Runs of several weeks: what changed is told with its uncertainty, in one travel.
+#[test]
+fn weeks_beside_each_other_have_a_history() {
+    let folder = temporary();
+    let weeks = [1e-5, 1e-5, 2e-4];
+    let mut arguments: Vec<std::ffi::OsString> = vec!["report".into()];
+    for (week, squareness) in weeks.into_iter().enumerate() {
+        let out = folder.path().join(format!("week-{week}"));
+        simulated_into(&out, &json!({ "EC0Y": squareness, "EXX[b]": 1e-3 }), 7 + week as u64, |recipe| recipe);
+        arguments.push(out.join("first-steps").into());
+    }
+    let page = folder.path().join("weeks.html");
+    arguments.extend(["--out".into(), page.clone().into()]);
+    let printed = as_typed(&root(), &arguments);
+    assert_eq!(printed.status, 0, "{}", printed.stderr);
+    let page = read(&page);
+    let history = page.split("<section id=\"history\">").nth(1).expect("a history");
+    let history = history.split("</section>").next().expect("its end");
+    let first =
+        history.split("over its uncertainty").nth(1).and_then(|rest| rest.split("</tr>").nth(1)).expect("a row");
+    assert!(first.contains(">EC0Y µrad<"), "{first}");
+    assert!(history.contains("Volumetric errors in one travel"), "{history}");
+    assert_eq!(page.matches("class=\"viewer\"").count(), 3);
+    for number in 1..=3 {
+        assert!(page.contains(&format!("<section id=\"{number}-scene\">")), "{number}");
+    }
+}
+
 /// The summary shortens; the whole text is there on demand.
 #[test]
 fn verbose_prints_all() {
@@ -147,6 +231,13 @@ fn rounded(text: &str) -> String {
 /// The machine of the first steps with these errors, as a virtual machine measures it; gives page and summary.
 fn simulated(parameters: &Value, seed: u64, change: impl Fn(String) -> String) -> (String, String) {
     let folder = temporary();
+    let summary = simulated_into(folder.path(), parameters, seed, change);
+    (read(&folder.path().join("first-steps/report.html")), summary)
+}
+
+/// The same, with its results in a folder; gives the summary.
+fn simulated_into(results: &Path, parameters: &Value, seed: u64, change: impl Fn(String) -> String) -> String {
+    let folder = temporary();
     let truth = json!({ "parameters": parameters, "noise": { "probing_sigma_mm": 0.0006, "surface_sigma_mm": { "table": 0.0015 } } });
     write(&folder.path().join("truth.json"), &truth.to_string());
     let recipe = recipes()["first-steps"].clone();
@@ -166,8 +257,7 @@ fn simulated(parameters: &Value, seed: u64, change: impl Fn(String) -> String) -
     assert_eq!(printed.status, 0, "{}", printed.stderr);
     let recipe = out.join("first-steps.yaml");
     write(&recipe, &change(read(&recipe)));
-    let summary = run(&recipe, folder.path());
-    (read(&folder.path().join("first-steps/report.html")), summary)
+    run(&recipe, results)
 }
 
 /// The first row of the table of causes.

@@ -114,11 +114,7 @@ impl Analysis {
             })
             .collect();
         named.sort_by(|one, other| other.part.loss.value.total_cmp(&one.part.loss.value));
-        let three: Vec<usize> = named
-            .iter()
-            .take(3)
-            .flat_map(|cause| cause.parameters.clone())
-            .collect();
+        let three: Vec<usize> = named.iter().take(3).flat_map(|cause| cause.parameters.clone()).collect();
         let three = if named.len() > 3 { three } else { Vec::new() };
         let without_three = match three.is_empty() {
             false => causes(model, calibration, &statuses, &[three.clone()])?.causes.first().map(|part| part.without),

@@ -24,5 +24,5 @@ pub use markdown::markdown;
 pub use page::page;
 pub use residuals::{Residual, Residuals};
 pub use run::{Files, FitResult, Run};
+pub use sections::{decided, judged, judged_remarks, micrometres, told_figure, undetermined, used};
 pub use sheet::csv;
-pub use sections::{decided, judged, judged_remarks, micrometres, undetermined, used, valued};

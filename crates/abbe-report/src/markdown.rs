@@ -57,7 +57,9 @@ fn plain(text: &str) -> String {
     for letter in text.chars() {
         match letter {
             '\n' | '\r' | '\t' => shown.push(' '),
-            '\\' | '`' | '*' | '_' | '[' | ']' | '<' | '>' | '|' | '#' | '~' | '&' | '$' => shown.extend(['\\', letter]),
+            '\\' | '`' | '*' | '_' | '[' | ']' | '<' | '>' | '|' | '#' | '~' | '&' | '$' => {
+                shown.extend(['\\', letter])
+            }
             '\u{202a}'..='\u{202e}' | '\u{2066}'..='\u{2069}' => shown.push('\u{fffd}'),
             letter if letter.is_control() => {}
             letter => shown.push(letter),
@@ -178,7 +180,10 @@ mod tests {
     #[test]
     fn nothing_from_files_becomes_markup() {
         assert_eq!(plain("a|b\n<img> `c` [d](e)_\u{202e}"), "a\\|b \\<img\\> \\`c\\` \\[d\\](e)\\_\u{fffd}");
-        assert_eq!(table(&["one", "two"], &[vec!["1|".to_owned(), "2".to_owned()]]), "| one | two |\n|---|---|\n| 1\\| | 2 |\n");
+        assert_eq!(
+            table(&["one", "two"], &[vec!["1|".to_owned(), "2".to_owned()]]),
+            "| one | two |\n|---|---|\n| 1\\| | 2 |\n"
+        );
         assert_eq!(table(&["one"], &[]), "");
         assert_eq!(listed("All", &["a".to_owned(), "b".to_owned()], 1), "### All\n\n- a\n- 1 more in the report\n\n");
     }

@@ -7,8 +7,8 @@ use crate::base64::base64;
 use crate::html::{details, escape};
 use crate::run::{FitResult, Run};
 use crate::sections::{
-    Scene, budget, causes, compared, correlations, curves, has_lobes, history, parameters, probe, provenance, residuals, tables,
-    untold, verdict,
+    Scene, budget, causes, compared, correlations, curves, has_lobes, history, parameters, probe, provenance,
+    residuals, tables, untold, verdict,
 };
 
 const STYLE: &str = include_str!("style.css");
@@ -181,7 +181,7 @@ mod tests {
             assert!(page.contains(part), "{part}: {page}");
         }
         assert!(page.contains("<title>A spindle &amp; its &quot;growth&quot;</title>"));
-        assert!(!page.contains("NaN") && !page.contains("id=\"viewer\""));
+        assert!(!page.contains("NaN") && !page.contains("class=\"viewer\""));
         assert_eq!(super::page(std::slice::from_ref(&run)), page);
     }
 

@@ -30,7 +30,7 @@ function motion(axis, command) {
 class Machine {
   constructor(data, low, high) {
     Object.assign(this, data);
-    const size = Math.max(1, Math.hypot(...sum(high, low, -1)) / 2, this.length ?? 0);
+    const size = Math.max(1, 0.7 * Math.hypot(...sum(high, low, -1)), this.length ?? 0);
     this.size = size;
     this.commands = this.axes.map((axis) => Math.min(Math.max(0, axis.range[0]), axis.range[1]) / (axis.turns ? 180 / Math.PI : 1));
     // Axes from the bed to the tool, and from the bed to the workpiece.
@@ -207,7 +207,7 @@ function view(box) {
   const three = (all, i) => [all[3 * i], all[3 * i + 1], all[3 * i + 2]];
 
   const with_machine = () => machine !== null && part("machine").checked;
-  let around = -0.6, up = 0.35, zoom = 1, picked = -1;
+  let around = -0.6, up = 0.35, zoom = 1.35, picked = -1;
   const turn = () => {
     const [c, s, d, t] = [Math.cos(around), Math.sin(around), Math.cos(up), Math.sin(up)];
     // Columns: where X, Y and Z of the table go; Z stands up.
@@ -259,7 +259,7 @@ function view(box) {
       }
     const [from, to] = [volume.axes[k].at[before], volume.axes[k].at[before + 1]];
     const others = volume.others ? `, ${volume.others}` : "";
-    tell_slice(`${volume.axes[k].name} ${(from + (to - from) * (where - before)).toFixed(0)} mm${others}: error ` +
+    tell_slice(`${volume.axes[k].name} ${Math.round(from + (to - from) * (where - before)) + 0} mm${others}: error ` +
       `${(near[0] * 1000).toPrecision(3)} to ${(far[0] * 1000).toPrecision(3)} µm`);
   };
   const tell_slice = (text) => part("at") && tell("at", text);

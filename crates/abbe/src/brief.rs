@@ -6,7 +6,7 @@ use std::path::Path;
 
 use abbe_report::number::short;
 use abbe_report::{
-    Analysis, FitResult, Run, decided, judged, judged_remarks, main_fit, micrometres, undetermined, used, valued,
+    Analysis, FitResult, Run, decided, judged, judged_remarks, main_fit, micrometres, told_figure, undetermined, used,
 };
 
 /// Lines of each part: figures with limits, estimates, what is lost, remarks, failures.
@@ -16,7 +16,7 @@ const LOST: usize = 2;
 const REMARKS: usize = 2;
 const FAILURES: usize = 3;
 const CAUSES: usize = 3;
-const SAID: usize = 2;
+const SAID: usize = 6;
 
 /// Width of what is no terminal.
 const WIDTH: usize = 120;
@@ -98,8 +98,9 @@ fn figures(run: &Run) -> Vec<String> {
     let all: Vec<_> = judged(run).collect();
     let told = all.iter().take(FIGURES).map(|(verdict, figure)| {
         let of = figure.of.as_ref().map_or(String::new(), |of| format!(" of {of}"));
-        let value = figure.value.map_or("none".to_owned(), |value| valued(value, &figure.unit));
-        let limit = figure.limit.map_or(String::new(), |limit| format!(", limit {}", valued(limit, &figure.unit)));
+        let (value, limit) = told_figure(figure);
+        let value = if value.contains('±') { format!("{value} (k = 2)") } else { value };
+        let limit = if limit.is_empty() { limit } else { format!(", limit {limit}") };
         let part = used(figure);
         let part = if part.is_finite() { format!(" ({:.0} %)", part * 100.0) } else { String::new() };
         let decision = figure.decision.map_or(String::new(), |decision| decision.to_string());
@@ -110,10 +111,18 @@ fn figures(run: &Run) -> Vec<String> {
     lines
 }
 
-/// The first remark of each verdict on a machine or tool that has one.
+/// Remarks of verdicts on a machine or tool: the first of each, then the second of each, and so on.
 fn said(run: &Run) -> Vec<String> {
-    let first = judged_remarks(run).filter_map(|(verdict, remarks)| Some((verdict, remarks.first()?)));
-    first.take(SAID).map(|(verdict, remark)| format!("  {}: {remark}", verdict.stage)).collect()
+    let all: Vec<(&str, &[String])> =
+        judged_remarks(run).map(|(verdict, remarks)| (verdict.stage.as_str(), remarks)).collect();
+    let longest = all.iter().map(|(_, remarks)| remarks.len()).max().unwrap_or(0);
+    let in_turn =
+        (0..longest).flat_map(|turn| all.iter().filter_map(move |(stage, said)| Some((stage, said.get(turn)?))));
+    let mut lines: Vec<String> = in_turn.map(|(stage, remark)| format!("  {stage}: {remark}")).collect();
+    let count = lines.len();
+    lines.truncate(SAID);
+    more(&mut lines, count, SAID);
+    lines
 }
 
 /// The volumetric error of an estimate and its largest causes.

@@ -24,11 +24,18 @@ const SAID: u64 = 4000;
 pub fn pdf(page: &str) -> Result<Vec<u8>> {
     let failed = |error: std::io::Error| Error::data(format!("the page cannot be printed: {error}"));
     let folder = tempfile::tempdir().map_err(failed)?;
-    let [source, paper, profile, log] = ["page.html", "page.pdf", "profile", "log"].map(|name| folder.path().join(name));
+    let [source, paper, profile, log] =
+        ["page.html", "page.pdf", "profile", "log"].map(|name| folder.path().join(name));
     std::fs::File::create(&source).and_then(|mut file| file.write_all(page.as_bytes())).map_err(failed)?;
     let name = program()?;
     let mut command = Command::new(&name);
-    command.args(["--headless", "--disable-gpu", "--no-first-run", "--disable-background-networking", "--disable-sync"]);
+    command.args([
+        "--headless",
+        "--disable-gpu",
+        "--no-first-run",
+        "--disable-background-networking",
+        "--disable-sync",
+    ]);
     command.args(["--disable-component-update", "--disable-extensions", "--host-resolver-rules=MAP * ~NOTFOUND"]);
     command.args(["--no-pdf-header-footer", "--run-all-compositor-stages-before-draw", "--virtual-time-budget=4000"]);
     if is_root(folder.path()) {
@@ -40,9 +47,9 @@ pub fn pdf(page: &str) -> Result<Vec<u8>> {
     command.arg(format!("file://{}", source.display()));
     let told = std::fs::File::create(&log).map_err(failed)?;
     command.stdin(Stdio::null()).stdout(Stdio::null()).stderr(told);
-    let mut browser = command.spawn().map_err(|error| {
-        Error::usage(format!("the browser `{name}` does not start: {error}")).help(help())
-    })?;
+    let mut browser = command
+        .spawn()
+        .map_err(|error| Error::usage(format!("the browser `{name}` does not start: {error}")).help(help()))?;
     let began = Instant::now();
     let status = loop {
         if let Some(status) = browser.try_wait().map_err(failed)? {

@@ -40,7 +40,8 @@ impl Correct {
         self.check_patterns(model)?;
         let points = SetPoints::read_at(&self.points, model, time)?;
         let found = MeasuredPoints::of(model, &calibration, points, self.largest_correction_mm)?;
-        let files = self.out.iter().map(|out| Ok((out.clone(), found.text()?.into_bytes()))).collect::<Result<Vec<_>>>()?;
+        let files =
+            self.out.iter().map(|out| Ok((out.clone(), found.text()?.into_bytes()))).collect::<Result<Vec<_>>>()?;
         let corrections = found.corrections();
         let is_left_out = |name: &str| self.without.iter().any(|pattern| matches(pattern, name));
         let cost = match self.without.is_empty() {

@@ -7,7 +7,7 @@ use abbe_engine::{Outcome, REPORT};
 use abbe_report::{Run, csv, markdown, page};
 
 use crate::browser;
-use crate::calibrated::Written;
+use crate::calibrated::{Written, is_free};
 use crate::doubts;
 
 /// Adds the page, and the residuals that it is made of, to the results. None, with a warning, if it cannot be made: that
@@ -57,6 +57,7 @@ impl Format {
 /// Several runs or calibrations beside each other, in the format that the name of the file asks for.
 pub fn beside(results: &[PathBuf], out: PathBuf, registry: &Registry) -> Result<Written> {
     let format = Format::of(&out)?;
+    is_free(&out)?;
     let mut runs = Vec::new();
     for path in results {
         let mut run = Run::read(path, registry)?;

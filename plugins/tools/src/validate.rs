@@ -185,6 +185,13 @@ impl Tools {
         judged.iter().for_each(|it| *counts.entry(it.name).or_default() += 1);
         let counted: Vec<String> = counts.iter().map(|(name, count)| format!("{count} {}", name.text())).collect();
         let mut remarks = vec![format!("{} verdicts: {}", judged.len(), counted.join(", "))];
+        let locked = tables::locked(&store.record, judged, &self.settings.lock);
+        let list = locked.iter().map(|it| format!("{} ({}, session {})", it.tool, it.reason, it.session));
+        let list: Vec<String> = list.collect();
+        remarks.push(match list.is_empty() {
+            true => "no tool is locked".to_owned(),
+            false => format!("locked: {}", list.join(", ")),
+        });
         for it in judged {
             let check = &store.record.checks[it.check];
             if let Some(other) = &it.looks_like {
@@ -198,13 +205,6 @@ impl Tools {
                 ));
             }
         }
-        let locked = tables::locked(&store.record, judged, &self.settings.lock);
-        let list = locked.iter().map(|it| format!("{} ({}, session {})", it.tool, it.reason, it.session));
-        let list: Vec<String> = list.collect();
-        remarks.push(match list.is_empty() {
-            true => "no tool is locked".to_owned(),
-            false => format!("locked: {}", list.join(", ")),
-        });
         remarks
     }
 }

@@ -127,10 +127,10 @@ pub struct Polar {
 
 /// Values around a circle whose radius stands for zero.
 pub fn polar(title: &str, unit: &str, told: &Polar) -> String {
-    let middle = 150.0;
+    let middle = 164.0;
     let most = told.points.iter().map(|(_, value)| value.abs()).fold(1e-9, f64::max);
     let radius = |value: f64| 75.0 + value / most * 55.0;
-    let mut canvas = Canvas::new(300.0, 318.0, title);
+    let mut canvas = Canvas::new(328.0, 336.0, title);
     for (class, value) in [("g", most), ("a", 0.0), ("g", -most)] {
         canvas.ring(&format!("{class} h"), [middle, middle], radius(value), "");
     }
@@ -148,7 +148,7 @@ pub fn polar(title: &str, unit: &str, told: &Polar) -> String {
     };
     canvas.dots("s0 p", told.points.iter().map(at));
     let text = format!("{}: rings at 0 and ± {} {unit}", told.axis, super::tick_label(most));
-    canvas.text("m l", [middle, 312.0], &text);
+    canvas.text("m l", [middle, 330.0], &text);
     canvas.svg()
 }
 
@@ -179,6 +179,8 @@ mod tests {
         let points = [point(1.0, 0.5, ""), point(2.0, -0.5, ""), point(3.0, 8.0, "a.csv:3")];
         insta::assert_snapshot!("scatter", scatter("Residuals", ["row", "µm"], &points, [-1.0, 1.0]));
         insta::assert_snapshot!("groups", groups("By feature", "µm", &[("7".to_owned(), -0.5, 1.25, 3)]));
+        let pair = |name: &str, second| Pair { name: name.to_owned(), first: 3.0, second };
+        insta::assert_snapshot!("pairs", pairs("Predicted", "µm", &[pair("5", Some(2.5)), pair("8", None)]));
         insta::assert_snapshot!("quantiles", quantiles("QQ", &[-1.2, -0.1, 0.2, 1.4]));
         let told = Polar { axis: "C".to_owned(), of: String::new(), points: vec![(0.0, 1.0), (90.0, -2.0)] };
         insta::assert_snapshot!("polar", polar("Around C", "µm", &told));

@@ -1,5 +1,7 @@
 //! The worst figure, the errors behind it, and what correcting them would gain.
 
+use abbe_core::FitReport;
+
 use super::micrometres;
 use super::verdict::{judged, told_figure, used};
 use crate::analysis::{Analysis, NamedCause, main_fit};
@@ -29,7 +31,7 @@ pub fn causes(run: &Run) -> String {
     }
     let Some(fit) = main_fit(run) else { return html + &paragraph("There is no estimate.") };
     match Analysis::of(fit) {
-        Ok(Some(found)) => html + &told(&fit.name, &found, fit.calibration.fit.residual_rms_um),
+        Ok(Some(found)) => html + &told(&fit.name, &found, &fit.calibration.fit),
         Ok(None) => {
             html + &paragraph(&format!(
                 "{} has no errors of axes in a known travel, so there is no volumetric error and no share of causes; its values stand \
@@ -41,7 +43,8 @@ pub fn causes(run: &Run) -> String {
     }
 }
 
-fn told(fit: &str, found: &Analysis, residual_rms_um: f64) -> String {
+fn told(fit: &str, found: &Analysis, report: &FitReport) -> String {
+    let (residual_rms_um, is_open) = (report.residual_rms_um, !report.null_space.is_empty());
     let mut html = format!(
         "<p>Largest volumetric error by <b>{}</b>: <b>{}</b> at {}. Root mean square {} (k = 2) over {} poses in {}.</p>\n",
         escape(fit),
@@ -106,6 +109,11 @@ fn told(fit: &str, found: &Analysis, residual_rms_um: f64) -> String {
         short(found.unknown * 1e3),
         short(residual_rms_um)
     )));
+    if is_open {
+        html.push_str(&paragraph(
+            "What the data cannot tell (below) is in none of these figures: it can be as large as you like. Measure it first.",
+        ));
+    }
     html
 }
 

@@ -67,7 +67,8 @@ pub fn history(runs: &[Run]) -> String {
     )));
     let rows: Vec<Vec<Cell>> = courses.iter().map(row).collect();
     let head = ["parameter", "first", "last", "change", "over its uncertainty"];
-    let caption = "Changes from the first run to the last, the surest first; ± is the standard uncertainty, of the change k = 2";
+    let caption =
+        "Changes from the first run to the last, the surest first; ± is the standard uncertainty, of the change k = 2";
     let (first, more) = (rows.len().min(FIRST), rows.len().saturating_sub(FIRST));
     html.push_str(&table(caption, &head, &rows[..first]));
     if more > 0 {

@@ -4,9 +4,9 @@ use std::collections::{BTreeMap, BTreeSet};
 
 use abbe_core::Verdict;
 
+use super::Scene;
 use super::around::around;
 use super::held_out::held_out;
-use super::Scene;
 use crate::chart::{Point, SERIES, groups, polar, quantiles, scatter};
 use crate::html::{Cell, escape, figure, paragraph, table};
 use crate::number::short;

@@ -4,7 +4,7 @@ use abbe_core::{Decision, Figure, Verdict};
 
 use super::{unit_of, valued};
 use crate::html::{Cell, details, list, paragraph, table};
-use crate::number::short;
+use crate::number::{short, with_uncertainty};
 use crate::run::{FitResult, Run};
 
 /// The section: one table a validator, one for the fits.
@@ -73,7 +73,11 @@ fn figures(verdict: &Verdict) -> String {
     let rows: Vec<Vec<Cell>> = rows.collect();
     let mut head = vec!["figure"];
     head.extend(&estimates);
-    let mut html = if rows.is_empty() { String::new() } else { table(&verdict.stage, &head, &rows) };
+    let mut html = if rows.is_empty() {
+        String::new()
+    } else {
+        table(&format!("{}; ± is the standard uncertainty", verdict.stage), &head, &rows)
+    };
     if left > 0 {
         html.push_str(&paragraph(&format!("{left} details stand in verdicts.json.")));
     }
@@ -86,10 +90,12 @@ fn cell(figure: &Figure) -> String {
         Some(Decision::Inconclusive) => " ?",
         _ => "",
     };
-    let value = figure.value.map_or("none".to_owned(), |value| match figure.unit.as_str() {
-        "1" => valued(value, "1"),
-        _ => short(value),
-    });
+    let value = match (figure.value, figure.standard_uncertainty) {
+        (None, _) => "none".to_owned(),
+        (Some(value), Some(uncertainty)) if uncertainty > 0.0 => with_uncertainty(value, uncertainty),
+        (Some(value), _) if figure.unit == "1" => valued(value, "1"),
+        (Some(value), _) => short(value),
+    };
     let limit = figure.limit.map_or(String::new(), |limit| format!(" (limit {})", short(limit)));
     format!("{value}{limit}{mark}")
 }

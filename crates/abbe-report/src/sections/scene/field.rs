@@ -143,12 +143,7 @@ fn errors(model: &dyn KinematicModel, calibration: &Calibration, statuses: &[f64
 }
 
 /// The field before and after corrections, and in other runs of such a machine.
-pub fn shown(
-    fit: &FitResult,
-    found: &Analysis,
-    volume: Option<&Volume>,
-    others: &[(&str, &FitResult)],
-) -> Vec<Shown> {
+pub fn shown(fit: &FitResult, found: &Analysis, volume: Option<&Volume>, others: &[(&str, &FitResult)]) -> Vec<Shown> {
     let mut all = Vec::new();
     let mut add = |name: String, fit: &FitResult, calibration: &Calibration| {
         let model = fit.model.as_ref();

@@ -135,7 +135,8 @@ impl Link {
                 let (sine, cosine) = by.sin_cos();
                 let arm = [0, 1, 2].map(|part| at[part] - self.point[part]);
                 let along = dot(u, arm) * (1.0 - cosine);
-                let across = [u[1] * arm[2] - u[2] * arm[1], u[2] * arm[0] - u[0] * arm[2], u[0] * arm[1] - u[1] * arm[0]];
+                let across =
+                    [u[1] * arm[2] - u[2] * arm[1], u[2] * arm[0] - u[0] * arm[2], u[0] * arm[1] - u[1] * arm[0]];
                 [0, 1, 2].map(|part| self.point[part] + cosine * arm[part] + sine * across[part] + along * u[part])
             }
         }

@@ -41,7 +41,8 @@ impl Parts {
 /// What the script needs of every point, and the commands of so many axes.
 pub fn packed(rows: &[&Residual], axes: usize) -> Value {
     let tips: Vec<[f64; 3]> = rows.iter().map(|row| row.tip.unwrap_or_default()).collect();
-    let (mut directions, mut values, mut over, mut lines, mut texts) = <(Vec<u8>, Vec<u8>, Vec<u8>, Vec<u8>, Vec<u8>)>::default();
+    let (mut directions, mut values, mut over, mut lines, mut texts) =
+        <(Vec<u8>, Vec<u8>, Vec<u8>, Vec<u8>, Vec<u8>)>::default();
     let mut names: Vec<&str> = Vec::new();
     for row in rows {
         for part in row.direction.unwrap_or_default() {
