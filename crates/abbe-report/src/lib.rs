@@ -15,6 +15,8 @@ mod run;
 mod sections;
 mod words;
 
+pub use sections::unit_of;
+pub use words::{ErrorGroup, meaning};
 pub use abbe_volumetric::Known;
 pub use analysis::{Analysis, NamedCause, main_fit};
 pub use page::page;
