@@ -252,10 +252,6 @@ fn rows_of_data() {
             ("normal_is_no_unit_vector", &[Cell(FACETS, 1, 4, "2")]),
             ("reference_length_of_zero", &[Cell(LENGTHS, 1, 7, "0")]),
             (
-                "ignored_feature_is_nowhere",
-                &[Replace(RECIPE, "path: data/touches.csv", "path: data/touches.csv, ignore: { feature: [99] }")],
-            ),
-            (
                 "everything_is_ignored",
                 &[Replace(
                     RECIPE,

@@ -126,13 +126,12 @@ fn the_written_plan_can_be_filled_in() {
 
 #[test]
 fn wrong_plans_are_refused() {
-    let cases: [(&str, Value, &str); 9] = [
+    let cases: [(&str, Value, &str); 8] = [
         ("number", json!(0), "the number 0 was found; a whole number from 1 to"),
         ("number", json!(2), "too small to determine 3 unknowns"),
         ("candidates", json!("baar"), "there is no stage `baar` of the kind artefact"),
         ("estimate", json!("fitt"), "there is no stage `fitt` of the kind estimate"),
         ("by", json!("candidat"), "there is no column `candidat`"),
-        ("required", json!([9999]), "there is no candidate 9999"),
         ("parameters", json!(["EZZ[1]"]), "`EZZ[1]` matches nothing that is estimated"),
         ("budget_s", json!(60), "there is no column `duration`"),
         ("criterion", json!("d"), "unknown choice `d`"),
@@ -143,6 +142,16 @@ fn wrong_plans_are_refused() {
     }
     let none = Variant::of(&recipes()["first-steps"]);
     assert!(try_plan(&none).is_err_and(|error| error.contains("says nothing of what is to be planned")));
+}
+
+/// A plan that names rows of other data goes on without them, and says which setting it is.
+#[test]
+fn rows_of_other_data_are_passed_over_and_told() {
+    let folder = crate::support::temporary();
+    let file = ball_bars(|plan| plan["required"] = json!([9999])).write(folder.path());
+    let printed = crate::support::as_typed(folder.path(), &["plan", file.to_str().expect("UTF-8")]);
+    assert_eq!(printed.status, 0, "{}", printed.stderr);
+    assert!(printed.stderr.contains("plan.required[0]: there is no candidate 9999"), "{}", printed.stderr);
 }
 
 /// The ball bars of `design-2d` made on a grid, without a file.

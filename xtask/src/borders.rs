@@ -74,6 +74,7 @@ const CRATES: [Border; 24] = [
             "abbe-core",
             "abbe-engine",
             "abbe-files",
+            "abbe-kinematics",
             "abbe-plugin",
             "abbe-recipe",
             "abbe-report",

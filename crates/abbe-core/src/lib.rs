@@ -45,7 +45,8 @@ pub use parameter::{Parameter, ParameterRole, ProbeTerm};
 pub use plausible::Plausible;
 pub use pose_table::{ColumnNaming, PoseTable, StatusSource, plain_naming, pose_columns};
 pub use problem::{
-    Block, CHUNK, Considered, Evaluation, Input, ObservationSet, Owner, Prior, Problem, RepeatedTogether, Unknown,
+    Block, CHUNK, Considered, DeclaredTie, Evaluation, Input, ObservationSet, Owner, Prior, Problem, RepeatedTogether,
+    Tie, Unknown,
 };
 pub use quantities::Quantities;
 pub use registry::{Build, Constructor, Context, EstimateSource, Kind, Origin, Plugin, Provider, Registry};

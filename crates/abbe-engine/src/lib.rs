@@ -5,6 +5,7 @@
 //! [`Prepared::plan`] chooses which measurements to make; [`Prepared::simulate`] measures the programme of a recipe on a
 //! virtual machine instead.
 
+mod described;
 mod evidence;
 mod folder;
 mod laws;
@@ -25,8 +26,11 @@ mod saved;
 mod simulate;
 mod staging;
 mod travel;
+mod understood;
 
 pub use abbe_planning::{Plan, PlanFigures};
+pub use abbe_estimation::{LocationError, LocationErrors, Standing};
+pub use described::{Described, prepare_text};
 pub use folder::can_write_folder;
 pub use laws::Laws;
 pub use outcome::{CALIBRATION, Failure, Outcome, REPORT, VERDICTS, residuals_file};
@@ -34,4 +38,5 @@ pub use plan::Measurements;
 pub use prepare::{Prepared, prepare};
 pub use record::{FailureRecord, FileRecord, PluginRecord, RUN_FORMAT, Remark, RunRecord};
 pub use run::{Planned, model_of, model_with_log};
+pub use understood::Understood;
 pub use simulate::{Simulated, SimulatedFile, UnchangedFile};

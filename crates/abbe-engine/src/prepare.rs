@@ -13,6 +13,7 @@ use abbe_core::{
 use abbe_recipe::{Library, Recipe, Stage};
 use serde_json::Value;
 
+use crate::described::with_all_locations;
 use crate::record::PluginRecord;
 use crate::row_settings::ArtefactRowSettings;
 use crate::run::{has_problem, has_rows};
@@ -26,6 +27,8 @@ pub struct Prepared {
     pub(crate) artefacts: BTreeMap<String, Box<dyn Artefact>>,
     pub(crate) rows: BTreeMap<String, ArtefactRowSettings>,
     pub(crate) models: BTreeMap<String, Box<dyn Model>>,
+    /// The same machines with all location errors of their chains, where errors are listed line by line.
+    pub(crate) with_locations: BTreeMap<String, Box<dyn Model>>,
     pub(crate) estimators: BTreeMap<String, Arc<dyn Estimate>>,
     /// Calibrations that were made outside this recipe, by their estimate stages.
     pub(crate) saved: BTreeMap<String, SavedCalibration>,
@@ -43,7 +46,11 @@ pub struct Prepared {
 /// Fails with [`abbe_core::Class::Use`] on everything that is wrong with the recipe, the files that it names and their
 /// headers.
 pub fn prepare(path: &Path, registry: &Registry) -> Result<Prepared> {
-    let recipe = Recipe::read(path, registry)?;
+    prepared(Recipe::read(path, registry)?, registry)
+}
+
+/// Builds the stages of a recipe and checks them.
+pub(crate) fn prepared(recipe: Recipe, registry: &Registry) -> Result<Prepared> {
     let loaded = |library: &&Library| {
         registry.iter().any(|plugin| matches!(&plugin.origin, Origin::Library { file, .. } if *file == library.path))
     };
@@ -57,12 +64,13 @@ pub fn prepare(path: &Path, registry: &Registry) -> Result<Prepared> {
         artefacts: BTreeMap::new(),
         rows: BTreeMap::new(),
         models: BTreeMap::new(),
+        with_locations: BTreeMap::new(),
         estimators: BTreeMap::new(),
         saved: BTreeMap::new(),
         plausible: BTreeMap::new(),
         validators: BTreeMap::new(),
         exporters: BTreeMap::new(),
-        files: vec![path.to_owned()],
+        files: vec![recipe.path.clone()],
         plugins: Vec::new(),
         recipe,
     };
@@ -130,6 +138,8 @@ impl Prepared {
                 let wrong = |error: SettingsError| wrong(saved::own_place(error, &before));
                 let built = constructor.build(&settings, context).map_err(wrong)?;
                 let inputs = built.inputs();
+                let all = with_all_locations(plugin, &settings).and_then(|all| constructor.build(&all, context).ok());
+                self.with_locations.extend(all.map(|all| (name.clone(), all)));
                 self.models.insert(name, built);
                 Ok(inputs)
             }

@@ -8,7 +8,7 @@ use std::sync::Arc;
 
 use abbe_core::{
     Approach, AxisKind, Contact, DataRow, Dataset, Error, Kind, Layout, ObservationSet, Observations, Problem,
-    Quantity, Result, Row,
+    Quantity, Result, Row, Tie,
 };
 use abbe_files::LARGEST_TEXT;
 use abbe_recipe::Stage;
@@ -214,6 +214,13 @@ impl Prepared {
                 sets.extend(Some(set).filter(|set| !set.rows.is_empty()));
             }
         }
+        let mut ties: Vec<Tie> = Vec::new();
+        for estimate in self.stages(Kind::Estimate).filter(has_rows) {
+            if self.is_of(estimate, machine)? {
+                let declared = self.located(estimate, Tie::declared(model.as_ref(), &estimate.ties))?;
+                ties.extend(declared.into_iter().filter(|tie| !ties.contains(tie)).collect::<Vec<_>>());
+            }
+        }
         // Nothing is estimated here: neither unknowns nor the uncertainty of inputs matter.
         Ok(Problem {
             name: machine.to_owned(),
@@ -222,6 +229,7 @@ impl Prepared {
             model_plugin: self.model_plugin(stage)?,
             sets,
             unknowns: Vec::new(),
+            ties,
             inputs: Vec::new(),
             considered: abbe_core::Considered::default(),
             priors: Vec::new(),

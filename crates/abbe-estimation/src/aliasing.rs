@@ -16,8 +16,7 @@ const NONE: f64 = 1e-6;
 /// near it.
 pub fn aliased(problem: &Problem) -> Vec<String> {
     let estimated = |period: &PeriodicError| {
-        let machine = problem.unknowns.iter().filter(|unknown| unknown.owner == Owner::Machine);
-        machine.into_iter().any(|unknown| period.parameters.contains(&unknown.index))
+        problem.machine_unknowns().iter().any(|unknown| period.parameters.contains(&unknown.index))
     };
     let periods = problem.model.info().periods.iter().filter(|period| estimated(period));
     periods.filter_map(|period| aliased_period(problem, period)).collect()

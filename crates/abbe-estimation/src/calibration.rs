@@ -17,13 +17,15 @@ pub fn calibration(
     let considered = &problem.considered.unknowns;
     let lost = |name: &str| fit.null_space.iter().any(|vector| vector.combination.iter().any(|part| part.name == name));
     let estimated = |owner: Owner, index: usize, name: String, unit: Unit, fixed: f64| {
-        let here = |unknown: &Unknown| unknown.owner == owner && unknown.index == index;
+        let place = |unknowns: &[Unknown]| match owner {
+            Owner::Machine => problem.place_among(index, unknowns).map(|(place, _)| place),
+            _ => unknowns.iter().position(|unknown| unknown.owner == owner && unknown.index == index),
+        };
         let uncertainty = |column: usize| covariance[column][column].max(0.0).sqrt();
-        let chosen = problem.unknowns.iter().position(here);
-        let known = considered.iter().position(here);
+        let (chosen, known) = (place(&problem.unknowns), place(considered));
         let (value, standard_uncertainty, status) = match (chosen, known) {
             (Some(column), _) => {
-                let status = if lost(&name) { Status::Confounded } else { Status::Estimated };
+                let status = if lost(&problem.unknowns[column].name) { Status::Confounded } else { Status::Estimated };
                 (x[column], uncertainty(column), status)
             }
             (None, Some(known)) => (fixed, uncertainty(problem.unknowns.len() + known), Status::Considered),
@@ -42,12 +44,17 @@ pub fn calibration(
             artefacts.push(estimated(Owner::Set(set), index, name, own.unit, observations.own[index]));
         }
     }
-    for unknown in considered.iter().filter(|unknown| unknown.owner == Owner::Input) {
-        let value = problem.inputs[unknown.index].value(&problem.sets);
-        artefacts.push(estimated(Owner::Input, unknown.index, unknown.name.clone(), unknown.unit, value));
+    // A tied unknown that has the name of a member stands among the parameters.
+    let is_own = |unknown: &&Unknown| match unknown.owner {
+        Owner::Tie => problem.model.info().parameter(&unknown.name).is_none(),
+        owner => owner == Owner::Input,
+    };
+    let of_ties = problem.unknowns.iter().filter(|unknown| unknown.owner == Owner::Tie);
+    for unknown in of_ties.chain(considered).filter(is_own) {
+        let value = problem.value_of(unknown);
+        artefacts.push(estimated(unknown.owner, unknown.index, unknown.name.clone(), unknown.unit, value));
     }
-    let inputs = considered_inputs(problem, &covariance);
-    Calibration {
+    let mut calibration = Calibration {
         abbe_calibration: CALIBRATION_FORMAT,
         estimate: problem.name.clone(),
         model: problem.model_record(),
@@ -62,13 +69,16 @@ pub fn calibration(
                 .collect(),
             rows: covariance,
         },
-        inputs: Some(inputs),
+        inputs: None,
         data: Vec::new(),
         outliers,
         fit,
         uncertainty: None,
         monte_carlo: None,
-    }
+    };
+    problem.untie(&mut calibration);
+    calibration.inputs = Some(considered_inputs(problem, &calibration.covariance.rows));
+    calibration
 }
 
 /// The inputs that are considered. Since they are independent of each other, the covariance of a value with an input is
@@ -78,15 +88,10 @@ fn considered_inputs(problem: &Problem, covariance: &[Vec<f64>]) -> Vec<Consider
     let all = considered.unknowns.iter().zip(&considered.identities).enumerate();
     let input = |(index, (unknown, identity)): (usize, (&Unknown, &Option<String>))| {
         let (column, variance) = (problem.unknowns.len() + index, considered.covariance[index][index]);
-        let value = match unknown.owner {
-            Owner::Machine => problem.machine_values[unknown.index],
-            Owner::Set(set) => problem.sets[set].own[unknown.index],
-            Owner::Input => problem.inputs[unknown.index].value(&problem.sets),
-        };
         Some(ConsideredInput {
             name: unknown.name.clone(),
             identity: identity.clone()?,
-            value,
+            value: problem.value_of(unknown),
             unit: unknown.unit.to_string(),
             standard_uncertainty: variance.sqrt(),
             sensitivities: covariance.iter().map(|row| row[column] / variance).collect(),

@@ -144,7 +144,7 @@ fn named(problem: &Problem, functions: &[&ErrorFunction], (error, of): &Dependen
     let parameters = &problem.model.info().parameters;
     let estimated = |index: usize| {
         let ErrorFunction { axis, component, .. } = *functions[index];
-        let mut unknowns = problem.unknowns.iter().filter(|unknown| unknown.owner == Owner::Machine);
+        let mut unknowns = problem.machine_unknowns().into_iter();
         unknowns.any(|unknown| parameters[unknown.index].role == ParameterRole::Motion { axis, component })
     };
     if of.is_empty() || !(estimated(*error) || of.iter().any(|(other, _)| estimated(*other))) {

@@ -107,7 +107,7 @@ pub(crate) fn at_nominal_geometry(problem: &Problem) -> Problem {
 fn held(problem: &Problem) -> BTreeSet<usize> {
     let info = problem.model.info();
     let mut held = BTreeSet::new();
-    for unknown in problem.unknowns.iter().filter(|unknown| unknown.owner == Owner::Machine) {
+    for unknown in problem.machine_unknowns() {
         let shape = unknown.index;
         if info.parameters[shape].role != ParameterRole::Shape {
             continue;
@@ -157,11 +157,17 @@ fn without_effect(
 /// as much as along its normal.
 fn norms_of_terms(problem: &Problem, kept: Option<&[f64]>) -> Result<Vec<f64>> {
     let uncertainties = problem.standard_uncertainties();
-    let machine: Vec<(usize, Variable)> = (problem.unknowns.iter().enumerate())
-        .filter(|(_, unknown)| unknown.owner == Owner::Machine)
-        .map(|(column, unknown)| (column, Variable::Parameter(unknown.index)))
-        .collect();
-    let wanted: Vec<Variable> = machine.iter().map(|(_, variable)| *variable).collect();
+    // Of a tied unknown the size is that of all members.
+    let mut machine: Vec<(usize, f64)> = Vec::new();
+    let mut wanted = Vec::new();
+    for (column, unknown) in problem.unknowns.iter().enumerate() {
+        let itself = [(unknown.index, 1.0)];
+        let members = if unknown.owner == Owner::Machine { &itself } else { problem.members_of(unknown) };
+        for &(index, factor) in members {
+            machine.push((column, factor));
+            wanted.push(Variable::Parameter(index));
+        }
+    }
     let mut squares = vec![0.0; problem.unknowns.len()];
     let (mut work, mut poses) = (Evaluation::default(), Poses::default());
     let mut first = EquationIndex(0);
@@ -181,14 +187,14 @@ fn norms_of_terms(problem: &Problem, kept: Option<&[f64]>) -> Result<Vec<f64>> {
                 .map(|equation| kept.map_or(1.0, |kept| kept[equation]) / uncertainties[equation])
                 .collect();
             let levers = Levers::new(set, rows, &work);
-            for (place, (column, _)) in machine.iter().enumerate() {
+            for (place, (column, factor)) in machine.iter().enumerate() {
                 let angle = f64::from(problem.unknowns[*column].unit == Unit::RAD);
                 let moves = |pose: usize| {
                     let at = pose * machine.len() + place;
                     (size(&poses.position_derivatives[at]), poses.rotation_derivatives.get(at).map_or(angle, size))
                 };
                 let terms = levers.terms(moves).zip(&weights);
-                squares[*column] += terms.map(|(term, weight)| (term * weight).powi(2)).sum::<f64>();
+                squares[*column] += terms.map(|(term, weight)| (term * factor * weight).powi(2)).sum::<f64>();
             }
             for &(equation, unknown, derivative) in work.equations.by_own() {
                 if let Some(column) = own[unknown] {

@@ -85,11 +85,10 @@ fn rounded(value: f64) -> f64 {
 /// The estimated parameters of the machine that are larger than it can be, or nearly so; the largest first. What may be large by
 /// chance, for its uncertainty, is none of them.
 pub fn large_errors(plausible: &Plausible, problem: &Problem, calibration: &Calibration) -> Result<Vec<LargeError>> {
-    let estimated = |unknown: &&Unknown| {
-        unknown.owner == Owner::Machine
-            && calibration.get(&unknown.name).is_some_and(|found| found.status == Status::Estimated)
+    let estimated = |unknown: &Unknown| {
+        calibration.get(&unknown.name).is_some_and(|found| found.status == Status::Estimated)
     };
-    let unknowns: Vec<Unknown> = problem.unknowns.iter().filter(estimated).cloned().collect();
+    let unknowns: Vec<Unknown> = problem.machine_unknowns().into_iter().filter(estimated).collect();
     let values = |unknown: &Unknown| {
         // A fit that explains nothing has large uncertainties, which are no excuse for large errors.
         let scale = calibration.fit.sigma.max(1.0);
@@ -100,14 +99,7 @@ pub fn large_errors(plausible: &Plausible, problem: &Problem, calibration: &Cali
 
 /// The same of values without a calibration; the unknowns stand at them.
 pub(crate) fn large_errors_at(plausible: &Plausible, at: &Problem) -> Result<Vec<LargeError>> {
-    let start = at.start();
-    let unknowns: Vec<Unknown> =
-        at.unknowns.iter().filter(|unknown| unknown.owner == Owner::Machine).cloned().collect();
-    let value = |unknown: &Unknown| {
-        let index = at.unknowns.iter().position(|other| other == unknown);
-        (index.map_or(0.0, |index| start[index]), 0.0)
-    };
-    judged(plausible, at, &unknowns, value)
+    judged(plausible, at, &at.machine_unknowns(), |unknown| (at.value_of(unknown), 0.0))
 }
 
 fn judged(

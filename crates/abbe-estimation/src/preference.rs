@@ -37,7 +37,7 @@ pub fn in_order_of_preference(problem: &Problem, prefer: &[String]) -> Vec<usize
 }
 
 /// What is zero by convention on a machine.
-struct Convention {
+pub(crate) struct Convention {
     zero: Vec<String>,
 }
 
@@ -46,7 +46,7 @@ impl Convention {
     const ALONG: [char; 3] = ['X', 'Y', 'Z'];
     const ABOUT: [char; 3] = ['A', 'B', 'C'];
 
-    fn of(model: &dyn KinematicModel) -> Self {
+    pub(crate) fn of(model: &dyn KinematicModel) -> Self {
         // The direction among x, y, z that an axis is closest to.
         let main = |direction: &[f64; 3]| {
             (0..3).max_by(|&a, &b| direction[a].abs().total_cmp(&direction[b].abs())).unwrap_or_default()
@@ -74,6 +74,11 @@ impl Convention {
         Self { zero }
     }
 
+    /// Whether a location error is zero by convention.
+    pub(crate) fn is_zero(&self, name: &str) -> bool {
+        self.zero.iter().any(|zero| zero == name)
+    }
+
     /// The place of an unknown in the order of preference, the smaller the better.
     fn rank(&self, unknown: &Unknown) -> usize {
         let name = unknown.name.as_str();
@@ -81,9 +86,9 @@ impl Convention {
         match unknown.owner {
             Owner::Machine if ["dxt", "dyt", "dzt", "dxw", "dyw", "dzw"].contains(&name) => 0,
             Owner::Machine if ["da?", "db?", "dc?"].into_iter().any(set_up) => 5,
-            Owner::Machine if self.zero.iter().any(|zero| zero == name) => 4,
+            Owner::Machine if self.is_zero(name) => 4,
             Owner::Machine if matches("E?0*", name) => 1,
-            Owner::Machine => 2,
+            Owner::Machine | Owner::Tie => 2,
             Owner::Set(_) | Owner::Input => 3,
         }
     }

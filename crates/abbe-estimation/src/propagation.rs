@@ -143,7 +143,7 @@ impl Propagation {
 
     /// The uncertainty budget of every unknown.
     pub fn budget(&self, problem: &Problem, probability: f64) -> UncertaintyBudget {
-        let machine = problem.unknowns.iter().filter(|unknown| unknown.owner == Owner::Machine).count();
+        let machine = problem.unknowns.iter().filter(|unknown| unknown.is_of_machine()).count();
         let parameters = problem.unknowns.iter().enumerate().map(|(index, unknown)| {
             let variance = |part: &Part| part.covariance[index][index].max(0.0);
             let parts: Vec<(f64, &Part)> =
@@ -186,7 +186,7 @@ impl Propagation {
         });
         let parameters: Vec<ParameterBudget> = parameters.collect();
         let of_machine =
-            problem.unknowns.iter().zip(&parameters).filter(|(unknown, _)| unknown.owner == Owner::Machine);
+            problem.unknowns.iter().zip(&parameters).filter(|(unknown, _)| unknown.is_of_machine());
         let freedom =
             of_machine.filter_map(|(_, parameter)| parameter.degrees_of_freedom).fold(f64::INFINITY, f64::min);
         let ellipsoid_factor = joint_coverage_factor(machine.max(1), probability, freedom);

@@ -144,7 +144,7 @@ const TILTED: f64 = 0.02;
 fn tilted_probe(problem: &Problem) -> Option<String> {
     let info = problem.model.info();
     let is_lobe = |index: usize| matches!(info.parameters[index].role, ParameterRole::Probe { term, .. } if !matches!(term, ProbeTerm::Radius | ProbeTerm::Delay));
-    let estimated = problem.unknowns.iter().any(|unknown| unknown.owner == Owner::Machine && is_lobe(unknown.index));
+    let estimated = problem.machine_unknowns().iter().any(|unknown| is_lobe(unknown.index));
     let known = problem.machine_values.iter().enumerate().any(|(index, value)| *value != 0.0 && is_lobe(index));
     if !estimated && !known {
         return None;

@@ -5,7 +5,9 @@
 //! errors. How these errors depend on commands and other statuses is defined in `abbe-errors`.
 
 mod chain;
+mod links;
 mod notation;
 
 pub use chain::{Chain, ChainAxis, Derivatives, ErrorFrame, Errors, Evaluation};
+pub use links::{Link, denavit_hartenberg};
 pub use notation::{ChainError, NamedAxis, StructuralLoop};

@@ -62,8 +62,8 @@ pub fn candidates(problem: &Problem, wanted: &Planning) -> Result<Vec<Candidate>
             candidate.duration += durations.map_or(0.0, |durations| durations[data_row]);
         }
     }
-    named("required", &wanted.required, &mut found, |candidate| candidate.required += 1)?;
-    named("forbidden", &wanted.forbidden, &mut found, |candidate| candidate.forbidden = true)?;
+    named("required", &wanted.required, &mut found, |candidate| candidate.required += 1);
+    named("forbidden", &wanted.forbidden, &mut found, |candidate| candidate.forbidden = true);
     Ok(found)
 }
 
@@ -77,17 +77,12 @@ fn own_label(data: &Dataset, data_row: DataRow) -> String {
     }
 }
 
-/// Marks the candidates that a setting names.
-fn named(key: &str, labels: &[Label], candidates: &mut [Candidate], mark: impl Fn(&mut Candidate)) -> Result<()> {
+/// Marks the candidates that a setting names. A recipe may name rows that other data do not have: that is told.
+fn named(key: &str, labels: &[Label], candidates: &mut [Candidate], mark: impl Fn(&mut Candidate)) {
     for (index, label) in labels.iter().enumerate() {
         match candidates.iter_mut().find(|candidate| candidate.label == label.0) {
             Some(candidate) => mark(candidate),
-            None => {
-                let mut error = wrong(key, format!("there is no candidate {}", label.0));
-                error.setting.push(PathItem::Index(index));
-                return Err(error);
-            }
+            None => tracing::warn!("plan.{key}[{index}]: there is no candidate {} in these data; it is passed over", label.0),
         }
     }
-    Ok(())
 }

@@ -5,7 +5,8 @@ use std::sync::Arc;
 
 use abbe_core::{
     Calibration, ColumnHeader, Considered, Dataset, EquationUncertainty, ErrorFunction, ExportedFile, Fit, Input,
-    InputFile, Monitor, ObservationSet, Observations, ObservationsInfo, PoseTable, Prior, Problem, RowIndex, Unknown,
+    InputFile, Monitor, ObservationSet, Observations, ObservationsInfo, PoseTable, Prior, Problem, RowIndex, Tie,
+    Unknown,
 };
 use serde::{Deserialize, Serialize};
 
@@ -109,6 +110,9 @@ pub(crate) struct ProblemText {
     model_plugin: String,
     sets: Vec<SetText>,
     unknowns: Vec<Unknown>,
+    /// Libraries of earlier programs know of none.
+    #[serde(default)]
+    ties: Vec<Tie>,
     machine: Vec<f64>,
     inputs: Vec<Input>,
     considered: Considered,
@@ -160,6 +164,7 @@ impl ProblemText {
             model_plugin: problem.model_plugin.clone(),
             sets: problem.sets.iter().map(|one| set(one, objects)).collect(),
             unknowns: problem.unknowns.clone(),
+            ties: problem.ties.clone(),
             machine: problem.machine_values.clone(),
             inputs: problem.inputs.clone(),
             considered: problem.considered.clone(),
@@ -188,6 +193,7 @@ impl ProblemText {
             model_plugin: self.model_plugin,
             sets,
             unknowns: self.unknowns,
+            ties: self.ties,
             machine_values: self.machine,
             inputs: self.inputs,
             considered: self.considered,

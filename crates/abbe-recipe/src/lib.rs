@@ -7,22 +7,25 @@
 mod document;
 mod graph;
 mod libraries;
+mod machine_file;
 mod page;
 mod schema;
 mod sets;
+mod ties;
 #[cfg(test)]
 mod tests;
 
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
-use abbe_core::{Error, EstimateSource, Kind, PathItem, Plugin, Registry, SettingsError, nearest, path_text};
+use abbe_core::{DeclaredTie, Error, EstimateSource, Kind, PathItem, Plugin, Registry, SettingsError, nearest, path_text};
 use abbe_planning::Planning;
 use serde_json::{Map, Value};
 
 use document::{At, Document, Node};
 pub use libraries::Library;
 use libraries::libraries;
+use machine_file::{merge, read_description};
 pub use page::{PAGE_MARK, index, page, page_name};
 pub use schema::schema;
 use sets::{Expanded, Sets, with_sets};
@@ -36,6 +39,9 @@ const ACCEPTED: &str = "accepted";
 
 /// The key of an estimate from measurements with the largest plausible errors ([`abbe_core::Plausible`]).
 const PLAUSIBLE: &str = "plausible";
+
+/// The key of an estimate from measurements with parameters that are one unknown.
+const TIE: &str = "tie";
 
 /// The key under which measurements are planned ([`Planning`]).
 const PLAN: &str = "plan";
@@ -87,6 +93,8 @@ pub struct Stage {
     /// Unknowns of an estimate: patterns of names, sets expanded. Empty for other kinds, and for an estimate that analyses
     /// another one.
     pub parameters: Vec<String>,
+    /// Parameters of the machine that are one unknown.
+    pub ties: Vec<DeclaredTie>,
     /// The settings of an artefact's rows, an object; the same for all artefact plugins.
     pub row_settings: Value,
     /// Whether an estimate may use rows again from which its known values were estimated.
@@ -349,7 +357,7 @@ impl<'a> Head<'a> {
         let own: &[&'static str] = match self.plugin.kind() {
             Kind::Model => &["file"],
             Kind::Artefact => &ROW_SETTINGS,
-            Kind::Estimate if self.plugin.estimate_source == EstimateSource::Measurements => &[SHARED_ROWS, PLAUSIBLE],
+            Kind::Estimate if self.plugin.estimate_source == EstimateSource::Measurements => &[SHARED_ROWS, PLAUSIBLE, TIE],
             Kind::Estimate => &[SHARED_ROWS],
             _ => &[],
         };
@@ -372,7 +380,7 @@ impl<'a> Head<'a> {
         }
         let mut settings = Map::new();
         let mut row_settings = Map::new();
-        let mut parameters = Vec::new();
+        let (mut parameters, mut ties) = (Vec::new(), Vec::new());
         let mut shared_rows = false;
         let mut plausible = Value::Object(Map::new());
         let mut origin = Origin { file: None, expanded: Vec::new() };
@@ -388,6 +396,8 @@ impl<'a> Head<'a> {
                 parameters = texts.collect::<Result<_, _>>()?;
                 let places = patterns.into_iter().map(|pattern| pattern.path).collect();
                 origin.expanded.push((vec![PathItem::Key(key.to_owned())], places));
+            } else if self.reserved_keys().contains(&TIE) && key == TIE {
+                ties = ties::read(&node)?;
             } else if kind == Kind::Estimate && key == SHARED_ROWS {
                 if node.text()? != ACCEPTED {
                     return Err(node.error(At::Value, format!("`{ACCEPTED}` was expected, or nothing")));
@@ -406,7 +416,7 @@ impl<'a> Head<'a> {
             }
         }
         if graph::is_analysis(self) {
-            for key in ["machine", "observations", "parameters", "known", "start"] {
+            for key in ["machine", "observations", "parameters", TIE, "known", "start"] {
                 if let Some(node) = self.node.get(key) {
                     let message = format!("`{key}` comes from the estimate that `{}` names", graph::ANALYSED);
                     return Err(node.error(At::Key, message));
@@ -437,6 +447,7 @@ impl<'a> Head<'a> {
             estimate_source,
             settings,
             parameters,
+            ties,
             row_settings,
             shared_rows,
             plausible,
@@ -465,31 +476,5 @@ impl<'a> Head<'a> {
             }
         }
         Ok(described)
-    }
-}
-
-/// The machine description that a `file` setting names.
-fn read_description(node: &Node<'_>, base: &Path) -> Result<Document, Error> {
-    let path = base.join(node.text()?);
-    let text = read_text(&path).map_err(|error| node.error(At::Value, error.message))?;
-    let document = Document::parse(&path, &text)?;
-    document.root().map()?;
-    Ok(document)
-}
-
-/// Maps are merged, anything else of `over` replaces what is `under` it.
-fn merge(under: Value, over: Value) -> Value {
-    match (under, over) {
-        (Value::Object(mut under), Value::Object(over)) => {
-            for (key, value) in over {
-                let value = match under.get_mut(&key) {
-                    Some(old) => merge(old.take(), value),
-                    None => value,
-                };
-                under.insert(key, value);
-            }
-            Value::Object(under)
-        }
-        (_, over) => over,
     }
 }

@@ -34,7 +34,9 @@ pub fn page(plugin: &Plugin) -> String {
         && matches!(plugin.estimate_source, EstimateSource::Measurements | EstimateSource::Combination)
     {
         more.extend(["`parameters`", "`shared_rows`"].map(str::to_owned));
-        more.extend(Some("`plausible`".to_owned()).filter(|_| plugin.estimate_source == EstimateSource::Measurements));
+        if plugin.estimate_source == EstimateSource::Measurements {
+            more.extend(["`plausible`", "`tie`"].map(str::to_owned));
+        }
     }
     more.extend(
         ["`uncertainty`", "`pooled`", "`id`", "`unseen`"]

@@ -102,6 +102,7 @@ fn stage(plugin: &Plugin) -> Value {
             plausible.shift_remove("$schema");
         }
         properties.insert(crate::PLAUSIBLE.to_owned(), plausible);
+        properties.insert(crate::TIE.to_owned(), tie());
         // An estimate of its own, or the analysis of another one.
         let own = json!({ "required": ["machine", "observations", "parameters"] });
         settings.insert("anyOf".to_owned(), json!([own, { "required": [ANALYSED] }]));
@@ -126,4 +127,21 @@ fn stage(plugin: &Plugin) -> Value {
     settings.insert("properties".to_owned(), Value::Object(properties));
     settings.insert("required".to_owned(), Value::Array(required));
     Value::Object(settings)
+}
+
+/// Parameters that are one unknown.
+fn tie() -> Value {
+    json!({
+        "type": "object",
+        "description": "Parameters of the machine that are one unknown, each times a factor: names or patterns, and the unknown",
+        "additionalProperties": { "anyOf": [
+            { "type": "string" },
+            {
+                "type": "object",
+                "properties": { "to": { "type": "string" }, "factor": { "type": "number" } },
+                "required": ["to"],
+                "additionalProperties": false
+            }
+        ] }
+    })
 }

@@ -18,6 +18,8 @@ mod sheet;
 mod subset;
 mod words;
 
+pub use sections::unit_of;
+pub use words::{ErrorGroup, meaning};
 pub use abbe_volumetric::Known;
 pub use analysis::{Analysis, NamedCause, main_fit};
 pub use markdown::markdown;

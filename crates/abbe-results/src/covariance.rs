@@ -41,6 +41,16 @@ impl NamedCovariance {
         (scale > 0.0).then(|| self.rows[row][column] / scale)
     }
 
+    /// Adds a value that is another one times a factor, unless it is there.
+    pub fn add_multiple(&mut self, of: &str, name: &str, factor: f64) {
+        let (Some(place), None) = (self.index(of), self.index(name)) else { return };
+        let mut row: Vec<f64> = self.rows[place].iter().map(|entry| entry * factor).collect();
+        self.rows.iter_mut().zip(&row).for_each(|(line, entry)| line.push(*entry));
+        row.push(self.rows[place][place] * factor * factor);
+        self.rows.push(row);
+        self.order.push(name.to_owned());
+    }
+
     /// The covariance of some values, in the order of `names`; zero for those that are not known.
     pub fn block<S: AsRef<str>>(&self, names: &[S]) -> DMatrix<f64> {
         let places: Vec<Option<usize>> = names.iter().map(|name| self.index(name.as_ref())).collect();

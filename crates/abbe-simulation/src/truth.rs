@@ -79,6 +79,12 @@ impl Truth {
     fn applied(&self, problem: &Problem) -> (Problem, BTreeSet<&str>) {
         let mut truth = problem.clone();
         let mut used = BTreeSet::new();
+        for tie in &problem.ties {
+            if let Some((name, known)) = self.parameters.get_key_value(&tie.name) {
+                used.insert(name.as_str());
+                tie.members.iter().for_each(|(index, factor)| truth.machine_values[*index] = factor * known);
+            }
+        }
         let mut take = |full: &str, own: &str, value: &mut f64| {
             for name in [own, full] {
                 if let Some((name, known)) = self.parameters.get_key_value(name) {

@@ -4,9 +4,12 @@ use std::collections::BTreeMap;
 use std::f64::consts::PI;
 
 use abbe_core::{ColumnHeader, Quantity};
+use schemars::JsonSchema;
+use serde::Deserialize;
 
 /// What separates the columns of a table.
-#[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Deserialize, JsonSchema)]
+#[serde(rename_all = "kebab-case")]
 pub enum Separator {
     /// `,`
     #[default]
@@ -35,7 +38,12 @@ impl Separator {
         Self::ALL.into_iter().find(|(separator, ..)| *separator == self).map_or(',', |(_, character, ..)| character)
     }
 
-    /// Its name in settings, with an article.
+    /// Its name in settings.
+    pub fn name(self) -> &'static str {
+        Self::ALL.into_iter().find(|(separator, ..)| *separator == self).map_or("comma", |(.., name)| name)
+    }
+
+    /// Its name in messages, with an article.
     pub(crate) fn expected(self) -> &'static str {
         match self {
             Self::Comma => "a comma",
@@ -48,7 +56,8 @@ impl Separator {
 }
 
 /// The character before the decimals of a number.
-#[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Deserialize, JsonSchema)]
+#[serde(rename_all = "kebab-case")]
 pub enum Decimal {
     /// `1.5`
     #[default]
@@ -57,16 +66,87 @@ pub enum Decimal {
     Comma,
 }
 
+impl Decimal {
+    pub(crate) fn character(self) -> char {
+        if self == Self::Point { '.' } else { ',' }
+    }
+
+    /// Its name in settings.
+    pub fn name(self) -> &'static str {
+        if self == Self::Point { "point" } else { "comma" }
+    }
+}
+
+/// What separates groups of three digits before the decimals of a number.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Deserialize, JsonSchema)]
+#[serde(rename_all = "kebab-case")]
+pub enum Thousands {
+    /// Nothing: `1234.5`. A number with such separators is refused.
+    #[default]
+    None,
+    /// A space, also one that does not break the line: `1 234,5`
+    Blank,
+    /// `1.234,5`
+    Point,
+    /// `1,234.5`
+    Comma,
+    /// `1'234.5`
+    Apostrophe,
+}
+
+impl Thousands {
+    /// The separators, with their names in settings and the advice to declare them.
+    pub(crate) const ALL: [(Self, &str, &str); 4] = [
+        (Self::Blank, "blank", "write `thousands: blank` where it is read by `ingest: csv`"),
+        (Self::Point, "point", "write `thousands: point` where it is read by `ingest: csv`"),
+        (Self::Comma, "comma", "write `thousands: comma` where it is read by `ingest: csv`"),
+        (Self::Apostrophe, "apostrophe", "write `thousands: apostrophe` where it is read by `ingest: csv`"),
+    ];
+
+    pub(crate) fn characters(self) -> &'static [char] {
+        match self {
+            Self::None => &[],
+            Self::Blank => &[' ', '\u{a0}', '\u{202f}', '\u{2009}'],
+            Self::Point => &['.'],
+            Self::Comma => &[','],
+            Self::Apostrophe => &['\'', '’'],
+        }
+    }
+
+    /// Its name in settings.
+    pub fn name(self) -> &'static str {
+        Self::ALL.into_iter().find(|(thousands, ..)| *thousands == self).map_or("none", |(_, name, _)| name)
+    }
+}
+
 /// How characters stand in a file.
-#[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Deserialize, JsonSchema)]
 pub enum Encoding {
     /// UTF-8, with a byte order mark or without.
     #[default]
+    #[serde(rename = "utf-8")]
     Utf8,
-    /// UTF-16 as its byte order mark says; without a mark the low byte comes first.
+    /// UTF-16, as its byte order mark says; without one the low byte comes first.
+    #[serde(rename = "utf-16")]
     Utf16,
     /// ISO 8859-1, with the characters of Windows-1252 for 0x80 to 0x9F.
+    #[serde(rename = "latin-1")]
     Latin1,
+    /// GB 18030, which contains GBK and GB 2312: spreadsheets in China.
+    #[serde(rename = "gb18030")]
+    Gb18030,
+}
+
+impl Encoding {
+    /// Its name in settings.
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Utf8 => "utf-8",
+            Self::Utf16 => "utf-16",
+            Self::Latin1 => "latin-1",
+            Self::Gb18030 => "gb18030",
+        }
+    }
 }
 
 /// Where a column of the data set stands in the file.
@@ -85,6 +165,8 @@ pub struct Layout {
     pub separator: Separator,
     /// The decimal character of all numbers.
     pub decimal: Decimal,
+    /// What separates thousands in all numbers.
+    pub thousands: Thousands,
     /// How characters are stored.
     pub encoding: Encoding,
     /// Lines before the header row (or before the first row of data).
@@ -104,6 +186,7 @@ impl Default for Layout {
         Self {
             separator: Separator::Comma,
             decimal: Decimal::Point,
+            thousands: Thousands::None,
             encoding: Encoding::Utf8,
             skip_lines: 0,
             skip_after_header: 0,
@@ -190,9 +273,19 @@ impl Unit {
         }
     }
 
+    /// Whether its numbers are degrees, minutes and seconds.
+    pub(crate) fn is_sexagesimal(self) -> bool {
+        self.symbol == SEXAGESIMAL
+    }
+
+    /// Its symbol.
+    pub fn symbol(self) -> &'static str {
+        self.symbol
+    }
+
     /// A number as it is written in this unit (with a decimal point), in the unit used in memory.
     pub(crate) fn read(self, written: &str) -> Option<f64> {
-        let value = if self.symbol == SEXAGESIMAL { sexagesimal(written)? } else { written.parse().ok()? };
+        let value = if self.is_sexagesimal() { sexagesimal(written)? } else { written.parse().ok()? };
         Some((value - self.zero) * self.factor)
     }
 }

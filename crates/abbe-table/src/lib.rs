@@ -7,8 +7,11 @@
 //! instruments and spreadsheets that are written otherwise: nothing of it is guessed.
 
 mod layout;
+mod number;
 mod parse;
 mod rewrite;
+mod settings;
+mod survey;
 mod text;
 
 use std::borrow::Cow;
@@ -18,9 +21,11 @@ use std::path::{Path, PathBuf};
 
 use abbe_core::{Column, ColumnHeader, DataRow, Dataset, Error, Quantity, Result, Values};
 
-pub use layout::{ColumnSource, Decimal, Encoding, Layout, Separator, Unit};
-pub use parse::{TEMPERATURES, number};
+pub use layout::{ColumnSource, Decimal, Encoding, Layout, Separator, Thousands, Unit};
+pub use number::{TEMPERATURES, number};
 pub use rewrite::{Cells, with_cells, with_columns};
+pub use settings::{ColumnInUnit, Declared, Source};
+pub use survey::{Contents, Found, Jump, Likely, contents, likely};
 
 /// Reads the columns of a file, not its rows.
 pub fn read_headers(path: &Path) -> Result<Vec<ColumnHeader>> {
@@ -55,7 +60,7 @@ pub fn read_text(path: &Path) -> Result<String> {
 /// Bytes that are read at a time.
 const PART: u64 = 1 << 20;
 
-fn bytes_of(path: &Path) -> Result<Vec<u8>> {
+pub(crate) fn bytes_of(path: &Path) -> Result<Vec<u8>> {
     let mut file = abbe_files::open(path).map_err(|error| unreadable(path, &error))?;
     let mut bytes = Vec::new();
     loop {

@@ -1,22 +1,18 @@
 //! From the bytes of a file to a data set.
 
-use std::borrow::Cow;
 use std::collections::HashMap;
 use std::io::BufRead;
-use std::ops::RangeInclusive;
 use std::path::Path;
 
 use abbe_core::{Class, Column, ColumnHeader, Dataset, Error, Quantity, Result, RowOrigin, Values};
 
-use crate::layout::{Decimal, Encoding, Layout, Separator, Unit};
+use crate::layout::{Encoding, Layout, Separator, Unit};
+use crate::number::{help_for, number_of, shown};
 use crate::text::{newlines, read_line, text};
 use crate::{empty_column, unreadable};
 
 /// Bytes of the longest cell: 64 KiB.
 const LONGEST_CELL: usize = 64 << 10;
-
-/// Characters of a cell that a message shows.
-const SHOWN: usize = 60;
 
 /// The columns of a file. Only the part of the file that is needed is read.
 pub(crate) fn headers(path: &Path, mut reader: impl BufRead) -> Result<Vec<ColumnHeader>> {
@@ -68,10 +64,12 @@ pub(crate) fn dataset(path: &Path, bytes: &[u8], layout: &Layout) -> Result<(Dat
         numbers.clear();
         for column in taken.iter().filter(|column| column.header.quantity != Quantity::Label) {
             let cell = records.cell(column)?;
-            numbers.push(column.number(cell, layout.decimal).map_err(|message| {
-                let is_comma = layout.decimal == Decimal::Point && cell.contains(',');
+            numbers.push(number_of(&column.header.header, cell, column.unit, layout).map_err(|message| {
                 let error = records.at_cell(Error::data(message), column.index);
-                if is_comma { error.help("write `decimal: comma` where it is read by `ingest: csv`") } else { error }
+                match help_for(cell, layout) {
+                    Some(help) => error.help(help),
+                    None => error,
+                }
             })?);
         }
         let mut number = numbers.iter();
@@ -102,10 +100,6 @@ struct Taken {
 }
 
 impl Taken {
-    fn number(&self, cell: &str, decimal: Decimal) -> Result<f64, String> {
-        number_of(&self.header.header, cell, self.unit, decimal)
-    }
-
     /// Whether the row has the mark of a number that was not measured here.
     fn is_absent(&self, records: &Records, layout: &Layout) -> bool {
         !layout.no_data.is_empty()
@@ -124,9 +118,7 @@ struct Table<'a> {
 
 impl<'a> Table<'a> {
     fn begin(path: &'a Path, text: &'a str, layout: &Layout) -> Result<Self> {
-        let skipped: usize = text.split_inclusive('\n').take(layout.skip_lines).map(str::len).sum();
-        let mut records = Records::new(path, &text[skipped..], layout.separator);
-        records.line += newlines(&text[..skipped]);
+        let mut records = Records::after(path, text, layout);
         let Some(columns) = &layout.columns else {
             let headers = records.header()?.ok_or_else(|| no_header(path, layout))?;
             let width = Some(headers.len());
@@ -150,56 +142,6 @@ impl<'a> Table<'a> {
             taken.push(Taken { header: ColumnHeader::parse(name), index, unit: source.unit });
         }
         Ok(Self { records, taken, width: names.map(|names| names.len()) })
-    }
-}
-
-/// Temperatures that are read, °C: no machine is measured at others, and 293 is in kelvin.
-pub const TEMPERATURES: RangeInclusive<f64> = -100.0..=200.0;
-
-/// Reads a number as it stands in a cell of the column `header`, in the unit used in memory; else says what is wrong.
-pub fn number(header: &str, cell: &str) -> Result<f64, String> {
-    number_of(header, cell, None, Decimal::Point)
-}
-
-/// The same with a unit other than that of the header, and another decimal character.
-fn number_of(header: &str, cell: &str, unit: Option<Unit>, decimal: Decimal) -> Result<f64, String> {
-    let cell = cell.trim();
-    let (_, quantity, factor) = Quantity::of_column(header);
-    let read = |written: &str| match unit {
-        Some(unit) => unit.read(written),
-        None => written.parse().ok().map(|value: f64| value * factor),
-    };
-    let value = match decimal {
-        Decimal::Point => read(cell),
-        Decimal::Comma if cell.contains('.') => None,
-        Decimal::Comma => read(&cell.replacen(',', ".", 1)),
-    };
-    match value {
-        Some(value) if quantity == Quantity::Temperature && !TEMPERATURES.contains(&value) => Err(format!(
-            "`{header}` is `{}`; a temperature from {} to {} °C was expected",
-            shown(cell),
-            TEMPERATURES.start(),
-            TEMPERATURES.end()
-        )),
-        Some(value) if value.is_finite() => Ok(value),
-        Some(_) => Err(format!("`{header}` is `{}`, which is not a finite number", shown(cell))),
-        None if cell.is_empty() => Err(format!("`{header}` is empty; a number was expected")),
-        None if decimal == Decimal::Point && read(&cell.replacen(',', ".", 1)).is_some() => {
-            Err(format!("`{header}` is `{}`; a number with a decimal point was expected", shown(cell)))
-        }
-        None if decimal == Decimal::Comma && cell.contains('.') => Err(format!(
-            "`{header}` is `{}`; a number with a decimal comma and without separators of thousands was expected",
-            shown(cell)
-        )),
-        None => Err(format!("`{header}` is `{}`; a number was expected", shown(cell))),
-    }
-}
-
-/// The beginning of a cell, which may be long.
-fn shown(cell: &str) -> Cow<'_, str> {
-    match cell.char_indices().nth(SHOWN) {
-        Some((end, _)) => format!("{}...", &cell[..end]).into(),
-        None => cell.into(),
     }
 }
 
@@ -233,20 +175,20 @@ fn no_header(path: &Path, layout: &Layout) -> Error {
 }
 
 /// The rows of a text one after another, the header row too, with the place of each.
-struct Records<'a> {
+pub(crate) struct Records<'a> {
     path: &'a Path,
     text: &'a str,
     separator: Separator,
     reader: csv::Reader<&'a [u8]>,
-    cells: csv::StringRecord,
+    pub(crate) cells: csv::StringRecord,
     /// Where the current row begins.
     start: usize,
     /// Line of the current row, from 1.
-    line: usize,
+    pub(crate) line: usize,
 }
 
 impl<'a> Records<'a> {
-    fn new(path: &'a Path, text: &'a str, separator: Separator) -> Self {
+    pub(crate) fn new(path: &'a Path, text: &'a str, separator: Separator) -> Self {
         let reader = csv::ReaderBuilder::new()
             .has_headers(false)
             .flexible(true)
@@ -258,8 +200,16 @@ impl<'a> Records<'a> {
         Self { path, text, separator, reader, cells: csv::StringRecord::new(), start: 0, line: 1 }
     }
 
+    /// The rows after the lines that a layout skips.
+    pub(crate) fn after(path: &'a Path, text: &'a str, layout: &Layout) -> Self {
+        let skipped: usize = text.split_inclusive('\n').take(layout.skip_lines).map(str::len).sum();
+        let mut records = Self::new(path, &text[skipped..], layout.separator);
+        records.line += newlines(&text[..skipped]);
+        records
+    }
+
     /// Goes to the next row; false if there is none.
-    fn advance(&mut self) -> Result<bool> {
+    pub(crate) fn advance(&mut self) -> Result<bool> {
         let wrong = |error: csv::Error| Error::data(error.to_string()).in_file(self.path);
         while self.reader.read_record(&mut self.cells).map_err(wrong)? {
             // The position that `csv` gives is before the comments and blank lines that it has skipped.

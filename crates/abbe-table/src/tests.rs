@@ -224,6 +224,7 @@ fn written(rows: &[(f64, f64)], layout: &Layout, names: [&str; 3]) -> Vec<u8> {
     match layout.encoding {
         Encoding::Utf8 => text.into_bytes(),
         Encoding::Utf16 => [0xFF, 0xFE].into_iter().chain(text.encode_utf16().flat_map(u16::to_le_bytes)).collect(),
+        Encoding::Gb18030 => encoding_rs::GB18030.encode(&text).0.into_owned(),
         Encoding::Latin1 => text.chars().map(|character| u8::try_from(u32::from(character)).unwrap()).collect(),
     }
 }
@@ -233,7 +234,7 @@ fn layouts() -> impl Strategy<Value = Layout> {
     (
         prop::sample::select(separators),
         prop::sample::select(vec![Decimal::Point, Decimal::Comma]),
-        prop::sample::select(vec![Encoding::Utf8, Encoding::Utf16, Encoding::Latin1]),
+        prop::sample::select(vec![Encoding::Utf8, Encoding::Utf16, Encoding::Latin1, Encoding::Gb18030]),
         (0usize..4, 0usize..3, any::<bool>()),
     )
         .prop_map(|(separator, decimal, encoding, (skip_lines, skip_after_header, has_header))| Layout {
@@ -288,7 +289,8 @@ fn what_a_layout_does_not_fit_is_said_with_its_place() {
     assert!(told.starts_with("t.csv:1:1: the columns are separated by commas; a semicolon was expected"), "{told}");
     assert_eq!(
         read(b"X_mm;Y_mm\n1.234,5;2\n", semicolon()),
-        "t.csv:2:1: `X_mm` is `1.234,5`; a number with a decimal comma and without separators of thousands was expected"
+        "t.csv:2:1: `X_mm` is `1.234,5`; a number with a decimal comma and without separators of thousands was expected \
+         (write `thousands: point` where it is read by `ingest: csv`)"
     );
     let spaces = Layout { separator: Separator::Space, ..Layout::default() };
     assert_eq!(read(b"f X_mm\n a  \tone\n", spaces), "t.csv:2:6: `X_mm` is `one`; a number was expected");

@@ -34,12 +34,27 @@ pub fn text<'a>(path: &Path, bytes: &'a [u8], encoding: Encoding) -> Result<Cow<
             .help("save it as UTF-8, or write `encoding: utf-16` where it is read by `ingest: csv`")),
         Encoding::Utf8 => utf_8(path, bytes),
         Encoding::Utf16 => utf_16(path, bytes),
-        Encoding::Latin1 if is_marked || bytes.starts_with(BYTE_ORDER_MARK) => {
-            let name = if is_marked { "16" } else { "8" };
-            let error = Error::data(format!("the file is text in UTF-{name}; Latin-1 was expected"));
-            Err(error.in_file(path).help(format!("write `encoding: utf-{name}`")))
-        }
-        Encoding::Latin1 => no_zeros(path, Cow::Owned(bytes.iter().map(|byte| windows_1252(*byte)).collect())),
+        Encoding::Latin1 => characters(path, bytes, encoding_rs::WINDOWS_1252, "Latin-1"),
+        Encoding::Gb18030 => characters(path, bytes, encoding_rs::GB18030, "GB 18030"),
+    }
+}
+
+/// Text in an encoding of bytes that is none of Unicode's own.
+fn characters<'a>(
+    path: &Path,
+    bytes: &'a [u8],
+    encoding: &'static encoding_rs::Encoding,
+    name: &str,
+) -> Result<Cow<'a, str>> {
+    if let Some((marked, _)) = encoding_rs::Encoding::for_bom(bytes) {
+        let unicode = if marked == encoding_rs::UTF_8 { "8" } else { "16" };
+        let error = Error::data(format!("the file is text in UTF-{unicode}; {name} was expected"));
+        return Err(error.in_file(path).help(format!("write `encoding: utf-{unicode}`")));
+    }
+    let (text, is_wrong) = encoding.decode_without_bom_handling(bytes);
+    match text.find(char::REPLACEMENT_CHARACTER).filter(|_| is_wrong) {
+        Some(at) => Err(wrong(path, &format!("the file is not text in {name}"), &text[..at])),
+        None => no_zeros(path, text),
     }
 }
 
@@ -90,21 +105,6 @@ fn wrong(path: &Path, message: &str, before: &str) -> Error {
     let good = with_line_feeds(Cow::Borrowed(before));
     let column = good.chars().rev().take_while(|&c| c != '\n').count() + 1;
     Error::data(message).at(path, 1 + newlines(&good), Some(column))
-}
-
-/// The characters from 0x80 to 0x9F of Windows-1252; where it has none, that of ISO 8859-1.
-const WINDOWS_1252: [u16; 32] = [
-    0x20AC, 0x81, 0x201A, 0x0192, 0x201E, 0x2026, 0x2020, 0x2021, 0x02C6, 0x2030, 0x0160, 0x2039, 0x0152, 0x8D, 0x017D,
-    0x8F, 0x90, 0x2018, 0x2019, 0x201C, 0x201D, 0x2022, 0x2013, 0x2014, 0x02DC, 0x2122, 0x0161, 0x203A, 0x0153, 0x9D,
-    0x017E, 0x0178,
-];
-
-fn windows_1252(byte: u8) -> char {
-    let code = match byte {
-        0x80..=0x9F => WINDOWS_1252[usize::from(byte - 0x80)],
-        _ => u16::from(byte),
-    };
-    char::from_u32(u32::from(code)).unwrap_or(char::REPLACEMENT_CHARACTER)
 }
 
 /// The text with a line feed where a carriage return alone ends a line.

@@ -1,4 +1,4 @@
-//! The command line of Abbe: `run`, `report`, `test`, `check`, `simulate`, `plan`, `plugins`, `plugin`, `schema`.
+//! The command line of Abbe: `run`, `report`, `test`, `check`, `data`, `model`, `simulate`, `plan`, `plugins`, `plugin`, `schema`.
 //!
 //! Exit status: 0 no verdict failed (inconclusive verdicts are reported); 1 an error that only the data or the run show; 2 wrong
 //! use, or an error that can be found without reading data rows; 3 a verdict failed; 130 interrupted by Ctrl-C, 143 by SIGTERM,
@@ -7,14 +7,17 @@
 mod brief;
 mod browser;
 mod calibrated;
+mod checked;
 mod compensate;
 mod correct;
+mod data;
 mod doubts;
 mod expected;
 mod failure;
 mod interrupt;
 mod libraries;
 mod listed;
+mod machine;
 mod pages;
 mod planning;
 mod progress;
@@ -97,6 +100,9 @@ enum Command {
         /// Print the findings as JSON.
         #[arg(long)]
         json: bool,
+        /// Print all findings: what is determined worst, correlations, uncertainty budgets.
+        #[arg(long, conflicts_with = "json")]
+        explain: bool,
         /// Time limit, seconds.
         #[arg(long, value_name = "SECONDS", value_parser = seconds, allow_negative_numbers = true)]
         time_limit: Option<Duration>,
@@ -135,6 +141,10 @@ enum Command {
         #[arg(long, value_name = "SECONDS", value_parser = seconds, allow_negative_numbers = true)]
         time_limit: Option<Duration>,
     },
+    /// Show what is understood of data files: layout, columns, ranges, gaps, and the settings that they seem to need.
+    Data(data::Data),
+    /// Show a machine: axes, chain, the errors that it has, which location errors are independent and how they are called.
+    Model(machine::Machine),
     /// Correct set-points for the errors of a calibrated machine.
     Compensate(Box<compensate::Compensate>),
     /// Correct measured positions for the errors of the calibrated machine that measured them.
@@ -367,7 +377,7 @@ fn dispatch(command: Command, libraries: &Libraries, verbose: bool) -> Result<(S
             interrupt::cancel_on_signal(monitor.clone())?;
             asked.run(libraries, &monitor)
         }
-        Command::Check { recipe, json, time_limit } => {
+        Command::Check { recipe, json, explain, time_limit } => {
             interrupt::cancel_on_signal(Monitor::default())?;
             interrupt::end_after(time_limit, Duration::ZERO, json)?;
             let prepared = prepare(&recipe, &libraries.registry(Some(&recipe))?)?;
@@ -375,7 +385,7 @@ fn dispatch(command: Command, libraries: &Libraries, verbose: bool) -> Result<(S
             let status = if planned.iter().all(|planned| planned.accepted) { 0 } else { 1 };
             let text = match json {
                 true => pretty(&summary::planned_json(&planned))?,
-                false => summary::planned_text(&prepared.recipe, &planned),
+                false => checked::text(&prepared.recipe, &planned, explain || verbose),
             };
             Ok((text, status))
         }
@@ -404,6 +414,8 @@ fn dispatch(command: Command, libraries: &Libraries, verbose: bool) -> Result<(S
             };
             Ok((text, status))
         }
+        Command::Data(asked) => Ok((asked.run(libraries)?, 0)),
+        Command::Model(asked) => Ok((asked.run(libraries)?, 0)),
         Command::Compensate(asked) => {
             interrupt::cancel_on_signal(Monitor::default())?;
             written(asked.run(&libraries.registry(None)?)?)

@@ -2,15 +2,15 @@
 
 use std::path::Path;
 
-use abbe_core::{Decision, Estimated, Figure, Fit, Outlier, Owner, Status, Unit, Verdict, WeakDirection};
+use abbe_core::{Decision, Estimated, Figure, Fit, Outlier, Quantity, Status, Unit, Verdict};
 use abbe_engine::{Failure, Outcome, Planned};
-use abbe_recipe::Recipe;
 use serde_json::{Value, json};
 
 use crate::doubts::doubts;
 use crate::table;
 use crate::uncertainty_summary;
 use abbe_report::number::{short, with_uncertainty};
+use abbe_report::unit_of;
 
 /// The summary of a run for a terminal.
 pub fn text(name: &str, outcome: &Outcome, folder: &Path) -> String {
@@ -41,7 +41,7 @@ fn failures(failures: &[Failure]) -> Option<String> {
     (!failures.is_empty()).then(|| section("Failed", &failures.iter().map(line).collect::<String>()))
 }
 
-fn section(title: &str, body: &str) -> String {
+pub fn section(title: &str, body: &str) -> String {
     format!("{title}\n{body}")
 }
 
@@ -70,7 +70,7 @@ fn parameters(fits: &[Fit]) -> String {
     let mut own = vec!["artefacts".to_owned(), "unknowns".to_owned()];
     own.extend(
         fits.iter().map(|fit| {
-            fit.problem.unknowns.iter().filter(|unknown| unknown.owner != Owner::Machine).count().to_string()
+            fit.problem.unknowns.iter().filter(|unknown| !unknown.is_of_machine()).count().to_string()
         }),
     );
     rows.push(own);
@@ -104,13 +104,13 @@ fn cell(estimated: &Estimated, factor: f64, is_implausible: bool) -> String {
     }
 }
 
-fn columns(count: usize, first: usize) -> Vec<usize> {
+pub fn columns(count: usize, first: usize) -> Vec<usize> {
     (first..first + count).collect()
 }
 
 fn fits(fits: &[Fit]) -> String {
     type Figure = (&'static str, fn(&Fit) -> String);
-    let figures: [Figure; 12] = [
+    let figures: [Figure; 13] = [
         ("equations", |fit| fit.calibration.fit.observations.to_string()),
         ("unknowns", |fit| fit.calibration.fit.unknowns.to_string()),
         ("rank", |fit| fit.calibration.fit.rank.to_string()),
@@ -119,6 +119,7 @@ fn fits(fits: &[Fit]) -> String {
         ("residual, largest µm", |fit| length(fit, fit.calibration.fit.residual_max_um)),
         ("residual, mean size µm", |fit| length(fit, fit.calibration.fit.residual_mean_abs_um)),
         ("residual, RMS µm", |fit| length(fit, fit.calibration.fit.residual_rms_um)),
+        ("residual, radial RMS µm", |fit| if_any(radial_rms(fit))),
         ("residual, largest µrad", |fit| if_any(fit.calibration.fit.residual_max_urad)),
         ("residual, mean size µrad", |fit| if_any(fit.calibration.fit.residual_mean_abs_urad)),
         ("residual, RMS µrad", |fit| if_any(fit.calibration.fit.residual_rms_urad)),
@@ -142,6 +143,25 @@ fn fits(fits: &[Fit]) -> String {
 fn length(fit: &Fit, value: f64) -> String {
     let has_machine = !fit.problem.model.info().axes.is_empty();
     if has_machine || value > 0.0 { short(value) } else { String::new() }
+}
+
+/// The root mean square of the distances, µm, of rows that have three coordinates, outliers left out; none if there are no such rows.
+fn radial_rms(fit: &Fit) -> Option<f64> {
+    let problem = &fit.problem;
+    let residuals = problem.residuals(&problem.values_of(&fit.calibration)).ok()?;
+    let (mut squares, mut rows) = (0.0, 0);
+    let equations: Vec<_> = problem.equation_rows().into_iter().zip(residuals.iter().zip(problem.quantities())).collect();
+    for row in equations.chunk_by(|(one, _), (other, _)| one == other) {
+        let (set, index) = row[0].0;
+        let is_point = row.len() == 3 && row.iter().all(|(_, (_, quantity))| *quantity == Quantity::Length);
+        let origin = problem.origin(set, index);
+        let is_outlier = |outlier: &Outlier| origin.is_some_and(|(_, origin)| (outlier.row, outlier.line) == (origin.row, origin.line));
+        if is_point && !fit.calibration.outliers.iter().any(is_outlier) {
+            squares += row.iter().map(|(_, (residual, _))| (*residual * 1e3).powi(2)).sum::<f64>();
+            rows += 1;
+        }
+    }
+    (rows > 0).then(|| (squares / f64::from(rows)).sqrt())
 }
 
 /// A figure that not every fit has.
@@ -212,7 +232,7 @@ fn predicted(fits: &[Fit]) -> Option<String> {
 }
 
 /// Heading for parameters that move the tip in the same way.
-const ALIKE: &str = "Told apart by the choice of functions only";
+pub const ALIKE: &str = "Told apart by the choice of functions only";
 
 fn alike(fits: &[Fit]) -> Option<String> {
     let lines = fits.iter().flat_map(|fit| {
@@ -281,13 +301,7 @@ fn figures(figures: &[Figure]) -> String {
     let mut rows = vec![header];
     for (name, unit) in names {
         let of_name = || shown.iter().filter(|figure| figure.name == name && figure.unit == unit);
-        let unit = match unit {
-            "1" => String::new(),
-            "um" => " µm".to_owned(),
-            "urad" => " µrad".to_owned(),
-            other => format!(" {other}"),
-        };
-        let mut row = vec![format!("{name}{unit}")];
+        let mut row = vec![format!("{name} {}", unit_of(unit)).trim_end().to_owned()];
         row.extend(estimates.iter().map(|of| {
             let Some(figure) = of_name().find(|figure| figure.of == **of) else { return String::new() };
             let value = figure.value.map_or_else(|| "none".to_owned(), |value| counted(value, &figure.unit));
@@ -329,60 +343,6 @@ pub fn json(outcome: &Outcome, folder: &Path) -> Value {
         "verdicts": outcome.verdicts,
         "failures": outcome.record().failures,
     })
-}
-
-/// What the planned fits can determine, for a terminal.
-pub fn planned_text(recipe: &Recipe, planned: &[Planned]) -> String {
-    let mut rows = vec![["", "equations", "unknowns", "rank", "condition"].map(str::to_owned).to_vec()];
-    for planned in planned {
-        let found = &planned.identifiability;
-        rows.push(vec![
-            planned.estimate.clone(),
-            found.observations.to_string(),
-            found.unknowns.to_string(),
-            found.rank.to_string(),
-            short(found.condition),
-        ]);
-    }
-    let mut text = format!("{}: {} stages\n\n", recipe.name, recipe.stages.len());
-    text.push_str(&section("Planned fits, judged at nominal contact", &table::text(&rows, &columns(4, 1))));
-    let lines = planned.iter().flat_map(|planned| {
-        let lost = planned.identifiability.null_space.iter().map(WeakDirection::advise);
-        lost.map(|lost| format!("  {}: {lost}\n", planned.estimate))
-    });
-    let lost: String = lines.collect();
-    if !lost.is_empty() {
-        text.push_str(&format!("\n{}", section("Not determined", &lost)));
-    }
-    let lines = planned.iter().flat_map(|planned| {
-        let alike = planned.identifiability.equivalent_motion_errors.iter();
-        alike.map(|same| format!("  {}: {}\n", planned.estimate, same.describe()))
-    });
-    let alike: String = lines.collect();
-    if !alike.is_empty() {
-        text.push_str(&format!("\n{}", section(ALIKE, &alike)));
-    }
-    for planned in planned {
-        for remark in &planned.identifiability.remarks {
-            text.push_str(&format!("\n{}: {remark}\n", planned.estimate));
-        }
-    }
-    for planned in planned {
-        let (name, found) = (&planned.estimate, &planned.identifiability);
-        let title = format!("{name}: what is determined worst (singular value, the largest being 1)");
-        text.push_str(&format!("\n{}", section(&title, &uncertainty_summary::weakest(&found.weakest))));
-        let Some(budget) = &found.uncertainty else { continue };
-        let pairs = uncertainty_summary::correlations(budget);
-        if !pairs.is_empty() {
-            text.push_str(&format!("\n{name}: hardly told apart, correlation above 0.95\n  {pairs}\n"));
-        }
-        let machine = |parameter: &str| planned.machine.iter().any(|own| own == parameter);
-        let percent = budget.coverage_probability * 100.0;
-        let title =
-            format!("{name}: expanded uncertainty ({percent} %) from the stated ones, and where its square comes from");
-        text.push_str(&format!("\n{}", section(&title, &uncertainty_summary::budget(budget, machine))));
-    }
-    text
 }
 
 /// What the planned fits can determine, for machines.

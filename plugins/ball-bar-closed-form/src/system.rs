@@ -189,7 +189,7 @@ fn at_nominal(problem: &Problem) -> Problem {
     let nominal = |owner: Owner, index: usize, start: f64| match owner {
         Owner::Machine => problem.model.info().nominal[index],
         Owner::Set(set) => starts[set][index],
-        Owner::Input => start,
+        Owner::Input | Owner::Tie => start,
     };
     let unknowns = problem.unknowns.iter().zip(problem.start());
     let values: Vec<f64> = unknowns.map(|(unknown, start)| nominal(unknown.owner, unknown.index, start)).collect();

@@ -81,7 +81,7 @@ impl Select {
 
     /// Indices of the candidates among the unknowns of a problem.
     pub fn candidates(&self, problem: &Problem) -> Result<Vec<usize>> {
-        let of_machine = |unknown: &&Unknown| unknown.owner == Owner::Machine;
+        let of_machine = |unknown: &&Unknown| unknown.is_of_machine();
         for (index, pattern) in self.candidates.iter().enumerate() {
             let mut unknowns = problem.unknowns.iter().filter(of_machine);
             if !unknowns.any(|unknown| matches(pattern, &unknown.name)) {

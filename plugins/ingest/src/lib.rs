@@ -7,7 +7,6 @@
 
 mod average;
 mod files;
-mod layout;
 
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
@@ -20,10 +19,9 @@ use schemars::JsonSchema;
 use serde::Deserialize;
 use serde_json::{Value, json};
 
-use abbe_table::Layout;
+use abbe_table::{Decimal, Declared, Encoding, Layout, Separator, Thousands};
 use average::Average;
 use files::Source;
-use layout::{DecimalName, Declared, EncodingName, SeparatorName};
 
 /// Measurements in CSV files.
 #[derive(Debug, Deserialize, JsonSchema)]
@@ -34,13 +32,16 @@ struct Settings {
     path: Paths,
     /// What separates the columns of the files.
     #[serde(default)]
-    separator: SeparatorName,
-    /// The character before the decimals of all numbers of the files. Separators of thousands are refused.
+    separator: Separator,
+    /// The character before the decimals of all numbers of the files.
     #[serde(default)]
-    decimal: DecimalName,
+    decimal: Decimal,
+    /// What separates groups of three digits in the numbers of the files. Without it numbers with such separators are refused.
+    #[serde(default)]
+    thousands: Thousands,
     /// How the characters of the files are stored.
     #[serde(default)]
-    encoding: EncodingName,
+    encoding: Encoding,
     /// Lines before the header row: titles.
     #[serde(default)]
     #[schemars(range(max = 10000))]
@@ -57,7 +58,7 @@ struct Settings {
     #[serde(default)]
     no_data: Vec<Label>,
     /// The columns to take, all others are left out: name with unit, and the name that it has in the files.
-    columns: Option<BTreeMap<String, layout::Source>>,
+    columns: Option<BTreeMap<String, abbe_table::Source>>,
     /// Columns with the same value in every row: name, with its unit where it has one, and value.
     #[serde(default)]
     constants: BTreeMap<String, Label>,
@@ -147,10 +148,11 @@ fn build(settings: Settings, context: &Context) -> Result<Box<dyn Ingest>, Setti
     let layout = Declared {
         separator: settings.separator,
         decimal: settings.decimal,
+        thousands: settings.thousands,
         encoding: settings.encoding,
         skip_lines: settings.skip_lines,
         skip_after_header: settings.skip_after_header,
-        has_header: settings.header,
+        header: settings.header,
         no_data: settings.no_data,
         columns: settings.columns,
     };
@@ -213,11 +215,9 @@ impl Ingest for Csv {
         for (setting, filters, wanted) in self.filters() {
             for (name, listed) in filters {
                 let labels = abbe_table::labels(&data, name)?;
-                if let Some((index, label)) = listed.iter().enumerate().find(|(_, label)| !labels.contains(&label.0)) {
-                    let message = format!("`{setting}` names {name} {}, which is in no row", label.0);
-                    let mut error = in_settings(Error::data(message), setting, name);
-                    error.setting.push(PathItem::Index(index));
-                    return Err(error);
+                // A recipe may name rows that other data do not have.
+                for label in listed.iter().filter(|label| !labels.contains(&label.0)) {
+                    tracing::warn!("`{setting}` names {name} {}, which is in no row of these data", label.0);
                 }
                 for (stays, label) in stays.iter_mut().zip(labels) {
                     *stays &= listed.iter().any(|listed| listed.0 == *label) == wanted;

@@ -186,11 +186,6 @@ fn what_is_wrong_is_said_with_its_place() {
         ),
         (
             touches,
-            with_path("ignore", json!({ "feature": [1, 99] })),
-            "Data ignore.feature[1]: `ignore` names feature 99, which is in no row",
-        ),
-        (
-            touches,
             with_path("keep", json!({ "featur": [1] })),
             "Use keep.featur: there is no column `featur`; the columns are `feature`, `X_mm`, `file` (did you mean \
              `feature`?)",

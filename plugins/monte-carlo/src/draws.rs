@@ -98,7 +98,7 @@ impl<'a> Draws<'a> {
             }
         };
         let considered = sources(settings, &problem)?;
-        let known = problem.considered.unknowns.iter().map(|unknown| value(&problem, unknown)).collect();
+        let known = problem.considered.unknowns.iter().map(|unknown| problem.value_of(unknown)).collect();
         let mut neglected = Vec::new();
         for (index, line) in settings.vary.iter().enumerate() {
             neglected.extend(line.parameters_of(index, &problem)?);
@@ -254,15 +254,6 @@ fn words(distribution: Distribution) -> String {
     }
 }
 
-/// The value of something that is not estimated.
-fn value(problem: &Problem, unknown: &Unknown) -> f64 {
-    match unknown.owner {
-        Owner::Machine => problem.machine_values[unknown.index],
-        Owner::Set(set) => problem.sets[set].own[unknown.index],
-        Owner::Input => problem.inputs[unknown.index].value(&problem.sets),
-    }
-}
-
 /// For every set its residuals without outliers, divided by the scaled standard uncertainties. Their mean is zero, and they
 /// are enlarged to the size of the errors: the estimate adapts to the errors and makes residuals smaller.
 fn residuals(fit: &Fit, problem: &Problem, scale: f64) -> Result<Vec<Vec<f64>>> {
@@ -403,7 +394,7 @@ impl Neglected {
             let before = found.len();
             for (index, parameter) in parameters.iter().enumerate().filter(|(_, it)| matches(pattern, &it.name)) {
                 let named = |unknown: &Unknown| unknown.name == parameter.name;
-                if problem.unknowns.iter().chain(&problem.considered.unknowns).any(named) {
+                if problem.machine_unknowns().iter().chain(&problem.considered.unknowns).any(named) {
                     let message =
                         format!("{} is estimated or known; only what is neglected varies here", parameter.name);
                     return Err(at(Error::usage(message), &path));

@@ -218,6 +218,7 @@ impl Propagation {
             parameters: parameters.collect(),
         });
         let before = std::mem::replace(&mut calibration.covariance, NamedCovariance { order, rows: covariance });
+        fit.problem.untie(&mut calibration);
         for input in calibration.inputs.iter_mut().flatten() {
             let place = |name: &String| before.order.iter().position(|other| other == name);
             let of_name = |name: &String| place(name).map_or(0.0, |place| input.sensitivities[place]);

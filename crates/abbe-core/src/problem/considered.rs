@@ -8,7 +8,7 @@ use crate::index::SetIndex;
 use crate::model::{KinematicModel, ModelInfo, Poses};
 use crate::observations::Equations;
 use crate::parameter::Parameter;
-use crate::problem::{ObservationSet, Owner, Problem, Unknown};
+use crate::problem::{ObservationSet, Owner, Problem, Tie, Unknown, tie};
 use abbe_results::{Calibration, ConsideredInput, Status};
 use abbe_settings::Unit;
 use abbe_settings::{Error, Result};
@@ -202,11 +202,20 @@ fn agree(known: &Input, value: f64, uncertainty: f64, sets: &[ObservationSet], o
 }
 
 /// Adds the parameters of a model that have a nominal uncertainty and are not estimated.
-pub(crate) fn consider_parameters(considered: &mut Considered, model: &dyn KinematicModel, chosen: &[Unknown]) {
+pub(crate) fn consider_parameters(
+    considered: &mut Considered,
+    model: &dyn KinematicModel,
+    chosen: &[Unknown],
+    ties: &[Tie],
+) {
     let ModelInfo { parameters, nominal, nominal_uncertainties, .. } = model.info();
     let all = parameters.iter().zip(nominal_uncertainties).zip(nominal).enumerate();
     for (index, ((Parameter { name, unit, .. }, &uncertainty), value)) in all {
-        let is_chosen = chosen.iter().any(|unknown| unknown.owner == Owner::Machine && unknown.index == index);
+        let is_chosen = chosen.iter().any(|unknown| match unknown.owner {
+            Owner::Machine => unknown.index == index,
+            Owner::Tie => ties[unknown.index].has(index),
+            Owner::Set(_) | Owner::Input => false,
+        });
         if uncertainty > 0.0 && !is_chosen {
             let unknown = Unknown { name: name.clone(), unit: *unit, owner: Owner::Machine, index };
             let content = format!("{name} = {value:e} {unit}, u = {uncertainty:e} {unit}");
@@ -330,7 +339,7 @@ impl Problem {
 
     /// Everything that could be estimated here.
     fn candidates(&self) -> Vec<Unknown> {
-        candidates(self.model.as_ref(), &self.sets)
+        tie::tied(candidates(self.model.as_ref(), &self.sets), &self.ties)
     }
 
     /// The input of an earlier estimate: an input of this problem, or a new one that no set of this problem uses.

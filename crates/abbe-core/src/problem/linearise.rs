@@ -145,16 +145,16 @@ impl Problem {
             }
             let weight = Vector3::from(*weight);
             let line = &mut jacobian[equation * count..(equation + 1) * count];
-            for (derivative, &column) in derivatives.iter().zip(&columns.machine) {
-                line[column] += Vector3::from(*derivative).dot(&weight);
+            for (derivative, &(column, factor)) in derivatives.iter().zip(&columns.machine) {
+                line[column] += factor * Vector3::from(*derivative).dot(&weight);
             }
         });
         let ColumnsOfSet { own, inputs } = &columns.of_sets[index];
         let own = work.equations.by_own.iter().map(|by| (by, own));
         let inputs = work.equations.by_input.iter().map(|by| (by, inputs));
         for (&(equation, index, derivative), columns) in own.chain(inputs) {
-            if let Some(column) = columns[index] {
-                jacobian[equation * count + column] += derivative;
+            if let Some((column, factor)) = columns[index] {
+                jacobian[equation * count + column] += factor * derivative;
             }
         }
         Ok(())
@@ -222,18 +222,18 @@ impl Problem {
 
 /// Columns of the Jacobian of a problem.
 struct Columns {
-    /// The parameters of the model that are unknown, and the column of each.
+    /// The parameters of the model that are unknown, and the column of each with its factor there.
     wanted: Vec<Variable>,
-    machine: Vec<usize>,
+    machine: Vec<(usize, f64)>,
     of_sets: Vec<ColumnsOfSet>,
 }
 
-/// The columns of a set; none for what is not unknown.
+/// The columns of a set with their factors; none for what is not unknown.
 struct ColumnsOfSet {
     /// Those of its own unknowns.
-    own: Vec<Option<usize>>,
+    own: Vec<Option<(usize, f64)>>,
     /// Those of its known inputs.
-    inputs: Vec<Option<usize>>,
+    inputs: Vec<Option<(usize, f64)>>,
 }
 
 impl ListedBy<SetIndex> for ColumnsOfSet {}
@@ -247,21 +247,24 @@ impl Columns {
         let (mut wanted, mut machine) = (Vec::new(), Vec::new());
         let mut of_sets: Vec<_> = problem.sets.iter().map(none).collect();
         for (column, unknown) in problem.unknowns.iter().enumerate() {
-            match unknown.owner {
-                Owner::Machine => {
-                    wanted.push(Variable::Parameter(unknown.index));
-                    machine.push(column);
-                    for (of_set, set) in of_sets.iter_mut().zip(&problem.sets) {
-                        let inputs = of_set.inputs.iter_mut().zip(&set.info().inputs);
-                        inputs
-                            .filter(|(_, input)| input.of_model == Some(unknown.index))
-                            .for_each(|(own, _)| *own = Some(column));
-                    }
+            let mut parameter = |index: usize, place: (usize, f64)| {
+                wanted.push(Variable::Parameter(index));
+                machine.push(place);
+                for (of_set, set) in of_sets.iter_mut().zip(&problem.sets) {
+                    let inputs = of_set.inputs.iter_mut().zip(&set.info().inputs);
+                    inputs.filter(|(_, input)| input.of_model == Some(index)).for_each(|(own, _)| *own = Some(place));
                 }
-                Owner::Set(set) => of_sets[set].own[unknown.index] = Some(column),
+            };
+            match unknown.owner {
+                Owner::Machine => parameter(unknown.index, (column, 1.0)),
+                Owner::Tie => {
+                    let members = &problem.ties[unknown.index].members;
+                    members.iter().for_each(|&(index, factor)| parameter(index, (column, factor)));
+                }
+                Owner::Set(set) => of_sets[set].own[unknown.index] = Some((column, 1.0)),
                 Owner::Input => {
                     for &(set, input) in &problem.inputs[unknown.index].users {
-                        of_sets[set].inputs[input] = Some(column);
+                        of_sets[set].inputs[input] = Some((column, 1.0));
                     }
                 }
             }

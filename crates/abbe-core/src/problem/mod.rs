@@ -7,6 +7,7 @@ mod considered;
 mod first_order;
 mod linearise;
 mod rows;
+mod tie;
 
 use std::sync::Arc;
 
@@ -25,6 +26,7 @@ use considered::{candidates, check_constraints, consider_parameters, inputs};
 pub use considered::{Considered, Input, Prior};
 pub use linearise::{Block, CHUNK, Evaluation};
 pub use rows::{ObservationSet, RepeatedTogether};
+pub use tie::{DeclaredTie, Tie};
 
 /// What an unknown belongs to.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
@@ -32,6 +34,8 @@ pub use rows::{ObservationSet, RepeatedTogether};
 pub enum Owner {
     /// A parameter of the model.
     Machine,
+    /// Several parameters of the model that are one number: [`Problem::ties`].
+    Tie,
     /// An own unknown of this observation set.
     Set(SetIndex),
     /// A known input of the problem ([`Problem::inputs`]); never estimated.
@@ -64,6 +68,8 @@ pub struct Problem {
     pub sets: Vec<ObservationSet>,
     /// What is estimated: machine parameters in the model's order, then the sets' own unknowns.
     pub unknowns: Vec<Unknown>,
+    /// Unknowns that are several parameters of the machine.
+    pub ties: Vec<Tie>,
     /// Start or fixed value of every model parameter.
     pub machine_values: Vec<f64>,
     /// The known inputs of all sets. An input that several sets share is listed once.
@@ -90,13 +96,31 @@ impl Problem {
         sets: Vec<ObservationSet>,
         patterns: &[String],
     ) -> Result<Self> {
+        Self::with_ties(name, model_plugin, model, sets, (patterns, &[]))
+    }
+
+    /// The same where parameters of the machine are tied: a pattern chooses a tied unknown by its name or by that of a member.
+    pub fn with_ties(
+        name: &str,
+        model_plugin: &str,
+        model: Arc<dyn KinematicModel>,
+        sets: Vec<ObservationSet>,
+        (patterns, declared): (&[String], &[DeclaredTie]),
+    ) -> Result<Self> {
         check_lengths(model.as_ref(), &sets)?;
-        let mut candidates = candidates(model.as_ref(), &sets);
+        let candidates = candidates(model.as_ref(), &sets);
+        let ties = tie::ties(declared, &candidates)?;
+        let mut candidates = tie::tied(candidates, &ties);
+        let parameters = &model.info().parameters;
+        let is_meant = |pattern: &str, candidate: &Unknown| {
+            let members = if candidate.owner == Owner::Tie { ties[candidate.index].members.as_slice() } else { &[] };
+            matches(pattern, &candidate.name) || members.iter().any(|(index, _)| matches(pattern, &parameters[*index].name))
+        };
         let mut chosen = vec![false; candidates.len()];
         for (index, pattern) in patterns.iter().enumerate() {
             let mut found = false;
             for (chosen, candidate) in chosen.iter_mut().zip(&candidates) {
-                if matches(pattern, &candidate.name) {
+                if is_meant(pattern, candidate) {
                     (*chosen, found) = (true, true);
                 }
             }
@@ -116,7 +140,7 @@ impl Problem {
         candidates.retain(|_| chosen.next() == Some(true));
         let machine_values = model.info().nominal.clone();
         let (inputs, mut considered) = inputs(&sets)?;
-        consider_parameters(&mut considered, model.as_ref(), &candidates);
+        consider_parameters(&mut considered, model.as_ref(), &candidates, &ties);
         sets.iter().try_for_each(check_constraints)?;
         Ok(Self {
             name: name.to_owned(),
@@ -124,6 +148,7 @@ impl Problem {
             model_plugin: model_plugin.to_owned(),
             sets,
             unknowns: candidates,
+            ties,
             machine_values,
             inputs,
             considered,
@@ -188,12 +213,35 @@ impl Problem {
 
     /// Adds `change` to the value of a quantity that is not estimated.
     pub fn shift(&mut self, unknown: &Unknown, change: f64) {
+        let value = self.value_of(unknown);
+        self.set(unknown, value + change);
+    }
+
+    /// The start or fixed value of an unknown.
+    pub fn value_of(&self, unknown: &Unknown) -> f64 {
         match unknown.owner {
-            Owner::Machine => self.machine_values[unknown.index] += change,
-            Owner::Set(set) => self.sets[set].own[unknown.index] += change,
+            Owner::Machine => self.machine_values[unknown.index],
+            Owner::Tie => {
+                let (index, factor) = self.ties[unknown.index].members[0];
+                self.machine_values[index] / factor
+            }
+            Owner::Set(set) => self.sets[set].own[unknown.index],
+            Owner::Input => self.inputs[unknown.index].value(&self.sets),
+        }
+    }
+
+    fn set(&mut self, unknown: &Unknown, value: f64) {
+        match unknown.owner {
+            Owner::Machine => self.machine_values[unknown.index] = value,
+            Owner::Tie => {
+                for &(index, factor) in &self.ties[unknown.index].members {
+                    self.machine_values[index] = value * factor;
+                }
+            }
+            Owner::Set(set) => self.sets[set].own[unknown.index] = value,
             Owner::Input => {
                 for &(set, input) in &self.inputs[unknown.index].users {
-                    self.sets[set].inputs[input] += change;
+                    self.sets[set].inputs[input] = value;
                 }
             }
         }
@@ -201,29 +249,14 @@ impl Problem {
 
     /// The start value of every unknown.
     pub fn start(&self) -> Vec<f64> {
-        self.unknowns
-            .iter()
-            .map(|unknown| match unknown.owner {
-                Owner::Machine => self.machine_values[unknown.index],
-                Owner::Set(set) => self.sets[set].own[unknown.index],
-                Owner::Input => self.inputs[unknown.index].value(&self.sets),
-            })
-            .collect()
+        self.unknowns.iter().map(|unknown| self.value_of(unknown)).collect()
     }
 
     /// The problem with the unknowns' start values replaced by `x`.
     pub fn with_values(&self, x: &[f64]) -> Self {
         let mut problem = self.clone();
         for (unknown, &value) in self.unknowns.iter().zip(x) {
-            match unknown.owner {
-                Owner::Machine => problem.machine_values[unknown.index] = value,
-                Owner::Set(set) => problem.sets[set].own[unknown.index] = value,
-                Owner::Input => {
-                    for &(set, input) in &self.inputs[unknown.index].users {
-                        problem.sets[set].inputs[input] = value;
-                    }
-                }
-            }
+            problem.set(unknown, value);
         }
         problem
     }

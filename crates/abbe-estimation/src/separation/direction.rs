@@ -48,7 +48,7 @@ impl<'a> LostDirection<'a> {
 
     /// Whether a rotation of the machine takes part.
     pub fn turns(&self) -> bool {
-        let of_machine = self.members.iter().filter(|(unknown, _)| unknown.owner == Owner::Machine);
+        let of_machine = self.members.iter().filter(|(unknown, _)| unknown.is_of_machine());
         of_machine.into_iter().any(|(unknown, _)| unknown.unit.of == Quantity::Angle)
     }
 
@@ -104,9 +104,12 @@ impl<'a> LostDirection<'a> {
 
     /// How the tip moves at some statuses.
     fn field(&self, statuses: &[Vec<f64>]) -> Result<Field> {
-        let of_machine = self.members.iter().filter(|(unknown, _)| unknown.owner == Owner::Machine);
+        let parameters = self.members.iter().flat_map(|(unknown, change)| match unknown.owner {
+            Owner::Machine => vec![(unknown.index, *change)],
+            _ => self.problem.members_of(unknown).iter().map(|(index, factor)| (*index, factor * change)).collect(),
+        });
         let (wanted, changes): (Vec<Variable>, Vec<f64>) =
-            of_machine.map(|(unknown, change)| (Variable::Parameter(unknown.index), change)).unzip();
+            parameters.map(|(index, change)| (Variable::Parameter(index), change)).unzip();
         let mut poses = Poses::default();
         self.problem.model.poses(&statuses.concat(), &self.problem.machine_values, &wanted, false, &mut poses)?;
         let mut field = Field { changes: vec![Vector3::zeros(); statuses.len()], single: 0.0 };
@@ -132,7 +135,7 @@ impl<'a> LostDirection<'a> {
     /// What to do if no measurement separates the direction, given whether it moves the tip anywhere.
     pub fn without_measurement(&self, moves: bool) -> String {
         let (alone, [verb, noun, _]) = (self.members.len() == 1, words(self.problem));
-        if self.members.iter().all(|(unknown, _)| unknown.owner != Owner::Machine) {
+        if self.members.iter().all(|(unknown, _)| !unknown.is_of_machine()) {
             let features = listed_features(&self.members);
             return format!("{verb} {features} from more directions or at more indexations");
         }

@@ -90,6 +90,7 @@ fn problem() -> Problem {
         model_plugin: "plain".to_owned(),
         sets: Vec::new(),
         unknowns: Vec::new(),
+        ties: Vec::new(),
         machine_values: Vec::new(),
         inputs: Vec::new(),
         considered: Considered::default(),

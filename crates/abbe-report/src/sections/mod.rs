@@ -39,14 +39,27 @@ pub fn micrometres(known: abbe_volumetric::Known) -> String {
     format!("{} µm", sized(known.value * 1e3, 2.0 * known.uncertainty * 1e3, ROUNDING_UM))
 }
 
-/// The unit of a figure for people.
-pub fn unit_of(unit: &str) -> &str {
-    match unit {
-        "1" => "",
+/// The unit of a figure as people write it: `um/m3` is µm/m³.
+pub fn unit_of(unit: &str) -> String {
+    if unit == "1" {
+        return String::new();
+    }
+    unit.split('/').map(part_of_unit).collect::<Vec<_>>().join("/")
+}
+
+fn part_of_unit(part: &str) -> String {
+    let symbol = part.trim_end_matches(|letter: char| letter.is_ascii_digit() || letter == '^');
+    let power = part[symbol.len()..].chars().filter_map(|digit| "⁰¹²³⁴⁵⁶⁷⁸⁹".chars().nth(digit.to_digit(10)? as usize));
+    let symbol = match symbol {
         "um" => "µm",
         "urad" => "µrad",
+        "deg" => "°",
+        "degC" => "°C",
+        // A number alone is no power.
+        "" => return part.to_owned(),
         other => other,
-    }
+    };
+    symbol.chars().chain(power).collect()
 }
 
 /// The value of a figure with its unit.

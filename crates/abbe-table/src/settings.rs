@@ -3,66 +3,25 @@
 use std::collections::BTreeMap;
 
 use abbe_core::{ColumnHeader, Label, PathItem, SettingsError};
-use abbe_table::{ColumnSource, Decimal, Encoding, Layout, Separator, Unit};
 use schemars::JsonSchema;
 use serde::Deserialize;
 
-/// What separates the columns.
-#[derive(Debug, Clone, Copy, Default, Deserialize, JsonSchema)]
-#[serde(rename_all = "kebab-case")]
-pub(crate) enum SeparatorName {
-    /// `,`
-    #[default]
-    Comma,
-    /// `;`
-    Semicolon,
-    /// One tabulator.
-    Tab,
-    /// `|`
-    Stroke,
-    /// Any number of spaces and tabulators.
-    Space,
-}
-
-/// The character before the decimals of all numbers.
-#[derive(Debug, Clone, Copy, Default, Deserialize, JsonSchema)]
-#[serde(rename_all = "kebab-case")]
-pub(crate) enum DecimalName {
-    /// `1.5`
-    #[default]
-    Point,
-    /// `1,5`
-    Comma,
-}
-
-/// How characters are stored.
-#[derive(Debug, Clone, Copy, Default, Deserialize, JsonSchema)]
-pub(crate) enum EncodingName {
-    /// UTF-8, with a byte order mark or without.
-    #[default]
-    #[serde(rename = "utf-8")]
-    Utf8,
-    /// UTF-16, as its byte order mark says; without one the low byte comes first.
-    #[serde(rename = "utf-16")]
-    Utf16,
-    /// ISO 8859-1 and Windows-1252.
-    #[serde(rename = "latin-1")]
-    Latin1,
-}
+use crate::layout::{ColumnSource, Decimal, Encoding, Layout, Separator, Thousands, Unit};
 
 /// Where a column stands in the files.
 #[derive(Debug, Deserialize, JsonSchema)]
 #[serde(untagged, expecting = "the name of a column of the file, or a map with `column` and `unit`, was expected")]
-pub(crate) enum Source {
+pub enum Source {
     /// Its name in the header row; without a header row its number, from 1. The unit is that of the name on the left.
     Column(Label),
     /// A column in another unit.
     InUnit(ColumnInUnit),
 }
 
+/// A column of a file that has another unit.
 #[derive(Debug, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
-pub(crate) struct ColumnInUnit {
+pub struct ColumnInUnit {
     /// Its name in the header row; without a header row its number, from 1.
     column: Label,
     /// The unit of its numbers: nm, um, mm, cm, m, in, thou; deg, dms (degrees, minutes, seconds), gon, rad, mrad, urad, arcmin,
@@ -70,54 +29,77 @@ pub(crate) struct ColumnInUnit {
     unit: String,
 }
 
-/// What is declared of the files.
-pub(crate) struct Declared {
-    pub(crate) separator: SeparatorName,
-    pub(crate) decimal: DecimalName,
-    pub(crate) encoding: EncodingName,
-    pub(crate) skip_lines: usize,
-    pub(crate) skip_after_header: usize,
-    pub(crate) has_header: bool,
-    pub(crate) no_data: Vec<Label>,
-    pub(crate) columns: Option<BTreeMap<String, Source>>,
+/// What settings say of the layout of files, with the names of `ingest: csv`. Other settings are not looked at.
+#[derive(Debug, Deserialize)]
+pub struct Declared {
+    /// As [`Layout::separator`].
+    #[serde(default)]
+    pub separator: Separator,
+    /// As [`Layout::decimal`].
+    #[serde(default)]
+    pub decimal: Decimal,
+    /// As [`Layout::thousands`].
+    #[serde(default)]
+    pub thousands: Thousands,
+    /// As [`Layout::encoding`].
+    #[serde(default)]
+    pub encoding: Encoding,
+    /// As [`Layout::skip_lines`].
+    #[serde(default)]
+    pub skip_lines: usize,
+    /// As [`Layout::skip_after_header`].
+    #[serde(default)]
+    pub skip_after_header: usize,
+    /// As [`Layout::has_header`].
+    #[serde(default = "yes")]
+    pub header: bool,
+    /// As [`Layout::no_data`].
+    #[serde(default)]
+    pub no_data: Vec<Label>,
+    /// As [`Layout::columns`].
+    pub columns: Option<BTreeMap<String, Source>>,
+}
+
+fn yes() -> bool {
+    true
 }
 
 /// Lines that may be skipped.
 const MOST_LINES: usize = 10_000;
 
 impl Declared {
-    pub(crate) fn layout(self) -> Result<Layout, SettingsError> {
+    /// The layout; else which setting is wrong.
+    pub fn layout(self) -> Result<Layout, SettingsError> {
         for (setting, lines) in [("skip_lines", self.skip_lines), ("skip_after_header", self.skip_after_header)] {
             if lines > MOST_LINES {
                 return Err(SettingsError::new(setting, format!("{lines} lines; at most {MOST_LINES} are skipped")));
             }
         }
-        if !self.has_header && self.columns.is_none() {
+        if !self.header && self.columns.is_none() {
             let message = "without a header row `columns` has to say what the columns are: `X_mm: 1`";
             return Err(SettingsError::new("header", message));
         }
+        let is_twice = match self.thousands {
+            Thousands::None | Thousands::Apostrophe => false,
+            Thousands::Blank => self.separator == Separator::Space,
+            Thousands::Point => self.decimal == Decimal::Point,
+            Thousands::Comma => self.decimal == Decimal::Comma,
+        };
+        if is_twice {
+            let message = format!("`{}` has another meaning here already", self.thousands.name());
+            let error = SettingsError::new("thousands", message);
+            return Err(error.help("`decimal` and `separator` have to be other characters"));
+        }
         Ok(Layout {
-            separator: match self.separator {
-                SeparatorName::Comma => Separator::Comma,
-                SeparatorName::Semicolon => Separator::Semicolon,
-                SeparatorName::Tab => Separator::Tab,
-                SeparatorName::Stroke => Separator::Stroke,
-                SeparatorName::Space => Separator::Space,
-            },
-            decimal: match self.decimal {
-                DecimalName::Point => Decimal::Point,
-                DecimalName::Comma => Decimal::Comma,
-            },
-            encoding: match self.encoding {
-                EncodingName::Utf8 => Encoding::Utf8,
-                EncodingName::Utf16 => Encoding::Utf16,
-                EncodingName::Latin1 => Encoding::Latin1,
-            },
+            separator: self.separator,
+            decimal: self.decimal,
+            thousands: self.thousands,
+            encoding: self.encoding,
             skip_lines: self.skip_lines,
             skip_after_header: self.skip_after_header,
-            has_header: self.has_header,
+            has_header: self.header,
             no_data: self.no_data.into_iter().map(|Label(mark)| mark.trim().to_owned()).collect(),
-            columns: self.columns.map(|columns| sources(columns, self.has_header)).transpose()?,
+            columns: self.columns.map(|columns| sources(columns, self.header)).transpose()?,
         })
     }
 }

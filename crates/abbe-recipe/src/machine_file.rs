@@ -1,0 +1,35 @@
+//! Machine descriptions in files of their own, which model stages name.
+
+use std::path::Path;
+
+use abbe_core::Error;
+use serde_json::Value;
+
+use crate::document::{At, Document, Node};
+use crate::read_text;
+
+/// The machine description that a `file` setting names.
+pub(crate) fn read_description(node: &Node<'_>, base: &Path) -> Result<Document, Error> {
+    let path = base.join(node.text()?);
+    let text = read_text(&path).map_err(|error| node.error(At::Value, error.message))?;
+    let document = Document::parse(&path, &text)?;
+    document.root().map()?;
+    Ok(document)
+}
+
+/// Maps are merged, anything else of `over` replaces what is `under` it.
+pub(crate) fn merge(under: Value, over: Value) -> Value {
+    match (under, over) {
+        (Value::Object(mut under), Value::Object(over)) => {
+            for (key, value) in over {
+                let value = match under.get_mut(&key) {
+                    Some(old) => merge(old.take(), value),
+                    None => value,
+                };
+                under.insert(key, value);
+            }
+            Value::Object(under)
+        }
+        (_, over) => over,
+    }
+}

@@ -1,0 +1,160 @@
+//! Numbers as they stand in cells.
+
+use std::borrow::Cow;
+use std::ops::RangeInclusive;
+
+use abbe_core::Quantity;
+
+use crate::layout::{Decimal, Layout, Thousands, Unit};
+
+/// Characters of a cell that a message shows.
+const SHOWN: usize = 60;
+
+/// Temperatures that are read, °C: no machine is measured at others, and 293 is in kelvin.
+pub const TEMPERATURES: RangeInclusive<f64> = -100.0..=200.0;
+
+/// Reads a number as it stands in a cell of the column `header`, in the unit used in memory; else says what is wrong.
+pub fn number(header: &str, cell: &str) -> Result<f64, String> {
+    number_of(header, cell, None, &Layout::default())
+}
+
+/// The same with a unit other than that of the header, and as a layout writes numbers.
+pub(crate) fn number_of(header: &str, cell: &str, unit: Option<Unit>, layout: &Layout) -> Result<f64, String> {
+    let cell = cell.trim();
+    let (_, quantity, factor) = Quantity::of_column(header);
+    let read = |written: &str| match unit {
+        Some(unit) => unit.read(written),
+        None => written.parse().ok().map(|value: f64| value * factor),
+    };
+    // Blanks separate degrees, minutes and seconds.
+    let thousands = if unit.is_some_and(Unit::is_sexagesimal) { Thousands::None } else { layout.thousands };
+    let value = plain(cell, layout.decimal, thousands).and_then(|written| read(&written));
+    match value {
+        Some(value) if quantity == Quantity::Temperature && !TEMPERATURES.contains(&value) => Err(format!(
+            "`{header}` is `{}`; a temperature from {} to {} °C was expected",
+            shown(cell),
+            TEMPERATURES.start(),
+            TEMPERATURES.end()
+        )),
+        Some(value) if value.is_finite() => Ok(value),
+        Some(_) => Err(format!("`{header}` is `{}`, which is not a finite number", shown(cell))),
+        None if cell.is_empty() => Err(format!("`{header}` is empty; a number was expected")),
+        None => Err(format!("`{header}` is `{}`; {} was expected", shown(cell), expected(cell, layout))),
+    }
+}
+
+/// What was expected in the place of a cell that is no number.
+fn expected(cell: &str, layout: &Layout) -> &'static str {
+    match layout.decimal {
+        Decimal::Point if plain(cell, Decimal::Comma, Thousands::None).is_some_and(|it| it.parse::<f64>().is_ok()) => {
+            "a number with a decimal point"
+        }
+        Decimal::Comma if cell.contains('.') && layout.thousands == Thousands::None => {
+            "a number with a decimal comma and without separators of thousands"
+        }
+        _ => "a number",
+    }
+}
+
+/// The setting that a cell which is no number seems to need.
+pub(crate) fn help_for(cell: &str, layout: &Layout) -> Option<&'static str> {
+    let is = |decimal, thousands| is_number(cell.trim(), decimal, thousands);
+    let other = if layout.decimal == Decimal::Point { Decimal::Comma } else { Decimal::Point };
+    if is(other, Thousands::None) {
+        return Some(match other {
+            Decimal::Comma => "write `decimal: comma` where it is read by `ingest: csv`",
+            Decimal::Point => "write `decimal: point` where it is read by `ingest: csv`",
+        });
+    }
+    let separated = Thousands::ALL.into_iter().find(|(thousands, ..)| {
+        layout.thousands != *thousands && [layout.decimal, other].into_iter().any(|decimal| is(decimal, *thousands))
+    })?;
+    Some(separated.2)
+}
+
+/// Whether a cell is a number that is written so.
+pub(crate) fn is_number(cell: &str, decimal: Decimal, thousands: Thousands) -> bool {
+    plain(cell, decimal, thousands).and_then(|written| written.parse::<f64>().ok()).is_some_and(f64::is_finite)
+}
+
+/// A number with a decimal point, a simple minus sign and no separators of thousands; none if it is not written as declared.
+pub(crate) fn plain(cell: &str, decimal: Decimal, thousands: Thousands) -> Option<Cow<'_, str>> {
+    let mut written = Cow::Borrowed(cell);
+    // Swedish spreadsheets write this sign.
+    if let Some(rest) = cell.strip_prefix('\u{2212}') {
+        written = format!("-{rest}").into();
+    }
+    let separators = thousands.characters();
+    if written.contains(separators) {
+        let sign = written.len() - written.trim_start_matches(['+', '-']).len();
+        let decimal = decimal.character();
+        let end = written.find([decimal, 'e', 'E']).unwrap_or(written.len());
+        let groups: Vec<&str> = written.get(sign..end)?.split(separators).collect();
+        let is_group = |(place, group): (usize, &&str)| {
+            let fits = if place == 0 { (1..=3).contains(&group.len()) } else { group.len() == 3 };
+            fits && group.bytes().all(|byte| byte.is_ascii_digit())
+        };
+        if !groups.iter().enumerate().all(is_group) {
+            return None;
+        }
+        written = format!("{}{}{}", &written[..sign], groups.concat(), &written[end..]).into();
+    }
+    match decimal {
+        Decimal::Point => Some(written),
+        Decimal::Comma if written.contains('.') => None,
+        Decimal::Comma => Some(written.replacen(',', ".", 1).into()),
+    }
+}
+
+/// The beginning of a cell, which may be long.
+pub(crate) fn shown(cell: &str) -> Cow<'_, str> {
+    match cell.char_indices().nth(SHOWN) {
+        Some((end, _)) => format!("{}...", &cell[..end]).into(),
+        None => cell.into(),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn thousands_are_read_as_declared_and_nothing_else() {
+        let read = |cell: &str, decimal, thousands| {
+            number_of("X_mm", cell, None, &Layout { decimal, thousands, ..Layout::default() })
+        };
+        for (cell, decimal, thousands, expected) in [
+            ("1.234,5", Decimal::Comma, Thousands::Point, 1234.5),
+            ("-1.234.567", Decimal::Comma, Thousands::Point, -1_234_567.0),
+            ("1 234,5", Decimal::Comma, Thousands::Blank, 1234.5),
+            ("\u{2212}1\u{a0}234,5", Decimal::Comma, Thousands::Blank, -1234.5),
+            ("12\u{202f}345", Decimal::Comma, Thousands::Blank, 12345.0),
+            ("1,234.5e-3", Decimal::Point, Thousands::Comma, 1.2345),
+            ("1'234.5", Decimal::Point, Thousands::Apostrophe, 1234.5),
+            ("234.5", Decimal::Point, Thousands::Comma, 234.5),
+            ("1234567.25", Decimal::Point, Thousands::Comma, 1_234_567.25),
+        ] {
+            assert_eq!(read(cell, decimal, thousands), Ok(expected), "{cell}");
+        }
+        for (cell, decimal, thousands) in [
+            ("1.23,5", Decimal::Comma, Thousands::Point),
+            ("1234.567,8", Decimal::Comma, Thousands::Point),
+            (".234", Decimal::Comma, Thousands::Point),
+            ("1..234", Decimal::Comma, Thousands::Point),
+            ("1,5", Decimal::Point, Thousands::Comma),
+            ("1 23", Decimal::Comma, Thousands::Blank),
+            ("1,234.5", Decimal::Point, Thousands::None),
+            ("1 234", Decimal::Point, Thousands::None),
+            ("12,34,5", Decimal::Comma, Thousands::None),
+        ] {
+            assert!(read(cell, decimal, thousands).is_err(), "{cell}");
+        }
+        let help = |cell: &str, layout: &Layout| help_for(cell, layout).unwrap_or_default();
+        let comma = Layout { decimal: Decimal::Comma, ..Layout::default() };
+        assert!(help("1.234,5", &comma).contains("`thousands: point`"));
+        assert!(help("1\u{a0}234,5", &comma).contains("`thousands: blank`"));
+        assert!(help("1,5", &Layout::default()).contains("`decimal: comma`"));
+        assert!(help("1.5", &comma).contains("`decimal: point`"));
+        assert_eq!(help_for("one", &comma), None);
+    }
+}

@@ -1,0 +1,290 @@
+//! `abbe data`: what is understood of data files, and which settings a file seems to need.
+
+use std::fmt::Write;
+use std::path::{Path, PathBuf};
+
+use abbe_core::{ColumnHeader, Error, Quantity, Result, Values, from_settings};
+use abbe_engine::{Understood, prepare};
+use abbe_report::number::short;
+use abbe_table::{Contents, Decimal, Declared, Found, Layout, Likely, Separator, Thousands, contents, likely};
+use clap::Args;
+
+use crate::libraries::Libraries;
+use crate::table;
+
+/// What is asked.
+#[derive(Debug, Args)]
+pub struct Data {
+    /// Data files, or recipes (`.yaml`) whose data are shown as their settings read them.
+    #[arg(required = true, value_name = "FILE|RECIPE")]
+    files: Vec<PathBuf>,
+}
+
+impl Data {
+    /// Looks at the files; gives what to print.
+    pub fn run(&self, libraries: &Libraries) -> Result<String> {
+        let mut parts = Vec::new();
+        for file in &self.files {
+            let is_recipe = file.extension().is_some_and(|extension| extension == "yaml" || extension == "yml");
+            match is_recipe {
+                true => parts.push(of_recipe(file, libraries)?),
+                false => parts.push(of_file(file)?),
+            }
+        }
+        Ok(parts.join("\n"))
+    }
+}
+
+/// A file by itself: what it seems to be.
+fn of_file(file: &Path) -> Result<String> {
+    let found = likely(file)?;
+    let told = contents(file, &found.layout)?;
+    let mut text = format!("{}\n", file.display());
+    text.push_str(&layout_lines(&found.layout, &told));
+    let mut rows = vec![["column", "holds", "from", "to", "missing", "unit"].map(str::to_owned).to_vec()];
+    rows.extend(told.columns.iter().map(column_of_file));
+    let _ = write!(text, "\nColumns\n{}", table::text(&rows, &[2, 3, 4]));
+    text.push_str(&first_rows(&told));
+    text.push_str(&faults(&told));
+    match abbe_table::read(file) {
+        Ok(data) if is_understood(&told) => {
+            let _ = writeln!(text, "\n`ingest: csv` reads this file as it is: {} rows", data.rows());
+        }
+        Ok(_) => {
+            text.push_str("\n`ingest: csv` reads this file as it is, but columns without a unit in their names as labels.\n");
+            text.push_str(&settings(file, &found, &told));
+        }
+        Err(error) => {
+            let _ = writeln!(text, "\n`ingest: csv` does not read this file as it is: {}", bare(&error));
+            text.push_str(&settings(file, &found, &told));
+        }
+    }
+    for open in &found.open {
+        let _ = writeln!(text, "  ? {open}");
+    }
+    Ok(text)
+}
+
+/// An error with its line, without the file that stands above.
+fn bare(error: &Error) -> String {
+    let line = error.place.as_ref().and_then(|place| place.line);
+    line.map_or_else(|| error.message.clone(), |line| format!("line {line}: {}", error.message))
+}
+
+/// Whether every column that holds numbers is one of numbers by its name.
+fn is_understood(told: &Contents) -> bool {
+    let is_number = |column: &Found| ColumnHeader::parse(&column.name).quantity != Quantity::Label;
+    let counts = |column: &Found| column.range.is_some_and(|ends| ends.iter().all(|end| end.fract() == 0.0));
+    told.columns.iter().all(|column| !column.is_numeric() || counts(column) || is_number(column))
+}
+
+fn layout_lines(layout: &Layout, told: &Contents) -> String {
+    let mut lines = vec![
+        ("encoding", layout.encoding.name().to_owned()),
+        ("separator", format!("{}, {} columns", layout.separator.name(), told.columns.len())),
+        ("decimal mark", layout.decimal.name().to_owned()),
+    ];
+    if layout.thousands != Thousands::None {
+        lines.push(("thousands", layout.thousands.name().to_owned()));
+    }
+    let titles = counted(layout.skip_lines, "line before it", "lines before it");
+    let units = counted(layout.skip_after_header, "row between it and the data", "rows between it and the data");
+    let around: Vec<String> = [titles, units].into_iter().flatten().collect();
+    let around = if around.is_empty() { String::new() } else { format!(" ({})", around.join(", ")) };
+    lines.push(match told.header_line {
+        Some(line) => ("header row", format!("line {line}{around}")),
+        None => ("header row", format!("none{around}")),
+    });
+    let (first, last) = told.lines;
+    let rows = if told.rows == 0 { "none".to_owned() } else { format!("{} (lines {first} to {last})", told.rows) };
+    lines.push(("rows", rows));
+    if told.comments > 0 {
+        lines.push(("comments", format!("{} lines that begin with #, left out", told.comments)));
+    }
+    let rows: Vec<Vec<String>> = lines.into_iter().map(|(name, value)| vec![name.to_owned(), value]).collect();
+    table::text(&rows, &[])
+}
+
+fn counted(count: usize, one: &str, several: &str) -> Option<String> {
+    match count {
+        0 => None,
+        1 => Some(format!("1 {one}")),
+        count => Some(format!("{count} {several}")),
+    }
+}
+
+/// Marks or labels that are shown of a column.
+const SHOWN: usize = 3;
+
+fn column_of_file(column: &Found) -> Vec<String> {
+    let [from, to] = column.range.filter(|_| column.is_numeric()).map_or([String::new(), String::new()], |ends| ends.map(short));
+    let marks = column.marks();
+    let quoted = |(mark, count): &(&str, usize)| match mark.is_empty() {
+        true => format!("{count} empty"),
+        false => format!("{count} `{mark}`"),
+    };
+    let missing: Vec<String> = match column.is_numeric() {
+        true => marks.iter().take(SHOWN).map(quoted).collect(),
+        false => marks.iter().filter(|(mark, _)| mark.is_empty()).map(quoted).collect(),
+    };
+    let header = ColumnHeader::parse(&column.name);
+    let (holds, unit) = match (column.is_numeric(), header.quantity) {
+        (true, Quantity::Label) => ("numbers".to_owned(), "none in its name".to_owned()),
+        (true, quantity) => ("numbers".to_owned(), written_unit(&header, quantity)),
+        (false, Quantity::Label) => (labels(column), String::new()),
+        (false, quantity) => (labels(column), format!("{}, but it holds no numbers", written_unit(&header, quantity))),
+    };
+    vec![column.name.clone(), holds, from, to, missing.join(", "), unit]
+}
+
+fn labels(column: &Found) -> String {
+    let some: Vec<&str> = column.texts.keys().take(SHOWN).map(String::as_str).collect();
+    match column.texts.len() {
+        0 => "nothing".to_owned(),
+        count if count > some.len() => format!("{count} labels: {}, ...", some.join(", ")),
+        _ => format!("labels: {}", some.join(", ")),
+    }
+}
+
+/// The unit in a name, as people write it.
+fn written_unit(header: &ColumnHeader, quantity: Quantity) -> String {
+    let suffix = header.header.strip_prefix(&header.name).unwrap_or_default().trim_start_matches('_');
+    match suffix {
+        "" if quantity == Quantity::Ratio => "1".to_owned(),
+        "um" => "µm".to_owned(),
+        "urad" => "µrad".to_owned(),
+        "um_per_m" => "µm/m".to_owned(),
+        "deg" => "°".to_owned(),
+        "degC" => "°C".to_owned(),
+        "rpm" => "1/min".to_owned(),
+        other => other.replace("_per_", "/").replace("per_", "1/"),
+    }
+}
+
+fn first_rows(told: &Contents) -> String {
+    let mut rows = vec![told.columns.iter().map(|column| column.name.clone()).collect::<Vec<_>>()];
+    rows.extend(told.first.iter().cloned());
+    format!("\nFirst rows\n{}", table::text(&rows, &(0..told.columns.len()).collect::<Vec<_>>()))
+}
+
+/// Places that are told of each kind of fault.
+const PLACES: usize = 4;
+
+fn faults(told: &Contents) -> String {
+    let mut lines = Vec::new();
+    let places = |all: Vec<String>| match all.len() > PLACES {
+        true => format!("{}, ...", all[..PLACES].join(", ")),
+        false => all.join(", "),
+    };
+    if !told.ragged.is_empty() {
+        let all = told.ragged.iter().map(|(line, cells)| format!("line {line} has {cells}")).collect();
+        lines.push(format!("{} rows with another number of cells than {}: {}", told.ragged.len(), told.columns.len(), places(all)));
+    }
+    if !told.repeated.is_empty() {
+        let all = told.repeated.iter().map(|(one, other)| format!("lines {one} and {other}")).collect();
+        lines.push(format!("{} rows are there twice: {}", told.repeated.len(), places(all)));
+    }
+    let (back, jumps): (Vec<_>, Vec<_>) = told.jumps.iter().partition(|jump| jump.step < 0.0);
+    for (what, found) in [("goes back", back), ("jumps", jumps)] {
+        let Some(first) = found.first() else { continue };
+        let all = found.iter().map(|jump| format!("by {} at line {}", short(jump.step), jump.line)).collect();
+        lines.push(format!("{} {what} (its usual step is {}): {}", first.column, short(first.usual), places(all)));
+    }
+    match lines.is_empty() {
+        true => "\nNo gaps, jumps of time or rows that are there twice\n".to_owned(),
+        false => format!("\nTo look at\n{}", lines.iter().map(|line| format!("  {line}\n")).collect::<String>()),
+    }
+}
+
+/// The settings that the file seems to need, to be copied into a recipe.
+fn settings(file: &Path, found: &Likely, told: &Contents) -> String {
+    let layout = &found.layout;
+    let name = file.file_name().map(|name| name.to_string_lossy().into_owned()).unwrap_or_default();
+    let mut text = "It seems to need these settings; names and units are yours to say:\n\n".to_owned();
+    let _ = writeln!(text, "  ingest: csv\n  path: {}", quoted(&name));
+    let defaults = Layout::default();
+    let mut line = |key: &str, value: String, is_other: bool| {
+        if is_other {
+            let _ = writeln!(text, "  {key}: {value}");
+        }
+    };
+    line("separator", layout.separator.name().to_owned(), layout.separator != Separator::Comma);
+    line("decimal", layout.decimal.name().to_owned(), layout.decimal != Decimal::Point);
+    line("thousands", layout.thousands.name().to_owned(), layout.thousands != Thousands::None);
+    line("encoding", layout.encoding.name().to_owned(), layout.encoding != defaults.encoding);
+    line("skip_lines", layout.skip_lines.to_string(), layout.skip_lines > 0);
+    line("skip_after_header", layout.skip_after_header.to_string(), layout.skip_after_header > 0);
+    line("header", "false".to_owned(), !layout.has_header);
+    let marks: Vec<String> = layout.no_data.iter().map(|mark| quoted(mark)).collect();
+    line("no_data", format!("[{}]", marks.join(", ")), !marks.is_empty());
+    if is_understood(told) && layout.has_header {
+        return text;
+    }
+    text.push_str("  columns:\n");
+    for column in &told.columns {
+        let header = ColumnHeader::parse(&column.name);
+        let source = if layout.has_header { quoted(&column.name) } else { column.name.clone() };
+        let _ = match (column.is_numeric(), header.quantity) {
+            (true, Quantity::Label) => writeln!(text, "    NAME_UNIT: {source}"),
+            (_, Quantity::Label) => writeln!(text, "    NAME: {source}"),
+            _ => writeln!(text, "    {}: {source}", header.header),
+        };
+    }
+    text
+}
+
+/// A text as YAML takes it.
+fn quoted(text: &str) -> String {
+    serde_json::to_string(text).unwrap_or_else(|_| text.to_owned())
+}
+
+/// The data of a recipe, as its settings read them.
+fn of_recipe(recipe: &Path, libraries: &Libraries) -> Result<String> {
+    let prepared = prepare(recipe, &libraries.registry(Some(recipe))?)?;
+    let mut text = format!("{}\n", recipe.display());
+    for stage in prepared.understood()? {
+        let _ = write!(text, "\n{}", of_stage(&stage)?);
+    }
+    Ok(text)
+}
+
+fn of_stage(stage: &Understood) -> Result<String> {
+    let data = &stage.data;
+    let mut text = format!("{} (ingest: {}): {} rows\n", stage.stage, stage.plugin, data.rows());
+    let mut rows = vec![["column", "holds", "from", "to", "unit", "used as"].map(str::to_owned).to_vec()];
+    for column in &data.columns {
+        let (_, quantity, factor) = Quantity::of_column(&column.header.header);
+        let role = stage.roles.get(&column.header.name).cloned().unwrap_or_default();
+        let (holds, from, to) = match &column.values {
+            Values::Numbers(numbers) => {
+                let known = || numbers.iter().copied().filter(|number| number.is_finite());
+                let ends = [known().fold(f64::INFINITY, f64::min), known().fold(f64::NEG_INFINITY, f64::max)];
+                let [from, to] = ends.map(|end| if end.is_finite() { short(end / factor) } else { String::new() });
+                ("numbers".to_owned(), from, to)
+            }
+            Values::Labels(all) => {
+                let mut column = Found::default();
+                all.iter().for_each(|label| *column.texts.entry(label.clone()).or_default() += 1);
+                (labels(&column), String::new(), String::new())
+            }
+        };
+        let unit = if quantity == Quantity::Label { String::new() } else { written_unit(&column.header, quantity) };
+        rows.push(vec![column.header.header.clone(), holds, from, to, unit, role]);
+    }
+    text.push_str(&table::text(&rows, &[2, 3]));
+    if let Some(repeated) = data.repeated_in_words(data.row_indices()) {
+        let _ = writeln!(text, "  {repeated}");
+    }
+    // Settings of `ingest: csv`; other plugins read the usual layout.
+    let layout = from_settings::<Declared>(&stage.settings).and_then(Declared::layout).unwrap_or_default();
+    for file in &stage.files {
+        let told = contents(file, &layout)?;
+        let kept = data.origins.iter().filter(|origin| data.files.get(origin.file) == Some(file)).count();
+        let _ = write!(text, "\n  {}\n{}", file.display(), layout_lines(&layout, &told));
+        if kept < told.rows && !data.averaged {
+            let _ = writeln!(text, "  {} of {} rows are left out by the settings", told.rows - kept, told.rows);
+        }
+        text.push_str(&faults(&told));
+    }
+    Ok(text)
+}

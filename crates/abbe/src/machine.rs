@@ -1,0 +1,327 @@
+//! `abbe model`: a machine in text: its axes, its chain, its errors, and which location errors are independent.
+
+use std::fmt::Write;
+use std::path::{Path, PathBuf};
+
+use abbe_core::{Axis, AxisKind, Branch, Error, ModelInfo, ParameterRole, Result};
+use abbe_engine::{Described, LocationError, LocationErrors, Prepared, Standing, prepare, prepare_text};
+use abbe_kinematics::{ChainAxis, ErrorFrame, denavit_hartenberg};
+use abbe_report::number::short;
+use abbe_report::{ErrorGroup, meaning};
+use clap::Args;
+use serde_json::Value;
+
+use crate::libraries::Libraries;
+use crate::table;
+
+/// What is asked.
+#[derive(Debug, Args)]
+pub struct Machine {
+    /// A machine file or a recipe (`.yaml`), or a chain in the notation of ISO 10791-6, as "w C' A' b X Y Z t".
+    #[arg(value_name = "MACHINE.yaml|RECIPE|CHAIN")]
+    machine: String,
+}
+
+/// Tool length of a machine that is given by its chain alone, mm: some length, so that tilts of the tool move its tip.
+const TOOL_LENGTH: f64 = 200.0;
+
+impl Machine {
+    /// Looks at the machine; gives what to print.
+    pub fn run(&self, libraries: &Libraries) -> Result<String> {
+        let machines = self.prepared(libraries)?.described()?;
+        if machines.is_empty() {
+            return Err(Error::usage("this recipe has no machine").in_file(Path::new(&self.machine)));
+        }
+        let texts: Vec<String> = machines.iter().map(text).collect();
+        Ok(texts.join("\n"))
+    }
+
+    fn prepared(&self, libraries: &Libraries) -> Result<Prepared> {
+        let path = PathBuf::from(&self.machine);
+        let is_file = path.extension().is_some_and(|extension| extension == "yaml" || extension == "yml");
+        if !is_file {
+            let registry = libraries.registry(None)?;
+            let chain = Value::from(self.machine.as_str());
+            let stage = format!("{{ model: serial-chain, chain: {chain}, tool_length_mm: {TOOL_LENGTH}, stylus_radius_mm: 0 }}");
+            let made = prepare_text(Path::new("chain.yaml"), &recipe(&stage), &registry);
+            // The recipe was made here: its lines say nothing.
+            return made.map_err(|error| Error { place: None, stage: None, ..error });
+        }
+        let unreadable = |error: std::io::Error| Error::usage(format!("the file cannot be read: {error}")).in_file(&path);
+        let content = abbe_files::read_text(&path, abbe_files::LARGEST_TEXT).map_err(unreadable)?;
+        if content.lines().any(|line| line.starts_with("stages:")) {
+            return prepare(&path, &libraries.registry(Some(&path))?);
+        }
+        let registry = libraries.registry(None)?;
+        let name = path.file_name().map(|name| name.to_string_lossy().into_owned()).unwrap_or_default();
+        let stage = format!("{{ model: serial-chain, file: {} }}", Value::from(name));
+        let folder = path.parent().unwrap_or(Path::new("")).join("machine.yaml");
+        prepare_text(&folder, &recipe(&stage), &registry)
+    }
+}
+
+/// A recipe of a machine alone.
+fn recipe(stage: &str) -> String {
+    format!("abbe: 1\nname: A machine\nstages:\n  machine: {stage}\n")
+}
+
+fn text(machine: &Described) -> String {
+    let info = machine.model.info();
+    let mut text = format!("{} (model: {})\n", machine.stage, machine.plugin);
+    if let Some(chain) = info.settings.get("chain").and_then(Value::as_str) {
+        let _ = writeln!(text, "  chain {chain}");
+    }
+    text.push_str(&picture(info));
+    text.push_str(&axes(info));
+    text.push_str(&joints(info));
+    if let Some(locations) = &machine.locations {
+        text.push_str(&location_text(info, locations));
+    }
+    text.push_str(&motions(info));
+    text.push_str(&listed(info));
+    text
+}
+
+/// The chain from the workpiece to the tool, with what each axis does below its name.
+fn picture(info: &ModelInfo) -> String {
+    let mut cells = vec![("workpiece".to_owned(), String::new())];
+    let bed = || ("bed".to_owned(), String::new());
+    let mut has_bed = false;
+    for axis in &info.axes {
+        if axis.branch == Branch::Tool && !has_bed {
+            cells.push(bed());
+            has_bed = true;
+        }
+        let what = if axis.kind == AxisKind::Rotary { "turns" } else { "moves" };
+        let name = if axis.indexed { format!("({})", axis.name) } else { axis.name.clone() };
+        let prime = if axis.branch == Branch::Workpiece { "'" } else { "" };
+        cells.push((format!("{name}{prime}"), format!("{what} {}", nearest(axis))));
+    }
+    if !has_bed {
+        cells.push(bed());
+    }
+    cells.push(("tool".to_owned(), String::new()));
+    let (mut above, mut below) = ("  ".to_owned(), "  ".to_owned());
+    for (place, (name, does)) in cells.iter().enumerate() {
+        let width = name.chars().count().max(does.chars().count());
+        let last = place + 1 == cells.len();
+        let fill = if last { String::new() } else { format!(" {}", "-".repeat(width - name.chars().count() + 3)) };
+        let _ = write!(above, "{name}{fill} ");
+        let _ = write!(below, "{does:<width$}     ");
+    }
+    format!("\n{}\n{}\n", above.trim_end(), below.trim_end())
+}
+
+/// The direction of x, y, z that an axis is nearest to.
+fn nearest(axis: &Axis) -> String {
+    let part = (0..3).max_by(|&a, &b| axis.direction[a].abs().total_cmp(&axis.direction[b].abs())).unwrap_or(0);
+    let tilted = if axis.direction[part].abs() < 1.0 - 1e-9 { " (tilted)" } else { "" };
+    let preposition = if axis.kind == AxisKind::Rotary { "about" } else { "along" };
+    format!("{preposition} {}{tilted}", ["x", "y", "z"][part])
+}
+
+/// Three numbers.
+fn vector(of: [f64; 3]) -> String {
+    of.map(short).join(" ")
+}
+
+/// A vector of the settings of an axis.
+fn setting(info: &ModelInfo, axis: &str, key: &str) -> Option<[f64; 3]> {
+    let value = info.settings.get("axes")?.get(axis)?.get(key)?;
+    serde_json::from_value(value.clone()).ok()
+}
+
+fn axes(info: &ModelInfo) -> String {
+    let mut rows = vec![["axis", "kind", "carries the", "direction", "point of its line mm", "range"].map(str::to_owned).to_vec()];
+    for axis in &info.axes {
+        let (kind, factor, unit) = match axis.kind {
+            AxisKind::Linear => ("linear", 1.0, "mm"),
+            AxisKind::Rotary => ("rotary", 1f64.to_degrees(), "°"),
+        };
+        let point = (axis.kind == AxisKind::Rotary)
+            .then(|| vector(setting(info, &axis.name, "point_mm").unwrap_or_default()));
+        let range = match axis.range {
+            Some([from, to]) => format!("{} to {} {unit}", short(from * factor), short(to * factor)),
+            None => "not known".to_owned(),
+        };
+        rows.push(vec![
+            axis.name.clone(),
+            format!("{kind}{}", if axis.indexed { ", indexed" } else { "" }),
+            if axis.branch == Branch::Workpiece { "workpiece" } else { "tool" }.to_owned(),
+            vector(axis.direction.map(|part| part * axis.sense * side(axis))),
+            point.unwrap_or_default(),
+            range,
+        ]);
+    }
+    let note = "  A positive command moves the tool in this direction as seen from the workpiece.\n";
+    format!("\nAxes, with all of them at zero\n{}{note}", table::text(&rows, &[]))
+}
+
+/// A body on the side of the workpiece moves the other way.
+fn side(axis: &Axis) -> f64 {
+    if axis.branch == Branch::Workpiece { -1.0 } else { 1.0 }
+}
+
+/// The joints of a chain without branches in the conventions of robots.
+fn joints(info: &ModelInfo) -> String {
+    if info.axes.iter().filter(|axis| axis.kind == AxisKind::Rotary).count() < 4 {
+        return String::new();
+    }
+    let chain: Vec<ChainAxis> = info
+        .axes
+        .iter()
+        .map(|axis| ChainAxis {
+            name: axis.name.clone(),
+            kind: axis.kind,
+            branch: axis.branch,
+            direction: axis.direction.into(),
+            point: setting(info, &axis.name, "point_mm").unwrap_or_default().into(),
+            reverse: axis.sense * side(axis) < 0.0,
+            error_frame: ErrorFrame::Moving,
+        })
+        .collect();
+    if chain.iter().any(|axis| axis.branch == Branch::Workpiece) {
+        return String::new();
+    }
+    let mut rows = vec![["joint", "direction", "moment: point x direction, mm"].map(str::to_owned).to_vec()];
+    for axis in &chain {
+        let direction = axis.direction * axis.sense();
+        let moment = axis.point.cross(&direction);
+        let moment = if axis.kind == AxisKind::Rotary { vector(moment.into()) } else { "linear".to_owned() };
+        rows.push(vec![axis.name.clone(), vector(direction.into()), moment]);
+    }
+    let mut text = format!("\nProduct of exponentials: the joints in the base frame\n{}", table::text(&rows, &[]));
+    let Some((links, flange)) = denavit_hartenberg(&chain) else {
+        text.push_str("  No Denavit-Hartenberg parameters without a base transformation: the first joint is not about z of the base.\n");
+        return text;
+    };
+    let header = ["joint", "a mm", "alpha °", "d mm", "theta °"].map(str::to_owned).to_vec();
+    let (mut standard, mut modified) = (vec![header.clone()], vec![header]);
+    let mut before = [0.0; 2];
+    for (link, axis) in links.iter().zip(&chain) {
+        let degrees = |angle: f64| short(angle.to_degrees());
+        standard.push(vec![axis.name.clone(), short(link.a), degrees(link.alpha), short(link.d), degrees(link.theta)]);
+        modified.push(vec![axis.name.clone(), short(before[0]), degrees(before[1]), short(link.d), degrees(link.theta)]);
+        before = [link.a, link.alpha];
+    }
+    let last = chain.iter().rev().find(|axis| axis.kind == AxisKind::Rotary).map(|axis| axis.point).unwrap_or_default();
+    let number = |key: &str| info.settings.get(key).cloned().and_then(|value| serde_json::from_value::<f64>(value).ok());
+    let offset = info.settings.get("probe_offset_mm").cloned();
+    let offset: [f64; 3] = offset.and_then(|value| serde_json::from_value(value).ok()).unwrap_or_default();
+    let mut tip = last;
+    (0..3).for_each(|part| tip[part] += offset[part]);
+    tip[2] -= number("tool_length_mm").unwrap_or(0.0);
+    let tip = flange.inverse_transform_point(&tip.into());
+    let _ = write!(text, "\nDenavit-Hartenberg parameters (`dh`), lengths of the chain unchanged\n{}", table::text(&standard, &[1, 2, 3, 4]));
+    let _ = write!(text, "\nModified ones (`modified_dh`, Craig)\n{}", table::text(&modified, &[1, 2, 3, 4]));
+    let _ = writeln!(text, "  The tip is at {} mm of the last frame (`tip_mm`).", vector(tip.coords.into()));
+    text
+}
+
+fn location_text(info: &ModelInfo, locations: &LocationErrors) -> String {
+    let count = locations.independent().count();
+    let mut text = format!(
+        "\nLocation errors: {} exist, 6 of each axis; {count} are independent, once workpiece and tool are set up\n",
+        locations.all.len()
+    );
+    let mut rows = vec![["error", "what it is", "in its place, alone", "told by"].map(str::to_owned).to_vec()];
+    for error in locations.independent() {
+        let Standing::Independent { by_position, substitutes } = &error.standing else { continue };
+        let told = if *by_position { "positions of one tip" } else { "other tool lengths or directions" };
+        let substitutes = if substitutes.is_empty() { "-".to_owned() } else { substitutes.join(", ") };
+        rows.push(vec![error.name.clone(), meaning(info, &group(error)), substitutes, told.to_owned()]);
+    }
+    text.push_str(&table::text(&rows, &[]));
+    let dependent: Vec<String> = locations.all.iter().filter_map(same_as).collect();
+    if !dependent.is_empty() {
+        let _ = write!(text, "\nThe same as others, offsets and turns of workpiece and tool apart\n{}", wrapped(&dependent));
+    }
+    let zero: Vec<String> = locations.all.iter().filter(|error| is_zero_position(info, error)).map(|error| error.name.clone()).collect();
+    let _ = write!(text, "\nZero positions of the axes, and what is set to zero with them\n{}", wrapped(&zero));
+    let free: Vec<String> = locations
+        .all
+        .iter()
+        .filter(|error| error.standing == Standing::SetUp && !is_zero_position(info, error))
+        .map(|error| error.name.clone())
+        .collect();
+    if !free.is_empty() {
+        let _ = write!(text, "\nFree: where workpiece and tool are does the same\n{}", wrapped(&free));
+    }
+    let ((position, all), (pose, _)) = (locations.by_position, locations.by_pose);
+    let _ = writeln!(
+        text,
+        "\n  Of {all} location and set-up errors, positions of one tip tell {position}, poses tell {pose}."
+    );
+    text
+}
+
+/// A location error as a group of parameters, for its words.
+fn group(error: &LocationError) -> ErrorGroup {
+    let role = ParameterRole::Location { axis: error.axis, component: error.component };
+    ErrorGroup { name: error.name.clone(), parameters: Vec::new(), role, is_reversal: false }
+}
+
+/// Whether an error is a shift along, or a turn about, the axis' own direction: where it is at zero.
+fn is_zero_position(info: &ModelInfo, error: &LocationError) -> bool {
+    let axis = &info.axes[error.axis];
+    let is_turn = error.component >= 3;
+    is_turn == (axis.kind == AxisKind::Rotary) && axis.direction[error.component % 3].abs() > 0.99
+}
+
+/// Parts of a dependent error that are shown.
+const SHOWN: usize = 3;
+
+/// What a dependent error is the same as.
+fn same_as(error: &LocationError) -> Option<String> {
+    let Standing::Dependent(of) = &error.standing else { return None };
+    let is_turn = |name: &str| name.chars().nth(1).is_some_and(|letter| "ABC".contains(letter));
+    let part = |(name, factor): &(String, f64)| match (is_turn(&error.name), is_turn(name)) {
+        (true, false) => format!("{} µm/µrad {name}", short(*factor)),
+        (false, true) => format!("{} µrad/µm {name}", short(*factor)),
+        _ if (factor - 1.0).abs() < 1e-9 => name.clone(),
+        _ if (factor + 1.0).abs() < 1e-9 => format!("-{name}"),
+        _ => format!("{} {name}", short(*factor)),
+    };
+    let mut parts: Vec<String> = of.iter().take(SHOWN).map(part).collect();
+    if of.len() > SHOWN {
+        parts.push(format!("{} more", of.len() - SHOWN));
+    }
+    Some(format!("{} = {}", error.name, parts.join(" + ").replace("+ -", "- ")))
+}
+
+/// Characters of a line.
+const WIDTH: usize = 100;
+
+/// Words in lines, with two blanks between them.
+fn wrapped(words: &[String]) -> String {
+    let mut text = String::new();
+    let mut line = String::new();
+    for word in words {
+        if !line.is_empty() && line.chars().count() + word.chars().count() + 3 > WIDTH {
+            let _ = writeln!(text, " {line}");
+            line.clear();
+        }
+        let _ = write!(line, " {word}{}", if words.last() == Some(word) { "" } else { "," });
+    }
+    if line.is_empty() { text } else { format!("{text} {line}\n") }
+}
+
+fn motions(info: &ModelInfo) -> String {
+    let mut rows = Vec::new();
+    for axis in &info.axes {
+        let symbols: Vec<String> = ["X", "Y", "Z", "A", "B", "C"].iter().map(|letter| format!("E{letter}{}", axis.name)).collect();
+        rows.push(vec![axis.name.clone(), symbols.join(" ")]);
+    }
+    format!("\nMotion errors that each axis may have (which functions of the command they are, `errors` says)\n{}", table::text(&rows, &[]))
+}
+
+/// The errors that the machine lists.
+fn listed(info: &ModelInfo) -> String {
+    let is_error = |role: ParameterRole| matches!(role, ParameterRole::Motion { .. } | ParameterRole::Location { .. } | ParameterRole::Shape | ParameterRole::Factor);
+    let names: Vec<String> =
+        info.parameters.iter().filter(|parameter| is_error(parameter.role)).map(|parameter| parameter.name.clone()).collect();
+    if names.is_empty() {
+        return "\nErrors that it lists: none\n".to_owned();
+    }
+    format!("\nErrors that it lists\n{}", wrapped(&names))
+}

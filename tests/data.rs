@@ -1,0 +1,90 @@
+//! `abbe data`: what is told of files, and that what it proposes reads them.
+
+use std::fs;
+
+use crate::support::{abbe, recipes, root, temporary, write};
+
+#[test]
+fn a_plain_file_is_understood_as_it_is() {
+    let folder = temporary();
+    write(&folder.path().join("t.csv"), "feature,X_mm,B_deg,time_s\n1,1.5,90,0\n2,2.5,45,1\n2,2.5,45,40\n3,4,45,41\n4,5,45,42\n");
+    let printed = abbe(folder.path(), &["data", "t.csv"]);
+    assert_eq!(printed.status, 0, "{}", printed.stderr);
+    assert!(printed.stdout.contains("reads this file as it is: 5 rows"), "{}", printed.stdout);
+    assert!(printed.stdout.contains("time_s jumps (its usual step is 1): by 39 at line 4"), "{}", printed.stdout);
+    insta::assert_snapshot!(printed.stdout);
+}
+
+/// A German file with titles, units, marks and rows that are there twice: what is proposed reads it, once names are given.
+#[test]
+fn what_is_proposed_for_a_spreadsheet_reads_it() {
+    let folder = temporary();
+    let mut text = "Prüfung 12;;;\nHalle 3;;;\nPunkt;Länge X;Winkel;Notiz\n;[mm];[°];\n".to_owned();
+    for row in 0..6 {
+        let x = if row == 2 { "---".to_owned() } else { format!("1.{row}34,5") };
+        text.push_str(&format!("{};{x};{row},25;gut\n", row + 1));
+    }
+    text.push_str("7;1.534,5;5,25;gut\n");
+    let bytes: Vec<u8> = text.chars().map(|character| u8::try_from(u32::from(character)).expect("Latin-1")).collect();
+    fs::write(folder.path().join("messung.csv"), bytes).expect("a file");
+    let printed = abbe(folder.path(), &["data", "messung.csv"]);
+    assert_eq!(printed.status, 0, "{}", printed.stderr);
+    insta::assert_snapshot!(printed.stdout);
+    // No unit is proposed.
+    assert!(printed.stdout.contains("NAME_UNIT: \"Länge X\"") && !printed.stdout.contains("X_mm"), "{}", printed.stdout);
+    let start = printed.stdout.find("  ingest: csv").expect("settings");
+    let settings: String = printed.stdout[start..].lines().take_while(|line| !line.trim_start().starts_with('?')).fold(
+        String::new(),
+        |text, line| text + "  " + line + "\n",
+    );
+    let settings = settings
+        .replace("NAME_UNIT: \"Punkt\"", "feature: \"Punkt\"")
+        .replace("NAME_UNIT: \"Länge X\"", "X_mm: \"Länge X\"")
+        .replace("NAME_UNIT: \"Winkel\"", "B_deg: \"Winkel\"")
+        .replace("NAME: \"Notiz\"", "note: \"Notiz\"");
+    let recipe = format!("abbe: 1\nname: t\nstages:\n  points:\n{settings}");
+    write(&folder.path().join("r.yaml"), &recipe);
+    let printed = abbe(folder.path(), &["data", "r.yaml"]);
+    assert_eq!(printed.status, 0, "{recipe}\n{}", printed.stderr);
+    assert!(printed.stdout.contains("points (ingest: csv): 6 rows"), "{}", printed.stdout);
+    assert!(printed.stdout.contains("1 of 7 rows are left out"), "{}", printed.stdout);
+}
+
+/// The data of every recipe of the repository: their columns with what machines use them for.
+#[test]
+fn the_data_of_recipes_are_told_with_their_roles() {
+    for name in ["robot-ur5", "first-steps", "tango-warming"] {
+        let printed = abbe(&root(), &["data", recipes()[name].to_str().expect("UTF-8")]);
+        assert_eq!(printed.status, 0, "{name}: {}", printed.stderr);
+        assert!(printed.stdout.contains("axis "), "{name}: {}", printed.stdout);
+    }
+    let printed = abbe(&root(), &["data", "pipelines/first-steps.yaml"]);
+    assert!(printed.stdout.contains("direction of approach of X"), "{}", printed.stdout);
+    assert!(printed.stdout.contains("rows are left out by the settings"), "{}", printed.stdout);
+}
+
+#[test]
+fn what_is_no_table_is_refused() {
+    let folder = temporary();
+    fs::write(folder.path().join("a.csv"), b"\x00\x01\x02\x03").expect("a file");
+    write(&folder.path().join("empty.csv"), "");
+    assert_eq!(abbe(folder.path(), &["data", "a.csv"]).status, 1);
+    assert_eq!(abbe(folder.path(), &["data", "none.csv"]).status, 2);
+    assert_eq!(abbe(folder.path(), &["data", "empty.csv"]).status, 0);
+}
+
+/// `ignore` and `keep` may name rows that other data do not have: that is told, and the rest goes on.
+#[test]
+fn rows_of_other_data_are_told() {
+    let folder = temporary();
+    write(&folder.path().join("t.csv"), "feature,X_mm\n1,1.5\n2,2.5\n");
+    for (filter, rows) in [("ignore: { feature: [2, 99] }", 1), ("keep: { feature: [1, 2, 99] }", 2), ("ignore: { feature: [99] }", 2)] {
+        write(&folder.path().join("r.yaml"), &format!("abbe: 1\nname: t\nstages:\n  points: {{ ingest: csv, path: t.csv, {filter} }}\n"));
+        let printed = abbe(folder.path(), &["data", "r.yaml"]);
+        assert_eq!(printed.status, 0, "{}", printed.stderr);
+        assert!(printed.stdout.contains(&format!("points (ingest: csv): {rows} rows")), "{}", printed.stdout);
+        assert!(printed.stderr.contains("names feature 99, which is in no row of these data"), "{}", printed.stderr);
+    }
+    write(&folder.path().join("r.yaml"), "abbe: 1\nname: t\nstages:\n  points: { ingest: csv, path: t.csv, keep: { feature: [99] } }\n");
+    assert_eq!(abbe(folder.path(), &["data", "r.yaml"]).status, 1);
+}

@@ -1,0 +1,255 @@
+//! `abbe model`, and the location errors of every chain of three to five axes: what is told is checked by the rank of derivatives.
+
+use std::collections::BTreeSet;
+
+use abbe_core::{Context, Kind, KinematicModel, Poses, Variable};
+use abbe_engine::{LocationErrors, Standing, prepare_text};
+use nalgebra::DMatrix;
+use serde_json::json;
+
+use crate::support::{Variant, abbe, as_typed, recipes, registry, root, temporary, write};
+
+/// Every chain of `linear` and some rotary axes, in every order, with the bed at every place.
+fn chains(axes: &[&str]) -> Vec<String> {
+    let mut orders: Vec<Vec<&str>> = vec![Vec::new()];
+    for _ in axes {
+        orders = orders
+            .iter()
+            .flat_map(|order| {
+                let rest = axes.iter().filter(|axis| !order.contains(axis));
+                rest.map(|axis| [order.as_slice(), &[*axis]].concat()).collect::<Vec<_>>()
+            })
+            .collect();
+    }
+    let with_bed = |order: &Vec<&str>| -> Vec<String> {
+        (0..=order.len())
+            .map(|bed| {
+                let (workpiece, tool) = order.split_at(bed);
+                format!("w {} b {} t", workpiece.join(" "), tool.join(" ")).split_whitespace().collect::<Vec<_>>().join(" ")
+            })
+            .collect()
+    };
+    orders.iter().flat_map(with_bed).collect()
+}
+
+fn all_chains() -> Vec<String> {
+    let sets: [&[&str]; 7] = [
+        &["X", "Y", "Z"],
+        &["X", "Y", "Z", "A"],
+        &["X", "Y", "Z", "B"],
+        &["X", "Y", "Z", "C"],
+        &["X", "Y", "Z", "A", "C"],
+        &["X", "Y", "Z", "B", "C"],
+        &["X", "Y", "Z", "A", "B"],
+    ];
+    sets.into_iter().flat_map(chains).collect()
+}
+
+fn machine(chain: &str) -> (LocationErrors, std::sync::Arc<dyn KinematicModel>) {
+    let text = format!(
+        "abbe: 1\nname: t\nstages:\n  m:\n    model: serial-chain\n    chain: {chain}\n    tool_length_mm: 130\n    stylus_radius_mm: 0\n    errors: [{{ location: [\"E?0?\"] }}]\n"
+    );
+    let prepared = prepare_text(std::path::Path::new("t.yaml"), &text, &registry()).unwrap_or_else(|error| panic!("{chain}: {error}"));
+    let described = prepared.described().unwrap_or_else(|error| panic!("{chain}: {error}")).remove(0);
+    (described.locations.expect("a chain has location errors"), described.model)
+}
+
+/// Rank of the derivatives of poses to some parameters, at commands of their own, by singular values.
+fn rank(model: &dyn KinematicModel, names: &[&str]) -> usize {
+    let info = model.info();
+    let mut random = crate::controls::law::uniform(77);
+    let mut statuses = Vec::new();
+    for _ in 0..40 {
+        let mut status = vec![0.0; info.status.len()];
+        for axis in &info.axes {
+            status[axis.status] = random() * if axis.kind == abbe_core::AxisKind::Linear { 300.0 } else { 1.5 };
+        }
+        statuses.extend(status);
+    }
+    let wanted: Vec<Variable> = names.iter().map(|name| Variable::Parameter(info.parameter(name).expect("a parameter"))).collect();
+    let mut poses = Poses::default();
+    model.poses(&statuses, &info.nominal, &wanted, true, &mut poses).expect("poses");
+    let rows = 2 * poses.position_derivatives.len() / wanted.len();
+    let entry = |row: usize, column: usize| {
+        let (pose, part) = (row / 6, row % 6);
+        let at = pose * wanted.len() + column;
+        if part < 3 { poses.position_derivatives[at][part] } else { 200.0 * poses.rotation_derivatives[at][part - 3] }
+    };
+    let mut matrix = DMatrix::from_fn(3 * rows, wanted.len(), entry);
+    for mut column in matrix.column_iter_mut() {
+        let norm = column.norm();
+        if norm > 0.0 {
+            column /= norm;
+        }
+    }
+    let singular = matrix.singular_values();
+    singular.iter().filter(|value| **value > 1e-9 * singular[0]).count()
+}
+
+const SET_UP: [&str; 12] = ["dxt", "dyt", "dzt", "dat", "dbt", "dct", "dxw", "dyw", "dzw", "daw", "dbw", "dcw"];
+
+/// Checks what is told of one chain.
+fn check(chain: &str) {
+    let (locations, model) = machine(chain);
+    let names = |more: &[&str]| [SET_UP.as_slice(), more].concat();
+    let all: Vec<&str> = locations.all.iter().map(|error| error.name.as_str()).collect();
+    let independent: Vec<&str> = locations.independent().map(|error| error.name.as_str()).collect();
+    let set_up = rank(model.as_ref(), &SET_UP);
+    let whole = rank(model.as_ref(), &names(&all));
+    assert_eq!(whole, set_up + independent.len(), "{chain}: the set is not as large as what there is");
+    assert_eq!(rank(model.as_ref(), &names(&independent)), whole, "{chain}: {independent:?} are not independent");
+    assert_eq!(locations.by_pose.0, whole, "{chain}");
+    for error in &locations.all {
+        let name = error.name.as_str();
+        match &error.standing {
+            Standing::SetUp => assert_eq!(rank(model.as_ref(), &names(&[name])), set_up, "{chain}: {name} is not set-up"),
+            Standing::Dependent(of) => {
+                assert_ne!(rank(model.as_ref(), &names(&[name])), set_up, "{chain}: {name} is set-up alone");
+                let members: Vec<&str> = of.iter().map(|(member, _)| member.as_str()).collect();
+                let with = [members.as_slice(), &[name]].concat();
+                assert_eq!(rank(model.as_ref(), &names(&with)), set_up + members.len(), "{chain}: {name} is not {of:?}");
+            }
+            Standing::Independent { substitutes, .. } => {
+                for substitute in substitutes {
+                    let others: Vec<&str> = independent.iter().copied().filter(|other| *other != name).collect();
+                    let exchanged = [others.as_slice(), &[substitute.as_str()]].concat();
+                    assert_eq!(rank(model.as_ref(), &names(&exchanged)), whole, "{chain}: {substitute} does not replace {name}");
+                }
+            }
+        }
+    }
+}
+
+#[test]
+fn location_errors_of_every_chain_of_three_axes_are_independent() {
+    for chain in all_chains().iter().filter(|chain| chain.split_whitespace().count() == 6) {
+        check(chain);
+        // The three squarenesses.
+        assert_eq!(machine(chain).0.independent().count(), 3, "{chain}");
+    }
+}
+
+/// A part of the chains of four and five axes here, other ones for each of the remainders; all of them by `ABBE_MODEL_CHAINS=1`.
+#[test]
+fn location_errors_of_chains_of_four_and_five_axes_are_independent() {
+    let step = std::env::var("ABBE_MODEL_CHAINS").ok().and_then(|step| step.parse().ok()).unwrap_or(37);
+    let chains: Vec<String> = all_chains().into_iter().filter(|chain| chain.split_whitespace().count() > 6).collect();
+    assert_eq!(chains.len(), 3 * 120 + 3 * 720);
+    let mut counts: BTreeSet<(usize, usize)> = BTreeSet::new();
+    for chain in chains.iter().step_by(step) {
+        check(chain);
+        counts.insert((chain.split_whitespace().count() - 3, machine(chain).0.independent().count()));
+    }
+    println!("axes and independent location errors: {counts:?}");
+}
+
+#[test]
+fn the_squareness_of_x_and_y_has_the_name_of_the_axis_that_is_carried() {
+    let is_independent = |chain: &str, name: &str| {
+        machine(chain).0.independent().any(|error| error.name == name)
+    };
+    // A turn of the axis next to the bed turns everything: its partner has the name.
+    assert!(is_independent("w b Y X Z t", "EC0X") && !is_independent("w b Y X Z t", "EC0Y"));
+    assert!(is_independent("w b X Y Z t", "EC0Y") && !is_independent("w b X Y Z t", "EC0X"));
+    assert!(is_independent("w X' Y' b Z t", "EC0X") && !is_independent("w X' Y' b Z t", "EC0Y"));
+}
+
+#[test]
+fn a_machine_is_shown_by_chain_by_file_and_by_recipe() {
+    let printed = abbe(&root(), &["model", "w C' A' b X Y Z t"]);
+    assert_eq!(printed.status, 0, "{}", printed.stderr);
+    insta::assert_snapshot!("chain", printed.stdout);
+    let printed = abbe(&root(), &["model", "pipelines/robot-ur5.yaml"]);
+    assert_eq!(printed.status, 0, "{}", printed.stderr);
+    assert!(printed.stdout.contains("positions of one tip tell 27"), "{}", printed.stdout);
+    insta::assert_snapshot!("robot", printed.stdout);
+    let folder = temporary();
+    write(
+        &folder.path().join("machine.yaml"),
+        "name: K\nchain: w B' b X Y Z t\ntool_length_mm: 100\nstylus_radius_mm: 1\naxes: { X: { range_mm: [0, 500] } }\n",
+    );
+    let printed = abbe(folder.path(), &["model", "machine.yaml"]);
+    assert_eq!(printed.status, 0, "{}", printed.stderr);
+    assert!(printed.stdout.contains("0 to 500 mm"), "{}", printed.stdout);
+    let printed = as_typed(folder.path(), &["model", "w Q b X t"]);
+    assert_eq!(printed.status, 2, "{}", printed.stdout);
+    assert!(!printed.stderr.contains("chain.yaml"), "{}", printed.stderr);
+}
+
+/// A confounded location error is told with the one that stands in its place; one that is not listed, too.
+#[test]
+fn check_names_the_substitute_of_a_location_error() {
+    let mut recipe = Variant::of(&recipes()["first-steps"]);
+    recipe.stage("machine")["errors"][0]["location"].as_array_mut().expect("a list").push(json!("EC0B"));
+    recipe.stage("machine")["errors"] = json!([{ "location": ["E?0B", "E?0C", "E?0X", "E?0Y", "E?0Z", "EX0S", "EY0S"] }]);
+    recipe.stage("fit")["parameters"] = json!(["dxt", "dyt", "dzt", "E?0?", "table.*"]);
+    let folder = temporary();
+    let file = recipe.write(folder.path());
+    let printed = abbe(folder.path(), &["check", file.to_str().expect("UTF-8"), "--explain"]);
+    assert!(printed.stdout.contains("on this chain `"), "{}{}", printed.stdout, printed.stderr);
+    let mut recipe = Variant::of(&recipes()["first-steps"]);
+    recipe.stage("fit")["parameters"] = json!(["dxt", "EB0X"]);
+    let file = recipe.write(folder.path());
+    let printed = as_typed(folder.path(), &["check", file.to_str().expect("UTF-8")]);
+    assert_eq!(printed.status, 2);
+    assert!(printed.stderr.contains("on this chain `EB0X`"), "{}", printed.stderr);
+}
+
+/// Random robots: their lines, turned into Denavit-Hartenberg parameters by the program, are the same robot again.
+#[test]
+fn parameters_of_robots_give_their_lines_back() {
+    let built = |settings: serde_json::Value| {
+        let registry = registry();
+        let plugin = registry.find(Kind::Model, "serial-chain").expect("the model");
+        let abbe_core::Build::Model(constructor) = &plugin.build else { panic!("no model") };
+        let model = constructor.build(&settings, &Context { base: std::path::PathBuf::new() }).expect("settings");
+        model.build(&[]).expect("a model")
+    };
+    for seed in 1..=30 {
+        let mut random = crate::controls::law::uniform(seed);
+        let joints = 4 + (seed % 4) as usize;
+        let mut lines = vec![json!({ "direction": [0, 0, 1] })];
+        for _ in 1..joints {
+            // Some are parallel to others, some cross them.
+            let direction = match (random() * 4.0) as i64 {
+                0 => [0.0, 0.0, 1.0],
+                1 => [0.0, 1.0, 0.0],
+                2 => [-1.0, 0.0, 0.0],
+                _ => [random(), random(), 0.2 + random()],
+            };
+            let point = [400.0 * random(), if random() > 0.3 { 0.0 } else { 100.0 * random() }, 500.0 * random()];
+            lines.push(json!({ "direction": direction, "point_mm": point }));
+        }
+        let tip = [300.0 * random(), 20.0, 200.0];
+        let settings = |robot: serde_json::Value| json!({ "robot": robot, "tool_length_mm": 0, "stylus_radius_mm": 0 });
+        let robot = json!({ "lines": lines, "tip_mm": tip });
+        let folder = temporary();
+        write(&folder.path().join("robot.yaml"), &settings(robot.clone()).to_string());
+        let printed = abbe(folder.path(), &["model", "robot.yaml"]);
+        assert_eq!(printed.status, 0, "{}", printed.stderr);
+        let one = built(settings(robot));
+        for (title, key) in [("Denavit-Hartenberg parameters (`dh`)", "dh"), ("Modified ones", "modified_dh")] {
+            let table = printed.stdout.split(title).nth(1).unwrap_or_else(|| panic!("{}", printed.stdout));
+            let rows: Vec<Vec<&str>> = table.lines().skip(2).take(joints).map(|line| line.split_whitespace().collect()).collect();
+            let number = |text: &str| -> f64 { text.parse().unwrap_or_else(|_| panic!("{text}")) };
+            let links: Vec<_> = rows
+                .iter()
+                .map(|row| json!({ "name": row[0], "a_mm": number(row[1]), "alpha_deg": number(row[2]), "d_mm": number(row[3]), "theta_deg": number(row[4]) }))
+                .collect();
+            let line = printed.stdout.lines().find(|line| line.contains("The tip is at")).expect("the tip");
+            let at: Vec<f64> = line.split_whitespace().skip(4).take(3).map(number).collect();
+            let other = built(settings(json!({ key: links, "tip_mm": at })));
+            // Shown numbers have four digits.
+            for _ in 0..10 {
+                let status: Vec<f64> = (0..joints).map(|_| 3.0 * random()).collect();
+                let tip = |model: &dyn KinematicModel| {
+                    let mut poses = Poses::default();
+                    model.poses(&status, &model.info().nominal, &[], false, &mut poses).expect("a pose");
+                    nalgebra::Vector3::from(poses.positions[0])
+                };
+                let apart = (tip(one.as_ref()) - tip(other.as_ref())).norm();
+                assert!(apart < 3.0, "seed {seed}, {key}: {apart} mm\n{}", printed.stdout);
+            }
+        }
+    }
+}
