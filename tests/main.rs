@@ -29,6 +29,7 @@ mod planning;
 mod plugins;
 mod poses;
 mod probe;
+mod ranges;
 mod rapid_verify;
 mod recipes;
 mod report;
