@@ -31,6 +31,7 @@ mod planning;
 mod plugins;
 mod poses;
 mod probe;
+mod ranges;
 mod rapid_verify;
 mod recipes;
 mod report;

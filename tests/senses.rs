@@ -89,7 +89,14 @@ fn directions_that_are_all_turned_are_told() {
 
 #[test]
 fn a_rotary_axis_that_is_off_by_an_angle_is_told() {
-    for (degrees, words) in [(-1.0, "with C at +1.0"), (2.0, "with C at -1.9"), (0.0, "")] {
+    for (degrees, words) in [
+        (-1.0, "with C at +1.0"),
+        (2.0, "with C at -1.9"),
+        (1.0, "with C at -0.9"),
+        (-0.5, "with C at +0.5"),
+        (0.5, "with C at -0.4"),
+        (0.0, ""),
+    ] {
         let (_, text) = measured("first-steps", "touches", &["C_deg"], |_, angle| angle + degrees);
         assert_eq!(text.contains("from where it is said to stand"), degrees != 0.0, "{degrees}: {text}");
         assert!(text.contains(words), "{text}");

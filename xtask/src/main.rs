@@ -3,8 +3,8 @@
 //! - `cargo xtask ci [--all]`: everything the gate asks for, the same on every machine; with `--all` nothing may be skipped.
 //! - `cargo xtask bench [--save]`: run the benchmarks, compare with (or write) `benches/baseline.json`.
 //! - `cargo xtask campaign controls COUNT SEED`: the laws of `tests/controls` on COUNT random machines each.
-//! - `cargo xtask campaign machines|compensation|tango|bad-inputs|signals|sizes COUNT SEED`: run a campaign over many random cases
-//!   (`tests/campaigns`).
+//! - `cargo xtask campaign machines|compensation|tango|bad-inputs|signals|hostile|sizes COUNT SEED`: run a campaign over many random
+//!   cases (`tests/campaigns`).
 //! - `cargo xtask header`: write the C header of the plugin interface.
 //! - `cargo xtask linuxcnc [--create-user]`: run the files for LinuxCNC on LinuxCNC itself, in simulation; it needs a user of its own.
 //! - `cargo xtask schema`: write what follows from the plugins: the schema of recipes and the pages in `docs/plugins`.

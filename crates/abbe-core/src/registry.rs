@@ -9,7 +9,7 @@ use serde::{Deserialize, Serialize};
 use serde_json::Value;
 
 use crate::stage::{Artefact, Estimate, Export, Ingest, Model, Validate};
-use abbe_settings::SettingsError;
+use abbe_settings::{SettingsError, ranges};
 use abbe_settings::{Error, Result, nearest};
 
 /// The six kinds of stage, in the order in which data flow.
@@ -305,7 +305,10 @@ impl Registry {
     }
 
     /// Adds a loaded plugin; a name that is taken is refused.
-    pub fn add(&mut self, plugin: Plugin) -> Result<()> {
+    pub fn add(&mut self, mut plugin: Plugin) -> Result<()> {
+        if let Provider::Value(schema) = &mut plugin.schema {
+            ranges::complete(schema);
+        }
         self.insert(Entry::Loaded(Box::new(plugin)))
     }
 

@@ -8,7 +8,7 @@ use std::sync::Arc;
 use abbe_core::{
     Artefact, Build, ColumnHeader, Constructor, Context, Dataset, Error, Estimate, EstimateSource, Export, Ingest,
     InputFile, Kind, Model, Origin, PathItem, Plausible, Plugin, Registry, Result, SettingsError, Validate,
-    from_settings,
+    from_settings_in_range, ranges,
 };
 use abbe_recipe::{Library, Recipe, Stage};
 use serde_json::Value;
@@ -40,6 +40,9 @@ pub struct Prepared {
     /// Every file that the recipe reads, itself first.
     pub(crate) files: Vec<PathBuf>,
 }
+
+/// The schemas of plugins, by kind and name: stages of one plugin have the same.
+type Schemas = BTreeMap<(Kind, String), Value>;
 
 /// Reads a recipe, builds its stages and checks them.
 ///
@@ -76,8 +79,9 @@ pub(crate) fn prepared(recipe: Recipe, registry: &Registry) -> Result<Prepared> 
     };
     prepared.files.extend(prepared.recipe.libraries.iter().map(|library| library.path.clone()));
     let context = Context { base: prepared.recipe.base.clone() };
+    let mut schemas = Schemas::new();
     for stage in prepared.recipe.stages.clone() {
-        let inputs = prepared.build(&stage, registry, &context)?;
+        let inputs = prepared.build(&stage, registry, &context, &mut schemas)?;
         prepared.files.extend(stage.files.iter().cloned());
         for InputFile { setting, path } in inputs {
             if !path.is_file() && prepared.is_planned(&stage.name) {
@@ -108,7 +112,13 @@ pub(crate) fn prepared(recipe: Recipe, registry: &Registry) -> Result<Prepared> 
 
 impl Prepared {
     /// Builds one stage; gives the files that it reads.
-    fn build(&mut self, stage: &Stage, registry: &Registry, context: &Context) -> Result<Vec<InputFile>> {
+    fn build(
+        &mut self,
+        stage: &Stage,
+        registry: &Registry,
+        context: &Context,
+        schemas: &mut Schemas,
+    ) -> Result<Vec<InputFile>> {
         let wrong = |error: SettingsError| self.recipe.settings_error(&stage.name, error);
         let plugin = registry.find(stage.kind, &stage.plugin).map_err(wrong)?;
         let record = PluginRecord::of(plugin);
@@ -117,6 +127,10 @@ impl Prepared {
         }
         let settings = &stage.settings;
         let name = stage.name.clone();
+        let schema = schemas.entry((plugin.kind(), plugin.name.to_string())).or_insert_with(|| plugin.schema.get());
+        if plugin.kind() != Kind::Model {
+            ranges::check(schema, settings).map_err(wrong)?;
+        }
         match &plugin.build {
             Build::Ingest(constructor) => {
                 let built = constructor.build(settings, context).map_err(wrong)?;
@@ -136,6 +150,7 @@ impl Prepared {
             Build::Model(constructor) => {
                 let (settings, before) = self.model_settings(stage)?;
                 let wrong = |error: SettingsError| wrong(saved::own_place(error, &before));
+                ranges::check(schema, &settings).map_err(wrong)?;
                 let built = constructor.build(&settings, context).map_err(wrong)?;
                 let inputs = built.inputs();
                 let all = with_all_locations(plugin, &settings).and_then(|all| constructor.build(&all, context).ok());
@@ -147,7 +162,7 @@ impl Prepared {
                 let estimator: Arc<dyn Estimate> = Arc::from(constructor.build(settings, context).map_err(wrong)?);
                 let inputs = estimator.inputs();
                 let at = |error: SettingsError| error.under([PathItem::Key("plausible".to_owned())]);
-                let plausible: Plausible = from_settings(&stage.plausible).map_err(at).map_err(wrong)?;
+                let plausible: Plausible = from_settings_in_range(&stage.plausible).map_err(at).map_err(wrong)?;
                 plausible.check().map_err(at).map_err(wrong)?;
                 self.plausible.insert(name.clone(), plausible);
                 self.estimators.insert(name, estimator);

@@ -1,7 +1,8 @@
 //! What the touches themselves say of signs and zeros: directions of approach that lead away from the surface, and rotary axes that
 //! are off by a constant angle. Both fit as well as the truth: backlash takes up the first, offsets of features the second.
 
-use abbe_core::{AxisKind, CHUNK, Contact, Evaluation, Problem, SetIndex, StatusRole, Variable};
+use abbe_core::{AxisKind, CHUNK, Contact, Evaluation, Owner, Problem, SetIndex, StatusRole, Variable};
+use nalgebra::{DMatrix, DVector};
 
 use crate::contact::gradients;
 
@@ -12,16 +13,21 @@ const LEADS: f64 = 0.5;
 const TOUCHES: usize = 10;
 const MOST: f64 = 0.8;
 
-/// Smallest angle that is told, rad, the distance from contact that it has to explain, mm, and the part of it that may be left.
+/// Smallest angle that is told, rad, and the distance from contact that it has to explain, mm.
 const ANGLE: f64 = 2e-3;
 const DISTANCE: f64 = 0.3;
-const LEFT: f64 = 0.25;
+
+/// Part of that distance that may be left, however many features there are.
+const LEFT: f64 = 0.75;
+
+/// Probability with which features that are off at random may look as if an axis were off.
+const BY_CHANCE: f64 = 1e-8;
 
 /// A touch at the start of an estimate.
 struct Touch {
     /// Distance from contact, mm.
     distance: f64,
-    /// Its derivatives to the commands of all axes.
+    /// Its derivatives to the commands of all axes, then to the unknown place of the tip.
     effects: Vec<f64>,
     /// Directions of approach of all axes, 0 where the data do not say.
     directions: Vec<f64>,
@@ -36,15 +42,22 @@ pub fn turned(problem: &Problem) -> Vec<String> {
         }
         let Some(touches) = touches(problem, index) else { continue };
         sentences.extend(away(problem, &touches).map(|words| format!("{}: {words}", set.name)));
-        sentences.extend(off(problem, &touches).map(|words| format!("{}: {words}", set.name)));
+        sentences.extend(off(problem, index, &touches).map(|words| format!("{}: {words}", set.name)));
     }
     sentences
+}
+
+/// Whether a parameter is the place of the tip in its tool, which is hardly ever known before.
+fn is_of_tip(name: &str) -> bool {
+    matches!(name, "dxt" | "dyt" | "dzt")
 }
 
 /// The touches of a set, one equation and one pose each.
 fn touches(problem: &Problem, index: SetIndex) -> Option<Vec<Touch>> {
     let (set, info) = (&problem.sets[index], problem.model.info());
-    let commands: Vec<Variable> = (0..info.axes.len()).map(Variable::Command).collect();
+    let of_tip = problem.unknowns.iter().filter(|unknown| unknown.owner == Owner::Machine && is_of_tip(&unknown.name));
+    let commands = (0..info.axes.len()).map(Variable::Command);
+    let commands: Vec<Variable> = commands.chain(of_tip.map(|unknown| Variable::Parameter(unknown.index))).collect();
     let columns: Vec<Option<usize>> =
         (0..info.axes.len()).map(|axis| info.status_index(&StatusRole::Direction(axis))).collect();
     let single = |row: &&abbe_core::RowIndex| {
@@ -92,25 +105,56 @@ fn away(problem: &Problem, touches: &[Touch]) -> Option<String> {
 }
 
 /// The rotary axis that brings the touches to contact best if all its commands are off by the same angle.
-fn off(problem: &Problem, touches: &[Touch]) -> Option<String> {
-    let rms = |distances: &mut dyn Iterator<Item = f64>| {
-        (distances.map(|distance| distance * distance).sum::<f64>() / touches.len() as f64).sqrt()
-    };
-    let before = rms(&mut touches.iter().map(|touch| touch.distance));
-    if touches.len() < TOUCHES || before.is_nan() || before < DISTANCE {
+///
+/// What the place of the tip and its size explain is taken off first: these are hardly ever known before.
+fn off(problem: &Problem, set: SetIndex, touches: &[Touch]) -> Option<String> {
+    if touches.len() < TOUCHES {
         return None;
     }
-    let axes = problem.model.info().axes.iter().enumerate().filter(|(_, axis)| axis.kind == AxisKind::Rotary);
+    let info = problem.model.info();
+    let of_tip = |touch: &Touch| [1.0].into_iter().chain(touch.effects[info.axes.len()..].iter().copied()).collect();
+    let before = left(touches, of_tip)?;
+    // An own unknown for each feature can hide what it is off: by chance `features` of them look like an angle to this part.
+    let features = problem.sets[set].info().unknowns.len().clamp(1, touches.len());
+    let free = features as f64 - before.unknowns as f64 - 1.0;
+    let most = if free > 0.0 { BY_CHANCE.powf(1.0 / free).min(LEFT) } else { 0.0 };
+    if before.rms < DISTANCE {
+        return None;
+    }
+    let axes = info.axes.iter().enumerate().filter(|(_, axis)| axis.kind == AxisKind::Rotary);
     let tried = axes.filter_map(|(axis, own)| {
-        let square: f64 = touches.iter().map(|touch| touch.effects[axis].powi(2)).sum();
-        let angle = -touches.iter().map(|touch| touch.effects[axis] * touch.distance).sum::<f64>() / square;
-        let after = rms(&mut touches.iter().map(|touch| touch.distance + touch.effects[axis] * angle));
-        (angle.abs() > ANGLE && after < LEFT * before).then_some((own.name.as_str(), angle, after))
+        let after = left(touches, |touch| [touch.effects[axis]].into_iter().chain(of_tip(touch)).collect())?;
+        (after.first.abs() > ANGLE && after.rms < most * before.rms).then_some((own.name.as_str(), after))
     });
-    let (name, angle, after) = tried.min_by(|one, other| one.2.total_cmp(&other.2))?;
+    let (name, after) = tried.min_by(|one, other| one.1.rms.total_cmp(&other.1.rms))?;
     Some(format!(
-        "with {name} at {:+.3}° from where it is said to stand, the touches miss nominal contact by {after:.3} mm and not by {before:.3} mm \
-         (RMS): is its zero right, or does the artefact lie turned?",
-        angle.to_degrees()
+        "with {name} at {:+.3}° from where it is said to stand, the touches miss nominal contact by {:.3} mm and not by {:.3} mm \
+         (RMS, the tip where it fits best): is its zero right, or does the artefact lie turned?",
+        after.first.to_degrees(),
+        after.rms,
+        before.rms
     ))
+}
+
+/// What is left of the distances from contact.
+struct Left {
+    /// mm
+    rms: f64,
+    /// Number of effects that were fitted, and the factor of the first.
+    unknowns: usize,
+    first: f64,
+}
+
+/// What effects leave of the distances, by least squares.
+fn left(touches: &[Touch], effects: impl Fn(&Touch) -> Vec<f64>) -> Option<Left> {
+    let rows: Vec<Vec<f64>> = touches.iter().map(effects).collect();
+    let unknowns = rows.first()?.len();
+    let matrix = DMatrix::from_fn(rows.len(), unknowns, |row, column| rows[row][column]);
+    let distances = DVector::from_iterator(touches.len(), touches.iter().map(|touch| -touch.distance));
+    if !matrix.iter().chain(&distances).all(|number| number.is_finite()) {
+        return None;
+    }
+    let found = matrix.clone().svd(true, true).solve(&distances, 1e-9).ok()?;
+    let rest = distances - matrix * &found;
+    Some(Left { rms: (rest.norm_squared() / touches.len() as f64).sqrt(), unknowns, first: found[0] })
 }

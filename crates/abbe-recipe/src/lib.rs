@@ -198,7 +198,7 @@ impl Recipe {
     /// What stands under `plan`; the stages that it names are there.
     fn planning(&self) -> Result<Option<Planning>, Error> {
         let Some(settings) = self.document.get(&[PathItem::Key(PLAN.to_owned())]) else { return Ok(None) };
-        let plan: Planning = abbe_core::from_settings(settings).map_err(|error| self.plan_error(error))?;
+        let plan: Planning = abbe_core::from_settings_in_range(settings).map_err(|error| self.plan_error(error))?;
         plan.check().map_err(|error| self.plan_error(error))?;
         for (key, name, kind) in
             [("estimate", &plan.estimate, Kind::Estimate), ("candidates", &plan.candidates, Kind::Artefact)]

@@ -1,6 +1,6 @@
 //! The reference page of a plugin, made from its record.
 
-use abbe_core::{EstimateSource, Kind, Plugin};
+use abbe_core::{EstimateSource, Kind, Plugin, ranges};
 use serde_json::{Map, Value};
 
 use crate::graph::references;
@@ -193,7 +193,7 @@ fn kind_of(root: &Value, schema: &Value, plural: bool, depth: usize) -> String {
     let words = types.into_iter().map(|kind| {
         let (one, rest) = match kind {
             "string" => ("text", String::new()),
-            "number" => ("number", String::new()),
+            "number" => ("number", range(schema)),
             "integer" => ("whole number", range(schema)),
             "boolean" => return "true or false".to_owned(),
             "array" => ("list", of("items")),
@@ -204,7 +204,7 @@ fn kind_of(root: &Value, schema: &Value, plural: bool, depth: usize) -> String {
         let by_name = if kind == "object" && !rest.is_empty() { " by name" } else { "" };
         let rest = match kind {
             _ if rest.is_empty() => rest,
-            "integer" => format!(" {rest}"),
+            "integer" | "number" => format!(" {rest}"),
             _ => format!(" of {rest}"),
         };
         format!("{one}{}{rest}{by_name}", if plural { "s" } else { "" })
@@ -212,12 +212,10 @@ fn kind_of(root: &Value, schema: &Value, plural: bool, depth: usize) -> String {
     words.collect::<Vec<_>>().join(" or ")
 }
 
-/// The range of a whole number, where it says more than what a type of numbers can hold.
+/// The range of a number. A label may be written as a number, and has none; a seed may be any.
 fn range(schema: &Value) -> String {
-    match (schema["minimum"].as_u64(), schema["maximum"].as_u64()) {
-        (Some(least), Some(most)) if schema["format"].is_null() => format!("from {least} to {most}"),
-        _ => String::new(),
-    }
+    let stated = schema.as_object().filter(|schema| schema.get("format").is_none_or(|format| format != "uint64"));
+    stated.and_then(ranges::range).unwrap_or_default()
 }
 
 /// The unit that the name of a setting ends with.

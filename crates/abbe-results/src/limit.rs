@@ -46,6 +46,7 @@ fn bounded<E: Error>(value: f64) -> Result<f64, E> {
 #[serde(deny_unknown_fields)]
 struct Stated {
     /// The largest admissible value.
+    #[schemars(range(min = -1e6, max = 1e6))]
     limit: f64,
     /// The rule that decides whether a value keeps the limit: its name, or a map with its settings. Default: simple
     /// acceptance.
@@ -126,7 +127,7 @@ impl JsonSchema for Limit {
     }
 
     fn json_schema(generator: &mut SchemaGenerator) -> Schema {
-        json_schema!({ "anyOf": [{ "type": "number" }, generator.subschema_for::<Stated>()] })
+        json_schema!({ "anyOf": [{ "type": "number", "minimum": -LARGEST, "maximum": LARGEST }, generator.subschema_for::<Stated>()] })
     }
 }
 

@@ -8,6 +8,7 @@ use serde::{Deserialize, Deserializer, Serialize};
 use serde_json::Value;
 
 use crate::error::{Class, nearest};
+use crate::ranges;
 
 /// One step on the way to a setting: a key of a map or an index of a list.
 #[derive(Debug, Clone, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
@@ -179,43 +180,37 @@ pub fn from_settings<T: DeserializeOwned>(settings: &Value) -> Result<T, Setting
     })
 }
 
+/// Reads typed settings whose numbers have to be in the ranges of their schema.
+pub fn from_settings_in_range<T: DeserializeOwned + JsonSchema>(settings: &Value) -> Result<T, SettingsError> {
+    ranges::check(&schema_of::<T>(), settings)?;
+    from_settings(settings)
+}
+
 /// Refuses a setting that is not a positive finite number.
 pub fn positive(name: &str, value: f64) -> Result<f64, SettingsError> {
-    not_absurd(name, value)?;
     match value > 0.0 && value.is_finite() {
         true => Ok(value),
         false => Err(SettingsError::new(name, format!("{value}: a positive number was expected"))),
     }
 }
 
-/// Largest standard uncertainty of a length that can be meant, µm: a metre.
-const LARGEST_UNCERTAINTY: f64 = 1e6;
-
-/// Refuses an uncertainty of a length that makes whatever is measured count for nothing.
-fn not_absurd(name: &str, value: f64) -> Result<(), SettingsError> {
-    if name.ends_with("uncertainty_um") && value > LARGEST_UNCERTAINTY {
-        let message = format!("{value:e}: a number up to 1e6 was expected");
-        return Err(SettingsError::new(name, message).help("is it in the unit of its name?"));
-    }
-    Ok(())
-}
-
 /// Refuses a setting that is negative or not finite.
 pub fn not_negative(name: &str, value: f64) -> Result<f64, SettingsError> {
-    not_absurd(name, value)?;
     match value >= 0.0 && value.is_finite() {
         true => Ok(value),
         false => Err(SettingsError::new(name, format!("{value}: a number that is not negative was expected"))),
     }
 }
 
-/// The JSON Schema of a settings type, as a plain value.
+/// The JSON Schema of a settings type, as a plain value; every number in it has a range.
 pub fn schema_of<T: JsonSchema>() -> Value {
-    schemars::generate::SchemaSettings::draft2020_12()
+    let mut schema = schemars::generate::SchemaSettings::draft2020_12()
         .with(|settings| settings.inline_subschemas = true)
         .into_generator()
         .into_root_schema_for::<T>()
-        .to_value()
+        .to_value();
+    ranges::complete(&mut schema);
+    schema
 }
 
 /// An identifier in a recipe: text, or a number taken as text (`feature: 7` and `feature: "7"` are the same).

@@ -85,6 +85,20 @@ fn build(settings: Reversal, _: &Context) -> Result<Box<dyn Estimate>, SettingsE
 /// Part of the speed by which the two runs may differ.
 const SAME_SPEED: f64 = 0.05;
 
+/// Most by which the asynchronous parts of both set-ups may differ: it is one spindle at one speed.
+const SAME_SCATTER: f64 = 1.6;
+
+/// Tells of a set-up that scatters far more than the other one (both in mm).
+fn tell_scatter(name: &str, [first, second]: [f64; 2]) {
+    let ratio = second / first;
+    if !(1.0 / SAME_SCATTER..SAME_SCATTER).contains(&ratio) && first.max(second) > 0.0 {
+        tracing::warn!(
+            "{name}: the asynchronous part of the second set-up is {ratio:.2} times that of the first: has its sensor another range or \
+             unit, or another mount?"
+        );
+    }
+}
+
 impl Reversal {
     fn expected(&self) -> Expected<'_> {
         Expected {
@@ -204,13 +218,18 @@ impl Estimate for Reversal {
         let unknowns = both[0].basis.unknowns();
         let mut covariance = DMatrix::zeros(2 * unknowns, 2 * unknowns);
         let (mut raw, mut sizes, mut found) = (Vec::new(), Sizes::default(), Found::default());
+        let mut scatter = [0.0; 2];
         for (setup, (run, fitted)) in runs.iter().zip(&both).enumerate() {
             let first = setup * unknowns;
             covariance.view_mut((first, first), (unknowns, unknowns)).copy_from(&fitted.covariance);
             raw.extend_from_slice(&fitted.values[0]);
-            fitted.each_rest(run, |_, rest| sizes.push(rest[0]));
+            fitted.each_rest(run, |_, rest| {
+                sizes.push(rest[0]);
+                scatter[setup] += rest[0].powi(2) / run.angles.len() as f64;
+            });
             found.fixed(format!("reversal[{}].speed", setup + 1), run.speed, "rpm");
         }
+        tell_scatter(name, scatter.map(f64::sqrt));
         let freedom = runs.iter().map(Run::whole_turns).min().unwrap_or(2) as f64 - 1.0;
         let combined = self.combined(&both[0].basis);
         found.add(&combined, &raw, &covariance, freedom);

@@ -1,5 +1,6 @@
 //! Validator plugin `spindle`: figures of error motions in the manner of ISO 230-7.
 
+mod agreement;
 mod checked;
 mod judged;
 mod tables;

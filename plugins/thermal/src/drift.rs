@@ -125,6 +125,13 @@ impl DriftSettings {
             let message = format!("fewer than two readings from {} s on", self.from_s);
             return Err(Error::data(message).setting("from_s"));
         }
+        if let (Some(until), Some(end)) = (self.until_s, times.last().map(|last| last - begin))
+            && until > end
+        {
+            findings.remarks.push(format!(
+                "{run}: `until_s` is {until} s, and the log ends {end:.0} s after its first row: what came later is not judged"
+            ));
+        }
         let rows = first..last;
         let times = &times[rows.clone()];
         for readings in self.all(data, rows.clone())? {

@@ -177,11 +177,22 @@ impl Settings {
     }
 
     /// How residuals are drawn again.
-    pub fn bootstrap(&self, logs: &[SensorLog], time_constants: &[f64]) -> Bootstrap {
+    ///
+    /// Fails for blocks that hold less than a row, and for those of which a run has not two.
+    pub fn bootstrap(&self, logs: &[SensorLog], time_constants: &[f64]) -> Result<Bootstrap> {
         let length = |log: &SensorLog| log.times()[log.times().len() - 1] - log.times()[0];
         let longest = logs.iter().map(length).fold(0.0, f64::max);
+        let steps = logs.iter().flat_map(|log| log.times().windows(2).map(|pair| pair[1] - pair[0]));
+        let shortest = steps.fold(f64::INFINITY, f64::min);
+        if let Some(block) = self.block_s.filter(|block| !(shortest..=longest / 2.0).contains(block)) {
+            let message = format!(
+                "{block:e} s: a time from one row to the next ({shortest} s) to half of the longest run ({} s) was expected",
+                longest / 2.0
+            );
+            return Err(Error::data(message).setting("block_s"));
+        }
         let block = time_constants.iter().copied().fold(0.0, f64::max).clamp(0.0, longest / 10.0);
-        Bootstrap { draws: self.draws, block: self.block_s.unwrap_or(block), seed: self.seed }
+        Ok(Bootstrap { draws: self.draws, block: self.block_s.unwrap_or(block), seed: self.seed })
     }
 
     /// The outputs among some columns, by names and patterns. Inputs and times are none.
@@ -224,6 +235,11 @@ impl Settings {
         let chosen = self.chosen(&data.headers()).map_err(in_file)?;
         let times = data.required_numbers(TIME)?;
         let begin = times.first().copied().unwrap_or_default();
+        let end = times.last().copied().unwrap_or_default();
+        if let Some(until) = self.reference_until_s.filter(|until| *until >= end - begin) {
+            let message = format!("{until} s: the log is {} s long, and columns count from its first seconds", end - begin);
+            return Err(in_file(Error::data(message).setting("reference_until_s")));
+        }
         let reference = match (self.reference_degC, self.reference_until_s) {
             (Some(value), _) => Reference::Value(value),
             (None, Some(until)) => Reference::MeanUntil(begin + until),

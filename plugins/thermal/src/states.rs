@@ -75,7 +75,7 @@ impl Estimate for ThermalStates {
         let covariance = match self.settings.uncertainty {
             Uncertainty::Ordinary => fitted.covariance.clone(),
             Uncertainty::Blocks => {
-                fitted.bootstrap(&logs, &outputs, self.settings.bootstrap(&logs, &fitted.time_constants))?
+                fitted.bootstrap(&logs, &outputs, self.settings.bootstrap(&logs, &fitted.time_constants)?)?
             }
         };
         let values = found.values(of_input);

@@ -464,6 +464,14 @@ fn rows_of<'a>(index: usize, data: &'a Dataset) -> Result<Vec<Row<'a>>> {
         if let Some((name, _)) = numbers.iter().find(|(_, number)| !number.is_finite()) {
             return Err(data.error_at(row, format!("the {name} is missing")));
         }
+        for (name, label) in [("session", &session[row]), ("repeat", &repeat[row])] {
+            if let Ok(number) = label.parse::<f64>()
+                && !(number >= 0.0 && number.fract() == 0.0)
+            {
+                let message = format!("{name} {label}: a whole number from 0, or a name, was expected");
+                return Err(data.error_at(row, message));
+            }
+        }
         if value[row] <= 0.0 || cutting[row] < 0.0 {
             return Err(data.error_at(row, "a dimension above zero and cutting minutes from zero were expected"));
         }

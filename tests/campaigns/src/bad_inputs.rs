@@ -3,17 +3,19 @@
 //! Laws: the program ends by itself, in bounded time and memory, with a status that it documents; it never panics; what fails says
 //! why, in a message that a terminal can have; nothing half-written stays; what it calls estimated is a number with an uncertainty.
 
-use std::collections::{BTreeMap, BTreeSet};
+use std::collections::BTreeSet;
 use std::fs::{self, File};
 use std::path::{Path, PathBuf};
-use std::process::{Command, ExitStatus, Stdio};
-use std::time::{Duration, Instant};
+use std::process::Command;
+use std::time::Instant;
 
 use abbe_core::{harmless, in_parallel};
 use serde_json::Value;
 
 use crate::Random;
 use crate::machines::Report;
+use crate::process::{Bounds, Ended, ended};
+use crate::source::Source;
 
 /// Recipes that run within a fraction of a second.
 const RECIPES: [&str; 7] = [
@@ -25,12 +27,6 @@ const RECIPES: [&str; 7] = [
     "cylinder-kx8-exact",
     "ballbar-c600u-exact",
 ];
-
-/// How long a case may take. A machine that does other things, too, is slow.
-const LIMIT: Duration = Duration::from_secs(120);
-
-/// KiB of memory that a case may have.
-const MEMORY: u64 = 6 << 20;
 
 /// Bytes of the longest message.
 const LONGEST: usize = 1 << 16;
@@ -101,44 +97,8 @@ const TEXTS: [&[u8]; 30] = [
     b",,,,",
 ];
 
-/// A recipe with the files that it reads, by their paths in the folder of recipes.
-struct Source {
-    name: &'static str,
-    files: BTreeMap<PathBuf, Vec<u8>>,
-}
-
-impl Source {
-    fn read(name: &'static str) -> Self {
-        let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../pipelines");
-        let recipe = PathBuf::from(format!("{name}.yaml"));
-        let text = fs::read_to_string(folder.join(&recipe)).expect("the recipe");
-        let ends = |letter: char| letter.is_whitespace() || ",]}\"'".contains(letter);
-        let paths = text.match_indices("data/").map(|(at, _)| text[at..].split(ends).next().unwrap_or_default());
-        let mut files = BTreeMap::from([(recipe, text.clone().into_bytes())]);
-        for path in paths.map(Path::new) {
-            // A pattern stands for files of its folder.
-            let folder_of = path.parent().expect("a path in the folder of data");
-            let all = fs::read_dir(folder.join(folder_of)).expect("the folder of data");
-            let all = all.map(|entry| folder_of.join(entry.expect("an entry").file_name()));
-            let is_named = |file: &PathBuf| *file == path || path.to_string_lossy().contains('*');
-            for file in all.filter(is_named).filter(|file| folder.join(file).is_file()) {
-                files.insert(file.clone(), fs::read(folder.join(&file)).expect("a file of data"));
-            }
-        }
-        Self { name, files }
-    }
-
-    fn write(&self, folder: &Path) {
-        for (file, content) in &self.files {
-            let file = folder.join(file);
-            fs::create_dir_all(file.parent().expect("a folder")).expect("the folder can be made");
-            fs::write(file, content).expect("the file can be written");
-        }
-    }
-}
-
 /// Makes a random mistake in a text; says which.
-fn mistake(random: &mut Random, text: &mut Vec<u8>) -> String {
+pub fn mistake(random: &mut Random, text: &mut Vec<u8>) -> String {
     let kind = random.count(0, 14);
     let lines = |text: &[u8]| text.split_inclusive(|byte| *byte == b'\n').map(<[u8]>::to_vec).collect::<Vec<_>>();
     let place = |random: &mut Random, text: &[u8]| random.count(0, text.len() + 1);
@@ -252,11 +212,26 @@ fn misspelt(random: &mut Random, word: &[u8]) -> Vec<u8> {
     word
 }
 
+/// What may stand where a file was.
+const OBJECTS: [&str; 11] = [
+    "nothing",
+    "a folder",
+    "a pipe",
+    "a device",
+    "a link to itself",
+    "a link to nothing",
+    "a link to a pipe",
+    "a socket",
+    "zeros",
+    "an endless line",
+    "random bytes",
+];
+
 /// Something else stands where a file was; says what.
-fn replaced(random: &mut Random, file: &Path) -> String {
+pub fn replaced(random: &mut Random, file: &Path) -> String {
     fs::remove_file(file).expect("the file was there");
     let what =
-        random.of(&["nothing", "a folder", "a pipe", "a device", "a link to itself", "zeros", "an endless line"]);
+        random.of(&OBJECTS);
     match what {
         "a folder" => fs::create_dir(file).expect("a folder"),
         #[cfg(unix)]
@@ -265,6 +240,20 @@ fn replaced(random: &mut Random, file: &Path) -> String {
         "a device" => std::os::unix::fs::symlink("/dev/zero", file).expect("a link"),
         #[cfg(unix)]
         "a link to itself" => std::os::unix::fs::symlink(file, file).expect("a link"),
+        #[cfg(unix)]
+        "a link to nothing" => std::os::unix::fs::symlink("nowhere", file).expect("a link"),
+        #[cfg(unix)]
+        "a link to a pipe" => {
+            let pipe = file.with_extension("pipe");
+            assert!(Command::new("mkfifo").arg(&pipe).status().expect("mkfifo").success());
+            std::os::unix::fs::symlink(pipe.file_name().expect("a name"), file).expect("a link");
+        }
+        #[cfg(unix)]
+        "a socket" => drop(std::os::unix::net::UnixListener::bind(file).expect("a socket")),
+        "random bytes" => {
+            let bytes: Vec<u8> = (0..random.count(1, 5000)).map(|_| random.count(0, 256) as u8).collect();
+            fs::write(file, bytes).expect("a file");
+        }
         // Most of a disk, in a file with a hole.
         "zeros" => File::create(file).and_then(|file| file.set_len(40 << 30)).expect("a file with a hole"),
         "an endless line" => fs::write(file, vec![b'a'; 20 << 20]).expect("a long line"),
@@ -273,45 +262,8 @@ fn replaced(random: &mut Random, file: &Path) -> String {
     what.to_owned()
 }
 
-/// How the program ended.
-pub(crate) struct Ended {
-    pub status: ExitStatus,
-    pub stdout: String,
-    pub stderr: String,
-}
-
-/// Runs the program in a folder, with bounds on its time and memory; none if it had to be ended.
-fn ended(program: &Path, folder: &Path, arguments: &[&str]) -> Option<Ended> {
-    let said = ["stdout", "stderr"].map(|name| folder.join(name));
-    let into = |file: &PathBuf| Stdio::from(File::create(file).expect("a file for what is said"));
-    let mut command = Command::new("sh");
-    command.args(["-c", &format!("ulimit -v {MEMORY}; exec \"$0\" \"$@\"")]).arg(program).args(arguments);
-    command.current_dir(folder).env("ABBE_CAMPAIGN_PROGRAM", "1").env("NO_COLOR", "1").stdin(Stdio::null());
-    let mut child = command.stdout(into(&said[0])).stderr(into(&said[1])).spawn().expect("the program starts");
-    let status = waited(&mut child, LIMIT)?;
-    let [stdout, stderr] =
-        said.map(|file| String::from_utf8_lossy(&fs::read(file).expect("what was said")).into_owned());
-    Some(Ended { status, stdout, stderr })
-}
-
-/// Waits for a process; ends it when the time is over.
-pub(crate) fn waited(child: &mut std::process::Child, limit: Duration) -> Option<ExitStatus> {
-    let start = Instant::now();
-    loop {
-        match child.try_wait().expect("the process can be waited for") {
-            Some(status) => return Some(status),
-            None if start.elapsed() > limit => {
-                let _ = child.kill();
-                let _ = child.wait();
-                return None;
-            }
-            None => std::thread::sleep(Duration::from_millis(2)),
-        }
-    }
-}
-
 /// What is wrong with how the program ended, and with what it has left in the folder `out`.
-fn wrong(ended: Option<&Ended>, folder: &Path) -> Vec<String> {
+pub fn wrong(ended: Option<&Ended>, folder: &Path) -> Vec<String> {
     let Some(Ended { status, stdout, stderr }) = ended else { return vec!["it does not end".to_owned()] };
     let mut wrong = Vec::new();
     let mut law = |holds: bool, what: String| {
@@ -367,7 +319,7 @@ fn case(program: &Path, sources: &[Source], seed: u64, number: u64) -> Case {
     source.write(folder.path());
     let files: Vec<&PathBuf> = source.files.keys().collect();
     let file =
-        if random.chance(0.4) { PathBuf::from(format!("{}.yaml", source.name)) } else { random.of(&files).clone() };
+        if random.chance(0.4) { source.recipe() } else { random.of(&files).clone() };
     let path = folder.path().join(&file);
     let what = if random.chance(0.05) {
         replaced(&mut random, &path)
@@ -385,7 +337,7 @@ fn case(program: &Path, sources: &[Source], seed: u64, number: u64) -> Case {
         _ => &["run", &recipe, "--out", "out"],
     };
     let start = Instant::now();
-    let ended = ended(program, folder.path(), arguments);
+    let ended = ended(program, folder.path(), arguments, Bounds::default());
     Case {
         what: format!("{number}: {} {recipe}, {}: {what}", arguments[0], file.display()),
         status: ended.as_ref().and_then(|ended| ended.status.code()),

@@ -4,11 +4,14 @@
 
 pub mod bad_inputs;
 pub mod compensation;
+pub mod hostile;
 mod machine;
 pub mod machines;
+mod process;
 mod programme;
 pub mod signals;
 pub mod sizes;
+mod source;
 pub mod tango;
 
 use abbe_numerics::Generator;

@@ -5,7 +5,7 @@
 
 use std::process::ExitCode;
 
-use abbe_campaigns::{bad_inputs, compensation, machines, signals, sizes, tango};
+use abbe_campaigns::{bad_inputs, compensation, hostile, machines, signals, sizes, tango};
 
 fn main() -> ExitCode {
     if std::env::var_os("ABBE_CAMPAIGN_PROGRAM").is_some() {
@@ -27,10 +27,11 @@ fn main() -> ExitCode {
         (Some("tango"), Some(count), Some(seed)) => tango::run(seed, count),
         (Some("bad-inputs"), Some(count), Some(seed)) => bad_inputs::run(&program, seed, count),
         (Some("signals"), Some(count), Some(seed)) => signals::run(&program, seed, count),
+        (Some("hostile"), Some(count), Some(seed)) => hostile::run(&program, seed, count),
         (Some("sizes"), Some(largest), Some(_)) => sizes::run(&program, largest),
         _ => {
             eprintln!(
-                "usage: abbe-campaigns machines|compensation|tango|bad-inputs|signals|sizes COUNT SEED, or machine CASE SEED FOLDER"
+                "usage: abbe-campaigns machines|compensation|tango|bad-inputs|signals|hostile|sizes COUNT SEED, or machine CASE SEED FOLDER"
             );
             return ExitCode::from(2);
         }

@@ -13,8 +13,9 @@ use abbe_core::in_parallel;
 use sha2::{Digest, Sha256};
 
 use crate::Random;
-use crate::bad_inputs::waited;
 use crate::machines::Report;
+use crate::process::waited;
+use crate::source::pipelines;
 
 /// The signals with their names for `kill`.
 const SIGNALS: [(&str, i32); 4] = [("-INT", 2), ("-TERM", 15), ("-HUP", 1), ("-KILL", 9)];
@@ -42,10 +43,6 @@ fn files(folder: &Path) -> Files {
 
 fn sha256(content: &[u8]) -> String {
     Sha256::digest(content).iter().map(|byte| format!("{byte:02x}")).collect()
-}
-
-fn pipelines() -> PathBuf {
-    Path::new(env!("CARGO_MANIFEST_DIR")).join("../../pipelines")
 }
 
 /// The recipe with other uncertainties: no result file has the content that it has of the recipe itself.

@@ -1,6 +1,6 @@
 //! Some cases of each campaign; `cargo xtask campaign` runs them by the thousand.
 
-use abbe_campaigns::{bad_inputs, compensation, machines, signals, tango};
+use abbe_campaigns::{bad_inputs, compensation, hostile, machines, signals, tango};
 
 #[test]
 fn random_machines_keep_the_laws() {
@@ -39,5 +39,11 @@ fn bad_inputs_do_no_harm() {
 #[test]
 fn signals_leave_whole_results() {
     let found = signals::run(PROGRAM.as_ref(), 1, 20);
+    assert!(found.broken.is_empty(), "{}", found.text);
+}
+
+#[test]
+fn hostile_surroundings_do_no_harm() {
+    let found = hostile::run(PROGRAM.as_ref(), 1, 56);
     assert!(found.broken.is_empty(), "{}", found.text);
 }

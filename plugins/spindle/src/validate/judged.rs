@@ -4,7 +4,7 @@ use abbe_core::{Calibration, Dataset, Error, Figure, Findings, Fit, Result};
 use abbe_standards::spindle::Harmonics;
 
 use super::checked::{Checked, Form};
-use super::{AxialFundamental, CentreName, Estimates, Spindle, tables, total};
+use super::{AxialFundamental, CentreName, Estimates, Spindle, agreement, tables, total};
 use crate::motion::Motion;
 use crate::parameters::value;
 use crate::reversal::Reversal;
@@ -13,7 +13,7 @@ use crate::warm_up::WarmUp;
 const UM: &str = "um";
 
 /// The names of the runs of a calibration, in its order.
-fn names(calibration: &Calibration) -> Vec<String> {
+pub fn names(calibration: &Calibration) -> Vec<String> {
     let name = |name: &str| Some(name.strip_prefix("run[")?.strip_suffix("].speed")?.to_owned());
     calibration.parameters.iter().filter_map(|parameter| name(&parameter.name)).collect()
 }
@@ -45,6 +45,7 @@ pub fn runs(settings: &Spindle, estimates: &Estimates<'_>, data: &[&Dataset], fi
         }
         findings.remarks.push(settings.definitions(motion));
     }
+    agreement::tell(estimates, form.as_ref(), findings);
     if !estimates.motions.is_empty() {
         findings.tables.insert("speeds.csv".to_owned(), speeds.text());
         findings.remarks.push(of_form(form.is_some(), estimates.reversal.is_some()).to_owned());
