@@ -41,6 +41,7 @@ mod spindle;
 mod support;
 mod tested;
 mod thermal;
+mod thermal_lines;
 mod tools;
 mod truth;
 mod uncertainty;

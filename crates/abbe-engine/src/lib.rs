@@ -26,7 +26,7 @@ mod simulate;
 mod staging;
 mod travel;
 
-pub use abbe_planning::{Plan, PlanFigures};
+pub use abbe_planning::{Order, Plan, PlanFigures};
 pub use folder::can_write_folder;
 pub use laws::Laws;
 pub use outcome::{CALIBRATION, Failure, Outcome, REPORT, VERDICTS, residuals_file};

@@ -127,6 +127,7 @@ impl System {
             dropped: Vec::new(),
             weakest: self.identifiability.weakest.clone(),
             selection: None,
+            selection_by_prediction: None,
             equivalent_motion_errors: Vec::new(),
             implausible: Vec::new(),
             variance: Vec::new(),

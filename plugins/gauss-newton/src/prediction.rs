@@ -32,8 +32,12 @@ impl GaussNewton {
         explained: bool,
     ) -> Result<Calibration> {
         select.candidates(problem)?;
-        let all = self.estimate_all(problem, false)?;
-        let start = problem.with_values(&problem.values_of(&all));
+        // More time constants than there are do not settle; fewer may.
+        let start = match self.estimate_all(problem, false) {
+            Ok(all) => problem.with_values(&problem.values_of(&all)),
+            Err(error) if error.convergence.is_some() => problem.clone(),
+            Err(error) => return Err(error),
+        };
         let runs = runs(problem, select)?;
         let tried = self.tried(&start, select, &runs)?;
         let best = tried.iter().map(|tried| tried.error).fold(f64::INFINITY, f64::min);
