@@ -101,9 +101,13 @@ fn beyond_positions_nothing_is_said() {
     let outcome = with_lines(&json!([-260, 0, 260])).run();
     let file = folder.path().join("fit.calibration.json");
     write(&file, &fit(&outcome, "fit").calibration.to_json().expect("JSON"));
+    let log = tango().path("sensors", "path");
     let compensated = |x: f64| {
-        write(&folder.path().join("points.csv"), &format!("X_mm,Y_mm,Z_mm,B_deg,C_deg,time_s\n{x},0,400,0,0,3000\n"));
-        abbe(folder.path(), &["compensate", "fit.calibration.json", "points.csv", "--out", &format!("out{x}.csv")])
+        write(&folder.path().join("points.csv"), &format!("X_mm,Y_mm,Z_mm,B_deg,C_deg\n{x},0,400,0,0\n"));
+        let (log, out) = (log.to_str().expect("text"), format!("out{x}.csv"));
+        let arguments =
+            ["compensate", "fit.calibration.json", "points.csv", "--log", log, "--at", "6000", "--out", &out];
+        abbe(folder.path(), &arguments)
     };
     let inside = compensated(100.0);
     assert_eq!(inside.status, 0, "{}", inside.stderr);
