@@ -44,6 +44,7 @@ mod spindle;
 mod support;
 mod tested;
 mod thermal;
+mod thermal_lines;
 mod ties;
 mod tools;
 mod truth;

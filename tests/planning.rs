@@ -6,7 +6,7 @@ use std::path::Path;
 use abbe_engine::{Measurements, prepare};
 use serde_json::{Value, json};
 
-use crate::support::{Variant, abbe, json_file, read, recipes, registry, root, temporary};
+use crate::support::{Variant, abbe, fit, json_file, read, recipes, registry, root, temporary};
 
 fn planned(recipe: &Variant) -> Measurements {
     try_plan(recipe).unwrap_or_else(|error| panic!("{error}"))
@@ -263,4 +263,72 @@ fn wrong_grids_are_refused() {
     recipe.0["plan"]["generate"] = json!({});
     let error = try_plan(&recipe).err().unwrap_or_default();
     assert!(error.contains("this artefact has no features that the tip is sent to"), "{error}");
+}
+
+/// Touches on a machine that warms up and whose tool drifts, by groups, in an order of their own.
+fn ordered(change: impl Fn(&mut Value)) -> Variant {
+    let mut recipe = Variant::of(&recipes()["tango-warming"]).only(&["fit"]);
+    recipe.stage("fit")["trust_uncertainties"] = json!(true);
+    recipe.stage("fit")["parameters"] = json!(["@geometry", "dzt[t1]", "dzt[t2]", "EA0B[T_column:1]", "table.*"]);
+    recipe.0["plan"] = json!({ "estimate": "fit", "candidates": "table", "by": "group", "number": 15, "restarts": 3,
+        "parameters": ["E*"], "order": { "duration_s": 16, "references": [1], "times": 3 } });
+    change(&mut recipe.0["plan"]);
+    recipe
+}
+
+#[test]
+fn an_order_tells_drift_from_geometry() {
+    let folder = temporary();
+    let recipe = ordered(|_| {});
+    let file = recipe.write(folder.path());
+    let found =
+        prepare(&file, &registry()).and_then(|prepared| prepared.plan()).unwrap_or_else(|error| panic!("{error}"));
+    let order = found.plan.order.as_ref().expect("an order");
+    assert_eq!(order.sequence.len(), 15 + 2);
+    assert_eq!(order.sequence.iter().filter(|(label, _)| label == "1").count(), 3);
+    // Touches one after another, each 16 s.
+    let rows: Vec<f64> = order.rows.iter().map(|(_, time)| *time).collect();
+    assert!(rows.iter().enumerate().all(|(row, time)| (time - 16.0 * row as f64).abs() < 1e-6), "{rows:?}");
+    let begins = |from: &f64| rows.iter().any(|time| (time - from).abs() < 1e-6);
+    assert!(order.sequence.iter().all(|(_, from)| begins(from)), "{:?}", order.sequence);
+    let listed = order.as_listed.as_ref().expect("the order of the list");
+    let gained = 1.0 / order.figures.efficiency_of(listed);
+    println!("list {gained:.3} times, random {:.3} times as many", 1.0 / order.random_efficiency);
+    assert!(gained > 1.005 && order.random_efficiency <= 1.0, "{gained} {}", order.random_efficiency);
+
+    // The file to fill in, run as it is, has the uncertainties that the plan promises (its touches are not quite at nominal contact).
+    let out = folder.path().join("plan");
+    found.write(&out).unwrap_or_else(|error| panic!("{error}"));
+    let mut filled = recipe.clone();
+    filled.0.as_object_mut().expect("a recipe").remove("plan");
+    filled.stage("touches")["path"] = json!(out.join("touches.csv"));
+    filled.stage("touches").as_object_mut().expect("a stage").remove("ignore");
+    let outcome = filled.run();
+    let calibration = &fit(&outcome, "fit").calibration;
+    let planned = found.plan.problem.unknowns.iter().zip(found.standard_uncertainties());
+    let mut compared = 0;
+    for (unknown, expected) in planned.filter(|(unknown, _)| unknown.name.starts_with('E')) {
+        let is = calibration.get(&unknown.name).expect("an estimate").standard_uncertainty;
+        assert!((is / expected - 1.0).abs() < 0.02, "{}: {is:e}, planned {expected:e}", unknown.name);
+        compared += 1;
+    }
+    assert!(compared > 15, "{compared}");
+    let told = abbe(folder.path(), &[Path::new("plan"), &file]);
+    assert!(told.stdout.contains("In this order, candidate at seconds"), "{}", told.stdout);
+    assert!(told.stdout.contains("In the order of the list"), "{}", told.stdout);
+}
+
+#[test]
+fn orders_that_make_no_sense_are_refused() {
+    let said = |change: &dyn Fn(&mut Value)| try_plan(&ordered(change)).err().expect("it is refused");
+    let unknown = said(&|plan| plan["order"]["references"] = json!([99]));
+    assert!(unknown.contains("there is no candidate 99"), "{unknown}");
+    let twice = said(&|plan| plan["order"]["references"] = json!([1, 1]));
+    assert!(twice.contains("1 stands here twice"), "{twice}");
+    let late = said(&|plan| plan["order"]["start_s"] = json!(1e5));
+    assert!(late.contains("is outside the log of temperatures"), "{late}");
+    let mut still = ordered(|_| {});
+    still.stage("fit")["parameters"] = json!(["@geometry", "table.*"]);
+    let said = try_plan(&still).err().expect("it is refused");
+    assert!(said.contains("nothing that is estimated follows the time"), "{said}");
 }

@@ -255,6 +255,35 @@ fn selection_keeps_what_predicts() {
     assert!(kept_more <= count / 3, "{kept_more} of {count}");
 }
 
+/// Runs to be predicted in which a sensor is missing, or two of them are exchanged.
+#[test]
+fn sensors_of_unseen_runs() {
+    let seen = wandering(1, 0.5);
+    let unseen = wandering(2, 0.5);
+    let judged = |run: &str| {
+        let sandbox = Sandbox::new();
+        sandbox.write("seen.csv", &seen);
+        sandbox.write("unseen.csv", run);
+        sandbox.write(
+            "r.yaml",
+            "abbe: 1\nstages:\n  a: { ingest: csv, path: seen.csv }\n  b: { ingest: csv, path: unseen.csv }\n  fit: { estimate: \
+             thermal-states, from: a, inputs: [T1, T2], outputs: [drift], time_constants: 2 }\n  judged: { validate: thermal, of: fit, \
+             from: b, prediction: { limits: { max_um: 500 } } }\n",
+        );
+        let printed = sandbox.abbe(&["run", "r.yaml", "--out", "out"]);
+        (printed.status, printed.stdout + &printed.stderr)
+    };
+    let (status, text) = judged(&unseen);
+    assert_eq!(status, 0, "{text}");
+    assert!(!text.contains("exchanged"), "{text}");
+    let exchanged = unseen.replace("T1_degC", "T9_degC").replace("T2_degC", "T1_degC").replace("T9_degC", "T2_degC");
+    let (_, text) = judged(&exchanged);
+    assert!(text.contains("with T1 in the place of T2: are these sensors exchanged?"), "{text}");
+    let (status, text) = judged(&unseen.replace("T2_degC", "T7_degC"));
+    assert_ne!(status, 0, "{text}");
+    assert!(text.contains("unseen.csv") && text.contains("there is no column `T2`"), "{text}");
+}
+
 #[test]
 fn wrong_runs_and_settings_have_one_clear_error() {
     let good = wandering(1, 0.5);

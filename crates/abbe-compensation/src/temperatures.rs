@@ -38,24 +38,46 @@ impl Temperatures {
         self.data.numbers("time").and_then(|times| times.last().copied()).unwrap_or(f64::NAN)
     }
 
-    /// What a calibration does not know of this log: readings beyond those of its own one, by more than a tenth of their range.
+    /// What a calibration does not know of this log: readings beyond those of its own one, by more than a tenth of their range; and
+    /// pairs of sensors that read what the other one read then.
     pub fn beyond(&self, calibration: &Calibration) -> Vec<String> {
         let mut told = Vec::new();
+        let mut outside: Vec<Compared> = Vec::new();
         for (header, known) in logged(calibration) {
             let (name, ..) = Quantity::of_column(&header);
-            let (Some(own), Some([from, to])) = (self.data.numbers(name).and_then(ends), ends(&known)) else {
-                continue;
-            };
-            let more = BEYOND * (to - from);
-            if own[0] < from - more || own[1] > to + more {
+            let (Some(own), Some(known)) = (self.data.numbers(name).and_then(ends), ends(&known)) else { continue };
+            if !within(own, known) {
                 told.push(format!(
-                    "{header} goes from {:.2} to {:.2}; gains were found from {from:.2} to {to:.2}",
-                    own[0], own[1]
+                    "{header} goes from {:.2} to {:.2}; gains were found from {:.2} to {:.2}",
+                    own[0], own[1], known[0], known[1]
+                ));
+                outside.push(Compared { name: name.to_owned(), own, known });
+            }
+        }
+        for (index, one) in outside.iter().enumerate() {
+            let is_other = |other: &&Compared| within(one.own, other.known) && within(other.own, one.known);
+            if let Some(other) = outside[index + 1..].iter().find(is_other) {
+                told.push(format!(
+                    "each of them reads what the other one read then: are {} and {} exchanged?",
+                    one.name, other.name
                 ));
             }
         }
         told
     }
+}
+
+/// A sensor whose readings, smallest and largest, are not those of the calibration.
+struct Compared {
+    name: String,
+    own: [f64; 2],
+    known: [f64; 2],
+}
+
+/// Whether readings are among others, or beyond them by no more than a part of their range.
+fn within(own: [f64; 2], [from, to]: [f64; 2]) -> bool {
+    let more = BEYOND * (to - from);
+    own[0] >= from - more && own[1] <= to + more
 }
 
 /// Part of the range of a sensor by which readings may be beyond those of the calibration without a word.

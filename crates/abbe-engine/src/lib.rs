@@ -28,8 +28,8 @@ mod staging;
 mod travel;
 mod understood;
 
-pub use abbe_planning::{Plan, PlanFigures};
 pub use abbe_estimation::{LocationError, LocationErrors, Standing};
+pub use abbe_planning::{Order, Plan, PlanFigures};
 pub use described::{Described, prepare_text};
 pub use folder::can_write_folder;
 pub use laws::Laws;

@@ -66,7 +66,9 @@ impl Prepared {
         let accepted = self.located(stage, estimator.accepts(&identifiability))?;
         let mut files = match &generated {
             Some(generated) => {
-                BTreeMap::from([(PathBuf::from(GENERATED), chosen(&generated.text, &plan.data_rows, &generated.data))])
+                let path = PathBuf::from(GENERATED);
+                let text = chosen(&path, &generated.text, &rows_of(&plan, None, &generated.data), &generated.data)?;
+                BTreeMap::from([(path, text)])
             }
             None => rows(&data[self.artefact(&wanted.candidates)?.0], &plan)?,
         };
@@ -105,6 +107,11 @@ impl Prepared {
 }
 
 impl Measurements {
+    /// The expected standard uncertainties of the unknowns, in the planned order if there is one.
+    pub fn standard_uncertainties(&self) -> Vec<f64> {
+        self.plan.order.as_ref().map_or(&self.plan.figures, |order| &order.figures).standard_uncertainties()
+    }
+
     /// Writes everything into the folder `out`, which must not exist or be empty: whole or not at all.
     pub fn write(&self, out: &Path) -> Result<()> {
         write_folder(out, &self.files)
@@ -121,28 +128,56 @@ fn with_lost(error: Error, all: &Identifiability) -> Error {
 fn rows(data: &Dataset, plan: &Plan) -> Result<BTreeMap<PathBuf, Vec<u8>>> {
     let mut files = BTreeMap::new();
     for (index, path) in data.files.iter().enumerate() {
-        let of_file: Vec<DataRow> =
-            plan.data_rows.iter().copied().filter(|&row| data.origins[row].file == index).collect();
+        let of_file = rows_of(plan, Some(index), data);
         if of_file.is_empty() {
             continue;
         }
         let text = abbe_table::read_text(path)?;
         let name = path.file_name().map_or_else(|| PathBuf::from("plan.csv"), PathBuf::from);
-        if files.insert(name, chosen(&text, &of_file, data)).is_some() {
+        if files.insert(name, chosen(path, &text, &of_file, data)?).is_some() {
             return Err(Error::usage("two files of candidates have the same name").in_file(path));
         }
     }
     Ok(files)
 }
 
-/// Some rows of a file, under its header.
-fn chosen(text: &str, rows: &[DataRow], data: &Dataset) -> Vec<u8> {
+/// The chosen rows of a file, or of all, in the order in which they are measured, with their time if that is planned.
+fn rows_of(plan: &Plan, file: Option<usize>, data: &Dataset) -> Vec<(DataRow, Option<f64>)> {
+    let all: Vec<(DataRow, Option<f64>)> = match &plan.order {
+        Some(order) => order.rows.iter().map(|&(row, time)| (row, Some(time))).collect(),
+        None => plan.data_rows.iter().map(|&row| (row, None)).collect(),
+    };
+    all.into_iter().filter(|(row, _)| file.is_none_or(|file| data.origins[*row].file == file)).collect()
+}
+
+/// The column of times.
+const TIME: &str = "time_s";
+
+/// Some rows of a file, under its header, at their times.
+fn chosen(path: &Path, text: &str, rows: &[(DataRow, Option<f64>)], data: &Dataset) -> Result<Vec<u8>> {
     let all: Vec<&str> = text.lines().collect();
     let header = all.iter().find(|line| !line.starts_with('#') && !line.trim().is_empty());
-    let lines = rows.iter().filter_map(|&row| all.get(data.origins[row].line - 1));
+    let lines = rows.iter().filter_map(|&(row, _)| all.get(data.origins[row].line - 1));
     let mut written = format!("# {} rows, chosen by `abbe plan`\n", rows.len());
     header.into_iter().chain(lines).for_each(|line| written.extend([line, "\n"]));
-    written.into_bytes()
+    // The comment and the header are the first two lines.
+    let timed = rows.iter().enumerate().filter_map(|(row, (_, time))| Some((row + 3, (*time)?)));
+    let timed: Vec<(usize, String)> = timed.map(|(line, time)| (line, format!("{:.3}", time))).collect();
+    if timed.is_empty() {
+        return Ok(written.into_bytes());
+    }
+    let has_times = data.columns.iter().any(|column| column.header.header == TIME);
+    let written = match has_times {
+        true => {
+            let cells = timed.into_iter().map(|(line, time)| (line, [(TIME.to_owned(), time)].into())).collect();
+            abbe_table::with_cells(path, written.as_bytes(), &cells)?
+        }
+        false => {
+            let cells = timed.into_iter().map(|(line, time)| (line, vec![time])).collect();
+            abbe_table::with_columns(path, written.as_bytes(), &[TIME], &cells)?
+        }
+    };
+    Ok(written.into_bytes())
 }
 
 /// `plan.json`.
@@ -164,7 +199,21 @@ fn record(estimate: &str, plan: &Plan, found: &Identifiability) -> Value {
     let unknowns = unknowns.map(|(unknown, uncertainty)| {
         json!({ "name": unknown.name, "unit": unknown.unit.to_string(), "standard_uncertainty": uncertainty })
     });
-    json!({
+    let order = plan.order.as_ref().map(|order| {
+        let sequence = order.sequence.iter().map(|(label, from)| json!({ "candidate": label, "start_s": from }));
+        let uncertainties = plan.problem.unknowns.iter().zip(order.figures.standard_uncertainties());
+        let uncertainties =
+            uncertainties.map(|(unknown, value)| json!({ "name": unknown.name, "standard_uncertainty": value }));
+        json!({
+            "sequence": sequence.collect::<Vec<_>>(),
+            "figures": figures(&order.figures),
+            "as_listed": order.as_listed.as_ref().map(figures),
+            "efficiency_as_listed": order.as_listed.as_ref().map(|listed| order.figures.efficiency_of(listed)),
+            "efficiency_of_random": order.random_efficiency,
+            "unknowns": uncertainties.collect::<Vec<_>>(),
+        })
+    });
+    let mut record = json!({
         "abbe_plan": 1,
         "estimate": estimate,
         "candidates": plan.candidates,
@@ -177,5 +226,9 @@ fn record(estimate: &str, plan: &Plan, found: &Identifiability) -> Value {
         "unknowns": unknowns.collect::<Vec<_>>(),
         "rank": found.rank,
         "null_space": found.null_space,
-    })
+    });
+    if let (Some(order), Some(record)) = (order, record.as_object_mut()) {
+        record.insert("order".to_owned(), order);
+    }
+    record
 }

@@ -59,6 +59,7 @@ mod design;
 mod directions;
 mod factor;
 mod gauss_newton;
+mod lower;
 mod monte_carlo;
 mod regression;
 mod reweighting;
@@ -77,6 +78,7 @@ pub use design::{Criterion, Design, DesignFigures, DesignProblem};
 pub use directions::{Directions, RestrictedProblem};
 pub use factor::{CandidateTerm, CovarianceRoot, Factor, Information, SingularValues, Spectrum};
 pub use gauss_newton::{End, LeastSquares, Options, Sink, Solution, solve, solve_from};
+pub use lower::Lower;
 pub use monte_carlo::{
     AdaptiveProcedure, Agreement, Interval, Trials, compare_with_gum, least_trials, numerical_tolerance,
 };

@@ -7,6 +7,7 @@
 
 mod candidates;
 mod generate;
+mod order;
 mod settings;
 
 use abbe_core::{
@@ -16,7 +17,8 @@ use abbe_estimation::rank_point;
 use abbe_numerics::{Criterion, Design, DesignFigures, DesignProblem, Generator};
 
 pub use generate::generate;
-pub use settings::{GeneratedLengths, Generation, Planning, PlanningCriterion};
+pub use order::Order;
+pub use settings::{GeneratedLengths, Generation, Ordering, Planning, PlanningCriterion};
 
 use candidates::{Candidate, candidates};
 
@@ -48,6 +50,8 @@ pub struct Plan {
     pub random_efficiency: Option<f64>,
     /// Number of searches that found this plan or one that is as good.
     pub searches_that_found_it: usize,
+    /// The order in which the candidates are measured, if one was wanted.
+    pub order: Option<Order>,
 }
 
 /// A chosen candidate.
@@ -120,7 +124,9 @@ pub fn plan(problem: &Problem, wanted: &Planning) -> Result<Plan> {
     let alike = |design: &&Design| (design.value - best.value).abs() <= 1e-6 * best.value.abs().max(1.0);
     let figures = scaled.figures(&choice, &best.chosen, scaled_figures);
     let evenly = evenly(&choice, best.chosen.len());
+    let order = order::order(&contact, (&found, &scaled, &choice), &best.chosen, wanted)?;
     Ok(Plan {
+        order,
         candidates: found.len(),
         chosen: chosen(&found, &best.chosen, &choice.required),
         data_rows: data_rows(&contact, &found, &best.chosen, wanted),
@@ -197,14 +203,7 @@ struct Scaled {
 impl Scaled {
     fn new(contact: &Problem, candidates: &[Candidate], order: &[usize]) -> Result<Self> {
         let p = order.len();
-        let uncertainties = contact.standard_uncertainties();
-        let mut all: Vec<f64> = Vec::with_capacity(contact.equations() * p);
-        contact.linearise(&contact.start(), |block| {
-            for (equation, _, derivatives) in block.lines() {
-                let weight = 1.0 / uncertainties[equation];
-                all.extend(order.iter().map(|&column| derivatives[column] * weight));
-            }
-        })?;
+        let mut all = weighted(contact, order)?;
         let norm = |column: usize| all.iter().skip(column).step_by(p).map(|value| value * value).sum::<f64>().sqrt();
         // A column of zeros is reported later: no plan determines its unknown.
         let norms: Vec<f64> = (0..p).map(norm).map(|norm| if norm > 0.0 { norm } else { 1.0 }).collect();
@@ -228,6 +227,16 @@ impl Scaled {
             }
         }
         Ok(Self { rows, ends, measured, measured_rows, norms, order: order.to_vec() })
+    }
+
+    /// The rows of the candidates of a problem at other poses, one candidate after another, in the same columns.
+    fn rows_of(&self, problem: &Problem, candidates: &[Candidate]) -> Result<Vec<f64>> {
+        let (all, p) = (weighted(problem, &self.order)?, self.order.len());
+        let equations = candidates.iter().flat_map(|candidate| &candidate.equations);
+        let rows = equations.flat_map(|&EquationIndex(equation)| {
+            all[equation * p..(equation + 1) * p].iter().zip(&self.norms).map(|(value, norm)| value / norm)
+        });
+        Ok(rows.collect())
     }
 
     fn choice(&self, candidates: &[Candidate], wanted: &Planning, of_interest: usize) -> DesignProblem {
@@ -258,8 +267,9 @@ impl Scaled {
     /// Figures in the units of the unknowns.
     fn figures(&self, choice: &DesignProblem, chosen: &[usize], figures: DesignFigures) -> PlanFigures {
         let p = self.order.len();
-        let first = |index: usize| if index == 0 { 0 } else { self.ends[index - 1] };
-        let equations = chosen.iter().map(|&index| self.ends[index] - first(index)).sum::<usize>() + self.measured_rows;
+        let first = |index: usize| if index == 0 { 0 } else { choice.ends[index - 1] };
+        let equations = chosen.iter().map(|&index| choice.ends[index] - first(index)).sum::<usize>();
+        let equations = equations + self.measured_rows;
         let mut covariance = vec![0.0; p * p];
         for (row, &one) in self.order.iter().enumerate() {
             for (column, &other) in self.order.iter().enumerate() {
@@ -278,6 +288,19 @@ impl Scaled {
             of_interest,
         }
     }
+}
+
+/// The weighted derivatives of a problem, its unknowns in this order.
+fn weighted(problem: &Problem, order: &[usize]) -> Result<Vec<f64>> {
+    let uncertainties = problem.standard_uncertainties();
+    let mut all: Vec<f64> = Vec::with_capacity(problem.equations() * order.len());
+    problem.linearise(&problem.start(), |block| {
+        for (equation, _, derivatives) in block.lines() {
+            let weight = 1.0 / uncertainties[equation];
+            all.extend(order.iter().map(|&column| derivatives[column] * weight));
+        }
+    })?;
+    Ok(all)
 }
 
 /// As many candidates, spread evenly over the list.

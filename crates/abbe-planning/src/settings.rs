@@ -43,12 +43,57 @@ pub struct Planning {
     /// Candidates that must not be chosen.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub forbidden: Vec<Label>,
+    /// In which order the chosen candidates are measured, against what follows the time. Default: no order.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub order: Option<Ordering>,
     /// Number of random starts of the search.
     #[serde(default = "restarts")]
     pub restarts: Whole<1, 1_000>,
     /// Seed of the random starts.
     #[serde(default)]
     pub seed: u64,
+}
+
+/// The order of the chosen candidates in which what follows the time (drifts, thermal states) disturbs the estimate least.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct Ordering {
+    /// Time that a row takes, where the candidates have no column `duration_s`.
+    #[serde(default = "half_a_minute")]
+    pub duration_s: f64,
+    /// When the first one begins, on the clock of the data.
+    #[serde(default)]
+    pub start_s: f64,
+    /// Candidates that are measured again and again; the order says when.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub references: Vec<Label>,
+    /// How often each of these is measured.
+    #[serde(default = "thrice")]
+    pub times: Whole<1, 1_000>,
+}
+
+fn half_a_minute() -> f64 {
+    30.0
+}
+
+fn thrice() -> Whole<1, 1_000> {
+    Whole::new(3)
+}
+
+impl Ordering {
+    fn check(&self) -> Result<(), SettingsError> {
+        positive("duration_s", self.duration_s)?;
+        if !self.start_s.is_finite() {
+            return Err(SettingsError::new("start_s", "a finite number was expected"));
+        }
+        let twice =
+            (1..self.references.len()).find(|&index| self.references[..index].contains(&self.references[index]));
+        match twice {
+            Some(index) => Err(SettingsError::new("", format!("{} stands here twice", self.references[index].0))
+                .under([PathItem::Key("references".to_owned()), PathItem::Index(index)])),
+            None => Ok(()),
+        }
+    }
 }
 
 /// Candidates on a grid: where the nominal machine can measure the artefact.
@@ -166,6 +211,9 @@ impl Planning {
         }
         if let Some(generate) = &self.generate {
             generate.check().map_err(|error| error.under([PathItem::Key("generate".to_owned())]))?;
+        }
+        if let Some(order) = &self.order {
+            order.check().map_err(|error| error.under([PathItem::Key("order".to_owned())]))?;
         }
         let both = self.required.iter().position(|required| self.forbidden.contains(required));
         match both {

@@ -162,6 +162,13 @@ impl SensorLog {
         })
     }
 
+    /// The same log with the readings of two sensors exchanged.
+    pub fn exchanged(&self, one: usize, other: usize) -> Self {
+        let mut exchanged = self.clone();
+        exchanged.values.swap(one, other);
+        exchanged
+    }
+
     /// The same log, each sensor counted from its reference.
     ///
     /// Fails if no row is within the span of the reference.

@@ -3,7 +3,7 @@
 use std::path::Path;
 
 use abbe_core::WeakDirection;
-use abbe_engine::Measurements;
+use abbe_engine::{Measurements, Order};
 
 use crate::table;
 use abbe_report::number::short;
@@ -39,8 +39,11 @@ pub fn text(name: &str, measurements: &Measurements, out: Option<&Path>) -> Stri
     if let Some(part) = plan.random_efficiency {
         text.push_str(&format!("At random (median) {:.2} times as many\n", 1.0 / part));
     }
+    if let Some(order) = &plan.order {
+        text.push_str(&ordered(order));
+    }
     let mut rows = vec![["", "", "expected u"].map(str::to_owned).to_vec()];
-    for (unknown, uncertainty) in plan.problem.unknowns.iter().zip(plan.figures.standard_uncertainties()) {
+    for (unknown, uncertainty) in plan.problem.unknowns.iter().zip(measurements.standard_uncertainties()) {
         let (symbol, factor) = unknown.unit.for_people();
         rows.push(vec![unknown.name.clone(), symbol, short(uncertainty * factor)]);
     }
@@ -54,6 +57,24 @@ pub fn text(name: &str, measurements: &Measurements, out: Option<&Path>) -> Stri
         let files = measurements.files.keys().map(|file| file.display().to_string()).collect::<Vec<_>>().join(", ");
         text.push_str(&format!("\nWritten: {} ({files})\n", out.display()));
     }
+    text
+}
+
+/// The order of the measurements.
+fn ordered(order: &Order) -> String {
+    let mut text = "\nIn this order, candidate at seconds\n".to_owned();
+    let each = order.sequence.iter().map(|(label, from)| format!("{label} at {from:.0}"));
+    for line in each.collect::<Vec<_>>().chunks(IN_A_LINE) {
+        text.push_str(&format!("  {}\n", line.join(", ")));
+    }
+    match &order.as_listed {
+        Some(listed) => {
+            let part = 1.0 / order.figures.efficiency_of(listed);
+            text.push_str(&format!("In the order of the list {part:.2} times as many would be as good\n"));
+        }
+        None => text.push_str("In the order of the list not all unknowns are determined\n"),
+    }
+    text.push_str(&format!("In a random order (median) {:.2} times as many\n", 1.0 / order.random_efficiency));
     text
 }
 

@@ -11,6 +11,9 @@ use abbe_core::{
 use crate::GaussNewton;
 use crate::select::{Select, without};
 
+/// Value of coefficients in the place of zero where effects of shapes are asked.
+const TINY: f64 = 1e-9;
+
 /// Rows that are left out together.
 struct Run {
     label: String,
@@ -32,8 +35,12 @@ impl GaussNewton {
         explained: bool,
     ) -> Result<Calibration> {
         select.candidates(problem)?;
-        let all = self.estimate_all(problem, false)?;
-        let start = problem.with_values(&problem.values_of(&all));
+        // More time constants than there are do not settle; fewer may.
+        let start = match self.estimate_all(problem, false) {
+            Ok(all) => problem.with_values(&problem.values_of(&all)),
+            Err(error) if error.convergence.is_some() => problem.clone(),
+            Err(error) => return Err(error),
+        };
         let runs = runs(problem, select)?;
         let tried = self.tried(&start, select, &runs)?;
         let best = tried.iter().map(|tried| tried.error).fold(f64::INFINITY, f64::min);
@@ -132,7 +139,10 @@ impl GaussNewton {
         if !problem.unknowns.iter().any(is_shape) {
             return Ok(problem);
         }
-        let factor = self.weighted(&problem)?.factor(&problem.start(), None)?;
+        // Where no coefficient is zero a shape without an effect has none left.
+        let nonzero = |(index, value): (usize, f64)| if value == 0.0 { TINY * (1 + index) as f64 } else { value };
+        let start: Vec<f64> = problem.start().into_iter().enumerate().map(nonzero).collect();
+        let factor = self.weighted(&problem)?.factor(&start, None)?;
         let norms = factor.norms();
         let unknowns = problem.unknowns.iter().zip(norms);
         let idle = unknowns.filter(|(unknown, norm)| is_shape(unknown) && **norm == 0.0);

@@ -5,7 +5,7 @@ use std::fmt::Write as _;
 use abbe_core::{
     Calibration, Dataset, Error, Figure, Findings, Fit, Quantity, Result, SettingsError, from_settings, not_negative,
 };
-use abbe_thermal::Terms;
+use abbe_thermal::{SensorLog, Terms};
 use schemars::JsonSchema;
 use serde::Deserialize;
 
@@ -31,6 +31,9 @@ const KINDS: [(Quantity, &str, f64); 3] =
 
 /// Predictions that scatter by this factor more than the estimate promises get a word.
 const OPTIMISTIC: f64 = 1.5;
+
+/// Part of the squares of what is predicted wrong that is left, of each kind of reading, when sensors were exchanged.
+const MUCH_BETTER: f64 = 0.25;
 
 /// Sums over readings of one kind.
 #[derive(Default, Clone, Copy)]
@@ -75,9 +78,10 @@ impl PredictionSettings {
             let run = known.settings.run(data)?;
             let name = run_name(data);
             let mut table = String::from("time_s,output,reading,predicted,standard_uncertainty\n");
+            let mut of_run = [Sums::default(); KINDS.len()];
             for output in 0..run.outputs.len() {
                 let (kind, unit, sums) = self.output(&known, &run, output, &mut table)?;
-                all[kind].add(&sums);
+                of_run[kind].add(&sums);
                 let label = format!("{}, {name}", run.outputs[output].0);
                 let detail =
                     |what: &str, value| Figure::new(&fit.name, format!("{what}[{label}]"), value, unit).detail();
@@ -85,6 +89,13 @@ impl PredictionSettings {
                 details.push(detail("standard uncertainty of predictions", sums.root(sums.variances)));
             }
             findings.tables.insert(format!("prediction-{}-{name}.csv", fit.name), table);
+            all.iter_mut().zip(&of_run).for_each(|(all, of_run)| all.add(of_run));
+            if let Some([one, other]) = self.exchanged(&known, &run, &of_run)? {
+                findings.remarks.push(format!(
+                    "{}: {name} is predicted far better with {one} in the place of {other}: are these sensors exchanged?",
+                    fit.name
+                ));
+            }
         }
         for ((_, unit, _), sums) in KINDS.iter().zip(&all).filter(|(_, sums)| sums.count > 0) {
             let figure = |what: &str, value| {
@@ -104,6 +115,35 @@ impl PredictionSettings {
         }
         findings.figures.extend(details);
         Ok(())
+    }
+
+    /// Two sensors without whose exchange a run is predicted much worse.
+    fn exchanged(&self, known: &Known, run: &Run, as_it_is: &[Sums]) -> Result<Option<[String; 2]>> {
+        let doubtful = |sums: &Sums| sums.count > 0 && sums.squares > (OPTIMISTIC * OPTIMISTIC) * sums.variances;
+        if !as_it_is.iter().any(doubtful) {
+            return Ok(None);
+        }
+        let sensors = run.log.names().len();
+        let mut best = None;
+        for (one, other) in (0..sensors).flat_map(|one| (one + 1..sensors).map(move |other| (one, other))) {
+            let log = run.log.exchanged(one, other);
+            let mut squares = [0.0; KINDS.len()];
+            let begin = log.times()[0] + self.after_s;
+            for (name, quantity, readings) in &run.outputs {
+                let Some(kind) = KINDS.iter().position(|(own, ..)| own == quantity) else { continue };
+                let predicted = known.values(&log, name, &readings.times)?.values;
+                let rows = readings.times.iter().zip(readings.values.iter().zip(predicted));
+                let later = rows.filter(|(time, _)| **time >= begin);
+                squares[kind] +=
+                    later.map(|(_, (value, predicted))| (KINDS[kind].2 * (value - predicted)).powi(2)).sum::<f64>();
+            }
+            let judged = || as_it_is.iter().zip(&squares).filter(|(sums, _)| sums.count > 0);
+            let part = judged().map(|(sums, squares)| squares / sums.squares).fold(0.0, f64::max);
+            if part < MUCH_BETTER && best.as_ref().is_none_or(|(least, _)| part < *least) {
+                best = Some((part, [one, other].map(|sensor| run.log.names()[sensor].clone())));
+            }
+        }
+        Ok(best.map(|(_, sensors)| sensors))
     }
 
     /// One output of one run: its kind, unit and sums.
@@ -148,6 +188,15 @@ struct Known<'a> {
     time_constants: Vec<f64>,
 }
 
+/// An output as it is predicted.
+struct Predicted {
+    values: Vec<f64>,
+    terms: Terms,
+    /// Names and values of the gains of the terms.
+    names: Vec<String>,
+    gains: Vec<f64>,
+}
+
 impl<'a> Known<'a> {
     fn new(calibration: &'a Calibration) -> Result<Self> {
         let settings: Settings = from_settings(&calibration.model.settings)
@@ -159,14 +208,20 @@ impl<'a> Known<'a> {
         Ok(Self { settings, calibration, time_constants })
     }
 
+    /// An output at some times, with what it is made of.
+    fn values(&self, log: &SensorLog, name: &str, times: &[f64]) -> Result<Predicted> {
+        let structure = self.settings.structure();
+        let terms_of_log = Terms::new(log, &structure, &self.time_constants, times)?;
+        let suffixes = terms(&structure, log.names(), 1).into_iter();
+        let names: Vec<String> = suffixes.map(|(suffix, _)| format!("{name}{suffix}")).collect();
+        let gains = names.iter().map(|name| value(self.calibration, name)).collect::<Result<Vec<f64>>>()?;
+        Ok(Predicted { values: terms_of_log.output(&gains), terms: terms_of_log, names, gains })
+    }
+
     /// An output at some times, and the variances of these predictions.
     fn predict(&self, run: &Run, name: &str, times: &[f64]) -> Result<(Vec<f64>, Vec<f64>)> {
         let structure = self.settings.structure();
-        let found = Terms::new(&run.log, &structure, &self.time_constants, times)?;
-        let names: Vec<String> =
-            terms(&structure, run.log.names(), 1).into_iter().map(|(suffix, _)| format!("{name}{suffix}")).collect();
-        let gains = names.iter().map(|name| value(self.calibration, name)).collect::<Result<Vec<f64>>>()?;
-        let predicted = found.output(&gains);
+        let Predicted { values: predicted, terms: found, names, gains } = self.values(&run.log, name, times)?;
         let states = self.time_constants.len();
         let mut order: Vec<String> = (1..=states).map(|index| format!("time_constant[{index}]_s")).collect();
         order.extend(names);

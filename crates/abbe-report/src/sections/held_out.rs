@@ -48,7 +48,7 @@ fn of_verdict(fit: &FitResult, verdict: &Verdict) -> String {
              longer than its square says that these rows tell something which the others do not.{some}",
             verdict.stage
         );
-        html.push_str(&figure(&pairs(&title, unit, &told), &caption));
+        html.push_str(&figure(&pairs(&title, &unit, &told), &caption));
     }
     let remarks = verdict.remarks.iter().filter(|remark| remark.starts_with(&format!("{}: ", fit.name)));
     if !html.is_empty() {
