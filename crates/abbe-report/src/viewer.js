@@ -17,6 +17,8 @@ const turned = (motion, v) => sum(sum(scaled(motion[0], v[0]), motion[1], v[1]),
 const carried = (motion, p) => sum(turned(motion, p), motion[3]);
 const after = (one, other) => [...other.slice(0, 3).map((v) => turned(one, v)), carried(one, other[3])];
 
+const back = (one, p) => [0, 1, 2].map((k) => dot(one[k], sum(p, one[3], -1)));
+
 // The motion of an axis by a command in mm or rad.
 function motion(axis, command) {
   const by = axis.sense * command;
@@ -42,16 +44,22 @@ class Machine {
     const base = [(low[0] + high[0]) / 2, (low[1] + high[1]) / 2, low[2] - 0.06 * size];
     this.top = top;
     this.base = base;
-    // Where the body of each axis is drawn, all axes at zero: from the tool, and from the table.
-    this.nodes = [];
-    [[top, scaled(this.tool, 0.3 * size)], [base, [0, 0, -0.22 * size]]].forEach(([from, step], side) => {
+    // Where the body of each axis is drawn, all axes at zero: from the tool, and from the table, so that bodies stand above each
+    // other when linear axes are in the middle of their travel. Anchors are the middles of guideways.
+    const rest = this.commands;
+    this.commands = this.axes.map((axis, k) => (axis.turns ? rest[k] : (axis.range[0] + axis.range[1]) / 2));
+    const { of, tool, table } = this.motions();
+    [this.nodes, this.anchors] = [[], []];
+    [[carried(tool, top), scaled(turned(tool, this.tool), 0.3 * size)], [carried(table, base), [0, 0, -0.22 * size]]].forEach(([from, step], side) => {
       let at = from;
       for (const k of [...this.chains[side]].reverse()) {
-        const axis = this.axes[k];
-        at = axis.turns ? sum(axis.p, axis.u, dot(axis.u, sum(at, axis.p, -1))) : sum(at, step);
-        this.nodes[k] = at;
+        const axis = this.axes[k], [p, u] = [carried(of[k], axis.p), turned(of[k], axis.u)];
+        at = axis.turns ? sum(p, u, dot(u, sum(at, p, -1))) : sum(at, step);
+        this.nodes[k] = back(of[k], at);
+        this.anchors[k] = axis.turns ? this.nodes[k] : sum(this.nodes[k], axis.u, axis.sense * this.commands[k]);
       }
     });
+    this.commands = rest;
   }
   // The motions of all bodies, and of table and tool.
   motions() {
@@ -106,7 +114,7 @@ class Machine {
           solid(before, sum(ends[0], axis.u, -0.1 * size * axis.sense), sum(ends[1], axis.u, 0.1 * size * axis.sense), 0.03 * size, 4, colour);
           solid(by, sum(node, axis.u, -0.14 * size), sum(node, axis.u, 0.14 * size), 0.11 * size, 4, colour);
         }
-        if (last !== null) beam(before, this.nodes[last], node, colours[last % (colours.length - 1)]);
+        if (last !== null) beam(before, this.nodes[last], this.anchors[k], colours[last % (colours.length - 1)]);
         tags.push([axis.name, carried(by, node)]);
         [before, last] = [by, k];
       }
@@ -119,7 +127,7 @@ class Machine {
     });
     // The bed joins the first bodies of both sides.
     const bed = colours.at(-1);
-    const firsts = this.chains.map((chain, side) => (chain.length ? this.nodes[chain[0]] : side ? this.base : this.top));
+    const firsts = this.chains.map((chain, side) => (chain.length ? this.anchors[chain[0]] : side ? this.base : this.top));
     const low = firsts[1][2] - 0.2 * size;
     const behind = [firsts[0][0], firsts[0][1] + 0.35 * size, firsts[0][2]];
     solid(STILL, [firsts[1][0], firsts[1][1], low - 0.06 * size], [firsts[1][0], firsts[1][1], low], 0.7 * size, 4, bed);
@@ -519,6 +527,8 @@ function view(box) {
   addEventListener("hashchange", follow);
   addEventListener("resize", repaint);
   matchMedia("(prefers-color-scheme: dark)").addEventListener("change", renew);
+  // The machine stands where the first row was measured.
+  if (machine && count) send(0);
   paint();
   follow();
 }
