@@ -221,7 +221,7 @@ fn verbose_prints_all() {
 
 /// Numbers with three digits: others are those of the computer.
 fn rounded(text: &str) -> String {
-    let word = |word: &str| match word.trim_end_matches(',').parse::<f64>() {
+    let word = |word: &str| match word.trim_end_matches(',').trim_matches('*').parse::<f64>() {
         Ok(number) if word.contains('.') => format!("{number:.2e}"),
         _ => word.to_owned(),
     };

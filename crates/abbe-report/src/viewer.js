@@ -17,6 +17,8 @@ const turned = (motion, v) => sum(sum(scaled(motion[0], v[0]), motion[1], v[1]),
 const carried = (motion, p) => sum(turned(motion, p), motion[3]);
 const after = (one, other) => [...other.slice(0, 3).map((v) => turned(one, v)), carried(one, other[3])];
 
+const back = (one, p) => [0, 1, 2].map((k) => dot(one[k], sum(p, one[3], -1)));
+
 // The motion of an axis by a command in mm or rad.
 function motion(axis, command) {
   const by = axis.sense * command;
@@ -42,16 +44,22 @@ class Machine {
     const base = [(low[0] + high[0]) / 2, (low[1] + high[1]) / 2, low[2] - 0.06 * size];
     this.top = top;
     this.base = base;
-    // Where the body of each axis is drawn, all axes at zero: from the tool, and from the table.
-    this.nodes = [];
-    [[top, scaled(this.tool, 0.3 * size)], [base, [0, 0, -0.22 * size]]].forEach(([from, step], side) => {
+    // Where the body of each axis is drawn, all axes at zero: from the tool, and from the table, so that bodies stand above each
+    // other when linear axes are in the middle of their travel. Anchors are the middles of guideways.
+    const rest = this.commands;
+    this.commands = this.axes.map((axis, k) => (axis.turns ? rest[k] : (axis.range[0] + axis.range[1]) / 2));
+    const { of, tool, table } = this.motions();
+    [this.nodes, this.anchors] = [[], []];
+    [[carried(tool, top), scaled(turned(tool, this.tool), 0.3 * size)], [carried(table, base), [0, 0, -0.22 * size]]].forEach(([from, step], side) => {
       let at = from;
       for (const k of [...this.chains[side]].reverse()) {
-        const axis = this.axes[k];
-        at = axis.turns ? sum(axis.p, axis.u, dot(axis.u, sum(at, axis.p, -1))) : sum(at, step);
-        this.nodes[k] = at;
+        const axis = this.axes[k], [p, u] = [carried(of[k], axis.p), turned(of[k], axis.u)];
+        at = axis.turns ? sum(p, u, dot(u, sum(at, p, -1))) : sum(at, step);
+        this.nodes[k] = back(of[k], at);
+        this.anchors[k] = axis.turns ? this.nodes[k] : sum(this.nodes[k], axis.u, axis.sense * this.commands[k]);
       }
     });
+    this.commands = rest;
   }
   // The motions of all bodies, and of table and tool.
   motions() {
@@ -106,7 +114,7 @@ class Machine {
           solid(before, sum(ends[0], axis.u, -0.1 * size * axis.sense), sum(ends[1], axis.u, 0.1 * size * axis.sense), 0.03 * size, 4, colour);
           solid(by, sum(node, axis.u, -0.14 * size), sum(node, axis.u, 0.14 * size), 0.11 * size, 4, colour);
         }
-        if (last !== null) beam(before, this.nodes[last], node, colours[last % (colours.length - 1)]);
+        if (last !== null) beam(before, this.nodes[last], this.anchors[k], colours[last % (colours.length - 1)]);
         tags.push([axis.name, carried(by, node)]);
         [before, last] = [by, k];
       }
@@ -119,7 +127,7 @@ class Machine {
     });
     // The bed joins the first bodies of both sides.
     const bed = colours.at(-1);
-    const firsts = this.chains.map((chain, side) => (chain.length ? this.nodes[chain[0]] : side ? this.base : this.top));
+    const firsts = this.chains.map((chain, side) => (chain.length ? this.anchors[chain[0]] : side ? this.base : this.top));
     const low = firsts[1][2] - 0.2 * size;
     const behind = [firsts[0][0], firsts[0][1] + 0.35 * size, firsts[0][2]];
     solid(STILL, [firsts[1][0], firsts[1][1], low - 0.06 * size], [firsts[1][0], firsts[1][1], low], 0.7 * size, 4, bed);
@@ -178,26 +186,31 @@ function view(box) {
     return { made, at: (name) => gl.getUniformLocation(made, name), of: (name) => gl.getAttribLocation(made, name) };
   };
   const [dotted, plain] = [program(POINTS), program(PLAIN)];
-  // The points stay on the graphics card: a slider changes one number. Arrows read every point twice, dots once.
-  const buffers = [tips, numbers(Int8Array, points.directions), values].map((all) => {
+  // The points stay on the graphics card, each twice for both ends of its arrow: a slider changes one number. Dots read every
+  // second one.
+  const buffers = [[tips, 3], [numbers(Int8Array, points.directions), 4], [values, 1]].map(([all, width]) => {
+    const twice = new all.constructor(2 * all.length);
+    for (let i = 0; i < twice.length; i++) twice[i] = all[Math.floor(i / (2 * width)) * width + (i % width)];
     const made = gl.createBuffer();
     gl.bindBuffer(gl.ARRAY_BUFFER, made);
-    gl.bufferData(gl.ARRAY_BUFFER, all, gl.STATIC_DRAW);
+    gl.bufferData(gl.ARRAY_BUFFER, twice, gl.STATIC_DRAW);
     return made;
   });
-  const array = (divisor) => {
+  const array = (every) => {
     const made = gl.createVertexArray();
     gl.bindVertexArray(made);
     const kinds = [["part", 3, gl.UNSIGNED_SHORT, true, 6], ["to", 3, gl.BYTE, true, 4], ["value", 1, gl.FLOAT, false, 4]];
     kinds.forEach(([name, size, kind, norm, step], index) => {
       gl.bindBuffer(gl.ARRAY_BUFFER, buffers[index]);
       gl.enableVertexAttribArray(dotted.of(name));
-      gl.vertexAttribPointer(dotted.of(name), size, kind, norm, step, 0);
-      gl.vertexAttribDivisor(dotted.of(name), divisor);
+      gl.vertexAttribPointer(dotted.of(name), size, kind, norm, every * step, 0);
     });
     return made;
   };
-  const arrows = array(1);
+  const [arrows, dots] = [array(1), array(2)];
+  // While the view turns, one in so many dots is enough.
+  const every = Math.ceil(count / 10000), some = array(2 * every);
+  let in_motion = false;
   const scratch = { array: gl.createVertexArray(), buffer: gl.createBuffer() };
 
   const field = numbers(Float32Array, data.field.places);
@@ -207,7 +220,7 @@ function view(box) {
   const three = (all, i) => [all[3 * i], all[3 * i + 1], all[3 * i + 2]];
 
   const with_machine = () => machine !== null && part("machine").checked;
-  let around = -0.6, up = 0.35, zoom = 1.35, picked = -1;
+  let around = -0.6, up = 0.35, zoom = 1.2, picked = -1;
   const turn = () => {
     const [c, s, d, t] = [Math.cos(around), Math.sin(around), Math.cos(up), Math.sin(up)];
     // Columns: where X, Y and Z of the table go; Z stands up.
@@ -356,9 +369,14 @@ function view(box) {
     gl.uniform3fv(dotted.at("below"), lists.small);
     gl.uniform3fv(dotted.at("above"), lists.large);
     gl.uniform1f(dotted.at("longer"), times("arrows"));
-    gl.bindVertexArray(arrows);
-    gl.drawArraysInstanced(gl.POINTS, 0, 1, count);
-    gl.drawArraysInstanced(gl.LINES, 0, 2, count);
+    const few = in_motion && every > 1;
+    if (!few) {
+      gl.bindVertexArray(arrows);
+      gl.drawArrays(gl.LINES, 0, 2 * count);
+    }
+    gl.uniform1f(dotted.at("longer"), 0);
+    gl.bindVertexArray(few ? some : dots);
+    gl.drawArrays(gl.POINTS, 0, few ? Math.floor(count / every) : count);
     draw(gl.LINES, lists.lines, lists.table);
     draw(gl.LINES, lists.edges, STILL);
     // What one sees through comes last, and hides nothing.
@@ -382,6 +400,16 @@ function view(box) {
       waiting = false;
       paint();
     });
+  };
+  let calm = 0;
+  const move = () => {
+    in_motion = true;
+    clearTimeout(calm);
+    calm = setTimeout(() => {
+      in_motion = false;
+      repaint();
+    }, 200);
+    repaint();
   };
   const renew = () => {
     lists = null;
@@ -418,9 +446,12 @@ function view(box) {
   };
   const pickAt = (x, y) => {
     let [best, nearest] = [-1, 15 * 15];
+    // From parts of the ranges to the canvas all is linear: four places tell it.
+    const [start, ...ends] = [0, 1, 2, 3].map((which) => seen(low.map((from, k) => (k === which - 1 ? high[k] : from)), lists.table));
+    const [across, down] = [0, 1].map((part) => ends.map((end) => (end[part] - start[part]) / 65535));
     for (let i = 0; i < count; i++) {
-      const [across, down] = seen(tip(i), lists.table);
-      const away = (across - x) ** 2 + (down - y) ** 2;
+      const at = (of, from) => from + of[0] * tips[3 * i] + of[1] * tips[3 * i + 1] + of[2] * tips[3 * i + 2];
+      const away = (at(across, start[0]) - x) ** 2 + (at(down, start[1]) - y) ** 2;
       if (away < nearest) [best, nearest] = [i, away];
     }
     pick(best);
@@ -440,7 +471,7 @@ function view(box) {
     from = [event.clientX, event.clientY];
     around += x * 0.01;
     up = Math.max(-1.57, Math.min(1.57, up + y * 0.01));
-    repaint();
+    move();
   });
   canvas.addEventListener("pointerup", (event) => {
     const place = canvas.getBoundingClientRect();
@@ -449,7 +480,7 @@ function view(box) {
   });
   const closer = (by) => {
     zoom = Math.max(0.1, Math.min(50, zoom * by));
-    repaint();
+    move();
   };
   canvas.addEventListener("wheel", (event) => {
     // The page scrolls unless somebody works with the view.
@@ -466,7 +497,7 @@ function view(box) {
     event.preventDefault();
     around += by[0];
     up = Math.max(-1.57, Math.min(1.57, up + by[1]));
-    repaint();
+    move();
   });
   part("arrows").addEventListener("input", repaint);
   for (const name of ["errors", "ellipsoids", "shown", "slice", "at"]) part(name)?.addEventListener("input", renew);
@@ -496,6 +527,8 @@ function view(box) {
   addEventListener("hashchange", follow);
   addEventListener("resize", repaint);
   matchMedia("(prefers-color-scheme: dark)").addEventListener("change", renew);
+  // The machine stands where the first row was measured.
+  if (machine && count) send(0);
   paint();
   follow();
 }
