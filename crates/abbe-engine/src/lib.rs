@@ -28,8 +28,8 @@ mod staging;
 mod travel;
 mod understood;
 
-pub use abbe_planning::{Plan, PlanFigures};
 pub use abbe_estimation::{LocationError, LocationErrors, Standing};
+pub use abbe_planning::{Plan, PlanFigures};
 pub use described::{Described, prepare_text};
 pub use folder::can_write_folder;
 pub use laws::Laws;
@@ -38,5 +38,5 @@ pub use plan::Measurements;
 pub use prepare::{Prepared, prepare};
 pub use record::{FailureRecord, FileRecord, PluginRecord, RUN_FORMAT, Remark, RunRecord};
 pub use run::{Planned, model_of, model_with_log};
-pub use understood::Understood;
 pub use simulate::{Simulated, SimulatedFile, UnchangedFile};
+pub use understood::Understood;

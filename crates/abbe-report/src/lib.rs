@@ -15,11 +15,11 @@ mod run;
 mod sections;
 mod words;
 
-pub use sections::unit_of;
-pub use words::{ErrorGroup, meaning};
 pub use abbe_volumetric::Known;
 pub use analysis::{Analysis, NamedCause, main_fit};
 pub use page::page;
 pub use residuals::{Residual, Residuals};
 pub use run::{Files, FitResult, Run};
+pub use sections::unit_of;
 pub use sections::{decided, judged, judged_remarks, micrometres, undetermined, used, valued};
+pub use words::{ErrorGroup, meaning};

@@ -2,8 +2,7 @@
 //! unknowns.
 
 use abbe_core::{
-    Error, Owner, PathItem, Problem, Result, Selection, SelectionDirection, SelectionStep, SettingsError, Unknown,
-    matches,
+    Error, PathItem, Problem, Result, Selection, SelectionDirection, SelectionStep, SettingsError, Unknown, matches,
 };
 use abbe_numerics::{Factor, StepwiseDirection};
 use schemars::JsonSchema;

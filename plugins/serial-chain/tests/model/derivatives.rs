@@ -63,6 +63,7 @@ fn with_shapes(settings: &mut serde_json::Value, names: &[&str]) {
         errors.push(json!({ "product": straight, "of": [alike[0], alike[alike.len() - 1], name] }));
         if rotary(name) {
             errors.push(json!({ "fourier": symbols, "orders": [1, 3] }));
+            errors.push(json!({ "gravity": symbols, "angles": [name] }));
         }
     }
     // The polynomials of the machine have the names of the ordinary ones here: these are in the way.
