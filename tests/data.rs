@@ -7,7 +7,10 @@ use crate::support::{abbe, recipes, root, temporary, write};
 #[test]
 fn a_plain_file_is_understood_as_it_is() {
     let folder = temporary();
-    write(&folder.path().join("t.csv"), "feature,X_mm,B_deg,time_s\n1,1.5,90,0\n2,2.5,45,1\n2,2.5,45,40\n3,4,45,41\n4,5,45,42\n");
+    write(
+        &folder.path().join("t.csv"),
+        "feature,X_mm,B_deg,time_s\n1,1.5,90,0\n2,2.5,45,1\n2,2.5,45,40\n3,4,45,41\n4,5,45,42\n",
+    );
     let printed = abbe(folder.path(), &["data", "t.csv"]);
     assert_eq!(printed.status, 0, "{}", printed.stderr);
     assert!(printed.stdout.contains("reads this file as it is: 5 rows"), "{}", printed.stdout);
@@ -31,12 +34,16 @@ fn what_is_proposed_for_a_spreadsheet_reads_it() {
     assert_eq!(printed.status, 0, "{}", printed.stderr);
     insta::assert_snapshot!(printed.stdout);
     // No unit is proposed.
-    assert!(printed.stdout.contains("NAME_UNIT: \"Länge X\"") && !printed.stdout.contains("X_mm"), "{}", printed.stdout);
-    let start = printed.stdout.find("  ingest: csv").expect("settings");
-    let settings: String = printed.stdout[start..].lines().take_while(|line| !line.trim_start().starts_with('?')).fold(
-        String::new(),
-        |text, line| text + "  " + line + "\n",
+    assert!(
+        printed.stdout.contains("NAME_UNIT: \"Länge X\"") && !printed.stdout.contains("X_mm"),
+        "{}",
+        printed.stdout
     );
+    let start = printed.stdout.find("  ingest: csv").expect("settings");
+    let settings: String = printed.stdout[start..]
+        .lines()
+        .take_while(|line| !line.trim_start().starts_with('?'))
+        .fold(String::new(), |text, line| text + "  " + line + "\n");
     let settings = settings
         .replace("NAME_UNIT: \"Punkt\"", "feature: \"Punkt\"")
         .replace("NAME_UNIT: \"Länge X\"", "X_mm: \"Länge X\"")
@@ -78,13 +85,21 @@ fn what_is_no_table_is_refused() {
 fn rows_of_other_data_are_told() {
     let folder = temporary();
     write(&folder.path().join("t.csv"), "feature,X_mm\n1,1.5\n2,2.5\n");
-    for (filter, rows) in [("ignore: { feature: [2, 99] }", 1), ("keep: { feature: [1, 2, 99] }", 2), ("ignore: { feature: [99] }", 2)] {
-        write(&folder.path().join("r.yaml"), &format!("abbe: 1\nname: t\nstages:\n  points: {{ ingest: csv, path: t.csv, {filter} }}\n"));
+    for (filter, rows) in
+        [("ignore: { feature: [2, 99] }", 1), ("keep: { feature: [1, 2, 99] }", 2), ("ignore: { feature: [99] }", 2)]
+    {
+        write(
+            &folder.path().join("r.yaml"),
+            &format!("abbe: 1\nname: t\nstages:\n  points: {{ ingest: csv, path: t.csv, {filter} }}\n"),
+        );
         let printed = abbe(folder.path(), &["data", "r.yaml"]);
         assert_eq!(printed.status, 0, "{}", printed.stderr);
         assert!(printed.stdout.contains(&format!("points (ingest: csv): {rows} rows")), "{}", printed.stdout);
         assert!(printed.stderr.contains("names feature 99, which is in no row of these data"), "{}", printed.stderr);
     }
-    write(&folder.path().join("r.yaml"), "abbe: 1\nname: t\nstages:\n  points: { ingest: csv, path: t.csv, keep: { feature: [99] } }\n");
+    write(
+        &folder.path().join("r.yaml"),
+        "abbe: 1\nname: t\nstages:\n  points: { ingest: csv, path: t.csv, keep: { feature: [99] } }\n",
+    );
     assert_eq!(abbe(folder.path(), &["data", "r.yaml"]).status, 1);
 }

@@ -6,7 +6,7 @@ use std::path::Path;
 use abbe_engine::{Measurements, prepare};
 use serde_json::{Value, json};
 
-use crate::support::{Variant, abbe, fit, json_file, read, recipes, registry, root, temporary};
+use crate::support::{Variant, abbe, as_typed, fit, json_file, read, recipes, registry, root, temporary};
 
 fn planned(recipe: &Variant) -> Measurements {
     try_plan(recipe).unwrap_or_else(|error| panic!("{error}"))
@@ -147,9 +147,9 @@ fn wrong_plans_are_refused() {
 /// A plan that names rows of other data goes on without them, and says which setting it is.
 #[test]
 fn rows_of_other_data_are_passed_over_and_told() {
-    let folder = crate::support::temporary();
+    let folder = temporary();
     let file = ball_bars(|plan| plan["required"] = json!([9999])).write(folder.path());
-    let printed = crate::support::as_typed(folder.path(), &["plan", file.to_str().expect("UTF-8")]);
+    let printed = as_typed(folder.path(), &["plan", file.to_str().expect("UTF-8")]);
     assert_eq!(printed.status, 0, "{}", printed.stderr);
     assert!(printed.stderr.contains("plan.required[0]: there is no candidate 9999"), "{}", printed.stderr);
 }

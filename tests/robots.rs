@@ -124,3 +124,114 @@ fn robots_by_parameters_are_where_their_matrices_say() {
         assert!(found.fit.residual_rms_um < 1e-6, "seed {seed}: {} um", found.fit.residual_rms_um);
     }
 }
+
+/// A virtual robot with known errors, measured by the tracker with noise: the truth is inside the uncertainty, for many seeds. The
+/// errors of compliance are among them.
+#[test]
+fn virtual_robots_hold_the_truth_within_their_uncertainty() {
+    let folder = temporary();
+    let mut recipe = recipe("exact").only(&["lines"]);
+    recipe.stage("robot")["errors"]
+        .as_array_mut()
+        .expect("a list")
+        .push(json!({ "gravity": ["EBB2"], "angles": ["B1+B2"] }));
+    let names = [
+        "EX0B?",
+        "EA0B?",
+        "EZ0B2",
+        "EC0B2",
+        "EZ0B3",
+        "EC0B3",
+        "EX0C2",
+        "EA0C2",
+        "EBB2[*",
+        "dxt",
+        "dyt",
+        "dzt",
+        "tracker.*",
+    ];
+    recipe.stage("lines")["parameters"] = json!(names);
+    let file = recipe.write(folder.path());
+    let (mut counted, mut within_two) = (0, 0);
+    for seed in 1..=12u64 {
+        let mut random = crate::controls::law::uniform(seed);
+        let mut truth = serde_json::Map::new();
+        for name in ["EX0B1", "EX0B2", "EX0B3", "EZ0B2", "EZ0B3", "EX0C2", "dxt", "dzt"] {
+            truth.insert(name.to_owned(), json!(0.6 * (random() - 0.5)));
+        }
+        for name in ["EA0B1", "EA0B3", "EC0B2", "EC0B3", "EA0C2", "EBB2[cosB1+B2]", "EBB2[sinB1+B2]"] {
+            truth.insert(name.to_owned(), json!(2e-3 * (random() - 0.5)));
+        }
+        let noise = json!({ "probing_sigma_mm": 0.03 });
+        write(&folder.path().join("truth.json"), &json!({ "parameters": truth, "noise": noise }).to_string());
+        let out = format!("virtual-{seed}");
+        let arguments = [
+            "simulate",
+            file.to_str().expect("UTF-8"),
+            "--truth",
+            "truth.json",
+            "--seed",
+            &seed.to_string(),
+            "--out",
+            &out,
+        ];
+        let printed = crate::support::as_typed(folder.path(), &arguments);
+        assert_eq!(printed.status, 0, "{}{}", printed.stdout, printed.stderr);
+        let out = folder.path().join(&out);
+        let is_data = |file: &std::path::PathBuf| file.extension().is_some_and(|extension| extension == "csv");
+        let data = crate::support::tree(&out).into_iter().find(is_data).map(|file| out.join(file)).expect("data");
+        let simulated = recipe.clone().set("poses", "path", json!(data));
+        let found = of(&simulated, "lines");
+        assert!((found.fit.sigma - 1.0).abs() < 0.2, "seed {seed}: {}", found.fit.sigma);
+        for own in values(&found).filter(|own| own.status == Status::Estimated && !own.name.starts_with("tracker")) {
+            let off = own.value - truth.get(&own.name).and_then(Value::as_f64).unwrap_or(0.0);
+            assert!(off.abs() < 4.5 * own.standard_uncertainty, "seed {seed}: {} is off by {off:e}", own.name);
+            counted += 1;
+            within_two += usize::from(off.abs() < 2.0 * own.standard_uncertainty);
+        }
+    }
+    // 95.4 % are expected; of some 260 values 92 to 98 %.
+    let part = within_two as f64 / f64::from(counted);
+    assert!((0.91..0.99).contains(&part), "{within_two} of {counted}");
+}
+
+/// A calibration of a robot is accepted for its own description, and refused for that of another one.
+#[test]
+fn corrections_are_for_the_robot_that_was_calibrated() {
+    let folder = temporary();
+    let recipe = recipe("exact").only(&["lines"]);
+    let outcome = recipe.run();
+    outcome.write(folder.path()).expect("results");
+    let calibration = crate::support::tree(folder.path())
+        .into_iter()
+        .find(|file| file.ends_with("lines.calibration.json"))
+        .expect("a calibration");
+    let described: Value = recipe.0["stages"]["robot"].clone();
+    let machine = |robot: &Value| {
+        json!({ "robot": robot, "axes": described["axes"], "tool_length_mm": 0, "stylus_radius_mm": 0 }).to_string()
+    };
+    write(&folder.path().join("own.yaml"), &machine(&described["robot"]));
+    let mut other = described["robot"].clone();
+    other["dh"][1]["a_mm"] = json!(-430);
+    write(&folder.path().join("other.yaml"), &machine(&other));
+    write(&folder.path().join("points.csv"), "C1_deg,B1_deg,B2_deg,B3_deg,C2_deg,B4_deg\n10,-60,40,20,80,5\n");
+    let calibration = calibration.to_str().expect("UTF-8").to_owned();
+    let compensate = |machine: &str| {
+        let arguments = ["compensate", &calibration, "points.csv", "--machine", machine];
+        crate::support::as_typed(folder.path(), &arguments)
+    };
+    let refused = compensate("other.yaml");
+    assert!(
+        refused.stderr.contains("this is the calibration of another machine"),
+        "{}{}",
+        refused.stdout,
+        refused.stderr
+    );
+    let accepted = compensate("own.yaml");
+    assert!(
+        !accepted.stderr.contains("machine file") && !accepted.stderr.contains("another machine"),
+        "{}{}",
+        accepted.stdout,
+        accepted.stderr
+    );
+}

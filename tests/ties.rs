@@ -7,7 +7,8 @@ use serde_json::{Value, json};
 
 use crate::support::{as_typed, registry, temporary, write};
 
-const CHAINS: [&str; 6] = ["w b X Y Z t", "w X b Y Z t", "w C' b X Y Z t", "w C' A' b Y X Z t", "w Y b Z X B t", "w X Y b Z C A t"];
+const CHAINS: [&str; 6] =
+    ["w b X Y Z t", "w b Z Y X t", "w C' b X Y Z t", "w C' A' b Y X Z t", "w B b Z X Y t", "w X Y b Z C A t"];
 
 const ERRORS: &str = "[{ location: [EC0X, EC0Y] }, { polynomial: [EXX, EYY, EZZ, EYX, EXY], degrees: [1] }]";
 
@@ -21,8 +22,12 @@ fn recipe(chain: &str, estimate: &str, more: &str) -> String {
 /// What a tracker sees of a machine with these errors, with noise of some mm.
 fn poses(chain: &str, truth: &[(&str, f64)], noise: f64, seed: u64) -> String {
     let text = recipe(chain, "parameters: [\"E*\"]", "").split("  fit:").next().expect("a recipe").to_owned();
-    let text = text.lines().filter(|line| !line.contains("poses.csv") && !line.contains("tracker:")).fold(String::new(), |text, line| text + line + "\n");
-    let prepared = prepare_text(std::path::Path::new("t.yaml"), &text, &registry()).unwrap_or_else(|error| panic!("{error}"));
+    let text = text
+        .lines()
+        .filter(|line| !line.contains("poses.csv") && !line.contains("tracker:"))
+        .fold(String::new(), |text, line| text + line + "\n");
+    let prepared =
+        prepare_text(std::path::Path::new("t.yaml"), &text, &registry()).unwrap_or_else(|error| panic!("{error}"));
     let model = prepared.described().expect("a machine").remove(0).model;
     let info = model.info();
     let mut values = info.nominal.clone();
@@ -31,7 +36,12 @@ fn poses(chain: &str, truth: &[(&str, f64)], noise: f64, seed: u64) -> String {
     }
     let mut random = crate::controls::law::uniform(seed);
     let is_rotary = |axis: &abbe_core::Axis| axis.kind == abbe_core::AxisKind::Rotary;
-    let mut text = info.axes.iter().map(|axis| format!("{}_{}", axis.name, if is_rotary(axis) { "deg" } else { "mm" })).collect::<Vec<_>>().join(",");
+    let mut text = info
+        .axes
+        .iter()
+        .map(|axis| format!("{}_{}", axis.name, if is_rotary(axis) { "deg" } else { "mm" }))
+        .collect::<Vec<_>>()
+        .join(",");
     text.push_str(",x_mm,y_mm,z_mm\n");
     for _ in 0..60 {
         let mut status = vec![0.0; info.status.len()];
@@ -74,19 +84,23 @@ fn refused(chain: &str, data: &str, estimate: &str) -> String {
     run(chain, data, estimate, "").err().unwrap_or_else(|| panic!("{estimate}: it is not refused"))
 }
 
-const TIES: &str = "tie: { \"EXX[1]\": scale, \"EYY[1]\": { to: scale, factor: -0.5 }, \"EYX[1]\": shear, \"EXY[1]\": shear }";
+const TIES: &str =
+    "tie: { \"EXX[1]\": scale, \"EYY[1]\": { to: scale, factor: -0.5 }, \"EYX[1]\": shear, \"EXY[1]\": shear }";
 
 /// The fit with the substitution made by hand: the derivatives of the machine without ties, times the matrix of the ties.
 fn by_hand(of: &Fit) -> (DVector<f64>, DMatrix<f64>) {
     let tied = &of.problem;
     let names = ["EXX[1]", "EYY[1]", "EYX[1]", "EXY[1]", "EZZ[1]", "tracker.*"].map(str::to_owned);
-    let free = Problem::new("free", &tied.model_plugin, tied.model.clone(), tied.sets.clone(), &names).expect("a problem");
+    let free =
+        Problem::new("free", &tied.model_plugin, tied.model.clone(), tied.sets.clone(), &names).expect("a problem");
     let unknowns: Vec<&str> = tied.unknowns.iter().map(|unknown| unknown.name.as_str()).collect();
-    let ties = DMatrix::from_fn(free.unknowns.len(), unknowns.len(), |row, column| match (free.unknowns[row].name.as_str(), unknowns[column]) {
-        ("EXX[1]", "scale") | ("EYX[1]" | "EXY[1]", "shear") => 1.0,
-        ("EYY[1]", "scale") => -0.5,
-        (one, other) if one == other => 1.0,
-        _ => 0.0,
+    let ties = DMatrix::from_fn(free.unknowns.len(), unknowns.len(), |row, column| {
+        match (free.unknowns[row].name.as_str(), unknowns[column]) {
+            ("EXX[1]", "scale") | ("EYX[1]" | "EXY[1]", "shear") => 1.0,
+            ("EYY[1]", "scale") => -0.5,
+            (one, other) if one == other => 1.0,
+            _ => 0.0,
+        }
     });
     let mut x = DVector::from_vec(tied.start());
     let mut covariance = DMatrix::zeros(0, 0);
@@ -101,11 +115,14 @@ fn by_hand(of: &Fit) -> (DVector<f64>, DMatrix<f64>) {
         let residuals = DVector::from_vec(residuals);
         let jacobian = DMatrix::from_row_slice(residuals.len(), free.unknowns.len(), &rows) * &ties;
         let scale: Vec<f64> = jacobian.column_iter().map(|column| column.norm()).collect();
-        let scaled = DMatrix::from_fn(jacobian.nrows(), jacobian.ncols(), |row, column| jacobian[(row, column)] / scale[column]);
+        let scaled =
+            DMatrix::from_fn(jacobian.nrows(), jacobian.ncols(), |row, column| jacobian[(row, column)] / scale[column]);
         let inverse = (scaled.transpose() * &scaled).try_inverse().expect("full rank");
         let step = &inverse * scaled.transpose() * &residuals;
         let s2 = residuals.norm_squared() / (jacobian.nrows() - jacobian.ncols()) as f64;
-        covariance = DMatrix::from_fn(step.len(), step.len(), |row, column| s2 * inverse[(row, column)] / (scale[row] * scale[column]));
+        covariance = DMatrix::from_fn(step.len(), step.len(), |row, column| {
+            s2 * inverse[(row, column)] / (scale[row] * scale[column])
+        });
         x -= DVector::from_fn(step.len(), |row, _| step[row] / scale[row]);
     }
     (x, covariance)
@@ -117,7 +134,8 @@ fn a_tied_fit_is_the_fit_with_the_substitution_by_hand() {
         let chain = CHAINS[seed as usize % CHAINS.len()];
         let mut random = crate::controls::law::uniform(seed);
         let (scale, shear) = ((random() - 0.5) * 4e-4, (random() - 0.5) * 3e-4);
-        let truth = [("EXX[1]", scale), ("EYY[1]", -0.5 * scale), ("EYX[1]", shear), ("EXY[1]", shear), ("EZZ[1]", 1e-4)];
+        let truth =
+            [("EXX[1]", scale), ("EYY[1]", -0.5 * scale), ("EYX[1]", shear), ("EXY[1]", shear), ("EZZ[1]", 1e-4)];
         let data = poses(chain, &truth, 2e-3, seed);
         let estimate = format!("parameters: [scale, shear, \"EZZ[1]\", \"tracker.*\"], {TIES}");
         let fits = run(chain, &data, &estimate, "").unwrap_or_else(|error| panic!("{chain}: {error}"));
@@ -127,13 +145,27 @@ fn a_tied_fit_is_the_fit_with_the_substitution_by_hand() {
         for (row, unknown) in found.problem.unknowns.iter().enumerate() {
             let own = result.get(&unknown.name).unwrap_or_else(|| panic!("{chain}: {}", unknown.name));
             let u = covariance[(row, row)].sqrt();
-            assert!((own.value - x[row]).abs() < 1e-5 * u, "{chain}: {} is {} and not {}", unknown.name, own.value, x[row]);
-            assert!((own.standard_uncertainty / u - 1.0).abs() < 1e-4, "{chain}: {}: {} and not {u}", unknown.name, own.standard_uncertainty);
+            assert!(
+                (own.value - x[row]).abs() < 1e-5 * u,
+                "{chain}: {} is {} and not {}",
+                unknown.name,
+                own.value,
+                x[row]
+            );
+            assert!(
+                (own.standard_uncertainty / u - 1.0).abs() < 1e-4,
+                "{chain}: {}: {} and not {u}",
+                unknown.name,
+                own.standard_uncertainty
+            );
         }
         members_follow(result);
         for (name, expected) in truth {
             let own = result.get(name).expect("a member");
-            assert!((own.value - expected).abs() < 5.0 * own.standard_uncertainty, "{chain}, seed {seed}: {name} is {own:?}");
+            assert!(
+                (own.value - expected).abs() < 5.0 * own.standard_uncertainty,
+                "{chain}, seed {seed}: {name} is {own:?}"
+            );
         }
     }
 }
@@ -147,7 +179,9 @@ fn members_follow(result: &Calibration) {
         let correlation = result.covariance.correlation(member, of).expect("both are there");
         assert!((correlation - f64::signum(factor)).abs() < 1e-9, "{member}: {correlation}");
         let cross = result.covariance.correlation(member, "EZZ[1]").expect("both are there");
-        assert!((cross - f64::signum(factor) * result.covariance.correlation(of, "EZZ[1]").expect("there")).abs() < 1e-9);
+        assert!(
+            (cross - f64::signum(factor) * result.covariance.correlation(of, "EZZ[1]").expect("there")).abs() < 1e-9
+        );
     }
     assert_eq!(result.covariance.order.len(), result.covariance.rows.len());
 }
@@ -156,7 +190,11 @@ fn members_follow(result: &Calibration) {
 #[test]
 fn what_ties_confound_is_judged_again() {
     let data = poses(CHAINS[0], &[("EXX[1]", 1e-4)], 0.0, 5);
-    let estimate = |tie: &str| format!("parameters: [shear, \"tracker.*\"], trust_uncertainties: true, tie: {{ \"EYX[1]\": shear, \"EXY[1]\": {tie} }}");
+    let estimate = |tie: &str| {
+        format!(
+            "parameters: [shear, \"tracker.*\"], trust_uncertainties: true, tie: {{ \"EYX[1]\": shear, \"EXY[1]\": {tie} }}"
+        )
+    };
     assert!(run(CHAINS[0], &data, &estimate("shear"), "").is_ok());
     let told = refused(CHAINS[0], &data, &estimate("{ to: shear, factor: -1 }"));
     assert!(told.contains("shear") && told.contains("tracker"), "{told}");
@@ -166,16 +204,19 @@ fn what_ties_confound_is_judged_again() {
 fn selection_and_monte_carlo_take_tied_unknowns() {
     let truth = [("EXX[1]", 2e-4), ("EYY[1]", -1e-4)];
     let data = poses(CHAINS[2], &truth, 2e-3, 9);
-    let estimate = format!("parameters: [scale, shear, \"EZZ[1]\", \"tracker.*\"], {TIES}, select: {{ candidates: [scale, shear, \"EZZ[1]\"] }}");
+    let estimate = format!(
+        "parameters: [scale, shear, \"EZZ[1]\", \"tracker.*\"], {TIES}, select: {{ candidates: [scale, shear, \"EZZ[1]\"] }}"
+    );
     let fits = run(CHAINS[2], &data, &estimate, "").unwrap_or_else(|error| panic!("{error}"));
     let found = named(&fits, "fit");
     assert_eq!(found.calibration.fit.selection.as_ref().expect("a selection").kept, ["scale"]);
     let estimate = format!("parameters: [scale, shear, \"EZZ[1]\", \"tracker.*\"], {TIES}");
-    let more = "  trials: { estimate: monte-carlo, of: fit, trials: 400, seed: 3, coverage_probability: 0.95 }\n";
+    let more = "  trials: { estimate: monte-carlo, of: fit, trials: 2000, seed: 3, coverage_probability: 0.95 }\n";
     let fits = run(CHAINS[2], &data, &estimate, more).unwrap_or_else(|error| panic!("{error}"));
     let (found, trials) = (named(&fits, "fit"), &named(&fits, "trials").calibration);
     members_follow(trials);
-    let ratio = trials.get("scale").expect("scale").standard_uncertainty / found.calibration.get("scale").expect("scale").standard_uncertainty;
+    let ratio = trials.get("scale").expect("scale").standard_uncertainty
+        / found.calibration.get("scale").expect("scale").standard_uncertainty;
     assert!((ratio - 1.0).abs() < 0.2, "{ratio}");
 }
 
@@ -193,7 +234,8 @@ fn a_virtual_machine_takes_tied_truths() {
     let estimate_of_scale = "parameters: [scale, \"tracker.*\"], trust_uncertainties: true, tie: { \"EXX[1]\": scale, \"EYY[1]\": { to: scale, factor: -1 } }";
     write(&folder.path().join("s.yaml"), &recipe(chain, estimate_of_scale, ""));
     write(&folder.path().join("scale.json"), &json!({ "parameters": { "scale": 1.5e-4 } }).to_string());
-    let printed = as_typed(folder.path(), &["simulate", "s.yaml", "--truth", "scale.json", "--seed", "1", "--out", "virtual"]);
+    let printed =
+        as_typed(folder.path(), &["simulate", "s.yaml", "--truth", "scale.json", "--seed", "1", "--out", "virtual"]);
     assert_eq!(printed.status, 0, "{}{}", printed.stdout, printed.stderr);
     let simulated = crate::support::read(&folder.path().join("virtual/poses.csv"));
     let fits = run(chain, &simulated, estimate_of_scale, "").unwrap_or_else(|error| panic!("{error}"));

@@ -83,6 +83,8 @@ pub enum Contact {
     LinearAxes,
     /// The reading in this column (without unit) takes up the difference; nothing moves.
     Reading(String),
+    /// The same of rows with several equations: each has a reading of its own, in these columns (without unit).
+    Readings(Vec<String>),
     /// Such rows can be estimated, but not simulated yet. The text is the reason, for messages.
     NotSimulated(String),
 }

@@ -38,5 +38,5 @@ pub use plan::Measurements;
 pub use prepare::{Prepared, prepare};
 pub use record::{FailureRecord, FileRecord, PluginRecord, RUN_FORMAT, Remark, RunRecord};
 pub use run::{Planned, model_of, model_with_log};
-pub use understood::Understood;
 pub use simulate::{Simulated, SimulatedFile, UnchangedFile};
+pub use understood::Understood;

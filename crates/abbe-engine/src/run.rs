@@ -6,7 +6,7 @@ use std::time::{Instant, SystemTime};
 
 use abbe_core::{
     Calibration, Class, DataRecord, DataRow, Dataset, Error, EstimateSource, Event, Export, ExportedFile, Findings,
-    Fit, Identifiability, Kind, KinematicModel, Monitor, ObservationSet, Owner, Problem, Registry, Result, Verdict,
+    Fit, Identifiability, Kind, KinematicModel, Monitor, ObservationSet, Problem, Registry, Result, Verdict,
     in_parallel,
 };
 use abbe_estimation::remarks;

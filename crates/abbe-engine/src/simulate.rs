@@ -322,7 +322,8 @@ fn recorded(measured: &Problem, resolution: f64) -> Result<BTreeMap<PathBuf, Cel
                     }
                     cells
                 }
-                Contact::Reading(column) => reading(set, row, data_row, column)?,
+                Contact::Reading(column) => readings(set, row, data_row, std::slice::from_ref(column))?,
+                Contact::Readings(columns) => readings(set, row, data_row, columns)?,
                 Contact::NotSimulated(_) => continue,
             };
             let line = files.entry(layout.data.files[origin.file].clone()).or_default().entry(origin.line).or_default();
@@ -388,13 +389,17 @@ fn positions(set: &ObservationSet, row: &Row, axes: &[usize]) -> Result<Vec<(Str
     Ok(found)
 }
 
-/// The reading of a row, by the header of its column.
-fn reading(set: &ObservationSet, row: &Row, data_row: DataRow, column: &str) -> Result<Vec<(String, f64)>> {
+/// The readings of a row, one for each of its equations, by the headers of their columns.
+fn readings(set: &ObservationSet, row: &Row, data_row: DataRow, columns: &[String]) -> Result<Vec<(String, f64)>> {
     let layout = &set.observations.info().layout;
-    let before = layout.data.required_numbers(column)?[data_row];
-    // The reading has a minus sign in the equation, so a change of the residual is subtracted from the reading.
-    let change = set.disturbances().map_or(0.0, |disturbances| disturbances[row.first_equation]);
-    Ok(vec![(header(layout, column)?, before - change)])
+    let mut found = Vec::new();
+    for (column, equation) in columns.iter().zip(row.equation_indices()) {
+        let before = layout.data.required_numbers(column)?[data_row];
+        // A reading has a minus sign in its equation, so a change of the residual is subtracted from the reading.
+        let change = set.disturbances().map_or(0.0, |disturbances| disturbances[equation]);
+        found.push((header(layout, column)?, before - change));
+    }
+    Ok(found)
 }
 
 /// The header of a column, as its file writes it.

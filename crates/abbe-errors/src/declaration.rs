@@ -5,8 +5,8 @@ use serde::Serialize;
 use serde_json::{Value, json};
 
 use crate::families::{
-    BSpline, Backlash, Chebyshev, Drift, Expansion, Family, Fourier, Legendre, Load, Location, Periodic, Piecewise,
-    Polynomial, Product, Spline, Thermal,
+    BSpline, Backlash, Chebyshev, Drift, Expansion, Family, Fourier, Gravity, Legendre, Load, Location, Periodic,
+    Piecewise, Polynomial, Product, Spline, Thermal,
 };
 
 /// Makes the enum of all families from a list of their keys and types.
@@ -61,6 +61,7 @@ families! {
     "spline" => Spline,
     "b-spline" => BSpline,
     "fourier" => Fourier,
+    "gravity" => Gravity,
     "periodic" => Periodic,
     "product" => Product,
     "load" => Load,
@@ -209,6 +210,7 @@ mod tests {
             json!({ "b-spline": ["EXX"], "degree": 3, "knots_mm": [0.0], "range_mm": [-1.0, 2.0], "zero": ["EXX[bs0]"] }),
             json!({ "periodic": ["EXX"], "wavelength_mm": 0.635, "functions": 3, "estimate_wavelength": true }),
             json!({ "product": ["EAY"], "of": ["X", "Y"] }),
+            json!({ "gravity": ["EBB1"], "angles": ["B1", "B1+B2"] }),
             json!({ "load": ["EA0B"], "reference_N": 4900.0 }),
             json!({ "load": ["EAX"], "reference_N": 4900.0, "guideway_distance_mm": 375.0, "degree": 2, "continuity": 1,
                     "knots_mm": [350.0] }),

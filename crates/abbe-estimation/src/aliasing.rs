@@ -1,6 +1,6 @@
 //! Aliasing: periodic errors that were measured in steps too long to determine their wavelength (Soons 1993, section 3.2).
 
-use abbe_core::{AxisKind, Owner, PeriodicError, Problem};
+use abbe_core::{AxisKind, PeriodicError, Problem};
 
 /// Commands closer than this, mm or rad, count as equal.
 const SAME: f64 = 1e-6;

@@ -6,7 +6,7 @@
 //! without their functions (Soons 1993, section 5.2, leaves such errors out by hand).
 
 use abbe_core::{
-    Combination, EquivalentMotionError, ErrorFunction, Orientation, Owner, ParameterRole, Poses, Problem, Result, Unit,
+    Combination, EquivalentMotionError, ErrorFunction, Orientation, ParameterRole, Poses, Problem, Result, Unit,
     Variable,
 };
 use abbe_numerics::norm;

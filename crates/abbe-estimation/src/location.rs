@@ -121,7 +121,9 @@ pub fn location_errors(model: &dyn KinematicModel) -> Result<LocationErrors> {
     let name = |index: usize| info.parameters[index].name.clone();
     let combinations: Vec<(usize, Vec<(usize, f64)>)> = standings
         .iter()
-        .filter_map(|(index, of)| Some((*index, of.as_ref()?.iter().copied().filter(|(member, _)| chosen.contains(member)).collect())))
+        .filter_map(|(index, of)| {
+            Some((*index, of.as_ref()?.iter().copied().filter(|(member, _)| chosen.contains(member)).collect()))
+        })
         .collect();
     let all = locations.iter().filter_map(|&index| {
         let ParameterRole::Location { axis, component } = info.parameters[index].role else { return None };

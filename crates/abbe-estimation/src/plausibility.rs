@@ -7,8 +7,8 @@ use std::collections::BTreeMap;
 use std::f64::consts::PI;
 
 use abbe_core::{
-    Absent, AxisKind, Calibration, Owner, ParameterRole, Plausible, ProbeTerm, Problem, Quantity, Result, Status,
-    StatusRole, Unknown, matches,
+    Absent, AxisKind, Calibration, ParameterRole, Plausible, ProbeTerm, Problem, Quantity, Result, Status, StatusRole,
+    Unknown, matches,
 };
 
 use crate::separation::thinned;
@@ -85,9 +85,8 @@ fn rounded(value: f64) -> f64 {
 /// The estimated parameters of the machine that are larger than it can be, or nearly so; the largest first. What may be large by
 /// chance, for its uncertainty, is none of them.
 pub fn large_errors(plausible: &Plausible, problem: &Problem, calibration: &Calibration) -> Result<Vec<LargeError>> {
-    let estimated = |unknown: &Unknown| {
-        calibration.get(&unknown.name).is_some_and(|found| found.status == Status::Estimated)
-    };
+    let estimated =
+        |unknown: &Unknown| calibration.get(&unknown.name).is_some_and(|found| found.status == Status::Estimated);
     let unknowns: Vec<Unknown> = problem.machine_unknowns().into_iter().filter(estimated).collect();
     let values = |unknown: &Unknown| {
         // A fit that explains nothing has large uncertainties, which are no excuse for large errors.

@@ -6,7 +6,7 @@
 //! and to parameters of an earlier estimate), as in Rahman (2016), eq. 8-3.
 
 use abbe_core::{
-    Contribution, Correlated, EquationIndex, JointCoverage, Owner, ParameterBudget, Problem, RepeatedTogether, Result,
+    Contribution, Correlated, EquationIndex, JointCoverage, ParameterBudget, Problem, RepeatedTogether, Result,
     SetIndex, UncertaintyBudget,
 };
 use abbe_numerics::{
@@ -185,8 +185,7 @@ impl Propagation {
             }
         });
         let parameters: Vec<ParameterBudget> = parameters.collect();
-        let of_machine =
-            problem.unknowns.iter().zip(&parameters).filter(|(unknown, _)| unknown.is_of_machine());
+        let of_machine = problem.unknowns.iter().zip(&parameters).filter(|(unknown, _)| unknown.is_of_machine());
         let freedom =
             of_machine.filter_map(|(_, parameter)| parameter.degrees_of_freedom).fold(f64::INFINITY, f64::min);
         let ellipsoid_factor = joint_coverage_factor(machine.max(1), probability, freedom);

@@ -75,7 +75,8 @@ fn link(frame: &Isometry3<f64>, next: Vector3<f64>, point: Point3<f64>) -> (Link
     } else {
         x
     };
-    let angle = |from: Vector3<f64>, to: Vector3<f64>, about: Vector3<f64>| from.cross(&to).dot(&about).atan2(from.dot(&to));
+    let angle =
+        |from: Vector3<f64>, to: Vector3<f64>, about: Vector3<f64>| from.cross(&to).dot(&about).atan2(from.dot(&to));
     let link = Link {
         a: normal.dot(&new_x),
         alpha: angle(z, next, new_x),

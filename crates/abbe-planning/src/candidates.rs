@@ -2,7 +2,7 @@
 
 use std::collections::BTreeMap;
 
-use abbe_core::{DataRow, Dataset, EquationIndex, Label, PathItem, Problem, Result, RowIndex};
+use abbe_core::{DataRow, Dataset, EquationIndex, Label, Problem, Result, RowIndex};
 
 use crate::settings::Planning;
 use crate::wrong;
@@ -82,7 +82,10 @@ fn named(key: &str, labels: &[Label], candidates: &mut [Candidate], mark: impl F
     for (index, label) in labels.iter().enumerate() {
         match candidates.iter_mut().find(|candidate| candidate.label == label.0) {
             Some(candidate) => mark(candidate),
-            None => tracing::warn!("plan.{key}[{index}]: there is no candidate {} in these data; it is passed over", label.0),
+            None => tracing::warn!(
+                "plan.{key}[{index}]: there is no candidate {} in these data; it is passed over",
+                label.0
+            ),
         }
     }
 }

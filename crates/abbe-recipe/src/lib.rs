@@ -11,14 +11,16 @@ mod machine_file;
 mod page;
 mod schema;
 mod sets;
-mod ties;
 #[cfg(test)]
 mod tests;
+mod ties;
 
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
-use abbe_core::{DeclaredTie, Error, EstimateSource, Kind, PathItem, Plugin, Registry, SettingsError, nearest, path_text};
+use abbe_core::{
+    DeclaredTie, Error, EstimateSource, Kind, PathItem, Plugin, Registry, SettingsError, nearest, path_text,
+};
 use abbe_planning::Planning;
 use serde_json::{Map, Value};
 
@@ -357,7 +359,9 @@ impl<'a> Head<'a> {
         let own: &[&'static str] = match self.plugin.kind() {
             Kind::Model => &["file"],
             Kind::Artefact => &ROW_SETTINGS,
-            Kind::Estimate if self.plugin.estimate_source == EstimateSource::Measurements => &[SHARED_ROWS, PLAUSIBLE, TIE],
+            Kind::Estimate if self.plugin.estimate_source == EstimateSource::Measurements => {
+                &[SHARED_ROWS, PLAUSIBLE, TIE]
+            }
             Kind::Estimate => &[SHARED_ROWS],
             _ => &[],
         };

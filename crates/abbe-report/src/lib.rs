@@ -18,13 +18,12 @@ mod sheet;
 mod subset;
 mod words;
 
-pub use sections::unit_of;
-pub use words::{ErrorGroup, meaning};
 pub use abbe_volumetric::Known;
 pub use analysis::{Analysis, NamedCause, main_fit};
 pub use markdown::markdown;
 pub use page::page;
 pub use residuals::{Residual, Residuals};
 pub use run::{Files, FitResult, Run};
-pub use sections::{decided, judged, judged_remarks, micrometres, told_figure, undetermined, used};
+pub use sections::{decided, judged, judged_remarks, micrometres, told_figure, undetermined, unit_of, used, valued};
 pub use sheet::csv;
+pub use words::{ErrorGroup, meaning};

@@ -56,15 +56,8 @@ fn recorded(mut problem: Problem, noise: &Noise) -> Problem {
                 round_positions(set, &statuses, resolution);
                 by_rounding.extend(rows_of(set).flat_map(|row| std::iter::repeat_n(0.0, row.equations)));
             }
-            Contact::Reading(column) => {
-                let readings = readings(set, column);
-                let changes = readings.iter().map(|reading| match reading {
-                    // The residual has the reading with a minus sign.
-                    Some(reading) => reading - round(*reading, resolution),
-                    None => 0.0,
-                });
-                by_rounding.extend(changes);
-            }
+            Contact::Reading(column) => by_rounding.extend(rounded(set, &[column.clone()], resolution)),
+            Contact::Readings(columns) => by_rounding.extend(rounded(set, columns, resolution)),
             // `contact::simulate_measurement` has refused such a set.
             Contact::NotSimulated(_) => by_rounding.extend(rows_of(set).flat_map(|row| vec![0.0; row.equations])),
         }
@@ -85,13 +78,27 @@ fn round_positions(set: &mut ObservationSet, statuses: &[usize], resolution: f64
     set.set_poses(poses);
 }
 
-/// The readings of a set, one for every equation, mm; none for equations without a reading and for angles.
-fn readings(set: &ObservationSet, column: &str) -> Vec<Option<f64>> {
-    let recorded = if is_length(set, column) { set.info().layout.data.numbers(column) } else { None };
+/// What rounding of the readings changes in the equations.
+fn rounded(set: &ObservationSet, columns: &[String], resolution: f64) -> Vec<f64> {
+    let change = |reading: Option<f64>| match reading {
+        // The residual has the reading with a minus sign.
+        Some(reading) => reading - round(reading, resolution),
+        None => 0.0,
+    };
+    readings(set, columns).into_iter().map(change).collect()
+}
+
+/// The readings of a set, one for every equation, mm; none for equations without a reading and for angles. The equations of a row take
+/// the columns in turn.
+fn readings(set: &ObservationSet, columns: &[String]) -> Vec<Option<f64>> {
+    let data = &set.info().layout.data;
+    let recorded: Vec<Option<&[f64]>> =
+        columns.iter().map(|column| data.numbers(column).filter(|_| is_length(set, column))).collect();
     let disturbances = set.disturbances();
     let mut all = Vec::new();
     for row in rows_of(set) {
-        for equation in row.equation_indices() {
+        for (place, equation) in row.equation_indices().enumerate() {
+            let recorded = recorded.get(place % columns.len().max(1)).copied().flatten();
             let reading = recorded.zip(row.data_row).map(|(recorded, row)| recorded[row]);
             all.push(reading.map(|reading| reading - disturbances.map_or(0.0, |all| all[equation])));
         }

@@ -324,6 +324,7 @@ fn takes_noise(set: &ObservationSet) -> bool {
     match &set.info().contact {
         Contact::LinearAxes => true,
         Contact::Reading(column) => is_length(set, column),
+        Contact::Readings(columns) => columns.iter().all(|column| is_length(set, column)),
         Contact::NotSimulated(_) => false,
     }
 }

@@ -117,7 +117,8 @@ pub(crate) fn likely_of(path: &Path, bytes: &[u8]) -> Result<Likely> {
     let separator = separator_of(&lines);
     let rows: Vec<(usize, Vec<String>)> = lines.iter().map(|(at, line)| (*at, cells(line, separator))).collect();
     let width = usual_width(&rows);
-    let all: Vec<&str> = rows.iter().filter(|(_, row)| row.len() == width).flat_map(|(_, row)| row).map(String::as_str).collect();
+    let all: Vec<&str> =
+        rows.iter().filter(|(_, row)| row.len() == width).flat_map(|(_, row)| row).map(String::as_str).collect();
     let (decimal, thousands) = numbers_of(&all, separator, &mut open);
     let layout = Layout { encoding, separator, decimal, thousands, ..Layout::default() };
     let layout = header_of(&rows, width, &text, layout);
@@ -226,7 +227,8 @@ fn numbers_of(cells: &[&str], separator: Separator, open: &mut Vec<String>) -> (
         Decimal::Point => (Decimal::Comma, Thousands::Point),
     };
     let mark = decimal.character();
-    let mut with_mark = cells.iter().filter(|cell| is_number(cell, decimal, thousands) && cell.contains(mark)).peekable();
+    let mut with_mark =
+        cells.iter().filter(|cell| is_number(cell, decimal, thousands) && cell.contains(mark)).peekable();
     if thousands == Thousands::None
         && decimal == Decimal::Comma
         && let Some(example) = with_mark.peek().copied()
@@ -280,7 +282,8 @@ pub fn contents(path: &Path, layout: &Layout) -> Result<Contents> {
 const FIRST: usize = 5;
 
 fn contents_of(path: &Path, text: &str, layout: &Layout) -> Result<Contents> {
-    let mut found = Contents { comments: text.lines().filter(|line| line.starts_with('#')).count(), ..Contents::default() };
+    let mut found =
+        Contents { comments: text.lines().filter(|line| line.starts_with('#')).count(), ..Contents::default() };
     let mut records = Records::after(path, text, layout);
     if layout.has_header && records.advance()? {
         found.header_line = Some(records.line);

@@ -159,13 +159,21 @@ fn check_machine(
         Error::usage(format!("this is no machine file of `{plugin}`: {error}")).in_file(machine)
     };
     let described: Value = serde_yaml::from_str(&text).map_err(|error| wrong(&error))?;
-    let nominal = json!({
-        "chain": described["chain"], "axes": described.get("axes").unwrap_or(&json!({})),
+    let of_calibration = |key: &str, absent: Value| calibration.model.settings.get(key).cloned().unwrap_or(absent);
+    let mut nominal = json!({ "axes": described.get("axes").unwrap_or(&json!({})), "stylus_radius_mm": 0 });
+    match described.get("robot") {
+        // A robot has its tip in its description.
+        Some(robot) => {
+            nominal["robot"] = robot.clone();
+            nominal["tool_length_mm"] = json!(0);
+        }
         // Tool and stylus do not matter here: those of the calibration.
-        "tool_length_mm": calibration.model.settings.get("tool_length_mm").unwrap_or(&json!(0)),
-        "probe_offset_mm": calibration.model.settings.get("probe_offset_mm").unwrap_or(&Value::Null),
-        "stylus_radius_mm": 0,
-    });
+        None => {
+            nominal["chain"] = described["chain"].clone();
+            nominal["tool_length_mm"] = of_calibration("tool_length_mm", json!(0));
+            nominal["probe_offset_mm"] = of_calibration("probe_offset_mm", Value::Null);
+        }
+    }
     let found = registry.find(Kind::Model, plugin).map_err(|error| wrong(&error))?;
     let Build::Model(constructor) = &found.build else { return Err(wrong(&"it is no model")) };
     let context = Context { base: machine.parent().unwrap_or(Path::new(".")).to_owned() };

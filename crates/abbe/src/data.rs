@@ -5,12 +5,11 @@ use std::path::{Path, PathBuf};
 
 use abbe_core::{ColumnHeader, Error, Quantity, Result, Values, from_settings};
 use abbe_engine::{Understood, prepare};
-use abbe_report::number::short;
 use abbe_table::{Contents, Decimal, Declared, Found, Layout, Likely, Separator, Thousands, contents, likely};
 use clap::Args;
 
 use crate::libraries::Libraries;
-use crate::table;
+use crate::table::{self, plain};
 
 /// What is asked.
 #[derive(Debug, Args)]
@@ -51,7 +50,9 @@ fn of_file(file: &Path) -> Result<String> {
             let _ = writeln!(text, "\n`ingest: csv` reads this file as it is: {} rows", data.rows());
         }
         Ok(_) => {
-            text.push_str("\n`ingest: csv` reads this file as it is, but columns without a unit in their names as labels.\n");
+            text.push_str(
+                "\n`ingest: csv` reads this file as it is, but columns without a unit in their names as labels.\n",
+            );
             text.push_str(&settings(file, &found, &told));
         }
         Err(error) => {
@@ -117,7 +118,8 @@ fn counted(count: usize, one: &str, several: &str) -> Option<String> {
 const SHOWN: usize = 3;
 
 fn column_of_file(column: &Found) -> Vec<String> {
-    let [from, to] = column.range.filter(|_| column.is_numeric()).map_or([String::new(), String::new()], |ends| ends.map(short));
+    let [from, to] =
+        column.range.filter(|_| column.is_numeric()).map_or([String::new(), String::new()], |ends| ends.map(plain));
     let marks = column.marks();
     let quoted = |(mark, count): &(&str, usize)| match mark.is_empty() {
         true => format!("{count} empty"),
@@ -170,6 +172,11 @@ fn first_rows(told: &Contents) -> String {
 /// Places that are told of each kind of fault.
 const PLACES: usize = 4;
 
+/// "1 row is", "2 rows are".
+fn rows(count: usize) -> String {
+    if count == 1 { "1 row is".to_owned() } else { format!("{count} rows are") }
+}
+
 fn faults(told: &Contents) -> String {
     let mut lines = Vec::new();
     let places = |all: Vec<String>| match all.len() > PLACES {
@@ -178,17 +185,22 @@ fn faults(told: &Contents) -> String {
     };
     if !told.ragged.is_empty() {
         let all = told.ragged.iter().map(|(line, cells)| format!("line {line} has {cells}")).collect();
-        lines.push(format!("{} rows with another number of cells than {}: {}", told.ragged.len(), told.columns.len(), places(all)));
+        lines.push(format!(
+            "{} rows with another number of cells than {}: {}",
+            told.ragged.len(),
+            told.columns.len(),
+            places(all)
+        ));
     }
     if !told.repeated.is_empty() {
         let all = told.repeated.iter().map(|(one, other)| format!("lines {one} and {other}")).collect();
-        lines.push(format!("{} rows are there twice: {}", told.repeated.len(), places(all)));
+        lines.push(format!("{} there twice: {}", rows(told.repeated.len()), places(all)));
     }
     let (back, jumps): (Vec<_>, Vec<_>) = told.jumps.iter().partition(|jump| jump.step < 0.0);
     for (what, found) in [("goes back", back), ("jumps", jumps)] {
         let Some(first) = found.first() else { continue };
-        let all = found.iter().map(|jump| format!("by {} at line {}", short(jump.step), jump.line)).collect();
-        lines.push(format!("{} {what} (its usual step is {}): {}", first.column, short(first.usual), places(all)));
+        let all = found.iter().map(|jump| format!("by {} at line {}", plain(jump.step), jump.line)).collect();
+        lines.push(format!("{} {what} (its usual step is {}): {}", first.column, plain(first.usual), places(all)));
     }
     match lines.is_empty() {
         true => "\nNo gaps, jumps of time or rows that are there twice\n".to_owned(),
@@ -259,7 +271,7 @@ fn of_stage(stage: &Understood) -> Result<String> {
             Values::Numbers(numbers) => {
                 let known = || numbers.iter().copied().filter(|number| number.is_finite());
                 let ends = [known().fold(f64::INFINITY, f64::min), known().fold(f64::NEG_INFINITY, f64::max)];
-                let [from, to] = ends.map(|end| if end.is_finite() { short(end / factor) } else { String::new() });
+                let [from, to] = ends.map(|end| if end.is_finite() { plain(end / factor) } else { String::new() });
                 ("numbers".to_owned(), from, to)
             }
             Values::Labels(all) => {

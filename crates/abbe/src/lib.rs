@@ -22,6 +22,7 @@ mod pages;
 mod planning;
 mod progress;
 mod report;
+mod simulated;
 mod summary;
 mod table;
 mod test;
@@ -33,7 +34,7 @@ use std::process::ExitCode;
 use std::time::Duration;
 
 use abbe_core::{Class, Error, Kind, Monitor, Origin, Result, harmless, harmless_json};
-use abbe_engine::{Simulated, can_write_folder, prepare};
+use abbe_engine::{can_write_folder, prepare};
 use abbe_plugin::check::Findings;
 use clap::{Parser, Subcommand};
 use libraries::Libraries;
@@ -397,7 +398,7 @@ fn dispatch(command: Command, libraries: &Libraries, verbose: bool) -> Result<(S
             can_write_folder(&out)?;
             let simulated = prepared.simulate(&truth, seed, machine.as_deref())?;
             interrupt::while_writing(|| simulated.write(&here.path(&out)))?;
-            Ok((simulated_text(&simulated, &out), 0))
+            Ok((simulated::text(&simulated, &out), 0))
         }
         Command::Plan { recipe, out, json, time_limit } => {
             let here = Here::now();
@@ -477,24 +478,6 @@ fn laws(recipe: &Path, library: PathBuf, libraries: &Libraries) -> Result<Findin
     }
     findings.skipped.extend(unseen.iter().map(|plugin| format!("`{}`: the recipe does not use it", plugin.name)));
     Ok(findings)
-}
-
-/// What was simulated, and how to go on.
-fn simulated_text(simulated: &Simulated, out: &Path) -> String {
-    let mut text = "Simulated\n".to_owned();
-    for file in &simulated.data {
-        text.push_str(&format!("  {}: {} rows measured, {} copied\n", file.file.display(), file.measured, file.copied));
-    }
-    for file in &simulated.not_simulated {
-        let readers: Vec<&str> = file.read_by.iter().map(String::as_str).collect();
-        let readers = if readers.is_empty() { "no stage".to_owned() } else { format!("{} only", readers.join(", ")) };
-        text.push_str(&format!("  not simulated: {} (read by {readers})\n", file.file.display()));
-    }
-    text.push_str("\nVaried\n");
-    simulated.varied.iter().for_each(|line| text.push_str(&format!("  {line}\n")));
-    let recipe = out.join(&simulated.recipe);
-    text.push_str(&format!("\nWritten: {}\nGo on with: abbe run {}\n", out.display(), recipe.display()));
-    text
 }
 
 /// Writes files, then tells what was found.

@@ -6,13 +6,12 @@ use std::path::{Path, PathBuf};
 use abbe_core::{Axis, AxisKind, Branch, Error, ModelInfo, ParameterRole, Result};
 use abbe_engine::{Described, LocationError, LocationErrors, Prepared, Standing, prepare, prepare_text};
 use abbe_kinematics::{ChainAxis, ErrorFrame, denavit_hartenberg};
-use abbe_report::number::short;
 use abbe_report::{ErrorGroup, meaning};
 use clap::Args;
 use serde_json::Value;
 
 use crate::libraries::Libraries;
-use crate::table;
+use crate::table::{self, plain};
 
 /// What is asked.
 #[derive(Debug, Args)]
@@ -42,12 +41,15 @@ impl Machine {
         if !is_file {
             let registry = libraries.registry(None)?;
             let chain = Value::from(self.machine.as_str());
-            let stage = format!("{{ model: serial-chain, chain: {chain}, tool_length_mm: {TOOL_LENGTH}, stylus_radius_mm: 0 }}");
+            let stage = format!(
+                "{{ model: serial-chain, chain: {chain}, tool_length_mm: {TOOL_LENGTH}, stylus_radius_mm: 0 }}"
+            );
             let made = prepare_text(Path::new("chain.yaml"), &recipe(&stage), &registry);
             // The recipe was made here: its lines say nothing.
             return made.map_err(|error| Error { place: None, stage: None, ..error });
         }
-        let unreadable = |error: std::io::Error| Error::usage(format!("the file cannot be read: {error}")).in_file(&path);
+        let unreadable =
+            |error: std::io::Error| Error::usage(format!("the file cannot be read: {error}")).in_file(&path);
         let content = abbe_files::read_text(&path, abbe_files::LARGEST_TEXT).map_err(unreadable)?;
         if content.lines().any(|line| line.starts_with("stages:")) {
             return prepare(&path, &libraries.registry(Some(&path))?);
@@ -120,9 +122,14 @@ fn nearest(axis: &Axis) -> String {
     format!("{preposition} {}{tilted}", ["x", "y", "z"][part])
 }
 
+/// Without what rounding leaves of a zero.
+fn tidy(number: f64) -> f64 {
+    if number.abs() < 1e-9 { 0.0 } else { number }
+}
+
 /// Three numbers.
 fn vector(of: [f64; 3]) -> String {
-    of.map(short).join(" ")
+    of.map(|part| plain(tidy(part))).join(" ")
 }
 
 /// A vector of the settings of an axis.
@@ -132,16 +139,17 @@ fn setting(info: &ModelInfo, axis: &str, key: &str) -> Option<[f64; 3]> {
 }
 
 fn axes(info: &ModelInfo) -> String {
-    let mut rows = vec![["axis", "kind", "carries the", "direction", "point of its line mm", "range"].map(str::to_owned).to_vec()];
+    let mut rows =
+        vec![["axis", "kind", "carries the", "direction", "point of its line mm", "range"].map(str::to_owned).to_vec()];
     for axis in &info.axes {
         let (kind, factor, unit) = match axis.kind {
             AxisKind::Linear => ("linear", 1.0, "mm"),
             AxisKind::Rotary => ("rotary", 1f64.to_degrees(), "°"),
         };
-        let point = (axis.kind == AxisKind::Rotary)
-            .then(|| vector(setting(info, &axis.name, "point_mm").unwrap_or_default()));
+        let point =
+            (axis.kind == AxisKind::Rotary).then(|| vector(setting(info, &axis.name, "point_mm").unwrap_or_default()));
         let range = match axis.range {
-            Some([from, to]) => format!("{} to {} {unit}", short(from * factor), short(to * factor)),
+            Some([from, to]) => format!("{} to {} {unit}", plain(from * factor), plain(to * factor)),
             None => "not known".to_owned(),
         };
         rows.push(vec![
@@ -199,20 +207,33 @@ fn joints(info: &ModelInfo) -> String {
     let (mut standard, mut modified) = (vec![header.clone()], vec![header]);
     let mut before = [0.0; 2];
     for (link, axis) in links.iter().zip(&chain) {
-        let degrees = |angle: f64| short(angle.to_degrees());
-        standard.push(vec![axis.name.clone(), short(link.a), degrees(link.alpha), short(link.d), degrees(link.theta)]);
-        modified.push(vec![axis.name.clone(), short(before[0]), degrees(before[1]), short(link.d), degrees(link.theta)]);
+        let degrees = |angle: f64| plain(tidy(angle.to_degrees()));
+        standard.push(vec![
+            axis.name.clone(),
+            plain(tidy(link.a)),
+            degrees(link.alpha),
+            plain(tidy(link.d)),
+            degrees(link.theta),
+        ]);
+        modified.push(vec![
+            axis.name.clone(),
+            plain(before[0]),
+            degrees(before[1]),
+            plain(link.d),
+            degrees(link.theta),
+        ]);
         before = [link.a, link.alpha];
     }
     let last = chain.iter().rev().find(|axis| axis.kind == AxisKind::Rotary).map(|axis| axis.point).unwrap_or_default();
-    let number = |key: &str| info.settings.get(key).cloned().and_then(|value| serde_json::from_value::<f64>(value).ok());
+    let number =
+        |key: &str| info.settings.get(key).cloned().and_then(|value| serde_json::from_value::<f64>(value).ok());
     let offset = info.settings.get("probe_offset_mm").cloned();
     let offset: [f64; 3] = offset.and_then(|value| serde_json::from_value(value).ok()).unwrap_or_default();
     let mut tip = last;
     (0..3).for_each(|part| tip[part] += offset[part]);
     tip[2] -= number("tool_length_mm").unwrap_or(0.0);
     let tip = flange.inverse_transform_point(&tip.into());
-    let _ = write!(text, "\nDenavit-Hartenberg parameters (`dh`), lengths of the chain unchanged\n{}", table::text(&standard, &[1, 2, 3, 4]));
+    let _ = write!(text, "\nDenavit-Hartenberg parameters (`dh`)\n{}", table::text(&standard, &[1, 2, 3, 4]));
     let _ = write!(text, "\nModified ones (`modified_dh`, Craig)\n{}", table::text(&modified, &[1, 2, 3, 4]));
     let _ = writeln!(text, "  The tip is at {} mm of the last frame (`tip_mm`).", vector(tip.coords.into()));
     text
@@ -234,10 +255,15 @@ fn location_text(info: &ModelInfo, locations: &LocationErrors) -> String {
     text.push_str(&table::text(&rows, &[]));
     let dependent: Vec<String> = locations.all.iter().filter_map(same_as).collect();
     if !dependent.is_empty() {
-        let _ = write!(text, "\nThe same as others, offsets and turns of workpiece and tool apart\n{}", wrapped(&dependent));
+        let _ = write!(
+            text,
+            "\nThe same as others, offsets and turns of workpiece and tool apart\n{}",
+            wrapped(&dependent)
+        );
     }
-    let zero: Vec<String> = locations.all.iter().filter(|error| is_zero_position(info, error)).map(|error| error.name.clone()).collect();
-    let _ = write!(text, "\nZero positions of the axes, and what is set to zero with them\n{}", wrapped(&zero));
+    let zero: Vec<String> =
+        locations.all.iter().filter(|error| is_zero_position(info, error)).map(|error| error.name.clone()).collect();
+    let _ = write!(text, "\nZero positions: where the command of an axis is 0\n{}", wrapped(&zero));
     let free: Vec<String> = locations
         .all
         .iter()
@@ -276,11 +302,11 @@ fn same_as(error: &LocationError) -> Option<String> {
     let Standing::Dependent(of) = &error.standing else { return None };
     let is_turn = |name: &str| name.chars().nth(1).is_some_and(|letter| "ABC".contains(letter));
     let part = |(name, factor): &(String, f64)| match (is_turn(&error.name), is_turn(name)) {
-        (true, false) => format!("{} µm/µrad {name}", short(*factor)),
-        (false, true) => format!("{} µrad/µm {name}", short(*factor)),
+        (true, false) => format!("{} µm/µrad {name}", plain(*factor)),
+        (false, true) => format!("{} µrad/µm {name}", plain(*factor)),
         _ if (factor - 1.0).abs() < 1e-9 => name.clone(),
         _ if (factor + 1.0).abs() < 1e-9 => format!("-{name}"),
-        _ => format!("{} {name}", short(*factor)),
+        _ => format!("{} {name}", plain(*factor)),
     };
     let mut parts: Vec<String> = of.iter().take(SHOWN).map(part).collect();
     if of.len() > SHOWN {
@@ -309,17 +335,33 @@ fn wrapped(words: &[String]) -> String {
 fn motions(info: &ModelInfo) -> String {
     let mut rows = Vec::new();
     for axis in &info.axes {
-        let symbols: Vec<String> = ["X", "Y", "Z", "A", "B", "C"].iter().map(|letter| format!("E{letter}{}", axis.name)).collect();
+        let symbols: Vec<String> =
+            ["X", "Y", "Z", "A", "B", "C"].iter().map(|letter| format!("E{letter}{}", axis.name)).collect();
         rows.push(vec![axis.name.clone(), symbols.join(" ")]);
     }
-    format!("\nMotion errors that each axis may have (which functions of the command they are, `errors` says)\n{}", table::text(&rows, &[]))
+    format!(
+        "\nMotion errors that each axis may have (which functions of the command they are, `errors` says)\n{}",
+        table::text(&rows, &[])
+    )
 }
 
 /// The errors that the machine lists.
 fn listed(info: &ModelInfo) -> String {
-    let is_error = |role: ParameterRole| matches!(role, ParameterRole::Motion { .. } | ParameterRole::Location { .. } | ParameterRole::Shape | ParameterRole::Factor);
-    let names: Vec<String> =
-        info.parameters.iter().filter(|parameter| is_error(parameter.role)).map(|parameter| parameter.name.clone()).collect();
+    let is_error = |role: ParameterRole| {
+        matches!(
+            role,
+            ParameterRole::Motion { .. }
+                | ParameterRole::Location { .. }
+                | ParameterRole::Shape
+                | ParameterRole::Factor
+        )
+    };
+    let names: Vec<String> = info
+        .parameters
+        .iter()
+        .filter(|parameter| is_error(parameter.role))
+        .map(|parameter| parameter.name.clone())
+        .collect();
     if names.is_empty() {
         return "\nErrors that it lists: none\n".to_owned();
     }

@@ -69,9 +69,8 @@ fn parameters(fits: &[Fit]) -> String {
     }
     let mut own = vec!["artefacts".to_owned(), "unknowns".to_owned()];
     own.extend(
-        fits.iter().map(|fit| {
-            fit.problem.unknowns.iter().filter(|unknown| !unknown.is_of_machine()).count().to_string()
-        }),
+        fits.iter()
+            .map(|fit| fit.problem.unknowns.iter().filter(|unknown| !unknown.is_of_machine()).count().to_string()),
     );
     rows.push(own);
     let mut text = table::text(&rows, &columns(fits.len(), 2));
@@ -150,12 +149,15 @@ fn radial_rms(fit: &Fit) -> Option<f64> {
     let problem = &fit.problem;
     let residuals = problem.residuals(&problem.values_of(&fit.calibration)).ok()?;
     let (mut squares, mut rows) = (0.0, 0);
-    let equations: Vec<_> = problem.equation_rows().into_iter().zip(residuals.iter().zip(problem.quantities())).collect();
+    let equations: Vec<_> =
+        problem.equation_rows().into_iter().zip(residuals.iter().zip(problem.quantities())).collect();
     for row in equations.chunk_by(|(one, _), (other, _)| one == other) {
         let (set, index) = row[0].0;
         let is_point = row.len() == 3 && row.iter().all(|(_, (_, quantity))| *quantity == Quantity::Length);
         let origin = problem.origin(set, index);
-        let is_outlier = |outlier: &Outlier| origin.is_some_and(|(_, origin)| (outlier.row, outlier.line) == (origin.row, origin.line));
+        let is_outlier = |outlier: &Outlier| {
+            origin.is_some_and(|(_, origin)| (outlier.row, outlier.line) == (origin.row, origin.line))
+        };
         if is_point && !fit.calibration.outliers.iter().any(is_outlier) {
             squares += row.iter().map(|(_, (residual, _))| (*residual * 1e3).powi(2)).sum::<f64>();
             rows += 1;

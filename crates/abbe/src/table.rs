@@ -21,3 +21,13 @@ pub fn text(rows: &[Vec<String>], right: &[usize]) -> String {
     }
     text
 }
+
+/// A number to nine digits, without zeros at its end.
+pub fn plain(value: f64) -> String {
+    if value == 0.0 || !value.is_finite() {
+        return format!("{}", value + 0.0);
+    }
+    let scale = 10_f64.powi(8 - value.abs().log10().floor() as i32);
+    let rounded = (value * scale).round() / scale;
+    if (1e-5..1e12).contains(&value.abs()) { format!("{rounded}") } else { format!("{value:.3e}") }
+}

@@ -2,8 +2,7 @@
 //! unknowns. The settings of the selection by prediction are here, too.
 
 use abbe_core::{
-    Error, Owner, PathItem, Problem, Result, Selection, SelectionDirection, SelectionStep, SettingsError, Unknown,
-    Whole, matches,
+    Error, PathItem, Problem, Result, Selection, SelectionDirection, SelectionStep, SettingsError, Unknown, matches,
 };
 use abbe_numerics::{Factor, StepwiseDirection};
 use schemars::JsonSchema;

@@ -2,7 +2,7 @@
 //! or a camera that follows a retroreflector on a robot.
 //!
 //! With the tip of the tool at p in the table frame, and the frame of the observer at (Ro, po) there, the observer sees the
-//! target at `Ro' (p - po)`. A row has three equations: observed minus predicted coordinates. The target is the tip: where it is
+//! target at `Ro' (p - po)`. A row has three equations: predicted minus observed coordinates. The target is the tip: where it is
 //! in the tool is `dxt`, `dyt`, `dzt` of the machine.
 
 use std::path::PathBuf;
@@ -138,9 +138,7 @@ struct Observed {
 impl Observed {
     fn new(layout: Layout, observed: Vec<Vector3<f64>>, start: Isometry3<f64>) -> Self {
         let unknowns = OF_A_FRAME.map(|(own, unit)| Parameter::new(format!("observer.{own}"), unit));
-        let contact = Contact::NotSimulated(
-            "what is recorded are three coordinates, not one column for each of the three equations".to_owned(),
-        );
+        let contact = Contact::Readings(POSITION.map(str::to_owned).into());
         let [x, y, z] = start.translation.vector.into();
         let info = ObservationsInfo {
             start: vec![x, y, z, 0.0, 0.0, 0.0],
@@ -160,13 +158,13 @@ impl Observations for Observed {
         let to_observer = matrix(&observer.pose.rotation).transpose();
         for (&RowIndex(row), &tip) in batch.rows.iter().zip(batch.positions) {
             let from_observer = Vector3::from(tip) - observer.pose.translation.vector;
-            let residual = self.observed[row] - to_observer * from_observer;
-            let by_turn = -to_observer * from_observer.cross_matrix() * observer.turn;
+            let residual = to_observer * from_observer - self.observed[row];
+            let by_turn = to_observer * from_observer.cross_matrix() * observer.turn;
             for equation in 0..3 {
                 let by_shift = [0, 1, 2].map(|i| to_observer[(equation, i)]);
                 out.equation(residual[equation]);
-                out.position(by_shift.map(|derivative| -derivative));
-                by_shift.iter().enumerate().for_each(|(unknown, derivative)| out.own(unknown, *derivative));
+                out.position(by_shift);
+                by_shift.iter().enumerate().for_each(|(unknown, derivative)| out.own(unknown, -derivative));
                 (0..3).for_each(|turn| out.own(3 + turn, by_turn[(equation, turn)]));
             }
         }

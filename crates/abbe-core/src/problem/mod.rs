@@ -114,7 +114,8 @@ impl Problem {
         let parameters = &model.info().parameters;
         let is_meant = |pattern: &str, candidate: &Unknown| {
             let members = if candidate.owner == Owner::Tie { ties[candidate.index].members.as_slice() } else { &[] };
-            matches(pattern, &candidate.name) || members.iter().any(|(index, _)| matches(pattern, &parameters[*index].name))
+            matches(pattern, &candidate.name)
+                || members.iter().any(|(index, _)| matches(pattern, &parameters[*index].name))
         };
         let mut chosen = vec![false; candidates.len()];
         for (index, pattern) in patterns.iter().enumerate() {

@@ -48,17 +48,24 @@ pub(crate) fn ties(declared: &[DeclaredTie], candidates: &[Unknown]) -> Result<V
             return Err(wrong(tie, "a finite factor that is not 0 was expected".to_owned()));
         }
         if candidates.iter().any(|candidate| candidate.name == tie.to && candidate.owner != Owner::Machine) {
-            return Err(wrong(tie, format!("`{}` is an unknown of an artefact; parameters of the machine are tied", tie.to)));
+            return Err(wrong(
+                tie,
+                format!("`{}` is an unknown of an artefact; parameters of the machine are tied", tie.to),
+            ));
         }
-        let mut found: Vec<(&Unknown, f64)> =
-            of_machine().filter(|candidate| matches(&tie.pattern, &candidate.name)).map(|it| (it, tie.factor)).collect();
+        let mut found: Vec<(&Unknown, f64)> = of_machine()
+            .filter(|candidate| matches(&tie.pattern, &candidate.name))
+            .map(|it| (it, tie.factor))
+            .collect();
         if tie.factor != 1.0 && matches(&tie.pattern, &tie.to) {
             return Err(wrong(tie, format!("`{}` would be {} times itself", tie.to, tie.factor)));
         }
         if found.is_empty() {
             let error = wrong(tie, format!("`{}` matches no parameter of the machine", tie.pattern));
             let names = of_machine().map(|candidate| candidate.name.as_str());
-            return Err(error.help("a machine parameter exists only if the model's `errors` list it").suggest(&tie.pattern, names));
+            return Err(error
+                .help("a machine parameter exists only if the model's `errors` list it")
+                .suggest(&tie.pattern, names));
         }
         // An unknown that has the name of a parameter is that parameter, too.
         found.extend(machine(&tie.to).filter(|own| !matches(&tie.pattern, &own.name)).map(|own| (own, 1.0)));
@@ -72,11 +79,16 @@ pub(crate) fn ties(declared: &[DeclaredTie], candidates: &[Unknown]) -> Result<V
             }
             match ties.iter_mut().find(|other| other.name == tie.to) {
                 Some(other) if other.unit != member.unit => {
-                    let message = format!("`{}` is in {}, `{}` in {}: they cannot be one number", member.name, member.unit, tie.to, other.unit);
+                    let message = format!(
+                        "`{}` is in {}, `{}` in {}: they cannot be one number",
+                        member.name, member.unit, tie.to, other.unit
+                    );
                     return Err(wrong(tie, message));
                 }
                 Some(other) => other.members.push((member.index, factor)),
-                None => ties.push(Tie { name: tie.to.clone(), unit: member.unit, members: vec![(member.index, factor)] }),
+                None => {
+                    ties.push(Tie { name: tie.to.clone(), unit: member.unit, members: vec![(member.index, factor)] })
+                }
             }
         }
     }
@@ -167,7 +179,9 @@ impl Problem {
     /// unknowns.
     pub fn untie(&self, calibration: &mut Calibration) {
         let parameters = &self.model.info().parameters;
-        for unknown in self.unknowns.iter().chain(&self.considered.unknowns).filter(|unknown| unknown.owner == Owner::Tie) {
+        for unknown in
+            self.unknowns.iter().chain(&self.considered.unknowns).filter(|unknown| unknown.owner == Owner::Tie)
+        {
             let Some((value, standard_uncertainty)) =
                 calibration.get(&unknown.name).map(|found| (found.value, found.standard_uncertainty))
             else {

@@ -68,3 +68,27 @@ pub fn valued(value: f64, unit: &str) -> String {
     let text = if counted { format!("{value:.0}") } else { short(value) };
     if unit == "1" { text } else { format!("{text} {}", unit_of(unit)) }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::unit_of;
+
+    #[test]
+    fn units_of_figures_are_those_that_people_write() {
+        for (key, people) in [
+            ("1", ""),
+            ("um", "µm"),
+            ("um/m3", "µm/m³"),
+            ("urad/m2", "µrad/m²"),
+            ("um/m/K", "µm/m/K"),
+            ("um/rad^4", "µm/rad⁴"),
+            ("deg", "°"),
+            ("degC", "°C"),
+            ("1/K", "1/K"),
+            ("mm", "mm"),
+            ("%", "%"),
+        ] {
+            assert_eq!(unit_of(key), people);
+        }
+    }
+}

@@ -71,16 +71,10 @@ fn locales() -> Vec<Locale> {
         title: "机床测量报告",
         ..german.clone()
     };
-    let unicode_text = Locale {
-        layout: layout(Tab, Decimal::Comma, Thousands::None, Utf16),
-        thousands: "",
-        ..swedish.clone()
-    };
-    let plain_german = Locale {
-        layout: layout(Semicolon, Decimal::Comma, Thousands::None, Utf8),
-        thousands: "",
-        ..german.clone()
-    };
+    let unicode_text =
+        Locale { layout: layout(Tab, Decimal::Comma, Thousands::None, Utf16), thousands: "", ..swedish.clone() };
+    let plain_german =
+        Locale { layout: layout(Semicolon, Decimal::Comma, Thousands::None, Utf8), thousands: "", ..german.clone() };
     vec![german, french, english, swedish, chinese, unicode_text, plain_german]
 }
 
@@ -183,7 +177,13 @@ fn surveyed(content: &str) -> (Layout, Vec<String>, super::Contents) {
 fn gaps_jumps_marks_and_repeated_rows_are_found() {
     let mut content = "n,time_s,X_mm,note\n".to_owned();
     for (row, time) in [0, 1, 2, 3, 4, 90, 91, 92, 50, 51].into_iter().enumerate() {
-        let x = if row == 3 { "---".to_owned() } else if row == 4 { String::new() } else { format!("{}.5", row / 2) };
+        let x = if row == 3 {
+            "---".to_owned()
+        } else if row == 4 {
+            String::new()
+        } else {
+            format!("{}.5", row / 2)
+        };
         content.push_str(&format!("{row},{time},{x},a\n"));
     }
     content.push_str("10,51,4.5,a\n");
@@ -208,6 +208,7 @@ fn what_a_file_does_not_tell_is_left_open() {
     assert!(open.is_empty());
     let (layout, ..) = surveyed("1 2.5 3\n4 5.5 6\n");
     assert_eq!((layout.separator, layout.has_header), (Separator::Space, false));
-    let (layout, ..) = surveyed("Messung 12;;;\nHalle 3;;;\nPunkt;Meas X;Joint 1 [°];Temp\n;[mm];;[F]\n1;12,5;3;68,2\n2;---;4;68,2\n");
+    let (layout, ..) =
+        surveyed("Messung 12;;;\nHalle 3;;;\nPunkt;Meas X;Joint 1 [°];Temp\n;[mm];;[F]\n1;12,5;3;68,2\n2;---;4;68,2\n");
     assert_eq!((layout.skip_lines, layout.skip_after_header, layout.has_header), (2, 1, true));
 }

@@ -79,6 +79,7 @@ fn with_shapes(settings: &mut serde_json::Value, names: &[&str]) {
         errors.push(json!({ "product": straight, "of": [alike[0], alike[alike.len() - 1], name] }));
         if rotary(name) {
             errors.push(json!({ "fourier": symbols, "orders": [1, 3] }));
+            errors.push(json!({ "gravity": symbols, "angles": [name] }));
         }
         thermal(errors, name, unit, &if rotary(name) { json!([-125, -20, 60, 125]) } else { json!([-410, -75, 410]) });
     }
