@@ -248,7 +248,7 @@ fn settings_and_stages_that_do_not_fit_are_refused_with_their_place() {
     let cases: [(Change, i32, &str); 13] = [
         (|s| s["motion"]["axial"] = json!("zz"), 2, "data set 1 under `from` has no column `zz_um`"),
         (|s| s["motion"]["axial"] = json!("S"), 2, "has a column `S_deg`, and `S_um` was expected"),
-        (|s| s["motion"]["harmonics"] = json!(1), 2, "2 to 500 were expected"),
+        (|s| s["motion"]["harmonics"] = json!(1), 2, "from 2 to 500 was expected"),
         (|s| s["motion"]["radial"]["r2"]["azimuth_deg"] = json!(175), 2, "tell one direction alone"),
         (|s| s["motion"]["radial"]["r2"]["azimuth_deg"] = json!(-90), 1, "are r1 and r2 swapped?"),
         (

@@ -6,7 +6,7 @@ use std::sync::Arc;
 
 use abbe_core::{
     EquationUncertainty, Error, KinematicModel, ObservationSet, Observations, PathItem, Problem, Result, Row,
-    RowIndex, RowSettings, SettingsError, from_settings_in_range, ranges,
+    RowSettings, SettingsError, from_settings_in_range,
 };
 use abbe_estimation::{repeats, row_uncertainty};
 use abbe_recipe::Stage;
@@ -24,29 +24,6 @@ pub enum Wanted {
 pub struct ArtefactRowSettings {
     settings: RowSettings,
     covariance: Option<PathBuf>,
-}
-
-/// Fails for a row whose standard uncertainty is so small that it alone would decide everything, wherever it was stated.
-fn is_believable(set: &ObservationSet, uncertainty: &EquationUncertainty) -> Result<()> {
-    let layout = &set.info().layout;
-    for (index, row) in RowIndex::enumerate(&layout.rows) {
-        for (place, equation) in row.equation_indices().enumerate() {
-            let (value, quantity) = (uncertainty.standard[equation], set.info().quantity(index, place));
-            if !ranges::is_uncertainty(value, quantity) {
-                let message = format!(
-                    "the standard uncertainty {value:e} {} of this row is so small that nobody can mean it",
-                    quantity.symbol()
-                );
-                let help = "is it in the unit of its name? 1e-6 um and 1e-6 urad are the smallest that are taken";
-                let error = match row.data_row {
-                    Some(row) => layout.data.error_at(row, message),
-                    None => Error::data(message),
-                };
-                return Err(error.help(help));
-            }
-        }
-    }
-    Ok(())
 }
 
 impl ArtefactRowSettings {
@@ -95,7 +72,6 @@ impl ArtefactRowSettings {
         if let Some(ids) = &self.settings.id {
             set.ids = ids.of_inputs(&set.observations.info().inputs)?;
         }
-        is_believable(&set, &uncertainty)?;
         set.uncertainty = Arc::new(uncertainty);
         if !self.settings.unseen.is_empty() {
             let unseen = self.unseen(&set)?;

@@ -1,7 +1,7 @@
 //! What the touches themselves say of signs and zeros: directions of approach that lead away from the surface, and rotary axes that
 //! are off by a constant angle. Both fit as well as the truth: backlash takes up the first, offsets of features the second.
 
-use abbe_core::{AxisKind, CHUNK, Contact, Evaluation, Owner, Problem, SetIndex, StatusRole, Variable};
+use abbe_core::{AxisKind, CHUNK, Contact, Evaluation, Owner, ParameterRole, Problem, SetIndex, StatusRole, Unit, Variable};
 use nalgebra::{DMatrix, DVector};
 
 use crate::contact::gradients;
@@ -47,17 +47,16 @@ pub fn turned(problem: &Problem) -> Vec<String> {
     sentences
 }
 
-/// Whether a parameter is the place of the tip in its tool, which is hardly ever known before.
-fn is_of_tip(name: &str) -> bool {
-    matches!(name, "dxt" | "dyt" | "dzt")
-}
-
 /// The touches of a set, one equation and one pose each.
 fn touches(problem: &Problem, index: SetIndex) -> Option<Vec<Touch>> {
     let (set, info) = (&problem.sets[index], problem.model.info());
-    let of_tip = problem.unknowns.iter().filter(|unknown| unknown.owner == Owner::Machine && is_of_tip(&unknown.name));
-    let commands = (0..info.axes.len()).map(Variable::Command);
-    let commands: Vec<Variable> = commands.chain(of_tip.map(|unknown| Variable::Parameter(unknown.index))).collect();
+    let is_of_tip = |index: &usize| {
+        let parameter = &info.parameters[*index];
+        parameter.role == ParameterRole::SetUp && parameter.unit == Unit::MM
+    };
+    let of_machine = problem.unknowns.iter().filter(|unknown| unknown.owner == Owner::Machine);
+    let of_tip = of_machine.map(|unknown| unknown.index).filter(is_of_tip).map(Variable::Parameter);
+    let commands: Vec<Variable> = (0..info.axes.len()).map(Variable::Command).chain(of_tip).collect();
     let columns: Vec<Option<usize>> =
         (0..info.axes.len()).map(|axis| info.status_index(&StatusRole::Direction(axis))).collect();
     let single = |row: &&abbe_core::RowIndex| {

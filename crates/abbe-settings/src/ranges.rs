@@ -6,7 +6,6 @@
 use serde_json::{Map, Value, json};
 
 use crate::settings::{PathItem, SettingsError};
-use crate::unit::Quantity;
 
 /// Largest size of a number, by the end of its name.
 const LARGEST: [(&str, f64); 29] = [
@@ -59,19 +58,7 @@ const NOT_NEGATIVE: [&str; 8] = [
 /// Smallest standard uncertainties that can be meant, but for none at all, by the end of the name. Of a length this is a picometre: one
 /// that is smaller would let its row alone decide everything.
 const SMALLEST: [(&str, f64); 6] =
-    [("_um_per_m", 1e-6), ("_per_K", 1e-12), ("_urad", 1e-6), ("_um", 1e-6), ("_K", 1e-9), ("uncertainty", 1e-30)];
-
-/// The same in memory, mm or rad, of lengths and of other quantities.
-const SMALLEST_LENGTH: f64 = 1e-9;
-const SMALLEST_OTHER: f64 = 1e-12;
-
-/// Whether a number in memory can be meant as the standard uncertainty of a quantity: it is positive, and no smaller than one in
-/// settings may be.
-pub fn is_uncertainty(value: f64, quantity: Quantity) -> bool {
-    let least = if quantity == Quantity::Length { SMALLEST_LENGTH } else { SMALLEST_OTHER };
-    // A factor of units may have rounded it.
-    value.is_finite() && value > 0.999 * least
-}
+    [("_um_per_m", 1e-6), ("_per_K", 1e-12), ("_urad", 1e-3), ("_um", 1e-6), ("_K", 1e-9), ("uncertainty", 1e-30)];
 
 /// Whether a name says of which kind its number is. `mm` and `mrad` are names, too.
 fn largest(name: &str) -> Option<f64> {

@@ -35,6 +35,7 @@ struct Settings {
     elevations_deg: Vec<f64>,
     /// Feeds of the probing cycles; needed if the probe has a delay.
     #[serde(default)]
+    #[schemars(inner(range(min = 0.001, max = abbe_probe::LARGEST_FEED)))]
     feeds_mm_per_min: Vec<f64>,
 }
 

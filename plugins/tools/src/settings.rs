@@ -49,12 +49,14 @@ pub struct Settings {
     pub setting_standard_uncertainty_um: f64,
     /// A reading that is further from the median of its repeats than this many of its standard uncertainties is spoiled.
     #[serde(default = "six")]
+    #[schemars(range(min = 1.0, max = 100.0))]
     pub spoiled_factor: f64,
     /// Factor k of expanded uncertainties, U = k u.
     #[serde(default = "two")]
     pub coverage_factor: f64,
     /// Methods whose values differ by more than this many standard uncertainties are inconsistent.
     #[serde(default = "four")]
+    #[schemars(range(min = 1.0, max = 100.0))]
     pub consistency_factor: f64,
     /// Largest difference of a reading of the master from its value: bias of the setter and growth of the spindle.
     #[serde(default = "half_a_millimetre")]

@@ -98,7 +98,7 @@ const TEXTS: [&[u8]; 30] = [
 ];
 
 /// Makes a random mistake in a text; says which.
-pub fn mistake(random: &mut Random, text: &mut Vec<u8>) -> String {
+pub(crate) fn mistake(random: &mut Random, text: &mut Vec<u8>) -> String {
     let kind = random.count(0, 14);
     let lines = |text: &[u8]| text.split_inclusive(|byte| *byte == b'\n').map(<[u8]>::to_vec).collect::<Vec<_>>();
     let place = |random: &mut Random, text: &[u8]| random.count(0, text.len() + 1);
@@ -228,7 +228,7 @@ const OBJECTS: [&str; 11] = [
 ];
 
 /// Something else stands where a file was; says what.
-pub fn replaced(random: &mut Random, file: &Path) -> String {
+pub(crate) fn replaced(random: &mut Random, file: &Path) -> String {
     fs::remove_file(file).expect("the file was there");
     let what =
         random.of(&OBJECTS);
@@ -263,7 +263,7 @@ pub fn replaced(random: &mut Random, file: &Path) -> String {
 }
 
 /// What is wrong with how the program ended, and with what it has left in the folder `out`.
-pub fn wrong(ended: Option<&Ended>, folder: &Path) -> Vec<String> {
+pub(crate) fn wrong(ended: Option<&Ended>, folder: &Path) -> Vec<String> {
     let Some(Ended { status, stdout, stderr }) = ended else { return vec!["it does not end".to_owned()] };
     let mut wrong = Vec::new();
     let mut law = |holds: bool, what: String| {

@@ -162,10 +162,12 @@ fn whole(case: &mut Case, stock: &Stock, place: usize, before: &Snapshot, after:
         if let (Some(Entry::File(found)), Some(Entry::File(expected))) =
             (after.get(Path::new(name)), undisturbed.get(Path::new(name)))
         {
-            // Pages and reports say how long it took.
-            let is_table = name.ends_with(".csv");
-            let ends = |text: &[u8]| text.trim_ascii_end().last().copied();
-            let is_whole = if is_table { found == expected } else { ends(found) == ends(expected) };
+            // Pages and reports say how long it took, and how it ended.
+            let is_whole = match name.rsplit('.').next() {
+                Some("html" | "xml") => found.trim_ascii_end().last() == Some(&b'>'),
+                Some("csv") => found == expected,
+                _ => !found.is_empty(),
+            };
             case.law(is_whole, || format!("{name} is half-written"));
         }
     }

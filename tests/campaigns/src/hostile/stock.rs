@@ -95,6 +95,7 @@ const UPDATE: &str = "
     known: first
     parameters: [dxt, dyt, dzt, EA0B, \"table.*\"]
     shared_rows: accepted
+    on_disagreement: warn
 ";
 
 /// The folder, and what commands do in it.
@@ -197,7 +198,7 @@ fn write(folder: &Path) {
     files.insert("combine.yaml", COMBINE.to_owned());
     files.insert("stated.csv", "parameter,value,unit,standard_uncertainty\nEA0B,-9,urad,4\n".to_owned());
     files.insert("truth.json", from("../tests/truth/tango-hu40t-realistic.json"));
-    files.insert("points.csv", "X_mm,Y_mm,Z_mm,B_deg,C_deg,S_deg\n10,20,30,0,0,0\n-50,100,-20,10,45,0\n0,0,0,-20,90,0\n".to_owned());
+    files.insert("points.csv", "X_mm,Y_mm,Z_mm,B_deg,C_deg,S_deg\n10,20,330,0,0,0\n-50,100,400,10,45,0\n0,0,500,-20,90,0\n".to_owned());
     // A machine that follows two temperatures, without what makes the recipe slow.
     let warm = from("tango-warming.yaml").replace("data/tango-warming/", "");
     let warm = warm.split("  # The same without temperatures").next().expect("the first fit").to_owned();
@@ -218,7 +219,9 @@ fn write(folder: &Path) {
 
 /// Results that other commands read.
 fn prepare(program: &Path, folder: &Path) {
-    let copy = |from: &str, to: &str| drop(fs::copy(folder.join(from), folder.join(to)).expect(from));
+    let copy = |from: &str, to: &str| {
+        fs::copy(folder.join(from), folder.join(to)).expect(from);
+    };
     run(program, folder, &["run", "first.yaml", "--out", "kept"]);
     copy("kept/first/fit.calibration.json", "first.calibration.json");
     run(program, folder, &["run", "second.yaml", "--out", "other"]);
