@@ -120,6 +120,51 @@ fn what_is_no_result_is_refused() {
     told(&["report", "out/recipe"], "this is no table of residuals");
 }
 
+/// Tools have no rows: their outliers and what is locked are told all the same.
+#[test]
+fn outliers_and_locks_of_tools_are_told() {
+    let out = temporary();
+    let summary = run(Path::new("pipelines/tool-check.yaml"), out.path());
+    assert!(summary.contains("locked: 3 (worn, session 14), 5 (broken, session 9)"), "{summary}");
+    // A value has the digits of its uncertainty, a figure of the summary says which it is.
+    assert!(summary.contains("17.0 ± 2.8 µm (k = 2), limit 30.00 µm"), "{summary}");
+    let page = read(&out.path().join("tool-check/report.html"));
+    let residuals = page.split("<section id=\"residuals\">").nth(1).expect("residuals");
+    let residuals = residuals.split("</section>").next().expect("its end");
+    let calibration: Value =
+        serde_json::from_str(&read(&out.path().join("tool-check/tools.calibration.json"))).expect("JSON");
+    let outliers = calibration["outliers"].as_array().expect("a list");
+    assert!(!outliers.is_empty());
+    for outlier in outliers {
+        let place =
+            format!("{}:{} (row {})", outlier["file"].as_str().expect("a file"), outlier["line"], outlier["row"]);
+        assert!(residuals.contains(&place), "{place}");
+    }
+}
+
+/// What was predicted without its fold stands beside what the whole fit left of the same rows.
+#[test]
+fn held_out_rows_have_a_chart() {
+    let out = temporary();
+    run(Path::new("pipelines/tango-hu40t.yaml"), out.path());
+    let folder = out.path().join("tango-hu40t");
+    let page = read(&folder.join("report.html"));
+    let verdicts: Value = serde_json::from_str(&read(&folder.join("verdicts.json"))).expect("JSON");
+    let verdicts = verdicts.get("verdicts").unwrap_or(&verdicts).as_array().expect("a list").clone();
+    let unseen = verdicts.iter().find(|verdict| verdict["stage"] == "unseen").expect("a hold-out");
+    let figures = unseen["figures"].as_array().expect("a list");
+    let groups = figures.iter().filter(|figure| figure["of"] == "fit-S4r");
+    let groups: Vec<&str> = groups.filter_map(|figure| figure["name"].as_str()?.strip_prefix("rms[group=")).collect();
+    assert!(!groups.is_empty());
+    let chart = page.split("aria-label=\"Predicted rows of fit-S4r by group, unseen\"").nth(1).expect("a chart");
+    let chart = chart.split("</svg>").next().expect("its end");
+    for group in groups {
+        let label = group.trim_end_matches(']');
+        assert!(chart.contains(&format!(">{label}</text>")), "{label}");
+        assert!(chart.contains(&format!("<title>{label}: ")), "{label} has no residuals");
+    }
+}
+
 /// The name of the file says what is written.
 #[test]
 fn a_report_is_markdown_or_a_table_as_its_name_says() {

@@ -117,7 +117,10 @@ impl Analysis {
         let three: Vec<usize> = named.iter().take(3).flat_map(|cause| cause.parameters.clone()).collect();
         let three = if named.len() > 3 { three } else { Vec::new() };
         let without_three = match three.is_empty() {
-            false => causes(model, calibration, &statuses, &[three.clone()])?.causes.first().map(|part| part.without),
+            false => causes(model, calibration, &statuses, std::slice::from_ref(&three))?
+                .causes
+                .first()
+                .map(|part| part.without),
             true => None,
         };
         let width = info.status.len().max(1);

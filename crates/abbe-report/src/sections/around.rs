@@ -83,7 +83,8 @@ fn circle(rows: &[&Residual], one: usize, other: usize) -> Option<Vec<(f64, f64)
     let mut at = Vec::with_capacity(rows.len());
     for row in rows {
         let [x, y] = [row.commands[one] - middle[0], row.commands[other] - middle[1]];
-        if !((x.hypot(y) - radius).abs() < ROUND * radius) {
+        let away = (x.hypot(y) - radius).abs();
+        if away.is_nan() || away >= ROUND * radius {
             return None;
         }
         at.push((y.atan2(x).to_degrees(), row.value));
