@@ -2,7 +2,8 @@
 //! unknowns. The settings of the selection by prediction are here, too.
 
 use abbe_core::{
-    Error, PathItem, Problem, Result, Selection, SelectionDirection, SelectionStep, SettingsError, Unknown, matches,
+    Error, PathItem, Problem, Result, Selection, SelectionDirection, SelectionStep, SettingsError, Unknown, Whole,
+    matches,
 };
 use abbe_numerics::{Factor, StepwiseDirection};
 use schemars::JsonSchema;

@@ -25,7 +25,8 @@ static RIGHT: OnceLock<Mutex<std::collections::BTreeMap<String, (Option<i32>, Sa
 fn said(end: &Ended) -> Said {
     let mut all = Said::new();
     let mut add = |text: &str| {
-        let without: String = text.chars().filter(|letter| !letter.is_ascii_digit() && !"+-.eµ".contains(*letter)).collect();
+        let without: String =
+            text.chars().filter(|letter| !letter.is_ascii_digit() && !"+-.eµ".contains(*letter)).collect();
         all.insert(without);
     };
     end.stderr.lines().filter(|line| line.contains("WARN")).for_each(&mut add);
@@ -82,7 +83,9 @@ impl Table {
         let is_axis = |name: &&String| {
             let (base, unit) = name.rsplit_once('_').unwrap_or((name, ""));
             let letters = base.trim_end_matches(|letter: char| letter.is_ascii_digit());
-            matches!(unit, "mm" | "deg") && letters.len() == 1 && letters.chars().all(|letter| letter.is_ascii_uppercase())
+            matches!(unit, "mm" | "deg")
+                && letters.len() == 1
+                && letters.chars().all(|letter| letter.is_ascii_uppercase())
         };
         let axes = (0..lines[header].len()).filter(|&column| is_axis(&&lines[header][column])).collect::<Vec<_>>();
         (axes.len() > 1).then_some(Self { lines, header, axes })
@@ -115,7 +118,8 @@ impl Table {
 /// A mistake in the measurements; none where it would change nothing.
 fn mistaken(random: &mut Random, table: &mut Table) -> Option<String> {
     let (axes, header) = (table.axes.clone(), table.lines[table.header].clone());
-    let moving: Vec<usize> = axes.iter().copied().filter(|&axis| table.extent(axis).1 && table.extent(axis).0 > 10.0).collect();
+    let moving: Vec<usize> =
+        axes.iter().copied().filter(|&axis| table.extent(axis).1 && table.extent(axis).0 > 10.0).collect();
     if moving.is_empty() {
         return None;
     }
@@ -145,7 +149,8 @@ fn mistaken(random: &mut Random, table: &mut Table) -> Option<String> {
             Some(format!("{} and {} swapped", header[one], header[other]))
         }
         2 if !linear.is_empty() => {
-            let (what, factor) = random.of(&[("inches", 1.0 / 25.4), ("25.4 times as long", 25.4), ("metres", 1e-3), ("um", 1e3)]);
+            let (what, factor) =
+                random.of(&[("inches", 1.0 / 25.4), ("25.4 times as long", 25.4), ("metres", 1e-3), ("um", 1e3)]);
             let all: Vec<usize> = axes.iter().copied().filter(|&axis| header[axis].ends_with("_mm")).collect();
             every(table, &all, factor);
             Some(what.to_owned())
@@ -196,7 +201,8 @@ pub fn case(program: &Path, stock: &Stock, random: &mut Random) -> Case {
         let source = &stock.sources[random.count(0, stock.sources.len())];
         let mut files = source.files.clone();
         let (file, what) = if random.chance(0.7) {
-            let tables: Vec<&PathBuf> = files.keys().filter(|file| file.extension().is_some_and(|end| end == "csv")).collect();
+            let tables: Vec<&PathBuf> =
+                files.keys().filter(|file| file.extension().is_some_and(|end| end == "csv")).collect();
             if tables.is_empty() {
                 continue;
             }
@@ -206,7 +212,8 @@ pub fn case(program: &Path, stock: &Stock, random: &mut Random) -> Case {
             files.insert(file.clone(), table.text().into_bytes());
             (file, what)
         } else {
-            let texts: Vec<&PathBuf> = files.keys().filter(|file| file.extension().is_some_and(|end| end == "yaml")).collect();
+            let texts: Vec<&PathBuf> =
+                files.keys().filter(|file| file.extension().is_some_and(|end| end == "yaml")).collect();
             let file = random.of(&texts).clone();
             let text = String::from_utf8_lossy(&files[&file]).into_owned();
             let Some((what, text)) = mistaken_machine(random, &text) else { continue };
