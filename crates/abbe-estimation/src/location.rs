@@ -61,6 +61,9 @@ impl LocationErrors {
     }
 }
 
+/// How much of each of some parameters, by their indices.
+type Parts = Vec<(usize, f64)>;
+
 /// Poses that are tried.
 const POSES: usize = 60;
 
@@ -108,7 +111,7 @@ pub fn location_errors(model: &dyn KinematicModel) -> Result<LocationErrors> {
     // In order of preference, each that adds something to set-up and to those before it.
     let mut basis = Basis::default();
     set_up.iter().for_each(|&index| drop(basis.push(index, column(&poses, index))));
-    let mut standings: Vec<(usize, Option<Vec<(usize, f64)>>)> = Vec::new();
+    let mut standings: Vec<(usize, Option<Parts>)> = Vec::new();
     for &index in &order {
         standings.push((index, basis.push(index, column(&poses, index))));
     }
@@ -119,7 +122,7 @@ pub fn location_errors(model: &dyn KinematicModel) -> Result<LocationErrors> {
     let seen: Vec<usize> =
         chosen.iter().copied().filter(|&index| seen.push(index, column(&positions, index)).is_none()).collect();
     let name = |index: usize| info.parameters[index].name.clone();
-    let combinations: Vec<(usize, Vec<(usize, f64)>)> = standings
+    let combinations: Vec<(usize, Parts)> = standings
         .iter()
         .filter_map(|(index, of)| {
             Some((*index, of.as_ref()?.iter().copied().filter(|(member, _)| chosen.contains(member)).collect()))
@@ -132,7 +135,7 @@ pub fn location_errors(model: &dyn KinematicModel) -> Result<LocationErrors> {
             Some((_, of)) if of.is_empty() => Standing::SetUp,
             Some((_, of)) => Standing::Dependent(of.iter().map(|(member, part)| (name(*member), *part)).collect()),
             None => {
-                let takes_part = |(_, of): &&(usize, Vec<(usize, f64)>)| of.iter().any(|(member, _)| *member == index);
+                let takes_part = |(_, of): &&(usize, Parts)| of.iter().any(|(member, _)| *member == index);
                 let substitutes = combinations.iter().filter(takes_part).map(|(other, _)| name(*other)).collect();
                 Standing::Independent { by_position: seen.contains(&index), substitutes }
             }
@@ -186,7 +189,7 @@ struct Basis {
 
 impl Basis {
     /// Adds a column if it is independent; else tells how much of each member it is.
-    fn push(&mut self, index: usize, column: Vec<f64>) -> Option<Vec<(usize, f64)>> {
+    fn push(&mut self, index: usize, column: Vec<f64>) -> Option<Parts> {
         let norm = |column: &[f64]| column.iter().map(|part| part * part).sum::<f64>().sqrt();
         let size = norm(&column);
         let (mut rest, mut parts) = (column, vec![0.0; self.directions.len()]);
@@ -209,8 +212,8 @@ impl Basis {
         let mut of = vec![0.0; parts.len()];
         for place in (0..parts.len()).rev() {
             of[place] = parts[place] / self.made_of[place][place];
-            for before in 0..place {
-                parts[before] -= of[place] * self.made_of[place][before];
+            for (part, made_of) in parts[..place].iter_mut().zip(&self.made_of[place]) {
+                *part -= of[place] * made_of;
             }
         }
         let counts = |(place, part): &(usize, f64)| (part * norm(&self.made_of[*place])).abs() > 1e3 * ROUNDING * size;

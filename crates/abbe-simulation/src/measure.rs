@@ -56,7 +56,7 @@ fn recorded(mut problem: Problem, noise: &Noise) -> Problem {
                 round_positions(set, &statuses, resolution);
                 by_rounding.extend(rows_of(set).flat_map(|row| std::iter::repeat_n(0.0, row.equations)));
             }
-            Contact::Reading(column) => by_rounding.extend(rounded(set, &[column.clone()], resolution)),
+            Contact::Reading(column) => by_rounding.extend(rounded(set, std::slice::from_ref(column), resolution)),
             Contact::Readings(columns) => by_rounding.extend(rounded(set, columns, resolution)),
             // `contact::simulate_measurement` has refused such a set.
             Contact::NotSimulated(_) => by_rounding.extend(rows_of(set).flat_map(|row| vec![0.0; row.equations])),
