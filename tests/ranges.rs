@@ -49,10 +49,20 @@ fn places(root: &Value, schema: &Value, name: &str, around: std::rc::Rc<Around>,
     }
     if is_number(map) {
         let around = around.clone();
-        found.push(Place { name: name.to_owned(), schema: map.clone(), settings: Box::new(move |value| around(value)) });
+        found.push(Place {
+            name: name.to_owned(),
+            schema: map.clone(),
+            settings: Box::new(move |value| around(value)),
+        });
     }
-    let needed: Vec<String> =
-        map.get("required").and_then(Value::as_array).into_iter().flatten().filter_map(Value::as_str).map(str::to_owned).collect();
+    let needed: Vec<String> = map
+        .get("required")
+        .and_then(Value::as_array)
+        .into_iter()
+        .flatten()
+        .filter_map(Value::as_str)
+        .map(str::to_owned)
+        .collect();
     for (key, inner) in map.get("properties").and_then(Value::as_object).into_iter().flatten() {
         let mut beside = Map::new();
         for key in &needed {
@@ -68,7 +78,14 @@ fn places(root: &Value, schema: &Value, name: &str, around: std::rc::Rc<Around>,
     }
     if let Some(inner) = map.get("additionalProperties") {
         let around = around.clone();
-        places(root, inner, &format!("{name}.*"), std::rc::Rc::new(move |value| around(json!({ "a": value }))), depth + 1, found);
+        places(
+            root,
+            inner,
+            &format!("{name}.*"),
+            std::rc::Rc::new(move |value| around(json!({ "a": value }))),
+            depth + 1,
+            found,
+        );
     }
     for key in ["items", "prefixItems"] {
         let inner: Vec<&Value> = match map.get(key) {
@@ -117,7 +134,8 @@ fn every_number_has_a_range_that_is_kept() {
         assert_eq!(ranges::check(&schema, &plugin.example.get()), Ok(()), "{}: its example", plugin.name);
         for place in all_places(&schema) {
             let what = format!("{} `{}`{}", plugin.kind(), plugin.name, place.name);
-            let ([least, most], [has_least, has_most]) = range(&place.schema).unwrap_or_else(|| panic!("{what} has no range"));
+            let ([least, most], [has_least, has_most]) =
+                range(&place.schema).unwrap_or_else(|| panic!("{what} has no range"));
             assert!(least < most, "{what}: {least} to {most}");
             let refused = |value: f64| ranges::check(&schema, &(place.settings)(json!(value))).is_err();
             let is_whole = place.schema["type"].to_string().contains("integer");
@@ -126,14 +144,26 @@ fn every_number_has_a_range_that_is_kept() {
                 assert!(refused(value), "{what}: {value:e} is taken");
             }
             let inside = if is_whole { least.max(0.0) } else { 0.5 * (least + most) };
-            assert!(!refused(inside), "{what}: {inside} is refused: {:?}", ranges::check(&schema, &(place.settings)(json!(inside))));
+            assert!(
+                !refused(inside),
+                "{what}: {inside} is refused: {:?}",
+                ranges::check(&schema, &(place.settings)(json!(inside)))
+            );
             let alone = all_places(&schema).iter().filter(|other| other.name == place.name).count() == 1;
             let step = if is_whole { 1.0 } else { 1e-6 * most.abs().max(1.0) };
-            let beyond = [(least - step, true), (most + step, most < 1e15), (least, !has_least), (most, !has_most), (0.0, least > 0.0), (-1.0, least > -1.0)];
+            let beyond = [
+                (least - step, true),
+                (most + step, most < 1e15),
+                (least, !has_least),
+                (most, !has_most),
+                (0.0, least > 0.0),
+                (-1.0, least > -1.0),
+            ];
             for (value, is_refused) in beyond.into_iter().filter(|_| alone) {
                 assert!(!is_refused || refused(value), "{what}: {value} is taken");
             }
-            let is_uncertainty = place.name.contains("uncertainty") && !place.schema["type"].to_string().contains("integer");
+            let is_uncertainty =
+                place.name.contains("uncertainty") && !place.schema["type"].to_string().contains("integer");
             assert!(!is_uncertainty || refused(1e-300), "{what}: 1e-300 is taken");
             count += 1;
         }
@@ -150,7 +180,8 @@ fn recipe(plugin: &Plugin, settings: &Value) -> String {
         (Kind::Estimate, EstimateSource::Statement) => "machine: machine, ",
         (Kind::Estimate, _) | (Kind::Validate | Kind::Export, _) => "of: fine, ",
     };
-    let own: String = settings.as_object().into_iter().flatten().map(|(key, value)| format!("{key}: {value}, ")).collect();
+    let own: String =
+        settings.as_object().into_iter().flatten().map(|(key, value)| format!("{key}: {value}, ")).collect();
     format!("{SMALL}  tried: {{ {}: {}, {references}{own} }}\n", plugin.kind(), plugin.name)
 }
 
@@ -171,13 +202,16 @@ fn what_is_refused_has_its_line() {
             let text = recipe(plugin, &settings);
             small.write("recipe.yaml", &text);
             let what = format!("{} `{}`{}", plugin.kind(), plugin.name, place.name);
-            let error = prepare(&small.path("recipe.yaml"), &registry).err().unwrap_or_else(|| panic!("{what} is taken"));
+            let error =
+                prepare(&small.path("recipe.yaml"), &registry).err().unwrap_or_else(|| panic!("{what} is taken"));
             let line = error.place.as_ref().and_then(|place| place.line);
             assert_eq!(line, Some(text.lines().count()), "{what}: {error}");
             assert!(error.message.contains("1e300: a "), "{what}: {error}");
             for nan in [".nan", ".inf"] {
                 small.write("recipe.yaml", &text.replace("1e300", nan).replace("1e+300", nan));
-                let error = prepare(&small.path("recipe.yaml"), &registry).err().unwrap_or_else(|| panic!("{what}: {nan} is taken"));
+                let error = prepare(&small.path("recipe.yaml"), &registry)
+                    .err()
+                    .unwrap_or_else(|| panic!("{what}: {nan} is taken"));
                 assert!(error.place.is_some_and(|place| place.line.is_some()), "{what}: {nan}");
             }
             count += 1;
@@ -192,7 +226,10 @@ fn said(name: &str, change: impl Fn(&mut Variant, &std::path::Path)) -> (i32, St
     let mut recipe = Variant::of(&recipes()[name]);
     change(&mut recipe, folder.path());
     let file = recipe.write(folder.path());
-    let printed = abbe(folder.path(), &["run".as_ref(), file.as_os_str(), "--out".as_ref(), folder.path().join("out").as_os_str()]);
+    let printed = abbe(
+        folder.path(),
+        &["run".as_ref(), file.as_os_str(), "--out".as_ref(), folder.path().join("out").as_os_str()],
+    );
     let text = format!("{} {}", printed.stderr, printed.stdout);
     (printed.status, text.split_whitespace().filter(|word| *word != "│").collect::<Vec<_>>().join(" "))
 }
@@ -272,7 +309,9 @@ fn a_reversal_that_reads_twice_the_runs_is_told() {
         .1
     };
     let words = ["the reversal reads 2.0", "the asynchronous part of the second set-up is"];
-    for (stages, is_told) in [(&["before", "after"][..], [true, false]), (&["after"][..], [false, true]), (&[][..], [false, false])] {
+    for (stages, is_told) in
+        [(&["before", "after"][..], [true, false]), (&["after"][..], [false, true]), (&[][..], [false, false])]
+    {
         let text = twice(stages);
         assert_eq!(words.map(|words| text.contains(words)), is_told, "{stages:?}: {text}");
     }

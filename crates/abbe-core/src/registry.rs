@@ -9,8 +9,8 @@ use serde::{Deserialize, Serialize};
 use serde_json::Value;
 
 use crate::stage::{Artefact, Estimate, Export, Ingest, Model, Validate};
-use abbe_settings::{SettingsError, ranges};
 use abbe_settings::{Error, Result, nearest};
+use abbe_settings::{SettingsError, ranges};
 
 /// The six kinds of stage, in the order in which data flow.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]

@@ -109,7 +109,8 @@ impl Drop for MadeFolders {
 
 impl Drop for Staging {
     fn drop(&mut self) {
-        // Before the folders around it.
+        // Before the folders around it; without its lock, which is a file that removing may need to open.
+        drop(self.lock.take());
         drop(self.folder.take());
     }
 }

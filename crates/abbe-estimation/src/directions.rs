@@ -1,7 +1,9 @@
 //! What the touches themselves say of signs and zeros: directions of approach that lead away from the surface, and rotary axes that
 //! are off by a constant angle. Both fit as well as the truth: backlash takes up the first, offsets of features the second.
 
-use abbe_core::{AxisKind, CHUNK, Contact, Evaluation, Owner, ParameterRole, Problem, SetIndex, StatusRole, Unit, Variable};
+use abbe_core::{
+    AxisKind, CHUNK, Contact, Evaluation, Owner, ParameterRole, Problem, SetIndex, StatusRole, Unit, Variable,
+};
 use nalgebra::{DMatrix, DVector};
 
 use crate::contact::gradients;

@@ -34,7 +34,8 @@ pub use harmless::{harmless, harmless_json};
 pub use pattern::matches;
 pub use series::{EvenSeries, Series};
 pub use settings::{
-    Label, Names, PathItem, SettingsError, from_settings, from_settings_in_range, not_negative, path_text, positive, schema_of,
+    Label, Names, PathItem, SettingsError, from_settings, from_settings_in_range, not_negative, path_text, positive,
+    schema_of,
 };
 pub use unit::{Quantity, Unit};
 pub use whole::Whole;

@@ -206,7 +206,10 @@ impl<'a> Check<'a> {
                 let fitting: Vec<&Map<String, Value>> = all.iter().filter(fits).copied().collect();
                 for (key, item) in settings {
                     let of = |schema: &&'a Map<String, Value>| {
-                        schema.get("properties").and_then(|all| all.get(key)).or_else(|| schema.get("additionalProperties"))
+                        schema
+                            .get("properties")
+                            .and_then(|all| all.get(key))
+                            .or_else(|| schema.get("additionalProperties"))
                     };
                     let mut inner: Vec<&Value> = fitting.iter().filter_map(of).collect();
                     if inner.is_empty() {
@@ -252,9 +255,16 @@ fn takes(schema: &Map<String, Value>, number: f64) -> bool {
 
 /// The range in words: from -100000 to 100000.
 pub fn range(schema: &Map<String, Value>) -> Option<String> {
+    let is_whole = types(schema).any(|kind| kind == "integer");
     let of = |value: &Value| {
         let number = value.as_f64().unwrap_or(f64::NAN);
-        if number != 0.0 && !(1e-3..1e6).contains(&number.abs()) { format!("{number:e}") } else { format!("{number}") }
+        if is_whole {
+            value.to_string()
+        } else if number != 0.0 && !(1e-3..1e6).contains(&number.abs()) {
+            format!("{number:e}")
+        } else {
+            format!("{number}")
+        }
     };
     let from = schema.get("minimum").map(|least| format!("from {}", of(least)));
     let from = from.or_else(|| schema.get("exclusiveMinimum").map(|least| format!("above {}", of(least))))?;
@@ -266,11 +276,16 @@ pub fn range(schema: &Map<String, Value>) -> Option<String> {
 }
 
 fn refused(number: f64, schema: &Map<String, Value>) -> SettingsError {
-    let number = if number != 0.0 && !(1e-6..1e12).contains(&number.abs()) { format!("{number:e}") } else { format!("{number}") };
+    let number = if number != 0.0 && !(1e-6..1e12).contains(&number.abs()) {
+        format!("{number:e}")
+    } else {
+        format!("{number}")
+    };
     let what = if types(schema).any(|kind| kind == "integer") { "a whole number" } else { "a number" };
     let range = range(schema).unwrap_or_default();
     let comma = if range.contains(',') { "," } else { "" };
-    SettingsError::new("", format!("{number}: {what} {range}{comma} was expected")).help("is it in the unit of its name?")
+    SettingsError::new("", format!("{number}: {what} {range}{comma} was expected"))
+        .help("is it in the unit of its name?")
 }
 
 #[cfg(test)]
@@ -325,7 +340,10 @@ mod tests {
             (json!({ "lengths_mm": { "step": 1e9 } }), "lengths_mm.step: 1000000000: a number from -1e6 to 1e6"),
             (json!({ "count": 10 }), "count: 10: a whole number from 2 to 9 was expected"),
             (json!({ "inner": [{ "kind": "warm", "limit_K": 1e4 }] }), "inner[0].limit_K: 10000: a number from -2000"),
-            (json!({ "inner": [{ "kind": "long", "share": 1e12 }] }), "inner[0].share: 1e12: a number from -1e9 to 1e9"),
+            (
+                json!({ "inner": [{ "kind": "long", "share": 1e12 }] }),
+                "inner[0].share: 1e12: a number from -1e9 to 1e9",
+            ),
         ] {
             let said = check(&schema, &wrong).expect_err("it is refused").to_string();
             assert!(said.starts_with(expected), "{said}");

@@ -237,7 +237,8 @@ impl Settings {
         let begin = times.first().copied().unwrap_or_default();
         let end = times.last().copied().unwrap_or_default();
         if let Some(until) = self.reference_until_s.filter(|until| *until >= end - begin) {
-            let message = format!("{until} s: the log is {} s long, and columns count from its first seconds", end - begin);
+            let message =
+                format!("{until} s: the log is {} s long, and columns count from its first seconds", end - begin);
             return Err(in_file(Error::data(message).setting("reference_until_s")));
         }
         let reference = match (self.reference_degC, self.reference_until_s) {

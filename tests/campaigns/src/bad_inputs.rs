@@ -230,8 +230,7 @@ const OBJECTS: [&str; 11] = [
 /// Something else stands where a file was; says what.
 pub(crate) fn replaced(random: &mut Random, file: &Path) -> String {
     fs::remove_file(file).expect("the file was there");
-    let what =
-        random.of(&OBJECTS);
+    let what = random.of(&OBJECTS);
     match what {
         "a folder" => fs::create_dir(file).expect("a folder"),
         #[cfg(unix)]
@@ -318,8 +317,7 @@ fn case(program: &Path, sources: &[Source], seed: u64, number: u64) -> Case {
     let folder = tempfile::tempdir().expect("a temporary folder");
     source.write(folder.path());
     let files: Vec<&PathBuf> = source.files.keys().collect();
-    let file =
-        if random.chance(0.4) { source.recipe() } else { random.of(&files).clone() };
+    let file = if random.chance(0.4) { source.recipe() } else { random.of(&files).clone() };
     let path = folder.path().join(&file);
     let what = if random.chance(0.05) {
         replaced(&mut random, &path)

@@ -66,7 +66,9 @@ impl Case {
     /// Laws of every end.
     fn usual(&mut self, ended: &Ended) {
         let Ended { status, stdout, stderr } = ended;
-        self.law(status.code().is_some_and(|status| (0..=3).contains(&status)), || format!("{status}: {}", cut(stderr)));
+        self.law(status.code().is_some_and(|status| (0..=3).contains(&status)), || {
+            format!("{status}: {}", cut(stderr))
+        });
         self.law(!stderr.contains("panicked"), || format!("it panics: {}", cut(stderr)));
         let is_harmless = *stderr == harmless(stderr) && *stdout == harmless(stdout);
         self.law(is_harmless, || "a terminal would obey what it says".to_owned());

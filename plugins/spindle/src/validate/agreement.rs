@@ -37,7 +37,8 @@ pub fn tell(estimates: &Estimates<'_>, form: Option<&Form>, findings: &mut Findi
             let of_form = in_run.combined(1.0, &without.sensor(number, &without.values).without(1), -1.0);
             let moved = Checked::of_prefix(&fit.calibration, &format!("sync.{name}"), usize::from(reversal.harmonics));
             let in_reversal = of_form.combined(1.0, &moved.sensor(0, &moved.values).without(1), 1.0);
-            let uncertainty = noise(&read, number, motion.harmonics.into()).hypot(noise(&moved, 0, reversal.harmonics.into()));
+            let uncertainty =
+                noise(&read, number, motion.harmonics.into()).hypot(noise(&moved, 0, reversal.harmonics.into()));
             if let Some(words) = differ(&in_run, &in_reversal, uncertainty) {
                 findings.remarks.push(format!("run `{run}` and the reversal `{}`, at one speed: {words}", fit.name));
             }
@@ -64,7 +65,8 @@ fn differ(in_run: &Harmonics, in_reversal: &Harmonics, uncertainty: f64) -> Opti
     let alike = product(in_run, in_reversal) / (run * reversal);
     let ratio = reversal / run;
     if alike < ALIKE {
-        let words = "they read other harmonics of the artefact: was it taken off in between, or has a sensor another sign?";
+        let words =
+            "they read other harmonics of the artefact: was it taken off in between, or has a sensor another sign?";
         return Some(words.to_owned());
     }
     (!(1.0 / MOST..MOST).contains(&ratio)).then(|| {

@@ -12,8 +12,26 @@ use crate::source::Source;
 
 /// Numbers that nobody means.
 const NUMBERS: [&str; 20] = [
-    "0", "-1", "1e-300", "-1e-300", "1e-12", "1e9", "1e12", "1e300", "-1e300", ".nan", ".inf", "-.inf", "0.5", "-0.0", "2147483648",
-    "18446744073709551616", "1e400", "4e-324", "-1e9", "99999",
+    "0",
+    "-1",
+    "1e-300",
+    "-1e-300",
+    "1e-12",
+    "1e9",
+    "1e12",
+    "1e300",
+    "-1e300",
+    ".nan",
+    ".inf",
+    "-.inf",
+    "0.5",
+    "-0.0",
+    "2147483648",
+    "18446744073709551616",
+    "1e400",
+    "4e-324",
+    "-1e9",
+    "99999",
 ];
 
 fn ran(program: &Path, source: &Source, folder: &Path, random: &mut Random) -> (Option<Ended>, &'static str) {
@@ -37,7 +55,9 @@ fn judged(program: &Path, source: &Source, what: &str, file: &Path, random: &mut
         if let Some(Ended { stdout, stderr, .. }) = &end {
             // `check` lists estimates that would fail.
             let has_place = [".yaml", ".csv", "stage `"].iter().any(|place| stderr.contains(place));
-            case.law(has_place || (command == "check" && !stdout.is_empty()), || format!("no place: {}", super::cut(stderr)));
+            case.law(has_place || (command == "check" && !stdout.is_empty()), || {
+                format!("no place: {}", super::cut(stderr))
+            });
         }
     }
     case
@@ -67,7 +87,8 @@ fn numbers(text: &str) -> Vec<(usize, usize)> {
 pub fn number(program: &Path, stock: &Stock, random: &mut Random) -> Case {
     loop {
         let mut source = stock.sources[random.count(0, stock.sources.len())].clone();
-        let texts: Vec<PathBuf> = source.files.keys().filter(|file| file.extension().is_some_and(|end| end == "yaml")).cloned().collect();
+        let texts: Vec<PathBuf> =
+            source.files.keys().filter(|file| file.extension().is_some_and(|end| end == "yaml")).cloned().collect();
         let file = texts[random.count(0, texts.len())].clone();
         let mut text = String::from_utf8_lossy(&source.files[&file]).into_owned();
         let all = numbers(&text);
@@ -109,7 +130,9 @@ pub fn text(program: &Path, stock: &Stock, random: &mut Random) -> Case {
             let header = lines.iter().position(|line| !line.starts_with('#')).unwrap_or(0);
             let wider = lines.iter().enumerate().map(|(place, line)| match place {
                 _ if line.starts_with('#') => format!("{line}\n"),
-                place if place == header => format!("{line}{}\n", (0..count).map(|column| format!(",more{column}_mm")).collect::<String>()),
+                place if place == header => {
+                    format!("{line}{}\n", (0..count).map(|column| format!(",more{column}_mm")).collect::<String>())
+                }
                 _ => format!("{line}{}\n", ",0".repeat(count)),
             });
             text = wider.collect();
@@ -119,7 +142,8 @@ pub fn text(program: &Path, stock: &Stock, random: &mut Random) -> Case {
             file = source.recipe();
             text = String::from_utf8_lossy(&source.files[&file]).into_owned();
             let count = random.of(&[50, 400]);
-            let more: String = (0..count).map(|stage| format!("  more-{stage}: {{ ingest: csv, path: none.csv }}\n")).collect();
+            let more: String =
+                (0..count).map(|stage| format!("  more-{stage}: {{ ingest: csv, path: none.csv }}\n")).collect();
             text = text.replacen("stages:\n", &format!("stages:\n{more}"), 1);
             format!("{count} more stages")
         }

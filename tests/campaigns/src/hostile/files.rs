@@ -116,7 +116,15 @@ pub fn beside(program: &Path, stock: &Stock, random: &mut Random) -> Case {
         .collect();
     let out = folder.path().join("out");
     put(&results, &out);
-    let names = ["notes.txt", "touches.csv", "first/mine.csv", "first/fit.residuals.old", "first/sub/deep/note", "run.json", "first/.hidden"];
+    let names = [
+        "notes.txt",
+        "touches.csv",
+        "first/mine.csv",
+        "first/fit.residuals.old",
+        "first/sub/deep/note",
+        "run.json",
+        "first/.hidden",
+    ];
     for _ in 0..random.count(1, 5) {
         let path = out.join(random.of(&names));
         let _ = fs::create_dir_all(path.parent().expect("a folder"));
@@ -130,7 +138,8 @@ pub fn beside(program: &Path, stock: &Stock, random: &mut Random) -> Case {
     // A result that somebody has changed is his.
     let mut changed = None;
     if random.chance(0.3) {
-        let files: Vec<_> = results.iter().filter(|(_, entry)| matches!(entry, Entry::File(_))).map(|(path, _)| path).collect();
+        let files: Vec<_> =
+            results.iter().filter(|(_, entry)| matches!(entry, Entry::File(_))).map(|(path, _)| path).collect();
         let path = out.join(random.of(&files));
         fs::write(&path, "changed by hand").expect("a file");
         changed = Some(path.strip_prefix(folder.path()).expect("a path").to_owned());
@@ -221,7 +230,8 @@ pub fn signal(program: &Path, stock: &Stock, random: &mut Random) -> Case {
     };
     case.law(status.is_some(), || "it does not end".to_owned());
     // Before the program listens the system ends it.
-    let ends = by_signal || matches!(case.status, Some(0 | 3)) || (case.status == Some(128 + number) && signal != "-KILL");
+    let ends =
+        by_signal || matches!(case.status, Some(0 | 3)) || (case.status == Some(128 + number) && signal != "-KILL");
     case.law(ends, || format!("it ends with {status:?}"));
     let after = snapshot(folder.path());
     let partial = half_written(&after);

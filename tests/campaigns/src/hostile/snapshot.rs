@@ -59,6 +59,7 @@ pub fn new(before: &Snapshot, after: &Snapshot) -> Vec<PathBuf> {
 
 /// Paths of work that was begun and not ended.
 pub fn half_written(after: &Snapshot) -> Vec<PathBuf> {
-    let is_partial = |path: &&PathBuf| path.to_string_lossy().contains("abbe-partial") || path.to_string_lossy().contains(".tmp");
+    let is_partial =
+        |path: &&PathBuf| path.to_string_lossy().contains("abbe-partial") || path.to_string_lossy().contains(".tmp");
     after.keys().filter(is_partial).cloned().collect()
 }

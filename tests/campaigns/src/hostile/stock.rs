@@ -24,8 +24,16 @@ pub const COMMANDS: [Command; 12] = [
         reads: &["first.yaml", "touches.csv", "facets.csv", "machine.yaml"],
         writes: &["out"],
     },
-    Command { arguments: &["run", "first.yaml", "--out", "out", "--json"], reads: &["first.yaml", "touches.csv"], writes: &["out"] },
-    Command { arguments: &["check", "first.yaml"], reads: &["first.yaml", "touches.csv", "facets.csv", "machine.yaml"], writes: &[] },
+    Command {
+        arguments: &["run", "first.yaml", "--out", "out", "--json"],
+        reads: &["first.yaml", "touches.csv"],
+        writes: &["out"],
+    },
+    Command {
+        arguments: &["check", "first.yaml"],
+        reads: &["first.yaml", "touches.csv", "facets.csv", "machine.yaml"],
+        writes: &[],
+    },
     Command {
         arguments: &["test", "first.yaml", "--out", "tested", "--junit", "junit.xml", "--markdown", "summary.md"],
         reads: &["first.yaml", "first.expected", "touches.csv"],
@@ -43,14 +51,35 @@ pub const COMMANDS: [Command; 12] = [
     },
     Command {
         arguments: &[
-            "compensate", "warm.calibration.json", "points.csv", "--log", "log.csv", "--at", "end", "--machine", "warm.yaml",
-            "--out", "corrected.csv", "--report", "errors.csv",
+            "compensate",
+            "warm.calibration.json",
+            "points.csv",
+            "--log",
+            "log.csv",
+            "--at",
+            "end",
+            "--machine",
+            "warm.yaml",
+            "--out",
+            "corrected.csv",
+            "--report",
+            "errors.csv",
         ],
         reads: &["warm.calibration.json", "points.csv", "log.csv", "warm.yaml"],
         writes: &["corrected.csv", "errors.csv"],
     },
     Command {
-        arguments: &["correct", "warm.calibration.json", "points.csv", "--log", "log.csv", "--at", "end", "--out", "measured.csv"],
+        arguments: &[
+            "correct",
+            "warm.calibration.json",
+            "points.csv",
+            "--log",
+            "log.csv",
+            "--at",
+            "end",
+            "--out",
+            "measured.csv",
+        ],
         reads: &["warm.calibration.json", "points.csv", "log.csv"],
         writes: &["measured.csv"],
     },
@@ -187,7 +216,10 @@ fn write(folder: &Path) {
     let data = "data/tango-hu40t/realistic";
     let mut files: BTreeMap<&str, String> = BTreeMap::new();
     let first = from("first-steps.yaml").replace(&format!("{data}/"), "");
-    let first = first.replace("    chain: \"w C' B' X' b Z Y (S) t\"", "    file: machine.yaml\n    chain: \"w C' B' X' b Z Y (S) t\"");
+    let first = first.replace(
+        "    chain: \"w C' B' X' b Z Y (S) t\"",
+        "    file: machine.yaml\n    chain: \"w C' B' X' b Z Y (S) t\"",
+    );
     files.insert("first.yaml", first.clone());
     files.insert("second.yaml", first.replace("standard_uncertainty_um: 1.6", "standard_uncertainty_um: 1.7"));
     for name in ["touches.csv", "facets.csv", "machine.yaml"] {
@@ -198,12 +230,24 @@ fn write(folder: &Path) {
     files.insert("combine.yaml", COMBINE.to_owned());
     files.insert("stated.csv", "parameter,value,unit,standard_uncertainty\nEA0B,-9,urad,4\n".to_owned());
     files.insert("truth.json", from("../tests/truth/tango-hu40t-realistic.json"));
-    files.insert("points.csv", "X_mm,Y_mm,Z_mm,B_deg,C_deg,S_deg\n10,20,330,0,0,0\n-50,100,400,10,45,0\n0,0,500,-20,90,0\n".to_owned());
+    files.insert(
+        "points.csv",
+        "X_mm,Y_mm,Z_mm,B_deg,C_deg,S_deg\n10,20,330,0,0,0\n-50,100,400,10,45,0\n0,0,500,-20,90,0\n".to_owned(),
+    );
     // A machine that follows two temperatures, without what makes the recipe slow.
     let warm = from("tango-warming.yaml").replace("data/tango-warming/", "");
     let warm = warm.split("  # The same without temperatures").next().expect("the first fit").to_owned();
-    let warm = warm.replace("\"@geometry\", \"@warming\", \"table.*\"", "\"@set-up\", \"@scales\", \"E??[1*T_scale]\", \"table.*\"");
-    files.insert("warming.yaml", warm.replace("touches.csv,", "warm-touches.csv,").replace("facets.csv", "warm-facets.csv").replace("machine.yaml", "warm.yaml").replace("temperatures.csv", "log.csv"));
+    let warm = warm.replace(
+        "\"@geometry\", \"@warming\", \"table.*\"",
+        "\"@set-up\", \"@scales\", \"E??[1*T_scale]\", \"table.*\"",
+    );
+    files.insert(
+        "warming.yaml",
+        warm.replace("touches.csv,", "warm-touches.csv,")
+            .replace("facets.csv", "warm-facets.csv")
+            .replace("machine.yaml", "warm.yaml")
+            .replace("temperatures.csv", "log.csv"),
+    );
     for (name, own) in [
         ("warm-touches.csv", "touches.csv"),
         ("warm-facets.csv", "facets.csv"),
