@@ -162,7 +162,8 @@ fn a_ball_bar_test_covers_its_range() {
         let file = recipe.stage("samples")["tests"][test]["file"].as_str().expect("a file").to_owned();
         if !name.is_empty() {
             let turned = |_: usize, cell: &str| format!("{}", -cell.parse::<f64>().expect("a number"));
-            recipe.stage("samples")["tests"][test]["file"] = json!(changed(Path::new(&file), folder.path(), name, turned));
+            recipe.stage("samples")["tests"][test]["file"] =
+                json!(changed(Path::new(&file), folder.path(), name, turned));
         }
         let printed = run(&recipe, folder.path());
         assert_eq!(printed.stderr.contains("deg of this range of"), is_told, "{test}: {}", printed.stderr);
@@ -201,7 +202,8 @@ fn rotary_axes_that_are_off_are_told_on_random_machines() {
             let own = temporary();
             let mut recipe = simulated.clone();
             let change = |_: usize, cell: &str| format!("{}", cell.parse::<f64>().expect("a number") + degrees);
-            recipe.stage("touches")["path"] = json!(changed(&recipe.path("touches", "path"), own.path(), column, change));
+            recipe.stage("touches")["path"] =
+                json!(changed(&recipe.path("touches", "path"), own.path(), column, change));
             let planned = abbe_engine::prepare(&recipe.write(own.path()), &crate::support::registry());
             let planned = planned.and_then(|prepared| prepared.check()).expect("a plan");
             let remarks = planned.into_iter().flat_map(|planned| planned.identifiability.remarks).collect::<Vec<_>>();
@@ -221,5 +223,8 @@ fn rotary_axes_that_are_off_are_told_on_random_machines() {
         }
     }
     println!("{machines} machines: {told} of {tried} angles told, {false_alarms} false alarms");
-    assert!(false_alarms == 0 && told as f64 > 0.97 * tried as f64, "{told} of {tried} angles, {false_alarms} false alarms");
+    assert!(
+        false_alarms == 0 && told as f64 > 0.97 * tried as f64,
+        "{told} of {tried} angles, {false_alarms} false alarms"
+    );
 }

@@ -270,7 +270,7 @@ impl Named {
             return Err(self.wrong("range_deg", Error::data(message)));
         }
         let covered = sweep(&rows.iter().map(|row| angles[*row]).collect::<Vec<f64>>());
-        if (to - from).is_finite() && covered < COVERED * (to - from) {
+        if data.rows() > 0 && (to - from).is_finite() && covered < COVERED * (to - from) {
             let message = format!(
                 "{} of `{}` covers {:.1} deg of this range of {:.1} deg",
                 self.test.moves,
