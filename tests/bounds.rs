@@ -178,8 +178,8 @@ fn whole_numbers_say_their_range() {
     let plan = "plan: { estimate: fine, candidates: table, number: NUMBER }\n";
     let window = "  repeats: { validate: repeatability, of: fine, rows: table, point: feature, window: NUMBER }\n";
     let cases = [
-        (format!("{SMALL}{trials}"), "from 1 to 1e7"),
-        (format!("{SMALL}{adaptive}"), "from 1 to 1e7"),
+        (format!("{SMALL}{trials}"), "from 1 to 10000000"),
+        (format!("{SMALL}{adaptive}"), "from 1 to 10000000"),
         (format!("{SMALL}{plan}"), "from 1 to 10000"),
         (format!("{SMALL}{window}"), "from 2 to 1000000"),
         (SMALL.replace("degrees: [1]", "degrees: [NUMBER]"), "from 0 to 9"),

@@ -157,3 +157,26 @@ fn two_runs_at_once_leave_the_results_of_one() {
         fs::remove_dir_all(small.path("out")).expect("it is removed");
     }
 }
+
+/// Where hardly a file may be open, what could not be written is removed all the same.
+#[cfg(unix)]
+#[test]
+fn a_run_that_may_open_few_files_leaves_nothing_half_written() {
+    let small = Small::new();
+    let mut ends = std::collections::BTreeSet::new();
+    for files in 5..14 {
+        let run = crate::support::program(small.folder.path(), &["run", "recipe.yaml", "--out", "out"]);
+        let mut limited = std::process::Command::new("sh");
+        limited
+            .args(["-c", &format!("ulimit -n {files}; exec \"$0\" \"$@\"")])
+            .arg(run.get_program())
+            .args(run.get_args());
+        let end = limited.current_dir(small.folder.path()).output().expect("a shell");
+        let left = fs::read_dir(small.path("out")).into_iter().flatten().flatten().map(|entry| entry.file_name());
+        let left: Vec<_> = left.filter(|name| name.to_string_lossy().starts_with('.')).collect();
+        assert!(left.is_empty(), "{files} files: {left:?}: {}", String::from_utf8_lossy(&end.stderr));
+        ends.insert(end.status.code());
+        let _ = fs::remove_dir_all(small.path("out"));
+    }
+    assert!(ends.contains(&Some(0)) && ends.contains(&Some(1)), "{ends:?}");
+}

@@ -109,9 +109,23 @@ impl Drop for MadeFolders {
 
 impl Drop for Staging {
     fn drop(&mut self) {
-        // Before the folders around it.
-        drop(self.folder.take());
+        // Before the folders around it; without its lock, which is a file that removing may need to open.
+        drop(self.lock.take());
+        if let Some(folder) = self.folder.take() {
+            remove(&folder.keep());
+        }
     }
+}
+
+/// Removes a folder with what is in it. One file is open at a time: where no more may be open, results could not be written either.
+fn remove(folder: &Path) {
+    let entries: Vec<PathBuf> =
+        fs::read_dir(folder).into_iter().flatten().flatten().map(|entry| entry.path()).collect();
+    for path in entries {
+        let is_folder = path.symlink_metadata().is_ok_and(|own| own.is_dir());
+        if is_folder { remove(&path) } else { drop(fs::remove_file(&path)) }
+    }
+    let _ = fs::remove_dir(folder);
 }
 
 /// A lock on a folder; none on systems or disks that have no such locks.

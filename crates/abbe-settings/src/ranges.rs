@@ -255,9 +255,16 @@ fn takes(schema: &Map<String, Value>, number: f64) -> bool {
 
 /// The range in words: from -100000 to 100000.
 pub fn range(schema: &Map<String, Value>) -> Option<String> {
+    let is_whole = types(schema).any(|kind| kind == "integer");
     let of = |value: &Value| {
         let number = value.as_f64().unwrap_or(f64::NAN);
-        if number != 0.0 && !(1e-3..1e6).contains(&number.abs()) { format!("{number:e}") } else { format!("{number}") }
+        if is_whole {
+            value.to_string()
+        } else if number != 0.0 && !(1e-3..1e6).contains(&number.abs()) {
+            format!("{number:e}")
+        } else {
+            format!("{number}")
+        }
     };
     let from = schema.get("minimum").map(|least| format!("from {}", of(least)));
     let from = from.or_else(|| schema.get("exclusiveMinimum").map(|least| format!("above {}", of(least))))?;

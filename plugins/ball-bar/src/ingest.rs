@@ -78,6 +78,9 @@ const STILL: f64 = 2e-5;
 /// Part of the sweep of the axis that moves by which another one may follow its command badly.
 const OF_MOVER: f64 = 1e-3;
 
+/// Part of the stated range that a test has to cover: one of which the axis counts the other way round covers less.
+const COVERED: f64 = 0.5;
+
 abbe_core::register!(
     Ingest,
     "ball-bar",
@@ -265,6 +268,18 @@ impl Named {
                 most.to_degrees()
             );
             return Err(self.wrong("range_deg", Error::data(message)));
+        }
+        let covered = sweep(&rows.iter().map(|row| angles[*row]).collect::<Vec<f64>>());
+        if data.rows() > 0 && (to - from).is_finite() && covered < COVERED * (to - from) {
+            let message = format!(
+                "{} of `{}` covers {:.1} deg of this range of {:.1} deg",
+                self.test.moves,
+                self.path.display(),
+                covered.to_degrees(),
+                (to - from).to_degrees()
+            );
+            let help = "does the axis count the other way round, or is the range that of another test?";
+            return Err(self.wrong("range_deg", Error::data(message).help(help)));
         }
         let cycles = cycles(&data);
         rows.sort_by(|&a, &b| cycles[a.0].cmp(&cycles[b.0]).then(angles[a].total_cmp(&angles[b])));
