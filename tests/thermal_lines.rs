@@ -141,7 +141,11 @@ impl Days {
                 .map(|_| [1.5 * random.normal(), 5000.0 + 4000.0 * random.uniform().abs(), 3.0 * random.uniform()])
                 .collect();
             let wave = |of: &[[f64; 3]], t: f64| -> f64 {
-                of.iter().map(|[size, period, phase]| size * ((6.2832 * t / period + phase).sin() - phase.sin())).sum()
+                of.iter()
+                    .map(|[size, period, phase]| {
+                        size * ((std::f64::consts::TAU * t / period + phase).sin() - phase.sin())
+                    })
+                    .sum()
             };
             // In small steps, each so short that it does not matter how the input runs within it.
             let (mut state, mut rows, step) = (0.0, Vec::new(), 1.0_f64);
@@ -211,7 +215,7 @@ fn errors(calibration: &Calibration, days: &Days) -> [f64; 3] {
 #[test]
 fn each_series_has_its_log() {
     let (mut squares, mut beyond, sets) = ([0.0; 3], 0, seeds(60));
-    let count = sets.clone().into_iter().count() as f64;
+    let count = sets.clone().count() as f64;
     for seed in sets {
         let days = Days::new(seed, 3);
         let outcome = days.recipe(&["T1"], &[500.0]).run();
@@ -224,6 +228,28 @@ fn each_series_has_its_log() {
     println!("rms {rms:.2?} standard uncertainties, {beyond} of {} beyond 1.96", 3.0 * count);
     assert!(rms.iter().all(|rms| (0.7..1.35).contains(rms)), "{rms:?}");
     assert!((beyond as f64) < 0.11 * 3.0 * count, "{beyond}");
+}
+
+/// Each day may begin warm, by a state of its own; these days begin at rest.
+#[test]
+fn each_series_has_its_beginning() {
+    for seed in seeds(5) {
+        let days = Days::new(seed, 3);
+        let mut recipe = days.recipe(&["T1"], &[500.0]);
+        recipe.stage("machine")["errors"][1]["starts_warm"] = json!(true);
+        let outcome = recipe.run();
+        let calibration = &fit(&outcome, "fit").calibration;
+        let found = errors(calibration, &days);
+        assert!(found.iter().all(|error| error.abs() < 5.0), "seed {seed}: {found:?}");
+        for day in 1..=3 {
+            let start = calibration.get(&format!("EXX[1*day{day}.start:1]")).expect("a beginning");
+            assert_eq!(start.unit, "mm/mm");
+            assert!(
+                start.standard_uncertainty > 0.0 && start.value.abs() < 5.0 * start.standard_uncertainty,
+                "{start:?}"
+            );
+        }
+    }
 }
 
 #[test]

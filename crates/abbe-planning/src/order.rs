@@ -168,7 +168,7 @@ impl<'a> Sequencing<'a> {
         for point in 0..POINTS {
             let time = found.span[0] + whole * point as f64 / (POINTS - 1) as f64;
             let at = at_time(contact, set, |_| time)?;
-            tables.push(scaled.rows_of(&at, candidates).map_err(|error| in_order(error))?);
+            tables.push(scaled.rows_of(&at, candidates).map_err(in_order)?);
         }
         let moves = |column: &usize| {
             let value = |table: &Vec<f64>, row: usize| table[row * p + column];

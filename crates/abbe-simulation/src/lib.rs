@@ -8,6 +8,7 @@
 //! **Architecture invariant:** this crate does no I/O. It gets a [`Problem`] and gives one, which any estimator solves
 //! without a file in between.
 
+mod listed;
 mod lobing;
 mod measure;
 mod names;

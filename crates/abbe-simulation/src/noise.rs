@@ -1,10 +1,10 @@
 //! Deviations of recorded values from the truth: noise, drift, lobing, outliers, resolution.
 
-use std::collections::{BTreeMap, BTreeSet};
+use std::collections::BTreeMap;
 use std::f64::consts::TAU;
 
 use abbe_core::{
-    Contact, DataRow, Error, ObservationSet, Problem, Quantity, Result, Row, SetIndex, SettingsError, from_settings,
+    Contact, Error, ObservationSet, Problem, Quantity, Result, Row, SetIndex, SettingsError, from_settings,
     not_negative, positive,
 };
 use abbe_estimation::Variation;
@@ -12,8 +12,8 @@ use abbe_numerics::Generator;
 use serde::Deserialize;
 use serde_json::{Map, Value};
 
+use crate::listed::Listed;
 use crate::lobing::{Lobing, contact_directions};
-
 use crate::measure::is_length;
 use crate::sensors::Sensors;
 use crate::truth::{key, known_only, machine_parameter};
@@ -386,50 +386,6 @@ impl Outliers {
         let chance = 0.5 * (generator.uniform() / 3.0_f64.sqrt() + 1.0);
         let sign = if generator.index(2) == 0 { 1.0 } else { -1.0 };
         if chance < fraction { sign * size_mm } else { 0.0 }
-    }
-}
-
-/// The listed gross errors, and how the list names a row.
-struct Listed<'a> {
-    distances: &'a BTreeMap<String, f64>,
-    by_touch: bool,
-    names: BTreeSet<String>,
-}
-
-impl<'a> Listed<'a> {
-    fn new(distances: &'a BTreeMap<String, f64>, problem: &Problem) -> Self {
-        let by_touch = problem.sets.iter().any(|set| set.info().layout.data.labels("touch").is_some());
-        let mut names = BTreeSet::new();
-        if !distances.is_empty() {
-            for set in &problem.sets {
-                let rows = set.info().layout.rows.iter().filter_map(|row| row.data_row);
-                names.extend(rows.filter_map(|row| name(set, row, by_touch)));
-            }
-        }
-        Self { distances, by_touch, names }
-    }
-
-    /// The gross error of a row, mm.
-    fn of(&self, set: &ObservationSet, data_row: DataRow) -> f64 {
-        if self.distances.is_empty() {
-            return 0.0;
-        }
-        name(set, data_row, self.by_touch).and_then(|name| self.distances.get(&name)).copied().unwrap_or(0.0)
-    }
-
-    fn warn(&self) {
-        for missing in self.distances.keys().filter(|name| !self.names.contains(*name)) {
-            tracing::warn!("noise: `outliers` names {missing}, which is no row that an artefact takes");
-        }
-    }
-}
-
-/// Name of a row in the list of outliers.
-fn name(set: &ObservationSet, data_row: DataRow, by_touch: bool) -> Option<String> {
-    let data = &set.info().layout.data;
-    match by_touch {
-        true => Some(data.labels("touch")?[data_row].clone()),
-        false => Some(data.origins[data_row].row.to_string()),
     }
 }
 
