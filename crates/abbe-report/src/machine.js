@@ -44,7 +44,11 @@ class Machine {
     this.commands = this.axes.map((axis, k) => (axis.turns ? rest[k] : (axis.range[0] + axis.range[1]) / 2));
     const { of, tool, table } = this.motions();
     [this.nodes, this.anchors] = [[], []];
-    [[carried(tool, top), scaled(turned(tool, this.tool), 0.3 * size)], [carried(table, base), [0, 0, -0.22 * size]]].forEach(([from, step], side) => {
+    const starts = [
+      [carried(tool, top), scaled(turned(tool, this.tool), 0.3 * size)],
+      [carried(table, base), [0, 0, -0.22 * size]],
+    ];
+    starts.forEach(([from, step], side) => {
       let at = from;
       for (const k of [...this.chains[side]].reverse()) {
         const axis = this.axes[k], [p, u] = [carried(of[k], axis.p), turned(of[k], axis.u)];
@@ -101,11 +105,12 @@ class Machine {
         if (axis.turns) {
           const radius = axis.tool ? 0.16 : 0.34;
           solid(by, sum(node, axis.u, -0.04 * size), sum(node, axis.u, 0.04 * size), radius * size, 24, colour);
-          lines.push(...carried(by, sum(node, axis.u, -0.5 * size)), ...colour, 0.8, ...carried(by, sum(node, axis.u, 0.5 * size)), ...colour, 0.8);
+          for (const end of [-0.5, 0.5]) lines.push(...carried(by, sum(node, axis.u, end * size)), ...colour, 0.8);
         } else {
           // The guideway belongs to the body before, the carriage to its own.
-          const ends = axis.range.map((end) => sum(node, axis.u, axis.sense * end));
-          solid(before, sum(ends[0], axis.u, -0.1 * size * axis.sense), sum(ends[1], axis.u, 0.1 * size * axis.sense), 0.03 * size, 4, colour);
+          const [from, to] = axis.range;
+          const end = (command, more) => sum(node, axis.u, axis.sense * (command + more * size));
+          solid(before, end(from, -0.1), end(to, 0.1), 0.03 * size, 4, colour);
           solid(by, sum(node, axis.u, -0.14 * size), sum(node, axis.u, 0.14 * size), 0.11 * size, 4, colour);
         }
         if (last !== null) beam(before, this.nodes[last], this.anchors[k], colours[last % (colours.length - 1)]);

@@ -147,7 +147,8 @@ function view(box) {
   // What is drawn beside the points is made anew when a slider moves, not when the view turns.
   let lists = null;
   const made = () => {
-    const [small, large, soft, text, ...own] = ["--s0", "--s1", "--soft", "--text", "--s2", "--s3", "--s4", "--s0", "--s1", "--soft"].map(colour);
+    const [small, large, soft, text] = ["--s0", "--s1", "--soft", "--text"].map(colour);
+    const own = ["--s2", "--s3", "--s4", "--s0", "--s1", "--soft"].map(colour);
     const found = { faces: [], lines: [], solids: [], edges: [], table: STILL, tags: [], small, large, text };
     if (with_machine()) Object.assign(found, machine.draw(found.solids, found.edges, own));
     const [error, longer, wider] = [errors()[0], times("errors"), times("ellipsoids")];
@@ -182,8 +183,9 @@ function view(box) {
   };
   let frame = null;
   const tags = [];
-  const tag = (index, text, place, by, fine) => {
-    tags[index] ??= canvas.parentElement.appendChild(Object.assign(document.createElement("span"), { className: "tag", ariaHidden: "true" }));
+  const tag = (index, text, place, by) => {
+    const label = { className: "tag", ariaHidden: "true" };
+    tags[index] ??= canvas.parentElement.appendChild(Object.assign(document.createElement("span"), label));
     const [x, y] = seen(place, by);
     tags[index].textContent = text;
     Object.assign(tags[index].style, { left: `${x}px`, top: `${y}px` });
@@ -191,7 +193,8 @@ function view(box) {
   // Where a place stands on the canvas.
   const seen = (place, by) => {
     const [t, d] = [turn(), sum(carried(by, place), frame.middle, -1)];
-    const side = (k) => ((t[k] * d[0] + t[3 + k] * d[1] + t[6 + k] * d[2]) * (zoom / frame.size) * Math.min(canvas.clientWidth, canvas.clientHeight)) / 2;
+    const scale = ((zoom / frame.size) * Math.min(canvas.clientWidth, canvas.clientHeight)) / 2;
+    const side = (k) => (t[k] * d[0] + t[3 + k] * d[1] + t[6 + k] * d[2]) * scale;
     return [canvas.clientWidth / 2 + side(0), canvas.clientHeight / 2 - side(1)];
   };
 
@@ -254,7 +257,8 @@ function view(box) {
     if (picked >= 0) {
       gl.disable(gl.DEPTH_TEST);
       draw(gl.POINTS, new Float32Array([...tip(picked), ...lists.text, 1]), lists.table, 13 * fine);
-      draw(gl.POINTS, new Float32Array([...tip(picked), ...(values[picked] < 0 ? lists.small : lists.large), 1]), lists.table, 8 * fine);
+      const own = values[picked] < 0 ? lists.small : lists.large;
+      draw(gl.POINTS, new Float32Array([...tip(picked), ...own, 1]), lists.table, 8 * fine);
     }
     lists.tags.forEach(([text, place], index) => tag(index, text, place, STILL));
     tags.slice(lists.tags.length).forEach((one) => (one.textContent = ""));
