@@ -196,6 +196,10 @@ fn a_report_is_markdown_or_a_table_as_its_name_says() {
         assert_eq!(row.split(',').next().and_then(|text| text.parse().ok()), Some(value), "{begin}{row}");
     }
     assert!(table.lines().any(|line| line.starts_with("two/recipe,figure,") && line.ends_with(",fail")), "{table}");
+    // Others may read it, as any new file.
+    let permissions = |name: &str| small.folder.path().join(name).metadata().expect("a file").permissions();
+    small.write("any.txt", "");
+    assert_eq!(permissions("both.csv"), permissions("any.txt"));
     // What is there stays, and a name that says nothing is refused before anything is read.
     assert_eq!(small.abbe(&["report", "one/recipe", "--out", "both.csv"]).status, 1);
     let printed = small.abbe(&["report", "nowhere", "--out", "report.txt"]);
@@ -243,6 +247,15 @@ fn weeks_beside_each_other_have_a_history() {
         history.split("over its uncertainty").nth(1).and_then(|rest| rest.split("</tr>").nth(1)).expect("a row");
     assert!(first.contains(">EC0Y µrad<"), "{first}");
     assert!(history.contains("Volumetric errors in one travel"), "{history}");
+    // Calibrations of many weeks have no more viewers than a browser shows.
+    let many = folder.path().join("many.html");
+    let week = folder.path().join("week-0/first-steps");
+    let mut arguments: Vec<std::ffi::OsString> = vec!["report".into()];
+    arguments.extend((0..10).map(|_| week.clone().into()));
+    arguments.extend(["--out".into(), many.clone().into()]);
+    assert_eq!(as_typed(&root(), &arguments).status, 0);
+    let many = read(&many);
+    assert_eq!((many.matches("class=\"viewer\"").count(), many.matches("class=\"views\"").count()), (8, 10));
     assert_eq!(page.matches("class=\"viewer\"").count(), 3);
     for number in 1..=3 {
         assert!(page.contains(&format!("<section id=\"{number}-scene\">")), "{number}");

@@ -12,7 +12,13 @@ use crate::sections::{
 };
 
 const STYLE: &str = include_str!("style.css");
-const SCRIPT: &str = concat!(include_str!("script.js"), include_str!("viewer.js"));
+const SCRIPT: &str = concat!(include_str!("script.js"), include_str!("machine.js"), include_str!("viewer.js"));
+
+/// Viewers of a page at most: browsers draw in space on some canvases only. Other runs have their plane views.
+const VIEWERS: usize = 8;
+
+/// Parts of each of several runs that the list of parts names.
+const LISTED: [&str; 4] = ["-verdict", "-causes", "-residuals", "-scene"];
 
 /// One page about one run, or about several beside each other.
 pub fn page(runs: &[Run]) -> String {
@@ -54,13 +60,14 @@ pub fn page(runs: &[Run]) -> String {
             _ => (format!("{}-", number + 1), format!(", {}", run.name)),
         };
         let main = main_fit(run);
-        let view = main.map(|main| Scene::of(main, runs.len()));
-        let linked = view.as_ref().map(|view| (number + 1, view));
+        let view = main.map(|main| Scene::of(main, runs.len().min(VIEWERS)));
+        let viewer = (number < VIEWERS).then_some(number + 1);
+        let linked = viewer.zip(view.as_ref());
         part(&format!("{id}residuals"), &format!("Residuals{of}"), &all_residuals(run, main, linked));
         if let (Some(view), Some(main)) = (view, main) {
             // The first viewer shows the fields of the other runs as well.
             let others = mains.iter().skip(1).filter(|_| number == 0).copied().collect::<Vec<_>>();
-            let html = view.section(number + 1, main, &others);
+            let html = view.section(viewer, main, &others);
             if !html.is_empty() {
                 part(&format!("{id}scene"), &format!("Where it was measured, {}{of}", main.name), &html);
             }
@@ -100,8 +107,15 @@ fn all_residuals(run: &Run, main: Option<&FitResult>, view: Option<(usize, &Scen
 }
 
 fn whole(title: &str, runs: &[Run], parts: &[(String, String)], body: &str) -> String {
-    let links: String =
-        parts.iter().map(|(id, name)| format!("<li><a href=\"#{id}\">{}</a></li>\n", escape(name))).collect();
+    let is_listed = |id: &str| {
+        let of_one = id.starts_with(|first: char| first.is_ascii_digit());
+        !of_one || LISTED.iter().any(|end| id.ends_with(end))
+    };
+    let links: String = parts
+        .iter()
+        .filter(|(id, _)| is_listed(id))
+        .map(|(id, name)| format!("<li><a href=\"#{id}\">{}</a></li>\n", escape(name)))
+        .collect();
     let names: Vec<&str> = runs.iter().map(|run| run.name.as_str()).collect();
     let policy = format!(
         "default-src 'none'; style-src 'sha256-{}'; script-src 'sha256-{}'; base-uri 'none'; form-action 'none'",

@@ -277,7 +277,7 @@ impl Written {
         };
         let filled = |(path, content): &(PathBuf, Vec<u8>)| {
             let folder = path.parent().filter(|folder| !folder.as_os_str().is_empty()).unwrap_or(Path::new("."));
-            let mut file = tempfile::Builder::new().prefix(".abbe-").tempfile_in(folder)?;
+            let mut file = temporary_in(folder)?;
             file.write_all(content)?;
             Ok(file)
         };
@@ -295,6 +295,14 @@ impl Written {
         }
         Ok(())
     }
+}
+
+/// A temporary file that others may read, as any new file.
+fn temporary_in(folder: &Path) -> std::io::Result<tempfile::NamedTempFile> {
+    let mut builder = tempfile::Builder::new();
+    #[cfg(unix)]
+    builder.permissions(std::os::unix::fs::PermissionsExt::from_mode(0o666));
+    builder.prefix(".abbe-").tempfile_in(folder)
 }
 
 /// Fails if there is something of this name.

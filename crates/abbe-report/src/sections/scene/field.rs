@@ -32,7 +32,7 @@ pub struct Volume {
 }
 
 impl Volume {
-    /// The volume; none with fewer than two linear axes.
+    /// The volume; none without two or three linear axes.
     pub fn of(fit: &FitResult) -> Option<Self> {
         let model = fit.model.as_ref();
         let info = model.info();
@@ -45,6 +45,9 @@ impl Volume {
             axis.kind == AxisKind::Linear && !axis.indexed && wide(*index).is_some()
         };
         let count = (0..info.axes.len()).filter(linear).count();
+        if !(2..=3).contains(&count) {
+            return None;
+        }
         let points = (2..=ALONG).rev().find(|points| points.pow(count as u32) <= MOST).unwrap_or(2);
         for (index, axis) in info.axes.iter().enumerate() {
             if let (true, Some([from, to])) = (linear(&index), wide(index)) {
@@ -57,9 +60,6 @@ impl Volume {
                 let (symbol, factor) = unit(axis.kind);
                 others.push(format!("{} {:.0} {symbol}", axis.name, status[axis.status] * factor));
             }
-        }
-        if axes.len() < 2 || axes.len() > 3 {
-            return None;
         }
         let mut rows = vec![status];
         for (column, (_, positions)) in columns.iter().zip(&axes) {

@@ -36,8 +36,8 @@ impl<'a> Scene<'a> {
         Self { rows: chosen.into_iter().map(|index| all[index]).collect(), all: all.len() }
     }
 
-    /// The section; empty if no residual has a place. `others` are estimates of other runs that are compared with this one.
-    pub fn section(&self, number: usize, fit: &FitResult, others: &[(&str, &FitResult)]) -> String {
+    /// The section, with the viewer of this number or none; empty if no residual has a place. `others` are estimates of other runs that are compared with this one.
+    pub fn section(&self, viewer: Option<usize>, fit: &FitResult, others: &[(&str, &FitResult)]) -> String {
         if self.rows.is_empty() {
             return String::new();
         }
@@ -55,7 +55,8 @@ impl<'a> Scene<'a> {
             self.rows.len()
         );
         let title = format!("Places that were measured, {}", fit.name);
-        let mut html = self.viewer(number, fit, analysis.as_ref(), others);
+        let viewer = viewer.map(|number| self.viewer(number, fit, analysis.as_ref(), others));
+        let mut html = viewer.unwrap_or_default();
         html.push_str("<div class=\"views\">\n");
         html.push_str(&figure(&views(&title, &points, field), &caption));
         html + "</div>\n"
