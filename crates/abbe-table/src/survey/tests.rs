@@ -61,7 +61,6 @@ fn locales() -> Vec<Locale> {
         names: ["Mätpunkt", "Läge", "Vinkel"],
         units: ["", "mm", "grader"],
         title: "Mätning på åtta punkter",
-        ..german.clone()
     };
     let chinese = Locale {
         layout: layout(Comma, Decimal::Point, Thousands::None, Gb18030),
@@ -84,7 +83,7 @@ impl Locale {
         let whole = (thousandths / 1000).unsigned_abs().to_string();
         let mut grouped = String::new();
         for (place, digit) in whole.chars().enumerate() {
-            if place > 0 && (whole.len() - place) % 3 == 0 {
+            if place > 0 && (whole.len() - place).is_multiple_of(3) {
                 grouped.push_str(self.thousands);
             }
             grouped.push(digit);
