@@ -5,7 +5,7 @@ use abbe_engine::{model_of, prepare};
 use serde_json::{Value, json};
 
 use crate::plugins::valid;
-use crate::support::{json_file, read, recipes, registry, root, temporary};
+use crate::support::{Small, json_file, read, recipes, registry, root, temporary};
 
 fn schema(name: &str) -> Value {
     json_file(&root().join(format!("docs/schemas/{name}.schema.json")))
@@ -189,4 +189,21 @@ fn a_calibration_of_a_model_that_cannot_be_built_is_refused() {
         }
     }
     insta::assert_snapshot!("models_that_cannot_be_built", said);
+}
+
+/// Files that are no measurements are bounded before anything of them is read.
+#[test]
+fn an_endless_statement_is_refused_at_once() {
+    let small = Small::new();
+    let stated = "  stated: { estimate: stated, machine: machine, path: stated.csv }\n";
+    small.write("recipe.yaml", &(small.read("recipe.yaml") + stated));
+    let file = std::fs::File::create(small.path("stated.csv")).expect("a file");
+    file.set_len(40 << 30).expect("a file with a hole");
+    let printed = small.abbe(&["run", "recipe.yaml", "--out", "out"]);
+    assert_eq!(printed.status, 2, "{}", printed.stderr);
+    assert!(
+        printed.stderr.contains("40 GiB; 4 at most") && printed.stderr.contains("recipe.yaml:"),
+        "{}",
+        printed.stderr
+    );
 }

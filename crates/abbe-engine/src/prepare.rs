@@ -41,6 +41,9 @@ pub struct Prepared {
     pub(crate) files: Vec<PathBuf>,
 }
 
+/// Bytes of the largest file that a stage may read which is no measurement: nominal places, statements, tables of a control.
+const LARGEST_INPUT: u64 = 4 << 30;
+
 /// The schemas of plugins, by kind and name: stages of one plugin have the same.
 type Schemas = BTreeMap<(Kind, String), Value>;
 
@@ -87,13 +90,24 @@ pub(crate) fn prepared(recipe: Recipe, registry: &Registry) -> Result<Prepared> 
             if !path.is_file() && prepared.is_planned(&stage.name) {
                 continue;
             }
-            if let Err(error) = abbe_files::open(&path) {
-                let message = match error.kind() {
-                    io::ErrorKind::NotFound => format!("{} does not exist", path.display()),
-                    _ => format!("{} cannot be read: {error}", path.display()),
-                };
+            let refused = |message: String| {
                 let error = Error::usage(message).setting(setting);
-                return Err(prepared.recipe.locate(error.stage(&stage.name)));
+                prepared.recipe.locate(error.stage(&stage.name))
+            };
+            let size = match abbe_files::open(&path).and_then(|file| file.metadata()) {
+                Ok(found) => found.len(),
+                Err(error) if error.kind() == io::ErrorKind::NotFound => {
+                    return Err(refused(format!("{} does not exist", path.display())));
+                }
+                Err(error) => return Err(refused(format!("{} cannot be read: {error}", path.display()))),
+            };
+            if stage.kind != Kind::Ingest && size > LARGEST_INPUT {
+                return Err(refused(format!(
+                    "{} has {} GiB; {} at most were expected",
+                    path.display(),
+                    size >> 30,
+                    LARGEST_INPUT >> 30
+                )));
             }
             prepared.files.push(path);
         }

@@ -313,7 +313,7 @@ mod tests {
     #[serde(tag = "kind", rename_all = "kebab-case")]
     #[allow(dead_code, reason = "only its schema is looked at")]
     enum Inner {
-        Warm { limit_K: f64 },
+        Warm { limit_rpm: f64 },
         Long { limit_mm: f64, share: f64 },
     }
 
@@ -323,7 +323,7 @@ mod tests {
         for good in [
             json!({ "tip_mm": [0, -1e5, 1e5], "label": 1e300, "standard_uncertainty_um": 0, "count": 9 }),
             json!({ "seed": u64::MAX, "standard_um": { "a": 1e-6 }, "lengths_mm": { "from": 1, "to": 2, "step": 1 } }),
-            json!({ "inner": [{ "kind": "long", "limit_mm": 1e5 }, { "kind": "warm", "limit_K": 2000 }] }),
+            json!({ "inner": [{ "kind": "long", "limit_mm": 1e5 }, { "kind": "warm", "limit_rpm": 1e6 }] }),
             json!({ "standard_uncertainty_um": null, "tip_mm": "text", "unknown": 1e300 }),
         ] {
             assert_eq!(check(&schema, &good), Ok(()), "{good}");
@@ -339,7 +339,10 @@ mod tests {
             (json!({ "lengths_mm": [1, 1e9] }), "lengths_mm[1]: 1000000000: a number from -1e6 to 1e6"),
             (json!({ "lengths_mm": { "step": 1e9 } }), "lengths_mm.step: 1000000000: a number from -1e6 to 1e6"),
             (json!({ "count": 10 }), "count: 10: a whole number from 2 to 9 was expected"),
-            (json!({ "inner": [{ "kind": "warm", "limit_K": 1e4 }] }), "inner[0].limit_K: 10000: a number from -2000"),
+            (
+                json!({ "inner": [{ "kind": "warm", "limit_rpm": 1e7 }] }),
+                "inner[0].limit_rpm: 10000000: a number from -1e6",
+            ),
             (
                 json!({ "inner": [{ "kind": "long", "share": 1e12 }] }),
                 "inner[0].share: 1e12: a number from -1e9 to 1e9",

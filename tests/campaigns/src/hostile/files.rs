@@ -159,14 +159,17 @@ pub fn beside(program: &Path, stock: &Stock, random: &mut Random) -> Case {
 }
 
 /// Laws of a command that could not finish: older results and others' files are as before, what it writes is whole or absent.
-fn whole(case: &mut Case, stock: &Stock, place: usize, before: &Snapshot, after: &Snapshot) {
+fn whole(case: &mut Case, stock: &Stock, place: usize, before: &Snapshot, after: &Snapshot, is_killed: bool) {
     let (lost, undisturbed) = (lost(before, after), &stock.undisturbed[place].0);
     case.law(lost.is_empty(), || format!("lost or changed: {lost:?}"));
     for name in COMMANDS[place].writes {
         let of = |files: &Snapshot| -> Vec<String> {
             files.keys().filter(|path| path.starts_with(name)).map(|path| path.display().to_string()).collect()
         };
-        let (found, expected) = (of(after), of(undisturbed));
+        let (mut found, expected) = (of(after), of(undisturbed));
+        // What is killed may have made the folder alone.
+        found.retain(|path| !is_killed || path != name);
+        let expected: Vec<String> = expected.into_iter().filter(|path| !is_killed || path != name).collect();
         case.law(found.is_empty() || found == expected, || format!("{name} has {found:?} of {expected:?}"));
         if let (Some(Entry::File(found)), Some(Entry::File(expected))) =
             (after.get(Path::new(name)), undisturbed.get(Path::new(name)))
@@ -202,7 +205,7 @@ pub fn full(program: &Path, stock: &Stock, random: &mut Random) -> Case {
     let after = snapshot(folder.path());
     let partial = half_written(&after);
     case.law(partial.is_empty(), || format!("half-written: {partial:?}"));
-    whole(&mut case, stock, place, &before, &after);
+    whole(&mut case, stock, place, &before, &after, false);
     case
 }
 
@@ -237,7 +240,7 @@ pub fn signal(program: &Path, stock: &Stock, random: &mut Random) -> Case {
     let partial = half_written(&after);
     case.law(by_signal || partial.is_empty(), || format!("half-written: {partial:?}"));
     let after: Snapshot = after.into_iter().filter(|(path, _)| !partial.contains(path)).collect();
-    whole(&mut case, stock, place, &before, &after);
+    whole(&mut case, stock, place, &before, &after, by_signal);
     // The same command works afterwards, and clears up.
     let is_taken = COMMANDS[place].writes.iter().any(|name| after.contains_key(Path::new(name)));
     if !is_taken {
