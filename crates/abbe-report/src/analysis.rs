@@ -5,8 +5,9 @@ use std::collections::BTreeMap;
 use abbe_core::{AxisKind, Calibration, KinematicModel, Result, Status, StatusRole};
 use abbe_volumetric::{Cause, Causes, Known, causes, standing};
 
+use crate::number::{short, with_uncertainty};
 use crate::run::{FitResult, Run};
-use crate::words::{groups, meaning, remedy};
+use crate::words::{ErrorGroup, groups, meaning, remedy};
 
 /// Most poses of the grid, one direction.
 const MOST_POSES: usize = 400;
@@ -49,6 +50,8 @@ pub struct NamedCause {
     pub name: String,
     /// What it is.
     pub meaning: String,
+    /// The value of its parameter with the expanded uncertainty, k = 2, in the unit of people; empty where several make it.
+    pub value: String,
     /// What to do about it.
     pub remedy: &'static str,
     /// Its parameters: indices into those of the model.
@@ -64,7 +67,19 @@ impl NamedCause {
     pub fn is_proven(&self) -> bool {
         self.part.loss.value.abs() > 2.0 * self.part.loss.uncertainty
     }
+
+    /// What to do about it where the RMS volumetric error of the machine is `rms`, mm.
+    pub fn advice(&self, rms: f64) -> &'static str {
+        match (self.is_proven(), self.part.alone >= SMALL * rms) {
+            (true, true) => self.remedy,
+            (true, false) => "nothing: it is small",
+            (false, _) => "nothing yet: it is not proven",
+        }
+    }
 }
+
+/// Part of the volumetric error below which a cause is small.
+const SMALL: f64 = 0.1;
 
 /// Whether two estimates are of machines with the same axes and the same status of a pose.
 pub fn same_machine(one: &FitResult, other: &FitResult) -> bool {
@@ -107,6 +122,7 @@ impl Analysis {
             .map(|(group, part)| NamedCause {
                 name: group.name.clone(),
                 meaning: meaning(info, group),
+                value: value(calibration, info, group),
                 remedy: remedy(info, group),
                 parameters: group.parameters.clone(),
                 part,
@@ -147,6 +163,29 @@ impl Analysis {
     /// Fails where its model fails.
     pub fn elsewhere(&self, fit: &FitResult) -> Result<Causes> {
         causes(fit.model.as_ref(), &fit.calibration, &self.statuses, &[])
+    }
+}
+
+/// The value of the only parameter of a group, with its expanded uncertainty; of lost motion the whole step, which is twice the
+/// parameter (ISO 230-2: reversal value).
+fn value(calibration: &Calibration, info: &abbe_core::ModelInfo, group: &ErrorGroup) -> String {
+    let mut own = group.parameters.iter().filter(|index| is_known(calibration, info, **index));
+    let (Some(index), None) = (own.next(), own.next()) else { return String::new() };
+    let parameter = &info.parameters[*index];
+    let Some(known) = calibration.get(&parameter.name) else { return String::new() };
+    let (unit, factor) = parameter.unit.for_people();
+    let budget = calibration.uncertainty.iter().flat_map(|budget| &budget.parameters);
+    let uncertainty =
+        budget.filter(|entry| entry.name == parameter.name).map(|entry| entry.standard_uncertainty).next();
+    let told = |times: f64| match uncertainty {
+        Some(uncertainty) if uncertainty > 0.0 && known.status == Status::Estimated => {
+            with_uncertainty(times * known.value * factor, 2.0 * times * uncertainty * factor)
+        }
+        _ => short(times * known.value * factor),
+    };
+    match group.is_reversal {
+        true => format!("{} {unit} at reversal (2 × {})", told(2.0), told(1.0)),
+        false => format!("{} {unit}", told(1.0)),
     }
 }
 

@@ -135,14 +135,13 @@ fn volumetric(fit: &FitResult) -> String {
     );
     let causes = found.causes.iter().filter(|cause| cause.part.loss.value > 0.0).take(CAUSES);
     let rows = causes.map(|cause| {
-        let sure = cause.is_proven();
-        let loss = format!("{}{}", micrometres(cause.part.loss), if sure { "" } else { " (not proven)" });
+        let loss = format!("{}{}", micrometres(cause.part.loss), if cause.is_proven() { "" } else { " (not proven)" });
         let doubt = if cause.is_confounded { " ?" } else { "" };
-        let remedy = if sure { cause.remedy } else { "" };
-        vec![format!("{}{doubt}", cause.name), cause.meaning.clone(), loss, remedy.to_owned()]
+        let advice = cause.advice(found.rms.value).to_owned();
+        vec![format!("{}{doubt}", cause.name), cause.meaning.clone(), cause.value.clone(), loss, advice]
     });
     let rows: Vec<Vec<String>> = rows.collect();
-    text.push_str(&table(&["largest causes", "what it is", "RMS less without it", "what to do"], &rows));
+    text.push_str(&table(&["largest causes", "what it is", "value", "RMS less without it", "what to do"], &rows));
     if rows.is_empty() { text } else { text + "\n" }
 }
 

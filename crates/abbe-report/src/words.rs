@@ -92,7 +92,9 @@ pub fn remedy(info: &ModelInfo, group: &ErrorGroup) -> &'static str {
     };
     let Some(axis) = info.axes.get(axis) else { return "" };
     match (group.is_reversal, axis.kind, is_location) {
-        (true, ..) => "look at nut, bearings and gibs; else set the control's backlash compensation",
+        (true, ..) => {
+            "look at nut, bearings and gibs; else enter the whole step in the control's backlash compensation"
+        }
         (_, AxisKind::Linear, true) => "align the guideways, or set the control's squareness compensation",
         (_, AxisKind::Rotary, true) => "enter the measured axis in the control's kinematics (pivot) table",
         (_, AxisKind::Linear, false) => "load a compensation table for this axis",

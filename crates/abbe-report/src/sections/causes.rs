@@ -3,7 +3,7 @@
 use abbe_core::FitReport;
 
 use super::micrometres;
-use super::verdict::{judged, told_figure, used};
+use super::verdict::{is_of_the_fit, judged, told_figure, used};
 use crate::analysis::{Analysis, NamedCause, main_fit};
 use crate::html::{Cell, details, escape, paragraph, table};
 use crate::number::short;
@@ -18,7 +18,7 @@ const HIDDEN: f64 = 0.5;
 /// The section: worst figure and causes.
 pub fn causes(run: &Run) -> String {
     let mut html = "<h3>The worst figure</h3>\n".to_owned();
-    if let Some((verdict, figure)) = judged(run).next() {
+    if let Some((verdict, figure)) = judged(run).find(|(verdict, _)| !is_of_the_fit(verdict)) {
         let (value, _) = told_figure(figure);
         let uncertainty = match figure.standard_uncertainty {
             Some(_) => " (k = 2)",
@@ -59,7 +59,7 @@ fn told(fit: &str, found: &Analysis, report: &FitReport) -> String {
     let (first, more): (Vec<_>, Vec<_>) =
         some.enumerate().partition(|(index, cause)| *index < FIRST && cause.part.loss.value > 0.0);
     let cells = |(_, cause): &(usize, &NamedCause)| row(cause, found);
-    let head = ["error", "what it is", "RMS by it alone", "RMS without it", "loss of RMS", "", "what to do"];
+    let head = ["error", "what it is", "value", "RMS by it alone", "loss of RMS", "part of the RMS", "what to do"];
     if first.is_empty() {
         return html + &paragraph("No error alone makes the volumetric error larger.");
     }
@@ -91,7 +91,11 @@ fn told(fit: &str, found: &Analysis, report: &FitReport) -> String {
     }
     html.push_str("<h3>What a correction would gain</h3>\n");
     let three = found.without_three.map_or(String::new(), |left| {
-        format!(" Without the three largest causes it would be {} µm.", short(left * 1e3))
+        let left = left.hypot(found.unknown);
+        format!(
+            " With the three largest causes corrected about {} µm would stay, this uncertainty included.",
+            short(left * 1e3)
+        )
     });
     if found.unknown >= found.rms.value {
         return html
@@ -103,8 +107,8 @@ fn told(fit: &str, found: &Analysis, report: &FitReport) -> String {
             ));
     }
     html.push_str(&paragraph(&format!(
-        "The RMS volumetric error is {} µm now.{three} If everything that was estimated were corrected, at least {} µm would stay: the \
-         standard uncertainty of the calibration. What the model does not describe comes on top; the residuals have an RMS of {} µm.",
+        "The RMS volumetric error is {} µm now. If everything that was estimated were corrected, at least {} µm would stay: the \
+         standard uncertainty of the calibration.{three} What the model does not describe comes on top; the residuals have an RMS of {} µm.",
         short(found.rms.value * 1e3),
         short(found.unknown * 1e3),
         short(residual_rms_um)
@@ -129,11 +133,11 @@ fn row(cause: &NamedCause, found: &Analysis) -> Vec<Cell> {
     vec![
         Cell::text(format!("{}{mark}", cause.name)),
         Cell::text(&cause.meaning),
+        Cell::figure(&cause.value),
         Cell::figure(format!("{} µm", short(cause.part.alone * 1e3))),
-        Cell::figure(format!("{} µm", short(cause.part.without * 1e3))),
         Cell::figure(loss),
         Cell::Html(bar),
-        Cell::text(if cause.is_proven() { cause.remedy } else { "" }),
+        Cell::text(cause.advice(found.rms.value)),
     ]
 }
 

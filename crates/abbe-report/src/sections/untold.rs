@@ -1,5 +1,7 @@
 //! What the data cannot tell, and which measurement would.
 
+use abbe_core::Status;
+
 use crate::analysis::main_fit;
 use crate::html::{details, escape, list, paragraph};
 use crate::run::{FitResult, Run};
@@ -25,9 +27,23 @@ pub fn untold(run: &Run) -> String {
         html.push_str(&list(&remarks));
     }
     if html.is_empty() {
-        return paragraph("Nothing is lost: the data determine everything that was estimated.");
+        html = paragraph("Nothing is lost: the data determine everything that was estimated.");
     }
-    html
+    html + &main_fit(run).map_or(String::new(), assumed)
+}
+
+/// Errors of the machine that the main estimate takes as they are: nothing here tells how large they are.
+fn assumed(fit: &FitResult) -> String {
+    let info = fit.model.info();
+    let is_fixed = |name: &str| fit.calibration.get(name).is_some_and(|known| known.status == Status::Fixed);
+    let of_machine = info.parameters.iter().filter(|parameter| abbe_volumetric::is_machine_error(parameter.role));
+    let names: Vec<&str> = of_machine.map(|parameter| parameter.name.as_str()).filter(|name| is_fixed(name)).collect();
+    if names.is_empty() {
+        return String::new();
+    }
+    let more = if names.len() > MOST { format!(", and {} more", names.len() - MOST) } else { String::new() };
+    let names = names[..names.len().min(MOST)].join(", ");
+    paragraph(&format!("Not estimated but taken as given: {names}{more}. Nothing here tells how large these are."))
 }
 
 fn of_fit(fit: &FitResult) -> String {

@@ -36,8 +36,8 @@ pub fn decided(run: &Run) -> (&'static str, &'static str, String) {
                 2 => "Both limits are kept.".to_owned(),
                 all => format!("All {all} limits are kept."),
             };
-            match judged.iter().all(|(verdict, _)| OF_THE_FIT.contains(&verdict.plugin.as_str())) {
-                true => ("Pass, of the fit alone", "none", format!("{kept} {}", of_the_fit(run))),
+            match judged.iter().all(|(verdict, _)| is_of_the_fit(verdict)) {
+                true => ("Machine not judged", "none", of_the_fit(run)),
                 false => ("Pass", "pass", kept),
             }
         }
@@ -47,10 +47,15 @@ pub fn decided(run: &Run) -> (&'static str, &'static str, String) {
 /// Validators whose limits say how well a model explains readings, and nothing about how good the machine is.
 const OF_THE_FIT: [&str; 4] = ["residuals", "hold-out", "compare", "influence"];
 
+/// Whether a verdict judges a fit alone.
+pub fn is_of_the_fit(verdict: &Verdict) -> bool {
+    OF_THE_FIT.contains(&verdict.plugin.as_str())
+}
+
 /// What such limits leave open, and how large the errors of the machine are.
 fn of_the_fit(run: &Run) -> String {
     let found = main_fit(run).and_then(|fit| Analysis::of(fit).ok().flatten());
-    let open = "The limits judge how well the model explains the readings; none judges the machine.";
+    let open = "The limits, which are kept, judge how well the model explains the readings; none judges the machine.";
     match found {
         None => open.to_owned(),
         Some(found) => {
@@ -88,7 +93,7 @@ pub fn judged(run: &Run) -> impl Iterator<Item = (&Verdict, &Figure)> {
 pub fn judged_remarks(run: &Run) -> impl Iterator<Item = (&Verdict, &[String])> {
     let judges = |verdict: &&Verdict| {
         let has_limits = verdict.figures.iter().any(|figure| figure.decision.is_some());
-        has_limits && !OF_THE_FIT.contains(&verdict.plugin.as_str())
+        has_limits && !is_of_the_fit(verdict)
     };
     run.verdicts.iter().filter(judges).map(|verdict| (verdict, verdict.remarks.as_slice()))
 }
@@ -190,6 +195,7 @@ fn row(verdict: &Verdict, figure: &Figure) -> Vec<Cell> {
             "unsure",
             format!("? inconclusive{}", figure.inconclusive.as_ref().map_or(String::new(), |why| format!(": {why}"))),
         ),
+        _ if is_of_the_fit(verdict) => ("", "kept, by the fit".to_owned()),
         _ => ("pass", "✓ pass".to_owned()),
     };
     let percent = if part.is_finite() { format!("{:.0} %", part * 100.0) } else { "–".to_owned() };
