@@ -18,6 +18,22 @@ fn a_plain_file_is_understood_as_it_is() {
     insta::assert_snapshot!(printed.stdout);
 }
 
+/// Columns that count by chance are compared; a number of rows in front, without a unit, is not.
+#[test]
+fn rows_are_there_twice_only_if_they_are() {
+    for (text, twice) in [
+        ("X_mm,Y_mm\n1,2\n2,3\n3,4\n", false),
+        ("X_mm,err_um\n0,0.0\n1,0.0\n2,0.1\n", false),
+        ("P,X_mm\n1,2.5\n2,3.5\n3,4.5\n", false),
+        ("P,X_mm\n1,2.5\n2,3.5\n3,2.5\n", true),
+    ] {
+        let folder = temporary();
+        write(&folder.path().join("t.csv"), text);
+        let printed = abbe(folder.path(), &["data", "t.csv"]);
+        assert_eq!(printed.stdout.contains("there twice: lines"), twice, "{text}{}", printed.stdout);
+    }
+}
+
 /// A German file with titles, units, marks and rows that are there twice: what is proposed reads it, once names are given.
 #[test]
 fn what_is_proposed_for_a_spreadsheet_reads_it() {

@@ -78,7 +78,7 @@ fn a_real_positioner() {
     // The independent fit used positions alone.
     let recipe =
         recipe("realistic").set("seen", "path", json!(file)).set("target", "standard_uncertainty_um", json!(400));
-    let found = recipe.set("target", "standard_uncertainty_urad", json!(1e9)).run();
+    let found = recipe.set("target", "standard_uncertainty_urad", json!(1e7)).run();
     let lines = fit(&found, "lines");
     let value = |name: &str| lines.calibration.get(name).expect("it is estimated").value;
     let direction = UnitQuaternion::from_scaled_axis(Vector3::new(0.0, value("EB0C"), 0.0)) * Vector3::z();

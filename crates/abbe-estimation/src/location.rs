@@ -159,7 +159,15 @@ fn derivatives(model: &dyn KinematicModel, parameters: &[usize], orientation: bo
         let positions = of(&poses.position_derivatives, 1.0);
         if orientation { [positions, of(&poses.rotation_derivatives, LEVER)].concat() } else { positions }
     };
-    Ok((0..wanted.len()).map(column).collect())
+    let mut columns: Vec<Vec<f64>> = (0..wanted.len()).map(column).collect();
+    // What moves nothing moves by rounding: a turn of the last axis about itself, at the tip.
+    let largest = columns.iter().map(|column| norm(column)).fold(0.0, f64::max);
+    columns.iter_mut().filter(|column| norm(column) <= ROUNDING * largest).for_each(|column| column.fill(0.0));
+    Ok(columns)
+}
+
+fn norm(column: &[f64]) -> f64 {
+    column.iter().map(|part| part * part).sum::<f64>().sqrt()
 }
 
 /// The status of a pose: commands that fill the ranges evenly and without a pattern (additive recurrence by roots of primes).
@@ -190,7 +198,6 @@ struct Basis {
 impl Basis {
     /// Adds a column if it is independent; else tells how much of each member it is.
     fn push(&mut self, index: usize, column: Vec<f64>) -> Option<Parts> {
-        let norm = |column: &[f64]| column.iter().map(|part| part * part).sum::<f64>().sqrt();
         let size = norm(&column);
         let (mut rest, mut parts) = (column, vec![0.0; self.directions.len()]);
         for _ in 0..2 {
@@ -201,7 +208,7 @@ impl Basis {
             }
         }
         let left = norm(&rest);
-        if left > ROUNDING * size {
+        if left > ROUNDING * size && size > 0.0 {
             parts.push(left);
             self.members.push(index);
             self.directions.push(rest.into_iter().map(|part| part / left).collect());

@@ -39,7 +39,7 @@ pub struct Contents {
     pub first: Vec<Vec<String>>,
     /// Rows with another number of cells than the first: line and cells.
     pub ragged: Vec<(usize, usize)>,
-    /// Rows that are the same as an earlier one in all columns that do not count the rows: lines of both.
+    /// Rows that are the same as an earlier one in all columns but one in front that counts the rows: lines of both.
     pub repeated: Vec<(usize, usize)>,
     /// Lines that begin with `#`.
     pub comments: usize,
@@ -318,14 +318,16 @@ fn contents_of(path: &Path, text: &str, layout: &Layout) -> Result<Contents> {
             found.jumps.extend(jumps(&header.header, &numbers, &lines));
         }
         let whole = numbers.len() == rows.len() && numbers.windows(2).all(|pair| pair[1].1 - pair[0].1 == 1.0);
-        counters.push(whole && rows.len() > 1);
+        // A number of rows stands in front and has no unit; other columns may count by chance.
+        counters.push(index == 0 && header.quantity == Quantity::Label && whole && rows.len() > 1);
     }
     let compared = |row: &Vec<String>| -> Vec<String> {
         let cells = row.iter().enumerate().filter(|(index, _)| !counters.get(*index).copied().unwrap_or(false));
         cells.map(|(_, cell)| cell.clone()).collect()
     };
     let mut seen: BTreeMap<Vec<String>, usize> = BTreeMap::new();
-    for (row, &line) in rows.iter().zip(&lines) {
+    let filled = rows.iter().zip(&lines).filter(|(row, _)| row.iter().any(|cell| !cell.is_empty()));
+    for (row, &line) in filled {
         match seen.get(&compared(row)) {
             Some(&earlier) => found.repeated.push((earlier, line)),
             None => drop(seen.insert(compared(row), line)),

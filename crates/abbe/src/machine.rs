@@ -302,8 +302,9 @@ fn same_as(error: &LocationError) -> Option<String> {
     let Standing::Dependent(of) = &error.standing else { return None };
     let is_turn = |name: &str| name.chars().nth(1).is_some_and(|letter| "ABC".contains(letter));
     let part = |(name, factor): &(String, f64)| match (is_turn(&error.name), is_turn(name)) {
-        (true, false) => format!("{} µm/µrad {name}", plain(*factor)),
-        (false, true) => format!("{} µrad/µm {name}", plain(*factor)),
+        // Memory has mm and rad: 1 mm/rad is 0.001 µm/µrad.
+        (true, false) => format!("{} µm/µrad {name}", plain(factor * 1e-3)),
+        (false, true) => format!("{} µrad/µm {name}", plain(factor * 1e3)),
         _ if (factor - 1.0).abs() < 1e-9 => name.clone(),
         _ if (factor + 1.0).abs() < 1e-9 => format!("-{name}"),
         _ => format!("{} {name}", plain(*factor)),
