@@ -219,7 +219,7 @@ mod tests {
         let limits = &schema_of::<Settings>()["properties"]["limits"];
         assert_eq!(limits["default"], json!({}));
         let limit = &limits["additionalProperties"];
-        assert_eq!(limit["anyOf"][0], json!({ "type": "number" }));
+        assert_eq!(limit["anyOf"][0], json!({ "type": "number", "minimum": -1e6, "maximum": 1e6 }));
         let map = &limit["anyOf"][1];
         assert_eq!((&map["required"], &map["additionalProperties"]), (&json!(["limit"]), &json!(false)));
         let [name, set] = [0, 1].map(|form| &map["properties"]["decision"]["anyOf"][form]);

@@ -191,7 +191,7 @@ fn time_and_feed_give_the_angle() {
     let data = read(&[("c.csv", rows)], test(json!({}))).unwrap();
     // Sorted by angle; at the end of its way the axis stands.
     assert_eq!(degrees(&data, "C"), [10.0, 12.0, 15.0, 10.0, 13.0, 16.0]);
-    let within = read(&[("c.csv", rows)], test(json!({ "range_deg": [11, 14] }))).unwrap();
+    let within = read(&[("c.csv", rows)], test(json!({ "range_deg": [11.5, 13.4] }))).unwrap();
     assert_eq!(degrees(&within, "C"), [12.0, 13.0]);
 }
 
