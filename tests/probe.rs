@@ -7,7 +7,7 @@ use abbe_core::{Calibration, Status};
 use abbe_engine::{Outcome, prepare};
 use serde_json::{Map, Value, json};
 
-use crate::support::{Variant, effect, fit, json_file, recipes, root, values};
+use crate::support::{Variant, abbe, effect, fit, json_file, read, recipes, root, temporary, values, write};
 
 fn truth(data: &str) -> Map<String, Value> {
     let file = root().join(format!("tests/truth/probe-lobing-{data}-truth.json"));
@@ -31,7 +31,7 @@ const FORM: [&str; 2] = ["sphere.*[???2]", "sphere.*[???3]"];
 
 /// An estimate from the sphere alone on the machine as it truly is, but for these parameters.
 fn of_sphere(recipe: Variant, parameters: &[&str], data: &str) -> Calibration {
-    let folder = crate::support::temporary();
+    let folder = temporary();
     let mut recipe = recipe.only(&[]);
     let parameters: Vec<&str> = parameters.to_vec();
     // A drift needs the times of the table, which are not here.
@@ -43,7 +43,7 @@ fn of_sphere(recipe: Variant, parameters: &[&str], data: &str) -> Calibration {
         .filter(|(name, _)| !name.contains("ball[") && !name.contains("ring[") && !name.contains("facet["))
         .collect();
     let file = folder.path().join("laser.json");
-    crate::support::write(&file, &json!({ "parameters": machine }).to_string());
+    write(&file, &json!({ "parameters": machine }).to_string());
     recipe.0["stages"]["laser"] = json!({ "estimate": "stated", "machine": "hu40t", "path": file });
     recipe.0["stages"]["one"] = json!({ "estimate": "gauss-newton", "machine": "hu40t", "observations": ["sphere"],
         "parameters": parameters, "known": ["laser"] });
@@ -227,8 +227,8 @@ fn lost(parameters: &[&str], keep: Option<Value>, probe: &[&str], form: &[&str])
     recipe.0["stages"]["sphere"]["diameters"] = json!([{ "feature": 31, "estimated": true }]);
     recipe.0["stages"]["one"] = json!({ "estimate": "gauss-newton", "machine": "nominal", "observations": ["sphere"],
         "parameters": parameters });
-    let folder = crate::support::temporary();
-    let printed = crate::support::abbe(folder.path(), &["check", recipe.write(folder.path()).to_str().expect("UTF-8")]);
+    let folder = temporary();
+    let printed = abbe(folder.path(), &["check", recipe.write(folder.path()).to_str().expect("UTF-8")]);
     printed.stdout + &printed.stderr
 }
 
@@ -239,7 +239,7 @@ fn what_a_sphere_cannot_tell_is_said() {
     let words: Vec<&str> = told.split_whitespace().collect();
     assert!(words.windows(4).any(|words| words == ["one", "872", "24", "24"]), "{told}");
     let file = recipe("exact").path("sphere-touches", "path");
-    let text = crate::support::read(&file);
+    let text = read(&file);
     let lines: Vec<Vec<&str>> = text.lines().map(|line| line.split(',').collect()).collect();
     let feed = lines[0].iter().position(|name| *name == "feed_mm_per_min").expect("a feed");
     let one_feed: Vec<&str> = lines.iter().filter(|line| line[feed] == "30.0").map(|line| line[0]).collect();
@@ -325,7 +325,7 @@ fn other_machine(folder: &std::path::Path, seed: u64) -> (Value, Value) {
         ("faces.csv", &faces),
         ("facets.csv", &facets),
     ] {
-        crate::support::write(&folder.join(name), text);
+        write(&folder.join(name), text);
     }
     let terms = ["r0", "delay", "lobe[cos0,2]", "lobe[cos3]", "lobe[sin3]", "lobe[cos2]", "lobe[sin2,1]"];
     let recipe = json!({ "abbe": 1, "name": "star", "stages": {
@@ -366,12 +366,12 @@ fn other_machine(folder: &std::path::Path, seed: u64) -> (Value, Value) {
 fn a_star_probe_on_another_machine() {
     let machines = std::env::var("ABBE_PROBE_MACHINES").ok().and_then(|number| number.parse().ok()).unwrap_or(6);
     for seed in 1..=machines {
-        let folder = crate::support::temporary();
+        let folder = temporary();
         let (recipe, truth) = other_machine(folder.path(), seed);
         let file = folder.path().join("recipe.yaml");
-        crate::support::write(&file, &recipe.to_string());
+        write(&file, &recipe.to_string());
         let stated = folder.path().join("truth.json");
-        crate::support::write(&stated, &json!({ "parameters": truth }).to_string());
+        write(&stated, &json!({ "parameters": truth }).to_string());
         let simulated = prepare(&file, &crate::support::registry())
             .and_then(|prepared| prepared.simulate(&stated, seed, None))
             .unwrap_or_else(|error| panic!("{error}"));
@@ -428,4 +428,45 @@ fn the_exported_radii_are_those_of_azimuth_and_elevation() {
         rows += 1;
     }
     assert_eq!(rows, 3 * (3 * 12 + 1));
+}
+
+/// A file of touches whose feeds are multiplied.
+fn with_feeds(file: &str, factor: f64) -> String {
+    let text = read(&root().join(file));
+    let place = text.lines().next().and_then(|header| header.split(',').position(|name| name == "feed_mm_per_min"));
+    let place = place.expect("a column of feeds");
+    let rows = text.lines().enumerate().map(|(line, row)| {
+        let cells = row.split(',').enumerate().map(|(column, cell)| match line > 0 && column == place {
+            true => (cell.parse::<f64>().expect("a number") * factor).to_string(),
+            false => cell.to_owned(),
+        });
+        cells.collect::<Vec<_>>().join(",")
+    });
+    rows.collect::<Vec<_>>().join("\n") + "\n"
+}
+
+#[test]
+fn feeds_in_another_unit_do_not_pass_silently() {
+    let run = |stage: &str, file: &str, factor: f64, wanted: &[&str]| {
+        let folder = temporary();
+        write(&folder.path().join("touches.csv"), &with_feeds(file, factor));
+        recipe("realistic").only(wanted).set(stage, "path", json!("touches.csv")).write(folder.path());
+        abbe(folder.path(), &["run", "recipe.yaml", "--out", "out"])
+    };
+    let sphere = "pipelines/data/probe-lobing/realistic/touches-lobing.csv";
+    let table = "pipelines/data/probe-lobing/realistic/touches-facets.csv";
+    // mm/s under mm/min: the delay is sixty times as long, and the feeds are no touches.
+    let slow = run("sphere-touches", sphere, 1.0 / 60.0, &["qualified"]);
+    assert_eq!(slow.status, 1, "{}", slow.stderr);
+    for told in ["probe.delay = 0.2", "0.05 s is plausible at most", "plausible: { s:", "feeds from 0.5 to 2 mm/min"] {
+        assert!(slow.stderr.contains(told), "`{told}` is not in\n{}", slow.stderr);
+    }
+    // With a known delay nothing but the feeds tells it.
+    let known = run("table-touches", table, 1.0 / 60.0, &["qualified", "corrected"]);
+    assert!(known.stderr.contains("touches have feeds from 1 to 1 mm/min"), "{}", known.stderr);
+    // The other way round.
+    let fast = run("sphere-touches", sphere, 60.0, &["qualified"]);
+    assert!(fast.stderr.contains("feeds from 1800 to 7200 mm/min"), "{}", fast.stderr);
+    let right = run("sphere-touches", sphere, 1.0, &["qualified"]);
+    assert!((right.status, right.stderr.as_str()) == (0, ""), "{}", right.stderr);
 }

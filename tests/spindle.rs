@@ -328,3 +328,38 @@ fn readings_in_a_file_are_refused_with_their_line() {
     let (speed, _) = found(&fit(outcome("realistic"), "motion").calibration, "run[9000].speed");
     assert!((speed - 9000.18).abs() < 0.01, "{speed}");
 }
+
+#[test]
+fn a_warm_up_in_another_unit_is_refused() {
+    let text = read(&root().join("pipelines/data/spindle-motion/realistic/thermal-warmup.csv"));
+    let header: Vec<&str> = text.lines().next().expect("a header").split(',').collect();
+    let scaled = |begins: &str, factor: f64| {
+        let rows = text.lines().enumerate().map(|(line, row)| {
+            let cells = row.split(',').zip(&header).map(|(cell, name)| match line > 0 && name.starts_with(begins) {
+                true => (cell.parse::<f64>().expect("a number") * factor).to_string(),
+                false => cell.to_owned(),
+            });
+            cells.collect::<Vec<_>>().join(",")
+        });
+        rows.collect::<Vec<_>>().join("\n") + "\n"
+    };
+    let (small, short) = ("drift_z drifts most, by 0.0", "the warm-up ends after");
+    let cases = [
+        ("drift", 1e-3, small, "widen `plausible_um`"),
+        ("drift", 25.4e3, "drift_z drifts most, by 9", "widen `plausible_um`"),
+        ("time", 1.0 / 60.0, short, "is the time in the unit"),
+        ("time", 1e3, short, "is the time in the unit"),
+    ];
+    for (column, factor, message, help) in cases {
+        let folder = temporary();
+        write(&folder.path().join("log.csv"), &scaled(column, factor));
+        let variant = recipe("realistic").only(&["warm-up"]);
+        let stage = variant.0["stages"]["warm-up"]["from"].clone();
+        let from = stage.as_str().or_else(|| stage[0].as_str()).expect("a stage").to_owned();
+        variant.set(&from, "path", json!("log.csv")).write(folder.path());
+        let printed = abbe(folder.path(), &["run", "recipe.yaml", "--out", "out"]);
+        let told = in_one_line(&printed.stderr);
+        assert!(told.contains(message) && told.contains(help), "{column} {factor}: {}", printed.stderr);
+        assert_eq!(printed.status, 1, "{column} {factor}");
+    }
+}

@@ -22,7 +22,7 @@ fn first(lines: &[String], session: &str, tool: &str) -> usize {
     found.expect("the tool is there")
 }
 
-const CASES: [Case; 25] = [
+const CASES: [Case; 26] = [
     ("in the log only", |_, table| drop(table.remove(4)), &["tool 4 is not in the table", "tool-log.csv:50"]),
     (
         "in the table only",
@@ -132,6 +132,16 @@ const CASES: [Case; 25] = [
             });
         },
         &["the cutting minutes of tool 3 fall from 70 to 12"],
+    ),
+    (
+        "seconds in minutes",
+        |log, _| {
+            for line in 1..log.len() {
+                let seconds = cell(&log[line], 9).parse::<f64>().expect("a number") * 60.0;
+                set(log, line, 9, &format!("{seconds}"));
+            }
+        },
+        &["tool 2 cut for 24840.0 minutes, and by the clock 585.0 minutes passed since line 26", "cutting_s"],
     ),
     (
         "minutes differ",

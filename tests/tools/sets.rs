@@ -243,7 +243,8 @@ impl Set {
             let tool = line.tool.map_or(self.master.0.as_str(), |tool| &self.names[tool]);
             let (quantity, method) = (["length", "radius"][line.quantity], &self.methods[line.method].0);
             let Line { session, repeat, value, minutes, .. } = line;
-            writeln!(text, "{session},{tool},{quantity},{method},{repeat},{value:.9},{index},24.5,{minutes}")
+            let time = session * 86_400 + index;
+            writeln!(text, "{session},{tool},{quantity},{method},{repeat},{value:.9},{time},24.5,{minutes}")
                 .expect("text");
         }
         text

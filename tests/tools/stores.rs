@@ -69,6 +69,7 @@ fn store(seed: u64, folder: &std::path::Path) -> Truth {
     let mut reading = 0;
     let mut time = 0;
     for session in 0..SESSIONS {
+        time += 3600;
         let growth = 0.02 * (1.0 - (-(session as f64) / 2.0).exp());
         for place in 0..=TOOLS {
             let tool = place.wrapping_sub(1);

@@ -20,6 +20,9 @@ pub struct Plausible {
     /// Errors that are angles, mrad.
     #[serde(default)]
     pub mrad: BTreeMap<String, f64>,
+    /// Errors that are times, s: the delay of a probe.
+    #[serde(default)]
+    pub s: BTreeMap<String, f64>,
 }
 
 impl Plausible {
@@ -28,7 +31,7 @@ impl Plausible {
             let bounds: &BTreeMap<String, f64> = bounds;
             bounds.iter().map(move |(name, bound)| ([key, name.as_str()], *bound))
         };
-        of("mm", &self.mm).chain(of("mrad", &self.mrad))
+        of("mm", &self.mm).chain(of("mrad", &self.mrad)).chain(of("s", &self.s))
     }
 
     /// Refuses bounds that are no positive numbers.
@@ -41,7 +44,11 @@ impl Plausible {
     pub fn check_names(&self, problem: &Problem) -> Result<()> {
         let parameters = || problem.model.info().parameters.iter();
         let has_one = |[key, pattern]: [&str; 2], any: bool| {
-            let quantity = if key == "mm" { Quantity::Length } else { Quantity::Angle };
+            let quantity = match key {
+                "mm" => Quantity::Length,
+                "mrad" => Quantity::Angle,
+                _ => Quantity::Time,
+            };
             parameters().any(|parameter| matches(pattern, &parameter.name) && (any || parameter.unit.of == quantity))
         };
         let Some((path, _)) = self.all().find(|(path, _)| !has_one(*path, false)) else { return Ok(()) };

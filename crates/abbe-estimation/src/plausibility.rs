@@ -26,6 +26,9 @@ const SET_UP: [f64; 2] = [20.0, 50e-3];
 const STYLUS_RADIUS: f64 = 0.5;
 const LOBE: f64 = 0.2;
 
+/// Longest plausible time from the contact to the recorded position, s: radio and slow inputs take milliseconds.
+const DELAY: f64 = 0.05;
+
 /// Part of a bound from which an error is told, though it may be real.
 const TOLD: f64 = 0.2;
 
@@ -37,11 +40,11 @@ const COVERED: f64 = 3.0;
 pub struct LargeError {
     /// The parameter.
     pub unknown: Unknown,
-    /// The error that it makes at most over the recorded travel, mm or rad, with the sign of the parameter.
+    /// The error that it makes at most over the recorded travel, mm, rad or s, with the sign of the parameter.
     pub size: f64,
-    /// What it may be off by, mm or rad: three standard uncertainties.
+    /// What it may be off by, mm, rad or s: three standard uncertainties.
     pub margin: f64,
-    /// What is plausible, mm or rad.
+    /// What is plausible, mm, rad or s.
     pub bound: f64,
 }
 
@@ -65,12 +68,17 @@ impl LargeError {
 
     /// The setting that states what is plausible.
     pub fn setting(&self) -> &'static str {
-        if self.unknown.unit.of == Quantity::Angle { "mrad" } else { "mm" }
+        match self.unknown.unit.of {
+            Quantity::Angle => "mrad",
+            Quantity::Time => "s",
+            _ => "mm",
+        }
     }
 
     fn of_size(&self, size: f64) -> String {
         match self.unknown.unit.of {
             Quantity::Angle => format!("{} mrad", rounded(size * 1e3)),
+            Quantity::Time => format!("{} s", rounded(size)),
             _ => format!("{} mm", rounded(size)),
         }
     }
@@ -173,11 +181,13 @@ pub fn absurd_error(problem: &Problem) -> Option<String> {
     None
 }
 
-/// What is plausible of a parameter, mm or rad; none where nothing is known of its kind.
+/// What is plausible of a parameter, mm, rad or s; none where nothing is known of its kind.
 fn bound(plausible: &Plausible, problem: &Problem, unknown: &Unknown) -> Option<f64> {
+    let role = problem.model.info().parameters[unknown.index].role;
     let (own, factor, index) = match unknown.unit.of {
         Quantity::Length => (&plausible.mm, 1.0, 0),
         Quantity::Angle => (&plausible.mrad, 1e-3, 1),
+        Quantity::Time if matches!(role, ParameterRole::Probe { .. }) => (&plausible.s, 1.0, 2),
         _ => return None,
     };
     // The longest pattern says most.
@@ -185,11 +195,12 @@ fn bound(plausible: &Plausible, problem: &Problem, unknown: &Unknown) -> Option<
     if let Some((_, bound)) = stated.max_by_key(|(pattern, _)| pattern.trim_matches(['*', '?']).len()) {
         return Some(bound * factor);
     }
-    match problem.model.info().parameters[unknown.index].role {
-        ParameterRole::Motion { .. } => Some(MOTION[index]),
-        ParameterRole::Location { .. } => Some(LOCATION[index]),
-        ParameterRole::SetUp => Some(SET_UP[index]),
+    match role {
+        ParameterRole::Motion { .. } => MOTION.get(index).copied(),
+        ParameterRole::Location { .. } => LOCATION.get(index).copied(),
+        ParameterRole::SetUp => SET_UP.get(index).copied(),
         ParameterRole::Probe { term: ProbeTerm::Radius, .. } => Some(STYLUS_RADIUS),
+        ParameterRole::Probe { term: ProbeTerm::Delay, .. } => Some(DELAY),
         ParameterRole::Probe { .. } => Some(LOBE),
         ParameterRole::Shape | ParameterRole::Factor | ParameterRole::Feature | ParameterRole::Other => None,
     }

@@ -48,6 +48,31 @@ pub fn check_columns(headers: &[ColumnHeader], file: Option<&PathBuf>, model: &d
 /// Largest feed of a probe, mm/min: the rapid traverse of the fastest machines.
 pub const LARGEST_FEED: f64 = 1e5;
 
+/// Feeds at which people touch, mm/min. A slower touch takes a minute for a few millimetres, a faster one bends what it touches.
+const USUAL_FEEDS: [f64; 2] = [5.0, 3000.0];
+
+/// Tells of data whose touches are all slower than people touch, or of which some are faster.
+fn tell_unusual(data: &Dataset, feeds: &[f64]) {
+    let [slowest, fastest] = USUAL_FEEDS;
+    let (least, most) = feeds
+        .iter()
+        .fold((f64::INFINITY, 0.0_f64), |(least, most), feed| (least.min(feed * 60.0), most.max(feed * 60.0)));
+    if !feeds.is_empty() && (most < slowest || most > fastest) {
+        let file = data.files.first().map(|file| file.display().to_string()).unwrap_or_default();
+        tracing::warn!(
+            "{file}: touches have feeds from {} to {} mm/min, and {slowest} to {fastest} mm/min are usual: is the \
+             feed in the unit that its column says?",
+            rounded(least),
+            rounded(most)
+        );
+    }
+}
+
+/// Thousandths, as people read a feed.
+fn rounded(feed: f64) -> f64 {
+    (feed * 1e3).round() / 1e3
+}
+
 /// Refuses a feed that no touch has: it has no sign, and does not stand still.
 fn check_feed(data: &Dataset, row: DataRow, feed: f64) -> Result<()> {
     let feed = feed * 60.0;
@@ -96,6 +121,9 @@ impl EffectiveRadius {
                 let stylus =
                     stylus.filter(|_| row.poses > 0).map_or(0.0, |column| layout.poses.row(row.first_pose)[column]);
                 rows.push((stylus as usize, feed));
+            }
+            if feeds.is_some() {
+                tell_unusual(&layout.data, &rows.iter().map(|(_, feed)| *feed).collect::<Vec<f64>>());
             }
         }
         let terms = of_model.into_iter().map(|(_, stylus, term)| (stylus, term)).collect();

@@ -11,7 +11,7 @@ use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use serde_json::{Value, json};
 
-use crate::motion::readings_alone;
+use crate::motion::{check_plausible, readings_alone};
 use crate::parameters::{Combined, Found, Sizes};
 use crate::readings::check_column;
 
@@ -44,6 +44,9 @@ pub struct WarmUp {
     /// The slope is that of the last minutes.
     #[serde(default = "window")]
     pub slope_over_min: f64,
+    /// Smallest and largest plausible range of the column that drifts most: they find readings in another unit.
+    #[serde(default = "plausible")]
+    pub plausible_um: [f64; 2],
 }
 
 fn time() -> String {
@@ -53,6 +56,13 @@ fn time() -> String {
 fn window() -> f64 {
     5.0
 }
+
+fn plausible() -> [f64; 2] {
+    [0.5, 1000.0]
+}
+
+/// Longest warm-up, s: a week.
+const LONGEST: f64 = 7.0 * 86_400.0;
 
 /// Part of the way from the first reading to the last one that the time is told of.
 const PART: f64 = 0.95;
@@ -71,6 +81,7 @@ fn build(settings: WarmUp, _: &Context) -> Result<Box<dyn Estimate>, SettingsErr
         }
     }
     positive("slope_over_min", settings.slope_over_min)?;
+    check_plausible(settings.plausible_um)?;
     Ok(Box::new(settings))
 }
 
@@ -83,6 +94,52 @@ impl WarmUp {
                     .setting("from"))
             }
         }
+    }
+
+    /// Refuses times that are no warm-up: the slope is that of its end.
+    fn check_times(&self, data: &Dataset, times: &[f64]) -> Result<()> {
+        if let Some(row) = (1..times.len()).find(|row| times[*row] <= times[row - 1]) {
+            return Err(data
+                .error_at(DataRow(row), "the time does not go on")
+                .help("did the clock jump, or are rows there twice?"));
+        }
+        let (last, window) = (times.len() - 1, 60.0 * self.slope_over_min);
+        let lasts = times[last] - times[0];
+        if lasts > window && lasts <= LONGEST {
+            return Ok(());
+        }
+        let message = format!(
+            "the warm-up ends after {:.4} minutes; more than the {} minutes of `slope_over_min`, and a week at most, were \
+             expected",
+            lasts / 60.0,
+            self.slope_over_min
+        );
+        Err(data.error_at(DataRow(last), message).help("is the time in the unit that its column says?"))
+    }
+
+    /// Refuses displacements that are too small or too large for a spindle that warms up.
+    fn check_ranges(&self, data: &Dataset, times: &[f64]) -> Result<()> {
+        let range = |name: &String| {
+            let range = range(times, data.required_numbers(name)?, times[0], times[times.len() - 1]);
+            Ok(1e3 * range.unwrap_or_default())
+        };
+        let ranges = self.drift.iter().map(range).collect::<Result<Vec<f64>>>()?;
+        let largest =
+            (0..ranges.len()).max_by(|one, other| ranges[*one].total_cmp(&ranges[*other])).unwrap_or_default();
+        let [least, most] = self.plausible_um;
+        // A sensor that is dead is told by its own message.
+        if ranges[largest] == 0.0 || (least..=most).contains(&ranges[largest]) {
+            return Ok(());
+        }
+        let message = format!(
+            "{} drifts most, by {:.4} um, and {least} um to {most} um are plausible",
+            self.drift[largest], ranges[largest]
+        );
+        let error = Error::data(message).help("is it in the unit that its column says? else widen `plausible_um`");
+        Err(match data.files.first() {
+            Some(file) => error.in_file(file),
+            None => error,
+        })
     }
 
     /// Temperatures counted from their means: the noise of no single row is in all differences.
@@ -172,11 +229,8 @@ impl Estimate for WarmUp {
         if times.len() < 3 {
             return Err(Error::data("three rows at least were expected of a warm-up").setting("from"));
         }
-        if let Some(row) = (1..times.len()).find(|row| times[*row] <= times[row - 1]) {
-            return Err(data
-                .error_at(DataRow(row), "the time does not go on")
-                .help("did the clock jump, or are rows there twice?"));
-        }
+        self.check_times(data, times)?;
+        self.check_ranges(data, times)?;
         let mut found = Found::default();
         let (mut sizes, mut condition, mut unknowns) = (Sizes::default(), 1.0, 0);
         self.drift.iter().try_for_each(|name| self.figures(&mut found, data, times, name))?;

@@ -1,5 +1,6 @@
 //! Reads the log of a tool setter and the tool table, and refuses what contradicts itself.
 
+mod agreement;
 mod dead;
 
 use std::collections::{BTreeMap, BTreeSet};
@@ -123,6 +124,8 @@ pub struct Visit {
     pub tool: String,
     /// Time that it has cut so far, s.
     pub cutting: f64,
+    /// Time of its first reading by the clock, s.
+    pub time: f64,
     /// Its first row.
     pub first: At,
     /// Its readings.
@@ -270,8 +273,8 @@ impl<'a> Log<'a> {
                 continue;
             }
             let place = session.visits.iter().position(|visit| visit.tool == row.tool).unwrap_or_else(|| {
-                let (tool, cutting, repeats) = (row.tool.to_owned(), row.cutting, Repeats::new());
-                session.visits.push(Visit { tool, cutting, first: row.at, repeats });
+                let (tool, repeats) = (row.tool.to_owned(), Repeats::new());
+                session.visits.push(Visit { tool, cutting: row.cutting, time: row.time, first: row.at, repeats });
                 session.visits.len() - 1
             });
             let visit = &mut session.visits[place];
@@ -355,93 +358,6 @@ impl<'a> Log<'a> {
                         .error(readings[0].at, message)
                         .help("the master corrects every quantity and method"));
                 }
-            }
-        }
-        Ok(())
-    }
-
-    /// Refuses cutting minutes that fall, and tools that come back.
-    fn tools_age(&self) -> Result<()> {
-        let mut last: BTreeMap<&str, (usize, f64)> = BTreeMap::new();
-        for (index, session) in self.sessions.iter().enumerate() {
-            for visit in &session.visits {
-                let Some((before, cutting)) = last.insert(&visit.tool, (index, visit.cutting)) else { continue };
-                if before + 1 < index {
-                    let message = format!(
-                        "tool {} is measured in session {}, after it was taken out of use: it is not in session {}",
-                        visit.tool,
-                        session.name,
-                        self.sessions[before + 1].name
-                    );
-                    return Err(self
-                        .error(visit.first, message)
-                        .help("give a new or reground tool a number of its own"));
-                }
-                if visit.cutting < cutting {
-                    let message = format!(
-                        "the cutting minutes of tool {} fall from {} to {}",
-                        visit.tool,
-                        cutting / 60.0,
-                        visit.cutting / 60.0
-                    );
-                    return Err(self
-                        .error(visit.first, message)
-                        .help("give a new or reground tool a number of its own"));
-                }
-            }
-        }
-        Ok(())
-    }
-
-    /// Refuses tools that only the log or only the table has.
-    pub fn check_tools(&self, tools: &[(Tool, usize)], table: &Path) -> Result<()> {
-        let names: Vec<&str> = tools.iter().map(|(tool, _)| tool.tool.as_str()).collect();
-        let mut seen = BTreeSet::new();
-        for visit in self.sessions.iter().flat_map(|session| &session.visits) {
-            if !names.contains(&visit.tool.as_str()) {
-                let message = format!("tool {} is not in the table {}", visit.tool, table.display());
-                return Err(self
-                    .error(visit.first, message)
-                    .help("add its presets, or leave it out of the log by `ignore`"));
-            }
-            seen.insert(visit.tool.as_str());
-        }
-        match tools.iter().find(|(tool, _)| !seen.contains(tool.tool.as_str())) {
-            Some((tool, line)) => Err(Error::data(format!("tool {} is in no session of the log", tool.tool))
-                .at(table, *line, None)
-                .help("measure it, or take it out of the table")),
-            None => self.check_presets(tools, table),
-        }
-    }
-
-    /// Refuses a table in another unit: all tools read more than five times their presets, or less than a fifth of them.
-    fn check_presets(&self, tools: &[(Tool, usize)], table: &Path) -> Result<()> {
-        let first = |tool: &str, quantity: Quantity| {
-            let visits = self.sessions.iter().flat_map(|session| &session.visits);
-            let mut repeats = visits.filter(|visit| visit.tool == tool).flat_map(|visit| &visit.repeats);
-            repeats.find(|((other, _), _)| *other == quantity).and_then(|(_, readings)| readings.first())
-        };
-        for quantity in Quantity::ALL {
-            let preset = |tool: &Tool| tool.preset[quantity.index()];
-            let read: Vec<(&Tool, usize, &Reading)> = tools
-                .iter()
-                .filter_map(|(tool, line)| first(&tool.tool, quantity).map(|reading| (tool, *line, reading)))
-                .collect();
-            let all = |is_off: fn(f64) -> bool| read.iter().all(|(tool, _, it)| is_off(it.value / preset(tool)));
-            if let Some((tool, line, reading)) = read.first()
-                && (all(|ratio| ratio > 5.0) || all(|ratio| ratio < 0.2))
-            {
-                let message = format!(
-                    "the {} of tool {} is {} mm here, and the setter reads {} mm ({}); the others are off alike",
-                    quantity.name(),
-                    tool.tool,
-                    preset(tool),
-                    reading.value,
-                    self.line(reading.at)
-                );
-                return Err(Error::data(message)
-                    .at(table, *line, None)
-                    .help("are the units of the columns right, and are the presets of this table those of this log?"));
             }
         }
         Ok(())

@@ -1,0 +1,125 @@
+//! Whether sessions agree with each other, and the log with the tool table.
+
+use std::collections::{BTreeMap, BTreeSet};
+use std::path::Path;
+
+use abbe_core::{Error, Result};
+
+use super::{Log, Reading, Visit};
+use crate::record::Tool;
+use crate::settings::Quantity;
+
+/// Cutting time beyond that of the clock that rounded columns have, s.
+const ROUNDED: f64 = 60.0;
+
+/// Times of the clock that no slip of it explains.
+const BY_FAR: f64 = 5.0;
+
+impl Log<'_> {
+    /// Refuses cutting minutes that fall, or that the clock does not allow, and tools that come back.
+    pub(super) fn tools_age(&self) -> Result<()> {
+        let mut visits: BTreeMap<&str, Vec<(usize, &Visit)>> = BTreeMap::new();
+        for (index, session) in self.sessions.iter().enumerate() {
+            session.visits.iter().for_each(|visit| visits.entry(&visit.tool).or_default().push((index, visit)));
+        }
+        for visits in visits.values() {
+            visits.windows(2).try_for_each(|pair| self.goes_on(pair[0], pair[1]))?;
+            if let [(_, first), .., (_, last)] = visits.as_slice() {
+                self.has_cut(first, last)?;
+            }
+        }
+        Ok(())
+    }
+
+    /// Refuses a tool that sessions between two of its visits do not have, and one that lost cutting time.
+    fn goes_on(&self, (before, earlier): (usize, &Visit), (now, visit): (usize, &Visit)) -> Result<()> {
+        let message = if before + 1 < now {
+            let (session, without) = (&self.sessions[now].name, &self.sessions[before + 1].name);
+            let out_of_use = "after it was taken out of use: it is not in session";
+            format!("tool {} is measured in session {session}, {out_of_use} {without}", visit.tool)
+        } else if visit.cutting < earlier.cutting {
+            let [from, to] = [earlier, visit].map(|visit| visit.cutting / 60.0);
+            format!("the cutting minutes of tool {} fall from {from} to {to}", visit.tool)
+        } else {
+            return Ok(());
+        };
+        Err(self.error(visit.first, message).help("give a new or reground tool a number of its own"))
+    }
+
+    /// Tells of a tool that cut for longer than the clock went on between its first and its last visit, and refuses one that did so
+    /// by far: minutes are seconds then.
+    fn has_cut(&self, first: &Visit, last: &Visit) -> Result<()> {
+        let (cut, clock) = (last.cutting - first.cutting - ROUNDED, last.time - first.time);
+        if cut <= clock {
+            return Ok(());
+        }
+        let message = format!(
+            "tool {} cut for {:.1} minutes, and by the clock {:.1} minutes passed since {}",
+            last.tool,
+            (last.cutting - first.cutting) / 60.0,
+            clock / 60.0,
+            self.line(first.first)
+        );
+        let help = "are both columns in the units that they say, e.g. `cutting_s` for seconds?";
+        if cut > BY_FAR * clock {
+            return Err(self.error(last.first, message).help(help));
+        }
+        let (file, line, _) = self.place(last.first);
+        tracing::warn!("{file}:{line}: {message}: {help}");
+        Ok(())
+    }
+
+    /// Refuses tools that only the log or only the table has.
+    pub fn check_tools(&self, tools: &[(Tool, usize)], table: &Path) -> Result<()> {
+        let names: Vec<&str> = tools.iter().map(|(tool, _)| tool.tool.as_str()).collect();
+        let mut seen = BTreeSet::new();
+        for visit in self.sessions.iter().flat_map(|session| &session.visits) {
+            if !names.contains(&visit.tool.as_str()) {
+                let message = format!("tool {} is not in the table {}", visit.tool, table.display());
+                return Err(self
+                    .error(visit.first, message)
+                    .help("add its presets, or leave it out of the log by `ignore`"));
+            }
+            seen.insert(visit.tool.as_str());
+        }
+        match tools.iter().find(|(tool, _)| !seen.contains(tool.tool.as_str())) {
+            Some((tool, line)) => Err(Error::data(format!("tool {} is in no session of the log", tool.tool))
+                .at(table, *line, None)
+                .help("measure it, or take it out of the table")),
+            None => self.check_presets(tools, table),
+        }
+    }
+
+    /// Refuses a table in another unit: all tools read more than five times their presets, or less than a fifth of them.
+    fn check_presets(&self, tools: &[(Tool, usize)], table: &Path) -> Result<()> {
+        let first = |tool: &str, quantity: Quantity| {
+            let visits = self.sessions.iter().flat_map(|session| &session.visits);
+            let mut repeats = visits.filter(|visit| visit.tool == tool).flat_map(|visit| &visit.repeats);
+            repeats.find(|((other, _), _)| *other == quantity).and_then(|(_, readings)| readings.first())
+        };
+        for quantity in Quantity::ALL {
+            let preset = |tool: &Tool| tool.preset[quantity.index()];
+            let read: Vec<(&Tool, usize, &Reading)> = tools
+                .iter()
+                .filter_map(|(tool, line)| first(&tool.tool, quantity).map(|reading| (tool, *line, reading)))
+                .collect();
+            let all = |is_off: fn(f64) -> bool| read.iter().all(|(tool, _, it)| is_off(it.value / preset(tool)));
+            if let Some((tool, line, reading)) = read.first()
+                && (all(|ratio| ratio > 5.0) || all(|ratio| ratio < 0.2))
+            {
+                let message = format!(
+                    "the {} of tool {} is {} mm here, and the setter reads {} mm ({}); the others are off alike",
+                    quantity.name(),
+                    tool.tool,
+                    preset(tool),
+                    reading.value,
+                    self.line(reading.at)
+                );
+                return Err(Error::data(message)
+                    .at(table, *line, None)
+                    .help("are the units of the columns right, and are the presets of this table those of this log?"));
+            }
+        }
+        Ok(())
+    }
+}
