@@ -2,7 +2,9 @@
 
 use std::fs;
 
-use crate::support::{abbe, recipes, root, temporary, write};
+use serde_json::{Value, json};
+
+use crate::support::{Variant, abbe, read, recipes, root, temporary, write};
 
 #[test]
 fn a_plain_file_is_understood_as_it_is() {
@@ -118,4 +120,62 @@ fn rows_of_other_data_are_told() {
         "abbe: 1\nname: t\nstages:\n  points: { ingest: csv, path: t.csv, keep: { feature: [99] } }\n",
     );
     assert_eq!(abbe(folder.path(), &["data", "r.yaml"]).status, 1);
+}
+
+/// A log in the manner of a control whose rotary axes stand still for several touches.
+#[test]
+fn a_log_of_lines_is_the_same_as_its_table() {
+    let folder = temporary();
+    let table = read(&root().join("pipelines/data/sphere-hu40t/exact/touches-1.csv"));
+    let mut lines = table.lines();
+    let header: Vec<&str> = lines.next().expect("a header").split(',').collect();
+    let all: Vec<&str> = header.iter().copied().filter(|name| name.ends_with("_deg")).collect();
+    let rotary = &all;
+    let (mut log, mut above) = ("%\nPROBING 1\n".to_owned(), String::new());
+    for line in lines {
+        let cells: Vec<(&str, &str)> = header.iter().copied().zip(line.split(',')).collect();
+        let cells = &cells;
+        let of = |wanted: bool| cells.iter().filter(move |(name, _)| rotary.contains(name) == wanted);
+        let heading = of(true).map(|(name, cell)| format!("{name}={cell}")).collect::<Vec<_>>().join(" ");
+        if heading != above {
+            log.push_str(&format!("({heading})\n"));
+            above = heading;
+        }
+        let inches = |name: &str, cell: &str| match name {
+            "X_mm" => format!("{}", cell.parse::<f64>().expect("a number") / 25.4),
+            _ => cell.to_owned(),
+        };
+        let row = of(false).map(|(name, cell)| format!("{name}:{}", inches(name, cell))).collect::<Vec<_>>().join("; ");
+        log.push_str(&format!("  {row}  \nMISS\n"));
+    }
+    write(&folder.path().join("touches.log"), &log);
+    let group = |name: &&str| format!(r"(?<{name}>\S+)");
+    let heading = rotary.iter().map(|name| format!("{name}={}", group(name))).collect::<Vec<_>>().join(" ");
+    let others = header.iter().filter(|name| !rotary.contains(name));
+    let line = others.map(|name| format!(r"{name}:(?<{name}>[^;]+)")).collect::<Vec<_>>().join("; ");
+    let recipe = &recipes()["sphere-hu40t-exact"];
+    let estimates = |mut variant: Variant, stage: Option<Value>| {
+        if let Some(stage) = stage {
+            let own = variant.stage("strategy-1");
+            let (mut stage, old) = (stage, own.clone());
+            for key in ["ignore", "keep", "constants", "join"] {
+                if let Some(value) = old.get(key) {
+                    stage[key] = value.clone();
+                }
+            }
+            *own = stage;
+        }
+        let outcome = variant.run();
+        outcome.fits.iter().map(|fit| fit.calibration.parameters.clone()).collect::<Vec<_>>()
+    };
+    let stage = json!({
+        "ingest": "text", "path": folder.path().join("touches.log"), "begins_after": "PROBING.*", "line": line,
+        "headings": [format!(r"\({heading}\)")], "skip": ["MISS"], "units": { "X_mm": "in" },
+    });
+    let (from_table, from_log) = (estimates(Variant::of(recipe), None), estimates(Variant::of(recipe), Some(stage)));
+    assert_eq!(from_table.len(), from_log.len());
+    for (one, other) in from_table.iter().flatten().zip(from_log.iter().flatten()) {
+        // Inches have other digits.
+        assert!(one.name == other.name && (one.value - other.value).abs() < 1e-11, "{one:?} {other:?}");
+    }
 }

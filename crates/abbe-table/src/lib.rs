@@ -22,7 +22,7 @@ use std::path::{Path, PathBuf};
 use abbe_core::{Column, ColumnHeader, DataRow, Dataset, Error, Quantity, Result, Values};
 
 pub use layout::{ColumnSource, Decimal, Encoding, Layout, Separator, Thousands, Unit};
-pub use number::{TEMPERATURES, number};
+pub use number::{TEMPERATURES, number, number_in};
 pub use rewrite::{Cells, with_cells, with_columns};
 pub use settings::{ColumnInUnit, Declared, Source};
 pub use survey::{Contents, Found, Jump, Likely, contents, likely};
@@ -54,7 +54,12 @@ pub fn read_laid_out(path: &Path, layout: &Layout) -> Result<(Dataset, usize)> {
 
 /// The text of a file without byte order mark, in which every line ends in LF or CRLF.
 pub fn read_text(path: &Path) -> Result<String> {
-    text::text(path, &bytes_of(path)?, Encoding::Utf8).map(Cow::into_owned)
+    read_text_in(path, Encoding::Utf8)
+}
+
+/// The same of a file in another encoding.
+pub fn read_text_in(path: &Path, encoding: Encoding) -> Result<String> {
+    text::text(path, &bytes_of(path)?, encoding).map(Cow::into_owned)
 }
 
 /// Bytes that are read at a time.

@@ -18,6 +18,11 @@ pub fn number(header: &str, cell: &str) -> Result<f64, String> {
     number_of(header, cell, None, &Layout::default())
 }
 
+/// The same with a unit other than that of the header, and with this character before the decimals.
+pub fn number_in(header: &str, cell: &str, unit: Option<Unit>, decimal: Decimal) -> Result<f64, String> {
+    number_of(header, cell, unit, &Layout { decimal, ..Layout::default() })
+}
+
 /// The same with a unit other than that of the header, and as a layout writes numbers.
 pub(crate) fn number_of(header: &str, cell: &str, unit: Option<Unit>, layout: &Layout) -> Result<f64, String> {
     let cell = cell.trim();

@@ -5,7 +5,7 @@ use abbe_core::{Class, Context, DataRow, Dataset, Ingest, Values, path_text};
 use proptest::prelude::*;
 use serde_json::{Value, json};
 
-use crate::{build, example};
+use crate::csv::{build, example};
 
 type Files<'a> = &'a [(&'a str, &'a str)];
 

@@ -1,0 +1,291 @@
+//! One data set from many files.
+//!
+//! The columns, in this order: those of the first file; `file`, the name of the row's file without its extension
+//! (always there, so that splitting a file in two changes no column; a `file` column of the files' own is kept
+//! instead); the constants by name; the columns of the joined table. Only then are rows left out, so that `ignore` and
+//! `keep` may name any of them, and every row needs a match in the joined table.
+
+use std::collections::BTreeMap;
+use std::path::{Path, PathBuf};
+
+use abbe_core::{
+    Column, ColumnHeader, Context, DataRow, Dataset, Error, InputFile, Label, PathItem, Result, RowOrigin,
+    SettingsError, Values,
+};
+use abbe_table::Layout;
+use schemars::JsonSchema;
+use serde::Deserialize;
+
+use crate::files::Source;
+
+/// Columns and listed labels.
+pub(crate) type Filters = BTreeMap<String, Vec<Label>>;
+
+#[derive(Debug, Deserialize, JsonSchema)]
+#[serde(untagged, expecting = "a path or a list of paths was expected")]
+pub(crate) enum Paths {
+    /// One path or pattern.
+    One(String),
+    /// Several.
+    Many(Vec<String>),
+}
+
+#[derive(Debug, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub(crate) struct Join {
+    /// The CSV file of the table, relative to the recipe.
+    table: String,
+    /// The column that both have and whose labels are looked up; in the table each occurs once. For `file`, the table
+    /// may write file names with or without their extension.
+    on: String,
+}
+
+enum Constant {
+    Number(f64),
+    Label(String),
+}
+
+fn constants(written: BTreeMap<String, Label>) -> Result<BTreeMap<String, Constant>, SettingsError> {
+    let constant = |(name, Label(text)): (String, Label)| {
+        let wrong = |message: String| SettingsError::new(&name, message).under([PathItem::Key("constants".to_owned())]);
+        let header = ColumnHeader::parse(&name);
+        if header.name.trim().is_empty() {
+            return Err(wrong("a column needs a name".to_owned()));
+        }
+        let value = match abbe_table::empty_column(header).values {
+            Values::Numbers(_) => Constant::Number(abbe_table::number(&name, &text).map_err(wrong)?),
+            Values::Labels(_) => Constant::Label(text),
+        };
+        Ok((name, value))
+    };
+    written.into_iter().map(constant).collect()
+}
+
+/// What makes a file a data set.
+type Load<'a> = &'a dyn Fn(&Path) -> Result<Dataset>;
+
+/// Files, and what is done to their rows.
+pub(crate) struct Assembly {
+    sources: Vec<Source>,
+    constants: BTreeMap<String, Constant>,
+    join: Option<(PathBuf, String)>,
+    ignore: Filters,
+    keep: Filters,
+}
+
+impl Assembly {
+    /// Fails for settings that are none.
+    pub(crate) fn new(
+        path: Paths,
+        constants: BTreeMap<String, Label>,
+        join: Option<Join>,
+        [ignore, keep]: [Filters; 2],
+        context: &Context,
+    ) -> Result<Self, SettingsError> {
+        let paths = match path {
+            Paths::One(path) => vec![path],
+            Paths::Many(paths) => paths,
+        };
+        if paths.is_empty() {
+            return Err(SettingsError::new("path", "at least one file was expected"));
+        }
+        let sources = paths.iter().map(|path| Source::new(path, context)).collect::<Result<_, _>>();
+        Ok(Self {
+            sources: sources.map_err(|message| SettingsError::new("path", message))?,
+            constants: self::constants(constants)?,
+            join: join.map(|join| (context.path(&join.table), join.on)),
+            ignore,
+            keep,
+        })
+    }
+
+    /// The files that it reads.
+    pub(crate) fn inputs(&self) -> Vec<InputFile> {
+        let input = |setting| move |path| InputFile { setting, path };
+        let files = self.sources.iter().flat_map(|source| match source.files() {
+            files if files.is_empty() => vec![source.path.clone()],
+            files => files,
+        });
+        let table = self.join.iter().map(|(table, _)| table.clone());
+        files.map(input("path")).chain(table.map(input("join"))).collect()
+    }
+
+    /// The columns of the data set, from what `load` tells of each file without rows.
+    pub(crate) fn without_rows(&self, load: Load<'_>) -> Result<Dataset> {
+        self.assemble(load, &|path| without_rows(path, &Layout::default()))
+    }
+
+    /// The data set, from what `load` reads of each file.
+    pub(crate) fn read(&self, load: Load<'_>) -> Result<Dataset> {
+        let data = self.assemble(load, &abbe_table::read)?;
+        let mut stays = vec![true; data.rows()];
+        for (setting, filters, wanted) in self.filters() {
+            for (name, listed) in filters {
+                let labels = abbe_table::labels(&data, name)?;
+                // A recipe may name rows that other data do not have.
+                for label in listed.iter().filter(|label| !labels.contains(&label.0)) {
+                    tracing::warn!("`{setting}` names {name} {}, which is in no row of these data", label.0);
+                }
+                for (stays, label) in stays.iter_mut().zip(labels) {
+                    *stays &= listed.iter().any(|listed| listed.0 == *label) == wanted;
+                }
+            }
+        }
+        match stays.contains(&true) {
+            true => Ok(selected(data, &stays)),
+            false => Err(Error::data("no row is left after `ignore` and `keep`")),
+        }
+    }
+
+    /// The data set before rows are left out, from what `load` reads of each file, and `table` of the joined one.
+    fn assemble(&self, load: Load<'_>, table: Load<'_>) -> Result<Dataset> {
+        let mut data = Dataset::default();
+        for source in &self.sources {
+            let files = source.files();
+            if files.is_empty() {
+                return Err(Error::usage(format!("no file matches `{}`", source.path.display())).setting("path"));
+            }
+            for file in files {
+                append(&mut data, load(&file)?)?;
+            }
+        }
+        let by_file = add_file_column(&mut data)?;
+        for (name, constant) in &self.constants {
+            let header = ColumnHeader::parse(name);
+            if let Some(twin) = data.column(&header.name) {
+                let message = format!("there is a column `{}` already", twin.header.header);
+                return Err(in_settings(Error::usage(message), "constants", name));
+            }
+            let values = match constant {
+                Constant::Number(number) => Values::Numbers(vec![*number; data.rows()]),
+                Constant::Label(label) => Values::Labels(vec![label.clone(); data.rows()]),
+            };
+            data.columns.push(Column { header, values });
+        }
+        if let Some((path, on)) = &self.join {
+            join(&mut data, &table(path)?, on, by_file && on == "file")?;
+        }
+        for (setting, filters, _) in self.filters() {
+            for name in filters.keys() {
+                abbe_table::labels(&data, name).map_err(|error| in_settings(error, setting, name))?;
+            }
+        }
+        Ok(data)
+    }
+
+    /// The settings that leave rows out, and whether a listed label means that the row stays.
+    fn filters(&self) -> [(&'static str, &Filters, bool); 2] {
+        [("ignore", &self.ignore, false), ("keep", &self.keep, true)]
+    }
+}
+
+/// A table without its rows.
+pub(crate) fn without_rows(path: &Path, layout: &Layout) -> Result<Dataset> {
+    let headers = abbe_table::read_headers_laid_out(path, layout)?;
+    let columns = headers.into_iter().map(abbe_table::empty_column).collect();
+    Ok(Dataset { columns, files: vec![path.to_owned()], ..Dataset::default() })
+}
+
+/// The error at a place of the settings instead of a file: the statement of the recipe about the file is wrong.
+fn in_settings(error: Error, setting: &str, key: &str) -> Error {
+    Error { place: None, setting: [setting, key].map(|key| PathItem::Key(key.to_owned())).into(), ..error }
+}
+
+/// Appends the rows of one file, which must have the same columns in any order.
+fn append(data: &mut Dataset, mut part: Dataset) -> Result<()> {
+    let Some(first) = data.files.first() else {
+        *data = part;
+        return Ok(());
+    };
+    let only = |this: &Dataset, other: &Dataset| {
+        this.headers().into_iter().find(|header| !other.headers().contains(header)).map(|header| header.header)
+    };
+    let differ = |column: String, with: &Path, without: &Path| {
+        Error::usage(format!("there is no column `{column}`, which `{}` has", with.display())).in_file(without)
+    };
+    if let Some(path) = part.files.first() {
+        if let Some(column) = only(data, &part) {
+            return Err(differ(column, first, path));
+        }
+        if let Some(column) = only(&part, data) {
+            return Err(differ(column, path, first));
+        }
+    }
+    for column in &mut data.columns {
+        let more = part.columns.iter_mut().find(|other| other.header == column.header);
+        match (&mut column.values, more.map(|column| &mut column.values)) {
+            (Values::Numbers(numbers), Some(Values::Numbers(more))) => numbers.append(more),
+            (Values::Labels(labels), Some(Values::Labels(more))) => labels.append(more),
+            // Columns of the same header hold the same kind of values.
+            _ => {}
+        }
+    }
+    let files = data.files.len();
+    data.origins.extend(part.origins.into_iter().map(|origin| RowOrigin { file: origin.file + files, ..origin }));
+    data.files.append(&mut part.files);
+    Ok(())
+}
+
+/// Adds the column `file`; false if the files have one of their own.
+fn add_file_column(data: &mut Dataset) -> Result<bool> {
+    if data.column("file").is_some() {
+        return Ok(false);
+    }
+    let mut stems: Vec<String> = Vec::new();
+    for path in &data.files {
+        let stem = path.file_stem().map(|stem| stem.to_string_lossy().into_owned()).unwrap_or_default();
+        if let Some(twin) = stems.iter().position(|other| *other == stem) {
+            let message = format!(
+                "`{}` and `{}` would both be `{stem}` in the column `file`",
+                data.files[twin].display(),
+                path.display()
+            );
+            return Err(Error::usage(message).setting("path"));
+        }
+        stems.push(stem);
+    }
+    let labels = data.origins.iter().map(|origin| stems[origin.file].clone()).collect();
+    data.columns.push(Column { header: ColumnHeader::parse("file"), values: Values::Labels(labels) });
+    Ok(true)
+}
+
+/// Adds the columns of a table, by the label that each row has in the column `on`; `by_file`: the label is the name of
+/// its file, which the table may write with the extension.
+fn join(data: &mut Dataset, table: &Dataset, on: &str, by_file: bool) -> Result<()> {
+    let keys = abbe_table::unique_labels(table, on)?;
+    let labels = abbe_table::labels(data, on).map_err(|error| in_settings(error, "join", "on"))?;
+    let path = table.files.first().map(PathBuf::as_path).unwrap_or(Path::new(""));
+    let mut rows = Vec::new();
+    for (row, (label, origin)) in DataRow::enumerate(labels.iter().zip(&data.origins)) {
+        let name = data.files[origin.file].file_name().and_then(|name| name.to_str()).filter(|_| by_file);
+        match keys.get(label.as_str()).or_else(|| keys.get(name?)) {
+            Some(&found) => rows.push(found),
+            None => {
+                return Err(data.error_at(row, format!("{on} `{label}` is not in the table `{}`", path.display())));
+            }
+        }
+    }
+    for column in table.columns.iter().filter(|column| column.header.name != on) {
+        if let Some(twin) = data.column(&column.header.name) {
+            let message = format!("the column `{}` is in the data already", twin.header.header);
+            return Err(Error::usage(message).in_file(path));
+        }
+        data.columns.push(Column { header: column.header.clone(), values: pick(&column.values, &rows) });
+    }
+    Ok(())
+}
+
+/// The rows that stay; each keeps its origin.
+fn selected(data: Dataset, stays: &[bool]) -> Dataset {
+    let rows: Vec<DataRow> = data.row_indices().filter(|&row| stays[row]).collect();
+    let columns =
+        data.columns.iter().map(|column| Column { header: column.header.clone(), values: pick(&column.values, &rows) });
+    Dataset { columns: columns.collect(), origins: rows.iter().map(|&row| data.origins[row]).collect(), ..data }
+}
+
+fn pick(values: &Values, rows: &[DataRow]) -> Values {
+    match values {
+        Values::Numbers(numbers) => Values::Numbers(rows.iter().map(|&row| numbers[row]).collect()),
+        Values::Labels(labels) => Values::Labels(rows.iter().map(|&row| labels[row].clone()).collect()),
+    }
+}

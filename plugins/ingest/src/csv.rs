@@ -1,0 +1,148 @@
+//! Ingest plugin `csv`: tables of text.
+
+use std::collections::BTreeMap;
+use std::path::Path;
+
+use abbe_core::{ColumnHeader, Context, Dataset, Ingest, InputFile, Label, Result, SettingsError};
+use abbe_table::{Decimal, Declared, Encoding, Layout, Separator, Thousands};
+use schemars::JsonSchema;
+use serde::Deserialize;
+use serde_json::{Value, json};
+
+use crate::assembly::{Assembly, Filters, Join, Paths, without_rows};
+use crate::average::Average;
+
+/// Measurements in CSV files.
+#[derive(Debug, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub(crate) struct Settings {
+    /// The file or files, relative to the recipe. `*` and `?` in a file name stand for any characters and for one; the
+    /// files that match come in natural order (`sphere-2` before `sphere-10`). Many files give one data set.
+    path: Paths,
+    /// What separates the columns of the files.
+    #[serde(default)]
+    separator: Separator,
+    /// The character before the decimals of all numbers of the files.
+    #[serde(default)]
+    decimal: Decimal,
+    /// What separates groups of three digits in the numbers of the files. Without it numbers with such separators are refused.
+    #[serde(default)]
+    thousands: Thousands,
+    /// How the characters of the files are stored.
+    #[serde(default)]
+    encoding: Encoding,
+    /// Lines before the header row: titles.
+    #[serde(default)]
+    #[schemars(range(max = 10000))]
+    skip_lines: usize,
+    /// Rows between the header row and the first row of data, for example one with units.
+    #[serde(default)]
+    #[schemars(range(max = 10000))]
+    skip_after_header: usize,
+    /// Whether there is a header row; without one `columns` numbers the columns.
+    #[serde(default = "yes")]
+    header: bool,
+    /// What stands in the place of a number that was not measured. Rows with such a cell in a column of numbers are left out,
+    /// and counted in a remark.
+    #[serde(default)]
+    no_data: Vec<Label>,
+    /// The columns to take, all others are left out: name with unit, and the name that it has in the files.
+    columns: Option<BTreeMap<String, abbe_table::Source>>,
+    /// Columns with the same value in every row: name, with its unit where it has one, and value.
+    #[serde(default)]
+    constants: BTreeMap<String, Label>,
+    /// A table with further columns, looked up by a label of each row.
+    join: Option<Join>,
+    /// Rows to leave out: column and the labels that mark them.
+    #[serde(default)]
+    ignore: Filters,
+    /// Rows to take; all others are left out: column and the labels that mark them.
+    #[serde(default)]
+    keep: Filters,
+    /// Take means of repeated rows, after `ignore` and `keep`.
+    average: Option<Average>,
+}
+
+fn yes() -> bool {
+    true
+}
+
+/// The stage.
+struct Csv {
+    assembly: Assembly,
+    layout: Layout,
+    average: Option<Average>,
+}
+
+abbe_core::register!(
+    Ingest,
+    "csv",
+    "reads CSV files whose column names carry units",
+    Settings,
+    example,
+    build,
+    "../reference/ingest-csv.md",
+);
+
+pub(crate) fn example() -> Value {
+    json!({
+        "path": ["bar-*.csv"],
+        "constants": { "cycle": 1, "T_degC": 20.5 },
+        "join": { "table": "measurements.csv", "on": "file" },
+        "ignore": { "point": [1, 2] },
+        "keep": { "stylus": [1] },
+        "average": { "over": "file", "by": ["point"] }
+    })
+}
+
+pub(crate) fn build(settings: Settings, context: &Context) -> Result<Box<dyn Ingest>, SettingsError> {
+    let layout = Declared {
+        separator: settings.separator,
+        decimal: settings.decimal,
+        thousands: settings.thousands,
+        encoding: settings.encoding,
+        skip_lines: settings.skip_lines,
+        skip_after_header: settings.skip_after_header,
+        header: settings.header,
+        no_data: settings.no_data,
+        columns: settings.columns,
+    };
+    let Settings { path, constants, join, ignore, keep, average, .. } = settings;
+    Ok(Box::new(Csv {
+        assembly: Assembly::new(path, constants, join, [ignore, keep], context)?,
+        layout: layout.layout()?,
+        average,
+    }))
+}
+
+impl Ingest for Csv {
+    fn inputs(&self) -> Vec<InputFile> {
+        self.assembly.inputs()
+    }
+
+    fn headers(&self) -> Result<Vec<ColumnHeader>> {
+        // What `read` does, on tables without rows: so the columns cannot differ.
+        let data = self.assembly.without_rows(&|path| without_rows(path, &self.layout))?;
+        Ok(match &self.average {
+            Some(average) => average.of(&data)?.headers(),
+            None => data.headers(),
+        })
+    }
+
+    fn read(&self) -> Result<Dataset> {
+        let data = self.assembly.read(&|path| rows_of(path, &self.layout))?;
+        match &self.average {
+            Some(average) => average.of(&data),
+            None => Ok(data),
+        }
+    }
+}
+
+fn rows_of(path: &Path, layout: &Layout) -> Result<Dataset> {
+    let (data, left_out) = abbe_table::read_laid_out(path, layout)?;
+    if left_out > 0 {
+        let rows = if left_out == 1 { "row holds" } else { "rows hold" };
+        tracing::warn!("{}: {left_out} {rows} a mark of `no_data` and are left out", path.display());
+    }
+    Ok(data)
+}
