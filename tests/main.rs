@@ -24,6 +24,7 @@ mod mill;
 mod misread;
 mod models;
 mod multi_feature_bar;
+mod new;
 mod nobodys_files;
 mod nonsense;
 mod outside;

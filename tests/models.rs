@@ -35,7 +35,7 @@ fn chains(axes: &[&str]) -> Vec<String> {
     orders.iter().flat_map(with_bed).collect()
 }
 
-fn all_chains() -> Vec<String> {
+pub(crate) fn all_chains() -> Vec<String> {
     let sets: [&[&str]; 7] = [
         &["X", "Y", "Z"],
         &["X", "Y", "Z", "A"],

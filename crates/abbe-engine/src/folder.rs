@@ -27,8 +27,8 @@ pub fn can_write_folder(out: &Path) -> Result<()> {
     can_write(parent(out))
 }
 
-/// Writes files, whose names are relative to it, into the folder `out`.
-pub(crate) fn write_folder(out: &Path, files: &BTreeMap<PathBuf, Vec<u8>>) -> Result<()> {
+/// Writes files, whose names are relative to it, into the folder `out`: whole or not at all. It has to be empty or not to exist.
+pub fn write_folder(out: &Path, files: &BTreeMap<PathBuf, Vec<u8>>) -> Result<()> {
     can_write_folder(out)?;
     let failed = |error: io::Error| unwritable(parent(out), &error);
     // Where a link stands, the folder that it leads to is written.

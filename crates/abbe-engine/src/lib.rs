@@ -31,7 +31,7 @@ mod understood;
 pub use abbe_estimation::{LocationError, LocationErrors, Standing};
 pub use abbe_planning::{Order, Plan, PlanFigures};
 pub use described::{Described, prepare_text};
-pub use folder::can_write_folder;
+pub use folder::{can_write_folder, write_folder};
 pub use laws::Laws;
 pub use outcome::{CALIBRATION, Failure, Outcome, REPORT, VERDICTS, residuals_file};
 pub use plan::Measurements;

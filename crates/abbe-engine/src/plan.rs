@@ -80,6 +80,18 @@ impl Prepared {
     }
 }
 
+impl Prepared {
+    /// All candidates that the key `plan` of the recipe generates, as the text of a data file.
+    ///
+    /// Fails if it generates none, or the machine reaches none.
+    pub fn candidates(&self) -> Result<String> {
+        let nothing = || Error::usage("the recipe generates no candidates").in_file(&self.recipe.path);
+        let wanted = self.recipe.plan.as_ref().ok_or_else(nothing)?;
+        let generation = wanted.generate.as_ref().ok_or_else(nothing)?;
+        Ok(self.generated(self.recipe_stage(&wanted.estimate)?, wanted, generation)?.text)
+    }
+}
+
 /// Candidates that were generated on a grid, instead of data that an ingest stage reads.
 struct Generated<'a> {
     ingest: &'a str,

@@ -18,6 +18,7 @@ mod interrupt;
 mod libraries;
 mod listed;
 mod machine;
+mod new;
 mod pages;
 mod planning;
 mod progress;
@@ -142,6 +143,8 @@ enum Command {
         #[arg(long, value_name = "SECONDS", value_parser = seconds, allow_negative_numbers = true)]
         time_limit: Option<Duration>,
     },
+    /// Begin a calibration: write a machine file, an artefact, the touches to make and a recipe, for a chain of axes.
+    New(new::New),
     /// Show what is understood of data files: layout, columns, ranges, gaps, and the settings that they seem to need.
     Data(data::Data),
     /// Show a machine: axes, chain, the errors that it has, which location errors are independent and how they are called.
@@ -414,6 +417,10 @@ fn dispatch(command: Command, libraries: &Libraries, verbose: bool) -> Result<(S
                 false => planning::text(&prepared.recipe.name, &measurements, out.as_deref()),
             };
             Ok((text, status))
+        }
+        Command::New(asked) => {
+            interrupt::cancel_on_signal(Monitor::default())?;
+            Ok((asked.run(libraries)?, 0))
         }
         Command::Data(asked) => Ok((asked.run(libraries)?, 0)),
         Command::Model(asked) => Ok((asked.run(libraries)?, 0)),

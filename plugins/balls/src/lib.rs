@@ -71,6 +71,33 @@ struct Settings {
     /// Standard uncertainty of the effective stylus radius, shared by all touches.
     #[serde(default)]
     stylus_radius_standard_uncertainty_um: f64,
+    /// The touches on every ball that `abbe plan` generates.
+    #[serde(default)]
+    pattern: Pattern,
+}
+
+/// Touches on a ball.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize, JsonSchema)]
+#[serde(rename_all = "kebab-case")]
+enum Pattern {
+    /// Four on the equator and one on the pole (Rahman 2016, section 2.3.3.6): the place of the ball.
+    #[default]
+    Five,
+    /// The 25 points of ISO 10360-5 on a hemisphere: its size and its form as well, which tell squareness and scales.
+    TwentyFive,
+}
+
+impl Pattern {
+    /// Outward normals at the places that are touched, table frame.
+    fn normals(self) -> Vec<Vector3<f64>> {
+        let diagonal = std::f64::consts::FRAC_1_SQRT_2;
+        match self {
+            Self::Five => [(1.0, 1.0, 0.0), (-1.0, 1.0, 0.0), (-1.0, -1.0, 0.0), (1.0, -1.0, 0.0), (0.0, 0.0, 1.0)]
+                .map(|(x, y, z): (f64, f64, f64)| Vector3::new(diagonal * x, diagonal * y, z))
+                .to_vec(),
+            Self::TwentyFive => abbe_standards::probing::hemisphere_of_25().map(Vector3::from).to_vec(),
+        }
+    }
 }
 
 /// What a data row is.
@@ -358,10 +385,7 @@ impl Artefact for Balls {
     }
 
     fn targets(&self, stylus_radius: f64) -> Result<Vec<Target>> {
-        // Four touches on the equator and one on the pole, the usual pattern (Rahman 2016, section 2.3.3.6).
-        let diagonal = std::f64::consts::FRAC_1_SQRT_2;
-        let outward = [(1.0, 1.0, 0.0), (-1.0, 1.0, 0.0), (-1.0, -1.0, 0.0), (1.0, -1.0, 0.0), (0.0, 0.0, 1.0)]
-            .map(|(x, y, z): (f64, f64, f64)| Vector3::new(diagonal * x, diagonal * y, z));
+        let outward = self.settings.pattern.normals();
         let mut targets = Vec::new();
         for ball in self.read_nominal()? {
             let centre = Target { feature: ball.label.clone(), tip: ball.centre.into(), approach: None };

@@ -1,0 +1,126 @@
+//! `abbe new`: what it writes passes `abbe check`, and gives a simulated truth back, on any chain.
+
+use abbe_core::Status;
+use serde_json::{Map, json};
+
+use crate::models::all_chains;
+use crate::support::{abbe, fit, read, registry, temporary, write};
+
+const METHODS: [&str; 3] = ["table", "ball", "balls"];
+
+/// Random numbers: xorshift64*.
+struct Random(u64);
+
+impl Random {
+    /// From -1 to 1.
+    fn next(&mut self) -> f64 {
+        self.0 ^= self.0 >> 12;
+        self.0 ^= self.0 << 25;
+        self.0 ^= self.0 >> 27;
+        (self.0.wrapping_mul(0x2545_F491_4F6C_DD1D) >> 11) as f64 / (1_u64 << 52) as f64 - 1.0
+    }
+}
+
+/// Tens of micrometres, of microradians, of micrometres in a metre.
+fn size(name: &str) -> f64 {
+    match name {
+        name if name.ends_with("[1]") => 5e-5,
+        name if name.starts_with('d') || ["EX", "EY", "EZ"].iter().any(|begins| name.starts_with(begins)) => 0.05,
+        _ => 1e-4,
+    }
+}
+
+/// Begins a calibration, measures it on a virtual machine and runs it. The number of parameters that came back, or the reason why
+/// the method tells nothing.
+fn closed(chain: &str, method: &str, seed: u64) -> Result<usize, String> {
+    let folder = temporary();
+    let at = folder.path();
+    let begun = abbe(at, &["new", "begun", "--chain", chain, "--method", method]);
+    if begun.status != 0 {
+        assert_eq!(begun.status, 2, "{chain} {method}: {}", begun.stderr);
+        return Err(begun.stderr);
+    }
+    let prepared = |recipe: &str| {
+        let prepared = abbe_engine::prepare(&at.join(recipe), &registry());
+        prepared.unwrap_or_else(|error| panic!("{chain} {method}: {error}"))
+    };
+    let planned = prepared("begun/recipe.yaml").check().unwrap_or_else(|error| panic!("{chain} {method}: {error}"));
+    assert!(planned[0].accepted && planned[0].identifiability.null_space.is_empty(), "{chain} {method}");
+    let mut random = Random(0x9E37_79B9_7F4A_7C15 ^ (seed + 1).wrapping_mul(0xD1B5_4A32_D192_ED03));
+    let machine = planned[0].machine.iter();
+    let truth: Map<_, _> = machine.map(|name| (name.clone(), json!(size(name) * random.next()))).collect();
+    write(&at.join("truth.json"), &json!({ "parameters": truth }).to_string());
+    let simulated = prepared("begun/recipe.yaml").simulate(&at.join("truth.json"), seed, None);
+    let simulated = simulated.unwrap_or_else(|error| panic!("{chain} {method}: {error}"));
+    simulated.write(&at.join("measured")).expect("a folder");
+    let outcome = prepared("measured/recipe.yaml").run(&abbe_core::Monitor::default());
+    let outcome = outcome.unwrap_or_else(|error| panic!("{chain} {method}: {error}"));
+    let calibration = &fit(&outcome, "fit").calibration;
+    for (name, value) in &truth {
+        let found = calibration.get(name).unwrap_or_else(|| panic!("{chain} {method}: no {name}"));
+        let off = (found.value - value.as_f64().expect("a number")).abs();
+        assert!(found.status == Status::Estimated && off < 1e-7, "{chain} {method}: {name} is off by {off}");
+    }
+    Ok(truth.len())
+}
+
+/// A sample of the chains of three to five axes with every method; all of them by `ABBE_NEW_CHAINS=1`.
+#[test]
+fn a_beginning_gives_a_simulated_truth_back_or_says_why_not() {
+    let step = std::env::var("ABBE_NEW_CHAINS").ok().and_then(|step| step.parse().ok()).unwrap_or(211);
+    let (mut told, mut refused) = (Vec::new(), Vec::new());
+    for (place, chain) in all_chains().iter().enumerate().step_by(step) {
+        for (number, method) in METHODS.into_iter().enumerate() {
+            match closed(chain, method, (place * METHODS.len() + number) as u64) {
+                Ok(parameters) => told.push(parameters),
+                Err(reason) => {
+                    let rotary = chain.split_whitespace().filter(|axis| axis.starts_with(['A', 'B', 'C'])).count();
+                    assert!(reason.contains("cannot calibrate a machine with the axes"), "{chain} {method}: {reason}");
+                    assert!(rotary == 0 && method == "table", "{chain} {method}: {reason}");
+                    refused.push(chain.clone());
+                }
+            }
+        }
+    }
+    let (least, most) = (told.iter().min(), told.iter().max());
+    println!("{} beginnings with {least:?} to {most:?} parameters; refused {refused:?}", told.len());
+}
+
+#[test]
+fn what_is_missing_is_asked_of_nobody_without_a_terminal() {
+    let folder = temporary();
+    let cases: [(&[&str], &str); 6] = [
+        (&["new", "a"], "`--chain` is missing"),
+        (&["new", "a", "--chain", "w b X Y Z t"], "`--method` is missing"),
+        (&["new", "a", "--chain", "w b X Y Q t", "--method", "ball"], "Q"),
+        (&["new", "a", "--chain", "w b X Y t", "--method", "ball"], "2 linear axes"),
+        (&["new", "a", "--chain", "w b X Y Z t", "--method", "table"], "cannot calibrate a machine"),
+        (&["new", "full", "--chain", "w b X Y Z t", "--method", "ball"], "not empty"),
+    ];
+    std::fs::create_dir(folder.path().join("full")).expect("a folder");
+    write(&folder.path().join("full/mine.txt"), "mine");
+    for (arguments, expected) in cases {
+        let printed = abbe(folder.path(), arguments);
+        assert!(printed.stderr.contains(expected), "{arguments:?}: {}", printed.stderr);
+        assert_ne!(printed.status, 0, "{arguments:?}");
+        assert!(!folder.path().join("a").exists(), "{arguments:?}");
+    }
+}
+
+#[test]
+fn the_control_gets_its_exporter_or_a_reason() {
+    let folder = temporary();
+    let chain = "w C' A' b X Y Z t";
+    for (controller, expected) in [
+        ("linuxcnc", "control: { export: linuxcnc-kinematics, of: fit }"),
+        ("siemens", "# `export: siemens-tables` was left out"),
+        ("grbl", "export: grbl"),
+    ] {
+        let arguments = ["new", controller, "--chain", chain, "--method", "ball", "--controller", controller];
+        let printed = abbe(folder.path(), &arguments);
+        assert_eq!(printed.status, 0, "{}", printed.stderr);
+        let recipe = read(&folder.path().join(controller).join("recipe.yaml"));
+        assert!(recipe.contains(expected), "{controller}: {recipe}");
+        assert_eq!(abbe(folder.path(), &["check", &format!("{controller}/recipe.yaml")]).status, 0, "{controller}");
+    }
+}
