@@ -467,6 +467,14 @@ fn feeds_in_another_unit_do_not_pass_silently() {
     // The other way round.
     let fast = run("sphere-touches", sphere, 60.0, &["qualified"]);
     assert!(fast.stderr.contains("feeds from 1800 to 7200 mm/min"), "{}", fast.stderr);
+    // A delay before the contact.
+    let folder = temporary();
+    let text = read(&root().join(sphere));
+    let swapped = text.replace(",30.0,", ",x,").replace(",120.0,", ",30.0,").replace(",x,", ",120.0,");
+    write(&folder.path().join("touches.csv"), &swapped);
+    recipe("realistic").only(&["qualified"]).set("sphere-touches", "path", json!("touches.csv")).write(folder.path());
+    let early = abbe(folder.path(), &["run", "recipe.yaml", "--out", "out"]);
+    assert!(early.status == 1 && early.stderr.contains("probe.delay = -0.003"), "{}", early.stderr);
     let right = run("sphere-touches", sphere, 1.0, &["qualified"]);
     assert!((right.status, right.stderr.as_str()) == (0, ""), "{}", right.stderr);
 }

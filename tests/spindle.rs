@@ -329,20 +329,33 @@ fn readings_in_a_file_are_refused_with_their_line() {
     assert!((speed - 9000.18).abs() < 0.01, "{speed}");
 }
 
-#[test]
-fn a_warm_up_in_another_unit_is_refused() {
+/// The log of the warm-up with other cells in the columns whose names begin so; `change` gets the number of the row and the value.
+fn warm_up(begins: &str, change: &dyn Fn(usize, f64) -> f64) -> String {
     let text = read(&root().join("pipelines/data/spindle-motion/realistic/thermal-warmup.csv"));
     let header: Vec<&str> = text.lines().next().expect("a header").split(',').collect();
-    let scaled = |begins: &str, factor: f64| {
-        let rows = text.lines().enumerate().map(|(line, row)| {
-            let cells = row.split(',').zip(&header).map(|(cell, name)| match line > 0 && name.starts_with(begins) {
-                true => (cell.parse::<f64>().expect("a number") * factor).to_string(),
-                false => cell.to_owned(),
-            });
-            cells.collect::<Vec<_>>().join(",")
+    let rows = text.lines().enumerate().map(|(line, row)| {
+        let cells = row.split(',').zip(&header).map(|(cell, name)| match line > 0 && name.starts_with(begins) {
+            true => change(line, cell.parse::<f64>().expect("a number")).to_string(),
+            false => cell.to_owned(),
         });
-        rows.collect::<Vec<_>>().join("\n") + "\n"
-    };
+        cells.collect::<Vec<_>>().join(",")
+    });
+    rows.collect::<Vec<_>>().join("\n") + "\n"
+}
+
+/// Runs the warm-up alone on a log.
+fn run_warm_up(log: &str) -> crate::support::Printed {
+    let folder = temporary();
+    write(&folder.path().join("log.csv"), log);
+    let variant = recipe("realistic").only(&["warm-up"]);
+    let stage = variant.0["stages"]["warm-up"]["from"].clone();
+    let from = stage.as_str().or_else(|| stage[0].as_str()).expect("a stage").to_owned();
+    variant.set(&from, "path", json!("log.csv")).write(folder.path());
+    abbe(folder.path(), &["run", "recipe.yaml", "--out", "out"])
+}
+
+#[test]
+fn a_warm_up_in_another_unit_is_refused() {
     let (small, short) = ("drift_z drifts most, by 0.0", "the warm-up ends after");
     let cases = [
         ("drift", 1e-3, small, "widen `plausible_um`"),
@@ -351,15 +364,96 @@ fn a_warm_up_in_another_unit_is_refused() {
         ("time", 1e3, short, "is the time in the unit"),
     ];
     for (column, factor, message, help) in cases {
-        let folder = temporary();
-        write(&folder.path().join("log.csv"), &scaled(column, factor));
-        let variant = recipe("realistic").only(&["warm-up"]);
-        let stage = variant.0["stages"]["warm-up"]["from"].clone();
-        let from = stage.as_str().or_else(|| stage[0].as_str()).expect("a stage").to_owned();
-        variant.set(&from, "path", json!("log.csv")).write(folder.path());
-        let printed = abbe(folder.path(), &["run", "recipe.yaml", "--out", "out"]);
+        let printed = run_warm_up(&warm_up(column, &|_, value| value * factor));
         let told = in_one_line(&printed.stderr);
         assert!(told.contains(message) && told.contains(help), "{column} {factor}: {}", printed.stderr);
         assert_eq!(printed.status, 1, "{column} {factor}");
     }
+}
+
+#[test]
+fn sensors_of_a_warm_up_that_fail_are_told() {
+    let cases: [(&str, &dyn Fn(usize, f64) -> f64, i32, &str); 6] = [
+        ("T02", &|_, _| 20.8, 1, "T02 reads 20.8 °C in all rows"),
+        ("T02", &|row, value| if row == 90 { 0.0 } else { value }, 0, "T02 jumps here"),
+        ("drift_z", &|row, value| if row > 100 { value - 20.0 } else { value }, 0, ":102: drift_z jumps here"),
+        ("drift_z", &|_, value| value * 1e-3, 0, "drift_z drifts by 0.03"),
+        ("time", &|row, value| if row > 90 { value + 1000.0 } else { value }, 0, "s without readings before this row"),
+        ("T02", &|_, value| value, 0, ""),
+    ];
+    for (place, (column, change, status, expected)) in cases.into_iter().enumerate() {
+        let printed = run_warm_up(&warm_up(column, change));
+        let told = in_one_line(&printed.stderr);
+        assert!(told.contains(expected) && printed.status == status, "case {place}: {}", printed.stderr);
+        assert_eq!(told.is_empty(), expected.is_empty(), "case {place}: {}", printed.stderr);
+    }
+}
+
+/// A run with other readings: `change` gets row, angle in degrees, and cells.
+fn run_with(
+    stage: &str,
+    file: &str,
+    kept: &[&str],
+    change: &dyn Fn(usize, &mut Vec<String>),
+) -> crate::support::Printed {
+    let text = read(&root().join("pipelines/data/spindle-motion/realistic").join(file));
+    let rows = text.lines().enumerate().map(|(line, row)| {
+        let mut cells: Vec<String> = row.split(',').map(str::to_owned).collect();
+        if line > 0 {
+            change(line, &mut cells);
+        }
+        cells.join(",")
+    });
+    let folder = temporary();
+    write(&folder.path().join(file), &(rows.collect::<Vec<_>>().join("\n") + "\n"));
+    recipe("realistic").set(stage, "path", json!(file)).only(kept).write(folder.path());
+    abbe(folder.path(), &["run", "recipe.yaml", "--out", "out"])
+}
+
+#[test]
+fn runs_that_contradict_each_other_are_told() {
+    let scale = |cell: &mut String, factor: f64| *cell = (cell.parse::<f64>().expect("a number") * factor).to_string();
+    let header = read(&root().join("pipelines/data/spindle-motion/realistic/motion-600.csv"));
+    let header: Vec<&str> = header.lines().next().expect("a header").split(',').collect();
+    let column = |name: &str| header.iter().position(|own| own.starts_with(name)).expect("a column");
+    let (angle, r1, r2, z) = (column("S_"), column("r1"), column("r2"), column("z"));
+    // Half a degree in every turn.
+    let slips = |row: usize, cells: &mut Vec<String>| {
+        let slipped = (row / 128) as f64 * 0.6;
+        cells[angle] = format!("{:.6}", cells[angle].parse::<f64>().expect("a number") + slipped);
+    };
+    let thousandths =
+        |_: usize, cells: &mut Vec<String>| [r1, r2, z].iter().for_each(|&at| scale(&mut cells[at], 1.0 / 25.4));
+    let noise =
+        |row: usize, cells: &mut Vec<String>| cells[z] = format!("{:.3}", 0.006 * ((row * 7919) % 13) as f64 / 6.0);
+    let told = |printed: &crate::support::Printed, expected: &str| {
+        assert!(in_one_line(&printed.stderr).contains(expected), "`{expected}`: {}", printed.stderr);
+    };
+    told(&run_with("run-600", "motion-600.csv", &["motion"], &slips), "does the encoder slip a little in every turn?");
+    told(&run_with("run-600", "motion-600.csv", &["motion"], &thousandths), "has a sensor another range or unit here?");
+    told(&run_with("run-600", "motion-600.csv", &["motion"], &noise), "z moves by");
+    let as_it_is = run_with("run-600", "motion-600.csv", &["motion"], &|_, _| {});
+    assert_eq!((as_it_is.status, as_it_is.stderr.as_str()), (0, ""));
+}
+
+#[test]
+fn a_reversal_that_is_a_copy_or_turned_is_told() {
+    let first = read(&root().join("pipelines/data/spindle-motion/realistic/reversal-1.csv"));
+    let header: Vec<&str> = first.lines().next().expect("a header").split(',').collect();
+    let r1 = header.iter().position(|own| own.starts_with("r1")).expect("a column");
+    let cells: Vec<f64> =
+        first.lines().skip(1).map(|row| row.split(',').nth(r1).expect("a cell").parse().expect("a number")).collect();
+    for (sign, expected) in
+        [(1.0, "its readings are those of the first set-up"), (-1.0, "are minus those of the first")]
+    {
+        let copied = |row: usize, own: &mut Vec<String>| own[r1] = format!("{:.6}", sign * cells[row - 1] + 1.0);
+        let printed = run_with("after", "reversal-2.csv", &["reversal"], &copied);
+        assert!(in_one_line(&printed.stderr).contains(expected) && printed.status == 1, "{}", printed.stderr);
+    }
+    let folder = temporary();
+    let mut turned = recipe("realistic");
+    turned.0["stages"]["reversal"]["radial"]["r1"]["azimuth_deg"] = json!(180);
+    turned.write(folder.path());
+    let printed = abbe(folder.path(), &["run", "recipe.yaml", "--out", "out"]);
+    assert!(in_one_line(&printed.stdout).contains("the sensor r1 stands at 0 deg in `motion`"), "{}", printed.stdout);
 }

@@ -350,3 +350,93 @@ fn a_saved_estimate_is_judged_and_exported_alike() {
     }
     assert!(results.join("history/verdicts.csv").is_file());
 }
+
+#[test]
+fn what_no_wear_explains_is_told_and_locked() {
+    let text = read(&root().join("pipelines/data/tool-check/realistic/tool-log.csv"));
+    let with = |change: &dyn Fn(&mut Vec<String>)| {
+        let lines = text.lines().enumerate().map(|(index, line)| {
+            let mut cells: Vec<String> = line.split(',').map(str::to_owned).collect();
+            if index > 0 {
+                change(&mut cells);
+            }
+            cells.join(",")
+        });
+        lines.collect::<Vec<_>>().join("\n") + "\n"
+    };
+    let off = |cells: &mut Vec<String>, by: f64| cells[6] = format!("{:.4}", number(&cells[6]) + by);
+    let master = |cells: &mut Vec<String>| {
+        if cells[1] == "14" && cells[2] == "0" && cells[3] == "length" {
+            off(cells, -0.05);
+        }
+    };
+    let one = |cells: &mut Vec<String>| {
+        if cells[1] == "14" && cells[2] == "7" && cells[3] == "radius" {
+            off(cells, 0.02);
+        }
+    };
+    let certificate = |cells: &mut Vec<String>| {
+        if cells[2] == "0" && cells[3] == "length" {
+            off(cells, -0.1);
+        }
+    };
+    let cases: [(String, i32, &str, Option<&str>); 4] = [
+        (with(&master), 3, "is the master clean, and the same one?", Some("4,grown,14,")),
+        (with(&one), 3, "the radius of tool 7 (2", Some("7,grown,14,")),
+        (with(&certificate), 0, "is `length_mm` of the master right?", None),
+        (text.clone(), 0, "", None),
+    ];
+    for (place, (log, status, expected, locked)) in cases.into_iter().enumerate() {
+        let folder = temporary();
+        crate::support::write(&folder.path().join("log.csv"), &log);
+        let mut recipe = Variant::of(&recipes()["before-the-cut"]).only(&["tools", "tools-of-the-cut", "offsets"]);
+        recipe.stage("setter")["path"] = "log.csv".into();
+        let file = recipe.write(folder.path());
+        let printed = abbe(folder.path(), &["run".as_ref(), file.as_os_str(), "--out".as_ref(), "out".as_ref()]);
+        assert!(
+            printed.status == status && printed.stderr.contains(expected),
+            "case {place}: {}{}",
+            printed.stdout,
+            printed.stderr
+        );
+        let list = read(&folder.path().join("out/recipe/offsets/locked.csv"));
+        assert!(locked.is_none_or(|locked| list.contains(locked)), "case {place}: {list}");
+        // The set itself has the stump of a broken tool and a swapped one, and nothing that grows.
+        assert_eq!(
+            expected.is_empty(),
+            !printed.stderr.contains("no wear does that") && !printed.stderr.contains("of the master right")
+        );
+    }
+}
+
+#[test]
+fn copied_sessions_are_told() {
+    let text = read(&root().join("pipelines/data/tool-check/realistic/tool-log.csv"));
+    let rows = rows(&text);
+    let of_13 = |row: &BTreeMap<String, String>| {
+        let same = |other: &&BTreeMap<String, String>| {
+            other["session"] == "13"
+                && ["tool", "quantity", "method", "repeat"].iter().all(|name| other[*name] == row[*name])
+        };
+        rows.iter().find(same).map(|other| other["value_mm"].clone())
+    };
+    let lines = text.lines().enumerate().map(|(index, line)| {
+        let mut cells: Vec<String> = line.split(',').map(str::to_owned).collect();
+        if index > 0 && cells[1] == "14" && cells[4] == "laser" {
+            cells[6] = of_13(&rows[index - 1]).unwrap_or_else(|| cells[6].clone());
+        }
+        cells.join(",")
+    });
+    let folder = temporary();
+    crate::support::write(&folder.path().join("log.csv"), &(lines.collect::<Vec<_>>().join("\n") + "\n"));
+    let mut recipe = Variant::of(&recipes()["tool-check"]).only(&["tools"]);
+    recipe.stage("log")["path"] = "log.csv".into();
+    let file = recipe.write(folder.path());
+    let printed = abbe(folder.path(), &["run".as_ref(), file.as_os_str(), "--out".as_ref(), "out".as_ref()]);
+    assert!(
+        printed.stderr.contains("all readings by laser in session 14 are those of session 13"),
+        "{}",
+        printed.stderr
+    );
+    assert!(!printed.stderr.contains("by contact"), "{}", printed.stderr);
+}

@@ -11,9 +11,9 @@ use crate::contact::gradients;
 /// Effect of an axis on the distance from contact, mm/mm, from which its direction is that of the approach.
 const LEADS: f64 = 0.5;
 
-/// Fewest touches that tell, and the part of them that has to lead away.
+/// Fewest touches that tell, and the part of them that has to lead away: half of them do where two columns are swapped.
 const TOUCHES: usize = 10;
-const MOST: f64 = 0.8;
+const MOST: f64 = 0.35;
 
 /// Smallest angle that is told, rad, and the distance from contact that it has to explain, mm.
 const ANGLE: f64 = 2e-3;
@@ -82,7 +82,7 @@ fn touches(problem: &Problem, index: SetIndex) -> Option<Vec<Touch>> {
     Some(touches)
 }
 
-/// Linear axes by whose directions most touches lead away from the surface: on the way to contact the distance falls.
+/// Linear axes by whose directions many touches lead away from the surface: on the way to contact the distance falls.
 fn away(problem: &Problem, touches: &[Touch]) -> Option<String> {
     let axes = &problem.model.info().axes;
     let mut names = Vec::new();
@@ -100,7 +100,7 @@ fn away(problem: &Problem, touches: &[Touch]) -> Option<String> {
     let names = names.join(", ");
     (!names.is_empty()).then(|| {
         format!(
-            "touches lead away from the surface by {names}: are their signs turned? Backlash then gets the wrong sign"
+            "touches lead away from the surface by {names}: are their signs turned, or columns swapped? Backlash then gets a wrong value"
         )
     })
 }

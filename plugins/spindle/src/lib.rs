@@ -4,6 +4,7 @@
 //! motion of the spindle, `estimate: spindle-warm-up` fits the drift to temperatures, `validate: spindle` makes figures of them in
 //! the manner of ISO 230-7.
 
+mod doubts;
 mod encoder;
 mod harmonics;
 mod motion;

@@ -1,6 +1,6 @@
 //! Estimator plugin `spindle-motion`: harmonics of runs.
 
-use std::collections::BTreeSet;
+use std::collections::{BTreeMap, BTreeSet};
 
 use abbe_core::{
     Calibration, ColumnHeader, Context, Dataset, Error, Estimate, EstimateSource, Identifiability, Problem, Result,
@@ -11,6 +11,7 @@ use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use serde_json::{Value, json};
 
+use crate::doubts::{tell_creeping, tell_silent, tell_unlike};
 use crate::encoder::Encoder;
 use crate::harmonics::{Basis, Fitted, fit};
 use crate::parameters::{Combined, Found, Sizes, of_order};
@@ -263,6 +264,22 @@ impl Motion {
         Ok(all)
     }
 
+    /// Tells of sensors without a signal, and of an encoder that slips a little in every turn.
+    fn tell_doubts(&self, run: &Run<'_>, fitted: &Fitted) {
+        let mut squares = vec![0.0; run.readings.len()];
+        fitted.each_rest(run, |_, rest| {
+            squares.iter_mut().zip(rest).for_each(|(square, rest)| *square += rest * rest / run.angles.len() as f64);
+        });
+        for (name, readings) in self.radial.keys().chain(&self.axial).zip(&run.readings) {
+            if let Some(uncertainty) = self.standard_uncertainty_um {
+                tell_silent(run, name, readings, uncertainty * 1e-3);
+            }
+        }
+        if let Some(name) = self.radial.keys().next() {
+            tell_creeping(run, name, run.readings[0], squares[0].sqrt());
+        }
+    }
+
     /// Fails where the fundamental goes round against the spindle.
     fn check_sense(&self, run: &Run<'_>, found: &Found, name: &str) -> Result<()> {
         let size = |parts: [&str; 2]| {
@@ -306,6 +323,7 @@ impl Estimate for Motion {
     fn estimate_readings(&self, name: &str, data: &[&Dataset]) -> Result<Calibration> {
         let (mut found, mut sizes, mut names) = (Found::default(), Sizes::default(), BTreeSet::new());
         let (mut condition, mut unknowns) = (1.0_f64, 0);
+        let mut asynchronous: BTreeMap<String, Vec<(String, f64)>> = BTreeMap::new();
         for run in runs(data, &self.expected())? {
             let called = self.name(&run);
             if !names.insert(called.clone()) {
@@ -319,11 +337,16 @@ impl Estimate for Motion {
             let freedom = run.whole_turns() as f64 - 1.0;
             found.add(&combined, &fitted.values.concat(), &fitted.covariance, freedom);
             self.check_sense(&run, &found, &called)?;
+            self.tell_doubts(&run, &fitted);
             for (direction, largest) in self.asynchronous(&run, &fitted, &mut sizes)? {
                 found.fixed(format!("run[{called}].async.{direction}"), largest, "mm");
+                asynchronous.entry(direction).or_default().push((called.clone(), largest));
             }
             condition = condition.max(fitted.condition);
             unknowns += combined.len();
+        }
+        for (direction, values) in &asynchronous {
+            tell_unlike(&format!("the asynchronous motion {direction}"), values);
         }
         let report = sizes.report(unknowns, unknowns, condition);
         Ok(found.calibration(name, PLUGIN, json!(self), "scatter of single turns", report))

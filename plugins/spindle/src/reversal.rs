@@ -99,6 +99,16 @@ fn tell_scatter(name: &str, [first, second]: [f64; 2]) {
     }
 }
 
+/// Part of the range of readings by which copies may differ: rounding.
+const COPIED: f64 = 1e-6;
+
+/// Whether readings are others times `sign` and a constant.
+fn is_copy(one: &[f64], other: &[f64], sign: f64) -> bool {
+    let off = |index: usize| (other[index] - other[0]) - sign * (one[index] - one[0]);
+    let range = one.iter().fold(0.0_f64, |most, value| most.max((value - one[0]).abs()));
+    one.len() == other.len() && (0..one.len()).all(|index| off(index).abs() <= COPIED * range)
+}
+
 impl Reversal {
     fn expected(&self) -> Expected<'_> {
         Expected {
@@ -196,10 +206,14 @@ impl Reversal {
                 .error("the angle of the spindle falls in one set-up and grows in the other")
                 .help("a spindle moves otherwise when it turns the other way: measure both set-ups in one sense, and see that the angle has one sign in both files"));
         }
-        if one.readings == other.readings {
-            let message =
-                "its readings are those of the first set-up: the artefact was not reversed, or a file is there twice";
-            return Err(other.error(message));
+        for (sign, what) in [(1.0, ""), (-1.0, "minus ")] {
+            if is_copy(one.readings[0], other.readings[0], sign) {
+                let message = format!(
+                    "its readings are {what}those of the first set-up, but for a constant: the artefact was not reversed, or a file is \
+                     there twice"
+                );
+                return Err(other.error(message));
+            }
         }
         Ok(())
     }

@@ -61,6 +61,9 @@ fn plausible() -> [f64; 2] {
     [0.5, 1000.0]
 }
 
+/// Part of the smallest plausible range below which any single column is told.
+const STILL: f64 = 0.2;
+
 /// Longest warm-up, s: a week.
 const LONGEST: f64 = 7.0 * 86_400.0;
 
@@ -127,6 +130,11 @@ impl WarmUp {
         let largest =
             (0..ranges.len()).max_by(|one, other| ranges[*one].total_cmp(&ranges[*other])).unwrap_or_default();
         let [least, most] = self.plausible_um;
+        for (name, range) in
+            self.drift.iter().zip(&ranges).filter(|(_, range)| **range > 0.0 && **range < STILL * least)
+        {
+            tracing::warn!("{name} drifts by {range:.4} um in all: is it in the unit that its column says?");
+        }
         // A sensor that is dead is told by its own message.
         if ranges[largest] == 0.0 || (least..=most).contains(&ranges[largest]) {
             return Ok(());
@@ -191,6 +199,53 @@ impl WarmUp {
     }
 }
 
+/// How many times a usual step is a jump, and the part of the range that it has to be.
+const JUMP: f64 = 10.0;
+const PART_OF_RANGE: f64 = 0.1;
+
+/// Steps between readings, and a large one among them: nine of ten are smaller.
+fn steps(readings: &[f64]) -> (Vec<f64>, f64) {
+    let steps: Vec<f64> = readings.windows(2).map(|pair| pair[1] - pair[0]).collect();
+    let mut sizes: Vec<f64> = steps.iter().map(|step| step.abs()).collect();
+    sizes.sort_by(f64::total_cmp);
+    let usual = sizes.get(sizes.len() * 9 / 10).copied().unwrap_or_default();
+    (steps, usual)
+}
+
+/// Tells of a reading that is far from the one before: a jump, a spike or the end of a cable.
+fn tell_jump(data: &Dataset, name: &str, readings: &[f64], times: &[f64]) {
+    let (between, usual_time) = steps(times);
+    let (mut steps, usual) = steps(readings);
+    // Where readings are missing they may have gone on.
+    steps.iter_mut().zip(between).filter(|(_, time)| *time > JUMP * usual_time).for_each(|(step, _)| *step = 0.0);
+    let range = readings.iter().fold(f64::MIN, |most, value| most.max(*value))
+        - readings.iter().fold(f64::MAX, |least, value| least.min(*value));
+    let place = (0..steps.len()).max_by(|one, other| steps[*one].abs().total_cmp(&steps[*other].abs()));
+    if let Some(place) = place.filter(|place| steps[*place].abs() > (JUMP * usual).max(PART_OF_RANGE * range)) {
+        let origin = data.origins[DataRow(place + 1)];
+        tracing::warn!(
+            "{}:{}: {name} jumps here, by {:.0} % of all that it moves: was something touched, or is a cable loose?",
+            data.files[origin.file].display(),
+            origin.line,
+            100.0 * steps[place].abs() / range
+        );
+    }
+}
+
+/// Tells of times without readings.
+fn tell_gap(data: &Dataset, times: &[f64]) {
+    let (steps, usual) = steps(times);
+    if let Some(place) = steps.iter().position(|step| *step > JUMP * usual) {
+        let origin = data.origins[DataRow(place + 1)];
+        tracing::warn!(
+            "{}:{}: {:.0} s without readings before this row, and {usual:.0} s are usual",
+            data.files[origin.file].display(),
+            origin.line,
+            steps[place]
+        );
+    }
+}
+
 /// Tells of a sensor that reads the same for a long time and not in the rest.
 fn tell_stuck(name: &str, readings: &[f64]) {
     if let Some((first, count)) = stuck_part(readings) {
@@ -235,8 +290,19 @@ impl Estimate for WarmUp {
         let (mut sizes, mut condition, mut unknowns) = (Sizes::default(), 1.0, 0);
         self.drift.iter().try_for_each(|name| self.figures(&mut found, data, times, name))?;
         for name in &self.temperatures {
-            tell_stuck(name, data.required_numbers(name)?);
+            let readings = data.required_numbers(name)?;
+            if is_dead(readings) {
+                let message = format!("{name} reads {} °C in all rows: no drift follows it", readings[0]);
+                return Err(data
+                    .error_at(DataRow(0), message)
+                    .help("is the sensor connected? else leave it out of `temperatures`"));
+            }
+            tell_stuck(name, readings);
         }
+        for name in self.drift.iter().chain(&self.temperatures) {
+            tell_jump(data, name, data.required_numbers(name)?, times);
+        }
+        tell_gap(data, times);
         if !self.temperatures.is_empty() {
             let log = self.log(data, times)?;
             let outputs = self.drift.iter().map(|name| {

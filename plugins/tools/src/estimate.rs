@@ -11,6 +11,7 @@ use nalgebra::DMatrix;
 
 use crate::covariance::{of_dimensions, with_lines};
 use crate::dimensions::{Reduced, Scatter};
+use crate::impossible::sentences;
 use crate::judge::judge;
 use crate::log::{Log, check_log, check_table, tools};
 use crate::record::{ESTIMATOR, Measured, Record, Store, new_name, wear_name};
@@ -69,7 +70,11 @@ impl Estimate for ToolDimensions {
             values: reduced.dimensions.iter().map(of_value).collect(),
             covariance: of_dimensions(&reduced.dimensions, master_variance),
         };
-        let lines = lines(&store, &judge(&store));
+        let judged = judge(&store);
+        for sentence in sentences(&store, &judged) {
+            tracing::warn!("{name}: {sentence}");
+        }
+        let lines = lines(&store, &judged);
         let covariance = with_lines(&store.covariance, &lines);
         let report = report(&reduced.scatter, store.values.len());
         let mut calibration = calibration(name, &store, &lines, &covariance, report)?;

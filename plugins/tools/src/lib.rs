@@ -8,6 +8,7 @@ mod controls;
 mod covariance;
 mod dimensions;
 mod estimate;
+mod impossible;
 mod judge;
 mod log;
 mod offsets;

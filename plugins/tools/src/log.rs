@@ -184,6 +184,7 @@ impl<'a> Log<'a> {
             log.sessions.push(session);
         }
         log.tools_age()?;
+        log.tell_copies();
         Ok(log)
     }
 

@@ -164,7 +164,7 @@ impl Export for ToolOffsets {
         let store = Store::of(calibration)?;
         self.check_numbers(&store)?;
         let judged = judge(&store);
-        let list = tables::locked(&store.record, &judged, &self.settings.lock);
+        let list = tables::locked(&store, &judged, &self.settings.lock);
         let (mut entries, mut locked) = (Vec::new(), Vec::new());
         for tool in &store.record.tools {
             let number = self.number(&tool.tool)?;

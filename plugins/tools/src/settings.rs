@@ -186,6 +186,12 @@ impl Settings {
         {
             up_to(name, value, LARGEST_LIMIT).map_err(|error| error.under([key("limits")]))?;
         }
+        if match_um >= wrong_um {
+            let message = format!("{match_um}: less than `wrong_um` ({wrong_um}) was expected");
+            return Err(SettingsError::new("match_um", message).under([key("limits")]).help(
+                "a tool that is off by more than `wrong_um` looks like another one that it matches better than `match_um`",
+            ));
+        }
         if self.repeatability_um.is_empty() {
             return Err(SettingsError::new("repeatability_um", "at least one method was expected"));
         }

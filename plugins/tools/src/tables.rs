@@ -4,8 +4,9 @@ use std::fmt::Write as _;
 
 use abbe_core::Calibration;
 
+use crate::impossible::{grown, too_long};
 use crate::judge::{Judged, Name};
-use crate::record::{Record, Store};
+use crate::record::Store;
 use crate::settings::Quantity;
 use crate::wear::Wear;
 
@@ -96,9 +97,10 @@ pub struct Locked<'a> {
     pub looks_like: Option<&'a str>,
 }
 
-/// Tools that must not be used: those whose last verdict locks them, and those that the last session did not measure
-/// in length and radius.
-pub fn locked<'a>(record: &'a Record, judged: &'a [Judged], lock: &[Name]) -> Vec<Locked<'a>> {
+/// Tools that must not be used: those whose last verdict locks them, those that the last session did not measure in length and
+/// radius, and those whose size no wear explains.
+pub fn locked<'a>(store: &'a Store, judged: &'a [Judged], lock: &[Name]) -> Vec<Locked<'a>> {
+    let (record, grown) = (&store.record, grown(store, judged));
     let mut list = Vec::new();
     for tool in &record.tools {
         let Some(it) = record.last_check(&tool.tool).and_then(|check| judged.get(check)) else { continue };
@@ -108,6 +110,8 @@ pub fn locked<'a>(record: &'a Record, judged: &'a [Judged], lock: &[Name]) -> Ve
             false if session != record.last_session() || record.checks[it.check].measured.contains(&false) => {
                 "not-measured"
             }
+            false if too_long(store, it).is_some() => "too-long",
+            false if grown.iter().any(|grown| grown.check == it.check) => "grown",
             false => continue,
         };
         list.push(Locked { tool: &tool.tool, reason, session, looks_like: it.looks_like.as_deref() });

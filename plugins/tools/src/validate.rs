@@ -7,6 +7,7 @@ use schemars::JsonSchema;
 use serde::Deserialize;
 use serde_json::{Value, json};
 
+use crate::impossible::{Grown, grown, too_long};
 use crate::judge::{Judged, Name, judge};
 use crate::record::{Record, Store};
 use crate::tables;
@@ -66,6 +67,10 @@ fn build(settings: Settings, _: &Context) -> Result<Box<dyn Validate>, SettingsE
             return Err(SettingsError::new(setting, "a tool that is `ok` can neither fail nor be locked"));
         }
     }
+    if settings.tools.as_ref().is_some_and(Vec::is_empty) {
+        return Err(SettingsError::new("tools", "no tool would be judged; at least one was expected")
+            .help("leave `tools` out to judge all that the last session measured"));
+    }
     Ok(Box::new(Tools { settings }))
 }
 
@@ -88,7 +93,7 @@ impl Validate for Tools {
             findings.figures.extend(self.figures(&fit.name, &store, &judged));
             findings.figures.extend(wear_figures(&fit.name, &store, &wear));
             findings.remarks.extend(self.remarks(&store, &judged));
-            let locked = tables::locked(&store.record, &judged, &self.settings.lock);
+            let locked = tables::locked(&store, &judged, &self.settings.lock);
             let texts = [
                 ("verdicts", tables::verdicts(&store, &judged)),
                 ("dimensions", tables::dimensions(&fit.calibration, &store)),
@@ -137,7 +142,23 @@ impl Tools {
             figures.push(Figure::new(of, name, f64::NAN, "um").limited(Limit::from(0.0)));
         }
         figures.extend(judged.iter().filter_map(|it| self.too_long(of, store, it)));
+        figures.extend(grown(store, judged).iter().filter_map(|it| self.grown(of, store, it, &judged[it.check])));
         figures
+    }
+
+    /// The figure of a tool that is larger than it was: it is to be looked at.
+    fn grown(&self, of: &str, store: &Store, it: &Grown, judged: &Judged) -> Option<Figure> {
+        let decides = self.decides(store, judged) && !self.settings.fail.is_empty();
+        let check = &store.record.checks[it.check];
+        let name = format!("grown {}[tool={},session={}]", it.quantity.name(), check.tool, check.session);
+        let why = "larger than when it was measured before, and no wear does that: look at the master and the tool";
+        decides.then(|| self.looked_at(Figure::new(of, name, it.by_um, "um").limited(Limit::from(it.allowed_um)), why))
+    }
+
+    /// A figure beyond its limit that asks for a look: it fails where tools that are to be measured again fail.
+    fn looked_at(&self, figure: Figure, why: &str) -> Figure {
+        let fails = self.settings.fail.contains(&Name::Recheck);
+        Figure { inconclusive: (!fails).then(|| why.to_owned()), ..figure }
     }
 
     /// The figure of a tool that is longer or wider than it can be, and that no rule refuses: it is to be looked at.
@@ -148,8 +169,7 @@ impl Tools {
         let limits = &store.record.settings.limits;
         let figure = Figure::new(of, name, long, "um").limited(Limit::from(limits.wrong_um));
         let why = "longer or wider than its preset, and like no other tool: look which tool it is";
-        let fails = self.settings.fail.contains(&Name::Recheck);
-        Some(Figure { inconclusive: (!fails).then(|| why.to_owned()), ..figure })
+        Some(self.looked_at(figure, why))
     }
 
     /// The figure of a verdict. Only what decides has a limit; what does not, or is in order, is a detail.
@@ -185,7 +205,7 @@ impl Tools {
         judged.iter().for_each(|it| *counts.entry(it.name).or_default() += 1);
         let counted: Vec<String> = counts.iter().map(|(name, count)| format!("{count} {}", name.text())).collect();
         let mut remarks = vec![format!("{} verdicts: {}", judged.len(), counted.join(", "))];
-        let locked = tables::locked(&store.record, judged, &self.settings.lock);
+        let locked = tables::locked(store, judged, &self.settings.lock);
         let list = locked.iter().map(|it| format!("{} ({}, session {})", it.tool, it.reason, it.session));
         let list: Vec<String> = list.collect();
         remarks.push(match list.is_empty() {
@@ -207,18 +227,6 @@ impl Tools {
         }
         remarks
     }
-}
-
-/// By how much a tool is longer or wider than its preset, um, if that is more than a tool may be off and it looks like no other.
-fn too_long(store: &Store, it: &Judged) -> Option<f64> {
-    let settings = &store.record.settings;
-    let indices = (0..store.values.len()).filter(|&index| store.values[index].check == it.check);
-    let long = indices.map(|index| {
-        let expanded = settings.coverage_factor * store.short_uncertainty_um(index);
-        (-store.short_um(index), settings.limits.wrong_um + expanded)
-    });
-    let most = long.filter(|(long, most)| long > most).map(|(long, _)| long).reduce(f64::max);
-    most.filter(|_| it.looks_like.is_none())
 }
 
 /// Wear rates and the cutting minutes at which limits are reached; the first of those of a tool in use is shown.

@@ -14,6 +14,9 @@ const SAME_SPEED: f64 = 0.05;
 const MOST: f64 = 1.3;
 const ALIKE: f64 = 0.5;
 
+/// The same for readings of which one is lost in noise.
+const LOST: f64 = 3.0;
+
 /// Standard uncertainties that both have to be above to tell anything.
 const CLEAR: f64 = 10.0;
 
@@ -23,6 +26,16 @@ pub fn tell(estimates: &Estimates<'_>, form: Option<&Form>, findings: &mut Findi
     let Some((name, radial)) = reversal.radial.iter().next() else { return };
     let Some(speed) = value(&fit.calibration, "reversal[1].speed") else { return };
     for (of, motion) in &estimates.motions {
+        if let Some(own) = motion.radial.get(name).filter(|own| turned(own.azimuth_deg, radial.azimuth_deg)) {
+            findings.remarks.insert(
+                0,
+                format!(
+                    "the sensor {name} stands at {} deg in `{}` and at {} deg in `{}`: unless it was moved, one of them is wrong, and so is \
+                     the form that is taken off",
+                    own.azimuth_deg, of.name, radial.azimuth_deg, fit.name
+                ),
+            );
+        }
         let number = motion.radial.values().position(|own| (own.azimuth_deg - radial.azimuth_deg).abs() < 0.1);
         let Some(number) = number else { continue };
         for run in super::judged::names(&of.calibration) {
@@ -46,6 +59,12 @@ pub fn tell(estimates: &Estimates<'_>, form: Option<&Form>, findings: &mut Findi
     }
 }
 
+/// Whether two azimuths are different directions.
+fn turned(one: f64, other: f64) -> bool {
+    let off = (one - other).rem_euclid(360.0);
+    off.min(360.0 - off) > 0.1
+}
+
 /// Standard uncertainties of the amplitudes from order 2 on, all together, mm.
 fn noise(checked: &Checked, sensor: usize, highest: usize) -> f64 {
     (2..=highest).map(|order| checked.order(sensor, order).1.powi(2)).sum::<f64>().sqrt()
@@ -59,17 +78,20 @@ fn product(one: &Harmonics, other: &Harmonics) -> f64 {
 /// What differs between two readings of the same.
 fn differ(in_run: &Harmonics, in_reversal: &Harmonics, uncertainty: f64) -> Option<String> {
     let [run, reversal] = [in_run, in_reversal].map(|harmonics| product(harmonics, harmonics).sqrt());
-    if run.min(reversal) < CLEAR * uncertainty {
+    let ratio = reversal / run;
+    if run.max(reversal) < CLEAR * uncertainty {
         return None;
     }
-    let alike = product(in_run, in_reversal) / (run * reversal);
-    let ratio = reversal / run;
+    // What is that much smaller is lost in the noise of the other one, and need not look like it.
+    let is_lost = run.min(reversal) < CLEAR * uncertainty;
+    let alike = if is_lost { 1.0 } else { product(in_run, in_reversal) / (run * reversal) };
     if alike < ALIKE {
         let words =
             "they read other harmonics of the artefact: was it taken off in between, or has a sensor another sign?";
         return Some(words.to_owned());
     }
-    (!(1.0 / MOST..MOST).contains(&ratio)).then(|| {
+    let most = if is_lost { LOST } else { MOST };
+    (!(1.0 / most..most).contains(&ratio)).then(|| {
         format!(
             "the reversal reads {ratio:.2} times what the run reads: has a sensor another range or unit? The form that is taken off is \
              wrong by as much"

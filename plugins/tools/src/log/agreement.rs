@@ -12,10 +12,42 @@ use crate::settings::Quantity;
 /// Cutting time beyond that of the clock that rounded columns have, s.
 const ROUNDED: f64 = 60.0;
 
+/// Fewest series of readings that are no copies by chance.
+const FEWEST: usize = 3;
+
 /// Times of the clock that no slip of it explains.
 const BY_FAR: f64 = 5.0;
 
 impl Log<'_> {
+    /// Tells of a method whose readings in a session are all those of the session before: they were copied, or the setter stood.
+    pub(super) fn tell_copies(&self) {
+        type Values<'a> = Vec<(&'a str, Quantity, Vec<f64>)>;
+        for pair in self.sessions.windows(2) {
+            let methods: BTreeSet<&str> = pair[1].master.keys().map(|(_, method)| method.as_str()).collect();
+            for method in methods {
+                let [before, now]: [Values<'_>; 2] = [&pair[0], &pair[1]].map(|session| {
+                    let visits = session.visits.iter().map(|visit| (visit.tool.as_str(), &visit.repeats));
+                    let all = visits.chain([("", &session.master)]);
+                    let of_method = all.flat_map(|(tool, repeats)| {
+                        let own = repeats.iter().filter(|((_, own), _)| own == method);
+                        own.map(move |((quantity, _), readings)| {
+                            (tool, *quantity, readings.iter().map(|reading| reading.value).collect())
+                        })
+                    });
+                    of_method.collect()
+                });
+                let same = now.iter().filter(|values| before.contains(values)).count();
+                if same == now.len() && same >= FEWEST {
+                    tracing::warn!(
+                        "all readings by {method} in session {} are those of session {}: were they copied, or does the setter stand?",
+                        pair[1].name,
+                        pair[0].name
+                    );
+                }
+            }
+        }
+    }
+
     /// Refuses cutting minutes that fall, or that the clock does not allow, and tools that come back.
     pub(super) fn tools_age(&self) -> Result<()> {
         let mut visits: BTreeMap<&str, Vec<(usize, &Visit)>> = BTreeMap::new();
