@@ -382,7 +382,7 @@ fn what_no_wear_explains_is_told_and_locked() {
     };
     let cases: [(String, i32, &str, Option<&str>); 4] = [
         (with(&master), 3, "is the master clean, and the same one?", Some("4,grown,14,")),
-        (with(&one), 3, "the radius of tool 7 (2", Some("7,grown,14,")),
+        (with(&one), 3, "the radius of tool 7 (18.9 um) has grown", Some("7,grown,14,")),
         (with(&certificate), 0, "is `length_mm` of the master right?", None),
         (text.clone(), 0, "", None),
     ];
