@@ -7,7 +7,8 @@ use std::path::{Path, PathBuf};
 
 use abbe_core::{Error, Result};
 
-use crate::staging::{Staging, can_write, unwritable};
+use crate::results::{kept_beside, parent, real};
+use crate::staging::{Staging, can_write, exclusive_access, unwritable};
 
 /// Fails early if a new folder cannot be written at `out`. `out` has to be empty or not to exist.
 pub fn can_write_folder(out: &Path) -> Result<()> {
@@ -27,26 +28,26 @@ pub fn can_write_folder(out: &Path) -> Result<()> {
     can_write(parent(out))
 }
 
-/// Writes files, whose names are relative to it, into the folder `out`.
+/// Writes files, whose names are relative to it, into the folder `out`. If something has come there since it was
+/// [looked at](can_write_folder), they are written beside it, and the error says where.
 pub(crate) fn write_folder(out: &Path, files: &BTreeMap<PathBuf, Vec<u8>>) -> Result<()> {
-    can_write_folder(out)?;
-    let failed = |error: io::Error| unwritable(parent(out), &error);
-    // Where a link stands, the folder that it leads to is written.
-    let place = if out.is_symlink() { fs::canonicalize(out).map_err(failed)? } else { out.to_owned() };
-    let (out, parent) = (place.as_path(), parent(&place));
-    let staging = Staging::new(parent)?;
+    let failed = |error: io::Error| unwritable(out, &error);
+    let place = real(out);
+    let staging = Staging::new(parent(&place))?;
     for (name, content) in files {
         staging.write(name, content).map_err(failed)?;
     }
-    if out.exists() {
-        fs::remove_dir(out).map_err(failed)?;
+    // Two commands that write the same folder do so one after the other.
+    let _access = exclusive_access(parent(&place));
+    let taken = can_write_folder(out).and_then(|()| {
+        if place.exists() {
+            fs::remove_dir(&place).map_err(failed)?;
+        }
+        fs::rename(staging.path(), &place).map_err(failed)
+    });
+    match taken {
+        // The folder has been renamed: there is nothing to clean up.
+        Ok(()) => Ok(drop(staging.keep())),
+        Err(error) => Err(kept_beside(staging, &place, error)),
     }
-    fs::rename(staging.path(), out).map_err(failed)?;
-    // The folder has been renamed: there is nothing to clean up.
-    let _ = staging.keep();
-    Ok(())
-}
-
-fn parent(out: &Path) -> &Path {
-    out.parent().filter(|parent| *parent != Path::new("")).unwrap_or(Path::new("."))
 }

@@ -78,7 +78,7 @@ fn temporary(parent: &Path) -> io::Result<tempfile::TempDir> {
 pub(crate) fn unwritable(out: &Path, error: &io::Error) -> Error {
     let why = match error.kind() {
         io::ErrorKind::AlreadyExists => "it is, or lies in, something that is no folder".to_owned(),
-        _ => error.to_string(),
+        _ => abbe_files::why(error),
     };
     Error::data(format!("the results cannot be written to {}: {why}", out.display()))
         .help("name another folder with `--out`")

@@ -18,6 +18,7 @@ mod interrupt;
 mod libraries;
 mod listed;
 mod machine;
+mod outputs;
 mod pages;
 mod planning;
 mod progress;
@@ -481,7 +482,7 @@ fn laws(recipe: &Path, library: PathBuf, libraries: &Libraries) -> Result<Findin
 }
 
 /// Writes files, then tells what was found.
-fn written(found: calibrated::Written) -> Result<(String, u8)> {
+fn written(found: outputs::Written) -> Result<(String, u8)> {
     interrupt::while_writing(|| found.write())?;
     Ok((found.text, 0))
 }
