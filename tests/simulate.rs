@@ -629,3 +629,32 @@ fn the_documented_truth_is_one() {
     assert_eq!((truth.parameters.len(), truth.noise.drift.len(), truth.noise.outliers.listed.len()), (9, 1, 2));
     assert!(truth.noise.lobing.is_some() && truth.noise.resolution_mm == 1e-4);
 }
+
+/// True values are held against what is plausible, as estimated ones are, and widened in the same way.
+#[test]
+fn truths_that_no_machine_has_are_refused() {
+    let small = Small::new();
+    let simulate = |name: &str, value: f64| {
+        let text = format!("{{ \"parameters\": {{ \"{name}\": {value:e} }} }}");
+        small.write("truth.json", &text);
+        let printed = small.abbe(&["simulate", "recipe.yaml", "--truth", "truth.json", "--out", "simulated"]);
+        let _ = fs::remove_dir_all(small.path("simulated"));
+        printed
+    };
+    let recipe = small.read("recipe.yaml");
+    for (name, absurd, real, unit) in
+        [("EX0C", 5000.0, 0.5, "mm"), ("EA0B", 0.5, 1e-3, "mrad"), ("EXX[1]", 0.5, 1e-4, "mm"), ("dzt", -400.0, 1.0, "mm")]
+    {
+        assert_eq!(simulate(name, real).status, 0, "{name}");
+        let printed = simulate(name, absurd);
+        assert_eq!(printed.status, 2, "{name}: {}", printed.stderr);
+        for word in ["truth.json", "no machine has such errors", name, "is plausible at most", "plausible: {"] {
+            assert!(printed.stderr.contains(word), "{name}: {word}: {}", printed.stderr);
+        }
+        let wider = format!("    start: rough\n    plausible: {{ {unit}: {{ \"{name}\": 10000 }} }}");
+        small.write("recipe.yaml", &recipe.replace("    start: rough", &wider));
+        let printed = simulate(name, absurd);
+        assert!(!printed.stderr.contains("no machine has such errors"), "{name}: {}", printed.stderr);
+        small.write("recipe.yaml", &recipe);
+    }
+}
