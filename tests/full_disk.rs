@@ -90,7 +90,7 @@ fn what_does_not_fit_on_a_disk_leaves_what_was_there() {
                 Ok(output) => output,
                 Err(why) => return skipped("what_does_not_fit_on_a_disk_leaves_what_was_there", &why),
             };
-            let said = String::from_utf8_lossy(&output.stderr).into_owned();
+            let said = [&output.stdout, &output.stderr].map(|bytes| String::from_utf8_lossy(bytes).into_owned()).concat();
             let after = contents(&small.path("after"));
             let told = format!("{arguments:?} with {free} KiB: {} {said}", output.status);
             assert!(!said.contains("panicked"), "{told}");

@@ -597,8 +597,12 @@ fn bad_input_is_one_clear_error() {
         "{ \"parameters\": { \"EXX[1]\": 1, \"EYY[1]\": -1, \"EZZ[1]\": -1 } }",
         &[],
         1,
-        none,
+        &|small| {
+            let wider = "start: rough\n    plausible: { mm: { \"E??[1]\": 2000 } }";
+            small.write("recipe.yaml", &small.read("recipe.yaml").replace("start: rough", wider));
+        },
     );
+    case("a truth that no machine has", "{ \"parameters\": { \"EX0C\": 5000, \"EA0B\": 0.5 } }", &[], 2, none);
     case("several machines", SMALL_TRUTH, &[], 2, &two_machines);
     case("no such machine", SMALL_TRUTH, &["--seed", "1", "--out", "sim", "--machine", "machin"], 2, none);
     insta::assert_snapshot!("simulate_errors", told);
@@ -637,7 +641,7 @@ fn truths_that_no_machine_has_are_refused() {
     let simulate = |name: &str, value: f64| {
         let text = format!("{{ \"parameters\": {{ \"{name}\": {value:e} }} }}");
         small.write("truth.json", &text);
-        let printed = small.abbe(&["simulate", "recipe.yaml", "--truth", "truth.json", "--out", "simulated"]);
+        let printed = small.abbe(&["simulate", "recipe.yaml", "--truth", "truth.json", "--seed", "1", "--out", "simulated"]);
         let _ = fs::remove_dir_all(small.path("simulated"));
         printed
     };

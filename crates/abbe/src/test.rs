@@ -90,8 +90,8 @@ impl Test {
     /// Fails if there are no recipes, if a file cannot be written, and after an interruption.
     pub fn run(&self, libraries: &Libraries, monitor: &Monitor) -> Result<(String, u8)> {
         let recipes = self.listed()?;
-        self.check_outputs(&recipes)?;
         self.are_own()?;
+        self.check_outputs(&recipes)?;
         let mut all = Vec::new();
         for recipe in recipes {
             let clock = Instant::now();
