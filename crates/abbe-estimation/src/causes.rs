@@ -30,9 +30,9 @@ pub fn likely_causes(problem: &Problem, calibration: &Calibration, large: &[Larg
         match cause {
             Some(cause) => Some(format!("{} is {cause}", large.describe())),
             None if large.is_implausible() && is_tool => Some(format!(
-                "{} is where the tip of the tool is beside its nominal place: look at {}",
-                large.describe(),
-                settings_of_tool(&numbers)
+                "{} is where the tip of the tool is beside its nominal place: look at `tool_length_mm` and `probe_offset_mm`, or at \
+                 `tip_mm` of a robot",
+                large.describe()
             )),
             None if large.is_implausible() => None,
             None => Some(format!("{} is large for such an error", large.describe())),
@@ -51,16 +51,6 @@ const HALF: f64 = 0.5;
 fn of_tool(numbers: &[(String, f64)]) -> Vec<(String, f64)> {
     let is_of_tool = |(name, _): &&(String, f64)| !name.starts_with("axes.") && !name.contains(".dh");
     numbers.iter().filter(is_of_tool).cloned().collect()
-}
-
-/// The settings that say where the tip is, for people.
-fn settings_of_tool(numbers: &[(String, f64)]) -> String {
-    let mut names: Vec<String> = of_tool(numbers).into_iter().map(|(name, _)| format!("`{name}`")).collect();
-    names.dedup();
-    match names.is_empty() {
-        true => "`tool_length_mm`".to_owned(),
-        false => names.join(" and "),
-    }
 }
 
 /// What a length is as large as among the numbers of the set-up.
