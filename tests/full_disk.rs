@@ -85,16 +85,20 @@ fn what_does_not_fit_on_a_disk_leaves_what_was_there() {
         let (mut failed, mut whole) = (0, None);
         // From the largest down: the first one shows what a whole result is.
         for free in FREE.into_iter().rev() {
-            fs::remove_dir_all(small.path("after")).and_then(|()| fs::create_dir(small.path("after"))).expect("a folder");
+            fs::remove_dir_all(small.path("after"))
+                .and_then(|()| fs::create_dir(small.path("after")))
+                .expect("a folder");
             let output = match on_a_disk(&small, free, arguments) {
                 Ok(output) => output,
                 Err(why) => return skipped("what_does_not_fit_on_a_disk_leaves_what_was_there", &why),
             };
-            let said = [&output.stdout, &output.stderr].map(|bytes| String::from_utf8_lossy(bytes).into_owned()).concat();
+            let said =
+                [&output.stdout, &output.stderr].map(|bytes| String::from_utf8_lossy(bytes).into_owned()).concat();
             let after = contents(&small.path("after"));
             let told = format!("{arguments:?} with {free} KiB: {} {said}", output.status);
             assert!(!said.contains("panicked"), "{told}");
-            let is_temporary = |file: &&PathBuf| file.components().any(|part| part.as_os_str().to_string_lossy().starts_with('.'));
+            let is_temporary =
+                |file: &&PathBuf| file.components().any(|part| part.as_os_str().to_string_lossy().starts_with('.'));
             assert_eq!(after.keys().find(is_temporary), None, "{told}");
             let all: &BTreeMap<PathBuf, Vec<u8>> = whole.get_or_insert_with(|| after.clone());
             assert!(after.keys().all(|file| all.contains_key(file)), "{told}");
@@ -111,7 +115,8 @@ fn what_does_not_fit_on_a_disk_leaves_what_was_there() {
             }
             // Times differ from run to run, and the length of a file hardly.
             for (file, content) in &after {
-                let of_all = |there: Option<&Vec<u8>>| there.is_some_and(|there| there.len().abs_diff(content.len()) < 64);
+                let of_all =
+                    |there: Option<&Vec<u8>>| there.is_some_and(|there| there.len().abs_diff(content.len()) < 64);
                 assert!(before.get(file) == Some(content) || of_all(all.get(file)), "{}: {told}", file.display());
             }
         }

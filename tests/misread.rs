@@ -375,7 +375,11 @@ fn readings_in_another_unit_than_those_of_other_files_are_told() {
                 if is_scale && name == "mill-direct" {
                     let recipe = wrong.clone().only(&["fit-lengths", "fit-angles"]).write(folder.path());
                     let printed = abbe(folder.path(), &["run".as_ref(), recipe.as_os_str()]);
-                    assert!(printed.stdout.contains("is the unit of its readings right?"), "{file}: {}", printed.stdout);
+                    assert!(
+                        printed.stdout.contains("is the unit of its readings right?"),
+                        "{file}: {}",
+                        printed.stdout
+                    );
                 } else if !is_scale {
                     assert!(remarks.iter().any(of_file), "{name}, {file}: {remarks:?}");
                 }
@@ -397,7 +401,10 @@ fn a_key_that_stands_twice_is_refused_with_its_place() {
             assert!(printed.stderr.contains(word), "{arguments:?}: {word}: {}", printed.stderr);
         }
     };
-    refused(&["simulate", "recipe.yaml", "--truth", "truth.json", "--seed", "1", "--out", "sim"], &["`EX0C`", "truth.json:3:8"]);
+    refused(
+        &["simulate", "recipe.yaml", "--truth", "truth.json", "--seed", "1", "--out", "sim"],
+        &["`EX0C`", "truth.json:3:8"],
+    );
     let result = "out/recipe/fine.calibration.json";
     let text = small.read(result);
     let at = text.find("\"settings\": {").expect("the settings of the model") + "\"settings\": {".len();

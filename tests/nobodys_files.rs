@@ -166,9 +166,15 @@ fn two_runs_at_once_leave_the_results_of_one() {
 #[test]
 fn a_run_that_may_open_few_files_leaves_nothing_half_written() {
     let small = Small::new();
+    small.write("truth.json", "{ \"parameters\": {} }");
     let mut ends = std::collections::BTreeSet::new();
-    for files in 5..14 {
-        let run = crate::support::program(small.folder.path(), &["run", "recipe.yaml", "--out", "out"]);
+    let commands: [&[&str]; 2] = [
+        &["run", "recipe.yaml", "--out", "out"],
+        &["simulate", "recipe.yaml", "--truth", "truth.json", "--seed", "1", "--out", "out/simulated"],
+    ];
+    for (files, arguments) in (5..14).flat_map(|files| commands.map(|arguments| (files, arguments))) {
+        fs::create_dir_all(small.path("out")).expect("a folder");
+        let run = crate::support::program(small.folder.path(), arguments);
         let mut limited = std::process::Command::new("sh");
         limited
             .args(["-c", &format!("ulimit -n {files}; exec \"$0\" \"$@\"")])
@@ -177,7 +183,7 @@ fn a_run_that_may_open_few_files_leaves_nothing_half_written() {
         let end = limited.current_dir(small.folder.path()).output().expect("a shell");
         let left = fs::read_dir(small.path("out")).into_iter().flatten().flatten().map(|entry| entry.file_name());
         let left: Vec<_> = left.filter(|name| name.to_string_lossy().starts_with('.')).collect();
-        assert!(left.is_empty(), "{files} files: {left:?}: {}", String::from_utf8_lossy(&end.stderr));
+        assert!(left.is_empty(), "{arguments:?}, {files} files: {left:?}: {}", String::from_utf8_lossy(&end.stderr));
         ends.insert(end.status.code());
         let _ = fs::remove_dir_all(small.path("out"));
     }

@@ -641,14 +641,18 @@ fn truths_that_no_machine_has_are_refused() {
     let simulate = |name: &str, value: f64| {
         let text = format!("{{ \"parameters\": {{ \"{name}\": {value:e} }} }}");
         small.write("truth.json", &text);
-        let printed = small.abbe(&["simulate", "recipe.yaml", "--truth", "truth.json", "--seed", "1", "--out", "simulated"]);
+        let printed =
+            small.abbe(&["simulate", "recipe.yaml", "--truth", "truth.json", "--seed", "1", "--out", "simulated"]);
         let _ = fs::remove_dir_all(small.path("simulated"));
         printed
     };
     let recipe = small.read("recipe.yaml");
-    for (name, absurd, real, unit) in
-        [("EX0C", 5000.0, 0.5, "mm"), ("EA0B", 0.5, 1e-3, "mrad"), ("EXX[1]", 0.5, 1e-4, "mm"), ("dzt", -400.0, 1.0, "mm")]
-    {
+    for (name, absurd, real, unit) in [
+        ("EX0C", 5000.0, 0.5, "mm"),
+        ("EA0B", 0.5, 1e-3, "mrad"),
+        ("EXX[1]", 0.5, 1e-4, "mm"),
+        ("dzt", -400.0, 1.0, "mm"),
+    ] {
         assert_eq!(simulate(name, real).status, 0, "{name}");
         let printed = simulate(name, absurd);
         assert_eq!(printed.status, 2, "{name}: {}", printed.stderr);

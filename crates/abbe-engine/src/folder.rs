@@ -12,6 +12,12 @@ use crate::staging::{Staging, can_write, exclusive_access, unwritable};
 
 /// Fails early if a new folder cannot be written at `out`. `out` has to be empty or not to exist.
 pub fn can_write_folder(out: &Path) -> Result<()> {
+    is_free(out)?;
+    can_write(parent(out))
+}
+
+/// Fails if something is at `out`.
+fn is_free(out: &Path) -> Result<()> {
     if out.is_symlink() && !out.is_dir() {
         return Err(Error::data(format!("{} is a link that leads to no folder", out.display()))
             .help("remove it, or name another folder with `--out`"));
@@ -25,7 +31,7 @@ pub fn can_write_folder(out: &Path) -> Result<()> {
         return Err(Error::data(format!("{} is there already and not empty", out.display()))
             .help("move it away, or name another folder with `--out`"));
     }
-    can_write(parent(out))
+    Ok(())
 }
 
 /// Writes files, whose names are relative to it, into the folder `out`. If something has come there since it was
@@ -39,7 +45,7 @@ pub(crate) fn write_folder(out: &Path, files: &BTreeMap<PathBuf, Vec<u8>>) -> Re
     }
     // Two commands that write the same folder do so one after the other.
     let _access = exclusive_access(parent(&place));
-    let taken = can_write_folder(out).and_then(|()| {
+    let taken = is_free(out).and_then(|()| {
         if place.exists() {
             fs::remove_dir(&place).map_err(failed)?;
         }

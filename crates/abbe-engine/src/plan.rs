@@ -77,8 +77,10 @@ impl Prepared {
             .map_err(|error| Error::data(format!("the plan cannot be written: {error}")))?
             + "\n";
         if files.insert(PathBuf::from(RECORD), record.clone().into_bytes()).is_some() {
-            return Err(Error::usage(format!("a file of candidates is named `{RECORD}`, as the record of the plan is"))
-                .help("give the file of candidates another name"));
+            return Err(Error::usage(format!(
+                "a file of candidates is named `{RECORD}`, as the record of the plan is"
+            ))
+            .help("give the file of candidates another name"));
         }
         Ok(Measurements { estimate: stage.name.clone(), plan, identifiability, accepted, record, files })
     }

@@ -61,7 +61,9 @@ pub(crate) fn can_write(parent: &Path) -> Result<()> {
     let there = parent.ancestors().find(|folder| folder.symlink_metadata().is_ok() || folder.as_os_str().is_empty());
     let there = there.filter(|folder| !folder.as_os_str().is_empty()).unwrap_or(Path::new("."));
     // What is there and is no folder says why.
-    let tried = if there.is_dir() { temporary(there).map(drop) } else { fs::create_dir(there) };
+    // It is empty: to remove it so opens no file, where hardly one may be open.
+    let tried = || temporary(there).map(|folder| drop(fs::remove_dir(folder.keep())));
+    let tried = if there.is_dir() { tried() } else { fs::create_dir(there) };
     tried.map_err(|error| unwritable(parent, &error))
 }
 

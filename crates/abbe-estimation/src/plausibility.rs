@@ -7,8 +7,8 @@ use std::collections::BTreeMap;
 use std::f64::consts::PI;
 
 use abbe_core::{
-    Absent, AxisKind, Calibration, Owner, Parameter, ParameterRole, Plausible, ProbeTerm, Problem, Quantity, Result, Status, StatusRole,
-    Unknown, matches,
+    Absent, AxisKind, Calibration, Owner, Parameter, ParameterRole, Plausible, ProbeTerm, Problem, Quantity, Result,
+    Status, StatusRole, Unknown, matches,
 };
 
 use crate::separation::thinned;

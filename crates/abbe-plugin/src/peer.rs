@@ -4,7 +4,9 @@ use std::any::Any;
 use std::fmt::Display;
 use std::sync::Arc;
 
-use abbe_core::{Class, Convergence, Equations, Error, PathItem, Place, Poses, RowBatch, SettingsError, Variable, from_json};
+use abbe_core::{
+    Class, Convergence, Equations, Error, PathItem, Place, Poses, RowBatch, SettingsError, Variable, from_json,
+};
 use serde::{Deserialize, Serialize};
 use serde_json::json;
 

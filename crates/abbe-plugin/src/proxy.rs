@@ -35,8 +35,7 @@ fn ask<Q: Serialize + ?Sized, A: DeserializeOwned>(
     objects: &[Arc<Served>],
 ) -> Result<A> {
     let answer = ask_whole(peer, method, question, objects)?;
-    from_json(&answer.text)
-        .map_err(|error| broken(peer.who(), format!("gave an answer that cannot be read: {error}")))
+    from_json(&answer.text).map_err(|error| broken(peer.who(), format!("gave an answer that cannot be read: {error}")))
 }
 
 fn ask_whole<Q: Serialize + ?Sized>(

@@ -243,8 +243,8 @@ fn of_exporter(stage: &dyn Export, method: u32, text: &str, objects: &[Received]
 
 /// Builds a stage of a plugin, to be served.
 pub(crate) fn create(plugin: &Plugin, settings: &str, context: &Context) -> Result<Served, Failure> {
-    let settings: Value = from_json(settings)
-        .map_err(|error| SettingsError::new("", format!("the settings are no JSON: {error}")))?;
+    let settings: Value =
+        from_json(settings).map_err(|error| SettingsError::new("", format!("the settings are no JSON: {error}")))?;
     Ok(match &plugin.build {
         Build::Ingest(constructor) => Served::Ingest(constructor.build(&settings, context)?),
         Build::Artefact(constructor) => Served::Artefact(constructor.build(&settings, context)?),

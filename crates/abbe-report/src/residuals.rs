@@ -136,7 +136,10 @@ impl Residuals {
                             time: times.map(|times| times[data_row]),
                             tip,
                             direction,
-                            labels: columns.iter().map(|column| column.map_or(String::new(), |cells| cells[data_row].clone())).collect(),
+                            labels: columns
+                                .iter()
+                                .map(|column| column.map_or(String::new(), |cells| cells[data_row].clone()))
+                                .collect(),
                             commands: commands(fit, set.poses(), layout, row),
                         });
                     }

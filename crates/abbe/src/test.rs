@@ -142,7 +142,8 @@ impl Test {
             }
             if let Some(other) = expectations.insert(place(&expected), recipe) {
                 let (one, two) = (other.display(), recipe.display());
-                let message = format!("{one} and {two} have one file of what is expected of them: {}", expected.display());
+                let message =
+                    format!("{one} and {two} have one file of what is expected of them: {}", expected.display());
                 return refused(message, "give one of the recipes another name");
             }
             let Some(out) = &self.out else { continue };

@@ -300,9 +300,8 @@ fn append(data: &mut Dataset, mut part: Dataset) -> Result<()> {
         *data = part;
         return Ok(());
     };
-    let headers = |data: &Dataset| -> Vec<String> {
-        data.columns.iter().map(|column| column.header.header.clone()).collect()
-    };
+    let headers =
+        |data: &Dataset| -> Vec<String> { data.columns.iter().map(|column| column.header.header.clone()).collect() };
     let only = |this: &Dataset, other: &Dataset| {
         let theirs: BTreeSet<String> = headers(other).into_iter().collect();
         headers(this).into_iter().find(|header| !theirs.contains(header))
