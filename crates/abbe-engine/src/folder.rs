@@ -13,7 +13,7 @@ use crate::staging::{Staging, can_write, exclusive_access, unwritable};
 /// Fails early if a new folder cannot be written at `out`. `out` has to be empty or not to exist.
 pub fn can_write_folder(out: &Path) -> Result<()> {
     is_free(out)?;
-    can_write(parent(out))
+    can_write(parent(out), out)
 }
 
 /// Fails if something is at `out`.
@@ -39,7 +39,7 @@ fn is_free(out: &Path) -> Result<()> {
 pub(crate) fn write_folder(out: &Path, files: &BTreeMap<PathBuf, Vec<u8>>) -> Result<()> {
     let failed = |error: io::Error| unwritable(out, &error);
     let place = real(out);
-    let staging = Staging::new(parent(&place))?;
+    let staging = Staging::new(parent(&place), out)?;
     for (name, content) in files {
         staging.write(name, content).map_err(failed)?;
     }
@@ -52,8 +52,11 @@ pub(crate) fn write_folder(out: &Path, files: &BTreeMap<PathBuf, Vec<u8>>) -> Re
         fs::rename(staging.path(), &place).map_err(failed)
     });
     match taken {
-        // The folder has been renamed: there is nothing to clean up.
-        Ok(()) => Ok(drop(staging.keep())),
+        Ok(()) => {
+            // The folder has been renamed: there is nothing to clean up.
+            let _ = staging.keep();
+            Ok(())
+        }
         Err(error) => Err(kept_beside(staging, &place, error)),
     }
 }

@@ -86,7 +86,7 @@ impl Outcome {
         let unwritable = |error: io::Error| unwritable(out, &error);
         let files = self.files()?;
         let place = real(&target);
-        let staging = Staging::new(parent(&place))?;
+        let staging = Staging::new(parent(&place), out)?;
         let record = RunRecord { outputs: outputs(&files), ..self.record() };
         for (name, content) in &files {
             staging.write(name, content).map_err(unwritable)?;
@@ -139,7 +139,7 @@ impl Prepared {
         let residuals = self.stages(Kind::Estimate).map(|stage| residuals_file(&stage.name));
         let known = estimates.chain(residuals).chain([VERDICTS.into(), REPORT.into(), RECORD.into()]);
         known.into_iter().try_for_each(|name: PathBuf| folder.can_take(&name))?;
-        can_write(folder.parent())
+        can_write(folder.parent(), out)
     }
 }
 
