@@ -6,7 +6,8 @@ use abbe_core::{Calibration, Problem, Status};
 use abbe_engine::{Outcome, prepare};
 use serde_json::{Value, json};
 
-use crate::support::{Variant, effect, fit, json_file, recipes, registry, root, temporary, values, write};
+use crate::misread::changed;
+use crate::support::{Variant, abbe, effect, fit, json_file, recipes, registry, root, temporary, values, write};
 
 const ERRORS: [&str; 8] = ["EY0A", "EZ0A", "EB0A", "EC0A", "EX0C", "EY0C", "EA0C", "EB0C"];
 
@@ -315,4 +316,30 @@ fn another_trunnion_sampled_by_time_gives_its_errors_back() {
     // 0.13 mm off centre: the user is told.
     let verdict = outcome.verdicts.iter().find(|verdict| verdict.stage == "circles").expect("a verdict");
     assert!(verdict.remarks.iter().any(|remark| remark.contains("ovality")), "{verdict:?}");
+}
+
+/// Readings do not tell where a circle begins; the range that is stated for it does.
+#[test]
+fn a_test_beside_its_range_is_told() {
+    let folder = temporary();
+    let recipe = Variant::of(&recipes()["ballbar-c600u"]);
+    let warnings = |recipe: &Variant| {
+        let file = recipe.write(folder.path());
+        let printed = abbe(folder.path(), &["check".as_ref(), file.as_os_str()]);
+        printed.stderr.split_whitespace().collect::<Vec<_>>().join(" ")
+    };
+    assert!(!warnings(&recipe).contains("is its zero right?"));
+    for (place, off) in [0.5, -0.5, 5.0, -2.0].into_iter().enumerate() {
+        let mut wrong = recipe.clone();
+        let test = &mut wrong.stage("samples")["tests"][place];
+        let column = format!("{}_deg", test["moves"].as_str().expect("an axis"));
+        let shifted = |_: usize, cell: &str| (cell.parse::<f64>().expect("an angle") + off).to_string();
+        let file = changed(Path::new(test["file"].as_str().expect("a file")), folder.path(), &column, shifted);
+        test["file"] = json!(file);
+        let said = warnings(&wrong);
+        assert!(
+            said.contains("is its zero right?") && said.contains(&format!("{:.3} deg away", f64::abs(off))),
+            "{off}: {said}"
+        );
+    }
 }

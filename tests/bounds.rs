@@ -316,3 +316,23 @@ fn temperatures_are_those_of_a_workshop() {
         assert_eq!(printed.stderr.contains("a temperature from -100 to 200 °C was expected"), status == 1);
     }
 }
+
+/// Columns of labels: 30,000 of them take seconds, and not minutes.
+#[test]
+fn many_columns_of_labels_take_no_time_of_their_own() {
+    let small = Small::new();
+    const COLUMNS: usize = 30_000;
+    let mut rows = small.read("data/touches.csv").lines().map(str::to_owned).collect::<Vec<_>>();
+    rows[0].extend((0..COLUMNS).map(|column| format!(",label{column}")));
+    rows[1..].iter_mut().for_each(|row| row.push_str(&",a".repeat(COLUMNS)));
+    // Two files: what is the same in both is compared.
+    let (head, all) = rows.split_first().expect("a header");
+    let (one, other) = all.split_at(all.len() / 2);
+    for (name, part) in [("a", one), ("b", other)] {
+        small.write(&format!("data/touches-{name}.csv"), &format!("{head}\n{}\n", part.join("\n")));
+    }
+    let recipe = small.read("recipe.yaml").replace("data/touches.csv", "data/touches-?.csv");
+    small.write("recipe.yaml", &recipe);
+    let printed = ended(&small, &["run", RECIPE, "--time-limit", "60"]);
+    assert_eq!(printed.status, 0, "{}", printed.stderr);
+}

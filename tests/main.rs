@@ -15,6 +15,7 @@ mod errors;
 mod files;
 mod first_order;
 mod frozen;
+mod full_disk;
 mod gcode;
 mod interrupted;
 mod laws;

@@ -346,3 +346,81 @@ fn a_sensor_that_reads_apart_from_all_others_at_rest_is_told() {
         assert_eq!(printed.stderr.contains("C31 reads"), is_wrong, "{}", printed.stderr);
     }
 }
+
+/// One file of an instrument in mm under a column in µm.
+#[test]
+fn readings_in_another_unit_than_those_of_other_files_are_told() {
+    let folder = temporary();
+    for name in ["mill-direct", "mill-direct-exact"] {
+        let recipe = Variant::of(&recipes()[name]);
+        let remarks = |recipe: &Variant| -> Vec<String> {
+            let planned = checked(recipe, folder.path()).expect("a plan");
+            planned.into_iter().flat_map(|planned| planned.identifiability.remarks).collect()
+        };
+        let is_told = |remarks: &[String]| remarks.iter().any(|remark| remark.contains("is their unit right?"));
+        assert!(!is_told(&remarks(&recipe)), "{name}: {:?}", remarks(&recipe));
+        for (stage, column) in [("length-files", "reading_um"), ("angle-files", "reading_urad")] {
+            let files = recipe.0["stages"][stage]["path"].as_array().expect("a list").clone();
+            for (place, file) in files.iter().enumerate() {
+                let Some(file) = file.as_str().filter(|file| !file.contains('*')) else { continue };
+                let thousandth = |_: usize, cell: &str| (cell.parse::<f64>().expect("a reading") / 1e3).to_string();
+                let other = changed(Path::new(file), folder.path(), column, thousandth);
+                let mut wrong = recipe.clone();
+                wrong.stage(stage)["path"][place] = json!(other);
+                let remarks = remarks(&wrong);
+                let own = other.display().to_string();
+                let of_file = |remark: &String| remark.contains(&own) && remark.contains("is their unit right?");
+                // Where errors are hundreds of times as large as readings scatter, the residuals tell; in exact data there are none.
+                let is_scale = ["EXX", "EYY", "EZZ"].iter().any(|symbol| own.contains(symbol));
+                if is_scale && name == "mill-direct" {
+                    let recipe = wrong.clone().only(&["fit-lengths", "fit-angles"]).write(folder.path());
+                    let printed = abbe(folder.path(), &["run".as_ref(), recipe.as_os_str()]);
+                    assert!(
+                        printed.stdout.contains("is the unit of its readings right?"),
+                        "{file}: {}",
+                        printed.stdout
+                    );
+                } else if !is_scale {
+                    assert!(remarks.iter().any(of_file), "{name}, {file}: {remarks:?}");
+                }
+            }
+        }
+    }
+}
+
+/// A key that stands twice, in every kind of JSON file that people may edit.
+#[test]
+fn a_key_that_stands_twice_is_refused_with_its_place() {
+    let small = crate::support::Small::new();
+    assert_eq!(small.abbe(&["run", "recipe.yaml", "--out", "out"]).status, 0);
+    small.write("truth.json", "{ \"parameters\": {\n  \"EX0C\": 0.01,\n  \"EX0C\": 0.02 } }");
+    let refused = |arguments: &[&str], words: &[&str]| {
+        let printed = small.abbe(arguments);
+        assert!(matches!(printed.status, 1 | 2), "{arguments:?}: {}{}", printed.stdout, printed.stderr);
+        for word in words.iter().chain(&["stands here a second time"]) {
+            assert!(printed.stderr.contains(word), "{arguments:?}: {word}: {}", printed.stderr);
+        }
+    };
+    refused(
+        &["simulate", "recipe.yaml", "--truth", "truth.json", "--seed", "1", "--out", "sim"],
+        &["`EX0C`", "truth.json:3:8"],
+    );
+    let result = "out/recipe/fine.calibration.json";
+    let text = small.read(result);
+    let at = text.find("\"settings\": {").expect("the settings of the model") + "\"settings\": {".len();
+    let line = text[..at].lines().count();
+    small.write(result, &format!("{} \"chain\": \"t b w\",{}", &text[..at], &text[at..]));
+    let twice = ["`chain`", "line "];
+    refused(&["report", result, "--out", "page.html"], &twice);
+    let printed = small.abbe(&["report", result, "--out", "page.html"]);
+    let place = printed.stderr.split("line ").nth(1).and_then(|rest| rest.split(' ').next()?.parse().ok());
+    assert!(place.is_some_and(|place: usize| place > line), "{}", printed.stderr);
+    small.write("out/recipe/verdicts.json", "[{ \"stage\": \"a\", \"more\": { \"x\": 1, \"x\": 2 } }]");
+    small.write(result, &text);
+    refused(&["report", "out/recipe", "--out", "page.html"], &["`x`", "line 1 column"]);
+    // The machine that a calibration is for.
+    let machine = small.read("data/machine.yaml").replacen("chain:", "tool_length_mm: 1\ntool_length_mm: 2\nchain:", 1);
+    small.write("machine.yaml", &machine);
+    small.write("points.csv", "X_mm,Y_mm,Z_mm,B_deg,C_deg\n0,0,0,0,0\n");
+    refused(&["correct", result, "points.csv", "--machine", "machine.yaml"], &["`tool_length_mm`", "machine.yaml:"]);
+}

@@ -3,7 +3,10 @@
 use std::fs;
 use std::path::Path;
 
-use crate::support::{Small, tree};
+use abbe_core::Monitor;
+use abbe_engine::prepare;
+
+use crate::support::{Small, recipes, registry, temporary, tree};
 
 fn run(small: &Small, out: &str) -> (i32, String) {
     let printed = small.abbe(&["run", "recipe.yaml", "--out", out]);
@@ -163,9 +166,15 @@ fn two_runs_at_once_leave_the_results_of_one() {
 #[test]
 fn a_run_that_may_open_few_files_leaves_nothing_half_written() {
     let small = Small::new();
+    small.write("truth.json", "{ \"parameters\": {} }");
     let mut ends = std::collections::BTreeSet::new();
-    for files in 5..14 {
-        let run = crate::support::program(small.folder.path(), &["run", "recipe.yaml", "--out", "out"]);
+    let commands: [&[&str]; 2] = [
+        &["run", "recipe.yaml", "--out", "out"],
+        &["simulate", "recipe.yaml", "--truth", "truth.json", "--seed", "1", "--out", "out/simulated"],
+    ];
+    for (files, arguments) in (5..14).flat_map(|files| commands.map(|arguments| (files, arguments))) {
+        fs::create_dir_all(small.path("out")).expect("a folder");
+        let run = crate::support::program(small.folder.path(), arguments);
         let mut limited = std::process::Command::new("sh");
         limited
             .args(["-c", &format!("ulimit -n {files}; exec \"$0\" \"$@\"")])
@@ -174,9 +183,57 @@ fn a_run_that_may_open_few_files_leaves_nothing_half_written() {
         let end = limited.current_dir(small.folder.path()).output().expect("a shell");
         let left = fs::read_dir(small.path("out")).into_iter().flatten().flatten().map(|entry| entry.file_name());
         let left: Vec<_> = left.filter(|name| name.to_string_lossy().starts_with('.')).collect();
-        assert!(left.is_empty(), "{files} files: {left:?}: {}", String::from_utf8_lossy(&end.stderr));
+        assert!(left.is_empty(), "{arguments:?}, {files} files: {left:?}: {}", String::from_utf8_lossy(&end.stderr));
         ends.insert(end.status.code());
         let _ = fs::remove_dir_all(small.path("out"));
     }
     assert!(ends.contains(&Some(0)) && ends.contains(&Some(1)), "{ends:?}");
+}
+
+/// What comes into the folder while the work is done costs no results: they are beside it.
+#[test]
+fn results_are_kept_beside_a_folder_that_somebody_has_taken_meanwhile() {
+    let small = Small::new();
+    let prepared = prepare(&small.path("recipe.yaml"), &registry()).expect("a recipe");
+    let out = small.path("out");
+    prepared.can_write(&out).expect("nothing is there");
+    let outcome = prepared.run(&Monitor::default()).expect("a run");
+    small.write("out/recipe/notes.txt", "mine");
+    let error = outcome.write(&out).expect_err("somebody's file is there");
+    let help = error.help.unwrap_or_default();
+    assert!(error.message.contains("holds no results of a run") && help.contains("recipe-new-1"), "{help}");
+    assert_eq!(tree(&small.path("out/recipe")), [Path::new("notes.txt")]);
+    assert!(small.path("out/recipe-new-1/run.json").exists());
+    assert_eq!(fs::read_dir(&out).expect("a folder").count(), 2);
+    // So it is where a file has taken the name of the folder.
+    small.write("out2/recipe", "mine");
+    let error = outcome.write(&small.path("out2")).expect_err("somebody's file is there");
+    assert!(error.help.unwrap_or_default().contains("recipe-new-1"), "{}", error.message);
+    assert!(small.path("out2/recipe-new-1/run.json").exists());
+    assert_eq!(small.read("out2/recipe"), "mine");
+}
+
+#[test]
+fn plans_and_simulations_are_kept_beside_a_folder_that_somebody_has_taken_meanwhile() {
+    let folder = temporary();
+    let at = |name: &str| folder.path().join(name);
+    let registry = registry();
+    let plan = prepare(&recipes()["design-2d"], &registry).and_then(|prepared| prepared.plan()).expect("a plan");
+    fs::write(at("truth.json"), "{ \"parameters\": {} }").expect("a file");
+    let small = Small::new();
+    let prepared = prepare(&small.path("recipe.yaml"), &registry).expect("a recipe");
+    let simulated = prepared.simulate(&at("truth.json"), 1, None).expect("a simulation");
+    let write = |name: &str| match name {
+        "plan" => plan.write(&at(name)),
+        _ => simulated.write(&at(name)),
+    };
+    for name in ["plan", "simulated"] {
+        write(name).expect("nothing is there");
+        let before = tree(&at(name));
+        let error = write(name).expect_err("something is there");
+        let place = at(name).display().to_string();
+        assert!(error.message.contains(&place), "{}", error.message);
+        assert!(error.help.unwrap_or_default().contains(&format!("{place}-new-1")), "{}", error.message);
+        assert_eq!((tree(&at(name)), tree(&at(&format!("{name}-new-1")))), (before.clone(), before));
+    }
 }

@@ -235,3 +235,19 @@ fn corrections_are_for_the_robot_that_was_calibrated() {
         accepted.stderr
     );
 }
+
+/// A reflector elsewhere than the recipe says: the message names the tip, and no number of a joint that is alike by chance.
+#[test]
+fn a_tip_that_is_elsewhere_is_told_as_such() {
+    let folder = temporary();
+    for (tip, symbol) in [([65, -15, 95], "dxt"), ([20, -15, 140], "dyt"), ([20, 30, 95], "dzt")] {
+        let mut recipe = recipe("realistic").only(&["lines"]);
+        recipe.stage("robot")["robot"]["tip_mm"] = json!(tip);
+        let file = recipe.write(folder.path());
+        let printed = crate::support::abbe(folder.path(), &["run".as_ref(), file.as_os_str()]);
+        let said = printed.stderr.split_whitespace().filter(|word| *word != "│").collect::<Vec<_>>().join(" ");
+        assert_eq!(printed.status, 1, "{said}");
+        assert!(said.contains(symbol) && said.contains("or at `tip_mm` of a robot"), "{said}");
+        assert!(!said.contains("point_mm"), "{said}");
+    }
+}

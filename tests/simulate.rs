@@ -597,8 +597,12 @@ fn bad_input_is_one_clear_error() {
         "{ \"parameters\": { \"EXX[1]\": 1, \"EYY[1]\": -1, \"EZZ[1]\": -1 } }",
         &[],
         1,
-        none,
+        &|small| {
+            let wider = "start: rough\n    plausible: { mm: { \"E??[1]\": 2000 } }";
+            small.write("recipe.yaml", &small.read("recipe.yaml").replace("start: rough", wider));
+        },
     );
+    case("a truth that no machine has", "{ \"parameters\": { \"EX0C\": 5000, \"EA0B\": 0.5 } }", &[], 2, none);
     case("several machines", SMALL_TRUTH, &[], 2, &two_machines);
     case("no such machine", SMALL_TRUTH, &["--seed", "1", "--out", "sim", "--machine", "machin"], 2, none);
     insta::assert_snapshot!("simulate_errors", told);
@@ -628,4 +632,37 @@ fn the_documented_truth_is_one() {
     let truth = Truth::parse(Path::new("simulate.md"), example).unwrap_or_else(|error| panic!("{error}"));
     assert_eq!((truth.parameters.len(), truth.noise.drift.len(), truth.noise.outliers.listed.len()), (9, 1, 2));
     assert!(truth.noise.lobing.is_some() && truth.noise.resolution_mm == 1e-4);
+}
+
+/// True values are held against what is plausible, as estimated ones are, and widened in the same way.
+#[test]
+fn truths_that_no_machine_has_are_refused() {
+    let small = Small::new();
+    let simulate = |name: &str, value: f64| {
+        let text = format!("{{ \"parameters\": {{ \"{name}\": {value:e} }} }}");
+        small.write("truth.json", &text);
+        let printed =
+            small.abbe(&["simulate", "recipe.yaml", "--truth", "truth.json", "--seed", "1", "--out", "simulated"]);
+        let _ = fs::remove_dir_all(small.path("simulated"));
+        printed
+    };
+    let recipe = small.read("recipe.yaml");
+    for (name, absurd, real, unit) in [
+        ("EX0C", 5000.0, 0.5, "mm"),
+        ("EA0B", 0.5, 1e-3, "mrad"),
+        ("EXX[1]", 0.5, 1e-4, "mm"),
+        ("dzt", -400.0, 1.0, "mm"),
+    ] {
+        assert_eq!(simulate(name, real).status, 0, "{name}");
+        let printed = simulate(name, absurd);
+        assert_eq!(printed.status, 2, "{name}: {}", printed.stderr);
+        for word in ["truth.json", "no machine has such errors", name, "is plausible at most", "plausible: {"] {
+            assert!(printed.stderr.contains(word), "{name}: {word}: {}", printed.stderr);
+        }
+        let wider = format!("    start: rough\n    plausible: {{ {unit}: {{ \"{name}\": 10000 }} }}");
+        small.write("recipe.yaml", &recipe.replace("    start: rough", &wider));
+        let printed = simulate(name, absurd);
+        assert!(!printed.stderr.contains("no machine has such errors"), "{name}: {}", printed.stderr);
+        small.write("recipe.yaml", &recipe);
+    }
 }

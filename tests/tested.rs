@@ -70,3 +70,83 @@ fn ranks_verdicts_and_files_are_compared() {
     assert_eq!(printed.status, 2);
     assert!(printed.stderr.contains("there are no recipes in data"), "{}", printed.stderr);
 }
+
+/// Files that a test writes have places of their own, however they are named; nothing runs where they have not.
+#[test]
+fn what_a_test_writes_collides_with_nothing() {
+    let small = Small::new();
+    std::fs::create_dir_all(small.path("below")).expect("a folder");
+    for name in ["below/recipe.yaml", "other.yaml", "recipe.yml"] {
+        small.write(name, &small.read("recipe.yaml").replace("data/", "../data/"));
+    }
+    let refused = |arguments: &[&str], words: &str| {
+        let printed = small.abbe(&[&["test"], arguments].concat());
+        assert_eq!(printed.status, 2, "{arguments:?}: {}{}", printed.stdout, printed.stderr);
+        let said = printed.stderr.split_whitespace().filter(|word| *word != "│").collect::<Vec<_>>().join(" ");
+        assert!(said.contains(words), "{arguments:?}: {}", printed.stderr);
+        assert!(said.contains("help:"), "{arguments:?}: {}", printed.stderr);
+        for name in ["j", "out", "kept", "recipe.expected"] {
+            assert!(!small.path(name).exists(), "{arguments:?}: {name} was written");
+        }
+    };
+    let same = "`--junit` and `--markdown` name the same file";
+    refused(&["recipe.yaml", "--junit", "j", "--markdown", "j"], same);
+    refused(&["recipe.yaml", "--junit", "j", "--markdown", "below/../j"], same);
+    #[cfg(unix)]
+    {
+        std::os::unix::fs::symlink("below", small.path("link")).expect("a link");
+        refused(&["recipe.yaml", "--junit", "below/j", "--markdown", "link/j"], same);
+        small.write("empty", "");
+        std::fs::hard_link(small.path("empty"), small.path("hard")).expect("a link");
+        refused(&["recipe.yaml", "--junit", "empty", "--markdown", "hard"], same);
+    }
+    refused(&["recipe.yaml", "--junit", "./recipe.expected", "--accept"], "belongs to recipe.yaml");
+    refused(&["recipe.yaml", "--markdown", "recipe.yaml"], "no earlier `abbe test` wrote it");
+    for report in ["kept", "kept/recipe", "kept/recipe/run.json", "kept/recipe/more/test.xml"] {
+        refused(&["recipe.yaml", "--junit", report, "--out", "kept"], "where `--out` has results");
+    }
+    refused(&["recipe.yaml", "recipe.yml"], "have one file of what is expected");
+    refused(&["recipe.yaml", "below/recipe.yaml", "--out", "kept"], "would both be written to kept/recipe");
+    // The same recipe by another name is tested once.
+    let printed = small.abbe(&["test", "recipe.yaml", "./recipe.yaml", "below/../recipe.yaml"]);
+    assert!(printed.stdout.contains("1 recipe, 1 not as expected"), "{}", printed.stdout);
+}
+
+/// Whatever may be a recipe is tested: one that cannot be read is an error, and not left out.
+#[test]
+fn a_recipe_of_a_folder_that_cannot_be_read_is_an_error() {
+    let small = Small::new();
+    assert_eq!(small.abbe(&["test", "--accept"]).status, 0);
+    std::fs::create_dir(small.path("more.yaml")).expect("a folder");
+    std::fs::write(small.path("text.yaml"), b"abbe: 1\nname: \xff\n").expect("a file");
+    let printed = small.abbe(&["test"]);
+    assert_eq!(printed.status, 1, "{}", printed.stdout);
+    for (name, why) in [("more.yaml", "it is a folder"), ("text.yaml", "it is no text in UTF-8")] {
+        let said = printed.stdout.split_whitespace().collect::<Vec<_>>().join(" ");
+        assert!(said.contains(&format!("{name}: ERROR")) && said.contains(why), "{name}: {}", printed.stdout);
+    }
+}
+
+#[test]
+fn what_is_expected_twice_is_refused() {
+    let small = Small::new();
+    assert_eq!(small.abbe(&["test", "--accept"]).status, 0);
+    let text = small.read("recipe.expected");
+    let line = text.lines().nth(2).expect("a third line");
+    small.write("recipe.expected", &format!("{text}{line}\n"));
+    let printed = small.abbe(&["test"]);
+    let place = format!("line {}: `run` stands here a second time, after line 3", text.lines().count() + 1);
+    assert!(printed.status == 1 && printed.stdout.contains(&place), "{}", printed.stdout);
+}
+
+/// What is expected is replaced whole, and a link to it stays one.
+#[cfg(unix)]
+#[test]
+fn a_link_to_what_is_expected_stays_one() {
+    let small = Small::new();
+    small.write("elsewhere/expected", "format 1\n");
+    std::os::unix::fs::symlink("elsewhere/expected", small.path("recipe.expected")).expect("a link");
+    assert_eq!(small.abbe(&["test", "--accept"]).status, 0);
+    assert!(small.path("recipe.expected").is_symlink());
+    assert!(small.read("elsewhere/expected").contains("estimate fine"));
+}

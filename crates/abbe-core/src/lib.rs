@@ -64,8 +64,8 @@ pub use abbe_results::{
 };
 pub use abbe_settings::{
     Class, Convergence, Error, EvenSeries, Label, Names, PathItem, Place, Quantity, Result, Series, SettingsError,
-    Termination, Unit, Whole, from_settings, from_settings_in_range, harmless, harmless_json, matches, nearest,
-    not_negative, path_text, positive, ranges, schema_of,
+    Termination, Unit, Whole, from_json, from_settings, from_settings_in_range, harmless, harmless_json, matches,
+    nearest, not_negative, path_text, positive, ranges, schema_of,
 };
 
 /// Re-exported so that plugins register with the same version of `inventory` that the registry uses.

@@ -7,10 +7,17 @@ use std::path::{Path, PathBuf};
 
 use abbe_core::{Error, Result};
 
-use crate::staging::{Staging, can_write, unwritable};
+use crate::results::{kept_beside, parent, real};
+use crate::staging::{Staging, can_write, exclusive_access, unwritable};
 
 /// Fails early if a new folder cannot be written at `out`. `out` has to be empty or not to exist.
 pub fn can_write_folder(out: &Path) -> Result<()> {
+    is_free(out)?;
+    can_write(parent(out), out)
+}
+
+/// Fails if something is at `out`.
+fn is_free(out: &Path) -> Result<()> {
     if out.is_symlink() && !out.is_dir() {
         return Err(Error::data(format!("{} is a link that leads to no folder", out.display()))
             .help("remove it, or name another folder with `--out`"));
@@ -24,29 +31,32 @@ pub fn can_write_folder(out: &Path) -> Result<()> {
         return Err(Error::data(format!("{} is there already and not empty", out.display()))
             .help("move it away, or name another folder with `--out`"));
     }
-    can_write(parent(out))
-}
-
-/// Writes files, whose names are relative to it, into the folder `out`: whole or not at all. It has to be empty or not to exist.
-pub fn write_folder(out: &Path, files: &BTreeMap<PathBuf, Vec<u8>>) -> Result<()> {
-    can_write_folder(out)?;
-    let failed = |error: io::Error| unwritable(parent(out), &error);
-    // Where a link stands, the folder that it leads to is written.
-    let place = if out.is_symlink() { fs::canonicalize(out).map_err(failed)? } else { out.to_owned() };
-    let (out, parent) = (place.as_path(), parent(&place));
-    let staging = Staging::new(parent)?;
-    for (name, content) in files {
-        staging.write(name, content).map_err(failed)?;
-    }
-    if out.exists() {
-        fs::remove_dir(out).map_err(failed)?;
-    }
-    fs::rename(staging.path(), out).map_err(failed)?;
-    // The folder has been renamed: there is nothing to clean up.
-    let _ = staging.keep();
     Ok(())
 }
 
-fn parent(out: &Path) -> &Path {
-    out.parent().filter(|parent| *parent != Path::new("")).unwrap_or(Path::new("."))
+/// Writes files, whose names are relative to it, into the folder `out`: whole or not at all. If something has come there since it was
+/// [looked at](can_write_folder), they are written beside it, and the error says where.
+pub fn write_folder(out: &Path, files: &BTreeMap<PathBuf, Vec<u8>>) -> Result<()> {
+    let failed = |error: io::Error| unwritable(out, &error);
+    let place = real(out);
+    let staging = Staging::new(parent(&place), out)?;
+    for (name, content) in files {
+        staging.write(name, content).map_err(failed)?;
+    }
+    // Two commands that write the same folder do so one after the other.
+    let _access = exclusive_access(parent(&place));
+    let taken = is_free(out).and_then(|()| {
+        if place.exists() {
+            fs::remove_dir(&place).map_err(failed)?;
+        }
+        fs::rename(staging.path(), &place).map_err(failed)
+    });
+    match taken {
+        Ok(()) => {
+            // The folder has been renamed: there is nothing to clean up.
+            let _ = staging.keep();
+            Ok(())
+        }
+        Err(error) => Err(kept_beside(staging, &place, error)),
+    }
 }

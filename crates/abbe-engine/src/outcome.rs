@@ -11,7 +11,7 @@ use serde::Serialize;
 
 use crate::prepare::Prepared;
 use crate::record::{FailureRecord, FileRecord, PluginRecord, RUN_FORMAT, Remark, RunRecord, sha256};
-use crate::results::{RECORD, ResultFolder};
+use crate::results::{RECORD, ResultFolder, parent, put, real};
 use crate::staging::{Staging, can_write, exclusive_access, unwritable};
 
 /// Everything that a run found, in memory.
@@ -79,21 +79,22 @@ impl Outcome {
     /// they are as that run wrote them; all else stays.
     ///
     /// Files are written into a temporary folder beside it, which replaces it in the end. So at any time the folder contains
-    /// the complete results of one run, or does not exist. Fails if a file of somebody else is in the way of a result.
+    /// the complete results of one run, or does not exist. Fails if a file of somebody else is in the way of a result, or has made the
+    /// folder one that is not of a run; the results are then beside it, and the error says where.
     pub fn write(&self, out: &Path) -> Result<PathBuf> {
         let target = out.join(&self.recipe);
         let unwritable = |error: io::Error| unwritable(out, &error);
         let files = self.files()?;
-        let folder = ResultFolder::new(&target, &self.input_files)?;
-        let staging = Staging::new(folder.parent())?;
+        let place = real(&target);
+        let staging = Staging::new(parent(&place), out)?;
         let record = RunRecord { outputs: outputs(&files), ..self.record() };
         for (name, content) in &files {
             staging.write(name, content).map_err(unwritable)?;
         }
         staging.write(Path::new(RECORD), json(&record)?.as_bytes()).map_err(unwritable)?;
         // Another run may have written the folder in the meantime.
-        let _access = exclusive_access(folder.parent());
-        ResultFolder::new(&target, &self.input_files)?.replace_by(staging)?;
+        let _access = exclusive_access(parent(&place));
+        put(staging, &target, &self.input_files)?;
         Ok(target)
     }
 
@@ -138,7 +139,7 @@ impl Prepared {
         let residuals = self.stages(Kind::Estimate).map(|stage| residuals_file(&stage.name));
         let known = estimates.chain(residuals).chain([VERDICTS.into(), REPORT.into(), RECORD.into()]);
         known.into_iter().try_for_each(|name: PathBuf| folder.can_take(&name))?;
-        can_write(folder.parent())
+        can_write(folder.parent(), out)
     }
 }
 

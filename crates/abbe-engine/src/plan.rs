@@ -45,7 +45,8 @@ impl Prepared {
         })?;
         let stage = self.recipe_stage(&wanted.estimate)?;
         if !has_rows(&stage) {
-            let error = Error::usage(format!("`{}` has no machine and observations of its own", stage.name));
+            let error = Error::usage(format!("`{}` has no machine and observations of its own", stage.name))
+                .help("name an estimate with `machine` and `observations`");
             return Err(self.recipe.locate_plan(error.setting("estimate")));
         }
         let generated = match &wanted.generate {
@@ -75,7 +76,12 @@ impl Prepared {
         let record = serde_json::to_string_pretty(&record(&stage.name, &plan, &identifiability))
             .map_err(|error| Error::data(format!("the plan cannot be written: {error}")))?
             + "\n";
-        files.insert(PathBuf::from(RECORD), record.clone().into_bytes());
+        if files.insert(PathBuf::from(RECORD), record.clone().into_bytes()).is_some() {
+            return Err(Error::usage(format!(
+                "a file of candidates is named `{RECORD}`, as the record of the plan is"
+            ))
+            .help("give the file of candidates another name"));
+        }
         Ok(Measurements { estimate: stage.name.clone(), plan, identifiability, accepted, record, files })
     }
 }
@@ -147,7 +153,9 @@ fn rows(data: &Dataset, plan: &Plan) -> Result<BTreeMap<PathBuf, Vec<u8>>> {
         let text = abbe_table::read_text(path)?;
         let name = path.file_name().map_or_else(|| PathBuf::from("plan.csv"), PathBuf::from);
         if files.insert(name, chosen(path, &text, &of_file, data)?).is_some() {
-            return Err(Error::usage("two files of candidates have the same name").in_file(path));
+            return Err(Error::usage("two files of candidates have the same name")
+                .help("give one of them another name")
+                .in_file(path));
         }
     }
     Ok(files)

@@ -1,10 +1,11 @@
 //! Errors that no machine has: a run with them fails, with the mistake that explains them.
 
+use std::collections::BTreeSet;
 use std::iter::repeat_n;
 use std::ops::RangeInclusive;
 
-use abbe_core::{Calibration, Class, Error, Fit, ImplausibleValue, ObservationSet, Problem, Result, Status};
-use abbe_estimation::{LargeError, absurd_error, large_errors, likely_causes, likely_mistakes};
+use abbe_core::{Calibration, Class, Error, Fit, ImplausibleValue, Kind, ObservationSet, Problem, Result, Status};
+use abbe_estimation::{LargeError, absurd_error, implausible_errors, large_errors, likely_causes, likely_mistakes};
 use abbe_recipe::Stage;
 
 use crate::outcome::Failure;
@@ -43,11 +44,34 @@ impl Prepared {
                 Err(error) if error.out_of_time => Vec::new(),
                 mistakes => self.located(stage, mistakes)?,
             };
-            let error = implausible_error(worst, &large, mistakes.into_iter().chain(causes));
+            let error = implausible_error(worst, &large, mistakes.into_iter().chain(causes), WRONG_DATA);
             fit.calibration.fit.implausible = large.iter().map(record).collect();
             failures.push(Failure::own(stage, self.recipe.locate(error.stage(&stage.name))));
         }
         Ok(failures)
+    }
+
+    /// Refuses true values that no machine has. What the recipe says to be plausible for one of the estimates of this machine may be
+    /// true.
+    pub(crate) fn check_truth(&self, machine: &str, truth: &Problem) -> Result<()> {
+        let mut refused: Option<Vec<LargeError>> = None;
+        for stage in self.stages(Kind::Estimate).filter(has_rows) {
+            if self.is_of(stage, machine)? {
+                let found = implausible_errors(&self.plausible[&stage.name], truth)?;
+                let names: BTreeSet<&String> = found.iter().map(|error| &error.unknown.name).collect();
+                refused = Some(match refused {
+                    Some(all) => all.into_iter().filter(|error| names.contains(&error.unknown.name)).collect(),
+                    None => found.clone(),
+                });
+            }
+        }
+        match refused.unwrap_or_default().as_slice() {
+            [] => Ok(()),
+            all @ [worst, ..] => {
+                let none = std::iter::empty();
+                Err(Error { class: Class::Use, ..implausible_error(worst, all, none, WRONG_TRUTH) })
+            }
+        }
     }
 
     /// The error of a fit that does not converge, with the mistake that explains why.
@@ -109,17 +133,24 @@ fn record(large: &LargeError) -> ImplausibleValue {
     ImplausibleValue { name: large.unknown.name.clone(), size: large.size, plausible: large.bound }
 }
 
+/// Where to look for the mistake.
+const WRONG_DATA: &str = "look for a wrong sign, column or unit in the recipe and the data";
+const WRONG_TRUTH: &str = "look for a wrong unit or digit (values are in mm and rad)";
+
 /// `implausible` are all of them, with the worst one first.
-fn implausible_error(worst: &LargeError, implausible: &[LargeError], causes: impl Iterator<Item = String>) -> Error {
+fn implausible_error(
+    worst: &LargeError,
+    implausible: &[LargeError],
+    causes: impl Iterator<Item = String>,
+    look: &str,
+) -> Error {
     let named: Vec<String> = implausible.iter().take(NAMED).map(LargeError::describe).collect();
     let more = implausible.len().saturating_sub(NAMED);
     let rest = if more > 0 { format!(" and {more} more") } else { String::new() };
     let message =
         format!("no machine has such errors: {}{rest}; {} is plausible at most", named.join(", "), worst.plausible());
     let (unit, name) = (worst.setting(), &worst.unknown.name);
-    let widen = format!(
-        "look for a wrong sign, column or unit in the recipe and the data, or say `plausible: {{ {unit}: {{ \"{name}\": .. }} }}`"
-    );
+    let widen = format!("{look}, or say `plausible: {{ {unit}: {{ \"{name}\": .. }} }}`");
     let help: Vec<String> = causes.chain([widen]).collect();
     Error::data(message).help(help.join("; "))
 }

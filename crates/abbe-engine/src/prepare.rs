@@ -90,24 +90,25 @@ pub(crate) fn prepared(recipe: Recipe, registry: &Registry) -> Result<Prepared> 
             if !path.is_file() && prepared.is_planned(&stage.name) {
                 continue;
             }
-            let refused = |message: String| {
-                let error = Error::usage(message).setting(setting);
+            let refused = |message: String, help: &str| {
+                let error = Error::usage(message).help(help).setting(setting);
                 prepared.recipe.locate(error.stage(&stage.name))
             };
             let size = match abbe_files::open(&path).and_then(|file| file.metadata()) {
                 Ok(found) => found.len(),
                 Err(error) if error.kind() == io::ErrorKind::NotFound => {
-                    return Err(refused(format!("{} does not exist", path.display())));
+                    let help = "relative paths start at the folder of the recipe";
+                    return Err(refused(format!("{} does not exist", path.display()), help));
                 }
-                Err(error) => return Err(refused(format!("{} cannot be read: {error}", path.display()))),
+                Err(error) => {
+                    let help = "name files that can be read; a pattern takes whatever matches it";
+                    return Err(refused(format!("{} cannot be read: {error}", path.display()), help));
+                }
             };
             if stage.kind != Kind::Ingest && size > LARGEST_INPUT {
-                return Err(refused(format!(
-                    "{} has {} GiB; {} at most were expected",
-                    path.display(),
-                    size >> 30,
-                    LARGEST_INPUT >> 30
-                )));
+                let (found, most) = (size >> 30, LARGEST_INPUT >> 30);
+                let message = format!("{} has {found} GiB; {most} at most were expected", path.display());
+                return Err(refused(message, "name the file that is meant"));
             }
             prepared.files.push(path);
         }

@@ -2,7 +2,7 @@
 //!
 //! Its number stands in the key `abbe_run`, its schema in `docs/schemas/run.schema.json`; `docs/formats.md` says what may change.
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 use std::io::{self, Read};
 use std::path::{Path, PathBuf};
 
@@ -149,10 +149,10 @@ impl RunRecord {
 /// Records of the files that are read, each file once. They are made before the run, so that they show the content at its
 /// start.
 pub(crate) fn input_records(files: &[PathBuf]) -> Result<Vec<FileRecord>> {
-    let mut records: Vec<FileRecord> = Vec::new();
+    let (mut records, mut seen) = (Vec::new(), BTreeSet::new());
     for path in files {
         let file = path.display().to_string();
-        if records.iter().all(|record| record.file != file) {
+        if seen.insert(file.clone()) {
             let unreadable = |error: io::Error| Error::data(format!("the file cannot be read: {error}")).in_file(path);
             records.push(FileRecord { file, sha256: sha256_of(path).map_err(unreadable)? });
         }
@@ -164,7 +164,8 @@ pub(crate) fn input_records(files: &[PathBuf]) -> Result<Vec<FileRecord>> {
 pub(crate) fn files_with_same_content(data: &[PathBuf], inputs: &[FileRecord]) -> Vec<String> {
     let mut first: BTreeMap<&str, &str> = BTreeMap::new();
     let mut sentences = Vec::new();
-    for record in data.iter().filter_map(|path| inputs.iter().find(|input| input.file == path.display().to_string())) {
+    let by_file: BTreeMap<&str, &FileRecord> = inputs.iter().map(|input| (input.file.as_str(), input)).collect();
+    for record in data.iter().filter_map(|path| by_file.get(path.display().to_string().as_str()).copied()) {
         let other = *first.entry(&record.sha256).or_insert(&record.file);
         if other != record.file {
             sentences.push(format!("{other} and {} have the same content: is one a copy?", record.file));

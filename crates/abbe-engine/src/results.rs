@@ -72,7 +72,7 @@ impl ResultFolder {
 
     /// The folder in which a new folder of results can be made, so that the two can change places.
     pub fn parent(&self) -> &Path {
-        self.place.parent().filter(|parent| !parent.as_os_str().is_empty()).unwrap_or(Path::new("."))
+        parent(&self.place)
     }
 
     /// Puts written files in the place of the folder; what others have there stays. At any time the folder has all old results or all
@@ -88,7 +88,7 @@ impl ResultFolder {
         let linked = free.and_then(|()| self.linked(staging.path()));
         let (staged, _lock) = staging.keep();
         // From here on no cleaning takes the folder for one that a killed run has left: it may be the old one.
-        let named = self.beside("new").and_then(|new| fs::rename(&staged, &new).map(|()| new));
+        let named = beside(&self.place, "new").and_then(|new| fs::rename(&staged, &new).map(|()| new));
         let new = named.as_ref().map_or(staged, PathBuf::clone);
         let exchanged = linked.and_then(|linked| {
             let old = named.and_then(|new| self.exchange(&new));
@@ -100,10 +100,7 @@ impl ResultFolder {
                 let message = format!("the old folder of results cannot be removed: {error}");
                 Error::data(message).help(format!("what is left of it is in {}", old.display()))
             }),
-            Err(error) => {
-                let help = error.help.clone().map_or_else(String::new, |help| format!("; {help}"));
-                Err(error.help(format!("the results are in {}{help}", new.display())))
-            }
+            Err(error) => Err(written_beside(&new, error)),
         }
     }
 
@@ -115,7 +112,7 @@ impl ResultFolder {
         if self.place.symlink_metadata().is_err() {
             return fs::rename(new, &self.place).map(|()| None);
         }
-        let aside = self.beside("old")?;
+        let aside = beside(&self.place, "old")?;
         #[cfg(target_os = "linux")]
         {
             use rustix::fs::{CWD, RenameFlags, renameat_with};
@@ -166,14 +163,44 @@ impl ResultFolder {
         }
         fs::remove_dir_all(old)
     }
+}
 
-    /// A name beside the folder that nothing has yet.
-    fn beside(&self, what: &str) -> io::Result<PathBuf> {
-        let name = self.place.file_name().unwrap_or_default().to_string_lossy();
-        let mut names = (1..10_000).map(|number| self.place.with_file_name(format!("{name}-{what}-{number}")));
-        let free = names.find(|path| path.symlink_metadata().is_err());
-        free.ok_or_else(|| io::Error::other("no name is free beside it"))
+/// Puts written files in the place of the folder of results `place`, as [`ResultFolder::replace_by`]; beside it if something else is there.
+pub(crate) fn put(staging: Staging, place: &Path, inputs: &[PathBuf]) -> Result<()> {
+    match ResultFolder::new(place, inputs) {
+        Ok(folder) => folder.replace_by(staging),
+        Err(error) => Err(kept_beside(staging, place, error)),
     }
+}
+
+/// Keeps what is written beside a place that it cannot take; the error says where.
+pub(crate) fn kept_beside(staging: Staging, place: &Path, error: Error) -> Error {
+    let (staged, _lock) = staging.keep();
+    let named = beside(place, "new").and_then(|new| fs::rename(&staged, &new).map(|()| new));
+    written_beside(&named.unwrap_or(staged), error)
+}
+
+fn written_beside(folder: &Path, error: Error) -> Error {
+    let help = error.help.clone().map_or_else(String::new, |help| format!("; {help}"));
+    error.help(format!("the results are in {}{help}", folder.display()))
+}
+
+/// The folder in which something stands, or would stand.
+pub(crate) fn parent(place: &Path) -> &Path {
+    place.parent().filter(|parent| !parent.as_os_str().is_empty()).unwrap_or(Path::new("."))
+}
+
+/// The folder that is written where `named` stands: that to which a link leads.
+pub(crate) fn real(named: &Path) -> PathBuf {
+    fs::canonicalize(named).ok().filter(|_| named.is_symlink()).unwrap_or_else(|| named.to_owned())
+}
+
+/// A name beside a folder that nothing has yet.
+fn beside(place: &Path, what: &str) -> io::Result<PathBuf> {
+    let name = place.file_name().unwrap_or_default().to_string_lossy();
+    let mut names = (1..10_000).map(|number| place.with_file_name(format!("{name}-{what}-{number}")));
+    let free = names.find(|path| path.symlink_metadata().is_err());
+    free.ok_or_else(|| io::Error::other("no name is free beside it"))
 }
 
 fn no_results(place: &Path) -> Error {

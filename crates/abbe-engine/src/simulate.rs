@@ -74,6 +74,7 @@ impl Prepared {
         let machine = self.simulated_machine(machine)?;
         let programme = self.programme(machine)?;
         let of_truth = |error: Error| if error.place.is_none() { error.in_file(truth) } else { error };
+        self.check_truth(machine, &values.of(&programme)).map_err(of_truth)?;
         let measured = measure(&programme, &values, seed).map_err(of_truth)?;
         let mut cells = recorded(&measured, values.noise.resolution_mm)?;
         let logs = self.logs(self.machine(self.recipe_stage(machine)?)?.0, |log| self.data(log))?;
@@ -119,6 +120,7 @@ impl Prepared {
                 .in_file(&self.recipe.path)),
             (None, Some(only)) if used.len() == 1 => Ok(only),
             (None, None) => Err(Error::usage("no estimate uses a machine, so that there is nothing to simulate")
+                .help("simulated is what an estimate with `machine` and `observations` is made from")
                 .in_file(&self.recipe.path)),
             (None, Some(_)) => Err(Error::usage(format!("the estimates use several machines: {list}"))
                 .help("say which one is simulated: `--machine NAME`")
@@ -186,7 +188,8 @@ impl Prepared {
             let observations = self.artefacts[&artefact.name].observe(&data[from], model.as_ref());
             let observations = self.located(artefact, observations)?;
             if let Contact::NotSimulated(why) = &observations.info().contact {
-                let error = Error::usage(format!("the artefact `{}` cannot be simulated yet: {why}", artefact.plugin));
+                let error = Error::usage(format!("the artefact `{}` cannot be simulated yet: {why}", artefact.plugin))
+                    .help("leave out the estimates that observe it");
                 return self.located(artefact, Err(error));
             }
             match observations.info().layout.merged.is_empty() && !data[from].averaged {
@@ -271,7 +274,7 @@ impl Prepared {
     }
 
     /// Whether an estimate is one of a machine. Estimates of readings that are no geometry have none.
-    fn is_of(&self, estimate: &Stage, machine: &str) -> Result<bool> {
+    pub(crate) fn is_of(&self, estimate: &Stage, machine: &str) -> Result<bool> {
         Ok(!has_readings(estimate) && self.machine_stage(estimate)?.name == machine)
     }
 }
@@ -438,7 +441,7 @@ fn unreadable(file: &Path, error: &io::Error) -> Error {
         io::ErrorKind::NotFound => "there is no such file".to_owned(),
         _ => format!("the file cannot be read: {error}"),
     };
-    Error::usage(message).in_file(file)
+    Error::usage(message).help("name a file that can be read").in_file(file)
 }
 
 impl Simulated {

@@ -22,9 +22,10 @@ pub(crate) struct Staging {
 }
 
 impl Staging {
-    /// Makes a temporary folder in `parent`, and `parent` if it is not there. What killed runs have left there is removed.
-    pub fn new(parent: &Path) -> Result<Self> {
-        let failed = |error: io::Error| unwritable(parent, &error);
+    /// Makes a temporary folder in `parent`, and `parent` if it is not there. What killed runs have left there is removed. Errors name
+    /// `out`, as the user does.
+    pub fn new(parent: &Path, out: &Path) -> Result<Self> {
+        let failed = |error: io::Error| unwritable(out, &error);
         let made = MadeFolders::new(parent).map_err(failed)?;
         // Nobody takes the new folder for an abandoned one before it has its lock.
         let _access = exclusive_access(parent);
@@ -56,13 +57,15 @@ impl Staging {
     }
 }
 
-/// Fails early if nothing can be written below `parent`, without making it.
-pub(crate) fn can_write(parent: &Path) -> Result<()> {
+/// Fails early if nothing can be written below `parent`, without making it. The error names `out`, as the user does.
+pub(crate) fn can_write(parent: &Path, out: &Path) -> Result<()> {
     let there = parent.ancestors().find(|folder| folder.symlink_metadata().is_ok() || folder.as_os_str().is_empty());
     let there = there.filter(|folder| !folder.as_os_str().is_empty()).unwrap_or(Path::new("."));
     // What is there and is no folder says why.
-    let tried = if there.is_dir() { temporary(there).map(drop) } else { fs::create_dir(there) };
-    tried.map_err(|error| unwritable(parent, &error))
+    // It is empty: to remove it so opens no file, where hardly one may be open.
+    let tried = || temporary(there).map(|folder| drop(fs::remove_dir(folder.keep())));
+    let tried = if there.is_dir() { tried() } else { fs::create_dir(there) };
+    tried.map_err(|error| unwritable(out, &error))
 }
 
 /// A new temporary folder. The error does not name it: nobody knows it.
@@ -78,7 +81,7 @@ fn temporary(parent: &Path) -> io::Result<tempfile::TempDir> {
 pub(crate) fn unwritable(out: &Path, error: &io::Error) -> Error {
     let why = match error.kind() {
         io::ErrorKind::AlreadyExists => "it is, or lies in, something that is no folder".to_owned(),
-        _ => error.to_string(),
+        _ => abbe_files::why(error),
     };
     Error::data(format!("the results cannot be written to {}: {why}", out.display()))
         .help("name another folder with `--out`")

@@ -21,12 +21,19 @@ const SCATTER: f64 = 0.2;
 pub fn likely_causes(problem: &Problem, calibration: &Calibration, large: &[LargeError]) -> Vec<String> {
     let numbers = lengths(&problem.model.info().settings);
     let of_parameter = large.iter().filter_map(|large| {
+        let is_tool = TOOL.contains(&large.unknown.name.as_str());
         let cause = match large.unknown.unit.of {
+            Quantity::Length if is_tool => cause(large.size, &of_tool(&numbers)),
             Quantity::Length if large.unknown.unit.per.is_none() => cause(large.size, &numbers),
             _ => None,
         };
         match cause {
             Some(cause) => Some(format!("{} is {cause}", large.describe())),
+            None if large.is_implausible() && is_tool => Some(format!(
+                "{} is where the tip of the tool is beside its nominal place: look at `tool_length_mm` and `probe_offset_mm`, or at \
+                 `tip_mm` of a robot",
+                large.describe()
+            )),
             None if large.is_implausible() => None,
             None => Some(format!("{} is large for such an error", large.describe())),
         }
@@ -34,17 +41,32 @@ pub fn likely_causes(problem: &Problem, calibration: &Calibration, large: &[Larg
     of_parameter.chain(alike(problem, calibration, &numbers)).collect()
 }
 
+/// Errors of the set-up of the tool.
+const TOOL: [&str; 3] = ["dxt", "dyt", "dzt"];
+
+/// What a radius is of a diameter.
+const HALF: f64 = 0.5;
+
+/// The numbers that say where the tip is: all but those of axes and of joints before it.
+fn of_tool(numbers: &[(String, f64)]) -> Vec<(String, f64)> {
+    let is_of_tool = |(name, _): &&(String, f64)| !name.starts_with("axes.") && !name.contains(".dh");
+    numbers.iter().filter(is_of_tool).cloned().collect()
+}
+
 /// What a length is as large as among the numbers of the set-up.
 fn cause(size: f64, numbers: &[(String, f64)]) -> Option<String> {
     let ways = [
         (1.0, "as large as"),
         (2.0, "twice, as with a wrong sign of,"),
-        (0.5, "half, as with a diameter for a radius in,"),
+        (HALF, "half, as with a diameter for a radius in,"),
         (24.4, "what is missing if inches were taken for mm in"),
         (1.0 - 1.0 / 25.4, "what is too much if mm were taken for inches in"),
     ];
     ways.iter().find_map(|(factor, way)| {
-        let like = |(_, number): &&(String, f64)| (size.abs() / (number.abs() * factor) - 1.0).abs() < ALIKE;
+        let like = |(name, number): &&(String, f64)| {
+            let may_be = *factor != HALF || name.contains("radius");
+            may_be && (size.abs() / (number.abs() * factor) - 1.0).abs() < ALIKE
+        };
         numbers.iter().find(like).map(|(name, number)| format!("{way} `{name}` ({number} mm)"))
     })
 }

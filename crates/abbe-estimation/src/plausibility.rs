@@ -7,8 +7,8 @@ use std::collections::BTreeMap;
 use std::f64::consts::PI;
 
 use abbe_core::{
-    Absent, AxisKind, Calibration, ParameterRole, Plausible, ProbeTerm, Problem, Quantity, Result, Status, StatusRole,
-    Unknown, matches,
+    Absent, AxisKind, Calibration, Owner, Parameter, ParameterRole, Plausible, ProbeTerm, Problem, Quantity, Result,
+    Status, StatusRole, Unknown, matches,
 };
 
 use crate::separation::thinned;
@@ -107,7 +107,21 @@ pub fn large_errors(plausible: &Plausible, problem: &Problem, calibration: &Cali
     judged(plausible, &problem.with_values(&problem.values_of(calibration)), &unknowns, values)
 }
 
-/// The same of values without a calibration; the unknowns stand at them.
+/// The errors of a machine whose true values are known, estimated or not, that are larger than an error can be; the largest first.
+pub fn implausible_errors(plausible: &Plausible, at: &Problem) -> Result<Vec<LargeError>> {
+    let unknown = |(index, parameter): (usize, &Parameter)| Unknown {
+        name: parameter.name.clone(),
+        unit: parameter.unit,
+        owner: Owner::Machine,
+        index,
+    };
+    let all: Vec<Unknown> = at.model.info().parameters.iter().enumerate().map(unknown).collect();
+    let mut found = judged(plausible, at, &all, |unknown| (at.machine_values[unknown.index], 0.0))?;
+    found.retain(LargeError::is_implausible);
+    Ok(found)
+}
+
+/// As [`large_errors`], of values without a calibration; the unknowns stand at them.
 pub(crate) fn large_errors_at(plausible: &Plausible, at: &Problem) -> Result<Vec<LargeError>> {
     judged(plausible, at, &at.machine_unknowns(), |unknown| (at.value_of(unknown), 0.0))
 }

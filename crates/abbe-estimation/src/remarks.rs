@@ -10,6 +10,7 @@ use abbe_core::{
 
 use crate::aliasing::aliased;
 use crate::directions::turned;
+use crate::instruments::instruments;
 
 /// Most forgotten unknowns that a remark names.
 const NAMED: usize = 3;
@@ -21,7 +22,7 @@ pub fn remarks(problem: &Problem) -> Vec<String> {
     remarks.extend(forgotten(problem));
     remarks.extend(repeated(problem));
     remarks.extend(reversed(problem));
-    remarks.extend(silent_instruments(problem));
+    remarks.extend(instruments(problem));
     remarks.extend(shared(problem));
     remarks.extend(styli(problem));
     remarks.extend(missed(problem));
@@ -41,38 +42,6 @@ pub fn repeated(problem: &Problem) -> Vec<String> {
         remarks.extend(repeated.map(|words| format!("{}: {words}; each counts as a measurement of its own", set.name)));
     }
     remarks
-}
-
-/// Fewest readings that are looked at whether they are all the same.
-const SAME: usize = 8;
-
-/// Files whose readings are all the same while those of others are not: an instrument that was not connected.
-fn silent_instruments(problem: &Problem) -> Vec<String> {
-    let mut of_files: BTreeMap<(&str, &Path), Vec<f64>> = BTreeMap::new();
-    for set in &problem.sets {
-        let info = set.info();
-        let Contact::Reading(column) = &info.contact else { continue };
-        let data = &info.layout.data;
-        let Some(readings) = data.numbers(column) else { continue };
-        for row in set.rows.iter().filter_map(|&row| info.layout.rows[row].data_row) {
-            if let Some(file) = data.files.get(data.origins[row].file) {
-                of_files.entry((&set.name, file)).or_default().push(readings[row]);
-            }
-        }
-    }
-    let is_silent = |readings: &[f64]| readings.len() >= SAME && readings.iter().all(|reading| *reading == readings[0]);
-    if of_files.values().all(|readings| is_silent(readings)) {
-        return Vec::new();
-    }
-    let silent = of_files.iter().filter(|(_, readings)| is_silent(readings));
-    let sentence = |((set, file), readings): (&(&str, &Path), &Vec<f64>)| {
-        format!(
-            "{set}: all {} readings of `{}` are the same, and those of other files are not: was the instrument connected?",
-            readings.len(),
-            file.display()
-        )
-    };
-    silent.map(sentence).collect()
 }
 
 /// Times that fall in every row.

@@ -5,7 +5,7 @@
 
 use std::fs::{self, File, Metadata};
 use std::io::{self, Read};
-use std::path::Path;
+use std::path::{Path, PathBuf};
 
 /// Bytes of the largest recipe, machine file or truth: 16 MiB. People write these.
 pub const LARGEST_TEXT: u64 = 16 << 20;
@@ -52,6 +52,39 @@ pub fn read_text(path: &Path, most: u64) -> io::Result<String> {
         let message = format!("it is no text in UTF-8 (line {line}, byte {} of the file)", text.len() + 1);
         io::Error::new(io::ErrorKind::InvalidData, message)
     })
+}
+
+/// Why a file cannot be read or written, for people: what they can do something about comes without numbers of the system.
+pub fn why(error: &io::Error) -> String {
+    match error.kind() {
+        io::ErrorKind::StorageFull => "the disk is full".to_owned(),
+        io::ErrorKind::QuotaExceeded => "the quota of the disk is used up".to_owned(),
+        _ => error.to_string(),
+    }
+}
+
+/// Whether two paths are one file, however they are written: the same place, or links to the same content. Neither has to exist.
+pub fn is_same(one: &Path, other: &Path) -> bool {
+    place(one) == place(other) || has_same_content(one, other)
+}
+
+/// Where a file is, or will be, with all links on the way to it followed.
+pub fn place(file: &Path) -> PathBuf {
+    let parent = file.parent().filter(|folder| !folder.as_os_str().is_empty()).unwrap_or(Path::new("."));
+    let made = || Some(fs::canonicalize(parent).ok()?.join(file.file_name()?));
+    fs::canonicalize(file).ok().or_else(made).unwrap_or_else(|| file.to_owned())
+}
+
+#[cfg(unix)]
+fn has_same_content(one: &Path, other: &Path) -> bool {
+    use std::os::unix::fs::MetadataExt;
+    let number = |path: &Path| fs::metadata(path).ok().map(|found| (found.dev(), found.ino()));
+    number(one).is_some_and(|one| number(other) == Some(one))
+}
+
+#[cfg(not(unix))]
+fn has_same_content(_: &Path, _: &Path) -> bool {
+    false
 }
 
 fn regular(found: &Metadata) -> io::Result<()> {
@@ -103,6 +136,31 @@ mod tests {
         assert_eq!(refused(&file), "it is no text in UTF-8 (line 2, byte 2 of the file)");
         assert_eq!(refused(folder.path()), "it is a folder; a file was expected");
         assert_eq!(read(&folder.path().join("b"), 4).unwrap_err().kind(), io::ErrorKind::NotFound);
+    }
+
+    #[cfg(unix)]
+    #[test]
+    fn one_file_has_many_names() {
+        let folder = tempfile::tempdir().unwrap();
+        let at = |name: &str| folder.path().join(name);
+        fs::create_dir(at("below")).unwrap();
+        fs::write(at("a"), "").unwrap();
+        fs::hard_link(at("a"), at("hard")).unwrap();
+        std::os::unix::fs::symlink("a", at("soft")).unwrap();
+        std::os::unix::fs::symlink("below", at("link")).unwrap();
+        for (one, other) in [
+            ("a", "./a"),
+            ("a", "below/../a"),
+            ("a", "hard"),
+            ("soft", "hard"),
+            ("new", "./below/../new"),
+            ("below/new", "link/new"),
+        ] {
+            assert!(is_same(&at(one), &at(other)), "{one} {other}");
+        }
+        for (one, other) in [("a", "b"), ("a", "below/a"), ("new", "below/new"), ("nowhere/new", "elsewhere/new")] {
+            assert!(!is_same(&at(one), &at(other)), "{one} {other}");
+        }
     }
 
     #[cfg(unix)]

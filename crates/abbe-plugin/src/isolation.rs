@@ -18,7 +18,7 @@ use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::thread::{JoinHandle, ThreadId};
 use std::time::Duration;
 
-use abbe_core::{Equations, Error, Origin, Poses, Result, RowBatch, RowIndex, Variable, harmless};
+use abbe_core::{Equations, Error, Origin, Poses, Result, RowBatch, RowIndex, Variable, from_json, harmless};
 
 use crate::loader::{About, Create, Library, hashed};
 use crate::peer::{Answer, Failure, Peer, Received};
@@ -355,7 +355,7 @@ pub fn isolated(path: &Path, pin: Option<&str>, limits: &Limits) -> Result<Libra
     let connection = start(path, &sha256, limits, &who).map_err(wrong)?;
     let (answer, _) = connection.ask(&Frame::List, &[]).map_err(wrong)?;
     let Frame::Answer { text, .. } = answer else { return Err(Error::usage(format!("{who} lists no plugins"))) };
-    let listed: Listed = serde_json::from_str(&text).map_err(|error| Error::usage(format!("{who}: {error}")))?;
+    let listed: Listed = from_json(&text).map_err(|error| Error::usage(format!("{who}: {error}")))?;
     let origin = Origin::Library { file: path.to_owned(), sha256: sha256.clone() };
     let plugins = listed.plugins.into_iter().map(|about| {
         let create = in_a_process(path.to_owned(), sha256.clone(), limits.clone(), about.kind, about.name.clone());

@@ -9,7 +9,7 @@ use std::sync::Arc;
 
 use abbe_core::{
     Build, Constructor, Context, Error, EstimateSource, Kind, Origin, Plugin, Provider, Registry, Result,
-    SettingsError, harmless,
+    SettingsError, from_json, harmless,
 };
 use serde_json::Value;
 use sha2::{Digest, Sha256};
@@ -210,8 +210,7 @@ impl About {
             return Err(format!("does not say in one line what its plugin `{name}` does"));
         }
         let json = |what: &str, text: &str| -> Result<Value, String> {
-            serde_json::from_str(text)
-                .map_err(|error| format!("has a plugin `{name}` whose {what} is no JSON: {error}"))
+            from_json(text).map_err(|error| format!("has a plugin `{name}` whose {what} is no JSON: {error}"))
         };
         let (schema, example) = (json("schema", &self.schema)?, json("example", &self.example)?);
         let library = path.file_name().unwrap_or(path.as_os_str()).to_string_lossy();

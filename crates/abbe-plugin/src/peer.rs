@@ -4,7 +4,9 @@ use std::any::Any;
 use std::fmt::Display;
 use std::sync::Arc;
 
-use abbe_core::{Class, Convergence, Equations, Error, PathItem, Place, Poses, RowBatch, SettingsError, Variable};
+use abbe_core::{
+    Class, Convergence, Equations, Error, PathItem, Place, Poses, RowBatch, SettingsError, Variable, from_json,
+};
 use serde::{Deserialize, Serialize};
 use serde_json::json;
 
@@ -97,7 +99,7 @@ impl Failure {
         match self.status {
             ABBE_FAILED if self.text.trim().is_empty() => refusal(format!("{who} failed without a message")),
             ABBE_FAILED => refusal(self.text),
-            ABBE_FAILED_WITH_DETAILS => serde_json::from_str(&self.text)
+            ABBE_FAILED_WITH_DETAILS => from_json(&self.text)
                 .unwrap_or_else(|error| fatal(format!("failed with details that cannot be read: {error}"))),
             ABBE_PANICKED => fatal(format!("panicked: {}", self.text)),
             ABBE_UNKNOWN_METHOD => fatal(format!("lacks a function: {}", self.text)),

@@ -12,7 +12,7 @@ mod tests;
 use std::any::Any;
 use std::sync::Arc;
 
-use abbe_core::{Error, Result};
+use abbe_core::{Error, Result, from_json};
 use serde::Serialize;
 use serde::de::DeserializeOwned;
 
@@ -35,8 +35,7 @@ fn ask<Q: Serialize + ?Sized, A: DeserializeOwned>(
     objects: &[Arc<Served>],
 ) -> Result<A> {
     let answer = ask_whole(peer, method, question, objects)?;
-    serde_json::from_str(&answer.text)
-        .map_err(|error| broken(peer.who(), format!("gave an answer that cannot be read: {error}")))
+    from_json(&answer.text).map_err(|error| broken(peer.who(), format!("gave an answer that cannot be read: {error}")))
 }
 
 fn ask_whole<Q: Serialize + ?Sized>(

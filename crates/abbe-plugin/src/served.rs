@@ -4,7 +4,7 @@ use std::sync::{Arc, PoisonError, RwLock};
 
 use abbe_core::{
     Artefact, Build, Calibration, Context, Dataset, Estimate, Export, Fit, Identifiability, Ingest, KinematicModel,
-    Model, Observations, Plugin, SettingsError, Validate,
+    Model, Observations, Plugin, SettingsError, Validate, from_json,
 };
 use serde::Serialize;
 use serde::de::DeserializeOwned;
@@ -111,7 +111,7 @@ fn no_method(method: u32) -> Failure {
 }
 
 fn read<T: DeserializeOwned>(text: &str) -> Result<T, Failure> {
-    Ok(serde_json::from_str(text)?)
+    Ok(from_json(text)?)
 }
 
 fn write<T: Serialize>(value: T) -> Result<String, Failure> {
@@ -243,8 +243,8 @@ fn of_exporter(stage: &dyn Export, method: u32, text: &str, objects: &[Received]
 
 /// Builds a stage of a plugin, to be served.
 pub(crate) fn create(plugin: &Plugin, settings: &str, context: &Context) -> Result<Served, Failure> {
-    let settings: Value = serde_json::from_str(settings)
-        .map_err(|error| SettingsError::new("", format!("the settings are no JSON: {error}")))?;
+    let settings: Value =
+        from_json(settings).map_err(|error| SettingsError::new("", format!("the settings are no JSON: {error}")))?;
     Ok(match &plugin.build {
         Build::Ingest(constructor) => Served::Ingest(constructor.build(&settings, context)?),
         Build::Artefact(constructor) => Served::Artefact(constructor.build(&settings, context)?),

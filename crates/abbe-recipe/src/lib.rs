@@ -27,6 +27,7 @@ use serde_json::{Map, Value};
 use document::{At, Document, Node};
 pub use libraries::Library;
 use libraries::libraries;
+pub use machine_file::machine_description;
 use machine_file::{merge, read_description};
 pub use page::{PAGE_MARK, index, page, page_name};
 pub use schema::schema;

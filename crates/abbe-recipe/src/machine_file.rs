@@ -17,6 +17,17 @@ pub(crate) fn read_description(node: &Node<'_>, base: &Path) -> Result<Document,
     Ok(document)
 }
 
+/// The content of a machine file.
+///
+/// # Errors
+/// A file that cannot be read, and YAML that is wrong or no map, with line and column.
+pub fn machine_description(file: &Path) -> Result<Value, Error> {
+    let text = read_text(file).map_err(|error| error.in_file(file))?;
+    let document = Document::parse(file, &text)?;
+    document.root().map()?;
+    Ok(document.value)
+}
+
 /// Maps are merged, anything else of `over` replaces what is `under` it.
 pub(crate) fn merge(under: Value, over: Value) -> Value {
     match (under, over) {

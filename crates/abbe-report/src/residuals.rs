@@ -2,8 +2,10 @@
 //!
 //! The page is always made from what the table says, so that it can be made again from the folder of a run.
 
+use std::collections::{BTreeMap, BTreeSet};
+
 use abbe_core::{
-    AxisKind, ColumnHeader, DataRow, Error, Evaluation, Fit, Quantity, Result, RowIndex, SetIndex, Values,
+    AxisKind, ColumnHeader, Dataset, Error, Evaluation, Fit, Quantity, Result, RowIndex, SetIndex, Values,
 };
 
 /// Residuals in the order of the equations.
@@ -101,6 +103,7 @@ impl Residuals {
             let set = &problem.sets[index];
             let (layout, data) = (&set.info().layout, &set.info().layout.data);
             let times = data.numbers("time");
+            let columns = columns_of(data, &found.labels);
             for rows in set.rows.chunks(CHUNK) {
                 problem.evaluate(index, rows, &[], &mut work)?;
                 let (mut pose, mut slope) = (0, 0);
@@ -133,7 +136,10 @@ impl Residuals {
                             time: times.map(|times| times[data_row]),
                             tip,
                             direction,
-                            labels: found.labels.iter().map(|name| label(data, name, data_row)).collect(),
+                            labels: columns
+                                .iter()
+                                .map(|column| column.map_or(String::new(), |cells| cells[data_row].clone()))
+                                .collect(),
                             commands: commands(fit, set.poses(), layout, row),
                         });
                     }
@@ -253,15 +259,15 @@ const MOST_LABELS: usize = 500;
 
 /// The columns of labels that group rows, in the order of the data sets.
 fn label_columns(fit: &Fit) -> Vec<String> {
-    let mut names: Vec<String> = Vec::new();
+    let (mut names, mut seen) = (Vec::new(), BTreeSet::new());
     for set in &fit.problem.sets {
         for column in &set.info().layout.data.columns {
             let Values::Labels(labels) = &column.values else { continue };
             let name = &column.header.name;
-            let distinct: std::collections::BTreeSet<&String> = labels.iter().take(100_000).collect();
+            let distinct: BTreeSet<&String> = labels.iter().take(100_000).collect();
             let groups = distinct.len() <= MOST_LABELS && (distinct.len() < labels.len() || labels.len() == 1);
             // The file is a column of the table already.
-            if groups && !names.contains(name) && !FIXED.contains(&name.as_str()) {
+            if groups && !FIXED.contains(&name.as_str()) && seen.insert(name) {
                 names.push(name.clone());
             }
         }
@@ -269,8 +275,15 @@ fn label_columns(fit: &Fit) -> Vec<String> {
     names
 }
 
-fn label(data: &abbe_core::Dataset, name: &str, row: DataRow) -> String {
-    data.labels(name).map_or(String::new(), |labels| labels[row].clone())
+/// The columns of labels of these names; none for one that the data do not have.
+fn columns_of<'a>(data: &'a Dataset, names: &[String]) -> Vec<Option<&'a [String]>> {
+    let mut columns: BTreeMap<&str, &[String]> = BTreeMap::new();
+    for column in &data.columns {
+        if let Values::Labels(labels) = &column.values {
+            columns.entry(&column.header.name).or_insert(labels);
+        }
+    }
+    names.iter().map(|name| columns.get(name.as_str()).copied()).collect()
 }
 
 /// The commands of the first pose of a row, mm or degrees.

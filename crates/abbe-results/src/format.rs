@@ -3,7 +3,7 @@
 use serde::de::DeserializeOwned;
 use serde_json::Value;
 
-use abbe_settings::{Error, Result};
+use abbe_settings::{Error, Result, from_json};
 
 /// A file format with a number.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -44,7 +44,10 @@ impl FileFormat {
     }
 }
 
-/// JSON of any kind.
+/// JSON of any kind, with every key once.
 pub(crate) fn parse(text: &str) -> Result<Value> {
-    serde_json::from_str(text).map_err(|error| Error::data(format!("this is not a JSON file: {error}")))
+    from_json(text).map_err(|error| match error.is_data() {
+        true => Error::data(error.to_string()).help("keep the one that is right"),
+        false => Error::data(format!("this is not a JSON file: {error}")),
+    })
 }

@@ -21,6 +21,7 @@
 
 mod error;
 mod harmless;
+mod json;
 mod pattern;
 pub mod ranges;
 pub mod serial;
@@ -31,6 +32,7 @@ mod whole;
 
 pub use error::{Class, Convergence, Error, Place, Result, Termination, nearest};
 pub use harmless::{harmless, harmless_json};
+pub use json::from_json;
 pub use pattern::matches;
 pub use series::{EvenSeries, Series};
 pub use settings::{

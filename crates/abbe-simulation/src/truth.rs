@@ -3,7 +3,7 @@
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::Path;
 
-use abbe_core::{Error, PathItem, Problem, Result, SettingsError, from_settings, nearest};
+use abbe_core::{Error, PathItem, Problem, Result, SettingsError, from_json, from_settings, nearest};
 use serde_json::{Map, Value};
 
 use crate::names::NotSimulated;
@@ -27,10 +27,14 @@ impl Truth {
     /// Fails, with the place, for text that is no JSON, for values that are not finite and for negative sizes. Keys of
     /// `noise` that are not simulated give warnings.
     pub fn parse(file: &Path, text: &str) -> Result<Self> {
-        let content: Value = serde_json::from_str(text).map_err(|error| {
+        let content: Value = from_json(text).map_err(|error| {
             let message = error.to_string();
-            let message = message.split(" at line ").next().unwrap_or_default();
-            Error::usage(format!("this is no JSON: {message}")).at(file, error.line(), Some(error.column().max(1)))
+            let message = message.rsplit_once(" at line ").map_or(message.as_str(), |(message, _)| message);
+            let wrong = match error.is_data() {
+                true => Error::usage(message).help("keep the one that is right"),
+                false => Error::usage(format!("this is no JSON: {message}")),
+            };
+            wrong.at(file, error.line(), Some(error.column().max(1)))
         })?;
         Self::from_json(&content).and_then(|truth| truth.check().map(|()| truth)).map_err(|error| error.in_file(file))
     }
@@ -62,7 +66,7 @@ impl Truth {
     }
 
     /// The problem with the true values of machine, artefacts and inputs instead of its own.
-    pub(crate) fn of(&self, problem: &Problem) -> Problem {
+    pub fn of(&self, problem: &Problem) -> Problem {
         self.applied(problem).0
     }
 

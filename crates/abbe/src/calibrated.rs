@@ -1,6 +1,5 @@
-//! What commands that act upon a calibration share: reading it, its age, and files that are written whole or not at all.
+//! What commands that act upon a calibration share: reading it, its age, its machine.
 
-use std::io::Write;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::time::{Duration, SystemTime, UNIX_EPOCH};
@@ -8,7 +7,7 @@ use std::time::{Duration, SystemTime, UNIX_EPOCH};
 use abbe_compensation::{Temperatures, check_no_drift, follows_log};
 use abbe_core::{AxisKind, Branch, Build, Calibration, Context, Error, Kind, KinematicModel, Poses, Registry, Result};
 use abbe_engine::{RunRecord, model_with_log};
-use abbe_files::{LARGEST_RESULT, LARGEST_TEXT, read_text};
+use abbe_files::{LARGEST_RESULT, read_text};
 use clap::Args;
 use serde_json::{Value, json};
 
@@ -153,12 +152,10 @@ fn check_machine(
     registry: &Registry,
 ) -> Result<()> {
     let plugin = &calibration.model.plugin;
-    let unreadable = |error: std::io::Error| Error::usage(format!("the file cannot be read: {error}")).in_file(machine);
-    let text = read_text(machine, LARGEST_TEXT).map_err(unreadable)?;
     let wrong = |error: &dyn std::fmt::Display| {
         Error::usage(format!("this is no machine file of `{plugin}`: {error}")).in_file(machine)
     };
-    let described: Value = serde_yaml::from_str(&text).map_err(|error| wrong(&error))?;
+    let described = abbe_recipe::machine_description(machine)?;
     let of_calibration = |key: &str, absent: Value| calibration.model.settings.get(key).cloned().unwrap_or(absent);
     let mut nominal = json!({ "axes": described.get("axes").unwrap_or(&json!({})), "stylus_radius_mm": 0 });
     match described.get("robot") {
@@ -253,66 +250,6 @@ fn tell_unknown_travel(model: &dyn KinematicModel) {
              write ranges into the machine description",
             names.join(", ")
         );
-    }
-}
-
-/// What was found, and what is to be written.
-pub struct Written {
-    /// What to print.
-    pub text: String,
-    /// The files: where, and what.
-    pub files: Vec<(PathBuf, Vec<u8>)>,
-}
-
-impl Written {
-    /// Writes the files, none of which may exist: all of them or none.
-    pub fn write(&self) -> Result<()> {
-        self.files.iter().try_for_each(|(path, _)| is_free(path))?;
-        let wrong = |path: &Path, error: &std::io::Error| {
-            let why = match error.kind() {
-                std::io::ErrorKind::NotFound => "its folder does not exist".to_owned(),
-                other => other.to_string(),
-            };
-            Error::data(format!("{} cannot be written: {why}", path.display()))
-        };
-        let filled = |(path, content): &(PathBuf, Vec<u8>)| {
-            let folder = path.parent().filter(|folder| !folder.as_os_str().is_empty()).unwrap_or(Path::new("."));
-            let mut file = temporary_in(folder)?;
-            file.write_all(content)?;
-            Ok(file)
-        };
-        let filled: Vec<_> = (self.files.iter())
-            .map(|file| filled(file).map_err(|error| wrong(&file.0, &error)))
-            .collect::<Result<_>>()?;
-        let mut written: Vec<&Path> = Vec::new();
-        for (file, (path, _)) in filled.into_iter().zip(&self.files) {
-            if let Err(error) = file.persist_noclobber(path) {
-                // What was written a moment ago is this program's own.
-                written.iter().for_each(|path| drop(std::fs::remove_file(path)));
-                return Err(wrong(path, &error.error));
-            }
-            written.push(path);
-        }
-        Ok(())
-    }
-}
-
-/// A temporary file that others may read, as any new file.
-fn temporary_in(folder: &Path) -> std::io::Result<tempfile::NamedTempFile> {
-    let mut builder = tempfile::Builder::new();
-    #[cfg(unix)]
-    builder.permissions(std::os::unix::fs::PermissionsExt::from_mode(0o666));
-    builder.prefix(".abbe-").tempfile_in(folder)
-}
-
-/// Fails if there is something of this name.
-pub fn is_free(path: &Path) -> Result<()> {
-    match path.symlink_metadata() {
-        Ok(_) => {
-            let message = format!("{} is there already; it is not replaced", path.display());
-            Err(Error::data(message).help("name another file"))
-        }
-        Err(_) => Ok(()),
     }
 }
 

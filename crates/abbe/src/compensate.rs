@@ -3,11 +3,12 @@
 use std::path::{Path, PathBuf};
 
 use abbe_compensation::{CompensatedPath, Correct, Method, SetPoints, Settings, Travel, figures};
-use abbe_core::{Axis, AxisKind, Error, KinematicModel, Registry, Result};
+use abbe_core::{Axis, AxisKind, KinematicModel, Registry, Result};
 use clap::{Args, ValueEnum};
 use serde_json::{Value, json};
 
-use crate::calibrated::{self, Asked, Known, Written, counted};
+use crate::calibrated::{Asked, Known, counted};
+use crate::outputs::{Written, are_different, is_free};
 use crate::table;
 use abbe_report::number::short;
 
@@ -111,12 +112,11 @@ impl Compensate {
 
     /// Carries it out; nothing is written yet.
     pub fn run(&self, registry: &Registry) -> Result<Written> {
-        if let (Some(out), Some(report)) = (&self.out, &self.report)
-            && place(out) == place(report)
-        {
-            return Err(Error::usage("`--out` and `--report` name the same file"));
-        }
-        [&self.out, &self.report].into_iter().flatten().try_for_each(|path| calibrated::is_free(path))?;
+        let named = [("--out", &self.out), ("--report", &self.report)];
+        let named: Vec<(&str, &Path)> =
+            named.into_iter().filter_map(|(option, path)| Some((option, path.as_deref()?))).collect();
+        are_different(&named)?;
+        named.iter().try_for_each(|(_, path)| is_free(path))?;
         let Known { calibration, model, time } = self.calibrated.read(registry)?;
         let model = model.as_ref();
         let points = SetPoints::read_at(&self.setpoints, model, time)?;
@@ -234,14 +234,5 @@ fn of_people(axis: &Axis, size: f64) -> String {
     match axis.kind {
         AxisKind::Linear => format!("{} µm", short(size * 1e3)),
         AxisKind::Rotary => format!("{} µrad", short(size * 1e6)),
-    }
-}
-
-/// The file that a path names, whatever way there it takes.
-fn place(path: &Path) -> PathBuf {
-    let folder = path.parent().filter(|folder| *folder != Path::new("")).unwrap_or(Path::new("."));
-    match (folder.canonicalize(), path.file_name()) {
-        (Ok(folder), Some(name)) => folder.join(name),
-        _ => path.to_owned(),
     }
 }

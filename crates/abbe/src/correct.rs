@@ -7,7 +7,8 @@ use abbe_core::{Error, KinematicModel, Registry, Result, matches};
 use clap::Args;
 use serde_json::json;
 
-use crate::calibrated::{self, Asked, Known, Written, counted};
+use crate::calibrated::{Asked, Known, counted};
+use crate::outputs::{Written, is_free};
 use abbe_report::number::short;
 
 /// What `abbe correct` is asked for.
@@ -34,7 +35,7 @@ pub struct Correct {
 impl Correct {
     /// Carries it out; nothing is written yet.
     pub fn run(&self, registry: &Registry) -> Result<Written> {
-        self.out.iter().try_for_each(|path| calibrated::is_free(path))?;
+        self.out.iter().try_for_each(|path| is_free(path))?;
         let Known { calibration, model, time } = self.calibrated.read(registry)?;
         let model = model.as_ref();
         self.check_patterns(model)?;

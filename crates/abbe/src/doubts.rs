@@ -1,5 +1,8 @@
 //! What is hard to believe of a fit: for its heading in the summary.
 
+use std::collections::BTreeMap;
+use std::path::Path;
+
 use abbe_core::{Fit, Quantity};
 use abbe_engine::Remark;
 
@@ -68,6 +71,7 @@ pub fn doubts(all: &[Fit]) -> Option<String> {
     let text: String = lines
         .chain(all.iter().filter_map(overstated))
         .chain(all.iter().filter_map(too_good))
+        .chain(all.iter().flat_map(too_good_files))
         .chain(all.iter().filter_map(too_many_outliers))
         .chain(all.iter().filter_map(contradicted))
         .chain(all.iter().filter_map(disagreeing))
@@ -111,6 +115,38 @@ fn too_good(fit: &Fit) -> Option<String> {
             short(part)
         )
     })
+}
+
+/// Fewest residuals of a file that are looked at: fewer may be what the unknowns make of them.
+const OF_A_FILE: usize = 20;
+
+/// Files whose residuals are far smaller than stated while those of the other files are not: their readings are in another unit.
+fn too_good_files(fit: &Fit) -> Vec<String> {
+    let problem = &fit.problem;
+    let Ok(residuals) = problem.residuals(&problem.values_of(&fit.calibration)) else { return Vec::new() };
+    let rows = residuals.into_iter().zip(problem.standard_uncertainties()).zip(problem.constraints());
+    let mut of_files: BTreeMap<&Path, (f64, usize)> = BTreeMap::new();
+    for (((residual, u), is_known), (set, row)) in rows.zip(problem.equation_rows()) {
+        if let Some((file, _)) = problem.origin(set, row).filter(|_| !is_known) {
+            let (sum, count) = of_files.entry(file).or_default();
+            *sum += (residual / u).powi(2);
+            *count += 1;
+        }
+    }
+    let (sum, count) = of_files.values().fold((0.0, 0), |(sum, count), own| (sum + own.0, count + own.1));
+    let rms = |sum: f64, count: usize| (sum / count.max(1) as f64).sqrt();
+    let is_too_good = |own: &(f64, usize)| {
+        own.1 >= OF_A_FILE && rms(own.0, own.1) < TOO_GOOD && rms(sum - own.0, count - own.1) > 10.0 * TOO_GOOD
+    };
+    let sentence = |(file, own): (&Path, (f64, usize))| {
+        format!(
+            "  {}: the residuals of `{}` are {} of what is stated, those of other files are not: is the unit of its readings right?\n",
+            fit.name,
+            file.display(),
+            short(rms(own.0, own.1))
+        )
+    };
+    of_files.into_iter().filter(|(_, own)| is_too_good(own)).map(sentence).collect()
 }
 
 /// Standard uncertainties that a certificate is off by at most.

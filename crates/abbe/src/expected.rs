@@ -84,20 +84,25 @@ impl Expected {
     }
 
     /// Reads a file. Fails with the line that is wrong.
-    pub fn read(text: &str) -> Result<Self> {
+    pub fn read<'t>(text: &'t str) -> Result<Self> {
         let mut lines = text.lines().enumerate().filter(|(_, line)| !line.starts_with('#') && !line.is_empty());
         if lines.next().is_none_or(|(_, line)| line != FORMAT) {
             return Err(Error::data(format!("`{FORMAT}` was expected in the first line that is no remark"))
                 .help("write the file with `abbe test --accept`"));
         }
-        let read = |(index, line): (usize, &str)| {
-            let (name, content) = line.split_once(" = ").ok_or_else(|| {
-                Error::data(format!("line {}: `what = value` was expected", index + 1))
-                    .help("write the file with `abbe test --accept`")
-            })?;
+        let mut seen: BTreeMap<&str, usize> = BTreeMap::new();
+        let mut read = |(index, line): (usize, &'t str)| {
+            let wrong = |message: String| {
+                Error::data(format!("line {}: {message}", index + 1)).help("write the file with `abbe test --accept`")
+            };
+            let (name, content) =
+                line.split_once(" = ").ok_or_else(|| wrong("`what = value` was expected".to_owned()))?;
+            if let Some(first) = seen.insert(name, index + 1) {
+                return Err(wrong(format!("`{name}` stands here a second time, after line {first}")));
+            }
             Ok((name.to_owned(), Content::read(content)))
         };
-        Ok(Self(lines.map(read).collect::<Result<_>>()?))
+        Ok(Self(lines.map(&mut read).collect::<Result<_>>()?))
     }
 
     /// What differs from what was expected, in sentences; `part` is the part of its standard uncertainty by which a value may

@@ -19,6 +19,7 @@ mod libraries;
 mod listed;
 mod machine;
 mod new;
+mod outputs;
 mod pages;
 mod planning;
 mod progress;
@@ -418,10 +419,7 @@ fn dispatch(command: Command, libraries: &Libraries, verbose: bool) -> Result<(S
             };
             Ok((text, status))
         }
-        Command::New(asked) => {
-            interrupt::cancel_on_signal(Monitor::default())?;
-            Ok((asked.run(libraries)?, 0))
-        }
+        Command::New(asked) => Ok((asked.run(libraries)?, 0)),
         Command::Data(asked) => Ok((asked.run(libraries)?, 0)),
         Command::Model(asked) => Ok((asked.run(libraries)?, 0)),
         Command::Compensate(asked) => {
@@ -488,7 +486,7 @@ fn laws(recipe: &Path, library: PathBuf, libraries: &Libraries) -> Result<Findin
 }
 
 /// Writes files, then tells what was found.
-fn written(found: calibrated::Written) -> Result<(String, u8)> {
+fn written(found: outputs::Written) -> Result<(String, u8)> {
     interrupt::while_writing(|| found.write())?;
     Ok((found.text, 0))
 }

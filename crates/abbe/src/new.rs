@@ -8,12 +8,13 @@ use std::fmt::Write as _;
 use std::io::{self, BufRead, IsTerminal, Write as _};
 use std::path::PathBuf;
 
-use abbe_core::{Error, Result};
+use abbe_core::{Error, Monitor, Result};
 use abbe_engine::{can_write_folder, write_folder};
 use abbe_kinematics::StructuralLoop;
 use abbe_report::number::short;
 use clap::{Args, ValueEnum};
 
+use crate::interrupt;
 use crate::libraries::Libraries;
 use crate::table;
 use determined::{Beginning, begin};
@@ -63,6 +64,7 @@ pub enum Controller {
 impl New {
     /// Writes the folder; gives what to print.
     pub fn run(&self, libraries: &Libraries) -> Result<String> {
+        interrupt::cancel_on_signal(Monitor::default())?;
         can_write_folder(&self.folder)?;
         let chain = match &self.chain {
             Some(chain) => chain.clone(),

@@ -24,13 +24,7 @@ pub fn write(registry: &Registry, folder: &Path) -> Result<String> {
     }
     std::fs::create_dir_all(folder).map_err(|error| wrong(folder, error))?;
     for (name, text) in &pages {
-        // Whole or not at all.
-        let (file, under_way) = (folder.join(name), folder.join(format!(".{name}.part")));
-        let written = std::fs::write(&under_way, text).and_then(|()| std::fs::rename(&under_way, &file));
-        if let Err(error) = written {
-            let _ = std::fs::remove_file(&under_way);
-            return Err(wrong(&file, error));
-        }
+        crate::outputs::replace(&folder.join(name), text)?;
     }
     Ok(format!("{} pages in {}\n", pages.len() - 1, folder.display()))
 }

@@ -7,8 +7,8 @@ use abbe_engine::{Outcome, REPORT};
 use abbe_report::{Run, csv, markdown, page};
 
 use crate::browser;
-use crate::calibrated::{Written, is_free};
 use crate::doubts;
+use crate::outputs::{Written, is_free};
 
 /// Adds the page, and the residuals that it is made of, to the results. None, with a warning, if it cannot be made: that
 /// costs no result.

@@ -1,16 +1,17 @@
 //! `abbe test`: runs recipes and compares what they find with what is expected of them.
 
-use std::io::Write;
+use std::collections::{BTreeMap, BTreeSet};
 use std::path::{Path, PathBuf};
 use std::time::Instant;
 
 use abbe_core::{Class, Error, Monitor, Result};
 use abbe_engine::prepare;
-use abbe_files::{LARGEST_TEXT, read_text};
+use abbe_files::{LARGEST_TEXT, is_same, place, read_text};
 use clap::Args;
 
 use crate::expected::Expected;
 use crate::libraries::Libraries;
+use crate::outputs::{are_different, replace};
 use crate::report;
 
 /// What is asked of the command.
@@ -88,12 +89,11 @@ impl Test {
     ///
     /// Fails if there are no recipes, if a file cannot be written, and after an interruption.
     pub fn run(&self, libraries: &Libraries, monitor: &Monitor) -> Result<(String, u8)> {
-        let results = [(&self.junit, JUNIT), (&self.markdown, MARKDOWN)];
-        for (file, head) in results {
-            file.as_deref().map_or(Ok(()), |file| is_own(file, head))?;
-        }
+        let recipes = self.listed()?;
+        self.are_own()?;
+        self.check_outputs(&recipes)?;
         let mut all = Vec::new();
-        for recipe in self.listed()? {
+        for recipe in recipes {
             let clock = Instant::now();
             let ending = match self.one(&recipe, libraries, monitor) {
                 Ok(ending) => ending,
@@ -103,6 +103,8 @@ impl Test {
             let seconds = clock.elapsed().as_secs_f64();
             all.push(Tested { recipe: recipe.display().to_string(), ending, seconds });
         }
+        // Somebody may have put something there in the meantime.
+        self.are_own()?;
         for (file, content) in [(&self.junit, junit(&all)), (&self.markdown, markdown(&all))] {
             let Some(file) = file else { continue };
             replace(file, &content)?;
@@ -111,7 +113,58 @@ impl Test {
         Ok((text(&all), status))
     }
 
-    /// The recipes: those that are named, and those in folders that are named, by name.
+    /// The files that the test writes for others, by their options.
+    fn reports(&self) -> Vec<(&'static str, &Path)> {
+        let named = [("--junit", &self.junit), ("--markdown", &self.markdown)];
+        named.into_iter().filter_map(|(option, file)| Some((option, file.as_deref()?))).collect()
+    }
+
+    /// Fails if something that an earlier test did not write stands where a file is to be written.
+    fn are_own(&self) -> Result<()> {
+        let results = [(&self.junit, JUNIT), (&self.markdown, MARKDOWN)];
+        results.into_iter().try_for_each(|(file, head)| file.as_deref().map_or(Ok(()), |file| is_own(file, head)))
+    }
+
+    /// Fails if two of the files and folders that the test writes or reads would have the same place.
+    fn check_outputs(&self, recipes: &[PathBuf]) -> Result<()> {
+        let reports = self.reports();
+        are_different(&reports)?;
+        let refused = |message: String, help: &str| Err(Error::usage(message).help(help));
+        let mut expectations: BTreeMap<PathBuf, &Path> = BTreeMap::new();
+        let mut results: BTreeMap<PathBuf, &Path> = BTreeMap::new();
+        for recipe in recipes {
+            let expected = expectation(recipe);
+            for (option, file) in &reports {
+                if is_same(file, recipe) || is_same(file, &expected) {
+                    let message = format!("`{option}` names {}, which belongs to {}", file.display(), recipe.display());
+                    return refused(message, "name another file");
+                }
+            }
+            if let Some(other) = expectations.insert(place(&expected), recipe) {
+                let (one, two) = (other.display(), recipe.display());
+                let message =
+                    format!("{one} and {two} have one file of what is expected of them: {}", expected.display());
+                return refused(message, "give one of the recipes another name");
+            }
+            let Some(out) = &self.out else { continue };
+            let folder = out.join(recipe.file_stem().unwrap_or_default());
+            if let Some(other) = results.insert(place(&folder), recipe) {
+                let (one, two) = (other.display(), recipe.display());
+                let message = format!("the results of {one} and {two} would both be written to {}", folder.display());
+                return refused(message, "test them one by one, with different folders");
+            }
+            for (option, file) in &reports {
+                // The file would stand in a folder of results, or a folder would have to stand where the file is.
+                if place(file).starts_with(place(&folder)) || place(out).starts_with(place(file)) {
+                    let message = format!("`{option}` names {}, where `--out` has results", file.display());
+                    return refused(message, "name another file");
+                }
+            }
+        }
+        Ok(())
+    }
+
+    /// The recipes: those that are named, and those in folders that are named, by name; each once.
     fn listed(&self) -> Result<Vec<PathBuf>> {
         let mut all = Vec::new();
         for path in &self.recipes {
@@ -132,6 +185,8 @@ impl Test {
             all.append(&mut recipes);
         }
         let here = Path::new(".");
+        let mut seen = BTreeSet::new();
+        all.retain(|file| seen.insert(place(file)));
         Ok(all.into_iter().map(|file| file.strip_prefix(here).map(Path::to_owned).unwrap_or(file)).collect())
     }
 
@@ -143,7 +198,7 @@ impl Test {
             report::attach(&mut outcome);
             outcome.write(out)?;
         }
-        let file = recipe.with_extension("expected");
+        let file = expectation(recipe);
         let before = match file.symlink_metadata().is_ok() {
             true => {
                 let unreadable = |error: std::io::Error| Error::data(format!("the file cannot be read: {error}"));
@@ -158,7 +213,7 @@ impl Test {
             // A file that still holds is not touched, so that digits alone make no difference.
             if count > 0 {
                 let name = recipe.file_name().unwrap_or_default().to_string_lossy();
-                write(&file, &found.text(&name))?;
+                replace(&file, &found.text(&name))?;
             }
             return Ok(Ending::Accepted(count));
         }
@@ -170,9 +225,14 @@ impl Test {
     }
 }
 
-/// Whether a YAML file says that it is a recipe.
+/// Whether a YAML file says that it is a recipe. What cannot be read may be one: its test says why.
 fn is_recipe(file: &Path) -> bool {
-    read_text(file, LARGEST_TEXT).is_ok_and(|text| text.lines().any(|line| line.starts_with("abbe:")))
+    read_text(file, LARGEST_TEXT).map_or(true, |text| text.lines().any(|line| line.starts_with("abbe:")))
+}
+
+/// The file with what is expected of a recipe.
+fn expectation(recipe: &Path) -> PathBuf {
+    recipe.with_extension("expected")
 }
 
 /// How a file of results begins.
@@ -190,23 +250,6 @@ fn is_own(file: &Path, head: &str) -> Result<()> {
     let message =
         format!("{} is there already, and no earlier `abbe test` wrote it; it is not replaced", file.display());
     Err(Error::usage(message).help("name another file"))
-}
-
-/// Writes a file whole or not at all; what had its name is gone then, and what else was linked to that is not touched.
-fn replace(file: &Path, content: &str) -> Result<()> {
-    let folder = file.parent().filter(|folder| !folder.as_os_str().is_empty()).unwrap_or(Path::new("."));
-    let mut builder = tempfile::Builder::new();
-    #[cfg(unix)]
-    builder.permissions(std::os::unix::fs::PermissionsExt::from_mode(0o666));
-    let written = builder.prefix(".abbe-").tempfile_in(folder).and_then(|mut new| {
-        new.write_all(content.as_bytes())?;
-        new.persist(file).map_err(|error| error.error)
-    });
-    written.map(drop).map_err(|error| Error::data(format!("{} cannot be written: {error}", file.display())))
-}
-
-fn write(file: &Path, content: &str) -> Result<()> {
-    std::fs::write(file, content).map_err(|error| Error::data(format!("{} cannot be written: {error}", file.display())))
 }
 
 fn text(all: &[Tested]) -> String {

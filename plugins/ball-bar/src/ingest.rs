@@ -78,6 +78,13 @@ const STILL: f64 = 2e-5;
 /// Part of the sweep of the axis that moves by which another one may follow its command badly.
 const OF_MOVER: f64 = 1e-3;
 
+/// Part of its range by which a test overshoots at most at both ends together; of a longer one the range is a part that was chosen.
+const OVERSHOOT: f64 = 0.3;
+
+/// Distance between the middle of a test and that of its range that is told, rad: 0.2 degrees. The angles to start and to stop in are
+/// alike.
+const BESIDE: f64 = 3.5e-3;
+
 /// Part of the stated range that a test has to cover: one of which the axis counts the other way round covers less.
 const COVERED: f64 = 0.5;
 
@@ -246,6 +253,24 @@ impl Named {
         ))
     }
 
+    /// Tells a test that starts and stops otherwise than its range lets expect: all of its angles are off.
+    fn tell_beside(&self, angles: &[f64], range: [f64; 2]) {
+        let [from, to] = ends(angles);
+        let width = range[1] - range[0];
+        let beside = 0.5 * (from + to - range[0] - range[1]);
+        let overshoot = to - from - width;
+        if width.is_finite() && overshoot <= OVERSHOOT * width && beside.abs() > BESIDE {
+            let [from, to, beside] = [from, to, beside].map(f64::to_degrees);
+            tracing::warn!(
+                "{}: {} goes from {from:.3} to {to:.3} deg, and the middle of its range is {:.3} deg away from that of this test: is its \
+                 zero right?",
+                self.path.display(),
+                self.test.moves,
+                beside.abs()
+            );
+        }
+    }
+
     /// The rows within the range, those of a cycle in the order of the angle.
     fn swept(&self, data: Dataset) -> Result<Dataset> {
         let angles = abbe_table::numbers(&data, &self.test.moves, Quantity::Angle).map_err(|error| {
@@ -257,9 +282,7 @@ impl Named {
         let within = |row: &DataRow| (from - AT_LIMIT..=to + AT_LIMIT).contains(&angles[*row]);
         let mut rows: Vec<DataRow> = data.row_indices().filter(within).collect();
         if rows.is_empty() && data.rows() > 0 {
-            let (least, most) = angles
-                .iter()
-                .fold((f64::INFINITY, f64::NEG_INFINITY), |(least, most), angle| (least.min(*angle), most.max(*angle)));
+            let [least, most] = ends(angles);
             let message = format!(
                 "no sample of `{}` is within the range of {}: its samples go from {:.3} to {:.3} deg",
                 self.path.display(),
@@ -281,6 +304,7 @@ impl Named {
             let help = "does the axis count the other way round, or is the range that of another test?";
             return Err(self.wrong("range_deg", Error::data(message).help(help)));
         }
+        self.tell_beside(angles, [from, to]);
         let cycles = cycles(&data);
         rows.sort_by(|&a, &b| cycles[a.0].cmp(&cycles[b.0]).then(angles[a].total_cmp(&angles[b])));
         Ok(picked(&data, &rows))
@@ -289,10 +313,13 @@ impl Named {
 
 /// How far an axis moves, rad.
 fn sweep(angles: &[f64]) -> f64 {
-    let ends = angles
-        .iter()
-        .fold((f64::INFINITY, f64::NEG_INFINITY), |(least, most), angle| (least.min(*angle), most.max(*angle)));
-    (ends.1 - ends.0).max(0.0)
+    let [least, most] = ends(angles);
+    (most - least).max(0.0)
+}
+
+/// The smallest and the largest angle, rad.
+fn ends(angles: &[f64]) -> [f64; 2] {
+    angles.iter().fold([f64::INFINITY, f64::NEG_INFINITY], |[least, most], angle| [least.min(*angle), most.max(*angle)])
 }
 
 /// The number of every row's cycle, in the order in which cycles appear.

@@ -5,7 +5,7 @@
 //! instead); the constants by name; the columns of the joined table. Only then are rows left out, so that `ignore` and
 //! `keep` may name any of them, and every row needs a match in the joined table.
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 use std::path::{Path, PathBuf};
 
 use abbe_core::{
@@ -123,11 +123,13 @@ impl Assembly {
             for (name, listed) in filters {
                 let labels = abbe_table::labels(&data, name)?;
                 // A recipe may name rows that other data do not have.
-                for label in listed.iter().filter(|label| !labels.contains(&label.0)) {
+                let there: BTreeSet<&String> = labels.iter().collect();
+                for label in listed.iter().filter(|label| !there.contains(&label.0)) {
                     tracing::warn!("`{setting}` names {name} {}, which is in no row of these data", label.0);
                 }
+                let listed: BTreeSet<&String> = listed.iter().map(|label| &label.0).collect();
                 for (stays, label) in stays.iter_mut().zip(labels) {
-                    *stays &= listed.iter().any(|listed| listed.0 == *label) == wanted;
+                    *stays &= listed.contains(label) == wanted;
                 }
             }
         }
@@ -197,8 +199,11 @@ fn append(data: &mut Dataset, mut part: Dataset) -> Result<()> {
         *data = part;
         return Ok(());
     };
+    let headers =
+        |data: &Dataset| -> Vec<String> { data.columns.iter().map(|column| column.header.header.clone()).collect() };
     let only = |this: &Dataset, other: &Dataset| {
-        this.headers().into_iter().find(|header| !other.headers().contains(header)).map(|header| header.header)
+        let theirs: BTreeSet<String> = headers(other).into_iter().collect();
+        headers(this).into_iter().find(|header| !theirs.contains(header))
     };
     let differ = |column: String, with: &Path, without: &Path| {
         Error::usage(format!("there is no column `{column}`, which `{}` has", with.display())).in_file(without)
@@ -211,9 +216,10 @@ fn append(data: &mut Dataset, mut part: Dataset) -> Result<()> {
             return Err(differ(column, path, first));
         }
     }
+    let mut more: BTreeMap<String, Values> =
+        part.columns.into_iter().map(|column| (column.header.header, column.values)).collect();
     for column in &mut data.columns {
-        let more = part.columns.iter_mut().find(|other| other.header == column.header);
-        match (&mut column.values, more.map(|column| &mut column.values)) {
+        match (&mut column.values, more.get_mut(&column.header.header)) {
             (Values::Numbers(numbers), Some(Values::Numbers(more))) => numbers.append(more),
             (Values::Labels(labels), Some(Values::Labels(more))) => labels.append(more),
             // Columns of the same header hold the same kind of values.
@@ -231,10 +237,11 @@ fn add_file_column(data: &mut Dataset) -> Result<bool> {
     if data.column("file").is_some() {
         return Ok(false);
     }
-    let mut stems: Vec<String> = Vec::new();
-    for path in &data.files {
-        let stem = path.file_stem().map(|stem| stem.to_string_lossy().into_owned()).unwrap_or_default();
-        if let Some(twin) = stems.iter().position(|other| *other == stem) {
+    let stem = |path: &PathBuf| path.file_stem().map(|stem| stem.to_string_lossy().into_owned()).unwrap_or_default();
+    let stems: Vec<String> = data.files.iter().map(stem).collect();
+    let mut first: BTreeMap<&str, usize> = BTreeMap::new();
+    for (index, (path, stem)) in data.files.iter().zip(&stems).enumerate() {
+        if let Some(twin) = first.insert(stem, index) {
             let message = format!(
                 "`{}` and `{}` would both be `{stem}` in the column `file`",
                 data.files[twin].display(),
@@ -242,7 +249,6 @@ fn add_file_column(data: &mut Dataset) -> Result<bool> {
             );
             return Err(Error::usage(message).setting("path"));
         }
-        stems.push(stem);
     }
     let labels = data.origins.iter().map(|origin| stems[origin.file].clone()).collect();
     data.columns.push(Column { header: ColumnHeader::parse("file"), values: Values::Labels(labels) });
@@ -265,10 +271,11 @@ fn join(data: &mut Dataset, table: &Dataset, on: &str, by_file: bool) -> Result<
             }
         }
     }
+    let own: BTreeMap<String, String> =
+        data.columns.iter().map(|column| (column.header.name.clone(), column.header.header.clone())).collect();
     for column in table.columns.iter().filter(|column| column.header.name != on) {
-        if let Some(twin) = data.column(&column.header.name) {
-            let message = format!("the column `{}` is in the data already", twin.header.header);
-            return Err(Error::usage(message).in_file(path));
+        if let Some(twin) = own.get(&column.header.name) {
+            return Err(Error::usage(format!("the column `{twin}` is in the data already")).in_file(path));
         }
         data.columns.push(Column { header: column.header.clone(), values: pick(&column.values, &rows) });
     }

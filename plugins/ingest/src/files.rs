@@ -1,6 +1,6 @@
 //! Which files a path in the settings stands for.
 
-use std::ffi::OsStr;
+use std::ffi::{OsStr, OsString};
 use std::fs;
 use std::path::{Path, PathBuf};
 
@@ -26,23 +26,24 @@ impl Source {
         Ok(Self { path: context.path(path), pattern: name.map(str::to_owned) })
     }
 
-    /// The files, in natural order; none only if nothing matches a pattern.
+    /// The files, in natural order, and whatever else matches a pattern; none only if nothing does.
     pub(crate) fn files(&self) -> Vec<PathBuf> {
         let Some(pattern) = &self.pattern else { return vec![self.path.clone()] };
         let folder = match self.path.parent() {
             Some(folder) if folder != Path::new("") => folder,
             _ => Path::new("."),
         };
-        let mut names: Vec<String> = fs::read_dir(folder)
+        // What no text in UTF-8 names, and what is no file, is there all the same: who reads it says so.
+        let mut names: Vec<(String, OsString)> = fs::read_dir(folder)
             .into_iter()
             .flatten()
-            .filter_map(|entry| entry.ok()?.file_name().into_string().ok())
+            .filter_map(|entry| entry.ok().map(|entry| entry.file_name()))
+            .map(|name| (name.to_string_lossy().into_owned(), name))
             // Editors and file managers leave hidden files: these match only a pattern that begins with a dot.
-            .filter(|name| matches(pattern, name) && name.starts_with('.') == pattern.starts_with('.'))
-            .filter(|name| !folder.join(name).is_dir())
+            .filter(|(text, _)| matches(pattern, text) && text.starts_with('.') == pattern.starts_with('.'))
             .collect();
-        names.sort_by(|a, b| natural(a).cmp(&natural(b)).then_with(|| a.cmp(b)));
-        names.into_iter().map(|name| self.path.with_file_name(name)).collect()
+        names.sort_by(|(a, own), (b, other)| natural(a).cmp(&natural(b)).then_with(|| own.cmp(other)));
+        names.into_iter().map(|(_, name)| self.path.with_file_name(name)).collect()
     }
 }
 

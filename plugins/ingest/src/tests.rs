@@ -249,6 +249,27 @@ fn inputs_are_listed_without_reading_them() {
     assert_eq!(found, [&expected[..], &[("join", "m.csv")]].concat());
 }
 
+/// What matches a pattern and cannot be read is not left out.
+#[test]
+fn whatever_matches_a_pattern_is_an_input() {
+    let folder = tempfile::tempdir().unwrap();
+    fs::write(folder.path().join("bar-1.csv"), "X_mm\n1\n").unwrap();
+    fs::create_dir(folder.path().join("bar-2.csv")).unwrap();
+    let built = stage(folder.path(), &json!({ "path": "bar-*.csv" })).unwrap();
+    assert_eq!(built.inputs().len(), 2);
+    let error = built.read().unwrap_err().to_string();
+    assert!(error.contains("bar-2.csv") && error.contains("it is a folder; a file was expected"), "{error}");
+    #[cfg(target_os = "linux")]
+    {
+        use std::os::unix::ffi::OsStrExt;
+        fs::remove_dir(folder.path().join("bar-2.csv")).unwrap();
+        let name = std::ffi::OsStr::from_bytes(b"bar-\xff.csv");
+        fs::write(folder.path().join(name), "X_mm\n2\n").unwrap();
+        let built = stage(folder.path(), &json!({ "path": "bar-*.csv" })).unwrap();
+        assert_eq!(built.read().unwrap().numbers("X").unwrap(), [1.0, 2.0]);
+    }
+}
+
 #[test]
 fn the_example_builds() {
     assert!(stage(Path::new("nowhere"), &example()).is_ok());

@@ -299,8 +299,10 @@ impl Motion {
         }
         let names: Vec<&str> = self.radial.keys().map(String::as_str).collect();
         let message = format!(
-            "{backward:.3} um of its fundamental go round against the spindle, {forward:.3} um with it: are {} swapped?",
-            names.join(" and ")
+            "{backward:.3} um of its fundamental go round against the spindle, {forward:.3} um with it: are {} swapped, or is one of \
+             them the column of another sensor{}?",
+            names.join(" and "),
+            self.axial.as_ref().map_or(String::new(), |axial| format!(" (`{axial}`)"))
         );
         Err(run.error(message).help(
             "check the columns, `azimuth_deg` and the sense of the angle; if the artefact is centred so well, write \

@@ -350,7 +350,7 @@ fn bad_readings_are_refused_with_what_is_wrong() {
                 let other = c[2].1.clone();
                 c[2].1 = std::mem::replace(&mut c[3].1, other);
             },
-            "are r1 and r2 swapped?",
+            "are r1 and r2 swapped, or is one of them the column of another sensor",
         ),
         (|_, c| c[2].1.iter_mut().for_each(|r| *r = r.min(0.0215)), "r1 reads its largest value, 21.5000 um,"),
         (|_, c| c[4].1.iter_mut().for_each(|r| *r = r.max(0.0299)), "z reads its smallest value, 29.9000 um,"),

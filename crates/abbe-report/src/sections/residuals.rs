@@ -132,14 +132,10 @@ fn of_quantity(fit: &FitResult, rows: &[&Residual], unit: &str, view: Option<(us
     html + &largest(view, rows, unit, &is_outlier)
 }
 
+/// Each once, in the order in which they come first.
 fn distinct<'a>(all: impl Iterator<Item = &'a str>) -> Vec<&'a str> {
-    let mut found: Vec<&str> = Vec::new();
-    for one in all {
-        if !found.contains(&one) {
-            found.push(one);
-        }
-    }
-    found
+    let mut seen = BTreeSet::new();
+    all.filter(|one| seen.insert(*one)).collect()
 }
 
 /// A chart for every column of labels, for stages and for files, where these make groups.

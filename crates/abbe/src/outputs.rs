@@ -1,0 +1,91 @@
+//! Files that commands write where users want them: whole or not at all, and never in the place of somebody's file.
+
+use std::io::{self, Write};
+use std::path::{Path, PathBuf};
+
+use abbe_core::{Error, Result};
+use abbe_files::is_same;
+
+/// What was found, and what is to be written.
+pub struct Written {
+    /// What to print.
+    pub text: String,
+    /// The files: where, and what.
+    pub files: Vec<(PathBuf, Vec<u8>)>,
+}
+
+impl Written {
+    /// Writes the files, none of which may exist: all of them or none.
+    pub fn write(&self) -> Result<()> {
+        self.files.iter().try_for_each(|(path, _)| is_free(path))?;
+        let filled = |(path, content): &(PathBuf, Vec<u8>)| {
+            let folder = path.parent().filter(|folder| !folder.as_os_str().is_empty()).unwrap_or(Path::new("."));
+            let mut file = temporary_in(folder)?;
+            file.write_all(content)?;
+            Ok(file)
+        };
+        let filled: Vec<_> = (self.files.iter())
+            .map(|file| filled(file).map_err(|error| cannot_be_written(&file.0, &error)))
+            .collect::<Result<_>>()?;
+        let mut written: Vec<&Path> = Vec::new();
+        for (file, (path, _)) in filled.into_iter().zip(&self.files) {
+            if let Err(error) = file.persist_noclobber(path) {
+                // What was written a moment ago is this program's own.
+                written.iter().for_each(|path| drop(std::fs::remove_file(path)));
+                return Err(cannot_be_written(path, &error.error));
+            }
+            written.push(path);
+        }
+        Ok(())
+    }
+}
+
+/// A temporary file that others may read, as any new file.
+fn temporary_in(folder: &Path) -> io::Result<tempfile::NamedTempFile> {
+    let mut builder = tempfile::Builder::new();
+    #[cfg(unix)]
+    builder.permissions(std::os::unix::fs::PermissionsExt::from_mode(0o666));
+    builder.prefix(".abbe-").tempfile_in(folder)
+}
+
+/// Fails if there is something of this name.
+pub fn is_free(path: &Path) -> Result<()> {
+    match path.symlink_metadata() {
+        Ok(_) => {
+            let message = format!("{} is there already; it is not replaced", path.display());
+            Err(Error::data(message).help("name another file"))
+        }
+        Err(_) => Ok(()),
+    }
+}
+
+/// Fails if two options name one file, however it is written: one of the two would be lost.
+pub fn are_different(named: &[(&str, &Path)]) -> Result<()> {
+    for (index, (option, file)) in named.iter().enumerate() {
+        if let Some((other, _)) = named[..index].iter().find(|(_, earlier)| is_same(earlier, file)) {
+            return Err(Error::usage(format!("`{other}` and `{option}` name the same file"))
+                .help("give each a file of its own"));
+        }
+    }
+    Ok(())
+}
+
+/// Writes a file whole or not at all, in the place of an earlier one; what else was linked to that is not touched. A link stays one.
+pub fn replace(file: &Path, content: &str) -> Result<()> {
+    let place = abbe_files::place(file);
+    let folder = place.parent().filter(|folder| !folder.as_os_str().is_empty()).unwrap_or(Path::new("."));
+    let written = temporary_in(folder).and_then(|mut new| {
+        new.write_all(content.as_bytes())?;
+        new.persist(&place).map_err(|error| error.error)
+    });
+    written.map(drop).map_err(|error| cannot_be_written(file, &error))
+}
+
+fn cannot_be_written(file: &Path, error: &io::Error) -> Error {
+    let (why, help) = match error.kind() {
+        io::ErrorKind::NotFound => ("its folder does not exist".to_owned(), "make the folder, or name another file"),
+        io::ErrorKind::StorageFull => (abbe_files::why(error), "make room, or name a file on another disk"),
+        _ => (abbe_files::why(error), "name another file"),
+    };
+    Error::data(format!("{} cannot be written: {why}", file.display())).help(help)
+}
