@@ -18,6 +18,7 @@ mod frozen;
 mod gcode;
 mod interrupted;
 mod laws;
+mod layouts;
 mod libraries;
 mod methods;
 mod mill;

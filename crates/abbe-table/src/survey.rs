@@ -43,8 +43,25 @@ pub struct Contents {
     pub repeated: Vec<(usize, usize)>,
     /// Lines that begin with `#`.
     pub comments: usize,
-    /// Jumps of columns that are times.
+    /// Jumps of the time of rows, the column `time_s` (or in another unit).
     pub jumps: Vec<Jump>,
+    /// Other columns that seem to be times: their order is not looked at.
+    pub other_times: Vec<String>,
+    /// Names that several columns have.
+    pub twins: Vec<String>,
+    /// Rows at the end that seem to be sums or means of those before them.
+    pub summaries: Vec<Summary>,
+}
+
+/// A row of sums or means at the end of a table.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Summary {
+    /// Its line.
+    pub line: usize,
+    /// The column of the word that says so, by its index.
+    pub column: usize,
+    /// The word.
+    pub word: String,
 }
 
 /// A column of a file.
@@ -204,7 +221,7 @@ fn numbers_of(cells: &[&str], separator: Separator, open: &mut Vec<String>) -> (
     let fitting = |decimal, thousands| cells.iter().filter(|cell| is_number(cell, decimal, thousands)).count();
     // The simplest that fits most: later ones have to fit more.
     let mut best = (fitting(Decimal::Point, Thousands::None), Decimal::Point, Thousands::None);
-    let others = [
+    let mut others = vec![
         (Decimal::Comma, Thousands::None),
         (Decimal::Point, Thousands::Blank),
         (Decimal::Comma, Thousands::Blank),
@@ -212,6 +229,10 @@ fn numbers_of(cells: &[&str], separator: Separator, open: &mut Vec<String>) -> (
         (Decimal::Point, Thousands::Comma),
         (Decimal::Point, Thousands::Apostrophe),
     ];
+    if separator == Separator::Comma {
+        // Who separates columns by commas writes 1,234 for a thousand, in quotation marks.
+        others.rotate_right(2);
+    }
     for (decimal, thousands) in others {
         if separator == Separator::Space && thousands == Thousands::Blank {
             continue;
@@ -222,24 +243,37 @@ fn numbers_of(cells: &[&str], separator: Separator, open: &mut Vec<String>) -> (
         }
     }
     let (_, decimal, thousands) = best;
-    let (other, as_thousands) = match decimal {
-        Decimal::Comma => (Decimal::Point, Thousands::Comma),
-        Decimal::Point => (Decimal::Comma, Thousands::Point),
-    };
-    let mark = decimal.character();
-    let mut with_mark =
-        cells.iter().filter(|cell| is_number(cell, decimal, thousands) && cell.contains(mark)).peekable();
-    if thousands == Thousands::None
-        && decimal == Decimal::Comma
-        && let Some(example) = with_mark.peek().copied()
-        && with_mark.all(|cell| is_number(cell, other, as_thousands))
-    {
-        let name = as_thousands.name();
-        open.push(format!(
-            "every number with a comma is like `{example}`: if that is more than a thousand, write `thousands: {name}` and leave `decimal` out"
-        ));
-    }
+    open.extend(ambiguous(cells, separator, (decimal, thousands)));
     (decimal, thousands)
+}
+
+/// What else all numbers with a mark may be: 1,234 is a thousand or has three decimals.
+fn ambiguous(cells: &[&str], separator: Separator, read: (Decimal, Thousands)) -> Option<String> {
+    let (mark, other, advice) = match read {
+        (Decimal::Comma, Thousands::None) => (
+            ',',
+            (Decimal::Point, Thousands::Comma),
+            "if that is more than a thousand, write `thousands: comma` and leave `decimal` out",
+        ),
+        (Decimal::Point, Thousands::Comma) => (
+            ',',
+            (Decimal::Comma, Thousands::None),
+            "if that is a number with three decimals, write `decimal: comma` and leave `thousands` out",
+        ),
+        // Where commas separate columns, the point is the decimal mark.
+        (Decimal::Point, Thousands::None) if separator != Separator::Comma => (
+            '.',
+            (Decimal::Comma, Thousands::Point),
+            "if that is more than a thousand, write `decimal: comma` and `thousands: point`",
+        ),
+        _ => return None,
+    };
+    let is = |cell: &&&str, (decimal, thousands)| is_number(cell, decimal, thousands);
+    let mut marked = cells.iter().filter(|cell| cell.contains(mark) && is(cell, read)).peekable();
+    let example = *marked.peek()?;
+    let is_open = marked.all(|cell| is(&cell, other) && is(&cell, read));
+    let name = if mark == ',' { "comma" } else { "point" };
+    is_open.then(|| format!("every number with a {name} is like `{example}`: {advice}"))
 }
 
 /// Adds where the header row and the first row of data are.
@@ -314,13 +348,18 @@ fn contents_of(path: &Path, text: &str, layout: &Layout) -> Result<Contents> {
         let cells: Vec<&str> = rows.iter().map(|row| row.get(index).map_or("", String::as_str)).collect();
         let numbers = describe(&mut found.columns[index], &cells, layout);
         let header = ColumnHeader::parse(declared(&found.columns[index].name, layout));
-        if header.quantity == Quantity::Time {
-            found.jumps.extend(jumps(&header.header, &numbers, &lines));
+        match (header.quantity, header.name == TIME) {
+            (Quantity::Time, true) => found.jumps.extend(jumps(&header.header, &numbers, &lines)),
+            (Quantity::Label, _) if !is_time(&header.name, &cells) => {}
+            (Quantity::Time | Quantity::Label, _) => found.other_times.push(found.columns[index].name.clone()),
+            _ => {}
         }
         let whole = numbers.len() == rows.len() && numbers.windows(2).all(|pair| pair[1].1 - pair[0].1 == 1.0);
         // A number of rows stands in front and has no unit; other columns may count by chance.
         counters.push(index == 0 && header.quantity == Quantity::Label && whole && rows.len() > 1);
     }
+    found.twins = twins(&found.columns);
+    found.summaries = summaries(&rows, &lines);
     let compared = |row: &Vec<String>| -> Vec<String> {
         let cells = row.iter().enumerate().filter(|(index, _)| !counters.get(*index).copied().unwrap_or(false));
         cells.map(|(_, cell)| cell.clone()).collect()
@@ -364,6 +403,53 @@ fn describe(column: &mut Found, cells: &[&str], layout: &Layout) -> Vec<(usize, 
     let largest = numbers.iter().map(|(_, number)| *number).fold(f64::NEG_INFINITY, f64::max);
     column.range = (!numbers.is_empty()).then_some([least, largest]);
     numbers
+}
+
+/// The column that is the time of rows.
+const TIME: &str = "time";
+
+/// Whether a column without a unit is a time or a date, by its name or because its cells are written so.
+fn is_time(name: &str, cells: &[&str]) -> bool {
+    let name = name.to_lowercase();
+    let is_named = ["time", "zeit", "uhrzeit", "datum", "date"].iter().any(|word| name.starts_with(word));
+    let is_clock = |cell: &&str| {
+        let parts: Vec<&str> = cell.split([':', ' ', 'T', '-', '.', '/']).collect();
+        let counts = |part: &&str| !part.is_empty() && part.bytes().all(|byte| byte.is_ascii_digit());
+        cell.matches(':').count() >= 1 && parts.len() >= 2 && parts.iter().all(counts)
+    };
+    let filled = cells.iter().filter(|cell| !cell.is_empty());
+    is_named || (!cells.is_empty() && filled.clone().count() > 0 && filled.clone().all(is_clock))
+}
+
+/// Names that stand twice or more, each once.
+fn twins(columns: &[Found]) -> Vec<String> {
+    let mut counts: BTreeMap<&str, usize> = BTreeMap::new();
+    columns.iter().for_each(|column| *counts.entry(&column.name).or_default() += 1);
+    counts.into_iter().filter(|(_, count)| *count > 1).map(|(name, _)| name.to_owned()).collect()
+}
+
+/// What rows of sums, means and extremes are called.
+const SUMMARIES: [&str; 33] = [
+    "sum", "total", "totals", "grand total", "count", "mean", "average", "avg", "median", "min", "max", "minimum", "maximum",
+    "range", "std", "std dev", "stdev", "standard deviation", "summe", "gesamt", "mittel", "mittelwert", "durchschnitt",
+    "standardabweichung", "spannweite", "somme", "moyenne", "suma", "media", "totale", "合计", "总计", "平均",
+];
+
+/// The rows at the end that a word calls sums or means.
+fn summaries(rows: &[Vec<String>], lines: &[usize]) -> Vec<Summary> {
+    let of = |row: &Vec<String>, line: usize| {
+        let is_word = |cell: &String| {
+            let word = cell.trim_end_matches([':', '.']).trim().to_lowercase();
+            SUMMARIES.contains(&word.as_str())
+        };
+        let column = row.iter().position(is_word)?;
+        Some(Summary { line, column, word: row[column].clone() })
+    };
+    let mut found: Vec<Summary> =
+        rows.iter().zip(lines).rev().map_while(|(row, line)| of(row, *line)).collect();
+    found.reverse();
+    // A table of nothing else is no table with sums at its end.
+    if found.len() == rows.len() { Vec::new() } else { found }
 }
 
 /// A step of time is a jump from this number of usual steps.

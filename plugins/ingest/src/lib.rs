@@ -143,7 +143,7 @@ fn build(settings: Settings, context: &Context) -> Result<Box<dyn Ingest>, Setti
         Paths::Many(paths) => paths,
     };
     if paths.is_empty() {
-        return Err(SettingsError::new("path", "at least one file was expected"));
+        return Err(SettingsError::new("path", "at least one file was expected").help("write `path: measured.csv`"));
     }
     let layout = Declared {
         separator: settings.separator,
@@ -173,7 +173,7 @@ fn constants(written: BTreeMap<String, Label>) -> Result<BTreeMap<String, Consta
         let wrong = |message: String| SettingsError::new(&name, message).under([PathItem::Key("constants".to_owned())]);
         let header = ColumnHeader::parse(&name);
         if header.name.trim().is_empty() {
-            return Err(wrong("a column needs a name".to_owned()));
+            return Err(wrong("a column needs a name".to_owned()).help("write its name and unit: `T_degC: 20`"));
         }
         let value = match abbe_table::empty_column(header).values {
             Values::Numbers(_) => Constant::Number(abbe_table::number(&name, &text).map_err(wrong)?),
@@ -225,7 +225,8 @@ impl Ingest for Csv {
             }
         }
         if !stays.contains(&true) {
-            return Err(Error::data("no row is left after `ignore` and `keep`"));
+            return Err(Error::data("no row is left after `ignore` and `keep`")
+                .help("name other rows there; `abbe data RECIPE` shows the labels of the columns"));
         }
         let data = selected(data, &stays);
         match &self.average {
@@ -242,7 +243,9 @@ impl Csv {
         for source in &self.sources {
             let files = source.files();
             if files.is_empty() {
-                return Err(Error::usage(format!("no file matches `{}`", source.path.display())).setting("path"));
+                return Err(Error::usage(format!("no file matches `{}`", source.path.display()))
+                    .help("`*` and `?` stand for parts of the name of a file; the folder has to be there")
+                    .setting("path"));
             }
             for file in files {
                 append(&mut data, load(&file, &self.layout)?)?;
@@ -253,7 +256,8 @@ impl Csv {
             let header = ColumnHeader::parse(name);
             if let Some(twin) = data.column(&header.name) {
                 let message = format!("there is a column `{}` already", twin.header.header);
-                return Err(in_settings(Error::usage(message), "constants", name));
+                let error = Error::usage(message).help("leave it out here: the files say it");
+                return Err(in_settings(error, "constants", name));
             }
             let values = match constant {
                 Constant::Number(number) => Values::Numbers(vec![*number; data.rows()]),
@@ -302,7 +306,9 @@ fn append(data: &mut Dataset, mut part: Dataset) -> Result<()> {
         this.headers().into_iter().find(|header| !other.headers().contains(header)).map(|header| header.header)
     };
     let differ = |column: String, with: &Path, without: &Path| {
-        Error::usage(format!("there is no column `{column}`, which `{}` has", with.display())).in_file(without)
+        Error::usage(format!("there is no column `{column}`, which `{}` has", with.display()))
+            .in_file(without)
+            .help("files of one stage have the same columns; read others by a stage of their own")
     };
     if let Some(path) = part.files.first() {
         if let Some(column) = only(data, &part) {
@@ -341,7 +347,7 @@ fn add_file_column(data: &mut Dataset) -> Result<bool> {
                 data.files[twin].display(),
                 path.display()
             );
-            return Err(Error::usage(message).setting("path"));
+            return Err(Error::usage(message).help("give one of them another name").setting("path"));
         }
         stems.push(stem);
     }
@@ -362,14 +368,15 @@ fn join(data: &mut Dataset, table: &Dataset, on: &str, by_file: bool) -> Result<
         match keys.get(label.as_str()).or_else(|| keys.get(name?)) {
             Some(&found) => rows.push(found),
             None => {
-                return Err(data.error_at(row, format!("{on} `{label}` is not in the table `{}`", path.display())));
+                let error = data.error_at(row, format!("{on} `{label}` is not in the table `{}`", path.display()));
+                return Err(error.help("add a row for it to the table, or leave these rows out by `ignore`"));
             }
         }
     }
     for column in table.columns.iter().filter(|column| column.header.name != on) {
         if let Some(twin) = data.column(&column.header.name) {
             let message = format!("the column `{}` is in the data already", twin.header.header);
-            return Err(Error::usage(message).in_file(path));
+            return Err(Error::usage(message).in_file(path).help("take it out of the table, or rename it there"));
         }
         data.columns.push(Column { header: column.header.clone(), values: pick(&column.values, &rows) });
     }
