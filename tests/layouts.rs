@@ -161,6 +161,19 @@ fn what_is_simulated_in_another_layout_is_read_back() {
     }
 }
 
+/// `abbe plan` writes rows of the usual layout, and nothing that its own recipe could not read.
+#[test]
+fn a_plan_of_a_file_in_another_layout_is_refused() {
+    let folder = temporary();
+    let way = &ways()[0];
+    std::fs::write(folder.path().join("poses.csv"), table(way, 1)).expect("a file");
+    let plan = "plan: { estimate: fit, candidates: tracker, number: 12 }\n";
+    write(&folder.path().join("t.yaml"), &(recipe(way) + plan));
+    let printed = as_typed(folder.path(), &["plan", "t.yaml", "--out", "planned"]);
+    assert_eq!(printed.status, 2, "{}", printed.stdout);
+    assert!(printed.stderr.contains("layout of its own") && printed.stderr.contains("`generate`"), "{}", printed.stderr);
+}
+
 /// A file that two stages read in two ways could be written in one only.
 #[test]
 fn a_file_with_two_layouts_is_refused() {

@@ -131,7 +131,7 @@ impl Prepared {
     /// The layout of every file that `ingest: csv` reads rows from.
     ///
     /// Fails for a file that is read with two layouts.
-    fn layouts(&self) -> Result<BTreeMap<PathBuf, FileLayout>> {
+    pub(crate) fn layouts(&self) -> Result<BTreeMap<PathBuf, FileLayout>> {
         let mut layouts: BTreeMap<PathBuf, FileLayout> = BTreeMap::new();
         for stage in self.stages(Kind::Ingest) {
             // Other readers have other settings; their files have the usual layout, or are refused where they are written.
