@@ -276,14 +276,13 @@ pub fn range(schema: &Map<String, Value>) -> Option<String> {
     Some(format!("{from} {to}{smallest}"))
 }
 
-/// The unit in the name of the innermost setting of a path that has a name.
+/// The unit in the name of the innermost setting of a path that has one.
 fn unit(path: &[PathItem]) -> Option<&str> {
-    let key = path.iter().rev().find_map(|item| match item {
-        PathItem::Key(key) => Some(key.as_str()),
-        PathItem::Index(_) => None,
-    })?;
-    let (name, ..) = Quantity::of_column(key);
-    key.strip_prefix(name).map(|suffix| suffix.trim_start_matches('_')).filter(|suffix| !suffix.is_empty())
+    path.iter().rev().find_map(|item| {
+        let PathItem::Key(key) = item else { return None };
+        let (name, ..) = Quantity::of_column(key);
+        key.strip_prefix(name).map(|suffix| suffix.trim_start_matches('_')).filter(|suffix| !suffix.is_empty())
+    })
 }
 
 fn refused(number: f64, schema: &Map<String, Value>, path: &[PathItem]) -> SettingsError {
@@ -364,6 +363,13 @@ mod tests {
         ] {
             let said = check(&schema, &wrong).expect_err("it is refused").to_string();
             assert!(said.starts_with(expected), "{said}");
+        }
+        for (wrong, help) in [
+            (json!({ "tip_mm": [0, 1e7] }), "is it in the unit of its name, mm?"),
+            (json!({ "standard_um": { "a": 1e-10 } }), "is it in the unit of its name, um?"),
+            (json!({ "count": 10 }), "write a number in this range, or leave the setting out if it is optional"),
+        ] {
+            assert_eq!(check(&schema, &wrong).expect_err("it is refused").help.as_deref(), Some(help), "{wrong}");
         }
     }
 }

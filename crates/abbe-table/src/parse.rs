@@ -91,7 +91,7 @@ pub(crate) fn dataset(path: &Path, bytes: &[u8], layout: &Layout) -> Result<(Dat
     }
     if origins.is_empty() {
         let (message, help) = match row {
-            0 if newlines(text.trim()) == 0 => (
+            0 if newlines(&text) == 0 => (
                 "the file is one line: names of columns, and no rows of data",
                 "each row needs a line of its own; save the table again if it had some",
             ),

@@ -74,6 +74,27 @@ fn what_is_wrong_is_said_with_its_place() {
     }
 }
 
+/// What to do is said as well, and what is said helps.
+#[test]
+fn what_is_wrong_is_said_with_what_to_do() {
+    let cases: [(&[u8], &str, &str); 7] = [
+        (b"T_degC\n293.15\n", "a temperature from -100 to 200", "in kelvin, write `columns: { T_degC: { column: NAME, unit: K } }`"),
+        (b"\xff\xfe\0\0X\0\0\0", "UTF-32", "save it as UTF-8"),
+        (b"\0\0\xfe\xff\0\0\0X", "UTF-32", "save it as UTF-8"),
+        (b"X_mm,Y_mm", "the file is one line", "each row needs a line of its own"),
+        (b"X_mm,X_mm\n1,2\n", "two columns", "take columns by number"),
+        (b"X_mm,Y_mm\n1\n", "1 cell; 2 were expected", "correct the file"),
+        (b"X_mm\n\"\"\n", "a number was expected", "`no_data"),
+    ];
+    for (bytes, message, help) in cases {
+        let text = String::from_utf8_lossy(bytes);
+        let error = parse(Path::new("t.csv"), bytes).expect_err("it is wrong");
+        let told = error.help.clone().unwrap_or_default();
+        assert!(error.message.contains(message) && told.contains(help), "{text}: {error} ({told})");
+        assert!(!told.contains("thousands"), "{text}: {told}");
+    }
+}
+
 #[test]
 fn cells_and_names_may_be_long() {
     let cell = |length: usize| parsed(format!("f,X_mm\n{},1\n", "a".repeat(length)).as_bytes());
