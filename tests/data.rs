@@ -70,7 +70,7 @@ fn what_is_proposed_for_a_spreadsheet_reads_it() {
     let printed = abbe(folder.path(), &["data", "r.yaml"]);
     assert_eq!(printed.status, 0, "{recipe}\n{}", printed.stderr);
     assert!(printed.stdout.contains("points (ingest: csv): 6 rows"), "{}", printed.stdout);
-    assert!(printed.stdout.contains("1 of 7 rows are left out"), "{}", printed.stdout);
+    assert!(printed.stdout.contains("1 of 7 rows is left out"), "{}", printed.stdout);
 }
 
 fn told(text: &str) -> String {
@@ -257,7 +257,8 @@ fn rows_of_other_data_are_told() {
         );
         let printed = abbe(folder.path(), &["data", "r.yaml"]);
         assert_eq!(printed.status, 0, "{}", printed.stderr);
-        assert!(printed.stdout.contains(&format!("points (ingest: csv): {rows} rows")), "{}", printed.stdout);
+        let count = if rows == 1 { "1 row".to_owned() } else { format!("{rows} rows") };
+        assert!(printed.stdout.contains(&format!("points (ingest: csv): {count}\n")), "{}", printed.stdout);
         assert!(printed.stderr.contains("names feature 99, which is in no row of these data"), "{}", printed.stderr);
     }
     write(

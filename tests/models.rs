@@ -311,7 +311,7 @@ fn what_is_wrong_with_a_machine_file_names_it() {
         good.replace("tool_length_mm: 100\n", ""),
         good.replace("chain: w b X Y Z t\n", ""),
         good.replace("X Y Z", "X Y Q"),
-        good.to_owned() + "foo: 3\n",
+        good.to_owned() + "chian: w b t\n",
         good.replace("100", "1e99"),
         String::new(),
         "- 3\n".to_owned(),

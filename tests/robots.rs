@@ -55,9 +55,10 @@ fn the_radial_rms_stands_beside_that_of_a_coordinate() {
         crate::support::as_typed(folder.path(), &["run", file.to_str().expect("UTF-8"), "--out", "results"]);
     assert!(printed.stdout.contains(" µm a coordinate, "), "{}{}", printed.stdout, printed.stderr);
     assert!(printed.stdout.contains(" µm radial"), "{}", printed.stdout);
-    let pages = crate::support::tree(&folder.path().join("results"));
-    let page = pages.iter().find(|file| file.ends_with("report.html")).expect("the page");
-    assert!(crate::support::read(page).contains("radial RMS µm"));
+    let results = folder.path().join("results");
+    let files = crate::support::tree(&results);
+    let page = files.iter().find(|file| file.ends_with("report.html")).expect("the page");
+    assert!(crate::support::read(&results.join(page)).contains("radial RMS µm"));
 }
 
 #[test]
