@@ -125,7 +125,8 @@ fn sums_at_the_end_are_named_with_the_setting_that_leaves_them_out() {
 
 #[test]
 fn the_time_of_rows_alone_is_judged_and_other_times_are_named() {
-    let found = told("time_s,cutting_min,Zeit,X_mm\n1,5,10:20:30,3\n2,6,10:20:31,4\n3,1,10:20:32,4.5\n4,2,10:20:33,4.5\n");
+    let found =
+        told("time_s,cutting_min,Zeit,X_mm\n1,5,10:20:30,3\n2,6,10:20:31,4\n3,1,10:20:32,4.5\n4,2,10:20:33,4.5\n");
     assert!(!found.contains("goes back"), "{found}");
     for name in ["cutting_min", "Zeit"] {
         assert!(found.contains(&format!("Not looked at: order and steps of `{name}`")), "{found}");

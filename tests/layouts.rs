@@ -30,7 +30,9 @@ fn utf_16_big(text: &str) -> Vec<u8> {
 
 /// 长 stands for the one character of these tables that is not ASCII.
 fn gb_18030(text: &str) -> Vec<u8> {
-    text.chars().flat_map(|character| if character == '长' { vec![0xb3, 0xa4] } else { vec![character as u8] }).collect()
+    text.chars()
+        .flat_map(|character| if character == '长' { vec![0xb3, 0xa4] } else { vec![character as u8] })
+        .collect()
 }
 
 fn utf_8(text: &str) -> Vec<u8> {
@@ -143,9 +145,8 @@ fn what_is_simulated_in_another_layout_is_read_back() {
         assert_eq!(printed.status, 0, "{}: {}{}", way.settings, printed.stdout, printed.stderr);
         let prepared = prepare(&folder.path().join("virtual/t.yaml"), &registry())
             .unwrap_or_else(|error| panic!("{}: {error}", way.settings));
-        let outcome = prepared
-            .run(&abbe_core::Monitor::default())
-            .unwrap_or_else(|error| panic!("{}: {error}", way.settings));
+        let outcome =
+            prepared.run(&abbe_core::Monitor::default()).unwrap_or_else(|error| panic!("{}: {error}", way.settings));
         assert!(outcome.failures.is_empty(), "{}: {}", way.settings, outcome.failures[0].error);
         for (name, expected) in names.iter().zip(&truth) {
             let found = outcome.fits[0].calibration.get(name).expect("estimated").value;
@@ -171,7 +172,11 @@ fn a_plan_of_a_file_in_another_layout_is_refused() {
     write(&folder.path().join("t.yaml"), &(recipe(way) + plan));
     let printed = as_typed(folder.path(), &["plan", "t.yaml", "--out", "planned"]);
     assert_eq!(printed.status, 2, "{}", printed.stdout);
-    assert!(printed.stderr.contains("layout of its own") && printed.stderr.contains("`generate`"), "{}", printed.stderr);
+    assert!(
+        printed.stderr.contains("layout of its own") && printed.stderr.contains("`generate`"),
+        "{}",
+        printed.stderr
+    );
 }
 
 /// A file that two stages read in two ways could be written in one only.

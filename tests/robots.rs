@@ -51,8 +51,7 @@ fn the_radial_rms_stands_beside_that_of_a_coordinate() {
     assert!((radial / each - 3f64.sqrt()).abs() < 1e-9, "{each} and {radial}");
     let folder = temporary();
     let file = recipe.write(folder.path());
-    let printed =
-        crate::support::as_typed(folder.path(), &["run", file.to_str().expect("UTF-8"), "--out", "results"]);
+    let printed = crate::support::as_typed(folder.path(), &["run", file.to_str().expect("UTF-8"), "--out", "results"]);
     assert!(printed.stdout.contains(" µm a coordinate, "), "{}{}", printed.stdout, printed.stderr);
     assert!(printed.stdout.contains(" µm radial"), "{}", printed.stdout);
     let results = folder.path().join("results");

@@ -293,11 +293,18 @@ fn a_plan_takes_tied_unknowns() {
         let scaled = |matrix: DMatrix<f64>| {
             // Lengths, angles and scales together: in units of their own uncertainty.
             let size: Vec<f64> = matrix.diagonal().iter().map(|part| part.sqrt()).collect();
-            (DMatrix::from_fn(matrix.nrows(), matrix.ncols(), |row, column| matrix[(row, column)] / (size[row] * size[column])), size)
+            (
+                DMatrix::from_fn(matrix.nrows(), matrix.ncols(), |row, column| {
+                    matrix[(row, column)] / (size[row] * size[column])
+                }),
+                size,
+            )
         };
         let (normal, size) = scaled(covariance(&free, of_free.len()));
         let information = normal.try_inverse().expect("full rank");
-        let information = DMatrix::from_fn(size.len(), size.len(), |row, column| information[(row, column)] / (size[row] * size[column]));
+        let information = DMatrix::from_fn(size.len(), size.len(), |row, column| {
+            information[(row, column)] / (size[row] * size[column])
+        });
         let by_hand = ties.transpose() * information * &ties;
         let (normal, size) = scaled(by_hand);
         let by_hand = normal.try_inverse().expect("full rank");

@@ -135,8 +135,11 @@ fn instead(locations: &LocationErrors, name: &str, estimated: &[&str], listed: &
     let there = of(&|name| estimated.contains(&name));
     let rest = of(&|name| !estimated.contains(&name));
     let unlisted = of(&|name| !listed.contains(&name));
-    let mut help =
-        format!("on this chain `{name}` does what {} with the set-up: estimate {} in its place", does(&same), and(&rest));
+    let mut help = format!(
+        "on this chain `{name}` does what {} with the set-up: estimate {} in its place",
+        does(&same),
+        and(&rest)
+    );
     if !there.is_empty() {
         help.push_str(&format!("; {} estimated already", is(&there)));
     }

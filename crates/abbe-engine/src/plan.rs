@@ -6,8 +6,8 @@ use std::sync::Arc;
 
 use abbe_core::{DataRow, Dataset, Error, Identifiability, Monitor, Result, WeakDirection};
 use abbe_planning::{Generation, Plan, PlanFigures, Planning, generate, plan};
-use abbe_table::Layout as FileLayout;
 use abbe_recipe::Stage;
+use abbe_table::Layout as FileLayout;
 use serde_json::{Value, json};
 
 use crate::folder::write_folder;
@@ -76,7 +76,8 @@ impl Prepared {
                 let layouts = self.layouts()?;
                 let is_other = |file: &&PathBuf| layouts.get(*file).is_some_and(|own| *own != FileLayout::default());
                 if let Some(file) = data.files.iter().find(is_other) {
-                    let error = Error::usage("the candidates are in a file with a layout of its own, which is not written");
+                    let error =
+                        Error::usage("the candidates are in a file with a layout of its own, which is not written");
                     return Err(error.in_file(file).help(
                         "save the candidates with commas, points and the names of the data set, or let `generate` make them",
                     ));

@@ -53,8 +53,12 @@ impl Prepared {
         let (headers, file) = (data.headers(), data.files.first());
         let mut roles = BTreeMap::new();
         for (place, header) in headers.iter().enumerate() {
-            let rest: Vec<ColumnHeader> =
-                headers.iter().enumerate().filter(|(other, _)| *other != place).map(|(_, header)| header.clone()).collect();
+            let rest: Vec<ColumnHeader> = headers
+                .iter()
+                .enumerate()
+                .filter(|(other, _)| *other != place)
+                .map(|(_, header)| header.clone())
+                .collect();
             let mut told: Vec<String> = of_machines.get(&header.name).cloned().into_iter().collect();
             if told.is_empty() && header.name == "time" && self.has_logs(ingest) {
                 told.push("time".to_owned());

@@ -49,7 +49,9 @@ impl Series {
             Self::Even(even) => even.values()?,
         };
         if values.first().is_some_and(|first| !first.is_finite()) {
-            return Err(SettingsError::new("", "finite numbers were expected").help("list them: [0, 50, 100]").under([PathItem::Index(0)]));
+            return Err(SettingsError::new("", "finite numbers were expected")
+                .help("list them: [0, 50, 100]")
+                .under([PathItem::Index(0)]));
         }
         match values.windows(2).position(|pair| !(pair[0] < pair[1] && pair[1].is_finite())) {
             None => Ok(values),

@@ -84,7 +84,9 @@ fn unreadable(path: &Path, error: &io::Error) -> Error {
         io::ErrorKind::NotFound => "there is no such file".to_owned(),
         _ => format!("the file cannot be read: {error}"),
     };
-    Error::usage(message).in_file(path).help("is the path right? In a recipe it is relative to the folder of the recipe")
+    Error::usage(message)
+        .in_file(path)
+        .help("is the path right? In a recipe it is relative to the folder of the recipe")
 }
 
 /// A column without rows.

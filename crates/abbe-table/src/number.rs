@@ -65,7 +65,8 @@ pub(crate) fn help_for(header: &str, cell: &str, layout: &Layout) -> Option<Cow<
     if is(layout.decimal, layout.thousands) {
         let value = plain(cell.trim(), layout.decimal, layout.thousands).and_then(|it| it.parse::<f64>().ok())?;
         let is_kelvin = TEMPERATURES.contains(&(value - KELVIN)) && !TEMPERATURES.contains(&value);
-        let source = format!("`columns: {{ {header}: {{ column: NAME, unit: K }} }}` where it is read by `ingest: csv`");
+        let source =
+            format!("`columns: {{ {header}: {{ column: NAME, unit: K }} }}` where it is read by `ingest: csv`");
         return is_kelvin.then(|| format!("if it is in kelvin, write {source}, with its name in the file").into());
     }
     if cell.trim().is_empty() {
@@ -80,7 +81,9 @@ pub(crate) fn help_for(header: &str, cell: &str, layout: &Layout) -> Option<Cow<
     });
     Some(match separated {
         Some((.., advice)) => advice.into(),
-        None => "correct the cell; `no_data` of `ingest: csv` lists what stands for a number that was not measured".into(),
+        None => {
+            "correct the cell; `no_data` of `ingest: csv` lists what stands for a number that was not measured".into()
+        }
     })
 }
 

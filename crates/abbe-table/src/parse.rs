@@ -12,8 +12,8 @@ use crate::text::{newlines, read_line, text};
 use crate::{empty_column, unreadable};
 
 /// What to do about a row with too many or too few cells.
-const RAGGED: &str = "correct the file: a separator is missing there or one too many, or a text that has one in it is not quoted; \
-                      titles before the table are left out by `skip_lines`";
+const RAGGED: &str = "correct the file: a separator is missing there or one too many, or a text or a decimal comma is not \
+                      quoted; titles before the table are left out by `skip_lines`";
 
 /// What to do about two columns of one name.
 const TWINS: &str = "give one of them another name in the file, or take columns by number: `header: false`, with `skip_lines` for \
@@ -195,7 +195,9 @@ pub(crate) fn line(path: &Path, cells: &[String], separator: Separator) -> Resul
 }
 
 fn empty(path: &Path) -> Error {
-    Error::data("the file is empty").in_file(path).help("a row with the names of the columns was expected, and rows of data")
+    Error::data("the file is empty")
+        .in_file(path)
+        .help("a row with the names of the columns was expected, and rows of data")
 }
 
 fn no_header(path: &Path, layout: &Layout) -> Error {
@@ -306,7 +308,9 @@ impl<'a> Records<'a> {
             };
             let help = match twin {
                 Some(_) => TWINS,
-                None => "give it one, or take columns by name: `columns: { X_mm: NAME }` where it is read by `ingest: csv`",
+                None => {
+                    "give it one, or take columns by name: `columns: { X_mm: NAME }` where it is read by `ingest: csv`"
+                }
             };
             return Err(self.at_cell(Error::usage(message).help(help), index));
         }

@@ -127,9 +127,13 @@ fn sources(
         }
         let (Label(column), unit) = match source {
             Source::Column(column) => (column, None),
-            Source::InUnit(ColumnInUnit { column, unit }) => (column, Some(Unit::of(&unit, &header).map_err(|message| {
-                wrong(message).help("the unit after `unit` is that of the file, the one in the name that of the data set")
-            })?)),
+            Source::InUnit(ColumnInUnit { column, unit }) => (
+                column,
+                Some(Unit::of(&unit, &header).map_err(|message| {
+                    wrong(message)
+                        .help("the unit after `unit` is that of the file, the one in the name that of the data set")
+                })?),
+            ),
         };
         if !has_header && !column.parse::<usize>().is_ok_and(|number| number > 0) {
             return Err(wrong(format!(

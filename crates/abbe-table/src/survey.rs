@@ -430,9 +430,39 @@ fn twins(columns: &[Found]) -> Vec<String> {
 
 /// What rows of sums, means and extremes are called.
 const SUMMARIES: [&str; 33] = [
-    "sum", "total", "totals", "grand total", "count", "mean", "average", "avg", "median", "min", "max", "minimum", "maximum",
-    "range", "std", "std dev", "stdev", "standard deviation", "summe", "gesamt", "mittel", "mittelwert", "durchschnitt",
-    "standardabweichung", "spannweite", "somme", "moyenne", "suma", "media", "totale", "合计", "总计", "平均",
+    "sum",
+    "total",
+    "totals",
+    "grand total",
+    "count",
+    "mean",
+    "average",
+    "avg",
+    "median",
+    "min",
+    "max",
+    "minimum",
+    "maximum",
+    "range",
+    "std",
+    "std dev",
+    "stdev",
+    "standard deviation",
+    "summe",
+    "gesamt",
+    "mittel",
+    "mittelwert",
+    "durchschnitt",
+    "standardabweichung",
+    "spannweite",
+    "somme",
+    "moyenne",
+    "suma",
+    "media",
+    "totale",
+    "合计",
+    "总计",
+    "平均",
 ];
 
 /// The rows at the end that a word calls sums or means.
@@ -445,8 +475,7 @@ fn summaries(rows: &[Vec<String>], lines: &[usize]) -> Vec<Summary> {
         let column = row.iter().position(is_word)?;
         Some(Summary { line, column, word: row[column].clone() })
     };
-    let mut found: Vec<Summary> =
-        rows.iter().zip(lines).rev().map_while(|(row, line)| of(row, *line)).collect();
+    let mut found: Vec<Summary> = rows.iter().zip(lines).rev().map_while(|(row, line)| of(row, *line)).collect();
     found.reverse();
     // A table of nothing else is no table with sums at its end.
     if found.len() == rows.len() { Vec::new() } else { found }

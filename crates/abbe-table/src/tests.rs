@@ -78,7 +78,11 @@ fn what_is_wrong_is_said_with_its_place() {
 #[test]
 fn what_is_wrong_is_said_with_what_to_do() {
     let cases: [(&[u8], &str, &str); 7] = [
-        (b"T_degC\n293.15\n", "a temperature from -100 to 200", "in kelvin, write `columns: { T_degC: { column: NAME, unit: K } }`"),
+        (
+            b"T_degC\n293.15\n",
+            "a temperature from -100 to 200",
+            "in kelvin, write `columns: { T_degC: { column: NAME, unit: K } }`",
+        ),
         (b"\xff\xfe\0\0X\0\0\0", "UTF-32", "save it as UTF-8"),
         (b"\0\0\xfe\xff\0\0\0X", "UTF-32", "save it as UTF-8"),
         (b"X_mm,Y_mm", "the file is one line", "each row needs a line of its own"),
@@ -89,6 +93,12 @@ fn what_is_wrong_is_said_with_what_to_do() {
     for (bytes, message, help) in cases {
         let text = String::from_utf8_lossy(bytes);
         let error = parse(Path::new("t.csv"), bytes).expect_err("it is wrong");
+        if bytes.starts_with(b"\xff\xfe") {
+            assert_eq!(
+                headers(Path::new("t.csv"), Cursor::new(bytes)).expect_err("it is wrong").message,
+                error.message
+            );
+        }
         let told = error.help.clone().unwrap_or_default();
         assert!(error.message.contains(message) && told.contains(help), "{text}: {error} ({told})");
         assert!(!told.contains("thousands"), "{text}: {told}");

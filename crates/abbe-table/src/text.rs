@@ -14,8 +14,8 @@ const BYTE_ORDER_MARK: &[u8] = b"\xef\xbb\xbf";
 /// Byte order marks of UTF-16, in which spreadsheets write "Unicode text".
 const OF_UTF_16: [&[u8]; 2] = [b"\xff\xfe", b"\xfe\xff"];
 
-/// Those of UTF-32; the first begins as one of UTF-16 does.
-const OF_UTF_32: [&[u8]; 2] = [b"\xff\xfe\x00\x00", b"\x00\x00\xfe\xff"];
+/// How files in UTF-32 begin; the first as one in UTF-16 does, but no text in UTF-16 begins with a zero.
+const OF_UTF_32: [&[u8]; 2] = [b"\xff\xfe\x00", b"\x00\x00\xfe\xff"];
 
 /// Bytes of the longest line of a header: 16 MiB.
 const LONGEST_LINE: usize = 16 << 20;
@@ -32,7 +32,9 @@ pub fn may_be_utf_16(bytes: &[u8]) -> bool {
 pub fn text<'a>(path: &Path, bytes: &'a [u8], encoding: Encoding) -> Result<Cow<'a, str>> {
     if OF_UTF_32.iter().any(|mark| bytes.starts_with(mark)) {
         let error = Error::data("the file is text in UTF-32, which is not read").in_file(path);
-        return Err(error.help("save it as UTF-8, or as UTF-16 with `encoding: utf-16` where it is read by `ingest: csv`"));
+        return Err(
+            error.help("save it as UTF-8, or as UTF-16 with `encoding: utf-16` where it is read by `ingest: csv`")
+        );
     }
     let is_marked = OF_UTF_16.iter().any(|mark| bytes.starts_with(mark));
     match encoding {
@@ -159,7 +161,10 @@ pub fn read_line(reader: &mut impl BufRead, line: &mut Vec<u8>) -> io::Result<bo
             return Ok(true);
         }
         if line.len() - start > LONGEST_LINE {
-            return Err(io::Error::new(io::ErrorKind::InvalidData, "no line ends within 16 MiB: it is no table with one row a line"));
+            return Err(io::Error::new(
+                io::ErrorKind::InvalidData,
+                "no line ends within 16 MiB: it is no table with one row a line",
+            ));
         }
     }
 }

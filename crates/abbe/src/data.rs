@@ -90,7 +90,10 @@ fn bare(error: &Error) -> String {
 fn is_understood(told: &Contents, layout: &Layout) -> bool {
     let is_number = |column: &Found| ColumnHeader::parse(&column.name).quantity != Quantity::Label;
     // A thousand with a separator is no label.
-    let counts = |column: &Found| layout.thousands == Thousands::None && column.range.is_some_and(|ends| ends.iter().all(|end| end.fract() == 0.0));
+    let counts = |column: &Found| {
+        layout.thousands == Thousands::None
+            && column.range.is_some_and(|ends| ends.iter().all(|end| end.fract() == 0.0))
+    };
     told.columns.iter().all(|column| !column.is_numeric() || counts(column) || is_number(column))
 }
 

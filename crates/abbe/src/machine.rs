@@ -250,21 +250,33 @@ fn is_zero_position(info: &ModelInfo, error: &LocationError) -> bool {
     is_turn == (axis.kind == AxisKind::Rotary) && axis.direction[error.component % 3].abs() > 0.99
 }
 
+/// What a zero position may be.
+const KINDS: [&str; 3] = [
+    "Independent, among those above",
+    "The same as others, as told above",
+    "Nothing to estimate, workpiece and tool set-up do the same",
+];
+
+/// Its place among [`KINDS`].
+fn kind(standing: &Standing) -> usize {
+    match standing {
+        Standing::Independent { .. } => 0,
+        Standing::Dependent(_) => 1,
+        Standing::SetUp => 2,
+    }
+}
+
 /// The zero positions: by what they are, and whether the machine lists them.
 fn zero_positions(info: &ModelInfo, locations: &LocationErrors, width: usize) -> String {
-    let of = |is_wanted: fn(&Standing) -> bool| -> Vec<String> {
-        let zero = locations.all.iter().filter(|error| is_zero_position(info, error) && is_wanted(&error.standing));
+    let of = |place: usize| -> Vec<String> {
+        let zero = locations.all.iter().filter(|error| is_zero_position(info, error));
         let mark = |name: &str| if info.parameter(name).is_some() { " (listed)" } else { "" };
-        zero.map(|error| format!("{}{}", error.name, mark(&error.name))).collect()
+        let wanted = zero.filter(|error| kind(&error.standing) == place);
+        wanted.map(|error| format!("{}{}", error.name, mark(&error.name))).collect()
     };
     let mut text = "\nZero positions: what the position of an axis is off by where its command is 0\n".to_owned();
-    let kinds: [(&str, fn(&Standing) -> bool); 3] = [
-        ("Independent, among those above", |standing| matches!(standing, Standing::Independent { .. })),
-        ("The same as others, as told above", |standing| matches!(standing, Standing::Dependent(_))),
-        ("Nothing to estimate, workpiece and tool set-up do the same", |standing| *standing == Standing::SetUp),
-    ];
-    for (title, is_wanted) in kinds {
-        let found = of(is_wanted);
+    for (place, title) in KINDS.into_iter().enumerate() {
+        let found = of(place);
         if !found.is_empty() {
             let _ = write!(text, "  {title}:\n{}", listing(&found, width));
         }

@@ -37,8 +37,7 @@ pub fn within(rows: &[Vec<String>], right: &[usize], kept: usize, width: usize) 
     }
     let mut text = String::new();
     for row in rows {
-        let cells: Vec<Vec<String>> =
-            row.iter().zip(&widths).map(|(cell, width)| lines::rows(cell, *width)).collect();
+        let cells: Vec<Vec<String>> = row.iter().zip(&widths).map(|(cell, width)| lines::rows(cell, *width)).collect();
         for line in 0..cells.iter().map(Vec::len).max().unwrap_or(0) {
             let cell = |cell: &Vec<String>| cell.get(line).map_or(String::new(), |part| part.trim().to_owned());
             text.push_str(&aligned(&cells.iter().map(cell).collect::<Vec<_>>(), &widths, right));
@@ -62,7 +61,8 @@ fn blocks(rows: &[Vec<String>], right: &[usize], kept: usize, width: usize) -> S
         }
     }
     let block = |columns: &Vec<usize>| {
-        let of = |row: &Vec<String>| columns.iter().map(|column| row.get(*column).cloned().unwrap_or_default()).collect();
+        let of =
+            |row: &Vec<String>| columns.iter().map(|column| row.get(*column).cloned().unwrap_or_default()).collect();
         let right: Vec<usize> = (0..columns.len()).filter(|place| right.contains(&columns[*place])).collect();
         text(&rows.iter().map(of).collect::<Vec<_>>(), &right)
     };

@@ -42,10 +42,8 @@ pub(super) fn text(info: &ModelInfo, width: usize) -> String {
         let moment = if axis.kind == AxisKind::Rotary { vector(moment.into()) } else { "linear".to_owned() };
         rows.push(vec![axis.name.clone(), vector(direction.into()), moment]);
     }
-    let mut text = format!(
-        "\nProduct of exponentials: the joints in the base frame\n{}",
-        table::within(&rows, &[], 1, width)
-    );
+    let mut text =
+        format!("\nProduct of exponentials: the joints in the base frame\n{}", table::within(&rows, &[], 1, width));
     let Some((links, flange)) = denavit_hartenberg(&chain) else {
         text.push_str(
             "  No Denavit-Hartenberg parameters without a base transformation: the first joint is not on z of the base.\n",
@@ -57,20 +55,8 @@ pub(super) fn text(info: &ModelInfo, width: usize) -> String {
     let mut before = [0.0; 2];
     for (link, axis) in links.iter().zip(&chain) {
         let degrees = |angle: f64| tidy(angle.to_degrees());
-        standard.push(vec![
-            axis.name.clone(),
-            tidy(link.a),
-            degrees(link.alpha),
-            tidy(link.d),
-            degrees(link.theta),
-        ]);
-        modified.push(vec![
-            axis.name.clone(),
-            tidy(before[0]),
-            degrees(before[1]),
-            tidy(link.d),
-            degrees(link.theta),
-        ]);
+        standard.push(vec![axis.name.clone(), tidy(link.a), degrees(link.alpha), tidy(link.d), degrees(link.theta)]);
+        modified.push(vec![axis.name.clone(), tidy(before[0]), degrees(before[1]), tidy(link.d), degrees(link.theta)]);
         before = [link.a, link.alpha];
     }
     let last = chain.iter().rev().find(|axis| axis.kind == AxisKind::Rotary).map(|axis| axis.point).unwrap_or_default();
