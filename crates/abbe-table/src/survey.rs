@@ -2,11 +2,14 @@
 //!
 //! No measurement is read this way: `ingest: csv` follows its settings alone. No unit is ever proposed.
 
+mod faults;
+
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::Path;
 
 use abbe_core::{ColumnHeader, Quantity, Result};
 
+use self::faults::{TIME, is_time, jumps, summaries, twins};
 use crate::layout::{Decimal, Encoding, Layout, Separator, Thousands};
 use crate::number::{is_number, plain};
 use crate::parse::Records;
@@ -403,98 +406,6 @@ fn describe(column: &mut Found, cells: &[&str], layout: &Layout) -> Vec<(usize, 
     let largest = numbers.iter().map(|(_, number)| *number).fold(f64::NEG_INFINITY, f64::max);
     column.range = (!numbers.is_empty()).then_some([least, largest]);
     numbers
-}
-
-/// The column that is the time of rows.
-const TIME: &str = "time";
-
-/// Whether a column without a unit is a time or a date, by its name or because its cells are written so.
-fn is_time(name: &str, cells: &[&str]) -> bool {
-    let name = name.to_lowercase();
-    let is_named = ["time", "zeit", "uhrzeit", "datum", "date"].iter().any(|word| name.starts_with(word));
-    let is_clock = |cell: &&str| {
-        let parts: Vec<&str> = cell.split([':', ' ', 'T', '-', '.', '/']).collect();
-        let counts = |part: &&str| !part.is_empty() && part.bytes().all(|byte| byte.is_ascii_digit());
-        cell.matches(':').count() >= 1 && parts.len() >= 2 && parts.iter().all(counts)
-    };
-    let filled = cells.iter().filter(|cell| !cell.is_empty());
-    is_named || (!cells.is_empty() && filled.clone().count() > 0 && filled.clone().all(is_clock))
-}
-
-/// Names that stand twice or more, each once.
-fn twins(columns: &[Found]) -> Vec<String> {
-    let mut counts: BTreeMap<&str, usize> = BTreeMap::new();
-    columns.iter().for_each(|column| *counts.entry(&column.name).or_default() += 1);
-    counts.into_iter().filter(|(_, count)| *count > 1).map(|(name, _)| name.to_owned()).collect()
-}
-
-/// What rows of sums, means and extremes are called.
-const SUMMARIES: [&str; 33] = [
-    "sum",
-    "total",
-    "totals",
-    "grand total",
-    "count",
-    "mean",
-    "average",
-    "avg",
-    "median",
-    "min",
-    "max",
-    "minimum",
-    "maximum",
-    "range",
-    "std",
-    "std dev",
-    "stdev",
-    "standard deviation",
-    "summe",
-    "gesamt",
-    "mittel",
-    "mittelwert",
-    "durchschnitt",
-    "standardabweichung",
-    "spannweite",
-    "somme",
-    "moyenne",
-    "suma",
-    "media",
-    "totale",
-    "合计",
-    "总计",
-    "平均",
-];
-
-/// The rows at the end that a word calls sums or means.
-fn summaries(rows: &[Vec<String>], lines: &[usize]) -> Vec<Summary> {
-    let of = |row: &Vec<String>, line: usize| {
-        let is_word = |cell: &String| {
-            let word = cell.trim_end_matches([':', '.']).trim().to_lowercase();
-            SUMMARIES.contains(&word.as_str())
-        };
-        let column = row.iter().position(is_word)?;
-        Some(Summary { line, column, word: row[column].clone() })
-    };
-    let mut found: Vec<Summary> = rows.iter().zip(lines).rev().map_while(|(row, line)| of(row, *line)).collect();
-    found.reverse();
-    // A table of nothing else is no table with sums at its end.
-    if found.len() == rows.len() { Vec::new() } else { found }
-}
-
-/// A step of time is a jump from this number of usual steps.
-const JUMP: f64 = 10.0;
-
-/// Where times go back, or jump.
-fn jumps(column: &str, times: &[(usize, f64)], lines: &[usize]) -> Vec<Jump> {
-    let mut steps: Vec<f64> = times.windows(2).map(|pair| pair[1].1 - pair[0].1).filter(|step| *step > 0.0).collect();
-    steps.sort_by(f64::total_cmp);
-    let Some(&usual) = steps.get(steps.len() / 2) else { return Vec::new() };
-    let found = times.windows(2).filter_map(|pair| {
-        let step = pair[1].1 - pair[0].1;
-        let is_jump = step < 0.0 || step > JUMP * usual;
-        is_jump.then(|| Jump { column: column.to_owned(), line: lines[pair[1].0], step, usual })
-    });
-    found.collect()
 }
 
 #[cfg(test)]
