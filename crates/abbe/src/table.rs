@@ -119,7 +119,7 @@ mod tests {
         assert_eq!(found, "  error   what it is\n  EB0Y    Y out of square,\n          turned about Y\n");
         let numbers = cells(&[&["", "one", "two", "three"], &["fit", "123456", "2", "3"]]);
         let found = within(&numbers, &[1, 2, 3], 1, 24);
-        assert_eq!(found, "         one   two\n  fit   123456     2\n\n        three\n  fit       3\n");
+        assert_eq!(found, "           one   two\n  fit   123456     2\n\n        three\n  fit       3\n");
         assert!(found.lines().all(|line| line.chars().count() <= 24));
     }
 }
