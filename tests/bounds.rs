@@ -119,7 +119,7 @@ fn what_is_read_as_a_whole_has_a_bound() {
     refused(&small, &RUN, 1, &["touches.csv", "zero byte"]);
     let small = Small::new();
     small.write("data/touches.csv", &"a".repeat(17 << 20));
-    refused(&small, &RUN, 2, &["no end within 16 MiB"]);
+    refused(&small, &RUN, 2, &["no line ends within 16 MiB"]);
 }
 
 #[test]

@@ -72,7 +72,146 @@ fn what_is_proposed_for_a_spreadsheet_reads_it() {
     let printed = abbe(folder.path(), &["data", "r.yaml"]);
     assert_eq!(printed.status, 0, "{recipe}\n{}", printed.stderr);
     assert!(printed.stdout.contains("points (ingest: csv): 6 rows"), "{}", printed.stdout);
-    assert!(printed.stdout.contains("1 of 7 rows are left out"), "{}", printed.stdout);
+    assert!(printed.stdout.contains("1 of 7 rows is left out"), "{}", printed.stdout);
+}
+
+fn told(text: &str) -> String {
+    let folder = temporary();
+    write(&folder.path().join("t.csv"), text);
+    let printed = abbe(folder.path(), &["data", "t.csv"]);
+    assert_eq!(printed.status, 0, "{text}{}", printed.stderr);
+    printed.stdout
+}
+
+#[test]
+fn a_comma_in_a_quoted_number_is_a_thousand_and_what_is_open_is_asked() {
+    let american = told("load_N,X_mm\n\"1,234\",1.5\n\"3,456\",2.5\n");
+    assert!(american.contains("thousands: comma") && !american.contains("  decimal: comma"), "{american}");
+    assert!(american.contains("? every number with a comma is like `1,234`"), "{american}");
+    // With decimals there is nothing to ask.
+    let sure = told("load_N,X_mm\n\"1,234.5\",1.5\n\"3,456\",2.5\n");
+    assert!(sure.contains("thousands: comma") && !sure.contains("  ? "), "{sure}");
+    let german = told("X_mm;Y_mm\n\"1,5\";2\n\"2,25\";3\n");
+    assert!(german.contains("decimal: comma") && !german.contains("  ? "), "{german}");
+    for (text, is_open) in [
+        ("X_mm;Y_mm\n1.234;2\n3.456;4\n", true),
+        ("X_mm\tY_mm\n-1.234\t2\n3.456\t4\n", true),
+        ("X_mm;Y_mm\n0.234;2\n3.456;4\n", false),
+        ("X_mm;Y_mm\n1.234;2\n3.45;4\n", false),
+        ("X_mm,Y_mm\n1.234,2\n3.456,4\n", false),
+    ] {
+        let told = told(text);
+        assert_eq!(told.contains("? every number with a point is like"), is_open, "{text}{told}");
+    }
+}
+
+#[test]
+fn sums_at_the_end_are_named_with_the_setting_that_leaves_them_out() {
+    let text = "Punkt;X_mm\nP1;1,5\nP2;2,5\nP3;3,5\nSumme;7,5\nMittelwert:;2,5\n";
+    let found = told(text);
+    assert!(found.contains("line 5 (`Summe`), line 6 (`Mittelwert:`) seems to hold sums or means"), "{found}");
+    assert!(found.contains("`ignore: { NAME: [\"Summe\", \"Mittelwert:\"] }`"), "{found}");
+    let folder = temporary();
+    write(&folder.path().join("t.csv"), text);
+    write(
+        &folder.path().join("r.yaml"),
+        "abbe: 1\nname: t\nstages:\n  points:\n    ingest: csv\n    path: t.csv\n    separator: semicolon\n    decimal: comma\n    ignore: { Punkt: [\"Summe\", \"Mittelwert:\"] }\n",
+    );
+    let printed = abbe(folder.path(), &["data", "r.yaml"]);
+    assert!(printed.stdout.contains("points (ingest: csv): 3 rows"), "{}{}", printed.stdout, printed.stderr);
+    let found = told("X_mm,Y_mm\n1,2\n2,3\n3,4\nTotal,9\n");
+    assert!(found.contains("`no_data: [\"Total\"]` leaves it out"), "{found}");
+    // A point may have any name in the middle.
+    assert!(!told("P,X_mm\nmin,1\nmax,2\nb,3\n").contains("sums or means"));
+}
+
+#[test]
+fn the_time_of_rows_alone_is_judged_and_other_times_are_named() {
+    let found =
+        told("time_s,cutting_min,Zeit,X_mm\n1,5,10:20:30,3\n2,6,10:20:31,4\n3,1,10:20:32,4.5\n4,2,10:20:33,4.5\n");
+    assert!(!found.contains("goes back"), "{found}");
+    for name in ["cutting_min", "Zeit"] {
+        assert!(found.contains(&format!("Not looked at: order and steps of `{name}`")), "{found}");
+    }
+    let found = told("time_min,X_mm\n1,3\n2,4\n3,4.5\n1,4.5\n");
+    assert!(found.contains("time_min goes back") && !found.contains("Not looked at"), "{found}");
+    let printed = abbe(&root(), &["data", "pipelines/tool-check.yaml"]);
+    assert!(!printed.stdout.contains("cutting_min goes back"), "{}", printed.stdout);
+}
+
+#[test]
+fn what_no_setting_cures_says_what_to_do() {
+    let found = told("a,b,a\n1.5,2,3\n4.5,5\n1,2,4\n");
+    assert!(found.contains("no setting mends that, and a run refuses it: correct the file"), "{found}");
+    assert!(found.contains("several columns are named `a`") && found.contains("  header: false"), "{found}");
+    assert!(told("X_mm,Y_mm 1,2 3,4").contains("the file is one line"));
+    // What is proposed for columns of one name reads them.
+    let folder = temporary();
+    write(&folder.path().join("t.csv"), "a,b,a\n1.5,2,3\n4.5,5,6\n");
+    write(
+        &folder.path().join("r.yaml"),
+        "abbe: 1\nname: t\nstages:\n  points: { ingest: csv, path: t.csv, skip_lines: 1, header: false, columns: { X_mm: 1, Y_mm: 3 } }\n",
+    );
+    let printed = abbe(folder.path(), &["data", "r.yaml"]);
+    assert!(printed.stdout.contains("points (ingest: csv): 2 rows"), "{}{}", printed.stdout, printed.stderr);
+}
+
+/// What columns are used as is told for every column that a stage needs or names.
+#[test]
+fn no_column_that_a_stage_needs_is_without_its_use() {
+    for (recipe, column, used) in [
+        ("mill-warming", "feature", "needed by `cubes`"),
+        ("mill-warming", "time_s", "time"),
+        ("mill-warming", "file", "the name of the file"),
+        ("tool-check", "tool", "needed by `"),
+        ("spindle-motion", "r1_um", "needed by `"),
+        ("tango-warming", "reference_mm", "needed by `"),
+    ] {
+        let printed = abbe(&root(), &["data", recipes()[recipe].to_str().expect("UTF-8")]);
+        let mut lines = printed.stdout.lines();
+        let line = lines.find(|line| line.trim_start().starts_with(&format!("{column} "))).unwrap_or_default();
+        assert!(line.contains(used), "{recipe}: {line}");
+    }
+}
+
+#[test]
+fn numbers_of_things_agree_with_their_words() {
+    let folder = temporary();
+    write(&folder.path().join("t.csv"), "# a comment\nX_mm,Y_mm\n1.5,2\n");
+    write(&folder.path().join("r.yaml"), "abbe: 1\nname: t\nstages:\n  points: { ingest: csv, path: t.csv }\n");
+    let found = abbe(folder.path(), &["data", "t.csv"]).stdout + &abbe(folder.path(), &["data", "r.yaml"]).stdout;
+    for words in ["1 rows", "1 lines", "(lines 3 to 3)"] {
+        assert!(!found.contains(words), "{words}: {found}");
+    }
+    // Nothing is estimated here, so that nothing was judged.
+    let printed = abbe(folder.path(), &["check", "r.yaml"]);
+    assert_eq!(printed.status, 0, "{}", printed.stderr);
+    assert!(printed.stdout.starts_with("t: 1 stage\nNOTHING JUDGED: nothing is estimated"), "{}", printed.stdout);
+    assert!(!printed.stdout.contains("PASS"), "{}", printed.stdout);
+}
+
+/// Lines fit 80 columns, but for words that are longer, and for settings, which are to be copied.
+#[test]
+fn lines_fit_a_terminal() {
+    let all = recipes();
+    let of = |name: &str| all[name].to_str().expect("UTF-8").to_owned();
+    let mut commands: Vec<Vec<String>> = Vec::new();
+    for name in ["robot-ur5", "tango-warming", "mill-direct", "first-steps", "positioner"] {
+        commands.push(vec!["check".to_owned(), of(name)]);
+        commands.push(vec!["check".to_owned(), "--explain".to_owned(), of(name)]);
+        commands.push(vec!["model".to_owned(), of(name)]);
+        commands.push(vec!["data".to_owned(), of(name)]);
+    }
+    commands.push(vec!["model".to_owned(), "w C' A' b X Y Z (S) t".to_owned()]);
+    commands.push(vec!["data".to_owned(), "pipelines/data/tango-warming/touches.csv".to_owned()]);
+    for command in commands {
+        let printed = crate::support::narrow(&root(), &command);
+        assert_eq!(printed.status, 0, "{command:?}: {}", printed.stderr);
+        for line in printed.stdout.lines() {
+            let is_one_word = line.split_whitespace().count() <= 1;
+            assert!(line.chars().count() <= 80 || is_one_word, "{command:?}: {line}");
+        }
+    }
 }
 
 /// The data of every recipe of the repository: their columns with what machines use them for.
@@ -95,7 +234,16 @@ fn what_is_no_table_is_refused() {
     write(&folder.path().join("empty.csv"), "");
     assert_eq!(abbe(folder.path(), &["data", "a.csv"]).status, 1);
     assert_eq!(abbe(folder.path(), &["data", "none.csv"]).status, 2);
-    assert_eq!(abbe(folder.path(), &["data", "empty.csv"]).status, 0);
+    for (text, message) in [
+        ("", "the file is empty"),
+        ("# a comment\n", "the file is empty"),
+        ("X_mm,Y_mm\n", "the file has names of columns, and no rows of data"),
+    ] {
+        write(&folder.path().join("empty.csv"), text);
+        let printed = abbe(folder.path(), &["data", "empty.csv"]);
+        assert_eq!(printed.status, 1, "{text}: {}", printed.stdout);
+        assert!(printed.stdout.is_empty() && printed.stderr.contains(message), "{text}: {}", printed.stderr);
+    }
 }
 
 /// `ignore` and `keep` may name rows that other data do not have: that is told, and the rest goes on.
@@ -112,7 +260,8 @@ fn rows_of_other_data_are_told() {
         );
         let printed = abbe(folder.path(), &["data", "r.yaml"]);
         assert_eq!(printed.status, 0, "{}", printed.stderr);
-        assert!(printed.stdout.contains(&format!("points (ingest: csv): {rows} rows")), "{}", printed.stdout);
+        let count = if rows == 1 { "1 row".to_owned() } else { format!("{rows} rows") };
+        assert!(printed.stdout.contains(&format!("points (ingest: csv): {count}\n")), "{}", printed.stdout);
         assert!(printed.stderr.contains("names feature 99, which is in no row of these data"), "{}", printed.stderr);
     }
     write(

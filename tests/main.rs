@@ -19,6 +19,7 @@ mod full_disk;
 mod gcode;
 mod interrupted;
 mod laws;
+mod layouts;
 mod libraries;
 mod methods;
 mod mill;

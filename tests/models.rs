@@ -220,6 +220,167 @@ fn check_names_the_substitute_of_a_location_error() {
     assert!(printed.stderr.contains("on this chain `EB0X`"), "{}", printed.stderr);
 }
 
+/// What is told of an unknown or superfluous location error leads to an estimate without one, whatever is listed and estimated.
+#[test]
+fn advice_on_location_errors_comes_to_an_end() {
+    let chains = all_chains();
+    let folder = temporary();
+    for seed in 1..=60 {
+        let mut random = crate::controls::law::uniform(seed);
+        let chain = &chains[(random() * chains.len() as f64) as usize % chains.len()];
+        let (locations, _) = machine(chain);
+        let all: Vec<String> = locations.all.iter().map(|error| error.name.clone()).collect();
+        let mut listed: Vec<String> = all.iter().filter(|_| random() < 0.2).cloned().collect();
+        let asked = all[(random() * all.len() as f64) as usize % all.len()].clone();
+        listed.retain(|name| *name != asked);
+        let mut wanted: Vec<String> = listed.iter().filter(|_| random() < 0.5).cloned().collect();
+        wanted.push(asked.clone());
+        write(&folder.path().join("poses.csv"), &some_poses(chain, seed));
+        let mut told = Vec::new();
+        loop {
+            let text = estimate_of(chain, &listed, &wanted);
+            let prepared = prepare_text(&folder.path().join("t.yaml"), &text, &registry())
+                .unwrap_or_else(|error| panic!("{chain}: {error}"));
+            let advice = match prepared.check() {
+                Ok(planned) => {
+                    planned[0].identifiability.remarks.iter().find(|text| text.contains("on this chain")).cloned()
+                }
+                Err(error) => error.help.clone(),
+            };
+            let Some(advice) = advice else { break };
+            told.push(advice.clone());
+            assert!(told.len() <= wanted.len() + 2, "{chain}, {listed:?}, {wanted:?}: {told:#?}");
+            let names: Vec<String> = advice.split('`').skip(1).step_by(2).map(str::to_owned).collect();
+            let of_chain = |text: &str| -> Vec<String> {
+                text.split('`')
+                    .skip(1)
+                    .step_by(2)
+                    .filter(|name| all.iter().any(|own| own == name))
+                    .map(str::to_owned)
+                    .collect()
+            };
+            let subject = names.iter().find(|name| all.contains(name)).expect("a location error").clone();
+            if let Some((_, rest)) = advice.split_once("estimate ") {
+                let (instead, rest) = rest.split_once(" in its place").expect("what is estimated instead");
+                wanted.retain(|name| *name != subject);
+                for name in of_chain(instead) {
+                    assert!(!wanted.contains(&name), "{chain}: {advice}");
+                    wanted.push(name);
+                }
+                if let Some((unlisted, _)) = rest.split_once("to be listed") {
+                    let unlisted = unlisted.split(';').next_back().unwrap_or_default();
+                    listed.extend(of_chain(unlisted));
+                }
+            } else if advice.contains("list it under `errors`") {
+                listed.push(subject);
+            } else {
+                assert!(advice.contains("leave"), "{chain}: {advice}");
+                wanted.retain(|name| *name != subject);
+            }
+        }
+        // One step about what was asked: nothing that is proposed is refused.
+        let about: Vec<&String> = told.iter().filter(|advice| advice.contains(&format!("`{asked}`"))).collect();
+        assert!(about.len() <= 2, "{chain}: {told:#?}");
+    }
+}
+
+/// Poses of a chain, its own axes all moving.
+fn some_poses(chain: &str, seed: u64) -> String {
+    let mut random = crate::controls::law::uniform(seed);
+    let axes: Vec<&str> =
+        chain.split_whitespace().filter(|word| word.chars().all(|c| c.is_ascii_uppercase())).collect();
+    let unit = |axis: &&str| if ["A", "B", "C"].contains(axis) { "deg" } else { "mm" };
+    let mut text =
+        axes.iter().map(|axis| format!("{axis}_{}", unit(axis))).collect::<Vec<_>>().join(",") + ",x_mm,y_mm,z_mm\n";
+    for _ in 0..40 {
+        let command = |axis: &&str, random: f64| (random - 0.5) * if unit(axis) == "deg" { 160.0 } else { 600.0 };
+        let cells: Vec<String> = axes.iter().map(|axis| command(axis, random()).to_string()).collect();
+        let seen: Vec<String> = (0..3).map(|_| (random() * 400.0).to_string()).collect();
+        text.push_str(&([cells, seen].concat().join(",") + "\n"));
+    }
+    text
+}
+
+fn estimate_of(chain: &str, listed: &[String], wanted: &[String]) -> String {
+    let errors = if listed.is_empty() { "[]".to_owned() } else { format!("[{{ location: {} }}]", json!(listed)) };
+    let mut parameters = wanted.to_vec();
+    parameters.extend(["dxt", "dyt", "dzt", "tracker.*"].map(str::to_owned));
+    format!(
+        "abbe: 1\nname: t\nstages:\n  poses: {{ ingest: csv, path: poses.csv }}\n  tracker: {{ artefact: positions, from: poses, standard_uncertainty_um: 2 }}\n  m:\n    model: serial-chain\n    chain: {chain}\n    tool_length_mm: 130\n    stylus_radius_mm: 0\n    errors: {errors}\n  fit: {{ estimate: gauss-newton, machine: m, observations: tracker, parameters: {}, trust_uncertainties: true }}\n",
+        json!(parameters)
+    )
+}
+
+/// The user's own file is named, whatever is wrong with it.
+#[test]
+fn what_is_wrong_with_a_machine_file_names_it() {
+    let folder = temporary();
+    let good = "name: K\nchain: w b X Y Z t\ntool_length_mm: 100\nstylus_radius_mm: 1\n";
+    for text in [
+        good.replace("tool_length_mm: 100\n", ""),
+        good.replace("chain: w b X Y Z t\n", ""),
+        good.replace("X Y Z", "X Y Q"),
+        good.replace("chain:", "chian:"),
+        good.replace("100", "1e99"),
+        String::new(),
+        "- 3\n".to_owned(),
+    ] {
+        write(&folder.path().join("mill.yaml"), &text);
+        let printed = as_typed(folder.path(), &["model", "mill.yaml"]);
+        assert_eq!(printed.status, 2, "{text}{}", printed.stdout);
+        assert!(printed.stderr.contains("mill.yaml") && !printed.stderr.contains("machine.yaml"), "{}", printed.stderr);
+        assert!(!printed.stderr.contains("around it") && !printed.stderr.contains("stage `"), "{}", printed.stderr);
+    }
+}
+
+/// An indexed axis of the workpiece side is drawn as it is read.
+#[test]
+fn what_is_drawn_is_read() {
+    for chain in ["w (C') b X Y Z t", "w (C)' b X Y Z t"] {
+        let printed = abbe(&root(), &["model", chain]);
+        assert_eq!(printed.status, 0, "{chain}: {}", printed.stderr);
+        assert!(printed.stdout.contains("workpiece --- (C') ---"), "{}", printed.stdout);
+    }
+}
+
+/// A robot of four joints, one of them linear, is one, and what rounding leaves of a zero is not shown.
+#[test]
+fn a_scara_is_shown_as_a_robot() {
+    let folder = temporary();
+    let text = "robot:\n  modified_dh:\n    - { d_mm: 300, theta_deg: 20 }\n    - { a_mm: 325, theta_deg: -40 }\n    - { a_mm: 275, alpha_deg: 180, linear: true, d_mm: 50 }\n    - { theta_deg: 30 }\n  tip_mm: [0, 0, 20]\ntool_length_mm: 0\nstylus_radius_mm: 0\n";
+    write(&folder.path().join("scara.yaml"), text);
+    let printed = abbe(folder.path(), &["model", "scara.yaml"]);
+    assert_eq!(printed.status, 0, "{}", printed.stderr);
+    for words in ["Product of exponentials", "(`dh`)", "(`modified_dh`, Craig)", "Linear joints (`linear: true`): Z1."]
+    {
+        assert!(printed.stdout.contains(words), "{words}: {}", printed.stdout);
+    }
+    assert!(!printed.stdout.contains("e-1"), "{}", printed.stdout);
+    let printed = abbe(&root(), &["model", "w b X Y Z B C t"]);
+    assert!(!printed.stdout.contains("Denavit"), "{}", printed.stdout);
+}
+
+/// Zero positions are told apart by what they are, and by whether the machine lists them.
+#[test]
+fn zero_positions_that_are_listed_are_marked() {
+    let folder = temporary();
+    let machine = "chain: w b C1 B1 B2 t\ntool_length_mm: 100\nstylus_radius_mm: 0\naxes: { B2: { point_mm: [300, 0, 0] } }\nerrors: [{ location: [EB0B2] }]\n";
+    write(&folder.path().join("arm.yaml"), machine);
+    let printed = abbe(folder.path(), &["model", "arm.yaml"]);
+    let zero = printed
+        .stdout
+        .split("\nZero positions")
+        .nth(1)
+        .and_then(|rest| rest.split("\nFree").next())
+        .unwrap_or_default();
+    assert!(
+        zero.contains("EB0B2 (listed)") && zero.contains("EC0C1") && !zero.contains("EC0C1 (listed)"),
+        "{}",
+        printed.stdout
+    );
+    assert!(zero.contains("one that is not listed is zero"), "{zero}");
+}
+
 /// Random robots: their lines, turned into Denavit-Hartenberg parameters by the program, are the same robot again.
 #[test]
 fn parameters_of_robots_give_their_lines_back() {
@@ -232,7 +393,7 @@ fn parameters_of_robots_give_their_lines_back() {
     };
     for seed in 1..=30 {
         let mut random = crate::controls::law::uniform(seed);
-        let joints = 4 + (seed % 4) as usize;
+        let joints = 3 + (seed % 5) as usize;
         let mut lines = vec![json!({ "direction": [0, 0, 1] })];
         for _ in 1..joints {
             // Some are parallel to others, some cross them.
@@ -242,8 +403,9 @@ fn parameters_of_robots_give_their_lines_back() {
                 2 => [-1.0, 0.0, 0.0],
                 _ => [random(), random(), 0.2 + random()],
             };
+            let is_linear = random() < 0.2;
             let point = [400.0 * random(), if random() > 0.3 { 0.0 } else { 100.0 * random() }, 500.0 * random()];
-            lines.push(json!({ "direction": direction, "point_mm": point }));
+            lines.push(json!({ "direction": direction, "point_mm": point, "linear": is_linear }));
         }
         let tip = [300.0 * random(), 20.0, 200.0];
         let settings = |robot: serde_json::Value| json!({ "robot": robot, "tool_length_mm": 0, "stylus_radius_mm": 0 });
@@ -260,7 +422,7 @@ fn parameters_of_robots_give_their_lines_back() {
             let number = |text: &str| -> f64 { text.parse().unwrap_or_else(|_| panic!("{text}")) };
             let links: Vec<_> = rows
                 .iter()
-                .map(|row| json!({ "name": row[0], "a_mm": number(row[1]), "alpha_deg": number(row[2]), "d_mm": number(row[3]), "theta_deg": number(row[4]) }))
+                .map(|row| json!({ "name": row[0], "linear": row[0].starts_with(['X', 'Y', 'Z']), "a_mm": number(row[1]), "alpha_deg": number(row[2]), "d_mm": number(row[3]), "theta_deg": number(row[4]) }))
                 .collect();
             let line = printed.stdout.lines().find(|line| line.contains("The tip is at")).expect("the tip");
             let at: Vec<f64> = line.split_whitespace().skip(4).take(3).map(number).collect();

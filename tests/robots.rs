@@ -39,6 +39,27 @@ fn exact_positions_give_the_truth_back() {
     }
 }
 
+/// The distance of points beside the residual of a coordinate, wherever a fit of positions is told.
+#[test]
+fn the_radial_rms_stands_beside_that_of_a_coordinate() {
+    let recipe = recipe("realistic").only(&["lines"]);
+    let outcome = recipe.run();
+    let found = fit(&outcome, "lines");
+    let (each, radial) = (found.calibration.fit.residual_rms_um, found.calibration.fit.residual_radial_rms_um);
+    let radial = radial.expect("positions have distances");
+    // All rows have three coordinates.
+    assert!((radial / each - 3f64.sqrt()).abs() < 1e-9, "{each} and {radial}");
+    let folder = temporary();
+    let file = recipe.write(folder.path());
+    let printed = crate::support::as_typed(folder.path(), &["run", file.to_str().expect("UTF-8"), "--out", "results"]);
+    assert!(printed.stdout.contains(" µm a coordinate, "), "{}{}", printed.stdout, printed.stderr);
+    assert!(printed.stdout.contains(" µm radial"), "{}", printed.stdout);
+    let results = folder.path().join("results");
+    let files = crate::support::tree(&results);
+    let page = files.iter().find(|file| file.ends_with("report.html")).expect("the page");
+    assert!(crate::support::read(&results.join(page)).contains("radial RMS µm"));
+}
+
 #[test]
 fn noisy_positions_hold_the_truth_within_their_uncertainty() {
     let found = of(&recipe("realistic"), "gear");

@@ -30,7 +30,7 @@ pub struct Printed {
 /// The program in the folder `at`, ready to be started.
 pub fn program<S: AsRef<OsStr>>(at: &Path, arguments: &[S]) -> Command {
     let mut command = Command::new(env!("CARGO_BIN_EXE_abbe-under-test"));
-    command.args(arguments).current_dir(at).env("NO_COLOR", "1");
+    command.args(arguments).current_dir(at).env("NO_COLOR", "1").env_remove("COLUMNS");
     command
 }
 
@@ -39,7 +39,8 @@ pub fn abbe<S: AsRef<OsStr>>(at: &Path, arguments: &[S]) -> Printed {
     let mut all: Vec<&OsStr> = arguments.iter().map(AsRef::as_ref).collect();
     let is_run = all.first().is_some_and(|command| *command == "run");
     if !is_run {
-        return as_typed(at, &all);
+        // Whole sentences are looked for.
+        return printed(program(at, &all).env("COLUMNS", "10000"));
     }
     all.push("--verbose".as_ref());
     let printed = as_typed(at, &all);
@@ -50,7 +51,16 @@ pub fn abbe<S: AsRef<OsStr>>(at: &Path, arguments: &[S]) -> Printed {
 
 /// Runs the program in the folder `at` as a user does.
 pub fn as_typed<S: AsRef<OsStr>>(at: &Path, arguments: &[S]) -> Printed {
-    let output = program(at, arguments).output().expect("the program starts");
+    printed(&mut program(at, arguments))
+}
+
+/// The same on a terminal of 80 columns.
+pub fn narrow<S: AsRef<OsStr>>(at: &Path, arguments: &[S]) -> Printed {
+    printed(program(at, arguments).env("COLUMNS", "80"))
+}
+
+fn printed(program: &mut Command) -> Printed {
+    let output = program.output().expect("the program starts");
     let text = |bytes| String::from_utf8(bytes).expect("the program prints UTF-8");
     Printed {
         status: output.status.code().expect("the program ends by itself"),

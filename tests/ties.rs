@@ -250,6 +250,73 @@ fn a_virtual_machine_takes_tied_truths() {
     assert_eq!(saved["parameters"].as_array().expect("a list").iter().filter(|own| own["name"] == "EXX[1]").count(), 1);
 }
 
+/// The plan of a recipe whose estimate is this, for some rows.
+fn plan(chain: &str, data: &str, estimate: &str, required: &[String]) -> abbe_engine::Measurements {
+    let folder = temporary();
+    write(&folder.path().join("poses.csv"), data);
+    let plan = json!({ "estimate": "fit", "candidates": "tracker", "number": 15, "restarts": 3, "required": required });
+    let text = recipe(chain, estimate, "") + &format!("plan: {plan}\n");
+    let file = folder.path().join("t.yaml");
+    write(&file, &text);
+    let prepared = abbe_engine::prepare(&file, &registry()).unwrap_or_else(|error| panic!("{error}"));
+    prepared.plan().unwrap_or_else(|error| panic!("{error}"))
+}
+
+/// A plan for tied unknowns has the covariance that the same rows give without ties and with the substitution by hand.
+#[test]
+fn a_plan_takes_tied_unknowns() {
+    for seed in 1..=4 {
+        let chain = CHAINS[seed as usize % CHAINS.len()];
+        let data = poses(chain, &[], 0.0, seed);
+        let tie = "tie: { \"EXX[1]\": scale, \"EYY[1]\": { to: scale, factor: -0.5 } }";
+        let tied = format!("parameters: [scale, \"EZZ[1]\", \"tracker.*\"], trust_uncertainties: true, {tie}");
+        let found = plan(chain, &data, &tied, &[]);
+        let chosen: Vec<String> = found.plan.chosen.iter().map(|chosen| chosen.label.clone()).collect();
+        assert_eq!(chosen.len(), 15, "{chain}");
+        let free = "parameters: [\"EXX[1]\", \"EYY[1]\", \"EZZ[1]\", \"tracker.*\"], trust_uncertainties: true";
+        let free = plan(chain, &data, free, &chosen);
+        let names = |found: &abbe_engine::Measurements| -> Vec<String> {
+            found.plan.problem.unknowns.iter().map(|unknown| unknown.name.clone()).collect()
+        };
+        let (of_tied, of_free) = (names(&found), names(&free));
+        assert!(of_tied.contains(&"scale".to_owned()) && !of_tied.contains(&"EXX[1]".to_owned()), "{of_tied:?}");
+        let ties = DMatrix::from_fn(of_free.len(), of_tied.len(), |row, column| {
+            match (of_free[row].as_str(), of_tied[column].as_str()) {
+                ("EXX[1]", "scale") => 1.0,
+                ("EYY[1]", "scale") => -0.5,
+                (one, other) => f64::from(one == other),
+            }
+        });
+        let covariance = |found: &abbe_engine::Measurements, count: usize| {
+            DMatrix::from_row_slice(count, count, &found.plan.figures.covariance)
+        };
+        let scaled = |matrix: DMatrix<f64>| {
+            // Lengths, angles and scales together: in units of their own uncertainty.
+            let size: Vec<f64> = matrix.diagonal().iter().map(|part| part.sqrt()).collect();
+            (
+                DMatrix::from_fn(matrix.nrows(), matrix.ncols(), |row, column| {
+                    matrix[(row, column)] / (size[row] * size[column])
+                }),
+                size,
+            )
+        };
+        let (normal, size) = scaled(covariance(&free, of_free.len()));
+        let information = normal.try_inverse().expect("full rank");
+        let information = DMatrix::from_fn(size.len(), size.len(), |row, column| {
+            information[(row, column)] / (size[row] * size[column])
+        });
+        let by_hand = ties.transpose() * information * &ties;
+        let (normal, size) = scaled(by_hand);
+        let by_hand = normal.try_inverse().expect("full rank");
+        let stated = covariance(&found, of_tied.len());
+        for row in 0..size.len() {
+            let expected = by_hand[(row, row)] / size[row].powi(2);
+            let ratio = stated[(row, row)] / expected;
+            assert!((ratio - 1.0).abs() < 1e-6, "{chain}, {}: {ratio}", of_tied[row]);
+        }
+    }
+}
+
 #[test]
 fn ties_that_make_no_sense_are_refused_with_their_place() {
     let data = poses(CHAINS[0], &[], 0.0, 1);
@@ -264,6 +331,8 @@ fn ties_that_make_no_sense_are_refused_with_their_place() {
         ("\"EXX[1]\": a, \"EYY[1]\": a, \"E??[1]\": b", "is tied to `a` already"),
         ("\"EXX[1]\": { to: s, factor: 0 }, \"EYY[1]\": s", "a finite factor that is not 0"),
         ("\"EXX[1]\": [s]", "the name of the unknown was expected"),
+        ("\"tracker.observer.x\": s, \"EXX[1]\": s", "belongs to its observations"),
+        ("\"EXX[1]\": tracker.observer.x, \"EYY[1]\": tracker.observer.x", "belongs to its observations"),
         ("\"EXX[1]\": { to: s, facto: 2 }", "unknown key `facto`"),
         ("\"EXX[1]\": \"*\"", "the name of one unknown was expected"),
         ("\"E??[1]\": { to: \"EXX[1]\", factor: -1 }", "would be -1 times itself"),

@@ -4,7 +4,7 @@ use std::collections::BTreeSet;
 use std::path::Path;
 use std::sync::Arc;
 
-use abbe_core::{Error, Identifiability, Kind, KinematicModel, PathItem, Plugin, Registry, Result};
+use abbe_core::{Error, Identifiability, Kind, KinematicModel, PathItem, Plugin, Problem, Registry, Result, matches};
 use abbe_estimation::{LocationErrors, Standing, location_errors};
 use abbe_recipe::{Recipe, Stage};
 use serde_json::{Value, json};
@@ -48,8 +48,8 @@ impl Prepared {
         all.map(|all| location_errors(all.as_ref())).transpose()
     }
 
-    /// What stands on this chain in the place of location errors that the data of an estimate cannot tell: sentences.
-    pub(crate) fn substitutes(&self, estimate: &Stage, found: &Identifiability) -> Vec<String> {
+    /// What is to be done about location errors of the chain that do what others of the same estimate do: sentences.
+    pub(crate) fn substitutes(&self, estimate: &Stage, problem: &Problem, found: &Identifiability) -> Vec<String> {
         let lost: BTreeSet<&str> = (found.null_space.iter())
             .flat_map(|vector| vector.combination.iter().map(|part| part.name.as_str()))
             .collect();
@@ -58,40 +58,103 @@ impl Prepared {
         }
         let machine = self.machine_stage(estimate).map(|stage| stage.name.as_str()).unwrap_or_default();
         let Ok(Some(locations)) = self.location_errors(machine) else { return Vec::new() };
-        lost.into_iter().filter_map(|name| substitute(&locations, name)).collect()
+        let estimated: Vec<&str> = problem.unknowns.iter().map(|unknown| unknown.name.as_str()).collect();
+        superfluous(&locations, &estimated).into_iter().filter(|(name, _)| lost.contains(name)).map(told).collect()
     }
 
     /// An error about a location error that is not listed, with what it is on this chain.
-    pub(crate) fn with_substitute(&self, estimate: &Stage, error: Error) -> Error {
+    pub(crate) fn with_substitute(&self, estimate: &Stage, model: &dyn KinematicModel, error: Error) -> Error {
         let [PathItem::Key(key), PathItem::Index(index)] = error.setting.as_slice() else { return error };
         let Some(pattern) = estimate.parameters.get(*index).filter(|_| key == "parameters") else { return error };
         let machine = self.machine_stage(estimate).map(|stage| stage.name.as_str()).unwrap_or_default();
         let Ok(Some(locations)) = self.location_errors(machine) else { return error };
-        let help = match (locations.get(pattern), substitute(&locations, pattern)) {
-            (Some(_), Some(substitute)) => substitute,
-            (Some(_), None) => format!("`{pattern}` is an error of this chain: list it under `errors` of the machine"),
-            (None, _) => return error,
-        };
-        error.help(help)
+        let listed: Vec<&str> = model.info().parameters.iter().map(|parameter| parameter.name.as_str()).collect();
+        let is_estimated = |name: &&str| estimate.parameters.iter().any(|pattern| matches(pattern, name));
+        let estimated: Vec<&str> = listed.iter().copied().filter(is_estimated).collect();
+        match instead(&locations, pattern, &estimated, &listed) {
+            Some(help) => error.help(help),
+            None => error,
+        }
     }
 }
 
-/// What does the same as a location error on this chain: a sentence; none for one that is independent.
-fn substitute(locations: &LocationErrors, name: &str) -> Option<String> {
-    match &locations.get(name)?.standing {
-        Standing::Independent { .. } => None,
-        Standing::SetUp => Some(format!(
-            "on this chain `{name}` does what offsets and turns of workpiece and tool do: leave it out (`abbe model` lists the independent ones)"
-        )),
-        Standing::Dependent(of) => {
-            let names: Vec<String> = of.iter().map(|(name, _)| format!("`{name}`")).collect();
-            Some(format!(
-                "on this chain `{name}` does what {} with the set-up: estimate {} in its place (`abbe model` lists the independent ones)",
-                if names.len() == 1 { format!("{} does", names[0]) } else { format!("{} do", names.join(" and ")) },
-                if names.len() == 1 { "that one" } else { "those" }
-            ))
+/// The location errors of an estimate that do what set-up or others of the estimate do, which stay: those rather that are
+/// independent by convention. Each with the others; none for what set-up does.
+fn superfluous<'a>(locations: &LocationErrors, estimated: &[&'a str]) -> Vec<(&'a str, Vec<String>)> {
+    let is_independent =
+        |name: &&str| locations.get(name).is_some_and(|error| matches!(error.standing, Standing::Independent { .. }));
+    let (mut kept, others): (Vec<&str>, Vec<&str>) = estimated.iter().copied().partition(is_independent);
+    let mut found = Vec::new();
+    for name in others {
+        match locations.same_as(name, &kept) {
+            Some(same) => found.push((name, same)),
+            None => kept.push(name),
         }
     }
+    found
+}
+
+/// What to do about a superfluous location error: a sentence.
+fn told((name, same): (&str, Vec<String>)) -> String {
+    match same.as_slice() {
+        [] => format!(
+            "on this chain `{name}` does what offsets and turns of workpiece and tool do: leave it out (`abbe model` lists the independent ones)"
+        ),
+        _ => format!(
+            "on this chain `{name}` does what {} with the set-up, and that is estimated already: leave `{name}` out",
+            does(&same)
+        ),
+    }
+}
+
+/// `EC0X` does, `EC0X` and `EA0Y` do.
+fn does(names: &[String]) -> String {
+    format!("{} {}", and(names), if names.len() == 1 { "does" } else { "do" })
+}
+
+fn and(names: &[String]) -> String {
+    let quoted: Vec<String> = names.iter().map(|name| format!("`{name}`")).collect();
+    quoted.join(" and ")
+}
+
+/// What to do about a location error that is to be estimated and that the machine does not list: a sentence; none for what is no
+/// location error of the chain. Errors that are estimated or listed are named before others.
+fn instead(locations: &LocationErrors, name: &str, estimated: &[&str], listed: &[&str]) -> Option<String> {
+    locations.get(name)?;
+    if let Some(same) = locations.same_as(name, estimated) {
+        return Some(told((name, same)));
+    }
+    let independent: Vec<&str> =
+        locations.independent().map(|error| error.name.as_str()).filter(|own| *own != name).collect();
+    let Some(same) = locations.same_as(name, &[estimated, listed, &independent].concat()) else {
+        return Some(format!("`{name}` is an error of this chain: list it under `errors` of the machine"));
+    };
+    let of = |is_wanted: &dyn Fn(&str) -> bool| -> Vec<String> {
+        same.iter().filter(|name| is_wanted(name)).cloned().collect()
+    };
+    let there = of(&|name| estimated.contains(&name));
+    let rest = of(&|name| !estimated.contains(&name));
+    let unlisted = of(&|name| !listed.contains(&name));
+    let mut help = format!(
+        "on this chain `{name}` does what {} with the set-up: estimate {} in its place",
+        does(&same),
+        and(&rest)
+    );
+    if !there.is_empty() {
+        help.push_str(&format!("; {} estimated already", is(&there)));
+    }
+    if !unlisted.is_empty() {
+        help.push_str(&format!("; {} to be listed under `errors` of the machine", has(&unlisted)));
+    }
+    Some(help)
+}
+
+fn is(names: &[String]) -> String {
+    format!("{} {}", and(names), if names.len() == 1 { "is" } else { "are" })
+}
+
+fn has(names: &[String]) -> String {
+    format!("{} {}", and(names), if names.len() == 1 { "has" } else { "have" })
 }
 
 /// Settings of a machine that has all location errors of its chain and no others; none for a model without a list of errors.

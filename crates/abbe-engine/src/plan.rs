@@ -7,6 +7,7 @@ use std::sync::Arc;
 use abbe_core::{DataRow, Dataset, Error, Identifiability, Monitor, Result, WeakDirection};
 use abbe_planning::{Generation, Plan, PlanFigures, Planning, generate, plan};
 use abbe_recipe::Stage;
+use abbe_table::Layout as FileLayout;
 use serde_json::{Value, json};
 
 use crate::folder::write_folder;
@@ -71,7 +72,19 @@ impl Prepared {
                 let text = chosen(&path, &generated.text, &rows_of(&plan, None, &generated.data), &generated.data)?;
                 BTreeMap::from([(path, text)])
             }
-            None => rows(&data[self.artefact(&wanted.candidates)?.0], &plan)?,
+            None => {
+                let data = &data[self.artefact(&wanted.candidates)?.0];
+                let layouts = self.layouts()?;
+                let is_other = |file: &&PathBuf| layouts.get(*file).is_some_and(|own| *own != FileLayout::default());
+                if let Some(file) = data.files.iter().find(is_other) {
+                    let error =
+                        Error::usage("the candidates are in a file with a layout of its own, which is not written");
+                    return Err(error.in_file(file).help(
+                        "save the candidates with commas, points and the names of the data set, or let `generate` make them",
+                    ));
+                }
+                rows(data, &plan)?
+            }
         };
         let record = serde_json::to_string_pretty(&record(&stage.name, &plan, &identifiability))
             .map_err(|error| Error::data(format!("the plan cannot be written: {error}")))?

@@ -55,7 +55,7 @@ impl Prepared {
             let mut identifiability = self.located(stage, estimator.identify(problem))?;
             found.insert(stage.name.clone(), identifiability.clone());
             identifiability.remarks.extend(remarks(problem));
-            identifiability.remarks.extend(self.substitutes(stage, &identifiability));
+            identifiability.remarks.extend(self.substitutes(stage, problem, &identifiability));
             let accepted = self.located(stage, estimator.accepts(&identifiability))?;
             let own = problem.unknowns.iter().filter(|unknown| unknown.is_of_machine());
             let machine = own.map(|unknown| unknown.name.clone()).collect();
@@ -335,8 +335,8 @@ impl Prepared {
             [] if stage.estimate_source != EstimateSource::Measurements => {
                 Problem::new(&stage.name, &plugin, model, sets, &["*".to_owned()])
             }
-            patterns => Problem::with_ties(&stage.name, &plugin, model, sets, (patterns, &stage.ties))
-                .map_err(|error| self.with_substitute(stage, error)),
+            patterns => Problem::with_ties(&stage.name, &plugin, model.clone(), sets, (patterns, &stage.ties))
+                .map_err(|error| self.with_substitute(stage, model.as_ref(), error)),
         }
     }
 

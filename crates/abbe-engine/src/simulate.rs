@@ -8,12 +8,12 @@ use std::sync::Arc;
 
 use abbe_core::{
     Approach, AxisKind, Contact, DataRow, Dataset, Error, Kind, Layout, ObservationSet, Observations, Problem,
-    Quantity, Result, Row, Tie,
+    Quantity, Result, Row, Tie, from_settings,
 };
 use abbe_files::LARGEST_TEXT;
 use abbe_recipe::Stage;
 use abbe_simulation::{Sensors, Truth, measure};
-use abbe_table::Cells;
+use abbe_table::{Cells, Declared, Layout as FileLayout};
 
 use crate::folder::write_folder;
 use crate::places::Places;
@@ -78,7 +78,8 @@ impl Prepared {
         let measured = measure(&programme, &values, seed).map_err(of_truth)?;
         let mut cells = recorded(&measured, values.noise.resolution_mm)?;
         let logs = self.logs(self.machine(self.recipe_stage(machine)?)?.0, |log| self.data(log))?;
-        sensed(&measured, &logs, &values.noise.sensors, seed, &mut cells).map_err(of_truth)?;
+        let layouts = self.layouts()?;
+        sensed(&measured, &logs, (&values.noise.sensors, seed), &layouts, &mut cells).map_err(of_truth)?;
 
         let mut places = Places::new(&self.recipe.base);
         let mut files = BTreeMap::new();
@@ -92,9 +93,10 @@ impl Prepared {
             let place = places.of(source)?;
             let mut content = abbe_files::read(source, u64::MAX).map_err(|error| unreadable(source, &error))?;
             if let Some(cells) = cells.get(source) {
-                let copied = abbe_table::read(source)?.rows() - cells.len();
-                let text = abbe_table::with_cells(source, &content, cells)?;
-                content = format!("{}{text}", comment(&named, seed, copied)).into_bytes();
+                let layout = layouts.get(source).cloned().unwrap_or_default();
+                let copied = abbe_table::read_laid_out(source, &layout)?.0.rows() - cells.len();
+                let comment = comment(&named, seed, copied);
+                content = abbe_table::with_cells_laid_out(source, &content, cells, &layout, &comment)?;
                 data.push(SimulatedFile { file: place.clone(), measured: cells.len(), copied });
             } else if let Some(read_by) = readers.get(source) {
                 not_simulated.push(UnchangedFile { file: place.clone(), read_by: read_by.clone() });
@@ -126,6 +128,24 @@ impl Prepared {
                 .help("say which one is simulated: `--machine NAME`")
                 .in_file(&self.recipe.path)),
         }
+    }
+
+    /// The layout of every file that `ingest: csv` reads rows from.
+    ///
+    /// Fails for a file that is read with two layouts.
+    pub(crate) fn layouts(&self) -> Result<BTreeMap<PathBuf, FileLayout>> {
+        let mut layouts: BTreeMap<PathBuf, FileLayout> = BTreeMap::new();
+        for stage in self.stages(Kind::Ingest) {
+            // Other readers have other settings; their files have the usual layout, or are refused where they are written.
+            let layout = from_settings::<Declared>(&stage.settings).and_then(Declared::layout).unwrap_or_default();
+            for file in &self.data(&stage.name)?.files {
+                if layouts.insert(file.clone(), layout.clone()).is_some_and(|other| other != layout) {
+                    let message = "the file is read with two layouts, and simulated rows can be written in one only";
+                    return Err(Error::usage(message).in_file(file).help("read it by one stage, or copy it"));
+                }
+            }
+        }
+        Ok(layouts)
     }
 
     /// The stages that use measurements, by the file that these are read from.
@@ -346,8 +366,8 @@ fn recorded(measured: &Problem, resolution: f64) -> Result<BTreeMap<PathBuf, Cel
 fn sensed(
     measured: &Problem,
     logs: &[Dataset],
-    sensors: &Sensors,
-    seed: u64,
+    (sensors, seed): (&Sensors, u64),
+    layouts: &BTreeMap<PathBuf, FileLayout>,
     files: &mut BTreeMap<PathBuf, Cells>,
 ) -> Result<()> {
     let rows: Vec<&Dataset> = measured.sets.iter().map(|set| set.info().layout.data.as_ref()).collect();
@@ -356,7 +376,11 @@ fn sensed(
         return Ok(());
     }
     for data in rows.into_iter().chain(logs) {
-        let headers = data.files.iter().map(|file| abbe_table::read_headers(file)).collect::<Result<Vec<_>>>()?;
+        let own = |file: &PathBuf| match layouts.get(file) {
+            Some(layout) => abbe_table::read_headers_laid_out(file, layout),
+            None => abbe_table::read_headers(file),
+        };
+        let headers = data.files.iter().map(own).collect::<Result<Vec<_>>>()?;
         for (header, readings) in sensors.recorded(data, seed) {
             for (origin, reading) in data.origins.iter().zip(readings) {
                 let lines = files.entry(data.files[origin.file].clone()).or_default();

@@ -79,7 +79,7 @@ pub use preference::{check_preferences, in_order_of_preference};
 pub use propagation::{AposterioriFactors, Linearisation, Propagation};
 pub use rank::{confounded, identifiability, ill_conditioned, separated, weakest};
 pub use remarks::{remarks, repeated};
-pub use residuals::{Constraints, ResidualStatistics, Sizes, outliers};
+pub use residuals::{Constraints, ResidualStatistics, Sizes, outliers, radial_rms};
 pub use separation::{SeparationTrials, separating_measurements};
 pub use solved::{EstimatorSolution, RankDeficiency, UncertaintyEvaluation};
 pub use variance::{VarianceComponents, components};

@@ -59,6 +59,28 @@ impl LocationErrors {
     pub fn get(&self, name: &str) -> Option<&LocationError> {
         self.all.iter().find(|error| error.name == name)
     }
+
+    /// Which of the errors `others` do, together with offsets and turns of workpiece and tool, what the error `name` does; of
+    /// several ways that of those which stand first. None if they cannot; names that this chain does not have do not count.
+    pub fn same_as(&self, name: &str, others: &[&str]) -> Option<Vec<String>> {
+        let independent: Vec<&str> = self.independent().map(|error| error.name.as_str()).collect();
+        let amounts = |error: &LocationError| -> Vec<f64> {
+            let of = |member: &&str| match &error.standing {
+                Standing::Independent { .. } => f64::from(*member == error.name),
+                Standing::Dependent(of) => of.iter().find(|(other, _)| other == member).map_or(0.0, |(_, part)| *part),
+                Standing::SetUp => 0.0,
+            };
+            independent.iter().map(of).collect()
+        };
+        let mut basis = Basis::default();
+        let mut members = Vec::new();
+        for error in others.iter().filter_map(|other| self.get(other)).filter(|error| error.name != name) {
+            basis.push(members.len(), amounts(error));
+            members.push(&error.name);
+        }
+        let parts = basis.push(members.len(), amounts(self.get(name)?))?;
+        Some(parts.into_iter().map(|(member, _)| members[member].clone()).collect())
+    }
 }
 
 /// How much of each of some parameters, by their indices.

@@ -117,6 +117,22 @@ impl ResidualStatistics {
     }
 }
 
+/// The root mean square of the distances, mm, of rows that have three residuals of lengths, as points in space have, all of them
+/// used; none if no row has.
+pub fn radial_rms(problem: &Problem, residuals: &[f64], is_used: impl Fn(EquationIndex) -> bool) -> Option<f64> {
+    let (rows, quantities) = (problem.equation_rows(), problem.quantities());
+    let equations: Vec<EquationIndex> = EquationIndex::first(residuals.len()).collect();
+    let is_point = |row: &&[EquationIndex]| {
+        row.len() == 3 && row.iter().all(|equation| quantities[*equation] == Quantity::Length && is_used(*equation))
+    };
+    let squares: Vec<f64> = equations
+        .chunk_by(|one, other| rows[one.0] == rows[other.0])
+        .filter(is_point)
+        .map(|row| row.iter().map(|equation| residuals[*equation].powi(2)).sum())
+        .collect();
+    (!squares.is_empty()).then(|| (squares.iter().sum::<f64>() / squares.len() as f64).sqrt())
+}
+
 /// The factor of the scatter of some rows that determine `determined` unknowns ([`scatter_factor`]). 1 without robust weights.
 pub fn correction(rows: &[EquationIndex], report: Option<&RobustReport>, determined: f64) -> f64 {
     let Some(report) = report else { return 1.0 };

@@ -11,7 +11,7 @@ use crate::equivalent_motion_errors::equivalent_motion_errors;
 use crate::judgement::Judgement;
 use crate::propagation::{AposterioriFactors, Linearisation, Propagation};
 use crate::rank::{confounded, identifiability, ill_conditioned, separated, weakest};
-use crate::residuals::{Constraints, ResidualStatistics, outliers};
+use crate::residuals::{Constraints, ResidualStatistics, outliers, radial_rms};
 use crate::variance::VarianceComponents;
 use crate::weighted::Weighted;
 
@@ -148,6 +148,7 @@ impl UncertaintyEvaluation {
             _ => Vec::new(),
         };
         let angles = Some(&statistics.angles).filter(|angles| angles.count > 0);
+        let is_used = |equation| report.as_ref().is_none_or(|report| report.weights[equation] > 0.0);
         let fit = FitReport {
             observations: statistics.used,
             unknowns: problem.unknowns.len(),
@@ -162,6 +163,7 @@ impl UncertaintyEvaluation {
             residual_max_um: statistics.lengths.max * 1e3,
             residual_mean_abs_um: statistics.lengths.mean_abs * 1e3,
             residual_rms_um: statistics.lengths.rms * 1e3,
+            residual_radial_rms_um: radial_rms(problem, &residuals, is_used).map(|rms| rms * 1e3),
             residual_max_urad: angles.map(|angles| angles.max * 1e6),
             residual_mean_abs_urad: angles.map(|angles| angles.mean_abs * 1e6),
             residual_rms_urad: angles.map(|angles| angles.rms * 1e6),

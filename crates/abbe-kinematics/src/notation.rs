@@ -126,8 +126,11 @@ impl FromStr for StructuralLoop {
     }
 }
 
+/// Characters that are used for the prime.
+const PRIMES: [char; 3] = ['\'', '\u{2019}', '\u{2032}'];
+
 /// Reads one axis; returns the axis, whether it has a prime, and the rest of the text.
-fn read_axis(text: &str, bed_passed: bool) -> Result<(NamedAxis, bool, &str), String> {
+fn read_axis<'a>(text: &'a str, bed_passed: bool) -> Result<(NamedAxis, bool, &'a str), String> {
     let (indexed, inner) = match text.strip_prefix('(') {
         Some(inner) => (true, inner.trim_start()),
         None => (false, text),
@@ -142,16 +145,19 @@ fn read_axis(text: &str, bed_passed: bool) -> Result<(NamedAxis, bool, &str), St
         return Err(format!("`{name}`: axis numbers start from 1"));
     }
     let mut prime = false;
-    for mark in ['\'', '\u{2019}', '\u{2032}'] {
-        if let Some(after) = rest.strip_prefix(mark) {
-            (prime, rest) = (true, after);
+    let mut read_prime = |rest: &mut &'a str| {
+        if let Some(after) = rest.strip_prefix(PRIMES) {
+            (prime, *rest) = (true, after);
         }
-    }
+    };
+    read_prime(&mut rest);
     if indexed {
         rest = rest
             .trim_start()
             .strip_prefix(')')
             .ok_or_else(|| format!("the parenthesis of the spindle {name} is not closed"))?;
+        // People write (C') and (C)'.
+        read_prime(&mut rest);
     }
     let branch = if bed_passed { Branch::Tool } else { Branch::Workpiece };
     Ok((NamedAxis { name: name.to_owned(), branch, indexed }, prime, rest))
@@ -170,6 +176,9 @@ mod tests {
             ("w b Y X Z t", Ok("w b Y X Z t")),
             ("w C2' C1' b t", Ok("w C2' C1' b t")),
             ("w X' Y' b Z (C1) t", Ok("w X' Y' b Z (C1) t")),
+            ("w (C') b Z t", Ok("w (C') b Z t")),
+            ("w (C)' b Z t", Ok("w (C') b Z t")),
+            ("w (C\u{2032}) X\u{2019} b Z t", Ok("w (C') X' b Z t")),
             (
                 "w X' Y' Z t",
                 Err("`w X' Y' Z t`: it has no bed; write `b` (or `f`) between workpiece side and tool side"),

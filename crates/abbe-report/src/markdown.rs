@@ -164,10 +164,12 @@ fn estimates(fits: &[FitResult]) -> String {
         let counts = [report.observations, report.unknowns, report.rank].map(|count| count.to_string());
         let mut cells = vec![fit.name.clone()];
         cells.extend(counts);
-        cells.extend([short(report.residual_rms_um), short(report.sigma), fit.calibration.outliers.len().to_string()]);
+        let radial = report.residual_radial_rms_um.map_or("–".to_owned(), short);
+        cells.extend([short(report.residual_rms_um), radial, short(report.sigma)]);
+        cells.push(fit.calibration.outliers.len().to_string());
         cells
     });
-    let head = ["estimate", "equations", "unknowns", "rank", "residual RMS µm", "sigma", "outliers"];
+    let head = ["estimate", "equations", "unknowns", "rank", "residual RMS µm", "radial RMS µm", "sigma", "outliers"];
     let text = table(&head, &rows.collect::<Vec<_>>());
     if text.is_empty() { text } else { text + "\n" }
 }

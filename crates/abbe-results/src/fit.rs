@@ -206,6 +206,9 @@ pub struct FitReport {
     pub residual_mean_abs_um: f64,
     /// Root mean square of the residuals of lengths, µm.
     pub residual_rms_um: f64,
+    /// Root mean square of the distances of points, µm: of rows that have three residuals of lengths; none if no row has.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub residual_radial_rms_um: Option<f64>,
     /// Largest absolute residual of angles, µrad; none if no angle was observed.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub residual_max_urad: Option<f64>,
@@ -266,6 +269,7 @@ impl FitReport {
             residual_max_um: 0.0,
             residual_mean_abs_um: 0.0,
             residual_rms_um: 0.0,
+            residual_radial_rms_um: None,
             residual_max_urad: None,
             residual_mean_abs_urad: None,
             residual_rms_urad: None,

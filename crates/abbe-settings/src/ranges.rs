@@ -6,6 +6,7 @@
 use serde_json::{Map, Value, json};
 
 use crate::settings::{PathItem, SettingsError};
+use crate::unit::Quantity;
 
 /// Largest size of a number, by the end of its name.
 const LARGEST: [(&str, f64); 29] = [
@@ -179,7 +180,7 @@ impl<'a> Check<'a> {
                 let number = number.as_f64().unwrap_or(f64::NAN);
                 match ranges.first() {
                     Some(range) if !ranges.iter().any(|range| takes(range, number)) => {
-                        Err(refused(number, range).under(path.iter().cloned()))
+                        Err(refused(number, range, path).under(path.iter().cloned()))
                     }
                     _ => Ok(()),
                 }
@@ -275,7 +276,16 @@ pub fn range(schema: &Map<String, Value>) -> Option<String> {
     Some(format!("{from} {to}{smallest}"))
 }
 
-fn refused(number: f64, schema: &Map<String, Value>) -> SettingsError {
+/// The unit in the name of the innermost setting of a path that has one.
+fn unit(path: &[PathItem]) -> Option<&str> {
+    path.iter().rev().find_map(|item| {
+        let PathItem::Key(key) = item else { return None };
+        let (name, ..) = Quantity::of_column(key);
+        key.strip_prefix(name).map(|suffix| suffix.trim_start_matches('_')).filter(|suffix| !suffix.is_empty())
+    })
+}
+
+fn refused(number: f64, schema: &Map<String, Value>, path: &[PathItem]) -> SettingsError {
     let number = if number != 0.0 && !(1e-6..1e12).contains(&number.abs()) {
         format!("{number:e}")
     } else {
@@ -284,8 +294,11 @@ fn refused(number: f64, schema: &Map<String, Value>) -> SettingsError {
     let what = if types(schema).any(|kind| kind == "integer") { "a whole number" } else { "a number" };
     let range = range(schema).unwrap_or_default();
     let comma = if range.contains(',') { "," } else { "" };
-    SettingsError::new("", format!("{number}: {what} {range}{comma} was expected"))
-        .help("is it in the unit of its name?")
+    let help = match unit(path) {
+        Some(unit) => format!("is it in the unit of its name, {unit}?"),
+        None => "write a number in this range, or leave the setting out if it is optional".to_owned(),
+    };
+    SettingsError::new("", format!("{number}: {what} {range}{comma} was expected")).help(help)
 }
 
 #[cfg(test)]
@@ -350,6 +363,13 @@ mod tests {
         ] {
             let said = check(&schema, &wrong).expect_err("it is refused").to_string();
             assert!(said.starts_with(expected), "{said}");
+        }
+        for (wrong, help) in [
+            (json!({ "tip_mm": [0, 1e7] }), "is it in the unit of its name, mm?"),
+            (json!({ "standard_um": { "a": 1e-10 } }), "is it in the unit of its name, um?"),
+            (json!({ "count": 10 }), "write a number in this range, or leave the setting out if it is optional"),
+        ] {
+            assert_eq!(check(&schema, &wrong).expect_err("it is refused").help.as_deref(), Some(help), "{wrong}");
         }
     }
 }

@@ -49,12 +49,15 @@ impl Series {
             Self::Even(even) => even.values()?,
         };
         if values.first().is_some_and(|first| !first.is_finite()) {
-            return Err(SettingsError::new("", "finite numbers were expected").under([PathItem::Index(0)]));
+            return Err(SettingsError::new("", "finite numbers were expected")
+                .help("list them: [0, 50, 100]")
+                .under([PathItem::Index(0)]));
         }
         match values.windows(2).position(|pair| !(pair[0] < pair[1] && pair[1].is_finite())) {
             None => Ok(values),
             Some(index) => {
                 Err(SettingsError::new("", format!("these have to increase; {} does not", values[index + 1]))
+                    .help("list each once, in ascending order")
                     .under([PathItem::Index(index + 1)]))
             }
         }
@@ -69,15 +72,15 @@ impl EvenSeries {
             let message = format!(
                 "from {from} to {to} in steps of {step}: a smaller `from`, a larger `to` and a positive `step` were expected"
             );
-            return Err(SettingsError::new("", message));
+            return Err(SettingsError::new("", message).help("write `{ from: 0, to: 300, step: 50 }`"));
         }
         if intervals > MOST {
             let message = format!("from {from} to {to} in steps of {step} are more than {MOST} steps");
-            return Err(SettingsError::new("step", message));
+            return Err(SettingsError::new("step", message).help("take a larger step"));
         }
         if (intervals - intervals.round()).abs() > 1e-9 * intervals {
             let message = format!("the step {step} does not divide the way from {from} to {to}");
-            return Err(SettingsError::new("step", message));
+            return Err(SettingsError::new("step", message).help("take another step, or another end"));
         }
         let last = intervals.round();
         // Both ends are exact.

@@ -190,7 +190,8 @@ pub fn from_settings_in_range<T: DeserializeOwned + JsonSchema>(settings: &Value
 pub fn positive(name: &str, value: f64) -> Result<f64, SettingsError> {
     match value > 0.0 && value.is_finite() {
         true => Ok(value),
-        false => Err(SettingsError::new(name, format!("{value}: a positive number was expected"))),
+        false => Err(SettingsError::new(name, format!("{value}: a positive number was expected"))
+            .help("write a finite number above 0")),
     }
 }
 
@@ -198,7 +199,8 @@ pub fn positive(name: &str, value: f64) -> Result<f64, SettingsError> {
 pub fn not_negative(name: &str, value: f64) -> Result<f64, SettingsError> {
     match value >= 0.0 && value.is_finite() {
         true => Ok(value),
-        false => Err(SettingsError::new(name, format!("{value}: a number that is not negative was expected"))),
+        false => Err(SettingsError::new(name, format!("{value}: a number that is not negative was expected"))
+            .help("write 0 or a finite number above it")),
     }
 }
 

@@ -283,6 +283,11 @@ impl Unit {
         self.symbol
     }
 
+    /// A number in the unit used in memory as it is written in this unit, with a decimal point.
+    pub(crate) fn write(self, value: f64) -> String {
+        format!("{}", value / self.factor + self.zero)
+    }
+
     /// A number as it is written in this unit (with a decimal point), in the unit used in memory.
     pub(crate) fn read(self, written: &str) -> Option<f64> {
         let value = if self.is_sexagesimal() { sexagesimal(written)? } else { written.parse().ok()? };

@@ -23,9 +23,9 @@ use abbe_core::{Column, ColumnHeader, DataRow, Dataset, Error, Quantity, Result,
 
 pub use layout::{ColumnSource, Decimal, Encoding, Layout, Separator, Thousands, Unit};
 pub use number::{TEMPERATURES, number, number_in};
-pub use rewrite::{Cells, with_cells, with_columns};
+pub use rewrite::{Cells, with_cells, with_cells_laid_out, with_columns};
 pub use settings::{ColumnInUnit, Declared, Source};
-pub use survey::{Contents, Found, Jump, Likely, contents, likely};
+pub use survey::{Contents, Found, Jump, Likely, Summary, contents, likely};
 
 /// Reads the columns of a file, not its rows.
 pub fn read_headers(path: &Path) -> Result<Vec<ColumnHeader>> {
@@ -89,7 +89,9 @@ fn unreadable(path: &Path, error: &io::Error) -> Error {
         io::ErrorKind::NotFound => "there is no such file".to_owned(),
         _ => format!("the file cannot be read: {error}"),
     };
-    Error::usage(message).in_file(path)
+    Error::usage(message)
+        .in_file(path)
+        .help("is the path right? In a recipe it is relative to the folder of the recipe")
 }
 
 /// A column without rows.
@@ -105,7 +107,8 @@ pub fn empty_column(header: ColumnHeader) -> Column {
 pub fn labels<'a>(data: &'a Dataset, name: &str) -> Result<&'a [String]> {
     match data.column(name) {
         Some(Column { header, values: Values::Numbers(_) }) => {
-            Err(wrong_column(data, format!("the column `{}` holds numbers; labels were expected", header.header)))
+            Err(wrong_column(data, format!("the column `{}` holds numbers; labels were expected", header.header))
+                .help("labels have names without a unit"))
         }
         _ => data.required_labels(name),
     }
@@ -125,7 +128,7 @@ pub fn numbers<'a>(data: &'a Dataset, name: &str, quantity: Quantity) -> Result<
         Some(header) => {
             let message =
                 format!("the column `{}` has the wrong unit; {} was expected", header.header, quantity.symbol());
-            Err(wrong_column(data, message))
+            Err(wrong_column(data, message).help(format!("write its unit into its name: `{expected}`")))
         }
     }
 }

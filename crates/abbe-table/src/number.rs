@@ -13,6 +13,9 @@ const SHOWN: usize = 60;
 /// Temperatures that are read, °C: no machine is measured at others, and 293 is in kelvin.
 pub const TEMPERATURES: RangeInclusive<f64> = -100.0..=200.0;
 
+/// Zero of the scale of °C, K.
+const KELVIN: f64 = 273.15;
+
 /// Reads a number as it stands in a cell of the column `header`, in the unit used in memory; else says what is wrong.
 pub fn number(header: &str, cell: &str) -> Result<f64, String> {
     number_of(header, cell, None, &Layout::default())
@@ -61,20 +64,32 @@ fn expected(cell: &str, layout: &Layout) -> &'static str {
     }
 }
 
-/// The setting that a cell which is no number seems to need.
-pub(crate) fn help_for(cell: &str, layout: &Layout) -> Option<&'static str> {
+/// The setting that a cell of the column `header` which is not read seems to need.
+pub(crate) fn help_for(header: &str, cell: &str, layout: &Layout) -> Option<Cow<'static, str>> {
     let is = |decimal, thousands| is_number(cell.trim(), decimal, thousands);
+    if is(layout.decimal, layout.thousands) {
+        let value = plain(cell.trim(), layout.decimal, layout.thousands).and_then(|it| it.parse::<f64>().ok())?;
+        let is_kelvin = TEMPERATURES.contains(&(value - KELVIN)) && !TEMPERATURES.contains(&value);
+        let source =
+            format!("`columns: {{ {header}: {{ column: NAME, unit: K }} }}` where it is read by `ingest: csv`");
+        return is_kelvin.then(|| format!("if it is in kelvin, write {source}, with its name in the file").into());
+    }
+    if cell.trim().is_empty() {
+        return Some("write `no_data: [\"\"]` where it is read by `ingest: csv` to leave such rows out".into());
+    }
     let other = if layout.decimal == Decimal::Point { Decimal::Comma } else { Decimal::Point };
     if is(other, Thousands::None) {
-        return Some(match other {
-            Decimal::Comma => "write `decimal: comma` where it is read by `ingest: csv`",
-            Decimal::Point => "write `decimal: point` where it is read by `ingest: csv`",
-        });
+        return Some(format!("write `decimal: {}` where it is read by `ingest: csv`", other.name()).into());
     }
     let separated = Thousands::ALL.into_iter().find(|(thousands, ..)| {
         layout.thousands != *thousands && [layout.decimal, other].into_iter().any(|decimal| is(decimal, *thousands))
-    })?;
-    Some(separated.2)
+    });
+    Some(match separated {
+        Some((.., advice)) => advice.into(),
+        None => {
+            "correct the cell; `no_data` of `ingest: csv` lists what stands for a number that was not measured".into()
+        }
+    })
 }
 
 /// Whether a cell is a number that is written so.
@@ -99,7 +114,8 @@ pub(crate) fn plain(cell: &str, decimal: Decimal, thousands: Thousands) -> Optio
             let fits = if place == 0 { (1..=3).contains(&group.len()) } else { group.len() == 3 };
             fits && group.bytes().all(|byte| byte.is_ascii_digit())
         };
-        if !groups.iter().enumerate().all(is_group) {
+        // 0.123 is no thousand, whatever is declared.
+        if !groups.iter().enumerate().all(is_group) || groups[0].starts_with('0') {
             return None;
         }
         written = format!("{}{}{}", &written[..sign], groups.concat(), &written[end..]).into();
@@ -143,6 +159,8 @@ mod tests {
         }
         for (cell, decimal, thousands) in [
             ("1.23,5", Decimal::Comma, Thousands::Point),
+            ("0.123", Decimal::Comma, Thousands::Point),
+            ("-0,500", Decimal::Point, Thousands::Comma),
             ("1234.567,8", Decimal::Comma, Thousands::Point),
             (".234", Decimal::Comma, Thousands::Point),
             ("1..234", Decimal::Comma, Thousands::Point),
@@ -154,12 +172,15 @@ mod tests {
         ] {
             assert!(read(cell, decimal, thousands).is_err(), "{cell}");
         }
-        let help = |cell: &str, layout: &Layout| help_for(cell, layout).unwrap_or_default();
+        let help = |cell: &str, layout: &Layout| help_for("T_degC", cell, layout).unwrap_or_default();
         let comma = Layout { decimal: Decimal::Comma, ..Layout::default() };
         assert!(help("1.234,5", &comma).contains("`thousands: point`"));
         assert!(help("1\u{a0}234,5", &comma).contains("`thousands: blank`"));
         assert!(help("1,5", &Layout::default()).contains("`decimal: comma`"));
         assert!(help("1.5", &comma).contains("`decimal: point`"));
-        assert_eq!(help_for("one", &comma), None);
+        assert!(help("one", &comma).contains("`no_data`") && help("", &comma).contains("`no_data: [\"\"]`"));
+        let kelvin = help("293.15", &Layout::default());
+        assert!(kelvin.contains("unit: K") && !kelvin.contains("thousands"), "{kelvin}");
+        assert_eq!(help_for("T_degC", "9e9", &Layout::default()), None);
     }
 }

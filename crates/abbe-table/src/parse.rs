@@ -11,6 +11,14 @@ use crate::number::{help_for, number_of, shown};
 use crate::text::{newlines, read_line, text};
 use crate::{empty_column, unreadable};
 
+/// What to do about a row with too many or too few cells.
+const RAGGED: &str = "correct the file: a separator is missing there or one too many, or a text or a decimal comma is not \
+                      quoted; titles before the table are left out by `skip_lines`";
+
+/// What to do about two columns of one name.
+const TWINS: &str = "give one of them another name in the file, or take columns by number: `header: false`, with `skip_lines` for \
+                     the header row and `columns: { X_mm: 1 }`";
+
 /// Bytes of the longest cell: 64 KiB.
 const LONGEST_CELL: usize = 64 << 10;
 
@@ -56,7 +64,7 @@ pub(crate) fn dataset(path: &Path, bytes: &[u8], layout: &Layout) -> Result<(Dat
         if found != expected {
             let cells = if found == 1 { "cell" } else { "cells" };
             let message = format!("the row has {found} {cells}; {expected} were expected");
-            return Err(Error::data(message).at(path, records.line, None));
+            return Err(Error::data(message).at(path, records.line, None).help(RAGGED));
         }
         if taken.iter().any(|column| column.is_absent(&records, layout)) {
             continue;
@@ -66,7 +74,7 @@ pub(crate) fn dataset(path: &Path, bytes: &[u8], layout: &Layout) -> Result<(Dat
             let cell = records.cell(column)?;
             numbers.push(number_of(&column.header.header, cell, column.unit, layout).map_err(|message| {
                 let error = records.at_cell(Error::data(message), column.index);
-                match help_for(cell, layout) {
+                match help_for(&column.header.header, cell, layout) {
                     Some(help) => error.help(help),
                     None => error,
                 }
@@ -82,11 +90,15 @@ pub(crate) fn dataset(path: &Path, bytes: &[u8], layout: &Layout) -> Result<(Dat
         origins.push(RowOrigin { file: 0, line: records.line, row });
     }
     if origins.is_empty() {
-        let message = match row {
-            0 => "the file has no data rows".to_owned(),
-            _ => format!("all {row} rows of the file hold a mark of `no_data`"),
+        let (message, help) = match row {
+            0 if newlines(&text) == 0 => (
+                "the file is one line: names of columns, and no rows of data",
+                "each row needs a line of its own; save the table again if it had some",
+            ),
+            0 => ("the file has no data rows", "`skip_lines` and `skip_after_header` may skip them"),
+            _ => ("all rows of the file hold a mark of `no_data`", "`no_data` may list what is a number"),
         };
-        return Err(Error::data(message).in_file(path));
+        return Err(Error::data(message).in_file(path).help(help));
     }
     let left_out = row - origins.len();
     Ok((Dataset { columns, origins, files: vec![path.to_owned()], averaged: false, is_log: false }, left_out))
@@ -145,18 +157,37 @@ impl<'a> Table<'a> {
     }
 }
 
+/// The columns of a text that has this layout: header in the data set, index in a row, and unit in the file if it is another one.
+pub(crate) fn places(path: &Path, text: &str, layout: &Layout) -> Result<Vec<(ColumnHeader, usize, Option<Unit>)>> {
+    let taken = Table::begin(path, text, layout)?.taken;
+    Ok(taken.into_iter().map(|column| (column.header, column.index, column.unit)).collect())
+}
+
 /// The cells of one line, as they stand there.
-pub(crate) fn cells(path: &Path, line: &str) -> Result<Vec<String>> {
-    let mut reader = csv::ReaderBuilder::new().has_headers(false).flexible(true).from_reader(line.as_bytes());
+pub(crate) fn cells(path: &Path, line: &str, separator: Separator) -> Result<Vec<String>> {
+    if separator == Separator::Space {
+        return Ok(line.split_whitespace().map(str::to_owned).collect());
+    }
+    let mut reader = csv::ReaderBuilder::new()
+        .has_headers(false)
+        .flexible(true)
+        .delimiter(separator.character() as u8)
+        .from_reader(line.as_bytes());
     let mut record = csv::StringRecord::new();
     reader.read_record(&mut record).map_err(|error| Error::data(error.to_string()).in_file(path))?;
     Ok(record.iter().map(str::to_owned).collect())
 }
 
 /// A line with these cells, quoted where they have to be.
-pub(crate) fn line(path: &Path, cells: &[String]) -> Result<String> {
+pub(crate) fn line(path: &Path, cells: &[String], separator: Separator) -> Result<String> {
+    if separator == Separator::Space {
+        return Ok(cells.join(" "));
+    }
     let wrong = |message: String| Error::data(message).in_file(path);
-    let mut writer = csv::WriterBuilder::new().terminator(csv::Terminator::Any(b'\n')).from_writer(Vec::new());
+    let mut writer = csv::WriterBuilder::new()
+        .delimiter(separator.character() as u8)
+        .terminator(csv::Terminator::Any(b'\n'))
+        .from_writer(Vec::new());
     writer.write_record(cells).map_err(|error| wrong(error.to_string()))?;
     let bytes = writer.into_inner().map_err(|error| wrong(error.to_string()))?;
     let text = String::from_utf8(bytes).map_err(|error| wrong(error.to_string()))?;
@@ -164,13 +195,17 @@ pub(crate) fn line(path: &Path, cells: &[String]) -> Result<String> {
 }
 
 fn empty(path: &Path) -> Error {
-    Error::data("the file is empty").in_file(path)
+    Error::data("the file is empty")
+        .in_file(path)
+        .help("a row with the names of the columns was expected, and rows of data")
 }
 
 fn no_header(path: &Path, layout: &Layout) -> Error {
     match layout.skip_lines {
         0 => empty(path),
-        lines => Error::usage(format!("there is no row after the {lines} lines of `skip_lines`")).in_file(path),
+        lines => Error::usage(format!("there is no row after the {lines} lines of `skip_lines`"))
+            .in_file(path)
+            .help("the row of names follows them"),
     }
 }
 
@@ -225,14 +260,17 @@ impl<'a> Records<'a> {
             }
             // A superfluous quotation mark makes such a cell; it would contain several rows.
             if let Some(cell) = self.cells.iter().position(|cell| cell.contains(['\n', '\r'])) {
-                return Err(self.at_cell(Error::data("a quotation mark is not closed in its line"), cell));
+                let error = Error::data("a quotation mark is not closed in its line")
+                    .help("close it, or take it out; a text with a quotation mark in it has it twice");
+                return Err(self.at_cell(error, cell));
             }
             if self.cells.as_slice().len() > LONGEST_CELL
                 && let Some(cell) = self.cells.iter().position(|cell| cell.len() > LONGEST_CELL)
             {
                 let length = self.cells[cell].len().div_ceil(1024);
                 let message = format!("a cell has {length} KiB; at most {} are read", LONGEST_CELL >> 10);
-                return Err(self.at_cell(Error::data(message), cell));
+                let error = Error::data(message).help("is it a table? `abbe data FILE` shows what is understood of it");
+                return Err(self.at_cell(error, cell));
             }
             return Ok(true);
         }
@@ -268,7 +306,13 @@ impl<'a> Records<'a> {
                     continue;
                 }
             };
-            return Err(self.at_cell(Error::usage(message), index));
+            let help = match twin {
+                Some(_) => TWINS,
+                None => {
+                    "give it one, or take columns by name: `columns: { X_mm: NAME }` where it is read by `ingest: csv`"
+                }
+            };
+            return Err(self.at_cell(Error::usage(message).help(help), index));
         }
         Ok(Some(headers))
     }
@@ -287,7 +331,8 @@ impl<'a> Records<'a> {
         match (places.next(), places.next()) {
             (Some(place), None) => Ok(place),
             (Some(_), Some(twin)) => {
-                Err(self.at_cell(Error::usage(format!("there are two columns `{}`", shown(name))), twin))
+                let error = Error::usage(format!("there are two columns `{}`", shown(name))).help(TWINS);
+                Err(self.at_cell(error, twin))
             }
             _ => {
                 let named: Vec<String> = names.iter().map(|name| format!("`{}`", shown(name))).collect();
@@ -303,7 +348,7 @@ impl<'a> Records<'a> {
     fn cell(&self, column: &Taken) -> Result<&str> {
         self.cells.get(column.index).ok_or_else(|| {
             let message = format!("the row has {} cells, and none for `{}`", self.cells.len(), column.header.header);
-            Error::data(message).at(self.path, self.line, None)
+            Error::data(message).at(self.path, self.line, None).help(RAGGED)
         })
     }
 

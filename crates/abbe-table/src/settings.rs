@@ -72,12 +72,13 @@ impl Declared {
     pub fn layout(self) -> Result<Layout, SettingsError> {
         for (setting, lines) in [("skip_lines", self.skip_lines), ("skip_after_header", self.skip_after_header)] {
             if lines > MOST_LINES {
-                return Err(SettingsError::new(setting, format!("{lines} lines; at most {MOST_LINES} are skipped")));
+                return Err(SettingsError::new(setting, format!("{lines} lines; at most {MOST_LINES} are skipped"))
+                    .help("take them out of the file"));
             }
         }
         if !self.header && self.columns.is_none() {
             let message = "without a header row `columns` has to say what the columns are: `X_mm: 1`";
-            return Err(SettingsError::new("header", message));
+            return Err(SettingsError::new("header", message).help("`abbe data FILE` shows the columns by number"));
         }
         let is_twice = match self.thousands {
             Thousands::None | Thousands::Apostrophe => false,
@@ -109,7 +110,8 @@ fn sources(
     has_header: bool,
 ) -> Result<BTreeMap<String, ColumnSource>, SettingsError> {
     if written.is_empty() {
-        return Err(SettingsError::new("columns", "at least one column was expected"));
+        return Err(SettingsError::new("columns", "at least one column was expected")
+            .help("write `columns: { X_mm: NAME }`, or leave `columns` out to take all as they are named"));
     }
     let mut taken: BTreeMap<String, String> = BTreeMap::new();
     let mut sources = BTreeMap::new();
@@ -117,19 +119,27 @@ fn sources(
         let wrong = |message: String| SettingsError::new(&name, message).under([PathItem::Key("columns".to_owned())]);
         let header = ColumnHeader::parse(&name);
         if header.name.trim().is_empty() {
-            return Err(wrong("a column needs a name".to_owned()));
+            return Err(wrong("a column needs a name".to_owned()).help("write its name and unit: `X_mm`"));
         }
         if let Some(twin) = taken.insert(header.name.clone(), name.clone()) {
-            return Err(wrong(format!("`{twin}` and `{name}` are both named `{}`", header.name)));
+            return Err(wrong(format!("`{twin}` and `{name}` are both named `{}`", header.name))
+                .help("a column has one name and one unit: leave one of them out"));
         }
         let (Label(column), unit) = match source {
             Source::Column(column) => (column, None),
-            Source::InUnit(ColumnInUnit { column, unit }) => (column, Some(Unit::of(&unit, &header).map_err(wrong)?)),
+            Source::InUnit(ColumnInUnit { column, unit }) => (
+                column,
+                Some(Unit::of(&unit, &header).map_err(|message| {
+                    wrong(message)
+                        .help("the unit after `unit` is that of the file, the one in the name that of the data set")
+                })?),
+            ),
         };
         if !has_header && !column.parse::<usize>().is_ok_and(|number| number > 0) {
             return Err(wrong(format!(
                 "`{column}` is no number of a column; without a header row 1, 2, ... was expected"
-            )));
+            ))
+            .help("`abbe data FILE` shows the columns by number"));
         }
         sources.insert(name, ColumnSource { column, unit });
     }

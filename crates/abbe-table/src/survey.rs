@@ -2,11 +2,14 @@
 //!
 //! No measurement is read this way: `ingest: csv` follows its settings alone. No unit is ever proposed.
 
+mod faults;
+
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::Path;
 
 use abbe_core::{ColumnHeader, Quantity, Result};
 
+use self::faults::{TIME, is_time, jumps, summaries, twins};
 use crate::layout::{Decimal, Encoding, Layout, Separator, Thousands};
 use crate::number::{is_number, plain};
 use crate::parse::Records;
@@ -43,8 +46,25 @@ pub struct Contents {
     pub repeated: Vec<(usize, usize)>,
     /// Lines that begin with `#`.
     pub comments: usize,
-    /// Jumps of columns that are times.
+    /// Jumps of the time of rows, the column `time_s` (or in another unit).
     pub jumps: Vec<Jump>,
+    /// Other columns that seem to be times: their order is not looked at.
+    pub other_times: Vec<String>,
+    /// Names that several columns have.
+    pub twins: Vec<String>,
+    /// Rows at the end that seem to be sums or means of those before them.
+    pub summaries: Vec<Summary>,
+}
+
+/// A row of sums or means at the end of a table.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Summary {
+    /// Its line.
+    pub line: usize,
+    /// The column of the word that says so, by its index.
+    pub column: usize,
+    /// The word.
+    pub word: String,
 }
 
 /// A column of a file.
@@ -204,7 +224,7 @@ fn numbers_of(cells: &[&str], separator: Separator, open: &mut Vec<String>) -> (
     let fitting = |decimal, thousands| cells.iter().filter(|cell| is_number(cell, decimal, thousands)).count();
     // The simplest that fits most: later ones have to fit more.
     let mut best = (fitting(Decimal::Point, Thousands::None), Decimal::Point, Thousands::None);
-    let others = [
+    let mut others = vec![
         (Decimal::Comma, Thousands::None),
         (Decimal::Point, Thousands::Blank),
         (Decimal::Comma, Thousands::Blank),
@@ -212,6 +232,10 @@ fn numbers_of(cells: &[&str], separator: Separator, open: &mut Vec<String>) -> (
         (Decimal::Point, Thousands::Comma),
         (Decimal::Point, Thousands::Apostrophe),
     ];
+    if separator == Separator::Comma {
+        // Who separates columns by commas writes 1,234 for a thousand, in quotation marks.
+        others.rotate_right(2);
+    }
     for (decimal, thousands) in others {
         if separator == Separator::Space && thousands == Thousands::Blank {
             continue;
@@ -222,24 +246,37 @@ fn numbers_of(cells: &[&str], separator: Separator, open: &mut Vec<String>) -> (
         }
     }
     let (_, decimal, thousands) = best;
-    let (other, as_thousands) = match decimal {
-        Decimal::Comma => (Decimal::Point, Thousands::Comma),
-        Decimal::Point => (Decimal::Comma, Thousands::Point),
-    };
-    let mark = decimal.character();
-    let mut with_mark =
-        cells.iter().filter(|cell| is_number(cell, decimal, thousands) && cell.contains(mark)).peekable();
-    if thousands == Thousands::None
-        && decimal == Decimal::Comma
-        && let Some(example) = with_mark.peek().copied()
-        && with_mark.all(|cell| is_number(cell, other, as_thousands))
-    {
-        let name = as_thousands.name();
-        open.push(format!(
-            "every number with a comma is like `{example}`: if that is more than a thousand, write `thousands: {name}` and leave `decimal` out"
-        ));
-    }
+    open.extend(ambiguous(cells, separator, (decimal, thousands)));
     (decimal, thousands)
+}
+
+/// What else all numbers with a mark may be: 1,234 is a thousand or has three decimals.
+fn ambiguous(cells: &[&str], separator: Separator, read: (Decimal, Thousands)) -> Option<String> {
+    let (mark, other, advice) = match read {
+        (Decimal::Comma, Thousands::None) => (
+            ',',
+            (Decimal::Point, Thousands::Comma),
+            "if that is more than a thousand, write `thousands: comma` and leave `decimal` out",
+        ),
+        (Decimal::Point, Thousands::Comma) => (
+            ',',
+            (Decimal::Comma, Thousands::None),
+            "if that is a number with three decimals, write `decimal: comma` and leave `thousands` out",
+        ),
+        // Where commas separate columns, the point is the decimal mark.
+        (Decimal::Point, Thousands::None) if separator != Separator::Comma => (
+            '.',
+            (Decimal::Comma, Thousands::Point),
+            "if that is more than a thousand, write `decimal: comma` and `thousands: point`",
+        ),
+        _ => return None,
+    };
+    let is = |cell: &&&str, (decimal, thousands)| is_number(cell, decimal, thousands);
+    let mut marked = cells.iter().filter(|cell| cell.contains(mark) && is(cell, read)).peekable();
+    let example = *marked.peek()?;
+    let is_open = marked.all(|cell| is(&cell, other) && is(&cell, read));
+    let name = if mark == ',' { "comma" } else { "point" };
+    is_open.then(|| format!("every number with a {name} is like `{example}`: {advice}"))
 }
 
 /// Adds where the header row and the first row of data are.
@@ -314,13 +351,18 @@ fn contents_of(path: &Path, text: &str, layout: &Layout) -> Result<Contents> {
         let cells: Vec<&str> = rows.iter().map(|row| row.get(index).map_or("", String::as_str)).collect();
         let numbers = describe(&mut found.columns[index], &cells, layout);
         let header = ColumnHeader::parse(declared(&found.columns[index].name, layout));
-        if header.quantity == Quantity::Time {
-            found.jumps.extend(jumps(&header.header, &numbers, &lines));
+        match (header.quantity, header.name == TIME) {
+            (Quantity::Time, true) => found.jumps.extend(jumps(&header.header, &numbers, &lines)),
+            (Quantity::Label, _) if !is_time(&header.name, &cells) => {}
+            (Quantity::Time | Quantity::Label, _) => found.other_times.push(found.columns[index].name.clone()),
+            _ => {}
         }
         let whole = numbers.len() == rows.len() && numbers.windows(2).all(|pair| pair[1].1 - pair[0].1 == 1.0);
         // A number of rows stands in front and has no unit; other columns may count by chance.
         counters.push(index == 0 && header.quantity == Quantity::Label && whole && rows.len() > 1);
     }
+    found.twins = twins(&found.columns);
+    found.summaries = summaries(&rows, &lines);
     let compared = |row: &Vec<String>| -> Vec<String> {
         let cells = row.iter().enumerate().filter(|(index, _)| !counters.get(*index).copied().unwrap_or(false));
         cells.map(|(_, cell)| cell.clone()).collect()
@@ -364,22 +406,6 @@ fn describe(column: &mut Found, cells: &[&str], layout: &Layout) -> Vec<(usize, 
     let largest = numbers.iter().map(|(_, number)| *number).fold(f64::NEG_INFINITY, f64::max);
     column.range = (!numbers.is_empty()).then_some([least, largest]);
     numbers
-}
-
-/// A step of time is a jump from this number of usual steps.
-const JUMP: f64 = 10.0;
-
-/// Where times go back, or jump.
-fn jumps(column: &str, times: &[(usize, f64)], lines: &[usize]) -> Vec<Jump> {
-    let mut steps: Vec<f64> = times.windows(2).map(|pair| pair[1].1 - pair[0].1).filter(|step| *step > 0.0).collect();
-    steps.sort_by(f64::total_cmp);
-    let Some(&usual) = steps.get(steps.len() / 2) else { return Vec::new() };
-    let found = times.windows(2).filter_map(|pair| {
-        let step = pair[1].1 - pair[0].1;
-        let is_jump = step < 0.0 || step > JUMP * usual;
-        is_jump.then(|| Jump { column: column.to_owned(), line: lines[pair[1].0], step, usual })
-    });
-    found.collect()
 }
 
 #[cfg(test)]

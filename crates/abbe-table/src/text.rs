@@ -14,6 +14,9 @@ const BYTE_ORDER_MARK: &[u8] = b"\xef\xbb\xbf";
 /// Byte order marks of UTF-16, in which spreadsheets write "Unicode text".
 const OF_UTF_16: [&[u8]; 2] = [b"\xff\xfe", b"\xfe\xff"];
 
+/// How files in UTF-32 begin; the first as one in UTF-16 does, but no text in UTF-16 begins with a zero.
+const OF_UTF_32: [&[u8]; 2] = [b"\xff\xfe\x00", b"\x00\x00\xfe\xff"];
+
 /// Bytes of the longest line of a header: 16 MiB.
 const LONGEST_LINE: usize = 16 << 20;
 
@@ -27,6 +30,12 @@ pub fn may_be_utf_16(bytes: &[u8]) -> bool {
 ///
 /// Fails for what is no text in this encoding, and for zero bytes.
 pub fn text<'a>(path: &Path, bytes: &'a [u8], encoding: Encoding) -> Result<Cow<'a, str>> {
+    if OF_UTF_32.iter().any(|mark| bytes.starts_with(mark)) {
+        let error = Error::data("the file is text in UTF-32, which is not read").in_file(path);
+        return Err(
+            error.help("save it as UTF-8, or as UTF-16 with `encoding: utf-16` where it is read by `ingest: csv`")
+        );
+    }
     let is_marked = OF_UTF_16.iter().any(|mark| bytes.starts_with(mark));
     match encoding {
         Encoding::Utf8 if is_marked => Err(Error::data("the file is text in UTF-16; UTF-8 was expected")
@@ -91,6 +100,19 @@ fn utf_16<'a>(path: &Path, bytes: &[u8]) -> Result<Cow<'a, str>> {
     no_zeros(path, Cow::Owned(text))
 }
 
+/// The bytes of a text in an encoding, so that [`text()`] gives it back; characters that the encoding does not have become references.
+pub fn encoded(text: &str, encoding: Encoding) -> Vec<u8> {
+    match encoding {
+        Encoding::Utf8 => text.as_bytes().to_vec(),
+        Encoding::Utf16 => {
+            let units = text.encode_utf16().flat_map(u16::to_le_bytes);
+            OF_UTF_16[0].iter().copied().chain(units).collect()
+        }
+        Encoding::Latin1 => encoding_rs::WINDOWS_1252.encode(text).0.into_owned(),
+        Encoding::Gb18030 => encoding_rs::GB18030.encode(text).0.into_owned(),
+    }
+}
+
 const NO_TEXT: &str = "the file holds a zero byte: it is no text";
 
 fn no_zeros<'a>(path: &Path, text: Cow<'a, str>) -> Result<Cow<'a, str>> {
@@ -104,7 +126,8 @@ fn no_zeros<'a>(path: &Path, text: Cow<'a, str>) -> Result<Cow<'a, str>> {
 fn wrong(path: &Path, message: &str, before: &str) -> Error {
     let good = with_line_feeds(Cow::Borrowed(before));
     let column = good.chars().rev().take_while(|&c| c != '\n').count() + 1;
-    Error::data(message).at(path, 1 + newlines(&good), Some(column))
+    let help = "`abbe data FILE` tells the likely encoding; `encoding` says it where the file is read by `ingest: csv`";
+    Error::data(message).at(path, 1 + newlines(&good), Some(column)).help(help)
 }
 
 /// The text with a line feed where a carriage return alone ends a line.
@@ -138,7 +161,10 @@ pub fn read_line(reader: &mut impl BufRead, line: &mut Vec<u8>) -> io::Result<bo
             return Ok(true);
         }
         if line.len() - start > LONGEST_LINE {
-            return Err(io::Error::new(io::ErrorKind::InvalidData, "a line of it has no end within 16 MiB"));
+            return Err(io::Error::new(
+                io::ErrorKind::InvalidData,
+                "no line ends within 16 MiB: it is no table with one row a line",
+            ));
         }
     }
 }

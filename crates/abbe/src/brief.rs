@@ -18,15 +18,6 @@ const FAILURES: usize = 3;
 const CAUSES: usize = 3;
 const SAID: usize = 6;
 
-/// Width of what is no terminal.
-const WIDTH: usize = 120;
-
-/// Columns of the terminal.
-pub fn width() -> usize {
-    let terminal = terminal_size::terminal_size_of(io::stdout());
-    terminal.map_or(WIDTH, |(terminal_size::Width(columns), _)| usize::from(columns).max(40))
-}
-
 /// The summary; no line is longer than `width`, but for paths.
 pub fn text(run: &Run, folder: &Path, width: usize) -> String {
     let (word, _, sentence) = decided(run);
@@ -159,6 +150,11 @@ fn estimates(fits: &[FitResult]) -> Vec<String> {
             let angles = report.residual_rms_urad.map(|rms| format!("{} µrad", short(rms)));
             let lengths = (report.residual_rms_um > 0.0 || angles.is_none())
                 .then(|| format!("{} µm", short(report.residual_rms_um)));
+            let radial = report.residual_radial_rms_um.filter(|_| report.residual_rms_um > 0.0);
+            let lengths = lengths.map(|lengths| match radial {
+                Some(radial) => format!("{lengths} a coordinate, {} µm radial", short(radial)),
+                None => lengths,
+            });
             line.push_str(&lengths.into_iter().chain(angles).collect::<Vec<_>>().join(" and "));
             line.push_str(&format!(", sigma {}", short(report.sigma)));
         }
@@ -212,13 +208,14 @@ pub fn coloured(text: &str) -> Cow<'_, str> {
 }
 
 /// What a line of a verdict begins with, and its colour.
-const COLOURS: [(&str, &str); 9] = [
+const COLOURS: [(&str, &str); 10] = [
     ("PASS:", "1;32"),
     ("PASS, OF THE FIT ALONE:", "1"),
     ("FAIL:", "1;31"),
     ("FAILED:", "1;31"),
     ("INCONCLUSIVE:", "1;33"),
     ("NO LIMIT SET:", "1"),
+    ("NOTHING JUDGED:", "1"),
     ("  pass:", "32"),
     ("  fail:", "31"),
     ("  inconclusive:", "33"),

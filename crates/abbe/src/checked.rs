@@ -1,20 +1,27 @@
 //! What `abbe check` found, for a terminal: the verdict first, and no sentence twice.
 
-use abbe_core::{Identifiability, WeakDirection};
+use abbe_core::{EstimateSource, Identifiability, Kind, WeakDirection};
 use abbe_engine::Planned;
 use abbe_recipe::Recipe;
 use abbe_report::number::short;
 
 use crate::summary::{ALIKE, columns, section};
-use crate::{brief, table, uncertainty_summary};
+use crate::{lines, table, uncertainty_summary};
 
 /// Most lines without `--explain`.
 const LINES: usize = 40;
 
-/// What the planned fits can determine; in at most [`LINES`] lines unless it is to be explained.
+/// What the planned fits can determine, in lines that fit the terminal; in at most [`LINES`] lines unless it is to be explained.
 pub fn text(recipe: &Recipe, planned: &[Planned], explain: bool) -> String {
-    let mut text = format!("{}: {} stages\n{}\n", recipe.name, recipe.stages.len(), verdict(planned));
-    text.push_str(&section("\nPlanned fits, judged at nominal contact", &fits(planned)));
+    within(recipe, planned, explain, lines::width())
+}
+
+fn within(recipe: &Recipe, planned: &[Planned], explain: bool, width: usize) -> String {
+    let stages = lines::counted(recipe.stages.len(), "stage", "stages");
+    let mut text = format!("{}: {stages}\n{}\n", recipe.name, verdict(recipe, planned));
+    if !planned.is_empty() {
+        text.push_str(&section("\nPlanned fits, judged at nominal contact", &fits(planned, width)));
+    }
     let lost = sentences(planned, |found| found.null_space.iter().map(WeakDirection::advise).collect());
     let alike = sentences(planned, |found| found.equivalent_motion_errors.iter().map(|same| same.describe()).collect());
     let remarks = sentences(planned, |found| found.remarks.clone());
@@ -23,15 +30,18 @@ pub fn text(recipe: &Recipe, planned: &[Planned], explain: bool) -> String {
             text.push_str(&format!("\n{}", section(title, &told)));
         }
     }
-    if !explain {
-        return shortened(&text, brief::width());
+    if planned.is_empty() {
+        return lines::wrapped(&text, width);
     }
-    let explained: String = planned.iter().map(explained).collect();
-    text + &explained
+    if !explain {
+        return shortened(&text, width);
+    }
+    let explained: String = planned.iter().map(|planned| explained(planned, width)).collect();
+    lines::wrapped(&(text + &explained), width)
 }
 
 /// One line that says whether everything is determined.
-fn verdict(planned: &[Planned]) -> String {
+fn verdict(recipe: &Recipe, planned: &[Planned]) -> String {
     let is_whole = |planned: &&Planned| planned.identifiability.rank == planned.identifiability.unknowns;
     let refused: Vec<&str> =
         planned.iter().filter(|planned| !planned.accepted).map(|planned| planned.estimate.as_str()).collect();
@@ -40,7 +50,7 @@ fn verdict(planned: &[Planned]) -> String {
         .map(|planned| planned.estimate.as_str())
         .collect();
     match (planned.len(), refused.is_empty(), lost.is_empty()) {
-        (0, ..) => "PASS: no fit to judge".to_owned(),
+        (0, ..) => unjudged(recipe),
         (1, true, true) => "PASS: the data determine all unknowns".to_owned(),
         (count, true, true) => format!("PASS: the data determine all unknowns of {count} fits"),
         (_, true, false) => format!("PASS, but not all unknowns are determined: {}", lost.join(", ")),
@@ -48,7 +58,20 @@ fn verdict(planned: &[Planned]) -> String {
     }
 }
 
-fn fits(planned: &[Planned]) -> String {
+/// What is told where no fit is planned.
+fn unjudged(recipe: &Recipe) -> String {
+    let estimates = || recipe.stages.iter().filter(|stage| stage.kind == Kind::Estimate);
+    let why = match estimates().count() {
+        0 => "nothing is estimated",
+        _ if estimates().all(|stage| stage.estimate_source == EstimateSource::Readings) => {
+            "what is estimated is made of readings alone"
+        }
+        _ => "no estimate here is a fit to observations of a machine",
+    };
+    format!("NOTHING JUDGED: {why}, so that no fit was judged; settings and data can be read")
+}
+
+fn fits(planned: &[Planned], width: usize) -> String {
     let mut rows = vec![["", "equations", "unknowns", "rank", "condition"].map(str::to_owned).to_vec()];
     for planned in planned {
         let found = &planned.identifiability;
@@ -60,7 +83,7 @@ fn fits(planned: &[Planned]) -> String {
             short(found.condition),
         ]);
     }
-    table::text(&rows, &columns(4, 1))
+    table::within(&rows, &columns(4, 1), 1, width)
 }
 
 /// Sentences about fits, each once, with the fits that it is about.
@@ -90,37 +113,39 @@ fn named(fits: &[&str], all: usize) -> String {
 
 /// The first lines of a text, if a terminal of this width does not show more than [`LINES`] for them.
 fn shortened(text: &str, width: usize) -> String {
-    let rows = |line: &str| line.chars().count().div_ceil(width.max(1)).max(1);
     let more = "`--explain` shows what is determined worst, correlations and uncertainty budgets";
-    if text.lines().map(rows).sum::<usize>() < LINES {
-        return format!("{text}\n{more}\n").replacen("\n\n\n", "\n\n", 1);
+    let whole = lines::wrapped(text, width);
+    if whole.lines().count() < LINES {
+        return lines::wrapped(&format!("{whole}\n{more}\n").replacen("\n\n\n", "\n\n", 1), width);
     }
-    let (mut left, mut short) = (LINES - 3, String::new());
+    let (mut left, mut shown, mut short) = (LINES - 3, 0, String::new());
     for line in text.lines() {
-        // A sentence that is longer than what is left is cut.
-        let shown: String = if rows(line) > left.min(MOST_ROWS) {
-            let kept = left.min(MOST_ROWS) * width;
-            line.chars().take(kept.saturating_sub(4)).chain(" ...".chars()).collect()
-        } else {
-            line.to_owned()
-        };
-        if rows(&shown) > left || left == 0 {
+        if left == 0 {
             break;
         }
-        left -= rows(&shown);
-        short.push_str(&shown);
-        short.push('\n');
+        // A sentence that is longer than what is left is cut.
+        let most = left.min(MOST_ROWS);
+        let mut rows = lines::rows(line, width);
+        if rows.len() > most {
+            rows.truncate(most);
+            if let Some(last) = rows.last_mut() {
+                *last = last.chars().take(width.saturating_sub(4)).chain(" ...".chars()).collect();
+            }
+        }
+        left -= rows.len();
+        shown += 1;
+        short.extend(rows.iter().map(|row| format!("{row}\n")));
     }
-    let count = text.lines().count() - short.lines().count();
-    let rest = if count > 0 { format!("{count} more lines, and ") } else { String::new() };
-    format!("{short}\n{rest}{more}\n")
+    let count = text.lines().count() - shown;
+    let rest = if count > 0 { format!("{} more, and ", lines::counted(count, "line", "lines")) } else { String::new() };
+    format!("{short}\n{}", lines::wrapped(&format!("{rest}{more}"), width))
 }
 
 /// Rows of a terminal that one sentence takes.
 const MOST_ROWS: usize = 4;
 
 /// What is determined worst, correlations, and the budget of a fit.
-fn explained(planned: &Planned) -> String {
+fn explained(planned: &Planned, width: usize) -> String {
     let (name, found) = (&planned.estimate, &planned.identifiability);
     let title = format!("{name}: what is determined worst (singular value, the largest being 1)");
     let mut text = format!("\n{}", section(&title, &uncertainty_summary::weakest(&found.weakest)));
@@ -133,7 +158,7 @@ fn explained(planned: &Planned) -> String {
     let percent = budget.coverage_probability * 100.0;
     let title =
         format!("{name}: expanded uncertainty ({percent} %) from the stated ones, and where its square comes from");
-    text.push_str(&format!("\n{}", section(&title, &uncertainty_summary::budget(budget, machine))));
+    text.push_str(&format!("\n{}", section(&title, &uncertainty_summary::budget(budget, machine, width))));
     text
 }
 
@@ -147,9 +172,9 @@ mod tests {
         for (lines, width) in [(1, 80), (5, 80), (30, 80), (100, 80), (39, 400), (60, 30)] {
             let text = line.repeat(lines);
             let short = shortened(&text, width);
-            let rows: usize = short.lines().map(|line| line.chars().count().div_ceil(width).max(1)).sum();
-            // The last line is one sentence of this program's own.
-            assert!(rows <= LINES + 3, "{lines} lines at {width}: {rows}");
+            // The last one is a sentence of this program's own.
+            assert!(short.lines().count() <= LINES + 3, "{lines} lines at {width}: {short}");
+            assert!(short.lines().all(|line| line.chars().count() <= width), "{lines} lines at {width}: {short}");
             assert!(short.contains("`--explain`"));
         }
     }

@@ -16,6 +16,7 @@ mod expected;
 mod failure;
 mod interrupt;
 mod libraries;
+mod lines;
 mod listed;
 mod machine;
 mod new;
@@ -371,7 +372,7 @@ fn dispatch(command: Command, libraries: &Libraries, verbose: bool) -> Result<(S
                 tell(&failure::text(&failure.error));
             }
             let text = match made {
-                Some(made) if !verbose => brief::text(&made, &folder, brief::width()),
+                Some(made) if !verbose => brief::text(&made, &folder, lines::width()),
                 _ => summary::text(&prepared.recipe.name, &outcome, &folder),
             };
             Ok((text, status))

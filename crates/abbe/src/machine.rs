@@ -1,16 +1,18 @@
 //! `abbe model`: a machine in text: its axes, its chain, its errors, and which location errors are independent.
 
+mod joints;
+
 use std::fmt::Write;
 use std::path::{Path, PathBuf};
 
 use abbe_core::{Axis, AxisKind, Branch, Error, ModelInfo, ParameterRole, Result};
 use abbe_engine::{Described, LocationError, LocationErrors, Prepared, Standing, prepare, prepare_text};
-use abbe_kinematics::{ChainAxis, ErrorFrame, denavit_hartenberg};
 use abbe_report::{ErrorGroup, meaning};
 use clap::Args;
 use serde_json::Value;
 
 use crate::libraries::Libraries;
+use crate::lines;
 use crate::table::{self, plain};
 
 /// What is asked.
@@ -27,11 +29,12 @@ const TOOL_LENGTH: f64 = 200.0;
 impl Machine {
     /// Looks at the machine; gives what to print.
     pub fn run(&self, libraries: &Libraries) -> Result<String> {
-        let machines = self.prepared(libraries)?.described()?;
+        let described = self.prepared(libraries)?.described();
+        let machines = described.map_err(|error| of_file(error, Path::new(&self.machine)))?;
         if machines.is_empty() {
             return Err(Error::usage("this recipe has no machine").in_file(Path::new(&self.machine)));
         }
-        let texts: Vec<String> = machines.iter().map(text).collect();
+        let texts: Vec<String> = machines.iter().map(|machine| text(machine, lines::width())).collect();
         Ok(texts.join("\n"))
     }
 
@@ -57,8 +60,21 @@ impl Machine {
         let registry = libraries.registry(None)?;
         let name = path.file_name().map(|name| name.to_string_lossy().into_owned()).unwrap_or_default();
         let stage = format!("{{ model: serial-chain, file: {} }}", Value::from(name));
-        let folder = path.parent().unwrap_or(Path::new("")).join("machine.yaml");
-        prepare_text(&folder, &recipe(&stage), &registry)
+        let made = prepare_text(&around(&path), &recipe(&stage), &registry);
+        made.map_err(|error| of_file(error, &path))
+    }
+}
+
+/// The name of the recipe that is made around a machine file: beside it, so that its paths hold.
+fn around(machine: &Path) -> PathBuf {
+    machine.with_extension("recipe around it")
+}
+
+/// An error with the user's own file in the place of the recipe around it, which nobody wrote.
+fn of_file(error: Error, machine: &Path) -> Error {
+    match &error.place {
+        Some(place) if place.file != around(machine) => Error { stage: None, ..error },
+        _ => Error { place: None, stage: None, ..error }.in_file(machine),
     }
 }
 
@@ -67,25 +83,26 @@ fn recipe(stage: &str) -> String {
     format!("abbe: 1\nname: A machine\nstages:\n  machine: {stage}\n")
 }
 
-fn text(machine: &Described) -> String {
+/// What is told of a machine, in lines of this width.
+fn text(machine: &Described, width: usize) -> String {
     let info = machine.model.info();
     let mut text = format!("{} (model: {})\n", machine.stage, machine.plugin);
     if let Some(chain) = info.settings.get("chain").and_then(Value::as_str) {
         let _ = writeln!(text, "  chain {chain}");
     }
-    text.push_str(&picture(info));
-    text.push_str(&axes(info));
-    text.push_str(&joints(info));
+    text.push_str(&picture(info, width));
+    text.push_str(&axes(info, width));
+    text.push_str(&joints::text(info, width));
     if let Some(locations) = &machine.locations {
-        text.push_str(&location_text(info, locations));
+        text.push_str(&location_text(info, locations, width));
     }
     text.push_str(&motions(info));
-    text.push_str(&listed(info));
-    text
+    text.push_str(&listed(info, width));
+    lines::wrapped(&text, width)
 }
 
 /// The chain from the workpiece to the tool, with what each axis does below its name.
-fn picture(info: &ModelInfo) -> String {
+fn picture(info: &ModelInfo, width: usize) -> String {
     let mut cells = vec![("workpiece".to_owned(), String::new())];
     let bed = || ("bed".to_owned(), String::new());
     let mut has_bed = false;
@@ -95,24 +112,34 @@ fn picture(info: &ModelInfo) -> String {
             has_bed = true;
         }
         let what = if axis.kind == AxisKind::Rotary { "turns" } else { "moves" };
-        let name = if axis.indexed { format!("({})", axis.name) } else { axis.name.clone() };
         let prime = if axis.branch == Branch::Workpiece { "'" } else { "" };
-        cells.push((format!("{name}{prime}"), format!("{what} {}", nearest(axis))));
+        let name = format!("{}{prime}", axis.name);
+        let name = if axis.indexed { format!("({name})") } else { name };
+        cells.push((name, format!("{what} {}", nearest(axis))));
     }
     if !has_bed {
         cells.push(bed());
     }
     cells.push(("tool".to_owned(), String::new()));
-    let (mut above, mut below) = ("  ".to_owned(), "  ".to_owned());
+    let mut text = String::new();
+    let (mut above, mut below) = (INDENT.to_owned(), INDENT.to_owned());
     for (place, (name, does)) in cells.iter().enumerate() {
-        let width = name.chars().count().max(does.chars().count());
+        let cell = name.chars().count().max(does.chars().count());
         let last = place + 1 == cells.len();
-        let fill = if last { String::new() } else { format!(" {}", "-".repeat(width - name.chars().count() + 3)) };
+        if above.chars().count() + cell + 4 > width && above != INDENT {
+            // The chain goes on below.
+            let _ = write!(text, "\n{}\n{}\n", above.trim_end(), below.trim_end());
+            (above, below) = (format!("{INDENT}--- "), format!("{INDENT}    "));
+        }
+        let fill = if last { String::new() } else { format!(" {}", "-".repeat(cell - name.chars().count() + 3)) };
         let _ = write!(above, "{name}{fill} ");
-        let _ = write!(below, "{does:<width$}     ");
+        let _ = write!(below, "{does:<cell$}     ");
     }
-    format!("\n{}\n{}\n", above.trim_end(), below.trim_end())
+    let _ = write!(text, "\n{}\n{}\n", above.trim_end(), below.trim_end());
+    text
 }
+
+const INDENT: &str = "  ";
 
 /// The direction of x, y, z that an axis is nearest to.
 fn nearest(axis: &Axis) -> String {
@@ -122,14 +149,14 @@ fn nearest(axis: &Axis) -> String {
     format!("{preposition} {}{tilted}", ["x", "y", "z"][part])
 }
 
-/// Without what rounding leaves of a zero.
-fn tidy(number: f64) -> f64 {
-    if number.abs() < 1e-9 { 0.0 } else { number }
+/// A number without what rounding leaves of a zero.
+fn tidy(number: f64) -> String {
+    plain(if number.abs() < 1e-9 { 0.0 } else { number })
 }
 
 /// Three numbers.
 fn vector(of: [f64; 3]) -> String {
-    of.map(|part| plain(tidy(part))).join(" ")
+    of.map(tidy).join(" ")
 }
 
 /// A vector of the settings of an axis.
@@ -138,7 +165,7 @@ fn setting(info: &ModelInfo, axis: &str, key: &str) -> Option<[f64; 3]> {
     serde_json::from_value(value.clone()).ok()
 }
 
-fn axes(info: &ModelInfo) -> String {
+fn axes(info: &ModelInfo, width: usize) -> String {
     let mut rows =
         vec![["axis", "kind", "carries the", "direction", "point of its line mm", "range"].map(str::to_owned).to_vec()];
     for axis in &info.axes {
@@ -149,7 +176,7 @@ fn axes(info: &ModelInfo) -> String {
         let point =
             (axis.kind == AxisKind::Rotary).then(|| vector(setting(info, &axis.name, "point_mm").unwrap_or_default()));
         let range = match axis.range {
-            Some([from, to]) => format!("{} to {} {unit}", plain(from * factor), plain(to * factor)),
+            Some([from, to]) => format!("{} to {} {unit}", tidy(from * factor), tidy(to * factor)),
             None => "not known".to_owned(),
         };
         rows.push(vec![
@@ -162,7 +189,7 @@ fn axes(info: &ModelInfo) -> String {
         ]);
     }
     let note = "  A positive command moves the tool in this direction as seen from the workpiece.\n";
-    format!("\nAxes, with all of them at zero\n{}{note}", table::text(&rows, &[]))
+    format!("\nAxes, with all of them at zero\n{}{note}", table::within(&rows, &[], 1, width))
 }
 
 /// A body on the side of the workpiece moves the other way.
@@ -170,76 +197,7 @@ fn side(axis: &Axis) -> f64 {
     if axis.branch == Branch::Workpiece { -1.0 } else { 1.0 }
 }
 
-/// The joints of a chain without branches in the conventions of robots.
-fn joints(info: &ModelInfo) -> String {
-    if info.axes.iter().filter(|axis| axis.kind == AxisKind::Rotary).count() < 4 {
-        return String::new();
-    }
-    let chain: Vec<ChainAxis> = info
-        .axes
-        .iter()
-        .map(|axis| ChainAxis {
-            name: axis.name.clone(),
-            kind: axis.kind,
-            branch: axis.branch,
-            direction: axis.direction.into(),
-            point: setting(info, &axis.name, "point_mm").unwrap_or_default().into(),
-            reverse: axis.sense * side(axis) < 0.0,
-            error_frame: ErrorFrame::Moving,
-        })
-        .collect();
-    if chain.iter().any(|axis| axis.branch == Branch::Workpiece) {
-        return String::new();
-    }
-    let mut rows = vec![["joint", "direction", "moment: point x direction, mm"].map(str::to_owned).to_vec()];
-    for axis in &chain {
-        let direction = axis.direction * axis.sense();
-        let moment = axis.point.cross(&direction);
-        let moment = if axis.kind == AxisKind::Rotary { vector(moment.into()) } else { "linear".to_owned() };
-        rows.push(vec![axis.name.clone(), vector(direction.into()), moment]);
-    }
-    let mut text = format!("\nProduct of exponentials: the joints in the base frame\n{}", table::text(&rows, &[]));
-    let Some((links, flange)) = denavit_hartenberg(&chain) else {
-        text.push_str("  No Denavit-Hartenberg parameters without a base transformation: the first joint is not about z of the base.\n");
-        return text;
-    };
-    let header = ["joint", "a mm", "alpha °", "d mm", "theta °"].map(str::to_owned).to_vec();
-    let (mut standard, mut modified) = (vec![header.clone()], vec![header]);
-    let mut before = [0.0; 2];
-    for (link, axis) in links.iter().zip(&chain) {
-        let degrees = |angle: f64| plain(tidy(angle.to_degrees()));
-        standard.push(vec![
-            axis.name.clone(),
-            plain(tidy(link.a)),
-            degrees(link.alpha),
-            plain(tidy(link.d)),
-            degrees(link.theta),
-        ]);
-        modified.push(vec![
-            axis.name.clone(),
-            plain(before[0]),
-            degrees(before[1]),
-            plain(link.d),
-            degrees(link.theta),
-        ]);
-        before = [link.a, link.alpha];
-    }
-    let last = chain.iter().rev().find(|axis| axis.kind == AxisKind::Rotary).map(|axis| axis.point).unwrap_or_default();
-    let number =
-        |key: &str| info.settings.get(key).cloned().and_then(|value| serde_json::from_value::<f64>(value).ok());
-    let offset = info.settings.get("probe_offset_mm").cloned();
-    let offset: [f64; 3] = offset.and_then(|value| serde_json::from_value(value).ok()).unwrap_or_default();
-    let mut tip = last;
-    (0..3).for_each(|part| tip[part] += offset[part]);
-    tip[2] -= number("tool_length_mm").unwrap_or(0.0);
-    let tip = flange.inverse_transform_point(&tip.into());
-    let _ = write!(text, "\nDenavit-Hartenberg parameters (`dh`)\n{}", table::text(&standard, &[1, 2, 3, 4]));
-    let _ = write!(text, "\nModified ones (`modified_dh`, Craig)\n{}", table::text(&modified, &[1, 2, 3, 4]));
-    let _ = writeln!(text, "  The tip is at {} mm of the last frame (`tip_mm`).", vector(tip.coords.into()));
-    text
-}
-
-fn location_text(info: &ModelInfo, locations: &LocationErrors) -> String {
+fn location_text(info: &ModelInfo, locations: &LocationErrors, width: usize) -> String {
     let count = locations.independent().count();
     let mut text = format!(
         "\nLocation errors: {} exist, 6 of each axis; {count} are independent, once workpiece and tool are set up\n",
@@ -252,18 +210,16 @@ fn location_text(info: &ModelInfo, locations: &LocationErrors) -> String {
         let substitutes = if substitutes.is_empty() { "-".to_owned() } else { substitutes.join(", ") };
         rows.push(vec![error.name.clone(), meaning(info, &group(error)), substitutes, told.to_owned()]);
     }
-    text.push_str(&table::text(&rows, &[]));
+    text.push_str(&table::within(&rows, &[], 1, width));
     let dependent: Vec<String> = locations.all.iter().filter_map(same_as).collect();
     if !dependent.is_empty() {
         let _ = write!(
             text,
             "\nThe same as others, offsets and turns of workpiece and tool apart\n{}",
-            wrapped(&dependent)
+            listing(&dependent, width)
         );
     }
-    let zero: Vec<String> =
-        locations.all.iter().filter(|error| is_zero_position(info, error)).map(|error| error.name.clone()).collect();
-    let _ = write!(text, "\nZero positions: where the command of an axis is 0\n{}", wrapped(&zero));
+    text.push_str(&zero_positions(info, locations, width));
     let free: Vec<String> = locations
         .all
         .iter()
@@ -271,7 +227,7 @@ fn location_text(info: &ModelInfo, locations: &LocationErrors) -> String {
         .map(|error| error.name.clone())
         .collect();
     if !free.is_empty() {
-        let _ = write!(text, "\nFree: where workpiece and tool are does the same\n{}", wrapped(&free));
+        let _ = write!(text, "\nFree: where workpiece and tool are does the same\n{}", listing(&free, width));
     }
     let ((position, all), (pose, _)) = (locations.by_position, locations.by_pose);
     let _ = writeln!(
@@ -292,6 +248,43 @@ fn is_zero_position(info: &ModelInfo, error: &LocationError) -> bool {
     let axis = &info.axes[error.axis];
     let is_turn = error.component >= 3;
     is_turn == (axis.kind == AxisKind::Rotary) && axis.direction[error.component % 3].abs() > 0.99
+}
+
+/// What a zero position may be.
+const KINDS: [&str; 3] = [
+    "Independent, among those above",
+    "The same as others, as told above",
+    "Nothing to estimate, workpiece and tool set-up do the same",
+];
+
+/// Its place among [`KINDS`].
+fn kind(standing: &Standing) -> usize {
+    match standing {
+        Standing::Independent { .. } => 0,
+        Standing::Dependent(_) => 1,
+        Standing::SetUp => 2,
+    }
+}
+
+/// The zero positions: by what they are, and whether the machine lists them.
+fn zero_positions(info: &ModelInfo, locations: &LocationErrors, width: usize) -> String {
+    let of = |place: usize| -> Vec<String> {
+        let zero = locations.all.iter().filter(|error| is_zero_position(info, error));
+        let mark = |name: &str| if info.parameter(name).is_some() { " (listed)" } else { "" };
+        let wanted = zero.filter(|error| kind(&error.standing) == place);
+        wanted.map(|error| format!("{}{}", error.name, mark(&error.name))).collect()
+    };
+    let mut text = "\nZero positions: what the position of an axis is off by where its command is 0\n".to_owned();
+    for (place, title) in KINDS.into_iter().enumerate() {
+        let found = of(place);
+        if !found.is_empty() {
+            let _ = write!(text, "  {title}:\n{}", listing(&found, width));
+        }
+    }
+    text.push_str(
+        "  All axes have one, whether `errors` of the machine lists it (listed) or not; one that is not listed is zero.\n",
+    );
+    text
 }
 
 /// Parts of a dependent error that are shown.
@@ -316,15 +309,12 @@ fn same_as(error: &LocationError) -> Option<String> {
     Some(format!("{} = {}", error.name, parts.join(" + ").replace("+ -", "- ")))
 }
 
-/// Characters of a line.
-const WIDTH: usize = 100;
-
-/// Words in lines, with two blanks between them.
-fn wrapped(words: &[String]) -> String {
+/// Words in lines of this width, with commas between them.
+fn listing(words: &[String], width: usize) -> String {
     let mut text = String::new();
     let mut line = String::new();
     for word in words {
-        if !line.is_empty() && line.chars().count() + word.chars().count() + 3 > WIDTH {
+        if !line.is_empty() && line.chars().count() + word.chars().count() + 3 > width {
             let _ = writeln!(text, " {line}");
             line.clear();
         }
@@ -347,7 +337,7 @@ fn motions(info: &ModelInfo) -> String {
 }
 
 /// The errors that the machine lists.
-fn listed(info: &ModelInfo) -> String {
+fn listed(info: &ModelInfo, width: usize) -> String {
     let is_error = |role: ParameterRole| {
         matches!(
             role,
@@ -366,5 +356,5 @@ fn listed(info: &ModelInfo) -> String {
     if names.is_empty() {
         return "\nErrors that it lists: none\n".to_owned();
     }
-    format!("\nErrors that it lists\n{}", wrapped(&names))
+    format!("\nErrors that it lists\n{}", listing(&names, width))
 }

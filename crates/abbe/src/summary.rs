@@ -2,7 +2,7 @@
 
 use std::path::Path;
 
-use abbe_core::{Decision, Estimated, Figure, Fit, Outlier, Quantity, Status, Unit, Verdict};
+use abbe_core::{Decision, Estimated, Figure, Fit, Outlier, Status, Unit, Verdict};
 use abbe_engine::{Failure, Outcome, Planned};
 use serde_json::{Value, json};
 
@@ -118,7 +118,7 @@ fn fits(fits: &[Fit]) -> String {
         ("residual, largest µm", |fit| length(fit, fit.calibration.fit.residual_max_um)),
         ("residual, mean size µm", |fit| length(fit, fit.calibration.fit.residual_mean_abs_um)),
         ("residual, RMS µm", |fit| length(fit, fit.calibration.fit.residual_rms_um)),
-        ("residual, radial RMS µm", |fit| if_any(radial_rms(fit))),
+        ("residual, radial RMS µm", |fit| if_any(fit.calibration.fit.residual_radial_rms_um)),
         ("residual, largest µrad", |fit| if_any(fit.calibration.fit.residual_max_urad)),
         ("residual, mean size µrad", |fit| if_any(fit.calibration.fit.residual_mean_abs_urad)),
         ("residual, RMS µrad", |fit| if_any(fit.calibration.fit.residual_rms_urad)),
@@ -142,28 +142,6 @@ fn fits(fits: &[Fit]) -> String {
 fn length(fit: &Fit, value: f64) -> String {
     let has_machine = !fit.problem.model.info().axes.is_empty();
     if has_machine || value > 0.0 { short(value) } else { String::new() }
-}
-
-/// The root mean square of the distances, µm, of rows that have three coordinates, outliers left out; none if there are no such rows.
-fn radial_rms(fit: &Fit) -> Option<f64> {
-    let problem = &fit.problem;
-    let residuals = problem.residuals(&problem.values_of(&fit.calibration)).ok()?;
-    let (mut squares, mut rows) = (0.0, 0);
-    let equations: Vec<_> =
-        problem.equation_rows().into_iter().zip(residuals.iter().zip(problem.quantities())).collect();
-    for row in equations.chunk_by(|(one, _), (other, _)| one == other) {
-        let (set, index) = row[0].0;
-        let is_point = row.len() == 3 && row.iter().all(|(_, (_, quantity))| *quantity == Quantity::Length);
-        let origin = problem.origin(set, index);
-        let is_outlier = |outlier: &Outlier| {
-            origin.is_some_and(|(_, origin)| (outlier.row, outlier.line) == (origin.row, origin.line))
-        };
-        if is_point && !fit.calibration.outliers.iter().any(is_outlier) {
-            squares += row.iter().map(|(_, (residual, _))| (*residual * 1e3).powi(2)).sum::<f64>();
-            rows += 1;
-        }
-    }
-    (rows > 0).then(|| (squares / f64::from(rows)).sqrt())
 }
 
 /// A figure that not every fit has.

@@ -25,8 +25,9 @@ pub fn correlations(budget: &UncertaintyBudget) -> String {
     pairs.join(", ")
 }
 
-/// Expanded uncertainty of the parameters that `of` takes, and the part of the variance that each input gives, in percent.
-pub fn budget(budget: &UncertaintyBudget, of: impl Fn(&str) -> bool) -> String {
+/// Expanded uncertainty of the parameters that `of` takes, and the part of the variance that each input gives, in percent; in
+/// lines of this width.
+pub fn budget(budget: &UncertaintyBudget, of: impl Fn(&str) -> bool, width: usize) -> String {
     let chosen: Vec<&ParameterBudget> = budget.parameters.iter().filter(|parameter| of(&parameter.name)).collect();
     let mut inputs: Vec<&str> = Vec::new();
     for contribution in chosen.iter().flat_map(|parameter| &parameter.contributions) {
@@ -50,7 +51,7 @@ pub fn budget(budget: &UncertaintyBudget, of: impl Fn(&str) -> bool) -> String {
         rows.push(row);
     }
     let right: Vec<usize> = (2..4 + inputs.len()).collect();
-    table::text(&rows, &right)
+    table::within(&rows, &right, 2, width)
 }
 
 /// An uncertainty to two significant digits (GUM 7.2.6).

@@ -119,6 +119,7 @@ impl System {
             residual_mean_abs_um: residuals.iter().map(|residual| residual.abs()).sum::<f64>() / count as f64 * 1e3,
             residual_rms_um: (residuals.iter().map(|residual| residual.powi(2)).sum::<f64>() / count as f64).sqrt()
                 * 1e3,
+            residual_radial_rms_um: None,
             residual_max_urad: None,
             residual_mean_abs_urad: None,
             residual_rms_urad: None,

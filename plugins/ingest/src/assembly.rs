@@ -50,7 +50,7 @@ fn constants(written: BTreeMap<String, Label>) -> Result<BTreeMap<String, Consta
         let wrong = |message: String| SettingsError::new(&name, message).under([PathItem::Key("constants".to_owned())]);
         let header = ColumnHeader::parse(&name);
         if header.name.trim().is_empty() {
-            return Err(wrong("a column needs a name".to_owned()));
+            return Err(wrong("a column needs a name".to_owned()).help("write its name and unit: `T_degC: 20`"));
         }
         let value = match abbe_table::empty_column(header).values {
             Values::Numbers(_) => Constant::Number(abbe_table::number(&name, &text).map_err(wrong)?),
@@ -87,7 +87,7 @@ impl Assembly {
             Paths::Many(paths) => paths,
         };
         if paths.is_empty() {
-            return Err(SettingsError::new("path", "at least one file was expected"));
+            return Err(SettingsError::new("path", "at least one file was expected").help("write `path: measured.csv`"));
         }
         let sources = paths.iter().map(|path| Source::new(path, context)).collect::<Result<_, _>>();
         Ok(Self {
@@ -135,7 +135,8 @@ impl Assembly {
         }
         match stays.contains(&true) {
             true => Ok(selected(data, &stays)),
-            false => Err(Error::data("no row is left after `ignore` and `keep`")),
+            false => Err(Error::data("no row is left after `ignore` and `keep`")
+                .help("name other rows there; `abbe data RECIPE` shows the labels of the columns")),
         }
     }
 
@@ -145,7 +146,9 @@ impl Assembly {
         for source in &self.sources {
             let files = source.files();
             if files.is_empty() {
-                return Err(Error::usage(format!("no file matches `{}`", source.path.display())).setting("path"));
+                return Err(Error::usage(format!("no file matches `{}`", source.path.display()))
+                    .help("`*` and `?` stand for parts of the name of a file; the folder has to be there")
+                    .setting("path"));
             }
             for file in files {
                 append(&mut data, load(&file)?)?;
@@ -156,7 +159,8 @@ impl Assembly {
             let header = ColumnHeader::parse(name);
             if let Some(twin) = data.column(&header.name) {
                 let message = format!("there is a column `{}` already", twin.header.header);
-                return Err(in_settings(Error::usage(message), "constants", name));
+                let error = Error::usage(message).help("leave it out here: the files say it");
+                return Err(in_settings(error, "constants", name));
             }
             let values = match constant {
                 Constant::Number(number) => Values::Numbers(vec![*number; data.rows()]),
@@ -206,7 +210,9 @@ fn append(data: &mut Dataset, mut part: Dataset) -> Result<()> {
         headers(this).into_iter().find(|header| !theirs.contains(header))
     };
     let differ = |column: String, with: &Path, without: &Path| {
-        Error::usage(format!("there is no column `{column}`, which `{}` has", with.display())).in_file(without)
+        Error::usage(format!("there is no column `{column}`, which `{}` has", with.display()))
+            .in_file(without)
+            .help("files of one stage have the same columns; read others by a stage of their own")
     };
     if let Some(path) = part.files.first() {
         if let Some(column) = only(data, &part) {
@@ -247,7 +253,7 @@ fn add_file_column(data: &mut Dataset) -> Result<bool> {
                 data.files[twin].display(),
                 path.display()
             );
-            return Err(Error::usage(message).setting("path"));
+            return Err(Error::usage(message).help("give one of them another name").setting("path"));
         }
     }
     let labels = data.origins.iter().map(|origin| stems[origin.file].clone()).collect();
@@ -267,7 +273,8 @@ fn join(data: &mut Dataset, table: &Dataset, on: &str, by_file: bool) -> Result<
         match keys.get(label.as_str()).or_else(|| keys.get(name?)) {
             Some(&found) => rows.push(found),
             None => {
-                return Err(data.error_at(row, format!("{on} `{label}` is not in the table `{}`", path.display())));
+                let error = data.error_at(row, format!("{on} `{label}` is not in the table `{}`", path.display()));
+                return Err(error.help("add a row for it to the table, or leave these rows out by `ignore`"));
             }
         }
     }
@@ -275,7 +282,9 @@ fn join(data: &mut Dataset, table: &Dataset, on: &str, by_file: bool) -> Result<
         data.columns.iter().map(|column| (column.header.name.clone(), column.header.header.clone())).collect();
     for column in table.columns.iter().filter(|column| column.header.name != on) {
         if let Some(twin) = own.get(&column.header.name) {
-            return Err(Error::usage(format!("the column `{twin}` is in the data already")).in_file(path));
+            return Err(Error::usage(format!("the column `{twin}` is in the data already"))
+                .in_file(path)
+                .help("take it out of the table, or rename it there"));
         }
         data.columns.push(Column { header: column.header.clone(), values: pick(&column.values, &rows) });
     }

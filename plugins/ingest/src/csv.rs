@@ -141,8 +141,8 @@ impl Ingest for Csv {
 fn rows_of(path: &Path, layout: &Layout) -> Result<Dataset> {
     let (data, left_out) = abbe_table::read_laid_out(path, layout)?;
     if left_out > 0 {
-        let rows = if left_out == 1 { "row holds" } else { "rows hold" };
-        tracing::warn!("{}: {left_out} {rows} a mark of `no_data` and are left out", path.display());
+        let [holds, are] = if left_out == 1 { ["row holds", "is"] } else { ["rows hold", "are"] };
+        tracing::warn!("{}: {left_out} {holds} a mark of `no_data` and {are} left out", path.display());
     }
     Ok(data)
 }

@@ -58,7 +58,8 @@ fn check(files: Files<'_>, settings: Value, columns: &str, expected: &[&str]) {
 }
 
 fn check_error(files: Files<'_>, settings: Value, expected: &str) {
-    assert_eq!(read(files, &settings).unwrap_err(), expected, "{settings}");
+    let told = read(files, &settings).unwrap_err();
+    assert!(told.starts_with(expected), "{settings}: {told}");
 }
 
 const TOUCHES: (&str, &str) = ("touches.csv", "feature,X_mm\n1,0.5\n2,1.5\n3,2.5\n");

@@ -385,7 +385,7 @@ fn bad_poses_are_refused() {
         .err()
         .unwrap()
         .to_string();
-    assert_eq!(text, "standard_uncertainty_urad: 0: a positive number was expected");
+    assert!(text.starts_with("standard_uncertainty_urad: 0: a positive number was expected"), "{text}");
 }
 
 #[test]

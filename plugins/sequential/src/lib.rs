@@ -20,7 +20,7 @@ use abbe_core::{
     Calibration, Context, Error, Estimate, FitReport, Identifiability, Problem, Quantity, Result, SetIndex,
     SettingsError, Termination,
 };
-use abbe_estimation::{Judgement, Weighted, calibration, confounded, identifiability, separated};
+use abbe_estimation::{Judgement, Weighted, calibration, confounded, identifiability, radial_rms, separated};
 use abbe_numerics::{Accumulator, End, Factor, Options, Solution, solve_from};
 use nalgebra::DMatrix;
 use serde_json::{Value, json};
@@ -156,6 +156,7 @@ impl Sequential {
             residual_max_um: max(&lengths),
             residual_mean_abs_um: mean(&lengths),
             residual_rms_um: rms(&lengths),
+            residual_radial_rms_um: radial_rms(problem, &residuals, |_| true).map(|rms| rms * 1e3),
             residual_max_urad: told(max(&angles)),
             residual_mean_abs_urad: told(mean(&angles)),
             residual_rms_urad: told(rms(&angles)),

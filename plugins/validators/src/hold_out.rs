@@ -204,7 +204,8 @@ mod tests {
             ),
         ];
         for (settings, expected) in cases {
-            assert_eq!(judge("hold-out", folder.path(), &settings, &fit).unwrap_err(), expected);
+            let told = judge("hold-out", folder.path(), &settings, &fit).unwrap_err();
+            assert!(told.starts_with(expected), "{told}");
         }
     }
 }

@@ -47,11 +47,8 @@ pub(crate) fn ties(declared: &[DeclaredTie], candidates: &[Unknown]) -> Result<V
         if !tie.factor.is_finite() || tie.factor == 0.0 {
             return Err(wrong(tie, "a finite factor that is not 0 was expected".to_owned()));
         }
-        if candidates.iter().any(|candidate| candidate.name == tie.to && candidate.owner != Owner::Machine) {
-            return Err(wrong(
-                tie,
-                format!("`{}` is an unknown of an artefact; parameters of the machine are tied", tie.to),
-            ));
+        if let Some(own) = candidates.iter().find(|it| it.name == tie.to && it.owner != Owner::Machine) {
+            return Err(of_artefact(wrong, tie, &own.name));
         }
         let mut found: Vec<(&Unknown, f64)> = of_machine()
             .filter(|candidate| matches(&tie.pattern, &candidate.name))
@@ -59,6 +56,11 @@ pub(crate) fn ties(declared: &[DeclaredTie], candidates: &[Unknown]) -> Result<V
             .collect();
         if tie.factor != 1.0 && matches(&tie.pattern, &tie.to) {
             return Err(wrong(tie, format!("`{}` would be {} times itself", tie.to, tie.factor)));
+        }
+        if found.is_empty()
+            && let Some(own) = candidates.iter().find(|candidate| matches(&tie.pattern, &candidate.name))
+        {
+            return Err(of_artefact(wrong, tie, &own.name));
         }
         if found.is_empty() {
             let error = wrong(tie, format!("`{}` matches no parameter of the machine", tie.pattern));
@@ -98,6 +100,17 @@ pub(crate) fn ties(declared: &[DeclaredTie], candidates: &[Unknown]) -> Result<V
         return Err(wrong(declared, format!("nothing else is tied to `{}`", alone.name)));
     }
     Ok(ties)
+}
+
+/// Why an unknown of an artefact is not tied.
+fn of_artefact(wrong: impl Fn(&DeclaredTie, String) -> Error, tie: &DeclaredTie, name: &str) -> Error {
+    let message = format!(
+        "`{name}` is an unknown of an artefact, and parameters of the machine are tied: what is unknown of an artefact belongs to its \
+         observations, which are judged and repeated without those of other stages"
+    );
+    wrong(tie, message).help(
+        "for one unknown of several files read them by one `ingest` stage (`path: [a.csv, b.csv]`) and observe that",
+    )
 }
 
 /// Candidates with the tied parameters replaced by the unknowns that they are, each in the place of its first member.

@@ -23,8 +23,9 @@ fn fits(all: &[FitResult]) -> String {
         let counts = [report.observations, report.unknowns, report.rank, report.degrees_of_freedom];
         let mut cells = vec![Cell::text(&fit.name)];
         cells.extend(counts.map(|count| Cell::figure(count.to_string())));
-        let sizes = [report.condition, report.sigma, report.residual_rms_um, report.residual_max_um];
-        cells.extend(sizes.map(|size| Cell::figure(short(size))));
+        cells.extend([report.condition, report.sigma, report.residual_rms_um].map(|size| Cell::figure(short(size))));
+        cells.push(Cell::figure(report.residual_radial_rms_um.map_or("–".to_owned(), short)));
+        cells.push(Cell::figure(short(report.residual_max_um)));
         cells.push(Cell::figure(report.residual_rms_urad.map_or("–".to_owned(), short)));
         cells.push(Cell::figure(fit.calibration.outliers.len().to_string()));
         cells
@@ -38,6 +39,7 @@ fn fits(all: &[FitResult]) -> String {
         "condition",
         "sigma",
         "RMS µm",
+        "radial RMS µm",
         "largest µm",
         "RMS µrad",
         "outliers",

@@ -236,6 +236,7 @@ fn settings_and_data_that_make_no_sense_are_refused() {
         ),
     ];
     for (settings, expected) in cases {
-        assert_eq!(judged(&settings, once).unwrap_err(), expected, "{settings}");
+        let told = judged(&settings, once).unwrap_err();
+        assert!(told.starts_with(&*expected), "{settings}: {told}");
     }
 }

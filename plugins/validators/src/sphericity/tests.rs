@@ -232,7 +232,8 @@ fn settings_and_data_that_make_no_sense_are_refused() {
         ),
     ];
     for (settings, expected) in cases {
-        assert_eq!(elsewhere(&settings, &rows).unwrap_err(), expected, "{settings}");
+        let told = elsewhere(&settings, &rows).unwrap_err();
+        assert!(told.starts_with(expected), "{settings}: {told}");
     }
     let (folder, fit) = crate::testing::fit(&crate::testing::UPWARDS, &[("a", "1", 0.0, 0.0)], false);
     assert_eq!(

@@ -200,7 +200,8 @@ fn settings_that_make_no_sense_are_refused() {
         ),
     ];
     for (settings, expected) in cases {
-        assert_eq!(judge("uncertainty", folder.path(), &settings, &fit).unwrap_err(), expected);
+        let told = judge("uncertainty", folder.path(), &settings, &fit).unwrap_err();
+        assert!(told.starts_with(expected), "{told}");
     }
 }
 
