@@ -22,6 +22,7 @@ use crate::record::{FileRecord, Remark, input_records};
 use crate::row_settings::Wanted;
 use crate::saved::fit_without_rows;
 use crate::travel::{check_travel, in_travel};
+use crate::units::{likely_fahrenheit, likely_minutes};
 
 /// Identifiability of a planned fit.
 #[derive(Debug, Clone, PartialEq)]
@@ -308,6 +309,7 @@ impl Prepared {
                 Some((_, made)) => made.clone(),
                 None => Arc::new(self.located(stage, self.ingests[&stage.name].read())?),
             };
+            likely_fahrenheit(&read).iter().for_each(|told| tracing::warn!("{}: {told}", stage.name));
             data.insert(stage.name.clone(), read);
         }
         Ok(data)
@@ -369,6 +371,10 @@ impl Prepared {
         }
         let (machine, model) = self.machine(stage)?;
         let logs = self.logs(machine, |log| Ok(data[log].clone()))?;
+        for (name, rows) in ingests.iter().zip(&used) {
+            let told = logs.iter().find_map(|log| likely_minutes(rows, log));
+            told.iter().for_each(|told| tracing::warn!("{name}: {told}"));
+        }
         used.extend(&logs);
         model.build(&used).map_err(|error| error.stage(&machine.name))
     }

@@ -22,7 +22,8 @@ use std::path::{Path, PathBuf};
 use abbe_core::{Column, ColumnHeader, DataRow, Dataset, Error, Quantity, Result, Values};
 
 pub use layout::{ColumnSource, Decimal, Encoding, Layout, Separator, Thousands, Unit};
-pub use number::{TEMPERATURES, number};
+pub use abbe_core::ranges::TEMPERATURES;
+pub use number::number;
 pub use rewrite::{Cells, with_cells, with_columns};
 pub use settings::{ColumnInUnit, Declared, Source};
 pub use survey::{Contents, Found, Jump, Likely, contents, likely};

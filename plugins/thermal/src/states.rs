@@ -40,6 +40,12 @@ struct ThermalStates {
 /// Part by which a smaller structure may predict worse.
 const WORSE: f64 = 0.02;
 
+/// Seconds in a minute.
+pub const MINUTE: f64 = 60.0;
+
+/// Clocks of the same sampling differ by less than this part.
+const ALIKE: f64 = 0.02;
+
 impl Estimate for ThermalStates {
     fn check_readings(&self, headers: &[Vec<ColumnHeader>]) -> Result<()> {
         headers.iter().try_for_each(|headers| self.settings.chosen(headers).map(drop))
@@ -53,6 +59,12 @@ impl Estimate for ThermalStates {
             let is_temperature = |sensor: &usize| quantity(data, &log.names()[*sensor]) == Quantity::Temperature;
             let faults = (0..log.names().len()).filter(is_temperature).flat_map(|sensor| log.faults(sensor));
             faults.for_each(|fault| tracing::warn!("{name}: {}: {fault}", run_name(data)));
+        }
+        if let Some([minutes, seconds]) = of_two_units(&logs) {
+            let [minutes, seconds] = [minutes, seconds].map(|run| run_name(data[run]));
+            tracing::warn!(
+                "{name}: rows of {minutes} are 60 times as close as those of {seconds}: are its times in minutes, under `time_s`?"
+            );
         }
         let mut structure = self.settings.structure();
         if self.settings.select.is_some() {
@@ -72,18 +84,17 @@ impl Estimate for ThermalStates {
         let quantities: Vec<Quantity> = runs[0].outputs.iter().map(|(_, quantity, _)| *quantity).collect();
         let of_input = |sensor: usize| quantity(data[0], &logs[0].names()[sensor]);
         let found = Found { fitted: &fitted, logs: &logs, outputs: &outputs, quantities: &quantities };
-        let covariance = match self.settings.uncertainty {
-            Uncertainty::Ordinary => fitted.covariance.clone(),
+        let values = found.values(of_input);
+        let ordinary = found.named(&values, |row, column| fitted.covariance[(row, column)]);
+        let (covariance, ordinary) = match self.settings.uncertainty {
+            Uncertainty::Ordinary => (ordinary, None),
             Uncertainty::Blocks => {
-                fitted.bootstrap(&logs, &outputs, self.settings.bootstrap(&logs, &fitted.time_constants)?)?
+                let how = self.settings.bootstrap(&logs, &fitted.time_constants)?;
+                let drawn = fitted.bootstrap(&logs, &outputs, how)?;
+                (found.named(&values, |row, column| drawn[(row, column)]), Some(ordinary))
             }
         };
-        let values = found.values(of_input);
-        // Time constants are estimated by their logarithms.
-        let scale = |place: usize| fitted.time_constants.get(place).copied().unwrap_or(1.0);
-        let entry = |row: usize, column: usize| scale(row) * scale(column) * covariance[(row, column)];
-        let rows: Vec<Vec<f64>> =
-            (0..values.len()).map(|row| (0..values.len()).map(|column| entry(row, column)).collect()).collect();
+        let rows = &covariance.rows;
         let parameters = values.iter().enumerate().map(|(place, (name, value, unit))| Estimated {
             name: name.clone(),
             value: *value,
@@ -97,11 +108,11 @@ impl Estimate for ThermalStates {
             model: ModelRecord { plugin: NAME.to_owned(), settings: self.resolved(&fitted, &logs, &outputs)? },
             parameters: parameters.collect(),
             artefacts: Vec::new(),
-            covariance: NamedCovariance { order: values.into_iter().map(|(name, ..)| name).collect(), rows },
+            covariance: covariance.clone(),
             inputs: Some(Vec::new()),
             data: Vec::new(),
             outliers: Vec::new(),
-            fit: found.report(),
+            fit: FitReport { ordinary_covariance: ordinary, ..found.report() },
             uncertainty: None,
             monte_carlo: None,
         })
@@ -131,6 +142,12 @@ impl ThermalStates {
         };
         serde_json::to_value(settings).map_err(|error| Error::data(format!("the settings cannot be written: {error}")))
     }
+}
+
+/// Two logs of which one has rows 60 times as close as the other.
+fn of_two_units(logs: &[SensorLog]) -> Option<[usize; 2]> {
+    let pairs = (0..logs.len()).flat_map(|one| (0..logs.len()).map(move |other| [one, other]));
+    pairs.into_iter().find(|[one, other]| (logs[*other].step() / logs[*one].step() / MINUTE - 1.0).abs() < ALIKE)
 }
 
 /// The outputs of all runs; those of the first run have to be in all.
@@ -175,6 +192,16 @@ impl Found<'_> {
             }
         }
         values
+    }
+
+    /// A covariance with the names and in the units of the values.
+    fn named(&self, values: &[(String, f64, Unit)], covariance: impl Fn(usize, usize) -> f64) -> NamedCovariance {
+        // Time constants are estimated by their logarithms.
+        let scale = |place: usize| self.fitted.time_constants.get(place).copied().unwrap_or(1.0);
+        let entry = |row: usize, column: usize| scale(row) * scale(column) * covariance(row, column);
+        let all = 0..values.len();
+        let rows = all.clone().map(|row| all.clone().map(|column| entry(row, column)).collect()).collect();
+        NamedCovariance { order: values.iter().map(|(name, ..)| name.clone()).collect(), rows }
     }
 
     fn report(&self) -> FitReport {
