@@ -18,6 +18,8 @@ use crate::{PlanFigures, Scaled, wrong};
 pub struct Order {
     /// The candidates in their order: label, and when they begin, s.
     pub sequence: Vec<(String, f64)>,
+    /// When the last one ends, s.
+    pub end: f64,
     /// Rows of the candidates' data set in their order, and when each is measured, s.
     pub rows: Vec<(DataRow, f64)>,
     /// Figures of the plan in this order.
@@ -121,6 +123,7 @@ pub fn order(
     });
     Ok(Some(Order {
         rows: rows.collect(),
+        end: sequencing.span[1],
         figures: of_best,
         revisits: revisits.transpose()?.unwrap_or_default(),
         as_listed: figures(&listed)?,

@@ -372,7 +372,7 @@ pub struct SelectionByPrediction {
 pub struct PredictedStructure {
     /// The candidates, as the recipe names them.
     pub left_out: Vec<String>,
-    /// Root mean square of what is predicted wrong, in stated standard uncertainties of the readings.
+    /// Root mean square of what is predicted wrong, in standard uncertainties of the readings: as stated, or the scatter of all candidates.
     pub error: f64,
 }
 

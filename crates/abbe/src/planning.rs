@@ -82,7 +82,7 @@ fn ordered(order: &Order) -> String {
 /// When a reference is measured again.
 fn again(revisit: &Revisit) -> String {
     let (reference, until) = (&revisit.reference, revisit.until);
-    let moved = format!("{} µm have moved since, by their standard uncertainty", short(revisit.largest * 1e3));
+    let moved = format!("what has moved since is known to {} µm (standard uncertainty)", short(revisit.largest * 1e3));
     let Some(shortest) = revisit.shortest() else {
         return format!("\nMeasured at the beginning, {reference} need not be measured again until {until:.0} s: {moved}\n");
     };

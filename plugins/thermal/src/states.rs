@@ -2,9 +2,10 @@
 
 use abbe_core::{
     CALIBRATION_FORMAT, Calibration, ColumnHeader, Context, Dataset, Error, Estimate, EstimateSource, Estimated,
-    FitReport, Identifiability, ModelRecord, NamedCovariance, Problem, Quantity, Result, SettingsError, Status, Unit,
+    FitReport, Identifiability, ModelRecord, NamedCovariance, PredictedStructure, Problem, Quantity, Result,
+    SelectionByPrediction, SettingsError, Status, Unit,
 };
-use abbe_thermal::{Fitted, Output, Readings, SensorLog, fit, select};
+use abbe_thermal::{Fitted, Output, PARTS, Readings, SensorLog, Structure, Tried, fit, select};
 use serde_json::{Value, json};
 
 use crate::settings::{Run, Settings, Uncertainty, gain_unit, quantity};
@@ -66,18 +67,10 @@ impl Estimate for ThermalStates {
                 "{name}: rows of {minutes} are 60 times as close as those of {seconds}: are its times in minutes, under `time_s`?"
             );
         }
-        let mut structure = self.settings.structure();
+        let (mut structure, mut selection) = (self.settings.structure(), None);
         if self.settings.select.is_some() {
             let (smallest, tried) = select(&logs, &outputs, &structure, WORSE)?;
-            for tried in &tried {
-                let inputs: Vec<&str> =
-                    tried.structure.inputs.iter().map(|&input| logs[0].names()[input].as_str()).collect();
-                let (inputs, count) = (inputs.join(", "), tried.structure.time_constants);
-                tracing::info!(
-                    "{name}: {inputs} with {count} time constants predict up to {:.4} of the scatter",
-                    tried.error
-                );
-            }
+            selection = selected(logs[0].names(), (&structure, &smallest), &tried, &left_out_runs(data, &structure));
             structure = smallest;
         }
         let fitted = fit(&logs, &outputs, &structure)?;
@@ -112,7 +105,11 @@ impl Estimate for ThermalStates {
             inputs: Some(Vec::new()),
             data: Vec::new(),
             outliers: Vec::new(),
-            fit: FitReport { ordinary_covariance: ordinary, ..found.report() },
+            fit: FitReport {
+                ordinary_covariance: ordinary,
+                selection_by_prediction: selection,
+                ..found.report()
+            },
             uncertainty: None,
             monte_carlo: None,
         })
@@ -142,6 +139,45 @@ impl ThermalStates {
         };
         serde_json::to_value(settings).map_err(|error| Error::data(format!("the settings cannot be written: {error}")))
     }
+}
+
+/// What is left out in turn: whole runs, or parts of each.
+fn left_out_runs(data: &[&Dataset], structure: &Structure) -> Vec<String> {
+    match data.len() > 1 && !structure.starts_warm {
+        true => data.iter().map(|data| run_name(data)).collect(),
+        false => (1..=PARTS).map(|part| format!("part {part}")).collect(),
+    }
+}
+
+/// What was tried, as a calibration tells it: inputs by their names, and time constants as `*:3`.
+fn selected(
+    names: &[String],
+    (most, smallest): (&Structure, &Structure),
+    tried: &[Tried],
+    runs: &[String],
+) -> Option<SelectionByPrediction> {
+    let all = || most.inputs.iter().map(|&input| names[input].clone());
+    let constants = 1..=most.time_constants;
+    let has = |structure: &Structure, input: &String| structure.inputs.iter().any(|&own| names[own] == *input);
+    let left_out = |structure: &Structure| -> Vec<String> {
+        let more = constants.clone().filter(|index| *index > structure.time_constants);
+        all().filter(|input| !has(structure, input)).chain(more.map(|index| format!("*:{index}"))).collect()
+    };
+    let told = |tried: &Tried| PredictedStructure { left_out: left_out(&tried.structure), error: tried.error };
+    let is_chosen = |tried: &&Tried| {
+        let (own, count) = (&tried.structure.inputs, tried.structure.time_constants);
+        *own == smallest.inputs && count == smallest.time_constants
+    };
+    let chosen = tried.iter().find(is_chosen).map(told)?;
+    let kept = constants.clone().filter(|index| *index <= smallest.time_constants).map(|index| format!("*:{index}"));
+    Some(SelectionByPrediction {
+        runs: runs.to_vec(),
+        worse: WORSE,
+        kept: all().filter(|input| has(smallest, input)).chain(kept).collect(),
+        left_out: left_out(smallest),
+        chosen,
+        tried: tried.iter().map(told).collect(),
+    })
 }
 
 /// Two logs of which one has rows 60 times as close as the other.
@@ -227,7 +263,7 @@ impl Found<'_> {
 }
 
 /// How the gains of an output are called after its name, and the sensor of each; none for states at the beginning.
-pub fn terms(structure: &abbe_thermal::Structure, names: &[String], runs: usize) -> Vec<(String, Option<usize>)> {
+pub fn terms(structure: &Structure, names: &[String], runs: usize) -> Vec<(String, Option<usize>)> {
     let states = 1..=structure.time_constants;
     let mut terms = Vec::new();
     for &input in &structure.inputs {

@@ -269,7 +269,8 @@ impl Functions for ThermalTerms {
 
     fn refused(&self, arguments: &[f64]) -> Option<String> {
         if arguments[self.first()..].iter().any(|time| *time <= 0.0) {
-            return Some("a time constant is above 0 s".to_owned());
+            let message = "the iteration leads to a time constant of 0 s or less: these data tell fewer time constants, or need others to start from";
+            return Some(message.to_owned());
         }
         self.logs.refused(arguments[0], self.label_of(arguments))
     }
