@@ -50,18 +50,42 @@ fn table(text: &str, time: &str, mut row_of: impl FnMut(&mut Vec<String>, usize)
     written
 }
 
-/// Each touch was made on one of three days. They have clocks of their own, and the first of them has another temperature in its idle
-/// minutes: nothing of this changes what is estimated.
+/// The same with bodies that count from a temperature, or from the mean of idle minutes.
+fn counted(mut recipe: Variant, from_idle: bool) -> Variant {
+    for body in recipe.stage("mill")["bodies"].as_object_mut().expect("bodies").values_mut().filter(|_| !from_idle) {
+        let body = body.as_object_mut().expect("a body");
+        body.remove("reference_until_s");
+        body.insert("reference_degC".to_owned(), json!(20.18));
+    }
+    recipe
+}
+
+/// Each touch was made on one of three days, which have clocks of their own, or other temperatures in their idle minutes: nothing of
+/// this changes what is estimated.
 #[test]
 fn bodies_follow_the_log_of_their_day() {
     let recipe = mill();
     let (touches, log) = (read(&recipe.path("touches", "path")), read(&recipe.path("sensors", "path")));
-    let expected = fit(&recipe.run(), "fit").calibration.clone();
-    for seed in seeds(4) {
+    let one_day = |cells: &mut Vec<String>, _: usize| vec![(1, cells.clone())];
+    let expected = [false, true].map(|from_idle| {
+        let folder = temporary();
+        let days = by_days(&table(&touches, "time_s", one_day), &table(&log, "time_s", one_day), folder.path());
+        let found = fit(&counted(days, from_idle).run(), "fit").calibration.clone();
+        // With one day it is the recipe itself.
+        let whole = fit(&recipe.run(), "fit").calibration.clone();
+        let same = |one: &abbe_core::Estimated| whole.get(&one.name).is_some_and(|other| other.value == one.value);
+        assert_eq!(found.parameters.iter().all(same), from_idle);
+        found
+    });
+    for seed in seeds(6) {
         let folder = temporary();
         let mut random = Generator::new(77, seed);
-        let clocks: Vec<f64> = (0..3).map(|_| (1e5 * random.uniform()).round()).collect();
-        let offsets: Vec<f64> = (0..3).map(|_| 2.0 * random.uniform()).collect();
+        let from_idle = seed % 2 == 1;
+        let clock = if from_idle { 0.0 } else { 1e5 };
+        let clocks: Vec<f64> = (0..3).map(|_| (clock * random.uniform()).round()).collect();
+        let offset = if from_idle { 2.0 } else { 0.0 };
+        let offsets: Vec<f64> = (0..3).map(|_| offset * random.uniform()).collect();
+        let expected = &expected[usize::from(from_idle)];
         let on_clock = |cells: &[String], column: usize, day: usize| {
             let mut cells = cells.to_vec();
             cells[column] = format!("{}", cells[column].parse::<f64>().expect("a time") + clocks[day]);
@@ -87,7 +111,7 @@ fn bodies_follow_the_log_of_their_day() {
             Vec::new()
         });
         let log = whole + &rows.concat().join("\n") + "\n";
-        let outcome = by_days(&touches, &log, folder.path()).run();
+        let outcome = counted(by_days(&touches, &log, folder.path()), from_idle).run();
         let found = &fit(&outcome, "fit").calibration;
         for parameter in &expected.parameters {
             let other = found.get(&parameter.name).expect("the same parameters");
