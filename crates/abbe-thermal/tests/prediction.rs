@@ -144,11 +144,11 @@ fn intervals_of_predictions_hold_what_they_promise() {
         found
     });
     let [white, staying, noisy_sensors] = found;
-    assert!((0.93..0.97).contains(&white[0]) && (0.88..0.97).contains(&white[1]), "{white:?}");
+    assert!((0.92..0.97).contains(&white[0]) && (0.92..0.97).contains(&white[1]), "{white:?}");
     // Noise that stays: an ordinary fit is far too sure of itself, blocks are nearly right.
-    assert!(staying[0] < 0.75 && staying[1] > 0.83, "{staying:?}");
+    assert!(staying[0] < 0.5 && staying[1] > 0.86, "{staying:?}");
     // Noisy sensors make gains small: neither of both knows that.
-    assert!(noisy_sensors[0] < noisy_sensors[1] + 0.02, "{noisy_sensors:?}");
+    assert!(noisy_sensors[0] < 0.5 && noisy_sensors[1] < 0.8, "{noisy_sensors:?}");
     // What was predicted wrong of another run is right in all of them.
     assert!(found.iter().all(|found| (0.92..0.975).contains(&found[2])), "{found:?}");
 }
