@@ -177,7 +177,10 @@ fn fahrenheit_and_minutes_under_other_names_are_told() {
         let touches = changed(&recipe.path("touches", "path"), folder, "time_s", |_, cell| minutes(cell));
         recipe.stage("touches")["path"] = json!(touches);
     });
-    assert!(in_minutes.contains("touches: the times of its rows, 0.7 s to 165.7 s, lie in the first minutes"), "{in_minutes}");
+    assert!(
+        in_minutes.contains("touches: the times of its rows, 0.7 s to 165.7 s, lie in the first minutes"),
+        "{in_minutes}"
+    );
     let right = told(&|_: &mut Variant, _: &Path| ());
     assert!(!right.contains("°F") && !right.contains("minutes"), "{right}");
 }

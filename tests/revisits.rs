@@ -53,8 +53,7 @@ fn readings(fit: &Fit, group: &str, time: f64, truth: &Truth) -> Vec<f64> {
 }
 
 fn moved(fit: &Fit, revisit: &Revisit, truth: &Truth) -> Vec<Vec<f64>> {
-    let all: Vec<Vec<f64>> =
-        revisit.times.iter().map(|time| readings(fit, &revisit.reference, *time, truth)).collect();
+    let all: Vec<Vec<f64>> = revisit.times.iter().map(|time| readings(fit, &revisit.reference, *time, truth)).collect();
     let between = |pair: &[Vec<f64>]| pair[0].iter().zip(&pair[1]).map(|(before, after)| after - before).collect();
     all.windows(2).map(between).collect()
 }
@@ -64,9 +63,8 @@ fn beside(wanted: f64, all: &[Vec<Vec<f64>>]) -> Vec<f64> {
     let visits = all[0].len();
     let of_visit = |visit: usize| {
         let touches = all[0][visit].len();
-        let of = |touch: usize| {
-            (all.iter().map(|trial| trial[visit][touch].powi(2)).sum::<f64>() / all.len() as f64).sqrt()
-        };
+        let of =
+            |touch: usize| (all.iter().map(|trial| trial[visit][touch].powi(2)).sum::<f64>() / all.len() as f64).sqrt();
         (0..touches).map(of).fold(0.0, f64::max) / wanted
     };
     (0..visits).map(of_visit).collect()
@@ -82,11 +80,7 @@ fn what_was_declared_moves_by_what_was_wanted_between_two_visits() {
     for seed in seeds(6) {
         let mut random = Generator::new(31, seed);
         let mut size = |most: f64| most * (0.3 + 0.7 * (random.index(1000) as f64 / 1e3));
-        let changes = [
-            ("dzt[t1]", size(20e-3)),
-            ("EA0B[T_column:1]", size(10e-6)),
-            ("EXX[1*T_scale]", size(10e-6)),
-        ];
+        let changes = [("dzt[t1]", size(20e-3)), ("EA0B[T_column:1]", size(10e-6)), ("EXX[1*T_scale]", size(10e-6))];
         let (wanted, start) = (1.5 + size(3.0), (size(2500.0)).round());
         let reference = 1 + seed % 9;
         let stated = changes.map(|(name, u)| json!({ "parameters": [name], "standard_uncertainty": u }));
@@ -144,8 +138,7 @@ fn what_the_plan_leaves_open_is_what_estimates_are_off() {
             let parameters: std::collections::BTreeMap<String, f64> =
                 sizes.iter().map(|(name, size)| ((*name).to_owned(), size * random.normal())).collect();
             let sigmas = [("table", 1.6e-3), ("bar", 0.9e-3)].map(|(stage, sigma)| (stage.to_owned(), sigma));
-            let noise =
-                Noise { probing_sigma_mm: StandardDeviation::ByStage(sigmas.into()), ..Noise::default() };
+            let noise = Noise { probing_sigma_mm: StandardDeviation::ByStage(sigmas.into()), ..Noise::default() };
             let truth = Truth { parameters: parameters.clone(), noise };
             let problem = measure(&fit.problem, &truth, seed).unwrap_or_else(|error| panic!("{error}"));
             let calibration = fit.estimator.estimate(&problem).unwrap_or_else(|error| panic!("{error}"));
@@ -165,11 +158,15 @@ fn visits_are_told_and_those_that_make_no_sense_are_refused() {
     let order = |again: Value| json!({ "duration_s": 16, "references": [1], "again": again });
     let folder = temporary();
     let drift = json!([{ "parameters": ["dzt[t1]"], "standard_uncertainty": 0.01 }]);
-    let file = recipe(&order(json!({ "standard_uncertainty_um": 3, "until_s": 9000, "changes": drift })))
-        .write(folder.path());
+    let file =
+        recipe(&order(json!({ "standard_uncertainty_um": 3, "until_s": 9000, "changes": drift }))).write(folder.path());
     let out = folder.path().join("out");
     let told = abbe(folder.path(), &["plan".as_ref(), file.as_os_str(), "--out".as_ref(), out.as_os_str()]);
-    assert!(told.stdout.contains("Measure 1 again after ") && told.stdout.contains(" rows) at the latest"), "{}", told.stdout);
+    assert!(
+        told.stdout.contains("Measure 1 again after ") && told.stdout.contains(" rows) at the latest"),
+        "{}",
+        told.stdout
+    );
     let page = crate::support::read(&out.join("report.html"));
     assert!(page.contains("When 1 is measured again") && page.contains("Order of the measurements"), "{page}");
     let json = abbe(folder.path(), &["plan".as_ref(), file.as_os_str(), "--json".as_ref()]);

@@ -288,10 +288,11 @@ fn sensors_of_unseen_runs() {
 #[test]
 fn minutes_beside_seconds_are_told() {
     let in_minutes = |run: &str| -> String {
-        let of = |line: &str| match line.split_once(',').and_then(|(time, rest)| Some((time.parse::<f64>().ok()?, rest))) {
-            Some((time, rest)) => format!("{},{rest}\n", time / 60.0),
-            None => format!("{line}\n"),
-        };
+        let of =
+            |line: &str| match line.split_once(',').and_then(|(time, rest)| Some((time.parse::<f64>().ok()?, rest))) {
+                Some((time, rest)) => format!("{},{rest}\n", time / 60.0),
+                None => format!("{line}\n"),
+            };
         run.lines().map(of).collect()
     };
     for seed in seeds(3) {
@@ -340,10 +341,12 @@ fn predictions_have_both_uncertainties() {
     let verdicts = json_file(&sandbox.path("out/r/verdicts.json"));
     let figures = verdicts[0]["figures"].as_array().expect("figures");
     let named = |of: &str, name: &str| {
-        let found = figures.iter().find(|figure| figure["of"] == of && figure["name"] == name && figure["unit"] == "um");
+        let found =
+            figures.iter().find(|figure| figure["of"] == of && figure["name"] == name && figure["unit"] == "um");
         found.and_then(|figure| figure["value"].as_f64())
     };
-    let (blocks, ordinary) = ("standard uncertainty of predictions", "standard uncertainty of predictions, ordinary fit");
+    let (blocks, ordinary) =
+        ("standard uncertainty of predictions", "standard uncertainty of predictions, ordinary fit");
     let drawn = named("fit", blocks).expect("a figure");
     let plain = named("fit", ordinary).expect("a figure");
     assert!(plain > 0.0 && drawn > 0.3 * plain && drawn != plain, "{drawn} {plain}");
@@ -354,10 +357,15 @@ fn predictions_have_both_uncertainties() {
     let calibration = Calibration::from_json(&text).expect("a calibration");
     let selection = calibration.fit.selection_by_prediction.as_ref().expect("a selection");
     assert_eq!(selection.runs, ["run0", "run1"]);
-    assert!(selection.left_out.contains(&"*:3".to_owned()) && selection.kept.contains(&"T1".to_owned()), "{selection:?}");
+    assert!(
+        selection.left_out.contains(&"*:3".to_owned()) && selection.kept.contains(&"T1".to_owned()),
+        "{selection:?}"
+    );
     assert!(selection.tried.len() > 3 && selection.tried.iter().all(|tried| tried.error > 0.0), "{selection:?}");
     let page = read(&sandbox.path("out/r/report.html"));
-    for part in ["Selected by prediction", "each of run0, run1 was predicted from the others", "without T3, *:3", "taken"] {
+    for part in
+        ["Selected by prediction", "each of run0, run1 was predicted from the others", "without T3, *:3", "taken"]
+    {
         assert!(page.contains(part), "{part}");
     }
 }

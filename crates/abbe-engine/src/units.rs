@@ -97,7 +97,8 @@ mod tests {
             let fahrenheit = |value: &f64| 32.0 + 1.8 * value;
             let with = |values: &[f64]| {
                 let names: Vec<String> = (0..sensors).map(|sensor| format!("T{sensor}_degC")).collect();
-                let cells = |by: f64| values.iter().map(|value| format!("{:.3}", value + by)).collect::<Vec<_>>().join(",");
+                let cells =
+                    |by: f64| values.iter().map(|value| format!("{:.3}", value + by)).collect::<Vec<_>>().join(",");
                 likely_fahrenheit(&table(&format!("time_s,{}\n0,{}\n60,{}\n", names.join(","), cells(0.0), cells(9.0))))
             };
             assert_eq!(with(&firsts), None, "seed {seed}");
@@ -119,7 +120,8 @@ mod tests {
             let mut random = Random(1000 + seed);
             let mut part = || random.part();
             let (begin, length) = (600.0 * part(), 3600.0 + 20_000.0 * part());
-            let log: String = (0..=100).map(|row| format!("{},20\n", begin + length * f64::from(row) / 100.0 - 1200.0)).collect();
+            let log: String =
+                (0..=100).map(|row| format!("{},20\n", begin + length * f64::from(row) / 100.0 - 1200.0)).collect();
             let log = table(&format!("time_s,T_degC\n{log}"));
             let (from, share) = (0.2 * part() * length, 0.6 + 0.15 * part());
             let rows = |unit: f64| {

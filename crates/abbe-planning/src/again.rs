@@ -50,9 +50,8 @@ pub(crate) fn revisits(
     if until <= ordering.start_s {
         return Err(at_again("until_s", format!("{until} s: a time behind the beginning of the plan was expected")));
     }
-    let references = candidates.iter().filter(|candidate| {
-        ordering.references.iter().any(|label| label.0 == candidate.label)
-    });
+    let references =
+        candidates.iter().filter(|candidate| ordering.references.iter().any(|label| label.0 == candidate.label));
     references
         .map(|reference| {
             let course = Course::new(contact, (reference, set), [ordering.start_s, until])?;
@@ -76,7 +75,11 @@ fn covariance(contact: &Problem, again: &Again, figures: &PlanFigures) -> Result
             let mut fitting = (0..names.len()).filter(|unknown| matches(pattern, names[*unknown])).peekable();
             if fitting.peek().is_none() {
                 let mut error = at_again("changes", format!("`{pattern}` matches nothing that is estimated"));
-                error.setting.extend([PathItem::Index(line), PathItem::Key("parameters".to_owned()), PathItem::Index(index)]);
+                error.setting.extend([
+                    PathItem::Index(line),
+                    PathItem::Key("parameters".to_owned()),
+                    PathItem::Index(index),
+                ]);
                 return Err(error.suggest(pattern, names.iter().copied()));
             }
             fitting.for_each(|unknown| {

@@ -118,9 +118,8 @@ pub fn order(
     });
     let of_best = figures(&best)?.ok_or_else(undetermined)?;
     let again = ordering.again.as_ref().zip(contact.set_named(&wanted.candidates));
-    let revisits = again.map(|(again, set)| {
-        revisits(contact, (candidates, set), (ordering, again), (&of_best, sequencing.span[1]))
-    });
+    let revisits = again
+        .map(|(again, set)| revisits(contact, (candidates, set), (ordering, again), (&of_best, sequencing.span[1])));
     Ok(Some(Order {
         rows: rows.collect(),
         end: sequencing.span[1],

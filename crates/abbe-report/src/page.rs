@@ -48,7 +48,9 @@ pub fn page(runs: &[Run]) -> String {
         .map(|(run, fit)| (if runs.len() == 1 { fit.name.clone() } else { format!("{}: {}", run.name, fit.name) }, fit))
         .collect();
     part("parameters", "Parameters", &parameters(&named));
-    let selections: String = named.iter().map(|(name, fit)| (name, selection(fit)))
+    let selections: String = named
+        .iter()
+        .map(|(name, fit)| (name, selection(fit)))
         .filter(|(_, html)| !html.is_empty())
         .map(|(name, html)| details(name, true, &html))
         .collect();

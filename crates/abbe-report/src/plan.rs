@@ -10,7 +10,8 @@ use crate::page::whole;
 /// A page about a plan; `name` is that of its recipe.
 pub fn plan_page(name: &str, measurements: &Measurements) -> String {
     let title = format!("{name}: plan for {}", measurements.estimate);
-    let mut parts: Vec<(String, String, String)> = vec![("chosen".to_owned(), "Chosen".to_owned(), chosen(measurements))];
+    let mut parts: Vec<(String, String, String)> =
+        vec![("chosen".to_owned(), "Chosen".to_owned(), chosen(measurements))];
     if let Some(order) = &measurements.plan.order {
         parts.push(("order".to_owned(), "In this order".to_owned(), ordered(order)));
         if !order.revisits.is_empty() {
@@ -25,9 +26,16 @@ pub fn plan_page(name: &str, measurements: &Measurements) -> String {
 fn chosen(measurements: &Measurements) -> String {
     let plan = &measurements.plan;
     let number: usize = plan.chosen.iter().map(|chosen| chosen.times).sum();
-    let labels: Vec<String> = (plan.chosen.iter())
-        .map(|chosen| if chosen.times > 1 { format!("{} ({} times)", chosen.label, chosen.times) } else { chosen.label.clone() })
-        .collect();
+    let labels: Vec<String> =
+        (plan.chosen.iter())
+            .map(|chosen| {
+                if chosen.times > 1 {
+                    format!("{} ({} times)", chosen.label, chosen.times)
+                } else {
+                    chosen.label.clone()
+                }
+            })
+            .collect();
     let mut html = paragraph(&format!("{number} of {} candidates: {}.", plan.candidates, labels.join(", ")));
     let evenly = |value: fn(&PlanFigures) -> String| {
         plan.spread_evenly.as_ref().map_or_else(|| "not determined".to_owned(), value)
@@ -96,7 +104,10 @@ fn ordered(order: &Order) -> String {
 
 fn again(revisit: &Revisit) -> String {
     let spans: Vec<Span> = (revisit.times.iter())
-        .map(|time| Span { name: revisit.reference.clone(), times: [*time, time + revisit.row].map(|time| time / 60.0) })
+        .map(|time| Span {
+            name: revisit.reference.clone(),
+            times: [*time, time + revisit.row].map(|time| time / 60.0),
+        })
         .collect();
     let moved = short(revisit.largest * 1e3);
     let until = revisit.until / 60.0;

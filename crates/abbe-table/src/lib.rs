@@ -21,8 +21,8 @@ use std::path::{Path, PathBuf};
 
 use abbe_core::{Column, ColumnHeader, DataRow, Dataset, Error, Quantity, Result, Values};
 
-pub use layout::{ColumnSource, Decimal, Encoding, Layout, Separator, Thousands, Unit};
 pub use abbe_core::ranges::TEMPERATURES;
+pub use layout::{ColumnSource, Decimal, Encoding, Layout, Separator, Thousands, Unit};
 pub use number::number;
 pub use rewrite::{Cells, with_cells, with_columns};
 pub use settings::{ColumnInUnit, Declared, Source};

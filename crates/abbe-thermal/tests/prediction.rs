@@ -98,7 +98,7 @@ fn uncertainties(found: &Fitted, terms: &Terms, covariance: &Mat<f64>) -> Vec<f6
 /// Parts of 95 % intervals that hold what they promise: those of an ordinary fit and of blocks for what is without noise, and those of
 /// the scatter of a run that was not seen for the readings of another one.
 fn coverage(disturbed: Disturbed) -> [f64; 3] {
-    let (mut inside, mut all) = ([0_usize; 3], 0_usize);
+    let (mut inside, mut all, mut refused) = ([0_usize; 3], 0_usize, 0);
     for seed in 0..sets() {
         let mut random = Generator::new(seed, 0);
         let constants = [200.0 + 300.0 * part(&mut random), 1500.0 + 2000.0 * part(&mut random)];
@@ -109,7 +109,11 @@ fn coverage(disturbed: Disturbed) -> [f64; 3] {
         let structure =
             Structure { inputs: vec![0, 1], at_once: Vec::new(), time_constants: 2, starts_warm: false, guess: None };
         let logs = std::slice::from_ref(&seen.log);
-        let found = fit(logs, &outputs, &structure).unwrap_or_else(|error| panic!("seed {seed}: {error}"));
+        // Noise may tell no two time constants.
+        let Ok(found) = fit(logs, &outputs, &structure) else {
+            refused += 1;
+            continue;
+        };
         let block = found.time_constants[1].min(STEP * ROWS as f64 / 10.0);
         let drawn = found.bootstrap(logs, &outputs, Bootstrap { draws: 300, block, seed }).expect("draws");
         let rms = {
@@ -131,6 +135,7 @@ fn coverage(disturbed: Disturbed) -> [f64; 3] {
             all += 1;
         }
     }
+    assert!(refused * 50 <= sets(), "{refused} fits were refused");
     inside.map(|inside| inside as f64 / all as f64)
 }
 
@@ -140,7 +145,10 @@ fn intervals_of_predictions_hold_what_they_promise() {
     let cases = [white, Disturbed { stays: 0.9, ..white }, Disturbed { sensors: 0.3, ..white }];
     let found = cases.map(|case| {
         let found = coverage(case);
-        println!("{case:?}: ordinary {:.3}, blocks {:.3}, by a run that was not seen {:.3}", found[0], found[1], found[2]);
+        println!(
+            "{case:?}: ordinary {:.3}, blocks {:.3}, by a run that was not seen {:.3}",
+            found[0], found[1], found[2]
+        );
         found
     });
     let [white, staying, noisy_sensors] = found;

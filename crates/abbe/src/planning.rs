@@ -84,9 +84,12 @@ fn again(revisit: &Revisit) -> String {
     let (reference, until) = (&revisit.reference, revisit.until);
     let moved = format!("what has moved since is known to {} µm (standard uncertainty)", short(revisit.largest * 1e3));
     let Some(shortest) = revisit.shortest() else {
-        return format!("\nMeasured at the beginning, {reference} need not be measured again until {until:.0} s: {moved}\n");
+        return format!(
+            "\nMeasured at the beginning, {reference} need not be measured again until {until:.0} s: {moved}\n"
+        );
     };
-    let after = if shortest < 120.0 { format!("{shortest:.0} s") } else { format!("{:.0} minutes", (shortest / 60.0).floor()) };
+    let after =
+        if shortest < 120.0 { format!("{shortest:.0} s") } else { format!("{:.0} minutes", (shortest / 60.0).floor()) };
     let rows = (shortest / revisit.row).floor();
     let mut text = format!(
         "\nMeasure {reference} again after {after} ({rows:.0} rows) at the latest: {moved}. Until {until:.0} s at seconds\n"

@@ -264,7 +264,9 @@ impl<'a> Known<'a> {
         };
         let variances = [Some(&self.calibration.covariance), self.ordinary].map(|covariance| {
             let block = covariance.map(|covariance| covariance.block(&order));
-            let variance = |row: usize| block.as_ref().map_or(0.0, |block| form(|row, column| block[(row, column)], &derivatives(row)));
+            let variance = |row: usize| {
+                block.as_ref().map_or(0.0, |block| form(|row, column| block[(row, column)], &derivatives(row)))
+            };
             (0..times.len()).map(|row| variance(row).max(0.0)).collect()
         });
         Ok((predicted, variances))

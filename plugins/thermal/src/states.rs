@@ -105,11 +105,7 @@ impl Estimate for ThermalStates {
             inputs: Some(Vec::new()),
             data: Vec::new(),
             outliers: Vec::new(),
-            fit: FitReport {
-                ordinary_covariance: ordinary,
-                selection_by_prediction: selection,
-                ..found.report()
-            },
+            fit: FitReport { ordinary_covariance: ordinary, selection_by_prediction: selection, ..found.report() },
             uncertainty: None,
             monte_carlo: None,
         })

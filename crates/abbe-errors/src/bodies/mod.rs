@@ -191,7 +191,11 @@ impl Body {
 
     /// The columns of its log, or of each of its logs, by their names with units; none before they are known.
     pub(super) fn columns(&self) -> impl Iterator<Item = &String> {
-        std::iter::once(&self.log).chain(self.logs.values()).find(|log| !log.is_empty()).into_iter().flat_map(Columns::keys)
+        std::iter::once(&self.log)
+            .chain(self.logs.values())
+            .find(|log| !log.is_empty())
+            .into_iter()
+            .flat_map(Columns::keys)
     }
 
     /// Whether it finds temperatures by time.
@@ -349,7 +353,8 @@ impl Body {
         };
         match &self.series {
             Some(series) if columns.is_empty() => {
-                let message = format!("no sensor of this body is a column of a log, which could have one for each {series}");
+                let message =
+                    format!("no sensor of this body is a column of a log, which could have one for each {series}");
                 Err(SettingsError::new("series", message))
             }
             Some(series) => {

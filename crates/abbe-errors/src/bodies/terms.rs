@@ -92,12 +92,7 @@ impl BodyTerms {
     ///
     /// `range` is the travel of the axis that guides it, mm; `labels` are those of the series of its logs. Fails for a body that is not parallel to this axis, for a travel beyond its
     /// ends, and for logs that are wrong.
-    pub fn new(
-        body: &Body,
-        mount: Mount,
-        range: Option<[f64; 2]>,
-        labels: &[String],
-    ) -> Result<Self, SettingsError> {
+    pub fn new(body: &Body, mount: Mount, range: Option<[f64; 2]>, labels: &[String]) -> Result<Self, SettingsError> {
         let (beam, sections) = beam(body)?;
         let along = body.direction();
         let reach = match (body.kind()?, body.slides) {

@@ -59,7 +59,8 @@ pub fn sequence(title: &str, unit: &str, (spans, until): (&[Span], f64), marked:
         canvas.text(if is_marked { "e n" } else { "e t" }, [left - 6.0, y + 11.0], name);
         for span in spans.iter().filter(|span| span.name == **name) {
             let [from, to] = span.times.map(|time| x.at(time));
-            canvas.rectangle(if is_marked { "gauge" } else { "bar" }, [from, y + 2.0, (to - from).max(2.0), line - 4.0]);
+            canvas
+                .rectangle(if is_marked { "gauge" } else { "bar" }, [from, y + 2.0, (to - from).max(2.0), line - 4.0]);
         }
     }
     canvas.svg()
@@ -75,6 +76,8 @@ mod tests {
         let all = [choice("all candidates", 1.2, false), choice("without *T2:*", 1.1, true)];
         let span = |name: &str, from, to| Span { name: name.to_owned(), times: [from, to] };
         let spans = [span("1", 0.0, 5.0), span("7", 5.0, 9.0), span("1", 9.0, 14.0)];
-        insta::assert_snapshot!(choices("Choices", "RMS", &all) + &sequence("Order", "min", (&spans, 20.0), &["1".to_owned()]));
+        insta::assert_snapshot!(
+            choices("Choices", "RMS", &all) + &sequence("Order", "min", (&spans, 20.0), &["1".to_owned()])
+        );
     }
 }

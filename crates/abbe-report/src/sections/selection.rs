@@ -22,9 +22,8 @@ fn of(name: &str, found: &SelectionByPrediction) -> String {
     };
     let taken = |choice: &abbe_core::PredictedStructure| choice.left_out == found.chosen.left_out;
     let all = found.tried.iter();
-    let bars: Vec<Choice> = all
-        .map(|tried| Choice { name: named(&tried.left_out), value: tried.error, taken: taken(tried) })
-        .collect();
+    let bars: Vec<Choice> =
+        all.map(|tried| Choice { name: named(&tried.left_out), value: tried.error, taken: taken(tried) }).collect();
     let shown = &bars[..bars.len().min(MOST)];
     let best = found.tried.iter().map(|tried| tried.error).fold(f64::INFINITY, f64::min);
     let caption = format!(
@@ -51,5 +50,9 @@ fn of(name: &str, found: &SelectionByPrediction) -> String {
             ]
         })
         .collect();
-    html + &table(&format!("Choices that {name} tried"), &["choice", "RMS of predictions", "beside the best", ""], &rows)
+    html + &table(
+        &format!("Choices that {name} tried"),
+        &["choice", "RMS of predictions", "beside the best", ""],
+        &rows,
+    )
 }
