@@ -22,7 +22,7 @@ use crate::record::{FileRecord, Remark, input_records};
 use crate::row_settings::Wanted;
 use crate::saved::fit_without_rows;
 use crate::travel::{check_travel, in_travel};
-use crate::units::{likely_fahrenheit, likely_minutes};
+use crate::units::{likely_fahrenheit, tell_minutes};
 
 /// Identifiability of a planned fit.
 #[derive(Debug, Clone, PartialEq)]
@@ -360,22 +360,17 @@ impl Prepared {
             }
         }
         let names = stage.reference("observations");
-        let mut used: Vec<&Dataset> = Vec::new();
-        let mut ingests: Vec<&str> = Vec::new();
+        let mut rows: Vec<(&str, &Dataset)> = Vec::new();
         for name in names {
             let (ingest, _) = self.artefact(name)?;
-            if !ingests.contains(&ingest) {
-                ingests.push(ingest);
-                used.push(data[ingest].as_ref());
+            if !rows.iter().any(|(own, _)| *own == ingest) {
+                rows.push((ingest, data[ingest].as_ref()));
             }
         }
         let (machine, model) = self.machine(stage)?;
         let logs = self.logs(machine, |log| Ok(data[log].clone()))?;
-        for (name, rows) in ingests.iter().zip(&used) {
-            let told = logs.iter().find_map(|log| likely_minutes(rows, log));
-            told.iter().for_each(|told| tracing::warn!("{name}: {told}"));
-        }
-        used.extend(&logs);
+        tell_minutes(&rows, &logs);
+        let used: Vec<&Dataset> = rows.into_iter().map(|(_, rows)| rows).chain(&logs).collect();
         model.build(&used).map_err(|error| error.stage(&machine.name))
     }
 

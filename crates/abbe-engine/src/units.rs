@@ -44,8 +44,16 @@ fn celsius(fahrenheit: f64) -> f64 {
     (fahrenheit - 32.0) / 1.8
 }
 
+/// Tells rows of stages whose times are likely in minutes, beside the logs of their machine.
+pub(crate) fn tell_minutes(rows: &[(&str, &Dataset)], logs: &[Dataset]) {
+    for (stage, rows) in rows {
+        let told = logs.iter().find_map(|log| likely_minutes(rows, log));
+        told.iter().for_each(|told| tracing::warn!("{stage}: {told}"));
+    }
+}
+
 /// Rows whose times lie in the first minutes of a log, and would cover it if they were in minutes, in words.
-pub(crate) fn likely_minutes(rows: &Dataset, log: &Dataset) -> Option<String> {
+fn likely_minutes(rows: &Dataset, log: &Dataset) -> Option<String> {
     let times = |data: &Dataset| -> Option<Vec<f64>> {
         Some(data.numbers("time")?.iter().copied().filter(|time| time.is_finite()).collect())
     };
