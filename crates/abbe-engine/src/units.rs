@@ -18,8 +18,8 @@ pub(crate) fn likely_fahrenheit(data: &Dataset) -> Option<String> {
     let first = |name: &str| data.numbers(name)?.iter().copied().find(|value| value.is_finite());
     let firsts: Vec<(&str, f64)> =
         columns.filter_map(|column| Some((column.header.name.as_str(), first(&column.header.name)?))).collect();
-    let in_fahrenheit = |(_, value): &&(&str, f64)| !AT_REST.contains(value) && AT_REST.contains(&celsius(*value));
-    let (doubtful, others): (Vec<&(&str, f64)>, Vec<&(&str, f64)>) = firsts.iter().partition(in_fahrenheit);
+    let in_fahrenheit = |(_, value): &(&str, f64)| !AT_REST.contains(value) && AT_REST.contains(&celsius(*value));
+    let (doubtful, others): (Vec<_>, Vec<_>) = firsts.into_iter().partition(in_fahrenheit);
     let (name, value) = doubtful.first()?;
     if others.is_empty() {
         return Some(format!(

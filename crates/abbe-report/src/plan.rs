@@ -23,6 +23,9 @@ pub fn plan_page(name: &str, measurements: &Measurements) -> String {
     whole(&title, &[&measurements.estimate], &parts)
 }
 
+/// A figure of a plan: name and text.
+type Figure = (&'static str, fn(&PlanFigures) -> String);
+
 fn chosen(measurements: &Measurements) -> String {
     let plan = &measurements.plan;
     let number: usize = plan.chosen.iter().map(|chosen| chosen.times).sum();
@@ -40,7 +43,7 @@ fn chosen(measurements: &Measurements) -> String {
     let evenly = |value: fn(&PlanFigures) -> String| {
         plan.spread_evenly.as_ref().map_or_else(|| "not determined".to_owned(), value)
     };
-    let figures: [(&str, fn(&PlanFigures) -> String); 3] = [
+    let figures: [Figure; 3] = [
         ("equations", |figures| figures.equations.to_string()),
         ("log determinant", |figures| short(figures.log_determinant)),
         ("condition", |figures| short(figures.condition)),
@@ -127,7 +130,7 @@ fn again(revisit: &Revisit) -> String {
         ),
     };
     let title = format!("When {} is measured again", revisit.reference);
-    figure(&sequence(&title, "min", (&spans, until), &[revisit.reference.clone()]), &caption)
+    figure(&sequence(&title, "min", (&spans, until), std::slice::from_ref(&revisit.reference)), &caption)
 }
 
 fn unknowns(measurements: &Measurements) -> String {

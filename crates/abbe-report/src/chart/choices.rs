@@ -76,8 +76,11 @@ mod tests {
         let all = [choice("all candidates", 1.2, false), choice("without *T2:*", 1.1, true)];
         let span = |name: &str, from, to| Span { name: name.to_owned(), times: [from, to] };
         let spans = [span("1", 0.0, 5.0), span("7", 5.0, 9.0), span("1", 9.0, 14.0)];
-        insta::assert_snapshot!(
-            choices("Choices", "RMS", &all) + &sequence("Order", "min", (&spans, 20.0), &["1".to_owned()])
-        );
+        let bars = choices("Choices", "RMS", &all);
+        assert!(bars.contains("without *T2:*: 1.100") && bars.matches("class=\"bar\"").count() == 2, "{bars}");
+        let told = sequence("Order", "min", (&spans, 20.0), &["1".to_owned()]);
+        // What is measured twice stands above all others, on one line.
+        assert!(told.matches("class=\"gauge\"").count() == 2 && told.matches("class=\"bar\"").count() == 1, "{told}");
+        assert!(told.find(">1</text>") < told.find(">7</text>"), "{told}");
     }
 }
