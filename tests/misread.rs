@@ -144,6 +144,47 @@ fn temperatures_in_kelvin_and_those_of_two_places_are_refused() {
     assert!(error.message.contains("`T_column` of their own, and so has the log"), "{error}");
 }
 
+/// Temperatures in °F and times in minutes that are called °C and s can be read; they are told, and nothing is told of what is right.
+#[test]
+fn fahrenheit_and_minutes_under_other_names_are_told() {
+    let fahrenheit = |cell: &str| format!("{:.3}", 32.0 + 1.8 * cell.parse::<f64>().expect("a temperature"));
+    let minutes = |cell: &str| format!("{:.4}", cell.parse::<f64>().expect("a time") / 60.0);
+    let told = |change: &dyn Fn(&mut Variant, &Path)| {
+        let folder = temporary();
+        let mut recipe = warming();
+        change(&mut recipe, folder.path());
+        let file = recipe.write(folder.path());
+        let printed = abbe(folder.path(), &["check".as_ref(), file.as_os_str()]);
+        assert_eq!(printed.status, 0, "{}", printed.stderr);
+        printed.stderr
+    };
+    let sensors = |columns: &'static [&'static str]| {
+        move |recipe: &mut Variant, folder: &Path| {
+            for column in columns {
+                let log = changed(&recipe.path("sensors", "path"), folder, column, |_, cell| fahrenheit(cell));
+                let kept = folder.join(format!("{column}.csv"));
+                fs::rename(log, &kept).expect("moved");
+                recipe.stage("sensors")["path"] = json!(kept);
+            }
+        }
+    };
+    let all = told(&sensors(&["T_scale_degC", "T_column_degC"]));
+    assert!(all.contains("sensors: all temperatures begin from 68.0 to 68.0"), "{all}");
+    assert!(all.contains("68.0 °F are 20.0 °C"), "{all}");
+    let one = told(&sensors(&["T_column_degC"]));
+    assert!(one.contains("sensors: T_column begins at 68.0 °C, and the other temperatures at 20.0 °C"), "{one}");
+    let in_minutes = told(&|recipe: &mut Variant, folder: &Path| {
+        let touches = changed(&recipe.path("touches", "path"), folder, "time_s", |_, cell| minutes(cell));
+        recipe.stage("touches")["path"] = json!(touches);
+    });
+    assert!(
+        in_minutes.contains("touches: the times of its rows, 0.7 s to 165.7 s, lie in the first minutes"),
+        "{in_minutes}"
+    );
+    let right = told(&|_: &mut Variant, _: &Path| ());
+    assert!(!right.contains("°F") && !right.contains("minutes"), "{right}");
+}
+
 #[test]
 fn sensors_with_faults_are_told() {
     type Change = fn(usize, &str) -> String;

@@ -317,6 +317,7 @@ fn every_recipe_is_simulated_with_the_truth_of_its_own_data() {
         let machine = match name.as_str() {
             "tango-warming-retrain" => Some("hu40t"),
             "mill-warming" => Some("mill"),
+            "warming-days" => Some("axis"),
             // That of the sphere is taken as nominal.
             "probe-lobing" | "probe-lobing-exact" => Some("hu40t"),
             _ => None,

@@ -284,6 +284,92 @@ fn sensors_of_unseen_runs() {
     assert!(text.contains("unseen.csv") && text.contains("there is no column `T2`"), "{text}");
 }
 
+/// Times in minutes that are called seconds: beside a run in seconds, and where a run is predicted.
+#[test]
+fn minutes_beside_seconds_are_told() {
+    let in_minutes = |run: &str| -> String {
+        let of =
+            |line: &str| match line.split_once(',').and_then(|(time, rest)| Some((time.parse::<f64>().ok()?, rest))) {
+                Some((time, rest)) => format!("{},{rest}\n", time / 60.0),
+                None => format!("{line}\n"),
+            };
+        run.lines().map(of).collect()
+    };
+    for seed in seeds(3) {
+        let runs: Vec<String> = (0..3).map(|run| wandering(40 + 3 * seed + run, 0.5)).collect();
+        let told = |seen: &str, unseen: &str| {
+            let sandbox = Sandbox::new();
+            for (name, text) in [("first.csv", runs[0].as_str()), ("second.csv", seen), ("unseen.csv", unseen)] {
+                sandbox.write(name, text);
+            }
+            sandbox.write(
+                "r.yaml",
+                "abbe: 1\nstages:\n  a: { ingest: csv, path: first.csv }\n  b: { ingest: csv, path: second.csv }\n  c: { ingest: csv, \
+                 path: unseen.csv }\n  fit: { estimate: thermal-states, from: a, inputs: [T1, T2], outputs: [drift], time_constants: 2 }\n  \
+                 both: { estimate: thermal-states, from: [a, b], inputs: [T1, T2], outputs: [drift], time_constants: 2 }\n  judged: { \
+                 validate: thermal, of: fit, from: c, prediction: {} }\n",
+            );
+            let printed = sandbox.abbe(&["run", "r.yaml", "--out", "out"]);
+            printed.stdout + &printed.stderr
+        };
+        let right = told(&runs[1], &runs[2]);
+        assert!(!right.contains("minutes"), "seed {seed}: {right}");
+        let said = told(&in_minutes(&runs[1]), &runs[2]);
+        assert!(said.contains("rows of second are 60 times as close as those of first"), "seed {seed}: {said}");
+        let said = told(&runs[1], &in_minutes(&runs[2]));
+        assert!(said.contains("with times that are 60 times as long: are they in minutes"), "seed {seed}: {said}");
+    }
+}
+
+/// What is predicted has both uncertainties: that of residuals drawn again in blocks, and that of an ordinary fit. What was tried by a
+/// selection stands in the calibration and on the page.
+#[test]
+fn predictions_have_both_uncertainties() {
+    let sandbox = Sandbox::new();
+    for run in 0..3 {
+        sandbox.write(&format!("run{run}.csv"), &wandering(70 + run, 0.5));
+    }
+    sandbox.write(
+        "r.yaml",
+        "abbe: 1\nstages:\n  a: { ingest: csv, path: run0.csv }\n  b: { ingest: csv, path: run1.csv }\n  c: { ingest: csv, path: run2.csv \
+         }\n  fit: { estimate: thermal-states, from: [a, b], inputs: [T1, T2, T3], outputs: [drift], time_constants: 3, select: prediction \
+         }\n  plain: { estimate: thermal-states, from: [a, b], inputs: [T1, T2], outputs: [drift], time_constants: 2, uncertainty: ordinary \
+         }\n  judged: { validate: thermal, of: [fit, plain], from: c, prediction: {} }\n",
+    );
+    let printed = sandbox.abbe(&["run", "r.yaml", "--out", "out"]);
+    assert_eq!(printed.status, 0, "{}", printed.stderr);
+    let verdicts = json_file(&sandbox.path("out/r/verdicts.json"));
+    let figures = verdicts[0]["figures"].as_array().expect("figures");
+    let named = |of: &str, name: &str| {
+        let found =
+            figures.iter().find(|figure| figure["of"] == of && figure["name"] == name && figure["unit"] == "um");
+        found.and_then(|figure| figure["value"].as_f64())
+    };
+    let (blocks, ordinary) =
+        ("standard uncertainty of predictions", "standard uncertainty of predictions, ordinary fit");
+    let drawn = named("fit", blocks).expect("a figure");
+    let plain = named("fit", ordinary).expect("a figure");
+    assert!(plain > 0.0 && drawn > 0.3 * plain && drawn != plain, "{drawn} {plain}");
+    // Nearly the same model by an ordinary fit.
+    assert!((named("plain", blocks).expect("a figure") / plain - 1.0).abs() < 0.3);
+    assert_eq!(named("plain", ordinary), None);
+    let text = read(&sandbox.path("out/r/fit.calibration.json"));
+    let calibration = Calibration::from_json(&text).expect("a calibration");
+    let selection = calibration.fit.selection_by_prediction.as_ref().expect("a selection");
+    assert_eq!(selection.runs, ["run0", "run1"]);
+    assert!(
+        selection.left_out.contains(&"*:3".to_owned()) && selection.kept.contains(&"T1".to_owned()),
+        "{selection:?}"
+    );
+    assert!(selection.tried.len() > 3 && selection.tried.iter().all(|tried| tried.error > 0.0), "{selection:?}");
+    let page = read(&sandbox.path("out/r/report.html"));
+    for part in
+        ["Selected by prediction", "each of run0, run1 was predicted from the others", "without T3, *:3", "taken"]
+    {
+        assert!(page.contains(part), "{part}");
+    }
+}
+
 #[test]
 fn wrong_runs_and_settings_have_one_clear_error() {
     let good = wandering(1, 0.5);

@@ -2,8 +2,8 @@
 
 use std::path::Path;
 
-use abbe_core::{Calibration, Dataset, Error, Quantity, Result};
-use abbe_errors::Declaration;
+use abbe_core::{Calibration, Dataset, Error, Quantity, Result, from_settings};
+use abbe_errors::{Body, Declaration};
 
 /// A log of sensors with its own clock, which takes the place of the one that a calibration keeps.
 #[derive(Debug, Clone, PartialEq)]
@@ -99,10 +99,8 @@ pub(crate) fn declarations(calibration: &Calibration) -> Vec<Declaration> {
 /// logs one after another.
 fn logged(calibration: &Calibration) -> Vec<(String, Vec<f64>)> {
     let bodies = calibration.model.settings.get("bodies").and_then(|bodies| bodies.as_object());
-    let kept = bodies.into_iter().flatten().filter_map(|(_, body)| body.get("log")?.as_object()).flatten();
-    let of_bodies = kept.filter_map(|(header, values)| {
-        Some((header.clone(), values.as_array()?.iter().filter_map(|value| value.as_f64()).collect::<Vec<f64>>()))
-    });
+    let bodies = bodies.into_iter().flatten().filter_map(|(_, body)| from_settings::<Body>(body).ok());
+    let of_bodies = bodies.flat_map(|body| body.logs.into_values().chain([body.log]).flatten());
     let of_line = |line| match line {
         Declaration::Thermal(thermal) => thermal.logs.into_values().chain([thermal.log]).flatten().collect(),
         _ => Vec::new(),

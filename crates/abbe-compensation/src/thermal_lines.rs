@@ -102,7 +102,6 @@ pub struct ThermalLines {
     /// The axes.
     pub lines: Vec<ThermalLine>,
     commands: Vec<usize>,
-    time: usize,
     width: usize,
 }
 
@@ -125,13 +124,12 @@ impl ThermalLines {
         for (axis, place) in places(&settings.at, "at", model)? {
             status[model.info().axes[axis].status] = place;
         }
-        let largest = responses.states.iter().map(|state| state.largest().map(|(_, value)| value.abs()));
+        let largest = responses.states.iter().map(|state| state.largest().map(f64::abs));
         let mut found = Self {
             largest: largest.collect::<Result<Vec<_>>>()?,
             states: responses.states.clone(),
             lines: Vec::new(),
             commands: model.info().axes.iter().map(|axis| axis.status).collect(),
-            time: responses.time(),
             width: model.info().status.len(),
         };
         let axes = corrected(settings, model)?;
@@ -218,35 +216,20 @@ impl ThermalLines {
         statuses.chunks(self.width).enumerate().map(at).fold(0.0, f64::max)
     }
 
-    /// The column of the time in a status.
-    pub fn time(&self) -> usize {
-        self.time
-    }
-
-    /// All states at a time of the calibration's own log; zero where the time is not known.
+    /// All states at a status on the clock of the calibration's own log; zero where the time is not known.
     ///
     /// Fails for a time outside the log.
-    pub fn states_at(&self, time: f64) -> Result<Vec<f64>> {
-        match time.is_nan() {
-            true => Ok(vec![0.0; self.states.len()]),
-            false => self.states.iter().map(|state| state.at(time)).collect(),
-        }
+    pub fn states_at(&self, status: &[f64]) -> Result<Vec<f64>> {
+        self.states.iter().map(|state| state.at(status)).collect()
     }
 
-    /// How fast the correction of an axis changes at most while the log of the calibration runs, mm/s, at either end of its travel.
+    /// A bound of how fast the correction of an axis changes while the logs of the calibration run, mm/s, at either end of its travel:
+    /// all states at their fastest together.
     pub fn fastest(&self, line: &ThermalLine) -> Result<f64> {
-        let (from, to) = line.range;
-        let mut fastest = 0.0_f64;
-        let Some(times) = self.states.first().map(ThermalState::times) else { return Ok(fastest) };
-        let mut before: Option<(f64, [f64; 2])> = None;
-        for &time in times {
-            let states = self.states_at(time)?;
-            let now = [from, to].map(|place| line.correction(&states, place));
-            if let Some((earlier, last)) = before {
-                let change = (now[0] - last[0]).abs().max((now[1] - last[1]).abs());
-                fastest = fastest.max(change / (time - earlier));
-            }
-            before = Some((time, now));
+        let mut fastest = 0.0;
+        for (state, [offset, slope]) in self.states.iter().zip(&line.parts) {
+            let at = |place: f64| (offset + slope * (place - line.reference)).abs();
+            fastest += at(line.range.0).max(at(line.range.1)) * state.fastest()?;
         }
         Ok(fastest)
     }
@@ -281,7 +264,7 @@ impl CommandCorrection for ThermalLines {
         }
         let mut found = programmed.to_vec();
         for (status, programmed) in found.chunks_mut(self.width).zip(programmed.chunks(self.width)) {
-            let states = self.states_at(programmed[self.time])?;
+            let states = self.states_at(programmed)?;
             for line in &self.lines {
                 let column = self.commands[line.axis];
                 status[column] += line.correction(&states, programmed[column]);

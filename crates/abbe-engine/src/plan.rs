@@ -5,7 +5,7 @@ use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
 use abbe_core::{DataRow, Dataset, Error, Identifiability, Monitor, Result, WeakDirection};
-use abbe_planning::{Generation, Plan, PlanFigures, Planning, generate, plan};
+use abbe_planning::{Generation, Plan, PlanFigures, Planning, Revisit, generate, plan};
 use abbe_recipe::Stage;
 use abbe_table::Layout as FileLayout;
 use serde_json::{Value, json};
@@ -213,6 +213,16 @@ fn chosen(path: &Path, text: &str, rows: &[(DataRow, Option<f64>)], data: &Datas
     Ok(written.into_bytes())
 }
 
+/// When a reference is measured again.
+fn revisit(revisit: &Revisit) -> Value {
+    json!({
+        "candidate": revisit.reference,
+        "times_s": revisit.times,
+        "until_s": revisit.until,
+        "largest_standard_uncertainty_mm": revisit.largest,
+    })
+}
+
 /// `plan.json`.
 fn record(estimate: &str, plan: &Plan, found: &Identifiability) -> Value {
     let figures = |figures: &PlanFigures| {
@@ -243,6 +253,7 @@ fn record(estimate: &str, plan: &Plan, found: &Identifiability) -> Value {
             "as_listed": order.as_listed.as_ref().map(figures),
             "efficiency_as_listed": order.as_listed.as_ref().map(|listed| order.figures.efficiency_of(listed)),
             "efficiency_of_random": order.random_efficiency,
+            "again": order.revisits.iter().map(revisit).collect::<Vec<_>>(),
             "unknowns": uncertainties.collect::<Vec<_>>(),
         })
     });

@@ -22,6 +22,7 @@ use crate::record::{FileRecord, Remark, input_records};
 use crate::row_settings::Wanted;
 use crate::saved::fit_without_rows;
 use crate::travel::{check_travel, in_travel};
+use crate::units::{likely_fahrenheit, tell_minutes};
 
 /// Identifiability of a planned fit.
 #[derive(Debug, Clone, PartialEq)]
@@ -308,6 +309,7 @@ impl Prepared {
                 Some((_, made)) => made.clone(),
                 None => Arc::new(self.located(stage, self.ingests[&stage.name].read())?),
             };
+            likely_fahrenheit(&read).iter().for_each(|told| tracing::warn!("{}: {told}", stage.name));
             data.insert(stage.name.clone(), read);
         }
         Ok(data)
@@ -358,18 +360,17 @@ impl Prepared {
             }
         }
         let names = stage.reference("observations");
-        let mut used: Vec<&Dataset> = Vec::new();
-        let mut ingests: Vec<&str> = Vec::new();
+        let mut rows: Vec<(&str, &Dataset)> = Vec::new();
         for name in names {
             let (ingest, _) = self.artefact(name)?;
-            if !ingests.contains(&ingest) {
-                ingests.push(ingest);
-                used.push(data[ingest].as_ref());
+            if !rows.iter().any(|(own, _)| *own == ingest) {
+                rows.push((ingest, data[ingest].as_ref()));
             }
         }
         let (machine, model) = self.machine(stage)?;
         let logs = self.logs(machine, |log| Ok(data[log].clone()))?;
-        used.extend(&logs);
+        tell_minutes(&rows, &logs);
+        let used: Vec<&Dataset> = rows.into_iter().map(|(_, rows)| rows).chain(&logs).collect();
         model.build(&used).map_err(|error| error.stage(&machine.name))
     }
 

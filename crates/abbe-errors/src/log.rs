@@ -40,8 +40,121 @@ pub(crate) fn with_columns<'a>(data: &[&'a Dataset], columns: &[&str]) -> Result
     }
 }
 
+/// Columns of a log by their names with units, as a calibration keeps them.
+pub(crate) type Columns = BTreeMap<String, Vec<f64>>;
+
+/// The log of a series, or the only one.
+#[derive(Debug)]
+pub(crate) struct SeriesLog {
+    /// The label of the series, and its index among all; none for a single log.
+    pub label: Option<String>,
+    pub place: Option<usize>,
+    pub log: SensorLog,
+}
+
+/// The logs of a machine by the labels of their series.
+#[derive(Debug, Default)]
+pub(crate) struct SeriesLogs {
+    /// The column of labels; none for a single log.
+    pub series: Option<String>,
+    /// None before they are known.
+    pub logs: Vec<SeriesLog>,
+}
+
+impl SeriesLogs {
+    /// Counted logs with the labels of their series, which have these indices.
+    pub fn new(series: Option<&String>, logs: Vec<(Option<&str>, SensorLog)>, labels: &[String]) -> Self {
+        let place = |label: Option<&str>| labels.iter().position(|own| Some(own.as_str()) == label);
+        let of = |(label, log): (Option<&str>, SensorLog)| SeriesLog {
+            label: label.map(str::to_owned),
+            place: place(label),
+            log,
+        };
+        Self { series: series.cloned(), logs: logs.into_iter().map(of).collect() }
+    }
+
+    /// The log of a pose, by its index; none where its time is not known, or where its series has none. `label` is the index of the
+    /// label of the pose.
+    pub fn of(&self, time: f64, label: Option<f64>) -> Option<usize> {
+        if time.is_nan() {
+            return None;
+        }
+        match self.series {
+            None => (!self.logs.is_empty()).then_some(0),
+            Some(_) => (self.logs.iter()).position(|own| own.place.is_some_and(|place| Some(place as f64) == label)),
+        }
+    }
+
+    /// Why a pose has no readings, in words.
+    pub fn refused(&self, time: f64, label: Option<f64>) -> Option<String> {
+        let Some(found) = self.of(time, label) else {
+            // Without a series a pose is on no clock.
+            let on_no_clock = !time.is_nan() && !self.logs.is_empty();
+            return on_no_clock.then(|| {
+                format!("a pose with a time belongs to no `{}` with a log", self.series.as_deref().unwrap_or_default())
+            });
+        };
+        let times = self.logs[found].log.times();
+        let (first, last) = (times[0], times[times.len() - 1]);
+        (!(first..=last).contains(&time)).then(|| {
+            format!("the time {time} s is outside the log of temperatures, which goes from {first} s to {last} s")
+        })
+    }
+}
+
+/// Something of each log that is kept, of the single one or by the labels of a series.
+///
+/// Fails as `of` does, and says of which series.
+pub(crate) fn each<'a, T>(
+    (log, logs): (&'a Columns, &'a BTreeMap<String, Columns>),
+    series: Option<&str>,
+    of: impl Fn(&Columns) -> Result<T, SettingsError>,
+) -> Result<Vec<(Option<&'a str>, T)>, SettingsError> {
+    if !log.is_empty() {
+        return Ok(vec![(None, of(log)?)]);
+    }
+    let of_label = |(label, log): (&'a String, &Columns)| {
+        let found = of(log).map_err(|error| {
+            let message = format!("{} {label}: {}", series.unwrap_or_default(), error.message);
+            SettingsError { message, ..error }
+        });
+        Ok((Some(label.as_str()), found?))
+    };
+    logs.iter().map(of_label).collect()
+}
+
+/// Refuses rows of a series without a log.
+pub(crate) fn check_series(
+    data: &[&Dataset],
+    series: &str,
+    logs: &BTreeMap<String, Columns>,
+) -> Result<(), SettingsError> {
+    for data in data.iter().filter(|data| !data.is_log) {
+        let file = data.files.first().map_or(String::new(), |file| format!(" ({})", file.display()));
+        let Some(labels) = data.labels(series) else {
+            let message = format!("the rows{file} have no column of labels `{series}`, by which their log is found");
+            return Err(SettingsError::new("series", message));
+        };
+        if let Some(label) = labels.iter().find(|label| !logs.contains_key(*label)) {
+            let message = format!("no log has rows with {series} {label}, and the rows{file} have some");
+            return Err(SettingsError::new("series", message).suggest(label, logs.keys().map(String::as_str)));
+        }
+    }
+    Ok(())
+}
+
+/// Refuses a column of a series that is no column of labels.
+pub(crate) fn check_label(series: Option<&String>) -> Result<(), SettingsError> {
+    match series.filter(|series| Quantity::of_column(series).1 != Quantity::Label) {
+        None => Ok(()),
+        Some(series) => {
+            Err(SettingsError::new("series", format!("`{series}` is a column of numbers; labels were expected")))
+        }
+    }
+}
+
 /// Times and columns of a log, by their names with units.
-pub(crate) fn kept(log: &Dataset, columns: &[&str]) -> BTreeMap<String, Vec<f64>> {
+pub(crate) fn kept(log: &Dataset, columns: &[&str]) -> Columns {
     let wanted = log.columns.iter().filter_map(|column| {
         let name = column.header.name.as_str();
         let values = log.numbers(name).filter(|_| name == "time" || columns.contains(&name))?;
@@ -58,8 +171,8 @@ pub(crate) fn by_series(
     data: &[&Dataset],
     columns: &[&str],
     series: &str,
-) -> Result<BTreeMap<String, BTreeMap<String, Vec<f64>>>, SettingsError> {
-    let mut found: BTreeMap<String, BTreeMap<String, Vec<f64>>> = BTreeMap::new();
+) -> Result<BTreeMap<String, Columns>, SettingsError> {
+    let mut found: BTreeMap<String, Columns> = BTreeMap::new();
     let fits = |log: &&&Dataset| {
         log.is_log && log.labels(series).is_some() && columns.iter().all(|name| log.numbers(name).is_some())
     };
@@ -87,7 +200,7 @@ pub(crate) fn by_series(
 }
 
 /// The readings of a column that was kept, by its name without unit.
-pub(crate) fn readings<'a>(kept: &'a BTreeMap<String, Vec<f64>>, name: &str) -> Option<&'a [f64]> {
+pub(crate) fn readings<'a>(kept: &'a Columns, name: &str) -> Option<&'a [f64]> {
     let column = kept.iter().find(|(header, _)| Quantity::of_column(header).0 == name);
     column.map(|(_, values)| values.as_slice())
 }
@@ -97,7 +210,7 @@ pub(crate) fn readings<'a>(kept: &'a BTreeMap<String, Vec<f64>>, name: &str) -> 
 /// Fails without one of the columns, for gaps, clocks that jump, readings that are missing, and sensors that read the same all the
 /// time.
 pub(crate) fn sensor_log<'a>(
-    kept: &BTreeMap<String, Vec<f64>>,
+    kept: &Columns,
     columns: impl Iterator<Item = &'a str>,
     hold: Hold,
     longest_gap: Option<f64>,

@@ -173,6 +173,7 @@ impl UncertaintyEvaluation {
             weakest: if self.explained { weakest(problem, &factor.spectrum(), found.rank) } else { Vec::new() },
             selection: None,
             selection_by_prediction: None,
+            ordinary_covariance: None,
             implausible: Vec::new(),
             equivalent_motion_errors: if self.explained { equivalent_motion_errors(problem)? } else { Vec::new() },
             variance: components.map_or_else(Vec::new, |found| found.named(problem)),

@@ -5,6 +5,7 @@
 //! the candidates has been measured already. The plan follows from the derivatives of the problem at nominal contact alone,
 //! so that this crate knows no machine and no artefact.
 
+mod again;
 mod candidates;
 mod generate;
 mod order;
@@ -16,9 +17,10 @@ use abbe_core::{
 use abbe_estimation::rank_point;
 use abbe_numerics::{Criterion, Design, DesignFigures, DesignProblem, Generator};
 
+pub use again::Revisit;
 pub use generate::generate;
 pub use order::Order;
-pub use settings::{GeneratedLengths, Generation, Ordering, Planning, PlanningCriterion};
+pub use settings::{Again, Change, GeneratedLengths, Generation, Ordering, Planning, PlanningCriterion};
 
 use candidates::{Candidate, candidates};
 

@@ -8,6 +8,7 @@
 use abbe_core::{DataRow, Error, PathItem, Problem, Result, RowIndex, SetIndex, StatusRole, in_parallel};
 use abbe_numerics::{DesignProblem, Generator, Lower};
 
+use crate::again::{Revisit, revisits};
 use crate::candidates::Candidate;
 use crate::settings::{Ordering, Planning};
 use crate::{PlanFigures, Scaled, wrong};
@@ -17,6 +18,8 @@ use crate::{PlanFigures, Scaled, wrong};
 pub struct Order {
     /// The candidates in their order: label, and when they begin, s.
     pub sequence: Vec<(String, f64)>,
+    /// When the last one ends, s.
+    pub end: f64,
     /// Rows of the candidates' data set in their order, and when each is measured, s.
     pub rows: Vec<(DataRow, f64)>,
     /// Figures of the plan in this order.
@@ -25,6 +28,8 @@ pub struct Order {
     pub as_listed: Option<PlanFigures>,
     /// D-efficiency of random orders relative to this one: that of the median of them.
     pub random_efficiency: f64,
+    /// When references have to be measured again, if that was wanted.
+    pub revisits: Vec<Revisit>,
 }
 
 /// Points in time at which derivatives are taken; between two of them they run straight.
@@ -111,9 +116,15 @@ pub fn order(
         let rows = sequencing.candidates[candidate].rows.iter().zip(sequencing.row_times(candidate, from));
         rows.filter_map(|(&row, time)| Some((layout?.rows[row].data_row?, time))).collect::<Vec<_>>()
     });
+    let of_best = figures(&best)?.ok_or_else(undetermined)?;
+    let again = ordering.again.as_ref().zip(contact.set_named(&wanted.candidates));
+    let revisits = again
+        .map(|(again, set)| revisits(contact, (candidates, set), (ordering, again), (&of_best, sequencing.span[1])));
     Ok(Some(Order {
         rows: rows.collect(),
-        figures: figures(&best)?.ok_or_else(undetermined)?,
+        end: sequencing.span[1],
+        figures: of_best,
+        revisits: revisits.transpose()?.unwrap_or_default(),
         as_listed: figures(&listed)?,
         random_efficiency: ((random[random.len() / 2] - value) / choice.of_interest as f64).exp(),
         sequence: best.iter().zip(times).map(|(&index, from)| (candidates[index].label.clone(), from)).collect(),
@@ -239,10 +250,7 @@ impl<'a> Sequencing<'a> {
     /// What a candidate takes, s.
     fn duration(&self, candidate: usize) -> f64 {
         let candidate = &self.candidates[candidate];
-        match candidate.duration > 0.0 {
-            true => candidate.duration,
-            false => self.ordering.duration_s * candidate.rows.len() as f64,
-        }
+        self.ordering.row(candidate) * candidate.rows.len() as f64
     }
 
     /// When the rows of a candidate are measured that begins at a time.
@@ -435,7 +443,7 @@ fn value_of(sums: &[Sums<'_>]) -> f64 {
 }
 
 /// The problem with other times of the rows of a set.
-fn at_time(contact: &Problem, set: SetIndex, time: impl Fn(RowIndex) -> f64) -> Result<Problem> {
+pub(crate) fn at_time(contact: &Problem, set: SetIndex, time: impl Fn(RowIndex) -> f64) -> Result<Problem> {
     let Some(status) = contact.model.info().status_index(&StatusRole::Time) else {
         return Err(wrong("order", "nothing of this machine follows the time, so that any order is as good"));
     };

@@ -70,6 +70,47 @@ pub struct Ordering {
     /// How often each of these is measured.
     #[serde(default = "thrice")]
     pub times: Whole<1, 1_000>,
+    /// When each of these has to be measured again, so that what has moved since is known well enough. Default: not said.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub again: Option<Again>,
+}
+
+/// How well what has moved since a reference was measured has to be known.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct Again {
+    /// Largest standard uncertainty of what has moved.
+    pub standard_uncertainty_um: f64,
+    /// Until when this is wanted, on the clock of the data. Default: the end of the plan.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub until_s: Option<f64>,
+    /// What is unknown of what follows the time. Default: what the planned measurements leave open.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub changes: Vec<Change>,
+}
+
+/// Parameters that may have any value of this size.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct Change {
+    /// Names or patterns: `dzt[t*]`, `EA0B[T_column:1]`.
+    pub parameters: Vec<String>,
+    /// Standard uncertainty of each, in its unit in memory (mm, rad, mm/K).
+    pub standard_uncertainty: f64,
+}
+
+impl Again {
+    fn check(&self) -> Result<(), SettingsError> {
+        positive("standard_uncertainty_um", self.standard_uncertainty_um)?;
+        for (line, change) in self.changes.iter().enumerate() {
+            let at = [PathItem::Key("changes".to_owned()), PathItem::Index(line)];
+            positive("standard_uncertainty", change.standard_uncertainty).map_err(|error| error.under(at))?;
+        }
+        match self.until_s.filter(|until| !until.is_finite()) {
+            None => Ok(()),
+            Some(_) => Err(SettingsError::new("until_s", "a finite number was expected")),
+        }
+    }
 }
 
 fn half_a_minute() -> f64 {
@@ -85,6 +126,12 @@ impl Ordering {
         positive("duration_s", self.duration_s)?;
         if !self.start_s.is_finite() {
             return Err(SettingsError::new("start_s", "a finite number was expected"));
+        }
+        if let Some(again) = &self.again {
+            again.check().map_err(|error| error.under([PathItem::Key("again".to_owned())]))?;
+            if self.references.is_empty() {
+                return Err(SettingsError::new("references", "which candidates are measured again is missing"));
+            }
         }
         let twice =
             (1..self.references.len()).find(|&index| self.references[..index].contains(&self.references[index]));

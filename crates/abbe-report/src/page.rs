@@ -8,7 +8,7 @@ use crate::html::{details, escape};
 use crate::run::{FitResult, Run};
 use crate::sections::{
     Scene, budget, causes, compared, correlations, curves, has_lobes, history, parameters, probe, provenance,
-    residuals, tables, untold, verdict,
+    residuals, selection, tables, untold, verdict,
 };
 
 const STYLE: &str = include_str!("style.css");
@@ -26,12 +26,8 @@ pub fn page(runs: &[Run]) -> String {
         [one] => one.title.clone(),
         _ => format!("{} calibrations beside each other", runs.len()),
     };
-    let mut body = String::new();
-    let mut parts: Vec<(String, String)> = Vec::new();
-    let mut part = |id: &str, name: &str, html: &str| {
-        body.push_str(&format!("<section id=\"{id}\">\n<h2>{}</h2>\n{html}</section>\n", escape(name)));
-        parts.push((id.to_owned(), name.to_owned()));
-    };
+    let mut parts: Vec<(String, String, String)> = Vec::new();
+    let mut part = |id: &str, name: &str, html: &str| parts.push((id.to_owned(), name.to_owned(), html.to_owned()));
     if runs.len() > 1 {
         part("compared", "Beside each other", &compared(runs));
         part("history", "From run to run", &history(runs));
@@ -52,6 +48,15 @@ pub fn page(runs: &[Run]) -> String {
         .map(|(run, fit)| (if runs.len() == 1 { fit.name.clone() } else { format!("{}: {}", run.name, fit.name) }, fit))
         .collect();
     part("parameters", "Parameters", &parameters(&named));
+    let selections: String = named
+        .iter()
+        .map(|(name, fit)| (name, selection(fit)))
+        .filter(|(_, html)| !html.is_empty())
+        .map(|(name, html)| details(name, true, &html))
+        .collect();
+    if !selections.is_empty() {
+        part("selection", "Selected by prediction", &selections);
+    }
     let mains: Vec<(&str, &FitResult)> =
         runs.iter().filter_map(|run| Some((run.name.as_str(), main_fit(run)?))).collect();
     for (number, run) in runs.iter().enumerate() {
@@ -93,7 +98,8 @@ pub fn page(runs: &[Run]) -> String {
         }
         part(&format!("{id}provenance"), &format!("Provenance{of}"), &provenance(run));
     }
-    whole(&title, runs, &parts, &body)
+    let names: Vec<&str> = runs.iter().map(|run| run.name.as_str()).collect();
+    whole(&title, &names, &parts)
 }
 
 /// The residuals of all estimates; those of the main one are open, and linked to its viewer.
@@ -106,17 +112,21 @@ fn all_residuals(run: &Run, main: Option<&FitResult>, view: Option<(usize, &Scen
     if html.is_empty() { "<p>No residuals are known.</p>\n".to_owned() } else { html }
 }
 
-fn whole(title: &str, runs: &[Run], parts: &[(String, String)], body: &str) -> String {
+/// The page with its parts: identifier, name and content.
+pub fn whole(title: &str, names: &[&str], parts: &[(String, String, String)]) -> String {
+    let body: String = parts
+        .iter()
+        .map(|(id, name, html)| format!("<section id=\"{id}\">\n<h2>{}</h2>\n{html}</section>\n", escape(name)))
+        .collect();
     let is_listed = |id: &str| {
         let of_one = id.starts_with(|first: char| first.is_ascii_digit());
         !of_one || LISTED.iter().any(|end| id.ends_with(end))
     };
     let links: String = parts
         .iter()
-        .filter(|(id, _)| is_listed(id))
-        .map(|(id, name)| format!("<li><a href=\"#{id}\">{}</a></li>\n", escape(name)))
+        .filter(|(id, ..)| is_listed(id))
+        .map(|(id, name, _)| format!("<li><a href=\"#{id}\">{}</a></li>\n", escape(name)))
         .collect();
-    let names: Vec<&str> = runs.iter().map(|run| run.name.as_str()).collect();
     let policy = format!(
         "default-src 'none'; style-src 'sha256-{}'; script-src 'sha256-{}'; base-uri 'none'; form-action 'none'",
         hash(STYLE),

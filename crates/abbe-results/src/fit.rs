@@ -247,6 +247,9 @@ pub struct FitReport {
     /// How well the calibrations agree of which this one was combined.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub agreement: Option<CombinedAgreement>,
+    /// The covariance as if residuals were independent, where that of the calibration is another one.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub ordinary_covariance: Option<NamedCovariance>,
     /// Degrees of freedom of parameters that were known from an earlier estimate, where they are finite.
     #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
     pub known_degrees_of_freedom: BTreeMap<String, f64>,
@@ -283,6 +286,7 @@ impl FitReport {
             implausible: Vec::new(),
             variance: Vec::new(),
             agreement: None,
+            ordinary_covariance: None,
             known_degrees_of_freedom: BTreeMap::new(),
         }
     }
@@ -372,7 +376,7 @@ pub struct SelectionByPrediction {
 pub struct PredictedStructure {
     /// The candidates, as the recipe names them.
     pub left_out: Vec<String>,
-    /// Root mean square of what is predicted wrong, in stated standard uncertainties of the readings.
+    /// Root mean square of what is predicted wrong, in standard uncertainties of the readings: as stated, or the scatter of all candidates.
     pub error: f64,
 }
 

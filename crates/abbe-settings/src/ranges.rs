@@ -3,10 +3,18 @@
 //! A range that a setting does not state itself follows from the unit in its name. These ranges are wide: beyond them a number is a
 //! mistake of units or of typing, whatever the machine.
 
+use std::ops::RangeInclusive;
+
 use serde_json::{Map, Value, json};
 
 use crate::settings::{PathItem, SettingsError};
 use crate::unit::Quantity;
+
+/// Temperatures that are read, °C: no machine is measured at others, and 293 is in kelvin.
+pub const TEMPERATURES: RangeInclusive<f64> = -100.0..=200.0;
+
+/// Temperatures of rooms and of machines at rest, °C, whose numbers in °F are none: 50 to 120 °F.
+pub const AT_REST: RangeInclusive<f64> = 10.0..=49.0;
 
 /// Largest size of a number, by the end of its name.
 const LARGEST: [(&str, f64); 29] = [

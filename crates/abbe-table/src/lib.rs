@@ -21,8 +21,9 @@ use std::path::{Path, PathBuf};
 
 use abbe_core::{Column, ColumnHeader, DataRow, Dataset, Error, Quantity, Result, Values};
 
+pub use abbe_core::ranges::TEMPERATURES;
 pub use layout::{ColumnSource, Decimal, Encoding, Layout, Separator, Thousands, Unit};
-pub use number::{TEMPERATURES, number, number_in};
+pub use number::{number, number_in};
 pub use rewrite::{Cells, with_cells, with_cells_laid_out, with_columns};
 pub use settings::{ColumnInUnit, Declared, Source};
 pub use survey::{Contents, Found, Jump, Likely, Summary, contents, likely};

@@ -1,17 +1,14 @@
 //! Numbers as they stand in cells.
 
 use std::borrow::Cow;
-use std::ops::RangeInclusive;
 
 use abbe_core::Quantity;
+use abbe_core::ranges::TEMPERATURES;
 
 use crate::layout::{Decimal, Layout, Thousands, Unit};
 
 /// Characters of a cell that a message shows.
 const SHOWN: usize = 60;
-
-/// Temperatures that are read, °C: no machine is measured at others, and 293 is in kelvin.
-pub const TEMPERATURES: RangeInclusive<f64> = -100.0..=200.0;
 
 /// Zero of the scale of °C, K.
 const KELVIN: f64 = 273.15;

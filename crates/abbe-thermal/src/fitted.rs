@@ -5,7 +5,7 @@ use abbe_numerics::Generator;
 use faer::{Mat, MatRef, Side};
 
 use crate::basis::Basis;
-use crate::fit::{Fitted, Output, Search, Structure, inverse, inverse_of_upper, product};
+use crate::fit::{Fitted, Output, Readings, Search, Structure, inverse, inverse_of_upper, product};
 use crate::log::SensorLog;
 use crate::response::Response;
 
@@ -177,7 +177,7 @@ impl Fitted {
 
     /// The covariance of the same values as [`covariance`](Self::covariance) from residuals that are drawn again in blocks (moving
     /// block bootstrap, Künsch 1989), one linear step for each draw: residuals that follow each other count as few, and those of
-    /// outputs that were read together stay together. `logs` and `outputs` are those of the fit.
+    /// outputs that were read together stay together. With few blocks it is larger by the part that the unknowns are of them. `logs` and `outputs` are those of the fit.
     ///
     /// Fails for readings outside their log.
     pub fn bootstrap(&self, logs: &[SensorLog], outputs: &[Output], how: Bootstrap) -> Result<Mat<f64>> {
@@ -223,8 +223,11 @@ impl Fitted {
             squares += &change * change.transpose();
         }
         let draws = how.draws as f64;
+        // The fit took a part of what residuals do together: as much as its unknowns are of the blocks.
+        let blocks = outputs.first().map_or(1.0, |output| blocks(output, how.block));
+        let few = 1.0 + (terms as f64 + count as f64 / outputs.len().max(1) as f64) / blocks;
         let covariance =
-            (squares - faer::Scale(1.0 / draws) * (&sum * sum.transpose())) * faer::Scale(1.0 / (draws - 1.0).max(1.0));
+            (squares - faer::Scale(1.0 / draws) * (&sum * sum.transpose())) * faer::Scale(few / (draws - 1.0).max(1.0));
         Ok(symmetric(covariance))
     }
 
@@ -232,6 +235,15 @@ impl Fitted {
     fn scales(&self) -> Vec<f64> {
         self.scatter.iter().map(|scatter| if *scatter > 0.0 { *scatter } else { 1.0 }).collect()
     }
+}
+
+/// How many blocks the runs of an output have, at least one row each.
+fn blocks(output: &Output, block: f64) -> f64 {
+    let of = |run: &Readings| match run.times.as_slice() {
+        [first, .., last] => ((last - first) / block).clamp(1.0, run.times.len() as f64),
+        _ => 1.0,
+    };
+    output.runs.iter().map(of).sum()
 }
 
 /// Rows of an output, drawn again in blocks that stay within their run.

@@ -35,4 +35,4 @@ pub use fit::{Fitted, Output, Readings, Structure, fit};
 pub use fitted::{Bootstrap, Terms};
 pub use log::{Counting, Hold, Reference, SensorLog, SensorNoise, is_dead, possible_temperature, stuck_part};
 pub use response::{History, Response};
-pub use select::{Tried, select};
+pub use select::{PARTS, Tried, select};

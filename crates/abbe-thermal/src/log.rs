@@ -1,5 +1,6 @@
 //! Logs of sensors with their own clock.
 
+use abbe_core::ranges::TEMPERATURES;
 use abbe_core::{Error, Result, SettingsError};
 
 /// How an input runs between two samples.
@@ -138,6 +139,16 @@ impl SensorLog {
     /// Times of the rows, s.
     pub fn times(&self) -> &[f64] {
         &self.times
+    }
+
+    /// The usual time between two rows, s.
+    pub fn step(&self) -> f64 {
+        median_step(&self.times).unwrap_or(f64::NAN)
+    }
+
+    /// The same log with times this many times as long.
+    pub fn stretched(&self, factor: f64) -> Self {
+        Self { times: self.times.iter().map(|time| time * factor).collect(), ..self.clone() }
     }
 
     /// Names of the sensors.
@@ -340,11 +351,9 @@ fn median_step(times: &[f64]) -> Option<f64> {
 
 /// Refuses a reference that is no temperature of a machine in °C: it may be in kelvin or in degrees Fahrenheit.
 pub fn possible_temperature(value: f64) -> std::result::Result<(), SettingsError> {
-    match (-100.0..=200.0).contains(&value) {
-        true => Ok(()),
-        false => Err(SettingsError::new(
-            "reference_degC",
-            format!("{value}: a temperature from -100 to 200 °C was expected"),
-        )),
+    if TEMPERATURES.contains(&value) {
+        return Ok(());
     }
+    let (from, to) = (TEMPERATURES.start(), TEMPERATURES.end());
+    Err(SettingsError::new("reference_degC", format!("{value}: a temperature from {from} to {to} °C was expected")))
 }

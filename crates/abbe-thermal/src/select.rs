@@ -17,7 +17,7 @@ pub struct Tried {
 }
 
 /// Parts of a single run that are left out in turn.
-const PARTS: usize = 4;
+pub const PARTS: usize = 4;
 
 /// Tries structures from one time constant up to those of `most`, and leaves out inputs as long as predictions do not get worse by
 /// more than this part. Gives the smallest structure whose predictions are as good as the best ones up to this part, and all that

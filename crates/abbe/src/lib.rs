@@ -39,6 +39,7 @@ use std::time::Duration;
 use abbe_core::{Class, Error, Kind, Monitor, Origin, Result, harmless, harmless_json};
 use abbe_engine::{can_write_folder, prepare};
 use abbe_plugin::check::Findings;
+use abbe_report::plan_page;
 use clap::{Parser, Subcommand};
 use libraries::Libraries;
 use progress::Progress;
@@ -411,7 +412,9 @@ fn dispatch(command: Command, libraries: &Libraries, verbose: bool) -> Result<(S
             interrupt::end_after(time_limit, Duration::ZERO, json)?;
             let prepared = prepare(&recipe, &libraries.registry(Some(&recipe))?)?;
             out.iter().try_for_each(|out| can_write_folder(out))?;
-            let measurements = prepared.plan()?;
+            let mut measurements = prepared.plan()?;
+            let page = plan_page(&prepared.recipe.name, &measurements);
+            measurements.files.insert(PathBuf::from("report.html"), page.into_bytes());
             interrupt::while_writing(|| out.iter().try_for_each(|out| measurements.write(&here.path(out))))?;
             let status = if measurements.accepted { 0 } else { 1 };
             let text = match json {

@@ -3,7 +3,7 @@
 use std::path::Path;
 
 use abbe_core::WeakDirection;
-use abbe_engine::{Measurements, Order};
+use abbe_engine::{Measurements, Order, Revisit};
 
 use crate::table;
 use abbe_report::number::short;
@@ -75,6 +75,27 @@ fn ordered(order: &Order) -> String {
         None => text.push_str("In the order of the list not all unknowns are determined\n"),
     }
     text.push_str(&format!("In a random order (median) {:.2} times as many\n", 1.0 / order.random_efficiency));
+    order.revisits.iter().for_each(|revisit| text.push_str(&again(revisit)));
+    text
+}
+
+/// When a reference is measured again.
+fn again(revisit: &Revisit) -> String {
+    let (reference, until) = (&revisit.reference, revisit.until);
+    let moved = format!("what has moved since is known to {} µm (standard uncertainty)", short(revisit.largest * 1e3));
+    let Some(shortest) = revisit.shortest() else {
+        return format!(
+            "\nMeasured at the beginning, {reference} need not be measured again until {until:.0} s: {moved}\n"
+        );
+    };
+    let after =
+        if shortest < 120.0 { format!("{shortest:.0} s") } else { format!("{:.0} minutes", (shortest / 60.0).floor()) };
+    let rows = (shortest / revisit.row).floor();
+    let mut text = format!(
+        "\nMeasure {reference} again after {after} ({rows:.0} rows) at the latest: {moved}. Until {until:.0} s at seconds\n"
+    );
+    let times: Vec<String> = revisit.times.iter().map(|time| format!("{time:.0}")).collect();
+    times.chunks(IN_A_LINE).for_each(|line| text.push_str(&format!("  {}\n", line.join(", "))));
     text
 }
 

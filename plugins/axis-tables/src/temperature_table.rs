@@ -49,7 +49,6 @@ pub struct TemperatureTables {
     tables: Vec<Table>,
     units: Units,
     values: Values,
-    time: usize,
     commands: Vec<usize>,
     width: usize,
 }
@@ -87,7 +86,7 @@ impl TemperatureTables {
         }
         let info = model.info();
         let commands = info.axes.iter().map(|axis| axis.status).collect();
-        let made = Self { time: lines.time(), lines, tables, units, values, commands, width: info.status.len() };
+        let made = Self { lines, tables, units, values, commands, width: info.status.len() };
         made.check_slopes(model)?;
         Ok(made)
     }
@@ -211,7 +210,7 @@ impl CommandCorrection for TemperatureTables {
         }
         let mut found = programmed.to_vec();
         for (status, programmed) in found.chunks_mut(self.width).zip(programmed.chunks(self.width)) {
-            let states = self.lines.states_at(programmed[self.time])?;
+            let states = self.lines.states_at(programmed)?;
             for (index, line) in self.lines.lines.iter().enumerate() {
                 let column = self.commands[line.axis];
                 status[column] += self.correction(index, &states, programmed[column]);

@@ -129,6 +129,7 @@ impl System {
             weakest: self.identifiability.weakest.clone(),
             selection: None,
             selection_by_prediction: None,
+            ordinary_covariance: None,
             equivalent_motion_errors: Vec::new(),
             implausible: Vec::new(),
             variance: Vec::new(),

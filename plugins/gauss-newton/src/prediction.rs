@@ -36,10 +36,10 @@ impl GaussNewton {
     ) -> Result<Calibration> {
         select.candidates(problem)?;
         // More time constants than there are do not settle; fewer may.
-        let start = match self.estimate_all(problem, false) {
-            Ok(all) => problem.with_values(&problem.values_of(&all)),
-            Err(error) if error.convergence.is_some() => problem.clone(),
-            Err(error) => return Err(error),
+        let (start, failed) = match self.estimate_all(problem, false) {
+            Ok(all) => (problem.with_values(&problem.values_of(&all)), None),
+            Err(error) if error.fatal || error.class != Class::Data => return Err(error),
+            Err(error) => (problem.clone(), Some(error)),
         };
         let runs = runs(problem, select)?;
         let tried = self.tried(&start, select, &runs)?;
@@ -47,7 +47,8 @@ impl GaussNewton {
         let as_good = tried.iter().filter(|tried| tried.error <= best * (1.0 + select.worse));
         let unknowns = |tried: &&Tried| select.without(&start, &tried.left_out).unknowns.len();
         let Some(chosen) = as_good.min_by_key(unknowns) else {
-            return Err(Error::data("no choice of these candidates predicts any run").setting("select"));
+            let none = || Error::data("no choice of these candidates predicts any run").setting("select");
+            return Err(failed.unwrap_or_else(none));
         };
         let reduced = self.without_idle_shapes(select.without(&start, &chosen.left_out))?;
         let names = |kept: bool| {

@@ -90,7 +90,9 @@ impl Builder {
             BodyKind::Scale(axis) => self.along(axis, "scale")?,
         };
         let range = axis.and_then(|axis| self.axes[axis].range);
-        let terms = BodyTerms::new(body, mount, range)?;
+        let levels = body.logs.keys().cloned().collect();
+        let labels = self.labels(body.series.as_deref(), levels);
+        let terms = BodyTerms::new(body, mount, range, &labels)?;
         let components = terms.components();
         let mut arguments = Vec::new();
         for argument in terms.arguments() {

@@ -256,7 +256,12 @@ impl Builder {
     /// Adds what one line under `errors` declares.
     pub fn declare(&mut self, declaration: &Declaration) -> Result<(), SettingsError> {
         let family = declaration.family();
-        let labels = self.labels(declaration);
+        let (column, levels) = match declaration {
+            Declaration::Drift(drift) => (drift.per.column(), drift.time_s.keys().cloned().collect()),
+            Declaration::Thermal(thermal) => (thermal.series.as_deref(), thermal.logs.keys().cloned().collect()),
+            _ => (None, Vec::new()),
+        };
+        let labels = self.labels(column, levels);
         let mut shared: BTreeMap<(Option<usize>, bool), Vec<usize>> = BTreeMap::new();
         let mut names: Vec<String> = Vec::new();
         for (index, pattern) in family.symbols().iter().enumerate() {
@@ -313,14 +318,8 @@ impl Builder {
         })
     }
 
-    /// The labels of the column of series of a line. All lines of the column share these labels, also if each has only some of the
-    /// series.
-    fn labels(&mut self, declaration: &Declaration) -> Vec<String> {
-        let (column, levels) = match declaration {
-            Declaration::Drift(drift) => (drift.per.column(), drift.time_s.keys().cloned().collect()),
-            Declaration::Thermal(thermal) => (thermal.series.as_deref(), thermal.logs.keys().cloned().collect()),
-            _ => (None, Vec::new()),
-        };
+    /// The labels of a column of series. All lines and bodies of the column share these labels, also if each has only some of the series.
+    pub fn labels(&mut self, column: Option<&str>, levels: Vec<String>) -> Vec<String> {
         let Some(column) = column else { return Vec::new() };
         let status = self.status(column.to_owned(), StatusRole::Series, (Quantity::Label, levels), f64::NAN);
         self.status[status].levels.clone()

@@ -93,7 +93,7 @@ pub(crate) fn settle_body(body: &mut Body, data: &[&Dataset]) -> Result<(), Sett
     if !data.is_empty() {
         body.faults().iter().for_each(|fault| tracing::warn!("{fault}"));
     }
-    if !body.log.is_empty() {
+    if body.has_log() {
         let sections = |error: SettingsError| SettingsError { path: vec![key("sections")], ..error };
         time_is_there(data).map_err(sections)?;
     }

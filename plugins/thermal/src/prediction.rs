@@ -3,14 +3,15 @@
 use std::fmt::Write as _;
 
 use abbe_core::{
-    Calibration, Dataset, Error, Figure, Findings, Fit, Quantity, Result, SettingsError, from_settings, not_negative,
+    Calibration, Dataset, Error, Figure, Findings, Fit, NamedCovariance, Quantity, Result, SettingsError,
+    from_settings, not_negative,
 };
 use abbe_thermal::{SensorLog, Terms};
 use schemars::JsonSchema;
 use serde::Deserialize;
 
 use crate::settings::{Run, Settings};
-use crate::states::{NAME, terms};
+use crate::states::{MINUTE, NAME, terms};
 use crate::validate::{Limits, check_limits, limited, run_name};
 
 /// Predictions of runs that the estimate has not seen.
@@ -32,6 +33,9 @@ const KINDS: [(Quantity, &str, f64); 3] =
 /// Predictions that scatter by this factor more than the estimate promises get a word.
 const OPTIMISTIC: f64 = 1.5;
 
+/// The figure of an ordinary fit.
+const ORDINARY: &str = "standard uncertainty of predictions, ordinary fit";
+
 /// Part of the squares of what is predicted wrong that is left, of each kind of reading, when sensors were exchanged.
 const MUCH_BETTER: f64 = 0.25;
 
@@ -40,6 +44,8 @@ const MUCH_BETTER: f64 = 0.25;
 struct Sums {
     squares: f64,
     variances: f64,
+    /// The variances of an ordinary fit, where those of the calibration are other ones.
+    ordinary: f64,
     largest: f64,
     count: usize,
 }
@@ -48,6 +54,7 @@ impl Sums {
     fn add(&mut self, other: &Self) {
         self.squares += other.squares;
         self.variances += other.variances;
+        self.ordinary += other.ordinary;
         self.largest = self.largest.max(other.largest);
         self.count += other.count;
     }
@@ -90,11 +97,8 @@ impl PredictionSettings {
             }
             findings.tables.insert(format!("prediction-{}-{name}.csv", fit.name), table);
             all.iter_mut().zip(&of_run).for_each(|(all, of_run)| all.add(of_run));
-            if let Some([one, other]) = self.exchanged(&known, &run, &of_run)? {
-                findings.remarks.push(format!(
-                    "{}: {name} is predicted far better with {one} in the place of {other}: are these sensors exchanged?",
-                    fit.name
-                ));
+            if let Some(mistake) = self.mistake(&known, &run, &of_run)? {
+                findings.remarks.push(format!("{}: {name} is predicted far better with {mistake}", fit.name));
             }
         }
         for ((_, unit, _), sums) in KINDS.iter().zip(&all).filter(|(_, sums)| sums.count > 0) {
@@ -104,11 +108,16 @@ impl PredictionSettings {
             let (rms, stated) = (sums.root(sums.squares), sums.root(sums.variances));
             findings.figures.extend([figure("max", sums.largest), figure("rms", rms)]);
             findings.figures.push(figure("standard uncertainty of predictions", stated));
+            let ordinary = known.ordinary.map(|_| sums.root(sums.ordinary));
+            findings.figures.extend(ordinary.map(|value| figure(ORDINARY, value)));
             if rms > OPTIMISTIC * stated {
                 let symbol = unit.replace('u', "µ");
+                let ordinary = ordinary.map_or_else(String::new, |value| {
+                    format!(" by residuals that are drawn again in blocks, and {value:.3} {symbol} by an ordinary fit")
+                });
                 findings.remarks.push(format!(
-                    "{}: take {rms:.3} {symbol} as standard uncertainty of a prediction; that of the estimate alone, {stated:.3} {symbol}, \
-                     knows neither the noise of readings nor what the model lacks",
+                    "{}: take {rms:.3} {symbol} as standard uncertainty of a prediction; that of the estimate alone, {stated:.3} \
+                     {symbol}{ordinary}, knows neither the noise of readings nor what the model lacks",
                     fit.name
                 ));
             }
@@ -117,33 +126,46 @@ impl PredictionSettings {
         Ok(())
     }
 
-    /// Two sensors without whose exchange a run is predicted much worse.
-    fn exchanged(&self, known: &Known, run: &Run, as_it_is: &[Sums]) -> Result<Option<[String; 2]>> {
+    /// A mistake without which a run is predicted much better: two sensors that are exchanged, times in minutes. In words.
+    fn mistake(&self, known: &Known, run: &Run, as_it_is: &[Sums]) -> Result<Option<String>> {
         let doubtful = |sums: &Sums| sums.count > 0 && sums.squares > (OPTIMISTIC * OPTIMISTIC) * sums.variances;
         if !as_it_is.iter().any(doubtful) {
             return Ok(None);
         }
-        let sensors = run.log.names().len();
-        let mut best = None;
-        for (one, other) in (0..sensors).flat_map(|one| (one + 1..sensors).map(move |other| (one, other))) {
-            let log = run.log.exchanged(one, other);
-            let mut squares = [0.0; KINDS.len()];
-            let begin = log.times()[0] + self.after_s;
-            for (name, quantity, readings) in &run.outputs {
-                let Some(kind) = KINDS.iter().position(|(own, ..)| own == quantity) else { continue };
-                let predicted = known.values(&log, name, &readings.times)?.values;
-                let rows = readings.times.iter().zip(readings.values.iter().zip(predicted));
-                let later = rows.filter(|(time, _)| **time >= begin);
-                squares[kind] +=
-                    later.map(|(_, (value, predicted))| (KINDS[kind].2 * (value - predicted)).powi(2)).sum::<f64>();
-            }
+        let names = run.log.names();
+        let pairs = (0..names.len()).flat_map(|one| (one + 1..names.len()).map(move |other| (one, other)));
+        let exchanged = pairs.map(|(one, other)| {
+            let words = format!("{} in the place of {}: are these sensors exchanged?", names[one], names[other]);
+            (words, run.log.exchanged(one, other), 1.0)
+        });
+        let words = "times that are 60 times as long: are they in minutes, under `time_s`?".to_owned();
+        let in_minutes = (words, run.log.stretched(MINUTE), MINUTE);
+        let mut best: Option<(f64, String)> = None;
+        for (words, log, factor) in exchanged.chain([in_minutes]) {
+            let squares = self.squares(known, run, (&log, factor))?;
             let judged = || as_it_is.iter().zip(&squares).filter(|(sums, _)| sums.count > 0);
             let part = judged().map(|(sums, squares)| squares / sums.squares).fold(0.0, f64::max);
             if part < MUCH_BETTER && best.as_ref().is_none_or(|(least, _)| part < *least) {
-                best = Some((part, [one, other].map(|sensor| run.log.names()[sensor].clone())));
+                best = Some((part, words));
             }
         }
-        Ok(best.map(|(_, sensors)| sensors))
+        Ok(best.map(|(_, words)| words))
+    }
+
+    /// Sums of squares of what is predicted wrong with another log, of each kind; times of readings are this many times as long.
+    fn squares(&self, known: &Known, run: &Run, (log, factor): (&SensorLog, f64)) -> Result<[f64; KINDS.len()]> {
+        let mut squares = [0.0; KINDS.len()];
+        let begin = run.log.times()[0] + self.after_s;
+        for (name, quantity, readings) in &run.outputs {
+            let Some(kind) = KINDS.iter().position(|(own, ..)| own == quantity) else { continue };
+            let times: Vec<f64> = readings.times.iter().map(|time| factor * time).collect();
+            let predicted = known.values(log, name, &times)?.values;
+            let rows = readings.times.iter().zip(readings.values.iter().zip(predicted));
+            let later = rows.filter(|(time, _)| **time >= begin);
+            squares[kind] +=
+                later.map(|(_, (value, predicted))| (KINDS[kind].2 * (value - predicted)).powi(2)).sum::<f64>();
+        }
+        Ok(squares)
     }
 
     /// One output of one run: its kind, unit and sums.
@@ -160,7 +182,7 @@ impl PredictionSettings {
             .position(|(own, ..)| own == quantity)
             .ok_or_else(|| Error::usage(format!("{name} is no length, angle or temperature: it cannot be judged")))?;
         let (_, unit, factor) = KINDS[kind];
-        let (predicted, variances) = known.predict(run, name, &readings.times)?;
+        let (predicted, [variances, ordinary]) = known.predict(run, name, &readings.times)?;
         let mut sums = Sums::default();
         let begin = run.log.times()[0] + self.after_s;
         for (row, time) in readings.times.iter().enumerate().filter(|(_, time)| **time >= begin) {
@@ -168,6 +190,7 @@ impl PredictionSettings {
             let variance = factor * factor * variances[row];
             sums.squares += off * off;
             sums.variances += variance;
+            sums.ordinary += factor * factor * ordinary[row];
             sums.largest = sums.largest.max(off.abs());
             sums.count += 1;
             let (reading, predicted) = (factor * readings.values[row], factor * predicted[row]);
@@ -185,6 +208,8 @@ impl PredictionSettings {
 struct Known<'a> {
     settings: Settings,
     calibration: &'a Calibration,
+    /// The covariance of an ordinary fit, where that of the calibration is another one.
+    ordinary: Option<&'a NamedCovariance>,
     time_constants: Vec<f64>,
 }
 
@@ -205,7 +230,8 @@ impl<'a> Known<'a> {
         let count = settings.structure().time_constants;
         let time = |index: usize| value(calibration, &format!("time_constant[{}]_s", index + 1));
         let time_constants = (0..count).map(time).collect::<Result<Vec<f64>>>()?;
-        Ok(Self { settings, calibration, time_constants })
+        let ordinary = calibration.fit.ordinary_covariance.as_ref();
+        Ok(Self { settings, calibration, ordinary, time_constants })
     }
 
     /// An output at some times, with what it is made of.
@@ -218,15 +244,14 @@ impl<'a> Known<'a> {
         Ok(Predicted { values: terms_of_log.output(&gains), terms: terms_of_log, names, gains })
     }
 
-    /// An output at some times, and the variances of these predictions.
-    fn predict(&self, run: &Run, name: &str, times: &[f64]) -> Result<(Vec<f64>, Vec<f64>)> {
+    /// An output at some times, and the variances of these predictions: by the calibration, and by an ordinary fit (zero without one).
+    fn predict(&self, run: &Run, name: &str, times: &[f64]) -> Result<(Vec<f64>, [Vec<f64>; 2])> {
         let structure = self.settings.structure();
         let Predicted { values: predicted, terms: found, names, gains } = self.values(&run.log, name, times)?;
         let states = self.time_constants.len();
         let mut order: Vec<String> = (1..=states).map(|index| format!("time_constant[{index}]_s")).collect();
         order.extend(names);
-        let covariance = self.calibration.covariance.block(&order);
-        let variance = |row: usize| {
+        let derivatives = |row: usize| {
             let mut derivatives = vec![0.0; order.len()];
             for gain in 0..gains.len() {
                 derivatives[states + gain] = found.columns[(row, gain)];
@@ -235,14 +260,24 @@ impl<'a> Known<'a> {
                     derivatives[index] += gains[gain] * found.slopes[(row, gain)] / self.time_constants[index];
                 }
             }
-            let products = (0..order.len()).flat_map(|row| (0..order.len()).map(move |column| (row, column)));
-            products
-                .map(|(row, column)| derivatives[row] * covariance[(row, column)] * derivatives[column])
-                .sum::<f64>()
+            derivatives
         };
-        let variances = (0..times.len()).map(|row| variance(row).max(0.0)).collect();
+        let variances = [Some(&self.calibration.covariance), self.ordinary].map(|covariance| {
+            let block = covariance.map(|covariance| covariance.block(&order));
+            let variance = |row: usize| {
+                block.as_ref().map_or(0.0, |block| form(|row, column| block[(row, column)], &derivatives(row)))
+            };
+            (0..times.len()).map(|row| variance(row).max(0.0)).collect()
+        });
         Ok((predicted, variances))
     }
+}
+
+/// The quadratic form of a covariance.
+fn form(covariance: impl Fn(usize, usize) -> f64, derivatives: &[f64]) -> f64 {
+    let size = derivatives.len();
+    let products = (0..size).flat_map(|row| (0..size).map(move |column| (row, column)));
+    products.map(|(row, column)| derivatives[row] * covariance(row, column) * derivatives[column]).sum()
 }
 
 fn value(calibration: &Calibration, name: &str) -> Result<f64> {

@@ -2,9 +2,10 @@
 
 use abbe_core::{
     CALIBRATION_FORMAT, Calibration, ColumnHeader, Context, Dataset, Error, Estimate, EstimateSource, Estimated,
-    FitReport, Identifiability, ModelRecord, NamedCovariance, Problem, Quantity, Result, SettingsError, Status, Unit,
+    FitReport, Identifiability, ModelRecord, NamedCovariance, PredictedStructure, Problem, Quantity, Result,
+    SelectionByPrediction, SettingsError, Status, Unit,
 };
-use abbe_thermal::{Fitted, Output, Readings, SensorLog, fit, select};
+use abbe_thermal::{Fitted, Output, PARTS, Readings, SensorLog, Structure, Tried, fit, select};
 use serde_json::{Value, json};
 
 use crate::settings::{Run, Settings, Uncertainty, gain_unit, quantity};
@@ -40,6 +41,12 @@ struct ThermalStates {
 /// Part by which a smaller structure may predict worse.
 const WORSE: f64 = 0.02;
 
+/// Seconds in a minute.
+pub const MINUTE: f64 = 60.0;
+
+/// Clocks of the same sampling differ by less than this part.
+const ALIKE: f64 = 0.02;
+
 impl Estimate for ThermalStates {
     fn check_readings(&self, headers: &[Vec<ColumnHeader>]) -> Result<()> {
         headers.iter().try_for_each(|headers| self.settings.chosen(headers).map(drop))
@@ -54,36 +61,33 @@ impl Estimate for ThermalStates {
             let faults = (0..log.names().len()).filter(is_temperature).flat_map(|sensor| log.faults(sensor));
             faults.for_each(|fault| tracing::warn!("{name}: {}: {fault}", run_name(data)));
         }
-        let mut structure = self.settings.structure();
+        if let Some([minutes, seconds]) = of_two_units(&logs) {
+            let [minutes, seconds] = [minutes, seconds].map(|run| run_name(data[run]));
+            tracing::warn!(
+                "{name}: rows of {minutes} are 60 times as close as those of {seconds}: are its times in minutes, under `time_s`?"
+            );
+        }
+        let (mut structure, mut selection) = (self.settings.structure(), None);
         if self.settings.select.is_some() {
             let (smallest, tried) = select(&logs, &outputs, &structure, WORSE)?;
-            for tried in &tried {
-                let inputs: Vec<&str> =
-                    tried.structure.inputs.iter().map(|&input| logs[0].names()[input].as_str()).collect();
-                let (inputs, count) = (inputs.join(", "), tried.structure.time_constants);
-                tracing::info!(
-                    "{name}: {inputs} with {count} time constants predict up to {:.4} of the scatter",
-                    tried.error
-                );
-            }
+            selection = selected(logs[0].names(), (&structure, &smallest), &tried, &left_out_runs(data, &structure));
             structure = smallest;
         }
         let fitted = fit(&logs, &outputs, &structure)?;
         let quantities: Vec<Quantity> = runs[0].outputs.iter().map(|(_, quantity, _)| *quantity).collect();
         let of_input = |sensor: usize| quantity(data[0], &logs[0].names()[sensor]);
         let found = Found { fitted: &fitted, logs: &logs, outputs: &outputs, quantities: &quantities };
-        let covariance = match self.settings.uncertainty {
-            Uncertainty::Ordinary => fitted.covariance.clone(),
+        let values = found.values(of_input);
+        let ordinary = found.named(&values, |row, column| fitted.covariance[(row, column)]);
+        let (covariance, ordinary) = match self.settings.uncertainty {
+            Uncertainty::Ordinary => (ordinary, None),
             Uncertainty::Blocks => {
-                fitted.bootstrap(&logs, &outputs, self.settings.bootstrap(&logs, &fitted.time_constants)?)?
+                let how = self.settings.bootstrap(&logs, &fitted.time_constants)?;
+                let drawn = fitted.bootstrap(&logs, &outputs, how)?;
+                (found.named(&values, |row, column| drawn[(row, column)]), Some(ordinary))
             }
         };
-        let values = found.values(of_input);
-        // Time constants are estimated by their logarithms.
-        let scale = |place: usize| fitted.time_constants.get(place).copied().unwrap_or(1.0);
-        let entry = |row: usize, column: usize| scale(row) * scale(column) * covariance[(row, column)];
-        let rows: Vec<Vec<f64>> =
-            (0..values.len()).map(|row| (0..values.len()).map(|column| entry(row, column)).collect()).collect();
+        let rows = &covariance.rows;
         let parameters = values.iter().enumerate().map(|(place, (name, value, unit))| Estimated {
             name: name.clone(),
             value: *value,
@@ -97,11 +101,11 @@ impl Estimate for ThermalStates {
             model: ModelRecord { plugin: NAME.to_owned(), settings: self.resolved(&fitted, &logs, &outputs)? },
             parameters: parameters.collect(),
             artefacts: Vec::new(),
-            covariance: NamedCovariance { order: values.into_iter().map(|(name, ..)| name).collect(), rows },
+            covariance: covariance.clone(),
             inputs: Some(Vec::new()),
             data: Vec::new(),
             outliers: Vec::new(),
-            fit: found.report(),
+            fit: FitReport { ordinary_covariance: ordinary, selection_by_prediction: selection, ..found.report() },
             uncertainty: None,
             monte_carlo: None,
         })
@@ -131,6 +135,51 @@ impl ThermalStates {
         };
         serde_json::to_value(settings).map_err(|error| Error::data(format!("the settings cannot be written: {error}")))
     }
+}
+
+/// What is left out in turn: whole runs, or parts of each.
+fn left_out_runs(data: &[&Dataset], structure: &Structure) -> Vec<String> {
+    match data.len() > 1 && !structure.starts_warm {
+        true => data.iter().map(|data| run_name(data)).collect(),
+        false => (1..=PARTS).map(|part| format!("part {part}")).collect(),
+    }
+}
+
+/// What was tried, as a calibration tells it: inputs by their names, and time constants as `*:3`.
+fn selected(
+    names: &[String],
+    (most, smallest): (&Structure, &Structure),
+    tried: &[Tried],
+    runs: &[String],
+) -> Option<SelectionByPrediction> {
+    let all = || most.inputs.iter().map(|&input| names[input].clone());
+    let constants = 1..=most.time_constants;
+    let has = |structure: &Structure, input: &String| structure.inputs.iter().any(|&own| names[own] == *input);
+    let left_out = |structure: &Structure| -> Vec<String> {
+        let more = constants.clone().filter(|index| *index > structure.time_constants);
+        all().filter(|input| !has(structure, input)).chain(more.map(|index| format!("*:{index}"))).collect()
+    };
+    let told = |tried: &Tried| PredictedStructure { left_out: left_out(&tried.structure), error: tried.error };
+    let is_chosen = |tried: &&Tried| {
+        let (own, count) = (&tried.structure.inputs, tried.structure.time_constants);
+        *own == smallest.inputs && count == smallest.time_constants
+    };
+    let chosen = tried.iter().find(is_chosen).map(told)?;
+    let kept = constants.clone().filter(|index| *index <= smallest.time_constants).map(|index| format!("*:{index}"));
+    Some(SelectionByPrediction {
+        runs: runs.to_vec(),
+        worse: WORSE,
+        kept: all().filter(|input| has(smallest, input)).chain(kept).collect(),
+        left_out: left_out(smallest),
+        chosen,
+        tried: tried.iter().map(told).collect(),
+    })
+}
+
+/// Two logs of which one has rows 60 times as close as the other.
+fn of_two_units(logs: &[SensorLog]) -> Option<[usize; 2]> {
+    let pairs = (0..logs.len()).flat_map(|one| (0..logs.len()).map(move |other| [one, other]));
+    pairs.into_iter().find(|[one, other]| (logs[*other].step() / logs[*one].step() / MINUTE - 1.0).abs() < ALIKE)
 }
 
 /// The outputs of all runs; those of the first run have to be in all.
@@ -177,6 +226,16 @@ impl Found<'_> {
         values
     }
 
+    /// A covariance with the names and in the units of the values.
+    fn named(&self, values: &[(String, f64, Unit)], covariance: impl Fn(usize, usize) -> f64) -> NamedCovariance {
+        // Time constants are estimated by their logarithms.
+        let scale = |place: usize| self.fitted.time_constants.get(place).copied().unwrap_or(1.0);
+        let entry = |row: usize, column: usize| scale(row) * scale(column) * covariance(row, column);
+        let all = 0..values.len();
+        let rows = all.clone().map(|row| all.clone().map(|column| entry(row, column)).collect()).collect();
+        NamedCovariance { order: values.iter().map(|(name, ..)| name.clone()).collect(), rows }
+    }
+
     fn report(&self) -> FitReport {
         let unknowns = self.fitted.covariance.nrows();
         let observations: usize = self.outputs.iter().map(Output::count).sum();
@@ -200,7 +259,7 @@ impl Found<'_> {
 }
 
 /// How the gains of an output are called after its name, and the sensor of each; none for states at the beginning.
-pub fn terms(structure: &abbe_thermal::Structure, names: &[String], runs: usize) -> Vec<(String, Option<usize>)> {
+pub fn terms(structure: &Structure, names: &[String], runs: usize) -> Vec<(String, Option<usize>)> {
     let states = 1..=structure.time_constants;
     let mut terms = Vec::new();
     for &input in &structure.inputs {

@@ -15,7 +15,7 @@ use serde::{Deserialize, Serialize};
 
 pub use terms::{BodyTerms, Guide, Mount};
 
-use crate::log::{self, key};
+use crate::log::{self, Columns, check_label, key};
 use geometry::{difference, dot, norm};
 
 /// A body of the machine: a straight beam with temperatures at sections. What stands still is held at `held_at_mm`, what it carries is
@@ -76,9 +76,16 @@ pub struct Body {
     /// The body is colder than its sensors while it turns: a tool.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub turning: Option<Turning>,
+    /// Column of labels (`day`, `run`): each of its series of measurements has a log of its own, with its own clock and idle minutes, in
+    /// rows with the same label.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub series: Option<String>,
     /// The columns of the log, as a calibration keeps them. Without them, those of the stage under `logs` of the machine.
     #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
     pub log: BTreeMap<String, Vec<f64>>,
+    /// The logs by the labels of `series`, as a calibration keeps them.
+    #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
+    pub logs: BTreeMap<String, BTreeMap<String, Vec<f64>>>,
 }
 
 /// A section of a body with its sensors.
@@ -178,8 +185,22 @@ impl Body {
     /// Sensors that are columns of the measurements and not of a log.
     pub fn sensors_of_rows(&self) -> Vec<&str> {
         let mut names = self.sensors();
-        names.retain(|name| log::readings(&self.log, name).is_none());
+        names.retain(|name| !self.columns().any(|header| Quantity::of_column(header).0 == *name));
         names
+    }
+
+    /// The columns of its log, or of each of its logs, by their names with units; none before they are known.
+    pub(super) fn columns(&self) -> impl Iterator<Item = &String> {
+        std::iter::once(&self.log)
+            .chain(self.logs.values())
+            .find(|log| !log.is_empty())
+            .into_iter()
+            .flat_map(Columns::keys)
+    }
+
+    /// Whether it finds temperatures by time.
+    pub fn has_log(&self) -> bool {
+        self.columns().next().is_some()
     }
 
     /// Checks the settings as far as they do not depend on the machine.
@@ -225,6 +246,7 @@ impl Body {
             }
         }
         self.longest_gap_s.map_or(Ok(()), |gap| positive("longest_gap_s", gap).map(drop))?;
+        check_label(self.series.as_ref())?;
         self.turning.as_ref().map_or(Ok(()), |turning| turning.check().map_err(|error| error.under([key("turning")])))
     }
 
@@ -286,33 +308,33 @@ impl Body {
     /// Fails if logs have only some of the columns each, and for logs with gaps, clocks that jump, and sensors without a reading. Another
     /// log than that of the settings has no idle minutes that they could mean.
     pub fn settle(&mut self, data: &[&Dataset]) -> Result<(), SettingsError> {
-        if !self.log.is_empty() && data.iter().any(|data| data.is_log) {
+        if self.has_log() && data.iter().any(|data| data.is_log) {
             if self.reference_until_s.is_some() {
                 let message =
                     "counts from the idle minutes of the log that it was measured with, and another log is given";
                 let error = SettingsError::new("reference_until_s", message);
                 return Err(error.help("calibrate with `reference_degC`"));
             }
-            let columns: Vec<String> = self.log.keys().map(|header| Quantity::of_column(header).0.to_owned()).collect();
+            let columns: Vec<String> = self.columns().map(|header| Quantity::of_column(header).0.to_owned()).collect();
             let columns: Vec<&str> = columns.iter().map(String::as_str).filter(|name| *name != "time").collect();
             let found = log::with_columns(data, &columns).map_err(|error| error.under([key("sections")]))?;
             if let Some(found) = found {
                 self.log = log::kept(found, &columns);
+                (self.series, self.logs) = (None, BTreeMap::new());
             }
         }
-        if self.log.is_empty() && !data.is_empty() {
+        if !self.has_log() && !data.is_empty() {
             let in_a_log = |name: &&str| data.iter().any(|data| data.is_log && data.numbers(name).is_some());
             let mut columns = self.sensors();
             match &self.turning {
                 Some(turning) => columns.extend([turning.speed.as_str(), turning.air.as_str()]),
                 None => columns.retain(in_a_log),
             }
-            if !columns.is_empty()
-                && let Some(found) =
-                    log::with_columns(data, &columns).map_err(|error| error.under([key("sections")]))?
-            {
-                self.log = log::kept(found, &columns);
-            }
+            let columns: Vec<String> = columns.into_iter().map(str::to_owned).collect();
+            self.find(data, &columns.iter().map(String::as_str).collect::<Vec<_>>())?;
+        }
+        if let (Some(series), false) = (&self.series, data.is_empty()) {
+            log::check_series(data, series, &self.logs)?;
         }
         if let (Some(name), Some(_), false) = (self.sensors_of_rows().first(), self.reference_until_s, data.is_empty())
         {
@@ -320,7 +342,32 @@ impl Body {
             let error = SettingsError::new("reference_until_s", message);
             return Err(error.help("name the log by `logs: sensors` at the machine, or give `reference_degC`"));
         }
-        temperatures::Temperatures::new(self).map(drop)
+        temperatures::Temperatures::new(self, &[]).map(drop)
+    }
+
+    /// Takes these columns of a log, or of each log of its series.
+    fn find(&mut self, data: &[&Dataset], columns: &[&str]) -> Result<(), SettingsError> {
+        let at_sections = |error: SettingsError| match error.path.is_empty() {
+            true => error.under([key("sections")]),
+            false => error,
+        };
+        match &self.series {
+            Some(series) if columns.is_empty() => {
+                let message =
+                    format!("no sensor of this body is a column of a log, which could have one for each {series}");
+                Err(SettingsError::new("series", message))
+            }
+            Some(series) => {
+                self.logs = log::by_series(data, columns, series).map_err(at_sections)?;
+                Ok(())
+            }
+            None if columns.is_empty() => Ok(()),
+            None => {
+                let found = log::with_columns(data, columns).map_err(at_sections)?;
+                self.log = found.map(|found| log::kept(found, columns)).unwrap_or_default();
+                Ok(())
+            }
+        }
     }
 }
 
@@ -330,12 +377,21 @@ const APART: f64 = 10.0;
 impl Body {
     /// What looks like the fault of a sensor in the idle minutes, in words: one that reads far from what the others read there.
     pub fn faults(&self) -> Vec<String> {
-        let (Some(until), Some(times)) = (self.reference_until_s, log::readings(&self.log, "time")) else {
+        let each = log::each((&self.log, &self.logs), None, |log| Ok(self.faults_in(log))).unwrap_or_default();
+        let of = |label: Option<&str>| match (&self.series, label) {
+            (Some(series), Some(label)) => format!(" ({series} {label})"),
+            _ => String::new(),
+        };
+        each.into_iter().flat_map(|(label, told)| told.into_iter().map(move |told| told + &of(label))).collect()
+    }
+
+    fn faults_in(&self, log: &Columns) -> Vec<String> {
+        let (Some(until), Some(times)) = (self.reference_until_s, log::readings(log, "time")) else {
             return Vec::new();
         };
         let rows = times.iter().filter(|time| **time <= until).count();
         let mean = |name: &&str| {
-            let readings = log::readings(&self.log, name)?.get(..rows).filter(|rows| !rows.is_empty())?;
+            let readings = log::readings(log, name)?.get(..rows).filter(|rows| !rows.is_empty())?;
             Some(readings.iter().sum::<f64>() / readings.len() as f64)
         };
         let sensors = self.sensors();

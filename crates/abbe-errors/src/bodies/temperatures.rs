@@ -4,7 +4,7 @@ use abbe_core::{Quantity, SettingsError};
 use abbe_thermal::{History, Hold, Reference, SensorLog};
 
 use super::{Body, REFERENCE, Turning};
-use crate::log;
+use crate::log::{self, Columns, SeriesLogs};
 
 /// Where the reading of a sensor comes from.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -25,20 +25,21 @@ pub(super) struct Temperatures {
     pub of_rows: Vec<String>,
     sources: Vec<Source>,
     /// Elevations by time.
-    log: Option<SensorLog>,
-    /// One for each sensor, if the body follows them slowly.
-    slow: Vec<Slow>,
+    logs: SeriesLogs,
+    /// For each log one for each sensor, if the body follows them slowly.
+    slow: Vec<Vec<Slow>>,
     reference: f64,
 }
 
 impl Temperatures {
-    pub fn new(body: &Body) -> Result<Self, SettingsError> {
+    /// Those of a body whose log is known; the series of its logs have these labels.
+    pub fn new(body: &Body, labels: &[String]) -> Result<Self, SettingsError> {
         let (names, of_rows) = (body.sensors(), body.sensors_of_rows());
         let of_log: Vec<&str> = names.iter().copied().filter(|name| !of_rows.contains(name)).collect();
         let mut found = Self {
             of_rows: of_rows.iter().map(|name| (*name).to_owned()).collect(),
             sources: Vec::new(),
-            log: None,
+            logs: SeriesLogs::default(),
             slow: Vec::new(),
             reference: body.reference_degC.unwrap_or(REFERENCE),
         };
@@ -54,37 +55,52 @@ impl Temperatures {
         columns.extend(body.turning.as_ref().map(|turning| turning.air.as_str()));
         for name in &columns {
             let is_one = |header: &String| Quantity::of_column(header) == (*name, Quantity::Temperature, 1.0);
-            if log::readings(&body.log, name).is_some() && !body.log.keys().any(is_one) {
+            let is_there = body.columns().any(|header| Quantity::of_column(header).0 == *name);
+            if is_there && !body.columns().any(is_one) {
                 let message = format!("the column `{name}` of the log is no temperature: `{name}_degC` was expected");
                 return Err(SettingsError::new("sections", message));
             }
         }
         let reference = body.reference_until_s.map_or(Reference::Value(found.reference), Reference::MeanUntil);
-        let log = log::sensor_log(&body.log, columns.iter().copied(), Hold::FirstOrder, body.longest_gap_s, reference)?;
-        match &body.turning {
-            Some(turning) => {
-                let (tends, slow) = turned(body, turning, &log)?;
-                (found.log, found.slow) = (Some(tends), slow);
+        let counted = |kept: &Columns| {
+            let log = log::sensor_log(kept, columns.iter().copied(), Hold::FirstOrder, body.longest_gap_s, reference)?;
+            match &body.turning {
+                Some(turning) => turned(body, turning, (kept, &log)),
+                None => Ok((log, Vec::new())),
             }
-            None => found.log = Some(log),
+        };
+        let (mut logs, mut slow) = (Vec::new(), Vec::new());
+        for (label, (log, of_log)) in log::each((&body.log, &body.logs), body.series.as_deref(), counted)? {
+            logs.push((label, log));
+            slow.push(of_log);
         }
+        (found.logs, found.slow) = (SeriesLogs::new(body.series.as_ref(), logs, labels), slow);
         Ok(found)
     }
 
     /// Whether they are found by time.
     pub fn by_time(&self) -> bool {
-        self.log.is_some()
+        !self.logs.logs.is_empty()
     }
 
-    /// Elevations of all sensors, K; none where one is not known.
-    pub fn at(&self, time: Option<f64>, of_rows: &[f64]) -> Option<Vec<f64>> {
-        let of = |source: &Source| match (*source, &self.log, time) {
-            (Source::Row(place), ..) => of_rows.get(place).map(|value| value - self.reference),
-            (Source::Log(sensor), Some(log), Some(time)) => match self.slow.get(sensor) {
-                Some((first, history)) => history.at(log, time).ok().map(|[state, _]| first + state),
-                None => log.at(sensor, time).ok(),
-            },
-            (Source::Log(_), ..) => None,
+    /// The column of labels by which the log of a pose is found; none for a single log.
+    pub fn series(&self) -> Option<&String> {
+        self.logs.series.as_ref()
+    }
+
+    /// Elevations of all sensors, K; none where one is not known. `label` is the index of that of the series.
+    pub fn at(&self, time: Option<f64>, label: Option<f64>, of_rows: &[f64]) -> Option<Vec<f64>> {
+        let found = time.and_then(|time| Some((time, self.logs.of(time, label)?)));
+        let of = |source: &Source| match (*source, found) {
+            (Source::Row(place), _) => of_rows.get(place).map(|value| value - self.reference),
+            (Source::Log(sensor), Some((time, place))) => {
+                let log = &self.logs.logs[place].log;
+                match self.slow[place].get(sensor) {
+                    Some((first, history)) => history.at(log, time).ok().map(|[state, _]| first + state),
+                    None => log.at(sensor, time).ok(),
+                }
+            }
+            (Source::Log(_), None) => None,
         };
         self.sources.iter().map(|source| of(source).filter(|value| !value.is_nan())).collect()
     }
@@ -95,19 +111,19 @@ impl Temperatures {
     }
 
     /// Why there are none at this time.
-    pub fn refused(&self, time: f64) -> Option<String> {
-        let log = self.log.as_ref().filter(|_| !time.is_nan())?;
-        let (first, last) = (log.times()[0], log.times()[log.times().len() - 1]);
-        (!(first..=last).contains(&time)).then(|| {
-            format!("the time {time} s is outside the log of temperatures, which goes from {first} s to {last} s")
-        })
+    pub fn refused(&self, time: f64, label: Option<f64>) -> Option<String> {
+        self.logs.refused(time, label)
     }
 }
 
 /// What a body that turns tends to, above its first value, and how it follows.
-fn turned(body: &Body, turning: &Turning, log: &SensorLog) -> Result<(SensorLog, Vec<Slow>), SettingsError> {
+fn turned(
+    body: &Body,
+    turning: &Turning,
+    (kept, log): (&Columns, &SensorLog),
+) -> Result<(SensorLog, Vec<Slow>), SettingsError> {
     let lacks = || SettingsError::new("turning", format!("the log has no column of numbers `{}`", turning.speed));
-    let speeds = log::readings(&body.log, &turning.speed).ok_or_else(lacks)?;
+    let speeds = log::readings(kept, &turning.speed).ok_or_else(lacks)?;
     let wrong = |error: abbe_core::Error| SettingsError::new("turning", error.message);
     if speeds.len() != log.times().len() || speeds.iter().any(|speed| !speed.is_finite()) {
         return Err(SettingsError::new("turning", format!("a speed in every row of `{}` was expected", turning.speed)));

@@ -90,9 +90,9 @@ pub struct BodyTerms {
 impl BodyTerms {
     /// The errors of a body whose settings are checked, at a frame.
     ///
-    /// `range` is the travel of the axis that guides it, mm. Fails for a body that is not parallel to this axis, for a travel beyond its
+    /// `range` is the travel of the axis that guides it, mm; `labels` are those of the series of its logs. Fails for a body that is not parallel to this axis, for a travel beyond its
     /// ends, and for logs that are wrong.
-    pub fn new(body: &Body, mount: Mount, range: Option<[f64; 2]>) -> Result<Self, SettingsError> {
+    pub fn new(body: &Body, mount: Mount, range: Option<[f64; 2]>, labels: &[String]) -> Result<Self, SettingsError> {
         let (beam, sections) = beam(body)?;
         let along = body.direction();
         let reach = match (body.kind()?, body.slides) {
@@ -124,7 +124,7 @@ impl BodyTerms {
             reach,
             mount,
             to_scale: body.scale_point_mm.map_or([0.0; 3], |point| difference(point, on_guideway)),
-            temperatures: Temperatures::new(body)?,
+            temperatures: Temperatures::new(body, labels)?,
             uncertainty: body.standard_uncertainty_per_K.unwrap_or(0.0) / body.expansion_per_K.abs(),
         };
         let ends = range.filter(|_| found.mount.guide.is_some()).unwrap_or_default();
@@ -176,18 +176,23 @@ impl BodyTerms {
         self.temperatures.by_time().then(|| self.command().map_or(0, |_| 1))
     }
 
+    fn series(&self) -> Option<usize> {
+        self.temperatures.series().and_then(|_| self.time()).map(|place| place + 1)
+    }
+
     fn stylus(&self) -> Option<usize> {
-        let before = [self.command(), self.time()].into_iter().flatten().count();
+        let before = [self.command(), self.time(), self.series()].into_iter().flatten().count();
         (self.mount.origins.len() > 1).then_some(before)
     }
 
     /// The place of the first temperature among the arguments.
     fn first(&self) -> usize {
-        [self.command(), self.time(), self.stylus()].into_iter().flatten().count()
+        [self.command(), self.time(), self.series(), self.stylus()].into_iter().flatten().count()
     }
 
     fn elevations(&self, arguments: &[f64]) -> Option<Vec<f64>> {
-        self.temperatures.at(self.time().map(|place| arguments[place]), &arguments[self.first()..])
+        let [time, label] = [self.time(), self.series()].map(|place| place.map(|place| arguments[place]));
+        self.temperatures.at(time, label, &arguments[self.first()..])
     }
 
     /// The planes of the sections for elevations of the sensors.
@@ -367,9 +372,10 @@ impl Functions for BodyTerms {
     fn arguments(&self) -> Vec<Argument> {
         let command = self.mount.guide.as_ref().map(|guide| Argument::CommandOf(guide.axis.clone()));
         let time = self.time().map(|_| Argument::Time);
+        let series = self.series().and_then(|_| self.temperatures.series().cloned()).map(Argument::Series);
         let stylus = self.stylus().map(|_| Argument::Stylus);
         let of_rows = self.temperatures.of_rows.iter().map(|name| Argument::Temperature(name.clone()));
-        command.into_iter().chain(time).chain(stylus).chain(of_rows).collect()
+        command.into_iter().chain(time).chain(series).chain(stylus).chain(of_rows).collect()
     }
 
     fn terms(&self) -> Vec<Term> {
@@ -404,7 +410,8 @@ impl Functions for BodyTerms {
 
     fn refused(&self, arguments: &[f64]) -> Option<String> {
         let command = self.command().map(|place| arguments[place]).filter(|command| self.beyond(*command));
-        let by_time = || self.time().and_then(|place| self.temperatures.refused(arguments[place]));
+        let label = self.series().map(|place| arguments[place]);
+        let by_time = || self.time().and_then(|place| self.temperatures.refused(arguments[place], label));
         command.map(|command| self.too_far(command)).or_else(by_time)
     }
 }

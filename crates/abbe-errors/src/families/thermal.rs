@@ -8,8 +8,9 @@ use abbe_thermal::possible_temperature;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-use super::thermal_terms::{Along, SeriesLog, ThermalTerms};
+use super::thermal_terms::{Along, ThermalTerms};
 use super::{Family, Functions, Group, Knots, Subject, suits};
+use crate::log::{SeriesLogs, check_label};
 
 /// Errors that follow the temperatures of a log: states that lag behind them (`dzt[T34:1]`, the gain at rest of the state that T34
 /// drives with `time_constant[1]_s`), temperatures themselves (`dzt[T34]`), slopes along an axis (`EXX[1*T34:1]`), and gains at
@@ -127,14 +128,7 @@ impl Family for Thermal {
         if self.starts_warm && self.starts_at_rest {
             return Err(SettingsError::new("starts_at_rest", "there is `starts_warm` already"));
         }
-        if let Some(series) = &self.series
-            && Quantity::of_column(series).1 != Quantity::Label
-        {
-            return Err(SettingsError::new(
-                "series",
-                format!("`{series}` is a column of numbers; labels were expected"),
-            ));
-        }
+        check_label(self.series.as_ref())?;
         if self.reference_degC.is_some() && self.reference_until_s.is_some() {
             return Err(SettingsError::new("reference_until_s", "there is `reference_degC` already"));
         }
@@ -168,13 +162,10 @@ impl Family for Thermal {
             }
             (of, per) => of.and_per(per),
         };
-        let place = |label: Option<&str>| subject.labels.iter().position(|own| Some(own.as_str()) == label);
-        let logs: Vec<SeriesLog> = (self.sensor_logs()?.into_iter())
-            .map(|(label, log)| SeriesLog { label: label.map(str::to_owned), place: place(label), log })
-            .collect();
+        let logs = SeriesLogs::new(self.series.as_ref(), self.sensor_logs()?, subject.labels);
         let sensors = |names: &[String]| -> Vec<usize> {
             let names = names.iter();
-            names.filter_map(|name| logs.first().and_then(|own| own.log.sensor(name).ok())).collect()
+            names.filter_map(|name| logs.logs.first().and_then(|own| own.log.sensor(name).ok())).collect()
         };
         Ok(vec![Box::new(ThermalTerms {
             inputs: self.inputs.iter().map(|name| (name.clone(), unit(name))).collect(),
@@ -184,7 +175,6 @@ impl Family for Thermal {
             along,
             start: self.starts_warm.then_some(of),
             at_rest: self.starts_at_rest,
-            series: self.series.clone(),
             logs,
             histories: RwLock::default(),
         })])

@@ -62,18 +62,11 @@ impl Thermal {
                     SettingsError::new("thermal", message).help("take it out of the rows: the log gives it by time")
                 );
             }
-            let Some(series) = &self.series else { continue };
-            let Some(labels) = data.labels(series) else {
-                let message =
-                    format!("the rows{file} have no column of labels `{series}`, by which their log is found");
-                return Err(SettingsError::new("series", message));
-            };
-            if let Some(label) = labels.iter().find(|label| !self.logs.contains_key(*label)) {
-                let message = format!("no log has rows with {series} {label}, and the rows{file} have some");
-                return Err(SettingsError::new("series", message).suggest(label, self.logs.keys().map(String::as_str)));
-            }
         }
-        Ok(())
+        match &self.series {
+            Some(series) => log::check_series(data, series, &self.logs),
+            None => Ok(()),
+        }
     }
 
     /// Another log in the place of that of the calibration.
@@ -183,16 +176,7 @@ impl Thermal {
     ///
     /// Fails as [`settle`](Self::settle) does.
     pub fn sensor_logs(&self) -> Result<Vec<(Option<&str>, SensorLog)>, SettingsError> {
-        if let Some(log) = self.sensor_log()? {
-            return Ok(vec![(None, log)]);
-        }
-        let of = |(label, log): (&'_ String, &BTreeMap<String, Vec<f64>>)| {
-            self.counted(log).map_err(|error| {
-                let series = self.series.as_deref().unwrap_or_default();
-                SettingsError { message: format!("{series} {label}: {}", error.message), ..error }
-            })
-        };
-        self.logs.iter().map(|(label, log)| Ok((Some(label.as_str()), of((label, log))?))).collect()
+        log::each((&self.log, &self.logs), self.series.as_deref(), |log| self.counted(log))
     }
 
     fn counted(&self, log: &BTreeMap<String, Vec<f64>>) -> Result<SensorLog, SettingsError> {

@@ -3,9 +3,10 @@
 use std::sync::{Arc, RwLock};
 
 use abbe_core::{Quantity, Unit};
-use abbe_thermal::{History, SensorLog};
+use abbe_thermal::History;
 
 use super::{Argument, Functions, Term};
+use crate::log::{SeriesLog, SeriesLogs};
 
 /// How errors depend on the command of their axis.
 #[derive(Debug, Clone, PartialEq)]
@@ -91,21 +92,9 @@ pub struct ThermalTerms {
     pub(super) start: Option<Unit>,
     /// States begin with the first readings.
     pub(super) at_rest: bool,
-    /// The column of labels that tells logs apart; none if there is a single one.
-    pub(super) series: Option<String>,
-    /// None before they are known.
-    pub(super) logs: Vec<SeriesLog>,
+    pub(super) logs: SeriesLogs,
     /// States over the log, of the time constants that were needed last.
     pub(super) histories: RwLock<Vec<Known>>,
-}
-
-/// The log of a series.
-#[derive(Debug)]
-pub(super) struct SeriesLog {
-    /// The label of the series, and its index among all; none for a single log.
-    pub label: Option<String>,
-    pub place: Option<usize>,
-    pub log: SensorLog,
 }
 
 /// Log, sensor, bits of the time constant, and the states.
@@ -122,22 +111,16 @@ impl ThermalTerms {
 
     /// The place of the command among the arguments, if the errors depend on it.
     fn command_place(&self) -> usize {
-        1 + usize::from(self.series.is_some())
+        1 + usize::from(self.logs.series.is_some())
     }
 
-    /// The log of a pose, by its index; none where its time is not known, or where its series has none.
-    fn log_of(&self, arguments: &[f64]) -> Option<usize> {
-        if arguments[0].is_nan() {
-            return None;
-        }
-        match self.series {
-            None => (!self.logs.is_empty()).then_some(0),
-            Some(_) => self.logs.iter().position(|own| own.place.is_some_and(|place| place as f64 == arguments[1])),
-        }
+    /// The index of the label of the series of a pose.
+    fn label_of(&self, arguments: &[f64]) -> Option<f64> {
+        self.logs.series.as_ref().map(|_| arguments[1])
     }
 
     fn history(&self, series: usize, sensor: usize, time_constant: f64) -> Arc<History> {
-        let (log, key) = (&self.logs[series].log, (series, sensor, time_constant.to_bits()));
+        let (log, key) = (&self.logs.logs[series].log, (series, sensor, time_constant.to_bits()));
         let of = |known: &Vec<Known>| known.iter().find(|(own, _)| *own == key).map(|(_, history)| history.clone());
         if let Some(found) = self.histories.read().ok().and_then(|known| of(&known)) {
             return found;
@@ -151,7 +134,7 @@ impl ThermalTerms {
             && of(&known).is_none()
         {
             known.push((key, made.clone()));
-            let more = known.len().saturating_sub(KEPT * (self.inputs.len() * self.logs.len()).max(1));
+            let more = known.len().saturating_sub(KEPT * (self.inputs.len() * self.logs.logs.len()).max(1));
             known.drain(..more);
         }
         made
@@ -159,8 +142,8 @@ impl ThermalTerms {
 
     /// Value and derivative to the logarithm of its time constant of every term at one place of the axis, as if its weight were 1.
     fn each(&self, arguments: &[f64], mut put: impl FnMut(usize, [f64; 2], Option<usize>)) {
-        let Some(series) = self.log_of(arguments) else { return };
-        let log = &self.logs[series].log;
+        let Some(series) = self.logs.of(arguments[0], self.label_of(arguments)) else { return };
+        let log = &self.logs.logs[series].log;
         let time_constants = &arguments[self.first()..];
         let mut term = 0;
         for &sensor in &self.sensors[0] {
@@ -190,13 +173,13 @@ impl ThermalTerms {
 
     /// What names of beginnings have before them, one for each log: `day2.`.
     fn beginnings(&self) -> Vec<String> {
-        let of = |own: &SeriesLog| match (&self.series, &own.label) {
+        let of = |own: &SeriesLog| match (&self.logs.series, &own.label) {
             (Some(series), Some(label)) => format!("{series}{label}."),
             _ => String::new(),
         };
-        match self.logs.is_empty() {
+        match self.logs.logs.is_empty() {
             true => vec![String::new()],
-            false => self.logs.iter().map(of).collect(),
+            false => self.logs.logs.iter().map(of).collect(),
         }
     }
 
@@ -205,7 +188,7 @@ impl ThermalTerms {
         let states = self.time_constants.len();
         self.inputs.len() * states
             + self.at_once.len()
-            + if self.start.is_some() { states * self.logs.len().max(1) } else { 0 }
+            + if self.start.is_some() { states * self.logs.logs.len().max(1) } else { 0 }
     }
 
     /// The command of the axis; no number if the errors do not depend on it.
@@ -220,7 +203,7 @@ impl Functions for ThermalTerms {
         let shapes = (self.time_constants.iter().enumerate())
             .map(|(index, time)| Argument::SharedShape(format!("time_constant[{}]_s", index + 1), *time, unit));
         let command = (self.along != Along::All).then_some(Argument::Command);
-        let series = self.series.clone().map(Argument::Series);
+        let series = self.logs.series.clone().map(Argument::Series);
         std::iter::once(Argument::Time).chain(series).chain(command).chain(shapes).collect()
     }
 
@@ -286,23 +269,9 @@ impl Functions for ThermalTerms {
 
     fn refused(&self, arguments: &[f64]) -> Option<String> {
         if arguments[self.first()..].iter().any(|time| *time <= 0.0) {
-            return Some("a time constant is above 0 s".to_owned());
+            let message = "the iteration leads to a time constant of 0 s or less: these data tell fewer time constants, or need others to start from";
+            return Some(message.to_owned());
         }
-        let Some(series) = self.log_of(arguments) else {
-            // Without a series a pose is on no clock.
-            let on_no_clock = !arguments[0].is_nan() && !self.logs.is_empty();
-            return on_no_clock.then(|| {
-                format!("a pose with a time belongs to no `{}` with a log", self.series.as_deref().unwrap_or_default())
-            });
-        };
-        let log = &self.logs[series].log;
-        let (first, last) = (log.times()[0], log.times()[log.times().len() - 1]);
-        let outside = !(first..=last).contains(&arguments[0]);
-        outside.then(|| {
-            format!(
-                "the time {} s is outside the log of temperatures, which goes from {first} s to {last} s",
-                arguments[0]
-            )
-        })
+        self.logs.refused(arguments[0], self.label_of(arguments))
     }
 }

@@ -1,5 +1,6 @@
 //! Charts as SVG. Colours and lines are classes, which the style of the page sets for light, dark and paper.
 
+mod choices;
 mod curves;
 mod forest;
 mod heat;
@@ -13,6 +14,7 @@ use std::fmt::Write;
 use crate::html::escape;
 use crate::number::short;
 
+pub use choices::{Choice, Span, choices, sequence};
 pub use curves::{Curve, curve};
 pub use forest::{ForestRow, forest};
 pub use heat::heat_map;
