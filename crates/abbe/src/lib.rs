@@ -1,4 +1,4 @@
-//! The command line of Abbe: `run`, `report`, `test`, `check`, `data`, `model`, `simulate`, `plan`, `plugins`, `plugin`, `schema`.
+//! The command line of Abbe: `new`, `run`, `report`, `test`, `check`, `data`, `model`, `simulate`, `plan`, `plugins`, `plugin`, `schema`.
 //!
 //! Exit status: 0 no verdict failed (inconclusive verdicts are reported); 1 an error that only the data or the run show; 2 wrong
 //! use, or an error that can be found without reading data rows; 3 a verdict failed; 130 interrupted by Ctrl-C, 143 by SIGTERM,
@@ -248,16 +248,12 @@ fn carried_out(arguments: Arguments) -> ExitCode {
         .without_time()
         .with_target(false)
         .init();
-    let machine = matches!(
-        arguments.command,
-        Command::Run { json: true, .. } | Command::Check { json: true, .. } | Command::Plan { json: true, .. }
-    );
-    let machine = machine
-        || match &arguments.command {
-            Command::Compensate(asked) => asked.json,
-            Command::Correct(asked) => asked.json,
-            _ => false,
-        };
+    let machine = match &arguments.command {
+        Command::Run { json, .. } | Command::Check { json, .. } | Command::Plan { json, .. } => *json,
+        Command::Compensate(asked) => asked.json,
+        Command::Correct(asked) => asked.json,
+        _ => false,
+    };
     let is_json = machine
         || matches!(
             arguments.command,
