@@ -416,11 +416,10 @@ fn readings_in_another_unit_than_those_of_other_files_are_told() {
                 if is_scale && name == "mill-direct" {
                     let recipe = wrong.clone().only(&["fit-lengths", "fit-angles"]).write(folder.path());
                     let printed = abbe(folder.path(), &["run".as_ref(), recipe.as_os_str()]);
-                    assert!(
-                        printed.stdout.contains("is the unit of its readings right?"),
-                        "{file}: {}",
-                        printed.stdout
-                    );
+                    let told = ["is the unit of its readings right?", "is their unit right?"];
+                    let is_told =
+                        told.iter().any(|words| printed.stdout.contains(words) || printed.stderr.contains(words));
+                    assert!(is_told, "{file}: {}{}", printed.stdout, printed.stderr);
                 } else if !is_scale {
                     assert!(remarks.iter().any(of_file), "{name}, {file}: {remarks:?}");
                 }

@@ -135,7 +135,8 @@ fn offsets_beyond_the_range_of_a_control_are_refused() {
         let folder = temporary();
         let mut recipe = Variant::of(&recipes()["tool-check"]);
         let table = recipe.path("tools", "table");
-        // Tools that are longer than their preset have no lock.
+        // Tools that are longer than their presets are locked, unless nothing is.
+        recipe.stage(control)["lock"] = json!([]);
         let shorter = |_: usize, length: &str| format!("{}", length.parse::<f64>().expect("a length") * 0.3);
         recipe.stage("tools")["table"] = json!(changed(&table, folder.path(), "length_mm", shorter));
         let printed = run(&recipe.only(&["log", "tools", control]), folder.path());

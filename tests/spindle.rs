@@ -250,7 +250,7 @@ fn settings_and_stages_that_do_not_fit_are_refused_with_their_place() {
         (|s| s["motion"]["axial"] = json!("S"), 2, "has a column `S_deg`, and `S_um` was expected"),
         (|s| s["motion"]["harmonics"] = json!(1), 2, "from 2 to 500 was expected"),
         (|s| s["motion"]["radial"]["r2"]["azimuth_deg"] = json!(175), 2, "tell one direction alone"),
-        (|s| s["motion"]["radial"]["r2"]["azimuth_deg"] = json!(-90), 1, "are r1 and r2 swapped?"),
+        (|s| s["motion"]["radial"]["r2"]["azimuth_deg"] = json!(-90), 1, "are r1 and r2 swapped"),
         (
             |s| s["motion"]["speeds_rpm"] = json!([600, 3000, 10000]),
             1,
@@ -308,7 +308,7 @@ fn readings_in_a_file_are_refused_with_their_line() {
         (with(&|_, cells| cells[3] = number(&cells[3]).min(9.5).to_string()), "r1 reads its largest value, 9.5000 um"),
         (with(&|_, cells| cells[4] = (number(&cells[4]) * 1e3).to_string()), "r2 moves by"),
         (with(&|_, cells| cells[1] = number(&cells[1]).to_radians().to_string()), "its angle covers 0.56 turns"),
-        (with(&|_, cells| cells.swap(3, 4)), "are r1 and r2 swapped?"),
+        (with(&|_, cells| cells.swap(3, 4)), "are r1 and r2 swapped"),
         (lines[..200].join("\n") + "\n", "its angle covers 1.56 turns"),
         ([&lines[..1000], &lines[1100..]].concat().join("\n") + "\n", "readings are missing before this one"),
     ];

@@ -2,7 +2,7 @@
 
 use std::collections::BTreeSet;
 
-use abbe_core::{Class, Kind, Problem, Result, SetIndex};
+use abbe_core::{Class, Kind, ObservationSet, Problem, Result, SetIndex, StatusRole};
 use abbe_estimation::laws;
 use abbe_simulation::{Noise, Truth, measure};
 
@@ -38,7 +38,7 @@ impl Prepared {
             let Some(problem) = problems.get(&stage.name).filter(|problem| !problem.sets.is_empty()) else { continue };
             let machine = self.machine_stage(stage)?;
             if found.seen.insert((machine.name.clone(), machine.plugin.clone())) {
-                let broken = laws::check_model(problem.model.as_ref());
+                let broken = laws::check_model_within(problem.model.as_ref(), times(problem));
                 found.broken.extend(broken.into_iter().map(|law| format!("{}: {law}", machine.name)));
             }
             let (measured, solution, made) = match self.located(stage, virtual_measurement(problem)) {
@@ -111,4 +111,14 @@ fn virtual_measurement(problem: &Problem) -> Result<(Problem, Vec<f64>)> {
     let constraints = measured.constraints().into_iter().zip(residuals);
     let stated: Vec<f64> = constraints.map(|(stated, residual)| if stated { -residual } else { 0.0 }).collect();
     Ok((measured.disturbed(&stated), solution))
+}
+
+/// First and last time of the rows of a problem, s.
+fn times(problem: &Problem) -> [f64; 2] {
+    let Some(column) = problem.model.info().status_index(&StatusRole::Time) else { return [0.0, 1.0] };
+    let of_set = |set: &ObservationSet| -> Vec<f64> {
+        set.poses_of(&set.rows).map(|pose| set.poses().row(pose)[column]).collect()
+    };
+    let all: Vec<f64> = problem.sets.iter().flat_map(of_set).collect();
+    [all.iter().copied().fold(f64::INFINITY, f64::min), all.iter().copied().fold(f64::NEG_INFINITY, f64::max)]
 }

@@ -30,7 +30,7 @@ const LOBE: f64 = 0.2;
 const DELAY: f64 = 0.05;
 
 /// The same for a position that is recorded before the contact: a control that corrects its delay may do so by too much, s.
-const EARLY: f64 = 1e-3;
+const EARLY: f64 = 5e-3;
 
 /// Part of a bound from which an error is told, though it may be real.
 const TOLD: f64 = 0.2;

@@ -120,6 +120,9 @@ fn too_good(fit: &Fit) -> Option<String> {
 /// Fewest residuals of a file that are looked at: fewer may be what the unknowns make of them.
 const OF_A_FILE: usize = 20;
 
+/// Part of what was stated below which residuals are those of exact data: no other unit makes them so small.
+const EXACT: f64 = 1e-6;
+
 /// Files whose residuals are far smaller than stated while those of the other files are not: their readings are in another unit.
 fn too_good_files(fit: &Fit) -> Vec<String> {
     let problem = &fit.problem;
@@ -136,7 +139,8 @@ fn too_good_files(fit: &Fit) -> Vec<String> {
     let (sum, count) = of_files.values().fold((0.0, 0), |(sum, count), own| (sum + own.0, count + own.1));
     let rms = |sum: f64, count: usize| (sum / count.max(1) as f64).sqrt();
     let is_too_good = |own: &(f64, usize)| {
-        own.1 >= OF_A_FILE && rms(own.0, own.1) < TOO_GOOD && rms(sum - own.0, count - own.1) > 10.0 * TOO_GOOD
+        let is_small = (EXACT..TOO_GOOD).contains(&rms(own.0, own.1));
+        own.1 >= OF_A_FILE && is_small && rms(sum - own.0, count - own.1) > 10.0 * TOO_GOOD
     };
     let sentence = |(file, own): (&Path, (f64, usize))| {
         format!(

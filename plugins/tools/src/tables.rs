@@ -98,7 +98,7 @@ pub struct Locked<'a> {
 }
 
 /// Tools that must not be used: those whose last verdict locks them, those that the last session did not measure in length and
-/// radius, and those whose size no wear explains.
+/// radius, and, unless nothing is to be locked, those whose size no wear explains.
 pub fn locked<'a>(store: &'a Store, judged: &'a [Judged], lock: &[Name]) -> Vec<Locked<'a>> {
     let (record, grown) = (&store.record, grown(store, judged));
     let mut list = Vec::new();
@@ -110,8 +110,8 @@ pub fn locked<'a>(store: &'a Store, judged: &'a [Judged], lock: &[Name]) -> Vec<
             false if session != record.last_session() || record.checks[it.check].measured.contains(&false) => {
                 "not-measured"
             }
-            false if too_long(store, it).is_some() => "too-long",
-            false if grown.iter().any(|grown| grown.check == it.check) => "grown",
+            false if !lock.is_empty() && too_long(store, it).is_some() => "too-long",
+            false if !lock.is_empty() && grown.iter().any(|grown| grown.check == it.check) => "grown",
             false => continue,
         };
         list.push(Locked { tool: &tool.tool, reason, session, looks_like: it.looks_like.as_deref() });

@@ -16,7 +16,7 @@ mod observations;
 mod virtual_machine;
 
 pub use estimator::{check_estimate, check_estimator, largest_derivatives};
-pub use model::{check_model, samples};
+pub use model::{check_model, check_model_within, samples};
 pub use observations::check_observations;
 pub use virtual_machine::virtual_problem;
 

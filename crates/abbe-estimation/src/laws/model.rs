@@ -24,6 +24,11 @@ const TOLERANCE: f64 = 1e-5;
 ///
 /// A model may refuse orientations as a whole, but no pose within its range.
 pub fn check_model(model: &dyn KinematicModel) -> Vec<String> {
+    check_model_within(model, SECOND)
+}
+
+/// The same at times within a range, s: a machine that follows a log has no others.
+pub fn check_model_within(model: &dyn KinematicModel, times: [f64; 2]) -> Vec<String> {
     let info = model.info();
     let mut broken = names(info.parameters.iter());
     if info.nominal.len() != info.parameters.len() || info.nominal_uncertainties.len() != info.parameters.len() {
@@ -41,7 +46,7 @@ pub fn check_model(model: &dyn KinematicModel) -> Vec<String> {
         broken.push("an axis has no status, or a status is of an axis that is not there".to_owned());
         return broken;
     }
-    let (statuses, values) = samples(model, 1);
+    let (statuses, values) = samples_within(model, 1, times);
     for function in &info.error_functions {
         let ErrorFunction { symbol, axis, component, .. } = function;
         let role = ParameterRole::Motion { axis: *axis, component: *component };
@@ -54,9 +59,9 @@ pub fn check_model(model: &dyn KinematicModel) -> Vec<String> {
         }
     }
     for (what, found) in [
-        ("a pose", derivatives(model)),
-        ("a pose", alone_and_together(model)),
-        ("a motion error", motion_errors(model)),
+        ("a pose", derivatives(model, times)),
+        ("a pose", alone_and_together(model, times)),
+        ("a motion error", motion_errors(model, times)),
     ] {
         match found {
             Ok(found) => broken.extend(found),
@@ -66,9 +71,17 @@ pub fn check_model(model: &dyn KinematicModel) -> Vec<String> {
     broken
 }
 
+/// Times of models whose clock is not known, s.
+const SECOND: [f64; 2] = [0.0, 1.0];
+
 /// Statuses over the whole range of a model (poses x statuses), and realistic values of its parameters, near the nominal
 /// ones; the same in every call.
 pub fn samples(model: &dyn KinematicModel, poses: usize) -> (Vec<f64>, Vec<f64>) {
+    samples_within(model, poses, SECOND)
+}
+
+/// The same at times within a range, s.
+fn samples_within(model: &dyn KinematicModel, poses: usize, times: [f64; 2]) -> (Vec<f64>, Vec<f64>) {
     let info = model.info();
     // Weyl's sequence: spread evenly, without a random number.
     let spread = |index: usize, salt: usize| {
@@ -91,6 +104,7 @@ pub fn samples(model: &dyn KinematicModel, poses: usize) -> (Vec<f64>, Vec<f64>)
                 _ if column.quantity == Quantity::Label => 0.0,
                 _ => match column.absent {
                     Absent::Default(value) if value.is_finite() => value,
+                    _ if column.role == StatusRole::Time => times[0] + part * (times[1] - times[0]),
                     _ => part,
                 },
             });
@@ -120,8 +134,8 @@ fn has_orientations(model: &dyn KinematicModel) -> bool {
     }
 }
 
-fn derivatives(model: &dyn KinematicModel) -> Result<Vec<String>> {
-    let (statuses, values) = samples(model, POSES);
+fn derivatives(model: &dyn KinematicModel, times: [f64; 2]) -> Result<Vec<String>> {
+    let (statuses, values) = samples_within(model, POSES, times);
     let (wanted, orientation) = (variables(model), has_orientations(model));
     let (mut at, mut broken, info) = (Poses::default(), Vec::new(), model.info());
     model.poses(&statuses, &values, &wanted, orientation, &mut at)?;
@@ -192,8 +206,8 @@ fn unit([w, x, y, z]: [f64; 4]) -> UnitQuaternion<f64> {
 }
 
 /// Checks that every pose of a batch is the same alone and without derivatives.
-fn alone_and_together(model: &dyn KinematicModel) -> Result<Vec<String>> {
-    let (statuses, values) = samples(model, POSES);
+fn alone_and_together(model: &dyn KinematicModel, times: [f64; 2]) -> Result<Vec<String>> {
+    let (statuses, values) = samples_within(model, POSES, times);
     let orientation = has_orientations(model);
     let (mut together, mut alone) = (Poses::default(), Poses::default());
     model.poses(&statuses, &values, &variables(model), orientation, &mut together)?;
@@ -213,8 +227,8 @@ fn alone_and_together(model: &dyn KinematicModel) -> Result<Vec<String>> {
 
 /// Checks motion errors, and so the functions of error families: derivatives against difference quotients, for every
 /// coefficient.
-fn motion_errors(model: &dyn KinematicModel) -> Result<Vec<String>> {
-    let (statuses, values) = samples(model, POSES);
+fn motion_errors(model: &dyn KinematicModel, times: [f64; 2]) -> Result<Vec<String>> {
+    let (statuses, values) = samples_within(model, POSES, times);
     let mut broken = Vec::new();
     for function in &model.info().error_functions {
         for status in statuses.chunks_exact(model.info().status.len().max(1)) {
