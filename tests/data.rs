@@ -321,6 +321,25 @@ fn a_log_of_lines_is_the_same_as_its_table() {
         "ingest": "text", "path": folder.path().join("touches.log"), "begins_after": "PROBING.*", "line": line,
         "headings": [format!(r"\({heading}\)")], "skip": ["MISS"], "units": { "X_mm": "in" },
     });
+    let mut of_log = Variant::of(recipe);
+    *of_log.stage("strategy-1") = stage.clone();
+    let file = of_log.only(&["fit"]).write(folder.path());
+    write(&folder.path().join("truth.json"), "{ \"parameters\": {} }");
+    let simulated = abbe(
+        folder.path(),
+        &[
+            "simulate".as_ref(),
+            file.as_os_str(),
+            "--truth".as_ref(),
+            "truth.json".as_ref(),
+            "--seed".as_ref(),
+            "1".as_ref(),
+            "--out".as_ref(),
+            "sim".as_ref(),
+        ],
+    );
+    assert!(simulated.status == 2 && simulated.stderr.contains("reads lines of a log"), "{}", simulated.stderr);
+    assert!(!folder.path().join("sim").exists());
     let (from_table, from_log) = (estimates(Variant::of(recipe), None), estimates(Variant::of(recipe), Some(stage)));
     assert_eq!(from_table.len(), from_log.len());
     for (one, other) in from_table.iter().flatten().zip(from_log.iter().flatten()) {

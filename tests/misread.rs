@@ -415,7 +415,7 @@ fn readings_in_another_unit_than_those_of_other_files_are_told() {
                 let is_scale = ["EXX", "EYY", "EZZ"].iter().any(|symbol| own.contains(symbol));
                 if is_scale && name == "mill-direct" {
                     let recipe = wrong.clone().only(&["fit-lengths", "fit-angles"]).write(folder.path());
-                    let printed = abbe(folder.path(), &["run".as_ref(), recipe.as_os_str()]);
+                    let printed = abbe(folder.path(), &["--verbose".as_ref(), "run".as_ref(), recipe.as_os_str()]);
                     let told = ["is the unit of its readings right?", "is their unit right?"];
                     let is_told =
                         told.iter().any(|words| printed.stdout.contains(words) || printed.stderr.contains(words));

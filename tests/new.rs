@@ -108,6 +108,14 @@ fn what_is_missing_is_asked_of_nobody_without_a_terminal() {
 }
 
 #[test]
+fn axes_with_other_names_have_errors_of_theirs() {
+    for chain in ["w b U V W t", "w b X1 X2 Y Z t", "w C1' A2' b X Y Z t"] {
+        let told = closed(chain, "ball", 1).unwrap_or_else(|reason| panic!("{chain}: {reason}"));
+        assert!(told >= 3, "{chain}: {told}");
+    }
+}
+
+#[test]
 fn the_control_gets_its_exporter_or_a_reason() {
     let folder = temporary();
     let chain = "w C' A' b X Y Z t";

@@ -237,3 +237,19 @@ fn plans_and_simulations_are_kept_beside_a_folder_that_somebody_has_taken_meanwh
         assert_eq!((tree(&at(name)), tree(&at(&format!("{name}-new-1")))), (before.clone(), before));
     }
 }
+
+#[test]
+fn a_slash_behind_the_name_of_a_file_does_not_replace_it() {
+    let small = crate::support::Small::new();
+    small.write("mine.txt", "mine");
+    for name in ["mine.txt/", "mine.txt/.", "./mine.txt//"] {
+        for option in ["--junit", "--markdown"] {
+            let printed = small.abbe(&["test", "recipe.yaml", option, name]);
+            assert!(printed.status != 0 && printed.stderr.contains("names a folder"), "{name}: {}", printed.stderr);
+        }
+        let printed = small.abbe(&["new", name, "--chain", "w b X Y Z t", "--method", "ball"]);
+        assert!(printed.status != 0 && printed.stderr.contains("is no folder"), "{name}: {}", printed.stderr);
+    }
+    assert_eq!(small.read("mine.txt"), "mine");
+    assert!(!small.path("mine.txt-new-1").exists());
+}

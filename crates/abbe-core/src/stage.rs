@@ -33,6 +33,11 @@ pub trait Ingest: Send + Sync {
 
     /// The data set.
     fn read(&self) -> Result<Dataset>;
+
+    /// Whether its files are tables, in which other numbers can be written. Default: they are.
+    fn is_of_tables(&self) -> bool {
+        true
+    }
 }
 
 /// Observations of an artefact from a data set.

@@ -18,6 +18,8 @@ pub fn can_write_folder(out: &Path) -> Result<()> {
 
 /// Fails if something is at `out`.
 fn is_free(out: &Path) -> Result<()> {
+    // `f/` is the file f: a slash at its end does not make it a folder.
+    let out: &Path = &out.components().collect::<PathBuf>();
     if out.is_symlink() && !out.is_dir() {
         return Err(Error::data(format!("{} is a link that leads to no folder", out.display()))
             .help("remove it, or name another folder with `--out`"));

@@ -113,11 +113,15 @@ fn virtual_measurement(problem: &Problem) -> Result<(Problem, Vec<f64>)> {
     Ok((measured.disturbed(&stated), solution))
 }
 
-/// First and last time of the rows of a problem, s.
+/// First and last time of the rows of a problem, s: of the first series, whose clock it is.
 fn times(problem: &Problem) -> [f64; 2] {
-    let Some(column) = problem.model.info().status_index(&StatusRole::Time) else { return [0.0, 1.0] };
+    let info = problem.model.info();
+    let Some(column) = info.status_index(&StatusRole::Time) else { return [0.0, 1.0] };
+    let series = info.status_index(&StatusRole::Series);
     let of_set = |set: &ObservationSet| -> Vec<f64> {
-        set.poses_of(&set.rows).map(|pose| set.poses().row(pose)[column]).collect()
+        let statuses = set.poses_of(&set.rows).map(|pose| set.poses().row(pose));
+        let is_first = |status: &&[f64]| series.is_none_or(|series| status[series] == 0.0);
+        statuses.filter(is_first).map(|status| status[column]).collect()
     };
     let all: Vec<f64> = problem.sets.iter().flat_map(of_set).collect();
     [all.iter().copied().fold(f64::INFINITY, f64::min), all.iter().copied().fold(f64::NEG_INFINITY, f64::max)]

@@ -136,6 +136,15 @@ impl Prepared {
     pub(crate) fn layouts(&self) -> Result<BTreeMap<PathBuf, FileLayout>> {
         let mut layouts: BTreeMap<PathBuf, FileLayout> = BTreeMap::new();
         for stage in self.stages(Kind::Ingest) {
+            if !self.ingests[&stage.name].is_of_tables() {
+                let error = Error::usage(format!(
+                    "`{}` reads lines of a log, and rows are written into tables only",
+                    stage.name
+                ));
+                let error =
+                    error.help("take a table (`ingest: csv`) here, and read the log of the measurement afterwards");
+                return self.located(stage, Err(error.stage(&stage.name)));
+            }
             // Other readers have other settings; their files have the usual layout, or are refused where they are written.
             let layout = from_settings::<Declared>(&stage.settings).and_then(Declared::layout).unwrap_or_default();
             for file in &self.data(&stage.name)?.files {

@@ -11,9 +11,11 @@ use crate::contact::gradients;
 /// Effect of an axis on the distance from contact, mm/mm, from which its direction is that of the approach.
 const LEADS: f64 = 0.5;
 
-/// Fewest touches that tell, and the part of them that has to lead away: half of them do where two columns are swapped.
+/// Fewest touches that tell, the part of them that has to lead away, and the same of at least so many that do: half of them do where
+/// two columns are swapped, a quarter where they are off by a row.
 const TOUCHES: usize = 10;
-const MOST: f64 = 0.35;
+const MOST: f64 = 0.8;
+const MANY: f64 = 0.15;
 
 /// Smallest angle that is told, rad, and the distance from contact that it has to explain, mm.
 const ANGLE: f64 = 2e-3;
@@ -93,7 +95,8 @@ fn away(problem: &Problem, touches: &[Touch]) -> Option<String> {
             count += 1;
             wrong += usize::from(touch.directions[axis] * touch.effects[axis] > 0.0);
         }
-        if count >= TOUCHES && wrong as f64 > MOST * count as f64 {
+        let part = wrong as f64 / count.max(1) as f64;
+        if count >= TOUCHES && (part > MOST || (wrong >= TOUCHES && part > MANY)) {
             names.push(format!("`dir_{}` ({wrong} of {count})", own.name));
         }
     }

@@ -59,6 +59,17 @@ pub fn is_free(path: &Path) -> Result<()> {
     }
 }
 
+/// Fails for a name that ends as that of a folder does: `f/` would be written in the place of the file f.
+pub fn is_file_name(path: &Path) -> Result<()> {
+    let text = path.as_os_str().to_string_lossy();
+    let is_folder = text.ends_with(std::path::is_separator) || path.file_name().is_none() || text.ends_with("/.");
+    match is_folder {
+        false => Ok(()),
+        true => Err(Error::usage(format!("{} names a folder, and a file is to be written", path.display()))
+            .help("leave out what stands behind the name of the file")),
+    }
+}
+
 /// Fails if two options name one file, however it is written: one of the two would be lost.
 pub fn are_different(named: &[(&str, &Path)]) -> Result<()> {
     for (index, (option, file)) in named.iter().enumerate() {

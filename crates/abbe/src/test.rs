@@ -11,7 +11,7 @@ use clap::Args;
 
 use crate::expected::Expected;
 use crate::libraries::Libraries;
-use crate::outputs::{are_different, replace};
+use crate::outputs::{are_different, is_file_name, replace};
 use crate::report;
 
 /// What is asked of the command.
@@ -241,6 +241,7 @@ const MARKDOWN: &str = "| recipe | result | s |\n";
 
 /// Fails if there is something of this name that an earlier test did not write.
 fn is_own(file: &Path, head: &str) -> Result<()> {
+    is_file_name(file)?;
     let Ok(found) = file.symlink_metadata() else { return Ok(()) };
     // A service may have made an empty one for it.
     let is_own = |text: String| text.is_empty() || text.starts_with(head);

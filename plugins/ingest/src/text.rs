@@ -96,6 +96,10 @@ impl Ingest for Text {
         self.assembly.inputs()
     }
 
+    fn is_of_tables(&self) -> bool {
+        false
+    }
+
     fn headers(&self) -> Result<Vec<ColumnHeader>> {
         Ok(self.assembly.without_rows(&|path| Ok(self.lines.empty(path)))?.headers())
     }
@@ -198,7 +202,13 @@ impl Lines {
                 self.add_row(&mut data, &Found { path, line, indent, content, groups, above: &above })?;
             } else if let Some((heading, groups)) = heading() {
                 let names = heading.capture_names().flatten();
-                above.extend(names.filter_map(|name| Some((name, groups.name(name)?.as_str()))));
+                // A group that matches nothing has no value below: the one above does not go on.
+                for name in names {
+                    match groups.name(name) {
+                        Some(found) => above.insert(name, found.as_str()),
+                        None => above.remove(name),
+                    };
+                }
             } else if !content.is_empty() && !self.skip.iter().any(|skip| skip.is_match(content)) {
                 return Err(no_line(content).at(path, line, Some(1)));
             }
@@ -229,8 +239,13 @@ impl Lines {
             let name = column.header.header.as_str();
             let own = row.groups.name(name);
             let cell = own.map(|found| found.as_str()).or_else(|| row.above.get(name).copied()).ok_or_else(|| {
-                let message = format!("`{name}` has no value: no heading above this line has it");
-                Error::data(message).at(row.path, row.line, Some(1))
+                let is_own = self.line.capture_names().flatten().any(|group| group == name);
+                let message = match is_own {
+                    true => format!("`{name}` has no value: its group matches nothing in this line"),
+                    false => format!("`{name}` has no value: no heading above this line has it"),
+                };
+                let help = "correct the log, or declare such lines under `skip`";
+                Error::data(message).at(row.path, row.line, Some(1)).help(help)
             })?;
             match &mut cells.values {
                 Values::Labels(labels) => labels.push(cell.trim().to_owned()),

@@ -6,7 +6,7 @@ use std::path::{Path, PathBuf};
 
 use abbe_core::{AxisKind, Class, Error, Identifiability, ParameterRole, Registry, Result, Unit};
 use abbe_engine::{Planned, Prepared, prepare};
-use abbe_kinematics::StructuralLoop;
+use abbe_kinematics::{NamedAxis, StructuralLoop};
 
 use super::texts::{Choice, Errors, Recipe, machine};
 use super::{Controller, Method};
@@ -81,10 +81,10 @@ pub fn begin(
     controller: Option<Controller>,
     registry: &Registry,
 ) -> Result<Beginning> {
-    let linear: Vec<&str> = named(chain, AxisKind::Linear);
-    if linear.len() < 3 {
+    let linear = linear_axes(chain).count();
+    if linear < 3 {
         let message =
-            format!("a machine with {} linear axes cannot bring its stylus to all places of an artefact", linear.len());
+            format!("a machine with {} linear axes cannot bring its stylus to all places of an artefact", linear);
         return Err(Error::usage(message).help("calibrate such machines by poses of a target: see docs/robots.md"));
     }
     let folder = tempfile::tempdir().map_err(|error| Error::data(format!("there is no temporary folder: {error}")))?;
@@ -148,8 +148,14 @@ pub fn begin(
     })
 }
 
-fn named(chain: &StructuralLoop, kind: AxisKind) -> Vec<&str> {
-    chain.axes.iter().filter(|axis| axis.kind() == kind).map(|axis| axis.name.as_str()).collect()
+fn linear_axes(chain: &StructuralLoop) -> impl Iterator<Item = &NamedAxis> {
+    chain.axes.iter().filter(|axis| axis.kind() == AxisKind::Linear)
+}
+
+/// The positioning error of a linear axis: `EXX`, and `EXU` of one that is called U.
+fn positioning(axis: &NamedAxis) -> String {
+    let along = axis.direction().iter().position(|part| *part != 0.0).unwrap_or_default();
+    format!("E{}{}", ["X", "Y", "Z"][along], axis.name)
 }
 
 /// The error of a method that tells nothing.
@@ -198,7 +204,7 @@ impl Trial<'_> {
                 locations.all.iter().map(|error| error.name.as_str()).filter(|name| !independent.contains(name));
             errors.others = others.map(str::to_owned).collect();
         }
-        errors.scales = named(chain, AxisKind::Linear).into_iter().map(|axis| format!("E{axis}{axis}")).collect();
+        errors.scales = linear_axes(chain).map(positioning).collect();
         let info = machine.model.info();
         // Where the workpiece stands is among the unknowns of what is touched, and a tip does not tell how the tool is turned.
         let of_tip = |name: &str| ["dxt", "dyt", "dzt"].contains(&name);

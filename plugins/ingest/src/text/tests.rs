@@ -110,6 +110,7 @@ fn headings_hold_for_the_lines_below() {
 fn what_does_not_fit_is_refused_with_line_and_column() {
     let simple = json!({ "line": r"T(?<touch>\d+) X(?<X_mm>\S+)" });
     let above = json!({ "line": r"X(?<X_mm>\S+)", "headings": [r"C(?<C_deg>\S+)"] });
+    let optional = json!({ "line": r"X(?<X_mm>\S+)?", "headings": [r"B(?<B_deg>\S+)( C(?<C_deg>\S+))?"] });
     let between = json!({ "line": r"X(?<X_mm>\S+)", "begins_after": "BEGIN", "ends_before": "END" });
     for (settings, text, expected) in [
         (&simple, "T1 X2\nALARM 5\n", "log.txt:2:1: `ALARM 5` is no line of this log"),
@@ -118,6 +119,8 @@ fn what_does_not_fit_is_refused_with_line_and_column() {
         (&simple, "T1 X1e999\n", "which is not a finite number"),
         (&simple, "\n\n", "no line of the file matches `line`"),
         (&above, "X1\n", "log.txt:1:1: `C_deg` has no value: no heading above this line has it"),
+        (&optional, "B1 C2\nX1\nB1\nX1\n", "log.txt:4:1: `C_deg` has no value: no heading above this line has it"),
+        (&optional, "B1 C2\nX\n", "log.txt:2:1: `X_mm` has no value: its group matches nothing in this line"),
         (&between, "X1\n", "no line matches `begins_after`: `^(?:BEGIN)$`"),
         (&between, "BEGIN\nX1\n", "no line matches `ends_before`"),
         (&between, "END\nBEGIN\nX1\n", "no line matches `ends_before`"),
