@@ -240,7 +240,7 @@ fn plans_and_simulations_are_kept_beside_a_folder_that_somebody_has_taken_meanwh
 
 #[test]
 fn a_slash_behind_the_name_of_a_file_does_not_replace_it() {
-    let small = crate::support::Small::new();
+    let small = Small::new();
     small.write("mine.txt", "mine");
     for name in ["mine.txt/", "mine.txt/.", "./mine.txt//"] {
         for option in ["--junit", "--markdown"] {

@@ -373,7 +373,8 @@ fn a_warm_up_in_another_unit_is_refused() {
 
 #[test]
 fn sensors_of_a_warm_up_that_fail_are_told() {
-    let cases: [(&str, &dyn Fn(usize, f64) -> f64, i32, &str); 6] = [
+    type Case<'a> = (&'a str, &'a dyn Fn(usize, f64) -> f64, i32, &'a str);
+    let cases: [Case<'_>; 6] = [
         ("T02", &|_, _| 20.8, 1, "T02 reads 20.8 °C in all rows"),
         ("T02", &|row, value| if row == 90 { 0.0 } else { value }, 0, "T02 jumps here"),
         ("drift_z", &|row, value| if row > 100 { value - 20.0 } else { value }, 0, ":102: drift_z jumps here"),
