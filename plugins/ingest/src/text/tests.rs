@@ -33,7 +33,8 @@ proptest! {
     #[test]
     fn what_controls_write_comes_back(touches in touches(), form in 0_usize..4) {
         // LinuxCNC `(LOG,...)`, Fanuc DPRNT, a text of Heidenhain's FN 16, and answers of grbl.
-        let (settings, write): (Value, fn(usize, [f64; 3], bool) -> String) = match form {
+        type Write = fn(usize, [f64; 3], bool) -> String;
+        let (settings, write): (Value, Write) = match form {
             0 => (
                 json!({ "line": r"T(?<touch>\d+) X(?<X_mm>\S+) Y(?<Y_mm>\S+) Z(?<Z_mm>\S+)", "skip": [r"T\d+ MISS", r"\(.*\)"] }),
                 |touch, [x, y, z], hit| match hit {
@@ -79,7 +80,7 @@ proptest! {
                 let nearest: f64 = format!("{value:.4}").parse().expect("a number");
                 prop_assert_eq!(numbers(&data, name)[row], nearest);
             }
-            let line = text.lines().nth(data.origins.iter().nth(row).expect("an origin").line - 1).expect("a line");
+            let line = text.lines().nth(data.origins.get(row).expect("an origin").line - 1).expect("a line");
             prop_assert!(form == 3 || line.contains(&touch.to_string()), "{line}");
         }
     }
