@@ -88,7 +88,7 @@ mod tests {
         let said = |text: &str| from_json::<Value>(text).unwrap_err().to_string();
         for (text, place) in [
             ("{\"a\": 1,\n \"a\": 1}", "`a` stands here a second time at line 2 column 4"),
-            ("[1, {\"b\": {\"c\": [], \"d\": 2, \"c\": []}}]", "`c` stands here a second time at line 1 column 34"),
+            ("[1, {\"b\": {\"c\": [], \"d\": 2, \"c\": []}}]", "`c` stands here a second time at line 1 column 31"),
             // The same key, written otherwise.
             ("{\"a\": 1, \"\\u0061\": 2}", "`a` stands here a second time at line 1 column 17"),
         ] {
