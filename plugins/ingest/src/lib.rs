@@ -1,6 +1,6 @@
-//! Ingest of files: tables ([`csv`]) and logs whose lines a pattern describes ([`text`]).
+//! Ingest of files: tables (`csv`) and logs whose lines a pattern describes (`text`).
 //!
-//! Many files give one data set, with columns set as constants or joined from a table ([`assembly`]).
+//! Many files give one data set, with columns set as constants or joined from a table (`assembly`).
 
 mod assembly;
 mod average;
