@@ -124,5 +124,9 @@ fn times(problem: &Problem) -> [f64; 2] {
         statuses.filter(is_first).map(|status| status[column]).collect()
     };
     let all: Vec<f64> = problem.sets.iter().flat_map(of_set).collect();
-    [all.iter().copied().fold(f64::INFINITY, f64::min), all.iter().copied().fold(f64::NEG_INFINITY, f64::max)]
+    let ends = all.iter().fold(None, |ends: Option<[f64; 2]>, &time| {
+        let [first, last] = ends.unwrap_or([time; 2]);
+        Some([first.min(time), last.max(time)])
+    });
+    ends.unwrap_or([0.0, 1.0])
 }

@@ -135,20 +135,14 @@ fn judged(
     let motions = Motions::of(at)?;
     let mut found = Vec::new();
     for unknown in unknowns {
-        let Some(bound) = bound(plausible, at, unknown) else { continue };
-        let Some(effect) = motions.effect(unknown) else { continue };
         let (value, standard_uncertainty) = value(unknown);
         let nominal = at.model.info().nominal[unknown.index];
+        let Some(bound) = bound(plausible, at, unknown, value - nominal) else { continue };
+        let Some(effect) = motions.effect(unknown) else { continue };
         // Terms that are large where the travel is far from zero may cancel: what counts is the error motion that they make together.
         let whole = motions.whole(at, unknown).unwrap_or(f64::INFINITY);
         let size = ((value - nominal) * effect).clamp(-whole, whole);
         let margin = COVERED * standard_uncertainty * effect;
-        let is_delay = matches!(
-            at.model.info().parameters[unknown.index].role,
-            ParameterRole::Probe { term: ProbeTerm::Delay, .. }
-        );
-        // A bound that the recipe states holds on both sides.
-        let bound = if is_delay && size < 0.0 && bound == DELAY { EARLY } else { bound };
         if size.abs() - margin > TOLD * bound {
             found.push(LargeError { unknown: unknown.clone(), size, margin, bound });
         }
@@ -204,8 +198,9 @@ pub fn absurd_error(problem: &Problem) -> Option<String> {
     None
 }
 
-/// What is plausible of a parameter, mm, rad or s; none where nothing is known of its kind.
-fn bound(plausible: &Plausible, problem: &Problem, unknown: &Unknown) -> Option<f64> {
+/// What is plausible of a parameter, mm, rad or s; none where nothing is known of its kind. `change` is what it is off its nominal
+/// value: what a recipe states holds on both sides, and a delay before the contact is less plausible than one after it.
+fn bound(plausible: &Plausible, problem: &Problem, unknown: &Unknown, change: f64) -> Option<f64> {
     let role = problem.model.info().parameters[unknown.index].role;
     let (own, factor, index) = match unknown.unit.of {
         Quantity::Length => (&plausible.mm, 1.0, 0),
@@ -223,7 +218,7 @@ fn bound(plausible: &Plausible, problem: &Problem, unknown: &Unknown) -> Option<
         ParameterRole::Location { .. } => LOCATION.get(index).copied(),
         ParameterRole::SetUp => SET_UP.get(index).copied(),
         ParameterRole::Probe { term: ProbeTerm::Radius, .. } => Some(STYLUS_RADIUS),
-        ParameterRole::Probe { term: ProbeTerm::Delay, .. } => Some(DELAY),
+        ParameterRole::Probe { term: ProbeTerm::Delay, .. } => Some(if change < 0.0 { EARLY } else { DELAY }),
         ParameterRole::Probe { .. } => Some(LOBE),
         ParameterRole::Shape | ParameterRole::Factor | ParameterRole::Feature | ParameterRole::Other => None,
     }
