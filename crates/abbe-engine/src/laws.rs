@@ -8,6 +8,7 @@ use abbe_simulation::{Noise, Truth, measure};
 
 use crate::prepare::Prepared;
 use crate::run::{Taken, has_rows};
+use crate::units::ends;
 
 /// Scale of the largest effect of the errors of the virtual machine on any equation, mm or rad. It is so small that an
 /// estimator which linearises only once finds the errors to the nanometre, too.
@@ -124,9 +125,5 @@ fn times(problem: &Problem) -> [f64; 2] {
         statuses.filter(is_first).map(|status| status[column]).collect()
     };
     let all: Vec<f64> = problem.sets.iter().flat_map(of_set).collect();
-    let ends = all.iter().fold(None, |ends: Option<[f64; 2]>, &time| {
-        let [first, last] = ends.unwrap_or([time; 2]);
-        Some([first.min(time), last.max(time)])
-    });
-    ends.unwrap_or([0.0, 1.0])
+    ends(&all).unwrap_or([0.0, 1.0])
 }

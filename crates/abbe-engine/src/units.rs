@@ -71,7 +71,8 @@ fn likely_minutes(rows: &Dataset, log: &Dataset) -> Option<String> {
     })
 }
 
-fn ends(values: &[f64]) -> Option<[f64; 2]> {
+/// Smallest and largest of some values.
+pub(crate) fn ends(values: &[f64]) -> Option<[f64; 2]> {
     let first = *values.first()?;
     Some(values.iter().fold([first; 2], |[least, most], value| [least.min(*value), most.max(*value)]))
 }
