@@ -472,3 +472,67 @@ fn a_key_that_stands_twice_is_refused_with_its_place() {
     small.write("points.csv", "X_mm,Y_mm,Z_mm,B_deg,C_deg\n0,0,0,0,0\n");
     refused(&["correct", result, "points.csv", "--machine", "machine.yaml"], &["`tool_length_mm`", "machine.yaml:"]);
 }
+
+/// Truths that nobody can mean are refused, wherever they stand.
+#[test]
+fn absurd_truths_of_artefacts_and_noise_are_refused() {
+    let folder = temporary();
+    let recipe = recipes()["tango-exact"].clone();
+    let simulate = |truth: &str, out: &str| {
+        let file = folder.path().join("truth.json");
+        fs::write(&file, truth).expect("a file");
+        let [recipe, file] = [&recipe, &file].map(|path| path.to_string_lossy().into_owned());
+        abbe(folder.path(), &["simulate", &recipe, "--truth", &file, "--out", out])
+    };
+    for (truth, said) in [
+        (r#"{ "parameters": { "stylus_radius": 1e6 } }"#, "stylus_radius"),
+        (r#"{ "parameters": { "stylus_radius": -30 } }"#, "stylus_radius"),
+        (r#"{ "parameters": { "facet[3].d": 1e4 } }"#, "facet[3].d"),
+        (r#"{ "parameters": {}, "noise": { "outliers": { "1": 1e9 } } }"#, "outliers"),
+        (r#"{ "parameters": {}, "noise": { "outliers": { "fraction": 0.1, "size_mm": 1e9 } } }"#, "size_mm"),
+        (
+            r#"{ "parameters": {}, "noise": { "drift": { "component": "dzt", "gain_mm": 0.01, "tau_s": 9, "sign": 1e9 } } }"#,
+            "at most 100 mm",
+        ),
+    ] {
+        let found = simulate(truth, "refused");
+        assert_eq!(found.status, 2, "{truth}: {}", found.stderr);
+        assert!(found.stderr.contains(said) && found.stderr.contains("truth.json"), "{truth}: {}", found.stderr);
+        assert!(!folder.path().join("refused").exists());
+    }
+    // A mark of the byte order in front is no part of the text.
+    let found = simulate("\u{feff}{ \"parameters\": { \"EA0B\": 1e-5 } }", "taken");
+    assert_eq!(found.status, 0, "{}", found.stderr);
+}
+
+/// Temperatures in another unit make coefficients that no material has.
+#[test]
+fn coefficients_of_temperature_beyond_any_material_fail() {
+    let folder = temporary();
+    let mut recipe = Variant::of(&recipes()["tango-warming"]).only(&["fit"]);
+    let log = recipe.path("sensors", "path");
+    let of = |cell: &str| cell.parse::<f64>().expect("a number");
+    let other = changed(&log, folder.path(), "T_scale_degC", |_, cell| format!("{}", 20.0 + (of(cell) - 20.0) / 100.0));
+    recipe.stage("sensors")["path"] = json!(other);
+    let run = recipe.run();
+    let said: Vec<String> = run.failures.iter().map(|failure| failure.error.message.clone()).collect();
+    assert!(
+        said.iter().any(|said| said.contains("no machine has such errors") && said.contains("T_scale")),
+        "{said:?}"
+    );
+}
+
+/// What is asked with a wrong word says what is expected.
+#[test]
+fn messages_of_wrong_words_say_what_to_do() {
+    let folder = temporary();
+    fs::write(folder.path().join("touches.csv"), "X_mm,Y_mm\n1,2\n").expect("a file");
+    let found = abbe(folder.path(), &["model", "touches.csv"]);
+    assert!(found.status == 2 && found.stderr.contains("abbe data"), "{}", found.stderr);
+    fs::write(folder.path().join("r.yaml"), "abbe: 1\nname: x\nstages:\n  a: { ingest: text, path: b }\n")
+        .expect("a file");
+    let found = abbe(folder.path(), &["check", "r.yaml"]);
+    assert!(found.status == 2 && found.stderr.contains("abbe plugins"), "{}", found.stderr);
+    let found = abbe(folder.path(), &["compensate", "a.json", "--correct", "9"]);
+    assert!(found.status == 2 && found.stderr.contains("names of linear axes"), "{}", found.stderr);
+}

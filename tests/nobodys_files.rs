@@ -253,3 +253,53 @@ fn a_slash_behind_the_name_of_a_file_does_not_replace_it() {
     assert_eq!(small.read("mine.txt"), "mine");
     assert!(!small.path("mine.txt-new-1").exists());
 }
+
+/// What a killed command has left is removed by the next one; what somebody else calls alike, or still writes, is not.
+#[test]
+fn files_of_killed_commands_are_removed() {
+    let small = Small::new();
+    assert_eq!(run(&small, "out").0, 0);
+    for name in [".abbe-partial-AbCdEfGhIjK1", ".abbe-partial-mine", ".abbe-partial-AbCdEfGhIjK2"] {
+        small.write(name, "<html>");
+    }
+    let written = fs::File::open(small.path(".abbe-partial-AbCdEfGhIjK2")).expect("a file");
+    written.try_lock().expect("nobody else has it");
+    let report = small.abbe(&["report", "out/recipe", "--out", "page.html"]);
+    assert_eq!(report.status, 0, "{}", report.stderr);
+    assert!(!small.path(".abbe-partial-AbCdEfGhIjK1").exists() && small.path("page.html").exists());
+    assert!(small.path(".abbe-partial-mine").exists() && small.path(".abbe-partial-AbCdEfGhIjK2").exists());
+}
+
+/// A limit on the size of files is an error that is told, and not the end of the process.
+#[cfg(unix)]
+#[test]
+fn a_limit_on_the_size_of_files_is_told() {
+    let small = Small::new();
+    let before = tree(&small.path(""));
+    let program = std::process::Command::new("sh")
+        .args(["-c", "ulimit -f 4; exec \"$0\" run recipe.yaml --out out", env!("CARGO_BIN_EXE_abbe")])
+        .current_dir(small.path(""))
+        .output()
+        .expect("it starts");
+    let stderr = String::from_utf8_lossy(&program.stderr);
+    assert_eq!(program.status.code(), Some(1), "{stderr}");
+    assert!(stderr.contains("larger than files may be here"), "{stderr}");
+    assert_eq!(tree(&small.path("")), before);
+}
+
+/// A name that the disk cannot take is told before the work, and leaves nothing.
+#[test]
+fn names_that_are_too_long_leave_nothing() {
+    let small = Small::new();
+    let before = tree(&small.path(""));
+    let name = "x".repeat(300);
+    for command in [
+        vec!["run", "recipe.yaml", "--out", &name],
+        vec!["new", &name, "--chain", "w C' A' b X Y Z t", "--method", "ball"],
+    ] {
+        let said = small.abbe(&command);
+        assert!(said.status != 0 && said.stderr.contains("too long for the disk"), "{command:?}: {}", said.stderr);
+        assert!(!said.stderr.contains("--out"), "{}", said.stderr);
+        assert_eq!(tree(&small.path("")), before);
+    }
+}

@@ -22,16 +22,16 @@ fn is_free(out: &Path) -> Result<()> {
     let out: &Path = &out.components().collect::<PathBuf>();
     if out.is_symlink() && !out.is_dir() {
         return Err(Error::data(format!("{} is a link that leads to no folder", out.display()))
-            .help("remove it, or name another folder with `--out`"));
+            .help("remove it, or name another folder"));
     }
     if out.exists() && !out.is_dir() {
         return Err(Error::data(format!("{} is there already, and is no folder", out.display()))
-            .help("move it away, or name another folder with `--out`"));
+            .help("move it away, or name another folder"));
     }
     let is_empty = || fs::read_dir(out).is_ok_and(|mut entries| entries.next().is_none());
     if out.exists() && !is_empty() {
         return Err(Error::data(format!("{} is there already and not empty", out.display()))
-            .help("move it away, or name another folder with `--out`"));
+            .help("move it away, or name another folder"));
     }
     Ok(())
 }

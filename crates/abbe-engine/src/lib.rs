@@ -40,4 +40,5 @@ pub use prepare::{Prepared, prepare};
 pub use record::{FailureRecord, FileRecord, PluginRecord, RUN_FORMAT, Remark, RunRecord};
 pub use run::{Planned, model_of, model_with_log};
 pub use simulate::{Simulated, SimulatedFile, UnchangedFile};
+pub use staging::temporary_file;
 pub use understood::Understood;

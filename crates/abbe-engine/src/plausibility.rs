@@ -1,10 +1,14 @@
 //! Errors that no machine has: a run with them fails, with the mistake that explains them.
 
 use std::collections::BTreeSet;
+use std::f64::consts::PI;
 use std::iter::repeat_n;
 use std::ops::RangeInclusive;
 
-use abbe_core::{Calibration, Class, Error, Fit, ImplausibleValue, Kind, ObservationSet, Problem, Result, Status};
+use abbe_core::{
+    Calibration, Class, Error, Fit, ImplausibleValue, Kind, ObservationSet, ParameterRole, Problem, Quantity, Result,
+    Status,
+};
 use abbe_estimation::{LargeError, absurd_error, implausible_errors, large_errors, likely_causes, likely_mistakes};
 use abbe_recipe::Stage;
 
@@ -66,7 +70,7 @@ impl Prepared {
             }
         }
         match refused.unwrap_or_default().as_slice() {
-            [] => Ok(()),
+            [] => check_own(truth),
             all @ [worst, ..] => {
                 let none = std::iter::empty();
                 Err(Error { class: Class::Use, ..implausible_error(worst, all, none, WRONG_TRUTH) })
@@ -87,6 +91,41 @@ impl Prepared {
             _ => error,
         }
     }
+}
+
+/// How far the truth of an artefact may be from what is stated of it, mm and rad: features, other unknowns (the place of an observer),
+/// and what certificates and measured styli say.
+const FEATURES: [f64; 2] = [1e3, 0.2];
+const OTHERS: [f64; 2] = [1e5, PI];
+const INPUTS: [f64; 2] = [20.0, 0.05];
+
+/// Refuses true values of artefacts and known inputs that nobody can mean.
+fn check_own(truth: &Problem) -> Result<()> {
+    for set in &truth.sets {
+        let info = set.info();
+        let own = info.unknowns.iter().zip(set.own.iter().zip(&info.start)).map(|(parameter, (value, start))| {
+            let most = if parameter.role == ParameterRole::Feature { FEATURES } else { OTHERS };
+            (parameter, value - start, most)
+        });
+        let inputs = info.inputs.iter().zip(&set.inputs);
+        let inputs = inputs.map(|(input, value)| (&input.parameter, value - input.value, INPUTS));
+        for (parameter, off, most) in own.chain(inputs) {
+            let (most, unit, scale) = match (parameter.unit.of, parameter.unit.per) {
+                (Quantity::Length, None) => (most[0], "mm", 1.0),
+                (Quantity::Angle, None) => (most[1], "mrad", 1e3),
+                _ => continue,
+            };
+            if off.abs() > most {
+                let (name, off, most) = (&parameter.name, off * scale, most * scale);
+                let message = format!(
+                    "`{name}` of `{}` is {off:.4} {unit} from what is stated; at most {most} {unit} were expected",
+                    set.name
+                );
+                return Err(Error::usage(message).help(WRONG_TRUTH));
+            }
+        }
+    }
+    Ok(())
 }
 
 /// Standard uncertainties of rows that are read, mm and rad.
@@ -150,7 +189,7 @@ fn implausible_error(
     let message =
         format!("no machine has such errors: {}{rest}; {} is plausible at most", named.join(", "), worst.plausible());
     let (unit, name) = (worst.setting(), &worst.unknown.name);
-    let widen = format!("{look}, or say `plausible: {{ {unit}: {{ \"{name}\": .. }} }}`");
+    let widen = format!("{look}, or say in the estimate `plausible: {{ {unit}: {{ \"{name}\": .. }} }}`");
     let help: Vec<String> = causes.chain([widen]).collect();
     Error::data(message).help(help.join("; "))
 }

@@ -61,6 +61,10 @@ impl Staging {
 pub(crate) fn can_write(parent: &Path, out: &Path) -> Result<()> {
     let there = parent.ancestors().find(|folder| folder.symlink_metadata().is_ok() || folder.as_os_str().is_empty());
     let there = there.filter(|folder| !folder.as_os_str().is_empty()).unwrap_or(Path::new("."));
+    // A name that is too long for the disk is told before the work, and not when the results are there.
+    if let Some(error) = out.symlink_metadata().err().filter(|error| error.kind() == io::ErrorKind::InvalidFilename) {
+        return Err(unwritable(out, &error));
+    }
     // What is there and is no folder says why.
     // It is empty: to remove it so opens no file, where hardly one may be open.
     let tried = || temporary(there).map(|folder| drop(fs::remove_dir(folder.keep())));
@@ -81,10 +85,10 @@ fn temporary(parent: &Path) -> io::Result<tempfile::TempDir> {
 pub(crate) fn unwritable(out: &Path, error: &io::Error) -> Error {
     let why = match error.kind() {
         io::ErrorKind::AlreadyExists => "it is, or lies in, something that is no folder".to_owned(),
+        io::ErrorKind::InvalidFilename => "the name is too long for the disk".to_owned(),
         _ => abbe_files::why(error),
     };
-    Error::data(format!("the results cannot be written to {}: {why}", out.display()))
-        .help("name another folder with `--out`")
+    Error::data(format!("the results cannot be written to {}: {why}", out.display())).help("name another folder")
 }
 
 /// Folders that were made on the way to one; those that are empty are removed again unless they are kept.
@@ -131,11 +135,11 @@ fn remove(folder: &Path) {
     let _ = fs::remove_dir(folder);
 }
 
-/// A lock on a folder; none on systems or disks that have no such locks.
-fn locked(folder: &Path) -> Option<File> {
-    let folder = File::open(folder).ok()?;
-    folder.try_lock().ok()?;
-    Some(folder)
+/// A lock on a folder or a file; none on systems or disks that have no such locks.
+fn locked(path: &Path) -> Option<File> {
+    let opened = File::open(path).ok()?;
+    opened.try_lock().ok()?;
+    Some(opened)
 }
 
 /// How often, and how long after each other, access is asked for.
@@ -155,20 +159,38 @@ pub(crate) fn exclusive_access(folder: &Path) -> Option<File> {
     None
 }
 
-/// Whether a folder has a name that [`temporary`] gives; what somebody else calls alike has hardly the same length.
+/// A new temporary file in `folder` that others may read, as any new file, with a lock on it. What killed commands have left there is
+/// removed.
+pub fn temporary_file(folder: &Path) -> io::Result<tempfile::NamedTempFile> {
+    // Nobody takes the new file for an abandoned one before it has its lock.
+    let _access = exclusive_access(folder);
+    remove_abandoned(folder)?;
+    let mut builder = tempfile::Builder::new();
+    #[cfg(unix)]
+    builder.permissions(std::os::unix::fs::PermissionsExt::from_mode(0o666));
+    let file = builder.prefix(PREFIX).rand_bytes(RANDOM).tempfile_in(folder)?;
+    // A disk without locks has none for those who would remove it, either.
+    let _ = file.as_file().try_lock();
+    Ok(file)
+}
+
+/// Whether a folder or file has a name that [`temporary`] gives; what somebody else calls alike has hardly the same length.
 fn is_temporary(name: &str) -> bool {
     let random = name.strip_prefix(PREFIX).unwrap_or_default();
     random.len() == RANDOM && random.chars().all(|letter| letter.is_ascii_alphanumeric())
 }
 
-/// Removes the temporary folders whose owner is dead.
+/// Removes the temporary folders and files whose owner is dead.
 fn remove_abandoned(parent: &Path) -> io::Result<()> {
     for entry in fs::read_dir(parent)?.flatten() {
-        let is_ours =
-            is_temporary(&entry.file_name().to_string_lossy()) && entry.file_type().is_ok_and(|kind| kind.is_dir());
-        if is_ours && let Some(_lock) = locked(&entry.path()) {
+        let Some(kind) = entry.file_type().ok().filter(|_| is_temporary(&entry.file_name().to_string_lossy())) else {
+            continue;
+        };
+        if (kind.is_dir() || kind.is_file())
+            && let Some(_lock) = locked(&entry.path())
+        {
             // Somebody else may be removing it, too.
-            let _ = fs::remove_dir_all(entry.path());
+            let _ = if kind.is_dir() { fs::remove_dir_all(entry.path()) } else { fs::remove_file(entry.path()) };
         }
     }
     Ok(())

@@ -8,7 +8,7 @@ use std::f64::consts::PI;
 
 use abbe_core::{
     Absent, AxisKind, Calibration, Owner, Parameter, ParameterRole, Plausible, ProbeTerm, Problem, Quantity, Result,
-    Status, StatusRole, Unknown, matches,
+    Status, StatusRole, Unit, Unknown, matches,
 };
 
 use crate::separation::thinned;
@@ -31,6 +31,11 @@ const DELAY: f64 = 0.05;
 
 /// The same for a position that is recorded before the contact: a control that corrects its delay may do so by too much, s.
 const EARLY: f64 = 5e-3;
+
+/// Largest plausible change for each kelvin, by the powers of length in its unit: mm/K, and 1/K (plastics expand by 100 µm/(m K)); rad/K,
+/// and rad/(mm K).
+const LENGTH_PER_KELVIN: [f64; 2] = [0.2, 1e-4];
+const ANGLE_PER_KELVIN: [f64; 2] = [1e-3, 1e-5];
 
 /// Part of a bound from which an error is told, though it may be real.
 const TOLD: f64 = 0.2;
@@ -139,6 +144,10 @@ fn judged(
         let nominal = at.model.info().nominal[unknown.index];
         let Some(bound) = bound(plausible, at, unknown, value - nominal) else { continue };
         let Some(effect) = motions.effect(unknown) else { continue };
+        let bound = match per_kelvin(unknown.unit) {
+            Some(most) if stated(plausible, unknown).is_none() => bound.min(most * effect),
+            _ => bound,
+        };
         // Terms that are large where the travel is far from zero may cancel: what counts is the error motion that they make together.
         let whole = motions.whole(at, unknown).unwrap_or(f64::INFINITY);
         let size = ((value - nominal) * effect).clamp(-whole, whole);
@@ -198,20 +207,47 @@ pub fn absurd_error(problem: &Problem) -> Option<String> {
     None
 }
 
-/// What is plausible of a parameter, mm, rad or s; none where nothing is known of its kind. `change` is what it is off its nominal
-/// value: what a recipe states holds on both sides, and a delay before the contact is less plausible than one after it.
-fn bound(plausible: &Plausible, problem: &Problem, unknown: &Unknown, change: f64) -> Option<f64> {
-    let role = problem.model.info().parameters[unknown.index].role;
-    let (own, factor, index) = match unknown.unit.of {
-        Quantity::Length => (&plausible.mm, 1.0, 0),
-        Quantity::Angle => (&plausible.mrad, 1e-3, 1),
-        Quantity::Time if matches!(role, ParameterRole::Probe { .. }) => (&plausible.s, 1.0, 2),
+/// What a recipe states for a parameter, mm, rad or s.
+fn stated(plausible: &Plausible, unknown: &Unknown) -> Option<f64> {
+    let (own, factor) = match unknown.unit.of {
+        Quantity::Length => (&plausible.mm, 1.0),
+        Quantity::Angle => (&plausible.mrad, 1e-3),
+        Quantity::Time => (&plausible.s, 1.0),
         _ => return None,
     };
     // The longest pattern says most.
     let stated = own.iter().filter(|(pattern, _)| matches(pattern, &unknown.name));
-    if let Some((_, bound)) = stated.max_by_key(|(pattern, _)| pattern.trim_matches(['*', '?']).len()) {
-        return Some(bound * factor);
+    let most = stated.max_by_key(|(pattern, _)| pattern.trim_matches(['*', '?']).len());
+    most.map(|(_, bound)| bound * factor)
+}
+
+/// The largest plausible coefficient of temperature of this unit; none for other units.
+fn per_kelvin(unit: Unit) -> Option<f64> {
+    let kelvin = Quantity::Temperature;
+    let power = match (unit.per, unit.and_per) {
+        (Some((of, 1)), None) if of == kelvin => 0,
+        (Some((Quantity::Length, 1)), Some(of)) if of == kelvin => 1,
+        _ => return None,
+    };
+    match unit.of {
+        Quantity::Length => Some(LENGTH_PER_KELVIN[power]),
+        Quantity::Angle => Some(ANGLE_PER_KELVIN[power]),
+        _ => None,
+    }
+}
+
+/// What is plausible of a parameter, mm, rad or s; none where nothing is known of its kind. `change` is what it is off its nominal
+/// value: what a recipe states holds on both sides, and a delay before the contact is less plausible than one after it.
+fn bound(plausible: &Plausible, problem: &Problem, unknown: &Unknown, change: f64) -> Option<f64> {
+    let role = problem.model.info().parameters[unknown.index].role;
+    let index = match unknown.unit.of {
+        Quantity::Length => 0,
+        Quantity::Angle => 1,
+        Quantity::Time if matches!(role, ParameterRole::Probe { .. }) => 2,
+        _ => return None,
+    };
+    if let Some(bound) = stated(plausible, unknown) {
+        return Some(bound);
     }
     match role {
         ParameterRole::Motion { .. } => MOTION.get(index).copied(),

@@ -182,6 +182,7 @@ impl Verdict {
 
 /// A verdict of any version. In the first version it has `pass` but no `decision`.
 #[derive(Deserialize)]
+#[serde(expecting = "a map with `stage`, `plugin`, `pass` and `figures`")]
 struct VerdictText {
     stage: String,
     plugin: String,

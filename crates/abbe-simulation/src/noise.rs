@@ -340,7 +340,7 @@ impl StandardDeviation {
 
 impl Drift {
     fn check(&self) -> Result<(), SettingsError> {
-        finite("size_mm", self.size_mm)?;
+        bounded("size_mm", self.size_mm)?;
         positive("tau_s", self.tau_s)?;
         if let Some((period, phase)) = self.wave {
             positive("wave_period_s", period)?;
@@ -370,10 +370,10 @@ impl Drift {
 impl Outliers {
     fn check(&self) -> Result<(), SettingsError> {
         for (row, distance) in &self.listed {
-            finite(row, *distance)?;
+            bounded(row, *distance)?;
         }
         let Some(RandomOutliers { fraction, size_mm }) = self.random else { return Ok(()) };
-        finite("size_mm", size_mm)?;
+        bounded("size_mm", size_mm)?;
         match (0.0..=1.0).contains(&fraction) {
             true => Ok(()),
             false => Err(SettingsError::new("fraction", format!("{fraction}: a number from 0 to 1 was expected"))),
@@ -454,8 +454,14 @@ const LARGEST: f64 = 100.0;
 /// Refuses a size that is negative, not finite, or larger than anything that is simulated.
 fn size(setting: &str, value: f64) -> Result<(), SettingsError> {
     not_negative(setting, value)?;
-    match value <= LARGEST {
+    bounded(setting, value)
+}
+
+/// Refuses what is not finite, or larger on either side than anything that is simulated.
+fn bounded(setting: &str, value: f64) -> Result<(), SettingsError> {
+    finite(setting, value)?;
+    match value.abs() <= LARGEST {
         true => Ok(()),
-        false => Err(SettingsError::new(setting, format!("at most {LARGEST} mm were expected"))),
+        false => Err(SettingsError::new(setting, format!("{value}: at most {LARGEST} mm were expected"))),
     }
 }

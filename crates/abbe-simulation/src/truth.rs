@@ -27,6 +27,7 @@ impl Truth {
     /// Fails, with the place, for text that is no JSON, for values that are not finite and for negative sizes. Keys of
     /// `noise` that are not simulated give warnings.
     pub fn parse(file: &Path, text: &str) -> Result<Self> {
+        let text = text.strip_prefix('\u{feff}').unwrap_or(text);
         let content: Value = from_json(text).map_err(|error| {
             let message = error.to_string();
             let message = message.rsplit_once(" at line ").map_or(message.as_str(), |(message, _)| message);

@@ -76,7 +76,10 @@ fn correct(text: &str) -> std::result::Result<Correct, String> {
     match text {
         "position" => Ok(Correct::Position),
         "five-axes" => Ok(Correct::FiveAxes),
-        axes if axes.split(',').all(|axis| axis.len() == 1) => {
+        axes if axes
+            .split(',')
+            .all(|axis| axis.len() == 1 && axis.chars().all(|letter| letter.is_ascii_alphabetic())) =>
+        {
             Ok(Correct::Axes(axes.split(',').map(str::to_owned).collect()))
         }
         _ => Err("`position`, `five-axes` or names of linear axes (`X,Z`) were expected".to_owned()),

@@ -43,6 +43,9 @@ const RELATIVE: f64 = 1e-6;
 /// Sizes of residuals below this are rounding, µm or µrad.
 const NO_RESIDUAL: f64 = 1e-3;
 
+/// What to do about a file that cannot be understood: nothing is written in the place of what may be somebody's text.
+pub const NEW: &str = "move the file away, and `abbe test --accept` writes a new one";
+
 impl Expected {
     /// What a run found.
     pub fn of(outcome: &Outcome) -> Self {
@@ -87,14 +90,11 @@ impl Expected {
     pub fn read<'t>(text: &'t str) -> Result<Self> {
         let mut lines = text.lines().enumerate().filter(|(_, line)| !line.starts_with('#') && !line.is_empty());
         if lines.next().is_none_or(|(_, line)| line != FORMAT) {
-            return Err(Error::data(format!("`{FORMAT}` was expected in the first line that is no remark"))
-                .help("write the file with `abbe test --accept`"));
+            return Err(Error::data(format!("`{FORMAT}` was expected in the first line that is no remark")).help(NEW));
         }
         let mut seen: BTreeMap<&str, usize> = BTreeMap::new();
         let mut read = |(index, line): (usize, &'t str)| {
-            let wrong = |message: String| {
-                Error::data(format!("line {}: {message}", index + 1)).help("write the file with `abbe test --accept`")
-            };
+            let wrong = |message: String| Error::data(format!("line {}: {message}", index + 1)).help(NEW);
             let (name, content) =
                 line.split_once(" = ").ok_or_else(|| wrong("`what = value` was expected".to_owned()))?;
             if let Some(first) = seen.insert(name, index + 1) {

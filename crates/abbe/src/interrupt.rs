@@ -67,7 +67,9 @@ pub fn end_after(limit: Option<Duration>, grace: Duration, json: bool) -> Result
 /// to ignore (`nohup`) stays ignored.
 #[cfg(unix)]
 fn watched(end: impl FnOnce(i32) + Send + 'static) -> io::Result<()> {
-    use signal_hook::consts::{SIGHUP, SIGINT, SIGTERM};
+    use signal_hook::consts::{SIGHUP, SIGINT, SIGTERM, SIGXFSZ};
+    // With a limit on the size of files, writing fails then with an error that can be told. Without this the process would be ended.
+    signal_hook::flag::register(SIGXFSZ, std::sync::Arc::default())?;
     let ignored = ignored();
     let wanted = [SIGINT, SIGTERM, SIGHUP].into_iter().filter(|signal| ignored >> (signal - 1) & 1 == 0);
     let mut signals = signal_hook::iterator::Signals::new(wanted)?;

@@ -41,6 +41,11 @@ impl Machine {
     fn prepared(&self, libraries: &Libraries) -> Result<Prepared> {
         let path = PathBuf::from(&self.machine);
         let is_file = path.extension().is_some_and(|extension| extension == "yaml" || extension == "yml");
+        // A chain has blanks, and no file is named like one.
+        if !is_file && path.is_file() {
+            let error = Error::usage("this is no machine file and no recipe; a file `.yaml` was expected");
+            return Err(error.in_file(&path).help("`abbe data FILE` tells what is in a file of measurements"));
+        }
         if !is_file {
             let registry = libraries.registry(None)?;
             let chain = Value::from(self.machine.as_str());

@@ -4,6 +4,7 @@ use std::io::{self, Write};
 use std::path::{Path, PathBuf};
 
 use abbe_core::{Error, Result};
+use abbe_engine::temporary_file;
 use abbe_files::is_same;
 
 /// What was found, and what is to be written.
@@ -20,7 +21,7 @@ impl Written {
         self.files.iter().try_for_each(|(path, _)| is_free(path))?;
         let filled = |(path, content): &(PathBuf, Vec<u8>)| {
             let folder = path.parent().filter(|folder| !folder.as_os_str().is_empty()).unwrap_or(Path::new("."));
-            let mut file = temporary_in(folder)?;
+            let mut file = temporary_file(folder)?;
             file.write_all(content)?;
             Ok(file)
         };
@@ -38,14 +39,6 @@ impl Written {
         }
         Ok(())
     }
-}
-
-/// A temporary file that others may read, as any new file.
-fn temporary_in(folder: &Path) -> io::Result<tempfile::NamedTempFile> {
-    let mut builder = tempfile::Builder::new();
-    #[cfg(unix)]
-    builder.permissions(std::os::unix::fs::PermissionsExt::from_mode(0o666));
-    builder.prefix(".abbe-").tempfile_in(folder)
 }
 
 /// Fails if there is something of this name.
@@ -85,7 +78,7 @@ pub fn are_different(named: &[(&str, &Path)]) -> Result<()> {
 pub fn replace(file: &Path, content: &str) -> Result<()> {
     let place = abbe_files::place(file);
     let folder = place.parent().filter(|folder| !folder.as_os_str().is_empty()).unwrap_or(Path::new("."));
-    let written = temporary_in(folder).and_then(|mut new| {
+    let written = temporary_file(folder).and_then(|mut new| {
         new.write_all(content.as_bytes())?;
         new.persist(&place).map_err(|error| error.error)
     });

@@ -9,7 +9,7 @@ use abbe_engine::prepare;
 use abbe_files::{LARGEST_TEXT, is_same, place, read_text};
 use clap::Args;
 
-use crate::expected::Expected;
+use crate::expected::{Expected, NEW};
 use crate::libraries::Libraries;
 use crate::outputs::{are_different, is_file_name, replace};
 use crate::report;
@@ -201,7 +201,8 @@ impl Test {
         let file = expectation(recipe);
         let before = match file.symlink_metadata().is_ok() {
             true => {
-                let unreadable = |error: std::io::Error| Error::data(format!("the file cannot be read: {error}"));
+                let unreadable =
+                    |error: std::io::Error| Error::data(format!("the file cannot be read: {error}")).help(NEW);
                 let text = read_text(&file, LARGEST_TEXT).map_err(|error| unreadable(error).in_file(&file))?;
                 Some(Expected::read(&text).map_err(|error| error.in_file(&file))?)
             }

@@ -35,7 +35,7 @@ pub fn command(program: &Path, folder: &Path, arguments: &[&str], bounds: Bounds
     let mut limits = format!("ulimit -v {MEMORY}; ");
     if let Some(size) = bounds.file_size {
         // A signal would end the program before it could say a word; without it writing fails.
-        limits.push_str(&format!("trap '' XFSZ; ulimit -f {size}; "));
+        limits.push_str(&format!("ulimit -f {size}; "));
     }
     if let Some(files) = bounds.open_files {
         limits.push_str(&format!("ulimit -n {files}; "));
