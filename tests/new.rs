@@ -6,7 +6,7 @@ use serde_json::{Map, json};
 use crate::models::all_chains;
 use crate::support::{abbe, fit, read, registry, temporary, write};
 
-const METHODS: [&str; 3] = ["table", "ball", "balls"];
+const METHODS: [&str; 6] = ["table", "ball", "balls", "ball-bar", "poses", "lengths"];
 
 /// Random numbers: xorshift64*.
 struct Random(u64);

@@ -17,6 +17,7 @@ mod prediction;
 mod prepare;
 mod readings;
 mod record;
+mod recorded;
 mod rehearsal;
 mod repeated;
 mod results;

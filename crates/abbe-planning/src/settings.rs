@@ -159,6 +159,9 @@ pub struct Generation {
     /// Lengths between two poses on a grid; without them the features of the artefact are measured.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub lengths: Option<GeneratedLengths>,
+    /// Columns that have the same number in every row, by their name with its unit: `reading_mm`, which nobody has read yet.
+    #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
+    pub columns: BTreeMap<String, f64>,
     /// Time that a row takes.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub duration_s: Option<f64>,
@@ -209,6 +212,16 @@ impl Generation {
         }
         if let Some(duration) = self.duration_s {
             positive("duration_s", duration)?;
+        }
+        let plain = |name: &String| name.chars().all(|letter| letter.is_ascii_alphanumeric() || letter == '_');
+        for (name, value) in &self.columns {
+            let under = |error: SettingsError| error.under([PathItem::Key("columns".to_owned())]);
+            if name.is_empty() || !plain(name) {
+                return Err(under(SettingsError::new(name, "a name of letters, digits and `_` was expected")));
+            }
+            if !value.is_finite() {
+                return Err(under(SettingsError::new(name, "a finite number was expected")));
+            }
         }
         let Some(lengths) = &self.lengths else { return Ok(()) };
         let all = [
