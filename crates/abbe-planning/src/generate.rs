@@ -167,10 +167,7 @@ impl<'a> Grid<'a> {
             let reached = self.reached(indexation, &ends)?;
             for (pair, length) in reached.chunks_exact(2).zip(&known) {
                 if let [Some(one), Some(other)] = pair {
-                    rows.push((
-                        format!("{},{},{length}", group + 1, rows.len() + 1),
-                        vec![one.clone(), other.clone()],
-                    ));
+                    rows.push((format!("{},{},{length}", group + 1, rows.len() + 1), vec![one.clone(), other.clone()]));
                 }
             }
         }

@@ -227,7 +227,8 @@ impl Noise {
                 let is_angle = |equation| set.info().angles.contains(&equation);
                 let of_row = set.info().layout.rows[row].equation_indices();
                 for (error, equation) in errors[first..].iter_mut().zip(of_row) {
-                    *error = if is_angle(equation) { self.orientation_sigma_rad * *error } else { sigma * *error + gross };
+                    *error =
+                        if is_angle(equation) { self.orientation_sigma_rad * *error } else { sigma * *error + gross };
                 }
                 if let (Some(lobing), Some(directions)) = (&self.lobing, &directions)
                     && let Some([x, y, z]) = directions[first]

@@ -43,7 +43,7 @@ pub fn norm(of: [f64; 3]) -> f64 {
 const OF_TRAVEL: f64 = 0.25;
 
 /// Where a linear axis stands whose travel is not known, mm.
-const ANYWHERE: f64 = 100.0;
+const ANYWHERE: f64 = 300.0;
 
 impl Stand {
     /// Linear axes a quarter of their travel beyond its middle, rotary ones at zero, as far as `at` does not say something else.
@@ -85,7 +85,9 @@ impl Stand {
     pub fn text(&self, info: &ModelInfo) -> String {
         let one = |axis: &abbe_core::Axis| match axis.kind {
             AxisKind::Linear => format!("{} {} mm", axis.name, crate::table::plain(self.status[axis.status])),
-            AxisKind::Rotary => format!("{} {}°", axis.name, crate::table::plain(self.status[axis.status].to_degrees())),
+            AxisKind::Rotary => {
+                format!("{} {}°", axis.name, crate::table::plain(self.status[axis.status].to_degrees()))
+            }
         };
         info.axes.iter().map(one).collect::<Vec<_>>().join(", ")
     }

@@ -4,7 +4,6 @@ use std::fmt::Write;
 
 use abbe_core::{Branch, Error, ModelInfo, Parameter, ParameterRole, Result};
 use abbe_engine::{Described, Standing};
-use abbe_report::{ErrorGroup, meaning};
 use clap::Args;
 use serde_json::{Value, json};
 
@@ -60,7 +59,9 @@ impl Explain {
             (None, Some(chain)) => chain,
             (None, None) => {
                 let error = Error::usage("of which machine: `--machine` or `--chain` is missing");
-                return Err(error.help("a symbol means something on a machine only: which axis is it, and what carries it?"));
+                return Err(
+                    error.help("a symbol means something on a machine only: which axis is it, and what carries it?")
+                );
             }
         };
         let machines = Machine::named(machine).described(libraries)?;
@@ -94,7 +95,8 @@ impl Explain {
 ///
 /// Fails for a symbol that the chain does not have, with those that are near.
 fn found(machine: Described, symbol: &str, libraries: &Libraries) -> Result<Found> {
-    let (base, bracket) = symbol.split_once('[').map_or((symbol, ""), |(base, rest)| (base, rest.trim_end_matches(']')));
+    let (base, bracket) =
+        symbol.split_once('[').map_or((symbol, ""), |(base, rest)| (base, rest.trim_end_matches(']')));
     let of = |machine: &Described| -> Vec<usize> {
         let parameters = machine.model.info().parameters.iter().enumerate();
         let is_it = |name: &str| name == symbol || (bracket.is_empty() && name.split('[').next() == Some(base));
@@ -112,11 +114,17 @@ fn found(machine: Described, symbol: &str, libraries: &Libraries) -> Result<Foun
     let known = info.parameters.iter().find(|parameter| plain_name(parameter) == base);
     let Some(known) = known else { return Err(unknown(&machine, info, symbol)) };
     let Some(declared) = declared(known.role, base, bracket) else {
-        let message = format!("`{symbol}` is not listed under `errors` of this machine, and its bracket does not say what it would be");
-        return Err(Error::usage(message)
-            .help(format!("`abbe explain {base}` says what the error is; [2], [b], [cos1] and [sin1] need not be listed")));
+        let message = format!(
+            "`{symbol}` is not listed under `errors` of this machine, and its bracket does not say what it would be"
+        );
+        return Err(Error::usage(message).help(format!(
+            "`abbe explain {base}` says what the error is; [2], [b], [cos1] and [sin1] need not be listed"
+        )));
     };
-    let with = with_errors(&machine, &json!([declared]), &registry)?;
+    let with = with_errors(&machine, &json!([declared]), &registry).map_err(|error| {
+        let error = Error { setting: Vec::new(), ..error };
+        Error { message: format!("`{symbol}` does not exist on this machine: {}", error.message), ..error }
+    })?;
     let Some(machine) = with else { return Err(unknown(&machine, info, symbol)) };
     let parameters = of(&machine);
     if parameters.is_empty() {
@@ -133,7 +141,7 @@ fn declared(role: ParameterRole, base: &str, bracket: &str) -> Option<Value> {
     let number = |prefix: &str| bracket.strip_prefix(prefix).and_then(|rest| rest.parse::<u8>().ok());
     match bracket {
         "" => Some(json!({ "polynomial": [base], "degrees": [0] })),
-        "b" => Some(json!({ "reversal": [base] })),
+        "b" => Some(json!({ "backlash": [base] })),
         _ => number("")
             .filter(|degree| *degree <= 9)
             .map(|degree| json!({ "polynomial": [base], "degrees": [degree] }))
@@ -174,12 +182,11 @@ fn what_it_is(info: &ModelInfo, parameter: &Parameter, symbol: &str) -> String {
     let unit = parameter.unit.to_string();
     let role = parameter.role;
     let words = names::of(info, parameter);
-    let is_reversal = symbol.ends_with("[b]");
-    let group = ErrorGroup { name: symbol.to_owned(), parameters: Vec::new(), role, is_reversal };
     match role {
         ParameterRole::Motion { axis, .. } | ParameterRole::Location { axis, .. } => {
             let frame = names::frame(info, axis, matches!(role, ParameterRole::Motion { .. }));
-            format!("{words}: {}, actual minus nominal, in {unit}, in {frame}.", meaning(info, &group))
+            let of = if symbol.ends_with("[b]") { ", half the difference of both directions of approach" } else { "" };
+            format!("{words}{of}: actual minus nominal, in {unit}, in {frame}.")
         }
         _ => format!("{words}, in {unit}."),
     }
@@ -188,7 +195,12 @@ fn what_it_is(info: &ModelInfo, parameter: &Parameter, symbol: &str) -> String {
 /// The side of the axis, and the sign that follows from it.
 fn carried(info: &ModelInfo, parameter: &Parameter) -> String {
     let (ParameterRole::Motion { axis, .. } | ParameterRole::Location { axis, .. }) = parameter.role else {
-        return String::new();
+        return match parameter.role {
+            ParameterRole::SetUp => {
+                "It belongs to the set-up and not to the machine: every new set-up has another one.".to_owned()
+            }
+            _ => "It belongs to all that the machine does, and to no single axis.".to_owned(),
+        };
     };
     let axis = &info.axes[axis];
     let name = &axis.name;
@@ -212,10 +224,15 @@ fn standing(machine: &Described, parameter: &Parameter) -> String {
     let of_chain = matches!(parameter.role, ParameterRole::Motion { .. } | ParameterRole::Location { .. });
     let known = machine.locations.as_ref().and_then(|locations| locations.get(&parameter.name));
     match known.map(|error| &error.standing) {
-        Some(Standing::Independent { .. }) => "; it is one of the independent location errors of this chain.".to_owned(),
+        Some(Standing::Independent { .. }) => {
+            "; it is one of the independent location errors of this chain.".to_owned()
+        }
         Some(Standing::Dependent(of)) => {
             let names: Vec<&str> = of.iter().map(|(name, _)| name.as_str()).collect();
-            format!("; on this chain it does what {} with the set-up.", names.join(", ") + if names.len() == 1 { " does" } else { " do" })
+            format!(
+                "; on this chain it does what {} with the set-up.",
+                names.join(", ") + if names.len() == 1 { " does" } else { " do" }
+            )
         }
         Some(Standing::SetUp) => "; on this chain offsets and turns of workpiece and tool do the same.".to_owned(),
         None if of_chain => ".".to_owned(),

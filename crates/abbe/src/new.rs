@@ -114,7 +114,8 @@ impl New {
             counted(beginning.rows, row, rows),
             counted(beginning.errors, "error of the machine", "errors of the machine")
         );
-        let lines = beginning.expected.iter().map(|(name, unit, value)| vec![name.clone(), short(*value), unit.clone()]);
+        let lines =
+            beginning.expected.iter().map(|(name, unit, value)| vec![name.clone(), short(*value), unit.clone()]);
         text.push_str(&table::text(&lines.collect::<Vec<_>>(), &[1]));
         if !beginning.left_out.is_empty() {
             let _ = writeln!(text, "\nNot told by these {rows}, and left out: {}", beginning.left_out.join(", "));

@@ -71,7 +71,12 @@ fn chain_of(drawing: &mut Drawing, axes: &[Axis], above: f64) -> f64 {
             Cell::Body(name, colour) => {
                 let size = [86.0_f64.min(wide - 10.0), 44.0];
                 drawing.area_of([centre[0] - size[0] / 2.0, centre[1] - size[1] / 2.0], size, "#f4f5f7", colour);
-                drawing.text([centre[0], centre[1] + 4.0], name, "middle", &format!("fill=\"{colour}\" font-weight=\"bold\""));
+                drawing.text(
+                    [centre[0], centre[1] + 4.0],
+                    name,
+                    "middle",
+                    &format!("fill=\"{colour}\" font-weight=\"bold\""),
+                );
             }
             Cell::Joint(axis) => joint(drawing, axis, centre, wide),
         }
@@ -98,17 +103,33 @@ fn joint(drawing: &mut Drawing, axis: &Axis, centre: [f64; 2], wide: f64) {
     match axis.kind {
         AxisKind::Linear => {
             let half = seen(motion.map(|part| part * 28.0));
-            drawing.arrow([centre[0] - half[0], centre[1] - half[1]], [centre[0] + half[0], centre[1] + half[1]], colour, 3.0);
+            drawing.arrow(
+                [centre[0] - half[0], centre[1] - half[1]],
+                [centre[0] + half[0], centre[1] + half[1]],
+                colour,
+                3.0,
+            );
         }
         AxisKind::Rotary => {
             let half = seen(motion.map(|part| part * 34.0));
-            drawing.line([centre[0] - half[0], centre[1] - half[1]], [centre[0] + half[0], centre[1] + half[1]], GREY, 1.0, true);
+            drawing.line(
+                [centre[0] - half[0], centre[1] - half[1]],
+                [centre[0] + half[0], centre[1] + half[1]],
+                GREY,
+                1.0,
+                true,
+            );
             drawing.turn(centre, motion, 22.0, colour, 2.4);
         }
     }
     let prime = if axis.branch == Branch::Workpiece { "'" } else { "" };
     let name = if axis.indexed { format!("({}{prime})", axis.name) } else { format!("{}{prime}", axis.name) };
-    drawing.text([centre[0], centre[1] - 50.0], &name, "middle", &format!("fill=\"{colour}\" font-size=\"15\" font-weight=\"bold\""));
+    drawing.text(
+        [centre[0], centre[1] - 50.0],
+        &name,
+        "middle",
+        &format!("fill=\"{colour}\" font-size=\"15\" font-weight=\"bold\""),
+    );
     let (what, factor, unit) = match axis.kind {
         AxisKind::Linear => ("moves", 1.0, " mm"),
         AxisKind::Rotary => ("turns", 1f64.to_degrees(), "°"),

@@ -26,7 +26,8 @@ pub fn text(model: &dyn KinematicModel, parameter: usize, stand: &Stand, effect:
             _ if function.text.is_empty() => "the tip stays where it is",
             _ => "at this stand it is zero",
         };
-        let follows = if function.text.is_empty() { String::new() } else { format!(", its function is {}", function.text) };
+        let follows =
+            if function.text.is_empty() { String::new() } else { format!(", its function is {}", function.text) };
         return Ok(format!("\n  {name}: no effect here ({why}){follows}\n"));
     }
     let sign = if function.value < 0.0 { -1.0 } else { 1.0 };
@@ -35,7 +36,7 @@ pub fn text(model: &dyn KinematicModel, parameter: usize, stand: &Stand, effect:
         true => {
             let turn = effect.turn.map(|part| sign * part / size);
             let foot = foot(stand.tip, effect);
-            format!("tip moves by {name}{factor} {} x (p - {}) mm", direction(turn), vector(foot))
+            format!("tip moves by {name}{factor} {} × (p - {}) mm", direction(turn), vector(foot))
         }
         false => format!("tip moves by {name}{factor} {}", direction(effect.shift.map(|part| sign * part / size))),
     };
@@ -134,14 +135,19 @@ impl Function {
                     Some(form) => text.push(form),
                     None => {
                         text.push(format!("f({})", own.name));
-                        let (factor, unit) = if own.kind == AxisKind::Rotary { (1f64.to_degrees(), "°") } else { (1.0, " mm") };
-                        let each = values.iter().step_by(2).map(|(at, f)| format!("{} at {}{unit}", short(*f), plain((at * factor).round())));
+                        let (factor, unit) =
+                            if own.kind == AxisKind::Rotary { (1f64.to_degrees(), "°") } else { (1.0, " mm") };
+                        let each = values
+                            .iter()
+                            .step_by(2)
+                            .map(|(at, f)| format!("{} at {}{unit}", short(*f), plain((at * factor).round())));
                         samples.push(format!("f is {}", each.collect::<Vec<_>>().join(", ")));
                     }
                 }
             }
             several => {
-                let names: Vec<String> = several.iter().map(|(axis, _)| info.axes[*axis].name.clone()).chain(text.drain(..)).collect();
+                let names: Vec<String> =
+                    several.iter().map(|(axis, _)| info.axes[*axis].name.clone()).chain(text.drain(..)).collect();
                 text.push(format!("f({})", names.join(", ")));
                 samples.push(format!("f is {} at this stand", short(value)));
             }

@@ -7,12 +7,16 @@ const LETTERS: [char; 3] = ['X', 'Y', 'Z'];
 /// What a parameter is called: error motions and location errors by their terms in ISO 230-1.
 pub fn of(info: &ModelInfo, parameter: &Parameter) -> String {
     match parameter.role {
-        ParameterRole::Motion { axis, component } => format!("Error motion (ISO 230-1), {}", motion(info, axis, component)),
+        ParameterRole::Motion { axis, component } => {
+            format!("Error motion (ISO 230-1), {}", motion(info, axis, component))
+        }
         ParameterRole::Location { axis, component } => {
             format!("Location error (ISO 230-1), {}", location(info, axis, component))
         }
         ParameterRole::SetUp => set_up(&parameter.name),
-        ParameterRole::Shape => "Shape of a function that coefficients multiply, as a wavelength or a time constant".to_owned(),
+        ParameterRole::Shape => {
+            "Shape of a function that coefficients multiply, as a wavelength or a time constant".to_owned()
+        }
         ParameterRole::Factor => "Factor of errors that are known from elsewhere; 1 if they are as told".to_owned(),
         ParameterRole::Feature => "Place or size of a feature of the artefact".to_owned(),
         ParameterRole::Probe { term, .. } => format!("Effective stylus radius of the probe, {}", probe(term)),
@@ -23,7 +27,8 @@ pub fn of(info: &ModelInfo, parameter: &Parameter) -> String {
 /// The frame in which an error of an axis is told.
 pub fn frame(info: &ModelInfo, axis: usize, is_motion: bool) -> String {
     let name = &info.axes[axis].name;
-    let fixed = info.settings.get("axes").and_then(|axes| axes.get(name)?.get("error_frame")?.as_str()) == Some("fixed")
+    let fixed = info.settings.get("axes").and_then(|axes| axes.get(name)?.get("error_frame")?.as_str())
+        == Some("fixed")
         || info.settings.get("error_frame").and_then(|frame| frame.as_str()) == Some("fixed");
     match is_motion && !fixed {
         true => format!("x, y, z of what {name} carries (those of the machine with all axes at zero)"),
@@ -62,14 +67,18 @@ fn location(info: &ModelInfo, axis: usize, component: usize) -> String {
         (AxisKind::Rotary, true, true) => format!("zero position of {name}"),
         (AxisKind::Rotary, true, false) => format!("orientation of the axis average line of {name} about {letter}"),
         (AxisKind::Rotary, false, true) => format!("position of what {name} carries, along its line"),
-        (AxisKind::Rotary, false, false) => format!("position of the axis average line of {name} in the direction of {letter}"),
+        (AxisKind::Rotary, false, false) => {
+            format!("position of the axis average line of {name} in the direction of {letter}")
+        }
     }
 }
 
 /// `dzt`, `daw`, `stylus[2].x`, and what follows the time or a temperature: `dzt[t1]`.
 fn set_up(name: &str) -> String {
     let (base, follows) = match name.split_once('[') {
-        Some((base, rest)) if base.starts_with('d') => (base, format!(", the part [{rest} of it that follows what its bracket names")),
+        Some((base, rest)) if base.starts_with('d') => {
+            (base, format!(", the part [{rest} of it that follows what its bracket names"))
+        }
         _ => (name, String::new()),
     };
     let letters: Vec<char> = base.chars().collect();

@@ -163,7 +163,11 @@ fn positioning(axis: &NamedAxis) -> String {
 
 /// The error of a method that tells nothing.
 fn nothing(method: Method, chain: &StructuralLoop) -> Error {
-    Error::usage(format!("{} cannot calibrate a machine with the axes {chain}: {}", method.measured(), method.useless()))
+    Error::usage(format!(
+        "{} cannot calibrate a machine with the axes {chain}: {}",
+        method.measured(),
+        method.useless()
+    ))
 }
 
 /// Rows of a data file, and different labels in its first column, the indexations.
@@ -196,8 +200,7 @@ impl Trial<'_> {
         let text = "abbe: 1\nname: A machine\nstages:\n  machine: { model: serial-chain, file: machine.yaml }\n";
         let path = self.folder.path().join("alone.yaml");
         let described = abbe_engine::prepare_text(&path, text, self.registry)?.described()?;
-        let machine =
-            described.first().ok_or_else(|| Error::data(format!("no machine for {}", method.measured())))?;
+        let machine = described.first().ok_or_else(|| Error::data(format!("no machine for {}", method.measured())))?;
         if let Some(locations) = &machine.locations {
             let independent: Vec<&str> = locations.independent().map(|error| error.name.as_str()).collect();
             errors.locations = independent.iter().map(|name| (*name).to_owned()).collect();

@@ -165,6 +165,11 @@ impl Method {
         }
     }
 
+    /// Largest root mean square of the residuals that a first calibration lets pass, µm.
+    pub fn largest_rms(self) -> u8 {
+        if self == Self::Poses { 50 } else { 10 }
+    }
+
     /// The column whose labels make up the folds of the hold-out.
     pub fn held_out_by(self) -> &'static str {
         match self {

@@ -123,16 +123,20 @@ impl Recipe<'_> {
         }
         // Brackets have a meaning of their own in YAML.
         let quoted = |name: &String| if name.contains('[') { format!("\"{name}\"") } else { name.clone() };
-        let parameters: Vec<String> = self.parameters.iter().map(quoted).collect();
+        // Known lengths have no unknowns of their own.
+        let own = (*method != Method::Lengths).then(|| format!("\"{stage}.*\""));
+        let parameters: Vec<String> = self.parameters.iter().map(quoted).chain(own).collect();
         let _ = write!(
             text,
-            "  fit:\n    estimate: gauss-newton\n    machine: machine\n    observations: [{stage}]\n    parameters: [{}, \"{stage}.*\"]\n    \
+            "  fit:\n    estimate: gauss-newton\n    machine: machine\n    observations: [{stage}]\n    parameters: [{}]\n    \
              robust: tukey                       # gross errors lose their influence and are listed\n",
             parameters.join(", ")
         );
         if self.judged {
-            text.push_str(
-                "\n  residuals: { validate: residuals, of: fit, limits: { rms_um: 10 } }   # what is not explained\n",
+            let _ = writeln!(
+                text,
+                "\n  residuals: {{ validate: residuals, of: fit, limits: {{ rms_um: {} }} }}   # what is not explained",
+                method.largest_rms()
             );
             if let Some(folds) = self.folds {
                 let _ = writeln!(
@@ -166,7 +170,10 @@ impl Recipe<'_> {
             Choice::Rows(number) => format!("  number: {number}\n"),
         };
         let (what, generate) = match method.generates() {
-            true => (format!("chooses {rows} that the axes reach; they go into"), format!("  generate:{}\n", method.grid(chain))),
+            true => (
+                format!("chooses {rows} that the axes reach; they go into"),
+                format!("  generate:{}\n", method.grid(chain)),
+            ),
             false => (format!("chooses among the {rows} of"), String::new()),
         };
         format!(

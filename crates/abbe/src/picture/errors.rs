@@ -15,7 +15,7 @@ const HIGH: f64 = 92.0;
 const NAMES: f64 = 46.0;
 
 /// Length of the longest arrow.
-const ARROW: f64 = 30.0;
+const ARROW: f64 = 36.0;
 
 /// An error, and what 10 µm or 10 µrad of it do: µm, µrad.
 struct Shown {
@@ -33,10 +33,15 @@ pub fn draw(drawing: &mut Drawing, machine: &Described, stand: &Stand, registry:
     let Some(every) = with_errors(machine, &all, registry)? else { return Ok(above) };
     let shown = shown(machine, &every, stand)?;
     heading(drawing, above + 30.0, "What 10 µm or 10 µrad of each error do at the tip");
-    let note = "Arrows: how the tip moves as seen from the workpiece, in µm along x, y, z of the table; all to one scale. \
+    let note = "Arrows: how the tip moves as seen from the workpiece, in µm along x, y, z of the table; lengths as square roots. \
                 Bold: independent location errors of this chain; grey: others, which these or the set-up replace. A ring: nothing moves.";
     for (line, text) in crate::lines::rows(note, 190).iter().enumerate() {
-        drawing.text([EDGE, above + 50.0 + 15.0 * line as f64], text.trim(), "start", &format!("fill=\"{GREY}\" font-size=\"11\""));
+        drawing.text(
+            [EDGE, above + 50.0 + 15.0 * line as f64],
+            text.trim(),
+            "start",
+            &format!("fill=\"{GREY}\" font-size=\"11\""),
+        );
     }
     let top = above + 88.0;
     let wide = (WIDTH - 2.0 * EDGE - NAMES) / 12.0;
@@ -48,7 +53,12 @@ pub fn draw(drawing: &mut Drawing, machine: &Described, stand: &Stand, registry:
     let longest = shown.iter().map(|error| norm(error.shift)).fold(0.0, f64::max);
     for (row, axis) in axes.iter().enumerate() {
         let middle = top + 10.0 + HIGH * (row as f64 + 0.5);
-        drawing.text([EDGE, middle + 5.0], &axis.name, "start", &format!("font-size=\"16\" font-weight=\"bold\" fill=\"{}\"", side(axis)));
+        drawing.text(
+            [EDGE, middle + 5.0],
+            &axis.name,
+            "start",
+            &format!("font-size=\"16\" font-weight=\"bold\" fill=\"{}\"", side(axis)),
+        );
     }
     for error in &shown {
         let corner = [EDGE + NAMES + wide * error.column as f64, top + 10.0 + HIGH * error.axis as f64];
@@ -78,7 +88,8 @@ fn shown(machine: &Described, every: &Described, stand: &Stand) -> Result<Vec<Sh
             column,
             shift: shift.map(|part| part * ten * 1e3),
             turn: turn.map(|part| part * ten * 1e6),
-            independent: column >= 6 || standing.is_some_and(|error| matches!(error.standing, Standing::Independent { .. })),
+            independent: column >= 6
+                || standing.is_some_and(|error| matches!(error.standing, Standing::Independent { .. })),
         });
     }
     Ok(all)
@@ -90,25 +101,47 @@ fn cell(drawing: &mut Drawing, error: &Shown, corner: [f64; 2], wide: f64, longe
     let title = format!("{symbol}: tip ({}) µm, tool turned by ({}) µrad", told(*shift), told(*turn));
     drawing.group(&title, |drawing| {
         let edge = if *column >= 6 { "#dfe3e8" } else { "#eadfc9" };
-        drawing.area_of([corner[0] + 1.0, corner[1] + 1.0], [wide - 2.0, HIGH - 2.0], if *independent { "white" } else { "#f6f6f6" }, edge);
+        drawing.area_of(
+            [corner[0] + 1.0, corner[1] + 1.0],
+            [wide - 2.0, HIGH - 2.0],
+            if *independent { "white" } else { "#f6f6f6" },
+            edge,
+        );
         let (colour, weight) = if *independent { ("#111111", "bold") } else { (GREY, "normal") };
-        drawing.text([corner[0] + 6.0, corner[1] + 14.0], symbol, "start", &format!("fill=\"{colour}\" font-weight=\"{weight}\" font-size=\"11\""));
+        drawing.text(
+            [corner[0] + 6.0, corner[1] + 14.0],
+            symbol,
+            "start",
+            &format!("fill=\"{colour}\" font-weight=\"{weight}\" font-size=\"11\""),
+        );
         let size = norm(*shift);
         let centre = [corner[0] + wide / 2.0, corner[1] + HIGH / 2.0 + 1.0];
-        let small = |colour: &str| format!("font-size=\"9.5\" fill=\"{colour}\"");
+        let small = |colour: &str| format!("font-size=\"9\" fill=\"{colour}\"");
         if size < 1e-9 {
             ring(drawing, centre);
         } else {
-            let on_page = seen(shift.map(|part| part / longest.max(1e-12) * ARROW * 1.05));
+            // Square roots, so that what is a tenth of the longest is still seen.
+            let long = ARROW * (size / longest.max(1e-12)).sqrt() / size;
+            let on_page = seen(shift.map(|part| part * long));
             let own = if *independent { main_colour(*shift) } else { GREY };
-            drawing.arrow([centre[0] - on_page[0] / 2.0, centre[1] - on_page[1] / 2.0], [centre[0] + on_page[0] / 2.0, centre[1] + on_page[1] / 2.0], own, 2.0);
+            drawing.arrow(
+                [centre[0] - on_page[0] / 2.0, centre[1] - on_page[1] / 2.0],
+                [centre[0] + on_page[0] / 2.0, centre[1] + on_page[1] / 2.0],
+                own,
+                2.0,
+            );
         }
         let text = match (size < 1e-9, norm(*turn) > 1e-9) {
             (true, true) => "turns the tool only".to_owned(),
             (true, false) => "nothing".to_owned(),
             _ => parts(*shift),
         };
-        drawing.text([corner[0] + wide / 2.0, corner[1] + HIGH - 8.0], &text, "middle", &small(if *independent { "#333333" } else { GREY }));
+        drawing.text(
+            [corner[0] + wide / 2.0, corner[1] + HIGH - 8.0],
+            &text,
+            "middle",
+            &small(if *independent { "#333333" } else { GREY }),
+        );
     });
 }
 
@@ -121,7 +154,9 @@ fn ring(drawing: &mut Drawing, centre: [f64; 2]) {
 fn parts(shift: [f64; 3]) -> String {
     let largest = norm(shift);
     let each = (0..3).filter(|part| shift[*part].abs() > 1e-3 * largest && digits(shift[*part]) != "0");
-    let each = each.map(|part| format!("{} {}{}", ["x", "y", "z"][part], if shift[part] > 0.0 { "+" } else { "" }, digits(shift[part])));
+    let each = each.map(|part| {
+        format!("{} {}{}", ["x", "y", "z"][part], if shift[part] > 0.0 { "+" } else { "" }, digits(shift[part]))
+    });
     each.collect::<Vec<_>>().join(" ")
 }
 

@@ -9,7 +9,7 @@ use crate::effects::{Effect, Stand, digits, norm, vector};
 use crate::explain::foot_of;
 
 /// Room for the view.
-const ROOM: [f64; 2] = [720.0, 400.0];
+const ROOM: [f64; 2] = [720.0, 360.0];
 
 /// Smallest part of space that is shown, mm.
 const SMALLEST: f64 = 200.0;
@@ -30,7 +30,7 @@ impl View {
             each.fold((f64::INFINITY, f64::NEG_INFINITY), |(least, most), one| (least.min(one), most.max(one)))
         };
         let (x, y) = (ends(0), ends(1));
-        let scale = |(from, to): (f64, f64), room: f64| (room - 130.0) / (to - from).max(SMALLEST);
+        let scale = |(from, to): (f64, f64), room: f64| (room - 180.0) / (to - from).max(SMALLEST);
         Self {
             middle: [(x.0 + x.1) / 2.0, (y.0 + y.1) / 2.0],
             centre: [EDGE + ROOM[0] / 2.0, above + ROOM[1] / 2.0],
@@ -99,7 +99,16 @@ pub fn draw(drawing: &mut Drawing, machine: &Described, stand: &Stand, above: f6
         let [from, to] = [view.at(moved(*point, *along, -1.3 * reach)), view.at(moved(*point, *along, 1.3 * reach))];
         drawing.line(from, to, side(axis), 1.2, true);
         drawing.turn(view.at(*point), *along, 24.0, side(axis), 1.8);
-        drawing.text([to[0] + 5.0, to[1] - 3.0], &axis.name, "start", &label(side(axis)));
+        // Beside the arc, away from the line, so that names of lines that are near each other stand apart.
+        let at = view.at(*point);
+        let [right, down] = [from, to].map(|end| [end[0] - at[0], end[1] - at[1]])[1];
+        let length = right.hypot(down).max(1.0);
+        let name = if is_robot {
+            [at[0] + 14.0 - 24.0 * down.abs() / length, at[1] - 34.0 + 10.0 * right.abs() / length]
+        } else {
+            [to[0] + 5.0, to[1] - 3.0]
+        };
+        drawing.text(name, &axis.name, "start", &label(side(axis)));
     }
     if is_robot {
         let mut from = [0.0; 3];
@@ -110,7 +119,11 @@ pub fn draw(drawing: &mut Drawing, machine: &Described, stand: &Stand, above: f6
         }
     }
     for (axis, motion) in info.axes.iter().zip(&motions).filter(|(axis, _)| axis.kind == AxisKind::Linear) {
-        let from = if axis.branch == Branch::Tool { moved(holder, tool[2], 0.25 * reach) } else { moved([0.0; 3], [-1.0, -1.0, 0.0], 0.75 * reach) };
+        let from = if axis.branch == Branch::Tool {
+            moved(holder, tool[2], 0.25 * reach)
+        } else {
+            moved([0.0; 3], [-1.0, -1.0, 0.0], 0.75 * reach)
+        };
         let to = moved(from, motion.shift, 0.85 * reach);
         drawing.arrow(view.at(from), view.at(to), side(axis), 2.4);
         let name = view.at(moved(from, motion.shift, 1.02 * reach));
@@ -121,7 +134,13 @@ pub fn draw(drawing: &mut Drawing, machine: &Described, stand: &Stand, above: f6
     drawing.frame(view.at([0.0; 3]), [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]], 34.0, true);
     drawing.frame(view.at(stand.tip), tool, 22.0, false);
     drawing.dot(view.at(stand.tip), 4.0, "black");
-    beside(drawing, machine, stand, &lines.iter().map(|(axis, point, along)| (axis.name.as_str(), *point, *along)).collect::<Vec<_>>(), above);
+    beside(
+        drawing,
+        machine,
+        stand,
+        &lines.iter().map(|(axis, point, along)| (axis.name.as_str(), *point, *along)).collect::<Vec<_>>(),
+        above,
+    );
     Ok(above + ROOM[1])
 }
 
@@ -149,10 +168,38 @@ fn beside(drawing: &mut Drawing, machine: &Described, stand: &Stand, lines: &[(&
     };
     let info = machine.model.info();
     tell(drawing, &format!("Axes stand at {}.", stand.text(info)), "");
-    tell(drawing, &format!("Table frame: the large arrows x, y, z; the square is the table. Its origin is the point of the last rotary axis that carries the workpiece, else that of the machine."), &format!("fill=\"{}\"", SIDES[0]));
-    tell(drawing, &format!("Tool tip: the black dot, at {} mm of the table frame; small arrows: the frame of the tool.", vector(stand.tip)), &format!("fill=\"{}\"", SIDES[1]));
+    tell(
+        drawing,
+        &format!(
+            "Table frame: the large arrows x, y, z; the square is the table. Its origin is the point of the last rotary axis that carries the workpiece, else that of the machine."
+        ),
+        &format!("fill=\"{}\"", SIDES[0]),
+    );
+    tell(
+        drawing,
+        &format!(
+            "Tool tip: the black dot, at {} mm of the table frame; small arrows: the frame of the tool.",
+            vector(stand.tip)
+        ),
+        &format!("fill=\"{}\"", SIDES[1]),
+    );
     for (name, point, along) in lines {
-        tell(drawing, &format!("Line of {name}: through {} mm, direction {}.", vector(point.map(|part| (part * 1e3).round() / 1e3)), vector(*along)), "");
+        tell(
+            drawing,
+            &format!(
+                "Line of {name}: through {} mm, direction {}.",
+                vector(point.map(|part| (part * 1e3).round() / 1e3)),
+                vector(*along)
+            ),
+            "",
+        );
     }
-    tell(drawing, &format!("{} mm from the tip to the end of the line on the tool, its length.", digits(info.settings.get("tool_length_mm").and_then(serde_json::Value::as_f64).unwrap_or(0.0))), &format!("fill=\"{GREY}\""));
+    tell(
+        drawing,
+        &format!(
+            "{} mm from the tip to the end of the line on the tool, its length.",
+            digits(info.settings.get("tool_length_mm").and_then(serde_json::Value::as_f64).unwrap_or(0.0))
+        ),
+        &format!("fill=\"{GREY}\""),
+    );
 }
