@@ -175,7 +175,7 @@ fn lengths_on_a_grid_are_those_of_the_data_set() {
     assert!((scaled_root(&found, 6.0) / 2.5e-5 - 1.0).abs() < 1e-9, "{}", scaled_root(&found, 6.0));
     let (_, file) = found.files.iter().find(|(name, _)| name.ends_with("candidates.csv")).expect("a file to fill in");
     let text = String::from_utf8(file.clone()).expect("text");
-    assert!(text.contains("group,reference_mm,X1_mm,Y1_mm,X2_mm,Y2_mm\n"), "{text}");
+    assert!(text.contains("group,length,reference_mm,X1_mm,Y1_mm,X2_mm,Y2_mm\n"), "{text}");
     // The machine that lacks height lacks nothing: a bar that leaves the plane is out of reach.
     let mut upright = on_a_grid();
     upright.0["plan"]["generate"]["lengths"]["elevation_deg"] = json!([0, 90]);

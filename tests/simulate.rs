@@ -354,7 +354,7 @@ fn every_recipe_is_simulated_with_the_truth_of_its_own_data() {
             Err(error) => panic!("{name}: {error}"),
         }
     }
-    assert_eq!(not_yet, ["positioner"]);
+    assert!(not_yet.is_empty(), "{not_yet:?}");
 }
 
 #[test]

@@ -170,9 +170,7 @@ fn beside(drawing: &mut Drawing, machine: &Described, stand: &Stand, lines: &[(&
     tell(drawing, &format!("Axes stand at {}.", stand.text(info)), "");
     tell(
         drawing,
-        &format!(
-            "Table frame: the large arrows x, y, z; the square is the table. Its origin is the point of the last rotary axis that carries the workpiece, else that of the machine."
-        ),
+        "Table frame: the large arrows x, y, z; the square is the table. Its origin is the point of the last rotary axis that carries the workpiece, else that of the machine.",
         &format!("fill=\"{}\"", SIDES[0]),
     );
     tell(
