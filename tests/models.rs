@@ -441,3 +441,78 @@ fn parameters_of_robots_give_their_lines_back() {
         }
     }
 }
+
+/// The formula of a symbol, with its numbers, against tips that the program computes from the model with that error.
+#[test]
+fn a_symbol_is_explained_by_what_the_model_does() {
+    let root = root();
+    let told = |arguments: &[&str]| {
+        let printed = abbe(&root, &[&["explain"], arguments].concat());
+        assert_eq!(printed.status, 0, "{arguments:?}: {}", printed.stderr);
+        printed.stdout.split_whitespace().collect::<Vec<_>>().join(" ")
+    };
+    let chain = "w C' A' b X Y Z t";
+    // A table that turns by +10 µrad about z carries a point at (200, 0) to +y by 2 µm: the tool seems to go to -y.
+    let text = told(&["EC0C", "--chain", chain, "--at", "X=200,Y=0"]);
+    assert!(
+        text.contains("(0, -2, 0) µm") && text.contains("-z ×") && text.contains("carries the workpiece"),
+        "{text}"
+    );
+    // A head that turns by +10 µrad about x has its tip 200 mm below: it goes to +y by 2 µm.
+    let text = told(&["EA0B", "--chain", "w b X Y Z B t"]);
+    assert!(text.contains("(0, 2, 0) µm") && text.contains("carries the tool"), "{text}");
+    for (symbol, expected) in [
+        ("EXX", "linear positioning of X"),
+        ("EAY[2]", "EAY[2] · Y^2"),
+        ("EXX[b]", "dir(X)"),
+        ("EBC[cos2]", "cos(2 C)"),
+        ("dzt", "offset of the tool tip along z"),
+        ("EB0Z", "on this chain"),
+    ] {
+        let text = told(&[symbol, "--chain", chain]);
+        assert!(text.contains(expected), "{symbol}: {text}");
+    }
+    for (symbol, expected) in
+        [("EA0Q", "near are `EA0"), ("EXX[spl3]", "is not listed"), ("nonsense", "no error and no parameter")]
+    {
+        let printed = abbe(&root, &["explain", symbol, "--chain", chain]);
+        assert_eq!((printed.status, printed.stdout.as_str()), (2, ""), "{symbol}");
+        let said = printed.stderr.split_whitespace().collect::<Vec<_>>().join(" ");
+        assert!(said.contains(expected), "{symbol}: {said}");
+    }
+    assert_eq!(abbe(&root, &["explain", "EXX"]).status, 2);
+    // A machine file: its own functions, a spline without a formula among them.
+    assert!(
+        told(&["EX0B1", "--machine", "pipelines/robot-ur5.yaml"]).contains("one of the independent location errors")
+    );
+}
+
+/// The arrows of the picture are what the model says, on machines of all kinds; a file is not replaced.
+#[test]
+fn a_machine_is_drawn_with_what_its_errors_do() {
+    let folder = temporary();
+    for (number, chain) in
+        ["w b X Y Z t", "w C' A' b X Y Z t", "w b X Y Z C B t", "w b C1 B1 B2 B3 C2 B4 t", "w b U V W t"]
+            .iter()
+            .enumerate()
+    {
+        let file = format!("{number}.svg");
+        let printed = abbe(folder.path(), &["model", chain, "--svg", &file]);
+        assert_eq!(printed.status, 0, "{chain}: {}", printed.stderr);
+        let text = std::fs::read_to_string(folder.path().join(&file)).expect("a picture");
+        let axes: Vec<&str> = chain.split_whitespace().filter(|word| !["w", "b", "t"].contains(word)).collect();
+        assert_eq!(text.matches("<g><title>").count(), 12 * axes.len(), "{chain}");
+        assert_eq!(text.matches("<g>").count(), text.matches("</g>").count(), "{chain}");
+        assert!(!text.contains("NaN") && !text.contains("inf"), "{chain}");
+        for axis in axes {
+            assert!(text.contains(&format!(">EX0{}</text>", axis.trim_end_matches('\''))), "{chain}");
+        }
+    }
+    let text = std::fs::read_to_string(folder.path().join("1.svg")).expect("a picture");
+    assert!(text.contains("EX0C: tip (-10, 0, 0) µm"), "the table goes to +x, the tool seems to go to -x");
+    assert!(text.contains("EX0X: tip (10, 0, 0) µm"));
+    let again = abbe(folder.path(), &["model", "w b X Y Z t", "--svg", "0.svg"]);
+    assert!(again.status != 0 && again.stderr.contains("not replaced"), "{}", again.stderr);
+    let wrong = abbe(folder.path(), &["model", "w b X Y Z t", "--svg", "new.svg", "--at", "Q=3"]);
+    assert!(wrong.status == 2 && !folder.path().join("new.svg").exists(), "{}", wrong.stderr);
+}

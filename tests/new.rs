@@ -6,7 +6,7 @@ use serde_json::{Map, json};
 use crate::models::all_chains;
 use crate::support::{abbe, fit, read, registry, temporary, write};
 
-const METHODS: [&str; 3] = ["table", "ball", "balls"];
+const METHODS: [&str; 6] = ["table", "ball", "balls", "ball-bar", "poses", "lengths"];
 
 /// Random numbers: xorshift64*.
 struct Random(u64);
@@ -131,4 +131,52 @@ fn the_control_gets_its_exporter_or_a_reason() {
         assert!(recipe.contains(expected), "{controller}: {recipe}");
         assert_eq!(abbe(folder.path(), &["check", &format!("{controller}/recipe.yaml")]).status, 0, "{controller}");
     }
+}
+
+#[test]
+fn machines_without_three_linear_axes_are_calibrated_by_poses_alone() {
+    let folder = temporary();
+    for method in ["ball-bar", "lengths", "balls"] {
+        let printed = abbe(folder.path(), &["new", "a", "--chain", "w C' A' b t", "--method", method]);
+        assert_eq!(printed.status, 2, "{method}");
+        assert!(
+            printed.stderr.contains("0 linear axes") && printed.stderr.contains("--method poses"),
+            "{}",
+            printed.stderr
+        );
+        assert!(!folder.path().join("a").exists());
+    }
+    for chain in ["w C' A' b t", "w b C B1 B2 B3 A C2 t", "w b X C t"] {
+        closed(chain, "poses", 3).unwrap_or_else(|reason| panic!("{chain}: {reason}"));
+    }
+}
+
+/// Poses of the positioner's recipe with noise: the truth is inside the stated uncertainty, and noise of angles is as told.
+#[test]
+fn poses_are_simulated_with_noise_of_both_kinds() {
+    let folder = temporary();
+    let at = folder.path();
+    let begun = abbe(at, &["new", "begun", "--chain", "w C' A' b X Y Z t", "--method", "poses"]);
+    assert_eq!(begun.status, 0, "{}", begun.stderr);
+    write(
+        &at.join("truth.json"),
+        &json!({ "parameters": { "EA0C": 1e-4, "EB0Y": -5e-5, "EY0C": 0.03 },
+                 "noise": { "probing_sigma_mm": 0.02, "orientation_sigma_rad": 5e-5 } })
+        .to_string(),
+    );
+    let (mut chi, mut count) = (0.0, 0.0);
+    for seed in 0..12 {
+        let prepared = abbe_engine::prepare(&at.join("begun/recipe.yaml"), &registry()).expect("a recipe");
+        let simulated = prepared.simulate(&at.join("truth.json"), seed, None).expect("poses are simulated");
+        simulated.write(&at.join(format!("m{seed}"))).expect("a folder");
+        let prepared = abbe_engine::prepare(&at.join(format!("m{seed}/recipe.yaml")), &registry()).expect("a recipe");
+        let outcome = prepared.run(&abbe_core::Monitor::default()).expect("a run");
+        let calibration = &fit(&outcome, "fit").calibration;
+        for (name, truth) in [("EA0C", 1e-4), ("EB0Y", -5e-5), ("EY0C", 0.03), ("EXX[1]", 0.0)] {
+            let found = calibration.get(name).expect("a parameter");
+            chi += ((found.value - truth) / found.standard_uncertainty).powi(2);
+            count += 1.0;
+        }
+    }
+    assert!((0.5..1.8).contains(&(chi / count)), "{}", chi / count);
 }

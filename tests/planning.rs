@@ -175,7 +175,7 @@ fn lengths_on_a_grid_are_those_of_the_data_set() {
     assert!((scaled_root(&found, 6.0) / 2.5e-5 - 1.0).abs() < 1e-9, "{}", scaled_root(&found, 6.0));
     let (_, file) = found.files.iter().find(|(name, _)| name.ends_with("candidates.csv")).expect("a file to fill in");
     let text = String::from_utf8(file.clone()).expect("text");
-    assert!(text.contains("group,reference_mm,X1_mm,Y1_mm,X2_mm,Y2_mm\n"), "{text}");
+    assert!(text.contains("group,length,reference_mm,X1_mm,Y1_mm,X2_mm,Y2_mm\n"), "{text}");
     // The machine that lacks height lacks nothing: a bar that leaves the plane is out of reach.
     let mut upright = on_a_grid();
     upright.0["plan"]["generate"]["lengths"]["elevation_deg"] = json!([0, 90]);
@@ -331,4 +331,58 @@ fn orders_that_make_no_sense_are_refused() {
     still.stage("fit")["parameters"] = json!(["@geometry", "table.*"]);
     let said = try_plan(&still).err().expect("it is refused");
     assert!(said.contains("nothing that is estimated follows the time"), "{said}");
+}
+
+/// The fewest touches that reach an uncertainty, on beginnings of random machines: one less does not, the reverse answer is exact, and
+/// more that is allowed is never worse.
+#[test]
+fn a_wanted_uncertainty_is_reached_with_the_fewest() {
+    let chains = crate::models::all_chains();
+    for (seed, of) in [(1, "parameters"), (2, "tool"), (3, "parameters"), (4, "tool")] {
+        let mut random = crate::controls::law::uniform(seed);
+        let chain = &chains[840 + (random() * (chains.len() - 840) as f64) as usize % (chains.len() - 840)];
+        let folder = temporary();
+        let begun = abbe(folder.path(), &["new", "m", "--chain", chain, "--method", "ball"]);
+        assert_eq!(begun.status, 0, "{}", begun.stderr);
+        let plan_of = |um: f64, until: Value, number: usize| {
+            let text = read(&folder.path().join("m/recipe.yaml"));
+            let head = &text[..text.find("\nplan:").expect("a plan")].replace("_um: 2", &format!("_um: {um:?}"));
+            let grid = text.lines().find(|line| line.contains("generate:")).expect("a grid");
+            let plan = format!(
+                "\nplan:\n  estimate: fit\n  candidates: ball\n  by: group\n  parameters: [\"E*\"]\n  restarts: 2\n  number: {number}\n  until: {until}\n{grid}\n"
+            );
+            std::fs::write(folder.path().join("m/p.yaml"), format!("{head}{plan}")).expect("a file");
+            prepare(&folder.path().join("m/p.yaml"), &registry()).and_then(|prepared| prepared.plan())
+        };
+        let wanted = |um: f64| json!({ "expanded_um": um, "of": of });
+        // With any uncertainty that tells all, then with a smaller one.
+        let any = plan_of(2.0, wanted(1e6), 30).unwrap_or_else(|error| panic!("{chain}: {error}"));
+        let any = any.plan.reached.expect("an uncertainty was wanted");
+        let um = any.expanded * 1e3 / 1.2;
+        let found = plan_of(2.0, wanted(um), 30).unwrap_or_else(|error| panic!("{chain}: {error}"));
+        let reached = found.plan.reached.clone().expect("an uncertainty was wanted");
+        assert!(reached.expanded <= reached.wanted, "{chain}: {reached:?}");
+        if of == "parameters" {
+            let unknowns = found.plan.problem.unknowns.iter().zip(found.standard_uncertainties());
+            let lengths =
+                unknowns.filter(|(unknown, _)| unknown.name.starts_with('E') && unknown.unit.to_string() == "mm");
+            let largest = lengths.map(|(_, value)| 2.0 * value).fold(0.0, f64::max);
+            assert!((largest / reached.expanded - 1.0).abs() < 1e-9, "{chain}: {largest}");
+        }
+        // The reverse question: with touches as bad as told, these candidates reach exactly what is wanted.
+        let row = reached.largest_of_row.expect("all rows are touches") * 1e3;
+        let number: usize = found.plan.chosen.iter().map(|chosen| chosen.times).sum();
+        if number > 1 {
+            let fewer = plan_of(2.0, wanted(um), number - 1);
+            assert!(fewer.is_err(), "{chain}: {number} are not the fewest");
+        }
+        let worse = plan_of(row, wanted(um), number).unwrap_or_else(|error| panic!("{chain} {row}: {error}"));
+        let exact = worse.plan.reached.expect("an uncertainty was wanted");
+        assert!(exact.expanded <= exact.wanted * (1.0 + 1e-9), "{chain}: {exact:?}");
+        if worse.plan.chosen == found.plan.chosen {
+            assert!((exact.expanded / exact.wanted - 1.0).abs() < 1e-6, "{chain}: {exact:?}");
+        }
+        let refused = plan_of(2.0, wanted(um * 1e-3), 30).err().expect("out of reach").to_string();
+        assert!(refused.contains("is wanted"), "{refused}");
+    }
 }

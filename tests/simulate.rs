@@ -354,7 +354,7 @@ fn every_recipe_is_simulated_with_the_truth_of_its_own_data() {
             Err(error) => panic!("{name}: {error}"),
         }
     }
-    assert_eq!(not_yet, ["positioner"]);
+    assert!(not_yet.is_empty(), "{not_yet:?}");
 }
 
 #[test]
@@ -416,17 +416,6 @@ fn data_that_stay_as_they_are_are_told() {
     assert_eq!((printed.status, printed.stderr.as_str()), (0, ""));
     assert!(printed.stdout.contains("  not simulated: data/later.csv (read by again only)\n"), "{}", printed.stdout);
     assert_eq!(small.read("sim/data/later.csv"), small.read("data/later.csv"));
-}
-
-#[test]
-fn an_artefact_that_is_not_simulated_is_one_clear_error() {
-    let small = Small::new();
-    let recipe = recipes()["positioner"].display().to_string();
-    small.write("truth.json", r#"{ "parameters": { "EB0C": -3e-4 } }"#);
-    let printed = small.abbe(&["simulate", &recipe, "--truth", "truth.json", "--seed", "1", "--out", "sim"]);
-    assert_eq!((printed.status, printed.stdout.as_str()), (2, ""));
-    let expected = "the artefact `poses` cannot be simulated yet: what is recorded is a quaternion";
-    assert!(printed.stderr.contains(expected) && !small.path("sim").exists(), "{}", printed.stderr);
 }
 
 fn tree_file(folder: &Path, name: &str) -> PathBuf {

@@ -85,6 +85,14 @@ pub enum Contact {
     Reading(String),
     /// The same of rows with several equations: each has a reading of its own, in these columns (without unit).
     Readings(Vec<String>),
+    /// An observed pose takes up the difference: six equations, three of the position and three of the rotation vector from the
+    /// predicted to the observed orientation.
+    Pose {
+        /// Columns of the position (without unit), which its equations have with a plus sign.
+        position: [String; 3],
+        /// Columns of the orientation: a quaternion w, x, y, z.
+        orientation: [String; 4],
+    },
     /// Such rows can be estimated, but not simulated yet. The text is the reason, for messages.
     NotSimulated(String),
 }

@@ -17,6 +17,7 @@ mod prediction;
 mod prepare;
 mod readings;
 mod record;
+mod recorded;
 mod rehearsal;
 mod repeated;
 mod results;
@@ -30,7 +31,7 @@ mod understood;
 mod units;
 
 pub use abbe_estimation::{LocationError, LocationErrors, Standing};
-pub use abbe_planning::{Order, Plan, PlanFigures, Revisit};
+pub use abbe_planning::{Order, Plan, PlanFigures, Reached, Revisit};
 pub use described::{Described, prepare_text};
 pub use folder::{can_write_folder, write_folder};
 pub use laws::Laws;

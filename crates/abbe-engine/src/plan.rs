@@ -271,6 +271,16 @@ fn record(estimate: &str, plan: &Plan, found: &Identifiability) -> Value {
         "rank": found.rank,
         "null_space": found.null_space,
     });
+    if let (Some(reached), Some(record)) = (&plan.reached, record.as_object_mut()) {
+        let reached = json!({
+            "worst": reached.worst,
+            "expanded": reached.expanded,
+            "wanted": reached.wanted,
+            "coverage_factor": reached.coverage_factor,
+            "largest_standard_uncertainty_of_row": reached.largest_of_row,
+        });
+        record.insert("until".to_owned(), reached);
+    }
     if let (Some(order), Some(record)) = (order, record.as_object_mut()) {
         record.insert("order".to_owned(), order);
     }

@@ -137,7 +137,9 @@ pub fn simulate_measurement(problem: &Problem, errors: &[f64], variations: &[Var
             vary(&mut moved, &problem.machine_values, variations, first_row);
             match &moved.sets[set].info().contact {
                 Contact::LinearAxes => touch(&mut moved, set, chunk, &linear, errors, &mut work)?,
-                Contact::Reading(_) | Contact::Readings(_) => read(&mut moved, set, chunk, errors, &mut work)?,
+                Contact::Reading(_) | Contact::Readings(_) | Contact::Pose { .. } => {
+                    read(&mut moved, set, chunk, errors, &mut work)?;
+                }
                 Contact::NotSimulated(why) => {
                     let error = Error::usage(format!("this artefact cannot be simulated yet: {why}"));
                     return Err(error.stage(&problem.sets[set].name));

@@ -167,11 +167,11 @@ impl<'a> Grid<'a> {
             let reached = self.reached(indexation, &ends)?;
             for (pair, length) in reached.chunks_exact(2).zip(&known) {
                 if let [Some(one), Some(other)] = pair {
-                    rows.push((format!("{},{length}", group + 1), vec![one.clone(), other.clone()]));
+                    rows.push((format!("{},{},{length}", group + 1, rows.len() + 1), vec![one.clone(), other.clone()]));
                 }
             }
         }
-        self.table("group,reference_mm", &["1", "2"], wanted, rows)
+        self.table("group,length,reference_mm", &["1", "2"], wanted, rows)
     }
 
     /// Direction from the tip to the spindle, unit vector in the table frame.
@@ -224,6 +224,11 @@ impl<'a> Grid<'a> {
                 let _ = write!(text, ",{}{end}{}", status.name, status.quantity.usual_suffix());
             }
         }
+        let own: Vec<&str> = text.split(',').collect();
+        if let Some(twice) = wanted.columns.keys().find(|name| own.contains(&name.as_str()) || *name == "duration_s") {
+            return Err(wrong_grid("columns", format!("the grid has a column `{twice}` of its own")));
+        }
+        wanted.columns.keys().for_each(|name| text.push_str(&format!(",{name}")));
         text.push_str(if wanted.duration_s.is_some() { ",duration_s\n" } else { "\n" });
         for (row, (labels, poses)) in rows.iter().enumerate() {
             text.push_str(labels);
@@ -239,6 +244,7 @@ impl<'a> Grid<'a> {
                     let _ = write!(text, ",{}", (value * 1e6).round() / 1e6 + 0.0);
                 }
             }
+            wanted.columns.values().for_each(|value| text.push_str(&format!(",{value}")));
             let _ = match wanted.duration_s {
                 Some(duration) => writeln!(text, ",{duration}"),
                 None => writeln!(text),

@@ -10,6 +10,7 @@ mod candidates;
 mod generate;
 mod order;
 mod settings;
+mod until;
 
 use abbe_core::{
     DataRow, EquationIndex, Error, PathItem, Problem, Result, RowIndex, Unknown, Whole, in_parallel, matches,
@@ -20,7 +21,8 @@ use abbe_numerics::{Criterion, Design, DesignFigures, DesignProblem, Generator};
 pub use again::Revisit;
 pub use generate::generate;
 pub use order::Order;
-pub use settings::{Again, Change, GeneratedLengths, Generation, Ordering, Planning, PlanningCriterion};
+pub use settings::{Again, Change, GeneratedLengths, Generation, Of, Ordering, Planning, PlanningCriterion, Until};
+pub use until::Reached;
 
 use candidates::{Candidate, candidates};
 
@@ -54,6 +56,8 @@ pub struct Plan {
     pub searches_that_found_it: usize,
     /// The order in which the candidates are measured, if one was wanted.
     pub order: Option<Order>,
+    /// What it reaches of a wanted uncertainty, if one was wanted.
+    pub reached: Option<Reached>,
 }
 
 /// A chosen candidate.
@@ -102,8 +106,16 @@ impl PlanFigures {
 /// Chooses candidates for a problem.
 ///
 /// Fails for names that the problem does not know, candidates that cannot determine the unknowns however many are measured,
-/// and numbers or budgets that are too small.
+/// numbers or budgets that are too small, and a wanted uncertainty that is out of reach.
 pub fn plan(problem: &Problem, wanted: &Planning) -> Result<Plan> {
+    match &wanted.until {
+        Some(until) => until::fewest(problem, wanted, until),
+        None => plan_of(problem, wanted),
+    }
+}
+
+/// Chooses so many candidates.
+fn plan_of(problem: &Problem, wanted: &Planning) -> Result<Plan> {
     let contact = rank_point(problem, &problem.start())?;
     let order = order(problem, wanted)?;
     let found = candidates(&contact, wanted)?;
@@ -128,6 +140,7 @@ pub fn plan(problem: &Problem, wanted: &Planning) -> Result<Plan> {
     let evenly = evenly(&choice, best.chosen.len());
     let order = order::order(&contact, (&found, &scaled, &choice), &best.chosen, wanted)?;
     Ok(Plan {
+        reached: None,
         order,
         candidates: found.len(),
         chosen: chosen(&found, &best.chosen, &choice.required),

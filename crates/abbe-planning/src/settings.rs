@@ -27,6 +27,9 @@ pub struct Planning {
     /// Largest total time of the chosen candidates. The candidates need a column `duration_s`.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub budget_s: Option<f64>,
+    /// Choose the fewest candidates with which this is reached; `number` and `budget_s` are then the most that are allowed.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub until: Option<Until>,
     /// What makes a choice good.
     #[serde(default)]
     pub criterion: PlanningCriterion,
@@ -52,6 +55,61 @@ pub struct Planning {
     /// Seed of the random starts.
     #[serde(default)]
     pub seed: u64,
+}
+
+/// A wanted uncertainty.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct Until {
+    /// Largest expanded uncertainty of a length, from the noise of the rows.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub expanded_um: Option<f64>,
+    /// Largest expanded uncertainty of an angle.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub expanded_urad: Option<f64>,
+    /// Of what.
+    #[serde(default)]
+    pub of: Of,
+    /// The coverage factor.
+    #[serde(default = "twice")]
+    pub coverage_factor: f64,
+}
+
+/// Of what an uncertainty is wanted.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize, JsonSchema)]
+#[serde(rename_all = "kebab-case")]
+pub enum Of {
+    /// Of every unknown that counts (`parameters`) and is a length or an angle.
+    #[default]
+    Parameters,
+    /// Of the tip along x, y and z at all candidates, by the errors that are estimated.
+    Tool,
+}
+
+fn twice() -> f64 {
+    2.0
+}
+
+impl Until {
+    fn check(&self) -> Result<(), SettingsError> {
+        if self.expanded_um.is_none() && (self.expanded_urad.is_none() || self.of == Of::Tool) {
+            return Err(SettingsError::new("expanded_um", "how large it may be is missing"));
+        }
+        if self.of == Of::Tool && self.expanded_urad.is_some() {
+            return Err(SettingsError::new(
+                "expanded_urad",
+                "the tip has a place and no angle: `expanded_um` limits it",
+            ));
+        }
+        let limits = [("expanded_um", self.expanded_um), ("expanded_urad", self.expanded_urad)];
+        limits
+            .into_iter()
+            .try_for_each(|(name, limit)| limit.map_or(Ok(()), |limit| positive(name, limit).map(drop)))?;
+        match (1.0..=10.0).contains(&self.coverage_factor) {
+            true => Ok(()),
+            false => Err(SettingsError::new("coverage_factor", "a number from 1 to 10 was expected")),
+        }
+    }
 }
 
 /// The order of the chosen candidates in which what follows the time (drifts, thermal states) disturbs the estimate least.
@@ -159,6 +217,9 @@ pub struct Generation {
     /// Lengths between two poses on a grid; without them the features of the artefact are measured.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub lengths: Option<GeneratedLengths>,
+    /// Columns that have the same number in every row, by their name with its unit: `reading_mm`, which nobody has read yet.
+    #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
+    pub columns: BTreeMap<String, f64>,
     /// Time that a row takes.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub duration_s: Option<f64>,
@@ -210,6 +271,16 @@ impl Generation {
         if let Some(duration) = self.duration_s {
             positive("duration_s", duration)?;
         }
+        let plain = |name: &String| name.chars().all(|letter| letter.is_ascii_alphanumeric() || letter == '_');
+        for (name, value) in &self.columns {
+            let under = |error: SettingsError| error.under([PathItem::Key("columns".to_owned())]);
+            if name.is_empty() || !plain(name) {
+                return Err(under(SettingsError::new(name, "a name of letters, digits and `_` was expected")));
+            }
+            if !value.is_finite() {
+                return Err(under(SettingsError::new(name, "a finite number was expected")));
+            }
+        }
         let Some(lengths) = &self.lengths else { return Ok(()) };
         let all = [
             ("lengths_mm", &lengths.lengths_mm),
@@ -250,8 +321,12 @@ fn restarts() -> Whole<1, 1_000> {
 impl Planning {
     /// Refuses settings that are wrong whatever the data.
     pub fn check(&self) -> Result<(), SettingsError> {
-        if self.number.is_none() && self.budget_s.is_none() {
-            return Err(SettingsError::new("", "`number` or `budget_s` is missing: how many may be measured?"));
+        if self.number.is_none() && self.budget_s.is_none() && self.until.is_none() {
+            let message = "`number`, `budget_s` or `until` is missing: how many may be measured?";
+            return Err(SettingsError::new("", message));
+        }
+        if let Some(until) = &self.until {
+            until.check().map_err(|error| error.under([PathItem::Key("until".to_owned())]))?;
         }
         if let Some(budget) = self.budget_s {
             positive("budget_s", budget)?;

@@ -58,8 +58,10 @@ fn recorded(mut problem: Problem, noise: &Noise) -> Problem {
             }
             Contact::Reading(column) => by_rounding.extend(rounded(set, std::slice::from_ref(column), resolution)),
             Contact::Readings(columns) => by_rounding.extend(rounded(set, columns, resolution)),
-            // `contact::simulate_measurement` has refused such a set.
-            Contact::NotSimulated(_) => by_rounding.extend(rows_of(set).flat_map(|row| vec![0.0; row.equations])),
+            // A pose is not read from a scale. `contact::simulate_measurement` has refused a set that is not simulated.
+            Contact::Pose { .. } | Contact::NotSimulated(_) => {
+                by_rounding.extend(rows_of(set).flat_map(|row| vec![0.0; row.equations]))
+            }
         }
     }
     if by_rounding.iter().all(|change| *change == 0.0) { problem } else { problem.disturbed(&by_rounding) }

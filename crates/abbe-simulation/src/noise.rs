@@ -25,6 +25,8 @@ pub struct Noise {
     pub probing_sigma_mm: StandardDeviation,
     /// Standard deviation of the surface, mm. It acts on a touch in the same way as the noise of the probe.
     pub surface_sigma_mm: StandardDeviation,
+    /// Standard deviation of each component of an observed orientation, rad.
+    pub orientation_sigma_rad: f64,
     /// Slow changes of the machine, by the file in which they happen: the name of the file without its extension, or the part
     /// of it after a hyphen (`s1` for `touches-s1.csv`). The empty name is for all files.
     pub drift: BTreeMap<String, Drift>,
@@ -103,6 +105,7 @@ pub struct RandomOutliers {
 struct Written {
     probing_sigma_mm: Option<StandardDeviation>,
     surface_sigma_mm: Option<StandardDeviation>,
+    orientation_sigma_rad: Option<f64>,
     drift: Option<Map<String, Value>>,
     lobing: Option<Value>,
     outliers: Option<BTreeMap<String, f64>>,
@@ -131,8 +134,16 @@ struct WrittenLobing {
     phase_rad: Option<f64>,
 }
 
-const KEYS: [&str; 7] =
-    ["probing_sigma_mm", "surface_sigma_mm", "drift", "lobing", "outliers", "resolution_mm", "sensors"];
+const KEYS: [&str; 8] = [
+    "probing_sigma_mm",
+    "surface_sigma_mm",
+    "orientation_sigma_rad",
+    "drift",
+    "lobing",
+    "outliers",
+    "resolution_mm",
+    "sensors",
+];
 const DRIFT_KEYS: [&str; 8] =
     ["component", "parameter", "gain_mm", "range_mm", "tau_s", "sign", "wave_period_s", "wave_phase_rad"];
 const DRIFT_NOTES: [&str; 2] = ["formula", "duration_s"];
@@ -153,6 +164,7 @@ impl Noise {
         Ok(Self {
             probing_sigma_mm: written.probing_sigma_mm.unwrap_or_default(),
             surface_sigma_mm: written.surface_sigma_mm.unwrap_or_default(),
+            orientation_sigma_rad: written.orientation_sigma_rad.unwrap_or(0.0),
             drift: read_drifts(&written.drift.unwrap_or_default()).map_err(|error| error.under([key("drift")]))?,
             lobing,
             outliers: read_outliers(written.outliers.unwrap_or_default())?,
@@ -185,6 +197,7 @@ impl Noise {
                 .and_then(|()| finite("phase_rad", lobing.phase))
                 .map_err(|error| error.under([key("lobing")]))?;
         }
+        not_negative("orientation_sigma_rad", self.orientation_sigma_rad)?;
         self.outliers.check().map_err(|error| error.under([key("outliers")]))?;
         self.sensors.check().map_err(|error| error.under([key("sensors")]))?;
         size("resolution_mm", self.resolution_mm)
@@ -209,9 +222,14 @@ impl Noise {
                 // Every row has its own stream: its numbers do not depend on the rows before it.
                 let mut generator = Generator::new(seed, (index.0 as u64) << 32 | row.0 as u64);
                 let first = errors.len();
-                errors.extend((0..equations).map(|_| sigma * generator.normal()));
+                errors.extend((0..equations).map(|_| generator.normal()));
                 let gross = listed.of(set, data_row) + self.outliers.draw(&mut generator);
-                errors[first..].iter_mut().for_each(|error| *error += gross);
+                let is_angle = |equation| set.info().angles.contains(&equation);
+                let of_row = set.info().layout.rows[row].equation_indices();
+                for (error, equation) in errors[first..].iter_mut().zip(of_row) {
+                    *error =
+                        if is_angle(equation) { self.orientation_sigma_rad * *error } else { sigma * *error + gross };
+                }
                 if let (Some(lobing), Some(directions)) = (&self.lobing, &directions)
                     && let Some([x, y, z]) = directions[first]
                 {
@@ -296,6 +314,9 @@ impl Noise {
                 ),
             }
         }
+        if self.orientation_sigma_rad > 0.0 {
+            lines.push(format!("orientation: standard deviation {:.3} µrad", self.orientation_sigma_rad * 1e6));
+        }
         for (file, drift) in &self.drift {
             let file = if file.is_empty() { String::new() } else { format!(" in `{file}`") };
             lines.push(format!("drift{file}: {} by {}", drift.parameter, um(drift.size_mm)));
@@ -322,7 +343,7 @@ impl Noise {
 /// Whether noise is added to the equations of a set. It is not added to readings of angles.
 fn takes_noise(set: &ObservationSet) -> bool {
     match &set.info().contact {
-        Contact::LinearAxes => true,
+        Contact::LinearAxes | Contact::Pose { .. } => true,
         Contact::Reading(column) => is_length(set, column),
         Contact::Readings(columns) => columns.iter().all(|column| is_length(set, column)),
         Contact::NotSimulated(_) => false,

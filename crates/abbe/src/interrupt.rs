@@ -137,3 +137,18 @@ pub fn done() {
     let _writing = WRITING.lock().unwrap_or_else(PoisonError::into_inner);
     DONE.store(true, Ordering::SeqCst);
 }
+
+/// Most seconds of a limit: a year.
+const LONGEST: f64 = 366.0 * 86_400.0;
+
+/// Shortest time limit, s.
+const SHORTEST: f64 = 1e-6;
+
+/// A time in seconds.
+pub fn seconds(text: &str) -> std::result::Result<Duration, String> {
+    let seconds: f64 = text.parse().map_err(|_| "a number of seconds was expected".to_owned())?;
+    match (SHORTEST..=LONGEST).contains(&seconds) {
+        true => Ok(Duration::from_secs_f64(seconds)),
+        false => Err(format!("a number of seconds from {SHORTEST} to {LONGEST} was expected")),
+    }
+}

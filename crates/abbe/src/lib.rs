@@ -1,4 +1,4 @@
-//! The command line of Abbe: `new`, `run`, `report`, `test`, `check`, `data`, `model`, `simulate`, `plan`, `plugins`, `plugin`, `schema`.
+//! The command line of Abbe: `new`, `run`, `report`, `test`, `check`, `data`, `model`, `explain`, `simulate`, `plan`, `plugins`, `plugin`, `schema`.
 //!
 //! Exit status: 0 no verdict failed (inconclusive verdicts are reported); 1 an error that only the data or the run show; 2 wrong
 //! use, or an error that can be found without reading data rows; 3 a verdict failed; 130 interrupted by Ctrl-C, 143 by SIGTERM,
@@ -12,7 +12,9 @@ mod compensate;
 mod correct;
 mod data;
 mod doubts;
+mod effects;
 mod expected;
+mod explain;
 mod failure;
 mod interrupt;
 mod libraries;
@@ -22,6 +24,7 @@ mod machine;
 mod new;
 mod outputs;
 mod pages;
+mod picture;
 mod planning;
 mod progress;
 mod report;
@@ -41,6 +44,7 @@ use abbe_engine::{can_write_folder, prepare};
 use abbe_plugin::check::Findings;
 use abbe_report::plan_page;
 use clap::{Parser, Subcommand};
+use interrupt::seconds;
 use libraries::Libraries;
 use progress::Progress;
 use serde_json::Value;
@@ -152,6 +156,8 @@ enum Command {
     Data(data::Data),
     /// Show a machine: axes, chain, the errors that it has, which location errors are independent and how they are called.
     Model(machine::Machine),
+    /// Say what a symbol means on a machine: an error, or a parameter.
+    Explain(explain::Explain),
     /// Correct set-points for the errors of a calibrated machine.
     Compensate(Box<compensate::Compensate>),
     /// Correct measured positions for the errors of the calibrated machine that measured them.
@@ -202,21 +208,6 @@ enum PluginCommand {
     /// Serve a library to the program that started this one.
     #[command(hide = true)]
     Serve { file: PathBuf, sha256: String },
-}
-
-/// Most seconds of a limit: a year.
-const LONGEST: f64 = 366.0 * 86_400.0;
-
-/// Shortest time limit, s.
-const SHORTEST: f64 = 1e-6;
-
-/// A time in seconds.
-fn seconds(text: &str) -> std::result::Result<Duration, String> {
-    let seconds: f64 = text.parse().map_err(|_| "a number of seconds was expected".to_owned())?;
-    match (SHORTEST..=LONGEST).contains(&seconds) {
-        true => Ok(Duration::from_secs_f64(seconds)),
-        false => Err(format!("a number of seconds from {SHORTEST} to {LONGEST} was expected")),
-    }
 }
 
 /// Carries out the command line of this process; gives its exit status.
@@ -421,7 +412,8 @@ fn dispatch(command: Command, libraries: &Libraries, verbose: bool) -> Result<(S
         }
         Command::New(asked) => Ok((asked.run(libraries)?, 0)),
         Command::Data(asked) => Ok((asked.run(libraries)?, 0)),
-        Command::Model(asked) => Ok((asked.run(libraries)?, 0)),
+        Command::Model(asked) => written(asked.run(libraries)?),
+        Command::Explain(asked) => Ok((asked.run(libraries)?, 0)),
         Command::Compensate(asked) => {
             interrupt::cancel_on_signal(Monitor::default())?;
             written(asked.run(&libraries.registry(None)?)?)

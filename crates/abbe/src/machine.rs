@@ -11,8 +11,11 @@ use abbe_report::{ErrorGroup, meaning};
 use clap::Args;
 use serde_json::Value;
 
+use crate::explain::position;
 use crate::libraries::Libraries;
 use crate::lines;
+use crate::outputs::{Written, is_file_name};
+use crate::picture;
 use crate::table::{self, plain};
 
 /// What is asked.
@@ -21,21 +24,51 @@ pub struct Machine {
     /// A machine file or a recipe (`.yaml`), or a chain in the notation of ISO 10791-6, as "w C' A' b X Y Z t".
     #[arg(value_name = "MACHINE.yaml|RECIPE|CHAIN")]
     machine: String,
+    /// Draw it as SVG: the chain with its joints, frames and axes, and what each error does at the tool. The file must not exist.
+    #[arg(long, value_name = "FILE")]
+    svg: Option<PathBuf>,
+    /// Where axes stand in the picture, in mm and degrees, as `X=200,C=90`. Default: linear axes a quarter of their travel beyond its
+    /// middle.
+    #[arg(long, value_name = "AXIS=POSITION,..", value_delimiter = ',', value_parser = position, requires = "svg")]
+    at: Vec<(String, f64)>,
 }
 
 /// Tool length of a machine that is given by its chain alone, mm: some length, so that tilts of the tool move its tip.
 const TOOL_LENGTH: f64 = 200.0;
 
 impl Machine {
+    /// The machine of this file, recipe or chain.
+    pub fn named(machine: &str) -> Self {
+        Self { machine: machine.to_owned(), svg: None, at: Vec::new() }
+    }
+
     /// Looks at the machine; gives what to print.
-    pub fn run(&self, libraries: &Libraries) -> Result<String> {
+    pub fn run(&self, libraries: &Libraries) -> Result<Written> {
+        let machines = self.described(libraries)?;
+        let texts: Vec<String> = machines.iter().map(|machine| text(machine, lines::width())).collect();
+        let mut written = Written { text: texts.join("\n"), files: Vec::new() };
+        if let Some(file) = &self.svg {
+            is_file_name(file)?;
+            let [machine] = machines.as_slice() else {
+                return Err(Error::usage("this recipe has several machines, and one is drawn")
+                    .help("name the file of the machine")
+                    .in_file(Path::new(&self.machine)));
+            };
+            let drawn = picture::svg(machine, &self.at, &libraries.registry(None)?)?;
+            written.text.push_str(&format!("\nDrawn: {}\n", file.display()));
+            written.files.push((file.clone(), drawn.into_bytes()));
+        }
+        Ok(written)
+    }
+
+    /// The machines, at least one.
+    pub fn described(&self, libraries: &Libraries) -> Result<Vec<Described>> {
         let described = self.prepared(libraries)?.described();
         let machines = described.map_err(|error| of_file(error, Path::new(&self.machine)))?;
-        if machines.is_empty() {
-            return Err(Error::usage("this recipe has no machine").in_file(Path::new(&self.machine)));
+        match machines.is_empty() {
+            true => Err(Error::usage("this recipe has no machine").in_file(Path::new(&self.machine))),
+            false => Ok(machines),
         }
-        let texts: Vec<String> = machines.iter().map(|machine| text(machine, lines::width())).collect();
-        Ok(texts.join("\n"))
     }
 
     fn prepared(&self, libraries: &Libraries) -> Result<Prepared> {
@@ -147,7 +180,7 @@ fn picture(info: &ModelInfo, width: usize) -> String {
 const INDENT: &str = "  ";
 
 /// The direction of x, y, z that an axis is nearest to.
-fn nearest(axis: &Axis) -> String {
+pub fn nearest(axis: &Axis) -> String {
     let part = (0..3).max_by(|&a, &b| axis.direction[a].abs().total_cmp(&axis.direction[b].abs())).unwrap_or(0);
     let tilted = if axis.direction[part].abs() < 1.0 - 1e-9 { " (tilted)" } else { "" };
     let preposition = if axis.kind == AxisKind::Rotary { "about" } else { "along" };
@@ -155,7 +188,7 @@ fn nearest(axis: &Axis) -> String {
 }
 
 /// A number without what rounding leaves of a zero.
-fn tidy(number: f64) -> String {
+pub fn tidy(number: f64) -> String {
     plain(if number.abs() < 1e-9 { 0.0 } else { number })
 }
 

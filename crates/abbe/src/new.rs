@@ -1,6 +1,8 @@
 //! `abbe new`: the beginning of a calibration: a machine file, an artefact, the touches to make and a recipe that evaluates them.
 
 mod determined;
+mod methods;
+mod poses;
 mod texts;
 
 use std::collections::BTreeMap;
@@ -35,7 +37,7 @@ pub struct New {
     controller: Option<Controller>,
 }
 
-/// What the machine measures with its touch probe.
+/// What is measured.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
 pub enum Method {
     /// Faces of the machine's own table, or of a block on it.
@@ -44,6 +46,12 @@ pub enum Method {
     Ball,
     /// Several balls on the table.
     Balls,
+    /// A ball bar between the tool and a ball on the table.
+    BallBar,
+    /// Poses of a target on the table, seen from the tool: a camera, the 6-dof probe of a laser tracker.
+    Poses,
+    /// Calibrated lengths on the table: a bar, or a step gauge.
+    Lengths,
 }
 
 /// Controls.
@@ -76,45 +84,71 @@ impl New {
         let method = match self.method {
             Some(method) => method,
             None => {
-                let answer = asked("method", "What is touched (table, ball or balls): ")?;
+                let answer = asked("method", &format!("What is measured ({}): ", methods()))?;
                 Method::from_str(&answer, true)
-                    .map_err(|_| Error::usage(format!("`{answer}` is none of table, ball and balls")))?
+                    .map_err(|_| Error::usage(format!("`{answer}` is none of {}", methods())))?
             }
         };
         let beginning = begin(&chain, method, self.controller, &libraries.registry(None)?)?;
         let bytes = |(name, text): (&PathBuf, &String)| (name.clone(), text.clone().into_bytes());
         let files: BTreeMap<PathBuf, Vec<u8>> = beginning.files.iter().map(bytes).collect();
         write_folder(&self.folder, &files)?;
-        Ok(self.told(&beginning))
+        Ok(self.told(&beginning, method))
     }
 
-    fn told(&self, beginning: &Beginning) -> String {
+    fn told(&self, beginning: &Beginning, method: Method) -> String {
         let names: Vec<String> = beginning.files.keys().map(|file| file.display().to_string()).collect();
         let mut text = format!("Written: {} ({})\n", self.folder.display(), names.join(", "));
+        let [row, rows, known] = method.rows();
+        let places = match method {
+            Method::Poses | Method::Lengths => String::new(),
+            _ => format!(
+                " at {}",
+                counted(beginning.indexations, "position of the rotary axes", "positions of the rotary axes")
+            ),
+        };
+        let verb = if beginning.rows == 1 { "tells" } else { "tell" };
         let _ = writeln!(
             text,
-            "\n{} touches at {} tell {}. Expected standard uncertainties, 2 µm a touch:\n",
-            beginning.touches,
-            counted(beginning.indexations, "position of the rotary axes", "positions of the rotary axes"),
+            "\n{}{places} {verb} {}. Expected standard uncertainties, {known}:\n",
+            counted(beginning.rows, row, rows),
             counted(beginning.errors, "error of the machine", "errors of the machine")
         );
-        let rows = beginning.expected.iter().map(|(name, unit, value)| vec![name.clone(), short(*value), unit.clone()]);
-        text.push_str(&table::text(&rows.collect::<Vec<_>>(), &[1]));
+        let lines =
+            beginning.expected.iter().map(|(name, unit, value)| vec![name.clone(), short(*value), unit.clone()]);
+        text.push_str(&table::text(&lines.collect::<Vec<_>>(), &[1]));
         if !beginning.left_out.is_empty() {
-            let _ = writeln!(text, "\nNot told by these touches, and left out: {}", beginning.left_out.join(", "));
+            let _ = writeln!(text, "\nNot told by these {rows}, and left out: {}", beginning.left_out.join(", "));
         }
         beginning.remarks.iter().for_each(|remark| text.push_str(&format!("\n{remark}\n")));
-        let folder = self.folder.display();
-        let _ = write!(
-            text,
-            "\nNext\n  1. Put the ranges and places of your axes, tool length and stylus into {folder}/machine.yaml, and the\n     \
-             places of what is touched into {folder}/{}.\n  2. `abbe plan {folder}/recipe.yaml --out {folder}/plan` chooses the touches; \
-             plan/candidates.csv\n     takes the place of touches.csv.\n  3. Measure them, write the positions of the axes into \
-             touches.csv, and `abbe run {folder}/recipe.yaml`.\n",
-            beginning.nominal
-        );
+        text.push_str(&self.next(beginning, method));
         text
     }
+
+    /// What comes next.
+    fn next(&self, beginning: &Beginning, method: Method) -> String {
+        let (folder, data, [_, rows, _]) = (self.folder.display(), method.data_file(), method.rows());
+        let places = match beginning.nominal {
+            Some(nominal) => format!(", and the\n     places of the artefact into {folder}/{nominal}"),
+            None => String::new(),
+        };
+        let chosen = if method.generates() { "candidates.csv" } else { data };
+        format!(
+            "\nNext\n  1. Put the ranges and places of your axes, tool length and stylus into {folder}/machine.yaml{places}.\n  \
+             2. `abbe plan {folder}/recipe.yaml --out {folder}/plan` chooses the {rows}; plan/{chosen}\n     \
+             takes the place of {data}.\n  3. Measure them, write what was measured into {data}, and \
+             `abbe run {folder}/recipe.yaml`.\n"
+        )
+    }
+}
+
+/// The methods, for people.
+fn methods() -> String {
+    let names: Vec<String> = Method::value_variants()
+        .iter()
+        .filter_map(|method| method.to_possible_value().map(|value| value.get_name().to_owned()))
+        .collect();
+    names.join(", ")
 }
 
 fn counted(number: usize, one: &str, many: &str) -> String {

@@ -1,9 +1,10 @@
 //! A plan of measurements, as text and as JSON.
 
+use std::fmt::Write as _;
 use std::path::Path;
 
 use abbe_core::WeakDirection;
-use abbe_engine::{Measurements, Order, Revisit};
+use abbe_engine::{Measurements, Order, Reached, Revisit};
 
 use crate::table;
 use abbe_report::number::short;
@@ -23,6 +24,9 @@ pub fn text(name: &str, measurements: &Measurements, out: Option<&Path>) -> Stri
     });
     for line in labels.collect::<Vec<_>>().chunks(IN_A_LINE) {
         text.push_str(&format!("  {}\n", line.join(", ")));
+    }
+    if let Some(reached) = &plan.reached {
+        let _ = writeln!(text, "\n{}", wanted(reached));
     }
     let mut rows = vec![["", "plan", "spread evenly"].map(str::to_owned).to_vec()];
     let evenly = |value: fn(&abbe_engine::PlanFigures) -> f64| {
@@ -56,6 +60,23 @@ pub fn text(name: &str, measurements: &Measurements, out: Option<&Path>) -> Stri
     if let Some(out) = out {
         let files = measurements.files.keys().map(|file| file.display().to_string()).collect::<Vec<_>>().join(", ");
         text.push_str(&format!("\nWritten: {} ({files})\n", out.display()));
+    }
+    text
+}
+
+/// What was wanted, what is reached, and how good a row has to be.
+fn wanted(reached: &Reached) -> String {
+    let (unit, factor) = if reached.is_angle { ("µrad", 1e6) } else { ("µm", 1e3) };
+    let people = |value: f64| format!("{} {unit}", short(value * factor));
+    let mut text = format!(
+        "Worst is {}: expanded uncertainty {} (factor {}); wanted {}.",
+        reached.worst,
+        people(reached.expanded),
+        short(reached.coverage_factor),
+        people(reached.wanted)
+    );
+    if let Some(largest) = reached.largest_of_row {
+        text.push_str(&format!(" A row may have a standard uncertainty of up to {} µm.", short(largest * 1e3)));
     }
     text
 }

@@ -225,9 +225,21 @@ impl Artefact for BallBar {
         Ok(Arc::new(observed))
     }
 
+    /// The tool ball around each pivot ball, at the length of the bar, in the 25 directions of ISO 10360-5. With several bars the data
+    /// rows are the programme.
     fn targets(&self, _: f64) -> Result<Vec<Target>> {
-        // The tool ball stands on the line of an axis, not at a feature: the data rows are the programme.
-        Ok(Vec::new())
+        let Some(length) = self.settings.bars_mm.values().next().filter(|_| self.settings.bars_mm.len() == 1) else {
+            return Ok(Vec::new());
+        };
+        let directions = abbe_standards::probing::hemisphere_of_25().map(Vector3::from);
+        let around = |ball: &Ball| {
+            directions.map(|outwards| Target {
+                feature: ball.label.clone(),
+                tip: (ball.centre + outwards * *length).into(),
+                approach: Some((-outwards).into()),
+            })
+        };
+        Ok(self.read_nominal()?.iter().flat_map(around).collect())
     }
 }
 

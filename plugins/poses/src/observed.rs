@@ -100,10 +100,10 @@ impl Observed {
             let [x, y, z] = frame.translation.vector.into();
             [x, y, z, 0.0, 0.0, 0.0]
         });
-        // Not simulated: the six residuals would take up the noise, but a row records three coordinates and a quaternion.
-        let contact = Contact::NotSimulated(
-            "what is recorded is a quaternion, not one column for each of the six equations".to_owned(),
-        );
+        let contact = Contact::Pose {
+            position: crate::POSITION.map(str::to_owned),
+            orientation: crate::ORIENTATION.map(str::to_owned),
+        };
         // No features: the target has no nominal place that it could be compared with.
         let info = ObservationsInfo {
             start: values.into_iter().flatten().take(unknowns.len()).collect(),

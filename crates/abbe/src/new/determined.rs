@@ -3,23 +3,25 @@
 use std::collections::{BTreeMap, BTreeSet};
 use std::fs;
 use std::path::{Path, PathBuf};
+use std::sync::Arc;
 
-use abbe_core::{AxisKind, Class, Error, Identifiability, ParameterRole, Registry, Result, Unit};
+use abbe_core::{AxisKind, Class, Error, Identifiability, KinematicModel, ParameterRole, Registry, Result, Unit};
 use abbe_engine::{Planned, Prepared, prepare};
 use abbe_kinematics::{NamedAxis, StructuralLoop};
 
-use super::texts::{Choice, Errors, Recipe, machine};
-use super::{Controller, Method};
+use super::methods::{Choice, turns_about_two};
+use super::texts::{Errors, Recipe, machine};
+use super::{Controller, Method, poses};
 
 /// What is written, and what it tells.
 #[derive(Debug)]
 pub struct Beginning {
     /// Texts by the names of their files.
     pub files: BTreeMap<PathBuf, String>,
-    /// File of the nominal places.
-    pub nominal: &'static str,
+    /// File of the nominal places, if there are some.
+    pub nominal: Option<&'static str>,
     /// Rows of the data file.
-    pub touches: usize,
+    pub rows: usize,
     /// Different positions of the rotary axes.
     pub indexations: usize,
     /// Errors of the machine that they tell.
@@ -31,9 +33,6 @@ pub struct Beginning {
     /// Sentences for the user.
     pub remarks: Vec<String>,
 }
-
-/// Indexations that a first calibration measures.
-const INDEXATIONS: usize = 12;
 
 /// Condition beyond which an unknown is left out although it is determined: micrometres of noise make a metre of it.
 const WEAK: f64 = 1e5;
@@ -70,11 +69,10 @@ impl Trial<'_> {
 
 const RECIPE: &str = "recipe.yaml";
 const MACHINE: &str = "machine.yaml";
-const TOUCHES: &str = "touches.csv";
 
 /// The files of a first calibration.
 ///
-/// Fails with the reason if the touches of this method tell nothing of this machine.
+/// Fails with the reason if this method tells nothing of this machine.
 pub fn begin(
     chain: &StructuralLoop,
     method: Method,
@@ -82,15 +80,16 @@ pub fn begin(
     registry: &Registry,
 ) -> Result<Beginning> {
     let linear = linear_axes(chain).count();
-    if linear < 3 {
-        let message =
-            format!("a machine with {} linear axes cannot bring its stylus to all places of an artefact", linear);
-        return Err(Error::usage(message).help("calibrate such machines by poses of a target: see docs/robots.md"));
+    if linear < 3 && method.needs_three_linear_axes() {
+        let message = format!("a machine with {linear} linear axes cannot bring its tool to all places of an artefact");
+        return Err(Error::usage(message).help("`--method poses` takes poses of a target: see docs/robots.md"));
     }
     let folder = tempfile::tempdir().map_err(|error| Error::data(format!("there is no temporary folder: {error}")))?;
     let mut trial = Trial { folder, registry, files: BTreeMap::new() };
-    trial.write(method.nominal_file(), method.nominal())?;
-    let (errors, set_up) = trial.errors(chain, method)?;
+    if let Some(nominal) = method.nominal_file() {
+        trial.write(nominal, method.nominal())?;
+    }
+    let (errors, set_up, model) = trial.errors(chain, method)?;
     trial.write(MACHINE, machine(chain, &errors))?;
 
     let mut parameters = errors.locations.clone();
@@ -108,10 +107,13 @@ pub fn begin(
         judged: false,
     };
     let all = parameters.clone();
-    let candidates = trial.prepared(&Recipe { parameters: &all, ..recipe.clone() })?.candidates()?;
+    let candidates = match method.generates() {
+        true => trial.prepared(&Recipe { parameters: &all, ..recipe.clone() })?.candidates()?,
+        false => poses::seen(model.as_ref())?,
+    };
     let (rows, groups) = counts(&candidates);
-    recipe.choice = if groups > 1 { Choice::Groups(groups.min(INDEXATIONS)) } else { Choice::Rows(rows) };
-    trial.write(TOUCHES, candidates)?;
+    recipe.choice = method.choice(rows, groups);
+    trial.write(method.data_file(), candidates)?;
     trial.leave_out_lost(&recipe, &mut parameters)?;
     let is_of_machine = |name: &&String| errors.locations.contains(*name) || name.ends_with("[1]");
     let told = parameters.iter().filter(is_of_machine).count();
@@ -122,22 +124,23 @@ pub fn begin(
     let left_out: Vec<String> = all.iter().filter(|name| !parameters.contains(name)).cloned().collect();
     recipe.left_out = &left_out;
     recipe.judged = true;
-    if groups > INDEXATIONS {
+    if method.chooses(recipe.choice, rows, groups) {
         let chosen = trial.prepared(&Recipe { parameters: &parameters, judged: false, ..recipe.clone() })?.plan()?;
         let text =
             chosen.files.get(Path::new("candidates.csv")).map(|bytes| String::from_utf8_lossy(bytes).into_owned());
-        trial.write(TOUCHES, text.unwrap_or_default())?;
-        recipe.folds = Some(FOLDS);
+        trial.write(method.data_file(), text.unwrap_or_default())?;
     }
+    let by_rows = matches!(method, Method::Poses | Method::Lengths);
+    recipe.folds = (by_rows || groups > FOLDS).then_some(FOLDS);
     let recipe = Recipe { parameters: &parameters, ..recipe };
     let (recipe, planned, remarks) = trial.with_export(recipe, controller)?;
     if !planned.accepted || !planned.identifiability.null_space.is_empty() {
         return Err(nothing(method, chain));
     }
     trial.write(RECIPE, Recipe { remarks: &remarks, ..recipe }.text())?;
-    let (touches, indexations) = counts(&trial.files[Path::new(TOUCHES)]);
+    let (rows, indexations) = counts(&trial.files[Path::new(method.data_file())]);
     Ok(Beginning {
-        touches,
+        rows,
         indexations,
         errors: told,
         nominal: method.nominal_file(),
@@ -160,13 +163,11 @@ fn positioning(axis: &NamedAxis) -> String {
 
 /// The error of a method that tells nothing.
 fn nothing(method: Method, chain: &StructuralLoop) -> Error {
-    let reason = match method {
-        Method::Table => {
-            "faces of unknown places and directions tell errors only where rotary axes turn them: touch balls of known diameter"
-        }
-        Method::Ball | Method::Balls => "no error of this machine changes where the balls are touched",
-    };
-    Error::usage(format!("touching the {} cannot calibrate a machine with the axes {chain}: {reason}", method.stage()))
+    Error::usage(format!(
+        "{} cannot calibrate a machine with the axes {chain}: {}",
+        method.measured(),
+        method.useless()
+    ))
 }
 
 /// Rows of a data file, and different labels in its first column, the indexations.
@@ -189,14 +190,17 @@ fn expected(found: &Identifiability, parameters: &[String]) -> Vec<(String, Stri
 
 impl Trial<'_> {
     /// The errors that the machine may have, and the names of its set-up.
-    fn errors(&mut self, chain: &StructuralLoop, method: Method) -> Result<(Errors, Vec<String>)> {
+    fn errors(
+        &mut self,
+        chain: &StructuralLoop,
+        method: Method,
+    ) -> Result<(Errors, Vec<String>, Arc<dyn KinematicModel>)> {
         let mut errors = Errors::default();
         self.write(MACHINE, machine(chain, &errors))?;
         let text = "abbe: 1\nname: A machine\nstages:\n  machine: { model: serial-chain, file: machine.yaml }\n";
         let path = self.folder.path().join("alone.yaml");
         let described = abbe_engine::prepare_text(&path, text, self.registry)?.described()?;
-        let machine =
-            described.first().ok_or_else(|| Error::data(format!("no machine for touching the {}", method.stage())))?;
+        let machine = described.first().ok_or_else(|| Error::data(format!("no machine for {}", method.measured())))?;
         if let Some(locations) = &machine.locations {
             let independent: Vec<&str> = locations.independent().map(|error| error.name.as_str()).collect();
             errors.locations = independent.iter().map(|name| (*name).to_owned()).collect();
@@ -206,10 +210,16 @@ impl Trial<'_> {
         }
         errors.scales = linear_axes(chain).map(positioning).collect();
         let info = machine.model.info();
-        // Where the workpiece stands is among the unknowns of what is touched, and a tip does not tell how the tool is turned.
-        let of_tip = |name: &str| ["dxt", "dyt", "dzt"].contains(&name);
+        // Where the workpiece stands is among the unknowns of what is measured, and so is the tool where it is an observer that has to
+        // be found. A tip does not tell how the tool is turned; a pose does.
+        let told: &[&str] = match method {
+            Method::Poses if turns_about_two(chain) => &[],
+            Method::Poses => &["dxt", "dyt", "dzt", "dat", "dbt", "dct"],
+            _ => &["dxt", "dyt", "dzt"],
+        };
         let set_up = info.parameters.iter().filter(|parameter| matches!(parameter.role, ParameterRole::SetUp));
-        Ok((errors, set_up.map(|parameter| parameter.name.clone()).filter(|name| of_tip(name)).collect()))
+        let set_up = set_up.map(|parameter| parameter.name.clone()).filter(|name| told.contains(&name.as_str()));
+        Ok((errors, set_up.collect(), machine.model.clone()))
     }
 
     /// Leaves out one unknown after the other until the rest is determined: first scales, then the set-up, then location errors, the

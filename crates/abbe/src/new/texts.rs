@@ -6,6 +6,7 @@ use abbe_core::AxisKind;
 use abbe_kinematics::StructuralLoop;
 
 use super::Method;
+use super::methods::{Choice, turns_round};
 
 /// Half the travel of a linear axis until its user knows better, mm.
 const TRAVEL: f64 = 500.0;
@@ -78,83 +79,6 @@ fn wrapped(text: &str, width: usize) -> Vec<String> {
     lines
 }
 
-/// Whether a rotary axis turns about the axis of the spindle or of the table: all round.
-fn turns_round(direction: [f64; 3]) -> bool {
-    direction[2] != 0.0
-}
-
-impl Method {
-    /// Name of the artefact stage.
-    pub fn stage(self) -> &'static str {
-        match self {
-            Self::Table => "table",
-            Self::Ball => "ball",
-            Self::Balls => "balls",
-        }
-    }
-
-    /// The artefact plugin.
-    fn plugin(self) -> &'static str {
-        if self == Self::Table { "facets" } else { "balls" }
-    }
-
-    /// The file of nominal values.
-    pub fn nominal_file(self) -> &'static str {
-        if self == Self::Table { "facets.csv" } else { "balls.csv" }
-    }
-
-    /// Nominal places, table frame.
-    pub fn nominal(self) -> String {
-        match self {
-            Self::Table => faces(),
-            Self::Ball => "feature,x_mm,y_mm,z_mm,diameter_mm\n1,90,30,120,25\n".to_owned(),
-            Self::Balls => "feature,x_mm,y_mm,z_mm,diameter_mm\n1,110,20,60,25\n2,-70,100,140,25\n3,-60,-90,60,25\n4,40,-60,180,25\n".to_owned(),
-        }
-    }
-
-    /// What is touched, for people.
-    fn touched(self) -> &'static str {
-        match self {
-            Self::Table => "the faces of the machine's own table, or of a block on it",
-            Self::Ball => "a ball on the table",
-            Self::Balls => "balls on the table",
-        }
-    }
-}
-
-/// Three places on the top of a block and two on each of its sides.
-fn faces() -> String {
-    let mut text = "feature,x_mm,y_mm,z_mm,nx,ny,nz\n".to_owned();
-    let mut add = |place: [f64; 3], normal: [f64; 3], number: usize| {
-        let cells: Vec<String> = place.iter().chain(&normal).map(f64::to_string).collect();
-        let _ = writeln!(text, "{number},{}", cells.join(","));
-    };
-    let mut number = 0;
-    let mut next = || {
-        number += 1;
-        number
-    };
-    for [x, y] in [[100.0, 80.0], [-110.0, 70.0], [20.0, -100.0]] {
-        add([x, y, 0.0], [0.0, 0.0, 1.0], next());
-    }
-    for side in [1.0, -1.0] {
-        for [along, below] in [[-70.0, -20.0], [80.0, -45.0]] {
-            add([side * 150.0, along, below], [side, 0.0, 0.0], next());
-            add([along, side * 150.0, below], [0.0, side, 0.0], next());
-        }
-    }
-    text
-}
-
-/// What `abbe plan` chooses.
-#[derive(Debug, Clone, Copy)]
-pub enum Choice {
-    /// So many positions of the rotary axes, with all touches there.
-    Groups(usize),
-    /// So many touches.
-    Rows(usize),
-}
-
 /// What the recipe says.
 #[derive(Debug, Clone)]
 pub struct Recipe<'a> {
@@ -179,42 +103,46 @@ impl Recipe<'_> {
     /// The text of the recipe.
     pub fn text(&self) -> String {
         let Self { chain, method, .. } = self;
-        let stage = method.stage();
-        let turns = chain.axes.iter().any(|axis| axis.kind() == AxisKind::Rotary && !axis.indexed);
-        // Without rotary axes nothing but the form of a ball tells squareness.
-        let pattern = if turns || *method == Method::Table { "" } else { ", pattern: twenty-five" };
+        let (stage, ingest) = (method.stage(), method.ingest());
+        let (artefact, comment) = method.artefact(chain);
+        let [_, rows, _] = method.rows();
         let mut text = format!(
-            "# Calibration of a machine with the axes {chain}\n# by touching {}.\n\
-             # `abbe check` says what these touches tell, `abbe run` what the machine is.\n\
+            "# Calibration of a machine with the axes {chain}\n# by {}.\n\
+             # `abbe check` says what these {rows} tell, `abbe run` what the machine is.\n\
              abbe: 1\nname: Calibration of my machine\n\nstages:\n  \
-             touches: {{ ingest: csv, path: touches.csv }}             # positions of the axes when the stylus touched\n  \
-             {stage}: {{ artefact: {}, from: touches, nominal: {}, standard_uncertainty_um: 2{pattern} }}   # of one touch\n\n  \
+             {ingest}: {{ ingest: csv, path: {} }}             # {}\n  \
+             {stage}: {{ artefact: {artefact}, from: {ingest} }}   # {comment}\n\n  \
              machine: {{ model: serial-chain, file: machine.yaml }}\n\n",
-            method.touched(),
-            method.plugin(),
-            method.nominal_file()
+            method.measured(),
+            method.data_file(),
+            method.data()
         );
         if !self.left_out.is_empty() {
-            let line = format!("Not told by these touches: {}", self.left_out.join(", "));
+            let line = format!("Not told by these {rows}: {}", self.left_out.join(", "));
             wrapped(&line, 110).iter().for_each(|line| text.push_str(&format!("  # {line}\n")));
         }
         // Brackets have a meaning of their own in YAML.
         let quoted = |name: &String| if name.contains('[') { format!("\"{name}\"") } else { name.clone() };
-        let parameters: Vec<String> = self.parameters.iter().map(quoted).collect();
+        // Known lengths have no unknowns of their own.
+        let own = (*method != Method::Lengths).then(|| format!("\"{stage}.*\""));
+        let parameters: Vec<String> = self.parameters.iter().map(quoted).chain(own).collect();
         let _ = write!(
             text,
-            "  fit:\n    estimate: gauss-newton\n    machine: machine\n    observations: [{stage}]\n    parameters: [{}, \"{stage}.*\"]\n    \
+            "  fit:\n    estimate: gauss-newton\n    machine: machine\n    observations: [{stage}]\n    parameters: [{}]\n    \
              robust: tukey                       # gross errors lose their influence and are listed\n",
             parameters.join(", ")
         );
         if self.judged {
-            text.push_str(
-                "\n  residuals: { validate: residuals, of: fit, limits: { rms_um: 10 } }   # what is not explained\n",
+            let _ = writeln!(
+                text,
+                "\n  residuals: {{ validate: residuals, of: fit, limits: {{ rms_um: {} }} }}   # what is not explained",
+                method.largest_rms()
             );
             if let Some(folds) = self.folds {
                 let _ = writeln!(
                     text,
-                    "  unseen: {{ validate: hold-out, of: fit, rows: {stage}, column: group, folds: {folds} }}   # positions that were left out"
+                    "  unseen: {{ validate: hold-out, of: fit, rows: {stage}, column: {}, folds: {folds} }}   # predicted from the others",
+                    method.held_out_by()
                 );
             }
             text.push_str("  errors: { export: uncertainty, of: fit }\n");
@@ -231,29 +159,27 @@ impl Recipe<'_> {
 
     /// The key `plan`.
     fn plan(&self) -> String {
-        let rotary = self.chain.axes.iter().filter(|axis| axis.kind() == AxisKind::Rotary && !axis.indexed);
-        let indexations: Vec<String> = rotary
-            .map(|axis| match turns_round(axis.direction()) {
-                true => format!("{}: {{ from: 0, to: 300, step: 60 }}", axis.name),
-                false => format!("{}: {{ from: -60, to: 60, step: 30 }}", axis.name),
-            })
-            .collect();
+        let Self { chain, method, .. } = self;
+        let [_, rows, _] = method.rows();
         let choice = match self.choice {
             Choice::Groups(number) => {
                 format!(
-                    "  by: group                             # touches at one position of the rotary axes\n  number: {number}\n"
+                    "  by: group                             # {rows} at one position of the rotary axes\n  number: {number}\n"
                 )
             }
             Choice::Rows(number) => format!("  number: {number}\n"),
         };
-        let indexed = match indexations.is_empty() {
-            true => "{ reach_deg: 90 }".to_owned(),
-            false => format!("{{ reach_deg: 90, indexations_deg: {{ {} }} }}", indexations.join(", ")),
+        let (what, generate) = match method.generates() {
+            true => (
+                format!("chooses {rows} that the axes reach; they go into"),
+                format!("  generate:{}\n", method.grid(chain)),
+            ),
+            false => (format!("chooses among the {rows} of"), String::new()),
         };
         format!(
-            "\n# `abbe plan recipe.yaml --out plan` chooses touches that the axes reach; they go into touches.csv.\nplan:\n  \
-             estimate: fit\n  candidates: {}\n{choice}  generate: {indexed}\n",
-            self.method.stage()
+            "\n# `abbe plan recipe.yaml --out plan` {what} {}.\nplan:\n  estimate: fit\n  candidates: {}\n{choice}{generate}",
+            method.data_file(),
+            method.stage()
         )
     }
 }
