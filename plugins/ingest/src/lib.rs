@@ -1,4 +1,4 @@
-//! Ingest of files: tables (`csv`) and logs whose lines a pattern describes (`text`).
+//! Ingest of files: tables (`csv`), logs whose lines a pattern describes (`text`), and logs of measuring programs (`log`).
 //!
 //! Many files give one data set, with columns set as constants or joined from a table (`assembly`).
 
@@ -6,6 +6,7 @@ mod assembly;
 mod average;
 mod csv;
 mod files;
+mod log;
 mod text;
 
 #[cfg(test)]

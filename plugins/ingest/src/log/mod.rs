@@ -1,0 +1,15 @@
+//! Logs of measuring programs: one form for all controls, matched to the plan by the numbers of the touches.
+//!
+//! `words` cuts lines, `record` understands them, `controls` says what each control prints besides, `grbl` reads the console of
+//! a host, `plan` knows what was expected, `far` compares, `matched` makes the data set.
+
+mod controls;
+mod far;
+mod grbl;
+mod matched;
+mod plan;
+mod record;
+mod words;
+
+#[cfg(test)]
+mod tests;
