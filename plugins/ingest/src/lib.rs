@@ -1,4 +1,5 @@
-//! Ingest of files: tables (`csv`), logs whose lines a pattern describes (`text`), and logs of measuring programs (`log`).
+//! Ingest of files: tables (`csv`), logs whose lines a pattern describes (`text`), logs of measuring programs (`log`), and files
+//! of other software (`instrument`).
 //!
 //! Many files give one data set, with columns set as constants or joined from a table (`assembly`).
 
@@ -6,6 +7,7 @@ mod assembly;
 mod average;
 mod csv;
 mod files;
+mod instrument;
 mod log;
 mod text;
 

@@ -180,7 +180,7 @@ pub(crate) fn example(path: &str) -> Value {
     json!({ "path": path, "plan": "plan.csv", "repeats": "average", "tool_length_mm": 120, "far_mm": 1 })
 }
 
-fn linuxcnc(settings: Settings, context: &Context) -> Result<Box<dyn Ingest>, SettingsError> {
+pub(super) fn linuxcnc(settings: Settings, context: &Context) -> Result<Box<dyn Ingest>, SettingsError> {
     LINUXCNC.stage(settings, context)
 }
 

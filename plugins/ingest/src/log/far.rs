@@ -107,7 +107,9 @@ fn looks_like(all: &[Away], far: &[&Away], bounds: Bounds) -> String {
     }
     match far.len() * 2 < all.len() {
         true => "these touches alone are far: did the stylus touch something else, or are lines mixed up?".to_owned(),
-        false => "the touches agree with no one shift: is it the log of this plan, with its units and its offset?".to_owned(),
+        false => {
+            "the touches agree with no one shift: is it the log of this plan, with its units and its offset?".to_owned()
+        }
     }
 }
 
@@ -125,8 +127,8 @@ fn common(deviations: &[[f64; 3]]) -> Option<[f64; 3]> {
     let (mut normal, mut right) = ([[0.0; 3]; 3], [0.0; 3]);
     for d in deviations.iter().filter(|d| size(d) > 0.0) {
         for i in 0..3 {
-            // Weights |d|: touches along which the shift is not seen tell no direction.
-            right[i] += d[i] * size(d);
+            // Weights |d|²: touches along which the shift is not seen tell no direction.
+            right[i] += d[i] * size(d) * size(d);
             (0..3).for_each(|j| normal[i][j] += d[i] * d[j]);
         }
     }

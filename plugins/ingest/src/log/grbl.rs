@@ -38,15 +38,14 @@ fn build(settings: Settings, context: &Context) -> Result<Box<dyn Ingest>, Setti
 const ORDER: [char; 9] = ['X', 'Y', 'Z', 'A', 'B', 'C', 'U', 'V', 'W'];
 
 /// What lines of a console look like.
-struct Console {
+pub(super) struct Console {
     comment: Regex,
     answer: Regex,
     word: Regex,
 }
 
 /// Words of the header, and that of the end, which the program sends as comments.
-const KEYS: [&str; 10] =
-    ["ABBE", "PLAN", "CONTROL", "UNITS", "FRAME", "OFFSET", "TOOL", "TOUCHES", "REPEATS", "END"];
+const KEYS: [&str; 10] = ["ABBE", "PLAN", "CONTROL", "UNITS", "FRAME", "OFFSET", "TOOL", "TOUCHES", "REPEATS", "END"];
 
 /// The touch of a line number: N = 100 touch + repeat.
 const PER_TOUCH: u32 = 100;
@@ -73,7 +72,7 @@ struct State {
 }
 
 impl Console {
-    fn new() -> Result<Self, String> {
+    pub(super) fn new() -> Result<Self, String> {
         let pattern = |written: &str| Regex::new(written).map_err(|error| error.to_string());
         Ok(Self {
             comment: pattern(r"\(([^()]*)\)")?,
@@ -92,7 +91,9 @@ impl Console {
             }
             if content.contains("error:") {
                 let error = builder.wrong(line, format!("the control refused a line: `{}`", shown(content.trim())));
-                return Err(error.help("what was not carried out was not measured: correct the program, and measure again"));
+                return Err(
+                    error.help("what was not carried out was not measured: correct the program, and measure again")
+                );
             }
             self.header(&mut builder, &mut state, line, content)?;
             let (sent, answers) = content.split_at(content.find('[').unwrap_or(content.len()));
@@ -102,7 +103,9 @@ impl Console {
         }
         if let Some(open) = state.sent.front().filter(|_| state.has_ended) {
             let message = format!("{} probing moves have no answer; the first was sent here", state.sent.len());
-            return Err(builder.wrong(open.line, message).help("lines of the console are lost; which answer belongs to which touch is not known"));
+            return Err(builder
+                .wrong(open.line, message)
+                .help("lines of the console are lost; which answer belongs to which touch is not known"));
         }
         if state.has_ended {
             builder.end();
@@ -188,7 +191,8 @@ impl Console {
                 _ => None,
             };
             if repeat == 0 {
-                return Err(builder.wrong(sent.line, "the line number ends in 00; N is 100 times the touch, plus the repeat from 1"));
+                return Err(builder
+                    .wrong(sent.line, "the line number ends in 00; N is 100 times the touch, plus the repeat from 1"));
             }
             builder.touch(Touch { number, repeat, line, hit })?;
         }
@@ -201,7 +205,11 @@ impl Console {
         let wrong = |message: String| -> Error { builder.wrong(line, message) };
         let values = values.ok_or_else(|| wrong(format!("`{}` are no positions", shown(written))))?;
         if !(3..=ORDER.len()).contains(&values.len()) {
-            return Err(wrong(format!("the answer has {} positions; 3 to {} were expected", values.len(), ORDER.len())));
+            return Err(wrong(format!(
+                "the answer has {} positions; 3 to {} were expected",
+                values.len(),
+                ORDER.len()
+            )));
         }
         Ok(ORDER.into_iter().zip(values).collect())
     }

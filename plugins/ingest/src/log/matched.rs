@@ -114,7 +114,10 @@ impl Matching<'_> {
         let identity = self.plan.identity();
         match &self.log.plan {
             Some((written, line)) if *written != identity => Err(self
-                .wrong(*line, format!("the log belongs to the plan {written}, and `{}` is {identity}", self.plan_name()))
+                .wrong(
+                    *line,
+                    format!("the log belongs to the plan {written}, and `{}` is {identity}", self.plan_name()),
+                )
                 .help("name the plan under `plan` from which the measuring program was made, unchanged")),
             _ => Ok(()),
         }?;
@@ -139,7 +142,12 @@ impl Matching<'_> {
             let line = self.log.tool.map_or(1, |(_, line)| line);
             let Some(written) = written.map(|it| it * self.scale()) else {
                 return Err(self
-                    .wrong(line, format!("the header does not say the {what} (TOOL {letter}), which `{setting}` is compared with"))
+                    .wrong(
+                        line,
+                        format!(
+                            "the header does not say the {what} (TOOL {letter}), which `{setting}` is compared with"
+                        ),
+                    )
                     .help(format!("leave out `{setting}`, or write TOOL into the header")));
             };
             if (written - wanted).abs() > SAME_TOOL {
@@ -160,8 +168,7 @@ impl Matching<'_> {
     /// Whether every touch has its line; what is to be told if not.
     fn complete(&self) -> Result<Vec<String>> {
         let repeats = self.log.repeats.unwrap_or(ONCE);
-        let there: BTreeSet<(u32, u32)> =
-            self.log.records.iter().map(|touch| (touch.number, touch.repeat)).collect();
+        let there: BTreeSet<(u32, u32)> = self.log.records.iter().map(|touch| (touch.number, touch.repeat)).collect();
         if let Some(unknown) = self.log.records.iter().find(|touch| !self.plan.rows.contains_key(&touch.number)) {
             let message = format!("`{}` has no touch {}", self.plan_name(), unknown.number);
             return Err(self.wrong(unknown.line, message).help("name under `plan` the plan of this log"));
@@ -176,7 +183,8 @@ impl Matching<'_> {
                 there.len()
             ),
             true => {
-                let missing = self.plan.rows.keys().flat_map(|&number| (1..=repeats).map(move |repeat| (number, repeat)));
+                let missing =
+                    self.plan.rows.keys().flat_map(|&number| (1..=repeats).map(move |repeat| (number, repeat)));
                 let (number, repeat) = missing.into_iter().find(|it| !there.contains(it)).unwrap_or_default();
                 format!(
                     "{} of {all} touches stand in the log, and it has an END: lines are lost; the first is touch {number} (repeat {repeat})",
@@ -200,11 +208,13 @@ impl Matching<'_> {
         for touch in &self.log.records {
             let (Some(hit), Some(&plan)) = (&touch.hit, self.plan.rows.get(&touch.number)) else { continue };
             let (head, other) = first.get_or_insert((touch, hit));
-            let differs = [("F", hit.feed, other.feed), ("K", hit.clock, other.clock), ("J", hit.temperature, other.temperature)]
-                .into_iter()
-                .find(|(_, own, first)| own.is_some() != first.is_some());
+            let differs =
+                [("F", hit.feed, other.feed), ("K", hit.clock, other.clock), ("J", hit.temperature, other.temperature)]
+                    .into_iter()
+                    .find(|(_, own, first)| own.is_some() != first.is_some());
             if let Some((letter, ..)) = differs {
-                let message = format!("this touch and that in line {} differ: one has {letter}, one has not", head.line);
+                let message =
+                    format!("this touch and that in line {} differ: one has {letter}, one has not", head.line);
                 return Err(self.wrong(touch.line, message).help("was the line cut?"));
             }
             if let Some(now) = hit.clock.filter(|_| self.wanted.time == Time::Log) {
@@ -216,10 +226,27 @@ impl Matching<'_> {
                 }
                 clock = now;
             }
+            self.stands_still(touch, hit, other)?;
             let hit = self.converted(touch, hit, plan)?;
             rows.push(Row { number: touch.number, repeat: touch.repeat, line: touch.line, plan, hit });
         }
         Ok(rows)
+    }
+
+    /// Fails if an axis moves that the plan does not have; a control may write the positions of all its axes.
+    fn stands_still(&self, touch: &Touch, hit: &Hit, first: &Hit) -> Result<()> {
+        let moves = |axis: &char| match (hit.positions.get(axis), first.positions.get(axis)) {
+            (Some(own), Some(first)) => (own - first).abs() > STANDS,
+            (own, first) => own.is_some() != first.is_some(),
+        };
+        let mut axes = hit.positions.keys().chain(first.positions.keys());
+        match axes.find(|axis| !self.plan.axes.contains(axis) && moves(axis)) {
+            Some(axis) => {
+                let message = format!("the axis {axis} moves, and the plan does not have it");
+                Err(self.wrong(touch.line, message).help("name under `plan` the plan of this log"))
+            }
+            None => Ok(()),
+        }
     }
 
     /// A hit in mm, rad and mm/s, machine coordinates; rotary axes in the turn of the plan.
@@ -240,10 +267,6 @@ impl Matching<'_> {
             let machine = written + offset;
             let expected = self.plan.positions(axis)[plan];
             positions.insert(axis, if is_rotary(axis) { turned(machine, expected) } else { machine * self.scale() });
-        }
-        if let Some(other) = hit.positions.keys().find(|axis| !positions.contains_key(axis)) {
-            let message = format!("the touch has a position of the axis {other}, which the plan has not");
-            return Err(self.wrong(touch.line, message).help("name under `plan` the plan of this log"));
         }
         let feed = hit.feed.map(|feed| feed * self.scale() / 60.0);
         if feed.is_some_and(|feed| feed <= 0.0) {
@@ -335,6 +358,9 @@ impl Matching<'_> {
         })
     }
 }
+
+/// Positions of an axis that stands, in units of the log.
+const STANDS: f64 = 1e-3;
 
 /// Misses that a remark lists.
 const MISSES_LISTED: usize = 10;

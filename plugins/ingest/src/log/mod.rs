@@ -11,5 +11,8 @@ mod plan;
 mod record;
 mod words;
 
+pub(crate) use record::shown;
+pub(crate) use words::{Word, words};
+
 #[cfg(test)]
 mod tests;

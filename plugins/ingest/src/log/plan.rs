@@ -58,7 +58,9 @@ impl Plan {
         }
         if axes.is_empty() {
             let error = Error::usage("the plan has no column with the position of an axis, as `X_mm` or `C_deg`");
-            return Err(error.in_file(path).help("`plan` names the table of the touches that the measuring program was made from"));
+            return Err(error
+                .in_file(path)
+                .help("`plan` names the table of the touches that the measuring program was made from"));
         }
         Ok(Self { path: path.to_owned(), data, rows, axes })
     }

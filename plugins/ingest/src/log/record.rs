@@ -83,9 +83,9 @@ impl<'a> Builder<'a> {
         let first = content.split_whitespace().next().unwrap_or_default();
         if self.version.is_none() && first != "ABBE" {
             let message = format!("`{}` stands where the log begins; `ABBE 1` was expected", shown(content));
-            return Err(self.wrong(line, message).help(
-                "is it the log of a measuring program of Abbe? `ingest: text` reads others by a pattern",
-            ));
+            return Err(self
+                .wrong(line, message)
+                .help("is it the log of a measuring program of Abbe? `ingest: text` reads others by a pattern"));
         }
         if self.log.has_ended {
             let error = self.wrong(line, format!("`{}` stands behind END", shown(content)));
@@ -167,7 +167,9 @@ impl<'a> Builder<'a> {
         }
         if self.count(line, "ABBE", rest)? != 1 {
             let message = format!("the log has version {}; version 1 was expected", rest.trim());
-            return Err(self.wrong(line, message).help("a newer Abbe wrote the measuring program: read it with that one"));
+            return Err(self
+                .wrong(line, message)
+                .help("a newer Abbe wrote the measuring program: read it with that one"));
         }
         self.version = Some(line);
         Ok(())
@@ -236,8 +238,11 @@ impl<'a> Builder<'a> {
         let mut needed = |letter: char, what: &str| {
             own.remove(&letter).ok_or_else(|| self.wrong(line, format!("the line has no {letter}, {what}")))
         };
-        let [number, repeat, hit] =
-            [needed('T', "the number of the touch")?, needed('R', "the repeat")?, needed('H', "1 for a hit, 0 for a miss")?];
+        let [number, repeat, hit] = [
+            needed('T', "the number of the touch")?,
+            needed('R', "the repeat")?,
+            needed('H', "1 for a hit, 0 for a miss")?,
+        ];
         let whole = |word: &Word| {
             whole(word.value).ok_or_else(|| self.at_word(line, word, "is no whole number from 1, which was expected"))
         };
@@ -300,7 +305,9 @@ impl<'a> Builder<'a> {
         ] {
             if !is_there {
                 let error = file(format!("the header of the log has no line {key}"));
-                return Err(error.help("nothing is guessed: a log has PLAN, UNITS, FRAME and TOUCHES before its touches"));
+                return Err(
+                    error.help("nothing is guessed: a log has PLAN, UNITS, FRAME and TOUCHES before its touches")
+                );
             }
         }
         match (log.is_work, &log.offset) {
