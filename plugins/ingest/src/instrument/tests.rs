@@ -74,7 +74,7 @@ fn inspection_results_that_went_wrong_are_refused() {
         ("G801 N1 X10.0004 Y-.5002 Z3.4212", "G801 N1 X100004 Y-.5002 Z3.4212", "is a decimal point missing"),
         ("Z3.4212 R3.", "Z3.4212", "a G801 has the radius R of the tip"),
         ("Z3.4212 R3.", "Z3.42", "a G801 has the radius R of the tip"),
-        ("Z3.4212 R3.", "Z3,4,2 R3.", "file.txt:12:26: a number was expected behind `Z`"),
+        ("Z3.4212 R3.", "Z3,4,2 R3.", "file.txt:12:27: a number was expected behind `Z`"),
         (
             "I0. J0. K1. O0. U.1 L-.1\nG801 N1 X10.0004",
             "I0. J0. K10 O0. U.1 L-.1\nG801 N1 X10.0004",

@@ -347,7 +347,7 @@ fn a_log_that_is_too_far_off_says_what_it_looks_like() {
         let along: f64 = (0..3).map(|k| normal[k] * shift[k]).sum();
         normal.map(|n| n * along)
     };
-    let turned = |touch: usize| if (3..7).contains(&touch) { [0.0, 4.0, 0.0] } else { [4.0, 0.0, 0.0] };
+    let turned = |touch: usize| if (3..7).contains(&touch) { [-3.0, 4.0, 0.0] } else { [4.0, 3.0, 0.0] };
     for (text, expected) in [
         (away(|_| [0.0; 3]), None),
         (away(|touch| seen(touch, [0.0, 0.0, -5.0])), Some("is the length of the tool wrong")),
