@@ -59,7 +59,10 @@ fn a_log_gives_what_its_touches_give() {
     let log = |identity: &str, shift: f64| {
         let mut text = format!(
             "ABBE 1\nPLAN {identity}\nCONTROL LINUXCNC\nUNITS MM\nFRAME WORK\nOFFSET X{} Y{} Z{} B0 C0\nTOUCHES {}\n",
-            offset[0], offset[1], offset[2] + shift, rows.len()
+            offset[0],
+            offset[1],
+            offset[2] + shift,
+            rows.len()
         );
         // Another order, and a miss before each third touch.
         for row in rows.iter().rev() {
@@ -80,7 +83,8 @@ fn a_log_gives_what_its_touches_give() {
     // Another plan is refused, and the message says which one this is.
     write(&file("measure.log"), &log("0123456789ABCDEF", 0.0));
     let told = run().stderr;
-    let identity = told.split("plan.csv` is ").nth(1).and_then(|rest| rest.get(..16)).unwrap_or_else(|| panic!("{told}"));
+    let identity =
+        told.split("plan.csv` is ").nth(1).and_then(|rest| rest.get(..16)).unwrap_or_else(|| panic!("{told}"));
     write(&file("measure.log"), &log(identity, 0.0));
     same(&expected, &found(&recipe.run(), "fit-S3"));
     // A tool that is longer by 10 mm than the control believed.
@@ -133,7 +137,7 @@ fn results_of_an_inspection_give_what_their_touches_give() {
 }
 
 #[test]
-fn dmis_output_of_a_plate_gives_what_its_table_gives() {
+fn dmis_output_and_qif_results_of_a_plate_give_what_its_table_gives() {
     let mut recipe = Variant::of(&recipes()["mill-hole-plate-exact"]).only(&["before"]);
     let expected = found(&recipe.run(), "before");
     let folder = temporary();
@@ -162,6 +166,37 @@ fn dmis_output_of_a_plate_gives_what_its_table_gives() {
     assert_eq!(expected.len(), expected_of_first.len());
     recipe.0["stages"]["plate-files"] =
         json!({ "ingest": "dmis-output", "path": paths, "constants": csv["constants"], "join": csv["join"] });
-    let recipe = recipe.set("plate", "points", json!(folder.path().join("plate.csv"))).set("plate", "point", json!("point"));
+    let mut recipe =
+        recipe.set("plate", "points", json!(folder.path().join("plate.csv"))).set("plate", "point", json!("point"));
     same(&expected_of_first, &found(&recipe.run(), "before"));
+    // The same as QIF results.
+    for path in &mut paths {
+        let output = read(path);
+        *path = path.with_extension("qif");
+        write(path, &qif(&output));
+    }
+    recipe.0["stages"]["plate-files"] =
+        json!({ "ingest": "qif-results", "path": paths, "constants": csv["constants"], "join": csv["join"] });
+    same(&expected_of_first, &found(&recipe.run(), "before"));
+}
+
+/// QIF results with the circles of a DMIS output.
+fn qif(output: &str) -> String {
+    let (mut items, mut measured) = (String::new(), String::new());
+    let circles = output.lines().filter_map(|line| line.strip_prefix("FA(")?.split_once(")=FEAT/CIRCLE,INNER,CART,"));
+    for (index, (name, rest)) in circles.enumerate() {
+        let place = rest.trim_end_matches(",$").replace(',', " ");
+        let _ = write!(items, "<CircleFeatureItem id='{index}'><FeatureName>{name}</FeatureName></CircleFeatureItem>");
+        let _ = write!(
+            measured,
+            "<CircleFeatureMeasurement><FeatureItemId>{index}</FeatureItemId>\n<Location>{place}</Location></CircleFeatureMeasurement>"
+        );
+    }
+    format!(
+        "<QIFDocument versionQIF='3.0.0'><FileUnits><PrimaryUnits><LinearUnit><SIUnitName>meter</SIUnitName>\
+         <UnitName>inch</UnitName><UnitConversion><Factor>0.0254</Factor></UnitConversion></LinearUnit></PrimaryUnits>\
+         </FileUnits><Features><FeatureItems>{items}</FeatureItems></Features><Results><MeasurementResultsSet>\
+         <MeasurementResults><MeasuredFeatures>{measured}</MeasuredFeatures></MeasurementResults>\
+         </MeasurementResultsSet></Results></QIFDocument>"
+    )
 }

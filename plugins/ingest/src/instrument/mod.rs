@@ -3,6 +3,7 @@
 mod dmis;
 mod inspection;
 mod probe;
+mod qif;
 mod table;
 
 #[cfg(test)]

@@ -9,7 +9,7 @@ use abbe_core::{
 use schemars::JsonSchema;
 use serde::Deserialize;
 
-use crate::assembly::{Assembly, Filters, Join, Paths};
+use crate::assembly::{Assembly, Filters, Join, Paths, emptied};
 
 /// The file of an instrument or of other software.
 #[derive(Debug, Deserialize, JsonSchema)]
@@ -82,7 +82,7 @@ impl Ingest for Instrument {
 
     fn headers(&self) -> Result<Vec<ColumnHeader>> {
         // Which columns there are is known only with the rows.
-        let load = |path: &Path| Ok((self.read)(path, &abbe_table::read_text(path)?, self.units)?.0);
+        let load = |path: &Path| Ok(emptied((self.read)(path, &abbe_table::read_text(path)?, self.units)?.0));
         Ok(self.assembly.without_rows(&load)?.headers())
     }
 

@@ -7,7 +7,7 @@ use abbe_core::Dataset;
 use proptest::prelude::*;
 
 use super::table::{Read, Units};
-use super::{dmis, inspection, probe};
+use super::{dmis, inspection, probe, qif};
 
 fn read(read: Read, text: &str, units: Option<Units>) -> Result<(Dataset, Vec<String>), String> {
     read(Path::new("file.txt"), text, units).map_err(|error| error.to_string())
@@ -154,6 +154,86 @@ fn dmis_output_is_read_with_its_nominal_features() {
     );
 }
 
+/// As results are written by the community's samples: units, nominal features, items, measured features of one run.
+const QIF: &str = r#"<?xml version="1.0" encoding="UTF-8"?>
+<QIFDocument xmlns="http://qifstandards.org/xsd/qif3" versionQIF="3.0.0" idMax="90">
+  <FileUnits><PrimaryUnits>
+    <LinearUnit><SIUnitName>meter</SIUnitName><UnitName>mm</UnitName><UnitConversion><Factor>0.001</Factor></UnitConversion></LinearUnit>
+  </PrimaryUnits></FileUnits>
+  <Features>
+    <FeatureNominals n="2">
+      <CircleFeatureNominal id="9"><FeatureDefinitionId>8</FeatureDefinitionId><Location>50 50 0</Location><Normal>0 0 1</Normal></CircleFeatureNominal>
+      <PointFeatureNominal id="20"><Location>100 50 10</Location></PointFeatureNominal>
+    </FeatureNominals>
+    <FeatureItems n="2">
+      <CircleFeatureItem id="10"><FeatureNominalId>9</FeatureNominalId><FeatureName>H1</FeatureName></CircleFeatureItem>
+      <PointFeatureItem id="21"><FeatureNominalId>20</FeatureNominalId></PointFeatureItem>
+    </FeatureItems>
+  </Features>
+  <Results><MeasurementResultsSet n="1"><MeasurementResults id="30">
+    <MeasuredFeatures n="3">
+      <CircleFeatureMeasurement id="11"><FeatureItemId>10</FeatureItemId>
+        <Location>50.0012 49.9987 0.0004</Location><Normal>0 0 1</Normal><Diameter>20.0031</Diameter></CircleFeatureMeasurement>
+      <PointFeatureMeasurement id="22"><FeatureItemId>21</FeatureItemId><Location>100.002 50.001 9.999</Location></PointFeatureMeasurement>
+      <PlaneFeatureMeasurement id="23"><FeatureItemId>21</FeatureItemId></PlaneFeatureMeasurement>
+    </MeasuredFeatures>
+  </MeasurementResults></MeasurementResultsSet></Results>
+</QIFDocument>
+"#;
+
+#[test]
+fn qif_results_are_read_with_their_nominal_features() {
+    let (data, remarks) = read(qif::read, QIF, None).expect("data");
+    let axes = ["X", "Y", "Z", "diameter", "x", "y", "z"];
+    let near = |row, expected: [f64; 7]| {
+        let own = numbers(&data, &axes, row);
+        assert!(own.iter().zip(expected).all(|(own, expected)| (own - expected).abs() < 1e-12), "{own:?}");
+    };
+    near(0, [50.0012, 49.9987, 0.0004, 20.0031, 50.0, 50.0, 0.0]);
+    near(1, [100.002, 50.001, 9.999, 0.0, 100.0, 50.0, 10.0]);
+    assert_eq!((label(&data, "feature", 0), label(&data, "point", 1), label(&data, "kind", 1)), ("H1", "21", "point"));
+    assert_eq!((label(&data, "run", 0), data.origins[1].line, remarks.len()), ("30", 20, 1));
+    let inches = QIF.replace("<Factor>0.001<", "<Factor>0.0254<");
+    let (inches, _) = read(qif::read, &inches, None).expect("data");
+    assert!((numbers(&inches, &["X"], 0)[0] - 50.0012 * 25.4).abs() < 1e-9);
+    for (from, to, expected) in [
+        ("</QIFDocument>", "", "the file is no XML"),
+        ("versionQIF=\"3.0.0\"", "versionQIF=\"2.1\"", "a QIFDocument of version 3 was expected"),
+        ("<FileUnits>", "<OtherUnits>", "the file is no XML"),
+        ("LinearUnit><SI", "AngularUnit><SI", "the file is no XML"),
+        ("<SIUnitName>meter", "<SIUnitName>parsec", "file.txt:4:5: the LinearUnit is no multiple of the metre"),
+        ("<Factor>0.001<", "<Factor>0,001<", "no multiple of the metre"),
+        (
+            "50.0012 49.9987 0.0004",
+            "50.0012 49.9987",
+            "file.txt:19:9: the Location is `50.0012 49.9987`; three numbers were expected",
+        ),
+        ("<Location>50.0012", "<Location linearUnit=\"inch\">50.0012", "has a unit of its own"),
+        (
+            "<FeatureItemId>21</FeatureItemId><Location>",
+            "<FeatureItemId>10</FeatureItemId><Location>",
+            "file.txt:20:7: the feature `H1` is measured in line 18 already",
+        ),
+        (
+            "<FeatureItemId>21</FeatureItemId><Location>",
+            "<FeatureItemId>77</FeatureItemId><Location>",
+            "there is no feature with the id 77",
+        ),
+        ("<Diameter>20.0031", "<Diameter>20,0031", "the Diameter is `20,0031`"),
+    ] {
+        let text = QIF.replacen(from, to, 1);
+        assert_ne!(text, QIF, "{from}");
+        let told = read(qif::read, &text, None).expect_err(from);
+        assert!(told.contains(expected), "{from} -> {to}: {told}");
+    }
+    let start = QIF.find("  <FileUnits>").expect("units");
+    let end = QIF.find("  <Features>").expect("features");
+    let without = format!("{}{}", &QIF[..start], &QIF[end..]);
+    assert!(read(qif::read, &without, None).expect_err("no unit").contains("does not say the unit"));
+    assert!(read(qif::read, &without, MM).is_ok());
+    assert!(read(qif::read, QIF, Some(Units::Inches)).expect_err("another unit").contains("`units` says in"));
+}
+
 proptest! {
     #![proptest_config(ProptestConfig::with_cases(64))]
 
@@ -215,10 +295,11 @@ proptest! {
 
     #[test]
     fn any_text_is_read_or_refused(text in "[ -~\n]{0,300}") {
-        for reader in [inspection::read as Read, dmis::read, probe::read] {
+        for reader in [inspection::read as Read, dmis::read, probe::read, qif::read] {
             let _ = read(reader, &text, MM);
             let _ = read(reader, &format!("UNITS/MM\nFA(A)=FEAT/{text}"), None);
             let _ = read(reader, &format!("G800 {text}\nG801{text}"), MM);
+            let _ = read(reader, &QIF.replacen("50.0012", &text, 1), MM);
             let _ = read(reader, &format!("0 1 2\n0 1 2\n0 1 5\n{text}"), MM);
         }
     }

@@ -12,7 +12,7 @@ use super::far::Bounds;
 use super::matched::{Aborted, Repeats, Time, Told, Wanted, matched};
 use super::plan::Plan;
 use super::record::{Builder, Log};
-use crate::assembly::{Assembly, Filters, Paths};
+use crate::assembly::{Assembly, Filters, Paths, emptied};
 
 /// The log of a measuring program.
 #[derive(Debug, Deserialize, JsonSchema)]
@@ -112,7 +112,7 @@ impl Ingest for Logs {
     fn headers(&self) -> Result<Vec<ColumnHeader>> {
         // Which columns there are is known only with the touches.
         let plan = Plan::read(&self.plan)?;
-        Ok(self.assembly.without_rows(&|path| Ok(self.load(path, &plan)?.0))?.headers())
+        Ok(self.assembly.without_rows(&|path| Ok(emptied(self.load(path, &plan)?.0)))?.headers())
     }
 
     fn read(&self) -> Result<Dataset> {

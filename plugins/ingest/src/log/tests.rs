@@ -477,3 +477,29 @@ fn a_stage_reads_files_and_takes_means_of_repeats() {
     assert!((means[0] - 1.2).abs() < 1e-12 && means[1] == 2.5 && means.len() == 2, "{means:?}");
     assert_eq!(data.labels("feature").expect("features"), ["a", "b"]);
 }
+
+/// Reading takes time in proportion to the number of touches, in every form.
+#[test]
+fn long_logs_take_time_in_proportion() {
+    let seconds = |form: usize, touches: usize| {
+        let run = Run {
+            plan: (0..touches).map(|touch| [touch as f64 * 1e-3, 1.0, 2.0, 3.0]).collect(),
+            repeats: 1,
+            tries: vec![(1, Some([0.1, 0.0, 0.0])); touches],
+            inches: false,
+            offset: None,
+            pads: vec![1],
+            stale: true,
+        };
+        let (plan, text) = (run.plan(), if form < 4 { run.log(form) } else { run.console(1, true) });
+        let start = std::time::Instant::now();
+        let (data, _) = read(form, &text, &plan, &WANTED).expect("a log");
+        assert_eq!(data.rows(), touches);
+        start.elapsed().as_secs_f64()
+    };
+    for form in 0..5 {
+        let (short, long) = (seconds(form, 4_000), seconds(form, 32_000));
+        // Eight times the touches; thirty times the time would be another law, also on a machine that does other things.
+        assert!(long < 30.0 * short + 0.5, "{form}: {short} s, {long} s");
+    }
+}
