@@ -179,8 +179,11 @@ fn stated(rest: &str, units: Option<Units>) -> Result<f64, String> {
     }
 }
 
-/// Kind, numbers as written, and whether the last is a diameter; none for kinds that have no centre.
-fn cells(definition: &str) -> Result<Option<(&'static str, Vec<&str>, bool)>, String> {
+/// Kind, numbers as written, and whether the last is a diameter.
+type Cells<'a> = (&'static str, Vec<&'a str>, bool);
+
+/// What a definition says; none for kinds that have no centre.
+fn cells(definition: &str) -> Result<Option<Cells<'_>>, String> {
     let mut words: Vec<&str> = definition["FEAT/".len()..].split(',').collect();
     let (kind, has_diameter) = match words[0] {
         "POINT" => ("point", false),

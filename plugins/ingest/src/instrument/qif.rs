@@ -43,6 +43,9 @@ struct Qif<'a> {
     scale: f64,
 }
 
+/// Name and nominal point of each feature, by the id of its item.
+type Items<'a> = BTreeMap<&'a str, (&'a str, Option<[f64; 3]>)>;
+
 /// A measured feature.
 struct Measured<'a> {
     line: usize,
@@ -152,7 +155,7 @@ impl Qif<'_> {
     }
 
     /// Name and nominal point of each feature, by the id of its item.
-    fn nominal<'n>(&self, root: Node<'n, '_>) -> Result<BTreeMap<&'n str, (&'n str, Option<[f64; 3]>)>> {
+    fn nominal<'n>(&self, root: Node<'n, '_>) -> Result<Items<'n>> {
         let mut points = BTreeMap::new();
         let features = || children(root, "Features");
         for node in features().flat_map(|it| children(it, "FeatureNominals")).flat_map(|it| it.children()) {
@@ -173,11 +176,7 @@ impl Qif<'_> {
     }
 
     /// The measured features, and how many there are of other kinds.
-    fn measured<'n>(
-        &self,
-        root: Node<'_, '_>,
-        items: &'n BTreeMap<&str, (&str, Option<[f64; 3]>)>,
-    ) -> Result<(Vec<Measured<'n>>, usize)> {
+    fn measured<'n>(&self, root: Node<'_, '_>, items: &'n Items<'_>) -> Result<(Vec<Measured<'n>>, usize)> {
         let (mut found, mut others) = (Vec::new(), 0);
         let mut seen: BTreeMap<(usize, &str), usize> = BTreeMap::new();
         let results = root.descendants().filter(|node| node.tag_name().name() == "MeasurementResults");

@@ -85,7 +85,7 @@ fn inspection_results_that_went_wrong_are_refused() {
             "I0. J0. K-1. O0. U.1 L-.1\nG801 N1 X10.0004",
             "does the normal point into the material",
         ),
-        ("G800 N2", "G800 N1", "file.txt:13: point 1 stands in line 11 already"),
+        ("G800 N2", "G800 N1", "file.txt:13: point 1 stands in line 12 already"),
         (
             "G800 N3 X0 Y0 Z0 I-1 J0 K0\n",
             "G800 N3 X0 Y0 Z0 I-1 J0 K0\nG800 N3 X0 Y0 Z0 I-1 J0 K0\n",

@@ -167,7 +167,7 @@ impl Control {
 
 /// The lines of a log with their numbers, without empty ones. A last line that does not end may be cut within a number: it is
 /// not taken, unless it is the end of the log.
-pub(crate) fn lines<'a>(text: &'a str, written: fn(&str) -> &str) -> impl Iterator<Item = (usize, &'a str)> {
+pub(crate) fn lines(text: &str, written: fn(&str) -> &str) -> impl Iterator<Item = (usize, &str)> {
     let whole = text.rfind('\n').map_or(0, |end| end + 1);
     let rest = &text[whole..];
     let taken = if written(rest).trim() == "END" { text } else { &text[..whole] };

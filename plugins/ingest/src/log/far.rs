@@ -84,6 +84,10 @@ fn looks_like(all: &[Away], far: &[&Away], bounds: Bounds) -> String {
     if far.iter().any(|away| away.axes.iter().any(|(axis, away)| is_rotary(*axis) && away.abs() > bounds.angle)) {
         return "rotary axes stood elsewhere: is it the log of this plan?".to_owned();
     }
+    // Few touches agree with a shift by chance.
+    if far.len() <= FREEDOMS && far.len() * 2 < all.len() {
+        return ALONE.to_owned();
+    }
     let shifts = |of: &[&Away]| of.iter().map(|away| away.shift()).collect::<Vec<_>>();
     let all: Vec<&Away> = all.iter().collect();
     if let Some(shift) = common(&shifts(&all)) {
@@ -106,12 +110,14 @@ fn looks_like(all: &[Away], far: &[&Away], bounds: Bounds) -> String {
             .to_owned();
     }
     match far.len() * 2 < all.len() {
-        true => "these touches alone are far: did the stylus touch something else, or are lines mixed up?".to_owned(),
+        true => ALONE.to_owned(),
         false => {
             "the touches agree with no one shift: is it the log of this plan, with its units and its offset?".to_owned()
         }
     }
 }
+
+const ALONE: &str = "these touches alone are far: did the stylus touch something else, or are lines mixed up?";
 
 /// Unknowns of a shift.
 const FREEDOMS: usize = 3;
