@@ -192,6 +192,12 @@ pub(crate) fn without_rows(path: &Path, layout: &Layout) -> Result<Dataset> {
     Ok(Dataset { columns, files: vec![path.to_owned()], ..Dataset::default() })
 }
 
+/// The columns of a data set that had to be read to know them.
+pub(crate) fn emptied(data: Dataset) -> Dataset {
+    let columns = data.headers().into_iter().map(abbe_table::empty_column).collect();
+    Dataset { columns, origins: Vec::new(), ..data }
+}
+
 /// The error at a place of the settings instead of a file: the statement of the recipe about the file is wrong.
 fn in_settings(error: Error, setting: &str, key: &str) -> Error {
     Error { place: None, setting: [setting, key].map(|key| PathItem::Key(key.to_owned())).into(), ..error }

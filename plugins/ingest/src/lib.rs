@@ -1,4 +1,5 @@
-//! Ingest of files: tables (`csv`) and logs whose lines a pattern describes (`text`).
+//! Ingest of files: tables (`csv`), logs whose lines a pattern describes (`text`), logs of measuring programs (`log`), and files
+//! of other software (`instrument`).
 //!
 //! Many files give one data set, with columns set as constants or joined from a table (`assembly`).
 
@@ -6,6 +7,8 @@ mod assembly;
 mod average;
 mod csv;
 mod files;
+mod instrument;
+mod log;
 mod text;
 
 #[cfg(test)]
