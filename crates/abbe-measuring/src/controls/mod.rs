@@ -1,6 +1,10 @@
 //! Writers of programs, one for each control, and what they share.
 
+mod fanuc;
+mod grbl;
+mod heidenhain;
 mod linuxcnc;
+mod siemens;
 
 use abbe_core::{ExportedFile, Result};
 
@@ -12,7 +16,10 @@ pub fn write(settings: &Measuring, program: &Programme, dry: bool) -> Result<Vec
     let job = Job { settings, program, dry };
     match settings.control {
         Control::Linuxcnc => linuxcnc::write(&job),
-        _ => Err(abbe_core::Error::usage("no such control").setting("control")),
+        Control::Fanuc => fanuc::write(&job),
+        Control::Siemens => siemens::write(&job),
+        Control::Heidenhain => heidenhain::write(&job),
+        Control::Grbl => grbl::write(&job),
     }
 }
 
