@@ -21,6 +21,7 @@ mod interrupted;
 mod laws;
 mod layouts;
 mod libraries;
+mod measure;
 mod methods;
 mod mill;
 mod misread;

@@ -9,6 +9,8 @@ mod path;
 mod programme;
 mod settings;
 mod solid;
+#[cfg(test)]
+mod tests;
 mod touch;
 mod world;
 

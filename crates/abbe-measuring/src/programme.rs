@@ -242,8 +242,9 @@ struct Writer<'a> {
 impl Writer<'_> {
     fn add(&mut self, blocks: &mut Vec<Block>, touch: &Touch, stop: &Stop, legs: &[Leg]) {
         let pause = self.settings.pause;
-        let due =
-            pause.and_then(|pause| pause.touches).is_some_and(|every| self.made > 0 && self.made % every.get() == 0);
+        let due = pause
+            .and_then(|pause| pause.touches)
+            .is_some_and(|every| self.made > 0 && self.made.is_multiple_of(every.get()));
         let swings = legs.iter().any(|leg| matches!(leg, Leg::Swing(_))) && self.made > 0;
         if due {
             blocks.push(Block::Pause(format!("{} touches made", self.made)));

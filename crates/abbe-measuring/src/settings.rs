@@ -297,6 +297,9 @@ impl Measuring {
             return Err(SettingsError::new("back_off_mm", "a distance below `approach_mm` was expected"));
         }
         not_negative("margin_mm", self.margin_mm)?;
+        if self.margin_mm >= self.approach_mm {
+            return Err(SettingsError::new("margin_mm", "a distance below `approach_mm` was expected"));
+        }
         not_negative("dry_run_mm", self.dry_run_mm)?;
         not_negative("overshoot_mm", self.overshoot_mm)?;
         not_negative("overshoot_deg", self.overshoot_deg)?;

@@ -49,7 +49,7 @@ impl Solid {
             }
             Self::Cylinder { from_mm, to_mm, radius_mm } => {
                 let length = (Vector3::from(*to_mm) - Vector3::from(*from_mm)).norm();
-                (!(length > 0.0 && length.is_finite()) || *radius_mm <= 0.0 || !radius_mm.is_finite())
+                (length <= 0.0 || !length.is_finite() || *radius_mm <= 0.0 || !radius_mm.is_finite())
                     .then_some("two different ends and a radius above 0 were expected")
             }
         }

@@ -99,7 +99,8 @@ impl Touches {
                 data.error_at(row, format!("touch `{}`: a number from {least} on was expected", numbers[row]))
             })?;
             let normal = Vector3::new(x[row], y[row], z[row]);
-            if !((normal.norm() - 1.0).abs() < 1e-2) {
+            let off = (normal.norm() - 1.0).abs();
+            if off.is_nan() || off > 1e-2 {
                 let message = format!("the normal of touch {number} has length {:.4}; 1 was expected", normal.norm());
                 return Err(data.error_at(row, message));
             }
@@ -169,7 +170,7 @@ impl Touches {
         let others = targets.iter().filter_map(|target| {
             Some((target.feature.as_str(), Vector3::from(target.tip), -Vector3::from(target.approach?).normalize()))
         });
-        let mut by_feature: BTreeMap<&str, Vec<(Vector3<f64>, Vector3<f64>)>> = BTreeMap::new();
+        let mut by_feature: BTreeMap<&str, Vec<TipAndNormal>> = BTreeMap::new();
         for (feature, tip, normal) in planned.chain(others) {
             let known = by_feature.entry(feature).or_default();
             if !known.iter().any(|(other, along)| (other - tip).norm() < SAME && (along - normal).norm() < SAME) {
@@ -193,11 +194,14 @@ impl Touches {
     }
 }
 
+/// The centre of a tip in contact, and the outward normal there.
+type TipAndNormal = (Vector3<f64>, Vector3<f64>);
+
 /// Places, or directions, that differ by less are the same.
 const SAME: f64 = 1e-3;
 
 /// The ball on which all touches lie, if there is one: its centre is where their normals meet.
-fn sphere(touches: &[(Vector3<f64>, Vector3<f64>)], stylus_radius: f64) -> Option<Solid> {
+fn sphere(touches: &[TipAndNormal], stylus_radius: f64) -> Option<Solid> {
     let (first, along) = touches.first()?;
     // The tip is at the centre plus radius times normal.
     let other = touches.iter().find(|(_, other)| (other - along).norm() > 0.1)?;

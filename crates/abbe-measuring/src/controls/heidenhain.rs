@@ -118,20 +118,25 @@ fn touch(job: &Job<'_>) -> Vec<String> {
     let place = |letter: &str| "XYZ".find(letter).unwrap_or_default();
     let direction: Vec<String> = letters.iter().map(|letter| format!("I{letter}+Q{}", 22 + place(letter))).collect();
     let beginning: Vec<String> = letters.iter().map(|letter| format!("{letter}+Q{}", 26 + place(letter))).collect();
-    let probe = |feed: f64, back: &str| {
+    let probe = |feed: f64, distance: &str, back: &str| {
         vec![
             "TCH PROBE 4.0 MEASURING IN 3-D".to_owned(),
             "TCH PROBE 4.1 Q1".to_owned(),
             format!("TCH PROBE 4.2 {}", direction.join(" ")),
-            format!("TCH PROBE 4.3 ABST+Q25 F{} MB{back} REFERENCE SYSTEM:1", number(feed)),
+            format!("TCH PROBE 4.3 ABST+{distance} F{} MB{back} REFERENCE SYSTEM:1", number(feed)),
             "FN 9: IF +Q4 EQU -1 GOTO LBL 12".to_owned(),
         ]
     };
     let mut lines = ["LBL 10", "FN 0: Q30 = +0", "LBL 11"].map(str::to_owned).to_vec();
     if let Some(search) = settings.search_feed_mm_per_min {
-        lines.extend(probe(search, &number(settings.back_off_mm)));
+        lines.extend(probe(search, "Q25", &number(settings.back_off_mm)));
     }
-    lines.extend(probe(settings.measuring_feed_mm_per_min, "+Q25"));
+    // From beside the surface that was found no further than a touch may go.
+    let rest = match settings.search_feed_mm_per_min {
+        Some(_) => number(settings.back_off_mm + settings.overtravel_mm),
+        None => "Q25".to_owned(),
+    };
+    lines.extend(probe(settings.measuring_feed_mm_per_min, &rest, "+Q25"));
     let clock = settings.clock.as_deref().map(|clock| format!("FN 0: Q32 = +{clock}"));
     lines.push("FN 0: Q31 = +0".to_owned());
     lines.push(clock.unwrap_or_else(|| "FN 18: SYSREAD Q32 = ID320 NR1 IDX0".to_owned()));

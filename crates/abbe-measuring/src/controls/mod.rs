@@ -60,7 +60,7 @@ impl Job<'_> {
                 self.program.hash, self.program.touches
             ),
             format!(
-                "Tip diameter {} mm, probe checked to {} mm above the tip",
+                "Diameter of the tip {} mm, probe checked to {} mm above the tip",
                 number(self.program.tip_diameter),
                 number(section)
             ),
