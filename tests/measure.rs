@@ -299,7 +299,11 @@ fn what_cannot_be_reached_is_named_and_nothing_is_written() {
     let message = refused(SPHERE, "    margin_mm: 14\n");
     assert!(message.contains("a distance below `approach_mm` was expected"), "{message}");
     let message = refused(SPHERE, "    overtravel_mm: 30\n");
-    assert!(message.contains("touches cannot be reached") && message.contains("touch 1 (feature 1)"), "{message}");
+    assert!(
+        message.contains("touches cannot be reached")
+            && message.contains("(feature 1): beyond the nominal contact the tip"),
+        "{message}"
+    );
     assert!(message.contains("solid 1 of `solids`"), "{message}");
     let message = refused("plane: { axis: Z, at_mm: 600 }", "");
     assert!(message.contains("Z would stand at 600 mm; it goes from -500 to 500"), "{message}");

@@ -79,7 +79,8 @@ impl<'a> World<'a> {
         let mut place = self.place(from)?;
         let end = self.place(to)?;
         let rotary = self.model.info().axes.iter().filter(|axis| axis.kind == AxisKind::Rotary);
-        let turn: f64 = rotary.map(|axis| (to[axis.status] - from[axis.status]).abs()).sum();
+        // From +0.0: an empty sum is -0.0, and the longest step would be negative.
+        let turn = rotary.fold(0.0, |turn, axis| turn + (to[axis.status] - from[axis.status]).abs());
         loop {
             let clear = match self.clearance(&place, except) {
                 Ok(clear) => clear,
