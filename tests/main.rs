@@ -22,6 +22,7 @@ mod laws;
 mod layouts;
 mod libraries;
 mod logs;
+mod measure;
 mod methods;
 mod mill;
 mod misread;

@@ -18,7 +18,7 @@ const fn border(name: &'static str, uses: &'static [&'static str]) -> Border {
 }
 
 /// The folder `crates`: arrows point one way, see docs/architecture.md.
-const CRATES: [Border; 24] = [
+const CRATES: [Border; 25] = [
     border("abbe-settings", &[]),
     border("abbe-files", &[]),
     border("abbe-results", &["abbe-settings"]),
@@ -43,7 +43,8 @@ const CRATES: [Border; 24] = [
             "abbe-table",
         ],
     },
-    border("abbe-planning", &["abbe-core", "abbe-estimation", "abbe-numerics"]),
+    border("abbe-measuring", &["abbe-core", "abbe-estimation"]),
+    border("abbe-planning", &["abbe-core", "abbe-estimation", "abbe-measuring", "abbe-numerics"]),
     border("abbe-simulation", &["abbe-core", "abbe-estimation", "abbe-numerics", "abbe-probe"]),
     Border { name: "abbe-volumetric", uses: &["abbe-core", "abbe-numerics"], tested_with: &["abbe-serial-chain"] },
     Border {
@@ -59,6 +60,7 @@ const CRATES: [Border; 24] = [
             "abbe-core",
             "abbe-estimation",
             "abbe-files",
+            "abbe-measuring",
             "abbe-planning",
             "abbe-recipe",
             "abbe-simulation",
@@ -90,7 +92,7 @@ const CRATES: [Border; 24] = [
 const ABOVE_ALL: [&str; 4] = ["abbe-benches", "abbe-campaigns", "abbe-examples", "abbe-tests"];
 
 /// The crates that plugins may use.
-const FOR_PLUGINS: [&str; 14] = [
+const FOR_PLUGINS: [&str; 15] = [
     "abbe-compensation",
     "abbe-core",
     "abbe-errors",
@@ -98,6 +100,7 @@ const FOR_PLUGINS: [&str; 14] = [
     "abbe-files",
     "abbe-geometry",
     "abbe-kinematics",
+    "abbe-measuring",
     "abbe-numerics",
     "abbe-probe",
     "abbe-simulation",

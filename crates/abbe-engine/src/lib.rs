@@ -15,6 +15,7 @@ mod plan;
 mod plausibility;
 mod prediction;
 mod prepare;
+mod program;
 mod readings;
 mod record;
 mod recorded;
@@ -31,6 +32,7 @@ mod understood;
 mod units;
 
 pub use abbe_estimation::{LocationError, LocationErrors, Standing};
+pub use abbe_measuring::Control;
 pub use abbe_planning::{Order, Plan, PlanFigures, Reached, Revisit};
 pub use described::{Described, prepare_text};
 pub use folder::{can_write_folder, write_folder};

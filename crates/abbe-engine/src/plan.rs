@@ -5,6 +5,7 @@ use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
 use abbe_core::{DataRow, Dataset, Error, Identifiability, Monitor, Result, WeakDirection};
+use abbe_measuring::Control;
 use abbe_planning::{Generation, Plan, PlanFigures, Planning, Revisit, generate, plan};
 use abbe_recipe::Stage;
 use abbe_table::Layout as FileLayout;
@@ -39,6 +40,11 @@ impl Prepared {
     ///
     /// Fails if there is no such key, and as [`abbe_planning::plan`] does.
     pub fn plan(&self) -> Result<Measurements> {
+        self.plan_for(None)
+    }
+
+    /// As [`Self::plan`]; the measuring program is one for this control, whatever the recipe has.
+    pub fn plan_for(&self, control: Option<Control>) -> Result<Measurements> {
         let wanted = self.recipe.plan.as_ref().ok_or_else(|| {
             Error::usage("the recipe says nothing of what is to be planned")
                 .help("add `plan: { estimate: .., candidates: .., number: .. }` to it")
@@ -66,6 +72,11 @@ impl Prepared {
         })?;
         let identifiability = self.located(stage, estimator.identify(&plan.problem))?;
         let accepted = self.located(stage, estimator.accepts(&identifiability))?;
+        let candidates = match &generated {
+            Some(generated) => &generated.data,
+            None => &data[self.artefact(&wanted.candidates)?.0],
+        };
+        let programs = self.programs(wanted, stage, control, candidates, &rows_of(&plan, None, candidates))?;
         let mut files = match &generated {
             Some(generated) => {
                 let path = PathBuf::from(GENERATED);
@@ -94,6 +105,12 @@ impl Prepared {
                 "a file of candidates is named `{RECORD}`, as the record of the plan is"
             ))
             .help("give the file of candidates another name"));
+        }
+        for (name, content) in programs {
+            if files.insert(name.clone(), content).is_some() {
+                let error = Error::usage(format!("a file of candidates is named `{}`", name.display()));
+                return Err(error.help("give the file of candidates another name"));
+            }
         }
         Ok(Measurements { estimate: stage.name.clone(), plan, identifiability, accepted, record, files })
     }

@@ -3,6 +3,7 @@
 use std::collections::BTreeMap;
 
 use abbe_core::{Label, PathItem, Series, SettingsError, Whole, positive};
+use abbe_measuring::Measuring;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
@@ -49,6 +50,9 @@ pub struct Planning {
     /// In which order the chosen candidates are measured, against what follows the time. Default: no order.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub order: Option<Ordering>,
+    /// Writes the program that measures the plan on the machine's control. Default: no program.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub program: Option<Measuring>,
     /// Number of random starts of the search.
     #[serde(default = "restarts")]
     pub restarts: Whole<1, 1_000>,
@@ -336,6 +340,9 @@ impl Planning {
         }
         if let Some(order) = &self.order {
             order.check().map_err(|error| error.under([PathItem::Key("order".to_owned())]))?;
+        }
+        if let Some(program) = &self.program {
+            program.check().map_err(|error| error.under([PathItem::Key("program".to_owned())]))?;
         }
         let both = self.required.iter().position(|required| self.forbidden.contains(required));
         match both {

@@ -40,7 +40,7 @@ use std::process::ExitCode;
 use std::time::Duration;
 
 use abbe_core::{Class, Error, Kind, Monitor, Origin, Result, harmless, harmless_json};
-use abbe_engine::{can_write_folder, prepare};
+use abbe_engine::{Control, can_write_folder, prepare};
 use abbe_plugin::check::Findings;
 use abbe_report::plan_page;
 use clap::{Parser, Subcommand};
@@ -143,6 +143,9 @@ enum Command {
         /// Folder to write. It must be empty, or not exist. Without it the plan is only printed.
         #[arg(long)]
         out: Option<PathBuf>,
+        /// The control that gets the measuring program, instead of that of the recipe: linuxcnc, fanuc, siemens, heidenhain or grbl.
+        #[arg(long, value_name = "CONTROL", value_parser = planning::control)]
+        program: Option<Control>,
         /// Print the plan as JSON.
         #[arg(long)]
         json: bool,
@@ -393,22 +396,18 @@ fn dispatch(command: Command, libraries: &Libraries, verbose: bool) -> Result<(S
             interrupt::while_writing(|| simulated.write(&here.path(&out)))?;
             Ok((simulated::text(&simulated, &out), 0))
         }
-        Command::Plan { recipe, out, json, time_limit } => {
+        Command::Plan { recipe, out, program, json, time_limit } => {
             let here = Here::now();
             interrupt::cancel_on_signal(Monitor::default())?;
             interrupt::end_after(time_limit, Duration::ZERO, json)?;
             let prepared = prepare(&recipe, &libraries.registry(Some(&recipe))?)?;
             out.iter().try_for_each(|out| can_write_folder(out))?;
-            let mut measurements = prepared.plan()?;
+            let mut measurements = prepared.plan_for(program)?;
             let page = plan_page(&prepared.recipe.name, &measurements);
             measurements.files.insert(PathBuf::from("report.html"), page.into_bytes());
             interrupt::while_writing(|| out.iter().try_for_each(|out| measurements.write(&here.path(out))))?;
             let status = if measurements.accepted { 0 } else { 1 };
-            let text = match json {
-                true => measurements.record,
-                false => planning::text(&prepared.recipe.name, &measurements, out.as_deref()),
-            };
-            Ok((text, status))
+            Ok((planning::shown(&prepared.recipe.name, measurements, out.as_deref(), json), status))
         }
         Command::New(asked) => Ok((asked.run(libraries)?, 0)),
         Command::Data(asked) => Ok((asked.run(libraries)?, 0)),

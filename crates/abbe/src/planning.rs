@@ -4,7 +4,7 @@ use std::fmt::Write as _;
 use std::path::Path;
 
 use abbe_core::WeakDirection;
-use abbe_engine::{Measurements, Order, Reached, Revisit};
+use abbe_engine::{Control, Measurements, Order, Reached, Revisit};
 
 use crate::table;
 use abbe_report::number::short;
@@ -12,8 +12,20 @@ use abbe_report::number::short;
 /// Chosen candidates in a line.
 const IN_A_LINE: usize = 12;
 
+/// The control of that name.
+pub fn control(name: &str) -> Result<Control, String> {
+    let known = || Control::ALL.iter().map(|(known, _)| *known).collect::<Vec<_>>().join(", ");
+    let found = Control::ALL.iter().find(|(known, _)| *known == name);
+    found.map(|(_, control)| *control).ok_or_else(|| format!("one of {} was expected", known()))
+}
+
+/// What is printed of a plan: JSON, or text for a terminal.
+pub fn shown(name: &str, measurements: Measurements, out: Option<&Path>, json: bool) -> String {
+    if json { measurements.record } else { text(name, &measurements, out) }
+}
+
 /// The plan for a terminal.
-pub fn text(name: &str, measurements: &Measurements, out: Option<&Path>) -> String {
+fn text(name: &str, measurements: &Measurements, out: Option<&Path>) -> String {
     let plan = &measurements.plan;
     let number: usize = plan.chosen.iter().map(|chosen| chosen.times).sum();
     let mut text =

@@ -17,6 +17,7 @@ use abbe_gauss_newton as _;
 use abbe_ingest as _;
 use abbe_length as _;
 use abbe_linuxcnc as _;
+use abbe_measure as _;
 use abbe_monte_carlo as _;
 use abbe_poses as _;
 use abbe_rapid_verify as _;

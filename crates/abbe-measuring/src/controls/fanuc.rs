@@ -1,0 +1,177 @@
+//! Fanuc and Haas: `G31` stops at the skip signal and leaves where in #5061 to #5063, in the work offset that is active; without a
+//! signal these hold the end of the block. `DPRNT` writes the log to the port that `POPEN` opened.
+
+use abbe_core::{AxisKind, Error, ExportedFile, Result};
+
+use super::{Job, file, number, plain};
+use crate::programme::{Block, Positions, TouchBlock};
+
+/// Arguments of the macro call for X, Y and Z: the end of the touch, its beginning, the way back; with their local variables.
+const ARGUMENTS: [[(&str, u32); 3]; 3] =
+    [[("X", 24), ("Y", 25), ("Z", 26)], [("U", 21), ("V", 22), ("W", 23)], [("Q", 17), ("R", 18), ("S", 19)]];
+
+/// A move that ends further than this from its end was stopped by the probe, mm.
+const STOPPED: &str = "0.01";
+
+/// Variables that the programs use: misses one after the other, then where rotary axes stand.
+const MISSES: u32 = 140;
+
+/// Numbers of the programs.
+const MAIN: u32 = 9910;
+
+/// Length of an alarm's text that every control shows.
+const ALARM_TEXT: usize = 26;
+
+pub fn write(job: &Job<'_>) -> Result<Vec<ExportedFile>> {
+    if let Some((_, axis)) = job.program.linear().find(|(_, axis)| !"XYZ".contains(&axis.letter)) {
+        let message = format!("`G31` along {}: the first three axes of the control are X, Y and Z", axis.letter);
+        return Err(Error::usage(message).setting("axis_names"));
+    }
+    let settings = job.settings;
+    let program = if job.dry { MAIN + 2 } else { MAIN };
+    let mut lines = vec!["%".to_owned(), format!("O{program:04}(ABBE {})", plain(job.name()).to_uppercase())];
+    lines.extend(job.introduction().iter().map(|line| format!("({})", plain(line).to_uppercase())));
+    lines.push("G21 G17 G40 G49 G80 G90 G94".to_owned());
+    lines.push(settings.work_offset.clone().unwrap_or_else(|| "G59".to_owned()));
+    for axis in 1..=3 {
+        let alarm = alarm(105, "work offset is not zero");
+        lines.push(format!("IF [ABS[#502{axis}-#504{axis}] GT 0.001] THEN {alarm}"));
+    }
+    lines.push(format!("#{MISSES}=0"));
+    if !job.dry {
+        lines.push("POPEN".to_owned());
+        lines.extend(job.header("FANUC").iter().map(|line| format!("DPRNT[{}]", line.replace(' ', "*"))));
+    }
+    if settings.spindle_deg.is_some_and(|angle| angle != 0.0) {
+        let error = Error::usage("the angle at which M19 stops the spindle is a parameter of the control");
+        return Err(error.setting("spindle_deg").help("set the parameter, and write `spindle_deg: 0` here"));
+    }
+    lines.extend(settings.spindle_deg.map(|_| "M19".to_owned()));
+    lines.push("#3006=1(TIP CLEAR OF EVERYTHING)".to_owned());
+    for block in &job.program.blocks {
+        add(job, block, &mut lines)?;
+    }
+    if !job.dry {
+        lines.extend(["DPRNT[END]".to_owned(), "PCLOS".to_owned()]);
+    }
+    lines.push("M30".to_owned());
+    if !job.dry {
+        lines.extend(touch(job));
+    }
+    lines.push("%".to_owned());
+    Ok(vec![file(format!("O{program:04}.nc"), &lines)])
+}
+
+fn add(job: &Job<'_>, block: &Block, lines: &mut Vec<String>) -> Result<()> {
+    let settings = job.settings;
+    match block {
+        Block::Note(text) => lines.push(format!("({})", plain(text).to_uppercase())),
+        Block::Pause(text) => lines.push(format!("#3006=1({})", short(text))),
+        Block::Orient(_) => {
+            return Err(Error::usage("`M19` has one angle only, and this plan orients the spindle"));
+        }
+        Block::Swing(positions) => {
+            lines.push(format!("G1 {} F{}", job.words(positions, ""), number(settings.rotary_feed_deg_per_min)));
+        }
+        Block::Move(positions) => {
+            lines.push(format!("G31 {} F{}", job.words(positions, ""), number(settings.positioning_feed_mm_per_min)));
+            for (axis, place) in positions {
+                let stopped = format!("ABS[{}-[{}]] GT {STOPPED}", skipped(job, *axis), number(*place));
+                lines.push(format!("IF [{stopped}] THEN {}", alarm(103, "obstacle on the way")));
+            }
+        }
+        Block::Touch(TouchBlock { number: touch, approach, end, back, rotary }) => {
+            for (index, (_, place)) in rotary.iter().enumerate() {
+                lines.push(format!("#{}={}", MISSES as usize + 1 + index, number(*place)));
+            }
+            let arguments = |positions: &Positions, names: &[(&str, u32); 3]| -> Vec<String> {
+                let argument = |(axis, value): &(usize, f64)| {
+                    let place = "XYZ".find(&job.axis(*axis).letter).unwrap_or_default();
+                    format!("{}{}", names[place].0, number(*value))
+                };
+                positions.iter().map(argument).collect()
+            };
+            let all = [end, approach, back].into_iter().zip(&ARGUMENTS);
+            let all: Vec<String> = all.flat_map(|(positions, names)| arguments(positions, names)).collect();
+            for repeat in 1..=settings.repeats.get() {
+                lines.push(format!("G65 P{} A{touch}.0 B{repeat}.0 {}", MAIN + 1, all.join(" ")));
+            }
+        }
+    }
+    Ok(())
+}
+
+/// The macro of a touch: #1 its number, #2 the repeat, #30 attempts, #31 whether there was contact.
+fn touch(job: &Job<'_>) -> Vec<String> {
+    let settings = job.settings;
+    let used: Vec<usize> = job.program.linear().filter_map(|(_, axis)| "XYZ".find(&axis.letter)).collect();
+    let words = |of: &[(&str, u32); 3]| -> String {
+        let word = |place: &usize| format!("{}#{}", &"XYZ"[*place..=*place], of[*place].1);
+        used.iter().map(word).collect::<Vec<_>>().join(" ")
+    };
+    let (end, beginning, back) = (words(&ARGUMENTS[0]), words(&ARGUMENTS[1]), words(&ARGUMENTS[2]));
+    let fast = number(settings.positioning_feed_mm_per_min);
+    let attempts = settings.retries.get() + 1;
+    let probe =
+        |feed: f64| -> Vec<String> {
+            let mut lines = vec![format!("G31 {end} F{}", number(feed)), "#31=0".to_owned()];
+            lines.extend(used.iter().map(|place| {
+                format!("IF [ABS[#{}-#{}] GT {STOPPED}] THEN #31=1", 5061 + place, ARGUMENTS[0][*place].1)
+            }));
+            lines
+        };
+    let mut lines = vec![format!("O{:04}(ABBE TOUCH)", MAIN + 1), "#30=0".to_owned()];
+    lines.push(format!("WHILE [#30 LT {attempts}] DO1"));
+    if let Some(search) = settings.search_feed_mm_per_min {
+        lines.extend(probe(search));
+        lines.push("IF [#31 LT 0.5] GOTO 20".to_owned());
+        lines.extend([format!("G91 G1 {back} F{fast}"), "G90".to_owned()]);
+    }
+    lines.extend(probe(settings.measuring_feed_mm_per_min));
+    lines.extend(["N20".to_owned(), "IF [#31 GT 0.5] GOTO 30".to_owned()]);
+    lines.extend(["DPRNT[T#1[60]*R#2[20]*H0]".to_owned(), "GOTO 40".to_owned(), "N30".to_owned()]);
+    lines.push(format!("#32={}", settings.clock.as_deref().unwrap_or("#3001/1000")));
+    lines.extend(settings.temperature.iter().map(|value| format!("#33={value}")));
+    lines.push(logged(job));
+    lines.extend([
+        format!("#30={attempts}"),
+        "N40".to_owned(),
+        format!("G1 {beginning} F{fast}"),
+        "#30=#30+1".to_owned(),
+        "END1".to_owned(),
+        format!("IF [#31 LT 0.5] THEN #{MISSES}=#{MISSES}+1"),
+        format!("IF [#31 GT 0.5] THEN #{MISSES}=0"),
+        format!("IF [#{MISSES} GE {}] THEN {}", settings.misses.get(), alarm(106, "too many misses")),
+        "M99".to_owned(),
+    ]);
+    lines
+}
+
+/// The line of a hit: trigger positions of linear axes, and where rotary axes stand.
+fn logged(job: &Job<'_>) -> String {
+    let mut line = "DPRNT[T#1[60]*R#2[20]*H1".to_owned();
+    for (axis, control) in job.program.linear() {
+        line.push_str(&format!("*{}{}[44]", control.letter, skipped(job, axis)));
+    }
+    let rotary = job.program.axes.iter().filter(|axis| axis.kind == AxisKind::Rotary);
+    for (index, control) in rotary.enumerate().filter(|(_, axis)| !axis.is_spindle()) {
+        line.push_str(&format!("*{}#{}[44]", control.letter, MISSES as usize + 1 + index));
+    }
+    line.push_str(&format!("*F{}*K#32[73]", number(job.settings.measuring_feed_mm_per_min)));
+    line.push_str(job.settings.temperature.as_ref().map_or("]", |_| "*J#33[42]]"));
+    line
+}
+
+/// The variable with the skip position of an axis.
+fn skipped(job: &Job<'_>, axis: usize) -> String {
+    format!("#{}", 5061 + "XYZ".find(&job.axis(axis).letter).unwrap_or_default())
+}
+
+fn alarm(number: u32, text: &str) -> String {
+    format!("#3000={number}({})", short(text))
+}
+
+fn short(text: &str) -> String {
+    let text: String = plain(text).to_uppercase().chars().take(ALARM_TEXT).collect();
+    text.trim_end().to_owned()
+}

@@ -1,0 +1,105 @@
+//! Writers of programs, one for each control, and what they share.
+
+mod fanuc;
+mod grbl;
+mod heidenhain;
+mod linuxcnc;
+mod siemens;
+
+use abbe_core::{ExportedFile, Result};
+
+use crate::programme::{ControlAxis, Positions, Programme};
+use crate::settings::{Control, Measuring};
+
+/// The files of a program; a dry run touches nothing.
+pub fn write(settings: &Measuring, program: &Programme, dry: bool) -> Result<Vec<ExportedFile>> {
+    let job = Job { settings, program, dry };
+    match settings.control {
+        Control::Linuxcnc => linuxcnc::write(&job),
+        Control::Fanuc => fanuc::write(&job),
+        Control::Siemens => siemens::write(&job),
+        Control::Heidenhain => heidenhain::write(&job),
+        Control::Grbl => grbl::write(&job),
+    }
+}
+
+/// A program to write.
+struct Job<'a> {
+    settings: &'a Measuring,
+    program: &'a Programme,
+    dry: bool,
+}
+
+impl Job<'_> {
+    /// `measure` or `dry-run`.
+    fn name(&self) -> &'static str {
+        if self.dry { "dry-run" } else { "measure" }
+    }
+
+    fn axis(&self, index: usize) -> &ControlAxis {
+        &self.program.axes[index]
+    }
+
+    /// Words such as `X12.5 Y-3.0`, `between` letter and number.
+    fn words(&self, positions: &Positions, between: &str) -> String {
+        let word = |(axis, place): &(usize, f64)| format!("{}{between}{}", self.axis(*axis).letter, number(*place));
+        positions.iter().map(word).collect::<Vec<_>>().join(" ")
+    }
+
+    /// Sentences at the beginning of a program, for the operator.
+    fn introduction(&self) -> Vec<String> {
+        let mut lines = vec![if self.dry {
+            format!("Dry run, {} mm above the touches: nothing is touched", self.settings.dry_run_mm)
+        } else {
+            "Measures a plan with a touch probe".to_owned()
+        }];
+        let section: f64 = self.settings.probe.iter().map(|section| section.length_mm).sum();
+        lines.extend([
+            format!(
+                "Plan {}, {} touches, machine coordinates in mm and degrees",
+                self.program.hash, self.program.touches
+            ),
+            format!(
+                "Diameter of the tip {} mm, probe checked to {} mm above the tip",
+                number(self.program.tip_diameter),
+                number(section)
+            ),
+            "Call the probe, switch it on, and take its tip clear of everything before the start".to_owned(),
+            "No tool length and no transformation of rotary axes are active".to_owned(),
+        ]);
+        lines.extend(self.program.left_out.iter().map(|left_out| format!("Left out: {left_out}")));
+        lines
+    }
+
+    /// The lines of a log before the first touch.
+    fn header(&self, control: &str) -> Vec<String> {
+        vec![
+            "ABBE 1".to_owned(),
+            format!("PLAN {}", self.program.hash),
+            format!("CONTROL {control}"),
+            "UNITS MM".to_owned(),
+            "FRAME MACHINE".to_owned(),
+            format!("TOOL L0.0000 D{:.4}", self.program.tip_diameter),
+            format!("TOUCHES {} REPEATS {}", self.program.touches, self.settings.repeats.get()),
+        ]
+    }
+}
+
+/// A number with at most four decimals, and at least one.
+fn number(value: f64) -> String {
+    let text = format!("{value:.4}");
+    let text = text.trim_end_matches('0');
+    let text = if text.ends_with('.') { format!("{text}0") } else { text.to_owned() };
+    if text == "-0.0" { "0.0".to_owned() } else { text }
+}
+
+/// Text in letters that every control shows: letters, digits and few signs.
+fn plain(text: &str) -> String {
+    text.chars()
+        .map(|letter| if letter.is_ascii_alphanumeric() || " +-.,:".contains(letter) { letter } else { ' ' })
+        .collect()
+}
+
+fn file(name: String, lines: &[String]) -> ExportedFile {
+    ExportedFile { name, content: (lines.join("\n") + "\n").into_bytes() }
+}

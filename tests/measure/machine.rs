@@ -1,0 +1,178 @@
+//! A machine with a probe and a ball that is not quite where the plan has it. Moves are followed in small steps.
+
+use std::collections::BTreeMap;
+use std::sync::Arc;
+
+use abbe_core::{AxisKind, KinematicModel, Poses};
+
+/// Positions by letter: mm and degrees.
+pub type ByAxis = BTreeMap<String, f64>;
+
+pub struct Machine {
+    pub model: Arc<dyn KinematicModel>,
+    pub at: ByAxis,
+    pub centre: [f64; 3],
+    pub radius: f64,
+    /// The stand of the ball: a rod below it.
+    pub stand: [[f64; 3]; 2],
+    /// Whether the last watched move was stopped by the probe.
+    pub triggered: bool,
+    /// Stops of the probe that the control does not notice, counted down.
+    pub blind: usize,
+    /// An axis that moves in the wrong direction.
+    pub flipped: Option<String>,
+    pub log: Vec<String>,
+    /// What ended the program, if not its end.
+    pub alarm: Option<String>,
+    /// Rotary moves.
+    pub swings: usize,
+    known: bool,
+    /// The tip is where it could not be, after the probe was not noticed.
+    passed: bool,
+}
+
+const ROD: f64 = 5.0;
+
+impl Machine {
+    pub fn new(
+        model: Arc<dyn KinematicModel>,
+        centre: [f64; 3],
+        radius: f64,
+        stand: [[f64; 3]; 2],
+        first: &ByAxis,
+    ) -> Self {
+        let mut at: ByAxis = model.info().axes.iter().map(|axis| (axis.name.clone(), 0.0)).collect();
+        at.extend(first.clone());
+        let (log, alarm, flipped) = (Vec::new(), None, None);
+        Self {
+            model,
+            at,
+            centre,
+            radius,
+            stand,
+            triggered: false,
+            blind: 0,
+            flipped,
+            log,
+            alarm,
+            swings: 0,
+            known: false,
+            passed: false,
+        }
+    }
+
+    /// Tip and direction to the spindle, in the frame of the table.
+    pub fn tip(&self, at: &ByAxis) -> ([f64; 3], [f64; 3]) {
+        let info = self.model.info();
+        let mut status = vec![0.0; info.status.len()];
+        for axis in &info.axes {
+            let turned = if self.flipped.as_ref() == Some(&axis.name) { -1.0 } else { 1.0 };
+            let place = at[&axis.name] * turned;
+            status[axis.status] = if axis.kind == AxisKind::Rotary { place.to_radians() } else { place };
+        }
+        let mut poses = Poses::default();
+        self.model.poses(&status, &info.nominal, &[], true, &mut poses).expect("a pose");
+        let [w, x, y, z] = poses.orientations[0];
+        (poses.positions[0], [2.0 * (x * z + w * y), 2.0 * (y * z - w * x), 1.0 - 2.0 * (x * x + y * y)])
+    }
+
+    fn gap(&self, at: &ByAxis) -> f64 {
+        norm(minus(self.tip(at).0, self.centre)) - self.radius - self.model.info().stylus_radius
+    }
+
+    /// Fails if the shank is in the ball, or anything in its stand.
+    fn look(&self, at: &ByAxis) -> Result<(), String> {
+        let (tip, up) = self.tip(at);
+        for step in 0..=50 {
+            let height = 3.0 * f64::from(step);
+            let place = [0, 1, 2].map(|axis| tip[axis] + height * up[axis]);
+            let own = if height < 40.0 { 2.0 } else { 20.0 };
+            if norm(minus(place, self.centre)) < self.radius + own - 1.0 && height > 0.0 {
+                return Err(format!("the shank is in the ball at {at:?}"));
+            }
+            let along = minus(self.stand[1], self.stand[0]);
+            let part = (dot(minus(place, self.stand[0]), along) / dot(along, along)).clamp(0.0, 1.0);
+            let nearest = [0, 1, 2].map(|axis| self.stand[0][axis] + part * along[axis]);
+            if norm(minus(place, nearest)) < ROD + own - 0.5 {
+                return Err(format!("the probe is in the stand at {at:?}"));
+            }
+        }
+        Ok(())
+    }
+
+    /// A move in a straight line of all axes; a watched one stops where the probe triggers.
+    pub fn go(&mut self, target: &ByAxis, watched: bool) -> Result<(), String> {
+        let info = self.model.info();
+        for axis in &info.axes {
+            let Some(place) = target.get(&axis.name) else { continue };
+            let place = if axis.kind == AxisKind::Rotary { place.to_radians() } else { *place };
+            if axis.range.is_some_and(|[from, to]| !(from - 1e-4..=to + 1e-4).contains(&place)) {
+                return Err(format!("{} is out of its travel", axis.name));
+            }
+            let turns = axis.kind == AxisKind::Rotary && target[&axis.name] != self.at[&axis.name];
+            self.swings += usize::from(turns);
+        }
+        if let Some(unknown) = target.keys().find(|letter| !self.at.contains_key(*letter)) {
+            return Err(format!("there is no axis {unknown}"));
+        }
+        let from = self.at.clone();
+        let between = |part: f64| -> ByAxis {
+            from.iter().map(|(axis, at)| (axis.clone(), at + part * (target.get(axis).unwrap_or(at) - at))).collect()
+        };
+        let longest = target.iter().map(|(axis, to)| (to - from[axis]).abs()).fold(0.0, f64::max);
+        let steps = (longest / 0.4).ceil().max(1.0) as usize;
+        let start = self.gap(&from);
+        if watched && start <= 1e-7 && self.known && !self.passed {
+            return Err("a watched move begins in contact".to_owned());
+        }
+        if !self.known {
+            // Where the machine was before nobody knows.
+            self.at = between(1.0);
+            self.known =
+                target.keys().any(|axis| ["X", "Y", "Z"].contains(&axis.as_str())) && self.gap(&self.at) > 50.0;
+            self.triggered = false;
+            return Ok(());
+        }
+        self.triggered = false;
+        let unnoticed = watched && self.blind > 0;
+        let blind = unnoticed || self.passed;
+        let mut met = false;
+        for step in 1..=steps {
+            let (before, now) = ((step - 1) as f64 / steps as f64, step as f64 / steps as f64);
+            let gap = self.gap(&between(now));
+            if gap <= 0.0 && watched && !blind {
+                let (mut free, mut hit) = (before, now);
+                for _ in 0..40 {
+                    let middle = (free + hit) / 2.0;
+                    if self.gap(&between(middle)) > 0.0 { free = middle } else { hit = middle }
+                }
+                self.at = between(hit);
+                self.triggered = true;
+                return Ok(());
+            }
+            met |= gap <= 0.0;
+            if gap < -1e-3 && gap < start - 1e-3 && !blind {
+                return Err(format!("the tip goes into the ball: {target:?}"));
+            }
+            if !blind && gap > -1e-3 {
+                self.look(&between(now))?;
+            }
+        }
+        self.blind -= usize::from(unnoticed && met);
+        self.at = between(1.0);
+        self.passed = blind && self.gap(&self.at) <= 0.0;
+        Ok(())
+    }
+}
+
+pub fn minus(a: [f64; 3], b: [f64; 3]) -> [f64; 3] {
+    [0, 1, 2].map(|axis| a[axis] - b[axis])
+}
+
+pub fn dot(a: [f64; 3], b: [f64; 3]) -> f64 {
+    a.iter().zip(b).map(|(a, b)| a * b).sum()
+}
+
+pub fn norm(a: [f64; 3]) -> f64 {
+    dot(a, a).sqrt()
+}
