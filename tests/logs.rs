@@ -185,6 +185,7 @@ fn qif(output: &str) -> String {
     let (mut items, mut measured) = (String::new(), String::new());
     let circles = output.lines().filter_map(|line| line.strip_prefix("FA(")?.split_once(")=FEAT/CIRCLE,INNER,CART,"));
     for (index, (name, rest)) in circles.enumerate() {
+        let name = name.to_uppercase();
         let place = rest.trim_end_matches(",$").replace(',', " ");
         let _ = write!(items, "<CircleFeatureItem id='{index}'><FeatureName>{name}</FeatureName></CircleFeatureItem>");
         let _ = write!(
