@@ -160,8 +160,8 @@ fn dmis_output_and_qif_results_of_a_plate_give_what_its_table_gives() {
     let plate = read(&data.join("plate.csv")).replace("hole,x_mm", "point,x_mm").replace("\nh", "\nH");
     write(&folder.path().join("plate.csv"), &plate);
     let csv = recipe.0["stages"]["plate-files"].clone();
-    let first_runs = |files: Value| json!({ "ingest": "csv", "path": files, "constants": csv["constants"], "join": csv["join"], "keep": { "run": [1] } });
-    recipe.0["stages"]["plate-files"] = first_runs(csv["path"].clone());
+    recipe.0["stages"]["plate-files"] = json!({ "ingest": "csv", "path": csv["path"], "constants": csv["constants"],
+        "join": csv["join"], "keep": { "run": [1] } });
     let expected_of_first = found(&recipe.run(), "before");
     assert_eq!(expected.len(), expected_of_first.len());
     recipe.0["stages"]["plate-files"] =
