@@ -5,7 +5,7 @@ use std::fmt::Write;
 use std::path::{Path, PathBuf};
 
 use abbe_engine::Outcome;
-use serde_json::{Value, json};
+use serde_json::json;
 
 use crate::support::{Variant, abbe, fit, read, recipes, root, temporary, values, write};
 
