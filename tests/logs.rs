@@ -5,7 +5,7 @@ use std::fmt::Write;
 use std::path::{Path, PathBuf};
 
 use abbe_engine::Outcome;
-use serde_json::{Value, json};
+use serde_json::json;
 
 use crate::support::{Variant, abbe, fit, read, recipes, root, temporary, values, write};
 
@@ -160,8 +160,8 @@ fn dmis_output_and_qif_results_of_a_plate_give_what_its_table_gives() {
     let plate = read(&data.join("plate.csv")).replace("hole,x_mm", "point,x_mm").replace("\nh", "\nH");
     write(&folder.path().join("plate.csv"), &plate);
     let csv = recipe.0["stages"]["plate-files"].clone();
-    let first_runs = |files: Value| json!({ "ingest": "csv", "path": files, "constants": csv["constants"], "join": csv["join"], "keep": { "run": [1] } });
-    recipe.0["stages"]["plate-files"] = first_runs(csv["path"].clone());
+    recipe.0["stages"]["plate-files"] = json!({ "ingest": "csv", "path": csv["path"], "constants": csv["constants"],
+        "join": csv["join"], "keep": { "run": [1] } });
     let expected_of_first = found(&recipe.run(), "before");
     assert_eq!(expected.len(), expected_of_first.len());
     recipe.0["stages"]["plate-files"] =
@@ -185,6 +185,7 @@ fn qif(output: &str) -> String {
     let (mut items, mut measured) = (String::new(), String::new());
     let circles = output.lines().filter_map(|line| line.strip_prefix("FA(")?.split_once(")=FEAT/CIRCLE,INNER,CART,"));
     for (index, (name, rest)) in circles.enumerate() {
+        let name = name.to_uppercase();
         let place = rest.trim_end_matches(",$").replace(',', " ");
         let _ = write!(items, "<CircleFeatureItem id='{index}'><FeatureName>{name}</FeatureName></CircleFeatureItem>");
         let _ = write!(

@@ -283,8 +283,8 @@ proptest! {
         match read(probe::read, &text, MM) {
             Ok((data, _)) => {
                 prop_assert!(lost.is_none_or(|lost| lost >= nx * ny) && data.rows() == nx * ny);
-                for place in 0..nx * ny {
-                    let expected = [-10.0 + 2.5 * (place % nx) as f64, (5 + 4 * (place / nx)) as f64, heights[place] as f64 * 1e-3];
+                for (place, height) in heights.iter().enumerate().take(nx * ny) {
+                    let expected = [-10.0 + 2.5 * (place % nx) as f64, (5 + 4 * (place / nx)) as f64, *height as f64 * 1e-3];
                     prop_assert_eq!(numbers(&data, &["X", "Y", "Z"], place), expected);
                 }
             }
