@@ -208,7 +208,7 @@ impl Method {
     pub fn useless(self) -> &'static str {
         match self {
             Self::Table => {
-                "faces of unknown places and directions tell errors only where rotary axes turn them: touch balls of known diameter"
+                "faces of unknown places and directions tell errors only where rotary axes turn the table or swing the tool: touch balls of known diameter"
             }
             Self::Ball | Self::Balls => "no error of this machine changes where the balls are touched",
             Self::BallBar => "no error of this machine changes what the bar reads",
