@@ -6,4 +6,5 @@ mod driver;
 mod first_error_family;
 mod instruction_sets;
 mod linuxcnc;
+mod measured;
 mod page;

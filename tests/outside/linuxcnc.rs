@@ -18,7 +18,7 @@ use crate::controls::temperature::warming;
 use crate::support::{read, root, skipped, temporary, write};
 
 /// The user that runs the control: it refuses root.
-const USER: &str = "abbe-linuxcnc";
+pub(super) const USER: &str = "abbe-linuxcnc";
 
 /// Longest run of the control; a run takes 10 to 20 s.
 const LONGEST: Duration = Duration::from_secs(60);
@@ -27,14 +27,14 @@ const LONGEST: Duration = Duration::from_secs(60);
 const FINER: f64 = 1e6;
 
 /// There is one control on a computer.
-static ALONE: Mutex<()> = Mutex::new(());
+pub(super) static ALONE: Mutex<()> = Mutex::new(());
 
-fn answers(program: &str, arguments: &[&str]) -> bool {
+pub(super) fn answers(program: &str, arguments: &[&str]) -> bool {
     Command::new(program).args(arguments).output().is_ok_and(|output| output.status.success())
 }
 
 /// Why the control cannot be run here.
-fn missing() -> Option<String> {
+pub(super) fn missing() -> Option<String> {
     if !answers("sh", &["-c", "command -v linuxcnc && command -v halcompile && command -v halsampler"]) {
         return Some("there is no LinuxCNC (Debian: apt-get install linuxcnc-uspace linuxcnc-uspace-dev)".to_owned());
     }
@@ -45,10 +45,10 @@ fn missing() -> Option<String> {
 }
 
 /// A component that is installed for the time of a test.
-struct Installed(String);
+pub(super) struct Installed(String);
 
 impl Installed {
-    fn new(folder: &Path, name: &str) -> Self {
+    pub(super) fn new(folder: &Path, name: &str) -> Self {
         let file = format!("{name}.comp");
         let output =
             Command::new("halcompile").args(["--install", &file]).current_dir(folder).output().expect("it starts");
@@ -189,35 +189,40 @@ fn run(
     write(&folder.join("abbe.hal"), &hal(&letters(machine)));
     write(&folder.join("abbe.tbl"), "");
     write(&folder.join("program.ngc"), program);
-    write(&folder.join("ui.py"), &read(&root().join("xtask/linuxcnc/ui.py")));
-    let at = folder.to_str().expect("a plain path");
-    assert!(answers("chmod", &["755", &format!("{at}/ui.py")]) && answers("chown", &["-R", USER, at]));
-    let log = std::fs::File::create(folder.join("log.txt")).expect("a file");
-    let mut command = Command::new("timeout");
-    let seconds = LONGEST.as_secs().to_string();
-    command.args(["--kill-after=10", &seconds, "runuser", "-u", USER, "--", "env"]);
-    command.args([&format!("HOME={at}"), "linuxcnc", "-r", "abbe.ini"]).current_dir(folder);
-    command.stdout(log.try_clone().expect("a file")).stderr(log);
-    let clock = Instant::now();
-    command.status().expect("it starts");
-    let log = || read(&folder.join("log.txt"));
-    assert!(clock.elapsed() < LONGEST, "LinuxCNC did not end: {}", log());
-    let failed = folder.join("failed.txt");
-    assert!(!failed.exists(), "{}{}", read(&failed), log());
-    assert!(folder.join("samples.txt").exists(), "no samples: {}", log());
+    started(folder, LONGEST);
+    assert!(folder.join("samples.txt").exists(), "no samples: {}", read(&folder.join("log.txt")));
     let samples = read(&folder.join("samples.txt"));
-    let is_left = || answers("pgrep", &["-u", USER]);
-    let clock = Instant::now();
-    while is_left() && clock.elapsed() < Duration::from_secs(10) {
-        std::thread::sleep(Duration::from_millis(50));
-    }
-    assert!(!is_left(), "processes of the control are left");
     let homes: Vec<f64> = letters(machine).iter().map(|letter| home(letter)).collect();
     let mut lines: Vec<&str> = samples.lines().collect();
     // The last line may have been cut off.
     lines.pop();
     let of = |line: &&str| Cycle::of(line, &homes).unwrap_or_else(|| panic!("a cycle of {homes:?}: {line}"));
     lines.iter().map(of).collect()
+}
+
+/// Starts the control in a folder with its files and waits for its end. What it says stands in `log.txt`.
+pub(super) fn started(folder: &Path, longest: Duration) {
+    write(&folder.join("ui.py"), &read(&root().join("xtask/linuxcnc/ui.py")));
+    let at = folder.to_str().expect("a plain path");
+    assert!(answers("chmod", &["755", &format!("{at}/ui.py")]) && answers("chown", &["-R", USER, at]));
+    let log = std::fs::File::create(folder.join("log.txt")).expect("a file");
+    let mut command = Command::new("timeout");
+    let seconds = longest.as_secs().to_string();
+    command.args(["--kill-after=10", &seconds, "runuser", "-u", USER, "--", "env"]);
+    command.args([&format!("HOME={at}"), "linuxcnc", "-r", "abbe.ini"]).current_dir(folder);
+    command.stdout(log.try_clone().expect("a file")).stderr(log);
+    let clock = Instant::now();
+    command.status().expect("it starts");
+    let log = || read(&folder.join("log.txt"));
+    assert!(clock.elapsed() < longest, "LinuxCNC did not end: {}", log());
+    let failed = folder.join("failed.txt");
+    assert!(!failed.exists(), "{}{}", read(&failed), log());
+    let is_left = || answers("pgrep", &["-u", USER]);
+    let clock = Instant::now();
+    while is_left() && clock.elapsed() < Duration::from_secs(10) {
+        std::thread::sleep(Duration::from_millis(50));
+    }
+    assert!(!is_left(), "processes of the control are left");
 }
 
 /// Statuses with these commands (mm, degrees) and directions of the joints.
