@@ -77,22 +77,33 @@ fn home(letter: &str) -> f64 {
     if ["A", "B"].contains(&letter) { 20.0 } else { 0.0 }
 }
 
-fn ini(machine: &Machine, kinematics: &str, compensated: &BTreeMap<String, (String, u8)>) -> String {
-    let letters = letters(machine);
+/// What joints can do, mm/s and mm/s^2 or degrees, and where they stand at first.
+pub(super) struct Joints {
+    pub(super) velocity: f64,
+    pub(super) acceleration: f64,
+    pub(super) home: fn(&str) -> f64,
+}
+
+pub(super) fn ini(
+    letters: &[String],
+    joints: &Joints,
+    kinematics: &str,
+    compensated: &BTreeMap<String, (String, u8)>,
+) -> String {
     let mut text = format!(
         "[EMC]\nVERSION = 1.1\nMACHINE = abbe\n[DISPLAY]\nDISPLAY = ./ui.py\n[TASK]\nTASK = milltask\nCYCLE_TIME = 0.001\n[RS274NGC]\n\
          PARAMETER_FILE = abbe.var\n[EMCMOT]\nEMCMOT = motmod\nCOMM_TIMEOUT = 4.0\nSERVO_PERIOD = 1000000\n[EMCIO]\nEMCIO = io\n\
          CYCLE_TIME = 0.1\nTOOL_TABLE = abbe.tbl\n[HAL]\nHALFILE = abbe.hal\n[TRAJ]\nCOORDINATES = {}\nLINEAR_UNITS = mm\n\
-         ANGULAR_UNITS = degree\nDEFAULT_LINEAR_VELOCITY = 100\nMAX_LINEAR_VELOCITY = 300\nMAX_ANGULAR_VELOCITY = 300\n\
+         ANGULAR_UNITS = degree\nDEFAULT_LINEAR_VELOCITY = 100\nMAX_LINEAR_VELOCITY = 500\nMAX_ANGULAR_VELOCITY = 500\n\
          NO_FORCE_HOMING = 1\n[KINS]\nKINEMATICS = {kinematics}\nJOINTS = {}\n",
         letters.join(" "),
         letters.len()
     );
     for (joint, letter) in letters.iter().enumerate() {
         let kind = if ["A", "B", "C"].contains(&letter.as_str()) { "ANGULAR" } else { "LINEAR" };
-        let limits = "MIN_LIMIT = -1000\nMAX_LIMIT = 1000\nMAX_VELOCITY = 200\n";
-        let limits = format!("{limits}MAX_ACCELERATION = {ACCELERATION}\n");
-        let home = home(letter);
+        let limits = format!("MIN_LIMIT = -1000\nMAX_LIMIT = 1000\nMAX_VELOCITY = {}\n", joints.velocity);
+        let limits = format!("{limits}MAX_ACCELERATION = {}\n", joints.acceleration);
+        let home = (joints.home)(letter);
         let _ = write!(
             text,
             "[AXIS_{letter}]\n{limits}[JOINT_{joint}]\nTYPE = {kind}\n{limits}HOME = {home}\nHOME_OFFSET = {home}\nHOME_SEQUENCE = 0\nFERROR = 10\nMIN_FERROR = 10\n"
@@ -181,7 +192,8 @@ fn run(
     compensated: &BTreeMap<String, (String, u8)>,
     program: &str,
 ) -> Vec<Cycle> {
-    let mut ini = ini(machine, kinematics, compensated);
+    let joints = Joints { velocity: 200.0, acceleration: ACCELERATION, home };
+    let mut ini = ini(&letters(machine), &joints, kinematics, compensated);
     if folder.join(PINS_OF_KINEMATICS).exists() {
         ini = ini.replace("HALFILE = abbe.hal\n", &format!("HALFILE = abbe.hal\nHALFILE = {PINS_OF_KINEMATICS}\n"));
     }
