@@ -477,7 +477,7 @@ fn a_key_that_stands_twice_is_refused_with_its_place() {
 #[test]
 fn absurd_truths_of_artefacts_and_noise_are_refused() {
     let folder = temporary();
-    let recipe = recipes()["tango-exact"].clone();
+    let recipe = recipes()["tango-hu40t-exact"].clone();
     let simulate = |truth: &str, out: &str| {
         let file = folder.path().join("truth.json");
         fs::write(&file, truth).expect("a file");

@@ -275,23 +275,26 @@ fn files_of_killed_commands_are_removed() {
 #[test]
 fn a_limit_on_the_size_of_files_is_told() {
     let small = Small::new();
-    let before = tree(&small.path(""));
+    let before = tree(small.folder.path());
+    let run = crate::support::program(small.folder.path(), &["run", "recipe.yaml", "--out", "out"]);
     let program = std::process::Command::new("sh")
-        .args(["-c", "ulimit -f 4; exec \"$0\" run recipe.yaml --out out", env!("CARGO_BIN_EXE_abbe")])
-        .current_dir(small.path(""))
+        .args(["-c", "ulimit -f 4; exec \"$0\" \"$@\""])
+        .arg(run.get_program())
+        .args(run.get_args())
+        .current_dir(small.folder.path())
         .output()
-        .expect("it starts");
+        .expect("a shell");
     let stderr = String::from_utf8_lossy(&program.stderr);
     assert_eq!(program.status.code(), Some(1), "{stderr}");
     assert!(stderr.contains("larger than files may be here"), "{stderr}");
-    assert_eq!(tree(&small.path("")), before);
+    assert_eq!(tree(small.folder.path()), before);
 }
 
 /// A name that the disk cannot take is told before the work, and leaves nothing.
 #[test]
 fn names_that_are_too_long_leave_nothing() {
     let small = Small::new();
-    let before = tree(&small.path(""));
+    let before = tree(small.folder.path());
     let name = "x".repeat(300);
     for command in [
         vec!["run", "recipe.yaml", "--out", &name],
@@ -300,6 +303,6 @@ fn names_that_are_too_long_leave_nothing() {
         let said = small.abbe(&command);
         assert!(said.status != 0 && said.stderr.contains("too long for the disk"), "{command:?}: {}", said.stderr);
         assert!(!said.stderr.contains("--out"), "{}", said.stderr);
-        assert_eq!(tree(&small.path("")), before);
+        assert_eq!(tree(small.folder.path()), before);
     }
 }

@@ -172,7 +172,7 @@ impl World {
             "control": "linuxcnc", "log": LOG, "unreachable": "leave-out",
             "probe": [{ "diameter_mm": 2.0 * radius, "length_mm": 50 }, { "diameter_mm": 30, "length_mm": length - 50.0 }],
             "clearance": { "plane": { "axis": "Z", "at_mm": 400 } },
-            "approach_mm": 1, "overtravel_mm": 1, "back_off_mm": 0.1, "search_feed_mm_per_min": 240,
+            "approach_mm": 1, "margin_mm": 0.5, "overtravel_mm": 1, "back_off_mm": 0.1, "search_feed_mm_per_min": 240,
             "measuring_feed_mm_per_min": 30, "positioning_feed_mm_per_min": 20000, "rotary_feed_deg_per_min": 20000,
         });
     }
@@ -260,8 +260,8 @@ impl World {
 
     /// Plans touches, and writes the program that measures them.
     fn plan(&self) {
-        write(&self.at("recipe.yaml"), &self.recipe.to_string());
-        let planned = abbe(self.folder.path(), &["plan", "recipe.yaml", "--out", "plan"]);
+        write(&self.at("begun/loop.yaml"), &self.recipe.to_string());
+        let planned = abbe(self.folder.path(), &["plan", "begun/loop.yaml", "--out", "plan"]);
         assert!(planned.status <= 1, "{}", planned.stderr);
         assert!(self.at("plan/measure.ngc").exists(), "{}{}", planned.stdout, planned.stderr);
     }
@@ -325,7 +325,7 @@ impl World {
         more.as_object().expect("a map").iter().for_each(|(key, value)| ingest[key] = value.clone());
         recipe["stages"]["touches"] = ingest;
         recipe.as_object_mut().expect("a map").remove("plan");
-        let file = self.at(&format!("{name}.yaml"));
+        let file = self.at(&format!("begun/{name}.yaml"));
         write(&file, &recipe.to_string());
         file
     }

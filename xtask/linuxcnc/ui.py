@@ -84,9 +84,10 @@ def main():
             sampler.wait(timeout=10)
     with open("pins.json", "w") as file:
         json.dump({pin: hal.get_value(pin) for pin in how.get("pins", [])}, file)
-    told = errors.poll()
-    if told:
-        raise RuntimeError(told[1])
+    while told := errors.poll():
+        # What a program says to people (MSG) is none.
+        if told[0] in (linuxcnc.NML_ERROR, linuxcnc.OPERATOR_ERROR):
+            raise RuntimeError(told[1])
 
 
 try:

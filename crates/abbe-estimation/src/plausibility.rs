@@ -64,7 +64,7 @@ impl LargeError {
 
     /// The error and its bound, for people.
     pub fn describe(&self) -> String {
-        let is_error_motion = self.unknown.unit.per.is_some();
+        let is_error_motion = self.unknown.unit.per.is_some() || self.unknown.unit.of == Quantity::PerTemperature;
         let over = if is_error_motion { " over the recorded travel" } else { "" };
         format!("{} = {}{over}", self.unknown.name, self.of_size(self.size))
     }
@@ -210,7 +210,7 @@ pub fn absurd_error(problem: &Problem) -> Option<String> {
 /// What a recipe states for a parameter, mm, rad or s.
 fn stated(plausible: &Plausible, unknown: &Unknown) -> Option<f64> {
     let (own, factor) = match unknown.unit.of {
-        Quantity::Length => (&plausible.mm, 1.0),
+        Quantity::Length | Quantity::PerTemperature => (&plausible.mm, 1.0),
         Quantity::Angle => (&plausible.mrad, 1e-3),
         Quantity::Time => (&plausible.s, 1.0),
         _ => return None,
@@ -224,6 +224,9 @@ fn stated(plausible: &Plausible, unknown: &Unknown) -> Option<f64> {
 /// The largest plausible coefficient of temperature of this unit; none for other units.
 fn per_kelvin(unit: Unit) -> Option<f64> {
     let kelvin = Quantity::Temperature;
+    if unit == Unit::of(Quantity::PerTemperature) {
+        return Some(LENGTH_PER_KELVIN[1]);
+    }
     let power = match (unit.per, unit.and_per) {
         (Some((of, 1)), None) if of == kelvin => 0,
         (Some((Quantity::Length, 1)), Some(of)) if of == kelvin => 1,
@@ -241,7 +244,7 @@ fn per_kelvin(unit: Unit) -> Option<f64> {
 fn bound(plausible: &Plausible, problem: &Problem, unknown: &Unknown, change: f64) -> Option<f64> {
     let role = problem.model.info().parameters[unknown.index].role;
     let index = match unknown.unit.of {
-        Quantity::Length => 0,
+        Quantity::Length | Quantity::PerTemperature => 0,
         Quantity::Angle => 1,
         Quantity::Time if matches!(role, ParameterRole::Probe { .. }) => 2,
         _ => return None,
@@ -294,8 +297,8 @@ impl Motions {
     /// The effect of one parameter; none where it is not known.
     fn effect(&self, unknown: &Unknown) -> Option<f64> {
         match unknown.unit.per {
-            None => Some(1.0),
-            Some(_) => self.effects.get(&unknown.index).copied(),
+            None if unknown.unit.of != Quantity::PerTemperature => Some(1.0),
+            _ => self.effects.get(&unknown.index).copied(),
         }
     }
 
