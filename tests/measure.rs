@@ -99,8 +99,13 @@ impl Planned {
 
     /// The rotary axes stand where the first touch has them.
     fn first(&self) -> ByAxis {
-        let rotary =
-            self.touches[&1].iter().filter_map(|(name, place)| Some((name.strip_suffix("_deg")?.to_owned(), *place)));
+        let rotary = self
+            .touches
+            .values()
+            .next()
+            .expect("a touch")
+            .iter()
+            .filter_map(|(name, place)| Some((name.strip_suffix("_deg")?.to_owned(), *place)));
         rotary.collect()
     }
 
@@ -216,11 +221,12 @@ fn every_control_touches_the_right_places_in_order_and_without_collision() {
             let mut machine = planned.machine(random(seed * 7 + index));
             let (hits, misses) =
                 planned.measured(control, file, &mut machine).unwrap_or_else(|error| panic!("{what}: {error}"));
-            let left_out =
-                planned.files[*file].matches("eft out: ").count() + planned.files[*file].matches("EFT OUT: ").count();
             assert_eq!(misses, 0, "{what}");
             assert_eq!(hits.iter().collect::<BTreeSet<_>>().len(), hits.len(), "{what}: {hits:?}");
-            assert_eq!(hits.len() + left_out, planned.touches.len(), "{what}");
+            // What cannot be reached is named in the program, and is none of its plan.
+            let told = planned.files[*file].to_uppercase().matches("LEFT OUT: ").count();
+            assert!(told > 0 || planned.touches.keys().copied().eq(1..=planned.touches.len()), "{what}");
+            assert_eq!(hits.len(), planned.touches.len(), "{what}");
             assert!(hits.len() >= 4, "{what}: {} of {}", hits.len(), planned.touches.len());
             // Touches of one position of the rotary axes are made together.
             let turned = |touch: &usize| -> Vec<String> {

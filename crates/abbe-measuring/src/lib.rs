@@ -35,8 +35,10 @@ impl Measuring {
         targets: &[Target],
         model: &dyn KinematicModel,
     ) -> Result<Vec<ExportedFile>> {
-        let mut files = vec![ExportedFile { name: PLAN.to_owned(), content: touches.table(model).into_bytes() }];
         let program = Programme::new(self, touches, targets, model, None)?;
+        // The plan of a log has the touches that the program makes, and no others.
+        let touches = &program.touches;
+        let mut files = vec![ExportedFile { name: PLAN.to_owned(), content: touches.table(model).into_bytes() }];
         files.extend(controls::write(self, &program, false)?);
         if self.dry_run_mm > 0.0 {
             let program = Programme::new(self, touches, targets, model, Some(self.dry_run_mm))?;

@@ -1,5 +1,7 @@
 //! The program as a list of blocks that no control has had a part in: safe moves from touch to touch, checked on the nominal machine.
 
+use std::collections::BTreeSet;
+
 use abbe_core::{Axis, AxisKind, Error, KinematicModel, Result, Target};
 
 use crate::path::{Leg, Path, Refusal, Stop};
@@ -57,9 +59,9 @@ pub struct Programme {
     pub axes: Vec<ControlAxis>,
     /// The steps.
     pub blocks: Vec<Block>,
-    /// Touches of the plan.
-    pub touches: usize,
-    /// The first digits of the hash of the plan.
+    /// The touches that it makes, with the numbers of the plan.
+    pub touches: Touches,
+    /// The first digits of the hash of these touches.
     pub hash: String,
     /// Diameter of the tip ball, mm.
     pub tip_diameter: f64,
@@ -86,13 +88,14 @@ impl Programme {
         let mut program = Self {
             axes,
             blocks: Vec::new(),
-            touches: touches.list.len(),
-            hash: touches.hash(model),
+            touches: touches.clone(),
+            hash: String::new(),
             tip_diameter: 2.0 * model.info().stylus_radius,
             left_out: Vec::new(),
         };
         let mut writer = Writer { model, settings, lift, at: vec![None; model.info().axes.len()], made: 0 };
         let mut last: Option<Stop> = None;
+        let mut unreached = BTreeSet::new();
         for touch in sequence(settings, touches, model) {
             let way = path.stop(touch).and_then(|stop| Ok((path.way(last.as_ref(), &stop)?, stop)));
             match way {
@@ -101,6 +104,7 @@ impl Programme {
                     last = Some(stop);
                 }
                 Err(Refusal::Reason(reason)) => {
+                    unreached.insert(touch.number);
                     program.left_out.push(format!("touch {} (feature {}): {reason}", touch.number, touch.feature));
                 }
                 Err(Refusal::Failed(error)) => return Err(error),
@@ -112,6 +116,8 @@ impl Programme {
         if last.is_none() {
             return Err(unreachable(&program.left_out, touches.list.len()));
         }
+        program.touches = touches.without(&unreached);
+        program.hash = program.touches.hash(model);
         Ok(program)
     }
 

@@ -1,6 +1,6 @@
 //! The touches of a plan: where the axes stand at nominal contact, and the outward normal there.
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 use std::fmt::Write as _;
 
 use abbe_core::{
@@ -44,6 +44,16 @@ pub struct Touches {
 const NEAR: f64 = 1.0;
 
 impl Touches {
+    /// The same without the touches of these numbers; the others keep theirs.
+    pub fn without(&self, numbers: &BTreeSet<usize>) -> Self {
+        let kept: Vec<bool> = self.list.iter().map(|touch| !numbers.contains(&touch.number)).collect();
+        fn of<T: Clone>(all: &[T], kept: &[bool]) -> Vec<T> {
+            all.iter().zip(kept).filter(|(_, kept)| **kept).map(|(item, _)| item.clone()).collect()
+        }
+        let labels = self.labels.iter().map(|(name, labels)| (name.clone(), of(labels, &kept)));
+        Self { labels: labels.collect(), list: of(&self.list, &kept) }
+    }
+
     /// Some rows of a table of candidates, in this order, with their planned times. `targets` are the nominal touches of the artefact.
     ///
     /// Fails if the tip is nowhere near a touch of its feature, and if the stylus changes.

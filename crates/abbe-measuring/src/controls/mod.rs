@@ -57,7 +57,8 @@ impl Job<'_> {
         lines.extend([
             format!(
                 "Plan {}, {} touches, machine coordinates in mm and degrees",
-                self.program.hash, self.program.touches
+                self.program.hash,
+                self.program.touches.list.len()
             ),
             format!(
                 "Diameter of the tip {} mm, probe checked to {} mm above the tip",
@@ -80,7 +81,7 @@ impl Job<'_> {
             "UNITS MM".to_owned(),
             "FRAME MACHINE".to_owned(),
             format!("TOOL L0.0000 D{:.4}", self.program.tip_diameter),
-            format!("TOUCHES {} REPEATS {}", self.program.touches, self.settings.repeats.get()),
+            format!("TOUCHES {} REPEATS {}", self.program.touches.list.len(), self.settings.repeats.get()),
         ]
     }
 }
