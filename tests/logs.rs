@@ -7,7 +7,7 @@ use std::path::{Path, PathBuf};
 use abbe_engine::Outcome;
 use serde_json::json;
 
-use crate::support::{Variant, abbe, fit, read, recipes, root, temporary, values, write};
+use crate::support::{Variant, abbe, fit, json_file, read, recipes, registry, root, temporary, values, write};
 
 /// A table as rows of cells by the name of their column.
 fn table(path: &Path) -> Vec<BTreeMap<String, String>> {
@@ -200,4 +200,54 @@ fn qif(output: &str) -> String {
          <MeasurementResults><MeasuredFeatures>{measured}</MeasuredFeatures></MeasurementResults>\
          </MeasurementResultsSet></Results></QIFDocument>"
     )
+}
+
+/// What LinuxCNC has logged in simulation, with hidden errors: the truth is inside four standard uncertainties, and the log in another
+/// order of its lines, or without one of them, is no other measurement.
+#[test]
+fn logs_of_linuxcnc_itself_tell_what_was_hidden() {
+    for name in ["linuxcnc-table", "linuxcnc-balls"] {
+        let recipe = Variant::of(&recipes()[name]).only(&["fit"]);
+        let outcome = recipe.run();
+        let truth = json_file(&root().join(format!("tests/truth/{name}.json")));
+        let calibration = &fit(&outcome, "fit").calibration;
+        let hidden = truth["parameters"].as_object().expect("a map");
+        assert!(hidden.len() >= 6, "{name}");
+        for (parameter, hidden) in hidden {
+            let found = calibration.get(parameter).unwrap_or_else(|| panic!("{name}: {parameter} is not estimated"));
+            let hidden = hidden.as_f64().expect("a number");
+            let off = (found.value - hidden) / found.standard_uncertainty;
+            assert!(
+                off.abs() < 4.0,
+                "{name}: {parameter} is {} of {hidden}, {off} standard uncertainties",
+                found.value
+            );
+        }
+        // The other sign is not what was measured.
+        let beyond = hidden.iter().filter(|(parameter, hidden)| {
+            let found = calibration.get(parameter).expect("it is estimated");
+            ((found.value + hidden.as_f64().expect("a number")) / found.standard_uncertainty).abs() > 10.0
+        });
+        assert!(beyond.count() >= 3, "{name}");
+        let log = read(&recipe.path("touches", "path"));
+        let folder = temporary();
+        let with = |lines: Vec<&str>, file: &str| {
+            let file = folder.path().join(file);
+            write(&file, &(lines.join("\n") + "\n"));
+            let changed = Variant(recipe.0.clone()).set("touches", "path", json!(file));
+            abbe_engine::prepare(&changed.write(folder.path()), &registry()).and_then(|prepared| prepared.check())
+        };
+        let touches: Vec<usize> = log
+            .lines()
+            .enumerate()
+            .filter(|(_, line)| line.starts_with('T') && line.contains(" H1 "))
+            .map(|(at, _)| at)
+            .collect();
+        let mut lines: Vec<&str> = log.lines().collect();
+        assert!(with(lines.clone(), "same.log").is_ok());
+        lines.swap(touches[2], touches[9]);
+        assert!(with(lines.clone(), "swapped.log").is_ok());
+        lines.remove(touches[4]);
+        assert!(with(lines, "lost.log").is_err(), "{name}: a lost line passes");
+    }
 }

@@ -252,7 +252,10 @@ impl Recipe {
             name => format!("{name}: {}", error.message),
         };
         let mut located = self.place(Error::usage(message).stage(stage), stage, &error.path, at);
-        located.help = self.reference_near(stage, &error).or(error.help);
+        let is_missing = error.message.starts_with("the setting `") && error.message.ends_with("` is missing");
+        let listed = "`abbe plugins --json` shows the settings of every plugin, with an example";
+        located.help =
+            self.reference_near(stage, &error).or(error.help).or_else(|| is_missing.then(|| listed.to_owned()));
         located.setting = error.path;
         located.class = error.class;
         located

@@ -121,7 +121,6 @@ impl de::Error for SettingsError {
 
     fn missing_field(field: &'static str) -> Self {
         Self::new("", format!("the setting `{field}` is missing"))
-            .help("`abbe plugins --json` shows the settings of every plugin, with an example")
     }
 
     fn unknown_variant(variant: &str, expected: &'static [&'static str]) -> Self {
