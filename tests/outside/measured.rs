@@ -55,7 +55,7 @@ const THREE_AXES: Case = Case {
     chain: "w Y' b X Z t",
     method: "balls",
     artefact: "balls",
-    number: 60,
+    number: 44,
     without_errors: &["alone.*", "probe.r0"],
 };
 
@@ -495,5 +495,5 @@ fn misses_and_stops_of_the_control_come_back_right() {
     let refused = checked("stopped", &log, &json!({}));
     assert!(refused.status != 0 && refused.stderr.contains("aborted"), "{}{}", refused.stdout, refused.stderr);
     let taken = checked("taken", &log, &json!({ "aborted": "accept" }));
-    assert!(!taken.stderr.contains("aborted"), "{}", taken.stderr);
+    assert!(taken.status <= 1 && taken.stderr.contains("no END"), "{}", taken.stderr);
 }
