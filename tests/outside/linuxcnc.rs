@@ -229,7 +229,8 @@ pub(super) fn started(folder: &Path, longest: Duration) {
     assert!(clock.elapsed() < longest, "LinuxCNC did not end: {}", log());
     let failed = folder.join("failed.txt");
     assert!(!failed.exists(), "{}{}", read(&failed), log());
-    let is_left = || answers("pgrep", &["-u", USER]);
+    // A process that has ended and that nobody has asked for yet (Z) does nothing any more.
+    let is_left = || answers("pgrep", &["--runstates", "D,R,S,T", "-u", USER]);
     let clock = Instant::now();
     while is_left() && clock.elapsed() < Duration::from_secs(10) {
         std::thread::sleep(Duration::from_millis(50));

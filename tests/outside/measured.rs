@@ -3,6 +3,16 @@
 //!
 //! The hidden machine is a component of HAL (`world/abbe_world.comp`), which shares no code with Abbe: from where the joints are it
 //! computes where the tip of the stylus really is on the table, and closes the probe two milliseconds after the contact.
+//!
+//! What LinuxCNC 2.9 was seen to do:
+//! - The position of a trigger is that of the servo cycle in which the probe is seen closed, no cycle later: with the delay and half a
+//!   cycle on average, touches at 30 mm/min come 1.25 um late (found 1.28 um, standard uncertainty 0.06 um, in 100 touches).
+//! - `(LOG,..)` writes a parameter with six decimals, `%f#n` with four, `%.6f#n` with six, `%d#n` a whole number. A format stays for all
+//!   parameters behind it in the comment.
+//! - After a miss `#5061`.. are where the move ended, and `#5070` is 0.
+//! - `G38.3` runs on behind the trigger by its braking distance. Where the probe is closed when it begins, or closes in a move that does
+//!   not probe, the program ends with an error: the retract of a measuring program must not touch anything.
+//! - On SIGTERM its script ends all processes, realtime too, and takes away its lock and shared memory.
 
 use std::collections::BTreeMap;
 use std::fmt::Write as _;

@@ -1,4 +1,5 @@
-//! The files for LinuxCNC, proven on LinuxCNC itself (`tests/outside/linuxcnc.rs`).
+//! The files for LinuxCNC, proven on LinuxCNC itself (`tests/outside/linuxcnc.rs`), and the loop of measuring and
+//! correcting on it (`tests/outside/measured.rs`).
 
 use std::process::{Command, Stdio};
 
@@ -21,6 +22,7 @@ pub fn run(create: bool) -> Outcome {
         "--locked",
         "--",
         "outside::linuxcnc",
+        "outside::measured",
         "--nocapture",
     ]))
 }
