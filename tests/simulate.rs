@@ -351,6 +351,8 @@ fn every_recipe_is_simulated_with_the_truth_of_its_own_data() {
             }
             // Means of series, of which nobody takes the single rows.
             Err(error) if name == "mfb-ucp710" && error.to_string().contains("combine several recorded ones") => {}
+            // Rows are written into tables, and these are logs of a control.
+            Err(error) if name.starts_with("linuxcnc-") && error.to_string().contains("reads lines of a log") => {}
             Err(error) => panic!("{name}: {error}"),
         }
     }
