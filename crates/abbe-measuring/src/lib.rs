@@ -36,6 +36,14 @@ impl Measuring {
         model: &dyn KinematicModel,
     ) -> Result<Vec<ExportedFile>> {
         let program = Programme::new(self, touches, targets, model, None)?;
+        if !program.left_out.is_empty() {
+            tracing::warn!(
+                "the program leaves out {} of {} touches, which cannot be reached; what the plan expects counts them, too: {}",
+                program.left_out.len(),
+                touches.list.len(),
+                program.left_out.join("; ")
+            );
+        }
         // The plan of a log has the touches that the program makes, and no others.
         let touches = &program.touches;
         let mut files = vec![ExportedFile { name: PLAN.to_owned(), content: touches.table(model).into_bytes() }];
