@@ -23,6 +23,14 @@ static WRITING: Mutex<()> = Mutex::new(());
 /// Whether the command is carried out, with success or not: what is left is to say so.
 static DONE: AtomicBool = AtomicBool::new(false);
 
+/// With a limit on the size of files, writing beyond it fails with an error that can be told. Without this the process would be ended,
+/// and its temporary file would stay.
+pub fn tell_limits_of_files() {
+    // Where signals cannot be handled the limit ends the process, as it would without Abbe.
+    #[cfg(unix)]
+    let _ = signal_hook::flag::register(signal_hook::consts::SIGXFSZ, std::sync::Arc::default());
+}
+
 /// Ends the work that `monitor` watches when a signal asks for it.
 pub fn cancel_on_signal(monitor: Monitor) -> Result<()> {
     watched(move |signal| {
@@ -67,9 +75,7 @@ pub fn end_after(limit: Option<Duration>, grace: Duration, json: bool) -> Result
 /// to ignore (`nohup`) stays ignored.
 #[cfg(unix)]
 fn watched(end: impl FnOnce(i32) + Send + 'static) -> io::Result<()> {
-    use signal_hook::consts::{SIGHUP, SIGINT, SIGTERM, SIGXFSZ};
-    // With a limit on the size of files, writing fails then with an error that can be told. Without this the process would be ended.
-    signal_hook::flag::register(SIGXFSZ, std::sync::Arc::default())?;
+    use signal_hook::consts::{SIGHUP, SIGINT, SIGTERM};
     let ignored = ignored();
     let wanted = [SIGINT, SIGTERM, SIGHUP].into_iter().filter(|signal| ignored >> (signal - 1) & 1 == 0);
     let mut signals = signal_hook::iterator::Signals::new(wanted)?;

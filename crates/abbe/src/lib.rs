@@ -263,6 +263,7 @@ fn carried_out(arguments: Arguments) -> ExitCode {
         isolate: arguments.isolate_plugins,
         refuse: arguments.no_dynamic_plugins,
     };
+    interrupt::tell_limits_of_files();
     let result = dispatch(arguments.command, &libraries, arguments.verbose);
     interrupt::done();
     match result {
