@@ -1,8 +1,8 @@
 //! Whether intervals of 95 % cover the truth in 95 % of simulated tests, parameter by parameter.
 //!
 //! Every set is touched anew on the virtual machine: exact contact, noise, a bar and a stylus that are off by what their
-//! calibration allows, and where weights are robust also gross errors. `ABBE_COVERAGE_SETS=5000` asks for the large runs that the
-//! documentation tells of.
+//! calibration allows, and where weights are robust also gross errors. `cargo xtask campaign coverage 5000` makes the large runs that
+//! the documentation tells of.
 
 use std::collections::BTreeMap;
 
@@ -14,8 +14,8 @@ use serde_json::{Value, json};
 use crate::support::{Variant, fit, json_file, recipes, root};
 
 /// Sets that are simulated unless more are asked for; fewer with 115 unknowns.
-const SETS: usize = 200;
-const SETS_OF_MANY: usize = 100;
+const SETS: usize = 100;
+const SETS_OF_MANY: usize = 50;
 
 /// Part of the sets, at most, in which robust weights may go round without settling: with 46 unknowns or less, and with 115. These
 /// sets give an error and no interval, and are left out of what is counted.

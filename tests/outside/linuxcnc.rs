@@ -94,7 +94,7 @@ pub(super) fn ini(
         "[EMC]\nVERSION = 1.1\nMACHINE = abbe\n[DISPLAY]\nDISPLAY = ./ui.py\n[TASK]\nTASK = milltask\nCYCLE_TIME = 0.001\n[RS274NGC]\n\
          PARAMETER_FILE = abbe.var\n[EMCMOT]\nEMCMOT = motmod\nCOMM_TIMEOUT = 4.0\nSERVO_PERIOD = 1000000\n[EMCIO]\nEMCIO = io\n\
          CYCLE_TIME = 0.1\nTOOL_TABLE = abbe.tbl\n[HAL]\nHALFILE = abbe.hal\n[TRAJ]\nCOORDINATES = {}\nLINEAR_UNITS = mm\n\
-         ANGULAR_UNITS = degree\nDEFAULT_LINEAR_VELOCITY = 100\nMAX_LINEAR_VELOCITY = 500\nMAX_ANGULAR_VELOCITY = 500\n\
+         ANGULAR_UNITS = degree\nDEFAULT_LINEAR_VELOCITY = 100\nMAX_LINEAR_VELOCITY = 2000\nMAX_ANGULAR_VELOCITY = 2000\n\
          NO_FORCE_HOMING = 1\n[KINS]\nKINEMATICS = {kinematics}\nJOINTS = {}\n",
         letters.join(" "),
         letters.len()

@@ -53,7 +53,7 @@ const CRATES: [Border; 25] = [
         tested_with: &["abbe-serial-chain"],
     },
     border("abbe-plugin", &["abbe-core", "abbe-estimation", "abbe-files"]),
-    border("abbe-recipe", &["abbe-core", "abbe-files", "abbe-planning"]),
+    border("abbe-recipe", &["abbe-core", "abbe-estimation", "abbe-files", "abbe-planning"]),
     border(
         "abbe-engine",
         &[

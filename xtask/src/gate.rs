@@ -65,9 +65,13 @@ fn rust_alone(tests: &mut Tests) -> Outcome {
 
 fn other_programs(tests: &mut Tests) -> Outcome {
     linuxcnc::create_user()?;
-    let of_tests = tests.run(&["test", "--workspace", "--test", "whole", "--locked", "--", OUTSIDE]);
-    let others = [tests.oldest_rust(), tests.licences()];
-    let failed: Vec<String> = [of_tests].into_iter().chain(others).filter_map(Result::err).collect();
+    let whole = ["test", "--workspace", "--test", "whole", "--locked", "--"];
+    // LinuxCNC runs in real time: nothing else runs beside it.
+    let of_control = tests.run(&[&whole[..], &linuxcnc::TESTS, &["--test-threads=1"]].concat());
+    let without_control = linuxcnc::TESTS.iter().flat_map(|name| ["--skip", *name]);
+    let of_tests = tests.run(&whole.into_iter().chain([OUTSIDE]).chain(without_control).collect::<Vec<_>>());
+    let others = [of_control, of_tests, tests.oldest_rust(), tests.licences()];
+    let failed: Vec<String> = others.into_iter().filter_map(Result::err).collect();
     if failed.is_empty() { Ok(()) } else { Err(failed.join("; ")) }
 }
 

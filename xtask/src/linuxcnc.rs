@@ -8,23 +8,16 @@ use crate::{Outcome, cargo, run as run_command};
 /// The user that runs the control: it refuses root.
 const USER: &str = "abbe-linuxcnc";
 
+/// The tests that run the control.
+pub const TESTS: [&str; 2] = ["outside::linuxcnc", "outside::measured"];
+
 /// Runs the tests on the control; they say what is missing where they are skipped. With `create`, the user is created first.
 pub fn run(create: bool) -> Outcome {
     if create {
         create_user()?;
     }
-    run_command(cargo(&[
-        "test",
-        "--package",
-        "abbe-tests",
-        "--test",
-        "whole",
-        "--locked",
-        "--",
-        "outside::linuxcnc",
-        "outside::measured",
-        "--nocapture",
-    ]))
+    let test = ["test", "--package", "abbe-tests", "--test", "whole", "--locked", "--", "--nocapture"];
+    run_command(cargo(&[&test[..], &TESTS].concat()))
 }
 
 /// Creates the user, unless it is there; without LinuxCNC, or if this is not root, nothing is done.

@@ -2,6 +2,7 @@
 //!
 //! - `cargo xtask ci [--all]`: everything the gate asks for, the same on every machine; with `--all` nothing may be skipped.
 //! - `cargo xtask bench [--save]`: run the benchmarks, compare with (or write) `benches/baseline.json`.
+//! - `cargo xtask campaign coverage SETS`: whether intervals cover the truth, in SETS simulated measurements each (`tests/coverage.rs`).
 //! - `cargo xtask campaign controls COUNT SEED`: the laws of `tests/controls` on COUNT random machines each.
 //! - `cargo xtask campaign machines|compensation|tango|bad-inputs|signals|hostile|sizes COUNT SEED`: run a campaign over many random
 //!   cases (`tests/campaigns`).
@@ -31,6 +32,11 @@ fn main() -> ExitCode {
         ["ci", "--all"] => gate::run(true),
         ["bench"] => bench(false),
         ["bench", "--save"] => bench(true),
+        ["campaign", "coverage", sets] => {
+            let mut tests = cargo(&["test", "--release", "--locked", "--package", "abbe-tests", "--", "coverage::"]);
+            tests.env("ABBE_COVERAGE_SETS", sets);
+            run(tests)
+        }
         ["campaign", "controls", count, seed] => {
             let mut tests = cargo(&["test", "--release", "--locked", "--package", "abbe-tests", "--", "controls::"]);
             tests.env("ABBE_SEEDS", format!("{count} {seed}"));
@@ -43,8 +49,9 @@ fn main() -> ExitCode {
         ["linuxcnc"] => linuxcnc::run(false),
         ["linuxcnc", "--create-user"] => linuxcnc::run(true),
         ["schema"] => schema(),
-        _ => Err("usage: cargo xtask ci [--all] | bench [--save] | campaign NAME COUNT SEED | header \
-                     | linuxcnc [--create-user] | schema"
+        _ => Err("usage: cargo xtask ci [--all] | bench [--save] | campaign NAME COUNT SEED | header | linuxcnc [--create-user] \
+                     | schema\ncampaigns: controls, machines, compensation, tango, bad-inputs, signals, hostile, sizes; \
+                     coverage COUNT"
             .to_owned()),
     };
     match outcome {

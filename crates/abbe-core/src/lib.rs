@@ -1,5 +1,5 @@
 //! The vocabulary of Abbe: data sets, kinematic models, observations, problems, the six stage traits and the registry of
-//! plugins; with it units, errors and settings (`abbe-settings`), calibrations and verdicts (`abbe-results`).
+//! plugins; with it units, errors, settings and the progress of work (`abbe-settings`), calibrations and verdicts (`abbe-results`).
 //!
 //! Everything else in the project speaks through the types of this crate, so it stays small.
 //!
@@ -9,40 +9,31 @@
 //! In memory every quantity is in mm, rad, s, °C or N. Columns and settings say their unit in their name.
 
 mod dataset;
-mod identity;
 mod index;
 mod layout;
 mod model;
-mod monitor;
 mod observations;
-mod parallel;
 mod parameter;
-mod plausible;
 mod pose_table;
 mod problem;
 mod quantities;
 mod registry;
 pub mod rotation;
-mod row_settings;
 mod stage;
 mod uncertainty;
 
 pub use dataset::{Column, ColumnHeader, Dataset, RowOrigin, Values};
-pub use identity::Certificate;
 pub use index::{DataRow, EquationIndex, IndexRange, LayoutEquation, ListedBy, PoseIndex, RowIndex, SetIndex};
 pub use layout::{Layout, Row};
 pub use model::{
     Absent, Axis, AxisKind, Branch, ErrorFunction, KinematicModel, ModelInfo, MotionError, PeriodicError, PoseBatch,
     Poses, PosesMut, StatusColumn, StatusRole, Variable, machine_values,
 };
-pub use monitor::{Event, Monitor};
 pub use observations::{
     Approach, Contact, Equations, Feature, KnownInput, NominalReading, Observations, ObservationsInfo, Orientation,
     RankPoint, RowBatch, Target,
 };
-pub use parallel::in_parallel;
 pub use parameter::{Parameter, ParameterRole, ProbeTerm};
-pub use plausible::Plausible;
 pub use pose_table::{ColumnNaming, PoseTable, StatusSource, plain_naming, pose_columns};
 pub use problem::{
     Block, CHUNK, Considered, DeclaredTie, Evaluation, Input, ObservationSet, Owner, Prior, Problem, RepeatedTogether,
@@ -50,22 +41,22 @@ pub use problem::{
 };
 pub use quantities::Quantities;
 pub use registry::{Build, Constructor, Context, EstimateSource, Kind, Origin, Plugin, Provider, Registry};
-pub use row_settings::{Ids, PooledRepeats, RowSettings, RowUncertainty, SharedError};
 pub use stage::{Artefact, CommandCorrection, Estimate, Export, ExportedFile, Fit, Ingest, InputFile, Model, Validate};
 pub use uncertainty::{CovarianceBlock, EquationUncertainty, PooledRepeatability};
 
 // Types of settings and results. They are re-exported so that plugins need this crate alone.
 pub use abbe_results::{
-    CALIBRATION_FORMAT, Calibration, Combination, CombinedAgreement, ConsideredInput, Contribution, Correlated,
-    DataRecord, Decision, EquivalentMotionError, Estimated, Figure, FileFormat, Findings, FitReport, GumComparison,
-    Identifiability, ImplausibleValue, JointCoverage, Limit, ModelRecord, MonteCarlo, NamedCovariance, Outlier,
-    ParameterBudget, PredictedStructure, Rule, Selection, SelectionByPrediction, SelectionDirection, SelectionStep,
-    SimulatedParameter, Status, UncertaintyBudget, VERDICTS_FORMAT, VarianceFactor, Verdict, WeakDirection,
+    CALIBRATION_FORMAT, Calibration, Certificate, Combination, CombinedAgreement, ConsideredInput, Contribution,
+    Correlated, DataRecord, Decision, EquivalentMotionError, Estimated, Figure, FileFormat, Findings, FitReport,
+    GumComparison, Identifiability, ImplausibleValue, JointCoverage, Limit, ModelRecord, MonteCarlo, NamedCovariance,
+    Outlier, ParameterBudget, PredictedStructure, Rule, Selection, SelectionByPrediction, SelectionDirection,
+    SelectionStep, SimulatedParameter, Status, UncertaintyBudget, VERDICTS_FORMAT, VarianceFactor, Verdict,
+    WeakDirection,
 };
 pub use abbe_settings::{
-    Class, Convergence, Error, EvenSeries, Label, Names, PathItem, Place, Quantity, Result, Series, SettingsError,
-    Termination, Unit, Whole, from_json, from_settings, from_settings_in_range, harmless, harmless_json, matches,
-    nearest, not_negative, path_text, positive, ranges, schema_of,
+    Class, Convergence, Error, EvenSeries, Event, Label, Monitor, Names, PathItem, Place, Quantity, Result, Series,
+    SettingsError, Termination, Unit, Whole, from_json, from_settings, from_settings_in_range, harmless, harmless_json,
+    in_parallel, matches, nearest, not_negative, path_text, positive, ranges, schema_of,
 };
 
 /// Re-exported so that plugins register with the same version of `inventory` that the registry uses.

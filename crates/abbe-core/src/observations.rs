@@ -6,11 +6,11 @@ use std::collections::{BTreeMap, BTreeSet};
 use serde::de::Error as _;
 use serde::{Deserialize, Deserializer, Serialize};
 
-use crate::identity::Certificate;
 use crate::index::{LayoutEquation, RowIndex};
 use crate::layout::Layout;
 use crate::model::{KinematicModel, ModelInfo};
 use crate::parameter::Parameter;
+use abbe_results::Certificate;
 use abbe_settings::Result;
 use abbe_settings::{Quantity, Unit};
 

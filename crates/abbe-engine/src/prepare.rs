@@ -7,9 +7,10 @@ use std::sync::Arc;
 
 use abbe_core::{
     Artefact, Build, ColumnHeader, Constructor, Context, Dataset, Error, Estimate, EstimateSource, Export, Ingest,
-    InputFile, Kind, Model, Origin, PathItem, Plausible, Plugin, Registry, Result, SettingsError, Validate,
+    InputFile, Kind, Model, Origin, PathItem, Plugin, Registry, Result, SettingsError, Validate,
     from_settings_in_range, ranges,
 };
+use abbe_estimation::Plausible;
 use abbe_recipe::{Library, Recipe, Stage};
 use serde_json::Value;
 

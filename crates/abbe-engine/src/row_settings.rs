@@ -6,9 +6,9 @@ use std::sync::Arc;
 
 use abbe_core::{
     EquationUncertainty, Error, KinematicModel, ObservationSet, Observations, PathItem, Problem, Result, Row,
-    RowSettings, SettingsError, from_settings_in_range,
+    SettingsError, from_settings_in_range,
 };
-use abbe_estimation::{repeats, row_uncertainty};
+use abbe_estimation::{RowSettings, repeats, row_uncertainty};
 use abbe_recipe::Stage;
 
 /// Which rows of an artefact are wanted.

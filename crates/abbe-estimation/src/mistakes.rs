@@ -2,10 +2,11 @@
 
 use std::f64::consts::PI;
 
-use abbe_core::{Axis, AxisKind, ModelInfo, Monitor, ObservationSet, Plausible, Problem, Quantity, Result, StatusRole};
+use abbe_core::{Axis, AxisKind, ModelInfo, Monitor, ObservationSet, Problem, Quantity, Result, StatusRole};
 use abbe_numerics::{End, Options, solve_from};
 
 use crate::plausibility::large_errors_at;
+use crate::plausible::Plausible;
 use crate::separation::spread_out;
 use crate::weighted::Weighted;
 

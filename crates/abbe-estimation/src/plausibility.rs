@@ -7,10 +7,11 @@ use std::collections::BTreeMap;
 use std::f64::consts::PI;
 
 use abbe_core::{
-    Absent, AxisKind, Calibration, Owner, Parameter, ParameterRole, Plausible, ProbeTerm, Problem, Quantity, Result,
-    Status, StatusRole, Unit, Unknown, matches,
+    Absent, AxisKind, Calibration, Owner, Parameter, ParameterRole, ProbeTerm, Problem, Quantity, Result, Status,
+    StatusRole, Unit, Unknown, matches,
 };
 
+use crate::plausible::Plausible;
 use crate::separation::thinned;
 
 /// Largest plausible error motion over the recorded travel, mm and rad.

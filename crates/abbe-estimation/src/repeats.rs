@@ -1,6 +1,8 @@
 //! The scatter of repeats, pooled over groups (Rahman 2016, section 5.6).
 
-use abbe_core::{DataRow, Error, Layout, PooledRepeatability, PooledRepeats, Result, RowIndex};
+use abbe_core::{DataRow, Error, Layout, PooledRepeatability, Result, RowIndex};
+
+use crate::row_settings::PooledRepeats;
 
 /// The columns that tell repetitions apart.
 const REPETITION: [&str; 2] = ["day", "cycle"];

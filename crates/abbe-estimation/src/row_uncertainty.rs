@@ -3,11 +3,12 @@
 use std::collections::BTreeMap;
 
 use abbe_core::{
-    CovarianceBlock, DataRow, Dataset, EquationUncertainty, Error, Ids, Label, Layout, LayoutEquation, Names,
-    Observations, PathItem, Quantity, Result, Row, RowIndex, RowSettings, RowUncertainty, SettingsError, SharedError,
-    Values, positive,
+    CovarianceBlock, DataRow, Dataset, EquationUncertainty, Error, Label, Layout, LayoutEquation, Names, Observations,
+    PathItem, Quantity, Result, Row, RowIndex, SettingsError, Values, positive,
 };
 use nalgebra::DMatrix;
+
+use crate::row_settings::{Ids, RowSettings, RowUncertainty, SharedError};
 
 /// Refuses settings that contradict each other, numbers that are no standard uncertainties, and ids without a letter.
 pub fn check(settings: &RowSettings) -> Result<(), SettingsError> {

@@ -33,14 +33,14 @@ pub use page::{PAGE_MARK, index, page, page_name};
 pub use schema::schema;
 use sets::{Expanded, Sets, with_sets};
 
-/// The keys of an artefact stage that are the same for all artefact plugins ([`abbe_core::RowSettings`]).
+/// The keys of an artefact stage that are the same for all artefact plugins ([`abbe_estimation::RowSettings`]).
 const ROW_SETTINGS: [&str; 4] = ["uncertainty", "pooled", "id", "unseen"];
 
 /// The key of an estimate that may use rows again from which its known values were estimated, and the only value of this key.
 const SHARED_ROWS: &str = "shared_rows";
 const ACCEPTED: &str = "accepted";
 
-/// The key of an estimate from measurements with the largest plausible errors ([`abbe_core::Plausible`]).
+/// The key of an estimate from measurements with the largest plausible errors ([`abbe_estimation::Plausible`]).
 const PLAUSIBLE: &str = "plausible";
 
 /// The key of an estimate from measurements with parameters that are one unknown.

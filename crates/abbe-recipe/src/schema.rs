@@ -1,6 +1,7 @@
 //! The JSON Schema of recipes, for editors.
 
-use abbe_core::{EstimateSource, Kind, Plausible, Plugin, Registry, RowSettings};
+use abbe_core::{EstimateSource, Kind, Plugin, Registry};
+use abbe_estimation::{Plausible, RowSettings};
 use abbe_planning::Planning;
 use serde_json::{Map, Value, json};
 

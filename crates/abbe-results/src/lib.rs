@@ -7,6 +7,7 @@ mod decision;
 mod fit;
 mod format;
 mod identifiability;
+mod identity;
 mod limit;
 mod verdict;
 
@@ -23,5 +24,6 @@ pub use fit::{
 };
 pub use format::FileFormat;
 pub use identifiability::{Combination, EquivalentMotionError, Identifiability, WeakDirection};
+pub use identity::Certificate;
 pub use limit::Limit;
 pub use verdict::{Figure, Findings, VERDICTS_FORMAT, Verdict};

@@ -1,5 +1,5 @@
 //! Building blocks for settings of stages: errors that say which setting is wrong, units, series of numbers, patterns of
-//! names, and functions that read settings from JSON.
+//! names, and functions that read settings from JSON; with them the progress of long work, its cancellation, and its threads.
 //!
 //! In memory every quantity is in mm, rad, s, °C or N. Columns and settings say their unit in their name.
 //!
@@ -22,6 +22,8 @@
 mod error;
 mod harmless;
 mod json;
+mod monitor;
+mod parallel;
 mod pattern;
 pub mod ranges;
 pub mod serial;
@@ -33,6 +35,8 @@ mod whole;
 pub use error::{Class, Convergence, Error, Place, Result, Termination, nearest};
 pub use harmless::{harmless, harmless_json};
 pub use json::from_json;
+pub use monitor::{Event, Monitor};
+pub use parallel::{free_threads, in_parallel};
 pub use pattern::matches;
 pub use series::{EvenSeries, Series};
 pub use settings::{

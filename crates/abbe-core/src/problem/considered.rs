@@ -3,12 +3,12 @@
 
 use serde::{Deserialize, Serialize};
 
-use crate::identity::Certificate;
 use crate::index::SetIndex;
 use crate::model::{KinematicModel, ModelInfo, Poses};
 use crate::observations::Equations;
 use crate::parameter::Parameter;
 use crate::problem::{ObservationSet, Owner, Problem, Tie, Unknown, tie};
+use abbe_results::Certificate;
 use abbe_results::{Calibration, ConsideredInput, Status};
 use abbe_settings::Unit;
 use abbe_settings::{Error, Result};

@@ -9,8 +9,7 @@ use super::{Owner, Problem};
 use crate::index::{EquationIndex, IndexRange, ListedBy, RowIndex, SetIndex};
 use crate::model::{Poses, Variable};
 use crate::observations::{Contact, Equations, Orientation};
-use crate::parallel::{cores, is_one_of_several};
-use abbe_settings::{Error, Result};
+use abbe_settings::{Error, Result, free_threads};
 
 /// Rows that are evaluated together: enough to amortise a call, few enough for their derivatives to stay in the cache.
 pub const CHUNK: usize = 128;
@@ -119,7 +118,7 @@ impl Problem {
     /// time.
     pub fn threads(&self, variables: usize) -> usize {
         let work = self.equations() * (POSE + variables);
-        if work < WORTH_A_THREAD || is_one_of_several() { 1 } else { cores() }
+        if work < WORTH_A_THREAD { 1 } else { free_threads() }
     }
 
     /// Residuals and derivatives of some rows of a set at the problem's own values.

@@ -15,11 +15,8 @@ use serde::{Deserialize, Serialize};
 
 use crate::index::{IndexRange, RowIndex, SetIndex};
 use crate::model::KinematicModel;
-use crate::monitor::Monitor;
 use abbe_results::{Calibration, ModelRecord};
-use abbe_settings::Unit;
-use abbe_settings::matches;
-use abbe_settings::{Error, Result};
+use abbe_settings::{Error, Monitor, Result, Unit, matches};
 
 use considered::{candidates, check_constraints, consider_parameters, inputs};
 

@@ -11,7 +11,7 @@ use sha2::{Digest, Sha256};
 /// Without a declared `id` the identity of the input is a hash of this statement.
 ///
 /// ```
-/// use abbe_core::Certificate;
+/// use abbe_results::Certificate;
 /// let bar = |length: f64| Certificate::new("length", format!("bar 7: {length} mm, u = 0.0004 mm"));
 /// assert_eq!(bar(500.0012).identity(), bar(500.0012).identity());
 /// assert_ne!(bar(500.0012).identity(), bar(500.0013).identity());

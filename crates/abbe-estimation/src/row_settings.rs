@@ -5,10 +5,7 @@ use std::collections::BTreeMap;
 use schemars::JsonSchema;
 use serde::Deserialize;
 
-use crate::observations::KnownInput;
-use abbe_settings::matches;
-use abbe_settings::{Error, Result};
-use abbe_settings::{Label, Names, PathItem};
+use abbe_core::{Error, KnownInput, Label, Names, PathItem, Result, matches};
 
 /// The uncertainty of an artefact's rows, beyond the one number that the artefact itself takes, and which rows no fit uses.
 #[derive(Debug, Clone, PartialEq, Default, Deserialize, JsonSchema)]

@@ -2,11 +2,9 @@
 
 use std::collections::BTreeMap;
 
-use abbe_settings::{Error, PathItem, Quantity, Result, SettingsError, matches, positive};
+use abbe_core::{Error, PathItem, Problem, Quantity, Result, SettingsError, matches, positive};
 use schemars::JsonSchema;
 use serde::Deserialize;
-
-use crate::problem::Problem;
 
 /// The largest plausible errors of some parameters, by name or pattern. For other parameters the values for their kind
 /// hold.

@@ -9,12 +9,18 @@ thread_local! {
 }
 
 /// Whether this thread is one of several that [`in_parallel`] started: no core is free for more threads.
-pub(crate) fn is_one_of_several() -> bool {
+fn is_one_of_several() -> bool {
     ONE_OF_SEVERAL.get()
 }
 
+/// Number of threads that work may start: as many as there are cores for this process, or one where this thread itself is one of
+/// several that [`in_parallel`] started.
+pub fn free_threads() -> usize {
+    if is_one_of_several() { 1 } else { cores() }
+}
+
 /// Number of cores that this process may use.
-pub(crate) fn cores() -> usize {
+fn cores() -> usize {
     std::thread::available_parallelism().map_or(1, usize::from)
 }
 

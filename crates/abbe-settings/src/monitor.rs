@@ -7,7 +7,7 @@ use std::time::{Duration, Instant};
 
 use serde::Serialize;
 
-use abbe_settings::{Error, Result};
+use crate::{Error, Result};
 
 /// An event of the progress of some work.
 #[derive(Debug, Clone, PartialEq, Serialize)]
@@ -141,7 +141,7 @@ mod tests {
     use std::sync::Mutex;
 
     use super::*;
-    use abbe_settings::Class;
+    use crate::Class;
 
     #[test]
     fn events_are_heard_and_work_ends_on_request() {
