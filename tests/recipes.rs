@@ -7,8 +7,10 @@ use std::fmt::Write;
 use std::path::Path;
 
 use abbe_core::{Calibration, Estimated, Status};
+use serde_json::Value;
+use tempfile::TempDir;
 
-use crate::support::{Printed, abbe, effect, files_in, read, recipes, root, temporary, values};
+use crate::support::{Printed, abbe, effect, files_in, read, recipes, root, temporary, tree, values};
 
 /// A recipe whose residuals are nothing but rounding.
 fn is_exact(recipe: &str) -> bool {
@@ -20,13 +22,19 @@ fn warning(recipe: &str) -> Option<&'static str> {
     (recipe == "tango-warming-retrain").then_some("friday: the new rows do not agree with what is known")
 }
 
+/// Runs a recipe of the workspace, with results in a folder of its own.
+fn run(recipe: &str, file: &Path) -> (Printed, TempDir) {
+    let out = temporary();
+    let printed = abbe(&root(), &[Path::new("run"), file, Path::new("--out"), out.path()]);
+    assert_eq!(printed.status, 0, "{recipe}: {}", printed.stderr);
+    (printed, out)
+}
+
 #[test]
-fn every_recipe_runs_and_says_what_it_found() {
+fn every_recipe_runs_and_says_what_it_found_and_the_same_again() {
     for (recipe, file) in recipes() {
-        let out = temporary();
         let file = file.strip_prefix(root()).expect("a recipe of the workspace").to_owned();
-        let printed = abbe(&root(), &[Path::new("run"), &file, Path::new("--out"), out.path()]);
-        assert_eq!(printed.status, 0, "{recipe}: {}", printed.stderr);
+        let (printed, out) = run(&recipe, &file);
         match warning(&recipe) {
             Some(warning) => {
                 assert!(printed.stderr.lines().all(|line| line.contains(warning)), "{recipe}: {}", printed.stderr);
@@ -47,7 +55,31 @@ fn every_recipe_runs_and_says_what_it_found() {
             calibrations += 1;
         }
         assert!(calibrations > 0, "{recipe} leaves no calibration");
+        let (_, again) = run(&recipe, &file);
+        are_the_same_bytes(&recipe, &results, &again.path().join(&recipe));
     }
+}
+
+/// Two runs give the same files, byte for byte.
+fn are_the_same_bytes(recipe: &str, one: &Path, other: &Path) {
+    assert_eq!(tree(one), tree(other), "{recipe}");
+    for file in tree(one) {
+        let [mut first, mut second] = [one, other].map(|folder| read(&folder.join(&file)));
+        if file.as_os_str() == "run.json" {
+            (first, second) = (without_times(&first), without_times(&second));
+        }
+        assert!(first == second, "{recipe}: {} differs", file.display());
+    }
+}
+
+/// `run.json` without when the run was and how long it took.
+fn without_times(text: &str) -> String {
+    let mut record: Value = serde_json::from_str(text).expect("run.json");
+    let map = record.as_object_mut().expect("an object");
+    for time in ["started_unix_s", "duration_s"] {
+        assert!(map.remove(time).is_some_and(|value| value.is_number()), "{time}");
+    }
+    record.to_string()
 }
 
 #[test]
