@@ -57,6 +57,7 @@ mod tools;
 mod truth;
 mod uncertainty;
 mod undetermined;
+mod until;
 mod variance;
 mod verdicts;
 mod warm_correction;

@@ -1,10 +1,10 @@
 //! Programs that measure a plan, run by an interpreter of each control's language on a machine whose ball is not quite where the plan
 //! has it: the right place, sense, side and order, without collision; misses, and what is refused.
 
-mod expression;
 mod klartext;
 mod machine;
 mod macro_b;
+mod random;
 mod rs274;
 mod sinumerik;
 
@@ -47,9 +47,22 @@ struct Planned {
     touches: BTreeMap<usize, ByAxis>,
     /// Whether touches that are left out were told.
     tells: bool,
+    /// `plan.json`.
+    record: serde_json::Value,
 }
 
 fn plan(chain: &str, control: &str, clearance: &str, more: &str) -> (TempDir, Printed) {
+    changed(chain, control, clearance, more, &str::to_owned)
+}
+
+/// The plan of a recipe with a change of its own.
+fn changed(
+    chain: &str,
+    control: &str,
+    clearance: &str,
+    more: &str,
+    change: &dyn Fn(&str) -> String,
+) -> (TempDir, Printed) {
     let folder = temporary();
     let at = folder.path();
     let begun = abbe(at, &["new", "begun", "--chain", chain, "--method", "ball"]);
@@ -66,15 +79,29 @@ fn plan(chain: &str, control: &str, clearance: &str, more: &str) -> (TempDir, Pr
         Some(number) if number.ends_with("12") => text.replacen(&number, "  number: 7", 1),
         _ => text,
     };
-    write(&recipe, &text);
+    write(&recipe, &change(&text));
     let printed = abbe(at, &["plan", "begun/recipe.yaml", "--out", "plan", "--program", control]);
     (folder, printed)
 }
 
 impl Planned {
     fn new(chain: &str, control: &str, clearance: &str, more: &str) -> Self {
-        let (folder, printed) = plan(chain, control, clearance, more);
-        assert_eq!(printed.status, 0, "{chain} {control}: {}", printed.stderr);
+        let planned = Self::of(chain, control, clearance, more, &str::to_owned);
+        planned.unwrap_or_else(|error| panic!("{chain} {control}: {error}"))
+    }
+
+    /// The same of a recipe with a change of its own; the message, on one line, if there is no plan.
+    fn of(
+        chain: &str,
+        control: &str,
+        clearance: &str,
+        more: &str,
+        change: &dyn Fn(&str) -> String,
+    ) -> Result<Self, String> {
+        let (folder, printed) = changed(chain, control, clearance, more, change);
+        if printed.status != 0 {
+            return Err(printed.stderr.replace(['\n', '│'], " ").split_whitespace().collect::<Vec<_>>().join(" "));
+        }
         let tells = printed.stderr.contains("the program leaves out");
         let at = folder.path().join("plan");
         let name = |entry: std::fs::DirEntry| entry.file_name().to_string_lossy().into_owned();
@@ -87,7 +114,8 @@ impl Planned {
             let cells: ByAxis = cells.collect();
             (cells["touch"] as usize, cells)
         });
-        Self { touches: touches.collect(), folder, files, tells }
+        let record = serde_json::from_str(&files["plan.json"]).expect("JSON");
+        Ok(Self { touches: touches.collect(), record, folder, files, tells })
     }
 
     /// The machine, its ball beside its place by some hundredths of a millimetre.
@@ -151,7 +179,8 @@ impl Planned {
             let from = minus(machine.tip(&at).0, machine.centre);
             let normal = ["nx", "ny", "nz"].map(|name| planned[name]);
             let side = dot(from, normal) / norm(from);
-            if (norm(from) - machine.radius - radius).abs() > 2e-3 || side < 0.99 {
+            // grbl reports three decimals of millimetres, or four of inches.
+            if (norm(from) - machine.radius - radius).abs() > 3e-3 || side < 0.99 {
                 return Err(format!("touch {number} is {} mm from the centre, side {side}", norm(from)));
             }
         }
@@ -161,11 +190,17 @@ impl Planned {
 
 /// Hits with the positions that the log has, and the number of misses. A reader of its own.
 fn logged(log: &[String]) -> Result<(Vec<(usize, ByAxis)>, usize), String> {
-    let (mut hits, mut misses, mut block, mut header) = (Vec::new(), 0, None, BTreeSet::new());
+    let (mut hits, mut misses, mut block, mut header, mut unit) = (Vec::new(), 0, None, BTreeSet::new(), 1.0);
     for line in log {
         let line = line.trim().trim_matches(['(', ')']);
-        let known =
-            ["ABBE 1", "PLAN", "CONTROL", "UNITS MM", "FRAME MACHINE", "TOOL L0.0000 D6.0000", "TOUCHES", "END"];
+        let known = ["ABBE 1", "PLAN", "CONTROL", "UNITS ", "FRAME MACHINE", "TOOL L0.0000 D", "TOUCHES", "END"];
+        if line == "UNITS INCH" {
+            unit = 25.4;
+        }
+        if let Some(diameter) = line.strip_prefix("TOOL L0.0000 D").and_then(|rest| rest.parse::<f64>().ok()) {
+            let off = (diameter * unit - 6.0).abs();
+            header.extend((off > 2e-4).then(|| format!("a diameter {off} mm off")));
+        }
         header.extend(known.iter().filter(|known| line.starts_with(*known)).map(|known| (*known).to_owned()));
         if let Some(number) = line.strip_prefix('N') {
             block = number.split(' ').next().and_then(|number| number.parse::<usize>().ok());
@@ -175,7 +210,7 @@ fn logged(log: &[String]) -> Result<(Vec<(usize, ByAxis)>, usize), String> {
             let places = ["X", "Y", "Z"]
                 .iter()
                 .zip(places.split(','))
-                .map(|(axis, place)| ((*axis).to_owned(), place.parse().unwrap_or(f64::NAN)));
+                .map(|(axis, place)| ((*axis).to_owned(), unit * place.parse().unwrap_or(f64::NAN)));
             if hit == "1" { hits.push((number / 100, places.collect())) } else { misses += 1 }
         } else if line
             .strip_prefix('T')
@@ -200,7 +235,10 @@ fn logged(log: &[String]) -> Result<(Vec<(usize, ByAxis)>, usize), String> {
                 continue;
             }
             let axes = parsed.iter().filter(|(name, _)| "XYZABCUVW".contains(name.as_str()));
-            hits.push((parsed["T"] as usize, axes.map(|(name, value)| (name.clone(), *value)).collect()));
+            let scaled = |(name, value): (&String, &f64)| {
+                (name.clone(), if "XYZUVW".contains(name.as_str()) { unit * value } else { *value })
+            };
+            hits.push((parsed["T"] as usize, axes.map(scaled).collect()));
         }
     }
     if header.len() == 8 { Ok((hits, misses)) } else { Err(format!("the header has {header:?}")) }

@@ -2,7 +2,7 @@
 
 use std::collections::BTreeMap;
 
-use super::{Arithmetic, ByAxis, End, Machine};
+use super::{ByAxis, End, Machine, expression};
 
 /// Blocks that a program may run before it is taken for endless.
 const MOST: usize = 100_000;
@@ -95,13 +95,11 @@ impl State<'_> {
     }
 
     fn value(&self, text: &str) -> Result<f64, String> {
-        let atom = |text: &str| {
-            let Some(rest) = text.strip_prefix('#') else { return Ok(None) };
-            let length = rest.find(|letter: char| !letter.is_ascii_digit()).unwrap_or(rest.len());
-            let number = rest[..length].parse().map_err(|_| format!("`{text}` is no variable"))?;
-            Ok(Some((length + 1, self.variable(number)?)))
+        let variable = |name: &str| {
+            let number = name.strip_prefix('#').and_then(|number| number.parse().ok());
+            self.variable(number.ok_or_else(|| format!("`{name}` is no variable"))?)
         };
-        Arithmetic { text, brackets: ('[', ']'), atom: &atom }.value()
+        expression::value(text, ('[', ']'), &variable)
     }
 
     /// A condition in brackets, and what follows it.

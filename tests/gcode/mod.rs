@@ -1,6 +1,7 @@
 //! An independent reading of the programs that are written for controllers: the subset of two languages that they use, and a
 //! virtual machine with a probe. What is not known is refused.
 
+pub mod expression;
 pub mod fanuc;
 pub mod siemens;
 
@@ -124,87 +125,6 @@ impl Machine {
         self.probed.push(label);
         self.go(axis, reading)?;
         Ok(true)
-    }
-}
-
-/// Reads what a language has beside numbers, at the beginning of a text: how long it is and its value; none if there is none.
-pub type Atom<'a> = dyn Fn(&str) -> Result<Option<(usize, f64)>, String> + 'a;
-
-/// The value of an expression: numbers, atoms, + - * / and brackets.
-pub struct Arithmetic<'a> {
-    pub text: &'a str,
-    pub brackets: (char, char),
-    /// Length and value of an atom that a text begins with.
-    pub atom: &'a Atom<'a>,
-}
-
-impl<'a> Arithmetic<'a> {
-    /// The value of all of the text.
-    pub fn value(mut self) -> Result<f64, String> {
-        let value = self.sum()?;
-        self.text = self.text.trim_start();
-        if self.text.is_empty() { Ok(value) } else { Err(format!("`{}` is left of an expression", self.text)) }
-    }
-
-    fn take(&mut self, sign: char) -> bool {
-        self.text = self.text.trim_start();
-        let rest = self.text.strip_prefix(sign);
-        self.text = rest.unwrap_or(self.text);
-        rest.is_some()
-    }
-
-    fn sum(&mut self) -> Result<f64, String> {
-        let mut value = self.product()?;
-        loop {
-            if self.take('+') {
-                value += self.product()?;
-            } else if self.take('-') {
-                value -= self.product()?;
-            } else {
-                return Ok(value);
-            }
-        }
-    }
-
-    fn product(&mut self) -> Result<f64, String> {
-        let mut value = self.factor()?;
-        loop {
-            if self.take('*') {
-                value *= self.factor()?;
-            } else if self.take('/') {
-                value /= self.factor()?;
-            } else {
-                return Ok(value);
-            }
-        }
-    }
-
-    fn factor(&mut self) -> Result<f64, String> {
-        if self.take('-') {
-            return Ok(-self.factor()?);
-        }
-        let (open, close) = self.brackets;
-        if let Some(rest) = self.text.strip_prefix("ABS") {
-            self.text = rest;
-            return self.factor().map(f64::abs);
-        }
-        if self.take(open) {
-            let value = self.sum()?;
-            return if self.take(close) {
-                Ok(value)
-            } else {
-                Err(format!("a bracket stays open before `{}`", self.text))
-            };
-        }
-        if let Some((length, value)) = (self.atom)(self.text)? {
-            self.text = &self.text[length..];
-            return Ok(value);
-        }
-        let length =
-            self.text.find(|letter: char| !letter.is_ascii_digit() && letter != '.').unwrap_or(self.text.len());
-        let number = self.text[..length].parse().map_err(|_| format!("`{}` is no value", self.text))?;
-        self.text = &self.text[length..];
-        Ok(number)
     }
 }
 

@@ -2,7 +2,7 @@
 
 use std::collections::BTreeMap;
 
-use super::{Arithmetic, ByAxis, End, Machine};
+use super::{ByAxis, End, Machine, expression};
 
 /// Blocks that a program may run before it is taken for endless.
 const MOST: usize = 100_000;
@@ -85,19 +85,8 @@ impl State<'_> {
     }
 
     fn value(&self, text: &str) -> Result<f64, String> {
-        let atom = |text: &str| {
-            if text.starts_with('$') {
-                let length = text.find(']').ok_or_else(|| format!("`{text}` is no system variable"))? + 1;
-                return Ok(Some((length, self.system(&text[..length])?)));
-            }
-            if !text.starts_with(|letter: char| letter.is_ascii_alphabetic() || letter == '_') {
-                return Ok(None);
-            }
-            let length =
-                text.find(|letter: char| !letter.is_ascii_alphanumeric() && letter != '_').unwrap_or(text.len());
-            Ok(Some((length, self.variable(&text[..length])?)))
-        };
-        Arithmetic { text, brackets: ('(', ')'), atom: &atom }.value()
+        let variable = |name: &str| if name.starts_with('$') { self.system(name) } else { self.variable(name) };
+        expression::value(text, ('(', ')'), &variable)
     }
 
     fn variable(&self, name: &str) -> Result<f64, String> {

@@ -2,8 +2,8 @@
 
 use std::collections::BTreeMap;
 
-use super::expression::value;
 use super::machine::{ByAxis, Machine};
+use crate::gcode::expression::value;
 
 /// Runs a program with its masks, by the names of the files.
 pub fn run(files: &BTreeMap<String, String>, name: &str, machine: &mut Machine) -> Result<(), String> {
@@ -16,9 +16,18 @@ pub fn run(files: &BTreeMap<String, String>, name: &str, machine: &mut Machine) 
         }
         lines.push(line.split(';').next().unwrap_or_default().trim());
     }
+    let stem = name.split('.').next().unwrap_or_default();
+    machine.unit = match text.lines().next() {
+        Some(first) if first == format!("0 BEGIN PGM {stem} MM") => Some(1.0),
+        Some(first) if first == format!("0 BEGIN PGM {stem} INCH") => Some(25.4),
+        _ => return Err("the program has no beginning".to_owned()),
+    };
     let mut state = State { files, lines, q: BTreeMap::new(), machine, cycle: BTreeMap::new() };
     state.from(0)
 }
+
+/// Rapid traverse of the machine, mm/min.
+pub const RAPID: f64 = 6000.0;
 
 struct State<'a> {
     files: &'a BTreeMap<String, String>,
@@ -101,6 +110,13 @@ impl State<'_> {
             self.cycle.insert(part, rest.to_owned());
             return if part == 3 { self.measure().map(|()| None) } else { Ok(None) };
         }
+        if text == "CYCL DEF 9.0 DWELL TIME" {
+            return Ok(None);
+        }
+        if let Some(seconds) = text.strip_prefix("CYCL DEF 9.1 DWELL ") {
+            self.machine.wait(self.value(seconds)?);
+            return Ok(None);
+        }
         if text.starts_with("L ") {
             return self.straight(text).map(|()| None);
         }
@@ -109,27 +125,33 @@ impl State<'_> {
 
     /// A move in machine coordinates. The control watches the probe.
     fn straight(&mut self, text: &str) -> Result<(), String> {
-        let (mut target, mut machine, mut feed) = (ByAxis::new(), false, false);
+        let (mut target, mut machine, mut feed) = (ByAxis::new(), false, 0.0);
         for word in text.split_whitespace().skip(1) {
             let (letter, number) = word.split_at(1);
             match word {
                 "R0" => {}
                 "M91" => machine = true,
-                _ if letter == "F" => feed = self.value(number)? > 0.0,
+                _ if letter == "F" => feed = self.value(number)?,
                 _ if self.machine.at.contains_key(letter) && number.starts_with(['+', '-']) => {
                     target.insert(letter.to_owned(), self.value(number)?);
                 }
                 _ => return Err(format!("the word `{word}` is not known")),
             }
         }
-        if !machine || !feed {
+        if !machine || feed <= 0.0 {
             return Err(format!("`{text}` has neither M91 nor F"));
         }
-        self.machine.go(&target, true)?;
+        let turns = target.keys().any(|axis| "ABC".contains(axis.as_str()));
+        self.machine.go(&target, if turns { feed } else { self.feed(feed) }, true)?;
         if self.machine.triggered {
             self.machine.alarm = Some("the stylus is deflected".to_owned());
         }
         Ok(())
+    }
+
+    /// A feed of linear axes in units per minute: programs in inches have tenths of an inch.
+    fn feed(&self, programmed: f64) -> f64 {
+        if self.machine.unit == Some(1.0) { programmed } else { programmed / 10.0 }
     }
 
     /// Cycle 4: along a direction, at most as far as ABST, and back by MB, not beyond where it began.
@@ -148,23 +170,30 @@ impl State<'_> {
         let [distance, feed, back, "REFERENCE", "SYSTEM:1"] = words[..] else { return Err(format!("`{last}`?")) };
         let number = |word: &str, prefix: &str| self.value(word.strip_prefix(prefix).ok_or(format!("no {prefix}"))?);
         let (distance, feed, back) = (number(distance, "ABST")?, number(feed, "F")?, number(back, "MB")?);
-        let start = self.machine.at.clone();
+        let places = |machine: &Machine| -> Result<ByAxis, String> {
+            along.keys().map(|axis| Ok((axis.clone(), machine.place(axis)?))).collect()
+        };
+        let start = places(self.machine)?;
         let target: ByAxis =
             along.iter().map(|(axis, part)| (axis.clone(), start[axis] + part / length * distance)).collect();
         if feed <= 0.0 {
             return Err("no feed".to_owned());
         }
-        self.machine.go(&target, true)?;
+        self.machine.go(&target, self.feed(feed), true)?;
         let met = self.machine.triggered;
         for (index, axis) in ["X", "Y", "Z"].iter().enumerate() {
-            self.q.insert(format!("Q{}", first + index as u32), self.machine.at[*axis]);
+            if let Ok(place) = self.machine.place(axis) {
+                self.q.insert(format!("Q{}", first + index as u32), place);
+            }
         }
         self.q.insert(format!("Q{}", first + 3), if met { 0.0 } else { -1.0 });
-        let gone = along.keys().map(|axis| (self.machine.at[axis] - start[axis]).powi(2)).sum::<f64>().sqrt();
+        let there = places(self.machine)?;
+        let gone = along.keys().map(|axis| (there[axis] - start[axis]).powi(2)).sum::<f64>().sqrt();
         let back = back.min(gone);
         let target: ByAxis =
-            along.iter().map(|(axis, part)| (axis.clone(), self.machine.at[axis] - part / length * back)).collect();
-        self.machine.go(&target, false)
+            along.iter().map(|(axis, part)| (axis.clone(), there[axis] - part / length * back)).collect();
+        // Back in rapid traverse.
+        self.machine.go(&target, RAPID / self.machine.unit.unwrap_or(1.0), false)
     }
 
     fn print(&mut self, mask: &str) -> Result<(), String> {

@@ -1,6 +1,6 @@
 //! A machine with a probe and a ball that is not quite where the plan has it. Moves are followed in small steps.
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 use std::sync::Arc;
 
 use abbe_core::{AxisKind, KinematicModel, Poses};
@@ -26,6 +26,11 @@ pub struct Machine {
     pub alarm: Option<String>,
     /// Rotary moves.
     pub swings: usize,
+    /// mm in a unit of length of the program, once it has said its unit.
+    pub unit: Option<f64>,
+    /// What its moves took, s: from places that it has named.
+    pub seconds: f64,
+    named: BTreeSet<String>,
     known: bool,
     /// The tip is where it could not be, after the probe was not noticed.
     passed: bool,
@@ -56,6 +61,9 @@ impl Machine {
             log,
             alarm,
             swings: 0,
+            unit: None,
+            seconds: 0.0,
+            named: BTreeSet::new(),
             known: false,
             passed: false,
         }
@@ -100,8 +108,43 @@ impl Machine {
         Ok(())
     }
 
-    /// A move in a straight line of all axes; a watched one stops where the probe triggers.
-    pub fn go(&mut self, target: &ByAxis, watched: bool) -> Result<(), String> {
+    /// mm or degrees in a unit of the program.
+    fn scale(&self, axis: &str) -> Result<f64, String> {
+        let linear = self.model.info().axes.iter().any(|own| own.name == axis && own.kind == AxisKind::Linear);
+        if linear { self.unit.ok_or_else(|| "no unit of length".to_owned()) } else { Ok(1.0) }
+    }
+
+    /// Where an axis stands, in the unit of the program.
+    pub fn place(&self, axis: &str) -> Result<f64, String> {
+        let at = self.at.get(axis).ok_or_else(|| format!("there is no axis {axis}"))?;
+        Ok(at / self.scale(axis)?)
+    }
+
+    /// The program stands for so many seconds.
+    pub fn wait(&mut self, seconds: f64) {
+        self.seconds += seconds;
+    }
+
+    /// A move in a straight line of all axes, positions and feed in units of the program; a watched one stops where the probe triggers.
+    pub fn go(&mut self, target: &ByAxis, feed: f64, watched: bool) -> Result<(), String> {
+        let (mut metric, mut rate) = (ByAxis::new(), feed);
+        for (axis, place) in target {
+            let scale = self.scale(axis)?;
+            metric.insert(axis.clone(), place * scale);
+            let turns = self.model.info().axes.iter().any(|own| own.name == *axis && own.kind == AxisKind::Rotary);
+            rate = if turns { feed } else { feed * scale };
+        }
+        let from = self.at.clone();
+        self.straight(&metric, watched)?;
+        if metric.keys().all(|axis| self.named.contains(axis)) {
+            let gone = metric.keys().map(|axis| (self.at[axis] - from[axis]).powi(2)).sum::<f64>().sqrt();
+            self.seconds += 60.0 * gone / rate;
+        }
+        self.named.extend(metric.into_keys());
+        Ok(())
+    }
+
+    fn straight(&mut self, target: &ByAxis, watched: bool) -> Result<(), String> {
         let info = self.model.info();
         for axis in &info.axes {
             let Some(place) = target.get(&axis.name) else { continue };

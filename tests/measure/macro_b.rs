@@ -2,8 +2,8 @@
 
 use std::collections::BTreeMap;
 
-use super::expression::value;
 use super::machine::{ByAxis, Machine};
+use crate::gcode::expression::value;
 
 /// Local variables of the arguments of `G65`.
 const ARGUMENTS: [(&str, u32); 11] = [
@@ -62,9 +62,9 @@ impl State<'_> {
             1..=33 => Ok(self.local.last().and_then(|local| local.get(&number)).copied().unwrap_or(0.0)),
             100..=199 => Ok(self.common.get(&number).copied().unwrap_or(0.0)),
             3001 => Ok(1000.0 * self.machine.log.len() as f64),
-            5021..=5023 => Ok(self.machine.at[axis(5021)]),
-            5041..=5043 => Ok(self.machine.at[axis(5041)]),
-            5061..=5063 => Ok(self.machine.at[axis(5061)]),
+            5021..=5023 => self.machine.place(axis(5021)),
+            5041..=5043 => self.machine.place(axis(5041)),
+            5061..=5063 => self.machine.place(axis(5061)),
             _ => Err(format!("#{number} is not known")),
         }
     }
@@ -207,19 +207,29 @@ impl State<'_> {
                 (_, "G1" | "G31") => motion = Some(word),
                 (_, "G90") => self.incremental = false,
                 (_, "G91") => self.incremental = true,
-                (_, "G21" | "G17" | "G40" | "G49" | "G80" | "G94" | "G59" | "M19") => {}
+                (_, "G20") => self.machine.unit = Some(25.4),
+                (_, "G21") => self.machine.unit = Some(1.0),
+                (_, "G4") => motion = Some(word),
+                // Without a point it is milliseconds, on Fanuc and on Haas.
+                ("P", _) if motion == Some("G4") && !number.contains('.') => {
+                    self.machine.wait(self.value(number)? / 1e3);
+                    return Ok(());
+                }
+                (_, "G17" | "G40" | "G49" | "G80" | "G94" | "G59" | "M19") => {}
                 ("F", _) => feed = Some(self.value(number)?).filter(|feed| *feed > 0.0),
                 ("X" | "Y" | "Z" | "A" | "B" | "C", _) => drop(target.insert(letter.to_owned(), self.value(number)?)),
                 _ => return Err(format!("the word `{word}` is not known")),
             }
         }
         if self.incremental {
-            target.iter_mut().for_each(|(axis, value)| *value += self.machine.at[axis]);
+            for (axis, value) in &mut target {
+                *value += self.machine.place(axis)?;
+            }
         }
         match motion {
             None if target.is_empty() => Ok(()),
-            Some("G1") if feed.is_some() => self.machine.go(&target, false),
-            Some("G31") if feed.is_some() => self.machine.go(&target, true),
+            Some("G1") => self.machine.go(&target, feed.ok_or("no feed")?, false),
+            Some("G31") => self.machine.go(&target, feed.ok_or("no feed")?, true),
             _ => Err(format!("`{text}` moves in a way that is not known")),
         }
     }

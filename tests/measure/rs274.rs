@@ -2,8 +2,8 @@
 
 use std::collections::BTreeMap;
 
-use super::expression::value;
 use super::machine::{ByAxis, Machine};
+use crate::gcode::expression::value;
 
 const AXES: [&str; 9] = ["X", "Y", "Z", "A", "B", "C", "U", "V", "W"];
 
@@ -31,7 +31,7 @@ impl Rs274<'_> {
     fn variable(&self, name: &str) -> Result<f64, String> {
         if let Some(number) = name.strip_prefix('#').and_then(|number| number.parse::<usize>().ok()) {
             return match number {
-                5061..=5069 => Ok(self.machine.at.get(AXES[number - 5061]).copied().unwrap_or(0.0)),
+                5061..=5069 => Ok(self.machine.place(AXES[number - 5061]).unwrap_or(0.0)),
                 5070 => Ok(f64::from(u8::from(self.machine.triggered))),
                 5210..=5390 => Ok(0.0),
                 _ => self
@@ -156,36 +156,47 @@ impl Rs274<'_> {
     }
 
     fn words(&mut self, text: &str) -> Result<(), String> {
-        let (mut motion, mut target, mut feed, mut block) = (None, ByAxis::new(), None, None);
+        let (mut motion, mut target, mut feed) = (None, ByAxis::new(), None);
+        if self.grbl {
+            self.machine.log.push(text.to_owned());
+        }
         for word in text.split_whitespace() {
             let (letter, number) = word.split_at(1);
             match (letter, word) {
                 (_, "G1" | "G38.3" | "G10") => motion = Some(word.to_owned()),
                 (_, "G90") => self.incremental = false,
                 (_, "G91") => self.incremental = true,
-                (
-                    _,
-                    "G21" | "G17" | "G40" | "G49" | "G80" | "G94" | "G59.3" | "G59" | "G92.1" | "M0" | "M2" | "M30",
-                ) => {}
+                (_, "G20") => self.machine.unit = Some(25.4),
+                (_, "G21") => self.machine.unit = Some(1.0),
+                (_, "G4") => motion = Some(word.to_owned()),
+                ("P", _) if motion.as_deref() == Some("G4") => {
+                    self.machine.wait(self.value(number)?);
+                    return Ok(());
+                }
+                (_, "G17" | "G40" | "G49" | "G80" | "G94" | "G59.3" | "G59" | "G92.1" | "M0" | "M2" | "M30") => {}
                 ("F", _) => feed = Some(self.value(number)?).filter(|feed| *feed > 0.0),
-                ("N", _) if self.grbl => block = Some(number.to_owned()),
+                ("N", _) if self.grbl => {}
                 ("L" | "P", _) if self.grbl && motion.as_deref() == Some("G10") => {}
                 (axis, _) if AXES.contains(&axis) => drop(target.insert(axis.to_owned(), self.value(number)?)),
                 _ => return Err(format!("the word `{word}` is not known")),
             }
         }
         if self.incremental {
-            target.iter_mut().for_each(|(axis, value)| *value += self.machine.at[axis]);
+            for (axis, value) in &mut target {
+                *value += self.machine.place(axis)?;
+            }
         }
         match motion.as_deref() {
             None if target.is_empty() => {}
             Some("G10") => {}
-            Some("G1") if feed.is_some() => self.machine.go(&target, false)?,
-            Some("G38.3") if feed.is_some() => {
-                self.machine.go(&target, true)?;
+            Some("G1") => self.machine.go(&target, feed.ok_or("no feed")?, false)?,
+            Some("G38.3") => {
+                self.machine.go(&target, feed.ok_or("no feed")?, true)?;
                 if self.grbl {
-                    let place = ["X", "Y", "Z"].map(|axis| format!("{:.3}", self.machine.at[axis])).join(",");
-                    self.machine.log.extend(block.map(|_| text.to_owned()));
+                    // Three decimals of millimetres, four of inches ($13=1).
+                    let decimals = if self.machine.unit == Some(1.0) { 3 } else { 4 };
+                    let place = |axis| self.machine.place(axis).map(|place| format!("{place:.decimals$}"));
+                    let place = ["X", "Y", "Z"].map(place).into_iter().collect::<Result<Vec<_>, _>>()?.join(",");
                     self.machine.log.push(format!("[PRB:{place}:{}]", u8::from(self.machine.triggered)));
                 }
             }

@@ -2,8 +2,8 @@
 
 use std::collections::BTreeMap;
 
-use super::expression::value;
 use super::machine::{ByAxis, Machine};
+use crate::gcode::expression::value;
 
 struct State<'a> {
     files: &'a BTreeMap<String, String>,
@@ -47,7 +47,8 @@ impl State<'_> {
         let variable = |name: &str| {
             let axis = |of: &str| name.strip_prefix(of).and_then(|rest| rest.strip_suffix(']'));
             if let Some(axis) = axis("$AA_MM[").or(axis("$AA_IM[")) {
-                return self.machine.at.get(axis).copied().filter(|_| self.waited).ok_or(format!("{name} too early"));
+                let place = self.machine.place(axis);
+                return if self.waited { place } else { Err(format!("{name} too early")) };
             }
             match name {
                 "$AC_MEA[1]" if self.waited => Ok(f64::from(u8::from(self.machine.triggered))),
@@ -139,30 +140,41 @@ impl State<'_> {
 
     fn words(&mut self, text: &str, local: &BTreeMap<String, f64>) -> Result<(), String> {
         let (mut moves, mut measures, mut machine, mut feed, mut target) = (false, false, false, None, ByAxis::new());
+        let mut stands = false;
         for word in text.split_whitespace() {
             match word.split_once('=') {
                 None if word == "G1" => moves = true,
                 None if word == "SUPA" => machine = true,
-                None if ["G17", "G40", "G90", "G94", "G710"].contains(&word) => {}
+                None if word == "G710" => self.machine.unit = Some(1.0),
+                None if word == "G700" => self.machine.unit = Some(25.4),
+                None if word == "G4" => stands = true,
+                None if ["G17", "G40", "G90", "G94"].contains(&word) => {}
                 None if word.starts_with('F') => feed = Some(self.value(&word[1..], local)?),
                 Some(("MEAS", "1")) => measures = true,
                 Some(("SPOS", _)) => {}
                 Some((axis, place)) if self.machine.at.contains_key(axis) => {
                     let by = place.strip_prefix("IC").map(|by| self.value(by, local)).transpose()?;
-                    let to = by.map_or_else(|| self.value(place, local), |by| Ok(self.machine.at[axis] + by))?;
+                    let to = by.map_or_else(
+                        || self.value(place, local),
+                        |by| Ok::<f64, String>(self.machine.place(axis)? + by),
+                    )?;
                     target.insert(axis.to_owned(), to);
                 }
                 _ => return Err(format!("the word `{word}` is not known")),
             }
         }
+        if let Some(seconds) = feed.filter(|_| stands) {
+            self.machine.wait(seconds);
+            return Ok(());
+        }
         if !moves && target.is_empty() {
             return Ok(());
         }
-        if !moves || !machine || feed.is_none() {
+        let Some(feed) = feed.filter(|_| moves && machine) else {
             return Err(format!("`{text}` moves in a way that is not known"));
-        }
+        };
         self.waited = false;
-        self.machine.go(&target, measures)
+        self.machine.go(&target, feed, measures)
     }
 }
 

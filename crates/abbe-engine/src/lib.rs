@@ -33,7 +33,7 @@ mod units;
 
 pub use abbe_estimation::{LocationError, LocationErrors, Standing};
 pub use abbe_measuring::Control;
-pub use abbe_planning::{Order, Plan, PlanFigures, Reached, Revisit};
+pub use abbe_planning::{LargestOfInput, Order, Plan, PlanFigures, Reached, Revisit};
 pub use described::{Described, prepare_text};
 pub use folder::{can_write_folder, write_folder};
 pub use laws::Laws;

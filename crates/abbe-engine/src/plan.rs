@@ -4,9 +4,9 @@ use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
-use abbe_core::{DataRow, Dataset, Error, Identifiability, Monitor, Result, WeakDirection};
-use abbe_measuring::Control;
-use abbe_planning::{Generation, Plan, PlanFigures, Planning, Revisit, generate, plan};
+use abbe_core::{DataRow, Dataset, Error, Identifiability, Monitor, Result, WeakDirection, Whole};
+use abbe_measuring::{Control, Measuring};
+use abbe_planning::{Generation, LargestOfInput, Plan, PlanFigures, Planning, Revisit, generate, plan};
 use abbe_recipe::Stage;
 use abbe_table::Layout as FileLayout;
 use serde_json::{Value, json};
@@ -26,6 +26,8 @@ pub struct Measurements {
     pub identifiability: Identifiability,
     /// Whether its estimator accepts this identifiability.
     pub accepted: bool,
+    /// What the moves of the measuring program take, s, if one is written.
+    pub seconds: Option<f64>,
     /// The text of `plan.json`.
     pub record: String,
     /// The data files with the chosen rows, relative to the folder that they are written into.
@@ -64,7 +66,18 @@ impl Prepared {
             self.read(&Monitor::default(), generated.as_ref().map(|generated| (generated.ingest, &generated.data)))?;
         let problem = self.located(stage, self.problem(stage, &data, &mut Taken::default()))?;
         let estimator = &self.estimators[&stage.name];
-        let plan = plan(&problem, wanted).map_err(|error| self.recipe.locate_plan(error));
+        let candidates = match &generated {
+            Some(generated) => &generated.data,
+            None => &data[self.artefact(&wanted.candidates)?.0],
+        };
+        let settings = self.measuring(wanted, control)?;
+        let located = |error| self.recipe.locate_plan(error);
+        let plan = match settings.as_ref().filter(|_| wanted.minutes.is_some()) {
+            None => plan(&problem, wanted, None).map_err(located),
+            Some(settings) => self.timed(wanted, stage, settings, candidates, |timing| {
+                plan(&problem, wanted, Some(timing)).map_err(located)
+            }),
+        };
         let plan = plan.map_err(|error| match estimator.identify(&problem) {
             // These are not determined for any choice.
             Ok(all) if all.rank < all.unknowns => with_lost(error, &all),
@@ -72,11 +85,15 @@ impl Prepared {
         })?;
         let identifiability = self.located(stage, estimator.identify(&plan.problem))?;
         let accepted = self.located(stage, estimator.accepts(&identifiability))?;
-        let candidates = match &generated {
-            Some(generated) => &generated.data,
-            None => &data[self.artefact(&wanted.candidates)?.0],
+        let rows = rows_of(&plan, None, candidates);
+        let (programs, seconds) = match settings {
+            None => (Vec::new(), None),
+            Some(settings) => {
+                let settings = Measuring { repeats: Whole::new(plan.repeats as u64), ..settings };
+                let (files, seconds) = self.programs(wanted, stage, &settings, candidates, &rows)?;
+                (files, Some(seconds))
+            }
         };
-        let programs = self.programs(wanted, stage, control, candidates, &rows_of(&plan, None, candidates))?;
         let mut files = match &generated {
             Some(generated) => {
                 let path = PathBuf::from(GENERATED);
@@ -94,10 +111,10 @@ impl Prepared {
                         "save the candidates with commas, points and the names of the data set, or let `generate` make them",
                     ));
                 }
-                rows(data, &plan)?
+                of_files(data, &plan)?
             }
         };
-        let record = serde_json::to_string_pretty(&record(&stage.name, &plan, &identifiability))
+        let record = serde_json::to_string_pretty(&record(&stage.name, (&plan, seconds), &identifiability))
             .map_err(|error| Error::data(format!("the plan cannot be written: {error}")))?
             + "\n";
         if files.insert(PathBuf::from(RECORD), record.clone().into_bytes()).is_some() {
@@ -112,7 +129,7 @@ impl Prepared {
                 return Err(error.help("give the file of candidates another name"));
             }
         }
-        Ok(Measurements { estimate: stage.name.clone(), plan, identifiability, accepted, record, files })
+        Ok(Measurements { estimate: stage.name.clone(), plan, identifiability, accepted, seconds, record, files })
     }
 }
 
@@ -173,7 +190,7 @@ fn with_lost(error: Error, all: &Identifiability) -> Error {
 }
 
 /// The chosen rows as in their files, under the header of their file.
-fn rows(data: &Dataset, plan: &Plan) -> Result<BTreeMap<PathBuf, Vec<u8>>> {
+fn of_files(data: &Dataset, plan: &Plan) -> Result<BTreeMap<PathBuf, Vec<u8>>> {
     let mut files = BTreeMap::new();
     for (index, path) in data.files.iter().enumerate() {
         let of_file = rows_of(plan, Some(index), data);
@@ -240,8 +257,19 @@ fn revisit(revisit: &Revisit) -> Value {
     })
 }
 
+/// How large the uncertainty of a known input may be, in its own unit.
+fn input(input: &LargestOfInput) -> Value {
+    let largest = input.part.zip(input.stated).map(|(part, stated)| part * stated);
+    json!({
+        "name": input.name,
+        "standard_uncertainty": input.stated,
+        "largest_standard_uncertainty": largest,
+        "suffices": input.part.is_some(),
+    })
+}
+
 /// `plan.json`.
-fn record(estimate: &str, plan: &Plan, found: &Identifiability) -> Value {
+fn record(estimate: &str, (plan, seconds): (&Plan, Option<f64>), found: &Identifiability) -> Value {
     let figures = |figures: &PlanFigures| {
         json!({
             "equations": figures.equations,
@@ -295,8 +323,17 @@ fn record(estimate: &str, plan: &Plan, found: &Identifiability) -> Value {
             "wanted": reached.wanted,
             "coverage_factor": reached.coverage_factor,
             "largest_standard_uncertainty_of_row": reached.largest_of_row,
+            "inputs": reached.largest_of_inputs.iter().map(input).collect::<Vec<_>>(),
         });
         record.insert("until".to_owned(), reached);
+    }
+    if let (Some(seconds), Some(record)) = (seconds, record.as_object_mut()) {
+        let program = json!({
+            "seconds": seconds,
+            "repeats": plan.repeats,
+            "standard_uncertainty_of_mean_mm": plan.of_mean,
+        });
+        record.insert("program".to_owned(), program);
     }
     if let (Some(order), Some(record)) = (order, record.as_object_mut()) {
         record.insert("order".to_owned(), order);

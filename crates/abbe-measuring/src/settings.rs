@@ -46,9 +46,19 @@ pub struct Measuring {
     /// Feed of all other moves of linear axes. They stop where the probe triggers.
     #[serde(default = "thousand")]
     pub positioning_feed_mm_per_min: f64,
-    /// Feed of moves of rotary axes.
+    /// Rapid traverse of linear axes, in which Heidenhain's touch probe cycle goes back; no other control needs it. It changes no
+    /// program, only the time that it is said to take.
+    #[serde(default = "ten_thousand")]
+    pub rapid_feed_mm_per_min: f64,
+    /// Feed of moves of rotary axes; of several that move together, of the root of the sum of their squares.
     #[serde(default = "thousand")]
     pub rotary_feed_deg_per_min: f64,
+    /// Time that the program waits after rotary axes have moved, before it goes on.
+    #[serde(default)]
+    pub settle_s: f64,
+    /// The unit of lengths to which the control is set; positions and feeds of program and log have it.
+    #[serde(default)]
+    pub units: Units,
     /// How often each touch is made.
     #[serde(default = "once")]
     pub repeats: Whole<1, 99>,
@@ -112,6 +122,17 @@ pub enum Control {
     Heidenhain,
     /// grbl and its relatives: G38.3, the host keeps the answers.
     Grbl,
+}
+
+/// The unit of lengths of a program and of its log.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize, JsonSchema)]
+#[serde(rename_all = "kebab-case")]
+pub enum Units {
+    /// Millimetres, mm/min.
+    #[default]
+    Mm,
+    /// Inches, inches per minute.
+    Inch,
 }
 
 impl Control {
@@ -238,6 +259,10 @@ fn thousand() -> f64 {
     1000.0
 }
 
+fn ten_thousand() -> f64 {
+    10_000.0
+}
+
 fn once() -> Whole<1, 99> {
     Whole::new(1)
 }
@@ -287,6 +312,7 @@ impl Measuring {
             ("measuring_feed_mm_per_min", self.measuring_feed_mm_per_min),
             ("positioning_feed_mm_per_min", self.positioning_feed_mm_per_min),
             ("rotary_feed_deg_per_min", self.rotary_feed_deg_per_min),
+            ("rapid_feed_mm_per_min", self.rapid_feed_mm_per_min),
         ] {
             positive(name, value)?;
         }
@@ -301,6 +327,7 @@ impl Measuring {
             return Err(SettingsError::new("margin_mm", "a distance below `approach_mm` was expected"));
         }
         not_negative("dry_run_mm", self.dry_run_mm)?;
+        not_negative("settle_s", self.settle_s)?;
         not_negative("overshoot_mm", self.overshoot_mm)?;
         not_negative("overshoot_deg", self.overshoot_deg)?;
         self.check_words()

@@ -156,3 +156,23 @@ fn travel_and_pauses() {
     let program = Programme::new(&pause, &touches, &[], &Cartesian::new(), Some(8.0)).unwrap();
     assert!(!program.blocks.iter().any(|block| matches!(block, Block::Touch(_))));
 }
+
+/// The sum of the moves by hand: 43 mm down and up, 60 mm to the second touch, and the touches.
+#[test]
+fn a_program_takes_what_its_moves_take() {
+    let (model, touches) = (Cartesian::new(), touches(&[[0.0, 0.0], [60.0, 0.0]]));
+    let seconds =
+        |more: serde_json::Value| Programme::new(&settings(more), &touches, &[], &model, None).unwrap().seconds;
+    let ways = (4.0 * 43.0 + 60.0) / 1000.0;
+    let slow = 5.0 / 30.0 + 5.0 / 1000.0;
+    assert!((seconds(serde_json::json!({})) - 60.0 * (ways + 2.0 * slow)).abs() < 1e-9);
+    let twice = 5.0 / 200.0 + 0.5 / 1000.0 + 0.5 / 30.0 + 5.0 / 1000.0;
+    let more = serde_json::json!({ "search_feed_mm_per_min": 200, "repeats": 3 });
+    assert!((seconds(more) - 60.0 * (ways + 6.0 * twice)).abs() < 1e-9);
+    // What is timed before a plan is chosen is what its program says.
+    let settings = settings(serde_json::json!({ "search_feed_mm_per_min": 200 }));
+    let timing = crate::Timing::new(&settings, &touches, &[], &model).unwrap();
+    assert!((timing.seconds(&[1, 0], false, 3).unwrap() - 60.0 * (ways + 6.0 * twice)).abs() < 1e-9);
+    assert!(timing.seconds(&[0], false, 1).unwrap() < timing.seconds(&[0, 1], false, 1).unwrap());
+    assert_eq!(timing.refusal(0).unwrap(), None);
+}

@@ -8,23 +8,27 @@
 mod again;
 mod candidates;
 mod generate;
+mod minutes;
 mod order;
+mod scaled;
 mod settings;
 mod until;
 
-use abbe_core::{
-    DataRow, EquationIndex, Error, PathItem, Problem, Result, RowIndex, Unknown, Whole, in_parallel, matches,
-};
+use abbe_core::{DataRow, Error, PathItem, Problem, Result, RowIndex, Unknown, in_parallel, matches};
 use abbe_estimation::rank_point;
-use abbe_numerics::{Criterion, Design, DesignFigures, DesignProblem, Generator};
+use abbe_measuring::Timing;
+use abbe_numerics::{Design, DesignProblem, Generator};
 
 pub use again::Revisit;
 pub use generate::generate;
 pub use order::Order;
-pub use settings::{Again, Change, GeneratedLengths, Generation, Of, Ordering, Planning, PlanningCriterion, Until};
-pub use until::Reached;
+pub use settings::{
+    Again, Change, GeneratedLengths, Generation, Of, Ordering, Planning, PlanningCriterion, Repeating, Until,
+};
+pub use until::{LargestOfInput, Reached};
 
 use candidates::{Candidate, candidates};
+use scaled::{Known, Scaled};
 
 /// Number of random designs with which a plan is compared.
 const RANDOM: u64 = 200;
@@ -58,6 +62,10 @@ pub struct Plan {
     pub order: Option<Order>,
     /// What it reaches of a wanted uncertainty, if one was wanted.
     pub reached: Option<Reached>,
+    /// How often the measuring program makes each touch.
+    pub repeats: usize,
+    /// Standard uncertainty of such a mean, mm, if touches are repeated and all alike.
+    pub of_mean: Option<f64>,
 }
 
 /// A chosen candidate.
@@ -103,54 +111,144 @@ impl PlanFigures {
     }
 }
 
-/// Chooses candidates for a problem.
+/// Chooses candidates for a problem. `timing` has the rows of the candidates' data as touches; `minutes` need it.
 ///
 /// Fails for names that the problem does not know, candidates that cannot determine the unknowns however many are measured,
 /// numbers or budgets that are too small, and a wanted uncertainty that is out of reach.
-pub fn plan(problem: &Problem, wanted: &Planning) -> Result<Plan> {
-    match &wanted.until {
-        Some(until) => until::fewest(problem, wanted, until),
-        None => plan_of(problem, wanted),
+pub fn plan(problem: &Problem, wanted: &Planning, timing: Option<&Timing<'_>>) -> Result<Plan> {
+    match (&wanted.until, wanted.minutes, timing) {
+        (_, Some(minutes), Some(timing)) => minutes::within(problem, wanted, minutes, timing),
+        (_, Some(_), None) => Err(wrong("minutes", "the program that measures the plan is not known")),
+        (Some(until), None, _) => until::fewest(problem, wanted, until),
+        (None, None, _) => plan_of(problem, wanted, None),
     }
 }
 
 /// Chooses so many candidates.
-fn plan_of(problem: &Problem, wanted: &Planning) -> Result<Plan> {
-    let contact = rank_point(problem, &problem.start())?;
-    let order = order(problem, wanted)?;
-    let found = candidates(&contact, wanted)?;
-    let scaled = Scaled::new(&contact, &found, &order)?;
-    let choice = scaled.choice(&found, wanted, count(problem, wanted));
-    if choice.figures(&(0..found.len()).collect::<Vec<_>>()).is_none() {
-        let message = "even all candidates together leave something open";
-        return Err(wrong("candidates", message).help("offer more candidates, or estimate fewer parameters"));
-    }
-    let searches: Vec<u64> = (0..wanted.restarts.get() as u64).collect();
-    let searched = in_parallel(&searches, None, |search| choice.exchange(&mut Generator::new(wanted.seed, *search)));
-    let designs: Vec<Design> = searched.into_iter().flatten().collect();
-    let best = designs.iter().fold(None, |best: Option<&Design>, design| match best {
+fn plan_of(problem: &Problem, wanted: &Planning, until: Option<&Until>) -> Result<Plan> {
+    let ground = Ground::new(problem, wanted)?.repeated(wanted.stated_repeats())?;
+    let choice = ground.choice(ground.wanted.budget_s);
+    ground.check(&choice)?;
+    let designs = searched(&choice, wanted.restarts.get(), wanted.seed);
+    let best = best(&designs).ok_or_else(|| too_small(wanted))?;
+    let alike = |design: &&Design| (design.value - best.value).abs() <= 1e-6 * best.value.abs().max(1.0);
+    let mut plan = ground.plan(&choice, &best.chosen, designs.iter().filter(alike).count())?;
+    let reached = until.map(|until| until::reached((&plan.figures, &best.chosen, &ground), until));
+    plan.reached = reached.transpose()?;
+    Ok(plan)
+}
+
+/// Designs from random starts.
+fn searched(choice: &DesignProblem, restarts: usize, seed: u64) -> Vec<Design> {
+    let searches: Vec<u64> = (0..restarts as u64).collect();
+    let found = in_parallel(&searches, None, |search| choice.exchange(&mut Generator::new(seed, *search)));
+    found.into_iter().flatten().collect()
+}
+
+/// The first of the best.
+fn best(designs: &[Design]) -> Option<&Design> {
+    designs.iter().fold(None, |best: Option<&Design>, design| match best {
         Some(best) if best.value >= design.value => Some(best),
         _ => Some(design),
-    });
-    let best = best.ok_or_else(|| too_small(wanted))?;
-    let scaled_figures = choice.figures(&best.chosen).ok_or_else(|| too_few(wanted, problem.unknowns.len()))?;
-    let random_efficiency = random(&choice, wanted.seed, &best.chosen, scaled_figures.log_determinant);
-    let alike = |design: &&Design| (design.value - best.value).abs() <= 1e-6 * best.value.abs().max(1.0);
-    let figures = scaled.figures(&choice, &best.chosen, scaled_figures);
-    let evenly = evenly(&choice, best.chosen.len());
-    let order = order::order(&contact, (&found, &scaled, &choice), &best.chosen, wanted)?;
-    Ok(Plan {
-        reached: None,
-        order,
-        candidates: found.len(),
-        chosen: chosen(&found, &best.chosen, &choice.required),
-        data_rows: data_rows(&contact, &found, &best.chosen, wanted),
-        problem: restricted(problem, &found, &best.chosen, wanted),
-        spread_evenly: choice.figures(&evenly).map(|even| scaled.figures(&choice, &evenly, even)),
-        random_efficiency,
-        figures,
-        searches_that_found_it: designs.iter().filter(alike).count(),
     })
+}
+
+/// What plans of a problem are made of.
+struct Ground<'a> {
+    problem: &'a Problem,
+    wanted: &'a Planning,
+    /// The problem at nominal contact.
+    contact: Problem,
+    found: Vec<Candidate>,
+    scaled: Scaled,
+    /// What is considered beside the unknowns.
+    known: Known,
+    /// How often each touch is made.
+    repeats: usize,
+    of_mean: Option<f64>,
+}
+
+impl<'a> Ground<'a> {
+    fn new(problem: &'a Problem, wanted: &'a Planning) -> Result<Self> {
+        let contact = rank_point(problem, &problem.start())?;
+        let order = order(problem, wanted)?;
+        let found = candidates(&contact, wanted)?;
+        let scaled = Scaled::new(&contact, &found, &order)?;
+        let known = Known::new(&contact, &found, &scaled)?;
+        Ok(Self { problem, wanted, contact, found, scaled, known, repeats: 1, of_mean: None })
+    }
+
+    /// The same with means of so many touches as rows.
+    ///
+    /// Fails if a row has a smaller uncertainty than the noise that repeats are to make smaller.
+    fn repeated(mut self, repeats: usize) -> Result<Self> {
+        self.repeats = repeats;
+        let Some(repeating) = &self.wanted.repeats else { return Ok(self) };
+        let uncertainties = self.problem.standard_uncertainties();
+        let rows = self.found.iter().flat_map(|candidate| &candidate.equations);
+        let rows: Vec<f64> = rows.map(|&equation| uncertainties[equation]).collect();
+        let smallest = rows.iter().copied().fold(f64::INFINITY, f64::min);
+        if repeating.noise_um * 1e-3 > smallest * (1.0 + 1e-9) {
+            let message = format!(
+                "a row has a standard uncertainty of {:.4} µm, and {} µm of it are to be noise",
+                smallest * 1e3,
+                repeating.noise_um
+            );
+            let mut error = wrong("repeats", message).help("the noise of a touch is a part of its uncertainty");
+            error.setting.push(PathItem::Key("noise_um".to_owned()));
+            return Err(error);
+        }
+        let factor = |row: &f64| row / repeating.of_mean(*row, repeats).max(f64::MIN_POSITIVE);
+        if rows.iter().any(|row| !(factor(row) < 1e6)) {
+            return Err(wrong("repeats", "a mean of touches would have no uncertainty"));
+        }
+        let is_one = rows.iter().all(|row| (row / smallest - 1.0).abs() < 1e-9);
+        self.of_mean = is_one.then(|| repeating.of_mean(smallest, repeats));
+        self.scaled.set_factors(rows.iter().map(factor).collect());
+        Ok(self)
+    }
+
+    fn choice(&self, budget: Option<f64>) -> DesignProblem {
+        let choice = self.scaled.choice(&self.found, self.wanted, count(self.problem, self.wanted));
+        DesignProblem { budget, ..choice }
+    }
+
+    /// Refuses candidates that do not determine the unknowns even all together.
+    fn check(&self, choice: &DesignProblem) -> Result<()> {
+        match choice.figures(&(0..self.found.len()).collect::<Vec<_>>()) {
+            Some(_) => Ok(()),
+            None => {
+                let message = "even all candidates together leave something open";
+                Err(wrong("candidates", message).help("offer more candidates, or estimate fewer parameters"))
+            }
+        }
+    }
+
+    fn figures(&self, choice: &DesignProblem, design: &[usize]) -> Option<PlanFigures> {
+        choice.figures(design).map(|figures| self.scaled.figures(choice, design, figures))
+    }
+
+    /// The plan of a design, which so many searches found.
+    fn plan(&self, choice: &DesignProblem, design: &[usize], searches_that_found_it: usize) -> Result<Plan> {
+        let Self { problem, wanted, contact, found, scaled, .. } = self;
+        let figures = self.figures(choice, design).ok_or_else(|| too_few(wanted, problem.unknowns.len()))?;
+        let log_determinant = choice.log_determinant(design).unwrap_or(f64::NEG_INFINITY);
+        let evenly = evenly(choice, design.len());
+        Ok(Plan {
+            reached: None,
+            order: order::order(contact, (found, scaled, choice), design, wanted)?,
+            candidates: found.len(),
+            chosen: chosen(found, design, &choice.required),
+            data_rows: data_rows(contact, found, design, wanted),
+            problem: restricted(problem, found, design, wanted),
+            spread_evenly: self.figures(choice, &evenly),
+            random_efficiency: random(choice, wanted.seed, design, log_determinant),
+            figures,
+            searches_that_found_it,
+            repeats: self.repeats,
+            of_mean: self.of_mean.filter(|_| self.repeats > 1),
+        })
+    }
 }
 
 /// An error about a setting of the plan.
@@ -171,7 +269,11 @@ fn too_small(wanted: &Planning) -> Error {
 }
 
 fn too_few(wanted: &Planning, unknowns: usize) -> Error {
-    let key = if wanted.number.is_some() { "number" } else { "budget_s" };
+    let key = match (wanted.minutes, wanted.number) {
+        (Some(_), _) => "minutes",
+        (None, Some(_)) => "number",
+        (None, None) => "budget_s",
+    };
     wrong(key, format!("too small to determine {unknowns} unknowns")).help("allow more, or estimate fewer parameters")
 }
 
@@ -198,124 +300,6 @@ fn counts(unknown: &Unknown, wanted: &Planning) -> bool {
 /// How many unknowns count.
 fn count(problem: &Problem, wanted: &Planning) -> usize {
     problem.unknowns.iter().filter(|unknown| counts(unknown, wanted)).count()
-}
-
-/// The weighted derivatives of all rows, with columns of norm 1.
-struct Scaled {
-    /// Rows of the candidates, one candidate after another.
-    rows: Vec<f64>,
-    ends: Vec<usize>,
-    /// Information matrix of the rows that are no candidates.
-    measured: Vec<f64>,
-    /// Number of the rows that are no candidates.
-    measured_rows: usize,
-    /// Norms of the columns.
-    norms: Vec<f64>,
-    /// Index of the unknown of every column.
-    order: Vec<usize>,
-}
-
-impl Scaled {
-    fn new(contact: &Problem, candidates: &[Candidate], order: &[usize]) -> Result<Self> {
-        let p = order.len();
-        let mut all = weighted(contact, order)?;
-        let norm = |column: usize| all.iter().skip(column).step_by(p).map(|value| value * value).sum::<f64>().sqrt();
-        // A column of zeros is reported later: no plan determines its unknown.
-        let norms: Vec<f64> = (0..p).map(norm).map(|norm| if norm > 0.0 { norm } else { 1.0 }).collect();
-        all.chunks_exact_mut(p).for_each(|row| row.iter_mut().zip(&norms).for_each(|(value, norm)| *value /= norm));
-        let (mut rows, mut ends) = (Vec::new(), Vec::new());
-        let mut chosen = vec![false; all.len() / p];
-        for candidate in candidates {
-            for &EquationIndex(equation) in &candidate.equations {
-                rows.extend_from_slice(&all[equation * p..(equation + 1) * p]);
-                chosen[equation] = true;
-            }
-            ends.push(rows.len() / p);
-        }
-        let mut measured = vec![0.0; p * p];
-        let others = all.chunks_exact(p).zip(&chosen).filter(|(_, chosen)| !**chosen);
-        let mut measured_rows = 0;
-        for (row, _) in others {
-            measured_rows += 1;
-            for (one, line) in row.iter().zip(measured.chunks_exact_mut(p)) {
-                line.iter_mut().zip(row).for_each(|(sum, other)| *sum += one * other);
-            }
-        }
-        Ok(Self { rows, ends, measured, measured_rows, norms, order: order.to_vec() })
-    }
-
-    /// The rows of the candidates of a problem at other poses, one candidate after another, in the same columns.
-    fn rows_of(&self, problem: &Problem, candidates: &[Candidate]) -> Result<Vec<f64>> {
-        let (all, p) = (weighted(problem, &self.order)?, self.order.len());
-        let equations = candidates.iter().flat_map(|candidate| &candidate.equations);
-        let rows = equations.flat_map(|&EquationIndex(equation)| {
-            all[equation * p..(equation + 1) * p].iter().zip(&self.norms).map(|(value, norm)| value / norm)
-        });
-        Ok(rows.collect())
-    }
-
-    fn choice(&self, candidates: &[Candidate], wanted: &Planning, of_interest: usize) -> DesignProblem {
-        let required = candidates.iter().enumerate();
-        let required = required.flat_map(|(index, candidate)| std::iter::repeat_n(index, candidate.required)).collect();
-        DesignProblem {
-            unknowns: self.order.len(),
-            of_interest,
-            rows: self.rows.clone(),
-            ends: self.ends.clone(),
-            measured: self.measured.clone(),
-            costs: candidates.iter().map(|candidate| candidate.duration).collect(),
-            required,
-            allowed: candidates.iter().map(|candidate| !candidate.forbidden).collect(),
-            replications: wanted.replications,
-            number: wanted.number.map(Whole::get),
-            budget: wanted.budget_s,
-            criterion: match wanted.criterion {
-                PlanningCriterion::D => Criterion::D,
-                PlanningCriterion::A => Criterion::A,
-                PlanningCriterion::E => Criterion::E,
-                PlanningCriterion::G => Criterion::G,
-                PlanningCriterion::Condition => Criterion::Condition,
-            },
-        }
-    }
-
-    /// Figures in the units of the unknowns.
-    fn figures(&self, choice: &DesignProblem, chosen: &[usize], figures: DesignFigures) -> PlanFigures {
-        let p = self.order.len();
-        let first = |index: usize| if index == 0 { 0 } else { choice.ends[index - 1] };
-        let equations = chosen.iter().map(|&index| choice.ends[index] - first(index)).sum::<usize>();
-        let equations = equations + self.measured_rows;
-        let mut covariance = vec![0.0; p * p];
-        for (row, &one) in self.order.iter().enumerate() {
-            for (column, &other) in self.order.iter().enumerate() {
-                let scaled = figures.covariance[row * p + column];
-                covariance[one * p + other] = scaled / (self.norms[row] * self.norms[column]);
-            }
-        }
-        let of_interest = choice.of_interest;
-        let scales: f64 = self.norms[..of_interest].iter().map(|norm| norm.ln()).sum();
-        PlanFigures {
-            equations,
-            log_determinant: figures.log_determinant + 2.0 * scales,
-            condition: figures.condition,
-            response_variance: figures.response_variance.map(|variance| variance * equations as f64),
-            covariance,
-            of_interest,
-        }
-    }
-}
-
-/// The weighted derivatives of a problem, its unknowns in this order.
-fn weighted(problem: &Problem, order: &[usize]) -> Result<Vec<f64>> {
-    let uncertainties = problem.standard_uncertainties();
-    let mut all: Vec<f64> = Vec::with_capacity(problem.equations() * order.len());
-    problem.linearise(&problem.start(), |block| {
-        for (equation, _, derivatives) in block.lines() {
-            let weight = 1.0 / uncertainties[equation];
-            all.extend(order.iter().map(|&column| derivatives[column] * weight));
-        }
-    })?;
-    Ok(all)
 }
 
 /// As many candidates, spread evenly over the list.

@@ -28,7 +28,15 @@ pub struct Planning {
     /// Largest total time of the chosen candidates. The candidates need a column `duration_s`.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub budget_s: Option<f64>,
-    /// Choose the fewest candidates with which this is reached; `number` and `budget_s` are then the most that are allowed.
+    /// Largest duration of the measuring program (`program`): the sum of its moves at their feeds and of its times to settle. It takes
+    /// the place of `number` or `budget_s`.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub minutes: Option<f64>,
+    /// How often each touch of the measuring program is made. Default: once, and what `repeats` of `program` says changes no
+    /// uncertainty.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub repeats: Option<Repeating>,
+    /// Choose the fewest candidates with which this is reached; `number`, `budget_s` and `minutes` are then the most that are allowed.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub until: Option<Until>,
     /// What makes a choice good.
@@ -59,6 +67,33 @@ pub struct Planning {
     /// Seed of the random starts.
     #[serde(default)]
     pub seed: u64,
+}
+
+/// How often a touch is made; its mean counts.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct Repeating {
+    /// The part of the standard uncertainty of a row that is new at every touch: the noise of the probe. What stays the same while the
+    /// machine stands (its own errors, the surface) is no part of it.
+    pub noise_um: f64,
+    /// How often. Default: as often as makes the best plan of these `minutes`.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub times: Option<Whole<1, 99>>,
+    /// The most that are tried.
+    #[serde(default = "five_times")]
+    pub most: Whole<1, 99>,
+}
+
+fn five_times() -> Whole<1, 99> {
+    Whole::new(5)
+}
+
+impl Repeating {
+    /// Standard uncertainty of the mean of so many touches, mm; that of a row is one of the recipe.
+    pub(crate) fn of_mean(&self, row: f64, repeats: usize) -> f64 {
+        let noise = self.noise_um * 1e-3;
+        (row.powi(2) - noise.powi(2) * (1.0 - 1.0 / repeats as f64)).max(0.0).sqrt()
+    }
 }
 
 /// A wanted uncertainty.
@@ -323,12 +358,47 @@ fn restarts() -> Whole<1, 1_000> {
 }
 
 impl Planning {
+    /// How often each touch is made, by what is stated of it.
+    pub(crate) fn stated_repeats(&self) -> usize {
+        let of_program = self.program.as_ref().map_or(1, |program| program.repeats.get());
+        self.repeats.as_ref().map_or(of_program, |repeats| repeats.times.map_or(1, Whole::get))
+    }
+
+    fn check_time(&self) -> Result<(), SettingsError> {
+        if let Some(minutes) = self.minutes {
+            positive("minutes", minutes)?;
+            if self.budget_s.is_some() {
+                return Err(SettingsError::new("minutes", "`budget_s` stands beside it; one of the two was expected"));
+            }
+        }
+        if self.program.is_none() {
+            let needs = [("minutes", self.minutes.is_some()), ("repeats", self.repeats.is_some())];
+            if let Some((name, _)) = needs.into_iter().find(|(_, stated)| *stated) {
+                let error = SettingsError::new(name, "what a touch takes follows from `program`, which is missing");
+                return Err(error.help("add `program: { control: .., probe: [..], clearance: .. }` to `plan`"));
+            }
+        }
+        let Some(repeats) = &self.repeats else { return Ok(()) };
+        let under = |error: SettingsError| error.under([PathItem::Key("repeats".to_owned())]);
+        positive("noise_um", repeats.noise_um).map_err(under)?;
+        if repeats.times.is_none() && self.minutes.is_none() {
+            let error = SettingsError::new("times", "how often a touch is made is missing");
+            return Err(under(error.help("without `minutes` more is always better: state `times`")));
+        }
+        if self.program.as_ref().is_some_and(|program| program.repeats.get() > 1) {
+            let error = SettingsError::new("", "`repeats` stands in `program`, too; one of the two was expected");
+            return Err(under(error));
+        }
+        Ok(())
+    }
+
     /// Refuses settings that are wrong whatever the data.
     pub fn check(&self) -> Result<(), SettingsError> {
-        if self.number.is_none() && self.budget_s.is_none() && self.until.is_none() {
-            let message = "`number`, `budget_s` or `until` is missing: how many may be measured?";
+        if self.number.is_none() && self.budget_s.is_none() && self.minutes.is_none() && self.until.is_none() {
+            let message = "`number`, `budget_s`, `minutes` or `until` is missing: how many may be measured?";
             return Err(SettingsError::new("", message));
         }
+        self.check_time()?;
         if let Some(until) = &self.until {
             until.check().map_err(|error| error.under([PathItem::Key("until".to_owned())]))?;
         }

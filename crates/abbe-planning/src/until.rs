@@ -4,7 +4,7 @@ use abbe_core::{Error, Owner, Poses, Problem, Quantity, Result, Variable, Whole}
 
 use crate::candidates::candidates;
 use crate::settings::{Of, Planning, Until};
-use crate::{Plan, counts, plan_of, wrong};
+use crate::{Ground, Plan, PlanFigures, counts, plan_of, wrong};
 
 /// What a plan reaches of what was wanted.
 #[derive(Debug, Clone, PartialEq)]
@@ -13,15 +13,42 @@ pub struct Reached {
     pub worst: String,
     /// Whether that is an angle.
     pub is_angle: bool,
-    /// Its expanded uncertainty, mm or rad.
+    /// Its expanded uncertainty, mm or rad: by the rows and by what is known of artefact and probe.
     pub expanded: f64,
     /// What was wanted, mm or rad.
     pub wanted: f64,
     /// The coverage factor.
     pub coverage_factor: f64,
-    /// Largest standard uncertainty of a row with which these candidates reach what was wanted, mm: of rows that are lengths with
-    /// the same one, and with nothing measured before. What known inputs add (the calibration of an artefact) is not in it.
+    /// Largest standard uncertainty of a row (of a mean, if touches are repeated) with which these candidates reach what was wanted, mm:
+    /// of rows that are lengths with the same one, and with nothing measured before. What is known stays as stated.
     pub largest_of_row: Option<f64>,
+    /// The same for each known input: how good artefact and probe have to be.
+    pub largest_of_inputs: Vec<LargestOfInput>,
+}
+
+/// How large the uncertainty of a known input may be.
+#[derive(Debug, Clone, PartialEq)]
+pub struct LargestOfInput {
+    /// Its name: `stylus_radius`, `bar.length`; or the earlier estimate that it comes from.
+    pub name: String,
+    /// What is stated, in the unit of its value; none where several quantities come from one estimate.
+    pub stated: Option<f64>,
+    /// Whether that is a length.
+    pub is_length: bool,
+    /// The largest part of what is stated with which what was wanted is reached, all else as stated. None if nothing suffices.
+    pub part: Option<f64>,
+}
+
+impl Reached {
+    /// What is reached as a part of what was wanted.
+    pub fn ratio(&self) -> f64 {
+        self.expanded / self.wanted
+    }
+}
+
+/// Whether that is enough. Whoever writes what the reverse answer says gets it, whatever is rounded.
+pub fn is_enough(reached: &Reached) -> bool {
+    reached.expanded <= reached.wanted * (1.0 + 1e-9)
 }
 
 /// A number of candidates that is tried: most restarts make the last plan better by little, and every number costs all of them.
@@ -37,16 +64,10 @@ pub fn fewest(problem: &Problem, wanted: &Planning, until: &Until) -> Result<Pla
     let most = if wanted.replications { most } else { most.min(free.max(1)) };
     let of = |number: usize, restarts: usize| {
         let restarts = Whole::new(restarts.min(wanted.restarts.get()).max(1) as u64);
-        let mut plan = plan_of(
-            problem,
-            &Planning { number: Some(Whole::new(number as u64)), until: None, restarts, ..wanted.clone() },
-        )?;
-        plan.reached = Some(reached(&plan, problem, wanted, until)?);
-        Ok(plan)
+        let wanted = Planning { number: Some(Whole::new(number as u64)), until: None, restarts, ..wanted.clone() };
+        plan_of(problem, &wanted, Some(until))
     };
-    // Whoever writes what the reverse answer says gets it, whatever is rounded.
-    let is_enough =
-        |plan: &Plan| plan.reached.as_ref().is_some_and(|reached| reached.expanded <= reached.wanted * (1.0 + 1e-9));
+    let is_enough = |plan: &Plan| plan.reached.as_ref().is_some_and(is_enough);
     let all = of(most, TRIALS)?;
     if !is_enough(&all) {
         return Err(out_of_reach(&all));
@@ -66,69 +87,148 @@ pub fn fewest(problem: &Problem, wanted: &Planning, until: &Until) -> Result<Pla
     if is_enough(&best) { Ok(best) } else { of(enough, TRIALS) }
 }
 
-/// What a plan reaches: the quantity that is nearest to what is wanted of it, or furthest beyond.
-fn reached(plan: &Plan, problem: &Problem, wanted: &Planning, until: &Until) -> Result<Reached> {
+/// A quantity of which an uncertainty is wanted: a sum of unknowns.
+struct Quantified {
+    name: String,
+    is_angle: bool,
+    limit: f64,
+    /// Its variance by the rows.
+    rows: f64,
+    /// Its variance by each source of known inputs.
+    known: Vec<f64>,
+}
+
+impl Quantified {
+    fn variance(&self) -> f64 {
+        self.rows + self.known.iter().sum::<f64>()
+    }
+}
+
+/// Sensitivities of all unknowns to what is considered, source by source.
+struct Sensitivities<'a> {
+    figures: &'a PlanFigures,
+    ground: &'a Ground<'a>,
+    /// Unknowns times considered quantities.
+    values: Vec<f64>,
+    /// The sources, each with its quantities.
+    sources: Vec<(&'a str, Vec<usize>)>,
+}
+
+impl<'a> Sensitivities<'a> {
+    fn new(figures: &'a PlanFigures, design: &[usize], ground: &'a Ground<'a>) -> Self {
+        let considered = &ground.contact.considered;
+        let mut sources: Vec<(&str, Vec<usize>)> = Vec::new();
+        for (index, source) in considered.sources.iter().enumerate() {
+            match sources.iter_mut().find(|(name, _)| name == source) {
+                Some((_, members)) => members.push(index),
+                None => sources.push((source, vec![index])),
+            }
+        }
+        let values = ground.scaled.sensitivities(&ground.known, design, &figures.covariance);
+        Self { figures, ground, values, sources }
+    }
+
+    /// A sum of unknowns, by their indices and factors.
+    fn of(&self, name: String, is_angle: bool, limit: f64, terms: &[(usize, f64)]) -> Quantified {
+        let (all, covariance) = (self.ground.contact.unknowns.len(), &self.figures.covariance);
+        let each = |(one, by): &(usize, f64)| -> f64 {
+            terms.iter().map(|(other, factor)| by * factor * covariance[one * all + other]).sum()
+        };
+        let considered = &self.ground.contact.considered;
+        let count = considered.unknowns.len();
+        let sensitivity =
+            |known: usize| -> f64 { terms.iter().map(|(one, by)| by * self.values[one * count + known]).sum() };
+        let by_source = |(_, members): &(&str, Vec<usize>)| -> f64 {
+            let pairs = members.iter().flat_map(|&one| members.iter().map(move |&other| (one, other)));
+            pairs.map(|(one, other)| sensitivity(one) * considered.covariance[one][other] * sensitivity(other)).sum()
+        };
+        let known = self.sources.iter().map(by_source).map(|variance| variance.max(0.0)).collect();
+        Quantified { name, is_angle, limit, rows: terms.iter().map(each).sum::<f64>().max(0.0), known }
+    }
+}
+
+/// What may be so many times as uncertain as it is stated has no effect but by rounding.
+const NOTHING: f64 = 1e6;
+
+/// What a design reaches: the quantity that is nearest to what is wanted of it, or furthest beyond.
+pub fn reached((figures, design, ground): (&PlanFigures, &[usize], &Ground<'_>), until: &Until) -> Result<Reached> {
     let factor = until.coverage_factor;
+    let sensitivities = Sensitivities::new(figures, design, ground);
     let quantities = match until.of {
-        Of::Parameters => of_parameters(plan, wanted, until),
-        Of::Tool => of_tool(plan, problem, until)?,
+        Of::Parameters => of_parameters(&sensitivities, until),
+        Of::Tool => of_tool(&sensitivities, until)?,
     };
-    let ratio = |(_, uncertainty, limit): &(String, f64, f64)| factor * uncertainty / limit;
-    let worst = quantities.into_iter().max_by(|one, other| ratio(one).total_cmp(&ratio(other)));
-    let Some((worst, uncertainty, limit)) = worst else {
+    let ratio = |one: &Quantified| factor * one.variance().sqrt() / one.limit;
+    let worst = quantities.iter().max_by(|one, other| ratio(one).total_cmp(&ratio(other)));
+    let Some(worst) = worst else {
         let error = wrong("until", "nothing that is estimated is of this kind");
         return Err(error
             .help("`expanded_um` is for lengths, `expanded_urad` for angles; `of: tool` counts what moves the tip"));
     };
+    // The largest part of a variance with which all quantities stay within their limits.
+    let part = |of: &dyn Fn(&Quantified) -> f64| -> Option<f64> {
+        let each = quantities.iter().map(|one| {
+            let (own, left) = (of(one), (one.limit / factor).powi(2) - (one.variance() - of(one)));
+            if left <= 0.0 { None } else { Some(if own > 0.0 { (left / own).sqrt() } else { f64::INFINITY }) }
+        });
+        each.fold(Some(f64::INFINITY), |least, one| Some(least?.min(one?)))
+    };
+    let problem = &ground.contact;
     let uncertainties = problem.standard_uncertainties();
     let alike = problem.sets.iter().all(|set| set.info().angles.is_empty())
         && uncertainties.iter().all(|one| (one / uncertainties[0] - 1.0).abs() < 1e-9);
-    let before = plan.figures.equations > planned_equations(plan, problem, wanted);
-    let largest_of_row = (alike && !before).then(|| uncertainties[0] * limit / (factor * uncertainty));
-    let is_angle =
-        plan.problem.unknowns.iter().any(|unknown| unknown.name == worst && unknown.unit.of == Quantity::Angle);
+    let own = ground.of_mean.unwrap_or(uncertainties[0]);
+    let largest_of_row = match alike && ground.scaled.measured_rows == 0 {
+        true => part(&|one| one.rows).map(|part| own * part),
+        false => None,
+    };
+    let inputs = sensitivities.sources.iter().enumerate().map(|(place, (name, members))| {
+        let only = (members.len() == 1).then(|| members[0]);
+        LargestOfInput {
+            name: (*name).to_owned(),
+            stated: only.map(|index| problem.considered.covariance[index][index].sqrt()),
+            is_length: only.is_some_and(|index| problem.considered.unknowns[index].unit == abbe_core::Unit::MM),
+            part: part(&|one| one.known[place]),
+        }
+    });
     Ok(Reached {
-        worst,
-        is_angle,
-        expanded: factor * uncertainty,
-        wanted: limit,
+        worst: worst.name.clone(),
+        is_angle: worst.is_angle,
+        expanded: factor * worst.variance().sqrt(),
+        wanted: worst.limit,
         coverage_factor: factor,
         largest_of_row,
+        largest_of_inputs: inputs.filter(|input| input.part.is_none_or(|part| part < NOTHING)).collect(),
     })
 }
 
-/// Equations of the chosen candidates, each as often as it is measured.
-fn planned_equations(plan: &Plan, problem: &Problem, wanted: &Planning) -> usize {
-    let found = candidates(problem, wanted).unwrap_or_default();
-    let of = |label: &str| found.iter().find(|candidate| candidate.label == label).map_or(0, |one| one.equations.len());
-    plan.chosen.iter().map(|chosen| chosen.times * of(&chosen.label)).sum()
-}
-
-/// Name, standard uncertainty and limit of unknowns that count and are lengths or angles.
-fn of_parameters(plan: &Plan, wanted: &Planning, until: &Until) -> Vec<(String, f64, f64)> {
-    let unknowns = plan.problem.unknowns.iter().zip(plan.figures.standard_uncertainties());
-    let counting = unknowns.filter(|(unknown, _)| counts(unknown, wanted));
-    let limited = counting.filter_map(|(unknown, uncertainty)| {
+/// Unknowns that count and are lengths or angles.
+fn of_parameters(sensitivities: &Sensitivities<'_>, until: &Until) -> Vec<Quantified> {
+    let ground = sensitivities.ground;
+    let unknowns = ground.problem.unknowns.iter().enumerate();
+    let counting = unknowns.filter(|(_, unknown)| counts(unknown, ground.wanted));
+    let limited = counting.filter_map(|(index, unknown)| {
         let alone = unknown.unit.per.is_none() && unknown.unit.and_per.is_none();
+        let is_angle = unknown.unit.of == Quantity::Angle;
         let limit = match unknown.unit.of {
             Quantity::Length if alone => until.expanded_um.map(|limit| limit * 1e-3),
             Quantity::Angle if alone => until.expanded_urad.map(|limit| limit * 1e-6),
             _ => None,
         };
-        Some((unknown.name.clone(), uncertainty, limit?))
+        Some(sensitivities.of(unknown.name.clone(), is_angle, limit?, &[(index, 1.0)]))
     });
     limited.collect()
 }
 
 /// The tip along x, y and z of the table at all candidates, by the errors of the machine that are estimated; what is left of the
 /// offsets of the set-up is among them.
-fn of_tool(plan: &Plan, problem: &Problem, until: &Until) -> Result<Vec<(String, f64, f64)>> {
+fn of_tool(sensitivities: &Sensitivities<'_>, until: &Until) -> Result<Vec<Quantified>> {
     let Some(limit) = until.expanded_um.map(|limit| limit * 1e-3) else { return Ok(Vec::new()) };
-    let unknowns = &plan.problem.unknowns;
+    let problem = sensitivities.ground.problem;
+    let unknowns = &problem.unknowns;
     let machine: Vec<usize> = (0..unknowns.len()).filter(|&index| unknowns[index].owner == Owner::Machine).collect();
     let variables: Vec<Variable> = machine.iter().map(|&index| Variable::Parameter(unknowns[index].index)).collect();
-    let (all, covariance) = (unknowns.len(), &plan.figures.covariance);
-    let mut found: Vec<(String, f64, f64)> = Vec::new();
+    let mut found = Vec::new();
     for set in &problem.sets {
         let layout = &set.info().layout;
         for &row in &set.rows {
@@ -137,15 +237,10 @@ fn of_tool(plan: &Plan, problem: &Problem, until: &Until) -> Result<Vec<(String,
                 let values = problem.model.info().without_errors();
                 problem.model.poses(set.poses().row(pose), &values, &variables, false, &mut tip)?;
                 for (part, letter) in ["x", "y", "z"].into_iter().enumerate() {
-                    let by = |column: usize| tip.position_derivatives[column][part];
-                    let variance: f64 = (0..machine.len())
-                        .flat_map(|one| (0..machine.len()).map(move |other| (one, other)))
-                        .map(|(one, other)| by(one) * by(other) * covariance[machine[one] * all + machine[other]])
-                        .sum();
-                    let uncertainty = variance.max(0.0).sqrt();
-                    if found.first().is_none_or(|(_, most, _)| uncertainty > *most) {
-                        found = vec![(format!("the tip along {letter} at row {}", row.0 + 1), uncertainty, limit)];
-                    }
+                    let by = |(column, &index): (usize, &usize)| (index, tip.position_derivatives[column][part]);
+                    let terms: Vec<(usize, f64)> = machine.iter().enumerate().map(by).collect();
+                    let name = format!("the tip along {letter} at row {}", row.0 + 1);
+                    found.push(sensitivities.of(name, false, limit, &terms));
                 }
             }
         }
@@ -154,7 +249,7 @@ fn of_tool(plan: &Plan, problem: &Problem, until: &Until) -> Result<Vec<(String,
 }
 
 /// All that is allowed is not enough.
-fn out_of_reach(all: &Plan) -> Error {
+pub fn out_of_reach(all: &Plan) -> Error {
     let Some(reached) = &all.reached else { return wrong("until", "this is out of reach") };
     let number: usize = all.chosen.iter().map(|chosen| chosen.times).sum();
     let (unit, factor) = if reached.is_angle { ("µrad", 1e6) } else { ("µm", 1e3) };
@@ -164,12 +259,27 @@ fn out_of_reach(all: &Plan) -> Error {
         reached.worst,
         reached.wanted * factor
     );
-    let error = wrong("until", message);
-    match reached.largest_of_row {
-        Some(largest) => error.help(format!(
-            "these reach it if a row has a standard uncertainty of {:.4} µm or less; or offer more candidates, or `replications: true` with a larger `number`",
-            largest * 1e3
-        )),
-        None => error.help("offer more candidates, measure better, or allow `replications: true` with a larger `number`"),
+    let mut ways: Vec<String> = Vec::new();
+    ways.extend(reached.largest_of_row.map(|largest| {
+        format!("these reach it if a row has a standard uncertainty of {:.4} µm or less", largest * 1e3)
+    }));
+    let parts = || reached.largest_of_inputs.iter().filter_map(|input| Some((input, input.part?)));
+    ways.extend(parts().map(|(input, part)| match (input.stated, input.is_length) {
+        (Some(stated), true) => {
+            format!(
+                "if {} has one of {:.4} µm or less instead of {:.4} µm",
+                input.name,
+                stated * part * 1e3,
+                stated * 1e3
+            )
+        }
+        _ => format!("if the uncertainty of {} is {part:.4} times what is stated", input.name),
+    }));
+    if !reached.largest_of_inputs.is_empty() && parts().next().is_none() {
+        ways.push("no better calibration of artefact or probe suffices by itself".to_owned());
     }
+    ways.push(
+        "or offer more candidates, measure better, or allow `replications: true` with a larger `number`".to_owned(),
+    );
+    wrong("until", message).help(ways.join("; "))
 }

@@ -4,7 +4,7 @@ use std::fmt::Write as _;
 use std::path::Path;
 
 use abbe_core::WeakDirection;
-use abbe_engine::{Control, Measurements, Order, Reached, Revisit};
+use abbe_engine::{Control, LargestOfInput, Measurements, Order, Plan, Reached, Revisit};
 
 use crate::table;
 use abbe_report::number::short;
@@ -38,7 +38,10 @@ fn text(name: &str, measurements: &Measurements, out: Option<&Path>) -> String {
         text.push_str(&format!("  {}\n", line.join(", ")));
     }
     if let Some(reached) = &plan.reached {
-        let _ = writeln!(text, "\n{}", wanted(reached));
+        let _ = writeln!(text, "\n{}", wanted(reached, plan.repeats));
+    }
+    if let Some(seconds) = measurements.seconds {
+        let _ = writeln!(text, "\n{}", program(plan, seconds));
     }
     let mut rows = vec![["", "plan", "spread evenly"].map(str::to_owned).to_vec()];
     let evenly = |value: fn(&abbe_engine::PlanFigures) -> f64| {
@@ -77,7 +80,7 @@ fn text(name: &str, measurements: &Measurements, out: Option<&Path>) -> String {
 }
 
 /// What was wanted, what is reached, and how good a row has to be.
-fn wanted(reached: &Reached) -> String {
+fn wanted(reached: &Reached, repeats: usize) -> String {
     let (unit, factor) = if reached.is_angle { ("µrad", 1e6) } else { ("µm", 1e3) };
     let people = |value: f64| format!("{} {unit}", short(value * factor));
     let mut text = format!(
@@ -88,7 +91,44 @@ fn wanted(reached: &Reached) -> String {
         people(reached.wanted)
     );
     if let Some(largest) = reached.largest_of_row {
-        text.push_str(&format!(" A row may have a standard uncertainty of up to {} µm.", short(largest * 1e3)));
+        let what = if repeats > 1 { format!("The mean of {repeats} touches") } else { "A row".to_owned() };
+        text.push_str(&format!(" {what} may have a standard uncertainty of up to {} µm.", short(largest * 1e3)));
+    }
+    reached.largest_of_inputs.iter().for_each(|input| text.push_str(&format!("\n{}", how_good(input))));
+    text
+}
+
+/// How good artefact and probe have to be.
+fn how_good(input: &LargestOfInput) -> String {
+    let LargestOfInput { name, stated, is_length, part } = input;
+    let Some(part) = part else {
+        return format!("{name}: no calibration is good enough, the rest alone leaves more than is wanted.");
+    };
+    match (stated, is_length) {
+        (Some(stated), true) => format!(
+            "{name} may have a standard uncertainty of up to {} µm ({} stated).",
+            short(stated * part * 1e3),
+            short(stated * 1e3)
+        ),
+        (Some(stated), false) => {
+            format!("{name} may have a standard uncertainty of up to {:.4e} ({stated:.4e} stated).", stated * part)
+        }
+        (None, _) => format!("The standard uncertainties of {name} may be up to {} times those stated.", short(*part)),
+    }
+}
+
+/// What the measuring program takes, and what repeats make of a touch.
+fn program(plan: &Plan, seconds: f64) -> String {
+    let mut text = format!("The moves of the measuring program take {:.1} minutes.", seconds / 60.0);
+    if plan.repeats > 1 {
+        let _ = write!(text, " Each touch is made {} times.", plan.repeats);
+    }
+    if let Some(of_mean) = plan.of_mean {
+        let _ = write!(
+            text,
+            " Their mean has a standard uncertainty of {} µm: write it in the recipe, with `repeats: average` where the log is read.",
+            short(of_mean * 1e3)
+        );
     }
     text
 }

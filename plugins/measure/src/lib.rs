@@ -58,9 +58,10 @@ impl Export for Measure {
 
     fn export(&self, _: &Calibration, model: &dyn KinematicModel) -> Result<Vec<ExportedFile>> {
         let touches = Touches::of_table(&abbe_table::read(&self.touches)?, model)?;
-        self.program.files(&touches, &[], model).map_err(|mut error| {
+        let written = self.program.files(&touches, &[], model).map_err(|mut error| {
             error.setting.insert(0, PathItem::Key("program".to_owned()));
             error
-        })
+        })?;
+        Ok(written.files)
     }
 }

@@ -11,7 +11,7 @@ const ARGUMENTS: [[(&str, u32); 3]; 3] =
     [[("X", 24), ("Y", 25), ("Z", 26)], [("U", 21), ("V", 22), ("W", 23)], [("Q", 17), ("R", 18), ("S", 19)]];
 
 /// A move that ends further than this from its end was stopped by the probe, mm.
-const STOPPED: &str = "0.01";
+const STOPPED: f64 = 0.01;
 
 /// Variables that the programs use: misses one after the other, then where rotary axes stand.
 const MISSES: u32 = 140;
@@ -31,7 +31,8 @@ pub fn write(job: &Job<'_>) -> Result<Vec<ExportedFile>> {
     let program = if job.dry { MAIN + 2 } else { MAIN };
     let mut lines = vec!["%".to_owned(), format!("O{program:04}(ABBE {})", plain(job.name()).to_uppercase())];
     lines.extend(job.introduction().iter().map(|line| format!("({})", plain(line).to_uppercase())));
-    lines.push("G21 G17 G40 G49 G80 G90 G94".to_owned());
+    let units = if job.in_inches() { "G20" } else { "G21" };
+    lines.push(format!("{units} G17 G40 G49 G80 G90 G94"));
     lines.push(settings.work_offset.clone().unwrap_or_else(|| "G59".to_owned()));
     for axis in 1..=3 {
         let alarm = alarm(105, "work offset is not zero");
@@ -70,13 +71,17 @@ fn add(job: &Job<'_>, block: &Block, lines: &mut Vec<String>) -> Result<()> {
         Block::Orient(_) => {
             return Err(Error::usage("`M19` has one angle only, and this plan orients the spindle"));
         }
+        // Milliseconds, without a point: so on Fanuc and on Haas.
+        Block::Settle(seconds) => lines.push(format!("G4 P{:.0}", (seconds * 1e3).max(1.0))),
         Block::Swing(positions) => {
             lines.push(format!("G1 {} F{}", job.words(positions, ""), number(settings.rotary_feed_deg_per_min)));
         }
         Block::Move(positions) => {
-            lines.push(format!("G31 {} F{}", job.words(positions, ""), number(settings.positioning_feed_mm_per_min)));
+            let feed = job.length(settings.positioning_feed_mm_per_min);
+            lines.push(format!("G31 {} F{feed}", job.words(positions, "")));
             for (axis, place) in positions {
-                let stopped = format!("ABS[{}-[{}]] GT {STOPPED}", skipped(job, *axis), number(*place));
+                let stopped =
+                    format!("ABS[{}-[{}]] GT {}", skipped(job, *axis), job.place(*axis, *place), job.length(STOPPED));
                 lines.push(format!("IF [{stopped}] THEN {}", alarm(103, "obstacle on the way")));
             }
         }
@@ -87,7 +92,7 @@ fn add(job: &Job<'_>, block: &Block, lines: &mut Vec<String>) -> Result<()> {
             let arguments = |positions: &Positions, names: &[(&str, u32); 3]| -> Vec<String> {
                 let argument = |(axis, value): &(usize, f64)| {
                     let place = "XYZ".find(&job.axis(*axis).letter).unwrap_or_default();
-                    format!("{}{}", names[place].0, number(*value))
+                    format!("{}{}", names[place].0, job.place(*axis, *value))
                 };
                 positions.iter().map(argument).collect()
             };
@@ -110,13 +115,14 @@ fn touch(job: &Job<'_>) -> Vec<String> {
         used.iter().map(word).collect::<Vec<_>>().join(" ")
     };
     let (end, beginning, back) = (words(&ARGUMENTS[0]), words(&ARGUMENTS[1]), words(&ARGUMENTS[2]));
-    let fast = number(settings.positioning_feed_mm_per_min);
+    let fast = job.length(settings.positioning_feed_mm_per_min);
+    let stopped = job.length(STOPPED);
     let attempts = settings.retries.get() + 1;
     let probe =
         |feed: f64| -> Vec<String> {
-            let mut lines = vec![format!("G31 {end} F{}", number(feed)), "#31=0".to_owned()];
+            let mut lines = vec![format!("G31 {end} F{}", job.length(feed)), "#31=0".to_owned()];
             lines.extend(used.iter().map(|place| {
-                format!("IF [ABS[#{}-#{}] GT {STOPPED}] THEN #31=1", 5061 + place, ARGUMENTS[0][*place].1)
+                format!("IF [ABS[#{}-#{}] GT {stopped}] THEN #31=1", 5061 + place, ARGUMENTS[0][*place].1)
             }));
             lines
         };
@@ -151,13 +157,14 @@ fn touch(job: &Job<'_>) -> Vec<String> {
 fn logged(job: &Job<'_>) -> String {
     let mut line = "DPRNT[T#1[60]*R#2[20]*H1".to_owned();
     for (axis, control) in job.program.linear() {
-        line.push_str(&format!("*{}{}[44]", control.letter, skipped(job, axis)));
+        let format = if job.in_inches() { "[35]" } else { "[44]" };
+        line.push_str(&format!("*{}{}{format}", control.letter, skipped(job, axis)));
     }
     let rotary = job.program.axes.iter().filter(|axis| axis.kind == AxisKind::Rotary);
     for (index, control) in rotary.enumerate().filter(|(_, axis)| !axis.is_spindle()) {
         line.push_str(&format!("*{}#{}[44]", control.letter, MISSES as usize + 1 + index));
     }
-    line.push_str(&format!("*F{}*K#32[73]", number(job.settings.measuring_feed_mm_per_min)));
+    line.push_str(&format!("*F{}*K#32[73]", job.length(job.settings.measuring_feed_mm_per_min)));
     line.push_str(job.settings.temperature.as_ref().map_or("]", |_| "*J#33[42]]"));
     line
 }

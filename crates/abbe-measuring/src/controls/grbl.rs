@@ -43,7 +43,11 @@ pub fn write(job: &Job<'_>) -> Result<Vec<ExportedFile>> {
     }
     lines.extend(job.introduction().iter().map(|line| format!("({})", plain(line))));
     let zero: Vec<String> = job.program.axes.iter().map(|axis| format!("{}0", axis.letter)).collect();
-    lines.extend(["G21 G17 G40 G49 G80 G90 G94".to_owned(), "G92.1".to_owned()]);
+    let units = if job.in_inches() { "G20" } else { "G21" };
+    if job.in_inches() {
+        lines.push("(the control has to report inches: $13=1)".to_owned());
+    }
+    lines.extend([format!("{units} G17 G40 G49 G80 G90 G94"), "G92.1".to_owned()]);
     lines.push(format!("(the work offset {wanted} becomes zero)"));
     lines.extend([format!("G10 L2 P{} {}", offset + 1, zero.join(" ")), wanted.to_owned()]);
     lines.extend(["(the tip is clear of everything?)".to_owned(), "M0".to_owned()]);
@@ -59,11 +63,12 @@ pub fn write(job: &Job<'_>) -> Result<Vec<ExportedFile>> {
 
 fn add(job: &Job<'_>, block: &Block, lines: &mut Vec<String>) {
     let settings = job.settings;
-    let fast = number(settings.positioning_feed_mm_per_min);
+    let fast = job.length(settings.positioning_feed_mm_per_min);
     match block {
         Block::Note(text) => lines.push(format!("({})", plain(text))),
         Block::Pause(text) => lines.extend([format!("({})", plain(text)), "M0".to_owned()]),
         Block::Orient(_) => {}
+        Block::Settle(seconds) => lines.push(format!("G4 P{}", number(*seconds))),
         Block::Swing(positions) => {
             lines.push(format!("G1 {} F{}", job.words(positions, ""), number(settings.rotary_feed_deg_per_min)));
         }
@@ -72,11 +77,11 @@ fn add(job: &Job<'_>, block: &Block, lines: &mut Vec<String>) {
             let end = job.words(end, "");
             for repeat in 1..=settings.repeats.get() {
                 if let Some(search) = settings.search_feed_mm_per_min {
-                    lines.push(format!("G38.3 {end} F{}", number(search)));
+                    lines.push(format!("G38.3 {end} F{}", job.length(search)));
                     lines.push(format!("G91 G1 {} F{fast}", job.words(back, "")));
                     lines.push("G90".to_owned());
                 }
-                let slow = number(settings.measuring_feed_mm_per_min);
+                let slow = job.length(settings.measuring_feed_mm_per_min);
                 lines.push(format!("N{} G38.3 {end} F{slow}", 100 * touch + repeat));
                 lines.push(format!("G1 {} F{fast}", job.words(approach, "")));
             }

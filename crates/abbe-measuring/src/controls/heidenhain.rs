@@ -36,9 +36,10 @@ pub fn write(job: &Job<'_>) -> Result<Vec<ExportedFile>> {
     if !job.dry {
         lines.extend(touch(job));
     }
-    let mut numbered = vec![format!("0 BEGIN PGM {name} MM")];
+    let units = if job.in_inches() { "INCH" } else { "MM" };
+    let mut numbered = vec![format!("0 BEGIN PGM {name} {units}")];
     numbered.extend(lines.iter().enumerate().map(|(index, line)| format!("{} {line}", index + 1)));
-    numbered.push(format!("{} END PGM {name} MM", lines.len() + 1));
+    numbered.push(format!("{} END PGM {name} {units}", lines.len() + 1));
     let mut files = vec![file(format!("{name}.H"), &numbered)];
     if !job.dry {
         let mask = |name: &str, lines: &[String]| {
@@ -55,9 +56,13 @@ pub fn write(job: &Job<'_>) -> Result<Vec<ExportedFile>> {
     Ok(files)
 }
 
+/// A feed of linear axes: mm/min, or tenths of an inch per minute.
+fn feed(job: &Job<'_>, mm_per_min: f64) -> String {
+    number(if job.in_inches() { mm_per_min / 2.54 } else { mm_per_min })
+}
+
 /// A number with its sign.
-fn signed(value: f64) -> String {
-    let text = number(value);
+fn signed(text: String) -> String {
     if text.starts_with('-') { text } else { format!("+{text}") }
 }
 
@@ -77,33 +82,39 @@ fn orient(angle: f64) -> [String; 3] {
 fn add(job: &Job<'_>, block: &Block, lines: &mut Vec<String>) {
     let settings = job.settings;
     let words = |positions: &[(usize, f64)]| -> String {
-        let word = |(axis, place): &(usize, f64)| format!("{}{}", job.axis(*axis).letter, signed(*place));
+        let word =
+            |(axis, place): &(usize, f64)| format!("{}{}", job.axis(*axis).letter, signed(job.place(*axis, *place)));
         positions.iter().map(word).collect::<Vec<_>>().join(" ")
     };
     match block {
         Block::Note(text) => lines.push(format!("; {}", plain(text))),
         Block::Pause(text) => lines.extend([format!("; {}", plain(text)), "M0".to_owned()]),
         Block::Orient(angle) => lines.extend(orient(*angle)),
+        Block::Settle(seconds) => {
+            lines.extend(["CYCL DEF 9.0 DWELL TIME".to_owned(), format!("CYCL DEF 9.1 DWELL {}", number(*seconds))])
+        }
         Block::Swing(positions) => {
             let feed = number(settings.rotary_feed_deg_per_min);
             lines.push(format!("L {} R0 F{feed} M91", words(positions)));
         }
         Block::Move(positions) => {
-            let feed = number(settings.positioning_feed_mm_per_min);
+            let feed = feed(job, settings.positioning_feed_mm_per_min);
             lines.push(format!("L {} R0 F{feed} M91", words(positions)));
         }
         Block::Touch(TouchBlock { number: touch, approach, end, rotary, .. }) => {
-            let mut set = |parameter: usize, value: f64| lines.push(format!("FN 0: Q{parameter} = {}", signed(value)));
-            set(20, *touch as f64);
+            let mut set = |parameter: usize, value: String| {
+                lines.push(format!("FN 0: Q{parameter} = {}", signed(value)));
+            };
+            set(20, number(*touch as f64));
             let letter = |axis: usize| "XYZ".find(&job.axis(axis).letter).unwrap_or_default();
             let mut distance = 0.0;
             for ((axis, from), (_, to)) in approach.iter().zip(end) {
                 distance += (to - from).powi(2);
-                set(22 + letter(*axis), to - from);
-                set(26 + letter(*axis), *from);
+                set(22 + letter(*axis), job.length(to - from));
+                set(26 + letter(*axis), job.length(*from));
             }
-            set(25, distance.sqrt());
-            rotary.iter().enumerate().for_each(|(index, (_, place))| set(41 + index, *place));
+            set(25, job.length(distance.sqrt()));
+            rotary.iter().enumerate().for_each(|(index, (_, place))| set(41 + index, number(*place)));
             for repeat in 1..=settings.repeats.get() {
                 lines.extend([format!("FN 0: Q21 = +{repeat}"), "CALL LBL 10".to_owned()]);
             }
@@ -118,22 +129,22 @@ fn touch(job: &Job<'_>) -> Vec<String> {
     let place = |letter: &str| "XYZ".find(letter).unwrap_or_default();
     let direction: Vec<String> = letters.iter().map(|letter| format!("I{letter}+Q{}", 22 + place(letter))).collect();
     let beginning: Vec<String> = letters.iter().map(|letter| format!("{letter}+Q{}", 26 + place(letter))).collect();
-    let probe = |feed: f64, distance: &str, back: &str| {
+    let probe = |speed: f64, distance: &str, back: &str| {
         vec![
             "TCH PROBE 4.0 MEASURING IN 3-D".to_owned(),
             "TCH PROBE 4.1 Q1".to_owned(),
             format!("TCH PROBE 4.2 {}", direction.join(" ")),
-            format!("TCH PROBE 4.3 ABST+{distance} F{} MB{back} REFERENCE SYSTEM:1", number(feed)),
+            format!("TCH PROBE 4.3 ABST+{distance} F{} MB{back} REFERENCE SYSTEM:1", feed(job, speed)),
             "FN 9: IF +Q4 EQU -1 GOTO LBL 12".to_owned(),
         ]
     };
     let mut lines = ["LBL 10", "FN 0: Q30 = +0", "LBL 11"].map(str::to_owned).to_vec();
     if let Some(search) = settings.search_feed_mm_per_min {
-        lines.extend(probe(search, "Q25", &number(settings.back_off_mm)));
+        lines.extend(probe(search, "Q25", &job.length(settings.back_off_mm)));
     }
     // From beside the surface that was found no further than a touch may go.
     let rest = match settings.search_feed_mm_per_min {
-        Some(_) => number(settings.back_off_mm + settings.overtravel_mm),
+        Some(_) => job.length(settings.back_off_mm + settings.overtravel_mm),
         None => "Q25".to_owned(),
     };
     lines.extend(probe(settings.measuring_feed_mm_per_min, &rest, "+Q25"));
@@ -141,7 +152,7 @@ fn touch(job: &Job<'_>) -> Vec<String> {
     lines.push("FN 0: Q31 = +0".to_owned());
     lines.push(clock.unwrap_or_else(|| "FN 18: SYSREAD Q32 = ID320 NR1 IDX0".to_owned()));
     lines.extend(settings.temperature.iter().map(|value| format!("FN 0: Q33 = +{value}")));
-    let home = format!("L {} R0 F{} M91", beginning.join(" "), number(settings.positioning_feed_mm_per_min));
+    let home = format!("L {} R0 F{} M91", beginning.join(" "), feed(job, settings.positioning_feed_mm_per_min));
     lines.extend([
         printed(job, "HIT"),
         home.clone(),
@@ -164,7 +175,7 @@ fn touch(job: &Job<'_>) -> Vec<String> {
 fn hit(job: &Job<'_>) -> String {
     let (mut text, mut values) = ("T%6.0LF R%2.0LF H1".to_owned(), "Q20,Q21".to_owned());
     for (_, axis) in job.program.linear() {
-        text.push_str(&format!(" {}%9.4LF", axis.letter));
+        text.push_str(&format!(" {}%9.{}LF", axis.letter, job.decimals()));
         values.push_str(&format!(",Q{}", 1 + "XYZ".find(&axis.letter).unwrap_or_default()));
     }
     let all = job.program.axes.iter().filter(|axis| axis.kind == abbe_core::AxisKind::Rotary);
@@ -172,7 +183,7 @@ fn hit(job: &Job<'_>) -> String {
         text.push_str(&format!(" {}%9.4LF", axis.letter));
         values.push_str(&format!(",Q{}", 41 + index));
     }
-    text.push_str(&format!(" F{} K%12.0LF", number(job.settings.measuring_feed_mm_per_min)));
+    text.push_str(&format!(" F{} K%12.0LF", job.length(job.settings.measuring_feed_mm_per_min)));
     values.push_str(",Q32");
     if job.settings.temperature.is_some() {
         text.push_str(" J%6.2LF");

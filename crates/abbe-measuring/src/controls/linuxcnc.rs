@@ -3,7 +3,7 @@
 use abbe_core::{AxisKind, Error, ExportedFile, Result};
 
 use super::{Job, file, number, plain};
-use crate::programme::{Block, TouchBlock};
+use crate::programme::{Block, ControlAxis, TouchBlock};
 
 /// Work offsets with the number of the variable of their X.
 const OFFSETS: [(&str, u32); 9] = [
@@ -30,7 +30,8 @@ pub fn write(job: &Job<'_>) -> Result<Vec<ExportedFile>> {
     };
     let mut lines: Vec<String> = job.introduction().iter().map(|line| format!("({})", plain(line))).collect();
     lines.extend(subroutines(job));
-    lines.push("G21 G17 G40 G49 G80 G90 G94".to_owned());
+    let units = if job.in_inches() { "G20" } else { "G21" };
+    lines.push(format!("{units} G17 G40 G49 G80 G90 G94"));
     lines.push((*offset).to_owned());
     let sum: Vec<String> = (0..10).map(|axis| format!("ABS[#{}]", variable + axis)).collect();
     lines.extend([
@@ -63,17 +64,19 @@ fn add(job: &Job<'_>, block: &Block, lines: &mut Vec<String>) {
         Block::Note(text) => lines.push(format!("({})", plain(text))),
         Block::Pause(text) => lines.extend([format!("(MSG,{})", plain(text)), "M0".to_owned()]),
         Block::Orient(angle) => lines.push(format!("M19 R{}", number(angle.rem_euclid(360.0)))),
+        Block::Settle(seconds) => lines.push(format!("G4 P{}", number(*seconds))),
         Block::Swing(positions) => {
             let feed = number(job.settings.rotary_feed_deg_per_min);
             lines.push(format!("G1 {} F{feed}", job.words(positions, "")));
         }
         Block::Move(positions) => {
-            let feed = number(job.settings.positioning_feed_mm_per_min);
+            let feed = job.length(job.settings.positioning_feed_mm_per_min);
             lines.push(format!("G38.3 {} F{feed}", job.words(positions, "")));
             lines.push("o<abbe_watch> call".to_owned());
         }
         Block::Touch(TouchBlock { number: touch, approach, end, back, .. }) => {
-            let values = end.iter().chain(approach).chain(back).map(|(_, value)| format!("[{}]", number(*value)));
+            let values =
+                end.iter().chain(approach).chain(back).map(|(axis, value)| format!("[{}]", job.place(*axis, *value)));
             let values = values.collect::<Vec<_>>().join(" ");
             for repeat in 1..=job.settings.repeats.get() {
                 lines.push(format!("o<abbe_touch> call [{touch}] [{repeat}] {values}"));
@@ -102,7 +105,8 @@ fn subroutines(job: &Job<'_>) -> Vec<String> {
         words.collect::<Vec<_>>().join(" ")
     };
     let (end, beginning, back) = (words(3), words(3 + linear.len()), words(3 + 2 * linear.len()));
-    let (slow, fast) = (number(settings.measuring_feed_mm_per_min), number(settings.positioning_feed_mm_per_min));
+    let slow = job.length(settings.measuring_feed_mm_per_min);
+    let fast = job.length(settings.positioning_feed_mm_per_min);
     lines.extend([
         "o<abbe_touch> sub".to_owned(),
         "#<tried> = 0".to_owned(),
@@ -112,7 +116,7 @@ fn subroutines(job: &Job<'_>) -> Vec<String> {
     match settings.search_feed_mm_per_min {
         None => lines.push(format!("G38.3 {end} F{slow}")),
         Some(search) => lines.extend([
-            format!("G38.3 {end} F{}", number(search)),
+            format!("G38.3 {end} F{}", job.length(search)),
             "o<abbe_found> if [#5070 NE 0]".to_owned(),
             format!("G91 G1 {back} F{fast}"),
             "G90".to_owned(),
@@ -123,7 +127,7 @@ fn subroutines(job: &Job<'_>) -> Vec<String> {
     lines.extend([
         "#<hit> = #5070".to_owned(),
         "o<abbe_hit> if [#<hit> NE 0]".to_owned(),
-        format!("(LOG,T%d#1 R%d#2 H1 {} F{:.4}{})", logged(job), settings.measuring_feed_mm_per_min, extras(job)),
+        format!("(LOG,T%d#1 R%d#2 H1 {} F{slow}{})", logged(job), extras(job)),
         "#<_abbe_misses> = 0".to_owned(),
         "o<abbe_hit> else".to_owned(),
         "(LOG,T%d#1 R%d#2 H0)".to_owned(),
@@ -149,11 +153,12 @@ fn subroutines(job: &Job<'_>) -> Vec<String> {
 /// The positions at the trigger.
 fn logged(job: &Job<'_>) -> String {
     let axes = job.program.axes.iter().filter(|axis| axis.kind == AxisKind::Linear || !axis.is_spindle());
-    let word = |letter: &str| {
-        let variable = LETTERS.find(letter).unwrap_or_default() + 5061;
-        format!("{letter}%.4f#{variable}")
+    let word = |axis: &ControlAxis| {
+        let variable = LETTERS.find(&axis.letter).unwrap_or_default() + 5061;
+        let decimals = if axis.kind == AxisKind::Linear { job.decimals() } else { 4 };
+        format!("{}%.{decimals}f#{variable}", axis.letter)
     };
-    axes.map(|axis| word(&axis.letter)).collect::<Vec<_>>().join(" ")
+    axes.map(word).collect::<Vec<_>>().join(" ")
 }
 
 /// Clock and temperature.

@@ -6,10 +6,10 @@ mod heidenhain;
 mod linuxcnc;
 mod siemens;
 
-use abbe_core::{ExportedFile, Result};
+use abbe_core::{AxisKind, ExportedFile, Result};
 
 use crate::programme::{ControlAxis, Positions, Programme};
-use crate::settings::{Control, Measuring};
+use crate::settings::{Control, Measuring, Units};
 
 /// The files of a program; a dry run touches nothing.
 pub fn write(settings: &Measuring, program: &Programme, dry: bool) -> Result<Vec<ExportedFile>> {
@@ -40,9 +40,34 @@ impl Job<'_> {
         &self.program.axes[index]
     }
 
+    fn in_inches(&self) -> bool {
+        self.settings.units == Units::Inch
+    }
+
+    /// mm in a unit of length of the program.
+    fn unit(&self) -> f64 {
+        if self.in_inches() { 25.4 } else { 1.0 }
+    }
+
+    /// Decimals of a length in the log.
+    fn decimals(&self) -> usize {
+        if self.in_inches() { 5 } else { 4 }
+    }
+
+    /// A length, or a feed of linear axes, in the unit of the program.
+    fn length(&self, mm: f64) -> String {
+        trimmed(mm / self.unit(), self.decimals())
+    }
+
+    /// A position of an axis in the unit of the program.
+    fn place(&self, axis: usize, place: f64) -> String {
+        if self.axis(axis).kind == AxisKind::Linear { self.length(place) } else { number(place) }
+    }
+
     /// Words such as `X12.5 Y-3.0`, `between` letter and number.
     fn words(&self, positions: &Positions, between: &str) -> String {
-        let word = |(axis, place): &(usize, f64)| format!("{}{between}{}", self.axis(*axis).letter, number(*place));
+        let word =
+            |(axis, place): &(usize, f64)| format!("{}{between}{}", self.axis(*axis).letter, self.place(*axis, *place));
         positions.iter().map(word).collect::<Vec<_>>().join(" ")
     }
 
@@ -56,10 +81,12 @@ impl Job<'_> {
         let section: f64 = self.settings.probe.iter().map(|section| section.length_mm).sum();
         lines.extend([
             format!(
-                "Plan {}, {} touches, machine coordinates in mm and degrees",
+                "Plan {}, {} touches, machine coordinates in {} and degrees",
                 self.program.hash,
-                self.program.touches.list.len()
+                self.program.touches.list.len(),
+                if self.in_inches() { "inches" } else { "mm" }
             ),
+            format!("Moves take {:.1} minutes at the programmed feeds", self.program.seconds / 60.0),
             format!(
                 "Diameter of the tip {} mm, probe checked to {} mm above the tip",
                 number(self.program.tip_diameter),
@@ -78,9 +105,9 @@ impl Job<'_> {
             "ABBE 1".to_owned(),
             format!("PLAN {}", self.program.hash),
             format!("CONTROL {control}"),
-            "UNITS MM".to_owned(),
+            format!("UNITS {}", if self.in_inches() { "INCH" } else { "MM" }),
             "FRAME MACHINE".to_owned(),
-            format!("TOOL L0.0000 D{:.4}", self.program.tip_diameter),
+            format!("TOOL L0.0000 D{:.*}", self.decimals(), self.program.tip_diameter / self.unit()),
             format!("TOUCHES {} REPEATS {}", self.program.touches.list.len(), self.settings.repeats.get()),
         ]
     }
@@ -88,7 +115,12 @@ impl Job<'_> {
 
 /// A number with at most four decimals, and at least one.
 fn number(value: f64) -> String {
-    let text = format!("{value:.4}");
+    trimmed(value, 4)
+}
+
+/// A number with at most so many decimals, and at least one.
+fn trimmed(value: f64, decimals: usize) -> String {
+    let text = format!("{value:.decimals$}");
     let text = text.trim_end_matches('0');
     let text = if text.ends_with('.') { format!("{text}0") } else { text.to_owned() };
     if text == "-0.0" { "0.0".to_owned() } else { text }

@@ -20,7 +20,8 @@ pub fn write(job: &Job<'_>) -> Result<Vec<ExportedFile>> {
         lines.push(format!("EXTERN ABBE_TOUCH(INT,INT,{})", reals.join(",")));
         lines.push("DEF INT _ERR=0".to_owned());
     }
-    lines.extend(["TRAFOOF", "G17 G40 G90 G94 G710", "D0"].map(str::to_owned));
+    let units = if job.in_inches() { "G700" } else { "G710" };
+    lines.extend(["TRAFOOF".to_owned(), format!("G17 G40 G90 G94 {units}"), "D0".to_owned()]);
     lines.push(format!("{MISSES}=0"));
     if !job.dry {
         lines.extend(job.header("SIEMENS").iter().map(|line| written(job, &format!("\"{line}\""))));
@@ -49,17 +50,19 @@ fn add(job: &Job<'_>, block: &Block, lines: &mut Vec<String>) {
         Block::Note(text) => lines.push(format!("; {}", plain(text))),
         Block::Pause(text) => lines.extend([format!("MSG(\"{}\")", plain(text)), "M0".to_owned()]),
         Block::Orient(angle) => lines.push(format!("SPOS={}", number(*angle))),
+        // Seconds; the feed of moves stays.
+        Block::Settle(seconds) => lines.push(format!("G4 F{}", number(*seconds))),
         Block::Swing(positions) => {
             let feed = number(settings.rotary_feed_deg_per_min);
             lines.push(format!("G1 SUPA {} F{feed}", job.words(positions, "=")));
         }
         Block::Move(positions) => {
-            let feed = number(settings.positioning_feed_mm_per_min);
+            let feed = job.length(settings.positioning_feed_mm_per_min);
             lines.push(format!("MEAS=1 G1 SUPA {} F{feed}", job.words(positions, "=")));
             lines.push("ABBE_WATCH".to_owned());
         }
         Block::Touch(TouchBlock { number: touch, approach, end, back, .. }) => {
-            let values = end.iter().chain(approach).chain(back).map(|(_, value)| number(*value));
+            let values = end.iter().chain(approach).chain(back).map(|(axis, value)| job.place(*axis, *value));
             let values = values.collect::<Vec<_>>().join(",");
             for repeat in 1..=settings.repeats.get() {
                 lines.push(format!("ABBE_TOUCH({touch},{repeat},{values})"));
@@ -98,10 +101,10 @@ fn touch(job: &Job<'_>) -> Vec<String> {
         |kind: &str| linear.iter().map(|letter| format!("{letter}=_{kind}{letter}")).collect::<Vec<_>>().join(" ");
     let back: Vec<String> = linear.iter().map(|letter| format!("{letter}=IC(_B{letter})")).collect();
     let (end, beginning, back) = (words("E"), words("A"), back.join(" "));
-    let fast = number(settings.positioning_feed_mm_per_min);
+    let fast = job.length(settings.positioning_feed_mm_per_min);
     let attempts = settings.retries.get() + 1;
     let probe = |feed: f64| {
-        [format!("MEAS=1 G1 SUPA {end} F{}", number(feed)), "STOPRE".to_owned(), "_HIT=$AC_MEA[1]".to_owned()]
+        [format!("MEAS=1 G1 SUPA {end} F{}", job.length(feed)), "STOPRE".to_owned(), "_HIT=$AC_MEA[1]".to_owned()]
     };
     let mut lines = vec![
         format!("PROC ABBE_TOUCH(INT _T,INT _R,{})", parameters.join(",")),
@@ -143,15 +146,16 @@ fn touch(job: &Job<'_>) -> Vec<String> {
 }
 
 fn logged(job: &Job<'_>) -> String {
+    let steps = 10_usize.pow(job.decimals() as u32);
     let mut text = "\"T\"<<_T<<\" R\"<<_R<<\" H1\"".to_owned();
     let mut add = |letter: &str, value: String| text.push_str(&format!("<<\" {letter}\"<<{value}"));
     job.program.linear().for_each(|(_, axis)| {
-        add(&axis.letter, format!("ROUND($AA_MM[{}]*10000)/10000", axis.letter));
+        add(&axis.letter, format!("ROUND($AA_MM[{}]*{steps})/{steps}", axis.letter));
     });
     job.program.rotary().for_each(|(_, axis)| {
         add(&axis.letter, format!("ROUND($AA_IM[{}]*10000)/10000", axis.letter));
     });
-    add("F", number(job.settings.measuring_feed_mm_per_min));
+    add("F", job.length(job.settings.measuring_feed_mm_per_min));
     add("K", "_K".to_owned());
     if job.settings.temperature.is_some() {
         add("J", "ROUND(_J*100)/100".to_owned());

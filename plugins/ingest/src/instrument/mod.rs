@@ -2,6 +2,7 @@
 
 mod dmis;
 mod inspection;
+mod iso230;
 mod probe;
 mod qif;
 mod table;

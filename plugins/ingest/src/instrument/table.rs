@@ -57,18 +57,31 @@ impl Units {
 /// What a reader gets: the file's name and text, and the unit that the recipe states. It gives a data set, and remarks.
 pub(crate) type Read = fn(&Path, &str, Option<Units>) -> Result<(Dataset, Vec<String>)>;
 
+/// A reader that knows all that the recipe states.
+type ReadAsStated = Box<dyn Fn(&Path, &str) -> Result<(Dataset, Vec<String>)> + Send + Sync>;
+
 /// The stage of all these readers.
 struct Instrument {
     assembly: Assembly,
-    units: Option<Units>,
-    read: Read,
+    read: ReadAsStated,
 }
 
 /// The stage of a reader.
 pub(crate) fn stage(settings: Settings, context: &Context, read: Read) -> Result<Box<dyn Ingest>, SettingsError> {
     let Settings { path, units, constants, join, ignore, keep } = settings;
     let assembly = Assembly::new(path, constants, join, [ignore, keep], context)?;
-    Ok(Box::new(Instrument { assembly, units, read }))
+    Ok(Box::new(Instrument { assembly, read: Box::new(move |path, text| read(path, text, units)) }))
+}
+
+/// The stage of a reader with settings of its own.
+pub(crate) fn stage_of(
+    path: Paths,
+    constants: BTreeMap<String, Label>,
+    filters: [Filters; 2],
+    context: &Context,
+    read: ReadAsStated,
+) -> Result<Box<dyn Ingest>, SettingsError> {
+    Ok(Box::new(Instrument { assembly: Assembly::new(path, constants, None, filters, context)?, read }))
 }
 
 impl Ingest for Instrument {
@@ -82,13 +95,13 @@ impl Ingest for Instrument {
 
     fn headers(&self) -> Result<Vec<ColumnHeader>> {
         // Which columns there are is known only with the rows.
-        let load = |path: &Path| Ok(emptied((self.read)(path, &abbe_table::read_text(path)?, self.units)?.0));
+        let load = |path: &Path| Ok(emptied((self.read)(path, &abbe_table::read_text(path)?)?.0));
         Ok(self.assembly.without_rows(&load)?.headers())
     }
 
     fn read(&self) -> Result<Dataset> {
         self.assembly.read(&|path| {
-            let (data, remarks) = (self.read)(path, &abbe_table::read_text(path)?, self.units)?;
+            let (data, remarks) = (self.read)(path, &abbe_table::read_text(path)?)?;
             remarks.iter().for_each(|remark| tracing::warn!("{}: {remark}", path.display()));
             Ok(data)
         })

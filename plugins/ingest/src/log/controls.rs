@@ -3,7 +3,7 @@
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
-use abbe_core::{ColumnHeader, Context, Dataset, Ingest, InputFile, Label, Result, SettingsError};
+use abbe_core::{ColumnHeader, Context, Dataset, Error, Ingest, InputFile, Label, Result, SettingsError};
 use schemars::JsonSchema;
 use serde::Deserialize;
 use serde_json::{Value, json};
@@ -29,6 +29,9 @@ pub(crate) struct Settings {
     /// What becomes of a log whose program did not come to its end.
     #[serde(default)]
     pub(crate) aborted: Aborted,
+    /// Which run of the program counts where a file has several: a control that appends leaves one behind the other.
+    #[serde(default)]
+    pub(crate) runs: Runs,
     /// Where the times of the touches come from.
     #[serde(default)]
     pub(crate) time: Time,
@@ -65,14 +68,26 @@ fn tenth() -> f64 {
     0.1
 }
 
-/// What makes a log of a text.
-pub(crate) type Understand = Box<dyn Fn(&Path, &str) -> Result<Log> + Send + Sync>;
+/// Which run of a program counts.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Deserialize, JsonSchema)]
+#[serde(rename_all = "kebab-case")]
+pub(crate) enum Runs {
+    /// The only one; a file with several is refused.
+    #[default]
+    Only,
+    /// The last one that came to its end; if none did, the last one.
+    Last,
+}
+
+/// What makes a log of the lines of a text from the first of these to before the other.
+pub(crate) type Understand = Box<dyn Fn(&Path, &str, (usize, usize)) -> Result<Log> + Send + Sync>;
 
 /// The stage of all these plugins.
 pub(crate) struct Logs {
     assembly: Assembly,
     plan: PathBuf,
     wanted: Wanted,
+    runs: Runs,
     understand: Understand,
 }
 
@@ -88,13 +103,40 @@ impl Logs {
             stylus_diameter: settings.stylus_diameter_mm,
         };
         let assembly = Assembly::new(path, constants, None, [ignore, keep], context)?;
-        Ok(Self { assembly, plan: context.path(&plan), wanted, understand })
+        Ok(Self { assembly, plan: context.path(&plan), wanted, runs: settings.runs, understand })
     }
 
     fn load(&self, path: &Path, plan: &Plan) -> Result<Told> {
         let text = abbe_table::read_text(path)?;
-        let log = (self.understand)(path, &text)?;
-        matched(path, &log, plan, &self.wanted)
+        let runs = runs(&text);
+        let (log, remark) = match (&runs[..], self.runs) {
+            ([_, _, ..], Runs::Only) => {
+                let message = format!("a second run of a program begins here; the file has {} of them", runs.len());
+                let help = "the control appends to its log: delete it there before a program starts, give each run a file of its own, or write `runs: last`";
+                return Err(Error::data(message).at(path, runs[1].0, None).help(help));
+            }
+            ([_, _, ..], Runs::Last) => self.last(path, &text, &runs)?,
+            _ => ((self.understand)(path, &text, (1, usize::MAX))?, None),
+        };
+        let (data, mut remarks) = matched(path, &log, plan, &self.wanted)?;
+        remarks.extend(remark);
+        Ok((data, remarks))
+    }
+
+    /// The last run that came to its end, or the last one. Runs that nobody wants may be cut anywhere.
+    fn last(&self, path: &Path, text: &str, runs: &[(usize, usize)]) -> Result<(Log, Option<String>)> {
+        let whole = runs.iter().rev().find_map(|lines| {
+            let log = (self.understand)(path, text, *lines).ok().filter(|log| log.has_ended);
+            log.map(|log| (log, *lines))
+        });
+        let (log, (from, _)) = match (whole, runs.last()) {
+            (Some(whole), _) => whole,
+            (None, last) => {
+                let lines = last.copied().unwrap_or((1, usize::MAX));
+                ((self.understand)(path, text, lines)?, lines)
+            }
+        };
+        Ok((log, Some(format!("{} runs of a program; that from line {from} on is taken", runs.len()))))
     }
 }
 
@@ -151,18 +193,34 @@ pub(crate) const HEIDENHAIN: Control = Control { name: "HEIDENHAIN", written: |l
 
 impl Control {
     /// The log that a text is.
-    pub(crate) fn log(&self, path: &Path, text: &str) -> Result<Log> {
+    pub(crate) fn log(&self, path: &Path, text: &str, (from, to): (usize, usize)) -> Result<Log> {
         let mut builder = Builder::new(path, self.name);
-        for (line, content) in lines(text, self.written) {
+        for (line, content) in lines(text, self.written).filter(|(line, _)| (from..to).contains(line)) {
             builder.line(line, content)?;
         }
         builder.finish()
     }
 
     fn stage(&'static self, settings: Settings, context: &Context) -> Result<Box<dyn Ingest>, SettingsError> {
-        let understand: Understand = Box::new(|path, text| self.log(path, text));
+        let understand: Understand = Box::new(|path, text, of| self.log(path, text, of));
         Ok(Box::new(Logs::new(settings, context, understand)?))
     }
+}
+
+/// Where the runs of a program begin and end in a file, by their headers. The first one begins with the file.
+fn runs(text: &str) -> Vec<(usize, usize)> {
+    // A console shows the comment of a line that was sent, behind what the host puts before it.
+    let begins = |line: &str| {
+        let own = line.trim_start_matches(|it: char| !it.is_ascii_alphanumeric()).trim_end();
+        own == "ABBE 1" || line.contains("(ABBE 1)")
+    };
+    let mut found: Vec<usize> =
+        text.lines().enumerate().filter(|(_, line)| begins(line)).map(|(index, _)| index + 1).collect();
+    if let Some(first) = found.first_mut() {
+        *first = 1;
+    }
+    let ends = found.iter().skip(1).copied().chain([usize::MAX]).collect::<Vec<_>>();
+    found.into_iter().zip(ends).collect()
 }
 
 /// The lines of a log with their numbers, without empty ones. A last line that does not end may be cut within a number: it is

@@ -30,7 +30,7 @@ fn example() -> Value {
 
 fn build(settings: Settings, context: &Context) -> Result<Box<dyn Ingest>, SettingsError> {
     let console = Console::new().map_err(|message| SettingsError::new("path", message))?;
-    let understand: Understand = Box::new(move |path, text| console.log(path, text));
+    let understand: Understand = Box::new(move |path, text, of| console.log(path, text, of));
     Ok(Box::new(Logs::new(settings, context, understand)?))
 }
 
@@ -81,10 +81,10 @@ impl Console {
         })
     }
 
-    pub(super) fn log(&self, path: &Path, text: &str) -> Result<Log> {
+    pub(super) fn log(&self, path: &Path, text: &str, (from, to): (usize, usize)) -> Result<Log> {
         let mut builder = Builder::new(path, "GRBL");
         let mut state = State::default();
-        for (line, content) in lines(text, |line| line) {
+        for (line, content) in lines(text, |line| line).filter(|(line, _)| (from..to).contains(line)) {
             if content.contains("ALARM:") {
                 // What follows may be without a reference.
                 break;

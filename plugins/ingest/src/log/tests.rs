@@ -229,8 +229,8 @@ const FORMS: [&Control; 4] = [&LINUXCNC, &FANUC, &SIEMENS, &HEIDENHAIN];
 fn read(form: usize, text: &str, plan: &Plan, wanted: &Wanted) -> Result<Told> {
     let path = Path::new("log.txt");
     let log = match FORMS.get(form) {
-        Some(control) => control.log(path, text)?,
-        None => super::grbl::Console::new().expect("patterns").log(path, text)?,
+        Some(control) => control.log(path, text, (1, usize::MAX))?,
+        None => super::grbl::Console::new().expect("patterns").log(path, text, (1, usize::MAX))?,
     };
     matched(path, &log, plan, wanted)
 }

@@ -1,4 +1,4 @@
-//! Values and conditions of the four languages, as far as measuring programs use them.
+//! Values and conditions of the languages, as far as our programs use them.
 
 /// The value of a variable.
 pub type Variables<'a> = &'a dyn Fn(&str) -> Result<f64, String>;

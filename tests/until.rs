@@ -1,0 +1,173 @@
+//! `plan: until`: how good rows, artefact and probe have to be, and whether what is promised covers the true errors.
+
+use std::path::Path;
+
+use abbe_engine::{Measurements, prepare};
+use serde_json::{Map, Value, json};
+use tempfile::TempDir;
+
+use crate::controls::law::{seeds, uniform};
+use crate::support::{abbe, fit, read, registry, temporary, write};
+
+/// A begun calibration of a random machine with five axes.
+fn begun(method: &str, random: &mut impl FnMut() -> f64) -> (TempDir, String) {
+    let chains = crate::models::all_chains();
+    let chain = chains[840 + (random() * (chains.len() - 840) as f64) as usize % (chains.len() - 840)].clone();
+    let folder = temporary();
+    let printed = abbe(folder.path(), &["new", "m", "--chain", &chain, "--method", method]);
+    assert_eq!(printed.status, 0, "{chain}: {}", printed.stderr);
+    (folder, chain)
+}
+
+/// The plan of a begun recipe with other keys, and with texts of the recipe exchanged.
+fn planned(folder: &Path, stage: &str, plan: &str, changes: &[(&str, String)]) -> Result<Measurements, String> {
+    let mut text = read(&folder.join("m/recipe.yaml"));
+    let grid = text.lines().find(|line| line.contains("generate:")).expect("a grid").to_owned();
+    text.truncate(text.find("\nplan:").expect("a plan"));
+    for (from, to) in changes {
+        assert!(text.contains(from), "{from}: {text}");
+        text = text.replace(from, to);
+    }
+    let own =
+        format!("\nplan:\n  estimate: fit\n  candidates: {stage}\n  by: group\n  parameters: [\"E*\"]\n{plan}{grid}\n");
+    write(&folder.join("m/p.yaml"), &(text + &own));
+    let prepared = prepare(&folder.join("m/p.yaml"), &registry());
+    prepared.and_then(|prepared| prepared.plan()).map_err(|error| format!("{error} {}", error.help.unwrap_or_default()))
+}
+
+/// A bar, and a ball with its certificate and a probe: with an input as uncertain as the reverse answer allows, what is wanted is
+/// reached exactly, and beyond it not.
+#[test]
+fn how_good_bar_ball_and_probe_have_to_be() {
+    let bar: &[&str] = &["standard_uncertainty_um: 1, length_standard_uncertainty_um: {}"];
+    let ball: &[&str] = &[
+        "standard_uncertainty_um: 2, diameters: [{ feature: 1, standard_uncertainty_um: {} }]",
+        "standard_uncertainty_um: 2, stylus_radius_standard_uncertainty_um: {}",
+    ];
+    let cases = [
+        ("ball-bar", "bar", "standard_uncertainty_um: 1, length_standard_uncertainty_um: 1", bar),
+        ("ball", "ball", "standard_uncertainty_um: 2", ball),
+    ];
+    let (mut exact, mut none) = (0, 0);
+    for seed in seeds(3) {
+        for (method, stage, from, ways) in cases {
+            let mut random = uniform(310 + seed);
+            let (folder, chain) = begun(method, &mut random);
+            for way in ways {
+                let what = format!("{seed}: {chain} {way}");
+                let stated = 0.2 + random();
+                let of = |um: f64, number: usize, stated: f64| {
+                    let plan =
+                        format!("  number: {number}\n  restarts: 2\n  until: {{ expanded_um: {um:?}, of: tool }}\n");
+                    planned(folder.path(), stage, &plan, &[(from, way.replace("{}", &format!("{stated:?}")))])
+                };
+                let any = of(1e6, 12, stated).unwrap_or_else(|error| panic!("{what}: {error}"));
+                let any = any.plan.reached.expect("an uncertainty was wanted");
+                let all = of(1e6, 12, 1e-6).unwrap_or_else(|error| panic!("{what}: {error}")).plan.reached.expect("it");
+                assert!(all.expanded <= any.expanded, "{what}");
+                let um = any.expanded * 1e3 * 0.7;
+                let Ok(found) = of(um, 12, stated) else { continue };
+                let reached = found.plan.reached.clone().expect("an uncertainty was wanted");
+                let Some(input) = reached.largest_of_inputs.first() else { continue };
+                let part = input.part.expect("what is stated is enough");
+                assert!((input.stated.expect("one quantity") * 1e3 / stated - 1.0).abs() < 1e-9, "{what}: {input:?}");
+                assert!(part >= 1.0 - 1e-9, "{what}: {input:?}");
+                // The same design has it to the last digit; the fewest stay as many, since nothing became better.
+                let number = found.plan.chosen.iter().map(|chosen| chosen.times).sum();
+                let worse = of(um, number, stated * part).unwrap_or_else(|error| panic!("{what}: {error}"));
+                if worse.plan.chosen == found.plan.chosen {
+                    let again = worse.plan.reached.expect("an uncertainty was wanted");
+                    assert!((again.expanded / again.wanted - 1.0).abs() < 1e-6, "{what}: {again:?}");
+                    let beyond = of(um, number, stated * part * 1.01).err().expect("it is beyond");
+                    assert!(beyond.contains("or less instead of"), "{what}: {beyond}");
+                    exact += 1;
+                }
+                // What the rows alone do not reach, no artefact does.
+                let message = of(all.expanded * 1e3 * 1e-3, 12, stated).err().expect("out of reach");
+                assert!(message.contains("no better calibration of artefact or probe suffices"), "{what}: {message}");
+                none += 1;
+            }
+        }
+    }
+    println!("{exact} answers exact, {none} times none");
+    assert!(exact > 0 && none > 0);
+}
+
+/// Plans that promise an uncertainty, measured on random machines with the noise that was stated: what is found is off by what was
+/// promised, as often as it says.
+#[test]
+fn what_a_plan_promises_covers_the_true_errors() {
+    let (mut squares, mut freedom, mut within, mut all) = (0.0, 0.0, 0.0, 0.0);
+    for seed in seeds(4) {
+        let mut random = uniform(77 + seed);
+        let (folder, chain) = begun("ball", &mut random);
+        let at = folder.path();
+        let plan = "  number: 12\n  restarts: 2\n  until: { expanded_um: 1000000 }\n";
+        let any = planned(at, "ball", plan, &[]).unwrap_or_else(|error| panic!("{chain}: {error}"));
+        let um = any.plan.reached.expect("an uncertainty was wanted").expanded * 1e3 * (0.6 + 0.3 * random());
+        let plan = format!("  number: 16\n  restarts: 2\n  until: {{ expanded_um: {um:?} }}\n");
+        let Ok(found) = planned(at, "ball", &plan, &[]) else { continue };
+        let reached = found.plan.reached.clone().expect("an uncertainty was wanted");
+        assert!(reached.expanded <= reached.wanted * (1.0 + 1e-9), "{chain}");
+        // Planned touches are the measured ones.
+        let candidates = found.files.iter().find(|(name, _)| name.ends_with("candidates.csv")).expect("candidates").1;
+        std::fs::write(at.join("m/touches.csv"), candidates).expect("written");
+        let unknowns = &found.plan.problem.unknowns;
+        let count = unknowns.len();
+        let covariance = nalgebra::DMatrix::from_row_slice(count, count, &found.plan.figures.covariance);
+        let information = covariance.clone().try_inverse().expect("a covariance");
+        let size = |name: &str| {
+            if name.ends_with("[1]") {
+                2e-5
+            } else if name.starts_with("EA") || name.starts_with("EB") || name.starts_with("EC") {
+                5e-5
+            } else {
+                0.02
+            }
+        };
+        for trial in 0..3 {
+            let machine =
+                unknowns.iter().filter(|unknown| unknown.name.starts_with('E') || unknown.name.starts_with('d'));
+            let truth: Map<String, Value> = machine
+                .map(|unknown| (unknown.name.clone(), json!(size(&unknown.name) * (2.0 * random() - 1.0))))
+                .collect();
+            let file = at.join("truth.json");
+            write(&file, &json!({ "parameters": truth, "noise": { "probing_sigma_mm": 0.002 } }).to_string());
+            let text = read(&at.join("m/recipe.yaml")).replace("robust: tukey", "trust_uncertainties: true");
+            write(&at.join("m/r.yaml"), &text[..text.find("\nplan:").expect("a plan")]);
+            let simulated = prepare(&at.join("m/r.yaml"), &registry())
+                .and_then(|prepared| prepared.simulate(&file, 1000 * seed + trial, None));
+            let measured = at.join(format!("measured-{trial}"));
+            simulated.unwrap_or_else(|error| panic!("{chain}: {error}")).write(&measured).expect("a folder");
+            let outcome = prepare(&measured.join("r.yaml"), &registry())
+                .and_then(|prepared| prepared.run(&abbe_core::Monitor::default()));
+            let outcome = outcome.unwrap_or_else(|error| panic!("{chain}: {error}"));
+            let calibration = &fit(&outcome, "fit").calibration;
+            let off = nalgebra::DVector::from_iterator(
+                count,
+                unknowns.iter().map(|unknown| {
+                    let is =
+                        calibration.get(&unknown.name).unwrap_or_else(|| panic!("{chain}: no {}", unknown.name)).value;
+                    is - truth.get(&unknown.name).and_then(Value::as_f64).unwrap_or_default()
+                }),
+            );
+            squares += (off.transpose() * &information * &off)[(0, 0)];
+            freedom += count as f64;
+            for (index, unknown) in unknowns
+                .iter()
+                .enumerate()
+                .filter(|(_, unknown)| unknown.unit.to_string() == "mm" && unknown.name.starts_with('E'))
+            {
+                let expanded = reached.coverage_factor * covariance[(index, index)].sqrt();
+                within += f64::from(u8::from(off[index].abs() <= expanded));
+                all += 1.0;
+                assert!(expanded <= reached.wanted * (1.0 + 1e-9), "{chain}: {}", unknown.name);
+            }
+        }
+    }
+    // Chi-squared with so many degrees of freedom, four of its standard deviations around its mean.
+    println!("chi-squared {squares:.1} of {freedom} degrees of freedom; {within} of {all} lengths within");
+    assert!(freedom > 50.0 && (squares - freedom).abs() < 4.0 * (2.0 * freedom).sqrt(), "{squares} of {freedom}");
+    let expected = 0.9545 * all;
+    assert!(within > expected - 4.0 * (0.0455 * expected).sqrt() - 1.0, "{within} of {all}");
+}
