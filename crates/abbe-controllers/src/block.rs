@@ -181,6 +181,7 @@ impl<'a> Reader<'a> {
                 b'I' | b'J' | b'K' | b'R' => is_arc,
                 b'P' | b'Q' | b'L' | b'E' => has_other,
                 b'N' | b'O' | b'@' => false,
+                0 if word.name == "CR" => is_arc,
                 _ => true,
             };
             if !is_known {

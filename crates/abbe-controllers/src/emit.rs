@@ -30,6 +30,9 @@ impl<'a> Emitter<'a> {
             if index == 0 {
                 self.first(&planned.of, text, motion, &words, last > 0, out);
             } else {
+                if planned.of.line.optional.is_some() {
+                    out.push(b'/');
+                }
                 let code = if self.motion == Some(motion) { String::new() } else { format!("G{} ", motion.code()) };
                 out.extend_from_slice(code.as_bytes());
                 out.extend_from_slice(words.as_bytes());

@@ -197,7 +197,9 @@ impl Modal {
                 }
                 Meaning::ToolCentre(on) => {
                     centre = Some((word, on));
-                    if on && !options.dialect.is_siemens() {
+                    // SINUMERIK takes the tool that is active; with one length for all tools it need not be called before.
+                    let has_length = options.dialect.is_siemens() && (self.length.is_some() || options.tools.only.is_none());
+                    if on && !has_length {
                         length = Some((word, true));
                     }
                 }

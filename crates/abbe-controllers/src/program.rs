@@ -144,7 +144,7 @@ impl Run<'_, '_> {
         let text = &line[..end];
         let action = self.reader.line(text).map_err(|refusal| refusal.at(&self.options.file, number, text))?;
         if !self.is_marked && !self.is_perfect && !is_head(text, self.options.dialect) {
-            self.mark(&line[end..])?;
+            self.mark(&line[end..]);
         }
         match action {
             Action::Copy(motion) => self.waiting.push((Waiting::Text(line.to_vec(), motion), number)),
@@ -192,13 +192,13 @@ impl Run<'_, '_> {
         Ok(())
     }
 
-    fn mark(&mut self, eol: &[u8]) -> Result<()> {
+    fn mark(&mut self, eol: &[u8]) {
         self.is_marked = true;
         let tolerance = self.options.tolerance * 1e3;
         let words = format!("{MARK}: calibration {}, tolerance {tolerance} um", self.options.calibration);
         let comment = if self.options.dialect.has_bracket_comments() { format!("({words})") } else { format!("; {words}") };
         let eol = if eol.is_empty() { b"\n" } else { eol };
-        (self.keep)(None, &[comment.as_bytes(), eol].concat(), 0)
+        self.waiting.push((Waiting::Text([comment.as_bytes(), eol].concat(), None), 0));
     }
 
     /// Plans and writes what waits.
