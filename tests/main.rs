@@ -36,6 +36,7 @@ mod planning;
 mod plugins;
 mod poses;
 mod probe;
+mod programs;
 mod ranges;
 mod rapid_verify;
 mod recipes;

@@ -8,3 +8,4 @@ mod instruction_sets;
 mod linuxcnc;
 mod measured;
 mod page;
+mod programs;

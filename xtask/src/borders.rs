@@ -18,7 +18,7 @@ const fn border(name: &'static str, uses: &'static [&'static str]) -> Border {
 }
 
 /// The folder `crates`: arrows point one way, see docs/architecture.md.
-const CRATES: [Border; 25] = [
+const CRATES: [Border; 26] = [
     border("abbe-settings", &[]),
     border("abbe-files", &[]),
     border("abbe-results", &["abbe-settings"]),
@@ -52,6 +52,7 @@ const CRATES: [Border; 25] = [
         uses: &["abbe-core", "abbe-errors", "abbe-numerics", "abbe-table", "abbe-thermal", "abbe-volumetric"],
         tested_with: &["abbe-serial-chain"],
     },
+    border("abbe-controllers", &["abbe-compensation", "abbe-core"]),
     border("abbe-plugin", &["abbe-core", "abbe-estimation", "abbe-files"]),
     border("abbe-recipe", &["abbe-core", "abbe-estimation", "abbe-files", "abbe-planning"]),
     border(
@@ -73,6 +74,7 @@ const CRATES: [Border; 25] = [
         &[
             "abbe-bundle",
             "abbe-compensation",
+            "abbe-controllers",
             "abbe-core",
             "abbe-engine",
             "abbe-files",

@@ -58,9 +58,16 @@ pub struct Known {
     pub model: Arc<dyn KinematicModel>,
     /// The time of all set-points, s; NaN for a machine at its reference temperatures.
     pub time: Option<f64>,
+    /// The log that was given.
+    pub log: Option<Temperatures>,
 }
 
 impl Asked {
+    /// The calibration file.
+    pub fn file(&self) -> &Path {
+        &self.calibration
+    }
+
     /// Reads the calibration and builds its model.
     pub fn read(&self, registry: &Registry) -> Result<Known> {
         let file = &self.calibration;
@@ -83,7 +90,7 @@ impl Asked {
             check_machine(model.as_ref(), &calibration, file, machine, registry)?;
         }
         tell_unknown_travel(model.as_ref());
-        Ok(Known { calibration, model, time })
+        Ok(Known { calibration, model, time, log })
     }
 }
 

@@ -3,11 +3,12 @@
 use std::path::{Path, PathBuf};
 
 use abbe_compensation::{CompensatedPath, Correct, Method, SetPoints, Settings, Travel, figures};
-use abbe_core::{Axis, AxisKind, KinematicModel, Registry, Result};
+use abbe_core::{Axis, AxisKind, Error, KinematicModel, Registry, Result};
 use clap::{Args, ValueEnum};
 use serde_json::{Value, json};
 
 use crate::calibrated::{Asked, Known, counted};
+use crate::nc_program::{self, ProgramOptions};
 use crate::outputs::{Written, are_different, is_free};
 use crate::table;
 use abbe_report::number::short;
@@ -17,9 +18,12 @@ use abbe_report::number::short;
 pub struct Compensate {
     #[command(flatten)]
     calibrated: Asked,
-    /// CSV file with the set-points: a column for the command of each axis (X_mm, B_deg), and for all that its errors depend on.
+    /// CSV file with the set-points: a column for the command of each axis (X_mm, B_deg), and for all that its errors depend on. With
+    /// `--dialect` it is an NC program.
     setpoints: PathBuf,
-    /// File for the corrected set-points. It must not exist. Without it only the figures are printed.
+    #[command(flatten)]
+    program: ProgramOptions,
+    /// File for the corrected set-points, or the corrected program. It must not exist. Without it only the figures are printed.
     #[arg(long)]
     out: Option<PathBuf>,
     /// File for the errors of every set-point before and after the correction, CSV. It must not exist.
@@ -113,6 +117,30 @@ impl Compensate {
         }
     }
 
+    /// Whether it is about a program.
+    pub fn is_program(&self) -> bool {
+        self.program.is_program()
+    }
+
+    /// Corrects a program: what to print, and the exit status.
+    pub fn run_program(&self, registry: &Registry) -> Result<(String, u8)> {
+        if self.report.is_some() {
+            return Err(Error::usage("`--report` is for set-points").help("`--check` tells what remains of a program"));
+        }
+        let settings = self.settings();
+        settings.check().map_err(|wrong| Error::usage(wrong.to_string()))?;
+        let known = self.calibrated.read(registry)?;
+        let asked = nc_program::Asked {
+            options: &self.program,
+            program: &self.setpoints,
+            calibration: self.calibrated.file(),
+            out: self.out.as_deref(),
+            settings,
+            json: self.json,
+        };
+        asked.run(&known, registry)
+    }
+
     /// Carries it out; nothing is written yet.
     pub fn run(&self, registry: &Registry) -> Result<Written> {
         let named = [("--out", &self.out), ("--report", &self.report)];
@@ -120,7 +148,7 @@ impl Compensate {
             named.into_iter().filter_map(|(option, path)| Some((option, path.as_deref()?))).collect();
         are_different(&named)?;
         named.iter().try_for_each(|(_, path)| is_free(path))?;
-        let Known { calibration, model, time } = self.calibrated.read(registry)?;
+        let Known { calibration, model, time, .. } = self.calibrated.read(registry)?;
         let model = model.as_ref();
         let points = SetPoints::read_at(&self.setpoints, model, time)?;
         let path = CompensatedPath::of(model, &calibration, points, &self.settings())?;

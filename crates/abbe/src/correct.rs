@@ -36,7 +36,7 @@ impl Correct {
     /// Carries it out; nothing is written yet.
     pub fn run(&self, registry: &Registry) -> Result<Written> {
         self.out.iter().try_for_each(|path| is_free(path))?;
-        let Known { calibration, model, time } = self.calibrated.read(registry)?;
+        let Known { calibration, model, time, .. } = self.calibrated.read(registry)?;
         let model = model.as_ref();
         self.check_patterns(model)?;
         let points = SetPoints::read_at(&self.points, model, time)?;

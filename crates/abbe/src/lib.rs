@@ -21,6 +21,7 @@ mod libraries;
 mod lines;
 mod listed;
 mod machine;
+mod nc_program;
 mod new;
 mod outputs;
 mod pages;
@@ -161,7 +162,7 @@ enum Command {
     Model(machine::Machine),
     /// Say what a symbol means on a machine: an error, or a parameter.
     Explain(explain::Explain),
-    /// Correct set-points for the errors of a calibrated machine.
+    /// Correct set-points, or an NC program (`--dialect`), for the errors of a calibrated machine.
     Compensate(Box<compensate::Compensate>),
     /// Correct measured positions for the errors of the calibrated machine that measured them.
     Correct(Box<correct::Correct>),
@@ -414,6 +415,10 @@ fn dispatch(command: Command, libraries: &Libraries, verbose: bool) -> Result<(S
         Command::Data(asked) => Ok((asked.run(libraries)?, 0)),
         Command::Model(asked) => written(asked.run(libraries)?),
         Command::Explain(asked) => Ok((asked.run(libraries)?, 0)),
+        Command::Compensate(asked) if asked.is_program() => {
+            interrupt::cancel_on_signal(Monitor::default())?;
+            asked.run_program(&libraries.registry(None)?)
+        }
         Command::Compensate(asked) => {
             interrupt::cancel_on_signal(Monitor::default())?;
             written(asked.run(&libraries.registry(None)?)?)

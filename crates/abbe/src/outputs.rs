@@ -85,7 +85,8 @@ pub fn replace(file: &Path, content: &str) -> Result<()> {
     written.map(drop).map_err(|error| cannot_be_written(file, &error))
 }
 
-fn cannot_be_written(file: &Path, error: &io::Error) -> Error {
+/// What is said of a file that cannot be written.
+pub fn cannot_be_written(file: &Path, error: &io::Error) -> Error {
     let (why, help) = match error.kind() {
         io::ErrorKind::NotFound => ("its folder does not exist".to_owned(), "make the folder, or name another file"),
         io::ErrorKind::StorageFull => (abbe_files::why(error), "make room, or name a file on another disk"),

@@ -1,0 +1,31 @@
+//! What is refused, and where.
+
+use std::path::Path;
+
+use abbe_core::Error;
+
+/// Something in a line that cannot be corrected.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Refusal {
+    /// Where it stands in the line, bytes from 0.
+    pub column: usize,
+    /// What is wrong.
+    pub message: String,
+    /// What to do.
+    pub help: String,
+}
+
+impl Refusal {
+    /// A word that cannot be handled: `G41`, and what it is.
+    pub fn new(column: usize, word: &str, what: &str, help: &str) -> Self {
+        let message = if word.is_empty() { what.to_owned() } else { format!("`{word}`: {what}") };
+        Self { column, message, help: help.to_owned() }
+    }
+
+    /// The error of a line; lines count from 1.
+    pub fn at(self, file: &Path, line: usize, text: &[u8]) -> Error {
+        let before = &text[..self.column.min(text.len())];
+        let column = String::from_utf8_lossy(before).chars().count() + 1;
+        Error::data(self.message).help(self.help).at(file, line, Some(column))
+    }
+}

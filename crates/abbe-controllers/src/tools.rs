@@ -1,0 +1,63 @@
+//! Lengths of tools.
+
+use std::collections::BTreeMap;
+use std::path::Path;
+
+use abbe_core::{Error, Result};
+
+/// The lengths of tools, from the gauge line of the spindle, mm.
+#[derive(Debug, Clone, Default, PartialEq)]
+pub struct Tools {
+    /// One length for whatever a program calls.
+    pub only: Option<f64>,
+    /// Lengths by number.
+    pub by_number: BTreeMap<u32, f64>,
+}
+
+impl Tools {
+    /// Reads a tool table of LinuxCNC: `T1 P1 Z120.5 D6 ;comment`, lengths in mm.
+    ///
+    /// Fails for a line without a number or a length, and for a number twice.
+    pub fn read(text: &str, file: &Path) -> Result<Self> {
+        let mut by_number = BTreeMap::new();
+        for (index, line) in text.lines().enumerate() {
+            let own = line.split(';').next().unwrap_or_default().trim();
+            if own.is_empty() {
+                continue;
+            }
+            let value = |letter: char| {
+                let words = own.split_whitespace();
+                words.filter_map(|word| word.strip_prefix([letter, letter.to_ascii_lowercase()])?.parse::<f64>().ok()).next()
+            };
+            let at = |message: &str| {
+                Error::data(message.to_owned()).help("a line is `T1 P1 Z120.5 D6`").at(file, index + 1, None)
+            };
+            let number = value('T').filter(|number| *number >= 0.0 && number.fract() == 0.0 && *number < 1e6);
+            let number = number.ok_or_else(|| at("a line of a tool table without the number of a tool"))?;
+            let length = value('Z').filter(|length| length.is_finite());
+            let length = length.ok_or_else(|| at("a tool without a length"))?;
+            if by_number.insert(number as u32, length).is_some() {
+                return Err(at("a tool that stands here twice"));
+            }
+        }
+        Ok(Self { only: None, by_number })
+    }
+
+    /// The length of a tool.
+    pub fn length(&self, number: u32) -> Option<f64> {
+        self.only.or_else(|| self.by_number.get(&number).copied())
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn tool_tables_have_lengths() {
+        let read = |text| Tools::read(text, Path::new("tool.tbl"));
+        let tools = read("T4 P4 Z87.5 D6 ; end mill\n\nT5 P5 Z+120\n").expect("a table");
+        assert_eq!((tools.length(4), tools.length(5), tools.length(6)), (Some(87.5), Some(120.0), None));
+        assert!(read("T4 P4\n").is_err() && read("T1 Z1\nT1 Z2\n").is_err());
+    }
+}

@@ -1,0 +1,349 @@
+//! `abbe compensate --dialect`: NC programs, corrected and checked.
+
+use std::collections::BTreeMap;
+use std::fs::File;
+use std::io::{BufReader, BufWriter, Write};
+use std::path::{Path, PathBuf};
+
+use abbe_compensation::{Settings, Temperatures, check_confounded_anywhere};
+use abbe_controllers::{Checked, Coordinates, Dialect, Machine, Options, Summary, Tools, check, compensate, mark, place};
+use abbe_core::{Calibration, Error, Registry, Result, machine_values};
+use abbe_engine::{model_with_log, temporary_file};
+use abbe_files::{LARGEST_RESULT, read_text};
+use abbe_report::number::short;
+use clap::{Args, ValueEnum};
+use serde_json::json;
+
+use crate::calibrated::{Known, counted};
+use crate::interrupt;
+use crate::outputs::{cannot_be_written, is_file_name, is_free};
+
+/// Positions of axes by their place among letters; one value of an option.
+type Positions = Vec<(usize, f64)>;
+
+/// What is asked of the correction of a program.
+#[derive(Debug, Clone, Args)]
+pub struct ProgramOptions {
+    /// The language of an NC program: the second file is one, and no set-points. linuxcnc, iso, fanuc, siemens, heidenhain or grbl.
+    #[arg(long, value_parser = dialect)]
+    dialect: Option<Dialect>,
+    /// Length of every tool of the program, from the gauge line of the spindle, mm.
+    #[arg(long, value_name = "MM", value_parser = number, allow_negative_numbers = true, requires = "dialect", conflicts_with = "tools")]
+    tool_length_mm: Option<f64>,
+    /// Tool table of LinuxCNC with the lengths of tools: lines `T1 P1 Z120.5`, mm.
+    #[arg(long, value_name = "FILE", requires = "dialect")]
+    tools: Option<PathBuf>,
+    /// A work offset, mm and degrees: `G54=X100,Y-50,Z0`. May be repeated. Those that are not given count as zero.
+    #[arg(long, value_parser = offset, requires = "dialect")]
+    offset: Vec<(usize, Positions)>,
+    /// Where the axes stand before the program, machine coordinates: `X0,Y0,Z0`.
+    #[arg(long, value_parser = positions, requires = "dialect", allow_hyphen_values = true)]
+    start: Option<Positions>,
+    /// Largest distance of the corrected tip from the programmed path along feed moves, µm. Moves are split where it needs that.
+    #[arg(long, value_name = "UM", default_value_t = 1.0, value_parser = positive, allow_negative_numbers = true)]
+    tolerance_um: f64,
+    /// Decimals of numbers in mm; numbers in inches have one more.
+    #[arg(long, default_value_t = 4, value_parser = clap::value_parser!(u8).range(2..=9))]
+    decimals: u8,
+    /// Decimals of degrees.
+    #[arg(long, default_value_t = 6, value_parser = clap::value_parser!(u8).range(3..=9))]
+    rotary_decimals: u8,
+    /// How the switch of the control for blocks with `/` stands.
+    #[arg(long, value_enum, requires = "dialect")]
+    block_delete: Option<Switch>,
+    /// Numbers without a point are mm, on a control where they may be micrometres.
+    #[arg(long, requires = "dialect")]
+    integers_are_mm: bool,
+    /// What F is under G93, where that differs from control to control.
+    #[arg(long, value_enum, requires = "dialect")]
+    inverse_time: Option<InverseTime>,
+    /// Read the corrected program again and tell the largest error that remains along its path. A file of `--out` that is there already
+    /// is only checked.
+    #[arg(long, requires = "dialect")]
+    check: bool,
+}
+
+#[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
+enum Switch {
+    On,
+    Off,
+}
+
+#[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
+enum InverseTime {
+    Minutes,
+    Seconds,
+}
+
+fn dialect(text: &str) -> std::result::Result<Dialect, String> {
+    Dialect::of_name(text).ok_or_else(|| {
+        let names: Vec<&str> = Dialect::ALL.iter().map(|dialect| dialect.name()).collect();
+        format!("one of {} was expected", names.join(", "))
+    })
+}
+
+fn number(text: &str) -> std::result::Result<f64, String> {
+    let number = text.parse::<f64>().ok().filter(|number| number.is_finite() && number.abs() < 1e5);
+    number.ok_or_else(|| "a number of mm was expected".to_owned())
+}
+
+fn positive(text: &str) -> std::result::Result<f64, String> {
+    let found = text.parse::<f64>().ok().filter(|number| *number > 0.0 && *number <= 1e4);
+    found.ok_or_else(|| "a number of µm above 0, at most 10000, was expected".to_owned())
+}
+
+/// `X100,Y-50,Z0`.
+fn positions(text: &str) -> std::result::Result<Positions, String> {
+    let one = |part: &str| {
+        let part = part.trim();
+        let letter = part.bytes().next().map(|byte| byte.to_ascii_uppercase())?;
+        Some((place(letter)?, part.get(1..)?.parse::<f64>().ok().filter(|number| number.is_finite())?))
+    };
+    let found: Option<Positions> = text.split(',').map(one).collect();
+    found.ok_or_else(|| "positions of axes, `X0,Y0,Z0`, were expected".to_owned())
+}
+
+/// `G54=X100,Y-50`.
+fn offset(text: &str) -> std::result::Result<(usize, Positions), String> {
+    const SYSTEMS: [&str; 9] = ["G54", "G55", "G56", "G57", "G58", "G59", "G59.1", "G59.2", "G59.3"];
+    let (name, values) = text.split_once('=').ok_or("`G54=X100,Y-50,Z0` was expected")?;
+    let system = SYSTEMS.iter().position(|system| system.eq_ignore_ascii_case(name.trim()));
+    let system = system.ok_or("a work offset, G54 to G59.3, was expected before `=`")?;
+    Ok((system, positions(values)?))
+}
+
+/// A program to correct: what was asked, with the calibration.
+pub struct Asked<'a> {
+    /// The options of programs.
+    pub options: &'a ProgramOptions,
+    /// The program.
+    pub program: &'a Path,
+    /// The calibration file.
+    pub calibration: &'a Path,
+    /// Where to write.
+    pub out: Option<&'a Path>,
+    /// What is corrected.
+    pub settings: Settings,
+    /// Whether JSON is printed.
+    pub json: bool,
+}
+
+impl ProgramOptions {
+    /// Whether a program is to be corrected, and not set-points.
+    pub fn is_program(&self) -> bool {
+        self.dialect.is_some()
+    }
+
+    fn options(&self, program: &Path, calibration: String) -> Result<Options> {
+        let mut options = Options::new(self.dialect.unwrap_or(Dialect::Iso));
+        options.file = program.to_owned();
+        options.tolerance = self.tolerance_um * 1e-3;
+        options.decimals = usize::from(self.decimals);
+        options.rotary_decimals = usize::from(self.rotary_decimals);
+        options.tools = Tools { only: self.tool_length_mm, by_number: BTreeMap::new() };
+        if let Some(file) = &self.tools {
+            let unreadable = |error| Error::usage(format!("the file cannot be read: {error}")).in_file(file);
+            options.tools = Tools::read(&read_text(file, LARGEST_RESULT).map_err(unreadable)?, file)?;
+        }
+        for (system, values) in &self.offset {
+            let mut offset: Coordinates = [0.0; 9];
+            values.iter().for_each(|(place, value)| offset[*place] = *value);
+            if options.offsets.insert(*system, offset).is_some() {
+                return Err(Error::usage("a work offset is given twice"));
+            }
+        }
+        for (place, value) in self.start.iter().flatten() {
+            options.start[*place] = Some(*value);
+        }
+        options.block_delete = self.block_delete.map(|switch| switch == Switch::On);
+        options.integers_are_mm = self.integers_are_mm;
+        options.inverse_is_seconds = self.inverse_time.map(|meaning| meaning == InverseTime::Seconds);
+        options.calibration = calibration;
+        Ok(options)
+    }
+}
+
+impl Asked<'_> {
+    /// Carries it out: the text to print, and the exit status.
+    pub fn run(&self, known: &Known, registry: &Registry) -> Result<(String, u8)> {
+        let unreadable = |error| Error::usage(format!("the file cannot be read: {error}")).in_file(self.calibration);
+        let text = read_text(self.calibration, LARGEST_RESULT).map_err(unreadable)?;
+        let options = self.options.options(self.program, mark(text.as_bytes()))?;
+        check_confounded_anywhere(known.model.as_ref(), &known.calibration, &BTreeMap::new())?;
+        tell_tool(&known.calibration, &options);
+        let build = |length: Option<f64>| self.machine(known, registry, length);
+        let is_there = self.out.is_some_and(|out| out.symlink_metadata().is_ok());
+        if self.options.check && self.out.is_none() {
+            return Err(Error::usage("`--check` reads the corrected program").help("name it: `--out FILE`"));
+        }
+        let summary = match self.options.check && is_there {
+            true => None,
+            false => Some(self.write(&build, &options)?),
+        };
+        let checked = match (self.options.check, self.out) {
+            (true, Some(out)) => {
+                let (mut source, mut corrected) = (opened(self.program)?, opened(out)?);
+                Some(check(&mut source, &mut corrected, &build, &options, out)?)
+            }
+            _ => None,
+        };
+        let holds = checked.as_ref().is_none_or(|checked| is_within(checked, &options));
+        let text = match self.json {
+            true => crate::pretty(&json!({
+                "program": summary.as_ref().map(summary_json),
+                "check": checked.as_ref().map(checked_json),
+                "tolerance_um": options.tolerance * 1e3,
+                "files": summary.as_ref().and(self.out).map(|out| out.display().to_string()),
+            }))?,
+            false => self.text(summary.as_ref(), checked.as_ref(), &options),
+        };
+        Ok((text, if holds { 0 } else { 3 }))
+    }
+
+    /// Writes the corrected program whole or not at all.
+    fn write(&self, build: &abbe_controllers::MachineOf<'_>, options: &Options) -> Result<Summary> {
+        let mut source = opened(self.program)?;
+        let Some(out) = self.out else {
+            return compensate(&mut source, &mut std::io::sink(), build, options);
+        };
+        is_file_name(out)?;
+        is_free(out)?;
+        let folder = out.parent().filter(|folder| !folder.as_os_str().is_empty()).unwrap_or(Path::new("."));
+        let failed = |error: std::io::Error| cannot_be_written(out, &error);
+        let file = temporary_file(folder).map_err(failed)?;
+        let mut writer = BufWriter::new(file.as_file());
+        let summary = compensate(&mut source, &mut writer, build, options)?;
+        writer.flush().map_err(failed)?;
+        drop(writer);
+        if interrupt::happened() {
+            return Err(Error::interrupted());
+        }
+        interrupt::while_writing(|| file.persist_noclobber(out).map_err(|error| cannot_be_written(out, &error.error)))?;
+        Ok(summary)
+    }
+
+    fn machine(&self, known: &Known, registry: &Registry, length: Option<f64>) -> Result<Machine> {
+        let own = known.calibration.model.settings.get("tool_length_mm").and_then(serde_json::Value::as_f64);
+        let model = match length {
+            Some(length) if own != Some(length) => {
+                let mut calibration = known.calibration.clone();
+                calibration.model.settings["tool_length_mm"] = json!(length);
+                model_with_log(&calibration, known.log.as_ref().map(Temperatures::data), registry)?
+            }
+            _ => known.model.clone(),
+        };
+        let values = machine_values(model.as_ref(), &known.calibration);
+        Machine::new(model, values, self.settings.clone(), length.or(own).unwrap_or(0.0), known.time)
+    }
+
+    fn text(&self, summary: Option<&Summary>, checked: Option<&Checked>, options: &Options) -> String {
+        let mut text = String::new();
+        if let Some(summary) = summary {
+            text.push_str(&format!(
+                "{}: {} of motion, {} written\n",
+                counted(summary.lines, "line"),
+                counted(summary.moves, "block"),
+                counted(summary.blocks, "block")
+            ));
+            if summary.arcs[0] > 0 {
+                text.push_str(&format!("{}, {} written\n", counted(summary.arcs[0], "arc"), summary.arcs[1]));
+            }
+            text.push_str(&format!("Largest correction: {} µm\n", short(summary.largest * 1e3)));
+            text.push_str(&format!(
+                "Remaining along feed moves: {} µm at most (line {} of the program), {} µm allowed\n",
+                short(summary.remaining * 1e3),
+                summary.remaining_line,
+                short(options.tolerance * 1e3)
+            ));
+            if summary.take_ups > 0 {
+                let moves = counted(summary.take_ups, "move");
+                text.push_str(&format!("Added: {moves} that bring axes to a start, after reversals or uncorrected moves\n"));
+            }
+            if summary.uncorrected > 0 {
+                let moves = counted(summary.uncorrected, "rapid move");
+                text.push_str(&format!(
+                    "Not corrected: {moves}, to reference points, in machine coordinates, or before all positions are known\n"
+                ));
+            }
+            for system in &summary.assumed {
+                let name = ["G54", "G55", "G56", "G57", "G58", "G59", "G59.1", "G59.2", "G59.3"][*system];
+                text.push_str(&format!("{name} counts as zero: `--offset {name}=X..,Y..,Z..` says where it is\n"));
+            }
+            if let Some(out) = self.out {
+                text.push_str(&format!("\nWritten: {}\n", out.display()));
+            }
+        }
+        if let Some(checked) = checked {
+            text.push_str(&checked_text(checked, options));
+        }
+        text
+    }
+}
+
+fn opened(file: &Path) -> Result<BufReader<File>> {
+    let unreadable = |error: std::io::Error| Error::usage(format!("the file cannot be read: {error}")).in_file(file);
+    let opened = File::open(file).map_err(unreadable)?;
+    match opened.metadata().map_err(unreadable)?.is_dir() {
+        true => Err(Error::usage("this is a folder; a program was expected").in_file(file)),
+        false => Ok(BufReader::new(opened)),
+    }
+}
+
+/// Errors of the set-up belong to one tool.
+fn tell_tool(calibration: &Calibration, options: &Options) {
+    let has_tools = options.tools.only.is_some() || !options.tools.by_number.is_empty();
+    let own = ["dxt", "dyt", "dzt"].into_iter();
+    let set_up: Vec<&str> = own.filter(|name| calibration.get(name).is_some_and(|known| known.value != 0.0)).collect();
+    if has_tools && !set_up.is_empty() {
+        tracing::warn!(
+            "{} belong to the tool of the calibration, and are corrected for the tools of this program, too",
+            set_up.join(", ")
+        );
+    }
+}
+
+fn is_within(checked: &Checked, options: &Options) -> bool {
+    let is_own = checked.mark.as_ref().is_none_or(|mark| mark.contains(&options.calibration));
+    is_own && checked.path.distance.max(checked.rapid.distance) <= options.tolerance
+}
+
+fn checked_text(checked: &Checked, options: &Options) -> String {
+    let mut text = format!("\nChecked: {}, {} places\n", counted(checked.blocks, "block"), checked.places);
+    for (what, worst) in [("along feed moves", checked.path), ("at ends of rapid moves", checked.rapid)] {
+        if worst.line > 0 {
+            text.push_str(&format!(
+                "Remaining {what}: {} µm at most, line {} (line {} of the program)\n",
+                short(worst.distance * 1e3),
+                worst.line,
+                worst.of
+            ));
+        }
+    }
+    if checked.mark.as_ref().is_some_and(|mark| !mark.contains(&options.calibration)) {
+        text.push_str("It was corrected with another calibration.\n");
+    }
+    if !is_within(checked, options) {
+        text.push_str(&format!("Failed: {} µm are allowed\n", short(options.tolerance * 1e3)));
+    }
+    text
+}
+
+fn summary_json(summary: &Summary) -> serde_json::Value {
+    json!({
+        "lines": summary.lines, "moves": summary.moves, "blocks": summary.blocks,
+        "arcs": { "programmed": summary.arcs[0], "written": summary.arcs[1] },
+        "take_ups": summary.take_ups, "uncorrected": summary.uncorrected,
+        "largest_correction_um": summary.largest * 1e3,
+        "remaining_um": summary.remaining * 1e3, "remaining_line": summary.remaining_line,
+    })
+}
+
+fn checked_json(checked: &Checked) -> serde_json::Value {
+    let worst = |worst: abbe_controllers::Worst| {
+        json!({ "remaining_um": worst.distance * 1e3, "line": worst.line, "line_of_program": worst.of })
+    };
+    json!({
+        "blocks": checked.blocks, "places": checked.places, "mark": checked.mark,
+        "path": worst(checked.path), "rapid": worst(checked.rapid),
+    })
+}

@@ -1,0 +1,512 @@
+//! Corrected NC programs: what an interpreter that shares no code with the corrector, and a virtual machine with errors, make of them.
+
+pub mod grammar;
+pub mod interpreter;
+
+use std::collections::BTreeMap;
+use std::path::PathBuf;
+
+use abbe_compensation::{Settings, Travel};
+use abbe_controllers::{Coordinates, Dialect, Machine as OfPrograms, Options, Summary, Tools, compensate, table};
+use abbe_core::{Result, machine_values};
+use abbe_engine::model_of;
+use serde_json::json;
+
+use crate::compensation::calibration;
+use crate::controls::law::{ByAxis, Machine, uniform};
+use crate::support::{abbe, read, registry, root, temporary, write};
+use interpreter::{Block, Control, tips};
+
+const TOLERANCE: f64 = 1e-3;
+
+/// A machine with another tool.
+fn with_tool(machine: &Machine, length: Option<f64>) -> Machine {
+    let mut calibration = machine.calibration.clone();
+    if let Some(length) = length {
+        calibration.model.settings["tool_length_mm"] = json!(length);
+    }
+    let model = model_of(&calibration, &registry()).expect("a model");
+    let values = machine_values(model.as_ref(), &calibration);
+    Machine { calibration, model, values }
+}
+
+/// The corrected text of a program; `sign` turns the errors that are corrected.
+pub fn corrected(machine: &Machine, text: &str, options: &Options, sign: f64) -> Result<(String, Summary)> {
+    let build = |length: Option<f64>| {
+        let own = with_tool(machine, length);
+        let values = own.values.iter().map(|value| value * sign).collect();
+        let length = own.calibration.model.settings["tool_length_mm"].as_f64().expect("a length");
+        OfPrograms::new(own.model.clone(), values, Settings { travel: Travel::Allow, ..Settings::default() }, length, None)
+    };
+    let mut out = Vec::new();
+    let summary = compensate(&mut text.as_bytes(), &mut out, &build, options)?;
+    Ok((String::from_utf8(out).expect("text"), summary))
+}
+
+/// The path of the programmed tip, with the directions from which the axes come.
+struct Goal {
+    tips: Vec<[f64; 3]>,
+    /// Of the step that ends at each of them.
+    directions: Vec<ByAxis>,
+    length: Vec<f64>,
+}
+
+fn turned(directions: &mut ByAxis, from: &ByAxis, to: &ByAxis) {
+    for (axis, at) in to {
+        if (at - from[axis]).abs() > 1e-9 {
+            directions.insert(axis.clone(), (at - from[axis]).signum());
+        }
+    }
+}
+
+fn distance(one: [f64; 3], other: [f64; 3]) -> f64 {
+    (0..3).map(|axis| (one[axis] - other[axis]).powi(2)).sum::<f64>().sqrt()
+}
+
+fn from_segment(point: [f64; 3], from: [f64; 3], to: [f64; 3]) -> f64 {
+    let along = [0, 1, 2].map(|axis| to[axis] - from[axis]);
+    let length: f64 = along.iter().map(|part| part * part).sum();
+    let by: f64 = (0..3).map(|axis| along[axis] * (point[axis] - from[axis])).sum();
+    let part = if length > 0.0 { (by / length).clamp(0.0, 1.0) } else { 0.0 };
+    distance(point, [0, 1, 2].map(|axis| from[axis] + part * along[axis]))
+}
+
+/// Runs of blocks in feed between rapid moves.
+fn runs(blocks: &[Block]) -> Vec<(Vec<&Block>, Option<&Block>)> {
+    let mut found = vec![(Vec::new(), None)];
+    for block in blocks {
+        let last = found.last_mut().expect("one");
+        if block.is_rapid {
+            last.1 = Some(block);
+            found.push((Vec::new(), None));
+        } else {
+            last.0.push(block);
+        }
+    }
+    found
+}
+
+/// A block that only takes up a reversal: its ends count, because its middle is nowhere in the program.
+fn is_small(block: &Block) -> bool {
+    let (from, to) = (&block.path[0], &block.path[block.path.len() - 1]);
+    block.path.len() <= 3 && from.iter().all(|(axis, at)| (to[axis] - at).abs() < 0.08)
+}
+
+/// How far ahead, mm, of the last match the path is searched.
+const AHEAD: f64 = 1.5;
+
+/// The largest distance of the tip of the machine with errors from the programmed path, mm; rapid moves by their ends.
+pub fn worst(machine: &Machine, programmed: &[Block], corrected: &[Block]) -> f64 {
+    let (programmed, corrected) = (runs(programmed), runs(corrected));
+    assert_eq!(programmed.len(), corrected.len(), "rapid moves");
+    let mut directions = ByAxis::new();
+    let mut found: f64 = 0.0;
+    for (own, other) in programmed.iter().zip(&corrected) {
+        let goal = goal(machine, &own.0, &mut directions);
+        found = found.max(along(machine, &goal, &other.0));
+        let (Some(rapid), Some(done)) = (own.1, other.1) else { continue };
+        for step in rapid.path.windows(2) {
+            turned(&mut directions, &step[0], &step[1]);
+        }
+        let nominal = tips(machine, &[(rapid.path[rapid.path.len() - 1].clone(), ByAxis::new())], false)[0];
+        let actual = tips(machine, &[(done.path[done.path.len() - 1].clone(), directions.clone())], true)[0];
+        found = found.max(distance(nominal, actual));
+    }
+    found
+}
+
+fn goal(machine: &Machine, blocks: &[&Block], directions: &mut ByAxis) -> Goal {
+    let (mut points, mut all) = (Vec::new(), Vec::new());
+    for block in blocks {
+        for (index, at) in block.path.iter().enumerate() {
+            if index > 0 {
+                turned(directions, &block.path[index - 1], at);
+            }
+            if index > 0 || points.is_empty() {
+                points.push((at.clone(), ByAxis::new()));
+                all.push(directions.clone());
+            }
+        }
+    }
+    let tips = tips(machine, &points, false);
+    let mut length = vec![0.0; tips.len()];
+    for index in 1..tips.len() {
+        length[index] = length[index - 1] + distance(tips[index], tips[index - 1]);
+    }
+    Goal { tips, directions: all, length }
+}
+
+fn along(machine: &Machine, goal: &Goal, blocks: &[&Block]) -> f64 {
+    let (mut at, mut found) = (1, 0_f64);
+    for block in blocks {
+        let first = if is_small(block) { block.path.len() - 1 } else { 0 };
+        for position in &block.path[first..] {
+            let mut best = (f64::INFINITY, at);
+            let mut known: BTreeMap<String, [f64; 3]> = BTreeMap::new();
+            for next in at..goal.tips.len() {
+                if goal.length[next - 1] - goal.length[at] > AHEAD && next > at + 4 {
+                    break;
+                }
+                let key = format!("{:?}", goal.directions[next]);
+                let actual = *known.entry(key).or_insert_with(|| {
+                    tips(machine, &[(position.clone(), goal.directions[next].clone())], true)[0]
+                });
+                let off = from_segment(actual, goal.tips[next - 1], goal.tips[next]);
+                if off < best.0 {
+                    best = (off, next);
+                }
+                if off <= TOLERANCE {
+                    break;
+                }
+            }
+            if best.0.is_finite() {
+                found = found.max(best.0);
+                at = best.1;
+            }
+        }
+    }
+    if let (Some(last), Some(block)) = (goal.tips.last(), blocks.last()) {
+        let end = (block.path[block.path.len() - 1].clone(), goal.directions[goal.directions.len() - 1].clone());
+        found = found.max(distance(tips(machine, &[end], true)[0], *last));
+    }
+    found
+}
+
+fn options(dialect: Dialect) -> Options {
+    let mut options = Options::new(dialect);
+    let offset: Coordinates = [12.5, -3.25, 40.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0];
+    options.offsets.insert(0, offset);
+    options.tools.only = Some(95.5);
+    options.start = [Some(0.0); 9];
+    options.calibration = "0123456789abcdef".to_owned();
+    options
+}
+
+fn moved(machine: &Machine, text: &str) -> Vec<Block> {
+    let mut control = Control::new(machine);
+    control.length = 95.5;
+    let offset = [("X", 12.5), ("Y", -3.25), ("Z", 40.0)].map(|(axis, at)| (axis.to_owned(), at));
+    control.offsets.insert("G54".to_owned(), offset.into());
+    control.run(text)
+}
+
+/// The rotary axes of a public machine.
+fn rotary(name: &str) -> &'static [&'static str] {
+    match name {
+        "table-table" => &["A", "C"],
+        "head-table" => &["B", "C"],
+        _ => &[],
+    }
+}
+
+/// The law: on the machine with errors the corrected program makes the path that the original makes on the machine without.
+fn law(name: &str, dialect: Dialect, tip: bool, seed: u64) {
+    let machine = with_tool(&Machine::random(name, seed), Some(95.5));
+    let wanted = grammar::Wanted { dialect, rotary: rotary(name), tip, blocks: 25 };
+    let text = grammar::program(wanted, seed);
+    let options = options(dialect);
+    let (done, summary) =
+        corrected(&machine, &text, &options, 1.0).unwrap_or_else(|error| panic!("{name} {dialect:?} {seed}: {error}\n{text}"));
+    let programmed = moved(&machine, &text);
+    let off = worst(&machine, &programmed, &moved(&machine, &done));
+    assert!(off <= TOLERANCE + 2e-5, "{name} {dialect:?} {seed}: {} µm\n{text}\n{done}", off * 1e3);
+    assert!(summary.remaining <= TOLERANCE);
+    let before = worst(&machine, &programmed, &programmed);
+    assert!(before > 5e-3, "{name} {dialect:?} {seed}: {before}");
+    let (wrong, _) = corrected(&machine, &text, &options, -1.0).expect("a program");
+    let wrong = worst(&machine, &programmed, &moved(&machine, &wrong));
+    assert!(wrong > 1.5 * before, "{name} {dialect:?} {seed}: {wrong} of {before}");
+    // What is no motion stays: every comment is there once.
+    assert_eq!(text.matches("as G1 X99 was").count(), done.matches("as G1 X99 was").count());
+}
+
+/// First seed and number of seeds: `ABBE_SEEDS="100 5000"` for more.
+fn seeds(usual: u64) -> std::ops::Range<u64> {
+    let asked = std::env::var("ABBE_SEEDS").unwrap_or_default();
+    let mut numbers = asked.split_whitespace().filter_map(|number| number.parse::<u64>().ok());
+    let (count, first) = (numbers.next().unwrap_or(usual), numbers.next().unwrap_or(1));
+    first..first + count
+}
+
+#[test]
+fn three_axes_make_the_programmed_path() {
+    for seed in seeds(3) {
+        for dialect in [Dialect::Linuxcnc, Dialect::Iso, Dialect::Fanuc, Dialect::Siemens, Dialect::Grbl] {
+            law("three-axis", dialect, false, seed);
+        }
+    }
+}
+
+#[test]
+fn five_axes_make_the_programmed_path() {
+    for seed in seeds(2) {
+        for name in ["table-table", "head-table"] {
+            law(name, Dialect::Linuxcnc, false, seed);
+            law(name, Dialect::Fanuc, false, seed);
+        }
+    }
+}
+
+#[test]
+fn programmed_tips_make_the_programmed_path() {
+    for seed in seeds(2) {
+        for name in ["table-table", "head-table"] {
+            law(name, Dialect::Fanuc, true, seed);
+            law(name, Dialect::Siemens, true, seed);
+        }
+    }
+}
+
+#[test]
+fn no_errors_leave_every_byte() {
+    let machine = Machine::public("three-axis");
+    for dialect in [Dialect::Linuxcnc, Dialect::Fanuc, Dialect::Siemens, Dialect::Grbl] {
+        let wanted = grammar::Wanted { dialect, rotary: &[], tip: false, blocks: 60 };
+        let text = grammar::program(wanted, 7).replace('\n', "\r\n");
+        let (done, _) = corrected(&machine, &text, &options(dialect), 0.0).expect("a program");
+        assert_eq!(done, text);
+    }
+}
+
+/// Remainders of rounding are carried: 2,000 relative moves end where they should.
+#[test]
+fn remainders_do_not_add_up() {
+    let machine = with_tool(&Machine::public("three-axis"), Some(95.5));
+    let text = format!("G21 G90 G54\nG0 X0 Y0 Z10\nG91\nG1 F100\n{}", "X0.0371 Y-0.0113\n".repeat(2000));
+    let mut options = options(Dialect::Linuxcnc);
+    (options.decimals, options.tolerance) = (3, 2e-3);
+    let (done, _) = corrected(&machine, &text, &options, 1.0).expect("a program");
+    let last = |text: &str| moved(&machine, text).pop().expect("a block").path.pop().expect("a position");
+    let nominal = tips(&machine, &[(last(&text), ByAxis::new())], false)[0];
+    let directions = ByAxis::from([("X".to_owned(), 1.0), ("Y".to_owned(), -1.0), ("Z".to_owned(), 1.0)]);
+    let actual = tips(&machine, &[(last(&done), directions)], true)[0];
+    assert!(distance(nominal, actual) < 0.9e-3, "{}", distance(nominal, actual));
+}
+
+/// The time of a block under G93 is that of its pieces.
+#[test]
+fn inverse_time_stays() {
+    let machine = with_tool(&Machine::public("table-table"), Some(95.5));
+    let text = "G21 G90 G54\nG0 X-60 Y-60 Z10 A0 C0\nG93 G1 X60 Y60 A20 C80 F2.5\nX-60 A-20 F4\n";
+    let (done, summary) = corrected(&machine, text, &options(Dialect::Linuxcnc), 1.0).expect("a program");
+    assert!(summary.blocks > 6, "{done}");
+    let minutes = |text: &str| moved(&machine, text).iter().filter_map(|block| Some(1.0 / block.inverse_feed?)).sum::<f64>();
+    assert!((minutes(&done) / minutes(text) - 1.0).abs() < 1e-3, "{} {}\n{done}", minutes(&done), minutes(text));
+}
+
+fn public(name: &str) -> String {
+    read(&root().join("tests/programs/public").join(name))
+}
+
+fn refused(machine: &Machine, text: &str, options: &Options, line: usize, says: &str) {
+    match corrected(machine, text, options, 1.0) {
+        Ok((done, _)) => panic!("line {line} is not refused:\n{done}"),
+        Err(error) => {
+            let place = error.place.clone().unwrap_or_else(|| panic!("no place: {error}"));
+            assert_eq!(place.line, Some(line), "{error}");
+            assert!(error.to_string().contains(says), "{error}");
+            assert!(place.column.is_some() && error.help.is_some(), "{error}");
+        }
+    }
+}
+
+/// The line `keep` of a program, without the other lines of a list.
+fn alone(text: &str, keep: usize, others: &[usize]) -> String {
+    let lines = text.lines().enumerate();
+    lines.map(|(index, line)| if others.contains(&(index + 1)) && index + 1 != keep { "\n".to_owned() } else { format!("{line}\n") }).collect()
+}
+
+/// The public programs, line by line.
+#[test]
+fn public_programs_are_handled_or_refused() {
+    let mill = Machine::public("three-axis");
+    let table = Machine::public("table-table");
+    let head = Machine::public("head-table");
+
+    let mut linuxcnc = Options::new(Dialect::Linuxcnc);
+    let arcs = public("linuxcnc-arcs.ngc");
+    let ends = [(5, [40.0, 0.0, -2.0]), (6, [60.0, 20.0, -2.0]), (7, [80.0, 40.0, -2.0]), (8, [100.0, 60.0, -2.0]), (10, [100.0, 80.0, -4.0]), (11, [60.0, 80.0, -4.0]), (12, [60.0, 60.0, -4.0]), (13, [50.0, 50.0, -4.0]), (14, [0.0, 0.0, -4.0]), (15, [0.0, 0.0, 25.0])];
+    let programmed = Control::new(&mill).run(&arcs);
+    for (line, end) in ends {
+        let block = programmed.iter().find(|block| block.line == line).expect("a block");
+        let at = &block.path[block.path.len() - 1];
+        assert!(["X", "Y", "Z"].iter().zip(end).all(|(axis, end)| (at[*axis] - end).abs() < 1e-9), "line {line}: {at:?}");
+    }
+    let (done, summary) = corrected(&mill, &arcs, &linuxcnc, 1.0).expect("it is handled");
+    let off = worst(&mill, &programmed, &Control::new(&mill).run(&done));
+    assert!(off <= TOLERANCE, "{off}");
+    assert!(summary.arcs[0] == 6 && summary.arcs[1] >= 6, "{summary:?}");
+
+    refused(&table, &public("linuxcnc-5axis-g93.ngc"), &linuxcnc, 4, "length of the tool 4");
+    linuxcnc.tools = Tools::read("T4 P4 Z87.5\n", &PathBuf::from("tool.tbl")).expect("a table");
+    let text = public("linuxcnc-5axis-g93.ngc");
+    let (done, _) = corrected(&table, &text, &linuxcnc, 1.0).expect("it is handled");
+    let of_tool = with_tool(&table, Some(87.5));
+    let control = || {
+        let mut control = Control::new(&of_tool);
+        control.tools.insert(4, 87.5);
+        control
+    };
+    let (programmed, found) = (control().run(&text), control().run(&done));
+    let off = worst(&of_tool, &programmed[..programmed.len() - 1], &found[..found.len() - 1]);
+    assert!(off <= TOLERANCE, "{off}\n{done}");
+    assert!(done.contains("\nG53 G0 Z0\n"), "{done}");
+
+    refused(&mill, &public("linuxcnc-o-word.ngc"), &linuxcnc, 2, "`#");
+    refused(&mill, &alone(&public("linuxcnc-o-word.ngc"), 4, &[2, 3]), &linuxcnc, 4, "O-word");
+
+    let text = public("linuxcnc-refuse.ngc");
+    let lines = [3, 7, 8, 9, 10];
+    for (line, says) in [(3, "`G41`"), (7, "`G81`"), (8, "`G38.2`"), (9, "`G33`"), (10, "`G5`")] {
+        refused(&mill, &alone(&text, line, &lines), &linuxcnc, line, says);
+    }
+    let (done, _) = corrected(&mill, &alone(&text, 0, &lines), &linuxcnc, 1.0).expect("inches are handled");
+    let off = worst(&mill, &Control::new(&mill).run(&alone(&text, 0, &lines)), &Control::new(&mill).run(&done));
+    assert!(off <= TOLERANCE, "{off}\n{done}");
+
+    let mut fanuc = Options::new(Dialect::Fanuc);
+    refused(&head, &public("fanuc-tcp.nc"), &fanuc, 5, "length of the tool 2");
+    fanuc.tools.only = Some(110.0);
+    let text = public("fanuc-tcp.nc");
+    let (done, _) = corrected(&head, &text, &fanuc, 1.0).expect("it is handled");
+    assert!(done.contains("\nN120 G28 G91 Z0.\n"), "{done}");
+    let of_tool = with_tool(&head, Some(110.0));
+    let until = |text: &str| {
+        let mut control = Control::new(&of_tool);
+        control.length = 110.0;
+        control.run(text.split("N110 G49").next().expect("text"))
+    };
+    // The first rapid move is not corrected: Z is not known yet.
+    let off = worst(&of_tool, &until(&text)[1..], &until(&done)[1..]);
+    assert!(off <= TOLERANCE, "{off}\n{done}");
+
+    let text = public("fanuc-macro.nc");
+    refused(&mill, &text, &fanuc, 4, "`#");
+    let others: Vec<usize> = (4..=15).collect();
+    for (line, says) in [(5, "WHILE"), (6, "X["), (9, "`M98`"), (10, "`G65`"), (11, "`/`"), (12, "`G68`")] {
+        refused(&mill, &alone(&text, line, &others), &fanuc, line, says);
+    }
+
+    let mut siemens = Options::new(Dialect::Siemens);
+    refused(&table, &public("siemens-traori.mpf"), &siemens, 3, "length of the tool");
+    siemens.tools.only = Some(105.0);
+    let text = public("siemens-traori.mpf");
+    let others: Vec<usize> = (10..=14).collect();
+    for (line, says) in [(10, "`CIP`"), (11, "`A3`"), (12, "`TRANS`"), (13, "`R1`"), (14, "expected")] {
+        refused(&table, &alone(&text, line, &others), &siemens, line, says);
+    }
+    let text = alone(&text, 0, &others);
+    let (done, _) = corrected(&table, &text, &siemens, 1.0).expect("it is handled");
+    let of_tool = with_tool(&table, Some(105.0));
+    let until = |text: &str| {
+        let mut control = Control::new(&of_tool);
+        control.length = 105.0;
+        control.run(text.split("N150 SUPA").next().expect("text"))
+    };
+    let off = worst(&of_tool, &until(&text), &until(&done));
+    assert!(off <= TOLERANCE, "{off}\n{done}");
+    assert!(done.contains("\nN150 SUPA G0 Z0 D0\n"), "{done}");
+
+    let text = public("edge-cases.ngc");
+    let lines = [4, 5, 6, 7, 8, 9, 13, 14];
+    let mut edge = Options::new(Dialect::Linuxcnc);
+    (edge.block_delete, edge.start) = (Some(false), [Some(0.0); 9]);
+    for (line, says) in [(4, "exponent"), (5, "twice"), (6, "modal group"), (7, "off its circle by 1."), (8, "radius"), (9, "number"), (13, "`G92`"), (14, "`A370`")] {
+        refused(&table, &alone(&text, line, &lines), &edge, line, says);
+    }
+    let text = alone(&text, 0, &lines);
+    let (done, _) = corrected(&mill, &text, &edge, 1.0).expect("it is handled");
+    let off = worst(&mill, &Control::new(&mill).run(&text), &Control::new(&mill).run(&done));
+    assert!(off <= TOLERANCE, "{off}\n{done}");
+    assert!(done.contains("( a comment with G1 X99 in it )") && done.contains("; and X77 here") && done.contains("\nG4 P0.5\n"));
+    edge.block_delete = None;
+    refused(&mill, &text, &edge, 11, "--block-delete");
+}
+
+/// A program as users correct it: written, refused a second time, checked; a wrong number in it is found.
+#[test]
+fn users_correct_programs() {
+    let folder = temporary();
+    let at = folder.path();
+    write(&at.join("fit.calibration.json"), &calibration("three-axis").to_string());
+    write(&at.join("part.ngc"), &public("linuxcnc-arcs.ngc"));
+    let run = |more: &[&str]| abbe(at, &[&["compensate", "fit.calibration.json"], more].concat());
+    let done = run(&["part.ngc", "--dialect", "linuxcnc", "--out", "new.ngc", "--check"]);
+    assert_eq!(done.status, 0, "{}{}", done.stdout, done.stderr);
+    assert!(done.stdout.contains("Remaining along feed moves: 0."), "{}", done.stdout);
+    let text = read(&at.join("new.ngc"));
+    assert!(text.contains("(abbe compensated: calibration "), "{text}");
+    let again = run(&["new.ngc", "--dialect", "linuxcnc", "--out", "newer.ngc"]);
+    assert!(again.status == 1 && again.stderr.contains("compensated already"), "{}", again.stderr);
+    assert!(!at.join("newer.ngc").exists());
+    let taken = run(&["part.ngc", "--dialect", "linuxcnc", "--out", "new.ngc"]);
+    assert!(taken.status == 1 && taken.stderr.contains("is there already"), "{}", taken.stderr);
+    assert_eq!(read(&at.join("new.ngc")), text);
+
+    // 5 µm in one number of every block in feed, one after the other.
+    let mut planted = 0;
+    for (index, line) in text.lines().enumerate().filter(|(_, line)| line.contains("Y") && !line.contains("G0") && !line.contains('(')) {
+        let place = line.find('Y').expect("it is there") + 1;
+        let end = line[place..].find(' ').map_or(line.len(), |end| place + end);
+        let number: f64 = line[place..end].parse().expect("a number");
+        let wrong = format!("{}{:.4}{}", &line[..place], number + 0.005, &line[end..]);
+        let lines: Vec<&str> = text.lines().enumerate().map(|(other, line)| if other == index { wrong.as_str() } else { line }).collect();
+        let file = format!("wrong-{index}.ngc");
+        write(&at.join(&file), &(lines.join("\n") + "\n"));
+        let found = run(&["part.ngc", "--dialect", "linuxcnc", "--out", &file, "--check", "--json"]);
+        let is_found = found.status == 3 || found.stdout.contains("off its circle");
+        assert!(is_found, "{wrong}: {}{}", found.stdout, found.stderr);
+        if found.status == 3 {
+            let json: serde_json::Value = serde_json::from_str(&found.stdout).expect("JSON");
+            let line = json["check"]["path"]["line"].as_u64().expect("a line") as usize;
+            assert!(line == index + 1 || line == index + 2, "line {line} for {}: {}", index + 1, found.stdout);
+            planted += 1;
+        }
+        if planted > 5 {
+            break;
+        }
+    }
+    assert!(planted > 2, "{planted}");
+
+    // Another calibration, that of the errors with the other sign.
+    let mut other = calibration("three-axis");
+    for parameter in other["parameters"].as_array_mut().expect("parameters") {
+        parameter["value"] = json!(-parameter["value"].as_f64().expect("a number"));
+    }
+    write(&at.join("other.calibration.json"), &other.to_string());
+    let wrong = ["compensate", "other.calibration.json", "part.ngc", "--dialect", "linuxcnc", "--out", "other.ngc"];
+    assert_eq!(abbe(at, &wrong).status, 0);
+    let found = run(&["part.ngc", "--dialect", "linuxcnc", "--out", "other.ngc", "--check"]);
+    assert!(found.status != 0, "{}{}", found.stdout, found.stderr);
+
+    // A refusal writes nothing.
+    write(&at.join("bad.ngc"), &public("linuxcnc-refuse.ngc"));
+    let bad = run(&["bad.ngc", "--dialect", "linuxcnc", "--out", "bad-new.ngc"]);
+    assert!(bad.status == 1 && bad.stderr.contains("bad.ngc:3:1") && !at.join("bad-new.ngc").exists(), "{}", bad.stderr);
+    let left: Vec<_> = std::fs::read_dir(at).expect("a folder").filter_map(|entry| entry.ok()?.file_name().into_string().ok()).collect();
+    assert!(left.iter().all(|name| name.ends_with(".ngc") || name.ends_with(".json")), "{left:?}");
+}
+
+/// The table of the page is that of the code.
+#[test]
+fn the_page_has_the_table_of_the_code() {
+    let page = read(&root().join("docs/programs.md"));
+    assert!(page.contains(&table()), "docs/programs.md lacks the table:\n{}", table());
+}
+
+/// Nothing that bytes can be makes it panic.
+#[test]
+fn nonsense_is_refused_or_copied() {
+    let machine = Machine::public("three-axis");
+    let mut random = uniform(3);
+    let pieces = ["G1", "X", "Y1.", "-", "G2", "R5", "(", ")", ";", "#1", "[", "G91", "F1", "\r", " ", "G43H1", "é", "%", "/", "I1", "K", "N", "=", "IC(", "\"", "G53", "1e5", "."];
+    for _ in 0..400 {
+        let text: String = (0..40).map(|index| {
+            let piece = pieces[(random() * pieces.len() as f64) as usize % pieces.len()];
+            if index % 7 == 6 { format!("{piece}\n") } else { piece.to_owned() }
+        }).collect();
+        for dialect in Dialect::ALL {
+            let _ = corrected(&machine, &format!("G0X0Y0Z0\n{text}"), &Options::new(dialect), 1.0);
+        }
+    }
+}
