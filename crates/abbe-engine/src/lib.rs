@@ -8,6 +8,7 @@
 mod described;
 mod evidence;
 mod folder;
+mod groups;
 mod laws;
 mod outcome;
 mod places;
@@ -35,6 +36,7 @@ pub use abbe_estimation::{LocationError, LocationErrors, Standing};
 pub use abbe_measuring::Control;
 pub use abbe_planning::{Order, Plan, PlanFigures, Reached, Revisit};
 pub use described::{Described, prepare_text};
+pub use groups::day_of;
 pub use folder::{can_write_folder, write_folder};
 pub use laws::Laws;
 pub use outcome::{CALIBRATION, Failure, Outcome, REPORT, VERDICTS, residuals_file};
