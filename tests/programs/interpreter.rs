@@ -189,14 +189,21 @@ impl<'a> Control<'a> {
                 ("TRAFOOF", _) => self.end_tip(),
                 ("D", code) => self.offset = if code == 0 { 0.0 } else { self.length },
                 ("G", 400 | 800 | 640 | 980 | 990 | 970) => {}
-                ("N" | "F" | "S" | "T" | "M" | "H" | "X" | "Y" | "Z" | "A" | "B" | "C" | "I" | "J" | "K" | "R" | "CR" | "L" | "P" | "", _) => {}
+                (
+                    "N" | "F" | "S" | "T" | "M" | "H" | "X" | "Y" | "Z" | "A" | "B" | "C" | "I" | "J" | "K" | "R"
+                    | "CR" | "L" | "P" | "",
+                    _,
+                ) => {}
                 (name, _) => panic!("line {line}: {name} {number}"),
             }
         }
         let unit = |axis: &str| if self.inches && !"ABC".contains(axis) { 25.4 } else { 1.0 };
         if sets_offset {
             let system = format!("G{}", 53 + value("P").expect("P") as u32);
-            let own: Vec<(String, f64)> = ["X", "Y", "Z", "A", "B", "C"].iter().filter_map(|axis| Some(((*axis).to_owned(), value(axis)? * unit(axis)))).collect();
+            let own: Vec<(String, f64)> = ["X", "Y", "Z", "A", "B", "C"]
+                .iter()
+                .filter_map(|axis| Some(((*axis).to_owned(), value(axis)? * unit(axis))))
+                .collect();
             self.offsets.entry(system).or_default().extend(own);
             return None;
         }
@@ -259,7 +266,9 @@ impl<'a> Control<'a> {
                 let height = (radius * radius - chord.norm_squared() / 4.0).max(0.0).sqrt();
                 let across = nalgebra::Vector2::new(-chord.y, chord.x).normalize() * height;
                 let both = [start + chord / 2.0 + across, start + chord / 2.0 - across];
-                let is_short = |centre: &nalgebra::Vector2<f64>| turn(start - centre, end - centre, against).abs() < std::f64::consts::PI;
+                let is_short = |centre: &nalgebra::Vector2<f64>| {
+                    turn(start - centre, end - centre, against).abs() < std::f64::consts::PI
+                };
                 if is_short(&both[0]) == (radius > 0.0) { both[0] } else { both[1] }
             }
             None if self.absolute_centres => {
@@ -308,7 +317,8 @@ fn between(from: &ByAxis, to: &ByAxis, part: f64) -> ByAxis {
 }
 
 fn straight(from: &ByAxis, to: &ByAxis) -> Vec<ByAxis> {
-    let steps = from.iter().map(|(axis, at)| (to[axis] - at).abs() / if "ABC".contains(axis.as_str()) { TURN } else { STEP });
+    let steps =
+        from.iter().map(|(axis, at)| (to[axis] - at).abs() / if "ABC".contains(axis.as_str()) { TURN } else { STEP });
     let count = steps.fold(1.0, f64::max).ceil() as usize;
     (0..=count).map(|step| between(from, to, step as f64 / count as f64)).collect()
 }

@@ -18,7 +18,7 @@ const fn border(name: &'static str, uses: &'static [&'static str]) -> Border {
 }
 
 /// The folder `crates`: arrows point one way, see docs/architecture.md.
-const CRATES: [Border; 26] = [
+const CRATES: [Border; 28] = [
     border("abbe-settings", &[]),
     border("abbe-files", &[]),
     border("abbe-results", &["abbe-settings"]),
@@ -53,6 +53,8 @@ const CRATES: [Border; 26] = [
         tested_with: &["abbe-serial-chain"],
     },
     border("abbe-controllers", &["abbe-compensation", "abbe-core"]),
+    border("abbe-trend", &["abbe-core", "abbe-numerics"]),
+    border("abbe-history", &["abbe-core", "abbe-files", "abbe-trend"]),
     border("abbe-plugin", &["abbe-core", "abbe-estimation", "abbe-files"]),
     border("abbe-recipe", &["abbe-core", "abbe-estimation", "abbe-files", "abbe-planning"]),
     border(
@@ -78,11 +80,13 @@ const CRATES: [Border; 26] = [
             "abbe-core",
             "abbe-engine",
             "abbe-files",
+            "abbe-history",
             "abbe-kinematics",
             "abbe-plugin",
             "abbe-recipe",
             "abbe-report",
             "abbe-table",
+            "abbe-trend",
         ],
     ),
     // Outside `crates`: nothing depends on them.
@@ -94,7 +98,7 @@ const CRATES: [Border; 26] = [
 const ABOVE_ALL: [&str; 4] = ["abbe-benches", "abbe-campaigns", "abbe-examples", "abbe-tests"];
 
 /// The crates that plugins may use.
-const FOR_PLUGINS: [&str; 15] = [
+const FOR_PLUGINS: [&str; 16] = [
     "abbe-compensation",
     "abbe-core",
     "abbe-errors",
@@ -109,6 +113,7 @@ const FOR_PLUGINS: [&str; 15] = [
     "abbe-standards",
     "abbe-table",
     "abbe-thermal",
+    "abbe-trend",
     "abbe-volumetric",
 ];
 

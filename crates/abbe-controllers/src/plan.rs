@@ -139,12 +139,14 @@ impl<'a> Planner<'a> {
                     return Err(Error::data(message).help(help).at_pose(index));
                 }
                 let at = |error: Error| error.at_pose(index);
-                let mut again = Self { written: start.0, last: start.1, options: self.options, directions: self.directions };
+                let mut again =
+                    Self { written: start.0, last: start.1, options: self.options, directions: self.directions };
                 let segments = finer(&own.pieces, own, attempt);
                 let (points, _) = points_of(std::slice::from_ref(&own.of), std::slice::from_ref(&segments));
                 let corrected = own.of.machine.corrected(own.of.space, &points).map_err(at)?;
                 own.pieces = again.pieces(&own.of, &segments, &corrected, attempt);
-                own.remaining = remaining(std::slice::from_ref(own)).map_err(at)?.iter().map(|found| found.1).fold(0.0, f64::max);
+                own.remaining =
+                    remaining(std::slice::from_ref(own)).map_err(at)?.iter().map(|found| found.1).fold(0.0, f64::max);
             }
         }
         Ok(())

@@ -119,6 +119,21 @@ impl Dataset {
         ))
     }
 
+    /// A data set of some of its rows.
+    pub fn of_rows(&self, rows: &[DataRow]) -> Self {
+        let values = |values: &Values| match values {
+            Values::Numbers(numbers) => Values::Numbers(rows.iter().map(|row| numbers[*row]).collect()),
+            Values::Labels(labels) => Values::Labels(rows.iter().map(|row| labels[*row].clone()).collect()),
+        };
+        let column = |column: &Column| Column { header: column.header.clone(), values: values(&column.values) };
+        Self {
+            columns: self.columns.iter().map(column).collect(),
+            origins: rows.iter().map(|row| self.origins[*row]).collect(),
+            files: self.files.clone(),
+            ..*self
+        }
+    }
+
     /// The headers of all columns.
     pub fn headers(&self) -> Vec<ColumnHeader> {
         self.columns.iter().map(|column| column.header.clone()).collect()

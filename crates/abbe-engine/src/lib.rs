@@ -8,6 +8,7 @@
 mod described;
 mod evidence;
 mod folder;
+mod groups;
 mod laws;
 mod outcome;
 mod places;
@@ -36,6 +37,7 @@ pub use abbe_measuring::Control;
 pub use abbe_planning::{LargestOfInput, Order, Plan, PlanFigures, Reached, Revisit};
 pub use described::{Described, prepare_text};
 pub use folder::{can_write_folder, write_folder};
+pub use groups::day_of;
 pub use laws::Laws;
 pub use outcome::{CALIBRATION, Failure, Outcome, REPORT, VERDICTS, residuals_file};
 pub use plan::Measurements;

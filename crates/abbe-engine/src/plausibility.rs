@@ -12,6 +12,7 @@ use abbe_core::{
 use abbe_estimation::{LargeError, absurd_error, implausible_errors, large_errors, likely_causes, likely_mistakes};
 use abbe_recipe::Stage;
 
+use crate::groups::stage_name;
 use crate::outcome::Failure;
 use crate::prepare::Prepared;
 use crate::run::has_rows;
@@ -25,7 +26,7 @@ impl Prepared {
     pub(crate) fn implausible(&self, fits: &mut [Fit]) -> Result<Vec<Failure>> {
         let mut failures = Vec::new();
         for fit in fits {
-            let stage = self.recipe_stage(&fit.name)?;
+            let stage = self.recipe_stage(stage_name(&fit.name))?;
             if !has_rows(&stage) {
                 if let Some(absurd) = absurd_error(&fit.problem) {
                     let error = Error::data(format!("no machine has such errors: {absurd}"))

@@ -201,6 +201,7 @@ impl Prepared {
 
     /// Checks stages against each other: columns against the machine, observations that a validator names.
     fn check_stage(&self, stage: &Stage) -> Result<()> {
+        self.check_groups(stage)?;
         match stage.kind {
             Kind::Ingest if self.is_planned(&stage.name) => Ok(()),
             Kind::Ingest => self.headers(&stage.name).map(drop),
@@ -247,6 +248,28 @@ impl Prepared {
             }
             Kind::Export => self.check_machines(stage, self.exporters[&stage.name].accepts_readings()),
             Kind::Artefact | Kind::Model => Ok(()),
+        }
+    }
+
+    /// Fails where one estimate is needed and there is one for every group of rows.
+    fn check_groups(&self, stage: &Stage) -> Result<()> {
+        let is_divided = |name: &String| self.recipe_stage(name).is_ok_and(|named| named.per.is_some());
+        let keys: &[&str] = match stage.kind {
+            Kind::Validate if stage.reference("observations").is_empty() => &[],
+            Kind::Ingest | Kind::Artefact => &[],
+            _ => &["of", "known", "start", "machine"],
+        };
+        let wrong = |key: &&str| stage.reference(key).iter().any(is_divided);
+        if let Some(key) = keys.iter().copied().find(wrong) {
+            let message = format!("`{key}` names an estimate that is one for every group (`per`); one was expected");
+            return Err(Error::usage(message).help("estimate it once more, without `per`").setting(key));
+        }
+        let known = ["known", "start"].into_iter().find(|key| !stage.reference(key).is_empty());
+        match known.filter(|_| stage.per.is_some()) {
+            Some(key) => Err(Error::usage(format!("`{key}` beside `per`: groups know nothing of other estimates"))
+                .help("estimate without one of the two")
+                .setting(key)),
+            None => Ok(()),
         }
     }
 

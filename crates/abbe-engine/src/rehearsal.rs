@@ -14,6 +14,7 @@ use abbe_core::{
 use abbe_estimation::calibration;
 use abbe_recipe::Stage;
 
+use crate::groups::{GroupProblem, is_of};
 use crate::prediction::{Predicted, prediction_fit};
 use crate::prepare::Prepared;
 use crate::run::{Datasets, has_rows, named};
@@ -72,21 +73,24 @@ impl Prepared {
     pub(crate) fn rehearse(
         &self,
         libraries: bool,
-        problems: &BTreeMap<String, Problem>,
+        (problems, groups): (&BTreeMap<String, Problem>, &BTreeMap<String, Vec<GroupProblem>>),
         found: &BTreeMap<String, Identifiability>,
         unseen: &Predicted,
         data: &Datasets,
     ) -> Result<()> {
         let mut fits: Vec<Fit> = Vec::new();
         for stage in self.stages(Kind::Estimate) {
-            fits.extend(self.expected(stage, problems, found, &fits)?);
+            match groups.get(&stage.name) {
+                Some(groups) => fits.extend(groups.iter().map(expected_of_group)),
+                None => fits.extend(self.expected(stage, problems, found, &fits)?),
+            }
         }
         let is_asked = |stage: &Stage| {
             let mut plugins = self.plugins.iter();
             let plugin = plugins.find(|plugin| plugin.kind == stage.kind && plugin.name == stage.plugin);
             libraries || plugin.is_none_or(|plugin| plugin.sha256.is_none())
         };
-        let has_all = |stage: &Stage| stage.reference("of").iter().all(|name| fits.iter().any(|fit| fit.name == *name));
+        let has_all = |stage: &Stage| stage.reference("of").iter().all(|name| fits.iter().any(|fit| is_of(fit, name)));
         for stage in self.stages(Kind::Validate).filter(|stage| has_all(stage) && is_asked(stage)) {
             let of = named(stage.reference("of"), &fits);
             let validator = self.validators[&stage.name].as_ref();
@@ -148,6 +152,15 @@ impl Prepared {
         calibration.estimate.clone_from(&stage.name);
         Some(Fit { name: stage.name.clone(), problem, estimator, calibration })
     }
+}
+
+/// The estimate that is to be expected of a group.
+fn expected_of_group(group: &GroupProblem) -> Fit {
+    let estimator = Unsolved { budget: None };
+    let mut calibration = estimator.expected(&group.problem);
+    calibration.group = Some(group.group.clone());
+    let problem = Arc::new(group.problem.clone());
+    Fit { name: group.name.clone(), problem, estimator: Arc::new(estimator), calibration }
 }
 
 /// What is wrong with a setting stands; what is wrong with values that nobody has estimated does not, nor does what another

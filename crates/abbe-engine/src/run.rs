@@ -13,6 +13,7 @@ use abbe_estimation::remarks;
 use abbe_recipe::Stage;
 
 use crate::evidence;
+use crate::groups::{GroupProblem, is_of};
 use crate::outcome::{Failure, Outcome};
 use crate::plausibility::{check_stated, check_uncertainties};
 use crate::prediction::{Predicted, prediction_fit};
@@ -37,6 +38,15 @@ pub struct Planned {
     pub machine: Vec<String>,
 }
 
+/// What is known before the first fit.
+struct Known<'a> {
+    problems: &'a BTreeMap<String, Problem>,
+    groups: &'a BTreeMap<String, Vec<GroupProblem>>,
+    data: &'a Datasets,
+    evidence: &'a BTreeMap<String, Vec<DataRecord>>,
+    digests: &'a evidence::Digests,
+}
+
 /// Files by the stage that made them.
 type Exports = Vec<(String, Vec<ExportedFile>)>;
 pub(crate) type Datasets = BTreeMap<String, Arc<Dataset>>;
@@ -49,6 +59,7 @@ impl Prepared {
         let mut taken = Taken::default();
         let problems = self.problems(&data, &mut taken)?;
         self.evidence(&problems, &data, &digests)?;
+        let groups = self.group_problems(&data)?;
         let (mut planned, mut found) = (Vec::new(), BTreeMap::new());
         for stage in self.stages(Kind::Estimate).filter(has_rows) {
             let Some(problem) = problems.get(&stage.name) else { continue };
@@ -61,11 +72,25 @@ impl Prepared {
             let own = problem.unknowns.iter().filter(|unknown| unknown.is_of_machine());
             let machine = own.map(|unknown| unknown.name.clone()).collect();
             planned.push(Planned { estimate: stage.name.clone(), identifiability, accepted, machine });
+            for group in groups.get(&stage.name).into_iter().flatten() {
+                planned.extend(self.planned_group(stage, group)?);
+            }
         }
         let unseen = self.predicted(&problems, &data, &mut taken)?;
         self.nothing_left_over(&data, &taken)?;
-        self.rehearse(true, &problems, &found, &unseen, &data)?;
+        self.rehearse(true, (&problems, &groups), &found, &unseen, &data)?;
         Ok(planned)
+    }
+
+    /// What a group determines, if that is less than all groups together: nothing is told of the others.
+    fn planned_group(&self, stage: &Stage, group: &GroupProblem) -> Result<Option<Planned>> {
+        let estimator = &self.estimators[&stage.name];
+        let identifiability = self.located(stage, estimator.identify(&group.problem))?;
+        let accepted = self.located(stage, estimator.accepts(&identifiability))?;
+        let own = group.problem.unknowns.iter().filter(|unknown| unknown.is_of_machine());
+        let machine = own.map(|unknown| unknown.name.clone()).collect();
+        let planned = Planned { estimate: group.name.clone(), identifiability, accepted, machine };
+        Ok((!planned.accepted).then_some(planned))
     }
 
     /// Runs the recipe. `monitor` receives events and can cancel the run. Stages that do not depend on each other run at the
@@ -79,14 +104,17 @@ impl Prepared {
         let data = self.read(monitor, None)?;
         let mut taken = Taken::default();
         let problems = self.problems(&data, &mut taken)?;
-        let evidence = self.evidence(&problems, &data, &digests(&inputs))?;
+        let digests = digests(&inputs);
+        let evidence = self.evidence(&problems, &data, &digests)?;
+        let groups = self.group_problems(&data)?;
         let unseen = self.predicted(&problems, &data, &mut taken)?;
         self.repeated_evidence(&problems, &unseen, &data).iter().for_each(|sentence| tracing::warn!("{sentence}"));
         // Before the first fit, so that a feature that no artefact has is found before a long run.
         self.nothing_left_over(&data, &taken)?;
-        self.rehearse(false, &problems, &BTreeMap::new(), &unseen, &data)?;
+        self.rehearse(false, (&problems, &groups), &BTreeMap::new(), &unseen, &data)?;
         let mut failures = Vec::new();
-        let mut fits = self.estimates(&problems, &data, &evidence, monitor, &mut failures)?;
+        let known = Known { problems: &problems, groups: &groups, data: &data, evidence: &evidence, digests: &digests };
+        let mut fits = self.estimates(&known, monitor, &mut failures)?;
         let implausible = self.implausible(&mut fits)?;
         let from_rows = fits.iter().any(|fit| !fit.problem.sets.is_empty()) || self.has_readings(&fits);
         if let (false, Some(failure)) = (from_rows, failures.first()) {
@@ -121,14 +149,7 @@ impl Prepared {
     }
 
     /// All estimates, each as soon as those are there that it needs. One that fails costs those alone that need it.
-    fn estimates(
-        &self,
-        problems: &BTreeMap<String, Problem>,
-        data: &Datasets,
-        evidence: &BTreeMap<String, Vec<DataRecord>>,
-        monitor: &Monitor,
-        failures: &mut Vec<Failure>,
-    ) -> Result<Vec<Fit>> {
+    fn estimates(&self, known: &Known<'_>, monitor: &Monitor, failures: &mut Vec<Failure>) -> Result<Vec<Fit>> {
         let mut fits: Vec<Fit> = Vec::new();
         let mut waiting: Vec<&Stage> = self.stages(Kind::Estimate).collect();
         while !waiting.is_empty() {
@@ -142,22 +163,34 @@ impl Prepared {
                 }
                 None => true,
             });
-            let done = |name: &String| fits.iter().any(|fit| fit.name == *name);
+            let done = |name: &String| fits.iter().any(|fit| is_of(fit, name));
             let ready: Vec<&Stage> = waiting.iter().copied().filter(|stage| needs(stage).iter().all(done)).collect();
             waiting.retain(|stage| !ready.iter().any(|ready| ready.name == stage.name));
             let done = in_parallel(&ready, None, |stage| {
                 self.started(stage, monitor)?;
+                if let Some(groups) = known.groups.get(&stage.name) {
+                    return Ok(self.fit_groups(stage, groups, known.digests, monitor));
+                }
                 let problem =
-                    problems.get(&stage.name).map(|problem| problem.watched_by(monitor.of_stage(&stage.name)));
+                    known.problems.get(&stage.name).map(|problem| problem.watched_by(monitor.of_stage(&stage.name)));
                 let mut fit = match has_readings(stage) {
-                    true => self.of_readings(stage, data)?,
+                    true => self.of_readings(stage, known.data)?,
                     false => self.estimate(stage, problem.as_ref(), &fits, monitor)?,
                 };
-                fit.calibration.data.clone_from(&evidence[&stage.name]);
-                Ok(fit)
+                fit.calibration.data.clone_from(&known.evidence[&stage.name]);
+                Ok(vec![Ok(fit)])
             });
             for (stage, result) in ready.into_iter().zip(done) {
-                fits.extend(unless_failed(stage, result, failures)?);
+                for fit in unless_failed(stage, result, failures)?.unwrap_or_default() {
+                    match fit {
+                        Ok(fit) => fits.push(fit),
+                        Err(failure) if failure.error.class == Class::Interrupted => return Err(failure.error),
+                        Err(failure) => failures.push(failure),
+                    }
+                }
+                if !fits.iter().any(|fit| is_of(fit, &stage.name)) && known.groups.contains_key(&stage.name) {
+                    failures.push(Failure::own(stage, Error::data("no group of rows gives an estimate")));
+                }
             }
         }
         Ok(fits)
@@ -257,7 +290,7 @@ impl Prepared {
         self.located(stage, calibration.and_then(fit))
     }
 
-    fn fit(&self, stage: &Stage, problem: Problem) -> Result<Fit> {
+    pub(crate) fn fit(&self, stage: &Stage, problem: Problem) -> Result<Fit> {
         let estimator = self.estimators[&stage.name].clone();
         tracing::info!("{}: {} equations, {} unknowns", stage.name, problem.equations(), problem.unknowns.len());
         remarks(&problem).iter().for_each(|remark| tracing::warn!("{}: {remark}", stage.name));
@@ -466,7 +499,7 @@ fn start(stage: &Stage, problem: Problem, fits: &[Fit]) -> Result<Problem> {
 }
 
 pub(crate) fn named<'a>(names: &[String], fits: &'a [Fit]) -> Vec<&'a Fit> {
-    names.iter().filter_map(|name| fits.iter().find(|fit| fit.name == *name)).collect()
+    names.iter().flat_map(|name| fits.iter().filter(move |fit| is_of(fit, name))).collect()
 }
 
 /// The model of a calibration, built from its own settings alone.

@@ -75,6 +75,7 @@ pub fn calibration(
         fit,
         uncertainty: None,
         monte_carlo: None,
+        group: None,
     };
     problem.untie(&mut calibration);
     calibration.inputs = Some(considered_inputs(problem, &calibration.covariance.rows));

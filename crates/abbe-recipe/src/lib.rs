@@ -46,8 +46,14 @@ const PLAUSIBLE: &str = "plausible";
 /// The key of an estimate from measurements with parameters that are one unknown.
 const TIE: &str = "tie";
 
+/// The key of an estimate from measurements that is made for every group of rows: `week`, `day`, another column, or `file`.
+const PER: &str = "per";
+
 /// The key under which measurements are planned ([`Planning`]).
 const PLAN: &str = "plan";
+
+/// The key with the file that keeps what every run finds.
+const HISTORY: &str = "history";
 
 /// Bytes of the longest name of a stage: files are named after stages.
 const LONGEST_NAME: usize = 200;
@@ -74,6 +80,8 @@ pub struct Recipe {
     pub libraries: Vec<Library>,
     /// Which measurements are to be chosen, if any.
     pub plan: Option<Planning>,
+    /// The history to which every run adds what it finds; relative paths start at the folder of the recipe.
+    pub history: Option<PathBuf>,
     document: Document,
     origins: BTreeMap<String, Origin>,
     /// The keys of every stage that are not passed on to its plugin.
@@ -104,6 +112,8 @@ pub struct Stage {
     pub shared_rows: bool,
     /// The largest plausible errors of an estimate from measurements, an object.
     pub plausible: Value,
+    /// The column whose labels divide the rows of an estimate into groups with an estimate each, or `file`.
+    pub per: Option<String>,
     /// The names of stages under each reference key, as in the recipe.
     pub references: BTreeMap<String, Vec<String>>,
     /// The YAML files that were merged in.
@@ -164,6 +174,7 @@ impl Recipe {
         let name = root.get("name").map(|node| node.text()).transpose()?.unwrap_or(&id).to_owned();
         let libraries = libraries(&root, &base)?;
         let sets = Sets::read(&root)?;
+        let history = root.get(HISTORY).map(|node| history(&node, &base)).transpose()?;
         let heads = heads(&root, registry)?;
         let mut ready = Vec::new();
         let mut nodes = Vec::new();
@@ -185,6 +196,7 @@ impl Recipe {
             stages,
             libraries,
             plan: None,
+            history,
             document,
             origins,
             reserved_keys,
@@ -307,7 +319,17 @@ fn check_top(root: &Node<'_>) -> Result<(), Error> {
     if version.value.as_u64() != Some(VERSION) {
         return Err(version.error(At::Value, format!("{expected}, not {}", version.value)));
     }
-    root.only(&["abbe", "name", "sets", "plugins", "stages", PLAN])
+    root.only(&["abbe", "name", "sets", "plugins", "stages", PLAN, HISTORY])
+}
+
+/// The file of a history. Servers are not named in recipes, which many people read.
+fn history(node: &Node<'_>, base: &Path) -> Result<PathBuf, Error> {
+    let text = node.text()?;
+    if text.contains("://") || text.is_empty() {
+        let message = format!("`{HISTORY}` takes the name of a file");
+        return Err(node.error(At::Value, message));
+    }
+    Ok(base.join(text))
 }
 
 fn heads<'a>(root: &Node<'a>, registry: &'a Registry) -> Result<Vec<Head<'a>>, Error> {
@@ -364,7 +386,7 @@ impl<'a> Head<'a> {
             Kind::Model => &["file"],
             Kind::Artefact => &ROW_SETTINGS,
             Kind::Estimate if self.plugin.estimate_source == EstimateSource::Measurements => {
-                &[SHARED_ROWS, PLAUSIBLE, TIE]
+                &[SHARED_ROWS, PLAUSIBLE, TIE, PER]
             }
             Kind::Estimate => &[SHARED_ROWS],
             _ => &[],
@@ -391,6 +413,7 @@ impl<'a> Head<'a> {
         let (mut parameters, mut ties) = (Vec::new(), Vec::new());
         let mut shared_rows = false;
         let mut plausible = Value::Object(Map::new());
+        let mut per = None;
         let mut origin = Origin { file: None, expanded: Vec::new() };
         for (key, node) in self.node.map()? {
             if key == kind.key() || known.iter().any(|reference| reference.key == key) {
@@ -406,6 +429,8 @@ impl<'a> Head<'a> {
                 origin.expanded.push((vec![PathItem::Key(key.to_owned())], places));
             } else if self.reserved_keys().contains(&TIE) && key == TIE {
                 ties = ties::read(&node)?;
+            } else if self.reserved_keys().contains(&PER) && key == PER {
+                per = Some(node.text()?.to_owned());
             } else if kind == Kind::Estimate && key == SHARED_ROWS {
                 if node.text()? != ACCEPTED {
                     return Err(node.error(At::Value, format!("`{ACCEPTED}` was expected, or nothing")));
@@ -424,7 +449,7 @@ impl<'a> Head<'a> {
             }
         }
         if graph::is_analysis(self) {
-            for key in ["machine", "observations", "parameters", TIE, "known", "start"] {
+            for key in ["machine", "observations", "parameters", TIE, PER, "known", "start"] {
                 if let Some(node) = self.node.get(key) {
                     let message = format!("`{key}` comes from the estimate that `{}` names", graph::ANALYSED);
                     return Err(node.error(At::Key, message));
@@ -459,6 +484,7 @@ impl<'a> Head<'a> {
             row_settings,
             shared_rows,
             plausible,
+            per,
             references,
             files,
         };

@@ -50,7 +50,8 @@ impl Run {
         let mut fits = Vec::new();
         for fit in &outcome.fits {
             let mut residuals = Residuals::default();
-            if !fit.problem.sets.is_empty() {
+            // Those of every week would be a page each.
+            if !fit.problem.sets.is_empty() && fit.calibration.group.is_none() {
                 // What is written is what is shown.
                 let table = Residuals::of(fit)?.to_csv()?;
                 residuals = Residuals::from_csv(&table)?;

@@ -54,6 +54,22 @@ pub struct Calibration {
     /// Results of a Monte Carlo calculation, if the estimate is one.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub monte_carlo: Option<MonteCarlo>,
+    /// The group of rows that it was made of, if an estimate was made for every group.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub group: Option<Group>,
+}
+
+/// A group of rows with an estimate of its own: those of one week, day or file.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct Group {
+    /// What the rows have in common: the name of a column, or `file`.
+    pub by: String,
+    /// What stands there.
+    pub label: String,
+    /// The same as a time: the number, the day of a date (from 1970-01-01), or the place in the order of the groups.
+    pub at: f64,
+    /// Unit of `at`: `week`, `day`, or `test` where only the order is known.
+    pub unit: String,
 }
 
 /// Plugin and settings from which the model is built again.

@@ -18,7 +18,7 @@ pub use budget::{
 pub use covariance::NamedCovariance;
 pub use decision::{Decision, Rule};
 pub use fit::{
-    CALIBRATION_FORMAT, Calibration, CombinedAgreement, ConsideredInput, DataRecord, Estimated, FitReport,
+    CALIBRATION_FORMAT, Calibration, CombinedAgreement, ConsideredInput, DataRecord, Estimated, FitReport, Group,
     ImplausibleValue, ModelRecord, Outlier, PredictedStructure, Selection, SelectionByPrediction, SelectionDirection,
     SelectionStep, Status, VarianceFactor,
 };

@@ -1,4 +1,4 @@
-//! The command line of Abbe: `new`, `run`, `report`, `test`, `check`, `data`, `model`, `explain`, `simulate`, `plan`, `plugins`, `plugin`, `schema`.
+//! The command line of Abbe: `new`, `run`, `report`, `test`, `check`, `data`, `model`, `explain`, `simulate`, `plan`, `history`, `plugins`, `plugin`, `schema`.
 //!
 //! Exit status: 0 no verdict failed (inconclusive verdicts are reported); 1 an error that only the data or the run show; 2 wrong
 //! use, or an error that can be found without reading data rows; 3 a verdict failed; 130 interrupted by Ctrl-C, 143 by SIGTERM,
@@ -16,6 +16,7 @@ mod effects;
 mod expected;
 mod explain;
 mod failure;
+mod history;
 mod interrupt;
 mod libraries;
 mod lines;
@@ -166,6 +167,9 @@ enum Command {
     Compensate(Box<compensate::Compensate>),
     /// Correct measured positions for the errors of the calibrated machine that measured them.
     Correct(Box<correct::Correct>),
+    /// Keep the results of runs, and tell what they say about a machine over time.
+    #[command(subcommand)]
+    History(history::Asked),
     /// Commands for vendors of plugin libraries.
     Plugin {
         #[command(subcommand)]
@@ -247,6 +251,7 @@ fn carried_out(arguments: Arguments) -> ExitCode {
         Command::Run { json, .. } | Command::Check { json, .. } | Command::Plan { json, .. } => *json,
         Command::Compensate(asked) => asked.json,
         Command::Correct(asked) => asked.json,
+        Command::History(asked) => asked.is_json(),
         _ => false,
     };
     let is_json = machine
@@ -353,6 +358,9 @@ fn dispatch(command: Command, libraries: &Libraries, verbose: bool) -> Result<(S
             let made = report::attach(&mut outcome);
             bar.finish_and_clear();
             let folder = interrupt::while_writing(|| outcome.write(&here.path(&out)))?;
+            if let Some(path) = &prepared.recipe.history {
+                history::add_outcome(&here.path(path), &outcome)?;
+            }
             let status = match (outcome.failures.is_empty(), outcome.passes()) {
                 (false, _) => 1,
                 (true, false) => 3,
@@ -426,6 +434,10 @@ fn dispatch(command: Command, libraries: &Libraries, verbose: bool) -> Result<(S
         Command::Correct(asked) => {
             interrupt::cancel_on_signal(Monitor::default())?;
             written(asked.run(&libraries.registry(None)?)?)
+        }
+        Command::History(asked) => {
+            interrupt::cancel_on_signal(Monitor::default())?;
+            asked.run()
         }
         Command::Plugin { command: PluginCommand::Check { file, recipe, time_limit, json } } => {
             let program = libraries::this_program()?;

@@ -26,4 +26,5 @@ use abbe_serial_chain as _;
 use abbe_spindle as _;
 use abbe_thermal_plugins as _;
 use abbe_tools as _;
+use abbe_trend_validator as _;
 use abbe_validators as _;

@@ -106,6 +106,7 @@ impl Found {
             fit: FitReport { null_space: fit.null_space.clone(), ..fit },
             uncertainty: Some(uncertainty),
             monte_carlo: None,
+            group: None,
         }
     }
 

@@ -108,6 +108,7 @@ impl Estimate for ThermalStates {
             fit: FitReport { ordinary_covariance: ordinary, selection_by_prediction: selection, ..found.report() },
             uncertainty: None,
             monte_carlo: None,
+            group: None,
         })
     }
 

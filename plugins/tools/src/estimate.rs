@@ -175,6 +175,7 @@ fn calibration(
         fit,
         uncertainty: None,
         monte_carlo: None,
+        group: None,
     })
 }
 

@@ -119,6 +119,7 @@ fn fit(values: &[f64]) -> Fit {
         fit: FitReport::without_rows(0),
         uncertainty: None,
         monte_carlo: None,
+        group: None,
     };
     Fit { name: "fit".to_owned(), problem: Arc::new(problem()), estimator: Arc::new(Nobody), calibration }
 }

@@ -1,0 +1,141 @@
+use std::collections::BTreeSet;
+
+use abbe_core::{FitReport, ModelRecord, NamedCovariance, Status};
+
+use super::*;
+use crate::schema::first_version;
+
+fn entry(week: usize) -> Entry {
+    let known = abbe_core::Estimated {
+        name: "EC0Y".into(),
+        value: 1e-6 * week as f64,
+        unit: "rad".into(),
+        standard_uncertainty: 1e-6,
+        status: Status::Estimated,
+    };
+    let calibration = Calibration {
+        abbe_calibration: abbe_core::CALIBRATION_FORMAT,
+        estimate: "weekly".into(),
+        model: ModelRecord { plugin: "serial-chain".into(), settings: json!({ "name": "mill" }) },
+        parameters: vec![known],
+        artefacts: Vec::new(),
+        covariance: NamedCovariance { order: vec!["EC0Y".into()], rows: vec![vec![1e-12]] },
+        inputs: None,
+        data: Vec::new(),
+        outliers: Vec::new(),
+        fit: FitReport::without_rows(1),
+        uncertainty: None,
+        monte_carlo: None,
+        group: None,
+    };
+    let stored = Stored {
+        machine: format!("mill {}", week % 2),
+        label: week.to_string(),
+        at: week as f64,
+        unit: "week".into(),
+        calibration,
+    };
+    Entry {
+        recipe: "weekly".into(),
+        calibrations: vec![stored],
+        verdicts: Vec::new(),
+        evidence: json!({ "inputs": [] }),
+    }
+}
+
+#[test]
+fn what_is_added_comes_back_once() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("plant.sqlite");
+    let mut history = History::open(&path).unwrap();
+    for week in [3, 1, 2] {
+        assert!(matches!(history.add(&entry(week)).unwrap(), Added::New(_)));
+    }
+    assert_eq!(history.add(&entry(1)).unwrap(), Added::Known(2));
+    assert_eq!(history.entries().unwrap().len(), 3);
+    assert_eq!(history.entry(2).unwrap(), Some(entry(1)));
+    assert_eq!(history.entry(9).unwrap(), None);
+    assert_eq!(history.machines().unwrap(), [("mill 0".to_owned(), 1), ("mill 1".to_owned(), 2)]);
+    let of_one = Filter { machine: Some("mill 1".into()), entry: None };
+    let labels: Vec<String> =
+        history.calibrations(&of_one).unwrap().into_iter().map(|(_, stored)| stored.label).collect();
+    assert_eq!(labels, ["1", "3"]);
+    // What is read is what is there, in another process as well.
+    assert_eq!(History::read(&path).unwrap().entry(3).unwrap(), Some(entry(2)));
+}
+
+#[test]
+fn nothing_stored_can_change() {
+    let folder = tempfile::tempdir().unwrap();
+    let mut history = History::open(&folder.path().join("plant.sqlite")).unwrap();
+    history.add(&entry(1)).unwrap();
+    for statement in [
+        "UPDATE entry SET recipe = 'x'",
+        "DELETE FROM entry",
+        "UPDATE calibration SET at = 0",
+        "DELETE FROM calibration",
+    ] {
+        let refused = history.connection.execute_batch(statement).unwrap_err().to_string();
+        assert!(refused.contains("of a history"), "{refused}");
+    }
+    assert_eq!(history.entry(1).unwrap(), Some(entry(1)));
+}
+
+#[test]
+fn an_older_version_is_migrated_and_a_later_one_refused() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("old.sqlite");
+    let old = Connection::open(&path).unwrap();
+    old.execute_batch(first_version()).unwrap();
+    old.pragma_update(None, "application_id", APPLICATION).unwrap();
+    old.pragma_update(None, "user_version", 1).unwrap();
+    old.execute_batch("INSERT INTO entry (sha256, recipe, verdicts, evidence) VALUES ('a', 'old', '[]', '{}')")
+        .unwrap();
+    drop(old);
+    // A reader changes nothing; a writer brings it up to date and keeps what is there.
+    assert_eq!(History::read(&path).unwrap().entries().unwrap().len(), 1);
+    let mut history = History::open(&path).unwrap();
+    assert_eq!(version(&history.connection).unwrap(), SCHEMA_VERSION);
+    history.add(&entry(1)).unwrap();
+    let recipes: Vec<String> = history.entries().unwrap().into_iter().map(|(_, _, recipe)| recipe).collect();
+    assert_eq!(recipes, ["old", "weekly"]);
+    history.connection.pragma_update(None, "user_version", SCHEMA_VERSION + 1).unwrap();
+    let refused = History::open(&path).err().unwrap();
+    assert!(refused.message.contains("version 3"), "{refused}");
+}
+
+#[test]
+fn other_files_stay_as_they_are() {
+    let folder = tempfile::tempdir().unwrap();
+    let text = folder.path().join("notes.txt");
+    std::fs::write(&text, "not a data base, but long enough to be taken for the head of one by somebody").unwrap();
+    assert!(History::open(&text).err().unwrap().message.contains("is no history"));
+    assert!(std::fs::read_to_string(&text).unwrap().starts_with("not a data base"));
+    let other = folder.path().join("other.sqlite");
+    Connection::open(&other).unwrap().execute_batch("CREATE TABLE x (y)").unwrap();
+    assert!(History::open(&other).err().unwrap().message.contains("something else"));
+    assert!(History::read(&folder.path().join("absent")).err().unwrap().message.contains("does not exist"));
+}
+
+/// Two writers, each with entries of its own and some that both have: all are there, each once.
+#[test]
+fn two_writers_lose_and_double_nothing() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("plant.sqlite");
+    std::thread::scope(|scope| {
+        for writer in 0..2 {
+            let path = &path;
+            scope.spawn(move || {
+                // Both may make the file.
+                let mut history = History::open(path).unwrap();
+                (0..40)
+                    .filter(|week| week % 4 != 1 + 2 * writer)
+                    .for_each(|week| assert!(history.add(&entry(week)).is_ok()));
+            });
+        }
+    });
+    let history = History::read(&path).unwrap();
+    let all = history.calibrations(&Filter::default()).unwrap();
+    let labels: BTreeSet<String> = all.iter().map(|(_, stored)| stored.label.clone()).collect();
+    assert_eq!((all.len(), labels.len(), history.entries().unwrap().len()), (40, 40, 40));
+}

@@ -1,0 +1,509 @@
+//! All together: tests and series in, charts, changes, events and intervals out.
+
+use abbe_numerics::chi_squared_upper_tail;
+use nalgebra::{DMatrix, DVector};
+use serde::{Deserialize, Serialize};
+
+use crate::again::{Again, AgainRule, again};
+use crate::change::{Change, Decided, Uncertain, Values, decide};
+use crate::chart::{ChartDesign, ChartLimits, Charts};
+use crate::least_squares::fit;
+use crate::source::{Differences, Explained, SharedInput, explained_by};
+
+/// A test of the machine.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct Test {
+    /// What it is called: `14`, `2026-03-02`.
+    pub label: String,
+    /// When it was, in the unit of time of the analysis; ascending.
+    pub at: f64,
+    /// Whether it counts. One that was rejected as a whole is on no chart.
+    pub good: bool,
+}
+
+/// What a parameter is compared with.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+pub struct Target {
+    /// Its value in the baseline.
+    pub value: f64,
+    /// The standard uncertainty of that; zero if it is taken as exact.
+    pub standard_uncertainty: f64,
+}
+
+/// A quantity that a parameter may follow, such as a temperature.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct Regressor {
+    /// Its name.
+    pub name: String,
+    /// Its unit.
+    pub unit: String,
+    /// The value at which it has no effect.
+    pub reference: f64,
+    /// Its value at every test; none if it is not known.
+    pub values: Vec<Option<f64>>,
+    /// Whether the parameter is known to follow it. Else it is only tried.
+    pub declared: bool,
+}
+
+/// The values of one parameter.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct Series {
+    /// Name.
+    pub name: String,
+    /// Unit of values.
+    pub unit: String,
+    /// A value for every test; none where a test has none.
+    pub values: Vec<Option<Uncertain>>,
+    /// The part of the standard uncertainties that all tests share: that of a bar, say. It does not scatter.
+    pub shared: f64,
+    /// What it is compared with; without one, the mean of the first tests.
+    pub target: Option<Target>,
+    /// What it may follow.
+    pub regressor: Option<Regressor>,
+    /// When to measure again.
+    pub again: Option<AgainRule>,
+    /// It is no parameter but follows from all of them: the volumetric error.
+    pub derived: bool,
+}
+
+/// How a history is judged.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct Settings {
+    /// The charts.
+    pub charts: ChartDesign,
+    /// Probability that a change of a parameter is decided for where there is none.
+    pub significance: f64,
+    /// Time at which the targets were true.
+    pub target_at: Option<f64>,
+    /// Number of first tests whose mean is the target of a parameter without one.
+    pub first_tests: usize,
+}
+
+impl Default for Settings {
+    fn default() -> Self {
+        Self { charts: ChartDesign::default(), significance: 1e-3, target_at: None, first_tests: 5 }
+    }
+}
+
+/// What is to be said of a parameter.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum State {
+    /// No alarm, no change.
+    InControl,
+    /// It follows its declared regressor, and nothing else happens.
+    Seasonal,
+    /// A lone alarm that neither the other charts nor the next test confirm.
+    Unconfirmed,
+    /// Confirmed alarms, but no form explains them.
+    Alarm,
+    /// A change was decided for.
+    Changed,
+}
+
+/// What a parameter does with its declared regressor.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct Seasonal {
+    /// Name of the regressor.
+    pub regressor: String,
+    /// Its unit.
+    pub unit: String,
+    /// Change for each unit of it.
+    pub coefficient: Uncertain,
+}
+
+/// What a parameter tells. Values are those of the good tests that have one, listed in `tests`.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct ParameterTrend {
+    /// Its name.
+    pub name: String,
+    /// Its unit.
+    pub unit: String,
+    /// Indices of the tests.
+    pub tests: Vec<usize>,
+    /// The values.
+    pub values: Vec<Uncertain>,
+    /// What each is compared with: the target, or the line of the regressor.
+    pub expected: Vec<f64>,
+    /// The charts.
+    pub charts: Charts,
+    /// What is to be said.
+    pub state: State,
+    /// What has changed. Places are indices of all tests.
+    pub change: Change,
+    /// Sum of squares that the change explains.
+    pub gain: f64,
+    /// Probability that chance makes what is left.
+    pub left: f64,
+    /// What follows the declared regressor.
+    pub seasonal: Option<Seasonal>,
+    /// When to measure again.
+    pub again: Option<Again>,
+}
+
+/// Something that happened to the machine.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct Event {
+    /// The parameters, the most clearly changed first.
+    pub parameters: Vec<String>,
+    /// Of the first of them; for a jump, places are those of all.
+    pub change: Change,
+    /// The shared input that would explain it all: the artefact has changed, not the machine.
+    pub explained: Option<Explained>,
+}
+
+/// What a history tells.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct Analysis {
+    /// Unit of time: `week`, `day`, `test`.
+    pub time_unit: String,
+    /// All tests.
+    pub tests: Vec<Test>,
+    /// Whole times between the first and the last test without one.
+    pub missing: Vec<String>,
+    /// How the charts were made.
+    pub design: ChartDesign,
+    /// Their limits.
+    pub limits: ChartLimits,
+    /// Every parameter.
+    pub parameters: Vec<ParameterTrend>,
+    /// What happened.
+    pub events: Vec<Event>,
+}
+
+impl Analysis {
+    /// Whether a change or a confirmed alarm was found.
+    pub fn alarm(&self) -> bool {
+        self.parameters.iter().any(|parameter| matches!(parameter.state, State::Changed | State::Alarm))
+    }
+}
+
+/// Judges the history of a machine.
+///
+/// `covariances` has the covariance of all series at every test, without what all tests share (none where it is not known);
+/// `inputs` are what they share.
+pub fn analyse(
+    time_unit: &str,
+    tests: &[Test],
+    series: &[Series],
+    covariances: &[Option<DMatrix<f64>>],
+    inputs: &[SharedInput],
+    settings: &Settings,
+) -> Analysis {
+    let limits = settings.charts.limits();
+    let parameters: Vec<ParameterTrend> =
+        series.iter().filter_map(|series| trend(tests, series, &limits, settings)).collect();
+    let events = events(series, &parameters, covariances, inputs);
+    Analysis {
+        time_unit: time_unit.to_owned(),
+        missing: missing(tests),
+        tests: tests.to_vec(),
+        design: settings.charts,
+        limits,
+        parameters,
+        events,
+    }
+}
+
+/// Whole times between the first and the last test without one, where all times are whole and most have a test.
+fn missing(tests: &[Test]) -> Vec<String> {
+    let (Some(first), Some(last)) = (tests.first(), tests.last()) else { return Vec::new() };
+    let count = last.at - first.at + 1.0;
+    if tests.iter().any(|test| test.at.fract() != 0.0 || test.label.parse() != Ok(test.at)) || count > 2e6 {
+        return Vec::new();
+    }
+    let gap = shortest_gap(tests);
+    let steps = ((count - 1.0) / gap).floor() as usize;
+    if steps + 1 > 4 * tests.len() {
+        return Vec::new();
+    }
+    let whole = (0..=steps).map(|step| first.at + step as f64 * gap);
+    whole.filter(|at| !tests.iter().any(|test| test.at == *at)).map(|at| at.to_string()).collect()
+}
+
+fn shortest_gap(tests: &[Test]) -> f64 {
+    let gaps = tests.windows(2).map(|pair| pair[1].at - pair[0].at).filter(|gap| *gap > 0.0);
+    gaps.min_by(f64::total_cmp).unwrap_or(1.0)
+}
+
+/// The values of good tests, with what is needed to judge them.
+struct Good {
+    tests: Vec<usize>,
+    at: Vec<f64>,
+    values: Vec<Uncertain>,
+    regressor: Option<Vec<f64>>,
+}
+
+impl Good {
+    fn of(tests: &[Test], series: &Series) -> Self {
+        let declared = series.regressor.as_ref();
+        let known =
+            |index: usize| declared.is_none_or(|regressor| regressor.values[index].is_some() || !regressor.declared);
+        let counts = |(index, value): (usize, &Option<Uncertain>)| {
+            let usable = value.filter(|value| value.value.is_finite() && value.standard_uncertainty > 0.0)?;
+            (tests[index].good && known(index)).then_some((index, usable))
+        };
+        let (tests_of, values): (Vec<usize>, Vec<Uncertain>) =
+            series.values.iter().enumerate().filter_map(counts).unzip();
+        let deviation = |regressor: &Regressor| {
+            let values = tests_of.iter().map(|index| regressor.values[*index].map(|value| value - regressor.reference));
+            values.collect::<Option<Vec<f64>>>()
+        };
+        let regressor = declared.and_then(deviation);
+        Self { at: tests_of.iter().map(|index| tests[*index].at).collect(), tests: tests_of, values, regressor }
+    }
+
+    fn numbers(&self) -> Vec<f64> {
+        self.values.iter().map(|value| value.value).collect()
+    }
+
+    fn uncertainties(&self) -> Vec<f64> {
+        self.values.iter().map(|value| value.standard_uncertainty).collect()
+    }
+
+    /// The uncertainties without what all tests share, which does not scatter.
+    fn own_uncertainties(&self, shared: f64) -> Vec<f64> {
+        let own = |u: f64| (u * u - shared * shared).max(1e-4 * u * u).sqrt();
+        self.values.iter().map(|value| own(value.standard_uncertainty)).collect()
+    }
+}
+
+/// The trend of one parameter; none without values.
+fn trend(tests: &[Test], series: &Series, limits: &ChartLimits, settings: &Settings) -> Option<ParameterTrend> {
+    let good = Good::of(tests, series);
+    if good.tests.is_empty() {
+        return None;
+    }
+    let (values, uncertainties) = (good.numbers(), good.uncertainties());
+    let declared = series.regressor.as_ref().filter(|regressor| regressor.declared);
+    let line = declared.zip(good.regressor.as_ref()).and_then(|(regressor, deviations)| {
+        let columns = [vec![1.0; values.len()], deviations.clone()];
+        let fitted = fit(&columns, &values, &good.own_uncertainties(series.shared))?;
+        let expected = deviations.iter().map(|deviation| fitted.values[0] + fitted.values[1] * deviation).collect();
+        let (name, unit) = (regressor.name.clone(), regressor.unit.clone());
+        Some((expected, Seasonal { regressor: name, unit, coefficient: fitted.value(1).into() }))
+    });
+    let target = series.target.unwrap_or_else(|| first_mean(&good, settings.first_tests));
+    let (expected, seasonal): (Vec<f64>, Option<Seasonal>) = match line {
+        Some((expected, seasonal)) => (expected, Some(seasonal)),
+        None => (vec![target.value; values.len()], None),
+    };
+    let of_target = if seasonal.is_some() { 0.0 } else { target.standard_uncertainty };
+    let normalised: Vec<f64> = (values.iter().zip(&expected).zip(&uncertainties))
+        .map(|((value, expected), uncertainty)| (value - expected) / uncertainty.hypot(of_target))
+        .collect();
+    let charts = Charts::of(&normalised, &settings.charts, limits);
+    let decided = changed(&good, series, seasonal.is_some(), settings);
+    let (change, gain, left) = match decided {
+        Some(Decided { change, gain, left }) => {
+            let probability = if left.1 > 0 { chi_squared_upper_tail(left.0, left.1 as f64) } else { 1.0 };
+            (change, gain, probability)
+        }
+        None => (Change::None, 0.0, 1.0),
+    };
+    let change = of_tests(change, &good.tests);
+    let clear =
+        |seasonal: &Seasonal| seasonal.coefficient.value.abs() > 3.0 * seasonal.coefficient.standard_uncertainty;
+    let state = match change {
+        Change::None if !charts.confirmed().is_empty() => State::Alarm,
+        Change::None if !charts.unconfirmed().is_empty() => State::Unconfirmed,
+        Change::None if seasonal.as_ref().is_some_and(clear) => State::Seasonal,
+        Change::None => State::InControl,
+        _ => State::Changed,
+    };
+    let end = tests.last().map_or(0.0, |test| test.at);
+    let again = series.again.as_ref().and_then(|rule| again(rule, &good.at, &values, &uncertainties, end));
+    Some(ParameterTrend {
+        name: series.name.clone(),
+        unit: series.unit.clone(),
+        tests: good.tests,
+        values: good.values,
+        expected,
+        charts,
+        state,
+        change,
+        gain,
+        left,
+        seasonal,
+        again,
+    })
+}
+
+/// The weighted mean of the first tests.
+fn first_mean(good: &Good, count: usize) -> Target {
+    let first = &good.values[..count.clamp(1, good.values.len())];
+    let weight = |value: &Uncertain| value.standard_uncertainty.powi(-2);
+    let weights: f64 = first.iter().map(weight).sum();
+    Target {
+        value: first.iter().map(|value| weight(value) * value.value).sum::<f64>() / weights,
+        standard_uncertainty: weights.sqrt().recip(),
+    }
+}
+
+/// What has changed, with indices of the values.
+fn changed(good: &Good, series: &Series, seasonal: bool, settings: &Settings) -> Option<Decided> {
+    let (mut at, mut values) = (good.at.clone(), good.numbers());
+    let mut uncertainties = good.own_uncertainties(series.shared);
+    let mut tried = good.regressor.clone().filter(|_| !seasonal);
+    let rows = at.len();
+    // What pins the level: the target and what all tests share.
+    let pinned = series.target.filter(|_| !seasonal).map(|target| target.standard_uncertainty.hypot(series.shared));
+    let typical = uncertainties.iter().copied().fold(f64::INFINITY, f64::min);
+    let mut shift = 0;
+    let (base, offset) = match (pinned, series.target) {
+        (Some(pinned), Some(target)) => {
+            values.iter_mut().for_each(|value| *value -= target.value);
+            if pinned < 1e-3 * typical {
+                (Vec::new(), Some(vec![1.0; rows]))
+            } else {
+                // The target is a value before all others; all share one unknown level.
+                at.insert(0, settings.target_at.unwrap_or(at[0]));
+                values.insert(0, 0.0);
+                uncertainties.insert(0, pinned);
+                tried.iter_mut().for_each(|tried| tried.insert(0, 0.0));
+                shift = 1;
+                let offset = (0..=rows).map(|row| f64::from(u8::from(row > 0))).collect();
+                (vec![vec![1.0; rows + 1]], Some(offset))
+            }
+        }
+        _ => {
+            let mut base = vec![vec![1.0; rows]];
+            base.extend(good.regressor.clone().filter(|_| seasonal));
+            (base, None)
+        }
+    };
+    let found = decide(
+        &Values {
+            at: &at,
+            values: &values,
+            uncertainties: &uncertainties,
+            base: &base,
+            offset: offset.as_deref(),
+            from: if offset.is_some() { shift } else { 1 },
+            target_at: settings.target_at.filter(|_| offset.is_some()),
+            regressor: tried.as_deref(),
+        },
+        settings.significance,
+    )?;
+    let change = match found.change {
+        Change::Step { size, first, earliest, latest } => {
+            Change::Step { size, first: first - shift, earliest: earliest - shift, latest: latest - shift }
+        }
+        other => other,
+    };
+    Some(Decided { change, ..found })
+}
+
+/// The change with indices of all tests in place of those of the values.
+fn of_tests(change: Change, tests: &[usize]) -> Change {
+    match change {
+        Change::Step { size, first, earliest, latest } => {
+            Change::Step { size, first: tests[first], earliest: tests[earliest], latest: tests[latest] }
+        }
+        other => other,
+    }
+}
+
+/// What happened: jumps of several parameters at one time are one event, and so are drifts that one input explains.
+fn events(
+    series: &[Series],
+    parameters: &[ParameterTrend],
+    covariances: &[Option<DMatrix<f64>>],
+    inputs: &[SharedInput],
+) -> Vec<Event> {
+    let mut changed: Vec<&ParameterTrend> =
+        parameters.iter().filter(|parameter| parameter.change != Change::None).collect();
+    changed.sort_by(|one, other| other.gain.total_cmp(&one.gain));
+    let mut events = Vec::new();
+    let lasting: Vec<&ParameterTrend> =
+        changed.iter().copied().filter(|parameter| matches!(parameter.change, Change::Line { .. })).collect();
+    let explained = explain(series, parameters, &lasting, covariances, inputs);
+    let mut left: Vec<&ParameterTrend> = changed;
+    if let Some(explained) = explained {
+        left.retain(|parameter| !lasting.iter().any(|other| other.name == parameter.name));
+        let names = lasting.iter().map(|parameter| parameter.name.clone()).collect();
+        events.push(Event { parameters: names, change: lasting[0].change, explained: Some(explained) });
+    }
+    while let Some(first) = left.first().copied() {
+        let (same, others): (Vec<&ParameterTrend>, Vec<&ParameterTrend>) =
+            left.iter().partition(|other| other.name == first.name || together(&first.change, &other.change));
+        let explained = match first.change {
+            Change::Step { .. } => explain(series, parameters, &same, covariances, inputs),
+            _ => None,
+        };
+        let names = same.iter().map(|parameter| parameter.name.clone()).collect();
+        events.push(Event { parameters: names, change: first.change, explained });
+        left = others;
+    }
+    events
+}
+
+/// Whether two jumps may be one.
+fn together(one: &Change, other: &Change) -> bool {
+    match (one, other) {
+        (
+            Change::Step { first: one, earliest, latest, .. },
+            Change::Step { first: other, earliest: other_earliest, latest: other_latest, .. },
+        ) => one.abs_diff(*other) <= 1 || (other_earliest <= latest && earliest <= other_latest),
+        _ => false,
+    }
+}
+
+/// Whether one shared input explains a change, of these parameters and of none that has not changed.
+fn explain(
+    series: &[Series],
+    parameters: &[ParameterTrend],
+    same: &[&ParameterTrend],
+    covariances: &[Option<DMatrix<f64>>],
+    inputs: &[SharedInput],
+) -> Option<Explained> {
+    let first = same.first()?;
+    let index_of = |parameter: &ParameterTrend| {
+        let index = series.iter().position(|series| series.name == parameter.name)?;
+        (!series[index].derived && parameter.seasonal.is_none()).then_some(index)
+    };
+    let counts = |parameter: &&ParameterTrend| {
+        parameter.change == Change::None || same.iter().any(|other| other.name == parameter.name)
+    };
+    let chosen: Vec<(usize, &ParameterTrend)> =
+        parameters.iter().filter(counts).filter_map(|parameter| Some((index_of(parameter)?, parameter))).collect();
+    let number = covariances.len();
+    let (before, after): (Vec<usize>, Vec<usize>) = match first.change {
+        Change::Step { first, .. } => (0..number).partition(|test| *test < first),
+        _ => ((0..number / 3).collect(), (number - number / 3..number).collect()),
+    };
+    let (one, other) = (mean(&chosen, covariances, &before), mean(&chosen, covariances, &after)?);
+    let from_target = || {
+        let targets = chosen.iter().map(|(index, _)| series[*index].target.map(|target| target.value));
+        let values = targets.collect::<Option<Vec<f64>>>()?;
+        Some((DVector::from_vec(values), DMatrix::zeros(chosen.len(), chosen.len())))
+    };
+    let one = one.or_else(from_target)?;
+    let differences = Differences {
+        series: chosen.iter().map(|(index, _)| *index).collect(),
+        values: other.0 - one.0,
+        covariance: other.1 + one.1,
+    };
+    explained_by(&differences, inputs, 0.01)
+}
+
+/// The mean of some series over those tests that have all of them, with its covariance.
+fn mean(
+    chosen: &[(usize, &ParameterTrend)],
+    covariances: &[Option<DMatrix<f64>>],
+    tests: &[usize],
+) -> Option<(DVector<f64>, DMatrix<f64>)> {
+    let size = chosen.len();
+    let (mut sum, mut covariance, mut count) = (DVector::zeros(size), DMatrix::zeros(size, size), 0.0);
+    for test in tests {
+        let value = |parameter: &ParameterTrend| {
+            parameter.tests.iter().position(|own| own == test).map(|place| parameter.values[place].value)
+        };
+        let values: Option<Vec<f64>> = chosen.iter().map(|(_, parameter)| value(parameter)).collect();
+        let (Some(values), Some(of_test)) = (values, &covariances[*test]) else { continue };
+        sum += DVector::from_vec(values);
+        covariance += DMatrix::from_fn(size, size, |row, column| of_test[(chosen[row].0, chosen[column].0)]);
+        count += 1.0;
+    }
+    (count > 0.0).then(|| (sum / count, covariance / (count * count)))
+}
