@@ -13,8 +13,8 @@ use std::sync::Arc;
 
 use abbe_core::{
     Artefact, ColumnHeader, Contact, Context, DataRow, Dataset, Equations, Error, Feature, InputFile, KinematicModel,
-    Label, Layout, Observations, ObservationsInfo, Parameter, ParameterRole, PathItem, Quantity, Result, RowBatch,
-    RowIndex, SettingsError, Target, Unit, not_negative, plain_naming, pose_columns, positive,
+    Label, Layout, ListedBy, Observations, ObservationsInfo, Parameter, ParameterRole, PathItem, Poses, Quantity, Result,
+    RowBatch, RowIndex, SettingsError, Target, Unit, not_negative, plain_naming, pose_columns, positive,
 };
 use abbe_probe::EffectiveRadius;
 use nalgebra::{Matrix3, Vector3};
@@ -215,8 +215,9 @@ impl Artefact for Facets {
         for (row, _) in &touched.rows {
             layout.push(model, *row, &[uncertainty])?;
         }
-        let facet_of_row = touched.rows.iter().map(|(_, facet)| *facet).collect();
+        let facet_of_row: Vec<usize> = touched.rows.iter().map(|(_, facet)| *facet).collect();
         let facets: Vec<Facet> = touched.features.iter().map(|&facet| nominal[facet].clone()).collect();
+        let touches = touches(&facets, &facet_of_row, &layout, model)?;
         let unknowns = facets.iter().map(|facet| {
             Parameter::new(format!("facet[{}].d", facet.label), Unit::MM).with_role(ParameterRole::Feature)
         });
@@ -233,7 +234,7 @@ impl Artefact for Facets {
             features: features.collect(),
             ..ObservationsInfo::new(layout, unknowns.collect(), Contact::LinearAxes)
         };
-        Ok(Arc::new(Touches { info, facets, facet_of_row, radius }))
+        Ok(Arc::new(Touches { info, facets, touches, radius }))
     }
 
     fn targets(&self, stylus_radius: f64) -> Result<Vec<Target>> {
@@ -246,11 +247,47 @@ impl Artefact for Facets {
     }
 }
 
+/// How far beside its nominal point, mm, a facet may be touched and is still taken to be touched there. Commands that aim at the
+/// point miss it by the errors of the machine, of the set-up and of earlier corrections; these are less. What is further beside it was
+/// meant.
+const AIMED_AT: f64 = 1.0;
+
+/// A touch.
+#[derive(Debug, Clone, PartialEq)]
+struct Touch {
+    /// The index of its facet.
+    facet: usize,
+    /// Where it lies beside the nominal point, in the plane of the facet, by the nominal machine, mm. Zero for all touches of a facet
+    /// that were aimed at its point.
+    beside: Vector3<f64>,
+}
+
+impl ListedBy<RowIndex> for Touch {}
+
+/// The touches of the rows of a layout.
+fn touches(facets: &[Facet], of_rows: &[usize], layout: &Layout, model: &dyn KinematicModel) -> Result<Vec<Touch>> {
+    let statuses: Vec<f64> = layout.poses.indices().flat_map(|pose| layout.poses.row(pose).to_vec()).collect();
+    let mut poses = Poses::default();
+    model.poses(&statuses, &model.info().nominal, &[], false, &mut poses)?;
+    let touch = |(&facet, tip): (&usize, &[f64; 3])| {
+        let Facet { point, normal, curved, .. } = &facets[facet];
+        let from_point = Vector3::from(*tip) - point;
+        let beside = from_point - from_point.dot(normal) * normal;
+        Touch { facet, beside: if curved.is_none() { beside } else { Vector3::zeros() } }
+    };
+    let mut touches: Vec<Touch> = of_rows.iter().zip(&poses.positions).map(touch).collect();
+    let mut is_aimed_at = vec![true; facets.len()];
+    // A place that is not known is not beside the point.
+    touches.iter().filter(|touch| touch.beside.norm() > AIMED_AT).for_each(|touch| is_aimed_at[touch.facet] = false);
+    touches.iter_mut().filter(|touch| is_aimed_at[touch.facet]).for_each(|touch| touch.beside = Vector3::zeros());
+    Ok(touches)
+}
+
 /// Touches on facets.
 struct Touches {
     info: ObservationsInfo,
     facets: Vec<Facet>,
-    facet_of_row: Vec<usize>,
+    touches: Vec<Touch>,
     radius: EffectiveRadius,
 }
 
@@ -261,7 +298,7 @@ impl Observations for Touches {
 
     fn evaluate(&self, batch: RowBatch<'_>, out: &mut Equations) -> Result<()> {
         for (pose, (&row, position)) in batch.rows.iter().zip(batch.positions).enumerate() {
-            let index = self.facet_of_row[row];
+            let index = self.touches[row].facet;
             let (distance, outward, turning) = self.facets[index].distance(Vector3::from(*position));
             let radius = self.radius.at(row, pose, &batch, &outward);
             radius.write(distance - batch.own[index] - radius.value, &(outward - turning * radius.by_normal), out);
@@ -274,8 +311,8 @@ impl Observations for Touches {
         if !self.radius.is_constant(inputs) {
             return Ok(None);
         }
-        let index = self.facet_of_row[row];
-        let Facet { point, normal, .. } = &self.facets[index];
-        Ok(Some((point + (own[index] + inputs[0]) * normal).into()))
+        let Touch { facet, beside } = &self.touches[row];
+        let Facet { point, normal, .. } = &self.facets[*facet];
+        Ok(Some((point + beside + (own[*facet] + inputs[0]) * normal).into()))
     }
 }
