@@ -32,7 +32,9 @@ fn planned(folder: &Path, stage: &str, plan: &str, changes: &[(&str, String)]) -
         format!("\nplan:\n  estimate: fit\n  candidates: {stage}\n  by: group\n  parameters: [\"E*\"]\n{plan}{grid}\n");
     write(&folder.join("m/p.yaml"), &(text + &own));
     let prepared = prepare(&folder.join("m/p.yaml"), &registry());
-    prepared.and_then(|prepared| prepared.plan()).map_err(|error| format!("{error} {}", error.help.unwrap_or_default()))
+    prepared
+        .and_then(|prepared| prepared.plan())
+        .map_err(|error| format!("{error} {}", error.help.as_deref().unwrap_or_default()))
 }
 
 /// A bar, and a ball with its certificate and a probe: with an input as uncertain as the reverse answer allows, what is wanted is
@@ -97,7 +99,7 @@ fn how_good_bar_ball_and_probe_have_to_be() {
 /// promised, as often as it says.
 #[test]
 fn what_a_plan_promises_covers_the_true_errors() {
-    let (mut squares, mut freedom, mut within, mut all) = (0.0, 0.0, 0.0, 0.0);
+    let (mut squares, mut freedom, mut within, mut all) = (0.0_f64, 0.0_f64, 0.0_f64, 0.0_f64);
     for seed in seeds(4) {
         let mut random = uniform(77 + seed);
         let (folder, chain) = begun("ball", &mut random);

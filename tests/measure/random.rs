@@ -4,6 +4,7 @@ use std::collections::BTreeSet;
 use std::fmt::Write;
 
 use super::klartext::RAPID;
+use super::machine::{minus, norm};
 use super::{CONTROLS, Planned, SPHERE};
 use crate::controls::law::{seeds, uniform};
 use crate::models::all_chains;
@@ -99,9 +100,19 @@ fn programs_of_random_machines_measure_the_plan_in_the_time_that_they_say() {
         worst = worst.max(apart);
         // An axis that goes the other way, one after another of those that the plan moves.
         for axis in machine.model.info().axes.clone() {
+            // One that turns the tool about itself, say, moves no tip.
+            let mut machine = planned.machine([0.0; 3]);
             let moves = planned.touches.values().any(|touch| {
-                let place = touch.get(&format!("{}_mm", axis.name)).or(touch.get(&format!("{}_deg", axis.name)));
-                place.is_some_and(|place| place.abs() > 5.0)
+                let place = |(name, place): (&String, &f64)| {
+                    Some((name.strip_suffix("_mm").or(name.strip_suffix("_deg"))?.to_owned(), *place))
+                };
+                let mut at = machine.at.clone();
+                at.extend(touch.iter().filter_map(place).filter(|(name, _)| machine.at.contains_key(name)));
+                let tip = machine.tip(&at).0;
+                machine.flipped = Some(axis.name.clone());
+                let other = machine.tip(&at).0;
+                machine.flipped = None;
+                norm(minus(tip, other)) > 5.0
             });
             if moves && random() < 0.7 {
                 let mut machine = planned.machine([0.0; 3]);

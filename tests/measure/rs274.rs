@@ -196,7 +196,13 @@ impl Rs274<'_> {
                     // Three decimals of millimetres, four of inches ($13=1).
                     let decimals = if self.machine.unit == Some(1.0) { 3 } else { 4 };
                     let place = |axis| self.machine.place(axis).map(|place| format!("{place:.decimals$}"));
-                    let place = ["X", "Y", "Z"].map(place).into_iter().collect::<Result<Vec<_>, _>>()?.join(",");
+                    let mut places = ["X", "Y", "Z"].map(place).into_iter().collect::<Result<Vec<String>, String>>()?;
+                    // Controls with rotary axes have all axes in their answer, in the order of the letters.
+                    let rotary = ["A", "B", "C"].map(|axis| self.machine.at.get(axis));
+                    if rotary.iter().any(Option::is_some) {
+                        places.extend(rotary.map(|at| format!("{:.3}", at.copied().unwrap_or(0.0))));
+                    }
+                    let place = places.join(",");
                     self.machine.log.push(format!("[PRB:{place}:{}]", u8::from(self.machine.triggered)));
                 }
             }

@@ -199,7 +199,7 @@ impl<'a> Ground<'a> {
             return Err(error);
         }
         let factor = |row: &f64| row / repeating.of_mean(*row, repeats).max(f64::MIN_POSITIVE);
-        if rows.iter().any(|row| !(factor(row) < 1e6)) {
+        if rows.iter().any(|row| factor(row) >= 1e6) {
             return Err(wrong("repeats", "a mean of touches would have no uncertainty"));
         }
         let is_one = rows.iter().all(|row| (row / smallest - 1.0).abs() < 1e-9);

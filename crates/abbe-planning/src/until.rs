@@ -167,11 +167,11 @@ pub fn reached((figures, design, ground): (&PlanFigures, &[usize], &Ground<'_>),
     };
     // The largest part of a variance with which all quantities stay within their limits.
     let part = |of: &dyn Fn(&Quantified) -> f64| -> Option<f64> {
-        let each = quantities.iter().map(|one| {
+        let mut each = quantities.iter().map(|one| {
             let (own, left) = (of(one), (one.limit / factor).powi(2) - (one.variance() - of(one)));
             if left <= 0.0 { None } else { Some(if own > 0.0 { (left / own).sqrt() } else { f64::INFINITY }) }
         });
-        each.fold(Some(f64::INFINITY), |least, one| Some(least?.min(one?)))
+        each.try_fold(f64::INFINITY, |least, one| Some(least.min(one?)))
     };
     let problem = &ground.contact;
     let uncertainties = problem.standard_uncertainties();
