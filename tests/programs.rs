@@ -36,7 +36,13 @@ pub fn corrected(machine: &Machine, text: &str, options: &Options, sign: f64) ->
         let own = with_tool(machine, length);
         let values = own.values.iter().map(|value| value * sign).collect();
         let length = own.calibration.model.settings["tool_length_mm"].as_f64().expect("a length");
-        OfPrograms::new(own.model.clone(), values, Settings { travel: Travel::Allow, ..Settings::default() }, length, None)
+        OfPrograms::new(
+            own.model.clone(),
+            values,
+            Settings { travel: Travel::Allow, ..Settings::default() },
+            length,
+            None,
+        )
     };
     let mut out = Vec::new();
     let summary = compensate(&mut text.as_bytes(), &mut out, &build, options)?;
@@ -97,13 +103,14 @@ const AHEAD: f64 = 1.5;
 
 /// The largest distance of the tip of the machine with errors from the programmed path, mm; rapid moves by their ends.
 pub fn worst(machine: &Machine, programmed: &[Block], corrected: &[Block]) -> f64 {
+    let is_tip = programmed.iter().any(|block| block.is_tip);
     let (programmed, corrected) = (runs(programmed), runs(corrected));
     assert_eq!(programmed.len(), corrected.len(), "rapid moves");
     let mut directions = ByAxis::new();
     let mut found: f64 = 0.0;
     for (own, other) in programmed.iter().zip(&corrected) {
         let goal = goal(machine, &own.0, &mut directions);
-        found = found.max(along(machine, &goal, &other.0));
+        found = found.max(along(machine, &goal, &other.0, is_tip));
         let (Some(rapid), Some(done)) = (own.1, other.1) else { continue };
         for step in rapid.path.windows(2) {
             turned(&mut directions, &step[0], &step[1]);
@@ -136,7 +143,7 @@ fn goal(machine: &Machine, blocks: &[&Block], directions: &mut ByAxis) -> Goal {
     Goal { tips, directions: all, length }
 }
 
-fn along(machine: &Machine, goal: &Goal, blocks: &[&Block]) -> f64 {
+fn along(machine: &Machine, goal: &Goal, blocks: &[&Block], is_tip: bool) -> f64 {
     let (mut at, mut found) = (1, 0_f64);
     for block in blocks {
         let first = if is_small(block) { block.path.len() - 1 } else { 0 };
@@ -147,11 +154,16 @@ fn along(machine: &Machine, goal: &Goal, blocks: &[&Block]) -> f64 {
                 if goal.length[next - 1] - goal.length[at] > AHEAD && next > at + 4 {
                     break;
                 }
-                let key = format!("{:?}", goal.directions[next]);
-                let actual = *known.entry(key).or_insert_with(|| {
-                    tips(machine, &[(position.clone(), goal.directions[next].clone())], true)[0]
+                // Where the tip is programmed axes turn around between two points of the path, nobody knows where.
+                let more = if is_tip { 1 } else { 0 };
+                let of = next.saturating_sub(more)..(next + 1 + more).min(goal.directions.len());
+                let off = goal.directions[of].iter().map(|directions| {
+                    let actual = *known
+                        .entry(format!("{directions:?}"))
+                        .or_insert_with(|| tips(machine, &[(position.clone(), directions.clone())], true)[0]);
+                    from_segment(actual, goal.tips[next - 1], goal.tips[next])
                 });
-                let off = from_segment(actual, goal.tips[next - 1], goal.tips[next]);
+                let off = off.fold(f64::INFINITY, f64::min);
                 if off < best.0 {
                     best = (off, next);
                 }
@@ -205,8 +217,8 @@ fn law(name: &str, dialect: Dialect, tip: bool, seed: u64) {
     let wanted = grammar::Wanted { dialect, rotary: rotary(name), tip, blocks: 25 };
     let text = grammar::program(wanted, seed);
     let options = options(dialect);
-    let (done, summary) =
-        corrected(&machine, &text, &options, 1.0).unwrap_or_else(|error| panic!("{name} {dialect:?} {seed}: {error}\n{text}"));
+    let (done, summary) = corrected(&machine, &text, &options, 1.0)
+        .unwrap_or_else(|error| panic!("{name} {dialect:?} {seed}: {error}\n{text}"));
     let programmed = moved(&machine, &text);
     let off = worst(&machine, &programmed, &moved(&machine, &done));
     assert!(off <= TOLERANCE + 2e-5, "{name} {dialect:?} {seed}: {} µm\n{text}\n{done}", off * 1e3);
@@ -215,7 +227,7 @@ fn law(name: &str, dialect: Dialect, tip: bool, seed: u64) {
     assert!(before > 5e-3, "{name} {dialect:?} {seed}: {before}");
     let (wrong, _) = corrected(&machine, &text, &options, -1.0).expect("a program");
     let wrong = worst(&machine, &programmed, &moved(&machine, &wrong));
-    assert!(wrong > 1.5 * before, "{name} {dialect:?} {seed}: {wrong} of {before}");
+    assert!(wrong > before.max(10.0 * TOLERANCE), "{name} {dialect:?} {seed}: {wrong} of {before}");
     // What is no motion stays: every comment is there once.
     assert_eq!(text.matches("as G1 X99 was").count(), done.matches("as G1 X99 was").count());
 }
@@ -290,7 +302,8 @@ fn inverse_time_stays() {
     let text = "G21 G90 G54\nG0 X-60 Y-60 Z10 A0 C0\nG93 G1 X60 Y60 A20 C80 F2.5\nX-60 A-20 F4\n";
     let (done, summary) = corrected(&machine, text, &options(Dialect::Linuxcnc), 1.0).expect("a program");
     assert!(summary.blocks > 6, "{done}");
-    let minutes = |text: &str| moved(&machine, text).iter().filter_map(|block| Some(1.0 / block.inverse_feed?)).sum::<f64>();
+    let minutes =
+        |text: &str| moved(&machine, text).iter().filter_map(|block| Some(1.0 / block.inverse_feed?)).sum::<f64>();
     assert!((minutes(&done) / minutes(text) - 1.0).abs() < 1e-3, "{} {}\n{done}", minutes(&done), minutes(text));
 }
 
@@ -313,7 +326,13 @@ fn refused(machine: &Machine, text: &str, options: &Options, line: usize, says: 
 /// The line `keep` of a program, without the other lines of a list.
 fn alone(text: &str, keep: usize, others: &[usize]) -> String {
     let lines = text.lines().enumerate();
-    lines.map(|(index, line)| if others.contains(&(index + 1)) && index + 1 != keep { "\n".to_owned() } else { format!("{line}\n") }).collect()
+    lines
+        .map(
+            |(index, line)| {
+                if others.contains(&(index + 1)) && index + 1 != keep { "\n".to_owned() } else { format!("{line}\n") }
+            },
+        )
+        .collect()
 }
 
 /// The public programs, line by line.
@@ -325,12 +344,26 @@ fn public_programs_are_handled_or_refused() {
 
     let mut linuxcnc = Options::new(Dialect::Linuxcnc);
     let arcs = public("linuxcnc-arcs.ngc");
-    let ends = [(5, [40.0, 0.0, -2.0]), (6, [60.0, 20.0, -2.0]), (7, [80.0, 40.0, -2.0]), (8, [100.0, 60.0, -2.0]), (10, [100.0, 80.0, -4.0]), (11, [60.0, 80.0, -4.0]), (12, [60.0, 60.0, -4.0]), (13, [50.0, 50.0, -4.0]), (14, [0.0, 0.0, -4.0]), (15, [0.0, 0.0, 25.0])];
+    let ends = [
+        (5, [40.0, 0.0, -2.0]),
+        (6, [60.0, 20.0, -2.0]),
+        (7, [80.0, 40.0, -2.0]),
+        (8, [100.0, 60.0, -2.0]),
+        (10, [100.0, 80.0, -4.0]),
+        (11, [60.0, 80.0, -4.0]),
+        (12, [60.0, 60.0, -4.0]),
+        (13, [50.0, 50.0, -4.0]),
+        (14, [0.0, 0.0, -4.0]),
+        (15, [0.0, 0.0, 25.0]),
+    ];
     let programmed = Control::new(&mill).run(&arcs);
     for (line, end) in ends {
         let block = programmed.iter().find(|block| block.line == line).expect("a block");
         let at = &block.path[block.path.len() - 1];
-        assert!(["X", "Y", "Z"].iter().zip(end).all(|(axis, end)| (at[*axis] - end).abs() < 1e-9), "line {line}: {at:?}");
+        assert!(
+            ["X", "Y", "Z"].iter().zip(end).all(|(axis, end)| (at[*axis] - end).abs() < 1e-9),
+            "line {line}: {at:?}"
+        );
     }
     let (done, summary) = corrected(&mill, &arcs, &linuxcnc, 1.0).expect("it is handled");
     let off = worst(&mill, &programmed, &Control::new(&mill).run(&done));
@@ -338,6 +371,7 @@ fn public_programs_are_handled_or_refused() {
     assert!(summary.arcs[0] == 6 && summary.arcs[1] >= 6, "{summary:?}");
 
     refused(&table, &public("linuxcnc-5axis-g93.ngc"), &linuxcnc, 4, "length of the tool 4");
+    linuxcnc.start = [Some(0.0); 9];
     linuxcnc.tools = Tools::read("T4 P4 Z87.5\n", &PathBuf::from("tool.tbl")).expect("a table");
     let text = public("linuxcnc-5axis-g93.ngc");
     let (done, _) = corrected(&table, &text, &linuxcnc, 1.0).expect("it is handled");
@@ -411,14 +445,27 @@ fn public_programs_are_handled_or_refused() {
     let lines = [4, 5, 6, 7, 8, 9, 13, 14];
     let mut edge = Options::new(Dialect::Linuxcnc);
     (edge.block_delete, edge.start) = (Some(false), [Some(0.0); 9]);
-    for (line, says) in [(4, "exponent"), (5, "twice"), (6, "modal group"), (7, "off its circle by 1."), (8, "radius"), (9, "number"), (13, "`G92`"), (14, "`A370`")] {
+    for (line, says) in [
+        (4, "exponent"),
+        (5, "twice"),
+        (6, "modal group"),
+        (7, "off its circle by 1."),
+        (8, "radius"),
+        (9, "number"),
+        (13, "`G92`"),
+        (14, "`A370`"),
+    ] {
         refused(&table, &alone(&text, line, &lines), &edge, line, says);
     }
     let text = alone(&text, 0, &lines);
     let (done, _) = corrected(&mill, &text, &edge, 1.0).expect("it is handled");
     let off = worst(&mill, &Control::new(&mill).run(&text), &Control::new(&mill).run(&done));
     assert!(off <= TOLERANCE, "{off}\n{done}");
-    assert!(done.contains("( a comment with G1 X99 in it )") && done.contains("; and X77 here") && done.contains("\nG4 P0.5\n"));
+    assert!(
+        done.contains("( a comment with G1 X99 in it )")
+            && done.contains("; and X77 here")
+            && done.contains("\nG4 P0.5\n")
+    );
     edge.block_delete = None;
     refused(&mill, &text, &edge, 11, "--block-delete");
 }
@@ -445,12 +492,15 @@ fn users_correct_programs() {
 
     // 5 µm in one number of every block in feed, one after the other.
     let mut planted = 0;
-    for (index, line) in text.lines().enumerate().filter(|(_, line)| line.contains("Y") && !line.contains("G0") && !line.contains('(')) {
+    for (index, line) in
+        text.lines().enumerate().filter(|(_, line)| line.contains("Y") && !line.contains("G0") && !line.contains('('))
+    {
         let place = line.find('Y').expect("it is there") + 1;
         let end = line[place..].find(' ').map_or(line.len(), |end| place + end);
         let number: f64 = line[place..end].parse().expect("a number");
         let wrong = format!("{}{:.4}{}", &line[..place], number + 0.005, &line[end..]);
-        let lines: Vec<&str> = text.lines().enumerate().map(|(other, line)| if other == index { wrong.as_str() } else { line }).collect();
+        let lines: Vec<&str> =
+            text.lines().enumerate().map(|(other, line)| if other == index { wrong.as_str() } else { line }).collect();
         let file = format!("wrong-{index}.ngc");
         write(&at.join(&file), &(lines.join("\n") + "\n"));
         let found = run(&["part.ngc", "--dialect", "linuxcnc", "--out", &file, "--check", "--json"]);
@@ -482,8 +532,15 @@ fn users_correct_programs() {
     // A refusal writes nothing.
     write(&at.join("bad.ngc"), &public("linuxcnc-refuse.ngc"));
     let bad = run(&["bad.ngc", "--dialect", "linuxcnc", "--out", "bad-new.ngc"]);
-    assert!(bad.status == 1 && bad.stderr.contains("bad.ngc:3:1") && !at.join("bad-new.ngc").exists(), "{}", bad.stderr);
-    let left: Vec<_> = std::fs::read_dir(at).expect("a folder").filter_map(|entry| entry.ok()?.file_name().into_string().ok()).collect();
+    assert!(
+        bad.status == 1 && bad.stderr.contains("bad.ngc:3:1") && !at.join("bad-new.ngc").exists(),
+        "{}",
+        bad.stderr
+    );
+    let left: Vec<_> = std::fs::read_dir(at)
+        .expect("a folder")
+        .filter_map(|entry| entry.ok()?.file_name().into_string().ok())
+        .collect();
     assert!(left.iter().all(|name| name.ends_with(".ngc") || name.ends_with(".json")), "{left:?}");
 }
 
@@ -499,12 +556,17 @@ fn the_page_has_the_table_of_the_code() {
 fn nonsense_is_refused_or_copied() {
     let machine = Machine::public("three-axis");
     let mut random = uniform(3);
-    let pieces = ["G1", "X", "Y1.", "-", "G2", "R5", "(", ")", ";", "#1", "[", "G91", "F1", "\r", " ", "G43H1", "é", "%", "/", "I1", "K", "N", "=", "IC(", "\"", "G53", "1e5", "."];
+    let pieces = [
+        "G1", "X", "Y1.", "-", "G2", "R5", "(", ")", ";", "#1", "[", "G91", "F1", "\r", " ", "G43H1", "é", "%", "/",
+        "I1", "K", "N", "=", "IC(", "\"", "G53", "1e5", ".",
+    ];
     for _ in 0..400 {
-        let text: String = (0..40).map(|index| {
-            let piece = pieces[(random() * pieces.len() as f64) as usize % pieces.len()];
-            if index % 7 == 6 { format!("{piece}\n") } else { piece.to_owned() }
-        }).collect();
+        let text: String = (0..40)
+            .map(|index| {
+                let piece = pieces[(random() * pieces.len() as f64) as usize % pieces.len()];
+                if index % 7 == 6 { format!("{piece}\n") } else { piece.to_owned() }
+            })
+            .collect();
         for dialect in Dialect::ALL {
             let _ = corrected(&machine, &format!("G0X0Y0Z0\n{text}"), &Options::new(dialect), 1.0);
         }

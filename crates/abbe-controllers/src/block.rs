@@ -55,7 +55,12 @@ pub(crate) struct Reader<'a> {
 }
 
 impl<'a> Reader<'a> {
-    pub(crate) fn new(machine: Rc<Machine>, build: &'a MachineOf<'a>, options: &'a Options, reads_corrected: bool) -> Self {
+    pub(crate) fn new(
+        machine: Rc<Machine>,
+        build: &'a MachineOf<'a>,
+        options: &'a Options,
+        reads_corrected: bool,
+    ) -> Self {
         let klartext = (options.dialect == crate::dialect::Dialect::Heidenhain).then(crate::klartext::Program::default);
         let modal = Modal::new(machine, options);
         Self { modal, options, build, reads_corrected, has_ended: false, mark: None, klartext }
@@ -87,7 +92,12 @@ impl<'a> Reader<'a> {
                 Some(false) => {}
                 None => {
                     let what = "a block that a switch of the control leaves out";
-                    return Err(Refusal::new(column, "/", what, "say how the switch stands: `--block-delete on` or `off`"));
+                    return Err(Refusal::new(
+                        column,
+                        "/",
+                        what,
+                        "say how the switch stands: `--block-delete on` or `off`",
+                    ));
                 }
             }
         }
@@ -114,7 +124,9 @@ impl<'a> Reader<'a> {
                 return Ok(Action::Copy(motion));
             }
             Special::Home => {
-                for axis in (0..9).filter(|axis| !names_axis || line.words.iter().any(|word| place(word.letter) == Some(*axis))) {
+                for axis in
+                    (0..9).filter(|axis| !names_axis || line.words.iter().any(|word| place(word.letter) == Some(*axis)))
+                {
                     self.modal.at[axis] = None;
                 }
                 return Ok(self.jump(motion, true));
@@ -167,7 +179,8 @@ impl<'a> Reader<'a> {
     }
 
     fn check_point(&self, word: &Word) -> Result<(), Refusal> {
-        if self.options.dialect.needs_points() && !self.options.integers_are_mm && !word.has_point && word.value != 0.0 {
+        if self.options.dialect.needs_points() && !self.options.integers_are_mm && !word.has_point && word.value != 0.0
+        {
             let help = "write a point, or say `--integers-are-mm` if the control counts so";
             return Err(refused(word, "a number without a point is micrometres on some of these controls", help));
         }
@@ -175,7 +188,10 @@ impl<'a> Reader<'a> {
     }
 
     fn check_letters(&self, line: &Line, is_arc: bool) -> Result<(), Refusal> {
-        let has_other = line.words.iter().any(|word| word.letter == b'M' || word.letter == b'G' && ![0.0, 1.0, 2.0, 3.0].contains(&word.value));
+        let has_other = line
+            .words
+            .iter()
+            .any(|word| word.letter == b'M' || word.letter == b'G' && ![0.0, 1.0, 2.0, 3.0].contains(&word.value));
         for word in &line.words {
             let is_known = match word.letter {
                 b'I' | b'J' | b'K' | b'R' => is_arc,
@@ -185,7 +201,11 @@ impl<'a> Reader<'a> {
                 _ => true,
             };
             if !is_known {
-                return Err(refused(word, "a word that is not known here", "leave it out, or write it in a block that needs it"));
+                return Err(refused(
+                    word,
+                    "a word that is not known here",
+                    "leave it out, or write it in a block that needs it",
+                ));
             }
         }
         Ok(())
@@ -263,7 +283,8 @@ impl<'a> Reader<'a> {
     }
 
     fn inverse_meaning(&self, word: &Word) -> Result<(), Refusal> {
-        let known = self.options.inverse_is_seconds.is_some() || self.options.dialect.counts_inverse_minutes().is_some();
+        let known =
+            self.options.inverse_is_seconds.is_some() || self.options.dialect.counts_inverse_minutes().is_some();
         if !known {
             let help = "say which: `--inverse-time minutes` or `seconds`";
             return Err(refused(word, "F under G93 is 1/minutes on some controls, and seconds on others", help));

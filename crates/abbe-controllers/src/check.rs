@@ -168,7 +168,8 @@ impl Other<'_> {
         let goals = first.machine.goals(first.space, &goals)?;
         for ((index, actual), goal) in owners.into_iter().zip(actual).zip(goals) {
             let pair = &pairs[index];
-            let worst = if pair.piece.purpose == Purpose::Rapid { &mut self.checked.rapid } else { &mut self.checked.path };
+            let worst =
+                if pair.piece.purpose == Purpose::Rapid { &mut self.checked.rapid } else { &mut self.checked.path };
             let distance = distance(&actual, &goal);
             if distance > worst.distance {
                 *worst = Worst { distance, line: pair.line, of: pair.of };

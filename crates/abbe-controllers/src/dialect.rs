@@ -21,8 +21,7 @@ pub enum Dialect {
 
 impl Dialect {
     /// All of them.
-    pub const ALL: [Self; 6] =
-        [Self::Linuxcnc, Self::Iso, Self::Fanuc, Self::Siemens, Self::Heidenhain, Self::Grbl];
+    pub const ALL: [Self; 6] = [Self::Linuxcnc, Self::Iso, Self::Fanuc, Self::Siemens, Self::Heidenhain, Self::Grbl];
 
     /// Its name on the command line.
     pub fn name(self) -> &'static str {
@@ -95,7 +94,9 @@ pub(crate) enum Meaning {
     Rapid,
     Feed,
     /// Clockwise or not.
-    Arc { clockwise: bool },
+    Arc {
+        clockwise: bool,
+    },
     Plane([usize; 2]),
     Inches(bool),
     Relative(bool),
@@ -132,12 +133,14 @@ const ALL: u8 = L | I | F | S | G;
 struct Code(u16, u8, u8, Meaning);
 
 use Meaning::{
-    ArcAbsolute, Dwell, Feed, FeedPerTime, Home, Inches, InverseTime, Keep, MachineBlock, Plane, Rapid, Refuse, Relative,
-    SetSystem, Shift, System, ToolCentre, ToolLength, ToolLengthOff,
+    ArcAbsolute, Dwell, Feed, FeedPerTime, Home, Inches, InverseTime, Keep, MachineBlock, Plane, Rapid, Refuse,
+    Relative, SetSystem, Shift, System, ToolCentre, ToolLength, ToolLengthOff,
 };
 
-const RADIUS: Meaning =
-    Refuse("the path of the tool is not the programmed one under cutter compensation", "let the CAM system write the path of the tool");
+const RADIUS: Meaning = Refuse(
+    "the path of the tool is not the programmed one under cutter compensation",
+    "let the CAM system write the path of the tool",
+);
 const CYCLE: Meaning = Refuse("a canned cycle", "write out its moves");
 const PROBING: Meaning = Refuse("a probing move, whose target is never corrected", "leave probing to another program");
 const SPLINE: Meaning = Refuse("a spline", "write it as lines and arcs");
@@ -254,10 +257,15 @@ const CODES: &[Code] = &[
     Code(910, ALL, 3, Relative(true)),
     Code(901, L, 4, ArcAbsolute(true)),
     Code(911, L | G, 4, ArcAbsolute(false)),
-    Code(920, L | I | F | G, 0, Refuse(
-        "it moves the origin to where the axes stand, and they stand at corrected positions",
-        "set a work offset: G10 L2, or `--offset`",
-    )),
+    Code(
+        920,
+        L | I | F | G,
+        0,
+        Refuse(
+            "it moves the origin to where the axes stand, and they stand at corrected positions",
+            "set a work offset: G10 L2, or `--offset`",
+        ),
+    ),
     Code(921, L | G, 0, Keep),
     Code(922, L, 0, Keep),
     Code(923, L, 0, Refuse("an offset that is not known here", "set a work offset: G10 L2, or `--offset`")),

@@ -125,7 +125,13 @@ impl Points<'_> {
     }
 
     /// Arcs, halved until they hold the tolerance, and lines where not even the shortest does; gives where they end.
-    fn arcs(&self, arc: &Arc, range: Range<usize>, from: Coordinates, found: &mut Vec<(Path, Range<usize>)>) -> Coordinates {
+    fn arcs(
+        &self,
+        arc: &Arc,
+        range: Range<usize>,
+        from: Coordinates,
+        found: &mut Vec<(Path, Range<usize>)>,
+    ) -> Coordinates {
         let (start, end) = (range.start, range.end);
         if end - start < 2 {
             return self.lines(range, from, found);

@@ -274,11 +274,15 @@ impl Cursor<'_> {
             (None, Some(b'R' | b'Q')) if digits == 0 && self.at == from + 1 => {
                 Err(self.refused(from, "a value that only the control knows", VARIABLES))
             }
-            (None, _) => Err(self.refused(from, "a number was expected", "write digits, at most one sign and one point")),
+            (None, _) => {
+                Err(self.refused(from, "a number was expected", "write digits, at most one sign and one point"))
+            }
             (Some(_), Some(b'+' | b'-' | b'.')) => {
                 Err(self.refused(from, "no number", "write at most one sign and one point"))
             }
-            (Some(_), Some(b'E')) if self.text.get(self.at + 1).is_some_and(|byte| byte.is_ascii_digit() || b"+-".contains(byte)) => {
+            (Some(_), Some(b'E'))
+                if self.text.get(self.at + 1).is_some_and(|byte| byte.is_ascii_digit() || b"+-".contains(byte)) =>
+            {
                 Err(self.refused(from, "a number with an exponent, which G-code does not have", "write it without"))
             }
             (Some(value), _) => Ok((value, has_point)),

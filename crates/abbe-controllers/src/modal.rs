@@ -198,7 +198,8 @@ impl Modal {
                 Meaning::ToolCentre(on) => {
                     centre = Some((word, on));
                     // SINUMERIK takes the tool that is active; with one length for all tools it need not be called before.
-                    let has_length = options.dialect.is_siemens() && (self.length.is_some() || options.tools.only.is_none());
+                    let has_length =
+                        options.dialect.is_siemens() && (self.length.is_some() || options.tools.only.is_none());
                     if on && !has_length {
                         length = Some((word, true));
                     }
@@ -351,7 +352,12 @@ impl Modal {
                         0 => self.system,
                         number => Some(number - 1),
                     },
-                    _ => return Err(of_block("only `G10 L2 P1` to `P9` in G90, without R, are followed", "write the offset so")),
+                    _ => {
+                        return Err(of_block(
+                            "only `G10 L2 P1` to `P9` in G90, without R, are followed",
+                            "write the offset so",
+                        ));
+                    }
                 }
             }
         };
@@ -379,7 +385,9 @@ fn code(word: &Word, options: &Options) -> Result<(u8, Meaning), Refusal> {
 
 fn siemens_name(word: &Word) -> Result<Meaning, Refusal> {
     let numbered = |prefix: char| {
-        word.name.strip_prefix(prefix).is_some_and(|rest| !rest.is_empty() && rest.bytes().all(|byte| byte.is_ascii_digit()))
+        word.name
+            .strip_prefix(prefix)
+            .is_some_and(|rest| !rest.is_empty() && rest.bytes().all(|byte| byte.is_ascii_digit()))
     };
     if word.name == "CR" || numbered('M') || numbered('S') || numbered('H') {
         return Ok(Meaning::Keep);

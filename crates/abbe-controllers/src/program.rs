@@ -161,7 +161,8 @@ impl Run<'_, '_> {
                 self.waiting.push((Waiting::Text(line.to_vec(), None), number));
             }
             Action::Move(of) => {
-                let is_same = |(space, machine): &(Space, Rc<Machine>)| *space == of.space && Rc::ptr_eq(machine, &of.machine);
+                let is_same =
+                    |(space, machine): &(Space, Rc<Machine>)| *space == of.space && Rc::ptr_eq(machine, &of.machine);
                 if !self.frame.as_ref().is_some_and(is_same) {
                     self.flush()?;
                     self.changed(&of)?;
@@ -196,7 +197,8 @@ impl Run<'_, '_> {
         self.is_marked = true;
         let tolerance = self.options.tolerance * 1e3;
         let words = format!("{MARK}: calibration {}, tolerance {tolerance} um", self.options.calibration);
-        let comment = if self.options.dialect.has_bracket_comments() { format!("({words})") } else { format!("; {words}") };
+        let comment =
+            if self.options.dialect.has_bracket_comments() { format!("({words})") } else { format!("; {words}") };
         let eol = if eol.is_empty() { b"\n" } else { eol };
         self.waiting.push((Waiting::Text([comment.as_bytes(), eol].concat(), None), 0));
     }
@@ -275,9 +277,8 @@ impl<'a> Lines<'a> {
         self.line.clear();
         let mut limited = (&mut *self.source).take(LONGEST_LINE as u64 + 1);
         let read = limited.read_until(b'\n', &mut self.line);
-        let read = read.map_err(|error| {
-            Error::data(format!("the program cannot be read: {error}")).in_file(&self.options.file)
-        })?;
+        let read = read
+            .map_err(|error| Error::data(format!("the program cannot be read: {error}")).in_file(&self.options.file))?;
         if read == 0 {
             return Ok(None);
         }

@@ -27,7 +27,9 @@ impl Tools {
             }
             let value = |letter: char| {
                 let words = own.split_whitespace();
-                words.filter_map(|word| word.strip_prefix([letter, letter.to_ascii_lowercase()])?.parse::<f64>().ok()).next()
+                words
+                    .filter_map(|word| word.strip_prefix([letter, letter.to_ascii_lowercase()])?.parse::<f64>().ok())
+                    .next()
             };
             let at = |message: &str| {
                 Error::data(message.to_owned()).help("a line is `T1 P1 Z120.5 D6`").at(file, index + 1, None)

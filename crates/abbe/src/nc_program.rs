@@ -6,7 +6,9 @@ use std::io::{BufReader, BufWriter, Write};
 use std::path::{Path, PathBuf};
 
 use abbe_compensation::{Settings, Temperatures, check_confounded_anywhere};
-use abbe_controllers::{Checked, Coordinates, Dialect, Machine, Options, Summary, Tools, check, compensate, mark, place};
+use abbe_controllers::{
+    Checked, Coordinates, Dialect, Machine, Options, Summary, Tools, check, compensate, mark, place,
+};
 use abbe_core::{Calibration, Error, Registry, Result, machine_values};
 use abbe_engine::{model_with_log, temporary_file};
 use abbe_files::{LARGEST_RESULT, read_text};
@@ -257,7 +259,9 @@ impl Asked<'_> {
             ));
             if summary.take_ups > 0 {
                 let moves = counted(summary.take_ups, "move");
-                text.push_str(&format!("Added: {moves} that bring axes to a start, after reversals or uncorrected moves\n"));
+                text.push_str(&format!(
+                    "Added: {moves} that bring axes to a start, after reversals or uncorrected moves\n"
+                ));
             }
             if summary.uncorrected > 0 {
                 let moves = counted(summary.uncorrected, "rapid move");
@@ -339,9 +343,7 @@ fn summary_json(summary: &Summary) -> serde_json::Value {
 }
 
 fn checked_json(checked: &Checked) -> serde_json::Value {
-    let worst = |worst: abbe_controllers::Worst| {
-        json!({ "remaining_um": worst.distance * 1e3, "line": worst.line, "line_of_program": worst.of })
-    };
+    let worst = |worst: abbe_controllers::Worst| json!({ "remaining_um": worst.distance * 1e3, "line": worst.line, "line_of_program": worst.of });
     json!({
         "blocks": checked.blocks, "places": checked.places, "mark": checked.mark,
         "path": worst(checked.path), "rapid": worst(checked.rapid),
