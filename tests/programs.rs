@@ -103,13 +103,14 @@ const AHEAD: f64 = 1.5;
 
 /// The largest distance of the tip of the machine with errors from the programmed path, mm; rapid moves by their ends.
 pub fn worst(machine: &Machine, programmed: &[Block], corrected: &[Block]) -> f64 {
+    let is_tip = programmed.iter().any(|block| block.is_tip);
     let (programmed, corrected) = (runs(programmed), runs(corrected));
     assert_eq!(programmed.len(), corrected.len(), "rapid moves");
     let mut directions = ByAxis::new();
     let mut found: f64 = 0.0;
     for (own, other) in programmed.iter().zip(&corrected) {
         let goal = goal(machine, &own.0, &mut directions);
-        found = found.max(along(machine, &goal, &other.0));
+        found = found.max(along(machine, &goal, &other.0, is_tip));
         let (Some(rapid), Some(done)) = (own.1, other.1) else { continue };
         for step in rapid.path.windows(2) {
             turned(&mut directions, &step[0], &step[1]);
@@ -142,7 +143,7 @@ fn goal(machine: &Machine, blocks: &[&Block], directions: &mut ByAxis) -> Goal {
     Goal { tips, directions: all, length }
 }
 
-fn along(machine: &Machine, goal: &Goal, blocks: &[&Block]) -> f64 {
+fn along(machine: &Machine, goal: &Goal, blocks: &[&Block], is_tip: bool) -> f64 {
     let (mut at, mut found) = (1, 0_f64);
     for block in blocks {
         let first = if is_small(block) { block.path.len() - 1 } else { 0 };
@@ -153,11 +154,16 @@ fn along(machine: &Machine, goal: &Goal, blocks: &[&Block]) -> f64 {
                 if goal.length[next - 1] - goal.length[at] > AHEAD && next > at + 4 {
                     break;
                 }
-                let key = format!("{:?}", goal.directions[next]);
-                let actual = *known
-                    .entry(key)
-                    .or_insert_with(|| tips(machine, &[(position.clone(), goal.directions[next].clone())], true)[0]);
-                let off = from_segment(actual, goal.tips[next - 1], goal.tips[next]);
+                // Where the tip is programmed axes turn around between two points of the path, nobody knows where.
+                let more = if is_tip { 1 } else { 0 };
+                let of = next.saturating_sub(more)..(next + 1 + more).min(goal.directions.len());
+                let off = goal.directions[of].iter().map(|directions| {
+                    let actual = *known
+                        .entry(format!("{directions:?}"))
+                        .or_insert_with(|| tips(machine, &[(position.clone(), directions.clone())], true)[0]);
+                    from_segment(actual, goal.tips[next - 1], goal.tips[next])
+                });
+                let off = off.fold(f64::INFINITY, f64::min);
                 if off < best.0 {
                     best = (off, next);
                 }
@@ -221,7 +227,7 @@ fn law(name: &str, dialect: Dialect, tip: bool, seed: u64) {
     assert!(before > 5e-3, "{name} {dialect:?} {seed}: {before}");
     let (wrong, _) = corrected(&machine, &text, &options, -1.0).expect("a program");
     let wrong = worst(&machine, &programmed, &moved(&machine, &wrong));
-    assert!(wrong > 1.5 * before, "{name} {dialect:?} {seed}: {wrong} of {before}");
+    assert!(wrong > before.max(10.0 * TOLERANCE), "{name} {dialect:?} {seed}: {wrong} of {before}");
     // What is no motion stays: every comment is there once.
     assert_eq!(text.matches("as G1 X99 was").count(), done.matches("as G1 X99 was").count());
 }
@@ -365,6 +371,7 @@ fn public_programs_are_handled_or_refused() {
     assert!(summary.arcs[0] == 6 && summary.arcs[1] >= 6, "{summary:?}");
 
     refused(&table, &public("linuxcnc-5axis-g93.ngc"), &linuxcnc, 4, "length of the tool 4");
+    linuxcnc.start = [Some(0.0); 9];
     linuxcnc.tools = Tools::read("T4 P4 Z87.5\n", &PathBuf::from("tool.tbl")).expect("a table");
     let text = public("linuxcnc-5axis-g93.ngc");
     let (done, _) = corrected(&table, &text, &linuxcnc, 1.0).expect("it is handled");

@@ -12,16 +12,12 @@ use crate::support::{skipped, temporary, write};
 /// The numbers of the canonical commands for motion: the first coordinates, and whether it is an arc.
 fn commands(output: &str) -> Vec<(Vec<f64>, String)> {
     let of_line = |line: &str| {
-        let (_, command) = line.split_once("N..... ")?;
-        let (name, numbers) = command.split_once('(')?;
-        let is_motion = ["STRAIGHT_TRAVERSE", "STRAIGHT_FEED", "ARC_FEED"].contains(&name);
-        let numbers = numbers
-            .trim_end_matches(')')
-            .split(',')
-            .map(|number| number.trim().parse().ok())
-            .collect::<Option<Vec<f64>>>();
-        is_motion.then_some(())?;
-        Some((numbers?, name.to_owned()))
+        let name = ["STRAIGHT_TRAVERSE", "STRAIGHT_FEED", "ARC_FEED"]
+            .into_iter()
+            .find(|name| line.contains(&format!(" {name}(")))?;
+        let (_, numbers) = line.split_once('(')?;
+        let numbers = numbers.trim_end_matches(')').split(',').map(|number| number.trim().parse().ok());
+        Some((numbers.collect::<Option<Vec<f64>>>()?, name.to_owned()))
     };
     output.lines().filter_map(of_line).collect()
 }

@@ -17,6 +17,8 @@ pub struct Block {
     /// F under G93.
     pub inverse_feed: Option<f64>,
     pub is_arc: bool,
+    /// Whether the tip is programmed.
+    pub is_tip: bool,
 }
 
 /// Steps of a path: mm, degrees, and the sagitta of arcs in mm.
@@ -122,7 +124,7 @@ impl<'a> Control<'a> {
     /// Positions of the axes for a programmed tip: the nominal tip is linear in X, Y and Z.
     fn axes_of(&self, programmed: &ByAxis) -> ByAxis {
         let mut at = programmed.clone();
-        ["X", "Y", "Z"].iter().for_each(|axis| drop(at.insert((*axis).to_owned(), 0.0)));
+        ["X", "Y", "Z"].iter().for_each(|axis| set(&mut at, axis, 0.0));
         let base = self.tip_of(&at);
         let columns = ["X", "Y", "Z"].map(|axis| {
             let mut moved = at.clone();
@@ -133,7 +135,7 @@ impl<'a> Control<'a> {
         let goal = ["X", "Y", "Z"].map(|axis| programmed[axis]);
         let lacks = nalgebra::Vector3::from([0, 1, 2].map(|row| goal[row] - base[row]));
         let solved = nalgebra::Matrix3::from_columns(&columns).try_inverse().expect("X, Y and Z") * lacks;
-        ["X", "Y", "Z"].iter().zip(solved.iter()).for_each(|(axis, value)| drop(at.insert((*axis).to_owned(), *value)));
+        ["X", "Y", "Z"].iter().zip(solved.iter()).for_each(|(axis, value)| set(&mut at, axis, *value));
         at
     }
 
@@ -229,14 +231,14 @@ impl<'a> Control<'a> {
         let path = if is_arc { self.arc(&from, &to, words) } else { straight(&from, &to) };
         let path = if self.tip { path.iter().map(|at| self.axes_of(at)).collect() } else { path };
         let inverse_feed = (self.inverse && self.motion > 0).then(|| value("F").expect("every block has its F"));
-        Some(Block { line, is_rapid: self.motion == 0, path, inverse_feed, is_arc })
+        Some(Block { line, is_rapid: self.motion == 0, path, inverse_feed, is_arc, is_tip: self.tip })
     }
 
     fn begin_tip(&mut self) {
         if !self.tip {
             self.tip = true;
             let tip = self.tip_of(&self.at);
-            ["X", "Y", "Z"].iter().zip(tip).for_each(|(axis, value)| drop(self.at.insert((*axis).to_owned(), value)));
+            ["X", "Y", "Z"].iter().zip(tip).for_each(|(axis, value)| set(&mut self.at, axis, value));
         }
     }
 
@@ -286,10 +288,15 @@ impl<'a> Control<'a> {
         let most = (8.0 * SAGITTA / one.norm()).sqrt();
         let count = (angle.abs() / most).ceil().max(2.0) as usize;
         let begin = one.y.atan2(one.x);
-        let along = |step: usize| {
-            let part = step as f64 / count as f64;
+        // An axis turns around at quarters of the circle.
+        let quarter = std::f64::consts::FRAC_PI_2;
+        let turns = (-10..=10).map(|count| (f64::from(count) * quarter - begin) / angle);
+        let mut parts: Vec<f64> = (0..=count).map(|step| step as f64 / count as f64).collect();
+        parts.extend(turns.filter(|part| *part > 1e-7 && *part < 1.0 - 1e-7));
+        parts.sort_by(f64::total_cmp);
+        let along = |part: f64| {
             let mut at = between(from, to, part);
-            if step < count {
+            if part < 1.0 {
                 let radius = one.norm() + part * (other.norm() - one.norm());
                 let angle = begin + part * angle;
                 at.insert(first.to_owned(), centre.x + radius * angle.cos());
@@ -297,8 +304,12 @@ impl<'a> Control<'a> {
             }
             at
         };
-        (0..=count).map(along).collect()
+        parts.into_iter().map(along).collect()
     }
+}
+
+fn set(at: &mut ByAxis, axis: &str, value: f64) {
+    at.insert(axis.to_owned(), value);
 }
 
 /// The turn from one direction to another, a whole one if they are the same.

@@ -135,7 +135,13 @@ impl<'a> Planner<'a> {
                         "{:.3} µm remain along this move, more than the tolerance of {tolerance} µm",
                         own.remaining * 1e3
                     );
-                    let help = "allow more: `--tolerance-um`, or more `--decimals`";
+                    let turns = own.of.machine.places().any(|axis| is_rotary(axis) && own.of.machine.corrects(axis));
+                    let help = match turns {
+                        true => {
+                            "near a pole of the rotary axes correct the tip alone: `--correct position`; or allow more"
+                        }
+                        false => "allow more: `--tolerance-um`, or more `--decimals`",
+                    };
                     return Err(Error::data(message).help(help).at_pose(index));
                 }
                 let at = |error: Error| error.at_pose(index);
@@ -210,7 +216,7 @@ impl<'a> Planner<'a> {
         if of.space == Space::Joints {
             return Ok(of.path.turns());
         }
-        let count = steps(of).max(8);
+        let count = (8 * steps(of)).max(128);
         let parts: Vec<f64> = (0..=count).map(|step| step as f64 / count as f64).collect();
         let points: Vec<Point> =
             parts.iter().map(|part| Point { at: of.path.at(*part), directions: self.directions }).collect();

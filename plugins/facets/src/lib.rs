@@ -13,8 +13,8 @@ use std::sync::Arc;
 
 use abbe_core::{
     Artefact, ColumnHeader, Contact, Context, DataRow, Dataset, Equations, Error, Feature, InputFile, KinematicModel,
-    Label, Layout, ListedBy, Observations, ObservationsInfo, Parameter, ParameterRole, PathItem, Poses, Quantity, Result,
-    RowBatch, RowIndex, SettingsError, Target, Unit, not_negative, plain_naming, pose_columns, positive,
+    Label, Layout, ListedBy, Observations, ObservationsInfo, Parameter, ParameterRole, PathItem, Poses, Quantity,
+    Result, RowBatch, RowIndex, SettingsError, Target, Unit, not_negative, plain_naming, pose_columns, positive,
 };
 use abbe_probe::EffectiveRadius;
 use nalgebra::{Matrix3, Vector3};
