@@ -3,7 +3,7 @@
 use std::path::{Path, PathBuf};
 
 use abbe_core::{
-    Absent, DataRow, Dataset, Error, KinematicModel, PoseTable, Quantity, Result, StatusRole, StatusSource,
+    Absent, AxisKind, DataRow, Dataset, Error, KinematicModel, PoseTable, Quantity, Result, StatusRole, StatusSource,
     plain_naming, pose_columns,
 };
 use abbe_table::Cells;
@@ -19,6 +19,8 @@ pub struct SetPoints {
     text: String,
     data: Dataset,
     statuses: Vec<f64>,
+    /// What the file does not say and is taken, in words.
+    taken: Vec<String>,
 }
 
 impl SetPoints {
@@ -73,6 +75,7 @@ impl SetPoints {
         for row in data.row_indices() {
             poses.push(&data, row, model, &columns)?;
         }
+        let mut taken = Vec::new();
         let width = info.status.len();
         let mut statuses: Vec<f64> = poses.indices().flat_map(|pose| poses.row(pose).to_vec()).collect();
         for (index, (status, source)) in info.status.iter().zip(&columns).enumerate() {
@@ -87,6 +90,17 @@ impl SetPoints {
                 (StatusRole::Time, _) if time.is_some() => {
                     let error = Error::usage("the set-points have times of their own, and one time was given for all");
                     return Err(in_file(error.help("leave out the time, or the column `time_s`")));
+                }
+                (StatusRole::Command(axis), StatusSource::Taken(value)) if !value.is_nan() => {
+                    let (axis, column) = (&info.axes[*axis], status.quantity.usual_suffix());
+                    let (place, unit) = match axis.kind {
+                        AxisKind::Rotary => (value.to_degrees(), "°"),
+                        AxisKind::Linear => (*value, " mm"),
+                    };
+                    let name = &axis.name;
+                    taken.push(format!(
+                        "there is no column `{name}{column}`: {name} is taken to stand at {place}{unit}"
+                    ));
                 }
                 (_, StatusSource::Taken(value)) if value.is_nan() => {
                     let column = format!("{}{}", status.name, status.quantity.usual_suffix());
@@ -105,12 +119,17 @@ impl SetPoints {
                 );
             }
         }
-        Ok(Self { path: path.to_owned(), text, data, statuses })
+        Ok(Self { path: path.to_owned(), text, data, statuses, taken })
     }
 
     /// The statuses, point by point: points x columns of [`ModelInfo::status`](abbe_core::ModelInfo::status).
     pub fn statuses(&self) -> &[f64] {
         &self.statuses
+    }
+
+    /// What the file does not say and is taken, in words: that a spindle stands at 0° where it has no column.
+    pub fn taken(&self) -> &[String] {
+        &self.taken
     }
 
     /// Number of points.

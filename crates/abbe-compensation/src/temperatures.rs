@@ -5,6 +5,9 @@ use std::path::Path;
 use abbe_core::{Calibration, Dataset, Error, Quantity, Result, from_settings};
 use abbe_errors::{Body, Declaration};
 
+/// Rows from which on a sensor that reads the same all the time is stuck.
+const LONG: usize = 20;
+
 /// A log of sensors with its own clock, which takes the place of the one that a calibration keeps.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Temperatures {
@@ -36,6 +39,26 @@ impl Temperatures {
     /// The time of its last row, s.
     pub fn end(&self) -> f64 {
         self.data.numbers("time").and_then(|times| times.last().copied()).unwrap_or(f64::NAN)
+    }
+
+    /// Refuses a sensor of the calibration that reads the same all the time while others move: it is stuck, or not connected, and its
+    /// part of the correction would be missing.
+    pub fn check_moves(&self, calibration: &Calibration) -> Result<()> {
+        let moves = |values: &[f64]| ends(values).is_some_and(|[from, to]| from < to);
+        let logged = logged(calibration);
+        let readings = |header: &str| self.data.numbers(Quantity::of_column(header).0).unwrap_or_default();
+        let any_moves = logged.iter().any(|(header, _)| moves(readings(header)));
+        let stuck = logged.iter().find(|(header, known)| {
+            let own = readings(header);
+            own.len() >= LONG && !moves(own) && moves(known)
+        });
+        match stuck.filter(|_| any_moves) {
+            None => Ok(()),
+            Some((header, _)) => {
+                let message = format!("{header} reads the same all the time, and others move: the sensor is stuck");
+                Err(Error::data(message).help("repair or connect it; `--at-reference` leaves out all temperatures"))
+            }
+        }
     }
 
     /// What a calibration does not know of this log: readings beyond those of its own one, by more than a tenth of their range; and

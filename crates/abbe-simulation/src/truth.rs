@@ -145,10 +145,14 @@ impl Truth {
     }
 }
 
-/// Warns of entries that describe other machines than that of `parameters`.
+/// Warns of entries that describe other machines than that of `parameters`, and of misspelt keys.
 fn warn_of_others(content: &Value) {
+    const KEYS: [&str; 2] = ["parameters", "noise"];
     let has_parameters = |value: &Value| value.get("parameters").is_some();
     for (name, value) in content.as_object().into_iter().flatten() {
+        if let Some(meant) = nearest(name, KEYS).filter(|_| !KEYS.contains(&name.as_str())) {
+            tracing::warn!("`{name}` is a note and not simulated: did you mean `{meant}`?");
+        }
         let described = has_parameters(value) || value.as_array().is_some_and(|all| all.iter().any(has_parameters));
         if described {
             tracing::warn!(

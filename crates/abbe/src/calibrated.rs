@@ -101,6 +101,7 @@ fn temperatures(calibration: &Calibration, file: &Path) -> Result<Temperatures> 
     }
     check_no_drift(calibration)?;
     let log = Temperatures::read(file)?;
+    log.check_moves(calibration).map_err(|error| error.in_file(file))?;
     for beyond in log.beyond(calibration) {
         tracing::warn!("{beyond}: corrections are extrapolated");
     }
