@@ -137,7 +137,9 @@ impl<'a> Planner<'a> {
                     );
                     let turns = own.of.machine.places().any(|axis| is_rotary(axis) && own.of.machine.corrects(axis));
                     let help = match turns {
-                        true => "near a pole of the rotary axes correct the tip alone: `--correct position`; or allow more",
+                        true => {
+                            "near a pole of the rotary axes correct the tip alone: `--correct position`; or allow more"
+                        }
                         false => "allow more: `--tolerance-um`, or more `--decimals`",
                     };
                     return Err(Error::data(message).help(help).at_pose(index));
