@@ -6,7 +6,7 @@ pub mod interpreter;
 use std::collections::BTreeMap;
 use std::path::PathBuf;
 
-use abbe_compensation::{Settings, Travel};
+use abbe_compensation::Settings;
 use abbe_controllers::{Coordinates, Dialect, Machine as OfPrograms, Options, Summary, Tools, compensate, table};
 use abbe_core::{Result, machine_values};
 use abbe_engine::model_of;
@@ -36,13 +36,7 @@ pub fn corrected(machine: &Machine, text: &str, options: &Options, sign: f64) ->
         let own = with_tool(machine, length);
         let values = own.values.iter().map(|value| value * sign).collect();
         let length = own.calibration.model.settings["tool_length_mm"].as_f64().expect("a length");
-        OfPrograms::new(
-            own.model.clone(),
-            values,
-            Settings { travel: Travel::Allow, ..Settings::default() },
-            length,
-            None,
-        )
+        OfPrograms::new(own.model.clone(), values, Settings::default(), length, None)
     };
     let mut out = Vec::new();
     let summary = compensate(&mut text.as_bytes(), &mut out, &build, options)?;

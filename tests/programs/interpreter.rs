@@ -62,7 +62,7 @@ fn words(text: &str) -> Vec<(String, f64, bool)> {
     while !rest.is_empty() {
         let end = rest.find(|letter: char| !letter.is_ascii_alphabetic()).unwrap_or(rest.len());
         let (name, after) = rest.split_at(end);
-        let (name, mut after) = (name.to_owned(), after.to_owned());
+        let (mut name, mut after) = (name.to_owned(), after.to_owned());
         let mut is_relative = false;
         if let Some(value) = after.strip_prefix('=') {
             let value = value.to_owned();
@@ -72,6 +72,9 @@ fn words(text: &str) -> Vec<(String, f64, bool)> {
                 continue;
             }
             is_relative = value.starts_with("IC(");
+            if value.starts_with("AC(") && ["I", "J", "K"].contains(&name.as_str()) {
+                name.push('A');
+            }
             let inner = value.split(['(', ')']).nth(1).map(str::to_owned);
             after = match inner {
                 Some(inner) if value.contains('(') && value.as_bytes()[0].is_ascii_alphabetic() => {
@@ -190,10 +193,10 @@ impl<'a> Control<'a> {
                 }
                 ("TRAFOOF", _) => self.end_tip(),
                 ("D", code) => self.offset = if code == 0 { 0.0 } else { self.length },
-                ("G", 400 | 800 | 640 | 980 | 990 | 970) => {}
+                ("G", 40 | 400 | 800 | 640 | 980 | 990 | 970) => {}
                 (
-                    "N" | "F" | "S" | "T" | "M" | "H" | "X" | "Y" | "Z" | "A" | "B" | "C" | "I" | "J" | "K" | "R"
-                    | "CR" | "L" | "P" | "",
+                    "CFTCP" | "IA" | "JA" | "KA" | "N" | "F" | "S" | "T" | "M" | "H" | "X" | "Y" | "Z" | "A" | "B"
+                    | "C" | "I" | "J" | "K" | "R" | "CR" | "L" | "P" | "",
                     _,
                 ) => {}
                 (name, _) => panic!("line {line}: {name} {number}"),
@@ -278,8 +281,11 @@ impl<'a> Control<'a> {
                 nalgebra::Vector2::new(of(first), of(second))
             }
             None => {
-                let of = |axis: &str| value(letter(axis)).unwrap_or(0.0);
-                start + nalgebra::Vector2::new(of(first), of(second))
+                let of = |axis: &str| match value(&format!("{}A", letter(axis))) {
+                    Some(absolute) => absolute + self.shift(axis),
+                    None => from[axis] + value(letter(axis)).unwrap_or(0.0),
+                };
+                nalgebra::Vector2::new(of(first), of(second))
             }
         };
         let (one, other) = (start - centre, end - centre);

@@ -188,10 +188,10 @@ impl<'a> Reader<'a> {
     }
 
     fn check_letters(&self, line: &Line, is_arc: bool) -> Result<(), Refusal> {
-        let has_other = line
-            .words
-            .iter()
-            .any(|word| word.letter == b'M' || word.letter == b'G' && ![0.0, 1.0, 2.0, 3.0].contains(&word.value));
+        let has_other = line.words.iter().any(|word| {
+            word.letter == b'M'
+                || word.letter == b'G' && WITH_NUMBERS.iter().any(|code| (word.value - code).abs() < 1e-6)
+        });
         for word in &line.words {
             let is_known = match word.letter {
                 b'I' | b'J' | b'K' | b'R' => is_arc,
@@ -234,6 +234,18 @@ impl<'a> Reader<'a> {
                 (true, None) => return Err(refused(word, "a relative move from a position that is not known", START)),
             };
             self.check_travel(word, axis, target[axis])?;
+            if let (Some(from), Some(to)) = (self.modal.at[axis], target[axis])
+                && !relative
+                && self.modal.machine.is_endless(axis)
+                && (to - from).abs() > 180.0
+            {
+                let help = "write it in smaller turns, or relative";
+                return Err(refused(
+                    word,
+                    "more than half a turn of an axis without ends, which way is not known",
+                    help,
+                ));
+            }
         }
         let places: Vec<usize> = self.modal.machine.places().collect();
         let start_known = places.iter().all(|axis| self.modal.at[*axis].is_some());
@@ -356,6 +368,9 @@ impl<'a> Reader<'a> {
         Ok(Arc { plane, centre, sweep: sweep(from, to, centre, clockwise) })
     }
 }
+
+/// Codes that have numbers of their own besides those of axes: P, Q, L or E.
+const WITH_NUMBERS: [f64; 4] = [5.1, 8.0, 61.0, 64.0];
 
 /// Farthest that the end of an arc may be from its circle, mm.
 const OFF_CIRCLE: f64 = 0.01;

@@ -46,6 +46,8 @@ pub struct Machine {
     wavelength: f64,
     /// Travels by place.
     travels: [Option<[f64; 2]>; 9],
+    /// Axes that turn without an end.
+    endless: [bool; 9],
 }
 
 impl Machine {
@@ -64,7 +66,7 @@ impl Machine {
         }
         let info = model.info();
         let (mut axes, mut linear, mut directions) = (Vec::new(), Vec::new(), Vec::new());
-        let mut travels = [None; 9];
+        let (mut travels, mut endless) = ([None; 9], [false; 9]);
         let mut base = Vec::new();
         let (mut shortest, periods) = (f64::INFINITY, &info.periods);
         for period in periods {
@@ -84,6 +86,7 @@ impl Machine {
             if found < 3 {
                 linear.push((found, index));
             }
+            endless[found] = axis.endless;
             travels[found] = axis.range.filter(|_| !axis.endless).map(|ends| ends.map(|end| end / factor));
         }
         for (index, column) in info.status.iter().enumerate() {
@@ -118,6 +121,7 @@ impl Machine {
             length,
             wavelength: shortest,
             travels,
+            endless,
         };
         let origin = Point { at: [0.0; 9], directions: [1.0; 9] };
         machine.zero = machine.tips(&machine.joint_statuses(&[origin]), false)?[0];
@@ -157,6 +161,11 @@ impl Machine {
     /// The travel of an axis.
     pub fn travel(&self, place: usize) -> Option<[f64; 2]> {
         self.travels[place]
+    }
+
+    /// Whether an axis turns without an end.
+    pub fn is_endless(&self, place: usize) -> bool {
+        self.endless[place]
     }
 
     /// Whether ends of travel are the control's affair alone.
