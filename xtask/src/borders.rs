@@ -69,7 +69,7 @@ const CRATES: [Border; 27] = [
             "abbe-table",
         ],
     ),
-    border("abbe-report", &["abbe-core", "abbe-engine", "abbe-files", "abbe-probe", "abbe-volumetric"]),
+    border("abbe-report", &["abbe-core", "abbe-engine", "abbe-files", "abbe-probe", "abbe-trend", "abbe-volumetric"]),
     border(
         "abbe",
         &[

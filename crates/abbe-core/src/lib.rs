@@ -57,10 +57,11 @@ pub use uncertainty::{CovarianceBlock, EquationUncertainty, PooledRepeatability}
 // Types of settings and results. They are re-exported so that plugins need this crate alone.
 pub use abbe_results::{
     CALIBRATION_FORMAT, Calibration, Combination, CombinedAgreement, ConsideredInput, Contribution, Correlated,
-    DataRecord, Decision, EquivalentMotionError, Estimated, Figure, FileFormat, Findings, FitReport, Group, GumComparison,
-    Identifiability, ImplausibleValue, JointCoverage, Limit, ModelRecord, MonteCarlo, NamedCovariance, Outlier,
-    ParameterBudget, PredictedStructure, Rule, Selection, SelectionByPrediction, SelectionDirection, SelectionStep,
-    SimulatedParameter, Status, UncertaintyBudget, VERDICTS_FORMAT, VarianceFactor, Verdict, WeakDirection,
+    DataRecord, Decision, EquivalentMotionError, Estimated, Figure, FileFormat, Findings, FitReport, Group,
+    GumComparison, Identifiability, ImplausibleValue, JointCoverage, Limit, ModelRecord, MonteCarlo, NamedCovariance,
+    Outlier, ParameterBudget, PredictedStructure, Rule, Selection, SelectionByPrediction, SelectionDirection,
+    SelectionStep, SimulatedParameter, Status, UncertaintyBudget, VERDICTS_FORMAT, VarianceFactor, Verdict,
+    WeakDirection,
 };
 pub use abbe_settings::{
     Class, Convergence, Error, EvenSeries, Label, Names, PathItem, Place, Quantity, Result, Series, SettingsError,

@@ -59,12 +59,7 @@ impl Prepared {
 
     /// The groups of an estimate, in the order of their times, each with its rows of every data set that is divided.
     #[allow(clippy::type_complexity)]
-    fn groups(
-        &self,
-        stage: &Stage,
-        by: &str,
-        data: &Datasets,
-    ) -> Result<Vec<(Group, BTreeMap<String, Vec<DataRow>>)>> {
+    fn groups(&self, stage: &Stage, by: &str, data: &Datasets) -> Result<Vec<(Group, BTreeMap<String, Vec<DataRow>>)>> {
         let mut ingests = BTreeSet::new();
         for name in stage.reference("observations") {
             let (ingest, _) = self.artefact(name)?;

@@ -115,9 +115,8 @@ impl History {
     }
 
     fn connected(path: &Path, flags: OpenFlags) -> Result<Self> {
-        let failed = |error: rusqlite::Error| {
-            Error::usage(format!("the history {} cannot be opened: {error}", path.display()))
-        };
+        let failed =
+            |error: rusqlite::Error| Error::usage(format!("the history {} cannot be opened: {error}", path.display()));
         let connection = Connection::open_with_flags(path, flags).map_err(failed)?;
         connection.busy_timeout(PATIENCE).map_err(failed)?;
         let history = Self { path: path.to_owned(), connection };
@@ -145,7 +144,8 @@ impl History {
                     .help("name another file"))
             }
             SCHEMA_VERSION.. if version > SCHEMA_VERSION => {
-                let message = format!("{path} is a history of version {version}; this program reads up to {SCHEMA_VERSION}");
+                let message =
+                    format!("{path} is a history of version {version}; this program reads up to {SCHEMA_VERSION}");
                 Err(Error::usage(message).help("use the version of Abbe that wrote it, or a later one"))
             }
             version => Ok(version),
@@ -262,9 +262,10 @@ impl History {
         let read = || -> rusqlite::Result<Vec<Line>> {
             self.connection.prepare(text)?.query_map([number], columns)?.collect()
         };
-        let calibrations = read().map_err(|error| self.failed(&error))?.into_iter().map(|(machine, label, at, unit, content)| {
-            Ok(Stored { machine, label, at, unit, calibration: Calibration::from_json(&content)? })
-        });
+        let calibrations =
+            read().map_err(|error| self.failed(&error))?.into_iter().map(|(machine, label, at, unit, content)| {
+                Ok(Stored { machine, label, at, unit, calibration: Calibration::from_json(&content)? })
+            });
         Ok(Some(Entry {
             recipe,
             calibrations: calibrations.collect::<Result<_>>()?,

@@ -105,7 +105,8 @@ fn stage(plugin: &Plugin) -> Value {
         properties.insert(crate::PLAUSIBLE.to_owned(), plausible);
         properties.insert(crate::TIE.to_owned(), tie());
         let description = "An estimate for every group of rows: those of one `week` or `day`, of one label in another column, or of one `file`";
-        properties.insert(crate::PER.to_owned(), json!({ "type": "string", "minLength": 1, "description": description }));
+        properties
+            .insert(crate::PER.to_owned(), json!({ "type": "string", "minLength": 1, "description": description }));
         // An estimate of its own, or the analysis of another one.
         let own = json!({ "required": ["machine", "observations", "parameters"] });
         settings.insert("anyOf".to_owned(), json!([own, { "required": [ANALYSED] }]));

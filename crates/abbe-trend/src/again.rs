@@ -94,11 +94,7 @@ fn line(forecast: Forecast, at: &[f64], values: &[f64], uncertainties: &[f64], e
     let fitted = fit(&columns, values, uncertainties)?;
     let (value, rate) = (fitted.value(0), fitted.value(1));
     let together = if forecast == Forecast::Line { 0.0 } else { fitted.covariance[(0, 1)] };
-    Some(Future {
-        value: value.into(),
-        rate: rate.into(),
-        variance: [value.1.powi(2), 2.0 * together, rate.1.powi(2)],
-    })
+    Some(Future { value: value.into(), rate: rate.into(), variance: [value.1.powi(2), 2.0 * together, rate.1.powi(2)] })
 }
 
 /// Level and slope after the last test, by a Kalman filter that starts knowing nothing.
@@ -216,7 +212,8 @@ mod tests {
                 })
                 .collect();
             let rule = AgainRule { limit: level.abs() + 2.0, risk: 0.05, tests: 12, forecast: Forecast::RandomWalk };
-            let Some(Again { after: Some(after), now: false, .. }) = again(&rule, &at, &values, &[0.2; 40], 39.0) else {
+            let Some(Again { after: Some(after), now: false, .. }) = again(&rule, &at, &values, &[0.2; 40], 39.0)
+            else {
                 continue;
             };
             told += 1;

@@ -237,7 +237,8 @@ struct Good {
 impl Good {
     fn of(tests: &[Test], series: &Series) -> Self {
         let declared = series.regressor.as_ref();
-        let known = |index: usize| declared.is_none_or(|regressor| regressor.values[index].is_some() || !regressor.declared);
+        let known =
+            |index: usize| declared.is_none_or(|regressor| regressor.values[index].is_some() || !regressor.declared);
         let counts = |(index, value): (usize, &Option<Uncertain>)| {
             let usable = value.filter(|value| value.value.is_finite() && value.standard_uncertainty > 0.0)?;
             (tests[index].good && known(index)).then_some((index, usable))
@@ -301,9 +302,8 @@ fn trend(tests: &[Test], series: &Series, limits: &ChartLimits, settings: &Setti
         None => (Change::None, 0.0, 1.0),
     };
     let change = of_tests(change, &good.tests);
-    let clear = |seasonal: &Seasonal| {
-        seasonal.coefficient.value.abs() > 3.0 * seasonal.coefficient.standard_uncertainty
-    };
+    let clear =
+        |seasonal: &Seasonal| seasonal.coefficient.value.abs() > 3.0 * seasonal.coefficient.standard_uncertainty;
     let state = match change {
         Change::None if !charts.confirmed().is_empty() => State::Alarm,
         Change::None if !charts.unconfirmed().is_empty() => State::Unconfirmed,

@@ -107,12 +107,8 @@ const FEWEST: usize = 4;
 pub(crate) fn decide(values: &Values<'_>, significance: f64) -> Option<Decided> {
     let unchanged = fit(values.base, values.values, values.uncertainties)?;
     let rows = values.at.len();
-    let none = Candidate {
-        change: Change::None,
-        chi_squared: unchanged.chi_squared,
-        unknowns: 0,
-        needed: f64::NEG_INFINITY,
-    };
+    let none =
+        Candidate { change: Change::None, chi_squared: unchanged.chi_squared, unknowns: 0, needed: f64::NEG_INFINITY };
     let mut candidates = vec![none];
     candidates.extend(step(values, unchanged.chi_squared, significance));
     if rows >= FEWEST + values.base.len() {

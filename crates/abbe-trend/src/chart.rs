@@ -125,9 +125,7 @@ impl Charts {
     /// Tests with an alarm that another chart or the next test confirms.
     pub fn confirmed(&self) -> Vec<usize> {
         let alone = self.unconfirmed();
-        (0..self.alarms.len())
-            .filter(|index| self.alarms[*index].of_value() > 0 && !alone.contains(index))
-            .collect()
+        (0..self.alarms.len()).filter(|index| self.alarms[*index].of_value() > 0 && !alone.contains(index)).collect()
     }
 }
 

@@ -23,7 +23,11 @@ pub fn weighted_average(weight: f64, limit: f64) -> f64 {
     let rule = gauss_legendre(-edge, edge);
     let density = |from: f64, to: f64| normal.pdf((to - (1.0 - weight) * from) / weight) / weight;
     let lengths = solved(&rule, |from, to, share| density(from, to) * share);
-    1.0 + rule.iter().zip(lengths.iter()).map(|((node, share), length)| density(0.0, *node) * share * length).sum::<f64>()
+    1.0 + rule
+        .iter()
+        .zip(lengths.iter())
+        .map(|((node, share), length)| density(0.0, *node) * share * length)
+        .sum::<f64>()
 }
 
 /// Run length of two sums `max(0, s + z - reference)` and `max(0, s - z - reference)`, from 0, of which one exceeds `limit`.
@@ -65,9 +69,8 @@ pub fn moving_range(limit: f64) -> f64 {
         if low >= last || high <= first { 0.0 } else { above - below }
     };
     // On either side of zero, within the limit of the last value.
-    let stay = |from: f64, class: usize| {
-        part(class, from - limit, from + limit) + part(class, -from - limit, limit - from)
-    };
+    let stay =
+        |from: f64, class: usize| part(class, from - limit, from + limit) + part(class, -from - limit, limit - from);
     let matrix = DMatrix::from_fn(CLASSES, CLASSES, |row, column| {
         f64::from(u8::from(row == column)) - stay(middle(row), column)
     });

@@ -36,7 +36,8 @@ pub fn findings(of: &str, history: &History, analysis: &Analysis, changes: Limit
     findings.remarks = sentences(history, analysis);
     findings.tables.insert("charts.csv".to_owned(), charts(analysis));
     findings.tables.insert("tests.csv".to_owned(), tests(history, analysis));
-    let text = serde_json::to_string_pretty(&json!({ "abbe_trend": 1, "analysis": analysis, "quality": history.quality }));
+    let text =
+        serde_json::to_string_pretty(&json!({ "abbe_trend": 1, "analysis": analysis, "quality": history.quality }));
     let text = text.map_err(|error| Error::data(format!("the trend cannot be written: {error}")))?;
     findings.tables.insert("trend.json".to_owned(), text + "\n");
     Ok(findings)
@@ -67,11 +68,20 @@ fn figures(of: &str, parameter: &ParameterTrend, analysis: &Analysis, figures: &
         Change::Regressor { coefficient } => figure("follows undeclared", coefficient, factor, &unit),
     }
     if let Some(seasonal) = &parameter.seasonal {
-        let unit = if unit.contains('/') { format!("({unit})/{}", seasonal.unit) } else { format!("{unit}/{}", seasonal.unit) };
+        let unit = if unit.contains('/') {
+            format!("({unit})/{}", seasonal.unit)
+        } else {
+            format!("{unit}/{}", seasonal.unit)
+        };
         figure(&format!("by {}", seasonal.regressor), seasonal.coefficient, factor, &unit);
     }
     if let Some(again) = &parameter.again {
-        figures.push(Figure::new(of, format!("{} measure again after", parameter.name), again.after.map_or(f64::NAN, |after| after as f64), time));
+        figures.push(Figure::new(
+            of,
+            format!("{} measure again after", parameter.name),
+            again.after.map_or(f64::NAN, |after| after as f64),
+            time,
+        ));
     }
 }
 
@@ -254,8 +264,7 @@ fn charts(analysis: &Analysis) -> String {
 
 /// The tests as a table.
 fn tests(history: &History, analysis: &Analysis) -> String {
-    let mut text =
-        String::from("test,at,equations,rank,condition,degrees_of_freedom,chi_squared,probability,good\n");
+    let mut text = String::from("test,at,equations,rank,condition,degrees_of_freedom,chi_squared,probability,good\n");
     for (quality, test) in history.quality.iter().zip(&analysis.tests) {
         let _ = writeln!(
             text,

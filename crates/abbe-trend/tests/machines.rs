@@ -127,8 +127,7 @@ fn a_season_needs_its_temperature() {
         let coefficient = machine.uniform(1.5, 3.0);
         let (phase, scatter) = (machine.uniform(0.0, 6.0), machine.uniform(0.2, 0.5));
         let noise: Vec<f64> = (0..50).map(|_| machine.uniform(-1.0, 1.0) * scatter).collect();
-        let temperature =
-            |at: f64| 20.0 + 3.0 * (at / 52.0 * std::f64::consts::TAU + phase).sin() + noise[at as usize];
+        let temperature = |at: f64| 20.0 + 3.0 * (at / 52.0 * std::f64::consts::TAU + phase).sin() + noise[at as usize];
         let regressor = |declared: bool, tests: &[Test]| Regressor {
             name: "T01".into(),
             unit: "K".into(),
@@ -161,11 +160,17 @@ fn a_wrong_bar_is_no_change() {
     let (mut changed, mut found) = (0, 0);
     for seed in 4000..4200 {
         let mut machine = Machine::new(seed, 40);
-        let bar: f64 = 2.0 * { let noise: f64 = StandardNormal.sample(&mut machine.random); noise };
+        let bar: f64 = 2.0 * {
+            let noise: f64 = StandardNormal.sample(&mut machine.random);
+            noise
+        };
         let shared = |series: Series| Series {
             shared: 2.0,
             values: (series.values.iter())
-                .map(|value| value.map(|value| Uncertain { standard_uncertainty: value.standard_uncertainty.hypot(2.0), ..value }))
+                .map(|value| {
+                    value
+                        .map(|value| Uncertain { standard_uncertainty: value.standard_uncertainty.hypot(2.0), ..value })
+                })
                 .collect(),
             ..series
         };

@@ -124,7 +124,9 @@ impl Add {
         for (folder, entry) in self.results.iter().zip(&entries) {
             let folder = folder.display();
             let _ = match history.add(entry)? {
-                Added::New(number) => writeln!(text, "{folder}: entry {number}, {} calibrations", entry.calibrations.len()),
+                Added::New(number) => {
+                    writeln!(text, "{folder}: entry {number}, {} calibrations", entry.calibrations.len())
+                }
                 Added::Known(number) => writeln!(text, "{folder}: is entry {number} already"),
             };
         }
@@ -139,7 +141,8 @@ impl Add {
                     .help("name a folder that `abbe run` wrote")
             })
         };
-        let record = RunRecord::from_json(&text("run.json")?).map_err(|error| error.in_file(&folder.join("run.json")))?;
+        let record =
+            RunRecord::from_json(&text("run.json")?).map_err(|error| error.in_file(&folder.join("run.json")))?;
         let verdicts = Verdict::list_from_json(&text(VERDICTS)?)?;
         let names = record.outputs.iter().filter_map(|output| output.file.strip_suffix(CALIBRATION));
         let calibration = |name: &str| {
@@ -284,11 +287,14 @@ impl Check {
         let said = findings(&machine, &known, &analysis, Limit::from(0.0))?;
         let status = if analysis.alarm() { 3 } else { 0 };
         if self.json {
-            let text = serde_json::to_string_pretty(&json!({ "machine": machine, "alarm": analysis.alarm(), "analysis": analysis }));
+            let text = serde_json::to_string_pretty(
+                &json!({ "machine": machine, "alarm": analysis.alarm(), "analysis": analysis }),
+            );
             let text = text.map_err(|error| Error::data(format!("the output cannot be written: {error}")))?;
             return Ok((text + "\n", status));
         }
-        let mut text = format!("{machine}: {} tests, {}\n", tests.len(), if analysis.alarm() { "alarm" } else { "in control" });
+        let mut text =
+            format!("{machine}: {} tests, {}\n", tests.len(), if analysis.alarm() { "alarm" } else { "in control" });
         said.remarks.iter().for_each(|remark| text.extend(["  ", remark, "\n"]));
         Ok((text, status))
     }
@@ -348,7 +354,8 @@ impl Check {
 
     fn baseline<'a>(&self, all: &'a [(i64, Stored)]) -> Result<Option<&'a Calibration>> {
         let Some(name) = &self.baseline else { return Ok(None) };
-        let last = all.iter().filter(|(_, stored)| stored.calibration.estimate == *name).max_by_key(|(entry, _)| *entry);
+        let last =
+            all.iter().filter(|(_, stored)| stored.calibration.estimate == *name).max_by_key(|(entry, _)| *entry);
         match last {
             Some((_, stored)) => Ok(Some(&stored.calibration)),
             None => Err(Error::usage(format!("the history has no `{name}` of this machine"))),

@@ -4,10 +4,13 @@
 use std::collections::BTreeMap;
 
 use abbe_core::{
-    Calibration, Context, Dataset, Error, Findings, Fit, Limit, PathItem, Result, SettingsError, Validate,
-    matches, positive,
+    Calibration, Context, Dataset, Error, Findings, Fit, Limit, PathItem, Result, SettingsError, Validate, matches,
+    positive,
 };
-use abbe_trend::{AgainRule, Analysis, ChartDesign, Forecast, History, Regressor, Settings as Judged, Tested, analyse, findings, history, unit_factor};
+use abbe_trend::{
+    AgainRule, Analysis, ChartDesign, Forecast, History, Regressor, Settings as Judged, Tested, analyse, findings,
+    history, unit_factor,
+};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use serde_json::{Value, json};
@@ -188,8 +191,7 @@ impl Validate for Trend {
     }
 
     fn validate(&self, fits: &[&Fit], data: &[&Dataset]) -> Result<Findings> {
-        let (mut tests, others): (Vec<&Fit>, Vec<&Fit>) =
-            fits.iter().partition(|fit| fit.calibration.group.is_some());
+        let (mut tests, others): (Vec<&Fit>, Vec<&Fit>) = fits.iter().partition(|fit| fit.calibration.group.is_some());
         let time = |fit: &Fit| fit.calibration.group.as_ref().map_or(0.0, |group| group.at);
         tests.sort_by(|one, other| time(one).total_cmp(&time(other)));
         let Some(group) = tests.first().and_then(|fit| fit.calibration.group.clone()) else {
@@ -242,7 +244,8 @@ impl Trend {
                 Error { setting, ..Error::usage(message) }
             };
             let values = means(data, &follows.column, by, &labels).ok_or_else(|| {
-                let message = format!("no data under `from` have the columns `{}` (numbers) and `{by}`", follows.column);
+                let message =
+                    format!("no data under `from` have the columns `{}` (numbers) and `{by}`", follows.column);
                 wrong(message)
             })?;
             let unit = unit_of(data, &follows.column);

@@ -28,9 +28,19 @@ fn entry(week: usize) -> Entry {
         monte_carlo: None,
         group: None,
     };
-    let stored =
-        Stored { machine: format!("mill {}", week % 2), label: week.to_string(), at: week as f64, unit: "week".into(), calibration };
-    Entry { recipe: "weekly".into(), calibrations: vec![stored], verdicts: Vec::new(), evidence: json!({ "inputs": [] }) }
+    let stored = Stored {
+        machine: format!("mill {}", week % 2),
+        label: week.to_string(),
+        at: week as f64,
+        unit: "week".into(),
+        calibration,
+    };
+    Entry {
+        recipe: "weekly".into(),
+        calibrations: vec![stored],
+        verdicts: Vec::new(),
+        evidence: json!({ "inputs": [] }),
+    }
 }
 
 #[test]
@@ -47,7 +57,8 @@ fn what_is_added_comes_back_once() {
     assert_eq!(history.entry(9).unwrap(), None);
     assert_eq!(history.machines().unwrap(), [("mill 0".to_owned(), 1), ("mill 1".to_owned(), 2)]);
     let of_one = Filter { machine: Some("mill 1".into()), entry: None };
-    let labels: Vec<String> = history.calibrations(&of_one).unwrap().into_iter().map(|(_, stored)| stored.label).collect();
+    let labels: Vec<String> =
+        history.calibrations(&of_one).unwrap().into_iter().map(|(_, stored)| stored.label).collect();
     assert_eq!(labels, ["1", "3"]);
     // What is read is what is there, in another process as well.
     assert_eq!(History::read(&path).unwrap().entry(3).unwrap(), Some(entry(2)));
@@ -58,9 +69,12 @@ fn nothing_stored_can_change() {
     let folder = tempfile::tempdir().unwrap();
     let mut history = History::open(&folder.path().join("plant.sqlite")).unwrap();
     history.add(&entry(1)).unwrap();
-    for statement in
-        ["UPDATE entry SET recipe = 'x'", "DELETE FROM entry", "UPDATE calibration SET at = 0", "DELETE FROM calibration"]
-    {
+    for statement in [
+        "UPDATE entry SET recipe = 'x'",
+        "DELETE FROM entry",
+        "UPDATE calibration SET at = 0",
+        "DELETE FROM calibration",
+    ] {
         let refused = history.connection.execute_batch(statement).unwrap_err().to_string();
         assert!(refused.contains("of a history"), "{refused}");
     }
@@ -75,7 +89,8 @@ fn an_older_version_is_migrated_and_a_later_one_refused() {
     old.execute_batch(first_version()).unwrap();
     old.pragma_update(None, "application_id", APPLICATION).unwrap();
     old.pragma_update(None, "user_version", 1).unwrap();
-    old.execute_batch("INSERT INTO entry (sha256, recipe, verdicts, evidence) VALUES ('a', 'old', '[]', '{}')").unwrap();
+    old.execute_batch("INSERT INTO entry (sha256, recipe, verdicts, evidence) VALUES ('a', 'old', '[]', '{}')")
+        .unwrap();
     drop(old);
     // A reader changes nothing; a writer brings it up to date and keeps what is there.
     assert_eq!(History::read(&path).unwrap().entries().unwrap().len(), 1);
@@ -113,7 +128,9 @@ fn two_writers_lose_and_double_nothing() {
             scope.spawn(move || {
                 // Both may make the file.
                 let mut history = History::open(path).unwrap();
-                (0..40).filter(|week| week % 4 != 1 + 2 * writer).for_each(|week| assert!(history.add(&entry(week)).is_ok()));
+                (0..40)
+                    .filter(|week| week % 4 != 1 + 2 * writer)
+                    .for_each(|week| assert!(history.add(&entry(week)).is_ok()));
             });
         }
     });
