@@ -79,7 +79,8 @@ fn every_week_is_a_calibration_of_its_own() {
             assert_eq!(quality["good"], wanted["good"], "{data} {week}");
             assert_eq!(quality["degrees_of_freedom"], wanted["degrees_of_freedom"]);
             if data == "realistic" {
-                near(number(&quality["chi_squared"]), number(&wanted["chi2"]), 1e-4, "chi-squared");
+                // The set evaluates residuals where they are recorded, Abbe with the exact distance to the centre.
+                near(number(&quality["chi_squared"]), number(&wanted["chi2"]), 2e-3, "chi-squared");
             }
             for (name, value) in wanted["values"].as_object().expect("values") {
                 let found = calibration.parameters.iter().find(|known| known.name == *name).expect("the parameter");

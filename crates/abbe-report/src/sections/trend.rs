@@ -1,7 +1,7 @@
 //! A history: what happened, the charts of all parameters, when to measure again.
 
 use abbe_core::Unit;
-use abbe_trend::{Again, Analysis, Change, ParameterTrend, State};
+use abbe_trend::{Again, Analysis, Change, ParameterTrend, State, rounded};
 
 use crate::chart::{Control, control};
 use crate::html::{Cell, details, escape, figure, paragraph, table};
@@ -91,7 +91,7 @@ fn again_row(parameter: &ParameterTrend, analysis: &Analysis) -> Option<Vec<Cell
         Cell::text(format!("{} {unit}", parameter.name)),
         Cell::figure(told(value)),
         Cell::figure(format!("{} per {time}", told(rate))),
-        Cell::figure(format!("{} at {} % risk", rule.limit * factor, 100.0 * rule.risk)),
+        Cell::figure(format!("{} at {} % risk", rounded(rule.limit * factor), 100.0 * rule.risk)),
         Cell::figure(after),
     ])
 }
