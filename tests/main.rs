@@ -17,6 +17,7 @@ mod first_order;
 mod frozen;
 mod full_disk;
 mod gcode;
+mod history;
 mod interrupted;
 mod laws;
 mod layouts;

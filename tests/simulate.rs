@@ -327,7 +327,9 @@ fn every_recipe_is_simulated_with_the_truth_of_its_own_data() {
                 assert!(!simulated.data.is_empty(), "{name}");
                 for kept in &simulated.not_simulated {
                     // Those of a CMM: its artefact is the one that was really measured. Temperatures are as they were.
-                    let is_kept = ["facets-cmm.csv", "temperatures.csv"].iter().any(|own| kept.file.ends_with(own));
+                    let is_kept = ["facets-cmm.csv", "temperatures.csv", "temperature.csv"]
+                        .iter()
+                        .any(|own| kept.file.ends_with(own));
                     // Readings that are no geometry have no machine.
                     let mut readers = kept.read_by.iter().map(|reader| {
                         prepared.recipe.stages.iter().find(|stage| stage.name == *reader).expect("a stage")

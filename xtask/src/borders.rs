@@ -70,7 +70,7 @@ const CRATES: [Border; 28] = [
             "abbe-table",
         ],
     ),
-    border("abbe-report", &["abbe-core", "abbe-engine", "abbe-files", "abbe-probe", "abbe-volumetric"]),
+    border("abbe-report", &["abbe-core", "abbe-engine", "abbe-files", "abbe-probe", "abbe-trend", "abbe-volumetric"]),
     border(
         "abbe",
         &[

@@ -8,7 +8,7 @@ use crate::html::{details, escape};
 use crate::run::{FitResult, Run};
 use crate::sections::{
     Scene, budget, causes, compared, correlations, curves, has_lobes, history, parameters, probe, provenance,
-    residuals, selection, tables, untold, verdict,
+    residuals, selection, tables, trend, untold, verdict,
 };
 
 const STYLE: &str = include_str!("style.css");
@@ -39,6 +39,11 @@ pub fn page(runs: &[Run]) -> String {
             _ => (format!("{}-", number + 1), format!(", {}", run.name)),
         };
         part(&format!("{id}verdict"), &format!("Verdict{of}"), &verdict(run));
+        for (stage, analysis) in &run.trends {
+            let verdict = run.verdicts.iter().find(|verdict| verdict.stage == *stage);
+            let remarks = verdict.map_or(&[][..], |verdict| &verdict.remarks);
+            part(&format!("{id}{stage}"), &format!("Over time, {stage}{of}"), &trend(analysis, remarks));
+        }
         part(&format!("{id}causes"), &format!("Worst figure and causes{of}"), &causes(run));
         part(&format!("{id}untold"), &format!("What the data cannot tell{of}"), &untold(run));
     }
@@ -190,6 +195,7 @@ mod tests {
                 residuals: crate::Residuals::default(),
             }],
             verdicts: vec![Verdict::new("judge", "growth", findings)],
+            trends: Vec::new(),
             record: None,
             recipe: None,
         }

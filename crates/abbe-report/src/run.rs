@@ -6,6 +6,7 @@ use std::sync::Arc;
 use abbe_core::{Calibration, Error, EstimateSource, Kind, KinematicModel, Quantities, Registry, Result, Verdict};
 use abbe_engine::{CALIBRATION, Outcome, RunRecord, VERDICTS, model_of, residuals_file};
 use abbe_files::{LARGEST_RESULT, LARGEST_TEXT, read_text};
+use abbe_trend::Analysis;
 use sha2::{Digest, Sha256};
 
 use crate::residuals::Residuals;
@@ -35,6 +36,8 @@ pub struct Run {
     pub fits: Vec<FitResult>,
     /// The verdicts.
     pub verdicts: Vec<Verdict>,
+    /// What the history of the machine tells, by the stages that judged it.
+    pub trends: Vec<(String, Analysis)>,
     /// The record; none for a calibration without its run.
     pub record: Option<RunRecord>,
     /// Text of the recipe, if it is as it was.
@@ -64,8 +67,9 @@ impl Run {
         let run = Self {
             name: outcome.recipe.clone(),
             title: outcome.title.clone(),
-            fits,
+            fits: shown(fits),
             verdicts: outcome.verdicts.clone(),
+            trends: trends_of(outcome)?,
             recipe: recipe_of(&record),
             record: Some(record),
         };
@@ -99,25 +103,69 @@ impl Run {
             }
             Ok(fit)
         });
-        let fits = fits.collect::<Result<_>>()?;
+        let fits: Vec<FitResult> = fits.collect::<Result<_>>()?;
         let file = folder.join(VERDICTS);
         let text = read_text(&file, LARGEST_RESULT).map_err(|error| unreadable(&file, &error))?;
         let verdicts = Verdict::list_from_json(&text).map_err(|error| error.in_file(&file))?;
         let title = if record.title.is_empty() { record.recipe.clone() } else { record.title.clone() };
         let recipe = recipe_of(&record);
-        Ok(Self { name: record.recipe.clone(), title, fits, verdicts, record: Some(record), recipe })
+        let trends = trends_in(folder, &record)?;
+        let fits = shown(fits);
+        Ok(Self { name: record.recipe.clone(), title, fits, verdicts, trends, record: Some(record), recipe })
     }
 
     fn of_calibration(file: &Path, registry: &Registry) -> Result<Self> {
         let fit = fit_result(file, registry)?;
         let title = format!("Calibration {}", fit.name);
-        Ok(Self { name: fit.name.clone(), title, fits: vec![fit], verdicts: Vec::new(), record: None, recipe: None })
+        let (name, fits) = (fit.name.clone(), vec![fit]);
+        Ok(Self { name, title, fits, verdicts: Vec::new(), trends: Vec::new(), record: None, recipe: None })
     }
 
     /// The estimate of that name.
     pub fn fit(&self, name: &str) -> Option<&FitResult> {
         self.fits.iter().find(|fit| fit.name == name)
     }
+}
+
+/// The estimates that a page shows: of those of many groups the last one, which is how the machine is now.
+fn shown(mut fits: Vec<FitResult>) -> Vec<FitResult> {
+    let stage = |fit: &FitResult| fit.name.split('.').next().unwrap_or_default().to_owned();
+    let time = |fit: &FitResult| fit.calibration.group.as_ref().map(|group| group.at);
+    let all: Vec<(String, Option<f64>)> = fits.iter().map(|fit| (stage(fit), time(fit))).collect();
+    let is_last = |fit: &FitResult| {
+        let later = |(name, at): &(String, Option<f64>)| *name == stage(fit) && *at > time(fit);
+        time(fit).is_none() || !all.iter().any(later)
+    };
+    fits.retain(|fit| is_last(fit));
+    fits
+}
+
+/// The file in which `validate: trend` keeps all that it found.
+const TREND: &str = "trend.json";
+
+fn trends_of(outcome: &Outcome) -> Result<Vec<(String, Analysis)>> {
+    let is_trend =
+        |stage: &str| outcome.verdicts.iter().any(|verdict| verdict.stage == stage && verdict.plugin == "trend");
+    let files = outcome.exports.iter().filter(|(stage, _)| is_trend(stage));
+    let files = files.flat_map(|(stage, files)| files.iter().map(move |file| (stage, file)));
+    let found = files.filter(|(_, file)| file.name == TREND);
+    found.map(|(stage, file)| Ok((stage.clone(), parsed(&String::from_utf8_lossy(&file.content))?))).collect()
+}
+
+fn trends_in(folder: &Path, record: &RunRecord) -> Result<Vec<(String, Analysis)>> {
+    let stages = record.outputs.iter().filter_map(|output| output.file.strip_suffix(TREND)?.strip_suffix('/'));
+    let read = |stage: &str| {
+        let file = folder.join(stage).join(TREND);
+        let text = read_text(&file, LARGEST_RESULT).map_err(|error| unreadable(&file, &error))?;
+        Ok((stage.to_owned(), parsed(&text).map_err(|error| error.in_file(&file))?))
+    };
+    stages.map(read).collect()
+}
+
+fn parsed(text: &str) -> Result<Analysis> {
+    let wrong = |error: serde_json::Error| Error::data(format!("this is no trend: {error}"));
+    let found: serde_json::Value = serde_json::from_str(text).map_err(wrong)?;
+    serde_json::from_value(found["analysis"].clone()).map_err(wrong)
 }
 
 fn unreadable(file: &Path, error: &std::io::Error) -> Error {

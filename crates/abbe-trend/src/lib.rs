@@ -21,4 +21,4 @@ pub use calibrations::{History, Quality, Tested, history};
 pub use change::{Change, Uncertain};
 pub use chart::{Alarms, ChartDesign, ChartLimits, Charts};
 pub use source::{Differences, Explained, SharedInput, explained_by};
-pub use told::{findings, sentences, unit_factor};
+pub use told::{findings, rounded, sentences, unit_factor};

@@ -100,9 +100,12 @@ pub fn sentences(history: &History, analysis: &Analysis) -> Vec<String> {
     let mut told = Vec::new();
     for quality in history.quality.iter().filter(|quality| !quality.good) {
         told.push(format!(
-            "{unit} {} is rejected as a whole: chi-squared {:.0} with {} degrees of freedom (p = {:.1e}); something moved, or was \
+            "{unit} {} is rejected as a whole: chi-squared {:.0} with {} degrees of freedom ({}); something moved, or was \
              mounted wrongly",
-            quality.label, quality.chi_squared, quality.degrees_of_freedom, quality.probability
+            quality.label,
+            quality.chi_squared,
+            quality.degrees_of_freedom,
+            probability(quality.probability)
         ));
     }
     if !analysis.missing.is_empty() {
@@ -144,7 +147,7 @@ pub fn sentences(history: &History, analysis: &Analysis) -> Vec<String> {
         }
         if let Some(again) = &parameter.again {
             let (people_unit, factor) = people(&parameter.unit);
-            let limit = again.rule.limit * factor;
+            let limit = rounded(again.rule.limit * factor);
             let last = analysis.tests.last().map_or("", |test| test.label.as_str());
             told.push(match (again.now, again.after) {
                 (true, _) => format!(
@@ -162,6 +165,16 @@ pub fn sentences(history: &History, analysis: &Analysis) -> Vec<String> {
         }
     }
     told
+}
+
+/// A probability in words; far out the distribution has no digits.
+fn probability(p: f64) -> String {
+    if p < 1e-16 { "p below 1e-16".to_owned() } else { format!("p = {p:.1e}") }
+}
+
+/// A stated number, which a change of its unit may have given a tail of digits.
+pub fn rounded(value: f64) -> f64 {
+    format!("{value:.12e}").parse().unwrap_or(value)
 }
 
 fn event_in_words(event: &Event, analysis: &Analysis) -> String {

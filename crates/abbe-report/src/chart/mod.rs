@@ -1,6 +1,7 @@
 //! Charts as SVG. Colours and lines are classes, which the style of the page sets for light, dark and paper.
 
 mod choices;
+mod control;
 mod curves;
 mod forest;
 mod heat;
@@ -15,6 +16,7 @@ use crate::html::escape;
 use crate::number::short;
 
 pub use choices::{Choice, Span, choices, sequence};
+pub use control::{Control, control};
 pub use curves::{Curve, curve};
 pub use forest::{ForestRow, forest};
 pub use heat::heat_map;

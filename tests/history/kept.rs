@@ -1,0 +1,117 @@
+//! `abbe history`: what is added is there once, whoever is killed and however many write.
+
+use std::process::Stdio;
+use std::thread::sleep;
+use std::time::{Duration, Instant};
+
+use crate::support::{Small, program, read, write};
+
+/// Results that differ in one name, so that each is an entry of its own.
+fn results(small: &Small, count: usize) -> Vec<String> {
+    assert_eq!(small.abbe(&["run", "recipe.yaml", "--out", "out"]).status, 0);
+    let name = |number: usize| format!("results-{number}");
+    for number in 0..count {
+        for file in ["run.json", "verdicts.json", "rough.calibration.json", "fine.calibration.json"] {
+            let text = read(&small.path(&format!("out/recipe/{file}")));
+            let text = text.replace("\"iterations\": ", &format!("\"iterations\": 1{number}"));
+            write(&small.path(&format!("{}/{file}", name(number))), &text);
+        }
+    }
+    (0..count).map(name).collect()
+}
+
+fn entries(small: &Small) -> usize {
+    let listed = small.abbe(&["history", "list", "plant.sqlite"]);
+    assert_eq!(listed.status, 0, "{}", listed.stderr);
+    listed.stdout.lines().filter(|line| line.starts_with(' ')).count()
+}
+
+#[test]
+fn what_is_added_is_there_once_and_comes_back() {
+    let small = Small::new();
+    let all = results(&small, 3);
+    for (folder, told) in [(&all[0], "entry 1"), (&all[1], "entry 2"), (&all[0], "is entry 1 already")] {
+        let added = small.abbe(&["history", "add", "plant.sqlite", folder]);
+        assert!(added.status == 0 && added.stdout.contains(told), "{} {}", added.stdout, added.stderr);
+    }
+    assert_eq!(entries(&small), 2);
+    let shown = small.abbe(&["history", "show", "plant.sqlite", "2"]);
+    assert!(shown.status == 0 && shown.stdout.contains("fine with"), "{}", shown.stdout);
+    assert_eq!(small.abbe(&["history", "export", "plant.sqlite", "2", "--out", "copy"]).status, 0);
+    let file = "fine.calibration.json";
+    assert_eq!(small.read(&format!("copy/{file}")), small.read(&format!("{}/{file}", all[1])));
+    assert_eq!(small.abbe(&["history", "show", "plant.sqlite", "9"]).status, 2);
+    assert_eq!(small.abbe(&["history", "list", "absent.sqlite"]).status, 2);
+    assert_eq!(small.abbe(&["history", "add", "plant.sqlite", "data"]).status, 2);
+}
+
+#[test]
+fn a_recipe_keeps_what_it_finds_once() {
+    let small = Small::new();
+    let recipe = small.read("recipe.yaml");
+    small.write("recipe.yaml", &recipe.replacen("stages:", "history: plant.sqlite\nstages:", 1));
+    for _ in 0..2 {
+        assert_eq!(small.abbe(&["run", "recipe.yaml", "--out", "out"]).status, 0);
+        assert_eq!(entries(&small), 1);
+    }
+    small.write("recipe.yaml", &recipe.replacen("stages:", "history: postgres://me:secret@plant/abbe\nstages:", 1));
+    let refused = small.abbe(&["run", "recipe.yaml", "--out", "out"]);
+    assert!(refused.status == 2 && refused.stderr.contains("name of a file"), "{}", refused.stderr);
+    assert!(!refused.stderr.contains("plant.sqlite is"));
+}
+
+/// A hundred writers are killed at random moments, two at a time; then everything is added once more. All is there, each once.
+#[test]
+fn killed_writers_lose_and_double_nothing() {
+    const KILLS: u64 = 100;
+    const ENTRIES: usize = 12;
+    let small = Small::new();
+    let all = results(&small, ENTRIES);
+    let begun = Instant::now();
+    let add = |from: usize| {
+        let mut arguments = vec!["history".to_owned(), "add".to_owned(), "plant.sqlite".to_owned()];
+        arguments.extend((0..ENTRIES).map(|number| all[(from + number) % ENTRIES].clone()));
+        program(&small.path(""), &arguments).stdout(Stdio::null()).stderr(Stdio::null()).spawn().expect("a program")
+    };
+    let (mut state, mut whole, mut before) = (1_u64, 0, 0);
+    for kill in 0..KILLS / 2 {
+        let mut writers = [add(kill as usize), add(kill as usize + 5)];
+        for writer in &mut writers {
+            state = state.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);
+            sleep(Duration::from_micros((state >> 33) % 120_000));
+            // SIGKILL: nothing is tidied up.
+            writer.kill().expect("a program can be killed");
+            whole += usize::from(writer.wait().expect("an end").success());
+        }
+        if small.path("plant.sqlite").exists() {
+            let listed = small.abbe(&["history", "list", "plant.sqlite"]);
+            // A file without tables is what a writer leaves that was killed while it made them.
+            let found = listed.stdout.lines().filter(|line| line.starts_with(' ')).count();
+            assert!(listed.status == 0 || listed.stderr.contains("is empty"), "{}", listed.stderr);
+            assert!(found >= before && found <= ENTRIES, "{before} entries, then {found}");
+            before = found;
+        }
+        assert!(begun.elapsed() < Duration::from_secs(300));
+    }
+    assert!(whole < KILLS as usize, "no writer was killed");
+    assert!(add(0).wait().expect("an end").success());
+    assert_eq!(entries(&small), ENTRIES);
+    for number in 1..=ENTRIES {
+        assert_eq!(small.abbe(&["history", "show", "plant.sqlite", &number.to_string()]).status, 0);
+    }
+}
+
+#[test]
+fn a_check_needs_to_know_what_was_repeated() {
+    let small = Small::new();
+    let all = results(&small, 6);
+    for (number, folder) in all.iter().enumerate() {
+        let date = format!("2026-01-{:02}", 1 + 7 * number % 28);
+        let added = small.abbe(&["history", "add", "plant.sqlite", folder, "--date", &date]);
+        assert_eq!(added.status, 0, "{}", added.stderr);
+    }
+    let check = small.abbe(&["history", "check", "plant.sqlite"]);
+    assert!(check.status == 2 && check.stderr.contains("--estimate"), "{}", check.stderr);
+    let check = small.abbe(&["history", "check", "plant.sqlite", "--estimate", "fine", "--limit", "EX0C=3furlong"]);
+    assert!(check.status == 2 && check.stderr.contains("no unit"), "{}", check.stderr);
+}
