@@ -168,7 +168,7 @@ fn step(values: &Values<'_>, unchanged: f64, significance: f64) -> Option<Candid
     let earliest = places.next().unwrap_or(*first);
     let size = Uncertain::from(best.value(values.base.len()));
     Some(Candidate {
-        change: Change::Step { size, first: *first, earliest, latest: places.last().unwrap_or(earliest) },
+        change: Change::Step { size, first: *first, earliest, latest: places.next_back().unwrap_or(earliest) },
         chi_squared: best.chi_squared.min(unchanged),
         unknowns: 2,
         needed: chi_squared_quantile(1.0 - significance / fits.len() as f64, 1.0),

@@ -64,7 +64,7 @@ pub fn explained_by(differences: &Differences, inputs: &[SharedInput], accepted:
         );
         let weighted = factor.solve(&sensitivity);
         let (weight, product) = (sensitivity.dot(&weighted), values.dot(&weighted));
-        if !(weight > 0.0) {
+        if weight <= 0.0 || weight.is_nan() {
             return None;
         }
         let left = (all - product * product / weight).max(0.0);
