@@ -66,8 +66,8 @@ fn words(text: &str) -> Vec<(String, f64, bool)> {
         let mut is_relative = false;
         if let Some(value) = after.strip_prefix('=') {
             let value = value.to_owned();
-            if value.starts_with('"') {
-                let close = value[1..].find('"').expect("a text ends") + 2;
+            if let Some(text) = value.strip_prefix('"') {
+                let close = text.find('"').expect("a text ends") + 2;
                 rest = value[close..].to_owned();
                 continue;
             }

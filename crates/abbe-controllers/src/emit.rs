@@ -94,11 +94,11 @@ impl<'a> Emitter<'a> {
         let of = &planned.of;
         let mut words = Vec::new();
         let unit = |axis: usize| if of.inches && !is_rotary(axis) { 25.4 } else { 1.0 };
-        for axis in 0..9 {
+        for (axis, letter) in LETTERS.iter().enumerate() {
             if is_written(of, axis) {
                 let base = if of.relative { piece.path.from[axis] } else { of.offset[axis] };
                 let value = (piece.path.to[axis] - base) / unit(axis);
-                words.push(format!("{}{}", char::from(LETTERS[axis]), self.number(axis, value, of.inches)));
+                words.push(format!("{}{}", char::from(*letter), self.number(axis, value, of.inches)));
             }
         }
         if let Some(arc) = piece.path.arc {

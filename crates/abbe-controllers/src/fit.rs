@@ -165,7 +165,7 @@ impl Points<'_> {
         let centre = [0, 1].map(|place| base(place) + ((centre[place] - base(place)) / digit).round() * digit);
         let radius = |at: &Coordinates| (at[i] - centre[0]).hypot(at[j] - centre[1]);
         let (first, last) = (radius(&from), radius(&to));
-        if first < SMALLEST_RADIUS || first > LARGEST_RADIUS || (first - last).abs() > OFF_CIRCLE {
+        if !(SMALLEST_RADIUS..=LARGEST_RADIUS).contains(&first) || (first - last).abs() > OFF_CIRCLE {
             return None;
         }
         let sweep = sweep(flat(&from), flat(&to), centre, self.of.motion == Motion::Clockwise);

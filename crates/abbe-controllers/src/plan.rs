@@ -223,13 +223,13 @@ impl<'a> Planner<'a> {
         let joints = of.machine.joints(of.space, &points)?;
         let mut found = Vec::new();
         for axis in of.machine.places() {
-            for step in 1..count {
+            for (step, part) in parts.iter().enumerate().take(count).skip(1) {
                 let [before, here, after] = [step - 1, step, step + 1].map(|step| joints[step][axis]);
                 let (first, second) = (here - before, after - here);
                 if first * second < 0.0 && first.abs().max(second.abs()) > STANDS {
                     // The vertex of the parabola through three points.
                     let vertex = 0.5 * (first + second) / (first - second);
-                    found.push((parts[step] + vertex / count as f64).clamp(0.0, 1.0));
+                    found.push((part + vertex / count as f64).clamp(0.0, 1.0));
                 }
             }
         }
@@ -248,9 +248,8 @@ impl<'a> Planner<'a> {
             let (own, after) = rest.split_at(segment.points());
             rest = after;
             let mut points = Vec::with_capacity(segment.steps + 1);
-            match (segment.has_start, self.last) {
-                (false, Some(last)) => points.push(last),
-                _ => {}
+            if let (false, Some(last)) = (segment.has_start, self.last) {
+                points.push(last);
             }
             points.extend_from_slice(own);
             let (first, end) = (points[0], points[points.len() - 1]);
