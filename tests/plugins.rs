@@ -167,6 +167,7 @@ fn every_limit_has_a_rule_of_decision() {
             "thermal /prediction/limits/max_um",
             "thermal /prediction/limits/rms_K",
             "thermal /drift/limits/range_um",
+            "trend /changes",
             "uncertainty /parameters/0/expanded_urad",
             "uncertainty /parameters/1/standard_uncertainty_um_per_m",
             "uncertainty /volumetric/expanded_um",

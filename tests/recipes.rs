@@ -51,8 +51,12 @@ fn every_recipe_runs_and_says_what_it_found_and_the_same_again() {
             let name = file.file_name().expect("a name").to_string_lossy().into_owned();
             let Some(estimate) = name.strip_suffix(".calibration.json") else { continue };
             let calibration = Calibration::from_json(&read(&file)).unwrap_or_else(|error| panic!("{name}: {error}"));
-            insta::assert_snapshot!(format!("{recipe}__{estimate}"), told(&calibration, is_exact(&recipe)));
             calibrations += 1;
+            // Those of every week are compared with their set (`history.rs`).
+            if calibration.group.is_some() {
+                continue;
+            }
+            insta::assert_snapshot!(format!("{recipe}__{estimate}"), told(&calibration, is_exact(&recipe)));
         }
         assert!(calibrations > 0, "{recipe} leaves no calibration");
         let (_, again) = run(&recipe, &file);

@@ -4,7 +4,7 @@ use std::process::Stdio;
 use std::thread::sleep;
 use std::time::{Duration, Instant};
 
-use crate::support::{Small, program, read, write};
+use crate::support::{Small, abbe, program, read, root, temporary, write};
 
 /// Results that differ in one name, so that each is an entry of its own.
 fn results(small: &Small, count: usize) -> Vec<String> {
@@ -114,4 +114,27 @@ fn a_check_needs_to_know_what_was_repeated() {
     assert!(check.status == 2 && check.stderr.contains("--estimate"), "{}", check.stderr);
     let check = small.abbe(&["history", "check", "plant.sqlite", "--estimate", "fine", "--limit", "EX0C=3furlong"]);
     assert!(check.status == 2 && check.stderr.contains("no unit"), "{}", check.stderr);
+}
+
+/// What `validate: trend` tells of the weeks in one run, `check` tells of the same weeks in a history.
+#[test]
+fn a_check_of_forty_weeks_is_an_alarm() {
+    let folder = temporary();
+    let at = |name: &str| folder.path().join(name).to_string_lossy().into_owned();
+    let (out, plant, results) = (at("out"), at("plant.sqlite"), at("out/history"));
+    let asked = |arguments: &[&str]| abbe(&root(), arguments);
+    assert_eq!(asked(&["run", "pipelines/history.yaml", "--out", &out]).status, 0);
+    assert_eq!(asked(&["history", "add", &plant, &results]).status, 0);
+    let check = ["history", "check", &plant, "--baseline", "baseline", "--limit", "EXX[b]=4.5um"];
+    let checked = asked(&check);
+    assert_eq!((checked.status, checked.stderr.as_str()), (3, ""), "{}", checked.stdout);
+    for told in
+        ["jump in week 23: EY0C", "EB0A -45", "week 14 is rejected", "week 18 has no test", "for 3 weeks", "drift"]
+    {
+        assert!(checked.stdout.contains(told), "{told}: {}", checked.stdout);
+    }
+    let copy = at("copy");
+    assert_eq!(asked(&["history", "export", &plant, "1", "--out", &copy]).status, 0);
+    let name = "weekly.week-14.calibration.json";
+    assert_eq!(read(&folder.path().join("copy").join(name)), read(&folder.path().join("out/history").join(name)));
 }

@@ -191,7 +191,7 @@ impl History {
             )?;
             let number = transaction.last_insert_rowid();
             for (stored, content) in &calibrations {
-                let estimate = estimate_name(stored);
+                let estimate = &stored.calibration.estimate;
                 transaction.execute(
                     "INSERT INTO calibration (entry, machine, estimate, label, at, unit, content) VALUES (?1, ?2, ?3, ?4, ?5, ?6, ?7)",
                     params![number, stored.machine, estimate, stored.label, stored.at, stored.unit, content],
@@ -272,14 +272,6 @@ impl History {
             verdicts: serde_json::from_str(&verdicts).map_err(damaged)?,
             evidence: serde_json::from_str(&evidence).map_err(damaged)?,
         }))
-    }
-}
-
-/// The name of an estimate among those of an entry: with its group.
-fn estimate_name(stored: &Stored) -> String {
-    match &stored.calibration.group {
-        Some(group) => format!("{}.{}-{}", stored.calibration.estimate, group.by, group.label),
-        None => stored.calibration.estimate.clone(),
     }
 }
 

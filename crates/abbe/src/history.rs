@@ -252,11 +252,7 @@ fn show(entry: &Entry, number: i64) -> Result<String> {
 fn export(entry: &Entry, out: &Path) -> Result<String> {
     let mut files: BTreeMap<PathBuf, Vec<u8>> = BTreeMap::new();
     for stored in &entry.calibrations {
-        let Calibration { estimate, group, .. } = &stored.calibration;
-        let name = match group {
-            Some(group) => format!("{estimate}.{}-{}", group.by, group.label),
-            None => estimate.clone(),
-        };
+        let name = &stored.calibration.estimate;
         files.insert(PathBuf::from(format!("{name}{CALIBRATION}")), stored.calibration.to_json()?.into_bytes());
     }
     let count = files.len();
@@ -319,9 +315,9 @@ impl Check {
         let mut names: Vec<&str> = Vec::new();
         let is_baseline = |name: &str| self.baseline.as_deref() == Some(name);
         let grouped = all.iter().any(|(_, stored)| stored.calibration.group.is_some());
-        for (_, Stored { calibration, .. }) in all {
-            let name = calibration.estimate.as_str();
-            let counts = !grouped || calibration.group.is_some();
+        for (_, stored) in all {
+            let name = group_estimate(stored);
+            let counts = !grouped || stored.calibration.group.is_some();
             if counts && !is_baseline(name) && !names.contains(&name) {
                 names.push(name);
             }
