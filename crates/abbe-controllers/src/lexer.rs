@@ -307,7 +307,7 @@ mod tests {
         assert_eq!(linuxcnc("N5X4.Y-.5"), [('X', 4.0), ('Y', -0.5)]);
         assert_eq!(linuxcnc(" ( a G1 X99 ) x5 (twice) y6 ; X77"), [('X', 5.0), ('Y', 6.0)]);
         assert_eq!(linuxcnc("G1 X 1 0 Y 2"), [('G', 1.0), ('X', 10.0), ('Y', 2.0)]);
-        assert_eq!(linuxcnc("g21g90g1x1y2z3f100").len(), 6);
+        assert_eq!(linuxcnc("g21g90g1x1y2z3f100").len(), 7);
         assert_eq!(letters("N10 /G01 X50.", Dialect::Fanuc), [('G', 1.0), ('X', 50.0)]);
     }
 
