@@ -56,7 +56,7 @@ pub struct Series {
     pub values: Vec<Option<Uncertain>>,
     /// The part of the standard uncertainties that all tests share: that of a bar, say. It does not scatter.
     pub shared: f64,
-    /// What it is compared with; without one, the mean of the first tests.
+    /// What it is compared with; without one, the mean of all tests, or of the first ones where something has changed.
     pub target: Option<Target>,
     /// What it may follow.
     pub regressor: Option<Regressor>,
@@ -75,7 +75,7 @@ pub struct Settings {
     pub significance: f64,
     /// Time at which the targets were true.
     pub target_at: Option<f64>,
-    /// Number of first tests whose mean is the target of a parameter without one.
+    /// Number of first tests whose mean is the target of a parameter without one that has changed.
     pub first_tests: usize,
 }
 
@@ -283,17 +283,22 @@ fn trend(tests: &[Test], series: &Series, limits: &ChartLimits, settings: &Setti
         let (name, unit) = (regressor.name.clone(), regressor.unit.clone());
         Some((expected, Seasonal { regressor: name, unit, coefficient: fitted.value(1).into() }))
     });
-    let target = series.target.unwrap_or_else(|| first_mean(&good, settings.first_tests));
+    let decided = changed(&good, series, line.is_some(), settings);
+    // Without a baseline and a change all tests know the level best. The mean of a few alone would be off by so much that
+    // averages and sums run away from it.
+    let unchanged = decided.as_ref().is_none_or(|decided| decided.change == Change::None);
+    let first = if unchanged { good.values.len() } else { settings.first_tests };
+    let target = series.target.unwrap_or_else(|| first_mean(&good, first));
     let (expected, seasonal): (Vec<f64>, Option<Seasonal>) = match line {
         Some((expected, seasonal)) => (expected, Some(seasonal)),
         None => (vec![target.value; values.len()], None),
     };
-    let of_target = if seasonal.is_some() { 0.0 } else { target.standard_uncertainty };
+    let in_mean = series.target.is_none() && unchanged;
+    let of_target = if seasonal.is_some() || in_mean { 0.0 } else { target.standard_uncertainty };
     let normalised: Vec<f64> = (values.iter().zip(&expected).zip(&uncertainties))
         .map(|((value, expected), uncertainty)| (value - expected) / uncertainty.hypot(of_target))
         .collect();
     let charts = Charts::of(&normalised, &settings.charts, limits);
-    let decided = changed(&good, series, seasonal.is_some(), settings);
     let (change, gain, left) = match decided {
         Some(Decided { change, gain, left }) => {
             let probability = if left.1 > 0 { chi_squared_upper_tail(left.0, left.1 as f64) } else { 1.0 };

@@ -73,7 +73,7 @@ pub struct Check {
     /// The estimate that was repeated, if the entries have several.
     #[arg(long)]
     estimate: Option<String>,
-    /// The estimate that is the target of all charts. Default: the mean of the first five tests.
+    /// The estimate that is the target of all charts. Default: the mean of all tests, or of the first five of what has changed.
     #[arg(long)]
     baseline: Option<String>,
     /// A limit that has to be kept until the next test, with its unit: `EXX[b]=4.5um`.

@@ -35,7 +35,7 @@ struct Settings {
     /// Time at which the baseline was measured, in the unit of the groups. A settling starts there.
     #[serde(default)]
     baseline_at: Option<f64>,
-    /// Number of first tests whose mean is the target where there is no baseline.
+    /// Number of first tests whose mean is the target of what has changed, where there is no baseline. Of what has not, the mean of all is.
     #[serde(default = "default_first_tests")]
     first_tests: usize,
     /// Average number of tests between false alarms of each chart of a machine in control.
