@@ -214,6 +214,13 @@ fn run(
 
 /// Starts the control in a folder with its files and waits for its end. What it says stands in `log.txt`.
 pub(super) fn started(folder: &Path, longest: Duration) {
+    if let Some(why) = failure(folder, longest) {
+        panic!("{why}{}", read(&folder.join("log.txt")));
+    }
+}
+
+/// The same; gives what the control stopped with, if it did.
+pub(super) fn failure(folder: &Path, longest: Duration) -> Option<String> {
     write(&folder.join("ui.py"), &read(&root().join("xtask/linuxcnc/ui.py")));
     let at = folder.to_str().expect("a plain path");
     assert!(answers("chmod", &["755", &format!("{at}/ui.py")]) && answers("chown", &["-R", USER, at]));
@@ -227,8 +234,6 @@ pub(super) fn started(folder: &Path, longest: Duration) {
     command.status().expect("it starts");
     let log = || read(&folder.join("log.txt"));
     assert!(clock.elapsed() < longest, "LinuxCNC did not end: {}", log());
-    let failed = folder.join("failed.txt");
-    assert!(!failed.exists(), "{}{}", read(&failed), log());
     // A process that has ended and that nobody has asked for yet (Z) does nothing any more.
     let is_left = || answers("pgrep", &["--runstates", "D,R,S,T", "-u", USER]);
     let clock = Instant::now();
@@ -236,6 +241,8 @@ pub(super) fn started(folder: &Path, longest: Duration) {
         std::thread::sleep(Duration::from_millis(50));
     }
     assert!(!is_left(), "processes of the control are left");
+    let failed = folder.join("failed.txt");
+    failed.exists().then(|| read(&failed))
 }
 
 /// Statuses with these commands (mm, degrees) and directions of the joints.

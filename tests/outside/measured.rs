@@ -24,11 +24,16 @@ use abbe_numerics::Generator;
 use serde_json::{Value, json};
 use tempfile::TempDir;
 
-use super::linuxcnc::{ALONE, Installed, Joints, ini, missing, started};
+use super::linuxcnc::{ALONE, Installed, Joints, failure, ini, missing};
 use crate::support::{Variant, abbe, json_file, read, skipped, temporary, write};
 
 /// Longest run of the control: some ten times what it needs, since it runs in real time, and slower where others use the processor.
 const LONGEST: Duration = Duration::from_secs(600);
+
+/// What LinuxCNC stops with where its task gets no time between the end of a probing move and its status: seen where others use the
+/// processor, never on a machine that does nothing else. The program is run again then, at most so many times.
+const STARVED: &str = "Queue is not empty after probing";
+const REPEATED: usize = 3;
 
 /// Standard deviation of a contact (mm), and time from the contact to the signal (s).
 const NOISE: f64 = 3e-4;
@@ -320,7 +325,16 @@ impl World {
             Installed::new(&folder, COMPONENT)
         });
         let clock = Instant::now();
-        started(&folder, LONGEST);
+        let again = [LOG, "failed.txt", "pins.json"].map(|name| folder.join(name));
+        let mut why = failure(&folder, LONGEST);
+        for _ in 0..REPEATED {
+            if !why.as_ref().is_some_and(|why| why.contains(STARVED)) {
+                break;
+            }
+            again.iter().filter(|file| file.exists()).for_each(|file| std::fs::remove_file(file).expect("a file"));
+            why = failure(&folder, LONGEST);
+        }
+        assert!(why.is_none(), "{why:?}{}", read(&folder.join("log.txt")));
         let pins = json_file(&folder.join("pins.json"));
         let log = folder.join(LOG);
         println!(
