@@ -12,6 +12,7 @@ mod coverage;
 mod data;
 mod decisions;
 mod errors;
+mod facets;
 mod files;
 mod first_order;
 mod frozen;

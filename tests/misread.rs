@@ -7,7 +7,7 @@ use abbe_core::Error;
 use abbe_engine::{Planned, prepare};
 use serde_json::json;
 
-use crate::support::{Variant, abbe, read, recipes, registry, temporary};
+use crate::support::{Small, Variant, abbe, read, recipes, registry, temporary};
 
 fn checked(recipe: &Variant, folder: &Path) -> Result<Vec<Planned>, Error> {
     prepare(&recipe.write(folder), &registry())?.check()
@@ -394,7 +394,8 @@ fn readings_in_another_unit_than_those_of_other_files_are_told() {
     let folder = temporary();
     let (mut told, mut all, mut missed) = (0, 0, Vec::new());
     for name in ["mill-direct", "mill-direct-exact"] {
-        let recipe = Variant::of(&recipes()[name]);
+        // The two fits that use the files; the others of the recipe would be judged again for each of them.
+        let recipe = Variant::of(&recipes()[name]).only(&["fit-lengths", "fit-angles"]);
         let remarks = |recipe: &Variant| -> Vec<String> {
             let planned = checked(recipe, folder.path()).expect("a plan");
             planned.into_iter().flat_map(|planned| planned.identifiability.remarks).collect()
@@ -403,7 +404,7 @@ fn readings_in_another_unit_than_those_of_other_files_are_told() {
         assert!(!is_told(&remarks(&recipe)), "{name}: {:?}", remarks(&recipe));
         for (stage, column) in [("length-files", "reading_um"), ("angle-files", "reading_urad")] {
             let files = recipe.0["stages"][stage]["path"].as_array().expect("a list").clone();
-            for (place, file) in files.iter().enumerate() {
+            for (place, file) in files.iter().enumerate().step_by(2) {
                 let Some(file) = file.as_str().filter(|file| !file.contains('*')) else { continue };
                 let thousandth = |_: usize, cell: &str| (cell.parse::<f64>().expect("a reading") / 1e3).to_string();
                 let other = changed(Path::new(file), folder.path(), column, thousandth);
@@ -415,7 +416,7 @@ fn readings_in_another_unit_than_those_of_other_files_are_told() {
                 // Where errors are hundreds of times as large as readings scatter, the residuals tell; in exact data there are none.
                 let is_scale = ["EXX", "EYY", "EZZ"].iter().any(|symbol| own.contains(symbol));
                 let in_run = || {
-                    let recipe = wrong.clone().only(&["fit-lengths", "fit-angles"]).write(folder.path());
+                    let recipe = wrong.write(folder.path());
                     let printed = abbe(folder.path(), &["--verbose".as_ref(), "run".as_ref(), recipe.as_os_str()]);
                     ["is the unit of its readings right?", "is their unit right?"]
                         .iter()
@@ -439,7 +440,7 @@ fn readings_in_another_unit_than_those_of_other_files_are_told() {
 /// A key that stands twice, in every kind of JSON file that people may edit.
 #[test]
 fn a_key_that_stands_twice_is_refused_with_its_place() {
-    let small = crate::support::Small::new();
+    let small = Small::new();
     assert_eq!(small.abbe(&["run", "recipe.yaml", "--out", "out"]).status, 0);
     small.write("truth.json", "{ \"parameters\": {\n  \"EX0C\": 0.01,\n  \"EX0C\": 0.02 } }");
     let refused = |arguments: &[&str], words: &[&str]| {
@@ -535,4 +536,35 @@ fn messages_of_wrong_words_say_what_to_do() {
     assert!(found.status == 2 && found.stderr.contains("abbe plugins"), "{}", found.stderr);
     let found = abbe(folder.path(), &["compensate", "a.json", "--correct", "9"]);
     assert!(found.status == 2 && found.stderr.contains("names of linear axes"), "{}", found.stderr);
+}
+
+/// A misspelt key of a truth is a note; whoever wrote it meant something else.
+#[test]
+fn misspelt_keys_of_a_truth_are_told() {
+    let small = Small::new();
+    for (key, told) in [("noises", true), ("nois", true), ("source", false), ("noise", false)] {
+        small.write("truth.json", &json!({ "parameters": {}, key: {} }).to_string());
+        let made = small.abbe(&["simulate", "recipe.yaml", "--truth", "truth.json", "--seed", "1", "--out", key]);
+        assert_eq!(made.status, 0, "{}", made.stderr);
+        assert_eq!(made.stderr.contains("did you mean `noise`"), told, "{key}: {}", made.stderr);
+    }
+}
+
+/// A spindle that set-points do not mention is taken to stand at 0 degrees, which matters where errors turn with it.
+#[test]
+fn an_axis_that_set_points_do_not_have_is_told() {
+    let folder = temporary();
+    let mut outcome = Variant::of(&recipes()["first-steps"]).only(&["fit"]).run();
+    let calibration = outcome.fits.remove(0).calibration;
+    fs::write(folder.path().join("c.json"), calibration.to_json().expect("JSON")).expect("a file");
+    for (path, told) in [
+        ("X_mm,Y_mm,Z_mm,B_deg,C_deg\n10,20,300,5,6\n", true),
+        ("X_mm,Y_mm,Z_mm,B_deg,C_deg,S_deg\n10,20,300,5,6,0\n", false),
+    ] {
+        fs::write(folder.path().join("path.csv"), path).expect("a file");
+        for command in ["compensate", "correct"] {
+            let found = abbe(folder.path(), &[command, "c.json", "path.csv"]);
+            assert_eq!(found.stderr.contains("S is taken to stand at 0\u{b0}"), told, "{command}: {}", found.stderr);
+        }
+    }
 }

@@ -211,6 +211,7 @@ fn logs_that_do_not_fit_a_calibration_are_refused() {
         (&(|log: &mut Log| drop(log.remove("T_column_degC"))) as &dyn Fn(&mut _), "T_column"),
         (&|log: &mut Log| log.get_mut("time_s").unwrap()[40] = 1000.0, "time"),
         (&|log: &mut Log| log.get_mut("T_scale_degC").unwrap()[4] = f64::NAN, "T_scale"),
+        (&|log: &mut Log| log.get_mut("T_scale_degC").unwrap().fill(20.0), "T_scale_degC reads the same all the time"),
     ] {
         let printed = with(change);
         assert!(printed.status != 0 && printed.stderr.contains(told), "{told}: {}", printed.stderr);

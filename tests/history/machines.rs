@@ -8,40 +8,13 @@ use nalgebra::{Isometry3, Translation3, UnitQuaternion, Vector3};
 use serde_json::{Value, json};
 
 use super::{alarms, number, parameter, trend, uncertain};
-use crate::support::{Variant, read, recipes, root, temporary, write};
+use crate::support::{Random, Variant, read, recipes, root, temporary, write};
 
 const WEEKS: u64 = 40;
 const HISTORIES: u64 = 6;
 const LENGTH: f64 = 214.0814;
 const NAMES: [&str; 13] =
     ["EY0A", "EZ0A", "EB0A", "EC0A", "EX0C", "EY0C", "EA0C", "EB0C", "EC0Y", "EXX[1]", "EYY[1]", "EZZ[1]", "EXX[b]"];
-
-struct Random(u64);
-
-impl Random {
-    fn unit(&mut self) -> f64 {
-        self.0 ^= self.0 >> 12;
-        self.0 ^= self.0 << 25;
-        self.0 ^= self.0 >> 27;
-        (self.0.wrapping_mul(0x2545_F491_4F6C_DD1D) >> 11) as f64 / (1_u64 << 53) as f64
-    }
-
-    fn within(&mut self, from: f64, to: f64) -> f64 {
-        from + (to - from) * self.unit()
-    }
-
-    fn sign(&mut self) -> f64 {
-        if self.unit() < 0.5 { -1.0 } else { 1.0 }
-    }
-
-    fn week(&mut self, from: u64, to: u64) -> u64 {
-        from + (self.unit() * (to - from) as f64) as u64
-    }
-
-    fn normal(&mut self) -> f64 {
-        (-2.0 * (1.0 - self.unit()).ln()).sqrt() * (std::f64::consts::TAU * self.unit()).cos()
-    }
-}
 
 /// A programmed touch.
 struct Touch {
@@ -135,15 +108,15 @@ impl Story {
         let baseline: Errors =
             NAMES.iter().map(|name| (*name, random.sign() * size(name) * random.within(0.3, 1.0))).collect();
         let jumps = [("EX0C", 0.010), ("EY0C", 0.010), ("EY0A", 0.010), ("EB0A", 4e-5), ("EA0C", 4e-5), ("EB0C", 4e-5)];
-        let (name, jump) = jumps[random.week(0, 6) as usize];
+        let (name, jump) = jumps[random.below(6)];
         let phase = random.within(0.0, 6.0);
         let temperature = |random: &mut Random, week: u64| {
             20.0 + 3.0 * (week as f64 / 52.0 * std::f64::consts::TAU + phase).sin() + 0.4 * random.normal()
         };
         let temperatures = (0..=WEEKS).map(|week| temperature(random, week)).collect();
-        let crash = random.week(8, 38);
+        let crash = 8 + random.below(30) as u64;
         let other = |random: &mut Random| loop {
-            let week = random.week(4, 37);
+            let week = 4 + random.below(33) as u64;
             if week.abs_diff(crash) > 1 {
                 return week;
             }

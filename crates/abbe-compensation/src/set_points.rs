@@ -19,14 +19,12 @@ pub struct SetPoints {
     text: String,
     data: Dataset,
     statuses: Vec<f64>,
-    /// What the file does not say and is taken, in words.
-    taken: Vec<String>,
 }
 
 impl SetPoints {
     /// Reads the set-points of a machine from a CSV file, one a row.
     ///
-    /// Every axis needs a column (`X_mm`, `B_deg`). Directions of approach (`dir_X`) that the file does not have are those of the
+    /// Every axis needs a column (`X_mm`, `B_deg`); that a spindle without one is taken to stand at 0° is told as a warning. Directions of approach (`dir_X`) that the file does not have are those of the
     /// path: the sign of the last move; at the first point that of the next move; +1 before the axis has moved.
     ///
     /// Fails for an axis without a column, a column of an axis that the machine does not have, a value that errors of the machine
@@ -75,7 +73,6 @@ impl SetPoints {
         for row in data.row_indices() {
             poses.push(&data, row, model, &columns)?;
         }
-        let mut taken = Vec::new();
         let width = info.status.len();
         let mut statuses: Vec<f64> = poses.indices().flat_map(|pose| poses.row(pose).to_vec()).collect();
         for (index, (status, source)) in info.status.iter().zip(&columns).enumerate() {
@@ -98,9 +95,7 @@ impl SetPoints {
                         AxisKind::Linear => (*value, " mm"),
                     };
                     let name = &axis.name;
-                    taken.push(format!(
-                        "there is no column `{name}{column}`: {name} is taken to stand at {place}{unit}"
-                    ));
+                    tracing::warn!("there is no column `{name}{column}`: {name} is taken to stand at {place}{unit}");
                 }
                 (_, StatusSource::Taken(value)) if value.is_nan() => {
                     let column = format!("{}{}", status.name, status.quantity.usual_suffix());
@@ -119,17 +114,12 @@ impl SetPoints {
                 );
             }
         }
-        Ok(Self { path: path.to_owned(), text, data, statuses, taken })
+        Ok(Self { path: path.to_owned(), text, data, statuses })
     }
 
     /// The statuses, point by point: points x columns of [`ModelInfo::status`](abbe_core::ModelInfo::status).
     pub fn statuses(&self) -> &[f64] {
         &self.statuses
-    }
-
-    /// What the file does not say and is taken, in words: that a spindle stands at 0° where it has no column.
-    pub fn taken(&self) -> &[String] {
-        &self.taken
     }
 
     /// Number of points.

@@ -4,6 +4,7 @@ use std::path::Path;
 
 use abbe_core::{Calibration, Dataset, Error, Quantity, Result, from_settings};
 use abbe_errors::{Body, Declaration};
+use abbe_thermal::{Hold, SensorLog};
 
 /// Rows from which on a sensor that reads the same all the time is stuck.
 const LONG: usize = 20;
@@ -41,22 +42,25 @@ impl Temperatures {
         self.data.numbers("time").and_then(|times| times.last().copied()).unwrap_or(f64::NAN)
     }
 
-    /// Refuses a sensor of the calibration that reads the same all the time while others move: it is stuck, or not connected, and its
-    /// part of the correction would be missing.
+    /// Refuses a sensor of the calibration that reads the same all the time while others move ([`SensorLog::stuck`]): its part of the
+    /// correction would be missing. Short logs are not judged.
     pub fn check_moves(&self, calibration: &Calibration) -> Result<()> {
-        let moves = |values: &[f64]| ends(values).is_some_and(|[from, to]| from < to);
-        let logged = logged(calibration);
-        let readings = |header: &str| self.data.numbers(Quantity::of_column(header).0).unwrap_or_default();
-        let any_moves = logged.iter().any(|(header, _)| moves(readings(header)));
-        let stuck = logged.iter().find(|(header, known)| {
-            let own = readings(header);
-            own.len() >= LONG && !moves(own) && moves(known)
+        let times = self.data.numbers("time").unwrap_or_default();
+        if times.len() < LONG {
+            return Ok(());
+        }
+        let moved =
+            logged(calibration).into_iter().filter(|(_, known)| ends(known).is_some_and(|[from, to]| from < to));
+        let sensors = moved.filter_map(|(header, _)| {
+            let readings = self.data.numbers(Quantity::of_column(&header).0)?.to_vec();
+            Some((header, readings))
         });
-        match stuck.filter(|_| any_moves) {
+        let log = SensorLog::new(times.to_vec(), sensors.collect(), Hold::default(), None)?;
+        match log.stuck().first() {
             None => Ok(()),
-            Some((header, _)) => {
-                let message = format!("{header} reads the same all the time, and others move: the sensor is stuck");
-                Err(Error::data(message).help("repair or connect it; `--at-reference` leaves out all temperatures"))
+            Some(sensor) => {
+                let message = format!("{sensor} reads the same all the time, and others move: it is stuck");
+                Err(Error::data(message).help("repair or connect the sensor, and give a log of it that moves"))
             }
         }
     }

@@ -145,6 +145,8 @@ const CYCLE: Meaning = Refuse("a canned cycle", "write out its moves");
 const PROBING: Meaning = Refuse("a probing move, whose target is never corrected", "leave probing to another program");
 const SPLINE: Meaning = Refuse("a spline", "write it as lines and arcs");
 const THREAD: Meaning = Refuse("motion that is tied to the spindle", "leave it to another program");
+const SHIFTED: Meaning = Refuse("a frame that shifts coordinates", "use G54 and `--offset`");
+const COMPRESSED: Meaning = Refuse("a compressor, which changes the path", "switch it off: COMPOF");
 const SCALED: Meaning = Refuse("mirror, scale or rotation of coordinates", "let the CAM system turn the path");
 const MACRO: Meaning = Refuse("a macro call, whose moves are not known", "write out its moves");
 const VECTOR: Meaning = Refuse("tool vectors", "write positions of the rotary axes");
@@ -303,8 +305,8 @@ const NAMES: &[(&str, Meaning)] = &[
     ("MSG", Keep),
     ("COMPOF", Keep),
     ("CIP", Refuse("a circle through a point in between", "write it with a centre: G2 or G3")),
-    ("TRANS", Refuse("a frame that shifts coordinates", "use G54 and `--offset`")),
-    ("ATRANS", Refuse("a frame that shifts coordinates", "use G54 and `--offset`")),
+    ("TRANS", SHIFTED),
+    ("ATRANS", SHIFTED),
     ("ROT", SCALED),
     ("AROT", SCALED),
     ("SCALE", SCALED),
@@ -319,9 +321,9 @@ const NAMES: &[(&str, Meaning)] = &[
     ("CSPLINE", SPLINE),
     ("ASPLINE", SPLINE),
     ("POLY", SPLINE),
-    ("COMPCAD", Refuse("a compressor, which changes the path", "switch it off: COMPOF")),
-    ("COMPON", Refuse("a compressor, which changes the path", "switch it off: COMPOF")),
-    ("COMPCURV", Refuse("a compressor, which changes the path", "switch it off: COMPOF")),
+    ("COMPCAD", COMPRESSED),
+    ("COMPON", COMPRESSED),
+    ("COMPCURV", COMPRESSED),
 ];
 
 /// The modal group and the meaning of a G-code; `number` is ten times its number.

@@ -15,6 +15,9 @@ use crate::run::{Datasets, Taken};
 /// The value of `per` for the rows of one file each.
 const FILE: &str = "file";
 
+/// Rows of data sets, by the names of their ingest stages.
+type RowsOfDatasets = BTreeMap<String, Vec<DataRow>>;
+
 /// The problem of one group.
 pub(crate) struct GroupProblem {
     /// Name of its estimate.
@@ -58,8 +61,7 @@ impl Prepared {
     }
 
     /// The groups of an estimate, in the order of their times, each with its rows of every data set that is divided.
-    #[allow(clippy::type_complexity)]
-    fn groups(&self, stage: &Stage, by: &str, data: &Datasets) -> Result<Vec<(Group, BTreeMap<String, Vec<DataRow>>)>> {
+    fn groups(&self, stage: &Stage, by: &str, data: &Datasets) -> Result<Vec<(Group, RowsOfDatasets)>> {
         let mut ingests = BTreeSet::new();
         for name in stage.reference("observations") {
             let (ingest, _) = self.artefact(name)?;
@@ -67,7 +69,7 @@ impl Prepared {
             ingests.extend(self.repeats(name)?);
         }
         let mut labels: Vec<String> = Vec::new();
-        let mut rows: BTreeMap<String, BTreeMap<String, Vec<DataRow>>> = BTreeMap::new();
+        let mut rows: BTreeMap<String, RowsOfDatasets> = BTreeMap::new();
         for ingest in ingests {
             for (row, label) in DataRow::enumerate(labels_of(&data[ingest], by)?) {
                 if !rows.contains_key(&label) {
@@ -79,7 +81,11 @@ impl Prepared {
         }
         let mut groups = timed(by, &labels);
         groups.sort_by(|one, other| one.at.total_cmp(&other.at));
-        Ok(groups.into_iter().map(|group| (rows.remove(&group.label).unwrap_or_default(), group)).map(swap).collect())
+        let with_rows = |group: Group| {
+            let rows = rows.remove(&group.label).unwrap_or_default();
+            (group, rows)
+        };
+        Ok(groups.into_iter().map(with_rows).collect())
     }
 
     /// Solves the problems of all groups. A group that cannot be solved costs no other one.
@@ -110,10 +116,6 @@ impl Prepared {
         };
         problems.iter().zip(in_parallel(problems, None, fit)).map(failed).collect()
     }
-}
-
-fn swap<A, B>((one, other): (A, B)) -> (B, A) {
-    (other, one)
 }
 
 /// The label of every row.

@@ -5,6 +5,7 @@
 //! [`Prepared::plan`] chooses which measurements to make; [`Prepared::simulate`] measures the programme of a recipe on a
 //! virtual machine instead.
 
+mod check;
 mod described;
 mod evidence;
 mod folder;
@@ -35,6 +36,7 @@ mod units;
 pub use abbe_estimation::{LocationError, LocationErrors, Standing};
 pub use abbe_measuring::Control;
 pub use abbe_planning::{LargestOfInput, Order, Plan, PlanFigures, Reached, Revisit};
+pub use check::Planned;
 pub use described::{Described, prepare_text};
 pub use folder::{can_write_folder, write_folder};
 pub use groups::day_of;
@@ -43,7 +45,7 @@ pub use outcome::{CALIBRATION, Failure, Outcome, REPORT, VERDICTS, residuals_fil
 pub use plan::Measurements;
 pub use prepare::{Prepared, prepare};
 pub use record::{FailureRecord, FileRecord, PluginRecord, RUN_FORMAT, Remark, RunRecord};
-pub use run::{Planned, model_of, model_with_log};
+pub use run::{model_of, model_with_log};
 pub use simulate::{Simulated, SimulatedFile, UnchangedFile};
 pub use staging::temporary_file;
 pub use understood::Understood;

@@ -6,8 +6,7 @@ use std::time::{Instant, SystemTime};
 
 use abbe_core::{
     Calibration, Class, DataRecord, DataRow, Dataset, Error, EstimateSource, Event, Export, ExportedFile, Findings,
-    Fit, Identifiability, Kind, KinematicModel, Monitor, ObservationSet, Problem, Registry, Result, Verdict,
-    in_parallel,
+    Fit, Kind, KinematicModel, Monitor, ObservationSet, Problem, Registry, Result, Verdict, in_parallel,
 };
 use abbe_estimation::remarks;
 use abbe_recipe::Stage;
@@ -25,19 +24,6 @@ use crate::saved::fit_without_rows;
 use crate::travel::{check_travel, in_travel};
 use crate::units::{likely_fahrenheit, tell_minutes};
 
-/// Identifiability of a planned fit.
-#[derive(Debug, Clone, PartialEq)]
-pub struct Planned {
-    /// Name of the estimate.
-    pub estimate: String,
-    /// Its identifiability.
-    pub identifiability: Identifiability,
-    /// Whether its estimator accepts this identifiability.
-    pub accepted: bool,
-    /// The machine parameters that it estimates.
-    pub machine: Vec<String>,
-}
-
 /// What is known before the first fit.
 struct Known<'a> {
     problems: &'a BTreeMap<String, Problem>,
@@ -52,47 +38,6 @@ type Exports = Vec<(String, Vec<ExportedFile>)>;
 pub(crate) type Datasets = BTreeMap<String, Arc<Dataset>>;
 
 impl Prepared {
-    /// Everything but the fits: data, problems, and the identifiability of the fits at nominal contact.
-    pub fn check(&self) -> Result<Vec<Planned>> {
-        let digests = digests(&input_records(&self.files)?);
-        let data = self.read(&Monitor::default(), None)?;
-        let mut taken = Taken::default();
-        let problems = self.problems(&data, &mut taken)?;
-        self.evidence(&problems, &data, &digests)?;
-        let groups = self.group_problems(&data)?;
-        let (mut planned, mut found) = (Vec::new(), BTreeMap::new());
-        for stage in self.stages(Kind::Estimate).filter(has_rows) {
-            let Some(problem) = problems.get(&stage.name) else { continue };
-            let estimator = &self.estimators[&stage.name];
-            let mut identifiability = self.located(stage, estimator.identify(problem))?;
-            found.insert(stage.name.clone(), identifiability.clone());
-            identifiability.remarks.extend(remarks(problem));
-            identifiability.remarks.extend(self.substitutes(stage, problem, &identifiability));
-            let accepted = self.located(stage, estimator.accepts(&identifiability))?;
-            let own = problem.unknowns.iter().filter(|unknown| unknown.is_of_machine());
-            let machine = own.map(|unknown| unknown.name.clone()).collect();
-            planned.push(Planned { estimate: stage.name.clone(), identifiability, accepted, machine });
-            for group in groups.get(&stage.name).into_iter().flatten() {
-                planned.extend(self.planned_group(stage, group)?);
-            }
-        }
-        let unseen = self.predicted(&problems, &data, &mut taken)?;
-        self.nothing_left_over(&data, &taken)?;
-        self.rehearse(true, (&problems, &groups), &found, &unseen, &data)?;
-        Ok(planned)
-    }
-
-    /// What a group determines, if that is less than all groups together: nothing is told of the others.
-    fn planned_group(&self, stage: &Stage, group: &GroupProblem) -> Result<Option<Planned>> {
-        let estimator = &self.estimators[&stage.name];
-        let identifiability = self.located(stage, estimator.identify(&group.problem))?;
-        let accepted = self.located(stage, estimator.accepts(&identifiability))?;
-        let own = group.problem.unknowns.iter().filter(|unknown| unknown.is_of_machine());
-        let machine = own.map(|unknown| unknown.name.clone()).collect();
-        let planned = Planned { estimate: group.name.clone(), identifiability, accepted, machine };
-        Ok((!planned.accepted).then_some(planned))
-    }
-
     /// Runs the recipe. `monitor` receives events and can cancel the run. Stages that do not depend on each other run at the
     /// same time.
     pub fn run(&self, monitor: &Monitor) -> Result<Outcome> {
@@ -434,7 +379,7 @@ impl Prepared {
     }
 
     /// Fails if a row was used by no artefact: a feature without nominal geometry must not be ignored without a message.
-    fn nothing_left_over(&self, data: &Datasets, taken: &Taken) -> Result<()> {
+    pub(crate) fn nothing_left_over(&self, data: &Datasets, taken: &Taken) -> Result<()> {
         for (ingest, rows) in taken {
             let data = &data[ingest];
             let Some(row) = data.row_indices().find(|row| !rows.contains(row)) else { continue };
@@ -483,7 +428,7 @@ fn failed(needed: &[String], failures: &[Failure]) -> Option<impl Fn(&Stage) -> 
 }
 
 /// The digests of input files.
-fn digests(inputs: &[FileRecord]) -> evidence::Digests {
+pub(crate) fn digests(inputs: &[FileRecord]) -> evidence::Digests {
     inputs.iter().map(|input| (input.file.clone(), input.sha256.clone())).collect()
 }
 

@@ -5,16 +5,27 @@ use std::path::Path;
 use std::sync::Arc;
 
 use abbe_balls as _;
-use abbe_core::{Build, Context, Kind, ObservationSet, Plugin, Problem, Registry, WeakDirection};
+use abbe_core::{
+    Build, Context, Dataset, Kind, KinematicModel, ObservationSet, Plugin, Poses, Problem, Registry, StatusColumn,
+    Variable, WeakDirection,
+};
 use abbe_estimation::SeparationTrials;
 use abbe_facets as _;
 use abbe_gauss_newton as _;
 use abbe_length as _;
 use abbe_serial_chain as _;
+use nalgebra::{Matrix3, Vector3};
 use serde_json::{Value, json};
 
 fn plugin<T>(kind: Kind, name: &str, take: impl Fn(&Plugin) -> Option<T>) -> T {
     take(Registry::built_in().unwrap().find(kind, name).unwrap()).unwrap()
+}
+
+fn model(machine: &Value, context: &Context, data: &[&Dataset]) -> Arc<dyn KinematicModel> {
+    plugin(Kind::Model, "serial-chain", |plugin| match &plugin.build {
+        Build::Model(constructor) => Some(constructor.build(machine, context).unwrap().build(data).unwrap()),
+        _ => None,
+    })
 }
 
 /// A problem: machine, then (artefact, settings, touches file) in a folder, then patterns of parameters.
@@ -23,10 +34,7 @@ fn problem(folder: &Path, machine: &Value, artefacts: &[(&str, Value, &str)], pa
     let data = artefacts.iter().map(|(_, _, file)| Arc::new(abbe_table::read(&folder.join(file)).unwrap()));
     let data: Vec<_> = data.collect();
     let readings: Vec<_> = data.iter().map(Arc::as_ref).collect();
-    let model = plugin(Kind::Model, "serial-chain", |plugin| match &plugin.build {
-        Build::Model(constructor) => Some(constructor.build(machine, &context).unwrap().build(&readings).unwrap()),
-        _ => None,
-    });
+    let model = model(machine, &context, &readings);
     let observed = artefacts.iter().zip(&data).map(|((name, settings, _), data)| {
         let observations = plugin(Kind::Artefact, name, |plugin| match &plugin.build {
             Build::Artefact(constructor) => {
@@ -215,24 +223,46 @@ mod cylinder {
         })
     }
 
+    /// Where the linear axes stand while the tip of the stylus is at a place of the table, with A and C as given: mm.
+    fn linear_axes(model: &dyn KinematicModel, rotary_deg: [f64; 2], tip: &Vector3<f64>) -> [f64; 3] {
+        let info = model.info();
+        let axis = |name: &str| info.axes.iter().position(|axis| axis.name == name).unwrap();
+        let value_of = |column: &StatusColumn| match column.name.as_str() {
+            "A" => rotary_deg[0].to_radians(),
+            "C" => rotary_deg[1].to_radians(),
+            _ => 0.0,
+        };
+        let status: Vec<f64> = info.status.iter().map(value_of).collect();
+        let wanted = ["X", "Y", "Z"].map(|name| Variable::Command(axis(name)));
+        let mut pose = Poses::default();
+        model.poses(&status, &info.nominal, &wanted, false, &mut pose).unwrap();
+        // The tip moves in proportion to linear axes.
+        let columns: Vec<Vector3<f64>> = pose.position_derivatives.iter().map(|&along| along.into()).collect();
+        let miss = tip - Vector3::from(pose.positions[0]);
+        Matrix3::from_columns(&columns).lu().solve(&miss).unwrap().into()
+    }
+
     /// A table of 500 mm, touched at 12 facets of one section or of two.
     fn cylinder(heights: &[f64], parameters: &[&str]) -> Problem {
         let folder = tempfile::tempdir().unwrap();
         let mut facets = "feature,x_mm,y_mm,z_mm,nx,ny,nz\n".to_owned();
         let mut touches = "feature,X_mm,Y_mm,Z_mm,A_deg,C_deg,S_deg\n".to_owned();
+        let machine_model = model(&machine(), &Context { base: folder.path().to_owned() }, &[]);
         let features: Vec<(f64, usize)> =
             heights.iter().flat_map(|&height| (0..12).map(move |facet| (height, facet))).collect();
+        let mut tips = Vec::new();
         for (height, facet) in &features {
             let (sin, cos) = (*facet as f64 * 30.0).to_radians().sin_cos();
             let (x, y) = (250.0 * cos, 250.0 * sin);
             facets.push_str(&format!("f{height}-{facet},{x},{y},{height},{cos},{sin},0\n"));
+            tips.push(Vector3::new(x + 2.5 * cos, y + 2.5 * sin, *height));
         }
         for indexation in 0..23 {
             let a = [-30, -15, 0, 15, 30][indexation % 5];
             let c = (indexation * 75) % 360;
-            for (height, facet) in &features {
-                // The linear axes go where contact is.
-                touches.push_str(&format!("f{height}-{facet},0,0,400,{a},{c},0\n"));
+            for ((height, facet), tip) in features.iter().zip(&tips) {
+                let [x, y, z] = linear_axes(machine_model.as_ref(), [f64::from(a), c as f64], tip);
+                touches.push_str(&format!("f{height}-{facet},{x},{y},{z},{a},{c},0\n"));
             }
         }
         fs::write(folder.path().join("facets.csv"), facets).unwrap();

@@ -11,6 +11,7 @@ mod machine_file;
 mod page;
 mod schema;
 mod sets;
+mod stage;
 #[cfg(test)]
 mod tests;
 mod ties;
@@ -18,9 +19,7 @@ mod ties;
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
-use abbe_core::{
-    DeclaredTie, Error, EstimateSource, Kind, PathItem, Plugin, Registry, SettingsError, nearest, path_text,
-};
+use abbe_core::{Error, EstimateSource, Kind, PathItem, Plugin, Registry, SettingsError, nearest, path_text};
 use abbe_planning::Planning;
 use serde_json::{Map, Value};
 
@@ -32,6 +31,7 @@ use machine_file::{merge, read_description};
 pub use page::{PAGE_MARK, index, page, page_name};
 pub use schema::schema;
 use sets::{Expanded, Sets, with_sets};
+pub use stage::Stage;
 
 /// The keys of an artefact stage that are the same for all artefact plugins ([`abbe_estimation::RowSettings`]).
 const ROW_SETTINGS: [&str; 4] = ["uncertainty", "pooled", "id", "unseen"];
@@ -86,45 +86,6 @@ pub struct Recipe {
     origins: BTreeMap<String, Origin>,
     /// The keys of every stage that are not passed on to its plugin.
     reserved_keys: BTreeMap<String, Vec<&'static str>>,
-}
-
-/// One stage.
-#[derive(Debug, Clone, PartialEq)]
-pub struct Stage {
-    /// Its name.
-    pub name: String,
-    /// Its kind.
-    pub kind: Kind,
-    /// The plugin that does the work.
-    pub plugin: String,
-    /// What an estimate is made from.
-    pub estimate_source: EstimateSource,
-    /// The plugin's settings, an object; a model's file is merged in.
-    pub settings: Value,
-    /// Unknowns of an estimate: patterns of names, sets expanded. Empty for other kinds, and for an estimate that analyses
-    /// another one.
-    pub parameters: Vec<String>,
-    /// Parameters of the machine that are one unknown.
-    pub ties: Vec<DeclaredTie>,
-    /// The settings of an artefact's rows, an object; the same for all artefact plugins.
-    pub row_settings: Value,
-    /// Whether an estimate may use rows again from which its known values were estimated.
-    pub shared_rows: bool,
-    /// The largest plausible errors of an estimate from measurements, an object.
-    pub plausible: Value,
-    /// The column whose labels divide the rows of an estimate into groups with an estimate each, or `file`.
-    pub per: Option<String>,
-    /// The names of stages under each reference key, as in the recipe.
-    pub references: BTreeMap<String, Vec<String>>,
-    /// The YAML files that were merged in.
-    pub files: Vec<PathBuf>,
-}
-
-impl Stage {
-    /// The stages named under `key`; none if there is no such key.
-    pub fn reference(&self, key: &str) -> &[String] {
-        self.references.get(key).map_or(&[], Vec::as_slice)
-    }
 }
 
 /// Origin of settings that differ between the recipe and what the plugin gets.

@@ -8,6 +8,7 @@ mod analysis;
 mod calibrations;
 mod change;
 mod chart;
+mod events;
 mod least_squares;
 pub mod run_length;
 mod source;

@@ -151,7 +151,6 @@ impl Compensate {
         let Known { calibration, model, time, .. } = self.calibrated.read(registry)?;
         let model = model.as_ref();
         let points = SetPoints::read_at(&self.setpoints, model, time)?;
-        points.taken().iter().for_each(|taken| tracing::warn!("{taken}"));
         let path = CompensatedPath::of(model, &calibration, points, &self.settings())?;
         let mut files = Vec::new();
         if let Some(out) = &self.out {

@@ -40,7 +40,6 @@ impl Correct {
         let model = model.as_ref();
         self.check_patterns(model)?;
         let points = SetPoints::read_at(&self.points, model, time)?;
-        points.taken().iter().for_each(|taken| tracing::warn!("{taken}"));
         let found = MeasuredPoints::of(model, &calibration, points, self.largest_correction_mm)?;
         let files =
             self.out.iter().map(|out| Ok((out.clone(), found.text()?.into_bytes()))).collect::<Result<Vec<_>>>()?;

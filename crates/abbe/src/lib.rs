@@ -33,6 +33,7 @@ mod report;
 mod simulated;
 mod summary;
 mod table;
+mod terminal;
 mod test;
 mod uncertainty_summary;
 
@@ -50,6 +51,7 @@ use interrupt::seconds;
 use libraries::Libraries;
 use progress::Progress;
 use serde_json::Value;
+use terminal::{Harmless, tell};
 
 use abbe_bundle as _;
 
@@ -300,26 +302,6 @@ fn carried_out(arguments: Arguments) -> ExitCode {
                 Class::Interrupted => interrupt::status(),
             })
         }
-    }
-}
-
-/// Text for people on standard error. Who has closed it, or has no room for it, gets the status.
-fn tell(text: &str) {
-    let _ = io::stderr().lock().write_all(text.as_bytes());
-}
-
-/// A log without what a terminal would obey; every write is a whole line. If it cannot be written the work goes on.
-struct Harmless<W>(W);
-
-impl<W: Write> Write for Harmless<W> {
-    fn write(&mut self, bytes: &[u8]) -> io::Result<usize> {
-        let _ = self.0.write_all(harmless(&String::from_utf8_lossy(bytes)).as_bytes());
-        Ok(bytes.len())
-    }
-
-    fn flush(&mut self) -> io::Result<()> {
-        let _ = self.0.flush();
-        Ok(())
     }
 }
 

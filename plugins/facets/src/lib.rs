@@ -217,7 +217,7 @@ impl Artefact for Facets {
         }
         let facet_of_row: Vec<usize> = touched.rows.iter().map(|(_, facet)| *facet).collect();
         let facets: Vec<Facet> = touched.features.iter().map(|&facet| nominal[facet].clone()).collect();
-        let touches = touches(&facets, &facet_of_row, &layout, model)?;
+        let touches = touches(&facets, &facet_of_row, &layout, model);
         let unknowns = facets.iter().map(|facet| {
             Parameter::new(format!("facet[{}].d", facet.label), Unit::MM).with_role(ParameterRole::Feature)
         });
@@ -265,10 +265,13 @@ struct Touch {
 impl ListedBy<RowIndex> for Touch {}
 
 /// The touches of the rows of a layout.
-fn touches(facets: &[Facet], of_rows: &[usize], layout: &Layout, model: &dyn KinematicModel) -> Result<Vec<Touch>> {
+fn touches(facets: &[Facet], of_rows: &[usize], layout: &Layout, model: &dyn KinematicModel) -> Vec<Touch> {
     let statuses: Vec<f64> = layout.poses.indices().flat_map(|pose| layout.poses.row(pose).to_vec()).collect();
     let mut poses = Poses::default();
-    model.poses(&statuses, &model.info().nominal, &[], false, &mut poses)?;
+    // A pose that the nominal machine does not have is refused where it is evaluated, with its row.
+    if model.poses(&statuses, &model.info().nominal, &[], false, &mut poses).is_err() {
+        return of_rows.iter().map(|&facet| Touch { facet, beside: Vector3::zeros() }).collect();
+    }
     let touch = |(&facet, tip): (&usize, &[f64; 3])| {
         let Facet { point, normal, curved, .. } = &facets[facet];
         let from_point = Vector3::from(*tip) - point;
@@ -280,7 +283,7 @@ fn touches(facets: &[Facet], of_rows: &[usize], layout: &Layout, model: &dyn Kin
     // A place that is not known is not beside the point.
     touches.iter().filter(|touch| touch.beside.norm() > AIMED_AT).for_each(|touch| is_aimed_at[touch.facet] = false);
     touches.iter_mut().filter(|touch| is_aimed_at[touch.facet]).for_each(|touch| touch.beside = Vector3::zeros());
-    Ok(touches)
+    touches
 }
 
 /// Touches on facets.

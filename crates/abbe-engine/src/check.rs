@@ -1,0 +1,68 @@
+//! Everything but the fits: what the data of a recipe could determine.
+
+use std::collections::BTreeMap;
+
+use abbe_core::{Identifiability, Kind, Monitor, Result};
+use abbe_estimation::remarks;
+use abbe_recipe::Stage;
+
+use crate::groups::GroupProblem;
+use crate::prepare::Prepared;
+use crate::record::input_records;
+use crate::run::{Taken, digests, has_rows};
+
+/// Identifiability of a planned fit.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Planned {
+    /// Name of the estimate.
+    pub estimate: String,
+    /// Its identifiability.
+    pub identifiability: Identifiability,
+    /// Whether its estimator accepts this identifiability.
+    pub accepted: bool,
+    /// The machine parameters that it estimates.
+    pub machine: Vec<String>,
+}
+
+impl Prepared {
+    /// Everything but the fits: data, problems, and the identifiability of the fits at nominal contact.
+    pub fn check(&self) -> Result<Vec<Planned>> {
+        let digests = digests(&input_records(&self.files)?);
+        let data = self.read(&Monitor::default(), None)?;
+        let mut taken = Taken::default();
+        let problems = self.problems(&data, &mut taken)?;
+        self.evidence(&problems, &data, &digests)?;
+        let groups = self.group_problems(&data)?;
+        let (mut planned, mut found) = (Vec::new(), BTreeMap::new());
+        for stage in self.stages(Kind::Estimate).filter(has_rows) {
+            let Some(problem) = problems.get(&stage.name) else { continue };
+            let estimator = &self.estimators[&stage.name];
+            let mut identifiability = self.located(stage, estimator.identify(problem))?;
+            found.insert(stage.name.clone(), identifiability.clone());
+            identifiability.remarks.extend(remarks(problem));
+            identifiability.remarks.extend(self.substitutes(stage, problem, &identifiability));
+            let accepted = self.located(stage, estimator.accepts(&identifiability))?;
+            let own = problem.unknowns.iter().filter(|unknown| unknown.is_of_machine());
+            let machine = own.map(|unknown| unknown.name.clone()).collect();
+            planned.push(Planned { estimate: stage.name.clone(), identifiability, accepted, machine });
+            for group in groups.get(&stage.name).into_iter().flatten() {
+                planned.extend(self.planned_group(stage, group)?);
+            }
+        }
+        let unseen = self.predicted(&problems, &data, &mut taken)?;
+        self.nothing_left_over(&data, &taken)?;
+        self.rehearse(true, (&problems, &groups), &found, &unseen, &data)?;
+        Ok(planned)
+    }
+
+    /// What a group determines, if that is less than all groups together: nothing is told of the others.
+    fn planned_group(&self, stage: &Stage, group: &GroupProblem) -> Result<Option<Planned>> {
+        let estimator = &self.estimators[&stage.name];
+        let identifiability = self.located(stage, estimator.identify(&group.problem))?;
+        let accepted = self.located(stage, estimator.accepts(&identifiability))?;
+        let own = group.problem.unknowns.iter().filter(|unknown| unknown.is_of_machine());
+        let machine = own.map(|unknown| unknown.name.clone()).collect();
+        let planned = Planned { estimate: group.name.clone(), identifiability, accepted, machine };
+        Ok((!planned.accepted).then_some(planned))
+    }
+}
