@@ -29,12 +29,9 @@ fn cargo_library(package: &str) -> PathBuf {
     BUILT.get_or_init(|| {
         let mut command = Command::new(env!("CARGO"));
         command.args(["build", "--locked", "--quiet", "--target-dir"]).arg(target());
-        // With what the tests are built with (`--examples`, of which there are none, adds what only tests depend on): else
-        // shared crates would get other features, and be built a second time.
-        command.args(["--lib", "--examples"]);
-        for package in ["abbe-tests", "abbe-vendor-hexapod", "abbe-vendor-nutating-head", "abbe-stock-library"] {
-            command.args(["--package", package]);
-        }
+        // All that `cargo test --workspace` selects (`--examples` adds what only tests depend on): else shared crates would
+        // get other features, and be built a second time.
+        command.args(["--workspace", "--lib", "--examples"]);
         let built = command.current_dir(root()).output().expect("cargo runs");
         assert!(built.status.success(), "{}", String::from_utf8_lossy(&built.stderr));
     });
