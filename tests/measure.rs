@@ -3,16 +3,15 @@
 
 mod klartext;
 mod machine;
-mod macro_b;
 mod random;
 mod rs274;
-mod sinumerik;
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::process::Command;
 
 use tempfile::TempDir;
 
+use crate::gcode::{End, fanuc, siemens};
 use crate::support::{Printed, abbe, read, registry, skipped, temporary, write};
 use machine::{ByAxis, Machine, dot, minus, norm};
 
@@ -142,18 +141,23 @@ impl Planned {
 
     fn run(&self, control: &str, file: &str, machine: &mut Machine) -> Result<(), String> {
         let text = &self.files[file];
-        match control {
-            "fanuc" => macro_b::run(text, machine),
+        let end = match control {
+            "fanuc" => fanuc::run(text, &mut BTreeMap::new(), machine)?,
             "siemens" => {
                 let stem = |name: &String| name.split('.').next().unwrap_or_default().to_owned();
                 let programs = self.files.iter().filter(|(name, _)| name.ends_with("PF"));
                 let programs: BTreeMap<String, String> =
                     programs.map(|(name, text)| (stem(name), text.clone())).collect();
-                sinumerik::run(&programs, file.split('.').next().unwrap_or_default(), machine)
+                let name = file.split('.').next().unwrap_or_default();
+                siemens::run_among(&programs, name, &mut BTreeMap::new(), machine)?
             }
-            "heidenhain" => klartext::run(&self.files, file, machine),
-            control => rs274::run(text, control == "grbl", machine),
+            "heidenhain" => return klartext::run(&self.files, file, machine),
+            control => return rs274::run(text, control == "grbl", machine),
+        };
+        if let End::Alarm(number, text) = end {
+            machine.alarm = Some(format!("{number} {text}"));
         }
+        Ok(())
     }
 
     /// Runs the program and looks at its log: the touches with hits, in the order of the log, and the number of misses.

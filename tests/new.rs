@@ -1,5 +1,7 @@
 //! `abbe new`: what it writes passes `abbe check`, and gives a simulated truth back, on any chain.
 
+use std::collections::BTreeMap;
+
 use abbe_core::Status;
 use serde_json::{Map, json};
 
@@ -30,9 +32,9 @@ fn size(name: &str) -> f64 {
     }
 }
 
-/// Begins a calibration, measures it on a virtual machine and runs it. The number of parameters that came back, or the reason why
-/// the method tells nothing.
-fn closed(chain: &str, method: &str, seed: u64) -> Result<usize, String> {
+/// Begins a calibration, measures it on a virtual machine and runs it. The number of parameters that came back and how far they are
+/// off, or the reason why the method tells nothing.
+fn closed(chain: &str, method: &str, seed: u64) -> Result<(usize, f64), String> {
     let folder = temporary();
     let at = folder.path();
     let begun = abbe(at, &["new", "begun", "--chain", chain, "--method", method]);
@@ -56,37 +58,85 @@ fn closed(chain: &str, method: &str, seed: u64) -> Result<usize, String> {
     let outcome = prepared("measured/recipe.yaml").run(&abbe_core::Monitor::default());
     let outcome = outcome.unwrap_or_else(|error| panic!("{chain} {method}: {error}"));
     let calibration = &fit(&outcome, "fit").calibration;
+    let mut worst = 0.0_f64;
     for (name, value) in &truth {
         let found = calibration.get(name).unwrap_or_else(|| panic!("{chain} {method}: no {name}"));
         let off = (found.value - value.as_f64().expect("a number")).abs();
         assert!(found.status == Status::Estimated && off < 1e-7, "{chain} {method}: {name} is off by {off}");
+        worst = worst.max(off);
     }
-    Ok(truth.len())
+    Ok((truth.len(), worst))
 }
 
-/// A sample of the chains of three to five axes with every method; all of them by `ABBE_NEW_CHAINS=1`.
+/// Which chains are tried, `SHARDS [SHARD [SEED]]`: every so many, from this one on, with truths of this seed.
+fn shard() -> [usize; 3] {
+    let Ok(text) = std::env::var("ABBE_NEW_CHAINS") else { return [211, 0, 0] };
+    let numbers: Vec<usize> =
+        text.split(' ').map(|number| number.parse().expect("ABBE_NEW_CHAINS: numbers")).chain([0, 0]).take(3).collect();
+    let [shards, shard, seed] = numbers[..] else { panic!("ABBE_NEW_CHAINS: three numbers at most, not `{text}`") };
+    assert!(shard < shards, "ABBE_NEW_CHAINS: shards are numbered from 0 to {}", shards.saturating_sub(1));
+    [shards, shard, seed]
+}
+
+/// What came of a method on the chains with so many axes.
+#[derive(Default)]
+struct Tally {
+    parameters: Vec<usize>,
+    worst: f64,
+    refused: usize,
+    failed: usize,
+}
+
+/// A sample of the chains of three to five axes with every method. `ABBE_NEW_CHAINS=1` tries all of them, `ABBE_NEW_CHAINS="40 7 3"`
+/// the shard 7 of 40 (from 0) with the seed 3. Prints a table, and goes on after a failure.
 #[test]
 fn a_beginning_gives_a_simulated_truth_back_or_says_why_not() {
-    let step = std::env::var("ABBE_NEW_CHAINS").ok().and_then(|step| step.parse().ok()).unwrap_or(211);
-    let (mut told, mut refused) = (Vec::new(), Vec::new());
-    for (place, chain) in all_chains().iter().enumerate().step_by(step) {
+    let [shards, shard, seed] = shard();
+    let mut tallies: BTreeMap<(usize, &str), Tally> = BTreeMap::new();
+    let mut failures = Vec::new();
+    for (place, chain) in all_chains().iter().enumerate().skip(shard).step_by(shards) {
+        let axes = chain.chars().filter(|letter| "XYZABC".contains(*letter)).count();
         for (number, method) in METHODS.into_iter().enumerate() {
-            match closed(chain, method, (place * METHODS.len() + number) as u64) {
-                Ok(parameters) => told.push(parameters),
-                Err(reason) => {
+            let seed = (1_000_000 * seed + place * METHODS.len() + number) as u64;
+            let tally = tallies.entry((axes, method)).or_default();
+            match std::panic::catch_unwind(|| closed(chain, method, seed)) {
+                Ok(Ok((parameters, off))) => {
+                    tally.parameters.push(parameters);
+                    tally.worst = tally.worst.max(off);
+                }
+                Ok(Err(reason)) => {
                     // A rotary axis about the tool, on its side, moves no tip.
                     let tool = chain.split(" b ").nth(1).unwrap_or_default();
                     let table = chain.split(" b ").next().unwrap_or_default();
                     let swings = tool.contains(['A', 'B']) || table.contains(['A', 'B', 'C']);
-                    assert!(reason.contains("cannot calibrate a machine with the axes"), "{chain} {method}: {reason}");
-                    assert!(!swings && method == "table", "{chain} {method}: {reason}");
-                    refused.push(chain.clone());
+                    tally.refused += 1;
+                    if swings || method != "table" || !reason.contains("cannot calibrate a machine with the axes") {
+                        failures.push(format!("{chain} {method}: {reason}"));
+                    }
+                }
+                Err(panicked) => {
+                    tally.failed += 1;
+                    let said = panicked.downcast_ref::<String>().cloned().unwrap_or_default();
+                    failures.push(format!("{chain} {method}, seed {seed}: {said}"));
                 }
             }
         }
     }
-    let (least, most) = (told.iter().min(), told.iter().max());
-    println!("{} beginnings with {least:?} to {most:?} parameters; refused {refused:?}", told.len());
+    println!(
+        "shard {shard} of {shards}, seed {seed}\naxes method    back refused failed parameters  largest deviation"
+    );
+    for ((axes, method), tally) in &tallies {
+        let (least, most) = (tally.parameters.iter().min().unwrap_or(&0), tally.parameters.iter().max().unwrap_or(&0));
+        println!(
+            "{axes:<4} {method:<9} {:>4} {:>7} {:>6} {least:>4} to {most:<3} {:>14.1e}",
+            tally.parameters.len(),
+            tally.refused,
+            tally.failed,
+            tally.worst
+        );
+    }
+    assert!(failures.is_empty(), "{}", failures.join("\n"));
+    assert!(tallies.values().any(|tally| !tally.parameters.is_empty()), "nothing was tried");
 }
 
 #[test]
@@ -113,7 +163,7 @@ fn what_is_missing_is_asked_of_nobody_without_a_terminal() {
 #[test]
 fn axes_with_other_names_have_errors_of_theirs() {
     for chain in ["w b U V W t", "w b X1 X2 Y Z t", "w C1' A2' b X Y Z t"] {
-        let told = closed(chain, "ball", 1).unwrap_or_else(|reason| panic!("{chain}: {reason}"));
+        let (told, _) = closed(chain, "ball", 1).unwrap_or_else(|reason| panic!("{chain}: {reason}"));
         assert!(told >= 3, "{chain}: {told}");
     }
 }

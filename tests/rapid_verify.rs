@@ -9,7 +9,7 @@ use abbe_core::{Build, Context, Dataset, Figure, Findings, Fit, Kind};
 use abbe_engine::Outcome;
 use serde_json::{Value, json};
 
-use crate::gcode::{ByAxis, End, Machine, Surface, fanuc, siemens};
+use crate::gcode::{ByAxis, End, Machine, Surface, World, fanuc, siemens};
 use crate::support::{Variant, abbe, fit, json_file, read, recipes, registry, root, temporary, write};
 
 const SETS: [(&str, &str); 4] =
@@ -341,7 +341,7 @@ fn surfaces(machine: &str, data: &str, file: &str, first: Option<&str>) -> Vec<S
         .collect()
 }
 
-type Run = fn(&str, &mut BTreeMap<u32, f64>, &mut Machine) -> Result<End, String>;
+type Run = fn(&str, &mut BTreeMap<u32, f64>, &mut dyn World) -> Result<End, String>;
 
 /// The two programs of a controller.
 struct Programs {

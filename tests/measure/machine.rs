@@ -1,12 +1,14 @@
 //! A machine with a probe and a ball that is not quite where the plan has it. Moves are followed in small steps.
 
-use std::collections::{BTreeMap, BTreeSet};
+use std::collections::BTreeSet;
 use std::sync::Arc;
 
 use abbe_core::{AxisKind, KinematicModel, Poses};
 
+use crate::gcode::World;
+
 /// Positions by letter: mm and degrees.
-pub type ByAxis = BTreeMap<String, f64>;
+pub use crate::gcode::ByAxis;
 
 pub struct Machine {
     pub model: Arc<dyn KinematicModel>,
@@ -204,6 +206,45 @@ impl Machine {
         self.blind -= usize::from(unnoticed && met);
         self.at = between(1.0);
         self.passed = blind && self.gap(&self.at) <= 0.0;
+        Ok(())
+    }
+}
+
+impl World for Machine {
+    fn place(&self, axis: &str) -> Result<f64, String> {
+        Machine::place(self, axis)
+    }
+
+    fn unit(&mut self, millimetres: f64) -> Result<(), String> {
+        self.unit = Some(millimetres);
+        Ok(())
+    }
+
+    fn rapid(&mut self, target: &ByAxis) -> Result<(), String> {
+        Err(format!("a rapid move, which nothing watches: {target:?}"))
+    }
+
+    fn feed(&mut self, target: &ByAxis, feed: f64) -> Result<(), String> {
+        self.go(target, feed, false)
+    }
+
+    fn probe(&mut self, target: &ByAxis, feed: f64) -> Result<bool, String> {
+        self.go(target, feed, true)?;
+        Ok(self.triggered)
+    }
+
+    fn wait(&mut self, seconds: f64) {
+        Machine::wait(self, seconds);
+    }
+
+    fn clock(&self) -> f64 {
+        self.seconds
+    }
+
+    fn message(&mut self, _: &str) {}
+
+    fn log(&mut self, line: String) -> Result<(), String> {
+        self.log.push(line);
         Ok(())
     }
 }

@@ -271,34 +271,14 @@ proptest! {
     /// Whatever happens to a log: what is read of it is what was measured, or it is refused.
     #[test]
     fn logs_that_went_wrong_give_no_wrong_number(run in runs(), form in 0_usize..4, kind in 0_usize..6, at in 0_usize..1000, aborted in any::<bool>()) {
-        let text = run.log(form);
-        let lines: Vec<&str> = text.split_inclusive('\n').collect();
-        let (one, other) = (at % lines.len(), (at * 7 + 3) % lines.len());
-        let mut changed: Vec<String> = lines.iter().map(|line| (*line).to_owned()).collect();
-        match kind {
-            0 => changed.truncate(one),
-            1 => changed = vec![text.chars().take(at * text.chars().count() / 1000).collect()],
-            2 => changed.insert(other, lines[one].to_owned()),
-            3 => { changed.remove(one); }
-            4 => changed.swap(one, other),
-            _ => changed.extend_from_within(..),
-        }
-        let wanted = Wanted { aborted: if aborted { Aborted::Accept } else { Aborted::Refuse }, ..WANTED };
-        if let Ok((data, _)) = read(form, &changed.concat(), &run.plan(), &wanted) {
-            // Each row that is read is the one that was measured at this touch and repeat.
-            let measured: Vec<_> = run.all().collect();
-            for row in 0..data.rows() {
-                let label = |name: &str| data.labels(name).expect("labels")[row].parse::<usize>().expect("a number");
-                let (touch, repeat) = (label("touch"), label("repeat"));
-                let found = measured.iter().find(|it| (it.0 + 1, it.1 + 1) == (touch, repeat)).and_then(|it| it.3);
-                let [x, y, z, c] = found.expect("a hit");
-                for (name, value) in [("X", x), ("Y", y), ("Z", z), ("C", c.to_radians())] {
-                    let own = data.numbers(name).expect("numbers")[row];
-                    prop_assert!((own - value).abs() < 1e-11, "{}: {} {}\n{}", name, own, value, changed.concat());
-                }
-            }
-            prop_assert!(data.rows() <= measured.iter().filter(|it| it.3.is_some()).count());
-        }
+        went_wrong(&run, form, &run.log(form), kind, at, aborted)?;
+    }
+
+    /// The same of consoles whose host waits for each answer. A lost answer shifts nothing.
+    #[test]
+    fn consoles_that_went_wrong_give_no_wrong_number(mut run in runs(), host in 0_usize..4, kind in 0_usize..6, at in 0_usize..1000, aborted in any::<bool>()) {
+        run.offset = None;
+        went_wrong(&run, 4, &run.console(host, false), kind, at, aborted)?;
     }
 
     #[test]
@@ -307,6 +287,46 @@ proptest! {
         let _ = read(form, &text, &plan, &WANTED);
         let _ = read(form, &format!("ABBE 1\nPLAN {}\nUNITS MM\nFRAME MACHINE\nTOUCHES 1\n{text}\nEND\n", plan.identity()), &plan, &WANTED);
     }
+}
+
+/// Cuts a log between lines or within one, doubles, removes or exchanges lines, or doubles all of it. Each row that is read is the one
+/// that was measured at this touch and repeat.
+fn went_wrong(
+    run: &Run,
+    form: usize,
+    text: &str,
+    kind: usize,
+    at: usize,
+    aborted: bool,
+) -> std::result::Result<(), TestCaseError> {
+    let lines: Vec<&str> = text.split_inclusive('\n').collect();
+    let (one, other) = (at % lines.len(), (at * 7 + 3) % lines.len());
+    let mut changed: Vec<String> = lines.iter().map(|line| (*line).to_owned()).collect();
+    match kind {
+        0 => changed.truncate(one),
+        1 => changed = vec![text.chars().take(at * text.chars().count() / 1000).collect()],
+        2 => changed.insert(other, lines[one].to_owned()),
+        3 => drop(changed.remove(one)),
+        4 => changed.swap(one, other),
+        _ => changed.extend_from_within(..),
+    }
+    let wanted = Wanted { aborted: if aborted { Aborted::Accept } else { Aborted::Refuse }, ..WANTED };
+    let Ok((data, _)) = read(form, &changed.concat(), &run.plan(), &wanted) else { return Ok(()) };
+    let measured: Vec<_> = run.all().collect();
+    for row in 0..data.rows() {
+        let label = |name: &str| data.labels(name).expect("labels")[row].parse::<usize>().expect("a number");
+        let (touch, repeat) = (label("touch"), label("repeat"));
+        let found = measured.iter().find(|it| (it.0 + 1, it.1 + 1) == (touch, repeat)).and_then(|it| it.3);
+        let Some([x, y, z, c]) = found else {
+            return Err(TestCaseError::fail(format!("touch {touch} did not hit\n{}", changed.concat())));
+        };
+        for (name, value) in [("X", x), ("Y", y), ("Z", z), ("C", c.to_radians())] {
+            let own = data.numbers(name).expect("numbers")[row];
+            prop_assert!((own - value).abs() < 1e-11, "{}: {} {}\n{}", name, own, value, changed.concat());
+        }
+    }
+    prop_assert!(data.rows() <= measured.iter().filter(|it| it.3.is_some()).count());
+    Ok(())
 }
 
 /// The text that was agreed for the identity of a plan, hashed by `sha256sum`.
