@@ -129,8 +129,8 @@ impl State<'_> {
         if program.takes.len() != arguments.len() {
             return Err(format!("{name} takes {} values", program.takes.len()));
         }
-        let mut local = Local::default();
-        local.variables = program.takes.iter().map(|name| (*name).to_owned()).zip(arguments.iter().copied()).collect();
+        let variables = program.takes.iter().map(|name| (*name).to_owned()).zip(arguments.iter().copied()).collect();
+        let mut local = Local { variables, ..Local::default() };
         let mut line = 0;
         loop {
             let Some(&text) = program.lines.get(line) else { return Err(format!("{name} has no M30 and no M17")) };

@@ -2,7 +2,7 @@
 
 use std::collections::{BTreeMap, BTreeSet};
 
-use abbe_core::{Dataset, PathItem, Quantity, SettingsError};
+use abbe_core::{Dataset, PathItem, Quantity, SettingsError, Values};
 use abbe_thermal::{Counting, Hold, Reference, SensorLog};
 
 /// The column of times.
@@ -157,8 +157,13 @@ pub(crate) fn check_label(series: Option<&String>) -> Result<(), SettingsError> 
 pub(crate) fn kept(log: &Dataset, columns: &[&str]) -> Columns {
     let wanted = log.columns.iter().filter_map(|column| {
         let name = column.header.name.as_str();
-        let values = log.numbers(name).filter(|_| name == "time" || columns.contains(&name))?;
-        Some((format!("{name}{}", column.header.quantity.usual_suffix()), values.to_vec()))
+        // The column itself is at hand: to look it up by its name takes time with the square of the columns.
+        match &column.values {
+            Values::Numbers(values) if name == "time" || columns.contains(&name) => {
+                Some((format!("{name}{}", column.header.quantity.usual_suffix()), values.clone()))
+            }
+            _ => None,
+        }
     });
     wanted.collect()
 }

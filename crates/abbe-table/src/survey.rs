@@ -363,16 +363,16 @@ fn contents_of(path: &Path, text: &str, layout: &Layout) -> Result<Contents> {
     }
     found.twins = twins(&found.columns);
     found.summaries = summaries(&rows, &lines);
-    let compared = |row: &Vec<String>| -> Vec<String> {
-        let cells = row.iter().enumerate().filter(|(index, _)| !counters.get(*index).copied().unwrap_or(false));
-        cells.map(|(_, cell)| cell.clone()).collect()
-    };
-    let mut seen: BTreeMap<Vec<String>, usize> = BTreeMap::new();
+    // Cells are compared where they are: copies of wide rows would take as much memory again.
+    let compared = |index: usize| !counters.get(index).copied().unwrap_or(false);
+    let mut seen: BTreeMap<Vec<&str>, usize> = BTreeMap::new();
     let filled = rows.iter().zip(&lines).filter(|(row, _)| row.iter().any(|cell| !cell.is_empty()));
     for (row, &line) in filled {
-        match seen.get(&compared(row)) {
-            Some(&earlier) => found.repeated.push((earlier, line)),
-            None => drop(seen.insert(compared(row), line)),
+        let cells: Vec<&str> =
+            row.iter().enumerate().filter(|(index, _)| compared(*index)).map(|(_, cell)| cell.as_str()).collect();
+        let earlier = *seen.entry(cells).or_insert(line);
+        if earlier != line {
+            found.repeated.push((earlier, line));
         }
     }
     Ok(found)

@@ -5,7 +5,7 @@
 //! the file has samples by time only. Samples of the overshoot are left out. Within a cycle rows come in the order of the angle, so that
 //! sweeps in both directions measure the same rows.
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 use std::path::{Path, PathBuf};
 
 use abbe_core::{
@@ -407,18 +407,20 @@ fn is_needed(header: &ColumnHeader) -> bool {
 /// Appends the rows of another test. Other columns (times, numbers of samples) that only one of them has are left out.
 fn append(data: &mut Dataset, mut part: Dataset, path: &Path) -> Result<()> {
     let only = |one: &Dataset, other: &Dataset| {
-        let mut headers = one.headers().into_iter().filter(is_needed);
-        headers.find(|header| other.column(&header.name).is_none()).map(|header| header.header)
+        let there: BTreeSet<&str> = other.columns.iter().map(|column| column.header.name.as_str()).collect();
+        let mut headers = one.columns.iter().map(|column| &column.header).filter(|header| is_needed(header));
+        headers.find(|header| !there.contains(header.name.as_str())).map(|header| header.header.clone())
     };
     let found = only(data, &part).map(|header| (header, "missing here, the tests before it have it"));
     if let Some((header, which)) = found.or_else(|| Some((only(&part, data)?, "here only"))) {
         let error = Error::usage(format!("the column `{header}` is {which}")).in_file(path);
         return Err(error.help("say what a file does not have under `ball`, `bar`, `positions` or `feed` of its test"));
     }
-    data.columns.retain(|column| part.column(&column.header.name).is_some());
+    let mut parts: BTreeMap<String, Values> =
+        part.columns.into_iter().map(|column| (column.header.name, column.values)).collect();
+    data.columns.retain(|column| parts.contains_key(&column.header.name));
     for column in &mut data.columns {
-        let more = part.columns.iter_mut().find(|other| other.header.name == column.header.name);
-        match (&mut column.values, more.map(|column| &mut column.values)) {
+        match (&mut column.values, parts.get_mut(&column.header.name)) {
             (Values::Numbers(numbers), Some(Values::Numbers(more))) => numbers.append(more),
             (Values::Labels(labels), Some(Values::Labels(more))) => labels.append(more),
             _ => {

@@ -340,11 +340,12 @@ impl Matching<'_> {
             Values::Numbers(numbers) => Values::Numbers(rows.iter().map(|row| numbers[row.plan]).collect()),
             Values::Labels(labels) => Values::Labels(rows.iter().map(|row| labels[row.plan].clone()).collect()),
         };
+        // Columns of the plan have different names: what may be there already is of the log.
+        let of_log: BTreeSet<String> = columns.iter().map(|own| own.header.name.clone()).collect();
         for column in self.plan.further() {
             let name = &column.header.name;
-            let is_there = columns.iter().any(|own| own.header.name == *name);
             // When a touch was planned is not when it was made.
-            if !is_there && (name != "time" || self.wanted.time == Time::Plan) {
+            if !of_log.contains(name) && (name != "time" || self.wanted.time == Time::Plan) {
                 columns.push(Column { header: column.header.clone(), values: picked(&column.values) });
             }
         }
