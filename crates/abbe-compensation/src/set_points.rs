@@ -24,8 +24,9 @@ pub struct SetPoints {
 impl SetPoints {
     /// Reads the set-points of a machine from a CSV file, one a row.
     ///
-    /// Every axis needs a column (`X_mm`, `B_deg`); that a spindle without one is taken to stand at 0° is told as a warning. Directions of approach (`dir_X`) that the file does not have are those of the
-    /// path: the sign of the last move; at the first point that of the next move; +1 before the axis has moved.
+    /// Every axis needs a column (`X_mm`, `B_deg`); a spindle without one is taken to stand at 0°, with a warning. Directions of
+    /// approach (`dir_X`) that the file does not have are those of the path: the sign of the last move; at the first point that of
+    /// the next move; +1 before the axis has moved.
     ///
     /// Fails for an axis without a column, a column of an axis that the machine does not have, a value that errors of the machine
     /// depend on and that the file does not have (time, temperature, stylus), and a command that is no number.
