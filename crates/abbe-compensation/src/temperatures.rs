@@ -1,5 +1,6 @@
 //! Temperatures of the time at which a machine is corrected.
 
+use std::collections::BTreeMap;
 use std::path::Path;
 
 use abbe_core::{Calibration, Dataset, Error, Quantity, Result, from_settings};
@@ -92,6 +93,60 @@ impl Temperatures {
         }
         told
     }
+
+    /// A word if most sensors that move changed much less, within a time as long as this log, when the machine was calibrated: times in
+    /// minutes that are read as seconds look like that.
+    pub fn too_fast(&self, calibration: &Calibration) -> Option<String> {
+        let times = self.data.numbers("time")?;
+        let duration = times.last()? - times.first()?;
+        let logs = logs(calibration);
+        let mut ratios = Vec::new();
+        for (header, known) in logged(calibration) {
+            let (Some(own), Some(known)) =
+                (self.data.numbers(Quantity::of_column(&header).0).and_then(ends), ends(&known))
+            else {
+                continue;
+            };
+            // A sensor that hardly moves shows its noise.
+            if own[1] - own[0] < MOVES * (known[1] - known[0]) || own[1] <= own[0] {
+                continue;
+            }
+            let of_logs = logs.iter().filter_map(|log| Some((log.get(TIME)?, log.get(&header)?)));
+            let then = of_logs.map(|(times, readings)| largest_change(times, readings, duration)).fold(0.0, f64::max);
+            ratios.push((own[1] - own[0]) / then);
+        }
+        // Half of the sensors say it: one near a heater may be quick by itself.
+        ratios.sort_by(f64::total_cmp);
+        let median = ratios.get(ratios.len() / 2).copied().filter(|median| *median > TOO_FAST)?;
+        Some(format!(
+            "within {duration:.0} s temperatures change {median:.0} times as much as when the machine was calibrated: is \
+             `{TIME}` in minutes?"
+        ))
+    }
+}
+
+/// The column of times of a log.
+const TIME: &str = "time_s";
+
+/// Part of a sensor's range in the calibration from which on it moves.
+const MOVES: f64 = 0.25;
+
+/// How many times as much as in the calibration temperatures may change within the same time without a word.
+const TOO_FAST: f64 = 3.0;
+
+/// The largest range of readings within a duration. The times ascend.
+fn largest_change(times: &[f64], readings: &[f64], duration: f64) -> f64 {
+    let mut largest = 0.0_f64;
+    let mut end = 0;
+    for (start, from) in times.iter().enumerate() {
+        while end < times.len() && times[end] <= from + duration {
+            end += 1;
+        }
+        // Neighbours count even if they are further apart than the duration.
+        let window = &readings[start..end.max(start + 2).min(readings.len())];
+        largest = largest.max(ends(window).map_or(0.0, |[from, to]| to - from));
+    }
+    largest
 }
 
 /// A sensor whose readings, smallest and largest, are not those of the calibration.
@@ -122,21 +177,24 @@ pub(crate) fn declarations(calibration: &Calibration) -> Vec<Declaration> {
     lines.into_iter().flatten().filter_map(|line| Declaration::read(line).ok()).collect()
 }
 
-/// Columns of the logs that a calibration keeps for its errors and bodies, without times: header and readings, those of several
-/// logs one after another.
-fn logged(calibration: &Calibration) -> Vec<(String, Vec<f64>)> {
+/// The logs that a calibration keeps for its errors and bodies: the readings of each column by its header.
+fn logs(calibration: &Calibration) -> Vec<BTreeMap<String, Vec<f64>>> {
     let bodies = calibration.model.settings.get("bodies").and_then(|bodies| bodies.as_object());
     let bodies = bodies.into_iter().flatten().filter_map(|(_, body)| from_settings::<Body>(body).ok());
-    let of_bodies = bodies.flat_map(|body| body.logs.into_values().chain([body.log]).flatten());
+    let of_bodies = bodies.flat_map(|body| body.logs.into_values().chain([body.log]));
     let of_line = |line| match line {
-        Declaration::Thermal(thermal) => thermal.logs.into_values().chain([thermal.log]).flatten().collect(),
+        Declaration::Thermal(thermal) => thermal.logs.into_values().chain([thermal.log]).collect(),
         _ => Vec::new(),
     };
     let of_lines = declarations(calibration).into_iter().flat_map(of_line);
+    of_bodies.chain(of_lines).collect()
+}
+
+/// Columns of [`logs`] without times: header and readings, those of several logs one after another.
+fn logged(calibration: &Calibration) -> Vec<(String, Vec<f64>)> {
     let mut columns: Vec<(String, Vec<f64>)> = Vec::new();
-    for (header, values) in
-        of_bodies.chain(of_lines).filter(|(header, _)| Quantity::of_column(header).1 != Quantity::Time)
-    {
+    let all = logs(calibration).into_iter().flatten();
+    for (header, values) in all.filter(|(header, _)| Quantity::of_column(header).1 != Quantity::Time) {
         match columns.iter_mut().find(|(known, _)| *known == header) {
             Some((_, known)) => known.extend(values),
             None => columns.push((header, values)),

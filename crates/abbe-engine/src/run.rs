@@ -21,7 +21,7 @@ use crate::readings::has_readings;
 use crate::record::{FileRecord, Remark, input_records};
 use crate::row_settings::Wanted;
 use crate::saved::fit_without_rows;
-use crate::travel::{check_travel, in_travel};
+use crate::travel::{check_tips, check_travel, in_travel};
 use crate::units::{likely_fahrenheit, tell_minutes};
 
 /// What is known before the first fit.
@@ -364,6 +364,7 @@ impl Prepared {
         let mut sets = Vec::new();
         for name in names {
             let (ingest, artefact) = self.artefact(name)?;
+            check_tips(&data[ingest], model.as_ref()).map_err(|error| error.stage(ingest))?;
             let observations = artefact.observe(&data[ingest], model.as_ref()).map_err(|error| error.stage(name))?;
             let rows = observations.info().layout.rows.iter().filter_map(|row| row.data_row);
             let merged = observations.info().layout.merged.iter().copied();
