@@ -11,3 +11,6 @@ pub mod rotary_interpolation;
 pub mod spindle;
 pub mod thermal_drift;
 mod zone;
+
+#[cfg(test)]
+mod expected;

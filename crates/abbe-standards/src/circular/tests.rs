@@ -47,9 +47,9 @@ fn worked_example_of_an_ellipse() {
 fn an_overshoot_is_told_by_the_angle_also_where_angles_begin_again() {
     let of = |angle: f64| 150.0 + 0.01 * (3.0 * angle).sin() + 0.002 * angle.cos();
     let plain = Trace::new(&samples(0..360, of));
-    let over = Trace::new(&samples(-45..406, |angle| if angle < 0.0 || angle >= TAU { 160.0 } else { of(angle) }));
+    let over = Trace::new(&samples(-45..406, |angle| if (0.0..TAU).contains(&angle) { of(angle) } else { 160.0 }));
     assert_eq!((over.left_out(), over.samples().len()), (91, 360));
-    let mut wrapped = samples(-45..406, |angle| if angle < 0.0 || angle >= TAU { 160.0 } else { of(angle) });
+    let mut wrapped = samples(-45..406, |angle| if (0.0..TAU).contains(&angle) { of(angle) } else { 160.0 });
     wrapped.iter_mut().for_each(|sample| sample.angle = sample.angle.rem_euclid(TAU));
     let wrapped = Trace::new(&wrapped);
     wrapped.samples().iter().zip(plain.samples()).for_each(|(one, other)| {
