@@ -107,13 +107,13 @@ impl Temperatures {
             else {
                 continue;
             };
-            // A sensor that hardly moves shows its noise.
-            if own[1] - own[0] < MOVES * (known[1] - known[0]) || own[1] <= own[0] {
-                continue;
-            }
+            let [own, range] = [own, known].map(|[from, to]| to - from);
             let of_logs = logs.iter().filter_map(|log| Some((log.get(TIME)?, log.get(&header)?)));
             let then = of_logs.map(|(times, readings)| largest_change(times, readings, duration)).fold(0.0, f64::max);
-            ratios.push((own[1] - own[0]) / then);
+            // A sensor that hardly moves shows its noise. More than the whole range of the calibration is told as that.
+            if then > 0.0 && own >= MOVES * range {
+                ratios.push(own.min(range) / then);
+            }
         }
         // Half of the sensors say it: one near a heater may be quick by itself.
         ratios.sort_by(f64::total_cmp);
@@ -134,17 +134,18 @@ const MOVES: f64 = 0.25;
 /// How many times as much as in the calibration temperatures may change within the same time without a word.
 const TOO_FAST: f64 = 3.0;
 
-/// The largest range of readings within a duration. The times ascend.
+/// The largest range of readings within a duration, of windows that begin a quarter of it after each other. The times ascend; readings
+/// without a time of their own are not looked at.
 fn largest_change(times: &[f64], readings: &[f64], duration: f64) -> f64 {
-    let mut largest = 0.0_f64;
-    let mut end = 0;
-    for (start, from) in times.iter().enumerate() {
-        while end < times.len() && times[end] <= from + duration {
-            end += 1;
-        }
+    let rows = times.len().min(readings.len());
+    let (times, readings) = (&times[..rows], &readings[..rows]);
+    let (mut largest, mut start) = (0.0_f64, 0);
+    while start < rows {
+        let first_after = |span: f64| times.partition_point(|time| *time <= times[start] + span);
         // Neighbours count even if they are further apart than the duration.
-        let window = &readings[start..end.max(start + 2).min(readings.len())];
-        largest = largest.max(ends(window).map_or(0.0, |[from, to]| to - from));
+        let end = first_after(duration).max(start + 2).min(rows);
+        largest = largest.max(ends(&readings[start..end]).map_or(0.0, |[from, to]| to - from));
+        start = first_after(0.25 * duration).max(start + 1);
     }
     largest
 }
@@ -225,4 +226,21 @@ pub fn check_no_drift(calibration: &Calibration) -> Result<()> {
         }
     }
     Ok(())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::largest_change;
+
+    #[test]
+    fn the_largest_change_of_a_ramp_is_its_slope() {
+        let times: Vec<f64> = (0..1000).map(f64::from).collect();
+        let ramp: Vec<f64> = times.iter().map(|time| (time - 400.0).clamp(0.0, 200.0) * 0.1).collect();
+        assert!((largest_change(&times, &ramp, 50.0) - 5.0).abs() < 1e-12);
+        assert!((largest_change(&times, &ramp, 2000.0) - 20.0).abs() < 1e-12);
+        // Neighbours, if the duration is shorter than a step; and no more than there is.
+        assert!((largest_change(&times, &ramp, 0.0) - 0.1).abs() < 1e-9);
+        assert_eq!(largest_change(&times, &ramp[..3], 50.0), 0.0);
+        assert_eq!(largest_change(&[], &[], 50.0), 0.0);
+    }
 }

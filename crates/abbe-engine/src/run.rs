@@ -14,14 +14,14 @@ use abbe_recipe::Stage;
 use crate::evidence;
 use crate::groups::{GroupProblem, is_of};
 use crate::outcome::{Failure, Outcome};
-use crate::plausibility::{check_stated, check_uncertainties};
+use crate::plausibility::{check_stated, check_tips, check_uncertainties};
 use crate::prediction::{Predicted, prediction_fit};
 use crate::prepare::{Prepared, build_model};
 use crate::readings::has_readings;
 use crate::record::{FileRecord, Remark, input_records};
 use crate::row_settings::Wanted;
 use crate::saved::fit_without_rows;
-use crate::travel::{check_tips, check_travel, in_travel};
+use crate::travel::{check_travel, in_travel};
 use crate::units::{likely_fahrenheit, tell_minutes};
 
 /// What is known before the first fit.

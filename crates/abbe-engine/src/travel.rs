@@ -2,7 +2,7 @@
 
 use std::f64::consts::TAU;
 
-use abbe_core::{Axis, AxisKind, DataRow, Dataset, Error, Fit, KinematicModel, ObservationSet, Result, StatusRole};
+use abbe_core::{Axis, AxisKind, DataRow, Dataset, Fit, KinematicModel, ObservationSet, Result, StatusRole};
 
 /// Fails on the first row with a command that is no number or outside the range of its axis, unless the axis turns without an end.
 pub(crate) fn check_travel(set: &ObservationSet, model: &dyn KinematicModel) -> Result<()> {
@@ -28,23 +28,6 @@ pub(crate) fn check_travel(set: &ObservationSet, model: &dyn KinematicModel) -> 
         }
     }
     Ok(())
-}
-
-/// Diameters of a stylus tip that are of the same one, mm: a calibrated tip is smaller than its name by less than that.
-const SAME_TIP: f64 = 0.1;
-
-/// Fails if the header of a file states another stylus tip than the machine has.
-pub(crate) fn check_tips(data: &Dataset, model: &dyn KinematicModel) -> Result<()> {
-    let of_machine = 2.0 * model.info().stylus_radius;
-    let Some(tip) = data.stated_tips.iter().find(|tip| (tip.diameter - of_machine).abs() > SAME_TIP) else {
-        return Ok(());
-    };
-    let message = format!(
-        "measured with a stylus tip of {} mm diameter, and the machine has one of {of_machine} mm",
-        (tip.diameter * 1e6).round() * 1e-6
-    );
-    let help = "which one is right? Correct `stylus_radius_mm` of the machine, or the tip in the header of this file";
-    Err(Error::data(message).at(&data.files[tip.file], tip.line, None).help(help))
 }
 
 /// Fails if data that a validator judges are beyond the travel of a machine that it judges.

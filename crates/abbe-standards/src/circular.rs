@@ -1,7 +1,7 @@
 //! Circular tests in the manner of ISO 230-4: ball bar, grid encoder or encoders of the axes.
 //!
 //! The text of the standard was not at hand; symbols and formulas are those in general use. Two definitions of the circular
-//! deviation G are in use, and both are offered and named: [`Trace::zone`] (ring of the smallest width) and
+//! deviation G are in use, and both are offered and named: [`Trace::minimum_zone`] (the minimum zone: the ring of the smallest width) and
 //! [`Trace::about_least_squares`] (range about the least squares circle). That D, F and H are counted from the least squares
 //! circle of both directions together is a choice of this project.
 //!
@@ -85,7 +85,7 @@ impl Trace {
     }
 
     /// G as the width of the smallest ring that holds the trace, none for an arc.
-    pub fn zone(&self) -> Option<Zone> {
+    pub fn minimum_zone(&self) -> Option<Zone> {
         smallest_zone(&[self])
     }
 
@@ -109,20 +109,20 @@ impl Trace {
     }
 }
 
-/// Both directions of a circle.
+/// Bidirectional directions of a circle.
 #[derive(Debug, Clone, PartialEq)]
-pub struct Both {
+pub struct Bidirectional {
     /// The least squares circle through the samples of both.
     pub circle: Circle,
     /// G(b) as the smallest ring that holds both.
-    pub zone: Option<Zone>,
+    pub minimum_zone: Option<Zone>,
     /// G(b) as the range about the least squares circle.
     pub about_least_squares: Option<f64>,
     /// Hysteresis: the largest difference of the distances in both directions at one angle, and the angle (0 to 2 pi).
     pub hysteresis: Option<(f64, f64)>,
 }
 
-impl Both {
+impl Bidirectional {
     /// Figures of two traces in opposite directions; none unless both go all around.
     pub fn of(one: &Trace, other: &Trace) -> Option<Self> {
         if !(one.full && other.full) {
@@ -130,7 +130,7 @@ impl Both {
         }
         let circle = least_squares(&[one, other]).ok()?;
         Some(Self {
-            zone: smallest_zone(&[one, other]),
+            minimum_zone: smallest_zone(&[one, other]),
             about_least_squares: range_about_least_squares(&[one, other]),
             hysteresis: hysteresis(one, other, circle.centre.into()),
             circle,

@@ -4,7 +4,7 @@ use std::path::PathBuf;
 
 use serde_json::Value;
 
-use crate::circular::{Both, Sample, Trace};
+use crate::circular::{Bidirectional, Sample, Trace};
 use crate::lengths::{Judged, Measured, Permissible, judge, sets};
 use crate::probing::{ball, multi_stylus};
 use crate::rotary_interpolation::{Path, ranges};
@@ -67,10 +67,10 @@ fn circles() {
         for file in ["ballbar-xy-f500.csv", "ballbar-xy-f2000.csv"] {
             let figures = &expected(data)["circular"][file];
             let [ccw, cw] = traces(data, file, 150.0);
-            let both = Both::of(&ccw, &cw).expect("both");
+            let both = Bidirectional::of(&ccw, &cw).expect("both");
             let check = |name: &str, mm: f64| same(1e3 * mm, &figures[name], &format!("{data} {file} {name}"));
             for (trace, way) in [(&ccw, "ccw"), (&cw, "cw")] {
-                check(&format!("G_{way}"), trace.zone().expect("a zone").width);
+                check(&format!("G_{way}"), trace.minimum_zone().expect("a zone").width);
                 check(&format!("G_{way}_lsc"), trace.about_least_squares().expect("a range"));
                 let centred = trace.about(both.circle.centre.into(), 150.0).expect("samples");
                 let set_up = trace.as_set_up(150.0).expect("samples");
@@ -79,7 +79,7 @@ fn circles() {
                     check(&format!("F_min_{way}{how}"), values[1]);
                 }
             }
-            check("G_b", both.zone.expect("a zone").width);
+            check("G_b", both.minimum_zone.expect("a zone").width);
             check("G_b_lsc", both.about_least_squares.expect("a range"));
             check("D", both.radial_deviation(150.0));
             same(1e3 * both.circle.centre.x, &figures["centre_um"][0], "centre");
@@ -93,7 +93,7 @@ fn circles() {
             let [most, least] = trace.as_set_up(100.0).expect("samples");
             same(1e3 * most, &figures[format!("F_max_{way}")], "F max");
             same(1e3 * least, &figures[format!("F_min_{way}")], "F min");
-            assert!(trace.zone().is_none() && trace.about_least_squares().is_none());
+            assert!(trace.minimum_zone().is_none() && trace.about_least_squares().is_none());
         }
     }
 }

@@ -24,7 +24,7 @@ pub const LENGTHS: usize = 5;
 pub struct Permissible {
     /// What does not depend on the length.
     pub constant: f64,
-    /// Length by error, as the error is in the unit of the length: `L / K` in µm with L in mm is a slope of 0.001 / K.
+    /// Error by length, both in one unit: what a maker writes as `L / K` in µm, with L in mm, is 0.001 / K.
     pub slope: f64,
     /// The largest one, where it is bounded.
     pub most: Option<f64>,
@@ -120,8 +120,12 @@ pub enum Judged {
 
 /// Judges sets by their values that are outside, and the repeats of these sets.
 ///
-/// At most five sets may have one value outside; each is measured three times again and all three have to be inside.
+/// At most five sets may have one value outside; each is measured three times again and all three have to be inside. Where nothing was
+/// measured nothing is inside.
 pub fn judge(measured: &[Measured], sets: &[Set], repeats: &[Measured], permissible: &Permissible) -> Judged {
+    if sets.is_empty() {
+        return Judged::Outside("nothing was measured".to_owned());
+    }
     let outside = |set: &Set| set.places.iter().filter(|place| !measured[**place].is_inside(permissible)).count();
     if let Some(set) = sets.iter().find(|set| outside(set) > 1) {
         let count = outside(set);
@@ -175,6 +179,7 @@ mod tests {
         assert_eq!(judged(&one, &[]), Judged::Repeat(vec![0]));
         assert_eq!(judged(&one, &set("1", 100.0, &[1.0, 2.0])), Judged::Repeat(vec![0]));
         assert_eq!(judged(&one, &set("1", 100.0, &[1.0, 2.0, 2.9])), Judged::Inside);
+        assert!(matches!(judged(&[], &[]), Judged::Outside(_)));
         // Repeats of another line or length tell nothing.
         assert_eq!(judged(&one, &set("2", 100.0, &[1.0, 2.0, 2.9])), Judged::Repeat(vec![0]));
         assert!(matches!(judged(&one, &set("1", 100.0, &[1.0, 2.0, 3.1])), Judged::Outside(_)));

@@ -154,11 +154,16 @@ fn common_radius(facets: &[&Facet]) -> Option<f64> {
 }
 
 impl Facets {
+    /// The first line under `curved` that names a facet; none for a plane one.
+    fn line_of(&self, label: &str) -> Option<usize> {
+        let names =
+            |curved: &Curved| curved.features.is_empty() || curved.features.iter().any(|feature| feature.0 == label);
+        self.settings.curved.iter().position(names)
+    }
+
     /// The curved surface of a facet; fails for a cylinder that does not have this normal.
     fn surface(&self, label: &str, normal: Vector3<f64>) -> Result<Option<Surface>, String> {
-        let of_facet =
-            |curved: &&Curved| curved.features.is_empty() || curved.features.iter().any(|feature| feature.0 == label);
-        let Some(curved) = self.settings.curved.iter().find(of_facet) else { return Ok(None) };
+        let Some(curved) = self.line_of(label).map(|line| &self.settings.curved[line]) else { return Ok(None) };
         let axis = curved.axis.map(|axis| Vector3::from(axis).normalize());
         match axis.map(|axis| axis.dot(&normal).abs()) {
             Some(skew) if skew > SKEW => {
@@ -191,10 +196,7 @@ impl Facets {
     /// several surfaces of the same kind do not tell.
     fn as_nominal(&self, nominal: &[Facet]) -> Result<()> {
         for (index, curved) in self.settings.curved.iter().enumerate() {
-            let is_own = |facet: &&Facet| {
-                curved.features.is_empty() || curved.features.iter().any(|feature| feature.0 == facet.label)
-            };
-            let own: Vec<&Facet> = nominal.iter().filter(is_own).collect();
+            let own: Vec<&Facet> = nominal.iter().filter(|facet| self.line_of(&facet.label) == Some(index)).collect();
             let Some(radius) =
                 common_radius(&own).filter(|radius| (radius - curved.radius_mm).abs() > SAME_RADIUS * radius.abs())
             else {

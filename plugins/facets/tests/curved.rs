@@ -145,6 +145,19 @@ fn a_radius_that_the_nominal_facets_contradict_is_refused() {
             assert!(told.contains(&format!("lie on a surface of {radius:.3} mm")), "{told}");
         }
     }
+    // A sphere, and a cylinder in a line after it: each is held against its own facets.
+    let tilted = |turn: f64, up: f64| [turn.cos() * up.cos(), turn.sin() * up.cos(), up.sin()];
+    let sphere: String =
+        (0..5).map(|k| facet(k, [40.0, 5.0, 9.0], 43.0, tilted(0.5 * k as f64, 0.3 * k as f64))).collect();
+    let ring: String = (5..9).map(|k| facet(k, [0.0, 5.0, 7.0 * k as f64], 60.0, around(0.6 * k as f64))).collect();
+    let two = format!("{header}{sphere}{ring}");
+    let of = |sphere: f64, ring: f64| {
+        let sphere = json!({ "features": ["0", "1", "2", "3", "4"], "radius_mm": sphere });
+        evaluated_on(&two, json!([sphere, { "radius_mm": ring, "axis": [0, 0, 1] }]), &touch)
+    };
+    assert!(of(43.0, 60.0).is_ok());
+    assert!(of(21.5, 60.0).unwrap_err().contains("lie on a surface of 43.000 mm"));
+    assert!(of(43.0, 30.0).unwrap_err().contains("lie on a surface of 60.000 mm"));
     let balls: String =
         (0..4).map(|k| facet(k, [[0.0, 0.0, 0.0], [80.0, 5.0, 0.0]][k % 2], 20.0, around(0.4 * k as f64))).collect();
     let balls = format!("{header}{balls}");

@@ -26,7 +26,7 @@ fn samples(degrees: impl Iterator<Item = i32>, radius: impl Fn(f64) -> f64) -> V
 fn worked_example_of_an_ellipse() {
     // 100 + 0.01 cos 2t has its axes along the coordinates: both definitions of G are the difference of the axes.
     let trace = Trace::new(&samples(0..360, |angle| 100.0 + 0.01 * (2.0 * angle).cos()));
-    assert!((trace.zone().expect("a zone").width - 0.02).abs() < 1e-12);
+    assert!((trace.minimum_zone().expect("a zone").width - 0.02).abs() < 1e-12);
     assert!((trace.about_least_squares().expect("a range") - 0.02).abs() < 1e-12);
     let [most, least] = trace.as_set_up(100.0).expect("samples");
     assert!((most - 0.01).abs() < 1e-12 && (least + 0.01).abs() < 1e-12);
@@ -36,7 +36,7 @@ fn worked_example_of_an_ellipse() {
             + 0.01 * (2.0 * angle).cos()
             + if (40.0..=60.0).contains(&angle.to_degrees().round()) { 0.004 } else { 0.0 }
     });
-    let both = Both::of(&trace, &Trace::new(&back)).expect("both");
+    let both = Bidirectional::of(&trace, &Trace::new(&back)).expect("both");
     let (size, angle) = both.hysteresis.expect("hysteresis");
     assert!((size - 0.004).abs() < 1e-6 && (39.5..60.5).contains(&angle.to_degrees()), "{size} {angle}");
     // 21 of 720 samples are 0.004 larger.
@@ -55,14 +55,16 @@ fn an_overshoot_is_told_by_the_angle_also_where_angles_begin_again() {
     wrapped.samples().iter().zip(plain.samples()).for_each(|(one, other)| {
         assert!((one.radius - other.radius).abs() < 1e-15);
     });
-    assert!((wrapped.zone().expect("a zone").width - plain.zone().expect("a zone").width).abs() < 1e-12);
+    assert!(
+        (wrapped.minimum_zone().expect("a zone").width - plain.minimum_zone().expect("a zone").width).abs() < 1e-12
+    );
 }
 
 #[test]
 fn an_arc_has_nothing_but_f() {
     let arc = Trace::new(&samples(-20..201, |angle| 100.0 + 0.01 * angle.cos()));
-    assert!(!arc.is_full() && arc.zone().is_none() && arc.about_least_squares().is_none());
-    assert!(arc.as_set_up(100.0).is_some() && Both::of(&arc, &arc).is_none());
+    assert!(!arc.is_full() && arc.minimum_zone().is_none() && arc.about_least_squares().is_none());
+    assert!(arc.as_set_up(100.0).is_some() && Bidirectional::of(&arc, &arc).is_none());
     // Almost all around is an arc as well; too few samples are no circle; none have no figure at all.
     assert!(!Trace::new(&samples(0..350, |_| 100.0)).is_full());
     assert!(!Trace::new(&samples((0..360).step_by(45), |_| 100.0)).is_full());
