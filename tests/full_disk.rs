@@ -71,7 +71,7 @@ fn what_does_not_fit_on_a_disk_leaves_what_was_there() {
     let before = contents(&small.path("before"));
 
     let result = "before/recipe/fine.calibration.json";
-    let commands: [&[&str]; 8] = [
+    let commands: [&[&str]; 9] = [
         &["run", "recipe.yaml", "--out", "disk"],
         &["run", "recipe.yaml", "--out", "disk/new"],
         &["simulate", "recipe.yaml", "--truth", "truth.json", "--seed", "1", "--out", "disk/simulated"],
@@ -80,6 +80,7 @@ fn what_does_not_fit_on_a_disk_leaves_what_was_there() {
         &["report", "before/recipe", "--out", "disk/page.html"],
         &["report", result, "--out", "disk/table.csv"],
         &["plugins", "--pages", "disk/pages"],
+        &["history", "add", "disk/plant.sqlite", "before/recipe", "--date", "2026-01-02"],
     ];
     for arguments in commands {
         let (mut failed, mut whole) = (0, None);

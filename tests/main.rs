@@ -8,6 +8,7 @@ mod calibrations;
 mod cmm;
 mod compensation;
 pub(crate) mod controls;
+mod copies;
 mod coverage;
 mod data;
 mod decisions;

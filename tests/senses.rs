@@ -45,6 +45,21 @@ fn both_set_ups_of_a_reversal_turn_in_one_sense() {
 }
 
 #[test]
+fn a_trace_of_a_reversal_with_the_other_sign_is_told() {
+    let folder = temporary();
+    let mut recipe = Variant::of(&recipes()["spindle-motion"]);
+    let remarks = |recipe: &Variant| {
+        let remarks = recipe.run().verdicts.into_iter().flat_map(|verdict| verdict.remarks);
+        remarks.filter(|text| text.contains("form and motion change places")).count()
+    };
+    assert_eq!(remarks(&recipe), 0);
+    let negated = |_: usize, cell: &str| format!("{}", -cell.parse::<f64>().expect("a reading"));
+    let file = changed(&recipe.path("after", "path"), folder.path(), "r1_um", negated);
+    recipe.stage("after")["path"] = json!(file);
+    assert_eq!(remarks(&recipe), 1);
+}
+
+#[test]
 fn a_temperature_that_stops_in_a_warm_up_is_told() {
     let stop = |row: usize, value: f64| if row > 80 { 35.0 } else { value };
     let (_, text) = measured("spindle-motion", "half-hour", &["T02_degC"], stop);

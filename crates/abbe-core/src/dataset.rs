@@ -103,7 +103,39 @@ impl Dataset {
     /// Rows that are the same in every column as an earlier one, each with that one. Labels that count the rows are not compared: a
     /// copy of a row has another one.
     pub fn repeated_rows(&self, rows: impl IntoIterator<Item = DataRow>) -> Vec<(DataRow, DataRow)> {
-        let compared: Vec<&Column> = self.columns.iter().filter(|column| !counts_rows(column)).collect();
+        self.same_in(rows, |_| true)
+    }
+
+    /// Number of rows that follow each other, at least so many in turn, as earlier rows of the same content do; with the first of them
+    /// behind its earlier one. Times and labels of repetitions (`day`, `cycle`) may differ.
+    pub fn copied_rows(
+        &self,
+        rows: impl IntoIterator<Item = DataRow>,
+        in_turn: usize,
+    ) -> Option<(usize, [DataRow; 2])> {
+        let is_of_the_content = |column: &Column| {
+            let is_time = column.header.quantity == Quantity::Time;
+            !is_time && !["day", "cycle"].contains(&column.header.name.as_str())
+        };
+        let same = self.same_in(rows, is_of_the_content);
+        let (mut count, mut first) = (0, None);
+        let follows =
+            |pair: &(DataRow, DataRow), next: &(DataRow, DataRow)| next.0.0 == pair.0.0 + 1 && next.1.0 == pair.1.0 + 1;
+        for run in same.chunk_by(follows).filter(|run| run.len() >= in_turn) {
+            count += run.len();
+            first = first.or(Some([run[0].0, run[0].1]));
+        }
+        first.map(|first| (count, first))
+    }
+
+    /// Rows that are the same as an earlier one in these columns, each with the last one of these.
+    fn same_in(
+        &self,
+        rows: impl IntoIterator<Item = DataRow>,
+        is_compared: impl Fn(&Column) -> bool,
+    ) -> Vec<(DataRow, DataRow)> {
+        let compared = self.columns.iter().filter(|column| !counts_rows(column) && is_compared(column));
+        let compared: Vec<&Column> = compared.collect();
         let mut seen: BTreeMap<Vec<Cell<'_>>, DataRow> = BTreeMap::new();
         let mut repeated = Vec::new();
         for row in rows {

@@ -9,7 +9,9 @@ use abbe_core::{
     Calibration, Class, Dataset, Error, Fit, ImplausibleValue, Kind, KinematicModel, ObservationSet, ParameterRole,
     Problem, Quantity, Result, Status,
 };
-use abbe_estimation::{LargeError, absurd_error, implausible_errors, large_errors, likely_causes, likely_mistakes};
+use abbe_estimation::{
+    LargeError, absurd_error, implausible_errors, large_errors, likely_causes, likely_mistakes, opposite_factor,
+};
 use abbe_recipe::Stage;
 
 use crate::groups::stage_name;
@@ -34,6 +36,13 @@ impl Prepared {
                     failures.push(Failure::own(stage, self.recipe.locate(error.stage(&stage.name))));
                 }
                 continue;
+            }
+            if let Some((name, value)) = opposite_factor(&fit.problem, &fit.calibration) {
+                let message = format!(
+                    "no machine has such errors: `{name}` = {value:.3}; what it multiplies would act the other way round"
+                );
+                let error = Error::data(message).help("look for a wrong sign of a coefficient or of the temperatures");
+                failures.push(Failure::own(stage, self.recipe.locate(error.stage(&stage.name))));
             }
             let plausible = &self.plausible[&stage.name];
             let mut large = self.located(stage, large_errors(plausible, &fit.problem, &fit.calibration))?;

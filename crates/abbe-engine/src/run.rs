@@ -8,7 +8,7 @@ use abbe_core::{
     Calibration, Class, DataRecord, DataRow, Dataset, Error, EstimateSource, Event, Export, ExportedFile, Findings,
     Fit, Kind, KinematicModel, Monitor, ObservationSet, Problem, Registry, Result, Verdict, in_parallel,
 };
-use abbe_estimation::remarks;
+use abbe_estimation::{copies, remarks};
 use abbe_recipe::Stage;
 
 use crate::evidence;
@@ -72,7 +72,7 @@ impl Prepared {
         failures.extend(implausible);
         let told = |(name, problem): (&String, &Problem)| {
             let is_there = fits.iter().any(|fit| fit.name == *name);
-            let texts = if is_there { remarks(problem) } else { Vec::new() };
+            let texts = if is_there { [remarks(problem), copies(problem)].concat() } else { Vec::new() };
             texts.into_iter().map(|text| Remark { estimate: name.clone(), text }).collect::<Vec<_>>()
         };
         let remarks = problems.iter().filter(|(_, problem)| !problem.sets.is_empty()).flat_map(told).collect();
@@ -238,7 +238,7 @@ impl Prepared {
     pub(crate) fn fit(&self, stage: &Stage, problem: Problem) -> Result<Fit> {
         let estimator = self.estimators[&stage.name].clone();
         tracing::info!("{}: {} equations, {} unknowns", stage.name, problem.equations(), problem.unknowns.len());
-        remarks(&problem).iter().for_each(|remark| tracing::warn!("{}: {remark}", stage.name));
+        remarks(&problem).iter().chain(&copies(&problem)).for_each(|remark| tracing::warn!("{}: {remark}", stage.name));
         let explained = estimator.explain(&problem).map_err(|error| self.with_mistakes(stage, &problem, error));
         let calibration = self.located(stage, explained)?;
         self.located(stage, check_uncertainties(&calibration))?;

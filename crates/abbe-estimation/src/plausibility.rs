@@ -113,6 +113,21 @@ pub fn large_errors(plausible: &Plausible, problem: &Problem, calibration: &Cali
     judged(plausible, &problem.with_values(&problem.values_of(calibration)), &unknowns, values)
 }
 
+/// Factor from which on known errors act the other way round. A control that corrects a little too much leaves a small one.
+const OPPOSITE: f64 = -0.2;
+
+/// An estimated factor of known errors ([`ParameterRole::Factor`]) that turns them round, with its value.
+pub fn opposite_factor(problem: &Problem, calibration: &Calibration) -> Option<(String, f64)> {
+    let factors = problem.machine_unknowns().into_iter();
+    let factors = factors.filter(|own| problem.model.info().parameters[own.index].role == ParameterRole::Factor);
+    let found = factors.filter_map(|own| calibration.get(&own.name).map(|found| (own.name, found)));
+    let scale = calibration.fit.sigma.max(1.0);
+    let is_opposite = |value: f64, u: f64| value + COVERED * u / scale < OPPOSITE;
+    let mut opposite = found
+        .filter(|(_, found)| found.status == Status::Estimated && is_opposite(found.value, found.standard_uncertainty));
+    opposite.next().map(|(name, found)| (name, found.value))
+}
+
 /// The errors of a machine whose true values are known, estimated or not, that are larger than an error can be; the largest first.
 pub fn implausible_errors(plausible: &Plausible, at: &Problem) -> Result<Vec<LargeError>> {
     let unknown = |(index, parameter): (usize, &Parameter)| Unknown {

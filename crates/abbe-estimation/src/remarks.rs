@@ -44,6 +44,51 @@ pub fn repeated(problem: &Problem) -> Vec<String> {
     remarks
 }
 
+/// Sentences on readings that say less than they seem to: rows that are copies of others, and repetitions without scatter. They are
+/// for what was measured: rows of a plan are no readings.
+pub fn copies(problem: &Problem) -> Vec<String> {
+    [copied(problem), unscattered(problem)].concat()
+}
+
+/// Most rows in turn that may be those of earlier ones by chance.
+const IN_TURN: usize = 10;
+
+/// Rows of a data set that follow each other as earlier ones do, the same in every cell but for times and labels of repetitions. No
+/// machine repeats to the last digit so often.
+fn copied(problem: &Problem) -> Vec<String> {
+    let of_set = |set: &ObservationSet| {
+        let data = &set.info().layout.data;
+        let rows: BTreeSet<DataRow> = set.rows.iter().filter_map(|&row| set.info().layout.rows[row].data_row).collect();
+        let (count, first) = data.copied_rows(rows, IN_TURN)?;
+        let lines = first.map(|row| data.origins[row].line);
+        Some(format!(
+            "{}: {count} rows are those of earlier ones to the last digit, but for times and labels (the first: lines {} and {}): are \
+             they copies? Each counts as a measurement of its own",
+            set.name, lines[0], lines[1]
+        ))
+    };
+    problem.sets.iter().filter_map(of_set).collect()
+}
+
+/// Scatter of repetitions, mm or rad, below which there is none.
+const NO_SCATTER: f64 = 1e-9;
+
+/// Repetitions without scatter, of which an uncertainty is made.
+fn unscattered(problem: &Problem) -> Vec<String> {
+    let is_still = |set: &&ObservationSet| {
+        let pooled = set.uncertainty.pooled.as_ref();
+        pooled.is_some_and(|pooled| pooled.deviations.iter().flatten().all(|off| off.abs() < NO_SCATTER))
+    };
+    let sentence = |set: &ObservationSet| {
+        format!(
+            "{}: the repetitions are the same to the last digit, so that their scatter tells no uncertainty: are they copies? State \
+             `standard_uncertainty_um` instead of `pooled`",
+            set.name
+        )
+    };
+    problem.sets.iter().filter(is_still).map(sentence).collect()
+}
+
 /// Times that fall in every row.
 fn reversed(problem: &Problem) -> Vec<String> {
     let falls = |set: &&ObservationSet| {

@@ -101,6 +101,26 @@ impl History {
         Ok(history)
     }
 
+    /// A new history in memory, to be [saved](Self::save) when its first entries are in it. Messages name `path`.
+    pub fn new(path: &Path) -> Result<Self> {
+        let connection = Connection::open_in_memory();
+        let mut history = Self::configured(path, connection)?;
+        let migrated = (|| {
+            let transaction = history.connection.transaction()?;
+            migrate(&transaction)?;
+            transaction.commit()
+        })();
+        migrated.map_err(|error| history.failed(&error))?;
+        Ok(history)
+    }
+
+    /// Writes all of it to an empty file.
+    pub fn save(&self, empty: &Path) -> Result<()> {
+        let name = empty.to_str().ok_or_else(|| Error::usage(format!("{} is no name in UTF-8", empty.display())))?;
+        let saved = self.connection.execute("VACUUM INTO ?1", [name]);
+        saved.map(drop).map_err(|error| self.failed(&error))
+    }
+
     /// Opens a history to read it; nothing is changed, an older version is read as it is.
     pub fn read(path: &Path) -> Result<Self> {
         if !path.is_file() {
@@ -115,9 +135,13 @@ impl History {
     }
 
     fn connected(path: &Path, flags: OpenFlags) -> Result<Self> {
+        Self::configured(path, Connection::open_with_flags(path, flags))
+    }
+
+    fn configured(path: &Path, connection: rusqlite::Result<Connection>) -> Result<Self> {
         let failed =
             |error: rusqlite::Error| Error::usage(format!("the history {} cannot be opened: {error}", path.display()));
-        let connection = Connection::open_with_flags(path, flags).map_err(failed)?;
+        let connection = connection.map_err(failed)?;
         connection.busy_timeout(PATIENCE).map_err(failed)?;
         let history = Self { path: path.to_owned(), connection };
         let settings = || {
@@ -153,7 +177,7 @@ impl History {
     }
 
     fn failed(&self, error: &rusqlite::Error) -> Error {
-        use rusqlite::ErrorCode::{DatabaseBusy, NotADatabase, ReadOnly};
+        use rusqlite::ErrorCode::{DatabaseBusy, DiskFull, NotADatabase, ReadOnly};
         let path = self.path.display();
         match error.sqlite_error_code() {
             Some(NotADatabase) => Error::usage(format!("{path} is no history")).help("name another file"),
@@ -162,6 +186,8 @@ impl History {
                 Error::data(message).help("try again; nothing was added")
             }
             Some(ReadOnly) => Error::usage(format!("{path} cannot be written")).help("nothing was added"),
+            Some(DiskFull) => Error::data(format!("the history {path} cannot be written: the disk is full"))
+                .help("make room, or name a file on another disk; nothing was added"),
             _ => Error::data(format!("the history {path}: {error}")),
         }
     }

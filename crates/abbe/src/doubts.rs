@@ -1,6 +1,7 @@
 //! What is hard to believe of a fit: for its heading in the summary.
 
 use std::collections::BTreeMap;
+use std::ops::Range;
 use std::path::Path;
 
 use abbe_core::{Fit, Quantity};
@@ -123,6 +124,13 @@ const OF_A_FILE: usize = 20;
 /// Part of what was stated below which residuals are those of exact data: no other unit makes them so small.
 const EXACT: f64 = 1e-6;
 
+/// Residuals of a file that are about half of those of the others, where these are about as stated; fewest of them, and rows of a file
+/// for each unknown.
+const HALF: Range<f64> = 0.45..0.55;
+const AS_STATED: Range<f64> = 0.7..1.4;
+const OF_A_HALF: usize = 100;
+const ROWS_OF_AN_UNKNOWN: usize = 4;
+
 /// Files whose residuals are far smaller than stated while those of the other files are not: their readings are in another unit.
 fn too_good_files(fit: &Fit) -> Vec<String> {
     let problem = &fit.problem;
@@ -150,7 +158,22 @@ fn too_good_files(fit: &Fit) -> Vec<String> {
             short(rms(own.0, own.1))
         )
     };
-    of_files.into_iter().filter(|(_, own)| is_too_good(own)).map(sentence).collect()
+    let fewest = OF_A_HALF.max(ROWS_OF_AN_UNKNOWN * problem.unknowns.len());
+    let is_half = |own: &(f64, usize)| {
+        let others = rms(sum - own.0, count - own.1);
+        own.1 >= fewest && HALF.contains(&(rms(own.0, own.1) / others)) && AS_STATED.contains(&others)
+    };
+    let half = of_files.iter().filter(|(_, own)| is_half(own)).map(|(file, own)| {
+        format!(
+            "  {}: the residuals of `{}` are {} of what is stated, about half of those of other files: are its readings those of a \
+             radius where the others are of a diameter?\n",
+            fit.name,
+            file.display(),
+            short(rms(own.0, own.1))
+        )
+    });
+    let half: Vec<String> = half.collect();
+    of_files.into_iter().filter(|(_, own)| is_too_good(own)).map(sentence).chain(half).collect()
 }
 
 /// Standard uncertainties that a certificate is off by at most.

@@ -2,10 +2,11 @@
 
 use std::collections::BTreeMap;
 use std::fmt::Write as _;
+use std::io;
 use std::path::{Path, PathBuf};
 
 use abbe_core::{Calibration, Error, Limit, Result, Verdict};
-use abbe_engine::{CALIBRATION, Outcome, RunRecord, VERDICTS, can_write_folder, write_folder};
+use abbe_engine::{CALIBRATION, Outcome, RunRecord, VERDICTS, can_write_folder, temporary_file, write_folder};
 use abbe_files::{LARGEST_RESULT, read_text};
 use abbe_history::{Added, Entry, Filter, History, Stored};
 use abbe_trend::{AgainRule, Forecast, Settings, Tested, analyse, findings, history, unit_factor};
@@ -13,6 +14,7 @@ use clap::{Args, Subcommand};
 use serde_json::{Value, json};
 
 use crate::interrupt;
+use crate::outputs::cannot_be_written;
 
 /// What is done with a history.
 #[derive(Subcommand)]
@@ -111,7 +113,28 @@ pub fn add_outcome(path: &Path, outcome: &Outcome) -> Result<Added> {
     let calibrations: Vec<(String, Calibration)> =
         outcome.fits.iter().map(|fit| (fit.name.clone(), fit.calibration.clone())).collect();
     let entry = entry(&record, calibrations, outcome.verdicts.clone(), None, None)?;
-    History::open(path)?.add(&entry)
+    Ok(add_all(path, &[entry])?.swap_remove(0))
+}
+
+/// Adds entries. A history that is not there is made whole with them, or not at all.
+fn add_all(path: &Path, entries: &[Entry]) -> Result<Vec<Added>> {
+    let added = |history: &mut History| entries.iter().map(|entry| history.add(entry)).collect::<Result<Vec<_>>>();
+    if path.symlink_metadata().is_err() {
+        let mut history = History::new(path)?;
+        let numbers = added(&mut history)?;
+        let folder = path.parent().filter(|folder| !folder.as_os_str().is_empty()).unwrap_or(Path::new("."));
+        let cannot = |error: &io::Error| cannot_be_written(path, error);
+        let file = temporary_file(folder).map_err(|error| cannot(&error))?;
+        history.save(file.path())?;
+        file.as_file().sync_all().map_err(|error| cannot(&error))?;
+        match file.persist_noclobber(path) {
+            Ok(_) => return Ok(numbers),
+            // Another program made it in the meantime.
+            Err(error) if error.error.kind() == io::ErrorKind::AlreadyExists => {}
+            Err(error) => return Err(cannot(&error.error)),
+        }
+    }
+    added(&mut History::open(path)?)
 }
 
 impl Add {
@@ -119,11 +142,10 @@ impl Add {
         // Everything is read before the first entry is added.
         let read = |folder: &PathBuf| self.read(folder);
         let entries: Vec<Entry> = self.results.iter().map(read).collect::<Result<_>>()?;
-        let mut history = History::open(&self.history)?;
         let mut text = String::new();
-        for (folder, entry) in self.results.iter().zip(&entries) {
+        for ((folder, entry), added) in self.results.iter().zip(&entries).zip(add_all(&self.history, &entries)?) {
             let folder = folder.display();
-            let _ = match history.add(entry)? {
+            let _ = match added {
                 Added::New(number) => {
                     writeln!(text, "{folder}: entry {number}, {} calibrations", entry.calibrations.len())
                 }

@@ -315,13 +315,15 @@ pub fn json(outcome: &Outcome, folder: &Path) -> Value {
             "outliers": fit.calibration.outliers,
         })
     });
+    let record = outcome.record();
     json!({
         "results": folder.display().to_string(),
         "pass": outcome.passes(),
         "decision": outcome.decision(),
         "estimates": estimates.collect::<Vec<_>>(),
         "verdicts": outcome.verdicts,
-        "failures": outcome.record().failures,
+        "failures": record.failures,
+        "remarks": record.remarks,
     })
 }
 

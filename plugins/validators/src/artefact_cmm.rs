@@ -6,11 +6,12 @@ use std::path::PathBuf;
 use abbe_core::{
     Context, Dataset, Error, Feature, Figure, Findings, Fit, InputFile, Owner, Result, SettingsError, Validate,
 };
+use nalgebra::Vector3;
 use schemars::JsonSchema;
 use serde::Deserialize;
 use serde_json::{Value, json};
 
-use crate::cmm::{Cmm, Placement, against_cmm, best_placement, differences, rank_remark};
+use crate::cmm::{Cmm, Placement, Shift, against_cmm, best_placement, differences, rank_remark};
 use crate::figures::{Limits, ONE, Sample, UM, check_limits};
 use crate::folds::set_of;
 
@@ -90,6 +91,13 @@ impl ArtefactCmm {
         })?;
         findings.remarks.extend(rank_remark(&fit.name, rank));
         let left = Sample(left.into_iter().map(|left| left * 1e3).collect());
+        let (nominal, _) = best_placement(Placement::of(&nominal(&matched.shifts)), |placement| {
+            let shifts = nominal(&matched.shifts);
+            let left = shifts.iter().map(|shift| values[shift.own] - placement.shift(shift));
+            Ok((left.collect(), shifts.iter().map(|shift| -placement.effect(shift)).collect()))
+        })?;
+        let nominal = Sample(nominal.into_iter().map(|left| left * 1e3).collect());
+        findings.remarks.extend(contradiction(&fit.name, &left, &nominal));
         findings.figures.extend(differences(&fit.name, &left));
         findings.figures.extend([
             Figure::new(&fit.name, "range", left.max() - left.min(), UM),
@@ -97,6 +105,26 @@ impl ArtefactCmm {
         ]);
         Ok(())
     }
+}
+
+/// The same features where their nominal points are.
+fn nominal(shifts: &[Shift]) -> Vec<Shift> {
+    shifts.iter().map(|shift| Shift { measured: 0.0, found: Vector3::from(shift.point), ..shift.clone() }).collect()
+}
+
+/// What the CMM says is not believed from here on: times what nominal places leave, and µm.
+const WORSE: f64 = 1.5;
+const FAR: f64 = 10.0;
+
+/// A CMM whose file explains the estimated features worse than nominal places do.
+fn contradiction(fit: &str, left: &Sample, nominal: &Sample) -> Option<String> {
+    let [of_cmm, of_nominal] = [left, nominal].map(Sample::standard_deviation);
+    (of_cmm > FAR && of_cmm > WORSE * of_nominal).then(|| {
+        format!(
+            "{fit}: the features differ more from what the CMM measured ({of_cmm:.1} µm) than from their nominal places \
+             ({of_nominal:.1} µm): are unit, sign and labels of the CMM file right?"
+        )
+    })
 }
 
 #[cfg(test)]

@@ -249,6 +249,21 @@ pub fn rank_remark(fit: &str, rank: usize) -> Option<String> {
     })
 }
 
+/// Differences from a CMM that no machine has, µm.
+const FAR: f64 = 500.0;
+
+/// The remark about differences that are no errors of a machine.
+pub fn distance_remark(fit: &str, left: &Sample) -> Option<String> {
+    let rms = left.rms();
+    (rms > FAR).then(|| {
+        format!(
+            "{fit}: the touches are {:.3} mm (RMS) from the features as the CMM measured them: are unit, sign and labels of the CMM \
+             file right?",
+            rms * 1e-3
+        )
+    })
+}
+
 /// The findings of `judge` on every fit, against what the CMM measured.
 pub fn against_cmm(
     file: &Path,

@@ -182,17 +182,31 @@ fn changes(
     }
 }
 
+/// Part of the motion of the spindle from which on an artefact is less round than a master is.
+const LESS_ROUND: f64 = 1.1;
+
 /// Figures of a reversal.
 pub fn reversal(settings: &Spindle, fit: &Fit, reversal: &Reversal, findings: &mut Findings) {
     let Some(sensor) = reversal.radial.keys().next() else { return };
     let highest = usize::from(reversal.harmonics);
+    let mut sizes = Vec::new();
     for (name, prefix) in [
         ("form out of roundness".to_owned(), "form".to_owned()),
         (format!("reversal synchronous fixed[{sensor}]"), format!("sync.{sensor}")),
     ] {
         let checked = Checked::of_prefix(&fit.calibration, &prefix, highest);
         let (value, uncertainty) = settings.range(&checked, &|values| checked.sensor(0, values));
+        sizes.push(value);
         findings.figures.push(Figure::new(&fit.name, name, value, UM).uncertain(uncertainty));
+    }
+    if let [form, motion] = sizes[..]
+        && form > LESS_ROUND * motion
+    {
+        findings.remarks.push(format!(
+            "{}: the artefact ({form:.3} um out of round) is less round than the spindle turns ({motion:.3} um): have both traces the \
+             sign of the same side? With the sign of one of them turned, form and motion change places",
+            fit.name
+        ));
     }
     if settings.centre == CentreName::PolarChart {
         let remark = "a reversal tells no fundamental: its figures are counted from orders 2 on, whatever the centre";

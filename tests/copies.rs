@@ -1,0 +1,143 @@
+//! Readings that are copies, or contradict what is beside them, and results that say so.
+
+use std::fs;
+use std::path::{Path, PathBuf};
+
+use serde_json::{Value, json};
+
+use crate::misread::changed;
+use crate::support::{Variant, abbe, read, recipes, temporary, write};
+
+/// What a run says in its JSON, and its status.
+fn summary(recipe: &Variant, folder: &Path) -> (i32, Value) {
+    let file = recipe.write(folder);
+    let out = folder.join("out");
+    let printed =
+        abbe(folder, &["run".as_ref(), file.as_os_str(), "--json".as_ref(), "--out".as_ref(), out.as_os_str()]);
+    (printed.status, serde_json::from_str(&printed.stdout).expect("JSON"))
+}
+
+fn texts(remarks: &Value) -> Vec<&str> {
+    remarks.as_array().expect("remarks").iter().map(|remark| remark["text"].as_str().expect("a text")).collect()
+}
+
+/// A copy of a table with more rows: `more` makes them of the cells of its rows, by the names of their columns.
+fn with_more(file: &Path, folder: &Path, more: impl Fn(usize, &str, &str) -> String) -> PathBuf {
+    let text = read(file);
+    let mut lines = text.lines().filter(|line| !line.starts_with('#'));
+    let names: Vec<&str> = lines.next().expect("a header").split(',').collect();
+    let mut copy = text.trim_end().to_owned() + "\n";
+    for (row, line) in lines.enumerate() {
+        let cells = names.iter().zip(line.split(',')).map(|(name, cell)| more(row, name, cell));
+        copy.push_str(&(cells.collect::<Vec<_>>().join(",") + "\n"));
+    }
+    let file = folder.join("copied.csv");
+    write(&file, &copy);
+    file
+}
+
+#[test]
+fn rows_that_are_copied_with_other_times_are_told() {
+    let folder = temporary();
+    let mut recipe = Variant::of(&recipes()["first-steps"]);
+    let (_, as_it_was) = summary(&recipe, folder.path());
+    assert!(!texts(&as_it_was["remarks"]).iter().any(|text| text.contains("copies")), "{as_it_was}");
+    let later = |row: usize, name: &str, cell: &str| match name {
+        "time_s" => format!("{}", cell.parse::<f64>().expect("a time") + 9000.0),
+        "touch" => format!("{}", 1000 + row),
+        _ => cell.to_owned(),
+    };
+    recipe.stage("touches")["path"] = json!(with_more(&recipe.path("touches", "path"), folder.path(), later));
+    let (status, found) = summary(&recipe, folder.path());
+    let said = texts(&found["remarks"]);
+    assert_eq!(status, 0, "{found}");
+    assert!(said.iter().any(|text| text.contains("are those of earlier ones to the last digit")), "{said:?}");
+    // A row that is measured again reads a little different.
+    let measured = |row: usize, name: &str, cell: &str| match name {
+        "X_mm" | "Y_mm" | "Z_mm" => format!("{}", cell.parse::<f64>().expect("a position") + 1e-4 * (row % 3) as f64),
+        _ => later(row, name, cell),
+    };
+    let mut again = Variant::of(&recipes()["first-steps"]);
+    again.stage("touches")["path"] = json!(with_more(&again.path("touches", "path"), folder.path(), measured));
+    let (_, found) = summary(&again, folder.path());
+    assert!(!texts(&found["remarks"]).iter().any(|text| text.contains("copies")), "{found}");
+}
+
+#[test]
+fn repetitions_without_scatter_are_told() {
+    let folder = temporary();
+    let mut recipe = Variant::of(&recipes()["tango-uncertainty"]).only(&["by-cycle"]);
+    for stage in ["all-touches", "all-lengths"] {
+        // One cycle, twenty times.
+        let text = read(&recipe.path(stage, "path"));
+        let mut lines = text.lines().filter(|line| !line.starts_with('#'));
+        let header = lines.next().expect("a header");
+        let names: Vec<&str> = header.split(',').collect();
+        let place = |wanted: &str| names.iter().position(|name| *name == wanted).expect("the column");
+        let (day, cycle) = (place("day"), place("cycle"));
+        let rows: Vec<Vec<&str>> = lines.map(|line| line.split(',').collect()).collect();
+        let one = rows.iter().filter(|cells| (cells[day], cells[cycle]) == ("3", "3"));
+        let mut copy = header.to_owned() + "\n";
+        for number in 0..20 {
+            for cells in one.clone() {
+                let [in_day, in_cycle] = [(number / 4 + 1).to_string(), (number % 4 + 1).to_string()];
+                let mut cells = cells.clone();
+                (cells[day], cells[cycle]) = (&in_day, &in_cycle);
+                copy.push_str(&(cells.join(",") + "\n"));
+            }
+        }
+        let file = folder.path().join(format!("{stage}.csv"));
+        write(&file, &copy);
+        recipe.stage(stage)["path"] = json!(file);
+    }
+    let (_, found) = summary(&recipe, folder.path());
+    let said = texts(&found["remarks"]);
+    assert_eq!(said.iter().filter(|text| text.contains("their scatter tells no uncertainty")).count(), 2, "{said:?}");
+}
+
+#[test]
+fn readings_that_are_half_of_what_they_were_are_told() {
+    let folder = temporary();
+    let mut recipe = Variant::of(&recipes()["ballbar-c600u"]).only(&["fit"]);
+    let test = &mut recipe.stage("samples")["tests"][0]["file"];
+    let file = PathBuf::from(test.as_str().expect("a path"));
+    let half = changed(&file, folder.path(), "reading_um", |_, cell| {
+        format!("{}", 0.5 * cell.parse::<f64>().expect("a reading"))
+    });
+    *test = json!(half);
+    let (_, found) = summary(&recipe, folder.path());
+    let said = texts(&found["remarks"]);
+    assert!(said.iter().any(|text| text.contains("about half of those of other files")), "{said:?}");
+}
+
+#[test]
+fn bodies_that_shrink_as_they_warm_fail() {
+    let folder = temporary();
+    let mut recipe = Variant::of(&recipes()["warming-days"]).only(&["month"]);
+    recipe.stage("month").as_object_mut().expect("settings").remove("select");
+    recipe.stage("month")["parameters"] = json!(["EXX[1*T_nut:1]", "time_constant[1]_s", "body[scale].factor"]);
+    recipe.stage("axis")["bodies"]["scale"]["expansion_per_K"] = json!(-8.0e-6);
+    let (status, found) = summary(&recipe, folder.path());
+    assert_eq!(status, 1, "{found}");
+    assert!(found["failures"].to_string().contains("would act the other way round"), "{}", found["failures"]);
+}
+
+#[test]
+fn a_cmm_in_another_unit_is_told() {
+    let folder = temporary();
+    let mut recipe = Variant::of(&recipes()["tango-hu40t"]).only(&["fit-S3", "artefact", "tips"]);
+    let file = recipe.path("artefact", "cmm");
+    for (times, is_told) in [(1.0, false), (-1.0, true), (1000.0, true)] {
+        let own = folder.path().join(format!("{times}"));
+        fs::create_dir(&own).expect("a folder");
+        let other =
+            changed(&file, &own, "d_um", |_, cell| format!("{}", times * cell.parse::<f64>().expect("a number")));
+        for stage in ["artefact", "tips"] {
+            recipe.stage(stage)["cmm"] = json!(other);
+        }
+        let (_, found) = summary(&recipe, &own);
+        let verdicts = found["verdicts"].to_string();
+        assert_eq!(verdicts.contains("from their nominal places"), is_told, "{times}: {verdicts}");
+        assert_eq!(verdicts.contains("mm (RMS) from the features"), times == 1000.0, "{times}: {verdicts}");
+    }
+}
