@@ -50,6 +50,7 @@ mod senses;
 mod simulate;
 mod sphere;
 mod spindle;
+mod standards;
 mod support;
 mod tested;
 mod thermal;

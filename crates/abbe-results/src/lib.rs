@@ -16,7 +16,7 @@ pub use budget::{
     UncertaintyBudget,
 };
 pub use covariance::NamedCovariance;
-pub use decision::{Decision, Rule};
+pub use decision::{Decision, Rule, normal_below};
 pub use fit::{
     CALIBRATION_FORMAT, Calibration, CombinedAgreement, ConsideredInput, DataRecord, Estimated, FitReport, Group,
     ImplausibleValue, ModelRecord, Outlier, PredictedStructure, Selection, SelectionByPrediction, SelectionDirection,

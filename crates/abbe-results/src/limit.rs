@@ -153,6 +153,9 @@ mod tests {
             json!({ "limit": 30, "decision": "simple" }),
             json!({ "decision": { "rule": "simple" }, "limit": 30.0 }),
         ];
+        let guarded: Settings =
+            from_settings(&json!({ "limits": { "max_um": { "limit": 30, "decision": "iso-14253-1-2017" } } })).unwrap();
+        assert_eq!(guarded.limits["max_um"].rule, Rule::Iso14253Of2017 { probability: 0.95 });
         for form in forms {
             let read: Settings = from_settings(&json!({ "limits": { "max_um": form } })).unwrap();
             assert_eq!(read.limits["max_um"], Limit { value: 30.0, rule: Rule::Simple {} }, "{form}");
@@ -195,7 +198,12 @@ mod tests {
             ),
             (
                 json!({ "limit": 30, "decision": "toss-up" }),
-                "limits.max_um.decision: unknown choice `toss-up` (possible are: simple)",
+                "limits.max_um.decision: unknown choice `toss-up` (possible are: simple, \
+                 iso-14253-1-1998, iso-14253-1-2017, binary-guard-band)",
+            ),
+            (
+                json!({ "limit": 30, "decision": { "rule": "iso-14253-1-2017", "probability": 1.0 } }),
+                "limits.max_um.decision: 1: a probability from 0.5 to 0.9999 was expected",
             ),
             (json!({ "limit": 30, "decision": {} }), "limits.max_um.decision: the setting `rule` is missing"),
             (
@@ -223,7 +231,7 @@ mod tests {
         let map = &limit["anyOf"][1];
         assert_eq!((&map["required"], &map["additionalProperties"]), (&json!(["limit"]), &json!(false)));
         let [name, set] = [0, 1].map(|form| &map["properties"]["decision"]["anyOf"][form]);
-        assert_eq!(name["enum"], json!(["simple"]));
+        assert_eq!(name["enum"], json!(["simple", "iso-14253-1-1998", "iso-14253-1-2017", "binary-guard-band"]));
         assert_eq!(set["oneOf"][0]["properties"]["rule"]["const"], "simple");
         assert_eq!(set["oneOf"][0]["additionalProperties"], false);
     }
