@@ -87,6 +87,14 @@ fn a_log_gives_what_its_touches_give() {
         told.split("plan.csv` is ").nth(1).and_then(|rest| rest.get(..16)).unwrap_or_else(|| panic!("{told}"));
     write(&file("measure.log"), &log(identity, 0.0));
     same(&expected, &found(&recipe.run(), "fit-S3"));
+    // The header may state the tip: it is the machine's, of 3 mm radius, and a calibrated one is a little smaller.
+    let with_tip = |tip: &str| log(identity, 0.0).replace("TOUCHES", &format!("TOOL {tip}\nTOUCHES"));
+    write(&file("measure.log"), &with_tip("L326.674 D5.97"));
+    same(&expected, &found(&recipe.run(), "fit-S3"));
+    write(&file("measure.log"), &with_tip("L326.674 D4"));
+    let told = run();
+    assert!(told.status == 1 && told.stderr.contains("measure.log:7"), "{}", told.stderr);
+    assert!(told.stderr.contains("a stylus tip of 4 mm diameter, and the machine has one of 6 mm"), "{}", told.stderr);
     // A tool that is longer by 10 mm than the control believed.
     write(&file("measure.log"), &log(identity, 10.0));
     let told = run();

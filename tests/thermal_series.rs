@@ -270,15 +270,24 @@ fn bodies_of_several_days_are_corrected_with_the_log_of_today() {
     let calibration = fit(&days.run(), "fit").calibration.to_json().expect("JSON");
     write(&folder.path().join("fit.calibration.json"), &calibration);
     write(&folder.path().join("points.csv"), "X_mm,Y_mm,Z_mm,B_deg,C_deg\n300,200,300,0,0\n");
-    let corrected = |log: &str, out: &str| {
+    let corrected = |log: &str, at: &str, out: &str| {
         write(&folder.path().join("today.csv"), log);
         let arguments =
-            ["compensate", "fit.calibration.json", "points.csv", "--log", "today.csv", "--at", "9000", "--out", out];
+            ["compensate", "fit.calibration.json", "points.csv", "--log", "today.csv", "--at", at, "--out", out];
         abbe(folder.path(), &arguments)
     };
-    let same = corrected(&log, "same.csv");
+    let same = corrected(&log, "9000", "same.csv");
     assert_eq!(same.status, 0, "{}", same.stderr);
-    assert!(!same.stderr.contains("gains were found"), "{}", same.stderr);
+    assert!(!same.stderr.contains("gains were found") && !same.stderr.contains("minutes"), "{}", same.stderr);
+    // A machine that warms twice as fast is a machine; one that does so sixty times as fast is a clock in minutes.
+    for (factor, told) in [(2.0, false), (60.0, true)] {
+        let faster = table(&log, "time_s", |cells, column| {
+            cells[column] = format!("{:.4}", cells[column].parse::<f64>().expect("a time") / factor);
+            vec![(1, cells.clone())]
+        });
+        let faster = corrected(&faster, &(9000.0 / factor).to_string(), &format!("{factor}.csv"));
+        assert_eq!((faster.status, faster.stderr.contains("is `time_s` in minutes?")), (0, told), "{}", faster.stderr);
+    }
     let hot = table(&log, "time_s", |cells, column| {
         let last = cells.len() - 1;
         for (place, cell) in cells.iter_mut().enumerate() {
@@ -288,8 +297,8 @@ fn bodies_of_several_days_are_corrected_with_the_log_of_today() {
         }
         vec![(1, cells.clone())]
     });
-    let hot = corrected(&hot, "hot.csv");
-    assert!(hot.stderr.contains("gains were found from"), "{}", hot.stderr);
+    let hot = corrected(&hot, "9000", "hot.csv");
+    assert!(hot.stderr.contains("gains were found from") && !hot.stderr.contains("minutes"), "{}", hot.stderr);
     let rows = |name: &str| fs::read_to_string(folder.path().join(name)).expect("a file");
     assert_ne!(rows("same.csv"), rows("hot.csv"));
     let _: BTreeMap<String, Value> = serde_json::from_str(&calibration).expect("JSON");

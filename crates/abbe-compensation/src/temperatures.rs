@@ -1,5 +1,6 @@
 //! Temperatures of the time at which a machine is corrected.
 
+use std::collections::BTreeMap;
 use std::path::Path;
 
 use abbe_core::{Calibration, Dataset, Error, Quantity, Result, from_settings};
@@ -92,6 +93,61 @@ impl Temperatures {
         }
         told
     }
+
+    /// A word if most sensors that move changed much less, within a time as long as this log, when the machine was calibrated: times in
+    /// minutes that are read as seconds look like that.
+    pub fn too_fast(&self, calibration: &Calibration) -> Option<String> {
+        let times = self.data.numbers("time")?;
+        let duration = times.last()? - times.first()?;
+        let logs = logs(calibration);
+        let mut ratios = Vec::new();
+        for (header, known) in logged(calibration) {
+            let (Some(own), Some(known)) =
+                (self.data.numbers(Quantity::of_column(&header).0).and_then(ends), ends(&known))
+            else {
+                continue;
+            };
+            let [own, range] = [own, known].map(|[from, to]| to - from);
+            let of_logs = logs.iter().filter_map(|log| Some((log.get(TIME)?, log.get(&header)?)));
+            let then = of_logs.map(|(times, readings)| largest_change(times, readings, duration)).fold(0.0, f64::max);
+            // A sensor that hardly moves shows its noise. More than the whole range of the calibration is told as that.
+            if then > 0.0 && own >= MOVES * range {
+                ratios.push(own.min(range) / then);
+            }
+        }
+        // Half of the sensors say it: one near a heater may be quick by itself.
+        ratios.sort_by(f64::total_cmp);
+        let median = ratios.get(ratios.len() / 2).copied().filter(|median| *median > TOO_FAST)?;
+        Some(format!(
+            "within {duration:.0} s temperatures change {median:.0} times as much as when the machine was calibrated: is \
+             `{TIME}` in minutes?"
+        ))
+    }
+}
+
+/// The column of times of a log.
+const TIME: &str = "time_s";
+
+/// Part of a sensor's range in the calibration from which on it moves.
+const MOVES: f64 = 0.25;
+
+/// How many times as much as in the calibration temperatures may change within the same time without a word.
+const TOO_FAST: f64 = 3.0;
+
+/// The largest range of readings within a duration, of windows that begin a quarter of it after each other. The times ascend; readings
+/// without a time of their own are not looked at.
+fn largest_change(times: &[f64], readings: &[f64], duration: f64) -> f64 {
+    let rows = times.len().min(readings.len());
+    let (times, readings) = (&times[..rows], &readings[..rows]);
+    let (mut largest, mut start) = (0.0_f64, 0);
+    while start < rows {
+        let first_after = |span: f64| times.partition_point(|time| *time <= times[start] + span);
+        // Neighbours count even if they are further apart than the duration.
+        let end = first_after(duration).max(start + 2).min(rows);
+        largest = largest.max(ends(&readings[start..end]).map_or(0.0, |[from, to]| to - from));
+        start = first_after(0.25 * duration).max(start + 1);
+    }
+    largest
 }
 
 /// A sensor whose readings, smallest and largest, are not those of the calibration.
@@ -122,21 +178,24 @@ pub(crate) fn declarations(calibration: &Calibration) -> Vec<Declaration> {
     lines.into_iter().flatten().filter_map(|line| Declaration::read(line).ok()).collect()
 }
 
-/// Columns of the logs that a calibration keeps for its errors and bodies, without times: header and readings, those of several
-/// logs one after another.
-fn logged(calibration: &Calibration) -> Vec<(String, Vec<f64>)> {
+/// The logs that a calibration keeps for its errors and bodies: the readings of each column by its header.
+fn logs(calibration: &Calibration) -> Vec<BTreeMap<String, Vec<f64>>> {
     let bodies = calibration.model.settings.get("bodies").and_then(|bodies| bodies.as_object());
     let bodies = bodies.into_iter().flatten().filter_map(|(_, body)| from_settings::<Body>(body).ok());
-    let of_bodies = bodies.flat_map(|body| body.logs.into_values().chain([body.log]).flatten());
+    let of_bodies = bodies.flat_map(|body| body.logs.into_values().chain([body.log]));
     let of_line = |line| match line {
-        Declaration::Thermal(thermal) => thermal.logs.into_values().chain([thermal.log]).flatten().collect(),
+        Declaration::Thermal(thermal) => thermal.logs.into_values().chain([thermal.log]).collect(),
         _ => Vec::new(),
     };
     let of_lines = declarations(calibration).into_iter().flat_map(of_line);
+    of_bodies.chain(of_lines).collect()
+}
+
+/// Columns of [`logs`] without times: header and readings, those of several logs one after another.
+fn logged(calibration: &Calibration) -> Vec<(String, Vec<f64>)> {
     let mut columns: Vec<(String, Vec<f64>)> = Vec::new();
-    for (header, values) in
-        of_bodies.chain(of_lines).filter(|(header, _)| Quantity::of_column(header).1 != Quantity::Time)
-    {
+    let all = logs(calibration).into_iter().flatten();
+    for (header, values) in all.filter(|(header, _)| Quantity::of_column(header).1 != Quantity::Time) {
         match columns.iter_mut().find(|(known, _)| *known == header) {
             Some((_, known)) => known.extend(values),
             None => columns.push((header, values)),
@@ -167,4 +226,21 @@ pub fn check_no_drift(calibration: &Calibration) -> Result<()> {
         }
     }
     Ok(())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::largest_change;
+
+    #[test]
+    fn the_largest_change_of_a_ramp_is_its_slope() {
+        let times: Vec<f64> = (0..1000).map(f64::from).collect();
+        let ramp: Vec<f64> = times.iter().map(|time| (time - 400.0).clamp(0.0, 200.0) * 0.1).collect();
+        assert!((largest_change(&times, &ramp, 50.0) - 5.0).abs() < 1e-12);
+        assert!((largest_change(&times, &ramp, 2000.0) - 20.0).abs() < 1e-12);
+        // Neighbours, if the duration is shorter than a step; and no more than there is.
+        assert!((largest_change(&times, &ramp, 0.0) - 0.1).abs() < 1e-9);
+        assert_eq!(largest_change(&times, &ramp[..3], 50.0), 0.0);
+        assert_eq!(largest_change(&[], &[], 50.0), 0.0);
+    }
 }

@@ -73,6 +73,20 @@ pub struct Dataset {
     /// Rows are a log of sensors with its own clock: a model gets from it what a row needs, by the time of the row.
     #[serde(default)]
     pub is_log: bool,
+    /// The stylus tips that the files state in their headers.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub stated_tips: Vec<StatedTip>,
+}
+
+/// The stylus tip with which the header of a file says that it was measured.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+pub struct StatedTip {
+    /// Diameter, mm.
+    pub diameter: f64,
+    /// Index into [`Dataset::files`].
+    pub file: usize,
+    /// Line in that file, from 1.
+    pub line: usize,
 }
 
 impl Dataset {
@@ -130,7 +144,9 @@ impl Dataset {
             columns: self.columns.iter().map(column).collect(),
             origins: rows.iter().map(|row| self.origins[*row]).collect(),
             files: self.files.clone(),
-            ..*self
+            averaged: self.averaged,
+            is_log: self.is_log,
+            stated_tips: self.stated_tips.clone(),
         }
     }
 

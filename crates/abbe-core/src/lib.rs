@@ -22,7 +22,7 @@ pub mod rotation;
 mod stage;
 mod uncertainty;
 
-pub use dataset::{Column, ColumnHeader, Dataset, RowOrigin, Values};
+pub use dataset::{Column, ColumnHeader, Dataset, RowOrigin, StatedTip, Values};
 pub use index::{DataRow, EquationIndex, IndexRange, LayoutEquation, ListedBy, PoseIndex, RowIndex, SetIndex};
 pub use layout::{Layout, Row};
 pub use model::{

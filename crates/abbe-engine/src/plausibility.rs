@@ -6,8 +6,8 @@ use std::iter::repeat_n;
 use std::ops::RangeInclusive;
 
 use abbe_core::{
-    Calibration, Class, Error, Fit, ImplausibleValue, Kind, ObservationSet, ParameterRole, Problem, Quantity, Result,
-    Status,
+    Calibration, Class, Dataset, Error, Fit, ImplausibleValue, Kind, KinematicModel, ObservationSet, ParameterRole,
+    Problem, Quantity, Result, Status,
 };
 use abbe_estimation::{LargeError, absurd_error, implausible_errors, large_errors, likely_causes, likely_mistakes};
 use abbe_recipe::Stage;
@@ -131,6 +131,22 @@ fn check_own(truth: &Problem) -> Result<()> {
 
 /// Standard uncertainties of rows that are read, mm and rad.
 const STATED: RangeInclusive<f64> = 1e-9..=1e6;
+
+/// Diameters of a stylus tip that are of the same one, mm: a calibrated tip is smaller than its name by less than that.
+const SAME_TIP: f64 = 0.1;
+
+/// Fails if the header of a file states another stylus tip than the machine has.
+pub(crate) fn check_tips(data: &Dataset, model: &dyn KinematicModel) -> Result<()> {
+    let of_machine = 2.0 * model.info().stylus_radius;
+    let Some(tip) = data.stated_tips.iter().find(|tip| (tip.diameter - of_machine).abs() > SAME_TIP) else {
+        return Ok(());
+    };
+    let [stated, of_machine] = [tip.diameter, of_machine].map(|diameter| (diameter * 1e4).round() / 1e4);
+    let message =
+        format!("measured with a stylus tip of {stated} mm diameter, and the machine has one of {of_machine} mm");
+    let help = "which one is right? Correct `stylus_radius_mm` of the machine, or the tip in the header of this file";
+    Err(Error::data(message).at(&data.files[tip.file], tip.line, None).help(help))
+}
 
 /// Refuses rows with a standard uncertainty that nothing has: it is in another unit, or a slip.
 pub(crate) fn check_stated(set: &ObservationSet) -> Result<()> {

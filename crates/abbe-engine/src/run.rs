@@ -14,7 +14,7 @@ use abbe_recipe::Stage;
 use crate::evidence;
 use crate::groups::{GroupProblem, is_of};
 use crate::outcome::{Failure, Outcome};
-use crate::plausibility::{check_stated, check_uncertainties};
+use crate::plausibility::{check_stated, check_tips, check_uncertainties};
 use crate::prediction::{Predicted, prediction_fit};
 use crate::prepare::{Prepared, build_model};
 use crate::readings::has_readings;
@@ -364,6 +364,7 @@ impl Prepared {
         let mut sets = Vec::new();
         for name in names {
             let (ingest, artefact) = self.artefact(name)?;
+            check_tips(&data[ingest], model.as_ref()).map_err(|error| error.stage(ingest))?;
             let observations = artefact.observe(&data[ingest], model.as_ref()).map_err(|error| error.stage(name))?;
             let rows = observations.info().layout.rows.iter().filter_map(|row| row.data_row);
             let merged = observations.info().layout.merged.iter().copied();

@@ -102,6 +102,7 @@ fn problem(header: &str, axis: usize, column: Option<&'static str>) -> Problem {
         files: vec![PathBuf::from("dial.csv")],
         averaged: false,
         is_log: false,
+        stated_tips: Vec::new(),
     });
     let model: Arc<dyn KinematicModel> = Arc::new(Rail::new());
     let mut layout = Layout::new(&data, model.as_ref(), &[&plain_naming]).unwrap();

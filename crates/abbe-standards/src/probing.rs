@@ -99,6 +99,42 @@ pub fn ball(tips: &[[f64; 3]]) -> Result<Probed, FitError> {
     Ok(Probed::of(&fitted, fitted.shape.centre.into(), fitted.shape.radius))
 }
 
+/// A sphere as it was probed by several styli of one probe (multi-stylus test).
+#[derive(Debug, Clone, PartialEq)]
+pub struct MultiStylus {
+    /// The sphere through the points of all styli: its form is P_FTM, its diameter less the calibrated one P_STM.
+    pub all: Probed,
+    /// The sphere of each stylus.
+    pub each: Vec<Probed>,
+    /// Range of the centres of the styli along x, y, z; P_LTM is the largest.
+    pub location: [f64; 3],
+}
+
+impl MultiStylus {
+    /// The symbols of form, size and location in ISO 10360-5:2010.
+    pub const SYMBOLS: [&'static str; 3] = ["P_FTM", "P_STM", "P_LTM"];
+
+    /// P_LTM: the largest range of the centres along an axis.
+    pub fn largest_location(&self) -> f64 {
+        self.location.into_iter().fold(0.0, f64::max)
+    }
+}
+
+/// A sphere by the points of each stylus, stylus radius taken off.
+///
+/// None for fewer than two styli. Fails for points that do not determine a sphere.
+pub fn multi_stylus(styli: &[Vec<[f64; 3]>]) -> Result<Option<MultiStylus>, FitError> {
+    if styli.len() < 2 {
+        return Ok(None);
+    }
+    let each = styli.iter().map(|points| ball(points)).collect::<Result<Vec<_>, _>>()?;
+    let location = [0, 1, 2].map(|axis| {
+        let centres = || each.iter().map(|own| own.centre[axis]);
+        centres().fold(f64::NEG_INFINITY, f64::max) - centres().fold(f64::INFINITY, f64::min)
+    });
+    Ok(Some(MultiStylus { all: ball(&styli.concat())?, each, location }))
+}
+
 /// Directions of the 25 points on a hemisphere about +z: one at the pole and 4, 8, 4 and 8 at 67.5, 45, 22.5 and 0 degrees above the
 /// equator, evenly around, every ring turned by 22.5 degrees against the one above it.
 pub fn hemisphere_of_25() -> [[f64; 3]; 25] {
@@ -134,6 +170,21 @@ mod tests {
         // A sine of amplitude a has the variance a^2 / 2.
         let expected = 0.003 * (36.0_f64 / 2.0 / 33.0).sqrt();
         assert!((probed.standard_deviation - expected).abs() < 1e-8);
+    }
+
+    #[test]
+    fn worked_example_of_two_styli() {
+        // Two styli whose centres are 0.003 apart along y: each sees a perfect sphere, both together do not.
+        let of = |shift: f64| -> Vec<[f64; 3]> {
+            hemisphere_of_25().iter().map(|[x, y, z]| [12.5 * x, 12.5 * y + shift, 12.5 * z]).collect()
+        };
+        let found = multi_stylus(&[of(-0.0015), of(0.0015)]).expect("spheres").expect("two styli");
+        assert!((found.largest_location() - 0.003).abs() < 1e-12 && found.location[0] < 1e-12);
+        assert!(found.each.iter().all(|own| own.form < 1e-12));
+        // A point is off by half of it times the y of its direction, once outwards and once inwards: the fit changes nothing.
+        let most = hemisphere_of_25().iter().map(|[_, y, _]| y.abs()).fold(0.0, f64::max);
+        assert!((found.all.form - 0.003 * most).abs() < 1e-6, "{}", found.all.form);
+        assert_eq!(multi_stylus(&[of(0.0)]).expect("a sphere"), None);
     }
 
     #[test]

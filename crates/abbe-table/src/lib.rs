@@ -142,6 +142,7 @@ pub fn require(headers: &[ColumnHeader], file: Option<&PathBuf>, columns: &[(&st
         files: file.into_iter().cloned().collect(),
         averaged: false,
         is_log: false,
+        stated_tips: Vec::new(),
     };
     for (name, quantity) in columns {
         match quantity {

@@ -109,7 +109,17 @@ pub(crate) fn dataset(path: &Path, bytes: &[u8], layout: &Layout) -> Result<(Dat
         return Err(Error::data(message).in_file(path).help(help));
     }
     let left_out = row - origins.len();
-    Ok((Dataset { columns, origins, files: vec![path.to_owned()], averaged: false, is_log: false }, left_out))
+    Ok((
+        Dataset {
+            columns,
+            origins,
+            files: vec![path.to_owned()],
+            averaged: false,
+            is_log: false,
+            stated_tips: Vec::new(),
+        },
+        left_out,
+    ))
 }
 
 /// A column of the data set, and where it stands in the file.

@@ -105,6 +105,9 @@ fn temperatures(calibration: &Calibration, file: &Path) -> Result<Temperatures> 
     for beyond in log.beyond(calibration) {
         tracing::warn!("{beyond}: corrections are extrapolated");
     }
+    if let Some(sentence) = log.too_fast(calibration) {
+        tracing::warn!("{sentence}");
+    }
     Ok(log)
 }
 

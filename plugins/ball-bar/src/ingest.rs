@@ -10,7 +10,7 @@ use std::path::{Path, PathBuf};
 
 use abbe_core::{
     Column, ColumnHeader, Context, DataRow, Dataset, Error, Ingest, InputFile, Label, PathItem, Quantity, Result,
-    RowOrigin, SettingsError, Values, positive,
+    RowOrigin, SettingsError, StatedTip, Values, positive,
 };
 use schemars::JsonSchema;
 use serde::Deserialize;
@@ -385,7 +385,14 @@ impl Ingest for Tests {
         // What `read` does, on tables without rows: so the columns cannot differ.
         let without_rows = |path: &Path| {
             let columns = abbe_table::read_headers(path)?.into_iter().map(abbe_table::empty_column).collect();
-            Ok(Dataset { columns, origins: Vec::new(), files: vec![path.to_owned()], averaged: false, is_log: false })
+            Ok(Dataset {
+                columns,
+                origins: Vec::new(),
+                files: vec![path.to_owned()],
+                averaged: false,
+                is_log: false,
+                stated_tips: Vec::new(),
+            })
         };
         Ok(self.assemble(&without_rows)?.headers())
     }
@@ -434,6 +441,7 @@ fn append(data: &mut Dataset, mut part: Dataset, path: &Path) -> Result<()> {
     }
     let files = data.files.len();
     data.origins.extend(part.origins.into_iter().map(|origin| RowOrigin { file: origin.file + files, ..origin }));
+    data.stated_tips.extend(part.stated_tips.into_iter().map(|tip| StatedTip { file: tip.file + files, ..tip }));
     data.files.append(&mut part.files);
     Ok(())
 }
@@ -453,5 +461,6 @@ fn picked(data: &Dataset, rows: &[DataRow]) -> Dataset {
         files: data.files.clone(),
         averaged: data.averaged,
         is_log: false,
+        stated_tips: data.stated_tips.clone(),
     }
 }

@@ -124,12 +124,46 @@ impl Facet {
 /// Sine of the largest deviation of a cylinder's axis from perpendicular to the normal of its facet.
 const SKEW: f64 = 1e-3;
 
+/// Part of the radius by which nominal points may miss a surface that they lie on: normals are rounded.
+const ROUNDED: f64 = 5e-3;
+
+/// Part of the radius within which two radii are the same one.
+const SAME_RADIUS: f64 = 0.02;
+
+/// The radius R of the one surface that all facets lie on, p = c + R n across its axis; none for fewer than three facets, for normals that
+/// hardly differ, and if they do not lie on one surface.
+fn common_radius(facets: &[&Facet]) -> Option<f64> {
+    if facets.len() < 3 {
+        return None;
+    }
+    let axis = facets[0].curved.as_ref()?.axis;
+    let across = |vector: Vector3<f64>| axis.map_or(vector, |axis| vector - vector.dot(&axis) * axis);
+    let mean = |of: fn(&Facet) -> Vector3<f64>| {
+        facets.iter().map(|facet| of(facet)).sum::<Vector3<f64>>() / facets.len() as f64
+    };
+    let (point, normal) = (mean(|facet| facet.point), mean(|facet| facet.normal));
+    let pairs = facets.iter().map(|facet| (across(facet.point - point), across(facet.normal - normal)));
+    let pairs: Vec<(Vector3<f64>, Vector3<f64>)> = pairs.collect();
+    let spread: f64 = pairs.iter().map(|(_, normal)| normal.norm_squared()).sum();
+    if spread < 1e-2 * facets.len() as f64 {
+        return None;
+    }
+    let radius = pairs.iter().map(|(point, normal)| point.dot(normal)).sum::<f64>() / spread;
+    let largest = pairs.iter().map(|(point, normal)| (point - radius * normal).norm()).fold(0.0, f64::max);
+    (radius != 0.0 && largest < ROUNDED * radius.abs()).then_some(radius)
+}
+
 impl Facets {
+    /// The first line under `curved` that names a facet; none for a plane one.
+    fn line_of(&self, label: &str) -> Option<usize> {
+        let names =
+            |curved: &Curved| curved.features.is_empty() || curved.features.iter().any(|feature| feature.0 == label);
+        self.settings.curved.iter().position(names)
+    }
+
     /// The curved surface of a facet; fails for a cylinder that does not have this normal.
     fn surface(&self, label: &str, normal: Vector3<f64>) -> Result<Option<Surface>, String> {
-        let of_facet =
-            |curved: &&Curved| curved.features.is_empty() || curved.features.iter().any(|feature| feature.0 == label);
-        let Some(curved) = self.settings.curved.iter().find(of_facet) else { return Ok(None) };
+        let Some(curved) = self.line_of(label).map(|line| &self.settings.curved[line]) else { return Ok(None) };
         let axis = curved.axis.map(|axis| Vector3::from(axis).normalize());
         match axis.map(|axis| axis.dot(&normal).abs()) {
             Some(skew) if skew > SKEW => {
@@ -154,6 +188,28 @@ impl Facets {
                     return Err(error);
                 }
             }
+        }
+        Ok(())
+    }
+
+    /// Refuses a radius that is not the one on which the nominal points and normals of its facets lie. Facets of one line that are on
+    /// several surfaces of the same kind do not tell.
+    fn as_nominal(&self, nominal: &[Facet]) -> Result<()> {
+        for (index, curved) in self.settings.curved.iter().enumerate() {
+            let own: Vec<&Facet> = nominal.iter().filter(|facet| self.line_of(&facet.label) == Some(index)).collect();
+            let Some(radius) =
+                common_radius(&own).filter(|radius| (radius - curved.radius_mm).abs() > SAME_RADIUS * radius.abs())
+            else {
+                continue;
+            };
+            let message = format!(
+                "the radius is {} mm, and the nominal points and normals of its facets lie on a surface of {radius:.3} mm",
+                curved.radius_mm
+            );
+            let mut error = Error::usage(message).help("which one is right? A hollow surface has a negative radius");
+            error.setting =
+                vec![PathItem::Key("curved".to_owned()), PathItem::Index(index), PathItem::Key("radius_mm".to_owned())];
+            return Err(error);
         }
         Ok(())
     }
@@ -205,6 +261,7 @@ impl Artefact for Facets {
     fn observe(&self, data: &Arc<Dataset>, model: &dyn KinematicModel) -> Result<Arc<dyn Observations>> {
         let nominal = self.read_nominal()?;
         self.known(&nominal)?;
+        self.as_nominal(&nominal)?;
         let by_label: BTreeMap<&str, usize> =
             nominal.iter().enumerate().map(|(index, facet)| (facet.label.as_str(), index)).collect();
         let mut layout = Layout::new(data, model, &[&plain_naming])?;

@@ -17,9 +17,13 @@ fn take<T>(kind: Kind, name: &str, of: impl Fn(&Plugin) -> T) -> T {
 
 /// The residuals of tips on facets (label, tip), and their derivatives to the linear axes.
 fn evaluated(curved: Value, touches: &[(&str, [f64; 3])]) -> Result<(Vec<f64>, Vec<f64>), String> {
+    evaluated_on(NOMINAL, curved, touches)
+}
+
+fn evaluated_on(nominal: &str, curved: Value, touches: &[(&str, [f64; 3])]) -> Result<(Vec<f64>, Vec<f64>), String> {
     let folder = tempfile::tempdir().unwrap();
     let context = Context { base: folder.path().to_owned() };
-    std::fs::write(folder.path().join("facets.csv"), NOMINAL).unwrap();
+    std::fs::write(folder.path().join("facets.csv"), nominal).unwrap();
     let rows: String = touches.iter().map(|(label, [x, y, z])| format!("{label},{x},{y},{}\n", z + 100.0)).collect();
     let file = folder.path().join("touches.csv");
     std::fs::write(&file, format!("feature,X_mm,Y_mm,Z_mm\n{rows}")).unwrap();
@@ -117,4 +121,45 @@ fn what_does_not_go_together_is_refused() {
     for (curved, expected) in cases {
         assert_eq!(evaluated(curved, &touch).unwrap_err(), expected);
     }
+}
+
+/// Facets around a cylinder and on a ball, both with an offset: their radius is in their points and normals. On two balls they tell
+/// nothing.
+#[test]
+fn a_radius_that_the_nominal_facets_contradict_is_refused() {
+    let header = "feature,x_mm,y_mm,z_mm,nx,ny,nz\n";
+    let facet = |label: usize, centre: [f64; 3], radius: f64, normal: [f64; 3]| {
+        let at: Vec<String> = (0..3).map(|k| (centre[k] + radius * normal[k]).to_string()).collect();
+        format!("{label},{},{:.4},{:.4},{:.4}\n", at.join(","), normal[0], normal[1], normal[2])
+    };
+    let around = |turn: f64| [turn.cos(), turn.sin(), 0.0];
+    let touch = [("0", [103.0, 0.0, 40.0])];
+    for radius in [60.0, -60.0] {
+        let ring: String =
+            (0..5).map(|k| facet(k, [40.0, 5.0, 7.0 * k as f64], radius, around(0.6 * k as f64))).collect();
+        let ring = format!("{header}{ring}");
+        let of = |stated: f64| evaluated_on(&ring, json!([{ "radius_mm": stated, "axis": [0, 0, 1] }]), &touch);
+        assert!(of(radius).is_ok() && of(radius * 1.01).is_ok());
+        for wrong in [radius / 2.0, radius * 2.0, -radius, radius * 1.05] {
+            let told = of(wrong).unwrap_err();
+            assert!(told.contains(&format!("lie on a surface of {radius:.3} mm")), "{told}");
+        }
+    }
+    // A sphere, and a cylinder in a line after it: each is held against its own facets.
+    let tilted = |turn: f64, up: f64| [turn.cos() * up.cos(), turn.sin() * up.cos(), up.sin()];
+    let sphere: String =
+        (0..5).map(|k| facet(k, [40.0, 5.0, 9.0], 43.0, tilted(0.5 * k as f64, 0.3 * k as f64))).collect();
+    let ring: String = (5..9).map(|k| facet(k, [0.0, 5.0, 7.0 * k as f64], 60.0, around(0.6 * k as f64))).collect();
+    let two = format!("{header}{sphere}{ring}");
+    let of = |sphere: f64, ring: f64| {
+        let sphere = json!({ "features": ["0", "1", "2", "3", "4"], "radius_mm": sphere });
+        evaluated_on(&two, json!([sphere, { "radius_mm": ring, "axis": [0, 0, 1] }]), &touch)
+    };
+    assert!(of(43.0, 60.0).is_ok());
+    assert!(of(21.5, 60.0).unwrap_err().contains("lie on a surface of 43.000 mm"));
+    assert!(of(43.0, 30.0).unwrap_err().contains("lie on a surface of 60.000 mm"));
+    let balls: String =
+        (0..4).map(|k| facet(k, [[0.0, 0.0, 0.0], [80.0, 5.0, 0.0]][k % 2], 20.0, around(0.4 * k as f64))).collect();
+    let balls = format!("{header}{balls}");
+    assert!(evaluated_on(&balls, json!([{ "radius_mm": 20 }]), &touch).is_ok());
 }

@@ -10,7 +10,7 @@ use std::path::{Path, PathBuf};
 
 use abbe_core::{
     Column, ColumnHeader, Context, DataRow, Dataset, Error, InputFile, Label, PathItem, Result, RowOrigin,
-    SettingsError, Values,
+    SettingsError, StatedTip, Values,
 };
 use abbe_table::Layout;
 use schemars::JsonSchema;
@@ -240,6 +240,7 @@ fn append(data: &mut Dataset, mut part: Dataset) -> Result<()> {
     }
     let files = data.files.len();
     data.origins.extend(part.origins.into_iter().map(|origin| RowOrigin { file: origin.file + files, ..origin }));
+    data.stated_tips.extend(part.stated_tips.into_iter().map(|tip| StatedTip { file: tip.file + files, ..tip }));
     data.files.append(&mut part.files);
     Ok(())
 }

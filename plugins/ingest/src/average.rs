@@ -84,7 +84,14 @@ impl Average {
             columns.push(Column { header: header.clone(), values });
         }
         let origins = groups.iter().map(|rows| data.origins[rows[0]]).collect();
-        Ok(Dataset { columns, origins, files: data.files.clone(), averaged: true, is_log: false })
+        Ok(Dataset {
+            columns,
+            origins,
+            files: data.files.clone(),
+            averaged: true,
+            is_log: false,
+            stated_tips: data.stated_tips.clone(),
+        })
     }
 }
 

@@ -104,6 +104,7 @@ fn data(columns: &[(&str, Vec<f64>)]) -> Dataset {
         files: vec!["run.csv".into()],
         averaged: false,
         is_log: false,
+        stated_tips: Vec::new(),
     }
 }
 

@@ -112,6 +112,7 @@ fn a_step_to_where_struts_hold_no_platform_is_halved() {
         files: vec![PathBuf::from("centres.csv")],
         averaged: false,
         is_log: false,
+        stated_tips: Vec::new(),
     });
     let mut layout = Layout::new(&data, model.as_ref(), &[&plain_naming]).expect("a layout");
     data.row_indices().for_each(|row| layout.push(model.as_ref(), row, &[1e-3; 3]).expect("a row"));

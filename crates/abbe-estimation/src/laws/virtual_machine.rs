@@ -110,6 +110,7 @@ fn dataset(commands: &[[f64; 3]]) -> Dataset {
         files: vec![PathBuf::from("virtual.csv")],
         averaged: false,
         is_log: false,
+        stated_tips: Vec::new(),
     }
 }
 

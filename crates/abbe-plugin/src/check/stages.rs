@@ -79,6 +79,7 @@ fn rows(count: usize, value: f64) -> Dataset {
         files: vec![PathBuf::from("none.csv")],
         averaged: false,
         is_log: false,
+        stated_tips: Vec::new(),
     }
 }
 

@@ -88,7 +88,9 @@ impl Ingest for Stage {
                 format!("gave a column `{name}` that has not {rows} cells, or cells that are not finite numbers");
             return Err(broken(self.peer.who(), what));
         }
-        match data.origins.iter().all(|origin| origin.file < data.files.len()) {
+        let mut files =
+            data.origins.iter().map(|origin| origin.file).chain(data.stated_tips.iter().map(|tip| tip.file));
+        match files.all(|file| file < data.files.len()) {
             true => Ok(data),
             false => Err(broken(self.peer.who(), "gave rows of a file that it does not name")),
         }

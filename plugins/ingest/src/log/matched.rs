@@ -3,7 +3,7 @@
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::Path;
 
-use abbe_core::{Column, ColumnHeader, DataRow, Dataset, Error, Result, RowOrigin, Values};
+use abbe_core::{Column, ColumnHeader, DataRow, Dataset, Error, Result, RowOrigin, StatedTip, Values};
 use schemars::JsonSchema;
 use serde::Deserialize;
 
@@ -158,6 +158,12 @@ impl Matching<'_> {
             }
         }
         Ok(())
+    }
+
+    /// The tip of the header; none if it states none.
+    fn stated_tip(&self) -> Option<StatedTip> {
+        let ([_, diameter], line) = self.log.tool?;
+        diameter.map(|diameter| StatedTip { diameter: diameter * self.scale(), file: 0, line })
     }
 
     /// mm in a unit of length of the log.
@@ -356,6 +362,7 @@ impl Matching<'_> {
             files: vec![self.path.to_owned()],
             averaged: self.wanted.repeats == Repeats::Average,
             is_log: false,
+            stated_tips: self.stated_tip().into_iter().collect(),
         })
     }
 }

@@ -17,6 +17,7 @@ fn data(rows: &[(&str, f64)]) -> Dataset {
         files: vec!["data.csv".into()],
         averaged: false,
         is_log: false,
+        stated_tips: Vec::new(),
     }
 }
 

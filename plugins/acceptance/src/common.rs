@@ -1,0 +1,60 @@
+//! What the validators of this crate share.
+
+use std::collections::BTreeMap;
+
+use abbe_core::{DataRow, Dataset, Error, Figure, Limit, PathItem, Quantity, Result, SettingsError};
+
+/// Limits by key.
+pub type Limits = BTreeMap<String, Limit>;
+
+/// Refuses limits for anything but these keys, and those that are no numbers.
+pub fn check_limits(limits: &Limits, keys: &[&str]) -> Result<(), SettingsError> {
+    for (key, limit) in limits {
+        let at = [PathItem::Key("limits".to_owned())];
+        if !keys.contains(&key.as_str()) {
+            let mut error = SettingsError::new(key, format!("there is no figure `{key}` to limit"));
+            error.key = true;
+            return Err(error.suggest(key, keys.iter().copied()).under(at));
+        }
+        if !limit.value.is_finite() {
+            return Err(SettingsError::new(key, "a finite number was expected").under(at));
+        }
+    }
+    Ok(())
+}
+
+/// A figure of a data set, which has no estimate.
+pub fn figure(name: String, value: f64, unit: &str) -> Figure {
+    Figure { of: None, ..Figure::new("", name, value, unit) }
+}
+
+/// How a data set is called: the name of its file.
+pub fn run_name(data: &Dataset) -> String {
+    let stem = data.files.first().and_then(|file| file.file_stem());
+    stem.map_or_else(|| "data".to_owned(), |stem| stem.to_string_lossy().into_owned())
+}
+
+/// The numbers of a column, all of which are finite.
+pub fn finite<'a>(data: &'a Dataset, name: &str, quantity: Quantity) -> Result<&'a [f64]> {
+    let numbers = abbe_table::numbers(data, name, quantity)?;
+    match numbers.iter().position(|number| !number.is_finite()) {
+        Some(row) => Err(data.error_at(DataRow(row), format!("`{name}` is no finite number here"))),
+        None => Ok(numbers),
+    }
+}
+
+/// Whether each row is in the positive direction, by the column `direction` with 1 and -1.
+pub fn directions(data: &Dataset) -> Result<Vec<bool>> {
+    let labels = abbe_table::labels(data, "direction")?;
+    let of = |(row, label): (usize, &String)| match label.as_str() {
+        "1" | "+1" => Ok(true),
+        "-1" => Ok(false),
+        other => Err(data.error_at(DataRow(row), format!("the direction is `{other}`; 1 or -1 was expected"))),
+    };
+    labels.iter().enumerate().map(of).collect()
+}
+
+/// The error for a validator without data sets.
+pub fn no_data() -> Error {
+    Error::usage("there are no readings to judge").help("name ingest stages under `from`").setting("from")
+}

@@ -1,0 +1,157 @@
+//! Validator plugin `rotary-interpolation`: R-test figures in the manner of ISO 10791-6.
+
+use abbe_core::{Context, DataRow, Dataset, EstimateSource, Findings, Fit, Quantity, Result, SettingsError, Validate};
+use abbe_standards::rotary_interpolation::{EDITION, Path, ranges};
+use schemars::JsonSchema;
+use serde::Deserialize;
+use serde_json::{Value, json};
+
+use crate::common::{Limits, check_limits, directions, figure, finite, no_data, run_name};
+
+abbe_core::register!(
+    Validate,
+    "rotary-interpolation",
+    "a rotary axis turns and linear axes follow a ball, in the manner of ISO 10791-6: ranges of readings",
+    Rotary,
+    example,
+    build,
+    "../reference/validate-rotary-interpolation.md",
+    EstimateSource::Readings,
+);
+
+/// Settings of the test.
+#[derive(Debug, Clone, PartialEq, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+struct Rotary {
+    /// The rotary axis that turns: the name of its column, without its unit.
+    axis: String,
+    /// Direction of the axis in the machine frame.
+    direction: [f64; 3],
+    /// The nominal centre of the ball at angle 0 less a point of the axis, machine frame.
+    ball_from_axis_mm: [f64; 3],
+    /// Columns of the readings along x, y and z of the machine, without their unit.
+    #[serde(default = "readings")]
+    readings: [String; 3],
+    /// Largest admissible ranges of both ways together: `radial_um`, `tangential_um`, `axial_um`, `x_um`, `y_um`, `z_um`.
+    #[serde(default)]
+    limits: Limits,
+}
+
+fn readings() -> [String; 3] {
+    ["meas_x", "meas_y", "meas_z"].map(str::to_owned)
+}
+
+fn example() -> Value {
+    json!({ "axis": "C", "direction": [0, 0, 1], "ball_from_axis_mm": [110, 0, 60], "limits": { "radial_um": 20 } })
+}
+
+const KEYS: [&str; 6] = ["radial_um", "tangential_um", "axial_um", "x_um", "y_um", "z_um"];
+
+fn build(settings: Rotary, _: &Context) -> Result<Box<dyn Validate>, SettingsError> {
+    if Path::new(settings.direction, [1.3, -2.1, 0.7], 1.0).is_none() {
+        return Err(SettingsError::new("direction", "a vector that is not zero was expected"));
+    }
+    if settings.ball_from_axis_mm.iter().any(|value| !value.is_finite()) {
+        return Err(SettingsError::new("ball_from_axis_mm", "finite numbers were expected"));
+    }
+    check_limits(&settings.limits, &KEYS)?;
+    Ok(Box::new(settings))
+}
+
+impl Rotary {
+    /// Where the ball is, with the sense in which the linear axes follow it; none for a ball on the axis.
+    fn path(&self, data: &Dataset, angles: &[f64]) -> Result<Option<Path>> {
+        let [x, y, z] = ["X", "Y", "Z"].map(|axis| finite(data, axis, Quantity::Length));
+        let (x, y, z) = (x?, y?, z?);
+        let ways = [1.0, -1.0].map(|sense| Path::new(self.direction, self.ball_from_axis_mm, sense));
+        let [Some(plus), Some(minus)] = ways else { return Ok(None) };
+        // How far the way of the linear axes is from that of the ball, radial directions from the first row.
+        let off = |path: &Path| {
+            let radius = self.radius();
+            let (first, mut most) = (path.radial(angles[0]), (0.0_f64, 0));
+            for (row, angle) in angles.iter().enumerate() {
+                let radial = path.radial(*angle);
+                let way = [x[row] - x[0], y[row] - y[0], z[row] - z[0]];
+                let square: f64 = (0..3).map(|k| (way[k] - radius * (radial[k] - first[k])).powi(2)).sum();
+                most = if square.sqrt() > most.0 { (square.sqrt(), row) } else { most };
+            }
+            most
+        };
+        let (one, other) = (off(&plus), off(&minus));
+        let (path, (distance, row)) = if one.0 <= other.0 { (plus, one) } else { (minus, other) };
+        if distance > 1e-3 * self.radius().max(1.0) {
+            let message = format!("the linear axes are {distance:.3} mm off the way of the ball here");
+            let error = data.error_at(DataRow(row), message);
+            return Err(error.help("are `axis`, `direction` and `ball_from_axis_mm` those of this test?"));
+        }
+        Ok(Some(path))
+    }
+
+    /// Distance of the ball from the axis.
+    fn radius(&self) -> f64 {
+        let [ball, axis] = [self.ball_from_axis_mm, self.direction];
+        let dot = |a: [f64; 3], b: [f64; 3]| a[0] * b[0] + a[1] * b[1] + a[2] * b[2];
+        (dot(ball, ball) - dot(ball, axis).powi(2) / dot(axis, axis)).max(0.0).sqrt()
+    }
+
+    fn judge(&self, data: &Dataset, findings: &mut Findings) -> Result<()> {
+        let run = run_name(data);
+        let angles = finite(data, &self.axis, Quantity::Angle)?;
+        let ways = directions(data)?;
+        let columns: Vec<&[f64]> =
+            self.readings.iter().map(|name| finite(data, name, Quantity::Length)).collect::<Result<_>>()?;
+        if angles.is_empty() {
+            return Ok(());
+        }
+        let mut all: Vec<(&str, &str, Vec<f64>)> = Vec::new();
+        match self.path(data, angles)? {
+            Some(path) => {
+                let split: Vec<[f64; 3]> = (0..angles.len())
+                    .map(|row| path.split(angles[row], [columns[0][row], columns[1][row], columns[2][row]]))
+                    .collect();
+                for (place, key) in KEYS[..3].iter().copied().enumerate() {
+                    all.push((key.trim_end_matches("_um"), key, split.iter().map(|own| own[place]).collect()));
+                }
+            }
+            None => findings.remarks.push(format!("{run}: the ball is on the axis: there is no radial direction")),
+        }
+        for (place, key) in KEYS[3..].iter().copied().enumerate() {
+            all.push((&self.readings[place], key, columns[place].to_vec()));
+        }
+        for (name, key, values) in all {
+            let found = ranges(&values, &ways);
+            let limit = self.limits.get(key).copied();
+            let only = if found.both.is_none() { found.up.or(found.down) } else { found.both };
+            for (way, value) in [("up", found.up), ("down", found.down), ("both", found.both)] {
+                let Some(value) = value else { continue };
+                let is_limited = way == "both" || (found.both.is_none() && only == Some(value));
+                let range = figure(format!("{name} {way}[{run}]"), 1e3 * value, "um");
+                findings.figures.push(range.limited(limit.filter(|_| is_limited)));
+            }
+        }
+        Ok(())
+    }
+}
+
+impl Validate for Rotary {
+    fn accepts_data(&self) -> bool {
+        true
+    }
+
+    fn accepts_readings(&self) -> bool {
+        true
+    }
+
+    fn validate(&self, _: &[&Fit], data: &[&Dataset]) -> Result<Findings> {
+        if data.is_empty() {
+            return Err(no_data());
+        }
+        let mut findings = Findings::default();
+        data.iter().try_for_each(|data| self.judge(data, &mut findings))?;
+        findings.remarks.push(format!(
+            "{EDITION}: ranges of readings as set up, not centred; that these are its figures is a choice of this project, as its \
+             text was not at hand"
+        ));
+        Ok(findings)
+    }
+}
