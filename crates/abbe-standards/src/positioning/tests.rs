@@ -2,6 +2,10 @@ use super::plan::{Axis, Fault, faults};
 use super::uncertainty::{Linear, Rotary};
 use super::*;
 
+/// A figure of a target, and one in the manner of VDI/DGQ 3441.
+type OfTarget = fn(&AtTarget) -> Option<f64>;
+type OfVdi = fn(&Vdi) -> f64;
+
 fn target(position: f64, up: &[f64], down: &[f64]) -> Target {
     Target { position, up: up.to_vec(), down: down.to_vec() }
 }
@@ -211,7 +215,7 @@ fn expected_figures_of_three_axes() {
             ("A", found.accuracy),
         ];
         all.iter().for_each(|(key, value)| agrees(&format!("{name} {key}"), *value, &of[*key]));
-        let each: [(&str, fn(&AtTarget) -> Option<f64>); 9] = [
+        let each: [(&str, OfTarget); 9] = [
             ("mean_up", |at| at.mean_up),
             ("mean_down", |at| at.mean_down),
             ("B_i", |at| at.reversal),
@@ -228,7 +232,7 @@ fn expected_figures_of_three_axes() {
             }
         }
         let vdi = found.vdi();
-        let of_vdi: [(&str, fn(&Vdi) -> f64); 6] = [
+        let of_vdi: [(&str, OfVdi); 6] = [
             ("Pa", |vdi| vdi.deviation),
             ("U_max", |vdi| vdi.largest_reversal),
             ("U_mean", |vdi| vdi.mean_reversal),
