@@ -25,5 +25,5 @@ pub use fit::{
 pub use format::FileFormat;
 pub use identifiability::{Combination, EquivalentMotionError, Identifiability, WeakDirection};
 pub use identity::Certificate;
-pub use limit::Limit;
+pub use limit::{Limit, rule_or_name, schema_of_rules};
 pub use verdict::{Figure, Findings, VERDICTS_FORMAT, Verdict};

@@ -50,7 +50,7 @@ struct Stated {
     limit: f64,
     /// The rule that decides whether a value keeps the limit: its name, or a map with its settings. Default: simple
     /// acceptance.
-    #[serde(default, deserialize_with = "named_or_set")]
+    #[serde(default, deserialize_with = "rule_or_name")]
     #[schemars(schema_with = "schema_of_rules")]
     decision: Rule,
 }
@@ -90,7 +90,7 @@ impl<'de> Deserialize<'de> for Limit {
 }
 
 /// Reads a rule by its name, which is short for the map with this name alone, or as the map.
-fn named_or_set<'de, D: Deserializer<'de>>(deserializer: D) -> Result<Rule, D::Error> {
+pub fn rule_or_name<'de, D: Deserializer<'de>>(deserializer: D) -> Result<Rule, D::Error> {
     struct Either;
 
     impl<'de> Visitor<'de> for Either {
@@ -113,7 +113,7 @@ fn named_or_set<'de, D: Deserializer<'de>>(deserializer: D) -> Result<Rule, D::E
 }
 
 /// The maps of all rules, and the names of those that need no setting.
-fn schema_of_rules(generator: &mut SchemaGenerator) -> Schema {
+pub fn schema_of_rules(generator: &mut SchemaGenerator) -> Schema {
     let maps = Rule::json_schema(generator);
     let rules = maps.get("oneOf").and_then(Value::as_array).into_iter().flatten();
     let alone = rules.filter(|rule| rule["required"].as_array().is_some_and(|required| required.len() == 1));

@@ -3,15 +3,15 @@
 use std::fmt::Write as _;
 
 use abbe_core::{
-    Context, DataRow, Dataset, Error, EstimateSource, Figure, Findings, Fit, Quantity, Result, SettingsError, Validate,
-    not_negative, positive,
+    Context, DataRow, Dataset, EstimateSource, Findings, Fit, Quantity, Result, SettingsError, Validate, not_negative,
+    positive,
 };
 use abbe_standards::circular::{Bidirectional, EDITION, Sample, Trace};
 use schemars::JsonSchema;
 use serde::Deserialize;
 use serde_json::{Value, json};
 
-use crate::common::{Limits, check_limits, directions, figure, finite, no_data, run_name};
+use crate::common::{Key, Limits, Sheet, check_limits, directions, finite, no_data, run_name};
 
 abbe_core::register!(
     Validate,
@@ -36,7 +36,7 @@ struct Circular {
     /// The column of readings, length less the nominal radius, without its unit.
     #[serde(default = "reading")]
     reading: String,
-    /// Standard uncertainty of a reading. That of a difference of two is told.
+    /// Standard uncertainty of a reading. D and F have it, G and H that of a difference of two.
     #[serde(default)]
     standard_uncertainty_um: f64,
     /// Largest admissible values: `G_um` (both directions, smallest zone), `G_b_um`, `G_lsc_um`, `G_b_lsc_um`, `H_um`, and of the sizes
@@ -57,7 +57,15 @@ fn example() -> Value {
     json!({ "radius_mm": 150, "limits": { "G_um": 20, "G_b_um": 25, "H_um": 15 } })
 }
 
-const KEYS: [&str; 7] = ["G_um", "G_lsc_um", "G_b_um", "G_b_lsc_um", "H_um", "D_um", "F_um"];
+const KEYS: [Key; 7] = [
+    ("G_um", "G"),
+    ("G_lsc_um", "G_lsc"),
+    ("G_b_um", "G(b)"),
+    ("G_b_lsc_um", "G(b)_lsc"),
+    ("H_um", "H"),
+    ("D_um", "|D|"),
+    ("F_um", "|F| as set up"),
+];
 
 fn build(settings: Circular, _: &Context) -> Result<Box<dyn Validate>, SettingsError> {
     positive("radius_mm", settings.radius_mm)?;
@@ -72,12 +80,10 @@ fn name_of(positive: bool) -> &'static str {
 }
 
 impl Circular {
-    /// A figure with the limit of its key; what has a sign is limited in its size.
-    fn limited(&self, name: String, value: f64, key: &str) -> Figure {
-        let limit = self.limits.get(key).copied();
-        let value = if limit.is_some() && matches!(key, "D_um" | "F_um") { value.abs() } else { value };
-        let u = 2.0_f64.sqrt() * self.standard_uncertainty_um;
-        figure(name, value, "um").uncertain((u > 0.0 && !key.is_empty()).then_some(u)).limited(limit)
+    /// Standard uncertainties of a reading and of a difference of two, um.
+    fn uncertainties(&self) -> [Option<f64>; 2] {
+        let u = self.standard_uncertainty_um;
+        [1.0, 2.0_f64.sqrt()].map(|factor| (u > 0.0).then_some(factor * u))
     }
 
     /// The trace of one direction; none without readings.
@@ -108,57 +114,61 @@ impl Circular {
         let run = run_name(data);
         let traces = [self.trace(data, true)?, self.trace(data, false)?];
         let both = traces[0].as_ref().zip(traces[1].as_ref()).and_then(|(one, other)| Bidirectional::of(one, other));
-        let named = |name: &str| format!("{name}[{run}]");
+        let mut sheet = Sheet::new(&run, &self.limits);
         for (trace, way) in traces.iter().zip([true, false]) {
             let way = name_of(way);
             let Some(trace) = trace else {
                 findings.remarks.push(format!("{run}: there is no {way} direction: G(b), D and H are absent"));
                 continue;
             };
-            self.one(trace, &run, way, both.as_ref(), findings);
+            findings.remarks.extend(told(trace, &run, way));
+            self.one(trace, way, both.as_ref(), &mut sheet);
         }
         if let Some(both) = &both {
-            let um = 1e3;
-            let zone = both.minimum_zone.map(|zone| self.limited(named("G(b)"), um * zone.width, "G_b_um"));
-            let range = both.about_least_squares.map(|range| self.limited(named("G(b)_lsc"), um * range, "G_b_lsc_um"));
-            findings.figures.extend([zone, range].into_iter().flatten());
-            findings.figures.push(self.limited(named("D"), um * both.radial_deviation(self.radius_mm), "D_um"));
-            if let Some((size, angle)) = both.hysteresis {
-                findings.figures.push(self.limited(named("H"), um * size, "H_um"));
-                findings.figures.push(figure(named("angle of H"), angle.to_degrees(), "deg"));
-            }
-            for (name, value) in
-                [("centre along 0 deg", both.circle.centre.x), ("centre along 90 deg", both.circle.centre.y)]
-            {
-                findings.figures.push(figure(named(name), um * value, "um").detail());
-            }
+            self.both(both, &mut sheet);
         }
+        findings.figures.extend(sheet.finish(&KEYS));
         self.polar(&run, &traces, both.as_ref(), findings);
         Ok(())
     }
 
+    /// Figures of both directions together.
+    fn both(&self, both: &Bidirectional, sheet: &mut Sheet<'_>) {
+        let (um, [one, two]) = (1e3, self.uncertainties());
+        if let Some(zone) = both.minimum_zone {
+            sheet.limit("G(b)", um * zone.width, two, "G_b_um");
+        }
+        if let Some(range) = both.about_least_squares {
+            sheet.limit("G(b)_lsc", um * range, two, "G_b_lsc_um");
+        }
+        sheet.limit_size("D", um * both.radial_deviation(self.radius_mm), one, "D_um");
+        if let Some((size, angle)) = both.hysteresis {
+            sheet.limit("H", um * size, two, "H_um");
+            sheet.tell("angle of H", angle.to_degrees(), "deg");
+        }
+        let centre = both.circle.centre;
+        for (name, value) in [("centre along 0 deg", centre.x), ("centre along 90 deg", centre.y)] {
+            sheet.tell(name, um * value, "um").detail = true;
+        }
+    }
+
     /// Figures of one direction.
-    fn one(&self, trace: &Trace, run: &str, way: &str, both: Option<&Bidirectional>, findings: &mut Findings) {
-        let um = 1e3;
-        if !trace.is_full() {
-            findings.remarks.push(format!("{run}: {way} is an arc of a circle, which has no figure but F as set up"));
-        }
-        if trace.left_out() > 0 {
-            findings
-                .remarks
-                .push(format!("{run}: {} samples of the overshoot of {way} are left out", trace.left_out()));
-        }
+    fn one(&self, trace: &Trace, way: &str, both: Option<&Bidirectional>, sheet: &mut Sheet<'_>) {
+        let (um, [one, two]) = (1e3, self.uncertainties());
         if let Some(zone) = trace.minimum_zone() {
-            findings.figures.push(self.limited(format!("G_{way}[{run}]"), um * zone.width, "G_um"));
+            sheet.limit(&format!("G_{way}"), um * zone.width, two, "G_um");
         }
         if let Some(range) = trace.about_least_squares() {
-            findings.figures.push(self.limited(format!("G_{way}_lsc[{run}]"), um * range, "G_lsc_um"));
+            sheet.limit(&format!("G_{way}_lsc"), um * range, two, "G_lsc_um");
         }
-        let set_up = trace.as_set_up(self.radius_mm).map(|values| (values, " as set up", "F_um"));
-        let centred = both.and_then(|both| trace.about(both.circle.centre.into(), self.radius_mm));
-        for (values, how, key) in [set_up, centred.map(|values| (values, "", ""))].into_iter().flatten() {
+        if let Some(values) = trace.as_set_up(self.radius_mm) {
             for (name, value) in ["F_max", "F_min"].into_iter().zip(values) {
-                findings.figures.push(self.limited(format!("{name}_{way}{how}[{run}]"), um * value, key));
+                sheet.limit_size(&format!("{name}_{way} as set up"), um * value, one, "F_um");
+            }
+        }
+        if let Some(values) = both.and_then(|both| trace.about(both.circle.centre.into(), self.radius_mm)) {
+            for (name, value) in ["F_max", "F_min"].into_iter().zip(values) {
+                sheet.tell(&format!("{name}_{way}"), um * value, "um").standard_uncertainty = one;
             }
         }
     }
@@ -196,19 +206,18 @@ impl Validate for Circular {
             "{EDITION}: G = smallest zone, `_lsc` = range about the least squares circle; that D, F and H count from the least \
              squares circle of both directions is a choice of this project, as its text was not at hand"
         ));
-        for key in self.limits.keys() {
-            let kept = findings.figures.iter().any(|figure| figure.limit.is_some() && key_of(&figure.name) == *key);
-            if !kept {
-                return Err(Error::data(format!("no circle has the figure that `{key}` limits")).setting("limits"));
-            }
-        }
         Ok(findings)
     }
 }
 
-/// The key of the limit of a figure.
-fn key_of(name: &str) -> String {
-    let base = name.split(['[', ' ']).next().unwrap_or(name);
-    let base = base.replace("(b)", "_b").replace("_ccw", "").replace("_cw", "").replace("_max", "").replace("_min", "");
-    format!("{base}_um")
+/// What a trace is not.
+fn told(trace: &Trace, run: &str, way: &str) -> Vec<String> {
+    let mut told = Vec::new();
+    if !trace.is_full() {
+        told.push(format!("{run}: {way} is an arc of a circle, which has no figure but F as set up"));
+    }
+    if trace.left_out() > 0 {
+        told.push(format!("{run}: {} samples of the overshoot of {way} are left out", trace.left_out()));
+    }
+    told
 }

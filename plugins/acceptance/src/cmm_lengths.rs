@@ -1,10 +1,12 @@
 //! Validator plugin `cmm-lengths`: length measurement errors in the manner of ISO 10360-2.
 
+use std::cmp::Ordering::{Equal, Greater};
+
 use abbe_core::{
-    Context, DataRow, Dataset, Error, EstimateSource, Findings, Fit, Limit, Quantity, Result, SettingsError, Validate,
-    not_negative, positive,
+    Context, DataRow, Dataset, Decision, Error, EstimateSource, Figure, Findings, Fit, Limit, PathItem, Quantity,
+    Result, Rule, SettingsError, Validate, not_negative, positive, rule_or_name, schema_of_rules,
 };
-use abbe_standards::lengths::{EDITION, Judged, LENGTHS, LINES, Measured, Permissible, VALUES, judge, sets};
+use abbe_standards::lengths::{EDITION, Judged, LENGTHS, LINES, Measured, Permissible, Set, VALUES, judge, sets};
 use schemars::JsonSchema;
 use serde::Deserialize;
 use serde_json::{Value, json};
@@ -31,6 +33,13 @@ struct Lengths {
     stylus_beside_mm: f64,
     /// Maximum permissible error of a length.
     mpe: Mpe,
+    /// The rule that decides on every length: its name, or a map with its settings. Default: simple acceptance.
+    #[serde(default, deserialize_with = "rule_or_name")]
+    #[schemars(schema_with = "schema_of_rules")]
+    decision: Rule,
+    /// Expanded uncertainty (k = 2) of a length error.
+    #[serde(default)]
+    expanded_uncertainty: Option<Expanded>,
     /// Largest admissible range of three values of a length.
     #[serde(default)]
     repeatability_um: Option<Limit>,
@@ -51,16 +60,40 @@ struct Mpe {
     most_um: Option<f64>,
 }
 
+/// `A + L / K` in um, with the length L in mm; k = 2.
+#[derive(Debug, Clone, PartialEq, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+struct Expanded {
+    /// What does not depend on the length.
+    #[serde(rename = "A_um")]
+    constant_um: f64,
+    /// Divides the length in mm. Default: no part grows with the length.
+    #[serde(rename = "K", default)]
+    divisor: Option<f64>,
+}
+
+impl Expanded {
+    /// Standard uncertainty at a length, mm.
+    fn standard(&self, length: f64) -> f64 {
+        0.5e-3 * (self.constant_um + self.divisor.map_or(0.0, |divisor| length / divisor))
+    }
+}
+
 fn example() -> Value {
     json!({ "mpe": { "A_um": 1.9, "K": 300 }, "repeatability_um": 4 })
 }
 
 fn build(settings: Lengths, _: &Context) -> Result<Box<dyn Validate>, SettingsError> {
-    let under = |error: SettingsError| error.under([abbe_core::PathItem::Key("mpe".to_owned())]);
+    let under = |error: SettingsError| error.under([PathItem::Key("mpe".to_owned())]);
     not_negative("stylus_beside_mm", settings.stylus_beside_mm)?;
     positive("A_um", settings.mpe.constant_um).map_err(under)?;
     settings.mpe.divisor.map(|divisor| positive("K", divisor)).transpose().map_err(under)?;
     settings.mpe.most_um.map(|most| positive("B_um", most)).transpose().map_err(under)?;
+    if let Some(expanded) = &settings.expanded_uncertainty {
+        let under = |error: SettingsError| error.under([PathItem::Key("expanded_uncertainty".to_owned())]);
+        not_negative("A_um", expanded.constant_um).map_err(under)?;
+        expanded.divisor.map(|divisor| positive("K", divisor)).transpose().map_err(under)?;
+    }
     Ok(Box::new(settings))
 }
 
@@ -89,62 +122,111 @@ impl Lengths {
         }
     }
 
+    /// |E|/MPE of a value as a figure with its limit.
+    fn share(&self, name: &str, value: &Measured, permissible: &Permissible) -> Figure {
+        let share = value.share(permissible);
+        // Rounding of decimal numbers is no reason to fail at the limit.
+        let share = if value.is_inside(permissible) { share.min(1.0) } else { share };
+        let u = self.expanded_uncertainty.as_ref().map(|own| own.standard(value.reference));
+        let limit = Limit { value: 1.0, rule: self.decision };
+        figure(name.to_owned(), share, "1").uncertain(u.map(|u| u / permissible.at(value.reference))).limited(limit)
+    }
+
+    /// The figure of the value that decides: of those with the worst decision the one that is nearest to its limit.
+    fn worst<'a>(
+        &self,
+        name: &str,
+        values: impl Iterator<Item = &'a Measured>,
+        permissible: &Permissible,
+    ) -> Option<Figure> {
+        values.map(|value| self.share(name, value, permissible)).reduce(|most, next| {
+            let order = next.decide().cmp(&most.decide()).then(next.value.partial_cmp(&most.value).unwrap_or(Equal));
+            if order == Greater { next } else { most }
+        })
+    }
+
     fn judge(&self, data: &Dataset, repeats: &[Measured], findings: &mut Findings) -> Result<()> {
         let (run, all, permissible) = (run_name(data), measured(data)?, self.permissible());
         if all.is_empty() {
             return Err(Error::data("there is no length to judge").setting("from"));
         }
         let sets = sets(&all);
+        if let Some(foreign) = repeats.iter().find(|value| !sets.iter().any(|set| set.holds(value))) {
+            let Measured { line, reference, .. } = foreign;
+            let message = format!("the repeats have line {line} at {reference} mm, which {run} has not");
+            return Err(Error::data(message).setting("from"));
+        }
         let symbol = format!("E_{}", self.stylus_beside_mm);
-        let errors = || all.iter().map(|value| 1e3 * value.error());
         let named = |name: &str| format!("{name}[{run}]");
-        let most = errors().fold(f64::NEG_INFINITY, f64::max);
-        findings.figures.push(figure(named(&format!("{symbol} max")), most, "um"));
-        let least = errors().fold(f64::INFINITY, f64::min);
-        findings.figures.push(figure(named(&format!("{symbol} min")), least, "um"));
-        let share = |all: &[Measured]| all.iter().map(|value| value.share(&permissible)).fold(0.0, f64::max);
-        let judged = judge(&all, &sets, repeats, &permissible);
-        let outside = |value: &Measured| !value.is_inside(&permissible);
-        let count = all.iter().filter(|value| outside(value)).count();
-        findings.figures.push(figure(named("values outside"), count as f64, "1"));
-        findings.figures.push(figure(named(&format!("largest |{symbol}|/MPE")), share(&all), "1"));
-        // With repeats a value that was outside alone in its set does not count, they do.
-        let inside: Vec<Measured> = all.iter().filter(|value| !outside(value)).chain(repeats).cloned().collect();
-        let name = named(&format!("largest |{symbol}|/MPE that counts"));
-        // Rounding of decimal numbers is no reason to fail at the limit.
-        let mut counted = match &judged {
-            Judged::Inside => figure(name, share(&inside).min(1.0), "1"),
-            _ => figure(name, share(&all), "1"),
-        };
-        counted.set_limit(Some(Limit::from(1.0)));
-        match &judged {
-            Judged::Inside => {}
-            Judged::Repeat(open) => {
-                let words: Vec<String> =
-                    open.iter().map(|set| format!("line {} at {} mm", sets[*set].line, sets[*set].reference)).collect();
-                counted.inconclusive = Some(format!("measure three times again: {}", words.join(", ")));
-            }
-            Judged::Outside(why) => {
-                // Too many sets, or repeats outside: the share of the original values is above 1.
-                findings.remarks.push(format!("{run}: {why}"));
+        let errors = || all.iter().map(|value| 1e3 * value.error());
+        let [most, least] = [errors().reduce(f64::max), errors().reduce(f64::min)].map(|end| end.unwrap_or(f64::NAN));
+        let share = all.iter().map(|value| value.share(&permissible)).fold(0.0, f64::max);
+        let outside = all.iter().filter(|value| !value.is_inside(&permissible)).count();
+        findings.figures.extend([
+            figure(named(&format!("{symbol} max")), most, "um"),
+            figure(named(&format!("{symbol} min")), least, "um"),
+            figure(named("values outside"), outside as f64, "1"),
+            figure(named(&format!("largest |{symbol}|/MPE")), share, "1"),
+        ]);
+        let name = named(&format!("|{symbol}|/MPE that decides"));
+        let accepted = |value: &Measured| self.share(&name, value, &permissible).decide() == Some(Decision::Pass);
+        let judged = judge(&all, &sets, repeats, accepted);
+        findings.figures.extend(self.decided(&name, &judged, [&all, repeats], &permissible, &sets));
+        if let Judged::Outside(why) = &judged {
+            findings.remarks.push(format!("{run}: {why}"));
+        }
+        for set in sets.iter().filter(|set| repeats.iter().any(|value| set.holds(value))) {
+            if set.places.iter().all(|place| accepted(&all[*place])) {
+                let Set { line, reference, .. } = set;
+                findings
+                    .remarks
+                    .push(format!("{run}: line {line} at {reference} mm was repeated though all is inside"));
             }
         }
-        findings.figures.push(counted);
-        let widest = sets.iter().filter_map(|set| set.range.map(|range| (range, set)));
-        let widest = widest.reduce(|most, next| if next.0 > most.0 { next } else { most });
-        if let Some((range, set)) = widest {
-            let range = figure(named("R_0 max"), 1e3 * range, "um").limited(self.repeatability_um);
-            findings.figures.push(range);
-            findings.remarks.push(format!("{run}: R_0 is largest on line {} at {} mm", set.line, set.reference));
-        } else if self.repeatability_um.is_some() {
-            findings.figures.push(figure(named("R_0 max"), f64::NAN, "um").limited(self.repeatability_um));
-        }
+        self.repeatability(&run, &sets, findings);
         self.plan(&run, &sets, findings);
         Ok(())
     }
 
+    /// The figure that decides on all lengths.
+    fn decided(
+        &self,
+        name: &str,
+        judged: &Judged,
+        [all, repeats]: [&[Measured]; 2],
+        permissible: &Permissible,
+        sets: &[Set],
+    ) -> Option<Figure> {
+        let accepted = |value: &&Measured| self.share(name, value, permissible).decide() == Some(Decision::Pass);
+        match judged {
+            // With repeats a value that was outside alone in its set does not count, they do.
+            Judged::Inside => self.worst(name, all.iter().filter(accepted).chain(repeats), permissible),
+            Judged::Outside(_) => self.worst(name, all.iter().chain(repeats), permissible),
+            Judged::Repeat(open) => {
+                let words: Vec<String> =
+                    open.iter().map(|set| format!("line {} at {} mm", sets[*set].line, sets[*set].reference)).collect();
+                let mut figure = self.worst(name, all.iter(), permissible)?;
+                figure.inconclusive = Some(format!("measure three times again: {}", words.join(", ")));
+                Some(figure)
+            }
+        }
+    }
+
+    /// R_0; without a length that has three values its limit fails.
+    fn repeatability(&self, run: &str, sets: &[Set], findings: &mut Findings) {
+        let widest = sets.iter().filter_map(|set| set.range.map(|range| (range, set)));
+        let widest = widest.reduce(|most, next| if next.0 > most.0 { next } else { most });
+        if widest.is_some() || self.repeatability_um.is_some() {
+            let range = widest.map_or(f64::NAN, |(range, _)| 1e3 * range);
+            findings.figures.push(figure(format!("R_0 max[{run}]"), range, "um").limited(self.repeatability_um));
+        }
+        if let Some((_, Set { line, reference, .. })) = widest {
+            findings.remarks.push(format!("{run}: R_0 is largest on line {line} at {reference} mm"));
+        }
+    }
+
     /// What the programme lacks.
-    fn plan(&self, run: &str, sets: &[abbe_standards::lengths::Set], findings: &mut Findings) {
+    fn plan(&self, run: &str, sets: &[Set], findings: &mut Findings) {
         let other = sets.iter().filter(|set| set.places.len() != VALUES).count();
         if other > 0 {
             let text = format!("{run}: {other} lengths have not {VALUES} values: they have no R_0");

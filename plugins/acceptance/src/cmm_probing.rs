@@ -1,14 +1,15 @@
 //! Validator plugin `cmm-probing`: a sphere by one stylus and by several, in the manner of ISO 10360-5.
 
 use abbe_core::{
-    Context, Dataset, Error, EstimateSource, Figure, Findings, Fit, Quantity, Result, SettingsError, Validate, positive,
+    Context, Dataset, Error, EstimateSource, Findings, Fit, Quantity, Result, SettingsError, Validate, not_negative,
+    positive,
 };
 use abbe_standards::probing::{Edition, Gauge, MultiStylus, ball, multi_stylus};
 use schemars::JsonSchema;
 use serde::Deserialize;
 use serde_json::{Value, json};
 
-use crate::common::{Limits, check_limits, figure, finite, no_data, run_name};
+use crate::common::{Key, Limits, Sheet, check_limits, finite, no_data, run_name};
 
 abbe_core::register!(
     Validate,
@@ -33,6 +34,9 @@ struct Probing {
     /// The stylus of the test with a single one; all others are those of the test with several.
     #[serde(default = "single")]
     single: String,
+    /// Expanded uncertainty (k = 2) of every figure, from the form and the calibration of the sphere.
+    #[serde(default)]
+    expanded_uncertainty_um: Option<f64>,
     /// Largest admissible sizes: `PFTU_um`, `PSTU_um`, `PFTM_um`, `PSTM_um`, `PLTM_um`.
     #[serde(default)]
     limits: Limits,
@@ -46,10 +50,12 @@ fn example() -> Value {
     json!({ "diameter_mm": 24.99874, "limits": { "PFTU_um": 1.9, "PSTU_um": 1.9 } })
 }
 
-const KEYS: [&str; 5] = ["PFTU_um", "PSTU_um", "PFTM_um", "PSTM_um", "PLTM_um"];
+const KEYS: [Key; 5] =
+    [("PFTU_um", "P_FTU"), ("PSTU_um", "|P_STU|"), ("PFTM_um", "P_FTM"), ("PSTM_um", "|P_STM|"), ("PLTM_um", "P_LTM")];
 
 fn build(settings: Probing, _: &Context) -> Result<Box<dyn Validate>, SettingsError> {
     positive("diameter_mm", settings.diameter_mm)?;
+    settings.expanded_uncertainty_um.map(|value| not_negative("expanded_uncertainty_um", value)).transpose()?;
     check_limits(&settings.limits, &KEYS)?;
     Ok(Box::new(settings))
 }
@@ -74,12 +80,6 @@ fn points(data: &Dataset) -> Result<Vec<OfStylus<'_>>> {
 }
 
 impl Probing {
-    fn limited(&self, symbol: &str, run: &str, value: f64) -> Figure {
-        let limit = self.limits.get(&format!("{}_um", symbol.replace('_', ""))).copied();
-        let value = if limit.is_some() { value.abs() } else { value };
-        figure(format!("{symbol}[{run}]"), 1e3 * value, "um").limited(limit)
-    }
-
     fn judge(&self, data: &Dataset, findings: &mut Findings) -> Result<()> {
         let (run, all) = (run_name(data), points(data)?);
         for (label, points) in all.iter().filter(|(_, points)| points.len() != POINTS) {
@@ -87,38 +87,31 @@ impl Probing {
             findings.remarks.push(text);
         }
         let broken = |error| Error::data(format!("{run}: {error}")).setting("from");
+        let mut sheet = Sheet::new(&run, &self.limits);
+        let uncertainty = self.expanded_uncertainty_um.map(|expanded| 0.5 * expanded);
         let edition = Edition::Iso10360Part5Of2010;
         if let Some((_, points)) = all.iter().find(|(label, _)| *label == self.single) {
             let probed = ball(points).map_err(broken)?;
-            findings.figures.push(self.limited(edition.form(Gauge::Sphere), &run, probed.form));
-            let size = 2.0 * probed.radius - self.diameter_mm;
-            findings.figures.push(self.limited(edition.size(Gauge::Sphere), &run, size));
+            sheet.limit(edition.form(Gauge::Sphere), 1e3 * probed.form, uncertainty, "PFTU_um");
+            let size = 1e3 * (2.0 * probed.radius - self.diameter_mm);
+            sheet.limit_size(edition.size(Gauge::Sphere), size, uncertainty, "PSTU_um");
         } else {
             findings.remarks.push(format!("{run}: there is no stylus `{}`: P_FTU and P_STU are absent", self.single));
         }
         let others: Vec<Vec<[f64; 3]>> =
             all.iter().filter(|(label, _)| *label != self.single).map(|(_, points)| points.clone()).collect();
         if let Some(multi) = multi_stylus(&others).map_err(broken)? {
-            let size = 2.0 * multi.all.radius - self.diameter_mm;
-            let values = [multi.all.form, size, multi.largest_location()];
-            for (symbol, value) in MultiStylus::SYMBOLS.into_iter().zip(values) {
-                findings.figures.push(self.limited(symbol, &run, value));
-            }
+            let [form, size, location] = MultiStylus::SYMBOLS;
+            sheet.limit(form, 1e3 * multi.all.form, uncertainty, "PFTM_um");
+            sheet.limit_size(size, 1e3 * (2.0 * multi.all.radius - self.diameter_mm), uncertainty, "PSTM_um");
+            sheet.limit(location, 1e3 * multi.largest_location(), uncertainty, "PLTM_um");
             for (axis, value) in ["x", "y", "z"].into_iter().zip(multi.location) {
-                findings.figures.push(figure(format!("P_LTM {axis}[{run}]"), 1e3 * value, "um").detail());
+                sheet.tell(&format!("{location} {axis}"), 1e3 * value, "um").detail = true;
             }
-        } else if !others.is_empty() {
-            findings
-                .remarks
-                .push(format!("{run}: one stylus beside the single one: P_FTM, P_STM and P_LTM are absent"));
+        } else {
+            findings.remarks.push(format!("{run}: there are no two other styli: P_FTM, P_STM and P_LTM are absent"));
         }
-        // What a limit asks for was not measured: it fails.
-        for key in self.limits.keys() {
-            let symbol = key.trim_end_matches("_um").replacen('P', "P_", 1);
-            if !findings.figures.iter().any(|figure| figure.name == format!("{symbol}[{run}]")) {
-                findings.figures.push(self.limited(&symbol, &run, f64::NAN));
-            }
-        }
+        findings.figures.extend(sheet.finish(&KEYS));
         Ok(())
     }
 }

@@ -7,13 +7,14 @@ use abbe_core::{
     Context, Dataset, Error, EstimateSource, Figure, Findings, Fit, Limit, PathItem, Result, SettingsError, Validate,
     not_negative,
 };
-use abbe_standards::positioning::Positioning;
 use abbe_standards::positioning::plan::{Axis, Fault, faults};
 use abbe_standards::positioning::uncertainty::{Expanded, Linear, Rotary, Terms};
+use abbe_standards::positioning::{Positioning, Vdi};
 use schemars::JsonSchema;
 use serde::Deserialize;
 use serde_json::{Value, json};
 
+use crate::common::figure;
 use crate::targets::Readings;
 
 abbe_core::register!(
@@ -114,11 +115,22 @@ impl Uncertainty {
 
 /// Names of figures: symbols of ISO 230-2.
 const NAMES: [&str; 12] = ["A", "A up", "A down", "E", "E up", "E down", "M", "R", "R up", "R down", "B", "mean B"];
+/// The one that has a sign.
+const SIGNED: &str = "mean B";
+/// A figure in the manner of VDI/DGQ 3441.
+type OfVdi = fn(&Vdi) -> f64;
 /// Those in the manner of VDI/DGQ 3441.
-const VDI: [&str; 6] = ["VDI P", "VDI Pa", "VDI Ps", "VDI mean Ps", "VDI U", "VDI mean U"];
+const VDI: [(&str, OfVdi); 6] = [
+    ("VDI P", |vdi| vdi.uncertainty),
+    ("VDI Pa", |vdi| vdi.deviation),
+    ("VDI Ps", |vdi| vdi.largest_spread),
+    ("VDI mean Ps", |vdi| vdi.mean_spread),
+    ("VDI U", |vdi| vdi.largest_reversal),
+    ("VDI mean U", |vdi| vdi.mean_reversal),
+];
 
 fn key(name: &str, unit: &str) -> String {
-    format!("{}_{unit}", name.split('[').next().unwrap_or(name).replace(' ', "_"))
+    format!("{}_{unit}", name.split('[').next().unwrap_or(name).trim_matches('|').replace(' ', "_"))
 }
 
 fn example() -> Value {
@@ -131,9 +143,9 @@ fn example() -> Value {
 fn build(settings: Settings, _: &Context) -> Result<Box<dyn Validate>, SettingsError> {
     let under = |key: &'static str| move |error: SettingsError| error.under([PathItem::Key(key.to_owned())]);
     settings.uncertainty.iter().try_for_each(Uncertainty::check).map_err(under("uncertainty"))?;
-    let vdi: &[&str] = if settings.vdi_dgq_3441 { &VDI } else { &[] };
+    let vdi = VDI.iter().map(|(name, _)| *name).filter(|_| settings.vdi_dgq_3441);
     let keys: Vec<String> =
-        NAMES.iter().chain(vdi).flat_map(|name| ["um", "urad"].map(|unit| key(name, unit))).collect();
+        NAMES.into_iter().chain(vdi).flat_map(|name| ["um", "urad"].map(|unit| key(name, unit))).collect();
     for (limited, limit) in &settings.limits {
         if !keys.contains(limited) {
             let mut error = SettingsError::new(limited, format!("there is no figure `{limited}` to limit"));
@@ -188,26 +200,12 @@ impl Settings {
         let terms = self.uncertainty.and_then(|stated| stated.terms(readings));
         let expanded = terms.and_then(|terms| terms.expanded(readings.runs()));
         for (name, value, uncertainty) in values(&found, expanded.as_ref()) {
-            // What a plan cannot give is absent, not zero.
-            if let Some(value) = value {
-                let figure = Figure::new("", format!("{name}[{}]", readings.name), value, readings.unit);
-                let figure = Figure { of: None, ..figure }.uncertain(uncertainty.map(|expanded| 0.5 * expanded));
-                findings.figures.push(figure.limited(self.limits.get(&key(name, readings.unit)).copied()));
-            }
+            self.tell(name, value, uncertainty.map(|expanded| 0.5 * expanded), readings, findings);
         }
-        if let Some(vdi) = found.vdi().filter(|_| self.vdi_dgq_3441) {
-            let values = [
-                vdi.uncertainty,
-                vdi.deviation,
-                vdi.largest_spread,
-                vdi.mean_spread,
-                vdi.largest_reversal,
-                vdi.mean_reversal,
-            ];
-            for (name, value) in VDI.iter().zip(values) {
-                let figure = Figure::new("", format!("{name}[{}]", readings.name), value, readings.unit);
-                let limit = self.limits.get(&key(name, readings.unit)).copied();
-                findings.figures.push(Figure { of: None, ..figure }.limited(limit));
+        if self.vdi_dgq_3441 {
+            let vdi = found.vdi();
+            for (name, value) in VDI {
+                self.tell(name, vdi.as_ref().map(value), None, readings, findings);
             }
         }
         if let Some(terms) = terms {
@@ -218,13 +216,32 @@ impl Settings {
         findings.tables.insert(format!("positioning-{}.csv", readings.name), table(&found, readings));
     }
 
-    /// A limit of a figure that none of the axes has fails: what it asks for was not measured.
+    /// Adds a figure. What a plan cannot give is absent, not zero; with a limit it is told without a value, which fails.
+    fn tell(&self, name: &str, value: Option<f64>, u: Option<f64>, readings: &Readings, findings: &mut Findings) {
+        let limit = self.limits.get(&key(name, readings.unit)).copied();
+        let of = |name: &str, value: Option<f64>| {
+            figure(format!("{name}[{}]", readings.name), value.unwrap_or(f64::NAN), readings.unit).uncertain(u)
+        };
+        // A limit of what has a sign is one of its size.
+        let has_sign = name == SIGNED;
+        if has_sign && let Some(value) = value {
+            findings.figures.push(of(name, Some(value)));
+        }
+        match limit {
+            Some(_) if has_sign => {
+                findings.figures.push(of(&format!("|{name}|"), value.map(f64::abs)).limited(limit));
+            }
+            None if value.is_none() || has_sign => {}
+            _ => findings.figures.push(of(name, value).limited(limit)),
+        }
+    }
+
+    /// A limit in a unit that none of the axes has fails: what it asks for was not measured.
     fn absent(&self, figures: &mut Vec<Figure>) {
         for (limited, limit) in &self.limits {
             if !figures.iter().any(|figure| key(&figure.name, &figure.unit) == *limited) {
                 let (name, unit) = limited.rsplit_once('_').unwrap_or((limited, "um"));
-                let figure = Figure::new("", name.replace('_', " "), f64::NAN, unit);
-                figures.push(Figure { of: None, ..figure }.limited(*limit));
+                figures.push(figure(name.replace('_', " "), f64::NAN, unit).limited(*limit));
             }
         }
     }

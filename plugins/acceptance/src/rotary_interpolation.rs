@@ -1,12 +1,15 @@
 //! Validator plugin `rotary-interpolation`: R-test figures in the manner of ISO 10791-6.
 
-use abbe_core::{Context, DataRow, Dataset, EstimateSource, Findings, Fit, Quantity, Result, SettingsError, Validate};
+use abbe_core::{
+    Context, DataRow, Dataset, Error, EstimateSource, Findings, Fit, Quantity, Result, SettingsError, Validate,
+    not_negative,
+};
 use abbe_standards::rotary_interpolation::{EDITION, Path, ranges};
 use schemars::JsonSchema;
 use serde::Deserialize;
 use serde_json::{Value, json};
 
-use crate::common::{Limits, check_limits, directions, figure, finite, no_data, run_name};
+use crate::common::{Key, Limits, Sheet, check_limits, directions, finite, no_data, run_name};
 
 abbe_core::register!(
     Validate,
@@ -32,7 +35,10 @@ struct Rotary {
     /// Columns of the readings along x, y and z of the machine, without their unit.
     #[serde(default = "readings")]
     readings: [String; 3],
-    /// Largest admissible ranges of both ways together: `radial_um`, `tangential_um`, `axial_um`, `x_um`, `y_um`, `z_um`.
+    /// Standard uncertainty of a reading. Ranges have that of a difference of two.
+    #[serde(default)]
+    standard_uncertainty_um: f64,
+    /// Largest admissible ranges, of both ways together where both were measured: `radial_um`, `tangential_um`, `axial_um`, `x_um`, `y_um`, `z_um`.
     #[serde(default)]
     limits: Limits,
 }
@@ -45,7 +51,14 @@ fn example() -> Value {
     json!({ "axis": "C", "direction": [0, 0, 1], "ball_from_axis_mm": [110, 0, 60], "limits": { "radial_um": 20 } })
 }
 
-const KEYS: [&str; 6] = ["radial_um", "tangential_um", "axial_um", "x_um", "y_um", "z_um"];
+const KEYS: [Key; 6] = [
+    ("radial_um", "radial"),
+    ("tangential_um", "tangential"),
+    ("axial_um", "axial"),
+    ("x_um", "x"),
+    ("y_um", "y"),
+    ("z_um", "z"),
+];
 
 fn build(settings: Rotary, _: &Context) -> Result<Box<dyn Validate>, SettingsError> {
     if Path::new(settings.direction, [1.3, -2.1, 0.7], 1.0).is_none() {
@@ -54,6 +67,7 @@ fn build(settings: Rotary, _: &Context) -> Result<Box<dyn Validate>, SettingsErr
     if settings.ball_from_axis_mm.iter().any(|value| !value.is_finite()) {
         return Err(SettingsError::new("ball_from_axis_mm", "finite numbers were expected"));
     }
+    not_negative("standard_uncertainty_um", settings.standard_uncertainty_um)?;
     check_limits(&settings.limits, &KEYS)?;
     Ok(Box::new(settings))
 }
@@ -101,34 +115,41 @@ impl Rotary {
         let columns: Vec<&[f64]> =
             self.readings.iter().map(|name| finite(data, name, Quantity::Length)).collect::<Result<_>>()?;
         if angles.is_empty() {
-            return Ok(());
+            return Err(Error::data(format!("{run}: there is no reading to judge")).setting("from"));
         }
-        let mut all: Vec<(&str, &str, Vec<f64>)> = Vec::new();
+        let mut all: Vec<(&str, &'static str, Vec<f64>)> = Vec::new();
         match self.path(data, angles)? {
             Some(path) => {
                 let split: Vec<[f64; 3]> = (0..angles.len())
                     .map(|row| path.split(angles[row], [columns[0][row], columns[1][row], columns[2][row]]))
                     .collect();
-                for (place, key) in KEYS[..3].iter().copied().enumerate() {
-                    all.push((key.trim_end_matches("_um"), key, split.iter().map(|own| own[place]).collect()));
+                for (place, (key, name)) in KEYS[..3].iter().copied().enumerate() {
+                    all.push((name, key, split.iter().map(|own| own[place]).collect()));
                 }
             }
             None => findings.remarks.push(format!("{run}: the ball is on the axis: there is no radial direction")),
         }
-        for (place, key) in KEYS[3..].iter().copied().enumerate() {
+        for (place, (key, _)) in KEYS[3..].iter().copied().enumerate() {
             all.push((&self.readings[place], key, columns[place].to_vec()));
         }
+        let u = self.standard_uncertainty_um;
+        let uncertainty = (u > 0.0).then_some(2.0_f64.sqrt() * u);
+        let mut sheet = Sheet::new(&run, &self.limits);
         for (name, key, values) in all {
             let found = ranges(&values, &ways);
-            let limit = self.limits.get(key).copied();
-            let only = if found.both.is_none() { found.up.or(found.down) } else { found.both };
-            for (way, value) in [("up", found.up), ("down", found.down), ("both", found.both)] {
-                let Some(value) = value else { continue };
-                let is_limited = way == "both" || (found.both.is_none() && only == Some(value));
-                let range = figure(format!("{name} {way}[{run}]"), 1e3 * value, "um");
-                findings.figures.push(range.limited(limit.filter(|_| is_limited)));
+            // Both ways together are judged, or the one that was measured.
+            let alone = found.both.is_none();
+            for (way, value, judged) in
+                [("up", found.up, alone), ("down", found.down, alone), ("both", found.both, true)]
+            {
+                let (name, Some(value)) = (format!("{name} {way}"), value.map(|value| 1e3 * value)) else { continue };
+                match judged {
+                    true => sheet.limit(&name, value, uncertainty, key),
+                    false => sheet.tell(&name, value, "um").standard_uncertainty = uncertainty,
+                }
             }
         }
+        findings.figures.extend(sheet.finish(&KEYS));
         Ok(())
     }
 }

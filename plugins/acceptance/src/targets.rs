@@ -36,7 +36,10 @@ impl Readings {
             (Axis::Linear, Some(Quantity::Length)) => ("um", 1e3),
             (Axis::Rotary, Some(Quantity::Angle)) => ("urad", 1e6),
             _ => {
-                return Err(wrong(data, "along a length lengths are read, around an axis angles: `reading` is neither"));
+                return Err(wrong(
+                    data,
+                    "along a length lengths are read, around an axis angles: `reading` is neither",
+                ));
             }
         };
         let places = places(&positions.iter().map(|position| position * scale).collect::<Vec<_>>());
