@@ -203,8 +203,8 @@ impl Validate for Circular {
         let mut findings = Findings::default();
         data.iter().try_for_each(|data| self.judge(data, &mut findings))?;
         findings.remarks.push(format!(
-            "{EDITION}: G = smallest zone, `_lsc` = range about the least squares circle; that D, F and H count from the least \
-             squares circle of both directions is a choice of this project, as its text was not at hand"
+            "{EDITION} (its text was not at hand). A choice of this project: D, F and H count from the least squares circle of both \
+             directions. G = smallest zone, `_lsc` = range about the least squares circle: both are in use"
         ));
         Ok(findings)
     }

@@ -260,8 +260,8 @@ impl Validate for Lengths {
         let mut findings = Findings::default();
         self.judge(test, &repeats, &mut findings)?;
         findings.remarks.push(format!(
-            "{EDITION}: that up to five sets may have one value outside, each measured three times again, is a choice of this \
-             project, as its text was not at hand"
+            "{EDITION} (its text was not at hand). A choice of this project: up to five sets may have one value outside, each is \
+             measured three times again"
         ));
         Ok(findings)
     }

@@ -170,8 +170,7 @@ impl Validate for Rotary {
         let mut findings = Findings::default();
         data.iter().try_for_each(|data| self.judge(data, &mut findings))?;
         findings.remarks.push(format!(
-            "{EDITION}: ranges of readings as set up, not centred; that these are its figures is a choice of this project, as its \
-             text was not at hand"
+            "{EDITION} (its text was not at hand). A choice of this project: its figures are ranges of readings as set up, not centred"
         ));
         Ok(findings)
     }
