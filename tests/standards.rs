@@ -108,6 +108,81 @@ fn positioning_is_as_expected() {
     }
 }
 
+/// Real measurements of others with the figures that they printed, where they are at hand. E of both directions together and R with
+/// its middle term are not what these reports print under these names.
+#[test]
+fn positioning_agrees_with_published_reports_where_they_follow_the_standard() {
+    let folder = root().join("../shared/data/standards/published");
+    if !folder.is_dir() {
+        eprintln!("not judged: {} is not here", folder.display());
+        return;
+    }
+    let printed = json_file(&folder.join("printed.json"));
+    for (file, step) in [("direct-ecmc-a", 1e-8), ("direct-ecmc-b", 1e-5), ("direct-ecmc-c", 1e-5)] {
+        let of = &printed[format!("{file}.csv")];
+        let mut recipe = positioning().set("linear", "path", json!(folder.join(format!("{file}.csv"))));
+        let settings = recipe.stage("positioning").as_object_mut().expect("a stage");
+        settings.insert("from".to_owned(), json!("linear"));
+        settings.remove("limits");
+        let found = Found::of(file, &recipe);
+        let mm = |name: &str| 1e-3 * found.0[&format!("{name}[{file}]")].value.expect("a value");
+        let agrees = |name: &str, key: &str| (mm(name) - of[key].as_f64().expect("a number")).abs() <= 0.501 * step;
+        for (name, key) in [
+            ("A up", "A_up"),
+            ("A down", "A_down"),
+            ("A", "A"),
+            ("E up", "E_up"),
+            ("E down", "E_down"),
+            ("M", "M"),
+            ("R up", "R_up"),
+            ("R down", "R_down"),
+            ("B", "B"),
+            ("mean B", "B_mean"),
+        ] {
+            assert!(agrees(name, key), "{file} {name}: {} instead of {}", mm(name), of[key]);
+        }
+        match file {
+            "direct-ecmc-b" => assert!((mm("E") - 0.0635).abs() < 1e-4 && !agrees("E", "E"), "{}", mm("E")),
+            "direct-ecmc-c" => assert!((mm("R") - 0.00835).abs() < 5e-6 && !agrees("R", "R"), "{}", mm("R")),
+            _ => {}
+        }
+    }
+}
+
+#[test]
+fn diagonals_are_as_expected() {
+    let names =
+        [("A", "A"), ("A up", "A_up"), ("A down", "A_down"), ("E", "E"), ("E up", "E_up"), ("E down", "E_down")];
+    let more = [("M", "M"), ("R", "R"), ("R up", "R_up"), ("R down", "R_down"), ("B", "B"), ("mean B", "B_mean")];
+    for data in DATA {
+        let (found, expected) = (Found::of(data, &on("diagonals", data)), &expected(data)["diagonal"]);
+        for diagonal in ["ppp", "npp", "pnp", "nnp", "xy-pp", "xy-np", "yz-pp", "yz-np", "zx-pp", "zx-np"] {
+            for (name, key) in names.iter().chain(&more) {
+                found.is(&format!("{name}[direct-diagonal-{diagonal}]"), "um", &expected[diagonal][key]);
+            }
+            let slope = &expected[diagonal]["slope_um_per_m"];
+            found.is(&format!("slope[direct-diagonal-{diagonal}]"), "um/m", slope);
+        }
+        for kind in ["body", "face"] {
+            found.is(&format!("E_d[{kind}]"), "um", &expected[kind]["E_d"]);
+            found.is(&format!("B_d[{kind}]"), "um", &expected[kind]["B_d"]);
+        }
+        for face in ["xy", "yz", "zx"] {
+            let squareness = &expected["squareness_from_face_diagonals_urad"][face];
+            found.is(&format!("squareness[{face}]"), "urad", squareness);
+        }
+    }
+    let outcome = recipe("diagonals").run();
+    let told = outcome.verdicts[0].remarks.join("\n");
+    let hidden = "body diagonals hide errors that cancel along them: a scale of X of 10.0 um/m with one of Y of -17.8 um/m \
+                  or one of Z of -25.6 um/m changes none of them";
+    assert!(told.contains(hidden) && told.contains("face zx diagonals hide"), "{told}");
+    // Without the second diagonal of a face there is no squareness, and its limit fails.
+    let alone = recipe("diagonals").set("diagonals", "from", json!(["ppp", "xy-pp"])).run();
+    let absent = figures(&alone, "diagonals").iter().find(|figure| figure.name.contains("squareness")).expect("it");
+    assert_eq!((absent.value, absent.decision), (None, Some(Decision::Fail)));
+}
+
 #[test]
 fn circles_are_as_expected() {
     for data in DATA {
@@ -221,6 +296,7 @@ fn no_limit_is_left_unjudged() {
         ("circular", "arc-of-a-circle", "G_um", "H_um"),
         ("cmm", "probing", "PFTU_um", "PLTM_um"),
         ("rotary-interpolation", "c-axis", "x_um", "axial_um"),
+        ("diagonals", "diagonals", "B_d_um", "squareness_urad"),
     ];
     for (name, stage, one, other) in all {
         let limited = |limits: Value| recipe(name).only(&[stage]).set(stage, "limits", limits);

@@ -5,6 +5,7 @@
 
 pub mod circular;
 pub mod conformity;
+pub mod diagonals;
 pub mod lengths;
 pub mod material;
 pub mod positioning;

@@ -53,19 +53,19 @@ impl<'a> Sheet<'a> {
         &mut self.figures[place]
     }
 
-    /// Adds a figure in um that is not negative, with its standard uncertainty and the limit of its key.
+    /// Adds a figure in the unit of its key that is not negative, with its standard uncertainty and the limit of its key.
     pub fn limit(&mut self, name: &str, value: f64, uncertainty: Option<f64>, key: &'static str) {
         let limit = self.limits.get(key).copied();
         self.met.insert(key);
-        self.tell(name, value, "um").standard_uncertainty = uncertainty;
+        self.tell(name, value, unit(key)).standard_uncertainty = uncertainty;
         if let Some(last) = self.figures.last_mut() {
             last.set_limit(limit);
         }
     }
 
-    /// Adds a figure in um that has a sign. A limit is one of its size, which is told then, too.
+    /// Adds a figure in the unit of its key that has a sign. A limit is one of its size, which is told then, too.
     pub fn limit_size(&mut self, name: &str, value: f64, uncertainty: Option<f64>, key: &'static str) {
-        self.tell(name, value, "um").standard_uncertainty = uncertainty;
+        self.tell(name, value, unit(key)).standard_uncertainty = uncertainty;
         if self.limits.contains_key(key) {
             self.limit(&format!("|{name}|"), value.abs(), uncertainty, key);
         }
@@ -80,6 +80,11 @@ impl<'a> Sheet<'a> {
         }
         self.figures
     }
+}
+
+/// The unit that a key names.
+fn unit(key: &str) -> &str {
+    key.rsplit_once('_').map_or("1", |(_, unit)| unit)
 }
 
 /// How a data set is called: the name of its file.

@@ -5,6 +5,7 @@ mod circular;
 mod cmm_lengths;
 mod cmm_probing;
 mod common;
+mod diagonals;
 mod positioning;
 mod rotary_interpolation;
 mod targets;

@@ -47,7 +47,7 @@ struct Settings {
 #[derive(Debug, Clone, Copy, Default, PartialEq, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields, default)]
 #[allow(non_snake_case, reason = "units and symbols are written as in columns")]
-struct Uncertainty {
+pub struct Uncertainty {
     /// Expanded uncertainty (k = 2) of the device, which grows with length.
     device_U_um_per_m: f64,
     /// Lateral misalignment of the beam over the whole travel.
@@ -70,7 +70,7 @@ struct Uncertainty {
 #[derive(Debug, Clone, Copy, Default, PartialEq, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields, default)]
 #[allow(non_snake_case, reason = "units and symbols are written as in columns")]
-struct RotaryUncertainty {
+pub struct RotaryUncertainty {
     /// Expanded uncertainty (k = 2) of the device.
     device_U_urad: f64,
     /// Range of the drift during the test, E_VE.
@@ -78,7 +78,8 @@ struct RotaryUncertainty {
 }
 
 impl Uncertainty {
-    fn check(&self) -> Result<(), SettingsError> {
+    /// Refuses what is no range.
+    pub fn check(&self) -> Result<(), SettingsError> {
         not_negative("device_U_um_per_m", self.device_U_um_per_m)?;
         not_negative("misalignment_mm", self.misalignment_mm)?;
         not_negative("alpha_um_per_m_K", self.alpha_um_per_m_K)?;
@@ -94,7 +95,8 @@ impl Uncertainty {
         Ok(())
     }
 
-    fn terms(&self, readings: &Readings) -> Option<Terms> {
+    /// The contributions to the readings of an axis.
+    pub fn terms(&self, readings: &Readings) -> Option<Terms> {
         match readings.axis {
             Axis::Linear => Linear {
                 device: self.device_U_um_per_m,
@@ -248,7 +250,7 @@ impl Settings {
 }
 
 /// The figures by name, with their expanded uncertainties.
-fn values<'a>(
+pub fn values<'a>(
     found: &Positioning,
     expanded: Option<&Expanded>,
 ) -> impl Iterator<Item = (&'a str, Option<f64>, Option<f64>)> {
@@ -286,7 +288,8 @@ fn budget(readings: &Readings, terms: &Terms) -> String {
     format!("{}: standard uncertainties, {}: {}", readings.name, readings.unit, told.join(", "))
 }
 
-fn words(fault: &Fault, axis: Axis) -> String {
+/// A sentence on what a plan lacks.
+pub fn words(fault: &Fault, axis: Axis) -> String {
     let unit = if axis == Axis::Linear { "mm" } else { "deg" };
     match fault {
         Fault::TooFewTargets { found, needed } => {
