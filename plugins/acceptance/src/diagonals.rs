@@ -55,6 +55,9 @@ fn build(settings: Diagonals, _: &Context) -> Result<Box<dyn Validate>, Settings
     Ok(Box::new(settings))
 }
 
+/// A figure of a diagonal.
+type OfDiagonal = fn(&Positioning) -> Option<f64>;
+
 /// A diagonal that was measured.
 struct Measured {
     diagonal: Diagonal,
@@ -126,7 +129,7 @@ impl Diagonals {
     /// E_d and B_d: the largest of all body and of all face diagonals.
     fn largest(&self, name: &str, all: &[&Measured], findings: &mut Findings) {
         let mut sheet = Sheet::new(name, &self.limits);
-        let figures: [(Key, fn(&Positioning) -> Option<f64>, usize); 2] =
+        let figures: [(Key, OfDiagonal, usize); 2] =
             [(ALL[0], |own| own.systematic, 0), (ALL[1], |own| own.reversal, 1)];
         for ((key, symbol), of, place) in figures {
             let values: Option<Vec<(f64, Option<f64>)>> =
