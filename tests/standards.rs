@@ -125,9 +125,9 @@ fn positioning_agrees_with_published_reports_where_they_follow_the_standard() {
         settings.insert("from".to_owned(), json!("linear"));
         settings.remove("limits");
         let found = Found::of(file, &recipe);
-        // Readings are rounded to that digit as well.
+        // Readings are rounded to that digit as well, so that figures may be one off in it.
         let mm = |name: &str| 1e-3 * found.0[&format!("{name}[{file}]")].value.expect("a value");
-        let agrees = |name: &str, key: &str| (mm(name) - of[key].as_f64().expect("a number")).abs() <= 0.75 * step;
+        let agrees = |name: &str, key: &str| (mm(name) - of[key].as_f64().expect("a number")).abs() <= 1.001 * step;
         for (name, key) in [
             ("A up", "A_up"),
             ("A down", "A_down"),
