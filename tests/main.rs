@@ -51,6 +51,7 @@ mod senses;
 mod simulate;
 mod sphere;
 mod spindle;
+mod standards;
 mod support;
 mod tested;
 mod thermal;

@@ -164,6 +164,7 @@ fn every_limit_has_a_rule_of_decision() {
     assert_eq!(
         elsewhere,
         [
+            "cmm-lengths /repeatability_um",
             "thermal /prediction/limits/max_um",
             "thermal /prediction/limits/rms_K",
             "thermal /drift/limits/range_um",

@@ -27,7 +27,7 @@ const CRATES: [Border; 28] = [
     border("abbe-errors", &["abbe-core", "abbe-thermal"]),
     border("abbe-geometry", &["abbe-numerics"]),
     border("abbe-kinematics", &["abbe-core"]),
-    border("abbe-standards", &["abbe-geometry"]),
+    border("abbe-standards", &["abbe-geometry", "abbe-results"]),
     border("abbe-table", &["abbe-core", "abbe-files"]),
     border("abbe-thermal", &["abbe-core", "abbe-numerics"]),
     border("abbe-probe", &["abbe-core", "abbe-table"]),

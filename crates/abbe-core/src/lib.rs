@@ -51,7 +51,7 @@ pub use abbe_results::{
     GumComparison, Identifiability, ImplausibleValue, JointCoverage, Limit, ModelRecord, MonteCarlo, NamedCovariance,
     Outlier, ParameterBudget, PredictedStructure, Rule, Selection, SelectionByPrediction, SelectionDirection,
     SelectionStep, SimulatedParameter, Status, UncertaintyBudget, VERDICTS_FORMAT, VarianceFactor, Verdict,
-    WeakDirection,
+    WeakDirection, rule_or_name, schema_of_rules,
 };
 pub use abbe_settings::{
     Class, Convergence, Error, EvenSeries, Event, Label, Monitor, Names, PathItem, Place, Quantity, Result, Series,

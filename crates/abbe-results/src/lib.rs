@@ -16,7 +16,7 @@ pub use budget::{
     UncertaintyBudget,
 };
 pub use covariance::NamedCovariance;
-pub use decision::{Decision, Rule};
+pub use decision::{Decision, Rule, normal_below};
 pub use fit::{
     CALIBRATION_FORMAT, Calibration, CombinedAgreement, ConsideredInput, DataRecord, Estimated, FitReport, Group,
     ImplausibleValue, ModelRecord, Outlier, PredictedStructure, Selection, SelectionByPrediction, SelectionDirection,
@@ -25,5 +25,5 @@ pub use fit::{
 pub use format::FileFormat;
 pub use identifiability::{Combination, EquivalentMotionError, Identifiability, WeakDirection};
 pub use identity::Certificate;
-pub use limit::Limit;
+pub use limit::{Limit, rule_or_name, schema_of_rules};
 pub use verdict::{Figure, Findings, VERDICTS_FORMAT, Verdict};

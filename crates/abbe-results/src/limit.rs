@@ -50,7 +50,7 @@ struct Stated {
     limit: f64,
     /// The rule that decides whether a value keeps the limit: its name, or a map with its settings. Default: simple
     /// acceptance.
-    #[serde(default, deserialize_with = "named_or_set")]
+    #[serde(default, deserialize_with = "rule_or_name")]
     #[schemars(schema_with = "schema_of_rules")]
     decision: Rule,
 }
@@ -90,7 +90,7 @@ impl<'de> Deserialize<'de> for Limit {
 }
 
 /// Reads a rule by its name, which is short for the map with this name alone, or as the map.
-fn named_or_set<'de, D: Deserializer<'de>>(deserializer: D) -> Result<Rule, D::Error> {
+pub fn rule_or_name<'de, D: Deserializer<'de>>(deserializer: D) -> Result<Rule, D::Error> {
     struct Either;
 
     impl<'de> Visitor<'de> for Either {
@@ -113,7 +113,7 @@ fn named_or_set<'de, D: Deserializer<'de>>(deserializer: D) -> Result<Rule, D::E
 }
 
 /// The maps of all rules, and the names of those that need no setting.
-fn schema_of_rules(generator: &mut SchemaGenerator) -> Schema {
+pub fn schema_of_rules(generator: &mut SchemaGenerator) -> Schema {
     let maps = Rule::json_schema(generator);
     let rules = maps.get("oneOf").and_then(Value::as_array).into_iter().flatten();
     let alone = rules.filter(|rule| rule["required"].as_array().is_some_and(|required| required.len() == 1));
@@ -153,6 +153,9 @@ mod tests {
             json!({ "limit": 30, "decision": "simple" }),
             json!({ "decision": { "rule": "simple" }, "limit": 30.0 }),
         ];
+        let guarded: Settings =
+            from_settings(&json!({ "limits": { "max_um": { "limit": 30, "decision": "iso-14253-1-2017" } } })).unwrap();
+        assert_eq!(guarded.limits["max_um"].rule, Rule::Iso14253Of2017 { probability: 0.95 });
         for form in forms {
             let read: Settings = from_settings(&json!({ "limits": { "max_um": form } })).unwrap();
             assert_eq!(read.limits["max_um"], Limit { value: 30.0, rule: Rule::Simple {} }, "{form}");
@@ -195,7 +198,12 @@ mod tests {
             ),
             (
                 json!({ "limit": 30, "decision": "toss-up" }),
-                "limits.max_um.decision: unknown choice `toss-up` (possible are: simple)",
+                "limits.max_um.decision: unknown choice `toss-up` (possible are: simple, \
+                 iso-14253-1-1998, iso-14253-1-2017, binary-guard-band)",
+            ),
+            (
+                json!({ "limit": 30, "decision": { "rule": "iso-14253-1-2017", "probability": 1.0 } }),
+                "limits.max_um.decision: 1: a probability from 0.5 to 0.9999 was expected",
             ),
             (json!({ "limit": 30, "decision": {} }), "limits.max_um.decision: the setting `rule` is missing"),
             (
@@ -223,7 +231,7 @@ mod tests {
         let map = &limit["anyOf"][1];
         assert_eq!((&map["required"], &map["additionalProperties"]), (&json!(["limit"]), &json!(false)));
         let [name, set] = [0, 1].map(|form| &map["properties"]["decision"]["anyOf"][form]);
-        assert_eq!(name["enum"], json!(["simple"]));
+        assert_eq!(name["enum"], json!(["simple", "iso-14253-1-1998", "iso-14253-1-2017", "binary-guard-band"]));
         assert_eq!(set["oneOf"][0]["properties"]["rule"]["const"], "simple");
         assert_eq!(set["oneOf"][0]["additionalProperties"], false);
     }

@@ -110,6 +110,9 @@ impl Figure {
     fn judged(mut self) -> Self {
         self.decision = self.decide();
         self.decision_rule = self.decision.map(|_| self.decision_rule.unwrap_or_default());
+        if let (None, Some(rule), Some(limit)) = (&self.inconclusive, self.decision_rule, self.limit) {
+            self.inconclusive = rule.undecided(self.value, self.standard_uncertainty, limit, &self.unit);
+        }
         self
     }
 }

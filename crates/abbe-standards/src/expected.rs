@@ -160,7 +160,7 @@ fn lengths_of_a_cmm() {
             let outside: Vec<u64> =
                 (1..).zip(&all).filter(|(_, own)| !own.is_inside(&permissible)).map(|(n, _)| n).collect();
             assert_eq!(serde_json::json!(outside), figures["outside"]);
-            let found = judge(&all, &sets, &[], &permissible);
+            let found = judge(&all, &sets, &[], |own| own.is_inside(&permissible));
             match figures["verdict"].as_str() == Some("pass") {
                 true => assert_eq!(found, Judged::Inside),
                 false => assert!(matches!(&found, Judged::Repeat(open) if open.len() == 1), "{found:?}"),
@@ -176,7 +176,7 @@ fn lengths_of_a_cmm() {
             }
             if name == "E0" && data == "realistic" {
                 let repeats = lengths(data, "lengths-e0-repeat.csv");
-                assert_eq!(judge(&all, &sets, &repeats, &permissible), Judged::Inside);
+                assert_eq!(judge(&all, &sets, &repeats, |own| own.is_inside(&permissible)), Judged::Inside);
                 let repeated = &expected(data)["cmm"]["E0_repeat"];
                 for (place, own) in repeats.iter().enumerate() {
                     same(1e3 * own.error(), &repeated["errors_um"][place], "a repeat");

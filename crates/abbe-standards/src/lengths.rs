@@ -87,6 +87,13 @@ pub struct Set {
     pub range: Option<f64>,
 }
 
+impl Set {
+    /// Whether a value is one of this length on this line.
+    pub fn holds(&self, value: &Measured) -> bool {
+        value.line == self.line && value.reference == self.reference
+    }
+}
+
 /// Measurements by line and calibrated length, in the order in which they appear.
 pub fn sets(measured: &[Measured]) -> Vec<Set> {
     let mut index: BTreeMap<(&str, u64), usize> = BTreeMap::new();
@@ -122,11 +129,13 @@ pub enum Judged {
 ///
 /// At most five sets may have one value outside; each is measured three times again and all three have to be inside. Where nothing was
 /// measured nothing is inside.
-pub fn judge(measured: &[Measured], sets: &[Set], repeats: &[Measured], permissible: &Permissible) -> Judged {
+///
+/// `inside` tells whether a value is accepted: [`Measured::is_inside`] for simple acceptance.
+pub fn judge(measured: &[Measured], sets: &[Set], repeats: &[Measured], inside: impl Fn(&Measured) -> bool) -> Judged {
     if sets.is_empty() {
         return Judged::Outside("nothing was measured".to_owned());
     }
-    let outside = |set: &Set| set.places.iter().filter(|place| !measured[**place].is_inside(permissible)).count();
+    let outside = |set: &Set| set.places.iter().filter(|place| !inside(&measured[**place])).count();
     if let Some(set) = sets.iter().find(|set| outside(set) > 1) {
         let count = outside(set);
         return Judged::Outside(format!("{count} values of line {} at {} are outside", set.line, set.reference));
@@ -135,10 +144,8 @@ pub fn judge(measured: &[Measured], sets: &[Set], repeats: &[Measured], permissi
     if single.len() > REPEATED_SETS {
         return Judged::Outside(format!("{} sets have a value outside, and {REPEATED_SETS} may", single.len()));
     }
-    let again = |set: &Set| -> Vec<&Measured> {
-        repeats.iter().filter(|value| value.line == set.line && value.reference == set.reference).collect()
-    };
-    if let Some(set) = single.iter().find(|set| again(&sets[**set]).iter().any(|value| !value.is_inside(permissible))) {
+    let again = |set: &Set| -> Vec<&Measured> { repeats.iter().filter(|value| set.holds(value)).collect() };
+    if let Some(set) = single.iter().find(|set| again(&sets[**set]).iter().any(|value| !inside(value))) {
         let Set { line, reference, .. } = &sets[*set];
         return Judged::Outside(format!("line {line} at {reference} is outside in its repeats as well"));
     }
@@ -158,7 +165,7 @@ mod tests {
     }
 
     fn judged(measured: &[Measured], repeats: &[Measured]) -> Judged {
-        judge(measured, &sets(measured), repeats, &LIMIT)
+        judge(measured, &sets(measured), repeats, |value| value.is_inside(&LIMIT))
     }
 
     #[test]

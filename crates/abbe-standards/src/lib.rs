@@ -4,8 +4,11 @@
 //! give numbers; what they cannot answer is `None`. Where the text of a standard was not at hand its module says so.
 
 pub mod circular;
+pub mod conformity;
+pub mod diagonals;
 pub mod lengths;
 pub mod material;
+pub mod positioning;
 pub mod probing;
 pub mod rotary_interpolation;
 pub mod spindle;

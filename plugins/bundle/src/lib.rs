@@ -3,6 +3,7 @@
 //! A plugin crate that nothing names is left out by the linker, and its registration with it; naming it here is what
 //! makes it part of Abbe. A new built-in plugin is a new folder under `plugins/` and one line below.
 
+use abbe_acceptance as _;
 use abbe_axis_tables as _;
 use abbe_ball_bar as _;
 use abbe_ball_bar_closed_form as _;

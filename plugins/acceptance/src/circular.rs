@@ -1,0 +1,223 @@
+//! Validator plugin `circular`: circular tests in the manner of ISO 230-4.
+
+use std::fmt::Write as _;
+
+use abbe_core::{
+    Context, DataRow, Dataset, EstimateSource, Findings, Fit, Quantity, Result, SettingsError, Validate, not_negative,
+    positive,
+};
+use abbe_standards::circular::{Bidirectional, EDITION, Sample, Trace};
+use schemars::JsonSchema;
+use serde::Deserialize;
+use serde_json::{Value, json};
+
+use crate::common::{Key, Limits, Sheet, check_limits, directions, finite, no_data, run_name};
+
+abbe_core::register!(
+    Validate,
+    "circular",
+    "circular tests of a ball bar in the manner of ISO 230-4: G, G(b), F, D, H",
+    Circular,
+    example,
+    build,
+    "../reference/validate-circular.md",
+    EstimateSource::Readings,
+);
+
+/// Settings of circular tests.
+#[derive(Debug, Clone, PartialEq, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+struct Circular {
+    /// The nominal radius of all circles under `from`.
+    radius_mm: f64,
+    /// The column of angles, without its unit.
+    #[serde(default = "angle")]
+    angle: String,
+    /// The column of readings, length less the nominal radius, without its unit.
+    #[serde(default = "reading")]
+    reading: String,
+    /// Standard uncertainty of a reading. D and F have it, G and H that of a difference of two.
+    #[serde(default)]
+    standard_uncertainty_um: f64,
+    /// Largest admissible values: `G_um` (both directions, smallest zone), `G_b_um`, `G_lsc_um`, `G_b_lsc_um`, `H_um`, and of the sizes
+    /// of `D_um` and of `F_um` as set up.
+    #[serde(default)]
+    limits: Limits,
+}
+
+fn angle() -> String {
+    "angle".to_owned()
+}
+
+fn reading() -> String {
+    "reading".to_owned()
+}
+
+fn example() -> Value {
+    json!({ "radius_mm": 150, "limits": { "G_um": 20, "G_b_um": 25, "H_um": 15 } })
+}
+
+const KEYS: [Key; 7] = [
+    ("G_um", "G"),
+    ("G_lsc_um", "G_lsc"),
+    ("G_b_um", "G(b)"),
+    ("G_b_lsc_um", "G(b)_lsc"),
+    ("H_um", "H"),
+    ("D_um", "|D|"),
+    ("F_um", "|F| as set up"),
+];
+
+fn build(settings: Circular, _: &Context) -> Result<Box<dyn Validate>, SettingsError> {
+    positive("radius_mm", settings.radius_mm)?;
+    not_negative("standard_uncertainty_um", settings.standard_uncertainty_um)?;
+    check_limits(&settings.limits, &KEYS)?;
+    Ok(Box::new(settings))
+}
+
+/// The name of a direction.
+fn name_of(positive: bool) -> &'static str {
+    if positive { "ccw" } else { "cw" }
+}
+
+impl Circular {
+    /// Standard uncertainties of a reading and of a difference of two, um.
+    fn uncertainties(&self) -> [Option<f64>; 2] {
+        let u = self.standard_uncertainty_um;
+        [1.0, 2.0_f64.sqrt()].map(|factor| (u > 0.0).then_some(factor * u))
+    }
+
+    /// The trace of one direction; none without readings.
+    fn trace(&self, data: &Dataset, positive: bool) -> Result<Option<Trace>> {
+        let angles = finite(data, &self.angle, Quantity::Angle)?;
+        let readings = finite(data, &self.reading, Quantity::Length)?;
+        let directions = directions(data)?;
+        let rows: Vec<usize> = (0..angles.len()).filter(|row| directions[*row] == positive).collect();
+        // A second circle in one direction would be mixed with the first.
+        if let Some(runs) = data.labels("run")
+            && let Some(row) = rows.iter().find(|row| runs[**row] != runs[rows[0]])
+        {
+            let (first, second) = (&runs[rows[0]], &runs[*row]);
+            let message = format!("runs `{first}` and `{second}` both go {}", name_of(positive));
+            let error = data.error_at(DataRow(*row), message);
+            return Err(error.help("one run a direction was expected: leave others out with `keep` of `ingest: csv`"));
+        }
+        if let Some(row) = rows.iter().find(|row| readings[**row].abs() >= 0.1 * self.radius_mm) {
+            let message = format!("the reading {} mm is no deviation from {} mm", readings[*row], self.radius_mm);
+            return Err(data.error_at(DataRow(*row), message).help("readings are lengths less the nominal radius"));
+        }
+        let sample = |row: &usize| Sample { angle: angles[*row], radius: self.radius_mm + readings[*row] };
+        let samples: Vec<Sample> = rows.iter().map(sample).collect();
+        Ok((!samples.is_empty()).then(|| Trace::new(&samples)))
+    }
+
+    fn judge(&self, data: &Dataset, findings: &mut Findings) -> Result<()> {
+        let run = run_name(data);
+        let traces = [self.trace(data, true)?, self.trace(data, false)?];
+        let both = traces[0].as_ref().zip(traces[1].as_ref()).and_then(|(one, other)| Bidirectional::of(one, other));
+        let mut sheet = Sheet::new(&run, &self.limits);
+        for (trace, way) in traces.iter().zip([true, false]) {
+            let way = name_of(way);
+            let Some(trace) = trace else {
+                findings.remarks.push(format!("{run}: there is no {way} direction: G(b), D and H are absent"));
+                continue;
+            };
+            findings.remarks.extend(told(trace, &run, way));
+            self.one(trace, way, both.as_ref(), &mut sheet);
+        }
+        if let Some(both) = &both {
+            self.both(both, &mut sheet);
+        }
+        findings.figures.extend(sheet.finish(&KEYS));
+        self.polar(&run, &traces, both.as_ref(), findings);
+        Ok(())
+    }
+
+    /// Figures of both directions together.
+    fn both(&self, both: &Bidirectional, sheet: &mut Sheet<'_>) {
+        let (um, [one, two]) = (1e3, self.uncertainties());
+        if let Some(zone) = both.minimum_zone {
+            sheet.limit("G(b)", um * zone.width, two, "G_b_um");
+        }
+        if let Some(range) = both.about_least_squares {
+            sheet.limit("G(b)_lsc", um * range, two, "G_b_lsc_um");
+        }
+        sheet.limit_size("D", um * both.radial_deviation(self.radius_mm), one, "D_um");
+        if let Some((size, angle)) = both.hysteresis {
+            sheet.limit("H", um * size, two, "H_um");
+            sheet.tell("angle of H", angle.to_degrees(), "deg");
+        }
+        let centre = both.circle.centre;
+        for (name, value) in [("centre along 0 deg", centre.x), ("centre along 90 deg", centre.y)] {
+            sheet.tell(name, um * value, "um").detail = true;
+        }
+    }
+
+    /// Figures of one direction.
+    fn one(&self, trace: &Trace, way: &str, both: Option<&Bidirectional>, sheet: &mut Sheet<'_>) {
+        let (um, [one, two]) = (1e3, self.uncertainties());
+        if let Some(zone) = trace.minimum_zone() {
+            sheet.limit(&format!("G_{way}"), um * zone.width, two, "G_um");
+        }
+        if let Some(range) = trace.about_least_squares() {
+            sheet.limit(&format!("G_{way}_lsc"), um * range, two, "G_lsc_um");
+        }
+        if let Some(values) = trace.as_set_up(self.radius_mm) {
+            for (name, value) in ["F_max", "F_min"].into_iter().zip(values) {
+                sheet.limit_size(&format!("{name}_{way} as set up"), um * value, one, "F_um");
+            }
+        }
+        if let Some(values) = both.and_then(|both| trace.about(both.circle.centre.into(), self.radius_mm)) {
+            for (name, value) in ["F_max", "F_min"].into_iter().zip(values) {
+                sheet.tell(&format!("{name}_{way}"), um * value, "um").standard_uncertainty = one;
+            }
+        }
+    }
+
+    /// The table of a polar chart: deviations from the nominal radius about the centre.
+    fn polar(&self, run: &str, traces: &[Option<Trace>; 2], both: Option<&Bidirectional>, findings: &mut Findings) {
+        let centre: [f64; 2] = both.map_or([0.0, 0.0], |both| both.circle.centre.into());
+        let mut text = String::from("direction,angle_deg,as_set_up_um,centred_um\n");
+        for (trace, way) in traces.iter().zip(["1", "-1"]) {
+            for (sample, radius) in trace.iter().flat_map(|trace| trace.samples().iter().zip(trace.radii(centre))) {
+                let (angle, r) = (sample.angle.to_degrees(), self.radius_mm);
+                let _ = writeln!(text, "{way},{angle:.4},{:.4},{:.4}", 1e3 * (sample.radius - r), 1e3 * (radius - r));
+            }
+        }
+        findings.tables.insert(format!("polar-{run}.csv"), text);
+    }
+}
+
+impl Validate for Circular {
+    fn accepts_data(&self) -> bool {
+        true
+    }
+
+    fn accepts_readings(&self) -> bool {
+        true
+    }
+
+    fn validate(&self, _: &[&Fit], data: &[&Dataset]) -> Result<Findings> {
+        if data.is_empty() {
+            return Err(no_data());
+        }
+        let mut findings = Findings::default();
+        data.iter().try_for_each(|data| self.judge(data, &mut findings))?;
+        findings.remarks.push(format!(
+            "{EDITION} (its text was not at hand). A choice of this project: D, F and H count from the least squares circle of both \
+             directions. G = smallest zone, `_lsc` = range about the least squares circle: both are in use"
+        ));
+        Ok(findings)
+    }
+}
+
+/// What a trace is not.
+fn told(trace: &Trace, run: &str, way: &str) -> Vec<String> {
+    let mut told = Vec::new();
+    if !trace.is_full() {
+        told.push(format!("{run}: {way} is an arc of a circle, which has no figure but F as set up"));
+    }
+    if trace.left_out() > 0 {
+        told.push(format!("{run}: {} samples of the overshoot of {way} are left out", trace.left_out()));
+    }
+    told
+}

@@ -1,0 +1,268 @@
+//! Validator plugin `cmm-lengths`: length measurement errors in the manner of ISO 10360-2.
+
+use std::cmp::Ordering::{Equal, Greater};
+
+use abbe_core::{
+    Context, DataRow, Dataset, Decision, Error, EstimateSource, Figure, Findings, Fit, Limit, PathItem, Quantity,
+    Result, Rule, SettingsError, Validate, not_negative, positive, rule_or_name, schema_of_rules,
+};
+use abbe_standards::lengths::{EDITION, Judged, LENGTHS, LINES, Measured, Permissible, Set, VALUES, judge, sets};
+use schemars::JsonSchema;
+use serde::Deserialize;
+use serde_json::{Value, json};
+
+use crate::common::{figure, finite, no_data, run_name};
+
+abbe_core::register!(
+    Validate,
+    "cmm-lengths",
+    "length measurement errors of a CMM in the manner of ISO 10360-2: E0, E150, R0 with A + L/K",
+    Lengths,
+    example,
+    build,
+    "../reference/validate-cmm-lengths.md",
+    EstimateSource::Readings,
+);
+
+/// Settings of a length test. The second data set under `from`, where there is one, has the repeats of values that are outside.
+#[derive(Debug, Clone, PartialEq, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+struct Lengths {
+    /// Distance of the stylus tip from the ram: E0, E150.
+    #[serde(default)]
+    stylus_beside_mm: f64,
+    /// Maximum permissible error of a length.
+    mpe: Mpe,
+    /// The rule that decides on every length: its name, or a map with its settings. Default: simple acceptance.
+    #[serde(default, deserialize_with = "rule_or_name")]
+    #[schemars(schema_with = "schema_of_rules")]
+    decision: Rule,
+    /// Expanded uncertainty (k = 2) of a length error.
+    #[serde(default)]
+    expanded_uncertainty: Option<Expanded>,
+    /// Largest admissible range of three values of a length.
+    #[serde(default)]
+    repeatability_um: Option<Limit>,
+}
+
+/// `min(A + L / K, B)` in um, with the length L in mm.
+#[derive(Debug, Clone, PartialEq, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+struct Mpe {
+    /// What does not depend on the length.
+    #[serde(rename = "A_um")]
+    constant_um: f64,
+    /// Divides the length in mm. Default: no part grows with the length.
+    #[serde(rename = "K", default)]
+    divisor: Option<f64>,
+    /// The largest value.
+    #[serde(rename = "B_um", default)]
+    most_um: Option<f64>,
+}
+
+/// `A + L / K` in um, with the length L in mm; k = 2.
+#[derive(Debug, Clone, PartialEq, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+struct Expanded {
+    /// What does not depend on the length.
+    #[serde(rename = "A_um")]
+    constant_um: f64,
+    /// Divides the length in mm. Default: no part grows with the length.
+    #[serde(rename = "K", default)]
+    divisor: Option<f64>,
+}
+
+impl Expanded {
+    /// Standard uncertainty at a length, mm.
+    fn standard(&self, length: f64) -> f64 {
+        0.5e-3 * (self.constant_um + self.divisor.map_or(0.0, |divisor| length / divisor))
+    }
+}
+
+fn example() -> Value {
+    json!({ "mpe": { "A_um": 1.9, "K": 300 }, "repeatability_um": 4 })
+}
+
+fn build(settings: Lengths, _: &Context) -> Result<Box<dyn Validate>, SettingsError> {
+    let under = |error: SettingsError| error.under([PathItem::Key("mpe".to_owned())]);
+    not_negative("stylus_beside_mm", settings.stylus_beside_mm)?;
+    positive("A_um", settings.mpe.constant_um).map_err(under)?;
+    settings.mpe.divisor.map(|divisor| positive("K", divisor)).transpose().map_err(under)?;
+    settings.mpe.most_um.map(|most| positive("B_um", most)).transpose().map_err(under)?;
+    if let Some(expanded) = &settings.expanded_uncertainty {
+        let under = |error: SettingsError| error.under([PathItem::Key("expanded_uncertainty".to_owned())]);
+        not_negative("A_um", expanded.constant_um).map_err(under)?;
+        expanded.divisor.map(|divisor| positive("K", divisor)).transpose().map_err(under)?;
+    }
+    Ok(Box::new(settings))
+}
+
+/// Lengths of a data set, mm. A length below zero or far from its reference is a slip, no error of a machine.
+fn measured(data: &Dataset) -> Result<Vec<Measured>> {
+    let lines = abbe_table::labels(data, "group")?;
+    let reference = finite(data, "reference", Quantity::Length)?;
+    let values = finite(data, "measured", Quantity::Length)?;
+    if let Some(row) = (0..values.len()).find(|row| reference[*row] <= 0.0) {
+        return Err(data.error_at(DataRow(row), "a calibrated length above zero was expected"));
+    }
+    if let Some(row) = (0..values.len()).find(|row| (values[*row] - reference[*row]).abs() > 0.1 * reference[*row]) {
+        let message = format!("{} mm was measured for a length of {} mm", values[row], reference[row]);
+        return Err(data.error_at(DataRow(row), message).help("is the unit of both the same?"));
+    }
+    let of = |row: usize| Measured { line: lines[row].clone(), reference: reference[row], measured: values[row] };
+    Ok((0..values.len()).map(of).collect())
+}
+
+impl Lengths {
+    fn permissible(&self) -> Permissible {
+        Permissible {
+            constant: 1e-3 * self.mpe.constant_um,
+            slope: self.mpe.divisor.map_or(0.0, |divisor| 1e-3 / divisor),
+            most: self.mpe.most_um.map(|most| 1e-3 * most),
+        }
+    }
+
+    /// |E|/MPE of a value as a figure with its limit.
+    fn share(&self, name: &str, value: &Measured, permissible: &Permissible) -> Figure {
+        let share = value.share(permissible);
+        // Rounding of decimal numbers is no reason to fail at the limit.
+        let share = if value.is_inside(permissible) { share.min(1.0) } else { share };
+        let u = self.expanded_uncertainty.as_ref().map(|own| own.standard(value.reference));
+        let limit = Limit { value: 1.0, rule: self.decision };
+        figure(name.to_owned(), share, "1").uncertain(u.map(|u| u / permissible.at(value.reference))).limited(limit)
+    }
+
+    /// The figure of the value that decides: of those with the worst decision the one that is nearest to its limit.
+    fn worst<'a>(
+        &self,
+        name: &str,
+        values: impl Iterator<Item = &'a Measured>,
+        permissible: &Permissible,
+    ) -> Option<Figure> {
+        values.map(|value| self.share(name, value, permissible)).reduce(|most, next| {
+            let order = next.decide().cmp(&most.decide()).then(next.value.partial_cmp(&most.value).unwrap_or(Equal));
+            if order == Greater { next } else { most }
+        })
+    }
+
+    fn judge(&self, data: &Dataset, repeats: &[Measured], findings: &mut Findings) -> Result<()> {
+        let (run, all, permissible) = (run_name(data), measured(data)?, self.permissible());
+        if all.is_empty() {
+            return Err(Error::data("there is no length to judge").setting("from"));
+        }
+        let sets = sets(&all);
+        if let Some(foreign) = repeats.iter().find(|value| !sets.iter().any(|set| set.holds(value))) {
+            let Measured { line, reference, .. } = foreign;
+            let message = format!("the repeats have line {line} at {reference} mm, which {run} has not");
+            return Err(Error::data(message).setting("from"));
+        }
+        let symbol = format!("E_{}", self.stylus_beside_mm);
+        let named = |name: &str| format!("{name}[{run}]");
+        let errors = || all.iter().map(|value| 1e3 * value.error());
+        let [most, least] = [errors().reduce(f64::max), errors().reduce(f64::min)].map(|end| end.unwrap_or(f64::NAN));
+        let share = all.iter().map(|value| value.share(&permissible)).fold(0.0, f64::max);
+        let outside = all.iter().filter(|value| !value.is_inside(&permissible)).count();
+        findings.figures.extend([
+            figure(named(&format!("{symbol} max")), most, "um"),
+            figure(named(&format!("{symbol} min")), least, "um"),
+            figure(named("values outside"), outside as f64, "1"),
+            figure(named(&format!("largest |{symbol}|/MPE")), share, "1"),
+        ]);
+        let name = named(&format!("|{symbol}|/MPE that decides"));
+        let accepted = |value: &Measured| self.share(&name, value, &permissible).decide() == Some(Decision::Pass);
+        let judged = judge(&all, &sets, repeats, accepted);
+        findings.figures.extend(self.decided(&name, &judged, [&all, repeats], &permissible, &sets));
+        if let Judged::Outside(why) = &judged {
+            findings.remarks.push(format!("{run}: {why}"));
+        }
+        for set in sets.iter().filter(|set| repeats.iter().any(|value| set.holds(value))) {
+            if set.places.iter().all(|place| accepted(&all[*place])) {
+                let Set { line, reference, .. } = set;
+                findings
+                    .remarks
+                    .push(format!("{run}: line {line} at {reference} mm was repeated though all is inside"));
+            }
+        }
+        self.repeatability(&run, &sets, findings);
+        self.plan(&run, &sets, findings);
+        Ok(())
+    }
+
+    /// The figure that decides on all lengths.
+    fn decided(
+        &self,
+        name: &str,
+        judged: &Judged,
+        [all, repeats]: [&[Measured]; 2],
+        permissible: &Permissible,
+        sets: &[Set],
+    ) -> Option<Figure> {
+        let accepted = |value: &&Measured| self.share(name, value, permissible).decide() == Some(Decision::Pass);
+        match judged {
+            // With repeats a value that was outside alone in its set does not count, they do.
+            Judged::Inside => self.worst(name, all.iter().filter(accepted).chain(repeats), permissible),
+            Judged::Outside(_) => self.worst(name, all.iter().chain(repeats), permissible),
+            Judged::Repeat(open) => {
+                let words: Vec<String> =
+                    open.iter().map(|set| format!("line {} at {} mm", sets[*set].line, sets[*set].reference)).collect();
+                let mut figure = self.worst(name, all.iter(), permissible)?;
+                figure.inconclusive = Some(format!("measure three times again: {}", words.join(", ")));
+                Some(figure)
+            }
+        }
+    }
+
+    /// R_0; without a length that has three values its limit fails.
+    fn repeatability(&self, run: &str, sets: &[Set], findings: &mut Findings) {
+        let widest = sets.iter().filter_map(|set| set.range.map(|range| (range, set)));
+        let widest = widest.reduce(|most, next| if next.0 > most.0 { next } else { most });
+        if widest.is_some() || self.repeatability_um.is_some() {
+            let range = widest.map_or(f64::NAN, |(range, _)| 1e3 * range);
+            findings.figures.push(figure(format!("R_0 max[{run}]"), range, "um").limited(self.repeatability_um));
+        }
+        if let Some((_, Set { line, reference, .. })) = widest {
+            findings.remarks.push(format!("{run}: R_0 is largest on line {line} at {reference} mm"));
+        }
+    }
+
+    /// What the programme lacks.
+    fn plan(&self, run: &str, sets: &[Set], findings: &mut Findings) {
+        let other = sets.iter().filter(|set| set.places.len() != VALUES).count();
+        if other > 0 {
+            let text = format!("{run}: {other} lengths have not {VALUES} values: they have no R_0");
+            findings.remarks.push(text);
+        }
+        if self.stylus_beside_mm == 0.0 && sets.len() != LINES * LENGTHS {
+            let count = sets.len();
+            findings
+                .remarks
+                .push(format!("{run}: {count} lengths; the test of E_0 has {LENGTHS} on each of {LINES} lines"));
+        }
+    }
+}
+
+impl Validate for Lengths {
+    fn accepts_data(&self) -> bool {
+        true
+    }
+
+    fn accepts_readings(&self) -> bool {
+        true
+    }
+
+    fn validate(&self, _: &[&Fit], data: &[&Dataset]) -> Result<Findings> {
+        let (test, repeats) = match data {
+            [] => return Err(no_data()),
+            [test] => (test, Vec::new()),
+            [test, repeats] => (test, measured(repeats)?),
+            _ => return Err(Error::usage("a test and its repeats were expected: two data sets").setting("from")),
+        };
+        let mut findings = Findings::default();
+        self.judge(test, &repeats, &mut findings)?;
+        findings.remarks.push(format!(
+            "{EDITION} (its text was not at hand). A choice of this project: up to five sets may have one value outside, each is \
+             measured three times again"
+        ));
+        Ok(findings)
+    }
+}

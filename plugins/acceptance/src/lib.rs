@@ -1,0 +1,11 @@
+//! Acceptance tests of machine tools and coordinate measuring machines as standards evaluate them: validators over the
+//! data that Abbe reads. The figures are those of `abbe-standards`.
+
+mod circular;
+mod cmm_lengths;
+mod cmm_probing;
+mod common;
+mod diagonals;
+mod positioning;
+mod rotary_interpolation;
+mod targets;

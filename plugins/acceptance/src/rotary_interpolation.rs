@@ -1,0 +1,177 @@
+//! Validator plugin `rotary-interpolation`: R-test figures in the manner of ISO 10791-6.
+
+use abbe_core::{
+    Context, DataRow, Dataset, Error, EstimateSource, Findings, Fit, Quantity, Result, SettingsError, Validate,
+    not_negative,
+};
+use abbe_standards::rotary_interpolation::{EDITION, Path, ranges};
+use schemars::JsonSchema;
+use serde::Deserialize;
+use serde_json::{Value, json};
+
+use crate::common::{Key, Limits, Sheet, check_limits, directions, finite, no_data, run_name};
+
+abbe_core::register!(
+    Validate,
+    "rotary-interpolation",
+    "a rotary axis turns and linear axes follow a ball, in the manner of ISO 10791-6: ranges of readings",
+    Rotary,
+    example,
+    build,
+    "../reference/validate-rotary-interpolation.md",
+    EstimateSource::Readings,
+);
+
+/// Settings of the test.
+#[derive(Debug, Clone, PartialEq, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+struct Rotary {
+    /// The rotary axis that turns: the name of its column, without its unit.
+    axis: String,
+    /// Direction of the axis in the machine frame.
+    direction: [f64; 3],
+    /// The nominal centre of the ball at angle 0 less a point of the axis, machine frame.
+    ball_from_axis_mm: [f64; 3],
+    /// Columns of the readings along x, y and z of the machine, without their unit.
+    #[serde(default = "readings")]
+    readings: [String; 3],
+    /// Standard uncertainty of a reading. Ranges have that of a difference of two.
+    #[serde(default)]
+    standard_uncertainty_um: f64,
+    /// Largest admissible ranges, of both ways together where both were measured: `radial_um`, `tangential_um`, `axial_um`, `x_um`, `y_um`, `z_um`.
+    #[serde(default)]
+    limits: Limits,
+}
+
+fn readings() -> [String; 3] {
+    ["meas_x", "meas_y", "meas_z"].map(str::to_owned)
+}
+
+fn example() -> Value {
+    json!({ "axis": "C", "direction": [0, 0, 1], "ball_from_axis_mm": [110, 0, 60], "limits": { "radial_um": 20 } })
+}
+
+const KEYS: [Key; 6] = [
+    ("radial_um", "radial"),
+    ("tangential_um", "tangential"),
+    ("axial_um", "axial"),
+    ("x_um", "x"),
+    ("y_um", "y"),
+    ("z_um", "z"),
+];
+
+fn build(settings: Rotary, _: &Context) -> Result<Box<dyn Validate>, SettingsError> {
+    if Path::new(settings.direction, [1.3, -2.1, 0.7], 1.0).is_none() {
+        return Err(SettingsError::new("direction", "a vector that is not zero was expected"));
+    }
+    if settings.ball_from_axis_mm.iter().any(|value| !value.is_finite()) {
+        return Err(SettingsError::new("ball_from_axis_mm", "finite numbers were expected"));
+    }
+    not_negative("standard_uncertainty_um", settings.standard_uncertainty_um)?;
+    check_limits(&settings.limits, &KEYS)?;
+    Ok(Box::new(settings))
+}
+
+impl Rotary {
+    /// Where the ball is, with the sense in which the linear axes follow it; none for a ball on the axis.
+    fn path(&self, data: &Dataset, angles: &[f64]) -> Result<Option<Path>> {
+        let [x, y, z] = ["X", "Y", "Z"].map(|axis| finite(data, axis, Quantity::Length));
+        let (x, y, z) = (x?, y?, z?);
+        let ways = [1.0, -1.0].map(|sense| Path::new(self.direction, self.ball_from_axis_mm, sense));
+        let [Some(plus), Some(minus)] = ways else { return Ok(None) };
+        // How far the way of the linear axes is from that of the ball, radial directions from the first row.
+        let off = |path: &Path| {
+            let radius = self.radius();
+            let (first, mut most) = (path.radial(angles[0]), (0.0_f64, 0));
+            for (row, angle) in angles.iter().enumerate() {
+                let radial = path.radial(*angle);
+                let way = [x[row] - x[0], y[row] - y[0], z[row] - z[0]];
+                let square: f64 = (0..3).map(|k| (way[k] - radius * (radial[k] - first[k])).powi(2)).sum();
+                most = if square.sqrt() > most.0 { (square.sqrt(), row) } else { most };
+            }
+            most
+        };
+        let (one, other) = (off(&plus), off(&minus));
+        let (path, (distance, row)) = if one.0 <= other.0 { (plus, one) } else { (minus, other) };
+        if distance > 1e-3 * self.radius().max(1.0) {
+            let message = format!("the linear axes are {distance:.3} mm off the way of the ball here");
+            let error = data.error_at(DataRow(row), message);
+            return Err(error.help("are `axis`, `direction` and `ball_from_axis_mm` those of this test?"));
+        }
+        Ok(Some(path))
+    }
+
+    /// Distance of the ball from the axis.
+    fn radius(&self) -> f64 {
+        let [ball, axis] = [self.ball_from_axis_mm, self.direction];
+        let dot = |a: [f64; 3], b: [f64; 3]| a[0] * b[0] + a[1] * b[1] + a[2] * b[2];
+        (dot(ball, ball) - dot(ball, axis).powi(2) / dot(axis, axis)).max(0.0).sqrt()
+    }
+
+    fn judge(&self, data: &Dataset, findings: &mut Findings) -> Result<()> {
+        let run = run_name(data);
+        let angles = finite(data, &self.axis, Quantity::Angle)?;
+        let ways = directions(data)?;
+        let columns: Vec<&[f64]> =
+            self.readings.iter().map(|name| finite(data, name, Quantity::Length)).collect::<Result<_>>()?;
+        if angles.is_empty() {
+            return Err(Error::data(format!("{run}: there is no reading to judge")).setting("from"));
+        }
+        let mut all: Vec<(&str, &'static str, Vec<f64>)> = Vec::new();
+        match self.path(data, angles)? {
+            Some(path) => {
+                let split: Vec<[f64; 3]> = (0..angles.len())
+                    .map(|row| path.split(angles[row], [columns[0][row], columns[1][row], columns[2][row]]))
+                    .collect();
+                for (place, (key, name)) in KEYS[..3].iter().copied().enumerate() {
+                    all.push((name, key, split.iter().map(|own| own[place]).collect()));
+                }
+            }
+            None => findings.remarks.push(format!("{run}: the ball is on the axis: there is no radial direction")),
+        }
+        for (place, (key, _)) in KEYS[3..].iter().copied().enumerate() {
+            all.push((&self.readings[place], key, columns[place].to_vec()));
+        }
+        let u = self.standard_uncertainty_um;
+        let uncertainty = (u > 0.0).then_some(2.0_f64.sqrt() * u);
+        let mut sheet = Sheet::new(&run, &self.limits);
+        for (name, key, values) in all {
+            let found = ranges(&values, &ways);
+            // Both ways together are judged, or the one that was measured.
+            let alone = found.both.is_none();
+            for (way, value, judged) in
+                [("up", found.up, alone), ("down", found.down, alone), ("both", found.both, true)]
+            {
+                let (name, Some(value)) = (format!("{name} {way}"), value.map(|value| 1e3 * value)) else { continue };
+                match judged {
+                    true => sheet.limit(&name, value, uncertainty, key),
+                    false => sheet.tell(&name, value, "um").standard_uncertainty = uncertainty,
+                }
+            }
+        }
+        findings.figures.extend(sheet.finish(&KEYS));
+        Ok(())
+    }
+}
+
+impl Validate for Rotary {
+    fn accepts_data(&self) -> bool {
+        true
+    }
+
+    fn accepts_readings(&self) -> bool {
+        true
+    }
+
+    fn validate(&self, _: &[&Fit], data: &[&Dataset]) -> Result<Findings> {
+        if data.is_empty() {
+            return Err(no_data());
+        }
+        let mut findings = Findings::default();
+        data.iter().try_for_each(|data| self.judge(data, &mut findings))?;
+        findings.remarks.push(format!(
+            "{EDITION} (its text was not at hand). A choice of this project: its figures are ranges of readings as set up, not centred"
+        ));
+        Ok(findings)
+    }
+}

@@ -1,0 +1,445 @@
+//! Figures of standards as recipes find them: expected values of simulated tests, decisions, bad input as users meet it.
+
+use std::collections::BTreeMap;
+
+use abbe_core::{Decision, Figure, Rule};
+use abbe_engine::Outcome;
+use serde_json::{Value, json};
+
+use crate::support::{Variant, json_file, read, recipes, root};
+
+const DATA: [&str; 2] = ["exact", "realistic"];
+
+fn recipe(name: &str) -> Variant {
+    Variant::of(&recipes()[&format!("standards-{name}")])
+}
+
+fn positioning() -> Variant {
+    recipe("positioning").only(&["positioning"])
+}
+
+/// A recipe with the data of this kind.
+fn on(name: &str, data: &str) -> Variant {
+    let mut found = recipe(name);
+    for stage in found.0["stages"].as_object_mut().expect("stages").values_mut() {
+        if let Some(path) = stage.get("path").and_then(Value::as_str) {
+            stage["path"] = json!(path.replace("standards/realistic/", &format!("standards/{data}/")));
+        }
+    }
+    found
+}
+
+fn expected(data: &str) -> Value {
+    json_file(&root().join(format!("tests/truth/standards-{data}-expected.json")))
+}
+
+fn figures<'a>(outcome: &'a Outcome, stage: &str) -> &'a [Figure] {
+    let failures: Vec<String> = outcome.failures.iter().map(|failure| failure.error.to_string()).collect();
+    let verdict = outcome.verdicts.iter().find(|verdict| verdict.stage == stage);
+    &verdict.unwrap_or_else(|| panic!("no verdict of {stage}: {failures:?}")).figures
+}
+
+/// All figures of a run, by name and unit.
+struct Found(BTreeMap<String, Figure>, String);
+
+impl Found {
+    fn of(name: &str, recipe: &Variant) -> Self {
+        let outcome = recipe.run();
+        assert!(outcome.failures.is_empty(), "{name} fails");
+        let all = outcome.verdicts.iter().flat_map(|verdict| verdict.figures.clone());
+        Self(all.map(|figure| (figure.name.clone(), figure)).collect(), name.to_owned())
+    }
+
+    /// The figure of this name is this number, to its ten digits.
+    fn is(&self, name: &str, unit: &str, expected: &Value) {
+        let figure = self.0.get(name).unwrap_or_else(|| panic!("{}: no {name} of {:?}", self.1, self.0.keys()));
+        let (found, expected) = (figure.value.expect("a value"), expected.as_f64().expect("a number"));
+        assert_eq!(figure.unit, unit, "{} {name}", self.1);
+        let close = (found - expected).abs() <= 2e-9 * expected.abs() + 1e-9;
+        assert!(close, "{} {name}: {found} instead of {expected}", self.1);
+    }
+}
+
+#[test]
+fn positioning_is_as_expected() {
+    let found = Found::of("positioning", &recipe("positioning"));
+    let names = [
+        ("A", "A", "U_A"),
+        ("A up", "A_up", "U_A"),
+        ("A down", "A_down", "U_A"),
+        ("E", "E", "U_E"),
+        ("E up", "E_up", "U_E"),
+        ("E down", "E_down", "U_E"),
+        ("M", "M", "U_M"),
+        ("R", "R", "U_R"),
+        ("R up", "R_up", "U_R"),
+        ("R down", "R_down", "U_R"),
+        ("B", "B", "U_B"),
+        ("mean B", "B_mean", "U_B"),
+    ];
+    let vdi = [
+        ("VDI P", "P"),
+        ("VDI Pa", "Pa"),
+        ("VDI Ps", "Ps_max"),
+        ("VDI mean Ps", "Ps_mean"),
+        ("VDI U", "U_max"),
+        ("VDI mean U", "U_mean"),
+    ];
+    for (file, unit) in [("direct-x", "um"), ("direct-c", "urad"), ("direct-long", "um")] {
+        let of = &expected("realistic")["positioning"][format!("{file}.csv")];
+        for (name, key, uncertainty) in names {
+            let name = format!("{name}[{file}]");
+            if of[key].is_null() {
+                assert!(!found.0.contains_key(&name), "{name} cannot be told");
+                continue;
+            }
+            found.is(&name, unit, &of[key]);
+            let stated = of["uncertainty"][uncertainty].as_f64().expect("U");
+            let u = found.0[&name].standard_uncertainty.expect("u");
+            assert!((2.0 * u - stated).abs() < 2e-9 * stated, "{name}: {u} instead of {stated} / 2");
+        }
+        for (name, key) in vdi {
+            let name = format!("{name}[{file}]");
+            match of["vdi3441"].get(key) {
+                Some(value) => found.is(&name, unit, value),
+                None => assert!(!found.0.contains_key(&name), "{name}"),
+            }
+        }
+    }
+}
+
+/// Real measurements of others with the figures that they printed, where they are at hand. E of both directions together and R with
+/// its middle term are not what these reports print under these names.
+#[test]
+fn positioning_agrees_with_published_reports_where_they_follow_the_standard() {
+    let folder = root().join("../shared/data/standards/published");
+    if !folder.is_dir() {
+        eprintln!("not judged: {} is not here", folder.display());
+        return;
+    }
+    let printed = json_file(&folder.join("printed.json"));
+    for (file, step) in [("direct-ecmc-a", 1e-8), ("direct-ecmc-b", 1e-5), ("direct-ecmc-c", 1e-5)] {
+        let of = &printed[format!("{file}.csv")];
+        let mut recipe = positioning().set("linear", "path", json!(folder.join(format!("{file}.csv"))));
+        let settings = recipe.stage("positioning").as_object_mut().expect("a stage");
+        settings.insert("from".to_owned(), json!("linear"));
+        settings.remove("limits");
+        let found = Found::of(file, &recipe);
+        // Readings are rounded to that digit as well, so that figures may be one off in it.
+        let mm = |name: &str| 1e-3 * found.0[&format!("{name}[{file}]")].value.expect("a value");
+        let agrees = |name: &str, key: &str| (mm(name) - of[key].as_f64().expect("a number")).abs() <= 1.001 * step;
+        for (name, key) in [
+            ("A up", "A_up"),
+            ("A down", "A_down"),
+            ("A", "A"),
+            ("E up", "E_up"),
+            ("E down", "E_down"),
+            ("M", "M"),
+            ("R up", "R_up"),
+            ("R down", "R_down"),
+            ("B", "B"),
+            ("mean B", "B_mean"),
+        ] {
+            assert!(agrees(name, key), "{file} {name}: {} instead of {}", mm(name), of[key]);
+        }
+        match file {
+            "direct-ecmc-b" => assert!((mm("E") - 0.0635).abs() < 1e-4 && !agrees("E", "E"), "{}", mm("E")),
+            "direct-ecmc-c" => assert!((mm("R") - 0.00835).abs() < 5e-6 && !agrees("R", "R"), "{}", mm("R")),
+            _ => {}
+        }
+    }
+}
+
+#[test]
+fn diagonals_are_as_expected() {
+    let names =
+        [("A", "A"), ("A up", "A_up"), ("A down", "A_down"), ("E", "E"), ("E up", "E_up"), ("E down", "E_down")];
+    let more = [("M", "M"), ("R", "R"), ("R up", "R_up"), ("R down", "R_down"), ("B", "B"), ("mean B", "B_mean")];
+    for data in DATA {
+        let (found, expected) = (Found::of(data, &on("diagonals", data)), &expected(data)["diagonal"]);
+        for diagonal in ["ppp", "npp", "pnp", "nnp", "xy-pp", "xy-np", "yz-pp", "yz-np", "zx-pp", "zx-np"] {
+            for (name, key) in names.iter().chain(&more) {
+                found.is(&format!("{name}[direct-diagonal-{diagonal}]"), "um", &expected[diagonal][key]);
+            }
+            let slope = &expected[diagonal]["slope_um_per_m"];
+            found.is(&format!("slope[direct-diagonal-{diagonal}]"), "um/m", slope);
+        }
+        for kind in ["body", "face"] {
+            found.is(&format!("E_d[{kind}]"), "um", &expected[kind]["E_d"]);
+            found.is(&format!("B_d[{kind}]"), "um", &expected[kind]["B_d"]);
+        }
+        for face in ["xy", "yz", "zx"] {
+            let squareness = &expected["squareness_from_face_diagonals_urad"][face];
+            found.is(&format!("squareness[{face}]"), "urad", squareness);
+        }
+    }
+    let outcome = recipe("diagonals").run();
+    let told = outcome.verdicts[0].remarks.join("\n");
+    let hidden = "body diagonals hide errors that cancel along them: a scale of X of 10.0 um/m with one of Y of -17.8 um/m \
+                  or one of Z of -25.6 um/m changes none of them";
+    assert!(told.contains(hidden) && told.contains("face zx diagonals hide"), "{told}");
+    // Without the second diagonal of a face there is no squareness, and its limit fails.
+    let alone = recipe("diagonals").set("diagonals", "from", json!(["ppp", "xy-pp"])).run();
+    let absent = figures(&alone, "diagonals").iter().find(|figure| figure.name.contains("squareness")).expect("it");
+    assert_eq!((absent.value, absent.decision), (None, Some(Decision::Fail)));
+}
+
+#[test]
+fn circles_are_as_expected() {
+    for data in DATA {
+        let (found, expected) = (Found::of(data, &on("circular", data)), &expected(data)["circular"]);
+        for file in ["ballbar-xy-f500", "ballbar-xy-f2000"] {
+            let of = &expected[format!("{file}.csv")];
+            let is = |name: &str, key: &str| found.is(&format!("{name}[{file}]"), "um", &of[key]);
+            for way in ["ccw", "cw"] {
+                is(&format!("G_{way}"), &format!("G_{way}"));
+                is(&format!("G_{way}_lsc"), &format!("G_{way}_lsc"));
+                for end in ["max", "min"] {
+                    is(&format!("F_{end}_{way}"), &format!("F_{end}_{way}"));
+                    is(&format!("F_{end}_{way} as set up"), &format!("F_{end}_{way}_as_set_up"));
+                }
+            }
+            for (name, key) in [("G(b)", "G_b"), ("G(b)_lsc", "G_b_lsc"), ("D", "D"), ("H", "H")] {
+                is(name, key);
+            }
+            found.is(&format!("angle of H[{file}]"), "deg", &of["H_at_deg"]);
+            found.is(&format!("centre along 0 deg[{file}]"), "um", &of["centre_um"][0]);
+            found.is(&format!("centre along 90 deg[{file}]"), "um", &of["centre_um"][1]);
+        }
+        let of = &expected["ballbar-zx-arc.csv"];
+        for (way, end) in [("ccw", "max"), ("ccw", "min"), ("cw", "max"), ("cw", "min")] {
+            let name = format!("F_{end}_{way} as set up[ballbar-zx-arc]");
+            found.is(&name, "um", &of[format!("F_{end}_{way}")]);
+        }
+        let others = found.0.keys().filter(|name| name.ends_with("[ballbar-zx-arc]"));
+        assert!(others.into_iter().all(|name| name.contains("as set up")), "an arc has F only");
+    }
+}
+
+#[test]
+fn rotary_axes_are_as_expected() {
+    for data in DATA {
+        let (found, expected) = (Found::of(data, &on("rotary-interpolation", data)), &expected(data)["rotary"]);
+        for file in ["rtest-c", "rtest-a"] {
+            for name in ["radial", "tangential", "axial", "meas_x", "meas_y", "meas_z"] {
+                for way in ["up", "down", "both"] {
+                    let value = &expected[format!("{file}.csv")][name][way];
+                    found.is(&format!("{name} {way}[{file}]"), "um", value);
+                }
+            }
+        }
+    }
+}
+
+#[test]
+fn cmms_are_as_expected() {
+    for data in DATA {
+        let mut recipe = on("cmm", data);
+        if data == "exact" {
+            recipe.0["stages"].as_object_mut().expect("stages").remove("repeats");
+            recipe = recipe.set("e0", "from", json!("lengths"));
+        }
+        let (found, expected) = (Found::of(data, &recipe), &expected(data)["cmm"]);
+        for (file, symbol, key) in [("lengths-e0", "E_0", "E0"), ("lengths-el150", "E_150", "EL150")] {
+            let of = &expected[key];
+            found.is(&format!("{symbol} max[{file}]"), "um", &of["E_max_um"]);
+            found.is(&format!("{symbol} min[{file}]"), "um", &of["E_min_um"]);
+            found.is(&format!("largest |{symbol}|/MPE[{file}]"), "1", &of["largest_E_over_MPE"]);
+            let outside = of["outside"].as_array().expect("a list").len();
+            found.is(&format!("values outside[{file}]"), "1", &json!(outside));
+        }
+        found.is("R_0 max[lengths-e0]", "um", &expected["E0"]["R0_max_um"]);
+        let [single, multi] = ["probing_single", "probing_multi"].map(|key| &expected[key]);
+        for (symbol, value) in [
+            ("P_FTU", &single["PFTU_um"]),
+            ("P_STU", &single["PSTU_um"]),
+            ("P_FTM", &multi["PFTM_um"]),
+            ("P_STM", &multi["PSTM_um"]),
+            ("P_LTM", &multi["PLTM_um"]),
+            ("P_LTM x", &multi["PLTM_by_axis_um"][0]),
+            ("P_LTM y", &multi["PLTM_by_axis_um"][1]),
+            ("P_LTM z", &multi["PLTM_by_axis_um"][2]),
+        ] {
+            found.is(&format!("{symbol}[sphere-points]"), "um", value);
+        }
+        assert!(found.0.values().all(|figure| figure.decision.is_none_or(|decision| decision == Decision::Pass)));
+    }
+}
+
+/// 105 lengths of which one is outside: it has to be measured again, and the repeats decide.
+#[test]
+fn a_length_that_is_outside_is_measured_again() {
+    let judged = |from: Value, mpe: f64| {
+        let recipe =
+            recipe("cmm").only(&["e0"]).set("e0", "from", from).set("e0", "mpe", json!({ "A_um": mpe, "K": 300 }));
+        let outcome = recipe.run();
+        let figure = figures(&outcome, "e0").iter().find(|figure| figure.name.contains("decides")).expect("it").clone();
+        (figure.decision.expect("a decision"), figure.inconclusive.unwrap_or_default())
+    };
+    let (decision, why) = judged(json!("lengths"), 1.9);
+    assert_eq!((decision, why.as_str()), (Decision::Inconclusive, "measure three times again: line 5 at 272.5581 mm"));
+    assert_eq!(judged(json!(["lengths", "repeats"]), 1.9).0, Decision::Pass);
+    // The repeats are outside, too.
+    assert_eq!(judged(json!(["lengths", "repeats"]), 0.02).0, Decision::Fail);
+    let recipe = recipe("cmm").only(&["e150"]).set("e150", "from", json!(["lengths-beside", "repeats"]));
+    let failed = recipe.run();
+    let said: String = failed.failures.iter().map(|failure| failure.error.to_string()).collect();
+    assert!(said.contains("the repeats have line 5 at 272.5581 mm, which lengths-el150 has not"), "{said}");
+}
+
+/// Limits that no figure answers: an unknown name is refused, and a figure that is absent fails.
+#[test]
+fn no_limit_is_left_unjudged() {
+    let all = [
+        ("positioning", "positioning", "A_um", "R_up_urad"),
+        ("positioning", "positioning-long", "R_um", "A_um"),
+        ("circular", "circles", "G_b_lsc_um", "G_lsc_um"),
+        ("circular", "arc-of-a-circle", "G_um", "H_um"),
+        ("cmm", "probing", "PFTU_um", "PLTM_um"),
+        ("rotary-interpolation", "c-axis", "x_um", "axial_um"),
+        ("diagonals", "diagonals", "B_d_um", "squareness_urad"),
+    ];
+    for (name, stage, one, other) in all {
+        let limited = |limits: Value| recipe(name).only(&[stage]).set(stage, "limits", limits);
+        // All figures of the last digit are above this limit, by any rule that knows their uncertainty.
+        let rule = |limit: f64| json!({ "limit": limit, "decision": { "rule": "simple" } });
+        let outcome = limited(json!({ one: rule(1e-6), other: rule(1e-6) })).run();
+        let judged: Vec<&Figure> = figures(&outcome, stage).iter().filter(|own| own.limit.is_some()).collect();
+        assert!(
+            judged.len() >= 2 && judged.iter().all(|own| own.decision == Some(Decision::Fail)),
+            "{stage} {judged:?}"
+        );
+        let folder = crate::support::temporary();
+        let refused = limited(json!({ "Gb_um": 1 })).write(folder.path());
+        let error = abbe_engine::prepare(&refused, &crate::support::registry()).err().expect("it is refused");
+        assert!(error.to_string().contains("there is no figure `Gb_um` to limit"), "{error}");
+    }
+    // Without one of the styli, and with the ball on the axis.
+    let alone = recipe("cmm").only(&["probing"]).set("probing", "single", json!("9")).run();
+    let failed = |figure: &&Figure| figure.decision == Some(Decision::Fail) && figure.value.is_none();
+    let names: Vec<&str> =
+        figures(&alone, "probing").iter().filter(failed).map(|figure| figure.name.as_str()).collect();
+    assert_eq!(names, ["P_FTU[sphere-points]", "|P_STU|[sphere-points]"]);
+    let on_axis =
+        recipe("rotary-interpolation").only(&["c-axis"]).set("c-axis", "ball_from_axis_mm", json!([0, 0, 60]));
+    let on_axis = on_axis.run();
+    let absent = figures(&on_axis, "c-axis").iter().filter(failed).count();
+    assert_eq!(absent, 3);
+}
+
+/// What has a sign is limited in its size, and keeps its sign.
+#[test]
+fn limits_of_figures_with_a_sign_are_those_of_their_size() {
+    let found =
+        recipe("circular").only(&["circles"]).set("circles", "limits", json!({ "D_um": 1.0, "F_um": 40 })).run();
+    let of = |name: &str| figures(&found, "circles").iter().find(|figure| figure.name == name).expect("a figure");
+    let signed = of("D[ballbar-xy-f500]");
+    assert!(signed.value.expect("D") < -1.4 && signed.limit.is_none());
+    assert_eq!(of("|D|[ballbar-xy-f500]").decision, Some(Decision::Fail));
+    assert_eq!(of("|F_max_ccw as set up|[ballbar-xy-f500]").decision, Some(Decision::Pass));
+    assert_eq!(of("|F_min_ccw as set up|[ballbar-xy-f500]").decision, Some(Decision::Fail));
+    let found = positioning().set("positioning", "limits", json!({ "mean_B_um": 3 })).run();
+    let figure = figures(&found, "positioning").iter().find(|figure| figure.name == "|mean B|[direct-x]").expect("it");
+    assert_eq!(figure.decision, Some(Decision::Fail));
+}
+
+/// Of machines exactly at the limit one in twenty is accepted where conformity has to be proved at 95 %, one in two by simple
+/// acceptance; by the same way as every figure of a validator.
+#[test]
+fn few_machines_at_the_limit_are_accepted() {
+    let machines = 10_000;
+    let accepted = |decision: Value, seed: u64| {
+        let limit: abbe_core::Limit =
+            serde_json::from_value(json!({ "limit": 20.0, "decision": decision })).expect("it");
+        let mut next = normal(seed);
+        let mut passes = || {
+            let figure = Figure::new("", "A", 20.0 + 0.7 * next(), "um").uncertain(0.7).limited(limit);
+            figure.decide() == Some(Decision::Pass)
+        };
+        f64::from((0..machines).map(|_| u32::from(passes())).sum::<u32>()) / f64::from(machines)
+    };
+    for seed in 1..=5 {
+        for (rule, law) in [
+            ("simple", 0.5),
+            ("iso-14253-1-2017", 0.0495),
+            ("iso-14253-1-1998", 0.02275),
+            ("binary-guard-band", 0.02275),
+        ] {
+            // 2.8 standard deviations: a band of 99.5 % about each of twenty shares.
+            let band = 2.8 * (law * (1.0 - law) / f64::from(machines)).sqrt();
+            let share = accepted(json!(rule), seed);
+            assert!((share - law).abs() <= band, "{rule}, seed {seed}: {share} instead of {law}");
+        }
+        // At most 5 %, within its band of 99 %.
+        let guarded = accepted(json!({ "rule": "iso-14253-1-2017", "probability": 0.95 }), seed);
+        assert!(guarded <= 0.05 + 2.326 * (0.05 * 0.95 / f64::from(machines)).sqrt(), "{guarded}");
+    }
+    assert_eq!(Rule::default(), Rule::Simple {});
+}
+
+/// Normal numbers, of a generator that shares nothing with the project.
+fn normal(seed: u64) -> impl FnMut() -> f64 {
+    let mut state = seed.wrapping_mul(0x9E37_79B9_7F4A_7C15);
+    let mut uniform = move || {
+        state = state.wrapping_add(0x9E37_79B9_7F4A_7C15);
+        let mut z = state;
+        z = (z ^ (z >> 30)).wrapping_mul(0xBF58_476D_1CE4_E5B9);
+        z = (z ^ (z >> 27)).wrapping_mul(0x94D0_49BB_1331_11EB);
+        ((z ^ (z >> 31)) >> 11) as f64 / (1_u64 << 53) as f64
+    };
+    move || (-2.0 * (1.0 - uniform()).ln()).sqrt() * (std::f64::consts::TAU * uniform()).cos()
+}
+
+/// A of direct-x is 19.41 um with U 4.00 um.
+#[test]
+fn rules_decide_with_the_uncertainty() {
+    let rule = |limit: f64, rule: &str| {
+        let mut recipe = positioning();
+        recipe.0["stages"]["positioning"]["from"] = json!("linear");
+        recipe.0["stages"]["positioning"]["limits"] = json!({ "A_um": { "limit": limit, "decision": rule } });
+        let found = recipe.run();
+        let figure =
+            figures(&found, "positioning").iter().find(|figure| figure.name == "A[direct-x]").expect("A").clone();
+        (figure.decision.expect("a decision"), figure.inconclusive.is_some())
+    };
+    use Decision::{Fail, Inconclusive, Pass};
+    assert_eq!(rule(19.5, "simple"), (Pass, false));
+    assert_eq!(rule(19.5, "binary-guard-band"), (Fail, false));
+    assert_eq!(rule(23.0, "iso-14253-1-1998"), (Inconclusive, true));
+    assert_eq!(rule(23.0, "iso-14253-1-2017"), (Pass, false));
+    assert_eq!(rule(16.0, "iso-14253-1-1998"), (Inconclusive, true));
+    assert_eq!(rule(16.0, "iso-14253-1-2017"), (Fail, false));
+}
+
+#[test]
+fn wrong_plans_are_told_and_wrong_rows_refused() {
+    let text = read(&root().join("pipelines/data/standards/realistic/direct-x.csv"));
+    let judged = |text: &str| {
+        let folder = crate::support::temporary();
+        crate::support::write(&folder.path().join("direct-x.csv"), text);
+        let mut recipe = positioning();
+        recipe.0["stages"]["linear"]["path"] = json!(folder.path().join("direct-x.csv"));
+        recipe.0["stages"]["positioning"]["from"] = json!("linear");
+        recipe.0["stages"]["positioning"]["limits"] = json!({ "R_um": 10 });
+        recipe.run()
+    };
+    let one_run: String = text
+        .lines()
+        .filter(|line| line.starts_with("r") || line.starts_with("1,1,"))
+        .fold(String::new(), |text, line| text + line + "\n");
+    let found = judged(&one_run);
+    let verdict = &found.verdicts[0];
+    // What the limit asks for was not measured.
+    assert_eq!(verdict.decision, Decision::Fail);
+    assert!(verdict.figures.iter().all(|figure| figure.name == "E up[direct-x]" || figure.value.is_none()));
+    let told = verdict.remarks.join(" ");
+    assert!(told.contains("only one direction") && told.contains("1 runs in a direction"), "{told}");
+
+    let twice = text.clone() + text.lines().nth(1).expect("a row") + "\n";
+    let failed = judged(&twice);
+    let said: String = failed.failures.iter().map(|failure| failure.error.to_string()).collect();
+    assert!(said.contains("has this target in this direction already, in line 2"), "{said}");
+    let failed = judged(&text.replace("\n1,1,-372.4000", "\n1,up,-372.4000"));
+    let said: String = failed.failures.iter().map(|failure| failure.error.to_string()).collect();
+    assert!(said.contains("`direction` is up; 1 or -1 was expected"), "{said}");
+}
