@@ -7,8 +7,8 @@ use crate::base64::base64;
 use crate::html::{details, escape};
 use crate::run::{FitResult, Run};
 use crate::sections::{
-    Scene, budget, causes, compared, correlations, curves, has_lobes, history, parameters, probe, provenance,
-    residuals, selection, tables, trend, untold, verdict,
+    Scene, acceptance, budget, causes, compared, correlations, curves, has_lobes, history, parameters, probe,
+    provenance, residuals, selection, tables, trend, untold, verdict,
 };
 
 const STYLE: &str = include_str!("style.css");
@@ -43,6 +43,10 @@ pub fn page(runs: &[Run]) -> String {
             let verdict = run.verdicts.iter().find(|verdict| verdict.stage == *stage);
             let remarks = verdict.map_or(&[][..], |verdict| &verdict.remarks);
             part(&format!("{id}{stage}"), &format!("Over time, {stage}{of}"), &trend(analysis, remarks));
+        }
+        let charts = acceptance(run);
+        if !charts.is_empty() {
+            part(&format!("{id}acceptance"), &format!("Acceptance tests{of}"), &charts);
         }
         part(&format!("{id}causes"), &format!("Worst figure and causes{of}"), &causes(run));
         part(&format!("{id}untold"), &format!("What the data cannot tell{of}"), &untold(run));
@@ -196,6 +200,7 @@ mod tests {
             }],
             verdicts: vec![Verdict::new("judge", "growth", findings)],
             trends: Vec::new(),
+            acceptance: Vec::new(),
             record: None,
             recipe: None,
         }

@@ -3,13 +3,16 @@
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
-use abbe_core::{Calibration, Error, EstimateSource, Kind, KinematicModel, Quantities, Registry, Result, Verdict};
+use abbe_core::{
+    Calibration, Error, EstimateSource, ExportedFile, Kind, KinematicModel, Quantities, Registry, Result, Verdict,
+};
 use abbe_engine::{CALIBRATION, Outcome, RunRecord, VERDICTS, model_of, residuals_file};
 use abbe_files::{LARGEST_RESULT, LARGEST_TEXT, read_text};
 use abbe_trend::Analysis;
 use sha2::{Digest, Sha256};
 
 use crate::residuals::Residuals;
+use crate::sections::AcceptanceTable;
 
 /// An estimate with what the page needs of it.
 pub struct FitResult {
@@ -38,6 +41,8 @@ pub struct Run {
     pub verdicts: Vec<Verdict>,
     /// What the history of the machine tells, by the stages that judged it.
     pub trends: Vec<(String, Analysis)>,
+    /// The tables of acceptance tests.
+    pub acceptance: Vec<AcceptanceTable>,
     /// The record; none for a calibration without its run.
     pub record: Option<RunRecord>,
     /// Text of the recipe, if it is as it was.
@@ -70,6 +75,7 @@ impl Run {
             fits: shown(fits),
             verdicts: outcome.verdicts.clone(),
             trends: trends_of(outcome)?,
+            acceptance: acceptance_of(outcome),
             recipe: recipe_of(&record),
             record: Some(record),
         };
@@ -110,15 +116,34 @@ impl Run {
         let title = if record.title.is_empty() { record.recipe.clone() } else { record.title.clone() };
         let recipe = recipe_of(&record);
         let trends = trends_in(folder, &record)?;
+        let acceptance = acceptance_in(folder, &record, &verdicts)?;
         let fits = shown(fits);
-        Ok(Self { name: record.recipe.clone(), title, fits, verdicts, trends, record: Some(record), recipe })
+        Ok(Self {
+            name: record.recipe.clone(),
+            title,
+            fits,
+            verdicts,
+            trends,
+            acceptance,
+            record: Some(record),
+            recipe,
+        })
     }
 
     fn of_calibration(file: &Path, registry: &Registry) -> Result<Self> {
         let fit = fit_result(file, registry)?;
         let title = format!("Calibration {}", fit.name);
         let (name, fits) = (fit.name.clone(), vec![fit]);
-        Ok(Self { name, title, fits, verdicts: Vec::new(), trends: Vec::new(), record: None, recipe: None })
+        Ok(Self {
+            name,
+            title,
+            fits,
+            verdicts: Vec::new(),
+            trends: Vec::new(),
+            acceptance: Vec::new(),
+            record: None,
+            recipe: None,
+        })
     }
 
     /// The estimate of that name.
@@ -160,6 +185,31 @@ fn trends_in(folder: &Path, record: &RunRecord) -> Result<Vec<(String, Analysis)
         Ok((stage.to_owned(), parsed(&text).map_err(|error| error.in_file(&file))?))
     };
     stages.map(read).collect()
+}
+
+fn acceptance_of(outcome: &Outcome) -> Vec<AcceptanceTable> {
+    let plugin = |stage: &str| outcome.verdicts.iter().find(|verdict| verdict.stage == stage);
+    let files = outcome.exports.iter().flat_map(|(stage, files)| files.iter().map(move |file| (stage, file)));
+    let table = |(stage, file): (&String, &ExportedFile)| {
+        let (kind, name) = AcceptanceTable::of_file(&plugin(stage)?.plugin, &file.name)?;
+        let text = String::from_utf8_lossy(&file.content).into_owned();
+        Some(AcceptanceTable { stage: stage.clone(), name, kind, text })
+    };
+    files.filter_map(table).collect()
+}
+
+fn acceptance_in(folder: &Path, record: &RunRecord, verdicts: &[Verdict]) -> Result<Vec<AcceptanceTable>> {
+    let mut tables = Vec::new();
+    for output in &record.outputs {
+        let Some((stage, file)) = output.file.split_once('/') else { continue };
+        let plugin = verdicts.iter().find(|verdict| verdict.stage == stage).map(|verdict| verdict.plugin.as_str());
+        if let Some((kind, name)) = AcceptanceTable::of_file(plugin.unwrap_or_default(), file) {
+            let path = folder.join(&output.file);
+            let text = read_text(&path, LARGEST_RESULT).map_err(|error| unreadable(&path, &error))?;
+            tables.push(AcceptanceTable { stage: stage.to_owned(), name, kind, text });
+        }
+    }
+    Ok(tables)
 }
 
 fn parsed(text: &str) -> Result<Analysis> {

@@ -30,7 +30,9 @@ pub fn text(run: &Run, folder: &Path, width: usize) -> String {
         lines.extend(volumetric(fit));
     }
     lines.push(String::new());
-    lines.extend(estimates(&run.fits));
+    if !run.fits.is_empty() {
+        lines.extend(estimates(&run.fits));
+    }
     lines.extend(lost(&run.fits));
     lines.extend(remarks(run));
     lines.push(String::new());

@@ -7,6 +7,7 @@ mod forest;
 mod heat;
 mod hemisphere;
 mod residuals;
+mod targets;
 mod trend;
 mod views;
 
@@ -22,6 +23,7 @@ pub use forest::{ForestRow, forest};
 pub use heat::heat_map;
 pub use hemisphere::hemisphere;
 pub use residuals::{Pair, Point, Polar, groups, pairs, polar, quantiles, scatter};
+pub use targets::{Target, targets};
 pub use trend::{Trend, trend};
 pub use views::views;
 

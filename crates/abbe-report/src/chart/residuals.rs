@@ -121,14 +121,14 @@ pub struct Polar {
     pub axis: String,
     /// What the angle is of.
     pub of: String,
-    /// Angles in degrees and values.
-    pub points: Vec<(f64, f64)>,
+    /// Angles in degrees and values, of each series.
+    pub series: Vec<Vec<(f64, f64)>>,
 }
 
 /// Values around a circle whose radius stands for zero.
 pub fn polar(title: &str, unit: &str, told: &Polar) -> String {
     let middle = 164.0;
-    let most = told.points.iter().map(|(_, value)| value.abs()).fold(1e-9, f64::max);
+    let most = told.series.iter().flatten().map(|(_, value)| value.abs()).fold(1e-9, f64::max);
     let radius = |value: f64| 75.0 + value / most * 55.0;
     let mut canvas = Canvas::new(328.0, 336.0, title);
     for (class, value) in [("g", most), ("a", 0.0), ("g", -most)] {
@@ -146,7 +146,9 @@ pub fn polar(title: &str, unit: &str, told: &Polar) -> String {
         let (sine, cosine) = degrees.to_radians().sin_cos();
         [middle + radius(*value) * cosine, middle - radius(*value) * sine]
     };
-    canvas.dots("s0 p", told.points.iter().map(at));
+    for (number, points) in told.series.iter().enumerate() {
+        canvas.dots(&format!("s{number} p"), points.iter().map(at));
+    }
     let text = format!("{}: rings at 0 and ± {} {unit}", told.axis, super::tick_label(most));
     canvas.text("m l", [middle, 330.0], &text);
     canvas.svg()
@@ -182,7 +184,7 @@ mod tests {
         let pair = |name: &str, second| Pair { name: name.to_owned(), first: 3.0, second };
         insta::assert_snapshot!("pairs", pairs("Predicted", "µm", &[pair("5", Some(2.5)), pair("8", None)]));
         insta::assert_snapshot!("quantiles", quantiles("QQ", &[-1.2, -0.1, 0.2, 1.4]));
-        let told = Polar { axis: "C".to_owned(), of: String::new(), points: vec![(0.0, 1.0), (90.0, -2.0)] };
+        let told = Polar { axis: "C".to_owned(), of: String::new(), series: vec![vec![(0.0, 1.0), (90.0, -2.0)]] };
         insta::assert_snapshot!("polar", polar("Around C", "µm", &told));
     }
 }

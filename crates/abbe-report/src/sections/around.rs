@@ -37,7 +37,7 @@ pub fn around(fit: &FitResult, rows: &[&Residual]) -> Vec<Polar> {
         });
         let at: Vec<(f64, f64)> = of_axis.filter(|at| turns(at)).flatten().collect();
         if !at.is_empty() {
-            found.push(Polar { axis: axis.clone(), of: "of the axis".to_owned(), points: some(at) });
+            found.push(Polar { axis: axis.clone(), of: "of the axis".to_owned(), series: vec![some(at)] });
         }
     }
     let linear: Vec<usize> = (0..axes.len()).filter(|index| axes[*index].1 == "mm").collect();
@@ -49,7 +49,7 @@ pub fn around(fit: &FitResult, rows: &[&Residual]) -> Vec<Polar> {
                 let name = file.rsplit(['/', '\\']).next().unwrap_or_default();
                 let axis = format!("a circle of {} and {}, {stage}, {name}", axes[*one].0, axes[*other].0);
                 let of = format!("from {} to {} in {name}", axes[*one].0, axes[*other].0);
-                circles.push(Polar { axis, of, points: some(at) });
+                circles.push(Polar { axis, of, series: vec![some(at)] });
             }
         }
     }

@@ -1,5 +1,6 @@
 //! The parts of the page, from verdict to provenance.
 
+mod acceptance;
 mod around;
 mod causes;
 mod curves;
@@ -17,6 +18,7 @@ mod uncertainty;
 mod untold;
 mod verdict;
 
+pub use acceptance::{AcceptanceTable, acceptance};
 pub use causes::{causes, compared, compared_cells};
 pub use curves::curves;
 pub use history::history;
