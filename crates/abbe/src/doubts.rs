@@ -124,10 +124,10 @@ const OF_A_FILE: usize = 20;
 /// Part of what was stated below which residuals are those of exact data: no other unit makes them so small.
 const EXACT: f64 = 1e-6;
 
-/// Residuals of a file that are about half of those of the others, where these are about as stated; fewest of them, and rows of a file
+/// Residuals of a file that are about half of what is stated, where those of the others are about as stated; fewest of them, and rows of a file
 /// for each unknown.
 const HALF: Range<f64> = 0.45..0.55;
-const AS_STATED: Range<f64> = 0.7..1.4;
+const AS_STATED: Range<f64> = 0.85..1.2;
 const OF_A_HALF: usize = 100;
 const ROWS_OF_AN_UNKNOWN: usize = 4;
 
@@ -161,7 +161,7 @@ fn too_good_files(fit: &Fit) -> Vec<String> {
     let fewest = OF_A_HALF.max(ROWS_OF_AN_UNKNOWN * problem.unknowns.len());
     let is_half = |own: &(f64, usize)| {
         let others = rms(sum - own.0, count - own.1);
-        own.1 >= fewest && HALF.contains(&(rms(own.0, own.1) / others)) && AS_STATED.contains(&others)
+        own.1 >= fewest && HALF.contains(&rms(own.0, own.1)) && AS_STATED.contains(&others)
     };
     let half = of_files.iter().filter(|(_, own)| is_half(own)).map(|(file, own)| {
         format!(

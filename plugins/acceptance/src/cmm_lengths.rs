@@ -66,9 +66,11 @@ struct Mpe {
 struct Expanded {
     /// What does not depend on the length.
     #[serde(rename = "A_um")]
+    #[schemars(range(min = 1e-6, max = 1e6))]
     constant_um: f64,
     /// Divides the length in mm. Default: no part grows with the length.
     #[serde(rename = "K", default)]
+    #[schemars(range(min = 1e-3, max = 1e12))]
     divisor: Option<f64>,
 }
 
