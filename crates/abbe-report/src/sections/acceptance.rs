@@ -63,7 +63,7 @@ fn columns(text: &str, names: &[&str]) -> Result<(Vec<String>, Vec<Vec<f64>>)> {
     let headers = reader.headers().map_err(wrong)?.clone();
     let mut found = Vec::new();
     for name in names {
-        let own = |header: &str| header == *name || header.strip_prefix(name).is_some_and(|unit| is_unit(unit));
+        let own = |header: &str| header == *name || header.strip_prefix(name).is_some_and(is_unit);
         let place = headers.iter().position(own);
         found.push(place.ok_or_else(|| Error::data(format!("the table has no column `{name}`")))?);
     }
