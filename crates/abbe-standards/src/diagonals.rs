@@ -1,7 +1,7 @@
 //! Diagonal displacement tests in the manner of ISO 230-6: what body and face diagonals tell together, and what they hide.
 //!
 //! The text was not at hand. The figures of one diagonal are those of [`crate::positioning`]; that E_d and B_d are the largest of
-//! all diagonals is a choice of this project ([M] in the documentation).
+//! all diagonals is a choice of this project (\[M\] in the documentation).
 
 /// The edition that the symbols follow.
 pub const EDITION: &str = "ISO 230-6:2002, in its manner";

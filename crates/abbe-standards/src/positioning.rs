@@ -1,7 +1,7 @@
 //! Positioning of a linear or rotary axis after ISO 230-2:2014, and in the manner of VDI/DGQ 3441.
 //!
 //! The texts were not at hand: the figures of ISO 230-2 are those in general use, and real published reports agree with B, M and A.
-//! Those of VDI/DGQ 3441 are a choice of this project ([M] in the documentation), as are parts of the uncertainty.
+//! Those of VDI/DGQ 3441 are a choice of this project (\[M\] in the documentation), as are parts of the uncertainty.
 //!
 //! Positions and readings are in any units, which are those of all figures. A reading is the deviation actual minus nominal. What the
 //! readings do not allow is `None`: R and A of single runs, all that needs both directions where one was measured, and every figure

@@ -2,7 +2,7 @@
 //!
 //! The technical report was not at hand; it has rounded factors. Here all follows from independent drifts of the readings, and from
 //! what grows with length and is common to all readings: a rectangular range w has the standard uncertainty w / (2 √3). Those of E, M
-//! and B agree with simulated runs; those of R and A are a choice of this project ([M] in the documentation).
+//! and B agree with simulated runs; those of R and A are a choice of this project (\[M\] in the documentation).
 
 /// What is known of the measurement of a linear axis. Ranges are full widths.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
