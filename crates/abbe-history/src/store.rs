@@ -91,26 +91,26 @@ impl History {
         let mut history = Self::connected(path, flags)?;
         let found = history.checked()?;
         if found < SCHEMA_VERSION {
-            let migrated = (|| {
-                let transaction = history.connection.transaction_with_behavior(TransactionBehavior::Immediate)?;
-                migrate(&transaction)?;
-                transaction.commit()
-            })();
-            migrated.map_err(|error| history.failed(&error))?;
+            history.bring_up_to_date()?;
         }
         Ok(history)
+    }
+
+    /// Brings the tables to the version of this program.
+    fn bring_up_to_date(&mut self) -> Result<()> {
+        let migrated = (|| {
+            let transaction = self.connection.transaction_with_behavior(TransactionBehavior::Immediate)?;
+            migrate(&transaction)?;
+            transaction.commit()
+        })();
+        migrated.map_err(|error| self.failed(&error))
     }
 
     /// A new history in memory, to be [saved](Self::save) when its first entries are in it. Messages name `path`.
     pub fn new(path: &Path) -> Result<Self> {
         let connection = Connection::open_in_memory();
         let mut history = Self::configured(path, connection)?;
-        let migrated = (|| {
-            let transaction = history.connection.transaction()?;
-            migrate(&transaction)?;
-            transaction.commit()
-        })();
-        migrated.map_err(|error| history.failed(&error))?;
+        history.bring_up_to_date()?;
         Ok(history)
     }
 

@@ -3,7 +3,7 @@
 use std::fmt::Write as _;
 
 use abbe_core::{
-    Context, DataRow, Dataset, EstimateSource, Findings, Fit, Quantity, Result, SettingsError, Validate, not_negative,
+    Context, DataRow, Dataset, EstimateSource, Findings, Quantity, Result, SettingsError, Validate, not_negative,
     positive,
 };
 use abbe_standards::circular::{Bidirectional, EDITION, Sample, Trace};
@@ -11,7 +11,7 @@ use schemars::JsonSchema;
 use serde::Deserialize;
 use serde_json::{Value, json};
 
-use crate::common::{Key, Limits, Sheet, check_limits, directions, finite, no_data, run_name};
+use crate::common::{Acceptance, Judge, Key, Limits, Sheet, check_limits, directions, finite, names, run_name};
 
 abbe_core::register!(
     Validate,
@@ -70,8 +70,8 @@ const KEYS: [Key; 7] = [
 fn build(settings: Circular, _: &Context) -> Result<Box<dyn Validate>, SettingsError> {
     positive("radius_mm", settings.radius_mm)?;
     not_negative("standard_uncertainty_um", settings.standard_uncertainty_um)?;
-    check_limits(&settings.limits, &KEYS)?;
-    Ok(Box::new(settings))
+    check_limits(&settings.limits, &names(&KEYS))?;
+    Ok(Box::new(Judge(settings)))
 }
 
 /// The name of a direction.
@@ -187,19 +187,8 @@ impl Circular {
     }
 }
 
-impl Validate for Circular {
-    fn accepts_data(&self) -> bool {
-        true
-    }
-
-    fn accepts_readings(&self) -> bool {
-        true
-    }
-
-    fn validate(&self, _: &[&Fit], data: &[&Dataset]) -> Result<Findings> {
-        if data.is_empty() {
-            return Err(no_data());
-        }
+impl Acceptance for Circular {
+    fn findings(&self, data: &[&Dataset]) -> Result<Findings> {
         let mut findings = Findings::default();
         data.iter().try_for_each(|data| self.judge(data, &mut findings))?;
         findings.remarks.push(format!(

@@ -3,15 +3,15 @@
 use std::cmp::Ordering::{Equal, Greater};
 
 use abbe_core::{
-    Context, DataRow, Dataset, Decision, Error, EstimateSource, Figure, Findings, Fit, Limit, PathItem, Quantity,
-    Result, Rule, SettingsError, Validate, not_negative, positive, rule_or_name, schema_of_rules,
+    Context, DataRow, Dataset, Decision, Error, EstimateSource, Figure, Findings, Limit, PathItem, Quantity, Result,
+    Rule, SettingsError, Validate, not_negative, positive, rule_or_name, schema_of_rules,
 };
 use abbe_standards::lengths::{EDITION, Judged, LENGTHS, LINES, Measured, Permissible, Set, VALUES, judge, sets};
 use schemars::JsonSchema;
 use serde::Deserialize;
 use serde_json::{Value, json};
 
-use crate::common::{figure, finite, no_data, run_name};
+use crate::common::{Acceptance, Judge, figure, finite, run_name};
 
 abbe_core::register!(
     Validate,
@@ -96,7 +96,7 @@ fn build(settings: Lengths, _: &Context) -> Result<Box<dyn Validate>, SettingsEr
         not_negative("A_um", expanded.constant_um).map_err(under)?;
         expanded.divisor.map(|divisor| positive("K", divisor)).transpose().map_err(under)?;
     }
-    Ok(Box::new(settings))
+    Ok(Box::new(Judge(settings)))
 }
 
 /// Lengths of a data set, mm. A length below zero or far from its reference is a slip, no error of a machine.
@@ -243,18 +243,9 @@ impl Lengths {
     }
 }
 
-impl Validate for Lengths {
-    fn accepts_data(&self) -> bool {
-        true
-    }
-
-    fn accepts_readings(&self) -> bool {
-        true
-    }
-
-    fn validate(&self, _: &[&Fit], data: &[&Dataset]) -> Result<Findings> {
+impl Acceptance for Lengths {
+    fn findings(&self, data: &[&Dataset]) -> Result<Findings> {
         let (test, repeats) = match data {
-            [] => return Err(no_data()),
             [test] => (test, Vec::new()),
             [test, repeats] => (test, measured(repeats)?),
             _ => return Err(Error::usage("a test and its repeats were expected: two data sets").setting("from")),

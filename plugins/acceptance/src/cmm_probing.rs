@@ -1,7 +1,7 @@
 //! Validator plugin `cmm-probing`: a sphere by one stylus and by several, in the manner of ISO 10360-5.
 
 use abbe_core::{
-    Context, Dataset, Error, EstimateSource, Findings, Fit, Quantity, Result, SettingsError, Validate, not_negative,
+    Context, Dataset, Error, EstimateSource, Findings, Quantity, Result, SettingsError, Validate, not_negative,
     positive,
 };
 use abbe_standards::probing::{Edition, Gauge, MultiStylus, ball, multi_stylus};
@@ -9,7 +9,7 @@ use schemars::JsonSchema;
 use serde::Deserialize;
 use serde_json::{Value, json};
 
-use crate::common::{Key, Limits, Sheet, check_limits, finite, no_data, run_name};
+use crate::common::{Acceptance, Judge, Key, Limits, Sheet, check_limits, finite, names, run_name};
 
 abbe_core::register!(
     Validate,
@@ -56,8 +56,8 @@ const KEYS: [Key; 5] =
 fn build(settings: Probing, _: &Context) -> Result<Box<dyn Validate>, SettingsError> {
     positive("diameter_mm", settings.diameter_mm)?;
     settings.expanded_uncertainty_um.map(|value| not_negative("expanded_uncertainty_um", value)).transpose()?;
-    check_limits(&settings.limits, &KEYS)?;
-    Ok(Box::new(settings))
+    check_limits(&settings.limits, &names(&KEYS))?;
+    Ok(Box::new(Judge(settings)))
 }
 
 /// A stylus and its points.
@@ -116,19 +116,8 @@ impl Probing {
     }
 }
 
-impl Validate for Probing {
-    fn accepts_data(&self) -> bool {
-        true
-    }
-
-    fn accepts_readings(&self) -> bool {
-        true
-    }
-
-    fn validate(&self, _: &[&Fit], data: &[&Dataset]) -> Result<Findings> {
-        if data.is_empty() {
-            return Err(no_data());
-        }
+impl Acceptance for Probing {
+    fn findings(&self, data: &[&Dataset]) -> Result<Findings> {
         let mut findings = Findings::default();
         data.iter().try_for_each(|data| self.judge(data, &mut findings))?;
         findings.remarks.push(format!(

@@ -2,7 +2,9 @@
 
 use std::collections::{BTreeMap, BTreeSet};
 
-use abbe_core::{DataRow, Dataset, Error, Figure, Limit, PathItem, Quantity, Result, SettingsError};
+use abbe_core::{
+    DataRow, Dataset, Error, Figure, Findings, Fit, Limit, PathItem, Quantity, Result, SettingsError, Validate,
+};
 
 /// Limits by key.
 pub type Limits = BTreeMap<String, Limit>;
@@ -10,15 +12,19 @@ pub type Limits = BTreeMap<String, Limit>;
 /// A figure that a limit is for: its key in settings, and its name.
 pub type Key = (&'static str, &'static str);
 
+/// The keys of figures.
+pub fn names(keys: &[Key]) -> Vec<&'static str> {
+    keys.iter().map(|(key, _)| *key).collect()
+}
+
 /// Refuses limits for anything but these keys, and those that are no numbers.
-pub fn check_limits(limits: &Limits, keys: &[Key]) -> Result<(), SettingsError> {
-    let keys: Vec<&str> = keys.iter().map(|(key, _)| *key).collect();
+pub fn check_limits(limits: &Limits, keys: &[&str]) -> Result<(), SettingsError> {
     for (key, limit) in limits {
         let at = [PathItem::Key("limits".to_owned())];
         if !keys.contains(&key.as_str()) {
             let mut error = SettingsError::new(key, format!("there is no figure `{key}` to limit"));
             error.key = true;
-            return Err(error.suggest(key, keys).under(at));
+            return Err(error.suggest(key, keys.iter().copied()).under(at));
         }
         if !limit.value.is_finite() {
             return Err(SettingsError::new(key, "a finite number was expected").under(at));
@@ -105,15 +111,41 @@ pub fn finite<'a>(data: &'a Dataset, name: &str, quantity: Quantity) -> Result<&
 /// Whether each row is in the positive direction, by the column `direction` with 1 and -1.
 pub fn directions(data: &Dataset) -> Result<Vec<bool>> {
     let labels = abbe_table::labels(data, "direction")?;
-    let of = |(row, label): (usize, &String)| match label.as_str() {
-        "1" | "+1" => Ok(true),
-        "-1" => Ok(false),
-        other => Err(data.error_at(DataRow(row), format!("the direction is `{other}`; 1 or -1 was expected"))),
+    let of = |(row, label): (usize, &String)| match label.trim().parse::<f64>() {
+        Ok(1.0) => Ok(true),
+        Ok(-1.0) => Ok(false),
+        _ => {
+            let message = format!("`direction` is {label}; 1 or -1 was expected");
+            Err(data.error_at(DataRow(row), message).help("1 in the positive direction, -1 in the negative one"))
+        }
     };
     labels.iter().enumerate().map(of).collect()
 }
 
-/// The error for a validator without data sets.
+/// The error for a validator without data sets, or with an empty one.
 pub fn no_data() -> Error {
     Error::usage("there are no readings to judge").help("name ingest stages under `from`").setting("from")
+}
+
+/// An acceptance test of readings, which needs no estimate.
+pub trait Acceptance: Send + Sync {
+    /// The findings on data sets; there is at least one.
+    fn findings(&self, data: &[&Dataset]) -> Result<Findings>;
+}
+
+/// The validator of an acceptance test.
+pub struct Judge<T>(pub T);
+
+impl<T: Acceptance> Validate for Judge<T> {
+    fn accepts_data(&self) -> bool {
+        true
+    }
+
+    fn accepts_readings(&self) -> bool {
+        true
+    }
+
+    fn validate(&self, _: &[&Fit], data: &[&Dataset]) -> Result<Findings> {
+        if data.is_empty() { Err(no_data()) } else { self.0.findings(data) }
+    }
 }

@@ -1,7 +1,7 @@
 //! Validator plugin `diagonals`: diagonal displacement tests in the manner of ISO 230-6.
 
 use abbe_core::{
-    Context, DataRow, Dataset, EstimateSource, Findings, Fit, PathItem, Quantity, Result, SettingsError, Validate,
+    Context, DataRow, Dataset, EstimateSource, Findings, PathItem, Quantity, Result, SettingsError, Validate,
 };
 use abbe_standards::diagonals::{Diagonal, EDITION, Kind, cancelling, squareness};
 use abbe_standards::positioning::Positioning;
@@ -10,7 +10,7 @@ use schemars::JsonSchema;
 use serde::Deserialize;
 use serde_json::{Value, json};
 
-use crate::common::{Key, Limits, Sheet, check_limits, finite, no_data, run_name};
+use crate::common::{Acceptance, Judge, Key, Limits, Sheet, check_limits, finite, names, no_data, run_name};
 use crate::positioning::{Uncertainty, values, words};
 use crate::targets::Readings;
 
@@ -51,8 +51,8 @@ const FACES: [&str; 3] = ["yz", "zx", "xy"];
 fn build(settings: Diagonals, _: &Context) -> Result<Box<dyn Validate>, SettingsError> {
     let under = |error: SettingsError| error.under([PathItem::Key("uncertainty".to_owned())]);
     settings.uncertainty.iter().try_for_each(Uncertainty::check).map_err(under)?;
-    check_limits(&settings.limits, &[&EACH[..], &ALL].concat())?;
-    Ok(Box::new(settings))
+    check_limits(&settings.limits, &names(&[&EACH[..], &ALL].concat()))?;
+    Ok(Box::new(Judge(settings)))
 }
 
 /// A figure of a diagonal.
@@ -211,19 +211,8 @@ fn hidden(name: &str, all: &[&Measured]) -> Option<String> {
     ))
 }
 
-impl Validate for Diagonals {
-    fn accepts_data(&self) -> bool {
-        true
-    }
-
-    fn accepts_readings(&self) -> bool {
-        true
-    }
-
-    fn validate(&self, _: &[&Fit], data: &[&Dataset]) -> Result<Findings> {
-        if data.is_empty() {
-            return Err(no_data());
-        }
+impl Acceptance for Diagonals {
+    fn findings(&self, data: &[&Dataset]) -> Result<Findings> {
         let mut findings = Findings::default();
         findings.remarks.push(format!(
             "{EDITION} (its text was not at hand). A choice of this project: E_d and B_d are the largest of all body, and of all face \

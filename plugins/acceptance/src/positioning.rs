@@ -1,11 +1,9 @@
 //! Validator `positioning`: accuracy and repeatability of axes after ISO 230-2:2014, and in the manner of VDI/DGQ 3441.
 
-use std::collections::BTreeMap;
 use std::fmt::Write as _;
 
 use abbe_core::{
-    Context, Dataset, Error, EstimateSource, Figure, Findings, Fit, Limit, PathItem, Result, SettingsError, Validate,
-    not_negative,
+    Context, Dataset, EstimateSource, Figure, Findings, PathItem, Result, SettingsError, Validate, not_negative,
 };
 use abbe_standards::positioning::plan::{Axis, Fault, faults};
 use abbe_standards::positioning::uncertainty::{Expanded, Linear, Rotary, Terms};
@@ -14,7 +12,7 @@ use schemars::JsonSchema;
 use serde::Deserialize;
 use serde_json::{Value, json};
 
-use crate::common::figure;
+use crate::common::{Acceptance, Judge, Limits, check_limits, figure};
 use crate::targets::Readings;
 
 abbe_core::register!(
@@ -40,7 +38,7 @@ struct Settings {
     vdi_dgq_3441: bool,
     /// Largest admissible values, each for all axes: `A_um`, `R_up_um`, `mean_B_urad`, ..
     #[serde(default)]
-    limits: BTreeMap<String, Limit>,
+    limits: Limits,
 }
 
 /// What is known of the measurement. Ranges are full widths; what is left out counts as zero.
@@ -148,34 +146,12 @@ fn build(settings: Settings, _: &Context) -> Result<Box<dyn Validate>, SettingsE
     let vdi = VDI.iter().map(|(name, _)| *name).filter(|_| settings.vdi_dgq_3441);
     let keys: Vec<String> =
         NAMES.into_iter().chain(vdi).flat_map(|name| ["um", "urad"].map(|unit| key(name, unit))).collect();
-    for (limited, limit) in &settings.limits {
-        if !keys.contains(limited) {
-            let mut error = SettingsError::new(limited, format!("there is no figure `{limited}` to limit"));
-            error.key = true;
-            return Err(under("limits")(error.suggest(limited, keys.iter().map(String::as_str))));
-        }
-        if !limit.value.is_finite() {
-            return Err(under("limits")(SettingsError::new(limited, "a finite number was expected")));
-        }
-    }
-    Ok(Box::new(settings))
+    check_limits(&settings.limits, &keys.iter().map(String::as_str).collect::<Vec<_>>())?;
+    Ok(Box::new(Judge(settings)))
 }
 
-impl Validate for Settings {
-    fn accepts_data(&self) -> bool {
-        true
-    }
-
-    fn accepts_readings(&self) -> bool {
-        true
-    }
-
-    fn validate(&self, _: &[&Fit], data: &[&Dataset]) -> Result<Findings> {
-        if data.is_empty() {
-            return Err(Error::usage("there are no readings to judge")
-                .help("name ingest stages under `from`")
-                .setting("from"));
-        }
+impl Acceptance for Settings {
+    fn findings(&self, data: &[&Dataset]) -> Result<Findings> {
         let mut findings = Findings::default();
         findings.remarks.push(
             "after ISO 230-2:2014 as in general use (its text was not at hand): s with n - 1, A and R of 2 s; U(E), U(M) and U(B) \

@@ -1,15 +1,14 @@
 //! Validator plugin `rotary-interpolation`: R-test figures in the manner of ISO 10791-6.
 
 use abbe_core::{
-    Context, DataRow, Dataset, Error, EstimateSource, Findings, Fit, Quantity, Result, SettingsError, Validate,
-    not_negative,
+    Context, DataRow, Dataset, Error, EstimateSource, Findings, Quantity, Result, SettingsError, Validate, not_negative,
 };
 use abbe_standards::rotary_interpolation::{EDITION, Path, ranges};
 use schemars::JsonSchema;
 use serde::Deserialize;
 use serde_json::{Value, json};
 
-use crate::common::{Key, Limits, Sheet, check_limits, directions, finite, no_data, run_name};
+use crate::common::{Acceptance, Judge, Key, Limits, Sheet, check_limits, directions, finite, names, run_name};
 
 abbe_core::register!(
     Validate,
@@ -68,8 +67,8 @@ fn build(settings: Rotary, _: &Context) -> Result<Box<dyn Validate>, SettingsErr
         return Err(SettingsError::new("ball_from_axis_mm", "finite numbers were expected"));
     }
     not_negative("standard_uncertainty_um", settings.standard_uncertainty_um)?;
-    check_limits(&settings.limits, &KEYS)?;
-    Ok(Box::new(settings))
+    check_limits(&settings.limits, &names(&KEYS))?;
+    Ok(Box::new(Judge(settings)))
 }
 
 impl Rotary {
@@ -154,19 +153,8 @@ impl Rotary {
     }
 }
 
-impl Validate for Rotary {
-    fn accepts_data(&self) -> bool {
-        true
-    }
-
-    fn accepts_readings(&self) -> bool {
-        true
-    }
-
-    fn validate(&self, _: &[&Fit], data: &[&Dataset]) -> Result<Findings> {
-        if data.is_empty() {
-            return Err(no_data());
-        }
+impl Acceptance for Rotary {
+    fn findings(&self, data: &[&Dataset]) -> Result<Findings> {
         let mut findings = Findings::default();
         data.iter().try_for_each(|data| self.judge(data, &mut findings))?;
         findings.remarks.push(format!(

@@ -6,6 +6,8 @@ use abbe_core::{DataRow, Dataset, Error, Quantity, Result};
 use abbe_standards::positioning::Target;
 use abbe_standards::positioning::plan::Axis;
 
+use crate::common::{directions, finite, no_data, run_name};
+
 /// Positions that are no farther apart are one target: mm or degrees.
 const SAME: f64 = 1e-3;
 
@@ -25,16 +27,16 @@ impl Readings {
     /// Reads a data set.
     pub fn of(data: &Dataset) -> Result<Self> {
         let quantity = |name: &str| data.column(name).map(|column| column.header.quantity);
-        let positions = data.required_numbers("position")?;
         let (axis, scale) = match quantity("position") {
             Some(Quantity::Length) => (Axis::Linear, 1.0),
             Some(Quantity::Angle) => (Axis::Rotary, 180.0 / std::f64::consts::PI),
-            _ => return Err(wrong(data, "`position` is neither a length nor an angle")),
+            Some(_) => return Err(wrong(data, "`position` is neither a length nor an angle")),
+            None => return Err(data.required_numbers("position").err().unwrap_or_else(no_data)),
         };
-        let readings = data.required_numbers("reading")?;
         let (unit, factor) = match (axis, quantity("reading")) {
             (Axis::Linear, Some(Quantity::Length)) => ("um", 1e3),
             (Axis::Rotary, Some(Quantity::Angle)) => ("urad", 1e6),
+            (_, None) => return Err(data.required_numbers("reading").err().unwrap_or_else(no_data)),
             _ => {
                 return Err(wrong(
                     data,
@@ -42,24 +44,17 @@ impl Readings {
                 ));
             }
         };
+        let along = if axis == Axis::Linear { Quantity::Length } else { Quantity::Angle };
+        let [positions, readings] = [finite(data, "position", along)?, finite(data, "reading", along)?];
         let places = places(&positions.iter().map(|position| position * scale).collect::<Vec<_>>());
-        let directions = data.required_labels("direction")?;
+        let ways = directions(data)?;
         let runs = data.labels("run");
         let count = places.values().max().map_or(0, |last| last + 1);
         let mut targets = vec![Target::default(); count];
         let mut seen: BTreeMap<(&str, bool, usize), DataRow> = BTreeMap::new();
         for row in data.row_indices() {
             let place = places[&(positions[row] * scale).to_bits()];
-            let up = match directions[row].trim().parse::<f64>() {
-                Ok(1.0) => true,
-                Ok(-1.0) => false,
-                _ => {
-                    let message = format!("`direction` is {}; 1 or -1 was expected", directions[row]);
-                    return Err(data
-                        .error_at(row, message)
-                        .help("1 after a positive approach, -1 after a negative one"));
-                }
-            };
+            let up = ways[row.0];
             if let Some(runs) = runs
                 && let Some(first) = seen.insert((runs[row].as_str(), up, place), row)
             {
@@ -74,7 +69,7 @@ impl Readings {
         if targets.len() < 2 {
             return Err(wrong(data, "there are fewer than two targets"));
         }
-        Ok(Self { name: name_of(data), axis, unit, targets })
+        Ok(Self { name: run_name(data), axis, unit, targets })
     }
 
     /// Distance of the first and the last target, mm or degrees.
@@ -103,12 +98,6 @@ fn places(positions: &[f64]) -> BTreeMap<u64, usize> {
         places.insert(position.to_bits(), place);
     }
     places
-}
-
-/// How a data set is called: the name of its file.
-fn name_of(data: &Dataset) -> String {
-    let stem = data.files.first().and_then(|file| file.file_stem());
-    stem.map_or_else(|| "readings".to_owned(), |stem| stem.to_string_lossy().into_owned())
 }
 
 fn wrong(data: &Dataset, message: &str) -> Error {

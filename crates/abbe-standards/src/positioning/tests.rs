@@ -301,37 +301,3 @@ fn random_axes_agree_with_a_plain_evaluation() {
         }
     }
 }
-
-/// Real measurements of others, which are not part of the project: figures that they print rightly.
-#[test]
-fn published_figures() {
-    let folder = std::path::Path::new("/work/shared/data/standards/published");
-    let Ok(text) = std::fs::read_to_string(folder.join("printed.json")) else {
-        eprintln!("skipped: {} is not there", folder.display());
-        return;
-    };
-    let printed: serde_json::Value = serde_json::from_str(&text).expect("JSON");
-    for (name, expected) in printed.as_object().expect("files") {
-        let text = std::fs::read_to_string(folder.join(name)).expect("a file");
-        let mut targets: Vec<Target> = Vec::new();
-        for line in text.lines().filter(|line| !line.starts_with(['#', 'r'])) {
-            let cells: Vec<f64> = line.split(',').map(|cell| cell.parse().expect("a number")).collect();
-            let place = targets.iter().position(|target| target.position == cells[2]);
-            let place = place.unwrap_or(targets.len());
-            if place == targets.len() {
-                targets.push(target(cells[2], &[], &[]));
-            }
-            if cells[1] > 0.0 { &mut targets[place].up } else { &mut targets[place].down }.push(1e-3 * cells[3]);
-        }
-        let found = Positioning::of(&targets);
-        let digit = if expected.get("digits").is_some() { 1e-8 } else { 1e-5 };
-        let all =
-            [("B", found.reversal), ("M", found.mean_deviation), ("A", found.accuracy), ("A_up", found.accuracy_up)];
-        for (key, value) in all {
-            let printed = expected[key].as_f64().expect("a figure");
-            assert!((value.expect("a figure") - printed).abs() <= 1.01 * digit, "{name} {key}: {value:?} {printed}");
-        }
-        // What is printed under E leaves out one direction.
-        assert!(found.systematic.expect("E") > expected["E"].as_f64().expect("a figure") + digit, "{name}");
-    }
-}
