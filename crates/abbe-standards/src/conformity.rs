@@ -77,7 +77,7 @@ pub fn acceptance_zone(tolerance: Tolerance, band: f64) -> Option<[f64; 2]> {
 ///
 /// let both = Tolerance { lower: Some(-1.0), upper: Some(1.0) };
 /// // Within one standard uncertainty of the middle.
-/// assert!((probability(0.0, 1.0, both) - 0.682689492137).abs() < 1e-11);
+/// assert!((probability(0.0, 1.0, both) - 0.682_689_492_137).abs() < 1e-10);
 /// ```
 pub fn probability(value: f64, standard_uncertainty: f64, tolerance: Tolerance) -> f64 {
     let inside = |value: f64| {
