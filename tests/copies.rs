@@ -141,3 +141,63 @@ fn a_cmm_in_another_unit_is_told() {
         assert_eq!(verdicts.contains("mm (RMS) from the features"), times == 1000.0, "{times}: {verdicts}");
     }
 }
+
+#[test]
+fn a_verification_of_the_baseline_with_itself_is_told() {
+    let mut recipe = Variant::of(&recipes()["before-the-cut"]).only(&["calibrated", "verify"]);
+    let told = |recipe: &Variant| {
+        let remarks = recipe.run().verdicts.into_iter().flat_map(|verdict| verdict.remarks);
+        remarks.filter(|text| text.contains("is it a copy of that file")).count()
+    };
+    assert_eq!(told(&recipe), 0);
+    recipe.stage("today")["path"] = json!(recipe.path("baseline", "path"));
+    assert_eq!(told(&recipe), 1);
+    // One reading that differs by the resolution is a measurement.
+    let folder = temporary();
+    let other = |row: usize, cell: &str| match row {
+        0 => format!("{:.4}", cell.parse::<f64>().expect("a reading") + 1e-4),
+        _ => cell.to_owned(),
+    };
+    recipe.stage("today")["path"] =
+        json!(changed(&recipe.path("baseline", "path"), folder.path(), "measured_mm", other));
+    assert_eq!(told(&recipe), 0);
+}
+
+#[test]
+fn a_history_whose_tests_are_all_rejected_fails() {
+    let mut recipe = Variant::of(&recipes()["history"]);
+    recipe.stage("bar")["standard_uncertainty_um"] = json!(0.07);
+    let outcome = recipe.run();
+    assert!(!outcome.passes());
+    let remarks: Vec<String> = outcome.verdicts.into_iter().flat_map(|verdict| verdict.remarks).collect();
+    assert!(remarks.iter().any(|text| text.contains("nothing is known of the machine")), "{remarks:?}");
+}
+
+#[test]
+fn statements_that_the_data_contradict_are_told_or_fail() {
+    let folder = temporary();
+    let mut recipe = Variant::of(&recipes()["warming-days"]).only(&["month"]);
+    // Right; steel for glass; a digit too many.
+    for (expansion, status, is_told) in [(8.0e-6, 0, false), (11.5e-6, 0, true), (8.0e-5, 1, false)] {
+        recipe.stage("axis")["bodies"]["scale"]["expansion_per_K"] = json!(expansion);
+        let (found, said) = summary(&recipe, folder.path());
+        assert_eq!(found, status, "{expansion}: {said}");
+        let told = texts(&said["remarks"]).iter().any(|text| text.contains("is the statement right?"));
+        assert_eq!(told, is_told, "{expansion}: {said}");
+        assert_eq!(said["failures"].to_string().contains("one of two must be wrong"), status == 1, "{said}");
+    }
+}
+
+#[test]
+fn a_sphere_whose_radius_is_stated_as_its_diameter_is_told() {
+    let mut recipe = Variant::of(&recipes()["sphere-hu40t"]);
+    for (diameter, is_told) in [(19.05, false), (9.525, true), (38.1, true)] {
+        recipe.stage("validation-set")["diameter_mm"] = json!(diameter);
+        let remarks: Vec<String> = recipe.run().verdicts.into_iter().flat_map(|verdict| verdict.remarks).collect();
+        assert_eq!(
+            remarks.iter().any(|text| text.contains("is the radius stated") || text.contains("is the diameter stated")),
+            is_told,
+            "{remarks:?}"
+        );
+    }
+}

@@ -488,6 +488,7 @@ fn absurd_truths_of_artefacts_and_noise_are_refused() {
     for (truth, said) in [
         (r#"{ "parameters": { "stylus_radius": 1e6 } }"#, "stylus_radius"),
         (r#"{ "parameters": { "stylus_radius": -30 } }"#, "stylus_radius"),
+        (r#"{ "parameters": { "stylus_radius": -2 } }"#, "a number above 0"),
         (r#"{ "parameters": { "facet[3].d": 1e4 } }"#, "facet[3].d"),
         (r#"{ "parameters": {}, "noise": { "outliers": { "1": 1e9 } } }"#, "outliers"),
         (r#"{ "parameters": {}, "noise": { "outliers": { "fraction": 0.1, "size_mm": 1e9 } } }"#, "size_mm"),

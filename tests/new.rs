@@ -233,3 +233,12 @@ fn poses_are_simulated_with_noise_of_both_kinds() {
     }
     assert!((0.5..1.8).contains(&(chi / count)), "{}", chi / count);
 }
+
+#[test]
+fn a_beginning_ends_in_its_time() {
+    let folder = temporary();
+    let arguments = ["new", "begun", "--chain", "w C' A' b X Y Z t", "--method", "table", "--time-limit", "0.001"];
+    let printed = abbe(folder.path(), &arguments);
+    assert!(printed.status == 1 && printed.stderr.contains("time limit"), "{} {}", printed.status, printed.stderr);
+    assert!(!folder.path().join("begun").exists());
+}

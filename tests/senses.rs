@@ -244,3 +244,44 @@ fn rotary_axes_that_are_off_are_told_on_random_machines() {
         "{told} of {tried} angles, {false_alarms} false alarms"
     );
 }
+
+#[test]
+fn temperatures_in_the_reverse_order_of_a_warm_up_are_told() {
+    let folder = temporary();
+    let mut recipe = Variant::of(&recipes()["spindle-motion"]);
+    let file = recipe.path("half-hour", "path");
+    let turned = |column: &str, from: &Path, to: &Path| {
+        let text = std::fs::read_to_string(from).expect("the file");
+        let place = text
+            .lines()
+            .find(|line| line.starts_with("time_s"))
+            .and_then(|line| line.split(',').position(|name| name == column));
+        let cells: Vec<&str> = text
+            .lines()
+            .filter(|line| line.starts_with(|letter: char| letter.is_ascii_digit()))
+            .filter_map(|line| line.split(',').nth(place?))
+            .collect();
+        std::fs::create_dir(to).expect("a folder");
+        changed(from, to, column, |row, _| cells[cells.len() - 1 - row].to_owned())
+    };
+    let one = turned("T02_degC", &file, &folder.path().join("1"));
+    let both = turned("T03_degC", &one, &folder.path().join("2"));
+    for (path, is_told) in [(file, false), (both, true)] {
+        recipe.stage("half-hour")["path"] = json!(path);
+        let printed = run(&recipe, folder.path());
+        assert_eq!(printed.stderr.contains("in the reverse order"), is_told, "{}", printed.stderr);
+    }
+}
+
+#[test]
+fn single_readings_of_a_body_that_jump_are_told() {
+    let jump = |row: usize, value: f64| if row == 40 { -99.0 } else { value };
+    let (_, as_it_is) = measured("mill-warming", "sensors", &[], jump);
+    assert!(!as_it_is.contains("and back"), "{as_it_is}");
+    let name =
+        std::fs::read_to_string(Variant::of(&recipes()["mill-warming"]).path("sensors", "path")).expect("the file");
+    let column =
+        name.lines().find(|line| line.starts_with("time_s")).and_then(|line| line.split(',').nth(1)).expect("a sensor");
+    let (_, text) = measured("mill-warming", "sensors", &[column], jump);
+    assert!(text.contains("and back: a fault of the sensor?"), "{text}");
+}

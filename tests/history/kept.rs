@@ -116,6 +116,29 @@ fn a_check_needs_to_know_what_was_repeated() {
     assert!(check.status == 2 && check.stderr.contains("no unit"), "{}", check.stderr);
 }
 
+#[test]
+fn machines_that_cannot_be_the_same_are_no_history() {
+    let small = Small::new();
+    let all = results(&small, 2);
+    let refused = small.abbe(&["history", "add", "plant.sqlite", &all[0], "--machine", " "]);
+    assert!(refused.status == 2 && refused.stderr.contains("a name was expected"), "{}", refused.stderr);
+    // The second is of a machine whose table turns about another axis.
+    for file in ["fine.calibration.json", "rough.calibration.json"] {
+        let file = small.path(&format!("{}/{file}", all[1]));
+        let text = read(&file);
+        let chain = text.lines().find(|line| line.contains("\"chain\"")).expect("a chain");
+        write(&file, &text.replacen(chain, &chain.replace('B', "A"), 1));
+        assert_ne!(text, read(&file), "{chain}");
+    }
+    for (number, folder) in all.iter().enumerate() {
+        let date = format!("2026-01-0{}", 1 + number);
+        let added = small.abbe(&["history", "add", "plant.sqlite", folder, "--date", &date, "--machine", "mill"]);
+        assert_eq!(added.status, 0, "{}", added.stderr);
+    }
+    let check = small.abbe(&["history", "check", "plant.sqlite", "--estimate", "fine"]);
+    assert!(check.status == 1 && check.stderr.contains("different machines"), "{} {}", check.stdout, check.stderr);
+}
+
 /// What `validate: trend` tells of the weeks in one run, `check` tells of the same weeks in a history.
 #[test]
 fn a_check_of_forty_weeks_is_an_alarm() {

@@ -7,10 +7,11 @@ use std::ops::RangeInclusive;
 
 use abbe_core::{
     Calibration, Class, Dataset, Error, Fit, ImplausibleValue, Kind, KinematicModel, ObservationSet, ParameterRole,
-    Problem, Quantity, Result, Status,
+    Problem, Quantity, Result, Status, Unit,
 };
 use abbe_estimation::{
-    LargeError, absurd_error, implausible_errors, large_errors, likely_causes, likely_mistakes, opposite_factor,
+    LargeError, absurd_error, contradicted, implausible_errors, large_errors, likely_causes, likely_mistakes,
+    opposite_factor,
 };
 use abbe_recipe::Stage;
 
@@ -21,6 +22,27 @@ use crate::run::has_rows;
 
 /// Most implausible errors that a message names.
 const NAMED: usize = 3;
+
+/// The estimates of known factors and of what the recipe states that cannot be true. What only contradicts a statement is told.
+fn of_statements(fit: &Fit) -> Vec<Error> {
+    let mut errors = Vec::new();
+    if let Some((name, value)) = opposite_factor(&fit.problem, &fit.calibration) {
+        let message = format!(
+            "no machine has such errors: `{name}` = {value:.3}; what it multiplies would act the other way round"
+        );
+        errors.push(Error::data(message).help("look for a wrong sign of a coefficient or of the temperatures"));
+    }
+    for stated in contradicted(&fit.problem, &fit.calibration) {
+        if stated.is_mistake() {
+            let help = "look for a wrong digit or unit in the statement or in the temperatures; if less is known, state a larger \
+                        standard uncertainty";
+            errors.push(Error::data(format!("one of two must be wrong: {}", stated.describe())).help(help));
+        } else {
+            tracing::warn!("{}: {}: is the statement right?", fit.name, stated.describe());
+        }
+    }
+    errors
+}
 
 impl Prepared {
     /// The estimates from measurements with errors that are implausible; these are marked in their calibrations. What is large, and may
@@ -37,13 +59,8 @@ impl Prepared {
                 }
                 continue;
             }
-            if let Some((name, value)) = opposite_factor(&fit.problem, &fit.calibration) {
-                let message = format!(
-                    "no machine has such errors: `{name}` = {value:.3}; what it multiplies would act the other way round"
-                );
-                let error = Error::data(message).help("look for a wrong sign of a coefficient or of the temperatures");
-                failures.push(Failure::own(stage, self.recipe.locate(error.stage(&stage.name))));
-            }
+            let errors = of_statements(fit).into_iter().map(|error| error.stage(&stage.name));
+            failures.extend(errors.map(|error| Failure::own(stage, self.recipe.locate(error))));
             let plausible = &self.plausible[&stage.name];
             let mut large = self.located(stage, large_errors(plausible, &fit.problem, &fit.calibration))?;
             // Beside an error that no machine has, large ones need no word.
@@ -117,6 +134,17 @@ fn check_own(truth: &Problem) -> Result<()> {
             let most = if parameter.role == ParameterRole::Feature { FEATURES } else { OTHERS };
             (parameter, value - start, most)
         });
+        for (input, value) in info.inputs.iter().zip(&set.inputs) {
+            // What is stated as a size (a radius, a length) is one.
+            if input.parameter.unit == Unit::MM && input.value > 0.0 && *value <= 0.0 {
+                let name = &input.parameter.name;
+                let message = format!(
+                    "`{name}` of `{}` is {value} mm, and {} mm is stated: a number above 0 was expected",
+                    set.name, input.value
+                );
+                return Err(Error::usage(message).help(WRONG_TRUTH));
+            }
+        }
         let inputs = info.inputs.iter().zip(&set.inputs);
         let inputs = inputs.map(|(input, value)| (&input.parameter, value - input.value, INPUTS));
         for (parameter, off, most) in own.chain(inputs) {

@@ -76,7 +76,9 @@ pub use inverse_kinematics::InverseKinematics;
 pub use judgement::Judgement;
 pub use location::{LocationError, LocationErrors, Standing, location_errors};
 pub use mistakes::likely_mistakes;
-pub use plausibility::{LargeError, absurd_error, implausible_errors, large_errors, opposite_factor};
+pub use plausibility::{
+    Contradicted, LargeError, absurd_error, contradicted, implausible_errors, large_errors, opposite_factor,
+};
 pub use plausible::Plausible;
 pub use preference::{check_preferences, in_order_of_preference};
 pub use propagation::{AposterioriFactors, Linearisation, Propagation};

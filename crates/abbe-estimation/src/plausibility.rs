@@ -128,6 +128,60 @@ pub fn opposite_factor(problem: &Problem, calibration: &Calibration) -> Option<(
     opposite.next().map(|(name, found)| (name, found.value))
 }
 
+/// An estimate of a parameter whose value the recipe states with a standard uncertainty, from which it is far.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Contradicted {
+    /// The parameter.
+    pub name: String,
+    /// Its unit; the values are in it.
+    pub unit: Unit,
+    /// Estimate and its standard uncertainty.
+    pub found: [f64; 2],
+    /// Stated value and its standard uncertainty.
+    pub stated: [f64; 2],
+}
+
+/// Standard uncertainties, of the statement and of the estimate together, that an estimate may be off by.
+const CONTRADICTED: f64 = 4.0;
+
+/// Ratio of an estimate to a statement that it contradicts, or of the statement to it, from which one of them is a mistake.
+const MISTAKEN: f64 = 3.0;
+
+impl Contradicted {
+    /// Whether statement or data must be a mistake: what is known of a material is not off by a factor of three.
+    pub fn is_mistake(&self) -> bool {
+        let ratio = self.found[0] / self.stated[0];
+        self.stated[0] != 0.0 && !(1.0 / MISTAKEN..=MISTAKEN).contains(&ratio)
+    }
+
+    /// What contradicts what, for people.
+    pub fn describe(&self) -> String {
+        let (symbol, factor) = self.unit.for_people();
+        let symbol = if symbol == "1" { String::new() } else { format!(" {symbol}") };
+        let [value, u] = self.found.map(|number| rounded(number * factor));
+        let [stated, of_stated] = self.stated.map(|number| rounded(number * factor));
+        format!("`{}` is found as {value} ± {u}{symbol}, and {stated} ± {of_stated}{symbol} is stated", self.name)
+    }
+}
+
+/// The estimated parameters of the machine that contradict their statements: coefficients of expansion, factors of bodies.
+pub fn contradicted(problem: &Problem, calibration: &Calibration) -> Vec<Contradicted> {
+    let info = problem.model.info();
+    let of = |unknown: Unknown| {
+        let found = calibration.get(&unknown.name).filter(|found| found.status == Status::Estimated)?;
+        let stated = [info.nominal[unknown.index], info.nominal_uncertainties[unknown.index]];
+        let both = stated[1].hypot(found.standard_uncertainty);
+        let is_far = stated[1] > 0.0 && (found.value - stated[0]).abs() > CONTRADICTED * both;
+        is_far.then(|| Contradicted {
+            name: unknown.name,
+            unit: unknown.unit,
+            found: [found.value, found.standard_uncertainty],
+            stated,
+        })
+    };
+    problem.machine_unknowns().into_iter().filter_map(of).collect()
+}
+
 /// The errors of a machine whose true values are known, estimated or not, that are larger than an error can be; the largest first.
 pub fn implausible_errors(plausible: &Plausible, at: &Problem) -> Result<Vec<LargeError>> {
     let unknown = |(index, parameter): (usize, &Parameter)| Unknown {

@@ -33,6 +33,8 @@ mod starts;
 pub use beam::{Beam, SectionDisplacement, Segment, TemperaturePlane};
 pub use fit::{Fitted, Output, Readings, Structure, fit};
 pub use fitted::{Bootstrap, Terms};
-pub use log::{Counting, Hold, Reference, SensorLog, SensorNoise, is_dead, possible_temperature, stuck_part};
+pub use log::{
+    Counting, Hold, Reference, SensorLog, SensorNoise, is_dead, possible_temperature, sensor_faults, stuck_part,
+};
 pub use response::{History, Response};
 pub use select::{PARTS, Tried, select};

@@ -214,33 +214,16 @@ impl SensorLog {
         names.map(|(name, _)| name.as_str()).collect()
     }
 
-    /// What looks like the fault of a sensor of temperature, in words: a reading that jumps by many kelvin and comes back with the next
-    /// row, and one that stands still for long while the same sensor moves in most rows before and after it. It may
-    /// stand at the beginning, while the machine rests.
+    /// What looks like the fault of a sensor, in words ([`sensor_faults`]).
     pub fn faults(&self, sensor: usize) -> Vec<String> {
-        let (name, values) = (&self.names[sensor], &self.values[sensor]);
-        let mut faults = Vec::new();
-        let spike = (1..values.len().saturating_sub(1)).find(|&row| {
-            let (up, down) = (values[row] - values[row - 1], values[row] - values[row + 1]);
-            up * down > 0.0
-                && up.abs().min(down.abs()) > SPIKE
-                && (values[row + 1] - values[row - 1]).abs() < SPIKE / 5.0
-        });
-        if let Some(row) = spike {
-            let by = values[row] - values[row - 1];
-            faults.push(format!(
-                "{name} jumps by {by:.1} K in row {} of the log, and back: a fault of the sensor?",
-                row + 1
-            ));
-        }
-        if let Some((first, count)) = stuck_part(values) {
-            faults.push(format!(
-                "{name} reads the same from row {} to row {} of the log, and moves in others: was it stuck?",
-                first + 1,
-                first + count
-            ));
-        }
-        faults
+        sensor_faults(&self.names[sensor], &self.values[sensor])
+    }
+
+    /// The same log with the readings of all sensors in reverse order.
+    pub fn turned(&self) -> Self {
+        let mut turned = self.clone();
+        turned.values.iter_mut().for_each(|values| values.reverse());
+        turned
     }
 
     /// The noise of a sensor, seen from row to row, and what it does to the gain of a state with this time constant (zero: of what
@@ -308,6 +291,30 @@ impl SensorLog {
         let is_next = self.hold == Hold::ZeroOrder && time == self.times[row + 1];
         Ok(if is_next { self.values[sensor][row + 1] } else { self.ends(sensor, row, within)[1] })
     }
+}
+
+/// What looks like the fault of a sensor of temperature, in words: a reading that jumps by many kelvin and comes back with the next
+/// row, and one that stands still for long while the same sensor moves in most rows before and after it. It may
+/// stand at the beginning, while the machine rests.
+pub fn sensor_faults(name: &str, values: &[f64]) -> Vec<String> {
+    let mut faults = Vec::new();
+    let spike = (1..values.len().saturating_sub(1)).find(|&row| {
+        let (up, down) = (values[row] - values[row - 1], values[row] - values[row + 1]);
+        up * down > 0.0 && up.abs().min(down.abs()) > SPIKE && (values[row + 1] - values[row - 1]).abs() < SPIKE / 5.0
+    });
+    if let Some(row) = spike {
+        let by = values[row] - values[row - 1];
+        faults
+            .push(format!("{name} jumps by {by:.1} K in row {} of the log, and back: a fault of the sensor?", row + 1));
+    }
+    if let Some((first, count)) = stuck_part(values) {
+        faults.push(format!(
+            "{name} reads the same from row {} to row {} of the log, and moves in others: was it stuck?",
+            first + 1,
+            first + count
+        ));
+    }
+    faults
 }
 
 /// Whether readings are all the same, in so many rows that no sensor that works reads so.

@@ -177,6 +177,11 @@ impl Analysis {
     pub fn alarm(&self) -> bool {
         self.parameters.iter().any(|parameter| matches!(parameter.state, State::Changed | State::Alarm))
     }
+
+    /// Whether there is a parameter with a test that counts. Without one a history says nothing of the machine.
+    pub fn is_judged(&self) -> bool {
+        !self.parameters.is_empty()
+    }
 }
 
 /// Judges the history of a machine.

@@ -24,8 +24,10 @@ pub fn findings(of: &str, history: &History, analysis: &Analysis, changes: Limit
     let mut findings = Findings::default();
     let changed = analysis.parameters.iter().filter(|parameter| is_alarm(parameter.state)).count();
     let rejected = analysis.tests.iter().filter(|test| !test.good).count();
+    // Without a test that counts there is no number of changes, and no limit is kept.
+    let changed = if analysis.is_judged() { changed as f64 } else { f64::NAN };
     findings.figures.extend([
-        Figure::new(of, "changed parameters", changed as f64, "1").limited(changes),
+        Figure::new(of, "changed parameters", changed, "1").limited(changes),
         Figure::new(of, "tests", analysis.tests.len() as f64, "1"),
         Figure::new(of, "rejected", rejected as f64, "1"),
         Figure::new(of, "missing", analysis.missing.len() as f64, "1"),
@@ -108,6 +110,7 @@ pub fn sentences(history: &History, analysis: &Analysis) -> Vec<String> {
             probability(quality.probability)
         ));
     }
+    told.extend(of_rejected(analysis));
     if !analysis.missing.is_empty() {
         told.push(format!("{unit} {} has no test", analysis.missing.join(", ")));
     }
@@ -165,6 +168,31 @@ pub fn sentences(history: &History, analysis: &Analysis) -> Vec<String> {
         }
     }
     told
+}
+
+/// What so many rejected tests mean, or that of today.
+fn of_rejected(analysis: &Analysis) -> Option<String> {
+    let unit = &analysis.time_unit;
+    let (all, rejected) = (analysis.tests.len(), analysis.tests.iter().filter(|test| !test.good).count());
+    let last = analysis.tests.last()?;
+    if !analysis.is_judged() {
+        return Some(match rejected == all {
+            true => format!(
+                "no test counts, all {all} are rejected: nothing is known of the machine; are the standard uncertainties of the \
+                 readings too small, or is the artefact not what the recipe says?"
+            ),
+            false => "no test has a charted parameter: nothing is known of the machine".to_owned(),
+        });
+    }
+    if 2 * rejected > all {
+        return Some(format!(
+            "{rejected} of {all} tests are rejected, the charts are of the others: are the standard uncertainties of the readings too \
+             small, or is the artefact not what the recipe says?"
+        ));
+    }
+    (!last.good).then(|| {
+        format!("the last test ({unit} {}) is rejected: how the machine is now is not known; measure again", last.label)
+    })
 }
 
 /// A probability in words; far out the distribution has no digits.

@@ -139,6 +139,11 @@ fn add_all(path: &Path, entries: &[Entry]) -> Result<Vec<Added>> {
 
 impl Add {
     fn run(self) -> Result<String> {
+        if self.machine.as_ref().is_some_and(|machine| machine.trim().is_empty()) {
+            return Err(
+                Error::usage("--machine: a name was expected").help("without `--machine` its description names it")
+            );
+        }
         // Everything is read before the first entry is added.
         let read = |folder: &PathBuf| self.read(folder);
         let entries: Vec<Entry> = self.results.iter().map(read).collect::<Result<_>>()?;
@@ -194,6 +199,7 @@ fn entry(
     };
     let stored = |(_, calibration): (String, Calibration)| {
         let own = calibration.model.settings.get("name").and_then(Value::as_str);
+        let own = own.filter(|name| !name.trim().is_empty());
         let machine = machine.or(own).unwrap_or(&record.recipe).to_owned();
         match calibration.group.clone() {
             Some(group) => Stored { machine, label: group.label, at: group.at, unit: group.unit, calibration },
@@ -208,6 +214,32 @@ fn entry(
         verdicts,
         evidence: json!({ "inputs": inputs, "plugins": plugins, "version": record.version }),
     })
+}
+
+/// Refuses tests of machines that cannot be the same: their chains, or the plugins that describe them, differ.
+fn same_machine(tests: &[&Stored], estimate: &str) -> Result<()> {
+    let chain = |stored: &Stored| {
+        let model = &stored.calibration.model;
+        (model.plugin.clone(), model.settings.get("chain").cloned())
+    };
+    let Some((first, other)) = tests
+        .iter()
+        .find_map(|other| Some((tests.first()?, other)).filter(|(first, other)| chain(first) != chain(other)))
+    else {
+        return Ok(());
+    };
+    let words = |stored: &Stored| {
+        let (plugin, chain) = chain(stored);
+        let chain = chain.as_ref().and_then(Value::as_str).map_or_else(|| plugin, |chain| format!("`{chain}`"));
+        format!("{chain} in {} {}", stored.unit, stored.label)
+    };
+    let message = format!(
+        "the tests of `{estimate}` under the name `{}` are of different machines: {}, {}",
+        first.machine,
+        words(first),
+        words(other)
+    );
+    Err(Error::data(message).help("keep each machine under a name of its own: `abbe history add --machine NAME`"))
 }
 
 /// A day from 1970-01-01: a number, or a date.
@@ -303,16 +335,19 @@ impl Check {
         let analysis =
             analyse(unit, &known.tests, &known.series, &known.covariances, &known.inputs, &Settings::default());
         let said = findings(&machine, &known, &analysis, Limit::from(0.0))?;
-        let status = if analysis.alarm() { 3 } else { 0 };
+        let (status, state) = match (analysis.is_judged(), analysis.alarm()) {
+            (false, _) => (3, "not judged"),
+            (true, true) => (3, "alarm"),
+            (true, false) => (0, "in control"),
+        };
         if self.json {
             let text = serde_json::to_string_pretty(
-                &json!({ "machine": machine, "alarm": analysis.alarm(), "analysis": analysis }),
+                &json!({ "machine": machine, "alarm": analysis.alarm(), "judged": analysis.is_judged(), "analysis": analysis }),
             );
             let text = text.map_err(|error| Error::data(format!("the output cannot be written: {error}")))?;
             return Ok((text + "\n", status));
         }
-        let mut text =
-            format!("{machine}: {} tests, {}\n", tests.len(), if analysis.alarm() { "alarm" } else { "in control" });
+        let mut text = format!("{machine}: {} tests, {state}\n", tests.len());
         said.remarks.iter().for_each(|remark| text.extend(["  ", remark, "\n"]));
         Ok((text, status))
     }
@@ -366,7 +401,7 @@ impl Check {
                 Err(Error::data(format!("the tests of `{estimate}` have times of different kinds"))
                     .help("keep tests by week and tests by date in histories of their own"))
             }
-            _ => Ok(tests),
+            all => same_machine(all, estimate).map(|()| tests),
         }
     }
 

@@ -9,6 +9,7 @@ use std::collections::BTreeMap;
 use std::fmt::Write as _;
 use std::io::{self, BufRead, IsTerminal, Write as _};
 use std::path::PathBuf;
+use std::time::Duration;
 
 use abbe_core::{Error, Monitor, Result};
 use abbe_engine::{can_write_folder, write_folder};
@@ -35,6 +36,9 @@ pub struct New {
     /// The control that gets the corrections.
     #[arg(long, value_enum)]
     controller: Option<Controller>,
+    /// Time limit, seconds: machines with many axes take long.
+    #[arg(long, value_name = "SECONDS", value_parser = interrupt::seconds, allow_negative_numbers = true)]
+    time_limit: Option<Duration>,
 }
 
 /// What is measured.
@@ -72,7 +76,12 @@ pub enum Controller {
 impl New {
     /// Writes the folder; gives what to print.
     pub fn run(&self, libraries: &Libraries) -> Result<String> {
-        interrupt::cancel_on_signal(Monitor::default())?;
+        let monitor = match self.time_limit {
+            Some(limit) => Monitor::default().with_time_limit(limit),
+            None => Monitor::default(),
+        };
+        interrupt::cancel_on_signal(monitor.clone())?;
+        interrupt::end_after(self.time_limit, interrupt::GRACE, false)?;
         can_write_folder(&self.folder)?;
         let chain = match &self.chain {
             Some(chain) => chain.clone(),
@@ -89,7 +98,7 @@ impl New {
                     .map_err(|_| Error::usage(format!("`{answer}` is none of {}", methods())))?
             }
         };
-        let beginning = begin(&chain, method, self.controller, &libraries.registry(None)?)?;
+        let beginning = begin(&chain, method, self.controller, &libraries.registry(None)?, &monitor)?;
         let bytes = |(name, text): (&PathBuf, &String)| (name.clone(), text.clone().into_bytes());
         let files: BTreeMap<PathBuf, Vec<u8>> = beginning.files.iter().map(bytes).collect();
         write_folder(&self.folder, &files)?;

@@ -20,6 +20,8 @@ pub struct Probed {
     pub max: f64,
     /// Mean reading.
     pub mean: f64,
+    /// Every reading, in the order of the data.
+    readings: Vec<f64>,
     /// Status of the machine, the approach axis at the mean reading.
     status: Vec<f64>,
     /// Its first row in the data of the baseline.
@@ -48,6 +50,9 @@ pub struct Run {
 /// Largest difference, mm and rad, from the baseline of axes that do not move until contact. It moves the point of contact on
 /// the facet and does not change the reading.
 const ELSEWHERE: (f64, f64) = (0.05, 1e-3);
+
+/// With fewer points than this, readings of two runs may be the same by chance.
+const FEW: usize = 5;
 
 const AS_BEFORE: &str = "runs have to probe the points as the baseline did";
 
@@ -90,6 +95,7 @@ impl Baseline {
                 min: readings.iter().copied().fold(f64::INFINITY, f64::min),
                 max: readings.iter().copied().fold(f64::NEG_INFINITY, f64::max),
                 mean,
+                readings,
                 status: touch.status,
                 first: *first_row,
             });
@@ -99,6 +105,22 @@ impl Baseline {
         }
         let data = layout.data.clone();
         Ok(Self { problem, points, data })
+    }
+
+    /// What a run is a copy of, if all its readings are those of one repeat of the baseline, or of an earlier run, to the last
+    /// digit. Readings of few points may be alike by chance.
+    pub fn copied(&self, run: &Run, earlier: &[Run]) -> Option<String> {
+        if self.points.len() < FEW {
+            return None;
+        }
+        let is_repeat = |repeat| {
+            self.points.iter().zip(&run.readings).all(|(probed, reading)| probed.readings.get(repeat) == Some(reading))
+        };
+        let repeats = self.points.iter().map(|probed| probed.readings.len()).min().unwrap_or_default();
+        if (0..repeats).any(is_repeat) {
+            return Some("the baseline".to_owned());
+        }
+        earlier.iter().find(|other| other.readings == run.readings).map(|other| other.name.clone())
     }
 
     fn touch<'a>(&'a self, probed: &'a Probed) -> Result<Touch<'a>> {

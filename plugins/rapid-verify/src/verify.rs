@@ -202,9 +202,17 @@ impl Validate for Verify {
         let missing = undeclared(fit.problem.model.as_ref());
         let others = OtherExplanations { patterns: &everything, diagnoser: all.as_ref(), undeclared: &missing };
         let mut findings = Findings::default();
-        for run in baseline.runs(data)? {
-            let report = Report { fit: &fit.name, run: &run, baseline: &baseline, patterns: &patterns };
+        let runs = baseline.runs(data)?;
+        for (index, run) in runs.iter().enumerate() {
+            let report = Report { fit: &fit.name, run, baseline: &baseline, patterns: &patterns };
             self.judge(&report, &diagnoser, &others, &mut findings)?;
+            if let Some(original) = baseline.copied(run, &runs[..index]) {
+                findings.remarks.push(format!(
+                    "{}: all readings are those of {original} to the last digit: is it a copy of that file? Then it says nothing \
+                     about the machine of today",
+                    run.name
+                ));
+            }
         }
         if let Some(artefact) = &self.settings.material {
             for tolerance in self.tolerances() {
@@ -452,6 +460,7 @@ fn elsewhere(deviations: &[f64]) -> Option<String> {
 /// Four digits, without an exponent where people read none.
 pub fn short(value: f64) -> String {
     match value.abs() {
+        0.0 => "0".to_owned(),
         size if (1e-2..1e6).contains(&size) => {
             let decimals = (3 - size.log10().floor() as i32).clamp(0, 5) as usize;
             format!("{value:.decimals$}")

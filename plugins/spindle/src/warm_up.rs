@@ -181,6 +181,24 @@ impl WarmUp {
         Ok(())
     }
 
+    /// Tells of temperatures whose rows, in the reverse order, explain what drifts most far better.
+    fn tell_turned(&self, log: &SensorLog, outputs: &[Output], structure: &Structure, fitted: &Fitted) -> Result<()> {
+        let most = |output: &Output| output.runs[0].values.iter().fold(0.0, |most: f64, value| most.max(value.abs()));
+        let largest = (0..outputs.len()).max_by(|one, other| most(&outputs[*one]).total_cmp(&most(&outputs[*other])));
+        let Some(largest) = largest else { return Ok(()) };
+        let turned = abbe_thermal::fit(&[log.turned()], outputs, structure)?;
+        let [as_read, turned] = [fitted, &turned].map(|fit| 1e3 * fit.scatter[largest]);
+        if turned < TURNED * as_read {
+            tracing::warn!(
+                "{} follows {} far better with the temperatures in the reverse order of their rows (scatter {turned:.3} um, and \
+                 {as_read:.3} um as they are): are the rows of one of them sorted the other way round?",
+                self.drift[largest],
+                self.temperatures.join(", ")
+            );
+        }
+        Ok(())
+    }
+
     /// Gains of a drift on temperatures, with the covariance that its residuals tell.
     fn gains(&self, found: &mut Found, fitted: &Fitted, log: &SensorLog, output: usize, inverse: &DMatrix<f64>) {
         let name = &self.drift[output];
@@ -198,6 +216,9 @@ impl WarmUp {
         found.add(&combined, &fitted.gains[output], &covariance, freedom);
     }
 }
+
+/// Part of the scatter below which temperatures in the reverse order are far better.
+const TURNED: f64 = 0.5;
 
 /// How many times a usual step is a jump, and the part of the range that it has to be.
 const JUMP: f64 = 10.0;
@@ -320,6 +341,7 @@ impl Estimate for WarmUp {
                 guess: None,
             };
             let fitted = abbe_thermal::fit(std::slice::from_ref(&log), &outputs, &structure)?;
+            self.tell_turned(&log, &outputs, &structure, &fitted)?;
             let (inverse, worst) = inverse_of(&log)
                 .ok_or_else(|| Error::data("the temperatures cannot be told apart").setting("temperatures"))?;
             for (output, readings) in outputs.iter().enumerate() {

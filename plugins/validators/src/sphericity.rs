@@ -106,7 +106,9 @@ impl Validate for Sphericity {
                 findings.figures.extend(of_nominal);
             }
             let values = fit.problem.starting_from(&fit.calibration).machine_values;
-            let mut figures = Form::all(&touches, model, &values)?.figures(&fit.name, model.info().stylus_radius);
+            let form = Form::all(&touches, model, &values)?;
+            findings.remarks.extend(form.doubted_size(&fit.name, model.info().stylus_radius));
+            let mut figures = form.figures(&fit.name, model.info().stylus_radius);
             figures.extend(skipped.map(|skipped| Figure::new(&fit.name, "outliers", skipped as f64, ONE)));
             apply_limits(&self.settings.limits, &mut figures);
             findings.figures.extend(figures);
@@ -243,6 +245,29 @@ impl Form {
     fn size_error(&self) -> Option<f64> {
         let known = self.0.iter().filter_map(|sphere| sphere.size_error);
         known.max_by(|one, other| one.abs().total_cmp(&other.abs()))
+    }
+}
+
+/// Size error, mm, that no calibrated machine makes.
+const WRONG_SIZE: f64 = 0.5;
+
+/// Part of the diameter that it may be off from twice, or half, of what is stated, to be taken for that.
+const ABOUT: f64 = 0.05;
+
+impl Form {
+    /// What is to be said of a sphere that is far from its stated size.
+    fn doubted_size(&self, of: &str, stylus_radius: f64) -> Option<String> {
+        let size = |sphere: &Measured| sphere.size_error.map(|error| (sphere.diameter(stylus_radius), 2e-3 * error));
+        let mut wrong = self.0.iter().filter_map(size).filter(|(_, off)| off.abs() > 2.0 * WRONG_SIZE);
+        let (diameter, off) = wrong.next()?;
+        let stated = diameter - off;
+        let is = |times: f64| (diameter / (times * stated) - 1.0).abs() < ABOUT;
+        let cause = match (is(2.0), is(0.5)) {
+            (true, _) => "is the radius stated as the diameter?",
+            (_, true) => "is the diameter stated as the radius?",
+            _ => "is the stated diameter, or the radius of the stylus, that of another one?",
+        };
+        Some(format!("{of}: a sphere of {stated:.3} mm diameter is measured as one of {diameter:.3} mm: {cause}"))
     }
 }
 

@@ -10,6 +10,7 @@ mod terms;
 use std::collections::BTreeMap;
 
 use abbe_core::{Dataset, PathItem, Quantity, SettingsError, not_negative, positive};
+use abbe_thermal::sensor_faults;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
@@ -375,7 +376,7 @@ impl Body {
 const APART: f64 = 10.0;
 
 impl Body {
-    /// What looks like the fault of a sensor in the idle minutes, in words: one that reads far from what the others read there.
+    /// What looks like the fault of a sensor, in words: one that jumps or is stuck, or reads far from the others in the idle minutes.
     pub fn faults(&self) -> Vec<String> {
         let each = log::each((&self.log, &self.logs), None, |log| Ok(self.faults_in(log))).unwrap_or_default();
         let of = |label: Option<&str>| match (&self.series, label) {
@@ -386,6 +387,14 @@ impl Body {
     }
 
     fn faults_in(&self, log: &Columns) -> Vec<String> {
+        let of_each = |name: &str| sensor_faults(name, log::readings(log, name).unwrap_or_default());
+        let mut told: Vec<String> = self.sensors().iter().flat_map(|name| of_each(name)).collect();
+        told.extend(self.apart_in(log));
+        told
+    }
+
+    /// Sensors that read far from what the others read in the idle minutes.
+    fn apart_in(&self, log: &Columns) -> Vec<String> {
         let (Some(until), Some(times)) = (self.reference_until_s, log::readings(log, "time")) else {
             return Vec::new();
         };

@@ -5,7 +5,9 @@ use std::fs;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
-use abbe_core::{AxisKind, Class, Error, Identifiability, KinematicModel, ParameterRole, Registry, Result, Unit};
+use abbe_core::{
+    AxisKind, Class, Error, Identifiability, KinematicModel, Monitor, ParameterRole, Registry, Result, Unit,
+};
 use abbe_engine::{Planned, Prepared, prepare};
 use abbe_kinematics::{NamedAxis, StructuralLoop};
 
@@ -44,6 +46,8 @@ const FOLDS: usize = 4;
 struct Trial<'a> {
     folder: tempfile::TempDir,
     registry: &'a Registry,
+    /// Asked before every trial.
+    monitor: &'a Monitor,
     files: BTreeMap<PathBuf, String>,
 }
 
@@ -56,6 +60,7 @@ impl Trial<'_> {
     }
 
     fn prepared(&mut self, recipe: &Recipe<'_>) -> Result<Prepared> {
+        self.monitor.check()?;
         self.write(RECIPE, recipe.text())?;
         prepare(&self.folder.path().join(RECIPE), self.registry).map_err(|error| Error { place: None, ..error })
     }
@@ -78,6 +83,7 @@ pub fn begin(
     method: Method,
     controller: Option<Controller>,
     registry: &Registry,
+    monitor: &Monitor,
 ) -> Result<Beginning> {
     let linear = linear_axes(chain).count();
     if linear < 3 && method.needs_three_linear_axes() {
@@ -85,7 +91,7 @@ pub fn begin(
         return Err(Error::usage(message).help("`--method poses` takes poses of a target: see docs/robots.md"));
     }
     let folder = tempfile::tempdir().map_err(|error| Error::data(format!("there is no temporary folder: {error}")))?;
-    let mut trial = Trial { folder, registry, files: BTreeMap::new() };
+    let mut trial = Trial { folder, registry, monitor, files: BTreeMap::new() };
     if let Some(nominal) = method.nominal_file() {
         trial.write(nominal, method.nominal())?;
     }
