@@ -76,8 +76,16 @@ pub fn doubts(all: &[Fit]) -> Option<String> {
         .chain(all.iter().filter_map(too_many_outliers))
         .chain(all.iter().filter_map(contradicted))
         .chain(all.iter().filter_map(disagreeing))
+        .chain(all.iter().flat_map(misstated))
         .collect();
     (!text.is_empty()).then_some(text)
+}
+
+/// Estimates that are not what the recipe states, but could be.
+fn misstated(fit: &Fit) -> Vec<String> {
+    let found = abbe_engine::contradicted(&fit.problem, &fit.calibration);
+    let told = found.iter().filter(|stated| !stated.is_mistake());
+    told.map(|stated| format!("  {}: {}: is the statement right?\n", fit.name, stated.describe())).collect()
 }
 
 /// Probability below which new rows and what was known do not agree.
