@@ -566,3 +566,65 @@ fn nonsense_is_refused_or_copied() {
         }
     }
 }
+
+/// What a control does between blocks, or takes from its parameters, is not guessed.
+#[test]
+fn what_a_program_leaves_open_is_told_or_refused() {
+    let folder = temporary();
+    let at = folder.path();
+    write(&at.join("fit.calibration.json"), &calibration("three-axis").to_string());
+    let compensate = |dialect: &str, program: &str, more: &[&str]| {
+        write(&at.join("part.nc"), program);
+        let _ = std::fs::remove_file(at.join("new.nc"));
+        let fixed = ["compensate", "fit.calibration.json", "part.nc", "--dialect", dialect, "--out", "new.nc"];
+        abbe(at, &[&fixed, more].concat())
+    };
+    let written = || read(&at.join("new.nc"));
+    // After a change of the tool Z may stand anywhere: it is not written until the program names it.
+    let change = "G21 G17 G90 G94 G54\nG0 X0. Y0. Z100.\nG43 H1 Z50.\nG1 Z-5. F100\nX50.\nT2 M6\nG0 X-50. Y50.\nG43 H2 Z50.\nG1 Z-5.\nM30\n";
+    let zero = ["--tool-length-mm", "120", "--offset", "G54=X0,Y0,Z0"];
+    for dialect in ["fanuc", "iso", "linuxcnc"] {
+        let found = compensate(dialect, change, &zero);
+        assert_eq!(found.status, 0, "{dialect}: {}", found.stderr);
+        let text = written();
+        let after: Vec<&str> = text.lines().skip_while(|line| !line.contains("M6")).collect();
+        assert_eq!(after[1], "G0 X-50. Y50.", "{dialect}: {text}");
+        let stays = compensate(dialect, change, &[&zero[..], &["--tool-change", "stays"]].concat());
+        assert_eq!(stays.status, 0, "{dialect}: {}", stays.stderr);
+        let text = written();
+        let after: Vec<&str> = text.lines().skip_while(|line| !line.contains("M6")).collect();
+        assert!(after[1].contains('Z'), "{dialect}: {text}");
+    }
+    let fed = change.replace("G0 X-50. Y50.\nG43 H2 Z50.\n", "G1 X-50. Y50.\n");
+    let found = compensate("fanuc", &fed, &zero);
+    assert!(found.status == 1 && found.stderr.contains("part.nc:7:"), "{}", found.stderr);
+    assert!(!at.join("new.nc").exists());
+    // Units and absolute numbers.
+    let silent = "G0 X0. Y0. Z100.\nG1 X50. F100\nM30\n";
+    for (dialect, told) in [("fanuc", 2), ("iso", 2), ("linuxcnc", 1), ("grbl", 0)] {
+        let found = compensate(dialect, silent, &[]);
+        assert_eq!(found.status, 0, "{}", found.stderr);
+        assert_eq!(found.stdout.matches("stands before the first move").count(), told, "{dialect}: {}", found.stdout);
+    }
+    assert!(!compensate("iso", &format!("G21 G90\n{silent}"), &[]).stdout.contains("stands before"));
+    // LinuxCNC keeps G52 where it keeps G92: G92.1 takes both back.
+    let shifted = |end: &str| format!("G21 G90\nG0 X0 Y0 Z100\nG52 X100\nG1 X0 F100\n{end}\nG1 X10\nM2\n");
+    compensate("linuxcnc", &shifted("G52 X0"), &[]);
+    let last = |text: String| text.lines().rev().nth(1).expect("a line").to_owned();
+    let by_g52 = last(written());
+    for end in ["G92.1", "G92.2"] {
+        assert_eq!(compensate("linuxcnc", &shifted(end), &[]).status, 0);
+        assert_eq!(last(written()), by_g52, "{end}");
+    }
+    for (more, said) in [
+        (["--tool-length-mm", "-350"], "gauge line"),
+        (["--offset", "G54=X100,X-50"], "twice"),
+        (["--offset", "G54=A5"], "does not have"),
+        (["--start", "X0,Y0,Z0,C5"], "does not have"),
+    ] {
+        let found = compensate("iso", silent, &more);
+        assert!(found.status == 2 && found.stderr.contains(said), "{more:?}: {}", found.stderr);
+    }
+    let found = compensate("fanuc", &silent.replace("M30", "M198 P1\nM30"), &[]);
+    assert!(found.status == 1 && found.stderr.contains("part.nc:3:"), "{}", found.stderr);
+}

@@ -443,3 +443,101 @@ fn wrong_plans_are_told_and_wrong_rows_refused() {
     let said: String = failed.failures.iter().map(|failure| failure.error.to_string()).collect();
     assert!(said.contains("`direction` is up; 1 or -1 was expected"), "{said}");
 }
+
+/// Rows of a table by the places of its columns.
+fn rows(file: &Path) -> (String, Vec<Vec<String>>, impl Fn(&str) -> usize) {
+    let text = read(file);
+    let mut lines = text.lines().filter(|line| !line.starts_with('#'));
+    let header = lines.next().expect("a header").to_owned();
+    let rows = lines.map(|line| line.split(',').map(str::to_owned).collect()).collect();
+    let names: Vec<String> = header.split(',').map(str::to_owned).collect();
+    (header, rows, move |name| names.iter().position(|own| own == name).expect("the column"))
+}
+
+/// Readings that are copies, the same in all rows or far quieter than stated, and tests that lack most of what they need.
+#[test]
+fn what_is_no_test_is_told_or_decides_nothing() {
+    let folder = crate::support::temporary();
+    let told = |name: &str, ingest: &str, change: &dyn Fn(&mut Vec<Vec<String>>, &dyn Fn(&str) -> usize)| {
+        let mut recipe = recipe(name);
+        let (header, mut rows, place) = rows(&recipe.path(ingest, "path"));
+        change(&mut rows, &place);
+        let file = folder.path().join(format!("{ingest}.csv"));
+        let text: String = rows.iter().fold(header + "\n", |text, row| text + &row.join(",") + "\n");
+        crate::support::write(&file, &text);
+        recipe.stage(ingest)["path"] = json!(file);
+        let outcome = recipe.run();
+        assert!(outcome.failures.is_empty(), "{:?}", outcome.failures.first().map(|failure| &failure.error));
+        outcome
+    };
+    let remarks = |outcome: &Outcome| -> String {
+        outcome.verdicts.iter().flat_map(|verdict| &verdict.remarks).map(|text| text.clone() + "\n").collect()
+    };
+    let words = ["are they copies?", "was anything measured?", "is the unit of the column right?"];
+    for (name, ingest) in [
+        ("positioning", "linear"),
+        ("circular", "slow"),
+        ("cmm", "lengths"),
+        ("cmm", "sphere"),
+        ("rotary-interpolation", "read-c"),
+    ] {
+        let said = remarks(&told(name, ingest, &|_, _| {}));
+        assert!(!words.iter().any(|word| said.contains(word)), "{name} {ingest}: {said}");
+    }
+    // One run as all runs; the way back as the way there; one line as all lines; one stylus as all.
+    let copied = told("positioning", "linear", &|rows, place| {
+        let (run, target, way, reading) = (place("run"), place("position_mm"), place("direction"), place("reading_um"));
+        let first = rows[0][run].clone();
+        let of_first: Vec<Vec<String>> = rows.iter().filter(|row| row[run] == first).cloned().collect();
+        let same = |row: &[String], other: &[String]| {
+            let at = |row: &[String]| row[target].parse::<f64>().expect("a position").round();
+            row[way] == other[way] && at(row) == at(other)
+        };
+        for row in rows.iter_mut() {
+            let other = of_first.iter().find(|other| same(row, other)).expect("the target");
+            row[reading] = other[reading].clone();
+        }
+    });
+    assert!(remarks(&copied).contains(words[0]), "{}", remarks(&copied));
+    let copied = told("cmm", "sphere", &|rows, place| {
+        let stylus = place("stylus");
+        let of = |rows: &[Vec<String>], label: &str| -> Vec<Vec<String>> {
+            rows.iter().filter(|row| row[stylus] == label).cloned().collect()
+        };
+        let (all, first) = (rows.clone(), of(rows, "0"));
+        rows.retain(|row| row[stylus] == "0");
+        for label in ["1", "2", "3"] {
+            assert_eq!(of(&all, label).len(), first.len());
+            rows.extend(first.iter().map(|row| {
+                let mut row = row.clone();
+                row[stylus] = label.to_owned();
+                row
+            }));
+        }
+    });
+    assert!(remarks(&copied).contains(words[0]), "{}", remarks(&copied));
+    let nothing = told("cmm", "lengths", &|rows, place| {
+        let (reference, measured) = (place("reference_mm"), place("measured_mm"));
+        rows.iter_mut().for_each(|row| row[measured] = row[reference].clone());
+    });
+    assert!(remarks(&nothing).contains(words[1]), "{}", remarks(&nothing));
+    let quiet = told("circular", "slow", &|rows, place| {
+        let reading = place("reading_um");
+        rows.iter_mut()
+            .for_each(|row| row[reading] = format!("{}", 1e-3 * row[reading].parse::<f64>().expect("a number")));
+    });
+    assert!(remarks(&quiet).contains(words[2]), "{}", remarks(&quiet));
+    // Three rows decide nothing; nor does one diagonal of four.
+    let short = told("rotary-interpolation", "read-c", &|rows, _| rows.truncate(3));
+    let of_c: Vec<&Figure> = figures(&short, "c-axis").iter().filter(|figure| figure.limit.is_some()).collect();
+    assert!(!of_c.is_empty() && of_c.iter().all(|figure| figure.inconclusive.is_some()), "{of_c:?}");
+    let mut one = recipe("diagonals");
+    one.stage("diagonals")["from"] = json!(["ppp"]);
+    let found = one.run();
+    let of_body = figures(&found, "diagonals").iter().find(|figure| figure.name == "E_d[body]").expect("the figure");
+    assert!(of_body.inconclusive.as_ref().is_some_and(|why| why.contains("1 of 4")), "{of_body:?}");
+    let all = recipe("diagonals").run();
+    assert!(
+        figures(&all, "diagonals").iter().all(|figure| figure.name != "E_d[body]" || figure.inconclusive.is_none())
+    );
+}

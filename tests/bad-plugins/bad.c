@@ -1,11 +1,16 @@
 /* A plugin library that does what none should. How the library as a whole is wrong is chosen when it is compiled (LIBRARY_...),
  * what its model does wrong by its setting `mode`. After `away-` it does so only where a parameter is not zero, and writes on
  * standard error every time that it is asked there. */
+#include <fcntl.h>
 #include <fenv.h>
 #include <math.h>
+#include <signal.h>
 #include <stdio.h>
 #include <stdlib.h>
 #include <string.h>
+#include <sys/socket.h>
+#include <sys/stat.h>
+#include <sys/wait.h>
 #include <unistd.h>
 
 #include "abbe_plugin.h"
@@ -26,6 +31,37 @@ static void say(const AbbeReply *reply, const char *text)
 static int is(const Bad *bad, const char *mode)
 {
     return strcmp(bad->mode, mode) == 0;
+}
+
+/* What no plugin needs to do: none if it cannot, or does not try. */
+static const char *could(const Bad *bad)
+{
+    if (is(bad, "read"))
+        return open("/etc/passwd", O_RDONLY) >= 0 ? "read a file of the system" : NULL;
+    if (is(bad, "list"))
+        return open("/", O_RDONLY | O_DIRECTORY) >= 0 ? "list a folder" : NULL;
+    if (is(bad, "write"))
+        return open("written-by-a-plugin", O_WRONLY | O_CREAT, 0600) >= 0 ? "write a file" : NULL;
+    if (is(bad, "change"))
+        return chmod("recipe.yaml", 0400) == 0 ? "change a file" : NULL;
+    if (is(bad, "network"))
+        return socket(AF_INET, SOCK_STREAM, 0) >= 0 ? "open a socket" : NULL;
+    if (is(bad, "fork")) {
+        pid_t child = fork();
+        if (child == 0)
+            _exit(0);
+        return child > 0 && waitpid(child, NULL, 0) == child ? "start a process" : NULL;
+    }
+    if (is(bad, "signal"))
+        return kill(getppid(), SIGWINCH) == 0 ? "signal to another process" : NULL;
+    if (is(bad, "memory")) {
+        size_t size = (size_t)3 << 30;
+        char *volatile much = malloc(size);
+        return much ? "have 3 GiB of memory" : NULL;
+    }
+    if (is(bad, "environment"))
+        return getenv("PATH") ? "read the environment" : NULL;
+    return NULL;
 }
 
 static uint32_t poses(void *handle, const AbbePoses *batch, const AbbeReply *reply)
@@ -51,6 +87,10 @@ static uint32_t poses(void *handle, const AbbePoses *batch, const AbbeReply *rep
     if (is(bad, "hang"))
         for (;;)
             usleep(1000);
+    if (could(bad)) {
+        say(reply, could(bad));
+        return ABBE_FAILED;
+    }
     if (is(bad, "fail")) {
         say(reply, "the vendor says no");
         return ABBE_FAILED;

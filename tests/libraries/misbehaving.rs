@@ -15,7 +15,7 @@ fn misbehave(mode: &str, isolate: bool) -> (Printed, String) {
     let library = bad(folder.path(), "bad", &[]);
     let mut recipe = three_axes(json!({ "model": "bad-model", "mode": mode }));
     recipe["stages"]["fit"]["parameters"] = json!(["E*[1]"]);
-    recipe["plugins"] = json!([{ "path": library }]);
+    recipe["plugins"] = json!([{ "path": library, "isolate": false }]);
     if isolate {
         recipe["plugins"] = json!([{ "path": library, "isolate": true, "time_limit_s": 1.0 }]);
     }
@@ -73,6 +73,58 @@ fn what_would_end_the_program_ends_an_isolated_plugin_only() {
         let (printed, text) = misbehave(mode, true);
         assert!(text.contains(expected) && text.contains("`bad-model` of libbad.so"), "{mode}: {text}");
         assert_eq!(printed.status, 1, "{mode}: {text}");
+    }
+}
+
+/// What a plugin in the program can do, an isolated one cannot.
+#[test]
+#[cfg(target_os = "linux")]
+fn an_isolated_plugin_is_confined() {
+    if let Some(missing) = abbe_plugin::missing() {
+        println!("skipped: {missing}");
+        return;
+    }
+    let cases = [
+        ("read", "read a file of the system"),
+        ("list", "list a folder"),
+        ("write", "write a file"),
+        ("change", "change a file"),
+        ("network", "open a socket"),
+        ("fork", "start a process"),
+        ("signal", "signal to another process"),
+        ("memory", "have 3 GiB of memory"),
+        ("environment", "read the environment"),
+    ];
+    for (mode, could) in cases {
+        let (printed, text) = misbehave(mode, false);
+        assert!(printed.status == 1 && text.contains(could), "{mode}: {text}");
+        let (printed, text) = misbehave(mode, true);
+        assert_eq!(printed.status, 0, "{mode}: {text}");
+    }
+}
+
+/// Who pins nothing gets a process for the plugin, unless he says that he trusts it.
+#[test]
+fn a_library_that_nobody_pins_is_isolated() {
+    let folder = temporary();
+    lengths(folder.path());
+    let library = bad(folder.path(), "bad", &[]);
+    let mut recipe = three_axes(json!({ "model": "bad-model", "mode": "environment" }));
+    recipe["stages"]["fit"]["parameters"] = json!(["E*[1]"]);
+    let sha256 = abbe_plugin::isolated(&library, None, &limits(60.0)).expect("a library").sha256;
+    for (plugins, flag, status) in [
+        (json!([{ "path": library }]), None, 0),
+        (json!([{ "path": library }]), Some("--trust-plugins"), 1),
+        (json!([{ "path": library, "sha256": sha256 }]), None, 1),
+        (json!([{ "path": library, "sha256": sha256 }]), Some("--isolate-plugins"), 0),
+        (json!([{ "path": library, "isolate": true }]), Some("--trust-plugins"), 0),
+        (json!([{ "path": library, "memory_limit_mib": 128 }]), None, 0),
+    ] {
+        recipe["plugins"] = plugins.clone();
+        Variant(recipe.clone()).write(folder.path());
+        let arguments = ["run", "recipe.yaml", "--out", "out"].into_iter().chain(flag).collect::<Vec<_>>();
+        let printed = abbe(folder.path(), &arguments);
+        assert_eq!(printed.status, status, "{plugins} {flag:?}: {}", printed.stderr);
     }
 }
 
@@ -196,7 +248,7 @@ fn a_pinned_library_is_loaded_only_with_its_hash() {
     assert!(printed.status == 2 && printed.stderr.contains("--no-dynamic-plugins"), "{}", printed.stderr);
     let printed = run(json!({ "path": "libbad.so", "sha256": "12" }), &[]);
     assert!(printed.status == 2 && printed.stderr.contains("64 hexadecimal digits"), "{}", printed.stderr);
-    let printed = run(json!({ "path": "libbad.so", "time_limit_s": 5 }), &[]);
+    let printed = run(json!({ "path": "libbad.so", "isolate": false, "time_limit_s": 5 }), &[]);
     assert!(printed.status == 2 && printed.stderr.contains("add `isolate: true`"), "{}", printed.stderr);
 
     let good = bad(folder.path(), "bad", &[]);

@@ -59,6 +59,7 @@ fn limits(silence: f64) -> Limits {
         program: env!("CARGO_BIN_EXE_abbe-under-test").into(),
         arguments: ["plugin", "serve"].map(str::to_owned).to_vec(),
         answer_timeout: Duration::from_secs_f64(silence),
+        memory_limit_mib: abbe_plugin::MEMORY_LIMIT_MIB,
     }
 }
 

@@ -135,6 +135,15 @@ impl<'a> Reader<'a> {
                 self.machine_block(&line)?;
                 return Ok(self.jump(motion, true));
             }
+            Special::ToolChange => {
+                // Where the control drives to for it, and whether it comes back, is not in the program.
+                if let Some(word) = line.words.iter().find(|word| place(word.letter).is_some()) {
+                    let help = "write M6 in a block of its own; or say `--tool-change stays` if no axis moves for it";
+                    return Err(refused(word, "a move beside a change of the tool", help));
+                }
+                self.modal.at = [None; 9];
+                return Ok(self.jump(motion, false));
+            }
             Special::None => {}
         }
         let is_arc = self.modal.motion.is_some_and(Motion::is_arc);
@@ -375,7 +384,8 @@ const WITH_NUMBERS: [f64; 4] = [5.1, 8.0, 61.0, 64.0];
 /// Farthest that the end of an arc may be from its circle, mm.
 const OFF_CIRCLE: f64 = 0.01;
 
-const START: &str = "say where the axes stand: `--start X0,Y0,Z0`, or begin with a rapid move that names all axes";
+const START: &str = "say where the axes stand: `--start X0,Y0,Z0`, or begin with a rapid move that names all axes; after M6, which may move \
+                     them, such a move is needed too, or `--tool-change stays`";
 
 /// A refusal of a whole block, at the word of its motion.
 fn first(line: &Line, what: &str, help: &str) -> Refusal {

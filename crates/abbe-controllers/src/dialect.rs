@@ -76,6 +76,20 @@ impl Dialect {
         (self != Self::Iso).then_some(true)
     }
 
+    /// Codes of inches and of mm where the unit at the start is a parameter of the control, or depends on the machine.
+    pub(crate) fn unit_codes(self) -> Option<[&'static str; 2]> {
+        match self {
+            Self::Linuxcnc | Self::Iso | Self::Fanuc => Some(["G20", "G21"]),
+            Self::Siemens => Some(["G70", "G71"]),
+            Self::Heidenhain | Self::Grbl => None,
+        }
+    }
+
+    /// Whether numbers are absolute or relative at the start is a parameter of the control.
+    pub(crate) fn starts_absolute(self) -> bool {
+        !matches!(self, Self::Iso | Self::Fanuc)
+    }
+
     fn bit(self) -> u8 {
         match self {
             Self::Linuxcnc => L,
@@ -115,6 +129,8 @@ pub(crate) enum Meaning {
     Home,
     SetSystem,
     Shift,
+    /// Takes back a shift of the origin.
+    NoShift,
     /// Not corrected, no position follows from it.
     Keep,
     /// Its words are no positions.
@@ -133,8 +149,8 @@ const ALL: u8 = L | I | F | S | G;
 struct Code(u16, u8, u8, Meaning);
 
 use Meaning::{
-    ArcAbsolute, Dwell, Feed, FeedPerTime, Home, Inches, InverseTime, Keep, MachineBlock, Plane, Rapid, Refuse,
-    Relative, SetSystem, Shift, System, ToolCentre, ToolLength, ToolLengthOff,
+    ArcAbsolute, Dwell, Feed, FeedPerTime, Home, Inches, InverseTime, Keep, MachineBlock, NoShift, Plane, Rapid,
+    Refuse, Relative, SetSystem, Shift, System, ToolCentre, ToolLength, ToolLengthOff,
 };
 
 const RADIUS: Meaning = Refuse(
@@ -268,8 +284,8 @@ const CODES: &[Code] = &[
             "set a work offset: G10 L2, or `--offset`",
         ),
     ),
-    Code(921, L | G, 0, Keep),
-    Code(922, L, 0, Keep),
+    Code(921, L | G, 0, NoShift),
+    Code(922, L, 0, NoShift),
     Code(923, L, 0, Refuse("an offset that is not known here", "set a work offset: G10 L2, or `--offset`")),
     Code(930, L | I | F | S | G, 5, InverseTime),
     Code(940, ALL, 5, FeedPerTime),

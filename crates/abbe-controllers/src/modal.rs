@@ -59,6 +59,9 @@ pub(crate) struct Modal {
     pub(crate) machine: Rc<Machine>,
     /// Work offsets that were taken to be zero.
     pub(crate) assumed: Vec<usize>,
+    /// Whether the program has said its unit, and whether its numbers are absolute.
+    pub(crate) has_unit: bool,
+    pub(crate) has_distance: bool,
 }
 
 /// What a block asks for besides its modal codes.
@@ -70,6 +73,7 @@ pub(crate) enum Special {
     SetSystem,
     Shift,
     MachineBlock,
+    ToolChange,
 }
 
 /// What a block says.
@@ -112,6 +116,8 @@ impl Modal {
             at: options.start,
             machine,
             assumed: Vec::new(),
+            has_unit: false,
+            has_distance: false,
         }
     }
 
@@ -182,8 +188,8 @@ impl Modal {
                 Meaning::Arc { clockwise: true } => self.begin(Motion::Clockwise, index, &mut said),
                 Meaning::Arc { clockwise: false } => self.begin(Motion::CounterClockwise, index, &mut said),
                 Meaning::Plane(plane) => self.plane = plane,
-                Meaning::Inches(inches) => self.inches = inches,
-                Meaning::Relative(relative) => self.relative = relative,
+                Meaning::Inches(inches) => (self.inches, self.has_unit) = (inches, true),
+                Meaning::Relative(relative) => (self.relative, self.has_distance) = (relative, true),
                 Meaning::ArcAbsolute(absolute) => self.arc_absolute = absolute,
                 Meaning::FeedPerTime => self.inverse = false,
                 Meaning::InverseTime => self.inverse = true,
@@ -209,6 +215,7 @@ impl Modal {
                 Meaning::SetSystem => special(&mut said, Special::SetSystem)?,
                 Meaning::Shift => special(&mut said, Special::Shift)?,
                 Meaning::Dwell => special(&mut said, Special::Dwell)?,
+                Meaning::NoShift => self.shift = [0.0; 9],
                 Meaning::Keep => {}
                 Meaning::Refuse(what, help) => return Err(refused(word, what, help)),
             }
@@ -235,8 +242,16 @@ impl Modal {
         use crate::dialect::Dialect;
         let linuxcnc = options.dialect == Dialect::Linuxcnc;
         match word.value as u32 {
-            6 => self.tool = self.next_tool,
-            97..=99 => {
+            6 => {
+                self.tool = self.next_tool;
+                if !options.stays_at_tool_change {
+                    if said.special != Special::None {
+                        return Err(refused(word, "a change of the tool beside another code", MULTIPLE));
+                    }
+                    said.special = Special::ToolChange;
+                }
+            }
+            97..=99 | 198 => {
                 return Err(refused(word, "a subprogram, which is called from several places", "write out its moves"));
             }
             70..=73 if linuxcnc => {

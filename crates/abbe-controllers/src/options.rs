@@ -32,6 +32,8 @@ pub struct Options {
     pub integers_are_mm: bool,
     /// Whether F under G93 is the time in seconds, and not 1/minutes, where that differs.
     pub inverse_is_seconds: Option<bool>,
+    /// Whether the axes stand after a change of the tool (M6) where they stood before; else their positions are not known then.
+    pub stays_at_tool_change: bool,
     /// What the mark in a corrected program says of the calibration.
     pub calibration: String,
 }
@@ -51,6 +53,7 @@ impl Options {
             block_delete: None,
             integers_are_mm: false,
             inverse_is_seconds: None,
+            stays_at_tool_change: false,
             calibration: String::new(),
         }
     }

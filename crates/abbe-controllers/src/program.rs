@@ -10,7 +10,7 @@ use crate::block::{Action, Move, Reader};
 use crate::dialect::Dialect;
 use crate::emit::Emitter;
 use crate::machine::{Machine, Point, Space};
-use crate::modal::MachineOf;
+use crate::modal::{MachineOf, letter};
 use crate::options::{MARK, Options};
 use crate::plan::{Planned, Planner, Purpose};
 
@@ -37,6 +37,8 @@ pub struct Summary {
     pub remaining_line: usize,
     /// Work offsets that were taken to be zero: 0 is G54.
     pub assumed: Vec<usize>,
+    /// What else was taken for granted, in words.
+    pub remarks: Vec<String>,
 }
 
 /// Longest line that is read, bytes.
@@ -84,6 +86,7 @@ pub(crate) fn run(
 ) -> Result<Summary> {
     check(options)?;
     let machine = Rc::new(build(options.tools.only)?);
+    check_axes(options, &machine)?;
     let mut run = Run {
         is_perfect: machine.is_perfect(),
         reader: Reader::new(machine, build, options, false),
@@ -107,6 +110,22 @@ pub(crate) fn run(
     run.summary.lines = count;
     run.summary.assumed.clone_from(&run.reader.modal.assumed);
     Ok(run.summary)
+}
+
+/// Refuses offsets and positions of axes that the machine does not have.
+fn check_axes(options: &Options, machine: &Machine) -> Result<()> {
+    let offsets = options.offsets.values().flat_map(|offset| offset.iter().map(|value| *value != 0.0).enumerate());
+    let named = offsets.chain(options.start.iter().map(|at| at.is_some_and(|at| at != 0.0)).enumerate());
+    match named.into_iter().find(|(axis, is_named)| *is_named && !machine.has(*axis)) {
+        Some((axis, _)) => {
+            let message = format!(
+                "an offset or a start of {}, an axis that the machine of the calibration does not have",
+                letter(axis)
+            );
+            Err(Error::usage(message).help("leave it out of `--offset` and `--start`"))
+        }
+        None => Ok(()),
+    }
 }
 
 fn check(options: &Options) -> Result<()> {
@@ -146,6 +165,9 @@ impl Run<'_, '_> {
         if !self.is_marked && !self.is_perfect && !is_head(text, self.options.dialect) {
             self.mark(&line[end..]);
         }
+        if !matches!(action, Action::Copy(_)) {
+            self.tell_assumptions(number);
+        }
         match action {
             Action::Copy(motion) => self.waiting.push((Waiting::Text(line.to_vec(), motion), number)),
             Action::Jump { at, space, motion, is_rapid } => {
@@ -175,6 +197,22 @@ impl Run<'_, '_> {
             self.flush()?;
         }
         Ok(())
+    }
+
+    /// What a control takes from its parameters and the program does not say before its first move.
+    fn tell_assumptions(&mut self, number: usize) {
+        let (modal, dialect) = (&mut self.reader.modal, self.options.dialect);
+        if let Some([inches, mm]) = dialect.unit_codes().filter(|_| !modal.has_unit) {
+            let text =
+                format!("Line {number}: neither {inches} nor {mm} stands before the first move; numbers count as mm");
+            self.summary.remarks.push(text);
+        }
+        if !dialect.starts_absolute() && !modal.has_distance {
+            let text =
+                format!("Line {number}: neither G90 nor G91 stands before the first move; numbers count as absolute");
+            self.summary.remarks.push(text);
+        }
+        (modal.has_unit, modal.has_distance) = (true, true);
     }
 
     /// Another tool, or other coordinates: where the axes stand is told in them.

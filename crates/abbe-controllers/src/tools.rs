@@ -38,6 +38,11 @@ impl Tools {
             let number = number.ok_or_else(|| at("a line of a tool table without the number of a tool"))?;
             let length = value('Z').filter(|length| length.is_finite());
             let length = length.ok_or_else(|| at("a tool without a length"))?;
+            if length < 0.0 {
+                let help = "lengths count from the gauge line of the spindle, as a presetter measures them; offsets by touching off do not \
+                            say how far the tip is from it";
+                return Err(at("a tool with a length below 0").help(help));
+            }
             if by_number.insert(number as u32, length).is_some() {
                 return Err(at("a tool that stands here twice"));
             }
@@ -61,5 +66,6 @@ mod tests {
         let tools = read("T4 P4 Z87.5 D6 ; end mill\n\nT5 P5 Z+120\n").expect("a table");
         assert_eq!((tools.length(4), tools.length(5), tools.length(6)), (Some(87.5), Some(120.0), None));
         assert!(read("T4 P4\n").is_err() && read("T1 Z1\nT1 Z2\n").is_err());
+        assert!(read("T1 Z-350.5\n").is_err_and(|error| error.help.is_some_and(|help| help.contains("gauge line"))));
     }
 }

@@ -11,11 +11,12 @@ use std::path::Path;
 use std::process::{Command, Stdio};
 use std::time::{Duration, Instant};
 
-use abbe_core::{Error, Result};
+use abbe_core::{Error, Result, harmless};
 use serde::{Deserialize, Serialize};
 use serde_json::{Value, json};
 
-use crate::loader::{Library, load, open_library};
+use crate::loader::{Library, hashed, load_sealed, open_library};
+use crate::sandbox::{Allowance, confine};
 
 /// A test: its name, what it asks for, and how.
 struct Test {
@@ -186,9 +187,15 @@ fn apart(program: &Path, arguments: &[&OsStr], limit: Duration) -> Result<Findin
         return Ok(findings);
     };
     let text = out.join().unwrap_or_default();
-    // A library may print; the findings are the last line.
-    match text.lines().last().and_then(|line| serde_json::from_str(line).ok()) {
-        Some(found) if status.success() => Ok(found),
+    // The findings are the last line; there is nothing before it unless the library prints.
+    let mut lines = text.lines().rev();
+    match lines.next().and_then(|line| serde_json::from_str::<Findings>(line).ok()) {
+        Some(mut found) if status.success() => {
+            if let Some(said) = lines.find(|line| !line.trim().is_empty()) {
+                found.wrong(format!("writes to standard output, which is not the library's: {}", harmless(said)));
+            }
+            Ok(found)
+        }
         _ => {
             let said = err.join().unwrap_or_default();
             let said = said.trim().lines().map(str::trim).collect::<Vec<_>>().join(" ");
@@ -204,7 +211,13 @@ pub fn test(file: &Path, name: &str) -> Result<String> {
     let test = test.ok_or_else(|| Error::usage(format!("there is no test `{name}`")))?;
     let mut findings = Findings::default();
     let directory = std::env::current_dir().ok();
-    match load(file, None) {
+    let confined = hashed(file, None).and_then(|hashed| hashed.sealed(file)).and_then(|sealed| {
+        // A test looks at the memory of its process.
+        let allowance = Allowance { may_read: vec!["/proc/self".into()], ..Allowance::default() };
+        confine(&allowance).map_err(|what| Error::data(format!("a test cannot be confined: {what}")))?;
+        load_sealed(file, sealed)
+    });
+    match confined {
         Ok(library) => (test.run)(&library, &mut findings),
         Err(error) => findings.wrong(error.to_string()),
     }

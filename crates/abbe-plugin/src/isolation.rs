@@ -22,6 +22,7 @@ use abbe_core::{Equations, Error, Origin, Poses, Result, RowBatch, RowIndex, Var
 
 use crate::loader::{About, Create, Library, hashed};
 use crate::peer::{Answer, Failure, Peer, Received};
+use crate::sandbox::named;
 use crate::served::Served;
 use wire::{Frame, Reference, Wire};
 
@@ -36,7 +37,13 @@ pub struct Limits {
     pub arguments: Vec<String>,
     /// How long a plugin may work without sending an answer or a question.
     pub answer_timeout: Duration,
+    /// Memory of the process, MiB.
+    pub memory_limit_mib: u64,
 }
+
+/// Variables of the environment that a plugin's process gets: where libraries are, language and time. Others may hold secrets.
+const ENVIRONMENT: [&str; 7] =
+    ["LD_LIBRARY_PATH", "DYLD_LIBRARY_PATH", "LANG", "LC_ALL", "TZ", "RUST_BACKTRACE", "MALLOC_ARENA_MAX"];
 
 /// The thread that uses the socket; none if it is free.
 type Holder = Option<ThreadId>;
@@ -303,14 +310,25 @@ fn within_a_second<T>(mut find: impl FnMut() -> Option<T>) -> Option<T> {
     })
 }
 
-/// Starts a process that loads a library.
-fn start(path: &Path, sha256: &str, limits: &Limits, who: &str) -> Result<Arc<Connection>, Failure> {
+/// Starts a process that loads a library, and may read these files.
+fn start(
+    path: &Path,
+    sha256: &str,
+    limits: &Limits,
+    may_read: &[PathBuf],
+    who: &str,
+) -> Result<Arc<Connection>, Failure> {
     let failed = |error: io::Error| Failure::of(who, format!("cannot be isolated: {error}"));
     let (ours, theirs) = UnixStream::pair().map_err(failed)?;
     ours.set_read_timeout(Some(limits.answer_timeout)).map_err(failed)?;
     ours.set_write_timeout(Some(limits.answer_timeout)).map_err(failed)?;
     let mut command = Command::new(&limits.program);
     command.args(&limits.arguments).arg(path).arg(sha256);
+    command.arg("--memory-limit-mib").arg(limits.memory_limit_mib.to_string());
+    for file in may_read {
+        command.arg("--may-read").arg(file);
+    }
+    command.env_clear().envs(ENVIRONMENT.into_iter().filter_map(|name| Some((name, std::env::var_os(name)?))));
     command.stdin(Stdio::from(std::os::fd::OwnedFd::from(theirs))).stdout(Stdio::null());
     let mut child = command.stderr(Stdio::piped()).spawn().map_err(failed)?;
     let words = child.stderr.take().map(|said| {
@@ -352,7 +370,7 @@ pub fn isolated(path: &Path, pin: Option<&str>, limits: &Limits) -> Result<Libra
         error.class = abbe_core::Class::Use;
         error
     };
-    let connection = start(path, &sha256, limits, &who).map_err(wrong)?;
+    let connection = start(path, &sha256, limits, &[], &who).map_err(wrong)?;
     let (answer, _) = connection.ask(&Frame::List, &[]).map_err(wrong)?;
     let Frame::Answer { text, .. } = answer else { return Err(Error::usage(format!("{who} lists no plugins"))) };
     let listed: Listed = from_json(&text).map_err(|error| Error::usage(format!("{who}: {error}")))?;
@@ -375,7 +393,7 @@ struct Listed {
 
 fn in_a_process(path: PathBuf, sha256: String, limits: Limits, kind: u32, name: String) -> Create {
     Arc::new(move |settings, base, who| {
-        let connection = start(&path, &sha256, &limits, who)?;
+        let connection = start(&path, &sha256, &limits, &named(settings, Path::new(base)), who)?;
         let question = Frame::Create { kind, name: name.clone(), settings: settings.to_owned(), base: base.to_owned() };
         match connection.ask(&question, &[])?.0 {
             Frame::Answer { objects, .. } => {

@@ -24,6 +24,8 @@ mod isolation;
 mod loader;
 mod peer;
 mod proxy;
+#[cfg(feature = "host")]
+mod sandbox;
 #[cfg(feature = "sdk")]
 pub mod sdk;
 mod served;
@@ -35,3 +37,5 @@ pub use exit::{expect_exit, guard_exit};
 pub use isolation::{Limits, isolated, serve};
 #[cfg(feature = "host")]
 pub use loader::{Library, load};
+#[cfg(feature = "host")]
+pub use sandbox::{Allowance, MEMORY_LIMIT_MIB, missing};

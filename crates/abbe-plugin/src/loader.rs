@@ -1,4 +1,4 @@
-//! Loads plugin libraries: hashes the file, opens the same file, then reads its table.
+//! Loads plugin libraries: hashes the file, loads a sealed copy of what was hashed, then reads its table.
 #![allow(unsafe_code, reason = "runs the code of libraries; every block says why it is sound")]
 
 use std::borrow::Cow;
@@ -52,9 +52,12 @@ static HOST: AbbeHost = AbbeHost {
     log: Some(log),
 };
 
-/// A file whose hash is known and, if one was asked for, right.
+/// The bytes of a library, whose hash is known and, if one was asked for, right.
 pub(crate) struct Hashed {
-    pub file: File,
+    bytes: Vec<u8>,
+    /// Its file, where it is loaded from there.
+    #[cfg_attr(target_os = "linux", allow(dead_code, reason = "a copy is loaded"))]
+    file: File,
     pub sha256: String,
 }
 
@@ -86,7 +89,7 @@ pub(crate) fn hashed(path: &Path, pin: Option<&str>) -> Result<Hashed> {
             let message = format!("the plugin library {} has another SHA-256 than it is pinned to", path.display());
             Err(Error::usage(message).help(format!("pinned {pin}, found {sha256}; it was not loaded")))
         }
-        _ => Ok(Hashed { file, sha256 }),
+        _ => Ok(Hashed { bytes, file, sha256 }),
     }
 }
 
@@ -115,12 +118,54 @@ fn truncated(bytes: &[u8]) -> bool {
     whole() != Some(true)
 }
 
+/// What is loaded: a copy of the bytes that were hashed, which nobody can change.
+pub(crate) struct Sealed {
+    file: File,
+    sha256: String,
+}
+
+impl Hashed {
+    /// Its copy in memory. Elsewhere than on Linux it is the file itself.
+    pub fn sealed(self, path: &Path) -> Result<Sealed> {
+        let file = sealed(&self).map_err(|error| {
+            Error::data(format!("the plugin library {} cannot be copied into memory: {error}", path.display()))
+        })?;
+        Ok(Sealed { file, sha256: self.sha256 })
+    }
+}
+
+#[cfg(target_os = "linux")]
+fn sealed(library: &Hashed) -> io::Result<File> {
+    use rustix::fs::{MemfdFlags, SealFlags, fcntl_add_seals, memfd_create};
+    const NAME: &str = "plugin library";
+    let flags = MemfdFlags::CLOEXEC | MemfdFlags::ALLOW_SEALING;
+    // Older systems do not know the flag, and let everything be executed.
+    let copy = match memfd_create(NAME, flags | MemfdFlags::EXEC) {
+        Err(rustix::io::Errno::INVAL) => memfd_create(NAME, flags)?,
+        copy => copy?,
+    };
+    let mut copy = File::from(copy);
+    copy.write_all(&library.bytes)?;
+    fcntl_add_seals(&copy, SealFlags::WRITE | SealFlags::GROW | SealFlags::SHRINK | SealFlags::SEAL)?;
+    Ok(copy)
+}
+
+#[cfg(not(target_os = "linux"))]
+fn sealed(library: &Hashed) -> io::Result<File> {
+    library.file.try_clone()
+}
+
 /// Loads a library into this program, unless its hash is not `pin`.
 ///
 /// Fails for a file that is no library, for a missing or wrong table, and for forbidden names of plugins. Loading runs the
 /// code of the library, and a faulty library can end the program. [`isolated`](crate::isolated) prevents that.
 pub fn load(path: &Path, pin: Option<&str>) -> Result<Library> {
-    let Hashed { file, sha256 } = hashed(path, pin)?;
+    load_sealed(path, hashed(path, pin)?.sealed(path)?)
+}
+
+/// Loads a library of this path from its copy.
+pub(crate) fn load_sealed(path: &Path, sealed: Sealed) -> Result<Library> {
+    let Sealed { file, sha256 } = sealed;
     let wrong = |what: String| Error::usage(format!("the plugin library {} {what}", path.display()));
     let opened = open(path, file).map_err(|error| wrong(format!("cannot be loaded: {}", reason(&error))))?;
     // SAFETY: the symbol is the entry of Abbe's ABI. Another function under this name cannot be detected.
@@ -154,7 +199,7 @@ fn reason(error: &libloading::Error) -> String {
     error.source().map_or_else(|| error.to_string(), ToString::to_string)
 }
 
-/// Opens the same file that was hashed.
+/// Opens the copy of what was hashed.
 fn open(path: &Path, file: File) -> Result<libloading::Library, libloading::Error> {
     #[cfg(target_os = "linux")]
     {

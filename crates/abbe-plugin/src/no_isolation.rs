@@ -6,6 +6,7 @@ use std::time::Duration;
 use abbe_core::{Error, Result};
 
 use crate::loader::Library;
+use crate::sandbox::Allowance;
 
 /// How plugins would be isolated.
 #[derive(Debug, Clone)]
@@ -16,6 +17,8 @@ pub struct Limits {
     pub arguments: Vec<String>,
     /// How long a plugin may work without sending an answer or a question.
     pub answer_timeout: Duration,
+    /// Memory of the process, MiB.
+    pub memory_limit_mib: u64,
 }
 
 /// Always an error: there is no isolation on this system, and a plugin that has to be isolated must not run without it.
@@ -25,7 +28,8 @@ pub fn isolated(path: &Path, _: Option<&str>, _: &Limits) -> Result<Library> {
 }
 
 /// Refuses, as [`isolated`] does.
-pub fn serve(path: &Path, _: &str) -> Result<()> {
-    isolated(path, None, &Limits { program: PathBuf::new(), arguments: Vec::new(), answer_timeout: Duration::ZERO })
-        .map(drop)
+pub fn serve(path: &Path, _: &str, _: &Allowance) -> Result<()> {
+    let none =
+        Limits { program: PathBuf::new(), arguments: Vec::new(), answer_timeout: Duration::ZERO, memory_limit_mib: 0 };
+    isolated(path, None, &none).map(drop)
 }

@@ -24,8 +24,8 @@ use abbe_planning::Planning;
 use serde_json::{Map, Value};
 
 use document::{At, Document, Node};
-pub use libraries::Library;
 use libraries::libraries;
+pub use libraries::{Isolation, Library};
 pub use machine_file::machine_description;
 use machine_file::{merge, read_description};
 pub use page::{PAGE_MARK, index, page, page_name};

@@ -1,5 +1,6 @@
 //! The plugin libraries that a recipe names.
 
+use std::ops::RangeInclusive;
 use std::path::{Path, PathBuf};
 
 use abbe_core::{Error, Place};
@@ -19,22 +20,44 @@ pub struct Library {
     pub path: PathBuf,
     /// The SHA-256 that the file has to have, as written.
     pub sha256: Option<String>,
-    /// Time limit if its plugins run in processes of their own: longest time without an answer, s.
-    pub isolate: Option<f64>,
+    /// Limits if its plugins run in processes of their own. That is so unless the file is pinned, or the recipe says otherwise.
+    pub isolate: Option<Isolation>,
+    /// Whether the recipe itself asks for it.
+    pub is_isolated_by_recipe: bool,
     /// Where the recipe names it.
     pub place: Option<Place>,
 }
+
+/// Limits of the process of an isolated plugin.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Isolation {
+    /// Longest time without an answer, s.
+    pub time_limit_s: f64,
+    /// Memory, MiB; none: the usual limit.
+    pub memory_limit_mib: Option<u64>,
+}
+
+impl Default for Isolation {
+    fn default() -> Self {
+        Self { time_limit_s: TIME_LIMIT_S, memory_limit_mib: None }
+    }
+}
+
+/// Smallest and largest limit of memory, MiB.
+const MEMORY_MIB: RangeInclusive<u64> = 64..=1 << 20;
 
 /// The libraries under the key `plugins`.
 pub fn libraries(root: &Node<'_>, base: &Path) -> Result<Vec<Library>, Error> {
     let Some(plugins) = root.get("plugins") else { return Ok(Vec::new()) };
     let library = |node: Node<'_>| {
-        node.only(&["path", "sha256", "isolate", "time_limit_s"])?;
+        node.only(&["path", "sha256", "isolate", "time_limit_s", "memory_limit_mib"])?;
         let missing = || node.missing(&["path"], "`path` is missing: the file of the library");
         let path = node.get("path").ok_or_else(missing)?;
         let sha256 = node.get("sha256").map(|pin| digest(&pin)).transpose()?;
         let isolate = isolation(&node)?;
-        Ok(Library { path: base.join(path.text()?), sha256, isolate, place: path.error(At::Value, "").place })
+        let is_isolated_by_recipe = isolate.is_some() && node.get("isolate").is_some();
+        let place = path.error(At::Value, "").place;
+        Ok(Library { path: base.join(path.text()?), sha256, isolate, is_isolated_by_recipe, place })
     };
     plugins.list()?.into_iter().map(library).collect()
 }
@@ -50,23 +73,35 @@ fn digest(node: &Node<'_>) -> Result<String, Error> {
     }
 }
 
-/// Whether a library's plugins are isolated, and the time limit then.
-fn isolation(node: &Node<'_>) -> Result<Option<f64>, Error> {
+/// Whether a library's plugins are isolated, and the limits then. Who pins a file trusts it.
+fn isolation(node: &Node<'_>) -> Result<Option<Isolation>, Error> {
     let isolate = match node.get("isolate") {
-        None => false,
+        None => node.get("sha256").is_none(),
         Some(isolate) => {
             isolate.value.as_bool().ok_or_else(|| isolate.error(At::Value, "isolate: true or false was expected"))?
         }
     };
-    let Some(limit) = node.get("time_limit_s") else { return Ok(isolate.then_some(TIME_LIMIT_S)) };
-    match limit.value.as_f64().filter(|limit| *limit > 0.0 && *limit <= LONGEST_LIMIT_S) {
-        Some(_) if !isolate => {
-            Err(limit.error(At::Key, "`time_limit_s` holds for plugins that are isolated").help("add `isolate: true`"))
-        }
-        Some(limit) => Ok(Some(limit)),
-        None => {
-            Err(limit
-                .error(At::Value, format!("time_limit_s: a number above 0, at most {LONGEST_LIMIT_S}, was expected")))
+    for key in ["time_limit_s", "memory_limit_mib"] {
+        if let Some(limit) = node.get(key).filter(|_| !isolate) {
+            let message = format!("`{key}` holds for plugins that are isolated");
+            return Err(limit.error(At::Key, message).help("add `isolate: true`"));
         }
     }
+    let mut limits = Isolation::default();
+    if let Some(limit) = node.get("time_limit_s") {
+        limits.time_limit_s =
+            limit.value.as_f64().filter(|limit| *limit > 0.0 && *limit <= LONGEST_LIMIT_S).ok_or_else(|| {
+                limit.error(
+                    At::Value,
+                    format!("time_limit_s: a number above 0, at most {LONGEST_LIMIT_S}, was expected"),
+                )
+            })?;
+    }
+    if let Some(limit) = node.get("memory_limit_mib") {
+        let (least, most) = (MEMORY_MIB.start(), MEMORY_MIB.end());
+        let message = format!("memory_limit_mib: a whole number from {least} to {most} was expected");
+        let mib = limit.value.as_u64().filter(|mib| MEMORY_MIB.contains(mib));
+        limits.memory_limit_mib = Some(mib.ok_or_else(|| limit.error(At::Value, message))?);
+    }
+    Ok(isolate.then_some(limits))
 }

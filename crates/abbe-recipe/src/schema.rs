@@ -31,6 +31,7 @@ pub fn schema(registry: &Registry) -> Value {
                         "path": { "type": "string", "description": "The library" },
                         "sha256": { "type": "string", "pattern": "^[0-9A-Fa-f]{64}$", "description": "SHA-256 of its file; a file with another hash is not loaded" },
                         "isolate": { "type": "boolean", "description": "Its plugins run in separate processes" },
+                        "memory_limit_mib": { "type": "integer", "minimum": 64, "maximum": 1048576, "description": "Memory of the process of an isolated plugin" },
                         "time_limit_s": { "type": "number", "exclusiveMinimum": 0, "maximum": 86400, "description": "How long an isolated plugin may work without an answer or a question" },
                     },
                     "required": ["path"],

@@ -44,6 +44,7 @@ use std::time::Duration;
 
 use abbe_core::{Class, Error, Kind, Monitor, Origin, Result, harmless, harmless_json};
 use abbe_engine::{Control, can_write_folder, prepare};
+use abbe_plugin::Allowance;
 use abbe_plugin::check::Findings;
 use abbe_report::plan_page;
 use clap::{Parser, Subcommand};
@@ -67,9 +68,12 @@ struct Arguments {
     /// A library with more plugins, in addition to those that a recipe names.
     #[arg(long = "plugin", global = true, value_name = "FILE")]
     plugins: Vec<PathBuf>,
-    /// Run the plugins of `--plugin` in separate processes.
-    #[arg(long, global = true)]
+    /// Run the plugins of all libraries in separate processes; those of libraries that no recipe pins are run so anyway.
+    #[arg(long, global = true, conflicts_with = "trust_plugins")]
     isolate_plugins: bool,
+    /// Load libraries into this program although nobody pins them.
+    #[arg(long, global = true)]
+    trust_plugins: bool,
     /// Refuse to load any library.
     #[arg(long, global = true)]
     no_dynamic_plugins: bool,
@@ -217,7 +221,14 @@ enum PluginCommand {
     },
     /// Serve a library to the program that started this one.
     #[command(hide = true)]
-    Serve { file: PathBuf, sha256: String },
+    Serve {
+        file: PathBuf,
+        sha256: String,
+        #[arg(long)]
+        memory_limit_mib: u64,
+        #[arg(long)]
+        may_read: Vec<PathBuf>,
+    },
 }
 
 /// Carries out the command line of this process; gives its exit status.
@@ -269,6 +280,7 @@ fn carried_out(arguments: Arguments) -> ExitCode {
     let libraries = Libraries {
         files: arguments.plugins,
         isolate: arguments.isolate_plugins,
+        trust: arguments.trust_plugins,
         refuse: arguments.no_dynamic_plugins,
     };
     interrupt::tell_limits_of_files();
@@ -435,8 +447,9 @@ fn dispatch(command: Command, libraries: &Libraries, verbose: bool) -> Result<(S
             None => abbe_plugin::check::test(&file, &test).map(|text| (text, 0)),
             Some(recipe) => Ok((laws(&recipe, file, libraries)?.line()?, 0)),
         },
-        Command::Plugin { command: PluginCommand::Serve { file, sha256 } } => {
-            abbe_plugin::serve(&file, &sha256).map(|()| (String::new(), 0))
+        Command::Plugin { command: PluginCommand::Serve { file, sha256, memory_limit_mib, may_read } } => {
+            let allowance = Allowance { may_read, memory_limit_mib, ..Allowance::default() };
+            abbe_plugin::serve(&file, &sha256, &allowance).map(|()| (String::new(), 0))
         }
         Command::Plugins { json, pages } => {
             let registry = libraries.registry(None)?;

@@ -5,21 +5,20 @@ use std::time::Duration;
 
 use abbe_core::{Error, Registry, Result};
 use abbe_files::{LARGEST_TEXT, read_text};
-use abbe_plugin::Limits;
-use abbe_recipe::Recipe;
+use abbe_plugin::{Limits, MEMORY_LIMIT_MIB};
+use abbe_recipe::{Isolation, Recipe};
 
 /// Where more plugins come from, as the command line says. Libraries are loaded from these files and never searched for.
 pub struct Libraries {
     /// Libraries beside those of the recipe.
     pub files: Vec<PathBuf>,
-    /// Their plugins run in processes of their own.
+    /// Plugins of all libraries run in processes of their own, also of pinned ones.
     pub isolate: bool,
+    /// Libraries that nobody pins are loaded into the program.
+    pub trust: bool,
     /// No library is loaded.
     pub refuse: bool,
 }
-
-/// How long an isolated plugin of `--plugin` may work without an answer or a question, s.
-const SILENCE_S: f64 = 60.0;
 
 /// This very program, to be started again.
 pub fn this_program() -> Result<PathBuf> {
@@ -39,34 +38,42 @@ impl Libraries {
                 error.place = error.place.or(library.place.clone());
                 error
             };
-            self.add(&mut registry, &library.path, library.sha256.as_deref(), library.isolate).map_err(located)?;
+            let is_trusted = self.trust && !library.is_isolated_by_recipe;
+            let isolate = library.isolate.filter(|_| !is_trusted).or(self.isolate.then(Isolation::default));
+            self.add(&mut registry, &library.path, library.sha256.as_deref(), isolate).map_err(located)?;
             known.extend(library.path.canonicalize());
         }
-        let silence = self.isolate.then_some(SILENCE_S);
+        let isolate = (self.isolate || !self.trust).then(Isolation::default);
         for file in &self.files {
             if !file.canonicalize().is_ok_and(|file| known.contains(&file)) {
-                self.add(&mut registry, file, None, silence)?;
+                self.add(&mut registry, file, None, isolate)?;
             }
         }
         Ok(registry)
     }
 
-    fn add(&self, registry: &mut Registry, file: &Path, pin: Option<&str>, isolate: Option<f64>) -> Result<()> {
+    fn add(&self, registry: &mut Registry, file: &Path, pin: Option<&str>, isolate: Option<Isolation>) -> Result<()> {
         if self.refuse {
             let message = format!("the plugin library {} is not loaded: `--no-dynamic-plugins`", file.display());
             return Err(Error::usage(message));
         }
         let library = match isolate {
             None => abbe_plugin::load(file, pin)?,
-            Some(silence) => abbe_plugin::isolated(
-                file,
-                pin,
-                &Limits {
-                    program: this_program()?,
-                    arguments: ["plugin", "serve"].map(str::to_owned).to_vec(),
-                    answer_timeout: Duration::from_secs_f64(silence),
-                },
-            )?,
+            Some(isolation) => {
+                if let Some(missing) = abbe_plugin::missing() {
+                    tracing::warn!("{}: {missing}", file.display());
+                }
+                abbe_plugin::isolated(
+                    file,
+                    pin,
+                    &Limits {
+                        program: this_program()?,
+                        arguments: ["plugin", "serve"].map(str::to_owned).to_vec(),
+                        answer_timeout: Duration::from_secs_f64(isolation.time_limit_s),
+                        memory_limit_mib: isolation.memory_limit_mib.unwrap_or(MEMORY_LIMIT_MIB),
+                    },
+                )?
+            }
         };
         tracing::info!(
             "{} {}: {} plugins from {}",

@@ -30,7 +30,7 @@ pub struct ProgramOptions {
     #[arg(long, value_parser = dialect)]
     dialect: Option<Dialect>,
     /// Length of every tool of the program, from the gauge line of the spindle, mm.
-    #[arg(long, value_name = "MM", value_parser = number, allow_negative_numbers = true, requires = "dialect", conflicts_with = "tools")]
+    #[arg(long, value_name = "MM", value_parser = length, allow_negative_numbers = true, requires = "dialect", conflicts_with = "tools")]
     tool_length_mm: Option<f64>,
     /// Tool table of LinuxCNC with the lengths of tools: lines `T1 P1 Z120.5`, mm.
     #[arg(long, value_name = "FILE", requires = "dialect")]
@@ -59,6 +59,10 @@ pub struct ProgramOptions {
     /// What F is under G93, where that differs from control to control.
     #[arg(long, value_enum, requires = "dialect")]
     inverse_time: Option<InverseTime>,
+    /// Whether axes stand after a change of the tool (M6) where they stood before. By default their positions are not known then, until
+    /// the program names them.
+    #[arg(long, value_enum, requires = "dialect", default_value = "moves")]
+    tool_change: ToolChange,
     /// Read the corrected program again and tell the largest error that remains along its path. A file of `--out` that is there already
     /// is only checked.
     #[arg(long, requires = "dialect")]
@@ -69,6 +73,12 @@ pub struct ProgramOptions {
 enum Switch {
     On,
     Off,
+}
+
+#[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
+enum ToolChange {
+    Moves,
+    Stays,
 }
 
 #[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
@@ -84,9 +94,9 @@ fn dialect(text: &str) -> std::result::Result<Dialect, String> {
     })
 }
 
-fn number(text: &str) -> std::result::Result<f64, String> {
-    let number = text.parse::<f64>().ok().filter(|number| number.is_finite() && number.abs() < 1e5);
-    number.ok_or_else(|| "a number of mm was expected".to_owned())
+fn length(text: &str) -> std::result::Result<f64, String> {
+    let number = text.parse::<f64>().ok().filter(|number| (0.0..1e5).contains(number));
+    number.ok_or_else(|| "a length from the gauge line of the spindle, mm, not below 0, was expected".to_owned())
 }
 
 fn positive(text: &str) -> std::result::Result<f64, String> {
@@ -102,12 +112,18 @@ fn positions(text: &str) -> std::result::Result<Positions, String> {
         Some((place(letter)?, part.get(1..)?.parse::<f64>().ok().filter(|number| number.is_finite())?))
     };
     let found: Option<Positions> = text.split(',').map(one).collect();
-    found.ok_or_else(|| "positions of axes, `X0,Y0,Z0`, were expected".to_owned())
+    let found = found.ok_or_else(|| "positions of axes, `X0,Y0,Z0`, were expected".to_owned())?;
+    match (1..found.len()).any(|index| found[..index].iter().any(|(place, _)| *place == found[index].0)) {
+        true => Err("an axis stands there twice".to_owned()),
+        false => Ok(found),
+    }
 }
+
+/// Work offsets.
+const SYSTEMS: [&str; 9] = ["G54", "G55", "G56", "G57", "G58", "G59", "G59.1", "G59.2", "G59.3"];
 
 /// `G54=X100,Y-50`.
 fn offset(text: &str) -> std::result::Result<(usize, Positions), String> {
-    const SYSTEMS: [&str; 9] = ["G54", "G55", "G56", "G57", "G58", "G59", "G59.1", "G59.2", "G59.3"];
     let (name, values) = text.split_once('=').ok_or("`G54=X100,Y-50,Z0` was expected")?;
     let system = SYSTEMS.iter().position(|system| system.eq_ignore_ascii_case(name.trim()));
     let system = system.ok_or("a work offset, G54 to G59.3, was expected before `=`")?;
@@ -160,6 +176,7 @@ impl ProgramOptions {
         options.block_delete = self.block_delete.map(|switch| switch == Switch::On);
         options.integers_are_mm = self.integers_are_mm;
         options.inverse_is_seconds = self.inverse_time.map(|meaning| meaning == InverseTime::Seconds);
+        options.stays_at_tool_change = self.tool_change == ToolChange::Stays;
         options.calibration = calibration;
         Ok(options)
     }
@@ -270,9 +287,10 @@ impl Asked<'_> {
                 ));
             }
             for system in &summary.assumed {
-                let name = ["G54", "G55", "G56", "G57", "G58", "G59", "G59.1", "G59.2", "G59.3"][*system];
+                let name = SYSTEMS[*system];
                 text.push_str(&format!("{name} counts as zero: `--offset {name}=X..,Y..,Z..` says where it is\n"));
             }
+            summary.remarks.iter().for_each(|remark| text.extend([remark, "\n"]));
             if let Some(out) = self.out {
                 text.push_str(&format!("\nWritten: {}\n", out.display()));
             }
@@ -339,6 +357,8 @@ fn summary_json(summary: &Summary) -> serde_json::Value {
         "take_ups": summary.take_ups, "uncorrected": summary.uncorrected,
         "largest_correction_um": summary.largest * 1e3,
         "remaining_um": summary.remaining * 1e3, "remaining_line": summary.remaining_line,
+        "remarks": summary.remarks,
+        "offsets_taken_as_zero": summary.assumed.iter().map(|system| SYSTEMS[*system]).collect::<Vec<_>>(),
     })
 }
 

@@ -11,7 +11,9 @@ use schemars::JsonSchema;
 use serde::Deserialize;
 use serde_json::{Value, json};
 
-use crate::common::{Acceptance, Judge, Key, Limits, Sheet, check_limits, directions, finite, names, run_name};
+use crate::common::{
+    Acceptance, Judge, Key, Limits, Sheet, check_limits, directions, doubted, finite, names, run_name, too_quiet,
+};
 
 abbe_core::register!(
     Validate,
@@ -112,6 +114,10 @@ impl Circular {
 
     fn judge(&self, data: &Dataset, findings: &mut Findings) -> Result<()> {
         let run = run_name(data);
+        let readings = finite(data, &self.reading, Quantity::Length)?;
+        findings.remarks.extend(doubted(&run, &[readings]));
+        let um: Vec<f64> = readings.iter().map(|value| 1e3 * value).collect();
+        findings.remarks.extend(too_quiet(&run, &um, self.standard_uncertainty_um, "um"));
         let traces = [self.trace(data, true)?, self.trace(data, false)?];
         let both = traces[0].as_ref().zip(traces[1].as_ref()).and_then(|(one, other)| Bidirectional::of(one, other));
         let mut sheet = Sheet::new(&run, &self.limits);

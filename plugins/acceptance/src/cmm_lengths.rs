@@ -11,7 +11,7 @@ use schemars::JsonSchema;
 use serde::Deserialize;
 use serde_json::{Value, json};
 
-use crate::common::{Acceptance, Judge, figure, finite, run_name};
+use crate::common::{Acceptance, Judge, doubted, figure, finite, run_name};
 
 abbe_core::register!(
     Validate,
@@ -158,6 +158,8 @@ impl Lengths {
             let message = format!("the repeats have line {line} at {reference} mm, which {run} has not");
             return Err(Error::data(message).setting("from"));
         }
+        let errors: Vec<f64> = all.iter().map(Measured::error).collect();
+        findings.remarks.extend(doubted(&run, &[&errors]));
         let symbol = format!("E_{}", self.stylus_beside_mm);
         let named = |name: &str| format!("{name}[{run}]");
         let errors = || all.iter().map(|value| 1e3 * value.error());

@@ -9,7 +9,7 @@ use schemars::JsonSchema;
 use serde::Deserialize;
 use serde_json::{Value, json};
 
-use crate::common::{Acceptance, Judge, Key, Limits, Sheet, check_limits, finite, names, run_name};
+use crate::common::{Acceptance, Judge, Key, Limits, Sheet, check_limits, doubted, finite, names, run_name};
 
 abbe_core::register!(
     Validate,
@@ -82,6 +82,9 @@ fn points(data: &Dataset) -> Result<Vec<OfStylus<'_>>> {
 impl Probing {
     fn judge(&self, data: &Dataset, findings: &mut Findings) -> Result<()> {
         let (run, all) = (run_name(data), points(data)?);
+        let columns = ["x", "y", "z"].map(|axis| finite(data, axis, Quantity::Length));
+        let [x, y, z] = columns;
+        findings.remarks.extend(doubted(&run, &[x?, y?, z?]));
         for (label, points) in all.iter().filter(|(_, points)| points.len() != POINTS) {
             let text = format!("{run}: stylus {label} has {} points; the test has {POINTS}", points.len());
             findings.remarks.push(text);

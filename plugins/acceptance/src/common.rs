@@ -44,12 +44,20 @@ pub struct Sheet<'a> {
     limits: &'a Limits,
     met: BTreeSet<&'static str>,
     figures: Vec<Figure>,
+    /// What keeps the test from deciding.
+    lacking: Option<String>,
 }
 
 impl<'a> Sheet<'a> {
     /// For the data set of this name.
     pub fn new(run: &'a str, limits: &'a Limits) -> Self {
-        Self { run, limits, met: BTreeSet::new(), figures: Vec::new() }
+        Self { run, limits, met: BTreeSet::new(), figures: Vec::new(), lacking: None }
+    }
+
+    /// The same for a test that lacks something: it decides on no limit.
+    pub fn lacking(mut self, lacking: Option<String>) -> Self {
+        self.lacking = lacking;
+        self
     }
 
     /// Adds a figure without a limit.
@@ -66,6 +74,9 @@ impl<'a> Sheet<'a> {
         self.tell(name, value, unit(key)).standard_uncertainty = uncertainty;
         if let Some(last) = self.figures.last_mut() {
             last.set_limit(limit);
+            if limit.is_some() {
+                last.inconclusive.clone_from(&self.lacking);
+            }
         }
     }
 
@@ -125,6 +136,56 @@ pub fn directions(data: &Dataset) -> Result<Vec<bool>> {
 /// The error for a validator without data sets, or with an empty one.
 pub fn no_data() -> Error {
     Error::usage("there are no readings to judge").help("name ingest stages under `from`").setting("from")
+}
+
+/// Readings in turn that may be those of others by chance.
+const IN_TURN: usize = 6;
+
+/// Part of the readings that has to be copied to be told: a coarse instrument reads the same now and then.
+const COPIED: f64 = 0.2;
+
+/// A remark on readings that are no measurement of their own: all the same, or stretches of them as others were, forwards or backwards.
+pub fn doubted(run: &str, columns: &[&[f64]]) -> Option<String> {
+    let rows = columns.first().map_or(0, |column| column.len());
+    let row = |row: usize| columns.iter().map(|column| column[row].to_bits()).collect::<Vec<u64>>();
+    let readings: Vec<Vec<u64>> = (0..rows).map(row).collect();
+    if rows > 2 && readings.iter().all(|other| *other == readings[0]) {
+        return Some(format!("{run}: all {rows} readings are the same: was anything measured?"));
+    }
+    let mut first: BTreeMap<Vec<&Vec<u64>>, usize> = BTreeMap::new();
+    let mut copied: BTreeSet<usize> = BTreeSet::new();
+    for start in 0..(rows + 1).saturating_sub(IN_TURN) {
+        let stretch: Vec<&Vec<u64>> = readings[start..start + IN_TURN].iter().collect();
+        if stretch.iter().all(|other| *other == stretch[0]) {
+            continue;
+        }
+        let reversed: Vec<&Vec<u64>> = stretch.iter().rev().copied().collect();
+        let earlier = |of: &Vec<&Vec<u64>>| first.get(of).is_some_and(|place| place + IN_TURN <= start);
+        if earlier(&stretch) || earlier(&reversed) {
+            copied.extend(start..start + IN_TURN);
+        }
+        first.entry(stretch).or_insert(start);
+    }
+    (copied.len() >= 10 && copied.len() as f64 >= COPIED * rows as f64).then(|| {
+        format!(
+            "{run}: {} of {rows} readings are those of others to the last digit, in the same or in the opposite order: are they copies? \
+             Then repeatability and reversal are not those of the machine",
+            copied.len()
+        )
+    })
+}
+
+/// A remark on readings that range over less than the standard uncertainty that is stated for one: both in one unit, `unit`.
+pub fn too_quiet(run: &str, readings: &[f64], standard_uncertainty: f64, unit: &str) -> Option<String> {
+    let (low, high) =
+        readings.iter().fold((f64::MAX, f64::MIN), |(low, high), value| (low.min(*value), high.max(*value)));
+    (readings.len() > 2 && high - low < standard_uncertainty).then(|| {
+        format!(
+            "{run}: all readings are within {:.3} {unit}, and {standard_uncertainty} {unit} is the standard uncertainty of one: is the unit \
+             of the column right?",
+            high - low
+        )
+    })
 }
 
 /// An acceptance test of readings, which needs no estimate.

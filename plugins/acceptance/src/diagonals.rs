@@ -1,5 +1,7 @@
 //! Validator plugin `diagonals`: diagonal displacement tests in the manner of ISO 230-6.
 
+use std::collections::{BTreeMap, BTreeSet};
+
 use abbe_core::{
     Context, DataRow, Dataset, EstimateSource, Findings, PathItem, Quantity, Result, SettingsError, Validate,
 };
@@ -128,7 +130,9 @@ impl Diagonals {
 
     /// E_d and B_d: the largest of all body and of all face diagonals.
     fn largest(&self, name: &str, all: &[&Measured], findings: &mut Findings) {
-        let mut sheet = Sheet::new(name, &self.limits);
+        let lacking = lacking(all);
+        findings.remarks.extend(lacking.iter().map(|lacking| format!("{name} diagonals: {lacking}")));
+        let mut sheet = Sheet::new(name, &self.limits).lacking(lacking);
         let figures: [(Key, OfDiagonal, usize); 2] =
             [(ALL[0], |own| own.systematic, 0), (ALL[1], |own| own.reversal, 1)];
         for ((key, symbol), of, place) in figures {
@@ -180,6 +184,28 @@ impl Diagonals {
             findings.figures.extend(Sheet::new("no face", &self.limits).finish(&ALL[2..]));
         }
     }
+}
+
+/// What keeps diagonals of one sort from deciding: a body has four, a face two.
+fn lacking(all: &[&Measured]) -> Option<String> {
+    let of = |own: &Measured| match own.kind {
+        Kind::Body => (3, 4),
+        Kind::Face([one, other]) => (3 - one - other, 2),
+    };
+    // The ways of a diagonal and back are one.
+    let sense = |own: &Measured| {
+        let signs = own.diagonal.way.map(|part| if part.abs() < 1e-9 { 0.0 } else { part.signum() });
+        let first = signs.into_iter().find(|sign| *sign != 0.0).unwrap_or(1.0);
+        signs.map(|sign| (sign * first) as i8)
+    };
+    let mut found: BTreeMap<(usize, usize), BTreeSet<[i8; 3]>> = BTreeMap::new();
+    all.iter().for_each(|own| drop(found.entry(of(own)).or_default().insert(sense(own))));
+    let ((place, wanted), ways) = found.iter().find(|((_, wanted), ways)| ways.len() < *wanted)?;
+    let of = FACES.get(*place).map_or_else(|| "the body".to_owned(), |face| format!("face {face}"));
+    Some(format!(
+        "{} of {wanted} of {of} were measured: ISO 230-6 asks for all, and the others may be worse",
+        ways.len()
+    ))
 }
 
 fn alike(one: [f64; 2], other: [f64; 2]) -> bool {

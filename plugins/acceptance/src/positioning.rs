@@ -12,7 +12,7 @@ use schemars::JsonSchema;
 use serde::Deserialize;
 use serde_json::{Value, json};
 
-use crate::common::{Acceptance, Judge, Limits, check_limits, figure};
+use crate::common::{Acceptance, Judge, Limits, check_limits, doubted, figure};
 use crate::targets::Readings;
 
 abbe_core::register!(
@@ -165,7 +165,9 @@ impl Acceptance for Settings {
             );
         }
         for data in data {
-            self.judge(&Readings::of(data)?, &mut findings);
+            let readings = Readings::of(data)?;
+            findings.remarks.extend(doubted(&readings.name, &[&readings.in_order]));
+            self.judge(&readings, &mut findings);
         }
         self.absent(&mut findings.figures);
         Ok(findings)

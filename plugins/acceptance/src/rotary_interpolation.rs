@@ -8,7 +8,9 @@ use schemars::JsonSchema;
 use serde::Deserialize;
 use serde_json::{Value, json};
 
-use crate::common::{Acceptance, Judge, Key, Limits, Sheet, check_limits, directions, finite, names, run_name};
+use crate::common::{
+    Acceptance, Judge, Key, Limits, Sheet, check_limits, directions, doubted, finite, names, run_name, too_quiet,
+};
 
 abbe_core::register!(
     Validate,
@@ -71,6 +73,13 @@ fn build(settings: Rotary, _: &Context) -> Result<Box<dyn Validate>, SettingsErr
     Ok(Box::new(Judge(settings)))
 }
 
+/// Angles that are the same place, rad.
+const SAME_ANGLE: f64 = 1e-4;
+
+/// Fewest angles, and the least turn, rad, that decide. Some axes turn by a part of a turn only.
+const FEWEST_ANGLES: usize = 8;
+const LEAST_TURN: f64 = 0.5 * std::f64::consts::PI * (1.0 - 1e-9);
+
 impl Rotary {
     /// Where the ball is, with the sense in which the linear axes follow it; none for a ball on the axis.
     fn path(&self, data: &Dataset, angles: &[f64]) -> Result<Option<Path>> {
@@ -100,6 +109,25 @@ impl Rotary {
         Ok(Some(path))
     }
 
+    /// What keeps the test from deciding: few angles, a small part of a turn, or one way alone.
+    fn lacking(&self, angles: &[f64], ways: &[bool]) -> Option<String> {
+        let mut places: Vec<f64> = angles.to_vec();
+        places.sort_by(f64::total_cmp);
+        places.dedup_by(|next, place| (*next - *place).abs() < SAME_ANGLE);
+        let turned = places.last().zip(places.first()).map_or(0.0, |(last, first)| last - first);
+        let is_both_ways = ways.iter().any(|way| *way) && !ways.iter().all(|way| *way);
+        (places.len() < FEWEST_ANGLES || turned < LEAST_TURN || !is_both_ways).then(|| {
+            format!(
+                "{} was at {} angles over {:.1} deg{}: {FEWEST_ANGLES} angles over {:.0} deg, both ways, are needed to decide",
+                self.axis,
+                places.len(),
+                turned.to_degrees(),
+                if is_both_ways { "" } else { ", one way" },
+                LEAST_TURN.to_degrees()
+            )
+        })
+    }
+
     /// Distance of the ball from the axis.
     fn radius(&self) -> f64 {
         let [ball, axis] = [self.ball_from_axis_mm, self.direction];
@@ -116,6 +144,11 @@ impl Rotary {
         if angles.is_empty() {
             return Err(Error::data(format!("{run}: there is no reading to judge")).setting("from"));
         }
+        findings.remarks.extend(doubted(&run, &columns));
+        let um: Vec<f64> = columns.iter().flat_map(|column| column.iter().map(|value| 1e3 * value)).collect();
+        findings.remarks.extend(too_quiet(&run, &um, self.standard_uncertainty_um, "um"));
+        let lacking = self.lacking(angles, &ways);
+        findings.remarks.extend(lacking.iter().map(|lacking| format!("{run}: {lacking}")));
         let mut all: Vec<(&str, &'static str, Vec<f64>)> = Vec::new();
         match self.path(data, angles)? {
             Some(path) => {
@@ -133,7 +166,7 @@ impl Rotary {
         }
         let u = self.standard_uncertainty_um;
         let uncertainty = (u > 0.0).then_some(2.0_f64.sqrt() * u);
-        let mut sheet = Sheet::new(&run, &self.limits);
+        let mut sheet = Sheet::new(&run, &self.limits).lacking(lacking);
         for (name, key, values) in all {
             let found = ranges(&values, &ways);
             // Both ways together are judged, or the one that was measured.

@@ -21,6 +21,8 @@ pub struct Readings {
     pub unit: &'static str,
     /// Targets in the order of their positions, mm or degrees; readings in µm or µrad.
     pub targets: Vec<Target>,
+    /// All readings in the order of the rows.
+    pub in_order: Vec<f64>,
 }
 
 impl Readings {
@@ -69,7 +71,8 @@ impl Readings {
         if targets.len() < 2 {
             return Err(wrong(data, "there are fewer than two targets"));
         }
-        Ok(Self { name: run_name(data), axis, unit, targets })
+        let in_order = readings.iter().map(|reading| reading * factor).collect();
+        Ok(Self { name: run_name(data), axis, unit, targets, in_order })
     }
 
     /// Distance of the first and the last target, mm or degrees.

@@ -11,12 +11,14 @@ use abbe_core::{Context, Error, Kind, Result};
 
 use super::wire::{Frame, Wire};
 use super::{Connection, Listed, locked};
-use crate::loader::{About, Library, load};
+use crate::loader::{About, Library, hashed, load_sealed};
 use crate::peer::Failure;
+use crate::sandbox::{Allowance, confine};
 use crate::served::{Served, create};
 
-/// The other process: loads the library and serves it on standard input until the program that started it is gone.
-pub fn serve(path: &Path, sha256: &str) -> Result<()> {
+/// The other process: gives up what a plugin does not need ([`Allowance`]), loads the library and serves it on standard input until the
+/// program that started it is gone.
+pub fn serve(path: &Path, sha256: &str, allowance: &Allowance) -> Result<()> {
     let gone = |error: std::io::Error| Error::data(format!("the program that isolates a plugin is gone: {error}"));
     let socket = UnixStream::from(std::io::stdin().as_fd().try_clone_to_owned().map_err(gone)?);
     let connection = Arc::new(Connection {
@@ -30,7 +32,10 @@ pub fn serve(path: &Path, sha256: &str) -> Result<()> {
         answer_timeout: Duration::MAX,
         was_silent: AtomicBool::new(false),
     });
-    let library = load(path, Some(sha256));
+    let library = hashed(path, Some(sha256)).and_then(|hashed| hashed.sealed(path)).and_then(|sealed| {
+        confine(allowance).map_err(|what| Error::data(format!("an isolated plugin cannot be confined: {what}")))?;
+        load_sealed(path, sealed)
+    });
     loop {
         let Ok((question, numbers)) = locked(&connection.wire).read() else { return Ok(()) };
         let answer = match (question, &library) {
