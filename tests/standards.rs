@@ -1,6 +1,7 @@
 //! Figures of standards as recipes find them: expected values of simulated tests, decisions, bad input as users meet it.
 
 use std::collections::BTreeMap;
+use std::path::Path;
 
 use abbe_core::{Decision, Figure, Rule};
 use abbe_engine::Outcome;
