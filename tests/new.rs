@@ -217,7 +217,7 @@ fn the_plan_of_a_beginning_writes_the_program_of_its_control() {
         write(&at.join("m/logged.yaml"), &logged);
         write(&at.join("m/measure.log"), "no log\n");
         let told = abbe(at, &["check", "m/logged.yaml"]).stderr;
-        assert!(told.contains("measure.log:1"), "{control}: {told}");
+        assert!(told.contains("measure.log") && told.contains("`ABBE 1` was expected"), "{control}: {told}");
     }
     // Without letters of a control there is none, and without a control neither.
     let folder = temporary();

@@ -131,9 +131,7 @@ fn programs_of_random_machines_touch_the_right_faces() {
             Planned::of_setup((&chain, &table.setup), control, &table.clearance, &more, &limited(&number))
         };
         // As many indexations as determine this chain, and as it has.
-        let few = |error: &String| {
-            error.contains("too small to determine") || error.contains("not so many candidates")
-        };
+        let few = |error: &String| error.contains("too small to determine") || error.contains("not so many candidates");
         let numbers = [8, 16, 6, 5, 4, 3].into_iter().map(plan);
         let planned = numbers.into_iter().find(|planned| !planned.as_ref().err().is_some_and(few));
         let planned = planned.expect("a plan").unwrap_or_else(|error| panic!("{what}{error}"));

@@ -149,8 +149,7 @@ impl Machine {
         if !self.known {
             // Where the machine was before nobody knows.
             self.at = between(1.0);
-            self.known =
-                target.keys().any(|axis| ["X", "Y", "Z"].contains(&axis.as_str())) && self.gap(&self.at) > 50.0;
+            self.known = target.keys().any(|axis| ["X", "Y", "Z"].contains(&axis.as_str())) && self.gap(&self.at) > 8.0;
             self.triggered = false;
             return Ok(());
         }

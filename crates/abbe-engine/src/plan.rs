@@ -85,7 +85,10 @@ impl Prepared {
                 _ => error,
             })
         };
-        let plan = self.in_its_time((stage, &data), wanted, problem, made)?;
+        let plan = match &generated {
+            None => made(&problem)?,
+            Some(_) => self.in_its_time((stage, &data), wanted, problem, made)?,
+        };
         let identifiability = self.located(stage, estimator.identify(&plan.problem))?;
         let accepted = self.located(stage, estimator.accepts(&identifiability))?;
         let rows = rows_of(&plan, None, candidates);
@@ -141,7 +144,7 @@ const PASSES: usize = 4;
 
 impl Prepared {
     /// The plan of a machine whose times are those of the plan. The scale of a drift is that of the data, and the times of
-    /// candidates are none yet: an order says when they are measured, and that is when the drift will be estimated.
+    /// generated candidates are none yet: an order says when they are measured, and that is when the drift will be estimated.
     fn in_its_time(
         &self,
         (stage, data): (&Stage, &Datasets),

@@ -49,7 +49,7 @@ pub fn program(method: Method, controller: Controller, chain: &StructuralLoop) -
     format!(
         "  program:                              # is written beside the plan, with a dry run; read docs/measure.md first\n    \
          control: {control}\n    \
-         probe: [{{ diameter_mm: 4, length_mm: 40 }}, {{ diameter_mm: 40, length_mm: 110 }}]   # fill in: from tip to spindle\n    \
+         probe: [{{ diameter_mm: 4, length_mm: 60 }}, {{ diameter_mm: 40, length_mm: 90 }}]   # fill in: from tip to spindle\n    \
          clearance: {{ sphere: {{ centre_mm: [{x}, {y}, {z}], radius_mm: {radius} }} }}   # fill in: nothing stands outside\n    \
          solids: [{{ {solids} }}]   # fill in: what stands on the table\n    \
          measuring_feed_mm_per_min: 30\n    \
