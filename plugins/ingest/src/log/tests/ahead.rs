@@ -128,6 +128,11 @@ fn text(lines: &[String]) -> String {
 
 const ACCEPTED: Wanted = Wanted { aborted: Aborted::Accept, ..WANTED };
 
+/// Whether a line of the console is one of the host, the copied header among them.
+fn is_sent(line: &str) -> bool {
+    !(line == "ok" || line.starts_with("[PRB") || line.starts_with("Grbl"))
+}
+
 fn lateness() -> impl Strategy<Value = Vec<bool>> {
     (prop::collection::vec(any::<bool>(), 1..60), any::<bool>())
         .prop_map(|(late, all)| if all { vec![true] } else { late })
@@ -168,7 +173,8 @@ proptest! {
         }
     }
 
-    /// Lines that the console has lost or shown twice, some in one place: no touch gets the answer of another one.
+    /// Lines that the console has lost or shown twice, some in one place: no touch gets the answer of another one. As many sent lines as
+    /// confirmed ones make up for each other, and so may a comment in a log of two touches.
     #[test]
     fn a_console_that_lost_lines_gives_no_wrong_number(mut run in runs(), host in hosts(), late in lateness(), at in 0_usize..10_000, count in 1_usize..9, twice in any::<bool>(), accept in any::<bool>()) {
         run.offset = None;
@@ -176,6 +182,9 @@ proptest! {
         let mut lines = run.streamed(host, &late, usize::MAX);
         let from = at % lines.len();
         let to = (from + count).min(lines.len());
+        let confirmed = lines[from..to].iter().filter(|line| *line == "ok").count();
+        let sent = lines[from..to].iter().filter(|line| line.starts_with(host.prefix) && is_sent(line)).count();
+        prop_assume!(confirmed != sent && (run.plan.len() > 2 || !host.comments));
         match twice {
             false => drop(lines.drain(from..to)),
             true => {
