@@ -58,6 +58,7 @@ mod thermal;
 mod thermal_lines;
 mod thermal_series;
 mod ties;
+mod timed_order;
 mod tools;
 mod truth;
 mod uncertainty;

@@ -1,6 +1,8 @@
-//! Programs that measure a plan, run by an interpreter of each control's language on a machine whose ball is not quite where the plan
-//! has it: the right place, sense, side and order, without collision; misses, and what is refused.
+//! Programs that measure a plan, run by an interpreter of each control's language on a machine whose ball or faces are not quite where
+//! the plan has them: the right place, sense, side and order, without collision; misses, and what is refused.
 
+mod bodies;
+mod faces;
 mod klartext;
 mod machine;
 mod random;
@@ -13,7 +15,8 @@ use tempfile::TempDir;
 
 use crate::gcode::{End, fanuc, siemens};
 use crate::support::{Printed, abbe, read, registry, skipped, temporary, write};
-use machine::{ByAxis, Machine, dot, minus, norm};
+use bodies::{Ball, Body};
+use machine::{ByAxis, Machine};
 
 /// Names of controls, with the files of their programs and dry runs.
 const CONTROLS: [(&str, &str, &str); 5] = [
@@ -36,6 +39,9 @@ const CHAINS: [&str; 7] = [
 ];
 
 const SPHERE: &str = "sphere: { centre_mm: [60, 20, 60], radius_mm: 140 }";
+/// A rod where nothing comes.
+const AWAY: [[f64; 3]; 2] = [[900.0, 0.0, 0.0], [900.0, 0.0, 1.0]];
+
 const PLANE: &str = "plane: { axis: Z, at_mm: 420 }";
 
 /// A begun calibration with its plan and program.
@@ -44,6 +50,8 @@ struct Planned {
     files: BTreeMap<String, String>,
     /// Positions of all axes and normals, by the number of the touch.
     touches: BTreeMap<usize, ByAxis>,
+    /// What they touch.
+    features: BTreeMap<usize, String>,
     /// Whether touches that are left out were told.
     tells: bool,
     /// `plan.json`.
@@ -51,12 +59,29 @@ struct Planned {
 }
 
 fn plan(chain: &str, control: &str, clearance: &str, more: &str) -> (TempDir, Printed) {
-    changed(chain, control, clearance, more, &str::to_owned)
+    changed((chain, &Setup::ball()), control, clearance, more, &str::to_owned)
+}
+
+/// What is measured, and where on the table it is.
+struct Setup<'a> {
+    method: &'a str,
+    /// A nominal file in the place of the one that was begun, with its name.
+    nominal: Option<(&'a str, String)>,
+    /// Settings of the program: what stands on the table.
+    solids: String,
+}
+
+impl Setup<'_> {
+    /// A ball on a rod.
+    fn ball() -> Self {
+        let rod = "    solids: [{ cylinder: { from_mm: [90, 30, 0], to_mm: [90, 30, 108], radius_mm: 5 } }]\n";
+        Self { method: "ball", nominal: None, solids: rod.to_owned() }
+    }
 }
 
 /// The plan of a recipe with a change of its own.
 fn changed(
-    chain: &str,
+    (chain, setup): (&str, &Setup<'_>),
     control: &str,
     clearance: &str,
     more: &str,
@@ -64,13 +89,16 @@ fn changed(
 ) -> (TempDir, Printed) {
     let folder = temporary();
     let at = folder.path();
-    let begun = abbe(at, &["new", "begun", "--chain", chain, "--method", "ball"]);
+    let begun = abbe(at, &["new", "begun", "--chain", chain, "--method", setup.method]);
     assert_eq!(begun.status, 0, "{chain}: {}", begun.stderr);
+    if let Some((name, text)) = &setup.nominal {
+        write(&at.join("begun").join(name), text);
+    }
     let recipe = at.join("begun/recipe.yaml");
     let program = format!(
         "  program:\n    control: {control}\n    clearance: {{ {clearance} }}\n    probe: [{{ diameter_mm: 4, length_mm: 40 }}, \
-         {{ diameter_mm: 40, length_mm: 110 }}]\n    solids: [{{ cylinder: {{ from_mm: [90, 30, 0], to_mm: [90, 30, 108], \
-         radius_mm: 5 }} }}]\n{more}\n"
+         {{ diameter_mm: 40, length_mm: 110 }}]\n{}{more}\n",
+        setup.solids
     );
     let text = read(&recipe).replacen("  generate: {", &format!("{program}  generate: {{"), 1);
     let number = text.find("  number: ").map(|start| &text[start..][..text[start..].find(['\n', '#']).unwrap_or(0)]);
@@ -97,7 +125,18 @@ impl Planned {
         more: &str,
         change: &dyn Fn(&str) -> String,
     ) -> Result<Self, String> {
-        let (folder, printed) = changed(chain, control, clearance, more, change);
+        Self::of_setup((chain, &Setup::ball()), control, clearance, more, change)
+    }
+
+    /// The same of another artefact.
+    fn of_setup(
+        what: (&str, &Setup<'_>),
+        control: &str,
+        clearance: &str,
+        more: &str,
+        change: &dyn Fn(&str) -> String,
+    ) -> Result<Self, String> {
+        let (folder, printed) = changed(what, control, clearance, more, change);
         if printed.status != 0 {
             return Err(printed.stderr.replace(['\n', '│'], " ").split_whitespace().collect::<Vec<_>>().join(" "));
         }
@@ -108,23 +147,31 @@ impl Planned {
         let files: BTreeMap<String, String> = names.map(|name| (name.clone(), read(&at.join(&name)))).collect();
         let mut rows = files["plan.csv"].lines().map(|line| line.split(',').map(str::to_owned).collect::<Vec<_>>());
         let header = rows.next().expect("a header");
-        let touches = rows.map(|row| {
-            let cells = header.iter().zip(&row).filter_map(|(name, cell)| Some((name.clone(), cell.parse().ok()?)));
+        let rows: Vec<Vec<String>> = rows.collect();
+        let column = |name: &str| header.iter().position(|own| own == name).expect("a column");
+        let (number, feature) = (column("touch"), column("feature"));
+        let features = rows.iter().map(|row| (row[number].parse().expect("a number"), row[feature].clone())).collect();
+        let touches = rows.iter().map(|row| {
+            let cells = header.iter().zip(row).filter_map(|(name, cell)| Some((name.clone(), cell.parse().ok()?)));
             let cells: ByAxis = cells.collect();
             (cells["touch"] as usize, cells)
         });
         let record = serde_json::from_str(&files["plan.json"]).expect("JSON");
-        Ok(Self { touches: touches.collect(), record, folder, files, tells })
+        Ok(Self { touches: touches.collect(), features, record, folder, files, tells })
     }
 
     /// The machine, its ball beside its place by some hundredths of a millimetre.
     fn machine(&self, off: [f64; 3]) -> Machine {
+        let centre = [90.0 + off[0], 30.0 + off[1], 120.0 + off[2]];
+        self.with(Ball { centre, radius: 12.5, stand: [[90.0, 30.0, 0.0], [90.0, 30.0, 103.0]] })
+    }
+
+    /// The machine with this on its table.
+    fn with(&self, body: impl Body + 'static) -> Machine {
         let prepared =
             abbe_engine::prepare(&self.folder.path().join("begun/recipe.yaml"), &registry()).expect("a recipe");
         let model = prepared.described().expect("machines").remove(0).model;
-        let centre = [90.0 + off[0], 30.0 + off[1], 120.0 + off[2]];
-        let first = self.first();
-        Machine::new(model, centre, 12.5, [[90.0, 30.0, 0.0], [90.0, 30.0, 103.0]], &first)
+        Machine::new(model, Box::new(body), &self.first())
     }
 
     /// The rotary axes stand where the first touch has them.
@@ -180,12 +227,11 @@ impl Planned {
                 }
             }
             at.extend(logged.clone());
-            let from = minus(machine.tip(&at).0, machine.centre);
             let normal = ["nx", "ny", "nz"].map(|name| planned[name]);
-            let side = dot(from, normal) / norm(from);
+            let [off, beside] = machine.body.contact(&self.features[number], normal, machine.tip(&at).0, radius);
             // grbl reports three decimals of millimetres, or four of inches.
-            if (norm(from) - machine.radius - radius).abs() > 3e-3 || side < 0.99 {
-                return Err(format!("touch {number} is {} mm from the centre, side {side}", norm(from)));
+            if off.abs() > 3e-3 || beside > 0.3 {
+                return Err(format!("touch {number} is {off} mm from contact, {beside} mm from its place"));
             }
         }
         Ok((hits.into_iter().map(|(number, _)| number).collect(), misses))
@@ -316,8 +362,7 @@ fn a_touch_that_misses_is_tried_again_and_a_ball_that_is_not_there_ends_the_prog
         let (hits, misses) = found.unwrap_or_else(|error| panic!("{control}: {error}"));
         let tried_again = usize::from(control == "grbl");
         assert_eq!((hits.len() + tried_again, misses), (2 * planned.touches.len(), 1), "{control}");
-        let mut machine = planned.machine([0.0, 0.0, -60.0]);
-        machine.stand = [[900.0, 0.0, 0.0], [900.0, 0.0, 1.0]];
+        let mut machine = planned.with(Ball { centre: [90.0, 30.0, 60.0], radius: 12.5, stand: AWAY });
         let found = planned.measured(control, file, &mut machine);
         match control {
             "grbl" => assert!(found.is_err() || found.is_ok_and(|(hits, _)| hits.is_empty()), "{control}"),
@@ -331,9 +376,7 @@ fn a_touch_that_misses_is_tried_again_and_a_ball_that_is_not_there_ends_the_prog
 fn a_move_that_meets_something_ends_the_program() {
     for (control, file, _) in CONTROLS {
         let planned = Planned::new(CHAINS[0], control, SPHERE, "");
-        let mut machine = planned.machine([0.0; 3]);
-        machine.radius = 40.0;
-        machine.stand = [[900.0, 0.0, 0.0], [900.0, 0.0, 1.0]];
+        let mut machine = planned.with(Ball { centre: [90.0, 30.0, 120.0], radius: 40.0, stand: AWAY });
         let found = planned.measured(control, file, &mut machine);
         let message = found.expect_err(control);
         let watched = message.starts_with("alarm") || message.contains("begins in contact");

@@ -186,6 +186,50 @@ fn the_control_gets_its_exporter_or_a_reason() {
     }
 }
 
+/// What is touched comes with a program for the control: the plan writes it as it stands, and the recipe says how its log is read.
+#[test]
+fn the_plan_of_a_beginning_writes_the_program_of_its_control() {
+    let cases = [
+        ("linuxcnc", "table", "w C' A' b X Y Z t", "measure.ngc", "linuxcnc-log"),
+        ("fanuc", "ball", "w b X Y Z C A t", "O9910.nc", "dprnt"),
+        ("siemens", "balls", "w C' X' b Y Z B t", "ABBE_MEASURE.MPF", "siemens-log"),
+        ("heidenhain", "ball", "w C' B' b Y X Z t", "MEASURE.H", "heidenhain-log"),
+        ("grbl", "balls", "w X' Y' b Z t", "measure.gcode", "grbl-log"),
+    ];
+    for (control, method, chain, program, reader) in cases {
+        let folder = temporary();
+        let at = folder.path();
+        let begun = abbe(at, &["new", "m", "--chain", chain, "--method", method, "--controller", control]);
+        assert_eq!(begun.status, 0, "{control}: {}", begun.stderr);
+        assert!(begun.stdout.contains("Run its dry run"), "{}", begun.stdout);
+        let planned = abbe(at, &["plan", "m/recipe.yaml", "--out", "m/plan"]);
+        assert_eq!(planned.status, 0, "{control} {method} {chain}: {}", planned.stderr);
+        let text = read(&at.join("m/plan").join(program));
+        let made = read(&at.join("m/plan/plan.csv")).lines().count() - 1;
+        let left_out = text.to_uppercase().matches("LEFT OUT: ").count();
+        assert!(made > 3 * left_out, "{control} {method} {chain}: {made} touches, {left_out} left out");
+        // The comment is a stage: with the plan's own positions in a log it is read.
+        let recipe = read(&at.join("m/recipe.yaml"));
+        let commented = format!("  # touches: {{ ingest: {reader}, path: measure.log, plan: plan/plan.csv");
+        let line = recipe.lines().find(|line| line.starts_with(&commented)).unwrap_or_else(|| panic!("{recipe}"));
+        let csv = recipe.lines().find(|line| line.starts_with("  touches: { ingest: csv")).expect("a stage").to_owned();
+        let logged = recipe.replace(line, &line.replacen("# ", "", 1)).replace(&csv, "");
+        write(&at.join("m/logged.yaml"), &logged);
+        write(&at.join("m/measure.log"), "no log\n");
+        let told = abbe(at, &["check", "m/logged.yaml"]).stderr;
+        assert!(told.contains("measure.log") && told.contains("`ABBE 1` was expected"), "{control}: {told}");
+    }
+    // Without letters of a control there is none, and without a control neither.
+    let folder = temporary();
+    for (name, more) in [("a", vec!["--controller", "linuxcnc"]), ("b", vec![])] {
+        let chain = if name == "a" { "w C1' A2' b X Y Z t" } else { "w C' A' b X Y Z t" };
+        let begun = abbe(folder.path(), &[vec!["new", name, "--chain", chain, "--method", "ball"], more].concat());
+        assert_eq!(begun.status, 0, "{}", begun.stderr);
+        let recipe = read(&folder.path().join(name).join("recipe.yaml"));
+        assert!(!recipe.contains("program:") && !recipe.contains("-log"), "{recipe}");
+    }
+}
+
 #[test]
 fn machines_without_three_linear_axes_are_calibrated_by_poses_alone() {
     let folder = temporary();

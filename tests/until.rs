@@ -10,7 +10,7 @@ use crate::controls::law::{seeds, uniform};
 use crate::support::{abbe, fit, read, registry, temporary, write};
 
 /// A begun calibration of a random machine with five axes.
-fn begun(method: &str, random: &mut impl FnMut() -> f64) -> (TempDir, String) {
+pub fn begun(method: &str, random: &mut impl FnMut() -> f64) -> (TempDir, String) {
     let chains = crate::models::all_chains();
     let chain = chains[840 + (random() * (chains.len() - 840) as f64) as usize % (chains.len() - 840)].clone();
     let folder = temporary();

@@ -1,10 +1,11 @@
-//! A machine with a probe and a ball that is not quite where the plan has it. Moves are followed in small steps.
+//! A machine with a probe and something to touch that is not quite where the plan has it. Moves are followed in small steps.
 
 use std::collections::BTreeSet;
 use std::sync::Arc;
 
 use abbe_core::{AxisKind, KinematicModel, Poses};
 
+use super::bodies::Body;
 use crate::gcode::World;
 
 /// Positions by letter: mm and degrees.
@@ -13,10 +14,8 @@ pub use crate::gcode::ByAxis;
 pub struct Machine {
     pub model: Arc<dyn KinematicModel>,
     pub at: ByAxis,
-    pub centre: [f64; 3],
-    pub radius: f64,
-    /// The stand of the ball: a rod below it.
-    pub stand: [[f64; 3]; 2],
+    /// What is touched.
+    pub body: Box<dyn Body>,
     /// Whether the last watched move was stopped by the probe.
     pub triggered: bool,
     /// Stops of the probe that the control does not notice, counted down.
@@ -38,25 +37,16 @@ pub struct Machine {
     passed: bool,
 }
 
-const ROD: f64 = 5.0;
-
 impl Machine {
-    pub fn new(
-        model: Arc<dyn KinematicModel>,
-        centre: [f64; 3],
-        radius: f64,
-        stand: [[f64; 3]; 2],
-        first: &ByAxis,
-    ) -> Self {
+    /// The rotary axes stand where the first touch has them.
+    pub fn new(model: Arc<dyn KinematicModel>, body: Box<dyn Body>, first: &ByAxis) -> Self {
         let mut at: ByAxis = model.info().axes.iter().map(|axis| (axis.name.clone(), 0.0)).collect();
         at.extend(first.clone());
         let (log, alarm, flipped) = (Vec::new(), None, None);
         Self {
             model,
             at,
-            centre,
-            radius,
-            stand,
+            body,
             triggered: false,
             blind: 0,
             flipped,
@@ -87,27 +77,13 @@ impl Machine {
     }
 
     fn gap(&self, at: &ByAxis) -> f64 {
-        norm(minus(self.tip(at).0, self.centre)) - self.radius - self.model.info().stylus_radius
+        self.body.gap(self.tip(at).0) - self.model.info().stylus_radius
     }
 
-    /// Fails if the shank is in the ball, or anything in its stand.
+    /// Fails if the probe is in anything, the tip left aside.
     fn look(&self, at: &ByAxis) -> Result<(), String> {
         let (tip, up) = self.tip(at);
-        for step in 0..=50 {
-            let height = 3.0 * f64::from(step);
-            let place = [0, 1, 2].map(|axis| tip[axis] + height * up[axis]);
-            let own = if height < 40.0 { 2.0 } else { 20.0 };
-            if norm(minus(place, self.centre)) < self.radius + own - 1.0 && height > 0.0 {
-                return Err(format!("the shank is in the ball at {at:?}"));
-            }
-            let along = minus(self.stand[1], self.stand[0]);
-            let part = (dot(minus(place, self.stand[0]), along) / dot(along, along)).clamp(0.0, 1.0);
-            let nearest = [0, 1, 2].map(|axis| self.stand[0][axis] + part * along[axis]);
-            if norm(minus(place, nearest)) < ROD + own - 0.5 {
-                return Err(format!("the probe is in the stand at {at:?}"));
-            }
-        }
-        Ok(())
+        self.body.meets(tip, up).map_or(Ok(()), |met| Err(format!("{met} at {at:?}")))
     }
 
     /// mm or degrees in a unit of the program.
@@ -173,8 +149,7 @@ impl Machine {
         if !self.known {
             // Where the machine was before nobody knows.
             self.at = between(1.0);
-            self.known =
-                target.keys().any(|axis| ["X", "Y", "Z"].contains(&axis.as_str())) && self.gap(&self.at) > 50.0;
+            self.known = target.keys().any(|axis| ["X", "Y", "Z"].contains(&axis.as_str())) && self.gap(&self.at) > 8.0;
             self.triggered = false;
             return Ok(());
         }
@@ -197,9 +172,9 @@ impl Machine {
             }
             met |= gap <= 0.0;
             if gap < -1e-3 && gap < start - 1e-3 && !blind {
-                return Err(format!("the tip goes into the ball: {target:?}"));
+                return Err(format!("the tip goes into what it should touch: {target:?}"));
             }
-            if !blind && gap > -1e-3 {
+            if !blind && gap > -1e-3 && (step % self.body.stride() == 0 || step == steps) {
                 self.look(&between(now))?;
             }
         }

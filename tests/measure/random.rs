@@ -3,15 +3,15 @@
 use std::collections::BTreeSet;
 use std::fmt::Write;
 
+use super::faces::moves_the_tip;
 use super::klartext::RAPID;
-use super::machine::{minus, norm};
 use super::{CONTROLS, Planned, SPHERE};
 use crate::controls::law::{seeds, uniform};
 use crate::models::all_chains;
 use crate::support::{fit, read, registry, write};
 
 /// A random chain of three to five axes, three of them linear.
-fn chain(random: &mut impl FnMut() -> f64) -> String {
+pub fn chain(random: &mut impl FnMut() -> f64) -> String {
     let chains = all_chains();
     // The few chains of three and four axes as often as those of five.
     let axes = 3 + (random() * 3.0) as usize;
@@ -23,7 +23,7 @@ fn chain(random: &mut impl FnMut() -> f64) -> String {
 }
 
 /// Random settings of a program; whether it is in inches.
-fn settings(random: &mut impl FnMut() -> f64) -> (String, bool) {
+pub fn settings(random: &mut impl FnMut() -> f64) -> (String, bool) {
     let mut text = format!("    unreachable: leave-out\n    rapid_feed_mm_per_min: {RAPID}\n");
     let inches = random() < 0.5;
     text.push_str(if inches { "    units: inch\n" } else { "" });
@@ -43,14 +43,14 @@ fn settings(random: &mut impl FnMut() -> f64) -> (String, bool) {
 }
 
 /// The plan with another limit in the place of its number.
-fn limited<'a>(limit: &'a str) -> impl Fn(&str) -> String + 'a {
+pub fn limited<'a>(limit: &'a str) -> impl Fn(&str) -> String + 'a {
     move |recipe| {
         let lines = recipe.lines().map(|line| if line.starts_with("  number: ") { limit } else { line });
         lines.collect::<Vec<_>>().join("\n") + "\n"
     }
 }
 
-fn seconds(planned: &Planned) -> f64 {
+pub fn seconds(planned: &Planned) -> f64 {
     planned.record["program"]["seconds"].as_f64().expect("the time of a program")
 }
 
@@ -100,20 +100,7 @@ fn programs_of_random_machines_measure_the_plan_in_the_time_that_they_say() {
         worst = worst.max(apart);
         // An axis that goes the other way, one after another of those that the plan moves.
         for axis in machine.model.info().axes.clone() {
-            // One that turns the tool about itself, say, moves no tip.
-            let mut machine = planned.machine([0.0; 3]);
-            let moves = planned.touches.values().any(|touch| {
-                let place = |(name, place): (&String, &f64)| {
-                    Some((name.strip_suffix("_mm").or(name.strip_suffix("_deg"))?.to_owned(), *place))
-                };
-                let mut at = machine.at.clone();
-                at.extend(touch.iter().filter_map(place).filter(|(name, _)| machine.at.contains_key(name)));
-                let tip = machine.tip(&at).0;
-                machine.flipped = Some(axis.name.clone());
-                let other = machine.tip(&at).0;
-                machine.flipped = None;
-                norm(minus(tip, other)) > 5.0
-            });
+            let moves = moves_the_tip(&planned, &mut planned.machine([0.0; 3]), &axis.name);
             if moves && random() < 0.7 {
                 let mut machine = planned.machine([0.0; 3]);
                 machine.flipped = Some(axis.name.clone());
@@ -190,7 +177,7 @@ fn a_plan_of_minutes_keeps_its_time_and_more_time_is_never_worse() {
 }
 
 /// The readers, by the names of the controls.
-const READERS: [(&str, &str); 5] = [
+pub const READERS: [(&str, &str); 5] = [
     ("linuxcnc", "linuxcnc-log"),
     ("fanuc", "dprnt"),
     ("siemens", "siemens-log"),

@@ -4,16 +4,16 @@ use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
-use abbe_core::{DataRow, Dataset, Error, Identifiability, Monitor, Result, WeakDirection, Whole};
+use abbe_core::{DataRow, Dataset, Error, Identifiability, Monitor, Problem, Result, Values, WeakDirection, Whole};
 use abbe_measuring::{Control, Measuring};
-use abbe_planning::{Generation, LargestOfInput, Plan, PlanFigures, Planning, Revisit, generate, plan};
+use abbe_planning::{Generation, LargestOfInput, Order, Plan, PlanFigures, Planning, Revisit, generate, plan};
 use abbe_recipe::Stage;
 use abbe_table::Layout as FileLayout;
 use serde_json::{Value, json};
 
 use crate::folder::write_folder;
 use crate::prepare::Prepared;
-use crate::run::{Taken, has_rows};
+use crate::run::{Datasets, Taken, has_rows};
 
 /// Chosen measurements, in memory.
 #[derive(Clone)]
@@ -72,17 +72,23 @@ impl Prepared {
         };
         let settings = self.measuring(wanted, control)?;
         let located = |error| self.recipe.locate_plan(error);
-        let plan = match settings.as_ref().filter(|_| wanted.minutes.is_some()) {
-            None => plan(&problem, wanted, None).map_err(located),
-            Some(settings) => self.timed(wanted, stage, settings, candidates, |timing| {
-                plan(&problem, wanted, Some(timing)).map_err(located)
-            }),
+        let made = |problem: &Problem| {
+            let plan = match settings.as_ref().filter(|_| wanted.minutes.is_some()) {
+                None => plan(problem, wanted, None).map_err(located),
+                Some(settings) => self.timed(wanted, stage, settings, candidates, |timing| {
+                    plan(problem, wanted, Some(timing)).map_err(located)
+                }),
+            };
+            plan.map_err(|error| match estimator.identify(problem) {
+                // These are not determined for any choice.
+                Ok(all) if all.rank < all.unknowns => with_lost(error, &all),
+                _ => error,
+            })
         };
-        let plan = plan.map_err(|error| match estimator.identify(&problem) {
-            // These are not determined for any choice.
-            Ok(all) if all.rank < all.unknowns => with_lost(error, &all),
-            _ => error,
-        })?;
+        let plan = match &generated {
+            None => made(&problem)?,
+            Some(_) => self.in_its_time((stage, &data), wanted, problem, made)?,
+        };
         let identifiability = self.located(stage, estimator.identify(&plan.problem))?;
         let accepted = self.located(stage, estimator.accepts(&identifiability))?;
         let rows = rows_of(&plan, None, candidates);
@@ -131,6 +137,49 @@ impl Prepared {
         }
         Ok(Measurements { estimate: stage.name.clone(), plan, identifiability, accepted, seconds, record, files })
     }
+}
+
+/// Plans that are made at most until the times of the last one are those of its machine. Two are enough where times change no choice.
+const PASSES: usize = 4;
+
+impl Prepared {
+    /// The plan of a machine whose times are those of the plan. The scale of a drift is that of the data, and the times of
+    /// generated candidates are none yet: an order says when they are measured, and that is when the drift will be estimated.
+    fn in_its_time(
+        &self,
+        (stage, data): (&Stage, &Datasets),
+        wanted: &Planning,
+        problem: Problem,
+        made: impl Fn(&Problem) -> Result<Plan>,
+    ) -> Result<Plan> {
+        let (ingest, _) = self.artefact(&wanted.candidates)?;
+        let mut plan = made(&problem)?;
+        let mut known = problem.model.info().settings.clone();
+        for _ in 1..PASSES {
+            let Some(timed) = plan.order.as_ref().and_then(|order| at_times_of(&data[ingest], order)) else { break };
+            let mut timed_data = data.clone();
+            timed_data.insert(ingest.to_owned(), Arc::new(timed));
+            let model = self.located(stage, self.built_machine(stage, &timed_data))?;
+            if model.info().settings == known {
+                break;
+            }
+            known = model.info().settings.clone();
+            let problem = self.problem_on(stage, model, data, &mut Taken::default());
+            plan = made(&self.located(stage, problem)?)?;
+        }
+        Ok(plan)
+    }
+}
+
+/// The data set with the first and the last time of an order. None without a column of times, which a machine without a drift may lack.
+fn at_times_of(data: &Dataset, order: &Order) -> Option<Dataset> {
+    let (first, last) = (order.rows.first()?.1, order.rows.iter().map(|(_, time)| *time).reduce(f64::max)?);
+    let mut timed = data.clone();
+    let column = timed.columns.iter_mut().find(|column| column.header.name == "time")?;
+    let Values::Numbers(times) = &mut column.values else { return None };
+    let end = times.len().checked_sub(1)?;
+    times.iter_mut().enumerate().for_each(|(row, time)| *time = if row == end { last } else { first });
+    Some(timed)
 }
 
 impl Prepared {

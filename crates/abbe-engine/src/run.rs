@@ -306,8 +306,18 @@ impl Prepared {
 
     /// Model and observations of an estimate.
     pub(crate) fn problem(&self, stage: &Stage, data: &Datasets, taken: &mut Taken) -> Result<Problem> {
+        self.problem_on(stage, self.built_machine(stage, data)?, data, taken)
+    }
+
+    /// The same on a machine that is there.
+    pub(crate) fn problem_on(
+        &self,
+        stage: &Stage,
+        model: Arc<dyn KinematicModel>,
+        data: &Datasets,
+        taken: &mut Taken,
+    ) -> Result<Problem> {
         let names = stage.reference("observations");
-        let model = self.built_machine(stage, data)?;
         let sets = self.sets(names, &model, data, Wanted::Seen, taken)?;
         let plugin = self.model_plugin(stage)?;
         match stage.parameters.as_slice() {
@@ -329,7 +339,7 @@ impl Prepared {
 
     /// The machine of an estimate. If it is that of another estimate, it has the settings that follow from the data of that
     /// estimate.
-    fn built_machine(&self, stage: &Stage, data: &Datasets) -> Result<Arc<dyn KinematicModel>> {
+    pub(crate) fn built_machine(&self, stage: &Stage, data: &Datasets) -> Result<Arc<dyn KinematicModel>> {
         let named = stage.reference("machine").first().or(stage.reference("of").first());
         if let Some(name) = named {
             let other = self.recipe_stage(name)?;

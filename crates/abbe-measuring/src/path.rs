@@ -7,7 +7,7 @@ use nalgebra::Vector3;
 use crate::settings::{Clearance, Measuring};
 use crate::solid::Solid;
 use crate::touch::{Touch, Touches};
-use crate::world::{Except, World};
+use crate::world::{Except, SOLID, World};
 
 /// Why there is no way.
 pub enum Refusal {
@@ -84,7 +84,7 @@ impl<'a> Path<'a> {
         let axes = &model.info().axes;
         let mut solids = touches.solids(targets, model.info().stylus_radius, settings.facets);
         let numbered = settings.solids.iter().enumerate();
-        solids.extend(numbered.map(|(index, solid)| (format!("solid {} of `solids`", index + 1), *solid)));
+        solids.extend(numbered.map(|(index, solid)| (format!("{SOLID}{} of `solids`", index + 1), *solid)));
         let (retract, sphere) = match &settings.clearance {
             Clearance::Plane { axis: name, at_mm } => {
                 let is_it = |axis: &Axis| axis.name == *name && axis.kind == AxisKind::Linear;
@@ -123,8 +123,10 @@ impl<'a> Path<'a> {
         for status in [&approach, &end, &before, &above, &retreat] {
             self.in_travel(status)?;
         }
-        let touched = Except { touched: Some(&touch.feature), ..Except::default() };
-        let ignored = Except { ignored: Some(&touch.feature), ..Except::default() };
+        let surface = place.tip - self.world.model.info().stylus_radius * normal;
+        let met = self.world.touched(&touch.feature, surface, normal);
+        let touched = Except { touched: &met, ..Except::default() };
+        let ignored = Except { ignored: &met, ..Except::default() };
         self.clear(&above, &before, Except::default(), "on the way down")?;
         self.clear(&before, &approach, Except::default(), "on the way to the beginning of the touch")?;
         self.clear(&approach, &contact, touched, "during the touch")?;

@@ -19,7 +19,9 @@ pub struct Measuring {
     pub probe: Vec<Section>,
     /// Where nothing is in the way, so that axes may go from one touch to the next.
     pub clearance: Clearance,
-    /// What stands on the table beside the artefact: holder, clamps, the table itself; table frame.
+    /// What stands on the table beside the artefact: holder, clamps, the table itself; table frame. Faces that are touched may lie on
+    /// one of them, as the faces of the table do: where a touch is made on its surface, and it lies behind the plane of contact, the
+    /// tip may meet it.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub solids: Vec<Solid>,
     /// What facets look like to the probe; balls are found from their touches.

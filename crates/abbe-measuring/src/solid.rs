@@ -91,6 +91,22 @@ impl Solid {
         }
     }
 
+    /// How far the solid reaches along a unit vector, from the origin, mm.
+    pub fn support(&self, along: Vector3<f64>) -> f64 {
+        match *self {
+            Self::Sphere { centre_mm, radius_mm } => along.dot(&Vector3::from(centre_mm)) + radius_mm,
+            Self::Box { from_mm, to_mm } => {
+                let further = |axis: usize| f64::max(along[axis] * from_mm[axis], along[axis] * to_mm[axis]);
+                (0..3).map(further).sum()
+            }
+            Self::Cylinder { from_mm, to_mm, radius_mm } => {
+                let (from, to) = (Vector3::from(from_mm), Vector3::from(to_mm));
+                let across = along.cross(&(to - from).normalize()).norm();
+                along.dot(&from).max(along.dot(&to)) + radius_mm * across
+            }
+        }
+    }
+
     /// The distance to another solid, mm; 0 if they overlap. Distances beyond `enough` need not be exact: at least `enough` is given.
     pub fn distance(&self, other: &Self, enough: f64) -> f64 {
         let ((one, radius), (two, other_radius)) = (self.bounds(), other.bounds());
@@ -144,6 +160,23 @@ mod tests {
         // Crossed rods, and a rod in a block.
         near(&rod([0.0, 0.0, -9.0], [0.0, 0.0, 9.0]), &rod([10.0, -9.0, 0.0], [10.0, 9.0, 0.0]), 6.0);
         near(&rod([0.0, 0.0, 0.0], [30.0, 0.0, 0.0]), &block, 0.0);
+    }
+
+    /// No point of a solid is farther along a direction, and the nearest one to a point far away is nearly as far.
+    #[test]
+    fn a_solid_reaches_as_far_as_its_farthest_point() {
+        let solids = [
+            BALL,
+            Solid::Box { from_mm: [20.0, -5.0, -5.0], to_mm: [40.0, 5.0, 15.0] },
+            Solid::Cylinder { from_mm: [3.0, -9.0, 2.0], to_mm: [20.0, 7.0, 50.0], radius_mm: 4.0 },
+        ];
+        for (trial, solid) in (0..300).flat_map(|trial| solids.iter().map(move |solid| (trial, solid))) {
+            let angle = f64::from(trial) * 2.4;
+            let z = f64::from(trial) / 150.0 - 1.0;
+            let along = Vector3::new((1.0 - z * z).sqrt() * angle.cos(), (1.0 - z * z).sqrt() * angle.sin(), z);
+            let farthest = solid.nearest(1e7 * along).dot(&along);
+            assert!((solid.support(along) - farthest).abs() < 1e-3, "{solid:?} {along}: {farthest}");
+        }
     }
 
     /// No point of one solid is nearer to the other than the distance: random pairs against random points.

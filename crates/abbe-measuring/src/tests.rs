@@ -143,6 +143,26 @@ fn the_shank_keeps_clear_of_solids() {
     assert!(made(-15.0).is_err());
 }
 
+/// The faces of a table are touched although the table is a solid, and what stands out of it is in the way.
+#[test]
+fn faces_lie_on_a_solid() {
+    let touches = touches(&[[0.0, 0.0], [30.0, 0.0]]);
+    let made = |from: [f64; 3], to: [f64; 3]| {
+        let block = serde_json::json!({ "solids": [{ "box": { "from_mm": from, "to_mm": to } }] });
+        Programme::new(&settings(block), &touches, &[], &Cartesian::new(), None)
+    };
+    assert!(made([-50.0, -50.0, -30.0], [50.0, 50.0, 0.0]).is_ok());
+    // A little lower is near enough to be meant.
+    assert!(made([-50.0, -50.0, -30.0], [50.0, 50.0, -0.5]).is_ok());
+    for top in [0.1, -2.0] {
+        let error = made([-50.0, -50.0, -30.0], [50.0, 50.0, top]).unwrap_err().to_string();
+        assert!(error.contains("touch 1 (feature F0)") && error.contains("the tip would come to"), "{top}: {error}");
+    }
+    // Its edge is beside the second touch: that face does not lie on it, and the tip comes too near.
+    let error = made([-50.0, -50.0, -30.0], [28.5, 50.0, 0.0]).unwrap_err().to_string();
+    assert!(!error.contains("touch 1 ") && error.contains("touch 2 "), "{error}");
+}
+
 #[test]
 fn travel_and_pauses() {
     let far = Touches::of_table(&table(&[[99.0, 0.0]], [-1.0, 0.0, 0.0]), &Cartesian::new()).unwrap();

@@ -28,10 +28,10 @@ pub struct Place {
 /// Which solids a move is checked against.
 #[derive(Debug, Clone, Copy, Default)]
 pub struct Except<'a> {
-    /// The feature that is touched: the tip may meet it, and the rest of the probe may be nearer to it than the margin.
-    pub touched: Option<&'a str>,
-    /// A feature that is not looked at: beyond contact with it the probe has stopped.
-    pub ignored: Option<&'a str>,
+    /// What is touched ([`World::touched`]): the tip may meet it, and the rest of the probe may be nearer to it than the margin.
+    pub touched: &'a [&'a str],
+    /// What is not looked at: beyond contact with it the probe has stopped.
+    pub ignored: &'a [&'a str],
     /// A further solid, such as a sphere of clearance.
     pub further: Option<&'a Solid>,
 }
@@ -44,6 +44,12 @@ const SHORT: f64 = 0.2;
 
 /// Largest sum of turns of rotary axes in a step, rad: an arc is then hardly longer than its chord.
 const ARC: f64 = 0.1;
+
+/// A solid that stands out of the plane of contact by less is flush with it, mm.
+const FLUSH: f64 = 0.01;
+
+/// How names of solids of the settings begin; others are those of features.
+pub const SOLID: &str = "solid ";
 
 /// Distances beyond this are not computed exactly, mm.
 const FAR: f64 = 40.0;
@@ -70,6 +76,17 @@ impl<'a> World<'a> {
         let [w, x, y, z] = poses.orientations[0];
         let up = UnitQuaternion::from_quaternion(Quaternion::new(w, x, y, z)) * Vector3::z();
         Ok(Place { tip: poses.positions[0].into(), up })
+    }
+
+    /// What a touch at this point meets: the feature, and the solids that it is a face of. These lie behind the plane of contact, and
+    /// come nearer to the point than the margin.
+    pub fn touched<'s>(&'s self, feature: &'s str, point: Vector3<f64>, normal: Vector3<f64>) -> Vec<&'s str> {
+        let is_face_of = |(_, solid): &&(String, Solid)| {
+            let before = solid.support(normal) - point.dot(&normal);
+            before < FLUSH && (solid.nearest(point) - point).norm() < self.margin
+        };
+        let behind = self.solids.iter().filter(is_face_of).map(|(name, _)| name.as_str());
+        [feature].into_iter().chain(behind.filter(|name| name.starts_with(SOLID))).collect()
     }
 
     /// What the probe comes too near to on a move, all axes in proportion; none if it stays clear.
@@ -131,10 +148,10 @@ impl<'a> World<'a> {
         let further = except.further.map(|solid| ("the sphere of clearance".to_owned(), *solid));
         let mut least = FAR;
         for (name, solid) in self.solids.iter().chain(&further) {
-            if except.ignored == Some(name) {
+            if except.ignored.contains(&name.as_str()) {
                 continue;
             }
-            let touched = except.touched == Some(name);
+            let touched = except.touched.contains(&name.as_str());
             let margin = if touched || except.further == Some(solid) { 0.0 } else { self.margin };
             let parts = sections.iter().chain((!touched).then_some(&tip));
             for (index, part) in parts.enumerate() {
@@ -155,7 +172,7 @@ impl<'a> World<'a> {
     }
 
     fn named(&self, name: &str) -> String {
-        if name.starts_with("solid ") { name.to_owned() } else { format!("feature {name}") }
+        if name.starts_with(SOLID) { name.to_owned() } else { format!("feature {name}") }
     }
 }
 

@@ -133,7 +133,7 @@ fn plan_of(problem: &Problem, wanted: &Planning, until: Option<&Until>) -> Resul
     let best = best(&designs).ok_or_else(|| too_small(wanted))?;
     let alike = |design: &&Design| (design.value - best.value).abs() <= 1e-6 * best.value.abs().max(1.0);
     let mut plan = ground.plan(&choice, &best.chosen, designs.iter().filter(alike).count())?;
-    let reached = until.map(|until| until::reached((&plan.figures, &best.chosen, &ground), until));
+    let reached = until.map(|until| until::reached_by(&plan, (&best.chosen, &ground), until));
     plan.reached = reached.transpose()?;
     Ok(plan)
 }

@@ -9,7 +9,7 @@ use abbe_measuring::Timing;
 use abbe_numerics::DesignProblem;
 
 use crate::settings::Planning;
-use crate::until::{is_enough, out_of_reach, reached};
+use crate::until::{is_enough, out_of_reach, reached, reached_by};
 use crate::{Ground, Plan, best, searched, too_few, wrong};
 
 /// A step of the ladder.
@@ -79,9 +79,8 @@ pub fn within(problem: &abbe_core::Problem, wanted: &Planning, minutes: f64, tim
         if let Some(until) = &wanted.until {
             let Some(figures) = ground.figures(&choice, &timed.design) else { continue };
             let found = reached((&figures, &timed.design, &ground), until)?;
-            let is_nearer = |best: &Plan| best.reached.as_ref().is_none_or(|best| found.ratio() < best.ratio());
             if !is_enough(&found) {
-                if nearest.as_ref().is_none_or(is_nearer) {
+                if nearest.as_ref().is_none_or(|best| found.ratio() < ratio(best)) {
                     let mut plan = ground.plan(&choice, &timed.design, timed.searches)?;
                     plan.reached = Some(found);
                     nearest = Some(plan);
@@ -97,15 +96,25 @@ pub fn within(problem: &abbe_core::Problem, wanted: &Planning, minutes: f64, tim
                 continue;
             }
         }
-        plan.reached =
-            wanted.until.as_ref().map(|until| reached((&plan.figures, &timed.design, &ground), until)).transpose()?;
-        return Ok(plan);
+        let until = wanted.until.as_ref();
+        plan.reached = until.map(|until| reached_by(&plan, (&timed.design, &ground), until)).transpose()?;
+        if plan.reached.as_ref().is_none_or(is_enough) {
+            return Ok(plan);
+        }
+        if nearest.as_ref().is_none_or(|best| ratio(&plan) < ratio(best)) {
+            nearest = Some(plan);
+        }
     }
     match nearest {
         Some(plan) => Err(out_of_reach(&plan)),
         None => Err(wrong("minutes", "no order of measurements fits into this time")
             .help("allow more, or fewer `references`, or a smaller number of `times`")),
     }
+}
+
+/// What a plan reaches as a part of what was wanted.
+fn ratio(plan: &Plan) -> f64 {
+    plan.reached.as_ref().map_or(f64::INFINITY, |reached| reached.ratio())
 }
 
 /// The touches of each candidate: places of its rows in the data.

@@ -202,6 +202,14 @@ pub fn reached((figures, design, ground): (&PlanFigures, &[usize], &Ground<'_>),
     })
 }
 
+/// What a plan reaches: in its order, if it has one. What is known of artefact and probe is propagated for the order of the list only, so
+/// that with such inputs that order counts.
+pub fn reached_by(plan: &Plan, (design, ground): (&[usize], &Ground<'_>), until: &Until) -> Result<Reached> {
+    let in_order = plan.order.as_ref().filter(|_| ground.contact.considered.sources.is_empty());
+    let figures = in_order.map_or(&plan.figures, |order| &order.figures);
+    reached((figures, design, ground), until)
+}
+
 /// Unknowns that count and are lengths or angles.
 fn of_parameters(sensitivities: &Sensitivities<'_>, until: &Until) -> Vec<Quantified> {
     let ground = sensitivities.ground;

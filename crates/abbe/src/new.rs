@@ -3,6 +3,7 @@
 mod determined;
 mod methods;
 mod poses;
+mod program;
 mod texts;
 
 use std::collections::BTreeMap;
@@ -102,10 +103,10 @@ impl New {
         let bytes = |(name, text): (&PathBuf, &String)| (name.clone(), text.clone().into_bytes());
         let files: BTreeMap<PathBuf, Vec<u8>> = beginning.files.iter().map(bytes).collect();
         write_folder(&self.folder, &files)?;
-        Ok(self.told(&beginning, method))
+        Ok(self.told(&beginning, method, &chain))
     }
 
-    fn told(&self, beginning: &Beginning, method: Method) -> String {
+    fn told(&self, beginning: &Beginning, method: Method, chain: &StructuralLoop) -> String {
         let names: Vec<String> = beginning.files.keys().map(|file| file.display().to_string()).collect();
         let mut text = format!("Written: {} ({})\n", self.folder.display(), names.join(", "));
         let [row, rows, known] = method.rows();
@@ -130,22 +131,33 @@ impl New {
             let _ = writeln!(text, "\nNot told by these {rows}, and left out: {}", beginning.left_out.join(", "));
         }
         beginning.remarks.iter().for_each(|remark| text.push_str(&format!("\n{remark}\n")));
-        text.push_str(&self.next(beginning, method));
+        let has_program = self.controller.is_some() && program::is_written(method, chain);
+        text.push_str(&self.next(beginning, method, has_program));
         text
     }
 
     /// What comes next.
-    fn next(&self, beginning: &Beginning, method: Method) -> String {
+    fn next(&self, beginning: &Beginning, method: Method, has_program: bool) -> String {
         let (folder, data, [_, rows, _]) = (self.folder.display(), method.data_file(), method.rows());
         let places = match beginning.nominal {
             Some(nominal) => format!(", and the\n     places of the artefact into {folder}/{nominal}"),
             None => String::new(),
         };
         let chosen = if method.generates() { "candidates.csv" } else { data };
-        format!(
+        let begin = format!(
             "\nNext\n  1. Put the ranges and places of your axes, tool length and stylus into {folder}/machine.yaml{places}.\n  \
-             2. `abbe plan {folder}/recipe.yaml --out {folder}/plan` chooses the {rows}; plan/{chosen}\n     \
-             takes the place of {data}.\n  3. Measure them, write what was measured into {data}, and \
+             2. `abbe plan {folder}/recipe.yaml --out {folder}/plan` chooses the {rows}"
+        );
+        if has_program {
+            return format!(
+                "{begin} and writes the program that\n     measures them, by the probe and solids under `program` of the recipe: put yours in their \
+                 place.\n  3. Run its dry run, then the program, copy its log to {folder}/measure.log, and let `{}` of the recipe\n     \
+                 read it, as its comment says; then `abbe run {folder}/recipe.yaml`.\n",
+                method.ingest()
+            );
+        }
+        format!(
+            "{begin}; plan/{chosen}\n     takes the place of {data}.\n  3. Measure them, write what was measured into {data}, and \
              `abbe run {folder}/recipe.yaml`.\n"
         )
     }

@@ -105,6 +105,7 @@ pub fn begin(
         chain,
         method,
         parameters: &[],
+        program: None,
         left_out: &[],
         choice: Choice::Rows(1),
         folds: None,
@@ -143,7 +144,7 @@ pub fn begin(
     if !planned.accepted || !planned.identifiability.null_space.is_empty() {
         return Err(nothing(method, chain));
     }
-    trial.write(RECIPE, Recipe { remarks: &remarks, ..recipe }.text())?;
+    trial.write(RECIPE, Recipe { remarks: &remarks, program: controller, ..recipe }.text())?;
     let (rows, indexations) = counts(&trial.files[Path::new(method.data_file())]);
     Ok(Beginning {
         rows,

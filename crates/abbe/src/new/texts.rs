@@ -5,8 +5,8 @@ use std::fmt::Write as _;
 use abbe_core::AxisKind;
 use abbe_kinematics::StructuralLoop;
 
-use super::Method;
 use super::methods::{Choice, turns_round};
+use super::{Controller, Method, program};
 
 /// Half the travel of a linear axis until its user knows better, mm.
 const TRAVEL: f64 = 500.0;
@@ -93,6 +93,8 @@ pub struct Recipe<'a> {
     pub folds: Option<usize>,
     /// The exporter for the control.
     pub export: Option<&'a str>,
+    /// The control that runs a measuring program.
+    pub program: Option<Controller>,
     /// What was left out, for the reader of the recipe.
     pub remarks: &'a [String],
     /// Whether verdicts are asked.
@@ -110,12 +112,16 @@ impl Recipe<'_> {
             "# Calibration of a machine with the axes {chain}\n# by {}.\n\
              # `abbe check` says what these {rows} tell, `abbe run` what the machine is.\n\
              abbe: 1\nname: Calibration of my machine\n\nstages:\n  \
-             {ingest}: {{ ingest: csv, path: {} }}             # {}\n  \
+             {ingest}: {{ ingest: csv, path: {} }}             # {}\n{}  \
              {stage}: {{ artefact: {artefact}, from: {ingest} }}   # {comment}\n\n  \
              machine: {{ model: serial-chain, file: machine.yaml }}\n\n",
             method.measured(),
             method.data_file(),
-            method.data()
+            method.data(),
+            self.program
+                .filter(|_| program::is_written(*method, chain))
+                .map(|control| program::reader(control, ingest))
+                .unwrap_or_default()
         );
         if !self.left_out.is_empty() {
             let line = format!("Not told by these {rows}: {}", self.left_out.join(", "));
@@ -177,9 +183,10 @@ impl Recipe<'_> {
             false => (format!("chooses among the {rows} of"), String::new()),
         };
         format!(
-            "\n# `abbe plan recipe.yaml --out plan` {what} {}.\nplan:\n  estimate: fit\n  candidates: {}\n{choice}{generate}",
+            "\n# `abbe plan recipe.yaml --out plan` {what} {}.\nplan:\n  estimate: fit\n  candidates: {}\n{choice}{}{generate}",
             method.data_file(),
-            method.stage()
+            method.stage(),
+            self.program.map(|control| program::program(*method, control, chain)).unwrap_or_default()
         )
     }
 }

@@ -13,6 +13,7 @@ use serde_json::Value;
 
 use super::controls::{Logs, Settings, Understand, lines};
 use super::record::{Builder, Hit, Log, Positions, Touch, shown};
+use super::step::{self, Steps};
 
 abbe_core::register!(
     Ingest,
@@ -42,6 +43,9 @@ pub(super) struct Console {
     comment: Regex,
     answer: Regex,
     word: Regex,
+    /// What a line of a program ends with.
+    last_word: Regex,
+    confirmation: Regex,
 }
 
 /// Words of the header, and that of the end, which the program sends as comments.
@@ -56,6 +60,7 @@ struct Sent {
     /// Touch and repeat; none for a move that searches.
     touch: Option<(u32, u32)>,
     feed: Option<f64>,
+    before: step::Sent,
 }
 
 /// What is known at a line of the console.
@@ -69,6 +74,7 @@ struct State {
     lists: bool,
     has_ended: bool,
     inches: Option<bool>,
+    steps: Steps,
 }
 
 impl Console {
@@ -78,6 +84,8 @@ impl Console {
             comment: pattern(r"\(([^()]*)\)")?,
             answer: pattern(r"\[PRB:([^\]:]*):([01])\]")?,
             word: pattern(r"([A-Z])\s*([-+]?\d*\.?\d+\.?)")?,
+            last_word: pattern(r"[A-Z]\s*[-+]?\d*\.?\d+\.?[\s<]*$")?,
+            confirmation: pattern(r"\bok\b")?,
         })
     }
 
@@ -86,7 +94,9 @@ impl Console {
         let mut state = State::default();
         for (line, content) in lines(text, |line| line).filter(|(line, _)| (from..to).contains(line)) {
             if content.contains("ALARM:") {
-                // What follows may be without a reference.
+                // What follows may be without a reference. Lines that were sent ahead, the end among them, were not carried out.
+                state.has_ended &= state.sent.is_empty();
+                state.sent.clear();
                 break;
             }
             if content.contains("error:") {
@@ -97,14 +107,28 @@ impl Console {
             }
             self.header(&mut builder, &mut state, line, content)?;
             let (sent, answers) = content.split_at(content.find('[').unwrap_or(content.len()));
-            self.sent(&mut state, line, &self.comment.replace_all(sent, " "));
+            let words = self.comment.replace_all(sent, " ");
+            self.sent(&mut state, line, &words);
+            if !self.last_word.is_match(&self.confirmation.replace_all(&words, "")) && words != sent {
+                state.steps.comment();
+            }
             self.answers(&mut builder, &mut state, line, answers)?;
+            let others = self.comment.replace_all(content, " ");
+            state.steps.confirm(self.confirmation.find_iter(&others).count());
             state.lists = content.contains("[TLO:");
         }
         if let Some(open) = state.sent.front().filter(|_| state.has_ended) {
             let message = format!("{} probing moves have no answer; the first was sent here", state.sent.len());
             return Err(builder
                 .wrong(open.line, message)
+                .help("lines of the console are lost; which answer belongs to which touch is not known"));
+        }
+        if let Some((line, confirmed)) = state.steps.out_of_step() {
+            let message = format!(
+                "the control confirmed {confirmed} lines by `ok` since the answer before this one, and the console shows another number of lines between the two moves"
+            );
+            return Err(builder
+                .wrong(line, message)
                 .help("lines of the console are lost; which answer belongs to which touch is not known"));
         }
         if state.has_ended {
@@ -134,7 +158,7 @@ impl Console {
     /// What the host has sent, without comments.
     fn sent(&self, state: &mut State, line: usize, content: &str) {
         let mut number = None;
-        let mut probes = false;
+        let (mut probes, mut pauses) = (false, false);
         for found in self.word.captures_iter(content) {
             let (Some(letter), Some(value)) = (found.get(1), found.get(2)) else { continue };
             let Ok(value) = value.as_str().parse::<f64>() else { continue };
@@ -144,13 +168,18 @@ impl Console {
                 ("G", 380.0..=385.0) if value > 38.0 => probes = true,
                 ("G", 200.0) => state.in_inches = Some(true),
                 ("G", 210.0) => state.in_inches = Some(false),
+                ("M", 0.0) => pauses = true,
                 ("M", 20.0 | 300.0) => state.has_ended = true,
                 _ => {}
             }
         }
+        let before = state.steps.sent();
+        if self.last_word.is_match(&self.confirmation.replace_all(content, "")) {
+            state.steps.line(pauses);
+        }
         if probes {
             let touch = number.map(|it| (it / PER_TOUCH, it % PER_TOUCH)).filter(|(touch, _)| *touch > 0);
-            state.sent.push_back(Sent { line, touch, feed: self.feed(state) });
+            state.sent.push_back(Sent { line, touch, feed: self.feed(state), before });
         }
     }
 
@@ -179,6 +208,7 @@ impl Console {
                 let error = builder.wrong(line, "an answer `[PRB:..]` to no probing move");
                 return Err(error.help("does the host show the lines that it sends? Or was the log mixed up?"));
             };
+            state.steps.answer(line, sent.before);
             let Some((number, repeat)) = sent.touch else { continue };
             let positions = found.get(1).map_or("", |found| found.as_str());
             let hit = match found.get(2).map(|found| found.as_str()) {

@@ -1,5 +1,6 @@
 //! Random logs in the form of each control, written by code of their own, read back; and logs that went wrong.
 
+mod ahead;
 mod refused;
 
 use std::fmt::Write;
@@ -276,7 +277,7 @@ proptest! {
         went_wrong(&run, form, &run.log(form), kind, at, aborted)?;
     }
 
-    /// The same of consoles whose host waits for each answer. A lost answer shifts nothing.
+    /// The same of consoles whose host waits for each answer.
     #[test]
     fn consoles_that_went_wrong_give_no_wrong_number(mut run in runs(), host in 0_usize..4, kind in 0_usize..6, at in 0_usize..1000, aborted in any::<bool>()) {
         run.offset = None;
@@ -314,17 +315,22 @@ fn went_wrong(
     }
     let wanted = Wanted { aborted: if aborted { Aborted::Accept } else { Aborted::Refuse }, ..WANTED };
     let Ok((data, _)) = read(form, &changed.concat(), &run.plan(), &wanted) else { return Ok(()) };
+    is_measured(run, &data, &changed.concat())
+}
+
+/// Each row of a log is what was measured at its touch and repeat.
+fn is_measured(run: &Run, data: &Dataset, text: &str) -> std::result::Result<(), TestCaseError> {
     let measured: Vec<_> = run.all().collect();
     for row in 0..data.rows() {
         let label = |name: &str| data.labels(name).expect("labels")[row].parse::<usize>().expect("a number");
         let (touch, repeat) = (label("touch"), label("repeat"));
         let found = measured.iter().find(|it| (it.0 + 1, it.1 + 1) == (touch, repeat)).and_then(|it| it.3);
         let Some([x, y, z, c]) = found else {
-            return Err(TestCaseError::fail(format!("touch {touch} did not hit\n{}", changed.concat())));
+            return Err(TestCaseError::fail(format!("touch {touch} did not hit\n{}", text)));
         };
         for (name, value) in [("X", x), ("Y", y), ("Z", z), ("C", c.to_radians())] {
             let own = data.numbers(name).expect("numbers")[row];
-            prop_assert!((own - value).abs() < 1e-11, "{}: {} {}\n{}", name, own, value, changed.concat());
+            prop_assert!((own - value).abs() < 1e-11, "{}: {} {}\n{}", name, own, value, text);
         }
     }
     prop_assert!(data.rows() <= measured.iter().filter(|it| it.3.is_some()).count());
