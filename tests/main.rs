@@ -5,6 +5,7 @@ mod ball_bar;
 mod bodies;
 mod bounds;
 mod calibrations;
+mod circles;
 mod cmm;
 mod compensation;
 pub(crate) mod controls;
