@@ -9,7 +9,7 @@ use abbe_engine::Outcome;
 use nalgebra::{Matrix4, Vector3, Vector4};
 use serde_json::{Value, json};
 
-use crate::support::{Random, Variant, fit, json_file, read, recipes, root, temporary, values, write};
+use crate::support::{Random, Variant, fit, json_file, read, recipes, registry, root, temporary, values, write};
 
 fn kept(name: &str) -> Value {
     json_file(&root().join(format!("tests/truth/standards-{name}.json")))
@@ -46,7 +46,7 @@ fn is_usual(calibration: &Calibration, data: &str) {
     let expected = &kept(&format!("{data}-expected"))["circular"]["diagnostics"];
     for (key, name, sign) in USUAL {
         let (found, expected) = (sign * value(calibration, name), expected["values"][key].as_f64().expect("a number"));
-        assert!((found - expected).abs() <= 1e-8 * expected.abs(), "{data}: {name}: {found} instead of {expected}");
+        assert!((found - expected).abs() <= 2e-8 * expected.abs(), "{data}: {name}: {found} instead of {expected}");
     }
     let report = &calibration.fit;
     let is = |key: &str, found: usize| assert_eq!(json!(found), expected[key], "{data}: {key}");
@@ -57,30 +57,35 @@ fn is_usual(calibration: &Calibration, data: &str) {
     assert!((report.condition - condition).abs() < 1e-3 * condition, "{} {condition}", report.condition);
 }
 
+/// The usual diagnosis takes positions from the angle; recorded ones are rounded to 1e-9 mm, and to 0.1 um in the realistic data.
+fn unrounded(data: &str, feed: &str) -> String {
+    let text = read(&root().join(format!("pipelines/data/standards/{data}/ballbar-xy-{feed}.csv")));
+    let mut all = String::new();
+    for line in text.lines() {
+        let mut cells: Vec<String> = line.split(',').map(str::to_owned).collect();
+        if let Some(Ok(angle)) = cells.get(6).map(|cell| cell.parse::<f64>()) {
+            let (sin, cos) = angle.to_radians().sin_cos();
+            (cells[3], cells[4]) = ((150.0 * cos).to_string(), (150.0 * sin).to_string());
+        }
+        let _ = writeln!(all, "{}", cells.join(","));
+    }
+    all
+}
+
 #[test]
 fn to_first_order_it_is_the_usual_diagnosis() {
-    is_usual(&fit(exact(), "linear").calibration, "exact");
-    // Recorded positions are rounded to 0.1 um here, the usual diagnosis takes them from the angle.
-    let folder = temporary();
-    let mut paths = Vec::new();
-    for feed in ["f500", "f2000"] {
-        let text = read(&root().join(format!("pipelines/data/standards/realistic/ballbar-xy-{feed}.csv")));
-        let mut unrounded = String::new();
-        for line in text.lines() {
-            let mut cells: Vec<String> = line.split(',').map(str::to_owned).collect();
-            if let Some(Ok(angle)) = cells.get(6).map(|cell| cell.parse::<f64>()) {
-                let (sin, cos) = angle.to_radians().sin_cos();
-                (cells[3], cells[4]) = ((150.0 * cos).to_string(), (150.0 * sin).to_string());
-            }
-            let _ = writeln!(unrounded, "{}", cells.join(","));
-        }
-        let file = folder.path().join(format!("ballbar-xy-{feed}.csv"));
-        write(&file, &unrounded);
-        paths.push(json!(file));
+    for data in ["exact", "realistic"] {
+        let folder = temporary();
+        let paths = ["f500", "f2000"].map(|feed| {
+            let file = folder.path().join(format!("ballbar-xy-{feed}.csv"));
+            write(&file, &unrounded(data, feed));
+            json!(file)
+        });
+        let variant = Variant::of(&recipes()["standards-ball-bar-exact"]).only(&["linear"]);
+        let variant =
+            variant.set("circles", "path", json!(paths)).set("circles", "within", json!({ "angle_deg": [0, 360] }));
+        is_usual(&fit(&variant.run(), "linear").calibration, data);
     }
-    let variant = Variant::of(&recipes()["standards-ball-bar-exact"]).only(&["linear"]);
-    let variant = variant.set("circles", "path", json!(paths)).set("circles", "within", json!({ "angle_deg": [0, 360] }));
-    is_usual(&fit(&variant.run(), "linear").calibration, "realistic");
 }
 
 /// The true values by the names of the model, of the machine and of the ball.
@@ -109,7 +114,7 @@ fn with_the_whole_kinematics_it_is_the_truth() {
     let truth = truth("exact");
     let mut variant = Variant::of(&recipes()["standards-ball-bar-exact"]).only(&["fit"]);
     // Z came from below.
-    variant = variant.set("circles", "constants", json!({ "dir_Z": 1 }));
+    variant = variant.set("circles", "constants", json!({ "A_deg": 0, "C_deg": 0, "dir_Z": 1 }));
     let lines = variant.stage("mill")["errors"].as_array_mut().expect("errors");
     lines.push(json!({ "location": ["E?0A", "E?0C", "EA0Z", "EB0Z"] }));
     lines.push(json!({ "polynomial": ["EZZ"], "degrees": [1] }));
@@ -168,20 +173,25 @@ fn noisy_circles_hold_the_truth_within_their_uncertainty() {
 #[test]
 fn lags_and_scales_are_one_rank_short() {
     let recipe = || Variant::of(&recipes()["standards-ball-bar-exact"]).only(&["fit"]);
-    let confounded = |variant: Variant| {
-        let outcome = variant.run();
-        let calibration = &fit(&outcome, "fit").calibration;
-        let lost = calibration.fit.unknowns - calibration.fit.rank;
-        let names = values(calibration).filter(|own| own.status == Status::Confounded);
-        (lost, names.map(|own| own.name.clone()).collect::<Vec<_>>())
+    let told = |variant: Variant| {
+        let folder = temporary();
+        let prepared = abbe_engine::prepare(&variant.write(folder.path()), &registry());
+        let run = prepared.and_then(|prepared| prepared.run(&abbe_core::Monitor::default()));
+        run.err().expect("it is one rank short").to_string()
     };
     let mut both = recipe();
     both.stage("fit")["parameters"].as_array_mut().expect("patterns").push(json!("EYY[lag]"));
-    assert_eq!(confounded(both), (1, vec!["EXX[lag]".to_owned(), "EYY[lag]".to_owned()]));
+    let message = told(both);
+    assert!(message.contains("the data determine 14 of 15 unknowns"), "{message}");
+    assert!(message.contains("EXX[lag] and EYY[lag] cannot be told apart"), "{message}");
     let mut length = recipe().set("bar", "lengths", json!("estimated"));
     length.stage("fit")["parameters"].as_array_mut().expect("patterns").push(json!("bar.bar[150].length"));
-    let expected = ["EXX[1]", "EYY[1]", "bar.bar[150].length"].map(str::to_owned).to_vec();
-    assert_eq!(confounded(length), (1, expected));
+    let message = told(length);
+    assert!(message.contains("the data determine 14 of 15 unknowns"), "{message}");
+    assert!(
+        message.contains("all of these do: bar.bar[150].length +1 µm, EXX[1] +6.667 µm/m, EYY[1] +6.667 µm/m"),
+        "{message}"
+    );
 }
 
 /// The errors of an axis that moves, in the directions of its frame, and its place.
@@ -242,13 +252,14 @@ impl Machine {
         let (own, across, pitch) = [("XX", "YX", 10.0), ("YY", "XY", 12.0)][axis];
         let sense = if self.carries[axis] { -1.0 } else { 1.0 };
         let wave = std::f64::consts::TAU * command / pitch;
-        let along = self.of(&format!("E{own}[1]")) * command
-            + self.of(&format!("E{own}[b]")) * velocity.signum()
+        let along = self.of(&format!("E{own}[1]")) * command + self.of(&format!("E{own}[b]")) * velocity.signum()
             - self.of(&format!("E{own}[lag]")) * sense * velocity
             + self.of(&format!("E{own}[cyc{pitch}:cos1]")) * wave.cos()
             + self.of(&format!("E{own}[cyc{pitch}:sin1]")) * wave.sin();
         let lateral = self.of(&format!("E{across}[b]")) * velocity.signum();
-        let unit = |axis: usize, size: f64| if axis == 0 { Vector3::new(size, 0.0, 0.0) } else { Vector3::new(0.0, size, 0.0) };
+        let unit = |axis: usize, size: f64| {
+            if axis == 0 { Vector3::new(size, 0.0, 0.0) } else { Vector3::new(0.0, size, 0.0) }
+        };
         (unit(axis, sense * command), unit(axis, along) + unit(1 - axis, lateral))
     }
 
@@ -333,7 +344,13 @@ fn errors_of_random_machines_come_back() {
         let radius = random.within(80.0, 200.0);
         for (name, value, _, truth) in machine.found(radius, 0.0, random) {
             // Lengths in mm; the effect of a lag at 40 mm/s and of slopes over the radius.
-            let effect = if name.contains("lag") { 40.0 } else if name.contains("[1]") && !name.contains("ball") || name.contains('0') { radius } else { 1.0 };
+            let effect = if name.contains("lag") {
+                40.0
+            } else if name.contains("[1]") && !name.contains("ball") || name.contains('0') {
+                radius
+            } else {
+                1.0
+            };
             let off = (value - truth).abs() * effect;
             assert!(off < 1e-9, "seed {seed}, {}: {name} is {value} instead of {truth}", machine.chain);
         }
@@ -389,6 +406,7 @@ fn the_diagnosis_ranks_errors_by_what_they_do() {
     let table = String::from_utf8_lossy(&file.content).into_owned();
     let mut lines = table.lines().skip(1);
     assert!(lines.next().expect("a row").starts_with("1,EXX[lag],servo mismatch,23.0"), "{table}");
-    let shares: f64 = table.lines().skip(1).map(|line| line.split(',').nth(5).expect("a share").parse::<f64>().expect("it")).sum();
+    let shares: f64 =
+        table.lines().skip(1).map(|line| line.split(',').nth(5).expect("a share").parse::<f64>().expect("it")).sum();
     assert!((shares - 100.0).abs() < 0.1, "{table}");
 }

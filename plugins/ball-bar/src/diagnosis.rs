@@ -81,9 +81,8 @@ impl Diagnosis {
             ranked.sort_by(|one, other| other.contribution.total_cmp(&one.contribution));
             let sum: f64 = ranked.iter().map(|own| own.contribution).sum();
             let mut table = String::from("rank,error,kind,contribution_um,u_um,share_percent,without_um\n");
-            let figure = |name: &str, value: f64| {
-                Figure::new(&fit.name, format!("{name}[{}]", circle.name), 1e3 * value, "um")
-            };
+            let figure =
+                |name: &str, value: f64| Figure::new(&fit.name, format!("{name}[{}]", circle.name), 1e3 * value, "um");
             findings.figures.push(figure("G(b)_lsc", total));
             findings.figures.push(figure("not explained", circle.range(&circle.residuals)));
             for (place, own) in ranked.iter().enumerate() {
@@ -219,8 +218,12 @@ fn circles(fit: &Fit, column: &str) -> Result<Vec<Circle>> {
         for (name, rows) in tests(set, column)? {
             let rows: Vec<usize> = rows.iter().map(|row| equations[*row]).collect();
             let derivatives = DMatrix::from_fn(rows.len(), own, |row, unknown| all[(rows[row], unknown)]);
-            let beside: Vec<usize> =
-                centres.iter().enumerate().filter(|(_, (set, _))| *set == index).map(|(place, _)| own + place).collect();
+            let beside: Vec<usize> = centres
+                .iter()
+                .enumerate()
+                .filter(|(_, (set, _))| *set == index)
+                .map(|(place, _)| own + place)
+                .collect();
             let beside = DMatrix::from_fn(rows.len(), beside.len(), |row, place| all[(rows[row], beside[place])]);
             let left = DVector::from_iterator(rows.len(), rows.iter().map(|row| -residuals[*row]));
             let measured = &derivatives * &values + &left;
@@ -298,9 +301,11 @@ impl Circle {
             .map(|unknown| self.centred(&self.derivatives.column(*unknown).into_owned()))
             .collect();
         let zero = DVector::zeros(self.measured.len());
-        let alone = error.unknowns.iter().zip(&columns).fold(zero, |sum, (unknown, column)| {
-            sum + column * self.values[*unknown]
-        });
+        let alone = error
+            .unknowns
+            .iter()
+            .zip(&columns)
+            .fold(zero, |sum, (unknown, column)| sum + column * self.values[*unknown]);
         let (most, least) = Self::ends(&alone);
         // The range follows the unknowns by its two rows; of an error that is zero both are the first, so the steepest rows stand in.
         let slope = |column: &DVector<f64>| match most == least {

@@ -236,7 +236,8 @@ impl Artefact for BallBar {
                 info.start[*own] = *nominal;
             }
         }
-        let mut observed = Observed { directions: None, info, balls, ball_of_row, bars, bar_of_row, readings, tool_ball };
+        let mut observed =
+            Observed { directions: None, info, balls, ball_of_row, bars, bar_of_row, readings, tool_ball };
         let rows = nominal::rows(&observed, model)?;
         observed.info.rank_point = RankPoint::NominalReading(nominal::readings(&observed, model, &rows));
         if self.settings.evaluation == Evaluation::FirstOrder {

@@ -154,10 +154,10 @@ impl Assembly {
         }
         match stays.contains(&true) {
             true => Ok(selected(data, &stays)),
-            false if self.motion.is_some() || !self.within.is_empty() => {
-                Err(Error::data("no row is left after `motion`, `within`, `ignore` and `keep`")
-                    .help("take a wider range, or a shorter way behind reversals; `abbe data RECIPE` shows the columns"))
-            }
+            false if self.motion.is_some() || !self.within.is_empty() => Err(Error::data(
+                "no row is left after `motion`, `within`, `ignore` and `keep`",
+            )
+            .help("take a wider range, or a shorter way behind reversals; `abbe data RECIPE` shows the columns")),
             false => Err(Error::data("no row is left after `ignore` and `keep`")
                 .help("name other rows there; `abbe data RECIPE` shows the labels of the columns")),
         }

@@ -121,11 +121,7 @@ pub(crate) fn build(settings: Settings, context: &Context) -> Result<Box<dyn Ing
         return Err(error.under([PathItem::Key("within".to_owned())]));
     }
     let assembly = Assembly::new(path, constants, join, [ignore, keep], context)?;
-    Ok(Box::new(Csv {
-        assembly: assembly.in_passing(motion, within),
-        layout: layout.layout()?,
-        average,
-    }))
+    Ok(Box::new(Csv { assembly: assembly.in_passing(motion, within), layout: layout.layout()?, average }))
 }
 
 impl Ingest for Csv {

@@ -84,7 +84,8 @@ impl Motion {
                 (Some(feed), _) => path.rows.iter().map(|row| feed[*row]).collect(),
                 (_, Some(times)) => path.speeds(times).map_err(|row| {
                     let error = data.error_at(DataRow(row), "the time does not grow from the row before");
-                    error.help("the rows of a run stand in the order of their times; `runs` names what tells runs apart")
+                    error
+                        .help("the rows of a run stand in the order of their times; `runs` names what tells runs apart")
                 })?,
                 _ => Vec::new(),
             };

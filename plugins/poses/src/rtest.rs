@@ -7,9 +7,9 @@ use std::path::PathBuf;
 use std::sync::Arc;
 
 use abbe_core::{
-    Artefact, AxisKind, ColumnHeader, Contact, Context, DataRow, Dataset, Equations, Feature, InputFile, KinematicModel,
-    Layout, NominalReading, Observations, ObservationsInfo, Orientation, Parameter, ParameterRole, Quantity, RankPoint,
-    Result, RowBatch, RowIndex, SettingsError, Target, Unit, plain_naming, pose_columns, positive,
+    Artefact, AxisKind, ColumnHeader, Contact, Context, DataRow, Dataset, Equations, Feature, InputFile,
+    KinematicModel, Layout, NominalReading, Observations, ObservationsInfo, Orientation, Parameter, ParameterRole,
+    Quantity, RankPoint, Result, RowBatch, RowIndex, SettingsError, Target, Unit, plain_naming, pose_columns, positive,
 };
 use nalgebra::{Matrix3, Quaternion, UnitQuaternion, Vector3};
 use schemars::JsonSchema;
@@ -138,7 +138,8 @@ impl Artefact for RTest {
         {
             let off = (tool.translation.vector - balls[*ball].centre).norm() - reading.norm();
             if off > NEAR {
-                let message = format!("the tip is {off:.1} mm further from ball {} than the readings", balls[*ball].label);
+                let message =
+                    format!("the tip is {off:.1} mm further from ball {} than the readings", balls[*ball].label);
                 return Err(data.error_at(row, message).help(
                     "are the axis positions those of the test, the nominal balls in the table frame, and the tool length that to the ball?",
                 ));

@@ -2,8 +2,8 @@
 
 use abbe_core::{Error, Result};
 
-use super::verdict::told_figure;
 use super::unit_of;
+use super::verdict::told_figure;
 use crate::chart::{Polar, Target, polar, targets};
 use crate::html::{Cell, escape, figure, paragraph, table};
 use crate::number::with_uncertainty;

@@ -55,7 +55,9 @@ fn velocities_and_directions_of_a_circle_are_those_of_its_angle() {
     // The feed that is stated counts, and times are not needed.
     let mut stated = circle(-45, 450);
     stated.columns.remove(2);
-    stated.columns.push(Column { header: ColumnHeader::parse("feed_mm_per_min"), values: Values::Numbers(vec![40.0; 900]) });
+    stated
+        .columns
+        .push(Column { header: ColumnHeader::parse("feed_mm_per_min"), values: Values::Numbers(vec![40.0; 900]) });
     motion(0.0).add(&mut stated).unwrap();
     let speed = stated.numbers("velocity_X").unwrap()[100].hypot(stated.numbers("velocity_Y").unwrap()[100]);
     assert!((speed - 40.0).abs() < 1e-9, "{speed}");
@@ -93,7 +95,9 @@ fn a_feed_that_changes_is_followed() {
 
 #[test]
 fn rows_at_which_the_axes_stand_are_left_out() {
-    let at = |x: [f64; 6]| data(&[("X_mm", x.to_vec()), ("Y_mm", vec![0.0; 6]), ("time_s", (0..6).map(f64::from).collect())], &["1"; 6]);
+    let at = |x: [f64; 6]| {
+        data(&[("X_mm", x.to_vec()), ("Y_mm", vec![0.0; 6]), ("time_s", (0..6).map(f64::from).collect())], &["1"; 6])
+    };
     let stays = motion(0.0).add(&mut at([0.0, 1.0, 1.0, 2.0, 3.0, 3.0])).unwrap();
     assert_eq!(stays, [true, true, false, true, true, false]);
     assert!(motion(0.0).add(&mut at([1.0; 6])).unwrap().iter().all(|stays| !stays));

@@ -27,7 +27,13 @@ fn observed(chain: &str, rows: &str, directions: &str) -> Result<Problem, String
         let data = Arc::new(abbe_table::read(&folder.path().join("rows.csv"))?);
         artefact.check(&data.headers(), data.files.first(), model.as_ref())?;
         let sets = vec![ObservationSet::new("ball", artefact.observe(&data, model.as_ref())?)];
-        Problem::new("fit", "serial-chain", model.clone(), sets, &["E*".to_owned(), "dxt".to_owned(), "ball.*".to_owned()])
+        Problem::new(
+            "fit",
+            "serial-chain",
+            model.clone(),
+            sets,
+            &["E*".to_owned(), "dxt".to_owned(), "ball.*".to_owned()],
+        )
     };
     made().map_err(|error| error.to_string().replace(&format!("{}/", folder.path().display()), ""))
 }
