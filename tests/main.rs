@@ -47,6 +47,7 @@ mod recipes;
 mod report;
 mod revisits;
 mod robots;
+mod rtest;
 mod selection;
 mod senses;
 mod simulate;
