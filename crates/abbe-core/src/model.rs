@@ -127,6 +127,7 @@ impl StatusRole {
         match self {
             Self::Command(axis) => Some(axes[*axis].name.clone()),
             Self::Direction(axis) => Some(format!("{DIRECTION}{}", axes[*axis].name)),
+            Self::Velocity(axis) => Some(format!("{VELOCITY}{}", axes[*axis].name)),
             Self::Time => Some(TIME.to_owned()),
             Self::Stylus => Some(STYLUS.to_owned()),
             _ => None,
@@ -136,6 +137,7 @@ impl StatusRole {
 
 /// Names of data columns: prefix of the direction of approach of an axis, time, stylus.
 const DIRECTION: &str = "dir_";
+const VELOCITY: &str = "velocity_";
 const TIME: &str = "time";
 const STYLUS: &str = "stylus";
 

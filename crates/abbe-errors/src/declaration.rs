@@ -5,8 +5,8 @@ use serde::Serialize;
 use serde_json::{Value, json};
 
 use crate::families::{
-    BSpline, Backlash, Chebyshev, Drift, Expansion, Family, Fourier, Gravity, Legendre, Load, Location, Periodic,
-    Piecewise, Polynomial, Product, Spline, Thermal,
+    BSpline, Backlash, Chebyshev, Cyclic, Drift, Expansion, Family, Fourier, Gravity, Lag, Legendre, Load, Location,
+    Periodic, Piecewise, Polynomial, Product, Spline, Thermal,
 };
 
 /// Makes the enum of all families from a list of their keys and types.
@@ -63,10 +63,12 @@ families! {
     "fourier" => Fourier,
     "gravity" => Gravity,
     "periodic" => Periodic,
+    "cyclic" => Cyclic,
     "product" => Product,
     "load" => Load,
     "expansion" => Expansion,
     "backlash" => Backlash,
+    "lag" => Lag,
     "drift" => Drift,
     "thermal" => Thermal,
 }
@@ -174,6 +176,8 @@ mod tests {
                 json!({ "periodic": ["EXX"], "wavelength_mm": 1, "functions": 1 }),
                 "functions: the number 1 was found; a whole number from 2 to 99 was expected",
             ),
+            (json!({ "cyclic": ["EXX"], "pitch_mm": 0 }), "pitch_mm: "),
+            (json!({ "cyclic": ["EXX"], "pitch_mm": 5, "orders": [2, 2] }), "orders[1]: order 2 stands here twice"),
             (json!({ "product": ["EXX"], "of": [] }), "of: a product of 0 axes: 1 to 9 was expected"),
             (json!({ "load": ["EAX"], "reference_N": -1, "degree": 1 }), "reference_N: a positive force was expected"),
             (json!({ "load": ["EAX"], "reference_N": 1, "degree": 1, "knots_mm": [5] }), "knots need a `continuity`"),
@@ -209,6 +213,9 @@ mod tests {
             json!({ "chebyshev": ["EXC"], "degrees": [2], "range_deg": [-90.0, 90.0], "without_once_per_turn": true }),
             json!({ "b-spline": ["EXX"], "degree": 3, "knots_mm": [0.0], "range_mm": [-1.0, 2.0], "zero": ["EXX[bs0]"] }),
             json!({ "periodic": ["EXX"], "wavelength_mm": 0.635, "functions": 3, "estimate_wavelength": true }),
+            json!({ "cyclic": ["EXX"], "pitch_mm": 10.0 }),
+            json!({ "cyclic": ["EXX"], "pitch_mm": 12.7, "orders": [1, 2] }),
+            json!({ "lag": ["EXX", "EYY"] }),
             json!({ "product": ["EAY"], "of": ["X", "Y"] }),
             json!({ "gravity": ["EBB1"], "angles": ["B1", "B1+B2"] }),
             json!({ "load": ["EA0B"], "reference_N": 4900.0 }),

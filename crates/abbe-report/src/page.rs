@@ -48,15 +48,23 @@ pub fn page(runs: &[Run]) -> String {
         if !charts.is_empty() {
             part(&format!("{id}acceptance"), &format!("Acceptance tests{of}"), &charts);
         }
-        part(&format!("{id}causes"), &format!("Worst figure and causes{of}"), &causes(run));
-        part(&format!("{id}untold"), &format!("What the data cannot tell{of}"), &untold(run));
+        let worst = causes(run);
+        if !worst.is_empty() {
+            part(&format!("{id}causes"), &format!("Worst figure and causes{of}"), &worst);
+        }
+        // Readings that are judged as they are have no unknowns.
+        if !run.fits.is_empty() {
+            part(&format!("{id}untold"), &format!("What the data cannot tell{of}"), &untold(run));
+        }
     }
     let named: Vec<(String, &FitResult)> = runs
         .iter()
         .flat_map(|run| run.fits.iter().map(move |fit| (run, fit)))
         .map(|(run, fit)| (if runs.len() == 1 { fit.name.clone() } else { format!("{}: {}", run.name, fit.name) }, fit))
         .collect();
-    part("parameters", "Parameters", &parameters(&named));
+    if !named.is_empty() {
+        part("parameters", "Parameters", &parameters(&named));
+    }
     let selections: String = named
         .iter()
         .map(|(name, fit)| (name, selection(fit)))
@@ -77,7 +85,9 @@ pub fn page(runs: &[Run]) -> String {
         let view = main.map(|main| Scene::of(main, runs.len().min(VIEWERS)));
         let viewer = (number < VIEWERS).then_some(number + 1);
         let linked = viewer.zip(view.as_ref());
-        part(&format!("{id}residuals"), &format!("Residuals{of}"), &all_residuals(run, main, linked));
+        if !run.fits.is_empty() {
+            part(&format!("{id}residuals"), &format!("Residuals{of}"), &all_residuals(run, main, linked));
+        }
         if let (Some(view), Some(main)) = (view, main) {
             // The first viewer shows the fields of the other runs as well.
             let others = mains.iter().skip(1).filter(|_| number == 0).copied().collect::<Vec<_>>();
@@ -223,7 +233,14 @@ mod tests {
     #[test]
     fn a_run_without_estimates_has_a_page() {
         let run = Run { fits: Vec::new(), ..without_a_machine() };
-        assert!(page(&[run]).contains("There is no estimate."));
+        let told = page(&[run]);
+        assert!(told.contains("id=\"verdict\"") && told.contains("id=\"causes\"") && told.contains("id=\"figures\""));
+        // What only an estimate has is left out.
+        for part in ["untold", "parameters", "residuals"] {
+            assert!(!told.contains(&format!("id=\"{part}\"")) && !told.contains(&format!("#{part}\"")), "{part}");
+            assert!(page(&[without_a_machine()]).contains(&format!("id=\"{part}\"")), "{part}");
+        }
+        assert!(!told.contains("Nothing is lost") && !told.contains("The fits"), "{told}");
     }
 
     #[test]

@@ -142,6 +142,7 @@ fn declared(role: ParameterRole, base: &str, bracket: &str) -> Option<Value> {
     match bracket {
         "" => Some(json!({ "polynomial": [base], "degrees": [0] })),
         "b" => Some(json!({ "backlash": [base] })),
+        "lag" => Some(json!({ "lag": [base] })),
         _ => number("")
             .filter(|degree| *degree <= 9)
             .map(|degree| json!({ "polynomial": [base], "degrees": [degree] }))

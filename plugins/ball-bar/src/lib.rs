@@ -4,6 +4,7 @@
 //! frame, the pivot's offset c (unknown), and the length L from which readings are counted. One artefact stage takes all tests that
 //! share pivot balls, so that a ball that was not moved between two tests has one offset (Jiang & Cripps 2015, section 3).
 
+mod diagnosis;
 mod ingest;
 mod nominal;
 mod observed;
@@ -46,6 +47,9 @@ struct Settings {
     bars_mm: BTreeMap<String, f64>,
     /// Standard uncertainty of one reading.
     standard_uncertainty_um: f64,
+    /// Whether a reading follows errors exactly, or to first order, as usual diagnoses of circles take it.
+    #[serde(default)]
+    evaluation: Evaluation,
     /// Whether the lengths are known, or estimated: `bar[100].length`.
     #[serde(default)]
     lengths: Lengths,
@@ -56,6 +60,18 @@ struct Settings {
     /// the ball is aligned with the spindle and how well its height is known.
     #[serde(default)]
     tool_ball_standard_uncertainty_um: f64,
+}
+
+/// How readings follow errors.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize, JsonSchema)]
+#[serde(rename_all = "kebab-case")]
+enum Evaluation {
+    /// By the distance of the two balls.
+    #[default]
+    Exact,
+    /// By the part of their offset along the nominal direction of the bar; with `evaluation: first-order` of the machine readings are
+    /// linear in its errors.
+    FirstOrder,
 }
 
 /// Whether the lengths are known.
@@ -220,8 +236,13 @@ impl Artefact for BallBar {
                 info.start[*own] = *nominal;
             }
         }
-        let mut observed = Observed { info, balls, ball_of_row, bars, bar_of_row, readings, tool_ball };
-        observed.info.rank_point = RankPoint::NominalReading(nominal::readings(&observed, model)?);
+        let mut observed =
+            Observed { directions: None, info, balls, ball_of_row, bars, bar_of_row, readings, tool_ball };
+        let rows = nominal::rows(&observed, model)?;
+        observed.info.rank_point = RankPoint::NominalReading(nominal::readings(&observed, model, &rows));
+        if self.settings.evaluation == Evaluation::FirstOrder {
+            observed.directions = Some(rows.iter().map(|row| row.direction).collect());
+        }
         Ok(Arc::new(observed))
     }
 

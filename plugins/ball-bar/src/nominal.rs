@@ -29,7 +29,9 @@ const STANDS: f64 = 0.1;
 const ALONG: f64 = 0.1;
 
 /// A row as the nominal machine has it.
-struct NominalRow {
+pub struct NominalRow {
+    /// From the pivot to the tool ball.
+    pub direction: Vector3<f64>,
     /// Distance of tool ball and pivot, mm.
     length: f64,
     /// Derivative of this distance to the position of each linear axis, mm/mm.
@@ -41,13 +43,13 @@ struct NominalRow {
 impl ListedBy<RowIndex> for NominalRow {}
 
 /// Nominal readings of the rows, by the index of the row. Rows that are judged as recorded are left out.
-///
-/// Fails for a row whose nominal tool ball is at the centre of the pivot ball: the bar has no direction there.
-pub fn readings(observed: &Observed, model: &dyn KinematicModel) -> Result<BTreeMap<RowIndex, NominalReading>> {
-    let axes = model.info().axes.iter().enumerate().filter(|(_, axis)| axis.kind == AxisKind::Linear);
-    let axes: Vec<(usize, usize)> = axes.map(|(index, axis)| (index, axis.status)).collect();
-    let rows = nominal_rows(observed, model, &axes)?;
-    let references: Vec<Option<f64>> = (0..observed.bars.len()).map(|bar| reference(observed, &rows, bar)).collect();
+pub fn readings(
+    observed: &Observed,
+    model: &dyn KinematicModel,
+    rows: &[NominalRow],
+) -> BTreeMap<RowIndex, NominalReading> {
+    let axes = linear_axes(model);
+    let references: Vec<Option<f64>> = (0..observed.bars.len()).map(|bar| reference(observed, rows, bar)).collect();
     let mut nominal = BTreeMap::new();
     for test in tests(observed) {
         let moving = moving(test.iter().map(|&row| &rows[row]), axes.len());
@@ -62,10 +64,20 @@ pub fn readings(observed: &Observed, model: &dyn KinematicModel) -> Result<BTree
             nominal.insert(row, NominalReading { residuals, axes });
         }
     }
-    Ok(nominal)
+    nominal
 }
 
-fn nominal_rows(observed: &Observed, model: &dyn KinematicModel, axes: &[(usize, usize)]) -> Result<Vec<NominalRow>> {
+/// The index of every linear axis, and of its command among the statuses.
+fn linear_axes(model: &dyn KinematicModel) -> Vec<(usize, usize)> {
+    let axes = model.info().axes.iter().enumerate().filter(|(_, axis)| axis.kind == AxisKind::Linear);
+    axes.map(|(index, axis)| (index, axis.status)).collect()
+}
+
+/// The rows as the nominal machine has them.
+///
+/// Fails for a row whose nominal tool ball is at the centre of the pivot ball: the bar has no direction there.
+pub fn rows(observed: &Observed, model: &dyn KinematicModel) -> Result<Vec<NominalRow>> {
+    let axes = linear_axes(model);
     let wanted: Vec<Variable> = axes.iter().map(|(index, _)| Variable::Command(*index)).collect();
     let mut poses = Poses::default();
     let mut rows = Vec::with_capacity(observed.info.layout.rows.len());
@@ -81,7 +93,7 @@ fn nominal_rows(observed: &Observed, model: &dyn KinematicModel, axes: &[(usize,
         }
         let by_axis = poses.position_derivatives.iter().map(|by| bar.dot(&Vector3::from(*by)) / length).collect();
         let positions = axes.iter().map(|(_, place)| status[*place]).collect();
-        rows.push(NominalRow { length, by_axis, positions });
+        rows.push(NominalRow { direction: bar / length, length, by_axis, positions });
     }
     Ok(rows)
 }

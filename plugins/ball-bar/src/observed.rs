@@ -35,6 +35,8 @@ pub struct Observed {
     pub readings: Vec<f64>,
     /// Whether the tool ball's place is a known input.
     pub tool_ball: bool,
+    /// The nominal direction of the bar in every row where readings follow errors to first order.
+    pub directions: Option<Vec<Vector3<f64>>>,
 }
 
 impl Observations for Observed {
@@ -56,12 +58,15 @@ impl Observations for Observed {
             let ball = self.ball_of_row[row];
             let centre = self.balls[ball].centre + Vector3::new(own[3 * ball], own[3 * ball + 1], own[3 * ball + 2]);
             let bar = Vector3::from(*position) + beside - centre;
-            let direction = bar.normalize();
+            let (direction, measured) = match &self.directions {
+                Some(directions) => (directions[row], directions[row].dot(&bar)),
+                None => (bar.normalize(), bar.norm()),
+            };
             let length = match self.bars[self.bar_of_row[row]] {
                 Bar::Known { input } => inputs[input],
                 Bar::Unknown { own: unknown, .. } => own[unknown],
             };
-            out.equation(bar.norm() - (length + self.readings[row]));
+            out.equation(measured - (length + self.readings[row]));
             out.position(direction.into());
             (0..3).for_each(|axis| out.own(3 * ball + axis, -direction[axis]));
             match self.bars[self.bar_of_row[row]] {

@@ -9,7 +9,7 @@ use std::collections::{BTreeMap, BTreeSet};
 use std::path::{Path, PathBuf};
 
 use abbe_core::{
-    Column, ColumnHeader, Context, DataRow, Dataset, Error, InputFile, Label, PathItem, Result, RowOrigin,
+    Column, ColumnHeader, Context, DataRow, Dataset, Error, InputFile, Label, PathItem, Quantity, Result, RowOrigin,
     SettingsError, StatedTip, Values,
 };
 use abbe_table::Layout;
@@ -17,9 +17,13 @@ use schemars::JsonSchema;
 use serde::Deserialize;
 
 use crate::files::Source;
+use crate::motion::Motion;
 
 /// Columns and listed labels.
 pub(crate) type Filters = BTreeMap<String, Vec<Label>>;
+
+/// Columns with their units, and the range of the rows that stay.
+pub(crate) type Ranges = BTreeMap<String, [f64; 2]>;
 
 #[derive(Debug, Deserialize, JsonSchema)]
 #[serde(untagged, expecting = "a path or a list of paths was expected")]
@@ -71,6 +75,8 @@ pub(crate) struct Assembly {
     join: Option<(PathBuf, String)>,
     ignore: Filters,
     keep: Filters,
+    motion: Option<Motion>,
+    within: Ranges,
 }
 
 impl Assembly {
@@ -96,7 +102,14 @@ impl Assembly {
             join: join.map(|join| (context.path(&join.table), join.on)),
             ignore,
             keep,
+            motion: None,
+            within: Ranges::new(),
         })
+    }
+
+    /// The same with columns for the motion of axes, and with the rows of these ranges only.
+    pub(crate) fn in_passing(self, motion: Option<Motion>, within: Ranges) -> Self {
+        Self { motion, within, ..self }
     }
 
     /// The files that it reads.
@@ -112,13 +125,19 @@ impl Assembly {
 
     /// The columns of the data set, from what `load` tells of each file without rows.
     pub(crate) fn without_rows(&self, load: Load<'_>) -> Result<Dataset> {
-        self.assemble(load, &|path| without_rows(path, &Layout::default()))
+        Ok(self.assemble(load, &|path| without_rows(path, &Layout::default()))?.0)
     }
 
     /// The data set, from what `load` reads of each file.
     pub(crate) fn read(&self, load: Load<'_>) -> Result<Dataset> {
-        let data = self.assemble(load, &abbe_table::read)?;
-        let mut stays = vec![true; data.rows()];
+        let (data, mut stays) = self.assemble(load, &abbe_table::read)?;
+        for (header, [from, to]) in &self.within {
+            let (name, quantity, factor) = Quantity::of_column(header);
+            let numbers = abbe_table::numbers(&data, name, quantity)?;
+            for (stays, number) in stays.iter_mut().zip(numbers) {
+                *stays &= (from * factor..=to * factor).contains(number);
+            }
+        }
         for (setting, filters, wanted) in self.filters() {
             for (name, listed) in filters {
                 let labels = abbe_table::labels(&data, name)?;
@@ -135,13 +154,18 @@ impl Assembly {
         }
         match stays.contains(&true) {
             true => Ok(selected(data, &stays)),
+            false if self.motion.is_some() || !self.within.is_empty() => Err(Error::data(
+                "no row is left after `motion`, `within`, `ignore` and `keep`",
+            )
+            .help("take a wider range, or a shorter way behind reversals; `abbe data RECIPE` shows the columns")),
             false => Err(Error::data("no row is left after `ignore` and `keep`")
                 .help("name other rows there; `abbe data RECIPE` shows the labels of the columns")),
         }
     }
 
-    /// The data set before rows are left out, from what `load` reads of each file, and `table` of the joined one.
-    fn assemble(&self, load: Load<'_>, table: Load<'_>) -> Result<Dataset> {
+    /// The data set before rows are left out, from what `load` reads of each file, and `table` of the joined one; and which
+    /// rows stay after `motion`.
+    fn assemble(&self, load: Load<'_>, table: Load<'_>) -> Result<(Dataset, Vec<bool>)> {
         let mut data = Dataset::default();
         for source in &self.sources {
             let files = source.files();
@@ -176,7 +200,15 @@ impl Assembly {
                 abbe_table::labels(&data, name).map_err(|error| in_settings(error, setting, name))?;
             }
         }
-        Ok(data)
+        for header in self.within.keys() {
+            let (name, quantity, _) = Quantity::of_column(header);
+            abbe_table::numbers(&data, name, quantity).map_err(|error| in_settings(error, "within", header))?;
+        }
+        let stays = match &self.motion {
+            Some(motion) => motion.add(&mut data)?,
+            None => vec![true; data.rows()],
+        };
+        Ok((data, stays))
     }
 
     /// The settings that leave rows out, and whether a listed label means that the row stays.

@@ -3,14 +3,15 @@
 use std::collections::BTreeMap;
 use std::path::Path;
 
-use abbe_core::{ColumnHeader, Context, Dataset, Ingest, InputFile, Label, Result, SettingsError};
+use abbe_core::{ColumnHeader, Context, Dataset, Ingest, InputFile, Label, PathItem, Result, SettingsError};
 use abbe_table::{Decimal, Declared, Encoding, Layout, Separator, Thousands};
 use schemars::JsonSchema;
 use serde::Deserialize;
 use serde_json::{Value, json};
 
-use crate::assembly::{Assembly, Filters, Join, Paths, without_rows};
+use crate::assembly::{Assembly, Filters, Join, Paths, Ranges, without_rows};
 use crate::average::Average;
+use crate::motion::Motion;
 
 /// Measurements in CSV files.
 #[derive(Debug, Deserialize, JsonSchema)]
@@ -53,6 +54,13 @@ pub(crate) struct Settings {
     constants: BTreeMap<String, Label>,
     /// A table with further columns, looked up by a label of each row.
     join: Option<Join>,
+    /// Readings in passing: adds the direction and the velocity of axes, from their commands and times (column `time`, or `feed`
+    /// where it is stated), and leaves out the rows at which an axis turns or all stand.
+    motion: Option<Motion>,
+    /// Rows to take, by the range of a column of numbers: `angle_deg: [0, 360]` leaves the overshoot of a circle out. Its ends
+    /// belong to it.
+    #[serde(default)]
+    within: Ranges,
     /// Rows to leave out: column and the labels that mark them.
     #[serde(default)]
     ignore: Filters,
@@ -107,12 +115,13 @@ pub(crate) fn build(settings: Settings, context: &Context) -> Result<Box<dyn Ing
         no_data: settings.no_data,
         columns: settings.columns,
     };
-    let Settings { path, constants, join, ignore, keep, average, .. } = settings;
-    Ok(Box::new(Csv {
-        assembly: Assembly::new(path, constants, join, [ignore, keep], context)?,
-        layout: layout.layout()?,
-        average,
-    }))
+    let Settings { path, constants, join, ignore, keep, average, motion, within, .. } = settings;
+    if let Some((header, [from, to])) = within.iter().find(|(_, [from, to])| !(from <= to)) {
+        let error = SettingsError::new(header, format!("{from} to {to} is no range")).help("write `[from, to]`");
+        return Err(error.under([PathItem::Key("within".to_owned())]));
+    }
+    let assembly = Assembly::new(path, constants, join, [ignore, keep], context)?;
+    Ok(Box::new(Csv { assembly: assembly.in_passing(motion, within), layout: layout.layout()?, average }))
 }
 
 impl Ingest for Csv {

@@ -9,6 +9,7 @@ mod csv;
 mod files;
 mod instrument;
 mod log;
+mod motion;
 mod text;
 
 #[cfg(test)]

@@ -7,6 +7,7 @@
 
 mod observed;
 mod positions;
+mod rtest;
 mod start;
 
 use std::path::PathBuf;

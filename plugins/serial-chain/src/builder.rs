@@ -403,6 +403,10 @@ impl Builder {
                 let role = StatusRole::Direction(axis);
                 self.status(role.column_name(&self.axes).unwrap_or_default(), role, (Quantity::Ratio, Vec::new()), 0.0)
             }
+            (Argument::Velocity, Some(axis)) => {
+                let role = StatusRole::Velocity(axis);
+                self.status(role.column_name(&self.axes).unwrap_or_default(), role, (Quantity::Speed, Vec::new()), 0.0)
+            }
             (Argument::Load, _) => self.status("load".to_owned(), StatusRole::Load, (Quantity::Force, Vec::new()), 0.0),
             (Argument::Temperature(name), _) => {
                 self.status(name, StatusRole::Temperature, (Quantity::Temperature, Vec::new()), f64::NAN)
@@ -420,6 +424,7 @@ impl Builder {
             (
                 other @ (Argument::Command
                 | Argument::Direction
+                | Argument::Velocity
                 | Argument::Stylus
                 | Argument::Shape(..)
                 | Argument::SharedShape(..)),

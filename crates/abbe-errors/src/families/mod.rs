@@ -2,11 +2,13 @@
 
 mod b_spline;
 mod constant;
+mod cyclic;
 mod drift;
 mod expansion;
 mod fourier;
 mod gravity;
 mod knots;
+mod lag;
 mod load;
 mod orthogonal;
 mod periodic;
@@ -26,11 +28,13 @@ use abbe_core::{PathItem, Quantity, SettingsError, Unit, Whole};
 
 pub use b_spline::{BSpline, BSplines};
 pub use constant::{Constant, Location, StylusIndicator};
+pub use cyclic::{Cyclic, Waves};
 pub use drift::{Drift, LegendreInTime, Per};
 pub use expansion::{ExpandingScale, Expansion};
 pub use fourier::{Fourier, FourierSeries};
 pub use gravity::{Gravity, MomentsOfWeight};
 pub use knots::Knots;
+pub use lag::{Lag, Late};
 pub use load::{Load, LocationUnderLoad, UnderLoad};
 pub use orthogonal::{Chebyshev, Legendre, Orthogonal, OrthogonalPolynomial};
 pub use periodic::{Periodic, PeriodicPieces};
@@ -52,6 +56,8 @@ pub enum Argument {
     CommandOf(String),
     /// The direction of the last approach of the moving axis: +1, -1, or 0 where it is not known.
     Direction,
+    /// The velocity of the moving axis, mm/s; 0 where it is not recorded.
+    Velocity,
     /// Time in s; NaN where it is not known.
     Time,
     /// The series that a pose belongs to, as the index of its label in the column of this name; NaN where it belongs to none.

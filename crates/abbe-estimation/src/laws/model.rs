@@ -101,6 +101,7 @@ fn samples_within(model: &dyn KinematicModel, poses: usize, times: [f64; 2]) -> 
                 }
                 StatusRole::Direction(_) if part < 0.5 => -1.0,
                 StatusRole::Direction(_) => 1.0,
+                StatusRole::Velocity(_) => 100.0 * (part - 0.5),
                 _ if column.quantity == Quantity::Label => 0.0,
                 _ => match column.absent {
                     Absent::Default(value) if value.is_finite() => value,

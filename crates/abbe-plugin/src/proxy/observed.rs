@@ -74,7 +74,7 @@ fn check_observations(info: &ObservationsInfo) -> Result<(), String> {
         (&info.rank_point, &info.contact),
         (RankPoint::AsRecorded, _)
             | (RankPoint::InContact, Contact::LinearAxes)
-            | (RankPoint::NominalReading(_), Contact::Reading(_))
+            | (RankPoint::NominalReading(_), Contact::Reading(_) | Contact::Readings(_))
     );
     if !fits {
         return Err("gives observations whose `rank_point` does not go with their `contact`".to_owned());

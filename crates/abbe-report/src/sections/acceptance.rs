@@ -1,10 +1,12 @@
-//! The charts of acceptance tests: deviations at the targets of an axis, and circles.
+//! The charts of acceptance tests: deviations at the targets of an axis, and circles with their figures and what makes them.
 
 use abbe_core::{Error, Result};
 
 use super::unit_of;
+use super::verdict::told_figure;
 use crate::chart::{Polar, Target, polar, targets};
-use crate::html::{figure, paragraph};
+use crate::html::{Cell, escape, figure, paragraph, table};
+use crate::number::with_uncertainty;
 use crate::run::Run;
 
 /// Points of a circle.
@@ -13,14 +15,69 @@ const POINTS: usize = 2000;
 /// The charts of all tables of acceptance tests; empty if there are none.
 pub fn acceptance(run: &Run) -> String {
     let drawn = |table: &AcceptanceTable| {
-        let (name, text) = (&table.name, &table.text);
         let drawn = match table.kind {
-            AcceptanceKind::Positioning => positioning(name, text),
-            AcceptanceKind::Circle => circle(name, text),
+            AcceptanceKind::Positioning => positioning(&table.name, &table.text),
+            AcceptanceKind::Circle => ball_bar(run, table),
+            AcceptanceKind::Diagnosis if circles(run).any(|circle| circle.name == table.name) => Ok(String::new()),
+            AcceptanceKind::Diagnosis => diagnosis(table),
         };
-        drawn.unwrap_or_else(|error| paragraph(&format!("{}, {name}: {error}", table.stage)))
+        drawn.unwrap_or_else(|error| paragraph(&format!("{}, {}: {error}", table.stage, table.name)))
     };
     run.acceptance.iter().map(drawn).collect()
+}
+
+fn circles(run: &Run) -> impl Iterator<Item = &AcceptanceTable> {
+    run.acceptance.iter().filter(|table| table.kind == AcceptanceKind::Circle)
+}
+
+/// A circle on one page: the trace, its figures, and what makes it where a diagnosis says so.
+fn ball_bar(run: &Run, table: &AcceptanceTable) -> Result<String> {
+    let mut html = format!("<div class=\"sheet\">\n<h3>Circle, {}</h3>\n", escape(&table.name));
+    html.push_str(&circle(&table.name, &table.text)?);
+    html.push_str(&figures(run, table));
+    for of in run.acceptance.iter().filter(|of| of.kind == AcceptanceKind::Diagnosis && of.name == table.name) {
+        html.push_str(&diagnosis(of)?);
+    }
+    Ok(html + "</div>\n")
+}
+
+/// The figures of a circle.
+fn figures(run: &Run, of: &AcceptanceTable) -> String {
+    let verdict = run.verdicts.iter().find(|verdict| verdict.stage == of.stage);
+    let suffix = format!("[{}]", of.name);
+    let own = verdict.iter().flat_map(|verdict| &verdict.figures).filter(|figure| !figure.detail);
+    let row = |figure: &abbe_core::Figure| {
+        let name = figure.name.strip_suffix(&suffix)?;
+        let (value, limit) = told_figure(figure);
+        let decision = figure.decision.map_or(String::new(), |decision| decision.to_string());
+        Some(vec![Cell::text(name), Cell::figure(value), Cell::figure(limit), Cell::text(decision)])
+    };
+    let rows: Vec<Vec<Cell>> = own.filter_map(row).collect();
+    if rows.is_empty() {
+        return String::new();
+    }
+    table("Figures of the readings, ± is k = 2", &["figure", "value", "limit", "decision"], &rows)
+}
+
+/// The ranked table of a diagnosis.
+fn diagnosis(of: &AcceptanceTable) -> Result<String> {
+    let wrong = |error: csv::Error| Error::data(format!("this is no diagnosis: {error}"));
+    let mut reader = csv::Reader::from_reader(of.text.as_bytes());
+    let mut rows = Vec::new();
+    for record in reader.records() {
+        let record = record.map_err(wrong)?;
+        let text = |place: usize| record.get(place).unwrap_or_default();
+        let number = |place: usize| text(place).parse::<f64>().unwrap_or(f64::NAN);
+        rows.push(vec![
+            Cell::text(text(1)),
+            Cell::text(text(2)),
+            Cell::figure(with_uncertainty(number(3), 2.0 * number(4))),
+            Cell::figure(format!("{:.0} %", number(5))),
+            Cell::figure(format!("{:.1}", number(6))),
+        ]);
+    }
+    let head = ["error", "what it is", "by itself, µm", "share", "G(b) without it, µm"];
+    Ok(table(&format!("What makes the circle {}, ± is k = 2; {}", of.name, of.stage), &head, &rows))
 }
 
 /// A table that a validator of acceptance tests wrote.
@@ -42,6 +99,8 @@ pub enum AcceptanceKind {
     Positioning,
     /// A circle.
     Circle,
+    /// What makes a circle.
+    Diagnosis,
 }
 
 impl AcceptanceTable {
@@ -50,6 +109,7 @@ impl AcceptanceTable {
         let (kind, name) = match plugin {
             "positioning" => (AcceptanceKind::Positioning, file.strip_prefix("positioning-")?),
             "circular" => (AcceptanceKind::Circle, file.strip_prefix("polar-")?),
+            "circular-diagnosis" => (AcceptanceKind::Diagnosis, file.strip_prefix("diagnosis-")?),
             _ => return None,
         };
         Some((kind, name.strip_suffix(".csv")?.to_owned()))

@@ -29,7 +29,7 @@ pub fn causes(run: &Run) -> String {
         let of = figure.of.as_ref().map_or(String::new(), |of| format!(" of {of}"));
         html.push_str(&paragraph(&format!("{} {}{of}: {value}{uncertainty}{percent}.", verdict.stage, figure.name)));
     }
-    let Some(fit) = main_fit(run) else { return html + &paragraph("There is no estimate.") };
+    let Some(fit) = main_fit(run) else { return if html.ends_with("</h3>\n") { String::new() } else { html } };
     match Analysis::of(fit) {
         Ok(Some(found)) => html + &told(&fit.name, &found, &fit.calibration.fit),
         Ok(None) => {

@@ -9,7 +9,7 @@ use crate::run::{FitResult, Run};
 
 /// The section: one table a validator, one for the fits.
 pub fn tables(run: &Run) -> String {
-    let mut html = fits(&run.fits);
+    let mut html = if run.fits.is_empty() { String::new() } else { fits(&run.fits) };
     for verdict in &run.verdicts {
         let body = figures(verdict) + &list(&verdict.remarks);
         html.push_str(&details(&format!("{} ({})", verdict.stage, verdict.plugin), false, &body));

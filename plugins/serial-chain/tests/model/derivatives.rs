@@ -77,6 +77,10 @@ fn with_shapes(settings: &mut serde_json::Value, names: &[&str]) {
         errors.push(json!({ "load": [format!("EA0{name}")], "reference_N": 4900 }));
         let alike: Vec<&&str> = names.iter().filter(|other| rotary(other) == rotary(name)).collect();
         errors.push(json!({ "product": straight, "of": [alike[0], alike[alike.len() - 1], name] }));
+        if !rotary(name) {
+            errors.push(json!({ "lag": [format!("E{name}{name}")] }));
+            errors.push(json!({ "cyclic": symbols, "pitch_mm": 31.0, "orders": [1, 3] }));
+        }
         if rotary(name) {
             errors.push(json!({ "fourier": symbols, "orders": [1, 3] }));
             errors.push(json!({ "gravity": symbols, "angles": [name] }));

@@ -82,6 +82,7 @@ pub fn statuses(model: &dyn KinematicModel, random: &mut Random, count: usize) -
                 Some(AxisKind::Linear) => 400.0 * random.signed(),
                 Some(AxisKind::Rotary) => 2.0 * random.signed(),
                 None if status.name.starts_with("dir_") => [1.0, -1.0, 0.0][random.below(3)],
+                None if status.name.starts_with("velocity_") => 50.0 * random.signed(),
                 None if status.quantity == Quantity::Label => random.below(status.levels.len()) as f64,
                 None if status.quantity == Quantity::Force => 5000.0 * random.signed().abs(),
                 None if status.quantity == Quantity::Length => 300.0 * random.signed(),
@@ -105,6 +106,7 @@ pub fn parameter_values(model: &dyn KinematicModel, random: &mut Random, mm: f64
         match parameter.unit.per {
             Some((Quantity::Length, power)) => effect / 400.0_f64.powi(i32::from(power)),
             Some((_, power)) => effect / 2.0_f64.powi(i32::from(power)),
+            None if parameter.unit.of == Quantity::Time => mm / 50.0,
             None => effect,
         }
     };
