@@ -5,9 +5,12 @@ use serde_json::Value;
 
 use crate::support::{Variant, fit, json_file, recipes, root, values};
 
+/// True values with their factors.
+type Sum = &'static [(&'static str, f64)];
+
 /// What one ball on each axis tells, as sums of true values: tilts are those against the linear axes that follow, scales those against
 /// the other linear axis, and the axis below counts with the one that it carries. A was approached upwards in the test of C.
-const TOLD: [(&str, &str, &[(&str, f64)]); 15] = [
+const TOLD: [(&str, &str, Sum); 15] = [
     ("c-axis", "EA0C", &[("EA0C", 1.0), ("EA0A", 1.0), ("EAA[b]", 1.0)]),
     ("c-axis", "EB0C", &[("EB0C", 1.0), ("EB0A", 1.0)]),
     ("c-axis", "EC0X", &[("EC0X", 1.0)]),

@@ -116,7 +116,8 @@ pub(crate) fn build(settings: Settings, context: &Context) -> Result<Box<dyn Ing
         columns: settings.columns,
     };
     let Settings { path, constants, join, ignore, keep, average, motion, within, .. } = settings;
-    if let Some((header, [from, to])) = within.iter().find(|(_, [from, to])| !(from <= to)) {
+    if let Some((header, [from, to])) = within.iter().find(|(_, [from, to])| from.is_nan() || to.is_nan() || from > to)
+    {
         let error = SettingsError::new(header, format!("{from} to {to} is no range")).help("write `[from, to]`");
         return Err(error.under([PathItem::Key("within".to_owned())]));
     }

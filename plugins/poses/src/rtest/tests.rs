@@ -44,7 +44,7 @@ fn derivatives_are_those_of_differences() {
         [("w C' b X Y Z B t", "tool"), ("w C' b X Y Z B t", "table"), ("w C' B' b X Y Z t", "tool")]
     {
         let problem = observed(chain, ROWS, directions).unwrap();
-        let size = |index: usize| 1e-4 * (1.0 + 0.2 * index as f64) * if index % 2 == 0 { 1.0 } else { -1.0 };
+        let size = |index: usize| 1e-4 * (1.0 + 0.2 * index as f64) * if index.is_multiple_of(2) { 1.0 } else { -1.0 };
         let x: Vec<f64> = problem.start().iter().enumerate().map(|(index, start)| start + size(index)).collect();
         let mut analytic = Vec::new();
         problem.linearise(&x, |block| analytic.extend_from_slice(block.jacobian)).unwrap();
