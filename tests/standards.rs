@@ -461,7 +461,8 @@ fn what_is_no_test_is_told_or_decides_nothing() {
     let folder = crate::support::temporary();
     let told = |name: &str, ingest: &str, change: &dyn Fn(&mut Vec<Vec<String>>, &dyn Fn(&str) -> usize)| {
         let mut recipe = recipe(name);
-        let (header, mut rows, place) = rows(&recipe.path(ingest, "path"));
+        let table = recipe.path(ingest, "path");
+        let (header, mut rows, place) = rows(&table);
         change(&mut rows, &place);
         let file = folder.path().join(format!("{ingest}.csv"));
         let text: String = rows.iter().fold(header + "\n", |text, row| text + &row.join(",") + "\n");

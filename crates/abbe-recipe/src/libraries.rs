@@ -22,8 +22,6 @@ pub struct Library {
     pub sha256: Option<String>,
     /// Limits if its plugins run in processes of their own. That is so unless the file is pinned, or the recipe says otherwise.
     pub isolate: Option<Isolation>,
-    /// Whether the recipe itself asks for it.
-    pub is_isolated_by_recipe: bool,
     /// Where the recipe names it.
     pub place: Option<Place>,
 }
@@ -35,11 +33,13 @@ pub struct Isolation {
     pub time_limit_s: f64,
     /// Memory, MiB; none: the usual limit.
     pub memory_limit_mib: Option<u64>,
+    /// Whether the recipe asks for it; else it is so because nobody pins the file.
+    pub is_asked_for: bool,
 }
 
 impl Default for Isolation {
     fn default() -> Self {
-        Self { time_limit_s: TIME_LIMIT_S, memory_limit_mib: None }
+        Self { time_limit_s: TIME_LIMIT_S, memory_limit_mib: None, is_asked_for: false }
     }
 }
 
@@ -55,9 +55,7 @@ pub fn libraries(root: &Node<'_>, base: &Path) -> Result<Vec<Library>, Error> {
         let path = node.get("path").ok_or_else(missing)?;
         let sha256 = node.get("sha256").map(|pin| digest(&pin)).transpose()?;
         let isolate = isolation(&node)?;
-        let is_isolated_by_recipe = isolate.is_some() && node.get("isolate").is_some();
-        let place = path.error(At::Value, "").place;
-        Ok(Library { path: base.join(path.text()?), sha256, isolate, is_isolated_by_recipe, place })
+        Ok(Library { path: base.join(path.text()?), sha256, isolate, place: path.error(At::Value, "").place })
     };
     plugins.list()?.into_iter().map(library).collect()
 }
@@ -87,7 +85,7 @@ fn isolation(node: &Node<'_>) -> Result<Option<Isolation>, Error> {
             return Err(limit.error(At::Key, message).help("add `isolate: true`"));
         }
     }
-    let mut limits = Isolation::default();
+    let mut limits = Isolation { is_asked_for: node.get("isolate").is_some(), ..Isolation::default() };
     if let Some(limit) = node.get("time_limit_s") {
         limits.time_limit_s =
             limit.value.as_f64().filter(|limit| *limit > 0.0 && *limit <= LONGEST_LIMIT_S).ok_or_else(|| {

@@ -38,8 +38,8 @@ impl Libraries {
                 error.place = error.place.or(library.place.clone());
                 error
             };
-            let is_trusted = self.trust && !library.is_isolated_by_recipe;
-            let isolate = library.isolate.filter(|_| !is_trusted).or(self.isolate.then(Isolation::default));
+            let isolate = library.isolate.filter(|isolation| isolation.is_asked_for || !self.trust);
+            let isolate = isolate.or(self.isolate.then(Isolation::default));
             self.add(&mut registry, &library.path, library.sha256.as_deref(), isolate).map_err(located)?;
             known.extend(library.path.canonicalize());
         }
