@@ -52,6 +52,13 @@ fn thermal(errors: &mut Vec<serde_json::Value>, name: &str, unit: &str, position
 
 /// Adds families that have a shape: for every axis all those that it can have.
 fn with_shapes(settings: &mut serde_json::Value, names: &[&str]) {
+    let axes = settings["axes"].clone();
+    // The direction of the machine in which an axis moves most.
+    let along = |name: &str| {
+        let part = |place: usize| axes[name]["direction"][place].as_f64().unwrap_or_default().abs();
+        let most = (0..3).max_by(|one, other| part(*one).total_cmp(&part(*other)));
+        ['X', 'Y', 'Z'][most.unwrap_or_default()]
+    };
     let Some(errors) = settings["errors"].as_array_mut() else { return };
     let rotary = |name: &str| name.starts_with(['A', 'B', 'C']);
     for name in names {
@@ -78,7 +85,7 @@ fn with_shapes(settings: &mut serde_json::Value, names: &[&str]) {
         let alike: Vec<&&str> = names.iter().filter(|other| rotary(other) == rotary(name)).collect();
         errors.push(json!({ "product": straight, "of": [alike[0], alike[alike.len() - 1], name] }));
         if !rotary(name) {
-            errors.push(json!({ "lag": [format!("E{name}{name}")] }));
+            errors.push(json!({ "lag": [format!("E{}{name}", along(name))] }));
             errors.push(json!({ "cyclic": symbols, "pitch_mm": 31.0, "orders": [1, 3] }));
         }
         if rotary(name) {
