@@ -110,6 +110,9 @@ pub struct Measuring {
     pub axis_names: BTreeMap<String, String>,
 }
 
+/// Fastest touch, mm/min, that probes of machine tools are made for.
+const FASTEST: f64 = 3000.0;
+
 /// Controls that measuring programs are written for.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "kebab-case")]
@@ -320,6 +323,16 @@ impl Measuring {
         }
         if let Some(feed) = self.search_feed_mm_per_min {
             positive("search_feed_mm_per_min", feed)?;
+            if self.measuring_feed_mm_per_min > feed {
+                let message = format!("a feed of at most the {feed} mm/min of `search_feed_mm_per_min` was expected");
+                return Err(SettingsError::new("measuring_feed_mm_per_min", message)
+                    .help("the search finds the surface fast, the touch that counts is slower"));
+            }
+        }
+        if self.measuring_feed_mm_per_min > FASTEST {
+            let message =
+                format!("a feed of at most {FASTEST} mm/min was expected: a probe that touches faster may break");
+            return Err(SettingsError::new("measuring_feed_mm_per_min", message).help("is it in mm/min?"));
         }
         if self.back_off_mm >= self.approach_mm {
             return Err(SettingsError::new("back_off_mm", "a distance below `approach_mm` was expected"));

@@ -4,7 +4,8 @@
 use std::path::PathBuf;
 
 use abbe_core::{
-    Context, Dataset, Error, Feature, Figure, Findings, Fit, InputFile, Owner, Result, SettingsError, Validate,
+    Context, Dataset, Error, Feature, Figure, Findings, Fit, InputFile, Owner, Result, SetIndex, SettingsError,
+    Unknown, Validate,
 };
 use nalgebra::Vector3;
 use schemars::JsonSchema;
@@ -97,7 +98,11 @@ impl ArtefactCmm {
             Ok((left.collect(), shifts.iter().map(|shift| -placement.effect(shift)).collect()))
         })?;
         let nominal = Sample(nominal.into_iter().map(|left| left * 1e3).collect());
-        findings.remarks.extend(contradiction(&fit.name, &left, &nominal));
+        let uncertainties = matched.shifts.iter().filter_map(|shift| own_uncertainty(fit, set, shift.own));
+        let stated = Sample(uncertainties.map(|u| u * 1e3).collect());
+        findings
+            .remarks
+            .extend(contradiction(&fit.name, &left, &nominal).or_else(|| disagreement(&fit.name, &left, &stated)));
         findings.figures.extend(differences(&fit.name, &left));
         findings.figures.extend([
             Figure::new(&fit.name, "range", left.max() - left.min(), UM),
@@ -123,6 +128,29 @@ fn contradiction(fit: &str, left: &Sample, nominal: &Sample) -> Option<String> {
         format!(
             "{fit}: the features differ more from what the CMM measured ({of_cmm:.1} µm) than from their nominal places \
              ({of_nominal:.1} µm): are unit, sign and labels of the CMM file right?"
+        )
+    })
+}
+
+/// Standard uncertainty of an own unknown of a set, mm; none if it was not estimated.
+fn own_uncertainty(fit: &Fit, set: SetIndex, own: usize) -> Option<f64> {
+    let is_it = |unknown: &&Unknown| unknown.owner == Owner::Set(set) && unknown.index == own;
+    let unknown = fit.problem.unknowns.iter().find(is_it)?;
+    fit.calibration.get(&unknown.name).map(|found| found.standard_uncertainty)
+}
+
+/// Times the standard uncertainty of the estimated features from which what the CMM measured contradicts them.
+const DISAGREES: f64 = 10.0;
+
+/// A CMM and an estimate that contradict each other: one of the certificates or files behind them belongs to something else.
+fn disagreement(fit: &str, left: &Sample, stated: &Sample) -> Option<String> {
+    let root =
+        |sample: &Sample| (sample.0.iter().map(|value| value * value).sum::<f64>() / sample.0.len() as f64).sqrt();
+    let (off, u) = (root(left), root(stated));
+    (off > FAR && off > DISAGREES * u).then(|| {
+        format!(
+            "{fit}: the features differ by {off:.1} µm (RMS) from what the CMM measured, and their standard uncertainty is {u:.1} µm: does \
+             the CMM file, or a certificate of the recipe, belong to another artefact?"
         )
     })
 }
