@@ -201,3 +201,19 @@ fn a_sphere_whose_radius_is_stated_as_its_diameter_is_told() {
         );
     }
 }
+
+/// Another bar makes other scales, which the CMM that measured the same table contradicts.
+#[test]
+fn a_certificate_that_a_cmm_contradicts_is_told() {
+    let folder = temporary();
+    let mut recipe = Variant::of(&recipes()["tango-hu40t"]).only(&["fit-S3", "artefact"]);
+    let told = |recipe: &Variant| {
+        let remarks = recipe.run().verdicts.into_iter().flat_map(|verdict| verdict.remarks);
+        remarks.filter(|text| text.contains("belong to another artefact")).count()
+    };
+    assert_eq!(told(&recipe), 0);
+    let shorter = |_: usize, cell: &str| format!("{}", cell.parse::<f64>().expect("a length") - 0.1);
+    let other = changed(&recipe.path("bar-runs", "path"), folder.path(), "reference_mm", shorter);
+    recipe.stage("bar-runs")["path"] = json!(other);
+    assert_eq!(told(&recipe), 1);
+}

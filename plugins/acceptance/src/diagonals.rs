@@ -199,7 +199,9 @@ fn lacking(all: &[&Measured]) -> Option<String> {
         signs.map(|sign| (sign * first) as i8)
     };
     let mut found: BTreeMap<(usize, usize), BTreeSet<[i8; 3]>> = BTreeMap::new();
-    all.iter().for_each(|own| drop(found.entry(of(own)).or_default().insert(sense(own))));
+    for own in all {
+        found.entry(of(own)).or_default().insert(sense(own));
+    }
     let ((place, wanted), ways) = found.iter().find(|((_, wanted), ways)| ways.len() < *wanted)?;
     let of = FACES.get(*place).map_or_else(|| "the body".to_owned(), |face| format!("face {face}"));
     Some(format!(
