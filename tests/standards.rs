@@ -445,8 +445,14 @@ fn wrong_plans_are_told_and_wrong_rows_refused() {
     assert!(said.contains("`direction` is up; 1 or -1 was expected"), "{said}");
 }
 
+/// The cells of a table, row by row.
+type Cells = Vec<Vec<String>>;
+
+/// A change of cells, by the places of columns.
+type Change = dyn Fn(&mut Cells, &dyn Fn(&str) -> usize);
+
 /// Rows of a table by the places of its columns.
-fn rows(file: &Path) -> (String, Vec<Vec<String>>, impl Fn(&str) -> usize) {
+fn rows(file: &Path) -> (String, Cells, impl Fn(&str) -> usize) {
     let text = read(file);
     let mut lines = text.lines().filter(|line| !line.starts_with('#'));
     let header = lines.next().expect("a header").to_owned();
@@ -459,7 +465,7 @@ fn rows(file: &Path) -> (String, Vec<Vec<String>>, impl Fn(&str) -> usize) {
 #[test]
 fn what_is_no_test_is_told_or_decides_nothing() {
     let folder = crate::support::temporary();
-    let told = |name: &str, ingest: &str, change: &dyn Fn(&mut Vec<Vec<String>>, &dyn Fn(&str) -> usize)| {
+    let told = |name: &str, ingest: &str, change: &Change| {
         let mut recipe = recipe(name);
         let table = recipe.path(ingest, "path");
         let (header, mut rows, place) = rows(&table);

@@ -172,7 +172,7 @@ pub fn contradicted(problem: &Problem, calibration: &Calibration) -> Vec<Contrad
         let stated = [info.nominal[unknown.index], info.nominal_uncertainties[unknown.index]];
         let both = stated[1].hypot(found.standard_uncertainty);
         let is_far = stated[1] > 0.0 && (found.value - stated[0]).abs() > CONTRADICTED * both;
-        is_far.then(|| Contradicted {
+        is_far.then_some(Contradicted {
             name: unknown.name,
             unit: unknown.unit,
             found: [found.value, found.standard_uncertainty],
