@@ -55,8 +55,8 @@ static HOST: AbbeHost = AbbeHost {
 /// The bytes of a library, whose hash is known and, if one was asked for, right.
 pub(crate) struct Hashed {
     bytes: Vec<u8>,
-    /// Its file, where it is loaded from there.
-    #[cfg_attr(target_os = "linux", allow(dead_code, reason = "a copy is loaded"))]
+    /// Its file, from which it is loaded where there are no sealed copies.
+    #[cfg(not(target_os = "linux"))]
     file: File,
     pub sha256: String,
 }
@@ -89,7 +89,12 @@ pub(crate) fn hashed(path: &Path, pin: Option<&str>) -> Result<Hashed> {
             let message = format!("the plugin library {} has another SHA-256 than it is pinned to", path.display());
             Err(Error::usage(message).help(format!("pinned {pin}, found {sha256}; it was not loaded")))
         }
-        _ => Ok(Hashed { bytes, file, sha256 }),
+        _ => Ok(Hashed {
+            bytes,
+            #[cfg(not(target_os = "linux"))]
+            file,
+            sha256,
+        }),
     }
 }
 
