@@ -8,7 +8,7 @@ use abbe_core::Calibration;
 
 use super::bodies::{Face, Faces};
 use super::machine::{Machine, dot, minus, norm};
-use super::random::{READERS, chain, limited, seconds, settings};
+use super::random::{READERS, chain, in_order, limited, seconds, settings};
 use super::{CONTROLS, Planned, Setup};
 use crate::controls::law::{seeds, uniform};
 use crate::support::{fit, read, registry, write};
@@ -140,19 +140,8 @@ fn programs_of_random_machines_touch_the_right_faces() {
         let mut machine = planned.with(faces);
         let (hits, misses) =
             planned.measured(control, file, &mut machine).unwrap_or_else(|error| panic!("{what}{error}"));
-        let repeats: usize = more.split("repeats: ").nth(1).and_then(|rest| rest[..1].parse().ok()).expect("repeats");
         assert_eq!(machine.unit, Some(if inches { 25.4 } else { 1.0 }), "{what}");
-        // Every touch as often as it is repeated, one after another; touches of one indexation together.
-        assert_eq!((hits.len(), misses), (repeats * planned.touches.len(), 0), "{what}");
-        let order: Vec<usize> = hits.chunks(repeats).map(|same| same[0]).collect();
-        assert!(hits.chunks(repeats).all(|same| same.iter().all(|touch| *touch == same[0])), "{what}{hits:?}");
-        assert_eq!(order.iter().collect::<BTreeSet<_>>().len(), planned.touches.len(), "{what}");
-        let at = |touch: &usize| -> Vec<String> {
-            let rotary = planned.touches[touch].iter().filter(|(name, _)| name.ends_with("_deg"));
-            rotary.map(|(name, place)| format!("{name}{place:.3}")).collect()
-        };
-        let changes = order.windows(2).filter(|pair| at(&pair[0]) != at(&pair[1])).count();
-        assert_eq!(changes + 1, order.iter().map(at).collect::<BTreeSet<_>>().len(), "{what}");
+        let order = in_order(&planned, (&hits, misses), &more, &what);
         let features: BTreeSet<&String> = planned.features.values().collect();
         assert!(features.len() >= 3, "{what}only {features:?}");
         touched += order.len();

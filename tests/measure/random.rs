@@ -54,6 +54,23 @@ pub fn seconds(planned: &Planned) -> f64 {
     planned.record["program"]["seconds"].as_f64().expect("the time of a program")
 }
 
+/// The touches in their order, without repeats: every one of the plan as often as `more` says, one after another, touches of one
+/// indexation together.
+pub fn in_order(planned: &Planned, (hits, misses): (&[usize], usize), more: &str, what: &str) -> Vec<usize> {
+    let repeats: usize = more.split("repeats: ").nth(1).and_then(|rest| rest[..1].parse().ok()).expect("repeats");
+    assert_eq!((hits.len(), misses), (repeats * planned.touches.len(), 0), "{what}");
+    let order: Vec<usize> = hits.chunks(repeats).map(|same| same[0]).collect();
+    assert!(hits.chunks(repeats).all(|same| same.iter().all(|touch| *touch == same[0])), "{what}{hits:?}");
+    assert_eq!(order.iter().collect::<BTreeSet<_>>().len(), planned.touches.len(), "{what}");
+    let at = |touch: &usize| -> Vec<String> {
+        let rotary = planned.touches[touch].iter().filter(|(name, _)| name.ends_with("_deg"));
+        rotary.map(|(name, place)| format!("{name}{place:.3}")).collect()
+    };
+    let changes = order.windows(2).filter(|pair| at(&pair[0]) != at(&pair[1])).count();
+    assert_eq!(changes + 1, order.iter().map(at).collect::<BTreeSet<_>>().len(), "{what}");
+    order
+}
+
 /// A program of a random machine: what it measures where the ball is off, its time where it is not, and an axis the other way round.
 #[test]
 fn programs_of_random_machines_measure_the_plan_in_the_time_that_they_say() {
@@ -79,18 +96,7 @@ fn programs_of_random_machines_measure_the_plan_in_the_time_that_they_say() {
         let (hits, misses) =
             planned.measured(control, file, &mut machine).unwrap_or_else(|error| panic!("{what}{error}"));
         assert_eq!(machine.unit, Some(if inches { 25.4 } else { 1.0 }), "{what}");
-        // Every touch, each as often as it is repeated, one after another; touches of one indexation together.
-        let repeats: usize = more.split("repeats: ").nth(1).and_then(|rest| rest[..1].parse().ok()).expect("repeats");
-        assert_eq!((hits.len(), misses), (repeats * planned.touches.len(), 0), "{what}");
-        let order: Vec<usize> = hits.chunks(repeats).map(|same| same[0]).collect();
-        assert!(hits.chunks(repeats).all(|same| same.iter().all(|touch| *touch == same[0])), "{what}{hits:?}");
-        assert_eq!(order.iter().collect::<BTreeSet<_>>().len(), planned.touches.len(), "{what}");
-        let at = |touch: &usize| -> Vec<String> {
-            let rotary = planned.touches[touch].iter().filter(|(name, _)| name.ends_with("_deg"));
-            rotary.map(|(name, place)| format!("{name}{place:.3}")).collect()
-        };
-        let changes = order.windows(2).filter(|pair| at(&pair[0]) != at(&pair[1])).count();
-        assert_eq!(changes + 1, order.iter().map(at).collect::<BTreeSet<_>>().len(), "{what}");
+        let order = in_order(&planned, (&hits, misses), &more, &what);
         touched += order.len();
         // With the ball in its place all moves take what was said, within the digits of the program.
         let mut machine = planned.machine([0.0; 3]);
