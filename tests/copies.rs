@@ -14,6 +14,7 @@ fn summary(recipe: &Variant, folder: &Path) -> (i32, Value) {
     let out = folder.join("out");
     let printed =
         abbe(folder, &["run".as_ref(), file.as_os_str(), "--json".as_ref(), "--out".as_ref(), out.as_os_str()]);
+    assert!(printed.stdout.contains("\"remarks\""), "{}{}", printed.stdout, printed.stderr);
     (printed.status, serde_json::from_str(&printed.stdout).expect("JSON"))
 }
 
@@ -216,4 +217,163 @@ fn a_certificate_that_a_cmm_contradicts_is_told() {
     let other = changed(&recipe.path("bar-runs", "path"), folder.path(), "reference_mm", shorter);
     recipe.stage("bar-runs")["path"] = json!(other);
     assert_eq!(told(&recipe), 1);
+}
+
+/// What was touched at one indexation in the place of another: the hold-out would predict what was fitted.
+#[test]
+fn runs_that_are_copied_under_other_labels_are_told() {
+    let folder = temporary();
+    let told = |recipe: &Variant, folder: &Path| {
+        let (_, found) = summary(recipe, folder);
+        texts(&found["remarks"]).iter().filter(|text| text.contains("under other labels")).count()
+    };
+    let mut recipe = Variant::of(&recipes()["samba"]).only(&["fit-all"]);
+    assert_eq!(told(&recipe, folder.path()), 0);
+    let file = recipe.path("touches", "path");
+    let text = read(&file);
+    let header = text.lines().find(|line| !line.starts_with('#')).expect("a header");
+    let place = |wanted: &str| header.split(',').position(|name| name == wanted).expect("the column");
+    let of_group = |group: &str| -> Vec<Vec<String>> {
+        let rows = text.lines().map(|line| line.split(',').map(str::to_owned).collect::<Vec<_>>());
+        rows.filter(|cells| cells.get(place("group")).is_some_and(|own| own == group)).collect()
+    };
+    let (from, into) = (of_group("3"), of_group("9"));
+    let mut copy = String::new();
+    for line in text.lines() {
+        let cells: Vec<&str> = line.split(',').collect();
+        let row = into.iter().position(|other| other.iter().map(String::as_str).eq(cells.iter().copied()));
+        match row.and_then(|row| from.get(row)) {
+            Some(other) => {
+                let mut other = other.clone();
+                for kept in ["touch", "time_s", "group"] {
+                    other[place(kept)] = cells[place(kept)].to_owned();
+                }
+                copy.push_str(&(other.join(",") + "\n"));
+            }
+            None => copy.push_str(&(line.to_owned() + "\n")),
+        }
+    }
+    let other = folder.path().join("touches.csv");
+    write(&other, &copy);
+    recipe.stage("touches")["path"] = json!(other);
+    assert_eq!(told(&recipe, folder.path()), 1);
+}
+
+/// All runs of a laser are its first one; then with a reading whose digits are coarser than it scatters.
+#[test]
+fn runs_of_a_laser_that_are_copied_are_told() {
+    let folder = temporary();
+    let mut recipe = Variant::of(&recipes()["mill-direct"]).only(&["fit-angles", "fit-lengths"]);
+    let list = recipe.stage("length-files")["path"].as_array().expect("a list").clone();
+    let place =
+        list.iter().position(|file| file.as_str().is_some_and(|file| file.ends_with("EZZ.csv"))).expect("a file");
+    let file = PathBuf::from(list[place].as_str().expect("a path"));
+    let mut told = |digits: usize, copied: bool| {
+        let first = std::cell::RefCell::new(Vec::new());
+        let rows = read(&file).lines().filter(|line| line.starts_with("1,")).count();
+        let other = changed(&file, folder.path(), "reading_um", |row, cell| {
+            let reading = format!("{:.digits$}", cell.parse::<f64>().expect("a reading"));
+            let mut first = first.borrow_mut();
+            if row < rows {
+                first.push(reading.clone());
+            }
+            if copied { first[row % rows].clone() } else { reading }
+        });
+        recipe.stage("length-files")["path"][place] = json!(other);
+        let (_, found) = summary(&recipe, folder.path());
+        texts(&found["remarks"]).iter().filter(|text| text.contains("under other labels")).count()
+    };
+    assert_eq!(told(4, false), 0);
+    assert_eq!(told(4, true), 1);
+    assert_eq!(told(0, false), 0);
+}
+
+/// Files that were exchanged, and a certificate of another sphere, where the residuals of all rows stay near what is stated.
+#[test]
+fn files_whose_residuals_stand_out_are_told() {
+    let folder = temporary();
+    let told = |recipe: &Variant| -> Vec<String> {
+        let (_, found) = summary(recipe, folder.path());
+        let said: Vec<String> = texts(&found["remarks"]).into_iter().map(str::to_owned).collect();
+        said.into_iter().filter(|text| text.contains("is it the right file")).collect()
+    };
+    for (only, stage, pair) in
+        [("fit-angles", "angle-files", ["EBX.csv", "ECX.csv"]), ("fit", "length-files", ["EYX.csv", "EZX.csv"])]
+    {
+        let mut recipe = Variant::of(&recipes()["mill-direct"]).only(&[only]);
+        assert_eq!(told(&recipe), Vec::<String>::new());
+        let list = recipe.stage(stage)["path"].as_array().expect("a list").clone();
+        let [one, other] = pair.map(|name| {
+            let file = list.iter().filter_map(Value::as_str).find(|file| file.ends_with(name));
+            PathBuf::from(file.expect("the file"))
+        });
+        for (of, from) in [(&one, &other), (&other, &one)] {
+            let copy = folder.path().join(of.file_name().expect("a name"));
+            fs::copy(from, &copy).expect("a copy");
+            let place = list.iter().position(|file| file.as_str() == of.to_str()).expect("its place");
+            recipe.stage(stage)["path"][place] = json!(copy);
+        }
+        let said = told(&recipe);
+        assert!(said.iter().any(|text| pair.iter().any(|name| text.contains(name))), "{said:?}");
+    }
+    let mut recipe = Variant::of(&recipes()["probe-lobing"]).only(&["joint"]);
+    assert_eq!(told(&recipe), Vec::<String>::new());
+    let certificate = changed(&recipe.path("sphere", "nominal"), folder.path(), "diameter_mm", |_, cell| match cell {
+        "24.998630" => "24.988630".to_owned(),
+        _ => cell.to_owned(),
+    });
+    recipe.stage("sphere")["nominal"] = json!(certificate);
+    let said = told(&recipe);
+    assert!(said.iter().any(|text| text.contains("residuals of bar in")), "{said:?}");
+}
+
+#[test]
+fn poses_in_centimetres_are_told() {
+    let folder = temporary();
+    let mut recipe = Variant::of(&recipes()["positioner"]);
+    let told = |recipe: &Variant| {
+        let (_, found) = summary(recipe, folder.path());
+        texts(&found["remarks"]).iter().any(|text| text.contains("is the unit of the lengths right?"))
+    };
+    assert!(!told(&recipe));
+    for column in ["x_mm", "y_mm", "z_mm"] {
+        let tenth = |_: usize, cell: &str| format!("{}", 0.1 * cell.parse::<f64>().expect("a number"));
+        let other = changed(&recipe.path("seen", "path"), folder.path(), column, tenth);
+        recipe.stage("seen")["path"] = json!(other);
+    }
+    assert!(told(&recipe));
+}
+
+#[test]
+fn results_that_were_changed_are_neither_shown_nor_kept() {
+    let folder = temporary();
+    let recipe = Variant::of(&recipes()["first-steps"]);
+    let (_, _) = summary(&recipe, folder.path());
+    let results =
+        fs::read_dir(folder.path().join("out")).expect("results").next().expect("a folder").expect("it").path();
+    let calibration = fs::read_dir(&results)
+        .expect("results")
+        .map(|entry| entry.expect("a file").path())
+        .find(|file| file.to_string_lossy().ends_with(".calibration.json"))
+        .expect("a calibration");
+    let commands = [vec!["report", "R", "--out", "page.html"], vec!["history", "add", "h.db", "R"]];
+    let say = |command: &[&str]| {
+        let results = results.to_string_lossy().into_owned();
+        let words: Vec<&str> = command.iter().map(|word| if *word == "R" { results.as_str() } else { word }).collect();
+        let printed = abbe(folder.path(), &words);
+        (printed.status, printed.stderr)
+    };
+    let text = read(&calibration);
+    write(&calibration, &text.replacen("\"value\":", "\"value\": 1", 1));
+    for command in &commands {
+        let (status, said) = say(command);
+        assert_eq!(status, 1, "{command:?}: {said}");
+        assert!(said.contains("not as the run wrote it") && said.contains(".calibration.json"), "{said}");
+    }
+    assert!(!folder.path().join("page.html").exists() && !folder.path().join("h.db").exists());
+    write(&calibration, &text);
+    for command in &commands {
+        let (status, said) = say(command);
+        assert_eq!(status, 0, "{command:?}: {said}");
+    }
 }

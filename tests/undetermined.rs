@@ -183,3 +183,38 @@ fn calibrations_that_do_not_belong_are_refused() {
     assert_eq!(other.status, 1);
     assert!(said(&other).contains("is not of the run that wrote this file as it is now"), "{}", other.stderr);
 }
+
+/// Directions as tables of other programs write them; then positions without the columns of their directions, where X has backlash.
+#[test]
+fn the_side_from_which_an_axis_came_is_not_guessed_without_a_word() {
+    let folder = temporary();
+    let mut recipe = recipe(folder.path(), &json!({}));
+    let mut rows = "run,direction,position_mm,reading_um\n".to_owned();
+    for (direction, offset) in [("1.0", 5.0), ("-1.0", -5.0), ("+1", 5.0), ("-1", -5.0)] {
+        for (number, place) in [0, 100, 200, 300, 400].into_iter().enumerate() {
+            let reading = offset + 0.1 * (number % 2) as f64;
+            rows.push_str(&format!("1,{direction},{place},{reading:.3}\n"));
+        }
+    }
+    fs::write(folder.path().join("direct-EXX.csv"), &rows).expect("a file");
+    recipe["stages"]["fit-x"]["parameters"] = json!(["EXX[spl*]", "EXX[b]", "along-x.*"]);
+    for stage in ["y", "along-y", "fit-y"] {
+        recipe["stages"].as_object_mut().expect("stages").remove(stage);
+    }
+    fs::write(folder.path().join("hole.yaml"), recipe.to_string()).expect("a file");
+    let printed = abbe(folder.path(), &["run", "hole.yaml", "--out", "out"]);
+    assert_eq!(printed.status, 0, "{}{}", printed.stdout, printed.stderr);
+    let correct = |points: &str| {
+        fs::write(folder.path().join("points.csv"), points).expect("a file");
+        said(&abbe(folder.path(), &["correct", "out/hole/fit-x.calibration.json", "points.csv"]))
+    };
+    let guessed = correct("X_mm,Y_mm,Z_mm\n100,0,0\n50,0,0\n");
+    assert!(guessed.contains("there is no column `dir_X`") && guessed.contains("10"), "{guessed}");
+    assert!(!guessed.contains("`dir_Y`"), "{guessed}");
+    let stated = correct("X_mm,Y_mm,Z_mm,dir_X\n100,0,0,1\n50,0,0,-1\n");
+    assert!(!stated.contains("there is no column"), "{stated}");
+    // A third direction is refused.
+    fs::write(folder.path().join("direct-EXX.csv"), rows.replace("1.0,", "2,")).expect("a file");
+    let printed = abbe(folder.path(), &["run", "hole.yaml", "--out", "other"]);
+    assert!(said(&printed).contains("`direction` is 2; 1, -1 or 0 was expected"), "{}", printed.stderr);
+}

@@ -22,7 +22,7 @@ fn first(lines: &[String], session: &str, tool: &str) -> usize {
     found.expect("the tool is there")
 }
 
-const CASES: [Case; 26] = [
+const CASES: [Case; 27] = [
     ("in the log only", |_, table| drop(table.remove(4)), &["tool 4 is not in the table", "tool-log.csv:50"]),
     (
         "in the table only",
@@ -39,6 +39,11 @@ const CASES: [Case; 26] = [
         "no wear limit",
         |_, table| set(table, 2, 3, "0"),
         &["wear_limit_length of tool 2 is not above zero", "tools.csv:3"],
+    ),
+    (
+        "a wear limit above that of breakage",
+        |_, table| set(table, 2, 3, "40000"),
+        &["wear_limit_length of tool 2 is", "(`breakage_um`)", "tools.csv:3"],
     ),
     (
         "a session without master",

@@ -142,7 +142,12 @@ pub fn reversed_moves(
 }
 
 /// Largest distance of the tip, mm, between these statuses and the same ones with the other direction.
-fn largest_reversal(model: &dyn KinematicModel, values: &[f64], statuses: &[f64], direction: usize) -> Result<f64> {
+pub(crate) fn largest_reversal(
+    model: &dyn KinematicModel,
+    values: &[f64],
+    statuses: &[f64],
+    direction: usize,
+) -> Result<f64> {
     let mut other = statuses.to_vec();
     other.chunks_mut(model.info().status.len()).for_each(|status| status[direction] = -status[direction]);
     let (mut one_way, mut other_way) = (Poses::default(), Poses::default());

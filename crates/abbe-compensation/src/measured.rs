@@ -2,12 +2,12 @@
 
 use std::path::Path;
 
-use abbe_core::{Calibration, Error, KinematicModel, Poses, Result, machine_values};
+use abbe_core::{Calibration, Error, KinematicModel, Poses, Result, StatusRole, machine_values};
 use abbe_volumetric::predict;
 
 use crate::calibrated::check_confounded;
 use crate::compensator::beyond;
-use crate::figures::{Spread, largest_uncertainty};
+use crate::figures::{Spread, largest_reversal, largest_uncertainty};
 use crate::set_points::SetPoints;
 
 /// Where a tip was.
@@ -72,6 +72,28 @@ impl MeasuredPoints {
         };
         let tips = corrected().map_err(|error| points.locate(error))?;
         Ok(Self { points, tips })
+    }
+
+    /// The axes that are taken to have come to each position from where the row before is, because the file has no directions of
+    /// approach, each with the largest distance of the tip to where it is if they came from the other side, mm. Axes without reversal
+    /// error are left out.
+    ///
+    /// Fails where the model has no pose.
+    pub fn guessed_directions(
+        &self,
+        model: &dyn KinematicModel,
+        calibration: &Calibration,
+    ) -> Result<Vec<(usize, f64)>> {
+        let values = machine_values(model, calibration);
+        let mut guessed = Vec::new();
+        for &axis in self.points.directions_of_path() {
+            let Some(place) = model.info().status_index(&StatusRole::Direction(axis)) else { continue };
+            let reversal = largest_reversal(model, &values, self.points.statuses(), place)?;
+            if reversal > 0.0 {
+                guessed.push((axis, reversal));
+            }
+        }
+        Ok(guessed)
     }
 
     /// Distances between corrected and indicated positions, mm.

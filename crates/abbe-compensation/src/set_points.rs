@@ -19,6 +19,8 @@ pub struct SetPoints {
     text: String,
     data: Dataset,
     statuses: Vec<f64>,
+    /// The axes whose directions of approach are those of the path, by index.
+    directions_of_path: Vec<usize>,
 }
 
 impl SetPoints {
@@ -76,10 +78,12 @@ impl SetPoints {
         }
         let width = info.status.len();
         let mut statuses: Vec<f64> = poses.indices().flat_map(|pose| poses.row(pose).to_vec()).collect();
+        let mut directions_of_path = Vec::new();
         for (index, (status, source)) in info.status.iter().zip(&columns).enumerate() {
             match (&status.role, source) {
                 (StatusRole::Direction(axis), StatusSource::Taken(_)) => {
                     fill_directions(&mut statuses, width, info.axes[*axis].status, index);
+                    directions_of_path.push(*axis);
                 }
                 (StatusRole::Time, StatusSource::Taken(_)) if time.is_some() => {
                     statuses.chunks_mut(width).for_each(|pose| pose[index] = time.unwrap_or(f64::NAN));
@@ -115,12 +119,17 @@ impl SetPoints {
                 );
             }
         }
-        Ok(Self { path: path.to_owned(), text, data, statuses })
+        Ok(Self { path: path.to_owned(), text, data, statuses, directions_of_path })
     }
 
     /// The statuses, point by point: points x columns of [`ModelInfo::status`](abbe_core::ModelInfo::status).
     pub fn statuses(&self) -> &[f64] {
         &self.statuses
+    }
+
+    /// The axes, by their index in the model, of which the file has no directions of approach: they are those of the path.
+    pub fn directions_of_path(&self) -> &[usize] {
+        &self.directions_of_path
     }
 
     /// Number of points.

@@ -107,15 +107,16 @@ impl Dataset {
     }
 
     /// Number of rows that follow each other, at least so many in turn, as earlier rows of the same content do; with the first of them
-    /// behind its earlier one. Times and labels of repetitions (`day`, `cycle`) may differ.
+    /// behind its earlier one. Times and labels of repetitions (`day`, `cycle`) may differ; all labels may with `any_labels`.
     pub fn copied_rows(
         &self,
         rows: impl IntoIterator<Item = DataRow>,
         in_turn: usize,
+        any_labels: bool,
     ) -> Option<(usize, [DataRow; 2])> {
-        let is_of_the_content = |column: &Column| {
-            let is_time = column.header.quantity == Quantity::Time;
-            !is_time && !["day", "cycle"].contains(&column.header.name.as_str())
+        let is_of_the_content = |column: &Column| match &column.values {
+            Values::Numbers(_) => column.header.quantity != Quantity::Time,
+            Values::Labels(_) => !any_labels && !["day", "cycle"].contains(&column.header.name.as_str()),
         };
         let same = self.same_in(rows, is_of_the_content);
         let (mut count, mut first) = (0, None);

@@ -7,6 +7,7 @@ use std::io::{self, Read};
 use std::path::{Path, PathBuf};
 
 use abbe_core::{Error, FileFormat, Kind, Origin, Plugin, Result};
+use abbe_files::{LARGEST_RESULT, read_text};
 use serde::{Deserialize, Serialize};
 use sha2::{Digest, Sha256};
 
@@ -125,6 +126,24 @@ impl RunRecord {
     pub fn wrote(&self, file: &str, content: &[u8]) -> bool {
         let hash = sha256(content);
         self.outputs.iter().any(|output| output.file == file && output.sha256 == hash)
+    }
+
+    /// The text of a file that the run wrote into this folder.
+    ///
+    /// Fails if it cannot be read, and if it is not as the run wrote it: a result that was changed by hand, or that is of another run, is
+    /// no result of this one. Records of early versions, which list no files that were written, cannot tell.
+    pub fn written_text(&self, folder: &Path, file: &str) -> Result<String> {
+        let path = folder.join(file);
+        let text = read_text(&path, LARGEST_RESULT)
+            .map_err(|error| Error::data(format!("the file cannot be read: {error}")).in_file(&path))?;
+        let is_listed = self.outputs.iter().any(|output| output.file == file);
+        if is_listed && !self.wrote(file, text.as_bytes()) {
+            let message = "the file is not as the run wrote it that `run.json` beside it records";
+            return Err(Error::data(message)
+                .help("was it changed, or copied from another run? Run the recipe again")
+                .in_file(&path));
+        }
+        Ok(text)
     }
 
     /// Reads the text of a `run.json`.

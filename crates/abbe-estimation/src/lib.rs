@@ -83,7 +83,7 @@ pub use plausible::Plausible;
 pub use preference::{check_preferences, in_order_of_preference};
 pub use propagation::{AposterioriFactors, Linearisation, Propagation};
 pub use rank::{confounded, identifiability, ill_conditioned, separated, weakest};
-pub use remarks::{copies, remarks, repeated};
+pub use remarks::{copied_runs, copies, remarks, repeated};
 pub use residuals::{Constraints, ResidualStatistics, Sizes, outliers, radial_rms};
 pub use row_settings::{Ids, PooledRepeats, RowSettings, RowUncertainty, SharedError};
 pub use separation::{SeparationTrials, separating_measurements};

@@ -59,7 +59,7 @@ fn copied(problem: &Problem) -> Vec<String> {
     let of_set = |set: &ObservationSet| {
         let data = &set.info().layout.data;
         let rows: BTreeSet<DataRow> = set.rows.iter().filter_map(|&row| set.info().layout.rows[row].data_row).collect();
-        let (count, first) = data.copied_rows(rows, IN_TURN)?;
+        let (count, first) = data.copied_rows(rows, IN_TURN, false)?;
         let lines = first.map(|row| data.origins[row].line);
         Some(format!(
             "{}: {count} rows are those of earlier ones to the last digit, but for times and labels (the first: lines {} and {}): are \
@@ -68,6 +68,73 @@ fn copied(problem: &Problem) -> Vec<String> {
         ))
     };
     problem.sets.iter().filter_map(of_set).collect()
+}
+
+/// Largest step of the digits of readings, over their standard uncertainty, with which they are told apart: then ten in turn agree by chance
+/// once in some hundred million runs (0.14 to the power of ten).
+const FINE: f64 = 0.5;
+
+/// Sentences on rows that follow each other as earlier ones do, the same in every number, whatever their labels say: one run, or what was
+/// touched at one indexation, in the place of another. Readings of coarse digits agree by chance and are not told. They are for data that
+/// are not exact: exact runs repeat to the last digit.
+pub fn copied_runs(problem: &Problem) -> Vec<String> {
+    let mut uncertainties: BTreeMap<SetIndex, f64> = BTreeMap::new();
+    let equations =
+        problem.equation_rows().into_iter().zip(problem.standard_uncertainties()).zip(problem.constraints());
+    for (((set, _), u), _) in equations.filter(|(_, is_known)| !is_known) {
+        let least = uncertainties.entry(set).or_insert(u);
+        *least = u.min(*least);
+    }
+    let of_set = |(index, set): (SetIndex, &ObservationSet)| {
+        let data = &set.info().layout.data;
+        let rows: BTreeSet<DataRow> = set.rows.iter().filter_map(|&row| set.info().layout.rows[row].data_row).collect();
+        // Told already.
+        if data.copied_rows(rows.iter().copied(), IN_TURN, false).is_some() {
+            return None;
+        }
+        let (count, first) = data.copied_rows(rows.iter().copied(), IN_TURN, true)?;
+        let uncertainty = *uncertainties.get(&index)?;
+        let is_fine = read_columns(set)?.iter().any(|column| step(column, &rows) < FINE * uncertainty);
+        let lines = first.map(|row| data.origins[row].line);
+        let file = data.files.get(data.origins[first[1]].file).filter(|_| data.files.len() > 1);
+        is_fine.then(|| {
+            format!(
+                "{}: {count} rows have the numbers of earlier ones to the last digit under other labels (the first: lines {} and {}{}): are \
+                 they copies? Each counts as a measurement of its own",
+                set.name,
+                lines[0],
+                lines[1],
+                file.map_or(String::new(), |file| format!(" of `{}`", file.display()))
+            )
+        })
+    };
+    SetIndex::enumerate(&problem.sets).filter_map(of_set).collect()
+}
+
+/// The columns of numbers that are measured.
+fn read_columns(set: &ObservationSet) -> Option<Vec<&[f64]>> {
+    let info = set.info();
+    let data = &info.layout.data;
+    let names: Vec<&str> = match &info.contact {
+        Contact::Reading(column) => vec![column],
+        Contact::Readings(columns) => columns.iter().map(String::as_str).collect(),
+        Contact::Pose { position, .. } => position.iter().map(String::as_str).collect(),
+        // Linear axes move until contact.
+        Contact::LinearAxes | Contact::NotSimulated(_) => data
+            .columns
+            .iter()
+            .filter(|column| column.header.quantity == Quantity::Length)
+            .map(|column| column.header.name.as_str())
+            .collect(),
+    };
+    names.into_iter().map(|name| data.numbers(name)).collect()
+}
+
+/// The smallest difference of two numbers of a column: the step of its digits.
+fn step(column: &[f64], rows: &BTreeSet<DataRow>) -> f64 {
+    let mut numbers: Vec<f64> = rows.iter().map(|&row| column[row]).filter(|number| number.is_finite()).collect();
+    numbers.sort_by(f64::total_cmp);
+    numbers.windows(2).map(|pair| pair[1] - pair[0]).filter(|step| *step > 0.0).fold(f64::INFINITY, f64::min)
 }
 
 /// Scatter of repetitions, mm or rad, below which there is none.

@@ -145,6 +145,7 @@ fn unreachable(reasons: &[String], touches: usize) -> Error {
     );
     Error::usage(message)
         .help("change probe, clearance, solids or plan; `unreachable: leave-out` writes a program of the others")
+        .setting("unreachable")
 }
 
 /// The axes with the letters that the control has for them.

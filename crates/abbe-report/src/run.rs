@@ -99,20 +99,19 @@ impl Run {
         let names = record.outputs.iter().filter_map(|output| output.file.strip_suffix(CALIBRATION));
         let names: Vec<&str> = names.filter(|name| !name.contains('/')).collect();
         let fits = names.iter().map(|name| {
-            let mut fit = fit_result(&folder.join(format!("{name}{CALIBRATION}")), registry)?;
+            let file = format!("{name}{CALIBRATION}");
+            let mut fit = fit_result(&folder.join(&file), &record.written_text(folder, &file)?, registry)?;
             (*name).clone_into(&mut fit.name);
             let table = residuals_file(name);
-            if record.outputs.iter().any(|output| Path::new(&output.file) == table) {
-                let table = folder.join(table);
-                let text = read_text(&table, LARGEST_RESULT).map_err(|error| unreadable(&table, &error))?;
-                fit.residuals = Residuals::from_csv(&text).map_err(|error| error.in_file(&table))?;
+            if let Some(output) = record.outputs.iter().find(|output| Path::new(&output.file) == table) {
+                let text = record.written_text(folder, &output.file)?;
+                fit.residuals = Residuals::from_csv(&text).map_err(|error| error.in_file(&folder.join(table)))?;
             }
             Ok(fit)
         });
         let fits: Vec<FitResult> = fits.collect::<Result<_>>()?;
-        let file = folder.join(VERDICTS);
-        let text = read_text(&file, LARGEST_RESULT).map_err(|error| unreadable(&file, &error))?;
-        let verdicts = Verdict::list_from_json(&text).map_err(|error| error.in_file(&file))?;
+        let verdicts = Verdict::list_from_json(&record.written_text(folder, VERDICTS)?)
+            .map_err(|error| error.in_file(&folder.join(VERDICTS)))?;
         let title = if record.title.is_empty() { record.recipe.clone() } else { record.title.clone() };
         let recipe = recipe_of(&record);
         let trends = trends_in(folder, &record)?;
@@ -131,7 +130,8 @@ impl Run {
     }
 
     fn of_calibration(file: &Path, registry: &Registry) -> Result<Self> {
-        let fit = fit_result(file, registry)?;
+        let text = read_text(file, LARGEST_RESULT).map_err(|error| unreadable(file, &error))?;
+        let fit = fit_result(file, &text, registry)?;
         let title = format!("Calibration {}", fit.name);
         let (name, fits) = (fit.name.clone(), vec![fit]);
         Ok(Self {
@@ -180,9 +180,9 @@ fn trends_of(outcome: &Outcome) -> Result<Vec<(String, Analysis)>> {
 fn trends_in(folder: &Path, record: &RunRecord) -> Result<Vec<(String, Analysis)>> {
     let stages = record.outputs.iter().filter_map(|output| output.file.strip_suffix(TREND)?.strip_suffix('/'));
     let read = |stage: &str| {
-        let file = folder.join(stage).join(TREND);
-        let text = read_text(&file, LARGEST_RESULT).map_err(|error| unreadable(&file, &error))?;
-        Ok((stage.to_owned(), parsed(&text).map_err(|error| error.in_file(&file))?))
+        let file = format!("{stage}/{TREND}");
+        let found = parsed(&record.written_text(folder, &file)?).map_err(|error| error.in_file(&folder.join(&file)))?;
+        Ok((stage.to_owned(), found))
     };
     stages.map(read).collect()
 }
@@ -204,8 +204,7 @@ fn acceptance_in(folder: &Path, record: &RunRecord, verdicts: &[Verdict]) -> Res
         let Some((stage, file)) = output.file.split_once('/') else { continue };
         let plugin = verdicts.iter().find(|verdict| verdict.stage == stage).map(|verdict| verdict.plugin.as_str());
         if let Some((kind, name)) = AcceptanceTable::of_file(plugin.unwrap_or_default(), file) {
-            let path = folder.join(&output.file);
-            let text = read_text(&path, LARGEST_RESULT).map_err(|error| unreadable(&path, &error))?;
+            let text = record.written_text(folder, &output.file)?;
             tables.push(AcceptanceTable { stage: stage.to_owned(), name, kind, text });
         }
     }
@@ -222,9 +221,8 @@ fn unreadable(file: &Path, error: &std::io::Error) -> Error {
     Error::data(format!("the file cannot be read: {error}")).in_file(file)
 }
 
-fn fit_result(file: &Path, registry: &Registry) -> Result<FitResult> {
-    let text = read_text(file, LARGEST_RESULT).map_err(|error| unreadable(file, &error))?;
-    let calibration = Calibration::from_json(&text).map_err(|error| error.in_file(file))?;
+fn fit_result(file: &Path, text: &str, registry: &Registry) -> Result<FitResult> {
+    let calibration = Calibration::from_json(text).map_err(|error| error.in_file(file))?;
     let plugin = registry.find(Kind::Estimate, &calibration.model.plugin);
     let of_readings = plugin.is_ok_and(|plugin| plugin.estimate_source == EstimateSource::Readings);
     let model: Arc<dyn KinematicModel> = match of_readings {

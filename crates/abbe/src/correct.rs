@@ -41,6 +41,14 @@ impl Correct {
         self.check_patterns(model)?;
         let points = SetPoints::read_at(&self.points, model, time)?;
         let found = MeasuredPoints::of(model, &calibration, points, self.largest_correction_mm)?;
+        for (axis, reversal) in found.guessed_directions(model, &calibration)? {
+            let name = &model.info().axes[axis].name;
+            tracing::warn!(
+                "there is no column `dir_{name}`: {name} is taken to come to each position from that of the row before; from the other \
+                 side the tip is {} µm away, at most",
+                short(reversal * 1e3)
+            );
+        }
         let files =
             self.out.iter().map(|out| Ok((out.clone(), found.text()?.into_bytes()))).collect::<Result<Vec<_>>>()?;
         let corrections = found.corrections();

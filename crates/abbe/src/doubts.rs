@@ -1,13 +1,11 @@
 //! What is hard to believe of a fit: for its heading in the summary.
 
-use std::collections::BTreeMap;
-use std::ops::Range;
-use std::path::Path;
-
 use abbe_core::{Fit, Quantity};
-use abbe_engine::Remark;
+use abbe_engine::{Remark, copied_runs};
 
 use abbe_report::number::short;
+
+mod files;
 
 /// Stated uncertainties are rarely wrong by a larger factor.
 const MISSTATED: f64 = 2.0;
@@ -15,11 +13,17 @@ const MISSTATED: f64 = 2.0;
 /// Normal quantile of one in a million.
 const MILLIONTH: f64 = 4.75;
 
-/// The scatter of residuals, over what was stated, above which a fit is not trusted: what chance makes of stated uncertainties that are
-/// wrong by [`MISSTATED`] once in a million fits (quantile of chi-squared by Wilson & Hilferty 1931).
-fn unlikely_above(degrees_of_freedom: usize) -> f64 {
+/// The scatter of residuals, over what is true of it, that chance makes once in a million cases (quantile of chi-squared by Wilson &
+/// Hilferty 1931).
+fn by_chance(degrees_of_freedom: usize) -> f64 {
     let part = 2.0 / 9.0 / degrees_of_freedom.max(1) as f64;
-    MISSTATED * (1.0 - part + MILLIONTH * part.sqrt()).powf(1.5)
+    (1.0 - part + MILLIONTH * part.sqrt()).powf(1.5)
+}
+
+/// The scatter of residuals, over what was stated, above which a fit is not trusted: what chance makes of stated uncertainties that are
+/// wrong by [`MISSTATED`].
+fn unlikely_above(degrees_of_freedom: usize) -> f64 {
+    MISSTATED * by_chance(degrees_of_freedom)
 }
 
 /// Stated uncertainties are rarely too large by more than this factor.
@@ -72,7 +76,9 @@ pub fn doubts(all: &[Fit]) -> Option<String> {
     let text: String = lines
         .chain(all.iter().filter_map(overstated))
         .chain(all.iter().filter_map(too_good))
-        .chain(all.iter().flat_map(too_good_files))
+        .chain(all.iter().flat_map(files::too_good))
+        .chain(all.iter().flat_map(files::too_bad))
+        .chain(all.iter().flat_map(copied))
         .chain(all.iter().filter_map(too_many_outliers))
         .chain(all.iter().filter_map(contradicted))
         .chain(all.iter().filter_map(disagreeing))
@@ -100,8 +106,12 @@ fn disagreeing(fit: &Fit) -> Option<String> {
     ))
 }
 
-/// Part of what was stated below which residuals of one quantity are not believed where those of another are as stated.
-const TOO_GOOD: f64 = 0.05;
+/// Part of what was stated below which residuals of one quantity are not believed where those of another are as stated: by more than a
+/// factor of [`OVERSTATED`] both, and centimetres are one of ten.
+const TOO_GOOD: f64 = 0.2;
+
+/// Part of what was stated above which residuals are about as stated.
+const AS_STATED: f64 = 0.5;
 
 /// A fit whose residuals of lengths are far smaller than stated while those of angles are not, or the other way round: the unit of one of
 /// them is wrong. Where both are small the data are exact.
@@ -116,7 +126,7 @@ fn too_good(fit: &Fit) -> Option<String> {
     let angles = report.residual_rms_urad? * 1e-6 / stated(Quantity::Angle);
     let (small, other, part) =
         if lengths < angles { ("lengths", "angles", lengths) } else { ("angles", "lengths", angles) };
-    let wrong = lengths.max(angles) > 10.0 * TOO_GOOD && part < TOO_GOOD && part.is_finite();
+    let wrong = lengths.max(angles) > AS_STATED && part < TOO_GOOD && part.is_finite();
     wrong.then(|| {
         format!(
             "  {}: the residuals of {small} are {} of what is stated, those of {other} are not: is the unit of the {small} right?\n",
@@ -124,64 +134,6 @@ fn too_good(fit: &Fit) -> Option<String> {
             short(part)
         )
     })
-}
-
-/// Fewest residuals of a file that are looked at: fewer may be what the unknowns make of them.
-const OF_A_FILE: usize = 20;
-
-/// Part of what was stated below which residuals are those of exact data: no other unit makes them so small.
-const EXACT: f64 = 1e-6;
-
-/// Residuals of a file that are about half of what is stated, where those of the others are about as stated; fewest of them, and rows of a file
-/// for each unknown.
-const HALF: Range<f64> = 0.45..0.55;
-const AS_STATED: Range<f64> = 0.85..1.2;
-const OF_A_HALF: usize = 100;
-const ROWS_OF_AN_UNKNOWN: usize = 4;
-
-/// Files whose residuals are far smaller than stated while those of the other files are not: their readings are in another unit.
-fn too_good_files(fit: &Fit) -> Vec<String> {
-    let problem = &fit.problem;
-    let Ok(residuals) = problem.residuals(&problem.values_of(&fit.calibration)) else { return Vec::new() };
-    let rows = residuals.into_iter().zip(problem.standard_uncertainties()).zip(problem.constraints());
-    let mut of_files: BTreeMap<&Path, (f64, usize)> = BTreeMap::new();
-    for (((residual, u), is_known), (set, row)) in rows.zip(problem.equation_rows()) {
-        if let Some((file, _)) = problem.origin(set, row).filter(|_| !is_known) {
-            let (sum, count) = of_files.entry(file).or_default();
-            *sum += (residual / u).powi(2);
-            *count += 1;
-        }
-    }
-    let (sum, count) = of_files.values().fold((0.0, 0), |(sum, count), own| (sum + own.0, count + own.1));
-    let rms = |sum: f64, count: usize| (sum / count.max(1) as f64).sqrt();
-    let is_too_good = |own: &(f64, usize)| {
-        let is_small = (EXACT..TOO_GOOD).contains(&rms(own.0, own.1));
-        own.1 >= OF_A_FILE && is_small && rms(sum - own.0, count - own.1) > 10.0 * TOO_GOOD
-    };
-    let sentence = |(file, own): (&Path, (f64, usize))| {
-        format!(
-            "  {}: the residuals of `{}` are {} of what is stated, those of other files are not: is the unit of its readings right?\n",
-            fit.name,
-            file.display(),
-            short(rms(own.0, own.1))
-        )
-    };
-    let fewest = OF_A_HALF.max(ROWS_OF_AN_UNKNOWN * problem.unknowns.len());
-    let is_half = |own: &(f64, usize)| {
-        let others = rms(sum - own.0, count - own.1);
-        own.1 >= fewest && HALF.contains(&rms(own.0, own.1)) && AS_STATED.contains(&others)
-    };
-    let half = of_files.iter().filter(|(_, own)| is_half(own)).map(|(file, own)| {
-        format!(
-            "  {}: the residuals of `{}` are {} of what is stated, about half of those of other files: are its readings those of a \
-             radius where the others are of a diameter?\n",
-            fit.name,
-            file.display(),
-            short(rms(own.0, own.1))
-        )
-    });
-    let half: Vec<String> = half.collect();
-    of_files.into_iter().filter(|(_, own)| is_too_good(own)).map(sentence).chain(half).collect()
 }
 
 /// Standard uncertainties that a certificate is off by at most.
@@ -205,6 +157,17 @@ fn contradicted(fit: &Fit) -> Option<String> {
             short(worst)
         )
     })
+}
+
+/// The scatter below which data are exact, and runs repeat to the last digit.
+const EXACT: f64 = 0.01;
+
+/// Runs whose readings are those of others to the last digit.
+fn copied(fit: &Fit) -> Vec<String> {
+    match fit.calibration.fit.sigma > EXACT {
+        true => copied_runs(&fit.problem).into_iter().map(|found| format!("  {}: {found}\n", fit.name)).collect(),
+        false => Vec::new(),
+    }
 }
 
 /// Part of the rows above which outliers are no gross errors any more.

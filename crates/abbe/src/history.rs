@@ -161,20 +161,18 @@ impl Add {
     }
 
     fn read(&self, folder: &Path) -> Result<Entry> {
-        let text = |name: &str| {
-            let path = folder.join(name);
-            read_text(&path, LARGEST_RESULT).map_err(|error| {
-                Error::usage(format!("{} holds no results of a run: {name}: {error}", folder.display()))
-                    .help("name a folder that `abbe run` wrote")
-            })
-        };
-        let record =
-            RunRecord::from_json(&text("run.json")?).map_err(|error| error.in_file(&folder.join("run.json")))?;
-        let verdicts = Verdict::list_from_json(&text(VERDICTS)?)?;
+        let path = folder.join("run.json");
+        let text = read_text(&path, LARGEST_RESULT).map_err(|error| {
+            Error::usage(format!("{} holds no results of a run: run.json: {error}", folder.display()))
+                .help("name a folder that `abbe run` wrote")
+        })?;
+        let record = RunRecord::from_json(&text).map_err(|error| error.in_file(&path))?;
+        let verdicts = Verdict::list_from_json(&record.written_text(folder, VERDICTS)?)?;
         let names = record.outputs.iter().filter_map(|output| output.file.strip_suffix(CALIBRATION));
         let calibration = |name: &str| {
             let file = format!("{name}{CALIBRATION}");
-            let read = Calibration::from_json(&text(&file)?).map_err(|error| error.in_file(&folder.join(&file)));
+            let text = record.written_text(folder, &file)?;
+            let read = Calibration::from_json(&text).map_err(|error| error.in_file(&folder.join(&file)));
             Ok((name.to_owned(), read?))
         };
         let calibrations = names.map(calibration).collect::<Result<Vec<_>>>()?;

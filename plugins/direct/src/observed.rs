@@ -189,11 +189,10 @@ impl<'a> Columns<'a> {
         let position = self.positions.map_or(f64::NAN, |positions| positions[row]);
         status[command] = position;
         if let (Some(approach), Some(directions)) = (leg.approach, self.directions) {
-            status[approach] = match directions[row].as_str() {
-                "1" | "+1" => 1.0,
-                "-1" => -1.0,
-                "0" => 0.0,
-                other => return Err(data.error_at(row, format!("`direction` is {other}; 1, -1 or 0 was expected"))),
+            let direction = &directions[row];
+            status[approach] = match direction.trim().parse::<f64>() {
+                Ok(sign) if [1.0, -1.0, 0.0].contains(&sign) => sign,
+                _ => return Err(data.error_at(row, format!("`direction` is {direction}; 1, -1 or 0 was expected"))),
             };
         }
         Ok(position)

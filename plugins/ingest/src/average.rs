@@ -96,7 +96,7 @@ impl Average {
 }
 
 /// Distance from the other series, in mm, that is told.
-const FAR: f64 = 0.05;
+const FAR: f64 = 0.02;
 
 /// How many times as far away as the other series.
 const FARTHER: f64 = 10.0;

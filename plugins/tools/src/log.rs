@@ -78,6 +78,16 @@ pub fn tools(path: &Path, settings: &Settings) -> Result<Vec<(Tool, usize)>> {
             );
             return Err(data.error_at(row, message).help("is it in the unit that its column says?"));
         }
+        let breakage = settings.limits.breakage_um;
+        if tool.wear_limit[0] * 1e3 > breakage {
+            let message = format!(
+                "{} of tool {name} is {} um, and a tool is broken that is short by more than {breakage} um (`breakage_um`)",
+                TABLE[2],
+                tool.wear_limit[0] * 1e3
+            );
+            let help = "such a tool would never be worn: is one of the two in another unit?";
+            return Err(data.error_at(row, message).help(help));
+        }
         tools.push((tool, data.origins[row].line));
     }
     match tools.is_empty() {
