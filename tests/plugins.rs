@@ -198,6 +198,21 @@ fn the_pages_of_plugins_are_up_to_date() {
     }
 }
 
+/// Tables have their rows in one line each.
+#[test]
+fn lines_of_pages_are_short() {
+    let pages = |folder: &str| {
+        let all = tree(&root().join(folder)).into_iter().map(move |file| root().join(folder).join(file));
+        all.filter(|file| file.extension().is_some_and(|ending| ending == "md"))
+    };
+    let at_root = ["README.md", "CHANGELOG.md", "CONTRIBUTING.md"].map(|name| root().join(name));
+    let pages = ["docs", "crates", "plugins"].into_iter().flat_map(pages).chain(at_root);
+    for page in pages {
+        let is_long = |line: &&str| line.chars().count() > 120 && !line.starts_with('|');
+        assert_eq!(read(&page).lines().find(is_long), None, "{}", page.display());
+    }
+}
+
 #[test]
 fn a_file_that_is_no_page_is_never_replaced() {
     let folder = temporary();

@@ -92,21 +92,23 @@ pub fn copied_runs(problem: &Problem) -> Vec<String> {
         if data.copied_rows(rows.iter().copied(), IN_TURN, false).is_some() {
             return None;
         }
-        let (count, first) = data.copied_rows(rows.iter().copied(), IN_TURN, true)?;
         let uncertainty = *uncertainties.get(&index)?;
-        let is_fine = read_columns(set)?.iter().any(|column| step(column, &rows) < FINE * uncertainty);
+        let columns = read_columns(set)?;
+        let mut files: BTreeMap<usize, Vec<DataRow>> = BTreeMap::new();
+        rows.iter().for_each(|&row| files.entry(data.origins[row].file).or_default().push(row));
+        files.retain(|_, rows| columns.iter().any(|column| step(column, rows) < FINE * uncertainty));
+        let fine: BTreeSet<DataRow> = files.into_values().flatten().collect();
+        let (count, first) = data.copied_rows(fine, IN_TURN, true)?;
         let lines = first.map(|row| data.origins[row].line);
         let file = data.files.get(data.origins[first[1]].file).filter(|_| data.files.len() > 1);
-        is_fine.then(|| {
-            format!(
-                "{}: {count} rows have the numbers of earlier ones to the last digit under other labels (the first: lines {} and {}{}): are \
+        Some(format!(
+            "{}: {count} rows have the numbers of earlier ones to the last digit under other labels (the first: lines {} and {}{}): are \
                  they copies? Each counts as a measurement of its own",
-                set.name,
-                lines[0],
-                lines[1],
-                file.map_or(String::new(), |file| format!(" of `{}`", file.display()))
-            )
-        })
+            set.name,
+            lines[0],
+            lines[1],
+            file.map_or(String::new(), |file| format!(" of `{}`", file.display()))
+        ))
     };
     SetIndex::enumerate(&problem.sets).filter_map(of_set).collect()
 }
@@ -131,7 +133,7 @@ fn read_columns(set: &ObservationSet) -> Option<Vec<&[f64]>> {
 }
 
 /// The smallest difference of two numbers of a column: the step of its digits.
-fn step(column: &[f64], rows: &BTreeSet<DataRow>) -> f64 {
+fn step(column: &[f64], rows: &[DataRow]) -> f64 {
     let mut numbers: Vec<f64> = rows.iter().map(|&row| column[row]).filter(|number| number.is_finite()).collect();
     numbers.sort_by(f64::total_cmp);
     numbers.windows(2).map(|pair| pair[1] - pair[0]).filter(|step| *step > 0.0).fold(f64::INFINITY, f64::min)

@@ -138,8 +138,8 @@ pub(super) fn too_bad(fit: &Fit) -> Vec<String> {
     found.sort_by(|one, other| other.2.rms().total_cmp(&one.2.rms()));
     let sentence = |(stage, file, own): &(&str, &Path, Residuals)| {
         format!(
-            "  {}: the residuals of {stage} in `{}` are {} times what is stated, those of most others {} times: is it the right file, or \
-             is something of it misstated (certificate, unit, place, uncertainty)?\n",
+            "  {}: the residuals of {stage} in `{}` are {} times what is stated, those of most others {} times: is it the right file, \
+             does the model lack an error there, or is something misstated (certificate, unit, place, uncertainty)?\n",
             fit.name,
             file.display(),
             short(own.rms()),
