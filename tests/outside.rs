@@ -2,6 +2,7 @@
 //! gate.
 
 mod browser;
+mod certificate;
 mod driver;
 mod first_error_family;
 mod instruction_sets;

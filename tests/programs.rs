@@ -599,6 +599,15 @@ fn what_a_program_leaves_open_is_told_or_refused() {
     let found = compensate("fanuc", &fed, &zero);
     assert!(found.status == 1 && found.stderr.contains("part.nc:7:"), "{}", found.stderr);
     assert!(!at.join("new.nc").exists());
+    // With D1 nobody knows where SUPA leaves the tip: Z is not written until the program names it; with D0 it is known.
+    for (edge, is_written) in [("D1", false), ("D0", true)] {
+        let parked = format!("G71 G90 G17 G94\nG54\nD1\nG0 X0 Y0 Z50\n{edge}\nSUPA G0 Z200\nG0 X50\nD1\nG0 Z50\nM30\n");
+        let found = compensate("siemens", &parked, &zero);
+        assert_eq!(found.status, 0, "{}", found.stderr);
+        let text = written();
+        let after: Vec<&str> = text.lines().skip_while(|line| !line.contains("SUPA")).collect();
+        assert_eq!(after[1].contains('Z'), is_written, "{edge}: {text}");
+    }
     // Units and absolute numbers.
     let silent = "G0 X0. Y0. Z100.\nG1 X50. F100\nM30\n";
     for (dialect, told) in [("fanuc", 2), ("iso", 2), ("linuxcnc", 1), ("grbl", 0)] {

@@ -2,6 +2,7 @@
 
 use std::rc::Rc;
 
+use crate::dialect::Dialect;
 use crate::geometry::{Arc, Coordinates, Path, centre_of_radius, is_rotary, place, sweep};
 use crate::lexer::{self, Line, Sense, Word};
 use crate::machine::{Machine, Space};
@@ -174,7 +175,9 @@ impl<'a> Reader<'a> {
             if self.modal.relative || word.sense == Sense::Relative {
                 return Err(refused(word, "a relative position in machine coordinates", "write G90"));
             }
-            self.modal.at[axis] = Some(word.value * self.modal.unit(axis));
+            // Whether a SINUMERIK leaves the length of the tool out here is a machine datum (10760, G53_TOOLCORR).
+            let is_open = self.options.dialect == Dialect::Siemens && self.modal.length.is_some() && axis < 3;
+            self.modal.at[axis] = (!is_open).then(|| word.value * self.modal.unit(axis));
         }
         Ok(())
     }

@@ -10,6 +10,7 @@ use abbe_ball_bar_closed_form as _;
 use abbe_balls as _;
 use abbe_calibrated_points as _;
 use abbe_calibrations as _;
+use abbe_certificate as _;
 use abbe_control_parameters as _;
 use abbe_direct as _;
 use abbe_exporters as _;

@@ -1,0 +1,182 @@
+use abbe_core::{CALIBRATION_FORMAT, from_settings};
+use serde_json::{Value, json};
+
+use super::*;
+
+/// A value of a certificate as a reader finds it.
+#[derive(Debug, PartialEq)]
+struct Stated {
+    label: String,
+    value: f64,
+    unit: String,
+    expanded: f64,
+    factor: f64,
+}
+
+/// What a reader that shares no code with the writer finds: values, and the covariance by columns.
+fn read(text: &str) -> (Vec<Stated>, Vec<Vec<f64>>) {
+    let document = roxmltree::Document::parse(text).expect("XML");
+    let words = |name: &str| -> Vec<String> {
+        let node = document.descendants().find(|node| node.tag_name().name() == name).expect("the element");
+        node.text().expect("its text").split(' ').map(str::to_owned).collect()
+    };
+    let numbers = |name: &str| -> Vec<f64> { words(name).iter().map(|word| word.parse().expect("a number")).collect() };
+    let (values, expanded, factors) =
+        (numbers("valueXMLList"), numbers("uncertaintyXMLList"), numbers("coverageFactorXMLList"));
+    let units = words("unitXMLList");
+    let listed = words("labelXMLList").into_iter().enumerate().map(|(at, label)| Stated {
+        label,
+        value: values[at],
+        unit: units[at].clone(),
+        expanded: expanded[at],
+        factor: factors[at],
+    });
+    let columns = document.descendants().filter(|node| node.tag_name().name() == "column");
+    let covariance = columns.map(|column| {
+        let cells = column.descendants().filter(|node| node.tag_name().name() == "value");
+        cells.map(|cell| cell.text().expect("a text").parse().expect("a number")).collect()
+    });
+    (listed.collect(), covariance.collect())
+}
+
+fn calibration() -> Calibration {
+    let parameter = |name: &str, value: f64, unit: &str, u: f64, status: &str| json!({ "name": name, "value": value, "unit": unit, "standard_uncertainty": u, "status": status });
+    let text = json!({
+        "abbe_calibration": CALIBRATION_FORMAT,
+        "estimate": "fit",
+        "model": { "plugin": "serial-chain", "settings": {} },
+        "parameters": [
+            parameter("EXX[1]", -1.2e-5, "1", 3e-7, "estimated"),
+            parameter("EB0C", 4.5e-5, "rad", 2e-6, "estimated"),
+            parameter("EXB[2]", 7.25e-3, "mm/rad^2", 1e-3, "estimated"),
+            parameter("EYY[1]", 1e-6, "1", 0.0, "fixed"),
+        ],
+        "artefacts": [],
+        "covariance": {
+            "order": ["EB0C", "EXX[1]", "EXB[2]"],
+            "rows": [[4e-12, 1e-13, 0.0], [1e-13, 9e-14, 2e-11], [0.0, 2e-11, 1e-6]],
+        },
+        "data": [{ "file": "touches & more.csv", "sha256": "ab".repeat(32), "rows": [[1, 9]] }],
+        "outliers": [],
+        "fit": {
+            "observations": 9, "unknowns": 3, "rank": 3, "condition": 1, "degrees_of_freedom": 6, "sigma": 1,
+            "iterations": 1, "termination": "converged", "residual_max_um": 0, "residual_mean_abs_um": 0,
+            "residual_rms_um": 0, "null_space": []
+        }
+    });
+    Calibration::from_json(&text.to_string()).expect("a calibration")
+}
+
+fn built(settings: &Value) -> Result<Dcc, SettingsError> {
+    let settings: Settings = from_settings(settings)?;
+    settings.check().map(|()| Dcc { settings })
+}
+
+fn written(settings: &Value, calibration: &Calibration) -> Result<String> {
+    let dcc = built(settings).expect("settings");
+    certificate(&dcc.settings, calibration, &dcc.certified(calibration)?)
+}
+
+#[test]
+fn a_reader_finds_values_units_uncertainties_and_covariance() {
+    let (stated, covariance) = read(&written(&example(), &calibration()).expect("a certificate"));
+    let normal = 1.959_963_984_540_054;
+    let expected = [
+        ("EXX[1]", -1.2e-5, r"\one", 3e-7),
+        ("EB0C", 4.5e-5, r"\radian", 2e-6),
+        ("EXB[2]", 7.25e-3, r"\milli\metre\radian\tothe{-2}", 1e-3),
+    ];
+    assert_eq!(stated.len(), expected.len());
+    for (found, (label, value, unit, u)) in stated.iter().zip(expected) {
+        assert_eq!((found.label.as_str(), found.value, found.unit.as_str()), (label, value, unit));
+        assert!((found.factor - normal).abs() < 1e-9, "{found:?}");
+        assert!((found.expanded / (normal * u) - 1.0).abs() < 1e-9, "{found:?}");
+    }
+    assert_eq!(covariance, [[9e-14, 1e-13, 2e-11], [1e-13, 4e-12, 0.0], [2e-11, 0.0, 1e-6]]);
+    // The schema takes no exponents in factors and probabilities.
+    let text = written(&example(), &calibration()).expect("a certificate");
+    let document = roxmltree::Document::parse(&text).expect("XML");
+    for node in document.descendants().filter(|node| node.tag_name().name().starts_with("coverage")) {
+        let texts = node.text().expect("a text").split(' ');
+        texts.for_each(|text| assert!(text.bytes().all(|byte| byte == b'.' || byte.is_ascii_digit()), "{text}"));
+    }
+    // The ellipsoid: chi-squared with three degrees of freedom at 0.95 is 7.8147 (tables).
+    let joint = document.descendants().find(|node| node.tag_name().name() == "coverageFactor").expect("the factor");
+    let joint: f64 = joint.text().expect("a text").parse().expect("a number");
+    assert!((joint * joint - 7.8147).abs() < 1e-4, "{joint}");
+}
+
+/// Order of elements as the schema DCC 3.2.1 has it, and everything that only people know.
+#[test]
+fn the_certificate_says_who_what_and_when_in_the_order_of_the_schema() {
+    let text = written(&example(), &calibration()).expect("a certificate");
+    let document = roxmltree::Document::parse(&text).expect("XML");
+    let children = |name: &str| -> Vec<String> {
+        let node = document.descendants().find(|node| node.tag_name().name() == name).expect("the element");
+        let elements = node.children().filter(roxmltree::Node::is_element);
+        elements.map(|child| child.tag_name().name().to_owned()).collect()
+    };
+    for (name, expected) in [
+        ("digitalCalibrationCertificate", "administrativeData measurementResults"),
+        (
+            "coreData",
+            "countryCodeISO3166_1 usedLangCodeISO639_1 mandatoryLangCodeISO639_1 uniqueIdentifier beginPerformanceDate \
+             endPerformanceDate performanceLocation",
+        ),
+        ("item", "name manufacturer model identifications"),
+        ("contact", "name location"),
+        ("respPerson", "person role mainSigner"),
+        (
+            "measurementResult",
+            "name usedMethods usedSoftware measuringEquipments influenceConditions results measurementMetaData",
+        ),
+        ("realListXMLList", "labelXMLList valueXMLList unitXMLList expandedUncXMLList ellipsoidalRegionXMLList"),
+    ] {
+        assert_eq!(children(name).join(" "), expected, "{name}");
+    }
+    for words in
+        ["CAL-2026-0412", "head of the laboratory", "touches &amp; more.csv", &"ab".repeat(32), "ISO 230-1:2012"]
+    {
+        assert!(text.contains(words), "{words}");
+    }
+}
+
+#[test]
+fn what_only_people_know_has_no_default() {
+    let example = example();
+    let keys = example.as_object().expect("settings").keys();
+    for key in keys {
+        let mut other = example.clone();
+        other.as_object_mut().expect("settings").remove(key);
+        let error = built(&other).err().unwrap_or_else(|| panic!("{key} is not needed"));
+        assert!(error.to_string().contains(key.as_str()), "{key}: {error}");
+    }
+    for (pointer, value, words) in [
+        ("/laboratory/name", json!(" "), "is empty"),
+        ("/laboratory/country", json!("Germany"), "two capital letters"),
+        ("/customer/city", json!("Town\u{1b}[2J"), "control characters"),
+        ("/begin", json!("2026-02-30"), "a day as"),
+        ("/end", json!("2026-03-01"), "not before `begin`"),
+        ("/persons", json!([]), "at least one"),
+        ("/conditions/0/unit", json!("furlong"), "no unit of a condition"),
+        ("/conditions/0/from", json!(30), "the smaller number first"),
+    ] {
+        let mut other = example.clone();
+        *other.pointer_mut(pointer).expect("a setting") = value;
+        let error = built(&other).err().unwrap_or_else(|| panic!("{pointer} passes"));
+        assert!(error.to_string().contains(words), "{pointer}: {error}");
+    }
+}
+
+#[test]
+fn only_what_is_determined_is_certified() {
+    let mut calibration = calibration();
+    let mut some = example();
+    some["parameters"] = json!(["E??[*]"]);
+    assert_eq!(read(&written(&some, &calibration).expect("a certificate")).0.len(), 2);
+    some["parameters"] = json!(["EYY*"]);
+    assert!(written(&some, &calibration).expect_err("fixed").to_string().contains("no estimated parameter"));
+    calibration.parameters[1].status = Status::Confounded;
+    let error = written(&example(), &calibration).expect_err("confounded");
+    assert!(error.to_string().contains("do not determine EB0C"), "{error}");
+}
