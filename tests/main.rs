@@ -61,6 +61,7 @@ mod thermal_lines;
 mod thermal_series;
 mod ties;
 mod timed_order;
+mod told;
 mod tools;
 mod truth;
 mod uncertainty;

@@ -30,6 +30,9 @@ const LOBE: f64 = 0.2;
 /// Longest plausible time from the contact to the recorded position, s: radio and slow inputs take milliseconds.
 const DELAY: f64 = 0.05;
 
+/// Longest plausible lag of an axis behind its command, s: the slowest loops of position (a gain of 0.5 m/min a mm) have 0.12 s.
+const LAG: f64 = 0.2;
+
 /// The same for a position that is recorded before the contact: a control that corrects its delay may do so by too much, s.
 const EARLY: f64 = 5e-3;
 
@@ -213,13 +216,14 @@ fn judged(
         let (value, standard_uncertainty) = value(unknown);
         let nominal = at.model.info().nominal[unknown.index];
         let Some(bound) = bound(plausible, at, unknown, value - nominal) else { continue };
-        let Some(effect) = motions.effect(unknown) else { continue };
+        let is_lag = is_lag(at, unknown);
+        let Some(effect) = (if is_lag { Some(1.0) } else { motions.effect(unknown) }) else { continue };
         let bound = match per_kelvin(unknown.unit) {
             Some(most) if stated(plausible, unknown).is_none() => bound.min(most * effect),
             _ => bound,
         };
         // Terms that are large where the travel is far from zero may cancel: what counts is the error motion that they make together.
-        let whole = motions.whole(at, unknown).unwrap_or(f64::INFINITY);
+        let whole = motions.whole(at, unknown).filter(|_| !is_lag).unwrap_or(f64::INFINITY);
         let size = ((value - nominal) * effect).clamp(-whole, whole);
         let margin = COVERED * standard_uncertainty * effect;
         if size.abs() - margin > TOLD * bound {
@@ -316,13 +320,14 @@ fn bound(plausible: &Plausible, problem: &Problem, unknown: &Unknown, change: f6
     let index = match unknown.unit.of {
         Quantity::Length | Quantity::PerTemperature => 0,
         Quantity::Angle => 1,
-        Quantity::Time if matches!(role, ParameterRole::Probe { .. }) => 2,
+        Quantity::Time if matches!(role, ParameterRole::Probe { .. }) || is_lag(problem, unknown) => 2,
         _ => return None,
     };
     if let Some(bound) = stated(plausible, unknown) {
         return Some(bound);
     }
     match role {
+        ParameterRole::Motion { .. } if index == 2 => Some(LAG),
         ParameterRole::Motion { .. } => MOTION.get(index).copied(),
         ParameterRole::Location { .. } => LOCATION.get(index).copied(),
         ParameterRole::SetUp => SET_UP.get(index).copied(),
@@ -331,6 +336,12 @@ fn bound(plausible: &Plausible, problem: &Problem, unknown: &Unknown, change: f6
         ParameterRole::Probe { .. } => Some(LOBE),
         ParameterRole::Shape | ParameterRole::Factor | ParameterRole::Feature | ParameterRole::Other => None,
     }
+}
+
+/// Whether it is the lag of an axis, which is judged as a time: slow paths make little of it.
+fn is_lag(problem: &Problem, unknown: &Unknown) -> bool {
+    let role = problem.model.info().parameters[unknown.index].role;
+    unknown.unit == Unit::of(Quantity::Time) && matches!(role, ParameterRole::Motion { .. })
 }
 
 /// Error motions over the recorded statuses.

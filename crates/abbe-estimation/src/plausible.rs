@@ -18,7 +18,7 @@ pub struct Plausible {
     /// Errors that are angles, mrad.
     #[serde(default)]
     pub mrad: BTreeMap<String, f64>,
-    /// Errors that are times, s: the delay of a probe.
+    /// Errors that are times, s: the delay of a probe, the lag of an axis.
     #[serde(default)]
     pub s: BTreeMap<String, f64>,
 }

@@ -1,5 +1,6 @@
 //! Validator plugin `circular`: circular tests in the manner of ISO 230-4.
 
+use std::f64::consts::{PI, TAU};
 use std::fmt::Write as _;
 
 use abbe_core::{
@@ -112,8 +113,23 @@ impl Circular {
         Ok((!samples.is_empty()).then(|| Trace::new(&samples)))
     }
 
+    /// A remark on directions that the order of angles contradicts.
+    fn turned(&self, data: &Dataset, run: &str) -> Result<Option<String>> {
+        let (angles, directions) = (finite(data, &self.angle, Quantity::Angle)?, directions(data)?);
+        let steps = angles.windows(2).zip(directions.windows(2)).filter(|(_, ways)| ways[0] == ways[1]);
+        let turns = |pair: &[f64]| (pair[1] - pair[0] + PI).rem_euclid(TAU) - PI;
+        let against = |(pair, ways): &(&[f64], &[bool])| turns(pair) != 0.0 && (turns(pair) > 0.0) != ways[0];
+        let (all, count) = (steps.clone().count(), steps.filter(against).count());
+        Ok((2 * count > all).then(|| {
+            format!(
+                "{run}: the angles run against `direction` in most rows: are cw and ccw exchanged, or is the sign of the angle wrong?"
+            )
+        }))
+    }
+
     fn judge(&self, data: &Dataset, findings: &mut Findings) -> Result<()> {
         let run = run_name(data);
+        findings.remarks.extend(self.turned(data, &run)?);
         let readings = finite(data, &self.reading, Quantity::Length)?;
         findings.remarks.extend(doubted(&run, &[readings]));
         let um: Vec<f64> = readings.iter().map(|value| 1e3 * value).collect();

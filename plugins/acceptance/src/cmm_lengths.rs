@@ -115,6 +115,28 @@ fn measured(data: &Dataset) -> Result<Vec<Measured>> {
     Ok((0..values.len()).map(of).collect())
 }
 
+/// Distance, part of a length, by which the ends of a line may be off it: they are approached, not measured.
+const APPROACHED: f64 = 0.05;
+
+/// A remark on ends of lines (columns X1, Y1, Z1, X2, Y2, Z2) whose distance is not the length: columns that were exchanged, or rows of
+/// other lines.
+fn misplaced(run: &str, data: &Dataset, all: &[Measured]) -> Option<String> {
+    let ends: Option<Vec<&[f64]>> =
+        ["X1", "Y1", "Z1", "X2", "Y2", "Z2"].into_iter().map(|name| data.numbers(name)).collect();
+    let ends = ends?;
+    let distance = |row: usize| (0..3).map(|axis| (ends[axis + 3][row] - ends[axis][row]).powi(2)).sum::<f64>().sqrt();
+    let is_off = |(row, length): &(usize, &Measured)| {
+        (distance(*row) - length.reference).abs() > APPROACHED * length.reference || distance(*row).is_nan()
+    };
+    let (row, length) = all.iter().enumerate().find(is_off)?;
+    Some(format!(
+        "{run}: the ends of the line in line {} are {:.3} mm apart, and its length is {} mm: are columns or rows exchanged?",
+        data.origins[DataRow(row)].line,
+        distance(row),
+        length.reference
+    ))
+}
+
 impl Lengths {
     fn permissible(&self) -> Permissible {
         Permissible {
@@ -160,6 +182,7 @@ impl Lengths {
         }
         let errors: Vec<f64> = all.iter().map(Measured::error).collect();
         findings.remarks.extend(doubted(&run, &[&errors]));
+        findings.remarks.extend(misplaced(&run, data, &all));
         let symbol = format!("E_{}", self.stylus_beside_mm);
         let named = |name: &str| format!("{name}[{run}]");
         let errors = || all.iter().map(|value| 1e3 * value.error());

@@ -77,7 +77,10 @@ pub fn of_touches(
                 ball.label,
                 labels[first]
             ))
-            .help("three touches or more in different directions are needed")
+            .help(
+                "three touches or more in different directions are needed; if there are, the recorded positions do not lie around this \
+                 ball: a sign, a unit, a place or the length of the tool may be wrong",
+            )
         })?;
         let pose = layout.poses.end();
         layout.push(model, first, &centre.spread.map(|spread| spread * uncertainty))?;

@@ -50,8 +50,10 @@ fn of_files(fit: &Fit) -> BTreeMap<(&str, &Path), Residuals> {
 /// Fewest residuals of a file that are looked at: fewer may be what the unknowns make of them.
 const OF_A_FILE: usize = 20;
 
-/// Part of what was stated below which the residuals of a file are not believed where those of others are as stated.
+/// Part of what was stated below which the residuals of a file are not believed where those of others are as stated: of few, and of
+/// many. Seconds of arc for microradians are 0.21.
 const TOO_GOOD: f64 = 0.05;
+const TOO_GOOD_OF_MANY: f64 = 0.25;
 
 /// Part of what was stated above which the residuals of the others are about as stated.
 const OTHERS: f64 = 0.5;
@@ -59,11 +61,11 @@ const OTHERS: f64 = 0.5;
 /// Part of what was stated below which residuals are those of exact data: no other unit makes them so small.
 const EXACT: f64 = 1e-6;
 
-/// Residuals of a file that are about half of what is stated, where those of the others are about as stated; fewest of them, and rows
-/// of a file for each unknown.
+/// Residuals of a file that are about half of what is stated, where those of the others are about as stated; how many of them are many,
+/// and rows of a file for each unknown.
 const HALF: std::ops::Range<f64> = 0.45..0.55;
 const AS_STATED: std::ops::Range<f64> = 0.85..1.2;
-const OF_A_HALF: usize = 100;
+const MANY: usize = 100;
 const ROWS_OF_AN_UNKNOWN: usize = 4;
 
 /// Files whose residuals are far smaller than stated while those of the other files are not: their readings are in another unit.
@@ -75,9 +77,11 @@ pub(super) fn too_good(fit: &Fit) -> Vec<String> {
     let mut all = Residuals::default();
     files.values().for_each(|own| all.add(*own));
     let others = |own: &Residuals| Residuals { sum: all.sum - own.sum, count: all.count - own.count }.rms();
-    let is_too_good =
-        |own: &Residuals| own.count >= OF_A_FILE && (EXACT..TOO_GOOD).contains(&own.rms()) && others(own) > OTHERS;
-    let fewest = OF_A_HALF.max(ROWS_OF_AN_UNKNOWN * fit.problem.unknowns.len());
+    let is_too_good = |own: &Residuals| {
+        let most = if own.count >= MANY { TOO_GOOD_OF_MANY } else { TOO_GOOD };
+        own.count >= OF_A_FILE && (EXACT..most).contains(&own.rms()) && others(own) > OTHERS
+    };
+    let fewest = MANY.max(ROWS_OF_AN_UNKNOWN * fit.problem.unknowns.len());
     let is_half =
         |own: &Residuals| own.count >= fewest && HALF.contains(&own.rms()) && AS_STATED.contains(&others(own));
     let sentence = |(file, own): (&Path, Residuals)| {
