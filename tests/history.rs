@@ -1,7 +1,9 @@
 //! The history of one machine: every figure of the set, the events of its truth, and a file that loses nothing.
 
-mod kept;
+pub(crate) mod kept;
 mod machines;
+pub(crate) mod serve;
+pub(crate) mod stored;
 
 use std::collections::{BTreeMap, BTreeSet};
 

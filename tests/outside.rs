@@ -9,3 +9,5 @@ mod linuxcnc;
 mod measured;
 mod page;
 mod programs;
+mod served;
+mod server;

@@ -22,7 +22,9 @@ fn people(unit: &str) -> (String, f64) {
 /// All findings about a history.
 pub fn findings(of: &str, history: &History, analysis: &Analysis, changes: Limit) -> Result<Findings> {
     let mut findings = Findings::default();
-    let changed = analysis.parameters.iter().filter(|parameter| is_alarm(parameter.state)).count();
+    // The volumetric error is no parameter: it changes with them.
+    let counts = |parameter: &&ParameterTrend| is_alarm(parameter.state) && !parameter.derived;
+    let changed = analysis.parameters.iter().filter(counts).count();
     let rejected = analysis.tests.iter().filter(|test| !test.good).count();
     // Without a test that counts there is no number of changes, and no limit is kept.
     let changed = if analysis.is_judged() { changed as f64 } else { f64::NAN };
