@@ -4,6 +4,8 @@ pub(crate) mod kept;
 mod machines;
 pub(crate) mod serve;
 pub(crate) mod stored;
+mod volumetric;
+mod worn;
 
 use std::collections::{BTreeMap, BTreeSet};
 

@@ -5,7 +5,7 @@ use std::fmt::Write as _;
 use abbe_trend::{Analysis, Quality};
 
 use crate::html::{Cell, details, escape, paragraph, table};
-use crate::page::{parts_of, whole};
+use crate::page::{page, parts_of, whole};
 use crate::run::Run;
 use crate::sections::trend;
 
@@ -18,6 +18,8 @@ pub struct ListedMachine {
     pub calibrations: i64,
     /// When the last one was: `week 40`, `2026-03-02`.
     pub last: String,
+    /// Its state: `in control`, `alarm`, `not judged`; none where there are too many machines to judge all at once.
+    pub state: Option<&'static str>,
 }
 
 /// An entry in the list.
@@ -70,12 +72,15 @@ pub fn machines_page(machines: &[ListedMachine], entries: &[ListedEntry], older:
             Cell::Html(anchor(&link, &machine.name)),
             Cell::figure(machine.calibrations.to_string()),
             Cell::text(&machine.last),
+            Cell::Html(machine.state.map_or_else(String::new, |state| {
+                format!("<span class=\"{}\">{}</span>", class_of(state), escape(state))
+            })),
         ]
     });
     let rows: Vec<Vec<Cell>> = rows.collect();
     let of_machines = match rows.is_empty() {
         true => paragraph("No machine yet: `abbe history add` adds the results of runs."),
-        false => table("Every machine with its last calibration", &["machine", "calibrations", "last"], &rows),
+        false => table("Every machine with its last calibration", &["machine", "calibrations", "last", "state"], &rows),
     };
     let rows = entries.iter().map(|entry| {
         let short: String = entry.sha256.chars().take(12).collect();
@@ -96,11 +101,7 @@ pub fn machines_page(machines: &[ListedMachine], entries: &[ListedEntry], older:
 
 /// The page about one machine.
 pub fn machine_page(page: &MachinePage<'_>) -> String {
-    let class = match page.state {
-        "in control" => "pass",
-        "alarm" => "fail",
-        _ => "unsure",
-    };
+    let class = class_of(page.state);
     let mut first = format!("<p class=\"verdict {class}\">{}</p>\n", escape(&capital(page.state)));
     first.push_str(&choices(page));
     let mut parts = vec![("state".to_owned(), "State".to_owned(), first)];
@@ -131,6 +132,14 @@ pub fn machine_page(page: &MachinePage<'_>) -> String {
     with_way_back(&whole(page.machine, &[], &parts))
 }
 
+fn class_of(state: &str) -> &'static str {
+    match state {
+        "in control" => "pass",
+        "alarm" => "fail",
+        _ => "unsure",
+    }
+}
+
 /// Other estimates of the machine, to be charted or compared with.
 fn choices(page: &MachinePage<'_>) -> String {
     let mut html = String::new();
@@ -157,8 +166,14 @@ fn choices(page: &MachinePage<'_>) -> String {
     html
 }
 
-/// The report about what an entry has, or about one of its calibrations.
-pub fn entry_page(number: i64, sha256: &str, kept: &[KeptCalibration], run: &Run) -> String {
+/// The report about what an entry has. `files` are those that were read for it, with their hashes.
+pub fn entry_page(
+    number: i64,
+    sha256: &str,
+    kept: &[KeptCalibration],
+    files: &[(String, String)],
+    run: &Run,
+) -> String {
     let mut machines: Vec<&str> = kept.iter().map(|own| own.machine.as_str()).collect();
     machines.sort_unstable();
     machines.dedup();
@@ -177,9 +192,21 @@ pub fn entry_page(number: i64, sha256: &str, kept: &[KeptCalibration], run: &Run
     let rows: Vec<Vec<Cell>> = rows.collect();
     let all = table("What the entry has", &["calibration", "when", "file"], &rows);
     html.push_str(&details(&format!("{} calibrations", rows.len()), rows.len() <= 8, &all));
+    let row = |(file, sha256): &(String, String)| {
+        vec![Cell::text(file), Cell::Html(format!("<code>{}</code>", escape(sha256)))]
+    };
+    let read = table("Files that were read", &["file", "SHA-256"], &files.iter().map(row).collect::<Vec<_>>());
+    html.push_str(&details(&format!("{} files that were read", files.len()), false, &read));
     let mut parts = vec![("kept".to_owned(), "In the history".to_owned(), html)];
     parts.extend(parts_of(std::slice::from_ref(run)));
     with_way_back(&whole(&run.title, &[&run.name], &parts))
+}
+
+/// The report about one calibration of an entry.
+pub fn calibration_page(entry: i64, run: &Run) -> String {
+    let way =
+        format!("<header>\n<p><a href=\"/\">All machines</a> · <a href=\"/entry/{entry}\">entry {entry}</a></p>\n");
+    page(std::slice::from_ref(run)).replacen("<header>\n", &way, 1)
 }
 
 /// A page that says what went wrong.
@@ -238,11 +265,11 @@ mod tests {
     #[test]
     fn names_are_text() {
         let name = "<script>alert(1)</script>\"' onclick=x &amp; javascript:alert(1) ../../etc";
-        let machine = ListedMachine { name: name.into(), calibrations: 3, last: name.into() };
+        let machine = ListedMachine { name: name.into(), calibrations: 3, last: name.into(), state: Some("alarm") };
         let entry = ListedEntry { number: 7, recipe: name.into(), sha256: name.into() };
         let kept = KeptCalibration { entry: 7, estimate: name.into(), machine: name.into(), when: name.into() };
         let estimates = [name.to_owned(), "other".to_owned()];
-        let page = MachinePage {
+        let shown = MachinePage {
             machine: name,
             estimate: name,
             estimates: &estimates,
@@ -251,7 +278,7 @@ mod tests {
             told: Err(name.to_owned()),
             tests: &[kept],
         };
-        for told in [machines_page(&[machine], &[entry], Some(3)), machine_page(&page), refusal_page(name, name)] {
+        for told in [machines_page(&[machine], &[entry], Some(3)), machine_page(&shown), refusal_page(name, name)] {
             let body = told.split("<body>").nth(1).unwrap().split("<script>\"use strict\"").next().unwrap();
             assert!(!body.contains("<script>alert") && !body.contains("\"' onclick"), "{body}");
             for link in body.split("href=\"").skip(1) {

@@ -134,7 +134,7 @@ pub fn sentences(history: &History, analysis: &Analysis) -> Vec<String> {
                     parameter.name
                 ));
             }
-            State::Changed if parameter.left < 1e-4 => told.push(format!(
+            State::Changed if parameter.left < 1e-4 && !parameter.derived => told.push(format!(
                 "{} does more than one change explains (p = {:.1e} of what is left)",
                 parameter.name, parameter.left
             )),
@@ -161,9 +161,10 @@ pub fn sentences(history: &History, analysis: &Analysis) -> Vec<String> {
                     100.0 * again.rule.risk
                 ),
                 (_, Some(after)) => format!(
-                    "{} keeps {limit} {people_unit} with a risk of {} % for {after} {unit}s after {unit} {last}: measure again then",
+                    "{} keeps {limit} {people_unit} with a risk of {} % for {after} {unit}{plural} after {unit} {last}: measure again then",
                     parameter.name,
-                    100.0 * again.rule.risk
+                    100.0 * again.rule.risk,
+                    plural = if after == 1 { "" } else { "s" }
                 ),
                 (_, None) => format!("{} keeps {limit} {people_unit} as far as can be told", parameter.name),
             });

@@ -5,13 +5,17 @@ use std::path::PathBuf;
 use abbe_core::{Class, Error, Registry, Result};
 use abbe_history::{Entry, Filter, History, Stored};
 use abbe_report::{
-    KeptCalibration, ListedEntry, ListedMachine, MachinePage, Run, entry_page, machine_page, machines_page, page,
-    refusal_page,
+    KeptCalibration, ListedEntry, ListedMachine, MachinePage, Run, calibration_page, entry_page, machine_page,
+    machines_page, refusal_page,
 };
 use hyper::StatusCode;
+use serde_json::Value;
 
 use super::request::Asked;
 use crate::history::{Question, estimate_of, read};
+
+/// Calibrations of all machines together up to which the first page judges every machine.
+const JUDGED: i64 = 1000;
 
 /// Entries of one list.
 const LISTED: i64 = 100;
@@ -79,7 +83,7 @@ impl Pages {
                 None => Ok(Answer::absent("Entries have numbers.")),
             },
             ["entry", entry, name] => match number(entry) {
-                Some(number) => self.of_entry(number, |entry| self.calibration(name, entry)),
+                Some(number) => self.of_entry(number, |entry| self.calibration(number, name, entry)),
                 None => Ok(Answer::absent("Entries have numbers.")),
             },
             _ => Ok(Answer::absent("There is no such page.")),
@@ -88,11 +92,14 @@ impl Pages {
 
     fn first(&self, before: Option<i64>) -> Result<Answer> {
         let history = read(&self.history)?;
+        let known = history.machines()?;
+        let few = known.iter().map(|(_, count)| count).sum::<i64>() <= JUDGED;
         let machine = |(name, calibrations): (String, i64)| {
             let last = history.last(&name)?.map_or_else(String::new, |(label, unit)| when(&label, &unit));
-            Ok(ListedMachine { name, calibrations, last })
+            let state = if few { Some(state(&history, &name)?) } else { None };
+            Ok(ListedMachine { name, calibrations, last, state })
         };
-        let machines: Vec<ListedMachine> = history.machines()?.into_iter().map(machine).collect::<Result<_>>()?;
+        let machines: Vec<ListedMachine> = known.into_iter().map(machine).collect::<Result<_>>()?;
         let listed = history.entries_before(before.unwrap_or(i64::MAX), LISTED)?;
         let entry = |(number, sha256, recipe)| ListedEntry { number, recipe, sha256 };
         let entries: Vec<ListedEntry> = listed.into_iter().map(entry).collect();
@@ -143,13 +150,13 @@ impl Pages {
         let calibrations = entry.calibrations.iter().map(|stored| stored.calibration.clone()).collect();
         let kept: Vec<KeptCalibration> = entry.calibrations.iter().map(|stored| kept(number, stored)).collect();
         Ok(match Run::kept(&entry.recipe, calibrations, entry.verdicts.clone(), &self.registry) {
-            Ok(run) => Answer::html(entry_page(number, &entry.sha256()?, &kept, &run)),
+            Ok(run) => Answer::html(entry_page(number, &entry.sha256()?, &kept, &files(entry), &run)),
             Err(error) => unshown(&error),
         })
     }
 
     /// The report about one calibration, or its file.
-    fn calibration(&self, name: &str, entry: &Entry) -> Result<Answer> {
+    fn calibration(&self, number: i64, name: &str, entry: &Entry) -> Result<Answer> {
         let estimate = name.strip_suffix(".calibration.json");
         let wanted = estimate.unwrap_or(name);
         let Some(stored) = entry.calibrations.iter().find(|stored| stored.calibration.estimate == wanted) else {
@@ -161,10 +168,24 @@ impl Pages {
         }
         let title = format!("{}, {wanted}, {}", stored.machine, when(&stored.label, &stored.unit));
         Ok(match Run::kept(&title, vec![stored.calibration.clone()], Vec::new(), &self.registry) {
-            Ok(run) => Answer::html(page(&[run])),
+            Ok(run) => Answer::html(calibration_page(number, &run)),
             Err(error) => unshown(&error),
         })
     }
+}
+
+/// What the tests of a machine tell, in a word.
+fn state(history: &History, machine: &str) -> Result<&'static str> {
+    let all = history.calibrations(&Filter { machine: Some(machine.to_owned()), entry: None })?;
+    let checked = Question::default().judge(machine, &all, &Registry::built_in);
+    Ok(checked.map_or("not judged", |checked| checked.state().0))
+}
+
+/// The files that were read for an entry, with their hashes.
+fn files(entry: &Entry) -> Vec<(String, String)> {
+    let text = |input: &Value, key: &str| input[key].as_str().unwrap_or_default().to_owned();
+    let inputs = entry.evidence["inputs"].as_array().into_iter().flatten();
+    inputs.map(|input| (text(input, "file"), text(input, "sha256"))).collect()
 }
 
 /// A report that needs what this program does not have, such as the plugin of a vendor.
