@@ -104,13 +104,12 @@ impl Add {
                 Error::usage("--machine: a name was expected").help("without `--machine` its description names it")
             );
         }
+        let place = named(&self.history)?;
         // Everything is read before the first entry is added.
         let read = |folder: &PathBuf| self.read(folder);
         let entries: Vec<Entry> = self.results.iter().map(read).collect::<Result<_>>()?;
         let mut text = String::new();
-        for ((folder, entry), added) in
-            self.results.iter().zip(&entries).zip(add_all(&named(&self.history)?, &entries)?)
-        {
+        for ((folder, entry), added) in self.results.iter().zip(&entries).zip(add_all(&place, &entries)?) {
             let folder = folder.display();
             let _ = match added {
                 Added::New(number) => {
